@@ -1,0 +1,56 @@
+# zygos: `make` sets up, runs the main job and shows the result; `make test` runs the tests; `make help` lists the rest.
+
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+NATIVE := harness/zygos/_native/libzygos.so
+SOURCES := $(wildcard c/*.c c/ports/host/*) $(wildcard include/zygos/*) tools/build_native.py
+STRICT := -std=c11 -O2 -ffp-contract=off -Wall -Wextra -Wconversion -Wsign-conversion -Wdouble-promotion -Wshadow -pedantic
+ifdef CI
+STRICT += -Werror
+export CFLAGS += -Werror
+endif
+
+.DEFAULT_GOAL := demo
+.PHONY: demo build test hil lint format warnings clean help
+
+demo: build ## set up, run the paper's example over CAN, show the result (out/demo/report.html)
+	$(BIN)/python -m zygos.demo
+
+build: $(VENV)/.core $(NATIVE) ## set up .venv and build the C library for it
+
+$(VENV)/.core: pyproject.toml setup.py
+	$(PYTHON) -c 'import sys; sys.exit("zygos needs Python 3.11 or later; remedy: make PYTHON=python3.11" if sys.version_info < (3, 11) else 0)'
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --disable-pip-version-check --editable .
+	touch $@
+
+$(VENV)/.test: $(VENV)/.core
+	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[test,lint]'
+	touch $@
+
+$(NATIVE): $(SOURCES) | $(VENV)/.core
+	$(BIN)/python tools/build_native.py $(@D)
+
+test: build $(VENV)/.test ## unit, bus and fuzz tests (under 10 minutes)
+	$(BIN)/python -m pytest tests/unit tests/bus tests/fuzz
+
+hil: build $(VENV)/.test ## the example across a real vcan (the kernel's, or User-Mode Linux)
+	tools/with-vcan $(BIN)/python -m pytest tests/hil
+
+lint: build $(VENV)/.test ## ruff, mypy, clang-format
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/clang-format --dry-run --Werror c/*.c c/ports/*/*.[ch] include/zygos/*.h
+
+format: $(VENV)/.test ## rewrite Python and C in the house style
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+	$(BIN)/clang-format -i c/*.c c/ports/*/*.[ch] include/zygos/*.h
+
+clean: ## remove everything that was built
+	rm -rf $(VENV) out build harness/zygos/_native harness/*.egg-info
+
+help: ## this list
+	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 10

@@ -1,0 +1,91 @@
+#include "zygos/balance.h"
+
+#include <string.h>
+
+uint32_t zygos_balance_parameters(const zygos_config_t *config)
+{
+    const uint32_t n = config->joints;
+    return (n + 1u) * (n + 2u) / 2u + 3u * n;
+}
+
+void zygos_balance_gap(zygos_balance_t *self)
+{
+    memset(self, 0, sizeof *self);
+    self->origin = 1;
+}
+
+void zygos_balance_new_arc(zygos_balance_t *self)
+{
+    self->origin = 1;
+}
+
+void zygos_balance_torque(zygos_balance_t *self, const zygos_config_t *config, const double *tau)
+{
+    for (uint32_t i = 0; i < config->joints; i++) {
+        self->torque[self->torque_at][i] = tau[i];
+    }
+    /* The ring holds M + 1 torques, so the place of the next one holds that of M cycles ago. */
+    self->torque_at = (self->torque_at == config->smoother_half_width) ? 0u : self->torque_at + 1u;
+}
+
+/* W and D at this instant, from those at the instant before. */
+static void carry_on(zygos_balance_t *self, const zygos_config_t *config, const zygos_state_t *state)
+{
+    const double *tau = self->torque[self->torque_at];
+    const double h24 = config->period_s / 24.0;
+    for (uint32_t i = 0; i < config->joints; i++) {
+        self->work += config->joint[i].gear_ratio * tau[i] * (state->theta[i] - self->theta[i]);
+        self->theta[i] = state->theta[i];
+        const double slip_rate = state->theta_rate[i] - state->q_rate[i];
+        const double g = slip_rate * slip_rate;
+        double *past_0 = &self->slip_rate[0][i];
+        double *past_1 = &self->slip_rate[1][i];
+        double *past_2 = &self->slip_rate[2][i];
+        self->slip[i] += h24 * (9.0 * g + 19.0 * *past_0 - 5.0 * *past_1 + *past_2);
+        *past_2 = *past_1;
+        *past_1 = *past_0;
+        *past_0 = g;
+    }
+}
+
+static void form_row(const zygos_balance_t *self, const zygos_config_t *config, const zygos_state_t *state,
+                     const zygos_motion_t *motion, zygos_row_t *out)
+{
+    const uint32_t n = config->joints;
+    uint32_t k = 0;
+    for (uint32_t i = 0; i <= n; i++) {
+        out->column[k] = 0.5 * motion->gram[k];
+        k++;
+        for (uint32_t j = i + 1u; j <= n; j++) {
+            out->column[k] = motion->gram[k];
+            k++;
+        }
+    }
+    for (uint32_t i = 0; i < n; i++) {
+        const double rotor = config->joint[i].gear_ratio * state->theta_rate[i];
+        const double deflection = state->theta[i] - state->q[i];
+        out->column[k] = rotor * (0.5 * rotor + motion->carrier_rate[i]);
+        out->column[k + 1u] = 0.5 * deflection * deflection;
+        out->column[k + 2u] = self->slip[i];
+        k += 3u;
+    }
+    out->work = self->work;
+}
+
+int zygos_balance_row(zygos_balance_t *self, const zygos_config_t *config, const zygos_state_t *state,
+                      const zygos_motion_t *motion, zygos_row_t *out)
+{
+    carry_on(self, config, state);
+    self->instants += (self->instants < 4u) ? 1u : 0u;
+    if (self->instants < 4u) {
+        return 0;
+    }
+    const double keep = self->origin ? 0.0 : 1.0;
+    self->origin = 0;
+    self->work *= keep;
+    for (uint32_t i = 0; i < config->joints; i++) {
+        self->slip[i] *= keep;
+    }
+    form_row(self, config, state, motion, out);
+    return 1;
+}

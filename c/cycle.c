@@ -1,0 +1,308 @@
+#include "zygos/cycle.h"
+
+#include <string.h>
+
+/* A longer silence of FTIME could hide an outage of exactly 240 cycles, which the SYNC counter cannot see. */
+#define MAX_CYCLES_WITHOUT_TIME 120u
+/* Latch delays within this of the configured one cost less than 0.1 % of parameter error. */
+#define LATCH_TOLERANCE_US 50
+
+void zygos_receiver_init(zygos_receiver_t *self)
+{
+    memset(self, 0, sizeof *self);
+    self->assembly.broken = 1;
+}
+
+int zygos_receiver_pop(zygos_receiver_t *self, zygos_cycle_t *out)
+{
+    zygos_queue_t *queue = &self->queue;
+    const uint32_t tail = queue->tail;
+    if (__atomic_load_n(&queue->head, __ATOMIC_ACQUIRE) == tail) {
+        return 0;
+    }
+    *out = queue->slot[tail & (ZYGOS_CYCLE_QUEUE - 1u)];
+    __atomic_store_n(&queue->tail, tail + 1u, __ATOMIC_RELEASE);
+    return 1;
+}
+
+static void push(zygos_receiver_t *self)
+{
+    zygos_queue_t *queue = &self->queue;
+    const uint32_t head = queue->head;
+    if (head - __atomic_load_n(&queue->tail, __ATOMIC_ACQUIRE) >= ZYGOS_CYCLE_QUEUE) {
+        self->faults.overrun++;
+        self->faults.dropped++;
+        self->assembly.broken = 1;
+        return;
+    }
+    queue->slot[head & (ZYGOS_CYCLE_QUEUE - 1u)] = self->assembly.cycle;
+    __atomic_store_n(&queue->head, head + 1u, __ATOMIC_RELEASE);
+    self->assembly.broken = 0;
+}
+
+static void close_cycle(zygos_receiver_t *self, const zygos_config_t *config)
+{
+    zygos_assembly_t *a = &self->assembly;
+    const uint32_t all = (1u << (2u * config->joints + (config->imu_fine ? 2u : 1u))) - 1u;
+    const bool complete = (a->received == all);
+    if (complete && !self->status.spoiled) {
+        a->cycle.sync = a->sync;
+        a->cycle.flags = a->broken ? (uint32_t)ZYGOS_CYCLE_BREAK : 0u;
+        push(self);
+        return;
+    }
+    /* No flag is left for the next cycle: its number does not follow that of the last complete one. */
+    self->faults.incomplete += complete ? 0u : 1u;
+    self->faults.dropped++;
+}
+
+static int reject(zygos_receiver_t *self, uint32_t *fault)
+{
+    (*fault)++;
+    self->status.last_verdict = ZYGOS_REJECTED;
+    return ZYGOS_REJECTED;
+}
+
+static int spoil(zygos_receiver_t *self, uint32_t *fault)
+{
+    self->status.spoiled = 1;
+    return reject(self, fault);
+}
+
+static int reject_wire(zygos_receiver_t *self, int fault)
+{
+    zygos_faults_t *f = &self->faults;
+    return reject(self, (fault == ZYGOS_WIRE_LENGTH) ? &f->length : ((fault == ZYGOS_WIRE_CRC) ? &f->crc : &f->range));
+}
+
+static int accept(zygos_receiver_t *self)
+{
+    self->status.last_verdict = ZYGOS_ACCEPTED;
+    return ZYGOS_ACCEPTED;
+}
+
+static int take_sync(zygos_receiver_t *self, const zygos_config_t *config, const zygos_frame_t *frame)
+{
+    zygos_record_t record;
+    const int fault = zygos_wire_decode(frame, ZYGOS_MSG_SYNC, 0, &record);
+    if (fault != ZYGOS_WIRE_OK) {
+        return reject_wire(self, fault);
+    }
+    zygos_assembly_t *a = &self->assembly;
+    if (a->counter != 0) {
+        const uint32_t step = (record.sync + ZYGOS_SYNC_MODULUS - a->counter) % ZYGOS_SYNC_MODULUS;
+        if (step == 0) {
+            /* Which of the two cycles a frame belongs to is unknown: the cycle is not used. */
+            return spoil(self, &self->faults.sync_repeated);
+        }
+        close_cycle(self, config);
+        if (step != 1) {
+            self->faults.sync_jumped++;
+            a->broken = 1;
+        }
+        a->sync += step;
+        a->since_time += step;
+        if (a->since_time > MAX_CYCLES_WITHOUT_TIME) {
+            /* Counted once per silence; every cycle of a silence stands alone. */
+            self->faults.time_lost += (a->since_time - step <= MAX_CYCLES_WITHOUT_TIME) ? 1u : 0u;
+            a->timed = 0;
+            a->broken = 1;
+        }
+    }
+    a->counter = record.sync;
+    a->received = 0;
+    self->status.spoiled = 0;
+    return accept(self);
+}
+
+static int take_time(zygos_receiver_t *self, const zygos_config_t *config, const zygos_frame_t *frame)
+{
+    zygos_record_t record;
+    const int fault = zygos_wire_decode(frame, ZYGOS_MSG_FTIME, ZYGOS_NODE_COMPUTER, &record);
+    if (fault != ZYGOS_WIRE_OK) {
+        return reject_wire(self, fault);
+    }
+    zygos_assembly_t *a = &self->assembly;
+    if (a->counter == 0) {
+        return reject(self, &self->faults.unsynced);
+    }
+    if ((record.sync != a->counter) || (record.counter != (a->counter & 0x0Fu))) {
+        return reject(self, &self->faults.counter);
+    }
+    if (a->timed) {
+        const double elapsed_s = (double)(record.time_us - a->time_us) * 1e-6; /* modulo 2^32: 71 minutes */
+        const double counted_s = (double)(a->sync - a->time_sync) * config->period_s;
+        const double error = elapsed_s - counted_s;
+        if ((error > 0.5 * config->period_s) || (error < -0.5 * config->period_s)) {
+            self->faults.time_jumped++;
+            a->broken = 1;
+        }
+    }
+    a->timed = 1;
+    a->time_us = record.time_us;
+    a->time_sync = a->sync;
+    a->since_time = 0;
+    return accept(self);
+}
+
+/* The checks that every frame of a cycle shares. Returns true when the frame is the first of its kind in this cycle. */
+static bool belongs(zygos_receiver_t *self, const zygos_record_t *record, uint32_t bit, int *verdict)
+{
+    const zygos_assembly_t *a = &self->assembly;
+    if (a->counter == 0) {
+        *verdict = reject(self, &self->faults.unsynced);
+        return false;
+    }
+    if (record->counter != (a->counter & 0x0Fu)) {
+        const bool late = (record->counter == ((a->counter + 15u) & 0x0Fu));
+        *verdict = reject(self, late ? &self->faults.late : &self->faults.counter);
+        return false;
+    }
+    if ((a->received & (1u << bit)) != 0) {
+        *verdict = spoil(self, &self->faults.repeated);
+        return false;
+    }
+    return true;
+}
+
+static int take_angles(zygos_receiver_t *self, const zygos_config_t *config, uint32_t joint, const zygos_frame_t *frame)
+{
+    zygos_record_t record;
+    const int fault = zygos_wire_decode(frame, ZYGOS_MSG_ANGLES, config->joint[joint].node, &record);
+    if (fault != ZYGOS_WIRE_OK) {
+        return reject_wire(self, fault);
+    }
+    int verdict = ZYGOS_REJECTED;
+    if (!belongs(self, &record, 2u * joint, &verdict)) {
+        return verdict;
+    }
+    if (!(record.status & ZYGOS_STATUS_ENABLED)) {
+        return spoil(self, &self->faults.disabled);
+    }
+    if (!(record.status & ZYGOS_STATUS_LINK_VALID) || (record.code[0] == ZYGOS_CODE_ANGLE_INVALID)) {
+        return spoil(self, &self->faults.link_invalid);
+    }
+    if (!(record.status & ZYGOS_STATUS_MOTOR_VALID) || (record.code[1] == ZYGOS_CODE_ANGLE_INVALID)) {
+        return spoil(self, &self->faults.motor_invalid);
+    }
+    self->assembly.cycle.q[joint] = zygos_wire_angle(record.code[0]);
+    self->assembly.cycle.theta[joint] = zygos_wire_angle(record.code[1]);
+    self->assembly.received |= 1u << (2u * joint);
+    return accept(self);
+}
+
+static int take_torque(zygos_receiver_t *self, const zygos_config_t *config, uint32_t joint, const zygos_frame_t *frame)
+{
+    zygos_record_t record;
+    const int fault = zygos_wire_decode(frame, ZYGOS_MSG_TORQUE, config->joint[joint].node, &record);
+    if (fault != ZYGOS_WIRE_OK) {
+        return reject_wire(self, fault);
+    }
+    int verdict = ZYGOS_REJECTED;
+    if (!belongs(self, &record, 2u * joint + 1u, &verdict)) {
+        return verdict;
+    }
+    if (!(record.status & ZYGOS_STATUS_ENABLED)) {
+        return spoil(self, &self->faults.disabled);
+    }
+    if (!(record.status & ZYGOS_STATUS_TORQUE_VALID)) {
+        return spoil(self, &self->faults.torque_invalid);
+    }
+    if ((record.code[0] == ZYGOS_CODE_I24_MIN) || (record.code[0] == ZYGOS_CODE_I24_MAX)) {
+        return spoil(self, &self->faults.saturated);
+    }
+    const int32_t latch_error = (int32_t)record.latch_us - (int32_t)config->joint[joint].latch_us;
+    if ((latch_error > LATCH_TOLERANCE_US) || (latch_error < -LATCH_TOLERANCE_US)) {
+        return spoil(self, &self->faults.latch);
+    }
+    self->assembly.cycle.tau[joint] = zygos_wire_torque(record.code[0]);
+    self->assembly.received |= 1u << (2u * joint + 1u);
+    return accept(self);
+}
+
+static int take_rates(zygos_receiver_t *self, const zygos_config_t *config, uint32_t message, const zygos_frame_t *frame)
+{
+    zygos_record_t record;
+    const int fault = zygos_wire_decode(frame, message, config->imu_node, &record);
+    if (fault != ZYGOS_WIRE_OK) {
+        return reject_wire(self, fault);
+    }
+    const bool coarse = (message == ZYGOS_MSG_RATE_COARSE);
+    const uint32_t first = (message == ZYGOS_MSG_RATE_Z) ? 2u : 0u;
+    const uint32_t axes = coarse ? 3u : ((message == ZYGOS_MSG_RATE_Z) ? 1u : 2u);
+    const uint32_t bit = 2u * config->joints + ((message == ZYGOS_MSG_RATE_Z) ? 1u : 0u);
+    int verdict = ZYGOS_REJECTED;
+    if (!belongs(self, &record, bit, &verdict)) {
+        return verdict;
+    }
+    if (!(record.status & ZYGOS_STATUS_RATE_VALID)) {
+        return spoil(self, &self->faults.gyro_invalid);
+    }
+    const int32_t low = coarse ? ZYGOS_CODE_I16_MIN : ZYGOS_CODE_I24_MIN;
+    const int32_t high = coarse ? ZYGOS_CODE_I16_MAX : ZYGOS_CODE_I24_MAX;
+    for (uint32_t i = 0; i < axes; i++) {
+        if ((record.code[i] == low) || (record.code[i] == high)) {
+            return spoil(self, &self->faults.saturated);
+        }
+    }
+    for (uint32_t i = 0; i < axes; i++) {
+        self->assembly.cycle.omega[first + i] =
+            coarse ? zygos_wire_rate_coarse(record.code[i]) : zygos_wire_rate_fine(record.code[i]);
+    }
+    self->assembly.received |= 1u << bit;
+    return accept(self);
+}
+
+int zygos_receiver_frame(zygos_receiver_t *self, const zygos_config_t *config, const zygos_frame_t *frame)
+{
+    if (frame->flags & ZYGOS_FRAME_ERROR) {
+        /* The bus failed in some way; frames may be missing without a gap in any counter that is left. */
+        self->assembly.broken = 1;
+        self->faults.bus_error++;
+        self->status.last_verdict = ZYGOS_ACCEPTED;
+        return ZYGOS_ACCEPTED;
+    }
+    if (frame->flags & (ZYGOS_FRAME_EXTENDED | ZYGOS_FRAME_REMOTE | ZYGOS_FRAME_FD)) {
+        return ZYGOS_FOREIGN;
+    }
+    if (frame->id == ZYGOS_ID_SYNC) {
+        return take_sync(self, config, frame);
+    }
+    if (frame->id == ZYGOS_ID_TPDO3 + ZYGOS_NODE_COMPUTER) {
+        return take_time(self, config, frame);
+    }
+    if (frame->id == ZYGOS_ID_TPDO1 + config->imu_node) {
+        return take_rates(self, config, config->imu_fine ? ZYGOS_MSG_RATE_XY : ZYGOS_MSG_RATE_COARSE, frame);
+    }
+    if (config->imu_fine && (frame->id == ZYGOS_ID_TPDO3 + config->imu_node)) {
+        return take_rates(self, config, ZYGOS_MSG_RATE_Z, frame);
+    }
+    for (uint32_t i = 0; i < config->joints; i++) {
+        if (frame->id == ZYGOS_ID_TPDO1 + config->joint[i].node) {
+            return take_angles(self, config, i, frame);
+        }
+        if (frame->id == ZYGOS_ID_TPDO2 + config->joint[i].node) {
+            return take_torque(self, config, i, frame);
+        }
+    }
+    return ZYGOS_FOREIGN;
+}
+
+void zygos_cycle_calibrate(zygos_hold_t *hold, const zygos_config_t *config, const zygos_cycle_t *cycle, double *signal,
+                           double *tau)
+{
+    const uint32_t n = config->joints;
+    /* Shares of the torque reported before and of the one reported with this SYNC. */
+    static const double share[3][2] = { { 1.0, 0.0 }, { 0.0, 1.0 }, { 0.5, 0.5 } };
+    for (uint32_t i = 0; i < n; i++) {
+        const zygos_joint_config_t *joint = &config->joint[i];
+        signal[i] = joint->link_sign * (cycle->q[i] - joint->link_zero_rad);
+        signal[n + i] = joint->motor_sign * (cycle->theta[i] - joint->motor_zero_rad);
+        tau[i] = share[config->torque_law][0] * hold->reported[i] + share[config->torque_law][1] * cycle->tau[i];
+        hold->reported[i] = cycle->tau[i];
+    }
+    for (uint32_t i = 0; i < 3; i++) {
+        const double *row = &config->imu_to_base[3 * i];
+        signal[2 * n + i] = row[0] * cycle->omega[0] + row[1] * cycle->omega[1] + row[2] * cycle->omega[2];
+    }
+}

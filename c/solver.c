@@ -1,0 +1,323 @@
+#include "zygos/solver.h"
+
+#include <string.h>
+
+#define MAX_REFUSED_SHARE 0.05
+#define INSTANTS_PER_PARAMETER 3u
+
+/* Place of entry (i, j), j <= i, in a packed lower triangle. */
+static uint32_t at(uint32_t i, uint32_t j)
+{
+    return i * (i + 1u) / 2u + j;
+}
+
+static double entry(const double *packed, uint32_t i, uint32_t j)
+{
+    return (i >= j) ? packed[at(i, j)] : packed[at(j, i)];
+}
+
+static double magnitude(double x)
+{
+    return (x < 0.0) ? -x : x;
+}
+
+static double root(double x)
+{
+    return __builtin_sqrt(x);
+}
+
+static double not_a_number(void)
+{
+    return (double)__builtin_nanf("");
+}
+
+/* Cholesky of the scaled matrix with symmetric pivoting, in place in work->factor; rows are reordered by work->pivot.
+   Returns the number of columns that are independent. */
+static uint32_t factorise(zygos_work_t *work, uint32_t p)
+{
+    double *l = work->factor;
+    for (uint32_t i = 0; i < p; i++) {
+        work->pivot[i] = i;
+    }
+    for (uint32_t k = 0; k < p; k++) {
+        uint32_t best = k;
+        double largest = -1.0;
+        for (uint32_t i = k; i < p; i++) {
+            double d = entry(work->matrix, work->pivot[i], work->pivot[i]);
+            for (uint32_t j = 0; j < k; j++) {
+                d -= l[at(i, j)] * l[at(i, j)];
+            }
+            if (d > largest) {
+                largest = d;
+                best = i;
+            }
+        }
+        if (!(largest > ZYGOS_PIVOT_LIMIT)) {
+            return k;
+        }
+        const uint32_t swap = work->pivot[k];
+        work->pivot[k] = work->pivot[best];
+        work->pivot[best] = swap;
+        for (uint32_t j = 0; j < k; j++) {
+            const double t = l[at(k, j)];
+            l[at(k, j)] = l[at(best, j)];
+            l[at(best, j)] = t;
+        }
+        const double diagonal = root(largest);
+        l[at(k, k)] = diagonal;
+        for (uint32_t i = k + 1u; i < p; i++) {
+            double sum = entry(work->matrix, work->pivot[i], work->pivot[k]);
+            for (uint32_t j = 0; j < k; j++) {
+                sum -= l[at(i, j)] * l[at(k, j)];
+            }
+            l[at(i, k)] = sum / diagonal;
+        }
+    }
+    return p;
+}
+
+/* x := L^-T L^-1 x for the leading r columns, in pivot order. */
+static void substitute(const double *l, uint32_t r, double *x)
+{
+    for (uint32_t i = 0; i < r; i++) {
+        for (uint32_t j = 0; j < i; j++) {
+            x[i] -= l[at(i, j)] * x[j];
+        }
+        x[i] /= l[at(i, i)];
+    }
+    for (uint32_t i = r; i-- > 0;) {
+        for (uint32_t j = i + 1u; j < r; j++) {
+            x[i] -= l[at(j, i)] * x[j];
+        }
+        x[i] /= l[at(i, i)];
+    }
+}
+
+/* The scaled matrix and right side of gram, less those of one block unless it is null. */
+static void scaled_equations(zygos_work_t *work, uint32_t p, const double *without)
+{
+    const double *total = work->total;
+    const uint32_t last = at(p, 0);
+    for (uint32_t i = 0; i < p; i++) {
+        for (uint32_t j = 0; j <= i; j++) {
+            const uint32_t k = at(i, j);
+            const double value = total[k] - (without ? without[k] : 0.0);
+            work->matrix[k] = value * (work->scale[i] * work->scale[j]);
+        }
+        work->right[i] = (total[last + i] - (without ? without[last + i] : 0.0)) * work->scale[i];
+    }
+}
+
+/* Solves the scaled equations of the rank independent columns; dependent ones become 0. Unscaled solution in x. */
+static void solve_once(zygos_work_t *work, uint32_t p, uint32_t rank, double *x)
+{
+    for (uint32_t i = 0; i < rank; i++) {
+        work->score[i] = work->right[work->pivot[i]];
+    }
+    substitute(work->factor, rank, work->score);
+    memset(x, 0, p * sizeof x[0]);
+    for (uint32_t i = 0; i < rank; i++) {
+        x[work->pivot[i]] = work->score[i] * work->scale[work->pivot[i]];
+    }
+}
+
+/* A dependent column can be exchanged for the independent ones it is made of: neither then has a value. */
+static void mark_identifiable(zygos_work_t *work, uint32_t p, uint32_t rank, zygos_estimate_t *out)
+{
+    for (uint32_t i = 0; i < p; i++) {
+        out->identifiable[i] = 1;
+    }
+    for (uint32_t d = rank; d < p; d++) {
+        out->identifiable[work->pivot[d]] = 0;
+        for (uint32_t i = 0; i < rank; i++) {
+            work->score[i] = entry(work->matrix, work->pivot[i], work->pivot[d]);
+        }
+        substitute(work->factor, rank, work->score);
+        for (uint32_t i = 0; i < rank; i++) {
+            if (magnitude(work->score[i]) > 1e-6) {
+                out->identifiable[work->pivot[i]] = 0;
+            }
+        }
+    }
+}
+
+/* 1-norm condition number of the scaled matrix of the independent columns. */
+static double condition(zygos_work_t *work, uint32_t rank)
+{
+    double norm = 0.0;
+    double inverse_norm = 0.0;
+    for (uint32_t i = 0; i < rank; i++) {
+        double column = 0.0;
+        for (uint32_t j = 0; j < rank; j++) {
+            column += magnitude(entry(work->matrix, work->pivot[i], work->pivot[j]));
+            work->score[j] = (i == j) ? 1.0 : 0.0;
+        }
+        norm = (column > norm) ? column : norm;
+        substitute(work->factor, rank, work->score);
+        column = 0.0;
+        for (uint32_t j = 0; j < rank; j++) {
+            column += magnitude(work->score[j]);
+        }
+        inverse_norm = (column > inverse_norm) ? column : inverse_norm;
+    }
+    return norm * inverse_norm;
+}
+
+/* Covariance by leaving out one block at a time: (K-1)/K sum (x_(-B) - mean)(x_(-B) - mean)^T. A block without which
+   the equations lose rank leaves all sigmas infinite: the motion was informative once only. */
+static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, zygos_estimate_t *out)
+{
+    const uint32_t blocks = work->accumulator.open;
+    double infinite = 0.0;
+    double *mean = work->right;
+    for (uint32_t b = 0; b < blocks; b++) {
+        scaled_equations(work, p, work->accumulator.block[b].gram);
+        if (factorise(work, p) < rank) {
+            infinite = 1.0;
+        }
+        solve_once(work, p, rank, work->change[b]);
+    }
+    memset(mean, 0, p * sizeof mean[0]);
+    for (uint32_t b = 0; b < blocks; b++) {
+        for (uint32_t i = 0; i < p; i++) {
+            mean[i] += work->change[b][i] / (double)blocks;
+        }
+    }
+    for (uint32_t i = 0; i < p; i++) {
+        for (uint32_t j = 0; j <= i; j++) {
+            double sum = 0.0;
+            for (uint32_t b = 0; b < blocks; b++) {
+                sum += (work->change[b][i] - mean[i]) * (work->change[b][j] - mean[j]);
+            }
+            out->covariance[at(i, j)] = sum * ((double)blocks - 1.0) / (double)blocks;
+        }
+        const double variance = out->covariance[at(i, i)];
+        out->sigma[i] = (infinite > 0.0) ? (double)__builtin_inff() : root(variance);
+    }
+}
+
+/* A kinetic energy that is positive for every motion needs a positive definite (a_ij), and positive Im, k, b. */
+static bool physical(const zygos_work_t *work, uint32_t p, const double *x)
+{
+    const uint32_t n = work->joints + 1u;
+    double l[(ZYGOS_MAX_JOINTS + 1) * (ZYGOS_MAX_JOINTS + 2) / 2];
+    for (uint32_t i = 0; i < n; i++) {
+        for (uint32_t j = 0; j <= i; j++) {
+            /* a_ji stands in row j of the upper triangle. */
+            double sum = x[j * n - j * (j + 1u) / 2u + i];
+            for (uint32_t k = 0; k < j; k++) {
+                sum -= l[at(i, k)] * l[at(j, k)];
+            }
+            if (i > j) {
+                l[at(i, j)] = sum / l[at(j, j)];
+            } else if (sum > 0.0) {
+                l[at(i, i)] = root(sum);
+            } else {
+                return false;
+            }
+        }
+    }
+    for (uint32_t i = n * (n + 1u) / 2u; i < p; i++) {
+        if (!(x[i] > 0.0)) {
+            return false;
+        }
+    }
+    return true;
+}
+
+static void withhold(zygos_estimate_t *out, uint32_t i, uint32_t p)
+{
+    out->identifiable[i] = 0;
+    out->value[i] = not_a_number();
+    out->sigma[i] = not_a_number();
+    for (uint32_t j = 0; j < p; j++) {
+        out->covariance[(i >= j) ? at(i, j) : at(j, i)] = not_a_number();
+    }
+}
+
+static int refuse(zygos_estimate_t *out, uint32_t p, uint32_t reason)
+{
+    for (uint32_t i = 0; i < p; i++) {
+        withhold(out, i, p);
+    }
+    out->validity = ZYGOS_REFUSED;
+    out->reason = reason;
+    return 0;
+}
+
+static double residual(const zygos_work_t *work, uint32_t p, const double *x, uint64_t n)
+{
+    double sum = work->total[at(p, p)];
+    for (uint32_t i = 0; i < p; i++) {
+        sum -= 2.0 * x[i] * work->total[at(p, i)];
+        for (uint32_t j = 0; j < p; j++) {
+            sum += x[i] * x[j] * entry(work->total, i, j);
+        }
+    }
+    return (sum > 0.0) ? root(sum / (double)n) : 0.0;
+}
+
+int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
+{
+    if ((work == NULL) || (out == NULL)) {
+        return ZYGOS_E_NULL;
+    }
+    zygos_accumulator_t *sums = &work->accumulator;
+    const uint32_t p = sums->width - 2u;
+    memset(out, 0, sizeof *out);
+    out->cycle = work->cycle;
+    out->refused = sums->refused;
+    out->parameters = p;
+    const bool corrupt = !(zygos_accumulator_check(sums) <= 1.0);
+    zygos_accumulator_end_arc(sums);
+    out->accepted = sums->accepted;
+    out->arcs = sums->arcs;
+    out->blocks = sums->open;
+    if (corrupt) {
+        return refuse(out, p, ZYGOS_REASON_CORRUPT);
+    }
+    if ((out->accepted < (uint64_t)INSTANTS_PER_PARAMETER * p) || (out->blocks < 2u)) {
+        return refuse(out, p, ZYGOS_REASON_NO_DATA);
+    }
+    zygos_accumulator_total(sums, work->total);
+    for (uint32_t i = 0; i < p; i++) {
+        const double square = work->total[at(i, i)];
+        work->scale[i] = (square > 0.0) ? 1.0 / root(square) : 0.0;
+    }
+    scaled_equations(work, p, NULL);
+    const uint32_t rank = factorise(work, p);
+    out->rank = rank;
+    if (rank == 0) {
+        return refuse(out, p, ZYGOS_REASON_NOT_IDENTIFIABLE);
+    }
+    out->condition = condition(work, rank);
+    solve_once(work, p, rank, work->solution);
+    mark_identifiable(work, p, rank, out);
+    memcpy(out->value, work->solution, p * sizeof out->value[0]);
+    out->residual = residual(work, p, work->solution, out->accepted);
+    jackknife(work, p, rank, out);
+
+    uint32_t known = 0;
+    for (uint32_t i = 0; i < p; i++) {
+        const bool sharp = (out->sigma[i] <= ZYGOS_SIGMA_LIMIT * magnitude(out->value[i]));
+        if (!out->identifiable[i] || !sharp) {
+            withhold(out, i, p);
+        }
+        known += out->identifiable[i];
+    }
+    if (known == 0) {
+        return refuse(out, p, ZYGOS_REASON_NOT_IDENTIFIABLE);
+    }
+    const double instants = (double)(out->accepted + out->refused);
+    if ((double)out->refused > MAX_REFUSED_SHARE * instants) {
+        out->validity = ZYGOS_DOUBTFUL;
+        out->reason = ZYGOS_REASON_TOO_FAST;
+    } else if (known < p) {
+        out->validity = ZYGOS_PARTIAL;
+        out->reason = ZYGOS_REASON_NOT_IDENTIFIABLE;
+    } else if (!physical(work, p, out->value)) {
+        out->validity = ZYGOS_DOUBTFUL;
+        out->reason = ZYGOS_REASON_NOT_PHYSICAL;
+    }
+    return 1;
+}

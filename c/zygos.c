@@ -1,0 +1,249 @@
+#include "zygos/zygos.h"
+
+#include <string.h>
+
+#define MARK 0x7A79676Fu /* "zygo" */
+#define LARGEST_VALUE 1e6
+
+uint32_t zygos_abi(void)
+{
+    return ZYGOS_ABI;
+}
+
+static bool within(double x, double low, double high)
+{
+    return (x >= low) && (x <= high);
+}
+
+static bool is_sign(double x)
+{
+    return within(x, 1.0, 1.0) || within(x, -1.0, -1.0);
+}
+
+static double dot3(const double *a, const double *b)
+{
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+
+static int check_joint(const zygos_config_t *config, uint32_t i)
+{
+    const zygos_joint_config_t *joint = &config->joint[i];
+    if ((joint->node < 1u) || (joint->node > 31u) || (joint->node == config->imu_node)) {
+        return ZYGOS_E_NODE;
+    }
+    for (uint32_t j = 0; j < i; j++) {
+        if (joint->node == config->joint[j].node) {
+            return ZYGOS_E_NODE;
+        }
+    }
+    if (!within(dot3(joint->axis, joint->axis), 1.0 - 1e-9, 1.0 + 1e-9) ||
+        !within(dot3(joint->axis, config->joint[0].axis), 1.0 - 1e-9, 1.0 + 1e-9)) {
+        return ZYGOS_E_AXIS;
+    }
+    const double period = config->period_s;
+    const double latch = 1e-6 * joint->latch_us;
+    const bool good = within(joint->gear_ratio, 1e-3, 1e6) && is_sign(joint->link_sign) && is_sign(joint->motor_sign) &&
+                      within(joint->link_zero_rad, -1e3, 1e3) && within(joint->motor_zero_rad, -1e3, 1e3) &&
+                      within(joint->link_sigma_rad, 0.0, 1.0) && within(joint->motor_sigma_rad, 0.0, 1.0) &&
+                      within(joint->link_latch_s + latch, 0.0, period) &&
+                      within(joint->motor_latch_s + latch, 0.0, period);
+    return good ? 1 : ZYGOS_E_VALUE;
+}
+
+static int check_config(const zygos_config_t *config)
+{
+    if (config->abi != ZYGOS_ABI) {
+        return ZYGOS_E_ABI;
+    }
+    if ((config->joints < 1u) || (config->joints > ZYGOS_MAX_JOINTS)) {
+        return ZYGOS_E_JOINTS;
+    }
+    if (config->kinetic != ZYGOS_PLANAR_SYMMETRIC) {
+        return ZYGOS_E_KINETIC;
+    }
+    if (!within(config->period_s, 1e-5, 0.065)) {
+        return ZYGOS_E_PERIOD;
+    }
+    if (config->torque_law > ZYGOS_TORQUE_SAMPLED) {
+        return ZYGOS_E_TORQUE_LAW;
+    }
+    const uint32_t m = config->smoother_half_width;
+    if ((m < 2u) || (m > ZYGOS_MAX_HALF_WIDTH) || (config->smoother_order < 2u) ||
+        (config->smoother_order > 2u * m - 2u) || (config->smoother_lag != m)) {
+        return ZYGOS_E_SMOOTHER;
+    }
+    if (config->arc_cycles < ZYGOS_MIN_ARC_INSTANTS) {
+        return ZYGOS_E_ARC;
+    }
+    if ((config->imu_node < 1u) || (config->imu_node > 31u) || (config->imu_fine > 1u)) {
+        return ZYGOS_E_NODE;
+    }
+    for (uint32_t i = 0; i < 9; i++) {
+        if (!within(config->imu_to_base[i], -1.0 - 1e-9, 1.0 + 1e-9)) {
+            return ZYGOS_E_VALUE;
+        }
+    }
+    if (!within(config->imu_latch_s, 0.0, config->period_s)) {
+        return ZYGOS_E_VALUE;
+    }
+    for (uint32_t i = 0; i < config->joints; i++) {
+        const int verdict = check_joint(config, i);
+        if (verdict < 0) {
+            return verdict;
+        }
+    }
+    return 1;
+}
+
+int zygos_init(zygos_t *self, const zygos_config_t *config)
+{
+    if ((self == NULL) || (config == NULL)) {
+        return ZYGOS_E_NULL;
+    }
+    const int verdict = check_config(config);
+    if (verdict < 0) {
+        return verdict;
+    }
+    memset(self, 0, sizeof *self);
+    self->config = *config;
+    self->parameters = zygos_balance_parameters(config);
+    zygos_receiver_init(&self->receiver);
+    zygos_smoother_init(&self->smoother, config);
+    zygos_balance_gap(&self->balance);
+    zygos_accumulator_init(&self->accumulator, self->parameters);
+    self->mark = MARK;
+    return 1;
+}
+
+int zygos_frame(zygos_t *self, const zygos_frame_t *frame)
+{
+    if ((self == NULL) || (frame == NULL)) {
+        return ZYGOS_E_NULL;
+    }
+    if (self->mark != MARK) {
+        return ZYGOS_E_ORDER;
+    }
+    return zygos_receiver_frame(&self->receiver, &self->config, frame);
+}
+
+static void end_arc(zygos_t *self)
+{
+    zygos_accumulator_end_arc(&self->accumulator);
+    self->arc = 0;
+}
+
+static void gap(zygos_t *self)
+{
+    self->gaps += (self->smoother.filled > 0) ? 1u : 0u;
+    zygos_smoother_gap(&self->smoother);
+    zygos_balance_gap(&self->balance);
+    end_arc(self);
+}
+
+static void work_off(zygos_t *self, const zygos_cycle_t *cycle)
+{
+    const bool follows = (cycle->sync == self->cycle + 1u) && !(cycle->flags & ZYGOS_CYCLE_BREAK);
+    if (!follows) {
+        gap(self);
+    }
+    self->cycle = cycle->sync;
+    self->cycles++;
+    self->instant = 0;
+    double signal[ZYGOS_MAX_SIGNALS];
+    double tau[ZYGOS_MAX_JOINTS];
+    zygos_cycle_calibrate(&self->hold, &self->config, cycle, signal, tau);
+    zygos_balance_torque(&self->balance, &self->config, tau);
+    if (zygos_smoother_push(&self->smoother, signal, &self->state) == 0) {
+        return;
+    }
+    zygos_kinematics(&self->config, &self->state, &self->motion);
+    if (zygos_balance_row(&self->balance, &self->config, &self->state, &self->motion, &self->row) == 0) {
+        return;
+    }
+    self->instant = 1;
+    self->accepted = self->state.accepted;
+    zygos_accumulator_add(&self->accumulator, &self->row, self->state.accepted);
+    self->arc++;
+    if (self->arc >= self->config.arc_cycles) {
+        end_arc(self);
+        zygos_balance_new_arc(&self->balance);
+    }
+}
+
+int zygos_step(zygos_t *self)
+{
+    if (self == NULL) {
+        return ZYGOS_E_NULL;
+    }
+    if (self->mark != MARK) {
+        return ZYGOS_E_ORDER;
+    }
+    zygos_cycle_t cycle;
+    if (zygos_receiver_pop(&self->receiver, &cycle) == 0) {
+        return 0;
+    }
+    work_off(self, &cycle);
+    return 1;
+}
+
+static bool usable(const zygos_config_t *config, const zygos_cycle_t *cycle)
+{
+    bool good = (cycle->flags & ZYGOS_CYCLE_INVALID) == 0;
+    for (uint32_t i = 0; i < config->joints; i++) {
+        good = good && within(cycle->q[i], -LARGEST_VALUE, LARGEST_VALUE) &&
+               within(cycle->theta[i], -LARGEST_VALUE, LARGEST_VALUE) &&
+               within(cycle->tau[i], -LARGEST_VALUE, LARGEST_VALUE);
+    }
+    for (uint32_t i = 0; i < 3; i++) {
+        good = good && within(cycle->omega[i], -LARGEST_VALUE, LARGEST_VALUE);
+    }
+    return good;
+}
+
+int zygos_cycle(zygos_t *self, const zygos_cycle_t *cycle)
+{
+    if ((self == NULL) || (cycle == NULL)) {
+        return ZYGOS_E_NULL;
+    }
+    if (self->mark != MARK) {
+        return ZYGOS_E_ORDER;
+    }
+    if (!usable(&self->config, cycle)) {
+        self->invalid++;
+        gap(self);
+        return 0;
+    }
+    work_off(self, cycle);
+    return 1;
+}
+
+void zygos_take(const zygos_t *self, zygos_work_t *work)
+{
+    work->accumulator = self->accumulator;
+    work->cycle = self->cycle;
+    work->joints = self->config.joints;
+}
+
+int zygos_restart(zygos_t *self, uint32_t keep)
+{
+    if (self == NULL) {
+        return ZYGOS_E_NULL;
+    }
+    if (self->mark != MARK) {
+        return ZYGOS_E_ORDER;
+    }
+    if ((keep & ~(uint32_t)ZYGOS_KEEP_FAULTS) != 0) {
+        return ZYGOS_E_KEEP;
+    }
+    if ((keep & ZYGOS_KEEP_FAULTS) == 0) {
+        memset(&self->receiver.faults, 0, sizeof self->receiver.faults);
+        self->gaps = 0;
+        self->invalid = 0;
+    }
+    zygos_smoother_gap(&self->smoother);
+    zygos_balance_gap(&self->balance);
+    zygos_accumulator_init(&self->accumulator, self->parameters);
+    self->arc = 0;
+    self->instant = 0;
+    return 1;
+}

@@ -1,0 +1,302 @@
+"""What the hardware is: joints, encoders, gyro, timing and declared noise (`arm.toml`, docs/interfaces.md)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from zygos.errors import ZygosError
+from zygos.table import Table
+
+Base = Literal["free"]
+Kinetic = Literal["planar-symmetric", "planar"]
+TorqueLaw = Literal["applied_from_sync", "applied_previous_cycle", "sampled"]
+
+Side = Literal["output", "rotor"]
+TorqueAt = Literal["rotor", "output"]
+Resolution = Literal["fine", "coarse"]
+
+_BASES: tuple[Base, ...] = ("free",)
+_KINETICS: tuple[Kinetic, ...] = ("planar-symmetric", "planar")
+_SIDES: tuple[Side, ...] = ("output", "rotor")
+_TORQUE_ATS: tuple[TorqueAt, ...] = ("rotor", "output")
+_RESOLUTIONS: tuple[Resolution, ...] = ("fine", "coarse")
+_TORQUE_LAWS: tuple[TorqueLaw, ...] = ("applied_from_sync", "applied_previous_cycle", "sampled")
+_LATCH_MAX_US = 65_535  # the wire carries the latch delay as u16
+
+
+@dataclass(frozen=True)
+class Encoder:
+    """An angle encoder. The angle of the joint is ``sign * (reading - zero_rad)``, always after the gear."""
+
+    quantum_rad: float
+    """Step of the reading in rad, referred to the gear's output side."""
+    counts: int | None = None
+    """Steps per turn of the encoder's own disc; None where the file states the quantum itself."""
+    side: Side = "output"
+    sign: int = 1
+    zero_rad: float = 0.0
+    zero_sigma_rad: float = 0.0
+    latch_us: int = 0
+    """Delay of this encoder's latch after SYNC in µs, on top of the joint's."""
+
+    @property
+    def sigma_rad(self) -> float:
+        """Standard deviation of a uniform error one quantum wide, rad (Nanos & Papadopoulos eq. (28); docs/model.md,
+        erratum 4)."""
+        return self.quantum_rad / math.sqrt(12.0)
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One revolute joint with its motor, gear and both encoders."""
+
+    name: str
+    node: int
+    """CAN node number, 1..31."""
+    axis: tuple[float, float, float]
+    """Unit vector of the joint axis in the joint frame."""
+    frame_rpy: tuple[float, float, float]
+    """Attitude of the joint frame in the carrying body, rad, as URDF's <origin rpy>."""
+    gear_ratio: float
+    link_encoder: Encoder
+    motor_encoder: Encoder
+    torque_sigma: float = 0.0
+    """Standard deviation of the reported rotor torque, Nm."""
+    latch_us: int = 0
+    """Delay of both encoders' latch after SYNC in µs, as stated on the wire."""
+
+
+@dataclass(frozen=True)
+class Imu:
+    """The base's rate gyro."""
+
+    node: int
+    mount_xyzw: tuple[float, float, float, float]
+    """Rotation from the sensor's frame to the base's, scalar last."""
+    rate_sigma: float
+    """White noise of one sample, rad/s: sigma_v / sqrt(period)."""
+    bias_walk: float
+    """Random walk of the bias, rad/s^1.5: one step is bias_walk * sqrt(period)."""
+    latch_us: int = 0
+    resolution: Resolution = "fine"
+
+
+@dataclass(frozen=True)
+class Smoother:
+    """The fixed-lag Savitzky-Golay filter of the estimator."""
+
+    points: int = 7
+    order: int = 4
+    lag: int = 3
+
+
+@dataclass(frozen=True)
+class Arm:
+    """The hardware as `arm.toml` describes it; no masses, no lengths."""
+
+    name: str
+    base: Base
+    kinetic: Kinetic
+    period_s: float
+    """SYNC period, s."""
+    torque_law: TorqueLaw
+    torque_at: TorqueAt
+    joints: tuple[Joint, ...]
+    imu: Imu
+    smoother: Smoother = Smoother()
+    arc_max_s: float = 60.0
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.joints)
+
+    @property
+    def gear_ratios(self) -> NDArray[np.float64]:
+        """(N,) gear ratios."""
+        return np.array([joint.gear_ratio for joint in self.joints])
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """The identified parameters in the order of every row and output: a_ij (upper triangle, row by row), b_ij for
+        a planar arm, then Im, k, b of each joint."""
+        bodies = range(self.n + 1)
+        names = [f"a{i}{j}" for i in bodies for j in bodies if i <= j]
+        if self.kinetic == "planar":
+            names += [f"b{i}{j}" for i in bodies for j in bodies if i < j]
+        for i in range(1, self.n + 1):
+            names += [f"Im{i}", f"k{i}", f"b{i}"]
+        return tuple(names)
+
+    @property
+    def parameter_units(self) -> tuple[str, ...]:
+        """Unit of each of `parameter_names`."""
+        inertial = len(self.parameter_names) - 3 * self.n
+        return ("kg m^2",) * inertial + ("kg m^2", "Nm/rad", "Nms/rad") * self.n
+
+    def at_period(self, period_s: float) -> Arm:
+        """The same hardware at another SYNC period (s). The gyro's white noise keeps its density, so that the
+        deviation of one sample grows as the period shrinks. Errors: ZygosError if the period is not positive or a
+        latch would fall into the following period."""
+        latest = max([self.imu.latch_us] + [joint.latch_us + encoder.latch_us for joint in self.joints
+                                            for encoder in (joint.link_encoder, joint.motor_encoder)])
+        if not (_within(latest, period_s) and period_s < math.inf):
+            raise ZygosError(f"arm {self.name}: period {period_s!r} s is not longer than the latest latch "
+                             f"({latest} µs); remedy: choose a longer period_s")
+        sigma = self.imu.rate_sigma * math.sqrt(self.period_s / period_s)
+        return replace(self, period_s=period_s, imu=replace(self.imu, rate_sigma=sigma))
+
+    @cached_property
+    def frames(self) -> NDArray[np.float64]:
+        """(N+1, 3, 3) attitudes of the bodies in the base frame at zero joint angles."""
+        attitudes = [np.eye(3)]
+        for joint in self.joints:
+            attitudes.append(attitudes[-1] @ Rotation.from_euler("xyz", joint.frame_rpy).as_matrix())
+        return np.array(attitudes)
+
+    @cached_property
+    def axis(self) -> NDArray[np.float64]:
+        """(3,) the planar arm's common joint axis in the base frame. Errors: ZygosError if the axes are not parallel
+        and alike in sense."""
+        axes = np.einsum("jab,jb->ja", self.frames[1:], np.array([joint.axis for joint in self.joints]))
+        if np.max(np.abs(axes - axes[0])) > 1e-9:
+            raise ZygosError(f"arm {self.name}: the joint axes are not parallel and alike in sense, but kinetic is "
+                             f'"{self.kinetic}"; remedy: correct axis or frame_rpy (a reversed encoder is sign = -1)')
+        common: NDArray[np.float64] = axes[0]
+        return common
+
+    @cached_property
+    def mount(self) -> NDArray[np.float64]:
+        """(3, 3) rotation matrix of the gyro's mount: base rate = mount @ sensor rate."""
+        matrix: NDArray[np.float64] = Rotation.from_quat(self.imu.mount_xyzw).as_matrix()
+        return matrix
+
+
+def load_arm(path: str | Path) -> Arm:
+    """Read `arm.toml`. Errors: ZygosError naming file, key and remedy for anything unknown, missing, of the wrong
+    type or out of range."""
+    top = Table.load(path)
+    joints = tuple(_joint(table) for table in top.tables("joint"))
+    imu = _imu(top.table("imu"))
+    arc = top.table("arc", optional=True)
+    arm = Arm(
+        name=top.text("name"), base=top.choice("base", _BASES), kinetic=top.choice("kinetic", _KINETICS),
+        # the wire's drop-out rules and the latch delay (u16 µs) hold up to a SYNC period of 65 ms
+        period_s=top.number("period_s", above=0.0, high=0.065, unit="s"),
+        torque_law=top.choice("torque_law", _TORQUE_LAWS), torque_at=top.choice("torque_at", _TORQUE_ATS),
+        joints=joints, imu=imu,
+        smoother=_smoother(top.table("smoother", optional=True)),
+        arc_max_s=arc.number("max_s", 60.0, above=0.0, unit="s"))
+    arc.finish()
+    top.finish()
+    _check_whole(arm, top)
+    return arm
+
+
+def _joint(table: Table) -> Joint:
+    gear_ratio = table.number("gear_ratio", above=0.0)
+    axis = np.array(table.vector("axis", 3))
+    if abs(float(np.linalg.norm(axis)) - 1.0) > 1e-6:
+        raise table.error("axis", f"has length {np.linalg.norm(axis):g}", "give a unit vector")
+    axis /= np.linalg.norm(axis)
+    rpy = table.vector("frame_rpy", 3, (0.0, 0.0, 0.0), unit="rad")
+    joint = Joint(
+        name=table.text("name"), node=table.integer("node", low=1, high=31),
+        axis=(float(axis[0]), float(axis[1]), float(axis[2])), frame_rpy=(rpy[0], rpy[1], rpy[2]),
+        gear_ratio=gear_ratio, link_encoder=_encoder(table.table("link_encoder"), None),
+        motor_encoder=_encoder(table.table("motor_encoder"), gear_ratio),
+        torque_sigma=table.number("torque_sigma", 0.0, low=0.0, unit="Nm"),
+        latch_us=table.integer("latch_us", 0, low=0, high=_LATCH_MAX_US))
+    table.finish()
+    return joint
+
+
+def _encoder(table: Table, gear_ratio: float | None) -> Encoder:
+    """The link's encoder has no side (gear_ratio None); the motor's sits at the output or on the rotor."""
+    side: Side = "output" if gear_ratio is None else table.choice("side", _SIDES)
+    counts: int | None = None
+    if table.has("quantum_rad"):
+        if table.has("counts"):
+            raise table.error("quantum_rad", "stands beside counts", "state one of the two")
+        quantum = table.number("quantum_rad", above=0.0, high=1.0, unit="rad")
+    else:
+        counts = table.integer("counts", low=4, high=2**32)
+        quantum = 2.0 * math.pi / counts
+    if side == "rotor" and gear_ratio is not None:
+        quantum /= gear_ratio
+    sign = table.integer("sign", 1, low=-1, high=1)
+    if sign == 0:
+        raise table.error("sign", "is 0", "write 1 or -1")
+    encoder = Encoder(
+        quantum_rad=quantum, counts=counts, side=side, sign=sign,
+        zero_rad=table.number("zero_rad", 0.0, low=-16 * math.pi, high=16 * math.pi, unit="rad"),
+        zero_sigma_rad=table.number("zero_sigma_rad", 0.0, low=0.0, unit="rad"),
+        latch_us=table.integer("latch_us", 0, low=0, high=_LATCH_MAX_US))
+    table.finish()
+    return encoder
+
+
+def _imu(table: Table) -> Imu:
+    mount = np.array(table.vector("mount_xyzw", 4, (0.0, 0.0, 0.0, 1.0)))
+    if abs(float(np.linalg.norm(mount)) - 1.0) > 1e-6:
+        raise table.error("mount_xyzw", f"has length {np.linalg.norm(mount):g}",
+                          "give a unit quaternion, scalar last")
+    mount /= np.linalg.norm(mount)
+    imu = Imu(
+        node=table.integer("node", low=1, high=31),
+        mount_xyzw=(float(mount[0]), float(mount[1]), float(mount[2]), float(mount[3])),
+        rate_sigma=table.number("rate_sigma", low=0.0, unit="rad/s"),
+        bias_walk=table.number("bias_walk", low=0.0, unit="rad/s^1.5"),
+        latch_us=table.integer("latch_us", 0, low=0, high=_LATCH_MAX_US),
+        resolution=table.choice("resolution", _RESOLUTIONS, "fine"))
+    table.finish()
+    return imu
+
+
+def _smoother(table: Table) -> Smoother:
+    points = table.integer("points", 7, low=3, high=63)
+    if points % 2 == 0:
+        raise table.error("points", f"{points} is even", "write an odd number: the filter is centred on its instant")
+    order = table.integer("order", min(4, points - 1), low=1, high=8)
+    if order >= points:
+        raise table.error("order", f"{order} needs more than {points} points", "lower order or raise points")
+    lag = table.integer("lag", points // 2, low=0, high=63)
+    if lag != points // 2:
+        raise table.error("lag", f"{lag} makes end-point filters, whose errors are 30 times larger",
+                          f"write lag = {points // 2} (points // 2) or leave it out")
+    table.finish()
+    return Smoother(points, order, lag)
+
+
+def _within(latch_us: int, period_s: float) -> bool:
+    """Whether a latch comes before the next SYNC; half a microsecond settles rounding of the period."""
+    return latch_us + 0.5 < period_s * 1e6
+
+
+def _check_whole(arm: Arm, top: Table) -> None:
+    names = [joint.name for joint in arm.joints]
+    if len(set(names)) < len(names):
+        raise top.error("joint", f"joint names repeat ({', '.join(names)})", "give every joint a name of its own")
+    nodes = [joint.node for joint in arm.joints] + [arm.imu.node]
+    if len(set(nodes)) < len(nodes):
+        raise top.error("joint", f"node numbers repeat ({nodes}, the last is the IMU's)",
+                        "give every node a number of its own")
+    for index, joint in enumerate(arm.joints):
+        for key, encoder in (("link_encoder", joint.link_encoder), ("motor_encoder", joint.motor_encoder)):
+            if not _within(joint.latch_us + encoder.latch_us, arm.period_s):
+                raise top.error(f"joint[{index}].{key}.latch_us", "the latch falls into the following SYNC period",
+                                "keep joint and encoder latch_us together below period_s")
+    if not _within(arm.imu.latch_us, arm.period_s):
+        raise top.error("imu.latch_us", "the latch falls into the following SYNC period", "keep it below period_s")
+    try:
+        _ = arm.axis
+    except ZygosError as error:
+        raise ZygosError(f"{top.file}: joint: {error}") from None

@@ -1,0 +1,116 @@
+"""C against numpy on one log, room by room."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zygos import reference
+from zygos.arm import Arm
+from zygos.cycles import Cycles
+from zygos.flight import Flight, Trace
+from zygos.reference.wire import Frame, Reception, receive
+
+ROW_TOLERANCE = 1e-12
+"""Of each column's largest entry."""
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Room:
+    """Result of one comparison."""
+
+    name: str
+    compared: int
+    """Numbers compared."""
+    difference: float
+    """Largest difference, relative to the largest entry of its column."""
+    cycle: int | None
+    """SYNC number at which it occurs."""
+    tolerance: float
+
+    @property
+    def equal(self) -> bool:
+        """Whether the difference is within the tolerance."""
+        return self.difference <= self.tolerance
+
+    def as_json(self) -> dict[str, Any]:
+        """For the command's JSON."""
+        return {
+            "room": self.name, "compared": self.compared, "difference": self.difference, "cycle": self.cycle,
+            "tolerance": self.tolerance, "equal": self.equal,
+        }
+
+
+def _compare(name: str, c: Floats, numpy: Floats, sync: NDArray[np.uint64], tolerance: float) -> Room:
+    """Compare two tables (n, columns) whose rows belong to the cycles sync (n,)."""
+    if c.shape != numpy.shape:
+        return Room(name, 0, float("inf"), None, tolerance)
+    if c.size == 0:
+        return Room(name, 0, 0.0, None, tolerance)
+    scale = np.maximum(np.abs(numpy).max(axis=0), 1e-300)
+    relative = np.abs(c - numpy) / scale
+    row = int(np.argmax(relative.max(axis=1)))
+    largest = float(relative[row].max())
+    return Room(name, c.size, largest, int(sync[row]) if largest > 0.0 else None, tolerance)
+
+
+def _columns(cycles: Cycles) -> Floats:
+    return np.hstack([cycles.q, cycles.theta, cycles.tau, cycles.omega])
+
+
+def check_chain(arm: Arm, trace: Trace, flight: Flight) -> list[Room]:
+    """Compare what the rooms behind the receiver made of a run with numpy's result on the same cycles."""
+    chain = reference.chain(arm, trace.cycles)
+    smoothed, balance, design = chain.smoothed, chain.balance, chain.design
+    n = arm.n
+    half = arm.smoother.lag
+    at = smoothed.index + half  # the instant k comes out with cycle k + M
+    numpy_state = np.hstack([smoothed.q, smoothed.theta, smoothed.qd, smoothed.thetad, smoothed.omega])
+    rooms = [_compare("smoother", trace.state[at], numpy_state, smoothed.sync, ROW_TOLERANCE)]
+    instants = np.flatnonzero(trace.instant)
+    numpy_rows = np.column_stack([balance.z, balance.w])
+    sync = trace.cycles.sync[instants] - half
+    rooms.append(_compare("balance", trace.row[instants], numpy_rows, sync, ROW_TOLERANCE))
+    c_accepted = trace.accepted[instants].astype(float)[:, None]
+    rooms.append(_compare("bandwidth test", c_accepted, balance.accepted.astype(float)[:, None], sync, 0.0))
+    a, b = flight.normal_equations()
+    numpy_a, numpy_b = design.normal()
+    everything = np.zeros(len(a), dtype=np.uint64)
+    equations = _compare(
+        "normal equations", np.column_stack([a, b]), np.column_stack([numpy_a, numpy_b]), everything, ROW_TOLERANCE
+    )
+    rooms.append(Room(equations.name, equations.compared, equations.difference, None, equations.tolerance))
+    estimate = flight.estimate()
+    tolerance = max(1e-9, 1e-14 * estimate.condition)
+    relative = np.abs(estimate.value / chain.solution.x - 1.0)
+    worst = float(np.max(relative)) if np.all(np.isfinite(relative)) else float("inf")
+    rooms.append(Room("solution", len(relative), worst, None, tolerance))
+    return rooms
+
+
+def decode(arm: Arm, frames: NDArray[Any]) -> Reception:
+    """`FRAME` records as numpy's side receives them."""
+    return receive(arm, [Frame(int(f["id"]), bytes(f["data"][: f["length"]]), int(f["flags"])) for f in frames])
+
+
+def check_frames(arm: Arm, frames: NDArray[Any]) -> list[Room]:
+    """Compare all rooms on a log, beginning with the frames."""
+    flight = Flight(arm)
+    trace = flight.frames(frames, trace=True)
+    assert trace is not None
+    reception = decode(arm, frames)
+    ours, theirs = trace.cycles, reception.cycles
+    rooms = [_compare("wire and cycles", _columns(ours), _columns(theirs), ours.sync, 1e-15)]
+    if len(ours) == len(theirs):
+        same = (ours.sync != theirs.sync) | ((ours.flags & 1) != (theirs.flags & 1))
+        first = int(ours.sync[np.argmax(same)]) if same.any() else None
+        rooms.append(Room("cycle numbers and breaks", len(ours), float(same.sum()), first, 0.0))
+    c_faults = flight.faults
+    off = sum(abs(c_faults.get(name, 0) - count) for name, count in reception.faults.items())
+    rooms.append(Room("fault counters", len(reception.faults), float(off), None, 0.0))
+    return rooms + check_chain(arm, trace, flight)

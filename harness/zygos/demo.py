@@ -1,0 +1,132 @@
+"""The main job: the paper's example from CAN frames to parameters, and its report.
+
+Each step is a process of its own, and the one that estimates is given no file with true values: `zygos simulate` writes
+a log, its frames cross a bus, `zygos estimate` and numpy read what arrived, and only then does the scorer open the
+plant's model.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from zygos import bus, reference
+from zygos.arm import load_arm
+from zygos.check import decode
+from zygos.errors import ZygosError
+from zygos.flight import Flight
+from zygos.model import load_model
+from zygos.output import console, errors, number, table, write_json
+from zygos.report.demo import Convergence, write_report
+from zygos.scenario import load_scenario
+from zygos.score import score
+
+EXAMPLE = Path("examples/paper")
+SNAPSHOT_CYCLES = 20
+
+
+def choose_bus() -> tuple[str, str]:
+    """python-can's interface and channel: vcan0 if the machine has one and it is up, else the in-process bus."""
+    flags = Path("/sys/class/net/vcan0/flags")
+    if flags.exists() and int(flags.read_text(), 16) & 1:
+        return "socketcan", "vcan0"
+    return "virtual", "zygos"
+
+
+def zygos(*arguments: str | Path) -> None:
+    """Run a zygos command in a process of its own."""
+    command = [sys.executable, "-m", "zygos.cli", *map(str, arguments)]
+    if subprocess.run(command, check=False, stdout=subprocess.DEVNULL).returncode != 0:
+        raise ZygosError(f"`zygos {' '.join(map(str, arguments))}` failed; remedy: see its message above")
+
+
+def converge(arm_file: Path, run: Path) -> Convergence:
+    """Estimates of the C library while the run goes on, one every second of the run."""
+    arm = load_arm(arm_file)
+    frames = bus.read_log(run)
+    flight = Flight(arm)
+    starts = np.flatnonzero(frames["id"] == 0x080)
+    time_s, values, sigmas = [], [], []
+    for first, last in zip(starts[:-1:SNAPSHOT_CYCLES], [*starts[SNAPSHOT_CYCLES::SNAPSHOT_CYCLES], len(frames)], strict=False):
+        flight.frames(frames[first:last])
+        now = flight.estimate()
+        time_s.append(now.cycle * arm.period_s)
+        values.append(now.value)
+        sigmas.append(now.sigma)
+    return Convergence(np.array(time_s), np.array(values), np.array(sigmas))
+
+
+def run_demo(folder: Path = Path("out/demo")) -> None:
+    """Simulate, cross the bus, estimate, score, report. Writes folder/report.html and folder.json."""
+    begin = time.monotonic()
+    folder.mkdir(parents=True, exist_ok=True)
+    sent, run = folder / "sent.blf", folder / "run.blf"
+    estimate_file, estimate_json = folder / "estimate.toml", folder / "estimate.json"
+    (folder / "arm.toml").unlink(missing_ok=True)
+    estimate_file.unlink(missing_ok=True)
+
+    errors.print("simulating the paper's arm …")
+    zygos("simulate", EXAMPLE / "scenario.toml", "-o", sent)
+    arm_file = folder / "arm.toml"
+    arm = load_arm(arm_file)
+
+    interface, channel = choose_bus()
+    name = f"{interface} {channel}" + ("" if interface == "socketcan" else " (in-process: this machine has no vcan0)")
+    errors.print(f"sending its frames over {name} …", highlight=False)
+    frames = bus.transfer(bus.read_log(sent), arm.period_s, interface, channel)
+    bus.write_log(run, frames, arm.period_s)
+
+    errors.print("learning …")
+    zygos("estimate", run, "--arm", arm_file, "-o", estimate_file, "--json", estimate_json)
+    flight = Flight(arm)
+    trace = flight.frames(frames, trace=True)
+    assert trace is not None
+    estimate = flight.estimate()
+    numpy_value = reference.chain(arm, decode(arm, frames).cycles).solution.x
+    convergence = converge(arm_file, run)
+
+    # The scorer: the estimate is on disk, and nothing below changes it.
+    learned = load_model(estimate_file).base_values(arm)
+    scenario = load_scenario(EXAMPLE / "scenario.toml")
+    true = load_model(scenario.plant).base_values(arm)
+    percent = score(learned, true).error_percent
+    parameters: list[dict[str, Any]] = [
+        {"name": n, "unit": u, "true": float(t), "numpy": float(x), "c": float(c), "sigma": float(s), "error_percent": float(e)}
+        for n, u, t, x, c, s, e in zip(
+            arm.parameter_names, arm.parameter_units, true, numpy_value, learned, estimate.sigma, percent, strict=True
+        )
+    ]
+    content: dict[str, Any] = {
+        "bus": f"{interface} {channel}", "cycles": flight.counts["cycles"], "faults": flight.faults, "parameters": parameters,
+    }
+    write_json(folder.with_suffix(".json"), content)
+    write_report(folder / "report.html", arm, trace, estimate, numpy_value, true, convergence, content)
+
+    table(
+        ("name", "unit", "true", "numpy", "C", "error %", "sigma %", "C vs numpy"),
+        [
+            (p["name"], p["unit"], number(p["true"], 7), number(p["numpy"], 7), number(p["c"], 7),
+             f"{p['error_percent']:+.2f}", f"{100 * p['sigma'] / p['c']:.2f}", f"{abs(p['c'] / p['numpy'] - 1):.0e}")
+            for p in parameters
+        ],
+    )
+    mean = float(np.mean(np.abs(percent)))
+    console.print(
+        f"arm {arm.name} · bus {content['bus']} · {content['cycles']:,} cycles · {sum(flight.faults.values())} faults · "
+        f"mean |error| {mean:.2f} % · {time.monotonic() - begin:.0f} s",
+        highlight=False,
+    )
+    console.print(f"report: {folder / 'report.html'} · numbers: {folder.with_suffix('.json')}", highlight=False)
+
+
+if __name__ == "__main__":
+    try:
+        run_demo()
+    except ZygosError as error:
+        errors.print(f"[bold red]zygos:[/] {error}", highlight=False, soft_wrap=True)
+        sys.exit(error.exit_code)

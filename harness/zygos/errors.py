@@ -1,0 +1,21 @@
+"""Errors that a user can cause and repair; the command line prints them and exits with their code."""
+
+from __future__ import annotations
+
+
+class ZygosError(Exception):
+    """Bad input. The message says what is wrong and how to repair it: ``"what is wrong: …; remedy: …"``."""
+
+    exit_code: int = 2
+
+
+class Undecided(ZygosError):
+    """The question was understood, but the data do not answer it."""
+
+    exit_code = 3
+
+
+class DamagedInput(ZygosError):
+    """The question can be answered only in part, because the input is damaged."""
+
+    exit_code = 4

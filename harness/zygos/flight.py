@@ -1,0 +1,318 @@
+"""The C library from Python: the same code that flies, called through cffi in ABI mode.
+
+A whole recording passes in one call. The declarations come from ``zygos.h`` itself (`tools/build_native.py`); a digest
+of them and the sizes of all public structs guard against a library that was built from other headers.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from cffi import FFI
+from numpy.typing import NDArray
+
+from zygos.arm import Arm
+from zygos.cycles import Cycles
+from zygos.errors import ZygosError
+
+_FOLDER = Path(__file__).parent / "_native"
+
+FRAME = np.dtype(
+    [("id", "<u4"), ("length", "u1"), ("flags", "u1"), ("pad", "u1", (2,)), ("data", "u1", (8,))], align=False
+)
+"""A classical CAN frame, as ``zygos_frame_t``."""
+
+VALIDITY = ("valid", "partial", "doubtful", "refused")
+REASONS = (
+    "",
+    "too few accepted instants",
+    "the motion so far does not excite every parameter",
+    "motion too fast for this sample rate: more than 5 % of the instants failed the bandwidth test",
+    "the estimate is not physical: the inertia is not positive definite, or an inertia, stiffness or damping is negative",
+    "the accumulated sums are corrupt: memory was changed from outside",
+)
+_CONFIG_ERRORS = {
+    -2: "the library was built with other headers",
+    -3: "too many joints for this build",
+    -4: "this build has no columns of that `kinetic`",
+    -5: "period_s must be within 1e-5 .. 0.065",
+    -6: "unknown torque_law",
+    -7: "the smoother's points, order or lag are out of range (lag must be points // 2: end-point filters are refused)",
+    -8: "node numbers must be 1..31, each used once",
+    -9: "joint axes must be parallel unit vectors",
+    -10: "a ratio, sign, zero, sigma or latch delay is out of range",
+    -11: "arc.max_s is shorter than 20 cycles",
+}
+
+
+def _load() -> tuple[Any, Any]:
+    """Load the library and compare its digest and struct sizes with the declarations."""
+    try:
+        text = (_FOLDER / "zygos.cdef").read_text()
+        binding = FFI()
+        binding.cdef(text)
+        library = binding.dlopen(str(_FOLDER / "libzygos.so"))
+    except OSError as error:
+        raise ZygosError(
+            f"the C library is not built ({error}); remedy: run `make build`, or install the package with pip"
+        ) from error
+    import hashlib  # noqa: PLC0415  (only needed once, at load)
+
+    digest = int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big")
+    abi = 0
+    for name in ("zygos_t", "zygos_config_t", "zygos_work_t", "zygos_estimate_t", "zygos_cycle_t", "zygos_frame_t"):
+        abi = (abi * 31 + binding.sizeof(name)) & 0xFFFFFFFF
+    version = library.ZYGOS_VERSION_MAJOR_VALUE * 256 + library.ZYGOS_VERSION_MINOR_VALUE
+    abi = ((abi * 31 + library.ZYGOS_MAX_JOINTS_VALUE) * 31 + version) & 0xFFFFFFFF
+    if library.zygos_declarations_digest() != digest or library.zygos_abi() != abi:
+        raise ZygosError(
+            f"{_FOLDER / 'libzygos.so'} was not built from {_FOLDER / 'zygos.cdef'}; remedy: run `make build`"
+        )
+    return binding, library
+
+
+ffi, lib = _load()
+
+
+def _field_names(struct: str) -> tuple[str, ...]:
+    return tuple(name for name, _ in ffi.typeof(struct).fields)
+
+
+@dataclass(frozen=True)
+class Trace:
+    """What each room made of each cycle: n cycles of an arm with N joints and p parameters."""
+
+    cycles: Cycles
+    """The cycles that the receiver completed."""
+    instant: NDArray[np.bool_]
+    """(n,) whether the cycle completed an instant with a row."""
+    accepted: NDArray[np.bool_]
+    """(n,) whether that row was accumulated."""
+    state: NDArray[np.float64]
+    """(n, 4N+3) smoothed q, theta, q rate, theta rate, omega; rad and rad/s. Undefined where no window was full."""
+    row: NDArray[np.float64]
+    """(n, p+1) the columns and the work. Undefined where `instant` is false."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What the C solver answers. Values and sigmas are NaN where a parameter is not identifiable."""
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    value: NDArray[np.float64]
+    """(p,)"""
+    sigma: NDArray[np.float64]
+    """(p,) one standard deviation of the spread; the bias of squared noise is not in it."""
+    covariance: NDArray[np.float64]
+    """(p, p)"""
+    validity: str
+    reason: str
+    cycle: int
+    accepted: int
+    refused: int
+    arcs: int
+    blocks: int
+    rank: int
+    condition: float
+    residual: float
+    """rms of the rows' residuals, J."""
+
+
+def config_of(arm: Arm) -> Any:
+    """Translate an arm description into ``zygos_config_t *``."""
+    if arm.n > lib.ZYGOS_MAX_JOINTS_VALUE:
+        raise ZygosError(
+            f"arm {arm.name!r} has {arm.n} joints, this build holds {lib.ZYGOS_MAX_JOINTS_VALUE}; "
+            "remedy: rebuild with -DZYGOS_MAX_JOINTS"
+        )
+    laws = {"applied_from_sync": 0, "applied_previous_cycle": 1, "sampled": 2}
+    if arm.kinetic != "planar-symmetric":
+        raise ZygosError(
+            f"arm {arm.name!r}: kinetic = {arm.kinetic!r} has no columns in this version; "
+            'remedy: kinetic = "planar-symmetric"'
+        )
+    config = ffi.new("zygos_config_t *")
+    config.abi = lib.zygos_abi()
+    config.joints = arm.n
+    config.kinetic = 0
+    config.torque_law = laws[arm.torque_law]
+    config.smoother_half_width = arm.smoother.points // 2
+    config.smoother_order = arm.smoother.order
+    config.smoother_lag = arm.smoother.lag
+    config.arc_cycles = max(1, round(arm.arc_max_s / arm.period_s))
+    config.imu_node = arm.imu.node
+    config.imu_fine = int(arm.imu.resolution == "fine")
+    config.period_s = arm.period_s
+    for k, entry in enumerate(np.asarray(arm.mount, dtype=float).ravel()):
+        config.imu_to_base[k] = entry
+    config.imu_latch_s = arm.imu.latch_us * 1e-6
+    for i, joint in enumerate(arm.joints):
+        out = config.joint[i]
+        out.node = joint.node
+        out.latch_us = joint.latch_us
+        out.axis = list(arm.axis)
+        out.gear_ratio = joint.gear_ratio
+        link, motor = joint.link_encoder, joint.motor_encoder
+        out.link_sign, out.link_zero_rad, out.link_sigma_rad = link.sign, link.zero_rad, link.sigma_rad
+        out.motor_sign, out.motor_zero_rad, out.motor_sigma_rad = motor.sign, motor.zero_rad, motor.sigma_rad
+        out.link_latch_s, out.motor_latch_s = link.latch_us * 1e-6, motor.latch_us * 1e-6
+    return config
+
+
+def cycles_to_native(cycles: Cycles) -> Any:
+    """Pack cycles into an array of ``zygos_cycle_t``, owned by the caller."""
+    n, joints = cycles.q.shape
+    array = ffi.new("zygos_cycle_t[]", max(n, 1))
+    width = ffi.sizeof("zygos_cycle_t") // 8
+    table = np.frombuffer(ffi.buffer(array), dtype=np.float64).reshape(-1, width)
+    integers = table.view(np.uint64)
+    capacity = lib.ZYGOS_MAX_JOINTS_VALUE
+    integers[:n, 0] = cycles.sync
+    integers[:n, 1] = cycles.flags.astype(np.uint64)
+    for block, values in enumerate((cycles.q, cycles.theta, cycles.tau)):
+        table[:n, 2 + block * capacity : 2 + block * capacity + joints] = values
+    table[:n, 2 + 3 * capacity : 5 + 3 * capacity] = cycles.omega
+    return array
+
+
+def encode(arm: Arm, cycles: Cycles) -> NDArray[Any]:
+    """Encode cycles as the frames of a bus, `FRAME` records in the order of transmission.
+
+    Each cycle is SYNC, FTIME (every 50th cycle), angles and torque of each joint, and the gyro; one SYNC at the end
+    closes the last cycle. Values outside the wire's ranges saturate, as a drive's would.
+    """
+    n = len(cycles)
+    frames = np.zeros(n * (4 + 2 * arm.n) + 1, dtype=FRAME)
+    out = ffi.cast("zygos_frame_t *", frames.ctypes.data)
+    used = lib.zygos_batch_encode(config_of(arm), cycles_to_native(cycles), n, out)
+    return frames[:used]
+
+
+class Flight:
+    """One arm in the C library: frames or cycles in, estimates out."""
+
+    def __init__(self, arm: Arm) -> None:
+        """Initialise ``zygos_t`` for an arm.
+
+        Raises ZygosError when the library refuses the configuration.
+        """
+        self.arm = arm
+        self.native = ffi.new("zygos_t *")
+        verdict = lib.zygos_init(self.native, config_of(arm))
+        if verdict < 0:
+            raise ZygosError(
+                f"the flight library refuses arm {arm.name!r}: {_CONFIG_ERRORS.get(verdict, verdict)}; "
+                "remedy: correct the arm file"
+            )
+        self._work = ffi.new("zygos_work_t *")
+        self._estimate = ffi.new("zygos_estimate_t *")
+
+    def frames(self, frames: NDArray[Any], *, trace: bool = False) -> Trace | None:
+        """Feed `FRAME` records and work off every cycle they complete."""
+        frames = np.ascontiguousarray(frames, dtype=FRAME)
+        pointer = ffi.cast("zygos_frame_t *", frames.ctypes.data)
+        table = _TraceTable(self.arm, int(np.count_nonzero(frames["id"] == 0x080)) + 1) if trace else None
+        lib.zygos_batch_frames(self.native, pointer, len(frames), ffi.NULL, table.native if table else ffi.NULL)
+        return table.trace() if table else None
+
+    def cycles(self, cycles: Cycles, *, trace: bool = False) -> Trace | None:
+        """Feed cycles in SI through the other door."""
+        table = _TraceTable(self.arm, len(cycles)) if trace else None
+        native = cycles_to_native(cycles)
+        lib.zygos_batch_cycles(self.native, native, len(cycles), table.native if table else ffi.NULL)
+        return table.trace() if table else None
+
+    def estimate(self) -> Estimate:
+        """Take and solve. The accumulation is not disturbed."""
+        lib.zygos_take(self.native, self._work)
+        lib.zygos_solve(self._work, self._estimate)
+        out, p = self._estimate, self._estimate.parameters
+        covariance = np.zeros((p, p))
+        rows, columns = np.tril_indices(p)
+        packed = np.frombuffer(ffi.buffer(out.covariance), dtype=np.float64)[: len(rows)]
+        covariance[rows, columns] = packed
+        covariance[columns, rows] = packed
+        return Estimate(
+            names=self.arm.parameter_names,
+            units=self.arm.parameter_units,
+            value=np.frombuffer(ffi.buffer(out.value), dtype=np.float64)[:p].copy(),
+            sigma=np.frombuffer(ffi.buffer(out.sigma), dtype=np.float64)[:p].copy(),
+            covariance=covariance,
+            validity=VALIDITY[out.validity],
+            reason=REASONS[out.reason],
+            cycle=out.cycle,
+            accepted=out.accepted,
+            refused=out.refused,
+            arcs=out.arcs,
+            blocks=out.blocks,
+            rank=out.rank,
+            condition=out.condition,
+            residual=out.residual,
+        )
+
+    def normal_equations(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """A (p, p) and b (p,) with the arc constants eliminated, as the solver sees them."""
+        lib.zygos_take(self.native, self._work)
+        sums = ffi.addressof(self._work, "accumulator")
+        lib.zygos_accumulator_end_arc(sums)
+        lib.zygos_accumulator_total(sums, self._work.total)
+        width = sums.width
+        rows, columns = np.tril_indices(width)
+        full = np.zeros((width, width))
+        full[rows, columns] = np.frombuffer(ffi.buffer(self._work.total), dtype=np.float64)[: len(rows)]
+        full[columns, rows] = full[rows, columns]
+        p = width - 2
+        return full[:p, :p].copy(), full[p, :p].copy()
+
+    @property
+    def faults(self) -> dict[str, int]:
+        """Counter of every kind of fault of the world."""
+        counters = self.native.receiver.faults
+        return {name: int(getattr(counters, name)) for name in _field_names("zygos_faults_t")}
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Cycles worked off, gaps between them, arcs and instants."""
+        sums = self.native.accumulator
+        return {
+            "cycles": int(self.native.cycles),
+            "gaps": int(self.native.gaps),
+            "invalid": int(self.native.invalid),
+            "arcs_dropped": int(sums.arcs_dropped),
+            "accepted": int(sums.accepted),
+            "refused": int(sums.refused),
+        }
+
+
+class _TraceTable:
+    """Arrays that the library writes a trace into."""
+
+    def __init__(self, arm: Arm, capacity: int) -> None:
+        n, p = arm.n, len(arm.parameter_names)
+        self.arm = arm
+        self.arrays: dict[str, NDArray[Any]] = {
+            "sync": np.zeros(capacity, np.uint64),
+            "flags": np.zeros(capacity, np.uint32),
+            "instant": np.zeros(capacity, np.uint8),
+            "accepted": np.zeros(capacity, np.uint8),
+            "measured": np.zeros((capacity, 3 * n + 3)),
+            "state": np.zeros((capacity, 4 * n + 3)),
+            "row": np.zeros((capacity, p + 1)),
+        }
+        self.native = ffi.new("zygos_trace_t *")
+        self.native.capacity = capacity
+        for name, array in self.arrays.items():
+            kind = re.sub(r"\[\d+\]$", "", str(ffi.typeof(getattr(self.native, name)).cname))
+            setattr(self.native, name, ffi.cast(kind, array.ctypes.data))
+
+    def trace(self) -> Trace:
+        used = {name: array[: self.native.count] for name, array in self.arrays.items()}
+        n = self.arm.n
+        q, theta, tau, omega = np.split(used["measured"], [n, 2 * n, 3 * n], axis=1)
+        cycles = Cycles(sync=used["sync"], q=q, theta=theta, tau=tau, omega=omega, flags=used["flags"])
+        return Trace(cycles, used["instant"] > 0, used["accepted"] > 0, used["state"], used["row"])

@@ -1,0 +1,339 @@
+"""What someone believes of an arm: masses, lengths, inertias, stiffness (`model.toml`, docs/interfaces.md).
+
+A model is given either by its bodies and joints, or by base parameters (docs/model.md). Both give `base_parameters`.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomlkit
+from numpy.typing import NDArray
+
+from zygos.arm import Arm
+from zygos.errors import ZygosError
+from zygos.table import Table
+
+SOURCES = ("CAD", "test", "zygos")
+_INERTIA_KEYS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+_JOINT_UNITS = {"rotor_mass": "kg", "rotor_inertia": "kg m^2", "stiffness": "Nm/rad", "damping": "Nms/rad"}
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A value with its standard deviation (0: taken as exact), where it comes from, and its unit."""
+
+    value: float
+    sigma: float = 0.0
+    source: str = "CAD"
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class Body:
+    """A rigid body without the rotor it carries; vectors in its own frame, whose origin is the joint carrying it."""
+
+    name: str
+    mass: Quantity
+    """kg."""
+    origin_xyz: tuple[float, float, float]
+    """Mass centre, m (URDF's inertial origin)."""
+    inertia: tuple[Quantity, Quantity, Quantity, Quantity, Quantity, Quantity]
+    """ixx, ixy, ixz, iyy, iyz, izz about the mass centre, kg m^2."""
+    joint_xyz: tuple[float, float, float] | None = None
+    """Origin of the joint that carries the next body, m; None for the last body."""
+
+    @property
+    def tensor(self) -> NDArray[np.float64]:
+        """(3, 3) inertia about the mass centre, kg m^2."""
+        return _tensor([entry.value for entry in self.inertia])
+
+
+@dataclass(frozen=True)
+class JointModel:
+    """What the drive of one joint adds: its rotor, fixed in place to the carrying body, and its flexibility."""
+
+    name: str
+    rotor_mass: Quantity
+    """kg, at the joint."""
+    rotor_inertia: Quantity
+    """kg m^2, about the joint axis, before the gear; counted on the carrying body as well."""
+    stiffness: Quantity
+    """Nm/rad, after the gear."""
+    damping: Quantity
+    """Nms/rad, after the gear."""
+
+
+@dataclass(frozen=True)
+class Model:
+    """A model of an arm: either `bodies` (N+1) and `joints` (N), or `parameters` by name."""
+
+    name: str
+    bodies: tuple[Body, ...] = ()
+    joints: tuple[JointModel, ...] = ()
+    parameters: Mapping[str, Quantity] = field(default_factory=dict)
+
+    def base_parameters(self, arm: Arm) -> dict[str, Quantity]:
+        """Base parameters by name, in the order of `arm.parameter_names`.
+
+        Sigmas of a model given by bodies are propagated to first order. Errors: ZygosError if the model does not fit
+        the arm: other joints, missing or unknown parameters, b_ij where the arm says planar-symmetric.
+        """
+        names = arm.parameter_names
+        if not self.bodies:
+            return self._named_parameters(arm)
+        self._check_fits(arm)
+        values = self._convert(arm, self._scalars())
+        sigmas = np.sqrt(np.diag(self.base_covariance(arm)))
+        quantities = self._quantities()
+        inertial = quantities[:7 * len(self.bodies)] + [joint.rotor_inertia for joint in self.joints]
+        found = {quantity.source for quantity in inertial}
+        # a mixture is worth no more than its least certain part
+        sources = [next(source for source in SOURCES if source in found)] * (len(names) - 3 * arm.n)
+        for joint in self.joints:
+            sources += [joint.rotor_inertia.source, joint.stiffness.source, joint.damping.source]
+        return {name: Quantity(float(value), float(sigma), source, unit) for name, value, sigma, source, unit
+                in zip(names, values, sigmas, sources, arm.parameter_units, strict=True)}
+
+    def base_values(self, arm: Arm) -> NDArray[np.float64]:
+        """(p,) base parameters in the order of `arm.parameter_names`, SI units. Errors as `base_parameters`."""
+        return np.array([quantity.value for quantity in self.base_parameters(arm).values()])
+
+    def base_covariance(self, arm: Arm) -> NDArray[np.float64]:
+        """(p, p) covariance of the base parameters.
+
+        For a model given by bodies it carries the correlations that masses and inertias impose; independent variances
+        of the a_ij would allow negative kinetic energy (docs/model.md). Geometry is taken as exact.
+        """
+        if not self.bodies:
+            sigma = np.array([quantity.sigma for quantity in self._named_parameters(arm).values()])
+            return np.diag(sigma**2)
+        self._check_fits(arm)
+        scalars = self._scalars()
+        sigmas = np.array([quantity.sigma for quantity in self._quantities()])
+        columns = np.zeros((len(arm.parameter_names), len(scalars)))
+        for index in np.flatnonzero(sigmas):
+            # central difference; the step is large against rounding, the third derivative negligible
+            step = 1e-4 * max(abs(scalars[index]), 1e-3)
+            shift = np.zeros_like(scalars)
+            shift[index] = step
+            columns[:, index] = (self._convert(arm, scalars + shift) - self._convert(arm, scalars - shift)) / (2 * step)
+        scaled = columns * sigmas
+        covariance: NDArray[np.float64] = scaled @ scaled.T
+        return covariance
+
+    def _named_parameters(self, arm: Arm) -> dict[str, Quantity]:
+        missing = [name for name in arm.parameter_names if name not in self.parameters]
+        unknown = [name for name in self.parameters if name not in arm.parameter_names]
+        if missing or unknown:
+            raise ZygosError(f"model {self.name} does not fit arm {arm.name}: missing {missing}, unknown {unknown}; "
+                             f"remedy: [parameters] must hold exactly {', '.join(arm.parameter_names)}")
+        return {name: self.parameters[name] for name in arm.parameter_names}
+
+    def _check_fits(self, arm: Arm) -> None:
+        names = [joint.name for joint in arm.joints]
+        if [joint.name for joint in self.joints] != names:
+            raise ZygosError(f"model {self.name} has joints {[joint.name for joint in self.joints]}, arm {arm.name} "
+                             f"has {names}; remedy: name the joints alike, from the base outwards")
+
+    def _quantities(self) -> list[Quantity]:
+        listed: list[Quantity] = []
+        for body in self.bodies:
+            listed += [body.mass, *body.inertia]
+        for joint in self.joints:
+            listed += [joint.rotor_mass, joint.rotor_inertia, joint.stiffness, joint.damping]
+        return listed
+
+    def _scalars(self) -> NDArray[np.float64]:
+        return np.array([quantity.value for quantity in self._quantities()])
+
+    def _convert(self, arm: Arm, scalars: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Base parameters (p,) from the scalars in the order of `_quantities` (docs/model.md, "From bodies")."""
+        bodies = len(self.bodies)
+        axis = arm.axis
+        across = np.eye(3) - np.outer(axis, axis)
+        body = scalars[:7 * bodies].reshape(bodies, 7)
+        drive = scalars[7 * bodies:].reshape(bodies - 1, 4)
+        mass = body[:, 0].copy()
+        first = np.zeros((bodies, 3))
+        polar = np.zeros(bodies)
+        reach = np.zeros((bodies, 3))
+        for i, part in enumerate(self.bodies):
+            attitude = arm.frames[i]
+            centre = across @ attitude @ np.array(part.origin_xyz)
+            first[i] = mass[i] * centre
+            polar[i] = axis @ attitude @ _tensor(body[i, 1:]) @ attitude.T @ axis + mass[i] * centre @ centre
+            if part.joint_xyz is not None:
+                reach[i] = across @ attitude @ np.array(part.joint_xyz)
+                rotor_mass, rotor_inertia = drive[i, :2]
+                mass[i] += rotor_mass
+                first[i] += rotor_mass * reach[i]
+                polar[i] += rotor_mass * reach[i] @ reach[i] + rotor_inertia
+        total = mass.sum()
+        beyond = np.append(np.cumsum(mass[::-1])[::-1][1:], 0.0)
+        near = (first + beyond[:, None] * reach) / total
+        far = reach - near
+        before = np.cumsum(mass) - mass
+        a = np.diag(polar - 2 * np.sum(first * near, axis=1) + (mass + before) * np.sum(near * near, axis=1)
+                    + beyond * np.sum(far * far, axis=1))
+        values: list[float] = []
+        skew: list[float] = []
+        for i in range(bodies):
+            for j in range(i, bodies):
+                values.append(float(a[i, i] if i == j else total * far[i] @ near[j]))
+                if i < j:
+                    skew.append(float(total * axis @ np.cross(near[j], far[i])))
+        if arm.kinetic == "planar":
+            values += skew
+        elif np.max(np.abs(skew)) > 1e-9 * np.max(np.abs(values)):
+            raise ZygosError(f"model {self.name}: mass centres lie off the joint-to-joint lines (b_ij = {skew}), but "
+                             f'arm {arm.name} says kinetic = "planar-symmetric"; remedy: kinetic = "planar"')
+        for _, rotor_inertia, stiffness, damping in drive:
+            values += [float(rotor_inertia), float(stiffness), float(damping)]
+        return np.array(values)
+
+
+def load_model(path: str | Path) -> Model:
+    """Read `model.toml`. Errors: ZygosError naming file, key and remedy, also for a body that cannot exist."""
+    top = Table.load(path)
+    name = top.text("name")
+    source = top.choice("source", SOURCES, "CAD")
+    if top.has("parameters"):
+        if top.has("body") or top.has("joint"):
+            raise top.error("parameters", "stands beside [[body]] or [[joint]]", "keep one of the two")
+        table = top.table("parameters")
+        parameters = {key: _quantity(table, key, None, source) for key in table.names()}
+        top.finish()
+        return Model(name, parameters=parameters)
+    tables = top.tables("body")
+    bodies = tuple(_body(table, source, last=index == len(tables) - 1) for index, table in enumerate(tables))
+    joints = tuple(_joint(table, source) for table in top.tables("joint"))
+    if len(bodies) != len(joints) + 1:
+        raise top.error("body", f"{len(bodies)} bodies for {len(joints)} joints",
+                        "give one [[body]] for the base and one for each [[joint]]")
+    top.finish()
+    return Model(name, bodies, joints)
+
+
+def save_model(model: Model, path: str | Path) -> None:
+    """Write `model.toml` so that a reader sees the old file or the whole new one. Errors: ZygosError if it cannot be
+    written."""
+    document = tomlkit.document()
+    document["name"] = model.name
+    if model.parameters:
+        table = tomlkit.table()
+        for name, quantity in model.parameters.items():
+            table[name] = _inline(quantity, unit=True)
+        document["parameters"] = table
+    else:
+        bodies = tomlkit.aot()
+        for body in model.bodies:
+            entry = tomlkit.table()
+            entry["name"] = body.name
+            entry["mass"] = _inline(body.mass)
+            entry["origin_xyz"] = list(body.origin_xyz)
+            for key, quantity in zip(_INERTIA_KEYS, body.inertia, strict=True):
+                entry[key] = _inline(quantity)
+            if body.joint_xyz is not None:
+                entry["joint_xyz"] = list(body.joint_xyz)
+            bodies.append(entry)
+        joints = tomlkit.aot()
+        for joint in model.joints:
+            entry = tomlkit.table()
+            entry["name"] = joint.name
+            for key in _JOINT_UNITS:
+                entry[key] = _inline(getattr(joint, key))
+            joints.append(entry)
+        document["body"] = bodies
+        document["joint"] = joints
+    _write_whole(Path(path), tomlkit.dumps(document))
+
+
+def _write_whole(file: Path, text: str) -> None:
+    scratch: str | None = None
+    try:
+        handle, scratch = tempfile.mkstemp(dir=file.parent, prefix=f".{file.name}.")
+        with os.fdopen(handle, "w", encoding="utf-8") as stream:
+            stream.write(text)
+            stream.flush()
+            os.fsync(stream.fileno())
+        # mkstemp makes private files; a model is an ordinary one
+        mask = os.umask(0)
+        os.umask(mask)
+        os.chmod(scratch, 0o666 & ~mask)
+        os.replace(scratch, file)
+    except OSError as error:
+        if scratch is not None:
+            Path(scratch).unlink(missing_ok=True)
+        raise ZygosError(f"{file}: cannot be written ({error.strerror}); remedy: check the directory and its "
+                         "permissions") from None
+
+
+def _inline(quantity: Quantity, *, unit: bool = False) -> Any:
+    table = tomlkit.inline_table()
+    table["value"] = quantity.value
+    table["sigma"] = quantity.sigma
+    if unit:
+        table["unit"] = quantity.unit
+    table["source"] = quantity.source
+    return table
+
+
+def _quantity(table: Table, key: str, unit: str | None, source: str, *, default: float | None = None,
+              low: float = -np.inf, above: float = -np.inf) -> Quantity:
+    """A number, or { value, sigma, source }; with unit None the file states the unit."""
+    if not table.has(key) and default is not None:
+        return Quantity(default, 0.0, source, unit or "")
+    if not table.has(key) or not isinstance(table.peek(key), dict):
+        return Quantity(table.number(key, low=low, above=above, unit=unit or ""), 0.0, source, unit or "")
+    entry = table.table(key)
+    quantity = Quantity(entry.number("value", low=low, above=above, unit=unit or ""),
+                        entry.number("sigma", 0.0, low=0.0, unit=unit or ""),
+                        entry.choice("source", SOURCES, source),
+                        entry.text("unit") if unit is None else unit)
+    entry.finish()
+    return quantity
+
+
+def _vector3(table: Table, key: str) -> tuple[float, float, float]:
+    x, y, z = table.vector(key, 3, unit="m")
+    return x, y, z
+
+
+def _tensor(entries: Any) -> NDArray[np.float64]:
+    ixx, ixy, ixz, iyy, iyz, izz = entries
+    return np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]], dtype=np.float64)
+
+
+def _body(table: Table, source: str, *, last: bool) -> Body:
+    name = table.text("name")
+    mass = _quantity(table, "mass", "kg", source, above=0.0)
+    origin = _vector3(table, "origin_xyz")
+    ixx, ixy, ixz, iyy, iyz, izz = (
+        _quantity(table, key, "kg m^2", source, default=None if key[1] == key[2] else 0.0) for key in _INERTIA_KEYS)
+    if last and table.has("joint_xyz"):
+        raise table.error("joint_xyz", "the last body carries no joint", "remove it")
+    joint = None if last else _vector3(table, "joint_xyz")
+    table.finish()
+    body = Body(name, mass, origin, (ixx, ixy, ixz, iyy, iyz, izz), joint)
+    principal = np.linalg.eigvalsh(body.tensor)
+    if principal[0] <= 0.0 or principal[2] > (principal[0] + principal[1]) * (1 + 1e-9):
+        raise table.error("ixx", f"no body has the principal moments {principal.tolist()} kg m^2",
+                          "correct the inertia: all positive, none above the sum of the other two")
+    return body
+
+
+def _joint(table: Table, source: str) -> JointModel:
+    joint = JointModel(
+        table.text("name"), _quantity(table, "rotor_mass", "kg", source, default=0.0, low=0.0),
+        _quantity(table, "rotor_inertia", "kg m^2", source, above=0.0),
+        _quantity(table, "stiffness", "Nm/rad", source, above=0.0),
+        _quantity(table, "damping", "Nms/rad", source, low=0.0))
+    table.finish()
+    return joint

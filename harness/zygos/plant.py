@@ -1,0 +1,232 @@
+"""The simulated arm: sampled servo, torque held between SYNCs, SciPy's DOP853 in between.
+
+Between SYNCs the equations of motion are smooth and autonomous, so each period is integrated on its own, all seeds as
+one state; no step ever crosses a torque step. The servo sees the same encoder errors that the run records.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import DOP853
+
+from zygos.arm import Arm
+from zygos.cycles import Cycles
+from zygos.dynamics import PlanarDynamics
+from zygos.errors import ZygosError
+from zygos.model import Model
+from zygos.scenario import Scenario
+from zygos.sensors import Noise, draw_noise, encoder_angle, encoder_reading, gyro_reading, no_noise, torque_record
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """The exact motion of B seeds at n SYNC instants t_k = k * period; N joints."""
+
+    arm: Arm
+    """The arm, at the period that was simulated."""
+    dynamics: PlanarDynamics
+    seeds: tuple[int, ...]
+    t: Array
+    """(n,) s."""
+    phi0: Array
+    """(B, n) base attitude, rad."""
+    omega0: Array
+    """(B, n) base rate, rad/s."""
+    q: Array
+    """(B, n, N) link angles, rad."""
+    qd: Array
+    """(B, n, N) link rates, rad/s."""
+    theta: Array
+    """(B, n, N) motor angles after the gear, rad."""
+    thetad: Array
+    """(B, n, N) motor rates after the gear, rad/s."""
+    tau: Array
+    """(B, n, N) rotor torque before the gear, Nm, in force on [t_k, t_{k+1})."""
+    slip2: Array
+    """(B, n, N) integral of (thetad - qd)^2 from 0 to t_k, rad^2/s."""
+    desired: Array
+    """(n, N) desired angles, rad."""
+    q_latched: Array
+    """(B, n, N) link angles when the link encoders latch, rad; q itself where no latch is late."""
+    theta_latched: Array
+    """(B, n, N) motor angles when the motor encoders latch, rad."""
+    omega0_latched: Array
+    """(B, n) base rate when the gyro latches, rad/s."""
+    noise: Noise
+    """The errors that the servo saw and `cycles` records."""
+
+    def accelerations(self) -> tuple[Array, Array, Array]:
+        """Exact accelerations just after each SYNC: base (B, n), links (B, n, N), motors after the gear (B, n, N),
+        rad/s^2."""
+        return self.dynamics.accelerations(self.q, self.theta, self.omega0, self.qd, self.thetad, self.tau)
+
+    def cycles(self, index: int = 0) -> Cycles:
+        """What the sensors say of the run of `seeds[index]`."""
+        return record(self, index)
+
+
+def record(trajectory: Trajectory, index: int = 0) -> Cycles:
+    """What the sensors say of the run of `trajectory.seeds[index]`: n cycles, numbered from 0."""
+    arm, noise = trajectory.arm, trajectory.noise
+    n = len(trajectory.t)
+    return Cycles(
+        sync=np.arange(n, dtype=np.uint64),
+        q=encoder_reading([joint.link_encoder for joint in arm.joints], trajectory.q_latched[index], noise.link[index],
+                          noise.rounding),
+        theta=encoder_reading([joint.motor_encoder for joint in arm.joints], trajectory.theta_latched[index],
+                              noise.motor[index], noise.rounding),
+        tau=torque_record(arm, trajectory.tau[index], noise.torque[index]),
+        omega=gyro_reading(arm, trajectory.omega0_latched[index], noise.gyro[index]),
+        flags=np.zeros(n, dtype=np.uint32))
+
+
+def simulate(arm: Arm, model: Model, scenario: Scenario, *, seeds: Sequence[int] | None = None,
+             noise: bool | None = None, period_s: float | None = None, duration_s: float | None = None,
+             rtol: float = 1e-12, atol: float = 1e-14) -> Trajectory:
+    """Simulate the scenario in closed loop.
+
+    seeds (default: the scenario's) are integrated together; noise, duration_s and period_s override scenario and arm.
+    There are round(duration / period) cycles. rtol and atol are DOP853's. A trajectory depends on the other seeds of
+    its batch through the choice of steps, within the tolerances, which chaos then magnifies; its noise does not.
+
+    Errors: ZygosError if model, scenario and arm do not fit each other, or if the motion diverges.
+    """
+    if period_s is not None:
+        arm = arm.at_period(period_s)
+    chosen = tuple(seeds) if seeds is not None else (scenario.seed,)
+    n = round((scenario.duration_s if duration_s is None else duration_s) / arm.period_s)
+    if n < 2 or not chosen:
+        raise ZygosError(f"scenario {scenario.name}: {n} cycles of {len(chosen)} seeds is nothing to simulate; remedy: "
+                         "a duration of at least two SYNC periods, and one seed")
+    dynamics = PlanarDynamics.from_parameters(arm, model.base_values(arm))
+    noisy = scenario.noise if noise is None else noise
+    errors = draw_noise(arm, n, chosen, scenario.encoder_noise) if noisy else no_noise(arm, n, chosen)
+    return _Run(arm, dynamics, scenario, chosen, n, errors, rtol, atol).trajectory()
+
+
+class _Run:
+    """State of one simulation; the state vector is B rows of phi0, omega0, q, qd, theta, thetad, slip2."""
+
+    def __init__(self, arm: Arm, dynamics: PlanarDynamics, scenario: Scenario, seeds: tuple[int, ...], n: int,
+                 noise: Noise, rtol: float, atol: float) -> None:
+        self.arm, self.dynamics, self.scenario, self.seeds = arm, dynamics, scenario, seeds
+        self.n, self.noise = n, noise
+        self.rtol, self.atol = rtol, atol
+        joints = arm.n
+        self.slices = [slice(2 + i * joints, 2 + (i + 1) * joints) for i in range(5)]
+        self.step = arm.period_s
+        self.tau = np.zeros((len(seeds), joints))
+        angles = scenario.initial_angles_rad or (0.0,) * joints
+        if len(angles) != joints:
+            raise ZygosError(f"scenario {scenario.name}: {len(angles)} initial angles for {joints} joints; remedy: "
+                             "give initial_angles_rad one number a joint")
+        self.state = np.zeros((len(seeds), 2 + 5 * joints))
+        q, _, theta, _, _ = self.slices
+        self.state[:, q] = self.state[:, theta] = np.array(angles)
+        self.state[:, 1] = dynamics.base_rate(self.state[:, q], scenario.angular_momentum_nms)
+
+    def trajectory(self) -> Trajectory:
+        arm, joints = self.arm, self.arm.n
+        shape = (len(self.seeds), self.n)
+        t: Array = arm.period_s * np.arange(self.n, dtype=np.float64)
+        desired, desired_rate = self.scenario.desired([joint.name for joint in arm.joints], t)
+        states = np.empty((*shape, 2 + 5 * joints))
+        taus = np.empty((*shape, joints))
+        latches = _Latches(arm, self.slices)
+        latched = np.empty((*shape, 2 * joints + 1)) if latches.late else None
+        slip = self.slices[4]
+        total = np.zeros((len(self.seeds), joints))
+        before: Array | None = None
+        for k in range(self.n):
+            states[:, k] = self.state
+            states[:, k, slip] = total
+            angle = self._measured(k)
+            rate = np.zeros_like(angle) if before is None else (angle - before) / arm.period_s
+            before = angle
+            servo = self.scenario.controller
+            self.tau = servo.gain * (servo.kp * (desired[k] - angle) + servo.kd * (desired_rate[k] - rate)) \
+                / self.dynamics.gear_ratio
+            taus[:, k] = self.tau
+            self.state[:, slip] = 0.0
+            reached = 0.0
+            for offset, columns in latches.groups:
+                self._integrate(offset - reached, t[k])
+                reached = offset
+                if latched is not None:
+                    latched[:, k, columns[0]] = self.state[:, columns[1]]
+            self._integrate(arm.period_s - reached, t[k])
+            total += self.state[:, slip]
+        q, qd, theta, thetad, _ = (states[..., part] for part in self.slices)
+        if latched is None:
+            q_latched, theta_latched, omega0_latched = q, theta, states[..., 1]
+        else:
+            q_latched, theta_latched = latched[..., :joints], latched[..., joints:2 * joints]
+            omega0_latched = latched[..., -1]
+        return Trajectory(arm, self.dynamics, self.seeds, t, states[..., 0], states[..., 1], q, qd, theta, thetad, taus,
+                          states[..., slip], desired, q_latched, theta_latched, omega0_latched, self.noise)
+
+    def _measured(self, k: int) -> Array:
+        """(B, N) the angles that the servo reads at SYNC k, rad."""
+        if self.scenario.controller.angle == "motor":
+            encoders = [joint.motor_encoder for joint in self.arm.joints]
+            angle, error = self.state[:, self.slices[2]], self.noise.motor[:, k]
+        else:
+            encoders = [joint.link_encoder for joint in self.arm.joints]
+            angle, error = self.state[:, self.slices[0]], self.noise.link[:, k]
+        return encoder_angle(encoders, encoder_reading(encoders, angle, error, self.noise.rounding))
+
+    def _derivative(self, _: float, flat: Array) -> Array:
+        state = flat.reshape(self.state.shape)
+        q, qd, theta, thetad, slip = self.slices
+        base, link, motor = self.dynamics.accelerations(state[:, q], state[:, theta], state[:, 1], state[:, qd],
+                                                        state[:, thetad], self.tau)
+        rate = np.empty_like(state)
+        rate[:, 0] = state[:, 1]
+        rate[:, 1] = base
+        rate[:, q] = state[:, qd]
+        rate[:, qd] = link
+        rate[:, theta] = state[:, thetad]
+        rate[:, thetad] = motor
+        rate[:, slip] = (state[:, thetad] - state[:, qd]) ** 2
+        return rate.ravel()
+
+    def _integrate(self, span: float, t: float) -> None:
+        """Advance the state by `span` s under the torque held; local time starts at zero, which keeps its roundoff
+        out of the step."""
+        if span <= 0.0:
+            return
+        with np.errstate(over="ignore", invalid="ignore"):
+            solver = DOP853(self._derivative, 0.0, self.state.ravel(), span, first_step=min(self.step, span),
+                            rtol=self.rtol, atol=self.atol)
+            while solver.status == "running":
+                solver.step()
+        if solver.status == "failed" or not np.all(np.isfinite(solver.y)):
+            raise ZygosError(f"scenario {self.scenario.name}: the motion diverges at t = {t:.3f} s; remedy: lower the "
+                             "controller's gain, feed back the motor angle, or shorten period_s")
+        # the size that the step control proposes is the best first guess for the next period
+        self.step = min(solver.h_abs, self.arm.period_s)
+        self.state = solver.y.reshape(self.state.shape)
+
+
+class _Latches:
+    """Instants at which readings are latched, in order: (s after SYNC, (columns of the record, of the state))."""
+
+    def __init__(self, arm: Arm, slices: list[slice]) -> None:
+        at: dict[int, tuple[list[int], list[int]]] = {}
+        for i, joint in enumerate(arm.joints):
+            for encoder, column, source in ((joint.link_encoder, i, slices[0].start + i),
+                                            (joint.motor_encoder, arm.n + i, slices[2].start + i)):
+                into, out = at.setdefault(joint.latch_us + encoder.latch_us, ([], []))
+                into.append(column)
+                out.append(source)
+        into, out = at.setdefault(arm.imu.latch_us, ([], []))
+        into.append(2 * arm.n)
+        out.append(1)
+        self.late = any(offset > 0 for offset in at)
+        self.groups = [(offset * 1e-6, columns) for offset, columns in sorted(at.items())]

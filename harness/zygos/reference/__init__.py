@@ -1,0 +1,40 @@
+"""The numpy reference: one room for each room of the flight library, whole-record and in matrix form.
+
+It computes what the C library computes by other means (convolution for rings, design matrices for accumulators,
+orthogonal least squares for normal equations), so that an agreement of the two means something.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from zygos.arm import Arm
+from zygos.cycles import Cycles
+from zygos.reference.accumulator import Design, design
+from zygos.reference.balance import Balance, rows
+from zygos.reference.cycle import Samples, calibrate
+from zygos.reference.smoother import Smoothed, smooth
+from zygos.reference.solver import Solution, solve
+
+__all__ = ["Chain", "chain"]
+
+
+@dataclass(frozen=True)
+class Chain:
+    """What every room makes of a record, for a comparison room by room."""
+
+    samples: Samples
+    smoothed: Smoothed
+    balance: Balance
+    design: Design
+    solution: Solution
+
+
+def chain(arm: Arm, cycles: Cycles) -> Chain:
+    """Take a record through all rooms. Raises ZygosError for a record that does not fit the arm, Undecided for one
+    that does not determine the parameters."""
+    samples = calibrate(arm, cycles)
+    smoothed = smooth(arm, samples)
+    balance = rows(arm, samples, smoothed)
+    accumulated = design(balance)
+    return Chain(samples, smoothed, balance, accumulated, solve(accumulated.z, accumulated.w))

@@ -1,0 +1,76 @@
+"""Normal equations of the arcs (docs/estimator, "Arcs, not windows").
+
+The unknown constant of an arc is eliminated by taking the mean of its accepted rows from each of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from zygos.reference.balance import Balance
+
+Floats = NDArray[np.float64]
+
+MIN_ARC_INSTANTS = 20
+"""An arc with fewer accepted instants carries no weight and is dropped."""
+
+
+@dataclass(frozen=True)
+class Design:
+    """Accepted rows of all arcs that count, less each arc's mean; m rows, p parameters.
+
+    z: (m, p). w: (m,) [J]. arc: (m,) arc number. sync: (m,) cycle number.
+    arcs: arcs that count. dropped_arcs: arcs too short to count. refused: instants the bandwidth test refused.
+    """
+
+    z: Floats
+    w: Floats
+    arc: NDArray[np.int64]
+    sync: NDArray[np.uint64]
+    arcs: int
+    dropped_arcs: int
+    refused: int
+
+    def normal(self) -> tuple[Floats, Floats]:
+        """A = Z' Z, shape (p, p), and b = Z' w, shape (p,)."""
+        return self.z.T @ self.z, self.z.T @ self.w
+
+
+def design(balance: Balance) -> Design:
+    """Collect the accepted rows of a record, arc by arc, and take each arc's mean away."""
+    z: list[Floats] = []
+    w: list[Floats] = []
+    kept: list[NDArray[np.int64]] = []
+    dropped = 0
+    for arc in np.unique(balance.arc):
+        of = np.flatnonzero((balance.arc == arc) & balance.accepted)
+        if len(of) < MIN_ARC_INSTANTS:
+            dropped += 1
+            continue
+        z.append(balance.z[of] - balance.z[of].mean(axis=0))
+        w.append(balance.w[of] - balance.w[of].mean())
+        kept.append(of)
+    positions = np.concatenate(kept) if kept else np.zeros(0, dtype=np.int64)
+    return Design(
+        z=np.concatenate(z) if z else np.zeros((0, balance.z.shape[1])),
+        w=np.concatenate(w) if w else np.zeros(0),
+        arc=balance.arc[positions],
+        sync=balance.sync[positions],
+        arcs=len(kept),
+        dropped_arcs=dropped,
+        refused=int(np.sum(~balance.accepted)),
+    )
+
+
+def blocks_of(arc: NDArray[np.int64], length: int) -> list[NDArray[np.int64]]:
+    """Positions of the rows in blocks of `length` successive rows; a block never spans two arcs.
+
+    The rest of an arc joins the arc's last block, so that no block is shorter than `length` unless its arc is.
+    """
+    out: list[NDArray[np.int64]] = []
+    for number in np.unique(arc):
+        of = np.flatnonzero(arc == number)
+        out.extend(np.array_split(of, max(1, len(of) // length)))
+    return out

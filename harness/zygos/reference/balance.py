@@ -1,0 +1,103 @@
+"""Rows of the energy balance over whole records (docs/model "The energy balance", docs/estimator "Arcs, not windows").
+
+Within an arc, an unbroken run of instants, z_k . pi - W_k is an unknown constant: z_k holds the columns of the kinetic
+energy, of the springs' energy and of the dissipation, W_k is the work of the motors since the arc's origin.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from zygos.arm import Arm
+from zygos.reference.cycle import Samples
+from zygos.reference.kinematics import State, cross, gram
+from zygos.reference.smoother import Smoothed
+
+Floats = NDArray[np.float64]
+
+FILL_INSTANTS = 3
+"""Smoothed instants of a segment that only fill the dissipation integral; the next one is the first arc's origin."""
+
+
+@dataclass(frozen=True)
+class Balance:
+    """Rows at every instant from the first arc's origin of each segment on; m instants, p parameters.
+
+    index: (m,) position of the instant in the record of samples. sync: (m,) cycle number. arc: (m,) arc number from 0.
+    accepted: (m,) False where the smoother refuses the instant. z: (m, p) columns in `arm.parameter_names` order.
+    w: (m,) work since the arc's origin [J].
+    """
+
+    index: NDArray[np.int64]
+    sync: NDArray[np.uint64]
+    arc: NDArray[np.int64]
+    accepted: NDArray[np.bool_]
+    z: Floats
+    w: Floats
+
+
+def energy_columns(arm: Arm, state: State, dissipated: Floats) -> Floats:
+    """Columns of the energy balance, shape (..., p), in `arm.parameter_names` order.
+
+    dissipated: (..., N) integral of (thetad - qd)^2 [rad^2/s]. Nanos & Papadopoulos eq. (37), with the ratio of
+    eq. (11).
+    """
+    f, phi = state.f, state.phi
+    bodies = f.shape[-1]
+    first, second = np.triu_indices(bodies)
+    kinetic = gram(f, phi)[..., first, second] * np.where(first == second, 0.5, 1.0)
+    if arm.kinetic == "planar":
+        first, second = np.triu_indices(bodies, 1)
+        kinetic = np.concatenate([kinetic, cross(f, phi)[..., first, second]], axis=-1)
+    rotor_rate = arm.gear_ratios * state.thetad
+    inertia = 0.5 * rotor_rate**2 + rotor_rate * f[..., :-1]
+    stiffness = 0.5 * (state.theta - state.q) ** 2
+    flexible = np.stack([inertia, stiffness, dissipated], axis=-1)
+    return np.concatenate([kinetic, flexible.reshape((*flexible.shape[:-2], -1))], axis=-1)
+
+
+def arc_cycles(arm: Arm) -> int:
+    """Instants an arc holds at most, its origin among them."""
+    return round(arm.arc_max_s / arm.period_s)
+
+
+def rows(arm: Arm, samples: Samples, smoothed: Smoothed) -> Balance:
+    """Rows of a whole record.
+
+    Work of a step: n tau_k-1 (theta_k - theta_k-1), exact for a torque held over the step. Dissipation of a step:
+    (h/24)(9 g_k + 19 g_k-1 - 5 g_k-2 + g_k-3), the cubic through the four newest values of g = (thetad - qd)^2.
+    """
+    h = arm.period_s
+    longest = arc_cycles(arm)
+    work = np.zeros(len(smoothed.index))
+    dissipated = np.zeros_like(smoothed.q)
+    arc = np.full(len(smoothed.index), -1, dtype=np.int64)
+    arcs = 0
+    for number in np.unique(smoothed.segment):
+        of = np.flatnonzero(smoothed.segment == number)
+        if len(of) <= FILL_INSTANTS:
+            continue
+        theta = smoothed.theta[of]
+        tau = samples.tau[smoothed.index[of]]
+        g = (smoothed.thetad[of] - smoothed.qd[of]) ** 2
+        step_work = np.sum(arm.gear_ratios * tau[:-1] * np.diff(theta, axis=0), axis=1)
+        step_loss = (h / 24.0) * (9.0 * g[3:] + 19.0 * g[2:-1] - 5.0 * g[1:-2] + g[:-3])
+        for origin in range(FILL_INSTANTS, len(of), longest):
+            stop = min(origin + longest, len(of))
+            work[of[origin + 1 : stop]] = np.cumsum(step_work[origin : stop - 1])
+            dissipated[of[origin + 1 : stop]] = np.cumsum(step_loss[origin - 2 : stop - 3], axis=0)
+            arc[of[origin:stop]] = arcs
+            arcs += 1
+    state = State(smoothed.q, smoothed.theta, smoothed.qd, smoothed.thetad, smoothed.omega @ arm.axis)
+    z = energy_columns(arm, state, dissipated)
+    kept = arc >= 0
+    return Balance(
+        index=smoothed.index[kept],
+        sync=smoothed.sync[kept],
+        arc=arc[kept],
+        accepted=smoothed.accepted[kept],
+        z=z[kept],
+        w=work[kept],
+    )

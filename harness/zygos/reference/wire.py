@@ -1,0 +1,323 @@
+"""From CAN frames to cycles over a whole log (docs/wire, "Assembly").
+
+The layout comes from `zygos.dbc` through cantools, the check of the header from PyPI `autosar-e2e`. A log is judged
+as a whole: first each frame by itself, then the SYNCs, then the frames between two SYNCs together. Receive times play
+no part.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import cantools
+import numpy as np
+from cantools.database.can import Database, Message
+from e2e.p02 import e2e_p02_check
+from zygos.arm import Arm
+from zygos.cycles import BREAK_BEFORE, Cycles
+
+DBC_FOLDER = Path(__file__).resolve().parents[1] / "_native"
+
+SYNC_MODULUS = 240
+MAX_CYCLES_WITHOUT_TIME = 120
+LATCH_TOLERANCE_US = 50
+COMPUTER_NODE = 32
+
+EXTENDED, REMOTE, ERROR, FD = 1, 2, 4, 8
+"""Bits of Frame.flags."""
+
+
+class Frame(NamedTuple):
+    """A CAN frame: identifier, data, and EXTENDED, REMOTE, ERROR, FD as flags."""
+
+    id: int
+    data: bytes
+    flags: int = 0
+
+
+class Kind(NamedTuple):
+    """What an identifier means for an arm: its message in the DBC, its E2E family and node, the joint it belongs to.
+
+    part: what the frame contributes to a cycle, None for SYNC and FTIME.
+    """
+
+    message: Message
+    family: int | None
+    node: int
+    joint: int = 0
+    part: str | None = None
+
+
+@dataclass(frozen=True)
+class Reception:
+    """Complete cycles of a log, and how often each fault happened.
+
+    cycles: as the sensors say. faults: count by name, the names those of `zygos_faults_t`; absent means never.
+    verdicts: "foreign", "accepted" or "rejected" for each frame.
+    """
+
+    cycles: Cycles
+    faults: Counter[str]
+    verdicts: tuple[str, ...]
+
+
+@cache
+def database(coarse_gyro: bool = False) -> Database:
+    """The wire's DBC, with the messages of the coarse gyro in place of the fine one's."""
+    loaded = cantools.database.load_file(DBC_FOLDER / ("zygos-coarse-gyro.dbc" if coarse_gyro else "zygos.dbc"))
+    assert isinstance(loaded, Database)
+    return loaded
+
+
+def identifiers(arm: Arm) -> dict[int, Kind]:
+    """Identifiers of the arm's messages. The DBC names joints by node 1 to 7; other nodes have the same layout."""
+    messages = {message.name: message for message in database().messages}
+    kinds = {
+        0x080: Kind(messages["SYNC"], None, COMPUTER_NODE),
+        0x380 + COMPUTER_NODE: Kind(messages["FTIME"], 2, COMPUTER_NODE),
+    }
+    for i, joint in enumerate(arm.joints):
+        kinds[0x180 + joint.node] = Kind(messages["JOINT1_ANGLES"], 0, joint.node, i, f"angles{i}")
+        kinds[0x280 + joint.node] = Kind(messages["JOINT1_TORQUE"], 1, joint.node, i, f"torque{i}")
+    node = arm.imu.node
+    if arm.imu.resolution == "coarse":
+        kinds[0x180 + node] = Kind(database(coarse_gyro=True).get_message_by_frame_id(0x190), 0, node, 0, "rate")
+    else:
+        kinds[0x180 + node] = Kind(messages["IMU_RATE_XY"], 0, node, 0, "rate_xy")
+        kinds[0x380 + node] = Kind(messages["IMU_RATE_Z"], 2, node, 0, "rate_z")
+    return kinds
+
+
+def data_ids(family: int, node: int) -> bytes:
+    """DataIDList of E2E profile 2: one identifier for each of the sixteen counters."""
+    return bytes((32 * family + node + 17 * counter) % 251 for counter in range(16))
+
+
+class _Seen(NamedTuple):
+    """A frame that is well formed by itself. raw: codes of its signals. value: their physical values."""
+
+    at: int
+    kind: Kind
+    raw: dict[str, int]
+    value: dict[str, float]
+
+
+class _Log:
+    """Verdicts and faults of one log; every frame starts as foreign."""
+
+    def __init__(self, count: int) -> None:
+        self.faults: Counter[str] = Counter()
+        self.verdicts = ["foreign"] * count
+
+    def accept(self, at: int) -> None:
+        self.verdicts[at] = "accepted"
+
+    def reject(self, at: int, fault: str) -> None:
+        self.verdicts[at] = "rejected"
+        self.faults[fault] += 1
+
+
+def receive(arm: Arm, frames: Iterable[Frame]) -> Reception:
+    """Judge a whole log, in the order of the bus. The cycle that no SYNC closes is left out.
+
+    A cycle is used when each of its frames came exactly once, valid and with the counter of its SYNC. The cycle number
+    counts SYNCs modulo 240 from the first one, which is 0; BREAK_BEFORE marks the first cycle used after something that
+    a number cannot show.
+    """
+    frames = list(frames)
+    log = _Log(len(frames))
+    seen, errors = _each_frame(arm, frames, log)
+    syncs = [s for s in seen if s.kind.family is None]
+    numbers, opens, repeated = _cycles_of(syncs, log)
+    n = len(opens)
+
+    slots: list[list[_Seen]] = [[] for _ in range(n)]
+    for s in seen:
+        if s.kind.family is None:
+            continue
+        slot = int(np.searchsorted(opens, s.at)) - 1
+        if slot < 0:
+            log.reject(s.at, "unsynced")
+        else:
+            slots[slot].append(s)
+
+    counters = [int(s.raw["Counter"]) for s in syncs if s.at in set(opens)]
+    used: list[int] = []
+    contents: list[dict[str, _Seen]] = []
+    parts = {kind.part for kind in identifiers(arm).values() if kind.part is not None}
+    for slot, counter in enumerate(counters):
+        content, sound = _judge(arm, slots[slot], counter, log)
+        if slot == n - 1:
+            continue
+        complete = set(content) == parts
+        log.faults["incomplete"] += not complete
+        if complete and sound and slot not in repeated:
+            used.append(slot)
+            contents.append(content)
+        else:
+            log.faults["dropped"] += 1
+
+    breaks = {0} | {slot for slot in range(1, n) if numbers[slot] - numbers[slot - 1] != 1}
+    breaks |= _time_breaks(arm, numbers, counters, slots, log)
+    breaks |= {int(np.searchsorted(opens, at)) - 1 for at in errors}
+    cycles = _assemble(arm, [numbers[slot] for slot in used], contents)
+    for position, slot in enumerate(used):
+        before = used[position - 1] if position else -1
+        if any(before < b <= slot for b in breaks) or position == 0:
+            cycles.flags[position] |= BREAK_BEFORE
+    log.faults = +log.faults
+    return Reception(cycles, log.faults, tuple(log.verdicts))
+
+
+def _each_frame(arm: Arm, frames: Sequence[Frame], log: _Log) -> tuple[list[_Seen], list[int]]:
+    """Frames of the arm that are sound by themselves, and the positions of the error frames."""
+    kinds = identifiers(arm)
+    ids = {i: data_ids(kind.family, kind.node) for i, kind in kinds.items() if kind.family is not None}
+    seen: list[_Seen] = []
+    errors: list[int] = []
+    for at, frame in enumerate(frames):
+        if frame.flags & ERROR:
+            log.accept(at)
+            log.faults["bus_error"] += 1
+            errors.append(at)
+            continue
+        kind = kinds.get(frame.id)
+        if kind is None or frame.flags:
+            continue
+        if len(frame.data) != kind.message.length:
+            log.reject(at, "length")
+            continue
+        if frame.id in ids and not e2e_p02_check(frame.data, ids[frame.id], length=0):
+            log.reject(at, "crc")
+            continue
+        raw = kind.message.decode(frame.data, decode_choices=False, scaling=False)
+        assert isinstance(raw, dict)
+        codes = {name: int(code) for name, code in raw.items() if isinstance(code, int)}
+        sync = codes["Counter"] if kind.family is None else codes.get("Sync", 1)
+        if not 1 <= sync <= SYNC_MODULUS:
+            log.reject(at, "range")
+            continue
+        value = {s.name: codes[s.name] * float(s.scale) for s in kind.message.signals}
+        seen.append(_Seen(at, kind, codes, value))
+    return seen, errors
+
+
+def _cycles_of(syncs: Sequence[_Seen], log: _Log) -> tuple[list[int], list[int], set[int]]:
+    """Cycle number and position of each SYNC that opens a cycle, and the cycles a repeated SYNC fell into."""
+    counters = np.array([s.raw["Counter"] for s in syncs], dtype=np.int64)
+    steps = np.diff(counters, prepend=counters[:1]) % SYNC_MODULUS
+    numbers = np.cumsum(steps)
+    opening = steps != 0
+    opening[:1] = True
+    slot = np.cumsum(opening) - 1
+    for s, opens_cycle in zip(syncs, opening, strict=True):
+        if opens_cycle:
+            log.accept(s.at)
+        else:
+            log.reject(s.at, "sync_repeated")
+    log.faults["sync_jumped"] += int(np.sum(steps > 1))
+    opens = [s.at for s, o in zip(syncs, opening, strict=True) if o]
+    return [int(x) for x in numbers[opening]], opens, {int(x) for x in slot[~opening]}
+
+
+def _judge(arm: Arm, frames: Sequence[_Seen], counter: int, log: _Log) -> tuple[dict[str, _Seen], bool]:
+    """Valid frames of one cycle by part, and whether nothing in it forbids its use."""
+    content: dict[str, _Seen] = {}
+    sound = True
+    for s in frames:
+        if s.kind.part is None:
+            continue
+        if s.raw["Counter"] != counter % 16:
+            log.reject(s.at, "late" if s.raw["Counter"] == (counter - 1) % 16 else "counter")
+            continue
+        fault = "repeated" if s.kind.part in content else _fault(arm, s)
+        if fault is None:
+            content[s.kind.part] = s
+            log.accept(s.at)
+        else:
+            sound = False
+            log.reject(s.at, fault)
+    return content, sound
+
+
+def _fault(arm: Arm, s: _Seen) -> str | None:
+    """Why a frame of the right cycle has no value, or None."""
+    part, raw, status = s.kind.part or "", s.raw, s.raw["Status"]
+    if part.startswith("rate"):
+        rates = [name for name in raw if name.startswith("Rate")]
+        saturated = any(_outermost(s.kind.message, name, raw[name]) for name in rates)
+        checks = [("gyro_invalid", not status & 1), ("saturated", saturated)]
+    elif part.startswith("angles"):
+        invalid = -(2**23)
+        checks = [
+            ("disabled", not status & 8),
+            ("link_invalid", not status & 1 or raw["LinkAngle"] == invalid),
+            ("motor_invalid", not status & 2 or raw["MotorAngle"] == invalid),
+        ]
+    else:
+        late = raw["Latch"] - arm.joints[s.kind.joint].latch_us
+        checks = [
+            ("disabled", not status & 8),
+            ("torque_invalid", not status & 4),
+            ("saturated", _outermost(s.kind.message, "Torque", raw["Torque"])),
+            ("latch", abs(late) > LATCH_TOLERANCE_US),
+        ]
+    return next((fault for fault, true in checks if true), None)
+
+
+def _outermost(message: Message, name: str, code: int) -> bool:
+    limit = 1 << (message.get_signal_by_name(name).length - 1)
+    return code in (-limit, limit - 1)
+
+
+def _time_breaks(
+    arm: Arm, numbers: Sequence[int], counters: Sequence[int], slots: Sequence[Sequence[_Seen]], log: _Log
+) -> set[int]:
+    """Cycles before which the SYNC count cannot be trusted: FTIME is missing for too long, or disagrees."""
+    breaks: set[int] = set()
+    last: tuple[int, int] | None = None
+    silent_since = 0
+    lost = False
+    for slot, number in enumerate(numbers):
+        if number - silent_since > MAX_CYCLES_WITHOUT_TIME:
+            log.faults["time_lost"] += not lost
+            lost, last = True, None
+            breaks.add(slot)
+        for s in slots[slot]:
+            if s.kind.part is not None:
+                continue
+            if s.raw["Sync"] != counters[slot] or s.raw["Counter"] != counters[slot] % 16:
+                log.reject(s.at, "counter")
+                continue
+            log.accept(s.at)
+            if last is not None:
+                elapsed = ((s.raw["Time"] - last[1]) % 2**32) * 1e-6
+                if abs(elapsed - (number - last[0]) * arm.period_s) > 0.5 * arm.period_s:
+                    log.faults["time_jumped"] += 1
+                    breaks.add(slot)
+            last, silent_since, lost = (number, s.raw["Time"]), number, False
+    return breaks
+
+
+def _assemble(arm: Arm, numbers: Sequence[int], contents: Sequence[dict[str, _Seen]]) -> Cycles:
+    joints = range(len(arm.joints))
+
+    def table(parts: Sequence[tuple[str, str]]) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+        values = [[content[part].value[name] for part, name in parts] for content in contents]
+        return np.array(values, dtype=np.float64).reshape(len(contents), len(parts))
+
+    coarse = arm.imu.resolution == "coarse"
+    rates = [("rate" if coarse else "rate_z" if axis == "Z" else "rate_xy", f"Rate{axis}") for axis in "XYZ"]
+    return Cycles(
+        sync=np.array(numbers, dtype=np.uint64),
+        q=table([(f"angles{i}", "LinkAngle") for i in joints]),
+        theta=table([(f"angles{i}", "MotorAngle") for i in joints]),
+        tau=table([(f"torque{i}", "Torque") for i in joints]),
+        omega=table(rates),
+        flags=np.zeros(len(contents), dtype=np.uint32),
+    )

@@ -1,0 +1,37 @@
+"""Truth meets estimate: here only, after the estimate is written."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Score:
+    """Relative errors of estimates (..., p) against true values (p,), in percent."""
+
+    error_percent: NDArray[np.float64]
+    """(..., p) signed."""
+
+    @property
+    def rms(self) -> NDArray[np.float64]:
+        """(p,) root mean square over all leading axes."""
+        flat = self.error_percent.reshape(-1, self.error_percent.shape[-1])
+        return np.sqrt(np.mean(flat**2, axis=0))
+
+    @property
+    def mean(self) -> float:
+        """Mean over the parameters of the rms."""
+        return float(np.mean(self.rms))
+
+    @property
+    def worst(self) -> float:
+        """Largest rms of a parameter."""
+        return float(np.max(self.rms))
+
+
+def score(estimate: NDArray[np.float64], true: NDArray[np.float64]) -> Score:
+    """Compare estimates (..., p) with true values (p,)."""
+    return Score(100.0 * (np.asarray(estimate) / np.asarray(true) - 1.0))

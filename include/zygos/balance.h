@@ -1,0 +1,64 @@
+/// zygos/balance.h: one row of the energy balance per instant.
+///
+///     work of the motors W_k = row_k . parameters + constant of the arc
+///
+/// The parameters are the kinetic ones in the order of the Gram table (a00 a01 .. a0N a11 .. aNN), then rotor inertia
+/// Im_i, stiffness k_i and damping b_i of each joint (Im1 k1 b1 Im2 k2 b2 ..).
+///
+/// On arrival of cycle c the smoothed instant is k = c - M, and
+///     W_k = W_(k-1) + sum_i n_i tau_(i,k-1) (theta_(i,k) - theta_(i,k-1))      exact for held torque
+///     D_k = D_(k-1) + h/24 (9 g_k + 19 g_(k-1) - 5 g_(k-2) + g_(k-3))          g = (theta' - q')^2
+/// After a gap three smoothed instants fill g; the fourth is the origin of the arc, W = D = 0.
+
+#ifndef ZYGOS_BALANCE_H
+#define ZYGOS_BALANCE_H
+
+#include "kinematics.h"
+#include "smoother.h"
+#include "types.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define ZYGOS_TORQUE_RING (ZYGOS_MAX_HALF_WIDTH + 1)
+
+typedef struct {
+    uint32_t instants;  ///< Smoothed instants since the gap, at most 4.
+    uint32_t origin;    ///< 1: the next instant opens an arc, W = D = 0.
+    uint32_t torque_at; ///< Where the next torque goes.
+    uint32_t reserved;
+    double work;                                            ///< W [J].
+    double slip[ZYGOS_MAX_JOINTS];                          ///< D [rad^2/s].
+    double theta[ZYGOS_MAX_JOINTS];                         ///< theta of the instant before.
+    double slip_rate[3][ZYGOS_MAX_JOINTS];                  ///< g of the three instants before, newest first.
+    double torque[ZYGOS_TORQUE_RING][ZYGOS_MAX_JOINTS];     ///< Torque in force, waiting for its instant.
+} zygos_balance_t;
+
+typedef struct {
+    double column[ZYGOS_MAX_PARAMETERS];
+    double work; ///< [J]
+} zygos_row_t;
+
+/// Number of parameters p of a configuration.
+uint32_t zygos_balance_parameters(const zygos_config_t *config);
+
+/// Forgets all that was. Used at init and at every gap.
+void zygos_balance_gap(zygos_balance_t *self);
+
+/// Makes the next instant the origin of an arc; the filters run on.
+void zygos_balance_new_arc(zygos_balance_t *self);
+
+/// Stores tau[N], the torque that was in force during the cycle that ended with the newest SYNC. Call it once a cycle,
+/// before zygos_balance_row().
+void zygos_balance_torque(zygos_balance_t *self, const zygos_config_t *config, const double *tau);
+
+/// Carries W and D on to this instant and writes its row. Returns 1 when the row belongs to an arc, 0 while g fills.
+/// Cost: the same for every call.
+int zygos_balance_row(zygos_balance_t *self, const zygos_config_t *config, const zygos_state_t *state,
+                      const zygos_motion_t *motion, zygos_row_t *out);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,106 @@
+/// zygos/cycle.h: frames to complete cycles.
+///
+/// A SYNC opens a cycle and closes the one before. A cycle is complete when each joint's angle and torque frame and the
+/// gyro's rate frames have come exactly once, valid, with the counter of this SYNC. Nothing is decided by receive time
+/// or by the order of arrival within a cycle, so a log replayed at any speed gives the same bits.
+///
+/// One producer (zygos_frame(), an interrupt or a task) and one consumer (zygos_step()) share the queue without a lock.
+
+#ifndef ZYGOS_CYCLE_H
+#define ZYGOS_CYCLE_H
+
+#include "types.h"
+#include "wire.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/// What the world did wrong, counted since init. Counters wrap at 2^32.
+typedef struct {
+    uint32_t length;       ///< Frames of ours with a wrong DLC.
+    uint32_t crc;          ///< Frames of ours with a wrong CRC or data identifier.
+    uint32_t range;        ///< Frames of ours with a field outside its range.
+    uint32_t late;         ///< Frames of the cycle that closed last.
+    uint32_t counter;      ///< Frames whose counter belongs neither to this cycle nor to the last.
+    uint32_t repeated;     ///< Frames that came twice in one cycle; the cycle is dropped.
+    uint32_t unsynced;     ///< Frames before the first SYNC.
+    uint32_t latch;        ///< Torque frames whose latch delay is not the configured one; the cycle is dropped.
+    uint32_t link_invalid; ///< Status bit or code says that the link angle is invalid; the cycle is dropped.
+    uint32_t motor_invalid;
+    uint32_t torque_invalid;
+    uint32_t disabled;     ///< Drive disabled or brake closed; the cycle is dropped.
+    uint32_t gyro_invalid;
+    uint32_t saturated;    ///< Torque or rate at its outermost code; the cycle is dropped.
+    uint32_t incomplete;   ///< Cycles that closed with a frame missing.
+    uint32_t dropped;      ///< Cycles not used, for whatever reason.
+    uint32_t sync_repeated;///< SYNCs with the counter of the SYNC before.
+    uint32_t sync_jumped;  ///< SYNCs that skipped at least one counter.
+    uint32_t time_lost;    ///< Times that more than 120 cycles passed without FTIME.
+    uint32_t time_jumped;  ///< FTIMEs that disagree with the SYNC count by more than half a cycle.
+    uint32_t overrun;      ///< Complete cycles lost because the queue was full.
+    uint32_t bus_error;    ///< Error frames from the controller.
+} zygos_faults_t;
+
+/// What zygos_frame() made of a frame.
+enum zygos_reception { ZYGOS_FOREIGN = 0, ZYGOS_ACCEPTED = 1, ZYGOS_REJECTED = 2 };
+
+/// State of reception: changes with every frame of ours, rejected ones included.
+typedef struct {
+    uint32_t last_verdict; ///< enum zygos_reception of the newest frame.
+    uint32_t spoiled;      ///< 1: the open cycle will be dropped (a repeated or invalid frame).
+} zygos_reception_status_t;
+
+/// The open cycle and the clock of the SYNCs.
+typedef struct {
+    uint64_t sync;       ///< SYNCs since init: the number of the open cycle.
+    uint32_t received;   ///< Bit 2i: angles of joint i; bit 2i+1: its torque; then rate xy or all, rate z.
+    uint32_t counter;    ///< SYNC counter of the open cycle, 0 before the first SYNC.
+    uint32_t broken;     ///< 1: the next complete cycle does not continue the one before.
+    uint32_t since_time; ///< Cycles since the last FTIME.
+    uint32_t timed;      ///< 1: time_us and time_sync hold the last FTIME.
+    uint32_t time_us;
+    uint64_t time_sync;
+    zygos_cycle_t cycle; ///< Values received so far.
+} zygos_assembly_t;
+
+/// Queue of complete cycles. head is written by the producer only, tail by the consumer only.
+typedef struct {
+    uint32_t head;
+    uint32_t tail;
+    zygos_cycle_t slot[ZYGOS_CYCLE_QUEUE];
+} zygos_queue_t;
+
+typedef struct {
+    zygos_faults_t faults;
+    zygos_reception_status_t status;
+    zygos_assembly_t assembly;
+    zygos_queue_t queue;
+} zygos_receiver_t;
+
+/// Forgets everything. Needs memory of its own; cost: one memset.
+void zygos_receiver_init(zygos_receiver_t *self);
+
+/// Takes one frame. Needs an initialised receiver and a checked configuration. Decodes and stores only: bounded by one
+/// CRC and, when a SYNC closes a complete cycle, one copy into the queue. A rejected frame changes faults and status
+/// and nothing else. Returns enum zygos_reception.
+int zygos_receiver_frame(zygos_receiver_t *self, const zygos_config_t *config, const zygos_frame_t *frame);
+
+/// Takes the oldest complete cycle from the queue. Returns 1, or 0 when there is none and *out is as it was.
+int zygos_receiver_pop(zygos_receiver_t *self, zygos_cycle_t *out);
+
+/// The reported torque of the cycle before, which the torque law needs.
+typedef struct {
+    double reported[ZYGOS_MAX_JOINTS];
+} zygos_hold_t;
+
+/// Applies signs, zeros and mounting. Writes the signals q_1..q_N, theta_1..theta_N, omega_x..omega_z (base axes) into
+/// signal[2N+3], and into tau[N] the torque that was in force from the SYNC before this one until this one.
+/// Changes *hold. Cost: 9 multiplications for the gyro and 6 a joint.
+void zygos_cycle_calibrate(zygos_hold_t *hold, const zygos_config_t *config, const zygos_cycle_t *cycle, double *signal,
+                           double *tau);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

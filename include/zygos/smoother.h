@@ -1,0 +1,62 @@
+/// zygos/smoother.h: a fixed-lag Savitzky-Golay filter, the only source of angles and rates.
+///
+/// A polynomial is fitted to the 2 M + 1 samples around instant k; its value and its slope there are the smoothed signal
+/// and rate. All signals of an instant come from the same samples, so no row mixes a raw and a smoothed angle. A sensor
+/// that latches late is evaluated earlier on its own polynomial.
+///
+/// The bandwidth test compares the slope with that of a second fit, over 2 M - 1 samples. Where they differ by more than
+/// four standard deviations of the declared noise, the motion is faster than the filter can follow.
+
+#ifndef ZYGOS_SMOOTHER_H
+#define ZYGOS_SMOOTHER_H
+
+#include "types.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+typedef struct {
+    uint32_t signals;  ///< 2N + 3.
+    uint32_t joint_signals; ///< 2N: those with a slope and a bandwidth test.
+    uint32_t window;   ///< 2M + 1.
+    uint32_t position; ///< Where the next sample goes.
+    uint32_t filled;   ///< Samples since the last gap, at most window.
+    uint32_t reserved;
+    double value[ZYGOS_MAX_SIGNALS][ZYGOS_MAX_WINDOW];         ///< Coefficients of the value, oldest sample first.
+    double slope[2 * ZYGOS_MAX_JOINTS][ZYGOS_MAX_WINDOW];      ///< Coefficients of the rate [1/s].
+    double probe[2 * ZYGOS_MAX_JOINTS][ZYGOS_MAX_WINDOW];      ///< Slope minus the second slope [1/s].
+    double limit[2 * ZYGOS_MAX_JOINTS]; ///< Largest allowed square of the probe [rad^2/s^2].
+    double sample[ZYGOS_MAX_SIGNALS][2 * ZYGOS_MAX_WINDOW];    ///< Each sample twice, so that a window is contiguous.
+} zygos_smoother_t;
+
+/// The arm at one instant.
+typedef struct {
+    double q[ZYGOS_MAX_JOINTS];          ///< Link angle [rad].
+    double theta[ZYGOS_MAX_JOINTS];      ///< Motor angle [rad].
+    double q_rate[ZYGOS_MAX_JOINTS];     ///< [rad/s]
+    double theta_rate[ZYGOS_MAX_JOINTS]; ///< [rad/s]
+    double omega[3];                     ///< Base rate, base axes [rad/s].
+    double accepted;                     ///< 1 when every signal passed the bandwidth test, else 0.
+} zygos_state_t;
+
+/// Computes the coefficients and empties the window. Needs a checked configuration. Cost: about order * window^2
+/// operations a signal; no library function. Returns nothing: every checked configuration has coefficients.
+void zygos_smoother_init(zygos_smoother_t *self, const zygos_config_t *config);
+
+/// Empties the window; the coefficients stay.
+void zygos_smoother_gap(zygos_smoother_t *self);
+
+/// Puts in the newest sample of each signal. When the window is full, writes the state M cycles ago into *out and
+/// returns 1; else returns 0 and leaves *out as it was. Cost: 3 window products a joint signal, 1 a gyro axis; the same
+/// for every call that returns 1.
+int zygos_smoother_push(zygos_smoother_t *self, const double *signal, zygos_state_t *out);
+
+/// The coefficients of the derivative-th derivative (0 or 1, in samples) at s samples after the centre, for a polynomial
+/// of the given order over 2 half_width + 1 samples, oldest first. Needs 2 half_width >= order.
+void zygos_smoother_coefficients(uint32_t half_width, uint32_t order, double s, uint32_t derivative, double *out);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

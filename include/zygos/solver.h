@@ -1,0 +1,84 @@
+/// zygos/solver.h: from normal equations to parameters, sigmas and a verdict.
+///
+/// Columns are scaled to unit length, then factorised by Cholesky with symmetric pivoting. Columns that are linear
+/// combinations of others leave the factorisation; they and every parameter they can be exchanged for are "not
+/// identifiable yet" and have no value. Sigmas come from leaving out one block at a time (jackknife of the block
+/// scores), because neighbouring rows share noise and s^2 A^-1 would be far too small. They describe the spread; the
+/// bias that noise squared in the row causes is not in them.
+
+#ifndef ZYGOS_SOLVER_H
+#define ZYGOS_SOLVER_H
+
+#include "accumulator.h"
+#include "types.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+enum zygos_validity {
+    ZYGOS_VALID = 0,    ///< Every parameter has a value and a sigma.
+    ZYGOS_PARTIAL = 1,  ///< Some parameters are not identifiable yet; the others have values.
+    ZYGOS_DOUBTFUL = 2, ///< Values exist, but reason says why not to trust them.
+    ZYGOS_REFUSED = 3   ///< No values.
+};
+
+enum zygos_reason {
+    ZYGOS_REASON_NONE = 0,
+    ZYGOS_REASON_NO_DATA = 1,          ///< Fewer accepted instants than three a parameter.
+    ZYGOS_REASON_NOT_IDENTIFIABLE = 2, ///< The motion so far does not excite every parameter.
+    ZYGOS_REASON_TOO_FAST = 3,         ///< More than 5 % of the instants failed the bandwidth test.
+    ZYGOS_REASON_NOT_PHYSICAL = 4,     ///< The inertia is not positive definite, or Im, k or b is not positive.
+    ZYGOS_REASON_CORRUPT = 5           ///< The row sums do not match: the memory was changed from outside.
+};
+
+/// A parameter whose scaled pivot falls below this share is a combination of the others.
+#define ZYGOS_PIVOT_LIMIT 1e-11
+/// A parameter whose sigma exceeds this share of its value is not identifiable yet.
+#define ZYGOS_SIGMA_LIMIT 0.5
+
+typedef struct {
+    uint64_t cycle;      ///< SYNC number of the newest cycle that went in.
+    uint64_t accepted;   ///< Instants that went in.
+    uint64_t refused;    ///< Instants that failed the bandwidth test.
+    uint32_t parameters; ///< p.
+    uint32_t validity;   ///< enum zygos_validity.
+    uint32_t reason;     ///< enum zygos_reason.
+    uint32_t arcs;       ///< Arcs that went in, the open one included.
+    uint32_t blocks;     ///< Blocks behind the sigmas.
+    uint32_t rank;       ///< Independent columns.
+    double condition;    ///< 1-norm condition of the scaled normal matrix of the independent columns.
+    double residual;     ///< Root mean square of W - row . x about the arc constants [J].
+    uint32_t identifiable[ZYGOS_MAX_PARAMETERS]; ///< 1, or 0 and value and sigma are NaN.
+    double value[ZYGOS_MAX_PARAMETERS];
+    double sigma[ZYGOS_MAX_PARAMETERS];
+    double covariance[ZYGOS_MAX_PACKED]; ///< Lower triangle row by row; NaN where a parameter has no value.
+} zygos_estimate_t;
+
+/// A copy of the sums and room to calculate in. Filled by zygos_take(), consumed by zygos_solve(). Belongs to the task
+/// that solves; none of it is meant to be read.
+typedef struct {
+    zygos_accumulator_t accumulator;
+    uint64_t cycle;
+    uint32_t joints;
+    uint32_t reserved;
+    double total[ZYGOS_MAX_PACKED_ROW];
+    double matrix[ZYGOS_MAX_PACKED];
+    double inverse[ZYGOS_MAX_PACKED];
+    double factor[ZYGOS_MAX_PACKED];
+    double scale[ZYGOS_MAX_PARAMETERS];
+    double right[ZYGOS_MAX_PARAMETERS];
+    double solution[ZYGOS_MAX_PARAMETERS];
+    double score[ZYGOS_MAX_PARAMETERS];
+    double change[ZYGOS_MAX_BLOCKS][ZYGOS_MAX_PARAMETERS];
+    uint32_t pivot[ZYGOS_MAX_PARAMETERS];
+} zygos_work_t;
+
+/// Solves. Reads and changes *work, writes *out; touches nothing else. Cost: (blocks + 1) Cholesky factorisations of
+/// order p. Returns 1 when there are values, 0 when validity is ZYGOS_REFUSED, or ZYGOS_E_NULL.
+int zygos_solve(zygos_work_t *work, zygos_estimate_t *out);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,153 @@
+/// zygos/types.h: the vocabulary that all rooms share.
+///
+/// SI units and radians throughout; a field that is not SI carries its unit in its name. Angles are link-side: the motor
+/// angle theta is the gearbox output angle (rotor angle divided by the gear ratio), as it is on the wire.
+///
+/// Nothing in zygos allocates, prints, locks, recurses or keeps a global. The caller owns every struct. Counts and
+/// sizes below are compile-time capacities; the numbers in use come from the configuration.
+
+#ifndef ZYGOS_TYPES_H
+#define ZYGOS_TYPES_H
+
+#ifndef ZYGOS_DECLARATIONS_ONLY /* The Python binding reads the declarations without the system headers. */
+#include <stdbool.h>
+#include <stdint.h>
+#endif
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/// Largest number of joints a build can hold. A smaller value makes every struct smaller and changes no result.
+#ifndef ZYGOS_MAX_JOINTS
+#define ZYGOS_MAX_JOINTS 7
+#endif
+#if (ZYGOS_MAX_JOINTS < 1) || (ZYGOS_MAX_JOINTS > 7)
+#error "ZYGOS_MAX_JOINTS must be 1..7"
+#endif
+
+/// Largest half width M of the smoother; its window holds 2 M + 1 cycles.
+#ifndef ZYGOS_MAX_HALF_WIDTH
+#define ZYGOS_MAX_HALF_WIDTH 15
+#endif
+#if (ZYGOS_MAX_HALF_WIDTH < 2) || (ZYGOS_MAX_HALF_WIDTH > 31)
+#error "ZYGOS_MAX_HALF_WIDTH must be 2..31"
+#endif
+
+/// Number of blocks in which the normal equations are kept; the spread of the blocks gives the sigmas. Even.
+#ifndef ZYGOS_MAX_BLOCKS
+#define ZYGOS_MAX_BLOCKS 32
+#endif
+#if (ZYGOS_MAX_BLOCKS < 8) || (ZYGOS_MAX_BLOCKS > 256) || (ZYGOS_MAX_BLOCKS % 2 != 0)
+#error "ZYGOS_MAX_BLOCKS must be even, 8..256"
+#endif
+
+/// Complete cycles that may wait between zygos_frame() and zygos_step(). A power of two.
+#ifndef ZYGOS_CYCLE_QUEUE
+#define ZYGOS_CYCLE_QUEUE 8
+#endif
+#if (ZYGOS_CYCLE_QUEUE < 2) || (ZYGOS_CYCLE_QUEUE > 1024) || ((ZYGOS_CYCLE_QUEUE & (ZYGOS_CYCLE_QUEUE - 1)) != 0)
+#error "ZYGOS_CYCLE_QUEUE must be a power of two, 2..1024"
+#endif
+
+#define ZYGOS_MAX_WINDOW (2 * ZYGOS_MAX_HALF_WIDTH + 1)
+/// Signals the smoother filters: q and theta of each joint, and the base rate about three axes.
+#define ZYGOS_MAX_SIGNALS (2 * ZYGOS_MAX_JOINTS + 3)
+/// Entries of the Gram table of the planar rate vectors: one vector a body, upper triangle.
+#define ZYGOS_MAX_GRAM ((ZYGOS_MAX_JOINTS + 1) * (ZYGOS_MAX_JOINTS + 2) / 2)
+/// Parameters: the kinetic ones, then rotor inertia, stiffness and damping of each joint.
+#define ZYGOS_MAX_PARAMETERS (ZYGOS_MAX_GRAM + 3 * ZYGOS_MAX_JOINTS)
+/// A row, augmented by the work and by 1.
+#define ZYGOS_MAX_ROW (ZYGOS_MAX_PARAMETERS + 2)
+#define ZYGOS_MAX_PACKED_ROW (ZYGOS_MAX_ROW * (ZYGOS_MAX_ROW + 1) / 2)
+#define ZYGOS_MAX_PACKED (ZYGOS_MAX_PARAMETERS * (ZYGOS_MAX_PARAMETERS + 1) / 2)
+
+#define ZYGOS_VERSION_MAJOR 0
+#define ZYGOS_VERSION_MINOR 1
+
+/// Arcs with fewer accepted instants than this carry no weight: they are dropped and counted.
+#define ZYGOS_MIN_ARC_INSTANTS 20
+
+/// What a call that was misused returns. The call has changed nothing. Faults of the world are counted, never returned.
+enum zygos_error {
+    ZYGOS_E_NULL = -1,       ///< A required pointer is null.
+    ZYGOS_E_ABI = -2,        ///< The caller was compiled with other headers or capacities than the library.
+    ZYGOS_E_JOINTS = -3,     ///< joints is 0 or above ZYGOS_MAX_JOINTS.
+    ZYGOS_E_KINETIC = -4,    ///< This build has no columns of that kind.
+    ZYGOS_E_PERIOD = -5,     ///< period_s is not within 1e-5 .. 0.065.
+    ZYGOS_E_TORQUE_LAW = -6, ///< torque_law is none of enum zygos_torque_law.
+    ZYGOS_E_SMOOTHER = -7,   ///< Half width, order or lag out of range; end-point filters are refused.
+    ZYGOS_E_NODE = -8,       ///< A node number is 0, above 31, or used twice (node numbers 1..31, 32 is the computer).
+    ZYGOS_E_AXIS = -9,       ///< A joint axis is no unit vector, or not parallel to the first.
+    ZYGOS_E_VALUE = -10,     ///< A ratio, sign, zero, sigma or latch delay is not finite or not in its range.
+    ZYGOS_E_ARC = -11,       ///< arc_cycles is below ZYGOS_MIN_ARC_INSTANTS.
+    ZYGOS_E_ORDER = -12,     ///< zygos_init() has not succeeded on this struct.
+    ZYGOS_E_KEEP = -13       ///< zygos_restart() does not know one of the bits.
+};
+
+/// Which columns of the Gram table are parameters.
+enum zygos_kinetic {
+    ZYGOS_PLANAR_SYMMETRIC = 0 ///< Parallel axes, centres of mass on the joint-to-joint lines: (N+1)(N+2)/2 columns.
+};
+
+/// Which torque is in force on [t_k, t_k+1), when r_k is the torque reported in cycle k.
+enum zygos_torque_law {
+    ZYGOS_TORQUE_APPLIED_FROM_SYNC = 0,      ///< r_k: the command takes effect with the SYNC that opens its cycle.
+    ZYGOS_TORQUE_APPLIED_PREVIOUS_CYCLE = 1, ///< r_k+1: the drive reports what it applied during the past cycle.
+    ZYGOS_TORQUE_SAMPLED = 2                 ///< (r_k + r_k+1)/2: the torque varies, and is sampled at each SYNC.
+};
+
+typedef struct {
+    uint32_t node;         ///< CANopen-style node number of the joint's drive, 1..31.
+    uint32_t latch_us;     ///< Delay from SYNC to the encoders' latch, as the drive states it on the wire.
+    double axis[3];        ///< Unit vector of the joint axis in the frame of the body that carries the joint.
+    double gear_ratio;     ///< Rotor turns per output turn, > 0.
+    double link_sign;      ///< +1 or -1: angle = sign * (reading - zero).
+    double link_zero_rad;  ///< Reading of the link encoder where q = 0.
+    double link_sigma_rad; ///< Standard deviation of the link encoder's noise; 0 switches its bandwidth test off.
+    double link_latch_s;   ///< Delay of the link encoder's latch, in addition to latch_us.
+    double motor_sign;     ///< As link_sign, for the motor encoder.
+    double motor_zero_rad; ///< Reading of the motor encoder where theta = 0.
+    double motor_sigma_rad;
+    double motor_latch_s;
+} zygos_joint_config_t;
+
+/// All that the library has to know of the hardware. No mass, no length, no stiffness: those it learns.
+typedef struct {
+    uint32_t abi;                   ///< Set it to ZYGOS_ABI.
+    uint32_t joints;                ///< N, 1..ZYGOS_MAX_JOINTS.
+    uint32_t kinetic;               ///< enum zygos_kinetic.
+    uint32_t torque_law;            ///< enum zygos_torque_law.
+    uint32_t smoother_half_width;   ///< M >= 2: the window holds the 2 M + 1 cycles around the smoothed instant.
+    uint32_t smoother_order;        ///< Order of the local polynomial, 2 .. 2 M - 2.
+    uint32_t smoother_lag;          ///< Must equal M: a filter evaluated at its newest sample is refused.
+    uint32_t arc_cycles;            ///< An arc ends after that many instants at the latest, >= ZYGOS_MIN_ARC_INSTANTS.
+    uint32_t imu_node;              ///< Node number of the gyro, 1..31.
+    uint32_t imu_fine;              ///< 1: rates come as i24 in two frames; 0: as i16 in one.
+    double period_s;                ///< SYNC period h. Time is the SYNC count times h, never a receive time.
+    double imu_to_base[9];          ///< Rotation that takes a rate from the sensor's axes to the base's, row-major.
+    double imu_latch_s;             ///< Delay from SYNC to the gyro's latch.
+    zygos_joint_config_t joint[ZYGOS_MAX_JOINTS];
+} zygos_config_t;
+
+/// Bits of zygos_cycle_t.flags.
+enum zygos_cycle_flag {
+    ZYGOS_CYCLE_BREAK = 1,  ///< Nothing that came before is continued by this cycle: the arc ends before it.
+    ZYGOS_CYCLE_INVALID = 2 ///< The values are not to be used: the cycle is dropped and counted, the arc ends.
+};
+
+/// What the sensors say in one SYNC cycle, in SI, before signs, zeros and mounting are applied.
+typedef struct {
+    uint64_t sync;                  ///< Cycle number since init. A step other than +1 ends the arc.
+    uint32_t flags;                 ///< Bits of enum zygos_cycle_flag.
+    uint32_t reserved;              ///< 0.
+    double q[ZYGOS_MAX_JOINTS];     ///< Link encoder [rad].
+    double theta[ZYGOS_MAX_JOINTS]; ///< Motor encoder, gearbox output [rad].
+    double tau[ZYGOS_MAX_JOINTS];   ///< Rotor torque, before the ratio [Nm].
+    double omega[3];                ///< Gyro, in the sensor's axes [rad/s].
+} zygos_cycle_t;
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,103 @@
+/// zygos.h: learn the dynamics of a flexible-joint space arm from its encoders, gyro and motor torques.
+///
+/// This header and those it gathers are the manual. A sample walks through one room after the other:
+///
+///     CAN frame -> wire -> cycle -> smoother -> kinematics -> balance -> accumulator -> solver -> estimate
+///
+/// In an onboard program:
+///
+///     static zygos_t arm;                      // one an arm; static or wherever you like
+///     zygos_init(&arm, &config);               // once
+///     zygos_frame(&arm, &frame);               // receive interrupt or task: each frame as it comes
+///     while (zygos_step(&arm) == 1) { }        // one task: works off complete cycles
+///     zygos_take(&arm, &work);                 // the same task, whenever an estimate is wanted
+///     zygos_solve(&work, &estimate);           // any task, at any priority
+///
+/// An arm on another bus uses zygos_cycle() instead of zygos_frame() and zygos_step(), with values in SI.
+///
+/// What it cannot know: the scale of all torques together. A common error of the torque constants scales every parameter.
+
+#ifndef ZYGOS_H
+#define ZYGOS_H
+
+#include "accumulator.h"
+#include "balance.h"
+#include "cycle.h"
+#include "kinematics.h"
+#include "smoother.h"
+#include "solver.h"
+#include "types.h"
+#include "wire.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/// Everything about one arm. Its members are for reading; only the calls below change them. Memory that zygos_init() has
+/// not accepted is recognised by its mark, except by chance.
+typedef struct {
+    uint32_t mark;
+    uint32_t parameters; ///< p.
+    uint64_t cycle;      ///< SYNC number of the newest cycle that was worked off.
+    uint64_t cycles;     ///< Cycles that were worked off.
+    uint64_t gaps;       ///< Times that an arc ended because cycles did not follow each other.
+    uint64_t invalid;    ///< Cycles through zygos_cycle() that were flagged invalid or not finite.
+    uint32_t arc;        ///< Instants of the open arc, accepted or not.
+    uint32_t instant;    ///< 1: state, row and accepted below are those of the newest cycle.
+    double accepted;     ///< 1 when the newest row was accumulated, 0 when the bandwidth test refused it.
+    zygos_config_t config;
+    zygos_receiver_t receiver;
+    zygos_hold_t hold;
+    zygos_smoother_t smoother;
+    zygos_state_t state;
+    zygos_motion_t motion;
+    zygos_balance_t balance;
+    zygos_row_t row;
+    zygos_accumulator_t accumulator;
+} zygos_t;
+
+/// Differs between builds whose structs differ. Goes into zygos_config_t.abi; zygos_init() compares it with its own.
+#define ZYGOS_ABI                                                                                                       \
+    ((uint32_t)((((((((uint32_t)sizeof(zygos_t) * 31u + (uint32_t)sizeof(zygos_config_t)) * 31u +                       \
+                     (uint32_t)sizeof(zygos_work_t)) * 31u + (uint32_t)sizeof(zygos_estimate_t)) * 31u +                \
+                   (uint32_t)sizeof(zygos_cycle_t)) * 31u + (uint32_t)sizeof(zygos_frame_t)) * 31u +                    \
+                 (uint32_t)ZYGOS_MAX_JOINTS) * 31u + (uint32_t)(ZYGOS_VERSION_MAJOR * 256 + ZYGOS_VERSION_MINOR)))
+
+/// Bits of zygos_restart().
+enum zygos_keep {
+    ZYGOS_KEEP_NOTHING = 0,
+    ZYGOS_KEEP_FAULTS = 1 ///< Fault counters and gap counters run on.
+};
+
+/// Checks the configuration and starts from nothing. Needs memory of its own; may be called again at any time by the
+/// task that steps while no frame is being received. Returns 1, or an enum zygos_error and *self is as it was.
+/// Cost: the coefficients of the smoother, and one memset of zygos_t.
+int zygos_init(zygos_t *self, const zygos_config_t *config);
+
+/// Front door: one CAN frame, in the order of the bus. Decodes and stores only; may run in the receive interrupt while
+/// zygos_step() runs in a task. Returns enum zygos_reception or an enum zygos_error.
+int zygos_frame(zygos_t *self, const zygos_frame_t *frame);
+
+/// Works off at most one complete cycle: smooths, forms the row, accumulates. Returns 1, or 0 when none was waiting.
+/// Cost: the same for every valid cycle of a configuration, but for the cycle in which a block or an arc ends.
+int zygos_step(zygos_t *self);
+
+/// The other door: one cycle in SI. Same task as zygos_step(); use one door only. A cycle that is flagged
+/// ZYGOS_CYCLE_INVALID, or has a value that is not finite or beyond +-1e6, is counted and dropped and ends the arc.
+/// Returns 1 when the cycle was used, 0 when it was dropped, or an enum zygos_error.
+int zygos_cycle(zygos_t *self, const zygos_cycle_t *cycle);
+
+/// Copies what zygos_solve() needs. Same task as zygos_step(). Bounded: one copy of the accumulator.
+void zygos_take(const zygos_t *self, zygos_work_t *work);
+
+/// Starts the estimate from nothing with the same configuration (the payload changed); reception goes on.
+/// keep: bits of enum zygos_keep. Same task as zygos_step(). Returns 1 or an enum zygos_error.
+int zygos_restart(zygos_t *self, uint32_t keep);
+
+/// ZYGOS_ABI as the library was compiled.
+uint32_t zygos_abi(void);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,145 @@
+"""Rows and arcs of the numpy energy balance."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from reference_support import Motion, make_arm, move, true_parameters
+from zygos.arm import Arm
+from zygos.cycles import Cycles
+from zygos.reference.balance import Balance, arc_cycles, rows
+from zygos.reference.cycle import calibrate
+from zygos.reference.smoother import smooth
+
+PERIOD = 0.005
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory: pytest.TempPathFactory) -> Arm:
+    return make_arm(tmp_path_factory.mktemp("arm"), period=PERIOD)
+
+
+@pytest.fixture(scope="module")
+def motion(arm: Arm) -> Motion:
+    return move(arm, 5.0)
+
+
+def balance_of(arm: Arm, cycles: Cycles) -> Balance:
+    samples = calibrate(arm, cycles)
+    return rows(arm, samples, smooth(arm, samples))
+
+
+def test_rows_balance_with_the_true_parameters(arm: Arm, motion: Motion) -> None:
+    """z . pi - W is a constant of the arc, to what the filters lose at the torque steps."""
+    balance = balance_of(arm, motion.cycles())
+    rest = balance.z @ true_parameters(arm) - balance.w
+    assert np.ptp(rest) < 1e-3 * np.ptp(balance.w)
+
+
+def test_a_torque_shifted_by_one_cycle_is_seen(tmp_path: Path) -> None:
+    """At 20 ms the wrong torque law spoils the balance tenfold; a common shift of the record changes nothing."""
+    right = make_arm(tmp_path)
+    cycles = move(right, 6.0).cycles()
+    pi = true_parameters(right)
+
+    def spread(arm: Arm, record: Cycles) -> float:
+        balance = balance_of(arm, record)
+        return float(np.ptp(balance.z @ pi - balance.w))
+
+    wrong = make_arm(tmp_path, law="applied_previous_cycle")
+    assert spread(wrong, cycles) > 10.0 * spread(right, cycles)
+    shifted = Cycles(cycles.sync + np.uint64(7), cycles.q, cycles.theta, cycles.tau, cycles.omega, cycles.flags)
+    assert spread(right, shifted) == spread(right, cycles)
+
+
+@pytest.mark.parametrize("law", ["applied_previous_cycle", "sampled"])
+def test_torque_laws_give_the_same_rows_for_their_own_record(tmp_path: Path, motion: Motion, law: str) -> None:
+    """A drive that reports the past cycle gives, by its law, the rows of one that reports the present cycle."""
+    plain = balance_of(make_arm(tmp_path, period=PERIOD), motion.cycles())
+    cycles = motion.cycles()
+    if law == "applied_previous_cycle":
+        cycles.tau[1:] = motion.tau[:-1]
+        tolerance = 1e-12
+    else:
+        # Sampled values whose mean over each step is the held torque do not exist; smooth torques come close.
+        tolerance = 0.02
+    balance = balance_of(make_arm(tmp_path, period=PERIOD, law=law), cycles)
+    assert np.max(np.abs(balance.w - plain.w)) <= tolerance * np.max(np.abs(plain.w))
+
+
+def test_arcs_partition_the_segments(tmp_path: Path, motion: Motion) -> None:
+    arm = make_arm(tmp_path, period=PERIOD, head="[arc]\nmax_s = 1.5")
+    assert arc_cycles(arm) == 300
+    cycles = motion.cycles()
+    cycles.flags[700] = 1
+    balance = balance_of(arm, cycles)
+    # The smoother takes three cycles at each end of a segment, g the first three smoothed instants.
+    expected = [(6, 306), (306, 606), (606, 697), (706, 998)]
+    for number, (start, stop) in enumerate(expected):
+        of = balance.arc == number
+        np.testing.assert_array_equal(balance.index[of], np.arange(start, stop))
+        assert balance.w[of][0] == 0.0
+        np.testing.assert_array_equal(balance.z[of][0, [8, 11]], 0.0)
+    assert balance.arc.max() == len(expected) - 1
+
+
+def test_work_and_dissipation_of_an_arc_do_not_depend_on_where_it_starts(tmp_path: Path, motion: Motion) -> None:
+    """Filters run on over the end of an arc: the increments are those of one long arc."""
+    long = balance_of(make_arm(tmp_path, period=PERIOD), motion.cycles())
+    short = balance_of(make_arm(tmp_path, period=PERIOD, head="[arc]\nmax_s = 0.5"), motion.cycles())
+    for arc in range(3):
+        of = short.arc == arc
+        for x, y in ((short.w, long.w), (short.z[:, 8], long.z[:, 8])):
+            np.testing.assert_allclose(x[of], y[of] - y[of][0], atol=1e-12 * np.abs(y).max())
+
+
+def test_dissipation_is_that_of_the_exact_motion(arm: Arm, motion: Motion) -> None:
+    balance = balance_of(arm, motion.cycles())
+    for joint, column in ((0, 8), (1, 11)):
+        exact = motion.slip2[balance.index, joint]
+        exact = exact - exact[0]
+        assert np.max(np.abs(balance.z[:, column] - exact)) < 0.02 * exact[-1]
+
+
+def test_quadrature_is_exact_for_a_cubic_slip(tmp_path: Path) -> None:
+    """g = (theta' - q')^2 = t^2, whose integral the rule has exactly."""
+    arm = make_arm(tmp_path, joints=1)
+    t = arm.period_s * np.arange(60, dtype=np.float64)
+    cycles = Cycles(
+        sync=np.arange(60, dtype=np.uint64),
+        q=np.zeros((60, 1)),
+        theta=0.5 * t[:, None] ** 2,
+        tau=np.zeros((60, 1)),
+        omega=np.zeros((60, 3)),
+        flags=np.zeros(60, dtype=np.uint32),
+    )
+    balance = balance_of(arm, cycles)
+    np.testing.assert_array_equal(balance.index, np.arange(6, 57))
+    np.testing.assert_allclose(balance.z[:, -1], (t[6:57] ** 3 - t[6] ** 3) / 3.0, atol=1e-14)
+
+
+def test_work_is_that_of_the_held_torque(tmp_path: Path) -> None:
+    arm = make_arm(tmp_path, joints=1)
+    rng = np.random.default_rng(1)
+    t = arm.period_s * np.arange(40)
+    theta = 0.3 + 0.2 * t - 0.5 * t**2
+    tau = rng.normal(size=40)
+    cycles = Cycles(
+        sync=np.arange(40, dtype=np.uint64),
+        q=theta[:, None],
+        theta=theta[:, None],
+        tau=tau[:, None],
+        omega=np.zeros((40, 3)),
+        flags=np.zeros(40, dtype=np.uint32),
+    )
+    balance = balance_of(arm, cycles)
+    expected = [sum(50.0 * tau[j] * (theta[j + 1] - theta[j]) for j in range(6, k)) for k in range(6, 37)]
+    np.testing.assert_allclose(balance.w, expected, atol=1e-13)
+
+
+def test_a_segment_that_only_fills_the_filters_has_no_row(arm: Arm, motion: Motion) -> None:
+    cycles = motion.cycles()
+    few = Cycles(*(getattr(cycles, name)[:9] for name in ("sync", "q", "theta", "tau", "omega", "flags")))
+    assert len(balance_of(arm, few).w) == 0

@@ -1,0 +1,54 @@
+"""Compiles the C library for the harness into the package: library, cffi declarations, DBC.
+
+Usage: build_native.py OUTPUT_FOLDER. Environment: CC (default cc), CFLAGS (added).
+
+The declarations are zygos.h itself after the C preprocessor, so they cannot drift from it; a digest of their text is
+compiled into the library, and the binding compares the two when it loads.
+"""
+
+import hashlib
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+HEADER = ROOT / "c" / "ports" / "host" / "batch.h"
+INCLUDES = ["-I", str(ROOT / "include"), "-I", str(HEADER.parent)]
+FLAGS = (
+    "-std=c11 -O2 -g -fPIC -ffp-contract=off -Wall -Wextra -Wconversion -Wsign-conversion -Wdouble-promotion -Wshadow -pedantic"
+)
+CONSTANTS = (
+    "ZYGOS_MAX_JOINTS ZYGOS_MAX_HALF_WIDTH ZYGOS_MAX_BLOCKS ZYGOS_CYCLE_QUEUE ZYGOS_MAX_PARAMETERS ZYGOS_MAX_ROW "
+    "ZYGOS_MAX_PACKED_ROW ZYGOS_MAX_GRAM ZYGOS_MIN_ARC_INSTANTS ZYGOS_MAX_WINDOW ZYGOS_VERSION_MAJOR ZYGOS_VERSION_MINOR"
+).split()
+
+
+def main(folder: Path) -> None:
+    """Write folder/libzygos.so and folder/zygos.cdef."""
+    compiler = shlex.split(os.environ.get("CC", "cc"))
+    folder.mkdir(parents=True, exist_ok=True)
+    probe = "".join(f"\nenum {{ {name}_VALUE = {name} }};" for name in CONSTANTS)
+    text = subprocess.run(
+        [*compiler, "-E", "-P", "-x", "c", "-DZYGOS_DECLARATIONS_ONLY", *INCLUDES, "-"],
+        input=f'#include "{HEADER.name}"{probe}\n',
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+    digest = int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big")
+    sources = sorted(str(path) for path in [*(ROOT / "c").glob("*.c"), *HEADER.parent.glob("*.c")])
+    command = [*compiler, *FLAGS.split(), *shlex.split(os.environ.get("CFLAGS", ""))]
+    command += [f"-DZYGOS_DECLARATIONS_DIGEST={digest}u", *INCLUDES, "-shared", *sources]
+    partial = folder / "libzygos.so.partial"
+    subprocess.run([*command, "-o", str(partial)], check=True)
+    (folder / "zygos.cdef").write_text(text)
+    for database in (ROOT / "include" / "zygos").glob("*.dbc"):
+        shutil.copy(database, folder)
+    partial.replace(folder / "libzygos.so")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
