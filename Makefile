@@ -5,9 +5,8 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 NATIVE := harness/zygos/_native/libzygos.so
 SOURCES := $(wildcard c/*.c c/ports/host/*) $(wildcard include/zygos/*) tools/build_native.py
-STRICT := -std=c11 -O2 -ffp-contract=off -Wall -Wextra -Wconversion -Wsign-conversion -Wdouble-promotion -Wshadow -pedantic
+C_FILES := $(wildcard c/*.c c/ports/*/*.[ch] include/zygos/*.h tests/fuzz/*.c tools/*.c)
 ifdef CI
-STRICT += -Werror
 export CFLAGS += -Werror
 endif
 
@@ -42,12 +41,12 @@ lint: build $(VENV)/.test ## ruff, mypy, clang-format
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/clang-format --dry-run --Werror c/*.c c/ports/*/*.[ch] include/zygos/*.h
+	$(BIN)/clang-format --dry-run --Werror $(C_FILES)
 
 format: $(VENV)/.test ## rewrite Python and C in the house style
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
-	$(BIN)/clang-format -i c/*.c c/ports/*/*.[ch] include/zygos/*.h
+	$(BIN)/clang-format -i $(C_FILES)
 
 clean: ## remove everything that was built
 	rm -rf $(VENV) out build harness/zygos/_native harness/*.egg-info

@@ -17,22 +17,6 @@ void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters)
     self->target = FIRST_TARGET;
 }
 
-/* Row sums from the matrix itself, where it was just changed as a whole. */
-static void sum_rows(zygos_block_t *block, uint32_t width)
-{
-    memset(block->sum, 0, sizeof block->sum);
-    uint32_t k = 0;
-    for (uint32_t i = 0; i < width; i++) {
-        for (uint32_t j = 0; j < i; j++) {
-            block->sum[i] += block->gram[k];
-            block->sum[j] += block->gram[k];
-            k++;
-        }
-        block->sum[i] += block->gram[k];
-        k++;
-    }
-}
-
 static void add_block(zygos_block_t *to, const zygos_block_t *from, uint32_t width)
 {
     for (uint32_t k = 0; k < width * (width + 1u) / 2u; k++) {
@@ -44,28 +28,34 @@ static void add_block(zygos_block_t *to, const zygos_block_t *from, uint32_t wid
     to->instants += from->instants;
 }
 
-/* Merges neighbours in [first, end) and puts the results at to, to + 1, ... Returns the place behind them. */
-static uint32_t merge_pairs(zygos_accumulator_t *self, uint32_t first, uint32_t end, uint32_t to)
+/* Merges neighbours in [first, end) that fit into one block and puts the results at to, to + 1, ...
+   Returns the place behind them. */
+static uint32_t merge(zygos_accumulator_t *self, uint32_t first, uint32_t end, uint32_t to)
 {
-    for (uint32_t from = first; from < end; from += 2u) {
+    const uint32_t begin = to;
+    for (uint32_t from = first; from < end; from++) {
+        if ((to > begin) && (self->block[to - 1u].instants + self->block[from].instants <= self->target)) {
+            add_block(&self->block[to - 1u], &self->block[from], self->width);
+            continue;
+        }
         if (to != from) {
             self->block[to] = self->block[from];
-        }
-        if (from + 1u < end) {
-            add_block(&self->block[to], &self->block[from + 1u], self->width);
         }
         to++;
     }
     return to;
 }
 
-/* Blocks of closed arcs never merge with those of the open one, whose constant is still in them. */
+/* Blocks of closed arcs never merge with those of the open one, whose constant is still in them. When the target holds
+   all instants there are, each of the two groups is one block: the loop ends. */
 static void make_room(zygos_accumulator_t *self)
 {
-    const uint32_t open = merge_pairs(self, 0, self->open, 0);
-    self->count = merge_pairs(self, self->open, self->count, open);
-    self->open = open;
-    self->target *= 2u;
+    while (self->count > 3u * ZYGOS_MAX_BLOCKS / 4u) {
+        self->target *= 2u;
+        const uint32_t open = merge(self, 0, self->open, 0);
+        self->count = merge(self, self->open, self->count, open);
+        self->open = open;
+    }
 }
 
 static zygos_block_t *current_block(zygos_accumulator_t *self)
@@ -118,23 +108,36 @@ static void centre(zygos_block_t *block, uint32_t width, const double *mean)
     const double *last = &block->gram[(width - 1u) * width / 2u];
     memcpy(s, last, width * sizeof s[0]);
     const double n = s[width - 1u];
+    double total = 0.0;
+    double mean_total = 0.0;
+    for (uint32_t i = 0; i < width; i++) {
+        total += s[i];
+        mean_total += mean[i];
+    }
     uint32_t k = 0;
     for (uint32_t i = 0; i < width; i++) {
         for (uint32_t j = 0; j <= i; j++) {
             block->gram[k] += n * mean[i] * mean[j] - s[i] * mean[j] - mean[i] * s[j];
             k++;
         }
+        /* The row sums follow by the same formula, not from the matrix: what was corrupt stays visible. */
+        block->sum[i] += n * mean[i] * mean_total - s[i] * mean_total - mean[i] * total;
     }
-    sum_rows(block, width);
+}
+
+void zygos_accumulator_drop_arc(zygos_accumulator_t *self)
+{
+    self->arcs_dropped += (self->count > self->open) ? 1u : 0u;
+    self->accepted -= self->arc_instants;
+    self->arc_instants = 0;
+    self->count = self->open;
 }
 
 void zygos_accumulator_end_arc(zygos_accumulator_t *self)
 {
     const uint32_t width = self->width;
     if (self->arc_instants < ZYGOS_MIN_ARC_INSTANTS) {
-        self->arcs_dropped += (self->count > self->open) ? 1u : 0u;
-        self->accepted -= self->arc_instants;
-        self->count = self->open;
+        zygos_accumulator_drop_arc(self);
     } else {
         double mean[ZYGOS_MAX_ROW] = { 0.0 };
         const uint32_t last = (width - 1u) * width / 2u;

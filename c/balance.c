@@ -31,10 +31,15 @@ void zygos_balance_torque(zygos_balance_t *self, const zygos_config_t *config, c
 /* W and D at this instant, from those at the instant before. */
 static void carry_on(zygos_balance_t *self, const zygos_config_t *config, const zygos_state_t *state)
 {
+    const uint32_t last = config->smoother_half_width;
     const double *tau = self->torque[self->torque_at];
+    const double *tau_next = self->torque[(self->torque_at == last) ? 0u : self->torque_at + 1u];
     const double h24 = config->period_s / 24.0;
+    double step_work = 0.0;
     for (uint32_t i = 0; i < config->joints; i++) {
-        self->work += config->joint[i].gear_ratio * tau[i] * (state->theta[i] - self->theta[i]);
+        const double ratio = config->joint[i].gear_ratio;
+        self->work += ratio * tau[i] * (state->theta[i] - self->theta[i]);
+        step_work += ratio * (tau_next[i] - tau[i]) * state->theta_rate[i];
         self->theta[i] = state->theta[i];
         const double slip_rate = state->theta_rate[i] - state->q_rate[i];
         const double g = slip_rate * slip_rate;
@@ -46,6 +51,8 @@ static void carry_on(zygos_balance_t *self, const zygos_config_t *config, const 
         *past_1 = *past_0;
         *past_0 = g;
     }
+    const double held = (config->torque_law == ZYGOS_TORQUE_SAMPLED) ? 0.0 : 1.0;
+    self->step_work = held * step_work * config->period_s / 12.0;
 }
 
 static void form_row(const zygos_balance_t *self, const zygos_config_t *config, const zygos_state_t *state,
@@ -69,7 +76,7 @@ static void form_row(const zygos_balance_t *self, const zygos_config_t *config, 
         out->column[k + 2u] = self->slip[i];
         k += 3u;
     }
-    out->work = self->work;
+    out->work = self->work + self->step_work;
 }
 
 int zygos_balance_row(zygos_balance_t *self, const zygos_config_t *config, const zygos_state_t *state,

@@ -6,11 +6,14 @@
 #define MAX_CYCLES_WITHOUT_TIME 120u
 /* Latch delays within this of the configured one cost less than 0.1 % of parameter error. */
 #define LATCH_TOLERANCE_US 50
+/* Error class of an error frame, as SocketCAN puts it into the identifier. */
+#define BUS_OFF 0x40u
+#define HALF_RANGE_RAD 50.26548245743669
 
 void zygos_receiver_init(zygos_receiver_t *self)
 {
     memset(self, 0, sizeof *self);
-    self->assembly.broken = 1;
+    self->assembly.broken = ZYGOS_CYCLE_BREAK;
 }
 
 int zygos_receiver_pop(zygos_receiver_t *self, zygos_cycle_t *out)
@@ -32,7 +35,7 @@ static void push(zygos_receiver_t *self)
     if (head - __atomic_load_n(&queue->tail, __ATOMIC_ACQUIRE) >= ZYGOS_CYCLE_QUEUE) {
         self->faults.overrun++;
         self->faults.dropped++;
-        self->assembly.broken = 1;
+        self->assembly.broken |= ZYGOS_CYCLE_BREAK;
         return;
     }
     queue->slot[head & (ZYGOS_CYCLE_QUEUE - 1u)] = self->assembly.cycle;
@@ -47,7 +50,7 @@ static void close_cycle(zygos_receiver_t *self, const zygos_config_t *config)
     const bool complete = (a->received == all);
     if (complete && !self->status.spoiled) {
         a->cycle.sync = a->sync;
-        a->cycle.flags = a->broken ? (uint32_t)ZYGOS_CYCLE_BREAK : 0u;
+        a->cycle.flags = a->broken;
         push(self);
         return;
     }
@@ -98,15 +101,15 @@ static int take_sync(zygos_receiver_t *self, const zygos_config_t *config, const
         close_cycle(self, config);
         if (step != 1) {
             self->faults.sync_jumped++;
-            a->broken = 1;
+            a->broken |= ZYGOS_CYCLE_BREAK;
         }
         a->sync += step;
-        a->since_time += step;
+        const uint32_t silence = a->since_time;
+        a->since_time += (silence > MAX_CYCLES_WITHOUT_TIME) ? 0u : step;
         if (a->since_time > MAX_CYCLES_WITHOUT_TIME) {
             /* Counted once per silence; every cycle of a silence stands alone. */
-            self->faults.time_lost += (a->since_time - step <= MAX_CYCLES_WITHOUT_TIME) ? 1u : 0u;
-            a->timed = 0;
-            a->broken = 1;
+            self->faults.time_lost += (silence <= MAX_CYCLES_WITHOUT_TIME) ? 1u : 0u;
+            a->broken |= ZYGOS_CYCLE_BREAK;
         }
     }
     a->counter = record.sync;
@@ -134,8 +137,9 @@ static int take_time(zygos_receiver_t *self, const zygos_config_t *config, const
         const double counted_s = (double)(a->sync - a->time_sync) * config->period_s;
         const double error = elapsed_s - counted_s;
         if ((error > 0.5 * config->period_s) || (error < -0.5 * config->period_s)) {
+            /* An outage of 240 cycles leaves no gap in the counters. It lies somewhere in the arc that is open. */
             self->faults.time_jumped++;
-            a->broken = 1;
+            a->broken |= ZYGOS_CYCLE_BREAK | ZYGOS_CYCLE_VOID;
         }
     }
     a->timed = 1;
@@ -165,6 +169,21 @@ static bool belongs(zygos_receiver_t *self, const zygos_record_t *record, uint32
     return true;
 }
 
+/* A status bit of a joint's frame that is 0 and forbids the use of the cycle, or null. */
+static uint32_t *status_fault(zygos_faults_t *faults, uint32_t status)
+{
+    if (!(status & ZYGOS_STATUS_ENABLED)) {
+        return &faults->disabled;
+    }
+    if (!(status & ZYGOS_STATUS_LINK_VALID)) {
+        return &faults->link_invalid;
+    }
+    if (!(status & ZYGOS_STATUS_MOTOR_VALID)) {
+        return &faults->motor_invalid;
+    }
+    return (status & ZYGOS_STATUS_TORQUE_VALID) ? NULL : &faults->torque_invalid;
+}
+
 static int take_angles(zygos_receiver_t *self, const zygos_config_t *config, uint32_t joint, const zygos_frame_t *frame)
 {
     zygos_record_t record;
@@ -176,13 +195,14 @@ static int take_angles(zygos_receiver_t *self, const zygos_config_t *config, uin
     if (!belongs(self, &record, 2u * joint, &verdict)) {
         return verdict;
     }
-    if (!(record.status & ZYGOS_STATUS_ENABLED)) {
-        return spoil(self, &self->faults.disabled);
+    uint32_t *const status = status_fault(&self->faults, record.status);
+    if (status != NULL) {
+        return spoil(self, status);
     }
-    if (!(record.status & ZYGOS_STATUS_LINK_VALID) || (record.code[0] == ZYGOS_CODE_ANGLE_INVALID)) {
+    if (record.code[0] == ZYGOS_CODE_ANGLE_INVALID) {
         return spoil(self, &self->faults.link_invalid);
     }
-    if (!(record.status & ZYGOS_STATUS_MOTOR_VALID) || (record.code[1] == ZYGOS_CODE_ANGLE_INVALID)) {
+    if (record.code[1] == ZYGOS_CODE_ANGLE_INVALID) {
         return spoil(self, &self->faults.motor_invalid);
     }
     self->assembly.cycle.q[joint] = zygos_wire_angle(record.code[0]);
@@ -202,11 +222,9 @@ static int take_torque(zygos_receiver_t *self, const zygos_config_t *config, uin
     if (!belongs(self, &record, 2u * joint + 1u, &verdict)) {
         return verdict;
     }
-    if (!(record.status & ZYGOS_STATUS_ENABLED)) {
-        return spoil(self, &self->faults.disabled);
-    }
-    if (!(record.status & ZYGOS_STATUS_TORQUE_VALID)) {
-        return spoil(self, &self->faults.torque_invalid);
+    uint32_t *const status = status_fault(&self->faults, record.status);
+    if (status != NULL) {
+        return spoil(self, status);
     }
     if ((record.code[0] == ZYGOS_CODE_I24_MIN) || (record.code[0] == ZYGOS_CODE_I24_MAX)) {
         return spoil(self, &self->faults.saturated);
@@ -220,7 +238,8 @@ static int take_torque(zygos_receiver_t *self, const zygos_config_t *config, uin
     return accept(self);
 }
 
-static int take_rates(zygos_receiver_t *self, const zygos_config_t *config, uint32_t message, const zygos_frame_t *frame)
+static int take_rates(zygos_receiver_t *self, const zygos_config_t *config, uint32_t message,
+                      const zygos_frame_t *frame)
 {
     zygos_record_t record;
     const int fault = zygos_wire_decode(frame, message, config->imu_node, &record);
@@ -256,8 +275,7 @@ static int take_rates(zygos_receiver_t *self, const zygos_config_t *config, uint
 int zygos_receiver_frame(zygos_receiver_t *self, const zygos_config_t *config, const zygos_frame_t *frame)
 {
     if (frame->flags & ZYGOS_FRAME_ERROR) {
-        /* The bus failed in some way; frames may be missing without a gap in any counter that is left. */
-        self->assembly.broken = 1;
+        self->assembly.broken |= (frame->id & BUS_OFF) ? (uint32_t)ZYGOS_CYCLE_BREAK : 0u;
         self->faults.bus_error++;
         self->status.last_verdict = ZYGOS_ACCEPTED;
         return ZYGOS_ACCEPTED;
@@ -288,6 +306,20 @@ int zygos_receiver_frame(zygos_receiver_t *self, const zygos_config_t *config, c
     return ZYGOS_FOREIGN;
 }
 
+static bool far(double a, double b)
+{
+    return (a - b > HALF_RANGE_RAD) || (b - a > HALF_RANGE_RAD);
+}
+
+int zygos_cycle_wrapped(const zygos_hold_t *hold, const zygos_config_t *config, const zygos_cycle_t *cycle)
+{
+    bool wrapped = false;
+    for (uint32_t i = 0; i < config->joints; i++) {
+        wrapped = far(cycle->q[i], hold->q[i]) || far(cycle->theta[i], hold->theta[i]) || wrapped;
+    }
+    return wrapped ? 1 : 0;
+}
+
 void zygos_cycle_calibrate(zygos_hold_t *hold, const zygos_config_t *config, const zygos_cycle_t *cycle, double *signal,
                            double *tau)
 {
@@ -300,6 +332,8 @@ void zygos_cycle_calibrate(zygos_hold_t *hold, const zygos_config_t *config, con
         signal[n + i] = joint->motor_sign * (cycle->theta[i] - joint->motor_zero_rad);
         tau[i] = share[config->torque_law][0] * hold->reported[i] + share[config->torque_law][1] * cycle->tau[i];
         hold->reported[i] = cycle->tau[i];
+        hold->q[i] = cycle->q[i];
+        hold->theta[i] = cycle->theta[i];
     }
     for (uint32_t i = 0; i < 3; i++) {
         const double *row = &config->imu_to_base[3 * i];

@@ -168,35 +168,37 @@ static double condition(zygos_work_t *work, uint32_t rank)
 static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, zygos_estimate_t *out)
 {
     const uint32_t blocks = work->accumulator.open;
-    double infinite = 0.0;
+    bool once = false;
     double *mean = work->right;
     for (uint32_t b = 0; b < blocks; b++) {
         scaled_equations(work, p, work->accumulator.block[b].gram);
         if (factorise(work, p) < rank) {
-            infinite = 1.0;
+            once = true;
+            break;
         }
-        solve_once(work, p, rank, work->change[b]);
+        solve_once(work, p, rank, work->left_out[b]);
     }
     memset(mean, 0, p * sizeof mean[0]);
     for (uint32_t b = 0; b < blocks; b++) {
         for (uint32_t i = 0; i < p; i++) {
-            mean[i] += work->change[b][i] / (double)blocks;
+            mean[i] += work->left_out[b][i] / (double)blocks;
         }
     }
     for (uint32_t i = 0; i < p; i++) {
         for (uint32_t j = 0; j <= i; j++) {
             double sum = 0.0;
             for (uint32_t b = 0; b < blocks; b++) {
-                sum += (work->change[b][i] - mean[i]) * (work->change[b][j] - mean[j]);
+                sum += (work->left_out[b][i] - mean[i]) * (work->left_out[b][j] - mean[j]);
             }
             out->covariance[at(i, j)] = sum * ((double)blocks - 1.0) / (double)blocks;
         }
         const double variance = out->covariance[at(i, i)];
-        out->sigma[i] = (infinite > 0.0) ? (double)__builtin_inff() : root(variance);
+        out->sigma[i] = once ? (double)__builtin_inff() : root(variance);
     }
 }
 
-/* A kinetic energy that is positive for every motion needs a positive definite (a_ij), and positive Im, k, b. */
+/* A kinetic energy that is positive for every motion needs (a_ij) less the rotors' share to be positive definite, and
+   Im, k and b positive. */
 static bool physical(const zygos_work_t *work, uint32_t p, const double *x)
 {
     const uint32_t n = work->joints + 1u;
@@ -205,6 +207,8 @@ static bool physical(const zygos_work_t *work, uint32_t p, const double *x)
         for (uint32_t j = 0; j <= i; j++) {
             /* a_ji stands in row j of the upper triangle. */
             double sum = x[j * n - j * (j + 1u) / 2u + i];
+            /* Rotor i + 1 is counted on body i, but spins for itself. */
+            sum -= ((i == j) && (i + 1u < n)) ? x[n * (n + 1u) / 2u + 3u * i] : 0.0;
             for (uint32_t k = 0; k < j; k++) {
                 sum -= l[at(i, k)] * l[at(j, k)];
             }
@@ -263,8 +267,12 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
         return ZYGOS_E_NULL;
     }
     zygos_accumulator_t *sums = &work->accumulator;
-    const uint32_t p = sums->width - 2u;
     memset(out, 0, sizeof *out);
+    if ((sums->width < 3u) || (sums->width > ZYGOS_MAX_ROW) || (sums->count > ZYGOS_MAX_BLOCKS) ||
+        (sums->open > sums->count) || (work->joints > ZYGOS_MAX_JOINTS)) {
+        return refuse(out, ZYGOS_MAX_PARAMETERS, ZYGOS_REASON_CORRUPT);
+    }
+    const uint32_t p = sums->width - 2u;
     out->cycle = work->cycle;
     out->refused = sums->refused;
     out->parameters = p;
@@ -308,6 +316,7 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     if (known == 0) {
         return refuse(out, p, ZYGOS_REASON_NOT_IDENTIFIABLE);
     }
+    out->validity = ZYGOS_VALID;
     const double instants = (double)(out->accepted + out->refused);
     if ((double)out->refused > MAX_REFUSED_SHARE * instants) {
         out->validity = ZYGOS_DOUBTFUL;

@@ -3,6 +3,7 @@
 #include <string.h>
 
 #define MARK 0x7A79676Fu /* "zygo" */
+#define LARGEST_ANGLE 1e4
 #define LARGEST_VALUE 1e6
 
 uint32_t zygos_abi(void)
@@ -23,6 +24,20 @@ static bool is_sign(double x)
 static double dot3(const double *a, const double *b)
 {
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+
+static bool is_rotation(const double *r)
+{
+    bool good = true;
+    for (uint32_t i = 0; i < 3; i++) {
+        for (uint32_t j = 0; j <= i; j++) {
+            const double target = (i == j) ? 1.0 : 0.0;
+            good = good && within(dot3(&r[3u * i], &r[3u * j]), target - 1e-9, target + 1e-9);
+        }
+    }
+    const double determinant =
+        r[0] * (r[4] * r[8] - r[5] * r[7]) - r[1] * (r[3] * r[8] - r[5] * r[6]) + r[2] * (r[3] * r[7] - r[4] * r[6]);
+    return good && (determinant > 0.0);
 }
 
 static int check_joint(const zygos_config_t *config, uint32_t i)
@@ -75,15 +90,11 @@ static int check_config(const zygos_config_t *config)
     if (config->arc_cycles < ZYGOS_MIN_ARC_INSTANTS) {
         return ZYGOS_E_ARC;
     }
-    if ((config->imu_node < 1u) || (config->imu_node > 31u) || (config->imu_fine > 1u)) {
+    if ((config->imu_node < 1u) || (config->imu_node > 31u)) {
         return ZYGOS_E_NODE;
     }
-    for (uint32_t i = 0; i < 9; i++) {
-        if (!within(config->imu_to_base[i], -1.0 - 1e-9, 1.0 + 1e-9)) {
-            return ZYGOS_E_VALUE;
-        }
-    }
-    if (!within(config->imu_latch_s, 0.0, config->period_s)) {
+    if ((config->imu_fine > 1u) || !is_rotation(config->imu_to_base) ||
+        !within(config->imu_latch_s, 0.0, config->period_s)) {
         return ZYGOS_E_VALUE;
     }
     for (uint32_t i = 0; i < config->joints; i++) {
@@ -104,11 +115,12 @@ int zygos_init(zygos_t *self, const zygos_config_t *config)
     if (verdict < 0) {
         return verdict;
     }
+    const zygos_config_t checked = *config; /* config may point into *self */
     memset(self, 0, sizeof *self);
-    self->config = *config;
-    self->parameters = zygos_balance_parameters(config);
+    self->config = checked;
+    self->parameters = zygos_balance_parameters(&checked);
     zygos_receiver_init(&self->receiver);
-    zygos_smoother_init(&self->smoother, config);
+    zygos_smoother_init(&self->smoother, &checked);
     zygos_balance_gap(&self->balance);
     zygos_accumulator_init(&self->accumulator, self->parameters);
     self->mark = MARK;
@@ -143,7 +155,12 @@ static void gap(zygos_t *self)
 static void work_off(zygos_t *self, const zygos_cycle_t *cycle)
 {
     const bool follows = (cycle->sync == self->cycle + 1u) && !(cycle->flags & ZYGOS_CYCLE_BREAK);
-    if (!follows) {
+    const bool wrapped = follows && (zygos_cycle_wrapped(&self->hold, &self->config, cycle) == 1);
+    self->wraps += wrapped ? 1u : 0u;
+    if (cycle->flags & ZYGOS_CYCLE_VOID) {
+        zygos_accumulator_drop_arc(&self->accumulator);
+    }
+    if (!follows || wrapped) {
         gap(self);
     }
     self->cycle = cycle->sync;
@@ -190,8 +207,8 @@ static bool usable(const zygos_config_t *config, const zygos_cycle_t *cycle)
 {
     bool good = (cycle->flags & ZYGOS_CYCLE_INVALID) == 0;
     for (uint32_t i = 0; i < config->joints; i++) {
-        good = good && within(cycle->q[i], -LARGEST_VALUE, LARGEST_VALUE) &&
-               within(cycle->theta[i], -LARGEST_VALUE, LARGEST_VALUE) &&
+        good = good && within(cycle->q[i], -LARGEST_ANGLE, LARGEST_ANGLE) &&
+               within(cycle->theta[i], -LARGEST_ANGLE, LARGEST_ANGLE) &&
                within(cycle->tau[i], -LARGEST_VALUE, LARGEST_VALUE);
     }
     for (uint32_t i = 0; i < 3; i++) {
@@ -210,6 +227,7 @@ int zygos_cycle(zygos_t *self, const zygos_cycle_t *cycle)
     }
     if (!usable(&self->config, cycle)) {
         self->invalid++;
+        self->instant = 0;
         gap(self);
         return 0;
     }
@@ -219,6 +237,9 @@ int zygos_cycle(zygos_t *self, const zygos_cycle_t *cycle)
 
 void zygos_take(const zygos_t *self, zygos_work_t *work)
 {
+    if ((self == NULL) || (work == NULL)) {
+        return;
+    }
     work->accumulator = self->accumulator;
     work->cycle = self->cycle;
     work->joints = self->config.joints;
@@ -239,6 +260,10 @@ int zygos_restart(zygos_t *self, uint32_t keep)
         memset(&self->receiver.faults, 0, sizeof self->receiver.faults);
         self->gaps = 0;
         self->invalid = 0;
+        self->wraps = 0;
+    }
+    zygos_cycle_t waiting;
+    for (uint32_t i = 0; (i < ZYGOS_CYCLE_QUEUE) && (zygos_receiver_pop(&self->receiver, &waiting) == 1); i++) {
     }
     zygos_smoother_gap(&self->smoother);
     zygos_balance_gap(&self->balance);

@@ -41,8 +41,12 @@ class Room:
     def as_json(self) -> dict[str, Any]:
         """For the command's JSON."""
         return {
-            "room": self.name, "compared": self.compared, "difference": self.difference, "cycle": self.cycle,
-            "tolerance": self.tolerance, "equal": self.equal,
+            "room": self.name,
+            "compared": self.compared,
+            "difference": self.difference,
+            "cycle": self.cycle,
+            "tolerance": self.tolerance,
+            "equal": self.equal,
         }
 
 
@@ -67,7 +71,6 @@ def check_chain(arm: Arm, trace: Trace, flight: Flight) -> list[Room]:
     """Compare what the rooms behind the receiver made of a run with numpy's result on the same cycles."""
     chain = reference.chain(arm, trace.cycles)
     smoothed, balance, design = chain.smoothed, chain.balance, chain.design
-    n = arm.n
     half = arm.smoother.lag
     at = smoothed.index + half  # the instant k comes out with cycle k + M
     numpy_state = np.hstack([smoothed.q, smoothed.theta, smoothed.qd, smoothed.thetad, smoothed.omega])

@@ -17,12 +17,14 @@ app = typer.Typer(
     add_completion=False,
     rich_markup_mode="rich",
     help="Learn the dynamics of a flexible-joint space arm from its CAN frames.\n\n"
-    "Three kinds of file: [bold]arm.toml[/] says what the hardware is, [bold]model.toml[/] what someone believes of its "
-    "dynamics, [bold]scenario.toml[/] what is done with it. A run is a CAN log (.log .blf .asc .mf4).\n\n"
+    "Three kinds of file: [bold]arm.toml[/] says what the hardware is, [bold]model.toml[/] what someone believes of "
+    "its dynamics, [bold]scenario.toml[/] what is done with it. A run is a CAN log (.log .blf .asc .mf4).\n\n"
     "Exit codes: 0 answered, 2 bad input, 3 refused or undecided, 4 answered from damaged input.",
 )
 
-Json = Annotated[str | None, typer.Option("--json", metavar="FILE", help="Also write the result as JSON; - for stdout.")]
+Json = Annotated[
+    str | None, typer.Option("--json", metavar="FILE", help="Also write the result as JSON; - for stdout.")
+]
 ArmFile = Annotated[
     Path | None, typer.Option("--arm", metavar="ARM.toml", help="The hardware. Default: arm.toml beside the run.")
 ]
@@ -125,7 +127,7 @@ def paper(
     ] = None,
     json: Json = None,
 ) -> None:
-    """Reproduce the paper's tables: AMC, DE and EB with its sensors (III) and without noise (IV), beside the flight chain.
+    """Reproduce the paper's Tables III and IV: AMC, DE and EB, with its sensors and without, beside the flight chain.
 
     Example: zygos paper --seeds 50
     """

@@ -27,8 +27,12 @@ from zygos.scenario import load_scenario
 def progress() -> Progress:
     """A progress bar on stderr."""
     return Progress(
-        TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"), TimeRemainingColumn(),
-        console=errors, transient=True,
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:3.0f} %"),
+        TimeRemainingColumn(),
+        console=errors,
+        transient=True,
     )
 
 
@@ -41,8 +45,15 @@ def find_arm(run: Path, arm: Path | None) -> Path:
 
 
 def simulate_run(
-    scenario_file: Path, out: Path, model_file: Path | None, seed: int | None, noise: bool | None,
-    interface: str | None, channel: str | None, bitrate: int | None, json: str | None,
+    scenario_file: Path,
+    out: Path,
+    model_file: Path | None,
+    seed: int | None,
+    noise: bool | None,
+    interface: str | None,
+    channel: str | None,
+    bitrate: int | None,
+    json: str | None,
 ) -> None:
     """Simulate a scenario and record its traffic; see `zygos simulate --help`."""
     bus.check_log_name(out)
@@ -52,14 +63,17 @@ def simulate_run(
     beside = out.parent / "arm.toml"
     if beside.exists() and beside.read_bytes() != arm_file.read_bytes():
         raise ZygosError(
-            f"{beside} describes another arm than {arm_file}; remedy: write the run into another folder, or remove that file"
+            f"{beside} describes another arm than {arm_file}; remedy: write the run into another folder, or "
+            "remove that file"
         )
     if seed is not None:
         scenario = replace(scenario, seed=seed)
     model = load_model(model_file or scenario.plant)
     with progress() as bar:
         task = bar.add_task("simulating", total=1.0)
-        trajectory = simulate(arm, model, scenario, noise=noise)
+        trajectory = simulate(
+            arm, model, scenario, noise=noise, progress=lambda share: bar.update(task, completed=share)
+        )
     cycles = trajectory.cycles(0)
     frames = encode(arm, cycles)
     bus.write_log(out, frames, arm.period_s)
@@ -74,8 +88,13 @@ def simulate_run(
         ("base rate", "rad/s", float(np.abs(cycles.omega).max())),
     ]
     summary = {
-        "run": str(out), "arm": str(beside), "seed": scenario.seed, "cycles": len(cycles), "frames": len(frames),
-        "duration_s": len(cycles) * arm.period_s, "largest": {name: value for name, _, value in ranges},
+        "run": str(out),
+        "arm": str(beside),
+        "seed": scenario.seed,
+        "cycles": len(cycles),
+        "frames": len(frames),
+        "duration_s": len(cycles) * arm.period_s,
+        "largest": {name: value for name, _, value in ranges},
     }
     if json != "-":
         table(("largest", "unit", ""), [(name, unit, number(value, 4)) for name, unit, value in ranges])
@@ -145,8 +164,8 @@ def finish_estimate(
         table(("name", "unit", "estimate", "sigma", "sigma %"), rows)
         faults = sum(flight.faults.values())
         console.print(
-            f"arm {flight.arm.name} · {flight.counts['cycles']:,} cycles · {faults} faults · {result.accepted:,} instants "
-            f"accepted, {result.refused} refused · {result.arcs} arcs · {result.validity}",
+            f"arm {flight.arm.name} · {flight.counts['cycles']:,} cycles · {faults} faults · "
+            f"{result.accepted:,} instants accepted, {result.refused} refused · {result.arcs} arcs · {result.validity}",
             highlight=False,
         )
         seen = [f"{name} {count}" for name, count in flight.faults.items() if count]
@@ -154,9 +173,7 @@ def finish_estimate(
             console.print("faults: " + ", ".join(seen), highlight=False)
     if result.validity != "valid":
         where = "nothing written" if result.validity == "refused" else f"{out} written"
-        raise Undecided(
-            f"{result.validity}: {result.reason} ({where}); remedy: {_remedy(result, flight)}"
-        )
+        raise Undecided(f"{result.validity}: {result.reason} ({where}); remedy: {_remedy(result, flight)}")
 
 
 def _remedy(result: Estimate, flight: Flight) -> str:
@@ -191,8 +208,14 @@ def check_run(run: Path, arm_file: Path | None, json: str | None) -> None:
         table(
             ("room", "compared", "largest difference", "at cycle", "tolerance", ""),
             [
-                (room.name, f"{room.compared:,}", number(room.difference, 2), "–" if room.cycle is None else str(room.cycle),
-                 number(room.tolerance, 2), "[green]equal[/]" if room.equal else "[red]differs[/]")
+                (
+                    room.name,
+                    f"{room.compared:,}",
+                    number(room.difference, 2),
+                    "–" if room.cycle is None else str(room.cycle),
+                    number(room.tolerance, 2),
+                    "[green]equal[/]" if room.equal else "[red]differs[/]",
+                )
                 for room in rooms
             ],
         )
@@ -202,8 +225,15 @@ def check_run(run: Path, arm_file: Path | None, json: str | None) -> None:
 
 
 def listen_bus(
-    arm_file: Path, out: Path, interface: str | None, channel: str | None, bitrate: int | None, log: Path | None,
-    duration: float, idle: float, json: str | None,
+    arm_file: Path,
+    out: Path,
+    interface: str | None,
+    channel: str | None,
+    bitrate: int | None,
+    log: Path | None,
+    duration: float,
+    idle: float,
+    json: str | None,
 ) -> None:
     """Estimate while frames arrive; see `zygos listen --help`."""
     arm = load_arm(arm_file)
@@ -243,6 +273,6 @@ def listen_bus(
         except KeyboardInterrupt:
             errors.print("stopped; keeping what was learned")
     work_off()
-    if log is not None and sum(map(len, kept)):
+    if log is not None and any(len(frames) for frames in kept):
         bus.write_log(log, np.concatenate(kept), arm.period_s)
     finish_estimate(flight.estimate(), flight, out, None, json, {"bus": where})

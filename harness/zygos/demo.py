@@ -52,7 +52,9 @@ def converge(arm_file: Path, run: Path) -> Convergence:
     flight = Flight(arm)
     starts = np.flatnonzero(frames["id"] == 0x080)
     time_s, values, sigmas = [], [], []
-    for first, last in zip(starts[:-1:SNAPSHOT_CYCLES], [*starts[SNAPSHOT_CYCLES::SNAPSHOT_CYCLES], len(frames)], strict=False):
+    for first, last in zip(
+        starts[:-1:SNAPSHOT_CYCLES], [*starts[SNAPSHOT_CYCLES::SNAPSHOT_CYCLES], len(frames)], strict=False
+    ):
         flight.frames(frames[first:last])
         now = flight.estimate()
         time_s.append(now.cycle * arm.period_s)
@@ -96,13 +98,24 @@ def run_demo(folder: Path = Path("out/demo")) -> None:
     true = load_model(scenario.plant).base_values(arm)
     percent = score(learned, true).error_percent
     parameters: list[dict[str, Any]] = [
-        {"name": n, "unit": u, "true": float(t), "numpy": float(x), "c": float(c), "sigma": float(s), "error_percent": float(e)}
+        {
+            "name": n,
+            "unit": u,
+            "true": float(t),
+            "numpy": float(x),
+            "c": float(c),
+            "sigma": float(s),
+            "error_percent": float(e),
+        }
         for n, u, t, x, c, s, e in zip(
             arm.parameter_names, arm.parameter_units, true, numpy_value, learned, estimate.sigma, percent, strict=True
         )
     ]
     content: dict[str, Any] = {
-        "bus": f"{interface} {channel}", "cycles": flight.counts["cycles"], "faults": flight.faults, "parameters": parameters,
+        "bus": f"{interface} {channel}",
+        "cycles": flight.counts["cycles"],
+        "faults": flight.faults,
+        "parameters": parameters,
     }
     write_json(folder.with_suffix(".json"), content)
     write_report(folder / "report.html", arm, trace, estimate, numpy_value, true, convergence, content)
@@ -110,15 +123,23 @@ def run_demo(folder: Path = Path("out/demo")) -> None:
     table(
         ("name", "unit", "true", "numpy", "C", "error %", "sigma %", "C vs numpy"),
         [
-            (p["name"], p["unit"], number(p["true"], 7), number(p["numpy"], 7), number(p["c"], 7),
-             f"{p['error_percent']:+.2f}", f"{100 * p['sigma'] / p['c']:.2f}", f"{abs(p['c'] / p['numpy'] - 1):.0e}")
+            (
+                p["name"],
+                p["unit"],
+                number(p["true"], 7),
+                number(p["numpy"], 7),
+                number(p["c"], 7),
+                f"{p['error_percent']:+.2f}",
+                f"{100 * p['sigma'] / p['c']:.2f}",
+                f"{abs(p['c'] / p['numpy'] - 1):.0e}",
+            )
             for p in parameters
         ],
     )
     mean = float(np.mean(np.abs(percent)))
     console.print(
-        f"arm {arm.name} · bus {content['bus']} · {content['cycles']:,} cycles · {sum(flight.faults.values())} faults · "
-        f"mean |error| {mean:.2f} % · {time.monotonic() - begin:.0f} s",
+        f"arm {arm.name} · bus {content['bus']} · {content['cycles']:,} cycles · "
+        f"{sum(flight.faults.values())} faults · mean |error| {mean:.2f} % · {time.monotonic() - begin:.0f} s",
         highlight=False,
     )
     console.print(f"report: {folder / 'report.html'} · numbers: {folder.with_suffix('.json')}", highlight=False)

@@ -86,9 +86,9 @@ class PlanarDynamics:
         carried = np.append(self.rotor_inertia, 0.0)
         return float(np.linalg.eigvalsh(self.a - np.diag(carried) + 1j * self.b)[0])
 
-    def rates(self, omega0: Array, qd: Array) -> Array:
+    def rates(self, omega0: ArrayLike, qd: Array) -> Array:
         """(..., N+1) absolute rates f from the base rate (...,) and the joint rates (..., N), rad/s."""
-        return np.cumsum(np.concatenate([omega0[..., None], qd], axis=-1), axis=-1)
+        return np.cumsum(np.concatenate([np.asarray(omega0, dtype=np.float64)[..., None], qd], axis=-1), axis=-1)
 
     def inertia(self, q: Array) -> tuple[Array, Array]:
         """The matrix G of the kinetic energy in the absolute rates and its derivative, both (..., N+1, N+1).
@@ -104,7 +104,7 @@ class PlanarDynamics:
         """(..., N) torque of spring and damper on the link, Nm: k (theta - q) + b (thetad - qd)."""
         return self.stiffness * (theta - q) + self.damping * (thetad - qd)
 
-    def accelerations(self, q: Array, theta: Array, omega0: Array, qd: Array, thetad: Array,
+    def accelerations(self, q: Array, theta: Array, omega0: ArrayLike, qd: Array, thetad: Array,
                       tau: Array) -> tuple[Array, Array, Array]:
         """Accelerations (base (...,), joints (..., N), motors after the gear (..., N)), rad/s^2.
 
@@ -124,7 +124,7 @@ class PlanarDynamics:
         motor = (ratio * tau - force) / (ratio * ratio * self.rotor_inertia) - absolute[..., :-1] / ratio
         return absolute[..., 0], absolute[..., 1:] - absolute[..., :-1], motor
 
-    def kinetic_energy(self, q: Array, omega0: Array, qd: Array, thetad: Array) -> Array:
+    def kinetic_energy(self, q: Array, omega0: ArrayLike, qd: Array, thetad: Array) -> Array:
         """(...,) kinetic energy T, J, without that of the mass centre (Nanos & Papadopoulos eq. (11))."""
         f = self.rates(omega0, qd)
         rotor = self.rotor_inertia * self.gear_ratio * thetad * (0.5 * self.gear_ratio * thetad + f[..., :-1])
@@ -136,7 +136,7 @@ class PlanarDynamics:
         energy: Array = 0.5 * (self.stiffness * (theta - q) ** 2).sum(axis=-1)
         return energy
 
-    def momentum(self, q: Array, omega0: Array, qd: Array, thetad: Array) -> Array:
+    def momentum(self, q: Array, omega0: ArrayLike, qd: Array, thetad: Array) -> Array:
         """(...,) angular momentum h about the mass centre along the joint axis, Nms."""
         rotor = self.rotor_inertia * self.gear_ratio * thetad
         total: Array = (self.inertia(q)[0] @ self.rates(omega0, qd)[..., None]).sum(axis=(-2, -1)) + rotor.sum(axis=-1)

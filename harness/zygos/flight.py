@@ -26,13 +26,13 @@ FRAME = np.dtype(
 )
 """A classical CAN frame, as ``zygos_frame_t``."""
 
-VALIDITY = ("valid", "partial", "doubtful", "refused")
+VALIDITY = ("refused", "doubtful", "partial", "valid")
 REASONS = (
     "",
     "too few accepted instants",
     "the motion so far does not excite every parameter",
     "motion too fast for this sample rate: more than 5 % of the instants failed the bandwidth test",
-    "the estimate is not physical: the inertia is not positive definite, or an inertia, stiffness or damping is negative",
+    "the estimate is not physical: an inertia matrix that is not positive definite, or a negative Im, k or b",
     "the accumulated sums are corrupt: memory was changed from outside",
 )
 _CONFIG_ERRORS = {
@@ -283,6 +283,7 @@ class Flight:
             "cycles": int(self.native.cycles),
             "gaps": int(self.native.gaps),
             "invalid": int(self.native.invalid),
+            "wraps": int(self.native.wraps),
             "arcs_dropped": int(sums.arcs_dropped),
             "accepted": int(sums.accepted),
             "refused": int(sums.refused),

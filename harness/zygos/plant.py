@@ -6,7 +6,7 @@ one state; no step ever crosses a torque step. The servo sees the same encoder e
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +22,9 @@ from zygos.scenario import Scenario
 from zygos.sensors import Noise, draw_noise, encoder_angle, encoder_reading, gyro_reading, no_noise, torque_record
 
 Array = NDArray[np.float64]
+
+_STEPS_MAX = 400
+"""DOP853 steps within one SYNC period; an arm that needs more is too stiff for an explicit method."""
 
 
 @dataclass(frozen=True)
@@ -88,12 +91,15 @@ def record(trajectory: Trajectory, index: int = 0) -> Cycles:
 
 def simulate(arm: Arm, model: Model, scenario: Scenario, *, seeds: Sequence[int] | None = None,
              noise: bool | None = None, period_s: float | None = None, duration_s: float | None = None,
-             rtol: float = 1e-12, atol: float = 1e-14) -> Trajectory:
+             rtol: float = 1e-12, atol: float = 1e-14,
+             progress: Callable[[float], None] | None = None) -> Trajectory:
     """Simulate the scenario in closed loop.
 
     seeds (default: the scenario's) are integrated together; noise, duration_s and period_s override scenario and arm.
     There are round(duration / period) cycles. rtol and atol are DOP853's. A trajectory depends on the other seeds of
     its batch through the choice of steps, within the tolerances, which chaos then magnifies; its noise does not.
+
+    progress is called now and then with the share that is done.
 
     Errors: ZygosError if model, scenario and arm do not fit each other, or if the motion diverges.
     """
@@ -107,13 +113,14 @@ def simulate(arm: Arm, model: Model, scenario: Scenario, *, seeds: Sequence[int]
     dynamics = PlanarDynamics.from_parameters(arm, model.base_values(arm))
     noisy = scenario.noise if noise is None else noise
     errors = draw_noise(arm, n, chosen, scenario.encoder_noise) if noisy else no_noise(arm, n, chosen)
-    return _Run(arm, dynamics, scenario, chosen, n, errors, rtol, atol).trajectory()
+    run = _Run(arm, dynamics, scenario, seeds=chosen, n=n, noise=errors, rtol=rtol, atol=atol)
+    return run.trajectory(progress)
 
 
 class _Run:
     """State of one simulation; the state vector is B rows of phi0, omega0, q, qd, theta, thetad, slip2."""
 
-    def __init__(self, arm: Arm, dynamics: PlanarDynamics, scenario: Scenario, seeds: tuple[int, ...], n: int,
+    def __init__(self, arm: Arm, dynamics: PlanarDynamics, scenario: Scenario, *, seeds: tuple[int, ...], n: int,
                  noise: Noise, rtol: float, atol: float) -> None:
         self.arm, self.dynamics, self.scenario, self.seeds = arm, dynamics, scenario, seeds
         self.n, self.noise = n, noise
@@ -131,7 +138,7 @@ class _Run:
         self.state[:, q] = self.state[:, theta] = np.array(angles)
         self.state[:, 1] = dynamics.base_rate(self.state[:, q], scenario.angular_momentum_nms)
 
-    def trajectory(self) -> Trajectory:
+    def trajectory(self, progress: Callable[[float], None] | None) -> Trajectory:
         arm, joints = self.arm, self.arm.n
         shape = (len(self.seeds), self.n)
         t: Array = arm.period_s * np.arange(self.n, dtype=np.float64)
@@ -144,6 +151,8 @@ class _Run:
         total = np.zeros((len(self.seeds), joints))
         before: Array | None = None
         for k in range(self.n):
+            if progress is not None and k % 20 == 0:
+                progress(k / self.n)
             states[:, k] = self.state
             states[:, k, slip] = total
             angle = self._measured(k)
@@ -204,9 +213,17 @@ class _Run:
         with np.errstate(over="ignore", invalid="ignore"):
             solver = DOP853(self._derivative, 0.0, self.state.ravel(), span, first_step=min(self.step, span),
                             rtol=self.rtol, atol=self.atol)
-            while solver.status == "running":
+            for _ in range(_STEPS_MAX):
                 solver.step()
-        if solver.status == "failed" or not np.all(np.isfinite(solver.y)):
+                if solver.status != "running":
+                    break
+        if solver.status == "running":
+            raise ZygosError(f"scenario {self.scenario.name}: one SYNC period takes more than {_STEPS_MAX} integration "
+                             f"steps at t = {t:.3f} s; remedy: check the units of stiffness, damping and rotor inertia "
+                             "in the model (Nm/rad and Nms/rad after the gear, kg m^2 before it)")
+        turned = solver.y.reshape(self.state.shape)[:, self.slices[0]] - self.state[:, self.slices[0]]
+        # a joint that turns by more than half a turn between two samples cannot be followed by a sampled servo
+        if solver.status != "finished" or not np.max(np.abs(turned)) < np.pi:
             raise ZygosError(f"scenario {self.scenario.name}: the motion diverges at t = {t:.3f} s; remedy: lower the "
                              "controller's gain, feed back the motor angle, or shorten period_s")
         # the size that the step control proposes is the best first guess for the next period

@@ -19,7 +19,8 @@ class Score:
     def rms(self) -> NDArray[np.float64]:
         """(p,) root mean square over all leading axes."""
         flat = self.error_percent.reshape(-1, self.error_percent.shape[-1])
-        return np.sqrt(np.mean(flat**2, axis=0))
+        rms: NDArray[np.float64] = np.sqrt(np.mean(flat**2, axis=0))
+        return rms
 
     @property
     def mean(self) -> float:

@@ -53,7 +53,7 @@ class Table:
                above: float = -math.inf, unit: str = "") -> float:
         """A finite number with low <= value <= high and value > above, as float."""
         value = self._take(key, default, "a number" + (f" in {unit}" if unit else ""))
-        return self._checked(key, value, low, high, above, unit)
+        return self._checked(key, value, unit, low=low, high=high, above=above)
 
     def integer(self, key: str, default: int | None = None, *, low: int, high: int) -> int:
         """A whole number with low <= value <= high."""
@@ -93,7 +93,7 @@ class Table:
         value = self._take(key, default, f"an array of {length} numbers" + (f" in {unit}" if unit else ""))
         if not isinstance(value, list | tuple) or len(value) != length:
             raise self.error(key, f"{value!r} is not an array of {length} numbers", f"write {length} numbers in [ ]")
-        return tuple(self._checked(key, item, -math.inf, math.inf, -math.inf, unit) for item in value)
+        return tuple(self._checked(key, item, unit) for item in value)
 
     def table(self, key: str, *, optional: bool = False) -> Table:
         """A sub-table; an absent optional one is empty."""
@@ -137,7 +137,8 @@ class Table:
             raise self.error(key, "is missing", f"add {key} = {expected}")
         return default
 
-    def _checked(self, key: str, value: Any, low: float, high: float, above: float, unit: str) -> float:
+    def _checked(self, key: str, value: Any, unit: str, *, low: float = -math.inf, high: float = math.inf,
+                 above: float = -math.inf) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise self.error(key, f"{value!r} is not a number", "write a number" + (f" in {unit}" if unit else ""))
         number = float(value) if abs(value) < 2**1023 else math.inf

@@ -1,11 +1,11 @@
 /// zygos/accumulator.h: the normal equations, in fixed memory and for any duration.
 ///
-/// Within an arc each row reads [y, D] . x + constant = W with the same unknown constant. The accumulator sums the outer
-/// products of z = [row, W, 1]; the last column then holds all that is needed to eliminate the constant exactly when the
-/// arc ends: G := G - s m^T - m s^T + n m m^T with m the mean of the arc.
+/// Within an arc each row reads [y, D] . x + constant = W with the same unknown constant. The accumulator sums the
+/// outer products of z = [row, W, 1]; the last column then holds all that is needed to eliminate the constant exactly
+/// when the arc ends: G := G - s m^T - m s^T + n m m^T with m the mean of the arc.
 ///
-/// The sums are kept in blocks of consecutive instants. When all blocks are in use, neighbours merge and blocks become
-/// twice as long. The blocks do not change the sum; their spread is what the sigmas come from.
+/// The sums are kept in blocks of consecutive instants. When all blocks are in use, blocks become twice as long and
+/// neighbours that fit into one merge. The blocks do not change the sum; their spread is what the sigmas come from.
 ///
 /// Every block carries its row sums. G 1 = sum holds to rounding, unless memory was corrupted.
 
@@ -22,19 +22,17 @@ extern "C" {
 typedef struct {
     double gram[ZYGOS_MAX_PACKED_ROW]; ///< Sum of z z^T, lower triangle row by row, width (width + 1)/2 used.
     double sum[ZYGOS_MAX_ROW];         ///< Sum of z (1^T z): the row sums of gram.
-    uint32_t instants;                 ///< Accepted instants in this block.
-    uint32_t reserved;
+    uint64_t instants;                 ///< Accepted instants in this block.
 } zygos_block_t;
 
 typedef struct {
     uint32_t width;        ///< p + 2.
     uint32_t count;        ///< Blocks in use; those of the open arc come last.
     uint32_t open;         ///< First block of the open arc. The blocks before it belong to closed arcs.
-    uint32_t target;       ///< Instants at which a block is full.
     uint32_t arc_instants; ///< Accepted instants of the open arc.
     uint32_t arcs;         ///< Arcs that closed with enough instants.
-    uint32_t arcs_dropped; ///< Arcs that closed with fewer than ZYGOS_MIN_ARC_INSTANTS.
-    uint32_t reserved;
+    uint32_t arcs_dropped; ///< Arcs that were void, or had fewer than ZYGOS_MIN_ARC_INSTANTS.
+    uint64_t target;       ///< Instants at which a block is full.
     uint64_t accepted;     ///< Instants in closed arcs and in the open one.
     uint64_t refused;      ///< Instants that failed the bandwidth test.
     zygos_block_t block[ZYGOS_MAX_BLOCKS];
@@ -47,6 +45,9 @@ void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters);
 /// (p+2)(p+3)/2 entries; when a block has become full, in addition what it takes to open the next, at the worst one
 /// merge of all blocks.
 void zygos_accumulator_add(zygos_accumulator_t *self, const zygos_row_t *row, double weight);
+
+/// Forgets the open arc and counts it as dropped. Cost: none.
+void zygos_accumulator_drop_arc(zygos_accumulator_t *self);
 
 /// Ends the open arc: eliminates its constant, or drops it when it is too short. Cost: its blocks once.
 void zygos_accumulator_end_arc(zygos_accumulator_t *self);

@@ -8,6 +8,9 @@
 /// On arrival of cycle c the smoothed instant is k = c - M, and
 ///     W_k = W_(k-1) + sum_i n_i tau_(i,k-1) (theta_(i,k) - theta_(i,k-1))      exact for held torque
 ///     D_k = D_(k-1) + h/24 (9 g_k + 19 g_(k-1) - 5 g_(k-2) + g_(k-3))          g = (theta' - q')^2
+/// A torque that steps at t_k leaves the true rate h^2/12 times the slope of the acceleration below the slope of a
+/// smooth curve through the samples. The kinetic energy then reads too high by h/12 sum_i n_i (tau_(i,k) - tau_(i,k-1))
+/// theta'_(i,k), in which all inertias cancel, so the row's work is W_k plus that. (No term for a sampled torque.)
 /// After a gap three smoothed instants fill g; the fourth is the origin of the arc, W = D = 0.
 
 #ifndef ZYGOS_BALANCE_H
@@ -28,11 +31,12 @@ typedef struct {
     uint32_t origin;    ///< 1: the next instant opens an arc, W = D = 0.
     uint32_t torque_at; ///< Where the next torque goes.
     uint32_t reserved;
-    double work;                                            ///< W [J].
-    double slip[ZYGOS_MAX_JOINTS];                          ///< D [rad^2/s].
-    double theta[ZYGOS_MAX_JOINTS];                         ///< theta of the instant before.
-    double slip_rate[3][ZYGOS_MAX_JOINTS];                  ///< g of the three instants before, newest first.
-    double torque[ZYGOS_TORQUE_RING][ZYGOS_MAX_JOINTS];     ///< Torque in force, waiting for its instant.
+    double work;                                        ///< W [J].
+    double step_work;                                   ///< Correction of this instant's work for torque steps [J].
+    double slip[ZYGOS_MAX_JOINTS];                      ///< D [rad^2/s].
+    double theta[ZYGOS_MAX_JOINTS];                     ///< theta of the instant before.
+    double slip_rate[3][ZYGOS_MAX_JOINTS];              ///< g of the three instants before, newest first.
+    double torque[ZYGOS_TORQUE_RING][ZYGOS_MAX_JOINTS]; ///< Torque in force, waiting for its instant.
 } zygos_balance_t;
 
 typedef struct {

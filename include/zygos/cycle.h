@@ -18,28 +18,29 @@ extern "C" {
 
 /// What the world did wrong, counted since init. Counters wrap at 2^32.
 typedef struct {
-    uint32_t length;       ///< Frames of ours with a wrong DLC.
-    uint32_t crc;          ///< Frames of ours with a wrong CRC or data identifier.
-    uint32_t range;        ///< Frames of ours with a field outside its range.
-    uint32_t late;         ///< Frames of the cycle that closed last.
-    uint32_t counter;      ///< Frames whose counter belongs neither to this cycle nor to the last.
-    uint32_t repeated;     ///< Frames that came twice in one cycle; the cycle is dropped.
-    uint32_t unsynced;     ///< Frames before the first SYNC.
-    uint32_t latch;        ///< Torque frames whose latch delay is not the configured one; the cycle is dropped.
-    uint32_t link_invalid; ///< Status bit or code says that the link angle is invalid; the cycle is dropped.
+    uint32_t length;   ///< Frames of ours with a wrong DLC.
+    uint32_t crc;      ///< Frames of ours with a wrong CRC or data identifier.
+    uint32_t range;    ///< Frames of ours with a field outside its range.
+    uint32_t late;     ///< Frames of the cycle that closed last.
+    uint32_t counter;  ///< Frames whose counter belongs neither to this cycle nor to the last.
+    uint32_t repeated; ///< Frames that came twice in one cycle; the cycle is dropped.
+    uint32_t unsynced; ///< Frames before the first SYNC.
+    uint32_t latch;    ///< Torque frames whose latch delay is over 50 us off the configured one; the cycle is dropped.
+    uint32_t
+        link_invalid; ///< Frames whose status bit or code says that the link angle is invalid; the cycle is dropped.
     uint32_t motor_invalid;
     uint32_t torque_invalid;
-    uint32_t disabled;     ///< Drive disabled or brake closed; the cycle is dropped.
+    uint32_t disabled; ///< Frames that say: drive disabled or brake closed; the cycle is dropped.
     uint32_t gyro_invalid;
-    uint32_t saturated;    ///< Torque or rate at its outermost code; the cycle is dropped.
-    uint32_t incomplete;   ///< Cycles that closed with a frame missing.
-    uint32_t dropped;      ///< Cycles not used, for whatever reason.
-    uint32_t sync_repeated;///< SYNCs with the counter of the SYNC before.
-    uint32_t sync_jumped;  ///< SYNCs that skipped at least one counter.
-    uint32_t time_lost;    ///< Times that more than 120 cycles passed without FTIME.
-    uint32_t time_jumped;  ///< FTIMEs that disagree with the SYNC count by more than half a cycle.
-    uint32_t overrun;      ///< Complete cycles lost because the queue was full.
-    uint32_t bus_error;    ///< Error frames from the controller.
+    uint32_t saturated;     ///< Torque or rate at its outermost code; the cycle is dropped.
+    uint32_t incomplete;    ///< Cycles that closed with a frame missing or rejected.
+    uint32_t dropped;       ///< Cycles not used, for whatever reason.
+    uint32_t sync_repeated; ///< SYNCs with the counter of the SYNC before.
+    uint32_t sync_jumped;   ///< SYNCs that skipped at least one counter.
+    uint32_t time_lost;     ///< Times that more than 120 cycles passed without FTIME.
+    uint32_t time_jumped;   ///< FTIMEs that disagree with the SYNC count by more than half a cycle; the arc is dropped.
+    uint32_t overrun;       ///< Complete cycles lost because the queue was full.
+    uint32_t bus_error;     ///< Error frames from the controller; bus-off ends the arc.
 } zygos_faults_t;
 
 /// What zygos_frame() made of a frame.
@@ -47,7 +48,7 @@ enum zygos_reception { ZYGOS_FOREIGN = 0, ZYGOS_ACCEPTED = 1, ZYGOS_REJECTED = 2
 
 /// State of reception: changes with every frame of ours, rejected ones included.
 typedef struct {
-    uint32_t last_verdict; ///< enum zygos_reception of the newest frame.
+    uint32_t last_verdict; ///< ZYGOS_ACCEPTED or ZYGOS_REJECTED: what became of the newest frame of ours.
     uint32_t spoiled;      ///< 1: the open cycle will be dropped (a repeated or invalid frame).
 } zygos_reception_status_t;
 
@@ -56,7 +57,7 @@ typedef struct {
     uint64_t sync;       ///< SYNCs since init: the number of the open cycle.
     uint32_t received;   ///< Bit 2i: angles of joint i; bit 2i+1: its torque; then rate xy or all, rate z.
     uint32_t counter;    ///< SYNC counter of the open cycle, 0 before the first SYNC.
-    uint32_t broken;     ///< 1: the next complete cycle does not continue the one before.
+    uint32_t broken;     ///< Flags of the next complete cycle.
     uint32_t since_time; ///< Cycles since the last FTIME.
     uint32_t timed;      ///< 1: time_us and time_sync hold the last FTIME.
     uint32_t time_us;
@@ -89,10 +90,16 @@ int zygos_receiver_frame(zygos_receiver_t *self, const zygos_config_t *config, c
 /// Takes the oldest complete cycle from the queue. Returns 1, or 0 when there is none and *out is as it was.
 int zygos_receiver_pop(zygos_receiver_t *self, zygos_cycle_t *out);
 
-/// The reported torque of the cycle before, which the torque law needs.
+/// What later cycles need of this one: the reported torque for the torque law, the angles to notice that they wrap.
 typedef struct {
-    double reported[ZYGOS_MAX_JOINTS];
+    double reported[ZYGOS_MAX_JOINTS]; ///< Torque.
+    double q[ZYGOS_MAX_JOINTS];        ///< Encoder readings of the cycle before.
+    double theta[ZYGOS_MAX_JOINTS];
 } zygos_hold_t;
+
+/// Returns 1 when an angle went over the end of its multi-turn range since the cycle before: it differs by more than
+/// half that range, 8 turns. Cost: 2 comparisons a joint.
+int zygos_cycle_wrapped(const zygos_hold_t *hold, const zygos_config_t *config, const zygos_cycle_t *cycle);
 
 /// Applies signs, zeros and mounting. Writes the signals q_1..q_N, theta_1..theta_N, omega_x..omega_z (base axes) into
 /// signal[2N+3], and into tau[N] the torque that was in force from the SYNC before this one until this one.

@@ -1,11 +1,11 @@
 /// zygos/smoother.h: a fixed-lag Savitzky-Golay filter, the only source of angles and rates.
 ///
-/// A polynomial is fitted to the 2 M + 1 samples around instant k; its value and its slope there are the smoothed signal
-/// and rate. All signals of an instant come from the same samples, so no row mixes a raw and a smoothed angle. A sensor
-/// that latches late is evaluated earlier on its own polynomial.
+/// A polynomial is fitted to the 2 M + 1 samples around instant k; its value and its slope there are the smoothed
+/// signal and rate. All signals of an instant come from the same samples, so no row mixes a raw and a smoothed angle. A
+/// sensor that latches late is evaluated earlier on its own polynomial.
 ///
-/// The bandwidth test compares the slope with that of a second fit, over 2 M - 1 samples. Where they differ by more than
-/// four standard deviations of the declared noise, the motion is faster than the filter can follow.
+/// The bandwidth test compares the slope with that of a second fit, over 2 M - 1 samples. Where they differ by more
+/// than four standard deviations of the declared noise, the motion is faster than the filter can follow.
 
 #ifndef ZYGOS_SMOOTHER_H
 #define ZYGOS_SMOOTHER_H
@@ -17,17 +17,17 @@ extern "C" {
 #endif
 
 typedef struct {
-    uint32_t signals;  ///< 2N + 3.
+    uint32_t signals;       ///< 2N + 3.
     uint32_t joint_signals; ///< 2N: those with a slope and a bandwidth test.
-    uint32_t window;   ///< 2M + 1.
-    uint32_t position; ///< Where the next sample goes.
-    uint32_t filled;   ///< Samples since the last gap, at most window.
+    uint32_t window;        ///< 2M + 1.
+    uint32_t position;      ///< Where the next sample goes.
+    uint32_t filled;        ///< Samples since the last gap, at most window.
     uint32_t reserved;
-    double value[ZYGOS_MAX_SIGNALS][ZYGOS_MAX_WINDOW];         ///< Coefficients of the value, oldest sample first.
-    double slope[2 * ZYGOS_MAX_JOINTS][ZYGOS_MAX_WINDOW];      ///< Coefficients of the rate [1/s].
-    double probe[2 * ZYGOS_MAX_JOINTS][ZYGOS_MAX_WINDOW];      ///< Slope minus the second slope [1/s].
-    double limit[2 * ZYGOS_MAX_JOINTS]; ///< Largest allowed square of the probe [rad^2/s^2].
-    double sample[ZYGOS_MAX_SIGNALS][2 * ZYGOS_MAX_WINDOW];    ///< Each sample twice, so that a window is contiguous.
+    double value[ZYGOS_MAX_SIGNALS][ZYGOS_MAX_WINDOW];      ///< Coefficients of the value, oldest sample first.
+    double slope[2 * ZYGOS_MAX_JOINTS][ZYGOS_MAX_WINDOW];   ///< Coefficients of the rate [1/s].
+    double probe[2 * ZYGOS_MAX_JOINTS][ZYGOS_MAX_WINDOW];   ///< Slope minus the second slope [1/s].
+    double limit[2 * ZYGOS_MAX_JOINTS];                     ///< Largest allowed square of the probe [rad^2/s^2].
+    double sample[ZYGOS_MAX_SIGNALS][2 * ZYGOS_MAX_WINDOW]; ///< Each sample twice, so that a window is contiguous.
 } zygos_smoother_t;
 
 /// The arm at one instant.
@@ -52,8 +52,8 @@ void zygos_smoother_gap(zygos_smoother_t *self);
 /// for every call that returns 1.
 int zygos_smoother_push(zygos_smoother_t *self, const double *signal, zygos_state_t *out);
 
-/// The coefficients of the derivative-th derivative (0 or 1, in samples) at s samples after the centre, for a polynomial
-/// of the given order over 2 half_width + 1 samples, oldest first. Needs 2 half_width >= order.
+/// The coefficients of the derivative-th derivative (0 or 1, in samples) at s samples after the centre, for a
+/// polynomial of the given order over 2 half_width + 1 samples, oldest first. Needs 2 half_width >= order.
 void zygos_smoother_coefficients(uint32_t half_width, uint32_t order, double s, uint32_t derivative, double *out);
 
 #ifdef __cplusplus

@@ -17,10 +17,10 @@ extern "C" {
 #endif
 
 enum zygos_validity {
-    ZYGOS_VALID = 0,    ///< Every parameter has a value and a sigma.
-    ZYGOS_PARTIAL = 1,  ///< Some parameters are not identifiable yet; the others have values.
-    ZYGOS_DOUBTFUL = 2, ///< Values exist, but reason says why not to trust them.
-    ZYGOS_REFUSED = 3   ///< No values.
+    ZYGOS_REFUSED = 0,  ///< No values.
+    ZYGOS_DOUBTFUL = 1, ///< Values exist, but reason says why not to trust them.
+    ZYGOS_PARTIAL = 2,  ///< Some parameters are not identifiable yet; the others have values.
+    ZYGOS_VALID = 3     ///< Every parameter has a value and a sigma.
 };
 
 enum zygos_reason {
@@ -29,7 +29,7 @@ enum zygos_reason {
     ZYGOS_REASON_NOT_IDENTIFIABLE = 2, ///< The motion so far does not excite every parameter.
     ZYGOS_REASON_TOO_FAST = 3,         ///< More than 5 % of the instants failed the bandwidth test.
     ZYGOS_REASON_NOT_PHYSICAL = 4,     ///< The inertia is not positive definite, or Im, k or b is not positive.
-    ZYGOS_REASON_CORRUPT = 5           ///< The row sums do not match: the memory was changed from outside.
+    ZYGOS_REASON_CORRUPT = 5           ///< Row sums or counts do not match: memory was changed, or never taken.
 };
 
 /// A parameter whose scaled pivot falls below this share is a combination of the others.
@@ -70,7 +70,7 @@ typedef struct {
     double right[ZYGOS_MAX_PARAMETERS];
     double solution[ZYGOS_MAX_PARAMETERS];
     double score[ZYGOS_MAX_PARAMETERS];
-    double change[ZYGOS_MAX_BLOCKS][ZYGOS_MAX_PARAMETERS];
+    double left_out[ZYGOS_MAX_BLOCKS][ZYGOS_MAX_PARAMETERS];
     uint32_t pivot[ZYGOS_MAX_PARAMETERS];
 } zygos_work_t;
 

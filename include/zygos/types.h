@@ -1,7 +1,7 @@
 /// zygos/types.h: the vocabulary that all rooms share.
 ///
-/// SI units and radians throughout; a field that is not SI carries its unit in its name. Angles are link-side: the motor
-/// angle theta is the gearbox output angle (rotor angle divided by the gear ratio), as it is on the wire.
+/// SI units and radians throughout; a field that is not SI carries its unit in its name. Angles are link-side: the
+/// motor angle theta is the gearbox output angle (rotor angle divided by the gear ratio), as it is on the wire.
 ///
 /// Nothing in zygos allocates, prints, locks, recurses or keeps a global. The caller owns every struct. Counts and
 /// sizes below are compile-time capacities; the numbers in use come from the configuration.
@@ -62,6 +62,10 @@ extern "C" {
 #define ZYGOS_MAX_PACKED_ROW (ZYGOS_MAX_ROW * (ZYGOS_MAX_ROW + 1) / 2)
 #define ZYGOS_MAX_PACKED (ZYGOS_MAX_PARAMETERS * (ZYGOS_MAX_PARAMETERS + 1) / 2)
 
+#ifdef __FAST_MATH__
+#error "zygos needs IEEE arithmetic; remedy: compile without -ffast-math"
+#endif
+
 #define ZYGOS_VERSION_MAJOR 0
 #define ZYGOS_VERSION_MINOR 1
 
@@ -114,26 +118,27 @@ typedef struct {
 
 /// All that the library has to know of the hardware. No mass, no length, no stiffness: those it learns.
 typedef struct {
-    uint32_t abi;                   ///< Set it to ZYGOS_ABI.
-    uint32_t joints;                ///< N, 1..ZYGOS_MAX_JOINTS.
-    uint32_t kinetic;               ///< enum zygos_kinetic.
-    uint32_t torque_law;            ///< enum zygos_torque_law.
-    uint32_t smoother_half_width;   ///< M >= 2: the window holds the 2 M + 1 cycles around the smoothed instant.
-    uint32_t smoother_order;        ///< Order of the local polynomial, 2 .. 2 M - 2.
-    uint32_t smoother_lag;          ///< Must equal M: a filter evaluated at its newest sample is refused.
-    uint32_t arc_cycles;            ///< An arc ends after that many instants at the latest, >= ZYGOS_MIN_ARC_INSTANTS.
-    uint32_t imu_node;              ///< Node number of the gyro, 1..31.
-    uint32_t imu_fine;              ///< 1: rates come as i24 in two frames; 0: as i16 in one.
-    double period_s;                ///< SYNC period h. Time is the SYNC count times h, never a receive time.
-    double imu_to_base[9];          ///< Rotation that takes a rate from the sensor's axes to the base's, row-major.
-    double imu_latch_s;             ///< Delay from SYNC to the gyro's latch.
+    uint32_t abi;                 ///< Set it to ZYGOS_ABI.
+    uint32_t joints;              ///< N, 1..ZYGOS_MAX_JOINTS.
+    uint32_t kinetic;             ///< enum zygos_kinetic.
+    uint32_t torque_law;          ///< enum zygos_torque_law.
+    uint32_t smoother_half_width; ///< M >= 2: the window holds the 2 M + 1 cycles around the smoothed instant.
+    uint32_t smoother_order;      ///< Order of the local polynomial, 2 .. 2 M - 2.
+    uint32_t smoother_lag;        ///< Must equal M: a filter evaluated at its newest sample is refused.
+    uint32_t arc_cycles;          ///< An arc ends after that many instants at the latest, >= ZYGOS_MIN_ARC_INSTANTS.
+    uint32_t imu_node;            ///< Node number of the gyro, 1..31.
+    uint32_t imu_fine;            ///< 1: rates come as i24 in two frames; 0: as i16 in one.
+    double period_s;              ///< SYNC period h. Time is the SYNC count times h, never a receive time.
+    double imu_to_base[9];        ///< Rotation that takes a rate from the sensor's axes to the base's, row-major.
+    double imu_latch_s;           ///< Delay from SYNC to the gyro's latch.
     zygos_joint_config_t joint[ZYGOS_MAX_JOINTS];
 } zygos_config_t;
 
 /// Bits of zygos_cycle_t.flags.
 enum zygos_cycle_flag {
-    ZYGOS_CYCLE_BREAK = 1,  ///< Nothing that came before is continued by this cycle: the arc ends before it.
-    ZYGOS_CYCLE_INVALID = 2 ///< The values are not to be used: the cycle is dropped and counted, the arc ends.
+    ZYGOS_CYCLE_BREAK = 1,   ///< Nothing that came before is continued by this cycle: the arc ends before it.
+    ZYGOS_CYCLE_INVALID = 2, ///< The values are not to be used: the cycle is dropped and counted, the arc ends.
+    ZYGOS_CYCLE_VOID = 4     ///< Cycles may be missing within the arc that this cycle ends: that arc is dropped.
 };
 
 /// What the sensors say in one SYNC cycle, in SI, before signs, zeros and mounting are applied.

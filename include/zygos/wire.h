@@ -1,7 +1,8 @@
 /// zygos/wire.h: one CAN frame to one record, and back. The layout is zygos.dbc.
 ///
-/// Integer-only, except for the f32 of the telemetry. Stateless: what a frame means for its cycle is decided in cycle.h.
-/// Trusted: nothing. Any identifier, length, flag and byte may arrive; a decoder answers with a fault and no value.
+/// Fields are integers, but for the f32 of the telemetry; codes become SI values as doubles. Stateless: what a frame
+/// means for its cycle is decided in cycle.h. Trusted: nothing. Any identifier, length, flag and byte may arrive; a
+/// decoder answers with a fault and no value.
 
 #ifndef ZYGOS_WIRE_H
 #define ZYGOS_WIRE_H
@@ -16,8 +17,9 @@ extern "C" {
 enum zygos_frame_flag {
     ZYGOS_FRAME_EXTENDED = 1, ///< 29-bit identifier: foreign.
     ZYGOS_FRAME_REMOTE = 2,   ///< Remote request: foreign.
-    ZYGOS_FRAME_ERROR = 4,    ///< The controller reports an error: counted, ends the arc when it is bus-off.
-    ZYGOS_FRAME_FD = 8        ///< CAN FD frame: foreign.
+    ZYGOS_FRAME_ERROR = 4, ///< The controller reports an error, its class in the identifier as in SocketCAN: counted,
+                           ///< and bus-off (class 0x40) ends the arc.
+    ZYGOS_FRAME_FD = 8     ///< CAN FD frame: foreign.
 };
 
 /// A classical CAN frame. 16 bytes, so that logs of millions pass in one call.
@@ -32,20 +34,20 @@ typedef struct {
 enum zygos_message {
     ZYGOS_MSG_FOREIGN = 0,
     ZYGOS_MSG_SYNC,
-    ZYGOS_MSG_ANGLES,     ///< TPDO1 of a joint.
-    ZYGOS_MSG_TORQUE,     ///< TPDO2 of a joint.
-    ZYGOS_MSG_RATE_XY,    ///< TPDO1 of a fine gyro.
-    ZYGOS_MSG_RATE_Z,     ///< TPDO3 of a fine gyro.
-    ZYGOS_MSG_RATE_COARSE,///< TPDO1 of a coarse gyro.
-    ZYGOS_MSG_FTIME       ///< TPDO3 of the flight computer, node 32.
+    ZYGOS_MSG_ANGLES,      ///< TPDO1 of a joint.
+    ZYGOS_MSG_TORQUE,      ///< TPDO2 of a joint.
+    ZYGOS_MSG_RATE_XY,     ///< TPDO1 of a fine gyro.
+    ZYGOS_MSG_RATE_Z,      ///< TPDO3 of a fine gyro.
+    ZYGOS_MSG_RATE_COARSE, ///< TPDO1 of a coarse gyro.
+    ZYGOS_MSG_FTIME        ///< TPDO3 of the flight computer, node 32.
 };
 
 /// Why a frame has no value.
 enum zygos_wire_fault {
     ZYGOS_WIRE_OK = 0,
-    ZYGOS_WIRE_LENGTH,    ///< Not the DLC of its message.
-    ZYGOS_WIRE_CRC,       ///< E2E profile 2 CRC or data identifier.
-    ZYGOS_WIRE_RANGE      ///< A field outside its range (a SYNC counter of 0 or above 240).
+    ZYGOS_WIRE_LENGTH, ///< Not the DLC of its message.
+    ZYGOS_WIRE_CRC,    ///< E2E profile 2 CRC or data identifier.
+    ZYGOS_WIRE_RANGE   ///< A field outside its range (a SYNC counter of 0 or above 240).
 };
 
 /// Status nibble of the joints' frames; each bit must be 1 for the cycle to count.
@@ -73,14 +75,14 @@ enum zygos_imu_status { ZYGOS_STATUS_RATE_VALID = 1, ZYGOS_STATUS_ATTITUDE_VALID
 
 /// A decoded frame: integer codes, and the header of its message.
 typedef struct {
-    uint8_t counter;     ///< SYNC counter mod 16, as stated in the header.
-    uint8_t status;      ///< Status nibble.
-    uint8_t sync;        ///< SYNC and FTIME: the SYNC counter, 1..240.
-    int8_t temperature;  ///< Torque: motor temperature [degree Celsius].
-    uint16_t latch_us;   ///< Torque: latch delay after SYNC.
+    uint8_t counter;    ///< SYNC counter mod 16, as stated in the header.
+    uint8_t status;     ///< Status nibble.
+    uint8_t sync;       ///< SYNC and FTIME: the SYNC counter, 1..240.
+    int8_t temperature; ///< Torque: motor temperature [degree Celsius].
+    uint16_t latch_us;  ///< Torque: latch delay after SYNC.
     uint16_t reserved;
-    uint32_t time_us;    ///< FTIME: clock of the SYNC producer [us], wraps.
-    int32_t code[3];     ///< Angles: link, motor. Torque: torque. Rates: as many axes as the frame has.
+    uint32_t time_us; ///< FTIME: clock of the SYNC producer [us], wraps.
+    int32_t code[3];  ///< Angles: link, motor. Torque: torque. Rates: as many axes as the frame has.
 } zygos_record_t;
 
 /// CRC of E2E profile 2: CRC-8 with polynomial 0x2F over data[1..length-1] and then the data identifier of the counter,
@@ -93,11 +95,12 @@ uint8_t zygos_wire_crc(const uint8_t *data, uint32_t length, uint32_t f, uint32_
 int zygos_wire_decode(const zygos_frame_t *frame, uint32_t message, uint32_t node, zygos_record_t *out);
 
 /// Encodes a record as the given message of the given node, CRC included; codes outside the field saturate.
-/// Returns 1, or 0 and leaves *out as it was when message is none that can be sent.
+/// Returns 1, or 0 and leaves *out as it was when message is none that can be sent or its SYNC counter is not 1..240.
 int zygos_wire_encode(const zygos_record_t *record, uint32_t message, uint32_t node, zygos_frame_t *out);
 
 /// Telemetry of node 32 (0x1A0): index, kind and one f32. Decoding a NaN or an infinity is ZYGOS_WIRE_RANGE.
-int zygos_wire_decode_telemetry(const zygos_frame_t *frame, uint8_t *counter, uint8_t *index, uint8_t *kind, float *value);
+int zygos_wire_decode_telemetry(const zygos_frame_t *frame, uint8_t *counter, uint8_t *index, uint8_t *kind,
+                                float *value);
 void zygos_wire_encode_telemetry(uint8_t counter, uint8_t index, uint8_t kind, float value, zygos_frame_t *out);
 
 /// Codes to SI and back. Angles are multi-turn, +-8 turns, and wrap modulo 16 turns; a value that is not finite becomes

@@ -15,7 +15,8 @@
 ///
 /// An arm on another bus uses zygos_cycle() instead of zygos_frame() and zygos_step(), with values in SI.
 ///
-/// What it cannot know: the scale of all torques together. A common error of the torque constants scales every parameter.
+/// What it cannot know: the scale of all torques together. A common error of the torque constants scales every
+/// parameter.
 
 #ifndef ZYGOS_H
 #define ZYGOS_H
@@ -33,8 +34,8 @@
 extern "C" {
 #endif
 
-/// Everything about one arm. Its members are for reading; only the calls below change them. Memory that zygos_init() has
-/// not accepted is recognised by its mark, except by chance.
+/// Everything about one arm. Its members are for reading; only the calls below change them. Memory that zygos_init()
+/// has not accepted is recognised by its mark, except by chance.
 typedef struct {
     uint32_t mark;
     uint32_t parameters; ///< p.
@@ -42,6 +43,7 @@ typedef struct {
     uint64_t cycles;     ///< Cycles that were worked off.
     uint64_t gaps;       ///< Times that an arc ended because cycles did not follow each other.
     uint64_t invalid;    ///< Cycles through zygos_cycle() that were flagged invalid or not finite.
+    uint64_t wraps;      ///< Times that an angle went over the end of its multi-turn range; the arc ends.
     uint32_t arc;        ///< Instants of the open arc, accepted or not.
     uint32_t instant;    ///< 1: state, row and accepted below are those of the newest cycle.
     double accepted;     ///< 1 when the newest row was accumulated, 0 when the bandwidth test refused it.
@@ -57,16 +59,24 @@ typedef struct {
 } zygos_t;
 
 /// Differs between builds whose structs differ. Goes into zygos_config_t.abi; zygos_init() compares it with its own.
-#define ZYGOS_ABI                                                                                                       \
-    ((uint32_t)((((((((uint32_t)sizeof(zygos_t) * 31u + (uint32_t)sizeof(zygos_config_t)) * 31u +                       \
-                     (uint32_t)sizeof(zygos_work_t)) * 31u + (uint32_t)sizeof(zygos_estimate_t)) * 31u +                \
-                   (uint32_t)sizeof(zygos_cycle_t)) * 31u + (uint32_t)sizeof(zygos_frame_t)) * 31u +                    \
-                 (uint32_t)ZYGOS_MAX_JOINTS) * 31u + (uint32_t)(ZYGOS_VERSION_MAJOR * 256 + ZYGOS_VERSION_MINOR)))
+#define ZYGOS_ABI                                                                                                      \
+    ((uint32_t)((((((((uint32_t)sizeof(zygos_t) * 31u + (uint32_t)sizeof(zygos_config_t)) * 31u +                      \
+                     (uint32_t)sizeof(zygos_work_t)) *                                                                 \
+                        31u +                                                                                          \
+                    (uint32_t)sizeof(zygos_estimate_t)) *                                                              \
+                       31u +                                                                                           \
+                   (uint32_t)sizeof(zygos_cycle_t)) *                                                                  \
+                      31u +                                                                                            \
+                  (uint32_t)sizeof(zygos_frame_t)) *                                                                   \
+                     31u +                                                                                             \
+                 (uint32_t)ZYGOS_MAX_JOINTS) *                                                                         \
+                    31u +                                                                                              \
+                (uint32_t)(ZYGOS_VERSION_MAJOR * 256 + ZYGOS_VERSION_MINOR)))
 
 /// Bits of zygos_restart().
 enum zygos_keep {
     ZYGOS_KEEP_NOTHING = 0,
-    ZYGOS_KEEP_FAULTS = 1 ///< Fault counters and gap counters run on.
+    ZYGOS_KEEP_FAULTS = 1 ///< Fault, gap and wrap counters run on. Without it, call while no frame is received.
 };
 
 /// Checks the configuration and starts from nothing. Needs memory of its own; may be called again at any time by the
@@ -83,14 +93,17 @@ int zygos_frame(zygos_t *self, const zygos_frame_t *frame);
 int zygos_step(zygos_t *self);
 
 /// The other door: one cycle in SI. Same task as zygos_step(); use one door only. A cycle that is flagged
-/// ZYGOS_CYCLE_INVALID, or has a value that is not finite or beyond +-1e6, is counted and dropped and ends the arc.
-/// Returns 1 when the cycle was used, 0 when it was dropped, or an enum zygos_error.
+/// ZYGOS_CYCLE_INVALID, or has a value that is not finite, an angle beyond +-1e4 rad or another value beyond +-1e6, is
+/// counted and dropped and ends the arc. Returns 1 when the cycle was used, 0 when it was dropped, or an enum
+/// zygos_error.
 int zygos_cycle(zygos_t *self, const zygos_cycle_t *cycle);
 
-/// Copies what zygos_solve() needs. Same task as zygos_step(). Bounded: one copy of the accumulator.
+/// Copies what zygos_solve() needs; does nothing when a pointer is null. Same task as zygos_step(). Bounded: one copy
+/// of the accumulator.
 void zygos_take(const zygos_t *self, zygos_work_t *work);
 
-/// Starts the estimate from nothing with the same configuration (the payload changed); reception goes on.
+/// Starts the estimate from nothing with the same configuration (the payload changed); reception goes on, cycles that
+/// wait in the queue are forgotten.
 /// keep: bits of enum zygos_keep. Same task as zygos_step(). Returns 1 or an enum zygos_error.
 int zygos_restart(zygos_t *self, uint32_t keep);
 

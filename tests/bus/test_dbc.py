@@ -1,4 +1,4 @@
-"""zygos.dbc is the single truth of the wire: identifiers, layouts, scales, and that no two messages share a data identifier."""
+"""zygos.dbc is the single truth of the wire: its identifiers, layouts and scales, and data identifiers that differ."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def small(start: int) -> Layout:
 FLOAT_MAX = 3.4028234663852886e38
 PARAMETERS = {
     "a00": "kg m^2", "a01": "kg m^2", "a02": "kg m^2", "a11": "kg m^2", "a12": "kg m^2", "a22": "kg m^2",
-    "Im1": "kg m^2", "k1": "Nm/rad", "b1": "Nm s/rad", "Im2": "kg m^2", "k2": "Nm/rad", "b2": "Nm s/rad",
+    "Im1": "kg m^2", "k1": "Nm/rad", "b1": "Nms/rad", "Im2": "kg m^2", "k2": "Nm/rad", "b2": "Nms/rad",
 }  # fmt: skip
 
 # Message: identifier, DLC, signals besides the header, E2E family and node (None: the message has no header).

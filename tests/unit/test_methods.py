@@ -118,6 +118,20 @@ def test_the_smoothed_rows_are_those_of_the_reference(tmp_path: Path) -> None:
         np.testing.assert_allclose(ours, y - y[0], atol=1e-11 * np.abs(y).max())
 
 
+@pytest.mark.parametrize(("rates", "first"), [("midpoint", 0.5), ("savgol", 3.0)])
+def test_work_and_dissipation_count_from_the_start(tmp_path: Path, rates: eb.Rates, first: float) -> None:
+    """The first row carries what was done before it: in half a step, or in the half window of the smoother."""
+    arm = make_arm(tmp_path, period=0.002)
+    motion = move(arm, 0.6)
+    full = motion.record(exact=False)
+    record = Record(full.q[:, 100:], full.theta[:, 100:], full.tau[:, 100:], full.f0[:, 100:])
+    z, w = eb.rows(arm, record, rates)
+    instants = first + np.arange(len(w[0]))
+    for ours, exact in ((z[0, :, 8], motion.slip2[100:, 0]), (w[0], eb.work(arm, record)[0])):
+        expected = np.interp(instants, np.arange(len(exact)), exact - exact[0])
+        assert np.max(np.abs(ours - expected)) < 0.1 * np.max(np.abs(np.diff(exact)))
+
+
 def test_record_of_takes_the_first_segment(arm: Arm, motion: Motion) -> None:
     cycles = motion.cycles()
     cycles.flags[200] = 1

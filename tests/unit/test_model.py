@@ -153,7 +153,7 @@ def test_a_missing_file_and_a_missing_body(tmp_path: Path) -> None:
 def test_a_model_of_another_arm_is_refused() -> None:
     arm, model, _ = paper()
     other = replace(model, joints=model.joints[::-1])
-    with pytest.raises(ZygosError, match="joints.*remedy"):
+    with pytest.raises(ZygosError, match=r"joints.*remedy"):
         other.base_parameters(arm)
     named = Model("estimate", parameters={"a00": Quantity(1.0)})
     with pytest.raises(ZygosError, match=r"missing.*a01.*remedy"):

@@ -28,7 +28,9 @@ def test_the_constant_of_each_arc_is_eliminated_exactly() -> None:
     accumulated = design(made)
     explicit = np.hstack([made.z, (made.arc[:, None] == np.arange(3)).astype(np.float64)])
     expected = np.linalg.lstsq(explicit, made.w, rcond=None)[0][:4]
-    np.testing.assert_allclose(solve(accumulated.z, accumulated.w).x, expected, rtol=1e-11)
+    solution = solve(accumulated.z, accumulated.w)
+    np.testing.assert_allclose(solution.x, expected, rtol=1e-11)
+    assert solution.residual == pytest.approx(0.1, rel=0.2)
     a, b = accumulated.normal()
     np.testing.assert_allclose(np.linalg.solve(a, b), expected, rtol=1e-10)
 

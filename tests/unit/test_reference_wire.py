@@ -273,8 +273,10 @@ def test_data_identifiers_agree_with_the_dbc_and_never_coincide() -> None:
         attributes = message.dbc.attributes
         if "E2EFamily" in attributes:
             family, node = int(attributes["E2EFamily"].value), int(attributes["E2ENode"].value)
-            assert family == {0x180: 0, 0x280: 1, 0x380: 2}.get((message.frame_id - node) & 0x780, 3)
+            assert message.frame_id == {0: 0x180, 1: 0x280, 2: 0x380, 3: 0x180}[family] + node
             lists.append(data_ids(family, node))
     assert len(lists) == 19
+    assert list(data_ids(1, 3)[:3]) == [35, 52, 69]
+    assert data_ids(2, 32)[15] == (96 + 255) - 251
     for counter in range(16):
         assert len({ids[counter] for ids in lists}) == len(lists)

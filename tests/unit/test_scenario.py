@@ -27,8 +27,8 @@ def test_a_ramp_starts_and_ends_at_rest() -> None:
 
 
 def test_kinds_of_manoeuvre_add_up(tmp_path: Path) -> None:
-    for file in ("arm.toml", "model.toml"):
-        (tmp_path / file).write_text("")
+    for name in ("arm.toml", "model.toml"):
+        (tmp_path / name).write_text("")
     file = tmp_path / "scenario.toml"
     file.write_text("""
         name = "sum"

@@ -107,7 +107,7 @@ def test_first_draws_of_a_seed() -> None:
 
 
 def test_cycles_carry_the_declared_errors() -> None:
-    arm, model, scenario = paper()
+    _, model, scenario = paper()
     run = simulate(loud(), model, scenario, seeds=range(3), duration_s=20.0)
     readings = [run.cycles(i) for i in range(3)]
     assert_gaussian(np.array([cycles.q for cycles in readings])[..., 0] - run.q[..., 0], 0.003 / np.sqrt(12))

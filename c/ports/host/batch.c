@@ -61,7 +61,8 @@ static void record(const zygos_t *self, const zygos_cycle_t *cycle, zygos_trace_
     }
 }
 
-int64_t zygos_batch_frames(zygos_t *self, const zygos_frame_t *frame, uint64_t n, uint8_t *verdict, zygos_trace_t *trace)
+int64_t zygos_batch_frames(zygos_t *self, const zygos_frame_t *frame, uint64_t n, uint8_t *verdict,
+                           zygos_trace_t *trace)
 {
     int64_t cycles = 0;
     for (uint64_t i = 0; i < n; i++) {

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+
 from zygos.arm import Arm
 from zygos.errors import ZygosError
 from zygos.methods import Record, by_backward_difference

@@ -10,6 +10,7 @@ from itertools import combinations, combinations_with_replacement
 
 import numpy as np
 from numpy.typing import NDArray
+
 from zygos.arm import Arm
 from zygos.errors import ZygosError
 from zygos.methods import Record

@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+
 from zygos.arm import Arm
 from zygos.errors import ZygosError
 from zygos.methods import Record, by_backward_difference

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
 from zygos.reference.balance import Balance
 
 Floats = NDArray[np.float64]

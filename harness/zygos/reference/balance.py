@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
 from zygos.arm import Arm
 from zygos.reference.cycle import Samples
 from zygos.reference.kinematics import State, cross, gram
@@ -68,8 +69,12 @@ def rows(arm: Arm, samples: Samples, smoothed: Smoothed) -> Balance:
 
     Work of a step: n tau_k-1 (theta_k - theta_k-1), exact for a torque held over the step. Dissipation of a step:
     (h/24)(9 g_k + 19 g_k-1 - 5 g_k-2 + g_k-3), the cubic through the four newest values of g = (thetad - qd)^2.
+
+    Under a held torque the slope of a smooth curve through the samples is h^2/12 da/dt above the true rate, so the
+    kinetic energy reads h/12 n (tau_k - tau_k-1) thetad_k too high; the work of the row is raised by as much.
     """
     h = arm.period_s
+    held = 0.0 if arm.torque_law == "sampled" else h / 12.0
     longest = arc_cycles(arm)
     work = np.zeros(len(smoothed.index))
     dissipated = np.zeros_like(smoothed.q)
@@ -83,10 +88,12 @@ def rows(arm: Arm, samples: Samples, smoothed: Smoothed) -> Balance:
         tau = samples.tau[smoothed.index[of]]
         g = (smoothed.thetad[of] - smoothed.qd[of]) ** 2
         step_work = np.sum(arm.gear_ratios * tau[:-1] * np.diff(theta, axis=0), axis=1)
+        hold_correction = held * np.sum(arm.gear_ratios * np.diff(tau, axis=0) * smoothed.thetad[of[1:]], axis=1)
         step_loss = (h / 24.0) * (9.0 * g[3:] + 19.0 * g[2:-1] - 5.0 * g[1:-2] + g[:-3])
         for origin in range(FILL_INSTANTS, len(of), longest):
             stop = min(origin + longest, len(of))
             work[of[origin + 1 : stop]] = np.cumsum(step_work[origin : stop - 1])
+            work[of[origin:stop]] += hold_correction[origin - 1 : stop - 1]
             dissipated[of[origin + 1 : stop]] = np.cumsum(step_loss[origin - 2 : stop - 3], axis=0)
             arc[of[origin:stop]] = arcs
             arcs += 1

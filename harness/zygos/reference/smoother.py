@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
 from zygos.arm import Arm
 from zygos.errors import ZygosError
 from zygos.reference.cycle import Samples

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
 from zygos.errors import Undecided
 
 Floats = NDArray[np.float64]

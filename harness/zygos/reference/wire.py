@@ -18,6 +18,7 @@ import cantools
 import numpy as np
 from cantools.database.can import Database, Message
 from e2e.p02 import e2e_p02_check
+
 from zygos.arm import Arm
 from zygos.cycles import BREAK_BEFORE, Cycles
 
@@ -137,16 +138,14 @@ def receive(arm: Arm, frames: Iterable[Frame]) -> Reception:
     n = len(opens)
 
     slots: list[list[_Seen]] = [[] for _ in range(n)]
-    for s in seen:
-        if s.kind.family is None:
-            continue
-        slot = int(np.searchsorted(opens, s.at)) - 1
+    others = [s for s in seen if s.kind.family is not None]
+    for s, slot in zip(others, np.searchsorted(opens, [s.at for s in others]) - 1, strict=True):
         if slot < 0:
             log.reject(s.at, "unsynced")
         else:
             slots[slot].append(s)
 
-    counters = [int(s.raw["Counter"]) for s in syncs if s.at in set(opens)]
+    counters = [frames[at].data[0] for at in opens]
     used: list[int] = []
     contents: list[dict[str, _Seen]] = []
     parts = {kind.part for kind in identifiers(arm).values() if kind.part is not None}
@@ -164,11 +163,11 @@ def receive(arm: Arm, frames: Iterable[Frame]) -> Reception:
 
     breaks = {0} | {slot for slot in range(1, n) if numbers[slot] - numbers[slot - 1] != 1}
     breaks |= _time_breaks(arm, numbers, counters, slots, log)
-    breaks |= {int(np.searchsorted(opens, at)) - 1 for at in errors}
+    breaks |= {int(slot) for slot in np.searchsorted(opens, errors) - 1}
     cycles = _assemble(arm, [numbers[slot] for slot in used], contents)
     for position, slot in enumerate(used):
         before = used[position - 1] if position else -1
-        if any(before < b <= slot for b in breaks) or position == 0:
+        if position == 0 or not breaks.isdisjoint(range(before + 1, slot + 1)):
             cycles.flags[position] |= BREAK_BEFORE
     log.faults = +log.faults
     return Reception(cycles, log.faults, tuple(log.verdicts))

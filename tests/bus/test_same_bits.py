@@ -1,0 +1,76 @@
+"""A run through the in-process bus, a .blf and a candump .log: the same bits in the estimate."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from zygos import bus
+from zygos.arm import Arm
+from zygos.errors import ZygosError
+from zygos.flight import FRAME, Flight, encode
+from zygos.plant import Trajectory
+
+
+def bits(arm: Arm, frames: NDArray[np.void]) -> bytes:
+    flight = Flight(arm)
+    flight.frames(frames)
+    result = flight.estimate()
+    assert result.validity == "valid"
+    return result.value.tobytes() + result.sigma.tobytes() + result.covariance.tobytes()
+
+
+@pytest.fixture(scope="module")
+def frames(arm: Arm, noisy: Trajectory) -> NDArray[np.void]:
+    return encode(arm, noisy.cycles(0))
+
+
+@pytest.mark.parametrize("suffix", [".blf", ".log", ".asc"])
+def test_logs(arm: Arm, frames: NDArray[np.void], tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"run{suffix}"
+    bus.write_log(path, frames, arm.period_s)
+    assert list(tmp_path.iterdir()) == [path]
+    again = bus.read_log(path)
+    assert again.tobytes() == frames.tobytes()
+    assert bits(arm, again) == bits(arm, frames)
+
+
+def test_in_process_bus(arm: Arm, frames: NDArray[np.void]) -> None:
+    arrived = bus.transfer(frames, arm.period_s, "virtual", "test_same_bits")
+    assert bits(arm, arrived) == bits(arm, frames)
+
+
+def test_order_within_a_cycle_is_free(arm: Arm, frames: NDArray[np.void]) -> None:
+    shuffled = frames.copy()
+    random = np.random.default_rng(0)
+    starts = np.flatnonzero(frames["id"] == 0x080)
+    for first, last in zip(starts[:-1] + 1, starts[1:], strict=True):
+        shuffled[first:last] = shuffled[first + random.permutation(last - first)]
+    assert shuffled.tobytes() != frames.tobytes()
+    assert bits(arm, shuffled) == bits(arm, frames)
+
+
+def test_foreign_frames_change_nothing(arm: Arm, frames: NDArray[np.void]) -> None:
+    random = np.random.default_rng(1)
+    foreign = np.zeros(len(frames), dtype=FRAME)
+    foreign["id"] = random.integers(0x400, 0x700, len(frames))
+    foreign["length"] = random.integers(0, 9, len(frames))
+    foreign["data"] = random.integers(0, 256, (len(frames), 8))
+    mixed = np.stack([frames, foreign], axis=1).ravel()
+    assert bits(arm, mixed) == bits(arm, frames)
+
+
+@pytest.mark.parametrize(("name", "content"), [("run.csv", "a,b"), ("run.blf", "not a blf"), ("run.log", "")])
+def test_logs_that_are_none(tmp_path: Path, name: str, content: str) -> None:
+    path = tmp_path / name
+    path.write_text(content)
+    with pytest.raises(ZygosError, match="remedy"):
+        bus.read_log(path)
+
+
+def test_missing_log(tmp_path: Path) -> None:
+    with pytest.raises(ZygosError, match="no such file"):
+        bus.read_log(tmp_path / "none.blf")

@@ -1,0 +1,67 @@
+"""What the tests share: the example, and one simulation of it a session."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from zygos.arm import Arm, load_arm
+from zygos.model import Model, load_model
+from zygos.plant import Trajectory, simulate
+from zygos.scenario import Scenario, load_scenario
+
+ROOT = Path(__file__).resolve().parent.parent
+EXAMPLE = ROOT / "examples" / "paper"
+
+
+def need(found: object, what: str) -> None:
+    """A missing tool is a failure in CI and a clear message elsewhere."""
+    if not found:
+        if os.environ.get("CI"):
+            pytest.fail(f"missing in CI: {what}")
+        pytest.skip(f"missing here: {what}")
+
+
+@pytest.fixture(scope="session")
+def arm() -> Arm:
+    return load_arm(EXAMPLE / "arm.toml")
+
+
+@pytest.fixture(scope="session")
+def model() -> Model:
+    return load_model(EXAMPLE / "model.toml")
+
+
+@pytest.fixture(scope="session")
+def scenario() -> Scenario:
+    return load_scenario(EXAMPLE / "scenario.toml")
+
+
+@pytest.fixture(scope="session")
+def true(arm: Arm, model: Model) -> NDArray[np.float64]:
+    """(p,) what only the plant and a scorer know."""
+    return model.base_values(arm)
+
+
+@pytest.fixture(scope="session")
+def clean(arm: Arm, model: Model, scenario: Scenario) -> Callable[[float], Trajectory]:
+    """The example without noise at a given SYNC period, simulated once a session."""
+    known: dict[float, Trajectory] = {}
+
+    def at(period_s: float = arm.period_s) -> Trajectory:
+        if period_s not in known:
+            known[period_s] = simulate(arm, model, scenario, noise=False, period_s=period_s)
+        return known[period_s]
+
+    return at
+
+
+@pytest.fixture(scope="session")
+def noisy(arm: Arm, model: Model, scenario: Scenario) -> Trajectory:
+    """The example with the paper's noise, seeds 0 .. 49."""
+    return simulate(arm, model, scenario, seeds=range(50), noise=True)

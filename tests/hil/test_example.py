@@ -1,0 +1,87 @@
+"""The whole example across an AF_CAN socket: the kernel counts its frames, and the estimate has the same bits."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from test_vcan import listeners, wait_for_listeners
+
+from conftest import EXAMPLE, ROOT
+from zygos import bus, vcan
+from zygos.arm import Arm
+from zygos.flight import Flight, encode
+from zygos.model import Model, load_model
+from zygos.plant import simulate
+from zygos.scenario import Scenario
+
+CHANNEL = os.environ.get("ZYGOS_VCAN_IFS", "vcan0").split()[0]
+
+
+@pytest.fixture(scope="module")
+def frames(arm: Arm, model: Model, scenario: Scenario) -> NDArray[np.void]:
+    return encode(arm, simulate(arm, model, scenario).cycles())
+
+
+def bits(arm: Arm, frames: NDArray[np.void]) -> bytes:
+    flight = Flight(arm)
+    flight.frames(frames)
+    result = flight.estimate()
+    assert result.validity == "valid"
+    assert sum(flight.faults.values()) == 0
+    return result.value.tobytes() + result.sigma.tobytes() + result.covariance.tobytes()
+
+
+def test_same_bits_from_vcan_from_logs_and_in_process(arm: Arm, frames: NDArray[np.void], tmp_path: Path) -> None:
+    before = vcan.kernel_counts(CHANNEL)
+    arrived = bus.transfer(frames, arm.period_s, "socketcan", CHANNEL)
+    assert vcan.kernel_counts(CHANNEL) - before == vcan.KernelCounts(len(frames), len(frames), 0)
+    expected = bits(arm, frames)
+    assert bits(arm, arrived) == expected
+    assert bits(arm, bus.transfer(frames, arm.period_s, "virtual", "hil")) == expected
+    for name in ("run.blf", "run.log"):
+        bus.write_log(tmp_path / name, arrived, arm.period_s)
+        assert bits(arm, bus.read_log(tmp_path / name)) == expected
+
+
+def test_the_demo_takes_vcan_where_there_is_one() -> None:
+    """`make`, as a machine with vcan0 runs it; the tree is read-only here but for the output folder."""
+    before = vcan.kernel_counts(CHANNEL)
+    folder = Path(os.environ["ZYGOS_OUT"]) / "hil"
+    code = f"from pathlib import Path; from zygos.demo import run_demo; run_demo(Path({str(folder)!r}))"
+    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
+    said = json.loads(folder.with_suffix(".json").read_text())
+    assert said["bus"] == f"socketcan {CHANNEL}"
+    assert said["cycles"] == 1200
+    assert sum(said["faults"].values()) == 0
+    sent = len(bus.read_log(folder / "sent.blf"))
+    assert vcan.kernel_counts(CHANNEL) - before == vcan.KernelCounts(sent, sent, 0)
+
+
+def test_listen(arm: Arm, frames: NDArray[np.void], tmp_path: Path) -> None:
+    """A second process listens while the first one sends, a little faster than life."""
+    already = listeners()
+    out = tmp_path / "live.toml"
+    command = [sys.executable, "-m", "zygos.cli", "listen", "-i", "socketcan", "-c", CHANNEL, "--idle", "2"]
+    listener = subprocess.Popen([*command, "--arm", str(EXAMPLE / "arm.toml"), "-o", str(out)])
+    try:
+        wait_for_listeners(already + 1)
+        with bus.open_bus("socketcan", CHANNEL) as sender:
+            for k, message in enumerate(bus.to_messages(frames, arm.period_s)):
+                sender.send(message)
+                if k % 50 == 49:
+                    time.sleep(0.04)
+        assert listener.wait(timeout=30) == 0
+    finally:
+        listener.kill()
+        listener.wait()
+    flight = Flight(arm)
+    flight.frames(frames)
+    assert np.array_equal(load_model(out).base_values(arm), flight.estimate().value)

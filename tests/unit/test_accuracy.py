@@ -1,0 +1,121 @@
+"""What the estimators reach on the paper's arm."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from zygos.arm import Arm
+from zygos.check import check_frames
+from zygos.cycles import Cycles
+from zygos.flight import Estimate, Flight, encode
+from zygos.methods import amc, de, eb, exact_record
+from zygos.model import Model
+from zygos.paper import flight_estimates, noisy_record
+from zygos.plant import Trajectory, simulate
+from zygos.scenario import Scenario
+from zygos.score import score
+
+Floats = NDArray[np.float64]
+Clean = Callable[..., Trajectory]
+
+
+def through_cycles(arm: Arm, cycles: Cycles) -> Estimate:
+    flight = Flight(arm)
+    flight.cycles(cycles)
+    return flight.estimate()
+
+
+def through_frames(arm: Arm, cycles: Cycles) -> Estimate:
+    flight = Flight(arm)
+    flight.frames(encode(arm, cycles))
+    return flight.estimate()
+
+
+def test_batch_reference_with_exact_data_reaches_table_4(arm: Arm, clean: Clean, true: Floats) -> None:
+    value = eb.estimate(arm, exact_record(clean()), rates="exact")
+    assert score(value, true).worst <= 1e-6
+
+
+def test_noise_free_errors_fall_tenfold_with_each_halving(arm: Arm, clean: Clean, true: Floats) -> None:
+    """Cycle door: no quantisation of the wire."""
+    worst = {}
+    for period in (0.05, 0.02, 0.01, 0.005):
+        trajectory = clean(period)
+        worst[period] = score(through_cycles(trajectory.arm, trajectory.cycles()).value, true).worst
+    assert worst[0.05] <= 0.3
+    assert worst[0.01] <= worst[0.02] / 10
+    assert worst[0.005] <= worst[0.01] / 10
+    assert worst[0.005] <= 1e-5
+
+
+def test_frames_cost_little_against_cycles(arm: Arm, clean: Clean) -> None:
+    cycles = clean().cycles()
+    frames, direct = through_frames(arm, cycles), through_cycles(arm, cycles)
+    assert score(frames.value, direct.value).worst <= 5e-3
+
+
+def test_a_torque_one_cycle_late_is_no_small_thing(arm: Arm, clean: Clean, true: Floats) -> None:
+    cycles = clean().cycles()
+    late = replace(cycles, tau=np.vstack([cycles.tau[:1], cycles.tau[:-1]]))
+    assert score(through_cycles(arm, late).value, true).worst > 10.0
+
+
+def test_shifting_everything_together_changes_nothing(arm: Arm, clean: Clean) -> None:
+    cycles = clean().cycles()
+    shifted = replace(cycles, sync=cycles.sync + np.uint64(12345))
+    a, b = through_cycles(arm, cycles), through_cycles(arm, shifted)
+    assert a.value.tobytes() == b.value.tobytes()
+    assert a.sigma.tobytes() == b.sigma.tobytes()
+
+
+def test_paper_noise_batch(arm: Arm, noisy: Trajectory, true: Floats) -> None:
+    record = noisy_record(arm, noisy)
+    assert score(eb.estimate(arm, record, rates="backward"), true).mean == pytest.approx(16.0, abs=1.5)
+    failing = score(de.estimate(arm, record), true)
+    assert failing.mean > 60.0
+    momentum = score(amc.estimate(arm, record, momentum_nms=1.0), true).error_percent
+    seen = np.isfinite(momentum).all(axis=0)
+    assert [name for name, s in zip(arm.parameter_names, seen, strict=True) if not s] == ["k1", "b1", "k2", "b2"]
+    assert np.allclose(momentum[:, seen], -100.0, atol=1.0)
+
+
+def test_paper_noise_flight_chain(arm: Arm, noisy: Trajectory, true: Floats) -> None:
+    result = score(flight_estimates(arm, noisy), true)
+    assert result.mean == pytest.approx(1.0, abs=0.15)
+    assert result.worst <= 2.2
+
+
+def test_c_equals_numpy_room_by_room(arm: Arm, noisy: Trajectory) -> None:
+    rooms = check_frames(arm, encode(arm, noisy.cycles(3)))
+    assert [room.name for room in rooms if not room.equal] == []
+    assert {room.name for room in rooms} >= {"wire and cycles", "smoother", "balance", "normal equations", "solution"}
+
+
+@pytest.fixture(scope="module")
+def snap(arm: Arm, model: Model, scenario: Scenario) -> Trajectory:
+    """300 s without noise: link 2 snaps once, faster than the smoother can follow."""
+    return simulate(arm, model, scenario, noise=False, duration_s=300.0)
+
+
+def test_a_snap_is_survived(arm: Arm, snap: Trajectory, true: Floats) -> None:
+    blind = replace(
+        arm,
+        joints=tuple(
+            replace(
+                j,
+                link_encoder=replace(j.link_encoder, quantum_rad=10.0),
+                motor_encoder=replace(j.motor_encoder, quantum_rad=10.0),
+            )
+            for j in arm.joints
+        ),
+    )
+    cycles = snap.cycles()
+    without = score(through_cycles(blind, cycles).value, true)
+    with_test = score(through_cycles(arm, cycles).value, true)
+    assert 38.0 <= without.worst <= 53.0
+    assert with_test.worst <= 1.0

@@ -1,0 +1,239 @@
+"""How the flight library compiles: strictly, freestanding, without memory of its own, on a small and bounded stack."""
+
+from __future__ import annotations
+
+import functools
+import importlib.util
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from flight_support import balanced, chosen, sines
+from reference_support import make_arm
+from zygos import flight
+from zygos.arm import Arm
+
+ROOT = Path(__file__).resolve().parents[2]
+SOURCES = sorted((ROOT / "c").glob("*.c"))
+HEADERS = sorted((ROOT / "include" / "zygos").glob("*.h"))
+INCLUDE = ["-I", str(ROOT / "include")]
+
+CORTEX_M7 = "arm-none-eabi-gcc -mcpu=cortex-m7 -mthumb -mfpu=fpv5-d16 -mfloat-abi=hard -ffreestanding".split()
+TARGETS = {"gcc": ["gcc"], "clang": ["clang"], "cortex-m7": CORTEX_M7}
+
+# The freestanding subset that C compilers call on their own.
+ALLOWED_SYMBOLS = {"memcpy", "memset", "memmove", "memcmp"}
+# One call frame, and the deepest chain of calls below a public function. Measured at capacity 7 and half width 15: 1000
+# and 1464 bytes; the bounds leave room for other compilers and still fit a 4 KiB task stack with an interrupt frame.
+LARGEST_FRAME = 1536
+DEEPEST_STACK = 3072
+
+
+def house_flags() -> list[str]:
+    """The flags that tools/build_native.py compiles with, less those of a shared object."""
+    spec = importlib.util.spec_from_file_location("build_native", ROOT / "tools" / "build_native.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return [flag for flag in module.FLAGS.split() if flag not in ("-g", "-fPIC")]
+
+
+def tool(name: str) -> str:
+    """The program, or a skipped test; on a build server a failed one."""
+    path = shutil.which(name)
+    if path is None and os.environ.get("CI"):
+        pytest.fail(f"{name} is not installed, and this is a build server")
+    if path is None:
+        pytest.skip(f"{name} is not installed: this target stays unchecked here")
+    return path
+
+
+def run(command: list[str], folder: Path) -> str:
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, f"{' '.join(command)}\n{done.stdout}{done.stderr}"
+    assert not done.stderr, done.stderr
+    return done.stdout
+
+
+def compile_all(target: str, folder: Path, *flags: str) -> list[Path]:
+    """Compile every room of the library; no warning may come. Returns the objects."""
+    compiler = TARGETS[target]
+    tool(compiler[0])
+    folder.mkdir(parents=True, exist_ok=True)
+    command = [*compiler, *house_flags(), "-Werror", *INCLUDE, *flags, "-c", *map(str, SOURCES)]
+    run(command, folder)
+    return [folder / f"{source.stem}.o" for source in SOURCES]
+
+
+def symbols(target: str, objects: list[Path]) -> list[tuple[str, str]]:
+    """(name, nm's type letter) of every symbol."""
+    nm = tool("arm-none-eabi-nm" if target == "cortex-m7" else "nm")
+    out = run([nm, *map(str, objects)], objects[0].parent)
+    return [(m[2], m[1]) for m in re.finditer(r"^[0-9a-f ]* ([A-Za-z]) (\S+)$", out, re.M)]
+
+
+@functools.cache
+def declared() -> dict[str, str]:
+    """Prototypes in the public headers: name and the paragraph that it stands in."""
+    out = {}
+    for header in HEADERS:
+        for paragraph in re.split(r"\n\s*\n", header.read_text()):
+            for name in re.findall(r"^(?!typedef|///|#)[a-z][\w *]*?\b(zygos_\w+)\(", paragraph, re.M):
+                out[name] = paragraph
+    return out
+
+
+@pytest.mark.parametrize("optimise", ["-O2", "-O0", "-Os"])
+@pytest.mark.parametrize("target", TARGETS)
+def test_compiles_without_a_warning_and_needs_no_library(target: str, optimise: str, tmp_path: Path) -> None:
+    objects = compile_all(target, tmp_path, optimise)
+    found = symbols(target, objects)
+    own = {name for name, kind in found if kind in "Tt"}
+    # The compiler's own arithmetic helpers (64-bit integers on a 32-bit core) are part of every toolchain.
+    foreign = {n for n, kind in found if kind == "U" and n not in own and not n.startswith("__aeabi_")}
+    assert foreign <= ALLOWED_SYMBOLS, f"the library calls {sorted(foreign - ALLOWED_SYMBOLS)}"
+    assert {kind for _, kind in found} <= set("TtrRUdn$") - {"d"}, "the library has writable or common symbols"
+
+
+def test_exports_exactly_what_the_headers_declare(tmp_path: Path) -> None:
+    found = symbols("gcc", compile_all("gcc", tmp_path))
+    assert {name for name, kind in found if kind == "T"} == set(declared())
+
+
+def test_every_public_function_is_described() -> None:
+    assert len(declared()) > 30
+    assert [name for name, paragraph in declared().items() if "///" not in paragraph] == []
+
+
+@pytest.mark.parametrize(
+    "flags",
+    [
+        ["-DZYGOS_MAX_JOINTS=1"],
+        ["-DZYGOS_MAX_JOINTS=2"],
+        ["-DZYGOS_MAX_BLOCKS=8"],
+        ["-DZYGOS_MAX_HALF_WIDTH=2"],
+        ["-DZYGOS_MAX_HALF_WIDTH=31", "-DZYGOS_MAX_BLOCKS=256", "-DZYGOS_CYCLE_QUEUE=1024"],
+    ],
+    ids=" ".join,
+)
+def test_compiles_at_other_capacities(flags: list[str], tmp_path: Path) -> None:
+    compile_all("gcc", tmp_path, *flags)
+
+
+@pytest.mark.parametrize(
+    "flag",
+    ["JOINTS=0", "JOINTS=8", "HALF_WIDTH=1", "HALF_WIDTH=32", "BLOCKS=9", "BLOCKS=6", "CYCLE_QUEUE=3"],
+)
+def test_refuses_to_compile_at_impossible_capacities(flag: str, tmp_path: Path) -> None:
+    name = f"ZYGOS_{flag}" if flag.startswith("CYCLE") else f"ZYGOS_MAX_{flag}"
+    command = [tool("gcc"), "-std=c11", *INCLUDE, f"-D{name}", "-fsyntax-only", str(SOURCES[0])]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode != 0
+    assert "#error" in done.stderr
+
+
+@pytest.mark.parametrize("header", HEADERS, ids=lambda path: path.name)
+def test_each_header_stands_alone(header: Path, tmp_path: Path) -> None:
+    warnings = ["-Wall", "-Wextra", "-pedantic", "-Werror"]
+    unit = tmp_path / "unit.c"
+    unit.write_text(f'#include "zygos/{header.name}"\n#include "zygos/{header.name}"\n')
+    run([tool("gcc"), "-std=c11", *warnings, *INCLUDE, "-fsyntax-only", str(unit)], tmp_path)
+    run([tool("g++"), "-std=c++17", "-x", "c++", *warnings, *INCLUDE, "-fsyntax-only", str(unit)], tmp_path)
+
+
+def test_a_cpp_program_links_and_agrees_on_the_abi(tmp_path: Path) -> None:
+    """sizeof of every public struct, and so ZYGOS_ABI, is the same in C++17."""
+    objects = compile_all("gcc", tmp_path)
+    program = tmp_path / "program.cpp"
+    program.write_text(
+        '#include "zygos/zygos.h"\n'
+        "static zygos_t arm;\n"
+        "int main() { return (zygos_abi() == ZYGOS_ABI && zygos_step(&arm) == ZYGOS_E_ORDER) ? 0 : 1; }\n"
+    )
+    flags = "-std=c++17 -Wall -Wextra -pedantic -Werror".split()
+    # -lm is in every C++ link anyway; that the library needs none is tested on its symbols.
+    run([tool("g++"), *flags, *INCLUDE, str(program), *map(str, objects), "-o", "program"], tmp_path)
+    run([str(tmp_path / "program")], tmp_path)
+
+
+class Calls:
+    """Call graph of the whole library, from GCC's -fcallgraph-info=su."""
+
+    def __init__(self, folder: Path) -> None:
+        self.frame: dict[str, int] = {}
+        self.bounded: dict[str, bool] = {}
+        self.calls: dict[str, set[str]] = {}
+        for graph in sorted(folder.glob("*.ci")):
+            text = graph.read_text()
+            for title, label in re.findall(r'node: \{ title: "([^"]*)" label: "([^"]*)"', text):
+                size = re.search(r"(\d+) bytes \(([^)]*)\)", label)
+                if size:
+                    self.frame[title] = int(size[1])
+                    self.bounded[title] = size[2] == "static"
+                self.calls.setdefault(title, set())
+            for source, target in re.findall(r'edge: \{ sourcename: "([^"]*)" targetname: "([^"]*)"', text):
+                self.calls.setdefault(source, set()).add(target)
+
+    def depth(self, name: str, above: tuple[str, ...] = ()) -> int:
+        """Bytes of stack below and including a function. Fails on recursion."""
+        assert name not in above, f"recursion: {' -> '.join([*above, name])}"
+        return self.frame.get(name, 0) + max((self.depth(x, (*above, name)) for x in self.calls[name]), default=0)
+
+
+@pytest.mark.parametrize("target", ["gcc", "cortex-m7"])
+def test_stack_is_bounded_and_nothing_recurses(target: str, tmp_path: Path) -> None:
+    """Every frame has a fixed size, no function is called through a pointer, and no chain of calls comes back."""
+    compile_all(target, tmp_path, "-fcallgraph-info=su")
+    calls = Calls(tmp_path)
+    assert len(calls.frame) > 30
+    assert "__indirect_call" not in calls.calls
+    assert [name for name, bounded in calls.bounded.items() if not bounded] == []
+    largest = max(calls.frame, key=lambda name: calls.frame[name])
+    depth = {name: calls.depth(name) for name in calls.frame}
+    deepest = max(depth, key=lambda name: depth[name])
+    print(f"{target}: largest frame {calls.frame[largest]} in {largest}, deepest stack {depth[deepest]} in {deepest}")
+    assert calls.frame[largest] <= LARGEST_FRAME
+    assert depth[deepest] <= DEEPEST_STACK
+
+
+def results(arm: Arm) -> dict[str, Any]:
+    """Everything that a run of an arm gives, through both doors."""
+    cycles = balanced(arm, sines(arm, 1500), chosen(arm))
+    doors = {}
+    for name in ("frames", "cycles"):
+        run_of = flight.Flight(arm)
+        trace = run_of.frames(flight.encode(arm, cycles), trace=True) if name == "frames" else None
+        trace = run_of.cycles(cycles, trace=True) if trace is None else trace
+        assert trace is not None
+        gram, right = run_of.normal_equations()
+        estimate = run_of.estimate()
+        doors[name] = [trace.row[trace.instant], trace.accepted, gram, right, estimate.value, estimate.sigma]
+        doors[name] += [estimate.covariance, estimate.condition, estimate.residual]
+    return doors
+
+
+def test_capacity_changes_no_bit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two joints in a build for two and in the build for seven."""
+    tool(os.environ.get("CC", "cc").split()[0])
+    arm = make_arm(tmp_path)
+    large = results(arm)
+    environment = {**os.environ, "CFLAGS": "-DZYGOS_MAX_JOINTS=2"}
+    script = [sys.executable, str(ROOT / "tools" / "build_native.py"), str(tmp_path / "small")]
+    subprocess.run(script, env=environment, check=True)
+    monkeypatch.setattr(flight, "_FOLDER", tmp_path / "small")
+    ffi, lib = flight._load()
+    monkeypatch.setattr(flight, "ffi", ffi)
+    monkeypatch.setattr(flight, "lib", lib)
+    assert lib.ZYGOS_MAX_JOINTS_VALUE == 2
+    small = results(arm)
+    for door, pieces in large.items():
+        assert np.isfinite(pieces[4]).all()
+        for piece, other in zip(pieces, small[door], strict=True):
+            np.testing.assert_array_equal(piece, other)
