@@ -31,10 +31,12 @@ CONSTANTS = (
 def main(folder: Path) -> None:
     """Write folder/libzygos.so and folder/zygos.cdef."""
     compiler = shlex.split(os.environ.get("CC", "cc"))
+    extra = shlex.split(os.environ.get("CFLAGS", ""))
+    defines = [flag for flag in extra if flag.startswith("-D")]
     folder.mkdir(parents=True, exist_ok=True)
     probe = "".join(f"\nenum {{ {name}_VALUE = {name} }};" for name in CONSTANTS)
     text = subprocess.run(
-        [*compiler, "-E", "-P", "-x", "c", "-DZYGOS_DECLARATIONS_ONLY", *INCLUDES, "-"],
+        [*compiler, "-E", "-P", "-x", "c", "-DZYGOS_DECLARATIONS_ONLY", *defines, *INCLUDES, "-"],
         input=f'#include "{HEADER.name}"{probe}\n',
         capture_output=True,
         text=True,
@@ -42,7 +44,7 @@ def main(folder: Path) -> None:
     ).stdout
     digest = int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big")
     sources = sorted(str(path) for path in [*(ROOT / "c").glob("*.c"), *HEADER.parent.glob("*.c")])
-    command = [*compiler, *FLAGS.split(), *shlex.split(os.environ.get("CFLAGS", ""))]
+    command = [*compiler, *FLAGS.split(), *extra]
     command += [f"-DZYGOS_DECLARATIONS_DIGEST={digest}u", *INCLUDES, "-shared", *sources]
     partial = folder / "libzygos.so.partial"
     subprocess.run([*command, "-o", str(partial)], check=True)

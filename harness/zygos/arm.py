@@ -1,4 +1,4 @@
-"""What the hardware is: joints, encoders, gyro, timing and declared noise (`arm.toml`, docs/interfaces.md)."""
+"""What the hardware is: joints, encoders, gyro, timing and declared noise (`arm.toml`)."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ Kinetic = Literal["planar-symmetric", "planar"]
 TorqueLaw = Literal["applied_from_sync", "applied_previous_cycle", "sampled"]
 
 Side = Literal["output", "rotor"]
-TorqueAt = Literal["rotor", "output"]
+TorqueAt = Literal["rotor"]
 Resolution = Literal["fine", "coarse"]
 
 _BASES: tuple[Base, ...] = ("free",)
 _KINETICS: tuple[Kinetic, ...] = ("planar-symmetric", "planar")
 _SIDES: tuple[Side, ...] = ("output", "rotor")
-_TORQUE_ATS: tuple[TorqueAt, ...] = ("rotor", "output")
+_TORQUE_ATS: tuple[TorqueAt, ...] = ("rotor",)
 _RESOLUTIONS: tuple[Resolution, ...] = ("fine", "coarse")
 _TORQUE_LAWS: tuple[TorqueLaw, ...] = ("applied_from_sync", "applied_previous_cycle", "sampled")
 _LATCH_MAX_US = 65_535  # the wire carries the latch delay as u16
@@ -49,7 +49,7 @@ class Encoder:
 
     @property
     def sigma_rad(self) -> float:
-        """Standard deviation of a uniform error one quantum wide, rad (Nanos & Papadopoulos eq. (28); docs/model.md,
+        """Standard deviation of a uniform error one quantum wide, rad (Nanos & Papadopoulos eq. (28); docs/paper.md,
         erratum 4)."""
         return self.quantum_rad / math.sqrt(12.0)
 
@@ -262,12 +262,13 @@ def _imu(table: Table) -> Imu:
 
 
 def _smoother(table: Table) -> Smoother:
-    points = table.integer("points", 7, low=3, high=63)
+    points = table.integer("points", 7, low=5, high=31)
     if points % 2 == 0:
         raise table.error("points", f"{points} is even", "write an odd number: the filter is centred on its instant")
-    order = table.integer("order", min(4, points - 1), low=1, high=8)
-    if order >= points:
-        raise table.error("order", f"{order} needs more than {points} points", "lower order or raise points")
+    order = table.integer("order", min(4, points - 3), low=2, high=8)
+    if order > points - 3:
+        raise table.error("order", f"{order} needs at least {order + 3} points: the bandwidth test fits two fewer",
+                          "lower order or raise points")
     lag = table.integer("lag", points // 2, low=0, high=63)
     if lag != points // 2:
         raise table.error("lag", f"{lag} makes end-point filters, whose errors are 30 times larger",
@@ -296,6 +297,9 @@ def _check_whole(arm: Arm, top: Table) -> None:
                                 "keep joint and encoder latch_us together below period_s")
     if not _within(arm.imu.latch_us, arm.period_s):
         raise top.error("imu.latch_us", "the latch falls into the following SYNC period", "keep it below period_s")
+    if np.max(np.abs(arm.frames - np.eye(3))) > 1e-9:
+        raise top.error("joint.frame_rpy", "a planar arm counts link angles from its stretched posture",
+                        "write [0, 0, 0] and put the rotation into the encoders' zero_rad")
     try:
         _ = arm.axis
     except ZygosError as error:

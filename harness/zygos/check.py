@@ -90,15 +90,21 @@ def check_chain(arm: Arm, trace: Trace, flight: Flight) -> list[Room]:
     rooms.append(Room(equations.name, equations.compared, equations.difference, None, equations.tolerance))
     estimate = flight.estimate()
     tolerance = max(1e-9, 1e-14 * estimate.condition)
-    relative = np.abs(estimate.value / chain.solution.x - 1.0)
-    worst = float(np.max(relative)) if np.all(np.isfinite(relative)) else float("inf")
+    known = np.isfinite(estimate.value)  # the library withholds what is not identifiable
+    relative = np.abs(estimate.value[known] / chain.solution.x[known] - 1.0)
+    worst = float(np.max(relative, initial=0.0)) if np.all(np.isfinite(relative)) else float("inf")
     rooms.append(Room("solution", len(relative), worst, None, tolerance))
     return rooms
 
 
 def decode(arm: Arm, frames: NDArray[Any]) -> Reception:
     """`FRAME` records as numpy's side receives them."""
-    return receive(arm, [Frame(int(f["id"]), bytes(f["data"][: f["length"]]), int(f["flags"])) for f in frames])
+    return receive(arm, [_frame(f) for f in frames])
+
+
+def _frame(record: Any) -> Frame:
+    length = int(record["length"])
+    return Frame(int(record["id"]), bytes(record["data"])[:length].ljust(length, b"\0"), int(record["flags"]))
 
 
 def check_frames(arm: Arm, frames: NDArray[Any]) -> list[Room]:
@@ -110,10 +116,10 @@ def check_frames(arm: Arm, frames: NDArray[Any]) -> list[Room]:
     ours, theirs = trace.cycles, reception.cycles
     rooms = [_compare("wire and cycles", _columns(ours), _columns(theirs), ours.sync, 1e-15)]
     if len(ours) == len(theirs):
-        same = (ours.sync != theirs.sync) | ((ours.flags & 1) != (theirs.flags & 1))
-        first = int(ours.sync[np.argmax(same)]) if same.any() else None
-        rooms.append(Room("cycle numbers and breaks", len(ours), float(same.sum()), first, 0.0))
+        unlike = (ours.sync != theirs.sync) | (ours.flags != theirs.flags)
+        first = int(ours.sync[np.argmax(unlike)]) if unlike.any() else None
+        rooms.append(Room("cycle numbers and breaks", len(ours), float(unlike.sum()), first, 0.0))
     c_faults = flight.faults
-    off = sum(abs(c_faults.get(name, 0) - count) for name, count in reception.faults.items())
-    rooms.append(Room("fault counters", len(reception.faults), float(off), None, 0.0))
+    off = sum(abs(count - reception.faults[name]) for name, count in c_faults.items())
+    rooms.append(Room("fault counters", len(c_faults), float(off), None, 0.0))
     return rooms + check_chain(arm, trace, flight)

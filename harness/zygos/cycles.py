@@ -11,6 +11,8 @@ BREAK_BEFORE = 1
 """Bit of `Cycles.flags`: the run is broken between the cycle before and this one."""
 INVALID = 2
 """Bit of `Cycles.flags`: the cycle's values are not to be used."""
+VOID_BEFORE = 4
+"""Bit of `Cycles.flags`, beside BREAK_BEFORE: cycles may be missing within the arc that ends here; it is dropped."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,7 @@ class Cycles:
     omega: NDArray[np.float64]
     """(n, 3) gyro reading in the sensor's frame, rad/s."""
     flags: NDArray[np.uint32]
-    """(n,) BREAK_BEFORE, INVALID."""
+    """(n,) BREAK_BEFORE, INVALID, VOID_BEFORE."""
 
     def __len__(self) -> int:
         """Number of cycles."""

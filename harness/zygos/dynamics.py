@@ -1,4 +1,4 @@
-"""Equations of motion of the planar free-floating arm, from its base parameters alone (docs/model.md).
+"""Equations of motion of the planar free-floating arm, from its base parameters alone (docs/theory.md).
 
 Body i (0 = base) turns at the absolute rate f_i; f_0 = omega_0, f_i = f_{i-1} + qd_i; phi_i is its absolute angle. With
 c = phi_j - phi_i the kinetic energy of Nanos & Papadopoulos eq. (11) is
@@ -109,7 +109,7 @@ class PlanarDynamics:
         """Accelerations (base (...,), joints (..., N), motors after the gear (..., N)), rad/s^2.
 
         q, theta rad; omega0, qd, thetad rad/s; tau the rotor torque before the gear, Nm (Nanos & Papadopoulos
-        eqs. (14)-(18) in absolute angles, docs/model.md).
+        eqs. (14)-(18) in absolute angles, docs/theory.md).
         """
         f = self.rates(omega0, qd)
         inertia, slope = self.inertia(q)

@@ -1,6 +1,6 @@
-"""What someone believes of an arm: masses, lengths, inertias, stiffness (`model.toml`, docs/interfaces.md).
+"""What someone believes of an arm: masses, lengths, inertias, stiffness (`model.toml`).
 
-A model is given either by its bodies and joints, or by base parameters (docs/model.md). Both give `base_parameters`.
+A model is given either by its bodies and joints, or by base parameters (docs/theory.md). Both give `base_parameters`.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ class Model:
         """(p, p) covariance of the base parameters.
 
         For a model given by bodies it carries the correlations that masses and inertias impose; independent variances
-        of the a_ij would allow negative kinetic energy (docs/model.md). Geometry is taken as exact.
+        of the a_ij would allow negative kinetic energy (docs/theory.md). Geometry is taken as exact.
         """
         if not self.bodies:
             sigma = np.array([quantity.sigma for quantity in self._named_parameters(arm).values()])
@@ -154,7 +154,7 @@ class Model:
         return np.array([quantity.value for quantity in self._quantities()])
 
     def _convert(self, arm: Arm, scalars: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Base parameters (p,) from the scalars in the order of `_quantities` (docs/model.md, "From bodies")."""
+        """Base parameters (p,) from the scalars in the order of `_quantities` (docs/theory.md, "From bodies …")."""
         bodies = len(self.bodies)
         axis = arm.axis
         across = np.eye(3) - np.outer(axis, axis)

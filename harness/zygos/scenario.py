@@ -1,4 +1,4 @@
-"""What is done with an arm: manoeuvre, controller, duration, seed and bus (`scenario.toml`, docs/interfaces.md)."""
+"""What is done with an arm: manoeuvre, controller, duration, seed and bus (`scenario.toml`)."""
 
 from __future__ import annotations
 

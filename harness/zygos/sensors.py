@@ -1,4 +1,4 @@
-"""What the sensors say of a motion (Nanos & Papadopoulos eqs. (28)-(32); docs/model.md, errata 4-6).
+"""What the sensors say of a motion (Nanos & Papadopoulos eqs. (28)-(32); docs/paper.md, errata and noise).
 
 Encoders err by a Gaussian of variance quantum^2/12, or round to the quantum. The gyro has white noise and a bias that
 walks at random. Reported torque has white noise. The errors of one seed are the same bits whether it is drawn alone or

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
+
 from zygos.arm import Arm
 from zygos.cycles import Cycles
 from zygos.flight import Flight, Trace, ffi, lib

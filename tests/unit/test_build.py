@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from flight_support import balanced, chosen, sines
 from reference_support import make_arm
+
 from zygos import flight
 from zygos.arm import Arm
 

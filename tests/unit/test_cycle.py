@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from flight_support import Bus, balanced, bytes_of, chosen, masked, part, sines
 from reference_support import make_arm
+
 from zygos.arm import Arm
 from zygos.cycles import BREAK_BEFORE
 from zygos.flight import FRAME, Flight, _field_names, config_of, encode, ffi, lib
@@ -63,7 +65,9 @@ def spoilt(bus: Bus, index: int, bad: Any, **expected: int) -> None:
 def test_good_cycles_come_out_in_order_with_their_values(bus: Bus) -> None:
     """Codes in the wire's units; the first cycle after the start continues nothing."""
     turn, cycle = 2.0 * np.pi, ffi.new("zygos_cycle_t *")
-    bus.send(bus.sync(239), bus.angles(0, 239, 1048576, -2097152), bus.torque(0, 239, 123456), *bus.rates(239, (5, 6, -7)))
+    bus.send(
+        bus.sync(239), bus.angles(0, 239, 1048576, -2097152), bus.torque(0, 239, 123456), *bus.rates(239, (5, 6, -7))
+    )
     bus.send(bus.angles(1, 239, -5, 8388607), bus.torque(1, 239, -1), bus.sync(240))
     assert lib.zygos_receiver_pop(ffi.addressof(bus.flight.native, "receiver"), cycle) == 1
     assert (cycle.sync, cycle.flags) == (0, BREAK_BEFORE)
@@ -266,7 +270,12 @@ def test_saturated_coarse_gyro(coarse: Bus, codes: tuple[int, int, int]) -> None
 
 
 def test_codes_beside_the_outermost_are_values(bus: Bus) -> None:
-    frames = [bus.angles(0, 1, 8388607, -8388607), bus.torque(0, 1, 8388606), bus.angles(1, 1), bus.torque(1, 1, -8388607)]
+    frames = [
+        bus.angles(0, 1, 8388607, -8388607),
+        bus.torque(0, 1, 8388606),
+        bus.angles(1, 1),
+        bus.torque(1, 1, -8388607),
+    ]
     bus.send(bus.sync(1), *frames, *bus.rates(1, (8388606, -8388607, 8388606)))
     assert close(bus, 2) == [(0, BREAK_BEFORE)]
     assert bus.faults() == {}
@@ -402,7 +411,7 @@ def retold(frame: Any) -> Any:
 def test_a_rejected_frame_changes_faults_and_status_only(bus: Bus, case: str) -> None:
     """Every other byte of zygos_t stays: the half-filled cycle, the queue, the clock, filters and sums."""
     bus.cycles(1, 2)
-    # In the repeated cases every frame of cycle 3 has come; otherwise none, so that the bad one is the first of its kind.
+    # In the repeated cases every frame of cycle 3 has come; otherwise none, so the bad one is the first of its kind.
     bus.send(bus.sync(3), *(bus.data(3) if case in ("repeated", "sync repeated") else []))
     before, faults = masked(bus.flight), bus.faults()
     assert bus.send(REJECTIONS[case](bus)) == [REJECTED]
@@ -553,12 +562,14 @@ def test_arcs_that_closed_before_an_outage_are_kept(arm: Arm) -> None:
     early = sines(arm, 120)
     early.flags[60] = 2  # a lost cycle closes the first arc
     flight.frames(encode(arm, early)[:-1])
-    kept = flight.native.accumulator.block[0].instants
+    sums = flight.native.accumulator
+    closed = [sums.block[b].instants for b in range(sums.open)]
+    assert sum(closed) >= 20
     flight.frames(encode(arm, sines(arm, 100, first=121 + 240)))
     assert flight.faults["time_jumped"] == 1
     assert flight.native.accumulator.arcs == 1
     assert flight.counts["arcs_dropped"] == 1
-    assert flight.native.accumulator.block[0].instants == kept == 60 - 9
+    assert [sums.block[b].instants for b in range(len(closed))] == closed
 
 
 # ---------------------------------------------------------------- the order of frames, and the record of a run
@@ -569,7 +580,7 @@ def shuffled(frames: Any, seed: int) -> Any:
     rng = np.random.default_rng(seed)
     starts = [*np.flatnonzero(frames["id"] == 0x080).tolist(), len(frames)]
     order = []
-    for start, stop in zip(starts[:-1], starts[1:], strict=True):
+    for start, stop in pairwise(starts):
         order += [start, *(start + 1 + rng.permutation(stop - start - 1)).tolist()]
     return frames[order]
 
@@ -625,13 +636,13 @@ def test_every_counter_is_exercised_in_this_file() -> None:
 # ---------------------------------------------------------------- calibration
 
 
-@pytest.mark.parametrize(("law", "share"), [("applied_from_sync", 0.0), ("applied_previous_cycle", 1.0), ("sampled", 0.5)])
+@pytest.mark.parametrize(
+    ("law", "share"), [("applied_from_sync", 0.0), ("applied_previous_cycle", 1.0), ("sampled", 0.5)]
+)
 def test_calibration(tmp_path: Path, law: str, share: float) -> None:
     """Signs, zeros, mounting, and the torque in force during the cycle that ends with this SYNC."""
     half = np.sqrt(0.5)
-    arm = make_arm(
-        tmp_path, law=law, imu=f"mount_xyzw = [{half}, 0, 0, {half}]", encoder="sign = -1, zero_rad = 0.25"
-    )
+    arm = make_arm(tmp_path, law=law, imu=f"mount_xyzw = [{half}, 0, 0, {half}]", encoder="sign = -1, zero_rad = 0.25")
     rng = np.random.default_rng(7)
     hold = ffi.new("zygos_hold_t *")
     signal, tau, cycle = ffi.new("double[]", 17), ffi.new("double[]", 7), ffi.new("zygos_cycle_t *")

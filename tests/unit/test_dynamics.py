@@ -104,7 +104,7 @@ def test_energy_momentum_and_accelerations_equal_pinocchio(kinetic: str, joints:
 
 
 def test_accelerations_solve_the_papers_equations() -> None:
-    """docs/model.md, "DE": five equations of the two-joint arm in absolute angles."""
+    """docs/theory.md, "The other two methods": five equations of the two-joint arm in absolute angles."""
     arm, model, _ = paper()
     value = {name: quantity.value for name, quantity in model.base_parameters(arm).items()}
     dynamics = PlanarDynamics.from_parameters(arm, model.base_values(arm))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from reference_support import make_arm
+
 from zygos.flight import config_of, ffi, lib
 
 Floats = NDArray[np.float64]

@@ -29,7 +29,7 @@ def test_the_papers_table_to_all_printed_digits() -> None:
 
 
 def test_closed_form_of_the_papers_example() -> None:
-    """docs/model.md, "True values", with other numbers than the paper's."""
+    """docs/paper.md, "The arm", with other numbers than the paper's."""
     arm, model, _ = paper()
     base, link1, link2 = model.bodies
     model = replace(model, bodies=(replace(base, mass=Quantity(3000.0)), replace(link1, mass=Quantity(150.0)),

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from reference_support import Floats
+
 from zygos.reference.accumulator import MIN_ARC_INSTANTS, blocks_of, design
 from zygos.reference.balance import Balance
 from zygos.reference.solver import solve
@@ -46,6 +49,15 @@ def test_only_arcs_with_enough_accepted_instants_count() -> None:
     np.testing.assert_array_equal(np.unique(accumulated.arc), [0, 3])
     np.testing.assert_allclose(solve(accumulated.z, accumulated.w).x, x, rtol=1e-10)
     assert MIN_ARC_INSTANTS == 20
+
+
+def test_a_void_arc_is_dropped_whatever_its_length() -> None:
+    made, x = balance([40, 25, 30], noise=0.0)
+    made.w[40:65] += 1e6 * np.arange(25)
+    accumulated = design(replace(made, void=frozenset({1})))
+    assert (accumulated.arcs, accumulated.dropped_arcs, accumulated.refused) == (2, 1, 0)
+    np.testing.assert_array_equal(np.unique(accumulated.arc), [0, 2])
+    np.testing.assert_allclose(solve(accumulated.z, accumulated.w).x, x, rtol=1e-10)
 
 
 def test_refused_instants_do_not_count() -> None:

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from reference_support import make_arm
+
 from zygos.cycles import Cycles
 from zygos.errors import ZygosError
-from zygos.reference.cycle import calibrate, segments
+from zygos.reference.cycle import HALF_RANGE_RAD, calibrate, segments, usable
 
 
 def record(n: int = 12) -> Cycles:
@@ -24,21 +25,69 @@ def record(n: int = 12) -> Cycles:
     )
 
 
+def at_rest(sync: list[int], flags: list[int]) -> Cycles:
+    n = len(sync)
+    return Cycles(
+        sync=np.array(sync, dtype=np.uint64),
+        q=np.zeros((n, 2)),
+        theta=np.zeros((n, 2)),
+        tau=np.zeros((n, 2)),
+        omega=np.zeros((n, 3)),
+        flags=np.array(flags, dtype=np.uint32),
+    )
+
+
 def test_segments_end_at_jumps_breaks_and_invalid_cycles() -> None:
     #                 0  1  2   3   4   5   6   7   8   9  10
-    sync = np.array([1, 2, 3, 10, 11, 12, 13, 14, 15, 15, 16], dtype=np.uint64)
-    flags = np.array([0, 0, 0, 0, 0, 1, 0, 2, 0, 0, 3], dtype=np.uint32)
-    assert segments(sync, flags) == ((0, 3), (3, 5), (5, 7), (8, 9), (9, 10))
+    sync = [1, 2, 3, 10, 11, 12, 13, 14, 15, 15, 16]
+    flags = [0, 0, 0, 0, 0, 1, 0, 2, 0, 0, 3]
+    cut = segments(at_rest(sync, flags))
+    assert cut.ranges == ((0, 3), (3, 5), (5, 7), (8, 9), (9, 10))
+    assert (cut.ends_void, cut.wraps) == (frozenset(), 0)
 
 
 def test_segments_of_nothing_and_of_only_invalid_cycles() -> None:
-    assert segments(np.zeros(0, dtype=np.uint64), np.zeros(0, dtype=np.uint32)) == ()
-    assert segments(np.arange(3, dtype=np.uint64), np.full(3, 2, dtype=np.uint32)) == ()
+    assert segments(at_rest([], [])).ranges == ()
+    assert segments(at_rest([0, 1, 2], [2, 2, 2])).ranges == ()
 
 
 def test_a_sync_that_goes_back_is_a_jump() -> None:
-    sync = np.array([7, 8, 7, 8], dtype=np.uint64)
-    assert segments(sync, np.zeros(4, dtype=np.uint32)) == ((0, 2), (2, 4))
+    assert segments(at_rest([7, 8, 7, 8], [0, 0, 0, 0])).ranges == ((0, 2), (2, 4))
+
+
+def test_a_void_cycle_speaks_of_the_segment_before_it() -> None:
+    #                             0  1  2  3  4  5  6  7  8
+    cut = segments(at_rest([1, 2, 3, 4, 5, 8, 9, 10, 11], [5, 0, 0, 5, 0, 0, 2, 5, 0]))
+    assert cut.ranges == ((0, 3), (3, 5), (5, 6), (7, 9))
+    assert cut.ends_void == {0}
+
+
+@pytest.mark.parametrize("encoder", ["q", "theta"])
+@pytest.mark.parametrize("joint", [0, 1])
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_an_angle_that_goes_over_the_end_of_its_range_ends_the_segment(encoder: str, joint: int, way: float) -> None:
+    cycles = at_rest(list(range(9)), [0] * 9)
+    reading = getattr(cycles, encoder)
+    reading[4:, joint] = way * HALF_RANGE_RAD
+    assert segments(cycles).ranges == ((0, 9),)
+    reading[4:, joint] = way * np.nextafter(HALF_RANGE_RAD, 100.0)
+    cut = segments(cycles)
+    assert (cut.ranges, cut.wraps, cut.ends_void) == (((0, 4), (4, 9)), 1, frozenset())
+    cycles.flags[4] = 1
+    assert segments(cycles).wraps == 0
+    assert HALF_RANGE_RAD == 50.26548245743669
+
+
+@pytest.mark.parametrize(("signal", "largest"), [("q", 1e4), ("theta", 1e4), ("tau", 1e6), ("omega", 1e6)])
+def test_values_beyond_reason_are_of_no_use(signal: str, largest: float) -> None:
+    for value in (np.nan, np.inf, -np.inf, np.nextafter(largest, np.inf), -1.01 * largest):
+        cycles = record()
+        getattr(cycles, signal)[3, 1] = value
+        np.testing.assert_array_equal(np.flatnonzero(~usable(cycles)), [3])
+        assert segments(cycles).ranges == ((0, 3), (4, 12))
+    cycles = record()
+    getattr(cycles, signal)[3, 1] = -largest
+    assert usable(cycles).all()
 
 
 def test_sign_and_zero(tmp_path: Path) -> None:

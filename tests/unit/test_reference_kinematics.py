@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from reference_support import Floats, make_arm
+
 from zygos.reference.balance import energy_columns
 from zygos.reference.kinematics import State, cross, gram
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from reference_support import Floats, make_arm
 from scipy.signal import savgol_coeffs
+
 from zygos.cycles import Cycles
 from zygos.errors import ZygosError
 from zygos.reference.cycle import calibrate

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from zygos.errors import Undecided
 from zygos.reference.solver import jackknife, solve
 

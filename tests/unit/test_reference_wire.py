@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from e2e.p02 import e2e_p02_protect
 from reference_support import make_arm
+
 from zygos.arm import Arm
 from zygos.reference.wire import ERROR, EXTENDED, FD, REMOTE, Frame, data_ids, database, identifiers, receive
 
@@ -144,6 +145,14 @@ DROPPING: dict[str, tuple[Break, dict[str, int]]] = {
     "masquerade": (lambda _, c: [*c[:1], c[1]._replace(data=c[3].data), *c[2:]], {"crc": 1, "incomplete": 1}),
     "link": (at(3, Status=14), {"link_invalid": 1, "incomplete": 1}),
     "motor": (at(3, Status=13), {"motor_invalid": 1, "incomplete": 1}),
+    "torque by the angles": (at(3, Status=11), {"torque_invalid": 1, "incomplete": 1}),
+    "disabled by the angles": (at(1, Status=7), {"disabled": 1, "incomplete": 1}),
+    "link by the torque": (at(2, Status=14), {"link_invalid": 1, "incomplete": 1}),
+    "motor by the torque": (at(4, Status=13), {"motor_invalid": 1, "incomplete": 1}),
+    "all bits": (at(1, Status=0), {"disabled": 1, "incomplete": 1}),
+    "three bits": (at(4, Status=8), {"link_invalid": 1, "incomplete": 1}),
+    "two bits": (at(4, Status=9), {"motor_invalid": 1, "incomplete": 1}),
+    "bit before code": (at(1, Status=13, LinkAngle=-(2**23)), {"motor_invalid": 1, "incomplete": 1}),
     "link code": (at(1, LinkAngle=-(2**23)), {"link_invalid": 1, "incomplete": 1}),
     "motor code": (at(1, MotorAngle=-(2**23)), {"motor_invalid": 1, "incomplete": 1}),
     "disabled": (at(4, Status=7), {"disabled": 1, "incomplete": 1}),
@@ -217,7 +226,17 @@ def test_an_outage_of_240_cycles_is_not_bridged(arm: Arm) -> None:
     log = log_of(arm, 320)
     reception = receive(arm, flat(log[:50] + log[290:]))
     assert reception.faults == {"time_jumped": 1}
-    assert [int(s) for s in np.flatnonzero(reception.cycles.flags)] == [0, 60]
+    np.testing.assert_array_equal(reception.cycles.flags, [1] + 59 * [0] + [5] + 18 * [0])
+
+
+def test_a_void_in_a_dropped_cycle_waits_for_the_next_one(arm: Arm) -> None:
+    log = log_of(arm, 320)
+    reception = receive(arm, flat([*log[:50], *log[290:300], log[300][:-1], *log[301:]]))
+    assert reception.faults == {"time_jumped": 1, "incomplete": 1, "dropped": 1}
+    assert {int(s): int(f) for s, f in zip(reception.cycles.sync, reception.cycles.flags, strict=True) if f} == {
+        0: 1,
+        61: 5,
+    }
 
 
 def test_silence_of_the_fine_time_leaves_every_cycle_alone(arm: Arm) -> None:
@@ -226,6 +245,16 @@ def test_silence_of_the_fine_time_leaves_every_cycle_alone(arm: Arm) -> None:
     assert reception.faults == {"time_lost": 1}
     broken = [int(s) for s in np.flatnonzero(reception.cycles.flags)]
     assert broken == [0, *range(121, 201)]
+    assert set(reception.cycles.flags) == {0, 1}
+
+
+def test_a_silence_does_not_forget_the_last_fine_time(arm: Arm) -> None:
+    """An outage of 240 cycles within a silence is found by the FTIME that ends it."""
+    log = [[f for f in cycle if f.id != 0x3A0 or i in (0, 400)] for i, cycle in enumerate(log_of(arm, 450))]
+    reception = receive(arm, flat(log[:60] + log[300:]))
+    assert reception.faults == {"time_lost": 1, "time_jumped": 1}
+    assert [int(s) for s in np.flatnonzero(reception.cycles.flags & 4)] == [160]
+    assert [int(s) for s in np.flatnonzero(reception.cycles.flags & 1)] == [0, *range(121, 161)]
 
 
 def test_a_false_fine_time_is_refused(arm: Arm) -> None:
@@ -243,17 +272,19 @@ def test_a_sync_out_of_range_is_refused(arm: Arm, counter: int) -> None:
     assert len(reception.cycles) == 5
 
 
-def test_a_bus_error_ends_the_arc(arm: Arm) -> None:
+@pytest.mark.parametrize(("identifier", "broken"), [(0x004, [0]), (0x13F, [0]), (0x040, [0, 6]), (0x1FF, [0, 6])])
+def test_an_error_frame_is_counted_and_bus_off_ends_the_arc(arm: Arm, identifier: int, broken: list[int]) -> None:
     log = log_of(arm, 10)
-    log[6].insert(2, Frame(0x20000004, bytes(8), ERROR))
+    log[6].insert(2, Frame(identifier, bytes(8), ERROR))
     reception = receive(arm, flat(log))
     assert reception.faults == {"bus_error": 1}
-    np.testing.assert_array_equal(np.flatnonzero(reception.cycles.flags), [0, 6])
+    assert set(reception.verdicts) == {"accepted"}
+    np.testing.assert_array_equal(np.flatnonzero(reception.cycles.flags), broken)
 
 
 def test_a_break_in_a_dropped_cycle_waits_for_the_next_one(arm: Arm) -> None:
     log = log_of(arm, 10)
-    log[6] = [*log[6][:4], Frame(0x20000004, bytes(8), ERROR)]
+    log[6] = [*log[6][:4], Frame(0x040, bytes(8), ERROR)]
     cycles = receive(arm, flat(log)).cycles
     assert [int(s) for s in cycles.sync[cycles.flags == 1]] == [0, 7]
 

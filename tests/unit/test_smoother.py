@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 from reference_support import make_arm
 from scipy.signal import savgol_coeffs
+
 from zygos.arm import Arm
 from zygos.flight import config_of, ffi, lib
 
@@ -33,7 +34,9 @@ class Smoother:
         self.state = ffi.new("zygos_state_t *")
 
     def push(self, signal: Floats) -> Any:
-        full = lib.zygos_smoother_push(self.native, ffi.from_buffer("double[]", np.ascontiguousarray(signal)), self.state)
+        full = lib.zygos_smoother_push(
+            self.native, ffi.from_buffer("double[]", np.ascontiguousarray(signal)), self.state
+        )
         return self.state if full else None
 
 

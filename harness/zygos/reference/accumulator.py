@@ -1,4 +1,4 @@
-"""Normal equations of the arcs (docs/estimator, "Arcs, not windows").
+"""Normal equations of the arcs (docs/theory.md, "Arcs and the constant that drops out").
 
 The unknown constant of an arc is eliminated by taking the mean of its accepted rows from each of them.
 """
@@ -15,7 +15,7 @@ from zygos.reference.balance import Balance
 Floats = NDArray[np.float64]
 
 MIN_ARC_INSTANTS = 20
-"""An arc with fewer accepted instants carries no weight and is dropped."""
+"""An arc with fewer accepted instants is dropped."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class Design:
     """Accepted rows of all arcs that count, less each arc's mean; m rows, p parameters.
 
     z: (m, p). w: (m,) [J]. arc: (m,) arc number. sync: (m,) cycle number.
-    arcs: arcs that count. dropped_arcs: arcs too short to count. refused: instants the bandwidth test refused.
+    arcs: arcs that count. dropped_arcs: arcs too short to count, or void. refused: instants the bandwidth test refused.
     """
 
     z: Floats
@@ -47,7 +47,7 @@ def design(balance: Balance) -> Design:
     dropped = 0
     for arc in np.unique(balance.arc):
         of = np.flatnonzero((balance.arc == arc) & balance.accepted)
-        if len(of) < MIN_ARC_INSTANTS:
+        if len(of) < MIN_ARC_INSTANTS or arc in balance.void:
             dropped += 1
             continue
         z.append(balance.z[of] - balance.z[of].mean(axis=0))

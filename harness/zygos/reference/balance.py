@@ -1,4 +1,5 @@
-"""Rows of the energy balance over whole records (docs/model "The energy balance", docs/estimator "Arcs, not windows").
+"""Rows of the energy balance over whole records (docs/theory.md, "The energy balance" and "Arcs and the
+constant that drops out").
 
 Within an arc, an unbroken run of instants, z_k . pi - W_k is an unknown constant: z_k holds the columns of the kinetic
 energy, of the springs' energy and of the dissipation, W_k is the work of the motors since the arc's origin.
@@ -28,7 +29,8 @@ class Balance:
 
     index: (m,) position of the instant in the record of samples. sync: (m,) cycle number. arc: (m,) arc number from 0.
     accepted: (m,) False where the smoother refuses the instant. z: (m, p) columns in `arm.parameter_names` order.
-    w: (m,) work since the arc's origin [J].
+    w: (m,) work since the arc's origin [J], raised by what torque steps add to the kinetic energy as it is read.
+    void: numbers of the arcs in which cycles may be missing unnoticed.
     """
 
     index: NDArray[np.int64]
@@ -37,6 +39,7 @@ class Balance:
     accepted: NDArray[np.bool_]
     z: Floats
     w: Floats
+    void: frozenset[int] = frozenset()
 
 
 def energy_columns(arm: Arm, state: State, dissipated: Floats) -> Floats:
@@ -72,6 +75,8 @@ def rows(arm: Arm, samples: Samples, smoothed: Smoothed) -> Balance:
 
     Under a held torque the slope of a smooth curve through the samples is h^2/12 da/dt above the true rate, so the
     kinetic energy reads h/12 n (tau_k - tau_k-1) thetad_k too high; the work of the row is raised by as much.
+
+    A segment that ends void makes its open arc void: the last one, unless its length had ended it already.
     """
     h = arm.period_s
     held = 0.0 if arm.torque_law == "sampled" else h / 12.0
@@ -80,6 +85,7 @@ def rows(arm: Arm, samples: Samples, smoothed: Smoothed) -> Balance:
     dissipated = np.zeros_like(smoothed.q)
     arc = np.full(len(smoothed.index), -1, dtype=np.int64)
     arcs = 0
+    void: set[int] = set()
     for number in np.unique(smoothed.segment):
         of = np.flatnonzero(smoothed.segment == number)
         if len(of) <= FILL_INSTANTS:
@@ -96,6 +102,8 @@ def rows(arm: Arm, samples: Samples, smoothed: Smoothed) -> Balance:
             work[of[origin:stop]] += hold_correction[origin - 1 : stop - 1]
             dissipated[of[origin + 1 : stop]] = np.cumsum(step_loss[origin - 2 : stop - 3], axis=0)
             arc[of[origin:stop]] = arcs
+            if number in samples.ends_void and stop - origin < longest:
+                void.add(arcs)
             arcs += 1
     state = State(smoothed.q, smoothed.theta, smoothed.qd, smoothed.thetad, smoothed.omega @ arm.axis)
     z = energy_columns(arm, state, dissipated)
@@ -107,4 +115,5 @@ def rows(arm: Arm, samples: Samples, smoothed: Smoothed) -> Balance:
         accepted=smoothed.accepted[kept],
         z=z[kept],
         w=work[kept],
+        void=frozenset(void),
     )

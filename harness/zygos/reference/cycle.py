@@ -1,7 +1,7 @@
-"""From what the sensors say to what the joints do, over whole records (docs/interfaces, `arm.toml`).
+"""From what sensors say to what joints do, over whole records (docs/theory.md, "What belongs to which instant").
 
 Signs, zeros and the gyro's mounting are applied, the torque record is shifted to the interval it was in force, and the
-record is cut into segments: unbroken runs of valid cycles.
+record is cut into segments: unbroken runs of usable cycles.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
-from zygos.cycles import BREAK_BEFORE, INVALID, Cycles
+from zygos.cycles import BREAK_BEFORE, INVALID, VOID_BEFORE, Cycles
 from zygos.errors import ZygosError
 
 Floats = NDArray[np.float64]
@@ -25,13 +25,33 @@ TORQUE_WEIGHTS = {
 """Weights of the torques reported in cycles k and k+1 in the torque in force on [t_k, t_k+1)."""
 
 
+HALF_RANGE_RAD = 16.0 * np.pi
+"""Half the range of a multi-turn angle, 8 turns: a reading that jumps by more has gone over the end of the range."""
+
+LARGEST_ANGLE_RAD, LARGEST_VALUE = 1e4, 1e6
+"""Beyond these a reading (rad; Nm and rad/s) is taken for a fault of the sensor."""
+
+
+@dataclass(frozen=True)
+class Segments:
+    """A record cut into unbroken runs.
+
+    ranges: half-open ranges of positions. ends_void: numbers of the segments whose last arc is not to be used.
+    wraps: how often a segment ended because an angle went over the end of its range.
+    """
+
+    ranges: tuple[tuple[int, int], ...]
+    ends_void: frozenset[int]
+    wraps: int
+
+
 @dataclass(frozen=True)
 class Samples:
-    """Calibrated record; n cycles, N joints. Invalid cycles stay in the arrays and lie in no segment.
+    """Calibrated record; n cycles, N joints. Cycles of no use stay in the arrays and lie in no segment.
 
     sync: (n,) cycle number. q, theta: (n, N) [rad]. tau: (n, N) rotor torque in force on [t_k, t_k+1) [Nm], NaN where
     the torque law needs a cycle that the segment does not have. omega: (n, 3) base rate in base axes [rad/s].
-    segments: half-open ranges of positions in these arrays.
+    segments: half-open ranges of positions in these arrays. ends_void, wraps: as in `Segments`.
     """
 
     sync: NDArray[np.uint64]
@@ -40,17 +60,40 @@ class Samples:
     tau: Floats
     omega: Floats
     segments: tuple[tuple[int, int], ...]
+    ends_void: frozenset[int]
+    wraps: int
 
 
-def segments(sync: NDArray[np.uint64], flags: NDArray[np.uint32]) -> tuple[tuple[int, int], ...]:
-    """Half-open ranges of unbroken runs: cycle numbers rise by one, no break flag within, no invalid cycle."""
-    n = len(sync)
-    valid = (flags & INVALID) == 0
-    joined = np.zeros(n, dtype=np.bool_)
-    joined[1:] = (sync[1:] - sync[:-1] == 1) & valid[1:] & valid[:-1] & ((flags[1:] & BREAK_BEFORE) == 0)
-    starts = np.flatnonzero(valid & ~joined)
-    ends = np.flatnonzero(valid & ~np.append(joined[1:], False)) + 1
-    return tuple((int(a), int(b)) for a, b in zip(starts, ends, strict=True))
+def usable(cycles: Cycles) -> NDArray[np.bool_]:
+    """Cycles (n,) that are not flagged invalid and whose values are finite and not beyond all reason."""
+    angles = np.hstack([cycles.q, cycles.theta])
+    others = np.hstack([cycles.tau, cycles.omega])
+    sane = np.all(np.abs(angles) <= LARGEST_ANGLE_RAD, axis=1) & np.all(np.abs(others) <= LARGEST_VALUE, axis=1)
+    out: NDArray[np.bool_] = ((cycles.flags & INVALID) == 0) & sane
+    return out
+
+
+def segments(cycles: Cycles) -> Segments:
+    """Cut a record into runs of usable cycles whose numbers rise by one, without a break flag or a wrap of an angle."""
+    n = len(cycles)
+    use = usable(cycles)
+    follows = np.zeros(n, dtype=np.bool_)
+    follows[1:] = use[1:] & use[:-1] & (cycles.sync[1:] - cycles.sync[:-1] == 1)
+    follows &= (cycles.flags & (BREAK_BEFORE | VOID_BEFORE)) == 0
+    wraps = np.zeros(n, dtype=np.bool_)
+    for reading in (cycles.q, cycles.theta):
+        with np.errstate(invalid="ignore"):
+            wraps[1:] |= np.any(np.abs(np.diff(reading, axis=0)) > HALF_RANGE_RAD, axis=1)
+    wraps &= follows
+    joined = follows & ~wraps
+    starts = np.flatnonzero(use & ~joined)
+    ends = np.flatnonzero(use & ~np.append(joined[1:], False)) + 1
+    void = np.append((cycles.flags & VOID_BEFORE) != 0, False)[ends]
+    return Segments(
+        ranges=tuple((int(a), int(b)) for a, b in zip(starts, ends, strict=True)),
+        ends_void=frozenset(int(number) for number in np.flatnonzero(void)),
+        wraps=int(np.sum(wraps)),
+    )
 
 
 def calibrate(arm: Arm, cycles: Cycles) -> Samples:
@@ -69,10 +112,10 @@ def calibrate(arm: Arm, cycles: Cycles) -> Samples:
     motors = [joint.motor_encoder for joint in arm.joints]
     q = np.array([e.sign for e in links]) * (cycles.q - np.array([e.zero_rad for e in links]))
     theta = np.array([e.sign for e in motors]) * (cycles.theta - np.array([e.zero_rad for e in motors]))
-    runs = segments(cycles.sync, cycles.flags)
+    runs = segments(cycles)
     alpha, beta = TORQUE_WEIGHTS[arm.torque_law]
     tau = np.full(cycles.tau.shape, np.nan)
-    for start, stop in runs:
+    for start, stop in runs.ranges:
         reported = cycles.tau[start:stop]
         if beta == 0.0:
             tau[start:stop] = reported
@@ -84,5 +127,7 @@ def calibrate(arm: Arm, cycles: Cycles) -> Samples:
         theta=theta,
         tau=tau,
         omega=cycles.omega @ arm.mount.T,
-        segments=runs,
+        segments=runs.ranges,
+        ends_void=runs.ends_void,
+        wraps=runs.wraps,
     )

@@ -1,4 +1,4 @@
-"""Absolute rates and the Gram matrix of planar rate vectors (docs/theory, "Kinetic energy, in closed form").
+"""Absolute rates and the Gram matrix of planar rate vectors (docs/theory.md, "Kinetic energy, in closed form").
 
 Planar arm, all axes parallel: body i turns at f_i about the common axis and stands at phi_i relative to the base.
 With v_i = f_i (cos phi_i, sin phi_i) the kinetic energy of the bodies is 1/2 sum_ij a_ij v_i . v_j, and for an arm

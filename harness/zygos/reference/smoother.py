@@ -1,4 +1,4 @@
-"""Fixed-lag Savitzky-Golay smoother over whole records (docs/estimator, "What belongs to which instant").
+"""Fixed-lag Savitzky-Golay smoother over whole records (docs/theory.md, "Smoother and bandwidth test").
 
 Every state at instant k comes from the same samples k-M .. k+M: a polynomial is fitted to them by least squares, and
 its value and its derivative are read at the instant. A sensor that latches late has its polynomial read early by as

@@ -1,4 +1,4 @@
-"""Least squares on the centred rows, and sigmas by a delete-one-block jackknife (docs/estimator, "Arithmetic")."""
+"""Least squares on the centred rows, and sigmas by leaving out blocks (docs/theory.md, "Solver" and "Sigmas …")."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From CAN frames to cycles over a whole log (docs/wire, "Assembly").
+"""From CAN frames to cycles over a whole log (docs/wire.md, "Assembly").
 
 The layout comes from `zygos.dbc` through cantools, the check of the header from PyPI `autosar-e2e`. A log is judged
 as a whole: first each frame by itself, then the SYNCs, then the frames between two SYNCs together. Receive times play
@@ -20,7 +20,7 @@ from cantools.database.can import Database, Message
 from e2e.p02 import e2e_p02_check
 
 from zygos.arm import Arm
-from zygos.cycles import BREAK_BEFORE, Cycles
+from zygos.cycles import BREAK_BEFORE, VOID_BEFORE, Cycles
 
 DBC_FOLDER = Path(__file__).resolve().parents[1] / "_native"
 
@@ -31,6 +31,12 @@ COMPUTER_NODE = 32
 
 EXTENDED, REMOTE, ERROR, FD = 1, 2, 4, 8
 """Bits of Frame.flags."""
+
+BUS_OFF = 0x40
+"""Class of an error frame, a bit of its identifier: the controller has left the bus."""
+
+STATUS_FAULTS = (("disabled", 8), ("link_invalid", 1), ("motor_invalid", 2), ("torque_invalid", 4))
+"""Faults that a joint's frame states by a status bit that is 0, in the order in which one of them is counted."""
 
 
 class Frame(NamedTuple):
@@ -128,11 +134,11 @@ def receive(arm: Arm, frames: Iterable[Frame]) -> Reception:
 
     A cycle is used when each of its frames came exactly once, valid and with the counter of its SYNC. The cycle number
     counts SYNCs modulo 240 from the first one, which is 0; BREAK_BEFORE marks the first cycle used after something that
-    a number cannot show.
+    a number cannot show, VOID_BEFORE the first one used after FTIME found cycles missing.
     """
     frames = list(frames)
     log = _Log(len(frames))
-    seen, errors = _each_frame(arm, frames, log)
+    seen, bus_off = _each_frame(arm, frames, log)
     syncs = [s for s in seen if s.kind.family is None]
     numbers, opens, repeated = _cycles_of(syncs, log)
     n = len(opens)
@@ -162,28 +168,32 @@ def receive(arm: Arm, frames: Iterable[Frame]) -> Reception:
             log.faults["dropped"] += 1
 
     breaks = {0} | {slot for slot in range(1, n) if numbers[slot] - numbers[slot - 1] != 1}
-    breaks |= _time_breaks(arm, numbers, counters, slots, log)
-    breaks |= {int(slot) for slot in np.searchsorted(opens, errors) - 1}
+    alone, void = _time_breaks(arm, numbers, counters, slots, log)
+    breaks |= alone | void
+    breaks |= {int(slot) for slot in np.searchsorted(opens, bus_off) - 1}
     cycles = _assemble(arm, [numbers[slot] for slot in used], contents)
     for position, slot in enumerate(used):
-        before = used[position - 1] if position else -1
-        if position == 0 or not breaks.isdisjoint(range(before + 1, slot + 1)):
+        since = range(used[position - 1] + 1 if position else 0, slot + 1)
+        if position == 0 or not breaks.isdisjoint(since):
             cycles.flags[position] |= BREAK_BEFORE
+        if not void.isdisjoint(since):
+            cycles.flags[position] |= VOID_BEFORE
     log.faults = +log.faults
     return Reception(cycles, log.faults, tuple(log.verdicts))
 
 
 def _each_frame(arm: Arm, frames: Sequence[Frame], log: _Log) -> tuple[list[_Seen], list[int]]:
-    """Frames of the arm that are sound by themselves, and the positions of the error frames."""
+    """Frames of the arm that are sound by themselves, and where the controller went off the bus."""
     kinds = identifiers(arm)
     ids = {i: data_ids(kind.family, kind.node) for i, kind in kinds.items() if kind.family is not None}
     seen: list[_Seen] = []
-    errors: list[int] = []
+    bus_off: list[int] = []
     for at, frame in enumerate(frames):
         if frame.flags & ERROR:
             log.accept(at)
             log.faults["bus_error"] += 1
-            errors.append(at)
+            if frame.id & BUS_OFF:
+                bus_off.append(at)
             continue
         kind = kinds.get(frame.id)
         if kind is None or frame.flags:
@@ -203,7 +213,7 @@ def _each_frame(arm: Arm, frames: Sequence[Frame], log: _Log) -> tuple[list[_See
             continue
         value = {s.name: codes[s.name] * float(s.scale) for s in kind.message.signals}
         seen.append(_Seen(at, kind, codes, value))
-    return seen, errors
+    return seen, bus_off
 
 
 def _cycles_of(syncs: Sequence[_Seen], log: _Log) -> tuple[list[int], list[int], set[int]]:
@@ -247,25 +257,20 @@ def _judge(arm: Arm, frames: Sequence[_Seen], counter: int, log: _Log) -> tuple[
 def _fault(arm: Arm, s: _Seen) -> str | None:
     """Why a frame of the right cycle has no value, or None."""
     part, raw, status = s.kind.part or "", s.raw, s.raw["Status"]
+    invalid = -(2**23)
     if part.startswith("rate"):
         rates = [name for name in raw if name.startswith("Rate")]
         saturated = any(_outermost(s.kind.message, name, raw[name]) for name in rates)
         checks = [("gyro_invalid", not status & 1), ("saturated", saturated)]
-    elif part.startswith("angles"):
-        invalid = -(2**23)
-        checks = [
-            ("disabled", not status & 8),
-            ("link_invalid", not status & 1 or raw["LinkAngle"] == invalid),
-            ("motor_invalid", not status & 2 or raw["MotorAngle"] == invalid),
-        ]
     else:
+        checks = [(fault, not status & bit) for fault, bit in STATUS_FAULTS]
+    if part.startswith("angles"):
+        checks.append(("link_invalid", raw["LinkAngle"] == invalid))
+        checks.append(("motor_invalid", raw["MotorAngle"] == invalid))
+    elif part.startswith("torque"):
         late = raw["Latch"] - arm.joints[s.kind.joint].latch_us
-        checks = [
-            ("disabled", not status & 8),
-            ("torque_invalid", not status & 4),
-            ("saturated", _outermost(s.kind.message, "Torque", raw["Torque"])),
-            ("latch", abs(late) > LATCH_TOLERANCE_US),
-        ]
+        checks.append(("saturated", _outermost(s.kind.message, "Torque", raw["Torque"])))
+        checks.append(("latch", abs(late) > LATCH_TOLERANCE_US))
     return next((fault for fault, true in checks if true), None)
 
 
@@ -276,17 +281,21 @@ def _outermost(message: Message, name: str, code: int) -> bool:
 
 def _time_breaks(
     arm: Arm, numbers: Sequence[int], counters: Sequence[int], slots: Sequence[Sequence[_Seen]], log: _Log
-) -> set[int]:
-    """Cycles before which the SYNC count cannot be trusted: FTIME is missing for too long, or disagrees."""
-    breaks: set[int] = set()
+) -> tuple[set[int], set[int]]:
+    """Cycles of a silence of FTIME, each of which stands alone, and those whose FTIME disagrees with the SYNC count.
+
+    The comparison is with the FTIME before, however long ago that was.
+    """
+    alone: set[int] = set()
+    void: set[int] = set()
     last: tuple[int, int] | None = None
     silent_since = 0
     lost = False
     for slot, number in enumerate(numbers):
         if number - silent_since > MAX_CYCLES_WITHOUT_TIME:
             log.faults["time_lost"] += not lost
-            lost, last = True, None
-            breaks.add(slot)
+            lost = True
+            alone.add(slot)
         for s in slots[slot]:
             if s.kind.part is not None:
                 continue
@@ -298,9 +307,9 @@ def _time_breaks(
                 elapsed = ((s.raw["Time"] - last[1]) % 2**32) * 1e-6
                 if abs(elapsed - (number - last[0]) * arm.period_s) > 0.5 * arm.period_s:
                     log.faults["time_jumped"] += 1
-                    breaks.add(slot)
+                    void.add(slot)
             last, silent_since, lost = (number, s.raw["Time"]), number, False
-    return breaks
+    return alone, void
 
 
 def _assemble(arm: Arm, numbers: Sequence[int], contents: Sequence[dict[str, _Seen]]) -> Cycles:

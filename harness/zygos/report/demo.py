@@ -233,7 +233,6 @@ def _trajectories(arm: Arm, trace: Trace) -> list[Entry]:
     tau = trace.cycles.tau.copy()
     tau[1:][np.diff(trace.cycles.sync) != 1] = np.nan  # no line across a gap
     joints = [(i, joint.name, _colour(i)) for i, joint in enumerate(arm.joints)]
-    side = "before the gear" if arm.torque_at == "rotor" else "after the gear"
     angles = [
         _series(f"{name}, {end}", colour, values[:, i], dash=end == "motor")
         for i, name, colour in joints
@@ -257,7 +256,7 @@ def _trajectories(arm: Arm, trace: Trace) -> list[Entry]:
             "time": "state",
             "series": [_series("base", "ink", omega)],
         },
-        {"id": "torque", "title": f"Motor torque, {side}", "unit": "N m", "time": "cycle", "series": torque},
+        {"id": "torque", "title": "Motor torque, before the gear", "unit": "N m", "time": "cycle", "series": torque},
     ]
 
 
