@@ -17,6 +17,22 @@ void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters)
     self->target = FIRST_TARGET;
 }
 
+/* Row sums from the matrix itself, where it was changed as a whole. */
+static void sum_rows(zygos_block_t *block, uint32_t width)
+{
+    memset(block->sum, 0, sizeof block->sum);
+    uint32_t k = 0;
+    for (uint32_t i = 0; i < width; i++) {
+        for (uint32_t j = 0; j < i; j++) {
+            block->sum[i] += block->gram[k];
+            block->sum[j] += block->gram[k];
+            k++;
+        }
+        block->sum[i] += block->gram[k];
+        k++;
+    }
+}
+
 static void add_block(zygos_block_t *to, const zygos_block_t *from, uint32_t width)
 {
     for (uint32_t k = 0; k < width * (width + 1u) / 2u; k++) {
@@ -46,15 +62,19 @@ static uint32_t merge(zygos_accumulator_t *self, uint32_t first, uint32_t end, u
     return to;
 }
 
-/* Blocks of closed arcs never merge with those of the open one, whose constant is still in them. When the target holds
-   all instants there are, each of the two groups is one block: the loop ends. */
+/* Blocks of closed arcs never merge with those of the open one, whose constant is still in them. The target doubles
+   only when merging up to it is not enough; once it holds all instants there are, each group is one block: the loop
+   ends. */
 static void make_room(zygos_accumulator_t *self)
 {
-    while (self->count > 3u * ZYGOS_MAX_BLOCKS / 4u) {
-        self->target *= 2u;
+    for (uint32_t tries = 0; tries < 64u; tries++) {
         const uint32_t open = merge(self, 0, self->open, 0);
         self->count = merge(self, self->open, self->count, open);
         self->open = open;
+        if (self->count <= 3u * ZYGOS_MAX_BLOCKS / 4u) {
+            return;
+        }
+        self->target *= 2u;
     }
 }
 
@@ -101,6 +121,34 @@ void zygos_accumulator_add(zygos_accumulator_t *self, const zygos_row_t *row, do
     self->refused += 1u - one;
 }
 
+static double check_block(const zygos_block_t *block, uint32_t width)
+{
+    double sum[ZYGOS_MAX_ROW] = { 0.0 };
+    double largest = 0.0;
+    double worst = 0.0;
+    uint32_t k = 0;
+    for (uint32_t i = 0; i < width; i++) {
+        for (uint32_t j = 0; j < i; j++) {
+            largest = (magnitude(block->gram[k]) > largest) ? magnitude(block->gram[k]) : largest;
+            sum[i] += block->gram[k];
+            sum[j] += block->gram[k];
+            k++;
+        }
+        largest = (magnitude(block->gram[k]) > largest) ? magnitude(block->gram[k]) : largest;
+        sum[i] += block->gram[k];
+        k++;
+    }
+    const double tolerance = 64.0 * EPSILON * (double)width * largest;
+    for (uint32_t i = 0; i < width; i++) {
+        const double off = magnitude(sum[i] - block->sum[i]);
+        /* Not-a-number compares false with everything; neither it nor infinity is a sum. */
+        const bool good = (off <= tolerance) && (tolerance < 1e300);
+        const double ratio = good ? off / (tolerance + 1e-300) : 2.0;
+        worst = (ratio > worst) ? ratio : worst;
+    }
+    return worst;
+}
+
 /* G - s m^T - m s^T + n m m^T, entry by entry; s is the last row of G. */
 static void centre(zygos_block_t *block, uint32_t width, const double *mean)
 {
@@ -108,21 +156,14 @@ static void centre(zygos_block_t *block, uint32_t width, const double *mean)
     const double *last = &block->gram[(width - 1u) * width / 2u];
     memcpy(s, last, width * sizeof s[0]);
     const double n = s[width - 1u];
-    double total = 0.0;
-    double mean_total = 0.0;
-    for (uint32_t i = 0; i < width; i++) {
-        total += s[i];
-        mean_total += mean[i];
-    }
     uint32_t k = 0;
     for (uint32_t i = 0; i < width; i++) {
         for (uint32_t j = 0; j <= i; j++) {
             block->gram[k] += n * mean[i] * mean[j] - s[i] * mean[j] - mean[i] * s[j];
             k++;
         }
-        /* The row sums follow by the same formula, not from the matrix: what was corrupt stays visible. */
-        block->sum[i] += n * mean[i] * mean_total - s[i] * mean_total - mean[i] * total;
     }
+    sum_rows(block, width);
 }
 
 void zygos_accumulator_drop_arc(zygos_accumulator_t *self)
@@ -150,6 +191,8 @@ void zygos_accumulator_end_arc(zygos_accumulator_t *self)
             mean[i] /= (double)self->arc_instants;
         }
         for (uint32_t b = self->open; b < self->count; b++) {
+            /* Centring cancels: the row sums are judged before, and taken anew after. */
+            self->corrupt |= (check_block(&self->block[b], width) <= 1.0) ? 0u : 1u;
             centre(&self->block[b], width, mean);
         }
         self->open = self->count;
@@ -169,36 +212,9 @@ void zygos_accumulator_total(const zygos_accumulator_t *self, double *gram)
     }
 }
 
-static double check_block(const zygos_block_t *block, uint32_t width)
-{
-    double sum[ZYGOS_MAX_ROW] = { 0.0 };
-    double largest = 0.0;
-    double worst = 0.0;
-    uint32_t k = 0;
-    for (uint32_t i = 0; i < width; i++) {
-        for (uint32_t j = 0; j < i; j++) {
-            largest = (magnitude(block->gram[k]) > largest) ? magnitude(block->gram[k]) : largest;
-            sum[i] += block->gram[k];
-            sum[j] += block->gram[k];
-            k++;
-        }
-        largest = (magnitude(block->gram[k]) > largest) ? magnitude(block->gram[k]) : largest;
-        sum[i] += block->gram[k];
-        k++;
-    }
-    const double tolerance = 64.0 * EPSILON * (double)width * largest;
-    for (uint32_t i = 0; i < width; i++) {
-        const double off = magnitude(sum[i] - block->sum[i]);
-        /* Not-a-number compares false with everything, and is corrupt. */
-        const double ratio = (off <= tolerance) ? off / (tolerance + 1e-300) : 2.0;
-        worst = (ratio > worst) ? ratio : worst;
-    }
-    return worst;
-}
-
 double zygos_accumulator_check(const zygos_accumulator_t *self)
 {
-    double worst = 0.0;
+    double worst = self->corrupt ? 2.0 : 0.0;
     for (uint32_t b = 0; b < self->count; b++) {
         const double here = check_block(&self->block[b], self->width);
         worst = (here > worst) ? here : worst;

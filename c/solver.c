@@ -303,6 +303,10 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     mark_identifiable(work, p, rank, out);
     memcpy(out->value, work->solution, p * sizeof out->value[0]);
     out->residual = residual(work, p, work->solution, out->accepted);
+    const double unexplained = out->residual * out->residual * (double)out->accepted;
+    if (!(unexplained <= ZYGOS_UNEXPLAINED_LIMIT * work->total[at(p, p)])) {
+        return refuse(out, p, ZYGOS_REASON_NOT_IDENTIFIABLE);
+    }
     jackknife(work, p, rank, out);
 
     uint32_t known = 0;

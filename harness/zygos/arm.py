@@ -146,11 +146,19 @@ class Arm:
         """The same hardware at another SYNC period (s). The gyro's white noise keeps its density, so that the
         deviation of one sample grows as the period shrinks. Errors: ZygosError if the period is not positive or a
         latch would fall into the following period."""
-        latest = max([self.imu.latch_us] + [joint.latch_us + encoder.latch_us for joint in self.joints
-                                            for encoder in (joint.link_encoder, joint.motor_encoder)])
+        latest = max(
+            [self.imu.latch_us]
+            + [
+                joint.latch_us + encoder.latch_us
+                for joint in self.joints
+                for encoder in (joint.link_encoder, joint.motor_encoder)
+            ]
+        )
         if not (_within(latest, period_s) and period_s < math.inf):
-            raise ZygosError(f"arm {self.name}: period {period_s!r} s is not longer than the latest latch "
-                             f"({latest} µs); remedy: choose a longer period_s")
+            raise ZygosError(
+                f"arm {self.name}: period {period_s!r} s is not longer than the latest latch "
+                f"({latest} µs); remedy: choose a longer period_s"
+            )
         sigma = self.imu.rate_sigma * math.sqrt(self.period_s / period_s)
         return replace(self, period_s=period_s, imu=replace(self.imu, rate_sigma=sigma))
 
@@ -168,8 +176,10 @@ class Arm:
         and alike in sense."""
         axes = np.einsum("jab,jb->ja", self.frames[1:], np.array([joint.axis for joint in self.joints]))
         if np.max(np.abs(axes - axes[0])) > 1e-9:
-            raise ZygosError(f"arm {self.name}: the joint axes are not parallel and alike in sense, but kinetic is "
-                             f'"{self.kinetic}"; remedy: correct axis or frame_rpy (a reversed encoder is sign = -1)')
+            raise ZygosError(
+                f"arm {self.name}: the joint axes are not parallel and alike in sense, but kinetic is "
+                f'"{self.kinetic}"; remedy: correct axis or frame_rpy (a reversed encoder is sign = -1)'
+            )
         common: NDArray[np.float64] = axes[0]
         return common
 
@@ -188,13 +198,18 @@ def load_arm(path: str | Path) -> Arm:
     imu = _imu(top.table("imu"))
     arc = top.table("arc", optional=True)
     arm = Arm(
-        name=top.text("name"), base=top.choice("base", _BASES), kinetic=top.choice("kinetic", _KINETICS),
+        name=top.text("name"),
+        base=top.choice("base", _BASES),
+        kinetic=top.choice("kinetic", _KINETICS),
         # the wire's drop-out rules and the latch delay (u16 µs) hold up to a SYNC period of 65 ms
         period_s=top.number("period_s", above=0.0, high=0.065, unit="s"),
-        torque_law=top.choice("torque_law", _TORQUE_LAWS), torque_at=top.choice("torque_at", _TORQUE_ATS),
-        joints=joints, imu=imu,
+        torque_law=top.choice("torque_law", _TORQUE_LAWS),
+        torque_at=top.choice("torque_at", _TORQUE_ATS),
+        joints=joints,
+        imu=imu,
         smoother=_smoother(top.table("smoother", optional=True)),
-        arc_max_s=arc.number("max_s", 60.0, above=0.0, unit="s"))
+        arc_max_s=arc.number("max_s", 60.0, above=0.0, unit="s"),
+    )
     arc.finish()
     top.finish()
     _check_whole(arm, top)
@@ -209,12 +224,16 @@ def _joint(table: Table) -> Joint:
     axis /= np.linalg.norm(axis)
     rpy = table.vector("frame_rpy", 3, (0.0, 0.0, 0.0), unit="rad")
     joint = Joint(
-        name=table.text("name"), node=table.integer("node", low=1, high=31),
-        axis=(float(axis[0]), float(axis[1]), float(axis[2])), frame_rpy=(rpy[0], rpy[1], rpy[2]),
-        gear_ratio=gear_ratio, link_encoder=_encoder(table.table("link_encoder"), None),
+        name=table.text("name"),
+        node=table.integer("node", low=1, high=31),
+        axis=(float(axis[0]), float(axis[1]), float(axis[2])),
+        frame_rpy=(rpy[0], rpy[1], rpy[2]),
+        gear_ratio=gear_ratio,
+        link_encoder=_encoder(table.table("link_encoder"), None),
         motor_encoder=_encoder(table.table("motor_encoder"), gear_ratio),
         torque_sigma=table.number("torque_sigma", 0.0, low=0.0, unit="Nm"),
-        latch_us=table.integer("latch_us", 0, low=0, high=_LATCH_MAX_US))
+        latch_us=table.integer("latch_us", 0, low=0, high=_LATCH_MAX_US),
+    )
     table.finish()
     return joint
 
@@ -236,10 +255,14 @@ def _encoder(table: Table, gear_ratio: float | None) -> Encoder:
     if sign == 0:
         raise table.error("sign", "is 0", "write 1 or -1")
     encoder = Encoder(
-        quantum_rad=quantum, counts=counts, side=side, sign=sign,
+        quantum_rad=quantum,
+        counts=counts,
+        side=side,
+        sign=sign,
         zero_rad=table.number("zero_rad", 0.0, low=-16 * math.pi, high=16 * math.pi, unit="rad"),
         zero_sigma_rad=table.number("zero_sigma_rad", 0.0, low=0.0, unit="rad"),
-        latch_us=table.integer("latch_us", 0, low=0, high=_LATCH_MAX_US))
+        latch_us=table.integer("latch_us", 0, low=0, high=_LATCH_MAX_US),
+    )
     table.finish()
     return encoder
 
@@ -247,8 +270,7 @@ def _encoder(table: Table, gear_ratio: float | None) -> Encoder:
 def _imu(table: Table) -> Imu:
     mount = np.array(table.vector("mount_xyzw", 4, (0.0, 0.0, 0.0, 1.0)))
     if abs(float(np.linalg.norm(mount)) - 1.0) > 1e-6:
-        raise table.error("mount_xyzw", f"has length {np.linalg.norm(mount):g}",
-                          "give a unit quaternion, scalar last")
+        raise table.error("mount_xyzw", f"has length {np.linalg.norm(mount):g}", "give a unit quaternion, scalar last")
     mount /= np.linalg.norm(mount)
     imu = Imu(
         node=table.integer("node", low=1, high=31),
@@ -256,7 +278,8 @@ def _imu(table: Table) -> Imu:
         rate_sigma=table.number("rate_sigma", low=0.0, unit="rad/s"),
         bias_walk=table.number("bias_walk", low=0.0, unit="rad/s^1.5"),
         latch_us=table.integer("latch_us", 0, low=0, high=_LATCH_MAX_US),
-        resolution=table.choice("resolution", _RESOLUTIONS, "fine"))
+        resolution=table.choice("resolution", _RESOLUTIONS, "fine"),
+    )
     table.finish()
     return imu
 
@@ -267,12 +290,18 @@ def _smoother(table: Table) -> Smoother:
         raise table.error("points", f"{points} is even", "write an odd number: the filter is centred on its instant")
     order = table.integer("order", min(4, points - 3), low=2, high=8)
     if order > points - 3:
-        raise table.error("order", f"{order} needs at least {order + 3} points: the bandwidth test fits two fewer",
-                          "lower order or raise points")
+        raise table.error(
+            "order",
+            f"{order} needs at least {order + 3} points: the bandwidth test fits two fewer",
+            "lower order or raise points",
+        )
     lag = table.integer("lag", points // 2, low=0, high=63)
     if lag != points // 2:
-        raise table.error("lag", f"{lag} makes end-point filters, whose errors are 30 times larger",
-                          f"write lag = {points // 2} (points // 2) or leave it out")
+        raise table.error(
+            "lag",
+            f"{lag} makes end-point filters, whose errors are 30 times larger",
+            f"write lag = {points // 2} (points // 2) or leave it out",
+        )
     table.finish()
     return Smoother(points, order, lag)
 
@@ -288,18 +317,25 @@ def _check_whole(arm: Arm, top: Table) -> None:
         raise top.error("joint", f"joint names repeat ({', '.join(names)})", "give every joint a name of its own")
     nodes = [joint.node for joint in arm.joints] + [arm.imu.node]
     if len(set(nodes)) < len(nodes):
-        raise top.error("joint", f"node numbers repeat ({nodes}, the last is the IMU's)",
-                        "give every node a number of its own")
+        raise top.error(
+            "joint", f"node numbers repeat ({nodes}, the last is the IMU's)", "give every node a number of its own"
+        )
     for index, joint in enumerate(arm.joints):
         for key, encoder in (("link_encoder", joint.link_encoder), ("motor_encoder", joint.motor_encoder)):
             if not _within(joint.latch_us + encoder.latch_us, arm.period_s):
-                raise top.error(f"joint[{index}].{key}.latch_us", "the latch falls into the following SYNC period",
-                                "keep joint and encoder latch_us together below period_s")
+                raise top.error(
+                    f"joint[{index}].{key}.latch_us",
+                    "the latch falls into the following SYNC period",
+                    "keep joint and encoder latch_us together below period_s",
+                )
     if not _within(arm.imu.latch_us, arm.period_s):
         raise top.error("imu.latch_us", "the latch falls into the following SYNC period", "keep it below period_s")
     if np.max(np.abs(arm.frames - np.eye(3))) > 1e-9:
-        raise top.error("joint.frame_rpy", "a planar arm counts link angles from its stretched posture",
-                        "write [0, 0, 0] and put the rotation into the encoders' zero_rad")
+        raise top.error(
+            "joint.frame_rpy",
+            "a planar arm counts link angles from its stretched posture",
+            "write [0, 0, 0] and put the rotation into the encoders' zero_rad",
+        )
     try:
         _ = arm.axis
     except ZygosError as error:

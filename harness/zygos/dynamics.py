@@ -51,8 +51,10 @@ class PlanarDynamics:
         vector = np.asarray(values, dtype=np.float64)
         names = arm.parameter_names
         if vector.shape != (len(names),):
-            raise ZygosError(f"arm {arm.name} has {len(names)} parameters, {vector.shape} values were given; "
-                             f"remedy: give one value for each of {', '.join(names)}")
+            raise ZygosError(
+                f"arm {arm.name} has {len(names)} parameters, {vector.shape} values were given; "
+                f"remedy: give one value for each of {', '.join(names)}"
+            )
         value = dict(zip(names, vector.tolist(), strict=True))
         bodies = arm.n + 1
         a = np.zeros((bodies, bodies))
@@ -64,12 +66,20 @@ class PlanarDynamics:
                     b[i, j] = value.get(f"b{i}{j}", 0.0)
                     b[j, i] = -b[i, j]
         joints = range(1, bodies)
-        dynamics = cls(a, b, np.array([value[f"Im{i}"] for i in joints]), np.array([value[f"k{i}"] for i in joints]),
-                       np.array([value[f"b{i}"] for i in joints]), arm.gear_ratios)
+        dynamics = cls(
+            a,
+            b,
+            np.array([value[f"Im{i}"] for i in joints]),
+            np.array([value[f"k{i}"] for i in joints]),
+            np.array([value[f"b{i}"] for i in joints]),
+            arm.gear_ratios,
+        )
         if dynamics.margin <= 0.0:
-            raise ZygosError(f"arm {arm.name}: these a_ij give negative kinetic energy in some posture (smallest "
-                             f"eigenvalue {dynamics.margin:g} kg m^2); remedy: take the a_ij from one set of masses "
-                             "and lengths, they cannot be varied independently")
+            raise ZygosError(
+                f"arm {arm.name}: these a_ij give negative kinetic energy in some posture (smallest "
+                f"eigenvalue {dynamics.margin:g} kg m^2); remedy: take the a_ij from one set of masses "
+                "and lengths, they cannot be varied independently"
+            )
         return dynamics
 
     @property
@@ -104,8 +114,9 @@ class PlanarDynamics:
         """(..., N) torque of spring and damper on the link, Nm: k (theta - q) + b (thetad - qd)."""
         return self.stiffness * (theta - q) + self.damping * (thetad - qd)
 
-    def accelerations(self, q: Array, theta: Array, omega0: ArrayLike, qd: Array, thetad: Array,
-                      tau: Array) -> tuple[Array, Array, Array]:
+    def accelerations(
+        self, q: Array, theta: Array, omega0: ArrayLike, qd: Array, thetad: Array, tau: Array
+    ) -> tuple[Array, Array, Array]:
         """Accelerations (base (...,), joints (..., N), motors after the gear (..., N)), rad/s^2.
 
         q, theta rad; omega0, qd, thetad rad/s; tau the rotor torque before the gear, Nm (Nanos & Papadopoulos
@@ -142,8 +153,13 @@ class PlanarDynamics:
         total: Array = (self.inertia(q)[0] @ self.rates(omega0, qd)[..., None]).sum(axis=(-2, -1)) + rotor.sum(axis=-1)
         return total
 
-    def base_rate(self, q: Array, momentum: float | Array, qd: Sequence[float] | Array | None = None,
-                  thetad: Sequence[float] | Array | None = None) -> Array:
+    def base_rate(
+        self,
+        q: Array,
+        momentum: float | Array,
+        qd: Sequence[float] | Array | None = None,
+        thetad: Sequence[float] | Array | None = None,
+    ) -> Array:
         """(...,) base rate omega_0, rad/s, at which the arm has the given angular momentum, Nms."""
         joint = np.zeros_like(q) if qd is None else np.broadcast_to(np.asarray(qd, dtype=np.float64), q.shape)
         motor = np.zeros_like(q) if thetad is None else np.broadcast_to(np.asarray(thetad, dtype=np.float64), q.shape)

@@ -92,14 +92,18 @@ class Model:
         values = self._convert(arm, self._scalars())
         sigmas = np.sqrt(np.diag(self.base_covariance(arm)))
         quantities = self._quantities()
-        inertial = quantities[:7 * len(self.bodies)] + [joint.rotor_inertia for joint in self.joints]
+        inertial = quantities[: 7 * len(self.bodies)] + [joint.rotor_inertia for joint in self.joints]
         found = {quantity.source for quantity in inertial}
         # a mixture is worth no more than its least certain part
         sources = [next(source for source in SOURCES if source in found)] * (len(names) - 3 * arm.n)
         for joint in self.joints:
             sources += [joint.rotor_inertia.source, joint.stiffness.source, joint.damping.source]
-        return {name: Quantity(float(value), float(sigma), source, unit) for name, value, sigma, source, unit
-                in zip(names, values, sigmas, sources, arm.parameter_units, strict=True)}
+        return {
+            name: Quantity(float(value), float(sigma), source, unit)
+            for name, value, sigma, source, unit in zip(
+                names, values, sigmas, sources, arm.parameter_units, strict=True
+            )
+        }
 
     def base_values(self, arm: Arm) -> NDArray[np.float64]:
         """(p,) base parameters in the order of `arm.parameter_names`, SI units. Errors as `base_parameters`."""
@@ -132,15 +136,19 @@ class Model:
         missing = [name for name in arm.parameter_names if name not in self.parameters]
         unknown = [name for name in self.parameters if name not in arm.parameter_names]
         if missing or unknown:
-            raise ZygosError(f"model {self.name} does not fit arm {arm.name}: missing {missing}, unknown {unknown}; "
-                             f"remedy: [parameters] must hold exactly {', '.join(arm.parameter_names)}")
+            raise ZygosError(
+                f"model {self.name} does not fit arm {arm.name}: missing {missing}, unknown {unknown}; "
+                f"remedy: [parameters] must hold exactly {', '.join(arm.parameter_names)}"
+            )
         return {name: self.parameters[name] for name in arm.parameter_names}
 
     def _check_fits(self, arm: Arm) -> None:
         names = [joint.name for joint in arm.joints]
         if [joint.name for joint in self.joints] != names:
-            raise ZygosError(f"model {self.name} has joints {[joint.name for joint in self.joints]}, arm {arm.name} "
-                             f"has {names}; remedy: name the joints alike, from the base outwards")
+            raise ZygosError(
+                f"model {self.name} has joints {[joint.name for joint in self.joints]}, arm {arm.name} "
+                f"has {names}; remedy: name the joints alike, from the base outwards"
+            )
 
     def _quantities(self) -> list[Quantity]:
         listed: list[Quantity] = []
@@ -158,8 +166,8 @@ class Model:
         bodies = len(self.bodies)
         axis = arm.axis
         across = np.eye(3) - np.outer(axis, axis)
-        body = scalars[:7 * bodies].reshape(bodies, 7)
-        drive = scalars[7 * bodies:].reshape(bodies - 1, 4)
+        body = scalars[: 7 * bodies].reshape(bodies, 7)
+        drive = scalars[7 * bodies :].reshape(bodies - 1, 4)
         mass = body[:, 0].copy()
         first = np.zeros((bodies, 3))
         polar = np.zeros(bodies)
@@ -180,8 +188,12 @@ class Model:
         near = (first + beyond[:, None] * reach) / total
         far = reach - near
         before = np.cumsum(mass) - mass
-        a = np.diag(polar - 2 * np.sum(first * near, axis=1) + (mass + before) * np.sum(near * near, axis=1)
-                    + beyond * np.sum(far * far, axis=1))
+        a = np.diag(
+            polar
+            - 2 * np.sum(first * near, axis=1)
+            + (mass + before) * np.sum(near * near, axis=1)
+            + beyond * np.sum(far * far, axis=1)
+        )
         values: list[float] = []
         skew: list[float] = []
         for i in range(bodies):
@@ -192,8 +204,10 @@ class Model:
         if arm.kinetic == "planar":
             values += skew
         elif np.max(np.abs(skew)) > 1e-9 * np.max(np.abs(values)):
-            raise ZygosError(f"model {self.name}: mass centres lie off the joint-to-joint lines (b_ij = {skew}), but "
-                             f'arm {arm.name} says kinetic = "planar-symmetric"; remedy: kinetic = "planar"')
+            raise ZygosError(
+                f"model {self.name}: mass centres lie off the joint-to-joint lines (b_ij = {skew}), but "
+                f'arm {arm.name} says kinetic = "planar-symmetric"; remedy: kinetic = "planar"'
+            )
         for _, rotor_inertia, stiffness, damping in drive:
             values += [float(rotor_inertia), float(stiffness), float(damping)]
         return np.array(values)
@@ -215,8 +229,11 @@ def load_model(path: str | Path) -> Model:
     bodies = tuple(_body(table, source, last=index == len(tables) - 1) for index, table in enumerate(tables))
     joints = tuple(_joint(table, source) for table in top.tables("joint"))
     if len(bodies) != len(joints) + 1:
-        raise top.error("body", f"{len(bodies)} bodies for {len(joints)} joints",
-                        "give one [[body]] for the base and one for each [[joint]]")
+        raise top.error(
+            "body",
+            f"{len(bodies)} bodies for {len(joints)} joints",
+            "give one [[body]] for the base and one for each [[joint]]",
+        )
     top.finish()
     return Model(name, bodies, joints)
 
@@ -271,8 +288,9 @@ def _write_whole(file: Path, text: str) -> None:
     except OSError as error:
         if scratch is not None:
             Path(scratch).unlink(missing_ok=True)
-        raise ZygosError(f"{file}: cannot be written ({error.strerror}); remedy: check the directory and its "
-                         "permissions") from None
+        raise ZygosError(
+            f"{file}: cannot be written ({error.strerror}); remedy: check the directory and its permissions"
+        ) from None
 
 
 def _inline(quantity: Quantity, *, unit: bool = False) -> Any:
@@ -285,18 +303,28 @@ def _inline(quantity: Quantity, *, unit: bool = False) -> Any:
     return table
 
 
-def _quantity(table: Table, key: str, unit: str | None, source: str, *, default: float | None = None,
-              low: float = -np.inf, above: float = -np.inf) -> Quantity:
+def _quantity(
+    table: Table,
+    key: str,
+    unit: str | None,
+    source: str,
+    *,
+    default: float | None = None,
+    low: float = -np.inf,
+    above: float = -np.inf,
+) -> Quantity:
     """A number, or { value, sigma, source }; with unit None the file states the unit."""
     if not table.has(key) and default is not None:
         return Quantity(default, 0.0, source, unit or "")
     if not table.has(key) or not isinstance(table.peek(key), dict):
         return Quantity(table.number(key, low=low, above=above, unit=unit or ""), 0.0, source, unit or "")
     entry = table.table(key)
-    quantity = Quantity(entry.number("value", low=low, above=above, unit=unit or ""),
-                        entry.number("sigma", 0.0, low=0.0, unit=unit or ""),
-                        entry.choice("source", SOURCES, source),
-                        entry.text("unit") if unit is None else unit)
+    quantity = Quantity(
+        entry.number("value", low=low, above=above, unit=unit or ""),
+        entry.number("sigma", 0.0, low=0.0, unit=unit or ""),
+        entry.choice("source", SOURCES, source),
+        entry.text("unit") if unit is None else unit,
+    )
     entry.finish()
     return quantity
 
@@ -316,7 +344,8 @@ def _body(table: Table, source: str, *, last: bool) -> Body:
     mass = _quantity(table, "mass", "kg", source, above=0.0)
     origin = _vector3(table, "origin_xyz")
     ixx, ixy, ixz, iyy, iyz, izz = (
-        _quantity(table, key, "kg m^2", source, default=None if key[1] == key[2] else 0.0) for key in _INERTIA_KEYS)
+        _quantity(table, key, "kg m^2", source, default=None if key[1] == key[2] else 0.0) for key in _INERTIA_KEYS
+    )
     if last and table.has("joint_xyz"):
         raise table.error("joint_xyz", "the last body carries no joint", "remove it")
     joint = None if last else _vector3(table, "joint_xyz")
@@ -324,16 +353,21 @@ def _body(table: Table, source: str, *, last: bool) -> Body:
     body = Body(name, mass, origin, (ixx, ixy, ixz, iyy, iyz, izz), joint)
     principal = np.linalg.eigvalsh(body.tensor)
     if principal[0] <= 0.0 or principal[2] > (principal[0] + principal[1]) * (1 + 1e-9):
-        raise table.error("ixx", f"no body has the principal moments {principal.tolist()} kg m^2",
-                          "correct the inertia: all positive, none above the sum of the other two")
+        raise table.error(
+            "ixx",
+            f"no body has the principal moments {principal.tolist()} kg m^2",
+            "correct the inertia: all positive, none above the sum of the other two",
+        )
     return body
 
 
 def _joint(table: Table, source: str) -> JointModel:
     joint = JointModel(
-        table.text("name"), _quantity(table, "rotor_mass", "kg", source, default=0.0, low=0.0),
+        table.text("name"),
+        _quantity(table, "rotor_mass", "kg", source, default=0.0, low=0.0),
         _quantity(table, "rotor_inertia", "kg m^2", source, above=0.0),
         _quantity(table, "stiffness", "Nm/rad", source, above=0.0),
-        _quantity(table, "damping", "Nms/rad", source, low=0.0))
+        _quantity(table, "damping", "Nms/rad", source, low=0.0),
+    )
     table.finish()
     return joint

@@ -80,19 +80,34 @@ def record(trajectory: Trajectory, index: int = 0) -> Cycles:
     n = len(trajectory.t)
     return Cycles(
         sync=np.arange(n, dtype=np.uint64),
-        q=encoder_reading([joint.link_encoder for joint in arm.joints], trajectory.q_latched[index], noise.link[index],
-                          noise.rounding),
-        theta=encoder_reading([joint.motor_encoder for joint in arm.joints], trajectory.theta_latched[index],
-                              noise.motor[index], noise.rounding),
+        q=encoder_reading(
+            [joint.link_encoder for joint in arm.joints], trajectory.q_latched[index], noise.link[index], noise.rounding
+        ),
+        theta=encoder_reading(
+            [joint.motor_encoder for joint in arm.joints],
+            trajectory.theta_latched[index],
+            noise.motor[index],
+            noise.rounding,
+        ),
         tau=torque_record(arm, trajectory.tau[index], noise.torque[index]),
         omega=gyro_reading(arm, trajectory.omega0_latched[index], noise.gyro[index]),
-        flags=np.zeros(n, dtype=np.uint32))
+        flags=np.zeros(n, dtype=np.uint32),
+    )
 
 
-def simulate(arm: Arm, model: Model, scenario: Scenario, *, seeds: Sequence[int] | None = None,
-             noise: bool | None = None, period_s: float | None = None, duration_s: float | None = None,
-             rtol: float = 1e-12, atol: float = 1e-14,
-             progress: Callable[[float], None] | None = None) -> Trajectory:
+def simulate(
+    arm: Arm,
+    model: Model,
+    scenario: Scenario,
+    *,
+    seeds: Sequence[int] | None = None,
+    noise: bool | None = None,
+    period_s: float | None = None,
+    duration_s: float | None = None,
+    rtol: float = 1e-12,
+    atol: float = 1e-14,
+    progress: Callable[[float], None] | None = None,
+) -> Trajectory:
     """Simulate the scenario in closed loop.
 
     seeds (default: the scenario's) are integrated together; noise, duration_s and period_s override scenario and arm.
@@ -108,8 +123,10 @@ def simulate(arm: Arm, model: Model, scenario: Scenario, *, seeds: Sequence[int]
     chosen = tuple(seeds) if seeds is not None else (scenario.seed,)
     n = round((scenario.duration_s if duration_s is None else duration_s) / arm.period_s)
     if n < 2 or not chosen:
-        raise ZygosError(f"scenario {scenario.name}: {n} cycles of {len(chosen)} seeds is nothing to simulate; remedy: "
-                         "a duration of at least two SYNC periods, and one seed")
+        raise ZygosError(
+            f"scenario {scenario.name}: {n} cycles of {len(chosen)} seeds is nothing to simulate; remedy: "
+            "a duration of at least two SYNC periods, and one seed"
+        )
     dynamics = PlanarDynamics.from_parameters(arm, model.base_values(arm))
     noisy = scenario.noise if noise is None else noise
     errors = draw_noise(arm, n, chosen, scenario.encoder_noise) if noisy else no_noise(arm, n, chosen)
@@ -120,8 +137,18 @@ def simulate(arm: Arm, model: Model, scenario: Scenario, *, seeds: Sequence[int]
 class _Run:
     """State of one simulation; the state vector is B rows of phi0, omega0, q, qd, theta, thetad, slip2."""
 
-    def __init__(self, arm: Arm, dynamics: PlanarDynamics, scenario: Scenario, *, seeds: tuple[int, ...], n: int,
-                 noise: Noise, rtol: float, atol: float) -> None:
+    def __init__(
+        self,
+        arm: Arm,
+        dynamics: PlanarDynamics,
+        scenario: Scenario,
+        *,
+        seeds: tuple[int, ...],
+        n: int,
+        noise: Noise,
+        rtol: float,
+        atol: float,
+    ) -> None:
         self.arm, self.dynamics, self.scenario, self.seeds = arm, dynamics, scenario, seeds
         self.n, self.noise = n, noise
         self.rtol, self.atol = rtol, atol
@@ -131,8 +158,10 @@ class _Run:
         self.tau = np.zeros((len(seeds), joints))
         angles = scenario.initial_angles_rad or (0.0,) * joints
         if len(angles) != joints:
-            raise ZygosError(f"scenario {scenario.name}: {len(angles)} initial angles for {joints} joints; remedy: "
-                             "give initial_angles_rad one number a joint")
+            raise ZygosError(
+                f"scenario {scenario.name}: {len(angles)} initial angles for {joints} joints; remedy: "
+                "give initial_angles_rad one number a joint"
+            )
         self.state = np.zeros((len(seeds), 2 + 5 * joints))
         q, _, theta, _, _ = self.slices
         self.state[:, q] = self.state[:, theta] = np.array(angles)
@@ -159,8 +188,11 @@ class _Run:
             rate = np.zeros_like(angle) if before is None else (angle - before) / arm.period_s
             before = angle
             servo = self.scenario.controller
-            self.tau = servo.gain * (servo.kp * (desired[k] - angle) + servo.kd * (desired_rate[k] - rate)) \
+            self.tau = (
+                servo.gain
+                * (servo.kp * (desired[k] - angle) + servo.kd * (desired_rate[k] - rate))
                 / self.dynamics.gear_ratio
+            )
             taus[:, k] = self.tau
             self.state[:, slip] = 0.0
             reached = 0.0
@@ -175,10 +207,27 @@ class _Run:
         if latched is None:
             q_latched, theta_latched, omega0_latched = q, theta, states[..., 1]
         else:
-            q_latched, theta_latched = latched[..., :joints], latched[..., joints:2 * joints]
+            q_latched, theta_latched = latched[..., :joints], latched[..., joints : 2 * joints]
             omega0_latched = latched[..., -1]
-        return Trajectory(arm, self.dynamics, self.seeds, t, states[..., 0], states[..., 1], q, qd, theta, thetad, taus,
-                          states[..., slip], desired, q_latched, theta_latched, omega0_latched, self.noise)
+        return Trajectory(
+            arm,
+            self.dynamics,
+            self.seeds,
+            t,
+            states[..., 0],
+            states[..., 1],
+            q,
+            qd,
+            theta,
+            thetad,
+            taus,
+            states[..., slip],
+            desired,
+            q_latched,
+            theta_latched,
+            omega0_latched,
+            self.noise,
+        )
 
     def _measured(self, k: int) -> Array:
         """(B, N) the angles that the servo reads at SYNC k, rad."""
@@ -193,8 +242,9 @@ class _Run:
     def _derivative(self, _: float, flat: Array) -> Array:
         state = flat.reshape(self.state.shape)
         q, qd, theta, thetad, slip = self.slices
-        base, link, motor = self.dynamics.accelerations(state[:, q], state[:, theta], state[:, 1], state[:, qd],
-                                                        state[:, thetad], self.tau)
+        base, link, motor = self.dynamics.accelerations(
+            state[:, q], state[:, theta], state[:, 1], state[:, qd], state[:, thetad], self.tau
+        )
         rate = np.empty_like(state)
         rate[:, 0] = state[:, 1]
         rate[:, 1] = base
@@ -211,21 +261,32 @@ class _Run:
         if span <= 0.0:
             return
         with np.errstate(over="ignore", invalid="ignore"):
-            solver = DOP853(self._derivative, 0.0, self.state.ravel(), span, first_step=min(self.step, span),
-                            rtol=self.rtol, atol=self.atol)
+            solver = DOP853(
+                self._derivative,
+                0.0,
+                self.state.ravel(),
+                span,
+                first_step=min(self.step, span),
+                rtol=self.rtol,
+                atol=self.atol,
+            )
             for _ in range(_STEPS_MAX):
                 solver.step()
                 if solver.status != "running":
                     break
         if solver.status == "running":
-            raise ZygosError(f"scenario {self.scenario.name}: one SYNC period takes more than {_STEPS_MAX} integration "
-                             f"steps at t = {t:.3f} s; remedy: check the units of stiffness, damping and rotor inertia "
-                             "in the model (Nm/rad and Nms/rad after the gear, kg m^2 before it)")
+            raise ZygosError(
+                f"scenario {self.scenario.name}: one SYNC period takes more than {_STEPS_MAX} integration "
+                f"steps at t = {t:.3f} s; remedy: check the units of stiffness, damping and rotor inertia "
+                "in the model (Nm/rad and Nms/rad after the gear, kg m^2 before it)"
+            )
         turned = solver.y.reshape(self.state.shape)[:, self.slices[0]] - self.state[:, self.slices[0]]
         # a joint that turns by more than half a turn between two samples cannot be followed by a sampled servo
         if solver.status != "finished" or not np.max(np.abs(turned)) < np.pi:
-            raise ZygosError(f"scenario {self.scenario.name}: the motion diverges at t = {t:.3f} s; remedy: lower the "
-                             "controller's gain, feed back the motor angle, or shorten period_s")
+            raise ZygosError(
+                f"scenario {self.scenario.name}: the motion diverges at t = {t:.3f} s; remedy: lower the "
+                "controller's gain, feed back the motor angle, or shorten period_s"
+            )
         # the size that the step control proposes is the best first guess for the next period
         self.step = min(solver.h_abs, self.arm.period_s)
         self.state = solver.y.reshape(self.state.shape)
@@ -237,8 +298,10 @@ class _Latches:
     def __init__(self, arm: Arm, slices: list[slice]) -> None:
         at: dict[int, tuple[list[int], list[int]]] = {}
         for i, joint in enumerate(arm.joints):
-            for encoder, column, source in ((joint.link_encoder, i, slices[0].start + i),
-                                            (joint.motor_encoder, arm.n + i, slices[2].start + i)):
+            for encoder, column, source in (
+                (joint.link_encoder, i, slices[0].start + i),
+                (joint.motor_encoder, arm.n + i, slices[2].start + i),
+            ):
                 into, out = at.setdefault(joint.latch_us + encoder.latch_us, ([], []))
                 into.append(column)
                 out.append(source)

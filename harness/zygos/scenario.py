@@ -116,8 +116,10 @@ class Scenario:
     def motions(self, names: Sequence[str]) -> list[Motion]:
         """Desired motion of each named joint. Errors: ZygosError if the manoeuvre names other joints."""
         if sorted(names) != sorted(self.manoeuvre):
-            raise ZygosError(f"scenario {self.name}: the manoeuvre is for joints {sorted(self.manoeuvre)}, the arm has "
-                             f"{list(names)}; remedy: give each joint of the arm at least one [[manoeuvre]]")
+            raise ZygosError(
+                f"scenario {self.name}: the manoeuvre is for joints {sorted(self.manoeuvre)}, the arm has "
+                f"{list(names)}; remedy: give each joint of the arm at least one [[manoeuvre]]"
+            )
         return [self.manoeuvre[name] for name in names]
 
     def desired(self, names: Sequence[str], t: ArrayLike) -> tuple[Array, Array]:
@@ -131,21 +133,30 @@ def load_scenario(path: str | Path) -> Scenario:
     top = Table.load(path)
     manoeuvre = _manoeuvre(top.tables("manoeuvre"))
     control = top.table("controller", optional=True)
-    controller = Controller(control.number("kp", 1000.0, low=0.0, unit="Nm/rad"),
-                            control.number("kd", 250.0, low=0.0, unit="Nms/rad"),
-                            control.number("gain", 1.0, low=0.0), control.choice("angle", _FEEDBACK_ANGLES, "motor"))
+    controller = Controller(
+        control.number("kp", 1000.0, low=0.0, unit="Nm/rad"),
+        control.number("kd", 250.0, low=0.0, unit="Nms/rad"),
+        control.number("gain", 1.0, low=0.0),
+        control.choice("angle", _FEEDBACK_ANGLES, "motor"),
+    )
     control.finish()
     wire = top.table("bus", optional=True)
     bus = Bus(wire.text("interface", "virtual"), wire.text("channel", "zygos"), wire.boolean("fd", False))
     wire.finish()
     scenario = Scenario(
-        name=top.text("name"), arm=_file(top, "arm", "arm.toml"), plant=_file(top, "plant", "model.toml"),
-        duration_s=top.number("duration_s", above=0.0, high=1e6, unit="s"), manoeuvre=manoeuvre, controller=controller,
-        seed=top.integer("seed", 0, low=0, high=2**63 - 1), noise=top.boolean("noise", True),
+        name=top.text("name"),
+        arm=_file(top, "arm", "arm.toml"),
+        plant=_file(top, "plant", "model.toml"),
+        duration_s=top.number("duration_s", above=0.0, high=1e6, unit="s"),
+        manoeuvre=manoeuvre,
+        controller=controller,
+        seed=top.integer("seed", 0, low=0, high=2**63 - 1),
+        noise=top.boolean("noise", True),
         encoder_noise=top.choice("encoder_noise", _ENCODER_NOISES, "gaussian"),
         angular_momentum_nms=top.number("angular_momentum_nms", 1.0, unit="Nms"),
         initial_angles_rad=top.vector("initial_angles_rad", len(manoeuvre), (0.0,) * len(manoeuvre), unit="rad"),
-        bus=bus)
+        bus=bus,
+    )
     top.finish()
     return scenario
 
@@ -170,12 +181,22 @@ def _manoeuvre(tables: list[Table]) -> dict[str, Motion]:
         elif kind == "sines":
             offset += table.number("offset_rad", 0.0, unit="rad")
             for entry in table.tables("sines"):
-                sines += (Sine(entry.number("amplitude_rad", unit="rad"), entry.number("omega_rad_s", unit="rad/s"),
-                               entry.number("phase_rad", 0.0, unit="rad")),)
+                sines += (
+                    Sine(
+                        entry.number("amplitude_rad", unit="rad"),
+                        entry.number("omega_rad_s", unit="rad/s"),
+                        entry.number("phase_rad", 0.0, unit="rad"),
+                    ),
+                )
                 entry.finish()
         else:
-            ramps += (Ramp(table.number("start_s", low=0.0, unit="s"), table.number("duration_s", above=0.0, unit="s"),
-                           table.number("change_rad", unit="rad")),)
+            ramps += (
+                Ramp(
+                    table.number("start_s", low=0.0, unit="s"),
+                    table.number("duration_s", above=0.0, unit="s"),
+                    table.number("change_rad", unit="rad"),
+                ),
+            )
         table.finish()
         motions[joint] = Motion(offset, sines, ramps)
     return motions

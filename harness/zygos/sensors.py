@@ -54,13 +54,19 @@ def draw_noise(arm: Arm, cycles: int, seeds: Sequence[int], encoder_noise: Encod
     motor = share * np.array([joint.motor_encoder.sigma_rad for joint in arm.joints])
     torque = np.array([joint.torque_sigma for joint in arm.joints])
     step = arm.imu.bias_walk * np.sqrt(arm.period_s)
-    after = np.cumsum(step * normal[..., 3 * joints + 3:], axis=1)
+    after = np.cumsum(step * normal[..., 3 * joints + 3 :], axis=1)
     bias = np.concatenate([np.zeros_like(after[:, :1]), after[:, :-1]], axis=1)
     # a sample is the mean rate over its period, hence the mean bias and the walk's variance about it
     white = np.sqrt(arm.imu.rate_sigma**2 + step**2 / 12.0)
-    gyro = white * normal[..., 3 * joints:3 * joints + 3] + 0.5 * (bias + after)
-    return Noise(link * normal[..., :joints], motor * normal[..., joints:2 * joints],
-                 torque * normal[..., 2 * joints:3 * joints], gyro, bias, rounding)
+    gyro = white * normal[..., 3 * joints : 3 * joints + 3] + 0.5 * (bias + after)
+    return Noise(
+        link * normal[..., :joints],
+        motor * normal[..., joints : 2 * joints],
+        torque * normal[..., 2 * joints : 3 * joints],
+        gyro,
+        bias,
+        rounding,
+    )
 
 
 def no_noise(arm: Arm, cycles: int, seeds: Sequence[int]) -> Noise:

@@ -34,8 +34,9 @@ class Table:
         except FileNotFoundError:
             raise ZygosError(f"{file}: no such file; remedy: check the path") from None
         except OSError as error:
-            raise ZygosError(f"{file}: cannot be read ({error.strerror}); remedy: check the path and its "
-                             "permissions") from None
+            raise ZygosError(
+                f"{file}: cannot be read ({error.strerror}); remedy: check the path and its permissions"
+            ) from None
         except UnicodeDecodeError:
             raise ZygosError(f"{file}: is not UTF-8 text; remedy: save the file as UTF-8") from None
         except (ValueError, RecursionError) as error:  # TOMLDecodeError, integers too long, nesting too deep
@@ -49,8 +50,16 @@ class Table:
         """Whether the key is present and not yet taken."""
         return key in self._data
 
-    def number(self, key: str, default: float | None = None, *, low: float = -math.inf, high: float = math.inf,
-               above: float = -math.inf, unit: str = "") -> float:
+    def number(
+        self,
+        key: str,
+        default: float | None = None,
+        *,
+        low: float = -math.inf,
+        high: float = math.inf,
+        above: float = -math.inf,
+        unit: str = "",
+    ) -> float:
         """A finite number with low <= value <= high and value > above, as float."""
         value = self._take(key, default, "a number" + (f" in {unit}" if unit else ""))
         return self._checked(key, value, unit, low=low, high=high, above=above)
@@ -87,8 +96,9 @@ class Table:
                 return choice
         raise self.error(key, f"{value!r} is not known", f"write {listed}")
 
-    def vector(self, key: str, length: int, default: Sequence[float] | None = None, *,
-               unit: str = "") -> tuple[float, ...]:
+    def vector(
+        self, key: str, length: int, default: Sequence[float] | None = None, *, unit: str = ""
+    ) -> tuple[float, ...]:
         """An array of `length` finite numbers."""
         value = self._take(key, default, f"an array of {length} numbers" + (f" in {unit}" if unit else ""))
         if not isinstance(value, list | tuple) or len(value) != length:
@@ -137,14 +147,25 @@ class Table:
             raise self.error(key, "is missing", f"add {key} = {expected}")
         return default
 
-    def _checked(self, key: str, value: Any, unit: str, *, low: float = -math.inf, high: float = math.inf,
-                 above: float = -math.inf) -> float:
+    def _checked(
+        self,
+        key: str,
+        value: Any,
+        unit: str,
+        *,
+        low: float = -math.inf,
+        high: float = math.inf,
+        above: float = -math.inf,
+    ) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise self.error(key, f"{value!r} is not a number", "write a number" + (f" in {unit}" if unit else ""))
         number = float(value) if abs(value) < 2**1023 else math.inf
         if not (math.isfinite(number) and low <= number <= high and number > above):
-            bounds = [f"> {above:g}"] * (above > -math.inf) + [f">= {low:g}"] * (low > -math.inf) + \
-                     [f"<= {high:g}"] * (high < math.inf)
+            bounds = (
+                [f"> {above:g}"] * (above > -math.inf)
+                + [f">= {low:g}"] * (low > -math.inf)
+                + [f"<= {high:g}"] * (high < math.inf)
+            )
             wanted = " and ".join(bounds) or "finite"
             raise self.error(key, f"{number:g} is out of range", f"write a number {wanted}{' ' + unit if unit else ''}")
         return number

@@ -32,6 +32,7 @@ typedef struct {
     uint32_t arc_instants; ///< Accepted instants of the open arc.
     uint32_t arcs;         ///< Arcs that closed with enough instants.
     uint32_t arcs_dropped; ///< Arcs that were void, or had fewer than ZYGOS_MIN_ARC_INSTANTS.
+    uint32_t corrupt;      ///< 1: the row sums of an arc did not match when it closed.
     uint64_t target;       ///< Instants at which a block is full.
     uint64_t accepted;     ///< Instants in closed arcs and in the open one.
     uint64_t refused;      ///< Instants that failed the bandwidth test.
@@ -55,7 +56,8 @@ void zygos_accumulator_end_arc(zygos_accumulator_t *self);
 /// Sums the blocks of closed arcs into gram (packed as in a block, width self->width).
 void zygos_accumulator_total(const zygos_accumulator_t *self, double *gram);
 
-/// Largest violation of G 1 = sum over all blocks, in units of its tolerance 64 eps n max|G|. Above 1 means corrupt.
+/// Largest violation of G 1 = sum over all blocks, in units of its tolerance 64 eps n max|G|, or 2 when an arc that
+/// closed was corrupt. Above 1 means corrupt.
 double zygos_accumulator_check(const zygos_accumulator_t *self);
 
 #ifdef __cplusplus

@@ -34,6 +34,9 @@ enum zygos_reason {
 
 /// A parameter whose scaled pivot falls below this share is a combination of the others.
 #define ZYGOS_PIVOT_LIMIT 1e-11
+/// When more than this share of the work's variance is left over, the rows are noise (an arm at rest) or another arm's:
+/// nothing is identifiable.
+#define ZYGOS_UNEXPLAINED_LIMIT 0.1
 /// A parameter whose sigma exceeds this share of its value is not identifiable yet.
 #define ZYGOS_SIGMA_LIMIT 0.5
 
