@@ -163,10 +163,6 @@ int zygos_wire_decode(const zygos_frame_t *frame, uint32_t message, uint32_t nod
 
 int zygos_wire_encode(const zygos_record_t *record, uint32_t message, uint32_t node, zygos_frame_t *out)
 {
-    const bool has_sync = (message == ZYGOS_MSG_SYNC) || (message == ZYGOS_MSG_FTIME);
-    if (has_sync && ((record->sync == 0) || (record->sync > ZYGOS_SYNC_MODULUS))) {
-        return 0;
-    }
     if (message == ZYGOS_MSG_SYNC) {
         memset(out, 0, sizeof *out);
         out->id = ZYGOS_ID_SYNC;

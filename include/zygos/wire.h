@@ -95,7 +95,8 @@ uint8_t zygos_wire_crc(const uint8_t *data, uint32_t length, uint32_t f, uint32_
 int zygos_wire_decode(const zygos_frame_t *frame, uint32_t message, uint32_t node, zygos_record_t *out);
 
 /// Encodes a record as the given message of the given node, CRC included; codes outside the field saturate.
-/// Returns 1, or 0 and leaves *out as it was when message is none that can be sent or its SYNC counter is not 1..240.
+/// A SYNC counter outside 1..240 is sent as it is, and the receiver rejects it.
+/// Returns 1, or 0 and leaves *out as it was when message is none that can be sent.
 int zygos_wire_encode(const zygos_record_t *record, uint32_t message, uint32_t node, zygos_frame_t *out);
 
 /// Telemetry of node 32 (0x1A0): index, kind and one f32. Decoding a NaN or an infinity is ZYGOS_WIRE_RANGE.

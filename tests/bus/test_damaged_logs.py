@@ -12,6 +12,7 @@ import pytest
 from e2e.p02 import e2e_p02_protect
 from numpy.typing import NDArray
 
+from zygos import reference
 from zygos.arm import Arm
 from zygos.check import check_frames, decode
 from zygos.cycles import Cycles
@@ -232,13 +233,17 @@ def test_an_estimate_from_a_damaged_log(arm: Arm, model: Model, scenario: Scenar
     rng = np.random.default_rng(5)
     frames = encode(arm, run.cycles(0))
     syncs = np.flatnonzero(frames["id"] == SYNC)
-    frames = np.concatenate([frames[: syncs[400]], frames[syncs[640] :]])
-    frames = error_frames(rng, arm, foreign(rng, arm, bit_flipped(rng, arm, frames)))
+    # An outage of 240 cycles in the middle of an arc that is sound otherwise, and other damage on both sides of it.
+    before = bit_flipped(rng, arm, frames[: syncs[330]])
+    after = error_frames(rng, arm, bit_flipped(rng, arm, frames[syncs[660] :]))
+    frames = np.concatenate([before, frames[syncs[330] : syncs[400]], frames[syncs[640] : syncs[660]], after])
+    frames = foreign(rng, arm, frames)
     flight = Flight(arm)
     flight.frames(frames)
     estimate = flight.estimate()
     assert flight.faults["time_jumped"] == 1
     assert flight.counts["arcs_dropped"] >= 1
+    assert reference.chain(arm, decode(arm, frames).cycles).balance.void
     assert estimate.arcs >= 5
     rooms = {room.name: room for room in check_frames(arm, frames)}
     assert [room for room in rooms.values() if not room.equal] == []

@@ -183,7 +183,7 @@ def test_codes_without_a_value_have_a_name(database: Database, coarse: Database)
 def test_cycle_times_follow_the_sync(database: Database) -> None:
     period = database.get_message_by_name("SYNC").cycle_time
     assert period == 50
-    assert database.get_message_by_name("FTIME").cycle_time == 100 * period
+    assert database.get_message_by_name("FTIME").cycle_time == 50 * period
 
 
 def test_comments_and_senders(database: Database, coarse: Database) -> None:

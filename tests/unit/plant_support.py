@@ -42,23 +42,53 @@ def random_arm(rng: np.random.Generator, joints: int, kinetic: Kinetic = "planar
         iyy = masses @ spread[:, 0] ** 2 + 0.1
         ixy = -masses @ (spread[:, 0] * spread[:, 1])
         tensor = turn.as_matrix() @ np.array([[ixx, ixy, 0], [ixy, iyy, 0], [0, 0, ixx + iyy]]) @ turn.as_matrix().T
-        entries = [Quantity(float(tensor[row, column])) for row, column in
-                   ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))]
+        entries = [
+            Quantity(float(tensor[row, column])) for row, column in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+        ]
         origin = turn.apply([*centre, 0.0])
         reach = turn.apply([rng.uniform(0.5, 3.0), 0.0 if straight else rng.normal(), 0.0])
         last = i == joints
-        bodies.append(Body(f"body{i}", Quantity(float(masses.sum())), (origin[0], origin[1], origin[2]),
-                           (entries[0], entries[1], entries[2], entries[3], entries[4], entries[5]),
-                           None if last else (reach[0], reach[1], reach[2])))
+        bodies.append(
+            Body(
+                f"body{i}",
+                Quantity(float(masses.sum())),
+                (origin[0], origin[1], origin[2]),
+                (entries[0], entries[1], entries[2], entries[3], entries[4], entries[5]),
+                None if last else (reach[0], reach[1], reach[2]),
+            )
+        )
         if last:
             break
         local = Rotation.identity() if straight else Rotation.from_euler("z", rng.uniform(-3, 3))
         rpy = (turn * local).as_euler("xyz")
-        hardware.append(Joint(f"joint{i + 1}", i + 1, (0.0, 0.0, 1.0), (rpy[0], rpy[1], rpy[2]),
-                              float(rng.uniform(20, 120)), encoder, encoder))
-        drives.append(JointModel(f"joint{i + 1}", Quantity(float(rng.uniform(0, 2))),
-                                 Quantity(float(rng.uniform(1e-4, 1e-2))), Quantity(float(rng.uniform(10, 1000))),
-                                 Quantity(float(rng.uniform(0, 50)))))
-    arm = Arm("random", "free", kinetic, 0.01, "applied_from_sync", "rotor", tuple(hardware),
-              Imu(16, (0.0, 0.0, 0.0, 1.0), 1e-6, 1e-9))
+        hardware.append(
+            Joint(
+                f"joint{i + 1}",
+                i + 1,
+                (0.0, 0.0, 1.0),
+                (rpy[0], rpy[1], rpy[2]),
+                float(rng.uniform(20, 120)),
+                encoder,
+                encoder,
+            )
+        )
+        drives.append(
+            JointModel(
+                f"joint{i + 1}",
+                Quantity(float(rng.uniform(0, 2))),
+                Quantity(float(rng.uniform(1e-4, 1e-2))),
+                Quantity(float(rng.uniform(10, 1000))),
+                Quantity(float(rng.uniform(0, 50))),
+            )
+        )
+    arm = Arm(
+        "random",
+        "free",
+        kinetic,
+        0.01,
+        "applied_from_sync",
+        "rotor",
+        tuple(hardware),
+        Imu(16, (0.0, 0.0, 0.0, 1.0), 1e-6, 1e-9),
+    )
     return arm, Model("random", tuple(bodies), tuple(drives))

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
+
 from zygos.arm import Arm, load_arm
 from zygos.cycles import Cycles
 from zygos.methods import Record, de

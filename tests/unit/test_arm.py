@@ -23,7 +23,7 @@ def test_the_papers_arm() -> None:
     assert arm.parameter_names == ("a00", "a01", "a02", "a11", "a12", "a22", "Im1", "k1", "b1", "Im2", "k2", "b2")
     assert len(arm.parameter_units) == 12
     assert arm.parameter_units[5:9] == ("kg m^2", "kg m^2", "Nm/rad", "Nms/rad")
-    assert arm.joints[0].link_encoder.sigma_rad**2 == pytest.approx(7.5e-7)
+    assert arm.joints[0].link_encoder.sigma_rad ** 2 == pytest.approx(7.5e-7)
     assert (arm.smoother.points, arm.smoother.order, arm.smoother.lag, arm.arc_max_s) == (7, 4, 3, 60.0)
     np.testing.assert_array_equal(arm.axis, [0, 0, 1])
     # the gyro's densities as the paper prints them, rad/s^(1/2) and rad/s^(3/2)
@@ -64,8 +64,10 @@ def test_counts_on_either_side_of_the_gear(tmp_path: Path, side: str, quantum: f
 
 def test_optional_parts(tmp_path: Path) -> None:
     file = tmp_path / "arm.toml"
-    file.write_text((PAPER / "arm.toml").read_text()
-                    + 'resolution = "coarse"\n[smoother]\npoints = 11\norder = 6\n[arc]\nmax_s = 10\n')
+    file.write_text(
+        (PAPER / "arm.toml").read_text()
+        + 'resolution = "coarse"\n[smoother]\npoints = 11\norder = 6\n[arc]\nmax_s = 10\n'
+    )
     arm = load_arm(file)
     assert (arm.imu.resolution, arm.smoother.points, arm.smoother.order, arm.smoother.lag) == ("coarse", 11, 6, 5)
     assert arm.arc_max_s == 10.0

@@ -63,8 +63,14 @@ class Oracle:
 
 def random_state(rng: np.random.Generator, joints: int) -> tuple[Floats, Floats, float, Floats, Floats, Floats]:
     q = rng.uniform(-3, 3, joints)
-    return (q, q + rng.normal(size=joints), float(rng.normal()), rng.normal(size=joints), rng.normal(size=joints),
-            rng.normal(size=joints))
+    return (
+        q,
+        q + rng.normal(size=joints),
+        float(rng.normal()),
+        rng.normal(size=joints),
+        rng.normal(size=joints),
+        rng.normal(size=joints),
+    )
 
 
 @pytest.mark.parametrize(("kinetic", "joints"), [
@@ -120,10 +126,17 @@ def test_accelerations_solve_the_papers_equations() -> None:
         e1 = value["k1"] * (theta[0] - q[0]) + value["b1"] * (thetad[0] - qd[0])
         e2 = value["k2"] * (theta[1] - q[1]) + value["b2"] * (thetad[1] - qd[1])
         rows = [
-            value["a00"] * df0 + value["a01"] * (c1 * df1 - s1 * f1**2) + value["a02"] * (c12 * df2 - s12 * f2**2)
-            + n * value["Im1"] * motor[0] + e1,
-            value["a01"] * (c1 * df0 + s1 * f0**2) + value["a11"] * df1 + value["a12"] * (c2 * df2 - s2 * f2**2)
-            + n * value["Im2"] * motor[1] - e1 + e2,
+            value["a00"] * df0
+            + value["a01"] * (c1 * df1 - s1 * f1**2)
+            + value["a02"] * (c12 * df2 - s12 * f2**2)
+            + n * value["Im1"] * motor[0]
+            + e1,
+            value["a01"] * (c1 * df0 + s1 * f0**2)
+            + value["a11"] * df1
+            + value["a12"] * (c2 * df2 - s2 * f2**2)
+            + n * value["Im2"] * motor[1]
+            - e1
+            + e2,
             value["a02"] * (c12 * df0 + s12 * f0**2) + value["a12"] * (c2 * df1 + s2 * f1**2) + value["a22"] * df2 - e2,
             n * value["Im1"] * df0 + n**2 * value["Im1"] * motor[0] + e1 - n * tau[0],
             n * value["Im2"] * df1 + n**2 * value["Im2"] * motor[1] + e2 - n * tau[1],

@@ -610,6 +610,32 @@ def test_one_joint_locked(arm: Arm, still: int, angle: float, known: set[str]) -
     assert estimate.rank < len(estimate.names)
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_columns_that_are_a_sum_of_others(seed: int) -> None:
+    """Rows given to the accumulator itself: 0, 2 and 5 can be exchanged for each other, the rest is independent.
+
+    Every block holds the same rows, so the spread of the blocks says nothing.
+    """
+    rng = np.random.default_rng(seed)
+    truth = rng.uniform(1.0, 2.0, 12)
+    work, out, row = ffi.new("zygos_work_t *"), ffi.new("zygos_estimate_t *"), ffi.new("zygos_row_t *")
+    sums = ffi.addressof(work, "accumulator")
+    lib.zygos_accumulator_init(sums, 12)
+    work.joints = 2
+    columns = rng.normal(size=(MIN_ARC, 12))
+    columns[:, 2] = columns[:, 0] + 0.3 * columns[:, 5]
+    for column in np.tile(columns, (20, 1)):
+        row.column[0:12] = column.tolist()
+        row.work = float(column @ truth) + 17.0
+        lib.zygos_accumulator_add(sums, row, 1.0)
+    assert lib.zygos_solve(work, out) == 1
+    assert (out.validity, out.reason, out.rank) == (lib.ZYGOS_PARTIAL, lib.ZYGOS_REASON_NOT_IDENTIFIABLE, 11)
+    unknown = [i for i in range(12) if np.isnan(out.value[i])]
+    assert unknown == [0, 2, 5] == [i for i in range(12) if not out.identifiable[i]]
+    known = [i for i in range(12) if i not in unknown]
+    np.testing.assert_allclose([out.value[i] for i in known], truth[known], rtol=1e-12)
+
+
 def test_motion_too_fast_for_the_sample_rate(arm: Arm) -> None:
     """More than 5 % of the instants refused: the values are there, and doubted."""
     run = balanced(arm, sines(arm, 2000), chosen(arm))
@@ -676,7 +702,9 @@ def test_a_sum_that_is_not_a_number_is_refused(arm: Arm) -> None:
 def test_rest_after_motion_is_not_called_corrupt(arm: Arm, rest: int) -> None:
     """The constants of an arc at rest are far larger than what remains of them once its mean is taken away."""
     flight = fed(arm, balanced(arm, sines(arm, 3000), chosen(arm)))
-    flight.cycles(constant(arm, 3001, rest))
+    still = constant(arm, 3001, rest)
+    still.flags[0] = BREAK_BEFORE
+    flight.cycles(still)
     estimate = flight.estimate()
     assert (estimate.validity, estimate.reason) == ("valid", "")
     np.testing.assert_allclose(estimate.value, chosen(arm), rtol=1e-9)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from reference_support import Motion, make_arm, move, true_parameters
+
 from zygos.arm import Arm
 from zygos.errors import ZygosError
 from zygos.methods import Record, amc, de, eb, record_of

@@ -32,8 +32,14 @@ def test_closed_form_of_the_papers_example() -> None:
     """docs/paper.md, "The arm", with other numbers than the paper's."""
     arm, model, _ = paper()
     base, link1, link2 = model.bodies
-    model = replace(model, bodies=(replace(base, mass=Quantity(3000.0)), replace(link1, mass=Quantity(150.0)),
-                                   replace(link2, mass=Quantity(700.0))))
+    model = replace(
+        model,
+        bodies=(
+            replace(base, mass=Quantity(3000.0)),
+            replace(link1, mass=Quantity(150.0)),
+            replace(link2, mass=Quantity(700.0)),
+        ),
+    )
     m0, m1, m2, rotor = 3000.0, 150.0, 700.0, 1.0
     total = m0 + m1 + m2 + 2 * rotor
     s1 = m1 * 5 + (rotor + m2) * 10
@@ -82,8 +88,9 @@ def test_mass_centres_off_the_line_need_a_planar_arm() -> None:
 
 def test_file_round_trip(tmp_path: Path) -> None:
     arm, model, _ = paper()
-    model = replace(model, joints=tuple(replace(joint, stiffness=Quantity(820.0, 6.0, "test", "Nm/rad"))
-                                        for joint in model.joints))
+    model = replace(
+        model, joints=tuple(replace(joint, stiffness=Quantity(820.0, 6.0, "test", "Nm/rad")) for joint in model.joints)
+    )
     save_model(model, tmp_path / "bodies.toml")
     assert load_model(tmp_path / "bodies.toml") == model
 
@@ -145,7 +152,7 @@ def test_a_missing_file_and_a_missing_body(tmp_path: Path) -> None:
         load_model(tmp_path / "none.toml")
     text = (PAPER / "model.toml").read_text()
     file = tmp_path / "model.toml"
-    file.write_text(text[:text.rindex("[[joint]]")])
+    file.write_text(text[: text.rindex("[[joint]]")])
     with pytest.raises(ZygosError, match="3 bodies for 1 joints; remedy"):
         load_model(file)
 

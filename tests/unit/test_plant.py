@@ -26,8 +26,9 @@ def energy_terms(trajectory: Trajectory) -> tuple[Floats, Floats]:
     return stored - stored[:, :1] + spent, work
 
 
-@pytest.mark.parametrize(("duration", "period", "seeds"), [(60.05, None, range(3)), (300.0, None, [0]),
-                                                           (20.0, 0.01, [0])])
+@pytest.mark.parametrize(
+    ("duration", "period", "seeds"), [(60.05, None, range(3)), (300.0, None, [0]), (20.0, 0.01, [0])]
+)
 def test_energy_and_momentum_close(duration: float, period: float | None, seeds: list[int]) -> None:
     """Work = change of energy + dissipation, and h = 1 Nms of itself, although its terms reach 1e5 Nms."""
     arm, model, scenario = paper()
@@ -43,9 +44,12 @@ def test_energy_and_momentum_close(duration: float, period: float | None, seeds:
 
 def test_energy_and_momentum_close_for_seven_joints() -> None:
     arm, model = random_arm(np.random.default_rng(3), 7, "planar")
-    scenario = replace(paper()[2], manoeuvre={joint.name: Motion(sines=(Sine(0.2, 0.5 + 0.2 * i),))
-                                              for i, joint in enumerate(arm.joints)},
-                       initial_angles_rad=(), angular_momentum_nms=3.0)
+    scenario = replace(
+        paper()[2],
+        manoeuvre={joint.name: Motion(sines=(Sine(0.2, 0.5 + 0.2 * i),)) for i, joint in enumerate(arm.joints)},
+        initial_angles_rad=(),
+        angular_momentum_nms=3.0,
+    )
     scenario = replace(scenario, controller=replace(scenario.controller, kp=20.0, kd=5.0))
     run = simulate(arm, model, scenario, duration_s=5.0)
     gained, work = energy_terms(run)
@@ -60,12 +64,21 @@ def test_another_integrator_gives_the_same_motion() -> None:
     arm, model, scenario = paper()
     run = simulate(arm, model, scenario, duration_s=3.0)
     end = 40
-    state = np.concatenate([[0.0, run.omega0[0, 0]], run.q[0, 0], run.qd[0, 0], run.theta[0, 0], run.thetad[0, 0],
-                            [0.0, 0.0]])
+    state = np.concatenate(
+        [[0.0, run.omega0[0, 0]], run.q[0, 0], run.qd[0, 0], run.theta[0, 0], run.thetad[0, 0], [0.0, 0.0]]
+    )
     for k in range(end):
         state = advance(run.dynamics, state, run.tau[0, k], arm.period_s)
-    expected = np.concatenate([[run.phi0[0, end], run.omega0[0, end]], run.q[0, end], run.qd[0, end],
-                               run.theta[0, end], run.thetad[0, end], run.slip2[0, end]])
+    expected = np.concatenate(
+        [
+            [run.phi0[0, end], run.omega0[0, end]],
+            run.q[0, end],
+            run.qd[0, end],
+            run.theta[0, end],
+            run.thetad[0, end],
+            run.slip2[0, end],
+        ]
+    )
     np.testing.assert_allclose(state, expected, rtol=0, atol=1e-9)
 
 
@@ -108,8 +121,14 @@ def test_signs_and_zeros_do_not_change_the_motion() -> None:
     arm, model, scenario = paper()
 
     def turned(arm: Arm) -> Arm:
-        joints = [replace(joint, motor_encoder=replace(joint.motor_encoder, sign=-1, zero_rad=0.7),
-                          link_encoder=replace(joint.link_encoder, sign=-1, zero_rad=-0.2)) for joint in arm.joints]
+        joints = [
+            replace(
+                joint,
+                motor_encoder=replace(joint.motor_encoder, sign=-1, zero_rad=0.7),
+                link_encoder=replace(joint.link_encoder, sign=-1, zero_rad=-0.2),
+            )
+            for joint in arm.joints
+        ]
         return replace(arm, joints=tuple(joints), imu=replace(arm.imu, mount_xyzw=(1.0, 0.0, 0.0, 0.0)))
 
     plain = simulate(arm, model, scenario, duration_s=2.0, noise=False)
@@ -122,8 +141,10 @@ def test_signs_and_zeros_do_not_change_the_motion() -> None:
 
 def test_without_noise_the_sensors_are_exact() -> None:
     arm, model, scenario = paper()
-    for run in (simulate(arm, model, scenario, duration_s=1.0, noise=False),
-                simulate(arm, model, replace(scenario, noise=False, encoder_noise="quantised"), duration_s=1.0)):
+    for run in (
+        simulate(arm, model, scenario, duration_s=1.0, noise=False),
+        simulate(arm, model, replace(scenario, noise=False, encoder_noise="quantised"), duration_s=1.0),
+    ):
         cycles = run.cycles()
         np.testing.assert_array_equal(cycles.q, run.q[0])
         np.testing.assert_array_equal(cycles.theta, run.theta[0])
@@ -141,15 +162,20 @@ def test_late_latches_read_later_angles() -> None:
     arm, model, scenario = paper()
     shoulder, elbow = arm.joints
     late = replace(
-        arm, joints=(replace(shoulder, latch_us=3000, motor_encoder=replace(shoulder.motor_encoder, latch_us=2000)),
-                     replace(elbow, link_encoder=replace(elbow.link_encoder, latch_us=8000))),
-        imu=replace(arm.imu, latch_us=10_000))
+        arm,
+        joints=(
+            replace(shoulder, latch_us=3000, motor_encoder=replace(shoulder.motor_encoder, latch_us=2000)),
+            replace(elbow, link_encoder=replace(elbow.link_encoder, latch_us=8000)),
+        ),
+        imu=replace(arm.imu, latch_us=10_000),
+    )
     run = simulate(late, model, scenario, duration_s=2.0, noise=False)
     plain = simulate(arm, model, scenario, duration_s=2.0, noise=False)
     np.testing.assert_allclose(run.q, plain.q, atol=1e-9)
     for k in (0, 17, 39):
-        state = np.concatenate([[0.0, run.omega0[0, k]], run.q[0, k], run.qd[0, k], run.theta[0, k],
-                                run.thetad[0, k], [0.0, 0.0]])
+        state = np.concatenate(
+            [[0.0, run.omega0[0, k]], run.q[0, k], run.qd[0, k], run.theta[0, k], run.thetad[0, k], [0.0, 0.0]]
+        )
         at = {us: advance(run.dynamics, state, run.tau[0, k], us * 1e-6) for us in (3000, 5000, 8000, 10_000)}
         cycles = run.cycles()
         np.testing.assert_allclose(cycles.q[k], [at[3000][2], at[8000][3]], atol=1e-10)
@@ -190,11 +216,14 @@ def test_start() -> None:
     assert run.dynamics.momentum(run.q, run.omega0, run.qd, run.thetad)[0, 0] == pytest.approx(1.0, rel=1e-12)
 
 
-@pytest.mark.parametrize(("change", "message"), [
-    ({"duration_s": 0.05}, "nothing to simulate"),
-    ({"seeds": []}, "nothing to simulate"),
-    ({"period_s": -1.0}, "period"),
-])
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"duration_s": 0.05}, "nothing to simulate"),
+        ({"seeds": []}, "nothing to simulate"),
+        ({"period_s": -1.0}, "period"),
+    ],
+)
 def test_misuse_is_refused(change: dict[str, object], message: str) -> None:
     arm, model, scenario = paper()
     with pytest.raises(ZygosError, match=f"{message}.*remedy"):
@@ -203,8 +232,9 @@ def test_misuse_is_refused(change: dict[str, object], message: str) -> None:
 
 def test_a_model_too_stiff_to_integrate_is_refused() -> None:
     arm, model, scenario = paper()
-    stiff = replace(model, joints=tuple(replace(joint, damping=replace(joint.damping, value=1e9))
-                                        for joint in model.joints))
+    stiff = replace(
+        model, joints=tuple(replace(joint, damping=replace(joint.damping, value=1e9)) for joint in model.joints)
+    )
     with pytest.raises(ZygosError, match=r"400 integration steps.*remedy: check the units"):
         simulate(arm, stiff, scenario)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from reference_support import Floats, make_arm
 from scipy.signal import savgol_coeffs
 
+from zygos.arm import Smoother
 from zygos.cycles import Cycles
 from zygos.errors import ZygosError
 from zygos.reference.cycle import calibrate
@@ -50,7 +52,7 @@ def test_impossible_windows_are_refused(points: int, order: int, derivative: int
 def test_a_window_too_short_for_the_bandwidth_test_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ZygosError, match="bandwidth"):
         bandwidth_coefficients(5, 4)
-    arm = make_arm(tmp_path, head="[smoother]\npoints = 5\norder = 4")
+    arm = replace(make_arm(tmp_path), smoother=Smoother(points=5, order=4, lag=2))
     with pytest.raises(ZygosError, match="bandwidth"):
         smooth(arm, calibrate(arm, record(np.zeros((20, 2)), np.zeros((20, 2)))))
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from plant_support import paper
+
 from zygos.arm import Arm
 from zygos.cycles import Cycles
 from zygos.flight import Estimate, Trace

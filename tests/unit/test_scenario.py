@@ -71,7 +71,7 @@ def test_the_papers_controller() -> None:
     ("seed = 0", "seed = -1", "seed"),
     ("noise = true", 'noise = "no"', "noise"),
     ('encoder_noise = "gaussian"', 'encoder_noise = "uniform"', "encoder_noise"),
-    ("initial_angles_rad = [0.0, 0.0]", "initial_angles_rad = [0.0]", "initial_angles_rad"),
+    ("initial_angles_rad = [1.25, -2.0]", "initial_angles_rad = [0.0]", "initial_angles_rad"),
     ("gain = 1.0", "gain = -1.0", r"controller\.gain"),
     ("gain = 1.0", "gains = 1.0", r"controller\.gains: unknown key"),
     ('angle = "motor"', 'angle = "both"', r"controller\.angle"),

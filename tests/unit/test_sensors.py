@@ -132,8 +132,10 @@ def test_quantised_encoders() -> None:
 
 def test_readings_lead_back_to_angles() -> None:
     arm = paper()[0]
-    encoders = [replace(joint.link_encoder, sign=sign, zero_rad=zero)
-                for joint, sign, zero in zip(arm.joints, (-1, 1), (0.4, -1.1), strict=True)]
+    encoders = [
+        replace(joint.link_encoder, sign=sign, zero_rad=zero)
+        for joint, sign, zero in zip(arm.joints, (-1, 1), (0.4, -1.1), strict=True)
+    ]
     angles = np.random.default_rng(0).normal(size=(6, 2))
     reading = encoder_reading(encoders, angles, np.zeros_like(angles), False)
     np.testing.assert_allclose(reading[:, 0], 0.4 - angles[:, 0])
@@ -148,8 +150,9 @@ def test_a_turned_gyro_reads_in_its_own_frame() -> None:
     np.testing.assert_allclose(reading @ arm.mount.T, [[0, 0, 2.0], [0, 0, -1.0]], atol=1e-15)
     x, y, z, w = quaternion
     # third row of the rotation matrix of (x, y, z, w)
-    np.testing.assert_allclose(reading[0], [2 * 2 * (x * z - y * w), 2 * 2 * (y * z + x * w),
-                                            2 * (1 - 2 * (x * x + y * y))], atol=1e-12)
+    np.testing.assert_allclose(
+        reading[0], [2 * 2 * (x * z - y * w), 2 * 2 * (y * z + x * w), 2 * (1 - 2 * (x * x + y * y))], atol=1e-12
+    )
 
 
 @pytest.mark.parametrize(("law", "expected"), [

@@ -105,6 +105,10 @@ def _smoothed_rows(arm: Arm, record: Record) -> tuple[Floats, Floats]:
     theta = state.theta
     steps = np.sum(arm.gear_ratios * record.tau[:, : theta.shape[1] - 1] * np.diff(theta, axis=1), axis=-1)
     w = np.pad(np.cumsum(steps, axis=1), ((0, 0), (1, 0)))
+    if arm.torque_law != "sampled":
+        # What a held torque leaves in the slope of a smooth curve (docs/theory.md).
+        jumps = np.diff(record.tau[:, : theta.shape[1]], axis=1)
+        w[:, 1:] += h / 12.0 * np.sum(arm.gear_ratios * jumps * state.thetad[:, 1:], axis=-1)
     g = (state.thetad - state.qd) ** 2
     # Trapezoid over the first two steps, then the cubic through the four newest values.
     loss = h / 2.0 * (g[:, 1:] + g[:, :-1])

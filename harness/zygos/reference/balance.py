@@ -1,5 +1,4 @@
-"""Rows of the energy balance over whole records (docs/theory.md, "The energy balance" and "Arcs and the
-constant that drops out").
+"""Rows of the energy balance over whole records (docs/theory.md, "The energy balance").
 
 Within an arc, an unbroken run of instants, z_k . pi - W_k is an unknown constant: z_k holds the columns of the kinetic
 energy, of the springs' energy and of the dissipation, W_k is the work of the motors since the arc's origin.
