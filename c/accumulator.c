@@ -42,6 +42,7 @@ static void add_block(zygos_block_t *to, const zygos_block_t *from, uint32_t wid
         to->sum[i] += from->sum[i];
     }
     to->instants += from->instants;
+    to->end = from->end;
 }
 
 /* Merges neighbours in [first, end) that fit into one block and puts the results at to, to + 1, ...
@@ -166,7 +167,7 @@ static void centre(zygos_block_t *block, uint32_t width, const double *mean)
     sum_rows(block, width);
 }
 
-void zygos_accumulator_drop_arc(zygos_accumulator_t *self)
+static void drop_open_arc(zygos_accumulator_t *self)
 {
     self->arcs_dropped += (self->count > self->open) ? 1u : 0u;
     self->accepted -= self->arc_instants;
@@ -174,11 +175,25 @@ void zygos_accumulator_drop_arc(zygos_accumulator_t *self)
     self->count = self->open;
 }
 
-void zygos_accumulator_end_arc(zygos_accumulator_t *self)
+void zygos_accumulator_drop_after(zygos_accumulator_t *self, uint64_t cycle)
+{
+    drop_open_arc(self);
+    while ((self->open > 0) && (self->block[self->open - 1u].end > cycle)) {
+        const zygos_block_t *last = &self->block[self->open - 1u];
+        const bool first_of_arc = (self->open == 1) || (self->block[self->open - 2u].end != last->end);
+        self->accepted -= last->instants;
+        self->arcs -= first_of_arc ? 1u : 0u;
+        self->arcs_dropped += first_of_arc ? 1u : 0u;
+        self->open--;
+    }
+    self->count = self->open;
+}
+
+void zygos_accumulator_end_arc(zygos_accumulator_t *self, uint64_t cycle)
 {
     const uint32_t width = self->width;
     if (self->arc_instants < ZYGOS_MIN_ARC_INSTANTS) {
-        zygos_accumulator_drop_arc(self);
+        drop_open_arc(self);
     } else {
         double mean[ZYGOS_MAX_ROW] = { 0.0 };
         const uint32_t last = (width - 1u) * width / 2u;
@@ -194,6 +209,7 @@ void zygos_accumulator_end_arc(zygos_accumulator_t *self)
             /* Centring cancels: the row sums are judged before, and taken anew after. */
             self->corrupt |= (check_block(&self->block[b], width) <= 1.0) ? 0u : 1u;
             centre(&self->block[b], width, mean);
+            self->block[b].end = cycle;
         }
         self->open = self->count;
         self->arcs++;

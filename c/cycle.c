@@ -43,6 +43,14 @@ static void push(zygos_receiver_t *self)
     self->assembly.broken = 0;
 }
 
+/* How many cycles before the open one cannot be trusted, in its place among the flags. */
+static uint32_t void_cycles(const zygos_assembly_t *a)
+{
+    const uint64_t most = UINT32_MAX >> ZYGOS_CYCLE_VOID_SHIFT;
+    const uint64_t cycles = (a->sync - a->void_from < most) ? a->sync - a->void_from : most;
+    return (a->broken & ZYGOS_CYCLE_VOID) ? (uint32_t)cycles << ZYGOS_CYCLE_VOID_SHIFT : 0u;
+}
+
 static void close_cycle(zygos_receiver_t *self, const zygos_config_t *config)
 {
     zygos_assembly_t *a = &self->assembly;
@@ -50,7 +58,7 @@ static void close_cycle(zygos_receiver_t *self, const zygos_config_t *config)
     const bool complete = (a->received == all);
     if (complete && !self->status.spoiled) {
         a->cycle.sync = a->sync;
-        a->cycle.flags = a->broken;
+        a->cycle.flags = a->broken | void_cycles(a);
         push(self);
         return;
     }
@@ -130,16 +138,24 @@ static int take_time(zygos_receiver_t *self, const zygos_config_t *config, const
         return reject(self, &self->faults.unsynced);
     }
     if ((record.sync != a->counter) || (record.counter != (a->counter & 0x0Fu))) {
-        return reject(self, &self->faults.counter);
+        const uint32_t behind = (a->counter + ZYGOS_SYNC_MODULUS - record.sync) % ZYGOS_SYNC_MODULUS;
+        const bool late = (behind == 1) && (record.counter == (record.sync & 0x0Fu));
+        return reject(self, late ? &self->faults.late : &self->faults.counter);
     }
     if (a->timed) {
         const double elapsed_s = (double)(record.time_us - a->time_us) * 1e-6; /* modulo 2^32: 71 minutes */
         const double counted_s = (double)(a->sync - a->time_sync) * config->period_s;
         const double error = elapsed_s - counted_s;
-        if ((error > 0.5 * config->period_s) || (error < -0.5 * config->period_s)) {
-            /* An outage of 240 cycles leaves no gap in the counters. It lies somewhere in the arc that is open. */
+        const double tolerance = 0.5 * config->period_s;
+        if ((error > tolerance) || (error < -tolerance)) {
             self->faults.time_jumped++;
-            a->broken |= ZYGOS_CYCLE_BREAK | ZYGOS_CYCLE_VOID;
+            a->broken |= ZYGOS_CYCLE_BREAK;
+        }
+        if (error > tolerance) {
+            /* Cycles were lost without a gap in the counters (240 of them), somewhere behind the last FTIME. A count
+               that runs ahead of time, because of a false SYNC, has ended the arc already and lost nothing. */
+            a->void_from = (a->broken & ZYGOS_CYCLE_VOID) ? a->void_from : a->time_sync;
+            a->broken |= ZYGOS_CYCLE_VOID;
         }
     }
     a->timed = 1;

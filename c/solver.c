@@ -277,7 +277,7 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     out->refused = sums->refused;
     out->parameters = p;
     const bool corrupt = !(zygos_accumulator_check(sums) <= 1.0);
-    zygos_accumulator_end_arc(sums);
+    zygos_accumulator_end_arc(sums, work->cycle);
     out->accepted = sums->accepted;
     out->arcs = sums->arcs;
     out->blocks = sums->open;

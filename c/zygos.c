@@ -140,7 +140,7 @@ int zygos_frame(zygos_t *self, const zygos_frame_t *frame)
 
 static void end_arc(zygos_t *self)
 {
-    zygos_accumulator_end_arc(&self->accumulator);
+    zygos_accumulator_end_arc(&self->accumulator, self->cycle);
     self->arc = 0;
 }
 
@@ -152,14 +152,26 @@ static void gap(zygos_t *self)
     end_arc(self);
 }
 
+/* Drops what reaches into the cycles that cannot be trusted. */
+static void void_arcs(zygos_t *self, const zygos_cycle_t *cycle)
+{
+    if (!(cycle->flags & ZYGOS_CYCLE_VOID)) {
+        return;
+    }
+    const uint64_t doubtful = cycle->flags >> ZYGOS_CYCLE_VOID_SHIFT;
+    const uint64_t trusted = (doubtful < cycle->sync) ? cycle->sync - doubtful : 0u;
+    if ((doubtful == 0) || (self->cycle > trusted)) {
+        zygos_accumulator_drop_after(&self->accumulator, trusted);
+    }
+}
+
 static void work_off(zygos_t *self, const zygos_cycle_t *cycle)
 {
-    const bool follows = (cycle->sync == self->cycle + 1u) && !(cycle->flags & ZYGOS_CYCLE_BREAK);
+    const uint32_t broken = (uint32_t)ZYGOS_CYCLE_BREAK | (uint32_t)ZYGOS_CYCLE_VOID;
+    const bool follows = (self->cycles > 0) && (cycle->sync == self->cycle + 1u) && !(cycle->flags & broken);
     const bool wrapped = follows && (zygos_cycle_wrapped(&self->hold, &self->config, cycle) == 1);
     self->wraps += wrapped ? 1u : 0u;
-    if (cycle->flags & ZYGOS_CYCLE_VOID) {
-        zygos_accumulator_drop_arc(&self->accumulator);
-    }
+    void_arcs(self, cycle);
     if (!follows || wrapped) {
         gap(self);
     }
@@ -228,6 +240,7 @@ int zygos_cycle(zygos_t *self, const zygos_cycle_t *cycle)
     if (!usable(&self->config, cycle)) {
         self->invalid++;
         self->instant = 0;
+        void_arcs(self, cycle);
         gap(self);
         return 0;
     }

@@ -12,7 +12,11 @@ BREAK_BEFORE = 1
 INVALID = 2
 """Bit of `Cycles.flags`: the cycle's values are not to be used."""
 VOID_BEFORE = 4
-"""Bit of `Cycles.flags`, beside BREAK_BEFORE: cycles may be missing within the arc that ends here; it is dropped."""
+"""Bit of `Cycles.flags`: a break, and the cycles before it cannot be trusted: arcs that reach into them are dropped.
+
+The bits from VOID_SHIFT up say how many cycles; 0 means the open arc, however long.
+"""
+VOID_SHIFT = 8
 
 
 @dataclass(frozen=True)

@@ -259,7 +259,7 @@ class Flight:
         """A (p, p) and b (p,) with the arc constants eliminated, as the solver sees them."""
         lib.zygos_take(self.native, self._work)
         sums = ffi.addressof(self._work, "accumulator")
-        lib.zygos_accumulator_end_arc(sums)
+        lib.zygos_accumulator_end_arc(sums, self._work.cycle)
         lib.zygos_accumulator_total(sums, self._work.total)
         width = sums.width
         rows, columns = np.tril_indices(width)

@@ -23,6 +23,7 @@ typedef struct {
     double gram[ZYGOS_MAX_PACKED_ROW]; ///< Sum of z z^T, lower triangle row by row, width (width + 1)/2 used.
     double sum[ZYGOS_MAX_ROW];         ///< Sum of z (1^T z): the row sums of gram.
     uint64_t instants;                 ///< Accepted instants in this block.
+    uint64_t end;                      ///< Closed arcs: number of the newest cycle in them.
 } zygos_block_t;
 
 typedef struct {
@@ -31,7 +32,7 @@ typedef struct {
     uint32_t open;         ///< First block of the open arc. The blocks before it belong to closed arcs.
     uint32_t arc_instants; ///< Accepted instants of the open arc.
     uint32_t arcs;         ///< Arcs that closed with enough instants.
-    uint32_t arcs_dropped; ///< Arcs that were void, or had fewer than ZYGOS_MIN_ARC_INSTANTS.
+    uint32_t arcs_dropped; ///< Arcs that were dropped later, or had fewer than ZYGOS_MIN_ARC_INSTANTS.
     uint32_t corrupt;      ///< 1: the row sums of an arc did not match when it closed.
     uint64_t target;       ///< Instants at which a block is full.
     uint64_t accepted;     ///< Instants in closed arcs and in the open one.
@@ -47,11 +48,13 @@ void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters);
 /// merge of all blocks.
 void zygos_accumulator_add(zygos_accumulator_t *self, const zygos_row_t *row, double weight);
 
-/// Forgets the open arc and counts it as dropped. Cost: none.
-void zygos_accumulator_drop_arc(zygos_accumulator_t *self);
+/// Ends the open arc, whose newest cycle is the given one: eliminates its constant, or drops it when it is too short.
+/// Cost: its blocks once.
+void zygos_accumulator_end_arc(zygos_accumulator_t *self, uint64_t cycle);
 
-/// Ends the open arc: eliminates its constant, or drops it when it is too short. Cost: its blocks once.
-void zygos_accumulator_end_arc(zygos_accumulator_t *self);
+/// Drops the open arc, and the blocks of closed arcs that reach beyond the given cycle. A block in which that cycle was
+/// merged with older ones goes as a whole. Cost: none for the sums.
+void zygos_accumulator_drop_after(zygos_accumulator_t *self, uint64_t cycle);
 
 /// Sums the blocks of closed arcs into gram (packed as in a block, width self->width).
 void zygos_accumulator_total(const zygos_accumulator_t *self, double *gram);

@@ -38,9 +38,10 @@ typedef struct {
     uint32_t sync_repeated; ///< SYNCs with the counter of the SYNC before.
     uint32_t sync_jumped;   ///< SYNCs that skipped at least one counter.
     uint32_t time_lost;     ///< Times that more than 120 cycles passed without FTIME.
-    uint32_t time_jumped;   ///< FTIMEs that disagree with the SYNC count by more than half a cycle; the arc is dropped.
-    uint32_t overrun;       ///< Complete cycles lost because the queue was full.
-    uint32_t bus_error;     ///< Error frames from the controller; bus-off ends the arc.
+    uint32_t time_jumped; ///< FTIMEs that disagree with the SYNC count by more than half a cycle; the arc ends, and is
+                          ///< dropped when cycles are missing.
+    uint32_t overrun;     ///< Complete cycles lost because the queue was full.
+    uint32_t bus_error;   ///< Error frames from the controller; bus-off ends the arc.
 } zygos_faults_t;
 
 /// What zygos_frame() made of a frame.
@@ -58,6 +59,7 @@ typedef struct {
     uint32_t received;   ///< Bit 2i: angles of joint i; bit 2i+1: its torque; then rate xy or all, rate z.
     uint32_t counter;    ///< SYNC counter of the open cycle, 0 before the first SYNC.
     uint32_t broken;     ///< Flags of the next complete cycle.
+    uint64_t void_from;  ///< With ZYGOS_CYCLE_VOID: the last cycle that can be trusted.
     uint32_t since_time; ///< Cycles since the last FTIME.
     uint32_t timed;      ///< 1: time_us and time_sync hold the last FTIME.
     uint32_t time_us;

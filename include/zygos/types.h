@@ -134,11 +134,13 @@ typedef struct {
     zygos_joint_config_t joint[ZYGOS_MAX_JOINTS];
 } zygos_config_t;
 
-/// Bits of zygos_cycle_t.flags.
+/// Bits of zygos_cycle_t.flags. With ZYGOS_CYCLE_VOID, the bits from ZYGOS_CYCLE_VOID_SHIFT up say how many cycles
+/// before this one cannot be trusted: every arc that reaches into them is dropped. 0 means the open arc, however long.
+#define ZYGOS_CYCLE_VOID_SHIFT 8
 enum zygos_cycle_flag {
     ZYGOS_CYCLE_BREAK = 1,   ///< Nothing that came before is continued by this cycle: the arc ends before it.
     ZYGOS_CYCLE_INVALID = 2, ///< The values are not to be used: the cycle is dropped and counted, the arc ends.
-    ZYGOS_CYCLE_VOID = 4     ///< Cycles may be missing within the arc that this cycle ends: that arc is dropped.
+    ZYGOS_CYCLE_VOID = 4     ///< Ends the arc as well; cycles may be missing in it: it is dropped. See below.
 };
 
 /// What the sensors say in one SYNC cycle, in SI, before signs, zeros and mounting are applied.

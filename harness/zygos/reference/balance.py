@@ -6,7 +6,9 @@ energy, of the springs' energy and of the dissipation, W_k is the work of the mo
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +63,33 @@ def energy_columns(arm: Arm, state: State, dissipated: Floats) -> Floats:
     return np.concatenate([kinetic, flexible.reshape((*flexible.shape[:-2], -1))], axis=-1)
 
 
+class _End(NamedTuple):
+    """at: position of the newest cycle of an arc. full: the arc ended by its length, not by a break."""
+
+    at: int
+    full: bool
+
+
+def _void(samples: Samples, ends: Sequence[_End]) -> frozenset[int]:
+    """Numbers of the arcs in which cycles may be missing."""
+    void: set[int] = set()
+    stops = np.array([stop for _, stop in samples.segments])
+    for position, trusted in samples.voids:
+        before = stops[stops <= position]
+        newest = int(before[-1]) - 1 if len(before) else -1
+        for number, end in enumerate(ends):
+            if end.at > newest:
+                continue
+            opened = end.at == newest and not end.full
+            if trusted is None:
+                doubtful = opened
+            else:
+                doubtful = int(samples.sync[newest]) > trusted and (opened or int(samples.sync[end.at]) > trusted)
+            if doubtful:
+                void.add(number)
+    return frozenset(void)
+
+
 def arc_cycles(arm: Arm) -> int:
     """Instants an arc holds at most, its origin among them."""
     return round(arm.arc_max_s / arm.period_s)
@@ -75,7 +104,8 @@ def rows(arm: Arm, samples: Samples, smoothed: Smoothed) -> Balance:
     Under a held torque the slope of a smooth curve through the samples is h^2/12 da/dt above the true rate, so the
     kinetic energy reads h/12 n (tau_k - tau_k-1) thetad_k too high; the work of the row is raised by as much.
 
-    A segment that ends void makes its open arc void: the last one, unless its length had ended it already.
+    A void cycle makes those arcs before it void that reach beyond the last cycle that can be trusted, or the arc that
+    it ends where that cycle is not known.
     """
     h = arm.period_s
     held = 0.0 if arm.torque_law == "sampled" else h / 12.0
@@ -84,7 +114,7 @@ def rows(arm: Arm, samples: Samples, smoothed: Smoothed) -> Balance:
     dissipated = np.zeros_like(smoothed.q)
     arc = np.full(len(smoothed.index), -1, dtype=np.int64)
     arcs = 0
-    void: set[int] = set()
+    ends: list[_End] = []
     for number in np.unique(smoothed.segment):
         of = np.flatnonzero(smoothed.segment == number)
         if len(of) <= FILL_INSTANTS:
@@ -101,8 +131,8 @@ def rows(arm: Arm, samples: Samples, smoothed: Smoothed) -> Balance:
             work[of[origin:stop]] += hold_correction[origin - 1 : stop - 1]
             dissipated[of[origin + 1 : stop]] = np.cumsum(step_loss[origin - 2 : stop - 3], axis=0)
             arc[of[origin:stop]] = arcs
-            if number in samples.ends_void and stop - origin < longest:
-                void.add(arcs)
+            full = stop - origin == longest
+            ends.append(_End(int(smoothed.index[of[stop - 1]]) + arm.smoother.lag, full))
             arcs += 1
     state = State(smoothed.q, smoothed.theta, smoothed.qd, smoothed.thetad, smoothed.omega @ arm.axis)
     z = energy_columns(arm, state, dissipated)
@@ -114,5 +144,5 @@ def rows(arm: Arm, samples: Samples, smoothed: Smoothed) -> Balance:
         accepted=smoothed.accepted[kept],
         z=z[kept],
         w=work[kept],
-        void=frozenset(void),
+        void=_void(samples, ends),
     )

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
-from zygos.cycles import BREAK_BEFORE, INVALID, VOID_BEFORE, Cycles
+from zygos.cycles import BREAK_BEFORE, INVALID, VOID_BEFORE, VOID_SHIFT, Cycles
 from zygos.errors import ZygosError
 
 Floats = NDArray[np.float64]
@@ -36,12 +36,13 @@ LARGEST_ANGLE_RAD, LARGEST_VALUE = 1e4, 1e6
 class Segments:
     """A record cut into unbroken runs.
 
-    ranges: half-open ranges of positions. ends_void: numbers of the segments whose last arc is not to be used.
-    wraps: how often a segment ended because an angle went over the end of its range.
+    ranges: half-open ranges of positions.
+    voids: for each void cycle its position, and the number of the last cycle before it that can be trusted; None where
+    that is not said, and the arc that it ends is void. wraps: how often an angle went over the end of its range.
     """
 
     ranges: tuple[tuple[int, int], ...]
-    ends_void: frozenset[int]
+    voids: tuple[tuple[int, int | None], ...]
     wraps: int
 
 
@@ -51,7 +52,7 @@ class Samples:
 
     sync: (n,) cycle number. q, theta: (n, N) [rad]. tau: (n, N) rotor torque in force on [t_k, t_k+1) [Nm], NaN where
     the torque law needs a cycle that the segment does not have. omega: (n, 3) base rate in base axes [rad/s].
-    segments: half-open ranges of positions in these arrays. ends_void, wraps: as in `Segments`.
+    segments: half-open ranges of positions in these arrays. voids, wraps: as in `Segments`.
     """
 
     sync: NDArray[np.uint64]
@@ -60,7 +61,7 @@ class Samples:
     tau: Floats
     omega: Floats
     segments: tuple[tuple[int, int], ...]
-    ends_void: frozenset[int]
+    voids: tuple[tuple[int, int | None], ...]
     wraps: int
 
 
@@ -88,10 +89,13 @@ def segments(cycles: Cycles) -> Segments:
     joined = follows & ~wraps
     starts = np.flatnonzero(use & ~joined)
     ends = np.flatnonzero(use & ~np.append(joined[1:], False)) + 1
-    void = np.append((cycles.flags & VOID_BEFORE) != 0, False)[ends]
+    voids = []
+    for at in np.flatnonzero(cycles.flags & VOID_BEFORE):
+        doubtful = int(cycles.flags[at]) >> VOID_SHIFT
+        voids.append((int(at), int(cycles.sync[at]) - doubtful if doubtful else None))
     return Segments(
         ranges=tuple((int(a), int(b)) for a, b in zip(starts, ends, strict=True)),
-        ends_void=frozenset(int(number) for number in np.flatnonzero(void)),
+        voids=tuple(voids),
         wraps=int(np.sum(wraps)),
     )
 
@@ -128,6 +132,6 @@ def calibrate(arm: Arm, cycles: Cycles) -> Samples:
         tau=tau,
         omega=cycles.omega @ arm.mount.T,
         segments=runs.ranges,
-        ends_void=runs.ends_void,
+        voids=runs.voids,
         wraps=runs.wraps,
     )

@@ -20,7 +20,7 @@ from cantools.database.can import Database, Message
 from e2e.p02 import e2e_p02_check
 
 from zygos.arm import Arm
-from zygos.cycles import BREAK_BEFORE, VOID_BEFORE, Cycles
+from zygos.cycles import BREAK_BEFORE, VOID_BEFORE, VOID_SHIFT, Cycles
 
 DBC_FOLDER = Path(__file__).resolve().parents[1] / "_native"
 
@@ -169,15 +169,17 @@ def receive(arm: Arm, frames: Iterable[Frame]) -> Reception:
 
     breaks = {0} | {slot for slot in range(1, n) if numbers[slot] - numbers[slot - 1] != 1}
     alone, void = _time_breaks(arm, numbers, counters, slots, log)
-    breaks |= alone | void
+    breaks |= alone | set(void)
     breaks |= {int(slot) for slot in np.searchsorted(opens, bus_off) - 1}
     cycles = _assemble(arm, [numbers[slot] for slot in used], contents)
     for position, slot in enumerate(used):
         since = range(used[position - 1] + 1 if position else 0, slot + 1)
         if position == 0 or not breaks.isdisjoint(since):
             cycles.flags[position] |= BREAK_BEFORE
-        if not void.isdisjoint(since):
-            cycles.flags[position] |= VOID_BEFORE
+        trusted = [void[s] for s in since if s in void]
+        if trusted:
+            doubtful = min(numbers[slot] - min(trusted), 2 ** (32 - VOID_SHIFT) - 1)
+            cycles.flags[position] |= VOID_BEFORE | doubtful << VOID_SHIFT
     log.faults = +log.faults
     return Reception(cycles, log.faults, tuple(log.verdicts))
 
@@ -281,13 +283,14 @@ def _outermost(message: Message, name: str, code: int) -> bool:
 
 def _time_breaks(
     arm: Arm, numbers: Sequence[int], counters: Sequence[int], slots: Sequence[Sequence[_Seen]], log: _Log
-) -> tuple[set[int], set[int]]:
-    """Cycles of a silence of FTIME, each of which stands alone, and those whose FTIME disagrees with the SYNC count.
+) -> tuple[set[int], dict[int, int]]:
+    """Cycles before which the count breaks: in a silence of FTIME, and where FTIME disagrees with it. And those whose
+    FTIME says that cycles are missing, with the number of the cycle of the FTIME before.
 
     The comparison is with the FTIME before, however long ago that was.
     """
     alone: set[int] = set()
-    void: set[int] = set()
+    void: dict[int, int] = {}
     last: tuple[int, int] | None = None
     silent_since = 0
     lost = False
@@ -300,14 +303,18 @@ def _time_breaks(
             if s.kind.part is not None:
                 continue
             if s.raw["Sync"] != counters[slot] or s.raw["Counter"] != counters[slot] % 16:
-                log.reject(s.at, "counter")
+                behind = s.raw["Sync"] == (counters[slot] - 2) % SYNC_MODULUS + 1
+                log.reject(s.at, "late" if behind and s.raw["Counter"] == s.raw["Sync"] % 16 else "counter")
                 continue
             log.accept(s.at)
             if last is not None:
                 elapsed = ((s.raw["Time"] - last[1]) % 2**32) * 1e-6
-                if abs(elapsed - (number - last[0]) * arm.period_s) > 0.5 * arm.period_s:
+                missing = elapsed - (number - last[0]) * arm.period_s
+                if abs(missing) > 0.5 * arm.period_s:
                     log.faults["time_jumped"] += 1
-                    void.add(slot)
+                    alone.add(slot)
+                if missing > 0.5 * arm.period_s:
+                    void.setdefault(slot, last[0])
             last, silent_since, lost = (number, s.raw["Time"]), number, False
     return alone, void
 
