@@ -82,8 +82,15 @@ def write_log(path: Path, frames: NDArray[Any], period_s: float) -> None:
         partial.unlink(missing_ok=True)
 
 
-def read_log(path: Path) -> NDArray[Any]:
-    """Read all frames of a log.
+def _counted(messages: Iterable[can.Message], progress: Callable[[int], None] | None) -> Iterator[can.Message]:
+    for count, message in enumerate(messages, start=1):
+        if progress is not None and count % 5000 == 0:
+            progress(count)
+        yield message
+
+
+def read_log(path: Path, progress: Callable[[int], None] | None = None) -> NDArray[Any]:
+    """Read all frames of a log; progress is called now and then with the number read so far.
 
     Raises ZygosError when the file is missing, of no known kind, unreadable, or holds no frame.
     """
@@ -92,7 +99,7 @@ def read_log(path: Path) -> NDArray[Any]:
         raise ZygosError(f"{path}: no such file; remedy: give a CAN log, for instance one that `zygos simulate` wrote")
     try:
         with can.LogReader(str(path)) as reader:
-            frames = from_messages(reader)
+            frames = from_messages(_counted(reader, progress))
     except Exception as error:  # each reader of python-can raises errors of its own
         raise ZygosError(
             f"{path}: not a readable {path.suffix} log ({type(error).__name__}: {error}); remedy: record it again, "

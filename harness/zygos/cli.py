@@ -19,7 +19,7 @@ app = typer.Typer(
     help="Learn the dynamics of a flexible-joint space arm from its CAN frames.\n\n"
     "Three kinds of file: [bold]arm.toml[/] says what the hardware is, [bold]model.toml[/] what someone believes of "
     "its dynamics, [bold]scenario.toml[/] what is done with it. A run is a CAN log (.log .blf .asc .mf4).\n\n"
-    "Exit codes: 0 answered, 2 bad input, 3 refused or undecided, 4 answered from damaged input.",
+    "Exit codes: 0 answered, 2 bad input, 3 refused or undecided.",
 )
 
 Json = Annotated[

@@ -44,6 +44,13 @@ def find_arm(run: Path, arm: Path | None) -> Path:
     return chosen
 
 
+def read_run(run: Path) -> NDArray[Any]:
+    """Read a log; a long one shows how far it is."""
+    with progress() as bar:
+        task = bar.add_task(f"reading {run.name}", total=None)
+        return bus.read_log(run, lambda count: bar.update(task, description=f"reading {run.name}: {count:,} frames"))
+
+
 def simulate_run(
     scenario_file: Path,
     out: Path,
@@ -192,7 +199,7 @@ def estimate_run(run: Path, arm_file: Path | None, out: Path, model_file: Path |
     prior = load_model(model_file) if model_file else None
     if prior is not None:
         prior.base_parameters(arm)
-    frames = bus.read_log(run)
+    frames = read_run(run)
     flight = Flight(arm)
     flight.frames(frames)
     finish_estimate(flight.estimate(), flight, out, prior, json, {"run": str(run)})
@@ -201,7 +208,7 @@ def estimate_run(run: Path, arm_file: Path | None, out: Path, model_file: Path |
 def check_run(run: Path, arm_file: Path | None, json: str | None) -> None:
     """Compare C with numpy on a run; see `zygos check --help`."""
     arm = load_arm(find_arm(run, arm_file))
-    rooms = check_frames(arm, bus.read_log(run))
+    rooms = check_frames(arm, read_run(run))
     if json:
         write_json(json, {"run": str(run), "arm": arm.name, "rooms": [room.as_json() for room in rooms]})
     if json != "-":

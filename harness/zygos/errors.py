@@ -13,9 +13,3 @@ class Undecided(ZygosError):
     """The question was understood, but the data do not answer it."""
 
     exit_code = 3
-
-
-class DamagedInput(ZygosError):
-    """The question can be answered only in part, because the input is damaged."""
-
-    exit_code = 4

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from reference_support import Floats
 
-from zygos.reference.accumulator import MIN_ARC_INSTANTS, blocks_of, design
+from zygos.reference.accumulator import MIN_ARC_INSTANTS, design
 from zygos.reference.balance import Balance
 from zygos.reference.solver import solve
 
@@ -74,13 +74,3 @@ def test_no_row_at_all() -> None:
     accumulated = design(made)
     assert accumulated.z.shape == (0, 4)
     assert accumulated.dropped_arcs == 1
-
-
-@pytest.mark.parametrize("length", [1, 7, 20, 33])
-def test_blocks_cover_all_rows_once_and_no_two_arcs(length: int) -> None:
-    arc = np.repeat([0, 4, 5], [60, 20, 95])
-    blocks = blocks_of(arc, length)
-    np.testing.assert_array_equal(np.sort(np.concatenate(blocks)), np.arange(175))
-    for block in blocks:
-        assert len(np.unique(arc[block])) == 1
-        assert len(block) >= min(length, 20)

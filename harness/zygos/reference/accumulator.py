@@ -63,15 +63,3 @@ def design(balance: Balance) -> Design:
         dropped_arcs=dropped,
         refused=int(np.sum(~balance.accepted)),
     )
-
-
-def blocks_of(arc: NDArray[np.int64], length: int) -> list[NDArray[np.int64]]:
-    """Positions of the rows in blocks of `length` successive rows; a block never spans two arcs.
-
-    The rest of an arc joins the arc's last block, so that no block is shorter than `length` unless its arc is.
-    """
-    out: list[NDArray[np.int64]] = []
-    for number in np.unique(arc):
-        of = np.flatnonzero(arc == number)
-        out.extend(np.array_split(of, max(1, len(of) // length)))
-    return out
