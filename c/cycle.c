@@ -322,18 +322,19 @@ int zygos_receiver_frame(zygos_receiver_t *self, const zygos_config_t *config, c
     return ZYGOS_FOREIGN;
 }
 
-static bool far(double a, double b)
+/* 1 or 0, without a branch: most of what is compared is near. */
+static uint32_t far(double a, double b)
 {
-    return (a - b > HALF_RANGE_RAD) || (b - a > HALF_RANGE_RAD);
+    return (uint32_t)(a - b > HALF_RANGE_RAD) | (uint32_t)(b - a > HALF_RANGE_RAD);
 }
 
 int zygos_cycle_wrapped(const zygos_hold_t *hold, const zygos_config_t *config, const zygos_cycle_t *cycle)
 {
-    bool wrapped = false;
+    uint32_t wrapped = 0;
     for (uint32_t i = 0; i < config->joints; i++) {
-        wrapped = far(cycle->q[i], hold->q[i]) || far(cycle->theta[i], hold->theta[i]) || wrapped;
+        wrapped |= far(cycle->q[i], hold->q[i]) | far(cycle->theta[i], hold->theta[i]);
     }
-    return wrapped ? 1 : 0;
+    return (int)wrapped;
 }
 
 void zygos_cycle_calibrate(zygos_hold_t *hold, const zygos_config_t *config, const zygos_cycle_t *cycle, double *signal,
