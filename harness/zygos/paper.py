@@ -141,7 +141,7 @@ def _table_3(arm: Arm, true: Floats, names: Sequence[str], estimates: dict[str, 
             (n, u, number(float(t), 9), *(number(float(mean[k]), 6) for mean in means))
             for k, (n, u, t) in enumerate(zip(arm.parameter_names, arm.parameter_units, true, strict=True))
         ],
-        title="Table III: estimates, mean over the seeds",
+        title="Table III, on this run: estimates, mean over the seeds",
     )
     console.print()
 
@@ -151,7 +151,7 @@ def _table_4(arm: Arm, noisy: Sequence[str], scores: dict[str, Score], printed: 
     rows = [(n, *(number(float(scores[name].rms[k]), 3) for name in names)) for k, n in enumerate(arm.parameter_names)]
     rows.append(("mean", *(number(float(np.nanmean(scores[name].rms)), 3) for name in names)))
     rows.append(("largest", *(number(float(np.nanmax(scores[name].rms)), 3) for name in names)))
-    table(("parameter", *names), rows, title="Table IV: error, % (rms over the seeds)")
+    table(("parameter", *names), rows, title="Table IV, on this run: error, % (rms over the seeds)")
     console.print(
         "\nThe paper reports: " + "; ".join(f"{name}: {text}" for name, text in printed.items()) + ".",
         highlight=False,

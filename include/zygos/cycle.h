@@ -38,10 +38,10 @@ typedef struct {
     uint32_t sync_repeated; ///< SYNCs with the counter of the SYNC before.
     uint32_t sync_jumped;   ///< SYNCs that skipped at least one counter.
     uint32_t time_lost;     ///< Times that more than 120 cycles passed without FTIME.
-    uint32_t time_jumped; ///< FTIMEs that disagree with the SYNC count by more than half a cycle; the arc ends, and is
-                          ///< dropped when cycles are missing.
-    uint32_t overrun;     ///< Complete cycles lost because the queue was full.
-    uint32_t bus_error;   ///< Error frames from the controller; bus-off ends the arc.
+    uint32_t time_jumped;   ///< FTIMEs that disagree with the SYNC count by more than half a cycle. The arc ends; when
+                            ///< cycles are missing, every arc that reaches behind the FTIME before is dropped.
+    uint32_t overrun;       ///< Complete cycles lost because the queue was full.
+    uint32_t bus_error;     ///< Error frames from the controller; bus-off ends the arc.
 } zygos_faults_t;
 
 /// What zygos_frame() made of a frame.

@@ -1,6 +1,6 @@
 /// zygos/kinematics.h: the Gram table of the rate vectors.
 ///
-/// The kinetic energy of a free-floating arm is a constant symmetric matrix times the Gram table of 2N + 3 rate
+/// The kinetic energy of a free-floating arm is a constant symmetric matrix times the Gram table of its bodies' rate
 /// vectors (docs/theory.md). With parallel axes one plane vector a body is enough: v_i = f_i (cos phi_i, sin phi_i),
 /// with the absolute rate f_i = f_(i-1) + q'_i, f_0 the gyro about the axis, and phi_i = q_1 + ... + q_i.
 

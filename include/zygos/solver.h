@@ -2,8 +2,8 @@
 ///
 /// Columns are scaled to unit length, then factorised by Cholesky with symmetric pivoting. Columns that are linear
 /// combinations of others leave the factorisation; they and every parameter they can be exchanged for are "not
-/// identifiable yet" and have no value. Sigmas come from leaving out one block at a time (jackknife of the block
-/// scores), because neighbouring rows share noise and s^2 A^-1 would be far too small. They describe the spread; the
+/// identifiable yet" and have no value. Sigmas come from solving again with one block left out at a time (jackknife),
+/// because neighbouring rows share noise and s^2 A^-1 would be far too small. They describe the spread; the
 /// bias that noise squared in the row causes is not in them.
 
 #ifndef ZYGOS_SOLVER_H
@@ -25,10 +25,10 @@ enum zygos_validity {
 
 enum zygos_reason {
     ZYGOS_REASON_NONE = 0,
-    ZYGOS_REASON_NO_DATA = 1,          ///< Fewer accepted instants than three a parameter.
+    ZYGOS_REASON_NO_DATA = 1,          ///< Fewer accepted instants than three a parameter, or fewer than two blocks.
     ZYGOS_REASON_NOT_IDENTIFIABLE = 2, ///< The motion so far does not excite every parameter.
     ZYGOS_REASON_TOO_FAST = 3,         ///< More than 5 % of the instants failed the bandwidth test.
-    ZYGOS_REASON_NOT_PHYSICAL = 4,     ///< The inertia is not positive definite, or Im, k or b is not positive.
+    ZYGOS_REASON_NOT_PHYSICAL = 4,     ///< (a_ij) less the rotors is not positive definite, or Im, k or b not positive.
     ZYGOS_REASON_CORRUPT = 5           ///< Row sums or counts do not match: memory was changed, or never taken.
 };
 

@@ -83,7 +83,7 @@ enum zygos_error {
     ZYGOS_E_SMOOTHER = -7,   ///< Half width, order or lag out of range; end-point filters are refused.
     ZYGOS_E_NODE = -8,       ///< A node number is 0, above 31, or used twice (node numbers 1..31, 32 is the computer).
     ZYGOS_E_AXIS = -9,       ///< A joint axis is no unit vector, or not parallel to the first.
-    ZYGOS_E_VALUE = -10,     ///< A ratio, sign, zero, sigma or latch delay is not finite or not in its range.
+    ZYGOS_E_VALUE = -10,     ///< A ratio, sign, zero, sigma, latch delay, imu_fine or imu_to_base is not in its range.
     ZYGOS_E_ARC = -11,       ///< arc_cycles is below ZYGOS_MIN_ARC_INSTANTS.
     ZYGOS_E_ORDER = -12,     ///< zygos_init() has not succeeded on this struct.
     ZYGOS_E_KEEP = -13       ///< zygos_restart() does not know one of the bits.
@@ -140,7 +140,7 @@ typedef struct {
 enum zygos_cycle_flag {
     ZYGOS_CYCLE_BREAK = 1,   ///< Nothing that came before is continued by this cycle: the arc ends before it.
     ZYGOS_CYCLE_INVALID = 2, ///< The values are not to be used: the cycle is dropped and counted, the arc ends.
-    ZYGOS_CYCLE_VOID = 4     ///< Ends the arc as well; cycles may be missing in it: it is dropped. See below.
+    ZYGOS_CYCLE_VOID = 4     ///< Ends the arc, and drops every arc that reaches into the cycles counted above.
 };
 
 /// What the sensors say in one SYNC cycle, in SI, before signs, zeros and mounting are applied.

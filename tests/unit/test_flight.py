@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -303,12 +304,15 @@ def test_a_gap_ends_the_arc_and_fills_again(arm: Arm, how: str) -> None:
     same_sums(flight, trace)
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1.000001e6, -1e300, 1.000001e4])
-@pytest.mark.parametrize("signal", ["q", "theta", "tau", "omega"])
+@pytest.mark.parametrize(
+    ("signal", "value"),
+    [
+        *product(["q", "theta", "tau", "omega"], [np.nan, np.inf, -np.inf, 1.000001e6, -1e300]),
+        *product(["q", "theta"], [1.000001e4]),
+    ],
+)
 def test_a_cycle_that_is_not_finite_is_counted_and_dropped(arm: Arm, signal: str, value: float) -> None:
     """Angles may go up to 1e4 rad, torques and rates up to 1e6."""
-    if 1e4 < value < 1e5 and signal in ("tau", "omega"):
-        pytest.skip("allowed")
     flight = fed(arm, sines(arm, 50))
     one = sines(arm, 1, first=51)
     getattr(one, signal)[0, -1] = value
