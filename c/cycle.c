@@ -143,7 +143,8 @@ static int take_time(zygos_receiver_t *self, const zygos_config_t *config, const
         return reject(self, late ? &self->faults.late : &self->faults.counter);
     }
     if (a->timed) {
-        const double elapsed_s = (double)(record.time_us - a->time_us) * 1e-6; /* modulo 2^32: 71 minutes */
+        /* Modulo 2^32, nearest to 0: a clock that starts anew runs backwards. */
+        const double elapsed_s = (double)(int32_t)(record.time_us - a->time_us) * 1e-6;
         const double counted_s = (double)(a->sync - a->time_sync) * config->period_s;
         const double error = elapsed_s - counted_s;
         const double tolerance = 0.5 * config->period_s;
@@ -288,6 +289,19 @@ static int take_rates(zygos_receiver_t *self, const zygos_config_t *config, uint
     return accept(self);
 }
 
+/* The third axis of a fine gyro, where a coarse one is configured: its other frame would pass for a coarse one's. */
+static int take_fine_rate(zygos_receiver_t *self, const zygos_config_t *config, const zygos_frame_t *frame)
+{
+    zygos_record_t record;
+    if (zygos_wire_decode(frame, ZYGOS_MSG_RATE_Z, config->imu_node, &record) != ZYGOS_WIRE_OK) {
+        return ZYGOS_FOREIGN;
+    }
+    if (self->assembly.counter == 0) {
+        return reject(self, &self->faults.unsynced);
+    }
+    return spoil(self, &self->faults.gyro_invalid);
+}
+
 int zygos_receiver_frame(zygos_receiver_t *self, const zygos_config_t *config, const zygos_frame_t *frame)
 {
     if (frame->flags & ZYGOS_FRAME_ERROR) {
@@ -307,6 +321,9 @@ int zygos_receiver_frame(zygos_receiver_t *self, const zygos_config_t *config, c
     }
     if (frame->id == ZYGOS_ID_TPDO1 + config->imu_node) {
         return take_rates(self, config, config->imu_fine ? ZYGOS_MSG_RATE_XY : ZYGOS_MSG_RATE_COARSE, frame);
+    }
+    if (!config->imu_fine && (frame->id == ZYGOS_ID_TPDO3 + config->imu_node)) {
+        return take_fine_rate(self, config, frame);
     }
     if (config->imu_fine && (frame->id == ZYGOS_ID_TPDO3 + config->imu_node)) {
         return take_rates(self, config, ZYGOS_MSG_RATE_Z, frame);

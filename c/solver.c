@@ -197,9 +197,8 @@ static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, zygos_estim
     }
 }
 
-/* A kinetic energy that is positive for every motion needs (a_ij) less the rotors' share to be positive definite, and
-   Im, k and b positive. */
-static bool physical(const zygos_work_t *work, uint32_t p, const double *x)
+/* A kinetic energy that is positive for every motion needs (a_ij) less the rotors' share to be positive definite. */
+static bool positive_definite(const zygos_work_t *work, const double *x)
 {
     const uint32_t n = work->joints + 1u;
     double l[(ZYGOS_MAX_JOINTS + 1) * (ZYGOS_MAX_JOINTS + 2) / 2];
@@ -221,12 +220,31 @@ static bool physical(const zygos_work_t *work, uint32_t p, const double *x)
             }
         }
     }
-    for (uint32_t i = n * (n + 1u) / 2u; i < p; i++) {
-        if (!(x[i] > 0.0)) {
+    return true;
+}
+
+/* Each a_ii, Im, k and b that has a value must be positive; (a_ij) is judged when all of it has. */
+static bool physical(const zygos_work_t *work, uint32_t p, const zygos_estimate_t *out)
+{
+    const uint32_t n = work->joints + 1u;
+    const uint32_t kinetic = n * (n + 1u) / 2u;
+    bool all_kinetic = true;
+    for (uint32_t i = 0; i < kinetic; i++) {
+        all_kinetic = all_kinetic && out->identifiable[i];
+    }
+    for (uint32_t i = 0; i < n; i++) {
+        const uint32_t diagonal = i * n - i * (i + 1u) / 2u + i;
+        if (out->identifiable[diagonal] && !(out->value[diagonal] > 0.0)) {
             return false;
         }
     }
-    return true;
+    for (uint32_t i = kinetic; i < p; i++) {
+        if (out->identifiable[i] && !(out->value[i] > 0.0)) {
+            return false;
+        }
+        all_kinetic = all_kinetic && (out->identifiable[i] || ((i - kinetic) % 3u != 0));
+    }
+    return !all_kinetic || positive_definite(work, out->value);
 }
 
 static void withhold(zygos_estimate_t *out, uint32_t i, uint32_t p)
@@ -304,20 +322,25 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     memcpy(out->value, work->solution, p * sizeof out->value[0]);
     out->residual = residual(work, p, work->solution, out->accepted);
     const double unexplained = out->residual * out->residual * (double)out->accepted;
-    if (!(unexplained <= ZYGOS_UNEXPLAINED_LIMIT * work->total[at(p, p)])) {
+    if (!(unexplained < ZYGOS_UNEXPLAINED_LIMIT * work->total[at(p, p)])) {
         return refuse(out, p, ZYGOS_REASON_NOT_IDENTIFIABLE);
     }
     jackknife(work, p, rank, out);
 
+    /* A value that is not sharp lends its error to all others, because noise in the rows acts on them through it: where
+       nothing but noise makes the rank full, every value is made of noise. Columns that left the factorisation lend
+       nothing. */
     uint32_t known = 0;
+    bool blurred = false;
     for (uint32_t i = 0; i < p; i++) {
         const bool sharp = (out->sigma[i] <= ZYGOS_SIGMA_LIMIT * magnitude(out->value[i]));
+        blurred = blurred || !sharp;
         if (!out->identifiable[i] || !sharp) {
             withhold(out, i, p);
         }
         known += out->identifiable[i];
     }
-    if (known == 0) {
+    if ((known == 0) || (blurred && (rank == p))) {
         return refuse(out, p, ZYGOS_REASON_NOT_IDENTIFIABLE);
     }
     out->validity = ZYGOS_VALID;
@@ -325,12 +348,12 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     if ((double)out->refused > MAX_REFUSED_SHARE * instants) {
         out->validity = ZYGOS_DOUBTFUL;
         out->reason = ZYGOS_REASON_TOO_FAST;
+    } else if (!physical(work, p, out)) {
+        out->validity = ZYGOS_DOUBTFUL;
+        out->reason = ZYGOS_REASON_NOT_PHYSICAL;
     } else if (known < p) {
         out->validity = ZYGOS_PARTIAL;
         out->reason = ZYGOS_REASON_NOT_IDENTIFIABLE;
-    } else if (!physical(work, p, out->value)) {
-        out->validity = ZYGOS_DOUBTFUL;
-        out->reason = ZYGOS_REASON_NOT_PHYSICAL;
     }
     return 1;
 }

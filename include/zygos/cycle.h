@@ -30,8 +30,8 @@ typedef struct {
         link_invalid; ///< Frames whose status bit or code says that the link angle is invalid; the cycle is dropped.
     uint32_t motor_invalid;
     uint32_t torque_invalid;
-    uint32_t disabled; ///< Frames that say: drive disabled or brake closed; the cycle is dropped.
-    uint32_t gyro_invalid;
+    uint32_t disabled;      ///< Frames that say: drive disabled or brake closed; the cycle is dropped.
+    uint32_t gyro_invalid;  ///< Frames whose status bit says so, or of a fine gyro where a coarse one is configured.
     uint32_t saturated;     ///< Torque or rate at its outermost code; the cycle is dropped.
     uint32_t incomplete;    ///< Cycles that closed with a frame missing or rejected.
     uint32_t dropped;       ///< Cycles not used, for whatever reason.

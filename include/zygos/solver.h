@@ -37,8 +37,9 @@ enum zygos_reason {
 /// When more than this share of the work's variance is left over, the rows are noise (an arm at rest) or another arm's:
 /// nothing is identifiable.
 #define ZYGOS_UNEXPLAINED_LIMIT 0.1
-/// A parameter whose sigma exceeds this share of its value is not identifiable yet.
-#define ZYGOS_SIGMA_LIMIT 0.5
+/// A parameter whose sigma exceeds this share of its value is not identifiable yet. When the rank is full all the same,
+/// none is: the error of the one is in all others.
+#define ZYGOS_SIGMA_LIMIT 0.25
 
 typedef struct {
     uint64_t cycle;      ///< SYNC number of the newest cycle that went in.

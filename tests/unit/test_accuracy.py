@@ -18,7 +18,7 @@ from zygos.methods import amc, de, eb, exact_record
 from zygos.model import Model
 from zygos.paper import flight_estimates, noisy_record
 from zygos.plant import Trajectory, simulate
-from zygos.scenario import load_scenario
+from zygos.scenario import Scenario, load_scenario
 from zygos.score import score
 
 Floats = NDArray[np.float64]
@@ -155,3 +155,32 @@ def test_a_motion_too_fast_for_its_sample_rate_says_so(arm: Arm, clean: Clean) -
     assert estimate.validity in ("doubtful", "refused")
     assert estimate.validity == "refused" or "too fast" in estimate.reason
     assert estimate.refused > 0.05 * (estimate.accepted + estimate.refused)
+
+
+def test_no_beginning_of_a_run_gives_wild_numbers(arm: Arm, noisy: Trajectory, true: Floats) -> None:
+    """Until the motion determines every parameter through the noise there is no number, and never one without a sigma."""
+    answered = 0
+    for seed in range(10):
+        cycles = noisy.cycles(seed)
+        for n in range(40, 1200, 40):
+            names = Cycles.__dataclass_fields__
+            estimate = through_cycles(arm, Cycles(*(getattr(cycles, name)[:n] for name in names)))
+            known = np.isfinite(estimate.value)
+            answered += bool(known.all())
+            error = np.abs(estimate.value / true - 1.0)[known]
+            assert np.all(error <= 0.5), (seed, n, estimate.validity)
+    assert answered > 150
+
+
+def test_an_arm_at_rest_identifies_nothing(arm: Arm, model: Model, scenario: Scenario) -> None:
+    still = {joint: replace(motion, sines=()) for joint, motion in scenario.manoeuvre.items()}
+    rest = replace(scenario, manoeuvre=still, angular_momentum_nms=0.0)
+    trajectory = simulate(arm, model, rest, seeds=range(4), noise=True)
+    for k in range(4):
+        estimate = through_cycles(arm, trajectory.cycles(k))
+        assert (estimate.validity, np.isfinite(estimate.value).any()) == ("refused", False)
+
+
+def test_no_torque_identifies_nothing(arm: Arm, noisy: Trajectory) -> None:
+    cycles = noisy.cycles(0)
+    assert through_cycles(arm, replace(cycles, tau=np.zeros_like(cycles.tau))).validity == "refused"

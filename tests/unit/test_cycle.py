@@ -377,12 +377,26 @@ def test_foreign_frames_change_nothing_at_all(bus: Bus) -> None:
     assert bytes_of(bus.flight.native) == before
 
 
-def test_the_third_message_of_a_coarse_gyro_is_foreign(coarse: Bus) -> None:
-    coarse.cycles(1)
+def test_a_fine_gyro_does_not_pass_for_a_coarse_one(coarse: Bus) -> None:
+    """Its first frame looks like a coarse gyro's; its second one gives it away. Anybody else's frame there is foreign."""
     z = coarse.frame(lib.ZYGOS_MSG_RATE_Z, coarse.config.imu_node, 1, status=1)
-    assert coarse.send(z) == [FOREIGN]
+    assert coarse.send(z) == [REJECTED]
+    assert coarse.faults() == {"unsynced": 1}
+    coarse.cycles(1)
+    assert coarse.send(damaged(z, data=bytes(5)), damaged(z, length=4)) == [FOREIGN] * 2
     assert close(coarse, 2) == [(0, BREAK_BEFORE)]
-    assert coarse.faults() == {}
+    assert set(coarse.send(*coarse.data(2))) == {ACCEPTED}
+    assert coarse.send(coarse.frame(lib.ZYGOS_MSG_RATE_Z, coarse.config.imu_node, 2, status=1)) == [REJECTED]
+    assert close(coarse, 3) == []
+    assert coarse.faults() == {"unsynced": 1, "gyro_invalid": 1, "dropped": 1}
+
+
+def test_a_clock_that_starts_anew_voids_nothing(bus: Bus) -> None:
+    """Time that runs backwards is a restart of its producer, not an outage of 71 minutes."""
+    timed(bus, [1, 2], start=1000.0)
+    out = timed(bus, [3, 4], start=0.0)
+    assert [flag for _, flag in out + close(bus, 5)] == [0, BREAK_BEFORE, 0]
+    assert bus.faults() == {"time_jumped": 1}
 
 
 REJECTIONS: dict[str, Callable[[Bus], Any]] = {

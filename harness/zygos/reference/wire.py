@@ -39,6 +39,10 @@ STATUS_FAULTS = (("disabled", 8), ("link_invalid", 1), ("motor_invalid", 2), ("t
 """Faults that a joint's frame states by a status bit that is 0, in the order in which one of them is counted."""
 
 
+UNWANTED = "unwanted"
+"""Part of a cycle that forbids its use: of a fine gyro, where the arm says that it is coarse."""
+
+
 class Frame(NamedTuple):
     """A CAN frame: identifier, data, and EXTENDED, REMOTE, ERROR, FD as flags."""
 
@@ -94,6 +98,7 @@ def identifiers(arm: Arm) -> dict[int, Kind]:
     node = arm.imu.node
     if arm.imu.resolution == "coarse":
         kinds[0x180 + node] = Kind(database(coarse_gyro=True).get_message_by_frame_id(0x190), 0, node, 0, "rate")
+        kinds[0x380 + node] = Kind(messages["IMU_RATE_Z"], 2, node, 0, UNWANTED)
     else:
         kinds[0x180 + node] = Kind(messages["IMU_RATE_XY"], 0, node, 0, "rate_xy")
         kinds[0x380 + node] = Kind(messages["IMU_RATE_Z"], 2, node, 0, "rate_z")
@@ -154,7 +159,7 @@ def receive(arm: Arm, frames: Iterable[Frame]) -> Reception:
     counters = [frames[at].data[0] for at in opens]
     used: list[int] = []
     contents: list[dict[str, _Seen]] = []
-    parts = {kind.part for kind in identifiers(arm).values() if kind.part is not None}
+    parts = {kind.part for kind in identifiers(arm).values()} - {None, UNWANTED}
     for slot, counter in enumerate(counters):
         content, sound = _judge(arm, slots[slot], counter, log)
         if slot == n - 1:
@@ -200,11 +205,11 @@ def _each_frame(arm: Arm, frames: Sequence[Frame], log: _Log) -> tuple[list[_See
         kind = kinds.get(frame.id)
         if kind is None or frame.flags:
             continue
-        if len(frame.data) != kind.message.length:
-            log.reject(at, "length")
-            continue
-        if frame.id in ids and not e2e_p02_check(frame.data, ids[frame.id], length=0):
-            log.reject(at, "crc")
+        bad_length = len(frame.data) != kind.message.length
+        bad_crc = not bad_length and frame.id in ids and not e2e_p02_check(frame.data, ids[frame.id], length=0)
+        if bad_length or bad_crc:
+            if kind.part != UNWANTED:
+                log.reject(at, "length" if bad_length else "crc")
             continue
         raw = kind.message.decode(frame.data, decode_choices=False, scaling=False)
         assert isinstance(raw, dict)
@@ -242,6 +247,10 @@ def _judge(arm: Arm, frames: Sequence[_Seen], counter: int, log: _Log) -> tuple[
     sound = True
     for s in frames:
         if s.kind.part is None:
+            continue
+        if s.kind.part == UNWANTED:
+            sound = False
+            log.reject(s.at, "gyro_invalid")
             continue
         if s.raw["Counter"] != counter % 16:
             log.reject(s.at, "late" if s.raw["Counter"] == (counter - 1) % 16 else "counter")
@@ -308,7 +317,7 @@ def _time_breaks(
                 continue
             log.accept(s.at)
             if last is not None:
-                elapsed = ((s.raw["Time"] - last[1]) % 2**32) * 1e-6
+                elapsed = ((s.raw["Time"] - last[1] + 2**31) % 2**32 - 2**31) * 1e-6  # a clock may start anew
                 missing = elapsed - (number - last[0]) * arm.period_s
                 if abs(missing) > 0.5 * arm.period_s:
                     log.faults["time_jumped"] += 1
