@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +17,14 @@ from numpy.typing import NDArray
 from zygos import vcan
 from zygos.errors import ZygosError
 from zygos.flight import FRAME
+from zygos.output import cannot_be_written
 
-LOG_SUFFIXES = (".log", ".blf", ".asc", ".mf4")
+LOG_SUFFIXES = (".log", ".blf", ".asc")
 """Formats of python-can that keep classical frames whole."""
 _EXTENDED, _REMOTE, _ERROR, _FD = 1, 2, 4, 8
 _SYNC = 0x080
+_POLL_S = 0.2
+"""A listener notices that it is to stop within that time."""
 _SLOT_S = 150e-6
 """Spacing of the frames of a cycle in the stamps of a log: a little more than a frame lasts at 1 Mbit/s."""
 
@@ -67,19 +72,62 @@ def check_log_name(path: Path) -> None:
         raise ZygosError(f"{path}: no CAN log of a known kind; remedy: use one of {' '.join(LOG_SUFFIXES)}")
 
 
-def write_log(path: Path, frames: NDArray[Any], period_s: float) -> None:
-    """Write a log in the format of the suffix: whole, or not at all."""
+def check_log(path: Path) -> None:
+    """Refuse a log that is missing or of no known kind."""
     check_log_name(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{os.getpid()}.partial{path.suffix}")
-    try:
-        with can.Logger(str(partial)) as logger:
-            for message in to_messages(frames, period_s):
-                message.channel = "can0" if path.suffix.lower() == ".log" else 0
-                logger.on_message_received(message)
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
+    if not path.is_file():
+        raise ZygosError(f"{path}: no such file; remedy: give a CAN log, for instance one that `zygos simulate` wrote")
+
+
+class Recording:
+    """A log in the format of the suffix that grows as messages come. It has its name once it is finished.
+
+    Every method raises ZygosError, naming the log, when it cannot be written; what was written is then removed.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Begin an empty log beside `path`."""
+        check_log_name(path)
+        self.path = path
+        self.count = 0
+        self._partial = path.with_name(f".{os.getpid()}.partial{path.suffix}")
+        self._channel = "can0" if path.suffix.lower() == ".log" else 0
+        with self._refusing():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._logger = can.Logger(str(self._partial))
+
+    def append(self, messages: Iterable[can.Message]) -> None:
+        """Write messages behind those that are there."""
+        with self._refusing():
+            for message in messages:
+                message.channel = self._channel
+                self._logger.on_message_received(message)
+                self.count += 1
+
+    def finish(self) -> None:
+        """Give the log its name; one without a message is removed."""
+        with self._refusing():
+            self._logger.stop()
+            if self.count:
+                self._partial.replace(self.path)
+        self._partial.unlink(missing_ok=True)
+
+    @contextmanager
+    def _refusing(self) -> Iterator[None]:
+        try:
+            yield
+        except BaseException as error:
+            self._partial.unlink(missing_ok=True)
+            if isinstance(error, Exception):  # each writer of python-can raises errors of its own
+                raise cannot_be_written(self.path, error) from error
+            raise
+
+
+def write_log(path: Path, frames: NDArray[Any], period_s: float) -> None:
+    """Write a log in the format of the suffix: whole, or not at all. Errors: ZygosError if it cannot be written."""
+    recording = Recording(path)
+    recording.append(to_messages(frames, period_s))
+    recording.finish()
 
 
 def _counted(messages: Iterable[can.Message], progress: Callable[[int], None] | None) -> Iterator[can.Message]:
@@ -94,9 +142,7 @@ def read_log(path: Path, progress: Callable[[int], None] | None = None) -> NDArr
 
     Raises ZygosError when the file is missing, of no known kind, unreadable, or holds no frame.
     """
-    check_log_name(path)
-    if not path.is_file():
-        raise ZygosError(f"{path}: no such file; remedy: give a CAN log, for instance one that `zygos simulate` wrote")
+    check_log(path)
     try:
         with can.LogReader(str(path)) as reader:
             frames = from_messages(_counted(reader, progress))
@@ -126,37 +172,45 @@ def open_bus(interface: str | None, channel: str | None, bitrate: int | None = N
 
 
 def receive(bus: can.BusABC, idle_s: float, stop: Callable[[], bool] = lambda: False) -> Iterator[can.Message]:
-    """Messages of a bus until it has been silent for idle_s after the first one, or stop() is true."""
-    first = True
-    while not stop():
-        message = bus.recv(timeout=None if first and idle_s <= 0 else (10 * idle_s if first else idle_s))
-        if message is None:
-            return
-        first = False
-        yield message
+    """Messages of a bus until it is silent for idle_s, ten times as long before the first one, or stop() is true.
+
+    Raises can.CanError when the bus fails.
+    """
+    patience = 10 * idle_s
+    newest = time.monotonic()
+    while not stop() and time.monotonic() - newest < patience:
+        try:
+            message = bus.recv(timeout=min(_POLL_S, patience))
+        except OSError as error:
+            raise can.CanOperationError(str(error)) from error
+        if message is not None:
+            patience, newest = idle_s, time.monotonic()
+            yield message
 
 
 def transfer(frames: NDArray[Any], period_s: float, interface: str = "virtual", channel: str = "zygos") -> NDArray[Any]:
     """Send frames from one end of a bus to another, and return what arrived.
 
-    On SocketCAN the sender waits for the receiver, whose buffer would overflow without a word (zygos.vcan). Raises
-    ZygosError when the bus cannot be opened or lost a frame.
+    Frames of others on that bus are left out. On SocketCAN the sender waits for the receiver, whose buffer would
+    overflow without a word (zygos.vcan). Raises ZygosError when the bus cannot be opened or lost a frame.
     """
+    sent = to_messages(frames, period_s)
     if interface == "socketcan":
-        return from_messages(vcan.transfer(to_messages(frames, period_s), channel))
+        return from_messages(vcan.transfer(sent, channel))
     with open_bus(interface, channel) as sender, open_bus(interface, channel) as receiver:
         arrived: list[can.Message] = []
 
         def collect() -> None:
-            while len(arrived) < len(frames):
+            newest = time.monotonic()
+            while len(arrived) < len(sent) and time.monotonic() - newest < 2.0:
                 message = receiver.recv(timeout=2.0)
-                if message is None:
-                    return
-                arrived.append(message)
+                if message is not None and vcan.same(message, sent[len(arrived)]):
+                    newest = time.monotonic()
+                    arrived.append(message)
 
         thread = threading.Thread(target=collect)
         thread.start()
-        for message in to_messages(frames, period_s):
+        for message in sent:
             sender.send(message, timeout=2.0)
         thread.join()
     if len(arrived) != len(frames):

@@ -8,14 +8,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from zygos import reference
 from zygos.arm import Arm
 from zygos.cycles import Cycles
+from zygos.errors import Undecided
 from zygos.flight import Flight, Trace
+from zygos.reference.accumulator import design
+from zygos.reference.balance import rows
+from zygos.reference.cycle import calibrate
+from zygos.reference.smoother import smooth
+from zygos.reference.solver import solve
 from zygos.reference.wire import Frame, Reception, receive
 
 ROW_TOLERANCE = 1e-12
 """Of each column's largest entry."""
+FLOOR = 0.1
+"""The least size (rad, rad/s, J per unit) that a column of states or rows is measured by: at rest it holds rounding."""
 
 Floats = NDArray[np.float64]
 
@@ -50,13 +57,15 @@ class Room:
         }
 
 
-def _compare(name: str, c: Floats, numpy: Floats, sync: NDArray[np.uint64], tolerance: float) -> Room:
+def _compare(
+    name: str, c: Floats, numpy: Floats, sync: NDArray[np.uint64], tolerance: float, floor: float = 1e-300
+) -> Room:
     """Compare two tables (n, columns) whose rows belong to the cycles sync (n,)."""
     if c.shape != numpy.shape:
         return Room(name, 0, float("inf"), None, tolerance)
     if c.size == 0:
         return Room(name, 0, 0.0, None, tolerance)
-    scale = np.maximum(np.abs(numpy).max(axis=0), 1e-300)
+    scale = np.maximum(np.abs(numpy).max(axis=0), floor)
     relative = np.abs(c - numpy) / scale
     row = int(np.argmax(relative.max(axis=1)))
     largest = float(relative[row].max())
@@ -68,30 +77,44 @@ def _columns(cycles: Cycles) -> Floats:
 
 
 def check_chain(arm: Arm, trace: Trace, flight: Flight) -> list[Room]:
-    """Compare what the rooms behind the receiver made of a run with numpy's result on the same cycles."""
-    chain = reference.chain(arm, trace.cycles)
-    smoothed, balance, design = chain.smoothed, chain.balance, chain.design
+    """Compare what the rooms behind the receiver made of a run with numpy's result on the same cycles.
+
+    The last room is "solution", unless the run determines none: too short for an instant it ends with the smoother,
+    without any parameter known with the bandwidth test.
+    """
+    samples = calibrate(arm, trace.cycles)
+    smoothed = smooth(arm, samples)
+    if len(smoothed.index) == 0:
+        return [Room("smoother", 0, float(trace.instant.sum()), None, 0.0)]
+    balance = rows(arm, samples, smoothed)
     half = arm.smoother.lag
     at = smoothed.index + half  # the instant k comes out with cycle k + M
     numpy_state = np.hstack([smoothed.q, smoothed.theta, smoothed.qd, smoothed.thetad, smoothed.omega])
-    rooms = [_compare("smoother", trace.state[at], numpy_state, smoothed.sync, ROW_TOLERANCE)]
+    rooms = [_compare("smoother", trace.state[at], numpy_state, smoothed.sync, ROW_TOLERANCE, FLOOR)]
     instants = np.flatnonzero(trace.instant)
     numpy_rows = np.column_stack([balance.z, balance.w])
     sync = trace.cycles.sync[instants] - half
-    rooms.append(_compare("balance", trace.row[instants], numpy_rows, sync, ROW_TOLERANCE))
+    rooms.append(_compare("balance", trace.row[instants], numpy_rows, sync, ROW_TOLERANCE, FLOOR))
     c_accepted = trace.accepted[instants].astype(float)[:, None]
     rooms.append(_compare("bandwidth test", c_accepted, balance.accepted.astype(float)[:, None], sync, 0.0))
+    estimate = flight.estimate()
+    known = np.isfinite(estimate.value)  # the library withholds what is not identifiable
+    if not known.any():
+        return rooms
+    used = design(balance)
     a, b = flight.normal_equations()
-    numpy_a, numpy_b = design.normal()
+    numpy_a, numpy_b = used.normal()
     everything = np.zeros(len(a), dtype=np.uint64)
     equations = _compare(
         "normal equations", np.column_stack([a, b]), np.column_stack([numpy_a, numpy_b]), everything, ROW_TOLERANCE
     )
     rooms.append(Room(equations.name, equations.compared, equations.difference, None, equations.tolerance))
-    estimate = flight.estimate()
+    try:
+        solution = solve(used.z, used.w)
+    except Undecided:
+        return rooms
     tolerance = max(1e-9, 1e-14 * estimate.condition)
-    known = np.isfinite(estimate.value)  # the library withholds what is not identifiable
-    relative = np.abs(estimate.value[known] / chain.solution.x[known] - 1.0)
+    relative = np.abs(estimate.value[known] / solution.x[known] - 1.0)
     worst = float(np.max(relative, initial=0.0)) if np.all(np.isfinite(relative)) else float("inf")
     rooms.append(Room("solution", len(relative), worst, None, tolerance))
     return rooms
@@ -107,9 +130,9 @@ def _frame(record: Any) -> Frame:
     return Frame(int(record["id"]), bytes(record["data"])[:length].ljust(length, b"\0"), int(record["flags"]))
 
 
-def check_frames(arm: Arm, frames: NDArray[Any]) -> list[Room]:
-    """Compare all rooms on a log, beginning with the frames."""
-    flight = Flight(arm)
+def check_frames(arm: Arm, frames: NDArray[Any], flight: Flight | None = None) -> list[Room]:
+    """Compare all rooms on a log, beginning with the frames, which a fresh `flight` takes in."""
+    flight = flight or Flight(arm)
     trace = flight.frames(frames, trace=True)
     assert trace is not None
     reception = decode(arm, frames)

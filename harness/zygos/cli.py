@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
-
-from zygos.errors import ZygosError
 
 app = typer.Typer(
     name="zygos",
@@ -18,7 +15,7 @@ app = typer.Typer(
     rich_markup_mode="rich",
     help="Learn the dynamics of a flexible-joint space arm from its CAN frames.\n\n"
     "Three kinds of file: [bold]arm.toml[/] says what the hardware is, [bold]model.toml[/] what someone believes of "
-    "its dynamics, [bold]scenario.toml[/] what is done with it. A run is a CAN log (.log .blf .asc .mf4).\n\n"
+    "its dynamics, [bold]scenario.toml[/] what is done with it. A run is a CAN log (.log .blf .asc).\n\n"
     "Exit codes: 0 answered, 2 bad input, 3 refused or undecided.",
 )
 
@@ -28,7 +25,7 @@ Json = Annotated[
 ArmFile = Annotated[
     Path | None, typer.Option("--arm", metavar="ARM.toml", help="The hardware. Default: arm.toml beside the run.")
 ]
-Run = Annotated[Path, typer.Argument(metavar="RUN", help="A CAN log: .log, .blf, .asc or .mf4.")]
+Run = Annotated[Path, typer.Argument(metavar="RUN", help="A CAN log: .log, .blf or .asc.")]
 Interface = Annotated[str | None, typer.Option("-i", "--interface", help="python-can's interface, e.g. socketcan.")]
 Channel = Annotated[str | None, typer.Option("-c", "--channel", help="python-can's channel, e.g. vcan0.")]
 Bitrate = Annotated[int | None, typer.Option("-b", "--bitrate", help="Bit rate, where the interface wants one.")]
@@ -89,7 +86,7 @@ def check(run: Run, arm: ArmFile = None, json: Json = None) -> None:
 
     Wire and cycles, smoother, rows, normal equations, solution: the largest difference, its cycle and the tolerance.
     The two share no code: cantools and autosar-e2e decode, whole-record convolution smooths, lstsq solves.
-    Exit code 3 when a room differs by more than its tolerance.
+    Exit code 3 when a room differs by more than its tolerance, or the run does not determine the parameters.
 
     Example: zygos check out/run.blf
     """
@@ -105,12 +102,18 @@ def listen(
     interface: Interface = None,
     channel: Channel = None,
     bitrate: Bitrate = None,
-    log: Annotated[Path | None, typer.Option(metavar="RUN", help="Also record the frames in this CAN log.")] = None,
+    log: Annotated[
+        Path | None, typer.Option(metavar="RUN", help="Also record the frames in this CAN log. It appears at the end.")
+    ] = None,
     duration: Annotated[float, typer.Option(min=0.0, help="Stop after so many seconds; 0: no limit.")] = 0.0,
-    idle: Annotated[float, typer.Option(min=0.1, help="Stop when the bus is silent for so many seconds.")] = 2.0,
+    idle: Annotated[
+        float, typer.Option(min=0.1, help="Stop when the bus is silent for so many seconds; at first for ten times.")
+    ] = 2.0,
     json: Json = None,
 ) -> None:
-    """Listen to a bus and learn while the frames arrive. Ctrl-C ends it and keeps what was learned.
+    """Listen to a bus and learn while the frames arrive. Ctrl-C or SIGTERM ends it and keeps what was learned.
+
+    Exit code 3 when something is undecided, or the bus failed; what was learned until then is kept.
 
     Example: zygos listen -i socketcan -c vcan0 --arm examples/paper/arm.toml -o out/live.toml
     """
@@ -138,19 +141,10 @@ def paper(
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line. Errors of the user end with a message on stderr and their exit code, never a traceback."""
-    from rich.markup import escape  # noqa: PLC0415
+    from zygos.output import errors_end_the_program  # noqa: PLC0415
 
-    from zygos.output import errors  # noqa: PLC0415
-
-    try:
+    with errors_end_the_program():
         app(args=arguments)
-    except ZygosError as error:
-        errors.print(f"[bold red]zygos:[/] {escape(str(error))}", highlight=False, soft_wrap=True)
-        sys.exit(error.exit_code)
-    except OSError as error:
-        remedy = "check that the file or folder exists and may be written"
-        errors.print(f"[bold red]zygos:[/] {escape(str(error))}; remedy: {remedy}", highlight=False, soft_wrap=True)
-        sys.exit(2)
 
 
 if __name__ == "__main__":

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import shutil
+import signal
+import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import can
 import numpy as np
 from numpy.typing import NDArray
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -19,15 +23,20 @@ from zygos.check import check_frames
 from zygos.errors import Undecided, ZygosError
 from zygos.flight import Estimate, Flight, encode
 from zygos.model import Model, Quantity, load_model, save_model
-from zygos.output import console, errors, number, table, write_json
+from zygos.output import check_outputs, counted, errors, note, number, ratio, say, table, write_json
 from zygos.plant import simulate
 from zygos.scenario import load_scenario
+
+NO_FRAMES = frozenset({"incomplete", "dropped", "sync_jumped", "time_lost", "time_jumped", "overrun", "bus_error"})
+"""Fault counters that count something else than rejected frames."""
+MANY_DROPPED = 0.02
+"""Share of the cycles whose loss is worth a word before anything else."""
 
 
 def progress() -> Progress:
     """A progress bar on stderr."""
     return Progress(
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         TextColumn("{task.percentage:3.0f} %"),
         TimeRemainingColumn(),
@@ -37,11 +46,18 @@ def progress() -> Progress:
 
 
 def find_arm(run: Path, arm: Path | None) -> Path:
-    """The arm file of a run: the one given, or arm.toml beside the run."""
+    """The arm file of a run: the one given, or arm.toml beside the run. The run must exist."""
+    bus.check_log(run)
     chosen = arm or run.parent / "arm.toml"
     if not chosen.is_file():
         raise ZygosError(f"{chosen}: no such arm file; remedy: give it with --arm, or put arm.toml beside the run")
     return chosen
+
+
+def check_model_name(path: Path) -> None:
+    """Refuse a model file that is not called .toml."""
+    if path.suffix.lower() != ".toml":
+        raise ZygosError(f"{path}: no name for a model; remedy: let it end in .toml")
 
 
 def read_run(run: Path) -> NDArray[Any]:
@@ -68,6 +84,7 @@ def simulate_run(
     arm_file = scenario.arm
     arm = load_arm(arm_file)
     beside = out.parent / "arm.toml"
+    check_outputs([out, json], [scenario_file, arm_file, scenario.plant, model_file, beside])
     if beside.exists() and beside.read_bytes() != arm_file.read_bytes():
         raise ZygosError(
             f"{beside} describes another arm than {arm_file}; remedy: write the run into another folder, or "
@@ -76,18 +93,20 @@ def simulate_run(
     if seed is not None:
         scenario = replace(scenario, seed=seed)
     model = load_model(model_file or scenario.plant)
-    with progress() as bar:
-        task = bar.add_task("simulating", total=1.0)
-        trajectory = simulate(
-            arm, model, scenario, noise=noise, progress=lambda share: bar.update(task, completed=share)
-        )
-    cycles = trajectory.cycles(0)
-    frames = encode(arm, cycles)
-    bus.write_log(out, frames, arm.period_s)
-    if not beside.exists():
-        shutil.copyfile(arm_file, beside)
-    if interface is not None or channel is not None:
-        send(frames, arm, interface, channel, bitrate)
+    wanted = interface is not None or channel is not None
+    with bus.open_bus(interface, channel, bitrate) if wanted else nullcontext() as wire:
+        with progress() as bar:
+            task = bar.add_task("simulating", total=1.0)
+            trajectory = simulate(
+                arm, model, scenario, noise=noise, progress=lambda share: bar.update(task, completed=share)
+            )
+        cycles = trajectory.cycles(0)
+        frames = encode(arm, cycles)
+        bus.write_log(out, frames, arm.period_s)
+        if not beside.exists():
+            shutil.copyfile(arm_file, beside)
+        if wire is not None:
+            send(wire, frames, arm, out)
     ranges = [
         ("rotor torque", "Nm", float(np.abs(cycles.tau).max())),
         ("link angle", "rad", float(np.abs(cycles.q).max())),
@@ -105,22 +124,28 @@ def simulate_run(
     }
     if json != "-":
         table(("largest", "unit", ""), [(name, unit, number(value, 4)) for name, unit, value in ranges])
-        console.print(f"{out}: {len(cycles):,} cycles, {len(frames):,} frames, seed {scenario.seed}", highlight=False)
+        say(f"{out}: {counted(len(cycles), 'cycle')}, {counted(len(frames), 'frame')}, seed {scenario.seed}")
     if json:
         write_json(json, summary)
 
 
-def send(frames: NDArray[Any], arm: Arm, interface: str | None, channel: str | None, bitrate: int | None) -> None:
-    """Send frames on a bus; each cycle waits for its time."""
+def send(wire: can.BusABC, frames: NDArray[Any], arm: Arm, run: Path) -> None:
+    """Send the frames of a run that is already recorded; each cycle waits for its time."""
     messages = bus.to_messages(frames, arm.period_s)
-    with bus.open_bus(interface, channel, bitrate) as out, progress() as bar:
+    with progress() as bar:
         task = bar.add_task("sending", total=len(messages))
         begin = time.monotonic()
         for message in messages:
             delay = begin + message.timestamp - time.monotonic()
             if delay > 0.0:
                 time.sleep(delay)
-            out.send(message, timeout=2.0)
+            try:
+                wire.send(message, timeout=2.0)
+            except (can.CanError, OSError) as error:
+                raise ZygosError(
+                    f"the bus took no more frames ({error}); {run} is written; remedy: see whether the bus is up and "
+                    "another node acknowledges, then send the run with python-can's `can_player`"
+                ) from error
             bar.advance(task)
 
 
@@ -145,47 +170,68 @@ def report_estimate(result: Estimate, flight: Flight, heading: Mapping[str, Any]
             {"name": name, "unit": unit, "value": float(value), "sigma": float(sigma)}
             for name, unit, value, sigma in zip(result.names, result.units, result.value, result.sigma, strict=True)
         ],
+        "covariance": result.covariance.tolist(),
     }
+
+
+def losses(flight: Flight) -> str:
+    """What the receiver lost, in words."""
+    rejected = sum(count for name, count in flight.faults.items() if name not in NO_FRAMES)
+    return f"{counted(flight.faults['dropped'], 'cycle')} dropped, {counted(rejected, 'frame')} rejected"
 
 
 def finish_estimate(
     result: Estimate, flight: Flight, out: Path, prior: Model | None, json: str | None, heading: Mapping[str, Any]
 ) -> None:
-    """Write the model, print the table, and say what is undecided."""
+    """Print the table, write the model, and say what is undecided."""
     quantities = {}
     for name, unit, value, sigma in zip(result.names, result.units, result.value, result.sigma, strict=True):
         if np.isfinite(value):
             quantities[name] = Quantity(float(value), float(sigma), "zygos", unit)
         elif prior is not None:
             quantities[name] = prior.base_parameters(flight.arm)[name]
-    content = report_estimate(result, flight, heading)
-    if result.validity != "refused":
-        save_model(Model(name=flight.arm.name, parameters=quantities), out)
-    if json:
-        write_json(json, content)
     if json != "-":
         rows = [
-            (name, unit, number(value), number(sigma, 2), number(100 * sigma / abs(value), 2))
+            (name, unit, number(value), number(sigma, 2), number(100 * ratio(sigma, abs(value)), 2))
             for name, unit, value, sigma in zip(result.names, result.units, result.value, result.sigma, strict=True)
         ]
         table(("name", "unit", "estimate", "sigma", "sigma %"), rows)
-        faults = sum(flight.faults.values())
-        console.print(
-            f"arm {flight.arm.name} · {flight.counts['cycles']:,} cycles · {faults} faults · "
-            f"{result.accepted:,} instants accepted, {result.refused} refused · {result.arcs} arcs · {result.validity}",
-            highlight=False,
+        say(
+            f"arm {flight.arm.name} · {counted(flight.counts['cycles'], 'cycle')} · {losses(flight)} · "
+            f"{counted(result.accepted, 'instant')} accepted, {result.refused:,} refused · "
+            f"{counted(result.arcs, 'arc')}, {flight.counts['arcs_dropped']:,} dropped · {result.validity}"
         )
-        seen = [f"{name} {count}" for name, count in flight.faults.items() if count]
+        seen = [f"{name} {count:,}" for name, count in flight.faults.items() if count]
         if seen:
-            console.print("faults: " + ", ".join(seen), highlight=False)
+            say("faults: " + ", ".join(seen))
+    try:
+        if result.validity != "refused":
+            save_model(Model(name=flight.arm.name, parameters=quantities), out)
+    finally:
+        if json:
+            write_json(json, report_estimate(result, flight, heading))
     if result.validity != "valid":
         where = "nothing written" if result.validity == "refused" else f"{out} written"
         raise Undecided(f"{result.validity}: {result.reason} ({where}); remedy: {_remedy(result, flight)}")
 
 
 def _remedy(result: Estimate, flight: Flight) -> str:
-    if flight.counts["cycles"] == 0:
-        return "no cycle was complete: compare the node numbers of the arm file and the fault counters with the bus"
+    """What helps: what the bus did wrong comes first, for it spoils everything behind it."""
+    faults, cycles = flight.faults, flight.counts["cycles"]
+    largest = sorted(((count, name) for name, count in faults.items() if count and name != "dropped"), reverse=True)
+    seen = ", ".join(f"{name} {count:,}" for count, name in largest[:3])
+    if cycles == 0:
+        came = f"the fault counters say {seen}" if seen else "no frame of this arm came"
+        return f"no cycle was complete and {came}: compare the node numbers and the gyro of the arm file with the bus"
+    found = []
+    if faults["dropped"] > MANY_DROPPED * (cycles + faults["dropped"]):
+        found.append(f"the bus loses or damages frames, or some are not as the arm file says ({seen}): repair that")
+    if faults["time_lost"]:
+        found.append("FTIME (0x3A0) must come at least every 100 cycles")
+    if faults["time_jumped"]:
+        found.append("period_s of the arm file disagrees with the clock of the bus, or SYNCs are lost")
+    if found:
+        return "; ".join(found)
     if "too fast" in result.reason:
         return "a higher SYNC rate, a shorter smoother window, or a slower motion"
     if "not physical" in result.reason:
@@ -195,7 +241,10 @@ def _remedy(result: Estimate, flight: Flight) -> str:
 
 def estimate_run(run: Path, arm_file: Path | None, out: Path, model_file: Path | None, json: str | None) -> None:
     """Estimate from a recorded run; see `zygos estimate --help`."""
-    arm = load_arm(find_arm(run, arm_file))
+    chosen = find_arm(run, arm_file)
+    check_model_name(out)
+    check_outputs([out, json], [run, chosen, run.parent / "arm.toml", model_file])
+    arm = load_arm(chosen)
     prior = load_model(model_file) if model_file else None
     if prior is not None:
         prior.base_parameters(arm)
@@ -207,8 +256,11 @@ def estimate_run(run: Path, arm_file: Path | None, out: Path, model_file: Path |
 
 def check_run(run: Path, arm_file: Path | None, json: str | None) -> None:
     """Compare C with numpy on a run; see `zygos check --help`."""
-    arm = load_arm(find_arm(run, arm_file))
-    rooms = check_frames(arm, read_run(run))
+    chosen = find_arm(run, arm_file)
+    check_outputs([json], [run, chosen, run.parent / "arm.toml"])
+    arm = load_arm(chosen)
+    flight = Flight(arm)
+    rooms = check_frames(arm, read_run(run), flight)
     if json:
         write_json(json, {"run": str(run), "arm": arm.name, "rooms": [room.as_json() for room in rooms]})
     if json != "-":
@@ -229,6 +281,33 @@ def check_run(run: Path, arm_file: Path | None, json: str | None) -> None:
     failed = [room.name for room in rooms if not room.equal]
     if failed:
         raise Undecided(f"C and numpy differ in: {', '.join(failed)}; remedy: report the run, it is worth a look")
+    if rooms[-1].name != "solution":
+        result = flight.estimate()
+        raise Undecided(
+            f"no solution to compare, {result.validity}: {result.reason}; remedy: {_remedy(result, flight)}"
+        )
+
+
+@contextmanager
+def stop_signals() -> Iterator[Callable[[], bool]]:
+    """Gives a function that says whether Ctrl-C or SIGTERM came: the first one is a wish, a second one ends at once."""
+    came: list[int] = []
+    before = {which: signal.getsignal(which) for which in (signal.SIGINT, signal.SIGTERM)}
+
+    def restore() -> None:
+        for which, handler in before.items():
+            signal.signal(which, handler)
+
+    def take(which: int, _: Any) -> None:
+        came.append(which)
+        restore()
+
+    for which in before:
+        signal.signal(which, take)
+    try:
+        yield lambda: bool(came)
+    finally:
+        restore()
 
 
 def listen_bus(
@@ -244,42 +323,66 @@ def listen_bus(
 ) -> None:
     """Estimate while frames arrive; see `zygos listen --help`."""
     arm = load_arm(arm_file)
+    check_model_name(out)
     if log is not None:
         bus.check_log_name(log)
+    check_outputs([out, log, json], [arm_file])
     flight = Flight(arm)
-    kept = []
-    batch: list[Any] = []
-    begin = time.monotonic()
+    batch: list[can.Message] = []
+    failures: list[ZygosError] = []
+    where = f"{interface or 'can.conf'} {channel or ''}".strip()
 
-    def work_off() -> None:
-        frames = bus.from_messages(batch)
-        flight.frames(frames)
-        if log is not None:
-            kept.append(frames)
-        batch.clear()
+    def fail(error: ZygosError) -> None:
+        note(str(error))
+        failures.append(error)
 
-    with bus.open_bus(interface, channel, bitrate) as source:
-        where = f"{interface or 'can.conf'} {channel or ''}".strip()
-        errors.print(f"listening to {where}; Ctrl-C ends", highlight=False)
-        shown = begin
+    with bus.open_bus(interface, channel, bitrate) as source, stop_signals() as stopped:
+        recording = bus.Recording(log) if log is not None else None
+
+        def work_off() -> None:
+            nonlocal recording
+            flight.frames(bus.from_messages(batch))
+            try:
+                if recording is not None:
+                    recording.append(batch)
+            except ZygosError as error:
+                recording = None
+                fail(error)
+            batch.clear()
+
+        note(f"listening to {where}; Ctrl-C ends")
+        begin = shown = time.monotonic()
         try:
-            for message in bus.receive(source, idle, lambda: bool(duration) and time.monotonic() - begin > duration):
+            for message in bus.receive(
+                source, idle, lambda: stopped() or (duration > 0.0 and time.monotonic() - begin > duration)
+            ):
                 batch.append(message)
-                if len(batch) >= 256:
+                late = time.monotonic() - shown > 2.0
+                if late or len(batch) >= 256:
                     work_off()
-                if time.monotonic() - shown > 2.0:
-                    work_off()
+                if late:
                     shown = time.monotonic()
-                    now = flight.estimate()
-                    known = int(np.isfinite(now.value).sum())
-                    errors.print(
-                        f"{flight.counts['cycles']:>8,} cycles · {sum(flight.faults.values())} faults · "
-                        f"{known}/{len(now.names)} parameters · {now.validity}",
-                        highlight=False,
+                    result = flight.estimate()
+                    known = int(np.isfinite(result.value).sum())
+                    note(
+                        f"{counted(flight.counts['cycles'], 'cycle'):>16} · {losses(flight)} · "
+                        f"{known}/{len(result.names)} parameters · {result.validity}"
                     )
-        except KeyboardInterrupt:
-            errors.print("stopped; keeping what was learned")
-    work_off()
-    if log is not None and any(len(frames) for frames in kept):
-        bus.write_log(log, np.concatenate(kept), arm.period_s)
+        except can.CanError as error:
+            fail(
+                Undecided(
+                    f"{where} failed while listening ({error}), what was learned until then is kept; remedy: see "
+                    "whether the interface is up, and listen again"
+                )
+            )
+        if stopped():
+            note("stopped; keeping what was learned")
+        work_off()
+    if recording is not None:
+        try:
+            recording.finish()
+        except ZygosError as error:
+            fail(error)
     finish_estimate(flight.estimate(), flight, out, None, json, {"bus": where})
+    if failures:
+        sys.exit(failures[0].exit_code)

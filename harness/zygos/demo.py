@@ -18,10 +18,11 @@ import numpy as np
 from zygos import bus, reference
 from zygos.arm import load_arm
 from zygos.check import decode
+from zygos.commands import losses
 from zygos.errors import ZygosError
 from zygos.flight import Flight
 from zygos.model import load_model
-from zygos.output import console, errors, number, table, write_json
+from zygos.output import errors_end_the_program, note, number, ratio, say, table, write_json
 from zygos.report.demo import Convergence, write_report
 from zygos.scenario import load_scenario
 from zygos.score import score
@@ -72,22 +73,29 @@ def run_demo(folder: Path = Path("out/demo")) -> None:
     (folder / "arm.toml").unlink(missing_ok=True)
     estimate_file.unlink(missing_ok=True)
 
-    errors.print("simulating the paper's arm …")
+    note("simulating the paper's arm …")
     zygos("simulate", EXAMPLE / "scenario.toml", "-o", sent)
     arm_file = folder / "arm.toml"
     arm = load_arm(arm_file)
 
     interface, channel = choose_bus()
     name = f"{interface} {channel}" + ("" if interface == "socketcan" else " (in-process: this machine has no vcan0)")
-    errors.print(f"sending its frames over {name} …", highlight=False)
+    note(f"sending its frames over {name} …")
     frames = bus.transfer(bus.read_log(sent), arm.period_s, interface, channel)
     bus.write_log(run, frames, arm.period_s)
 
-    errors.print("learning …")
-    zygos("estimate", run, "--arm", arm_file, "-o", estimate_file, "--json", estimate_json)
     flight = Flight(arm)
     trace = flight.frames(frames, trace=True)
     assert trace is not None
+    if any(flight.faults.values()):
+        seen = ", ".join(f"{fault} {count}" for fault, count in flight.faults.items() if count)
+        raise ZygosError(
+            f"frames were lost or damaged on {interface} {channel} ({seen}); remedy: see that nothing else sends on "
+            "that bus, and run again"
+        )
+
+    note("learning …")
+    zygos("estimate", run, "--arm", arm_file, "-o", estimate_file, "--json", estimate_json)
     estimate = flight.estimate()
     numpy_value = reference.chain(arm, decode(arm, frames).cycles).solution.x
     convergence = converge(arm_file, run)
@@ -113,6 +121,7 @@ def run_demo(folder: Path = Path("out/demo")) -> None:
     ]
     content: dict[str, Any] = {
         "bus": f"{interface} {channel}",
+        "validity": estimate.validity,
         "cycles": flight.counts["cycles"],
         "faults": flight.faults,
         "parameters": parameters,
@@ -130,24 +139,20 @@ def run_demo(folder: Path = Path("out/demo")) -> None:
                 number(p["numpy"], 7),
                 number(p["c"], 7),
                 f"{p['error_percent']:+.2f}",
-                f"{100 * p['sigma'] / p['c']:.2f}",
-                f"{abs(p['c'] / p['numpy'] - 1):.0e}",
+                f"{100 * ratio(p['sigma'], p['c']):.2f}",
+                f"{abs(ratio(p['c'], p['numpy']) - 1):.0e}",
             )
             for p in parameters
         ],
     )
     mean = float(np.mean(np.abs(percent)))
-    console.print(
-        f"arm {arm.name} · bus {content['bus']} · {content['cycles']:,} cycles · "
-        f"{sum(flight.faults.values())} faults · mean |error| {mean:.2f} % · {time.monotonic() - begin:.0f} s",
-        highlight=False,
+    say(
+        f"arm {arm.name} · bus {content['bus']} · {content['cycles']:,} cycles · {losses(flight)} · "
+        f"mean |error| {mean:.2f} % · {time.monotonic() - begin:.0f} s"
     )
-    console.print(f"report: {folder / 'report.html'} · numbers: {folder.with_suffix('.json')}", highlight=False)
+    say(f"report: {folder / 'report.html'} · numbers: {folder.with_suffix('.json')}")
 
 
 if __name__ == "__main__":
-    try:
+    with errors_end_the_program():
         run_demo()
-    except ZygosError as error:
-        errors.print(f"[bold red]zygos:[/] {error}", highlight=False, soft_wrap=True)
-        sys.exit(error.exit_code)

@@ -5,8 +5,6 @@ A model is given either by its bodies and joints, or by base parameters (docs/th
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,9 +16,13 @@ from numpy.typing import NDArray
 
 from zygos.arm import Arm
 from zygos.errors import ZygosError
+from zygos.output import write_text
 from zygos.table import Table
 
 SOURCES = ("CAD", "test", "zygos")
+_LARGEST = 1e12
+"""Of masses, inertias, stiffnesses, dampings and sigmas, in SI units. A station has 1e9 kg m^2."""
+_FARTHEST_M = 1e6
 _INERTIA_KEYS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _JOINT_UNITS = {"rotor_mass": "kg", "rotor_inertia": "kg m^2", "stiffness": "Nm/rad", "damping": "Nms/rad"}
 
@@ -269,28 +271,7 @@ def save_model(model: Model, path: str | Path) -> None:
             joints.append(entry)
         document["body"] = bodies
         document["joint"] = joints
-    _write_whole(Path(path), tomlkit.dumps(document))
-
-
-def _write_whole(file: Path, text: str) -> None:
-    scratch: str | None = None
-    try:
-        handle, scratch = tempfile.mkstemp(dir=file.parent, prefix=f".{file.name}.")
-        with os.fdopen(handle, "w", encoding="utf-8") as stream:
-            stream.write(text)
-            stream.flush()
-            os.fsync(stream.fileno())
-        # mkstemp makes private files; a model is an ordinary one
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(scratch, 0o666 & ~mask)
-        os.replace(scratch, file)
-    except OSError as error:
-        if scratch is not None:
-            Path(scratch).unlink(missing_ok=True)
-        raise ZygosError(
-            f"{file}: cannot be written ({error.strerror}); remedy: check the directory and its permissions"
-        ) from None
+    write_text(Path(path), tomlkit.dumps(document))
 
 
 def _inline(quantity: Quantity, *, unit: bool = False) -> Any:
@@ -310,18 +291,19 @@ def _quantity(
     source: str,
     *,
     default: float | None = None,
-    low: float = -np.inf,
+    low: float = -_LARGEST,
     above: float = -np.inf,
 ) -> Quantity:
     """A number, or { value, sigma, source }; with unit None the file states the unit."""
     if not table.has(key) and default is not None:
         return Quantity(default, 0.0, source, unit or "")
     if not table.has(key) or not isinstance(table.peek(key), dict):
-        return Quantity(table.number(key, low=low, above=above, unit=unit or ""), 0.0, source, unit or "")
+        value = table.number(key, low=low, above=above, high=_LARGEST, unit=unit or "")
+        return Quantity(value, 0.0, source, unit or "")
     entry = table.table(key)
     quantity = Quantity(
-        entry.number("value", low=low, above=above, unit=unit or ""),
-        entry.number("sigma", 0.0, low=0.0, unit=unit or ""),
+        entry.number("value", low=low, above=above, high=_LARGEST, unit=unit or ""),
+        entry.number("sigma", 0.0, low=0.0, high=_LARGEST, unit=unit or ""),
         entry.choice("source", SOURCES, source),
         entry.text("unit") if unit is None else unit,
     )
@@ -330,7 +312,7 @@ def _quantity(
 
 
 def _vector3(table: Table, key: str) -> tuple[float, float, float]:
-    x, y, z = table.vector(key, 3, unit="m")
+    x, y, z = table.vector(key, 3, limit=_FARTHEST_M, unit="m")
     return x, y, z
 
 

@@ -1,21 +1,62 @@
-"""What commands say: tables for people, JSON for machines, files that are whole or absent."""
+"""What commands say and write: tables for people, JSON for machines, files that are whole or absent."""
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
+from zygos.errors import ZygosError
+
 # A file or a pipe has no width: its tables are not cut to a terminal's nominal 80 columns.
 console = Console(soft_wrap=True, width=None if sys.stdout.isatty() else 200)
 errors = Console(stderr=True, soft_wrap=True)
+
+
+def say(text: str) -> None:
+    """Print a line as it is: brackets and colons in a path are no markup."""
+    console.print(text, highlight=False, markup=False, emoji=False)
+
+
+def note(text: str) -> None:
+    """Print a line on stderr as it is."""
+    errors.print(text, highlight=False, markup=False, emoji=False)
+
+
+@contextmanager
+def errors_end_the_program() -> Iterator[None]:
+    """Errors of the user end the program with a message on stderr and their exit code, never a traceback."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal without UTF-8 shows "?" for what it lacks
+    try:
+        yield
+    except (ZygosError, OSError) as error:
+        message = str(error)
+        if isinstance(error, OSError):
+            message += "; remedy: check that the file or folder exists and may be written"
+        errors.print("[bold red]zygos:[/]", end=" ")
+        note(message)
+        sys.exit(error.exit_code if isinstance(error, ZygosError) else 2)
+
+
+def counted(count: int, noun: str) -> str:
+    """A number and its noun, whose plural is regular."""
+    return f"{count:,} {noun}{'' if count == 1 else 's'}"
+
+
+def ratio(value: float, base: float) -> float:
+    """value / base; NaN where base is zero."""
+    return float(value) / float(base) if base else math.nan
 
 
 def number(value: float | None, digits: int = 6) -> str:
@@ -44,20 +85,58 @@ def _clean(value: Any) -> Any:
     return value
 
 
+def check_outputs(outputs: Sequence[str | Path | None], inputs: Sequence[str | Path | None]) -> None:
+    """Refuse outputs that would replace an input or one another, or that cannot be written. None and "-" are no files.
+
+    Nothing is created. Errors: ZygosError naming both files, or the one.
+    """
+    taken = [Path(entry) for entry in inputs if entry is not None]
+    for entry in outputs:
+        if entry is None or str(entry) == "-":
+            continue
+        path = Path(entry)
+        for other in taken:
+            if path.resolve() == other.resolve() or (path.exists() and other.exists() and path.samefile(other)):
+                raise ZygosError(
+                    f"{path}: writing it would replace {other}, which this command also needs; "
+                    "remedy: give every file a name of its own"
+                )
+        taken.append(path)
+        if path.exists() and not path.is_file():
+            raise ZygosError(f"{path}: is no ordinary file; remedy: name a file to write")
+        folder = next(parent for parent in path.absolute().parents if parent.exists())
+        if not (folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)):
+            raise ZygosError(
+                f"{path}: cannot be written, {folder} is no folder, or closed to you; remedy: choose another folder"
+            )
+
+
+def cannot_be_written(path: Path, error: Exception) -> ZygosError:
+    """The refusal for a file that could not be written; it names the file, not what was written in its stead."""
+    reason = getattr(error, "strerror", None) or str(error)
+    return ZygosError(f"{path}: cannot be written ({reason}); remedy: check the folder, its permissions and its space")
+
+
 def write_text(path: Path, text: str) -> None:
-    """Write a file whole, or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    """Write a file whole, or not at all; folders are made as needed. Errors: ZygosError if it cannot be written."""
+    partial = path.with_name(f".{os.getpid()}.partial")
     try:
-        partial.write_text(text, encoding="utf-8")
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            with partial.open("w", encoding="utf-8") as stream:
+                stream.write(text)
+                stream.flush()
+                os.fsync(stream.fileno())
+            partial.replace(path)
+        finally:
+            partial.unlink(missing_ok=True)
+    except OSError as error:
+        raise cannot_be_written(path, error) from error
 
 
 def write_json(path: str | Path, content: Mapping[str, Any]) -> None:
     """Write JSON to a file, or to standard output for "-"."""
-    text = json.dumps(_clean(dict(content)), indent=1, ensure_ascii=False) + "\n"
+    text = json.dumps(_clean(dict(content)), indent=1) + "\n"
     if str(path) == "-":
         print(text, end="")
     else:

@@ -19,7 +19,7 @@ from zygos.errors import ZygosError
 from zygos.flight import Flight, encode
 from zygos.methods import Record, amc, de, eb, exact_record, record_of
 from zygos.model import load_model
-from zygos.output import console, number, table, write_json
+from zygos.output import check_outputs, console, number, table, write_json
 from zygos.plant import Trajectory, simulate
 from zygos.reference.cycle import calibrate
 from zygos.scenario import Scenario, load_scenario
@@ -48,6 +48,8 @@ class Example:
     scenario: Scenario
     true: Floats
     """(p,)"""
+    files: tuple[Path, ...]
+    """Where all that was read."""
 
 
 def load_example(folder: Path | None) -> Example:
@@ -59,7 +61,8 @@ def load_example(folder: Path | None) -> Example:
         )
     scenario = load_scenario(chosen / "scenario.toml")
     arm = load_arm(scenario.arm)
-    return Example(arm, scenario, load_model(scenario.plant).base_values(arm))
+    files = (chosen / "scenario.toml", scenario.arm, scenario.plant)
+    return Example(arm, scenario, load_model(scenario.plant).base_values(arm), files)
 
 
 def noisy_record(arm: Arm, trajectory: Trajectory) -> Record:
@@ -80,6 +83,7 @@ def flight_estimates(arm: Arm, trajectory: Trajectory) -> Floats:
 def run_paper(seeds: int, folder: Path | None, json: str | None) -> None:
     """Print Tables III and IV; see `zygos paper --help`."""
     example = load_example(folder)
+    check_outputs([json], example.files)
     arm, true = example.arm, example.true
     model = load_model(example.scenario.plant)
     with progress() as bar:

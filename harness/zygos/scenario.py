@@ -1,4 +1,4 @@
-"""What is done with an arm: manoeuvre, controller, duration, seed and bus (`scenario.toml`)."""
+"""What is done with an arm: manoeuvre, controller, duration and seed (`scenario.toml`)."""
 
 from __future__ import annotations
 
@@ -82,15 +82,6 @@ class Controller:
 
 
 @dataclass(frozen=True)
-class Bus:
-    """The CAN bus of a run, in python-can's terms."""
-
-    interface: str = "virtual"
-    channel: str = "zygos"
-    fd: bool = False
-
-
-@dataclass(frozen=True)
 class Scenario:
     """One run: what the arm is asked to do, and under which conditions."""
 
@@ -111,7 +102,6 @@ class Scenario:
     angular_momentum_nms: float = 1.0
     initial_angles_rad: tuple[float, ...] = ()
     """(N,) link and motor angles at the start, springs relaxed, all joints at rest; empty: zeros."""
-    bus: Bus = Bus()
 
     def motions(self, names: Sequence[str]) -> list[Motion]:
         """Desired motion of each named joint. Errors: ZygosError if the manoeuvre names other joints."""
@@ -140,9 +130,6 @@ def load_scenario(path: str | Path) -> Scenario:
         control.choice("angle", _FEEDBACK_ANGLES, "motor"),
     )
     control.finish()
-    wire = top.table("bus", optional=True)
-    bus = Bus(wire.text("interface", "virtual"), wire.text("channel", "zygos"), wire.boolean("fd", False))
-    wire.finish()
     scenario = Scenario(
         name=top.text("name"),
         arm=_file(top, "arm", "arm.toml"),
@@ -155,7 +142,6 @@ def load_scenario(path: str | Path) -> Scenario:
         encoder_noise=top.choice("encoder_noise", _ENCODER_NOISES, "gaussian"),
         angular_momentum_nms=top.number("angular_momentum_nms", 1.0, unit="Nms"),
         initial_angles_rad=top.vector("initial_angles_rad", len(manoeuvre), (0.0,) * len(manoeuvre), unit="rad"),
-        bus=bus,
     )
     top.finish()
     return scenario

@@ -97,13 +97,19 @@ class Table:
         raise self.error(key, f"{value!r} is not known", f"write {listed}")
 
     def vector(
-        self, key: str, length: int, default: Sequence[float] | None = None, *, unit: str = ""
+        self,
+        key: str,
+        length: int,
+        default: Sequence[float] | None = None,
+        *,
+        limit: float = math.inf,
+        unit: str = "",
     ) -> tuple[float, ...]:
-        """An array of `length` finite numbers."""
+        """An array of `length` finite numbers between -limit and limit."""
         value = self._take(key, default, f"an array of {length} numbers" + (f" in {unit}" if unit else ""))
         if not isinstance(value, list | tuple) or len(value) != length:
             raise self.error(key, f"{value!r} is not an array of {length} numbers", f"write {length} numbers in [ ]")
-        return tuple(self._checked(key, item, unit) for item in value)
+        return tuple(self._checked(key, item, unit, low=-limit, high=limit) for item in value)
 
     def table(self, key: str, *, optional: bool = False) -> Table:
         """A sub-table; an absent optional one is empty."""
@@ -159,11 +165,12 @@ class Table:
     ) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise self.error(key, f"{value!r} is not a number", "write a number" + (f" in {unit}" if unit else ""))
-        number = float(value) if abs(value) < 2**1023 else math.inf
+        # an integer may be too long for a float
+        number = value if isinstance(value, float) else float(value) if abs(value) < 2**1023 else math.inf
         if not (math.isfinite(number) and low <= number <= high and number > above):
             bounds = (
                 [f"> {above:g}"] * (above > -math.inf)
-                + [f">= {low:g}"] * (low > -math.inf)
+                + [f">= {low:g}"] * (low > above)
                 + [f"<= {high:g}"] * (high < math.inf)
             )
             wanted = " and ".join(bounds) or "finite"

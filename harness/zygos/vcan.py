@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import socket
 import struct
+import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -86,18 +87,30 @@ def read_frame(receiver: socket.socket) -> can.Message:
     )
 
 
+def same(one: can.Message, other: can.Message) -> bool:
+    """Whether two messages are the same frame, whenever and wherever they were seen."""
+    return one.equals(other, timestamp_delta=None, check_channel=False, check_direction=False)
+
+
 def transfer(frames: Sequence[can.Message], channel: str) -> list[can.Message]:
     """Sends frames from one thread as fast as they go, receives them in another, and returns what came, in order.
 
-    Timestamps do not travel: those returned are 0. Raises ZygosError when a frame is missing at the end.
+    Timestamps do not travel: those returned are 0. Frames of others on the channel are left out. Raises ZygosError when
+    a frame is missing at the end.
     """
     credit = Semaphore(WINDOW)
     came: list[can.Message] = []
 
     def receive() -> None:
+        newest = time.monotonic()
         while len(came) < len(frames):
-            came.append(read_frame(receiver))
-            credit.release()
+            frame = read_frame(receiver)
+            if same(frame, frames[len(came)]):
+                newest = time.monotonic()
+                came.append(frame)
+                credit.release()
+            elif time.monotonic() - newest > PATIENCE_S:
+                raise TimeoutError
 
     with (
         open_receiver(channel) as receiver,

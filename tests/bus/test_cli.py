@@ -2,21 +2,34 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
+import re
 import shutil
+import signal
+import subprocess
+import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
+import can
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from conftest import EXAMPLE
-from zygos import bus
-from zygos.arm import load_arm
+from conftest import EXAMPLE, ROOT
+from zygos import bus, check, commands, demo
+from zygos.arm import Arm, load_arm
 from zygos.cli import main
+from zygos.errors import ZygosError
+from zygos.flight import Flight
 from zygos.model import load_model
+from zygos.reference.cycle import Samples
+from zygos.reference.smoother import Smoothed
 
 
 def run(*arguments: object) -> int:
@@ -89,17 +102,13 @@ def test_check(simulated: Path, tmp_path: Path) -> None:
 
 
 def test_check_says_when_c_and_numpy_differ(simulated: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from zygos import reference
+    from zygos.reference.smoother import smooth
 
-    chain = reference.chain
+    def bent(arm: Arm, samples: Samples) -> Smoothed:
+        straight = smooth(arm, samples)
+        return replace(straight, qd=straight.qd * (1 + 1e-9))
 
-    def bent(arm: object, cycles: object) -> reference.Chain:
-        from dataclasses import replace
-
-        straight = chain(arm, cycles)  # type: ignore[arg-type]
-        return replace(straight, smoothed=replace(straight.smoothed, qd=straight.smoothed.qd * (1 + 1e-9)))
-
-    monkeypatch.setattr(reference, "chain", bent)
+    monkeypatch.setattr(check, "smooth", bent)
     assert run("check", simulated / "run.blf") == 3
 
 
@@ -162,6 +171,10 @@ def test_paper(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         ("listen", "--arm", "none.toml", "-i", "virtual", "-o", "m.toml"),
         ("paper", "--example", "nowhere"),
         ("paper", "--seeds", "many"),
+        ("estimate", "run.mf4", "--arm", EXAMPLE / "arm.toml", "-o", "m.toml"),
+        ("simulate", EXAMPLE / "scenario.toml", "-o", "run.mf4"),
+        ("listen", "--arm", EXAMPLE / "arm.toml", "-i", "virtual", "-c", "x", "-o", "m.json"),
+        ("listen", "--arm", EXAMPLE / "arm.toml", "-i", "virtual", "-c", "x", "-o", "m.toml", "--log", "run.csv"),
         ("no_such_command",),
         ("estimate", "--no-such-option"),
     ],
@@ -189,3 +202,336 @@ def test_another_arm_beside_the_run_is_not_overwritten(tmp_path: Path, capsys: p
 def test_help_teaches(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(command, "--help") == 0
     assert f"zygos {command}" in capsys.readouterr().out
+
+
+def example_with(folder: Path, name: str, *changes: tuple[str, str]) -> Path:
+    """A copy of the example whose file `name` is changed; returns that file."""
+    shutil.copytree(EXAMPLE, folder, dirs_exist_ok=True)
+    text = (folder / name).read_text()
+    for find, put in changes:
+        assert find in text
+        text = text.replace(find, put)
+    (folder / name).write_text(text)
+    return folder / name
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (("estimate", "run.blf", "-o", "arm.toml"), "arm.toml"),
+        (("estimate", "run.blf", "--arm", "hardware.toml", "-o", "hardware.toml"), "hardware.toml"),
+        (("estimate", "run.blf", "--arm", "hardware.toml", "-o", "arm.toml"), "arm.toml"),
+        (("estimate", "run.blf", "--model", "model.toml", "-o", "./model.toml"), "model.toml"),
+        (("estimate", "run.blf", "-o", "link.toml"), "arm.toml"),
+        (("estimate", "run.blf", "-o", "m.toml", "--json", "run.blf"), "run.blf"),
+        (("estimate", "run.blf", "-o", "m.toml", "--json", "m.toml"), "m.toml"),
+        (("simulate", "scenario.toml", "-o", "other.blf", "--json", "scenario.toml"), "scenario.toml"),
+        (("simulate", "scenario.toml", "-o", "other.blf", "--json", "model.toml"), "model.toml"),
+        (("simulate", "scenario.toml", "-o", "new/other.blf", "--json", "new/arm.toml"), "new/arm.toml"),
+        (("simulate", "scenario.toml", "-o", "other.blf", "--json", "other.blf"), "other.blf"),
+        (("check", "run.blf", "--json", "run.blf"), "run.blf"),
+        (("check", "run.blf", "--json", "arm.toml"), "arm.toml"),
+        (("listen", "-i", "virtual", "-c", "x", "--arm", "arm.toml", "-o", "arm.toml"), "arm.toml"),
+        (("listen", "-i", "virtual", "-c", "x", "--arm", "arm.toml", "-o", "m.toml", "--json", "m.toml"), "m.toml"),
+        (("paper", "--seeds", 2, "--example", ".", "--json", "scenario.toml"), "scenario.toml"),
+    ],
+)
+def test_no_output_replaces_an_input_or_another_output(
+    arguments: Sequence[object],
+    named: str,
+    simulated: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    shutil.copytree(EXAMPLE, tmp_path, dirs_exist_ok=True)
+    shutil.copy(simulated / "run.blf", tmp_path)
+    shutil.copy(EXAMPLE / "arm.toml", tmp_path / "hardware.toml")
+    (tmp_path / "link.toml").symlink_to("arm.toml")
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    monkeypatch.chdir(tmp_path)
+    assert run(*arguments) == 2
+    assert f"would replace {named}" in capsys.readouterr().err
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_a_model_is_called_toml_and_its_folder_is_made(simulated: Path, tmp_path: Path) -> None:
+    assert run("estimate", simulated / "run.blf", "-o", tmp_path / "m.json") == 2
+    assert list(tmp_path.iterdir()) == []
+    assert run("estimate", simulated / "run.blf", "-o", tmp_path / "new" / "m.toml") == 0
+    assert (tmp_path / "new" / "m.toml").is_file()
+
+
+def test_the_run_is_looked_for_before_its_arm(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for command in (("estimate", "-o", tmp_path / "m.toml"), ("check",)):
+        assert run(command[0], tmp_path / "none.blf", *command[1:]) == 2
+        assert "none.blf: no such file" in capsys.readouterr().err
+
+
+def test_paths_are_printed_as_they_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scenario = example_with(tmp_path / "example", "scenario.toml", ("duration_s = 60.0", "duration_s = 1.0"))
+    log = tmp_path / "[red]:car:" / "run.log"
+    assert run("simulate", scenario, "-o", log) == 0
+    assert str(log) in capsys.readouterr().out
+    assert run("check", tmp_path / "[red]:car:" / "none.log") == 2
+    assert "[red]:car:" in capsys.readouterr().err
+
+
+def test_a_file_that_cannot_be_written_is_named(
+    simulated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device", ".123.partial")
+
+    monkeypatch.setattr("os.replace", full)
+    out = tmp_path / "m.toml"
+    assert run("estimate", simulated / "run.blf", "-o", out, "--json", "-") == 2
+    said = capsys.readouterr()
+    assert json.loads(said.out)["validity"] == "valid"
+    assert f"{out}: cannot be written (No space left" in said.err
+    assert "partial" not in said.err
+    with pytest.raises(ZygosError, match=r"run\.blf: cannot be written"):
+        bus.write_log(tmp_path / "run.blf", bus.read_log(simulated / "run.blf")[:100], 0.05)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_terminal_without_utf8(simulated: Path, tmp_path: Path) -> None:
+    environment = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    environment.pop("PYTHONIOENCODING", None)
+    for end in ([], ["--json", "-"]):
+        command = [sys.executable, "-m", "zygos.cli", "estimate", simulated / "run.blf", "-o", tmp_path / "m.toml"]
+        done = subprocess.run([*command, *end], env=environment, capture_output=True, check=False)
+        assert done.returncode == 0, done.stderr
+        assert b"a00" in done.stdout
+
+
+def test_what_estimate_says(simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    frames = bus.read_log(simulated / "run.blf")
+    frames["data"][300, 3] ^= 1
+    damaged = tmp_path / "run.log"
+    bus.write_log(damaged, frames, 0.05)
+    numbers = tmp_path / "m.json"
+    assert run("estimate", damaged, "--arm", EXAMPLE / "arm.toml", "-o", tmp_path / "m.toml", "--json", numbers) == 0
+    said = capsys.readouterr().out
+    assert "1 cycle dropped, 1 frame rejected" in said
+    assert "2 arcs, 0 dropped" in said
+    content = json.loads(numbers.read_text())
+    covariance = np.array(content["covariance"])
+    sigma = np.array([parameter["sigma"] for parameter in content["parameters"]])
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance)), sigma)
+    assert covariance.shape == (12, 12)
+
+
+Damage = Callable[[NDArray[np.void]], NDArray[np.void]]
+
+
+@pytest.mark.parametrize(
+    ("damage", "remedy"),
+    [
+        (lambda frames: frames[:0], "no frame of this arm came"),
+        (lambda frames: frames[frames["id"] != 0x181], r"no cycle was complete.*incomplete"),
+        (lambda frames: np.delete(frames, np.s_[::9]), r"loses or damages frames.*incomplete"),
+        (lambda frames: frames[frames["id"] != 0x3A0], r"FTIME \(0x3A0\) must come"),
+    ],
+)
+def test_the_remedy_begins_with_the_bus(damage: Damage, remedy: str, simulated: Path) -> None:
+    flight = Flight(load_arm(EXAMPLE / "arm.toml"))
+    flight.frames(damage(bus.read_log(simulated / "run.blf")))
+    result = replace(flight.estimate(), reason="the estimate is not physical")
+    assert re.search(remedy, commands._remedy(result, flight))
+
+
+def test_the_remedy_names_another_period(simulated: Path) -> None:
+    arm = load_arm(EXAMPLE / "arm.toml")
+    flight = Flight(replace(arm, period_s=0.02))
+    flight.frames(bus.read_log(simulated / "run.blf"))
+    assert flight.faults["time_jumped"] > 0
+    assert "period_s of the arm file disagrees" in commands._remedy(flight.estimate(), flight)
+
+
+@pytest.mark.parametrize("count", [0, 40])
+def test_check_of_a_run_without_an_instant(
+    count: int, simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    frames = bus.read_log(simulated / "run.blf")[: count or None]
+    bus.write_log(tmp_path / "run.blf", frames, 0.05)
+    change = ("node = 1\n", "node = 9\n") if count == 0 else ("node = 1\n", "node = 1\n")
+    arm = example_with(tmp_path / "example", "arm.toml", change)
+    assert run("check", tmp_path / "run.blf", "--arm", arm) == 3
+    said = capsys.readouterr()
+    assert "too few accepted instants; remedy" in said.err
+    assert "fault counters" in said.out
+
+
+@pytest.mark.parametrize("noise", ["--noise", "--no-noise"])
+@pytest.mark.parametrize(
+    "changes",
+    [
+        [("gain = 1.0", "gain = 0.0")],
+        [("amplitude_rad = 0.9", "amplitude_rad = 0.0"), ("amplitude_rad = 0.8", "amplitude_rad = 0.0")],
+    ],
+)
+def test_a_run_at_rest_is_undecided(
+    noise: str, changes: Sequence[tuple[str, str]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scenario = example_with(tmp_path / "example", "scenario.toml", *changes)
+    log = tmp_path / "run.blf"
+    assert run("simulate", scenario, "-o", log, noise) == 0
+    assert run("estimate", log, "-o", tmp_path / "m.toml") == 3
+    capsys.readouterr()
+    assert run("check", log) == 3
+    said = capsys.readouterr()
+    assert "no solution to compare" in said.err
+    assert "bandwidth test" in said.out
+    assert "differs" not in said.out
+
+
+class Player:
+    """Frames on a virtual bus, and what comes after them."""
+
+    def __init__(self, channel: str, messages: Sequence[can.Message], after: Callable[[], None]) -> None:
+        self.channel, self.messages, self.after = channel, messages, after
+
+    def __call__(self) -> None:
+        time.sleep(1.0)
+        with bus.open_bus("virtual", self.channel) as out:
+            for message in self.messages:
+                out.send(message)
+            time.sleep(1.0)
+        self.after()
+
+
+@contextlib.contextmanager
+def playing(channel: str, log: Path, after: Callable[[], None] = lambda: None) -> Iterator[None]:
+    player = threading.Thread(target=Player(channel, bus.to_messages(bus.read_log(log), 0.05), after))
+    player.start()
+    yield
+    player.join()
+
+
+def listen(channel: str, folder: Path, *more: object) -> int:
+    where = ("-i", "virtual", "-c", channel, "-o", folder / "live.toml", "--log", folder / "live.log")
+    return run("listen", "--arm", EXAMPLE / "arm.toml", *where, *more)
+
+
+@pytest.mark.parametrize("which", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_listening_and_keeps_what_was_learned(
+    which: signal.Signals, simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def unheard(*_: object) -> None:
+        raise AssertionError("the signal was not taken")
+
+    before = signal.signal(which, unheard)
+    try:
+        with playing(f"test_{which}", simulated / "run.blf", lambda: os.kill(os.getpid(), which)):
+            begin = time.monotonic()
+            assert listen(f"test_{which}", tmp_path, "--idle", 60) == 0
+        assert time.monotonic() - begin < 20
+        assert signal.getsignal(which) is unheard
+    finally:
+        signal.signal(which, before)
+    assert "stopped" in capsys.readouterr().err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["live.log", "live.toml"]
+    assert bus.read_log(tmp_path / "live.log").tobytes() == bus.read_log(simulated / "run.blf").tobytes()
+
+
+def test_a_bus_that_fails_while_listening(
+    simulated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from can.interfaces.virtual import VirtualBus
+
+    down = threading.Event()
+    receive = VirtualBus._recv_internal
+
+    def failing(self: VirtualBus, timeout: float | None) -> tuple[can.Message | None, bool]:
+        if down.is_set():
+            raise can.CanOperationError("Network is down")
+        return receive(self, timeout)
+
+    monkeypatch.setattr(VirtualBus, "_recv_internal", failing)
+    with playing("test_down", simulated / "run.blf", down.set):
+        assert listen("test_down", tmp_path, "--idle", 60) == 3
+    said = capsys.readouterr()
+    assert "Network is down" in said.err
+    assert "a00" in said.out
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["live.log", "live.toml"]
+
+
+def test_a_log_that_fails_does_not_lose_the_estimate(
+    simulated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(can.CanutilsLogWriter, "on_message_received", full)
+    with playing("test_full", simulated / "run.blf"):
+        assert listen("test_full", tmp_path, "--idle", 2) == 2
+    said = capsys.readouterr()
+    assert "live.log: cannot be written (No space left" in said.err
+    assert "a00" in said.out
+    assert [path.name for path in tmp_path.iterdir()] == ["live.toml"]
+
+
+@pytest.mark.parametrize("option", ["-o", "--log", "--json"])
+def test_listen_looks_at_its_outputs_first(option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_text("")
+    (tmp_path / "folder.toml").mkdir()
+    names = {"-o": "m.toml", "--log": "run.log", "--json": "m.json"}
+    for bad in (tmp_path / "file" / names[option], tmp_path / "folder.toml"):
+        given = {"-o": tmp_path / "m.toml", option: bad}
+        if option == "--log" and bad.suffix != ".log":
+            continue
+        code = run("listen", "--arm", EXAMPLE / "arm.toml", "-i", "virtual", "-c", "x", "--duration", 1,
+                   *(part for pair in given.items() for part in pair))  # fmt: skip
+        said = capsys.readouterr().err
+        assert code == 2
+        assert str(bad) in said
+        assert "listening" not in said
+
+
+def test_listen_to_silence_for_a_second(tmp_path: Path) -> None:
+    begin = time.monotonic()
+    assert listen("test_silence", tmp_path, "--duration", 1) == 3
+    assert time.monotonic() - begin < 4
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_simulate_opens_the_bus_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(commands, "simulate", lambda *_, **__: pytest.fail("simulated before the bus was open"))
+    assert run("simulate", EXAMPLE / "scenario.toml", "-o", tmp_path / "run.blf", "-i", "nothing", "-c", "x") == 2
+    assert "cannot be opened" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_bus_that_takes_no_frames(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from can.interfaces.virtual import VirtualBus
+
+    def down(*_: object, **__: object) -> None:
+        raise can.CanOperationError("Network is down")
+
+    monkeypatch.setattr(VirtualBus, "send", down)
+    log = tmp_path / "run.blf"
+    assert run("simulate", EXAMPLE / "scenario.toml", "-o", log, "-i", "virtual", "-c", "x") == 2
+    assert f"(Network is down); {log} is written; remedy" in capsys.readouterr().err
+    assert log.is_file()
+
+
+def test_the_demo_says_when_frames_were_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    monkeypatch.setattr(bus, "transfer", lambda frames, *_: np.delete(frames, 500))
+    with pytest.raises(ZygosError, match=r"lost or damaged.*incomplete 1.*remedy"):
+        demo.run_demo(tmp_path / "demo")
+    assert not (tmp_path / "demo.json").exists()
+
+
+def test_the_demo_says_what_its_estimate_is_worth(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    monkeypatch.setattr(demo, "choose_bus", lambda: ("virtual", "test_demo"))
+    demo.run_demo(tmp_path / "demo")
+    content = json.loads((tmp_path / "demo.json").read_text())
+    assert content["validity"] == "valid"
+    assert list(content["faults"].values()) == [0] * len(content["faults"])

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
+import queue
+import threading
+import time
 from pathlib import Path
 
+import can
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from zygos import bus
+from zygos import bus, vcan
 from zygos.arm import Arm
 from zygos.errors import ZygosError
 from zygos.flight import FRAME, Flight, encode
@@ -41,6 +46,70 @@ def test_logs(arm: Arm, frames: NDArray[np.void], tmp_path: Path, suffix: str) -
 def test_in_process_bus(arm: Arm, frames: NDArray[np.void]) -> None:
     arrived = bus.transfer(frames, arm.period_s, "virtual", "test_same_bits")
     assert bits(arm, arrived) == bits(arm, frames)
+
+
+def stranger(number: int) -> can.Message:
+    return can.Message(arbitration_id=0x500, data=number.to_bytes(8, "little"), is_extended_id=False)
+
+
+def test_frames_of_others_do_not_count_as_ours(arm: Arm, frames: NDArray[np.void]) -> None:
+    over = threading.Event()
+
+    def chatter() -> None:
+        with bus.open_bus("virtual", "test_others") as other:
+            for number in range(10**9):
+                if over.is_set():
+                    return
+                other.send(stranger(number))
+                time.sleep(1e-5)
+
+    talker = threading.Thread(target=chatter)
+    talker.start()
+    try:
+        arrived = bus.transfer(frames, arm.period_s, "virtual", "test_others")
+    finally:
+        over.set()
+        talker.join()
+    assert arrived.tobytes() == frames.tobytes()
+
+
+@pytest.mark.parametrize("lost", [None, 700])
+def test_frames_of_others_on_socketcan(
+    lost: int | None, arm: Arm, frames: NDArray[np.void], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The kernel's socket is played by a queue, which others write to as well; they go on when ours are through."""
+    wire: queue.Queue[can.Message] = queue.Queue()
+
+    class Sender(contextlib.nullcontext[None]):
+        sent = 0
+
+        def __init__(self, **_: object) -> None:
+            super().__init__()
+
+        def __enter__(self) -> Sender:  # type: ignore[override]
+            return self
+
+        def send(self, message: can.Message) -> None:
+            wire.put(stranger(self.sent))
+            if self.sent != lost:
+                wire.put(message)
+            self.sent += 1
+
+    def read_frame(_: object) -> can.Message:
+        try:
+            return wire.get(timeout=0.01)
+        except queue.Empty:
+            return stranger(0)
+
+    monkeypatch.setattr(vcan, "open_receiver", lambda _: contextlib.nullcontext())
+    monkeypatch.setattr(vcan, "read_frame", read_frame)
+    monkeypatch.setattr(vcan.can, "Bus", Sender)
+    monkeypatch.setattr(vcan, "PATIENCE_S", 0.5)
+    if lost is None:
+        assert bus.transfer(frames, arm.period_s, "socketcan", "vcan0").tobytes() == frames.tobytes()
+    else:
+        with pytest.raises(ZygosError, match=f"{lost} of {len(frames)} frames came"):
+            bus.transfer(frames, arm.period_s, "socketcan", "vcan0")
 
 
 def test_order_within_a_cycle_is_free(arm: Arm, frames: NDArray[np.void]) -> None:

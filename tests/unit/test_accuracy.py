@@ -158,7 +158,7 @@ def test_a_motion_too_fast_for_its_sample_rate_says_so(arm: Arm, clean: Clean) -
 
 
 def test_no_beginning_of_a_run_gives_wild_numbers(arm: Arm, noisy: Trajectory, true: Floats) -> None:
-    """Until the motion determines every parameter through the noise there is no number, and never one without a sigma."""
+    """Until the motion determines every parameter through the noise, there is no number."""
     answered = 0
     for seed in range(10):
         cycles = noisy.cycles(seed)

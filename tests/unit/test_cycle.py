@@ -378,7 +378,7 @@ def test_foreign_frames_change_nothing_at_all(bus: Bus) -> None:
 
 
 def test_a_fine_gyro_does_not_pass_for_a_coarse_one(coarse: Bus) -> None:
-    """Its first frame looks like a coarse gyro's; its second one gives it away. Anybody else's frame there is foreign."""
+    """Its first frame looks like a coarse gyro's, its second one gives it away; another's frame there is foreign."""
     z = coarse.frame(lib.ZYGOS_MSG_RATE_Z, coarse.config.imu_node, 1, status=1)
     assert coarse.send(z) == [REJECTED]
     assert coarse.faults() == {"unsynced": 1}

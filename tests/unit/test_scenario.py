@@ -77,8 +77,7 @@ def test_the_papers_controller() -> None:
     ('angle = "motor"', 'angle = "both"', r"controller\.angle"),
     ('kind = "sines"', 'kind = "sine"', r"manoeuvre\[0\]\.kind"),
     ('kind = "sines"', 'kind = "constant"', r"manoeuvre\[0\]\.angle_rad: is missing"),
-    ("[bus]", "[can]", "can: unknown key"),
-    ("fd = false", "fd = 0", r"bus\.fd"),
+    ("[controller]", "[bus]\n[controller]", "bus: unknown key"),
 ])  # fmt: skip
 def test_bad_files_are_refused(tmp_path: Path, find: str, put: str, key: str) -> None:
     for name in ("arm.toml", "model.toml"):
