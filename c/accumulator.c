@@ -41,6 +41,9 @@ static void add_block(zygos_block_t *to, const zygos_block_t *from, uint32_t wid
     for (uint32_t i = 0; i < width; i++) {
         to->sum[i] += from->sum[i];
     }
+    for (uint32_t i = 0; i < width; i++) {
+        to->deviation[i] += from->deviation[i];
+    }
     to->instants += from->instants;
     to->end = from->end;
 }
@@ -157,6 +160,9 @@ static void centre(zygos_block_t *block, uint32_t width, const double *mean)
     const double *last = &block->gram[(width - 1u) * width / 2u];
     memcpy(s, last, width * sizeof s[0]);
     const double n = s[width - 1u];
+    for (uint32_t i = 0; i < width; i++) {
+        block->deviation[i] = s[i] - n * mean[i];
+    }
     uint32_t k = 0;
     for (uint32_t i = 0; i < width; i++) {
         for (uint32_t j = 0; j <= i; j++) {

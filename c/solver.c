@@ -279,6 +279,29 @@ static double residual(const zygos_work_t *work, uint32_t p, const double *x, ui
     return (sum > 0.0) ? root(sum / (double)n) : 0.0;
 }
 
+/* Mean over the blocks of (sum of residuals)^2 / instants, in units of the mean square residual; *share is the root
+   mean square of the blocks' mean residuals, in units of the work's spread. */
+static double cluster(const zygos_work_t *work, uint32_t p, const zygos_estimate_t *out, double *share)
+{
+    const zygos_accumulator_t *sums = &work->accumulator;
+    double squares = 0.0;
+    double means = 0.0;
+    for (uint32_t b = 0; b < sums->open; b++) {
+        const zygos_block_t *block = &sums->block[b];
+        double sum = block->deviation[p];
+        for (uint32_t i = 0; i < p; i++) {
+            sum -= work->solution[i] * block->deviation[i];
+        }
+        const double n = (block->instants > 0) ? (double)block->instants : 1.0;
+        squares += sum * sum / n;
+        means += sum * sum / (n * n);
+    }
+    const double blocks = (double)sums->open;
+    const double spread = root(work->total[at(p, p)] / (double)out->accepted);
+    *share = root(means / blocks) / spread;
+    return squares / (blocks * out->residual * out->residual);
+}
+
 int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
 {
     if ((work == NULL) || (out == NULL)) {
@@ -325,6 +348,9 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     if (!(unexplained < ZYGOS_UNEXPLAINED_LIMIT * work->total[at(p, p)])) {
         return refuse(out, p, ZYGOS_REASON_NOT_IDENTIFIABLE);
     }
+    double share = 0.0;
+    out->cluster = (out->residual > 0.0) ? cluster(work, p, out, &share) : 0.0;
+    const bool closed = (out->cluster <= ZYGOS_CLUSTER_LIMIT) || (share <= ZYGOS_CLUSTER_SHARE);
     jackknife(work, p, rank, out);
 
     /* A value that is not sharp lends its error to all others, because noise in the rows acts on them through it: where
@@ -341,7 +367,7 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
         known += out->identifiable[i];
     }
     if ((known == 0) || (blurred && (rank == p))) {
-        return refuse(out, p, ZYGOS_REASON_NOT_IDENTIFIABLE);
+        return refuse(out, p, closed ? ZYGOS_REASON_NOT_IDENTIFIABLE : ZYGOS_REASON_UNCLOSED);
     }
     out->validity = ZYGOS_VALID;
     const double instants = (double)(out->accepted + out->refused);
@@ -351,6 +377,9 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     } else if (!physical(work, p, out)) {
         out->validity = ZYGOS_DOUBTFUL;
         out->reason = ZYGOS_REASON_NOT_PHYSICAL;
+    } else if (!closed) {
+        out->validity = ZYGOS_DOUBTFUL;
+        out->reason = ZYGOS_REASON_UNCLOSED;
     } else if (known < p) {
         out->validity = ZYGOS_PARTIAL;
         out->reason = ZYGOS_REASON_NOT_IDENTIFIABLE;

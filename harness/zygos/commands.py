@@ -164,6 +164,7 @@ def report_estimate(result: Estimate, flight: Flight, heading: Mapping[str, Any]
         "rank": result.rank,
         "condition": result.condition,
         "residual_j": result.residual,
+        "cluster": result.cluster,
         "faults": flight.faults,
         "counts": flight.counts,
         "parameters": [
@@ -234,6 +235,11 @@ def _remedy(result: Estimate, flight: Flight) -> str:
         return "; ".join(found)
     if "too fast" in result.reason:
         return "a higher SYNC rate, a shorter smoother window, or a slower motion"
+    if "does not close" in result.reason:
+        return (
+            "check gear ratios, signs, zeros and the torque_law of the arm file; friction, noise of the torques and "
+            "torques on the base are not in the balance"
+        )
     if "not physical" in result.reason:
         return "check signs, gear ratios and the torque_law of the arm file, or a longer run"
     return "a longer run that moves every joint at different speeds"

@@ -34,6 +34,7 @@ REASONS = (
     "motion too fast for this sample rate: more than 5 % of the instants failed the bandwidth test",
     "the estimate is not physical: an inertia matrix that is not positive definite, or a negative Im, k or b",
     "the accumulated sums are corrupt: memory was changed from outside",
+    "the balance does not close: what the solution leaves over is no noise",
 )
 _CONFIG_ERRORS = {
     -2: "the library was built with other headers",
@@ -119,6 +120,8 @@ class Estimate:
     blocks: int
     rank: int
     condition: float
+    cluster: float
+    """How far the residuals of a block add up: around 1 for noise, up to the block's instants otherwise."""
     residual: float
     """rms of the rows' residuals, J."""
 
@@ -252,6 +255,7 @@ class Flight:
             blocks=out.blocks,
             rank=out.rank,
             condition=out.condition,
+            cluster=out.cluster,
             residual=out.residual,
         )
 

@@ -22,6 +22,7 @@ extern "C" {
 typedef struct {
     double gram[ZYGOS_MAX_PACKED_ROW]; ///< Sum of z z^T, lower triangle row by row, width (width + 1)/2 used.
     double sum[ZYGOS_MAX_ROW];         ///< Sum of z (1^T z): the row sums of gram.
+    double deviation[ZYGOS_MAX_ROW];   ///< Closed arcs: sum of z less as many times the mean of its arc.
     uint64_t instants;                 ///< Accepted instants in this block.
     uint64_t end;                      ///< Closed arcs: number of the newest cycle in them.
 } zygos_block_t;

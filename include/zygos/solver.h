@@ -29,7 +29,8 @@ enum zygos_reason {
     ZYGOS_REASON_NOT_IDENTIFIABLE = 2, ///< The motion so far does not excite every parameter.
     ZYGOS_REASON_TOO_FAST = 3,         ///< More than 5 % of the instants failed the bandwidth test.
     ZYGOS_REASON_NOT_PHYSICAL = 4,     ///< (a_ij) less the rotors is not positive definite, or Im, k or b not positive.
-    ZYGOS_REASON_CORRUPT = 5           ///< Row sums or counts do not match: memory was changed, or never taken.
+    ZYGOS_REASON_CORRUPT = 5,          ///< Row sums or counts do not match: memory was changed, or never taken.
+    ZYGOS_REASON_UNCLOSED = 6          ///< What the solution leaves over is no noise: see ZYGOS_CLUSTER_LIMIT.
 };
 
 /// A parameter whose scaled pivot falls below this share is a combination of the others.
@@ -37,6 +38,12 @@ enum zygos_reason {
 /// When more than this share of the work's variance is left over, the rows are noise (an arm at rest) or another arm's:
 /// nothing is identifiable.
 #define ZYGOS_UNEXPLAINED_LIMIT 0.1
+/// Noise in the rows forgets within a few instants, so the residuals of a block add up like the square root of their
+/// number, or less: the mean of (sum)^2 / (instants * mean square) over the blocks is around 1. When it exceeds this
+/// limit, and what adds up is more than ZYGOS_CLUSTER_SHARE of the work's spread, the balance does not close: a wrong
+/// gear ratio, zero, sign or torque law, friction, noise of the torques, a torque on the base.
+#define ZYGOS_CLUSTER_LIMIT 5.0
+#define ZYGOS_CLUSTER_SHARE 5e-3
 /// A parameter whose sigma exceeds this share of its value is not identifiable yet. When the rank is full all the same,
 /// none is: the error of the one is in all others.
 #define ZYGOS_SIGMA_LIMIT 0.25
@@ -52,6 +59,7 @@ typedef struct {
     uint32_t blocks;     ///< Blocks behind the sigmas.
     uint32_t rank;       ///< Independent columns.
     double condition;    ///< 1-norm condition of the scaled normal matrix of the independent columns.
+    double cluster;      ///< How far the residuals of a block add up: around 1 for noise, up to its instants otherwise.
     double residual;     ///< Root mean square of W - row . x about the arc constants [J].
     uint32_t identifiable[ZYGOS_MAX_PARAMETERS]; ///< 1, or 0 and value and sigma are NaN.
     double value[ZYGOS_MAX_PARAMETERS];

@@ -184,3 +184,40 @@ def test_an_arm_at_rest_identifies_nothing(arm: Arm, model: Model, scenario: Sce
 def test_no_torque_identifies_nothing(arm: Arm, noisy: Trajectory) -> None:
     cycles = noisy.cycles(0)
     assert through_cycles(arm, replace(cycles, tau=np.zeros_like(cycles.tau))).validity == "refused"
+
+
+def with_ratio(arm: Arm, ratio: float) -> Arm:
+    return replace(arm, joints=(replace(arm.joints[0], gear_ratio=ratio), *arm.joints[1:]))
+
+
+def with_first(values: Floats, scale: float = 1.0, offset: float = 0.0) -> Floats:
+    """The signal of joint 1 changed."""
+    changed = values.copy()
+    changed[:, 0] = scale * changed[:, 0] + offset
+    return changed
+
+
+WRONG: dict[str, Callable[[Arm, Cycles], tuple[Arm, Cycles]]] = {
+    "torque law: previous cycle": lambda arm, run: (replace(arm, torque_law="applied_previous_cycle"), run),
+    "torque law: sampled": lambda arm, run: (replace(arm, torque_law="sampled"), run),
+    "gear ratio 10 % low": lambda arm, run: (with_ratio(arm, 45.0), run),
+    "gear ratio 10 % high": lambda arm, run: (with_ratio(arm, 55.0), run),
+    "one torque half as large again": lambda arm, run: (arm, replace(run, tau=with_first(run.tau, 1.5))),
+    "one motor zero 0.1 rad off": lambda arm, run: (arm, replace(run, theta=with_first(run.theta, offset=0.1))),
+    "one link sign inverted": lambda arm, run: (arm, replace(run, q=with_first(run.q, -1.0))),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_a_wrong_hardware_description_does_not_pass_for_a_result(arm: Arm, noisy: Trajectory, name: str) -> None:
+    for seed in range(5):
+        estimate = through_cycles(*WRONG[name](arm, noisy.cycles(seed)))
+        assert estimate.validity in ("doubtful", "refused")
+        assert "does not close" in estimate.reason
+
+
+def test_the_right_description_passes(arm: Arm, noisy: Trajectory) -> None:
+    for seed in range(50):
+        estimate = through_cycles(arm, noisy.cycles(seed))
+        assert estimate.validity == "valid"
+        assert estimate.cluster < 2.0

@@ -64,6 +64,7 @@ def make_estimate(arm: Arm, value: NDArray[np.float64], **changes: Any) -> Estim
         blocks=30,
         rank=p,
         condition=5e4,
+        cluster=0.3,
         residual=20.0,
     )
     return replace(estimate, **changes)
