@@ -76,7 +76,6 @@ typedef struct {
     uint32_t reserved;
     double total[ZYGOS_MAX_PACKED_ROW];
     double matrix[ZYGOS_MAX_PACKED];
-    double inverse[ZYGOS_MAX_PACKED];
     double factor[ZYGOS_MAX_PACKED];
     double scale[ZYGOS_MAX_PARAMETERS];
     double right[ZYGOS_MAX_PARAMETERS];
