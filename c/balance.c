@@ -28,8 +28,8 @@ void zygos_balance_torque(zygos_balance_t *self, const zygos_config_t *config, c
     self->torque_at = (self->torque_at == config->smoother_half_width) ? 0u : self->torque_at + 1u;
 }
 
-/* W and D at this instant, from those at the instant before. */
-static void carry_on(zygos_balance_t *self, const zygos_config_t *config, const zygos_state_t *state)
+/* W and D at this instant, from those at the instant before. Returns what torque steps add to the work of the row. */
+static double carry_on(zygos_balance_t *self, const zygos_config_t *config, const zygos_state_t *state)
 {
     const uint32_t last = config->smoother_half_width;
     const double *tau = self->torque[self->torque_at];
@@ -52,7 +52,7 @@ static void carry_on(zygos_balance_t *self, const zygos_config_t *config, const 
         *past_0 = g;
     }
     const double held = (config->torque_law == ZYGOS_TORQUE_SAMPLED) ? 0.0 : 1.0;
-    self->step_work = held * step_work * config->period_s / 12.0;
+    return held * step_work * config->period_s / 12.0;
 }
 
 static void form_row(const zygos_balance_t *self, const zygos_config_t *config, const zygos_state_t *state,
@@ -76,13 +76,13 @@ static void form_row(const zygos_balance_t *self, const zygos_config_t *config, 
         out->column[k + 2u] = self->slip[i];
         k += 3u;
     }
-    out->work = self->work + self->step_work;
+    out->work = self->work;
 }
 
 int zygos_balance_row(zygos_balance_t *self, const zygos_config_t *config, const zygos_state_t *state,
                       const zygos_motion_t *motion, zygos_row_t *out)
 {
-    carry_on(self, config, state);
+    const double step_work = carry_on(self, config, state);
     self->instants += (self->instants < 4u) ? 1u : 0u;
     if (self->instants < 4u) {
         return 0;
@@ -94,5 +94,6 @@ int zygos_balance_row(zygos_balance_t *self, const zygos_config_t *config, const
         self->slip[i] *= keep;
     }
     form_row(self, config, state, motion, out);
+    out->work += step_work;
     return 1;
 }

@@ -322,11 +322,9 @@ int zygos_receiver_frame(zygos_receiver_t *self, const zygos_config_t *config, c
     if (frame->id == ZYGOS_ID_TPDO1 + config->imu_node) {
         return take_rates(self, config, config->imu_fine ? ZYGOS_MSG_RATE_XY : ZYGOS_MSG_RATE_COARSE, frame);
     }
-    if (!config->imu_fine && (frame->id == ZYGOS_ID_TPDO3 + config->imu_node)) {
-        return take_fine_rate(self, config, frame);
-    }
-    if (config->imu_fine && (frame->id == ZYGOS_ID_TPDO3 + config->imu_node)) {
-        return take_rates(self, config, ZYGOS_MSG_RATE_Z, frame);
+    if (frame->id == ZYGOS_ID_TPDO3 + config->imu_node) {
+        return config->imu_fine ? take_rates(self, config, ZYGOS_MSG_RATE_Z, frame)
+                                : take_fine_rate(self, config, frame);
     }
     for (uint32_t i = 0; i < config->joints; i++) {
         if (frame->id == ZYGOS_ID_TPDO1 + config->joint[i].node) {

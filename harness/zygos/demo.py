@@ -14,9 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from zygos import bus, reference
-from zygos.arm import load_arm
+from zygos.arm import Arm, load_arm
 from zygos.check import decode
 from zygos.commands import losses
 from zygos.errors import ZygosError
@@ -46,10 +47,8 @@ def zygos(*arguments: str | Path) -> None:
         raise ZygosError(f"`zygos {' '.join(map(str, arguments))}` failed; remedy: see its message above")
 
 
-def converge(arm_file: Path, run: Path) -> Convergence:
+def converge(arm: Arm, frames: NDArray[Any]) -> Convergence:
     """Estimates of the C library while the run goes on, one every second of the run."""
-    arm = load_arm(arm_file)
-    frames = bus.read_log(run)
     flight = Flight(arm)
     starts = np.flatnonzero(frames["id"] == 0x080)
     time_s, values, sigmas = [], [], []
@@ -98,7 +97,7 @@ def run_demo(folder: Path = Path("out/demo")) -> None:
     zygos("estimate", run, "--arm", arm_file, "-o", estimate_file, "--json", estimate_json)
     estimate = flight.estimate()
     numpy_value = reference.chain(arm, decode(arm, frames).cycles).solution.x
-    convergence = converge(arm_file, run)
+    convergence = converge(arm, frames)
 
     # The scorer: the estimate is on disk, and nothing below changes it.
     learned = load_model(estimate_file).base_values(arm)

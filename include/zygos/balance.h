@@ -32,7 +32,6 @@ typedef struct {
     uint32_t torque_at; ///< Where the next torque goes.
     uint32_t reserved;
     double work;                                        ///< W [J].
-    double step_work;                                   ///< Correction of this instant's work for torque steps [J].
     double slip[ZYGOS_MAX_JOINTS];                      ///< D [rad^2/s].
     double theta[ZYGOS_MAX_JOINTS];                     ///< theta of the instant before.
     double slip_rate[3][ZYGOS_MAX_JOINTS];              ///< g of the three instants before, newest first.
