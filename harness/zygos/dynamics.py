@@ -1,4 +1,4 @@
-"""Equations of motion of the planar free-floating arm, from its base parameters alone (docs/theory.md).
+"""Equations of motion of the planar free-floating arm, from its base parameters and effects alone (docs/theory.md).
 
 Body i (0 = base) turns at the absolute rate f_i; f_0 = omega_0, f_i = f_{i-1} + qd_i; phi_i is its absolute angle. With
 c = phi_j - phi_i the kinetic energy of Nanos & Papadopoulos eq. (11) is
@@ -7,7 +7,9 @@ c = phi_j - phi_i the kinetic energy of Nanos & Papadopoulos eq. (11) is
         + sum_i [1/2 Im_i n_i^2 thetad_i^2 + Im_i n_i thetad_i f_{i-1}]
 
 and its Lagrange equations in (phi_0 .. phi_N, theta_1 .. theta_N) are solved here for the accelerations. Nothing else
-of the arm is needed: neither masses nor lengths, and no state of the base beyond its rate.
+of the arm is needed: neither masses nor lengths, and no state of the base beyond its rate. A joint of infinite
+stiffness is rigid, theta = q. Effects of the catalogue act as their entries say; of torque lag, which is a matter of
+when a torque begins to act, only the size is kept here.
 """
 
 from __future__ import annotations
@@ -20,7 +22,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from zygos.arm import Arm
+from zygos.effects import Effect, Kind
 from zygos.errors import ZygosError
+from zygos.model import Model
 
 Array = NDArray[np.float64]
 
@@ -41,10 +45,23 @@ class PlanarDynamics:
     """(N,) b, Nms/rad, after the gear."""
     gear_ratio: Array
     """(N,) n."""
+    coupling: Array
+    """(N,) share of Im that the rotation of the carrying body acts on: 1 in nature."""
+    laws: tuple[tuple[Kind, int, float], ...] = ()
+    """Torque laws with the index of their joint and their coefficient."""
+    torque_lag: Array | None = None
+    """(N,) delay of each motor behind its reported torque, s; None: none."""
+    angular_momentum: float | None = None
+    """h that the model assumes, Nms; None: none in particular."""
 
     @classmethod
-    def from_parameters(cls, arm: Arm, values: ArrayLike) -> PlanarDynamics:
-        """Dynamics from base parameters in the order of `arm.parameter_names`, shape (p,).
+    def from_model(cls, arm: Arm, model: Model) -> PlanarDynamics:
+        """Dynamics of a model, its effects included. Errors: as `from_parameters`, and what does not fit the arm."""
+        return cls.from_parameters(arm, model.base_values(arm), model.effects)
+
+    @classmethod
+    def from_parameters(cls, arm: Arm, values: ArrayLike, effects: Sequence[Effect] = ()) -> PlanarDynamics:
+        """Dynamics from base parameters in the order of `arm.parameter_names`, shape (p,), and effects.
 
         Errors: ZygosError if the number of values is not p or if some posture would have negative kinetic energy.
         """
@@ -66,6 +83,24 @@ class PlanarDynamics:
                     b[i, j] = value.get(f"b{i}{j}", 0.0)
                     b[j, i] = -b[i, j]
         joints = range(1, bodies)
+        coupling, lag = np.ones(arm.n), np.zeros(arm.n)
+        momentum: float | None = None
+        laws: list[tuple[Kind, int, float]] = []
+        for effect in effects:
+            joint = effect.index(arm)
+            if effect.kind.torque is not None:
+                laws.append((effect.kind, joint, effect.value))
+            elif effect.kind.key == "rotor_coupling":
+                coupling[joint] = effect.value
+            elif effect.kind.key == "torque_lag":
+                lag[joint] = effect.value
+            else:
+                momentum = effect.value
+        if not (np.all(lag >= 0.0) and np.all(lag < arm.period_s)):
+            raise ZygosError(
+                f"arm {arm.name}: torque lags of {lag.tolist()} s are not within a SYNC period ({arm.period_s} s); "
+                "remedy: a lag of whole periods belongs into torque_law of the arm file"
+            )
         dynamics = cls(
             a,
             b,
@@ -73,6 +108,10 @@ class PlanarDynamics:
             np.array([value[f"k{i}"] for i in joints]),
             np.array([value[f"b{i}"] for i in joints]),
             arm.gear_ratios,
+            coupling,
+            tuple(laws),
+            lag if lag.any() else None,
+            momentum,
         )
         if dynamics.margin <= 0.0:
             raise ZygosError(
@@ -93,7 +132,7 @@ class PlanarDynamics:
 
         f_i exp(i phi_i) ranges over all complex vectors, so the Hermitian matrix a + ib less the rotors decides.
         """
-        carried = np.append(self.rotor_inertia, 0.0)
+        carried = np.append(self.coupling**2 * self.rotor_inertia, 0.0)
         return float(np.linalg.eigvalsh(self.a - np.diag(carried) + 1j * self.b)[0])
 
     def rates(self, omega0: ArrayLike, qd: Array) -> Array:
@@ -110,9 +149,44 @@ class PlanarDynamics:
         cosine, sine = np.cos(angle), np.sin(angle)
         return self.a * cosine + self.b * sine, self.b * cosine - self.a * sine
 
+    @cached_property
+    def rigid(self) -> NDArray[np.bool_]:
+        """(N,) joints whose stiffness is infinite."""
+        return np.isinf(self.stiffness)
+
+    @cached_property
+    def _mass(self) -> Array:
+        """(N+1, N+1) what the rotors add to the inertia matrix once their own accelerations are eliminated."""
+        mass = -np.diag(np.append(np.where(self.rigid, 0.0, self.coupling**2 * self.rotor_inertia), 0.0))
+        for i in np.flatnonzero(self.rigid):
+            turn, carrier = np.zeros(self.n + 1), np.zeros(self.n + 1)
+            turn[i], turn[i + 1], carrier[i] = -1.0, 1.0, 1.0
+            rotor = self.rotor_inertia[i] * self.gear_ratio[i]
+            both = np.outer(turn, carrier)
+            mass += rotor * self.gear_ratio[i] * np.outer(turn, turn) + rotor * self.coupling[i] * (both + both.T)
+        return mass
+
+    def _forces(self, q: Array, theta: Array, qd: Array, thetad: Array) -> tuple[Array, Array, Array]:
+        """(..., N) torques: of the springs on the links, of friction at motors (before the gear) and at links."""
+        deflection = theta - q
+        spring = np.where(self.rigid, 0.0, self.stiffness) * deflection + self.damping * (thetad - qd)
+        motor, link = np.zeros_like(q), np.zeros_like(q)
+        for kind, i, value in self.laws:
+            assert kind.torque is not None
+            if kind.place == "spring":
+                spring[..., i] += value * kind.torque(deflection[..., i])
+            elif kind.place == "motor":
+                motor[..., i] += value * kind.torque(thetad[..., i])
+            else:
+                link[..., i] += value * kind.torque(qd[..., i])
+        return spring, motor, link
+
     def spring(self, q: Array, theta: Array, qd: Array, thetad: Array) -> Array:
-        """(..., N) torque of spring and damper on the link, Nm: k (theta - q) + b (thetad - qd)."""
-        return self.stiffness * (theta - q) + self.damping * (thetad - qd)
+        """(..., N) torque of spring and damper on the link, Nm: k (theta - q) + b (thetad - qd), and what effects add.
+
+        Zero for a rigid joint, whose torque is a constraint.
+        """
+        return self._forces(q, theta, qd, thetad)[0]
 
     def accelerations(
         self, q: Array, theta: Array, omega0: ArrayLike, qd: Array, thetad: Array, tau: Array
@@ -124,32 +198,41 @@ class PlanarDynamics:
         """
         f = self.rates(omega0, qd)
         inertia, slope = self.inertia(q)
-        force = self.spring(q, theta, qd, thetad)
+        spring, motor_loss, link_loss = self._forces(q, theta, qd, thetad)
+        ratio = self.gear_ratio
+        drive = tau - motor_loss
+        # a rigid gear hands on what drives the rotor, a spring what it holds
+        force = np.where(self.rigid, ratio * drive, spring) - link_loss
         right = -(slope @ (f * f)[..., None])[..., 0]
         right[..., 1:] += force
         # rotor i pushes off the body that carries it, with what its motor and the reaction of its gear leave over
-        right[..., :-1] -= force + tau - force / self.gear_ratio
-        free = inertia - np.diag(np.append(self.rotor_inertia, 0.0))
-        absolute = np.asarray(np.linalg.solve(free, right[..., None])[..., 0], dtype=np.float64)
-        ratio = self.gear_ratio
-        motor = (ratio * tau - force) / (ratio * ratio * self.rotor_inertia) - absolute[..., :-1] / ratio
-        return absolute[..., 0], absolute[..., 1:] - absolute[..., :-1], motor
+        right[..., :-1] -= force + np.where(self.rigid, 0.0, self.coupling * (drive - spring / ratio))
+        absolute = np.asarray(np.linalg.solve(inertia + self._mass, right[..., None])[..., 0], dtype=np.float64)
+        joint = absolute[..., 1:] - absolute[..., :-1]
+        motor = (ratio * drive - spring) / (ratio * ratio * self.rotor_inertia)
+        motor -= self.coupling * absolute[..., :-1] / ratio
+        return absolute[..., 0], joint, np.where(self.rigid, joint, motor)
 
     def kinetic_energy(self, q: Array, omega0: ArrayLike, qd: Array, thetad: Array) -> Array:
         """(...,) kinetic energy T, J, without that of the mass centre (Nanos & Papadopoulos eq. (11))."""
         f = self.rates(omega0, qd)
-        rotor = self.rotor_inertia * self.gear_ratio * thetad * (0.5 * self.gear_ratio * thetad + f[..., :-1])
+        carried = self.coupling * f[..., :-1]
+        rotor = self.rotor_inertia * self.gear_ratio * thetad * (0.5 * self.gear_ratio * thetad + carried)
         energy: Array = 0.5 * np.einsum("...i,...ij,...j->...", f, self.inertia(q)[0], f) + rotor.sum(axis=-1)
         return energy
 
     def elastic_energy(self, q: Array, theta: Array) -> Array:
         """(...,) energy in the joints' springs, J."""
-        energy: Array = 0.5 * (self.stiffness * (theta - q) ** 2).sum(axis=-1)
+        deflection = theta - q
+        energy: Array = 0.5 * (np.where(self.rigid, 0.0, self.stiffness) * deflection**2).sum(axis=-1)
+        for kind, i, value in self.laws:
+            if kind.potential is not None:
+                energy = energy + value * kind.potential(deflection[..., i])
         return energy
 
     def momentum(self, q: Array, omega0: ArrayLike, qd: Array, thetad: Array) -> Array:
         """(...,) angular momentum h about the mass centre along the joint axis, Nms."""
-        rotor = self.rotor_inertia * self.gear_ratio * thetad
+        rotor = self.coupling * self.rotor_inertia * self.gear_ratio * thetad
         total: Array = (self.inertia(q)[0] @ self.rates(omega0, qd)[..., None]).sum(axis=(-2, -1)) + rotor.sum(axis=-1)
         return total
 

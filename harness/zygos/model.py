@@ -15,6 +15,7 @@ import tomlkit
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
+from zygos.effects import CATALOGUE, Effect
 from zygos.errors import ZygosError
 from zygos.output import write_text
 from zygos.table import Table
@@ -67,19 +68,20 @@ class JointModel:
     rotor_inertia: Quantity
     """kg m^2, about the joint axis, before the gear; counted on the carrying body as well."""
     stiffness: Quantity
-    """Nm/rad, after the gear."""
+    """Nm/rad, after the gear; infinite for a model whose joint is rigid."""
     damping: Quantity
     """Nms/rad, after the gear."""
 
 
 @dataclass(frozen=True)
 class Model:
-    """A model of an arm: either `bodies` (N+1) and `joints` (N), or `parameters` by name."""
+    """A model of an arm: either `bodies` (N+1) and `joints` (N), or `parameters` by name; and its effects."""
 
     name: str
     bodies: tuple[Body, ...] = ()
     joints: tuple[JointModel, ...] = ()
     parameters: Mapping[str, Quantity] = field(default_factory=dict)
+    effects: tuple[Effect, ...] = ()
 
     def base_parameters(self, arm: Arm) -> dict[str, Quantity]:
         """Base parameters by name, in the order of `arm.parameter_names`.
@@ -224,9 +226,10 @@ def load_model(path: str | Path) -> Model:
         if top.has("body") or top.has("joint"):
             raise top.error("parameters", "stands beside [[body]] or [[joint]]", "keep one of the two")
         table = top.table("parameters")
-        parameters = {key: _quantity(table, key, None, source) for key in table.names()}
+        parameters = {key: _quantity(table, key, None, source, infinite=key.startswith("k")) for key in table.names()}
+        effects = _effects(top, source)
         top.finish()
-        return Model(name, parameters=parameters)
+        return Model(name, parameters=parameters, effects=effects)
     tables = top.tables("body")
     bodies = tuple(_body(table, source, last=index == len(tables) - 1) for index, table in enumerate(tables))
     joints = tuple(_joint(table, source) for table in top.tables("joint"))
@@ -236,8 +239,9 @@ def load_model(path: str | Path) -> Model:
             f"{len(bodies)} bodies for {len(joints)} joints",
             "give one [[body]] for the base and one for each [[joint]]",
         )
+    effects = _effects(top, source)
     top.finish()
-    return Model(name, bodies, joints)
+    return Model(name, bodies, joints, effects=effects)
 
 
 def save_model(model: Model, path: str | Path) -> None:
@@ -271,7 +275,44 @@ def save_model(model: Model, path: str | Path) -> None:
             joints.append(entry)
         document["body"] = bodies
         document["joint"] = joints
+    if model.effects:
+        entries = tomlkit.aot()
+        for effect in model.effects:
+            entry = tomlkit.table()
+            entry["kind"] = effect.kind.key
+            if effect.joint is not None:
+                entry["joint"] = effect.joint
+            entry["value"] = effect.value
+            entry["sigma"] = effect.sigma
+            entry["unit"] = effect.kind.unit
+            entry["source"] = effect.source
+            if effect.evidence:
+                entry["evidence"] = effect.evidence
+            entries.append(entry)
+        document["effect"] = entries
     write_text(Path(path), tomlkit.dumps(document))
+
+
+def _effects(top: Table, source: str) -> tuple[Effect, ...]:
+    effects: list[Effect] = []
+    for table in top.tables("effect", optional=True):
+        key = table.choice("kind", tuple(CATALOGUE))
+        kind = CATALOGUE[key]
+        effect = Effect(
+            kind,
+            table.text("joint") if kind.at_joint else None,
+            table.number("value", low=0.0 if kind.positive else -_LARGEST, high=_LARGEST, unit=kind.unit),
+            table.number("sigma", 0.0, low=0.0, high=_LARGEST, unit=kind.unit),
+            table.choice("source", SOURCES, source),
+            table.text("evidence") if table.has("evidence") else "",
+        )
+        if table.has("unit") and (unit := table.text("unit")) != kind.unit:
+            raise table.error("unit", f"{unit!r} is not the unit of {key}", f'convert the value to "{kind.unit}"')
+        table.finish()
+        if any((other.kind, other.joint) == (effect.kind, effect.joint) for other in effects):
+            raise table.error("kind", f"{key} at {effect.joint or 'the base'} stands twice", "keep one of the entries")
+        effects.append(effect)
+    return tuple(effects)
 
 
 def _inline(quantity: Quantity, *, unit: bool = False) -> Any:
@@ -293,16 +334,17 @@ def _quantity(
     default: float | None = None,
     low: float = -_LARGEST,
     above: float = -np.inf,
+    infinite: bool = False,
 ) -> Quantity:
     """A number, or { value, sigma, source }; with unit None the file states the unit."""
     if not table.has(key) and default is not None:
         return Quantity(default, 0.0, source, unit or "")
     if not table.has(key) or not isinstance(table.peek(key), dict):
-        value = table.number(key, low=low, above=above, high=_LARGEST, unit=unit or "")
+        value = table.number(key, low=low, above=above, high=_LARGEST, unit=unit or "", infinite=infinite)
         return Quantity(value, 0.0, source, unit or "")
     entry = table.table(key)
     quantity = Quantity(
-        entry.number("value", low=low, above=above, high=_LARGEST, unit=unit or ""),
+        entry.number("value", low=low, above=above, high=_LARGEST, unit=unit or "", infinite=infinite),
         entry.number("sigma", 0.0, low=0.0, high=_LARGEST, unit=unit or ""),
         entry.choice("source", SOURCES, source),
         entry.text("unit") if unit is None else unit,
@@ -348,7 +390,7 @@ def _joint(table: Table, source: str) -> JointModel:
         table.text("name"),
         _quantity(table, "rotor_mass", "kg", source, default=0.0, low=0.0),
         _quantity(table, "rotor_inertia", "kg m^2", source, above=0.0),
-        _quantity(table, "stiffness", "Nm/rad", source, above=0.0),
+        _quantity(table, "stiffness", "Nm/rad", source, above=0.0, infinite=True),
         _quantity(table, "damping", "Nms/rad", source, low=0.0),
     )
     table.finish()

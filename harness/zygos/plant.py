@@ -108,7 +108,9 @@ def simulate(
     atol: float = 1e-14,
     progress: Callable[[float], None] | None = None,
 ) -> Trajectory:
-    """Simulate the scenario in closed loop.
+    """Simulate the scenario in closed loop, with the effects of the model.
+
+    An angular momentum that the model names goes before the scenario's.
 
     seeds (default: the scenario's) are integrated together; noise, duration_s and period_s override scenario and arm.
     There are round(duration / period) cycles. rtol and atol are DOP853's. A trajectory depends on the other seeds of
@@ -127,7 +129,7 @@ def simulate(
             f"scenario {scenario.name}: {n} cycles of {len(chosen)} seeds is nothing to simulate; remedy: "
             "a duration of at least two SYNC periods, and one seed"
         )
-    dynamics = PlanarDynamics.from_parameters(arm, model.base_values(arm))
+    dynamics = PlanarDynamics.from_model(arm, model)
     noisy = scenario.noise if noise is None else noise
     errors = draw_noise(arm, n, chosen, scenario.encoder_noise) if noisy else no_noise(arm, n, chosen)
     run = _Run(arm, dynamics, scenario, seeds=chosen, n=n, noise=errors, rtol=rtol, atol=atol)
@@ -165,7 +167,9 @@ class _Run:
         self.state = np.zeros((len(seeds), 2 + 5 * joints))
         q, _, theta, _, _ = self.slices
         self.state[:, q] = self.state[:, theta] = np.array(angles)
-        self.state[:, 1] = dynamics.base_rate(self.state[:, q], scenario.angular_momentum_nms)
+        assumed = dynamics.angular_momentum
+        momentum = scenario.angular_momentum_nms if assumed is None else assumed
+        self.state[:, 1] = dynamics.base_rate(self.state[:, q], momentum)
 
     def trajectory(self, progress: Callable[[float], None] | None) -> Trajectory:
         arm, joints = self.arm, self.arm.n
@@ -175,6 +179,7 @@ class _Run:
         states = np.empty((*shape, 2 + 5 * joints))
         taus = np.empty((*shape, joints))
         latches = _Latches(arm, self.slices)
+        pauses = _pauses(latches, self.dynamics.torque_lag)
         latched = np.empty((*shape, 2 * joints + 1)) if latches.late else None
         slip = self.slices[4]
         total = np.zeros((len(self.seeds), joints))
@@ -188,17 +193,18 @@ class _Run:
             rate = np.zeros_like(angle) if before is None else (angle - before) / arm.period_s
             before = angle
             servo = self.scenario.controller
-            self.tau = (
+            command = (
                 servo.gain
                 * (servo.kp * (desired[k] - angle) + servo.kd * (desired_rate[k] - rate))
                 / self.dynamics.gear_ratio
             )
-            taus[:, k] = self.tau
+            taus[:, k] = command
             self.state[:, slip] = 0.0
             reached = 0.0
-            for offset, columns in latches.groups:
+            for offset, columns, motors in pauses:
                 self._integrate(offset - reached, t[k])
                 reached = offset
+                self.tau[:, motors] = command[:, motors]
                 if latched is not None:
                     latched[:, k, columns[0]] = self.state[:, columns[1]]
             self._integrate(arm.period_s - reached, t[k])
@@ -292,6 +298,17 @@ class _Run:
         self.state = solver.y.reshape(self.state.shape)
 
 
+def _pauses(latches: _Latches, lag: Array | None) -> list[tuple[float, tuple[list[int], list[int]], list[int]]]:
+    """Instants after SYNC at which something happens: (s, columns that latch as in `_Latches`, motors whose torque
+    takes effect)."""
+    happens: dict[float, tuple[tuple[list[int], list[int]], list[int]]] = {
+        offset: (columns, []) for offset, columns in latches.groups
+    }
+    for motor, late in enumerate([0.0] * latches.joints if lag is None else lag.tolist()):
+        happens.setdefault(late, (([], []), []))[1].append(motor)
+    return [(offset, *happens[offset]) for offset in sorted(happens)]
+
+
 class _Latches:
     """Instants at which readings are latched, in order: (s after SYNC, (columns of the record, of the state))."""
 
@@ -308,5 +325,6 @@ class _Latches:
         into, out = at.setdefault(arm.imu.latch_us, ([], []))
         into.append(2 * arm.n)
         out.append(1)
+        self.joints = arm.n
         self.late = any(offset > 0 for offset in at)
         self.groups = [(offset * 1e-6, columns) for offset, columns in sorted(at.items())]

@@ -59,9 +59,12 @@ class Table:
         high: float = math.inf,
         above: float = -math.inf,
         unit: str = "",
+        infinite: bool = False,
     ) -> float:
-        """A finite number with low <= value <= high and value > above, as float."""
+        """A finite number with low <= value <= high and value > above, as float; with `infinite` also inf."""
         value = self._take(key, default, "a number" + (f" in {unit}" if unit else ""))
+        if infinite and value == math.inf:
+            return math.inf
         return self._checked(key, value, unit, low=low, high=high, above=above)
 
     def integer(self, key: str, default: int | None = None, *, low: int, high: int) -> int:

@@ -1,0 +1,128 @@
+"""The catalogue of effects that a model may carry beyond rigid bodies, rotors and linear springs.
+
+One entry is all there is of an effect: its name in the model file, the torque that the simulator applies, and the
+columns it has in the balances follow from it. A torque law f acts with coefficient c
+
+    at the motor:   rotor torque -c f(thetad)       energy column  n int f thetad dt     impulse column  int f dt
+    at the link:    link torque  -c f(qd)                          int f qd dt                           none
+    in the spring:  link torque  +c f(theta - q)                   int f d(theta - q)                    1/n int f dt
+
+with all angles after the gear. What is no torque law has its columns in `zygos.gap.balances`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zygos.arm import Arm
+from zygos.errors import ZygosError
+
+Array = NDArray[np.float64]
+Place = Literal["motor", "link", "spring", "torque", "rotor", "base"]
+
+SLOWEST_RATE = 1e-3
+"""Below this rate, rad/s after the gear, Coulomb friction fades to zero: a sign cannot be integrated, nor be read from
+a noisy rate."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One entry of the catalogue."""
+
+    key: str
+    """Its name in files; with the joint's number, that of its column."""
+    title: str
+    """As a sentence names it."""
+    unit: str
+    place: Place
+    torque: Callable[[Array], Array] | None = None
+    """f: of the rate (motor, link; rad/s) or the deflection (spring; rad), torque a unit coefficient."""
+    potential: Callable[[Array], Array] | None = None
+    """Energy stored a unit coefficient, of the deflection, where f is conservative."""
+    positive: bool = True
+    """Whether a negative coefficient would create energy, and so means that the model is wrong."""
+    twins: tuple[str, ...] = ()
+    """Entries that some motions cannot tell from this one."""
+
+    @property
+    def at_joint(self) -> bool:
+        """Whether the effect belongs to a joint."""
+        return self.place != "base"
+
+
+def smooth_sign(rate: Array) -> Array:
+    """Sign of a rate (rad/s), linear within `SLOWEST_RATE`."""
+    return np.clip(rate / SLOWEST_RATE, -1.0, 1.0)
+
+
+def _same(rate: Array) -> Array:
+    return rate
+
+
+def _cube(deflection: Array) -> Array:
+    return deflection**3
+
+
+def _quarter_fourth(deflection: Array) -> Array:
+    return 0.25 * deflection**4
+
+
+CATALOGUE = {
+    kind.key: kind
+    for kind in (
+        Kind("motor_coulomb", "Coulomb friction at the motor", "Nm", "motor", smooth_sign, twins=("motor_viscous",)),
+        Kind("motor_viscous", "viscous friction at the motor", "Nms/rad", "motor", _same, twins=("motor_coulomb",)),
+        Kind("link_coulomb", "Coulomb friction at the link", "Nm", "link", smooth_sign, twins=("motor_coulomb",)),
+        Kind("cubic_stiffness", "cubic joint stiffness", "Nm/rad^3", "spring", _cube, _quarter_fourth, positive=False),
+        Kind("torque_lag", "torque lag", "s", "torque"),
+        Kind("rotor_coupling", "rotor gyroscopic coupling", "1", "rotor", positive=False),
+        Kind("angular_momentum", "angular momentum", "Nms", "base", positive=False),
+    )
+}
+"""Entries by key. Units are those of the coefficient: torques at a motor in Nm before the gear, rates after it.
+
+torque_lag: the motor follows the reported torque later by that time, less than a SYNC period.
+rotor_coupling: the share of the rotor's inertia that the carrying body's rotation acts on, 1 in nature and 0 in
+simulators whose `armature` adds to the joint's inertia alone. A model that does not mention it has 1.
+angular_momentum: that of the whole arm about its mass centre. A model that does not mention it assumes none in
+particular.
+"""
+
+
+@dataclass(frozen=True)
+class Effect:
+    """An effect in a model."""
+
+    kind: Kind
+    joint: str | None
+    """Name of its joint; None for an effect of the base."""
+    value: float
+    sigma: float = 0.0
+    source: str = "CAD"
+    evidence: str = ""
+    """Why it is in the model, in words."""
+
+    def index(self, arm: Arm) -> int:
+        """Number of its joint from 0; -1 for the base. Errors: ZygosError if the arm has no such joint."""
+        names = [joint.name for joint in arm.joints]
+        if self.joint is None:
+            return -1
+        if self.joint not in names:
+            raise ZygosError(
+                f"effect {self.kind.key}: arm {arm.name} has no joint {self.joint!r}; remedy: one of {', '.join(names)}"
+            )
+        return names.index(self.joint)
+
+    def column(self, arm: Arm) -> str:
+        """Name of its column: the entry's, and the number of its joint from 1."""
+        return column_name(self.kind, self.index(arm))
+
+
+def column_name(kind: Kind, joint: int) -> str:
+    """Name of a column: the entry's, and the number from 1 of its joint (from 0; below 0: the base)."""
+    return kind.key if joint < 0 else f"{kind.key}{joint + 1}"
