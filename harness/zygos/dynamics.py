@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from zygos.arm import Arm
-from zygos.effects import Effect, Kind
+from zygos.effects import SLOWEST_RATE, Effect, Kind
 from zygos.errors import ZygosError
 from zygos.model import Model
 
@@ -155,7 +155,17 @@ class PlanarDynamics:
         return np.isinf(self.stiffness)
 
     @cached_property
-    def _mass(self) -> Array:
+    def friction_slope(self) -> Array:
+        """(N,) largest damping of each joint that friction amounts to around standstill, Nms/rad after the gear."""
+        slope = np.zeros(self.n)
+        for kind, i, value in self.laws:
+            if kind.place in {"motor", "link"} and kind.torque is not None:
+                step = kind.torque(np.array([SLOWEST_RATE]))[0] / SLOWEST_RATE
+                slope[i] += value * step * (self.gear_ratio[i] if kind.place == "motor" else 1.0)
+        return slope
+
+    @cached_property
+    def rotor_mass(self) -> Array:
         """(N+1, N+1) what the rotors add to the inertia matrix once their own accelerations are eliminated."""
         mass = -np.diag(np.append(np.where(self.rigid, 0.0, self.coupling**2 * self.rotor_inertia), 0.0))
         for i in np.flatnonzero(self.rigid):
@@ -207,7 +217,7 @@ class PlanarDynamics:
         right[..., 1:] += force
         # rotor i pushes off the body that carries it, with what its motor and the reaction of its gear leave over
         right[..., :-1] -= force + np.where(self.rigid, 0.0, self.coupling * (drive - spring / ratio))
-        absolute = np.asarray(np.linalg.solve(inertia + self._mass, right[..., None])[..., 0], dtype=np.float64)
+        absolute = np.asarray(np.linalg.solve(inertia + self.rotor_mass, right[..., None])[..., 0], dtype=np.float64)
         joint = absolute[..., 1:] - absolute[..., :-1]
         motor = (ratio * drive - spring) / (ratio * ratio * self.rotor_inertia)
         motor -= self.coupling * absolute[..., :-1] / ratio

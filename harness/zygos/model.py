@@ -123,7 +123,8 @@ class Model:
             sigma = np.array([quantity.sigma for quantity in self._named_parameters(arm).values()])
             return np.diag(sigma**2)
         self._check_fits(arm)
-        scalars = self._scalars()
+        # an infinite stiffness is exact; its place only has to hold a number
+        scalars = np.nan_to_num(self._scalars(), posinf=1.0)
         sigmas = np.array([quantity.sigma for quantity in self._quantities()])
         columns = np.zeros((len(arm.parameter_names), len(scalars)))
         for index in np.flatnonzero(sigmas):

@@ -1,0 +1,232 @@
+"""Three kinds of balance, and what every parameter and every effect of the catalogue adds to each.
+
+Energy E of the whole arm: work of the motors = change of kinetic and spring energy + losses. Motor impulse M_i, local
+to joint i: int tau = Im (n thetad + f_(i-1)) + 1/n int spring + int friction. Momentum H of the whole arm about its
+mass centre, of which a planar arm has one component, so that the base's attitude drops out. A balance is
+
+    columns . coefficients = right side + constant of the arc
+
+No accelerations anywhere (docs/gap.md; Nanos & Papadopoulos eqs. (11), (37)). H has no constant where a model assumes
+an angular momentum: then its value is a column of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zygos.arm import Arm
+from zygos.effects import CATALOGUE, Kind, column_name
+from zygos.gap.record import Readings, smooth
+from zygos.reference.kinematics import State, gram
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Names of all balances and columns of an arm."""
+
+    arm: Arm
+
+    @cached_property
+    def balances(self) -> tuple[str, ...]:
+        """E, M1 .. MN, H."""
+        return ("E", *(f"M{i + 1}" for i in range(self.arm.n)), "H")
+
+    @cached_property
+    def effects(self) -> tuple[tuple[Kind, int], ...]:
+        """Entries of the catalogue and joints (from 0; -1 for the base) in the order of their columns."""
+        joints = range(self.arm.n)
+        return tuple((kind, i) for kind in CATALOGUE.values() for i in (joints if kind.at_joint else (-1,)))
+
+    @cached_property
+    def columns(self) -> tuple[str, ...]:
+        """Base parameters, effects, errors of the encoders' zeros.
+
+        Im_i stands for the rotor's own share alone, rotor_coupling_i for what its spin shares with the carrying body;
+        in nature both coefficients are Im_i.
+        """
+        effects = [column_name(kind, i) for kind, i in self.effects]
+        return (*self.arm.parameter_names, *effects, *self.zeros)
+
+    @cached_property
+    def zeros(self) -> tuple[str, ...]:
+        """Columns of the encoders' zeros, rad: known to a quantum at best, which is enough to look like an effect."""
+        return tuple(f"{side}_zero{i + 1}" for i in range(self.arm.n) for side in ("link", "motor"))
+
+    @cached_property
+    def zero_sigma(self) -> Array:
+        """(2N,) how well the arm file knows them, rad, in the order of `zeros`."""
+        pairs = [(joint.link_encoder, joint.motor_encoder) for joint in self.arm.joints]
+        return np.array([max(e.zero_sigma_rad, e.quantum_rad) for pair in pairs for e in pair])
+
+
+@dataclass(frozen=True)
+class Rows:
+    """All balances at every instant."""
+
+    left: Array
+    """(..., balances, A, instants, columns)"""
+    right: Array
+    """(..., balances, A, instants)"""
+
+
+def rows(arm: Arm, readings: Readings, values: Array) -> Rows:
+    """Balances of arcs of readings, in the units of energy (J), impulse before the gear (Nms) and momentum (Nms).
+
+    values: base parameters (p,), about right: what an encoder's zero does to the balances depends on them.
+    """
+    state = smooth(arm, readings)
+    half = arm.smoother.points // 2
+    cycles = readings.tau.shape[-2]
+    tau = readings.tau[..., half : cycles - half, :]
+    previous = readings.tau[..., half - 1 : cycles - half - 1, :]
+    layout = Layout(arm)
+    shape = (*state.f0.shape[:-2], len(layout.balances), *state.f0.shape[-2:])
+    out = Rows(np.zeros((*shape, len(layout.columns))), np.zeros(shape))
+    put = _Put(layout, out)
+    _inertial(arm, state, put)
+    _drives(arm, state, tau, previous, put)
+    _laws(arm, state, layout, put)
+    _zeros(arm, state, values, put)
+    return out
+
+
+@dataclass(frozen=True)
+class _Put:
+    layout: Layout
+    rows: Rows
+
+    def __call__(self, balance: str, column: str, values: Array | float) -> None:
+        self.rows.left[..., self.layout.balances.index(balance), :, :, self.layout.columns.index(column)] = values
+
+    def right(self, balance: str, values: Array) -> None:
+        self.rows.right[..., self.layout.balances.index(balance), :, :] = values
+
+
+def _inertial(arm: Arm, state: State, put: _Put) -> None:
+    """a_ij in energy and momentum."""
+    f = state.f
+    products = gram(f, state.phi)
+    cosine = np.cos(state.phi[..., None, :] - state.phi[..., :, None])
+    for i in range(arm.n + 1):
+        for j in range(i, arm.n + 1):
+            put("E", f"a{i}{j}", products[..., i, j] * (0.5 if i == j else 1.0))
+            put("H", f"a{i}{j}", f[..., i] if i == j else cosine[..., i, j] * (f[..., i] + f[..., j]))
+    put("H", "angular_momentum", -1.0)
+
+
+def _drives(arm: Arm, state: State, tau: Array, previous: Array, put: _Put) -> None:
+    """Rotors, springs and dampers, and the motors' work and impulse on the right side."""
+    n, h, f = arm.gear_ratios, arm.period_s, state.f
+    deflection, slip = state.theta - state.q, state.thetad - state.qd
+    rotor, jump = n * state.thetad, tau - previous
+    delayed = n * jump * state.thetad
+    # what a smooth curve makes of rates under a held torque (docs/theory.md) goes to the right side
+    held = 0.0 if arm.torque_law == "sampled" else h / 12.0
+    work = _steps(n * previous[..., 1:, :] * np.diff(state.theta, axis=-2)) + held * delayed
+    impulse = _steps(h * previous[..., 1:, :]) + held * jump
+    put.right("E", work.sum(axis=-1))
+    # a torque that begins later by T takes n (tau_k - tau_(k-1)) thetad_k T out of the work, the newest step by half
+    lag = np.cumsum(delayed, axis=-2) - 0.5 * delayed
+    for i in range(arm.n):
+        name = str(i + 1)
+        put.right("M" + name, impulse[..., i])
+        put("E", "Im" + name, 0.5 * rotor[..., i] ** 2)
+        put("E", "rotor_coupling" + name, rotor[..., i] * f[..., i])
+        put("E", "k" + name, 0.5 * deflection[..., i] ** 2)
+        put("E", "b" + name, integral(slip[..., i] ** 2, h))
+        put("E", "torque_lag" + name, lag[..., i])
+        put("M" + name, "Im" + name, rotor[..., i])
+        put("M" + name, "rotor_coupling" + name, f[..., i])
+        put("M" + name, "k" + name, integral(deflection[..., i], h) / n[i])
+        put("M" + name, "b" + name, deflection[..., i] / n[i])
+        put("M" + name, "torque_lag" + name, 0.5 * (tau + previous)[..., i])
+        put("H", "rotor_coupling" + name, rotor[..., i])
+
+
+def _laws(arm: Arm, state: State, layout: Layout, put: _Put) -> None:
+    """Torque laws of the catalogue, as `zygos.effects` says."""
+    h = arm.period_s
+    for kind, i in layout.effects:
+        if kind.torque is None:
+            continue
+        name, ratio = column_name(kind, i), arm.gear_ratios[i]
+        deflection = state.theta[..., i] - state.q[..., i]
+        if kind.place == "spring":
+            torque, rate = kind.torque(deflection), state.thetad[..., i] - state.qd[..., i]
+            stored = integral(torque * rate, h) if kind.potential is None else kind.potential(deflection)
+            put("E", name, stored)
+            put(f"M{i + 1}", name, integral(torque, h) / ratio)
+        elif kind.place == "motor":
+            torque = kind.torque(state.thetad[..., i])
+            put("E", name, ratio * integral(torque * state.thetad[..., i], h))
+            put(f"M{i + 1}", name, integral(torque, h))
+        else:
+            put("E", name, integral(kind.torque(state.qd[..., i]) * state.qd[..., i], h))
+
+
+def _zeros(arm: Arm, state: State, values: Array, put: _Put) -> None:
+    """What zeros of the encoders that are off by 1 rad would take away, to first order."""
+    value = dict(zip(arm.parameter_names, np.where(np.isfinite(values), values, 0.0).tolist(), strict=True))
+    f, phi = state.f, state.phi
+    time = arm.period_s * np.arange(f.shape[-2])
+    for i in range(arm.n):
+        energy, momentum = np.zeros_like(state.f0), np.zeros_like(state.f0)
+        for j in range(i + 1):
+            for k in range(i + 1, arm.n + 1):
+                turned = -value[f"a{j}{k}"] * np.sin(phi[..., k] - phi[..., j])
+                energy += turned * f[..., j] * f[..., k]
+                momentum += turned * (f[..., j] + f[..., k])
+        spring = value[f"k{i + 1}"] * (state.theta - state.q)[..., i]
+        impulse = value[f"k{i + 1}"] / arm.gear_ratios[i] * time
+        put("E", f"link_zero{i + 1}", spring - energy)
+        put("H", f"link_zero{i + 1}", -momentum)
+        put(f"M{i + 1}", f"link_zero{i + 1}", impulse)
+        put("E", f"motor_zero{i + 1}", -spring)
+        put(f"M{i + 1}", f"motor_zero{i + 1}", -impulse)
+
+
+def _steps(x: Array) -> Array:
+    """Running sum over instants (second to last axis) that starts at zero."""
+    pad = [(0, 0)] * (x.ndim - 2) + [(1, 0), (0, 0)]
+    return np.cumsum(np.pad(x, pad), axis=-2)
+
+
+def integral(g: Array, h: float) -> Array:
+    """Integral from each arc's first instant, (..., instants). One-sided, for rates bend at every torque step: the
+    cubic through the four newest values, trapezoids where there are fewer."""
+    step = 0.5 * h * (g[..., 1:] + g[..., :-1])
+    step[..., 2:] = (h / 24.0) * (9.0 * g[..., 3:] + 19.0 * g[..., 2:-1] - 5.0 * g[..., 1:-2] + g[..., :-3])
+    out = np.zeros_like(g)
+    np.cumsum(step, axis=-1, out=out[..., 1:])
+    return out
+
+
+@dataclass(frozen=True)
+class Sums:
+    """Products of all columns and the right side, summed over the accepted instants of a run."""
+
+    gram: Array
+    """(..., balances, columns + 1, columns + 1), the right side last; arc constants eliminated."""
+    count: Array
+    """(balances,) instants."""
+
+
+def accumulate(rows: Rows, accepted: NDArray[np.bool_], uncentred: Sequence[int] = ()) -> Sums:
+    """Sum a run. accepted: (A, instants). The balances listed in `uncentred` keep no constant for each arc."""
+    z = np.concatenate([rows.left, rows.right[..., None]], axis=-1)
+    weight = accepted.astype(np.float64)[..., None]
+    count = weight.sum(axis=-2, keepdims=True)
+    mean = (z * weight).sum(axis=-2, keepdims=True) / np.maximum(count, 1.0)
+    for balance in uncentred:
+        mean[..., balance, :, :, :] = 0.0
+    z = (z - mean) * weight
+    flat = z.reshape((*z.shape[:-3], -1, z.shape[-1]))
+    total = np.asarray(np.swapaxes(flat, -1, -2) @ flat, dtype=np.float64)
+    return Sums(total, np.full(z.shape[-4], accepted.sum(), dtype=np.float64))

@@ -1,0 +1,66 @@
+"""Which motion would tell two effects apart that these runs cannot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zygos.errors import Undecided, ZygosError
+from zygos.gap.balances import accumulate, rows
+from zygos.gap.fit import fit
+from zygos.gap.record import followed
+from zygos.gap.study import Study, base_values
+from zygos.gap.twin import measure, retrace
+
+Array = NDArray[np.float64]
+
+_DRAWS = 6
+_VARIANTS = ((0.5, 1.0), (2.0, 1.0), (1.0, 0.5), (1.0, 1.5), (0.5, 1.5), (2.0, 0.5))
+"""Speed and amplitude of the first run's motion."""
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A motion, and how well it would tell."""
+
+    speed: float
+    """Of the first run's motion."""
+    amplitude: float
+    """Of the first run's motion, about its mean posture."""
+    z: float
+    """Standard deviations by which the named effect would stand out beside the other; these runs: `now`."""
+    now: float
+
+    @property
+    def said(self) -> str:
+        """In words."""
+        speed = {0.5: "at half the speed", 1.0: "at the same speed", 2.0: "at twice the speed"}[self.speed]
+        return f"the motion of the first run {speed}, with {100 * self.amplitude:.0f} % of its amplitude"
+
+
+def propose(study: Study, name: str, other: str) -> tuple[Experiment, ...]:
+    """Variants of the first run's motion, best first, by how well they tell two effects of a study apart."""
+    both = replace(study.hypothesis, effects=(*study.hypothesis.effects, other))
+    record = study.records[0]
+    arm, dynamics = record.arm, study.dynamics()
+    values = base_values(dynamics, study.layout)
+    uncentred = () if study.hypothesis.momentum is None else (study.layout.balances.index("H"),)
+    size = abs(float(study.value[study.hypothesis.names.index(name)]))
+
+    def stands_out(speed: float, amplitude: float) -> float:
+        twin = retrace(dynamics, record, speed, amplitude)
+        seen = [measure(twin, k) for k in range(_DRAWS)]
+        sums = [accumulate(rows(arm, one, values), followed(arm, one), uncentred) for one in seen]
+        found = np.array([float(fit(both, [one], study.weight).of(name)) for one in sums])
+        return size / float(found.std(ddof=1))
+
+    now = stands_out(1.0, 1.0)
+    out: list[Experiment] = []
+    for speed, amplitude in _VARIANTS:
+        try:
+            out.append(Experiment(speed, amplitude, stands_out(speed, amplitude), now))
+        except (Undecided, ZygosError):
+            continue
+    return tuple(sorted(out, key=lambda one: -one.z))

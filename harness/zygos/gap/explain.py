@@ -1,0 +1,509 @@
+"""From two runs and a simulation to a verdict: what is missing, where, how much, and what the gap is with it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+from threadpoolctl import threadpool_limits
+
+from zygos.arm import Arm
+from zygos.dynamics import PlanarDynamics
+from zygos.effects import CATALOGUE, Effect, Kind
+from zygos.errors import ZygosError
+from zygos.gap.balances import Layout
+from zygos.gap.experiment import Experiment, propose
+from zygos.gap.fit import Hypothesis
+from zygos.gap.forecast import Forecast, Segments, cut, cut_twin, forecast
+from zygos.gap.record import Record
+from zygos.gap.search import COMPLETE, PARTLY, Candidate, Search, completeness, excess, search
+from zygos.gap.study import Study, again, begin, read_hypothesis, split
+from zygos.gap.twin import follow
+from zygos.model import Model, Quantity
+
+Array = NDArray[np.float64]
+Answer = Literal["nothing missing", "values differ", "named", "cannot tell", "unknown"]
+
+INTERVAL = float(norm.ppf(0.975))
+"""Standard deviations of a 95 % interval."""
+DIFFERS = 3.0
+"""Standard deviations by which a value differs from the simulation's."""
+MATERIAL = 0.005
+"""Share below which a difference of values does not matter."""
+CLOSES = 1.5
+"""rho up to which the same equations are taken to fit."""
+_DEFLECTED = 3.0
+"""Deviations of the encoders beyond which a joint that is said to be rigid is not."""
+_SKEWED = 0.95
+"""Share of a deflection that goes with the joint's rate: then it is a matter of the encoders' timing."""
+
+
+@dataclass(frozen=True)
+class Value:
+    """A base parameter: what the simulation had, and what the runs say."""
+
+    name: str
+    unit: str
+    delivered: float
+    delivered_sigma: float
+    found: float
+    sigma: float
+
+    @property
+    def change(self) -> float:
+        """Relative difference."""
+        return self.found / self.delivered - 1.0 if self.delivered and np.isfinite(self.delivered) else np.nan
+
+    @property
+    def differs(self) -> bool:
+        """Whether the two are further apart than their deviations and their sizes allow."""
+        apart = abs(self.found - self.delivered)
+        return bool(
+            np.isfinite(apart)
+            and apart > DIFFERS * np.hypot(self.sigma, self.delivered_sigma)
+            and apart > MATERIAL * abs(self.delivered)
+        )
+
+
+@dataclass(frozen=True)
+class Finding:
+    """An effect that the simulation lacks."""
+
+    kind: str
+    """Name in the catalogue, or joint_flexibility."""
+    title: str
+    joint: str | None
+    value: float
+    sigma: float
+    unit: str
+    evidence: str
+    instead: tuple[str, ...] = ()
+    """Columns that the runs cannot tell from it."""
+
+    @property
+    def place(self) -> str:
+        """Where, in words."""
+        return "the base" if self.joint is None else self.joint
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 %."""
+        return self.value - INTERVAL * self.sigma, self.value + INTERVAL * self.sigma
+
+
+@dataclass(frozen=True)
+class Deflection:
+    """A joint that the simulation takes as rigid."""
+
+    joint: str
+    rms_rad: float
+    noise_rad: float
+    skew_s: float
+    skew_share: float
+    """Share of the deflection's variance that a delay between the encoders would explain."""
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Predictions of the untouched run; all in units of the sensors' declared noise."""
+
+    segments: Segments
+    delivered: Forecast
+    refit: Forecast
+    closed: Forecast
+    floor: Forecast
+    wrong: Forecast | None
+    """With the best other candidate in place of the named effect."""
+    wrong_name: str
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Everything that is known in the end."""
+
+    arm: Arm
+    simulation: Model
+    answer: Answer
+    sentence: str
+    where: str
+    refit: Study
+    """The simulation's own equations, its values fitted."""
+    search: Search | None
+    """Where the simulation lacks the joints' flexibility, what is searched is what it lacks beside."""
+    findings: tuple[Finding, ...]
+    partly: str
+    """With an unknown effect, what part of it looks like."""
+    values: tuple[Value, ...]
+    deflections: tuple[Deflection, ...]
+    experiments: tuple[Experiment, ...]
+    gap: Gap | None
+    local: Array
+    """(runs, balances) rho of each balance by itself, before."""
+    model: Model | None
+    """The model with what was learned; None where nothing is to be adopted."""
+    remarks: tuple[str, ...]
+
+    @property
+    def closed(self) -> Study:
+        """The runs with everything that was named."""
+        return self.search.after if self.search is not None else self.refit
+
+
+def explain(
+    arm: Arm,
+    simulation: Model,
+    measured: Sequence[Record],
+    validate: Record | None,
+    step: Callable[[float, str], None] = lambda share, what: None,
+) -> Explanation:
+    """Say what a simulation lacks. step is told the share done and what is being done.
+
+    Errors: ZygosError where the model does not fit the arm; Undecided where the runs do not tell its parameters apart.
+    """
+    # the matrices are narrow: threads only get in each other's way
+    with threadpool_limits(limits=1):
+        return _Explainer(arm, simulation, tuple(measured), validate, step).explain()
+
+
+class _Explainer:
+    def __init__(
+        self,
+        arm: Arm,
+        simulation: Model,
+        measured: tuple[Record, ...],
+        validate: Record | None,
+        step: Callable[[float, str], None],
+    ) -> None:
+        self.arm, self.simulation, self.measured, self.validate, self.step = arm, simulation, measured, validate, step
+        self.remarks: list[str] = []
+
+    def explain(self) -> Explanation:
+        arm = self.arm
+        layout = Layout(arm)
+        self.step(0.05, "the simulation's own equations")
+        delivered = PlanarDynamics.from_model(arm, self.simulation)
+        hypothesis = read_hypothesis(layout, self.simulation)
+        refit = begin(self.measured, hypothesis, delivered)
+        deflections = tuple(deflection(arm, self.measured, i) for i, rigid in enumerate(hypothesis.rigid) if rigid)
+        flexible = [d for d in deflections if d.rms_rad > _DEFLECTED * d.noise_rad]
+        skewed = [d for d in flexible if d.skew_share > _SKEWED]
+        findings: list[Finding] = []
+        found: Search | None = None
+        basis = refit
+        if flexible and not skewed:
+            self.step(0.25, "the joints' flexibility")
+            basis = self._flexible(refit, [d.joint for d in flexible])
+            findings += [self._flexibility(basis, d) for d in flexible]
+        if not skewed:
+            self.step(0.4, "candidates")
+            found = search(basis, lambda what: self.step(0.5, what))
+            findings += [self._finding(found, k) for k in range(len(found.named))]
+        self.step(0.65, "predictions of the untouched run")
+        after = basis if found is None else found.after
+        gap = self._gap(delivered, refit, after, found)
+        self.step(0.9, "verdict")
+        values = self._values(after)
+        answer, sentence, partly = self._judge(refit, found, findings, values, skewed, gap)
+        local = refit.local()
+        experiments: tuple[Experiment, ...] = ()
+        if answer == "cannot tell" and found is not None:
+            pair = next(names for names in found.sets if len(names) > 1)
+            experiments = propose(found.after, pair[0], pair[1])
+        kept = tuple(findings) if answer in {"named", "cannot tell"} else ()
+        adopted = answer in {"named", "values differ", "nothing missing"}
+        if adopted:
+            self._remark_law(after, kept)
+        return Explanation(
+            arm,
+            self.simulation,
+            answer,
+            sentence,
+            whereabouts(arm, layout, local, flexible),
+            refit,
+            found,
+            kept,
+            partly,
+            values,
+            deflections,
+            experiments,
+            gap,
+            local,
+            self._adopt(after, values, kept) if adopted else None,
+            tuple(self.remarks),
+        )
+
+    def _flexible(self, refit: Study, joints: list[str]) -> Study:
+        """The study with springs in these joints; the twin needs a first guess, which the motors' torques give."""
+        names = [joint.name for joint in self.arm.joints]
+        freed = [names.index(joint) for joint in joints]
+        rigid = tuple(was and i not in freed for i, was in enumerate(refit.hypothesis.rigid))
+        dynamics = refit.dynamics()
+        stiffness, damping = dynamics.stiffness.copy(), dynamics.damping.copy()
+        for i in freed:
+            torque = np.concatenate([r.readings().tau[..., i].ravel() for r in self.measured]) * dynamics.gear_ratio[i]
+            angle = np.concatenate([(r.readings().theta - r.readings().q)[..., i].ravel() for r in self.measured])
+            angle -= angle.mean()
+            stiffness[i] = max(float(angle @ torque / (angle @ angle)), 1e-3 * float(np.std(torque) / np.std(angle)))
+            damping[i] = 0.02 * stiffness[i]
+        guess = replace(dynamics, stiffness=stiffness, damping=damping)
+        return begin(self.measured, replace(refit.hypothesis, rigid=rigid), guess)
+
+    def _flexibility(self, study: Study, bent: Deflection) -> Finding:
+        i = [joint.name for joint in self.arm.joints].index(bent.joint)
+        k, sigma = self._size(study, f"k{i + 1}")
+        return Finding(
+            "joint_flexibility",
+            "joint flexibility",
+            bent.joint,
+            k,
+            sigma,
+            "Nm/rad",
+            f"link and motor part by {bent.rms_rad:.3g} rad rms, {bent.rms_rad / bent.noise_rad:.3g} times their noise",
+        )
+
+    def _finding(self, found: Search, index: int) -> Finding:
+        named, study = found.named[index], found.after
+        value, sigma = self._size(study, named.name)
+        if named.kind.key == "rotor_coupling":
+            inertia = float(study.value[study.hypothesis.names.index(f"Im{named.joint + 1}")])
+            value, sigma = value / inertia, sigma / inertia
+        evidence = (
+            f"{min(abs(z) for z in named.z):.0f} standard deviations of the null twin on either run, "
+            f"{100 * min(found.completeness):.1f} % of the excess explained by all that is named"
+        )
+        joint = None if named.joint < 0 else self.arm.joints[named.joint].name
+        return Finding(
+            named.kind.key,
+            named.kind.title,
+            joint,
+            value,
+            sigma,
+            named.kind.unit,
+            evidence,
+            tuple(found.sets[index][1:]),
+        )
+
+    def _size(self, study: Study, name: str) -> tuple[float, float]:
+        """A coefficient and its standard deviation: noise, or what the runs disagree by, whichever is more."""
+        index = study.hypothesis.names.index(name)
+        return float(study.value[index]), float(self._sigmas(study)[index])
+
+    def _sigmas(self, study: Study) -> Array:
+        each = np.array([study.of(study.hypothesis, [k]).value for k in range(len(study.records))])
+        apart = each.std(axis=0, ddof=1) / np.sqrt(len(each))
+        return np.asarray(np.maximum(study.spread, apart), dtype=np.float64)
+
+    def _values(self, study: Study) -> tuple[Value, ...]:
+        sigma = dict(zip(study.hypothesis.names, self._sigmas(study).tolist(), strict=True))
+        base, _ = split(study.hypothesis, study.value)
+        delivered = self.simulation.base_parameters(self.arm)
+        return tuple(
+            Value(name, q.unit, q.value, q.sigma, float(x), sigma.get(name, 0.0))
+            for (name, q), x in zip(delivered.items(), base, strict=True)
+        )
+
+    def _gap(self, delivered: PlanarDynamics, refit: Study, after: Study, found: Search | None) -> Gap | None:
+        if self.validate is None:
+            self.remarks.append("no run was kept apart (--validate): the gap is not known")
+            return None
+        segments = cut(self.validate)
+        closed = after.dynamics()
+        before = closed if after is refit else refit.dynamics()
+        if not after.physical:
+            self.remarks.append(
+                "no arm has the values that fit these runs; predictions are made with the nearest that has"
+            )
+        self.step(0.7, "predictions of the untouched run")
+        last = forecast(closed, segments)
+        wrong, wrong_name = None, ""
+        other = None if found is None or not found.named else _other(found)
+        if found is not None and other is not None:
+            rest = after.hypothesis.effects[: -len(found.named)]
+            instead = replace(after.hypothesis, effects=(*rest, other.name))
+            try:
+                study = again(found.before, instead, 2)
+                wrong, wrong_name = forecast(study.dynamics(), segments), other.name
+            except ZygosError:
+                self.remarks.append(f"{other.name}, the best other candidate, has no size that an arm could have")
+        self.step(0.85, "the floor")
+        floor = forecast(closed, cut_twin(follow(closed, [self.validate])[0]))
+        return Gap(
+            segments,
+            forecast(delivered, segments),
+            last if before is closed else forecast(before, segments),
+            last,
+            floor,
+            wrong,
+            wrong_name,
+        )
+
+    def _judge(
+        self,
+        refit: Study,
+        found: Search | None,
+        findings: list[Finding],
+        values: tuple[Value, ...],
+        skewed: list[Deflection],
+        gap: Gap | None,
+    ) -> tuple[Answer, str, str]:
+        if skewed or found is None:
+            worst = max(skewed, key=lambda d: d.rms_rad)
+            sentence = (
+                f"Timing first: what parts link and motor at the {worst.joint} goes with its rate, as if one encoder "
+                f"latched {abs(worst.skew_s) * 1e3:.3g} ms after the other; no effect is named until latch_us is right."
+            )
+            return "unknown", sentence, ""
+        share = min(found.completeness)
+        rest = float(np.nanmax(found.after.excess))
+        if not found.named and np.nanmax(found.before.excess) <= CLOSES:
+            if excess(found.before.excess):
+                self.remarks.append(
+                    f"a balance leaves {rest:.2f} times as much as its twin: too little to look for a cause"
+                )
+            if not findings:
+                return self._same_equations(values)
+        elif not found.named or share < COMPLETE:
+            partly = _listed(findings) if found.named and share >= PARTLY else ""
+            sentence = (
+                f"Something is missing that the catalogue does not hold: {rest:.3g} times the residual of the null "
+            )
+            sentence += f"twin is left over{_share(found)}."
+            return "unknown", sentence, partly
+        if gap is not None and gap.closed.gap > gap.refit.gap:
+            sentence = (
+                f"{_listed(findings)} would explain the balances, but predicts the untouched run worse than the refit "
+                f"does ({gap.closed.gap:.3g} against {gap.refit.gap:.3g} sigma): not adopted."
+            )
+            return "unknown", sentence, _listed(findings)
+        if any(finding.instead for finding in findings):
+            sets = "; ".join(" or ".join((_said(f), *(_column(self.arm, n) for n in f.instead))) for f in findings)
+            return "cannot tell", f"These runs cannot tell apart: {sets}.", ""
+        return "named", f"The simulation lacks {_listed(findings)}.", ""
+
+    def _same_equations(self, values: tuple[Value, ...]) -> tuple[Answer, str, str]:
+        changed = [value for value in values if value.differs]
+        if not changed:
+            return "nothing missing", "Nothing is missing above the detection limits, and no value differs.", ""
+        listed = ", ".join(
+            f"{v.name} {v.found:.5g} ± {INTERVAL * v.sigma:.2g} {v.unit} (simulation {v.delivered:.5g}: "
+            f"{100 * v.change:+.3g} %)"
+            for v in changed
+        )
+        return "values differ", f"The equations are right, values differ: {listed}.", ""
+
+    def _remark_law(self, study: Study, findings: tuple[Finding, ...]) -> None:
+        rho = float(np.nanmax(study.excess))
+        if findings and rho > CLOSES:
+            self.remarks.append(
+                f"the law is not exactly this: {rho:.2g} times the residual of its own twin is left over"
+            )
+
+    def _adopt(self, study: Study, values: tuple[Value, ...], findings: tuple[Finding, ...]) -> Model:
+        """The model with the values and effects that were learned; what it said of other effects is kept."""
+        names = [joint.name for joint in self.arm.joints]
+        parameters = {
+            v.name: Quantity(v.found, v.sigma if np.isfinite(v.found) else 0.0, "zygos", v.unit) for v in values
+        }
+        _, effects = split(study.hypothesis, study.value)
+        new = {(f.kind, f.joint): f for f in findings}
+        kept: list[Effect] = []
+        for effect in effects:
+            finding = new.get((effect.kind.key, effect.joint))
+            if finding is not None:
+                low, high = finding.interval
+                evidence = f"95 % interval {low:.4g} .. {high:.4g} {finding.unit}; {finding.evidence}"
+                # a rotor that couples at all does so with its whole inertia
+                value = 1.0 if effect.kind.key == "rotor_coupling" else finding.value
+                kept.append(Effect(effect.kind, effect.joint, value, finding.sigma, "zygos", evidence))
+            elif effect.source == "zygos":
+                value, sigma = self._size(study, effect.column(self.arm))
+                kept.append(replace(effect, value=value, sigma=sigma))
+            else:
+                kept.append(effect)
+        assert all(effect.joint is None or effect.joint in names for effect in kept)
+        return Model(f"{self.simulation.name}, explained", parameters=parameters, effects=tuple(kept))
+
+
+def deflection(arm: Arm, records: Sequence[Record], joint: int) -> Deflection:
+    """How far link and motor part at a joint, and how much of it goes with the joint's rate."""
+    h = arm.period_s
+    parted, rate = [], []
+    for record in records:
+        readings = record.readings()
+        apart = (readings.theta - readings.q)[..., joint]
+        parted.append((apart - apart.mean())[:, 1:-1].ravel())
+        rate.append(((readings.q[:, 2:, joint] - readings.q[:, :-2, joint]) / (2.0 * h)).ravel())
+    d, v = np.concatenate(parted), np.concatenate(rate)
+    v = v - v.mean()
+    skew = float(d @ v / (v @ v)) if np.any(v) else 0.0
+    described = arm.joints[joint]
+    return Deflection(
+        described.name,
+        float(np.sqrt(np.mean(d**2))),
+        float(np.hypot(described.link_encoder.sigma_rad, described.motor_encoder.sigma_rad)),
+        skew,
+        float(1.0 - np.mean((d - skew * v) ** 2) / np.mean(d**2)) if np.any(d) else 0.0,
+    )
+
+
+def whereabouts(arm: Arm, layout: Layout, local: Array, flexible: Sequence[Deflection]) -> str:
+    """One sentence on which balance fails, from each balance by itself."""
+    worst = np.nanmax(np.where(np.isnan(local), 0.0, local), axis=0)
+    said = dict(zip(layout.balances, worst.tolist(), strict=True))
+    failing = [name for name, rho in said.items() if rho > np.sqrt(1.0 + 0.2)]
+    motors = [arm.joints[int(name[1:]) - 1].name for name in failing if name[0] == "M"]
+    parts: list[str] = []
+    for bent in flexible:
+        parts.append(
+            f"link and motor of the {bent.joint} part by {bent.rms_rad / bent.noise_rad:.3g} times their noise"
+        )
+    for name in failing:
+        what = {"E": "the energy balance", "H": "the momentum"}.get(name, "")
+        what = what or f"the motor balance of the {arm.joints[int(name[1:]) - 1].name}"
+        parts.append(f"{what} fails by {said[name]:.3g} times its twin")
+    if not parts:
+        return "Every balance closes as well as its twin's."
+    tail = ""
+    if motors:
+        tail = f": look at the motor side of the {' and the '.join(motors)}"
+    elif "H" in failing:
+        tail = ": look at the base, the gyro, or the momentum that is assumed"
+    elif failing == ["E"]:
+        tail = " while every motor balance closes: look at the link side"
+    return "; ".join(parts).capitalize() + tail + "."
+
+
+def _other(found: Search) -> Candidate | None:
+    """The best candidate that was not named, nor cannot be told from one that was."""
+    taken = {name for names in found.sets for name in names}
+    return next((c for c in found.rounds[0] if c.name not in taken and (c.value > 0.0 or not c.kind.positive)), None)
+
+
+def _said(finding: Finding) -> str:
+    at = "of the arm" if finding.joint is None else f"({finding.joint})"
+    return f"{finding.title} {at}"
+
+
+def _listed(findings: Sequence[Finding]) -> str:
+    each = [f"{_said(f)}, {f.value:.4g} ± {INTERVAL * f.sigma:.2g} {f.unit}".rstrip(" 1") for f in findings]
+    return " and ".join(each)
+
+
+def _column(arm: Arm, name: str) -> str:
+    key = name.rstrip("0123456789")
+    kind: Kind = CATALOGUE[key]
+    return f"{kind.title} ({arm.joints[int(name[len(key) :]) - 1].name})" if name != key else kind.title
+
+
+def _share(found: Search) -> str:
+    if not found.named:
+        return ""
+    listed = ", ".join(candidate.name for candidate in found.named)
+    return f"; the best guess ({listed}) takes {100 * min(found.completeness):.0f} % of the excess away"
+
+
+__all__ = ["Explanation", "Hypothesis", "completeness", "explain"]

@@ -1,0 +1,143 @@
+"""Least squares over several runs and balances at once, from their sums.
+
+A hypothesis says which columns have a coefficient: base parameters that the model knows, effects that it carries. All
+runs and balances share the coefficients; each balance is weighted by its noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zygos.errors import Undecided
+from zygos.gap.balances import Layout, Sums
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """Which equations are taken to hold."""
+
+    layout: Layout
+    rigid: tuple[bool, ...]
+    """Joints without flexibility: theta = q, no stiffness and no damping, hence no motor balance."""
+    uncoupled: tuple[bool, ...]
+    """Joints whose rotor does not feel the carrying body turn, nor acts on it."""
+    momentum: float | None
+    """Angular momentum taken as known, Nms; None: each arc has its own."""
+    effects: tuple[str, ...] = ()
+    """Columns of the catalogue that have a coefficient of their own."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The coefficients that all runs share: base parameters in the arm's order, then effects."""
+        gone = {f"{key}{i + 1}" for i, rigid in enumerate(self.rigid) if rigid for key in "kb"}
+        return (*(name for name in self.layout.arm.parameter_names if name not in gone), *self.effects)
+
+    @property
+    def balances(self) -> tuple[int, ...]:
+        """The balances that can be drawn up: none at the motor of a rigid joint."""
+        names = self.layout.balances
+        gone = {f"M{i + 1}" for i, rigid in enumerate(self.rigid) if rigid}
+        return tuple(k for k, name in enumerate(names) if name not in gone)
+
+    def basis(self, target: str = "") -> Array:
+        """(columns + 1, zeros + coefficients + 1): what each run's zeros of the encoders, each coefficient and the
+        right side consist of. With `target` that column takes the right side's place."""
+        columns, zeros = self.layout.columns, self.layout.zeros
+        out = np.zeros((len(columns) + 1, len(zeros) + len(self.names) + 1))
+        for k, name in enumerate((*zeros, *self.names)):
+            out[columns.index(name), k] = 1.0
+            if name.startswith("Im") and not self.uncoupled[int(name[2:]) - 1]:
+                out[columns.index(f"rotor_coupling{name[2:]}"), k] = 1.0
+        if target:
+            out[columns.index(target), -1] = 1.0
+            return out
+        out[-1, -1] = 1.0
+        if self.momentum is not None and "angular_momentum" not in self.effects:
+            out[columns.index("angular_momentum"), -1] = -self.momentum
+        return out
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Coefficients of a hypothesis and what they leave over."""
+
+    names: tuple[str, ...]
+    value: Array
+    """(..., coefficients)"""
+    zeros: Array
+    """(..., runs, zeros) of the encoders, rad, in the order of the layout; those of a rigid joint's motor stay 0."""
+    rms: Array
+    """(..., runs, balances) what is left over of each balance, in its unit; NaN where it was not used."""
+
+    def of(self, name: str) -> Array:
+        """(...) the coefficient of that name."""
+        return np.asarray(self.value[..., self.names.index(name)], dtype=np.float64)
+
+
+def fit(
+    hypothesis: Hypothesis,
+    runs: Sequence[Sums],
+    weight: Array,
+    fixed: Array | None = None,
+    target: str = "",
+    alone: int | None = None,
+) -> Fit:
+    """Fit all runs together. weight: (balances,) 1/noise of each balance.
+
+    Coefficients are shared; the zeros of the encoders, which a restart may shift, belong to a run and are held by what
+    the arm file knows of them. With `fixed` (coefficients,) only they are fitted. With `target` it is that column which
+    is to be explained. With `alone` one balance stands by itself, and what it does not see is 0. Leading axes of the
+    sums (draws of a twin) are kept. Errors: Undecided where the motion does not tell the coefficients apart.
+    """
+    basis, used = hypothesis.basis(target), list(hypothesis.balances) if alone is None else [alone]
+    zeros = len(hypothesis.layout.zeros)
+    prior = np.diag(hypothesis.layout.zero_sigma**-2.0)
+    parts = [basis.T @ run.gram[..., used, :, :] @ basis for run in runs]
+    settled: list[Array] = []
+    total = np.zeros(())
+    for part in parts:
+        whole = (part * (weight[used] ** 2)[:, None, None]).sum(axis=-3)
+        # the run's own zeros, as functions of the coefficients and the right side
+        settled.append(np.linalg.solve(whole[..., :zeros, :zeros] + prior, whole[..., :zeros, zeros:]))
+        total = total + whole[..., zeros:, zeros:] - whole[..., zeros:, :zeros] @ settled[-1]
+    if fixed is None:
+        value = _solve(total, hypothesis.names, blind=alone is not None)
+    else:
+        value = np.broadcast_to(fixed, (*total.shape[:-2], len(fixed)))
+    lead = value.shape[:-1]
+    shared = np.concatenate([value, -np.ones((*lead, 1))], axis=-1)
+    rms = np.full((*lead, len(runs), len(hypothesis.layout.balances)), np.nan)
+    found = np.empty((*lead, len(runs), zeros))
+    for k, (run, part, settle) in enumerate(zip(runs, parts, settled, strict=True)):
+        found[..., k, :] = -(settle @ shared[..., None])[..., 0]
+        full = np.concatenate([found[..., k, :], shared], axis=-1)
+        square = np.einsum("...k,...bkl,...l->...b", full, part, full)
+        rms[..., k, used] = np.sqrt(np.maximum(square, 0.0) / run.count[used])
+    return Fit(hypothesis.names, value, found, rms)
+
+
+def _solve(total: Array, names: Sequence[str], *, blind: bool) -> Array:
+    """Solve for the coefficients; the sums are first scaled to a unit diagonal. blind: columns may be empty."""
+    scale = np.sqrt(np.maximum(np.einsum("...kk->...k", total[..., :-1, :-1]), 0.0))
+    seen = np.reshape(scale > 0.0, (-1, len(names))).all(axis=0)
+    if not (blind or seen.all()):
+        raise Undecided(
+            f"{names[int(np.argmin(seen))]} moves nothing in these runs; remedy: a motion that moves every joint"
+        )
+    kept = np.flatnonzero(seen)
+    matrix, right, scale = total[..., kept[:, None], kept], total[..., kept, -1], scale[..., kept]
+    scaled = matrix / (scale[..., :, None] * scale[..., None, :])
+    if np.min(np.linalg.eigvalsh(scaled)[..., 0]) < 1e-12:
+        raise Undecided(
+            "these runs do not tell the parameters apart (a combination of columns is empty); remedy: a longer run "
+            "that moves every joint at different speeds"
+        )
+    out = np.zeros((*total.shape[:-2], len(names)))
+    out[..., kept] = np.linalg.solve(scaled, (right / scale)[..., None])[..., 0] / scale
+    return out

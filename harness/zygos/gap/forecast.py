@@ -1,0 +1,180 @@
+"""The gap: how well a model predicts the next half second of an untouched run, in units of the sensors' noise.
+
+The state at the start of a segment is fitted to half a second of readings with the model under test, and the half
+second behind it is predicted under the measured torques. The motion is chaotic, so longer predictions compare nothing;
+a start from smoothed states alone would add their noise, and a fit over the scored half second would hide the effect.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zygos.arm import Arm
+from zygos.dynamics import PlanarDynamics
+from zygos.errors import ZygosError
+from zygos.gap.record import Readings, Record, smooth
+from zygos.gap.twin import Twin, measure
+from zygos.replay import States, replay, substeps
+
+Array = NDArray[np.float64]
+
+HORIZON_S = 0.5
+"""Of the fit and of the prediction."""
+_ROUNDS = 3
+
+
+@dataclass(frozen=True)
+class Segments:
+    """Stretches of a run, one second each, that begin every half second; S segments of 2n cycles."""
+
+    arm: Arm
+    readings: Array
+    """(S, 2n, 2N+1) q, theta, omega0: rad, rad/s."""
+    tau: Array
+    """(S, 2n, N) Nm."""
+    before: Array
+    """(S, N) torque of the period before the segment, Nm."""
+    guess: Array
+    """(S, 4N+1) smoothed state at the first sample, packed as `States`."""
+    time_s: Array
+    """(S, 2n) since the run's first cycle."""
+
+    @property
+    def sigma(self) -> Array:
+        """(2N+1,) declared deviations of one reading of q, theta, omega0."""
+        joints = self.arm.joints
+        link, motor = [j.link_encoder.sigma_rad for j in joints], [j.motor_encoder.sigma_rad for j in joints]
+        return np.array([*link, *motor, max(self.arm.imu.rate_sigma, _LEAST_RATE)])
+
+
+_LEAST_RATE = 2.0**-21 / np.sqrt(12.0)
+"""Of a gyro that declares no noise: the step of the wire, rad/s."""
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """Predictions of the second half of every segment."""
+
+    residual: Array
+    """(S, n, 2N+1) predicted less measured, in units of sigma."""
+    predicted: Array
+    """(S, n, 2N+1) q, theta, omega0: rad, rad/s."""
+
+    @property
+    def gap(self) -> float:
+        """Root mean square residual, sigma."""
+        return float(np.sqrt(np.mean(self.residual**2)))
+
+    @property
+    def median(self) -> float:
+        """Median over the segments of their root mean square residual, sigma."""
+        return float(np.median(self._each))
+
+    @property
+    def tenth(self) -> float:
+        """What a tenth of the segments exceeds, sigma."""
+        return float(np.percentile(self._each, 90))
+
+    @property
+    def _each(self) -> Array:
+        return np.asarray(np.sqrt(np.mean(self.residual**2, axis=(1, 2))), dtype=np.float64)
+
+    @property
+    def signals(self) -> Array:
+        """(2N+1,) root mean square residual of each signal, sigma."""
+        return np.asarray(np.sqrt(np.mean(self.residual**2, axis=(0, 1))), dtype=np.float64)
+
+
+def cut(record: Record) -> Segments:
+    """Segments of a run. Errors: ZygosError where no second of it is unbroken."""
+    s = record.samples
+    time = (s.sync - s.sync[0]) * record.arm.period_s
+    # the torque law may not know the torque of a stretch's last sample
+    stretches = [(start, stop - 1) for start, stop in s.segments]
+    return _segments(record.arm, Readings(s.q, s.theta, record.omega0, s.tau), stretches, time, str(record.path))
+
+
+def cut_twin(twin: Twin, seed: int = 0) -> Segments:
+    """Segments of one reading of a twin, whose arcs are stretches."""
+    seen = measure(twin, seed)
+    arcs, cycles = seen.omega0.shape
+    flat = Readings(*(x.reshape(arcs * cycles, *x.shape[2:]) for x in (seen.q, seen.theta, seen.omega0, seen.tau)))
+    stretches = [(i * cycles, (i + 1) * cycles) for i in range(arcs)]
+    return _segments(twin.arm, flat, stretches, twin.arm.period_s * np.arange(arcs * cycles), "the twin")
+
+
+def _segments(arm: Arm, samples: Readings, stretches: Sequence[tuple[int, int]], time: Array, name: str) -> Segments:
+    half, n = arm.smoother.points // 2, max(2, round(HORIZON_S / arm.period_s))
+    starts = np.array([at for a, b in stretches for at in range(a + max(half, 1), b - max(2 * n, half + 1) + 1, n)])
+    if not len(starts):
+        raise ZygosError(f"{name}: no second in which every cycle arrived; remedy: a run from a better bus")
+    at = starts[:, None] + np.arange(2 * n)
+    around = starts[:, None] + np.arange(-half, half + 1)
+    state = smooth(arm, Readings(samples.q[around], samples.theta[around], samples.omega0[around], samples.tau[around]))
+    guess = States(state.f0, state.q, state.theta, state.qd, state.thetad).packed()[:, 0]
+    readings = np.concatenate([samples.q[at], samples.theta[at], samples.omega0[at][..., None]], axis=-1)
+    return Segments(arm, readings, samples.tau[at], samples.tau[starts - 1], guess, time[at])
+
+
+def forecast(dynamics: PlanarDynamics, segments: Segments) -> Forecast:
+    """Predict every segment with a model. Where it assumes an angular momentum, the base rate follows from it."""
+    arm, joints = segments.arm, segments.arm.n
+    n = segments.readings.shape[1] // 2
+    steps = substeps(dynamics, segments.readings[:, ::n, :joints], arm.period_s)
+    sigma = segments.sigma
+    unpack, free = _free(dynamics, joints)
+    scale = np.concatenate([[sigma[-1]], np.tile(sigma[: 2 * joints], 2)])
+    scale[1 + 2 * joints :] /= HORIZON_S
+    scale = scale[free]
+
+    def move(x: Array, copies: int, cycles: int) -> Array:
+        tau = np.tile(segments.tau, (copies, 1, 1))
+        before = np.tile(segments.before, (copies, 1))
+        states, _ = replay(dynamics, arm.period_s, unpack(x), lambda k, _: tau[:, k], before, cycles, steps)
+        return np.concatenate([states[..., 1 : 1 + 2 * joints], states[..., :1]], axis=-1)
+
+    def misfit(seen: Array) -> Array:
+        """(copies, S, instants * signals) in sigma."""
+        count = seen.shape[1]
+        shaped = seen.reshape(-1, len(segments.tau), count, seen.shape[-1])
+        return np.asarray((shaped - segments.readings[:, :count]) / sigma, dtype=np.float64).reshape(
+            *shaped.shape[:2], -1
+        )
+
+    x = segments.guess[:, free]
+    size = len(free)
+    shifted = np.concatenate([x, *(x + scale * (np.arange(size) == k) for k in range(size))])
+    first = misfit(move(shifted, size + 1, n))
+    # in half a second the motion is all but linear in its start, so one Jacobian serves all rounds
+    jacobian = np.moveaxis(first[1:] - first[0], 0, -1)
+    solver = np.linalg.pinv(jacobian)
+    left = first[0]
+    for _ in range(_ROUNDS):
+        x = x - (solver @ left[..., None])[..., 0] * scale
+        left = misfit(move(x, 1, n))[0]
+    seen = move(x, 1, 2 * n)[:, n:]
+    return Forecast((seen - segments.readings[:, n:]) / sigma, seen)
+
+
+def _free(dynamics: PlanarDynamics, joints: int) -> tuple[Callable[[Array], Array], NDArray[np.int64]]:
+    """How a packed state follows from its free entries, and which these are."""
+    held = dynamics.angular_momentum
+    rigid = np.flatnonzero(dynamics.rigid)
+    tied = {*(1 + joints + rigid).tolist(), *(1 + 3 * joints + rigid).tolist(), *([] if held is None else [0])}
+    free = np.array([k for k in range(1 + 4 * joints) if k not in tied])
+
+    def unpack(x: Array) -> Array:
+        out = np.zeros((len(x), 1 + 4 * joints))
+        out[:, free] = x
+        out[:, 1 + joints + rigid] = out[:, 1 + rigid]
+        out[:, 1 + 3 * joints + rigid] = out[:, 1 + 2 * joints + rigid]
+        if held is not None:
+            s = States.of(out)
+            out[:, 0] = dynamics.base_rate(s.q, held, s.qd, s.thetad)
+        return out
+
+    return unpack, free

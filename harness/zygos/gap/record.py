@@ -1,0 +1,143 @@
+"""A measured run, cut into arcs of equal length that are looked at one by one.
+
+All arcs of a run, and all draws of its twin, go through the same smoother and the same balances as one batch.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import correlate1d
+
+from zygos.arm import Arm
+from zygos.errors import ZygosError
+from zygos.flight import Flight
+from zygos.reference.cycle import Samples, calibrate
+from zygos.reference.kinematics import State
+from zygos.reference.smoother import BANDWIDTH_SIGMAS, bandwidth_coefficients, coefficients
+
+Array = NDArray[np.float64]
+
+ARC_S = 10.0
+"""Longest arc, s: W sums up the torques' noise, a constant an arc costs what the encoders' noise allows to know."""
+
+
+@dataclass(frozen=True)
+class Readings:
+    """Calibrated samples of A arcs of n cycles each; N joints. Leading axes may be added (draws of a twin)."""
+
+    q: Array
+    """(..., A, n, N) rad, as theta."""
+    theta: Array
+    omega0: Array
+    """(..., A, n) rad/s about the arm's axis."""
+    tau: Array
+    """(..., A, n, N) rotor torque in force on [t_k, t_k+1), Nm."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """A run that the C library decoded."""
+
+    arm: Arm
+    path: Path
+    samples: Samples
+    omega0: Array
+    """(n,) base rate about the arm's axis, rad/s."""
+    faults: dict[str, int]
+    starts: NDArray[np.int64]
+    """(A,) position of the first sample of each arc."""
+    instants: int
+    """Smoothed instants in each arc."""
+
+    @property
+    def half(self) -> int:
+        """Cycles that the smoother needs on either side of an instant."""
+        return self.arm.smoother.points // 2
+
+    @property
+    def cycles(self) -> int:
+        """Samples of each arc."""
+        return self.instants + 2 * self.half
+
+    @property
+    def time_s(self) -> Array:
+        """(A, instants) time of the smoothed instants since the run's first cycle, s."""
+        at = self.starts[:, None] + self.half + np.arange(self.instants)
+        return np.asarray((self.samples.sync[at] - self.samples.sync[0]) * self.arm.period_s, dtype=np.float64)
+
+    def readings(self) -> Readings:
+        """The samples of all arcs."""
+        at = self.starts[:, None] + np.arange(self.cycles)
+        s = self.samples
+        return Readings(s.q[at], s.theta[at], self.omega0[at], s.tau[at])
+
+
+def read_record(arm: Arm, path: Path, frames: NDArray[Any]) -> Record:
+    """Decode a log with the C library and cut it into arcs. Errors: ZygosError where no arc of 2 s is unbroken."""
+    flight = Flight(arm)
+    trace = flight.frames(frames, trace=True)
+    assert trace is not None
+    samples = calibrate(arm, trace.cycles)
+    half = arm.smoother.points // 2
+    # the smoother's windows of an arc, and of a twin's start before it and its path behind it; and a torque law that
+    # looks one cycle ahead has no torque for the last sample
+    lengths = [stop - start - 1 - 4 * half for start, stop in samples.segments]
+    longest = max(lengths, default=0)
+    instants = longest // max(1, round(longest * arm.period_s / ARC_S)) if longest > 0 else 0
+    if instants * arm.period_s < 2.0:
+        raise ZygosError(
+            f"{path}: no stretch of 2 s in which every cycle arrived (the longest has {max(0, longest)} cycles); "
+            "remedy: repair the bus, or check the arm file against the log with `zygos estimate`"
+        )
+    starts = [
+        start + half + i * instants
+        for (start, _), length in zip(samples.segments, lengths, strict=True)
+        for i in range(max(0, length) // instants)
+    ]
+    omega0 = samples.omega @ arm.axis
+    return Record(arm, path, samples, omega0, flight.faults, np.array(starts), instants)
+
+
+def smooth(arm: Arm, readings: Readings) -> State:
+    """Smoothed states (..., A, instants, N) of arcs (docs/theory.md, "Smoother and bandwidth test")."""
+    points, order, h = arm.smoother.points, arm.smoother.order, arm.period_s
+    parts: list[Array] = []
+    for signals, offsets in ((readings.q, _late(arm, "link")), (readings.theta, _late(arm, "motor"))):
+        for derivative in (0, 1):
+            weights = [coefficients(points, order, offset, derivative) / h**derivative for offset in offsets]
+            parts.append(np.stack([_filter(signals[..., i], w) for i, w in enumerate(weights)], axis=-1))
+    omega0 = _filter(readings.omega0, coefficients(points, order, -1e-6 / h * arm.imu.latch_us))
+    q, qd, theta, thetad = parts
+    return State(q, theta, qd, thetad, omega0)
+
+
+def followed(arm: Arm, readings: Readings) -> NDArray[np.bool_]:
+    """(..., A, instants) where the smoother follows every joint: the bandwidth test of the flight library."""
+    points, order = arm.smoother.points, arm.smoother.order
+    good: NDArray[np.bool_] | None = None
+    for signals, side in ((readings.q, "link"), (readings.theta, "motor")):
+        for i, offset in enumerate(_late(arm, side)):
+            joint = arm.joints[i]
+            sigma = (joint.link_encoder if side == "link" else joint.motor_encoder).sigma_rad
+            weights = bandwidth_coefficients(points, order, offset)
+            spread = sigma * float(np.linalg.norm(weights))
+            kept = np.abs(_filter(signals[..., i], weights)) <= (BANDWIDTH_SIGMAS * spread if spread else np.inf)
+            good = kept if good is None else good & kept
+    assert good is not None
+    return good
+
+
+def _late(arm: Arm, side: str) -> list[float]:
+    """Where the polynomial of each joint is read, in samples."""
+    encoders = [joint.link_encoder if side == "link" else joint.motor_encoder for joint in arm.joints]
+    return [-1e-6 / arm.period_s * (j.latch_us + e.latch_us) for j, e in zip(arm.joints, encoders, strict=True)]
+
+
+def _filter(x: Array, weights: Array) -> Array:
+    half = len(weights) // 2
+    return np.asarray(correlate1d(x, weights, axis=-1)[..., half:-half], dtype=np.float64)

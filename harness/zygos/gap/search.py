@@ -1,0 +1,240 @@
+"""Which effect is missing: candidates one after the other, each read against the null twin and on both runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zygos.effects import Kind, column_name
+from zygos.errors import Undecided
+from zygos.gap.fit import Hypothesis, fit
+from zygos.gap.study import Study, again
+
+Array = NDArray[np.float64]
+
+THRESHOLD = 4.5
+"""Standard deviations of the twin that a coefficient must reach on both runs."""
+AGREEMENT = 0.25
+"""Share by which the two runs' coefficients may differ: a law that differs in form from its column has no one size."""
+EXCESS = 0.2
+"""A balance has something to explain where rho^2 - 1 is above this."""
+COMPLETE = 0.95
+"""Share of the excess that a set of effects must take away to bear their names."""
+PARTLY = 0.6
+MOST = 4
+"""Effects that are looked for."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An entry of the catalogue at a place, beside what has been named before."""
+
+    name: str
+    kind: Kind
+    joint: int
+    """From 0; -1 for the base."""
+    value: float
+    """Coefficient fitted on all runs, in the entry's unit."""
+    each: tuple[float, ...]
+    """Fitted on each run alone."""
+    z: tuple[float, ...]
+    """Each run's coefficient less the twin's mean, in the twin's standard deviations."""
+    sigma: float
+    """Standard deviation on all runs together."""
+    completeness: tuple[float, ...]
+    """Share of each run's excess that it takes away, with those named before."""
+    left: float
+    """Sum of rho^2 over runs and balances with it."""
+    frozen: float
+    """Sum of rho^2 on the second run with what was fitted on the first, as a share of the sum without it."""
+    limit: float
+    """The size from which on this search would name it on these runs."""
+    verdict: str
+    """"" where nothing speaks against it, else what does."""
+
+    @property
+    def passes(self) -> bool:
+        """Whether nothing speaks against it."""
+        return not self.verdict
+
+    @property
+    def complete(self) -> float:
+        """Completeness on the run where it is worse."""
+        return min(self.completeness)
+
+
+@dataclass(frozen=True)
+class Search:
+    """What came of it."""
+
+    before: Study
+    """The model's own equations, refitted."""
+    after: Study
+    """With the named effects."""
+    named: tuple[Candidate, ...]
+    rounds: tuple[tuple[Candidate, ...], ...]
+    """Every candidate of every round, best first."""
+    completeness: tuple[float, ...]
+    """Of the named set, on each run."""
+    sets: tuple[tuple[str, ...], ...]
+    """For each named effect the names that the runs cannot tell from it, itself first."""
+
+
+def excess(rho: Array) -> bool:
+    """Whether a balance (runs, balances) has something left to explain."""
+    return bool(np.nanmax(rho**2) - 1.0 > EXCESS)
+
+
+def completeness(before: Array, after: Array) -> tuple[float, ...]:
+    """Share of each run's excess, (runs, balances) rho before and after, that is gone; 1 where there was none."""
+    out = []
+    for old, kept in zip(before**2 - 1.0, after**2 - 1.0, strict=True):
+        counts = np.isfinite(old) & (old > EXCESS)
+        out.append(1.0 - float(np.sum(np.maximum(kept[counts], 0.0)) / np.sum(old[counts])) if counts.any() else 1.0)
+    return tuple(out)
+
+
+def search(study: Study, step: Callable[[str], None] = lambda _: None) -> Search:
+    """Look for what the study's hypothesis lacks. step is told what is being done."""
+    before, now = study, study
+    named: list[Candidate] = []
+    rounds: list[tuple[Candidate, ...]] = []
+    share: tuple[float, ...] = tuple(1.0 for _ in study.records)
+    while True:
+        step(f"round {len(rounds) + 1}: every candidate")
+        listed = candidates(now, before)
+        rounds.append(listed)
+        best = next((candidate for candidate in listed if candidate.passes), None)
+        open_ = excess(now.excess) if not named else min(share) < COMPLETE
+        if best is None or not open_ or len(named) >= MOST:
+            break
+        try:
+            step(f"{best.kind.title}: its twin")
+            grown = again(now, replace(now.hypothesis, effects=(*now.hypothesis.effects, best.name)))
+        except Undecided:
+            break
+        gained = completeness(before.excess, grown.excess)
+        if named and min(gained) < min(share) + 0.05:
+            break
+        named.append(best)
+        now, share = grown, gained
+    named, now = _retest(named, now, before)
+    share = completeness(before.excess, now.excess)
+    sets = tuple(_inseparable(candidate, now, before) for candidate in named)
+    return Search(before, now, tuple(named), tuple(rounds), share, sets)
+
+
+def _retest(named: list[Candidate], now: Study, before: Study) -> tuple[list[Candidate], Study]:
+    """Earlier names once more beside the later ones: a first guess may have stood for two others."""
+    for candidate in list(named):
+        rest = tuple(name for name in now.hypothesis.effects if name != candidate.name)
+        without = completeness(before.excess, now.of(replace(now.hypothesis, effects=rest)).rms / now.noise)
+        if len(named) > 1 and min(without) > COMPLETE:
+            named = [other for other in named if other is not candidate]
+            now = again(now, replace(now.hypothesis, effects=rest))
+    return named, now
+
+
+def candidates(now: Study, before: Study) -> tuple[Candidate, ...]:
+    """All that could be added to a study's hypothesis, best first."""
+    out = [_candidate(now, before, kind, i) for kind, i in now.layout.effects if _possible(now.hypothesis, kind, i)]
+    return tuple(sorted((one for one in out if one is not None), key=lambda one: one.left))
+
+
+def _possible(hypothesis: Hypothesis, kind: Kind, joint: int) -> bool:
+    if column_name(kind, joint) in hypothesis.effects:
+        return False
+    if kind.key == "rotor_coupling":
+        return hypothesis.uncoupled[joint]
+    if kind.key == "angular_momentum":
+        return hypothesis.momentum is not None
+    # at a rigid joint motor and link are one, and nothing deflects
+    return not (hypothesis.rigid[joint] and kind.place in {"link", "spring"})
+
+
+def _candidate(now: Study, before: Study, kind: Kind, joint: int) -> Candidate | None:
+    name = column_name(kind, joint)
+    wider = replace(now.hypothesis, effects=(*now.hypothesis.effects, name))
+    runs = range(len(now.records))
+    try:
+        whole = now.of(wider)
+        each = [now.of(wider, [k]) for k in runs]
+        null = [now.of_twin(wider, [k]).of(name) for k in runs]
+        null_all = now.of_twin(wider).of(name)
+    except Undecided:
+        return None
+    value = float(whole.of(name) - null_all.mean())
+    found = [float(one.of(name)) for one in each]
+    z = [(x - draw.mean()) / draw.std(ddof=1) for x, draw in zip(found, null, strict=True)]
+    sigma = float(null_all.std(ddof=1))
+    plain, with_it = now.of(now.hypothesis, [0]).value, each[0].value
+    frozen = _total(now.of(wider, [1], with_it).rms, now.noise[1:]) / _total(
+        now.of(now.hypothesis, [1], plain).rms, now.noise[1:]
+    )
+    share = completeness(before.excess, whole.rms / before.noise)
+    against = ""
+    spread = max(float(draw.std(ddof=1)) for draw in null)
+    if min(abs(one) for one in z) < THRESHOLD:
+        against = "not beyond its twin on both runs"
+    elif min(found) < 0.0 < max(found) or max(found) - min(found) > max(4.0 * spread, AGREEMENT * abs(value)):
+        against = "the runs disagree on its size"
+    elif kind.positive and value < 0.0:
+        against = "it would have to create energy"
+    elif frozen >= 1.0:
+        against = "what the first run says of it does not help on the second"
+    elif kind.key == "rotor_coupling" and not 0.5 < value / whole.of(f"Im{joint + 1}") < 1.5:
+        against = "its size is not that of the rotor's inertia"
+    return Candidate(
+        name,
+        kind,
+        joint,
+        value,
+        tuple(found),
+        tuple(float(one) for one in z),
+        sigma,
+        share,
+        _total(whole.rms, now.noise),
+        frozen,
+        _limit(now, name, null),
+        against,
+    )
+
+
+def _total(rms: Array, noise: Array) -> float:
+    return float(np.nansum((rms / noise) ** 2))
+
+
+def _limit(now: Study, name: str, null: list[Array]) -> float:
+    """The size at which a candidate passes on these runs nineteen times in twenty: it must stand out of its twin, and
+    leave an excess behind that the other coefficients do not absorb."""
+    stand_out = (THRESHOLD + 1.645) * max(float(draw.std(ddof=1)) for draw in null)
+    unit = fit(now.hypothesis, now.sums, now.weight, target=name).rms / now.noise
+    return max(stand_out, float(np.sqrt(EXCESS) / np.min(np.nanmax(unit, axis=1))))
+
+
+def _inseparable(candidate: Candidate, now: Study, before: Study) -> tuple[str, ...]:
+    """The candidate, and what explains as much in its place while it is not significant beside it."""
+    rest = tuple(name for name in now.hypothesis.effects if name != candidate.name)
+    together = [candidate.name]
+    for kind, joint in now.layout.effects:
+        other = column_name(kind, joint)
+        if not _possible(now.hypothesis, kind, joint):
+            continue
+        instead = replace(now.hypothesis, effects=(*rest, other))
+        both = replace(now.hypothesis, effects=(*now.hypothesis.effects, other))
+        try:
+            alone = now.of(instead)
+            if min(completeness(before.excess, alone.rms / now.noise)) < COMPLETE:
+                continue
+            if kind.positive and alone.of(other) < 0.0:
+                continue
+            beside, spread = now.of(both).of(candidate.name), now.of_twin(both).of(candidate.name).std(ddof=1)
+        except Undecided:
+            together.append(other)
+            continue
+        if abs(float(beside)) < THRESHOLD * float(spread):
+            together.append(other)
+    return tuple(together)

@@ -1,0 +1,313 @@
+"""Two runs, a hypothesis about them, and its twin: everything a search asks again and again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zygos.dynamics import PlanarDynamics
+from zygos.effects import CATALOGUE, Effect, column_name
+from zygos.errors import Undecided, ZygosError
+from zygos.gap.balances import Layout, Sums, accumulate, rows
+from zygos.gap.fit import Fit, Hypothesis, fit
+from zygos.gap.record import Record, followed, smooth
+from zygos.gap.twin import Twin, draws, follow
+from zygos.model import Model
+from zygos.reference.kinematics import State
+
+Array = NDArray[np.float64]
+
+DRAWS = 20
+"""Readings of a twin: enough to know a deviation to 16 %."""
+_FEW = 4
+"""Enough to weight the balances of a study that is made again."""
+
+
+@dataclass(frozen=True)
+class Study:
+    """A hypothesis fitted to runs, beside its twin."""
+
+    records: tuple[Record, ...]
+    accepted: tuple[NDArray[np.bool_], ...]
+    """Per run (A, instants): where the smoother follows."""
+    hypothesis: Hypothesis
+    sums: tuple[Sums, ...]
+    """Of the runs."""
+    model: PlanarDynamics
+    """What the twins are made of."""
+    twins: tuple[Twin, ...]
+    twin_sums: tuple[Sums, ...]
+    """Of the twins, (draws, ...)."""
+    noise: Array
+    """(runs, balances) root mean square of what the same fit leaves over of the twin."""
+    fit: Fit
+    bias: Array
+    """(coefficients,) what the fit makes of the twin, less what the twin was made with."""
+    spread: Array
+    """(coefficients,) one standard deviation over the twin's draws."""
+
+    @property
+    def layout(self) -> Layout:
+        """Names of balances and columns."""
+        return self.hypothesis.layout
+
+    @property
+    def weight(self) -> Array:
+        """(balances,) 1/noise; 0 for a balance that is not used."""
+        return _weight(self.noise)
+
+    @property
+    def value(self) -> Array:
+        """(coefficients,) without the bias that noise in the columns causes."""
+        return np.asarray(self.fit.value - self.bias, dtype=np.float64)
+
+    @property
+    def excess(self) -> Array:
+        """(runs, balances) rho: what is left over of each balance, in units of what is left over of the twin's."""
+        return np.asarray(self.fit.rms / self.noise, dtype=np.float64)
+
+    @property
+    def physical(self) -> bool:
+        """Whether an arm can have the values that were fitted."""
+        try:
+            realise(self.hypothesis, self.value)
+        except ZygosError:
+            return False
+        return True
+
+    def dynamics(self) -> PlanarDynamics:
+        """The model that was fitted, or as much of it as an arm can be."""
+        return _possible(self.hypothesis, self.value, self.model)
+
+    def local(self) -> Array:
+        """(runs, balances) rho where each balance is fitted by itself: whatever happens elsewhere does not touch it.
+
+        The momentum has no scale of its own; its rho is that of the common fit.
+        """
+        out = self.excess.copy()
+        for balance in self.hypothesis.balances[:-1]:
+            try:
+                own = fit(self.hypothesis, self.sums, self.weight, alone=balance)
+                twin = fit(self.hypothesis, self.twin_sums, self.weight, alone=balance)
+            except Undecided:
+                continue
+            noise = np.sqrt(np.mean(twin.rms[..., balance] ** 2, axis=0))
+            out[:, balance] = own.rms[:, balance] / noise
+        return out
+
+    def of(self, hypothesis: Hypothesis, runs: Sequence[int] | None = None, fixed: Array | None = None) -> Fit:
+        """Another hypothesis on the same sums: all runs, or some."""
+        chosen = self.sums if runs is None else [self.sums[k] for k in runs]
+        return fit(hypothesis, chosen, self.weight, fixed)
+
+    def of_twin(self, hypothesis: Hypothesis, runs: Sequence[int] | None = None) -> Fit:
+        """Another hypothesis on the twin's readings."""
+        chosen = self.twin_sums if runs is None else [self.twin_sums[k] for k in runs]
+        return fit(hypothesis, chosen, self.weight)
+
+
+def residuals(study: Study, run: int) -> tuple[Array, State]:
+    """What the fit leaves over of every balance of a run, (balances, A, instants) about each arc's mean, NaN where the
+    smoother does not follow or the balance is not used; and the smoothed states."""
+    record, kept = study.records[run], study.accepted[run]
+    readings = record.readings()
+    table = rows(record.arm, readings, base_values(study.model, study.layout))
+    full = np.concatenate([study.fit.zeros[run], study.fit.value, [-1.0]])
+    mix = study.hypothesis.basis() @ full
+    left = table.left @ mix[:-1] + table.right * mix[-1]
+    left[:, ~kept] = np.nan
+    unused = [k for k in range(len(left)) if k not in study.hypothesis.balances]
+    left[unused] = np.nan
+    centred = left - _mean(left)
+    if study.hypothesis.momentum is not None:
+        centred[-1] = left[-1]
+    return centred, smooth(record.arm, readings)
+
+
+def read_hypothesis(layout: Layout, model: Model) -> Hypothesis:
+    """The equations that a model stands for. Errors: ZygosError for a share of coupling that is neither 0 nor 1."""
+    arm = layout.arm
+    values = model.base_values(arm)
+    stiffness = dict(zip(arm.parameter_names, values.tolist(), strict=True))
+    uncoupled = [False] * arm.n
+    momentum: float | None = None
+    effects: list[str] = []
+    for effect in model.effects:
+        if effect.kind.key == "rotor_coupling":
+            if effect.value not in {0.0, 1.0}:
+                raise ZygosError(
+                    f"model {model.name}: rotor_coupling at {effect.joint} is {effect.value:g}; remedy: write 1, as in "
+                    "nature, or 0 for a simulator that leaves it out"
+                )
+            uncoupled[effect.index(arm)] = effect.value == 0.0
+        elif effect.kind.key == "angular_momentum":
+            momentum = effect.value
+        else:
+            effects.append(effect.column(arm))
+    rigid = tuple(np.isinf(stiffness[f"k{i + 1}"]) for i in range(arm.n))
+    return Hypothesis(layout, tuple(bool(x) for x in rigid), tuple(uncoupled), momentum, tuple(effects))
+
+
+def realise(hypothesis: Hypothesis, value: Array) -> PlanarDynamics:
+    """The model of a hypothesis with these coefficients. Errors: ZygosError where it is not physical."""
+    arm = hypothesis.layout.arm
+    base, effects = split(hypothesis, value)
+    unphysical = [name for name, x in zip(arm.parameter_names, base, strict=True) if name[0] in "Ik" and not x > 0.0]
+    if unphysical:
+        raise ZygosError(f"{', '.join(unphysical)} came out negative; remedy: see the verdict")
+    return PlanarDynamics.from_parameters(arm, base, effects)
+
+
+def split(hypothesis: Hypothesis, value: Array) -> tuple[Array, list[Effect]]:
+    """Base parameters (p,) in the arm's order, and effects, of coefficients."""
+    arm = hypothesis.layout.arm
+    found = dict(zip(hypothesis.names, value.tolist(), strict=True))
+    base = np.array(
+        [found.get(name, np.inf if name.startswith("k") else 0.0) for name in arm.parameter_names], dtype=np.float64
+    )
+    effects: list[Effect] = []
+    names = [joint.name for joint in arm.joints]
+    for i, uncoupled in enumerate(hypothesis.uncoupled):
+        if uncoupled and f"rotor_coupling{i + 1}" not in hypothesis.effects:
+            effects.append(Effect(CATALOGUE["rotor_coupling"], names[i], 0.0))
+    if hypothesis.momentum is not None and "angular_momentum" not in hypothesis.effects:
+        effects.append(Effect(CATALOGUE["angular_momentum"], None, hypothesis.momentum))
+    for kind, i in hypothesis.layout.effects:
+        name = column_name(kind, i)
+        if name in hypothesis.effects:
+            # the coupling's coefficient is a rotor inertia, its value a share of it
+            scale = found[f"Im{i + 1}"] if kind.key == "rotor_coupling" else 1.0
+            effects.append(Effect(kind, names[i] if i >= 0 else None, found[name] / scale, source="zygos"))
+    return base, effects
+
+
+def begin(records: Sequence[Record], hypothesis: Hypothesis, dynamics: PlanarDynamics) -> Study:
+    """Fit a hypothesis to runs. dynamics: any model of it that is about right; it weights the balances, and the study
+    is then made again with what was learned. Errors: Undecided where the runs do not tell the parameters apart."""
+    accepted = tuple(followed(record.arm, record.readings()) for record in records)
+    study = _study(tuple(records), accepted, hypothesis, dynamics, _FEW)
+    return again(again(study, hypothesis, _FEW), hypothesis)
+
+
+def again(study: Study, hypothesis: Hypothesis, count: int = DRAWS) -> Study:
+    """The same runs under another hypothesis: its fit, and a twin of its own with `count` draws."""
+    first = study.of(hypothesis)
+    return _study(study.records, study.accepted, hypothesis, _possible(hypothesis, first.value, study.model), count)
+
+
+def _possible(hypothesis: Hypothesis, value: Array, known: PlanarDynamics) -> PlanarDynamics:
+    """The model of these coefficients, or of as much of them, beside a known model's, as some arm can have."""
+    layout = hypothesis.layout
+    arm = layout.arm
+    base, effects = split(hypothesis, value)
+    kept = [effect for effect in effects if not (effect.kind.positive and effect.value < 0.0)]
+    late = 0.99 * arm.period_s
+    kept = [replace(e, value=min(e.value, late)) if e.kind.key == "torque_lag" else e for e in kept]
+    rigid = np.isinf(base)
+    share = 1.0
+    while share > 1e-6:
+        mixed = share * np.where(rigid, 0.0, base) + (1.0 - share) * base_values(known, layout)
+        drives = mixed[-3 * arm.n :].reshape(arm.n, 3)
+        drives[:, 2] = np.maximum(drives[:, 2], 0.0)
+        mixed[rigid] = np.inf
+        if np.all(drives[:, :2] > 0.0):
+            try:
+                return PlanarDynamics.from_parameters(arm, mixed, kept)
+            except ZygosError:
+                pass
+        share *= 0.5
+    raise ZygosError(
+        "no arm has the parameters that fit these runs; remedy: check gear ratios, signs and the torque_law of the arm "
+        "file"
+    )
+
+
+def _mean(x: Array) -> Array:
+    """Mean over the last axis of what is not NaN; 0 where nothing is."""
+    known = np.isfinite(x)
+    total = np.where(known, x, 0.0).sum(axis=-1, keepdims=True)
+    return np.asarray(total / np.maximum(known.sum(axis=-1, keepdims=True), 1), dtype=np.float64)
+
+
+def _weight(noise: Array) -> Array:
+    square = (noise**2).mean(axis=0)
+    return np.where(np.isfinite(square), 1.0 / np.sqrt(square), 0.0)
+
+
+def _study(
+    records: tuple[Record, ...],
+    accepted: tuple[NDArray[np.bool_], ...],
+    hypothesis: Hypothesis,
+    dynamics: PlanarDynamics,
+    count: int,
+) -> Study:
+    layout = hypothesis.layout
+    arm = layout.arm
+    uncentred = () if hypothesis.momentum is None else (layout.balances.index("H"),)
+    base = base_values(dynamics, layout)
+    sums = tuple(
+        accumulate(rows(arm, record.readings(), base), kept, uncentred)
+        for record, kept in zip(records, accepted, strict=True)
+    )
+    twins = tuple(follow(dynamics, records))
+    drawn = tuple(
+        draws(twin, kept, count, uncentred, base, count * k)
+        for k, (twin, kept) in enumerate(zip(twins, accepted, strict=True))
+    )
+    used = list(hypothesis.balances)
+    weight = np.zeros(len(layout.balances))
+    # right sides and columns differ in size by orders, so the first weights only bring the balances to one scale
+    weight[used] = 1.0 / np.sqrt(np.mean([_size(one)[used] for one in drawn], axis=0))
+    for _ in range(3):
+        guess = fit(hypothesis, drawn, weight)
+        noise = np.sqrt(np.mean(guess.rms**2, axis=0))
+        weight = _weight(noise)
+    made = np.array([coefficient(dynamics, hypothesis, name) for name in hypothesis.names])
+    return Study(
+        records,
+        accepted,
+        hypothesis,
+        sums,
+        dynamics,
+        twins,
+        drawn,
+        noise,
+        fit(hypothesis, sums, weight),
+        guess.value.mean(axis=0) - made,
+        guess.value.std(axis=0, ddof=1),
+    )
+
+
+def _size(sums: Sums) -> Array:
+    """(balances,) mean square of all columns together."""
+    return np.asarray(np.trace(sums.gram, axis1=-2, axis2=-1).mean(axis=0) / sums.count, dtype=np.float64)
+
+
+def base_values(dynamics: PlanarDynamics, layout: Layout) -> Array:
+    """(p,) base parameters of a model in the arm's order; 0 for what a rigid joint has not."""
+    values = [_parameter(dynamics, name) for name in layout.arm.parameter_names]
+    return np.where(np.isfinite(values), values, 0.0)
+
+
+def _parameter(dynamics: PlanarDynamics, name: str) -> float:
+    if name[0] == "a":
+        return float(dynamics.a[int(name[1]), int(name[2])])
+    part = {"I": dynamics.rotor_inertia, "k": dynamics.stiffness, "b": dynamics.damping}[name[0]]
+    return float(part[int(name.lstrip("Imkb")) - 1])
+
+
+def coefficient(dynamics: PlanarDynamics, hypothesis: Hypothesis, name: str) -> float:
+    """What a model has for a coefficient of a hypothesis."""
+    if name in hypothesis.layout.arm.parameter_names:
+        return _parameter(dynamics, name)
+    if name == "angular_momentum":
+        return dynamics.angular_momentum or 0.0
+    key, i = name.rstrip("0123456789"), int(name[len(name.rstrip("0123456789")) :]) - 1
+    if key == "torque_lag":
+        return 0.0 if dynamics.torque_lag is None else float(dynamics.torque_lag[i])
+    if key == "rotor_coupling":
+        return float(dynamics.coupling[i] * dynamics.rotor_inertia[i])
+    return sum(value for kind, joint, value in dynamics.laws if (kind.key, joint) == (key, i))

@@ -1,0 +1,147 @@
+"""The null twin of a run: what the same sensors would have seen of the same motion, had the model been right.
+
+The model is integrated once along the measured path, each arc from its measured state, under the measured torques and
+a weak servo that keeps it on that path; the servo's torque goes into the twin's log, so that the twin is an exact
+solution of the model. Then only the sensors' noise is drawn anew. Whatever balances, smoother and fit make of noise, of
+finite windows and of held torques, they make of the twin as well, and are read against it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zygos.arm import Arm
+from zygos.dynamics import PlanarDynamics
+from zygos.gap.balances import Sums, accumulate, rows
+from zygos.gap.record import Readings, Record, followed, smooth
+from zygos.replay import States, replay, substeps
+from zygos.sensors import draw_noise
+
+Array = NDArray[np.float64]
+
+SERVO_RATE = 1.0
+"""Bandwidth of the servo, rad/s: slow against the arm's own modes, fast against the drift of a wrong model."""
+
+
+@dataclass(frozen=True)
+class Twin:
+    """A noise-free twin of a record."""
+
+    arm: Arm
+    exact: Readings
+    """What exact sensors would have read."""
+
+
+def follow(dynamics: PlanarDynamics, records: Sequence[Record]) -> list[Twin]:
+    """Twins of the records, integrated as one batch, with the model's h where it assumes one."""
+    arm = records[0].arm
+    h, half = arm.period_s, arm.smoother.points // 2
+    longest = max(record.cycles for record in records)
+    paths: list[Array] = []
+    torques: list[Array] = []
+    for record in records:
+        # the arcs with what the smoother needs before their first sample and behind their last
+        at = record.starts[:, None] - half + np.arange(record.cycles + 2 * half)
+        s = record.samples
+        state = smooth(arm, Readings(s.q[at], s.theta[at], record.omega0[at], s.tau[at]))
+        path = States(state.f0, state.q, state.theta, state.qd, state.thetad).packed()
+        missing = longest - record.cycles
+        paths.append(np.pad(path, ((0, 0), (0, missing), (0, 0)), mode="edge"))
+        tau = record.samples.tau[record.starts[:, None] - 1 + np.arange(record.cycles + 1)]
+        torques.append(np.pad(tau, ((0, 0), (0, missing), (0, 0)), mode="edge"))
+    path, tau = np.concatenate(paths), np.concatenate(torques)
+    moved, applied = _servo(dynamics, path, tau, h, min(SERVO_RATE, 0.1 / h))
+    twins, first = [], 0
+    for record in records:
+        rows_of = slice(first, first + len(record.starts))
+        first += len(record.starts)
+        now = States.of(moved[rows_of, : record.cycles])
+        twins.append(Twin(arm, Readings(now.q, now.theta, now.omega0, applied[rows_of, : record.cycles])))
+    return twins
+
+
+def retrace(dynamics: PlanarDynamics, record: Record, speed: float, amplitude: float) -> Twin:
+    """What a record would have looked like at another speed and amplitude of the motors' motion, had the model been
+    right; as many cycles at the most."""
+    arm = record.arm
+    s, half, h = record.samples, record.half, record.arm.period_s
+    begin, end = int(record.starts[0]) - half, int(record.starts[-1]) + record.cycles + half
+    at = np.arange(begin, end)[None]
+    state = smooth(arm, Readings(s.q[at], s.theta[at], record.omega0[at], s.tau[at]))
+    path = States(state.f0, state.q, state.theta, state.qd, state.thetad).packed()[0]
+    rest = np.concatenate([[0.0], path[:, 1 : 1 + 2 * arm.n].mean(axis=0), np.zeros(2 * arm.n)])
+    path = rest + amplitude * (path - rest)
+    last = min(len(path) - 1, int(speed * (len(path) - 1)))
+    when = np.arange(int(last / speed)) * speed
+    slow = np.stack([np.interp(when, np.arange(len(path)), column) for column in path.T], axis=1)
+    slow[:, [0, *range(1 + 2 * arm.n, slow.shape[1])]] *= speed
+    arcs = max(1, len(slow) // record.cycles)
+    cycles = min(record.cycles, len(slow))
+    cut = slow[: arcs * cycles].reshape(arcs, cycles, -1)
+    moved, applied = _servo(dynamics, cut, np.zeros((arcs, cycles + 1, arm.n)), h, min(4.0 * SERVO_RATE, 0.1 / h))
+    now = States.of(moved)
+    return Twin(arm, Readings(now.q, now.theta, now.omega0, applied))
+
+
+def _servo(dynamics: PlanarDynamics, path: Array, tau: Array, h: float, rate: float) -> tuple[Array, Array]:
+    """Move along a path (B, n, 4N+1) from its start under torques (B, n+1, N), the first that of the period before,
+    and a servo of the given bandwidth, rad/s. Returns states and torques at every SYNC."""
+    joints = dynamics.n
+    start = path[:, 0].copy()
+    reference = States.of(path)
+    states = States.of(start)
+    start[:, 1 + joints : 1 + 2 * joints] = np.where(dynamics.rigid, states.q, states.theta)
+    start[:, 1 + 3 * joints :] = np.where(dynamics.rigid, states.qd, states.thetad)
+    states = States.of(start)
+    if dynamics.angular_momentum is not None:
+        start[:, 0] = dynamics.base_rate(states.q, dynamics.angular_momentum, states.qd, states.thetad)
+    rotor = dynamics.rotor_inertia * dynamics.gear_ratio
+
+    def torque(k: int, now: States) -> Array:
+        behind, slower = reference.theta[:, k] - now.theta, reference.thetad[:, k] - now.thetad
+        return np.asarray(tau[:, k + 1] + rotor * rate * (rate * behind + 2.0 * slower), dtype=np.float64)
+
+    steps = substeps(dynamics, reference.q[:, ::97], h)
+    return replay(dynamics, h, start, torque, tau[:, 0], path.shape[1], steps)
+
+
+def measure(twin: Twin, seed: int) -> Readings:
+    """One reading of a twin: its exact readings with the errors of the declared sensors, drawn for this seed."""
+    arm, exact = twin.arm, twin.exact
+    arcs, cycles, _ = exact.q.shape
+    noise = draw_noise(arm, arcs * cycles, [seed])
+
+    def shaped(x: Array) -> Array:
+        return np.asarray(x[0].reshape(arcs, cycles, -1), dtype=np.float64)
+
+    signs = [
+        [e.sign for e in side] for side in zip(*((j.link_encoder, j.motor_encoder) for j in arm.joints), strict=True)
+    ]
+    gyro = shaped(noise.gyro) @ (arm.mount.T @ arm.axis)
+    # the bias at the start of each arc is part of that arc's constant angular rate
+    return Readings(
+        exact.q + np.array(signs[0]) * shaped(noise.link),
+        exact.theta + np.array(signs[1]) * shaped(noise.motor),
+        exact.omega0 + gyro,
+        exact.tau + shaped(noise.torque),
+    )
+
+
+def draws(
+    twin: Twin, accepted: NDArray[np.bool_], count: int, uncentred: Sequence[int], values: Array, seed: int = 0
+) -> Sums:
+    """Sums (count, ...) of readings of a twin, with seeds seed .. seed + count - 1. values: as `rows`."""
+    arm = twin.arm
+    drawn = [accumulate(rows(arm, measure(twin, seed + k), values), accepted, uncentred) for k in range(count)]
+    return Sums(np.stack([one.gram for one in drawn]), drawn[0].count)
+
+
+def observed(record: Record, uncentred: Sequence[int], values: Array) -> tuple[Sums, NDArray[np.bool_]]:
+    """Sums of the record itself, and the instants (A, instants) that were used. values: as `rows`."""
+    readings = record.readings()
+    accepted = followed(record.arm, readings)
+    return accumulate(rows(record.arm, readings, values), accepted, uncentred), accepted

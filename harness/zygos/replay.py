@@ -1,0 +1,109 @@
+"""Many short stretches of motion at once under torques that are held from SYNC to SYNC.
+
+A twin of a run, or a prediction of its next half second, is a batch of stretches that begin at known states. They share
+their steps, so a fixed-step RK4 does; `zygos.plant` is the simulator for what must be exact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zygos.dynamics import PlanarDynamics
+
+Array = NDArray[np.float64]
+
+STEP_OF_MODE = 0.15
+"""Longest step in units of the fastest mode's 1/omega: RK4 then errs by 1e-6 of the mode's motion in a cycle of it."""
+
+
+@dataclass(frozen=True)
+class States:
+    """States of any number of stretches; N joints. Angles in rad, rates in rad/s, after the gear."""
+
+    omega0: Array
+    """(...,)"""
+    q: Array
+    """(..., N), as theta, qd, thetad."""
+    theta: Array
+    qd: Array
+    thetad: Array
+
+    @classmethod
+    def of(cls, packed: Array) -> States:
+        """From arrays (..., 4N+1): omega0, q, theta, qd, thetad."""
+        n = (packed.shape[-1] - 1) // 4
+        parts = [packed[..., 1 + i * n : 1 + (i + 1) * n] for i in range(4)]
+        return cls(packed[..., 0], *parts)
+
+    def packed(self) -> Array:
+        """(..., 4N+1) omega0, q, theta, qd, thetad."""
+        return np.concatenate([self.omega0[..., None], self.q, self.theta, self.qd, self.thetad], axis=-1)
+
+
+def substeps(dynamics: PlanarDynamics, q: Array, period_s: float) -> int:
+    """RK4 steps a SYNC period that follow the arm's fastest mode at the postures q (..., N)."""
+    n = dynamics.n
+    joints = np.eye(n, n + 1, 1) - np.eye(n, n + 1)
+    inertia = dynamics.inertia(q)[0] + dynamics.rotor_mass
+    flexible = ~dynamics.rigid
+    # a unit torque of spring i turns link i against its carrier, and the rotor against both
+    slack = joints @ np.linalg.solve(inertia, np.broadcast_to(joints.T, (*inertia.shape[:-2], n + 1, n)))
+    slack = slack + np.diag(1.0 / (dynamics.rotor_inertia * dynamics.gear_ratio**2))
+    stiff = np.where(flexible, dynamics.stiffness, 0.0)
+    damped = np.where(flexible, dynamics.damping, 0.0)
+    fastest = np.sqrt(np.max(np.abs(np.linalg.eigvals(slack * stiff)), initial=0.0))
+    loss = np.max(np.abs(np.linalg.eigvals(slack * (damped + dynamics.friction_slope))), initial=0.0)
+    return max(1, int(np.ceil(period_s * max(fastest / STEP_OF_MODE, loss))))
+
+
+def replay(
+    dynamics: PlanarDynamics,
+    period_s: float,
+    start: Array,
+    torque: Callable[[int, States], Array],
+    before: Array,
+    cycles: int,
+    steps: int,
+) -> tuple[Array, Array]:
+    """Move B stretches on from their states `start` (B, 4N+1) at the first SYNC (layout of `States.packed`).
+
+    torque(k, states) gives the torques (B, N) of period k, Nm before the gear, `before` (B, N) those of the period
+    before the first. Returns the states (B, cycles, 4N+1) at each SYNC and the torques (B, cycles, N).
+    """
+    lag = dynamics.torque_lag
+    instants = np.unique(np.concatenate([[0.0, period_s], [] if lag is None else lag]))
+    state = start.copy()
+    states = np.empty((len(start), cycles, start.shape[1]))
+    torques = np.empty((len(start), cycles, dynamics.n))
+    for k in range(cycles):
+        states[:, k] = state
+        command = torque(k, States.of(state))
+        torques[:, k] = command
+        if k == cycles - 1:
+            break
+        for begin, end in pairwise(instants):
+            tau = command if lag is None else np.where(begin >= lag, command, before)
+            parts = max(1, int(np.ceil(steps * (end - begin) / period_s - 1e-9)))
+            for _ in range(parts):
+                state = _step(dynamics, state, tau, (end - begin) / parts)
+        before = command
+    return states, torques
+
+
+def _step(dynamics: PlanarDynamics, x: Array, tau: Array, h: float) -> Array:
+    first = _rate(dynamics, x, tau)
+    second = _rate(dynamics, x + 0.5 * h * first, tau)
+    third = _rate(dynamics, x + 0.5 * h * second, tau)
+    fourth = _rate(dynamics, x + h * third, tau)
+    return x + h / 6.0 * (first + 2.0 * (second + third) + fourth)
+
+
+def _rate(dynamics: PlanarDynamics, x: Array, tau: Array) -> Array:
+    s = States.of(x)
+    base, link, motor = dynamics.accelerations(s.q, s.theta, s.omega0, s.qd, s.thetad, tau)
+    return States(base, s.qd, s.thetad, link, motor).packed()
