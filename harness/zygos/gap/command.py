@@ -1,0 +1,263 @@
+"""`zygos explain`: read runs and simulation, say what is missing, write model, report and JSON."""
+
+from __future__ import annotations
+
+import hashlib
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from zygos import bus
+from zygos.arm import load_arm
+from zygos.commands import check_model_name, find_arm, progress
+from zygos.errors import Undecided, ZygosError
+from zygos.gap.explain import INTERVAL, Explanation, Gap, explain
+from zygos.gap.forecast import Forecast
+from zygos.gap.provenance import Provenance
+from zygos.gap.record import Record, read_record
+from zygos.model import load_model, save_model
+from zygos.output import check_outputs, number, say, table, write_json
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Files that are read."""
+
+    simulation: Path
+    arm: Path
+    measured: tuple[Path, Path]
+    validate: Path | None
+
+    @property
+    def files(self) -> list[tuple[str, Path]]:
+        """Their roles and paths."""
+        listed = [("simulation", self.simulation), ("arm", self.arm)]
+        listed += [("measured", run) for run in self.measured]
+        return listed + ([("validate", self.validate)] if self.validate else [])
+
+
+def explain_run(
+    simulation: Path,
+    measured: tuple[Path, Path],
+    validate: Path | None,
+    arm_file: Path | None,
+    out: Path,
+    report: Path | None,
+    json: str | None,
+    command: Sequence[str],
+) -> None:
+    """Explain the gap between a simulation and measured runs; see `zygos explain --help`."""
+    inputs = Inputs(simulation, find_arm(measured[0], arm_file), measured, validate)
+    runs = [run for role, run in inputs.files if role in {"measured", "validate"}]
+    for run in runs:
+        bus.check_log(run)
+    _check_distinct(runs)
+    check_model_name(out)
+    check_outputs([out, report, json], [path for _, path in inputs.files])
+    arm, model = load_arm(inputs.arm), load_model(simulation)
+    model.base_parameters(arm)
+    with progress() as bar:
+        task = bar.add_task("reading", total=1.0)
+        records = []
+        for k, run in enumerate(runs):
+            bar.update(task, description=f"reading {run.name}", completed=0.2 * k / len(runs))
+            records.append(read_record(arm, run, bus.read_log(run)))
+        found = explain(
+            arm,
+            model,
+            records[:2],
+            records[2] if validate else None,
+            lambda share, what: bar.update(task, description=what, completed=0.2 + 0.8 * share),
+        )
+    source = Provenance(
+        shlex.join(["zygos", *command]),
+        version("zygos"),
+        tuple((role, str(path), hashlib.sha256(path.read_bytes()).hexdigest()) for role, path in inputs.files),
+    )
+    finish(found, records, inputs, source, out, report, json)
+
+
+def _check_distinct(runs: Sequence[Path]) -> None:
+    seen: dict[str, Path] = {}
+    for run in runs:
+        digest = hashlib.sha256(run.read_bytes()).hexdigest()
+        if digest in seen:
+            raise ZygosError(
+                f"{seen[digest]} and {run} are the same recording; remedy: two runs to learn from, and with --validate "
+                "a third, for what one run says must hold on another"
+            )
+        seen[digest] = run
+
+
+def finish(
+    found: Explanation,
+    records: Sequence[Record],
+    inputs: Inputs,
+    source: Provenance,
+    out: Path,
+    report: Path | None,
+    json: str | None,
+) -> None:
+    """Print the tables, write what was asked for, and say what is undecided."""
+    if json != "-":
+        show(found)
+    try:
+        if found.model is not None:
+            save_model(found.model, out)
+        if report is not None:
+            from zygos.report.gap import write_gap_report  # noqa: PLC0415  (only a report needs charts)
+
+            write_gap_report(report, found, source)
+    finally:
+        if json:
+            write_json(json, as_json(found, records, source))
+    if found.answer in {"unknown", "cannot tell"}:
+        remedy = "see the report"
+        if found.experiments:
+            remedy = f"{found.experiments[0].said} would tell them apart"
+        elif found.partly:
+            remedy = f"part of it looks like {found.partly}"
+        raise Undecided(f"{found.answer}: {found.sentence} ({out} not written); remedy: {remedy}")
+
+
+def show(found: Explanation) -> None:
+    """The tables of a verdict, its sentence last."""
+    if found.search is not None:
+        listed = found.search.rounds[0][:6]
+        table(
+            ("candidate", "run A", "run B", "unit", "z A", "z B", "explains %", "seen from", ""),
+            [
+                (
+                    c.name,
+                    *(number(x, 4) for x in c.each),
+                    c.kind.unit,
+                    *(f"{z:.1f}" for z in c.z),
+                    f"{100 * max(0.0, c.complete):.1f}",
+                    number(c.limit, 2),
+                    "named" if c in found.search.named else c.verdict or "explains less",
+                )
+                for c in listed
+            ],
+            title=f"the first {len(listed)} of {len(found.search.rounds[0])} candidates",
+        )
+    changed = [v for v in found.values if v.differs]
+    if changed:
+        table(
+            ("value", "unit", "simulation", "found", "± 95 %", "change %"),
+            [
+                (
+                    v.name,
+                    v.unit,
+                    number(v.delivered),
+                    number(v.found),
+                    number(INTERVAL * v.sigma, 2),
+                    f"{100 * v.change:+.2f}" if np.isfinite(v.change) else "–",
+                )
+                for v in changed
+            ],
+        )
+    if found.gap is not None:
+        table(
+            ("gap on the untouched run", "rms, sigma", "median", "90th percentile"),
+            [
+                (name, number(one.gap, 4), number(one.median, 4), number(one.tenth, 4))
+                for name, one in _predictions(found.gap)
+            ],
+        )
+    say(found.where)
+    for remark in found.remarks:
+        say(f"note: {remark}")
+    say(f"{found.answer}: {found.sentence}")
+
+
+def _predictions(gap: Gap) -> list[tuple[str, Forecast]]:
+    listed = [("as delivered", gap.delivered), ("refit", gap.refit), ("closed", gap.closed), ("floor", gap.floor)]
+    return listed + ([(f"with {gap.wrong_name} instead", gap.wrong)] if gap.wrong is not None else [])
+
+
+def as_json(found: Explanation, records: Sequence[Record], source: Provenance) -> dict[str, Any]:
+    """The content of a verdict's JSON."""
+    layout = found.refit.layout
+    gap = found.gap
+    return {
+        "answer": found.answer,
+        "sentence": found.sentence,
+        "where": found.where,
+        "findings": [
+            {
+                "effect": f.kind,
+                "title": f.title,
+                "joint": f.joint,
+                "value": f.value,
+                "sigma": f.sigma,
+                "interval": list(f.interval),
+                "unit": f.unit,
+                "evidence": f.evidence,
+                "cannot_tell_from": list(f.instead),
+            }
+            for f in found.findings
+        ],
+        "partly": found.partly or None,
+        "gap": gap
+        and {
+            "unit": "sigma",
+            "as_delivered": gap.delivered.gap,
+            "refit": gap.refit.gap,
+            "closed": gap.closed.gap,
+            "floor": gap.floor.gap,
+            "shrinks": gap.refit.gap / gap.closed.gap,
+            "median": {name: one.median for name, one in _predictions(gap)[:4]},
+            "ninetieth": {name: one.tenth for name, one in _predictions(gap)[:4]},
+            "best_wrong": gap.wrong and {"candidate": gap.wrong_name, "gap": gap.wrong.gap},
+        },
+        "balances": [
+            {
+                "name": name,
+                "before": found.refit.excess[:, k].tolist(),
+                "alone": found.local[:, k].tolist(),
+                "after": found.closed.excess[:, k].tolist(),
+            }
+            for k, name in enumerate(layout.balances)
+        ],
+        "candidates": []
+        if found.search is None
+        else [
+            {
+                "name": c.name,
+                "unit": c.kind.unit,
+                "value": c.value,
+                "each": list(c.each),
+                "z": list(c.z),
+                "completeness": list(c.completeness),
+                "limit": c.limit,
+                "against": c.verdict or None,
+            }
+            for c in found.search.rounds[0]
+        ],
+        "completeness": None if found.search is None else list(found.search.completeness),
+        "values": [
+            {
+                "name": v.name,
+                "unit": v.unit,
+                "simulation": v.delivered,
+                "simulation_sigma": v.delivered_sigma,
+                "found": v.found,
+                "sigma": v.sigma,
+                "differs": v.differs,
+            }
+            for v in found.values
+        ],
+        "experiments": [
+            {"speed": e.speed, "amplitude": e.amplitude, "z": e.z, "z_now": e.now} for e in found.experiments
+        ],
+        "remarks": list(found.remarks),
+        "runs": [{"run": str(r.path), "arcs": len(r.starts), "faults": r.faults} for r in records],
+        "command": source.command,
+        "version": source.version,
+        "files": [{"role": role, "path": path, "sha256": digest} for role, path, digest in source.files],
+    }
