@@ -96,7 +96,7 @@ class LinkCoulomb(Law):
     but for an invisibly short one.
     """
 
-    presliding: float = 1e-3
+    presliding: float = 5e-4
     bent: float = field(default=0.0, init=False)
     """z at the start of the step, -1 .. 1."""
     start: float = field(default=0.0, init=False)

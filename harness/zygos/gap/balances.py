@@ -216,6 +216,8 @@ class Sums:
     """(..., balances, columns + 1, columns + 1), the right side last; arc constants eliminated."""
     count: Array
     """(balances,) instants."""
+    noise: Array | float = 0.0
+    """(balances, columns + 1, columns + 1) what the sensors' noise is expected to add to `gram`."""
 
 
 def accumulate(rows: Rows, accepted: NDArray[np.bool_], uncentred: Sequence[int] = ()) -> Sums:

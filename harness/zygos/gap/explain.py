@@ -17,10 +17,9 @@ from zygos.effects import CATALOGUE, Effect, Kind
 from zygos.errors import ZygosError
 from zygos.gap.balances import Layout
 from zygos.gap.experiment import Experiment, propose
-from zygos.gap.fit import Hypothesis
 from zygos.gap.forecast import Forecast, Segments, cut, cut_twin, forecast
 from zygos.gap.record import Record
-from zygos.gap.search import COMPLETE, PARTLY, Candidate, Search, completeness, excess, search
+from zygos.gap.search import COMPLETE, PARTLY, Candidate, Search, excess, search
 from zygos.gap.study import Study, again, begin, read_hypothesis, split
 from zygos.gap.twin import follow
 from zygos.model import Model, Quantity
@@ -35,7 +34,7 @@ DIFFERS = 3.0
 MATERIAL = 0.005
 """Share below which a difference of values does not matter."""
 CLOSES = 1.5
-"""rho up to which the same equations are taken to fit."""
+"""rho beyond which a named law leaves something over that must be said."""
 _DEFLECTED = 3.0
 """Deviations of the encoders beyond which a joint that is said to be rigid is not."""
 _SKEWED = 0.95
@@ -359,11 +358,7 @@ class _Explainer:
             return "unknown", sentence, ""
         share = min(found.completeness)
         rest = float(np.nanmax(found.after.excess))
-        if not found.named and np.nanmax(found.before.excess) <= CLOSES:
-            if excess(found.before.excess):
-                self.remarks.append(
-                    f"a balance leaves {rest:.2f} times as much as its twin: too little to look for a cause"
-                )
+        if not found.named and not excess(found.before):
             if not findings:
                 return self._same_equations(values)
         elif not found.named or share < COMPLETE:
@@ -504,6 +499,3 @@ def _share(found: Search) -> str:
         return ""
     listed = ", ".join(candidate.name for candidate in found.named)
     return f"; the best guess ({listed}) takes {100 * min(found.completeness):.0f} % of the excess away"
-
-
-__all__ = ["Explanation", "Hypothesis", "completeness", "explain"]

@@ -101,8 +101,10 @@ def fit(
     parts = [basis.T @ run.gram[..., used, :, :] @ basis for run in runs]
     settled: list[Array] = []
     total = np.zeros(())
-    for part in parts:
-        whole = (part * (weight[used] ** 2)[:, None, None]).sum(axis=-3)
+    for run, part in zip(runs, parts, strict=True):
+        # noise in the columns would pull every coefficient towards zero; what it leaves over is looked at all the same
+        noise = basis.T @ run.noise[used] @ basis if isinstance(run.noise, np.ndarray) else 0.0
+        whole = ((part - noise) * (weight[used] ** 2)[:, None, None]).sum(axis=-3)
         # the run's own zeros, as functions of the coefficients and the right side
         settled.append(np.linalg.solve(whole[..., :zeros, :zeros] + prior, whole[..., :zeros, zeros:]))
         total = total + whole[..., zeros:, zeros:] - whole[..., zeros:, :zeros] @ settled[-1]

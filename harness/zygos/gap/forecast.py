@@ -18,6 +18,7 @@ from zygos.dynamics import PlanarDynamics
 from zygos.errors import ZygosError
 from zygos.gap.record import Readings, Record, smooth
 from zygos.gap.twin import Twin, measure
+from zygos.reference.smoother import coefficients
 from zygos.replay import States, replay, substeps
 
 Array = NDArray[np.float64]
@@ -25,6 +26,7 @@ Array = NDArray[np.float64]
 HORIZON_S = 0.5
 """Of the fit and of the prediction."""
 _ROUNDS = 3
+_STRAY = 30.0
 
 
 @dataclass(frozen=True)
@@ -66,8 +68,9 @@ class Forecast:
 
     @property
     def gap(self) -> float:
-        """Root mean square residual, sigma."""
-        return float(np.sqrt(np.mean(self.residual**2)))
+        """Root mean square residual, sigma; infinite where a prediction diverges."""
+        gap = float(np.sqrt(np.mean(self.residual**2)))
+        return gap if np.isfinite(gap) else np.inf
 
     @property
     def median(self) -> float:
@@ -122,6 +125,12 @@ def _segments(arm: Arm, samples: Readings, stretches: Sequence[tuple[int, int]],
 
 def forecast(dynamics: PlanarDynamics, segments: Segments) -> Forecast:
     """Predict every segment with a model. Where it assumes an angular momentum, the base rate follows from it."""
+    # a model that is far off may diverge: then the gap is infinite, and says so
+    with np.errstate(over="ignore", invalid="ignore"):
+        return _forecast(dynamics, segments)
+
+
+def _forecast(dynamics: PlanarDynamics, segments: Segments) -> Forecast:
     arm, joints = segments.arm, segments.arm.n
     n = segments.readings.shape[1] // 2
     steps = substeps(dynamics, segments.readings[:, ::n, :joints], arm.period_s)
@@ -132,6 +141,7 @@ def forecast(dynamics: PlanarDynamics, segments: Segments) -> Forecast:
     scale = scale[free]
 
     def move(x: Array, copies: int, cycles: int) -> Array:
+        """(copies * S, cycles, 2N+1) q, theta, omega0."""
         tau = np.tile(segments.tau, (copies, 1, 1))
         before = np.tile(segments.before, (copies, 1))
         states, _ = replay(dynamics, arm.period_s, unpack(x), lambda k, _: tau[:, k], before, cycles, steps)
@@ -151,13 +161,24 @@ def forecast(dynamics: PlanarDynamics, segments: Segments) -> Forecast:
     first = misfit(move(shifted, size + 1, n))
     # in half a second the motion is all but linear in its start, so one Jacobian serves all rounds
     jacobian = np.moveaxis(first[1:] - first[0], 0, -1)
-    solver = np.linalg.pinv(jacobian)
-    left = first[0]
+    hold = np.broadcast_to(np.diag(scale / _held(segments)[free]), (len(x), size, size))
+    solver = np.linalg.pinv(np.concatenate([jacobian, hold], axis=1))
+    left, guess = first[0], x
     for _ in range(_ROUNDS):
-        x = x - (solver @ left[..., None])[..., 0] * scale
+        strayed = (hold @ ((x - guess) / scale)[..., None])[..., 0]
+        x = x - (solver @ np.concatenate([left, strayed], axis=1)[..., None])[..., 0] * scale
         left = misfit(move(x, 1, n))[0]
     seen = move(x, 1, 2 * n)[:, n:]
     return Forecast((seen - segments.readings[:, n:]) / sigma, seen)
+
+
+def _held(segments: Segments) -> Array:
+    """(4N+1,) how far a start may stray from the smoothed state: many deviations of it, which binds no model that is
+    about right, and keeps a wrong one from absurd states."""
+    arm, joints = segments.arm, segments.arm.n
+    rate = float(np.linalg.norm(coefficients(arm.smoother.points, arm.smoother.order, 0.0, 1))) / arm.period_s
+    angles = segments.sigma[: 2 * joints]
+    return _STRAY * np.concatenate([segments.sigma[-1:], angles, rate * angles])
 
 
 def _free(dynamics: PlanarDynamics, joints: int) -> tuple[Callable[[Array], Array], NDArray[np.int64]]:

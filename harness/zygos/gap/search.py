@@ -20,7 +20,9 @@ THRESHOLD = 4.5
 AGREEMENT = 0.25
 """Share by which the two runs' coefficients may differ: a law that differs in form from its column has no one size."""
 EXCESS = 0.2
-"""A balance has something to explain where rho^2 - 1 is above this."""
+"""A balance has something to explain where rho^2 - 1 is above this, and above what the twin itself varies by."""
+CERTAIN = 4.0
+"""Standard deviations of the twin's rho^2 that an excess must exceed."""
 COMPLETE = 0.95
 """Share of the excess that a set of effects must take away to bear their names."""
 PARTLY = 0.6
@@ -83,17 +85,21 @@ class Search:
     """For each named effect the names that the runs cannot tell from it, itself first."""
 
 
-def excess(rho: Array) -> bool:
-    """Whether a balance (runs, balances) has something left to explain."""
-    return bool(np.nanmax(rho**2) - 1.0 > EXCESS)
+def excess(study: Study) -> bool:
+    """Whether a balance of a study leaves something to explain."""
+    over = study.excess**2 - 1.0
+    return bool(np.any(over > np.maximum(EXCESS, CERTAIN * study.wobble)))
 
 
-def completeness(before: Array, after: Array) -> tuple[float, ...]:
-    """Share of each run's excess, (runs, balances) rho before and after, that is gone; 1 where there was none."""
+def completeness(before: Study, rms: Array) -> tuple[float, ...]:
+    """Share of each run's excess over a study's twin that is gone when its balances leave rms (runs, balances); 1 where
+    there was none. What the twin itself varies by is no excess."""
     out = []
-    for old, kept in zip(before**2 - 1.0, after**2 - 1.0, strict=True):
+    after = (rms / before.noise) ** 2 - 1.0
+    for old, kept, wobble in zip(before.excess**2 - 1.0, after, before.wobble, strict=True):
         counts = np.isfinite(old) & (old > EXCESS)
-        out.append(1.0 - float(np.sum(np.maximum(kept[counts], 0.0)) / np.sum(old[counts])) if counts.any() else 1.0)
+        left = np.maximum(kept - 2.0 * wobble, 0.0)
+        out.append(1.0 - float(np.sum(left[counts]) / np.sum(old[counts])) if counts.any() else 1.0)
     return tuple(out)
 
 
@@ -108,7 +114,7 @@ def search(study: Study, step: Callable[[str], None] = lambda _: None) -> Search
         listed = candidates(now, before)
         rounds.append(listed)
         best = next((candidate for candidate in listed if candidate.passes), None)
-        open_ = excess(now.excess) if not named else min(share) < COMPLETE
+        open_ = excess(now) if not named else min(share) < COMPLETE
         if best is None or not open_ or len(named) >= MOST:
             break
         try:
@@ -116,13 +122,13 @@ def search(study: Study, step: Callable[[str], None] = lambda _: None) -> Search
             grown = again(now, replace(now.hypothesis, effects=(*now.hypothesis.effects, best.name)))
         except Undecided:
             break
-        gained = completeness(before.excess, grown.excess)
+        gained = completeness(before, grown.excess * before.noise)
         if named and min(gained) < min(share) + 0.05:
             break
         named.append(best)
         now, share = grown, gained
     named, now = _retest(named, now, before)
-    share = completeness(before.excess, now.excess)
+    share = completeness(before, now.excess * before.noise)
     sets = tuple(_inseparable(candidate, now, before) for candidate in named)
     return Search(before, now, tuple(named), tuple(rounds), share, sets)
 
@@ -131,7 +137,7 @@ def _retest(named: list[Candidate], now: Study, before: Study) -> tuple[list[Can
     """Earlier names once more beside the later ones: a first guess may have stood for two others."""
     for candidate in list(named):
         rest = tuple(name for name in now.hypothesis.effects if name != candidate.name)
-        without = completeness(before.excess, now.of(replace(now.hypothesis, effects=rest)).rms / now.noise)
+        without = completeness(before, now.of(replace(now.hypothesis, effects=rest)).rms)
         if len(named) > 1 and min(without) > COMPLETE:
             named = [other for other in named if other is not candidate]
             now = again(now, replace(now.hypothesis, effects=rest))
@@ -174,7 +180,7 @@ def _candidate(now: Study, before: Study, kind: Kind, joint: int) -> Candidate |
     frozen = _total(now.of(wider, [1], with_it).rms, now.noise[1:]) / _total(
         now.of(now.hypothesis, [1], plain).rms, now.noise[1:]
     )
-    share = completeness(before.excess, whole.rms / before.noise)
+    share = completeness(before, whole.rms)
     against = ""
     spread = max(float(draw.std(ddof=1)) for draw in null)
     if min(abs(one) for one in z) < THRESHOLD:
@@ -227,7 +233,7 @@ def _inseparable(candidate: Candidate, now: Study, before: Study) -> tuple[str, 
         both = replace(now.hypothesis, effects=(*now.hypothesis.effects, other))
         try:
             alone = now.of(instead)
-            if min(completeness(before.excess, alone.rms / now.noise)) < COMPLETE:
+            if min(completeness(before, alone.rms)) < COMPLETE:
                 continue
             if kind.positive and alone.of(other) < 0.0:
                 continue

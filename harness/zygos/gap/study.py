@@ -43,6 +43,8 @@ class Study:
     """Of the twins, (draws, ...)."""
     noise: Array
     """(runs, balances) root mean square of what the same fit leaves over of the twin."""
+    wobble: Array
+    """(runs, balances) standard deviation of the square of that, over the draws, as a share of its mean."""
     fit: Fit
     bias: Array
     """(coefficients,) what the fit makes of the twin, less what the twin was made with."""
@@ -248,14 +250,14 @@ def _study(
     arm = layout.arm
     uncentred = () if hypothesis.momentum is None else (layout.balances.index("H"),)
     base = base_values(dynamics, layout)
-    sums = tuple(
-        accumulate(rows(arm, record.readings(), base), kept, uncentred)
-        for record, kept in zip(records, accepted, strict=True)
-    )
     twins = tuple(follow(dynamics, records))
     drawn = tuple(
         draws(twin, kept, count, uncentred, base, count * k)
         for k, (twin, kept) in enumerate(zip(twins, accepted, strict=True))
+    )
+    sums = tuple(
+        replace(accumulate(rows(arm, record.readings(), base), kept, uncentred), noise=twin.noise)
+        for record, kept, twin in zip(records, accepted, drawn, strict=True)
     )
     used = list(hypothesis.balances)
     weight = np.zeros(len(layout.balances))
@@ -275,6 +277,7 @@ def _study(
         twins,
         drawn,
         noise,
+        (guess.rms**2).std(axis=0, ddof=1) / noise**2,
         fit(hypothesis, sums, weight),
         guess.value.mean(axis=0) - made,
         guess.value.std(axis=0, ddof=1),

@@ -134,10 +134,14 @@ def measure(twin: Twin, seed: int) -> Readings:
 def draws(
     twin: Twin, accepted: NDArray[np.bool_], count: int, uncentred: Sequence[int], values: Array, seed: int = 0
 ) -> Sums:
-    """Sums (count, ...) of readings of a twin, with seeds seed .. seed + count - 1. values: as `rows`."""
+    """Sums (count, ...) of readings of a twin, with seeds seed .. seed + count - 1, and what noise adds to them on
+    average. values: as `rows`."""
     arm = twin.arm
-    drawn = [accumulate(rows(arm, measure(twin, seed + k), values), accepted, uncentred) for k in range(count)]
-    return Sums(np.stack([one.gram for one in drawn]), drawn[0].count)
+    exact = accumulate(rows(arm, twin.exact, values), accepted, uncentred)
+    drawn = np.stack(
+        [accumulate(rows(arm, measure(twin, seed + k), values), accepted, uncentred).gram for k in range(count)]
+    )
+    return Sums(drawn, exact.count, drawn.mean(axis=0) - exact.gram)
 
 
 def observed(record: Record, uncentred: Sequence[int], values: Array) -> tuple[Sums, NDArray[np.bool_]]:

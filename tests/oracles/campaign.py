@@ -1,0 +1,304 @@
+"""`make gap`: hide effects in runs of the MuJoCo plant, explain them from their CAN frames, and score the verdicts.
+
+Each case is a hidden effect, or none, at one place; its seeds differ in the arm that was built (every value off by up
+to its sigma) and in the sensors' noise. What is explained is frames, an arm file and the drawing's model; the truth
+meets the verdict only in `score`.
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import sys
+import time
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from oracles import laws
+from oracles.demo_log import EXAMPLE, built
+from oracles.laws import Law
+from oracles.simulate import run
+from zygos.arm import Arm, load_arm
+from zygos.commands import progress
+from zygos.effects import CATALOGUE, Effect
+from zygos.flight import encode
+from zygos.gap.explain import Explanation, explain
+from zygos.gap.record import read_record
+from zygos.model import Model, Quantity, load_model
+from zygos.output import number, say, table
+from zygos.scenario import Motion, Scenario, Sine, load_scenario
+
+PAPER = EXAMPLE.parent / "paper"
+SHOULDER, ELBOW = 0, 1
+PLACES = ("shoulder", "elbow")
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is hidden, and what the right answer is."""
+
+    name: str
+    answer: str
+    """The right answer: named, values differ, nothing missing, unknown."""
+    hidden: tuple[tuple[str, str | None], ...] = ()
+    """Effects, by name in the catalogue, and their joints."""
+    law: Law | None = None
+    momentum: float = 0.0
+    lacks: str = ""
+    """What the simulation leaves out: flexibility or coupling."""
+    exact: bool = False
+    """The arm was built exactly as drawn."""
+    changed: bool = False
+    """k1 is 20 % lower than drawn, Im2 10 % higher."""
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Sensors and manoeuvres."""
+
+    name: str
+    arm: Arm
+    scenarios: tuple[Scenario, ...]
+    cases: tuple[Case, ...]
+
+
+def _at(law: type[Law], sizes: tuple[float, float]) -> list[Case]:
+    return [
+        Case(f"{law.key} {PLACES[i]}", "named", ((law.key, PLACES[i]),), law(i, sizes[i]))  # type: ignore[call-arg]
+        for i in (SHOULDER, ELBOW)
+        if sizes[i]
+    ]
+
+
+def modern() -> Bench:
+    """20-bit encoders at 200 Hz."""
+    both = tuple(PLACES)
+    cases = [
+        *_at(laws.MotorCoulomb, (0.02, 0.02)),
+        *_at(laws.MotorViscous, (0.04, 0.05)),
+        *_at(laws.LinkCoulomb, (0.35, 0.4)),
+        *_at(laws.CubicStiffness, (30.0, 30.0)),
+        *_at(laws.TorqueLag, (5e-4, 1e-3)),
+        Case("flexibility", "named", tuple(("joint_flexibility", j) for j in both), lacks="flexibility"),
+        Case("coupling", "named", tuple(("rotor_coupling", j) for j in both), lacks="coupling"),
+        Case("momentum", "named", (("angular_momentum", None),), momentum=50.0),
+        Case("null as drawn", "nothing missing", exact=True),
+        Case("null as built", "nothing missing"),
+        Case("values", "values differ", exact=True, changed=True),
+        Case("rate stiffness elbow", "unknown", law=laws.RateStiffness(ELBOW, 0.02)),
+        Case("base detent", "unknown", law=laws.BaseDetent(0, 1.0)),
+    ]
+    scenarios = tuple(load_scenario(EXAMPLE / f"{name}.toml") for name in "abc")
+    return Bench("modern", load_arm(EXAMPLE / "arm.toml"), scenarios, tuple(cases))
+
+
+def paper() -> Bench:
+    """The paper's sensors, 3 mrad at 20 Hz, and motions as large as its own."""
+    cases = [
+        *_at(laws.MotorCoulomb, (5.0, 3.0)),
+        *_at(laws.MotorViscous, (10.0, 5.0)),
+        *_at(laws.LinkCoulomb, (100.0, 60.0)),
+        *_at(laws.CubicStiffness, (1000.0, 300.0)),
+        *_at(laws.TorqueLag, (0.02, 0.02)),
+        Case("flexibility", "named", tuple(("joint_flexibility", j) for j in PLACES), lacks="flexibility"),
+        Case("coupling", "named", tuple(("rotor_coupling", j) for j in PLACES), lacks="coupling"),
+        Case("momentum", "named", (("angular_momentum", None),), momentum=500.0),
+        Case("null as drawn", "nothing missing", exact=True),
+        Case("null as built", "nothing missing"),
+        Case("values", "values differ", exact=True, changed=True),
+        Case("rate stiffness elbow", "unknown", law=laws.RateStiffness(ELBOW, 0.2)),
+        Case("base detent", "unknown", law=laws.BaseDetent(0, 100.0)),
+    ]
+    scenario = replace(load_scenario(PAPER / "scenario.toml"), encoder_noise="quantised")
+    motions = ((0.9, 0.6, 0.8, 1.1), (0.8, 0.75, 0.7, 1.0), (0.9, 0.5, 0.8, 1.3))
+    scenarios = tuple(
+        replace(
+            scenario,
+            manoeuvre={
+                "shoulder": Motion(1.25, (Sine(first, slow),)),
+                "elbow": Motion(-2.0, (Sine(second, fast),)),
+            },
+        )
+        for first, slow, second, fast in motions
+    )
+    return Bench("paper", load_arm(PAPER / "arm.toml"), scenarios, tuple(cases))
+
+
+def simulation(case: Case) -> Model:
+    """The model that the analyst has."""
+    drawn = load_model(EXAMPLE / "cad.toml")
+    if case.lacks == "flexibility":
+        rigid = [replace(j, stiffness=Quantity(np.inf), damping=Quantity(0.0)) for j in drawn.joints]
+        return replace(drawn, joints=tuple(rigid))
+    if case.lacks == "coupling":
+        armature = tuple(Effect(CATALOGUE["rotor_coupling"], place, 0.0) for place in PLACES)
+        return replace(drawn, effects=(*drawn.effects, *armature))
+    return drawn
+
+
+def plant(case: Case, seed: int) -> Model:
+    """The arm that moves."""
+    drawn = load_model(EXAMPLE / "cad.toml")
+    model = drawn if case.exact else built(drawn, 1000 + seed)
+    if case.changed:
+        first, second = model.joints
+        first = replace(first, stiffness=replace(first.stiffness, value=0.8 * first.stiffness.value))
+        second = replace(second, rotor_inertia=replace(second.rotor_inertia, value=1.1 * second.rotor_inertia.value))
+        model = replace(model, joints=(first, second))
+    return model
+
+
+def frames(bench: Bench, case: Case, seed: int) -> list[np.ndarray[Any, Any]]:
+    """The CAN frames of three runs."""
+    moved = plant(case, seed)
+    scenarios = [replace(s, angular_momentum_nms=case.momentum) for s in bench.scenarios]
+    return [
+        encode(bench.arm, run(bench.arm, moved, scenario, 10 * seed + k, case.law))
+        for k, scenario in enumerate(scenarios)
+    ]
+
+
+def verdict(bench: Bench, drawn: Model, seen: Sequence[np.ndarray[Any, Any]]) -> Explanation:
+    """What is said of the frames; nothing else goes in."""
+    records = [read_record(bench.arm, Path(f"run {k}"), one) for k, one in enumerate(seen)]
+    return explain(bench.arm, drawn, records[:2], records[2])
+
+
+def score(case: Case, seed: int, found: Explanation) -> dict[str, Any]:
+    """Compare a verdict with the truth."""
+    named = {(f.kind, f.joint) for f in found.findings}
+    sets = [{(f.kind, f.joint)} | {_parse(name) for name in f.instead} for f in found.findings]
+    wrong = found.answer == "named" and named != set(case.hidden)
+    right = found.answer == case.answer and (not case.hidden or named == set(case.hidden))
+    if case.changed:
+        right = right and {v.name for v in found.values if v.differs} == {"k1", "Im2"}
+    if case.answer == "nothing missing":
+        # a value may differ by chance or by what was built; a name would be false
+        right = found.answer in {"nothing missing", "values differ"}
+    within = right or (
+        found.answer == "cannot tell"
+        and len(sets) == len(case.hidden)
+        and all(len(one) <= 2 for one in sets)
+        and all(any(truth in one for one in sets) for truth in case.hidden)
+    )
+    gap = found.gap
+    return {
+        "case": case.name,
+        "seed": seed,
+        "answer": found.answer,
+        "sentence": found.sentence,
+        "right": bool(right),
+        "within": bool(within),
+        "wrong": bool(wrong),
+        "rho": float(np.nanmax(found.refit.excess)),
+        "rho_after": float(np.nanmax(found.closed.excess)),
+        "completeness": None if found.search is None else min(found.search.completeness),
+        "as_delivered": gap and gap.delivered.gap,
+        "refit": gap and gap.refit.gap,
+        "closed": gap and gap.closed.gap,
+        "floor": gap and gap.floor.gap,
+        "limits": {} if found.search is None else {c.name: c.limit for c in found.search.rounds[0]},
+    }
+
+
+def _parse(column: str) -> tuple[str, str | None]:
+    key = column.rstrip("0123456789")
+    return (key, PLACES[int(column[len(key) :]) - 1]) if key != column else (key, None)
+
+
+def one(bench_name: str, case_name: str, seed: int) -> dict[str, Any]:
+    """Hide, explain, score."""
+    bench = {"modern": modern, "paper": paper}[bench_name]()
+    case = next(case for case in bench.cases if case.name == case_name)
+    begin = time.monotonic()
+    seen = frames(bench, case, seed)
+    moved = time.monotonic()
+    found = verdict(bench, simulation(case), seen)
+    return {
+        "bench": bench_name,
+        **score(case, seed, found),
+        "plant_s": moved - begin,
+        "explain_s": time.monotonic() - moved,
+    }
+
+
+SEEDS = {"null as drawn": 20, "null as built": 20}
+"""Cases with other than ten seeds."""
+
+
+def campaign(wanted: Sequence[tuple[str, str, int]], workers: int) -> list[dict[str, Any]]:
+    """Run cases side by side."""
+    out: list[dict[str, Any]] = []
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, mp_context=context) as pool, progress() as bar:
+        task = bar.add_task("explaining", total=len(wanted))
+        for future in as_completed([pool.submit(one, *job) for job in wanted]):
+            out.append(future.result())
+            bar.advance(task)
+    return sorted(out, key=lambda r: (r["bench"], r["case"], r["seed"]))
+
+
+def summarise(results: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """One line a case."""
+    lines = []
+    for bench, name in dict.fromkeys((r["bench"], r["case"]) for r in results):
+        of = [r for r in results if (r["bench"], r["case"]) == (bench, name)]
+        lines.append(
+            {
+                "bench": bench,
+                "case": name,
+                "runs": len(of),
+                "right": sum(r["right"] for r in of),
+                "within": sum(r["within"] for r in of),
+                "wrong": sum(r["wrong"] for r in of),
+                "visible": float(np.median([r["refit"] / r["floor"] for r in of])),
+                "closed": float(np.median([r["closed"] / r["floor"] for r in of])),
+                "worst_closed": float(np.max([r["closed"] / r["floor"] for r in of])),
+                "rho": float(np.median([r["rho"] for r in of])),
+                "seconds": float(np.median([r["explain_s"] for r in of])),
+            }
+        )
+    return lines
+
+
+def main(arguments: Sequence[str]) -> int:
+    """All cases, or those whose name contains a word of the command line; `seeds=N` for fewer seeds."""
+    seeds = next((int(word[6:]) for word in arguments if word.startswith("seeds=")), None)
+    words = [word for word in arguments if not word.startswith("seeds=")]
+    jobs = [
+        (bench.name, case.name, seed)
+        for bench in (modern(), paper())
+        for case in bench.cases
+        for seed in range(seeds or SEEDS.get(case.name, 10))
+        if not words or any(word in f"{bench.name} {case.name}" for word in words)
+    ]
+    begin = time.monotonic()
+    results = campaign(jobs, os.cpu_count() or 1)
+    lines = summarise(results)
+    table(
+        ("case", "runs", "right", "in set", "wrong", "refit/floor", "closed/floor", "worst", "rho", "s"),
+        [
+            (
+                f"{line['bench']}: {line['case']}",
+                *(str(line[key]) for key in ("runs", "right", "within", "wrong")),
+                *(number(line[key], 3) for key in ("visible", "closed", "worst_closed", "rho", "seconds")),
+            )
+            for line in lines
+        ],
+    )
+    out = Path("out/gap.json")
+    out.parent.mkdir(exist_ok=True)
+    out.write_text(json.dumps({"summary": lines, "runs": results}, indent=1) + "\n")
+    say(f"{len(results)} cases in {time.monotonic() - begin:.0f} s · {out}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
