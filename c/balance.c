@@ -5,7 +5,7 @@
 uint32_t zygos_balance_parameters(const zygos_config_t *config)
 {
     const uint32_t n = config->joints;
-    return (n + 1u) * (n + 2u) / 2u + 3u * n;
+    return (n + 1u) * (n + 2u) / 2u + 3u * n + config->effects;
 }
 
 void zygos_balance_gap(zygos_balance_t *self)
@@ -28,7 +28,8 @@ void zygos_balance_torque(zygos_balance_t *self, const zygos_config_t *config, c
     self->torque_at = (self->torque_at == config->smoother_half_width) ? 0u : self->torque_at + 1u;
 }
 
-/* W and D at this instant, from those at the instant before. Returns what torque steps add to the work of the row. */
+/* W, D and the effects at this instant, from those at the one before. Returns what torque steps add to the work of the
+ * row. */
 static double carry_on(zygos_balance_t *self, const zygos_config_t *config, const zygos_state_t *state)
 {
     const uint32_t last = config->smoother_half_width;
@@ -51,6 +52,7 @@ static double carry_on(zygos_balance_t *self, const zygos_config_t *config, cons
         *past_1 = *past_0;
         *past_0 = g;
     }
+    zygos_effects_carry_on(&self->effects, config, state, tau, tau_next);
     const double held = (config->torque_law == ZYGOS_TORQUE_SAMPLED) ? 0.0 : 1.0;
     return held * step_work * config->period_s / 12.0;
 }
@@ -76,6 +78,7 @@ static void form_row(const zygos_balance_t *self, const zygos_config_t *config, 
         out->column[k + 2u] = self->slip[i];
         k += 3u;
     }
+    zygos_effects_columns(&self->effects, config, &out->column[k]);
     out->work = self->work;
 }
 
@@ -93,6 +96,7 @@ int zygos_balance_row(zygos_balance_t *self, const zygos_config_t *config, const
     for (uint32_t i = 0; i < config->joints; i++) {
         self->slip[i] *= keep;
     }
+    zygos_effects_keep(&self->effects, config, keep);
     form_row(self, config, state, motion, out);
     out->work += step_work;
     return 1;

@@ -31,6 +31,11 @@ static double not_a_number(void)
     return (double)__builtin_nanf("");
 }
 
+static double infinity(void)
+{
+    return (double)__builtin_inff();
+}
+
 /* Cholesky of the scaled matrix with symmetric pivoting, in place in work->factor; rows are reordered by work->pivot.
    Returns the number of columns that are independent. */
 static uint32_t factorise(zygos_work_t *work, uint32_t p)
@@ -193,7 +198,7 @@ static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, zygos_estim
             out->covariance[at(i, j)] = sum * ((double)blocks - 1.0) / (double)blocks;
         }
         const double variance = out->covariance[at(i, i)];
-        out->sigma[i] = once ? (double)__builtin_inff() : root(variance);
+        out->sigma[i] = once ? infinity() : root(variance);
     }
 }
 
@@ -223,9 +228,18 @@ static bool positive_definite(const zygos_work_t *work, const double *x)
     return true;
 }
 
-/* Each a_ii, Im, k and b that has a value must be positive; (a_ij) is judged when all of it has. */
+/* Place of the first column of an effect. */
+static uint32_t first_effect(const zygos_work_t *work)
+{
+    const uint32_t n = work->joints + 1u;
+    return n * (n + 1u) / 2u + 3u * work->joints;
+}
+
+/* Each a_ii, Im, k and b that has a value must be positive; (a_ij) is judged when all of it has. An effect that
+   cannot be negative may come out so by its noise. */
 static bool physical(const zygos_work_t *work, uint32_t p, const zygos_estimate_t *out)
 {
+    const uint32_t effects = first_effect(work);
     const uint32_t n = work->joints + 1u;
     const uint32_t kinetic = n * (n + 1u) / 2u;
     bool all_kinetic = true;
@@ -238,7 +252,13 @@ static bool physical(const zygos_work_t *work, uint32_t p, const zygos_estimate_
             return false;
         }
     }
-    for (uint32_t i = kinetic; i < p; i++) {
+    for (uint32_t i = effects; i < p; i++) {
+        const bool positive = ((work->positive >> (i - effects)) & 1u) != 0;
+        if (positive && out->identifiable[i] && (out->value[i] < -ZYGOS_NEGATIVE_SIGMAS * out->sigma[i])) {
+            return false;
+        }
+    }
+    for (uint32_t i = kinetic; i < effects; i++) {
         if (out->identifiable[i] && !(out->value[i] > 0.0)) {
             return false;
         }
@@ -314,6 +334,10 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
         return refuse(out, ZYGOS_MAX_PARAMETERS, ZYGOS_REASON_CORRUPT);
     }
     const uint32_t p = sums->width - 2u;
+    const uint32_t effects = first_effect(work);
+    if ((p < effects) || (p > effects + (uint32_t)ZYGOS_MAX_EFFECTS)) {
+        return refuse(out, ZYGOS_MAX_PARAMETERS, ZYGOS_REASON_CORRUPT);
+    }
     out->cycle = work->cycle;
     out->refused = sums->refused;
     out->parameters = p;
@@ -342,6 +366,10 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     out->condition = condition(work, rank);
     solve_once(work, p, rank, work->solution);
     mark_identifiable(work, p, rank, out);
+    bool full = true; /* but for effects */
+    for (uint32_t d = rank; d < p; d++) {
+        full = full && (work->pivot[d] >= effects);
+    }
     memcpy(out->value, work->solution, p * sizeof out->value[0]);
     out->residual = residual(work, p, work->solution, out->accepted);
     const double unexplained = out->residual * out->residual * (double)out->accepted;
@@ -355,10 +383,10 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
 
     /* A value that is not sharp lends its error to all others, because noise in the rows acts on them through it: where
        nothing but noise makes the rank full, every value is made of noise. Columns that left the factorisation lend
-       nothing. */
+       nothing. An effect may be zero, so its sigma has no size to be compared with. */
     uint32_t known = 0;
     bool blurred = false;
-    for (uint32_t i = 0; i < p; i++) {
+    for (uint32_t i = 0; i < effects; i++) {
         const bool sharp = (out->sigma[i] <= ZYGOS_SIGMA_LIMIT * magnitude(out->value[i]));
         blurred = blurred || !sharp;
         if (!out->identifiable[i] || !sharp) {
@@ -366,8 +394,14 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
         }
         known += out->identifiable[i];
     }
-    if ((known == 0) || (blurred && (rank == p))) {
+    if ((known == 0) || (blurred && full)) {
         return refuse(out, p, closed ? ZYGOS_REASON_NOT_IDENTIFIABLE : ZYGOS_REASON_UNCLOSED);
+    }
+    for (uint32_t i = effects; i < p; i++) {
+        if (!out->identifiable[i] || !(out->sigma[i] < infinity())) {
+            withhold(out, i, p);
+        }
+        known += out->identifiable[i];
     }
     out->validity = ZYGOS_VALID;
     const double instants = (double)(out->accepted + out->refused);

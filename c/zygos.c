@@ -103,7 +103,7 @@ static int check_config(const zygos_config_t *config)
             return verdict;
         }
     }
-    return 1;
+    return zygos_effects_check(config);
 }
 
 int zygos_init(zygos_t *self, const zygos_config_t *config)
@@ -256,6 +256,7 @@ void zygos_take(const zygos_t *self, zygos_work_t *work)
     work->accumulator = self->accumulator;
     work->cycle = self->cycle;
     work->joints = self->config.joints;
+    work->positive = zygos_effects_positive(&self->config);
 }
 
 int zygos_restart(zygos_t *self, uint32_t keep)

@@ -86,7 +86,7 @@ def check_chain(arm: Arm, trace: Trace, flight: Flight) -> list[Room]:
     smoothed = smooth(arm, samples)
     if len(smoothed.index) == 0:
         return [Room("smoother", 0, float(trace.instant.sum()), None, 0.0)]
-    balance = rows(arm, samples, smoothed)
+    balance = rows(arm, samples, smoothed, flight.effects)
     half = arm.smoother.lag
     at = smoothed.index + half  # the instant k comes out with cycle k + M
     numpy_state = np.hstack([smoothed.q, smoothed.theta, smoothed.qd, smoothed.thetad, smoothed.omega])
@@ -114,7 +114,11 @@ def check_chain(arm: Arm, trace: Trace, flight: Flight) -> list[Room]:
     except Undecided:
         return rooms
     tolerance = max(1e-9, 1e-14 * estimate.condition)
-    relative = np.abs(estimate.value[known] / solution.x[known] - 1.0)
+    size = np.abs(solution.x)
+    # an effect may be zero; what it could explain at the most is its size then
+    first = len(arm.parameter_names)
+    size[first:] = np.linalg.norm(used.w) / np.linalg.norm(used.z[:, first:], axis=0)
+    relative = (np.abs(estimate.value - solution.x) / size)[known]
     worst = float(np.max(relative, initial=0.0)) if np.all(np.isfinite(relative)) else float("inf")
     rooms.append(Room("solution", len(relative), worst, None, tolerance))
     return rooms

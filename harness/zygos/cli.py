@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -64,14 +65,19 @@ def estimate(
     arm: ArmFile = None,
     model: Annotated[
         Path | None,
-        typer.Option("--model", metavar="PRIOR.toml", help="Where the run is silent on a parameter, keep this value."),
+        typer.Option(
+            "--model",
+            metavar="PRIOR.toml",
+            help="Also learn the effects of this model; where the run is silent on a value, keep its own.",
+        ),
     ] = None,
     json: Json = None,
 ) -> None:
     """Learn the parameters from a run, with the C library that flies.
 
     Writes a model.toml with value and sigma of each parameter. A parameter that the motion does not determine is left
-    out, or taken from --model. Exit code 3 when something is undecided; the reason is on stderr and in the JSON.
+    out, or taken from --model. The [[effect]] entries of --model (friction, cubic stiffness, torque lag) are learned as
+    well, whatever their values. Exit code 3 when something is undecided; the reason is on stderr and in the JSON.
 
     Example: zygos estimate out/run.blf -o out/estimate.toml
     """
@@ -81,7 +87,14 @@ def estimate(
 
 
 @app.command()
-def check(run: Run, arm: ArmFile = None, json: Json = None) -> None:
+def check(
+    run: Run,
+    arm: ArmFile = None,
+    model: Annotated[
+        Path | None, typer.Option("--model", metavar="MODEL.toml", help="Also compare the columns of its effects.")
+    ] = None,
+    json: Json = None,
+) -> None:
     """Compare the C library with numpy on a run, room by room.
 
     Wire and cycles, smoother, rows, normal equations, solution: the largest difference, its cycle and the tolerance.
@@ -92,7 +105,42 @@ def check(run: Run, arm: ArmFile = None, json: Json = None) -> None:
     """
     from zygos.commands import check_run  # noqa: PLC0415
 
-    check_run(run, arm, json)
+    check_run(run, arm, model, json)
+
+
+@app.command()
+def explain(
+    context: typer.Context,
+    simulation: Annotated[
+        Path, typer.Option("--simulation", metavar="CAD.toml", help="The model that the simulation uses.")
+    ],
+    measured: Annotated[
+        tuple[Path, Path],
+        typer.Option("--measured", metavar="RUN_A RUN_B", help="Two runs: what one says must hold on the other."),
+    ],
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="NEW.toml", help="The model to write.")],
+    validate: Annotated[
+        Path | None,
+        typer.Option("--validate", metavar="RUN_C", help="A third run, kept apart: the gap is measured on it."),
+    ] = None,
+    arm: ArmFile = None,
+    report: Annotated[Path | None, typer.Option("--report", metavar="GAP.html", help="Also write a page.")] = None,
+    json: Json = None,
+) -> None:
+    """Say where simulation and measurement disagree, name the missing effect, add it, and show the gap shrink.
+
+    Balances of energy, motor impulse and momentum are drawn up on cycles that the C library decoded, and read against
+    those of the simulation's own twin. The answer is one of: values differ, named, cannot tell these apart, nothing
+    missing above the detection limits, unknown. What is named enters NEW.toml with value, interval and evidence; the
+    gap is that of predictions half a second ahead on RUN_C, in the sensors' noise: as delivered, refit, closed, floor.
+
+    Exit code 3 when the answer is unknown or cannot tell; then NEW.toml is not written.
+
+    Example: zygos explain --simulation examples/gap/cad.toml --measured A.blf B.blf --validate C.blf -o out/new.toml
+    """
+    from zygos.gap.command import explain_run  # noqa: PLC0415
+
+    explain_run(simulation, measured, validate, arm, out, report, json, context.obj or ["explain"])
 
 
 @app.command()
@@ -144,7 +192,7 @@ def main(arguments: list[str] | None = None) -> None:
     from zygos.output import errors_end_the_program  # noqa: PLC0415
 
     with errors_end_the_program():
-        app(args=arguments)
+        app(args=arguments, obj=sys.argv[1:] if arguments is None else arguments)
 
 
 if __name__ == "__main__":

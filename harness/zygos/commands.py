@@ -20,6 +20,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from zygos import bus
 from zygos.arm import Arm, load_arm
 from zygos.check import check_frames
+from zygos.effects import Effect
 from zygos.errors import Undecided, ZygosError
 from zygos.flight import Estimate, Flight, encode
 from zygos.model import Model, Quantity, load_model, save_model
@@ -181,16 +182,26 @@ def losses(flight: Flight) -> str:
     return f"{counted(flight.faults['dropped'], 'cycle')} dropped, {counted(rejected, 'frame')} rejected"
 
 
+def learned(effect: Effect, found: Quantity | None) -> Effect:
+    """The entry of a model for what was found of an effect. A friction or lag that noise makes negative is none."""
+    if found is None:
+        return effect
+    value = max(found.value, 0.0) if effect.kind.positive else found.value
+    return replace(effect, value=value, sigma=found.sigma, source=found.source)
+
+
 def finish_estimate(
     result: Estimate, flight: Flight, out: Path, prior: Model | None, json: str | None, heading: Mapping[str, Any]
 ) -> None:
     """Print the table, write the model, and say what is undecided."""
-    quantities = {}
-    for name, unit, value, sigma in zip(result.names, result.units, result.value, result.sigma, strict=True):
-        if np.isfinite(value):
-            quantities[name] = Quantity(float(value), float(sigma), "zygos", unit)
-        elif prior is not None:
-            quantities[name] = prior.base_parameters(flight.arm)[name]
+    found = {
+        name: Quantity(float(value), float(sigma), "zygos", unit)
+        for name, unit, value, sigma in zip(result.names, result.units, result.value, result.sigma, strict=True)
+        if np.isfinite(value)
+    }
+    known = (prior.base_parameters(flight.arm) if prior is not None else {}) | found
+    quantities = {name: known[name] for name in flight.arm.parameter_names if name in known}
+    effects = tuple(learned(effect, found.get(effect.column(flight.arm))) for effect in prior.effects) if prior else ()
     if json != "-":
         rows = [
             (name, unit, number(value), number(sigma, 2), number(100 * ratio(sigma, abs(value)), 2))
@@ -207,7 +218,7 @@ def finish_estimate(
             say("faults: " + ", ".join(seen))
     try:
         if result.validity != "refused":
-            save_model(Model(name=flight.arm.name, parameters=quantities), out)
+            save_model(Model(name=flight.arm.name, parameters=quantities, effects=effects), out)
     finally:
         if json:
             write_json(json, report_estimate(result, flight, heading))
@@ -237,8 +248,8 @@ def _remedy(result: Estimate, flight: Flight) -> str:
         return "a higher SYNC rate, a shorter smoother window, or a slower motion"
     if "does not close" in result.reason:
         return (
-            "check gear ratios, signs, zeros and the torque_law of the arm file; friction, noise of the torques and "
-            "torques on the base are not in the balance"
+            "check gear ratios, signs, zeros and the torque_law of the arm file; friction, cubic springs and torque "
+            "lag are in the balance only where --model names them, noise of the torques and torques on the base never"
         )
     if "not physical" in result.reason:
         return "check signs, gear ratios and the torque_law of the arm file, or a longer run"
@@ -254,18 +265,17 @@ def estimate_run(run: Path, arm_file: Path | None, out: Path, model_file: Path |
     prior = load_model(model_file) if model_file else None
     if prior is not None:
         prior.base_parameters(arm)
-    frames = read_run(run)
-    flight = Flight(arm)
-    flight.frames(frames)
+    flight = Flight(arm, prior.effects if prior else ())
+    flight.frames(read_run(run))
     finish_estimate(flight.estimate(), flight, out, prior, json, {"run": str(run)})
 
 
-def check_run(run: Path, arm_file: Path | None, json: str | None) -> None:
+def check_run(run: Path, arm_file: Path | None, model_file: Path | None, json: str | None) -> None:
     """Compare C with numpy on a run; see `zygos check --help`."""
     chosen = find_arm(run, arm_file)
-    check_outputs([json], [run, chosen, run.parent / "arm.toml"])
+    check_outputs([json], [run, chosen, run.parent / "arm.toml", model_file])
     arm = load_arm(chosen)
-    flight = Flight(arm)
+    flight = Flight(arm, load_model(model_file).effects if model_file else ())
     rooms = check_frames(arm, read_run(run), flight)
     if json:
         write_json(json, {"run": str(run), "arm": arm.name, "rooms": [room.as_json() for room in rooms]})

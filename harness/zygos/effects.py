@@ -12,7 +12,7 @@ with all angles after the gear. What is no torque law has its columns in `zygos.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -126,3 +126,18 @@ class Effect:
 def column_name(kind: Kind, joint: int) -> str:
     """Name of a column: the entry's, and the number from 1 of its joint (from 0; below 0: the base)."""
     return kind.key if joint < 0 else f"{kind.key}{joint + 1}"
+
+
+def estimated(effects: Sequence[Effect]) -> tuple[Effect, ...]:
+    """Those of a model's effects that have a column in the energy balance, so that an estimator finds their values.
+
+    Rotor coupling as in nature is in the columns of every arm, and an angular momentum does no work: both are passed
+    over. Errors: ZygosError for any other rotor coupling.
+    """
+    for effect in effects:
+        if effect.kind.key == "rotor_coupling" and effect.value != 1.0:
+            raise ZygosError(
+                f"effect rotor_coupling at {effect.joint}: the estimator has no columns for a rotor that couples by "
+                f"{effect.value:g}; remedy: leave the entry out, in nature it is 1"
+            )
+    return tuple(effect for effect in effects if effect.kind.place not in ("rotor", "base"))

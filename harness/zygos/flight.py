@@ -7,6 +7,7 @@ of them and the sizes of all public structs guard against a library that was bui
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from zygos.arm import Arm
 from zygos.cycles import Cycles
+from zygos.effects import Effect, estimated
 from zygos.errors import ZygosError
 
 _FOLDER = Path(__file__).parent / "_native"
@@ -32,7 +34,7 @@ REASONS = (
     "too few accepted instants",
     "the motion so far does not excite every parameter",
     "motion too fast for this sample rate: more than 5 % of the instants failed the bandwidth test",
-    "the estimate is not physical: an inertia matrix that is not positive definite, or a negative Im, k or b",
+    "the estimate is not physical: an inertia matrix that is not positive definite, or a negative Im, k, b or friction",
     "the accumulated sums are corrupt: memory was changed from outside",
     "the balance does not close: what the solution leaves over is no noise",
 )
@@ -47,6 +49,7 @@ _CONFIG_ERRORS = {
     -9: "joint axes must be parallel unit vectors",
     -10: "a ratio, sign, zero, sigma or latch delay is out of range",
     -11: "arc.max_s is shorter than 20 cycles",
+    -14: "an effect stands twice, or has no columns in this build",
 }
 
 
@@ -85,7 +88,7 @@ def _field_names(struct: str) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Trace:
-    """What each room made of each cycle: n cycles of an arm with N joints and p parameters."""
+    """What each room made of each cycle: n cycles of an arm with N joints and p parameters, effects included."""
 
     cycles: Cycles
     """The cycles that the receiver completed."""
@@ -104,6 +107,7 @@ class Estimate:
     """What the C solver answers. Values and sigmas are NaN where a parameter is not identifiable."""
 
     names: tuple[str, ...]
+    """The arm's parameters, then the columns of the effects."""
     units: tuple[str, ...]
     value: NDArray[np.float64]
     """(p,)"""
@@ -126,8 +130,11 @@ class Estimate:
     """rms of the rows' residuals, J."""
 
 
-def config_of(arm: Arm) -> Any:
-    """Translate an arm description into ``zygos_config_t *``."""
+def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
+    """Translate an arm description, and the effects whose coefficients are to be found, into ``zygos_config_t *``.
+
+    Errors: ZygosError for what has no columns in this build.
+    """
     if arm.n > lib.ZYGOS_MAX_JOINTS_VALUE:
         raise ZygosError(
             f"arm {arm.name!r} has {arm.n} joints, this build holds {lib.ZYGOS_MAX_JOINTS_VALUE}; "
@@ -164,6 +171,16 @@ def config_of(arm: Arm) -> Any:
         out.link_sign, out.link_zero_rad, out.link_sigma_rad = link.sign, link.zero_rad, link.sigma_rad
         out.motor_sign, out.motor_zero_rad, out.motor_sigma_rad = motor.sign, motor.zero_rad, motor.sigma_rad
         out.link_latch_s, out.motor_latch_s = link.latch_us * 1e-6, motor.latch_us * 1e-6
+    columns = estimated(effects)
+    if len(columns) > lib.ZYGOS_MAX_EFFECTS_VALUE:
+        raise ZygosError(
+            f"{len(columns)} effects are to be estimated, this build holds {lib.ZYGOS_MAX_EFFECTS_VALUE}; "
+            "remedy: keep those that matter most, or rebuild with -DZYGOS_MAX_EFFECTS"
+        )
+    config.effects = len(columns)
+    for k, effect in enumerate(columns):
+        config.effect[k].kind = getattr(lib, f"ZYGOS_{effect.kind.key.upper()}")
+        config.effect[k].joint = effect.index(arm)
     return config
 
 
@@ -199,19 +216,22 @@ def encode(arm: Arm, cycles: Cycles) -> NDArray[Any]:
 class Flight:
     """One arm in the C library: frames or cycles in, estimates out."""
 
-    def __init__(self, arm: Arm) -> None:
-        """Initialise ``zygos_t`` for an arm.
+    def __init__(self, arm: Arm, effects: Sequence[Effect] = ()) -> None:
+        """Initialise ``zygos_t`` for an arm and the effects to find; their values play no part.
 
-        Raises ZygosError when the library refuses the configuration.
+        Raises ZygosError when the library refuses the configuration, or has no columns for an effect.
         """
         self.arm = arm
         self.native = ffi.new("zygos_t *")
-        verdict = lib.zygos_init(self.native, config_of(arm))
+        verdict = lib.zygos_init(self.native, config_of(arm, effects))
         if verdict < 0:
             raise ZygosError(
                 f"the flight library refuses arm {arm.name!r}: {_CONFIG_ERRORS.get(verdict, verdict)}; "
-                "remedy: correct the arm file"
+                f"remedy: correct the {'effects' if verdict == lib.ZYGOS_E_EFFECT else 'arm file'}"
             )
+        self.effects = estimated(effects)
+        self.names = (*arm.parameter_names, *(effect.column(arm) for effect in self.effects))
+        self.units = (*arm.parameter_units, *(effect.kind.unit for effect in self.effects))
         self._work = ffi.new("zygos_work_t *")
         self._estimate = ffi.new("zygos_estimate_t *")
 
@@ -219,13 +239,15 @@ class Flight:
         """Feed `FRAME` records and work off every cycle they complete."""
         frames = np.ascontiguousarray(frames, dtype=FRAME)
         pointer = ffi.cast("zygos_frame_t *", frames.ctypes.data)
-        table = _TraceTable(self.arm, int(np.count_nonzero(frames["id"] == 0x080)) + 1) if trace else None
+        table = (
+            _TraceTable(self.arm, len(self.names), int(np.count_nonzero(frames["id"] == 0x080)) + 1) if trace else None
+        )
         lib.zygos_batch_frames(self.native, pointer, len(frames), ffi.NULL, table.native if table else ffi.NULL)
         return table.trace() if table else None
 
     def cycles(self, cycles: Cycles, *, trace: bool = False) -> Trace | None:
         """Feed cycles in SI through the other door."""
-        table = _TraceTable(self.arm, len(cycles)) if trace else None
+        table = _TraceTable(self.arm, len(self.names), len(cycles)) if trace else None
         native = cycles_to_native(cycles)
         lib.zygos_batch_cycles(self.native, native, len(cycles), table.native if table else ffi.NULL)
         return table.trace() if table else None
@@ -241,8 +263,8 @@ class Flight:
         covariance[rows, columns] = packed
         covariance[columns, rows] = packed
         return Estimate(
-            names=self.arm.parameter_names,
-            units=self.arm.parameter_units,
+            names=self.names,
+            units=self.units,
             value=np.frombuffer(ffi.buffer(out.value), dtype=np.float64)[:p].copy(),
             sigma=np.frombuffer(ffi.buffer(out.sigma), dtype=np.float64)[:p].copy(),
             covariance=covariance,
@@ -297,8 +319,8 @@ class Flight:
 class _TraceTable:
     """Arrays that the library writes a trace into."""
 
-    def __init__(self, arm: Arm, capacity: int) -> None:
-        n, p = arm.n, len(arm.parameter_names)
+    def __init__(self, arm: Arm, p: int, capacity: int) -> None:
+        n = arm.n
         self.arm = arm
         self.arrays: dict[str, NDArray[Any]] = {
             "sync": np.zeros(capacity, np.uint64),

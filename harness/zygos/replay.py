@@ -13,6 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos.arm import Arm
 from zygos.dynamics import PlanarDynamics
 
 Array = NDArray[np.float64]
@@ -93,6 +94,30 @@ def replay(
                 state = _step(dynamics, state, tau, (end - begin) / parts)
         before = command
     return states, torques
+
+
+def read(dynamics: PlanarDynamics, arm: Arm, states: Array, torques: Array) -> tuple[Array, Array, Array]:
+    """What exact sensors read of stretches (B, n+1, 4N+1) under torques (B, n+1, N) in their first n cycles.
+
+    q, theta (B, n, N), omega0 (B, n): each where it latches, which may be after SYNC. Between two SYNCs an angle is the
+    cubic, a rate the parabola through what is known at both.
+    """
+    now, then, h = States.of(states[:, :-1]), States.of(states[:, 1:]), arm.period_s
+
+    def angle(x: Array, y: Array, xd: Array, yd: Array, late_us: list[int]) -> Array:
+        s = 1e-6 * np.array(late_us) / h
+        basis = (2 * s**3 - 3 * s**2 + 1, h * (s**3 - 2 * s**2 + s), 3 * s**2 - 2 * s**3, h * (s**3 - s**2))
+        return np.asarray(basis[0] * x + basis[1] * xd + basis[2] * y + basis[3] * yd, dtype=np.float64)
+
+    q = angle(now.q, then.q, now.qd, then.qd, [j.latch_us + j.link_encoder.latch_us for j in arm.joints])
+    late = [j.latch_us + j.motor_encoder.latch_us for j in arm.joints]
+    theta = angle(now.theta, then.theta, now.thetad, then.thetad, late)
+    if arm.imu.latch_us == 0:
+        return q, theta, now.omega0
+    share = 1e-6 * arm.imu.latch_us / h
+    rise = h * dynamics.accelerations(now.q, now.theta, now.omega0, now.qd, now.thetad, torques[:, :-1])[0]
+    bend = then.omega0 - now.omega0 - rise
+    return q, theta, np.asarray(now.omega0 + share * rise + share**2 * bend, dtype=np.float64)
 
 
 def _step(dynamics: PlanarDynamics, x: Array, tau: Array, h: float) -> Array:

@@ -3,7 +3,8 @@
 ///     work of the motors W_k = row_k . parameters + constant of the arc
 ///
 /// The parameters are the kinetic ones in the order of the Gram table (a00 a01 .. a0N a11 .. aNN), then rotor inertia
-/// Im_i, stiffness k_i and damping b_i of each joint (Im1 k1 b1 Im2 k2 b2 ..).
+/// Im_i, stiffness k_i and damping b_i of each joint (Im1 k1 b1 Im2 k2 b2 ..), then the coefficients of the effects in
+/// the order of the configuration (effects.h).
 ///
 /// On arrival of cycle c the smoothed instant is k = c - M, and
 ///     W_k = W_(k-1) + sum_i n_i tau_(i,k-1) (theta_(i,k) - theta_(i,k-1))      exact for held torque
@@ -16,6 +17,7 @@
 #ifndef ZYGOS_BALANCE_H
 #define ZYGOS_BALANCE_H
 
+#include "effects.h"
 #include "kinematics.h"
 #include "smoother.h"
 #include "types.h"
@@ -36,6 +38,7 @@ typedef struct {
     double theta[ZYGOS_MAX_JOINTS];                     ///< theta of the instant before.
     double slip_rate[3][ZYGOS_MAX_JOINTS];              ///< g of the three instants before, newest first.
     double torque[ZYGOS_TORQUE_RING][ZYGOS_MAX_JOINTS]; ///< Torque in force, waiting for its instant.
+    zygos_effects_t effects;
 } zygos_balance_t;
 
 typedef struct {
@@ -57,7 +60,7 @@ void zygos_balance_new_arc(zygos_balance_t *self);
 void zygos_balance_torque(zygos_balance_t *self, const zygos_config_t *config, const double *tau);
 
 /// Carries W and D on to this instant and writes its row. Returns 1 when the row belongs to an arc, 0 while g fills.
-/// Cost: the same for every call.
+/// Cost: the same for every call of a configuration.
 int zygos_balance_row(zygos_balance_t *self, const zygos_config_t *config, const zygos_state_t *state,
                       const zygos_motion_t *motion, zygos_row_t *out);
 

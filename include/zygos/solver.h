@@ -28,7 +28,8 @@ enum zygos_reason {
     ZYGOS_REASON_NO_DATA = 1,          ///< Fewer accepted instants than three a parameter, or fewer than two blocks.
     ZYGOS_REASON_NOT_IDENTIFIABLE = 2, ///< The motion so far does not excite every parameter.
     ZYGOS_REASON_TOO_FAST = 3,         ///< More than 5 % of the instants failed the bandwidth test.
-    ZYGOS_REASON_NOT_PHYSICAL = 4,     ///< (a_ij) less the rotors is not positive definite, or Im, k or b not positive.
+    ZYGOS_REASON_NOT_PHYSICAL = 4,     ///< (a_ij) less the rotors is not positive definite, Im, k or b not positive, or
+                                       ///< a friction or lag below zero by more than ZYGOS_NEGATIVE_SIGMAS.
     ZYGOS_REASON_CORRUPT = 5,          ///< Row sums or counts do not match: memory was changed, or never taken.
     ZYGOS_REASON_UNCLOSED = 6          ///< What the solution leaves over is no noise: see ZYGOS_CLUSTER_LIMIT.
 };
@@ -41,12 +42,14 @@ enum zygos_reason {
 /// Noise in the rows forgets within a few instants, so the residuals of a block add up like the square root of their
 /// number, or less: the mean of (sum)^2 / (instants * mean square) over the blocks is around 1. When it exceeds this
 /// limit, and what adds up is more than ZYGOS_CLUSTER_SHARE of the work's spread, the balance does not close: a wrong
-/// gear ratio, zero, sign or torque law, friction, noise of the torques, a torque on the base.
+/// gear ratio, zero, sign or torque law, an effect that is not switched on, noise of the torques, a torque on the base.
 #define ZYGOS_CLUSTER_LIMIT 5.0
 #define ZYGOS_CLUSTER_SHARE 5e-3
 /// A parameter whose sigma exceeds this share of its value is not identifiable yet. When the rank is full all the same,
-/// none is: the error of the one is in all others.
+/// none is: the error of the one is in all others. Effects are exempt: an effect may be zero.
 #define ZYGOS_SIGMA_LIMIT 0.25
+/// Frictions and lags are not negative, but may be zero: they may come out negative by as many sigmas.
+#define ZYGOS_NEGATIVE_SIGMAS 3.0
 
 typedef struct {
     uint64_t cycle;      ///< SYNC number of the newest cycle that went in.
@@ -73,7 +76,7 @@ typedef struct {
     zygos_accumulator_t accumulator;
     uint64_t cycle;
     uint32_t joints;
-    uint32_t reserved;
+    uint32_t positive; ///< Bit e: effect e is not physical when it is negative.
     double total[ZYGOS_MAX_PACKED_ROW];
     double matrix[ZYGOS_MAX_PACKED];
     double factor[ZYGOS_MAX_PACKED];

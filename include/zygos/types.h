@@ -50,13 +50,27 @@ extern "C" {
 #error "ZYGOS_CYCLE_QUEUE must be a power of two, 2..1024"
 #endif
 
+/// Largest number of effects that a configuration can switch on. At 0 the library has no room for any.
+#ifndef ZYGOS_MAX_EFFECTS
+#define ZYGOS_MAX_EFFECTS 4
+#endif
+#if (ZYGOS_MAX_EFFECTS < 0) || (ZYGOS_MAX_EFFECTS > 16)
+#error "ZYGOS_MAX_EFFECTS must be 0..16"
+#endif
+
 #define ZYGOS_MAX_WINDOW (2 * ZYGOS_MAX_HALF_WIDTH + 1)
 /// Signals the smoother filters: q and theta of each joint, and the base rate about three axes.
 #define ZYGOS_MAX_SIGNALS (2 * ZYGOS_MAX_JOINTS + 3)
 /// Entries of the Gram table of the planar rate vectors: one vector a body, upper triangle.
 #define ZYGOS_MAX_GRAM ((ZYGOS_MAX_JOINTS + 1) * (ZYGOS_MAX_JOINTS + 2) / 2)
-/// Parameters: the kinetic ones, then rotor inertia, stiffness and damping of each joint.
-#define ZYGOS_MAX_PARAMETERS (ZYGOS_MAX_GRAM + 3 * ZYGOS_MAX_JOINTS)
+/// Parameters: the kinetic ones, then rotor inertia, stiffness and damping of each joint, then the effects.
+#define ZYGOS_MAX_PARAMETERS (ZYGOS_MAX_GRAM + 3 * ZYGOS_MAX_JOINTS + ZYGOS_MAX_EFFECTS)
+/// Length of an array of effects, which C wants to be at least 1.
+#if ZYGOS_MAX_EFFECTS > 0
+#define ZYGOS_EFFECT_PLACES ZYGOS_MAX_EFFECTS
+#else
+#define ZYGOS_EFFECT_PLACES 1
+#endif
 /// A row, augmented by the work and by 1.
 #define ZYGOS_MAX_ROW (ZYGOS_MAX_PARAMETERS + 2)
 #define ZYGOS_MAX_PACKED_ROW (ZYGOS_MAX_ROW * (ZYGOS_MAX_ROW + 1) / 2)
@@ -86,7 +100,8 @@ enum zygos_error {
     ZYGOS_E_VALUE = -10,     ///< A ratio, sign, zero, sigma, latch delay, imu_fine or imu_to_base is not in its range.
     ZYGOS_E_ARC = -11,       ///< arc_cycles is below ZYGOS_MIN_ARC_INSTANTS.
     ZYGOS_E_ORDER = -12,     ///< zygos_init() has not succeeded on this struct.
-    ZYGOS_E_KEEP = -13       ///< zygos_restart() does not know one of the bits.
+    ZYGOS_E_KEEP = -13,      ///< zygos_restart() does not know one of the bits.
+    ZYGOS_E_EFFECT = -14     ///< Too many effects, an unknown kind, a joint out of range, or an effect twice.
 };
 
 /// Which columns of the Gram table are parameters.
@@ -100,6 +115,20 @@ enum zygos_torque_law {
     ZYGOS_TORQUE_APPLIED_PREVIOUS_CYCLE = 1, ///< r_k+1: the drive reports what it applied during the past cycle.
     ZYGOS_TORQUE_SAMPLED = 2                 ///< (r_k + r_k+1)/2: the torque varies, and is sampled at each SYNC.
 };
+
+/// What the balance may know beyond rigid bodies, rotors, springs and dampers; each kind has one coefficient.
+enum zygos_effect_kind {
+    ZYGOS_MOTOR_COULOMB = 0,   ///< Coulomb friction of a rotor [Nm], before the ratio.
+    ZYGOS_MOTOR_VISCOUS = 1,   ///< Viscous friction of a rotor [Nms/rad]: torque before the ratio, rate after it.
+    ZYGOS_LINK_COULOMB = 2,    ///< Coulomb friction between a link and the body that carries it [Nm].
+    ZYGOS_CUBIC_STIFFNESS = 3, ///< Torque of the spring with the cube of its deflection [Nm/rad^3].
+    ZYGOS_TORQUE_LAG = 4       ///< Delay of the motor's torque behind the one in force [s], less than a period.
+};
+
+typedef struct {
+    uint32_t kind;  ///< enum zygos_effect_kind.
+    uint32_t joint; ///< 0..N-1.
+} zygos_effect_config_t;
 
 typedef struct {
     uint32_t node;         ///< CANopen-style node number of the joint's drive, 1..31.
@@ -132,6 +161,9 @@ typedef struct {
     double imu_to_base[9];        ///< Rotation that takes a rate from the sensor's axes to the base's, row-major.
     double imu_latch_s;           ///< Delay from SYNC to the gyro's latch.
     zygos_joint_config_t joint[ZYGOS_MAX_JOINTS];
+    uint32_t effects; ///< Effects to identify, 0..ZYGOS_MAX_EFFECTS. Their columns follow those of the joints.
+    uint32_t reserved;
+    zygos_effect_config_t effect[ZYGOS_EFFECT_PLACES]; ///< In the order of their columns, each kind once a joint.
 } zygos_config_t;
 
 /// Bits of zygos_cycle_t.flags. With ZYGOS_CYCLE_VOID, the bits from ZYGOS_CYCLE_VOID_SHIFT up say how many cycles

@@ -24,6 +24,7 @@
 #include "accumulator.h"
 #include "balance.h"
 #include "cycle.h"
+#include "effects.h"
 #include "kinematics.h"
 #include "smoother.h"
 #include "solver.h"

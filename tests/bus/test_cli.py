@@ -77,6 +77,97 @@ def test_the_estimate_can_be_simulated(simulated: Path, tmp_path: Path) -> None:
     assert run("simulate", EXAMPLE / "scenario.toml", "--model", tmp_path / "m.toml", "-o", tmp_path / "again.log") == 0
 
 
+FRICTION = """
+[[effect]]
+kind = "motor_coulomb"
+joint = "elbow"
+value = 0.8
+unit = "Nm"
+evidence = "the elbow's brake drags"
+
+[[effect]]
+kind = "rotor_coupling"
+joint = "elbow"
+value = 1.0
+
+[[effect]]
+kind = "angular_momentum"
+value = 1.0
+"""
+
+
+def test_effects_of_a_model_are_learned(simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Their values in the prior play no part; what is no column is carried over."""
+    plant = example_with(tmp_path / "example", "model.toml")
+    bodies = plant.read_text()
+    plant.write_text(bodies + FRICTION)
+    log, out, numbers = tmp_path / "run.blf", tmp_path / "m.toml", tmp_path / "m.json"
+    assert run("simulate", EXAMPLE / "scenario.toml", "--model", plant, "-o", log) == 0
+    assert run("estimate", log, "-o", out) == 3
+    assert "where --model names them" in capsys.readouterr().err
+    plant.write_text(bodies + FRICTION.replace("0.8", "0.0"))
+    assert run("estimate", log, "-o", out, "--model", plant, "--json", numbers) == 0
+    assert "motor_coulomb2" in capsys.readouterr().out
+    friction, *others = load_model(out).effects
+    assert friction.value == pytest.approx(0.8, rel=0.05)
+    assert (friction.source, friction.evidence) == ("zygos", "the elbow's brake drags")
+    assert 0.0 < friction.sigma < 0.1
+    assert tuple(others) == load_model(plant).effects[1:]
+    last = json.loads(numbers.read_text())["parameters"][-1]
+    assert (last["name"], last["unit"], last["value"]) == ("motor_coulomb2", "Nm", friction.value)
+    assert run("check", log, "--model", plant, "--json", numbers) == 0
+    rooms = {room["room"]: room for room in json.loads(numbers.read_text())["rooms"]}
+    assert rooms["solution"]["compared"] == 13
+    # the model that was learned is one to begin with
+    assert run("estimate", log, "-o", tmp_path / "again.toml", "--model", out) == 0
+    assert load_model(tmp_path / "again.toml") == load_model(out)
+
+
+def test_a_friction_that_noise_makes_negative_is_written_as_none(simulated: Path, tmp_path: Path) -> None:
+    written = set()
+    for joint in ("shoulder", "elbow"):
+        for kind in ("motor_coulomb", "motor_viscous", "cubic_stiffness"):
+            prior = example_with(tmp_path / "example", "model.toml")
+            prior.write_text(prior.read_text() + f'[[effect]]\nkind = "{kind}"\njoint = "{joint}"\nvalue = 1.0\n')
+            out, numbers = tmp_path / "m.toml", tmp_path / "m.json"
+            command = ("estimate", simulated / "run.blf", "-o", out, "--model", prior, "--json", numbers)
+            assert run(*command) == 0
+            found = json.loads(numbers.read_text())["parameters"][-1]["value"]
+            expected = found if kind == "cubic_stiffness" else max(found, 0.0)
+            assert load_model(out).effects[0].value == expected
+            written.add(found < 0.0)
+    assert written == {True, False}
+
+
+@pytest.mark.parametrize("command", ["estimate", "check"])
+def test_a_rotor_that_does_not_couple_is_refused(
+    command: str, simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    prior = example_with(tmp_path / "example", "model.toml")
+    prior.write_text(prior.read_text() + FRICTION.replace("value = 1.0", "value = 0.0"))
+    more = ("-o", tmp_path / "m.toml") if command == "estimate" else ()
+    assert run(command, simulated / "run.blf", "--model", prior, *more) == 2
+    assert re.search("rotor_coupling at elbow.*remedy", capsys.readouterr().err, re.S)
+
+
+def test_a_rigid_prior_is_kept_where_the_run_is_silent(tmp_path: Path) -> None:
+    """An elbow that is rigid, and seen to be: neither stiffness nor damping has a value."""
+    rigid = example_with(tmp_path / "example", "model.toml", ("stiffness = 1000.0", "stiffness = inf"))
+    log, out = tmp_path / "run.blf", tmp_path / "m.toml"
+    assert run("simulate", EXAMPLE / "scenario.toml", "--model", rigid, "-o", log, "--no-noise") == 0
+    assert run("estimate", log, "-o", out, "--model", rigid) == 3
+    arm, model, plant = load_arm(EXAMPLE / "arm.toml"), load_model(out), load_model(rigid)
+    assert model.parameters["k2"].value == np.inf
+    assert model.parameters["k2"].source == "CAD"
+    learned = [name for name, quantity in model.parameters.items() if quantity.source == "zygos"]
+    assert set(learned) == set(arm.parameter_names) - {"k2", "b2"}
+    np.testing.assert_allclose(model.base_values(arm)[:10], plant.base_values(arm)[:10], rtol=0.01)
+    # a rigid prior for an arm that is not rigid is corrected
+    assert run("simulate", EXAMPLE / "scenario.toml", "-o", tmp_path / "soft.blf") == 0
+    assert run("estimate", tmp_path / "soft.blf", "-o", out, "--model", rigid) == 0
+    assert load_model(out).parameters["k2"].value == pytest.approx(1000.0, rel=0.05)
+
+
 def test_estimate_of_too_short_a_run_is_undecided(
     simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

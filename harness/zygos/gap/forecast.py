@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from zygos.arm import Arm
 from zygos.dynamics import PlanarDynamics
 from zygos.errors import ZygosError
-from zygos.gap.record import Readings, Record, smooth
+from zygos.gap.record import Readings, Record, over_the_wire, smooth
 from zygos.gap.twin import Twin, measure
 from zygos.reference.smoother import coefficients
-from zygos.replay import States, replay, substeps
+from zygos.replay import States, read, replay, substeps
 
 Array = NDArray[np.float64]
 
@@ -47,14 +47,10 @@ class Segments:
 
     @property
     def sigma(self) -> Array:
-        """(2N+1,) declared deviations of one reading of q, theta, omega0."""
-        joints = self.arm.joints
-        link, motor = [j.link_encoder.sigma_rad for j in joints], [j.motor_encoder.sigma_rad for j in joints]
-        return np.array([*link, *motor, max(self.arm.imu.rate_sigma, _LEAST_RATE)])
-
-
-_LEAST_RATE = 2.0**-21 / np.sqrt(12.0)
-"""Of a gyro that declares no noise: the step of the wire, rad/s."""
+        """(2N+1,) declared deviations of one reading of q, theta, omega0 that came over the wire."""
+        arm = over_the_wire(self.arm)
+        link, motor = [j.link_encoder.sigma_rad for j in arm.joints], [j.motor_encoder.sigma_rad for j in arm.joints]
+        return np.array([*link, *motor, arm.imu.rate_sigma])
 
 
 @dataclass(frozen=True)
@@ -142,10 +138,11 @@ def _forecast(dynamics: PlanarDynamics, segments: Segments) -> Forecast:
 
     def move(x: Array, copies: int, cycles: int) -> Array:
         """(copies * S, cycles, 2N+1) q, theta, omega0."""
-        tau = np.tile(segments.tau, (copies, 1, 1))
+        tau = np.tile(np.concatenate([segments.tau, segments.tau[:, -1:]], axis=1), (copies, 1, 1))
         before = np.tile(segments.before, (copies, 1))
-        states, _ = replay(dynamics, arm.period_s, unpack(x), lambda k, _: tau[:, k], before, cycles, steps)
-        return np.concatenate([states[..., 1 : 1 + 2 * joints], states[..., :1]], axis=-1)
+        states, torques = replay(dynamics, arm.period_s, unpack(x), lambda k, _: tau[:, k], before, cycles + 1, steps)
+        q, theta, omega0 = read(dynamics, arm, states, torques)
+        return np.concatenate([q, theta, omega0[..., None]], axis=-1)
 
     def misfit(seen: Array) -> Array:
         """(copies, S, instants * signals) in sigma."""

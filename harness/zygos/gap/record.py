@@ -5,7 +5,7 @@ All arcs of a run, and all draws of its twin, go through the same smoother and t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import correlate1d
 
-from zygos.arm import Arm
+from zygos.arm import Arm, Encoder
 from zygos.errors import ZygosError
 from zygos.flight import Flight
 from zygos.reference.cycle import Samples, calibrate
@@ -24,6 +24,12 @@ Array = NDArray[np.float64]
 
 ARC_S = 10.0
 """Longest arc, s: W sums up the torques' noise, a constant an arc costs what the encoders' noise allows to know."""
+
+
+ANGLE_STEP, TORQUE_STEP = 2.0 * np.pi / 2**20, 1e-4
+"""Of the wire, rad and Nm."""
+RATE_STEP, COARSE_RATE_STEP = 2.0**-21, 2.0**-13
+"""Of the wire, rad/s."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +107,29 @@ def read_record(arm: Arm, path: Path, frames: NDArray[Any]) -> Record:
     ]
     omega0 = samples.omega @ arm.axis
     return Record(arm, path, samples, omega0, flight.faults, np.array(starts), instants)
+
+
+def over_the_wire(arm: Arm) -> Arm:
+    """The arm with the errors that its sensors have once the wire has rounded their readings (docs/wire.md)."""
+
+    def encoder(one: Encoder) -> Encoder:
+        steps = one.quantum_rad / ANGLE_STEP
+        # readings that lie on the wire's own grid are not rounded again
+        aligned = steps > 0.5 and abs(steps - round(steps)) < 1e-6
+        return one if aligned else replace(one, quantum_rad=float(np.hypot(one.quantum_rad, ANGLE_STEP)))
+
+    joints = tuple(
+        replace(
+            joint,
+            link_encoder=encoder(joint.link_encoder),
+            motor_encoder=encoder(joint.motor_encoder),
+            torque_sigma=float(np.hypot(joint.torque_sigma, TORQUE_STEP / np.sqrt(12.0))),
+        )
+        for joint in arm.joints
+    )
+    step = RATE_STEP if arm.imu.resolution == "fine" else COARSE_RATE_STEP
+    imu = replace(arm.imu, rate_sigma=float(np.hypot(arm.imu.rate_sigma, step / np.sqrt(12.0))))
+    return replace(arm, joints=joints, imu=imu)
 
 
 def smooth(arm: Arm, readings: Readings) -> State:

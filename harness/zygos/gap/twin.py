@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from zygos.arm import Arm
 from zygos.dynamics import PlanarDynamics
 from zygos.gap.balances import Sums, accumulate, rows
-from zygos.gap.record import Readings, Record, followed, smooth
-from zygos.replay import States, replay, substeps
+from zygos.gap.record import Readings, Record, followed, over_the_wire, smooth
+from zygos.replay import States, read, replay, substeps
 from zygos.sensors import draw_noise
 
 Array = NDArray[np.float64]
@@ -40,18 +40,19 @@ def follow(dynamics: PlanarDynamics, records: Sequence[Record]) -> list[Twin]:
     """Twins of the records, integrated as one batch, with the model's h where it assumes one."""
     arm = records[0].arm
     h, half = arm.period_s, arm.smoother.points // 2
-    longest = max(record.cycles for record in records)
+    # one cycle more than the arcs have, for what latches after the last SYNC
+    longest = max(record.cycles for record in records) + 1
     paths: list[Array] = []
     torques: list[Array] = []
     for record in records:
         # the arcs with what the smoother needs before their first sample and behind their last
-        at = record.starts[:, None] - half + np.arange(record.cycles + 2 * half)
+        at = record.starts[:, None] - half + np.arange(record.cycles + 1 + 2 * half)
         s = record.samples
         state = smooth(arm, Readings(s.q[at], s.theta[at], record.omega0[at], s.tau[at]))
         path = States(state.f0, state.q, state.theta, state.qd, state.thetad).packed()
-        missing = longest - record.cycles
+        missing = longest - 1 - record.cycles
         paths.append(np.pad(path, ((0, 0), (0, missing), (0, 0)), mode="edge"))
-        tau = record.samples.tau[record.starts[:, None] - 1 + np.arange(record.cycles + 1)]
+        tau = record.samples.tau[record.starts[:, None] - 1 + np.arange(record.cycles + 2)]
         torques.append(np.pad(tau, ((0, 0), (0, missing), (0, 0)), mode="edge"))
     path, tau = np.concatenate(paths), np.concatenate(torques)
     moved, applied = _servo(dynamics, path, tau, h, min(SERVO_RATE, 0.1 / h))
@@ -59,8 +60,7 @@ def follow(dynamics: PlanarDynamics, records: Sequence[Record]) -> list[Twin]:
     for record in records:
         rows_of = slice(first, first + len(record.starts))
         first += len(record.starts)
-        now = States.of(moved[rows_of, : record.cycles])
-        twins.append(Twin(arm, Readings(now.q, now.theta, now.omega0, applied[rows_of, : record.cycles])))
+        twins.append(_twin(dynamics, arm, moved[rows_of, : record.cycles + 1], applied[rows_of, : record.cycles + 1]))
     return twins
 
 
@@ -83,8 +83,12 @@ def retrace(dynamics: PlanarDynamics, record: Record, speed: float, amplitude: f
     cycles = min(record.cycles, len(slow))
     cut = slow[: arcs * cycles].reshape(arcs, cycles, -1)
     moved, applied = _servo(dynamics, cut, np.zeros((arcs, cycles + 1, arm.n)), h, min(4.0 * SERVO_RATE, 0.1 / h))
-    now = States.of(moved)
-    return Twin(arm, Readings(now.q, now.theta, now.omega0, applied))
+    return _twin(dynamics, arm, moved, applied)
+
+
+def _twin(dynamics: PlanarDynamics, arm: Arm, moved: Array, applied: Array) -> Twin:
+    q, theta, omega0 = read(dynamics, arm, moved, applied)
+    return Twin(arm, Readings(q, theta, omega0, applied[:, :-1]))
 
 
 def _servo(dynamics: PlanarDynamics, path: Array, tau: Array, h: float, rate: float) -> tuple[Array, Array]:
@@ -110,8 +114,9 @@ def _servo(dynamics: PlanarDynamics, path: Array, tau: Array, h: float, rate: fl
 
 
 def measure(twin: Twin, seed: int) -> Readings:
-    """One reading of a twin: its exact readings with the errors of the declared sensors, drawn for this seed."""
-    arm, exact = twin.arm, twin.exact
+    """One reading of a twin: its exact readings with the errors of the declared sensors and the wire, drawn
+    for this seed."""
+    arm, exact = over_the_wire(twin.arm), twin.exact
     arcs, cycles, _ = exact.q.shape
     noise = draw_noise(arm, arcs * cycles, [seed])
 

@@ -6,10 +6,12 @@ orthogonal least squares for normal equations), so that an agreement of the two 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from zygos.arm import Arm
 from zygos.cycles import Cycles
+from zygos.effects import Effect
 from zygos.reference.accumulator import Design, design
 from zygos.reference.balance import Balance, rows
 from zygos.reference.cycle import Samples, calibrate
@@ -30,11 +32,13 @@ class Chain:
     solution: Solution
 
 
-def chain(arm: Arm, cycles: Cycles) -> Chain:
-    """Take a record through all rooms. Raises ZygosError for a record that does not fit the arm, Undecided for one
-    that does not determine the parameters."""
+def chain(arm: Arm, cycles: Cycles, effects: Sequence[Effect] = ()) -> Chain:
+    """Take a record through all rooms, with columns for those of a model's effects that have one in the balance.
+
+    Raises ZygosError for what does not fit the arm, Undecided for a record that does not determine the parameters.
+    """
     samples = calibrate(arm, cycles)
     smoothed = smooth(arm, samples)
-    balance = rows(arm, samples, smoothed)
+    balance = rows(arm, samples, smoothed, effects)
     accumulated = design(balance)
     return Chain(samples, smoothed, balance, accumulated, solve(accumulated.z, accumulated.w))

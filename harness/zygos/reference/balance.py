@@ -14,7 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
+from zygos.effects import Effect
 from zygos.reference.cycle import Samples
+from zygos.reference.effects import effect_columns
 from zygos.reference.kinematics import State, cross, gram
 from zygos.reference.smoother import Smoothed
 
@@ -29,7 +31,8 @@ class Balance:
     """Rows at every instant from the first arc's origin of each segment on; m instants, p parameters.
 
     index: (m,) position of the instant in the record of samples. sync: (m,) cycle number. arc: (m,) arc number from 0.
-    accepted: (m,) False where the smoother refuses the instant. z: (m, p) columns in `arm.parameter_names` order.
+    accepted: (m,) False where the smoother refuses the instant. z: (m, p) columns in `arm.parameter_names` order, then
+    those of the effects.
     w: (m,) work since the arc's origin [J], raised by what torque steps add to the kinetic energy as it is read.
     void: numbers of the arcs in which cycles may be missing unnoticed.
     """
@@ -95,8 +98,8 @@ def arc_cycles(arm: Arm) -> int:
     return round(arm.arc_max_s / arm.period_s)
 
 
-def rows(arm: Arm, samples: Samples, smoothed: Smoothed) -> Balance:
-    """Rows of a whole record.
+def rows(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Effect] = ()) -> Balance:
+    """Rows of a whole record, with a column for each of the effects that `zygos.effects.estimated` names.
 
     Work of a step: n tau_k-1 (theta_k - theta_k-1), exact for a torque held over the step. Dissipation of a step:
     (h/24)(9 g_k + 19 g_k-1 - 5 g_k-2 + g_k-3), the cubic through the four newest values of g = (thetad - qd)^2.
@@ -135,7 +138,7 @@ def rows(arm: Arm, samples: Samples, smoothed: Smoothed) -> Balance:
             ends.append(_End(int(smoothed.index[of[stop - 1]]) + arm.smoother.lag, full))
             arcs += 1
     state = State(smoothed.q, smoothed.theta, smoothed.qd, smoothed.thetad, smoothed.omega @ arm.axis)
-    z = energy_columns(arm, state, dissipated)
+    z = np.hstack([energy_columns(arm, state, dissipated), effect_columns(arm, samples, smoothed, arc, effects)])
     kept = arc >= 0
     return Balance(
         index=smoothed.index[kept],

@@ -1,0 +1,95 @@
+#include "zygos/effects.h"
+
+int zygos_effects_check(const zygos_config_t *config)
+{
+    if (config->effects > (uint32_t)ZYGOS_MAX_EFFECTS) {
+        return ZYGOS_E_EFFECT;
+    }
+    for (uint32_t e = 0; e < config->effects; e++) {
+        const zygos_effect_config_t *effect = &config->effect[e];
+        if ((effect->kind > ZYGOS_TORQUE_LAG) || (effect->joint >= config->joints)) {
+            return ZYGOS_E_EFFECT;
+        }
+        for (uint32_t other = 0; other < e; other++) {
+            if ((effect->kind == config->effect[other].kind) && (effect->joint == config->effect[other].joint)) {
+                return ZYGOS_E_EFFECT;
+            }
+        }
+    }
+    return 1;
+}
+
+uint32_t zygos_effects_positive(const zygos_config_t *config)
+{
+    uint32_t bits = 0;
+    for (uint32_t e = 0; e < config->effects; e++) {
+        bits |= (config->effect[e].kind != ZYGOS_CUBIC_STIFFNESS) ? 1u << e : 0u;
+    }
+    return bits;
+}
+
+/* clamp(rate / slowest, -1, 1), without a branch. */
+static double saturated(double rate)
+{
+    const double share = rate / ZYGOS_SLOWEST_RATE;
+    return 0.5 * (__builtin_fabs(share + 1.0) - __builtin_fabs(share - 1.0));
+}
+
+/* What an effect integrates, adds up or is. Only the configuration chooses. */
+static double newest(const zygos_effect_config_t *effect, double ratio, const zygos_state_t *state, double torque_step)
+{
+    const double motor = state->theta_rate[effect->joint];
+    const double link = state->q_rate[effect->joint];
+    const double deflection = state->theta[effect->joint] - state->q[effect->joint];
+    switch (effect->kind) {
+    case ZYGOS_MOTOR_COULOMB:
+        return ratio * saturated(motor) * motor;
+    case ZYGOS_MOTOR_VISCOUS:
+        return ratio * motor * motor;
+    case ZYGOS_LINK_COULOMB:
+        return saturated(link) * link;
+    case ZYGOS_CUBIC_STIFFNESS:
+        return 0.25 * deflection * deflection * deflection * deflection;
+    default:
+        return ratio * torque_step * motor;
+    }
+}
+
+void zygos_effects_carry_on(zygos_effects_t *self, const zygos_config_t *config, const zygos_state_t *state,
+                            const double *tau_before, const double *tau)
+{
+    const double h24 = config->period_s / 24.0;
+    for (uint32_t e = 0; e < config->effects; e++) {
+        const zygos_effect_config_t *effect = &config->effect[e];
+        const uint32_t i = effect->joint;
+        const double g = newest(effect, config->joint[i].gear_ratio, state, tau[i] - tau_before[i]);
+        double *past_0 = &self->past[0][e];
+        double *past_1 = &self->past[1][e];
+        double *past_2 = &self->past[2][e];
+        if (effect->kind == ZYGOS_CUBIC_STIFFNESS) {
+            self->instant[e] = g;
+        } else if (effect->kind == ZYGOS_TORQUE_LAG) {
+            self->total[e] += *past_0;
+            self->instant[e] = 0.5 * g;
+        } else {
+            self->total[e] += h24 * (9.0 * g + 19.0 * *past_0 - 5.0 * *past_1 + *past_2);
+        }
+        *past_2 = *past_1;
+        *past_1 = *past_0;
+        *past_0 = g;
+    }
+}
+
+void zygos_effects_keep(zygos_effects_t *self, const zygos_config_t *config, double keep)
+{
+    for (uint32_t e = 0; e < config->effects; e++) {
+        self->total[e] *= keep;
+    }
+}
+
+void zygos_effects_columns(const zygos_effects_t *self, const zygos_config_t *config, double *column)
+{
+    for (uint32_t e = 0; e < config->effects; e++) {
+        column[e] = self->total[e] + self->instant[e];
+    }
+}

@@ -1,0 +1,420 @@
+"""Effects from the model file to the columns of the flight library: one catalogue, and what each column is worth."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import pytest
+from flight_support import CHOSEN, balanced, bytes_of, chosen, sines
+from numpy.typing import NDArray
+from plant_support import PAPER, paper
+from reference_support import make_arm
+from test_c_equals_numpy import CASES, arm_of, record_of
+
+from conftest import ROOT
+from zygos import flight, reference
+from zygos.arm import Arm
+from zygos.check import Room, check_chain
+from zygos.cycles import Cycles
+from zygos.effects import CATALOGUE, SLOWEST_RATE, Effect, estimated
+from zygos.errors import ZygosError
+from zygos.flight import REASONS, Flight, config_of, encode, ffi, lib
+from zygos.model import load_model, save_model
+from zygos.plant import simulate
+
+Floats = NDArray[np.float64]
+
+COLUMNS = [key for key, kind in CATALOGUE.items() if kind.place not in ("rotor", "base")]
+NOT_PHYSICAL, UNCLOSED = REASONS[4], REASONS[6]
+
+
+def effect(key: str, joint: str, value: float = 0.0) -> Effect:
+    return Effect(CATALOGUE[key], joint, value)
+
+
+# ---------------------------------------------------------------- catalogue
+
+
+def test_every_column_has_its_kind_in_the_flight_library() -> None:
+    kinds = {name for name in ffi.typeof("enum zygos_effect_kind").elements.values()}
+    assert kinds == {f"ZYGOS_{key.upper()}" for key in COLUMNS}
+    assert {key for key, kind in CATALOGUE.items() if kind.torque is not None} | {"torque_lag"} == set(COLUMNS)
+
+
+def test_catalogue_and_flight_library_agree_on_what_they_share() -> None:
+    header = (ROOT / "include" / "zygos" / "effects.h").read_text()
+    found = re.search(r"#define ZYGOS_SLOWEST_RATE (\S+)", header)
+    assert found is not None
+    assert float(found[1]) == SLOWEST_RATE
+    arm, *_ = paper()
+    for key in COLUMNS:
+        config = config_of(arm, [effect(key, "elbow")])
+        assert (config.effects, config.effect[0].joint) == (1, 1)
+        assert lib.zygos_effects_positive(config) == int(CATALOGUE[key].positive)
+
+
+@pytest.mark.parametrize("key", CATALOGUE)
+def test_entries_make_sense(key: str) -> None:
+    kind = CATALOGUE[key]
+    assert kind.key == key
+    assert set(kind.twins) <= set(CATALOGUE) - {key}
+    if kind.torque is None:
+        return
+    x = np.linspace(-2.0, 2.0, 4001)
+    law = kind.torque(x)
+    np.testing.assert_allclose(law, -law[::-1], atol=1e-12)
+    assert (law * x >= 0.0).all()
+    if kind.potential is not None:
+        np.testing.assert_allclose(np.gradient(kind.potential(x), x)[1:-1], law[1:-1], atol=1e-5)
+
+
+def test_what_has_no_column_is_passed_over_or_refused() -> None:
+    arm, *_ = paper()
+    friction = effect("motor_coulomb", "elbow", 0.3)
+    natural = effect("rotor_coupling", "shoulder", 1.0)
+    momentum = Effect(CATALOGUE["angular_momentum"], None, 4.0)
+    assert estimated([natural, friction, momentum]) == (friction,)
+    assert Flight(arm, [natural, friction, momentum]).names == (*arm.parameter_names, "motor_coulomb2")
+    for coupling in (0.0, 0.5):
+        with pytest.raises(ZygosError, match=r"rotor_coupling at elbow.*remedy"):
+            Flight(arm, [effect("rotor_coupling", "elbow", coupling)])
+
+
+# ---------------------------------------------------------------- model file
+
+
+def test_model_file_round_trip(tmp_path: Path) -> None:
+    _, model, _ = paper()
+    effects = [
+        Effect(kind, "elbow" if kind.at_joint else None, 0.25, 0.01, "test", "because") for kind in CATALOGUE.values()
+    ]
+    effects += [effect("motor_coulomb", "shoulder"), effect("cubic_stiffness", "shoulder", -3.0)]
+    model = replace(model, effects=tuple(effects))
+    save_model(model, tmp_path / "model.toml")
+    assert load_model(tmp_path / "model.toml") == model
+    assert 'unit = "Nms/rad"' in (tmp_path / "model.toml").read_text()
+
+
+ENTRY = '[[effect]]\nkind = "motor_coulomb"\njoint = "elbow"\nvalue = 0.3\nunit = "Nm"\n'
+
+
+@pytest.mark.parametrize(
+    ("find", "put", "message"),
+    [
+        ("motor_coulomb", "stiction", r"effect\[0\]\.kind: 'stiction' is not known"),
+        ('joint = "elbow"\n', "", r"effect\[0\]\.joint: is missing"),
+        ('"Nm"', '"mNm"', r"effect\[0\]\.unit: 'mNm' is not the unit of motor_coulomb"),
+        ("0.3", "-0.3", r"effect\[0\]\.value: -0.3 is out of range"),
+        ("0.3", "nan", r"effect\[0\]\.value"),
+        ("value = 0.3\n", "", r"effect\[0\]\.value: is missing"),
+        ("0.3", "0.3\nsigma = -1.0", r"effect\[0\]\.sigma"),
+        ("0.3", '0.3\nsource = "guess"', r"effect\[0\]\.source"),
+        ("0.3", '0.3\nvalues = 3', r"effect\[0\]\.values: unknown key"),
+        ('motor_coulomb"', 'angular_momentum"', r"effect\[0\]\.joint: unknown key|effect\[0\]\.unit"),
+        (ENTRY, ENTRY + ENTRY, r"effect\[1\]\.kind: motor_coulomb at elbow stands twice"),
+    ],
+)  # fmt: skip
+def test_model_file_refusals(tmp_path: Path, find: str, put: str, message: str) -> None:
+    assert find in ENTRY
+    file = tmp_path / "model.toml"
+    file.write_text((PAPER / "model.toml").read_text() + ENTRY)
+    load_model(file)
+    file.write_text((PAPER / "model.toml").read_text() + ENTRY.replace(find, put))
+    with pytest.raises(ZygosError, match=rf"model\.toml: .*(?:{message}).*; remedy: "):
+        load_model(file)
+
+
+# ---------------------------------------------------------------- configuration
+
+
+def test_refused_configurations_change_nothing() -> None:
+    arm, *_ = paper()
+    used = Flight(arm, [effect("motor_coulomb", "elbow")])
+    before = bytes_of(used.native)
+    most, wrong = lib.ZYGOS_MAX_EFFECTS_VALUE, 2**32 - 1
+    for count, *pairs in (
+        (most + 1,), (wrong,), (1, (5, 0)), (1, (wrong, 0)), (1, (0, 2)), (1, (0, wrong)),
+        (2, (0, 1), (0, 1)), (3, (4, 0), (0, 1), (4, 0)), (4, (0, 0), (1, 0), (2, 0), (3, 7)),
+    ):  # fmt: skip
+        config = config_of(arm)
+        config.effects = count
+        for k, (kind, joint) in enumerate(pairs):
+            config.effect[k].kind, config.effect[k].joint = kind, joint
+        assert lib.zygos_init(used.native, config) == lib.ZYGOS_E_EFFECT, (count, pairs)
+        assert bytes_of(used.native) == before
+
+
+def test_the_binding_names_what_is_refused() -> None:
+    arm, *_ = paper()
+    with pytest.raises(ZygosError, match=r"stands twice.*remedy: correct the effects"):
+        Flight(arm, [effect("torque_lag", "elbow"), effect("torque_lag", "elbow")])
+    with pytest.raises(ZygosError, match=r"no joint 'wrist'.*remedy"):
+        Flight(arm, [effect("torque_lag", "wrist")])
+    many = [effect(key, joint) for key in COLUMNS for joint in ("shoulder", "elbow")]
+    with pytest.raises(ZygosError, match=r"10 effects.*this build holds 4; remedy"):
+        Flight(arm, many)
+
+
+# ---------------------------------------------------------------- columns against the simulator
+
+
+def balance_left_over(period: float, one: Effect, value: float) -> tuple[Floats, Floats]:
+    """row . true parameters - W, without the effect, and the effect's column, both less their means (one arc)."""
+    arm, model, scenario = paper()
+    plant = replace(model, effects=(replace(one, value=value),))
+    trajectory = simulate(arm, plant, scenario, noise=False, period_s=period, duration_s=12.0)
+    trace = Flight(trajectory.arm, [one]).cycles(trajectory.cycles(), trace=True)
+    assert trace is not None
+    rows = trace.row[trace.instant]
+    p = len(arm.parameter_names)
+    rest = rows[:, :p] @ model.base_values(arm) - rows[:, -1]
+    return rest - rest.mean(), rows[:, p] - rows[:, p].mean()
+
+
+# A size that moves the arm little, and still does work far above what the balance of 10 ms cycles leaves over.
+SIZES = {
+    "motor_coulomb": (0.2, 5e-5),
+    "motor_viscous": (2.0, 5e-5),
+    "link_coulomb": (10.0, 5e-5),
+    "cubic_stiffness": (1000.0, 5e-5),
+    "torque_lag": (1e-4, 3e-4),
+}
+
+
+@pytest.mark.parametrize("joint", ["shoulder", "elbow"])
+@pytest.mark.parametrize("key", SIZES)
+def test_column_is_what_the_effect_does_to_the_balance(key: str, joint: str) -> None:
+    """Its derivative by the coefficient, from two simulations."""
+    assert set(SIZES) == set(COLUMNS)
+    size, tolerance = SIZES[key]
+    one = effect(key, joint)
+    with_it, column = balance_left_over(0.01, one, size)
+    without, _ = balance_left_over(0.01, one, 0.0)
+    difference = (with_it - without) / size + column
+    error = np.sqrt(np.mean(difference**2) / np.mean(column**2))
+    print(f"{key} {joint}: {error:.1e}")
+    assert error <= tolerance
+
+
+# ---------------------------------------------------------------- C against numpy
+
+
+def same(arm: Arm, cycles: Cycles, effects: Sequence[Effect]) -> list[Room]:
+    """Rows and normal equations within 1e-12 of each column's largest entry, and every room of `zygos check`."""
+    run = Flight(arm, effects)
+    trace = run.cycles(cycles, trace=True)
+    assert trace is not None
+    chain = reference.chain(arm, cycles, effects)
+    numpy = np.column_stack([chain.balance.z, chain.balance.w])
+    c = trace.row[trace.instant]
+    assert c.shape == numpy.shape
+    assert numpy.shape[1] == len(run.names) + 1 == len(arm.parameter_names) + len(effects) + 1
+    for ours, theirs in ((c, numpy), *zip(run.normal_equations(), chain.design.normal(), strict=True)):
+        scale = np.abs(theirs).max(axis=0)
+        assert (scale > 0.0).all()
+        assert (np.abs(ours - theirs) / scale).max() <= 1e-12
+    rooms = check_chain(arm, trace, run)
+    assert [room for room in rooms if not room.equal] == []
+    return rooms
+
+
+@pytest.mark.parametrize("name", [name for name, case in CASES.items() if not case.far])
+def test_c_equals_numpy_with_effects(name: str) -> None:
+    """As many as the build holds, other ones at other arms."""
+    arm = arm_of(CASES[name])
+    cycles = record_of(CASES[name], arm)
+    every = [effect(key, joint.name) for joint in arm.joints for key in COLUMNS]
+    same(arm, cycles, every[::-1][:4])
+
+
+def test_c_equals_numpy_with_every_effect_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a build that has room for them."""
+    script = [sys.executable, str(ROOT / "tools" / "build_native.py"), str(tmp_path)]
+    subprocess.run(script, env={**os.environ, "CFLAGS": "-DZYGOS_MAX_EFFECTS=16 -DZYGOS_MAX_JOINTS=2"}, check=True)
+    monkeypatch.setattr(flight, "_FOLDER", tmp_path)
+    for name, value in zip(("ffi", "lib"), flight._load(), strict=True):
+        monkeypatch.setattr(flight, name, value)
+    arm, model, scenario = paper()
+    trajectory = simulate(arm, model, scenario, noise=False, period_s=0.02, duration_s=30.0)
+    effects = [effect(key, joint) for key in COLUMNS for joint in ("shoulder", "elbow")]
+    rooms = same(trajectory.arm, trajectory.cycles(), effects)
+    assert (rooms[-1].name, rooms[-1].compared) == ("solution", 22)
+
+
+def test_no_effects_no_difference(tmp_path: Path) -> None:
+    """The columns of the others have the same bits with effects and without."""
+    arm = make_arm(tmp_path)
+    cycles = balanced(arm, sines(arm, 500), chosen(arm))
+    plain, more = Flight(arm), Flight(arm, [effect("cubic_stiffness", "joint1"), effect("torque_lag", "joint2")])
+    without, with_them = plain.cycles(cycles, trace=True), more.cycles(cycles, trace=True)
+    assert without is not None and with_them is not None
+    np.testing.assert_array_equal(without.row, np.delete(with_them.row, [12, 13], axis=1))
+
+
+def test_integrals_begin_with_the_arc(tmp_path: Path) -> None:
+    """Also with one that follows another without a gap; the energy of a spring is a state and has no beginning."""
+    arm = replace(make_arm(tmp_path), arc_max_s=2.0)
+    cycles = balanced(arm, sines(arm, 500), chosen(arm))
+    effects = [effect(key, "joint2") for key in ("motor_viscous", "link_coulomb", "torque_lag", "cubic_stiffness")]
+    trace = Flight(arm, effects).cycles(cycles, trace=True)
+    assert trace is not None
+    rows = trace.row[trace.instant]
+    origins = np.arange(0, len(rows), 100)
+    friction = rows[:, [12, 13]]
+    assert (friction[origins] == 0.0).all()
+    assert (np.delete(friction, origins, axis=0) > 0.0).all()
+    assert (rows[:, 15] > 0.0).all()
+    np.testing.assert_allclose(rows[:, 15], rows[:, 10] ** 2, rtol=1e-12)  # (d^2 / 2)^2
+    now = 50.0 * np.diff(cycles.tau[:, 1], prepend=0.0)[trace.cycles.sync[trace.instant] - 1 - arm.smoother.lag]
+    half = 0.5 * now * trace.state[trace.instant][:, 7]
+    np.testing.assert_allclose(rows[origins, 14], half[origins], rtol=1e-9, atol=1e-12)
+
+
+# ---------------------------------------------------------------- estimates
+
+
+def estimate_of(arm: Arm, cycles: Cycles, effects: Sequence[Effect]) -> flight.Estimate:
+    run = Flight(arm, effects)
+    run.frames(encode(arm, cycles))
+    return run.estimate()
+
+
+def test_friction_at_the_elbow_is_found() -> None:
+    """With the paper's noise, through frames; without the column the balance does not close."""
+    arm, model, scenario = paper()
+    friction = effect("motor_coulomb", "elbow", 0.8)
+    plant = replace(model, effects=(friction,))
+    trajectory = simulate(arm, plant, scenario, seeds=range(3), noise=True)
+    for k in range(3):
+        blind = estimate_of(arm, trajectory.cycles(k), ())
+        assert (blind.validity, blind.reason) in {("doubtful", UNCLOSED), ("refused", UNCLOSED)}
+        found = estimate_of(arm, trajectory.cycles(k), [replace(friction, value=0.0)])
+        assert (found.validity, found.reason) == ("valid", "")
+        assert (found.names[-1], found.units[-1]) == ("motor_coulomb2", "Nm")
+        assert found.value[-1] == pytest.approx(0.8, rel=0.05)
+        assert 0.0 < found.sigma[-1] < 0.05
+        assert np.abs(found.value[:-1] / model.base_values(arm) - 1.0).mean() <= 0.02
+
+
+@pytest.mark.parametrize("key", COLUMNS)
+def test_every_coefficient_is_found_without_noise(key: str) -> None:
+    """From a run of 10 ms; the lag is 3 ms, whose square the column leaves out."""
+    arm, model, scenario = paper()
+    value = {"motor_coulomb": 0.5, "motor_viscous": 1.0, "link_coulomb": 20.0, "cubic_stiffness": 5e4}.get(key, 3e-3)
+    plant = replace(model, effects=(effect(key, "elbow", value),))
+    trajectory = simulate(arm, plant, scenario, noise=False, period_s=0.01, duration_s=25.0)
+    run = Flight(trajectory.arm, [effect(key, "elbow")])
+    run.cycles(trajectory.cycles())
+    found = run.estimate()
+    assert (found.validity, found.reason) == ("valid", "")
+    assert found.value[-1] == pytest.approx(value, rel=5e-4)
+    assert np.abs(found.value[:-1] / model.base_values(arm) - 1.0).max() <= 1e-4
+
+
+@pytest.mark.parametrize(("key", "value"), [("motor_viscous", -0.5), ("cubic_stiffness", -20.0)])
+def test_a_plant_that_creates_energy_is_not_physical(key: str, value: float) -> None:
+    """A spring may soften all the same."""
+    arm, model, scenario = paper()
+    plant = replace(model, effects=(effect(key, "elbow", value),))
+    trajectory = simulate(arm, plant, scenario, noise=False, period_s=0.01, duration_s=20.0)
+    run = Flight(trajectory.arm, [effect(key, "elbow")])
+    run.cycles(trajectory.cycles())
+    found = run.estimate()
+    assert found.value[-1] == pytest.approx(value, rel=0.01)
+    assert (found.validity, found.reason) == (("doubtful", NOT_PHYSICAL) if CATALOGUE[key].positive else ("valid", ""))
+
+
+def solved(
+    values: Sequence[float],
+    noise: float = 1e-2,
+    *,
+    positive: int = 0,
+    size: Mapping[int, float] = MappingProxyType({}),
+    joints: int = 2,
+    seed: int = 0,
+    n: int = 600,
+) -> Any:
+    """An estimate from random rows of unit columns, given to the accumulator itself: two joints with CHOSEN parameters,
+    effects with these values, and white noise on the work. size: of a column, where it is not 1."""
+    truth = np.array([*CHOSEN.values(), *values])
+    rng = np.random.default_rng(seed)
+    columns = rng.normal(size=(n, len(truth)))
+    columns[:, list(size)] *= list(size.values())
+    work, out, row = ffi.new("zygos_work_t *"), ffi.new("zygos_estimate_t *"), ffi.new("zygos_row_t *")
+    sums = ffi.addressof(work, "accumulator")
+    lib.zygos_accumulator_init(sums, len(truth))
+    work.joints, work.positive = joints, positive
+    for column, error in zip(columns, noise * rng.normal(size=n), strict=True):
+        row.column[0 : len(truth)] = column.tolist()
+        row.work = float(column @ truth) + error
+        lib.zygos_accumulator_add(sums, row, 1.0)
+    lib.zygos_solve(work, out)
+    return out
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_an_effect_may_be_zero(seed: int) -> None:
+    """Its sigma then exceeds its value, which is no reason to withhold it or anything else."""
+    out = solved([0.0, 0.0], 1e-4, positive=3, seed=seed)
+    assert (out.validity, out.reason) == (lib.ZYGOS_VALID, lib.ZYGOS_REASON_NONE)
+    for i in (12, 13):
+        assert abs(out.value[i]) <= 4.0 * out.sigma[i]
+        assert out.identifiable[i] == 1
+
+
+@pytest.mark.parametrize(("value", "positive", "physical"), [(-0.01, 1, False), (-0.01, 0, True), (0.01, 1, True)])
+def test_a_friction_that_drives_is_not_physical(value: float, positive: int, physical: bool) -> None:
+    out = solved([value], 1e-4, positive=positive)
+    assert out.value[12] == pytest.approx(value, rel=0.05)
+    assert abs(value) > 10.0 * out.sigma[12]
+    expected = (lib.ZYGOS_VALID, 0) if physical else (lib.ZYGOS_DOUBTFUL, lib.ZYGOS_REASON_NOT_PHYSICAL)
+    assert (out.validity, out.reason) == expected
+
+
+def test_each_effect_has_its_own_bit() -> None:
+    for bit in range(4):
+        values = [0.3, 0.3, 0.3, 0.3]
+        values[bit] = -0.3
+        for positive in range(16):
+            doubtful = solved(values, 1e-4, positive=positive, n=100).validity == lib.ZYGOS_DOUBTFUL
+            assert doubtful == bool(positive >> bit & 1)
+
+
+def test_an_effect_that_never_acts_has_no_value() -> None:
+    """A column of zeros: the others are as they would be without it."""
+    out, without = solved([0.2], size={12: 0.0}, n=300), solved([], n=300)
+    assert (out.validity, out.reason) == (lib.ZYGOS_PARTIAL, lib.ZYGOS_REASON_NOT_IDENTIFIABLE)
+    assert np.isnan(out.value[12])
+    assert np.isnan(out.sigma[12])
+    assert [out.identifiable[i] for i in range(13)] == [1] * 12 + [0]
+    assert without.validity == lib.ZYGOS_VALID
+
+
+@pytest.mark.parametrize("size", [1.0, 0.0])
+def test_a_blurred_parameter_still_refuses_everything(size: float) -> None:
+    """Whether an effect beside it acts or not: only a parameter that is missing would keep the blur to itself."""
+    out = solved([0.2], 1e-2, size={11: 1e-5, 12: size}, n=300)
+    assert (out.validity, out.reason) == (lib.ZYGOS_REFUSED, lib.ZYGOS_REASON_NOT_IDENTIFIABLE)
+    assert np.isnan(list(out.value)[:13]).all()
+
+
+def test_effects_alone_are_no_answer() -> None:
+    """Every parameter blurred, and one of them gone, so that the others would have their blur to themselves."""
+    out = solved([1e5], 5e3, size={0: 0.0}, n=300)
+    assert out.validity == lib.ZYGOS_REFUSED
+    assert np.isnan(list(out.value)[:13]).all()
+
+
+def test_more_columns_than_the_build_knows_are_corrupt() -> None:
+    for joints in (1, 3):
+        out = solved([], joints=joints, n=100)
+        assert (out.validity, out.reason) == (lib.ZYGOS_REFUSED, lib.ZYGOS_REASON_CORRUPT)
