@@ -11,7 +11,7 @@ export CFLAGS += -Werror
 endif
 
 .DEFAULT_GOAL := demo
-.PHONY: demo build test hil lint format warnings clean help
+.PHONY: demo build test hil gap demo-log lint format warnings clean help
 
 demo: build ## set up, run the paper's example over CAN, show the result (out/demo/report.html)
 	$(BIN)/python -m zygos.demo
@@ -37,6 +37,12 @@ test: build $(VENV)/.test ## unit, bus and fuzz tests (under 10 minutes)
 hil: build $(VENV)/.test ## the example across a real vcan (the kernel's, or User-Mode Linux)
 	tools/with-vcan $(BIN)/python -m pytest tests/hil
 
+gap: build $(VENV)/.test ## hide effects in a MuJoCo plant, explain them, score the verdicts (out/gap.json; 20 minutes)
+	PYTHONPATH=tests $(BIN)/python -m oracles.campaign
+
+demo-log: build $(VENV)/.test ## write the logs of examples/gap/demo again
+	PYTHONPATH=tests $(BIN)/python -m oracles.demo_log
+
 lint: build $(VENV)/.test ## ruff, mypy, clang-format
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -52,4 +58,4 @@ clean: ## remove everything that was built
 	rm -rf $(VENV) out build harness/zygos/_native harness/*.egg-info
 
 help: ## this list
-	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 10
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 10

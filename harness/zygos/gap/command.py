@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import hashlib
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from zygos import bus
 from zygos.arm import load_arm
 from zygos.commands import check_model_name, find_arm, progress
+from zygos.effects import estimated
 from zygos.errors import Undecided, ZygosError
+from zygos.flight import Flight
 from zygos.gap.explain import INTERVAL, Explanation, Gap, explain
 from zygos.gap.forecast import Forecast
 from zygos.gap.provenance import Provenance
@@ -63,10 +66,11 @@ def explain_run(
     model.base_parameters(arm)
     with progress() as bar:
         task = bar.add_task("reading", total=1.0)
-        records = []
+        records, logs = [], []
         for k, run in enumerate(runs):
             bar.update(task, description=f"reading {run.name}", completed=0.2 * k / len(runs))
-            records.append(read_record(arm, run, bus.read_log(run)))
+            logs.append(bus.read_log(run))
+            records.append(read_record(arm, run, logs[-1]))
         found = explain(
             arm,
             model,
@@ -79,7 +83,26 @@ def explain_run(
         version("zygos"),
         tuple((role, str(path), hashlib.sha256(path.read_bytes()).hexdigest()) for role, path in inputs.files),
     )
-    finish(found, records, inputs, source, out, report, json)
+    finish(found, records, flown(found, logs[:2]), inputs, source, out, report, json)
+
+
+def flown(found: Explanation, logs: Sequence[NDArray[Any]]) -> list[dict[str, Any]]:
+    """What the flight library makes of the same runs, from energy alone, with the findings' columns switched on."""
+    columns = [] if found.model is None else list(estimated(found.model.effects))
+    names = {effect.column(found.arm) for effect in columns if effect.source == "zygos"}
+    if not names:
+        return []
+    out = []
+    for run, frames in enumerate(logs):
+        flight = Flight(found.arm, columns)
+        flight.frames(frames)
+        result = flight.estimate()
+        out += [
+            {"run": "AB"[run], "column": name, "unit": unit, "value": float(value), "sigma": float(sigma)}
+            for name, unit, value, sigma in zip(result.names, result.units, result.value, result.sigma, strict=True)
+            if name in names
+        ]
+    return out
 
 
 def _check_distinct(runs: Sequence[Path]) -> None:
@@ -97,6 +120,7 @@ def _check_distinct(runs: Sequence[Path]) -> None:
 def finish(
     found: Explanation,
     records: Sequence[Record],
+    flight: Sequence[Mapping[str, Any]],
     inputs: Inputs,
     source: Provenance,
     out: Path,
@@ -106,6 +130,14 @@ def finish(
     """Print the tables, write what was asked for, and say what is undecided."""
     if json != "-":
         show(found)
+        for column in dict.fromkeys(entry["column"] for entry in flight):
+            each = [
+                f"{number(e['value'], 4)} ± {number(INTERVAL * e['sigma'], 2)} {e['unit']} on run {e['run']}"
+                for e in flight
+                if e["column"] == column
+            ]
+            say(f"the flight library, from energy alone: {column} = {', '.join(each)}")
+        say(f"{found.answer}: {found.sentence}")
     try:
         if found.model is not None:
             save_model(found.model, out)
@@ -115,7 +147,7 @@ def finish(
             write_gap_report(report, found, source)
     finally:
         if json:
-            write_json(json, as_json(found, records, source))
+            write_json(json, {**as_json(found, records, source), "flight": list(flight)})
     if found.answer in {"unknown", "cannot tell"}:
         remedy = "see the report"
         if found.experiments:
@@ -126,7 +158,7 @@ def finish(
 
 
 def show(found: Explanation) -> None:
-    """The tables of a verdict, its sentence last."""
+    """The tables of a verdict."""
     if found.search is not None:
         listed = found.search.rounds[0][:6]
         table(
@@ -172,7 +204,6 @@ def show(found: Explanation) -> None:
     say(found.where)
     for remark in found.remarks:
         say(f"note: {remark}")
-    say(f"{found.answer}: {found.sentence}")
 
 
 def _predictions(gap: Gap) -> list[tuple[str, Forecast]]:
