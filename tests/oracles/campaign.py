@@ -82,7 +82,7 @@ def modern() -> Bench:
     cases = [
         *_at(laws.MotorCoulomb, (0.02, 0.02)),
         *_at(laws.MotorViscous, (0.04, 0.05)),
-        *_at(laws.LinkCoulomb, (0.35, 0.4)),
+        *_at(laws.LinkCoulomb, (0.3, 0.36)),
         *_at(laws.CubicStiffness, (30.0, 30.0)),
         *_at(laws.TorqueLag, (5e-4, 1e-3)),
         Case("flexibility", "named", tuple(("joint_flexibility", j) for j in both), lacks="flexibility"),

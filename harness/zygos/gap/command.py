@@ -151,7 +151,10 @@ def finish(
     if found.answer in {"unknown", "cannot tell"}:
         remedy = "see the report"
         if found.experiments:
-            remedy = f"{found.experiments[0].said} would tell them apart"
+            best = found.experiments[0]
+            remedy = (
+                f"{best.said} would tell them apart" if best.tells else "no variant of these motions tells them apart"
+            )
         elif found.partly:
             remedy = f"part of it looks like {found.partly}"
         raise Undecided(f"{found.answer}: {found.sentence} ({out} not written); remedy: {remedy}")

@@ -16,6 +16,8 @@ from zygos.gap.twin import measure, retrace
 
 Array = NDArray[np.float64]
 
+THRESHOLD = 4.5
+"""Standard deviations by which one effect must stand out beside another."""
 _DRAWS = 6
 _VARIANTS = ((0.5, 1.0), (2.0, 1.0), (1.0, 0.5), (1.0, 1.5), (0.5, 1.5), (2.0, 0.5))
 """Speed and amplitude of the first run's motion."""
@@ -32,6 +34,11 @@ class Experiment:
     z: float
     """Standard deviations by which the named effect would stand out beside the other; these runs: `now`."""
     now: float
+
+    @property
+    def tells(self) -> bool:
+        """Whether it would tell the two apart."""
+        return self.z > THRESHOLD
 
     @property
     def said(self) -> str:

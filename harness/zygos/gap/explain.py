@@ -204,6 +204,10 @@ class _Explainer:
         self.step(0.65, "predictions of the untouched run")
         after = basis if found is None else found.after
         gap = self._gap(delivered, refit, after, found)
+        if gap is not None and gap.closed.gap > gap.delivered.gap:
+            self.remarks.append(
+                "the drawing's values predict better than the fitted ones: these runs do not determine all values well"
+            )
         self.step(0.9, "verdict")
         values = self._values(after)
         answer, sentence, partly = self._judge(refit, found, findings, values, skewed, gap)
@@ -261,7 +265,7 @@ class _Explainer:
             k,
             sigma,
             "Nm/rad",
-            f"link and motor part by {bent.rms_rad:.3g} rad rms, {bent.rms_rad / bent.noise_rad:.3g} times their noise",
+            f"link and motor part by {bent.rms_rad:.3g} rad rms, {_times(bent.rms_rad / bent.noise_rad)} their noise",
         )
 
     def _finding(self, found: Search, index: int) -> Finding:
@@ -384,8 +388,7 @@ class _Explainer:
         if not changed:
             return "nothing missing", "Nothing is missing above the detection limits, and no value differs.", ""
         listed = ", ".join(
-            f"{v.name} {v.found:.5g} ± {INTERVAL * v.sigma:.2g} {v.unit} (simulation {v.delivered:.5g}: "
-            f"{100 * v.change:+.3g} %)"
+            f"{v.name} {sized(v.found, v.sigma, v.unit)} (simulation {v.delivered:.5g}: {100 * v.change:+.3g} %)"
             for v in changed
         )
         return "values differ", f"The equations are right, values differ: {listed}.", ""
@@ -459,12 +462,14 @@ def whereabouts(arm: Arm, layout: Layout, local: Array, flexible: Sequence[Defle
     for name in failing:
         what = {"E": "the energy balance", "H": "the momentum"}.get(name, "")
         what = what or f"the motor balance of the {arm.joints[int(name[1:]) - 1].name}"
-        parts.append(f"{what} fails by {said[name]:.3g} times its twin")
+        parts.append(f"{what} leaves {_times(said[name])} what its twin does")
     if not parts:
         return "Every balance closes as well as its twin's."
     tail = ""
     if motors:
         tail = f": look at the motor side of the {' and the '.join(motors)}"
+    elif flexible:
+        tail = ": look at the joints' flexibility first"
     elif "H" in failing:
         tail = ": look at the base, the gyro, or the momentum that is assumed"
     elif failing == ["E"]:
@@ -478,14 +483,24 @@ def _other(found: Search) -> Candidate | None:
     return next((c for c in found.rounds[0] if c.name not in taken and (c.value > 0.0 or not c.kind.positive)), None)
 
 
+def _times(ratio: float) -> str:
+    return f"{ratio:,.0f} times" if ratio >= 10.0 else f"{ratio:.1f} times"
+
+
 def _said(finding: Finding) -> str:
     at = "of the arm" if finding.joint is None else f"({finding.joint})"
     return f"{finding.title} {at}"
 
 
 def _listed(findings: Sequence[Finding]) -> str:
-    each = [f"{_said(f)}, {f.value:.4g} ± {INTERVAL * f.sigma:.2g} {f.unit}".rstrip(" 1") for f in findings]
-    return " and ".join(each)
+    return " and ".join(f"{_said(f)}, {sized(f.value, f.sigma, f.unit)}" for f in findings)
+
+
+def sized(value: float, sigma: float, unit: str) -> str:
+    """A value and its 95 % interval to two digits of the latter, in words."""
+    half = INTERVAL * sigma
+    digits = int(np.clip(1 - np.floor(np.log10(half)), 0, 9)) if 0.0 < half < np.inf else 4
+    return f"{value:,.{digits}f} ± {half:.{digits}f}" + ("" if unit == "1" else f" {unit}")
 
 
 def _column(arm: Arm, name: str) -> str:
@@ -497,5 +512,5 @@ def _column(arm: Arm, name: str) -> str:
 def _share(found: Search) -> str:
     if not found.named:
         return ""
-    listed = ", ".join(candidate.name for candidate in found.named)
+    listed = ", ".join(_column(found.after.layout.arm, candidate.name) for candidate in found.named)
     return f"; the best guess ({listed}) takes {100 * min(found.completeness):.0f} % of the excess away"

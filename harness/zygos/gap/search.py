@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 
 from zygos.effects import Kind, column_name
 from zygos.errors import Undecided
+from zygos.gap.experiment import THRESHOLD
 from zygos.gap.fit import Hypothesis, fit
 from zygos.gap.study import Study, again
 
 Array = NDArray[np.float64]
 
-THRESHOLD = 4.5
-"""Standard deviations of the twin that a coefficient must reach on both runs."""
 AGREEMENT = 0.25
 """Share by which the two runs' coefficients may differ: a law that differs in form from its column has no one size."""
 EXCESS = 0.2
@@ -157,8 +156,8 @@ def _possible(hypothesis: Hypothesis, kind: Kind, joint: int) -> bool:
         return hypothesis.uncoupled[joint]
     if kind.key == "angular_momentum":
         return hypothesis.momentum is not None
-    # at a rigid joint motor and link are one, and nothing deflects
-    return not (hypothesis.rigid[joint] and kind.place in {"link", "spring"})
+    # nothing deflects at a rigid joint; motor and link turn as one there, and so cannot be told apart
+    return not (hypothesis.rigid[joint] and kind.place == "spring")
 
 
 def _candidate(now: Study, before: Study, kind: Kind, joint: int) -> Candidate | None:

@@ -1,12 +1,10 @@
 """The demo's report: one self-contained page.
 
-Python selects and scales the numbers; `demo.html` says them, and the script in `charts.html` draws them, with zoom and
-a cursor that all charts share.
+Python selects and scales the numbers; `demo.html` says them, and the script in `charts.html` draws them.
 """
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,19 +12,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from markupsafe import Markup
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
 from zygos.flight import Estimate, Trace
-from zygos.output import number, write_text
+from zygos.output import number
+from zygos.report.page import UNITS, Entry, joint_colour, numbers, render, series
 
 Floats = NDArray[np.float64]
-Entry = dict[str, Any]
 
-_UNITS = {"kg m^2": "kg m²", "Nm/rad": "N m/rad", "Nms/rad": "N m s/rad"}
-_JOINT_COLOURS = 7
 _SETTLED = 0.5  # of the run: what comes before does not set the scale of the convergence charts
 
 
@@ -112,38 +106,28 @@ def write_report(
     refused = trace.instant & ~trace.accepted
     state_time = time - arm.smoother.lag * arm.period_s
     data = {
-        "times": {"state": _numbers(state_time), "cycle": _numbers(time), "estimate": _numbers(convergence.time_s)},
+        "times": {"state": numbers(state_time), "cycle": numbers(time), "estimate": numbers(convergence.time_s)},
         "refused": np.flatnonzero(refused).tolist(),
         "charts": {chart["id"]: chart for charts in groups.values() for chart in charts},
     }
-    page = Environment(
-        loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True
-    ).get_template("demo.html")
-    write_text(
+    render(
         path,
-        page.render(
-            arm=arm,
-            estimate=estimate,
-            bus=content["bus"],
-            cycles=int(content["cycles"]),
-            faults=dict(content["faults"]),
-            instants=int(trace.instant.sum()),
-            refused=int(refused.sum()),
-            duration=float(time[-1] - time[0]) if len(time) else 0.0,
-            sheet=_sheet(ledger, state_time) if complete else None,
-            missing=[name for name, x in zip(estimate.names, estimate.value, strict=True) if not math.isfinite(x)],
-            groups=groups,
-            number=number,
-            **_parameters(arm, estimate, numpy_value, true),
-            # no "<" may end the script element early
-            data=Markup(json.dumps(data, ensure_ascii=False, separators=(",", ":")).replace("<", "\\u003c")),
-        ),
+        "demo.html",
+        data,
+        arm=arm,
+        estimate=estimate,
+        bus=content["bus"],
+        cycles=int(content["cycles"]),
+        faults=dict(content["faults"]),
+        instants=int(trace.instant.sum()),
+        refused=int(refused.sum()),
+        duration=float(time[-1] - time[0]) if len(time) else 0.0,
+        sheet=_sheet(ledger, state_time) if complete else None,
+        missing=[name for name, x in zip(estimate.names, estimate.value, strict=True) if not math.isfinite(x)],
+        groups=groups,
+        number=number,
+        **_parameters(arm, estimate, numpy_value, true),
     )
-
-
-def _numbers(values: Floats) -> list[float | None]:
-    """Six digits are more than a screen shows; JSON has no NaN."""
-    return [float(f"{x:.6g}") if math.isfinite(x) else None for x in values.tolist()]
 
 
 def _meaning(arm: Arm, index: int) -> tuple[str, int | None]:
@@ -154,10 +138,6 @@ def _meaning(arm: Arm, index: int) -> tuple[str, int | None]:
         return f"{('rotor inertia', 'stiffness', 'damping')[kind]}, {arm.joints[joint].name}", joint
     i, j = ("base" if c == "0" else f"link {c}" for c in arm.parameter_names[index][1:])
     return (f"inertia, {i}" if i == j else f"inertia, {i} with {j}"), None
-
-
-def _colour(joint: int | None) -> str:
-    return "ink" if joint is None else f"joint{joint % _JOINT_COLOURS}"
 
 
 def _signed(value: float, digits: int = 2) -> str:
@@ -186,8 +166,8 @@ def _parameters(arm: Arm, estimate: Estimate, numpy_value: Floats, true: Floats)
             {
                 "name": name,
                 "meaning": meaning,
-                "colour": _colour(joint),
-                "unit": _UNITS.get(arm.parameter_units[k], arm.parameter_units[k]),
+                "colour": joint_colour(joint),
+                "unit": UNITS.get(arm.parameter_units[k], arm.parameter_units[k]),
                 "true": _grouped(true[k]),
                 "numpy": _grouped(numpy_value[k]),
                 "c": _grouped(estimate.value[k]),
@@ -221,10 +201,6 @@ def _parameters(arm: Arm, estimate: Estimate, numpy_value: Floats, true: Floats)
     }
 
 
-def _series(label: str, colour: str, y: Floats, **style: Any) -> Entry:
-    return {"label": label, "colour": colour, "y": _numbers(y), **style}
-
-
 def _trajectories(arm: Arm, trace: Trace) -> list[Entry]:
     """What the estimator saw: smoothed and calibrated, except the torque."""
     n = arm.n
@@ -232,14 +208,14 @@ def _trajectories(arm: Arm, trace: Trace) -> list[Entry]:
     q, theta, omega = state[:, :n], state[:, n : 2 * n], state[:, 4 * n :] @ arm.axis
     tau = trace.cycles.tau.copy()
     tau[1:][np.diff(trace.cycles.sync) != 1] = np.nan  # no line across a gap
-    joints = [(i, joint.name, _colour(i)) for i, joint in enumerate(arm.joints)]
+    joints = [(i, joint.name, joint_colour(i)) for i, joint in enumerate(arm.joints)]
     angles = [
-        _series(f"{name}, {end}", colour, values[:, i], dash=end == "motor")
+        series(f"{name}, {end}", colour, values[:, i], dash=end == "motor")
         for i, name, colour in joints
         for end, values in (("link", q), ("motor", theta))
     ]
-    deflection = [_series(name, colour, theta[:, i] - q[:, i]) for i, name, colour in joints]
-    torque = [_series(name, colour, tau[:, i], step=True) for i, name, colour in joints]
+    deflection = [series(name, colour, theta[:, i] - q[:, i]) for i, name, colour in joints]
+    torque = [series(name, colour, tau[:, i], step=True) for i, name, colour in joints]
     return [
         {"id": "angles", "title": "Joint angles", "unit": "rad", "time": "state", "series": angles},
         {
@@ -254,7 +230,7 @@ def _trajectories(arm: Arm, trace: Trace) -> list[Entry]:
             "title": "Turning rate of the base",
             "unit": "rad/s",
             "time": "state",
-            "series": [_series("base", "ink", omega)],
+            "series": [series("base", "ink", omega)],
         },
         {"id": "torque", "title": "Motor torque, before the gear", "unit": "N m", "time": "cycle", "series": torque},
     ]
@@ -269,10 +245,10 @@ def _energy(ledger: Ledger) -> list[Entry]:
             "time": "state",
             "height": 300,
             "series": [
-                _series("dissipated", "dissipated", ledger.dissipated, stack=True),
-                _series("elastic", "elastic", ledger.elastic, stack=True),
-                _series("kinetic", "kinetic", ledger.kinetic, stack=True),
-                _series("work of the motors + energy at the start", "ink", ledger.supplied, wide=True),
+                series("dissipated", "dissipated", ledger.dissipated, stack=True),
+                series("elastic", "elastic", ledger.elastic, stack=True),
+                series("kinetic", "kinetic", ledger.kinetic, stack=True),
+                series("work of the motors + energy at the start", "ink", ledger.supplied, wide=True),
             ],
         }
     ]
@@ -287,7 +263,7 @@ def _residual(ledger: Ledger, estimate: Estimate) -> list[Entry]:
             "time": "state",
             "height": 220,
             "lines": [0.0, *([estimate.residual, -estimate.residual] if math.isfinite(estimate.residual) else [])],
-            "series": [_series("residual", "ink", ledger.residual, mark=True)],
+            "series": [series("residual", "ink", ledger.residual, mark=True)],
         }
     ]
 
@@ -327,7 +303,7 @@ def _convergence(arm: Arm, true: Floats, convergence: Convergence) -> list[Entry
                 "known": bool(np.isfinite(deviation[:, k]).any()),
                 "lines": [0.0],
                 "reach": {"shared": 1.05 * shared or 1.0, "own": 1.1 * float(reach[k]) or 1.0},
-                "series": [_series(meaning, _colour(joint), deviation[:, k], band=_numbers(spread[:, k]))],
+                "series": [series(meaning, joint_colour(joint), deviation[:, k], band=numbers(spread[:, k]))],
             }
         )
     return charts

@@ -1,0 +1,52 @@
+"""What the pages share: one self-contained file, its style, and the charts that the script in it draws.
+
+A page's data are `times`, named lists of instants or of other abscissae; `charts` by id, each over one of them; and
+`refused`, positions of refused instants in the times "state". Charts of one `domain` share zoom and cursor.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
+from numpy.typing import NDArray
+
+from zygos.output import write_text
+
+Floats = NDArray[np.float64]
+Entry = dict[str, Any]
+
+UNITS = {"kg m^2": "kg m²", "Nm/rad": "N m/rad", "Nms/rad": "N m s/rad"}
+"""Units of parameters as people write them."""
+_JOINT_COLOURS = 7
+
+
+def render(path: Path, template: str, data: Mapping[str, Any], **content: Any) -> None:
+    """Write a page: a template of this folder, what it says, and the data of its charts."""
+    page = Environment(
+        loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    ).get_template(template)
+    # no "<" may end the script element early
+    text = json.dumps(data, ensure_ascii=False, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    write_text(path, page.render(**content, data=Markup(text)))
+
+
+def numbers(values: Floats) -> list[float | None]:
+    """Six digits are more than a screen shows; JSON has no NaN."""
+    return [float(f"{x:.6g}") if math.isfinite(x) else None for x in values.tolist()]
+
+
+def series(label: str, colour: str, y: Floats, **style: Any) -> Entry:
+    """One line of a chart. colour: a custom property of the style."""
+    return {"label": label, "colour": colour, "y": numbers(y), **style}
+
+
+def joint_colour(joint: int | None) -> str:
+    """Of a joint's lines; None: of what belongs to no joint."""
+    return "ink" if joint is None else f"joint{joint % _JOINT_COLOURS}"
