@@ -1,4 +1,4 @@
-"""The main job: the paper's example from CAN frames to parameters, and its report.
+"""The main job: the paper's example from CAN frames to parameters, a gap explained, and their report.
 
 Each step is a process of its own, and the one that estimates is given no file with true values: `zygos simulate` writes
 a log, its frames cross a bus, `zygos estimate` and numpy read what arrived, and only then does the scorer open the
@@ -7,6 +7,8 @@ plant's model.
 
 from __future__ import annotations
 
+import hashlib
+import json
 import subprocess
 import sys
 import time
@@ -28,7 +30,7 @@ from zygos.report.demo import Convergence, write_report
 from zygos.scenario import load_scenario
 from zygos.score import score
 
-EXAMPLE = Path("examples/paper")
+EXAMPLE, GAP = Path("examples/paper"), Path("examples/gap")
 SNAPSHOT_CYCLES = 20
 
 
@@ -63,8 +65,62 @@ def converge(arm: Arm, frames: NDArray[Any]) -> Convergence:
     return Convergence(np.array(time_s), np.array(values), np.array(sigmas))
 
 
+def explain_gap(folder: Path) -> dict[str, Any]:
+    """Explain the logs of examples/gap/demo, in which an effect is hidden, and compare with what was sealed.
+
+    Writes folder/gap.html, folder/gap.json and folder/explained.toml. Errors: ZygosError if a log is not the one that
+    was sealed, or if nothing could be named.
+    """
+    logs = [GAP / "demo" / f"{name}.blf" for name in "abc"]
+    verdict_file, report = folder / "gap.json", folder / "gap.html"
+    arguments: list[str | Path] = [
+        "--simulation",
+        GAP / "cad.toml",
+        "--measured",
+        logs[0],
+        logs[1],
+        "--validate",
+        logs[2],
+    ]
+    arguments += [
+        "--arm",
+        GAP / "arm.toml",
+        "-o",
+        folder / "explained.toml",
+        "--report",
+        report,
+        "--json",
+        verdict_file,
+    ]
+    zygos("explain", *arguments)
+
+    # The scorer: the verdict is on disk, and nothing below changes it.
+    verdict = json.loads(verdict_file.read_text())
+    sealed = json.loads((GAP / "demo" / "sealed.json").read_text())
+    for log in logs:
+        if hashlib.sha256(log.read_bytes()).hexdigest() != sealed["sha256"][log.name]:
+            raise ZygosError(f"{log} is not the log that was sealed; remedy: `make demo-log`, or restore it from git")
+    if not verdict["findings"]:
+        raise ZygosError(f"nothing was named: {verdict['sentence']}; remedy: see {report}")
+    found, gap = verdict["findings"][0], verdict["gap"]
+    return {
+        "hidden": sealed["hidden"],
+        "named": found["effect"],
+        "where": found["joint"],
+        "right": [(f["effect"], f["joint"]) for f in verdict["findings"]] == [(sealed["hidden"], sealed["where"])],
+        "title": found["title"],
+        "size": sealed["size"],
+        "value": found["value"],
+        "interval": found["interval"],
+        "unit": found["unit"],
+        "sentence": verdict["sentence"],
+        "report": report.name,
+        **{name: gap[name] for name in ("as_delivered", "refit", "closed", "floor")},
+    }
+
+
 def run_demo(folder: Path = Path("out/demo")) -> None:
-    """Simulate, cross the bus, estimate, score, report. Writes folder/report.html and folder.json."""
+    """Simulate, cross the bus, estimate, score; explain a gap; report. Writes folder/report.html and folder.json."""
     begin = time.monotonic()
     folder.mkdir(parents=True, exist_ok=True)
     sent, run = folder / "sent.blf", folder / "run.blf"
@@ -125,6 +181,8 @@ def run_demo(folder: Path = Path("out/demo")) -> None:
         "faults": flight.faults,
         "parameters": parameters,
     }
+    note("explaining a gap in which an effect is hidden …")
+    gap = content["gap"] = explain_gap(folder)
     write_json(folder.with_suffix(".json"), content)
     write_report(folder / "report.html", arm, trace, estimate, numpy_value, true, convergence, content)
 
@@ -148,6 +206,19 @@ def run_demo(folder: Path = Path("out/demo")) -> None:
     say(
         f"arm {arm.name} · bus {content['bus']} · {content['cycles']:,} cycles · {losses(flight)} · "
         f"mean |error| {mean:.2f} % · {time.monotonic() - begin:.0f} s"
+    )
+    shrinks = ", ".join(
+        f"{number(gap[key], 3)} {word}"
+        for key, word in {
+            "as_delivered": "as delivered",
+            "refit": "refit",
+            "closed": "closed",
+            "floor": "floor",
+        }.items()
+    )
+    say(
+        f"hidden effect: {'found' if gap['right'] else 'MISNAMED as'} {gap['title']}, {gap['where']}, "
+        f"{number(gap['value'], 4)} {gap['unit']} (hidden: {gap['size']}) · gap, sigma: {shrinks}"
     )
     say(f"report: {folder / 'report.html'} · numbers: {folder.with_suffix('.json')}")
 

@@ -155,6 +155,15 @@ class PlanarDynamics:
         return np.isinf(self.stiffness)
 
     @cached_property
+    def _soft(self) -> Array:
+        """(N,) stiffness; 0 at a rigid joint, whose torque is a constraint."""
+        return np.where(self.rigid, 0.0, self.stiffness)
+
+    @cached_property
+    def _none(self) -> Array:
+        return np.zeros(self.n)
+
+    @cached_property
     def friction_slope(self) -> Array:
         """(N,) largest damping of each joint that friction amounts to around standstill, Nms/rad after the gear."""
         slope = np.zeros(self.n)
@@ -179,7 +188,9 @@ class PlanarDynamics:
     def _forces(self, q: Array, theta: Array, qd: Array, thetad: Array) -> tuple[Array, Array, Array]:
         """(..., N) torques: of the springs on the links, of friction at motors (before the gear) and at links."""
         deflection = theta - q
-        spring = np.where(self.rigid, 0.0, self.stiffness) * deflection + self.damping * (thetad - qd)
+        spring = self._soft * deflection + self.damping * (thetad - qd)
+        if not self.laws:
+            return spring, self._none, self._none
         motor, link = np.zeros_like(q), np.zeros_like(q)
         for kind, i, value in self.laws:
             assert kind.torque is not None
@@ -212,16 +223,18 @@ class PlanarDynamics:
         ratio = self.gear_ratio
         drive = tau - motor_loss
         # a rigid gear hands on what drives the rotor, a spring what it holds
-        force = np.where(self.rigid, ratio * drive, spring) - link_loss
+        rigid = self.rigid.any()
+        force = (np.where(self.rigid, ratio * drive, spring) if rigid else spring) - link_loss
         right = -(slope @ (f * f)[..., None])[..., 0]
         right[..., 1:] += force
         # rotor i pushes off the body that carries it, with what its motor and the reaction of its gear leave over
-        right[..., :-1] -= force + np.where(self.rigid, 0.0, self.coupling * (drive - spring / ratio))
+        pushed = self.coupling * (drive - spring / ratio)
+        right[..., :-1] -= force + (np.where(self.rigid, 0.0, pushed) if rigid else pushed)
         absolute = np.asarray(np.linalg.solve(inertia + self.rotor_mass, right[..., None])[..., 0], dtype=np.float64)
         joint = absolute[..., 1:] - absolute[..., :-1]
         motor = (ratio * drive - spring) / (ratio * ratio * self.rotor_inertia)
         motor -= self.coupling * absolute[..., :-1] / ratio
-        return absolute[..., 0], joint, np.where(self.rigid, joint, motor)
+        return absolute[..., 0], joint, np.where(self.rigid, joint, motor) if rigid else motor
 
     def kinetic_energy(self, q: Array, omega0: ArrayLike, qd: Array, thetad: Array) -> Array:
         """(...,) kinetic energy T, J, without that of the mass centre (Nanos & Papadopoulos eq. (11))."""
@@ -234,7 +247,7 @@ class PlanarDynamics:
     def elastic_energy(self, q: Array, theta: Array) -> Array:
         """(...,) energy in the joints' springs, J."""
         deflection = theta - q
-        energy: Array = 0.5 * (np.where(self.rigid, 0.0, self.stiffness) * deflection**2).sum(axis=-1)
+        energy: Array = 0.5 * (self._soft * deflection**2).sum(axis=-1)
         for kind, i, value in self.laws:
             if kind.potential is not None:
                 energy = energy + value * kind.potential(deflection[..., i])

@@ -204,7 +204,7 @@ class _Explainer:
         self.step(0.65, "predictions of the untouched run")
         after = basis if found is None else found.after
         gap = self._gap(delivered, refit, after, found)
-        if gap is not None and gap.closed.gap > gap.delivered.gap:
+        if gap is not None and gap.closed.gap > 1.1 * gap.delivered.gap:
             self.remarks.append(
                 "the drawing's values predict better than the fitted ones: these runs do not determine all values well"
             )

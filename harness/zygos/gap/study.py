@@ -190,8 +190,7 @@ def begin(records: Sequence[Record], hypothesis: Hypothesis, dynamics: PlanarDyn
     """Fit a hypothesis to runs. dynamics: any model of it that is about right; it weights the balances, and the study
     is then made again with what was learned. Errors: Undecided where the runs do not tell the parameters apart."""
     accepted = tuple(followed(record.arm, record.readings()) for record in records)
-    study = _study(tuple(records), accepted, hypothesis, dynamics, _FEW)
-    return again(again(study, hypothesis, _FEW), hypothesis)
+    return again(_study(tuple(records), accepted, hypothesis, dynamics, _FEW), hypothesis)
 
 
 def again(study: Study, hypothesis: Hypothesis, count: int = DRAWS) -> Study:

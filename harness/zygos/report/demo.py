@@ -92,7 +92,8 @@ def write_report(
 ) -> None:
     """Write the page: parameter table, trajectories, energy ledger, convergence, residual.
 
-    numpy_value (p,) is the reference's estimate, true (p,) the plant's; content has `bus`, `cycles` and `faults`.
+    numpy_value (p,) is the reference's estimate, true (p,) the plant's; content has `bus`, `cycles` and `faults`, and
+    may have `gap`, what `zygos.demo.explain_gap` found.
     """
     ledger = balance(arm, trace, estimate.value)
     complete = bool(np.all(np.isfinite(estimate.value)))
@@ -119,6 +120,7 @@ def write_report(
         bus=content["bus"],
         cycles=int(content["cycles"]),
         faults=dict(content["faults"]),
+        gap=content.get("gap"),
         instants=int(trace.instant.sum()),
         refused=int(refused.sum()),
         duration=float(time[-1] - time[0]) if len(time) else 0.0,

@@ -77,9 +77,7 @@ def write_gap_report(path: Path, explanation: Explanation, provenance: Provenanc
         bent=[_bent(d) for d in x.deflections],
         waterfall=_waterfall(x),
         search=None if x.search is None else _search(x),
-        experiments=[
-            {"said": e.said, "z": figure(e.z), "now": figure(e.now), "tells": e.tells} for e in x.experiments
-        ],
+        experiments=[{"said": e.said, "z": figure(e.z), "now": figure(e.now), "tells": e.tells} for e in x.experiments],
         values=_values(x),
         effects=_effects(x),
         groups=drawing.groups,
