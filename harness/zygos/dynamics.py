@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from zygos.arm import Arm
-from zygos.effects import SLOWEST_RATE, Effect, Kind
+from zygos.effects import SLOWEST_RATE, Effect, Kind, Place
 from zygos.errors import ZygosError
 from zygos.model import Model
 
@@ -163,14 +163,13 @@ class PlanarDynamics:
     def _none(self) -> Array:
         return np.zeros(self.n)
 
-    @cached_property
-    def friction_slope(self) -> Array:
-        """(N,) largest damping of each joint that friction amounts to around standstill, Nms/rad after the gear."""
+    def friction_slope(self, place: Place) -> Array:
+        """(N,) damping that friction at motors or links amounts to around standstill, Nms/rad after the gear."""
         slope = np.zeros(self.n)
         for kind, i, value in self.laws:
-            if kind.place in {"motor", "link"} and kind.torque is not None:
+            if kind.place == place and kind.torque is not None:
                 step = kind.torque(np.array([SLOWEST_RATE]))[0] / SLOWEST_RATE
-                slope[i] += value * step * (self.gear_ratio[i] if kind.place == "motor" else 1.0)
+                slope[i] += value * step * (self.gear_ratio[i] if place == "motor" else 1.0)
         return slope
 
     @cached_property

@@ -48,18 +48,27 @@ class States:
 
 def substeps(dynamics: PlanarDynamics, q: Array, period_s: float) -> int:
     """RK4 steps a SYNC period that follow the arm's fastest mode at the postures q (..., N)."""
+    links, rotors = mobility(dynamics, q), np.diag(1.0 / (dynamics.rotor_inertia * dynamics.gear_ratio**2))
+    stiff = np.where(dynamics.rigid, 0.0, dynamics.stiffness)
+    damped = np.where(dynamics.rigid, 0.0, dynamics.damping)
+    # a spring turns its link against the carrier, and its rotor against both; friction turns one of them
+    fastest = np.sqrt(_largest((links + rotors) * stiff))
+    rub = dynamics.friction_slope("motor")
+    own = np.where(dynamics.rigid, links, rotors) * rub
+    loss = max(_largest((links + rotors) * damped), _largest(own), _largest(links * dynamics.friction_slope("link")))
+    return max(1, int(np.ceil(period_s * max(fastest / STEP_OF_MODE, loss))))
+
+
+def _largest(matrices: Array) -> float:
+    return float(np.max(np.abs(np.linalg.eigvals(matrices)), initial=0.0))
+
+
+def mobility(dynamics: PlanarDynamics, q: Array) -> Array:
+    """(..., N, N) accelerations of the joints a unit torque at each, 1/(kg m^2), at the postures q (..., N)."""
     n = dynamics.n
     joints = np.eye(n, n + 1, 1) - np.eye(n, n + 1)
     inertia = dynamics.inertia(q)[0] + dynamics.rotor_mass
-    flexible = ~dynamics.rigid
-    # a unit torque of spring i turns link i against its carrier, and the rotor against both
-    slack = joints @ np.linalg.solve(inertia, np.broadcast_to(joints.T, (*inertia.shape[:-2], n + 1, n)))
-    slack = slack + np.diag(1.0 / (dynamics.rotor_inertia * dynamics.gear_ratio**2))
-    stiff = np.where(flexible, dynamics.stiffness, 0.0)
-    damped = np.where(flexible, dynamics.damping, 0.0)
-    fastest = np.sqrt(np.max(np.abs(np.linalg.eigvals(slack * stiff)), initial=0.0))
-    loss = np.max(np.abs(np.linalg.eigvals(slack * (damped + dynamics.friction_slope))), initial=0.0)
-    return max(1, int(np.ceil(period_s * max(fastest / STEP_OF_MODE, loss))))
+    return np.asarray(joints @ np.linalg.solve(inertia, np.broadcast_to(joints.T, (*inertia.shape[:-1], n))))
 
 
 def replay(

@@ -14,9 +14,10 @@ from threadpoolctl import threadpool_limits
 from zygos.arm import Arm
 from zygos.dynamics import PlanarDynamics
 from zygos.effects import CATALOGUE, Effect, Kind
-from zygos.errors import ZygosError
+from zygos.errors import Undecided, ZygosError
 from zygos.gap.balances import Layout
 from zygos.gap.experiment import Experiment, propose
+from zygos.gap.fit import fit
 from zygos.gap.forecast import Forecast, Segments, cut, cut_twin, forecast
 from zygos.gap.record import Record
 from zygos.gap.search import COMPLETE, PARTLY, Candidate, Search, excess, search
@@ -240,20 +241,28 @@ class _Explainer:
         )
 
     def _flexible(self, refit: Study, joints: list[str]) -> Study:
-        """The study with springs in these joints; the twin needs a first guess, which the motors' torques give."""
+        """The study with springs in these joints. The twin needs a first guess: each motor balance by itself has one.
+
+        Errors: Undecided where it finds a spring that no joint has.
+        """
         names = [joint.name for joint in self.arm.joints]
         freed = [names.index(joint) for joint in joints]
         rigid = tuple(was and i not in freed for i, was in enumerate(refit.hypothesis.rigid))
-        dynamics = refit.dynamics()
-        stiffness, damping = dynamics.stiffness.copy(), dynamics.damping.copy()
+        free = replace(refit.hypothesis, rigid=rigid)
+        dynamics = refit.model
+        inertia, stiffness, damping = (x.copy() for x in (dynamics.rotor_inertia, dynamics.stiffness, dynamics.damping))
         for i in freed:
-            torque = np.concatenate([r.readings().tau[..., i].ravel() for r in self.measured]) * dynamics.gear_ratio[i]
-            angle = np.concatenate([(r.readings().theta - r.readings().q)[..., i].ravel() for r in self.measured])
-            angle -= angle.mean()
-            stiffness[i] = max(float(angle @ torque / (angle @ angle)), 1e-3 * float(np.std(torque) / np.std(angle)))
-            damping[i] = 0.02 * stiffness[i]
-        guess = replace(dynamics, stiffness=stiffness, damping=damping)
-        return begin(self.measured, replace(refit.hypothesis, rigid=rigid), guess)
+            balance = refit.layout.balances.index(f"M{i + 1}")
+            own = fit(free, refit.sums, np.ones(len(refit.layout.balances)), alone=balance)
+            inertia[i], stiffness[i], damping[i] = (float(own.of(f"{key}{i + 1}")) for key in ("Im", "k", "b"))
+            damping[i] = max(damping[i], 0.0)
+            if not (inertia[i] > 0.0 and stiffness[i] > 0.0):
+                raise Undecided(
+                    f"link and motor part at the {names[i]}, but not like a spring (k = {stiffness[i]:.4g} Nm/rad, "
+                    f"Im = {inertia[i]:.4g} kg m^2); remedy: check its signs, zeros and gear ratio in the arm file"
+                )
+        guess = replace(dynamics, rotor_inertia=inertia, stiffness=stiffness, damping=damping)
+        return begin(self.measured, free, guess)
 
     def _flexibility(self, study: Study, bent: Deflection) -> Finding:
         i = [joint.name for joint in self.arm.joints].index(bent.joint)

@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from zygos.arm import Arm
 from zygos.dynamics import PlanarDynamics
+from zygos.errors import Undecided
 from zygos.gap.balances import Sums, accumulate, rows
 from zygos.gap.record import Readings, Record, followed, over_the_wire, smooth
-from zygos.replay import States, read, replay, substeps
+from zygos.replay import States, mobility, read, replay, substeps
 from zygos.sensors import draw_noise
 
 Array = NDArray[np.float64]
@@ -103,14 +104,24 @@ def _servo(dynamics: PlanarDynamics, path: Array, tau: Array, h: float, rate: fl
     states = States.of(start)
     if dynamics.angular_momentum is not None:
         start[:, 0] = dynamics.base_rate(states.q, dynamics.angular_momentum, states.qd, states.thetad)
+    postures = reference.q[:, ::97]
+    # what a motor has to move: its rotor, or at a rigid joint the link as well
+    link = 1.0 / np.diagonal(mobility(dynamics, postures), axis1=-2, axis2=-1).reshape(-1, joints).max(axis=0)
     rotor = dynamics.rotor_inertia * dynamics.gear_ratio
+    moved = np.where(dynamics.rigid, link / dynamics.gear_ratio, rotor)
 
     def torque(k: int, now: States) -> Array:
         behind, slower = reference.theta[:, k] - now.theta, reference.thetad[:, k] - now.thetad
-        return np.asarray(tau[:, k + 1] + rotor * rate * (rate * behind + 2.0 * slower), dtype=np.float64)
+        return np.asarray(tau[:, k + 1] + moved * rate * (rate * behind + 2.0 * slower), dtype=np.float64)
 
-    steps = substeps(dynamics, reference.q[:, ::97], h)
-    return replay(dynamics, h, start, torque, tau[:, 0], path.shape[1], steps)
+    with np.errstate(over="ignore", invalid="ignore"):
+        went, applied = replay(dynamics, h, start, torque, tau[:, 0], path.shape[1], substeps(dynamics, postures, h))
+    if not np.isfinite(went).all():
+        raise Undecided(
+            "the fitted model cannot be kept on the measured path, so far is it from the arm; remedy: check gear "
+            "ratios, signs, zeros and torque_law of the arm file, then the simulation's values"
+        )
+    return went, applied
 
 
 def measure(twin: Twin, seed: int) -> Readings:
