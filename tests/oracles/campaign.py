@@ -112,7 +112,7 @@ def paper() -> Bench:
         Case("null as built", "nothing missing"),
         Case("values", "values differ", exact=True, changed=True),
         Case("rate stiffness elbow", "unknown", law=laws.RateStiffness(ELBOW, 0.2)),
-        Case("base detent", "unknown", law=laws.BaseDetent(0, 100.0)),
+        Case("base detent", "unknown", law=laws.BaseDetent(0, 400.0)),
     ]
     scenario = replace(load_scenario(PAPER / "scenario.toml"), encoder_noise="quantised")
     motions = ((0.9, 0.6, 0.8, 1.1), (0.8, 0.75, 0.7, 1.0), (0.9, 0.5, 0.8, 1.3))

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from conftest import need
+from conftest import EXAMPLE, need
+from zygos.effects import CATALOGUE, Effect
 from zygos.errors import ZygosError
 from zygos.flight import Flight, encode
 from zygos.gap.explain import Explanation
@@ -207,3 +208,98 @@ def test_a_run_without_a_whole_stretch_is_refused() -> None:
     syncs = np.flatnonzero(seen["id"] == 0x080)
     with pytest.raises(ZygosError, match="no stretch of 2 s"):
         read_record(bench.arm, Path("holes.blf"), np.delete(seen, syncs[::20]))
+
+
+def _explained(
+    law: object, *, exact: bool = True, sim: Model | None = None, second: Model | None = None
+) -> Explanation:
+    """A verdict with the paper's sensors on an arm with these laws; `second` moves in the second run."""
+    bench, case = paper(), Case("", "", exact=True)
+    moved = plant(case, 0)
+    arms = (moved, second or moved, moved)
+    seen = [
+        encode(bench.arm, run(bench.arm, model, s, k, law))  # type: ignore[arg-type]
+        for k, (model, s) in enumerate(zip(arms, bench.scenarios, strict=True))
+    ]
+    return verdict(bench, sim or simulation(case), seen)
+
+
+def _named(found: Explanation) -> dict[tuple[str, str | None], float]:
+    return {(f.kind, f.joint): f.value for f in found.findings}
+
+
+def test_names_two_effects_of_different_size() -> None:
+    found = _explained((laws.MotorCoulomb(ELBOW, 3.0), laws.MotorCoulomb(SHOULDER, 0.6)))
+    assert found.answer == "named", found.sentence
+    assert _named(found) == {
+        ("motor_coulomb", "elbow"): pytest.approx(3.0, rel=0.05),
+        ("motor_coulomb", "shoulder"): pytest.approx(0.6, rel=0.05),
+    }
+
+
+def test_an_arm_that_changed_between_the_runs_is_not_explained() -> None:
+    drawn = plant(Case("", "", exact=True), 0)
+    last = replace(drawn.bodies[2], mass=replace(drawn.bodies[2].mass, value=1.2 * drawn.bodies[2].mass.value))
+    found = _explained(None, second=replace(drawn, bodies=(*drawn.bodies[:2], last)))
+    assert found.answer == "unknown"
+    assert "not the same in the two runs" in found.sentence and "a22" in found.sentence
+    assert found.model is None
+
+
+def _with_friction(size: float) -> Model:
+    drawn = load_model(EXAMPLE.parent / "gap" / "cad.toml")
+    return replace(drawn, effects=(*drawn.effects, Effect(CATALOGUE["motor_coulomb"], "elbow", size)))
+
+
+def test_an_effect_of_the_wrong_size_is_a_value_that_differs(tmp_path: Path) -> None:
+    found = _explained(laws.MotorCoulomb(ELBOW, 2.0), sim=_with_friction(4.0))
+    assert found.answer == "values differ", found.sentence
+    assert "motor_coulomb2" in found.sentence
+    assert found.model is not None
+    save_model(found.model, tmp_path / "new.toml")
+    effect = next(e for e in load_model(tmp_path / "new.toml").effects if e.kind.key == "motor_coulomb")
+    assert effect.value == pytest.approx(2.0, rel=0.03)
+
+
+def test_an_effect_that_the_arm_does_not_have_leaves_the_model(tmp_path: Path) -> None:
+    found = _explained(None, sim=_with_friction(3.0))
+    assert found.answer == "values differ", found.sentence
+    assert "which these runs do not show" in found.sentence
+    assert found.model is not None
+    save_model(found.model, tmp_path / "new.toml")
+    assert all(effect.kind.key != "motor_coulomb" for effect in load_model(tmp_path / "new.toml").effects)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"torque_law": "applied_previous_cycle"}, "Timing first: the torques act"),
+        ({"quantum_rad": 0.006}, "Sensors first"),
+        ({"zero_rad": 0.02}, ""),
+    ],
+)
+def test_an_arm_file_that_is_wrong_is_said_first(change: dict[str, object], says: str) -> None:
+    bench, case = paper(), _case(paper(), "null as drawn")
+    joints = bench.arm.joints
+    arm = bench.arm
+    if "torque_law" in change:
+        arm = replace(arm, torque_law="applied_previous_cycle")
+    elif "quantum_rad" in change:
+        coarse = [
+            replace(
+                j,
+                link_encoder=replace(j.link_encoder, quantum_rad=0.006),
+                motor_encoder=replace(j.motor_encoder, quantum_rad=0.006),
+            )
+            for j in joints
+        ]
+        arm = replace(arm, joints=tuple(coarse))
+    else:
+        motor = replace(joints[1].motor_encoder, zero_rad=0.02)
+        arm = replace(arm, joints=(joints[0], replace(joints[1], motor_encoder=motor)))
+    found = verdict(replace(bench, arm=arm), simulation(case), frames(bench, case, 0))
+    if says:
+        assert found.answer == "unknown" and says in found.sentence, found.sentence
+        assert found.model is None
+    else:
+        assert any("zeros of the arm file are off" in remark and "joint 2" in remark for remark in found.remarks)

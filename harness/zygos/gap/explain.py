@@ -20,8 +20,8 @@ from zygos.gap.experiment import Experiment, propose
 from zygos.gap.fit import fit
 from zygos.gap.forecast import Forecast, Segments, cut, cut_twin, forecast
 from zygos.gap.record import Record
-from zygos.gap.search import COMPLETE, PARTLY, Candidate, Search, excess, search
-from zygos.gap.study import Study, again, begin, read_hypothesis, split
+from zygos.gap.search import CERTAIN, COMPLETE, EXCESS, PARTLY, Candidate, Search, excess, search
+from zygos.gap.study import Study, again, begin, read_hypothesis, realise, split
 from zygos.gap.twin import follow
 from zygos.model import Model, Quantity
 
@@ -32,10 +32,12 @@ INTERVAL = float(norm.ppf(0.975))
 """Standard deviations of a 95 % interval."""
 DIFFERS = 3.0
 """Standard deviations by which a value differs from the simulation's."""
+DISAGREE = 4.5
+"""Standard deviations by which the runs may not disagree on a value."""
 MATERIAL = 0.005
 """Share below which a difference of values does not matter."""
-CLOSES = 1.5
-"""rho beyond which a named law leaves something over that must be said."""
+_USED = 0.9
+"""Share of a run below which its losses are worth a word."""
 _DEFLECTED = 3.0
 """Deviations of the encoders beyond which a joint that is said to be rigid is not."""
 _SKEWED = 0.95
@@ -44,7 +46,7 @@ _SKEWED = 0.95
 
 @dataclass(frozen=True)
 class Value:
-    """A base parameter: what the simulation had, and what the runs say."""
+    """A base parameter, or an effect that the simulation knows: what it had, and what the runs say."""
 
     name: str
     unit: str
@@ -57,6 +59,11 @@ class Value:
     def change(self) -> float:
         """Relative difference."""
         return self.found / self.delivered - 1.0 if self.delivered and np.isfinite(self.delivered) else np.nan
+
+    @property
+    def absent(self) -> bool:
+        """Whether it is an effect of which the runs show nothing."""
+        return self.name.rstrip("0123456789") in CATALOGUE and abs(self.found) < DIFFERS * self.sigma
 
     @property
     def differs(self) -> bool:
@@ -116,6 +123,8 @@ class Gap:
     refit: Forecast
     closed: Forecast
     floor: Forecast
+    struck: Forecast | None
+    """The closed model with the named effects of the catalogue struck out; None where none was."""
     wrong: Forecast | None
     """With the best other candidate in place of the named effect."""
     wrong_name: str
@@ -185,6 +194,16 @@ class _Explainer:
         arm = self.arm
         layout = Layout(arm)
         self.step(0.05, "the simulation's own equations")
+        if arm.torque_law == "sampled":
+            self.remarks.append(
+                'torques are taken as constant at their mean over a SYNC period: with torque_law = "sampled" twins '
+                "err by the square of period_s"
+            )
+        for record in (*self.measured, *([] if self.validate is None else [self.validate])):
+            if record.share < _USED:
+                self.remarks.append(
+                    f"{record.path.name}: {100 * record.share:.0f} % of the run lies in unbroken stretches and is used"
+                )
         delivered = PlanarDynamics.from_model(arm, self.simulation)
         hypothesis = read_hypothesis(layout, self.simulation)
         refit = begin(self.measured, hypothesis, delivered)
@@ -211,7 +230,9 @@ class _Explainer:
             )
         self.step(0.9, "verdict")
         values = self._values(after)
-        answer, sentence, partly = self._judge(refit, found, findings, values, skewed, gap)
+        answer, sentence, partly = self._sensors_first(after, findings, skewed) or self._judge(
+            found, findings, values, gap
+        )
         local = refit.local()
         experiments: tuple[Experiment, ...] = ()
         if answer == "cannot tell" and found is not None:
@@ -220,7 +241,7 @@ class _Explainer:
         kept = tuple(findings) if answer in {"named", "cannot tell"} else ()
         adopted = answer in {"named", "values differ", "nothing missing"}
         if adopted:
-            self._remark_law(after, kept)
+            self._remark_rest(after, kept, gap)
         return Explanation(
             arm,
             self.simulation,
@@ -288,9 +309,10 @@ class _Explainer:
             f"{100 * min(found.completeness):.1f} % of the excess explained by all that is named"
         )
         joint = None if named.joint < 0 else self.arm.joints[named.joint].name
+        assumed = study.hypothesis.momentum if named.kind.key == "angular_momentum" else None
         return Finding(
             named.kind.key,
-            named.kind.title,
+            f"the right {named.kind.title} (it assumes {assumed:g} Nms)" if assumed else named.kind.title,
             joint,
             value,
             sigma,
@@ -311,18 +333,40 @@ class _Explainer:
 
     def _values(self, study: Study) -> tuple[Value, ...]:
         sigma = dict(zip(study.hypothesis.names, self._sigmas(study).tolist(), strict=True))
-        base, _ = split(study.hypothesis, study.value)
+        base, effects = split(study.hypothesis, study.value)
         delivered = self.simulation.base_parameters(self.arm)
-        return tuple(
+        values = [
             Value(name, q.unit, q.value, q.sigma, float(x), sigma.get(name, 0.0))
             for (name, q), x in zip(delivered.items(), base, strict=True)
+        ]
+        found = {effect.column(self.arm): effect.value for effect in effects}
+        for effect in self.simulation.effects:
+            name = effect.column(self.arm)
+            if name in sigma:
+                values.append(Value(name, effect.kind.unit, effect.value, effect.sigma, found[name], sigma[name]))
+        return tuple(values)
+
+    def _calibrated(self, record: Record, study: Study) -> Record:
+        """A record less what its encoders' zeros are found to be off by, where that is more than is known of them."""
+        layout = study.layout
+        zeros = study.fit.zeros.mean(axis=0)
+        off = np.where(np.abs(zeros) > _DEFLECTED * layout.zero_sigma, zeros, 0.0)
+        if not off.any():
+            return record
+        listed = ", ".join(
+            f"{name.replace('_zero', ' encoder of joint ')} {1e3 * x:+.2g} mrad"
+            for name, x in zip(layout.zeros, off, strict=True)
+            if x
         )
+        self.remarks.append(f"zeros of the arm file are off: {listed}; predictions are made with that taken off")
+        samples = replace(record.samples, q=record.samples.q - off[0::2], theta=record.samples.theta - off[1::2])
+        return replace(record, samples=samples)
 
     def _gap(self, delivered: PlanarDynamics, refit: Study, after: Study, found: Search | None) -> Gap | None:
         if self.validate is None:
             self.remarks.append("no run was kept apart (--validate): the gap is not known")
             return None
-        segments = cut(self.validate)
+        segments = cut(self._calibrated(self.validate, after))
         closed = after.dynamics()
         before = closed if after is refit else refit.dynamics()
         if not after.physical:
@@ -349,31 +393,61 @@ class _Explainer:
             last if before is closed else forecast(before, segments),
             last,
             floor,
+            self._struck(found, segments),
             wrong,
             wrong_name,
         )
 
-    def _judge(
-        self,
-        refit: Study,
-        found: Search | None,
-        findings: list[Finding],
-        values: tuple[Value, ...],
-        skewed: list[Deflection],
-        gap: Gap | None,
-    ) -> tuple[Answer, str, str]:
-        if skewed or found is None:
+    def _struck(self, found: Search | None, segments: Segments) -> Forecast | None:
+        """Predictions without what was named: an effect that is not there does not help them."""
+        if found is None or not found.named:
+            return None
+        names = found.after.hypothesis.names
+        value = found.after.value.copy()
+        value[[names.index(candidate.name) for candidate in found.named]] = 0.0
+        return forecast(realise(found.after.hypothesis, value), segments) if found.after.physical else None
+
+    def _sensors_first(
+        self, after: Study, findings: list[Finding], skewed: list[Deflection]
+    ) -> tuple[Answer, str, str] | None:
+        """What has to be put right in the arm file before anything can be said; None where it is right."""
+        h = self.arm.period_s
+        if skewed:
             worst = max(skewed, key=lambda d: d.rms_rad)
             sentence = (
                 f"Timing first: what parts link and motor at the {worst.joint} goes with its rate, as if one encoder "
                 f"latched {abs(worst.skew_s) * 1e3:.3g} ms after the other; no effect is named until latch_us is right."
             )
             return "unknown", sentence, ""
+        lags = [finding.value / h for finding in findings if finding.kind == "torque_lag"]
+        shifted = len(lags) == self.arm.n and any(
+            max(abs(lag / part - 1.0) for lag in lags) < 0.05 for part in (0.5, 1)
+        )
+        if shifted or any(lag > 0.95 for lag in lags):
+            sentence = (
+                f"Timing first: the torques act {np.mean(lags):.2f} SYNC periods later than torque_law of the arm file "
+                "says; no effect is named until it is right."
+            )
+            return "unknown", sentence, ""
+        # a refit that fits better than noise allows has had noise taken out of its sums that was never there
+        least = float(np.nanmin(after.excess))
+        if np.nanmin((after.excess**2 - 1.0) / np.maximum(EXCESS, CERTAIN * after.wobble)) < -1.0:
+            sentence = (
+                f"Sensors first: the balances leave only {least:.2f} times what they would with the declared noise; no "
+                "value is right until quanta, rate_sigma and torque_sigma of the arm file are."
+            )
+            return "unknown", sentence, ""
+        return None
+
+    def _judge(
+        self, found: Search | None, findings: list[Finding], values: tuple[Value, ...], gap: Gap | None
+    ) -> tuple[Answer, str, str]:
+        assert found is not None
         share = min(found.completeness)
         rest = float(np.nanmax(found.after.excess))
         if not found.named and not excess(found.before):
             if not findings:
-                return self._same_equations(values)
+                return self._same_equations(found.after, values)
         elif not found.named or share < COMPLETE:
             partly = _listed(findings) if found.named and share >= PARTLY else ""
             sentence = (
@@ -381,10 +455,10 @@ class _Explainer:
             )
             sentence += f"twin is left over{_share(found)}."
             return "unknown", sentence, partly
-        if gap is not None and gap.closed.gap > gap.refit.gap:
+        if gap is not None and gap.struck is not None and gap.closed.median > gap.struck.median:
             sentence = (
-                f"{_listed(findings)} would explain the balances, but predicts the untouched run worse than the refit "
-                f"does ({gap.closed.gap:.3g} against {gap.refit.gap:.3g} sigma): not adopted."
+                f"{_listed(findings)} would explain the balances, but the untouched run is predicted better without "
+                f"(median {gap.closed.median:.3g} sigma with, {gap.struck.median:.3g} without): not adopted."
             )
             return "unknown", sentence, _listed(findings)
         if any(finding.instead for finding in findings):
@@ -392,28 +466,63 @@ class _Explainer:
             return "cannot tell", f"These runs cannot tell apart: {sets}.", ""
         return "named", f"The simulation lacks {_listed(findings)}.", ""
 
-    def _same_equations(self, values: tuple[Value, ...]) -> tuple[Answer, str, str]:
+    def _same_equations(self, study: Study, values: tuple[Value, ...]) -> tuple[Answer, str, str]:
+        apart = self._apart(study)
+        if apart:
+            sentence = f"The arm is not the same in the two runs: they disagree on {apart}, and each closes by itself."
+            return "unknown", sentence, ""
         changed = [value for value in values if value.differs]
         if not changed:
             return "nothing missing", "Nothing is missing above the detection limits, and no value differs.", ""
+        gone = [_column(self.arm, v.name) for v in changed if v.absent]
         listed = ", ".join(
             f"{v.name} {sized(v.found, v.sigma, v.unit)} (simulation {v.delivered:.5g}: {100 * v.change:+.3g} %)"
             for v in changed
+            if not v.absent
         )
-        return "values differ", f"The equations are right, values differ: {listed}.", ""
+        parts = [f"The simulation has {' and '.join(gone)}, which these runs do not show."] if gone else []
+        parts += [f"The equations are right, values differ: {listed}."] if listed else []
+        return "values differ", " ".join(parts), ""
 
-    def _remark_law(self, study: Study, findings: tuple[Finding, ...]) -> None:
+    def _remark_rest(self, study: Study, findings: tuple[Finding, ...], gap: Gap | None) -> None:
+        """Say what an answer leaves over."""
         rho = float(np.nanmax(study.excess))
-        if findings and rho > CLOSES:
+        if findings and excess(study):
             self.remarks.append(
-                f"the law is not exactly this: {rho:.2g} times the residual of its own twin is left over"
+                f"a balance still leaves {rho:.2g} times what its twin does: the law is not exactly this, or something "
+                "smaller is missing beside it"
             )
+        if gap is not None and gap.closed.gap > 3.0 * gap.floor.gap:
+            self.remarks.append(
+                f"predictions err by {gap.closed.gap / gap.floor.gap:.2g} times the floor: the values are not known "
+                "as well as these sensors would show, or the arm is another in the untouched run"
+            )
+        apart = self._apart(study)
+        if findings and apart:
+            self.remarks.append(f"the two runs disagree on {apart}")
+
+    def _apart(self, study: Study) -> str:
+        """Parameters on which the runs disagree by more than their twins' noise and by more than a trifle, in words."""
+        hypothesis = study.hypothesis
+        each = [study.of(hypothesis, [k]).value for k in range(len(study.records))]
+        drawn = [study.of_twin(hypothesis, [k]).value for k in range(len(study.records))]
+        spread = np.sqrt(sum(values.var(axis=0, ddof=1) for values in drawn))
+        shift = drawn[0].mean(axis=0) - drawn[1].mean(axis=0)
+        out = []
+        for k, name in enumerate(hypothesis.names):
+            difference = abs(float(each[0][k] - each[1][k] - shift[k]))
+            if name in self.arm.parameter_names and difference > max(
+                DISAGREE * float(spread[k]), MATERIAL * abs(float(study.value[k]))
+            ):
+                out.append(f"{name} ({each[0][k]:.5g} on the first, {each[1][k]:.5g} on the second)")
+        return ", ".join(out)
 
     def _adopt(self, study: Study, values: tuple[Value, ...], findings: tuple[Finding, ...]) -> Model:
         """The model with the values and effects that were learned; what it said of other effects is kept."""
-        names = [joint.name for joint in self.arm.joints]
         parameters = {
-            v.name: Quantity(v.found, v.sigma if np.isfinite(v.found) else 0.0, "zygos", v.unit) for v in values
+            v.name: Quantity(v.found, v.sigma if np.isfinite(v.found) else 0.0, "zygos", v.unit)
+            for v in values
+            if v.name in self.arm.parameter_names
         }
         _, effects = split(study.hypothesis, study.value)
         new = {(f.kind, f.joint): f for f in findings}
@@ -428,10 +537,11 @@ class _Explainer:
                 kept.append(Effect(effect.kind, effect.joint, value, finding.sigma, "zygos", evidence))
             elif effect.source == "zygos":
                 value, sigma = self._size(study, effect.column(self.arm))
-                kept.append(replace(effect, value=value, sigma=sigma))
+                # an effect of the simulation that the runs do not show leaves the model
+                if value > DIFFERS * sigma or (value < -DIFFERS * sigma and not effect.kind.positive):
+                    kept.append(replace(effect, value=value, sigma=sigma))
             else:
                 kept.append(effect)
-        assert all(effect.joint is None or effect.joint in names for effect in kept)
         return Model(f"{self.simulation.name}, explained", parameters=parameters, effects=tuple(kept))
 
 
@@ -461,13 +571,12 @@ def whereabouts(arm: Arm, layout: Layout, local: Array, flexible: Sequence[Defle
     """One sentence on which balance fails, from each balance by itself."""
     worst = np.nanmax(np.where(np.isnan(local), 0.0, local), axis=0)
     said = dict(zip(layout.balances, worst.tolist(), strict=True))
-    failing = [name for name, rho in said.items() if rho > np.sqrt(1.0 + 0.2)]
+    failing = [name for name, rho in said.items() if rho**2 - 1.0 > EXCESS]
     motors = [arm.joints[int(name[1:]) - 1].name for name in failing if name[0] == "M"]
-    parts: list[str] = []
-    for bent in flexible:
-        parts.append(
-            f"link and motor of the {bent.joint} part by {bent.rms_rad / bent.noise_rad:.3g} times their noise"
-        )
+    parts = [
+        f"link and motor of the {bent.joint} part by {_times(bent.rms_rad / bent.noise_rad)} their noise"
+        for bent in flexible
+    ]
     for name in failing:
         what = {"E": "the energy balance", "H": "the momentum"}.get(name, "")
         what = what or f"the motor balance of the {arm.joints[int(name[1:]) - 1].name}"
@@ -483,7 +592,8 @@ def whereabouts(arm: Arm, layout: Layout, local: Array, flexible: Sequence[Defle
         tail = ": look at the base, the gyro, or the momentum that is assumed"
     elif failing == ["E"]:
         tail = " while every motor balance closes: look at the link side"
-    return "; ".join(parts).capitalize() + tail + "."
+    said_all = "; ".join(parts) + tail + "."
+    return said_all[0].upper() + said_all[1:]
 
 
 def _other(found: Search) -> Candidate | None:

@@ -89,11 +89,10 @@ class Forecast:
 
 
 def cut(record: Record) -> Segments:
-    """Segments of a run. Errors: ZygosError where no second of it is unbroken."""
+    """Segments of the arcs of a run, as those of its twin. Errors: ZygosError where an arc has no second."""
     s = record.samples
     time = (s.sync - s.sync[0]) * record.arm.period_s
-    # the torque law may not know the torque of a stretch's last sample
-    stretches = [(start, stop - 1) for start, stop in s.segments]
+    stretches = [(int(start), int(start) + record.cycles) for start in record.starts]
     return _segments(record.arm, Readings(s.q, s.theta, record.omega0, s.tau), stretches, time, str(record.path))
 
 
@@ -110,7 +109,7 @@ def _segments(arm: Arm, samples: Readings, stretches: Sequence[tuple[int, int]],
     half, n = arm.smoother.points // 2, max(2, round(HORIZON_S / arm.period_s))
     starts = np.array([at for a, b in stretches for at in range(a + max(half, 1), b - max(2 * n, half + 1) + 1, n)])
     if not len(starts):
-        raise ZygosError(f"{name}: no second in which every cycle arrived; remedy: a run from a better bus")
+        raise ZygosError(f"{name}: no stretch is long enough to predict anything; remedy: a run from a better bus")
     at = starts[:, None] + np.arange(2 * n)
     around = starts[:, None] + np.arange(-half, half + 1)
     state = smooth(arm, Readings(samples.q[around], samples.theta[around], samples.omega0[around], samples.tau[around]))

@@ -5,6 +5,7 @@ All arcs of a run, and all draws of its twin, go through the same smoother and t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -71,6 +72,11 @@ class Record:
         return self.instants + 2 * self.half
 
     @property
+    def share(self) -> float:
+        """Share of the run's cycles that lies in arcs."""
+        return len(self.starts) * self.instants / len(self.samples.sync)
+
+    @property
     def time_s(self) -> Array:
         """(A, instants) time of the smoothed instants since the run's first cycle, s."""
         at = self.starts[:, None] + self.half + np.arange(self.instants)
@@ -94,7 +100,7 @@ def read_record(arm: Arm, path: Path, frames: NDArray[Any]) -> Record:
     # looks one cycle ahead has no torque for the last sample
     lengths = [stop - start - 1 - 4 * half for start, stop in samples.segments]
     longest = max(lengths, default=0)
-    instants = longest // max(1, round(longest * arm.period_s / ARC_S)) if longest > 0 else 0
+    instants = _arc_length(lengths, arm.period_s)
     if instants * arm.period_s < 2.0:
         raise ZygosError(
             f"{path}: no stretch of 2 s in which every cycle arrived (the longest has {max(0, longest)} cycles); "
@@ -107,6 +113,16 @@ def read_record(arm: Arm, path: Path, frames: NDArray[Any]) -> Record:
     ]
     omega0 = samples.omega @ arm.axis
     return Record(arm, path, samples, omega0, flight.faults, np.array(starts), instants)
+
+
+def _arc_length(lengths: Sequence[int], period_s: float) -> int:
+    """Instants of an arc: as long as `ARC_S` allows without losing much of the stretches that are shorter."""
+    longest = max(lengths, default=0)
+    if longest <= 0:
+        return 0
+    sizes = [longest // max(1, round(longest * period_s / wanted)) for wanted in (ARC_S, 5.0, 3.0, 2.0)]
+    covered = [sum(length // size * size for length in lengths if length > 0) for size in sizes]
+    return next(size for size, found in zip(sizes, covered, strict=True) if found >= 0.8 * max(covered))
 
 
 def over_the_wire(arm: Arm) -> Arm:

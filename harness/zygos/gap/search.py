@@ -24,6 +24,9 @@ CERTAIN = 4.0
 """Standard deviations of the twin's rho^2 that an excess must exceed."""
 COMPLETE = 0.95
 """Share of the excess that a set of effects must take away to bear their names."""
+REST = 0.8
+"""Share of what is still left over that an effect must take away to be named after the set is complete: a small effect
+beside a large one, but not a large one's law that is not quite its column's."""
 PARTLY = 0.6
 MOST = 4
 """Effects that are looked for."""
@@ -47,6 +50,8 @@ class Candidate:
     """Standard deviation on all runs together."""
     completeness: tuple[float, ...]
     """Share of each run's excess that it takes away, with those named before."""
+    of_rest: float
+    """Share of what was left over before it that it takes away, on the run where it takes less."""
     left: float
     """Sum of rho^2 over runs and balances with it."""
     frozen: float
@@ -112,9 +117,11 @@ def search(study: Study, step: Callable[[str], None] = lambda _: None) -> Search
         step(f"round {len(rounds) + 1}: every candidate")
         listed = candidates(now, before)
         rounds.append(listed)
-        best = next((candidate for candidate in listed if candidate.passes), None)
-        open_ = excess(now) if not named else min(share) < COMPLETE
-        if best is None or not open_ or len(named) >= MOST:
+        done = bool(named) and min(share) >= COMPLETE
+        passing = (c for c in listed if c.passes and (not done or c.of_rest >= REST))
+        best = next(passing, None)
+        over = (bool(named) and not done) or excess(now)
+        if best is None or not over or len(named) >= MOST:
             break
         try:
             step(f"{best.kind.title}: its twin")
@@ -122,7 +129,7 @@ def search(study: Study, step: Callable[[str], None] = lambda _: None) -> Search
         except Undecided:
             break
         gained = completeness(before, grown.excess * before.noise)
-        if named and min(gained) < min(share) + 0.05:
+        if named and not done and min(gained) < min(share) + 0.05:
             break
         named.append(best)
         now, share = grown, gained
@@ -137,7 +144,7 @@ def _retest(named: list[Candidate], now: Study, before: Study) -> tuple[list[Can
     for candidate in list(named):
         rest = tuple(name for name in now.hypothesis.effects if name != candidate.name)
         without = completeness(before, now.of(replace(now.hypothesis, effects=rest)).rms)
-        if len(named) > 1 and min(without) > COMPLETE:
+        if len(named) > 1 and min(without) > COMPLETE and candidate.of_rest < REST:
             named = [other for other in named if other is not candidate]
             now = again(now, replace(now.hypothesis, effects=rest))
     return named, now
@@ -201,6 +208,7 @@ def _candidate(now: Study, before: Study, kind: Kind, joint: int) -> Candidate |
         tuple(float(one) for one in z),
         sigma,
         share,
+        min(completeness(now, whole.rms)),
         _total(whole.rms, now.noise),
         frozen,
         _limit(now, name, null),

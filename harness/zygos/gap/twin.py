@@ -28,6 +28,10 @@ SERVO_RATE = 1.0
 """Bandwidth of the servo, rad/s: slow against the arm's own modes, fast against the drift of a wrong model."""
 
 
+_STREAMS = 1_000_000_000
+"""Seeds of twins begin here: a simulated run with a small seed would have the same noise, some cycles earlier."""
+
+
 @dataclass(frozen=True)
 class Twin:
     """A noise-free twin of a record."""
@@ -129,7 +133,7 @@ def measure(twin: Twin, seed: int) -> Readings:
     for this seed."""
     arm, exact = over_the_wire(twin.arm), twin.exact
     arcs, cycles, _ = exact.q.shape
-    noise = draw_noise(arm, arcs * cycles, [seed])
+    noise = draw_noise(arm, arcs * cycles, [_STREAMS + seed])
 
     def shaped(x: Array) -> Array:
         return np.asarray(x[0].reshape(arcs, cycles, -1), dtype=np.float64)

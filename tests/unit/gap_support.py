@@ -1,0 +1,66 @@
+"""The gap example, and runs of it that no sensor touched, for the tests of balances, twin and replay."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zygos.arm import Arm, load_arm
+from zygos.effects import CATALOGUE, Effect
+from zygos.gap.balances import Layout
+from zygos.gap.record import Readings
+from zygos.model import Model, load_model
+from zygos.plant import Trajectory, simulate
+from zygos.scenario import Scenario, load_scenario
+
+Floats = NDArray[np.float64]
+GAP = Path(__file__).parents[2] / "examples" / "gap"
+
+
+@cache
+def example(run: str = "a") -> tuple[Arm, Model, Scenario]:
+    """Arm, model and one of the scenarios a, b, c of examples/gap."""
+    return load_arm(GAP / "arm.toml"), load_model(GAP / "cad.toml"), load_scenario(GAP / f"{run}.toml")
+
+
+def effect(arm: Arm, key: str, joint: int, value: float) -> Effect:
+    """An entry of the catalogue at a joint (from 0; -1 for the base)."""
+    return Effect(CATALOGUE[key], arm.joints[joint].name if joint >= 0 else None, value)
+
+
+@cache
+def moved(run: str, duration_s: float, *effects: Effect) -> Trajectory:
+    """A run of the example without noise, with effects in the plant; simulated once a session."""
+    arm, model, scenario = example(run)
+    return simulate(
+        arm, replace(model, effects=effects), scenario, noise=False, duration_s=duration_s, rtol=1e-10, atol=1e-12
+    )
+
+
+def exact(trajectory: Trajectory) -> Readings:
+    """What exact sensors read of a run, as one arc for each seed: the wire's steps would hide small effects."""
+    return Readings(trajectory.q, trajectory.theta, trajectory.omega0, trajectory.tau)
+
+
+def true_columns(arm: Arm, base: Floats) -> Floats:
+    """(columns,) coefficients of an arm without effects, whose rotors couple as in nature; base: (p,)."""
+    layout = Layout(arm)
+    out = np.zeros(len(layout.columns))
+    out[: len(base)] = base
+    for i in range(1, arm.n + 1):
+        out[layout.columns.index(f"rotor_coupling{i}")] = base[arm.parameter_names.index(f"Im{i}")]
+    return out
+
+
+def rms(x: Floats) -> Floats:
+    """Root mean square over arcs and instants, the last two axes."""
+    return np.asarray(np.sqrt(np.mean(x**2, axis=(-2, -1))), dtype=np.float64)
+
+
+def centred(x: Floats) -> Floats:
+    """About the mean of each arc."""
+    return np.asarray(x - x.mean(axis=-1, keepdims=True), dtype=np.float64)
