@@ -302,4 +302,28 @@ def test_an_arm_file_that_is_wrong_is_said_first(change: dict[str, object], says
         assert found.answer == "unknown" and says in found.sentence, found.sentence
         assert found.model is None
     else:
-        assert any("zeros of the arm file are off" in remark and "joint 2" in remark for remark in found.remarks)
+        assert any("zeros of the sensors are off" in remark and "joint 2" in remark for remark in found.remarks)
+
+
+def test_a_gyro_bias_is_no_angular_momentum() -> None:
+    bench, case = modern(), Case("bias", "nothing missing", exact=True)
+    moved, bias = plant(case, 0), 1e-4
+    seen = []
+    for k, scenario in enumerate(bench.scenarios):
+        cycles = run(bench.arm, moved, scenario, k)
+        seen.append(encode(bench.arm, replace(cycles, omega=cycles.omega + np.array([0.0, 0.0, bias]))))
+    found = verdict(bench, simulation(case), seen)
+    assert found.answer == "nothing missing", found.sentence
+    assert any("gyro bias +0.1 mrad/s" in remark for remark in found.remarks)
+
+
+def test_names_a_pair_of_which_neither_passes_alone() -> None:
+    bench, case = modern(), Case("pair", "named", exact=True)
+    pair = (laws.LinkCoulomb(SHOULDER, 0.3), laws.LinkCoulomb(ELBOW, 0.36))
+    seen = [encode(bench.arm, run(bench.arm, plant(case, 0), s, k, pair)) for k, s in enumerate(bench.scenarios)]
+    found = verdict(bench, simulation(case), seen)
+    assert found.answer == "named", found.sentence
+    assert _named(found) == {
+        ("link_coulomb", "shoulder"): pytest.approx(0.3, rel=0.02),
+        ("link_coulomb", "elbow"): pytest.approx(0.36, rel=0.02),
+    }

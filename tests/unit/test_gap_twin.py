@@ -527,9 +527,10 @@ def test_zeros_of_the_encoders_are_found() -> None:
         sums.append(accumulate(rows(arm, seen, base), everything(twin), (Layout(arm).balances.index("H"),)))
     found = fit(hypothesis, sums, study().weight)
     error = np.abs(found.value / base - 1.0)
-    print(found.zeros / off, error)
+    encoders = found.zeros[..., : off.shape[-1]]
+    print(encoders / off, error)
     # to first order in the zeros
-    np.testing.assert_allclose(found.zeros, off, rtol=0.0, atol=3e-6)
+    np.testing.assert_allclose(encoders, off, rtol=0.0, atol=3e-6)
     assert error.max() < 1e-5
 
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from zygos.arm import Arm
 from zygos.effects import CATALOGUE, Kind, column_name
-from zygos.gap.record import Readings, smooth
+from zygos.gap.record import Readings, over_the_wire, smooth
 from zygos.reference.kinematics import State, gram
 
 Array = NDArray[np.float64]
@@ -46,7 +46,7 @@ class Layout:
 
     @cached_property
     def columns(self) -> tuple[str, ...]:
-        """Base parameters, effects, errors of the encoders' zeros.
+        """Base parameters, effects, zeros of the sensors.
 
         Im_i stands for the rotor's own share alone, rotor_coupling_i for what its spin shares with the carrying body;
         in nature both coefficients are Im_i.
@@ -56,14 +56,17 @@ class Layout:
 
     @cached_property
     def zeros(self) -> tuple[str, ...]:
-        """Columns of the encoders' zeros, rad: known to a quantum at best, which is enough to look like an effect."""
-        return tuple(f"{side}_zero{i + 1}" for i in range(self.arm.n) for side in ("link", "motor"))
+        """Columns of the sensors' zeros: the encoders', rad, known to a quantum at best, which is enough to look like
+        an effect; and the gyro's bias, rad/s, which looks like an angular momentum."""
+        encoders = [f"{side}_zero{i + 1}" for i in range(self.arm.n) for side in ("link", "motor")]
+        return (*encoders, "gyro_bias")
 
     @cached_property
     def zero_sigma(self) -> Array:
-        """(2N,) how well the arm file knows them, rad, in the order of `zeros`."""
+        """(2N+1,) how well the arm file knows them, rad and rad/s, in the order of `zeros`."""
         pairs = [(joint.link_encoder, joint.motor_encoder) for joint in self.arm.joints]
-        return np.array([max(e.zero_sigma_rad, e.quantum_rad) for pair in pairs for e in pair])
+        encoders = [max(e.zero_sigma_rad, e.quantum_rad) for pair in pairs for e in pair]
+        return np.array([*encoders, over_the_wire(self.arm).imu.rate_sigma])
 
 
 @dataclass(frozen=True)
@@ -172,9 +175,15 @@ def _laws(arm: Arm, state: State, layout: Layout, put: _Put) -> None:
 
 
 def _zeros(arm: Arm, state: State, values: Array, put: _Put) -> None:
-    """What zeros of the encoders that are off by 1 rad would take away, to first order."""
+    """What zeros that are off by 1 rad, or 1 rad/s, would take away, to first order."""
     value = dict(zip(arm.parameter_names, np.where(np.isfinite(values), values, 0.0).tolist(), strict=True))
     f, phi = state.f, state.phi
+    bodies = range(arm.n + 1)
+    # turned as one piece, the arm has this inertia
+    locked = sum(
+        value[f"a{j}{k}"] * (1 if j == k else 2) * np.cos(phi[..., k] - phi[..., j]) for j in bodies for k in bodies[j:]
+    )
+    put("H", "gyro_bias", -np.asarray(locked))
     time = arm.period_s * np.arange(f.shape[-2])
     for i in range(arm.n):
         energy, momentum = np.zeros_like(state.f0), np.zeros_like(state.f0)

@@ -224,7 +224,7 @@ class _Explainer:
         self.step(0.65, "predictions of the untouched run")
         after = basis if found is None else found.after
         gap = self._gap(delivered, refit, after, found)
-        if gap is not None and gap.closed.gap > 1.1 * gap.delivered.gap:
+        if gap is not None and gap.closed.median > 1.1 * gap.delivered.median:
             self.remarks.append(
                 "the drawing's values predict better than the fitted ones: these runs do not determine all values well"
             )
@@ -347,20 +347,21 @@ class _Explainer:
         return tuple(values)
 
     def _calibrated(self, record: Record, study: Study) -> Record:
-        """A record less what its encoders' zeros are found to be off by, where that is more than is known of them."""
+        """A record less what its sensors' zeros are found to be off by, where that is more than is known of them."""
         layout = study.layout
         zeros = study.fit.zeros.mean(axis=0)
         off = np.where(np.abs(zeros) > _DEFLECTED * layout.zero_sigma, zeros, 0.0)
         if not off.any():
             return record
         listed = ", ".join(
-            f"{name.replace('_zero', ' encoder of joint ')} {1e3 * x:+.2g} mrad"
+            f"{name.replace('_zero', ' encoder of joint ').replace('_', ' ')} {1e3 * x:+.2g} mrad"
+            + ("/s" if name == "gyro_bias" else "")
             for name, x in zip(layout.zeros, off, strict=True)
             if x
         )
-        self.remarks.append(f"zeros of the arm file are off: {listed}; predictions are made with that taken off")
-        samples = replace(record.samples, q=record.samples.q - off[0::2], theta=record.samples.theta - off[1::2])
-        return replace(record, samples=samples)
+        self.remarks.append(f"zeros of the sensors are off: {listed}; predictions are made with that taken off")
+        q, theta = record.samples.q - off[:-1:2], record.samples.theta - off[1::2]
+        return replace(record, samples=replace(record.samples, q=q, theta=theta), omega0=record.omega0 - off[-1])
 
     def _gap(self, delivered: PlanarDynamics, refit: Study, after: Study, found: Search | None) -> Gap | None:
         if self.validate is None:
@@ -492,10 +493,10 @@ class _Explainer:
                 f"a balance still leaves {rho:.2g} times what its twin does: the law is not exactly this, or something "
                 "smaller is missing beside it"
             )
-        if gap is not None and gap.closed.gap > 3.0 * gap.floor.gap:
+        if gap is not None and gap.closed.median > 3.0 * gap.floor.median:
             self.remarks.append(
-                f"predictions err by {gap.closed.gap / gap.floor.gap:.2g} times the floor: the values are not known "
-                "as well as these sensors would show, or the arm is another in the untouched run"
+                f"predictions err by {gap.closed.median / gap.floor.median:.2g} times the floor: the values are not "
+                "known as well as these sensors would show, or the arm is another in the untouched run"
             )
         apart = self._apart(study)
         if findings and apart:

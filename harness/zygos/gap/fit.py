@@ -46,7 +46,7 @@ class Hypothesis:
         return tuple(k for k, name in enumerate(names) if name not in gone)
 
     def basis(self, target: str = "") -> Array:
-        """(columns + 1, zeros + coefficients + 1): what each run's zeros of the encoders, each coefficient and the
+        """(columns + 1, zeros + coefficients + 1): what each run's zeros of the sensors, each coefficient and the
         right side consist of. With `target` that column takes the right side's place."""
         columns, zeros = self.layout.columns, self.layout.zeros
         out = np.zeros((len(columns) + 1, len(zeros) + len(self.names) + 1))
@@ -71,7 +71,7 @@ class Fit:
     value: Array
     """(..., coefficients)"""
     zeros: Array
-    """(..., runs, zeros) of the encoders, rad, in the order of the layout; those of a rigid joint's motor stay 0."""
+    """(..., runs, zeros) of the sensors, rad and rad/s, in the order of the layout; what is not seen stays 0."""
     rms: Array
     """(..., runs, balances) what is left over of each balance, in its unit; NaN where it was not used."""
 
@@ -90,7 +90,7 @@ def fit(
 ) -> Fit:
     """Fit all runs together. weight: (balances,) 1/noise of each balance.
 
-    Coefficients are shared; the zeros of the encoders, which a restart may shift, belong to a run and are held by what
+    Coefficients are shared; the zeros of the sensors, which a restart may shift, belong to a run and are held by what
     the arm file knows of them. With `fixed` (coefficients,) only they are fitted. With `target` it is that column which
     is to be explained. With `alone` one balance stands by itself, and what it does not see is 0. Leading axes of the
     sums (draws of a twin) are kept. Errors: Undecided where the motion does not tell the coefficients apart.

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,6 +121,14 @@ def search(study: Study, step: Callable[[str], None] = lambda _: None) -> Search
         done = bool(named) and min(share) >= COMPLETE
         passing = (c for c in listed if c.passes and (not done or c.of_rest >= REST))
         best = next(passing, None)
+        if best is None and not named and excess(now):
+            step("pairs of candidates")
+            pair = _pair(now, listed)
+            if pair is not None:
+                named += pair
+                now = again(now, replace(now.hypothesis, effects=(*now.hypothesis.effects, *(c.name for c in pair))))
+                share = completeness(before, now.excess * before.noise)
+                continue
         over = (bool(named) and not done) or excess(now)
         if best is None or not over or len(named) >= MOST:
             break
@@ -137,6 +146,30 @@ def search(study: Study, step: Callable[[str], None] = lambda _: None) -> Search
     share = completeness(before, now.excess * before.noise)
     sets = tuple(_inseparable(candidate, now, before) for candidate in named)
     return Search(before, now, tuple(named), tuple(rounds), share, sets)
+
+
+def _pair(now: Study, listed: Sequence[Candidate]) -> list[Candidate] | None:
+    """The two candidates that explain everything together where each alone passes for nothing; the best such pair."""
+    best: list[Candidate] | None = None
+    for first, second in combinations(listed, 2):
+        wider = replace(now.hypothesis, effects=(*now.hypothesis.effects, first.name, second.name))
+        try:
+            share = completeness(now, now.of(wider).rms)
+            if min(share) < COMPLETE:
+                continue
+            each = [_beside(now, first, second), _beside(now, second, first)]
+        except Undecided:
+            continue
+        found = [one for one in each if one is not None and one.passes]
+        if len(found) == 2 and (best is None or found[1].left < best[1].left):
+            best = found
+    return best
+
+
+def _beside(now: Study, other: Candidate, one: Candidate) -> Candidate | None:
+    """A candidate judged beside another."""
+    effects = (*now.hypothesis.effects, other.name)
+    return _candidate(replace(now, hypothesis=replace(now.hypothesis, effects=effects)), now, one.kind, one.joint)
 
 
 def _retest(named: list[Candidate], now: Study, before: Study) -> tuple[list[Candidate], Study]:
