@@ -75,11 +75,25 @@ def _quarter_fourth(deflection: Array) -> Array:
 CATALOGUE = {
     kind.key: kind
     for kind in (
-        Kind("motor_coulomb", "Coulomb friction at the motor", "Nm", "motor", smooth_sign, twins=("motor_viscous",)),
-        Kind("motor_viscous", "viscous friction at the motor", "Nms/rad", "motor", _same, twins=("motor_coulomb",)),
+        Kind(
+            "motor_coulomb",
+            "Coulomb friction at the motor",
+            "Nm",
+            "motor",
+            smooth_sign,
+            twins=("motor_viscous", "link_coulomb"),
+        ),
+        Kind(
+            "motor_viscous",
+            "viscous friction at the motor",
+            "Nms/rad",
+            "motor",
+            _same,
+            twins=("motor_coulomb", "torque_lag"),
+        ),
         Kind("link_coulomb", "Coulomb friction at the link", "Nm", "link", smooth_sign, twins=("motor_coulomb",)),
         Kind("cubic_stiffness", "cubic joint stiffness", "Nm/rad^3", "spring", _cube, _quarter_fourth, positive=False),
-        Kind("torque_lag", "torque lag", "s", "torque"),
+        Kind("torque_lag", "torque lag", "s", "torque", twins=("motor_viscous",)),
         Kind("rotor_coupling", "rotor gyroscopic coupling", "1", "rotor", positive=False),
         Kind("angular_momentum", "angular momentum", "Nms", "base", positive=False),
     )

@@ -267,6 +267,7 @@ def as_json(found: Explanation, records: Sequence[Record], source: Provenance) -
                 "z": list(c.z),
                 "completeness": list(c.completeness),
                 "limit": c.limit,
+                "twins": list(c.kind.twins),
                 "against": c.verdict or None,
             }
             for c in found.search.rounds[0]

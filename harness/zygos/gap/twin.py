@@ -142,7 +142,6 @@ def measure(twin: Twin, seed: int) -> Readings:
         [e.sign for e in side] for side in zip(*((j.link_encoder, j.motor_encoder) for j in arm.joints), strict=True)
     ]
     gyro = shaped(noise.gyro) @ (arm.mount.T @ arm.axis)
-    # the bias at the start of each arc is part of that arc's constant angular rate
     return Readings(
         exact.q + np.array(signs[0]) * shaped(noise.link),
         exact.theta + np.array(signs[1]) * shaped(noise.motor),
