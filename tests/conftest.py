@@ -24,7 +24,7 @@ def need(found: object, what: str) -> None:
     if not found:
         if os.environ.get("CI"):
             pytest.fail(f"missing in CI: {what}")
-        pytest.skip(f"missing here: {what}")
+        pytest.skip(f"missing here: {what}", allow_module_level=True)
 
 
 @pytest.fixture(scope="session")

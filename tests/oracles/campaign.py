@@ -26,6 +26,7 @@ from oracles.simulate import run
 from zygos.arm import Arm, load_arm
 from zygos.commands import progress
 from zygos.effects import CATALOGUE, Effect
+from zygos.errors import Undecided
 from zygos.flight import encode
 from zygos.gap.explain import Explanation, explain
 from zygos.gap.record import read_record
@@ -208,6 +209,22 @@ def score(case: Case, seed: int, found: Explanation) -> dict[str, Any]:
     }
 
 
+def _refused(case: Case, seed: int, why: str) -> dict[str, Any]:
+    """A run that got no verdict: no name, hence no wrong one."""
+    empty = dict.fromkeys(("rho", "rho_after", "completeness", "as_delivered", "refit", "closed", "floor"))
+    return {
+        "case": case.name,
+        "expected": case.answer,
+        "seed": seed,
+        "answer": "refused",
+        "sentence": why,
+        **dict.fromkeys(("right", "within", "wrong"), False),
+        **empty,
+        "column": _column(case),
+        "limits": {},
+    }
+
+
 def _column(case: Case) -> str:
     """Column of the one effect that a law hides."""
     if case.law is None or not case.law.key:
@@ -227,10 +244,13 @@ def one(bench_name: str, case_name: str, seed: int) -> dict[str, Any]:
     begin = time.monotonic()
     seen = frames(bench, case, seed)
     moved = time.monotonic()
-    found = verdict(bench, simulation(case), seen)
+    try:
+        scored = score(case, seed, verdict(bench, simulation(case), seen))
+    except Undecided as error:
+        scored = _refused(case, seed, str(error))
     return {
         "bench": bench_name,
-        **score(case, seed, found),
+        **scored,
         "plant_s": moved - begin,
         "explain_s": time.monotonic() - moved,
     }
@@ -249,6 +269,8 @@ def campaign(wanted: Sequence[tuple[str, str, int]], workers: int) -> list[dict[
         task = bar.add_task("explaining", total=len(wanted))
         for future in as_completed([pool.submit(one, *job) for job in wanted]):
             out.append(future.result())
+            # a campaign that is cut short has not been for nothing
+            write_json("out/gap-runs.json", {"runs": out})
             bar.advance(task)
     return sorted(out, key=lambda r: (r["bench"], r["case"], r["seed"]))
 
@@ -267,15 +289,20 @@ def summarise(results: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
                 "right": sum(r["right"] for r in of),
                 "within": sum(r["within"] for r in of),
                 "wrong": sum(r["wrong"] for r in of),
-                "visible": float(np.median([r["refit"] / r["floor"] for r in of])),
-                "closed": float(np.median([r["closed"] / r["floor"] for r in of])),
-                "worst_closed": float(np.max([r["closed"] / r["floor"] for r in of])),
+                "visible": float(np.median(_ratios(of, "refit"))),
+                "closed": float(np.median(_ratios(of, "closed"))),
+                "worst_closed": float(np.max(_ratios(of, "closed"))),
                 "limit": _limit(of),
-                "rho": float(np.median([r["rho"] for r in of])),
+                "rho": float(np.median([r["rho"] or np.nan for r in of])),
                 "seconds": float(np.median([r["explain_s"] for r in of])),
             }
         )
     return lines
+
+
+def _ratios(of: Sequence[dict[str, Any]], key: str) -> list[float]:
+    """A gap in units of its floor, where there is one."""
+    return [r[key] / r["floor"] for r in of if r["floor"]] or [np.nan]
 
 
 def _limit(of: Sequence[dict[str, Any]]) -> float | None:

@@ -387,7 +387,11 @@ class _Explainer:
             except ZygosError:
                 self.remarks.append(f"{other.name}, the best other candidate, has no size that an arm could have")
         self.step(0.85, "the floor")
-        floor = forecast(closed, cut_twin(follow(closed, [self.validate])[0]))
+        try:
+            floor = forecast(closed, cut_twin(follow(closed, [self.validate])[0]))
+        except Undecided as error:
+            self.remarks.append(f"the untouched run has no twin, so the gap has no floor: {error}")
+            return None
         return Gap(
             segments,
             forecast(delivered, segments),

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,7 @@ Array = NDArray[np.float64]
 HORIZON_S = 0.5
 """Of the fit and of the prediction."""
 _ROUNDS = 3
+_DIVERGED = 1e200
 _STRAY = 30.0
 
 
@@ -65,8 +67,7 @@ class Forecast:
     @property
     def gap(self) -> float:
         """Root mean square residual, sigma; infinite where a prediction diverges."""
-        gap = float(np.sqrt(np.mean(self.residual**2)))
-        return gap if np.isfinite(gap) else np.inf
+        return float(np.sqrt(np.mean(self._square)))
 
     @property
     def median(self) -> float:
@@ -76,16 +77,23 @@ class Forecast:
     @property
     def tenth(self) -> float:
         """What a tenth of the segments exceeds, sigma."""
-        return float(np.percentile(self._each, 90))
-
-    @property
-    def _each(self) -> Array:
-        return np.asarray(np.sqrt(np.mean(self.residual**2, axis=(1, 2))), dtype=np.float64)
+        return float(np.percentile(self._each, 90, method="higher"))
 
     @property
     def signals(self) -> Array:
         """(2N+1,) root mean square residual of each signal, sigma."""
-        return np.asarray(np.sqrt(np.mean(self.residual**2, axis=(0, 1))), dtype=np.float64)
+        return np.asarray(np.sqrt(np.mean(self._square, axis=(0, 1))), dtype=np.float64)
+
+    @cached_property
+    def _square(self) -> Array:
+        with np.errstate(over="ignore", invalid="ignore"):
+            square = self.residual**2
+        # beyond all reason is as good as infinite, and sums without overflow
+        return np.where(square < _DIVERGED, square, np.inf)
+
+    @property
+    def _each(self) -> Array:
+        return np.asarray(np.sqrt(np.mean(self._square, axis=(1, 2))), dtype=np.float64)
 
 
 def cut(record: Record) -> Segments:

@@ -125,8 +125,12 @@ def search(study: Study, step: Callable[[str], None] = lambda _: None) -> Search
             step("pairs of candidates")
             pair = _pair(now, listed)
             if pair is not None:
+                both = (*now.hypothesis.effects, *(candidate.name for candidate in pair))
+                try:
+                    now = again(now, replace(now.hypothesis, effects=both))
+                except Undecided:
+                    break
                 named += pair
-                now = again(now, replace(now.hypothesis, effects=(*now.hypothesis.effects, *(c.name for c in pair))))
                 share = completeness(before, now.excess * before.noise)
                 continue
         over = (bool(named) and not done) or excess(now)
