@@ -107,7 +107,6 @@ def paper() -> Bench:
         *_at(laws.CubicStiffness, (1000.0, 300.0)),
         *_at(laws.TorqueLag, (0.02, 0.02)),
         Case("flexibility", "named", tuple(("joint_flexibility", j) for j in PLACES), lacks="flexibility"),
-        Case("coupling", "named", tuple(("rotor_coupling", j) for j in PLACES), lacks="coupling"),
         Case("momentum", "named", (("angular_momentum", None),), momentum=500.0),
         Case("null as drawn", "nothing missing", exact=True),
         Case("null as built", "nothing missing"),
@@ -174,7 +173,7 @@ def score(case: Case, seed: int, found: Explanation) -> dict[str, Any]:
     """Compare a verdict with the truth."""
     named = {(f.kind, f.joint) for f in found.findings}
     sets = [{(f.kind, f.joint)} | {_parse(name) for name in f.instead} for f in found.findings]
-    wrong = found.answer == "named" and named != set(case.hidden)
+    wrong = found.answer == "named" and not named <= set(case.hidden)
     right = found.answer == case.answer and (not case.hidden or named == set(case.hidden))
     if case.changed:
         right = right and {v.name for v in found.values if v.differs} == {"k1", "Im2"}

@@ -46,7 +46,7 @@ def judge() -> Iterator[Judge]:
     yield of
 
 
-@pytest.mark.parametrize("name", ["motor_coulomb elbow", "link_coulomb shoulder", "torque_lag shoulder"])
+@pytest.mark.parametrize("name", ["motor_coulomb elbow", "link_coulomb shoulder", "torque_lag shoulder", "coupling"])
 def test_names_an_effect_and_closes_the_gap(judge: Judge, name: str) -> None:
     found = judge("modern", name)
     result = score(_case(modern(), name), 0, found)
@@ -56,6 +56,8 @@ def test_names_an_effect_and_closes_the_gap(judge: Judge, name: str) -> None:
     assert result["closed"] <= 1.5 * result["floor"]
     assert found.gap.wrong is not None
     assert found.gap.wrong.gap > 3.0 * found.gap.closed.gap
+    if not found.findings[0].kind.endswith(("coulomb", "lag")):
+        return
     # the law differs in form from the column, so its size is no truth to the last digit
     size = _case(modern(), name).law.size  # type: ignore[union-attr]
     assert abs(found.findings[0].value / size - 1.0) < 0.02
@@ -70,7 +72,6 @@ def test_names_an_effect_and_closes_the_gap(judge: Judge, name: str) -> None:
         "cubic_stiffness elbow",
         "torque_lag elbow",
         "flexibility",
-        "coupling",
         "momentum",
     ],
 )

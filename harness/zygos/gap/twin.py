@@ -60,7 +60,9 @@ def follow(dynamics: PlanarDynamics, records: Sequence[Record]) -> list[Twin]:
         tau = record.samples.tau[record.starts[:, None] - 1 + np.arange(record.cycles + 2)]
         torques.append(np.pad(tau, ((0, 0), (0, missing), (0, 0)), mode="edge"))
     path, tau = np.concatenate(paths), np.concatenate(torques)
-    moved, applied = _servo(dynamics, path, tau, h, min(SERVO_RATE, 0.1 / h))
+    # a model whose joints do not bend is far from an arm whose joints do
+    rate = 4.0 * SERVO_RATE if dynamics.rigid.any() else SERVO_RATE
+    moved, applied = _servo(dynamics, path, tau, h, min(rate, 0.1 / h))
     twins, first = [], 0
     for record in records:
         rows_of = slice(first, first + len(record.starts))
