@@ -255,8 +255,9 @@ def one(bench_name: str, case_name: str, seed: int) -> dict[str, Any]:
     }
 
 
-SEEDS = {"null as drawn": 20, "null as built": 20}
-"""Cases with other than ten seeds."""
+SEEDS = {"modern": 10, "paper": 3}
+NULLS = 20
+"""Seeds of each case that hides nothing, with the sensors of today."""
 
 
 def campaign(wanted: Sequence[tuple[str, str, int]], workers: int) -> list[dict[str, Any]]:
@@ -340,7 +341,9 @@ def main(arguments: Sequence[str]) -> int:
         (bench.name, case.name, seed)
         for bench in (modern(), paper())
         for case in bench.cases
-        for seed in range(seeds or SEEDS.get(case.name, 10))
+        for seed in range(
+            seeds or (NULLS if (bench.name, case.answer) == ("modern", "nothing missing") else SEEDS[bench.name])
+        )
         if not words or any(word in f"{bench.name} {case.name}" for word in words)
     ]
     begin = time.monotonic()
