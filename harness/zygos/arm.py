@@ -15,16 +15,16 @@ from scipy.spatial.transform import Rotation
 from zygos.errors import ZygosError
 from zygos.table import Table
 
-Base = Literal["free"]
-Kinetic = Literal["planar-symmetric", "planar"]
+Base = Literal["free", "fixed"]
+Kinetic = Literal["planar-symmetric", "planar", "spatial"]
 TorqueLaw = Literal["applied_from_sync", "applied_previous_cycle", "sampled"]
 
 Side = Literal["output", "rotor"]
 TorqueAt = Literal["rotor"]
 Resolution = Literal["fine", "coarse"]
 
-_BASES: tuple[Base, ...] = ("free",)
-_KINETICS: tuple[Kinetic, ...] = ("planar-symmetric", "planar")
+_BASES: tuple[Base, ...] = ("free", "fixed")
+_KINETICS: tuple[Kinetic, ...] = ("planar-symmetric", "planar", "spatial")
 _SIDES: tuple[Side, ...] = ("output", "rotor")
 _TORQUE_ATS: tuple[TorqueAt, ...] = ("rotor",)
 _RESOLUTIONS: tuple[Resolution, ...] = ("fine", "coarse")
@@ -67,11 +67,14 @@ class Joint:
     """Attitude of the joint frame in the carrying body, rad, as URDF's <origin rpy>."""
     gear_ratio: float
     link_encoder: Encoder
+    """Of a rigid joint: the motor's, which then speaks for both sides."""
     motor_encoder: Encoder
     torque_sigma: float = 0.0
     """Standard deviation of the reported rotor torque, Nm."""
     latch_us: int = 0
     """Delay of both encoders' latch after SYNC in µs, as stated on the wire."""
+    flexible: bool = True
+    """Whether the joint has a spring; a rigid one has theta = q, and neither stiffness nor damping."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +82,7 @@ class Imu:
     """The base's rate gyro."""
 
     node: int
+    """CAN node number, 1..31; 0: there is none, as on a fixed base."""
     mount_xyzw: tuple[float, float, float, float]
     """Rotation from the sensor's frame to the base's, scalar last."""
     rate_sigma: float
@@ -87,6 +91,10 @@ class Imu:
     """Random walk of the bias, rad/s^1.5: one step is bias_walk * sqrt(period)."""
     latch_us: int = 0
     resolution: Resolution = "fine"
+
+
+NO_IMU = Imu(node=0, mount_xyzw=(0.0, 0.0, 0.0, 1.0), rate_sigma=0.0, bias_walk=0.0)
+"""What a fixed base has: its rate is zero, and nobody reports it."""
 
 
 @dataclass(frozen=True)
@@ -113,6 +121,18 @@ class Arm:
     imu: Imu
     smoother: Smoother = Smoother()
     arc_max_s: float = 60.0
+    gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """m/s^2 in the base frame, of a fixed base; a free-floating arm falls with its orbit and feels none."""
+
+    @property
+    def free(self) -> bool:
+        """Whether the base floats."""
+        return self.base == "free"
+
+    @property
+    def spatial(self) -> bool:
+        """Whether the arm moves in space, not in a plane."""
+        return self.kinetic == "spatial"
 
     @property
     def n(self) -> int:
@@ -124,23 +144,63 @@ class Arm:
         """(N,) gear ratios."""
         return np.array([joint.gear_ratio for joint in self.joints])
 
+    @cached_property
+    def body_parameters(self) -> tuple[tuple[str, str], ...]:
+        """Name and unit of the parameters that bodies have, before those of the joints.
+
+        In space N[ia,jb], the upper triangle over 0x 0y 0z 1u 1v .. Nu Nv; in a plane a_ij, then b_ij; on a fixed base
+        without those of body 0, and with the first moments G[iu], G[iv] that gravity can move (docs/theory.md).
+        """
+        first = 0 if self.free else 1
+        bodies = range(first, self.n + 1)
+        if self.spatial:
+            vectors = [f"0{axis}" for axis in "xyz" if self.free] + [
+                f"{i}{p}" for i in range(1, self.n + 1) for p in "uv"
+            ]
+            names = [f"N[{a},{b}]" for k, a in enumerate(vectors) for b in vectors[k:]]
+            # with the base fixed, the first body turns about its axis only: two of its three entries are no parameters
+            names = [name for name in names if self.free or name not in ("N[1u,1v]", "N[1v,1v]")]
+        else:
+            names = [f"a{i}{j}" for i in bodies for j in bodies if i <= j]
+            if self.kinetic == "planar":
+                names += [f"b{i}{j}" for i in bodies for j in bodies if i < j]
+        moments = [f"G[{i + 1}{p}]" for i in range(self.n) if self.feels_gravity[i] for p in "uv"]
+        return tuple((name, "kg m^2") for name in names) + tuple((name, "kg m") for name in moments)
+
+    @cached_property
+    def joint_parameters(self) -> tuple[tuple[str, int, str], ...]:
+        """Name, joint from 0 and unit of the parameters of the joints: Im, and k and b of a flexible one.
+
+        The rotor of a rigid first joint on a fixed base turns with its link alone, and is counted there.
+        """
+        listed: list[tuple[str, int, str]] = []
+        for i, joint in enumerate(self.joints):
+            if joint.flexible or self.free or i > 0:
+                listed.append((f"Im{i + 1}", i, "kg m^2"))
+            if joint.flexible:
+                listed += [(f"k{i + 1}", i, "Nm/rad"), (f"b{i + 1}", i, "Nms/rad")]
+        return tuple(listed)
+
     @property
     def parameter_names(self) -> tuple[str, ...]:
-        """The identified parameters in the order of every row and output: a_ij (upper triangle, row by row), b_ij for
-        a planar arm, then Im, k, b of each joint."""
-        bodies = range(self.n + 1)
-        names = [f"a{i}{j}" for i in bodies for j in bodies if i <= j]
-        if self.kinetic == "planar":
-            names += [f"b{i}{j}" for i in bodies for j in bodies if i < j]
-        for i in range(1, self.n + 1):
-            names += [f"Im{i}", f"k{i}", f"b{i}"]
-        return tuple(names)
+        """The identified parameters in the order of every row and output: `body_parameters`, `joint_parameters`."""
+        return (*(name for name, _ in self.body_parameters), *(name for name, _, _ in self.joint_parameters))
 
     @property
     def parameter_units(self) -> tuple[str, ...]:
         """Unit of each of `parameter_names`."""
-        inertial = len(self.parameter_names) - 3 * self.n
-        return ("kg m^2",) * inertial + ("kg m^2", "Nm/rad", "Nms/rad") * self.n
+        return (*(unit for _, unit in self.body_parameters), *(unit for _, _, unit in self.joint_parameters))
+
+    @cached_property
+    def feels_gravity(self) -> tuple[bool, ...]:
+        """(N,) whether gravity does work on the first moment of the body behind each joint as the joints move: not
+        while every axis up to it is vertical."""
+        gravity = np.array(self.gravity)
+        weight = float(np.linalg.norm(gravity))
+        if self.free or weight == 0.0:
+            return (False,) * self.n
+        tilted = np.linalg.norm(np.cross(self.axes, gravity / weight), axis=1) > 1e-9
+        return tuple(bool(tilted[: i + 1].any()) for i in range(self.n))
 
     def at_period(self, period_s: float) -> Arm:
         """The same hardware at another SYNC period (s). The gyro's white noise keeps its density, so that the
@@ -171,14 +231,23 @@ class Arm:
         return np.array(attitudes)
 
     @cached_property
+    def axes(self) -> NDArray[np.float64]:
+        """(N, 3) joint axes in the base frame at zero joint angles."""
+        directions: NDArray[np.float64] = np.einsum(
+            "jab,jb->ja", self.frames[1:], np.array([joint.axis for joint in self.joints])
+        )
+        return directions
+
+    @cached_property
     def axis(self) -> NDArray[np.float64]:
         """(3,) the planar arm's common joint axis in the base frame. Errors: ZygosError if the axes are not parallel
         and alike in sense."""
-        axes = np.einsum("jab,jb->ja", self.frames[1:], np.array([joint.axis for joint in self.joints]))
+        axes = self.axes
         if np.max(np.abs(axes - axes[0])) > 1e-9:
             raise ZygosError(
                 f"arm {self.name}: the joint axes are not parallel and alike in sense, but kinetic is "
-                f'"{self.kinetic}"; remedy: correct axis or frame_rpy (a reversed encoder is sign = -1)'
+                f'"{self.kinetic}"; remedy: kinetic = "spatial", or correct axis or frame_rpy (a reversed encoder is '
+                "sign = -1)"
             )
         common: NDArray[np.float64] = axes[0]
         return common
@@ -195,11 +264,17 @@ def load_arm(path: str | Path) -> Arm:
     type or out of range."""
     top = Table.load(path)
     joints = tuple(_joint(table) for table in top.tables("joint"))
-    imu = _imu(top.table("imu"))
+    base = top.choice("base", _BASES)
+    if base == "fixed" and top.has("imu"):
+        raise top.error("imu", "a fixed base has no rate to measure", 'remove [imu], or write base = "free"')
+    if base == "free" and top.has("gravity"):
+        raise top.error("gravity", "a free-floating arm feels none", 'remove it, or write base = "fixed"')
+    imu = _imu(top.table("imu")) if base == "free" else NO_IMU
+    gravity = (0.0, 0.0, 0.0) if base == "free" else top.vector("gravity", 3, limit=1e3, unit="m/s^2")
     arc = top.table("arc", optional=True)
     arm = Arm(
         name=top.text("name"),
-        base=top.choice("base", _BASES),
+        base=base,
         kinetic=top.choice("kinetic", _KINETICS),
         # the wire's drop-out rules and the latch delay (u16 µs) hold up to a SYNC period of 65 ms
         period_s=top.number("period_s", above=0.0, high=0.065, unit="s"),
@@ -209,6 +284,7 @@ def load_arm(path: str | Path) -> Arm:
         imu=imu,
         smoother=_smoother(top.table("smoother", optional=True)),
         arc_max_s=arc.number("max_s", 60.0, above=0.0, unit="s"),
+        gravity=(gravity[0], gravity[1], gravity[2]),
     )
     arc.finish()
     top.finish()
@@ -223,16 +299,23 @@ def _joint(table: Table) -> Joint:
         raise table.error("axis", f"has length {np.linalg.norm(axis):g}", "give a unit vector")
     axis /= np.linalg.norm(axis)
     rpy = table.vector("frame_rpy", 3, (0.0, 0.0, 0.0), unit="rad")
+    flexible = table.boolean("flexible", True)
+    if not flexible and table.has("link_encoder"):
+        raise table.error(
+            "link_encoder", "a rigid joint has one angle, its motor encoder's", "remove it, or write flexible = true"
+        )
+    motor_encoder = _encoder(table.table("motor_encoder"), gear_ratio)
     joint = Joint(
         name=table.text("name"),
         node=table.integer("node", low=1, high=31),
         axis=(float(axis[0]), float(axis[1]), float(axis[2])),
         frame_rpy=(rpy[0], rpy[1], rpy[2]),
         gear_ratio=gear_ratio,
-        link_encoder=_encoder(table.table("link_encoder"), None),
-        motor_encoder=_encoder(table.table("motor_encoder"), gear_ratio),
+        link_encoder=_encoder(table.table("link_encoder"), None) if flexible else motor_encoder,
+        motor_encoder=motor_encoder,
         torque_sigma=table.number("torque_sigma", 0.0, low=0.0, unit="Nm"),
         latch_us=table.integer("latch_us", 0, low=0, high=_LATCH_MAX_US),
+        flexible=flexible,
     )
     table.finish()
     return joint
@@ -330,11 +413,13 @@ def _check_whole(arm: Arm, top: Table) -> None:
                 )
     if not _within(arm.imu.latch_us, arm.period_s):
         raise top.error("imu.latch_us", "the latch falls into the following SYNC period", "keep it below period_s")
+    if arm.spatial:
+        return
     if np.max(np.abs(arm.frames - np.eye(3))) > 1e-9:
         raise top.error(
             "joint.frame_rpy",
             "a planar arm counts link angles from its stretched posture",
-            "write [0, 0, 0] and put the rotation into the encoders' zero_rad",
+            'write [0, 0, 0] and put the rotation into the encoders\' zero_rad, or write kinetic = "spatial"',
         )
     try:
         _ = arm.axis

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from plant_support import PAPER, paper, random_arm
 
-from zygos.arm import load_arm
+from zygos.arm import Arm, load_arm
 from zygos.errors import ZygosError
 
 LINK = "link_encoder  = { quantum_rad = 0.003, sign = 1, zero_rad = 0.0, zero_sigma_rad = 0.0, latch_us = 0 }"
@@ -74,7 +74,10 @@ def test_optional_parts(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("find", "put", "key"), [
-    ('base = "free"', 'base = "fixed"', "base: 'fixed' is not known; remedy: write \"free\""),
+    ('base = "free"', 'base = "fixe"', "base: 'fixe' is not known; remedy: write \"free\" or \"fixed\""),
+    ('base = "free"', 'base = "fixed"', "imu: a fixed base has no rate to measure"),
+    ('base = "free"', 'base = "free"\ngravity = [0, 0, -9.81]', "gravity: a free-floating arm feels none"),
+    ("gear_ratio = 50", "gear_ratio = 50\nflexible = false", "link_encoder: a rigid joint has one angle"),
     ('kinetic = "planar-symmetric"', 'kinetic = "plane"', "kinetic"),
     ("period_s = 0.05", "period_s = 0", "period_s"),
     ("period_s = 0.05", "period_s = 0.066", "period_s: 0.066 is out of range"),
@@ -136,3 +139,46 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
         (tmp_path / "arm.toml").write_bytes(content)
         with pytest.raises(ZygosError, match="remedy"):
             load_arm(tmp_path / "arm.toml")
+
+
+def spatial(tmp_path: Path, base: str, *joints: str) -> Arm:
+    imu = "[imu]\nnode = 16\nrate_sigma = 0\nbias_walk = 0\n" if 'base = "free"' in base else ""
+    blocks = "".join(
+        f'[[joint]]\nname = "j{i}"\nnode = {i}\ngear_ratio = 100\n{joint}'
+        'motor_encoder = {counts = 4096, side = "rotor"}\n'
+        for i, joint in enumerate(joints, start=1)
+    )
+    file = tmp_path / "arm.toml"
+    file.write_text(
+        f'name = "s"\n{base}\nkinetic = "spatial"\nperiod_s = 0.01\ntorque_law = "applied_from_sync"\n'
+        f'torque_at = "rotor"\n{blocks}{imu}'
+    )
+    return load_arm(file)
+
+
+FLEXIBLE, RIGID = "link_encoder = {counts=4096}\n", "flexible = false\n"
+UP, ACROSS = "axis = [0, 0, 1]\n", "axis = [1, 0, 0]\n"
+
+
+@pytest.mark.parametrize("joints", [1, 2, 3, 7])
+def test_spatial_parameters_are_counted_as_theory_says(tmp_path: Path, joints: int) -> None:
+    free = spatial(tmp_path, 'base = "free"', *[FLEXIBLE + ACROSS] * joints)
+    assert len(free.body_parameters) == (joints + 2) * (2 * joints + 3)
+    assert len(free.parameter_names) == (joints + 2) * (2 * joints + 3) + 3 * joints
+    fixed = spatial(tmp_path, 'base = "fixed"\ngravity = [0, 0, -9.81]', *[FLEXIBLE + ACROSS] * joints)
+    assert len(fixed.body_parameters) == 2 * joints**2 + joints - 2 + 2 * joints
+    upright = spatial(
+        tmp_path, 'base = "fixed"\ngravity = [0, 0, -9.81]', FLEXIBLE + UP, *[FLEXIBLE + ACROSS] * (joints - 1)
+    )
+    assert len(upright.body_parameters) == len(fixed.body_parameters) - 2
+
+
+def test_names_of_a_rigid_arm_on_the_ground(tmp_path: Path) -> None:
+    arm = spatial(tmp_path, 'base = "fixed"\ngravity = [0, 0, -9.81]', RIGID + UP, RIGID + ACROSS)
+    assert arm.parameter_names == (
+        *("N[1u,1u]", "N[1u,2u]", "N[1u,2v]", "N[1v,2u]", "N[1v,2v]", "N[2u,2u]", "N[2u,2v]", "N[2v,2v]"),
+        *("G[2u]", "G[2v]", "Im2"),
+    )
+    assert arm.parameter_units[-3:] == ("kg m", "kg m", "kg m^2")
+    assert arm.joints[0].link_encoder == arm.joints[0].motor_encoder
+    assert arm.imu.node == 0
