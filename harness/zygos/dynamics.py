@@ -7,9 +7,7 @@ c = phi_j - phi_i the kinetic energy of Nanos & Papadopoulos eq. (11) is
         + sum_i [1/2 Im_i n_i^2 thetad_i^2 + Im_i n_i thetad_i f_{i-1}]
 
 and its Lagrange equations in (phi_0 .. phi_N, theta_1 .. theta_N) are solved here for the accelerations. Nothing else
-of the arm is needed: neither masses nor lengths, and no state of the base beyond its rate. A joint of infinite
-stiffness is rigid, theta = q. Effects of the catalogue act as their entries say; of torque lag, which is a matter of
-when a torque begins to act, only the size is kept here.
+of the arm is needed: neither masses nor lengths, and no state of the base beyond its rate.
 """
 
 from __future__ import annotations
@@ -22,37 +20,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from zygos.arm import Arm
-from zygos.effects import SLOWEST_RATE, Effect, Kind, Place
+from zygos.drives import Drives, drives
+from zygos.effects import Effect
 from zygos.errors import ZygosError
 from zygos.model import Model
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class PlanarDynamics:
+@dataclass(frozen=True, kw_only=True)
+class PlanarDynamics(Drives):
     """A planar arm of N joints. Every method takes arrays with any leading batch axes."""
 
     a: Array
     """(N+1, N+1) symmetric a_ij, kg m^2."""
     b: Array
     """(N+1, N+1) antisymmetric b_ij (b[i, j] = b_ij for i < j), kg m^2; zero for a planar-symmetric arm."""
-    rotor_inertia: Array
-    """(N,) Im, kg m^2, about the rotor's own axis, before the gear."""
-    stiffness: Array
-    """(N,) k, Nm/rad, after the gear."""
-    damping: Array
-    """(N,) b, Nms/rad, after the gear."""
-    gear_ratio: Array
-    """(N,) n."""
-    coupling: Array
-    """(N,) share of Im that the rotation of the carrying body acts on: 1 in nature."""
-    laws: tuple[tuple[Kind, int, float], ...] = ()
-    """Torque laws with the index of their joint and their coefficient."""
-    torque_lag: Array | None = None
-    """(N,) delay of each motor behind its reported torque, s; None: none."""
-    angular_momentum: float | None = None
-    """h that the model assumes, Nms; None: none in particular."""
 
     @classmethod
     def from_model(cls, arm: Arm, model: Model) -> PlanarDynamics:
@@ -82,37 +65,7 @@ class PlanarDynamics:
                 if i < j:
                     b[i, j] = value.get(f"b{i}{j}", 0.0)
                     b[j, i] = -b[i, j]
-        joints = range(1, bodies)
-        coupling, lag = np.ones(arm.n), np.zeros(arm.n)
-        momentum: float | None = None
-        laws: list[tuple[Kind, int, float]] = []
-        for effect in effects:
-            joint = effect.index(arm)
-            if effect.kind.torque is not None:
-                laws.append((effect.kind, joint, effect.value))
-            elif effect.kind.key == "rotor_coupling":
-                coupling[joint] = effect.value
-            elif effect.kind.key == "torque_lag":
-                lag[joint] = effect.value
-            else:
-                momentum = effect.value
-        if not (np.all(lag >= 0.0) and np.all(lag < arm.period_s)):
-            raise ZygosError(
-                f"arm {arm.name}: torque lags of {lag.tolist()} s are not within a SYNC period ({arm.period_s} s); "
-                "remedy: a lag of whole periods belongs into torque_law of the arm file"
-            )
-        dynamics = cls(
-            a,
-            b,
-            np.array([value[f"Im{i}"] for i in joints]),
-            np.array([value[f"k{i}"] for i in joints]),
-            np.array([value[f"b{i}"] for i in joints]),
-            arm.gear_ratios,
-            coupling,
-            tuple(laws),
-            lag if lag.any() else None,
-            momentum,
-        )
+        dynamics = cls(a=a, b=b, **drives(arm, value, effects))
         if dynamics.margin <= 0.0:
             raise ZygosError(
                 f"arm {arm.name}: these a_ij give negative kinetic energy in some posture (smallest "
@@ -120,11 +73,6 @@ class PlanarDynamics:
                 "and lengths, they cannot be varied independently"
             )
         return dynamics
-
-    @property
-    def n(self) -> int:
-        """Number of joints."""
-        return len(self.rotor_inertia)
 
     @cached_property
     def margin(self) -> float:
@@ -150,29 +98,6 @@ class PlanarDynamics:
         return self.a * cosine + self.b * sine, self.b * cosine - self.a * sine
 
     @cached_property
-    def rigid(self) -> NDArray[np.bool_]:
-        """(N,) joints whose stiffness is infinite."""
-        return np.isinf(self.stiffness)
-
-    @cached_property
-    def _soft(self) -> Array:
-        """(N,) stiffness; 0 at a rigid joint, whose torque is a constraint."""
-        return np.where(self.rigid, 0.0, self.stiffness)
-
-    @cached_property
-    def _none(self) -> Array:
-        return np.zeros(self.n)
-
-    def friction_slope(self, place: Place) -> Array:
-        """(N,) damping that friction at motors or links amounts to around standstill, Nms/rad after the gear."""
-        slope = np.zeros(self.n)
-        for kind, i, value in self.laws:
-            if kind.place == place and kind.torque is not None:
-                step = kind.torque(np.array([SLOWEST_RATE]))[0] / SLOWEST_RATE
-                slope[i] += value * step * (self.gear_ratio[i] if place == "motor" else 1.0)
-        return slope
-
-    @cached_property
     def rotor_mass(self) -> Array:
         """(N+1, N+1) what the rotors add to the inertia matrix once their own accelerations are eliminated."""
         mass = -np.diag(np.append(np.where(self.rigid, 0.0, self.coupling**2 * self.rotor_inertia), 0.0))
@@ -183,30 +108,6 @@ class PlanarDynamics:
             both = np.outer(turn, carrier)
             mass += rotor * self.gear_ratio[i] * np.outer(turn, turn) + rotor * self.coupling[i] * (both + both.T)
         return mass
-
-    def _forces(self, q: Array, theta: Array, qd: Array, thetad: Array) -> tuple[Array, Array, Array]:
-        """(..., N) torques: of the springs on the links, of friction at motors (before the gear) and at links."""
-        deflection = theta - q
-        spring = self._soft * deflection + self.damping * (thetad - qd)
-        if not self.laws:
-            return spring, self._none, self._none
-        motor, link = np.zeros_like(q), np.zeros_like(q)
-        for kind, i, value in self.laws:
-            assert kind.torque is not None
-            if kind.place == "spring":
-                spring[..., i] += value * kind.torque(deflection[..., i])
-            elif kind.place == "motor":
-                motor[..., i] += value * kind.torque(thetad[..., i])
-            else:
-                link[..., i] += value * kind.torque(qd[..., i])
-        return spring, motor, link
-
-    def spring(self, q: Array, theta: Array, qd: Array, thetad: Array) -> Array:
-        """(..., N) torque of spring and damper on the link, Nm: k (theta - q) + b (thetad - qd), and what effects add.
-
-        Zero for a rigid joint, whose torque is a constraint.
-        """
-        return self._forces(q, theta, qd, thetad)[0]
 
     def accelerations(
         self, q: Array, theta: Array, omega0: ArrayLike, qd: Array, thetad: Array, tau: Array
@@ -241,15 +142,6 @@ class PlanarDynamics:
         carried = self.coupling * f[..., :-1]
         rotor = self.rotor_inertia * self.gear_ratio * thetad * (0.5 * self.gear_ratio * thetad + carried)
         energy: Array = 0.5 * np.einsum("...i,...ij,...j->...", f, self.inertia(q)[0], f) + rotor.sum(axis=-1)
-        return energy
-
-    def elastic_energy(self, q: Array, theta: Array) -> Array:
-        """(...,) energy in the joints' springs, J."""
-        deflection = theta - q
-        energy: Array = 0.5 * (self._soft * deflection**2).sum(axis=-1)
-        for kind, i, value in self.laws:
-            if kind.potential is not None:
-                energy = energy + value * kind.potential(deflection[..., i])
         return energy
 
     def momentum(self, q: Array, omega0: ArrayLike, qd: Array, thetad: Array) -> Array:

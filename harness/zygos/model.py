@@ -14,6 +14,7 @@ import numpy as np
 import tomlkit
 from numpy.typing import NDArray
 
+from zygos import gram
 from zygos.arm import Arm
 from zygos.effects import CATALOGUE, Effect
 from zygos.errors import ZygosError
@@ -99,9 +100,10 @@ class Model:
         inertial = quantities[: 7 * len(self.bodies)] + [joint.rotor_inertia for joint in self.joints]
         found = {quantity.source for quantity in inertial}
         # a mixture is worth no more than its least certain part
-        sources = [next(source for source in SOURCES if source in found)] * (len(names) - 3 * arm.n)
-        for joint in self.joints:
-            sources += [joint.rotor_inertia.source, joint.stiffness.source, joint.damping.source]
+        sources = [next(source for source in SOURCES if source in found)] * len(arm.body_parameters)
+        keys = {"Im": "rotor_inertia", "k": "stiffness", "b": "damping"}
+        for name, i, _ in arm.joint_parameters:
+            sources.append(getattr(self.joints[i], keys[name.rstrip("0123456789")]).source)
         return {
             name: Quantity(float(value), float(sigma), source, unit)
             for name, value, sigma, source, unit in zip(
@@ -154,6 +156,12 @@ class Model:
                 f"model {self.name} has joints {[joint.name for joint in self.joints]}, arm {arm.name} "
                 f"has {names}; remedy: name the joints alike, from the base outwards"
             )
+        for ours, theirs in zip(self.joints, arm.joints, strict=True):
+            if not theirs.flexible and np.isfinite(ours.stiffness.value):
+                raise ZygosError(
+                    f"model {self.name}: joint {ours.name} has a stiffness, but in arm {arm.name} it is rigid; remedy: "
+                    "stiffness = inf in the model, or flexible = true in the arm file"
+                )
 
     def _quantities(self) -> list[Quantity]:
         listed: list[Quantity] = []
@@ -169,52 +177,76 @@ class Model:
     def _convert(self, arm: Arm, scalars: NDArray[np.float64]) -> NDArray[np.float64]:
         """Base parameters (p,) from the scalars in the order of `_quantities` (docs/theory.md, "From bodies …")."""
         bodies = len(self.bodies)
-        axis = arm.axis
-        across = np.eye(3) - np.outer(axis, axis)
         body = scalars[: 7 * bodies].reshape(bodies, 7)
         drive = scalars[7 * bodies :].reshape(bodies - 1, 4)
         mass = body[:, 0].copy()
         first = np.zeros((bodies, 3))
-        polar = np.zeros(bodies)
+        second = np.zeros((bodies, 3, 3))
         reach = np.zeros((bodies, 3))
         for i, part in enumerate(self.bodies):
-            attitude = arm.frames[i]
-            centre = across @ attitude @ np.array(part.origin_xyz)
+            centre = np.array(part.origin_xyz)
+            tensor = _tensor(body[i, 1:])
             first[i] = mass[i] * centre
-            polar[i] = axis @ attitude @ _tensor(body[i, 1:]) @ attitude.T @ axis + mass[i] * centre @ centre
+            second[i] = 0.5 * np.trace(tensor) * np.eye(3) - tensor + mass[i] * np.outer(centre, centre)
             if part.joint_xyz is not None:
-                reach[i] = across @ attitude @ np.array(part.joint_xyz)
+                reach[i] = part.joint_xyz
                 rotor_mass, rotor_inertia = drive[i, :2]
+                axis = arm.frames[i].T @ arm.axes[i]
                 mass[i] += rotor_mass
                 first[i] += rotor_mass * reach[i]
-                polar[i] += rotor_mass * reach[i] @ reach[i] + rotor_inertia
-        total = mass.sum()
+                second[i] += rotor_mass * np.outer(reach[i], reach[i])
+                second[i] += 0.5 * rotor_inertia * (np.eye(3) - np.outer(axis, axis))
+        if arm.spatial:
+            matrix, moments = gram.of_bodies(arm, mass, first, second, reach)
+            kinetic = gram.to_parameters(arm, matrix)
+        else:
+            kinetic = self._planar(arm, mass, first, second, reach)
+            moments = gram.of_bodies(arm, mass, first, second, reach)[1]
+        heavy = np.repeat(np.array(arm.feels_gravity), 2)
+        if not arm.free and not arm.joints[0].flexible:
+            kinetic[0] += arm.joints[0].gear_ratio ** 2 * drive[0, 1]
+        columns = {"Im": 1, "k": 2, "b": 3}
+        joints = [drive[i, columns[name.rstrip("0123456789")]] for name, i, _ in arm.joint_parameters]
+        return np.concatenate([kinetic, moments[-len(heavy) :][heavy], joints])
+
+    def _planar(
+        self,
+        arm: Arm,
+        mass: NDArray[np.float64],
+        first: NDArray[np.float64],
+        second: NDArray[np.float64],
+        reach: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """a_ij, and b_ij where the arm has them, of bodies as in `gram.of_bodies`."""
+        axis = arm.axis
+        across = np.einsum("ab,ibc->iac", np.eye(3) - np.outer(axis, axis), arm.frames)
+        first = np.einsum("iac,ic->ia", across, first)
+        reach = np.einsum("iac,ic->ia", across, reach)
+        polar = np.einsum("iac,icd,iad->i", across, second, across)
+        total = mass.sum() if arm.free else np.inf
         beyond = np.append(np.cumsum(mass[::-1])[::-1][1:], 0.0)
-        near = (first + beyond[:, None] * reach) / total
+        pull = first + beyond[:, None] * reach
+        near = pull / total
         far = reach - near
         before = np.cumsum(mass) - mass
-        a = np.diag(
-            polar
-            - 2 * np.sum(first * near, axis=1)
-            + (mass + before) * np.sum(near * near, axis=1)
-            + beyond * np.sum(far * far, axis=1)
-        )
+        a = polar - 2 * np.sum(first * near, axis=1) + beyond * np.sum(far * far, axis=1)
+        if arm.free:
+            a += (mass + before) * np.sum(near * near, axis=1)
         values: list[float] = []
         skew: list[float] = []
-        for i in range(bodies):
-            for j in range(i, bodies):
-                values.append(float(a[i, i] if i == j else total * far[i] @ near[j]))
+        bodies = range(0 if arm.free else 1, arm.n + 1)
+        for i in bodies:
+            for j in bodies[bodies.index(i) :]:
+                values.append(float(a[i] if i == j else far[i] @ pull[j]))
                 if i < j:
-                    skew.append(float(total * axis @ np.cross(near[j], far[i])))
+                    skew.append(float(axis @ np.cross(pull[j], far[i])))
         if arm.kinetic == "planar":
             values += skew
-        elif np.max(np.abs(skew)) > 1e-9 * np.max(np.abs(values)):
+        elif skew and np.max(np.abs(skew)) > 1e-9 * np.max(np.abs(values)):
             raise ZygosError(
                 f"model {self.name}: mass centres lie off the joint-to-joint lines (b_ij = {skew}), but "
                 f'arm {arm.name} says kinetic = "planar-symmetric"; remedy: kinetic = "planar"'
             )
-        for _, rotor_inertia, stiffness, damping in drive:
-            values += [float(rotor_inertia), float(stiffness), float(damping)]
         return np.array(values)
 
 

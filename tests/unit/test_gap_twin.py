@@ -351,7 +351,7 @@ def test_momentum_of_a_twin_is_the_models() -> None:
     for assumed, made in ((0.0, twins()), (7.0, follow(dynamics, records()))):
         for twin in made:
             state = smooth(arm, twin.exact)
-            h = dynamics.momentum(state.q, state.f0, state.qd, state.thetad)
+            h = dynamics.momentum(state.q, state.base, state.qd, state.thetad)
             print(np.abs(h - assumed).max())
             assert np.abs(h - assumed).max() < 0.5
 

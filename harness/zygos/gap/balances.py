@@ -90,7 +90,7 @@ def rows(arm: Arm, readings: Readings, values: Array) -> Rows:
     tau = readings.tau[..., half : cycles - half, :]
     previous = readings.tau[..., half - 1 : cycles - half - 1, :]
     layout = Layout(arm)
-    shape = (*state.f0.shape[:-2], len(layout.balances), *state.f0.shape[-2:])
+    shape = (*state.base.shape[:-2], len(layout.balances), *state.base.shape[-2:])
     out = Rows(np.zeros((*shape, len(layout.columns))), np.zeros(shape))
     put = _Put(layout, out)
     _inertial(arm, state, put)
@@ -186,7 +186,7 @@ def _zeros(arm: Arm, state: State, values: Array, put: _Put) -> None:
     put("H", "gyro_bias", -np.asarray(locked))
     time = arm.period_s * np.arange(f.shape[-2])
     for i in range(arm.n):
-        energy, momentum = np.zeros_like(state.f0), np.zeros_like(state.f0)
+        energy, momentum = np.zeros_like(state.base), np.zeros_like(state.base)
         for j in range(i + 1):
             for k in range(i + 1, arm.n + 1):
                 turned = -value[f"a{j}{k}"] * np.sin(phi[..., k] - phi[..., j])

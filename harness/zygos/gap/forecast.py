@@ -121,7 +121,7 @@ def _segments(arm: Arm, samples: Readings, stretches: Sequence[tuple[int, int]],
     at = starts[:, None] + np.arange(2 * n)
     around = starts[:, None] + np.arange(-half, half + 1)
     state = smooth(arm, Readings(samples.q[around], samples.theta[around], samples.omega0[around], samples.tau[around]))
-    guess = States(state.f0, state.q, state.theta, state.qd, state.thetad).packed()[:, 0]
+    guess = States(state.base, state.q, state.theta, state.qd, state.thetad).packed()[:, 0]
     readings = np.concatenate([samples.q[at], samples.theta[at], samples.omega0[at][..., None]], axis=-1)
     return Segments(arm, readings, samples.tau[at], samples.tau[starts - 1], guess, time[at])
 

@@ -54,7 +54,7 @@ def follow(dynamics: PlanarDynamics, records: Sequence[Record]) -> list[Twin]:
         at = record.starts[:, None] - half + np.arange(record.cycles + 1 + 2 * half)
         s = record.samples
         state = smooth(arm, Readings(s.q[at], s.theta[at], record.omega0[at], s.tau[at]))
-        path = States(state.f0, state.q, state.theta, state.qd, state.thetad).packed()
+        path = States(state.base, state.q, state.theta, state.qd, state.thetad).packed()
         missing = longest - 1 - record.cycles
         paths.append(np.pad(path, ((0, 0), (0, missing), (0, 0)), mode="edge"))
         tau = record.samples.tau[record.starts[:, None] - 1 + np.arange(record.cycles + 2)]
@@ -79,7 +79,7 @@ def retrace(dynamics: PlanarDynamics, record: Record, speed: float, amplitude: f
     begin, end = int(record.starts[0]) - half, int(record.starts[-1]) + record.cycles + half
     at = np.arange(begin, end)[None]
     state = smooth(arm, Readings(s.q[at], s.theta[at], record.omega0[at], s.tau[at]))
-    path = States(state.f0, state.q, state.theta, state.qd, state.thetad).packed()[0]
+    path = States(state.base, state.q, state.theta, state.qd, state.thetad).packed()[0]
     rest = np.concatenate([[0.0], path[:, 1 : 1 + 2 * arm.n].mean(axis=0), np.zeros(2 * arm.n)])
     path = rest + amplitude * (path - rest)
     last = min(len(path) - 1, int(speed * (len(path) - 1)))

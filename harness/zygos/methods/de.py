@@ -74,7 +74,7 @@ def rows(arm: Arm, record: Record) -> tuple[Floats, Floats]:
         theta=record.theta[:, 1:-1],
         qd=_first(record.q, h),
         thetad=_first(record.theta, h),
-        f0=record.f0[:, 1:-1],
+        base=record.f0[:, 1:-1],
     )
     z = columns(arm, inner, _second(record.q, h), _second(record.theta, h), _first(record.f0, h))
     u = arm.gear_ratios * 0.5 * (record.tau[:, 1:-1] + record.tau[:, :-2])

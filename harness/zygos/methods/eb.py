@@ -100,7 +100,7 @@ def _smoothed_rows(arm: Arm, record: Record) -> tuple[Floats, Floats]:
         theta=run(record.theta, 0),
         qd=run(record.q, 1),
         thetad=run(record.theta, 1),
-        f0=run(record.f0, 0),
+        base=run(record.f0, 0),
     )
     theta = state.theta
     steps = np.sum(arm.gear_ratios * record.tau[:, : theta.shape[1] - 1] * np.diff(theta, axis=1), axis=-1)

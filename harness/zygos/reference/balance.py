@@ -17,7 +17,7 @@ from zygos.arm import Arm
 from zygos.effects import Effect
 from zygos.reference.cycle import Samples
 from zygos.reference.effects import effect_columns
-from zygos.reference.kinematics import State, cross, gram
+from zygos.reference.kinematics import State, body_columns
 from zygos.reference.smoother import Smoothed
 
 Floats = NDArray[np.float64]
@@ -52,18 +52,15 @@ def energy_columns(arm: Arm, state: State, dissipated: Floats) -> Floats:
     dissipated: (..., N) integral of (thetad - qd)^2 [rad^2/s]. Nanos & Papadopoulos eq. (37), with the ratio of
     eq. (11).
     """
-    f, phi = state.f, state.phi
-    bodies = f.shape[-1]
-    first, second = np.triu_indices(bodies)
-    kinetic = gram(f, phi)[..., first, second] * np.where(first == second, 0.5, 1.0)
-    if arm.kinetic == "planar":
-        first, second = np.triu_indices(bodies, 1)
-        kinetic = np.concatenate([kinetic, cross(f, phi)[..., first, second]], axis=-1)
+    bodies, carried = body_columns(arm, state)
     rotor_rate = arm.gear_ratios * state.thetad
-    inertia = 0.5 * rotor_rate**2 + rotor_rate * f[..., :-1]
-    stiffness = 0.5 * (state.theta - state.q) ** 2
-    flexible = np.stack([inertia, stiffness, dissipated], axis=-1)
-    return np.concatenate([kinetic, flexible.reshape((*flexible.shape[:-2], -1))], axis=-1)
+    of_joint = {
+        "Im": 0.5 * rotor_rate**2 + rotor_rate * carried,
+        "k": 0.5 * (state.theta - state.q) ** 2,
+        "b": dissipated,
+    }
+    joints = [of_joint[name.rstrip("0123456789")][..., i] for name, i, _ in arm.joint_parameters]
+    return np.concatenate([bodies, np.stack(joints, axis=-1)] if joints else [bodies], axis=-1)
 
 
 class _End(NamedTuple):
@@ -137,7 +134,8 @@ def rows(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Effec
             full = stop - origin == longest
             ends.append(_End(int(smoothed.index[of[stop - 1]]) + arm.smoother.lag, full))
             arcs += 1
-    state = State(smoothed.q, smoothed.theta, smoothed.qd, smoothed.thetad, smoothed.omega @ arm.axis)
+    base = smoothed.omega if arm.spatial else smoothed.omega @ arm.axis
+    state = State(smoothed.q, smoothed.theta, smoothed.qd, smoothed.thetad, base)
     z = np.hstack([energy_columns(arm, state, dissipated), effect_columns(arm, samples, smoothed, arc, effects)])
     kept = arc >= 0
     return Balance(

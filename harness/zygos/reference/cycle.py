@@ -6,7 +6,7 @@ record is cut into segments: unbroken runs of usable cycles.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,6 +112,8 @@ def calibrate(arm: Arm, cycles: Cycles) -> Samples:
             f"what is wrong: the record has {cycles.q.shape[1]} joints, arm '{arm.name}' has {joints}; "
             "remedy: give the arm file the record was made with"
         )
+    # the motor's encoder speaks for both sides of a rigid joint
+    cycles = replace(cycles, q=np.where([joint.flexible for joint in arm.joints], cycles.q, cycles.theta))
     links = [joint.link_encoder for joint in arm.joints]
     motors = [joint.motor_encoder for joint in arm.joints]
     q = np.array([e.sign for e in links]) * (cycles.q - np.array([e.zero_rad for e in links]))

@@ -1,4 +1,8 @@
-"""Absolute rates and the Gram matrix of planar rate vectors (docs/theory.md, "Kinetic energy, in closed form").
+"""Rate vectors and the columns that bodies have in the balance (docs/theory.md, "Kinetic energy, in closed form").
+
+In space, body i stands at R_i relative to the base and turns at omega_i, all in base axes. Its directions are the two
+vectors R_i P_i across its joint axis, those of the base its three axes; a direction d of body i has the rate vector
+v = omega_i x d, and the kinetic energy of the bodies is 1/2 sum_ab N_ab v_a . v_b.
 
 Planar arm, all axes parallel: body i turns at f_i about the common axis and stands at phi_i relative to the base.
 With v_i = f_i (cos phi_i, sin phi_i) the kinetic energy of the bodies is 1/2 sum_ij a_ij v_i . v_j, and for an arm
@@ -11,32 +15,35 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from zygos.arm import Arm
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class State:
-    """A planar arm at any number of instants.
+    """An arm at any number of instants.
 
     q, theta: (..., N) link and motor angles [rad]. qd, thetad: (..., N) their rates [rad/s].
-    f0: (...) base rate about the common axis [rad/s].
+    base: base rate [rad/s]: (...) about the common axis of a planar arm, (..., 3) in base axes of a spatial one.
     """
 
     q: Floats
     theta: Floats
     qd: Floats
     thetad: Floats
-    f0: Floats
+    base: Floats
 
     @property
     def f(self) -> Floats:
-        """Absolute rates, shape (..., N+1) [rad/s]."""
-        return absolute(self.f0, self.qd)
+        """Absolute rates of a planar arm's bodies, shape (..., N+1) [rad/s]."""
+        return absolute(self.base, self.qd)
 
     @property
     def phi(self) -> Floats:
-        """Attitude of each body relative to the base, shape (..., N+1) [rad]; phi_0 = 0."""
+        """Attitude of a planar arm's bodies relative to the base, shape (..., N+1) [rad]; phi_0 = 0."""
         return absolute(np.zeros(self.q.shape[:-1]), self.q)
 
 
@@ -61,3 +68,94 @@ def cross(f: Floats, phi: Floats) -> Floats:
     vectors = rate_vectors(f, phi)
     x, y = vectors[..., 0], vectors[..., 1]
     return np.asarray(x[..., :, None] * y[..., None, :] - y[..., :, None] * x[..., None, :], dtype=np.float64)
+
+
+def across(axis: Floats) -> Floats:
+    """P, shape (3, 2): two unit vectors across a unit vector axis (3,).
+
+    The reflection that takes the axis to its largest component k takes e_k+1 and e_k+2 (cyclically) to these; an axis
+    along x, y or z has the next two axes.
+    """
+    largest = int(np.argmax(np.abs(axis)))
+    mirror = axis + np.copysign(1.0, axis[largest]) * np.eye(3)[largest]
+    reflection = np.eye(3) - 2.0 * np.outer(mirror, mirror) / (mirror @ mirror)
+    return np.asarray(reflection[:, [(largest + 1) % 3, (largest + 2) % 3]], dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Posture:
+    """Attitudes relative to the base, in base axes; V directions (3 of a free base, 2 of each other body).
+
+    attitude: (..., N+1, 3, 3). axis: (..., N, 3) joint axes. direction: (..., V, 3). body: (V,) whose they are.
+    """
+
+    attitude: Floats
+    axis: Floats
+    direction: Floats
+    body: NDArray[np.int64]
+
+
+def posture(arm: Arm, q: Floats) -> Posture:
+    """Where everything points at the joint angles q (..., N) [rad]."""
+    attitude = [np.broadcast_to(np.eye(3), (*q.shape[:-1], 3, 3))]
+    axes: list[Floats] = []
+    directions = [attitude[0]] if arm.free else []
+    body = [0, 0, 0] if arm.free else []
+    for i, joint in enumerate(arm.joints):
+        axis = np.array(joint.axis)
+        turn = Rotation.from_rotvec(q[..., i].ravel()[:, None] * axis).as_matrix().reshape(*q.shape[:-1], 3, 3)
+        mount = Rotation.from_euler("xyz", joint.frame_rpy).as_matrix()
+        attitude.append(attitude[-1] @ mount @ turn)
+        axes.append(attitude[-1] @ axis)
+        directions.append(np.swapaxes(attitude[-1] @ across(axis), -1, -2))
+        body += [i + 1, i + 1]
+    return Posture(
+        np.stack(attitude, axis=-3), np.stack(axes, axis=-2), np.concatenate(directions, axis=-2), np.array(body)
+    )
+
+
+def body_rates(omega0: Floats, axis: Floats, qd: Floats) -> Floats:
+    """omega_i of all bodies, shape (..., N+1, 3), from omega0 (..., 3), joint axes (..., N, 3) and rates (..., N)."""
+    return np.concatenate([omega0[..., None, :], omega0[..., None, :] + np.cumsum(axis * qd[..., None], -2)], axis=-2)
+
+
+def body_columns(arm: Arm, state: State) -> tuple[Floats, Floats]:
+    """Columns (..., B) of `arm.body_parameters`, and the rates (..., N) of the carrying bodies about the joint axes.
+
+    A column of a first moment is -g . (R_i P_i), the potential energy it has.
+    """
+    if arm.spatial:
+        places = posture(arm, state.q)
+        omega0 = state.base if arm.free else np.zeros((*state.q.shape[:-1], 3))
+        omega = body_rates(omega0, places.axis, state.qd)
+        kinetic = spatial_columns(arm, np.cross(omega[..., places.body, :], places.direction))
+        carried = np.sum(places.axis * omega[..., :-1, :], axis=-1)
+    else:
+        f, phi, first = state.f, state.phi, 0 if arm.free else 1
+        if not arm.free:
+            f = absolute(np.zeros(state.q.shape[:-1]), state.qd)
+        pairs = np.triu_indices(arm.n + 1 - first)
+        kinetic = gram(f, phi)[..., first:, first:][..., *pairs] * np.where(pairs[0] == pairs[1], 0.5, 1.0)
+        if arm.kinetic == "planar":
+            pairs = np.triu_indices(arm.n + 1 - first, 1)
+            kinetic = np.concatenate([kinetic, cross(f, phi)[..., first:, first:][..., *pairs]], axis=-1)
+        carried = f[..., :-1]
+    if any(arm.feels_gravity):
+        pull = -(posture(arm, state.q).direction @ np.array(arm.gravity))
+        kinetic = np.concatenate([kinetic, pull[..., np.repeat(arm.feels_gravity, 2)]], axis=-1)
+    return kinetic, carried
+
+
+def spatial_columns(arm: Arm, rate: Floats) -> Floats:
+    """Columns of N_ab, a <= b, from the rate vectors (..., V, 3) [rad/s].
+
+    With the base fixed, body 1 turns about its axis only: its two rate vectors are of one length and at right angles,
+    so N[1u,1u] stands for the sum of both squares' entries, and their product has none.
+    """
+    first, second = np.triu_indices(rate.shape[-2])
+    products = np.sum(rate[..., first, :] * rate[..., second, :], axis=-1) * np.where(first == second, 0.5, 1.0)
+    kept = np.ones(len(first), dtype=np.bool_) if arm.free else (first != second) | (first > 1)
+    if not arm.free:
+        kept &= (first > 0) | (second != 1)
+        kept[0] = True
+    return np.asarray(products[..., kept], dtype=np.float64)

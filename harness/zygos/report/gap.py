@@ -543,7 +543,7 @@ class _Drawing:
 
     def over_time(self) -> None:
         """Residual of the failing balances over run A."""
-        arcs, instants = self.state.f0.shape
+        arcs, instants = self.state.base.shape
         chosen = np.arange(0, instants, max(1, math.ceil(arcs * instants / _POINTS)))
         time = self.record.time_s
 
@@ -624,11 +624,11 @@ class _Drawing:
     def _momentum(self, lines: Sequence[tuple[str, str, Floats]]) -> None:
         """The momentum's residual over the base's rate, where a wrong gyro or constant shows, and its slope over the
         angle that the base has turned, where a torque on the base does."""
-        time, rate = self.record.time_s.ravel(), self.state.f0.ravel()
+        time, rate = self.record.time_s.ravel(), self.state.base.ravel()
         steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(time)
-        angle = np.concatenate([[0.0], np.cumsum(steps)]).reshape(self.state.f0.shape)
+        angle = np.concatenate([[0.0], np.cumsum(steps)]).reshape(self.state.base.shape)
         title = "Missing momentum over the base's rate"
-        self._scatter("base-rate", title, "N m s", "rad/s", lines, self.state.f0, 0.0)
+        self._scatter("base-rate", title, "N m s", "rad/s", lines, self.state.base, 0.0)
         title = "Missing torque on the base over the angle it has turned"
         self._scatter("base-angle", title, "N m", "rad", lines, angle, _LONG_WINDOW_S)
 

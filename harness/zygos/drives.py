@@ -1,0 +1,141 @@
+"""What joints do: rotors, springs, dampers and the effects of the catalogue, whatever arm they drive.
+
+A joint of infinite stiffness is rigid, theta = q. Effects act as their entries in the catalogue say; of torque lag,
+which is a matter of when a torque begins to act, only the size is kept here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zygos.arm import Arm
+from zygos.effects import SLOWEST_RATE, Effect, Kind, Place
+from zygos.errors import ZygosError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drives:
+    """The N drives of an arm."""
+
+    rotor_inertia: Array
+    """(N,) Im, kg m^2, about the rotor's own axis, before the gear."""
+    stiffness: Array
+    """(N,) k, Nm/rad, after the gear."""
+    damping: Array
+    """(N,) b, Nms/rad, after the gear."""
+    gear_ratio: Array
+    """(N,) n."""
+    coupling: Array
+    """(N,) share of Im that the rotation of the carrying body acts on: 1 in nature."""
+    laws: tuple[tuple[Kind, int, float], ...] = ()
+    """Torque laws with the index of their joint and their coefficient."""
+    torque_lag: Array | None = None
+    """(N,) delay of each motor behind its reported torque, s; None: none."""
+    angular_momentum: float | None = None
+    """h that the model assumes, Nms; None: none in particular."""
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.rotor_inertia)
+
+    @cached_property
+    def rigid(self) -> NDArray[np.bool_]:
+        """(N,) joints whose stiffness is infinite."""
+        return np.isinf(self.stiffness)
+
+    @cached_property
+    def _soft(self) -> Array:
+        """(N,) stiffness; 0 at a rigid joint, whose torque is a constraint."""
+        return np.where(self.rigid, 0.0, self.stiffness)
+
+    @cached_property
+    def _none(self) -> Array:
+        return np.zeros(self.n)
+
+    def friction_slope(self, place: Place) -> Array:
+        """(N,) damping that friction at motors or links amounts to around standstill, Nms/rad after the gear."""
+        slope = np.zeros(self.n)
+        for kind, i, value in self.laws:
+            if kind.place == place and kind.torque is not None:
+                step = kind.torque(np.array([SLOWEST_RATE]))[0] / SLOWEST_RATE
+                slope[i] += value * step * (self.gear_ratio[i] if place == "motor" else 1.0)
+        return slope
+
+    def _forces(self, q: Array, theta: Array, qd: Array, thetad: Array) -> tuple[Array, Array, Array]:
+        """(..., N) torques: of the springs on the links, of friction at motors (before the gear) and at links."""
+        deflection = theta - q
+        spring = self._soft * deflection + self.damping * (thetad - qd)
+        if not self.laws:
+            return spring, self._none, self._none
+        motor, link = np.zeros_like(q), np.zeros_like(q)
+        for kind, i, value in self.laws:
+            assert kind.torque is not None
+            if kind.place == "spring":
+                spring[..., i] += value * kind.torque(deflection[..., i])
+            elif kind.place == "motor":
+                motor[..., i] += value * kind.torque(thetad[..., i])
+            else:
+                link[..., i] += value * kind.torque(qd[..., i])
+        return spring, motor, link
+
+    def spring(self, q: Array, theta: Array, qd: Array, thetad: Array) -> Array:
+        """(..., N) torque of spring and damper on the link, Nm: k (theta - q) + b (thetad - qd), and what effects add.
+
+        Zero for a rigid joint, whose torque is a constraint.
+        """
+        return self._forces(q, theta, qd, thetad)[0]
+
+    def elastic_energy(self, q: Array, theta: Array) -> Array:
+        """(...,) energy in the joints' springs, J."""
+        deflection = theta - q
+        energy: Array = 0.5 * (self._soft * deflection**2).sum(axis=-1)
+        for kind, i, value in self.laws:
+            if kind.potential is not None:
+                energy = energy + value * kind.potential(deflection[..., i])
+        return energy
+
+
+def drives(arm: Arm, value: Mapping[str, float], effects: Sequence[Effect]) -> dict[str, Any]:
+    """The fields of `Drives` from parameters by name and effects.
+
+    Errors: ZygosError for a torque lag that is not less than a SYNC period, and for an effect at no joint.
+    """
+    joints = range(1, arm.n + 1)
+    coupling, lag = np.ones(arm.n), np.zeros(arm.n)
+    momentum: float | None = None
+    laws: list[tuple[Kind, int, float]] = []
+    for effect in effects:
+        joint = effect.index(arm)
+        if effect.kind.torque is not None:
+            laws.append((effect.kind, joint, effect.value))
+        elif effect.kind.key == "rotor_coupling":
+            coupling[joint] = effect.value
+        elif effect.kind.key == "torque_lag":
+            lag[joint] = effect.value
+        else:
+            momentum = effect.value
+    if not (np.all(lag >= 0.0) and np.all(lag < arm.period_s)):
+        raise ZygosError(
+            f"arm {arm.name}: torque lags of {lag.tolist()} s are not within a SYNC period ({arm.period_s} s); "
+            "remedy: a lag of whole periods belongs into torque_law of the arm file"
+        )
+    return {
+        # a rotor that turns with its link alone is counted there
+        "rotor_inertia": np.array([value.get(f"Im{i}", 0.0) for i in joints]),
+        "stiffness": np.array([value.get(f"k{i}", np.inf) for i in joints]),
+        "damping": np.array([value.get(f"b{i}", 0.0) for i in joints]),
+        "gear_ratio": arm.gear_ratios,
+        "coupling": coupling,
+        "laws": tuple(laws),
+        "torque_lag": lag if lag.any() else None,
+        "angular_momentum": momentum,
+    }
