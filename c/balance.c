@@ -2,10 +2,20 @@
 
 #include <string.h>
 
-uint32_t zygos_balance_parameters(const zygos_config_t *config)
+void zygos_balance_layout(const zygos_config_t *config, zygos_layout_t *out)
 {
-    const uint32_t n = config->joints;
-    return (n + 1u) * (n + 2u) / 2u + 3u * n + config->effects;
+    memset(out, 0, sizeof *out);
+    out->kinetic = zygos_kinetic_parameters(config);
+    out->body = out->kinetic + zygos_gravity_parameters(config);
+    uint32_t k = out->body;
+    for (uint32_t i = 0; i < config->joints; i++) {
+        const bool flexible = (config->joint[i].flexible != 0);
+        out->joint[i] = k;
+        out->rotor[i] = (flexible || (i > 0) || (config->base == ZYGOS_BASE_FREE)) ? 1u : 0u;
+        k += out->rotor[i] + (flexible ? 2u : 0u);
+    }
+    out->effects = k;
+    out->count = k + config->effects;
 }
 
 void zygos_balance_gap(zygos_balance_t *self)
@@ -57,33 +67,29 @@ static double carry_on(zygos_balance_t *self, const zygos_config_t *config, cons
     return held * step_work * config->period_s / 12.0;
 }
 
-static void form_row(const zygos_balance_t *self, const zygos_config_t *config, const zygos_state_t *state,
-                     const zygos_motion_t *motion, zygos_row_t *out)
+static void form_row(const zygos_balance_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
+                     const zygos_state_t *state, const zygos_motion_t *motion, zygos_row_t *out)
 {
-    const uint32_t n = config->joints;
-    uint32_t k = 0;
-    for (uint32_t i = 0; i <= n; i++) {
-        out->column[k] = 0.5 * motion->gram[k];
-        k++;
-        for (uint32_t j = i + 1u; j <= n; j++) {
-            out->column[k] = motion->gram[k];
-            k++;
+    memcpy(out->column, motion->column, layout->body * sizeof out->column[0]);
+    for (uint32_t i = 0; i < config->joints; i++) {
+        double *column = &out->column[layout->joint[i]];
+        if (layout->rotor[i]) {
+            const double rotor = config->joint[i].gear_ratio * state->theta_rate[i];
+            *column = rotor * (0.5 * rotor + motion->carrier_rate[i]);
+            column++;
+        }
+        if (config->joint[i].flexible) {
+            const double deflection = state->theta[i] - state->q[i];
+            column[0] = 0.5 * deflection * deflection;
+            column[1] = self->slip[i];
         }
     }
-    for (uint32_t i = 0; i < n; i++) {
-        const double rotor = config->joint[i].gear_ratio * state->theta_rate[i];
-        const double deflection = state->theta[i] - state->q[i];
-        out->column[k] = rotor * (0.5 * rotor + motion->carrier_rate[i]);
-        out->column[k + 1u] = 0.5 * deflection * deflection;
-        out->column[k + 2u] = self->slip[i];
-        k += 3u;
-    }
-    zygos_effects_columns(&self->effects, config, &out->column[k]);
+    zygos_effects_columns(&self->effects, config, &out->column[layout->effects]);
     out->work = self->work;
 }
 
-int zygos_balance_row(zygos_balance_t *self, const zygos_config_t *config, const zygos_state_t *state,
-                      const zygos_motion_t *motion, zygos_row_t *out)
+int zygos_balance_row(zygos_balance_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
+                      const zygos_state_t *state, const zygos_motion_t *motion, zygos_row_t *out)
 {
     const double step_work = carry_on(self, config, state);
     self->instants += (self->instants < 4u) ? 1u : 0u;
@@ -97,7 +103,7 @@ int zygos_balance_row(zygos_balance_t *self, const zygos_config_t *config, const
         self->slip[i] *= keep;
     }
     zygos_effects_keep(&self->effects, config, keep);
-    form_row(self, config, state, motion, out);
+    form_row(self, config, layout, state, motion, out);
     out->work += step_work;
     return 1;
 }

@@ -54,7 +54,8 @@ static uint32_t void_cycles(const zygos_assembly_t *a)
 static void close_cycle(zygos_receiver_t *self, const zygos_config_t *config)
 {
     zygos_assembly_t *a = &self->assembly;
-    const uint32_t all = (1u << (2u * config->joints + (config->imu_fine ? 2u : 1u))) - 1u;
+    const uint32_t rates = (config->imu_node == 0) ? 0u : (config->imu_fine ? 2u : 1u);
+    const uint32_t all = (1u << (2u * config->joints + rates)) - 1u;
     const bool complete = (a->received == all);
     if (complete && !self->status.spoiled) {
         a->cycle.sync = a->sync;
@@ -212,11 +213,14 @@ static int take_angles(zygos_receiver_t *self, const zygos_config_t *config, uin
     if (!belongs(self, &record, 2u * joint, &verdict)) {
         return verdict;
     }
-    uint32_t *const status = status_fault(&self->faults, record.status);
+    const bool rigid = (config->joint[joint].flexible == 0);
+    uint32_t *const status =
+        status_fault(&self->faults, record.status | (rigid ? (uint32_t)ZYGOS_STATUS_LINK_VALID : 0u));
     if (status != NULL) {
         return spoil(self, status);
     }
-    if (record.code[0] == ZYGOS_CODE_ANGLE_INVALID) {
+    record.code[0] = rigid ? record.code[1] : record.code[0];
+    if (!rigid && (record.code[0] == ZYGOS_CODE_ANGLE_INVALID)) {
         return spoil(self, &self->faults.link_invalid);
     }
     if (record.code[1] == ZYGOS_CODE_ANGLE_INVALID) {
@@ -319,10 +323,10 @@ int zygos_receiver_frame(zygos_receiver_t *self, const zygos_config_t *config, c
     if (frame->id == ZYGOS_ID_TPDO3 + ZYGOS_NODE_COMPUTER) {
         return take_time(self, config, frame);
     }
-    if (frame->id == ZYGOS_ID_TPDO1 + config->imu_node) {
+    if ((config->imu_node != 0) && (frame->id == ZYGOS_ID_TPDO1 + config->imu_node)) {
         return take_rates(self, config, config->imu_fine ? ZYGOS_MSG_RATE_XY : ZYGOS_MSG_RATE_COARSE, frame);
     }
-    if (frame->id == ZYGOS_ID_TPDO3 + config->imu_node) {
+    if ((config->imu_node != 0) && (frame->id == ZYGOS_ID_TPDO3 + config->imu_node)) {
         return config->imu_fine ? take_rates(self, config, ZYGOS_MSG_RATE_Z, frame)
                                 : take_fine_rate(self, config, frame);
     }
@@ -347,7 +351,8 @@ int zygos_cycle_wrapped(const zygos_hold_t *hold, const zygos_config_t *config, 
 {
     uint32_t wrapped = 0;
     for (uint32_t i = 0; i < config->joints; i++) {
-        wrapped |= far(cycle->q[i], hold->q[i]) | far(cycle->theta[i], hold->theta[i]);
+        const uint32_t flexible = (config->joint[i].flexible != 0) ? 1u : 0u;
+        wrapped |= (flexible & far(cycle->q[i], hold->q[i])) | far(cycle->theta[i], hold->theta[i]);
     }
     return (int)wrapped;
 }
@@ -360,8 +365,8 @@ void zygos_cycle_calibrate(zygos_hold_t *hold, const zygos_config_t *config, con
     static const double share[3][2] = { { 1.0, 0.0 }, { 0.0, 1.0 }, { 0.5, 0.5 } };
     for (uint32_t i = 0; i < n; i++) {
         const zygos_joint_config_t *joint = &config->joint[i];
-        signal[i] = joint->link_sign * (cycle->q[i] - joint->link_zero_rad);
         signal[n + i] = joint->motor_sign * (cycle->theta[i] - joint->motor_zero_rad);
+        signal[i] = joint->flexible ? joint->link_sign * (cycle->q[i] - joint->link_zero_rad) : signal[n + i];
         tau[i] = share[config->torque_law][0] * hold->reported[i] + share[config->torque_law][1] * cycle->tau[i];
         hold->reported[i] = cycle->tau[i];
         hold->q[i] = cycle->q[i];
@@ -369,6 +374,7 @@ void zygos_cycle_calibrate(zygos_hold_t *hold, const zygos_config_t *config, con
     }
     for (uint32_t i = 0; i < 3; i++) {
         const double *row = &config->imu_to_base[3 * i];
-        signal[2 * n + i] = row[0] * cycle->omega[0] + row[1] * cycle->omega[1] + row[2] * cycle->omega[2];
+        const double rate = row[0] * cycle->omega[0] + row[1] * cycle->omega[1] + row[2] * cycle->omega[2];
+        signal[2 * n + i] = (config->base == ZYGOS_BASE_FREE) ? rate : 0.0;
     }
 }

@@ -60,7 +60,8 @@ void zygos_smoother_init(zygos_smoother_t *self, const zygos_config_t *config)
     for (uint32_t i = 0; i < self->signals; i++) {
         const bool gyro = (i >= 2u * n);
         const zygos_joint_config_t *joint = &config->joint[gyro ? 0u : i % n];
-        const double own_s = (i < n) ? joint->link_latch_s : joint->motor_latch_s;
+        const bool link = (i < n) && (joint->flexible != 0);
+        const double own_s = link ? joint->link_latch_s : joint->motor_latch_s;
         const double latch_s = gyro ? config->imu_latch_s : own_s + 1e-6 * joint->latch_us;
         const double s = -latch_s / config->period_s;
         zygos_smoother_coefficients(m, config->smoother_order, s, 0, self->value[i]);
@@ -77,7 +78,7 @@ void zygos_smoother_init(zygos_smoother_t *self, const zygos_config_t *config)
             square += self->probe[i][j] * self->probe[i][j];
         }
         /* |probe . x| <= limit is tested as a square, which needs no square root. */
-        const double sigma = (i < n) ? joint->link_sigma_rad : joint->motor_sigma_rad;
+        const double sigma = link ? joint->link_sigma_rad : joint->motor_sigma_rad;
         const double bound = BANDWIDTH_SIGMAS * BANDWIDTH_SIGMAS * sigma * sigma * square;
         self->limit[i] = (sigma > 0.0) ? bound : 1e300;
     }

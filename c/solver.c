@@ -202,69 +202,175 @@ static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, zygos_estim
     }
 }
 
-/* A kinetic energy that is positive for every motion needs (a_ij) less the rotors' share to be positive definite. */
-static bool positive_definite(const zygos_work_t *work, const double *x)
+/* The two directions of a spatial arm, or the two bodies of a planar one, that kinetic parameter k couples. Returns
+   whether it is one of the b_ij. */
+static bool pair_of(const zygos_config_t *config, uint32_t k, uint32_t *a, uint32_t *b)
 {
-    const uint32_t n = work->joints + 1u;
-    double l[(ZYGOS_MAX_JOINTS + 1) * (ZYGOS_MAX_JOINTS + 2) / 2];
-    for (uint32_t i = 0; i < n; i++) {
-        for (uint32_t j = 0; j <= i; j++) {
-            /* a_ji stands in row j of the upper triangle. */
-            double sum = x[j * n - j * (j + 1u) / 2u + i];
-            /* Rotor i + 1 is counted on body i, but spins for itself. */
-            sum -= ((i == j) && (i + 1u < n)) ? x[n * (n + 1u) / 2u + 3u * i] : 0.0;
-            for (uint32_t k = 0; k < j; k++) {
-                sum -= l[at(i, k)] * l[at(j, k)];
+    const bool space = (config->kinetic == ZYGOS_SPATIAL_ARM);
+    const bool free = (config->base == ZYGOS_BASE_FREE);
+    const uint32_t size = space ? 2u * config->joints + (free ? 3u : 0u) : config->joints + (free ? 1u : 0u);
+    uint32_t place = k;
+    if (space && !free && (k > 0)) {
+        place += (k < size - 1u) ? 1u : 2u; /* N[1u,1v] and N[1v,1v] are left out */
+    }
+    const bool cross = !space && (k >= size * (size + 1u) / 2u);
+    const uint32_t strict = cross ? 1u : 0u;
+    place -= cross ? size * (size + 1u) / 2u : 0u;
+    uint32_t row = 0;
+    while ((row + 1u < size) && (place >= size - strict - row)) {
+        place -= size - strict - row;
+        row++;
+    }
+    *a = row;
+    *b = row + strict + place;
+    return cross;
+}
+
+/* What a parameter's sigma is compared with: see ZYGOS_SIGMA_LIMIT. */
+static void measure(zygos_work_t *work)
+{
+    const double *x = work->solution;
+    double diagonal[ZYGOS_MAX_DIRECTIONS] = { 0.0 };
+    double moment = 0.0;
+    uint32_t a = 0;
+    uint32_t b = 0;
+    for (uint32_t k = 0; k < work->layout.body; k++) {
+        if (k >= work->layout.kinetic) {
+            moment = (magnitude(x[k]) > moment) ? magnitude(x[k]) : moment;
+        } else if (!pair_of(&work->config, k, &a, &b) && (a == b)) {
+            diagonal[a] = magnitude(x[k]);
+        }
+    }
+    if ((work->config.kinetic == ZYGOS_SPATIAL_ARM) && (work->config.base == ZYGOS_BASE_FIXED)) {
+        diagonal[1] = diagonal[0];
+    }
+    for (uint32_t k = 0; k < work->layout.count; k++) {
+        double size = (k < work->layout.body) ? moment : 0.0;
+        if (k < work->layout.kinetic) {
+            (void)pair_of(&work->config, k, &a, &b);
+            size = root(diagonal[a] * diagonal[b]);
+        }
+        work->size[k] = (size > magnitude(x[k])) ? size : magnitude(x[k]);
+    }
+}
+
+/* m := m - Im y y^T of each rotor i and each direction y of it: a thin disk on the body before its joint, with half of
+   Im along both directions across the axis. What lies along a body's own joint axis is carried on to the body before.
+ */
+static void take_rotors(const zygos_work_t *work, double *m, uint32_t size)
+{
+    const zygos_config_t *config = &work->config;
+    const bool space = (config->kinetic == ZYGOS_SPATIAL_ARM);
+    const uint32_t base = (config->base == ZYGOS_BASE_FREE) ? (space ? 3u : 2u) : 0u;
+    zygos_skeleton_t skeleton;
+    zygos_skeleton_init(&skeleton, config);
+    for (uint32_t i = (base > 0) ? 0u : 1u; i < config->joints; i++) {
+        const double rotor = work->solution[work->layout.joint[i]];
+        for (uint32_t d = 0; d < 2; d++) {
+            double y[ZYGOS_MAX_DIRECTIONS] = { 0.0 };
+            /* Direction d of body i + 1 in the frame (u, v, axis) of the body before. */
+            double c[3] = { skeleton.turn[i][d], skeleton.turn[i][3u + d], skeleton.turn[i][6u + d] };
+            for (uint32_t body = i; body > 0; body--) {
+                const double *turn = skeleton.turn[body - 1u];
+                const double along = c[2];
+                y[base + 2u * body - 2u] = c[0];
+                y[base + 2u * body - 1u] = c[1];
+                c[0] = turn[2] * along;
+                c[1] = turn[5] * along;
+                c[2] = turn[8] * along;
             }
-            if (i > j) {
-                l[at(i, j)] = sum / l[at(j, j)];
+            if (space) {
+                memcpy(y, c, base * sizeof y[0]);
+            } else {
+                /* Of a planar arm each direction has all of Im, for each a_ij stands once a direction. */
+                memset(y, 0, sizeof y);
+                y[base + 2u * i - 2u + d] = root(2.0);
+            }
+            for (uint32_t a = 0; a < size; a++) {
+                for (uint32_t b = 0; b <= a; b++) {
+                    m[at(a, b)] -= 0.5 * rotor * y[size - 1u - a] * y[size - 1u - b];
+                }
+            }
+        }
+    }
+}
+
+/* A kinetic energy that is positive for every motion needs the matrix of the bodies less the rotors' share to be
+   positive definite; its diagonal may fall short by some sigmas. A planar arm's has each a_ij once for each direction.
+   The order of the directions is reversed: of the last two on a fixed base only the sum of the diagonal is known. */
+static bool positive_definite(zygos_work_t *work, const double *sigma)
+{
+    const zygos_config_t *config = &work->config;
+    const bool space = (config->kinetic == ZYGOS_SPATIAL_ARM);
+    const bool free = (config->base == ZYGOS_BASE_FREE);
+    const uint32_t size = 2u * config->joints + (free ? (space ? 3u : 2u) : 0u);
+    const uint32_t split = (space && !free) ? size - 2u : size;
+    double *m = work->matrix;
+    memset(m, 0, at(size, 0) * sizeof m[0]);
+    for (uint32_t k = 0; k < work->layout.kinetic; k++) {
+        uint32_t a = 0;
+        uint32_t b = 0;
+        const bool cross = pair_of(config, k, &a, &b);
+        const double value = work->solution[k] + ((a == b) ? ZYGOS_NEGATIVE_SIGMAS * sigma[k] : 0.0);
+        if (space) {
+            m[at(size - 1u - a, size - 1u - b)] = value;
+        } else if (cross) {
+            m[at(size - 2u - 2u * a, size - 1u - 2u * b)] = value;
+            m[at(size - 1u - 2u * a, size - 2u - 2u * b)] = -value;
+        } else {
+            m[at(size - 1u - 2u * a, size - 1u - 2u * b)] = value;
+            m[at(size - 2u - 2u * a, size - 2u - 2u * b)] = value;
+        }
+    }
+    take_rotors(work, m, size);
+    double rest = 0.0;
+    for (uint32_t i = 0; i < size; i++) {
+        for (uint32_t j = 0; j <= i; j++) {
+            double sum = m[at(i, j)];
+            for (uint32_t k = 0; (k < j) && (k < split); k++) {
+                sum -= m[at(i, k)] * m[at(j, k)];
+            }
+            if (j >= split) {
+                rest += (i == j) ? sum : 0.0;
+            } else if (i > j) {
+                m[at(i, j)] = sum / m[at(j, j)];
             } else if (sum > 0.0) {
-                l[at(i, i)] = root(sum);
+                m[at(i, i)] = root(sum);
             } else {
                 return false;
             }
         }
     }
-    return true;
+    return (split == size) || (rest > 0.0);
 }
 
-/* Place of the first column of an effect. */
-static uint32_t first_effect(const zygos_work_t *work)
+/* Each kinetic diagonal, Im, k and b that has a value must be positive; the matrix is judged when all of it has. An
+   effect that cannot be negative may come out so by its noise. */
+static bool physical(zygos_work_t *work, const zygos_estimate_t *out)
 {
-    const uint32_t n = work->joints + 1u;
-    return n * (n + 1u) / 2u + 3u * work->joints;
-}
-
-/* Each a_ii, Im, k and b that has a value must be positive; (a_ij) is judged when all of it has. An effect that
-   cannot be negative may come out so by its noise. */
-static bool physical(const zygos_work_t *work, uint32_t p, const zygos_estimate_t *out)
-{
-    const uint32_t effects = first_effect(work);
-    const uint32_t n = work->joints + 1u;
-    const uint32_t kinetic = n * (n + 1u) / 2u;
-    bool all_kinetic = true;
-    for (uint32_t i = 0; i < kinetic; i++) {
-        all_kinetic = all_kinetic && out->identifiable[i];
+    const zygos_layout_t *layout = &work->layout;
+    const uint32_t positive = zygos_effects_positive(&work->config);
+    bool all = true;
+    bool good = true;
+    for (uint32_t k = 0; k < layout->kinetic; k++) {
+        uint32_t a = 0;
+        uint32_t b = 0;
+        const bool cross = pair_of(&work->config, k, &a, &b);
+        all = all && out->identifiable[k];
+        good = good && (cross || (a != b) || !out->identifiable[k] || (out->value[k] > 0.0));
     }
-    for (uint32_t i = 0; i < n; i++) {
-        const uint32_t diagonal = i * n - i * (i + 1u) / 2u + i;
-        if (out->identifiable[diagonal] && !(out->value[diagonal] > 0.0)) {
-            return false;
-        }
+    for (uint32_t k = layout->body; k < layout->effects; k++) {
+        good = good && (!out->identifiable[k] || (out->value[k] > 0.0));
     }
-    for (uint32_t i = effects; i < p; i++) {
-        const bool positive = ((work->positive >> (i - effects)) & 1u) != 0;
-        if (positive && out->identifiable[i] && (out->value[i] < -ZYGOS_NEGATIVE_SIGMAS * out->sigma[i])) {
-            return false;
-        }
+    for (uint32_t i = 0; i < work->config.joints; i++) {
+        all = all && (!layout->rotor[i] || out->identifiable[layout->joint[i]]);
     }
-    for (uint32_t i = kinetic; i < effects; i++) {
-        if (out->identifiable[i] && !(out->value[i] > 0.0)) {
-            return false;
-        }
-        all_kinetic = all_kinetic && (out->identifiable[i] || ((i - kinetic) % 3u != 0));
+    for (uint32_t k = layout->effects; k < layout->count; k++) {
+        const bool bounded = ((positive >> (k - layout->effects)) & 1u) != 0;
+        const double least = -ZYGOS_NEGATIVE_SIGMAS * out->sigma[k];
+        good = good && (!bounded || !out->identifiable[k] || (out->value[k] >= least));
     }
-    return !all_kinetic || positive_definite(work, out->value);
+    return good && (!all || positive_definite(work, out->sigma));
 }
 
 static void withhold(zygos_estimate_t *out, uint32_t i, uint32_t p)
@@ -329,13 +435,14 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     }
     zygos_accumulator_t *sums = &work->accumulator;
     memset(out, 0, sizeof *out);
-    if ((sums->width < 3u) || (sums->width > ZYGOS_MAX_ROW) || (sums->count > ZYGOS_MAX_BLOCKS) ||
-        (sums->open > sums->count) || (work->joints > ZYGOS_MAX_JOINTS)) {
+    if ((sums->count > ZYGOS_MAX_BLOCKS) || (sums->open > sums->count) || (work->config.joints < 1u) ||
+        (work->config.joints > ZYGOS_MAX_JOINTS) || (work->config.effects > (uint32_t)ZYGOS_MAX_EFFECTS)) {
         return refuse(out, ZYGOS_MAX_PARAMETERS, ZYGOS_REASON_CORRUPT);
     }
-    const uint32_t p = sums->width - 2u;
-    const uint32_t effects = first_effect(work);
-    if ((p < effects) || (p > effects + (uint32_t)ZYGOS_MAX_EFFECTS)) {
+    zygos_balance_layout(&work->config, &work->layout);
+    const uint32_t p = work->layout.count;
+    const uint32_t effects = work->layout.effects;
+    if ((p > ZYGOS_MAX_PARAMETERS) || (sums->width != p + 2u)) {
         return refuse(out, ZYGOS_MAX_PARAMETERS, ZYGOS_REASON_CORRUPT);
     }
     out->cycle = work->cycle;
@@ -380,6 +487,7 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     out->cluster = (out->residual > 0.0) ? cluster(work, p, out, &share) : 0.0;
     const bool closed = (out->cluster <= ZYGOS_CLUSTER_LIMIT) || (share <= ZYGOS_CLUSTER_SHARE);
     jackknife(work, p, rank, out);
+    measure(work);
 
     /* A value that is not sharp lends its error to all others, because noise in the rows acts on them through it: where
        nothing but noise makes the rank full, every value is made of noise. Columns that left the factorisation lend
@@ -387,7 +495,7 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     uint32_t known = 0;
     bool blurred = false;
     for (uint32_t i = 0; i < effects; i++) {
-        const bool sharp = (out->sigma[i] <= ZYGOS_SIGMA_LIMIT * magnitude(out->value[i]));
+        const bool sharp = (out->sigma[i] <= ZYGOS_SIGMA_LIMIT * work->size[i]);
         blurred = blurred || !sharp;
         if (!out->identifiable[i] || !sharp) {
             withhold(out, i, p);
@@ -408,7 +516,7 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     if ((double)out->refused > MAX_REFUSED_SHARE * instants) {
         out->validity = ZYGOS_DOUBTFUL;
         out->reason = ZYGOS_REASON_TOO_FAST;
-    } else if (!physical(work, p, out)) {
+    } else if (!physical(work, out)) {
         out->validity = ZYGOS_DOUBTFUL;
         out->reason = ZYGOS_REASON_NOT_PHYSICAL;
     } else if (!closed) {

@@ -51,18 +51,29 @@ static int check_joint(const zygos_config_t *config, uint32_t i)
             return ZYGOS_E_NODE;
         }
     }
-    if (!within(dot3(joint->axis, joint->axis), 1.0 - 1e-9, 1.0 + 1e-9) ||
-        !within(dot3(joint->axis, config->joint[0].axis), 1.0 - 1e-9, 1.0 + 1e-9)) {
+    const bool in_plane = (config->kinetic != ZYGOS_SPATIAL_ARM);
+    if (!within(dot3(joint->axis, joint->axis), 1.0 - 1e-9, 1.0 + 1e-9) || !is_rotation(joint->frame) ||
+        (in_plane && !within(dot3(joint->axis, config->joint[0].axis), 1.0 - 1e-9, 1.0 + 1e-9)) ||
+        (in_plane && !within(joint->frame[0] + joint->frame[4] + joint->frame[8], 3.0 - 1e-9, 3.0 + 1e-9))) {
         return ZYGOS_E_AXIS;
     }
     const double period = config->period_s;
     const double latch = 1e-6 * joint->latch_us;
-    const bool good = within(joint->gear_ratio, 1e-3, 1e6) && is_sign(joint->link_sign) && is_sign(joint->motor_sign) &&
-                      within(joint->link_zero_rad, -1e3, 1e3) && within(joint->motor_zero_rad, -1e3, 1e3) &&
-                      within(joint->link_sigma_rad, 0.0, 1.0) && within(joint->motor_sigma_rad, 0.0, 1.0) &&
-                      within(joint->link_latch_s + latch, 0.0, period) &&
-                      within(joint->motor_latch_s + latch, 0.0, period);
-    return good ? 1 : ZYGOS_E_VALUE;
+    const bool motor = within(joint->gear_ratio, 1e-3, 1e6) && is_sign(joint->motor_sign) &&
+                       within(joint->motor_zero_rad, -1e3, 1e3) && within(joint->motor_sigma_rad, 0.0, 1.0) &&
+                       within(joint->motor_latch_s + latch, 0.0, period);
+    const bool link = is_sign(joint->link_sign) && within(joint->link_zero_rad, -1e3, 1e3) &&
+                      within(joint->link_sigma_rad, 0.0, 1.0) && within(joint->link_latch_s + latch, 0.0, period);
+    return (motor && (link || (joint->flexible == 0)) && (joint->flexible <= 1u)) ? 1 : ZYGOS_E_VALUE;
+}
+
+static bool base_fits(const zygos_config_t *config)
+{
+    const double *g = config->gravity;
+    if (config->base == ZYGOS_BASE_FREE) {
+        return within(dot3(g, g), 0.0, 0.0);
+    }
+    return (config->base == ZYGOS_BASE_FIXED) && (config->imu_node == 0) && within(dot3(g, g), 0.0, 1e6);
 }
 
 static int check_config(const zygos_config_t *config)
@@ -73,8 +84,11 @@ static int check_config(const zygos_config_t *config)
     if ((config->joints < 1u) || (config->joints > ZYGOS_MAX_JOINTS)) {
         return ZYGOS_E_JOINTS;
     }
-    if (config->kinetic != ZYGOS_PLANAR_SYMMETRIC) {
+    if (config->kinetic > ((ZYGOS_SPATIAL != 0) ? ZYGOS_SPATIAL_ARM : ZYGOS_PLANAR)) {
         return ZYGOS_E_KINETIC;
+    }
+    if (!base_fits(config)) {
+        return ZYGOS_E_BASE;
     }
     if (!within(config->period_s, 1e-5, 0.065)) {
         return ZYGOS_E_PERIOD;
@@ -90,7 +104,7 @@ static int check_config(const zygos_config_t *config)
     if (config->arc_cycles < ZYGOS_MIN_ARC_INSTANTS) {
         return ZYGOS_E_ARC;
     }
-    if ((config->imu_node < 1u) || (config->imu_node > 31u)) {
+    if (((config->imu_node < 1u) && (config->base == ZYGOS_BASE_FREE)) || (config->imu_node > 31u)) {
         return ZYGOS_E_NODE;
     }
     if ((config->imu_fine > 1u) || !is_rotation(config->imu_to_base) ||
@@ -118,11 +132,12 @@ int zygos_init(zygos_t *self, const zygos_config_t *config)
     const zygos_config_t checked = *config; /* config may point into *self */
     memset(self, 0, sizeof *self);
     self->config = checked;
-    self->parameters = zygos_balance_parameters(&checked);
+    zygos_balance_layout(&checked, &self->layout);
+    zygos_skeleton_init(&self->skeleton, &checked);
     zygos_receiver_init(&self->receiver);
     zygos_smoother_init(&self->smoother, &checked);
     zygos_balance_gap(&self->balance);
-    zygos_accumulator_init(&self->accumulator, self->parameters);
+    zygos_accumulator_init(&self->accumulator, self->layout.count);
     self->mark = MARK;
     return 1;
 }
@@ -185,8 +200,8 @@ static void work_off(zygos_t *self, const zygos_cycle_t *cycle)
     if (zygos_smoother_push(&self->smoother, signal, &self->state) == 0) {
         return;
     }
-    zygos_kinematics(&self->config, &self->state, &self->motion);
-    if (zygos_balance_row(&self->balance, &self->config, &self->state, &self->motion, &self->row) == 0) {
+    zygos_kinematics(&self->skeleton, &self->config, &self->state, &self->motion);
+    if (zygos_balance_row(&self->balance, &self->config, &self->layout, &self->state, &self->motion, &self->row) == 0) {
         return;
     }
     self->instant = 1;
@@ -219,11 +234,11 @@ static bool usable(const zygos_config_t *config, const zygos_cycle_t *cycle)
 {
     bool good = (cycle->flags & ZYGOS_CYCLE_INVALID) == 0;
     for (uint32_t i = 0; i < config->joints; i++) {
-        good = good && within(cycle->q[i], -LARGEST_ANGLE, LARGEST_ANGLE) &&
+        good = good && ((config->joint[i].flexible == 0) || within(cycle->q[i], -LARGEST_ANGLE, LARGEST_ANGLE)) &&
                within(cycle->theta[i], -LARGEST_ANGLE, LARGEST_ANGLE) &&
                within(cycle->tau[i], -LARGEST_VALUE, LARGEST_VALUE);
     }
-    for (uint32_t i = 0; i < 3; i++) {
+    for (uint32_t i = 0; (i < 3) && (config->base == ZYGOS_BASE_FREE); i++) {
         good = good && within(cycle->omega[i], -LARGEST_VALUE, LARGEST_VALUE);
     }
     return good;
@@ -255,8 +270,7 @@ void zygos_take(const zygos_t *self, zygos_work_t *work)
     }
     work->accumulator = self->accumulator;
     work->cycle = self->cycle;
-    work->joints = self->config.joints;
-    work->positive = zygos_effects_positive(&self->config);
+    work->config = self->config;
 }
 
 int zygos_restart(zygos_t *self, uint32_t keep)
@@ -281,7 +295,7 @@ int zygos_restart(zygos_t *self, uint32_t keep)
     }
     zygos_smoother_gap(&self->smoother);
     zygos_balance_gap(&self->balance);
-    zygos_accumulator_init(&self->accumulator, self->parameters);
+    zygos_accumulator_init(&self->accumulator, self->layout.count);
     self->arc = 0;
     self->instant = 0;
     return 1;

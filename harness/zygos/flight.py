@@ -46,9 +46,10 @@ _CONFIG_ERRORS = {
     -6: "unknown torque_law",
     -7: "the smoother's points, order or lag are out of range (lag must be points // 2: end-point filters are refused)",
     -8: "node numbers must be 1..31, each used once",
-    -9: "joint axes must be parallel unit vectors",
+    -9: "joint axes must be unit vectors, parallel where the arm is planar",
     -10: "a ratio, sign, zero, sigma or latch delay is out of range",
     -11: "arc.max_s is shorter than 20 cycles",
+    -15: "base, gravity and gyro do not fit each other",
     -14: "an effect stands twice, or has no columns in this build",
 }
 
@@ -141,15 +142,13 @@ def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
             "remedy: rebuild with -DZYGOS_MAX_JOINTS"
         )
     laws = {"applied_from_sync": 0, "applied_previous_cycle": 1, "sampled": 2}
-    if arm.kinetic != "planar-symmetric":
-        raise ZygosError(
-            f"arm {arm.name!r}: kinetic = {arm.kinetic!r} has no columns in this version; "
-            'remedy: kinetic = "planar-symmetric"'
-        )
+    kinetics = {"planar-symmetric": 0, "planar": 1, "spatial": 2}
     config = ffi.new("zygos_config_t *")
     config.abi = lib.zygos_abi()
     config.joints = arm.n
-    config.kinetic = 0
+    config.kinetic = kinetics[arm.kinetic]
+    config.base = 0 if arm.free else 1
+    config.gravity = arm.gravity
     config.torque_law = laws[arm.torque_law]
     config.smoother_half_width = arm.smoother.points // 2
     config.smoother_order = arm.smoother.order
@@ -165,7 +164,10 @@ def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
         out = config.joint[i]
         out.node = joint.node
         out.latch_us = joint.latch_us
-        out.axis = list(arm.axis)
+        out.flexible = int(joint.flexible)
+        # the bodies of a planar arm have the base's frame in its stretched posture
+        out.axis = list(joint.axis if arm.spatial else arm.axis)
+        out.frame = (arm.frames[i].T @ arm.frames[i + 1] if arm.spatial else np.eye(3)).ravel().tolist()
         out.gear_ratio = joint.gear_ratio
         link, motor = joint.link_encoder, joint.motor_encoder
         out.link_sign, out.link_zero_rad, out.link_sigma_rad = link.sign, link.zero_rad, link.sigma_rad

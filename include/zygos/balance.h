@@ -2,9 +2,10 @@
 ///
 ///     work of the motors W_k = row_k . parameters + constant of the arc
 ///
-/// The parameters are the kinetic ones in the order of the Gram table (a00 a01 .. a0N a11 .. aNN), then rotor inertia
-/// Im_i, stiffness k_i and damping b_i of each joint (Im1 k1 b1 Im2 k2 b2 ..), then the coefficients of the effects in
-/// the order of the configuration (effects.h).
+/// The parameters are those of the bodies (kinematics.h), then rotor inertia Im_i, stiffness k_i and damping b_i of
+/// each joint (Im1 k1 b1 Im2 k2 b2 ..; no k and b where the joint is rigid, and no Im1 either where the base is fixed,
+/// for that rotor turns with its link alone), then the coefficients of the effects in the order of the configuration
+/// (effects.h).
 ///
 /// On arrival of cycle c the smoothed instant is k = c - M, and
 ///     W_k = W_(k-1) + sum_i n_i tau_(i,k-1) (theta_(i,k) - theta_(i,k-1))      exact for held torque
@@ -46,8 +47,18 @@ typedef struct {
     double work; ///< [J]
 } zygos_row_t;
 
-/// Number of parameters p of a configuration.
-uint32_t zygos_balance_parameters(const zygos_config_t *config);
+/// Place of each joint's parameters, the rotor inertia's first, and number of parameters p.
+typedef struct {
+    uint32_t kinetic;                 ///< Kinetic parameters of the bodies, which come first.
+    uint32_t body;                    ///< All parameters of the bodies.
+    uint32_t joint[ZYGOS_MAX_JOINTS]; ///< Place of Im_i, or of k_i where there is no Im_i.
+    uint32_t rotor[ZYGOS_MAX_JOINTS]; ///< 1 where there is an Im_i.
+    uint32_t effects;                 ///< Place of the first effect.
+    uint32_t count;                   ///< p.
+} zygos_layout_t;
+
+/// Needs a checked configuration.
+void zygos_balance_layout(const zygos_config_t *config, zygos_layout_t *out);
 
 /// Forgets all that was. Used at init and at every gap.
 void zygos_balance_gap(zygos_balance_t *self);
@@ -61,8 +72,8 @@ void zygos_balance_torque(zygos_balance_t *self, const zygos_config_t *config, c
 
 /// Carries W and D on to this instant and writes its row. Returns 1 when the row belongs to an arc, 0 while g fills.
 /// Cost: the same for every call of a configuration.
-int zygos_balance_row(zygos_balance_t *self, const zygos_config_t *config, const zygos_state_t *state,
-                      const zygos_motion_t *motion, zygos_row_t *out);
+int zygos_balance_row(zygos_balance_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
+                      const zygos_state_t *state, const zygos_motion_t *motion, zygos_row_t *out);
 
 #ifdef __cplusplus
 }

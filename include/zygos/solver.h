@@ -28,8 +28,9 @@ enum zygos_reason {
     ZYGOS_REASON_NO_DATA = 1,          ///< Fewer accepted instants than three a parameter, or fewer than two blocks.
     ZYGOS_REASON_NOT_IDENTIFIABLE = 2, ///< The motion so far does not excite every parameter.
     ZYGOS_REASON_TOO_FAST = 3,         ///< More than 5 % of the instants failed the bandwidth test.
-    ZYGOS_REASON_NOT_PHYSICAL = 4,     ///< (a_ij) less the rotors is not positive definite, Im, k or b not positive, or
-                                       ///< a friction or lag below zero by more than ZYGOS_NEGATIVE_SIGMAS.
+    ZYGOS_REASON_NOT_PHYSICAL = 4,     ///< The bodies' inertia less the rotors' is not positive definite, Im, k or b is
+                                       ///< not positive, or a friction or lag is negative, by more than
+                                       ///< ZYGOS_NEGATIVE_SIGMAS.
     ZYGOS_REASON_CORRUPT = 5,          ///< Row sums or counts do not match: memory was changed, or never taken.
     ZYGOS_REASON_UNCLOSED = 6          ///< What the solution leaves over is no noise: see ZYGOS_CLUSTER_LIMIT.
 };
@@ -45,10 +46,12 @@ enum zygos_reason {
 /// gear ratio, zero, sign or torque law, an effect that is not switched on, noise of the torques, a torque on the base.
 #define ZYGOS_CLUSTER_LIMIT 5.0
 #define ZYGOS_CLUSTER_SHARE 5e-3
-/// A parameter whose sigma exceeds this share of its value is not identifiable yet. When the rank is full all the same,
-/// none is: the error of the one is in all others. Effects are exempt: an effect may be zero.
+/// A parameter whose sigma exceeds this share of its size is not identifiable yet. The size is the value;
+/// of a kinetic parameter, if larger, the root of the product of the two diagonal ones that it couples, and of a first
+/// moment the largest of them. Effects are exempt: an effect may be zero. When the rank is full all the same, none is:
+/// the error of the one is in all others.
 #define ZYGOS_SIGMA_LIMIT 0.25
-/// Frictions and lags are not negative, but may be zero: they may come out negative by as many sigmas.
+/// What cannot be negative may be zero, and come out negative by as many sigmas.
 #define ZYGOS_NEGATIVE_SIGMAS 3.0
 
 typedef struct {
@@ -75,14 +78,15 @@ typedef struct {
 typedef struct {
     zygos_accumulator_t accumulator;
     uint64_t cycle;
-    uint32_t joints;
-    uint32_t positive; ///< Bit e: effect e is not physical when it is negative.
+    zygos_config_t config;
+    zygos_layout_t layout;
     double total[ZYGOS_MAX_PACKED_ROW];
     double matrix[ZYGOS_MAX_PACKED];
     double factor[ZYGOS_MAX_PACKED];
     double scale[ZYGOS_MAX_PARAMETERS];
     double right[ZYGOS_MAX_PARAMETERS];
     double solution[ZYGOS_MAX_PARAMETERS];
+    double size[ZYGOS_MAX_PARAMETERS];
     double score[ZYGOS_MAX_PARAMETERS];
     double left_out[ZYGOS_MAX_BLOCKS][ZYGOS_MAX_PARAMETERS];
     uint32_t pivot[ZYGOS_MAX_PARAMETERS];

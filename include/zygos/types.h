@@ -58,13 +58,27 @@ extern "C" {
 #error "ZYGOS_MAX_EFFECTS must be 0..16"
 #endif
 
+/// 1: the build has columns for arms that move in space; 0: for planar ones only, which makes every struct smaller.
+#ifndef ZYGOS_SPATIAL
+#define ZYGOS_SPATIAL 1
+#endif
+#if (ZYGOS_SPATIAL != 0) && (ZYGOS_SPATIAL != 1)
+#error "ZYGOS_SPATIAL must be 0 or 1"
+#endif
+
 #define ZYGOS_MAX_WINDOW (2 * ZYGOS_MAX_HALF_WIDTH + 1)
 /// Signals the smoother filters: q and theta of each joint, and the base rate about three axes.
 #define ZYGOS_MAX_SIGNALS (2 * ZYGOS_MAX_JOINTS + 3)
-/// Entries of the Gram table of the planar rate vectors: one vector a body, upper triangle.
-#define ZYGOS_MAX_GRAM ((ZYGOS_MAX_JOINTS + 1) * (ZYGOS_MAX_JOINTS + 2) / 2)
-/// Parameters: the kinetic ones, then rotor inertia, stiffness and damping of each joint, then the effects.
-#define ZYGOS_MAX_PARAMETERS (ZYGOS_MAX_GRAM + 3 * ZYGOS_MAX_JOINTS + ZYGOS_MAX_EFFECTS)
+/// Directions that rate vectors belong to: three of the base, two of each other body.
+#define ZYGOS_MAX_DIRECTIONS (2 * ZYGOS_MAX_JOINTS + 3)
+/// Parameters of the bodies: at the most those of a free-floating arm.
+#if ZYGOS_SPATIAL
+#define ZYGOS_MAX_BODY ((ZYGOS_MAX_JOINTS + 2) * (2 * ZYGOS_MAX_JOINTS + 3))
+#else
+#define ZYGOS_MAX_BODY ((ZYGOS_MAX_JOINTS + 1) * (ZYGOS_MAX_JOINTS + 1))
+#endif
+/// Parameters: those of the bodies, then rotor inertia, stiffness and damping of each joint, then the effects.
+#define ZYGOS_MAX_PARAMETERS (ZYGOS_MAX_BODY + 3 * ZYGOS_MAX_JOINTS + ZYGOS_MAX_EFFECTS)
 /// Length of an array of effects, which C wants to be at least 1.
 #if ZYGOS_MAX_EFFECTS > 0
 #define ZYGOS_EFFECT_PLACES ZYGOS_MAX_EFFECTS
@@ -96,17 +110,25 @@ enum zygos_error {
     ZYGOS_E_TORQUE_LAW = -6, ///< torque_law is none of enum zygos_torque_law.
     ZYGOS_E_SMOOTHER = -7,   ///< Half width, order or lag out of range; end-point filters are refused.
     ZYGOS_E_NODE = -8,       ///< A node number is 0, above 31, or used twice (node numbers 1..31, 32 is the computer).
-    ZYGOS_E_AXIS = -9,       ///< A joint axis is no unit vector, or not parallel to the first.
+    ZYGOS_E_AXIS = -9,       ///< A joint axis is no unit vector, a frame no rotation, or a planar arm's are not alike.
     ZYGOS_E_VALUE = -10,     ///< A ratio, sign, zero, sigma, latch delay, imu_fine or imu_to_base is not in its range.
     ZYGOS_E_ARC = -11,       ///< arc_cycles is below ZYGOS_MIN_ARC_INSTANTS.
     ZYGOS_E_ORDER = -12,     ///< zygos_init() has not succeeded on this struct.
     ZYGOS_E_KEEP = -13,      ///< zygos_restart() does not know one of the bits.
-    ZYGOS_E_EFFECT = -14     ///< Too many effects, an unknown kind, a joint out of range, or an effect twice.
+    ZYGOS_E_EFFECT = -14,    ///< Too many effects, an unknown kind, a joint out of range, or an effect twice.
+    ZYGOS_E_BASE = -15       ///< base is none of enum zygos_base, or gravity or a gyro does not fit it.
 };
 
-/// Which columns of the Gram table are parameters.
+/// How the arm can move, and so which columns its bodies have; the counts are those of a free base.
 enum zygos_kinetic {
-    ZYGOS_PLANAR_SYMMETRIC = 0 ///< Parallel axes, centres of mass on the joint-to-joint lines: (N+1)(N+2)/2 columns.
+    ZYGOS_PLANAR_SYMMETRIC = 0, ///< Parallel axes, centres of mass on the joint-to-joint lines: (N+1)(N+2)/2 columns.
+    ZYGOS_PLANAR = 1,           ///< Parallel axes: (N+1)^2 columns.
+    ZYGOS_SPATIAL_ARM = 2       ///< Any axes: (N+2)(2N+3) columns.
+};
+
+enum zygos_base {
+    ZYGOS_BASE_FREE = 0, ///< Floats: a gyro tells its rate, no gravity.
+    ZYGOS_BASE_FIXED = 1 ///< Stands: no gyro, gravity as configured. The columns of body 0 are left out.
 };
 
 /// Which torque is in force on [t_k, t_k+1), when r_k is the torque reported in cycle k.
@@ -131,9 +153,13 @@ typedef struct {
 } zygos_effect_config_t;
 
 typedef struct {
-    uint32_t node;         ///< CANopen-style node number of the joint's drive, 1..31.
-    uint32_t latch_us;     ///< Delay from SYNC to the encoders' latch, as the drive states it on the wire.
-    double axis[3];        ///< Unit vector of the joint axis in the frame of the body that carries the joint.
+    uint32_t node;     ///< CANopen-style node number of the joint's drive, 1..31.
+    uint32_t latch_us; ///< Delay from SYNC to the encoders' latch, as the drive states it on the wire.
+    uint32_t flexible; ///< 0: rigid, theta = q. The motor encoder speaks for both sides; no stiffness, no damping.
+    uint32_t reserved;
+    double frame[9];       ///< Rotation from the joint's frame to that of the body before it at q = 0, row-major.
+                           ///< The identity for a planar arm. The body behind the joint has the joint's frame.
+    double axis[3];        ///< Unit vector of the joint axis in the joint's frame.
     double gear_ratio;     ///< Rotor turns per output turn, > 0.
     double link_sign;      ///< +1 or -1: angle = sign * (reading - zero).
     double link_zero_rad;  ///< Reading of the link encoder where q = 0.
@@ -155,14 +181,15 @@ typedef struct {
     uint32_t smoother_order;      ///< Order of the local polynomial, 2 .. 2 M - 2.
     uint32_t smoother_lag;        ///< Must equal M: a filter evaluated at its newest sample is refused.
     uint32_t arc_cycles;          ///< An arc ends after that many instants at the latest, >= ZYGOS_MIN_ARC_INSTANTS.
-    uint32_t imu_node;            ///< Node number of the gyro, 1..31.
+    uint32_t imu_node;            ///< Node number of the gyro, 1..31; 0 on a fixed base, which has none.
     uint32_t imu_fine;            ///< 1: rates come as i24 in two frames; 0: as i16 in one.
     double period_s;              ///< SYNC period h. Time is the SYNC count times h, never a receive time.
     double imu_to_base[9];        ///< Rotation that takes a rate from the sensor's axes to the base's, row-major.
     double imu_latch_s;           ///< Delay from SYNC to the gyro's latch.
+    double gravity[3];            ///< In the base frame [m/s^2]; 0 on a free base.
     zygos_joint_config_t joint[ZYGOS_MAX_JOINTS];
     uint32_t effects; ///< Effects to identify, 0..ZYGOS_MAX_EFFECTS. Their columns follow those of the joints.
-    uint32_t reserved;
+    uint32_t base;    ///< enum zygos_base.
     zygos_effect_config_t effect[ZYGOS_EFFECT_PLACES]; ///< In the order of their columns, each kind once a joint.
 } zygos_config_t;
 
@@ -180,7 +207,7 @@ typedef struct {
     uint64_t sync;                  ///< Cycle number since init. A step other than +1 ends the arc.
     uint32_t flags;                 ///< Bits of enum zygos_cycle_flag.
     uint32_t reserved;              ///< 0.
-    double q[ZYGOS_MAX_JOINTS];     ///< Link encoder [rad].
+    double q[ZYGOS_MAX_JOINTS];     ///< Link encoder [rad]. Not looked at where the joint is rigid.
     double theta[ZYGOS_MAX_JOINTS]; ///< Motor encoder, gearbox output [rad].
     double tau[ZYGOS_MAX_JOINTS];   ///< Rotor torque, before the ratio [Nm].
     double omega[3];                ///< Gyro, in the sensor's axes [rad/s].

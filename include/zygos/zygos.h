@@ -39,16 +39,18 @@ extern "C" {
 /// has not accepted is recognised by its mark, except by chance.
 typedef struct {
     uint32_t mark;
-    uint32_t parameters; ///< p.
-    uint64_t cycle;      ///< SYNC number of the newest cycle that was worked off.
-    uint64_t cycles;     ///< Cycles that were worked off.
-    uint64_t gaps;       ///< Times that an arc ended because cycles did not follow each other.
-    uint64_t invalid;    ///< Cycles through zygos_cycle() that were flagged invalid or not finite.
-    uint64_t wraps;      ///< Times that an angle went over the end of its multi-turn range; the arc ends.
-    uint32_t arc;        ///< Instants of the open arc, accepted or not.
-    uint32_t instant;    ///< 1: state, row and accepted below are those of the newest cycle.
-    double accepted;     ///< 1 when the newest row was accumulated, 0 when the bandwidth test refused it.
+    uint32_t reserved;
+    uint64_t cycle;   ///< SYNC number of the newest cycle that was worked off.
+    uint64_t cycles;  ///< Cycles that were worked off.
+    uint64_t gaps;    ///< Times that an arc ended because cycles did not follow each other.
+    uint64_t invalid; ///< Cycles through zygos_cycle() that were flagged invalid or not finite.
+    uint64_t wraps;   ///< Times that an angle went over the end of its multi-turn range; the arc ends.
+    uint32_t arc;     ///< Instants of the open arc, accepted or not.
+    uint32_t instant; ///< 1: state, row and accepted below are those of the newest cycle.
+    double accepted;  ///< 1 when the newest row was accumulated, 0 when the bandwidth test refused it.
     zygos_config_t config;
+    zygos_layout_t layout;
+    zygos_skeleton_t skeleton;
     zygos_receiver_t receiver;
     zygos_hold_t hold;
     zygos_smoother_t smoother;

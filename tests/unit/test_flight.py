@@ -67,7 +67,9 @@ NAN, INF = float("nan"), float("inf")
 REFUSALS = [
     (lib.ZYGOS_E_ABI, "abi", [0, lib.zygos_abi() ^ 1, lib.zygos_abi() + 31]),
     (lib.ZYGOS_E_JOINTS, "joints", [0, 8, 2**32 - 1]),
-    (lib.ZYGOS_E_KINETIC, "kinetic", [1, 2**32 - 1]),
+    (lib.ZYGOS_E_KINETIC, "kinetic", [3, 2**32 - 1]),
+    (lib.ZYGOS_E_BASE, "base", [1, 2, 2**32 - 1]),  # a fixed base has no gyro
+    (lib.ZYGOS_E_BASE, "gravity", [[0.0, 0.0, -9.81], [NAN, 0.0, 0.0]]),
     (lib.ZYGOS_E_PERIOD, "period_s", [0.0, -0.02, 0.9e-5, 0.0651, NAN, INF]),
     (lib.ZYGOS_E_TORQUE_LAW, "torque_law", [3, 2**32 - 1]),
     (lib.ZYGOS_E_SMOOTHER, "smoother_half_width", [0, 1, 2, 4, 16, 2**31]),
@@ -79,6 +81,8 @@ REFUSALS = [
     (lib.ZYGOS_E_AXIS, "joint[0].axis[2]", [0.0, -1.0, 0.999, NAN]),
     (lib.ZYGOS_E_AXIS, "joint[1].axis[2]", [-1.0, 1.001]),
     (lib.ZYGOS_E_AXIS, "joint[1].axis", [[0.0, 1.0, 0.0], [0.6, 0.0, 0.8], [NAN, 0.0, 1.0]]),
+    (lib.ZYGOS_E_AXIS, "joint[1].frame", [[0.0] * 9, [1, 0, 0, 0, -1, 0, 0, 0, -1], [1, 0, 0, 0, 1, 0, 0, 0, NAN]]),
+    (lib.ZYGOS_E_VALUE, "joint[0].flexible", [2, 2**32 - 1]),
     (lib.ZYGOS_E_VALUE, "joint[1].gear_ratio", [0.0, -50.0, NAN, INF]),
     (lib.ZYGOS_E_VALUE, "joint[0].link_sign", [0.0, 2.0, -0.5, NAN]),
     (lib.ZYGOS_E_VALUE, "joint[1].motor_sign", [0.0, 2.0, -0.5, NAN]),
@@ -626,7 +630,9 @@ def test_columns_that_are_a_sum_of_others(seed: int) -> None:
     work, out, row = ffi.new("zygos_work_t *"), ffi.new("zygos_estimate_t *"), ffi.new("zygos_row_t *")
     sums = ffi.addressof(work, "accumulator")
     lib.zygos_accumulator_init(sums, 12)
-    work.joints = 2
+    work.config.joints = 2
+    for i in range(2):
+        work.config.joint[i].flexible = 1
     columns = rng.normal(size=(MIN_ARC, 12))
     columns[:, 2] = columns[:, 0] + 0.3 * columns[:, 5]
     for column in np.tile(columns, (20, 1)):

@@ -25,7 +25,7 @@ static void record(const zygos_t *self, const zygos_cycle_t *cycle, zygos_trace_
         return;
     }
     const uint64_t n = self->config.joints;
-    const uint64_t p = self->parameters;
+    const uint64_t p = self->layout.count;
     const uint64_t at = trace->count++;
     if (trace->sync) {
         trace->sync[at] = cycle->sync;
@@ -129,6 +129,9 @@ uint64_t zygos_batch_encode(const zygos_config_t *config, const zygos_cycle_t *c
             torque.latch_us = (uint16_t)config->joint[i].latch_us;
             torque.temperature = 20;
             out = put(&torque, ZYGOS_MSG_TORQUE, config->joint[i].node, out);
+        }
+        if (config->imu_node == 0) {
+            continue;
         }
         zygos_record_t rate = header;
         rate.status = (uint8_t)((now->flags & ZYGOS_CYCLE_INVALID) ? 0u : (uint32_t)ZYGOS_STATUS_RATE_VALID);

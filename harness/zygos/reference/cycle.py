@@ -114,6 +114,8 @@ def calibrate(arm: Arm, cycles: Cycles) -> Samples:
         )
     # the motor's encoder speaks for both sides of a rigid joint
     cycles = replace(cycles, q=np.where([joint.flexible for joint in arm.joints], cycles.q, cycles.theta))
+    if not arm.free:
+        cycles = replace(cycles, omega=np.zeros_like(cycles.omega))
     links = [joint.link_encoder for joint in arm.joints]
     motors = [joint.motor_encoder for joint in arm.joints]
     q = np.array([e.sign for e in links]) * (cycles.q - np.array([e.zero_rad for e in links]))

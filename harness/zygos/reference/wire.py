@@ -96,6 +96,8 @@ def identifiers(arm: Arm) -> dict[int, Kind]:
         kinds[0x180 + joint.node] = Kind(messages["JOINT1_ANGLES"], 0, joint.node, i, f"angles{i}")
         kinds[0x280 + joint.node] = Kind(messages["JOINT1_TORQUE"], 1, joint.node, i, f"torque{i}")
     node = arm.imu.node
+    if node == 0:
+        return kinds
     if arm.imu.resolution == "coarse":
         kinds[0x180 + node] = Kind(database(coarse_gyro=True).get_message_by_frame_id(0x190), 0, node, 0, "rate")
         kinds[0x380 + node] = Kind(messages["IMU_RATE_Z"], 2, node, 0, UNWANTED)
@@ -274,9 +276,10 @@ def _fault(arm: Arm, s: _Seen) -> str | None:
         saturated = any(_outermost(s.kind.message, name, raw[name]) for name in rates)
         checks = [("gyro_invalid", not status & 1), ("saturated", saturated)]
     else:
-        checks = [(fault, not status & bit) for fault, bit in STATUS_FAULTS]
+        rigid = not arm.joints[s.kind.joint].flexible  # nothing is asked of a link encoder
+        checks = [(fault, not status & bit) for fault, bit in STATUS_FAULTS if not (rigid and fault == "link_invalid")]
     if part.startswith("angles"):
-        checks.append(("link_invalid", raw["LinkAngle"] == invalid))
+        checks.append(("link_invalid", raw["LinkAngle"] == invalid and not rigid))
         checks.append(("motor_invalid", raw["MotorAngle"] == invalid))
     elif part.startswith("torque"):
         late = raw["Latch"] - arm.joints[s.kind.joint].latch_us
@@ -339,9 +342,9 @@ def _assemble(arm: Arm, numbers: Sequence[int], contents: Sequence[dict[str, _Se
     rates = [("rate" if coarse else "rate_z" if axis == "Z" else "rate_xy", f"Rate{axis}") for axis in "XYZ"]
     return Cycles(
         sync=np.array(numbers, dtype=np.uint64),
-        q=table([(f"angles{i}", "LinkAngle") for i in joints]),
+        q=table([(f"angles{i}", "LinkAngle" if arm.joints[i].flexible else "MotorAngle") for i in joints]),
         theta=table([(f"angles{i}", "MotorAngle") for i in joints]),
         tau=table([(f"torque{i}", "Torque") for i in joints]),
-        omega=table(rates),
+        omega=table(rates) if arm.imu.node else np.zeros((len(contents), 3)),
         flags=np.zeros(len(contents), dtype=np.uint32),
     )
