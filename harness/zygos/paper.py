@@ -86,6 +86,12 @@ def run_paper(seeds: int, folder: Path | None, json: str | None) -> None:
     check_outputs([json], example.files)
     arm, true = example.arm, example.true
     model = load_model(example.scenario.plant)
+    momentum = example.scenario.angular_momentum_nms
+    if arm.spatial or not arm.free or isinstance(momentum, tuple):
+        raise ZygosError(
+            f"arm {arm.name}: the paper's methods are those of a free-floating arm that moves in a plane; remedy: "
+            "`zygos estimate` for any other"
+        )
     with progress() as bar:
         task = bar.add_task(f"simulating {seeds} seeds", total=1.0)
 
@@ -96,7 +102,6 @@ def run_paper(seeds: int, folder: Path | None, json: str | None) -> None:
         bar.update(task, description="simulating without noise", completed=0.0)
         clean = simulate(arm, model, example.scenario, seeds=[0], noise=False, progress=show)
     record, exact = noisy_record(arm, noisy), exact_record(clean)
-    momentum = example.scenario.angular_momentum_nms
     estimates: dict[str, Floats] = {
         "AMC": amc.estimate(arm, record, momentum_nms=momentum),
         "DE": de.estimate(arm, record),

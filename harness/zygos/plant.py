@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +16,9 @@ from scipy.integrate import DOP853
 
 from zygos.arm import Arm
 from zygos.cycles import Cycles
-from zygos.dynamics import PlanarDynamics
 from zygos.errors import ZygosError
 from zygos.model import Model
+from zygos.motion import EngineName, Motion, equations, moves_in_plane
 from zygos.scenario import Scenario
 from zygos.sensors import Noise, draw_noise, encoder_angle, encoder_reading, gyro_reading, no_noise, torque_record
 
@@ -33,14 +34,15 @@ class Trajectory:
 
     arm: Arm
     """The arm, at the period that was simulated."""
-    dynamics: PlanarDynamics
+    dynamics: Motion
     seeds: tuple[int, ...]
     t: Array
     """(n,) s."""
-    phi0: Array
-    """(B, n) base attitude, rad."""
+    attitude: Array
+    """Of the base: (B, n) angle about the axis of a planar arm, rad; (B, n, 4) quaternion from base to inertial axes,
+    scalar last, where the base turns in space; (B, n, 0) where it is fixed."""
     omega0: Array
-    """(B, n) base rate, rad/s."""
+    """(B, n) base rate of a planar arm, rad/s; (B, n, 3) in base axes where it turns in space or is fixed."""
     q: Array
     """(B, n, N) link angles, rad."""
     qd: Array
@@ -60,12 +62,12 @@ class Trajectory:
     theta_latched: Array
     """(B, n, N) motor angles when the motor encoders latch, rad."""
     omega0_latched: Array
-    """(B, n) base rate when the gyro latches, rad/s."""
+    """Base rate when the gyro latches, rad/s; shape as omega0."""
     noise: Noise
     """The errors that the servo saw and `cycles` records."""
 
     def accelerations(self) -> tuple[Array, Array, Array]:
-        """Exact accelerations just after each SYNC: base (B, n), links (B, n, N), motors after the gear (B, n, N),
+        """Exact accelerations just after each SYNC: base as omega0, links (B, n, N), motors after the gear (B, n, N),
         rad/s^2."""
         return self.dynamics.accelerations(self.q, self.theta, self.omega0, self.qd, self.thetad, self.tau)
 
@@ -90,9 +92,14 @@ def record(trajectory: Trajectory, index: int = 0) -> Cycles:
             noise.rounding,
         ),
         tau=torque_record(arm, trajectory.tau[index], noise.torque[index]),
-        omega=gyro_reading(arm, trajectory.omega0_latched[index], noise.gyro[index]),
+        omega=gyro_reading(arm, _vector(arm, trajectory.omega0_latched)[index], noise.gyro[index]),
         flags=np.zeros(n, dtype=np.uint32),
     )
+
+
+def _vector(arm: Arm, omega0: Array) -> Array:
+    """(B, n, 3) base rate in base axes."""
+    return omega0 if omega0.ndim == 3 else omega0[..., None] * arm.axis
 
 
 def simulate(
@@ -100,6 +107,7 @@ def simulate(
     model: Model,
     scenario: Scenario,
     *,
+    engine: EngineName = "zygos",
     seeds: Sequence[int] | None = None,
     noise: bool | None = None,
     period_s: float | None = None,
@@ -110,7 +118,8 @@ def simulate(
 ) -> Trajectory:
     """Simulate the scenario in closed loop, with the effects of the model.
 
-    An angular momentum that the model names goes before the scenario's.
+    An angular momentum that the model names goes before the scenario's. engine: whose equations of motion; those of
+    others know bodies only, no effects.
 
     seeds (default: the scenario's) are integrated together; noise, duration_s and period_s override scenario and arm.
     There are round(duration / period) cycles. rtol and atol are DOP853's. A trajectory depends on the other seeds of
@@ -129,22 +138,24 @@ def simulate(
             f"scenario {scenario.name}: {n} cycles of {len(chosen)} seeds is nothing to simulate; remedy: "
             "a duration of at least two SYNC periods, and one seed"
         )
-    dynamics = PlanarDynamics.from_model(arm, model)
+    dynamics = equations(arm, model, engine)
     noisy = scenario.noise if noise is None else noise
     errors = draw_noise(arm, n, chosen, scenario.encoder_noise) if noisy else no_noise(arm, n, chosen)
-    run = _Run(arm, dynamics, scenario, seeds=chosen, n=n, noise=errors, rtol=rtol, atol=atol)
+    planar = moves_in_plane(arm, engine)
+    run = _Run(arm, dynamics, scenario, planar=planar, seeds=chosen, n=n, noise=errors, rtol=rtol, atol=atol)
     return run.trajectory(progress)
 
 
 class _Run:
-    """State of one simulation; the state vector is B rows of phi0, omega0, q, qd, theta, thetad, slip2."""
+    """State of one simulation; the state vector is B rows of attitude, omega0, q, qd, theta, thetad, slip2."""
 
     def __init__(
         self,
         arm: Arm,
-        dynamics: PlanarDynamics,
+        dynamics: Motion,
         scenario: Scenario,
         *,
+        planar: bool,
         seeds: tuple[int, ...],
         n: int,
         noise: Noise,
@@ -155,7 +166,11 @@ class _Run:
         self.n, self.noise = n, noise
         self.rtol, self.atol = rtol, atol
         joints = arm.n
-        self.slices = [slice(2 + i * joints, 2 + (i + 1) * joints) for i in range(5)]
+        self.planar = planar
+        widths = [1, 1] if planar else [4, 3] if arm.free else [0, 0]
+        ends = np.cumsum([0, *widths, *[joints] * 5]).tolist()
+        self.attitude, self.omega, *self.slices = (slice(a, b) for a, b in pairwise(ends))
+        self.ratio = arm.gear_ratios
         self.step = arm.period_s
         self.tau = np.zeros((len(seeds), joints))
         angles = scenario.initial_angles_rad or (0.0,) * joints
@@ -164,23 +179,50 @@ class _Run:
                 f"scenario {scenario.name}: {len(angles)} initial angles for {joints} joints; remedy: "
                 "give initial_angles_rad one number a joint"
             )
-        self.state = np.zeros((len(seeds), 2 + 5 * joints))
+        for key, gain in (("kp", scenario.controller.kp), ("kd", scenario.controller.kd)):
+            if isinstance(gain, tuple) and len(gain) != joints:
+                raise ZygosError(
+                    f"scenario {scenario.name}: {len(gain)} {key} for {joints} joints; remedy: one number, or one "
+                    "for each joint"
+                )
+        self.state = np.zeros((len(seeds), ends[-1]))
         q, _, theta, _, _ = self.slices
         self.state[:, q] = self.state[:, theta] = np.array(angles)
+        if not arm.free:
+            return
+        if not planar:
+            self.state[:, self.attitude] = [0.0, 0.0, 0.0, 1.0]
         assumed = dynamics.angular_momentum
-        momentum = scenario.angular_momentum_nms if assumed is None else assumed
-        self.state[:, 1] = dynamics.base_rate(self.state[:, q], momentum)
+        momentum = np.array(scenario.angular_momentum_nms if assumed is None else assumed, dtype=np.float64)
+        if planar and momentum.ndim:
+            raise ZygosError(
+                f"scenario {scenario.name}: angular_momentum_nms is a vector, but arm {arm.name} moves in a plane; "
+                "remedy: one number"
+            )
+        if not planar and not momentum.ndim:
+            momentum = momentum * (arm.axis if not arm.spatial else np.array([0.0, 0.0, 1.0]))
+        self._set_omega0(self.state, dynamics.base_rate(self.state[:, q], momentum))
+
+    def _omega0(self, state: Array) -> Array:
+        """Base rate in a state (..., width) as the equations of motion take it."""
+        if not self.arm.free:
+            return np.zeros((*state.shape[:-1], 3))
+        return state[..., self.omega.start] if self.planar else state[..., self.omega]
+
+    def _set_omega0(self, state: Array, rate: Array) -> None:
+        if self.arm.free:
+            state[..., self.omega] = rate[..., None] if self.planar else rate
 
     def trajectory(self, progress: Callable[[float], None] | None) -> Trajectory:
         arm, joints = self.arm, self.arm.n
         shape = (len(self.seeds), self.n)
         t: Array = arm.period_s * np.arange(self.n, dtype=np.float64)
         desired, desired_rate = self.scenario.desired([joint.name for joint in arm.joints], t)
-        states = np.empty((*shape, 2 + 5 * joints))
+        states = np.empty((*shape, self.state.shape[1]))
         taus = np.empty((*shape, joints))
-        latches = _Latches(arm, self.slices)
+        latches = _Latches(arm, self.slices, self.omega)
         pauses = _pauses(latches, self.dynamics.torque_lag)
-        latched = np.empty((*shape, 2 * joints + 1)) if latches.late else None
+        latched = np.empty((*shape, latches.width)) if latches.late else None
         slip = self.slices[4]
         total = np.zeros((len(self.seeds), joints))
         before: Array | None = None
@@ -195,8 +237,8 @@ class _Run:
             servo = self.scenario.controller
             command = (
                 servo.gain
-                * (servo.kp * (desired[k] - angle) + servo.kd * (desired_rate[k] - rate))
-                / self.dynamics.gear_ratio
+                * (np.array(servo.kp) * (desired[k] - angle) + np.array(servo.kd) * (desired_rate[k] - rate))
+                / self.ratio
             )
             taus[:, k] = command
             self.state[:, slip] = 0.0
@@ -210,18 +252,19 @@ class _Run:
             self._integrate(arm.period_s - reached, t[k])
             total += self.state[:, slip]
         q, qd, theta, thetad, _ = (states[..., part] for part in self.slices)
-        if latched is None:
-            q_latched, theta_latched, omega0_latched = q, theta, states[..., 1]
-        else:
+        omega0 = omega0_latched = self._omega0(states)
+        q_latched, theta_latched = q, theta
+        if latched is not None:
             q_latched, theta_latched = latched[..., :joints], latched[..., joints : 2 * joints]
-            omega0_latched = latched[..., -1]
+            if arm.free:
+                omega0_latched = latched[..., -1] if self.planar else latched[..., 2 * joints :]
         return Trajectory(
             arm,
             self.dynamics,
             self.seeds,
             t,
-            states[..., 0],
-            states[..., 1],
+            states[..., 0] if self.planar else states[..., self.attitude],
+            omega0,
             q,
             qd,
             theta,
@@ -248,12 +291,16 @@ class _Run:
     def _derivative(self, _: float, flat: Array) -> Array:
         state = flat.reshape(self.state.shape)
         q, qd, theta, thetad, slip = self.slices
+        omega0 = self._omega0(state)
         base, link, motor = self.dynamics.accelerations(
-            state[:, q], state[:, theta], state[:, 1], state[:, qd], state[:, thetad], self.tau
+            state[:, q], state[:, theta], omega0, state[:, qd], state[:, thetad], self.tau
         )
         rate = np.empty_like(state)
-        rate[:, 0] = state[:, 1]
-        rate[:, 1] = base
+        if self.planar:
+            rate[:, 0] = omega0
+        elif self.arm.free:
+            rate[:, self.attitude] = _quaternion_rate(state[:, self.attitude], omega0)
+        self._set_omega0(rate, base)
         rate[:, q] = state[:, qd]
         rate[:, qd] = link
         rate[:, theta] = state[:, thetad]
@@ -298,6 +345,13 @@ class _Run:
         self.state = solver.y.reshape(self.state.shape)
 
 
+def _quaternion_rate(attitude: Array, omega: Array) -> Array:
+    """(B, 4) derivative of the attitude (scalar last) of a base that turns at omega (B, 3) in its own axes, rad/s."""
+    vector, scalar = attitude[:, :3], attitude[:, 3:]
+    turned = scalar * omega + np.cross(vector, omega)
+    return 0.5 * np.hstack([turned, -np.sum(vector * omega, axis=1, keepdims=True)])
+
+
 def _pauses(latches: _Latches, lag: Array | None) -> list[tuple[float, tuple[list[int], list[int]], list[int]]]:
     """Instants after SYNC at which something happens: (s, columns that latch as in `_Latches`, motors whose torque
     takes effect)."""
@@ -312,7 +366,7 @@ def _pauses(latches: _Latches, lag: Array | None) -> list[tuple[float, tuple[lis
 class _Latches:
     """Instants at which readings are latched, in order: (s after SYNC, (columns of the record, of the state))."""
 
-    def __init__(self, arm: Arm, slices: list[slice]) -> None:
+    def __init__(self, arm: Arm, slices: list[slice], omega: slice) -> None:
         at: dict[int, tuple[list[int], list[int]]] = {}
         for i, joint in enumerate(arm.joints):
             for encoder, column, source in (
@@ -323,8 +377,10 @@ class _Latches:
                 into.append(column)
                 out.append(source)
         into, out = at.setdefault(arm.imu.latch_us, ([], []))
-        into.append(2 * arm.n)
-        out.append(1)
+        rates = omega.stop - omega.start
+        into += range(2 * arm.n, 2 * arm.n + rates)
+        out += range(omega.start, omega.stop)
+        self.width = 2 * arm.n + rates
         self.joints = arm.n
         self.late = any(offset > 0 for offset in at)
         self.groups = [(offset * 1e-6, columns) for offset, columns in sorted(at.items())]

@@ -72,10 +72,10 @@ class Motion:
 class Controller:
     """The sampled servo of every joint: n tau = gain * [kp (q_d - angle) + kd (qd_d - rate)]."""
 
-    kp: float = 1000.0
-    """Nm/rad, after the gear."""
-    kd: float = 250.0
-    """Nms/rad, after the gear."""
+    kp: float | tuple[float, ...] = 1000.0
+    """Nm/rad, after the gear; one for all joints, or (N,)."""
+    kd: float | tuple[float, ...] = 250.0
+    """Nms/rad, after the gear; one for all joints, or (N,)."""
     gain: float = 1.0
     angle: FeedbackAngle = "motor"
     """The encoder that is fed back."""
@@ -99,7 +99,8 @@ class Scenario:
     """False: sensors, and the encoder that is fed back, are exact."""
     encoder_noise: EncoderNoise = "gaussian"
     """"gaussian": sigma = quantum/sqrt(12) (Nanos & Papadopoulos eq. (28)); "quantised": readings are rounded."""
-    angular_momentum_nms: float = 1.0
+    angular_momentum_nms: float | tuple[float, float, float] = 1.0
+    """At the start: about the joint axis of a planar arm, or a vector in base axes; a number is then about z."""
     initial_angles_rad: tuple[float, ...] = ()
     """(N,) link and motor angles at the start, springs relaxed, all joints at rest; empty: zeros."""
 
@@ -124,12 +125,18 @@ def load_scenario(path: str | Path) -> Scenario:
     manoeuvre = _manoeuvre(top.tables("manoeuvre"))
     control = top.table("controller", optional=True)
     controller = Controller(
-        control.number("kp", 1000.0, low=0.0, unit="Nm/rad"),
-        control.number("kd", 250.0, low=0.0, unit="Nms/rad"),
+        _gain(control, "kp", 1000.0, len(manoeuvre), "Nm/rad"),
+        _gain(control, "kd", 250.0, len(manoeuvre), "Nms/rad"),
         control.number("gain", 1.0, low=0.0),
         control.choice("angle", _FEEDBACK_ANGLES, "motor"),
     )
     control.finish()
+    momentum: float | tuple[float, float, float]
+    if top.has("angular_momentum_nms") and isinstance(top.peek("angular_momentum_nms"), list):
+        x, y, z = top.vector("angular_momentum_nms", 3, unit="Nms")
+        momentum = (x, y, z)
+    else:
+        momentum = top.number("angular_momentum_nms", 1.0, unit="Nms")
     scenario = Scenario(
         name=top.text("name"),
         arm=_file(top, "arm", "arm.toml"),
@@ -140,11 +147,20 @@ def load_scenario(path: str | Path) -> Scenario:
         seed=top.integer("seed", 0, low=0, high=2**63 - 1),
         noise=top.boolean("noise", True),
         encoder_noise=top.choice("encoder_noise", _ENCODER_NOISES, "gaussian"),
-        angular_momentum_nms=top.number("angular_momentum_nms", 1.0, unit="Nms"),
+        angular_momentum_nms=momentum,
         initial_angles_rad=top.vector("initial_angles_rad", len(manoeuvre), (0.0,) * len(manoeuvre), unit="rad"),
     )
     top.finish()
     return scenario
+
+
+def _gain(table: Table, key: str, default: float, joints: int, unit: str) -> float | tuple[float, ...]:
+    if not (table.has(key) and isinstance(table.peek(key), list)):
+        return table.number(key, default, low=0.0, unit=unit)
+    gains = table.vector(key, joints, unit=unit)
+    if min(gains) < 0.0:
+        raise table.error(key, f"{min(gains):g} is negative", "write gains >= 0")
+    return gains
 
 
 def _file(top: Table, key: str, default: str) -> Path:

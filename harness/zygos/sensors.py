@@ -96,8 +96,8 @@ def encoder_angle(encoders: Sequence[Encoder], reading: Array) -> Array:
 
 
 def gyro_reading(arm: Arm, omega0: Array, error: Array) -> Array:
-    """(..., 3) gyro readings in the sensor's frame, rad/s, of the planar base rate (...,)."""
-    reading: Array = omega0[..., None] * (arm.mount.T @ arm.axis) + error
+    """(..., 3) gyro readings in the sensor's frame, rad/s, of the base rate (..., 3) in base axes."""
+    reading: Array = omega0 @ arm.mount + error
     return reading
 
 

@@ -71,7 +71,7 @@ def test_another_integrator_gives_the_same_motion() -> None:
         state = advance(run.dynamics, state, run.tau[0, k], arm.period_s)
     expected = np.concatenate(
         [
-            [run.phi0[0, end], run.omega0[0, end]],
+            [run.attitude[0, end], run.omega0[0, end]],
             run.q[0, end],
             run.qd[0, end],
             run.theta[0, end],
@@ -212,7 +212,7 @@ def test_start() -> None:
     np.testing.assert_array_equal(run.q[0, 0], [0.3, -0.4])
     np.testing.assert_array_equal(run.theta[0, 0], [0.3, -0.4])
     np.testing.assert_array_equal(run.slip2[0, 0], 0.0)
-    assert run.phi0[0, 0] == 0.0
+    assert run.attitude[0, 0] == 0.0
     assert run.dynamics.momentum(run.q, run.omega0, run.qd, run.thetad)[0, 0] == pytest.approx(1.0, rel=1e-12)
 
 

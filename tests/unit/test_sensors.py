@@ -146,7 +146,7 @@ def test_a_turned_gyro_reads_in_its_own_frame() -> None:
     arm = paper()[0]
     quaternion = (0.1, -0.5, 0.3, np.sqrt(1 - 0.35))
     arm = replace(arm, imu=replace(arm.imu, mount_xyzw=quaternion))
-    reading = gyro_reading(arm, np.array([2.0, -1.0]), np.zeros((2, 3)))
+    reading = gyro_reading(arm, np.array([2.0, -1.0])[:, None] * arm.axis, np.zeros((2, 3)))
     np.testing.assert_allclose(reading @ arm.mount.T, [[0, 0, 2.0], [0, 0, -1.0]], atol=1e-15)
     x, y, z, w = quaternion
     # third row of the rotation matrix of (x, y, z, w)
