@@ -55,7 +55,9 @@ def joint_names(arm: Arm) -> tuple[str, ...]:
     if len(set(folded)) == len(folded) and _RESERVED.isdisjoint(folded):
         return tuple(names)
     # node numbers differ, and so do the names behind whose last underscore they stand
-    return tuple(f"{name[: _LONGEST - 3]}_{joint.node}" for name, joint in zip(names, arm.joints, strict=True))
+    return tuple(
+        f"{name[: _LONGEST - 3].rstrip('_')}_{joint.node}" for name, joint in zip(names, arm.joints, strict=True)
+    )
 
 
 def arm_database(arm: Arm) -> Database:
@@ -164,7 +166,7 @@ def _telemetry(shipped: Database, arm: Arm) -> Message:
             comment = f"{like.comment} Of {titles[name]}."
         else:
             like = known["a00"]
-            comment = f"{like.comment}" if unit == like.unit else "Base parameter of the potential energy."
+            comment = str(like.comment) if unit == like.unit else "Base parameter of the potential energy."
         signal = deepcopy(like)
         signal.name, signal.unit, signal.comment = ascii_name(name), unit, comment
         signal.multiplexer_ids = [index]
@@ -173,7 +175,9 @@ def _telemetry(shipped: Database, arm: Arm) -> Message:
     message.comment = (
         "One value of the estimate, named by Index: the parameters in the order of the estimator's output."
     )
-    choices = OrderedDict((index, NamedSignalValue(index, name)) for index, name in enumerate(arm.parameter_names))
+    choices: OrderedDict[int, str | NamedSignalValue] = OrderedDict()
+    for index, name in enumerate(arm.parameter_names):
+        choices[index] = NamedSignalValue(index, name)
     message.get_signal_by_name("Index").conversion.choices = choices
     return message
 
