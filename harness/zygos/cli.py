@@ -171,6 +171,50 @@ def listen(
 
 
 @app.command()
+def dbc(
+    arm: Annotated[Path, typer.Option("--arm", metavar="ARM.toml", help="The hardware.")],
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="ARM.dbc", help="The DBC to write.")],
+    json: Json = None,
+) -> None:
+    """Write the DBC of this arm, for any CAN tool: its frames, with the joints' and parameters' names.
+
+    A name becomes an identifier of at most 20 letters, digits and _. Where two joints would be called alike, all names
+    end in their node numbers.
+
+    Example: zygos dbc --arm examples/paper/arm.toml -o out/arm.dbc
+    """
+    from zygos.dbc import write_dbc  # noqa: PLC0415
+
+    write_dbc(arm, out, json)
+
+
+@app.command()
+def bus_load(
+    arm: Annotated[Path, typer.Option("--arm", metavar="ARM.toml", help="The hardware.")],
+    bitrate: Annotated[int, typer.Option(min=1000, max=1_000_000, help="Bits per second of the bus.")] = 1_000_000,
+    attitude_hz: Annotated[
+        float | None, typer.Option(min=0.0, max=1e6, help="Attitude frames per second. Default: 100 with a gyro.")
+    ] = None,
+    telemetry_hz: Annotated[float, typer.Option(min=0.0, max=1e6, help="Telemetry frames per second.")] = 100.0,
+    run: Annotated[
+        Path | None, typer.Option("--run", metavar="RUN", help="Also count the bits of a log, stuff bits and all.")
+    ] = None,
+    json: Json = None,
+) -> None:
+    """Say how much of the bus this arm's frames take, and how fast its SYNC may be.
+
+    The load is that of the longest frames bit stuffing can make, at the arm file's period_s. The largest SYNC rate is
+    the one that fills 70 % of the bus. Exit code 3 when the load, or that of RUN with whatever else is in it, is above
+    70 %.
+
+    Example: zygos bus-load --arm examples/paper/arm.toml --bitrate 500000
+    """
+    from zygos.busload import report_bus_load  # noqa: PLC0415
+
+    report_bus_load(arm, bitrate, attitude_hz, telemetry_hz, run, json)
+
+
+@app.command()
 def paper(
     seeds: Annotated[int, typer.Option(min=2, max=1000, help="Seeds 0 .. SEEDS-1.")] = 50,
     folder: Annotated[

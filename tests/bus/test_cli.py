@@ -289,7 +289,7 @@ def test_another_arm_beside_the_run_is_not_overwritten(tmp_path: Path, capsys: p
     assert not (tmp_path / "run.blf").exists()
 
 
-@pytest.mark.parametrize("command", ["simulate", "estimate", "check", "listen", "paper"])
+@pytest.mark.parametrize("command", ["simulate", "estimate", "check", "listen", "dbc", "bus-load", "paper"])
 def test_help_teaches(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(command, "--help") == 0
     assert f"zygos {command}" in capsys.readouterr().out
