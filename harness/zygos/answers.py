@@ -194,8 +194,8 @@ class Answers:
         """The content of arm.toml. Errors: ZygosError for values that it does not allow."""
         if lacking := self.missing():
             whose: dict[Question, list[str]] = {}
-            for joint, question in lacking:
-                whose.setdefault(question, []).append(joint)
+            for owner, question in lacking:
+                whose.setdefault(question, []).append(owner)
             listed = "\n".join(
                 f"  {question.key}: {question.what}, usually {question.usual}" + _whose(joints, self.joints)
                 for question, joints in whose.items()
