@@ -74,11 +74,21 @@ class Hinge:
 
 @dataclass(frozen=True)
 class Segment:
-    """A body of the chain: a link and all that rides on it, in the frame of the link's joint."""
+    """A body of the chain: a link, and the links that ride on it with their poses in its frame."""
 
     link: str
-    merged: tuple[str, ...]
-    """The links that ride on it."""
+    riders: tuple[tuple[str, Pose], ...]
+
+    @property
+    def merged(self) -> tuple[str, ...]:
+        """Names of the links that ride on it."""
+        return tuple(name for name, _ in self.riders)
+
+
+@dataclass(frozen=True)
+class Inertial:
+    """Mass and inertia of a body in the frame of its link, which is that of its joint."""
+
     mass: float
     """kg."""
     centre: Array
@@ -98,17 +108,20 @@ class Chain:
     """What the URDF says and zygos does not use."""
 
 
-def read_chain(path: str | Path, base: str | None = None, tip: str | None = None) -> Chain:
-    """Read the chain from link `base` (default: the root) to link `tip` (default: the end of the only chain).
+def read_chain(path: str | Path, base: str | None = None, tip: str | None = None) -> tuple[Chain, tuple[Inertial, ...]]:
+    """Read the chain from link `base` (default: the root) to link `tip` (default: the end of the only chain), and the
+    inertials (N+1) of its segments with all that rides on them.
 
     Errors: ZygosError for a file that is no URDF or no tree, a chain with joints that do not turn, links that cannot
     exist, and bodies without mass.
     """
-    return _Tree(Path(path)).chain(base, tip)
+    tree = _Tree(Path(path))
+    chain = tree.chain(base, tip)
+    return chain, tuple(tree.weigh(segment) for segment in chain.segments)
 
 
 def read_chain_of(path: str | Path, base: str, joints: Sequence[str]) -> Chain:
-    """Read the chain that begins at link `base` and has just these joints. Errors: as `read_chain`, and ZygosError if
+    """Read the chain that begins at link `base` and has just these joints; inertials do not matter. Errors: as `read_chain`, and ZygosError if
     there is no such chain."""
     tree = _Tree(Path(path))
     if joints[-1] not in tree.joints:
@@ -302,27 +315,21 @@ class _Tree:
         return tips[0] if tips else base
 
     def _segment(self, start: str, hinges: set[str], held: list[str]) -> Segment:
-        """The link and all that rides on it, in its frame; off the chain, moving joints are held at zero."""
-        parts: list[tuple[float, Array, Array]] = []
-        merged: list[str] = []
+        """The link and all that rides on it; off the chain, moving joints are held at zero."""
+        riders: list[tuple[str, Pose]] = []
         waiting: list[tuple[str, Pose, Any]] = [(start, _HERE, None)]
         while waiting:
             link, pose, through = waiting.pop(0)
             if link != start:
-                merged.append(link)
-            mass, centre, tensor = self._inertial(self.links[link])
-            attitude = pose.attitude
-            parts.append((mass, pose.origin + attitude @ centre, attitude @ tensor @ attitude.T))
+                riders.append((link, pose))
             for joint, other in self._neighbours[link]:
                 if joint is through or joint.name in hinges:
                     continue
                 if joint.type in _LOOSE:
-                    heavy = [
-                        name for name in sorted(self.beside(other, joint)) if self.links[name].inertial is not None
-                    ]
+                    heavy = [name for name in self.beside(other, joint) if self.links[name].inertial is not None]
                     if heavy:
                         raise self.error(
-                            f"joint {joint.name} is {joint.type}: nothing holds {', '.join(heavy)} to the arm",
+                            f"joint {joint.name} is {joint.type}: nothing holds {', '.join(sorted(heavy))} to the arm",
                             "leave those links out of the file, or join them otherwise",
                         )
                     continue
@@ -330,28 +337,31 @@ class _Tree:
                     held.append(joint.name)
                 origin = self._pose(f"joint {joint.name}", joint.origin)
                 waiting.append((other, pose @ (origin if other == joint.child else origin.inverse), joint))
+        return Segment(start, tuple(riders))
+
+    def weigh(self, segment: Segment) -> Inertial:
+        """The inertial of a segment with all that rides on it."""
+        parts: list[tuple[float, Array, Array]] = []
+        for link, pose in ((segment.link, _HERE), *segment.riders):
+            mass, centre, tensor = self._inertial(self.links[link])
+            attitude = pose.attitude
+            parts.append((mass, pose.origin + attitude @ centre, attitude @ tensor @ attitude.T))
         total = math.fsum(mass for mass, _, _ in parts)
         if total <= 0.0:
             raise self.error(
-                f"link {start} has no mass, and nothing with mass is fixed to it",
+                f"link {segment.link} has no mass, and nothing with mass is fixed to it",
                 "give it an <inertial>, or make a joint at one of its ends fixed",
             )
-        if len(parts) == 1:
-            centre, tensor = parts[0][1:]
-        else:
-            centre = np.sum([mass * place for mass, place, _ in parts], axis=0) / total
-            # parallel axes
-            tensor = np.sum(
-                [part + mass * _about(place - centre) for mass, place, part in parts],
-                axis=0,
-            )
+        centre = parts[0][1] if len(parts) == 1 else np.sum([mass * place for mass, place, _ in parts], axis=0) / total
+        # parallel axes
+        tensor = np.sum([part + mass * _about(place - centre) for mass, place, part in parts], axis=0)
         if not is_possible(tensor):
             raise self.error(
-                f"link {start} with what is fixed to it has the principal moments "
+                f"link {segment.link} with what is fixed to it has the principal moments "
                 f"{np.linalg.eigvalsh(tensor).tolist()} kg m^2, like no body",
                 "correct its <inertia>: all positive, none above the sum of the other two",
             )
-        return Segment(start, tuple(merged), total, centre, tensor)
+        return Inertial(total, centre, tensor)
 
     def _inertial(self, link: Any) -> tuple[float, Array, Array]:
         """Mass, centre and inertia about the centre in the link's frame; zeros without an <inertial>."""

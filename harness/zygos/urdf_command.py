@@ -19,7 +19,7 @@ from zygos.errors import ZygosError
 from zygos.model import Body, Model, Quantity, load_model, save_model
 from zygos.nearest import DETERMINED, ENTRIES, UNITS, Nearest, entries_of, nearest_bodies
 from zygos.output import check_outputs, counted, note, number, say, table, write_json, write_text
-from zygos.urdf import Chain, read_chain, read_chain_of, with_inertials
+from zygos.urdf import Chain, Inertial, read_chain, read_chain_of, with_inertials
 
 _SAME = 1e-9
 """Largest difference of lengths, relative to the longest, and of attitudes between a URDF and an arm."""
@@ -42,7 +42,7 @@ def import_urdf(
     for file in files:
         if file and file.exists():
             raise ZygosError(f"{file}: exists; remedy: remove it, or name another place")
-    chain = read_chain(urdf, base, tip)
+    chain, inertials = read_chain(urdf, base, tip)
     answers = Answers(answers_file, [hinge.name for hinge in chain.hinges])
     if template:
         write_text(template, answers.template(chain))
@@ -54,7 +54,7 @@ def import_urdf(
     if sys.stdin.isatty():
         answers.ask()
     arm = answers.arm(chain)
-    model = _model(chain, answers)
+    model = _model(chain, inertials, answers)
     assert folder is not None
     origin = f"From {urdf.name} by `zygos import`, and from answers to what a URDF does not say."
     try:
@@ -166,17 +166,17 @@ def _entries(found: Nearest, cad: Model) -> list[list[dict[str, Any]]]:
     ]
 
 
-def _model(chain: Chain, answers: Answers) -> Model:
+def _model(chain: Chain, inertials: Sequence[Inertial], answers: Answers) -> Model:
     bodies: list[Body] = []
-    for index, segment in enumerate(chain.segments):
+    for index, (segment, inertial) in enumerate(zip(chain.segments, inertials, strict=True)):
         ixx, ixy, ixz, iyy, iyz, izz = (
-            Quantity(float(entry), 0.0, "CAD", "kg m^2") for entry in segment.tensor[np.triu_indices(3)]
+            Quantity(float(entry), 0.0, "CAD", "kg m^2") for entry in inertial.tensor[np.triu_indices(3)]
         )
-        x, y, z = (float(value) for value in segment.centre)
+        x, y, z = (float(value) for value in inertial.centre)
         bodies.append(
             Body(
                 segment.link,
-                Quantity(segment.mass, 0.0, "CAD", "kg"),
+                Quantity(inertial.mass, 0.0, "CAD", "kg"),
                 (x, y, z),
                 (ixx, ixy, ixz, iyy, iyz, izz),
                 chain.hinges[index].xyz if index < len(chain.hinges) else None,
