@@ -31,6 +31,8 @@ _SINGULAR = 1e-8
 _STEP = 1e-3
 """Of numerical differentiation, in natural sizes."""
 _STEPS = 50
+_UNMOVED = 1e-12
+"""Units by which rounding alone moves an entry: it keeps the drawing's value."""
 _CLOSE = 1e-10
 """Largest difference of a base parameter, relative to its value and to what the drawing's units move it."""
 
@@ -110,6 +112,7 @@ def nearest_bodies(
             f"no bodies near model {drawing.name} have the base parameters of model {given.name}; remedy: see whether "
             "both are of the same arm with the same lengths"
         )
+    y[np.abs(y) < _UNMOVED] = 0.0
     _, singular, directions = np.linalg.svd(jacobian / weights[:, None])
     rank = int(np.sum(singular > _SINGULAR * singular[0]))
     free = np.linalg.norm(directions[rank:], axis=0)

@@ -121,8 +121,10 @@ def read_chain(path: str | Path, base: str | None = None, tip: str | None = None
 
 
 def read_chain_of(path: str | Path, base: str, joints: Sequence[str]) -> Chain:
-    """Read the chain that begins at link `base` and has just these joints; inertials do not matter. Errors: as `read_chain`, and ZygosError if
-    there is no such chain."""
+    """Read the chain that begins at link `base` and has just these joints; its inertials do not matter.
+
+    Errors: ZygosError as `read_chain`, and if there is no such chain.
+    """
     tree = _Tree(Path(path))
     if joints[-1] not in tree.joints:
         raise tree.error(f"has no joint {joints[-1]}", "give the URDF of this arm, and name the joints alike")

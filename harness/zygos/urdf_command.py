@@ -269,7 +269,7 @@ def _table_of_entries(found: Nearest, cad: Model) -> None:
             number(entry["cad"]),
             number(entry["value"]),
             f"{entry['moved']:+.2f}",
-            f"{100 * entry['known']:.0f} %",
+            f"{100 * entry['known']:.1f} %",
             "yes" if entry["determined"] else "no",
         )
         for body, entries in zip(found.model.bodies, _entries(found, cad), strict=True)
