@@ -262,8 +262,12 @@ class Arm:
 def load_arm(path: str | Path) -> Arm:
     """Read `arm.toml`. Errors: ZygosError naming file, key and remedy for anything unknown, missing, of the wrong
     type or out of range."""
-    top = Table.load(path)
-    joints = tuple(_joint(table) for table in top.tables("joint"))
+    return read_arm(Table.load(path))
+
+
+def read_arm(top: Table) -> Arm:
+    """The arm of a table with the keys of `arm.toml`. Errors: as `load_arm`."""
+    joints = tuple(read_joint(table) for table in top.tables("joint"))
     base = top.choice("base", _BASES)
     if base == "fixed" and top.has("imu"):
         raise top.error("imu", "a fixed base has no rate to measure", 'remove [imu], or write base = "free"')
@@ -292,7 +296,8 @@ def load_arm(path: str | Path) -> Arm:
     return arm
 
 
-def _joint(table: Table) -> Joint:
+def read_joint(table: Table) -> Joint:
+    """One [[joint]] of an arm file. Errors: as `load_arm`."""
     gear_ratio = table.number("gear_ratio", above=0.0)
     axis = np.array(table.vector("axis", 3))
     if abs(float(np.linalg.norm(axis)) - 1.0) > 1e-6:

@@ -170,6 +170,66 @@ def listen(
     listen_bus(arm, out, interface, channel, bitrate, log, duration, idle, json)
 
 
+@app.command("import")
+def import_(
+    urdf: Annotated[Path, typer.Argument(metavar="ARM.urdf", help="The arm as its drawing has it.")],
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", metavar="FOLDER", help="Where arm.toml and model.toml are written.")
+    ] = None,
+    base: Annotated[
+        str | None, typer.Option(metavar="LINK", help="The link the arm begins at. Default: the root.")
+    ] = None,
+    tip: Annotated[
+        str | None, typer.Option(metavar="LINK", help="A link at the arm's end. Default: the only end.")
+    ] = None,
+    answers: Annotated[
+        Path | None, typer.Option(metavar="ANSWERS.toml", help="What a URDF does not say: motors, sensors, bus.")
+    ] = None,
+    template: Annotated[
+        Path | None, typer.Option(metavar="ANSWERS.toml", help="Write only this file, to be filled in.")
+    ] = None,
+    json: Json = None,
+) -> None:
+    """Make arm.toml and model.toml from a URDF.
+
+    Links behind fixed joints, and branches off the chain, are merged into the link that carries them. Gears, rotors,
+    springs, encoders, gyro and bus are in no URDF: they come from --answers, or are asked for at a terminal.
+
+    Example: zygos import examples/urdf/arm.urdf --answers examples/urdf/answers.toml -o out/arm
+    """
+    from zygos.urdf_command import import_urdf  # noqa: PLC0415
+
+    import_urdf(urdf, out, base, tip, answers, template, json)
+
+
+@app.command()
+def export(
+    arm: Annotated[Path, typer.Option("--arm", metavar="ARM.toml", help="The hardware.")],
+    model: Annotated[Path, typer.Option("--model", metavar="MODEL.toml", help="Bodies, or base parameters.")],
+    urdf: Annotated[Path, typer.Option("--urdf", metavar="IN.urdf", help="The URDF whose inertials are replaced.")],
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="OUT.urdf", help="The URDF to write.")],
+    cad: Annotated[
+        Path | None,
+        typer.Option("--cad", metavar="CAD.toml", help="For base parameters: the drawing that decides the rest."),
+    ] = None,
+    base: Annotated[
+        str | None,
+        typer.Option(metavar="LINK", help="The link the arm begins at. Default: named like the model's first body."),
+    ] = None,
+    json: Json = None,
+) -> None:
+    """Write a URDF with the inertials of a model; all else of the URDF stays as it is.
+
+    Base parameters, as `zygos estimate` writes them, do not determine every inertial: of all bodies that have them, the
+    nearest to --cad are written, and a table says which entries are determined. Exit code 3 when those cannot exist.
+
+    Example: zygos export --arm arm.toml --model estimate.toml --cad model.toml --urdf arm.urdf -o new.urdf
+    """
+    from zygos.urdf_command import export_urdf  # noqa: PLC0415
+
+    export_urdf(arm, model, urdf, out, cad, base, json)
+
+
 @app.command()
 def dbc(
     arm: Annotated[Path, typer.Option("--arm", metavar="ARM.toml", help="The hardware.")],

@@ -265,7 +265,7 @@ def load_model(path: str | Path) -> Model:
         return Model(name, parameters=parameters, effects=effects)
     tables = top.tables("body")
     bodies = tuple(_body(table, source, last=index == len(tables) - 1) for index, table in enumerate(tables))
-    joints = tuple(_joint(table, source) for table in top.tables("joint"))
+    joints = tuple(read_joint(table, source) for table in top.tables("joint"))
     if len(bodies) != len(joints) + 1:
         raise top.error(
             "body",
@@ -396,6 +396,13 @@ def _tensor(entries: Any) -> NDArray[np.float64]:
     return np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]], dtype=np.float64)
 
 
+def is_possible(tensor: NDArray[np.float64]) -> bool:
+    """Whether a body can have this inertia (3, 3) about its mass centre: all principal moments positive, none above
+    the sum of the other two."""
+    principal = np.linalg.eigvalsh(tensor)
+    return bool(principal[0] > 0.0 and principal[2] <= (principal[0] + principal[1]) * (1 + 1e-9))
+
+
 def _body(table: Table, source: str, *, last: bool) -> Body:
     name = table.text("name")
     mass = _quantity(table, "mass", "kg", source, above=0.0)
@@ -408,17 +415,17 @@ def _body(table: Table, source: str, *, last: bool) -> Body:
     joint = None if last else _vector3(table, "joint_xyz")
     table.finish()
     body = Body(name, mass, origin, (ixx, ixy, ixz, iyy, iyz, izz), joint)
-    principal = np.linalg.eigvalsh(body.tensor)
-    if principal[0] <= 0.0 or principal[2] > (principal[0] + principal[1]) * (1 + 1e-9):
+    if not is_possible(body.tensor):
         raise table.error(
             "ixx",
-            f"no body has the principal moments {principal.tolist()} kg m^2",
+            f"no body has the principal moments {np.linalg.eigvalsh(body.tensor).tolist()} kg m^2",
             "correct the inertia: all positive, none above the sum of the other two",
         )
     return body
 
 
-def _joint(table: Table, source: str) -> JointModel:
+def read_joint(table: Table, source: str) -> JointModel:
+    """One [[joint]] of a model file; values without a source have `source`. Errors: as `load_model`."""
     joint = JointModel(
         table.text("name"),
         _quantity(table, "rotor_mass", "kg", source, default=0.0, low=0.0),
