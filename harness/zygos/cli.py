@@ -41,6 +41,9 @@ def simulate(
     ] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Seed of the sensor noise. Default: the scenario's.")] = None,
     noise: Annotated[bool | None, typer.Option("--noise/--no-noise", help="Default: the scenario's.")] = None,
+    engine: Annotated[
+        str, typer.Option(metavar="ENGINE", help="Whose equations of motion: zygos, pinocchio or mujoco.")
+    ] = "zygos",
     interface: Interface = None,
     channel: Channel = None,
     bitrate: Bitrate = None,
@@ -49,13 +52,14 @@ def simulate(
     """Simulate a run: plant, servo and sensors, recorded as the CAN traffic they would cause.
 
     Writes RUN, and a copy of the arm file beside it as arm.toml. The plant's true values are written nowhere.
-    With -i and -c the frames are also sent on that bus, at the pace of the SYNCs.
+    With -i and -c the frames are also sent on that bus, at the pace of the SYNCs. --engine moves the same bodies by
+    the equations of Pinocchio or MuJoCo, which know no effects.
 
     Example: zygos simulate examples/paper/scenario.toml -o out/run.blf
     """
     from zygos.commands import simulate_run  # noqa: PLC0415  (each command loads only what it needs)
 
-    simulate_run(scenario, out, model, seed, noise, interface, channel, bitrate, json)
+    simulate_run(scenario, out, model, seed, noise, engine, interface, channel, bitrate, json)
 
 
 @app.command()

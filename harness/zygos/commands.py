@@ -24,6 +24,7 @@ from zygos.effects import Effect
 from zygos.errors import Undecided, ZygosError
 from zygos.flight import Estimate, Flight, encode
 from zygos.model import Model, Quantity, load_model, save_model
+from zygos.motion import ENGINES
 from zygos.output import check_outputs, counted, errors, note, number, ratio, say, table, write_json
 from zygos.plant import simulate
 from zygos.scenario import load_scenario
@@ -74,6 +75,7 @@ def simulate_run(
     model_file: Path | None,
     seed: int | None,
     noise: bool | None,
+    engine: str,
     interface: str | None,
     channel: str | None,
     bitrate: int | None,
@@ -81,6 +83,9 @@ def simulate_run(
 ) -> None:
     """Simulate a scenario and record its traffic; see `zygos simulate --help`."""
     bus.check_log_name(out)
+    chosen = next((name for name in ENGINES if name == engine), None)
+    if chosen is None:
+        raise ZygosError(f"there is no engine {engine!r}; remedy: one of {', '.join(ENGINES)}")
     scenario = load_scenario(scenario_file)
     arm_file = scenario.arm
     arm = load_arm(arm_file)
@@ -99,7 +104,12 @@ def simulate_run(
         with progress() as bar:
             task = bar.add_task("simulating", total=1.0)
             trajectory = simulate(
-                arm, model, scenario, noise=noise, progress=lambda share: bar.update(task, completed=share)
+                arm,
+                model,
+                scenario,
+                engine=chosen,
+                noise=noise,
+                progress=lambda share: bar.update(task, completed=share),
             )
         cycles = trajectory.cycles(0)
         frames = encode(arm, cycles)
@@ -118,6 +128,7 @@ def simulate_run(
         "run": str(out),
         "arm": str(beside),
         "seed": scenario.seed,
+        "engine": chosen,
         "cycles": len(cycles),
         "frames": len(frames),
         "duration_s": len(cycles) * arm.period_s,

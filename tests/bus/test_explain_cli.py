@@ -162,6 +162,17 @@ def test_a_model_of_another_arm_is_refused(folder: Path, tmp_path: Path, capsys:
     assert "name the joints alike" in " ".join(capsys.readouterr().err.split())
 
 
+def test_an_arm_whose_balances_it_does_not_have(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arm = tmp_path / "arm.toml"
+    arm.write_text((EXAMPLE / "arm.toml").read_text().replace('"planar-symmetric"', '"planar"'))
+    out = tmp_path / "new.toml"
+    assert explain(folder, "p", out, "--arm", arm) == 2
+    assert "the balances of a gap are those of a free-floating, planar-symmetric arm" in capsys.readouterr().err
+    assert not out.exists()
+
+
 def test_the_shipped_logs_are_those_that_were_sealed() -> None:
     import hashlib
 

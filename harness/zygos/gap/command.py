@@ -62,6 +62,11 @@ def explain_run(
     check_model_name(out)
     check_outputs([out, report, json], [path for _, path in inputs.files])
     arm, model = load_arm(inputs.arm), load_model(simulation)
+    if arm.kinetic != "planar-symmetric" or not arm.free or not all(joint.flexible for joint in arm.joints):
+        raise ZygosError(
+            f"{inputs.arm}: the balances of a gap are those of a free-floating, planar-symmetric arm with flexible "
+            "joints; remedy: `zygos estimate` and `zygos check` take any arm"
+        )
     model.base_parameters(arm)
     with progress() as bar:
         task = bar.add_task("reading", total=1.0)
