@@ -16,7 +16,8 @@ app = typer.Typer(
     rich_markup_mode="rich",
     help="Learn the dynamics of a flexible-joint space arm from its CAN frames.\n\n"
     "Three kinds of file: [bold]arm.toml[/] says what the hardware is, [bold]model.toml[/] what someone believes of "
-    "its dynamics, [bold]scenario.toml[/] what is done with it. A run is a CAN log (.log .blf .asc).\n\n"
+    "its dynamics, [bold]scenario.toml[/] what is done with it. A run is a CAN log (.log .blf .asc), or, "
+    "for estimate and check, a table of cycles (.npz .csv .parquet).\n\n"
     "Exit codes: 0 answered, 2 bad input, 3 refused or undecided.",
 )
 

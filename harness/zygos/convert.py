@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import tomlkit
+from numpy.typing import NDArray
 
 from zygos import bus
 from zygos.arm import Arm, load_arm
@@ -80,8 +81,9 @@ def convert_run(
             text = _arm_text(chosen, described, f"{source.name} by {map_file.name}")
         _check_noise(described, mapping, added)
         rate, needed = needed_rate(found, arm, mapping)
-        _write(out, cycles, described, beside, text)
-        refused = _refused(described, cycles, out)
+        frames = None if is_table(out) else encode(described, _with_time(cycles))
+        _write(out, cycles, frames, arm.period_s, beside, text)
+        refused = _refused(described, cycles, frames)
     rows = _rows(recording, found, cycles, described, mapping, added)
     warnings = _warnings(arm, cycles, described, recording, found, out)
     content: dict[str, Any] = {
@@ -168,16 +170,17 @@ def _arm_text(file: Path, arm: Arm, whence: str) -> str:
     return head + tomlkit.dumps(document)
 
 
-def _write(out: Path, cycles: Cycles, arm: Arm, beside: Path, text: str) -> None:
+def _write(out: Path, cycles: Cycles, frames: NDArray[Any] | None, period_s: float, beside: Path, text: str) -> None:
+    """Write the run, as frames where there are any, and the arm file beside it."""
     if beside.exists() and beside.read_text(encoding="utf-8") != text:
         raise ZygosError(
             f"{beside} is not the arm file of this run, whose noise contains that of the interpolation; remedy: write "
             "the run into another folder, or remove that file"
         )
-    if is_table(out):
+    if frames is None:
         write_cycles(out, cycles)
     else:
-        bus.write_log(out, encode(arm, _with_time(cycles)), arm.period_s)
+        bus.write_log(out, frames, period_s)
     if not beside.exists():
         write_text(beside, text)
 
@@ -206,13 +209,13 @@ def _with_time(cycles: Cycles) -> Cycles:
     )
 
 
-def _refused(arm: Arm, cycles: Cycles, out: Path) -> float | None:
+def _refused(arm: Arm, cycles: Cycles, frames: NDArray[Any] | None) -> float | None:
     """Share of the run's instants that the flight library's bandwidth test refuses; None without an instant."""
     flight = Flight(arm)
-    if is_table(out):
+    if frames is None:
         flight.cycles(cycles)
     else:
-        flight.frames(encode(arm, _with_time(cycles)))
+        flight.frames(frames)
     accepted, refused = flight.counts["accepted"], flight.counts["refused"]
     return refused / (accepted + refused) if accepted + refused else None
 

@@ -556,11 +556,16 @@ def test_a_table_takes_no_dbc(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert "the input is a table, it has columns; remedy: name a column" in capsys.readouterr().err
 
 
-def test_the_worked_example_of_the_documentation(tmp_path: Path) -> None:
-    """The log of examples/telemetry, with the commands of docs/telemetry.md."""
+def test_the_worked_example_of_the_documentation(arm: Arm, model: Model, scenario: Scenario, tmp_path: Path) -> None:
+    """The log of examples/telemetry, which is seed 7 of examples/paper, with the commands of docs/telemetry.md."""
     options = ("--dbc", FOLDER / "arm.dbc", "--map", FOLDER / "map.toml")
     assert run("convert", FOLDER / "run.blf", *options, "-o", tmp_path / "run.blf") == 0
     assert run("estimate", tmp_path / "run.blf", "-o", tmp_path / "model.toml") == 0
+    assert run("convert", FOLDER / "run.blf", *options, "-o", tmp_path / "run.npz") == 0
+    told = simulate(arm, model, scenario, seeds=[7], noise=True, duration_s=10.0).cycles()
+    got = read_cycles(tmp_path / "run.npz", arm)
+    for name, step in foreign.STEPS.items():
+        assert np.max(np.abs(getattr(got, name)[:200] - getattr(told, name))) < 0.6 * step, name
     words = (ROOT / "docs" / "telemetry.md").read_text().replace("\\\n", " ").split()
     command = (
         "zygos convert examples/telemetry/run.blf --dbc examples/telemetry/arm.dbc --map examples/telemetry/map.toml"
