@@ -142,18 +142,26 @@ def read_log(path: Path, progress: Callable[[int], None] | None = None) -> NDArr
 
     Raises ZygosError when the file is missing, of no known kind, unreadable, or holds no frame.
     """
+    frames = from_messages(read_messages(path, progress))
+    if len(frames) == 0:
+        raise ZygosError(f"{path}: the log holds no frame; remedy: record with the bus running")
+    return frames
+
+
+def read_messages(path: Path, progress: Callable[[int], None] | None = None) -> Iterator[can.Message]:
+    """Messages of a log of anybody's, as python-can reads them; progress as in `read_log`.
+
+    Raises ZygosError when the file is missing, of no known kind, or unreadable.
+    """
     check_log(path)
     try:
         with can.LogReader(str(path)) as reader:
-            frames = from_messages(_counted(reader, progress))
+            yield from _counted(reader, progress)
     except Exception as error:  # each reader of python-can raises errors of its own
         raise ZygosError(
             f"{path}: not a readable {path.suffix} log ({type(error).__name__}: {error}); remedy: record it again, "
             "or convert it with python-can's `can_logconvert`"
         ) from error
-    if len(frames) == 0:
-        raise ZygosError(f"{path}: the log holds no frame; remedy: record with the bus running")
-    return frames
 
 
 def open_bus(interface: str | None, channel: str | None, bitrate: int | None = None) -> can.BusABC:

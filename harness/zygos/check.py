@@ -150,3 +150,11 @@ def check_frames(arm: Arm, frames: NDArray[Any], flight: Flight | None = None) -
     off = sum(abs(count - reception.faults[name]) for name, count in c_faults.items())
     rooms.append(Room("fault counters", len(c_faults), float(off), None, 0.0))
     return rooms + check_chain(arm, trace, flight)
+
+
+def check_cycles(arm: Arm, cycles: Cycles, flight: Flight | None = None) -> list[Room]:
+    """Compare the rooms behind the receiver on cycles that came through the other door of a fresh `flight`."""
+    flight = flight or Flight(arm)
+    trace = flight.cycles(cycles, trace=True)
+    assert trace is not None
+    return check_chain(arm, trace, flight)

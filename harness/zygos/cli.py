@@ -16,7 +16,8 @@ app = typer.Typer(
     rich_markup_mode="rich",
     help="Learn the dynamics of a flexible-joint space arm from its CAN frames.\n\n"
     "Three kinds of file: [bold]arm.toml[/] says what the hardware is, [bold]model.toml[/] what someone believes of "
-    "its dynamics, [bold]scenario.toml[/] what is done with it. A run is a CAN log (.log .blf .asc).\n\n"
+    "its dynamics, [bold]scenario.toml[/] what is done with it. A run is a CAN log (.log .blf .asc), or, "
+    "for estimate and check, a table of cycles (.npz .csv .parquet).\n\n"
     "Exit codes: 0 answered, 2 bad input, 3 refused or undecided.",
 )
 
@@ -26,7 +27,10 @@ Json = Annotated[
 ArmFile = Annotated[
     Path | None, typer.Option("--arm", metavar="ARM.toml", help="The hardware. Default: arm.toml beside the run.")
 ]
-Run = Annotated[Path, typer.Argument(metavar="RUN", help="A CAN log: .log, .blf or .asc.")]
+Run = Annotated[
+    Path,
+    typer.Argument(metavar="RUN", help="A CAN log (.log .blf .asc), or a table of cycles (.npz .csv .parquet)."),
+]
 Interface = Annotated[str | None, typer.Option("-i", "--interface", help="python-can's interface, e.g. socketcan.")]
 Channel = Annotated[str | None, typer.Option("-c", "--channel", help="python-can's channel, e.g. vcan0.")]
 Bitrate = Annotated[int | None, typer.Option("-b", "--bitrate", help="Bit rate, where the interface wants one.")]
@@ -110,6 +114,41 @@ def check(
     from zygos.commands import check_run  # noqa: PLC0415
 
     check_run(run, arm, model, json)
+
+
+@app.command()
+def convert(
+    source: Annotated[
+        Path, typer.Argument(metavar="LOG", help="A CAN log (.log .blf .asc), or a table (.csv .parquet .npz).")
+    ],
+    map_file: Annotated[
+        Path, typer.Option("--map", metavar="MAP.toml", help="Which signal is what of the arm, and in which unit.")
+    ],
+    out: Annotated[
+        Path, typer.Option("-o", "--out", metavar="RUN", help="A CAN log of zygos' own, or a table of cycles.")
+    ],
+    dbc: Annotated[
+        list[Path] | None, typer.Option("--dbc", metavar="MY.dbc", help="Of a CAN log; may be given several times.")
+    ] = None,
+    arm: Annotated[
+        Path | None, typer.Option("--arm", metavar="ARM.toml", help="The hardware. Default: arm.toml beside the map.")
+    ] = None,
+    json: Json = None,
+) -> None:
+    """Make a run of somebody else's telemetry.
+
+    Decodes LOG with its own DBC, turns signals into SI by scale, sign and unit, and writes RUN with arm.toml beside it.
+    A cycle counter in the telemetry gives one record a cycle. Without one, signals are interpolated on the grid of the
+    arm's period, and what that errs is added to the noise that the arm.toml beside RUN declares. The table shows the
+    range of every signal: look whether it can be.
+
+    Exit code 3 when the motion is faster than the recording; RUN is written all the same.
+
+    Example: zygos convert MY.blf --dbc MY.dbc --map map.toml -o out/run.blf
+    """
+    from zygos.convert import convert_run  # noqa: PLC0415
+
+    convert_run(source, dbc or [], map_file, arm, out, json)
 
 
 @app.command()

@@ -19,7 +19,9 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from zygos import bus
 from zygos.arm import Arm, load_arm
-from zygos.check import check_frames
+from zygos.check import check_cycles, check_frames
+from zygos.columns import check_table, is_table
+from zygos.cycletable import read_cycles
 from zygos.effects import Effect
 from zygos.errors import Undecided, ZygosError
 from zygos.flight import Estimate, Flight, encode
@@ -49,7 +51,10 @@ def progress() -> Progress:
 
 def find_arm(run: Path, arm: Path | None) -> Path:
     """The arm file of a run: the one given, or arm.toml beside the run. The run must exist."""
-    bus.check_log(run)
+    if is_table(run):
+        check_table(run)
+    else:
+        bus.check_log(run)
     chosen = arm or run.parent / "arm.toml"
     if not chosen.is_file():
         raise ZygosError(f"{chosen}: no such arm file; remedy: give it with --arm, or put arm.toml beside the run")
@@ -67,6 +72,11 @@ def read_run(run: Path) -> NDArray[Any]:
     with progress() as bar:
         task = bar.add_task(f"reading {run.name}", total=None)
         return bus.read_log(run, lambda count: bar.update(task, description=f"reading {run.name}: {count:,} frames"))
+
+
+def door(run: Path) -> str:
+    """The door of the flight library that a run goes through: frames, or cycles of which nobody saw the frames."""
+    return "cycle" if is_table(run) else "frames"
 
 
 def simulate_run(
@@ -223,6 +233,7 @@ def finish_estimate(
             f"arm {flight.arm.name} · {counted(flight.counts['cycles'], 'cycle')} · {losses(flight)} · "
             f"{counted(result.accepted, 'instant')} accepted, {result.refused:,} refused · "
             f"{counted(result.arcs, 'arc')}, {flight.counts['arcs_dropped']:,} dropped · {result.validity}"
+            + (" · door: cycle" if heading["door"] == "cycle" else "")
         )
         seen = [f"{name} {count:,}" for name, count in flight.faults.items() if count]
         if seen:
@@ -244,6 +255,8 @@ def _remedy(result: Estimate, flight: Flight) -> str:
     largest = sorted(((count, name) for name, count in faults.items() if count and name != "dropped"), reverse=True)
     seen = ", ".join(f"{name} {count:,}" for count, name in largest[:3])
     if cycles == 0:
+        if flight.counts["invalid"]:
+            seen = f"{counted(flight.counts['invalid'], 'cycle')} invalid, not finite or beyond all reason"
         came = f"the fault counters say {seen}" if seen else "no frame of this arm came"
         return f"no cycle was complete and {came}: compare the node numbers and the gyro of the arm file with the bus"
     found = []
@@ -277,8 +290,11 @@ def estimate_run(run: Path, arm_file: Path | None, out: Path, model_file: Path |
     if prior is not None:
         prior.base_parameters(arm)
     flight = Flight(arm, prior.effects if prior else ())
-    flight.frames(read_run(run))
-    finish_estimate(flight.estimate(), flight, out, prior, json, {"run": str(run)})
+    if is_table(run):
+        flight.cycles(read_cycles(run, arm))
+    else:
+        flight.frames(read_run(run))
+    finish_estimate(flight.estimate(), flight, out, prior, json, {"run": str(run), "door": door(run)})
 
 
 def check_run(run: Path, arm_file: Path | None, model_file: Path | None, json: str | None) -> None:
@@ -287,9 +303,13 @@ def check_run(run: Path, arm_file: Path | None, model_file: Path | None, json: s
     check_outputs([json], [run, chosen, run.parent / "arm.toml", model_file])
     arm = load_arm(chosen)
     flight = Flight(arm, load_model(model_file).effects if model_file else ())
-    rooms = check_frames(arm, read_run(run), flight)
+    if is_table(run):
+        rooms = check_cycles(arm, read_cycles(run, arm), flight)
+    else:
+        rooms = check_frames(arm, read_run(run), flight)
     if json:
-        write_json(json, {"run": str(run), "arm": arm.name, "rooms": [room.as_json() for room in rooms]})
+        content = {"run": str(run), "door": door(run), "arm": arm.name, "rooms": [room.as_json() for room in rooms]}
+        write_json(json, content)
     if json != "-":
         table(
             ("room", "compared", "largest difference", "at cycle", "tolerance", ""),
@@ -305,6 +325,8 @@ def check_run(run: Path, arm_file: Path | None, model_file: Path | None, json: s
                 for room in rooms
             ],
         )
+        if is_table(run):
+            say("door: cycle")
     failed = [room.name for room in rooms if not room.equal]
     if failed:
         raise Undecided(f"C and numpy differ in: {', '.join(failed)}; remedy: report the run, it is worth a look")
@@ -410,6 +432,6 @@ def listen_bus(
             recording.finish()
         except ZygosError as error:
             fail(error)
-    finish_estimate(flight.estimate(), flight, out, None, json, {"bus": where})
+    finish_estimate(flight.estimate(), flight, out, None, json, {"bus": where, "door": "frames"})
     if failures:
         sys.exit(failures[0].exit_code)

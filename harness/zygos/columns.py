@@ -1,0 +1,110 @@
+"""Tables of numbers: CSV and Parquet through polars, NPZ through numpy. A column is a name and n values."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zygos.errors import ZygosError
+from zygos.output import cannot_be_written
+
+TABLE_SUFFIXES = (".csv", ".parquet", ".npz")
+
+Columns = dict[str, NDArray[Any]]
+
+
+def is_table(path: Path) -> bool:
+    """Whether the suffix is that of a table."""
+    return path.suffix.lower() in TABLE_SUFFIXES
+
+
+def check_table(path: Path) -> None:
+    """Refuse a table that is missing."""
+    if not path.is_file():
+        raise ZygosError(f"{path}: no such file; remedy: give a table ({' '.join(TABLE_SUFFIXES)}) that exists")
+
+
+def read_columns(path: Path) -> Columns:
+    """Read a table whose columns have equal length; a value that is absent is NaN.
+
+    A column of text stays text. Of an NPZ with a member of two axes, column k is ``name[k]``. Raises ZygosError when
+    the file is missing, unreadable, or holds no row.
+    """
+    check_table(path)
+    try:
+        columns = _read_npz(path) if path.suffix.lower() == ".npz" else _read_polars(path)
+    except ZygosError:
+        raise
+    except Exception as error:  # polars and numpy raise errors of their own for each kind of damage
+        first = (str(error).strip().splitlines() or [""])[0]
+        raise ZygosError(
+            f"{path}: not a readable {path.suffix} table ({type(error).__name__}: {first}); remedy: write it again "
+            "with one row of column names (CSV), or without objects (NPZ)"
+        ) from error
+    lengths = {len(values) for values in columns.values()}
+    if len(lengths) > 1:
+        raise ZygosError(f"{path}: columns of {sorted(lengths)} rows; remedy: give every column the same rows")
+    if not columns or lengths == {0}:
+        raise ZygosError(f"{path}: the table holds no row; remedy: export it again")
+    return columns
+
+
+def write_columns(path: Path, columns: Mapping[str, NDArray[Any]]) -> None:
+    """Write a table in the format of the suffix: whole, or not at all. Errors: ZygosError if it cannot be written."""
+    partial = path.with_name(f".{os.getpid()}.partial{path.suffix}")
+    kind = path.suffix.lower()
+    frame = None if kind == ".npz" else _polars(path).DataFrame(dict(columns))
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            if frame is None:
+                with partial.open("wb") as stream:
+                    np.savez_compressed(stream, **dict[str, Any](columns))
+            elif kind == ".csv":
+                frame.write_csv(partial)
+            else:
+                frame.write_parquet(partial)
+            partial.replace(path)
+        finally:
+            partial.unlink(missing_ok=True)
+    except OSError as error:
+        raise cannot_be_written(path, error) from error
+
+
+def _polars(path: Path) -> Any:
+    try:
+        import polars  # noqa: PLC0415  (an extra: only CSV and Parquet need it)
+    except ImportError:
+        raise ZygosError(
+            f"{path}: {path.suffix} tables need polars, which is not installed; remedy: pip install 'zygos[tables]', "
+            "or use NPZ"
+        ) from None
+    return polars
+
+
+def _read_polars(path: Path) -> Columns:
+    polars = _polars(path)
+    if path.suffix.lower() == ".csv":
+        frame = polars.read_csv(path, infer_schema_length=None)
+    else:
+        frame = polars.read_parquet(path)
+    return {series.name.strip(): series.to_numpy() for series in frame.iter_columns()}
+
+
+def _read_npz(path: Path) -> Columns:
+    columns: Columns = {}
+    with np.load(path, allow_pickle=False) as archive:
+        for name in archive.files:
+            values = archive[name]
+            if values.ndim == 2:
+                columns |= {f"{name}[{k}]": values[:, k] for k in range(values.shape[1])}
+            elif values.ndim == 1:
+                columns[name] = values
+            else:
+                raise ValueError(f"{name} has {values.ndim} axes, not 1 or 2")
+    return columns

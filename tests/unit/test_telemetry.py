@@ -1,0 +1,519 @@
+"""Maps, grids and what they err, against motions whose values are known at every instant."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from conftest import EXAMPLE
+from telemetry_support import edited
+from zygos.arm import Arm, load_arm
+from zygos.columns import read_columns, write_columns
+from zygos.cycles import BREAK_BEFORE, Cycles
+from zygos.cycletable import read_cycles, write_cycles
+from zygos.errors import ZygosError
+from zygos.flight import Flight
+from zygos.grid import (
+    Track,
+    held_mean,
+    interpolate,
+    interpolation_sigma,
+    needed_rate,
+    regrid,
+    synchronous,
+    tracks,
+    tracks_of,
+    unwrap,
+)
+from zygos.model import Model
+from zygos.plant import simulate
+from zygos.scenario import Scenario, load_scenario
+from zygos.telemetry import Channel, Map, load_map, read_table
+
+Floats = NDArray[np.float64]
+JOINT = """
+[[joint]]
+name = "{name}"
+motor = {{ column = "m{i}", unit = "rad", side = "output" }}
+link = {{ column = "l{i}", unit = "rad" }}
+torque = {{ column = "t{i}", unit = "Nm" }}
+"""
+GYRO = "[gyro]\n" + "".join(f'{axis} = {{ column = "w{axis}", unit = "rad/s" }}\n' for axis in "xyz")
+GRID = '[time]\nsource = "column"\ncolumn = "t"\nunit = "s"\ninterpolation = "cubic"\n'
+SYNC = '[time]\nsource = "sync"\ncolumn = "n"\n'
+JOINTS = JOINT.format(name="shoulder", i=1) + JOINT.format(name="elbow", i=2)
+
+
+def mapping(tmp_path: Path, arm: Arm, text: str = GRID + JOINTS + GYRO) -> Map:
+    file = tmp_path / "map.toml"
+    file.write_text(text)
+    return load_map(file, arm, tabular=True)
+
+
+def row(cycles: Cycles) -> dict[str, NDArray[np.float64]]:
+    """Columns of a foreign table."""
+    columns = {"n": cycles.sync.astype(float), "t": 0.05 * cycles.sync}
+    for i in (0, 1):
+        columns |= {f"m{i + 1}": cycles.theta[:, i], f"l{i + 1}": cycles.q[:, i], f"t{i + 1}": cycles.tau[:, i]}
+    return columns | {f"w{axis}": cycles.omega[:, k] for k, axis in enumerate("xyz")}
+
+
+def some_cycles(n: int, seed: int = 0) -> Cycles:
+    rng = np.random.default_rng(seed)
+    return Cycles(
+        sync=np.arange(n, dtype=np.uint64),
+        q=rng.normal(size=(n, 2)),
+        theta=rng.normal(size=(n, 2)),
+        tau=rng.normal(size=(n, 2)),
+        omega=rng.normal(size=(n, 3)),
+        flags=np.zeros(n, dtype=np.uint32),
+    )
+
+
+# -- units ----------------------------------------------------------------------------------------------------------
+
+UNIT_CASES = [  # entry, value of the source, SI by a pocket calculator; the gear is 50
+    ('motor = { column = "m1", unit = "rad", side = "output" }', 1.5, 1.5),
+    ('motor = { column = "m1", unit = "mrad", side = "output" }', 1500.0, 1.5),
+    ('motor = { column = "m1", unit = "rad", side = "rotor" }', 75.0, 1.5),
+    ('motor = { column = "m1", unit = "deg", side = "output" }', 90.0, 1.5707963267948966),
+    ('motor = { column = "m1", unit = "turn", side = "rotor", sign = -1 }', -25.0, 3.141592653589793),
+    ('motor = { column = "m1", unit = "counts", counts_per_turn = 1000, side = "output" }', 250, 1.5707963267948966),
+    ('motor = { column = "m1", unit = "rad", side = "output", scale = 2.0, offset = 0.5, sign = -1 }', 1.0, -2.5),
+    ('torque = { column = "m1", unit = "Nm" }', 3.0, 3.0),
+    ('torque = { column = "m1", unit = "mNm", at = "rotor" }', 3000.0, 3.0),
+    ('torque = { column = "m1", unit = "kNm", at = "output" }', 0.15, 3.0),
+    ('torque = { column = "m1", unit = "A", torque_constant = 0.25 }', 12.0, 3.0),
+    ('torque = { column = "m1", unit = "mA", torque_constant = 0.25, at = "output" }', 600e3, 3.0),
+    ('x = { column = "m1", unit = "rpm" }', 30.0, 3.141592653589793),
+    ('x = { column = "m1", unit = "deg/s" }', 180.0, 3.141592653589793),
+    ('x = { column = "m1", unit = "mdeg/s" }', 180e3, 3.141592653589793),
+    ('x = { column = "m1", unit = "mrad/s" }', 2.0, 0.002),
+    ('x = { column = "m1", unit = "turn/s" }', 0.5, 3.141592653589793),
+]
+
+
+@pytest.mark.parametrize(("entry", "value", "si"), UNIT_CASES)
+def test_units_sides_and_signs(arm: Arm, tmp_path: Path, entry: str, value: float, si: float) -> None:
+    key = entry.split(maxsplit=1)[0]
+    lines = [entry if line.startswith(f"{key} = ") else line for line in (GRID + JOINTS + GYRO).splitlines()]
+    first = lines.index(entry)
+    label = {"motor": "shoulder.motor", "torque": "shoulder.torque", "x": "gyro.x"}[key]
+    if key != "x":  # the elbow's stays as it was
+        second = next(k for k in range(first + 1, len(lines)) if lines[k] == entry)
+        lines[second] = JOINT.format(name="elbow", i=2).splitlines()[3 if key == "motor" else 5]
+    found = {channel.label: channel for channel in mapping(tmp_path, arm, "\n".join(lines)).channels}[label]
+    assert found.gain * value + found.offset == pytest.approx(si, rel=1e-14)
+
+
+def test_the_cycles_have_every_channel_in_its_place(arm: Arm, tmp_path: Path) -> None:
+    """A counter, SI units and no sign: the same bits, in whatever order the map lists the joints."""
+    text = SYNC + JOINT.format(name="elbow", i=2) + JOINT.format(name="shoulder", i=1) + GYRO
+    sent = some_cycles(30)
+    write_columns(tmp_path / "x.npz", row(sent))
+    chosen = mapping(tmp_path, arm, text)
+    got = synchronous(read_table(tmp_path / "x.npz", chosen), chosen, arm).cycles
+    for name in Cycles.__dataclass_fields__:
+        assert np.array_equal(getattr(got, name), getattr(sent, name)), name
+
+
+REFUSED_MAPS = [
+    ('unit = "Nm"', 'unit = "Nn"', r'torque.unit: "Nn" is no unit of torque; remedy: write one of "Nm", "mNm", "kNm"'),
+    ('unit = "rad", side', 'unit = "Nm", side', r'motor.unit: "Nm" is no unit of angle'),
+    ('unit = "rad/s"', 'unit = "rad"', r'gyro.x.unit: "rad" is no unit of rate; remedy: .*"deg/s".*"rpm"'),
+    ('unit = "rad", side', 'unit = "counts", side', r"motor.counts_per_turn: is missing"),
+    ('unit = "Nm"', 'unit = "A"', r"torque.torque_constant: is missing"),
+    (', side = "output"', "", r"motor.side: is missing"),
+    (
+        'name = "elbow"',
+        'name = "elbo"',
+        r'joint\[1\].name: "elbo" is no joint of arm paper; remedy: did you mean "elbow"',
+    ),
+    ('name = "elbow"', 'name = "shoulder"', r'"shoulder" stands twice'),
+    (JOINT.format(name="elbow", i=2), "", r"joint: no entry for elbow of arm paper"),
+    (GYRO, "", r"gyro: is missing"),
+    ('z = { column = "wz", unit = "rad/s" }', "", r"gyro.z: is missing"),
+    ('column = "m1"', 'signal = "Drive.Motor"', r"motor.signal: the input is a table"),
+    ('interpolation = "cubic"\n', "", r"time.interpolation: is missing"),
+    ('"column"', '"receive"', r"time.source: 'receive' is not known; remedy: write \"sync\" or \"column\""),
+    ('unit = "s"', 'unit = "min"', r'time.unit: "min" is no unit of time'),
+    (GRID, SYNC + "period_s = 0.03\n", r"time.period_s: a count lasts 0.03 s, a period of arm paper 0.05 s"),
+    ('column = "l1"', 'colum = "l1"', r"link.column: is missing"),
+    ('unit = "rad/s"', 'unit = "rad/s", sing = -1', r'gyro.x.sing: unknown key; remedy: did you mean "sign"'),
+    ('unit = "rad/s"', 'unit = "rad/s", scale = 0', r"gyro.x.scale: is 0"),
+    ('unit = "rad/s"', 'unit = "rad/s", sign = 0', r"gyro.x.sign: is 0"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "message"), REFUSED_MAPS)
+def test_maps_that_are_refused(arm: Arm, tmp_path: Path, old: str, new: str, message: str) -> None:
+    whole = GRID + JOINTS + GYRO
+    assert old in whole
+    with pytest.raises(ZygosError, match=message):
+        mapping(tmp_path, arm, whole.replace(old, new, 1))
+
+
+def test_a_fixed_base_has_no_gyro_and_a_rigid_joint_no_link(arm: Arm, tmp_path: Path) -> None:
+    rigid = replace(arm.joints[0], flexible=False)
+    ground = replace(arm, base="fixed", joints=(rigid, arm.joints[1]))
+    with pytest.raises(ZygosError, match=r"joint\[0\].link: a rigid joint has one angle"):
+        mapping(tmp_path, ground)
+    text = SYNC + JOINTS.replace('link = { column = "l1", unit = "rad" }\n', "")
+    with pytest.raises(ZygosError, match="gyro: the base of arm paper is fixed"):
+        mapping(tmp_path, ground, text + GYRO)
+    sent = some_cycles(12)
+    write_columns(tmp_path / "x.npz", row(sent))
+    chosen = mapping(tmp_path, ground, text)
+    got = synchronous(read_table(tmp_path / "x.npz", chosen), chosen, ground).cycles
+    assert np.array_equal(got.q, np.column_stack([sent.theta[:, 0], sent.q[:, 1]]))
+    assert not got.omega.any()
+
+
+# -- the counter ----------------------------------------------------------------------------------------------------
+
+
+def counted(arm: Arm, tmp_path: Path, columns: dict[str, Floats], time: str = SYNC) -> tuple[Cycles, int, int]:
+    chosen = mapping(tmp_path, arm, time + JOINTS + GYRO)
+    write_columns(tmp_path / "x.npz", columns)
+    run = synchronous(read_table(tmp_path / "x.npz", chosen), chosen, arm)
+    return run.cycles, run.incomplete, run.repeated
+
+
+def test_missing_and_repeated_cycles_are_left_out_and_break_the_run(arm: Arm, tmp_path: Path) -> None:
+    columns = row(some_cycles(20))
+    columns["l2"] = columns["l2"].copy()
+    columns["l2"][5] = np.nan
+    columns["n"] = columns["n"].copy()
+    columns["n"][12] = 11
+    got, incomplete, repeated = counted(arm, tmp_path, columns)
+    assert (incomplete, repeated) == (1, 2)
+    assert got.sync.tolist() == [*range(5), *range(6, 11), *range(13, 20)]
+    assert np.flatnonzero(got.flags == BREAK_BEFORE).tolist() == [5, 10]
+
+
+def test_a_counter_that_wraps_and_counts_milliseconds(arm: Arm, tmp_path: Path) -> None:
+    columns = row(some_cycles(40))
+    columns["n"] = (50 * np.arange(40) + 700) % 1000.0
+    got, _, _ = counted(arm, tmp_path, columns, SYNC + "modulo = 1000\nperiod_s = 0.001\n")
+    assert got.sync.tolist() == list(range(40))
+    columns["n"][7] += 3
+    with pytest.raises(ZygosError, match=r"time: counter n steps by 53 at value 8, a cycle has 50 counts"):
+        counted(arm, tmp_path, columns, SYNC + "modulo = 1000\nperiod_s = 0.001\n")
+    with pytest.raises(ZygosError, match="counter n falls after value 6"):
+        counted(arm, tmp_path, columns, SYNC)
+
+
+def test_whole_turns_of_a_counter_are_seen_in_the_stamps() -> None:
+    """An outage of exactly 240 counts, and stamps that lie by a count."""
+    values = np.array([238.0, 239.0, 0.0, 1.0, 2.0])
+    stamps = np.array([0.0, 1.8, 2.1, 243.2, 243.9])
+    assert unwrap(values, 240.0, stamps).tolist() == [0, 1, 2, 243, 244]
+    assert unwrap(values, 240.0, np.full(5, np.nan)).tolist() == [0, 1, 2, 3, 4]
+
+
+def test_a_counter_whose_every_cycle_lacks_something(arm: Arm, tmp_path: Path) -> None:
+    columns = row(some_cycles(20)) | {"wz": np.full(20, np.nan)}
+    with pytest.raises(ZygosError, match=r"no cycle of n has each signal once; .*not finite"):
+        counted(arm, tmp_path, columns)
+
+
+def test_columns_that_are_refused(arm: Arm, tmp_path: Path) -> None:
+    columns = row(some_cycles(20))
+    renamed = {("link1" if name == "l1" else name): values for name, values in columns.items()}
+    with pytest.raises(ZygosError, match=r'link: x.npz has no column "l1"; remedy: did you mean "(link1|l2)"'):
+        counted(arm, tmp_path, renamed)
+    with pytest.raises(ZygosError, match="holds something else than numbers"):
+        counted(arm, tmp_path, columns | {"wz": np.full(20, "north")})
+    with pytest.raises(ZygosError, match="row 4; remedy: remove rows without time"):
+        counted(arm, tmp_path, columns | {"n": np.where(np.arange(20) == 3, np.nan, columns["n"])})
+
+
+# -- the grid -------------------------------------------------------------------------------------------------------
+
+CHANNEL = Channel("shoulder.link", "q", 0, "angle", "l1", "rad", 1.0, 0.0, True, "map.toml: joint[0].link")
+
+
+def angle(t: Floats) -> Floats:
+    """A motion that is known at every instant, up to 1.3 Hz."""
+    return 0.8 * np.sin(1.7 * t) + 0.4 * np.cos(4.1 * t + 0.3) + 0.05 * np.sin(8.2 * t)
+
+
+def stamps_of(kind: str, h: float, seed: int) -> tuple[Floats, Floats]:
+    """When samples were taken, and when their stamps say so: at a rate of 1/h for a minute."""
+    even = h * np.arange(round(60.0 / h))
+    off = h * np.random.default_rng(seed).uniform(-0.2, 0.2, len(even))
+    return {"even": (even, even), "uneven": (even + off, even + off), "lying": (even, even + off)}[kind]
+
+
+@pytest.mark.parametrize("kind", ["even", "uneven", "lying"])
+@pytest.mark.parametrize("how", ["linear", "cubic"])
+def test_what_the_grid_errs_is_what_it_says(kind: str, how: str) -> None:
+    """At twice the rate of the grid, stamps 20 % off: the added sigma is neither exceeded nor much too large."""
+    sigma = 3e-4
+    shares = []
+    for seed in range(10):
+        taken, stamped = stamps_of(kind, 0.025, seed)
+        x = angle(taken) + sigma * np.random.default_rng(100 + seed).standard_normal(len(taken))
+        track = Track(CHANNEL, stamped, x)
+        at = 0.05 * np.arange(5, 1190) + 0.011
+        error = interpolate(track, at, how) - angle(at)
+        assert np.all(np.isfinite(error))
+        stated = math.hypot(sigma, interpolation_sigma(track, how, sigma))
+        shares.append(float(np.sqrt(np.mean(error**2))) / stated)
+        assert np.max(np.abs(error)) < 6.0 * stated
+    print(kind, how, stated, np.mean(shares))
+    assert max(shares) < 1.1
+    assert min(shares) > 0.4
+
+
+def test_a_clean_fast_recording_adds_next_to_nothing() -> None:
+    taken, stamped = stamps_of("even", 0.01, 0)
+    track = Track(CHANNEL, stamped, angle(taken) + 1e-3 * np.random.default_rng(0).standard_normal(len(taken)))
+    assert interpolation_sigma(track, "cubic", 1e-3) < 2e-4
+    assert interpolation_sigma(track, "cubic", 1e-4) > 5e-4  # the samples err by more than the arm file says
+
+
+def test_the_mean_of_a_held_torque_is_its_impulse() -> None:
+    """Against a sum over 0.1 ms."""
+    rng = np.random.default_rng(1)
+    t = np.cumsum(rng.uniform(0.02, 0.03, 200))
+    x = rng.normal(size=200)
+    track = Track(replace(CHANNEL, field="tau", quantity="torque"), t, x)
+    begin = t[0] + 0.05 * np.arange(80)
+    fine = begin[:, None] + 1e-4 * (np.arange(500) + 0.5)
+    expected = x[np.searchsorted(t, fine, side="right") - 1].mean(axis=1)
+    assert np.max(np.abs(held_mean(track, begin, 0.05) - expected)) < 0.02
+    assert math.isnan(held_mean(track, np.array([t[0] - 0.01]), 0.05)[0])
+    assert math.isnan(held_mean(track, np.array([t[-1]]), 0.05)[0])
+
+
+@pytest.mark.parametrize("law", ["applied_from_sync", "applied_previous_cycle", "sampled"])
+def test_the_torque_record_follows_the_torque_law(arm: Arm, tmp_path: Path, law: str) -> None:
+    """A ramp in steps of 25 ms, on a grid of 50 ms that begins with it."""
+    sent = some_cycles(200)
+    sent = replace(sent, tau=np.column_stack([np.arange(200.0), np.arange(200.0)]))
+    text = GRID.replace('"s"', '"ms"') + JOINTS + GYRO
+    columns = row(sent) | {"t": 25.0 * np.arange(200)}
+    write_columns(tmp_path / "x.npz", columns)
+    other = replace(arm, torque_law=law)
+    chosen = mapping(tmp_path, other, text)
+    got = regrid(tracks(read_table(tmp_path / "x.npz", chosen), chosen), other, chosen)
+    first = {"applied_from_sync": 0.5, "applied_previous_cycle": 0.5, "sampled": 0.0}[law]
+    assert got.tau[:5, 0] == pytest.approx(first + 2.0 * np.arange(5))
+    shift = 1 if law == "applied_previous_cycle" else 0  # before the first sample no torque is known
+    assert got.q[:5, 0] == pytest.approx(sent.q[2 * shift : 2 * shift + 10 : 2, 0])
+
+
+def test_nothing_is_interpolated_over_a_hole(arm: Arm, tmp_path: Path) -> None:
+    sent = some_cycles(400)
+    columns = {name: values[np.r_[0:150, 153:300, 301:400]] for name, values in row(sent).items()}
+    write_columns(tmp_path / "x.npz", columns)
+    chosen = mapping(tmp_path, arm)
+    recording = read_table(tmp_path / "x.npz", chosen)
+    got = regrid(tracks(recording, chosen), arm, chosen)
+    # the torque at 149 is held into the hole; one sample that is missing at 300 is no hole
+    assert sorted(set(range(399)) - set(got.sync.tolist())) == [150, 151, 152]
+    assert got.sync[np.flatnonzero(got.flags)].tolist() == [153]
+
+
+def test_holes_of_one_signal_only(arm: Arm) -> None:
+    h = 0.05
+    slow = Track(CHANNEL, np.r_[0.0:10.0:h, 12.0:20.0:h], np.arange(len(np.r_[0.0:10.0:h, 12.0:20.0:h]), dtype=float))
+    at = np.array([9.94, 9.96, 11.0, 12.01])
+    assert np.isfinite(interpolate(slow, at, "linear")).tolist() == [True, False, False, True]
+    assert np.isfinite(interpolate(slow, at, "hold")).tolist() == [True, False, False, True]
+
+
+STAMPS: list[tuple[Callable[[Floats], Floats], str]] = [
+    (lambda t: np.where(t > 5.0, t - 3.0, t), r"the time of .* goes backwards at sample 102 \(1 times in all\)"),
+    (lambda t: np.round(t, 1), r"99 of 200 stamps of \S+ repeat the one before; remedy: a time source of finer steps"),
+    (lambda t: np.where(t > 5.0, t + 1.7e9, t), "spans .* times what it has samples for"),
+    (lambda t: t[:5], "has 5 samples"),
+]
+
+
+@pytest.mark.parametrize(("spoil", "message"), STAMPS)
+def test_stamps_that_are_refused(arm: Arm, tmp_path: Path, spoil: Callable[[Floats], Floats], message: str) -> None:
+    columns = row(some_cycles(200))
+    t = spoil(columns["t"])
+    columns = {name: values[: len(t)] for name, values in columns.items()} | {"t": t}
+    write_columns(tmp_path / "x.npz", columns)
+    chosen = mapping(tmp_path, arm)
+    with pytest.raises(ZygosError, match=message):
+        regrid(tracks(read_table(tmp_path / "x.npz", chosen), chosen), arm, chosen)
+
+
+def test_a_clock_with_a_modulo(arm: Arm, tmp_path: Path) -> None:
+    """Milliseconds of 16 bits wrap; a step backwards is no wrap. Nanoseconds since 1970 keep their digits."""
+    sent = some_cycles(200)
+    text = GRID.replace('"s"', '"ms"') + "modulo = 65536\n" + JOINTS + GYRO
+    wrapping = (50 * np.arange(200) + 60_000) % 65536
+    chosen = mapping(tmp_path, arm, text)
+    write_columns(tmp_path / "x.npz", row(sent) | {"t": wrapping})
+    got = regrid(tracks(read_table(tmp_path / "x.npz", chosen), chosen), arm, chosen)
+    assert np.max(np.abs(got.q - sent.q[: len(got)])) < 1e-9
+    wrapping[180] -= 120
+    write_columns(tmp_path / "x.npz", row(sent) | {"t": wrapping})
+    with pytest.raises(ZygosError, match="the time of t goes backwards at sample 181"):
+        tracks(read_table(tmp_path / "x.npz", chosen), chosen)
+    chosen = mapping(tmp_path, arm, GRID.replace('"s"', '"ns"') + JOINTS + GYRO)
+    epoch = 1_700_000_000_123_456_789 + 50_000_000 * np.arange(200, dtype=np.uint64)
+    write_columns(tmp_path / "x.npz", row(sent) | {"t": epoch})
+    found = tracks(read_table(tmp_path / "x.npz", chosen), chosen)
+    assert np.max(np.abs(found[0].t - 0.05 * np.arange(200))) < 1e-14
+
+
+def test_a_repeated_stamp_counts_once(arm: Arm, tmp_path: Path) -> None:
+    columns = row(some_cycles(200))
+    columns["t"] = columns["t"].copy()
+    columns["t"][50] = columns["t"][51]
+    write_columns(tmp_path / "x.npz", columns)
+    chosen = mapping(tmp_path, arm)
+    found = tracks(read_table(tmp_path / "x.npz", chosen), chosen)
+    assert [track.repeated for track in found] == [1] * 9
+    assert found[0].x[50] == columns["l1"][51]
+
+
+# -- the rate that a motion needs -----------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def fine(scenario: Scenario, model: Model, arm: Arm) -> tuple[Arm, Cycles]:
+    """The paper's arm with encoders of 0.1 mrad, 20 s at 200 Hz."""
+    sharp = replace(
+        arm,
+        joints=tuple(
+            replace(
+                joint,
+                link_encoder=replace(joint.link_encoder, quantum_rad=1e-4),
+                motor_encoder=replace(joint.motor_encoder, quantum_rad=1e-4),
+            )
+            for joint in arm.joints
+        ),
+    )
+    run = simulate(
+        sharp, model, scenario, seeds=[0], noise=True, period_s=0.005, duration_s=40.0, rtol=1e-9, atol=1e-11
+    )
+    return sharp, run.cycles()
+
+
+@pytest.fixture(scope="module")
+def quick() -> tuple[Arm, Cycles]:
+    """The arm of examples/gap, 20 bit, 20 s at 200 Hz."""
+    folder = EXAMPLE.parent / "gap"
+    from zygos.model import load_model
+
+    scenario, arm = load_scenario(folder / "b.toml"), load_arm(folder / "arm.toml")
+    plant = load_model(scenario.plant)
+    return arm, simulate(arm, plant, scenario, seeds=[0], noise=True, duration_s=20.0, rtol=1e-9, atol=1e-11).cycles()
+
+
+def thinned(arm: Arm, cycles: Cycles, step: int) -> tuple[Arm, Cycles]:
+    """Every step-th cycle, as if the arm had been sampled so."""
+    picked = {name: getattr(cycles, name)[::step] for name in Cycles.__dataclass_fields__}
+    picked["sync"] = np.arange(len(picked["q"]), dtype=np.uint64)
+    return replace(arm, period_s=arm.period_s * step), Cycles(**picked)
+
+
+def refused(arm: Arm, cycles: Cycles, step: int) -> float:
+    """Share that the C library refuses of the true motion, sampled so."""
+    slower, run = thinned(arm, cycles, step)
+    flight = Flight(slower)
+    flight.cycles(run)
+    return flight.counts["refused"] / (flight.counts["accepted"] + flight.counts["refused"])
+
+
+@pytest.mark.parametrize("which", ["fine", "quick"])
+@pytest.mark.parametrize("step", [8, 16, 20, 40])
+def test_the_rate_that_a_motion_needs(
+    request: pytest.FixtureRequest, tmp_path: Path, arm: Arm, which: str, step: int
+) -> None:
+    """From a recording that is too slow alone; the C library then says of the true motion that this rate is enough,
+    and half of it is not."""
+    whole, cycles = request.getfixturevalue(which)
+    whole = replace(whole, period_s=0.005)
+    slower, run = thinned(whole, cycles, step)
+    chosen = mapping(tmp_path, arm, SYNC + JOINTS + GYRO)
+    rate, needed = needed_rate(tracks_of(run, slower, chosen), slower, chosen)
+    assert rate == pytest.approx(200.0 / step)
+    assert needed is not None
+    enough = round(200.0 / needed)
+    print(which, rate, needed, refused(whole, cycles, enough))
+    assert refused(whole, cycles, max(enough, 1)) <= 0.06
+    if enough * 2 * 0.005 <= 0.065:
+        assert refused(whole, cycles, enough * 2) > 0.05 or needed == pytest.approx(rate)
+
+
+# -- tables of cycles -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".csv", ".parquet"])
+def test_a_table_of_cycles_keeps_every_bit(arm: Arm, tmp_path: Path, suffix: str) -> None:
+    sent = replace(some_cycles(50), flags=np.arange(50, dtype=np.uint32) % 2)
+    write_cycles(tmp_path / f"x{suffix}", sent)
+    got = read_cycles(tmp_path / f"x{suffix}", arm)
+    for name in Cycles.__dataclass_fields__:
+        assert np.array_equal(getattr(got, name), getattr(sent, name)), name
+        assert getattr(got, name).dtype == getattr(sent, name).dtype
+
+
+def test_the_columns_of_a_csv_have_their_names(tmp_path: Path) -> None:
+    write_cycles(tmp_path / "x.csv", some_cycles(2))
+    names = (tmp_path / "x.csv").read_text().splitlines()[0]
+    assert names == "sync,q1,q2,theta1,theta2,tau1,tau2,wx,wy,wz,flags"
+
+
+BAD_TABLES = [
+    ("q2,", "p2,", r"has no column q2; remedy: it needs sync q1 q2"),
+    ("flags\n", "flags,tau3\n", r"tau3 is no column of a cycle table of 2 joints"),
+    ("\n1,", "\n0,", r"sync does not rise after row 1 \(0, then 0\)"),
+    ("\n1,", "\n1.5,", r"column sync holds something else than whole numbers"),
+    ("\n1,", "\none,", r"column sync holds something else than whole numbers"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "message"), BAD_TABLES)
+def test_tables_of_cycles_that_are_refused(arm: Arm, tmp_path: Path, old: str, new: str, message: str) -> None:
+    write_cycles(tmp_path / "x.csv", some_cycles(3))
+    changed = edited(tmp_path / "x.csv", tmp_path / "y.csv", (old, new))
+    if "tau3" in new:
+        lines = changed.read_text().splitlines()
+        changed.write_text("\n".join([lines[0], *(line + ",0" for line in lines[1:])]) + "\n")
+    with pytest.raises(ZygosError, match=message):
+        read_cycles(changed, arm)
+
+
+def test_files_that_are_no_tables(tmp_path: Path) -> None:
+    for name in ("x.csv", "x.npz", "x.parquet"):
+        with pytest.raises(ZygosError, match="no such file"):
+            read_columns(tmp_path / name)
+        (tmp_path / name).write_bytes(b"\x00\x01PK nothing")
+        if name != "x.csv":
+            with pytest.raises(ZygosError, match=r"not a readable \.\w+ table"):
+                read_columns(tmp_path / name)
+    np.savez(tmp_path / "o.npz", x=np.array([{}], dtype=object))
+    with pytest.raises(ZygosError, match=r"not a readable \.npz table"):
+        read_columns(tmp_path / "o.npz")
+    np.savez(tmp_path / "u.npz", x=np.zeros(3), y=np.zeros(4))
+    with pytest.raises(ZygosError, match=r"columns of \[3, 4\] rows"):
+        read_columns(tmp_path / "u.npz")
+    (tmp_path / "e.csv").write_text("a,b\n")
+    with pytest.raises(ZygosError, match="holds no row"):
+        read_columns(tmp_path / "e.csv")
+
+
+def test_without_polars_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "polars", None)
+    (tmp_path / "x.csv").write_text("a\n1\n")
+    with pytest.raises(ZygosError, match=r"pip install 'zygos\[tables\]'"):
+        read_columns(tmp_path / "x.csv")
+
+
+def test_recordings_of_an_even_train_have_no_stamp_noise() -> None:
+    assert Track(CHANNEL, 0.1 * np.arange(50), np.zeros(50)).stamp_sigma_s < 1e-12
