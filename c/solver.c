@@ -383,6 +383,49 @@ static void withhold(zygos_estimate_t *out, uint32_t i, uint32_t p)
     }
 }
 
+static bool sharp(const zygos_work_t *work, const zygos_estimate_t *out, uint32_t i, double limit)
+{
+    return out->sigma[i] <= limit * work->size[i];
+}
+
+/* A value that is not sharp lends its error to others, because noise in the rows acts on them through it: where nothing
+   but noise makes the rank full, every value is made of noise. So the equations are solved again without those values,
+   and what this changes goes into the others' sigmas. Columns that left the factorisation lend nothing. An effect may
+   be zero, so its sigma has no size to be compared with. */
+static void withhold_blurred(zygos_work_t *work, bool full, zygos_estimate_t *out)
+{
+    const uint32_t p = work->layout.count;
+    const uint32_t effects = work->layout.effects;
+    bool blurred = false;
+    for (uint32_t i = 0; i < effects; i++) {
+        blurred = blurred || !sharp(work, out, i, ZYGOS_SIGMA_LIMIT);
+    }
+    if (blurred && full) {
+        double *without = work->left_out[0];
+        scaled_equations(work, p, NULL);
+        for (uint32_t i = 0; i < effects; i++) {
+            if (sharp(work, out, i, ZYGOS_SIGMA_LIMIT)) {
+                continue;
+            }
+            for (uint32_t j = 0; j < p; j++) {
+                work->matrix[(i >= j) ? at(i, j) : at(j, i)] = (i == j) ? 1.0 : 0.0;
+            }
+            work->right[i] = 0.0;
+        }
+        solve_once(work, p, factorise(work, p), without);
+        for (uint32_t i = 0; i < p; i++) {
+            const double shift = without[i] - out->value[i];
+            out->sigma[i] = root(out->sigma[i] * out->sigma[i] + shift * shift);
+        }
+    }
+    const double limit = (blurred && full) ? ZYGOS_SIGMA_LIMIT_BESIDE : ZYGOS_SIGMA_LIMIT;
+    for (uint32_t i = 0; i < effects; i++) {
+        if (!out->identifiable[i] || !sharp(work, out, i, limit)) {
+            withhold(out, i, p);
+        }
+    }
+}
+
 static int refuse(zygos_estimate_t *out, uint32_t p, uint32_t reason)
 {
     for (uint32_t i = 0; i < p; i++) {
@@ -489,20 +532,12 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     jackknife(work, p, rank, out);
     measure(work);
 
-    /* A value that is not sharp lends its error to all others, because noise in the rows acts on them through it: where
-       nothing but noise makes the rank full, every value is made of noise. Columns that left the factorisation lend
-       nothing. An effect may be zero, so its sigma has no size to be compared with. */
+    withhold_blurred(work, full, out);
     uint32_t known = 0;
-    bool blurred = false;
     for (uint32_t i = 0; i < effects; i++) {
-        const bool sharp = (out->sigma[i] <= ZYGOS_SIGMA_LIMIT * work->size[i]);
-        blurred = blurred || !sharp;
-        if (!out->identifiable[i] || !sharp) {
-            withhold(out, i, p);
-        }
         known += out->identifiable[i];
     }
-    if ((known == 0) || (blurred && full)) {
+    if (known == 0) {
         return refuse(out, p, closed ? ZYGOS_REASON_NOT_IDENTIFIABLE : ZYGOS_REASON_UNCLOSED);
     }
     for (uint32_t i = effects; i < p; i++) {

@@ -46,11 +46,13 @@ enum zygos_reason {
 /// gear ratio, zero, sign or torque law, an effect that is not switched on, noise of the torques, a torque on the base.
 #define ZYGOS_CLUSTER_LIMIT 5.0
 #define ZYGOS_CLUSTER_SHARE 5e-3
-/// A parameter whose sigma exceeds this share of its size is not identifiable yet. The size is the value;
-/// of a kinetic parameter, if larger, the root of the product of the two diagonal ones that it couples, and of a first
-/// moment the largest of them. Effects are exempt: an effect may be zero. When the rank is full all the same, none is:
-/// the error of the one is in all others.
+/// A parameter whose sigma exceeds this share of its size is not identifiable yet. The size is the value; of a kinetic
+/// parameter, if larger, the root of the product of the two diagonal ones that it couples, and of a first moment the
+/// largest of them. Effects are exempt: an effect may be zero.
+/// When the rank is full all the same, the error of the one is in the others: their sigmas are widened by what leaving
+/// it out changes, and beside it the second, smaller share holds.
 #define ZYGOS_SIGMA_LIMIT 0.25
+#define ZYGOS_SIGMA_LIMIT_BESIDE 0.025
 /// What cannot be negative may be zero, and come out negative by as many sigmas.
 #define ZYGOS_NEGATIVE_SIGMAS 3.0
 
