@@ -127,11 +127,11 @@ def view(
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the browser's page; 0: one that is free.")] = 0,
     json: Json = None,
 ) -> None:
-    """Show the arm of a run moving in 3-D: in the browser, as a page to keep, or as stills for a machine without a screen.
+    """Show the arm of a run moving in 3-D: in the browser, as a page to keep, or as stills.
 
     Joint angles and the gyro move it; a free-floating arm is drawn about its mass centre. The translucent arm shows
-    where the motors are (theta). Without --png and --html a page opens in the browser; Ctrl-C ends. Needs
-    `pip install 'zygos\\[view]'`.
+    where the motors are (theta). Without --png and --html a page opens in the browser until Ctrl-C. --png needs no
+    screen. Needs the extra: pip install 'zygos\\[view]'.
 
     Example: zygos view out/run.blf --model examples/paper/model.toml --png out/arm.png
     """

@@ -29,6 +29,7 @@ from zygos.pose import Floats, Motion, Poses, Skeleton, forward, motion, place, 
 try:
     import trimesh
     import viser
+    from matplotlib.colors import LightSource
     from matplotlib.figure import Figure
     from matplotlib.patches import Patch
     from matplotlib.ticker import MaxNLocator
@@ -63,7 +64,7 @@ PAINTS = {
     "base": Paint((128, 134, 140), 1.0, "base"),
     "link": Paint((52, 120, 190), 1.0, "links (q)"),
     "joint": Paint((45, 48, 56), 1.0, "joints, along their axes"),
-    "motor": Paint((230, 110, 10), 0.35, "where the motors are (θ)"),
+    "motor": Paint((230, 110, 10), 0.5, "where the motors are (θ)"),
 }
 
 
@@ -126,8 +127,8 @@ class Film:
 def parts(arm: Arm, lengths: Skeleton) -> tuple[Part, ...]:
     """Base as a box, links as cylinders from joint to joint, joints as cylinders along their axes, all in proportion.
 
-    The motors' ghost is a second set of links, a little thicker so that it shows where both coincide. Joints without a
-    spring have none.
+    The motors' ghost is a second set of links, thinner so that it hides inside the first where both coincide. An arm
+    without a spring has none.
     """
     ends = np.vstack([lengths.joint_xyz, lengths.end_xyz])
     reach = np.linalg.norm(ends, axis=1)
@@ -141,14 +142,14 @@ def parts(arm: Arm, lengths: Skeleton) -> tuple[Part, ...]:
         if reach[i] > 0.0:
             made.append(_cylinder("link", i, np.zeros(3), ends[i], thick))
             if ghost:
-                made.append(_cylinder("motor", i, np.zeros(3), ends[i], 1.4 * thick))
+                made.append(_cylinder("motor", i, np.zeros(3), ends[i], 0.7 * thick))
     return tuple(made)
 
 
 def _box(kind: str, centre: Floats, corner: Floats, least: float) -> Part:
-    """The base: about its mass centre, up to its joint, and nowhere thinner than 2 least."""
+    """The base: about its mass centre, up to its joint, nowhere thinner than 2 least; small faces, see `_cylinder`."""
     half = np.maximum(np.abs(corner - centre), least)
-    mesh = trimesh.creation.box(extents=2.0 * half).subdivide().subdivide()
+    mesh = trimesh.creation.box(extents=2.0 * half).subdivide_to_size(0.25 * half.max())
     return Part(kind, 0, mesh.vertices + centre, mesh.faces)
 
 
@@ -204,6 +205,12 @@ def png(shown: Film) -> bytes:
     middle, half = shown.bounds
     half = np.maximum(half, 0.3 * half.max())
     eye = direction(shown.arm)
+    elevation, azimuth = np.degrees(np.arcsin(eye[2])), np.degrees(np.arctan2(eye[1], eye[0]))
+    right = np.cross([0.0, 0.0, 1.0], eye) / np.hypot(eye[0], eye[1])
+    beside = 0.07 * half.max() * (right + np.cross(eye, right))  # up and to the right, as the eye sees it
+    light = LightSource(
+        azdeg=90.0 - azimuth + 40.0, altdeg=50.0
+    )  # over the beholder's left shoulder; a compass's angle
     vertices = [shown.vertices(part) for part in shown.parts]
     for at, time in enumerate(shown.time):
         axes = figure.add_subplot(rows, columns, at + 1, projection="3d", proj_type="persp")
@@ -213,22 +220,29 @@ def png(shown: Film) -> bytes:
         seams = faces * (1.0, 1.0, 1.0, 0.0) + np.outer(faces[:, 3] == 1.0, (0.0, 0.0, 0.0, 1.0))
         # one collection, so that near faces hide far ones across parts; edges close the seams between opaque faces
         axes.add_collection3d(
-            Poly3DCollection(np.concatenate(triangles), facecolors=faces, edgecolors=seams, linewidths=0.4, shade=True)
+            Poly3DCollection(
+                np.concatenate(triangles),
+                facecolors=faces,
+                edgecolors=seams,
+                linewidths=0.4,
+                shade=True,
+                lightsource=light,
+            )
         )
         for joint, where in zip(shown.arm.joints, shown.links.position[at, 1:], strict=True):
             paper = {"facecolor": "white", "alpha": 0.7, "edgecolor": "none", "pad": 1}
-            axes.text(*(where + 0.08 * half.max()), joint.name, fontsize=9, zorder=1e6, bbox=paper)
+            axes.text(*(where + beside), joint.name, fontsize=9, zorder=1e6, bbox=paper)
         (left, right), (front, back), (low, high) = zip(middle - half, middle + half, strict=True)
         axes.set(xlim=(left, right), ylim=(front, back), zlim=(low, high), title=f"{time:.2f} s", xlabel="m")
-        axes.set_box_aspect(tuple(half), zoom=1.15)
+        axes.set_box_aspect(tuple(half), zoom=1.05)
         for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
             axis.set_major_locator(MaxNLocator(5))
             axis.set_tick_params(labelsize=8)
-        axes.view_init(elev=np.degrees(np.arcsin(eye[2])), azim=np.degrees(np.arctan2(eye[1], eye[0])))
+        axes.view_init(elev=elevation, azim=azimuth)
     legend = [Patch(color=PAINTS[kind].rgba, label=PAINTS[kind].legend) for kind in shown.kinds]
     figure.legend(handles=legend, loc="lower center", ncols=len(legend), frameon=False, fontsize=11)
     figure.suptitle(shown.caption, fontsize=13)
-    figure.subplots_adjust(left=0.02, right=0.98, bottom=0.06, top=0.9, wspace=0.04, hspace=0.1)
+    figure.subplots_adjust(left=0.02, right=0.98, bottom=0.08, top=0.9, wspace=0.04, hspace=0.12)
     out = io.BytesIO()
     figure.savefig(out, format="png")
     return out.getvalue()
@@ -269,11 +283,13 @@ def _grid(shown: Film) -> Floats:
 def _record(shown: Film, server: viser.ViserServer, progress: Callable[[int], None]) -> str:
     """Build the scene and move it; the page of that recording."""
     middle, half = shown.bounds
-    extent = float(half.max())
+    extent = float(np.linalg.norm(half))
     camera, scene = server.initial_camera, server.scene
-    camera.look_at, camera.position = middle, middle + 2.8 * extent * direction(shown.arm)
+    camera.look_at, camera.position = middle, middle + 2.6 * extent * direction(shown.arm)
     camera.fov, camera.near, camera.far = np.radians(45.0), 0.01 * extent, 100.0 * extent
-    scene.add_line_segments("/grid", points=_grid(shown), colors=(200, 200, 200), thickness=1.0)
+    scene.add_line_segments(
+        "/grid", points=_grid(shown), colors=(200, 200, 200), thickness=1.0, thickness_units="screen"
+    )
     moved = []
     for part in shown.parts:
         paint, poses = PAINTS[part.kind], shown.poses(part)
