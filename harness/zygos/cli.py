@@ -152,6 +152,38 @@ def convert(
 
 
 @app.command()
+def view(
+    run: Run,
+    arm: ArmFile = None,
+    model: Annotated[
+        Path | None,
+        typer.Option("--model", metavar="MODEL.toml", help="Lengths and masses, a model by bodies. Default: all 1 m."),
+    ] = None,
+    png: Annotated[
+        Path | None, typer.Option("--png", metavar="FILE", help="Draw six stills, or one --at a second.")
+    ] = None,
+    at: Annotated[float | None, typer.Option("--at", metavar="SECONDS", help="The instant of the only still.")] = None,
+    html: Annotated[
+        Path | None, typer.Option("--html", metavar="FILE", help="Write the page that a browser plays, offline too.")
+    ] = None,
+    exaggerate: Annotated[float, typer.Option(min=0.0, help="Draw theta - q larger by this factor.")] = 1.0,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the browser's page; 0: one that is free.")] = 0,
+    json: Json = None,
+) -> None:
+    """Show the arm of a run moving in 3-D: in the browser, as a page to keep, or as stills.
+
+    Joint angles and the gyro move it; a free-floating arm is drawn about its mass centre. The translucent arm shows
+    where the motors are (theta). Without --png and --html a page opens in the browser until Ctrl-C. --png needs no
+    screen. Needs the extra: pip install 'zygos\\[view]'.
+
+    Example: zygos view out/run.blf --model examples/paper/model.toml --png out/arm.png
+    """
+    from zygos.view import view_run  # noqa: PLC0415
+
+    view_run(run, arm, model, png, at, html, exaggerate, port, json)
+
+
+@app.command()
 def explain(
     context: typer.Context,
     simulation: Annotated[

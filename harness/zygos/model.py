@@ -93,7 +93,7 @@ class Model:
         names = arm.parameter_names
         if not self.bodies:
             return self._named_parameters(arm)
-        self._check_fits(arm)
+        self.check_fits(arm)
         values = self._convert(arm, self._scalars())
         sigmas = np.sqrt(np.diag(self.base_covariance(arm)))
         quantities = self._quantities()
@@ -124,7 +124,7 @@ class Model:
         if not self.bodies:
             sigma = np.array([quantity.sigma for quantity in self._named_parameters(arm).values()])
             return np.diag(sigma**2)
-        self._check_fits(arm)
+        self.check_fits(arm)
         # an infinite stiffness is exact; its place only has to hold a number
         scalars = np.nan_to_num(self._scalars(), posinf=1.0)
         sigmas = np.array([quantity.sigma for quantity in self._quantities()])
@@ -149,7 +149,8 @@ class Model:
             )
         return {name: self.parameters[name] for name in arm.parameter_names}
 
-    def _check_fits(self, arm: Arm) -> None:
+    def check_fits(self, arm: Arm) -> None:
+        """Refuse, with ZygosError, an arm whose joints are not those of this model by bodies."""
         names = [joint.name for joint in arm.joints]
         if [joint.name for joint in self.joints] != names:
             raise ZygosError(

@@ -118,13 +118,18 @@ def cannot_be_written(path: Path, error: Exception) -> ZygosError:
 
 
 def write_text(path: Path, text: str) -> None:
+    """Write text as UTF-8; as `write_bytes`."""
+    write_bytes(path, text.encode())
+
+
+def write_bytes(path: Path, content: bytes) -> None:
     """Write a file whole, or not at all; folders are made as needed. Errors: ZygosError if it cannot be written."""
     partial = path.with_name(f".{os.getpid()}.partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
-            with partial.open("w", encoding="utf-8") as stream:
-                stream.write(text)
+            with partial.open("wb") as stream:
+                stream.write(content)
                 stream.flush()
                 os.fsync(stream.fileno())
             partial.replace(path)
