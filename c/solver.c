@@ -430,6 +430,7 @@ static int refuse(zygos_estimate_t *out, uint32_t p, uint32_t reason)
 {
     for (uint32_t i = 0; i < p; i++) {
         withhold(out, i, p);
+        out->solution[i] = not_a_number();
     }
     out->validity = ZYGOS_REFUSED;
     out->reason = reason;
@@ -521,6 +522,7 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
         full = full && (work->pivot[d] >= effects);
     }
     memcpy(out->value, work->solution, p * sizeof out->value[0]);
+    memcpy(out->solution, work->solution, p * sizeof out->solution[0]);
     out->residual = residual(work, p, work->solution, out->accepted);
     const double unexplained = out->residual * out->residual * (double)out->accepted;
     if (!(unexplained < ZYGOS_UNEXPLAINED_LIMIT * work->total[at(p, p)])) {

@@ -193,6 +193,7 @@ def report_estimate(result: Estimate, flight: Flight, heading: Mapping[str, Any]
             {"name": name, "unit": unit, "value": float(value), "sigma": float(sigma)}
             for name, unit, value, sigma in zip(result.names, result.units, result.value, result.sigma, strict=True)
         ],
+        "solution": result.solution.tolist(),
         "covariance": result.covariance.tolist(),
     }
 
@@ -232,7 +233,8 @@ def finish_estimate(
         say(
             f"arm {flight.arm.name} · {counted(flight.counts['cycles'], 'cycle')} · {losses(flight)} · "
             f"{counted(result.accepted, 'instant')} accepted, {result.refused:,} refused · "
-            f"{counted(result.arcs, 'arc')}, {flight.counts['arcs_dropped']:,} dropped · {result.validity}"
+            f"{counted(result.arcs, 'arc')}, {flight.counts['arcs_dropped']:,} dropped · "
+            f"{np.isfinite(result.value).sum()} of {counted(len(result.names), 'parameter')} · {result.validity}"
             + (" · door: cycle" if heading["door"] == "cycle" else "")
         )
         seen = [f"{name} {count:,}" for name, count in flight.faults.items() if count]

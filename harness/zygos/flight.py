@@ -110,6 +110,9 @@ class Estimate:
     names: tuple[str, ...]
     """The arm's parameters, then the columns of the effects."""
     units: tuple[str, ...]
+    solution: NDArray[np.float64]
+    """(p,) least squares for all columns, whatever the motion determines; NaN when refused. As a whole it predicts the
+    energy of motions like those it came from."""
     value: NDArray[np.float64]
     """(p,)"""
     sigma: NDArray[np.float64]
@@ -267,6 +270,7 @@ class Flight:
         return Estimate(
             names=self.names,
             units=self.units,
+            solution=np.frombuffer(ffi.buffer(out.solution), dtype=np.float64)[:p].copy(),
             value=np.frombuffer(ffi.buffer(out.value), dtype=np.float64)[:p].copy(),
             sigma=np.frombuffer(ffi.buffer(out.sigma), dtype=np.float64)[:p].copy(),
             covariance=covariance,

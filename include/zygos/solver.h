@@ -70,6 +70,10 @@ typedef struct {
     double cluster;      ///< How far the residuals of a block add up: around 1 for noise, up to its instants otherwise.
     double residual;     ///< Root mean square of W - row . x about the arc constants [J].
     uint32_t identifiable[ZYGOS_MAX_PARAMETERS]; ///< 1, or 0 and value and sigma are NaN.
+    /// The least squares solution for all columns, dependent ones 0; NaN when refused. As a whole it predicts the
+    /// energy of motions like those it came from. One of its entries means something by itself only where value has it
+    /// too.
+    double solution[ZYGOS_MAX_PARAMETERS];
     double value[ZYGOS_MAX_PARAMETERS];
     double sigma[ZYGOS_MAX_PARAMETERS];
     double covariance[ZYGOS_MAX_PACKED]; ///< Lower triangle row by row; NaN where a parameter has no value.

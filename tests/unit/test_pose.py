@@ -152,9 +152,9 @@ def test_the_base_turns_as_the_simulator_says(clean: Callable[..., Trajectory]) 
     trajectory = clean()
     run = motion(trajectory.arm, trajectory.cycles())
     turned = np.arctan2(run.base[:, 1, 0], run.base[:, 0, 0])
-    assert np.ptp(trajectory.phi0[0]) > 0.5
+    assert np.ptp(trajectory.attitude[0]) > 0.5
     # the trapezoidal rule at 20 Hz
-    np.testing.assert_allclose(turned, trajectory.phi0[0] - trajectory.phi0[0, 0], rtol=0, atol=2e-3)
+    np.testing.assert_allclose(turned, trajectory.attitude[0] - trajectory.attitude[0, 0], rtol=0, atol=2e-3)
     np.testing.assert_allclose(run.q, trajectory.q[0], rtol=0, atol=1e-12)
     np.testing.assert_allclose(run.deflection, trajectory.theta[0] - trajectory.q[0], rtol=0, atol=1e-12)
 

@@ -52,6 +52,7 @@ def make_estimate(arm: Arm, value: NDArray[np.float64], **changes: Any) -> Estim
     estimate = Estimate(
         names=arm.parameter_names,
         units=arm.parameter_units,
+        solution=value,
         value=value,
         sigma=0.005 * np.abs(value),
         covariance=np.diag((0.005 * value) ** 2),

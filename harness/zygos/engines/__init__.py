@@ -65,7 +65,7 @@ def engine(name: str, arm: Arm, model: Model) -> Engine:
             f"model {model.name} carries effects ({carried}), engine {name} knows none; "
             'remedy: engine "zygos", or a model without [[effect]]'
         )
-    model._check_fits(arm)
+    model.check_fits(arm)
     try:
         module = import_module(f"{__name__}.{name}")
     except ImportError as error:

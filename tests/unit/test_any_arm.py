@@ -1,0 +1,137 @@
+"""The whole flight chain on arms of any kind: C against numpy room by room, and against the engines that moved them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import pytest
+from arm_support import random_arm
+from numpy.typing import NDArray
+
+from zygos.arm import Arm, Encoder, load_arm
+from zygos.check import check_frames
+from zygos.cycles import Cycles
+from zygos.flight import Flight, encode
+from zygos.model import load_model
+from zygos.plant import simulate
+from zygos.reference import chain
+from zygos.reference.balance import energy_columns
+from zygos.reference.kinematics import State
+from zygos.scenario import load_scenario
+
+Floats = NDArray[np.float64]
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+FLEXIBLE: dict[str, Callable[[int], bool]] = {
+    "flexible": lambda _: True,
+    "rigid": lambda _: False,
+    "mixed": lambda i: i % 2 == 1,
+}
+KINDS = list(product((1, 2, 3, 7), ("free", "fixed"), ("spatial", "planar", "planar-symmetric"), FLEXIBLE))
+
+
+def sines(arm: Arm, n: int) -> Cycles:
+    """Any motion and any torques: what the rooms make of them is compared, not whether they belong together."""
+    rng = np.random.default_rng(arm.n)
+    t = 0.3 * arm.period_s * np.arange(n)[:, None]
+    i = np.arange(arm.n)
+    q = 0.9 * np.sin((9.1 - 0.7 * i) * t + i) + 0.5 * np.cos((17.3 + 1.1 * i) * t)
+    theta = q + 0.05 * np.sin((23.0 + 1.7 * i) * t)
+    theta = np.where([joint.flexible for joint in arm.joints], theta, q)
+    omega = 0.4 * np.sin(t * [5.7, 7.1, 3.3] + [0.0, 1.0, 2.0])
+    return Cycles(
+        np.arange(n, dtype=np.uint64), q, theta, rng.normal(size=q.shape), omega, np.zeros(n, dtype=np.uint32)
+    )
+
+
+@pytest.mark.parametrize(("joints", "base", "kinetic", "kind"), KINDS)
+def test_every_room_is_numpys(joints: int, base: str, kinetic: str, kind: str) -> None:
+    """From the frames on, with cantools and autosar-e2e on the other side."""
+    flexible = [FLEXIBLE[kind](i) for i in range(joints)]
+    arm, _ = random_arm(joints, joints, base, kinetic, flexible)  # type: ignore[arg-type]
+    coarse = Encoder(quantum_rad=1e-4)  # coarser than the wire, so that the bandwidth test accepts what the wire rounds
+    arm = replace(arm, joints=tuple(replace(j, link_encoder=coarse, motor_encoder=coarse) for j in arm.joints))
+    cycles = sines(arm, 700)
+    frames = encode(arm, cycles)
+    rooms = check_frames(arm, frames)
+    assert [room.name for room in rooms if not room.equal] == []
+    assert {"wire and cycles", "fault counters", "smoother", "balance"} <= {room.name for room in rooms}
+    assert all(room.compared > 0 for room in rooms)
+
+    flight = Flight(arm)
+    trace = flight.frames(frames, trace=True)
+    assert trace is not None
+    a, b = flight.normal_equations()
+    rows = trace.row[trace.instant & trace.accepted]
+    rows = rows - rows.mean(axis=0)
+    assert len(rows) > 600
+    size = np.linalg.norm(rows, axis=0) + 1e-300
+    np.testing.assert_allclose(
+        np.column_stack([a, b]) / np.outer(size[:-1], size),
+        rows[:, :-1].T @ rows / np.outer(size[:-1], size),
+        atol=1e-12,
+    )
+
+
+def test_a_rigid_joint_needs_no_link_encoder() -> None:
+    """Its drive may leave the link field of the frame invalid; the cycle door does not look at q."""
+    arm, _ = random_arm(3, 2, "free", "spatial", [False, True])
+    cycles = sines(arm, 300)
+    whole = Flight(arm)
+    whole.cycles(cycles)
+    blind = Flight(arm)
+    blind.cycles(replace(cycles, q=np.where([False, True], cycles.q, np.nan)))
+    np.testing.assert_array_equal(whole.normal_equations()[0], blind.normal_equations()[0])
+    assert blind.counts["invalid"] == 0
+    lost = Flight(arm)
+    lost.cycles(replace(cycles, q=np.where([True, False], cycles.q, np.nan)))
+    assert lost.counts["invalid"] == len(cycles)
+
+
+@pytest.mark.parametrize(
+    ("example", "learn_s", "known"), [("spatial", 10.0, 54), ("seven", 30.0, 120)], ids=["three joints", "seven joints"]
+)
+def test_kinetic_energy_of_an_arm_in_space(example: str, learn_s: float, known: int) -> None:
+    """Moved by Pinocchio's equations at 500 Hz, without noise, through `zygos_cycle`.
+
+    The solution predicts the kinetic energy, also of the two seconds that it has not seen. The parameters that the
+    motion determines have values, and those are right by their own sigmas; the others are withheld.
+    """
+    folder = EXAMPLES / example
+    arm, model = load_arm(folder / "arm.toml"), load_model(folder / "model.toml")
+    scenario = load_scenario(folder / "scenario.toml")
+    run = simulate(
+        arm, model, scenario, engine="pinocchio", noise=False, duration_s=learn_s + 2.0, rtol=1e-10, atol=1e-12
+    )
+    learned, cycles = round(learn_s / arm.period_s), run.cycles()
+    flight = Flight(arm)
+    flight.cycles(Cycles(*(getattr(cycles, name)[:learned] for name in Cycles.__dataclass_fields__)))
+    estimate = flight.estimate()
+    true = model.base_values(arm)
+
+    at = np.arange(50, len(cycles), 37)
+    state = State(run.q[0, at], run.theta[0, at], run.qd[0, at], run.thetad[0, at], run.omega0[0, at])
+    columns = energy_columns(arm, state, np.zeros((len(at), arm.n)))
+    moving = np.array([name.startswith(("N", "Im")) for name in estimate.names])
+    exact, predicted = (columns[:, moving] @ values[moving] for values in (true, estimate.solution))
+    error = np.abs(predicted - exact) / exact.max()
+    print(f"{example}: kinetic energy to {error[at < learned].max():.1e}, {error.max():.1e} beyond")
+    assert error[at < learned].max() <= 1e-5
+    assert error.max() <= 2e-5
+
+    determined = np.isfinite(estimate.value)
+    print(f"{example}: {determined.sum()} of {len(true)} parameters, {estimate.validity}")
+    assert determined.sum() >= known
+    assert estimate.validity == ("valid" if determined.all() else "partial")
+    np.testing.assert_array_equal(estimate.value[determined], estimate.solution[determined])
+    off = np.abs(estimate.value - true)[determined] / estimate.sigma[determined]
+    assert off.max() <= 3.0
+    if example == "spatial":
+        reference = chain(arm, Cycles(*(getattr(cycles, name)[:learned] for name in Cycles.__dataclass_fields__)))
+        size = np.abs(reference.solution.x)
+        tolerance = max(1e-9, 1e-14 * estimate.condition)
+        assert np.max(np.abs(estimate.solution - reference.solution.x) / size) <= tolerance
