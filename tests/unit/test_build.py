@@ -21,7 +21,7 @@ from reference_support import make_arm
 
 from conftest import need
 from zygos import flight
-from zygos.arm import Arm
+from zygos.arm import Arm, Encoder
 from zygos.cycles import Cycles
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -241,7 +241,9 @@ def test_capacity_changes_no_bit(kinetic: str, tmp_path: Path, monkeypatch: pyte
     tool(os.environ.get("CC", "cc").split()[0])
     if kinetic == "spatial":
         arm, model = random_arm(1, 2, "free")
-        arm = replace(arm, period_s=0.02)
+        coarse = Encoder(quantum_rad=1e-4)
+        joints = tuple(replace(joint, link_encoder=coarse, motor_encoder=coarse) for joint in arm.joints)
+        arm = replace(arm, joints=joints, period_s=0.02)
         turning = sines(arm, 1500)
         turning.omega[:, :2] = 0.3 * turning.q + 0.2 * turning.q**2
         cycles = balanced(arm, turning, model.base_values(arm))
