@@ -169,22 +169,23 @@ class Arm:
 
     @cached_property
     def joint_parameters(self) -> tuple[tuple[str, int, str], ...]:
-        """Name, joint from 0 and unit of the parameters of the joints: Im, and k and b of a flexible one.
+        """Kind, joint from 0 and unit of the parameters of the joints: Im, and k and b of a flexible one.
 
         The rotor of a rigid first joint on a fixed base turns with its link alone, and is counted there.
         """
         listed: list[tuple[str, int, str]] = []
         for i, joint in enumerate(self.joints):
             if joint.flexible or self.free or i > 0:
-                listed.append((f"Im{i + 1}", i, "kg m^2"))
+                listed.append(("Im", i, "kg m^2"))
             if joint.flexible:
-                listed += [(f"k{i + 1}", i, "Nm/rad"), (f"b{i + 1}", i, "Nms/rad")]
+                listed += [("k", i, "Nm/rad"), ("b", i, "Nms/rad")]
         return tuple(listed)
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
         """The identified parameters in the order of every row and output: `body_parameters`, `joint_parameters`."""
-        return (*(name for name, _ in self.body_parameters), *(name for name, _, _ in self.joint_parameters))
+        of_joints = (f"{kind}{i + 1}" for kind, i, _ in self.joint_parameters)
+        return (*(name for name, _ in self.body_parameters), *of_joints)
 
     @property
     def parameter_units(self) -> tuple[str, ...]:

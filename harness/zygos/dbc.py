@@ -158,7 +158,7 @@ def _telemetry(shipped: Database, arm: Arm) -> Message:
     """Frame 0x1A0, with a signal for each parameter of the arm in the place of the shipped ones."""
     message = deepcopy(shipped.get_message_by_name("TELEMETRY"))
     known = {signal.name: signal for signal in message.signals if signal.multiplexer_ids}
-    titles = {name: _title(i, arm.joints[i]) for name, i, _ in arm.joint_parameters}
+    titles = {f"{kind}{i + 1}": _title(i, arm.joints[i]) for kind, i, _ in arm.joint_parameters}
     parameters: list[Signal] = []
     for index, (name, unit) in enumerate(zip(arm.parameter_names, arm.parameter_units, strict=True)):
         if name in titles:

@@ -142,6 +142,19 @@ def column_name(kind: Kind, joint: int) -> str:
     return kind.key if joint < 0 else f"{kind.key}{joint + 1}"
 
 
+def of_column(name: str) -> tuple[str, int]:
+    """The inverse of `column_name`: the entry's key, and its joint from 0, -1 for the base."""
+    key = name.rstrip("0123456789")
+    return key, int(name[len(key) :] or 0) - 1
+
+
+def spoken(arm: Arm, column: str) -> str:
+    """A column as a sentence names it: title and joint of its effect."""
+    key, joint = of_column(column)
+    title = CATALOGUE[key].title
+    return title if joint < 0 else f"{title} ({arm.joints[joint].name})"
+
+
 def estimated(effects: Sequence[Effect]) -> tuple[Effect, ...]:
     """Those of a model's effects that have a column in the energy balance, so that an estimator finds their values.
 

@@ -102,8 +102,7 @@ class Model:
         # a mixture is worth no more than its least certain part
         sources = [next(source for source in SOURCES if source in found)] * len(arm.body_parameters)
         keys = {"Im": "rotor_inertia", "k": "stiffness", "b": "damping"}
-        for name, i, _ in arm.joint_parameters:
-            sources.append(getattr(self.joints[i], keys[name.rstrip("0123456789")]).source)
+        sources += [getattr(self.joints[i], keys[kind]).source for kind, i, _ in arm.joint_parameters]
         return {
             name: Quantity(float(value), float(sigma), source, unit)
             for name, value, sigma, source, unit in zip(
@@ -157,6 +156,11 @@ class Model:
                 f"model {self.name} has joints {[joint.name for joint in self.joints]}, arm {arm.name} "
                 f"has {names}; remedy: name the joints alike, from the base outwards"
             )
+        if arm.free and self.bodies[0].mass.value == 0.0:
+            raise ZygosError(
+                f"model {self.name}: the base {self.bodies[0].name} has no mass, but in arm {arm.name} it floats; "
+                'remedy: give it mass and inertia, or write base = "fixed" in the arm file'
+            )
         for ours, theirs in zip(self.joints, arm.joints, strict=True):
             if not theirs.flexible and np.isfinite(ours.stiffness.value):
                 raise ZygosError(
@@ -207,7 +211,7 @@ class Model:
         if not arm.free and not arm.joints[0].flexible:
             kinetic[0] += arm.joints[0].gear_ratio ** 2 * drive[0, 1]
         columns = {"Im": 1, "k": 2, "b": 3}
-        joints = [drive[i, columns[name.rstrip("0123456789")]] for name, i, _ in arm.joint_parameters]
+        joints = [drive[i, columns[kind]] for kind, i, _ in arm.joint_parameters]
         return np.concatenate([kinetic, moments[-len(heavy) :][heavy], joints])
 
     def _planar(
@@ -265,7 +269,9 @@ def load_model(path: str | Path) -> Model:
         top.finish()
         return Model(name, parameters=parameters, effects=effects)
     tables = top.tables("body")
-    bodies = tuple(_body(table, source, last=index == len(tables) - 1) for index, table in enumerate(tables))
+    bodies = tuple(
+        _body(table, source, first=index == 0, last=index == len(tables) - 1) for index, table in enumerate(tables)
+    )
     joints = tuple(read_joint(table, source) for table in top.tables("joint"))
     if len(bodies) != len(joints) + 1:
         raise top.error(
@@ -404,9 +410,10 @@ def is_possible(tensor: NDArray[np.float64]) -> bool:
     return bool(principal[0] > 0.0 and principal[2] <= (principal[0] + principal[1]) * (1 + 1e-9))
 
 
-def _body(table: Table, source: str, *, last: bool) -> Body:
+def _body(table: Table, source: str, *, first: bool, last: bool) -> Body:
+    """The first body, the base, may be without mass: a fixed one's plays no part."""
     name = table.text("name")
-    mass = _quantity(table, "mass", "kg", source, above=0.0)
+    mass = _quantity(table, "mass", "kg", source, low=0.0, above=-np.inf if first else 0.0)
     origin = _vector3(table, "origin_xyz")
     ixx, ixy, ixz, iyy, iyz, izz = (
         _quantity(table, key, "kg m^2", source, default=None if key[1] == key[2] else 0.0) for key in _INERTIA_KEYS
@@ -416,7 +423,7 @@ def _body(table: Table, source: str, *, last: bool) -> Body:
     joint = None if last else _vector3(table, "joint_xyz")
     table.finish()
     body = Body(name, mass, origin, (ixx, ixy, ixz, iyy, iyz, izz), joint)
-    if not is_possible(body.tensor):
+    if not is_possible(body.tensor) and (mass.value > 0.0 or body.tensor.any()):
         raise table.error(
             "ixx",
             f"no body has the principal moments {np.linalg.eigvalsh(body.tensor).tolist()} kg m^2",

@@ -144,7 +144,7 @@ def _quantities(joint: JointModel) -> tuple[Quantity, ...]:
 
 def _drive(arm: Arm, index: int, joint: JointModel, given: Model) -> JointModel:
     """The drive as drawn, with what is given of it."""
-    names = [name for name, at, _ in arm.joint_parameters if at == index]
+    names = [f"{kind}{at + 1}" for kind, at, _ in arm.joint_parameters if at == index]
     known = {name: given.parameters[name] for name in names if name in given.parameters}
     return replace(
         joint,

@@ -117,7 +117,7 @@ def read_chain(path: str | Path, base: str | None = None, tip: str | None = None
     """
     tree = _Tree(Path(path))
     chain = tree.chain(base, tip)
-    return chain, tuple(tree.weigh(segment) for segment in chain.segments)
+    return chain, tuple(tree.weigh(segment, base=index == 0) for index, segment in enumerate(chain.segments))
 
 
 def read_chain_of(path: str | Path, base: str, joints: Sequence[str]) -> Chain:
@@ -341,14 +341,16 @@ class _Tree:
                 waiting.append((other, pose @ (origin if other == joint.child else origin.inverse), joint))
         return Segment(start, tuple(riders))
 
-    def weigh(self, segment: Segment) -> Inertial:
-        """The inertial of a segment with all that rides on it."""
+    def weigh(self, segment: Segment, *, base: bool) -> Inertial:
+        """The inertial of a segment with all that rides on it. A base may be without mass, for it may be fixed."""
         parts: list[tuple[float, Array, Array]] = []
         for link, pose in ((segment.link, _HERE), *segment.riders):
             mass, centre, tensor = self._inertial(self.links[link])
             attitude = pose.attitude
             parts.append((mass, pose.origin + attitude @ centre, attitude @ tensor @ attitude.T))
         total = math.fsum(mass for mass, _, _ in parts)
+        if total <= 0.0 and base:
+            return Inertial(0.0, np.zeros(3), np.zeros((3, 3)))
         if total <= 0.0:
             raise self.error(
                 f"link {segment.link} has no mass, and nothing with mass is fixed to it",

@@ -60,8 +60,7 @@ def import_urdf(
     try:
         save_model(model, folder / "model.toml")
         write_text(folder / "arm.toml", _arm_text(arm, origin))
-        load_arm(folder / "arm.toml")
-        load_model(folder / "model.toml")
+        load_model(folder / "model.toml").check_fits(load_arm(folder / "arm.toml"))
     except ZygosError:
         for file in files:
             if file:

@@ -141,6 +141,24 @@ def test_a_fixed_base_with_a_rigid_joint(tmp_path: Path) -> None:
     assert load_model(tmp_path / "arm" / "model.toml").joints[6].stiffness.value == np.inf
 
 
+def test_a_base_without_mass_can_only_be_fixed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As of most robots on the ground: a base link that is there to hang the first joint on."""
+    text = URDF.read_text()
+    arm_begins = text.index('<link name="shoulder_roll"')
+    bare = tmp_path / "bare.urdf"
+    bare.write_text(re.sub(r"<inertial>.*?</inertial>", "", text[:arm_begins], flags=re.DOTALL) + text[arm_begins:])
+    assert run("import", bare, "--answers", ANSWERS, "-o", tmp_path / "free") == 2
+    assert "the base satellite has no mass, but in arm servicer it floats" in capsys.readouterr().err
+    assert not (tmp_path / "free" / "arm.toml").exists()
+    grounded = tmp_path / "answers.toml"
+    answers = ANSWERS.read_text().replace('base = "free"', 'base = "fixed"')
+    grounded.write_text(re.sub(r"\[imu\].*?\n\n", "", answers, flags=re.DOTALL))
+    assert run("import", bare, "--answers", grounded, "-o", tmp_path / "fixed") == 0
+    arm, model = load_arm(tmp_path / "fixed" / "arm.toml"), load_model(tmp_path / "fixed" / "model.toml")
+    assert model.bodies[0].mass.value == 0.0
+    assert np.isfinite(model.base_values(arm)).all()
+
+
 def test_a_terminal_is_asked(tmp_path: Path) -> None:
     """One joint; the first gear ratio is refused and asked again, enter takes what is offered."""
     link = '<inertial><mass value="2"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'

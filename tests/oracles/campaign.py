@@ -25,7 +25,7 @@ from oracles.laws import Law
 from oracles.simulate import run
 from zygos.arm import Arm, load_arm
 from zygos.commands import progress
-from zygos.effects import CATALOGUE, Effect
+from zygos.effects import CATALOGUE, Effect, of_column
 from zygos.errors import Undecided
 from zygos.flight import encode
 from zygos.gap.explain import Explanation, explain
@@ -232,8 +232,8 @@ def _column(case: Case) -> str:
 
 
 def _parse(column: str) -> tuple[str, str | None]:
-    key = column.rstrip("0123456789")
-    return (key, PLACES[int(column[len(key) :]) - 1]) if key != column else (key, None)
+    key, joint = of_column(column)
+    return key, None if joint < 0 else PLACES[joint]
 
 
 def one(bench_name: str, case_name: str, seed: int) -> dict[str, Any]:

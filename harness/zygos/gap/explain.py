@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from zygos.arm import Arm
 from zygos.dynamics import PlanarDynamics
-from zygos.effects import CATALOGUE, Effect, Kind
+from zygos.effects import CATALOGUE, Effect, of_column, spoken
 from zygos.errors import Undecided, ZygosError
 from zygos.gap.balances import Layout
 from zygos.gap.experiment import Experiment, propose
@@ -63,7 +63,7 @@ class Value:
     @property
     def absent(self) -> bool:
         """Whether it is an effect of which the runs show nothing."""
-        return self.name.rstrip("0123456789") in CATALOGUE and abs(self.found) < DIFFERS * self.sigma
+        return of_column(self.name)[0] in CATALOGUE and abs(self.found) < DIFFERS * self.sigma
 
     @property
     def differs(self) -> bool:
@@ -467,7 +467,7 @@ class _Explainer:
             )
             return "unknown", sentence, _listed(findings)
         if any(finding.instead for finding in findings):
-            sets = "; ".join(" or ".join((_said(f), *(_column(self.arm, n) for n in f.instead))) for f in findings)
+            sets = "; ".join(" or ".join((_said(f), *(spoken(self.arm, n) for n in f.instead))) for f in findings)
             return "cannot tell", f"These runs cannot tell apart: {sets}.", ""
         return "named", f"The simulation lacks {_listed(findings)}.", ""
 
@@ -479,7 +479,7 @@ class _Explainer:
         changed = [value for value in values if value.differs]
         if not changed:
             return "nothing missing", "Nothing is missing above the detection limits, and no value differs.", ""
-        gone = [_column(self.arm, v.name) for v in changed if v.absent]
+        gone = [spoken(self.arm, v.name) for v in changed if v.absent]
         listed = ", ".join(
             f"{v.name} {sized(v.found, v.sigma, v.unit)} (simulation {v.delivered:.5g}: {100 * v.change:+.3g} %)"
             for v in changed
@@ -627,14 +627,8 @@ def sized(value: float, sigma: float, unit: str) -> str:
     return f"{value:,.{digits}f} ± {half:.{digits}f}" + ("" if unit == "1" else f" {unit}")
 
 
-def _column(arm: Arm, name: str) -> str:
-    key = name.rstrip("0123456789")
-    kind: Kind = CATALOGUE[key]
-    return f"{kind.title} ({arm.joints[int(name[len(key) :]) - 1].name})" if name != key else kind.title
-
-
 def _share(found: Search) -> str:
     if not found.named:
         return ""
-    listed = ", ".join(_column(found.after.layout.arm, candidate.name) for candidate in found.named)
+    listed = ", ".join(spoken(found.after.layout.arm, candidate.name) for candidate in found.named)
     return f"; the best guess ({listed}) takes {100 * min(found.completeness):.0f} % of the excess away"

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.dynamics import PlanarDynamics
-from zygos.effects import CATALOGUE, Effect, column_name
+from zygos.effects import CATALOGUE, Effect, column_name, of_column
 from zygos.errors import Undecided, ZygosError
 from zygos.gap.balances import Layout, Sums, accumulate, rows
 from zygos.gap.fit import Fit, Hypothesis, fit
@@ -307,7 +307,7 @@ def coefficient(dynamics: PlanarDynamics, hypothesis: Hypothesis, name: str) -> 
         return _parameter(dynamics, name)
     if name == "angular_momentum":
         return dynamics.angular_momentum or 0.0
-    key, i = name.rstrip("0123456789"), int(name[len(name.rstrip("0123456789")) :]) - 1
+    key, i = of_column(name)
     if key == "torque_lag":
         return 0.0 if dynamics.torque_lag is None else float(dynamics.torque_lag[i])
     if key == "rotor_coupling":

@@ -59,7 +59,7 @@ def energy_columns(arm: Arm, state: State, dissipated: Floats) -> Floats:
         "k": 0.5 * (state.theta - state.q) ** 2,
         "b": dissipated,
     }
-    joints = [of_joint[name.rstrip("0123456789")][..., i] for name, i, _ in arm.joint_parameters]
+    joints = [of_joint[kind][..., i] for kind, i, _ in arm.joint_parameters]
     return np.concatenate([bodies, np.stack(joints, axis=-1)] if joints else [bodies], axis=-1)
 
 

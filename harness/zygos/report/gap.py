@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from zygos.arm import Arm
 from zygos.dynamics import PlanarDynamics
-from zygos.effects import CATALOGUE, Effect
+from zygos.effects import CATALOGUE, Effect, spoken
 from zygos.gap.explain import INTERVAL, Explanation, Finding, Gap, Value
 from zygos.gap.forecast import HORIZON_S, Forecast
 from zygos.gap.provenance import Provenance
@@ -191,7 +191,7 @@ def _finding(arm: Arm, finding: Finding) -> Entry:
         "interval": f"{_to(low, finding.sigma)} … {_to(high, finding.sigma)}",
         "unit": _unit(finding.unit),
         "evidence": finding.evidence,
-        "instead": [_effect_name(arm, name) for name in finding.instead],
+        "instead": [spoken(arm, name) for name in finding.instead],
     }
 
 
@@ -207,13 +207,6 @@ def _card(value: Value) -> Entry:
     }
 
 
-def _effect_name(arm: Arm, column: str) -> str:
-    """Title and joint of a column."""
-    key = column.rstrip("0123456789")
-    title = CATALOGUE[key].title if key in CATALOGUE else column
-    return title if column == key else f"{title}, {arm.joints[int(column[len(key) :]) - 1].name}"
-
-
 # gap
 
 
@@ -226,7 +219,7 @@ def _gap(x: Explanation, gap: Gap) -> Entry:
     ]
     wrong: list[tuple[str, str, str, Forecast]] = []
     if gap.wrong is not None:
-        name = f"{_effect_name(x.arm, gap.wrong_name)}, instead"
+        name = f"{spoken(x.arm, gap.wrong_name)}, instead"
         what = "the best other candidate in place of the guess"
         if x.answer == "named":
             what = "the best wrong candidate in place of what was named"
@@ -372,7 +365,7 @@ def _candidate(arm: Arm, c: Candidate, named: set[str], sets: dict[str, str], *,
     if c.name in named:
         against, state = ("named", "named") if adopted else ("best guess, not adopted", "guess")
     elif c.name in sets:
-        against, state = f"these runs cannot tell it from {_effect_name(arm, sets[c.name])}", "guess"
+        against, state = f"these runs cannot tell it from {spoken(arm, sets[c.name])}", "guess"
     elif not c.verdict and not named:
         against = "nothing is left to explain"
     return {
@@ -401,7 +394,7 @@ def _waterfall(x: Explanation) -> Entry:
         for candidate in x.search.named:
             left = candidate.left / used - 1.0
             note = "as the search saw it, against the twin before"
-            steps.append((f"+ {_effect_name(x.arm, candidate.name)}", left, note))
+            steps.append((f"+ {spoken(x.arm, candidate.name)}", left, note))
         if x.search.named:
             steps.append(("closed", _mean_excess(x.search.after), "all of it, fitted anew, against its own twin"))
     first = steps[1][1]
