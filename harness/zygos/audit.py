@@ -49,7 +49,7 @@ SKEW_SIGMAS, SKEW_SHARE = 4.0, 0.02
 ZERO_SIGMAS = 6.0
 NOISE_FACTOR = 4.0
 """Noise above so many times the declared one is named: the held torque's own steps reach 2.1 in the trials."""
-BLOCKS = 12
+BLOCKS = 8
 """Blocks of the jackknife: rows close to each other err alike."""
 FLAT_CYCLES, FLAT_QUANTA, FLAT_SHARE = 20, 20.0, 0.02
 """A reading that keeps its code so long, while its partner moves so far (quanta, and share of its range), is stuck."""
@@ -191,7 +191,7 @@ class Window:
 
     def __call__(self, readings: Array, derivative: int = 0, late_s: float = 0.0) -> Array:
         """(instants,) the windowed mean of a reading (n,), or of its derivative, taken late_s after SYNC."""
-        at = self.h * np.arange(-self.reach, self.reach + 1)
+        at = self.h * np.arange(-self.reach, self.reach + 1, dtype=np.float64)
 
         def bell(t: Array, order: int) -> Array:
             x = t / self.width
@@ -290,7 +290,8 @@ def changed(cycles: Cycles, change: Change, zeros: dict[str, Array]) -> Cycles:
     zero = zeros.get(change.kind, np.zeros(readings.shape[1]))
     for i, j in zip(change.joints, change.source, strict=True):
         readings[:, i] = zero[i] + change.factor * (getattr(cycles, change.kind)[:, j] - zero[i])
-    return replace(cycles, **{change.kind: readings})
+    fields: dict[str, Any] = {change.kind: readings}
+    return replace(cycles, **fields)
 
 
 def _unexplained(y: Array, positive: Sequence[Array], free: Sequence[Array]) -> float:
@@ -339,9 +340,7 @@ class _Motors:
             max(abs(self._correlation(means.q[j][1], means.theta[i][1])) for j in self.use) if i in self.use else 0.0
             for i in range(self.arm.n)
         ]
-        self.stiff = [
-            joint.flexible and rate >= STIFF for joint, rate in zip(self.arm.joints, rates, strict=True)
-        ]
+        self.stiff = [joint.flexible and rate >= STIFF for joint, rate in zip(self.arm.joints, rates, strict=True)]
         self._known: dict[Any, float] = {}
 
     @staticmethod
@@ -370,7 +369,7 @@ class _Motors:
             value = math.log(max(_law(m, joint, q, theta, factor["tau"] * m.tau[source["tau"]]), 1e-6))
             if self.stiff[joint]:
                 # as the slope of a stiff joint is 1, a scale or a sign leaves the difference of the rates
-                left = np.std(theta[1] - q[1]) / max(np.std(theta[1]), np.std(q[1]), 1e-300)
+                left = np.std(theta[1] - q[1]) / max(float(np.std(theta[1])), float(np.std(q[1])), 1e-300)
                 value += math.log(max(float(left), 1e-6))
             self._known[key] = value
         return self._known[key]
@@ -388,10 +387,13 @@ class _Motors:
                 yield Change("inverted", kind, (i,), (i,), -1.0)
             if flexible and not self.stiff[i]:
                 yield Change("exchanged", "", (i,))
-            if flexible and ratio > 1.0 / 0.8:
-                for kind in ("q", "theta"):
-                    for factor in (ratio, 1.0 / ratio):
-                        yield Change("scaled", kind, (i,), (i,), factor)
+            if flexible:
+                scales = {ratio, 1.0 / ratio} - {1.0}
+                if self.stiff[i]:
+                    scales = {float(np.std(self.means.q[i][1]) / np.std(self.means.theta[i][1]))}
+                for scale in scales:
+                    yield Change("scaled", "q", (i,), (i,), 1.0 / scale)
+                    yield Change("scaled", "theta", (i,), (i,), scale)
         for kind in ("q", "theta", "tau"):
             swap = self._best_assignment(kind)
             if swap is not None:
@@ -425,9 +427,7 @@ def jackknifed(columns: Sequence[Array], y: Array) -> tuple[Array, Array]:
     whole = np.linalg.lstsq(x, y, rcond=None)[0]
     gram, right = x.T @ x, x.T @ y
     blocks = np.array_split(np.arange(len(y)), BLOCKS)
-    each = np.array(
-        [np.linalg.lstsq(gram - x[b].T @ x[b], right - x[b].T @ y[b], rcond=None)[0] for b in blocks]
-    )
+    each = np.array([np.linalg.lstsq(gram - x[b].T @ x[b], right - x[b].T @ y[b], rcond=None)[0] for b in blocks])
     spread = np.sqrt((BLOCKS - 1) / BLOCKS * ((each - each.mean(axis=0)) ** 2).sum(axis=0))
     back = np.where(scale > 0.0, scale, np.inf)
     return whole / back, spread / back
@@ -519,6 +519,7 @@ class _Auditor:
         self.undecided: set[str] = set()
         self.laws: dict[str, float] = {}
         self.pairs: list[Pair] = []
+        self._grid: dict[tuple[str, int], float] = {}
 
     @cached_property
     def ranges(self) -> tuple[tuple[int, int], ...]:
@@ -540,7 +541,6 @@ class _Auditor:
     def audit(self) -> Audit:
         self._traffic()
         broken = self._flat()
-        self._steps()
         self.progress(0.1)
         repaired = self.cycles
         means = Means(self.arm, self.cycles)
@@ -564,6 +564,7 @@ class _Auditor:
                 self._no_balance("signals that are stuck or saturated spoil it")
             else:
                 self._balance(repaired, skewed)
+        self._steps()
         self.progress(1.0)
         signals = tuple(self._signal(*entry) for entry in self.names)
         return Audit(signals, tuple(self.findings), tuple(self.pairs), self.laws, tuple(self.notes))
@@ -617,7 +618,9 @@ class _Auditor:
                 if not any(f.signal == name and f.fault == fault for f in self.findings):
                     remedy = "repair the sensor or its telemetry"
                     if fault == "saturated":
-                        remedy = "a sensor with a larger range, or a slower motion; nothing if the drive itself stops there"
+                        remedy = (
+                            "a sensor with a larger range, or a slower motion; nothing if the drive itself stops there"
+                        )
                     self.find(name, fault, evidence, remedy)
                 broken.add(-1 if kind == "omega" else i)
         return broken
@@ -643,7 +646,8 @@ class _Auditor:
             stuck = moving
         if stuck:
             a, b = max(stuck, key=lambda r: r[1] - r[0])
-            return "stuck", f"{b - a} cycles at {readings[a]:.6g} from cycle {int(self.cycles.sync[a])} on"
+            fault = "saturated" if ends[0] < ends[1] and readings[a] in ends else "stuck"
+            return fault, f"{b - a} cycles at {readings[a]:.6g} from cycle {int(self.cycles.sync[a])} on"
         return None
 
     def _partner_moves(self, kind: str, i: int, a: int, b: int) -> bool:
@@ -651,10 +655,12 @@ class _Auditor:
         joints = range(self.arm.n) if kind == "omega" else (i,)
         for j in joints:
             joint = self.arm.joints[j]
-            partners = {"q": ("theta",), "theta": ("q",) if joint.flexible else (), "tau": ("theta",)}.get(kind, ("theta",))
+            partners = {"q": ("theta",), "theta": ("q",) if joint.flexible else (), "tau": ("theta",)}.get(
+                kind, ("theta",)
+            )
             for partner in partners:
                 readings: Array = getattr(self.cycles, partner)[:, j]
-                quanta = FLAT_QUANTA * (joint.link_encoder.quantum_rad + joint.motor_encoder.quantum_rad)
+                quanta = FLAT_QUANTA * (self._step("q", j) + self._step("theta", j))
                 whole = max(float(np.ptp(readings[c:d])) for c, d in self.ranges)
                 if float(np.ptp(readings[a:b])) > max(quanta, FLAT_SHARE * whole):
                     return True
@@ -664,12 +670,24 @@ class _Auditor:
         joint: Joint = self.arm.joints[i]
         return joint.link_encoder if kind == "q" else joint.motor_encoder
 
+    def _step(self, kind: str, i: int) -> float:
+        """The larger of an encoder's declared step and the one that is seen, rad."""
+        seen = self._seen_step(kind, i)
+        return max(self._encoder(kind, i).quantum_rad, seen if math.isfinite(seen) else 0.0)
+
+    def _seen_step(self, kind: str, i: int) -> float:
+        if (kind, i) not in self._grid:
+            self._grid[kind, i] = grid_step(getattr(self.cycles, kind)[:, i], self.ranges, ANGLE_STEP)
+        return self._grid[kind, i]
+
     def _steps(self) -> None:
         for name, kind, i in self.names:
-            if kind not in ("q", "theta"):
+            if kind not in ("q", "theta") or any(
+                f.signal == name and f.fault.startswith("scaled") for f in self.findings
+            ):
                 continue
             encoder, readings = self._encoder(kind, i), getattr(self.cycles, kind)[:, i]
-            step = grid_step(readings, self.ranges, ANGLE_STEP)
+            step = self._seen_step(kind, i)
             quantum = encoder.quantum_rad
             if math.isfinite(step) and abs(step / max(quantum, ANGLE_STEP) - 1.0) > 0.02:
                 self.find(
@@ -678,6 +696,7 @@ class _Auditor:
                     f"{step:.4g} rad against {quantum:.4g} rad",
                     f"quantum_rad = {step:.6g}",
                 )
+                continue
             noise = noise_level(readings, self.ranges)
             declared = self._declared_noise(kind, i)
             if noise > NOISE_FACTOR * declared:
@@ -715,8 +734,17 @@ class _Auditor:
             if not ranked or now - ranked[0][0] < math.log(SURE):
                 break
             total, _, change = ranked[0]
-            rivals = [r for r in ranked[1:] if r[0] - total < math.log(SURE) and set(r[2].joints) & set(change.joints)]
-            self._name(change, math.exp(now - total), rivals[0][2] if rivals else None)
+            rivals = [
+                r[2] for r in ranked[1:] if r[0] - total < math.log(SURE) and set(r[2].joints) & set(change.joints)
+            ]
+            if change.what == "scaled":
+                # a motor's law has no scale of its own: the angle whose noise is off is the one
+                alike = sorted(
+                    (self._noise_off(c), k, c) for k, c in enumerate([change, *rivals]) if c.what == "scaled"
+                )
+                change = alike[0][2]
+                rivals = [c for off, _, c in alike[1:] if off - alike[0][0] < math.log(NOISE_FACTOR)]
+            self._name(change, math.exp(now - total), rivals[0] if rivals else None)
             touched |= set(change.joints)
             cycles = changed(cycles, change, self.zeros)
             means = Means(self.arm, cycles)
@@ -734,10 +762,14 @@ class _Auditor:
                     f"(turned round it explains {math.exp(here - turned):.2f} times as well)"
                 )
             if joint.flexible and motors.stiff[i]:
-                self.notes.append(
-                    f"{joint.name}: too stiff to tell whether motor and link encoder are exchanged"
-                )
+                self.notes.append(f"{joint.name}: too stiff to tell whether motor and link encoder are exchanged")
         return cycles, motors, [i for i in use if i not in touched]
+
+    def _noise_off(self, change: Change) -> float:
+        """How far the noise of an angle, with its scale put right, is from the declared: logarithm of the ratio."""
+        i = change.joints[0]
+        noise = change.factor * noise_level(getattr(self.cycles, change.kind)[:, i], self.ranges)
+        return abs(math.log(max(noise, 1e-300) / self._declared_noise(change.kind, i)))
 
     def _name(self, change: Change, ratio: float, rival: Change | None) -> None:
         evidence = f"explains the run {ratio:.3g} times better"
@@ -798,8 +830,8 @@ class _Auditor:
                     self.name("q", i),
                     f"zero off by {1e3 * -found.zero_rad:.3g} mrad ± {1e3 * found.zero_sigma_rad:.1g}",
                     f"{abs(found.zero_rad) / max(found.zero_sigma_rad, 1e-300):.1f} standard errors",
-                    f"zero_rad = {first.zero_rad - first.sign * found.zero_rad:.6g} of the link_encoder, or as much the "
-                    "other way of the motor_encoder; a bias of the torque looks alike",
+                    f"zero_rad = {first.zero_rad - first.sign * found.zero_rad:.6g} of the link_encoder, or as much "
+                    "the other way of the motor_encoder; a bias of the torque looks alike",
                 )
         return named
 
@@ -811,8 +843,8 @@ class _Auditor:
             f"{joint.name} {newer} angle",
             f"skewed {1e3 * abs(found.skew_s):.3g} ms ± {1e3 * found.skew_sigma_s:.1g}",
             f"newer than the {older} angle, {abs(found.skew_s) / found.skew_sigma_s:.0f} standard errors",
-            f"latch_us = {latch:.0f} of the {newer}_encoder; if it is the {older} angle that comes from the past, torque "
-            "and gyro are newer as well",
+            f"latch_us = {latch:.0f} of the {newer}_encoder; if it is the {older} angle that comes from the past, "
+            "torque and gyro are newer as well",
         )
 
     # -- the whole arm
@@ -860,7 +892,9 @@ class _Auditor:
                 continue
             seen.append(felt)
             if len(seen) > 1:
-                trials.append((self._residual(arm, replace(cycles, omega=cycles.omega @ turn.T)), len(trials), "gyro", turn))
+                trials.append(
+                    (self._residual(arm, replace(cycles, omega=cycles.omega @ turn.T)), len(trials), "gyro", turn)
+                )
         for i in range(arm.n):
             trials.append((self._residual(arm, self._joint_turned(cycles, i)), len(trials), "inverted", (i,)))
         for a, b in itertools.combinations(range(arm.n), 2):
@@ -902,14 +936,23 @@ class _Auditor:
                     continue
                 fault = "inverted" if source == i else f"swapped with gyro {'xyz'[source]}"
                 fault += " and inverted" if source != i and sign < 0 else ""
-                self.find(f"gyro {'xyz'[i]}", fault, evidence, "mount_xyzw of the arm file, or the signs where the log is written")
+                self.find(
+                    f"gyro {'xyz'[i]}",
+                    fault,
+                    evidence,
+                    "mount_xyzw of the arm file, or the signs where the log is written",
+                )
             return
-        kinds = [(kind, i) for i in detail for kind in ("q", "theta", "tau") if kind != "q" or self.arm.joints[i].flexible]
+        kinds = [
+            (kind, i) for i in detail for kind in ("q", "theta", "tau") if kind != "q" or self.arm.joints[i].flexible
+        ]
         for kind, i in kinds:
             other = self.arm.joints[detail[1 - detail.index(i)]].name if what == "swapped" else ""
             self.find(
                 self.name(kind, i),
-                f"swapped with {other}'s, as all signals of the joint" if other else "inverted, as all signals of the joint",
+                f"swapped with {other}'s, as all signals of the joint"
+                if other
+                else "inverted, as all signals of the joint",
                 evidence,
                 "exchange the nodes of the two joints" if other else "turn axis of the joint round",
             )
@@ -949,7 +992,7 @@ class _Auditor:
             share=self._share(name),
             low=float(valid.min()),
             high=float(valid.max()),
-            step=grid_step(readings, self.ranges, ANGLE_STEP) if angle else math.nan,
+            step=self._seen_step(kind, i) if angle else math.nan,
             quantum=self._encoder(kind, i).quantum_rad if angle else math.nan,
             noise=noise_level(readings, self.ranges),
             declared=self._declared_noise(kind, i),
