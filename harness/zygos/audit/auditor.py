@@ -116,6 +116,9 @@ class _Auditor:
                 self.undecided |= {self.name(kind, i) for kind in KINDS}
         repaired, motors, clean = self._motors(use, means)
         self.progress(0.4)
+        if not use:
+            self._no_balance("no joint moves whose signals are alive")
+            return
         balance = self._balance(repaired, broken)
         if balance is not None and self.arm.free:
             balance = self._whole(balance)
