@@ -44,7 +44,7 @@ from zygos.scenario import load_scenario
 
 GAP = ROOT / "examples" / "gap"
 KR300 = Path(ROOT).parent / "shared" / "data" / "kr300" / "run_a.mat"
-PAPER_SEEDS, GAP_SEEDS = 10, 3
+PAPER_SEEDS, GAP_SEEDS = 10, 2
 STEP = 2 * np.pi / 2**20
 
 

@@ -32,7 +32,7 @@ SKEW_SIGMAS, SKEW_SHARE = 4.0, 0.1
 """A skew is named from so many standard errors on, and from this share of the period on."""
 ZERO_SIGMAS = 6.0
 NOISE_FACTOR = 4.0
-"""Noise above so many times the declared one is named: the held torque's own steps reach 2.1 in the trials."""
+"""Noise above so many times the declared one is named: the steps of a held torque make it 1.1 in the trials."""
 FLAT_CYCLES, FLAT_SHARE = 20, 0.02
 """A reading that keeps its code so long, while its partner moves so far (share of its range), is stuck."""
 FLAT_TOPS, FLAT_TOP_CYCLES = 3, 3
