@@ -116,6 +116,27 @@ def check(
     check_run(run, arm, model, json)
 
 
+@app.command(name="check-arm")
+def check_arm(
+    arm: Annotated[Path, typer.Argument(metavar="ARM.toml", help="The hardware.")],
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="A CAN log, or a cycle table (.npz).")],
+    json: Json = None,
+) -> None:
+    """Hold a run against its arm file: rate, range, steps and noise of each signal, and whether the signals agree.
+
+    Names what is swapped, inverted, scaled by the gear ratio, stuck or saturated, a skew in time between the two
+    encoders of a joint, zeros that are off, and another torque law; with the number that says how sure it is, and the
+    remedy. No model is needed.
+
+    Exit code 3 when something is found, or the run does not confirm every signal.
+
+    Example: zygos check-arm out/arm.toml out/run.blf
+    """
+    from zygos.check_arm import check_arm_run  # noqa: PLC0415
+
+    check_arm_run(arm, run, json)
+
+
 @app.command()
 def convert(
     source: Annotated[

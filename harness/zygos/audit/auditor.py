@@ -1,0 +1,537 @@
+"""The audit: each signal alone, signals against each other, the whole arm."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import cached_property
+
+import numpy as np
+
+from zygos.arm import Arm, Encoder, Joint
+from zygos.audit.balance import KINDS, Balance, WholeFault
+from zygos.audit.encoders import pair, unskewed
+from zygos.audit.findings import Audit, Finding, Pair, Signal, Traffic, signal_names
+from zygos.audit.means import FLAT_QUANTA, Array, Means
+from zygos.audit.motors import NOTHING, Change, Motors, changed
+from zygos.audit.readings import grid_step, noise_level, runs_of_equal
+from zygos.cycles import Cycles
+from zygos.errors import ZygosError
+from zygos.gap.record import ANGLE_STEP, COARSE_RATE_STEP, RATE_STEP
+from zygos.reference.cycle import segments
+
+SURE = 1.5
+"""What the equations leave unexplained must shrink by this factor before a fault is named. Trials: wrong readings of
+the examples leave 1.9 times as much or more; changes to right ones win nothing (tests/unit/test_audit.py)."""
+SURE_LAW, LIKELY_LAW = 1.15, 1.03
+"""The same for the torque law, whose error is small: a false one left 1.2 times as much or more in the trials, and the
+best one at most 0.97 of the next. Where the declared one wins by less than that, it is not decided."""
+EXPLAINED = 0.9
+"""Share of a torque that may stay unexplained before nothing is said of its sign."""
+SKEW_SIGMAS, SKEW_SHARE = 4.0, 0.1
+"""A skew is named from so many standard errors on, and from this share of the period on."""
+ZERO_SIGMAS = 6.0
+NOISE_FACTOR = 4.0
+"""Noise above so many times the declared one is named: the steps of a held torque make it 1.1 in the trials."""
+FLAT_CYCLES, FLAT_SHARE = 20, 0.02
+"""A reading that keeps its code so long, while its partner moves so far (share of its range), is stuck."""
+FLAT_TOPS, FLAT_TOP_CYCLES = 3, 3
+"""So many stretches of so many equal codes at an end of the range are a limit, not chance."""
+LOST = 0.02
+"""Share of the cycles whose loss is worth a word."""
+
+
+def audit(
+    arm: Arm, cycles: Cycles, traffic: Traffic | None = None, progress: Callable[[float], None] | None = None
+) -> Audit:
+    """Audit a run against its arm file. progress is called with the share that is done.
+
+    Errors: ZygosError where the run has another number of joints than the arm.
+    """
+    if cycles.q.shape[1] != arm.n:
+        raise ZygosError(
+            f"the run has {cycles.q.shape[1]} joints, arm {arm.name} has {arm.n}; remedy: give the arm file the run "
+            "was made with"
+        )
+    return _Auditor(arm, cycles, traffic or Traffic(), progress or (lambda _: None)).audit()
+
+
+class _Auditor:
+    """One audit: the findings grow as the signals are looked at, alone, in pairs and all together."""
+
+    def __init__(self, arm: Arm, cycles: Cycles, traffic: Traffic, progress: Callable[[float], None]) -> None:
+        self.arm, self.cycles, self.traffic, self.progress = arm, cycles, traffic, progress
+        self.names = signal_names(arm)
+        self.findings: list[Finding] = []
+        self.notes: list[str] = []
+        self.undecided: set[str] = set()
+        self.laws: dict[str, float] = {}
+        self.pairs: list[Pair] = []
+        self._grid: dict[tuple[str, int], float] = {}
+
+    @cached_property
+    def ranges(self) -> tuple[tuple[int, int], ...]:
+        return segments(self.cycles).ranges
+
+    @cached_property
+    def zeros(self) -> dict[str, Array]:
+        return {
+            "q": np.array([j.link_encoder.zero_rad for j in self.arm.joints]),
+            "theta": np.array([j.motor_encoder.zero_rad for j in self.arm.joints]),
+        }
+
+    def name(self, kind: str, index: int) -> str:
+        return next((n for n, k, i in self.names if (k, i) == (kind, index)), f"{self.arm.joints[index].name} {kind}")
+
+    def find(self, signal: str, fault: str, evidence: str, remedy: str) -> None:
+        self.findings.append(Finding(signal, fault, evidence, remedy))
+
+    def audit(self) -> Audit:
+        self._traffic()
+        broken = self._flat()
+        self.progress(0.1)
+        means = Means(self.arm, self.cycles)
+        if means.count:
+            self._together(means, broken)
+        else:
+            self.notes.append(
+                "no stretch without a gap is long enough to compare signals with each other "
+                f"({4 * self.arm.smoother.points + 4} cycles)"
+            )
+            self.undecided |= {name for name, _, _ in self.names}
+        self._steps()
+        self.progress(1.0)
+        signals = tuple(self._signal(*entry) for entry in self.names)
+        return Audit(signals, tuple(self.findings), tuple(self.pairs), self.laws, tuple(self.notes))
+
+    def _together(self, means: Means, broken: set[int]) -> None:
+        use = []
+        for i, joint in enumerate(self.arm.joints):
+            if i in broken:
+                continue
+            if means.moves(i):
+                use.append(i)
+            else:
+                self.notes.append(f"{joint.name}: does not move, so nothing is decided")
+                self.undecided |= {self.name(kind, i) for kind in KINDS}
+        repaired, motors, clean = self._motors(use, means)
+        self.progress(0.4)
+        if not use:
+            self._no_balance("no joint moves whose signals are alive")
+            return
+        balance = self._balance(repaired, broken)
+        if balance is not None and self.arm.free:
+            balance = self._whole(balance)
+        self.progress(0.8)
+        skewed = self._pairs(motors, clean, balance)
+        if balance is not None:
+            self._torque_law(balance, skewed)
+
+    # -- each signal by itself
+
+    def _traffic(self) -> None:
+        measured = self.traffic.period_s
+        if math.isfinite(measured) and abs(measured / self.arm.period_s - 1.0) > 0.005:
+            self.find(
+                "SYNC",
+                f"every {1e3 * measured:.4g} ms, not {1e3 * self.arm.period_s:.4g} ms",
+                "FTIME against the count of SYNCs",
+                f"period_s = {measured:.6g}",
+            )
+        for name, _, _ in self.names:
+            share = self._share(name)
+            if share < 1.0 - LOST:
+                self.find(
+                    name,
+                    "missing" if share == 0.0 else f"loses {100 * (1 - share):.1f} %",
+                    f"{100 * share:.1f} % of the cycles",
+                    "compare the node numbers of the arm file with the bus"
+                    if share == 0.0
+                    else "repair the bus or the recording",
+                )
+            count = self.traffic.saturated.get(name, 0)
+            if count:
+                self.find(
+                    name, "saturated", f"{count} frames at the end of the wire's range", "a sensor with a larger range"
+                )
+
+    def _share(self, name: str) -> float:
+        if name in self.traffic.share:
+            return self.traffic.share[name]
+        if not self.ranges:
+            return 0.0
+        used = sum(b - a for a, b in self.ranges)
+        first, last = int(self.cycles.sync[self.ranges[0][0]]), int(self.cycles.sync[self.ranges[-1][1] - 1])
+        return used / max(last - first + 1, 1)
+
+    def _flat(self) -> set[int]:
+        """Name what is stuck or saturated; returns the joints that are spoilt by it (-1: the gyro)."""
+        broken = set()
+        for name, kind, i in self.names:
+            if kind == "omega" and not self._used_axis(i):
+                continue
+            verdict = self._flat_one(kind, i)
+            if verdict is not None:
+                fault, evidence = verdict
+                if not any(f.signal == name and f.fault == fault for f in self.findings):
+                    remedy = "repair the sensor or its telemetry"
+                    if fault == "saturated":
+                        remedy = (
+                            "a sensor with a larger range, or a slower motion; nothing if the drive itself stops there"
+                        )
+                    self.find(name, fault, evidence, remedy)
+                broken.add(-1 if kind == "omega" else i)
+        return broken
+
+    def _flat_one(self, kind: str, i: int) -> tuple[str, str] | None:
+        readings: Array = getattr(self.cycles, kind)[:, i]
+        flat = runs_of_equal(readings, self.ranges, FLAT_TOP_CYCLES)
+        if not flat:
+            return None
+        valid = np.concatenate([readings[a:b] for a, b in self.ranges])
+        ends = (float(valid.min()), float(valid.max()))
+        moving = [(a, b) for a, b in flat if self._partner_moves(kind, i, a, b)]
+        if ends[0] < ends[1]:
+            for end in ends:
+                tops = [(a, b) for a, b in flat if readings[a] == end]
+                # at a turning point an encoder keeps its code: there the partner must go on
+                tops = tops if kind in ("tau", "omega") else [t for t in tops if t in moving]
+                length = sum(b - a for a, b in tops)
+                if len(tops) >= FLAT_TOPS and length > 0.002 * len(valid):
+                    return "saturated", f"{length} cycles at {end:.6g}, in {len(tops)} stretches"
+        stuck = [(a, b) for a, b in moving if b - a >= FLAT_CYCLES and not (kind == "tau" and readings[a] == 0.0)]
+        if ends[0] == ends[1]:
+            stuck = moving
+        if stuck:
+            a, b = max(stuck, key=lambda r: r[1] - r[0])
+            fault = "saturated" if ends[0] < ends[1] and readings[a] in ends else "stuck"
+            return fault, f"{b - a} cycles at {readings[a]:.6g} from cycle {int(self.cycles.sync[a])} on"
+        return None
+
+    def _partner_moves(self, kind: str, i: int, a: int, b: int) -> bool:
+        """Whether what goes with a signal moves from a to b, far enough that the signal should."""
+        joints = range(self.arm.n) if kind == "omega" else (i,)
+        for j in joints:
+            joint = self.arm.joints[j]
+            partners = {"q": ("theta",), "theta": ("q",) if joint.flexible else (), "tau": ("theta",)}.get(
+                kind, ("theta",)
+            )
+            for partner in partners:
+                readings: Array = getattr(self.cycles, partner)[:, j]
+                quanta = FLAT_QUANTA * (self._step("q", j) + self._step("theta", j))
+                whole = max(float(np.ptp(readings[c:d])) for c, d in self.ranges)
+                if float(np.ptp(readings[a:b])) > max(quanta, FLAT_SHARE * whole):
+                    return True
+        return False
+
+    def _encoder(self, kind: str, i: int) -> Encoder:
+        joint: Joint = self.arm.joints[i]
+        return joint.link_encoder if kind == "q" else joint.motor_encoder
+
+    def _step(self, kind: str, i: int) -> float:
+        """The larger of an encoder's declared step and the one that is seen, rad."""
+        seen = self._seen_step(kind, i)
+        return max(self._encoder(kind, i).quantum_rad, seen if math.isfinite(seen) else 0.0)
+
+    def _seen_step(self, kind: str, i: int) -> float:
+        if (kind, i) not in self._grid:
+            self._grid[kind, i] = grid_step(getattr(self.cycles, kind)[:, i], self.ranges, ANGLE_STEP)
+        return self._grid[kind, i]
+
+    def _steps(self) -> None:
+        for name, kind, i in self.names:
+            if kind not in ("q", "theta") or any(
+                f.signal == name and f.fault.startswith("scaled") for f in self.findings
+            ):
+                continue
+            encoder, readings = self._encoder(kind, i), getattr(self.cycles, kind)[:, i]
+            step = self._seen_step(kind, i)
+            quantum = encoder.quantum_rad
+            if math.isfinite(step) and abs(step / max(quantum, ANGLE_STEP) - 1.0) > 0.02:
+                self.find(
+                    name,
+                    f"moves in steps of 2π/{2 * math.pi / step:.0f}, not 2π/{2 * math.pi / quantum:.0f}",
+                    f"{step:.4g} rad against {quantum:.4g} rad",
+                    f"quantum_rad = {step:.6g}",
+                )
+                continue
+            noise = noise_level(readings, self.ranges)
+            declared = self._declared_noise(kind, i)
+            if noise > NOISE_FACTOR * declared:
+                self.find(
+                    name,
+                    f"noisier than declared by {noise / declared:.1f}",
+                    f"{noise:.2g} rad against {declared:.2g} rad",
+                    "repair the sensor, or state counts (quantum_rad) as they are",
+                )
+
+    def _declared_noise(self, kind: str, i: int) -> float:
+        if kind == "tau":
+            return self.arm.joints[i].torque_sigma
+        if kind == "omega":
+            step = COARSE_RATE_STEP if self.arm.imu.resolution == "coarse" else RATE_STEP
+            return math.hypot(self.arm.imu.rate_sigma, step / math.sqrt(12.0))
+        return math.hypot(self._encoder(kind, i).sigma_rad, ANGLE_STEP / math.sqrt(12.0))
+
+    def _used_axis(self, axis: int) -> bool:
+        """Whether the arm turns about that axis of the gyro."""
+        if not self.arm.free:
+            return False
+        return self.arm.spatial or abs(float((self.arm.mount.T @ self.arm.axis)[axis])) > 1e-6
+
+    # -- signals against each other
+
+    def _motors(self, use: list[int], means: Means) -> tuple[Cycles, Motors, list[int]]:
+        """Name faults of angles and torques, one after the other, each undone before the next is looked for. Returns
+        the run without them and the joints in which nothing was wrong."""
+        cycles, touched = self.cycles, set()
+        motors = Motors(means, use)
+        for _ in range(3 * len(use)):
+            now = motors.total(NOTHING)
+            ranked = sorted(((motors.total(c), k, c) for k, c in enumerate(motors.changes())), key=lambda r: r[:2])
+            if not ranked or now - ranked[0][0] < math.log(SURE):
+                break
+            total, _, change = ranked[0]
+            rivals = [
+                r[2] for r in ranked[1:] if r[0] - total < math.log(SURE) and set(r[2].joints) & set(change.joints)
+            ]
+            if change.what == "scaled":
+                # a motor's law has no scale of its own: the angle whose noise is off is the one
+                alike = sorted(
+                    (self._noise_off(c), k, c) for k, c in enumerate([change, *rivals]) if c.what == "scaled"
+                )
+                change = alike[0][2]
+                rivals = [c for off, _, c in alike[1:] if off - alike[0][0] < math.log(NOISE_FACTOR)]
+            self._name(change, math.exp(now - total), rivals[0] if rivals else None)
+            touched |= set(change.joints)
+            cycles = changed(cycles, change, self.zeros)
+            means = Means(self.arm, cycles)
+            motors = Motors(means, use)
+        for i in use:
+            joint = self.arm.joints[i]
+            if i in touched:
+                continue
+            here = motors.score(i, NOTHING)
+            turned = motors.score(i, Change("inverted", "tau", (i,), (i,), -1.0))
+            if turned - here < math.log(SURE) or math.exp(here) > EXPLAINED:
+                self.undecided.add(self.name("tau", i))
+                self.notes.append(
+                    f"{joint.name}: the sign of the torque is not decided "
+                    f"(turned round it explains {math.exp(here - turned):.2f} times as well)"
+                )
+            if joint.flexible and motors.stiff[i]:
+                self.notes.append(f"{joint.name}: too stiff to tell whether motor and link encoder are exchanged")
+        return cycles, motors, [i for i in use if i not in touched]
+
+    def _noise_off(self, change: Change) -> float:
+        """How far the noise of an angle, with its scale put right, is from the declared: logarithm of the ratio."""
+        i = change.joints[0]
+        noise = change.factor * noise_level(getattr(self.cycles, change.kind)[:, i], self.ranges)
+        return abs(math.log(max(noise, 1e-300) / self._declared_noise(change.kind, i)))
+
+    def _name(self, change: Change, ratio: float, rival: Change | None) -> None:
+        evidence = f"explains the run {ratio:.3g} times better"
+        if rival is not None:
+            evidence += f"; {self._called(rival)} would do as well"
+        if change.what == "exchanged":
+            i = change.joints[0]
+            for kind, other in (("q", "theta"), ("theta", "q")):
+                self.find(
+                    self.name(kind, i),
+                    f"swapped with {self.name(other, i)}",
+                    evidence,
+                    "exchange link and motor encoder where the log is written",
+                )
+        elif change.what == "swapped":
+            for i, j in zip(change.joints, change.source, strict=True):
+                self.find(
+                    self.name(change.kind, i),
+                    f"swapped with {self.name(change.kind, j)}",
+                    evidence,
+                    "exchange the names (or nodes) of the two where the log is written",
+                )
+        elif change.what == "inverted":
+            remedy = "turn its sign where the log is written"
+            if change.kind != "tau":
+                encoder = self._encoder(change.kind, change.joints[0])
+                remedy = f"sign = {-encoder.sign} of the {'link' if change.kind == 'q' else 'motor'}_encoder"
+            self.find(self.name(change.kind, change.joints[0]), "inverted", evidence, remedy)
+        else:
+            self.find(
+                self.name(change.kind, change.joints[0]),
+                f"scaled by {1.0 / change.factor:.4g}",
+                evidence,
+                "angles are after the gear: divide by the gear ratio once, where the log is written",
+            )
+
+    def _called(self, change: Change) -> str:
+        who = " and ".join(self.name(change.kind or "theta", i) for i in change.joints)
+        return f"{who} {change.what}"
+
+    def _pairs(self, motors: Motors, clean: list[int], balance: Balance | None) -> dict[int, float]:
+        """Audit the encoder pairs; returns the skews that were named, s."""
+        named: dict[int, float] = {}
+        found = {i: pair(motors.means, i, motors.stiff[i]) for i in clean if self.arm.joints[i].flexible}
+        self.pairs = list(found.values())
+        wanted = {
+            i: p.skew_s
+            for i, p in found.items()
+            if abs(p.skew_s) > max(SKEW_SIGMAS * p.skew_sigma_s, SKEW_SHARE * self.arm.period_s)
+        }
+        for i, one in found.items():
+            joint = self.arm.joints[i]
+            if i in wanted:
+                if self._is_friction(i, one, wanted, balance):
+                    late = f"{1e3 * abs(one.skew_s):.3g} ms ± {1e3 * one.skew_sigma_s:.1g}"
+                    why = "viscous friction of the motor, no skew: with a latch the energy balance closes worse"
+                    if balance is None:
+                        why = "a newer link encoder, or viscous friction of the motor: not decidable without a balance"
+                    self.notes.append(f"{joint.name}: {late} between the encoders are {why}")
+                else:
+                    named[i] = one.skew_s
+                    self._name_skew(joint, one)
+            first, second = joint.link_encoder, joint.motor_encoder
+            allowed = 3.0 * math.hypot(first.zero_sigma_rad, second.zero_sigma_rad)
+            allowed += first.quantum_rad + second.quantum_rad + ZERO_SIGMAS * one.zero_sigma_rad
+            if abs(one.zero_rad) > allowed:
+                self.find(
+                    self.name("q", i),
+                    f"zero off by {1e3 * -one.zero_rad:.3g} mrad ± {1e3 * one.zero_sigma_rad:.1g}",
+                    f"{abs(one.zero_rad) / max(one.zero_sigma_rad, 1e-300):.1f} standard errors",
+                    f"zero_rad = {first.zero_rad - first.sign * one.zero_rad:.6g} of the link_encoder, or as much "
+                    "the other way of the motor_encoder; a bias of the torque looks alike",
+                )
+        return named
+
+    def _is_friction(self, i: int, one: Pair, wanted: dict[int, float], balance: Balance | None) -> bool:
+        """Whether what looks like a link encoder that is newer is the motor's viscous friction.
+
+        Where a joint is soft, s = n tau - Im n^2 thetadd - friction: what grows with the rate takes from theta - q as a
+        newer link encoder does. The balance of the whole arm knows friction, and closes worse with a latch that is not.
+        """
+        if one.stiff or one.skew_s > 0.0:
+            return False
+        if balance is None:
+            return True
+        others = {j: skew for j, skew in wanted.items() if j != i}
+        without = balance.residual(unskewed(self.arm, others), balance.cycles)
+        return not balance.residual(unskewed(self.arm, wanted), balance.cycles) < without
+
+    def _name_skew(self, joint: Joint, found: Pair) -> None:
+        newer, older = ("motor", "link") if found.skew_s > 0 else ("link", "motor")
+        encoder = joint.motor_encoder if newer == "motor" else joint.link_encoder
+        latch = encoder.latch_us + 1e6 * abs(found.skew_s)
+        self.find(
+            f"{joint.name} {newer} angle",
+            f"skewed {1e3 * abs(found.skew_s):.3g} ms ± {1e3 * found.skew_sigma_s:.1g}",
+            f"newer than the {older} angle, {abs(found.skew_s) / found.skew_sigma_s:.0f} standard errors",
+            f"latch_us = {latch:.0f} of the {newer}_encoder; if it is the {older} angle that comes from the past, "
+            "torque and gyro are newer as well",
+        )
+
+    # -- the whole arm
+
+    def _no_balance(self, why: str) -> None:
+        self.notes.append(f"torque law and gyro are not decided: {why}")
+        self.undecided |= {name for name, kind, i in self.names if kind == "omega" and self._used_axis(i)}
+
+    def _balance(self, cycles: Cycles, broken: set[int]) -> Balance | None:
+        if broken:
+            self._no_balance("what is stuck or saturated spoils the balance of the whole arm")
+            return None
+        try:
+            balance = Balance(self.arm, cycles)
+        except ZygosError as error:
+            self._no_balance(str(error).split("; remedy")[0])
+            return None
+        if not math.isfinite(balance.residual_j):
+            self._no_balance("the run is too short for a balance of the whole arm")
+            return None
+        return balance
+
+    def _whole(self, balance: Balance) -> Balance:
+        """Name a fault of the gyro or of a joint as a whole; returns the balance without it."""
+        now = balance.residual_j
+        trials = list(balance.trials(self.zeros))
+        residual, best = min(trials, key=lambda trial: trial[0])
+        if now / residual >= SURE:
+            self._name_whole(best, f"the energy balance closes {now / residual:.3g} times better")
+            return Balance(self.arm, best.cycles)
+        against = min(value for value, fault in trials if fault.what == "gyro")
+        if against / now < SURE:
+            self.undecided |= {name for name, kind, i in self.names if kind == "omega" and self._used_axis(i)}
+            self.notes.append(
+                f"gyro: signs and axes are not decided (changed, the energy balance closes {now / against:.2f} times "
+                "as well)"
+            )
+        return balance
+
+    def _name_whole(self, fault: WholeFault, evidence: str) -> None:
+        if fault.what == "gyro":
+            for i in range(3):
+                source = int(np.argmax(np.abs(fault.turn[i])))
+                sign = fault.turn[i, source]
+                if source == i and sign > 0:
+                    continue
+                if not (self._used_axis(i) or self._used_axis(source)):
+                    continue
+                said = "inverted" if source == i else f"swapped with gyro {'xyz'[source]}"
+                said += " and inverted" if source != i and sign < 0 else ""
+                self.find(
+                    f"gyro {'xyz'[i]}",
+                    said,
+                    evidence,
+                    "mount_xyzw of the arm file, or the signs where the log is written",
+                )
+            return
+        for i in fault.joints:
+            said, remedy = "inverted, as all signals of the joint", "turn axis of the joint round"
+            if fault.what == "swapped":
+                other = self.arm.joints[sum(fault.joints) - i].name
+                said, remedy = (
+                    f"swapped with {other}'s, as all signals of the joint",
+                    "exchange the nodes of the two joints",
+                )
+            for kind in KINDS if self.arm.joints[i].flexible else KINDS[1:]:
+                self.find(self.name(kind, i), said, evidence, remedy)
+
+    def _torque_law(self, balance: Balance, skewed: dict[int, float]) -> None:
+        self.laws = balance.laws(unskewed(self.arm, skewed))
+        first, second, _ = sorted(self.laws, key=lambda law: self.laws[law])
+        declared, best, next_best = (self.laws[law] for law in (self.arm.torque_law, first, second))
+        if skewed:
+            self.notes.append("torque_law: decided only when the encoders are no longer skewed")
+        elif declared / best >= SURE_LAW:
+            self.find(
+                "torques",
+                f"not {self.arm.torque_law}",
+                f"the energy balance closes {declared / best:.3g} times better",
+                f'torque_law = "{first}", unless the drives are late by as much',
+            )
+        elif first != self.arm.torque_law or next_best / best < LIKELY_LAW:
+            self.notes.append(
+                f"torque_law: not decided ({second} closes the energy balance {best / next_best:.2f} times as well as "
+                f"{first})"
+            )
+
+    # -- the table
+
+    def _signal(self, name: str, kind: str, i: int) -> Signal:
+        readings: Array = getattr(self.cycles, kind)[:, i]
+        valid = np.concatenate([readings[a:b] for a, b in self.ranges] or [np.full(1, math.nan)])
+        angle = kind in ("q", "theta")
+        faults = [f.fault for f in self.findings if f.signal == name]
+        decided = name not in self.undecided or bool(faults)
+        return Signal(
+            name=name,
+            unit={"tau": "Nm", "omega": "rad/s"}.get(kind, "rad"),
+            share=self._share(name),
+            low=float(valid.min()),
+            high=float(valid.max()),
+            step=self._seen_step(kind, i) if angle else math.nan,
+            quantum=self._encoder(kind, i).quantum_rad if angle else math.nan,
+            noise=noise_level(readings, self.ranges),
+            declared=self._declared_noise(kind, i),
+            decided=decided,
+            verdict="; ".join(faults) or ("ok" if decided else "not decidable"),
+        )

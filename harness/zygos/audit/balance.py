@@ -1,0 +1,98 @@
+"""Faults that only the arm as a whole shows, told by the C library's energy balance."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+
+from zygos.arm import Arm, TorqueLaw
+from zygos.audit.means import Array
+from zygos.cycles import Cycles
+from zygos.effects import CATALOGUE, Effect
+from zygos.flight import Flight, ffi
+
+MOST_CYCLES = 20_000
+"""The balance is tried on so many cycles at the most: it is repeated for every fault."""
+LAWS: tuple[TorqueLaw, ...] = ("applied_from_sync", "applied_previous_cycle", "sampled")
+KINDS = ("q", "theta", "tau")
+
+
+@dataclass(frozen=True)
+class WholeFault:
+    """A fault of the gyro, or of all signals of a joint, and the run without it."""
+
+    what: str
+    """"gyro", "inverted", "swapped"."""
+    joints: tuple[int, ...]
+    turn: Array
+    """(3, 3) true gyro reading = turn @ reading; the identity for a fault of joints."""
+    cycles: Cycles
+
+
+class Balance:
+    """The energy balance of a run under any arm file. Friction in the motors is in it: real ones have some."""
+
+    def __init__(self, arm: Arm, cycles: Cycles) -> None:
+        """Take the first `MOST_CYCLES` cycles. Errors: ZygosError where the C library has no columns for the arm."""
+        self.arm = arm
+        self.cycles = Cycles(*(getattr(cycles, name)[:MOST_CYCLES] for name in Cycles.__dataclass_fields__))
+        room = int(ffi.typeof("zygos_config_t").fields[_field("effect")][1].type.length)
+        friction = [(kind, joint.name) for kind in ("motor_coulomb", "motor_viscous") for joint in arm.joints]
+        self.friction = [Effect(CATALOGUE[kind], joint, 0.0) for kind, joint in friction[:room]]
+        self.residual_j = self.residual(arm, self.cycles)
+
+    def residual(self, arm: Arm, cycles: Cycles) -> float:
+        """rms residual, J; infinite where nothing comes out."""
+        flight = Flight(arm, self.friction)
+        flight.cycles(cycles)
+        residual = float(flight.estimate().residual)
+        return residual if math.isfinite(residual) and residual > 0.0 else math.inf
+
+    def laws(self, arm: Arm) -> dict[str, float]:
+        """rms residual under each torque law, J."""
+        return {law: self.residual(replace(arm, torque_law=law), self.cycles) for law in LAWS}
+
+    def trials(self, zeros: dict[str, Array]) -> Iterator[tuple[float, WholeFault]]:
+        """Residual without each fault, J. zeros: as of `zygos.audit.motors.changed`."""
+        for turn in self._turns():
+            moved = replace(self.cycles, omega=self.cycles.omega @ turn.T)
+            yield self.residual(self.arm, moved), WholeFault("gyro", (), turn, moved)
+        for i in range(self.arm.n):
+            fields = {kind: getattr(self.cycles, kind).copy() for kind in KINDS}
+            for kind in KINDS:
+                fields[kind][:, i] = 2.0 * (zeros[kind][i] if kind in zeros else 0.0) - fields[kind][:, i]
+            moved = replace(self.cycles, **cast("dict[str, object]", fields))  # type: ignore[arg-type]
+            yield self.residual(self.arm, moved), WholeFault("inverted", (i,), np.eye(3), moved)
+        for a, b in itertools.combinations(range(self.arm.n), 2):
+            order = list(range(self.arm.n))
+            order[a], order[b] = b, a
+            c = self.cycles
+            moved = replace(c, q=c.q[:, order], theta=c.theta[:, order], tau=c.tau[:, order])
+            yield self.residual(self.arm, moved), WholeFault("swapped", (a, b), np.eye(3), moved)
+
+    def _turns(self) -> Iterator[Array]:
+        """Exchanges and inversions of the gyro's axes, the simplest first; of those that a planar arm does not tell
+        apart, one."""
+        identity = np.eye(3)
+        turns = [
+            np.diag(signs) @ identity[list(order)]
+            for order in itertools.permutations(range(3))
+            for signs in itertools.product((1.0, -1.0), repeat=3)
+        ]
+        axis = None if self.arm.spatial else self.arm.mount.T @ self.arm.axis
+        seen: list[Array] = []
+        for turn in sorted(turns, key=lambda t: float(np.abs(t - identity).sum())):
+            felt = turn if axis is None else turn.T @ axis
+            if not any(np.allclose(felt, other) for other in seen):
+                seen.append(felt)
+                if len(seen) > 1:
+                    yield turn
+
+
+def _field(name: str) -> int:
+    return [field for field, _ in ffi.typeof("zygos_config_t").fields].index(name)

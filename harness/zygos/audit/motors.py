@@ -1,0 +1,175 @@
+"""Faults of angles and torques, told by the laws of the motors."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment, nnls
+
+from zygos.audit.means import Array, Means, direction
+from zygos.cycles import Cycles
+
+STIFF = 0.99
+"""Correlation of the two encoders' rates from which on the deflection is a small difference."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """A fault as a change that undoes it: link angle, motor angle and torque of joint i are `sign * scale` times those
+    of the joints `source[kind][i]`; the two encoders of the joints in `exchanged` change places."""
+
+    what: str
+    """"inverted", "swapped", "exchanged", "scaled"."""
+    kind: str = ""
+    """Field of `Cycles`."""
+    joints: tuple[int, ...] = ()
+    source: tuple[int, ...] = ()
+    factor: float = 1.0
+
+
+NOTHING = Change("nothing")
+
+
+def changed(cycles: Cycles, change: Change, zeros: dict[str, Array]) -> Cycles:
+    """The run as it would be without the fault. zeros: (N,) of each kind of reading, about which signs turn."""
+    if change.what == "nothing":
+        return cycles
+    if change.what == "exchanged":
+        q, theta = cycles.q.copy(), cycles.theta.copy()
+        for i in change.joints:
+            q[:, i], theta[:, i] = cycles.theta[:, i], cycles.q[:, i]
+        return replace(cycles, q=q, theta=theta)
+    readings: Array = getattr(cycles, change.kind).copy()
+    zero = zeros.get(change.kind, np.zeros(readings.shape[1]))
+    for i, j in zip(change.joints, change.source, strict=True):
+        readings[:, i] = zero[i] + change.factor * (getattr(cycles, change.kind)[:, j] - zero[i])
+    fields: dict[str, Any] = {change.kind: readings}
+    return replace(cycles, **fields)
+
+
+def _unexplained(y: Array, positive: Sequence[Array], free: Sequence[Array]) -> float:
+    """Share of y, beside what the free columns take, that non-negative amounts of the positive columns do not give."""
+    basis, _ = np.linalg.qr(np.column_stack([c / max(float(np.linalg.norm(c)), 1e-300) for c in free]))
+
+    def beside(x: Array) -> Array:
+        out: Array = x - basis @ (basis.T @ x)
+        return out
+
+    target = beside(y)
+    size = float(np.linalg.norm(target))
+    if size <= 1e-9 * float(np.linalg.norm(y)) or size == 0.0:
+        return 1.0
+    columns = []
+    for x in positive:
+        rest = beside(x)
+        length = float(np.linalg.norm(rest))
+        if length > 1e-9 * max(float(np.linalg.norm(x)), 1e-300):
+            columns.append(rest / length)
+    if not columns:
+        return 1.0
+    _, left = nnls(np.column_stack(columns), target)
+    return float(left) / size
+
+
+def _law(means: Means, joint: int, q: list[Array], theta: list[Array], tau: Array) -> float:
+    """Unexplained share of a torque under the motor's law (module docstring). Friction may have any size."""
+    rate = theta[1]
+    sense = direction(rate)
+    if means.arm.joints[joint].flexible:
+        return _unexplained(tau, [theta[2], theta[0] - q[0], theta[1] - q[1]], [means.one, rate, sense])
+    free = [means.one]
+    if means.arm.feels_gravity[joint]:
+        free += [f(other[0]) for other in means.theta for f in (np.sin, np.cos)]
+    return _unexplained(tau, [theta[2], rate, sense], free)
+
+
+class Motors:
+    """How well every fault that is confined to angles and torques of joints explains the run."""
+
+    def __init__(self, means: Means, use: Sequence[int]) -> None:
+        """Take the joints in `use`, which move and whose signals are alive."""
+        self.means, self.use = means, list(use)
+        self.arm = means.arm
+        rates = [
+            max(abs(self._correlation(means.q[j][1], means.theta[i][1])) for j in self.use) if i in self.use else 0.0
+            for i in range(self.arm.n)
+        ]
+        self.stiff = [joint.flexible and rate >= STIFF for joint, rate in zip(self.arm.joints, rates, strict=True)]
+        self._known: dict[Any, float] = {}
+
+    @staticmethod
+    def _correlation(x: Array, y: Array) -> float:
+        spread = float(np.std(x) * np.std(y))
+        return float(np.mean((x - x.mean()) * (y - y.mean()))) / spread if spread > 0.0 else 0.0
+
+    def score(self, joint: int, change: Change) -> float:
+        """Logarithm of what stays unexplained at a joint: of its torque, and of a stiff joint's one rate by the
+        other, whose scale is 1 as well."""
+        m = self.means
+        source = {"q": joint, "theta": joint, "tau": joint}
+        factor = {"q": 1.0, "theta": 1.0, "tau": 1.0}
+        exchanged = change.what == "exchanged" and joint in change.joints
+        if change.kind and joint in change.joints:
+            source[change.kind] = change.source[change.joints.index(joint)]
+            factor[change.kind] = change.factor
+        key = (joint, *source.values(), *factor.values(), exchanged)
+        if key not in self._known:
+            q = [factor["q"] * x for x in m.q[source["q"]]]
+            theta = [factor["theta"] * x for x in m.theta[source["theta"]]]
+            if not self.arm.joints[joint].flexible:
+                q = theta
+            if exchanged:
+                q, theta = theta, q
+            value = math.log(max(_law(m, joint, q, theta, factor["tau"] * m.tau[source["tau"]][0]), 1e-6))
+            if self.stiff[joint]:
+                # as the slope of a stiff joint is 1, a scale or a sign leaves the difference of the rates
+                left = np.std(theta[1] - q[1]) / max(float(np.std(theta[1])), float(np.std(q[1])), 1e-300)
+                value += math.log(max(float(left), 1e-6))
+            self._known[key] = value
+        return self._known[key]
+
+    def total(self, change: Change) -> float:
+        """Sum of the scores of the joints in use."""
+        return sum(self.score(i, change) for i in self.use)
+
+    def changes(self) -> Iterator[Change]:
+        """The faults that are told apart."""
+        for i in self.use:
+            flexible = self.arm.joints[i].flexible
+            ratio = float(self.arm.gear_ratios[i])
+            for kind in ("q", "theta", "tau") if flexible else ("tau",):
+                yield Change("inverted", kind, (i,), (i,), -1.0)
+            if flexible and not self.stiff[i]:
+                yield Change("exchanged", "", (i,))
+            if flexible:
+                scales = {ratio, 1.0 / ratio} - {1.0}
+                if self.stiff[i]:
+                    scales = {float(np.std(self.means.q[i][1]) / np.std(self.means.theta[i][1]))}
+                for scale in scales:
+                    yield Change("scaled", "q", (i,), (i,), 1.0 / scale)
+                    yield Change("scaled", "theta", (i,), (i,), scale)
+        for kind in ("q", "theta", "tau"):
+            swap = self._best_assignment(kind)
+            if swap is not None:
+                yield swap
+
+    def _best_assignment(self, kind: str) -> Change | None:
+        joints = [i for i in self.use if kind == "tau" or self.arm.joints[i].flexible]
+        if len(joints) < 2:
+            return None
+        costs = np.array([[self.score(i, Change("swapped", kind, (i,), (j,))) for j in joints] for i in joints])
+        rows, columns = linear_sum_assignment(costs)
+        moved = [(joints[r], joints[c]) for r, c in zip(rows, columns, strict=True) if r != c]
+        if not moved:
+            # the second best is wanted as a rival
+            best = min(
+                itertools.combinations(range(len(joints)), 2),
+                key=lambda p: costs[p[0], p[1]] + costs[p[1], p[0]] - costs[p[0], p[0]] - costs[p[1], p[1]],
+            )
+            moved = [(joints[best[0]], joints[best[1]]), (joints[best[1]], joints[best[0]])]
+        return Change("swapped", kind, tuple(i for i, _ in moved), tuple(j for _, j in moved))

@@ -1,0 +1,48 @@
+"""What a signal shows by itself."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from zygos.audit.means import Array
+
+
+def runs_of_equal(readings: Array, ranges: Sequence[tuple[int, int]], at_least: int) -> list[tuple[int, int]]:
+    """Half-open ranges of `at_least` or more equal readings."""
+    out = []
+    for start, stop in ranges:
+        edges = np.flatnonzero(np.diff(readings[start:stop]) != 0.0) + 1 + start
+        bounds = np.concatenate([[start], edges, [stop]])
+        out += [(int(a), int(b)) for a, b in itertools.pairwise(bounds) if b - a >= at_least]
+    return out
+
+
+def grid_step(readings: Array, ranges: Sequence[tuple[int, int]], finest: float) -> float:
+    """Step of the grid that readings lie on, within rounding to steps of `finest`; NaN where they lie on none that is
+    at least four times coarser."""
+    steps = np.abs(np.concatenate([np.diff(readings[a:b]) for a, b in ranges] or [np.zeros(0)]))
+    steps = steps[steps > max(0.5 * finest, 1e-12)]
+    if len(steps) < 20:
+        return math.nan
+    step = float(np.min(steps))
+    if step < 4.0 * finest:
+        return math.nan
+    for reach in (1.5, 4.5, 20.5, 100.5, 1000.5):
+        near = steps[steps < reach * step]
+        times = np.rint(near / step)
+        step = float(near @ times / (times @ times))
+    off = np.abs(steps - step * np.rint(steps / step))
+    on_grid = float(np.mean(off <= 1.01 * finest + 1e-6 * step))
+    return step if on_grid > 0.99 else math.nan
+
+
+def noise_level(readings: Array, ranges: Sequence[tuple[int, int]]) -> float:
+    """Standard deviation of what changes from cycle to cycle without rhyme: median of the fourth differences."""
+    fourth = [np.diff(readings[a:b], 4) for a, b in ranges if b - a > 8]
+    if not fourth:
+        return math.nan
+    return 1.4826 * float(np.median(np.abs(np.concatenate(fourth)))) / math.sqrt(70.0)  # 1 + 16 + 36 + 16 + 1

@@ -1,0 +1,184 @@
+"""`zygos check-arm`, through the command line: logs and cycle tables, clean and spoilt."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from conftest import EXAMPLE
+from zygos import bus
+from zygos.arm import Arm
+from zygos.cli import main
+from zygos.cycles import Cycles
+from zygos.flight import encode
+from zygos.plant import Trajectory
+
+ARM = EXAMPLE / "arm.toml"
+
+
+def run(*arguments: object) -> int:
+    try:
+        main([str(argument) for argument in arguments])
+    except SystemExit as end:
+        return int(end.code or 0)
+    return 0
+
+
+@pytest.fixture
+def cycles(noisy: Trajectory) -> Cycles:
+    return noisy.cycles(0)
+
+
+def logged(path: Path, arm: Arm, cycles: Cycles) -> Path:
+    bus.write_log(path, encode(arm, cycles), arm.period_s)
+    return path
+
+
+def answer(tmp_path: Path, arm_file: Path, log: Path, code: int) -> dict[str, Any]:
+    assert run("check-arm", arm_file, log, "--json", tmp_path / "a.json") == code
+    content: dict[str, Any] = json.loads((tmp_path / "a.json").read_text())
+    return content
+
+
+def faults(content: dict[str, Any]) -> list[tuple[str, str]]:
+    return [(f["signal"], f["fault"]) for f in content["findings"]]
+
+
+def test_a_clean_log_is_clean(tmp_path: Path, arm: Arm, cycles: Cycles, capsys: pytest.CaptureFixture[str]) -> None:
+    content = answer(tmp_path, ARM, logged(tmp_path / "run.blf", arm, cycles), 0)
+    assert content["ok"]
+    assert content["findings"] == []
+    assert [s["verdict"] for s in content["signals"]] == ["ok"] * 9
+    assert all(s["share"] == 1.0 for s in content["signals"])
+    out = capsys.readouterr().out
+    assert "shoulder link angle" in out
+    assert "1,200 cycles" in out
+
+
+def test_a_wrong_arm_file_is_told_what_to_write(
+    tmp_path: Path, arm: Arm, cycles: Cycles, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wrong = tmp_path / "arm.toml"
+    wrong.write_text(ARM.read_text().replace('side = "output", sign = 1', 'side = "output", sign = -1', 1))
+    content = answer(tmp_path, wrong, logged(tmp_path / "run.log", arm, cycles), 3)
+    assert faults(content) == [("shoulder motor angle", "inverted")]
+    assert content["findings"][0]["remedy"] == "sign = 1 of the motor_encoder"
+    said = capsys.readouterr()
+    assert "shoulder motor angle: inverted" in said.out
+    assert "1 finding, the first: shoulder motor angle inverted; remedy: sign = 1" in said.err
+
+
+def test_json_alone_on_stdout(tmp_path: Path, arm: Arm, cycles: Cycles, capsys: pytest.CaptureFixture[str]) -> None:
+    log = logged(tmp_path / "run.blf", arm, cycles)
+    assert run("check-arm", ARM, log, "--json", "-") == 0
+    assert json.loads(capsys.readouterr().out)["arm"] == "paper"
+
+
+def test_a_cycle_table_gives_what_the_log_gives(tmp_path: Path, arm: Arm, cycles: Cycles) -> None:
+    q = cycles.q.copy()
+    q[:, 1] *= -1
+    spoilt = replace(cycles, q=q)
+    np.savez(tmp_path / "run.npz", **asdict(spoilt))
+    from_table = faults(answer(tmp_path, ARM, tmp_path / "run.npz", 3))
+    assert from_table == [("elbow link angle", "inverted")]
+    assert faults(answer(tmp_path, ARM, logged(tmp_path / "run.blf", arm, spoilt), 3)) == from_table
+
+
+def test_torque_beyond_the_wire_is_saturated(tmp_path: Path, arm: Arm, cycles: Cycles) -> None:
+    """The receiver drops these cycles, so that only the frames show which signal it was."""
+    tau = cycles.tau.copy()
+    peak = min(tau[:, 1].max(), -tau[:, 1].min())  # so that both ends of the range are reached
+    tau[:, 1] *= 838.8606 / (0.95 * peak)
+    content = answer(tmp_path, ARM, logged(tmp_path / "run.blf", arm, replace(cycles, tau=tau)), 3)
+    beyond = int(np.sum(np.abs(tau[:, 1]) >= 838.8607))
+    assert beyond > 0
+    (finding,) = (f for f in content["findings"] if f["fault"] == "saturated")
+    assert finding["signal"] == "elbow torque"
+    assert finding["evidence"].startswith(f"{beyond} frames")
+
+
+def test_lost_frames_are_counted_by_signal(tmp_path: Path, arm: Arm, cycles: Cycles) -> None:
+    frames = encode(arm, cycles)
+    torque = np.flatnonzero(frames["id"] == 0x281)
+    bus.write_log(tmp_path / "run.blf", np.delete(frames, torque[::20]), arm.period_s)
+    content = answer(tmp_path, ARM, tmp_path / "run.blf", 3)
+    assert ("shoulder torque", "loses 5.0 %") in faults(content)
+    assert {s for s, fault in faults(content) if "loses" in fault} == {"shoulder torque"}
+
+
+def test_a_node_that_is_not_there_is_missing(tmp_path: Path, arm: Arm, cycles: Cycles) -> None:
+    wrong = tmp_path / "arm.toml"
+    wrong.write_text(ARM.read_text().replace("node = 2", "node = 3"))
+    content = answer(tmp_path, wrong, logged(tmp_path / "run.blf", arm, cycles), 3)
+    missing = {"elbow link angle", "elbow motor angle", "elbow torque"}
+    assert {signal for signal, fault in faults(content) if fault == "missing"} == missing
+    assert {s["verdict"] for s in content["signals"]} == {"missing", "not decidable"}
+
+
+def test_the_clock_of_the_bus_is_held_against_the_period(tmp_path: Path, arm: Arm, cycles: Cycles) -> None:
+    wrong = tmp_path / "arm.toml"
+    wrong.write_text(ARM.read_text().replace("period_s = 0.05", "period_s = 0.04"))
+    content = answer(tmp_path, wrong, logged(tmp_path / "run.blf", arm, cycles), 3)
+    assert ("SYNC", "every 50 ms, not 40 ms") in faults(content)
+
+
+def test_a_run_at_rest_confirms_nothing(
+    tmp_path: Path, arm: Arm, cycles: Cycles, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rng = np.random.default_rng(0)
+    still = replace(
+        cycles,
+        q=0.3 + 0.0008 * rng.standard_normal(cycles.q.shape),
+        theta=0.3 + 0.0008 * rng.standard_normal(cycles.q.shape),
+        tau=0.01 * rng.standard_normal(cycles.q.shape),
+        omega=1e-6 * rng.standard_normal(cycles.omega.shape),
+    )
+    content = answer(tmp_path, ARM, logged(tmp_path / "run.blf", arm, still), 3)
+    assert content["findings"] == []
+    assert not content["ok"]
+    assert "nothing wrong was found, but nothing confirms" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        ({"theta": None}, "holds no field 'theta"),
+        ({"tau": np.zeros((1200, 3))}, "field tau has shape (1200, 3), not (1200, 2)"),
+        ({"q": np.zeros((1200, 3)), "theta": np.zeros((1200, 3)), "tau": np.zeros((1200, 3))}, "the run has 3 joints"),
+        ({"q": np.array(["a"])}, "no readable cycle table"),
+    ],
+    ids=["missing", "shape", "joints", "text"],
+)
+def test_a_bad_table_is_refused(
+    tmp_path: Path, cycles: Cycles, capsys: pytest.CaptureFixture[str], spoil: dict[str, Any], message: str
+) -> None:
+    fields = {name: value for name, value in {**asdict(cycles), **spoil}.items() if value is not None}
+    np.savez(tmp_path / "run.npz", **fields)
+    assert run("check-arm", ARM, tmp_path / "run.npz", "--json", tmp_path / "a.json") == 2
+    said = capsys.readouterr().err
+    assert message in said.replace("\n", " ")
+    assert "; remedy:" in said.replace("\n", " ")
+    assert not (tmp_path / "a.json").exists()
+
+
+def test_other_bad_input_is_refused(
+    tmp_path: Path, arm: Arm, cycles: Cycles, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = logged(tmp_path / "run.blf", arm, cycles)
+    (tmp_path / "broken.npz").write_bytes(b"no archive")
+    before = log.read_bytes()
+    for arguments in (
+        (ARM, tmp_path / "none.npz"),
+        (ARM, tmp_path / "none.blf"),
+        (ARM, tmp_path / "broken.npz"),
+        (tmp_path / "none.toml", log),
+        (ARM, log, "--json", log),
+    ):
+        assert run("check-arm", *arguments) == 2
+        assert "remedy" in capsys.readouterr().err
+    assert log.read_bytes() == before

@@ -1,0 +1,471 @@
+"""The audit of a run against its arm file: what was put in is named, that alone, and nothing where nothing was."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from audit_support import (
+    Fault,
+    both,
+    clipped,
+    exchanged,
+    inverted,
+    late,
+    noisy,
+    over_the_bus,
+    rounded,
+    scaled,
+    shifted,
+    stuck,
+    swapped,
+)
+from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicSpline
+from scipy.io import loadmat
+from scipy.optimize import minimize_scalar
+from scipy.signal import savgol_filter
+from scipy.stats import linregress
+
+from conftest import EXAMPLE, ROOT, need
+from zygos.arm import NO_IMU, Arm, Encoder, Joint, load_arm
+from zygos.audit import Audit, audit
+from zygos.audit.means import Means, jackknifed
+from zygos.audit.readings import grid_step, noise_level, runs_of_equal
+from zygos.cycles import Cycles
+from zygos.effects import CATALOGUE, Effect
+from zygos.errors import ZygosError
+from zygos.model import load_model
+from zygos.plant import simulate
+from zygos.scenario import load_scenario
+
+GAP = ROOT / "examples" / "gap"
+KR300 = Path(ROOT).parent / "shared" / "data" / "kr300" / "run_a.mat"
+PAPER_SEEDS, GAP_SEEDS = 10, 2
+STEP = 2 * np.pi / 2**20
+
+
+def run(name: str, arm: Arm, seeds: int, effects: list[tuple[str, str, float]] = []) -> list[Cycles]:  # noqa: B006
+    """The runs of seeds 0.. of an example, through the bus. "paper", "a" and "b" of the gap example."""
+    if name == "paper":
+        model, scenario, options = load_model(EXAMPLE / "model.toml"), load_scenario(EXAMPLE / "scenario.toml"), {}
+    else:
+        model, scenario = load_model(GAP / "cad.toml"), load_scenario(GAP / f"{name}.toml")
+        options = {"duration_s": 30.0, "rtol": 1e-9, "atol": 1e-11}
+    found = tuple(Effect(CATALOGUE[kind], joint, value) for kind, joint, value in effects)
+    model = replace(model, effects=model.effects + found)
+    trajectory = simulate(arm, model, scenario, seeds=range(seeds), noise=True, **options)
+    return [over_the_bus(arm, trajectory.cycles(k)) for k in range(seeds)]
+
+
+def arm_of(name: str) -> Arm:
+    return load_arm((EXAMPLE if name == "paper" else GAP) / "arm.toml")
+
+
+@pytest.fixture(scope="module")
+def runs() -> dict[str, tuple[Arm, list[Cycles]]]:
+    seeds = {"paper": PAPER_SEEDS, "a": GAP_SEEDS, "b": GAP_SEEDS}
+    return {name: (arm_of(name), run(name, arm_of(name), count)) for name, count in seeds.items()}
+
+
+def named(found: Audit) -> dict[str, str]:
+    """Fault by signal; each signal has one at most."""
+    assert len({f.signal for f in found.findings}) == len(found.findings), found.findings
+    return {f.signal: f.fault for f in found.findings}
+
+
+@pytest.mark.parametrize("name", ["paper", "a", "b"])
+def test_a_clean_run_is_clean(runs: dict[str, tuple[Arm, list[Cycles]]], name: str) -> None:
+    arm, clean = runs[name]
+    for cycles in clean:
+        found = audit(arm, cycles)
+        assert found.findings == ()
+        assert found.ok
+        assert {s.verdict for s in found.signals} == {"ok"}
+        assert min(found.laws, key=lambda law: found.laws[law]) == "applied_from_sync"
+        for pair in found.pairs:
+            assert abs(pair.skew_s) < max(4 * pair.skew_sigma_s, 1e-5)
+
+
+Q1, Q2 = "shoulder link angle", "elbow link angle"
+M1, M2 = "shoulder motor angle", "elbow motor angle"
+T1, T2 = "shoulder torque", "elbow torque"
+SIGNALS = (
+    (Q1, "q", 0), (Q2, "q", 1), (M1, "theta", 0), (M2, "theta", 1), (T1, "tau", 0), (T2, "tau", 1),
+    ("gyro z", "omega", 2),
+)  # fmt: skip
+FAULTS: list[tuple[str, Fault, dict[str, str]]] = [
+    *(
+        (f"{signal} inverted", inverted(kind, i), {signal: "inverted"})
+        for signal, kind, i in SIGNALS
+    ),
+    *(
+        (f"{signal} stuck", stuck(kind, i, start, stop), {signal: "stuck"})
+        for signal, kind, i in SIGNALS
+        for start, stop in ((0.4, 1.0), (0.4, 0.5))
+    ),
+    *(
+        (f"{signal} dead", scaled(kind, i, 0.0), {signal: "stuck"})
+        for signal, kind, i in ((Q1, "q", 0), (M2, "theta", 1), (T2, "tau", 1), ("gyro z", "omega", 2))
+    ),
+    *(
+        (f"{signal} clipped", clipped(kind, i, 0.6), {signal: "saturated"})
+        for signal, kind, i in ((Q1, "q", 0), (M1, "theta", 0), (T1, "tau", 0), (T2, "tau", 1), ("gyro z", "omega", 2))
+    ),
+    ("links swapped", swapped("q", 0, 1), {Q1: f"swapped with {Q2}", Q2: f"swapped with {Q1}"}),
+    ("motors swapped", swapped("theta", 0, 1), {M1: f"swapped with {M2}", M2: f"swapped with {M1}"}),
+    ("torques swapped", swapped("tau", 0, 1), {T1: f"swapped with {T2}", T2: f"swapped with {T1}"}),
+    ("encoders of joint 1", exchanged(0), {Q1: f"swapped with {M1}", M1: f"swapped with {Q1}"}),
+    ("encoders of joint 2", exchanged(1), {Q2: f"swapped with {M2}", M2: f"swapped with {Q2}"}),
+    ("gyro axes", swapped("omega", 1, 2), {"gyro y": "swapped with gyro z", "gyro z": "swapped with gyro y"}),
+    (
+        "joint 2 turned",
+        both(inverted("q", 1), inverted("theta", 1), inverted("tau", 1)),
+        dict.fromkeys((Q2, M2, T2), "inverted, as all signals of the joint"),
+    ),
+    (
+        "joints swapped",
+        both(swapped("q", 0, 1), swapped("theta", 0, 1), swapped("tau", 0, 1)),
+        dict.fromkeys((Q1, M1, T1), "swapped with elbow's, as all signals of the joint")
+        | dict.fromkeys((Q2, M2, T2), "swapped with shoulder's, as all signals of the joint"),
+    ),
+    ("two at once", both(inverted("q", 0), inverted("tau", 1)), {Q1: "inverted", T2: "inverted"}),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("fault", "expected"), [f[1:] for f in FAULTS], ids=[f[0] for f in FAULTS])
+@pytest.mark.parametrize("name", ["paper", "b"])
+def test_a_fault_is_named_and_nothing_else(
+    runs: dict[str, tuple[Arm, list[Cycles]]], name: str, fault: Fault, expected: dict[str, str]
+) -> None:
+    arm, clean = runs[name]
+    for cycles in clean:
+        found = audit(arm, fault(cycles))
+        assert named(found) == expected
+        assert not found.ok
+
+
+@pytest.mark.parametrize("kind", ["q", "theta"])
+@pytest.mark.parametrize("i", [0, 1])
+@pytest.mark.parametrize("power", [1, -1])
+def test_a_gear_ratio_too_many_is_named(
+    runs: dict[str, tuple[Arm, list[Cycles]]], kind: str, i: int, power: int
+) -> None:
+    """Which of the two angles it is, their noise tells; the paper's is far above the wire's steps."""
+    arm, clean = runs["paper"]
+    signal = {"q": (Q1, Q2), "theta": (M1, M2)}[kind][i]
+    for cycles in clean:
+        found = named(audit(arm, scaled(kind, i, 50.0**power)(cycles)))
+        assert found == {signal: f"scaled by {50.0**power:.4g}"}
+
+
+@pytest.mark.parametrize(("kind", "i", "sign"), [("q", 0, 1), ("q", 1, 1), ("theta", 0, -1), ("theta", 1, -1)])
+@pytest.mark.parametrize("name", ["paper", "b"])
+def test_a_zero_that_is_off_is_named_with_its_value(
+    runs: dict[str, tuple[Arm, list[Cycles]]], name: str, kind: str, i: int, sign: int
+) -> None:
+    arm, clean = runs[name]
+    for cycles in clean:
+        found = audit(arm, shifted(kind, i, 0.03)(cycles))
+        assert [f.signal for f in found.findings] == [(Q1, Q2)[i]]
+        assert found.findings[0].fault.startswith("zero off by")
+        pair = found.pairs[i]
+        assert abs(-pair.zero_rad - 0.03 * sign) < 5 * pair.zero_sigma_rad + 0.001
+
+
+def test_other_steps_than_declared_are_named(runs: dict[str, tuple[Arm, list[Cycles]]]) -> None:
+    for name, counts in (("paper", 1024), ("b", 65536)):
+        arm, clean = runs[name]
+        for cycles in clean:
+            found = audit(arm, rounded("q", 0, 2 * np.pi / counts)(cycles))
+            assert [(f.signal, f.fault.split(",")[0]) for f in found.findings] == [
+                (Q1, f"moves in steps of 2π/{counts}")
+            ]
+            assert found.signals[0].step == pytest.approx(2 * np.pi / counts, rel=1e-5)
+
+
+def test_noise_above_the_declared_is_named(runs: dict[str, tuple[Arm, list[Cycles]]]) -> None:
+    arm, clean = runs["b"]
+    sigma = arm.joints[0].link_encoder.sigma_rad
+    for cycles in clean:
+        assert named(audit(arm, noisy("theta", 1, 12 * sigma)(cycles)))[M2].startswith("noisier than declared by 8")
+        assert audit(arm, noisy("theta", 1, 1.5 * sigma)(cycles)).ok
+
+
+@pytest.mark.parametrize("side", ["link", "motor"])
+@pytest.mark.parametrize("i", [0, 1])
+@pytest.mark.parametrize(("name", "latch_us", "seeds"), [("paper", 20_000, 4), ("b", 3000, 2)])
+def test_a_latch_that_the_arm_file_hides_is_named(name: str, latch_us: int, seeds: int, i: int, side: str) -> None:
+    arm = arm_of(name)
+    true = late(arm, i, f"{side}_encoder", latch_us)
+    for cycles in run(name, true, seeds):
+        found = audit(arm, cycles)
+        signal = {"link": (Q1, Q2), "motor": (M1, M2)}[side][i]
+        assert [f.signal for f in found.findings] == [signal]
+        assert found.findings[0].fault.startswith("skewed")
+        pair = found.pairs[i]
+        assert abs(pair.skew_s - (1 if side == "motor" else -1) * 1e-6 * latch_us) < 4 * pair.skew_sigma_s + 2e-5
+        assert audit(true, cycles).ok
+
+
+FRICTION = {
+    "coulomb": [("motor_coulomb", "shoulder", 0.5), ("motor_coulomb", "elbow", 0.3)],
+    "viscous": [("motor_viscous", "shoulder", 0.02), ("motor_viscous", "elbow", 0.05)],
+    "link": [("link_coulomb", "elbow", 5.0)],
+    "lag": [("torque_lag", "elbow", 0.001)],
+}
+
+
+@pytest.mark.parametrize("effects", FRICTION.values(), ids=FRICTION.keys())
+def test_what_an_arm_may_do_is_no_fault_of_a_signal(effects: list[tuple[str, str, float]]) -> None:
+    """Viscous friction of a motor looks like a newer link encoder; the balance of the whole arm tells."""
+    for name in ("a", "b"):
+        (cycles,) = run(name, arm_of(name), 1, effects)
+        found = audit(arm_of(name), cycles)
+        assert found.findings == ()
+        assert any("viscous friction" in note for note in found.notes) == (effects is FRICTION["viscous"])
+        assert named(audit(arm_of(name), inverted("tau", 1)(cycles))) == {T2: "inverted"}
+
+
+@pytest.mark.parametrize(("name", "seeds"), [("paper", PAPER_SEEDS), ("a", 1), ("b", 1)])
+def test_another_torque_law_is_named(name: str, seeds: int) -> None:
+    arm = arm_of(name)
+    true = replace(arm, torque_law="applied_previous_cycle")
+    for cycles in run(name, true, seeds):
+        found = audit(arm, cycles)
+        assert named(found) == {"torques": "not applied_from_sync"}
+        assert 'torque_law = "applied_previous_cycle"' in found.findings[0].remedy
+        assert audit(true, cycles).ok
+        assert named(audit(replace(arm, torque_law="sampled"), cycles)) in ({}, {"torques": "not sampled"})
+
+
+def test_signs_and_zeros_of_the_arm_file_count(runs: dict[str, tuple[Arm, list[Cycles]]]) -> None:
+    arm, clean = runs["b"]
+    joints = list(arm.joints)
+    joints[0] = replace(joints[0], link_encoder=replace(joints[0].link_encoder, sign=-1, zero_rad=0.2))
+    turned = replace(arm, joints=tuple(joints))
+    as_it_says = both(inverted("q", 0), shifted("q", 0, 0.2))(clean[0])
+    assert audit(turned, as_it_says).ok
+    found = audit(turned, shifted("q", 0, 0.2)(clean[0]))
+    first = found.findings[0]
+    assert (first.signal, first.fault) == (Q1, "inverted")
+    assert "sign = 1" in first.remedy
+
+
+def test_what_does_not_move_is_not_decided(runs: dict[str, tuple[Arm, list[Cycles]]]) -> None:
+    arm, clean = runs["b"]
+    cycles = clean[0]
+    still = replace(cycles, q=0 * cycles.q + 0.3, theta=0 * cycles.theta + 0.3)
+    found = audit(arm, still)
+    assert not found.ok
+    assert {s.verdict for s in found.signals if "angle" in s.name} == {"not decidable"}
+    assert any("does not move" in note for note in found.notes)
+
+
+def test_a_short_run_is_not_decided(runs: dict[str, tuple[Arm, list[Cycles]]]) -> None:
+    arm, clean = runs["paper"]
+    short = Cycles(*(getattr(clean[0], name)[:20] for name in Cycles.__dataclass_fields__))
+    found = audit(arm, short)
+    assert found.findings == ()
+    assert not found.ok
+
+
+def test_another_number_of_joints_is_refused(runs: dict[str, tuple[Arm, list[Cycles]]]) -> None:
+    arm, clean = runs["paper"]
+    with pytest.raises(ZygosError, match="2 joints, arm paper has 1"):
+        audit(replace(arm, joints=arm.joints[:1]), clean[0])
+
+
+def test_the_sign_of_a_rigid_joints_torque_under_gravity() -> None:
+    """A pendulum that SciPy swings; 0.2 Nm of friction."""
+    h, n = 0.004, 5000
+    encoder = Encoder(2 * np.pi / 2**18)
+    joint = Joint("arm", 1, (0.0, 1.0, 0.0), (0.0, 0.0, 0.0), 10.0, encoder, encoder, flexible=False)
+    arm = Arm(
+        "p", "fixed", "planar", h, "applied_from_sync", "rotor", (joint,), NO_IMU, gravity=(0.0, 0.0, -9.81)
+    )  # fmt: skip
+    t = h * np.arange(n)
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        amplitude, omega, phase = rng.uniform(0.5, 2.0, 3), rng.uniform(0.5, 6.0, 3), rng.uniform(0, 6, 3)
+
+        def torque(at: float, a=amplitude, w=omega, p=phase) -> float:  # type: ignore[no-untyped-def]
+            return float(np.sum(a * np.sin(w * at + p)))
+
+        def swing(at: float, y: np.ndarray, torque: Callable[[float], float] = torque) -> list[float]:  # type: ignore[type-arg]
+            return [y[1], (10 * torque(h * np.floor(at / h)) - 2 * np.tanh(100 * y[1]) - 20 * np.sin(y[0])) / 3.0]
+
+        y = solve_ivp(swing, (0, t[-1]), [0.1, 0.0], t_eval=t, max_step=h, rtol=1e-6).y[0]
+        q = encoder.quantum_rad * np.rint(y / encoder.quantum_rad)[:, None]
+        tau = np.array([[torque(at)] for at in t])
+        cycles = Cycles(np.arange(n, dtype=np.uint64), q, q.copy(), tau, np.zeros((n, 3)), np.zeros(n, dtype=np.uint32))
+        found = audit(arm, cycles)
+        assert found.findings == ()
+        assert found.ok
+        assert named(audit(arm, inverted("tau", 0)(cycles))) == {"arm torque": "inverted"}
+
+
+# ------------------------------------------------------------------------------------------- a measured table
+
+
+@pytest.fixture(scope="module")
+def robot() -> tuple[Arm, Cycles]:
+    """Axes 1 to 3 of a KUKA KR300; the encoders' quanta are those of their noise."""
+    need(KR300.is_file(), f"the measured run of a KUKA KR300, {KR300.name}")
+    record = loadmat(KR300, squeeze_me=True, struct_as_record=False)["rec"]
+    q, theta = np.deg2rad(record.act_pos_se_deg[:3].T), np.deg2rad(record.act_pos_mot_deg[:3].T)
+    n = len(q)
+    quanta = [[np.sqrt(12) * noise_level(x[:, i], [(0, n)]) for i in range(3)] for x in (q, theta)]
+    ratios = (256.8571, 267.4286, 252.3333)
+    axes = ((0.0, 0.0, -1.0), (0.0, 1.0, 0.0), (0.0, 1.0, 0.0))
+    joints = tuple(
+        Joint(f"a{i + 1}", i + 1, axes[i], (0.0, 0.0, 0.0), ratios[i], Encoder(quanta[0][i]), Encoder(quanta[1][i]))
+        for i in range(3)
+    )
+    arm = Arm("kr300", "fixed", "spatial", 0.004, "sampled", "rotor", joints, NO_IMU, gravity=(0.0, 0.0, -9.81))
+    tau = record.act_torque_abs_nm[:3].T.copy()
+    return arm, Cycles(np.arange(n, dtype=np.uint64), q, theta, tau, np.zeros((n, 3)), np.zeros(n, dtype=np.uint32))
+
+
+def shift_of_best_correlation(late: np.ndarray, early: np.ndarray, h: float) -> float:  # type: ignore[type-arg]
+    """By how many seconds `late` comes after `early`: a spline through the smoothed rates, moved until they agree."""
+    rates = [savgol_filter(x, 31, 3, deriv=1, delta=h) for x in (late, early)]
+    t = h * np.arange(len(late))
+    spline = CubicSpline(t, rates[1])
+    inner = slice(50, -50)
+
+    def unlike(delay: float) -> float:
+        return -float(np.corrcoef(rates[0][inner], spline(t[inner] - delay))[0, 1])
+
+    return float(minimize_scalar(unlike, bounds=(-0.02, 0.02), method="bounded", options={"xatol": 1e-7}).x)
+
+
+def test_the_encoders_of_a_measured_robot_are_skewed_by_3_ms(robot: tuple[Arm, Cycles]) -> None:
+    arm, cycles = robot
+    found = audit(arm, cycles)
+    skewed = {f.signal for f in found.findings if f.fault.startswith("skewed")}
+    assert skewed == {f"a{i} motor angle" for i in (1, 2, 3)}
+    others = [f for f in found.findings if not f.fault.startswith(("skewed", "zero off"))]
+    assert others == []
+    for i, pair in enumerate(found.pairs):
+        assert pair.stiff
+        assert pair.skew_s == pytest.approx(0.003, abs=0.0002)
+        assert 2e-5 < pair.skew_sigma_s < 3e-4
+        independent = shift_of_best_correlation(cycles.q[:, i], cycles.theta[:, i], arm.period_s)
+        assert abs(pair.skew_s - independent) < 3 * pair.skew_sigma_s
+    # The difference holds 3 ms of rate: what it says of the stiffness is false by a factor, where it says anything.
+    third = found.pairs[2]
+    assert third.stiffness_unskewed > 4e6
+    assert not third.stiffness > 0.5 * third.stiffness_unskewed
+
+
+def test_the_remedy_takes_the_skew_away(robot: tuple[Arm, Cycles]) -> None:
+    arm, cycles = robot
+    latched = arm
+    for i, pair in enumerate(audit(arm, cycles).pairs):
+        latched = late(latched, i, "motor_encoder", round(1e6 * pair.skew_s))
+    found = audit(latched, cycles)
+    assert not [f for f in found.findings if f.fault.startswith("skewed")]
+    assert max(abs(pair.skew_s) for pair in found.pairs) < 1e-4
+
+
+def stiff_swap(kind: str, what: str, i: int, j: int) -> tuple[str, Fault, dict[str, str]]:
+    first, second = f"a{i + 1} {what}", f"a{j + 1} {what}"
+    return f"{first}, {second}", swapped(kind, i, j), {first: f"swapped with {second}", second: f"swapped with {first}"}
+
+
+KINDS = (("q", "link angle"), ("theta", "motor angle"), ("tau", "torque"))
+STIFF_FAULTS: list[tuple[str, Fault, dict[str, str]]] = [
+    *(
+        (f"a{i + 1} {what}", inverted(kind, i), {f"a{i + 1} {what}": "inverted"})
+        for kind, what in KINDS
+        for i in range(3)
+    ),
+    *(stiff_swap(kind, what, *pair) for kind, what in KINDS for pair in ((0, 1), (0, 2), (1, 2))),
+    ("stuck", stuck("q", 1, 0.4, 0.6), {"a2 link angle": "stuck"}),
+]
+
+
+@pytest.mark.parametrize(("fault", "expected"), [f[1:] for f in STIFF_FAULTS], ids=[f[0] for f in STIFF_FAULTS])
+def test_faults_of_stiff_joints_with_friction_and_weight(
+    robot: tuple[Arm, Cycles], fault: Fault, expected: dict[str, str]
+) -> None:
+    arm, cycles = robot
+    found = audit(arm, fault(cycles))
+    assert {f.signal: f.fault for f in found.findings if not f.fault.startswith(("skewed", "zero off"))} == expected
+
+
+def test_a_scale_of_a_stiff_joint(robot: tuple[Arm, Cycles]) -> None:
+    """Where the noise does not tell which of the two angles it is, both are named."""
+    arm, cycles = robot
+    for factor in (256.8571, 2.0):
+        found = audit(arm, scaled("q", 0, factor)(cycles))
+        (said,) = (f for f in found.findings if "scaled" in f.fault)
+        scale = float(said.fault.split()[-1])
+        if factor > 100:
+            assert said.signal == "a1 link angle"
+            assert scale == pytest.approx(factor, rel=0.002)
+        else:
+            assert max(scale, 1 / scale) == pytest.approx(factor, rel=0.002)
+            assert "angle scaled would do as well" in said.evidence
+
+
+# --------------------------------------------------------------------------------------------------- the parts
+
+
+def test_the_window_gives_rates_where_the_readings_were_taken(arm: Arm) -> None:
+    """A reading that is latched late is of a later instant."""
+    h, n = arm.period_s, 2000
+    t, omega = h * np.arange(n), 0.3
+    latch = 0.013
+    cycles = Cycles(
+        sync=np.arange(n, dtype=np.uint64),
+        q=np.tile(np.sin(omega * (t + latch))[:, None], 2),
+        theta=np.tile(np.sin(omega * t)[:, None], 2),
+        tau=np.zeros((n, 2)),
+        omega=np.zeros((n, 3)),
+        flags=np.zeros(n, dtype=np.uint32),
+    )
+    means = Means(late(late(arm, 0, "link_encoder", 13_000), 1, "link_encoder", 13_000), cycles)
+    for derivative in range(3):
+        np.testing.assert_allclose(means.q[0][derivative], means.theta[0][derivative], atol=4e-5)
+    np.testing.assert_allclose(means.theta[0][2], -(omega**2) * means.theta[0][0], atol=4e-5)
+    assert np.std(means.theta[0][1]) == pytest.approx(omega * np.std(means.theta[0][0]), rel=0.02)
+
+
+def test_the_jackknifes_error_is_that_of_independent_rows() -> None:
+    errors, expected = [], []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        x, noise = rng.standard_normal((2, 400))
+        value, sigma = jackknifed([np.ones(400), x], 2.0 + 3.0 * x + noise)
+        fit = linregress(x, 2.0 + 3.0 * x + noise)
+        assert value[1] == pytest.approx(fit.slope, rel=1e-9)
+        errors.append(sigma[1])
+        expected.append(fit.stderr)
+    assert np.mean(errors) == pytest.approx(np.mean(expected), rel=0.15)
+
+
+def test_the_grid_of_readings() -> None:
+    rng = np.random.default_rng(0)
+    smooth = np.cumsum(rng.standard_normal(3000)) * 0.01
+    for counts in (2000, 4096, 60_000):
+        step = 2 * np.pi / counts
+        wired = STEP * np.rint(step * np.rint(smooth / step) / STEP)
+        assert grid_step(wired, [(0, 3000)], STEP) == pytest.approx(step, rel=1e-5)
+    assert np.isnan(grid_step(smooth, [(0, 3000)], STEP))
+    assert np.isnan(grid_step(STEP * np.rint(smooth / STEP), [(0, 3000)], STEP))
+
+
+def test_noise_and_flat_stretches() -> None:
+    rng = np.random.default_rng(1)
+    t = np.arange(5000)
+    assert noise_level(np.sin(0.01 * t) + 1e-3 * rng.standard_normal(5000), [(0, 5000)]) == pytest.approx(
+        1e-3, rel=0.05
+    )
+    readings = np.array([1.0, 2, 2, 2, 3, 3, 4, 4, 4, 4])
+    assert runs_of_equal(readings, [(0, 10)], 3) == [(1, 4), (6, 10)]
+    assert runs_of_equal(readings, [(0, 3), (3, 10)], 3) == [(6, 10)]
