@@ -16,8 +16,8 @@ app = typer.Typer(
     rich_markup_mode="rich",
     help="Learn the dynamics of a flexible-joint space arm from its CAN frames.\n\n"
     "Three kinds of file: [bold]arm.toml[/] says what the hardware is, [bold]model.toml[/] what someone believes of "
-    "its dynamics, [bold]scenario.toml[/] what is done with it. A run is a CAN log (.log .blf .asc).\n\n"
-    "Exit codes: 0 answered, 2 bad input, 3 refused or undecided.",
+    "its dynamics, [bold]scenario.toml[/] what is done with it. A run is a CAN log (.log .blf .asc .trc .mf4).\n\n"
+    "Exit codes: 0 answered, 2 bad input, 3 refused or undecided, 4 answered from a damaged log.",
 )
 
 Json = Annotated[
@@ -26,7 +26,7 @@ Json = Annotated[
 ArmFile = Annotated[
     Path | None, typer.Option("--arm", metavar="ARM.toml", help="The hardware. Default: arm.toml beside the run.")
 ]
-Run = Annotated[Path, typer.Argument(metavar="RUN", help="A CAN log: .log, .blf or .asc.")]
+Run = Annotated[Path, typer.Argument(metavar="RUN", help="A CAN log: .log, .blf, .asc, .trc or .mf4.")]
 Interface = Annotated[str | None, typer.Option("-i", "--interface", help="python-can's interface, e.g. socketcan.")]
 Channel = Annotated[str | None, typer.Option("-c", "--channel", help="python-can's channel, e.g. vcan0.")]
 Bitrate = Annotated[int | None, typer.Option("-b", "--bitrate", help="Bit rate, where the interface wants one.")]

@@ -21,7 +21,7 @@ from zygos import bus
 from zygos.arm import Arm, load_arm
 from zygos.check import check_frames
 from zygos.effects import Effect
-from zygos.errors import Undecided, ZygosError
+from zygos.errors import Damaged, Undecided, ZygosError
 from zygos.flight import Estimate, Flight, encode
 from zygos.model import Model, Quantity, load_model, save_model
 from zygos.output import check_outputs, counted, errors, note, number, ratio, say, table, write_json
@@ -61,11 +61,29 @@ def check_model_name(path: Path) -> None:
         raise ZygosError(f"{path}: no name for a model; remedy: let it end in .toml")
 
 
-def read_run(run: Path) -> NDArray[Any]:
-    """Read a log; a long one shows how far it is."""
+def read_run(run: Path) -> bus.Log:
+    """Read a log; a long one shows how far it is. Damage is said at once; `not_whole` ends the command."""
     with progress() as bar:
         task = bar.add_task(f"reading {run.name}", total=None)
-        return bus.read_log(run, lambda count: bar.update(task, description=f"reading {run.name}: {count:,} frames"))
+        log = bus.read_log(run, lambda count: bar.update(task, description=f"reading {run.name}: {count:,} frames"))
+    warn(log)
+    return log
+
+
+def warn(log: bus.Log) -> None:
+    """Say what is missing in a log."""
+    for text in log.damage:
+        note(f"warning: {text}")
+
+
+def not_whole(*logs: bus.Log) -> None:
+    """The end of a command that has answered from logs. Raises Damaged when one of them was damaged."""
+    if any(log.damage for log in logs):
+        frames = sum(len(log.frames) for log in logs)
+        raise Damaged(
+            f"answered from damaged input, of which {counted(frames, 'frame')} could be read; remedy: see the warnings "
+            "above, and record again"
+        )
 
 
 def simulate_run(
@@ -266,8 +284,10 @@ def estimate_run(run: Path, arm_file: Path | None, out: Path, model_file: Path |
     if prior is not None:
         prior.base_parameters(arm)
     flight = Flight(arm, prior.effects if prior else ())
-    flight.frames(read_run(run))
-    finish_estimate(flight.estimate(), flight, out, prior, json, {"run": str(run)})
+    log = read_run(run)
+    flight.frames(log.frames)
+    finish_estimate(flight.estimate(), flight, out, prior, json, {"run": str(run), "damage": log.damage or None})
+    not_whole(log)
 
 
 def check_run(run: Path, arm_file: Path | None, model_file: Path | None, json: str | None) -> None:
@@ -276,9 +296,11 @@ def check_run(run: Path, arm_file: Path | None, model_file: Path | None, json: s
     check_outputs([json], [run, chosen, run.parent / "arm.toml", model_file])
     arm = load_arm(chosen)
     flight = Flight(arm, load_model(model_file).effects if model_file else ())
-    rooms = check_frames(arm, read_run(run), flight)
+    log = read_run(run)
+    rooms = check_frames(arm, log.frames, flight)
     if json:
-        write_json(json, {"run": str(run), "arm": arm.name, "rooms": [room.as_json() for room in rooms]})
+        content = {"run": str(run), "damage": log.damage or None, "arm": arm.name}
+        write_json(json, {**content, "rooms": [room.as_json() for room in rooms]})
     if json != "-":
         table(
             ("room", "compared", "largest difference", "at cycle", "tolerance", ""),
@@ -302,6 +324,7 @@ def check_run(run: Path, arm_file: Path | None, model_file: Path | None, json: s
         raise Undecided(
             f"no solution to compare, {result.validity}: {result.reason}; remedy: {_remedy(result, flight)}"
         )
+    not_whole(log)
 
 
 @contextmanager

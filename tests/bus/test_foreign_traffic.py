@@ -30,7 +30,7 @@ ACCEPTED, REJECTED = 1, 2
 @pytest.fixture(scope="module")
 def strangers() -> Log:
     need(LOG.is_file(), f"the recorded traffic of a road vehicle, {LOG.name}")
-    frames = bus.read_log(LOG)
+    frames = bus.read_log(LOG).frames
     assert (len(frames), len(np.unique(frames["id"]))) == (12_974, 180)
     return frames
 

@@ -38,7 +38,7 @@ def test_logs(arm: Arm, frames: NDArray[np.void], tmp_path: Path, suffix: str) -
     path = tmp_path / f"run{suffix}"
     bus.write_log(path, frames, arm.period_s)
     assert list(tmp_path.iterdir()) == [path]
-    again = bus.read_log(path)
+    again = bus.read_log(path).frames
     assert again.tobytes() == frames.tobytes()
     assert bits(arm, again) == bits(arm, frames)
 
