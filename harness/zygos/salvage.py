@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import gc
 import logging
 import re
 import struct
+import subprocess
 import sys
 import zlib
 from collections.abc import Iterator, Sequence
@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import can
@@ -186,8 +187,8 @@ def _unpack(data: bytes, container: _Object) -> tuple[bytes, bool]:
     method, size = _METHOD.unpack_from(data, inside)
     content = data[inside + _METHOD.size : container.end]
     if method == _STORED:
-        # of a damaged one this is not the end; the objects within have marks of their own
-        return (content, len(content) >= size) if container.whole else (b"", False)
+        # of a damaged one this is what comes before the first mark within: each object behind it is found by its own
+        return (content, container.whole) if not container.whole or len(content) >= size else (b"", False)
     stream = zlib.decompressobj()
     try:
         content = stream.decompress(content)
@@ -251,39 +252,43 @@ def _blf(path: Path, damage: list[str]) -> Iterator[can.Message]:
         )
 
 
+def _convert(source: Path, target: Path) -> str:
+    """python-can's converter, in a process of its own. Returns what it died of, or nothing."""
+    command = [sys.executable, "-m", "can.logconvert", str(source.absolute()), str(target)]
+    done = subprocess.run(command, capture_output=True, encoding="utf-8", errors="replace", check=False)
+    said = re.search(r"^[\w.]+(Error|Exception): .*", done.stderr, re.MULTILINE)
+    return "" if done.returncode == 0 else said[0] if said else f"exit code {done.returncode}"
+
+
 def _mf4(path: Path, damage: list[str]) -> Iterator[can.Message]:
-    """As far as asammdf can."""
+    """As far as asammdf gets. Damaged files can crash it, so it works in a process of its own, and into a .blf."""
     read = 0
-    with path.open("rb") as stream:  # of a stream asammdf makes a copy; a path it leaves open when it fails
-        try:
-            with can.MF4Reader(stream) as reader:
-                for message in reader:
-                    read += 1
-                    yield message
-        except Exception as error:  # asammdf raises whatever its libraries do
-            damage.append(f"cannot be read beyond frame {read:,} ({str(error) or type(error).__name__})")
-        else:
-            return
-    gc.collect()  # a destructor of asammdf fails where its constructor did: now, when it is not heard
+    with TemporaryDirectory() as folder:
+        target = Path(folder, "run.blf")
+        death = _convert(path, target)
+        if target.exists():
+            for message in _blf(target, []):
+                read += 1
+                yield message
+    if death:
+        damage.append(f"cannot be read beyond frame {read:,}, where asammdf fails ({death})")
 
 
 @contextmanager
 def _silence() -> Iterator[None]:
-    """The libraries print what they stumble over, tracebacks included, asammdf's destructor as well."""
-    level, hook = logging.root.manager.disable, sys.unraisablehook
+    """What readers print of lines they stumble over is said in other words."""
+    level = logging.root.manager.disable
     logging.disable(logging.CRITICAL)
-    sys.unraisablehook = lambda _: None
     try:
         yield
     finally:
-        sys.unraisablehook = hook
         logging.disable(level)
 
 
 def messages(path: Path, damage: list[str]) -> Iterator[can.Message]:
     """What can be read of a log, in file order. When it is through, `damage` says what is missing: "ends in …".
 
-    Whole frames that were written, and no others: but for .log and .trc, whose lines have no checksum.
+    Only compressed parts have a checksum. What is wrong within a frame elsewhere is left to the receiver.
     """
     suffix = path.suffix.lower()
     with _silence():
