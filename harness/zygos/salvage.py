@@ -81,7 +81,9 @@ class _Lines:
             return self.line
         self.line = next(self._stream, "")
         self.number += 1
-        silent = self._silent.match(self.line) is not None
+        silent = (
+            self._silent.match(self.line) is not None and "\0" not in self.line
+        )  # zeros are a disk's, not a writer's
         self.cut = not self.line.endswith("\n") and not silent
         self.over = not self.line or self.cut
         if self.over:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -67,8 +69,15 @@ def garbage_in_lines(sound: bytes, _: Frames) -> tuple[bytes, NDArray[np.bool_]]
     return b"".join(lines), lines_held(sound, {half, half + 20, half + 40, half + 60})
 
 
-def zeros_for_a_sector(sound: bytes, _: Frames) -> tuple[bytes, NDArray[np.bool_]]:
-    at = len(sound) // 2
+def identifier_too_large(sound: bytes, _: Frames) -> tuple[bytes, NDArray[np.bool_]]:
+    found = re.compile(rb" 0?181 ").search(sound, len(sound) // 2)
+    assert found is not None
+    at, end = found.span()
+    return sound[:at] + b" 123456789 " + sound[end:], lines_held(sound, {sound[:at].count(b"\n")})
+
+
+def zeros_for_a_sector(sound: bytes, _: Frames, within: int = 12) -> tuple[bytes, NDArray[np.bool_]]:
+    at = sound.index(b"\n", len(sound) // 2) + 1 + within
     bad = range(sound[:at].count(b"\n"), sound[: at + 512].count(b"\n") + 1)
     return sound[:at] + bytes(512) + sound[at + 512 :], lines_held(sound, set(bad))
 
@@ -79,6 +88,32 @@ def bit_in_a_block(sound: bytes, frames: Frames) -> tuple[bytes, NDArray[np.bool
     spoilt = bytearray(sound)
     spoilt[(begin + end) // 2] ^= 0x10
     return bytes(spoilt), held(frames, {20})
+
+
+def bits_in_three_blocks(sound: bytes, frames: Frames) -> tuple[bytes, NDArray[np.bool_]]:
+    """Three containers hold a whole number of objects: the halves before and behind would make one that never was."""
+    assert 3 * SMALL % OBJECT == 0
+    assert 19 * SMALL % OBJECT > 0
+    spoilt = bytearray(sound)
+    for begin, end in containers(sound)[19:22]:
+        spoilt[(begin + end) // 2] ^= 0x10
+    return bytes(spoilt), held(frames, {19, 20, 21})
+
+
+def block_without_end(sound: bytes, frames: Frames) -> tuple[bytes, NDArray[np.bool_]]:
+    """A flipped bit that zlib does not mind, but then the end of the stream never comes: nothing vouches for it."""
+    begin, end = containers(sound)[20]
+    for bit in range(8 * (begin + 40), 8 * end):
+        spoilt = bytearray(sound)
+        spoilt[bit // 8] ^= 1 << bit % 8
+        stream = zlib.decompressobj()
+        try:
+            stream.decompress(spoilt[begin + 32 : end])
+        except zlib.error:
+            continue
+        if not stream.eof:
+            return bytes(spoilt), held(frames, {20})
+    raise AssertionError("no such bit")
 
 
 def mark_of_a_container(sound: bytes, frames: Frames) -> tuple[bytes, NDArray[np.bool_]]:
@@ -129,7 +164,10 @@ CASES: list[tuple[str, Spoil, str]] = [
     *[(kind, cut_in_a_line, "ends in the middle of line") for kind in TEXT],
     *[(kind, garbage_in_lines, "has no frame in line") for kind in TEXT],
     *[(kind, zeros_for_a_sector, "has no frame in line") for kind in TEXT],
+    *[(kind, identifier_too_large, "has no frame in line") for kind in (".asc", ".trc")],
     ("small.blf", bit_in_a_block, "is damaged in the object at byte"),
+    ("small.blf", bits_in_three_blocks, "is damaged in the object at byte"),
+    ("small.blf", block_without_end, "is damaged in the object at byte"),
     ("small.blf", mark_of_a_container, "is damaged in the object at byte"),
     ("small.blf", size_of_a_container, "is damaged in the object at byte"),
     ("small.blf", a_container_less, "objects in its header"),
@@ -191,6 +229,18 @@ def test_what_survives_is_answered_from(
     apart = np.diff(origin) != 1
     broken = (np.diff(left.cycles.sync.astype(np.int64)) != 1) | ((left.cycles.flags[1:] & BREAK_BEFORE) != 0)
     assert np.all(broken[apart])
+
+
+@pytest.mark.parametrize("kind", TEXT)
+def test_zeros_from_anywhere_in_a_line(kind: str, arm: Arm, frames: Frames, tmp_path: Path) -> None:
+    path = write(tmp_path, kind, frames[:400], arm.period_s)
+    sound = path.read_bytes()
+    for within in range(70):
+        spoilt, survives = zeros_for_a_sector(sound, frames, within)
+        path.write_bytes(spoilt)
+        log = bus.read_log(path)
+        assert log.frames.tobytes() == frames[:400][survives].tobytes()
+        assert log.damage
 
 
 def test_a_hole_of_240_cycles_is_not_bridged(arm: Arm, frames: Frames, tmp_path: Path) -> None:
