@@ -79,11 +79,11 @@ class _Lines:
         if self._offered:
             self._offered += 1
             return self.line
-        self.line = next(self._stream, "")
-        self.number += 1
-        silent = (
-            self._silent.match(self.line) is not None and "\0" not in self.line
-        )  # zeros are a disk's, not a writer's
+        self._advance()
+        while "\0" in self.line:  # what a disk gives for a sector that it lost: lines run together there
+            self.bad.append(self.number)
+            self._advance()
+        silent = self._silent.match(self.line) is not None
         self.cut = not self.line.endswith("\n") and not silent
         self.over = not self.line or self.cut
         if self.over:
@@ -93,6 +93,10 @@ class _Lines:
         if words[1:2] == ["triggerblock"]:
             self.begun = words[0] == "begin"
         return self.line
+
+    def _advance(self) -> None:
+        self.line = next(self._stream, "")
+        self.number += 1
 
     def answer(self) -> None:
         """The line gave a frame."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import faulthandler
 import os
 import sys
 from collections import Counter
@@ -25,6 +26,7 @@ def forked(source: Path, target: Path) -> str:
     """`salvage._convert` in a copy of this process, which has loaded everything: a new one takes a second to do so."""
     child = os.fork()
     if child == 0:
+        faulthandler.disable()
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
         sys.argv = ["logconvert", str(source), str(target)]
         code = 1
