@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +16,12 @@ import can
 import numpy as np
 from numpy.typing import NDArray
 
-from zygos import vcan
+from zygos import salvage, vcan
 from zygos.errors import ZygosError
 from zygos.flight import FRAME
 from zygos.output import cannot_be_written
 
-LOG_SUFFIXES = (".log", ".blf", ".asc")
+LOG_SUFFIXES = (".log", ".blf", ".asc", ".trc", ".mf4")
 """Formats of python-can that keep classical frames whole."""
 _EXTENDED, _REMOTE, _ERROR, _FD = 1, 2, 4, 8
 _SYNC = 0x080
@@ -40,6 +42,8 @@ def to_messages(frames: NDArray[Any], period_s: float) -> list[can.Message]:
             arbitration_id=int(frame["id"]),
             is_extended_id=bool(frame["flags"] & _EXTENDED),
             is_remote_frame=bool(frame["flags"] & _REMOTE),
+            is_error_frame=bool(frame["flags"] & _ERROR),
+            is_fd=bool(frame["flags"] & _FD),
             data=bytes(frame["data"][: frame["length"]]),
         )
         for frame, stamp in zip(frames, stamps, strict=True)
@@ -67,9 +71,17 @@ def from_messages(messages: Iterable[can.Message]) -> NDArray[Any]:
 
 
 def check_log_name(path: Path) -> None:
-    """Refuse a file name whose suffix is none of `LOG_SUFFIXES`."""
-    if path.suffix.lower() not in LOG_SUFFIXES:
+    """Refuse a file name whose suffix is none of `LOG_SUFFIXES`, or stands for a format that is not installed."""
+    suffix = path.suffix.lower()
+    if suffix == ".db":
+        raise ZygosError(
+            f"{path}: python-can loses frames when it writes a .db; remedy: record, or send the frames with "
+            "`can_player`, into a .blf"
+        )
+    if suffix not in LOG_SUFFIXES:
         raise ZygosError(f"{path}: no CAN log of a known kind; remedy: use one of {' '.join(LOG_SUFFIXES)}")
+    if suffix == ".mf4" and importlib.util.find_spec("asammdf") is None:
+        raise ZygosError(f"{path}: .mf4 needs asammdf; remedy: pip install 'zygos[mf4]', or use a .blf")
 
 
 def check_log(path: Path) -> None:
@@ -91,6 +103,7 @@ class Recording:
         self.path = path
         self.count = 0
         self._partial = path.with_name(f".{os.getpid()}.partial{path.suffix}")
+        self._classical_only = path.suffix.lower() == ".trc"  # python-can would leave the others out
         self._channel = "can0" if path.suffix.lower() == ".log" else 0
         with self._refusing():
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -100,6 +113,9 @@ class Recording:
         """Write messages behind those that are there."""
         with self._refusing():
             for message in messages:
+                if self._classical_only and (message.is_fd or message.is_remote_frame or message.is_error_frame):
+                    kind = "an FD" if message.is_fd else "a remote" if message.is_remote_frame else "an error"
+                    raise ZygosError(f"{self.path}: a .trc cannot hold {kind} frame; remedy: write a .blf")
                 message.channel = self._channel
                 self._logger.on_message_received(message)
                 self.count += 1
@@ -118,7 +134,9 @@ class Recording:
             yield
         except BaseException as error:
             self._partial.unlink(missing_ok=True)
-            if isinstance(error, Exception):  # each writer of python-can raises errors of its own
+            if isinstance(error, Exception) and not isinstance(
+                error, ZygosError
+            ):  # each writer of python-can raises errors of its own
                 raise cannot_be_written(self.path, error) from error
             raise
 
@@ -137,27 +155,46 @@ def _counted(messages: Iterable[can.Message], progress: Callable[[int], None] | 
         yield message
 
 
-def read_log(path: Path, progress: Callable[[int], None] | None = None) -> NDArray[Any]:
-    """Read all frames of a log; progress is called now and then with the number read so far.
+@dataclass(frozen=True)
+class Log:
+    """What a log holds."""
 
-    Raises ZygosError when the file is missing, of no known kind, unreadable, or holds no frame.
+    frames: NDArray[Any]
+    """`FRAME` records (n,) in file order."""
+    damage: tuple[str, ...]
+    """What is missing, in words that begin with the log's name; empty for a log that looks whole."""
+
+
+def read_log(path: Path, progress: Callable[[int], None] | None = None) -> Log:
+    """Read all frames of a log, and of a damaged one what can be read.
+
+    progress is called now and then with the number read so far. Raises ZygosError when the file is missing, of no
+    known kind, unreadable, or holds no frame.
     """
-    frames = from_messages(read_messages(path, progress))
+    damage: list[str] = []
+    frames = from_messages(read_messages(path, damage, progress))
     if len(frames) == 0:
-        raise ZygosError(f"{path}: the log holds no frame; remedy: record with the bus running")
-    return frames
+        if not damage:
+            raise ZygosError(f"{path}: the log holds no frame; remedy: record with the bus running")
+        raise ZygosError(
+            f"{path}: nothing can be read, the log {damage[0]}; remedy: see whether it is a {path.suffix} log, and "
+            "record it again"
+        )
+    return Log(frames, tuple(f"{path} {text}" for text in damage))
 
 
-def read_messages(path: Path, progress: Callable[[int], None] | None = None) -> Iterator[can.Message]:
+def read_messages(
+    path: Path, damage: list[str], progress: Callable[[int], None] | None = None
+) -> Iterator[can.Message]:
     """Messages of a log of anybody's, as python-can reads them; progress as in `read_log`.
 
-    Raises ZygosError when the file is missing, of no known kind, or unreadable.
+    What is missing of it goes into damage, in words that follow "the log". Raises ZygosError when the file is missing,
+    of no known kind, or unreadable.
     """
     check_log(path)
     try:
-        with can.LogReader(str(path)) as reader:
-            yield from _counted(reader, progress)
-    except Exception as error:  # each reader of python-can raises errors of its own
+        yield from _counted(salvage.messages(path, damage), progress)
+    except Exception as error:  # of the file, or what a reader makes of damage that nobody has thought of
         raise ZygosError(
             f"{path}: not a readable {path.suffix} log ({type(error).__name__}: {error}); remedy: record it again, "
             "or convert it with python-can's `can_logconvert`"

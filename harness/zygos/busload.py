@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from zygos.arm import Arm, load_arm
 from zygos.bus import check_log
-from zygos.commands import progress, read_run
+from zygos.commands import damage_of, not_whole, progress, read_run
 from zygos.dbc import arm_database, cycles_between
 from zygos.errors import Undecided, ZygosError
 from zygos.output import check_outputs, counted, note, number, say, table, write_json
@@ -202,9 +202,10 @@ def report_bus_load(
     check_outputs([json], [arm_file, run])
     arm = load_arm(arm_file)
     planned = plan(arm, bitrate, attitude_hz, telemetry_hz)
-    used = None
+    used, log = None, None
     if run is not None:
-        frames = read_run(run)
+        log = read_run(run)
+        frames = log.frames
         parts = [frames[k : k + _AT_ONCE] for k in range(0, len(frames), _AT_ONCE)]
         with progress() as bar:
             bits = np.concatenate([exact_bits(part) for part in bar.track(parts, description="counting bits")])
@@ -236,6 +237,7 @@ def report_bus_load(
             f"{run}: a load of {100 * used.load:.1f} % is above {100 * LIMIT:g} %, {OTHERS} included; remedy: a higher "
             "bit rate, or fewer frames of others"
         )
+    not_whole(damage_of(log))
 
 
 def _print(arm: Arm, bitrate: int, planned: Plan, used: Usage | None) -> None:

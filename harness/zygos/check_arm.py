@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -12,9 +11,11 @@ from numpy.typing import NDArray
 
 from zygos.arm import Arm, load_arm
 from zygos.audit import Audit, Traffic, audit, signal_names
-from zygos.commands import progress, read_run
+from zygos.columns import is_table
+from zygos.commands import damage_of, not_whole, origin, progress, read_run
 from zygos.cycles import Cycles
-from zygos.errors import Undecided, ZygosError
+from zygos.cycletable import read_cycles
+from zygos.errors import Undecided
 from zygos.flight import Flight, ffi, lib
 from zygos.output import check_outputs, counted, number, say, table, write_json
 from zygos.reference.wire import identifiers
@@ -27,15 +28,16 @@ def check_arm_run(arm_file: Path, run: Path, json: str | None) -> None:
     """Audit a run against an arm file; see `zygos check-arm --help`."""
     check_outputs([json], [run, arm_file])
     arm = load_arm(arm_file)
-    if run.suffix.lower() == ".npz":
-        cycles, traffic, faults = read_table(run), Traffic(), dict[str, int]()
+    log = None if is_table(run) else read_run(run)
+    if log is None:
+        cycles, traffic, faults = read_cycles(run, arm), Traffic(), dict[str, int]()
     else:
-        cycles, traffic, faults = listen_to(arm, read_run(run))
+        cycles, traffic, faults = listen_to(arm, log.frames)
     with progress() as bar:
         task = bar.add_task("comparing", total=1.0)
         found = audit(arm, cycles, traffic, lambda share: bar.update(task, completed=share))
     if json:
-        write_json(json, {"run": str(run), "arm": arm.name, "ok": found.ok, "faults": faults, **asdict(found)})
+        write_json(json, {**origin(run, log), "arm": arm.name, "ok": found.ok, "faults": faults, **asdict(found)})
     if json != "-":
         show(found)
         seen = [f"{name} {count:,}" for name, count in faults.items() if count]
@@ -52,6 +54,7 @@ def check_arm_run(arm_file: Path, run: Path, json: str | None) -> None:
             f"nothing wrong was found, but nothing confirms {names}; remedy: a longer run that moves every joint at "
             "different speeds"
         )
+    not_whole(damage_of(log))
 
 
 def show(found: Audit) -> None:
@@ -94,32 +97,6 @@ def show(found: Audit) -> None:
         say(f"{f.signal}: {f.fault} ({f.evidence}); remedy: {f.remedy}")
     for text in found.notes:
         say(f"open: {text}")
-
-
-def read_table(path: Path) -> Cycles:
-    """Read a cycle table: an .npz with the fields of `Cycles`. Errors: ZygosError naming the file and the field."""
-    remedy = "remedy: save the fields of a run as numpy.savez(path, sync=…, q=…, theta=…, tau=…, omega=…, flags=…)"
-    if not path.is_file():
-        raise ZygosError(f"{path}: no such file; remedy: give a CAN log or a cycle table (.npz)")
-    try:
-        with np.load(path, allow_pickle=False) as stored:
-            fields = {name: np.asarray(stored[name]) for name in Cycles.__dataclass_fields__}
-        cycles = Cycles(
-            sync=fields["sync"].astype(np.uint64),
-            flags=fields["flags"].astype(np.uint32),
-            **{name: fields[name].astype(np.float64) for name in ("q", "theta", "tau", "omega")},
-        )
-    except KeyError as error:
-        raise ZygosError(f"{path}: holds no field {error}; {remedy}") from error
-    except (OSError, ValueError, zipfile.BadZipFile) as error:
-        raise ZygosError(f"{path}: no readable cycle table ({error}); {remedy}") from error
-    n = len(cycles)
-    joints = cycles.q.shape[-1] if cycles.q.ndim == 2 else 0
-    shapes = {"sync": (n,), "q": (n, joints), "theta": (n, joints), "tau": (n, joints), "omega": (n, 3), "flags": (n,)}
-    for name, shape in shapes.items():
-        if getattr(cycles, name).shape != shape or n == 0 or joints == 0:
-            raise ZygosError(f"{path}: field {name} has shape {getattr(cycles, name).shape}, not {shape}; {remedy}")
-    return cycles
 
 
 def listen_to(arm: Arm, frames: NDArray[Any]) -> tuple[Cycles, Traffic, dict[str, int]]:

@@ -16,9 +16,9 @@ app = typer.Typer(
     rich_markup_mode="rich",
     help="Learn the dynamics of a flexible-joint space arm from its CAN frames.\n\n"
     "Three kinds of file: [bold]arm.toml[/] says what the hardware is, [bold]model.toml[/] what someone believes of "
-    "its dynamics, [bold]scenario.toml[/] what is done with it. A run is a CAN log (.log .blf .asc), or, "
-    "for estimate and check, a table of cycles (.npz .csv .parquet).\n\n"
-    "Exit codes: 0 answered, 2 bad input, 3 refused or undecided.",
+    "its dynamics, [bold]scenario.toml[/] what is done with it. A run is a CAN log (.log .blf .asc .trc .mf4), or, "
+    "for estimate, check and check-arm, a table of cycles (.npz .csv .parquet).\n\n"
+    "Exit codes: 0 answered, 2 bad input, 3 refused or undecided, 4 answered from a damaged log.",
 )
 
 Json = Annotated[
@@ -29,7 +29,9 @@ ArmFile = Annotated[
 ]
 Run = Annotated[
     Path,
-    typer.Argument(metavar="RUN", help="A CAN log (.log .blf .asc), or a table of cycles (.npz .csv .parquet)."),
+    typer.Argument(
+        metavar="RUN", help="A CAN log (.log .blf .asc .trc .mf4), or a table of cycles (.npz .csv .parquet)."
+    ),
 ]
 Interface = Annotated[str | None, typer.Option("-i", "--interface", help="python-can's interface, e.g. socketcan.")]
 Channel = Annotated[str | None, typer.Option("-c", "--channel", help="python-can's channel, e.g. vcan0.")]

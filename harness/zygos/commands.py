@@ -6,7 +6,7 @@ import shutil
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +23,7 @@ from zygos.check import check_cycles, check_frames
 from zygos.columns import check_table, is_table
 from zygos.cycletable import read_cycles
 from zygos.effects import Effect
-from zygos.errors import Undecided, ZygosError
+from zygos.errors import Damaged, Undecided, ZygosError
 from zygos.flight import Estimate, Flight, encode
 from zygos.model import Model, Quantity, load_model, save_model
 from zygos.motion import ENGINES
@@ -67,16 +67,42 @@ def check_model_name(path: Path) -> None:
         raise ZygosError(f"{path}: no name for a model; remedy: let it end in .toml")
 
 
-def read_run(run: Path) -> NDArray[Any]:
-    """Read a log; a long one shows how far it is."""
+def read_run(run: Path) -> bus.Log:
+    """Read a log; a long one shows how far it is. Damage is said at once; `not_whole` ends the command."""
     with progress() as bar:
         task = bar.add_task(f"reading {run.name}", total=None)
-        return bus.read_log(run, lambda count: bar.update(task, description=f"reading {run.name}: {count:,} frames"))
+        log = bus.read_log(run, lambda count: bar.update(task, description=f"reading {run.name}: {count:,} frames"))
+    warn(log.damage)
+    return log
+
+
+def warn(damage: Sequence[str]) -> None:
+    """Say what is missing of a log."""
+    for text in damage:
+        note(f"warning: {text}")
+
+
+def not_whole(*damage: Sequence[str]) -> None:
+    """The end of a command that has answered from logs. Raises Damaged when one of them was damaged."""
+    if any(damage):
+        raise Damaged(
+            "answered from damaged input, from what could be read; remedy: see the warnings above, and record again"
+        )
+
+
+def damage_of(log: bus.Log | None) -> tuple[str, ...]:
+    """What is missing of a log; nothing of a table, which has none."""
+    return log.damage if log else ()
 
 
 def door(run: Path) -> str:
     """The door of the flight library that a run goes through: frames, or cycles of which nobody saw the frames."""
     return "cycle" if is_table(run) else "frames"
+
+
+def origin(run: Path, log: bus.Log | None) -> dict[str, Any]:
+    """What an answer's JSON says of its run; of a table there is no log."""
+    return {"run": str(run), "door": door(run), "damage": damage_of(log) or None}
 
 
 def simulate_run(
@@ -292,11 +318,13 @@ def estimate_run(run: Path, arm_file: Path | None, out: Path, model_file: Path |
     if prior is not None:
         prior.base_parameters(arm)
     flight = Flight(arm, prior.effects if prior else ())
-    if is_table(run):
+    log = None if is_table(run) else read_run(run)
+    if log is None:
         flight.cycles(read_cycles(run, arm))
     else:
-        flight.frames(read_run(run))
-    finish_estimate(flight.estimate(), flight, out, prior, json, {"run": str(run), "door": door(run)})
+        flight.frames(log.frames)
+    finish_estimate(flight.estimate(), flight, out, prior, json, origin(run, log))
+    not_whole(damage_of(log))
 
 
 def check_run(run: Path, arm_file: Path | None, model_file: Path | None, json: str | None) -> None:
@@ -305,13 +333,10 @@ def check_run(run: Path, arm_file: Path | None, model_file: Path | None, json: s
     check_outputs([json], [run, chosen, run.parent / "arm.toml", model_file])
     arm = load_arm(chosen)
     flight = Flight(arm, load_model(model_file).effects if model_file else ())
-    if is_table(run):
-        rooms = check_cycles(arm, read_cycles(run, arm), flight)
-    else:
-        rooms = check_frames(arm, read_run(run), flight)
+    log = None if is_table(run) else read_run(run)
+    rooms = check_cycles(arm, read_cycles(run, arm), flight) if log is None else check_frames(arm, log.frames, flight)
     if json:
-        content = {"run": str(run), "door": door(run), "arm": arm.name, "rooms": [room.as_json() for room in rooms]}
-        write_json(json, content)
+        write_json(json, {**origin(run, log), "arm": arm.name, "rooms": [room.as_json() for room in rooms]})
     if json != "-":
         table(
             ("room", "compared", "largest difference", "at cycle", "tolerance", ""),
@@ -337,6 +362,7 @@ def check_run(run: Path, arm_file: Path | None, model_file: Path | None, json: s
         raise Undecided(
             f"no solution to compare, {result.validity}: {result.reason}; remedy: {_remedy(result, flight)}"
         )
+    not_whole(damage_of(log))
 
 
 @contextmanager

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from zygos import bus
 from zygos.arm import Arm, load_arm
 from zygos.columns import check_table, is_table
-from zygos.commands import progress
+from zygos.commands import not_whole, progress, warn
 from zygos.cycles import INVALID, Cycles
 from zygos.cycletable import write_cycles
 from zygos.errors import Undecided, ZygosError
@@ -84,6 +84,7 @@ def convert_run(
         frames = None if is_table(out) else encode(described, _with_time(cycles))
         _write(out, cycles, frames, arm.period_s, beside, text)
         refused = _refused(described, cycles, frames)
+    warn(recording.missing)
     rows = _rows(recording, found, cycles, described, mapping, added)
     warnings = _warnings(arm, cycles, described, recording, found, out)
     content: dict[str, Any] = {
@@ -98,6 +99,7 @@ def convert_run(
         "cycles": len(cycles),
         "breaks": int(np.count_nonzero(cycles.flags)),
         "left_out": lost,
+        "damage": recording.missing or None,
         "damaged_frames": recording.damaged,
         "signals": rows,
         "bandwidth": {"rate_hz": rate, "needed_hz": needed, "refused_share": refused},
@@ -108,6 +110,7 @@ def convert_run(
     if json:
         write_json(json, content)
     _judge(rate, needed, refused, mapping, out)
+    not_whole(recording.missing)
 
 
 def _check_names(source: Path, dbc: Sequence[Path], out: Path, *, tabular: bool) -> None:

@@ -13,3 +13,9 @@ class Undecided(ZygosError):
     """The question was understood, but the data do not answer it."""
 
     exit_code = 3
+
+
+class Damaged(ZygosError):
+    """The question was answered, but from a log of which a part is missing."""
+
+    exit_code = 4

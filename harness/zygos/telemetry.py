@@ -128,6 +128,8 @@ class Recording:
     """At how many of its units the clock starts anew."""
     damaged: int = 0
     """Frames that the DBC could not decode."""
+    missing: tuple[str, ...] = ()
+    """What is missing of a damaged log, in words that begin with its name."""
 
 
 def closest(name: str, known: Iterable[str], noun: str) -> str:
@@ -374,8 +376,9 @@ def read_can(
     values: dict[str, list[tuple[float, int, float]]] = {channel.source: [] for channel in mapping.channels}
     ticks: list[tuple[float, float]] = []
     damaged = 0
+    missing: list[str] = []
     begin: float | None = None
-    for message_in in bus.read_messages(path, progress):
+    for message_in in bus.read_messages(path, missing, progress):
         key = (message_in.arbitration_id, message_in.is_extended_id)
         if key not in wanted or message_in.is_error_frame or message_in.is_remote_frame:
             continue
@@ -411,7 +414,12 @@ def read_can(
     }
     first = ticks[0][0] if ticks else 0.0
     return Recording(
-        sources, np.array([v - first for v, _ in ticks]), np.array([stamp for _, stamp in ticks]), modulo, damaged
+        sources,
+        np.array([v - first for v, _ in ticks]),
+        np.array([stamp for _, stamp in ticks]),
+        modulo,
+        damaged,
+        tuple(f"{path} {text}" for text in missing),
     )
 
 

@@ -19,7 +19,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from zygos.arm import Arm, load_arm
+from zygos.columns import is_table
 from zygos.commands import find_arm, progress, read_run, stop_signals
+from zygos.cycletable import read_cycles
 from zygos.errors import ZygosError
 from zygos.flight import Flight
 from zygos.model import load_model
@@ -369,9 +371,14 @@ def view_run(
         raise ZygosError("--at says which instant the still of --png shows; remedy: add --png FILE")
     arm = load_arm(chosen)
     lengths = skeleton(arm, load_model(model_file) if model_file else None)
-    trace = Flight(arm).frames(read_run(run_file), trace=True)
-    assert trace is not None
-    run = motion(arm, trace.cycles)
+    log = None if is_table(run_file) else read_run(run_file)
+    if log is None:
+        cycles = read_cycles(run_file, arm)
+    else:
+        trace = Flight(arm).frames(log.frames, trace=True)
+        assert trace is not None
+        cycles = trace.cycles
+    run = motion(arm, cycles)
     last = float(run.time[-1])
     if at is not None and not 0.0 <= at <= last:
         raise ZygosError(f"--at {at:g}: the run lasts from 0 to {last:g} s; remedy: name a second within")
@@ -421,3 +428,4 @@ def view_run(
         note(f"cycles are missing in {counted(run.gaps, 'place')}; the base's attitude behind them is a guess")
     if png_file is None and html_file is None:
         serve(content, port)
+    not_whole(damage_of(log))

@@ -273,7 +273,7 @@ def test_a_log_is_counted_bit_by_bit(recorded: tuple[Log, Path], arm: Arm, tmp_p
 
 def test_strangers_in_a_log_are_others(recorded: tuple[Log, Path], arm: Arm) -> None:
     need(STRANGERS.is_file(), f"the recorded traffic of a road vehicle, {STRANGERS.name}")
-    frames, strangers = recorded[0], bus.read_log(STRANGERS)[:5000]
+    frames, strangers = recorded[0], bus.read_log(STRANGERS).frames[:5000]
     both = np.concatenate([frames[:100], strangers, frames[100:]])
     alone = usage(arm, 10**6, frames, exact_bits(frames))
     found = usage(arm, 10**6, both, exact_bits(both))

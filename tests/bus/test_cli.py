@@ -171,7 +171,7 @@ def test_a_rigid_prior_is_kept_where_the_run_is_silent(tmp_path: Path) -> None:
 def test_estimate_of_too_short_a_run_is_undecided(
     simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    frames = bus.read_log(simulated / "run.blf")
+    frames = bus.read_log(simulated / "run.blf").frames
     short = tmp_path / "short.blf"
     bus.write_log(short, frames[:150], 0.05)
     code = run(
@@ -205,7 +205,7 @@ def test_check_says_when_c_and_numpy_differ(simulated: Path, monkeypatch: pytest
 
 def test_listen(simulated: Path, tmp_path: Path) -> None:
     arm = load_arm(EXAMPLE / "arm.toml")
-    messages = bus.to_messages(bus.read_log(simulated / "run.blf"), arm.period_s)
+    messages = bus.to_messages(bus.read_log(simulated / "run.blf").frames, arm.period_s)
 
     def play() -> None:
         time.sleep(1.0)
@@ -234,7 +234,7 @@ def test_listen(simulated: Path, tmp_path: Path) -> None:
     assert code == 0
     assert run("estimate", simulated / "run.blf", "-o", tmp_path / "replayed.toml") == 0
     assert (tmp_path / "live.toml").read_bytes() == (tmp_path / "replayed.toml").read_bytes()
-    assert bus.read_log(tmp_path / "live.blf").tobytes() == bus.read_log(simulated / "run.blf").tobytes()
+    assert bus.read_log(tmp_path / "live.blf").frames.tobytes() == bus.read_log(simulated / "run.blf").frames.tobytes()
 
 
 def test_paper(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -262,8 +262,8 @@ def test_paper(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         ("listen", "--arm", "none.toml", "-i", "virtual", "-o", "m.toml"),
         ("paper", "--example", "nowhere"),
         ("paper", "--seeds", "many"),
-        ("estimate", "run.mf4", "--arm", EXAMPLE / "arm.toml", "-o", "m.toml"),
-        ("simulate", EXAMPLE / "scenario.toml", "-o", "run.mf4"),
+        ("estimate", "run.db", "--arm", EXAMPLE / "arm.toml", "-o", "m.toml"),
+        ("simulate", EXAMPLE / "scenario.toml", "-o", "run.db"),
         ("listen", "--arm", EXAMPLE / "arm.toml", "-i", "virtual", "-c", "x", "-o", "m.json"),
         ("listen", "--arm", EXAMPLE / "arm.toml", "-i", "virtual", "-c", "x", "-o", "m.toml", "--log", "run.csv"),
         ("no_such_command",),
@@ -382,7 +382,7 @@ def test_a_file_that_cannot_be_written_is_named(
     assert f"{out}: cannot be written (No space left" in said.err
     assert "partial" not in said.err
     with pytest.raises(ZygosError, match=r"run\.blf: cannot be written"):
-        bus.write_log(tmp_path / "run.blf", bus.read_log(simulated / "run.blf")[:100], 0.05)
+        bus.write_log(tmp_path / "run.blf", bus.read_log(simulated / "run.blf").frames[:100], 0.05)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -397,7 +397,7 @@ def test_a_terminal_without_utf8(simulated: Path, tmp_path: Path) -> None:
 
 
 def test_what_estimate_says(simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    frames = bus.read_log(simulated / "run.blf")
+    frames = bus.read_log(simulated / "run.blf").frames
     frames["data"][300, 3] ^= 1
     damaged = tmp_path / "run.log"
     bus.write_log(damaged, frames, 0.05)
@@ -427,7 +427,7 @@ Damage = Callable[[NDArray[np.void]], NDArray[np.void]]
 )
 def test_the_remedy_begins_with_the_bus(damage: Damage, remedy: str, simulated: Path) -> None:
     flight = Flight(load_arm(EXAMPLE / "arm.toml"))
-    flight.frames(damage(bus.read_log(simulated / "run.blf")))
+    flight.frames(damage(bus.read_log(simulated / "run.blf").frames))
     result = replace(flight.estimate(), reason="the estimate is not physical")
     assert re.search(remedy, commands._remedy(result, flight))
 
@@ -435,7 +435,7 @@ def test_the_remedy_begins_with_the_bus(damage: Damage, remedy: str, simulated: 
 def test_the_remedy_names_another_period(simulated: Path) -> None:
     arm = load_arm(EXAMPLE / "arm.toml")
     flight = Flight(replace(arm, period_s=0.02))
-    flight.frames(bus.read_log(simulated / "run.blf"))
+    flight.frames(bus.read_log(simulated / "run.blf").frames)
     assert flight.faults["time_jumped"] > 0
     assert "period_s of the arm file disagrees" in commands._remedy(flight.estimate(), flight)
 
@@ -444,7 +444,7 @@ def test_the_remedy_names_another_period(simulated: Path) -> None:
 def test_check_of_a_run_without_an_instant(
     count: int, simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    frames = bus.read_log(simulated / "run.blf")[: count or None]
+    frames = bus.read_log(simulated / "run.blf").frames[: count or None]
     bus.write_log(tmp_path / "run.blf", frames, 0.05)
     change = ("node = 1\n", "node = 9\n") if count == 0 else ("node = 1\n", "node = 1\n")
     arm = example_with(tmp_path / "example", "arm.toml", change)
@@ -494,7 +494,7 @@ class Player:
 
 @contextlib.contextmanager
 def playing(channel: str, log: Path, after: Callable[[], None] = lambda: None) -> Iterator[None]:
-    player = threading.Thread(target=Player(channel, bus.to_messages(bus.read_log(log), 0.05), after))
+    player = threading.Thread(target=Player(channel, bus.to_messages(bus.read_log(log).frames, 0.05), after))
     player.start()
     yield
     player.join()
@@ -523,7 +523,7 @@ def test_a_signal_ends_listening_and_keeps_what_was_learned(
         signal.signal(which, before)
     assert "stopped" in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["live.log", "live.toml"]
-    assert bus.read_log(tmp_path / "live.log").tobytes() == bus.read_log(simulated / "run.blf").tobytes()
+    assert bus.read_log(tmp_path / "live.log").frames.tobytes() == bus.read_log(simulated / "run.blf").frames.tobytes()
 
 
 def test_a_bus_that_fails_while_listening(

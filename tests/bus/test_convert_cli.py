@@ -167,7 +167,7 @@ def test_with_a_counter_and_si_not_a_bit_changes(arm: Arm, cycles: Cycles, tmp_p
     for name in Cycles.__dataclass_fields__:
         assert np.array_equal(getattr(got, name), getattr(cycles, name)), name
     assert run("convert", log, *options, "-o", tmp_path / "can" / "run.log") == 0
-    assert np.array_equal(bus.read_log(tmp_path / "can" / "run.log"), encode(arm, cycles))
+    assert np.array_equal(bus.read_log(tmp_path / "can" / "run.log").frames, encode(arm, cycles))
 
 
 @pytest.fixture(scope="module")
@@ -267,7 +267,7 @@ def test_lost_messages_break_the_run_and_nothing_else(arm: Arm, cycles: Cycles, 
     assert report["left_out"] == {"incomplete cycles": 2, "repeated cycles": 1}
     assert "1 frame could not be decoded" in report["warnings"][0]
     flight = Flight(arm)
-    trace = flight.frames(bus.read_log(tmp_path / "run.blf"), trace=True)
+    trace = flight.frames(bus.read_log(tmp_path / "run.blf").frames, trace=True)
     assert trace is not None
     assert flight.faults["time_lost"] == flight.faults["time_jumped"] == 0
     away = set(range(1200)) - set(trace.cycles.sync.astype(int).tolist())

@@ -68,6 +68,29 @@ def test_names_what_the_simulation_lacks(folder: Path, tmp_path: Path, capsys: p
     assert (effect.kind.key, effect.joint, effect.value) == ("motor_coulomb", "elbow", found["value"])
 
 
+def test_a_damaged_log_is_explained_with_a_warning(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Exit code 4, the same name, and the model is written; an answer that is none goes before."""
+    runs = [folder / "f0.blf", tmp_path / "f1.blf", folder / "f2.blf"]
+    runs[1].write_bytes((folder / "f1.blf").read_bytes()[:-5000])
+    out, verdict = tmp_path / "new.toml", tmp_path / "verdict.json"
+    arguments = ["--simulation", EXAMPLE / "model.toml", "--measured", *runs[:2], "--validate", runs[2], "-o", out]
+    arguments += ["--arm", folder / "arm.toml", "--json", verdict]
+    assert run("explain", *arguments) == 4
+    error = capsys.readouterr().err
+    assert f"warning: {runs[1]} is damaged" in error and "answered from damaged input" in error
+    content = json.loads(verdict.read_text())
+    assert [found["effect"] for found in content["findings"]] == ["motor_coulomb"]
+    assert content["damage"][0].startswith(f"{runs[1]} is damaged in the object at byte")
+    assert load_model(out).effects
+    wrong = tmp_path / "arm.toml"
+    wrong.write_text((folder / "arm.toml").read_text().replace("gear_ratio = 50", "gear_ratio = 60", 1))
+    arguments[arguments.index(folder / "arm.toml")] = wrong
+    assert run("explain", *arguments) == 3
+    assert "warning" in capsys.readouterr().err
+
+
 def test_estimate_learns_the_effect_that_explain_wrote(folder: Path, tmp_path: Path) -> None:
     out, learned = tmp_path / "new.toml", tmp_path / "learned.toml"
     assert explain(folder, "f", out) == 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,9 +11,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from conftest import ROOT, need
+from bus.log_support import run as zygos
+from conftest import EXAMPLE, ROOT, need
 from zygos import bus
 from zygos.arm import Arm
+from zygos.commands import NO_FRAMES
 from zygos.cycles import BREAK_BEFORE, Cycles
 from zygos.flight import Flight, encode, ffi, lib
 from zygos.model import Model
@@ -30,7 +33,7 @@ ACCEPTED, REJECTED = 1, 2
 @pytest.fixture(scope="module")
 def strangers() -> Log:
     need(LOG.is_file(), f"the recorded traffic of a road vehicle, {LOG.name}")
-    frames = bus.read_log(LOG)
+    frames = bus.read_log(LOG).frames
     assert (len(frames), len(np.unique(frames["id"]))) == (12_974, 180)
     return frames
 
@@ -167,3 +170,46 @@ def test_spurious_syncs_end_the_arc_and_do_no_other_harm(
     assert estimate.validity in ("partial", "valid")
     known = np.isfinite(estimate.value)
     assert np.all(np.abs(estimate.value - expected.value)[known] < 6.0 * estimate.sigma[known])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_all_of_our_identifiers_at_once(arm: Arm, ours: Log, strangers: Log, seed: int) -> None:
+    """SYNC among them: every impostor is rejected and counted but for what passes as a SYNC, and that ends arcs."""
+    impostors, named = renamed(strangers, arm, seed, list(identifiers(arm)))
+    run = Run(arm, *mixed(ours, impostors, seed))
+    counter = impostors["data"][:, 0]
+    sync = named & (impostors["id"] == SYNC) & (impostors["length"] == 1) & (counter >= 1) & (counter <= 240)
+    assert np.sum(named & (impostors["id"] == SYNC)) > 10
+    assert set(run.verdicts[named & ~sync]) == {REJECTED}
+    assert set(run.verdicts[~named]) == {0}
+    rejected = sum(count for name, count in run.faults.items() if name not in NO_FRAMES)
+    assert rejected >= np.sum(named & ~sync)
+    assert run.faults.get("sync_jumped", 0) >= np.sum(run.verdicts[sync] == ACCEPTED)
+
+
+def estimated(path: Path, folder: Path) -> dict[str, Any]:
+    """What `zygos estimate` says of a log of the example's arm, but for the log's name."""
+    arguments = ["estimate", path, "--arm", EXAMPLE / "arm.toml", "-o", folder / "m.toml", "--json", folder / "m.json"]
+    assert zygos(*arguments) == 0
+    answer: dict[str, Any] = json.loads((folder / "m.json").read_text())
+    assert answer.pop("run") == str(path)
+    return answer
+
+
+@pytest.mark.parametrize("suffix", bus.LOG_SUFFIXES)
+def test_on_the_command_line(suffix: str, arm: Arm, ours: Log, strangers: Log, tmp_path: Path) -> None:
+    """The same from our frames alone, among strangers, and but for the fault counters among impostors."""
+    path = tmp_path / f"run{suffix}"
+    bus.write_log(path, ours, arm.period_s)
+    alone = estimated(path, tmp_path)
+    assert set(alone["faults"].values()) == {0}
+    bus.write_log(path, mixed(ours, strangers, 0)[0], arm.period_s)
+    assert estimated(path, tmp_path) == alone
+    impostors, named = renamed(strangers, arm, 0, [identifier for identifier in identifiers(arm) if identifier != SYNC])
+    bus.write_log(path, mixed(ours, impostors, 0)[0], arm.period_s)
+    answer = estimated(path, tmp_path)
+    faults = answer.pop("faults")
+    assert sum(faults.values()) == np.sum(named)
+    assert faults["crc"] > 0 and faults["length"] > 0
+    del alone["faults"]
+    assert answer == alone

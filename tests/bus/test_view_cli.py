@@ -296,7 +296,7 @@ def test_refusals(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str])
 
 
 def test_a_run_without_cycles_is_refused(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    frames = bus.read_log(log)
+    frames = bus.read_log(log).frames
     bus.write_log(tmp_path / "sync.log", frames[frames["id"] == 0x080], 0.05)
     arm = ("--arm", EXAMPLE / "arm.toml")
     assert "no complete cycle" in refused(capsys, tmp_path / "sync.log", *arm, "--png", tmp_path / "arm.png")

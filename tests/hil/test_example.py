@@ -48,7 +48,7 @@ def test_same_bits_from_vcan_from_logs_and_in_process(arm: Arm, frames: NDArray[
     assert bits(arm, bus.transfer(frames, arm.period_s, "virtual", "hil")) == expected
     for name in ("run.blf", "run.log"):
         bus.write_log(tmp_path / name, arrived, arm.period_s)
-        assert bits(arm, bus.read_log(tmp_path / name)) == expected
+        assert bits(arm, bus.read_log(tmp_path / name).frames) == expected
 
 
 def test_the_demo_takes_vcan_where_there_is_one() -> None:
@@ -62,7 +62,7 @@ def test_the_demo_takes_vcan_where_there_is_one() -> None:
     assert said["bus"] == f"socketcan {CHANNEL}"
     assert said["cycles"] == 1200
     assert sum(said["faults"].values()) == 0
-    sent = len(bus.read_log(folder / "sent.blf"))
+    sent = len(bus.read_log(folder / "sent.blf").frames)
     assert vcan.kernel_counts(CHANNEL) - before == vcan.KernelCounts(sent, sent, 0)
 
 

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from zygos import bus
 from zygos.arm import load_arm
-from zygos.commands import check_model_name, find_arm, progress
+from zygos.commands import check_model_name, find_arm, not_whole, progress, warn
 from zygos.effects import estimated
 from zygos.errors import Undecided, ZygosError
 from zygos.flight import Flight
@@ -70,12 +69,14 @@ def explain_run(
     model.base_parameters(arm)
     with progress() as bar:
         task = bar.add_task("reading", total=1.0)
-        records, logs = [], []
+        records: list[Record] = []
+        logs: list[bus.Log] = []
         for k, run in enumerate(runs):
             bar.update(task, description=f"reading {run.name}", completed=0.2 * k / len(runs))
             logs.append(bus.read_log(run))
+            warn(logs[-1].damage)
             _check_distinct(runs, logs)
-            records.append(read_record(arm, run, logs[-1]))
+            records.append(read_record(arm, run, logs[-1].frames))
         found = explain(
             arm,
             model,
@@ -88,19 +89,20 @@ def explain_run(
         version("zygos"),
         tuple((role, str(path), hashlib.sha256(path.read_bytes()).hexdigest()) for role, path in inputs.files),
     )
-    finish(found, records, flown(found, logs[:2]), inputs, source, out, report, json)
+    finish(found, records, logs, inputs, source, out, report, json)
+    not_whole(*(log.damage for log in logs))
 
 
-def flown(found: Explanation, logs: Sequence[NDArray[Any]]) -> list[dict[str, Any]]:
+def flown(found: Explanation, logs: Sequence[bus.Log]) -> list[dict[str, Any]]:
     """What the flight library makes of the same runs, from energy alone, with the findings' columns switched on."""
     columns = [] if found.model is None else list(estimated(found.model.effects))
     names = {effect.column(found.arm) for effect in columns if effect.source == "zygos"}
     if not names:
         return []
     out = []
-    for run, frames in enumerate(logs):
+    for run, log in enumerate(logs):
         flight = Flight(found.arm, columns)
-        flight.frames(frames)
+        flight.frames(log.frames)
         result = flight.estimate()
         out += [
             {"run": "AB"[run], "column": name, "unit": unit, "value": float(value), "sigma": float(sigma)}
@@ -110,10 +112,10 @@ def flown(found: Explanation, logs: Sequence[NDArray[Any]]) -> list[dict[str, An
     return out
 
 
-def _check_distinct(runs: Sequence[Path], logs: Sequence[NDArray[Any]]) -> None:
+def _check_distinct(runs: Sequence[Path], logs: Sequence[bus.Log]) -> None:
     """Refuse a newest log that holds the same frames as an earlier one, in whatever format."""
-    for other, frames in zip(runs, logs[:-1], strict=False):
-        if np.array_equal(frames, logs[-1]):
+    for other, log in zip(runs, logs[:-1], strict=False):
+        if np.array_equal(log.frames, logs[-1].frames):
             raise ZygosError(
                 f"{other} and {runs[len(logs) - 1]} are the same recording; remedy: two runs to learn from, and with "
                 "--validate a third, for what one run says must hold on another"
@@ -123,7 +125,7 @@ def _check_distinct(runs: Sequence[Path], logs: Sequence[NDArray[Any]]) -> None:
 def finish(
     found: Explanation,
     records: Sequence[Record],
-    flight: Sequence[Mapping[str, Any]],
+    logs: Sequence[bus.Log],
     inputs: Inputs,
     source: Provenance,
     out: Path,
@@ -131,6 +133,7 @@ def finish(
     json: str | None,
 ) -> None:
     """Print the tables, write what was asked for, and say what is undecided."""
+    flight = flown(found, logs[:2])
     if json != "-":
         show(found)
         for column in dict.fromkeys(entry["column"] for entry in flight):
@@ -150,7 +153,8 @@ def finish(
             write_gap_report(report, found, source)
     finally:
         if json:
-            write_json(json, {**as_json(found, records, source), "flight": list(flight)})
+            damage = [text for log in logs for text in log.damage]
+            write_json(json, {**as_json(found, records, source), "flight": flight, "damage": damage or None})
     if found.answer in {"unknown", "cannot tell"}:
         remedy = "see the report"
         if found.experiments:

@@ -1,0 +1,213 @@
+"""What each format of log keeps, what is refused, and logs as the programs of others write them."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+
+from bus.log_support import run
+from conftest import EXAMPLE
+from zygos import bus
+from zygos.arm import Arm
+from zygos.errors import ZygosError
+from zygos.flight import Flight, encode
+from zygos.plant import Trajectory
+from zygos.reference.wire import BUS_OFF, ERROR, EXTENDED, FD, REMOTE
+
+DATA = bytes(range(1, 9))
+EPOCH = 1_700_000_000.0
+"""Recorders stamp with the time of day."""
+MESSAGES = {
+    "classical": can.Message(EPOCH, 0x123, is_extended_id=False, data=DATA),
+    "empty": can.Message(EPOCH, 0x123, is_extended_id=False),
+    "extended": can.Message(EPOCH, 0x123, is_extended_id=True, data=DATA[:3]),
+    "extended, large": can.Message(EPOCH, 0x1ABCDEF0, is_extended_id=True, data=DATA),
+    "remote": can.Message(EPOCH, 0x123, is_extended_id=False, is_remote_frame=True, dlc=4),
+    "fd": can.Message(EPOCH, 0x123, is_extended_id=False, is_fd=True, bitrate_switch=True, data=DATA),
+    "fd, long": can.Message(EPOCH, 0x123, is_extended_id=False, is_fd=True, data=bytes(range(64))),
+    "bus-off": can.Message(EPOCH, BUS_OFF, is_error_frame=True, is_extended_id=False, dlc=8, data=bytes(8)),
+}
+FLAGS = {
+    "extended": EXTENDED,
+    "extended, large": EXTENDED,
+    "remote": REMOTE,
+    "fd": FD,
+    "fd, long": FD,
+    "bus-off": ERROR,
+}
+
+
+def recorded(path: Path, *messages: can.Message) -> bus.Log:
+    recording = bus.Recording(path)
+    recording.append(messages)
+    recording.finish()
+    return bus.read_log(path)
+
+
+@pytest.mark.parametrize("what", MESSAGES)
+@pytest.mark.parametrize("suffix", bus.LOG_SUFFIXES)
+def test_what_a_format_keeps(suffix: str, what: str, tmp_path: Path) -> None:
+    """All of a frame that the estimator looks at, but for the class of an error in .log and .asc."""
+    path, message = tmp_path / f"run{suffix}", MESSAGES[what]
+    if suffix == ".trc" and FLAGS.get(what, 0) & (REMOTE | FD | ERROR):
+        with pytest.raises(
+            ZygosError, match=r"run\.trc: a \.trc cannot hold an? (FD|remote|error) frame; remedy: .*blf"
+        ):
+            recorded(path, message)
+        assert list(tmp_path.iterdir()) == []
+        return
+    log = recorded(path, message)
+    assert log.damage == ()
+    (frame,) = log.frames
+    if what == "bus-off" and suffix in (".log", ".asc"):
+        assert frame["flags"] & ERROR and not frame["id"] & BUS_OFF
+        return
+    assert (frame["id"], frame["flags"]) == (message.arbitration_id, FLAGS.get(what, 0))
+    content = b"" if message.is_remote_frame else bytes(message.data)
+    assert frame["length"] == len(content)
+    assert frame["data"].tobytes() == content[:8].ljust(8, b"\0")
+
+
+@pytest.mark.parametrize("suffix", bus.LOG_SUFFIXES)
+def test_channels_are_read_as_one_bus_in_file_order(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"run{suffix}"
+    with can.Logger(path) as writer:
+        for k in range(20):
+            writer(can.Message(EPOCH + k, 0x100 + k, is_extended_id=False, data=DATA, channel=k % 3))
+    assert bus.read_log(path).frames["id"].tolist() == list(range(0x100, 0x100 + 20))
+
+
+def test_a_db_is_refused_with_a_remedy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "run.db").write_bytes(b"SQLite format 3\0")
+    for arguments in (
+        ("estimate", tmp_path / "run.db", "--arm", EXAMPLE / "arm.toml", "-o", tmp_path / "m.toml"),
+        ("simulate", EXAMPLE / "scenario.toml", "-o", tmp_path / "new.db"),
+        (
+            "listen",
+            "--arm",
+            EXAMPLE / "arm.toml",
+            "-i",
+            "virtual",
+            "-o",
+            tmp_path / "m.toml",
+            "--log",
+            tmp_path / "n.db",
+        ),
+    ):
+        assert run(*arguments) == 2
+        assert "python-can loses frames when it writes a .db; remedy" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["run.db"]
+
+
+def test_mf4_without_asammdf(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "asammdf", None)
+    with pytest.raises(ZygosError, match=r"\.mf4 needs asammdf; remedy: pip install 'zygos\[mf4\]'"):
+        bus.check_log_name(tmp_path / "run.mf4")
+    bus.check_log_name(tmp_path / "run.blf")
+
+
+CANDUMP = """\
+(1436509052.249713) vcan0 044#2A366C2BBA
+(1436509052.449847) vcan0 0F6#7ADFE07BD2
+(1436509052.650004) vcan0 12345678#R
+(1436509052.850173) vcan0 20000040#0000000000000000
+(1436509053.050341) vcan0 213##311223344 R
+"""
+"""As `candump -L -e` of can-utils writes it; a frame of a controller that is off the bus is the fourth."""
+ASC = """\
+date Mon Feb 18 11:13:22.123 pm 2013
+base dec  timestamps absolute
+// version 8.1.0
+   0.015991 2  128             Tx   d 8 10 41 02 0 0 0 0 0 Length = 240015 BitCount = 124 ID = 128
+Begin Triggerblock Mon Feb 18 11:13:22.123 pm 2013
+   0.000000 Start of measurement
+   0.017000 CAN 1 Status:chip status error active - TxErr: 132 RxErr: 0
+   1.000000 1  Statistic: D 5 R 0 XD 0 XR 0 E 0 O 0 B 0.04%
+   2.5010 1  ErrorFrame
+   3.098426 1  418119424x      Rx   d 8 1 160 15 166 96 59 208 64
+   3.148421 1 J1939TP FEE3p 6 0 0 - Rx d 23 A0 0F A6 60 3B D1 40 1F DE 80 1F DE 80 1F 00 FE FF
+   3.298426 1  384             Rx   r
+   4.876870 Log Trigger Event
+End TriggerBlock
+"""
+"""As Vector's programs write it, in decimal numbers, and without the line on internal events."""
+TRC = """\
+;$FILEVERSION=1.1
+;$STARTTIME=43008.920986006946
+;
+;   Start time: 30.09.2017 22:06:13.191.000
+;-------------------------------------------------------------------------------
+     1)     17535.4  Tx   00000100 8  00 00 00 00 00 00 00 00
+     2)     17540.3  Warng FFFFFFFF 4  00 00 00 08  BUSHEAVY
+     3)     17700.3  Tx   0080     1  55
+     4)     17873.8  Tx   0003     8  RTR
+"""
+"""As PEAK's programs write it."""
+
+
+@pytest.mark.parametrize(
+    ("suffix", "text", "found"),
+    [
+        (
+            ".log",
+            CANDUMP,
+            [(0x44, 0), (0xF6, 0), (0x12345678, EXTENDED | REMOTE), (BUS_OFF, EXTENDED | ERROR), (0x213, FD)],
+        ),
+        (".asc", ASC, [(128, 0), (0, EXTENDED | ERROR), (418119424, EXTENDED), (384, REMOTE)]),
+        (".trc", TRC, [(0x100, EXTENDED), (0x80, 0), (3, REMOTE)]),
+    ],
+)
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_logs_of_others(suffix: str, text: str, found: list[tuple[int, int]], end: str, tmp_path: Path) -> None:
+    """Each frame comes, nothing else is taken for one, and what is no frame is no damage."""
+    path = tmp_path / f"run{suffix}"
+    path.write_bytes(text.replace("\n", end).encode())
+    log = bus.read_log(path)
+    assert log.damage == ()
+    assert [(int(frame["id"]), int(frame["flags"])) for frame in log.frames] == found
+
+
+def test_a_comment_that_is_no_utf8(arm: Arm, noisy: Trajectory, tmp_path: Path) -> None:
+    """Vector's programs write in the machine's own code page."""
+    frames = encode(arm, noisy.cycles(0))[:100]
+    path = tmp_path / "run.asc"
+    bus.write_log(path, frames, arm.period_s)
+    path.write_bytes("// Prüfstand Süd, März\n".encode("latin-1") + path.read_bytes())
+    log = bus.read_log(path)
+    assert log.damage == ()
+    assert log.frames.tobytes() == frames.tobytes()
+
+
+def test_bus_off_in_a_candump_log_ends_the_arc(arm: Arm, noisy: Trajectory, tmp_path: Path) -> None:
+    path = tmp_path / "run.log"
+    bus.write_log(path, encode(arm, noisy.cycles(0)), arm.period_s)
+    lines = path.read_text().splitlines(keepends=True)
+    arcs = []
+    for error in ("", "(1.0) can0 20000040#0000000000000000\n", "(1.0) can0 20000004#0004000000000000\n"):
+        path.write_text("".join([*lines[:4000], error, *lines[4000:]]))
+        flight = Flight(arm)
+        flight.frames(bus.read_log(path).frames)
+        assert flight.faults["bus_error"] == bool(error)
+        arcs.append(flight.estimate().arcs)
+    assert arcs == [1, 2, 1]
+
+
+def test_reading_leaves_logging_as_it_was(arm: Arm, noisy: Trajectory, tmp_path: Path) -> None:
+    path = tmp_path / "run.trc"
+    bus.write_log(path, encode(arm, noisy.cycles(0))[:50], arm.period_s)
+    before = logging.root.manager.disable
+    bus.read_log(path)
+    assert logging.root.manager.disable == before
+
+
+def test_a_log_of_error_frames_is_no_log_of_data(tmp_path: Path) -> None:
+    """Written again, an error frame stays one: as a data frame it would be a SYNC."""
+    path = tmp_path / "run.blf"
+    log = recorded(path, can.Message(EPOCH, 0x80, is_error_frame=True, is_extended_id=False, dlc=8, data=bytes(8)))
+    bus.write_log(path, log.frames, 0.05)
+    np.testing.assert_array_equal(bus.read_log(path).frames, log.frames)

@@ -1,0 +1,85 @@
+"""Logs cut and with bits flipped, at seeded places: an answer or a refusal, and never a frame too many."""
+
+from __future__ import annotations
+
+import faulthandler
+import os
+import sys
+from collections import Counter
+from pathlib import Path
+
+import can.logconvert
+import numpy as np
+import pytest
+
+from bus.log_support import KINDS, run, write
+from conftest import EXAMPLE
+from zygos import bus, salvage
+from zygos.arm import Arm
+from zygos.flight import encode
+from zygos.plant import Trajectory
+
+PLACES = 200
+
+
+def forked(source: Path, target: Path) -> str:
+    """`salvage._convert` in a copy of this process, which has loaded everything: a new one takes a second to do so."""
+    child = os.fork()
+    if child == 0:
+        faulthandler.disable()
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+        sys.argv = ["logconvert", str(source), str(target)]
+        code = 1
+        try:
+            can.logconvert.main()
+            code = 0
+        finally:
+            os._exit(code)
+    return "" if os.waitpid(child, 0)[1] == 0 else "died"
+
+
+@pytest.mark.parametrize("damage", ["cut", "flipped"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_damage_anywhere(
+    kind: str,
+    damage: str,
+    arm: Arm,
+    noisy: Trajectory,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    frames = encode(arm, noisy.cycles(0))[:2200]
+    path = write(tmp_path, kind, frames, arm.period_s)
+    sound = path.read_bytes()
+    rng = np.random.default_rng(["cut", "flipped"].index(damage))
+    logs: list[bus.Log] = []
+    read = bus.read_log
+
+    def remembered(*arguments: object) -> bus.Log:
+        logs.append(read(*arguments))  # type: ignore[arg-type]
+        return logs[-1]
+
+    monkeypatch.setattr(bus, "read_log", remembered)
+    monkeypatch.setattr(salvage, "_convert", forked)
+    codes: Counter[int] = Counter()
+    for _ in range(PLACES):
+        at = int(rng.integers(len(sound)))
+        spoilt = bytearray(sound[:at] if damage == "cut" else sound)
+        if damage == "flipped":
+            spoilt[at] ^= 1 << int(rng.integers(8))
+        path.write_bytes(spoilt)
+        logs.clear()
+        code = run("estimate", path, "--arm", EXAMPLE / "arm.toml", "-o", tmp_path / "m.toml")
+        said = capfd.readouterr().err
+        assert "Traceback" not in said
+        codes[code] += 1
+        assert (code == 2) == (not logs)
+        for log in logs:
+            assert 0 < len(log.frames) <= len(frames)
+            assert all(text in said for text in log.damage)
+            assert code in ({3, 4} if log.damage else {0, 3})
+            if damage == "cut":  # the first frames are left, each as it was
+                assert log.frames.tobytes() == frames[: len(log.frames)].tobytes()
+    # the table of contents of an .mf4 stands at its end, and a short one is compressed in one block
+    assert codes[2 if kind == ".mf4" else 4] > 10
