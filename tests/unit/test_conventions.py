@@ -338,21 +338,35 @@ def test_body_frame_is_the_joints() -> None:
 
 
 def test_numbering(tmp_path: Path) -> None:
-    _, ours = imported(tmp_path, urdf())
-    assert [piece.mass for piece in ours] == [BASE_MASS, MASS]
+    """An arm of two joints; the names would sort otherwise."""
+    hand = 0.7
+    second = (
+        f'<link name="a">{inertial(hand, STILL, np.eye(3))}</link><joint name="a" type="revolute"><parent link="l1"/>'
+        '<child link="a"/><limit effort="6" velocity="2" lower="-9" upper="9"/></joint></robot>'
+    )
+    source = urdf().replace("</robot>", second)
+    chain, pieces = imported(tmp_path, source)
+    assert [piece.mass for piece in pieces] == [BASE_MASS, MASS, hand]
+    assert [joint.name for joint in chain.hinges] == ["j1", "a"]
     arm = arm_of("free", flexible=True)
-    assert arm.joint_parameters[0][:2] == ("Im1", 0)
+    arm = replace(arm, joints=(*arm.joints, replace(arm.joints[0], name="a")))
+    assert [entry[:2] for entry in arm.joint_parameters if entry[0].startswith("Im")] == [("Im1", 0), ("Im2", 1)]
 
-    free, fixed = pinocchio("free"), pinocchio("fixed")
-    assert [free.inertias[i].mass for i in range(3)] == [0.0, BASE_MASS, MASS]
-    assert [fixed.inertias[i].mass for i in range(2)] == [BASE_MASS, MASS]
-    assert (free.joints[2].idx_q, free.joints[2].idx_v, fixed.joints[1].idx_q) == (7, 6, 0)
-    floating = mjcf("free")
-    assert floating.body_mass.tolist() == [0.0, BASE_MASS, MASS]
-    assert (floating.joint("j1").qposadr[0], floating.joint("j1").dofadr[0]) == (7, 6)
+    free, fixed = pinocchio("free", source), pinocchio("fixed", source)
+    assert [free.inertias[i].mass for i in range(4)] == [0.0, BASE_MASS, MASS, hand]
+    assert [fixed.inertias[i].mass for i in range(3)] == [BASE_MASS, MASS, hand]
+    assert [(free.joints[i].idx_q, free.joints[i].idx_v) for i in (1, 2, 3)] == [(0, 0), (7, 6), (8, 7)]
+    assert [fixed.joints[i].idx_q for i in (1, 2)] == [0, 1]
+    link = f"{mj_inertial(MASS, CENTRE, TENSOR)}<body>{hinge(name='a')}{mj_inertial(hand, STILL, np.eye(3))}</body>"
+    floating = mjcf("free", link=link)
+    assert floating.body_mass.tolist() == [0.0, BASE_MASS, MASS, hand]
+    assert [(floating.joint(name).qposadr[0], floating.joint(name).dofadr[0]) for name in ("j1", "a")] == [
+        (7, 6),
+        (8, 7),
+    ]
     # MuJoCo's reading of a URDF makes the root link the world
-    assert mujoco.MjModel.from_xml_string(urdf()).body_mass.tolist() == [0.0, MASS]
-    apart(free.inertias[1].mass, ours[1].mass)
+    assert mujoco.MjModel.from_xml_string(source).body_mass.tolist() == [0.0, MASS, hand]
+    apart(free.inertias[1].mass, pieces[1].mass)
 
 
 def test_unlimited_angle() -> None:
@@ -388,8 +402,9 @@ def test_joint_zero() -> None:
         arm = arm_of("fixed")
         encoder = Encoder(quantum_rad=1e-6, zero_rad=zero)
         arm = replace(arm, joints=(replace(arm.joints[0], link_encoder=encoder, motor_encoder=encoder),))
-        q = calibrate(arm, record(ANGLE[None], TORQUE[None])).q
-        return forward(arm, np.array([XYZ]), q, np.eye(3)[None], STILL[None]).attitude[0, 1]
+        samples = calibrate(arm, record(ANGLE[None], TORQUE[None]))
+        close(samples.theta, samples.q)
+        return forward(arm, np.array([XYZ]), samples.q, np.eye(3)[None], STILL[None]).attitude[0, 1]
 
     close(of(ref), attitude)
     apart(of(0.0), attitude)
