@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from zygos.arm import Arm, load_arm
 from zygos.columns import is_table
-from zygos.commands import find_arm, progress, read_run, stop_signals
+from zygos.commands import damage_of, find_arm, not_whole, progress, read_run, stop_signals
 from zygos.cycletable import read_cycles
 from zygos.errors import ZygosError
 from zygos.flight import Flight
