@@ -9,7 +9,7 @@ void zygos_balance_layout(const zygos_config_t *config, zygos_layout_t *out)
     out->body = out->kinetic + zygos_gravity_parameters(config);
     uint32_t k = out->body;
     for (uint32_t i = 0; i < config->joints; i++) {
-        const bool flexible = (config->joint[i].flexible != 0);
+        const bool flexible = (config->joint[i].rigid == 0);
         out->joint[i] = k;
         out->rotor[i] = (flexible || (i > 0) || (config->base == ZYGOS_BASE_FREE)) ? 1u : 0u;
         k += out->rotor[i] + (flexible ? 2u : 0u);
@@ -78,7 +78,7 @@ static void form_row(const zygos_balance_t *self, const zygos_config_t *config, 
             *column = rotor * (0.5 * rotor + motion->carrier_rate[i]);
             column++;
         }
-        if (config->joint[i].flexible) {
+        if (config->joint[i].rigid == 0) {
             const double deflection = state->theta[i] - state->q[i];
             column[0] = 0.5 * deflection * deflection;
             column[1] = self->slip[i];

@@ -213,7 +213,7 @@ static int take_angles(zygos_receiver_t *self, const zygos_config_t *config, uin
     if (!belongs(self, &record, 2u * joint, &verdict)) {
         return verdict;
     }
-    const bool rigid = (config->joint[joint].flexible == 0);
+    const bool rigid = (config->joint[joint].rigid != 0);
     uint32_t *const status =
         status_fault(&self->faults, record.status | (rigid ? (uint32_t)ZYGOS_STATUS_LINK_VALID : 0u));
     if (status != NULL) {
@@ -351,7 +351,7 @@ int zygos_cycle_wrapped(const zygos_hold_t *hold, const zygos_config_t *config, 
 {
     uint32_t wrapped = 0;
     for (uint32_t i = 0; i < config->joints; i++) {
-        const uint32_t flexible = (config->joint[i].flexible != 0) ? 1u : 0u;
+        const uint32_t flexible = (config->joint[i].rigid == 0) ? 1u : 0u;
         wrapped |= (flexible & far(cycle->q[i], hold->q[i])) | far(cycle->theta[i], hold->theta[i]);
     }
     return (int)wrapped;
@@ -366,7 +366,7 @@ void zygos_cycle_calibrate(zygos_hold_t *hold, const zygos_config_t *config, con
     for (uint32_t i = 0; i < n; i++) {
         const zygos_joint_config_t *joint = &config->joint[i];
         signal[n + i] = joint->motor_sign * (cycle->theta[i] - joint->motor_zero_rad);
-        signal[i] = joint->flexible ? joint->link_sign * (cycle->q[i] - joint->link_zero_rad) : signal[n + i];
+        signal[i] = joint->rigid ? signal[n + i] : joint->link_sign * (cycle->q[i] - joint->link_zero_rad);
         tau[i] = share[config->torque_law][0] * hold->reported[i] + share[config->torque_law][1] * cycle->tau[i];
         hold->reported[i] = cycle->tau[i];
         hold->q[i] = cycle->q[i];

@@ -104,10 +104,12 @@ void zygos_skeleton_init(zygos_skeleton_t *self, const zygos_config_t *config)
 {
     double before[9] = { 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0 }; /* frame of the body before, transposed */
     double attitude[9] = { 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0 };
+    static const double aligned[9] = { 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0 };
     const double *g = config->gravity;
     uint32_t heavy = 0;
     memset(self, 0, sizeof *self);
     for (uint32_t i = 0; i < config->joints; i++) {
+        const double *mount = (config->kinetic == ZYGOS_SPATIAL_ARM) ? config->joint[i].frame : aligned;
         const double *axis = config->joint[i].axis;
         double frame[3][3]; /* rows: u, v, axis */
         double normal[3];
@@ -120,13 +122,13 @@ void zygos_skeleton_init(zygos_skeleton_t *self, const zygos_config_t *config)
         for (uint32_t k = 0; k < 9; k++) {
             columns[k] = frame[k % 3u][k / 3u];
         }
-        product33(config->joint[i].frame, columns, mounted);
+        product33(mount, columns, mounted);
         product33(before, mounted, self->turn[i]);
         memcpy(before, frame, sizeof before);
 
         double turned[9];
         double moment[3];
-        product33(attitude, config->joint[i].frame, turned);
+        product33(attitude, mount, turned);
         memcpy(attitude, turned, sizeof attitude);
         const double z[3] = { dot3(&turned[0], axis), dot3(&turned[3], axis), dot3(&turned[6], axis) };
         cross3(z, g, moment);

@@ -60,7 +60,7 @@ void zygos_smoother_init(zygos_smoother_t *self, const zygos_config_t *config)
     for (uint32_t i = 0; i < self->signals; i++) {
         const bool gyro = (i >= 2u * n);
         const zygos_joint_config_t *joint = &config->joint[gyro ? 0u : i % n];
-        const bool link = (i < n) && (joint->flexible != 0);
+        const bool link = (i < n) && (joint->rigid == 0);
         const double own_s = link ? joint->link_latch_s : joint->motor_latch_s;
         const double latch_s = gyro ? config->imu_latch_s : own_s + 1e-6 * joint->latch_us;
         const double s = -latch_s / config->period_s;

@@ -52,9 +52,9 @@ static int check_joint(const zygos_config_t *config, uint32_t i)
         }
     }
     const bool in_plane = (config->kinetic != ZYGOS_SPATIAL_ARM);
-    if (!within(dot3(joint->axis, joint->axis), 1.0 - 1e-9, 1.0 + 1e-9) || !is_rotation(joint->frame) ||
+    if (!within(dot3(joint->axis, joint->axis), 1.0 - 1e-9, 1.0 + 1e-9) ||
         (in_plane && !within(dot3(joint->axis, config->joint[0].axis), 1.0 - 1e-9, 1.0 + 1e-9)) ||
-        (in_plane && !within(joint->frame[0] + joint->frame[4] + joint->frame[8], 3.0 - 1e-9, 3.0 + 1e-9))) {
+        (!in_plane && !is_rotation(joint->frame))) {
         return ZYGOS_E_AXIS;
     }
     const double period = config->period_s;
@@ -64,7 +64,7 @@ static int check_joint(const zygos_config_t *config, uint32_t i)
                        within(joint->motor_latch_s + latch, 0.0, period);
     const bool link = is_sign(joint->link_sign) && within(joint->link_zero_rad, -1e3, 1e3) &&
                       within(joint->link_sigma_rad, 0.0, 1.0) && within(joint->link_latch_s + latch, 0.0, period);
-    return (motor && (link || (joint->flexible == 0)) && (joint->flexible <= 1u)) ? 1 : ZYGOS_E_VALUE;
+    return (motor && (link || (joint->rigid != 0)) && (joint->rigid <= 1u)) ? 1 : ZYGOS_E_VALUE;
 }
 
 static bool base_fits(const zygos_config_t *config)
@@ -234,7 +234,7 @@ static bool usable(const zygos_config_t *config, const zygos_cycle_t *cycle)
 {
     bool good = (cycle->flags & ZYGOS_CYCLE_INVALID) == 0;
     for (uint32_t i = 0; i < config->joints; i++) {
-        good = good && ((config->joint[i].flexible == 0) || within(cycle->q[i], -LARGEST_ANGLE, LARGEST_ANGLE)) &&
+        good = good && ((config->joint[i].rigid != 0) || within(cycle->q[i], -LARGEST_ANGLE, LARGEST_ANGLE)) &&
                within(cycle->theta[i], -LARGEST_ANGLE, LARGEST_ANGLE) &&
                within(cycle->tau[i], -LARGEST_VALUE, LARGEST_VALUE);
     }

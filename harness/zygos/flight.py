@@ -167,10 +167,11 @@ def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
         out = config.joint[i]
         out.node = joint.node
         out.latch_us = joint.latch_us
-        out.flexible = int(joint.flexible)
+        out.rigid = int(not joint.flexible)
         # the bodies of a planar arm have the base's frame in its stretched posture
         out.axis = list(joint.axis if arm.spatial else arm.axis)
-        out.frame = (arm.frames[i].T @ arm.frames[i + 1] if arm.spatial else np.eye(3)).ravel().tolist()
+        if arm.spatial:
+            out.frame = (arm.frames[i].T @ arm.frames[i + 1]).ravel().tolist()
         out.gear_ratio = joint.gear_ratio
         link, motor = joint.link_encoder, joint.motor_encoder
         out.link_sign, out.link_zero_rad, out.link_sigma_rad = link.sign, link.zero_rad, link.sigma_rad

@@ -110,13 +110,14 @@ enum zygos_error {
     ZYGOS_E_TORQUE_LAW = -6, ///< torque_law is none of enum zygos_torque_law.
     ZYGOS_E_SMOOTHER = -7,   ///< Half width, order or lag out of range; end-point filters are refused.
     ZYGOS_E_NODE = -8,       ///< A node number is 0, above 31, or used twice (node numbers 1..31, 32 is the computer).
-    ZYGOS_E_AXIS = -9,       ///< A joint axis is no unit vector, a frame no rotation, or a planar arm's are not alike.
-    ZYGOS_E_VALUE = -10,     ///< A ratio, sign, zero, sigma, latch delay, imu_fine or imu_to_base is not in its range.
-    ZYGOS_E_ARC = -11,       ///< arc_cycles is below ZYGOS_MIN_ARC_INSTANTS.
-    ZYGOS_E_ORDER = -12,     ///< zygos_init() has not succeeded on this struct.
-    ZYGOS_E_KEEP = -13,      ///< zygos_restart() does not know one of the bits.
-    ZYGOS_E_EFFECT = -14,    ///< Too many effects, an unknown kind, a joint out of range, or an effect twice.
-    ZYGOS_E_BASE = -15       ///< base is none of enum zygos_base, or gravity or a gyro does not fit it.
+    ZYGOS_E_AXIS = -9, ///< A joint axis is no unit vector, of a spatial arm a frame no rotation, or of a planar one an
+                       ///< axis not parallel.
+    ZYGOS_E_VALUE = -10,  ///< A ratio, sign, zero, sigma, latch delay, imu_fine or imu_to_base is not in its range.
+    ZYGOS_E_ARC = -11,    ///< arc_cycles is below ZYGOS_MIN_ARC_INSTANTS.
+    ZYGOS_E_ORDER = -12,  ///< zygos_init() has not succeeded on this struct.
+    ZYGOS_E_KEEP = -13,   ///< zygos_restart() does not know one of the bits.
+    ZYGOS_E_EFFECT = -14, ///< Too many effects, an unknown kind, a joint out of range, or an effect twice.
+    ZYGOS_E_BASE = -15    ///< base is none of enum zygos_base, or gravity or a gyro does not fit it.
 };
 
 /// How the arm can move, and so which columns its bodies have; the counts are those of a free base.
@@ -155,10 +156,10 @@ typedef struct {
 typedef struct {
     uint32_t node;     ///< CANopen-style node number of the joint's drive, 1..31.
     uint32_t latch_us; ///< Delay from SYNC to the encoders' latch, as the drive states it on the wire.
-    uint32_t flexible; ///< 0: rigid, theta = q. The motor encoder speaks for both sides; no stiffness, no damping.
+    uint32_t rigid;    ///< 1: theta = q. The motor encoder speaks for both sides; no stiffness, no damping.
     uint32_t reserved;
     double frame[9];       ///< Rotation from the joint's frame to that of the body before it at q = 0, row-major.
-                           ///< The identity for a planar arm. The body behind the joint has the joint's frame.
+                           ///< Not looked at in a planar arm. The body behind the joint has the joint's frame.
     double axis[3];        ///< Unit vector of the joint axis in the joint's frame.
     double gear_ratio;     ///< Rotor turns per output turn, > 0.
     double link_sign;      ///< +1 or -1: angle = sign * (reading - zero).

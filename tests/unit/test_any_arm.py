@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from zygos.arm import Arm, Encoder, load_arm
 from zygos.check import check_frames
 from zygos.cycles import Cycles
-from zygos.flight import Flight, encode
+from zygos.flight import Flight, config_of, encode, ffi, lib
 from zygos.model import load_model
 from zygos.plant import simulate
 from zygos.reference import chain
@@ -135,3 +135,11 @@ def test_kinetic_energy_of_an_arm_in_space(example: str, learn_s: float, known: 
         size = np.abs(reference.solution.x)
         tolerance = max(1e-9, 1e-14 * estimate.condition)
         assert np.max(np.abs(estimate.solution - reference.solution.x) / size) <= tolerance
+
+
+@pytest.mark.parametrize("frame", [[0.0] * 9, [1, 0, 0, 0, 1, 0, 0, 0, -1], [1, 0, 0, 0, 1, 0, 0, 0, float("nan")]])
+def test_a_frame_that_is_no_rotation_is_refused(frame: list[float]) -> None:
+    arm, _ = random_arm(3, 2, "free", "spatial")
+    native, config = ffi.new("zygos_t *"), config_of(arm)
+    config.joint[1].frame = frame
+    assert lib.zygos_init(native, config) == lib.ZYGOS_E_AXIS

@@ -340,8 +340,6 @@ def answer(columns: Floats, work_done: Floats, joints: int = 2, positive: int = 
     count = columns.shape[1]
     lib.zygos_accumulator_init(sums, count)
     work.config.joints, work.config.effects = joints, count - 12
-    for i in range(joints):
-        work.config.joint[i].flexible = 1
     for e in range(count - 12):
         work.config.effect[e].kind = lib.ZYGOS_MOTOR_COULOMB if positive >> e & 1 else lib.ZYGOS_CUBIC_STIFFNESS
     for column, done in zip(columns, work_done, strict=True):
