@@ -31,8 +31,8 @@ $(VENV)/.test: $(VENV)/.core
 $(NATIVE): $(SOURCES) | $(VENV)/.core
 	$(BIN)/python tools/build_native.py $(@D)
 
-test: build $(VENV)/.test ## unit, bus and fuzz tests (under 10 minutes)
-	$(BIN)/python -m pytest tests/unit tests/bus tests/fuzz
+test: build $(VENV)/.test ## unit, bus and fuzz tests, a process for each core
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile tests/unit tests/bus tests/fuzz
 
 hil: build $(VENV)/.test ## the example across a real vcan (the kernel's, or User-Mode Linux)
 	tools/with-vcan $(BIN)/python -m pytest tests/hil

@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.io import loadmat
 
-from conftest import EXAMPLE
+from conftest import EXAMPLE, ROOT, need
 from zygos import bus
 from zygos.arm import Arm
+from zygos.audit.readings import noise_level
 from zygos.cli import main
 from zygos.cycles import Cycles
+from zygos.cycletable import write_cycles
 from zygos.flight import encode
 from zygos.plant import Trajectory
 
 ARM = EXAMPLE / "arm.toml"
+KR300 = ROOT.parent / "shared" / "data" / "kr300" / "run_a.mat"
 
 
 def run(*arguments: object) -> int:
@@ -147,10 +152,10 @@ def test_a_run_at_rest_confirms_nothing(
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        ({"theta": None}, "holds no field 'theta"),
-        ({"tau": np.zeros((1200, 3))}, "field tau has shape (1200, 3), not (1200, 2)"),
-        ({"q": np.zeros((1200, 3)), "theta": np.zeros((1200, 3)), "tau": np.zeros((1200, 3))}, "the run has 3 joints"),
-        ({"q": np.array(["a"])}, "no readable cycle table"),
+        ({"theta": None}, "has no column theta1"),
+        ({"tau": np.zeros((1200, 3))}, "tau3 is no column of a cycle table of 2 joints"),
+        ({"q": np.zeros((1200, 1))}, "has no column q2"),
+        ({"q": np.full((1200, 2), "a")}, "q1"),
     ],
     ids=["missing", "shape", "joints", "text"],
 )
@@ -164,6 +169,44 @@ def test_a_bad_table_is_refused(
     assert message in said.replace("\n", " ")
     assert "; remedy:" in said.replace("\n", " ")
     assert not (tmp_path / "a.json").exists()
+
+
+def test_a_measured_robot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A KUKA KR300's table: the skew between its encoders is named before anybody reads a stiffness from them."""
+    need(KR300.is_file(), f"the measured run of a KUKA KR300, {KR300.name}")
+    record = loadmat(KR300, squeeze_me=True, struct_as_record=False)["rec"]
+    q, theta = np.deg2rad(record.act_pos_se_deg[:3].T), np.deg2rad(record.act_pos_mot_deg[:3].T)
+    n = len(q)
+    table = Cycles(
+        np.arange(n, dtype=np.uint64),
+        q,
+        theta,
+        record.act_torque_abs_nm[:3].T,
+        np.zeros((n, 3)),
+        np.zeros(n, dtype=np.uint32),
+    )
+    write_cycles(tmp_path / "kr300.npz", table)
+    lines = [
+        'name = "kr300"', 'base = "fixed"', "gravity = [0, 0, -9.81]", 'kinetic = "spatial"', "period_s = 0.004",
+        'torque_law = "sampled"', 'torque_at = "rotor"',
+    ]  # fmt: skip
+    for i, (ratio, axis) in enumerate(((256.8571, "[0, 0, -1]"), (267.4286, "[0, 1, 0]"), (252.3333, "[0, 1, 0]"))):
+        link, motor = (float(np.sqrt(12) * noise_level(x[:, i], [(0, n)])) for x in (q, theta))
+        lines += [
+            "[[joint]]", f'name = "a{i + 1}"', f"node = {i + 1}", f"axis = {axis}", f"gear_ratio = {ratio}",
+            f"link_encoder = {{ quantum_rad = {link} }}",
+            f'motor_encoder = {{ quantum_rad = {motor}, side = "output" }}',
+        ]  # fmt: skip
+    (tmp_path / "arm.toml").write_text("\n".join(lines))
+    content = answer(tmp_path, tmp_path / "arm.toml", tmp_path / "kr300.npz", 3)
+    assert content["door"] == "cycle"
+    skewed = {signal: fault for signal, fault in faults(content) if fault.startswith("skewed")}
+    assert set(skewed) == {f"a{i} motor angle" for i in (1, 2, 3)}
+    for fault in skewed.values():
+        found = re.search(r"([0-9.]+) ms", fault)
+        assert found is not None
+        assert float(found[1]) == pytest.approx(3.0, abs=0.2)
+    assert "latch_us" in capsys.readouterr().out
 
 
 def test_other_bad_input_is_refused(
