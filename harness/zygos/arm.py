@@ -29,6 +29,8 @@ _SIDES: tuple[Side, ...] = ("output", "rotor")
 _TORQUE_ATS: tuple[TorqueAt, ...] = ("rotor",)
 _RESOLUTIONS: tuple[Resolution, ...] = ("fine", "coarse")
 _TORQUE_LAWS: tuple[TorqueLaw, ...] = ("applied_from_sync", "applied_previous_cycle", "sampled")
+WIRE_STEP_RAD = 2.0 * math.pi / 2**20
+"""An angle's step on the wire."""
 _LATCH_MAX_US = 65_535  # the wire carries the latch delay as u16
 
 
@@ -52,6 +54,19 @@ class Encoder:
         """Standard deviation of a uniform error one quantum wide, rad (Nanos & Papadopoulos eq. (28); docs/paper.md,
         erratum 4)."""
         return self.quantum_rad / math.sqrt(12.0)
+
+    @property
+    def over_the_wire(self) -> Encoder:
+        """The same encoder with the error that its readings have once the wire has rounded them (docs/wire.md).
+
+        One without a quantum stays exact, so that nothing is held against its noise.
+        """
+        if self.quantum_rad == 0.0:
+            return self
+        steps = self.quantum_rad / WIRE_STEP_RAD
+        # readings that lie on the wire's own grid are not rounded again
+        aligned = steps > 0.5 and abs(steps - round(steps)) < 1e-6
+        return self if aligned else replace(self, quantum_rad=math.hypot(self.quantum_rad, WIRE_STEP_RAD))
 
 
 @dataclass(frozen=True)

@@ -76,6 +76,27 @@ def _columns(cycles: Cycles) -> Floats:
     return np.hstack([cycles.q, cycles.theta, cycles.tau, cycles.omega])
 
 
+def sizes(arm: Arm, x: Floats) -> Floats:
+    """What differences of the parameters x (p,) are measured by, (p,).
+
+    The value; of a kinetic one, which may be zero, at least the root of the product of the two diagonal ones that it
+    couples; of a first moment the largest of them.
+    """
+    out: Floats = np.abs(x)
+    value: dict[str, float] = dict(zip(arm.parameter_names, out.tolist(), strict=False))
+    largest = max((value[name] for name, unit in arm.body_parameters if unit == "kg m"), default=0.0)
+
+    def own(end: str) -> float:
+        # on a fixed base the first body's two directions share a parameter
+        name = f"N[{end},{end}]" if arm.spatial else f"a{end}{end}"
+        return value[name] if name in value else value["N[1u,1u]"]
+
+    for k, (name, unit) in enumerate(arm.body_parameters):
+        first, second = name[2:-1].split(",") if unit != "kg m" and arm.spatial else (name[1], name[2])
+        out[k] = largest if unit == "kg m" else max(out[k], float(np.sqrt(own(first) * own(second))))
+    return out
+
+
 def check_chain(arm: Arm, trace: Trace, flight: Flight) -> list[Room]:
     """Compare what the rooms behind the receiver made of a run with numpy's result on the same cycles.
 
@@ -114,7 +135,7 @@ def check_chain(arm: Arm, trace: Trace, flight: Flight) -> list[Room]:
     except Undecided:
         return rooms
     tolerance = max(1e-9, 1e-14 * estimate.condition)
-    size = np.abs(solution.x)
+    size = sizes(arm, solution.x)
     # an effect may be zero; what it could explain at the most is its size then
     first = len(arm.parameter_names)
     size[first:] = np.linalg.norm(used.w) / np.linalg.norm(used.z[:, first:], axis=0)

@@ -173,7 +173,7 @@ def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
         if arm.spatial:
             out.frame = (arm.frames[i].T @ arm.frames[i + 1]).ravel().tolist()
         out.gear_ratio = joint.gear_ratio
-        link, motor = joint.link_encoder, joint.motor_encoder
+        link, motor = joint.link_encoder.over_the_wire, joint.motor_encoder.over_the_wire
         out.link_sign, out.link_zero_rad, out.link_sigma_rad = link.sign, link.zero_rad, link.sigma_rad
         out.motor_sign, out.motor_zero_rad, out.motor_sigma_rad = motor.sign, motor.zero_rad, motor.sigma_rad
         out.link_latch_s, out.motor_latch_s = link.latch_us * 1e-6, motor.latch_us * 1e-6

@@ -466,7 +466,7 @@ REFUSALS: list[tuple[str, Callable[[Path], list[object]], str]] = [
     ),
     (
         "unknown output",
-        lambda f: ["--dbc", FOLDER / "arm.dbc", "--map", FOLDER / "map.toml", "-o", f / "r.db"],
+        lambda f: ["--dbc", FOLDER / "arm.dbc", "--map", FOLDER / "map.toml", "-o", f / "r.dat"],
         "no CAN log of a known kind",
     ),
     (

@@ -199,7 +199,7 @@ def test_cannot_tell_names_the_set_and_the_experiment(tmp_path: Path, friction: 
     )
     page = Page(tmp_path, found)
     sound(page)
-    assert "cannot tell it from viscous friction at the motor, elbow" in page.text
+    assert "cannot tell it from viscous friction at the motor (elbow)" in page.text
     assert f"{experiments[0].said} 31.0 2.50" in page.text
 
 

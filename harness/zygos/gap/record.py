@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import correlate1d
 
-from zygos.arm import Arm, Encoder
+from zygos.arm import Arm
 from zygos.errors import ZygosError
 from zygos.flight import Flight
 from zygos.reference.cycle import Samples, calibrate
@@ -128,17 +128,11 @@ def _arc_length(lengths: Sequence[int], period_s: float) -> int:
 def over_the_wire(arm: Arm) -> Arm:
     """The arm with the errors that its sensors have once the wire has rounded their readings (docs/wire.md)."""
 
-    def encoder(one: Encoder) -> Encoder:
-        steps = one.quantum_rad / ANGLE_STEP
-        # readings that lie on the wire's own grid are not rounded again
-        aligned = steps > 0.5 and abs(steps - round(steps)) < 1e-6
-        return one if aligned else replace(one, quantum_rad=float(np.hypot(one.quantum_rad, ANGLE_STEP)))
-
     joints = tuple(
         replace(
             joint,
-            link_encoder=encoder(joint.link_encoder),
-            motor_encoder=encoder(joint.motor_encoder),
+            link_encoder=joint.link_encoder.over_the_wire,
+            motor_encoder=joint.motor_encoder.over_the_wire,
             torque_sigma=float(np.hypot(joint.torque_sigma, TORQUE_STEP / np.sqrt(12.0))),
         )
         for joint in arm.joints

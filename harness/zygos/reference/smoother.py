@@ -112,8 +112,8 @@ def smooth(arm: Arm, samples: Samples) -> Smoothed:
     links = [-late * (joint.latch_us + joint.link_encoder.latch_us) for joint in arm.joints]
     motors = [-late * (joint.latch_us + joint.motor_encoder.latch_us) for joint in arm.joints]
     gyro = coefficients(points, order, -late * arm.imu.latch_us)
-    link_sigmas = [joint.link_encoder.sigma_rad for joint in arm.joints]
-    motor_sigmas = [joint.motor_encoder.sigma_rad for joint in arm.joints]
+    link_sigmas = [joint.link_encoder.over_the_wire.sigma_rad for joint in arm.joints]
+    motor_sigmas = [joint.motor_encoder.over_the_wire.sigma_rad for joint in arm.joints]
 
     parts: list[tuple[NDArray[np.int64], NDArray[np.int64], Floats, Floats, Floats, Floats, Floats, Floats]] = []
     for number, (start, stop) in enumerate(samples.segments):
