@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from zygos.arm import NO_IMU, Arm, load_arm
+from zygos.cli import main
 from zygos.dynamics import PlanarDynamics
 from zygos.errors import ZygosError
 from zygos.model import JointModel, Model, Quantity, load_model
@@ -163,3 +164,17 @@ def test_what_is_refused() -> None:
     parameters = Model("learned", parameters=model.base_parameters(arm))
     with pytest.raises(ZygosError, match=r"engine pinocchio needs bodies"):
         run(arm, parameters, scenario, "pinocchio")
+
+
+def test_engines_and_arms_that_commands_refuse(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def run_command(*arguments: object) -> int:
+        with pytest.raises(SystemExit) as end:
+            main([str(argument) for argument in arguments])
+        return int(end.value.code or 0)
+
+    out = tmp_path / "run.blf"
+    assert run_command("simulate", SPATIAL / "scenario.toml", "--engine", "ode", "-o", out) == 2
+    assert "there is no engine 'ode'; remedy: one of zygos, pinocchio, mujoco" in capsys.readouterr().err
+    assert not out.exists()
+    assert run_command("paper", "--seeds", 2, "--example", SPATIAL) == 2
+    assert "the paper's methods are those of a free-floating arm that moves in a plane" in capsys.readouterr().err
