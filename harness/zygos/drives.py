@@ -12,7 +12,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from zygos.arm import Arm
 from zygos.effects import SLOWEST_RATE, Effect, Kind, Place
@@ -102,6 +102,18 @@ class Drives:
             if kind.potential is not None:
                 energy = energy + value * kind.potential(deflection[..., i])
         return energy
+
+
+def by_name(arm: Arm, values: ArrayLike) -> dict[str, float]:
+    """Base parameters (p,) by name, in the order of `arm.parameter_names`. Errors: ZygosError if they are not p."""
+    vector = np.asarray(values, dtype=np.float64)
+    names = arm.parameter_names
+    if vector.shape != (len(names),):
+        raise ZygosError(
+            f"arm {arm.name} has {len(names)} parameters, {vector.shape} values were given; "
+            f"remedy: give one value for each of {', '.join(names)}"
+        )
+    return dict(zip(names, vector.tolist(), strict=True))
 
 
 def drives(arm: Arm, value: Mapping[str, float], effects: Sequence[Effect]) -> dict[str, Any]:

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from zygos.arm import Arm
-from zygos.drives import Drives, drives
+from zygos.drives import Drives, by_name, drives
 from zygos.effects import Effect
 from zygos.errors import ZygosError
 from zygos.model import Model
@@ -48,14 +48,7 @@ class PlanarDynamics(Drives):
 
         Errors: ZygosError if the number of values is not p or if some posture would have negative kinetic energy.
         """
-        vector = np.asarray(values, dtype=np.float64)
-        names = arm.parameter_names
-        if vector.shape != (len(names),):
-            raise ZygosError(
-                f"arm {arm.name} has {len(names)} parameters, {vector.shape} values were given; "
-                f"remedy: give one value for each of {', '.join(names)}"
-            )
-        value = dict(zip(names, vector.tolist(), strict=True))
+        value = by_name(arm, values)
         bodies = arm.n + 1
         a = np.zeros((bodies, bodies))
         b = np.zeros((bodies, bodies))

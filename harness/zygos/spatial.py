@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from zygos import gram
 from zygos.arm import Arm
-from zygos.drives import Drives, drives
+from zygos.drives import Drives, by_name, drives
 from zygos.effects import Effect
 from zygos.errors import ZygosError
 from zygos.model import Model
@@ -50,15 +50,8 @@ class SpatialDynamics(Drives):
 
         Errors: ZygosError if the number of values is not p, or if N less the rotors' share is not that of any arm.
         """
-        vector = np.asarray(values, dtype=np.float64)
-        names = arm.parameter_names
-        if vector.shape != (len(names),):
-            raise ZygosError(
-                f"arm {arm.name} has {len(names)} parameters, {vector.shape} values were given; "
-                f"remedy: give one value for each of {', '.join(names)}"
-            )
-        value = dict(zip(names, vector.tolist(), strict=True))
-        kinetic = vector[: len(gram.pairs(arm)[0])]
+        value = by_name(arm, values)
+        kinetic = np.array(list(value.values()))[: len(gram.pairs(arm)[0])]
         matrix = gram.from_parameters(arm, kinetic) if arm.spatial else _lifted(arm, value)
         moments = np.zeros(2 * arm.n + (3 if arm.free else 0))
         for i in np.flatnonzero(arm.feels_gravity):
