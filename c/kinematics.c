@@ -110,7 +110,7 @@ void zygos_skeleton_init(zygos_skeleton_t *self, const zygos_config_t *config)
     memset(self, 0, sizeof *self);
     for (uint32_t i = 0; i < config->joints; i++) {
         const double *mount = (config->kinetic == ZYGOS_SPATIAL_ARM) ? config->joint[i].frame : aligned;
-        const double *axis = config->joint[i].axis;
+        const double *axis = config->joint[(config->kinetic == ZYGOS_SPATIAL_ARM) ? i : 0u].axis;
         double frame[3][3]; /* rows: u, v, axis */
         double normal[3];
         zygos_across(axis, frame[0], frame[1]);

@@ -146,8 +146,8 @@ static void mark_identifiable(zygos_work_t *work, uint32_t p, uint32_t rank, zyg
     }
 }
 
-/* 1-norm condition number of the scaled matrix of the independent columns. */
-static double condition(zygos_work_t *work, uint32_t rank)
+/* 1-norm condition number of the scaled matrix of the independent columns; *inverse is the norm of its inverse. */
+static double condition(zygos_work_t *work, uint32_t rank, double *inverse)
 {
     double norm = 0.0;
     double inverse_norm = 0.0;
@@ -165,6 +165,7 @@ static double condition(zygos_work_t *work, uint32_t rank)
         }
         inverse_norm = (column > inverse_norm) ? column : inverse_norm;
     }
+    *inverse = inverse_norm;
     return norm * inverse_norm;
 }
 
@@ -383,9 +384,34 @@ static void withhold(zygos_estimate_t *out, uint32_t i, uint32_t p)
     }
 }
 
+/* The noise in the rows takes from each value what it puts into the squares of the columns: the mean square noise per
+   scaled column, if the residuals are its work alone and all columns have the same. */
+static double noise_square(const zygos_work_t *work, uint32_t p, double unexplained)
+{
+    double length = 0.0;
+    for (uint32_t i = 0; i < p; i++) {
+        length += work->solution[i] * work->solution[i] * work->total[at(i, i)];
+    }
+    return (unexplained > 0.0) ? unexplained / length : 0.0;
+}
+
+/* So as much again is put in: what this changes is what the noise may hide. */
+static void put_in_again(zygos_work_t *work, uint32_t p, double noise)
+{
+    scaled_equations(work, p, NULL);
+    for (uint32_t i = 0; i < p; i++) {
+        work->matrix[at(i, i)] += noise;
+    }
+    solve_once(work, p, factorise(work, p), work->hidden);
+    for (uint32_t i = 0; i < p; i++) {
+        work->hidden[i] -= work->solution[i];
+    }
+}
+
 static bool sharp(const zygos_work_t *work, const zygos_estimate_t *out, uint32_t i, double limit)
 {
-    return out->sigma[i] <= limit * work->size[i];
+    const double spread = out->sigma[i] * out->sigma[i] + work->hidden[i] * work->hidden[i];
+    return spread <= limit * limit * work->size[i] * work->size[i];
 }
 
 /* A value that is not sharp lends its error to others, because noise in the rows acts on them through it: where nothing
@@ -416,6 +442,7 @@ static void withhold_blurred(zygos_work_t *work, bool full, zygos_estimate_t *ou
         for (uint32_t i = 0; i < p; i++) {
             const double shift = without[i] - out->value[i];
             out->sigma[i] = root(out->sigma[i] * out->sigma[i] + shift * shift);
+            out->covariance[at(i, i)] += shift * shift;
         }
     }
     const double limit = (blurred && full) ? ZYGOS_SIGMA_LIMIT_BESIDE : ZYGOS_SIGMA_LIMIT;
@@ -480,7 +507,8 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     zygos_accumulator_t *sums = &work->accumulator;
     memset(out, 0, sizeof *out);
     if ((sums->count > ZYGOS_MAX_BLOCKS) || (sums->open > sums->count) || (work->config.joints < 1u) ||
-        (work->config.joints > ZYGOS_MAX_JOINTS) || (work->config.effects > (uint32_t)ZYGOS_MAX_EFFECTS)) {
+        (work->config.joints > ZYGOS_MAX_JOINTS) || (work->config.effects > (uint32_t)ZYGOS_MAX_EFFECTS) ||
+        (work->config.kinetic > (uint32_t)ZYGOS_SPATIAL_ARM) || (work->config.base > (uint32_t)ZYGOS_BASE_FIXED)) {
         return refuse(out, ZYGOS_MAX_PARAMETERS, ZYGOS_REASON_CORRUPT);
     }
     zygos_balance_layout(&work->config, &work->layout);
@@ -514,7 +542,8 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     if (rank == 0) {
         return refuse(out, p, ZYGOS_REASON_NOT_IDENTIFIABLE);
     }
-    out->condition = condition(work, rank);
+    double inverse = 0.0;
+    out->condition = condition(work, rank, &inverse);
     solve_once(work, p, rank, work->solution);
     mark_identifiable(work, p, rank, out);
     bool full = true; /* but for effects */
@@ -531,7 +560,12 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     double share = 0.0;
     out->cluster = (out->residual > 0.0) ? cluster(work, p, out, &share) : 0.0;
     const bool closed = (out->cluster <= ZYGOS_CLUSTER_LIMIT) || (share <= ZYGOS_CLUSTER_SHARE);
+    const double noise = noise_square(work, p, unexplained);
+    if (!(noise * inverse <= ZYGOS_NOISE_LIMIT)) {
+        return refuse(out, p, closed ? ZYGOS_REASON_NOT_IDENTIFIABLE : ZYGOS_REASON_UNCLOSED);
+    }
     jackknife(work, p, rank, out);
+    put_in_again(work, p, noise);
     measure(work);
 
     withhold_blurred(work, full, out);
@@ -539,7 +573,7 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     for (uint32_t i = 0; i < effects; i++) {
         known += out->identifiable[i];
     }
-    if (known == 0) {
+    if (4u * known < effects) {
         return refuse(out, p, closed ? ZYGOS_REASON_NOT_IDENTIFIABLE : ZYGOS_REASON_UNCLOSED);
     }
     for (uint32_t i = effects; i < p; i++) {

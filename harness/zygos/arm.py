@@ -215,7 +215,8 @@ class Arm:
         weight = float(np.linalg.norm(gravity))
         if self.free or weight == 0.0:
             return (False,) * self.n
-        tilted = np.linalg.norm(np.cross(self.axes, gravity / weight), axis=1) > 1e-9
+        axes = self.axes if self.spatial else np.tile(self.axis, (self.n, 1))
+        tilted = np.linalg.norm(np.cross(axes, gravity / weight), axis=1) > 1e-9
         return tuple(bool(tilted[: i + 1].any()) for i in range(self.n))
 
     def at_period(self, period_s: float) -> Arm:

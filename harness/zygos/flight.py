@@ -237,6 +237,11 @@ class Flight:
             )
         self.effects = estimated(effects)
         self.names = (*arm.parameter_names, *(effect.column(arm) for effect in self.effects))
+        if self.native.layout.count != len(self.names):
+            raise ZygosError(
+                f"arm {arm.name!r}: gravity is within 1e-9 rad of a joint axis, which may or may not feel it; "
+                "remedy: make them parallel, or tilt them"
+            )
         self.units = (*arm.parameter_units, *(effect.kind.unit for effect in self.effects))
         self._work = ffi.new("zygos_work_t *")
         self._estimate = ffi.new("zygos_estimate_t *")

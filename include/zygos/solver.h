@@ -37,6 +37,10 @@ enum zygos_reason {
 
 /// A parameter whose scaled pivot falls below this share is a combination of the others.
 #define ZYGOS_PIVOT_LIMIT 1e-11
+/// The residuals tell how much noise the columns hold. When the square of that noise, per scaled column, exceeds this
+/// share of what the motion puts into the combination of columns that it excites least, noise makes that combination,
+/// and with it the values. Below that, as much noise again must not move a value beyond the limits that hold for sigma.
+#define ZYGOS_NOISE_LIMIT 1.0
 /// When more than this share of the work's variance is left over, the rows are noise (an arm at rest) or another arm's:
 /// nothing is identifiable.
 #define ZYGOS_UNEXPLAINED_LIMIT 0.1
@@ -93,13 +97,14 @@ typedef struct {
     double right[ZYGOS_MAX_PARAMETERS];
     double solution[ZYGOS_MAX_PARAMETERS];
     double size[ZYGOS_MAX_PARAMETERS];
+    double hidden[ZYGOS_MAX_PARAMETERS];
     double score[ZYGOS_MAX_PARAMETERS];
     double left_out[ZYGOS_MAX_BLOCKS][ZYGOS_MAX_PARAMETERS];
     uint32_t pivot[ZYGOS_MAX_PARAMETERS];
 } zygos_work_t;
 
-/// Solves. Reads and changes *work, writes *out; touches nothing else. Cost: (blocks + 1) Cholesky factorisations of
-/// order p. Returns 1 when there are values, 0 when validity is ZYGOS_REFUSED, or ZYGOS_E_NULL.
+/// Solves. Reads and changes *work, writes *out; touches nothing else. Cost: (blocks + 3) Cholesky factorisations of
+/// order p at the most. Returns 1 when there are values, 0 when validity is ZYGOS_REFUSED, or ZYGOS_E_NULL.
 int zygos_solve(zygos_work_t *work, zygos_estimate_t *out);
 
 #ifdef __cplusplus

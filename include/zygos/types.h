@@ -211,7 +211,7 @@ typedef struct {
     double q[ZYGOS_MAX_JOINTS];     ///< Link encoder [rad]. Not looked at where the joint is rigid.
     double theta[ZYGOS_MAX_JOINTS]; ///< Motor encoder, gearbox output [rad].
     double tau[ZYGOS_MAX_JOINTS];   ///< Rotor torque, before the ratio [Nm].
-    double omega[3];                ///< Gyro, in the sensor's axes [rad/s].
+    double omega[3];                ///< Gyro, in the sensor's axes [rad/s]. Not looked at on a fixed base.
 } zygos_cycle_t;
 
 #ifdef __cplusplus

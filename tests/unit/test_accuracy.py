@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from conftest import EXAMPLE
 from zygos.arm import Arm
-from zygos.check import check_frames
+from zygos.check import check_frames, sizes
 from zygos.cycles import Cycles
 from zygos.flight import Estimate, Flight, encode
 from zygos.methods import amc, de, eb, exact_record
@@ -170,6 +170,41 @@ def test_no_beginning_of_a_run_gives_wild_numbers(arm: Arm, noisy: Trajectory, t
             error = np.abs(estimate.value / true - 1.0)[known]
             assert np.all(error <= 0.5), (seed, n, estimate.validity)
     assert answered > 150
+
+
+def test_pieces_of_a_run_with_fine_encoders_give_no_wild_numbers(arm: Arm, model: Model, scenario: Scenario) -> None:
+    """Too little motion, and noise that is small and yet makes the rank full: what it makes is not handed out.
+
+    A parameter that is off by more than five of its own sigmas and a quarter of its size is wrong with confidence.
+    """
+    twenty_bit = 2.0 * np.pi / 2**20
+    joints = tuple(
+        replace(
+            joint,
+            link_encoder=replace(joint.link_encoder, quantum_rad=twenty_bit),
+            motor_encoder=replace(joint.motor_encoder, quantum_rad=twenty_bit),
+        )
+        for joint in arm.joints
+    )
+    fine = replace(arm, joints=joints)
+    run = simulate(fine, model, scenario, seeds=range(6), noise=True, period_s=0.005, duration_s=30.0, rtol=1e-9)
+    true = model.base_values(arm)
+    size = sizes(arm, true)
+    names = Cycles.__dataclass_fields__
+    answers = 0
+    for seed in range(6):
+        cycles = run.cycles(seed)
+        for length in (400, 1000):
+            for start in range(0, len(cycles) - length, 397):
+                piece = Cycles(*(getattr(cycles, name)[start : start + length] for name in names))
+                estimate = through_cycles(run.arm, piece)
+                if estimate.validity not in ("valid", "partial"):
+                    continue
+                answers += 1
+                off = np.abs(estimate.value - true)
+                wrong = (off > 5.0 * estimate.sigma) & (off > 0.25 * size)
+                assert not wrong.any(), (seed, start, length, np.array(estimate.names)[wrong])
+    assert answers > 20
 
 
 def test_an_arm_at_rest_identifies_nothing(arm: Arm, model: Model, scenario: Scenario) -> None:
