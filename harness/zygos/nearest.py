@@ -88,9 +88,8 @@ def nearest_bodies(
     y = np.zeros(start.size)
     jacobian = _jacobian(base, start, sizes) * units
     weights = np.linalg.norm(jacobian, axis=1)
-    if not weights.all():
-        stuck = [name for name, weight in zip(target, weights, strict=True) if weight == 0.0]
-        raise ZygosError(f"no entry of the bodies moves {stuck}; remedy: leave them out of the model")
+    # a product of two entries that are both zero moves with neither, until one of them has moved
+    weights[weights == 0.0] = weights.max()
     error = _error(base(start), wanted, weights)
     for step in range(_STEPS):
         progress(step / _STEPS)
@@ -110,7 +109,8 @@ def nearest_bodies(
     if not error < _CLOSE:
         raise Undecided(
             f"no bodies near model {drawing.name} have the base parameters of model {given.name}; remedy: see whether "
-            "both are of the same arm with the same lengths"
+            "both are of the same arm with the same lengths; with its noise, an estimate of an arm in space is that of "
+            "no bodies"
         )
     y[np.abs(y) < _UNMOVED] = 0.0
     _, singular, directions = np.linalg.svd(jacobian / weights[:, None])

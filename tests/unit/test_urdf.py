@@ -15,6 +15,7 @@ from urdf_support import answers, inertial, mass_matrix, numbers, pin_of_import,
 
 from conftest import ROOT
 from zygos.arm import Arm, load_arm
+from zygos.check import sizes
 from zygos.errors import Undecided, ZygosError
 from zygos.model import Body, Model, Quantity, load_model, save_model
 from zygos.nearest import entries_of, nearest_bodies
@@ -22,7 +23,7 @@ from zygos.urdf import read_chain, read_chain_of, with_inertials
 from zygos.urdf_command import import_urdf
 
 EXAMPLE = ROOT / "examples" / "urdf"
-GAP = ROOT / "examples" / "gap"
+GAP, SPATIAL = ROOT / "examples" / "gap", ROOT / "examples" / "spatial"
 LINK = '<inertial><mass value="2"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
 
 
@@ -378,3 +379,23 @@ def test_the_examples_arm_is_read_by_pinocchio_alike(tmp_path: Path, capsys: pyt
     assert [joint.gear_ratio for joint in arm.joints] == [160, 160, 160, 160, 120, 120, 100]
     save_model(load_model(out / "model.toml"), tmp_path / "again.toml")
     assert numbers(arm.joints[0].frame_rpy) == "0.0 0.5235987755982988 0.0"
+
+
+def test_bodies_of_an_arm_in_space_come_back_from_its_base_parameters() -> None:
+    """Of three joints, one body heavier and turned about: bodies near the drawing have the same matrix N."""
+    arm, cad = load_arm(SPATIAL / "arm.toml"), load_model(SPATIAL / "model.toml")
+    last = cad.bodies[-1]
+    heavier = replace(last, mass=Quantity(1.1 * last.mass.value), origin_xyz=(0.6, 0.01, 0.04))
+    built = replace(cad, bodies=(*cad.bodies[:-1], heavier))
+    found = nearest_bodies(arm, cad, Model("given", parameters=built.base_parameters(arm)))
+    true = built.base_values(arm)
+    np.testing.assert_allclose(found.model.base_values(arm), true, atol=1e-7 * sizes(arm, true).max())
+    assert np.abs(found.moved).max() > 0.01
+    # what noise leaves is no arm's: there are fewer ways to build one than entries of N
+    rng = np.random.default_rng(0)
+    noisy = {
+        name: replace(q, value=q.value + 1e-4 * scale * rng.normal())
+        for (name, q), scale in zip(built.base_parameters(arm).items(), sizes(arm, true), strict=True)
+    }
+    with pytest.raises(Undecided, match="with its noise, an estimate of an arm in space"):
+        nearest_bodies(arm, cad, Model("noisy", parameters=noisy))
