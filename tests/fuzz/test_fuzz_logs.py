@@ -6,6 +6,7 @@ import faulthandler
 import os
 import sys
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 
 import can.logconvert
@@ -44,12 +45,13 @@ def test_damage_anywhere(
     kind: str,
     damage: str,
     arm: Arm,
-    noisy: Trajectory,
+    clean: Callable[..., Trajectory],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    frames = encode(arm, noisy.cycles(0))[:2200]
+    # without noise a piece of a run is enough for an answer
+    frames = encode(arm, clean().cycles())[:2200]
     path = write(tmp_path, kind, frames, arm.period_s)
     sound = path.read_bytes()
     rng = np.random.default_rng(["cut", "flipped"].index(damage))
