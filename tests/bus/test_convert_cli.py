@@ -176,9 +176,9 @@ def twice(arm: Arm, model: Model, scenario: Scenario) -> Cycles:
     return simulate(arm, model, scenario, seeds=[3], noise=True, period_s=0.025).cycles()
 
 
-def jittered(cycles: Cycles, folder: Path, seed: int = 0) -> Path:
-    """Samples at 40 Hz whose receive stamps are off by up to 20 %, each message by its own."""
-    off = np.random.default_rng(seed).uniform(-0.2, 0.2, (len(cycles), len(NAMES)))
+def jittered(cycles: Cycles, folder: Path, seed: int = 0, share: float = 0.2) -> Path:
+    """Samples at 40 Hz whose receive stamps are off by up to a share of the period, each message by its own."""
+    off = np.random.default_rng(seed).uniform(-share, share, (len(cycles), len(NAMES)))
 
     def stamp(k: int, name: str) -> float:
         return 1.7e9 + 0.025 * (k + 1 + float(off[k, NAMES.index(name)]))
@@ -212,12 +212,18 @@ def test_a_log_without_a_counter(
     for i, joint in enumerate(noisy.joints):
         error = got.q[inner, i] - true_angle(at[inner])[:, i]
         assert 0.3 < np.sqrt(np.mean(error**2)) / joint.link_encoder.sigma_rad < 1.1
-    assert run("estimate", out / "run.npz", "-o", tmp_path / "m.toml", "--json", tmp_path / "m.json") == 0
+    # stamps that lie so far put more noise into the rows than the weakest of the parameters bears
+    assert run("estimate", out / "run.npz", "-o", tmp_path / "m.toml", "--json", tmp_path / "m.json") == 3
+    assert json.loads((tmp_path / "m.json").read_text())["validity"] == "refused"
+
+    steady, better = jittered(twice, tmp_path, share=0.05), tmp_path / "better"
+    assert convert(steady, better / "run.npz", map_file=map_file) == 0
+    assert run("estimate", better / "run.npz", "-o", tmp_path / "m.toml", "--json", tmp_path / "m.json") == 0
     content = json.loads((tmp_path / "m.json").read_text())
     assert content["validity"] == "valid"
     values = np.array([parameter["value"] for parameter in content["parameters"]])
     print(np.round(100 * (values / true - 1), 2))
-    assert np.max(np.abs(values / true - 1.0)) < 0.1
+    assert np.max(np.abs(values / true - 1.0)) < 0.05
 
 
 def without_noise(arm: Arm, model: Model, scenario: Scenario, run_: Cycles) -> NDArray[np.float64]:
