@@ -79,7 +79,7 @@ def test_listen(arm: Arm, frames: NDArray[np.void], tmp_path: Path) -> None:
                 sender.send(message)
                 if k % 50 == 49:
                     time.sleep(0.04)
-        assert listener.wait(timeout=30) == 0
+        assert listener.wait(timeout=60) == 0
     finally:
         listener.kill()
         listener.wait()
