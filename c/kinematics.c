@@ -173,6 +173,18 @@ static double *gram(double (*v)[3], uint32_t first, uint32_t count, double *out)
     return out;
 }
 
+/* pull[2i], pull[2i + 1] of the joints that feel gravity. */
+static void gravity_columns(const zygos_skeleton_t *self, uint32_t joints, const double *pull, double *column)
+{
+    for (uint32_t i = 0; i < joints; i++) {
+        if (self->heavy[i]) {
+            column[0] = pull[2u * i];
+            column[1] = pull[2u * i + 1u];
+            column += 2;
+        }
+    }
+}
+
 static void planar(const zygos_skeleton_t *self, const zygos_config_t *config, const zygos_state_t *state,
                    zygos_motion_t *out)
 {
@@ -217,13 +229,7 @@ static void planar(const zygos_skeleton_t *self, const zygos_config_t *config, c
             column++;
         }
     }
-    for (uint32_t i = 0; i < n; i++) {
-        if (self->heavy[i]) {
-            column[0] = pull[2u * i];
-            column[1] = pull[2u * i + 1u];
-            column += 2;
-        }
-    }
+    gravity_columns(self, n, pull, column);
 }
 
 static void spatial(const zygos_skeleton_t *self, const zygos_config_t *config, const zygos_state_t *state,
@@ -283,13 +289,7 @@ static void spatial(const zygos_skeleton_t *self, const zygos_config_t *config, 
     } else {
         column = gram(rate, 0, count, column);
     }
-    for (uint32_t i = 0; i < n; i++) {
-        if (self->heavy[i]) {
-            column[0] = pull[2u * i];
-            column[1] = pull[2u * i + 1u];
-            column += 2;
-        }
-    }
+    gravity_columns(self, n, pull, column);
 }
 
 void zygos_kinematics(const zygos_skeleton_t *self, const zygos_config_t *config, const zygos_state_t *state,
