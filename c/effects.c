@@ -56,7 +56,7 @@ static double newest(const zygos_effect_config_t *effect, double ratio, const zy
 }
 
 void zygos_effects_carry_on(zygos_effects_t *self, const zygos_config_t *config, const zygos_state_t *state,
-                            const double *tau_before, const double *tau)
+                            const double *tau_before, const double *tau, const double *drift)
 {
     const double h24 = config->period_s / 24.0;
     for (uint32_t e = 0; e < config->effects; e++) {
@@ -72,7 +72,7 @@ void zygos_effects_carry_on(zygos_effects_t *self, const zygos_config_t *config,
             self->total[e] += *past_0;
             self->instant[e] = 0.5 * g;
         } else {
-            self->total[e] += h24 * (9.0 * g + 19.0 * *past_0 - 5.0 * *past_1 + *past_2);
+            self->total[e] += h24 * (9.0 * g + 19.0 * *past_0 - 5.0 * *past_1 + *past_2) - drift[e];
         }
         *past_2 = *past_1;
         *past_1 = *past_0;
@@ -84,6 +84,50 @@ void zygos_effects_keep(zygos_effects_t *self, const zygos_config_t *config, dou
 {
     for (uint32_t e = 0; e < config->effects; e++) {
         self->total[e] *= keep;
+    }
+}
+
+static double cube(const zygos_state_t *state, uint32_t joint)
+{
+    const double deflection = state->theta[joint] - state->q[joint];
+    return deflection * deflection * deflection;
+}
+
+void zygos_effects_motor_slopes(const zygos_config_t *config, uint32_t e, const zygos_state_t *state,
+                                double torque_step, double *by_angle, double *by_rate)
+{
+    const uint32_t i = config->effect[e].joint;
+    const double ratio = config->joint[i].gear_ratio;
+    *by_angle = 0.0;
+    *by_rate = 0.0;
+    switch (config->effect[e].kind) {
+    case ZYGOS_MOTOR_COULOMB:
+        *by_angle = ratio * saturated(state->theta_rate[i]);
+        break;
+    case ZYGOS_MOTOR_VISCOUS:
+        *by_angle = 2.0 * ratio * state->theta_rate[i];
+        break;
+    case ZYGOS_CUBIC_STIFFNESS:
+        *by_angle = cube(state, i);
+        break;
+    case ZYGOS_TORQUE_LAG:
+        *by_rate = 0.5 * ratio * torque_step;
+        break;
+    default:
+        break;
+    }
+}
+
+double zygos_effects_link_slope(const zygos_config_t *config, uint32_t e, const zygos_state_t *state)
+{
+    const uint32_t i = config->effect[e].joint;
+    switch (config->effect[e].kind) {
+    case ZYGOS_LINK_COULOMB:
+        return saturated(state->q_rate[i]);
+    case ZYGOS_CUBIC_STIFFNESS:
+        return -cube(state, i);
+    default:
+        return 0.0;
     }
 }
 

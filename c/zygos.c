@@ -5,6 +5,7 @@
 #define MARK 0x7A79676Fu /* "zygo" */
 #define LARGEST_ANGLE 1e4
 #define LARGEST_VALUE 1e6
+#define SEGMENTS 48u /* of an arc, at first */
 
 uint32_t zygos_abi(void)
 {
@@ -108,7 +109,8 @@ static int check_config(const zygos_config_t *config)
         return ZYGOS_E_NODE;
     }
     if ((config->imu_fine > 1u) || !is_rotation(config->imu_to_base) ||
-        !within(config->imu_latch_s, 0.0, config->period_s)) {
+        !within(config->imu_latch_s, 0.0, config->period_s) || !within(config->imu_sigma, 0.0, 1.0) ||
+        (config->compensation > (uint32_t)ZYGOS_MAX_JOINTS)) {
         return ZYGOS_E_VALUE;
     }
     for (uint32_t i = 0; i < config->joints; i++) {
@@ -136,8 +138,9 @@ int zygos_init(zygos_t *self, const zygos_config_t *config)
     zygos_skeleton_init(&self->skeleton, &checked);
     zygos_receiver_init(&self->receiver);
     zygos_smoother_init(&self->smoother, &checked);
+    zygos_noise_init(&self->noise, &checked, &self->layout, &self->smoother);
     zygos_balance_gap(&self->balance);
-    zygos_accumulator_init(&self->accumulator, self->layout.count);
+    zygos_accumulator_init(&self->accumulator, self->layout.count, checked.arc_cycles / SEGMENTS);
     self->mark = MARK;
     return 1;
 }
@@ -201,12 +204,18 @@ static void work_off(zygos_t *self, const zygos_cycle_t *cycle)
         return;
     }
     zygos_kinematics(&self->skeleton, &self->config, &self->state, &self->motion);
-    if (zygos_balance_row(&self->balance, &self->config, &self->layout, &self->state, &self->motion, &self->row) == 0) {
+    if (zygos_balance_row(&self->balance, &self->config, &self->layout, &self->noise.drift, &self->state, &self->motion,
+                          &self->row) == 0) {
         return;
     }
     self->instant = 1;
     self->accepted = self->state.accepted;
+    zygos_noise_means(&self->noise, &self->config, &self->motion, &self->row);
     zygos_accumulator_add(&self->accumulator, &self->row, self->state.accepted);
+    zygos_noise_add(&self->noise, &self->config, &self->layout, &self->skeleton, &self->state, &self->motion,
+                    zygos_balance_torque_before(&self->balance),
+                    zygos_balance_torque_after(&self->balance, &self->config), self->arc, self->state.accepted,
+                    self->accumulator.noise.gram, self->accumulator.noise.sum);
     self->arc++;
     if (self->arc >= self->config.arc_cycles) {
         end_arc(self);
@@ -295,7 +304,7 @@ int zygos_restart(zygos_t *self, uint32_t keep)
     }
     zygos_smoother_gap(&self->smoother);
     zygos_balance_gap(&self->balance);
-    zygos_accumulator_init(&self->accumulator, self->layout.count);
+    zygos_accumulator_init(&self->accumulator, self->layout.count, self->config.arc_cycles / SEGMENTS);
     self->arc = 0;
     self->instant = 0;
     return 1;

@@ -136,6 +136,9 @@ class Arm:
     imu: Imu
     smoother: Smoother = Smoother()
     arc_max_s: float = 60.0
+    compensate_every: int | None = None
+    """What sensor noise adds to the normal equations is taken off, each joint's share in every that many cycles; 0: it is
+    not. None: `compensation`."""
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """m/s^2 in the base frame, of a fixed base; a free-floating arm falls with its orbit and feels none."""
 
@@ -143,6 +146,12 @@ class Arm:
     def free(self) -> bool:
         """Whether the base floats."""
         return self.base == "free"
+
+    @property
+    def compensation(self) -> int:
+        """Cycles from one turn of a joint's compensation to the next: its cost grows with the fourth power of N."""
+        chosen = (1 if self.n <= 3 else self.n) if self.compensate_every is None else self.compensate_every
+        return chosen
 
     @property
     def spatial(self) -> bool:
@@ -306,11 +315,18 @@ def read_arm(top: Table) -> Arm:
         smoother=_smoother(top.table("smoother", optional=True)),
         arc_max_s=arc.number("max_s", 60.0, above=0.0, unit="s"),
         gravity=(gravity[0], gravity[1], gravity[2]),
+        compensate_every=_compensation(top.table("compensation", optional=True)),
     )
     arc.finish()
     top.finish()
     _check_whole(arm, top)
     return arm
+
+
+def _compensation(table: Table) -> int | None:
+    every = table.integer("every", low=0, high=7) if table.has("every") else None
+    table.finish()
+    return every
 
 
 def read_joint(table: Table) -> Joint:

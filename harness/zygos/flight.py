@@ -37,6 +37,7 @@ REASONS = (
     "the estimate is not physical: an inertia matrix that is not positive definite, or a negative Im, k, b or friction",
     "the accumulated sums are corrupt: memory was changed from outside",
     "the balance does not close: what the solution leaves over is no noise",
+    "sensor noise is as large as the motion in some combination of parameters",
 )
 _CONFIG_ERRORS = {
     -2: "the library was built with other headers",
@@ -116,7 +117,9 @@ class Estimate:
     value: NDArray[np.float64]
     """(p,)"""
     sigma: NDArray[np.float64]
-    """(p,) one standard deviation of the spread; the bias of squared noise is not in it."""
+    """(p,) one standard deviation."""
+    half95: NDArray[np.float64]
+    """(p,) half width of the 95 % interval."""
     covariance: NDArray[np.float64]
     """(p, p)"""
     validity: str
@@ -132,6 +135,10 @@ class Estimate:
     """How far the residuals of a block add up: around 1 for noise, up to the block's instants otherwise."""
     residual: float
     """rms of the rows' residuals, J."""
+    noise_ratio: float
+    """Its square over what the declared noise makes of it; NaN where none is declared."""
+    gate: float
+    """Smallest ratio of sums to noise over all combinations of parameters; infinite where none is declared."""
 
 
 def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
@@ -163,6 +170,8 @@ def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
     for k, entry in enumerate(np.asarray(arm.mount, dtype=float).ravel()):
         config.imu_to_base[k] = entry
     config.imu_latch_s = arm.imu.latch_us * 1e-6
+    config.imu_sigma = arm.imu.rate_sigma
+    config.compensation = arm.compensation
     for i, joint in enumerate(arm.joints):
         out = config.joint[i]
         out.node = joint.node
@@ -279,6 +288,7 @@ class Flight:
             solution=np.frombuffer(ffi.buffer(out.solution), dtype=np.float64)[:p].copy(),
             value=np.frombuffer(ffi.buffer(out.value), dtype=np.float64)[:p].copy(),
             sigma=np.frombuffer(ffi.buffer(out.sigma), dtype=np.float64)[:p].copy(),
+            half95=np.frombuffer(ffi.buffer(out.half95), dtype=np.float64)[:p].copy(),
             covariance=covariance,
             validity=VALIDITY[out.validity],
             reason=REASONS[out.reason],
@@ -291,6 +301,8 @@ class Flight:
             condition=out.condition,
             cluster=out.cluster,
             residual=out.residual,
+            noise_ratio=out.noise_ratio,
+            gate=out.gate,
         )
 
     def normal_equations(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -36,7 +36,7 @@ extern "C" {
 
 /// Number of blocks in which the normal equations are kept; the spread of the blocks gives the sigmas. Even.
 #ifndef ZYGOS_MAX_BLOCKS
-#define ZYGOS_MAX_BLOCKS 32
+#define ZYGOS_MAX_BLOCKS 64
 #endif
 #if (ZYGOS_MAX_BLOCKS < 8) || (ZYGOS_MAX_BLOCKS > 256) || (ZYGOS_MAX_BLOCKS % 2 != 0)
 #error "ZYGOS_MAX_BLOCKS must be even, 8..256"
@@ -187,8 +187,12 @@ typedef struct {
     double period_s;              ///< SYNC period h. Time is the SYNC count times h, never a receive time.
     double imu_to_base[9];        ///< Rotation that takes a rate from the sensor's axes to the base's, row-major.
     double imu_latch_s;           ///< Delay from SYNC to the gyro's latch.
-    double gravity[3];            ///< In the base frame [m/s^2]; 0 on a free base.
+    double imu_sigma;  ///< Standard deviation of one component of one sample's noise [rad/s]; 0: not declared.
+    double gravity[3]; ///< In the base frame [m/s^2]; 0 on a free base.
     zygos_joint_config_t joint[ZYGOS_MAX_JOINTS];
+    uint32_t compensation; ///< 0: off. m: what noise adds to the normal equations is taken off, each joint's share in
+                           ///< every m-th cycle, 1..ZYGOS_MAX_JOINTS.
+    uint32_t reserved;
     uint32_t effects; ///< Effects to identify, 0..ZYGOS_MAX_EFFECTS. Their columns follow those of the joints.
     uint32_t base;    ///< enum zygos_base.
     zygos_effect_config_t effect[ZYGOS_EFFECT_PLACES]; ///< In the order of their columns, each kind once a joint.

@@ -26,6 +26,7 @@
 #include "cycle.h"
 #include "effects.h"
 #include "kinematics.h"
+#include "noise.h"
 #include "smoother.h"
 #include "solver.h"
 #include "types.h"
@@ -54,6 +55,7 @@ typedef struct {
     zygos_receiver_t receiver;
     zygos_hold_t hold;
     zygos_smoother_t smoother;
+    zygos_noise_t noise;
     zygos_state_t state;
     zygos_motion_t motion;
     zygos_balance_t balance;
