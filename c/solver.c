@@ -215,6 +215,20 @@ static double student(double freedom)
     return 1.959964 + u * (2.372272 + u * (2.822499 + u * (2.555852 + u * 1.589536)));
 }
 
+/* What a block alone leaves of the equations: right side less matrix times solution, scaled. */
+static void score(const zygos_work_t *work, uint32_t p, const zygos_block_t *block, double *out)
+{
+    const double *declared = work->accumulator.noise_closed.gram;
+    const double back = (1.0 - work->believed) * block->instants / (double)work->accumulator.accepted;
+    for (uint32_t i = 0; i < p; i++) {
+        double sum = block->gram[at(p, i)] + back * declared[at(p, i)];
+        for (uint32_t j = 0; j < p; j++) {
+            sum -= (entry(block->gram, i, j) + back * entry(declared, i, j)) * work->solution[j];
+        }
+        out[i] = sum * work->scale[i];
+    }
+}
+
 /* Covariance by leaving out one block at a time. Blocks overlap, so the squares of their weights add up to less than
    their weights. A parameter whose information comes from few blocks has few degrees of freedom. A block without which
    the equations lose rank leaves all sigmas infinite: the motion was informative once only. */
@@ -245,14 +259,21 @@ static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, zygos_estim
             work->shares[1][i] += share * share;
         }
     }
-    for (uint32_t i = 0; i < p; i++) {
-        for (uint32_t j = 0; (j <= i) && !once; j++) {
-            double sum = 0.0;
-            for (uint32_t b = 0; b < blocks; b++) {
-                sum += work->left_out[b][i] * work->left_out[b][j];
+    memset(out->covariance, 0, at(p, 0) * sizeof out->covariance[0]);
+    scaled_equations(work, p, NULL, work->believed);
+    (void)factorise(work, p, rank);
+    for (uint32_t b = 0; (b < blocks) && !once; b++) {
+        score(work, p, &sums->block[b], work->right);
+        solve_once(work, p, rank, work->direct);
+        for (uint32_t i = 0; i < p; i++) {
+            for (uint32_t j = 0; j <= i; j++) {
+                out->covariance[at(i, j)] -=
+                    0.5 * instants / square *
+                    (work->left_out[b][i] * work->direct[j] + work->left_out[b][j] * work->direct[i]);
             }
-            out->covariance[at(i, j)] = sum * instants / square;
         }
+    }
+    for (uint32_t i = 0; i < p; i++) {
         const double several = work->shares[0][i] * work->shares[0][i];
         const double freedom = (work->shares[1][i] > 0.0) ? several / work->shares[1][i] : 1.0;
         out->covariance[at(i, i)] = once ? infinity() : out->covariance[at(i, i)];
