@@ -7,7 +7,7 @@ int zygos_effects_check(const zygos_config_t *config)
     }
     for (uint32_t e = 0; e < config->effects; e++) {
         const zygos_effect_config_t *effect = &config->effect[e];
-        if ((effect->kind > ZYGOS_TORQUE_LAG) || (effect->joint >= config->joints)) {
+        if ((effect->kind > ZYGOS_SPRING_OFFSET) || (effect->joint >= config->joints)) {
             return ZYGOS_E_EFFECT;
         }
         for (uint32_t other = 0; other < e; other++) {
@@ -19,11 +19,17 @@ int zygos_effects_check(const zygos_config_t *config)
     return 1;
 }
 
+/* Whether the column is energy of the spring: a state without a history, of either sign. */
+static bool stored(const zygos_effect_config_t *effect)
+{
+    return (effect->kind == ZYGOS_CUBIC_STIFFNESS) || (effect->kind == ZYGOS_SPRING_OFFSET);
+}
+
 uint32_t zygos_effects_positive(const zygos_config_t *config)
 {
     uint32_t bits = 0;
     for (uint32_t e = 0; e < config->effects; e++) {
-        bits |= (config->effect[e].kind != ZYGOS_CUBIC_STIFFNESS) ? 1u << e : 0u;
+        bits |= stored(&config->effect[e]) ? 0u : 1u << e;
     }
     return bits;
 }
@@ -50,6 +56,8 @@ static double newest(const zygos_effect_config_t *effect, double ratio, const zy
         return saturated(link) * link;
     case ZYGOS_CUBIC_STIFFNESS:
         return 0.25 * deflection * deflection * deflection * deflection;
+    case ZYGOS_SPRING_OFFSET:
+        return deflection;
     default:
         return ratio * torque_step * motor;
     }
@@ -66,7 +74,7 @@ void zygos_effects_carry_on(zygos_effects_t *self, const zygos_config_t *config,
         double *past_0 = &self->past[0][e];
         double *past_1 = &self->past[1][e];
         double *past_2 = &self->past[2][e];
-        if (effect->kind == ZYGOS_CUBIC_STIFFNESS) {
+        if (stored(effect)) {
             self->instant[e] = g;
         } else if (effect->kind == ZYGOS_TORQUE_LAG) {
             self->total[e] += *past_0;

@@ -46,6 +46,7 @@ class Encoder:
     sign: int = 1
     zero_rad: float = 0.0
     zero_sigma_rad: float = 0.0
+    """How well `zero_rad` is known, rad. Above 0 the joint's spring is estimated with an offset."""
     latch_us: int = 0
     """Delay of this encoder's latch after SYNC in µs, on top of the joint's."""
 
@@ -90,6 +91,11 @@ class Joint:
     """Delay of both encoders' latch after SYNC in µs, as stated on the wire."""
     flexible: bool = True
     """Whether the joint has a spring; a rigid one has theta = q, and neither stiffness nor damping."""
+
+    @property
+    def unsure_zero(self) -> bool:
+        """Whether the encoders may disagree about where theta = q: the zero of one has a deviation."""
+        return self.flexible and max(self.link_encoder.zero_sigma_rad, self.motor_encoder.zero_sigma_rad) > 0.0
 
 
 @dataclass(frozen=True)

@@ -186,11 +186,12 @@ def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
         out.link_sign, out.link_zero_rad, out.link_sigma_rad = link.sign, link.zero_rad, link.sigma_rad
         out.motor_sign, out.motor_zero_rad, out.motor_sigma_rad = motor.sign, motor.zero_rad, motor.sigma_rad
         out.link_latch_s, out.motor_latch_s = link.latch_us * 1e-6, motor.latch_us * 1e-6
-    columns = estimated(effects)
+    columns = estimated(arm, effects)
     if len(columns) > lib.ZYGOS_MAX_EFFECTS_VALUE:
         raise ZygosError(
             f"{len(columns)} effects are to be estimated, this build holds {lib.ZYGOS_MAX_EFFECTS_VALUE}; "
-            "remedy: keep those that matter most, or rebuild with -DZYGOS_MAX_EFFECTS"
+            "remedy: keep those that matter most (a joint with zero_sigma_rad > 0 has one), or rebuild with "
+            "-DZYGOS_MAX_EFFECTS"
         )
     config.effects = len(columns)
     for k, effect in enumerate(columns):
@@ -244,7 +245,7 @@ class Flight:
                 f"the flight library refuses arm {arm.name!r}: {_CONFIG_ERRORS.get(verdict, verdict)}; "
                 f"remedy: correct the {'effects' if verdict == lib.ZYGOS_E_EFFECT else 'arm file'}"
             )
-        self.effects = estimated(effects)
+        self.effects = estimated(arm, effects)
         self.names = (*arm.parameter_names, *(effect.column(arm) for effect in self.effects))
         if self.native.layout.count != len(self.names):
             raise ZygosError(

@@ -9,6 +9,7 @@
 ///     ZYGOS_CUBIC_STIFFNESS    d^4 / 4                               energy of the spring
 ///     ZYGOS_TORQUE_LAG         sum over j < k of s_j, and s_k / 2    work that torque steps lose by being late,
 ///                                                                    s_j = n (tau_j - tau_(j-1)) theta'_j
+///     ZYGOS_SPRING_OFFSET      d                                     energy of the spring
 ///
 /// tau_j is the torque in force on [t_j, t_(j+1)). Integrals follow the rule of the dissipation (balance.h), and
 /// integrals and sums begin with the arc. Of the step at the instant itself a lag T takes half: the smoother sees it

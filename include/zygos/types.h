@@ -52,7 +52,7 @@ extern "C" {
 
 /// Largest number of effects that a configuration can switch on. At 0 the library has no room for any.
 #ifndef ZYGOS_MAX_EFFECTS
-#define ZYGOS_MAX_EFFECTS 4
+#define ZYGOS_MAX_EFFECTS 8
 #endif
 #if (ZYGOS_MAX_EFFECTS < 0) || (ZYGOS_MAX_EFFECTS > 16)
 #error "ZYGOS_MAX_EFFECTS must be 0..16"
@@ -145,7 +145,8 @@ enum zygos_effect_kind {
     ZYGOS_MOTOR_VISCOUS = 1,   ///< Viscous friction of a rotor [Nms/rad]: torque before the ratio, rate after it.
     ZYGOS_LINK_COULOMB = 2,    ///< Coulomb friction between a link and the body that carries it [Nm].
     ZYGOS_CUBIC_STIFFNESS = 3, ///< Torque of the spring with the cube of its deflection [Nm/rad^3].
-    ZYGOS_TORQUE_LAG = 4       ///< Delay of the motor's torque behind the one in force [s], less than a period.
+    ZYGOS_TORQUE_LAG = 4,      ///< Delay of the motor's torque behind the one in force [s], less than a period.
+    ZYGOS_SPRING_OFFSET = 5    ///< Torque of the spring where theta = q [Nm]: -k times what theta - q reads too much.
 };
 
 typedef struct {
