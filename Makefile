@@ -11,7 +11,7 @@ export CFLAGS += -Werror
 endif
 
 .DEFAULT_GOAL := demo
-.PHONY: demo build test hil gap count demo-log lint format warnings clean help
+.PHONY: demo build test hil gap count accuracy demo-log lint format warnings clean help
 
 demo: build ## set up, run the paper's example over CAN, show the result (out/demo/report.html)
 	$(BIN)/python -m zygos.demo
@@ -42,6 +42,9 @@ gap: build $(VENV)/.test ## hide effects in a MuJoCo plant, explain them, score 
 
 count: build $(VENV)/.test ## count the instructions of a cycle, by valgrind (out/count.json)
 	PYTHONPATH=tests $(BIN)/python -m bench.count out/count.json
+
+accuracy: build $(VENV)/.test ## errors, coverage and refusals of all estimators (docs/accuracy.html; 10 minutes; SEEDS= DRAWS= SCHEDULER= CASES=)
+	$(BIN)/python -m zygos.accuracy $(CASES) $(if $(SEEDS),--seeds $(SEEDS)) $(if $(DRAWS),--draws $(DRAWS)) $(if $(SCHEDULER),--scheduler $(SCHEDULER))
 
 demo-log: build $(VENV)/.test ## write the logs of examples/gap/demo again
 	PYTHONPATH=tests $(BIN)/python -m oracles.demo_log

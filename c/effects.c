@@ -118,6 +118,9 @@ void zygos_effects_motor_slopes(const zygos_config_t *config, uint32_t e, const 
     case ZYGOS_CUBIC_STIFFNESS:
         *by_angle = cube(state, i);
         break;
+    case ZYGOS_SPRING_OFFSET:
+        *by_angle = 1.0;
+        break;
     case ZYGOS_TORQUE_LAG:
         *by_rate = 0.5 * ratio * torque_step;
         break;
@@ -134,6 +137,8 @@ double zygos_effects_link_slope(const zygos_config_t *config, uint32_t e, const 
         return saturated(state->q_rate[i]);
     case ZYGOS_CUBIC_STIFFNESS:
         return -cube(state, i);
+    case ZYGOS_SPRING_OFFSET:
+        return -1.0;
     default:
         return 0.0;
     }
