@@ -28,8 +28,7 @@ uint32_t zygos_effects_positive(const zygos_config_t *config)
     return bits;
 }
 
-/* clamp(rate / slowest, -1, 1), without a branch. */
-static double saturated(double rate)
+double zygos_effects_saturated(double rate)
 {
     const double share = rate / ZYGOS_SLOWEST_RATE;
     return 0.5 * (__builtin_fabs(share + 1.0) - __builtin_fabs(share - 1.0));
@@ -43,11 +42,11 @@ static double newest(const zygos_effect_config_t *effect, double ratio, const zy
     const double deflection = state->theta[effect->joint] - state->q[effect->joint];
     switch (effect->kind) {
     case ZYGOS_MOTOR_COULOMB:
-        return ratio * saturated(motor) * motor;
+        return ratio * zygos_effects_saturated(motor) * motor;
     case ZYGOS_MOTOR_VISCOUS:
         return ratio * motor * motor;
     case ZYGOS_LINK_COULOMB:
-        return saturated(link) * link;
+        return zygos_effects_saturated(link) * link;
     case ZYGOS_CUBIC_STIFFNESS:
         return 0.25 * deflection * deflection * deflection * deflection;
     default:

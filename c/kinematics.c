@@ -185,13 +185,21 @@ static void gravity_columns(const zygos_skeleton_t *self, uint32_t joints, const
     }
 }
 
+/* The direction and the rate vector of body i of a planar arm. */
+static void in_plane(zygos_motion_t *out, uint32_t i, double c, double s, double rate)
+{
+    const double direction[3] = { c, s, 0.0 };
+    memcpy(out->direction[i], direction, sizeof direction);
+    for (uint32_t k = 0; k < 3; k++) {
+        out->rate[i][k] = rate * direction[k];
+    }
+}
+
 static void planar(const zygos_skeleton_t *self, const zygos_config_t *config, const zygos_state_t *state,
                    zygos_motion_t *out)
 {
     const uint32_t n = config->joints;
     const uint32_t first = (config->base == ZYGOS_BASE_FREE) ? 0u : 1u;
-    double x[ZYGOS_MAX_JOINTS + 1] = { 0.0 };
-    double y[ZYGOS_MAX_JOINTS + 1] = { 0.0 };
     double u[3];
     double v[3];
     zygos_across(config->joint[0].axis, u, v);
@@ -200,8 +208,7 @@ static void planar(const zygos_skeleton_t *self, const zygos_config_t *config, c
     double pull[2 * ZYGOS_MAX_JOINTS];
     double rate = first ? 0.0 : dot3(config->joint[0].axis, state->omega);
     double angle = 0.0;
-    x[0] = rate;
-    y[0] = 0.0;
+    in_plane(out, 0, 1.0, 0.0, rate);
     for (uint32_t i = 0; i < n; i++) {
         out->carrier_rate[i] = rate;
         rate += state->q_rate[i];
@@ -209,23 +216,23 @@ static void planar(const zygos_skeleton_t *self, const zygos_config_t *config, c
         double s;
         double c;
         zygos_sincos(angle, &s, &c);
-        x[i + 1] = rate * c;
-        y[i + 1] = rate * s;
+        in_plane(out, i + 1u, c, s, rate);
         pull[2u * i] = c * pull_u + s * pull_v;
         pull[2u * i + 1u] = self->hand[0] * (c * pull_v - s * pull_u);
     }
+    double(*rates)[3] = out->rate;
     double *column = out->column;
     for (uint32_t i = first; i <= n; i++) {
-        *column = 0.5 * (x[i] * x[i] + y[i] * y[i]);
+        *column = 0.5 * (rates[i][0] * rates[i][0] + rates[i][1] * rates[i][1]);
         column++;
         for (uint32_t j = i + 1u; j <= n; j++) {
-            *column = x[i] * x[j] + y[i] * y[j];
+            *column = rates[i][0] * rates[j][0] + rates[i][1] * rates[j][1];
             column++;
         }
     }
     for (uint32_t i = first; (i <= n) && (config->kinetic == ZYGOS_PLANAR); i++) {
         for (uint32_t j = i + 1u; j <= n; j++) {
-            *column = x[i] * y[j] - y[i] * x[j];
+            *column = rates[i][0] * rates[j][1] - rates[i][1] * rates[j][0];
             column++;
         }
     }
@@ -237,7 +244,7 @@ static void spatial(const zygos_skeleton_t *self, const zygos_config_t *config, 
 {
     const uint32_t n = config->joints;
     const bool fixed = (config->base == ZYGOS_BASE_FIXED);
-    double rate[ZYGOS_MAX_DIRECTIONS][3];
+    double(*rate)[3] = out->rate;
     double pull[2 * ZYGOS_MAX_JOINTS];
     double omega[3] = { 0.0, 0.0, 0.0 };
     uint32_t count = 0;
@@ -246,6 +253,8 @@ static void spatial(const zygos_skeleton_t *self, const zygos_config_t *config, 
         const double own[3][3] = { { 0.0, omega[2], -omega[1] },
                                    { -omega[2], 0.0, omega[0] },
                                    { omega[1], -omega[0], 0.0 } };
+        static const double base[3][3] = { { 1.0, 0.0, 0.0 }, { 0.0, 1.0, 0.0 }, { 0.0, 0.0, 1.0 } };
+        memcpy(out->direction, base, sizeof base);
         memcpy(rate, own, sizeof own);
         count = 3;
     }
@@ -268,6 +277,9 @@ static void spatial(const zygos_skeleton_t *self, const zygos_config_t *config, 
             frame[3u * k + 2u] = axis[k];
             omega[k] += axis[k] * state->q_rate[i];
         }
+        memcpy(out->direction[count], u, sizeof u);
+        memcpy(out->direction[count + 1u], v, sizeof v);
+        memcpy(out->axis[i], axis, sizeof axis);
         cross3(omega, u, rate[count]);
         cross3(omega, v, rate[count + 1u]);
         count += 2u;

@@ -35,9 +35,13 @@ typedef struct {
 } zygos_skeleton_t;
 
 typedef struct {
-    double column[ZYGOS_MAX_BODY];         ///< Columns of the bodies' parameters [rad^2/s^2, m/s^2].
-    double carrier_rate[ZYGOS_MAX_JOINTS]; ///< Rate of the body that carries joint i about its axis, a_i . w_(i-1)
-                                           ///< [rad/s].
+    double column[ZYGOS_MAX_BODY];             ///< Columns of the bodies' parameters [rad^2/s^2, m/s^2].
+    double carrier_rate[ZYGOS_MAX_JOINTS];     ///< Rate of the body that carries joint i about its axis, a_i . w_(i-1)
+                                               ///< [rad/s].
+    double direction[ZYGOS_MAX_DIRECTIONS][3]; ///< The directions in base axes, in the order of the columns; of a
+                                               ///< planar arm (cos phi_i, sin phi_i) of each body.
+    double rate[ZYGOS_MAX_DIRECTIONS][3];      ///< Their rate vectors [rad/s].
+    double axis[ZYGOS_MAX_JOINTS][3];          ///< Joint axes in base axes. Of a spatial arm only.
 } zygos_motion_t;
 
 /// Sine and cosine. At most 1 ulp off for |angle| <= 1e5; branch-free: the same instructions for every finite angle,
