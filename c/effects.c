@@ -34,8 +34,7 @@ uint32_t zygos_effects_positive(const zygos_config_t *config)
     return bits;
 }
 
-/* clamp(rate / slowest, -1, 1), without a branch. */
-static double saturated(double rate)
+double zygos_effects_saturated(double rate)
 {
     const double share = rate / ZYGOS_SLOWEST_RATE;
     return 0.5 * (__builtin_fabs(share + 1.0) - __builtin_fabs(share - 1.0));
@@ -49,11 +48,11 @@ static double newest(const zygos_effect_config_t *effect, double ratio, const zy
     const double deflection = state->theta[effect->joint] - state->q[effect->joint];
     switch (effect->kind) {
     case ZYGOS_MOTOR_COULOMB:
-        return ratio * saturated(motor) * motor;
+        return ratio * zygos_effects_saturated(motor) * motor;
     case ZYGOS_MOTOR_VISCOUS:
         return ratio * motor * motor;
     case ZYGOS_LINK_COULOMB:
-        return saturated(link) * link;
+        return zygos_effects_saturated(link) * link;
     case ZYGOS_CUBIC_STIFFNESS:
         return 0.25 * deflection * deflection * deflection * deflection;
     case ZYGOS_SPRING_OFFSET:
@@ -110,7 +109,7 @@ void zygos_effects_motor_slopes(const zygos_config_t *config, uint32_t e, const 
     *by_rate = 0.0;
     switch (config->effect[e].kind) {
     case ZYGOS_MOTOR_COULOMB:
-        *by_angle = ratio * saturated(state->theta_rate[i]);
+        *by_angle = ratio * zygos_effects_saturated(state->theta_rate[i]);
         break;
     case ZYGOS_MOTOR_VISCOUS:
         *by_angle = 2.0 * ratio * state->theta_rate[i];
@@ -134,7 +133,7 @@ double zygos_effects_link_slope(const zygos_config_t *config, uint32_t e, const 
     const uint32_t i = config->effect[e].joint;
     switch (config->effect[e].kind) {
     case ZYGOS_LINK_COULOMB:
-        return saturated(state->q_rate[i]);
+        return zygos_effects_saturated(state->q_rate[i]);
     case ZYGOS_CUBIC_STIFFNESS:
         return -cube(state, i);
     case ZYGOS_SPRING_OFFSET:

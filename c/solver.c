@@ -117,7 +117,7 @@ static double form(const double *packed, const double *x, uint32_t p)
 static void scaled_equations(zygos_work_t *work, uint32_t p, const zygos_block_t *without, double noise)
 {
     const double *total = work->total;
-    const double *declared = work->accumulator.noise_closed.gram;
+    const double *declared = work->noise;
     const double part = without ? 1.0 - without->instants / (double)work->accumulator.accepted : 1.0;
     const double back = (1.0 - noise) * part;
     for (uint32_t i = 0; i <= p; i++) {
@@ -128,6 +128,52 @@ static void scaled_equations(zygos_work_t *work, uint32_t p, const zygos_block_t
                 work->matrix[k] = value * (work->scale[i] * work->scale[j]);
             } else {
                 work->right[j] = value * work->scale[j];
+            }
+        }
+    }
+}
+
+/* Where column c of the motor row of joint i stands; behind the last of them the right side. */
+static uint32_t place_of(const zygos_work_t *work, uint32_t i, uint32_t c)
+{
+    const zygos_impulse_layout_t *layout = &work->joint_sums.layout;
+    if (c < 3u) {
+        return work->layout.joint[i] + c;
+    }
+    return (c < layout->count[i]) ? work->layout.effects + layout->effect[i][c - 3u] : work->layout.count;
+}
+
+/* out += factor times a packed matrix of joint i; sides: its right side as well. */
+static void embed(const zygos_work_t *work, uint32_t i, const double *local, double factor, bool sides, double *out)
+{
+    const uint32_t count = work->joint_sums.layout.count[i];
+    for (uint32_t a = 0; a < count + (sides ? 1u : 0u); a++) {
+        const uint32_t place_a = place_of(work, i, a);
+        for (uint32_t b = 0; b <= a; b++) {
+            const uint32_t place_b = place_of(work, i, b);
+            const uint32_t k = (place_a >= place_b) ? at(place_a, place_b) : at(place_b, place_a);
+            out[k] += factor * local[at(a, b)];
+        }
+    }
+}
+
+/* The scaled equations without an arc of the motor rows. */
+static void scaled_without_arc(zygos_work_t *work, uint32_t p, const zygos_joint_block_t *arc)
+{
+    scaled_equations(work, p, NULL, work->believed);
+    for (uint32_t i = 0; i < work->config.joints; i++) {
+        const uint32_t count = work->joint_sums.layout.count[i];
+        for (uint32_t a = 0; (a <= count) && (count > 0); a++) {
+            const uint32_t place_a = place_of(work, i, a);
+            for (uint32_t b = 0; (b <= a) && (b < count); b++) {
+                const uint32_t place_b = place_of(work, i, b);
+                const double value = work->weight[i] * arc->joint[i].gram[at(a, b)] * work->scale[place_b];
+                if (a == count) {
+                    work->right[place_b] -= value;
+                } else {
+                    const uint32_t k = (place_a >= place_b) ? at(place_a, place_b) : at(place_b, place_a);
+                    work->matrix[k] -= value * work->scale[place_a];
+                }
             }
         }
     }
@@ -229,32 +275,51 @@ static void score(const zygos_work_t *work, uint32_t p, const zygos_block_t *blo
     }
 }
 
+/* The same of an arc of the motor rows. */
+static void score_of_arc(const zygos_work_t *work, uint32_t p, const zygos_joint_block_t *arc, double *out)
+{
+    memset(out, 0, p * sizeof out[0]);
+    for (uint32_t i = 0; i < work->config.joints; i++) {
+        const uint32_t count = work->joint_sums.layout.count[i];
+        const double *gram = arc->joint[i].gram;
+        for (uint32_t a = 0; a < count; a++) {
+            const uint32_t place = place_of(work, i, a);
+            double sum = gram[at(count, a)];
+            for (uint32_t b = 0; b < count; b++) {
+                sum -= entry(gram, a, b) * work->solution[place_of(work, i, b)];
+            }
+            out[place] += work->weight[i] * sum * work->scale[place];
+        }
+    }
+}
+
 /* Covariance by leaving out one block at a time. Blocks overlap, so the squares of their weights add up to less than
    their weights. A parameter whose information comes from few blocks has few degrees of freedom. A block without which
    the equations lose rank leaves all sigmas infinite: the motion was informative once only. */
 static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, zygos_estimate_t *out)
 {
     const zygos_accumulator_t *sums = &work->accumulator;
-    const uint32_t blocks = sums->open;
+    const zygos_joint_sums_t *joints = &work->joint_sums;
+    const uint32_t blocks = sums->open + joints->count;
     double instants = 0.0;
     double square = 0.0;
     bool once = false;
     memset(work->shares, 0, sizeof work->shares);
-    for (uint32_t b = 0; b < blocks; b++) {
-        const zygos_block_t *block = &sums->block[b];
-        scaled_equations(work, p, block, work->believed);
-        if (factorise(work, p, rank) < rank) {
-            once = true;
-            break;
+    for (uint32_t b = 0; (b < blocks) && !once; b++) {
+        if (b < sums->open) {
+            scaled_equations(work, p, &sums->block[b], work->believed);
+            instants += sums->block[b].instants;
+            square += sums->block[b].square;
+        } else {
+            scaled_without_arc(work, p, &joints->block[b - sums->open]);
         }
-        instants += block->instants;
-        square += block->square;
+        once = (factorise(work, p, rank) < rank);
         solve_once(work, p, rank, work->left_out[b]);
         inverse_diagonal(work, p, rank, work->right);
         for (uint32_t i = 0; i < p; i++) {
             const double gain = work->right[i] - work->inverse[i];
             const double share = (gain > 0.0) ? gain : 0.0;
-            work->left_out[b][i] -= work->solution[i];
+            work->left_out[b][i] = work->solution[i] - work->left_out[b][i];
             work->shares[0][i] += share;
             work->shares[1][i] += share * share;
         }
@@ -263,13 +328,18 @@ static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, zygos_estim
     scaled_equations(work, p, NULL, work->believed);
     (void)factorise(work, p, rank);
     for (uint32_t b = 0; (b < blocks) && !once; b++) {
-        score(work, p, &sums->block[b], work->right);
+        const bool energy = (b < sums->open);
+        if (energy) {
+            score(work, p, &sums->block[b], work->right);
+        } else {
+            score_of_arc(work, p, &joints->block[b - sums->open], work->right);
+        }
         solve_once(work, p, rank, work->direct);
+        const double factor = 0.5 * (energy ? instants / square : 1.0);
         for (uint32_t i = 0; i < p; i++) {
             for (uint32_t j = 0; j <= i; j++) {
-                out->covariance[at(i, j)] -=
-                    0.5 * instants / square *
-                    (work->left_out[b][i] * work->direct[j] + work->left_out[b][j] * work->direct[i]);
+                out->covariance[at(i, j)] +=
+                    factor * (work->left_out[b][i] * work->direct[j] + work->left_out[b][j] * work->direct[i]);
             }
         }
     }
@@ -491,7 +561,7 @@ static void put_in_again(zygos_work_t *work, uint32_t p, double noise)
    factor is that of the sums. */
 static double noise_share(zygos_work_t *work, uint32_t rank)
 {
-    const double *declared = work->accumulator.noise_closed.gram;
+    const double *declared = work->noise;
     double *v = work->score;
     double *u = work->right;
     double ratio = 0.0;
@@ -535,11 +605,29 @@ static uint32_t solve_with(zygos_work_t *work, uint32_t p, uint32_t most, double
     return rank;
 }
 
+/* What x leaves of the energy rows, noise included, and what of it the declared noise makes: sums of squares [J^2]. */
+static double energy_left(const zygos_work_t *work, uint32_t p, const double *x, double *explained)
+{
+    double left = form(work->total, x, p);
+    for (uint32_t i = 0; i < work->config.joints; i++) {
+        const uint32_t count = work->joint_sums.layout.count[i];
+        double local[ZYGOS_MAX_IMPULSE + 1] = { 0.0 };
+        for (uint32_t a = 0; a < count; a++) {
+            local[a] = x[place_of(work, i, a)];
+        }
+        for (uint32_t b = 0; (b < work->joint_sums.count) && (count > 0); b++) {
+            left -= work->weight[i] * form(work->joint_sums.block[b].joint[i].gram, local, count);
+        }
+    }
+    *explained = form(work->accumulator.noise_closed.gram, x, p);
+    left += *explained;
+    return (left > 0.0) ? left : 0.0;
+}
+
 /* How much of the declared noise is taken off: as much as the residuals show when that is clearly less, and no more
    than half of any combination. Needs the factor of the sums with their noise. */
 static void believe(zygos_work_t *work, uint32_t p, uint32_t rank, zygos_estimate_t *out)
 {
-    const double *declared = work->accumulator.noise_closed.gram;
     const double share = noise_share(work, rank);
     double seen = 1.0;
     work->believed = 1.0;
@@ -549,9 +637,114 @@ static void believe(zygos_work_t *work, uint32_t p, uint32_t rank, zygos_estimat
         work->believed = (seen < most) ? seen : most;
         out->gate = 1.0 / (share * seen);
         (void)solve_with(work, p, rank, work->believed, work->solution);
-        const double explained = form(declared, work->solution, p);
-        const double ratio = (form(work->total, work->solution, p) + explained) / explained;
-        seen = (ratio < ZYGOS_OVERDECLARED) ? ratio : 1.0;
+        double explained = 0.0;
+        const double left = energy_left(work, p, work->solution, &explained);
+        seen = (left < ZYGOS_OVERDECLARED * explained) ? left / explained : 1.0;
+    }
+}
+
+/* Scales to the sums with their noise and solves them as they are. Returns the rank. */
+static uint32_t begin(zygos_work_t *work, uint32_t p)
+{
+    for (uint32_t i = 0; i < p; i++) {
+        const double square = work->total[at(i, i)] + work->noise[at(i, i)];
+        work->scale[i] = (square > 0.0) ? 1.0 / root(square) : 0.0;
+    }
+    return solve_with(work, p, p, 0.0, work->solution);
+}
+
+/* Mean square of the factorised equations' scores, in the metric of their inverse: what their rows' noise amounts to.
+ */
+static double loudness(zygos_work_t *work, uint32_t rank, const double *scores)
+{
+    double sum = 0.0;
+    double kept[ZYGOS_MAX_PARAMETERS];
+    for (uint32_t i = 0; i < rank; i++) {
+        kept[i] = scores[work->pivot[i]];
+        work->score[i] = kept[i];
+    }
+    substitute(work->factor, rank, work->score);
+    for (uint32_t i = 0; i < rank; i++) {
+        sum += kept[i] * work->score[i];
+    }
+    return sum / (double)rank;
+}
+
+/* Of the energy rows, at their solution. */
+static double energy_loudness(zygos_work_t *work, uint32_t p, uint32_t rank)
+{
+    const zygos_accumulator_t *sums = &work->accumulator;
+    double total = 0.0;
+    double instants = 0.0;
+    double square = 0.0;
+    for (uint32_t b = 0; b < sums->open; b++) {
+        score(work, p, &sums->block[b], work->direct);
+        total += loudness(work, rank, work->direct);
+        instants += sums->block[b].instants;
+        square += sums->block[b].square;
+    }
+    return total * instants / square;
+}
+
+/* Of the motor rows of joint i, at their own solution; 0 where they have none or too few arcs to tell. */
+static double joint_loudness(zygos_work_t *work, uint32_t i)
+{
+    const zygos_joint_sums_t *sums = &work->joint_sums;
+    const uint32_t count = sums->layout.count[i];
+    double gram[ZYGOS_MAX_PACKED_JOINT] = { 0.0 };
+    double x[ZYGOS_MAX_IMPULSE];
+    double scale[ZYGOS_MAX_IMPULSE];
+    double total = 0.0;
+    if ((count == 0) || (sums->count < 3u)) {
+        return 0.0;
+    }
+    for (uint32_t b = 0; b < sums->count; b++) {
+        for (uint32_t k = 0; k < at(count + 1u, 0); k++) {
+            gram[k] += sums->block[b].joint[i].gram[k];
+        }
+    }
+    for (uint32_t a = 0; a < count; a++) {
+        scale[a] = (gram[at(a, a)] > 0.0) ? 1.0 / root(gram[at(a, a)]) : 0.0;
+        for (uint32_t b = 0; b <= a; b++) {
+            work->matrix[at(a, b)] = gram[at(a, b)] * scale[a] * scale[b];
+        }
+    }
+    const uint32_t rank = factorise(work, count, count);
+    if (rank < count) {
+        return 0.0;
+    }
+    for (uint32_t a = 0; a < count; a++) {
+        work->score[a] = gram[at(count, work->pivot[a])] * scale[work->pivot[a]];
+    }
+    substitute(work->factor, rank, work->score);
+    for (uint32_t a = 0; a < count; a++) {
+        x[work->pivot[a]] = work->score[a] * scale[work->pivot[a]];
+    }
+    for (uint32_t b = 0; b < sums->count; b++) {
+        const double *block = sums->block[b].joint[i].gram;
+        for (uint32_t a = 0; a < count; a++) {
+            double sum = block[at(count, a)];
+            for (uint32_t c = 0; c < count; c++) {
+                sum -= entry(block, a, c) * x[c];
+            }
+            work->direct[a] = sum * scale[a];
+        }
+        total += loudness(work, rank, work->direct);
+    }
+    return total * (double)sums->count / (double)(sums->count - 1u);
+}
+
+/* Adds the motor rows of each joint to those of the energy, weighted so that both are equally loud. */
+static void add_motors(zygos_work_t *work, double energy)
+{
+    const zygos_joint_sums_t *sums = &work->joint_sums;
+    for (uint32_t i = 0; i < work->config.joints; i++) {
+        const double joint = joint_loudness(work, i);
+        work->weight[i] = (joint > 0.0) ? energy / joint : 0.0;
+        for (uint32_t b = 0; (b < sums->count) && (joint > 0.0); b++) {
+            embed(work, i, sums->block[b].joint[i].gram, work->weight[i], true, work->total);
+            embed(work, i, sums->noise[i], work->weight[i] * sums->block[b].instants, false, work->noise);
+        }
     }
 }
 
@@ -636,7 +829,7 @@ static double cluster(const zygos_work_t *work, uint32_t p, const zygos_estimate
         means += (block->instants > 0.0) ? sum * sum / (block->instants * block->instants) : 0.0;
     }
     const double blocks = (double)sums->open;
-    const double spread = root(work->total[at(p, p)] / (double)out->accepted);
+    const double spread = root(work->spread / (double)out->accepted);
     *share = root(means / blocks) / spread;
     return squares / (blocks * out->residual * out->residual);
 }
@@ -662,8 +855,12 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     out->cycle = work->cycle;
     out->refused = sums->refused;
     out->parameters = p;
-    const bool corrupt = !(zygos_accumulator_check(sums) <= 1.0);
+    const bool corrupt =
+        !(zygos_accumulator_check(sums) <= 1.0) || !(zygos_joint_sums_check(&work->joint_sums, &work->config) <= 1.0);
     zygos_accumulator_end_arc(sums, work->cycle);
+    if (!corrupt && (work->config.impulse_arc_cycles > 0)) {
+        zygos_joint_sums_end_arc(&work->joint_sums, &work->config, work->cycle);
+    }
     out->accepted = sums->accepted;
     out->arcs = sums->arcs;
     out->blocks = sums->open;
@@ -674,12 +871,16 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
         return refuse(out, p, ZYGOS_REASON_NO_DATA);
     }
     zygos_accumulator_total(sums, work->total);
-    const double *declared = sums->noise_closed.gram;
-    for (uint32_t i = 0; i < p; i++) {
-        const double square = work->total[at(i, i)] + declared[at(i, i)];
-        work->scale[i] = (square > 0.0) ? 1.0 / root(square) : 0.0;
+    work->spread = work->total[at(p, p)];
+    memcpy(work->noise, sums->noise_closed.gram, at(p + 1u, 0) * sizeof work->noise[0]);
+    memset(work->weight, 0, sizeof work->weight);
+    uint32_t rank = begin(work, p);
+    if ((work->joint_sums.count > 0) && (rank > 0)) {
+        believe(work, p, rank, out);
+        (void)solve_with(work, p, rank, work->believed, work->solution);
+        add_motors(work, energy_loudness(work, p, rank));
+        rank = begin(work, p);
     }
-    const uint32_t rank = solve_with(work, p, p, 0.0, work->solution);
     out->rank = rank;
     if (rank == 0) {
         return refuse(out, p, ZYGOS_REASON_NOT_IDENTIFIABLE);
@@ -697,12 +898,11 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     out->condition = condition(work, rank, &inverse);
     memcpy(out->value, work->solution, p * sizeof out->value[0]);
     memcpy(out->solution, work->solution, p * sizeof out->solution[0]);
-    const double explained = form(declared, work->solution, p);
-    const double residuals = form(work->total, work->solution, p) + explained;
-    const double unexplained = (residuals > 0.0) ? residuals : 0.0;
+    double explained = 0.0;
+    const double unexplained = energy_left(work, p, work->solution, &explained);
     out->residual = root(unexplained / (double)out->accepted);
     out->noise_ratio = (explained > 0.0) ? unexplained / explained : not_a_number();
-    if (!(unexplained < ZYGOS_UNEXPLAINED_LIMIT * work->total[at(p, p)])) {
+    if (!(unexplained < ZYGOS_UNEXPLAINED_LIMIT * work->spread)) {
         return refuse(out, p, ZYGOS_REASON_NOT_IDENTIFIABLE);
     }
     double share = 0.0;

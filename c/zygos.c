@@ -102,7 +102,8 @@ static int check_config(const zygos_config_t *config)
         (config->smoother_order > 2u * m - 2u) || (config->smoother_lag != m)) {
         return ZYGOS_E_SMOOTHER;
     }
-    if (config->arc_cycles < ZYGOS_MIN_ARC_INSTANTS) {
+    if ((config->arc_cycles < ZYGOS_MIN_ARC_INSTANTS) ||
+        ((config->impulse_arc_cycles != 0) && (config->impulse_arc_cycles < ZYGOS_MIN_ARC_INSTANTS))) {
         return ZYGOS_E_ARC;
     }
     if (((config->imu_node < 1u) && (config->base == ZYGOS_BASE_FREE)) || (config->imu_node > 31u)) {
@@ -141,6 +142,8 @@ int zygos_init(zygos_t *self, const zygos_config_t *config)
     zygos_noise_init(&self->noise, &checked, &self->layout, &self->smoother);
     zygos_balance_gap(&self->balance);
     zygos_accumulator_init(&self->accumulator, self->layout.count, checked.arc_cycles / SEGMENTS);
+    zygos_impulse_gap(&self->impulse);
+    zygos_joint_sums_init(&self->joint_sums, &checked, &self->smoother);
     self->mark = MARK;
     return 1;
 }
@@ -167,6 +170,8 @@ static void gap(zygos_t *self)
     self->gaps += (self->smoother.filled > 0) ? 1u : 0u;
     zygos_smoother_gap(&self->smoother);
     zygos_balance_gap(&self->balance);
+    zygos_impulse_gap(&self->impulse);
+    zygos_joint_sums_end_arc(&self->joint_sums, &self->config, self->cycle);
     end_arc(self);
 }
 
@@ -180,6 +185,26 @@ static void void_arcs(zygos_t *self, const zygos_cycle_t *cycle)
     const uint64_t trusted = (doubtful < cycle->sync) ? cycle->sync - doubtful : 0u;
     if ((doubtful == 0) || (self->cycle > trusted)) {
         zygos_accumulator_drop_after(&self->accumulator, trusted);
+        zygos_joint_sums_drop_after(&self->joint_sums, trusted);
+    }
+}
+
+/* The motor impulse rows of the newest instant, which have arcs of their own. */
+static void add_impulses(zygos_t *self)
+{
+    const zygos_config_t *config = &self->config;
+    if (config->impulse_arc_cycles == 0) {
+        return;
+    }
+    if (zygos_impulse_row(&self->impulse, config, &self->joint_sums.layout, &self->state, &self->motion,
+                          zygos_balance_torque_before(&self->balance),
+                          zygos_balance_torque_after(&self->balance, config), &self->impulse_rows) == 0) {
+        return;
+    }
+    zygos_joint_sums_add(&self->joint_sums, config, &self->impulse_rows, self->state.accepted);
+    if (self->joint_sums.cycles >= config->impulse_arc_cycles) {
+        zygos_joint_sums_end_arc(&self->joint_sums, config, self->cycle);
+        zygos_impulse_new_arc(&self->impulse);
     }
 }
 
@@ -204,6 +229,7 @@ static void work_off(zygos_t *self, const zygos_cycle_t *cycle)
         return;
     }
     zygos_kinematics(&self->skeleton, &self->config, &self->state, &self->motion);
+    add_impulses(self);
     if (zygos_balance_row(&self->balance, &self->config, &self->layout, &self->noise.drift, &self->state, &self->motion,
                           &self->row) == 0) {
         return;
@@ -278,6 +304,7 @@ void zygos_take(const zygos_t *self, zygos_work_t *work)
         return;
     }
     work->accumulator = self->accumulator;
+    work->joint_sums = self->joint_sums;
     work->cycle = self->cycle;
     work->config = self->config;
 }
@@ -304,6 +331,8 @@ int zygos_restart(zygos_t *self, uint32_t keep)
     }
     zygos_smoother_gap(&self->smoother);
     zygos_balance_gap(&self->balance);
+    zygos_impulse_gap(&self->impulse);
+    zygos_joint_sums_clear(&self->joint_sums, &self->config);
     zygos_accumulator_init(&self->accumulator, self->layout.count, self->config.arc_cycles / SEGMENTS);
     self->arc = 0;
     self->instant = 0;

@@ -142,6 +142,8 @@ class Arm:
     imu: Imu
     smoother: Smoother = Smoother()
     arc_max_s: float = 60.0
+    impulse_arc_s: float = 10.0
+    """Longest arc of the motor impulse rows, s; 0: none of them. Their noise sums up over an arc."""
     compensate_every: int | None = None
     """What sensor noise adds to the normal equations is taken off, each joint's share in every that many cycles; 0: it is
     not. None: `compensation`."""
@@ -321,6 +323,7 @@ def read_arm(top: Table) -> Arm:
         smoother=_smoother(top.table("smoother", optional=True)),
         arc_max_s=arc.number("max_s", 60.0, above=0.0, unit="s"),
         gravity=(gravity[0], gravity[1], gravity[2]),
+        impulse_arc_s=arc.number("impulse_max_s", 10.0, low=0.0, unit="s"),
         compensate_every=_compensation(top.table("compensation", optional=True)),
     )
     arc.finish()

@@ -172,6 +172,7 @@ def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
     config.imu_latch_s = arm.imu.latch_us * 1e-6
     config.imu_sigma = arm.imu.rate_sigma
     config.compensation = arm.compensation
+    config.impulse_arc_cycles = max(1, round(arm.impulse_arc_s / arm.period_s)) if arm.impulse_arc_s > 0.0 else 0
     for i, joint in enumerate(arm.joints):
         out = config.joint[i]
         out.node = joint.node

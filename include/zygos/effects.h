@@ -35,6 +35,9 @@ typedef struct {
     double past[3][ZYGOS_EFFECT_PLACES]; ///< Integrand or summand of the three newest instants, newest first.
 } zygos_effects_t;
 
+/// sat(rate), without a branch.
+double zygos_effects_saturated(double rate);
+
 /// Returns 1, or ZYGOS_E_EFFECT when a configuration, whose joints are checked, asks for effects that it cannot have.
 int zygos_effects_check(const zygos_config_t *config);
 

@@ -11,6 +11,7 @@
 #define ZYGOS_SOLVER_H
 
 #include "accumulator.h"
+#include "jointsums.h"
 #include "types.h"
 
 #ifdef __cplusplus
@@ -100,10 +101,12 @@ typedef struct {
 /// that solves; none of it is meant to be read.
 typedef struct {
     zygos_accumulator_t accumulator;
+    zygos_joint_sums_t joint_sums;
     uint64_t cycle;
     zygos_config_t config;
     zygos_layout_t layout;
-    double total[ZYGOS_MAX_PACKED_ROW];
+    double total[ZYGOS_MAX_PACKED_ROW]; ///< All rows, weighted, the noise taken off.
+    double noise[ZYGOS_MAX_PACKED_ROW]; ///< The noise that was.
     double matrix[ZYGOS_MAX_PACKED];
     double factor[ZYGOS_MAX_PACKED];
     double scale[ZYGOS_MAX_PARAMETERS];
@@ -112,11 +115,13 @@ typedef struct {
     double size[ZYGOS_MAX_PARAMETERS];
     double hidden[ZYGOS_MAX_PARAMETERS];
     double score[ZYGOS_MAX_PARAMETERS];
-    double left_out[ZYGOS_MAX_BLOCKS][ZYGOS_MAX_PARAMETERS];
+    double left_out[ZYGOS_MAX_BLOCKS + ZYGOS_MAX_JOINT_BLOCKS][ZYGOS_MAX_PARAMETERS];
+    double weight[ZYGOS_MAX_JOINTS];      ///< Of each joint's motor rows beside the energy rows.
     double inverse[ZYGOS_MAX_PARAMETERS]; ///< Diagonal of the inverse of the scaled matrix.
     double shares[2][ZYGOS_MAX_PARAMETERS];
     double freedom[ZYGOS_MAX_PARAMETERS];
     double direct[ZYGOS_MAX_PARAMETERS];
+    double spread;   ///< Sum of the squared work about the arc constants [J^2].
     double believed; ///< Share of the declared noise that is taken off.
     uint32_t pivot[ZYGOS_MAX_PARAMETERS];
 } zygos_work_t;

@@ -113,7 +113,7 @@ enum zygos_error {
     ZYGOS_E_AXIS = -9, ///< A joint axis is no unit vector, of a spatial arm a frame no rotation, or of a planar one an
                        ///< axis not parallel.
     ZYGOS_E_VALUE = -10,  ///< A ratio, sign, zero, sigma, latch delay, imu_fine or imu_to_base is not in its range.
-    ZYGOS_E_ARC = -11,    ///< arc_cycles is below ZYGOS_MIN_ARC_INSTANTS.
+    ZYGOS_E_ARC = -11,    ///< arc_cycles or impulse_arc_cycles is below ZYGOS_MIN_ARC_INSTANTS.
     ZYGOS_E_ORDER = -12,  ///< zygos_init() has not succeeded on this struct.
     ZYGOS_E_KEEP = -13,   ///< zygos_restart() does not know one of the bits.
     ZYGOS_E_EFFECT = -14, ///< Too many effects, an unknown kind, a joint out of range, or an effect twice.
@@ -193,7 +193,7 @@ typedef struct {
     zygos_joint_config_t joint[ZYGOS_MAX_JOINTS];
     uint32_t compensation; ///< 0: off. m: what noise adds to the normal equations is taken off, each joint's share in
                            ///< every m-th cycle, 1..ZYGOS_MAX_JOINTS.
-    uint32_t reserved;
+    uint32_t impulse_arc_cycles; ///< Arcs of the motor impulse rows, >= ZYGOS_MIN_ARC_INSTANTS; 0: no such rows.
     uint32_t effects; ///< Effects to identify, 0..ZYGOS_MAX_EFFECTS. Their columns follow those of the joints.
     uint32_t base;    ///< enum zygos_base.
     zygos_effect_config_t effect[ZYGOS_EFFECT_PLACES]; ///< In the order of their columns, each kind once a joint.

@@ -25,7 +25,10 @@
 #include "balance.h"
 #include "cycle.h"
 #include "effects.h"
+#include "impulse.h"
+#include "jointsums.h"
 #include "kinematics.h"
+#include "momentum.h"
 #include "noise.h"
 #include "smoother.h"
 #include "solver.h"
@@ -60,6 +63,9 @@ typedef struct {
     zygos_motion_t motion;
     zygos_balance_t balance;
     zygos_row_t row;
+    zygos_impulse_t impulse;
+    zygos_impulse_rows_t impulse_rows;
+    zygos_joint_sums_t joint_sums;
     zygos_accumulator_t accumulator;
 } zygos_t;
 

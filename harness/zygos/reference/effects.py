@@ -39,14 +39,14 @@ def _column(arm: Arm, samples: Samples, smoothed: Smoothed, arc: NDArray[np.int6
         tau, at = samples.tau[:, i], smoothed.index
         step = ratio * (tau[at] - tau[at - 1]) * motor_rate
         # a motor that is late by T misses step T of each torque step; of the one at the instant half of it shows
-        return _since_origin(np.cumsum(step) - step, arc) + 0.5 * step
+        return since_origin(np.cumsum(step) - step, arc) + 0.5 * step
     assert kind.torque is not None
     rate, factor = (motor_rate, ratio) if kind.place == "motor" else (link_rate, 1.0)
     power = factor * kind.torque(rate) * rate
-    return _since_origin(arm.period_s * np.cumsum(np.convolve(power, STEP_RULE)[: len(power)]), arc)
+    return since_origin(arm.period_s * np.cumsum(np.convolve(power, STEP_RULE)[: len(power)]), arc)
 
 
-def _since_origin(total: Floats, arc: NDArray[np.int64]) -> Floats:
+def since_origin(total: Floats, arc: NDArray[np.int64]) -> Floats:
     """A running total (m,) less its value at the first instant of the arc (m,)."""
     position = np.arange(len(arc))
     opens = np.diff(arc, prepend=-2) != 0
