@@ -175,7 +175,12 @@ void zygos_noise_init(zygos_noise_t *self, const zygos_config_t *config, const z
         self->rate_variance[s] = sigma * sigma * product(slope, slope, smoother->window);
     }
     const double *gyro = smoother->value[2u * n];
-    self->gyro_variance = config->imu_sigma * config->imu_sigma * product(gyro, gyro, smoother->window);
+    const double gyro_variance = config->imu_sigma * config->imu_sigma * product(gyro, gyro, smoother->window);
+    double least = 1e300;
+    for (uint32_t i = 0; i < n; i++) {
+        least = (self->rate_variance[i] < least) ? self->rate_variance[i] : least;
+    }
+    self->gyro_variance = (gyro_variance >= ZYGOS_GYRO_SHARE * least) ? gyro_variance : 0.0;
     find_places(self, config, layout);
     for (uint32_t i = 0; (i < n) && (config->compensation != 0); i++) {
         self->drift.slip[i] = config->period_s * (self->rate_variance[i] + self->rate_variance[n + i]);

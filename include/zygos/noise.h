@@ -26,6 +26,9 @@
 extern "C" {
 #endif
 
+/// A gyro whose variance is below this share of that of every link's rate is taken to be exact.
+#define ZYGOS_GYRO_SHARE 1e-4
+
 /// Where the noise of one sensor shows, in ascending order.
 typedef struct {
     uint32_t count;
@@ -38,7 +41,7 @@ typedef struct {
     /// value, covariance / value, what is left of the rate [rad, rad/s].
     double factor[2 * ZYGOS_MAX_JOINTS][3];
     double rate_variance[2 * ZYGOS_MAX_JOINTS]; ///< [rad^2/s^2]
-    double gyro_variance;                       ///< Of a smoothed component [rad^2/s^2].
+    double gyro_variance;                       ///< Of a smoothed component, or 0 [rad^2/s^2].
     zygos_drift_t drift;                        ///< Mean growth of the dissipation, and of effects, in a step.
     zygos_places_t angle[2 * ZYGOS_MAX_JOINTS]; ///< Of the value; where it latches late, also those of the rate.
     zygos_places_t rate[2 * ZYGOS_MAX_JOINTS];
