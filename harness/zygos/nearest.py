@@ -86,7 +86,7 @@ def nearest_bodies(
         return Model(drawing.name, bodies, plain).base_values(arm)[rows]
 
     y = np.zeros(start.size)
-    jacobian = _jacobian(base, start, sizes) * units
+    jacobian = differentiate(base, start, sizes) * units
     weights = np.linalg.norm(jacobian, axis=1)
     # a product of two entries that are both zero moves with neither, until one of them has moved
     weights[weights == 0.0] = weights.max()
@@ -103,7 +103,7 @@ def nearest_bodies(
             share /= 2
         y = y + share * towards
         error = _error(base(start + units * y), wanted, weights)
-        jacobian = _jacobian(base, start + units * y, sizes) * units
+        jacobian = differentiate(base, start + units * y, sizes) * units
         if error < _CLOSE and np.linalg.norm(share * towards) < 1e-9 * (1.0 + np.linalg.norm(y)):
             break
     if not error < _CLOSE:
@@ -179,7 +179,7 @@ def _body(body: Body, entries: Array) -> Body:
     return replace(body, mass=mass, origin_xyz=(x, y, z), inertia=(ixx, ixy, ixz, iyy, iyz, izz))
 
 
-def _jacobian(base: Callable[[Array], Array], at: Array, sizes: Array) -> Array:
+def differentiate(base: Callable[[Array], Array], at: Array, sizes: Array) -> Array:
     """(p, 10 (N+1)) by fourth-order central differences."""
     columns = []
     for index, size in enumerate(sizes):
