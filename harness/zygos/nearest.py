@@ -86,7 +86,7 @@ def nearest_bodies(
         return Model(drawing.name, bodies, plain).base_values(arm)[rows]
 
     y = np.zeros(start.size)
-    jacobian = differentiate(base, start, sizes) * units
+    jacobian = _jacobian(base, start, sizes) * units
     weights = np.linalg.norm(jacobian, axis=1)
     # a product of two entries that are both zero moves with neither, until one of them has moved
     weights[weights == 0.0] = weights.max()
@@ -103,14 +103,14 @@ def nearest_bodies(
             share /= 2
         y = y + share * towards
         error = _error(base(start + units * y), wanted, weights)
-        jacobian = differentiate(base, start + units * y, sizes) * units
+        jacobian = _jacobian(base, start + units * y, sizes) * units
         if error < _CLOSE and np.linalg.norm(share * towards) < 1e-9 * (1.0 + np.linalg.norm(y)):
             break
     if not error < _CLOSE:
         raise Undecided(
             f"no bodies near model {drawing.name} have the base parameters of model {given.name}; remedy: see whether "
             "both are of the same arm with the same lengths; with its noise, an estimate of an arm in space is that of "
-            "no bodies"
+            "no bodies: fit some with `zygos fit`, and export those"
         )
     y[np.abs(y) < _UNMOVED] = 0.0
     _, singular, directions = np.linalg.svd(jacobian / weights[:, None])
@@ -179,7 +179,7 @@ def _body(body: Body, entries: Array) -> Body:
     return replace(body, mass=mass, origin_xyz=(x, y, z), inertia=(ixx, ixy, ixz, iyy, iyz, izz))
 
 
-def differentiate(base: Callable[[Array], Array], at: Array, sizes: Array) -> Array:
+def _jacobian(base: Callable[[Array], Array], at: Array, sizes: Array) -> Array:
     """(p, 10 (N+1)) by fourth-order central differences."""
     columns = []
     for index, size in enumerate(sizes):
@@ -204,5 +204,6 @@ def _check_possible(body: Body, drawing: Model, given: Model) -> None:
     if wrong:
         raise Undecided(
             f"the bodies nearest to model {drawing.name} with the base parameters of model {given.name} cannot exist: "
-            f"{body.name} has {wrong}; remedy: a longer run, or sigmas in the drawing for what is least certain there"
+            f"{body.name} has {wrong}; remedy: fit bodies that can with `zygos fit`, a longer run, or sigmas in the drawing for what is "
+            "least certain there"
         )

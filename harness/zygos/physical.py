@@ -8,6 +8,7 @@ rigid-body inertia", RA-L 2022), and what the estimate does not say stays as the
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -21,7 +22,6 @@ from zygos import gram
 from zygos.arm import Arm
 from zygos.errors import Undecided, ZygosError
 from zygos.model import INERTIA_KEYS, Body, JointModel, Model, Quantity
-from zygos.nearest import differentiate
 
 Array = NDArray[np.float64]
 
@@ -34,6 +34,11 @@ _DEPENDENT = 1e-11
 """Columns whose scaled normal matrix has a smaller eigenvalue depend on each other, as in c/solver.c."""
 _STEPS = 4
 """Of the path from the drawing to the estimate."""
+_ROUGH, _CLOSE = 1e-3, 1e-10
+"""Tolerances of the steps on the way, and of the last."""
+_STEP = 1e-5
+"""Of numerical differentiation."""
+_UPPER = np.triu_indices(3)
 _DRIVE_KEYS = {"Im": "rotor_inertia", "k": "stiffness", "b": "damping"}
 
 
@@ -107,113 +112,109 @@ def observe(names: Sequence[str], report: Mapping[str, Any]) -> Observed:
     inner = scaled[np.ix_(own, own)]
     if others:
         cross = scaled[np.ix_(own, others)]
-        inner = inner - cross @ np.linalg.pinv(scaled[np.ix_(others, others)], rcond=_DEPENDENT, hermitian=True) @ cross.T
+        inner = (
+            inner - cross @ np.linalg.pinv(scaled[np.ix_(others, others)], rcond=_DEPENDENT, hermitian=True) @ cross.T
+        )
     eigen, vectors = np.linalg.eigh(inner)
     kept = eigen > _DEPENDENT * eigen[-1]
     root = np.sqrt(eigen[kept, None] / np.median(ratio)) * vectors[:, kept].T / scale[own]
     return Observed(solution[own], root, int(report["blocks"]))
 
 
-@dataclass(frozen=True)
 class Coordinates:
     """Numbers y, zero at the drawing and one where it is off by a standard deviation, for arms near the drawing.
 
-    Ten of each body: log mass, mass centre in radii of gyration, and the factor E (lower triangular, logarithms on the
-    diagonal) that the Cholesky factor of its second moment per mass is multiplied with. Then the lengths, and the
+    Of each body: log mass, the factor E (lower triangular, logarithms on the diagonal) that the Cholesky factor of its
+    second moment per mass is multiplied with, and the mass centre in radii of gyration. Then the lengths, and the
     logarithms of Im, k and b. A drawing is taken to be right to a factor of e, or a radius of gyration.
     """
 
-    arm: Arm
-    drawing: Model
-    length_sigma: float
-    """Of each component of a length, m; 0: exact."""
-
-    @property
-    def bodies(self) -> range:
+    def __init__(self, arm: Arm, drawing: Model, length_sigma: float) -> None:
+        """length_sigma: of each component of a length, m; 0: exact. Errors: ZygosError if the drawing does not fit the
+        arm, or a value of it that can have any size is zero."""
+        drawing.base_values(arm)
+        for kind, i, _ in arm.joint_parameters:
+            start = getattr(drawing.joints[i], _DRIVE_KEYS[kind]).value
+            if not 0.0 < start < np.inf:
+                raise ZygosError(
+                    f"model {drawing.name}: {_DRIVE_KEYS[kind]} of joint {drawing.joints[i].name} is {start:g}, and no "
+                    "factor makes another value of it; remedy: state its order of magnitude"
+                )
+        self.arm = arm
+        self.drawing = drawing
+        self.length_sigma = length_sigma
+        self.bodies = range(0 if arm.free else 1, arm.n + 1)
         """Those that move."""
-        return range(0 if self.arm.free else 1, self.arm.n + 1)
-
-    @property
-    def places(self) -> list[tuple[int, Array]]:
-        """Body and unit vector of each length that may be off. In a plane lengths along the axis have no effect."""
-        if self.length_sigma == 0.0:
-            return []
-        return [(i, vector) for i in self.bodies if i < self.arm.n for vector in self._directions(i)]
-
-    @property
-    def size(self) -> int:
-        """Number of coordinates."""
-        centres = sum(len(self._directions(i)) for i in self.bodies)
-        return 7 * len(self.bodies) + centres + len(self.places) + len(self.arm.joint_parameters)
-
-    @property
-    def of_lengths(self) -> slice:
+        self._directions = {i: self._movable(i) for i in self.bodies}
+        self._roots = {i: _root(drawing.bodies[i]) for i in self.bodies}
+        self._places = [(i, d) for i in self.bodies if i < arm.n for d in self._directions[i]] if length_sigma else []
+        of_bodies = sum(7 + len(directions) for directions in self._directions.values())
+        self.of_lengths = slice(of_bodies, of_bodies + len(self._places))
         """Where the lengths stand in y."""
-        first = self.size - len(self.arm.joint_parameters)
-        return slice(first - len(self.places), first)
+        self.size = self.of_lengths.stop + len(arm.joint_parameters)
 
     def model(self, y: Array) -> Model:
         """The arm with these coordinates; sigmas 0."""
         bodies = list(self.drawing.bodies)
-        rest = list(y)
+        first = 0
         for i in self.bodies:
-            count = 7 + len(self._directions(i))
-            bodies[i] = self._body(i, np.array(rest[:count]))
-            rest = rest[count:]
-        for (i, vector), shift in zip(self.places, y[self.of_lengths], strict=True):
-            x, y_, z = np.array(bodies[i].joint_xyz) + self.length_sigma * shift * vector
-            bodies[i] = replace(bodies[i], joint_xyz=(float(x), float(y_), float(z)))
-        values: dict[int, dict[str, float]] = {}
+            count = 7 + len(self._directions[i])
+            bodies[i] = self._body(i, y[first : first + count])
+            first += count
+        for (i, direction), off in zip(self._places, y[self.of_lengths], strict=True):
+            bodies[i] = replace(bodies[i], joint_xyz=_moved(bodies[i].joint_xyz, self.length_sigma * off * direction))
+        joints = list(self.drawing.joints)
         for (kind, i, _), log in zip(self.arm.joint_parameters, y[self.of_lengths.stop :], strict=True):
             key = _DRIVE_KEYS[kind]
-            values.setdefault(i, {})[key] = getattr(self.drawing.joints[i], key).value * float(np.exp(log))
-        joints = tuple(_drive(joint, values.get(i, {})) for i, joint in enumerate(self.drawing.joints))
-        return Model(self.drawing.name, tuple(bodies), joints)
+            drawn = getattr(joints[i], key)
+            joints[i] = replace(
+                joints[i], **{key: Quantity(drawn.value * float(np.exp(log)), 0.0, "zygos", drawn.unit)}
+            )
+        return Model(self.drawing.name, tuple(bodies), tuple(joints))
 
-    def _directions(self, i: int) -> Array:
-        """(d, 3) in body i's frame: where its mass centre and the next joint may move with any effect, and, on a
-        planar-symmetric arm, without leaving the line of the joints."""
-        if self.arm.spatial:
-            return np.eye(3)
-        attitude = self.arm.frames[i]
-        along = self._line()
-        vectors = [along] if self.arm.kinetic == "planar-symmetric" else [along, np.cross(self.arm.axis, along)]
-        return np.array(vectors) @ attitude
-
-    def _line(self) -> Array:
-        """(3,) across the axis in the base frame of a stretched planar arm: from the first joint to the last centre."""
-        last = self.drawing.bodies[-1].origin_xyz
-        places = [
-            self.arm.frames[i] @ np.array(body.joint_xyz if i < self.arm.n else last)
-            for i, body in enumerate(self.drawing.bodies)
-            if i > 0
-        ]
-        across = np.array(places) @ (np.eye(3) - np.outer(self.arm.axis, self.arm.axis))
-        longest = across[np.argmax(np.linalg.norm(across, axis=1))]
-        length = float(np.linalg.norm(longest))
-        line: Array = longest / length if length > 0.0 else np.linalg.svd(self.arm.axis[None])[2][1]
-        return line
+    def base(self, y: Array) -> Array:
+        """(p,) base parameters of the arm at y."""
+        return self.model(y).base_values(self.arm)
 
     def _body(self, i: int, y: Array) -> Body:
         drawn = self.drawing.bodies[i]
         mass = drawn.mass.value * float(np.exp(y[0]))
-        per_mass = _second_moment(drawn) / drawn.mass.value
         factor = np.diag(np.exp(y[1:4]))
-        factor[np.tril_indices(3, -1)] = y[4:7]
-        root = np.linalg.cholesky(per_mass) @ factor
+        factor[1, 0], factor[2, 0], factor[2, 1] = y[4:7]
+        root = self._roots[i] @ factor
         second = mass * root @ root.T
         tensor = np.trace(second) * np.eye(3) - second
-        shift = np.sqrt(np.trace(per_mass)) * y[7:] @ self._directions(i)
-        cx, cy, cz = (np.array(drawn.origin_xyz) + shift).tolist()
-        ixx, ixy, ixz, iyy, iyz, izz = (
-            Quantity(float(entry), 0.0, "zygos", "kg m^2") for entry in tensor[np.triu_indices(3)]
-        )
+        ixx, ixy, ixz, iyy, iyz, izz = (Quantity(entry, 0.0, "zygos", "kg m^2") for entry in tensor[_UPPER].tolist())
+        gyration = float(np.linalg.norm(self._roots[i]))
         return replace(
             drawn,
             mass=Quantity(mass, 0.0, "zygos", "kg"),
-            origin_xyz=(cx, cy, cz),
+            origin_xyz=_moved(drawn.origin_xyz, gyration * y[7:] @ self._directions[i]),
             inertia=(ixx, ixy, ixz, iyy, iyz, izz),
         )
+
+    def _movable(self, i: int) -> Array:
+        """(d, 3) directions in body i's frame in which its mass centre and the next joint may be off: on a planar arm
+        across the axis, for nothing else has an effect; on a planar-symmetric one along the line of its joints."""
+        if self.arm.spatial:
+            return np.eye(3)
+        along = self._line()
+        vectors = [along] if self.arm.kinetic == "planar-symmetric" else [along, np.cross(self.arm.axis, along)]
+        directions: Array = np.array(vectors) @ self.arm.frames[i]
+        return directions
+
+    def _line(self) -> Array:
+        """(3,) across the axis, in the base frame of the stretched arm: the longest way from a joint to the next, or
+        from the last one to the mass centre."""
+        ways = [body.joint_xyz or body.origin_xyz for body in self.drawing.bodies[1:]]
+        stretched = np.einsum("iab,ib->ia", self.arm.frames[1:], np.array(ways))
+        across = stretched - np.outer(stretched @ self.arm.axis, self.arm.axis)
+        longest: Array = across[np.argmax(np.linalg.norm(across, axis=1))]
+        if not longest.any():
+            raise ZygosError(
+                f"model {self.drawing.name}: joints and mass centres lie on one axis; remedy: state the lengths"
+            )
+        return longest / np.linalg.norm(longest)
 
 
 def entries_of_model(arm: Arm, model: Model) -> dict[str, Quantity]:
@@ -242,28 +243,16 @@ def fit_bodies(
     to it along a line, on which every N is, for these matrices form a convex set; and the fit follows in steps, each
     starting from the one before. Errors: ZygosError if the drawing does not fit the arm.
     """
-    drawing.base_values(replace(arm))
     where = Coordinates(arm, drawing, length_sigma)
-
-    def base(y: Array) -> Array:
-        return where.model(y).base_values(arm)
-
     nearest, least = nearest_matrix(arm, drawing, observed)
     y = np.zeros(where.size)
-    start = base(y)
-    path = [start + t * (nearest - start) for t in np.linspace(0.0, 1.0, _STEPS + 1)[1:]]
-    for step, target in enumerate([*path, observed.value]):
-        progress((step + 1) / (_STEPS + 2))
-
-        def residual(at: Array, target: Array = target) -> Array:
-            return np.concatenate([observed.root @ (base(at) - target), at])
-
-        def slope(at: Array) -> Array:
-            return np.vstack([observed.root @ differentiate(base, at, np.ones(where.size)), np.eye(where.size)])
-
-        y = least_squares(residual, y, slope, method="lm", xtol=1e-10, ftol=1e-10, max_nfev=100).x
-    value = base(y)
-    slope_of_base = differentiate(base, y, np.ones(where.size))
+    start = where.base(y)
+    targets = [*(start + step / _STEPS * (nearest - start) for step in range(1, _STEPS + 1)), observed.value]
+    for step, target in enumerate(targets):
+        progress(step / len(targets))
+        y = _least_squares(where, observed.root, target, y, _CLOSE if step == _STEPS else _ROUGH)
+    value = where.base(y)
+    slope_of_base = _slope(where.base, y)
     missing = observed.root @ (value - observed.value)
     lengths = y[where.of_lengths]
     spread = np.linalg.inv(np.eye(where.size) + (observed.root @ slope_of_base).T @ (observed.root @ slope_of_base))
@@ -319,11 +308,16 @@ def nearest_matrix(arm: Arm, drawing: Model, observed: Observed) -> tuple[Array,
             cvxpy.multiply(drive_units, drives),
         ]
     )
-    # chi^2 of a bad estimate is huge; its size is taken out for the solver
-    off = observed.root @ (drawn - observed.value)
-    length = max(1.0, float(np.linalg.norm(off)))
-    problem = cvxpy.Problem(cvxpy.Minimize(cvxpy.sum_squares((observed.root / length) @ (x - observed.value))))
-    problem.solve(solver=cvxpy.CLARABEL)
+    problem = cvxpy.Problem(cvxpy.Minimize(cvxpy.sum_squares(observed.root @ x - observed.root @ observed.value)))
+    with warnings.catch_warnings():
+        # of a solution that is good to fewer digits: it is a start, and a bound on a number of a few digits
+        warnings.simplefilter("ignore", UserWarning)
+        problem.solve(solver=cvxpy.CLARABEL)
+    if x.value is None:
+        raise Undecided(
+            f"Clarabel finds no arm near the estimate ({problem.status}); remedy: see whether the estimate is that of "
+            f"arm {arm.name}, and model {drawing.name} in SI units"
+        )
     value: Array = np.asarray(x.value, dtype=float)
     gone = observed.root @ (value - observed.value)
     return value, float(gone @ gone)
@@ -363,25 +357,36 @@ def _linear(arm: Arm) -> tuple[Array, Array]:
     return np.array([row.ravel() for row in rows]), rotor
 
 
-def _second_moment(body: Body) -> Array:
-    """(3, 3) of the mass about its centre, kg m^2, at least THINNEST thick."""
-    second = 0.5 * np.trace(body.tensor) * np.eye(3) - body.tensor
+def _least_squares(where: Coordinates, root: Array, target: Array, start: Array, tolerance: float) -> Array:
+    """The y that minimises |root (base(y) - target)|^2 + |y|^2."""
+
+    def residual(y: Array) -> Array:
+        return np.concatenate([root @ (where.base(y) - target), y])
+
+    def slope(y: Array) -> Array:
+        return np.vstack([root @ _slope(where.base, y), np.eye(where.size)])
+
+    found: Array = least_squares(residual, start, slope, method="lm", xtol=tolerance, ftol=tolerance, max_nfev=100).x
+    return found
+
+
+def _slope(function: Callable[[Array], Array], y: Array) -> Array:
+    """Jacobian by central differences; every coordinate is of order one."""
+    steps = _STEP * np.eye(len(y))
+    return np.array([(function(y + step) - function(y - step)) / (2.0 * _STEP) for step in steps]).T
+
+
+def _root(body: Body) -> Array:
+    """(3, 3) Cholesky factor of the second moment per mass about the centre, at least THINNEST thick, m."""
+    second = (0.5 * np.trace(body.tensor) * np.eye(3) - body.tensor) / body.mass.value
     eigen, vectors = np.linalg.eigh(second)
-    thick: Array = (vectors * np.maximum(eigen, THINNEST * eigen[-1])) @ vectors.T
-    return thick
+    root: Array = np.linalg.cholesky((vectors * np.maximum(eigen, THINNEST * eigen[-1])) @ vectors.T)
+    return root
 
 
-def _drive(joint: JointModel, values: dict[str, float]) -> JointModel:
-    return JointModel(
-        joint.name,
-        joint.rotor_mass if not joint.rotor_mass.sigma else replace(joint.rotor_mass, sigma=0.0),
-        *(
-            Quantity(values[key], 0.0, "zygos", getattr(joint, key).unit)
-            if key in values
-            else replace(getattr(joint, key), sigma=0.0)
-            for key in _DRIVE_KEYS.values()
-        ),
-    )
+def _moved(place: tuple[float, float, float] | None, by: Array) -> tuple[float, float, float]:
+    x, y, z = np.add(place, by).tolist()
+    return x, y, z
 
 
 def _with_sigmas(where: Coordinates, y: Array, spread: Array) -> tuple[Model, dict[str, float]]:
@@ -390,7 +395,7 @@ def _with_sigmas(where: Coordinates, y: Array, spread: Array) -> tuple[Model, di
     def entries(at: Array) -> Array:
         return np.array([entry.value for entry in entries_of_model(where.arm, where.model(at)).values()])
 
-    slope = differentiate(entries, y, np.ones(where.size))
+    slope = _slope(entries, y)
     after = np.sqrt(np.sum((slope @ spread) * slope, axis=1))
     before = np.linalg.norm(slope, axis=1)
     model = where.model(y)
