@@ -9,8 +9,10 @@ rigid-body inertia", RA-L 2022), and what the estimate does not say stays as the
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -32,6 +34,8 @@ THINNEST = 1e-4
 
 _DEPENDENT = 1e-11
 """Columns whose scaled normal matrix has a smaller eigenvalue depend on each other, as in c/solver.c."""
+_SHARPEST = 1e-6
+"""Relative sigma of a combination of parameters, at least."""
 _STEPS = 4
 """Of the path from the drawing to the estimate."""
 _ROUGH, _CLOSE = 1e-3, 1e-10
@@ -49,7 +53,7 @@ class Observed:
     value: Array
     """(p,) least squares for all of them; NaN for none."""
     root: Array
-    """(r, p): chi^2 of base parameters x is |root (x - value)|^2; directions that the motion did not excite drop out."""
+    """(r, p): |root (x - value)|^2 is chi^2 of base parameters x; what the motion did not excite has no row."""
     blocks: int
     """Of the jackknife that chi^2 is scaled by."""
 
@@ -118,7 +122,9 @@ def observe(names: Sequence[str], report: Mapping[str, Any]) -> Observed:
     eigen, vectors = np.linalg.eigh(inner)
     kept = eigen > _DEPENDENT * eigen[-1]
     root = np.sqrt(eigen[kept, None] / np.median(ratio)) * vectors[:, kept].T / scale[own]
-    return Observed(solution[own], root, int(report["blocks"]))
+    # sharper than this no estimate is, but for one without any noise, and no solver takes it
+    sharp = np.linalg.norm(root * solution[own], axis=1)[:, None] * _SHARPEST
+    return Observed(solution[own], root / np.maximum(1.0, sharp), int(report["blocks"]))
 
 
 class Coordinates:
@@ -162,14 +168,13 @@ class Coordinates:
             bodies[i] = self._body(i, y[first : first + count])
             first += count
         for (i, direction), off in zip(self._places, y[self.of_lengths], strict=True):
-            bodies[i] = replace(bodies[i], joint_xyz=_moved(bodies[i].joint_xyz, self.length_sigma * off * direction))
+            x, y_, z = (_reach(bodies[i]) + self.length_sigma * off * direction).tolist()
+            bodies[i] = replace(bodies[i], joint_xyz=(x, y_, z))
         joints = list(self.drawing.joints)
         for (kind, i, _), log in zip(self.arm.joint_parameters, y[self.of_lengths.stop :], strict=True):
             key = _DRIVE_KEYS[kind]
             drawn = getattr(joints[i], key)
-            joints[i] = replace(
-                joints[i], **{key: Quantity(drawn.value * float(np.exp(log)), 0.0, "zygos", drawn.unit)}
-            )
+            joints[i] = _with(joints[i], {key: Quantity(drawn.value * float(np.exp(log)), 0.0, "zygos", drawn.unit)})
         return Model(self.drawing.name, tuple(bodies), tuple(joints))
 
     def base(self, y: Array) -> Array:
@@ -184,13 +189,13 @@ class Coordinates:
         root = self._roots[i] @ factor
         second = mass * root @ root.T
         tensor = np.trace(second) * np.eye(3) - second
-        ixx, ixy, ixz, iyy, iyz, izz = (Quantity(entry, 0.0, "zygos", "kg m^2") for entry in tensor[_UPPER].tolist())
         gyration = float(np.linalg.norm(self._roots[i]))
+        x, y_, z = (np.array(drawn.origin_xyz) + gyration * y[7:] @ self._directions[i]).tolist()
         return replace(
             drawn,
             mass=Quantity(mass, 0.0, "zygos", "kg"),
-            origin_xyz=_moved(drawn.origin_xyz, gyration * y[7:] @ self._directions[i]),
-            inertia=(ixx, ixy, ixz, iyy, iyz, izz),
+            origin_xyz=(x, y_, z),
+            inertia=_six(Quantity(entry, 0.0, "zygos", "kg m^2") for entry in tensor[_UPPER].tolist()),
         )
 
     def _movable(self, i: int) -> Array:
@@ -218,7 +223,7 @@ class Coordinates:
 
 
 def entries_of_model(arm: Arm, model: Model) -> dict[str, Quantity]:
-    """What a fit moves and a model file has a sigma for, by name: of each body mass and inertia, of each drive Im, k, b."""
+    """By name what a fit moves and a model file has a sigma for: mass and inertia of the bodies, Im, k, b."""
     listed: dict[str, Quantity] = {}
     for body in model.bodies[0 if arm.free else 1 :]:
         listed[f"{body.name} mass"] = body.mass
@@ -255,18 +260,20 @@ def fit_bodies(
     slope_of_base = _slope(where.base, y)
     missing = observed.root @ (value - observed.value)
     lengths = y[where.of_lengths]
-    spread = np.linalg.inv(np.eye(where.size) + (observed.root @ slope_of_base).T @ (observed.root @ slope_of_base))
-    rows = np.vstack([observed.root @ slope_of_base, np.eye(where.size)[where.of_lengths]])
-    dof = float(len(rows) - np.sum((rows @ spread) * rows))
+    rows = np.vstack([observed.root @ slope_of_base, np.eye(where.size)])
+    # a root of the covariance of y
+    spread = np.linalg.inv(np.linalg.qr(rows, mode="r"))
+    tested = np.vstack([rows[: -where.size], rows[-where.size :][where.of_lengths]])
+    dof = float(len(tested) - np.sum((tested @ spread) ** 2))
     model, known = _with_sigmas(where, y, spread)
     return Fit(
         model=model,
         value=value,
-        covariance=slope_of_base @ spread @ slope_of_base.T,
+        covariance=(slope_of_base @ spread) @ (slope_of_base @ spread).T,
         known=known,
         lengths=np.array(
             [
-                np.subtract(after.joint_xyz, before.joint_xyz)
+                _reach(after) - _reach(before)
                 for after, before in zip(model.bodies[:-1], drawing.bodies[:-1], strict=True)
             ]
         ),
@@ -285,7 +292,8 @@ def nearest_matrix(arm: Arm, drawing: Model, observed: Observed) -> tuple[Array,
     alone. Errors: ZygosError if cvxpy or Clarabel is missing.
     """
     try:
-        import cvxpy  # noqa: PLC0415  (an extra, and slow to load)
+        cvxpy = import_module("cvxpy")
+        import_module("clarabel")
     except ImportError:
         raise ZygosError("fitting needs cvxpy and Clarabel; remedy: pip install 'zygos[fit]'") from None
     drawn = drawing.base_values(arm)
@@ -312,7 +320,8 @@ def nearest_matrix(arm: Arm, drawing: Model, observed: Observed) -> tuple[Array,
     with warnings.catch_warnings():
         # of a solution that is good to fewer digits: it is a start, and a bound on a number of a few digits
         warnings.simplefilter("ignore", UserWarning)
-        problem.solve(solver=cvxpy.CLARABEL)
+        with suppress(cvxpy.SolverError):
+            problem.solve(solver=cvxpy.CLARABEL)
     if x.value is None:
         raise Undecided(
             f"Clarabel finds no arm near the estimate ({problem.status}); remedy: see whether the estimate is that of "
@@ -324,7 +333,7 @@ def nearest_matrix(arm: Arm, drawing: Model, observed: Observed) -> tuple[Array,
 
 
 def _linear(arm: Arm) -> tuple[Array, Array]:
-    """Kinetic parameters from N of the bodies without rotors (c, V^2), row by row, and from Im, k, b (c, 3 N or fewer)."""
+    """Kinetic parameters from N of the bodies without rotors, (c, V^2), and from Im, k, b, (c, at most 3 N)."""
     kinds = arm.joint_parameters
     if arm.spatial:
         size = gram.directions(arm)
@@ -370,6 +379,15 @@ def _least_squares(where: Coordinates, root: Array, target: Array, start: Array,
     return found
 
 
+def _six(entries: Iterable[Quantity]) -> tuple[Quantity, Quantity, Quantity, Quantity, Quantity, Quantity]:
+    ixx, ixy, ixz, iyy, iyz, izz = entries
+    return ixx, ixy, ixz, iyy, iyz, izz
+
+
+def _with(joint: JointModel, changed: dict[str, Any]) -> JointModel:
+    return replace(joint, **changed)
+
+
 def _slope(function: Callable[[Array], Array], y: Array) -> Array:
     """Jacobian by central differences; every coordinate is of order one."""
     steps = _STEP * np.eye(len(y))
@@ -384,19 +402,20 @@ def _root(body: Body) -> Array:
     return root
 
 
-def _moved(place: tuple[float, float, float] | None, by: Array) -> tuple[float, float, float]:
-    x, y, z = np.add(place, by).tolist()
-    return x, y, z
+def _reach(body: Body) -> Array:
+    """(3,) where the next joint stands, m; of the last body zero."""
+    return np.array(body.joint_xyz or (0.0, 0.0, 0.0))
 
 
-def _with_sigmas(where: Coordinates, y: Array, spread: Array) -> tuple[Model, dict[str, float]]:
-    """The arm at y with the sigmas that the coordinates' covariance gives each entry, and how much of each is known."""
+def _with_sigmas(where: Coordinates, y: Array, spread: NDArray[Any]) -> tuple[Model, dict[str, float]]:
+    """The arm at y with the sigmas that the coordinates' covariance, spread spread', gives each entry, and how much of
+    each is known."""
 
     def entries(at: Array) -> Array:
         return np.array([entry.value for entry in entries_of_model(where.arm, where.model(at)).values()])
 
     slope = _slope(entries, y)
-    after = np.sqrt(np.sum((slope @ spread) * slope, axis=1))
+    after = np.linalg.norm(slope @ spread, axis=1)
     before = np.linalg.norm(slope, axis=1)
     model = where.model(y)
     names = list(entries_of_model(where.arm, model))
@@ -405,7 +424,7 @@ def _with_sigmas(where: Coordinates, y: Array, spread: Array) -> tuple[Model, di
         replace(
             body,
             mass=replace(body.mass, sigma=sigma[f"{body.name} mass"]),
-            inertia=tuple(
+            inertia=_six(
                 replace(entry, sigma=sigma[f"{body.name} {key}"])
                 for key, entry in zip(INERTIA_KEYS, body.inertia, strict=True)
             ),
@@ -415,9 +434,9 @@ def _with_sigmas(where: Coordinates, y: Array, spread: Array) -> tuple[Model, di
         for i, body in enumerate(model.bodies)
     )
     joints = tuple(
-        replace(
+        _with(
             joint,
-            **{
+            {
                 key: replace(getattr(joint, key), sigma=sigma[f"{joint.name} {key}"])
                 for key in _DRIVE_KEYS.values()
                 if f"{joint.name} {key}" in sigma

@@ -53,8 +53,8 @@ def fit_estimate(
                 if found.least > found.limit * found.dof
                 else ", though some positive definite N does"
             )
-            + f"; remedy: compare axes, frame_rpy, ratios and zeros of {arm_file} and the lengths of {drawing_file} with "
-            "the arm, and see whether the estimate is its"
+            + f"; remedy: compare axes, frame_rpy, ratios and zeros of {arm_file} and the lengths of {drawing_file} "
+            "with the arm, and see whether the estimate is its"
         )
 
 
@@ -74,9 +74,10 @@ def read_estimate(path: Path) -> dict[str, Any]:
     count = len(content["parameters"])
     if np.shape(content["solution"]) != (count,) or np.shape(content["normal"]) != (count, count):
         raise ZygosError(
-            f"{path}: solution and normal are not of {count} parameters; remedy: give what `zygos estimate --json` wrote"
+            f"{path}: solution and normal are not of {count} parameters; remedy: give it as `zygos estimate` wrote it"
         )
-    return content
+    report: dict[str, Any] = content
+    return report
 
 
 def _effects(arm: Arm, drawing: Model, report: dict[str, Any]) -> tuple[Effect, ...]:
