@@ -72,7 +72,15 @@ def read_estimate(path: Path) -> dict[str, Any]:
     if missing:
         raise ZygosError(f"{path}: has no {', '.join(missing)}; remedy: give what `zygos estimate --json` wrote")
     count = len(content["parameters"])
-    if np.shape(content["solution"]) != (count,) or np.shape(content["normal"]) != (count, count):
+    # a refused estimate has no solution
+    given = [content["normal"]] + ([content["solution"]] if content["validity"] != "refused" else [])
+    try:
+        arrays = [np.array(entry, dtype=float) for entry in given]
+        good = [array.shape for array in arrays] == [(count, count), (count,)][: len(arrays)]
+        good = good and all(np.isfinite(array).all() for array in arrays)
+    except (TypeError, ValueError):
+        good = False
+    if not good:
         raise ZygosError(
             f"{path}: solution and normal are not of {count} parameters; remedy: give it as `zygos estimate` wrote it"
         )
