@@ -330,6 +330,32 @@ def export(
 
 
 @app.command()
+def fit(
+    estimate: Annotated[Path, typer.Argument(metavar="ESTIMATE.json", help="What `zygos estimate --json` wrote.")],
+    arm: Annotated[Path, typer.Option("--arm", metavar="ARM.toml", help="The hardware.")],
+    model: Annotated[Path, typer.Option("--model", metavar="CAD.toml", help="The drawing, a model by bodies.")],
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="MODEL.toml", help="The model by bodies to write.")],
+    lengths: Annotated[
+        float, typer.Option(metavar="MM", min=0.0, help="One sigma of the drawing's lengths, mm; 0: they are exact.")
+    ] = 1.0,
+    json: Json = None,
+) -> None:
+    """Find the arm behind an estimate: bodies that can exist, lengths and drives that explain it.
+
+    Numbers with noise are those of no arm; bodies are. Every matrix N of theirs is positive definite, and predicts
+    inertias better than the estimate itself. What the estimate does not say stays as in CAD.toml. chi^2/dof says how
+    well the arm explains the estimate. Needs the extra: pip install 'zygos\\[fit]'.
+
+    Exit code 3 when no arm with these axes, and lengths near the drawing's, explains it; then nothing is written.
+
+    Example: zygos fit out/estimate.json --arm out/arm.toml --model examples/spatial/model.toml -o out/fitted.toml
+    """
+    from zygos.physical_command import fit_estimate  # noqa: PLC0415
+
+    fit_estimate(estimate, arm, model, out, lengths * 1e-3, json)
+
+
+@app.command()
 def dbc(
     arm: Annotated[Path, typer.Option("--arm", metavar="ARM.toml", help="The hardware.")],
     out: Annotated[Path, typer.Option("-o", "--out", metavar="ARM.dbc", help="The DBC to write.")],

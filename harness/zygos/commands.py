@@ -221,6 +221,8 @@ def report_estimate(result: Estimate, flight: Flight, heading: Mapping[str, Any]
         ],
         "solution": result.solution.tolist(),
         "covariance": result.covariance.tolist(),
+        # of the normal equations: how the columns lie to each other in the motion, which `zygos fit` weighs with
+        "normal": flight.normal_equations()[0].tolist(),
     }
 
 

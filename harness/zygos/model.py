@@ -25,7 +25,7 @@ SOURCES = ("CAD", "test", "zygos")
 _LARGEST = 1e12
 """Of masses, inertias, stiffnesses, dampings and sigmas, in SI units. A station has 1e9 kg m^2."""
 _FARTHEST_M = 1e6
-_INERTIA_KEYS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+INERTIA_KEYS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _JOINT_UNITS = {"rotor_mass": "kg", "rotor_inertia": "kg m^2", "stiffness": "Nm/rad", "damping": "Nms/rad"}
 
 
@@ -301,7 +301,7 @@ def save_model(model: Model, path: str | Path) -> None:
             entry["name"] = body.name
             entry["mass"] = _inline(body.mass)
             entry["origin_xyz"] = list(body.origin_xyz)
-            for key, quantity in zip(_INERTIA_KEYS, body.inertia, strict=True):
+            for key, quantity in zip(INERTIA_KEYS, body.inertia, strict=True):
                 entry[key] = _inline(quantity)
             if body.joint_xyz is not None:
                 entry["joint_xyz"] = list(body.joint_xyz)
@@ -416,7 +416,7 @@ def _body(table: Table, source: str, *, first: bool, last: bool) -> Body:
     mass = _quantity(table, "mass", "kg", source, low=0.0, above=-np.inf if first else 0.0)
     origin = _vector3(table, "origin_xyz")
     ixx, ixy, ixz, iyy, iyz, izz = (
-        _quantity(table, key, "kg m^2", source, default=None if key[1] == key[2] else 0.0) for key in _INERTIA_KEYS
+        _quantity(table, key, "kg m^2", source, default=None if key[1] == key[2] else 0.0) for key in INERTIA_KEYS
     )
     if last and table.has("joint_xyz"):
         raise table.error("joint_xyz", "the last body carries no joint", "remove it")

@@ -110,7 +110,7 @@ def nearest_bodies(
         raise Undecided(
             f"no bodies near model {drawing.name} have the base parameters of model {given.name}; remedy: see whether "
             "both are of the same arm with the same lengths; with its noise, an estimate of an arm in space is that of "
-            "no bodies"
+            "no bodies: fit some with `zygos fit`, and export those"
         )
     y[np.abs(y) < _UNMOVED] = 0.0
     _, singular, directions = np.linalg.svd(jacobian / weights[:, None])
@@ -204,5 +204,6 @@ def _check_possible(body: Body, drawing: Model, given: Model) -> None:
     if wrong:
         raise Undecided(
             f"the bodies nearest to model {drawing.name} with the base parameters of model {given.name} cannot exist: "
-            f"{body.name} has {wrong}; remedy: a longer run, or sigmas in the drawing for what is least certain there"
+            f"{body.name} has {wrong}; remedy: fit bodies that can with `zygos fit`, a longer run, or sigmas in the "
+            "drawing for what is least certain there"
         )

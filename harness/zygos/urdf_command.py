@@ -229,7 +229,8 @@ def _chain_of(urdf: Path, arm: Arm, model: Model, base: str | None) -> Chain:
             if np.max(np.abs(own - other)) > _SAME * scale:
                 raise ZygosError(
                     f"{urdf}: the {what} of joint {hinge.name} is {own.tolist()}, but arm {arm.name} and model "
-                    f"{model.name} say {other.tolist()}; remedy: give the files of one and the same arm"
+                    f"{model.name} say {other.tolist()}; remedy: give the files of one and the same arm; a fit "
+                    "keeps the lengths of its drawing with `zygos fit --lengths 0`"
                 )
     return chain
 
