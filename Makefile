@@ -5,13 +5,13 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 NATIVE := harness/zygos/_native/libzygos.so
 SOURCES := $(wildcard c/*.c c/ports/host/*) $(wildcard include/zygos/*) tools/build_native.py
-C_FILES := $(wildcard c/*.c c/ports/*/*.[ch] include/zygos/*.h tests/fuzz/*.c tools/*.c)
+C_FILES := $(wildcard c/*.c c/ports/*/*.[ch] include/zygos/*.h tests/fuzz/*.c tests/bench/*.c tools/*.c)
 ifdef CI
 export CFLAGS += -Werror
 endif
 
 .DEFAULT_GOAL := demo
-.PHONY: demo build test hil gap demo-log lint format warnings clean help
+.PHONY: demo build test hil gap count accuracy demo-log lint format warnings clean help
 
 demo: build ## set up, run the paper's example over CAN, show the result (out/demo/report.html)
 	$(BIN)/python -m zygos.demo
@@ -31,14 +31,20 @@ $(VENV)/.test: $(VENV)/.core
 $(NATIVE): $(SOURCES) | $(VENV)/.core
 	$(BIN)/python tools/build_native.py $(@D)
 
-test: build $(VENV)/.test ## unit, bus and fuzz tests, a process for each core
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile tests/unit tests/bus tests/fuzz
+test: build $(VENV)/.test ## unit, bus, fuzz and bench tests, a process for each core
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile tests/unit tests/bus tests/fuzz tests/bench
 
 hil: build $(VENV)/.test ## the example across a real vcan (the kernel's, or User-Mode Linux)
 	tools/with-vcan $(BIN)/python -m pytest tests/hil
 
 gap: build $(VENV)/.test ## hide effects in a MuJoCo plant, explain them, score the verdicts (out/gap.json; 20 minutes)
 	PYTHONPATH=tests $(BIN)/python -m oracles.campaign
+
+count: build $(VENV)/.test ## count the instructions of a cycle, by valgrind (out/count.json)
+	PYTHONPATH=tests $(BIN)/python -m bench.count out/count.json
+
+accuracy: build $(VENV)/.test ## errors, coverage and refusals of all estimators (docs/accuracy.html; 10 minutes; SEEDS= DRAWS= SCHEDULER= CASES=)
+	$(BIN)/python -m zygos.accuracy $(CASES) $(if $(SEEDS),--seeds $(SEEDS)) $(if $(DRAWS),--draws $(DRAWS)) $(if $(SCHEDULER),--scheduler $(SCHEDULER))
 
 demo-log: build $(VENV)/.test ## write the logs of examples/gap/demo again
 	PYTHONPATH=tests $(BIN)/python -m oracles.demo_log

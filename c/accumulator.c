@@ -2,7 +2,6 @@
 
 #include <string.h>
 
-#define FIRST_TARGET ZYGOS_MIN_ARC_INSTANTS
 #define EPSILON 2.220446049250313e-16
 
 static double magnitude(double x)
@@ -10,41 +9,61 @@ static double magnitude(double x)
     return (x < 0.0) ? -x : x;
 }
 
-void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters)
+static uint32_t entries(uint32_t width)
+{
+    return width * (width + 1u) / 2u;
+}
+
+void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint64_t segment)
 {
     memset(self, 0, sizeof *self);
     self->width = parameters + 2u;
-    self->target = FIRST_TARGET;
+    self->target = (segment > ZYGOS_MIN_ARC_INSTANTS) ? segment : ZYGOS_MIN_ARC_INSTANTS;
 }
 
-/* Row sums from the matrix itself, where it was changed as a whole. */
-static void sum_rows(zygos_block_t *block, uint32_t width)
+/* Row sums of a packed lower triangle. */
+static void row_sums(const double *gram, uint32_t width, double *sum)
 {
-    memset(block->sum, 0, sizeof block->sum);
-    uint32_t k = 0;
+    memset(sum, 0, width * sizeof sum[0]);
     for (uint32_t i = 0; i < width; i++) {
         for (uint32_t j = 0; j < i; j++) {
-            block->sum[i] += block->gram[k];
-            block->sum[j] += block->gram[k];
-            k++;
+            sum[i] += *gram;
+            sum[j] += *gram;
+            gram++;
         }
-        block->sum[i] += block->gram[k];
-        k++;
+        sum[i] += *gram;
+        gram++;
     }
+}
+
+static void add_share(zygos_share_t *to, const zygos_share_t *from, double factor, uint32_t width)
+{
+    for (uint32_t k = 0; k < entries(width); k++) {
+        to->gram[k] += factor * from->gram[k];
+    }
+    for (uint32_t i = 0; i < width; i++) {
+        to->sum[i] += factor * from->sum[i];
+    }
+}
+
+static void clear_share(zygos_share_t *share, uint32_t width)
+{
+    memset(share->gram, 0, entries(width) * sizeof share->gram[0]);
+    memset(share->sum, 0, width * sizeof share->sum[0]);
 }
 
 static void add_block(zygos_block_t *to, const zygos_block_t *from, uint32_t width)
 {
-    for (uint32_t k = 0; k < width * (width + 1u) / 2u; k++) {
+    for (uint32_t k = 0; k < entries(width); k++) {
         to->gram[k] += from->gram[k];
     }
     for (uint32_t i = 0; i < width; i++) {
         to->sum[i] += from->sum[i];
-    }
-    for (uint32_t i = 0; i < width; i++) {
         to->deviation[i] += from->deviation[i];
     }
     to->instants += from->instants;
+    to->square += from->square + 2.0 * to->overlap;
+    to->overlap = from->overlap;
     to->end = from->end;
 }
 
@@ -53,8 +72,9 @@ static void add_block(zygos_block_t *to, const zygos_block_t *from, uint32_t wid
 static uint32_t merge(zygos_accumulator_t *self, uint32_t first, uint32_t end, uint32_t to)
 {
     const uint32_t begin = to;
+    const double most = (double)self->target;
     for (uint32_t from = first; from < end; from++) {
-        if ((to > begin) && (self->block[to - 1u].instants + self->block[from].instants <= self->target)) {
+        if ((to > begin) && (self->block[to - 1u].instants + self->block[from].instants <= most)) {
             add_block(&self->block[to - 1u], &self->block[from], self->width);
             continue;
         }
@@ -66,15 +86,20 @@ static uint32_t merge(zygos_accumulator_t *self, uint32_t first, uint32_t end, u
     return to;
 }
 
-/* Blocks of closed arcs never merge with those of the open one, whose constant is still in them. The target doubles
-   only when merging up to it is not enough; once it holds all instants there are, each group is one block: the loop
-   ends. */
+/* Blocks of closed arcs never merge with those of the open one, whose constant is still in them; nor does the newest
+   block, which has yet to fade out. The target doubles only when merging up to it is not enough; once it holds all
+   instants there are, each group is one block: the loop ends. */
 static void make_room(zygos_accumulator_t *self)
 {
     for (uint32_t tries = 0; tries < 64u; tries++) {
+        const uint32_t fading = (self->count > self->open) ? 1u : 0u;
         const uint32_t open = merge(self, 0, self->open, 0);
-        self->count = merge(self, self->open, self->count, open);
+        const uint32_t rest = merge(self, self->open, self->count - fading, open);
+        if ((fading != 0) && (rest != self->count - 1u)) {
+            self->block[rest] = self->block[self->count - 1u];
+        }
         self->open = open;
+        self->count = rest + fading;
         if (self->count <= 3u * ZYGOS_MAX_BLOCKS / 4u) {
             return;
         }
@@ -82,24 +107,60 @@ static void make_room(zygos_accumulator_t *self)
     }
 }
 
-static zygos_block_t *current_block(zygos_accumulator_t *self)
+static void append_block(zygos_accumulator_t *self)
 {
-    const bool none = (self->count == self->open);
-    if (none || (self->block[self->count - 1u].instants >= self->target)) {
-        if (self->count == ZYGOS_MAX_BLOCKS) {
-            make_room(self);
-        }
-        memset(&self->block[self->count], 0, sizeof self->block[0]);
-        self->count++;
+    memset(&self->block[self->count], 0, sizeof self->block[0]);
+    self->count++;
+}
+
+/* Takes the noise of the open segment off its two blocks, as they share its instants. */
+static void end_segment(zygos_accumulator_t *self)
+{
+    if (self->segment == 0) {
+        return;
     }
-    return &self->block[self->count - 1u];
+    const uint32_t width = self->width - 1u;
+    const double n = (double)self->segment;
+    const double rising = self->block[self->count - 1u].instants / n;
+    for (uint32_t b = 0; b < 2; b++) {
+        zygos_block_t *block = &self->block[self->count - 2u + b];
+        const double part = (b == 0) ? 1.0 - rising : rising;
+        for (uint32_t k = 0; k < entries(width); k++) {
+            block->gram[k] -= part * self->noise.gram[k];
+        }
+        for (uint32_t i = 0; i < width; i++) {
+            block->sum[i] -= part * self->noise.sum[i];
+        }
+    }
+    add_share(&self->noise_open, &self->noise, 1.0, width);
+    clear_share(&self->noise, width);
+    self->segment = 0;
+}
+
+static void next_segment(zygos_accumulator_t *self)
+{
+    const bool first = (self->count == self->open);
+    end_segment(self);
+    if (self->count + 2u > ZYGOS_MAX_BLOCKS) {
+        make_room(self);
+    }
+    append_block(self);
+    if (first) {
+        append_block(self);
+    }
 }
 
 void zygos_accumulator_add(zygos_accumulator_t *self, const zygos_row_t *row, double weight)
 {
     const uint32_t width = self->width;
     const uint32_t p = width - 2u;
-    zygos_block_t *block = current_block(self);
+    if ((self->count == self->open) || (self->segment >= self->target)) {
+        next_segment(self);
+    }
+    zygos_block_t *falling = &self->block[self->count - 2u];
+    zygos_block_t *rising = &self->block[self->count - 1u];
+    const double late = ((double)self->segment + 0.5) / (double)self->target;
+    const double early = 1.0 - late;
     double z[ZYGOS_MAX_ROW];
     double total = 0.0;
     for (uint32_t i = 0; i < p; i++) {
@@ -109,42 +170,44 @@ void zygos_accumulator_add(zygos_accumulator_t *self, const zygos_row_t *row, do
     z[p] = weight * row->work;
     z[p + 1u] = weight;
     total += z[p] + z[p + 1u];
-    double *gram = block->gram;
+    double *before = falling->gram;
+    double *after = rising->gram;
     for (uint32_t i = 0; i < width; i++) {
-        const double zi = z[i];
+        const double zi = early * z[i];
+        const double yi = late * z[i];
         for (uint32_t j = 0; j <= i; j++) {
-            gram[j] += zi * z[j];
+            before[j] += zi * z[j];
+            after[j] += yi * z[j];
         }
-        gram += i + 1u;
-        block->sum[i] += zi * total;
+        before += i + 1u;
+        after += i + 1u;
+        falling->sum[i] += zi * total;
+        rising->sum[i] += yi * total;
     }
     const uint32_t one = (weight > 0.0) ? 1u : 0u;
-    block->instants += one;
+    falling->instants += weight * early;
+    falling->square += weight * early * early;
+    falling->overlap += weight * early * late;
+    rising->instants += weight * late;
+    rising->square += weight * late * late;
+    self->segment += one;
     self->arc_instants += one;
     self->accepted += one;
     self->refused += 1u - one;
 }
 
-static double check_block(const zygos_block_t *block, uint32_t width)
+static double check_sums(const double *gram, const double *carried, uint32_t width)
 {
-    double sum[ZYGOS_MAX_ROW] = { 0.0 };
+    double sum[ZYGOS_MAX_ROW];
     double largest = 0.0;
     double worst = 0.0;
-    uint32_t k = 0;
-    for (uint32_t i = 0; i < width; i++) {
-        for (uint32_t j = 0; j < i; j++) {
-            largest = (magnitude(block->gram[k]) > largest) ? magnitude(block->gram[k]) : largest;
-            sum[i] += block->gram[k];
-            sum[j] += block->gram[k];
-            k++;
-        }
-        largest = (magnitude(block->gram[k]) > largest) ? magnitude(block->gram[k]) : largest;
-        sum[i] += block->gram[k];
-        k++;
+    row_sums(gram, width, sum);
+    for (uint32_t k = 0; k < entries(width); k++) {
+        largest = (magnitude(gram[k]) > largest) ? magnitude(gram[k]) : largest;
     }
     const double tolerance = 64.0 * EPSILON * (double)width * largest;
     for (uint32_t i = 0; i < width; i++) {
-        const double off = magnitude(sum[i] - block->sum[i]);
+        const double off = magnitude(sum[i] - carried[i]);
         /* Not-a-number compares false with everything; neither it nor infinity is a sum. */
         const bool good = (off <= tolerance) && (tolerance < 1e300);
         const double ratio = good ? off / (tolerance + 1e-300) : 2.0;
@@ -170,29 +233,51 @@ static void centre(zygos_block_t *block, uint32_t width, const double *mean)
             k++;
         }
     }
-    sum_rows(block, width);
+    row_sums(block->gram, width, block->sum);
+}
+
+static void forget_open_arc(zygos_accumulator_t *self)
+{
+    clear_share(&self->noise, self->width - 1u);
+    clear_share(&self->noise_open, self->width - 1u);
+    self->arc_instants = 0;
+    self->segment = 0;
 }
 
 static void drop_open_arc(zygos_accumulator_t *self)
 {
     self->arcs_dropped += (self->count > self->open) ? 1u : 0u;
     self->accepted -= self->arc_instants;
-    self->arc_instants = 0;
     self->count = self->open;
+    forget_open_arc(self);
+}
+
+static double closed_instants(const zygos_accumulator_t *self)
+{
+    double total = 0.0;
+    for (uint32_t b = 0; b < self->open; b++) {
+        total += self->block[b].instants;
+    }
+    return total;
 }
 
 void zygos_accumulator_drop_after(zygos_accumulator_t *self, uint64_t cycle)
 {
     drop_open_arc(self);
+    const double before = closed_instants(self);
     while ((self->open > 0) && (self->block[self->open - 1u].end > cycle)) {
         const zygos_block_t *last = &self->block[self->open - 1u];
         const bool first_of_arc = (self->open == 1) || (self->block[self->open - 2u].end != last->end);
-        self->accepted -= last->instants;
         self->arcs -= first_of_arc ? 1u : 0u;
         self->arcs_dropped += first_of_arc ? 1u : 0u;
         self->open--;
     }
     self->count = self->open;
+    const double kept = closed_instants(self);
+    if (kept < before) {
+        self->accepted = (uint64_t)(kept + 0.5);
+        add_share(&self->noise_closed, &self->noise_closed, kept / before - 1.0, self->width - 1u);
+    }
 }
 
 void zygos_accumulator_end_arc(zygos_accumulator_t *self, uint64_t cycle)
@@ -200,35 +285,38 @@ void zygos_accumulator_end_arc(zygos_accumulator_t *self, uint64_t cycle)
     const uint32_t width = self->width;
     if (self->arc_instants < ZYGOS_MIN_ARC_INSTANTS) {
         drop_open_arc(self);
-    } else {
-        double mean[ZYGOS_MAX_ROW] = { 0.0 };
-        const uint32_t last = (width - 1u) * width / 2u;
-        for (uint32_t b = self->open; b < self->count; b++) {
-            for (uint32_t i = 0; i < width; i++) {
-                mean[i] += self->block[b].gram[last + i];
-            }
-        }
-        for (uint32_t i = 0; i < width; i++) {
-            mean[i] /= (double)self->arc_instants;
-        }
-        for (uint32_t b = self->open; b < self->count; b++) {
-            /* Centring cancels: the row sums are judged before, and taken anew after. */
-            self->corrupt |= (check_block(&self->block[b], width) <= 1.0) ? 0u : 1u;
-            centre(&self->block[b], width, mean);
-            self->block[b].end = cycle;
-        }
-        self->open = self->count;
-        self->arcs++;
+        return;
     }
-    self->arc_instants = 0;
+    self->corrupt |= (check_sums(self->noise.gram, self->noise.sum, width - 1u) <= 1.0) ? 0u : 1u;
+    end_segment(self);
+    double mean[ZYGOS_MAX_ROW] = { 0.0 };
+    const uint32_t last = (width - 1u) * width / 2u;
+    for (uint32_t b = self->open; b < self->count; b++) {
+        for (uint32_t i = 0; i < width; i++) {
+            mean[i] += self->block[b].gram[last + i];
+        }
+    }
+    for (uint32_t i = 0; i < width; i++) {
+        mean[i] /= (double)self->arc_instants;
+    }
+    for (uint32_t b = self->open; b < self->count; b++) {
+        /* Centring cancels: the row sums are judged before, and taken anew after. */
+        self->corrupt |= (check_sums(self->block[b].gram, self->block[b].sum, width) <= 1.0) ? 0u : 1u;
+        centre(&self->block[b], width, mean);
+        self->block[b].end = cycle;
+    }
+    add_share(&self->noise_closed, &self->noise_open, 1.0, width - 1u);
+    self->open = self->count;
+    self->arcs++;
+    forget_open_arc(self);
 }
 
 void zygos_accumulator_total(const zygos_accumulator_t *self, double *gram)
 {
-    const uint32_t entries = self->width * (self->width + 1u) / 2u;
-    memset(gram, 0, entries * sizeof gram[0]);
+    const uint32_t size = entries(self->width);
+    memset(gram, 0, size * sizeof gram[0]);
     for (uint32_t b = 0; b < self->open; b++) {
-        for (uint32_t k = 0; k < entries; k++) {
+        for (uint32_t k = 0; k < size; k++) {
             gram[k] += self->block[b].gram[k];
         }
     }
@@ -237,8 +325,13 @@ void zygos_accumulator_total(const zygos_accumulator_t *self, double *gram)
 double zygos_accumulator_check(const zygos_accumulator_t *self)
 {
     double worst = self->corrupt ? 2.0 : 0.0;
+    const zygos_share_t *shares[3] = { &self->noise, &self->noise_open, &self->noise_closed };
+    for (uint32_t s = 0; s < 3; s++) {
+        const double here = check_sums(shares[s]->gram, shares[s]->sum, self->width - 1u);
+        worst = (here > worst) ? here : worst;
+    }
     for (uint32_t b = 0; b < self->count; b++) {
-        const double here = check_block(&self->block[b], self->width);
+        const double here = check_sums(self->block[b].gram, self->block[b].sum, self->width);
         worst = (here > worst) ? here : worst;
     }
     return worst;

@@ -38,13 +38,23 @@ void zygos_balance_torque(zygos_balance_t *self, const zygos_config_t *config, c
     self->torque_at = (self->torque_at == config->smoother_half_width) ? 0u : self->torque_at + 1u;
 }
 
+const double *zygos_balance_torque_before(const zygos_balance_t *self)
+{
+    return self->torque[self->torque_at];
+}
+
+const double *zygos_balance_torque_after(const zygos_balance_t *self, const zygos_config_t *config)
+{
+    return self->torque[(self->torque_at == config->smoother_half_width) ? 0u : self->torque_at + 1u];
+}
+
 /* W, D and the effects at this instant, from those at the one before. Returns what torque steps add to the work of the
  * row. */
-static double carry_on(zygos_balance_t *self, const zygos_config_t *config, const zygos_state_t *state)
+static double carry_on(zygos_balance_t *self, const zygos_config_t *config, const zygos_drift_t *drift,
+                       const zygos_state_t *state)
 {
-    const uint32_t last = config->smoother_half_width;
-    const double *tau = self->torque[self->torque_at];
-    const double *tau_next = self->torque[(self->torque_at == last) ? 0u : self->torque_at + 1u];
+    const double *tau = zygos_balance_torque_before(self);
+    const double *tau_next = zygos_balance_torque_after(self, config);
     const double h24 = config->period_s / 24.0;
     double step_work = 0.0;
     for (uint32_t i = 0; i < config->joints; i++) {
@@ -57,12 +67,12 @@ static double carry_on(zygos_balance_t *self, const zygos_config_t *config, cons
         double *past_0 = &self->slip_rate[0][i];
         double *past_1 = &self->slip_rate[1][i];
         double *past_2 = &self->slip_rate[2][i];
-        self->slip[i] += h24 * (9.0 * g + 19.0 * *past_0 - 5.0 * *past_1 + *past_2);
+        self->slip[i] += h24 * (9.0 * g + 19.0 * *past_0 - 5.0 * *past_1 + *past_2) - drift->slip[i];
         *past_2 = *past_1;
         *past_1 = *past_0;
         *past_0 = g;
     }
-    zygos_effects_carry_on(&self->effects, config, state, tau, tau_next);
+    zygos_effects_carry_on(&self->effects, config, state, tau, tau_next, drift->effect);
     const double held = (config->torque_law == ZYGOS_TORQUE_SAMPLED) ? 0.0 : 1.0;
     return held * step_work * config->period_s / 12.0;
 }
@@ -89,9 +99,10 @@ static void form_row(const zygos_balance_t *self, const zygos_config_t *config, 
 }
 
 int zygos_balance_row(zygos_balance_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
-                      const zygos_state_t *state, const zygos_motion_t *motion, zygos_row_t *out)
+                      const zygos_drift_t *drift, const zygos_state_t *state, const zygos_motion_t *motion,
+                      zygos_row_t *out)
 {
-    const double step_work = carry_on(self, config, state);
+    const double step_work = carry_on(self, config, drift, state);
     self->instants += (self->instants < 4u) ? 1u : 0u;
     if (self->instants < 4u) {
         return 0;

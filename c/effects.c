@@ -7,7 +7,7 @@ int zygos_effects_check(const zygos_config_t *config)
     }
     for (uint32_t e = 0; e < config->effects; e++) {
         const zygos_effect_config_t *effect = &config->effect[e];
-        if ((effect->kind > ZYGOS_TORQUE_LAG) || (effect->joint >= config->joints)) {
+        if ((effect->kind > ZYGOS_SPRING_OFFSET) || (effect->joint >= config->joints)) {
             return ZYGOS_E_EFFECT;
         }
         for (uint32_t other = 0; other < e; other++) {
@@ -19,11 +19,17 @@ int zygos_effects_check(const zygos_config_t *config)
     return 1;
 }
 
+/* Whether the column is energy of the spring: a state without a history, of either sign. */
+static bool stored(const zygos_effect_config_t *effect)
+{
+    return (effect->kind == ZYGOS_CUBIC_STIFFNESS) || (effect->kind == ZYGOS_SPRING_OFFSET);
+}
+
 uint32_t zygos_effects_positive(const zygos_config_t *config)
 {
     uint32_t bits = 0;
     for (uint32_t e = 0; e < config->effects; e++) {
-        bits |= (config->effect[e].kind != ZYGOS_CUBIC_STIFFNESS) ? 1u << e : 0u;
+        bits |= stored(&config->effect[e]) ? 0u : 1u << e;
     }
     return bits;
 }
@@ -49,13 +55,15 @@ static double newest(const zygos_effect_config_t *effect, double ratio, const zy
         return zygos_effects_saturated(link) * link;
     case ZYGOS_CUBIC_STIFFNESS:
         return 0.25 * deflection * deflection * deflection * deflection;
+    case ZYGOS_SPRING_OFFSET:
+        return deflection;
     default:
         return ratio * torque_step * motor;
     }
 }
 
 void zygos_effects_carry_on(zygos_effects_t *self, const zygos_config_t *config, const zygos_state_t *state,
-                            const double *tau_before, const double *tau)
+                            const double *tau_before, const double *tau, const double *drift)
 {
     const double h24 = config->period_s / 24.0;
     for (uint32_t e = 0; e < config->effects; e++) {
@@ -65,13 +73,13 @@ void zygos_effects_carry_on(zygos_effects_t *self, const zygos_config_t *config,
         double *past_0 = &self->past[0][e];
         double *past_1 = &self->past[1][e];
         double *past_2 = &self->past[2][e];
-        if (effect->kind == ZYGOS_CUBIC_STIFFNESS) {
+        if (stored(effect)) {
             self->instant[e] = g;
         } else if (effect->kind == ZYGOS_TORQUE_LAG) {
             self->total[e] += *past_0;
             self->instant[e] = 0.5 * g;
         } else {
-            self->total[e] += h24 * (9.0 * g + 19.0 * *past_0 - 5.0 * *past_1 + *past_2);
+            self->total[e] += h24 * (9.0 * g + 19.0 * *past_0 - 5.0 * *past_1 + *past_2) - drift[e];
         }
         *past_2 = *past_1;
         *past_1 = *past_0;
@@ -83,6 +91,55 @@ void zygos_effects_keep(zygos_effects_t *self, const zygos_config_t *config, dou
 {
     for (uint32_t e = 0; e < config->effects; e++) {
         self->total[e] *= keep;
+    }
+}
+
+static double cube(const zygos_state_t *state, uint32_t joint)
+{
+    const double deflection = state->theta[joint] - state->q[joint];
+    return deflection * deflection * deflection;
+}
+
+void zygos_effects_motor_slopes(const zygos_config_t *config, uint32_t e, const zygos_state_t *state,
+                                double torque_step, double *by_angle, double *by_rate)
+{
+    const uint32_t i = config->effect[e].joint;
+    const double ratio = config->joint[i].gear_ratio;
+    *by_angle = 0.0;
+    *by_rate = 0.0;
+    switch (config->effect[e].kind) {
+    case ZYGOS_MOTOR_COULOMB:
+        *by_angle = ratio * zygos_effects_saturated(state->theta_rate[i]);
+        break;
+    case ZYGOS_MOTOR_VISCOUS:
+        *by_angle = 2.0 * ratio * state->theta_rate[i];
+        break;
+    case ZYGOS_CUBIC_STIFFNESS:
+        *by_angle = cube(state, i);
+        break;
+    case ZYGOS_SPRING_OFFSET:
+        *by_angle = 1.0;
+        break;
+    case ZYGOS_TORQUE_LAG:
+        *by_rate = 0.5 * ratio * torque_step;
+        break;
+    default:
+        break;
+    }
+}
+
+double zygos_effects_link_slope(const zygos_config_t *config, uint32_t e, const zygos_state_t *state)
+{
+    const uint32_t i = config->effect[e].joint;
+    switch (config->effect[e].kind) {
+    case ZYGOS_LINK_COULOMB:
+        return zygos_effects_saturated(state->q_rate[i]);
+    case ZYGOS_CUBIC_STIFFNESS:
+        return -cube(state, i);
+    case ZYGOS_SPRING_OFFSET:
+        return -1.0;
+    default:
+        return 0.0;
     }
 }
 

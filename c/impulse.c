@@ -53,6 +53,9 @@ static double effect_column(uint32_t kind, double ratio, double theta, double th
     case ZYGOS_CUBIC_STIFFNESS:
         *integrand = deflection * deflection * deflection;
         return 0.0;
+    case ZYGOS_SPRING_OFFSET:
+        *integrand = 1.0;
+        return 0.0;
     default:
         return ratio * tau_mean;
     }

@@ -159,18 +159,65 @@ uint32_t zygos_gravity_parameters(const zygos_config_t *config)
     return count;
 }
 
-/* v_a . v_b for first <= a <= b < count, halved for a = b. Returns the place behind them. */
-static double *gram(double (*v)[3], uint32_t first, uint32_t count, double *out)
+/* out_ab += x_a . y_b for first <= a <= b < count, halved for a = b. Returns the place behind them. */
+static double *gram(const double (*x)[3], const double (*y)[3], uint32_t first, uint32_t count, double *out)
 {
     for (uint32_t a = first; a < count; a++) {
-        *out = 0.5 * dot3(v[a], v[a]);
+        *out += 0.5 * dot3(x[a], y[a]);
         out++;
         for (uint32_t b = a + 1u; b < count; b++) {
-            *out = dot3(v[a], v[b]);
+            *out += dot3(x[a], y[b]);
             out++;
         }
     }
     return out;
+}
+
+static double *spatial_products(const zygos_config_t *config, const double (*x)[3], const double (*y)[3], double *out)
+{
+    const uint32_t n = config->joints;
+    if (config->base == ZYGOS_BASE_FREE) {
+        return gram(x, y, 0, 2u * n + 3u, out);
+    }
+    /* Body 1 turns about its axis only: N[1u,1u] and N[1v,1v] share a column, and N[1u,1v] has none. */
+    *out += 0.5 * dot3(x[0], y[0]);
+    out++;
+    for (uint32_t a = 0; a < 2; a++) {
+        for (uint32_t b = 2; b < 2u * n; b++) {
+            *out += dot3(x[a], y[b]);
+            out++;
+        }
+    }
+    return gram(x, y, 2, 2u * n, out);
+}
+
+static double *planar_products(const zygos_config_t *config, const double (*x)[3], const double (*y)[3], double *out)
+{
+    const uint32_t n = config->joints;
+    const uint32_t first = (config->base == ZYGOS_BASE_FREE) ? 0u : 1u;
+    for (uint32_t i = first; i <= n; i++) {
+        *out += 0.5 * (x[i][0] * y[i][0] + x[i][1] * y[i][1]);
+        out++;
+        for (uint32_t j = i + 1u; j <= n; j++) {
+            *out += x[i][0] * y[j][0] + x[i][1] * y[j][1];
+            out++;
+        }
+    }
+    for (uint32_t i = first; (i <= n) && (config->kinetic == ZYGOS_PLANAR); i++) {
+        for (uint32_t j = i + 1u; j <= n; j++) {
+            *out += x[i][0] * y[j][1] - x[i][1] * y[j][0];
+            out++;
+        }
+    }
+    return out;
+}
+
+double *zygos_kinetic_products(const zygos_config_t *config, const double (*x)[3], const double (*y)[3], double *out)
+{
+    if ((ZYGOS_SPATIAL != 0) && (config->kinetic == ZYGOS_SPATIAL_ARM)) {
+        return spatial_products(config, x, y, out);
+    }
+    return planar_products(config, x, y, out);
 }
 
 /* pull[2i], pull[2i + 1] of the joints that feel gravity. */
@@ -185,30 +232,22 @@ static void gravity_columns(const zygos_skeleton_t *self, uint32_t joints, const
     }
 }
 
-/* The direction and the rate vector of body i of a planar arm. */
-static void in_plane(zygos_motion_t *out, uint32_t i, double c, double s, double rate)
-{
-    const double direction[3] = { c, s, 0.0 };
-    memcpy(out->direction[i], direction, sizeof direction);
-    for (uint32_t k = 0; k < 3; k++) {
-        out->rate[i][k] = rate * direction[k];
-    }
-}
-
 static void planar(const zygos_skeleton_t *self, const zygos_config_t *config, const zygos_state_t *state,
                    zygos_motion_t *out)
 {
     const uint32_t n = config->joints;
-    const uint32_t first = (config->base == ZYGOS_BASE_FREE) ? 0u : 1u;
     double u[3];
     double v[3];
     zygos_across(config->joint[0].axis, u, v);
     const double pull_u = -dot3(config->gravity, u);
     const double pull_v = -self->hand[0] * dot3(config->gravity, v);
     double pull[2 * ZYGOS_MAX_JOINTS];
-    double rate = first ? 0.0 : dot3(config->joint[0].axis, state->omega);
+    double rate = (config->base == ZYGOS_BASE_FREE) ? dot3(config->joint[0].axis, state->omega) : 0.0;
     double angle = 0.0;
-    in_plane(out, 0, 1.0, 0.0, rate);
+    out->direction[0][0] = 1.0;
+    out->direction[0][1] = 0.0;
+    out->rate[0][0] = rate;
+    out->rate[0][1] = 0.0;
     for (uint32_t i = 0; i < n; i++) {
         out->carrier_rate[i] = rate;
         rate += state->q_rate[i];
@@ -216,26 +255,15 @@ static void planar(const zygos_skeleton_t *self, const zygos_config_t *config, c
         double s;
         double c;
         zygos_sincos(angle, &s, &c);
-        in_plane(out, i + 1u, c, s, rate);
+        out->direction[i + 1][0] = c;
+        out->direction[i + 1][1] = s;
+        out->rate[i + 1][0] = rate * c;
+        out->rate[i + 1][1] = rate * s;
         pull[2u * i] = c * pull_u + s * pull_v;
         pull[2u * i + 1u] = self->hand[0] * (c * pull_v - s * pull_u);
     }
-    double(*rates)[3] = out->rate;
-    double *column = out->column;
-    for (uint32_t i = first; i <= n; i++) {
-        *column = 0.5 * (rates[i][0] * rates[i][0] + rates[i][1] * rates[i][1]);
-        column++;
-        for (uint32_t j = i + 1u; j <= n; j++) {
-            *column = rates[i][0] * rates[j][0] + rates[i][1] * rates[j][1];
-            column++;
-        }
-    }
-    for (uint32_t i = first; (i <= n) && (config->kinetic == ZYGOS_PLANAR); i++) {
-        for (uint32_t j = i + 1u; j <= n; j++) {
-            *column = rates[i][0] * rates[j][1] - rates[i][1] * rates[j][0];
-            column++;
-        }
-    }
+    memset(out->column, 0, zygos_kinetic_parameters(config) * sizeof out->column[0]);
+    double *column = planar_products(config, (const double(*)[3])out->rate, (const double(*)[3])out->rate, out->column);
     gravity_columns(self, n, pull, column);
 }
 
@@ -243,19 +271,17 @@ static void spatial(const zygos_skeleton_t *self, const zygos_config_t *config, 
                     zygos_motion_t *out)
 {
     const uint32_t n = config->joints;
-    const bool fixed = (config->base == ZYGOS_BASE_FIXED);
-    double(*rate)[3] = out->rate;
     double pull[2 * ZYGOS_MAX_JOINTS];
     double omega[3] = { 0.0, 0.0, 0.0 };
     uint32_t count = 0;
-    if (!fixed) {
+    if (config->base == ZYGOS_BASE_FREE) {
+        static const double base[3][3] = { { 1.0, 0.0, 0.0 }, { 0.0, 1.0, 0.0 }, { 0.0, 0.0, 1.0 } };
         memcpy(omega, state->omega, sizeof omega);
         const double own[3][3] = { { 0.0, omega[2], -omega[1] },
                                    { -omega[2], 0.0, omega[0] },
                                    { omega[1], -omega[0], 0.0 } };
-        static const double base[3][3] = { { 1.0, 0.0, 0.0 }, { 0.0, 1.0, 0.0 }, { 0.0, 0.0, 1.0 } };
+        memcpy(out->rate, own, sizeof own);
         memcpy(out->direction, base, sizeof base);
-        memcpy(rate, own, sizeof own);
         count = 3;
     }
     double frame[9] = { 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0 }; /* columns: u, v, axis of the body before */
@@ -265,42 +291,31 @@ static void spatial(const zygos_skeleton_t *self, const zygos_config_t *config, 
         double s;
         double c;
         zygos_sincos(self->hand[i] * state->q[i], &s, &c);
-        double u[3];
-        double v[3];
-        const double axis[3] = { turned[2], turned[5], turned[8] };
-        out->carrier_rate[i] = dot3(axis, omega);
+        double *u = out->direction[count];
+        double *v = out->direction[count + 1u];
+        double *axis = out->axis[i];
+        memcpy(out->spin[i], omega, sizeof omega);
         for (uint32_t k = 0; k < 3; k++) {
+            axis[k] = turned[3u * k + 2u];
             u[k] = c * turned[3u * k] + s * turned[3u * k + 1u];
             v[k] = c * turned[3u * k + 1u] - s * turned[3u * k];
             frame[3u * k] = u[k];
             frame[3u * k + 1u] = v[k];
             frame[3u * k + 2u] = axis[k];
+        }
+        out->carrier_rate[i] = dot3(axis, omega);
+        for (uint32_t k = 0; k < 3; k++) {
             omega[k] += axis[k] * state->q_rate[i];
         }
-        memcpy(out->direction[count], u, sizeof u);
-        memcpy(out->direction[count + 1u], v, sizeof v);
-        memcpy(out->axis[i], axis, sizeof axis);
-        cross3(omega, u, rate[count]);
-        cross3(omega, v, rate[count + 1u]);
+        cross3(omega, u, out->rate[count]);
+        cross3(omega, v, out->rate[count + 1u]);
         count += 2u;
         pull[2u * i] = -dot3(config->gravity, u);
         pull[2u * i + 1u] = -dot3(config->gravity, v);
     }
-    double *column = out->column;
-    if (fixed) {
-        /* Body 1 turns about its axis only: N[1u,1u] and N[1v,1v] share a column, and N[1u,1v] has none. */
-        *column = 0.5 * dot3(rate[0], rate[0]);
-        column++;
-        for (uint32_t a = 0; a < 2; a++) {
-            for (uint32_t b = 2; b < count; b++) {
-                *column = dot3(rate[a], rate[b]);
-                column++;
-            }
-        }
-        column = gram(rate, 2, count, column);
-    } else {
-        column = gram(rate, 0, count, column);
-    }
+    memset(out->column, 0, zygos_kinetic_parameters(config) * sizeof out->column[0]);
+    double *column =
+        spatial_products(config, (const double(*)[3])out->rate, (const double(*)[3])out->rate, out->column);
     gravity_columns(self, n, pull, column);
 }
 
@@ -312,4 +327,75 @@ void zygos_kinematics(const zygos_skeleton_t *self, const zygos_config_t *config
     } else {
         planar(self, config, state, out);
     }
+}
+
+/* The directions of the bodies that joint i carries follow its axis by the right hand; the axes of the joints behind it
+   do, too, so that a body's rate vector w x d turns as a whole, but for the share of w that joint i does not carry. */
+static uint32_t changes(const zygos_config_t *config, const zygos_motion_t *motion, uint32_t i, double (*by_angle)[3],
+                        double (*by_rate)[3])
+{
+    const uint32_t n = config->joints;
+    if ((ZYGOS_SPATIAL == 0) || (config->kinetic != ZYGOS_SPATIAL_ARM)) {
+        for (uint32_t b = i + 1u; b <= n; b++) {
+            by_angle[b][0] = -motion->rate[b][1];
+            by_angle[b][1] = motion->rate[b][0];
+            by_rate[b][0] = motion->direction[b][0];
+            by_rate[b][1] = motion->direction[b][1];
+        }
+        return n + 1u;
+    }
+    const uint32_t base = (config->base == ZYGOS_BASE_FREE) ? 3u : 0u;
+    const double *axis = motion->axis[i];
+    double lag[3];
+    cross3(axis, motion->spin[i], lag);
+    for (uint32_t b = base + 2u * i; b < base + 2u * n; b++) {
+        double behind[3];
+        cross3(axis, motion->rate[b], by_angle[b]);
+        cross3(lag, motion->direction[b], behind);
+        for (uint32_t k = 0; k < 3; k++) {
+            by_angle[b][k] -= behind[k];
+        }
+        cross3(axis, motion->direction[b], by_rate[b]);
+    }
+    return base + 2u * n;
+}
+
+void zygos_kinematics_slopes(const zygos_skeleton_t *self, const zygos_config_t *config, const zygos_motion_t *motion,
+                             uint32_t i, double *by_angle, double *by_rate)
+{
+    const uint32_t n = config->joints;
+    double angle[ZYGOS_MAX_DIRECTIONS][3] = { { 0.0 } };
+    double rate[ZYGOS_MAX_DIRECTIONS][3] = { { 0.0 } };
+    const uint32_t count = changes(config, motion, i, angle, rate);
+    const uint32_t kinetic = zygos_kinetic_parameters(config);
+    const double(*v)[3] = motion->rate;
+    memset(by_angle, 0, kinetic * sizeof by_angle[0]);
+    memset(by_rate, 0, kinetic * sizeof by_rate[0]);
+    (void)zygos_kinetic_products(config, v, (const double(*)[3])angle, by_angle);
+    double *heavy = zygos_kinetic_products(config, (const double(*)[3])angle, v, by_angle);
+    (void)zygos_kinetic_products(config, v, (const double(*)[3])rate, by_rate);
+    (void)zygos_kinetic_products(config, (const double(*)[3])rate, v, by_rate);
+    if (!self->heavy[n - 1u]) {
+        return;
+    }
+    double pull[2 * ZYGOS_MAX_JOINTS] = { 0.0 };
+    const double none[2 * ZYGOS_MAX_JOINTS] = { 0.0 };
+    for (uint32_t b = i; b < n; b++) {
+        if ((ZYGOS_SPATIAL != 0) && (config->kinetic == ZYGOS_SPATIAL_ARM)) {
+            pull[2u * b] = -dot3(config->gravity, rate[count - 2u * (n - b)]);
+            pull[2u * b + 1u] = -dot3(config->gravity, rate[count - 2u * (n - b) + 1u]);
+        } else {
+            double u[3];
+            double w[3];
+            zygos_across(config->joint[0].axis, u, w);
+            const double c = motion->direction[b + 1u][0];
+            const double s = motion->direction[b + 1u][1];
+            const double pull_u = -dot3(config->gravity, u);
+            const double pull_v = -self->hand[0] * dot3(config->gravity, w);
+            pull[2u * b] = c * pull_v - s * pull_u;
+            pull[2u * b + 1u] = -self->hand[0] * (c * pull_u + s * pull_v);
+        }
+    }
+    gravity_columns(self, n, pull, heavy);
+    gravity_columns(self, n, none, &by_rate[heavy - by_angle]);
 }

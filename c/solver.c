@@ -4,6 +4,7 @@
 
 #define MAX_REFUSED_SHARE 0.05
 #define INSTANTS_PER_PARAMETER 3u
+#define POWER_ROUNDS 40u
 
 /* Place of entry (i, j), j <= i, in a packed lower triangle. */
 static uint32_t at(uint32_t i, uint32_t j)
@@ -37,14 +38,14 @@ static double infinity(void)
 }
 
 /* Cholesky of the scaled matrix with symmetric pivoting, in place in work->factor; rows are reordered by work->pivot.
-   Returns the number of columns that are independent. */
-static uint32_t factorise(zygos_work_t *work, uint32_t p)
+   Returns the number of columns that are independent, at the most most. */
+static uint32_t factorise(zygos_work_t *work, uint32_t p, uint32_t most)
 {
     double *l = work->factor;
     for (uint32_t i = 0; i < p; i++) {
         work->pivot[i] = i;
     }
-    for (uint32_t k = 0; k < p; k++) {
+    for (uint32_t k = 0; k < most; k++) {
         uint32_t best = k;
         double largest = -1.0;
         for (uint32_t i = k; i < p; i++) {
@@ -78,7 +79,7 @@ static uint32_t factorise(zygos_work_t *work, uint32_t p)
             l[at(i, k)] = sum / diagonal;
         }
     }
-    return p;
+    return most;
 }
 
 /* x := L^-T L^-1 x for the leading r columns, in pivot order. */
@@ -98,18 +99,83 @@ static void substitute(const double *l, uint32_t r, double *x)
     }
 }
 
-/* The scaled matrix and right side of gram, less those of one block unless it is null. */
-static void scaled_equations(zygos_work_t *work, uint32_t p, const double *without)
+/* Sum over i, j of x_i x_j entry, x_p = -1. */
+static double form(const double *packed, const double *x, uint32_t p)
+{
+    double sum = packed[at(p, p)];
+    for (uint32_t i = 0; i < p; i++) {
+        sum -= 2.0 * x[i] * packed[at(p, i)];
+        for (uint32_t j = 0; j < p; j++) {
+            sum += x[i] * x[j] * entry(packed, i, j);
+        }
+    }
+    return sum;
+}
+
+/* The scaled matrix and right side of all blocks, less those of one unless it is null. noise: share of the declared
+   noise that is taken off. */
+static void scaled_equations(zygos_work_t *work, uint32_t p, const zygos_block_t *without, double noise)
 {
     const double *total = work->total;
-    const uint32_t last = at(p, 0);
-    for (uint32_t i = 0; i < p; i++) {
-        for (uint32_t j = 0; j <= i; j++) {
+    const double *declared = work->noise;
+    const double part = without ? 1.0 - without->instants / (double)work->accumulator.accepted : 1.0;
+    const double back = (1.0 - noise) * part;
+    for (uint32_t i = 0; i <= p; i++) {
+        for (uint32_t j = 0; j <= ((i < p) ? i : p - 1u); j++) {
             const uint32_t k = at(i, j);
-            const double value = total[k] - (without ? without[k] : 0.0);
-            work->matrix[k] = value * (work->scale[i] * work->scale[j]);
+            const double value = total[k] - (without ? without->gram[k] : 0.0) + back * declared[k];
+            if (i < p) {
+                work->matrix[k] = value * (work->scale[i] * work->scale[j]);
+            } else {
+                work->right[j] = value * work->scale[j];
+            }
         }
-        work->right[i] = (total[last + i] - (without ? without[last + i] : 0.0)) * work->scale[i];
+    }
+}
+
+/* Where column c of the motor row of joint i stands; behind the last of them the right side. */
+static uint32_t place_of(const zygos_work_t *work, uint32_t i, uint32_t c)
+{
+    const zygos_impulse_layout_t *layout = &work->joint_sums.layout;
+    if (c < 3u) {
+        return work->layout.joint[i] + c;
+    }
+    return (c < layout->count[i]) ? work->layout.effects + layout->effect[i][c - 3u] : work->layout.count;
+}
+
+/* out += factor times a packed matrix of joint i; sides: its right side as well. */
+static void embed(const zygos_work_t *work, uint32_t i, const double *local, double factor, bool sides, double *out)
+{
+    const uint32_t count = work->joint_sums.layout.count[i];
+    for (uint32_t a = 0; a < count + (sides ? 1u : 0u); a++) {
+        const uint32_t place_a = place_of(work, i, a);
+        for (uint32_t b = 0; b <= a; b++) {
+            const uint32_t place_b = place_of(work, i, b);
+            const uint32_t k = (place_a >= place_b) ? at(place_a, place_b) : at(place_b, place_a);
+            out[k] += factor * local[at(a, b)];
+        }
+    }
+}
+
+/* The scaled equations without an arc of the motor rows. */
+static void scaled_without_arc(zygos_work_t *work, uint32_t p, const zygos_joint_block_t *arc)
+{
+    scaled_equations(work, p, NULL, work->believed);
+    for (uint32_t i = 0; i < work->config.joints; i++) {
+        const uint32_t count = work->joint_sums.layout.count[i];
+        for (uint32_t a = 0; (a <= count) && (count > 0); a++) {
+            const uint32_t place_a = place_of(work, i, a);
+            for (uint32_t b = 0; (b <= a) && (b < count); b++) {
+                const uint32_t place_b = place_of(work, i, b);
+                const double value = work->weight[i] * arc->joint[i].gram[at(a, b)] * work->scale[place_b];
+                if (a == count) {
+                    work->right[place_b] -= value;
+                } else {
+                    const uint32_t k = (place_a >= place_b) ? at(place_a, place_b) : at(place_b, place_a);
+                    work->matrix[k] -= value * work->scale[place_a];
+                }
+            }
+        }
     }
 }
 
@@ -169,37 +235,119 @@ static double condition(zygos_work_t *work, uint32_t rank, double *inverse)
     return norm * inverse_norm;
 }
 
-/* Covariance by leaving out one block at a time: (K-1)/K sum (x_(-B) - mean)(x_(-B) - mean)^T. A block without which
+/* Diagonal of the inverse of the factorised matrix; 0 for columns that left the factorisation. */
+static void inverse_diagonal(zygos_work_t *work, uint32_t p, uint32_t rank, double *out)
+{
+    const double *l = work->factor;
+    memset(out, 0, p * sizeof out[0]);
+    for (uint32_t i = 0; i < rank; i++) {
+        double sum = 0.0;
+        for (uint32_t k = i; k < rank; k++) {
+            double y = (k == i) ? 1.0 : 0.0;
+            for (uint32_t j = i; j < k; j++) {
+                y -= l[at(k, j)] * work->score[j];
+            }
+            work->score[k] = y / l[at(k, k)];
+            sum += work->score[k] * work->score[k];
+        }
+        out[work->pivot[i]] = sum;
+    }
+}
+
+/* Student's factor for 95 %, by its expansion in 1 / freedom: within 1 % from 3 degrees of freedom on. */
+static double student(double freedom)
+{
+    const double u = 1.0 / freedom;
+    return 1.959964 + u * (2.372272 + u * (2.822499 + u * (2.555852 + u * 1.589536)));
+}
+
+/* What a block alone leaves of the equations: right side less matrix times solution, scaled. */
+static void score(const zygos_work_t *work, uint32_t p, const zygos_block_t *block, double *out)
+{
+    const double *declared = work->accumulator.noise_closed.gram;
+    const double back = (1.0 - work->believed) * block->instants / (double)work->accumulator.accepted;
+    for (uint32_t i = 0; i < p; i++) {
+        double sum = block->gram[at(p, i)] + back * declared[at(p, i)];
+        for (uint32_t j = 0; j < p; j++) {
+            sum -= (entry(block->gram, i, j) + back * entry(declared, i, j)) * work->solution[j];
+        }
+        out[i] = sum * work->scale[i];
+    }
+}
+
+/* The same of an arc of the motor rows. */
+static void score_of_arc(const zygos_work_t *work, uint32_t p, const zygos_joint_block_t *arc, double *out)
+{
+    memset(out, 0, p * sizeof out[0]);
+    for (uint32_t i = 0; i < work->config.joints; i++) {
+        const uint32_t count = work->joint_sums.layout.count[i];
+        const double *gram = arc->joint[i].gram;
+        for (uint32_t a = 0; a < count; a++) {
+            const uint32_t place = place_of(work, i, a);
+            double sum = gram[at(count, a)];
+            for (uint32_t b = 0; b < count; b++) {
+                sum -= entry(gram, a, b) * work->solution[place_of(work, i, b)];
+            }
+            out[place] += work->weight[i] * sum * work->scale[place];
+        }
+    }
+}
+
+/* Covariance by leaving out one block at a time. Blocks overlap, so the squares of their weights add up to less than
+   their weights. A parameter whose information comes from few blocks has few degrees of freedom. A block without which
    the equations lose rank leaves all sigmas infinite: the motion was informative once only. */
 static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, zygos_estimate_t *out)
 {
-    const uint32_t blocks = work->accumulator.open;
+    const zygos_accumulator_t *sums = &work->accumulator;
+    const zygos_joint_sums_t *joints = &work->joint_sums;
+    const uint32_t blocks = sums->open + joints->count;
+    double instants = 0.0;
+    double square = 0.0;
     bool once = false;
-    double *mean = work->right;
-    for (uint32_t b = 0; b < blocks; b++) {
-        scaled_equations(work, p, work->accumulator.block[b].gram);
-        if (factorise(work, p) < rank) {
-            once = true;
-            break;
+    memset(work->shares, 0, sizeof work->shares);
+    for (uint32_t b = 0; (b < blocks) && !once; b++) {
+        if (b < sums->open) {
+            scaled_equations(work, p, &sums->block[b], work->believed);
+            instants += sums->block[b].instants;
+            square += sums->block[b].square;
+        } else {
+            scaled_without_arc(work, p, &joints->block[b - sums->open]);
         }
+        once = (factorise(work, p, rank) < rank);
         solve_once(work, p, rank, work->left_out[b]);
-    }
-    memset(mean, 0, p * sizeof mean[0]);
-    for (uint32_t b = 0; b < blocks; b++) {
+        inverse_diagonal(work, p, rank, work->right);
         for (uint32_t i = 0; i < p; i++) {
-            mean[i] += work->left_out[b][i] / (double)blocks;
+            const double gain = work->right[i] - work->inverse[i];
+            const double share = (gain > 0.0) ? gain : 0.0;
+            work->left_out[b][i] = work->solution[i] - work->left_out[b][i];
+            work->shares[0][i] += share;
+            work->shares[1][i] += share * share;
+        }
+    }
+    memset(out->covariance, 0, at(p, 0) * sizeof out->covariance[0]);
+    scaled_equations(work, p, NULL, work->believed);
+    (void)factorise(work, p, rank);
+    for (uint32_t b = 0; (b < blocks) && !once; b++) {
+        const bool energy = (b < sums->open);
+        if (energy) {
+            score(work, p, &sums->block[b], work->right);
+        } else {
+            score_of_arc(work, p, &joints->block[b - sums->open], work->right);
+        }
+        solve_once(work, p, rank, work->direct);
+        const double factor = 0.5 * (energy ? instants / square : 1.0);
+        for (uint32_t i = 0; i < p; i++) {
+            for (uint32_t j = 0; j <= i; j++) {
+                out->covariance[at(i, j)] +=
+                    factor * (work->left_out[b][i] * work->direct[j] + work->left_out[b][j] * work->direct[i]);
+            }
         }
     }
     for (uint32_t i = 0; i < p; i++) {
-        for (uint32_t j = 0; j <= i; j++) {
-            double sum = 0.0;
-            for (uint32_t b = 0; b < blocks; b++) {
-                sum += (work->left_out[b][i] - mean[i]) * (work->left_out[b][j] - mean[j]);
-            }
-            out->covariance[at(i, j)] = sum * ((double)blocks - 1.0) / (double)blocks;
-        }
-        const double variance = out->covariance[at(i, i)];
-        out->sigma[i] = once ? infinity() : root(variance);
+        const double several = work->shares[0][i] * work->shares[0][i];
+        const double freedom = (work->shares[1][i] > 0.0) ? several / work->shares[1][i] : 1.0;
+        out->covariance[at(i, i)] = once ? infinity() : out->covariance[at(i, i)];
+        work->freedom[i] = (freedom > 2.0) ? freedom : 2.0;
     }
 }
 
@@ -379,6 +527,7 @@ static void withhold(zygos_estimate_t *out, uint32_t i, uint32_t p)
     out->identifiable[i] = 0;
     out->value[i] = not_a_number();
     out->sigma[i] = not_a_number();
+    out->half95[i] = not_a_number();
     for (uint32_t j = 0; j < p; j++) {
         out->covariance[(i >= j) ? at(i, j) : at(j, i)] = not_a_number();
     }
@@ -398,20 +547,219 @@ static double noise_square(const zygos_work_t *work, uint32_t p, double unexplai
 /* So as much again is put in: what this changes is what the noise may hide. */
 static void put_in_again(zygos_work_t *work, uint32_t p, double noise)
 {
-    scaled_equations(work, p, NULL);
+    scaled_equations(work, p, NULL, work->believed);
     for (uint32_t i = 0; i < p; i++) {
         work->matrix[at(i, i)] += noise;
     }
-    solve_once(work, p, factorise(work, p), work->hidden);
+    solve_once(work, p, factorise(work, p, p), work->hidden);
     for (uint32_t i = 0; i < p; i++) {
         work->hidden[i] -= work->solution[i];
     }
 }
 
+/* Largest ratio of declared noise to sums over all combinations of the independent columns, by the power method; the
+   factor is that of the sums. */
+static double noise_share(zygos_work_t *work, uint32_t rank)
+{
+    const double *declared = work->noise;
+    double *v = work->score;
+    double *u = work->right;
+    double ratio = 0.0;
+    for (uint32_t i = 0; i < rank; i++) {
+        v[i] = 1.0 + 0.1 * (double)(i % 7u);
+    }
+    for (uint32_t round = 0; round < POWER_ROUNDS; round++) {
+        double noise = 0.0;
+        double sums = 0.0;
+        double length = 0.0;
+        for (uint32_t i = 0; i < rank; i++) {
+            const uint32_t a = work->pivot[i];
+            double along = 0.0;
+            u[i] = 0.0;
+            for (uint32_t j = 0; j < rank; j++) {
+                const uint32_t b = work->pivot[j];
+                u[i] += entry(declared, a, b) * work->scale[a] * work->scale[b] * v[j];
+                along += entry(work->matrix, a, b) * v[j];
+            }
+            noise += v[i] * u[i];
+            sums += v[i] * along;
+        }
+        ratio = (sums > 0.0) ? noise / sums : 0.0;
+        substitute(work->factor, rank, u);
+        for (uint32_t i = 0; i < rank; i++) {
+            length = (magnitude(u[i]) > length) ? magnitude(u[i]) : length;
+        }
+        for (uint32_t i = 0; (i < rank) && (length > 0.0); i++) {
+            v[i] = u[i] / length;
+        }
+    }
+    return ratio;
+}
+
+/* Factorises with the given share of the declared noise taken off, and solves. */
+static uint32_t solve_with(zygos_work_t *work, uint32_t p, uint32_t most, double noise, double *x)
+{
+    scaled_equations(work, p, NULL, noise);
+    const uint32_t rank = factorise(work, p, most);
+    solve_once(work, p, rank, x);
+    return rank;
+}
+
+/* What x leaves of the energy rows, noise included, and what of it the declared noise makes: sums of squares [J^2]. */
+static double energy_left(const zygos_work_t *work, uint32_t p, const double *x, double *explained)
+{
+    double left = form(work->total, x, p);
+    for (uint32_t i = 0; i < work->config.joints; i++) {
+        const uint32_t count = work->joint_sums.layout.count[i];
+        double local[ZYGOS_MAX_IMPULSE + 1] = { 0.0 };
+        for (uint32_t a = 0; a < count; a++) {
+            local[a] = x[place_of(work, i, a)];
+        }
+        for (uint32_t b = 0; (b < work->joint_sums.count) && (count > 0); b++) {
+            left -= work->weight[i] * form(work->joint_sums.block[b].joint[i].gram, local, count);
+        }
+    }
+    *explained = form(work->accumulator.noise_closed.gram, x, p);
+    left += *explained;
+    return (left > 0.0) ? left : 0.0;
+}
+
+/* How much of the declared noise is taken off: as much as the residuals show when that is clearly less, and no more
+   than half of any combination. Needs the factor of the sums with their noise. */
+static void believe(zygos_work_t *work, uint32_t p, uint32_t rank, zygos_estimate_t *out)
+{
+    const double share = noise_share(work, rank);
+    double seen = 1.0;
+    work->believed = 1.0;
+    out->gate = infinity();
+    for (uint32_t round = 0; (round < 2) && (share > 0.0); round++) {
+        const double most = 1.0 / (ZYGOS_GATE * share);
+        work->believed = (seen < most) ? seen : most;
+        out->gate = 1.0 / (share * seen);
+        (void)solve_with(work, p, rank, work->believed, work->solution);
+        double explained = 0.0;
+        const double left = energy_left(work, p, work->solution, &explained);
+        seen = (left < ZYGOS_OVERDECLARED * explained) ? left / explained : 1.0;
+    }
+}
+
+/* Scales to the sums with their noise and solves them as they are. Returns the rank. */
+static uint32_t begin(zygos_work_t *work, uint32_t p)
+{
+    for (uint32_t i = 0; i < p; i++) {
+        const double square = work->total[at(i, i)] + work->noise[at(i, i)];
+        work->scale[i] = (square > 0.0) ? 1.0 / root(square) : 0.0;
+    }
+    return solve_with(work, p, p, 0.0, work->solution);
+}
+
+/* Mean square of the factorised equations' scores, in the metric of their inverse: what their rows' noise amounts to.
+ */
+static double loudness(zygos_work_t *work, uint32_t rank, const double *scores)
+{
+    double sum = 0.0;
+    double kept[ZYGOS_MAX_PARAMETERS];
+    for (uint32_t i = 0; i < rank; i++) {
+        kept[i] = scores[work->pivot[i]];
+        work->score[i] = kept[i];
+    }
+    substitute(work->factor, rank, work->score);
+    for (uint32_t i = 0; i < rank; i++) {
+        sum += kept[i] * work->score[i];
+    }
+    return sum / (double)rank;
+}
+
+/* Of the energy rows, at their solution. */
+static double energy_loudness(zygos_work_t *work, uint32_t p, uint32_t rank)
+{
+    const zygos_accumulator_t *sums = &work->accumulator;
+    double total = 0.0;
+    double instants = 0.0;
+    double square = 0.0;
+    for (uint32_t b = 0; b < sums->open; b++) {
+        score(work, p, &sums->block[b], work->direct);
+        total += loudness(work, rank, work->direct);
+        instants += sums->block[b].instants;
+        square += sums->block[b].square;
+    }
+    return total * instants / square;
+}
+
+/* Of the motor rows of joint i, at their own solution; 0 where they have none or too few arcs to tell. */
+static double joint_loudness(zygos_work_t *work, uint32_t i)
+{
+    const zygos_joint_sums_t *sums = &work->joint_sums;
+    const uint32_t count = sums->layout.count[i];
+    double gram[ZYGOS_MAX_PACKED_JOINT] = { 0.0 };
+    double x[ZYGOS_MAX_IMPULSE];
+    double scale[ZYGOS_MAX_IMPULSE];
+    double total = 0.0;
+    if ((count == 0) || (sums->count < 3u)) {
+        return 0.0;
+    }
+    for (uint32_t b = 0; b < sums->count; b++) {
+        for (uint32_t k = 0; k < at(count + 1u, 0); k++) {
+            gram[k] += sums->block[b].joint[i].gram[k];
+        }
+    }
+    for (uint32_t a = 0; a < count; a++) {
+        scale[a] = (gram[at(a, a)] > 0.0) ? 1.0 / root(gram[at(a, a)]) : 0.0;
+        for (uint32_t b = 0; b <= a; b++) {
+            work->matrix[at(a, b)] = gram[at(a, b)] * scale[a] * scale[b];
+        }
+    }
+    const uint32_t rank = factorise(work, count, count);
+    if (rank < count) {
+        return 0.0;
+    }
+    for (uint32_t a = 0; a < count; a++) {
+        work->score[a] = gram[at(count, work->pivot[a])] * scale[work->pivot[a]];
+    }
+    substitute(work->factor, rank, work->score);
+    for (uint32_t a = 0; a < count; a++) {
+        x[work->pivot[a]] = work->score[a] * scale[work->pivot[a]];
+    }
+    for (uint32_t b = 0; b < sums->count; b++) {
+        const double *block = sums->block[b].joint[i].gram;
+        for (uint32_t a = 0; a < count; a++) {
+            double sum = block[at(count, a)];
+            for (uint32_t c = 0; c < count; c++) {
+                sum -= entry(block, a, c) * x[c];
+            }
+            work->direct[a] = sum * scale[a];
+        }
+        total += loudness(work, rank, work->direct);
+    }
+    return total * (double)sums->count / (double)(sums->count - 1u);
+}
+
+/* Adds the motor rows of each joint to those of the energy, weighted so that both are equally loud. */
+static void add_motors(zygos_work_t *work, double energy)
+{
+    const zygos_joint_sums_t *sums = &work->joint_sums;
+    for (uint32_t i = 0; i < work->config.joints; i++) {
+        const double joint = joint_loudness(work, i);
+        work->weight[i] = (joint > 0.0) ? energy / joint : 0.0;
+        for (uint32_t b = 0; (b < sums->count) && (joint > 0.0); b++) {
+            embed(work, i, sums->block[b].joint[i].gram, work->weight[i], true, work->total);
+            embed(work, i, sums->noise[i], work->weight[i] * sums->block[b].instants, false, work->noise);
+        }
+    }
+}
+
+/* What may be hidden is added to the sigmas. */
+static void widen(const zygos_work_t *work, uint32_t p, zygos_estimate_t *out)
+{
+    for (uint32_t i = 0; i < p; i++) {
+        out->covariance[at(i, i)] += work->hidden[i] * work->hidden[i];
+        out->sigma[i] = root(out->covariance[at(i, i)]);
+    }
+}
+
 static bool sharp(const zygos_work_t *work, const zygos_estimate_t *out, uint32_t i, double limit)
 {
-    const double spread = out->sigma[i] * out->sigma[i] + work->hidden[i] * work->hidden[i];
-    return spread <= limit * limit * work->size[i] * work->size[i];
+    return out->sigma[i] <= limit * work->size[i];
 }
 
 /* A value that is not sharp lends its error to others, because noise in the rows acts on them through it: where nothing
@@ -428,7 +776,7 @@ static void withhold_blurred(zygos_work_t *work, bool full, zygos_estimate_t *ou
     }
     if (blurred && full) {
         double *without = work->left_out[0];
-        scaled_equations(work, p, NULL);
+        scaled_equations(work, p, NULL, work->believed);
         for (uint32_t i = 0; i < effects; i++) {
             if (sharp(work, out, i, ZYGOS_SIGMA_LIMIT)) {
                 continue;
@@ -438,7 +786,7 @@ static void withhold_blurred(zygos_work_t *work, bool full, zygos_estimate_t *ou
             }
             work->right[i] = 0.0;
         }
-        solve_once(work, p, factorise(work, p), without);
+        solve_once(work, p, factorise(work, p, p), without);
         for (uint32_t i = 0; i < p; i++) {
             const double shift = without[i] - out->value[i];
             out->sigma[i] = root(out->sigma[i] * out->sigma[i] + shift * shift);
@@ -464,20 +812,8 @@ static int refuse(zygos_estimate_t *out, uint32_t p, uint32_t reason)
     return 0;
 }
 
-static double residual(const zygos_work_t *work, uint32_t p, const double *x, uint64_t n)
-{
-    double sum = work->total[at(p, p)];
-    for (uint32_t i = 0; i < p; i++) {
-        sum -= 2.0 * x[i] * work->total[at(p, i)];
-        for (uint32_t j = 0; j < p; j++) {
-            sum += x[i] * x[j] * entry(work->total, i, j);
-        }
-    }
-    return (sum > 0.0) ? root(sum / (double)n) : 0.0;
-}
-
-/* Mean over the blocks of (sum of residuals)^2 / instants, in units of the mean square residual; *share is the root
-   mean square of the blocks' mean residuals, in units of the work's spread. */
+/* Mean over the blocks of (sum of residuals)^2 / sum of squared weights, in units of the mean square residual; *share
+   is the root mean square of the blocks' mean residuals, in units of the work's spread. */
 static double cluster(const zygos_work_t *work, uint32_t p, const zygos_estimate_t *out, double *share)
 {
     const zygos_accumulator_t *sums = &work->accumulator;
@@ -489,12 +825,11 @@ static double cluster(const zygos_work_t *work, uint32_t p, const zygos_estimate
         for (uint32_t i = 0; i < p; i++) {
             sum -= work->solution[i] * block->deviation[i];
         }
-        const double n = (block->instants > 0) ? (double)block->instants : 1.0;
-        squares += sum * sum / n;
-        means += sum * sum / (n * n);
+        squares += (block->square > 0.0) ? sum * sum / block->square : 0.0;
+        means += (block->instants > 0.0) ? sum * sum / (block->instants * block->instants) : 0.0;
     }
     const double blocks = (double)sums->open;
-    const double spread = root(work->total[at(p, p)] / (double)out->accepted);
+    const double spread = root(work->spread / (double)out->accepted);
     *share = root(means / blocks) / spread;
     return squares / (blocks * out->residual * out->residual);
 }
@@ -520,8 +855,12 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     out->cycle = work->cycle;
     out->refused = sums->refused;
     out->parameters = p;
-    const bool corrupt = !(zygos_accumulator_check(sums) <= 1.0);
+    const bool corrupt =
+        !(zygos_accumulator_check(sums) <= 1.0) || !(zygos_joint_sums_check(&work->joint_sums, &work->config) <= 1.0);
     zygos_accumulator_end_arc(sums, work->cycle);
+    if (!corrupt && (work->config.impulse_arc_cycles > 0)) {
+        zygos_joint_sums_end_arc(&work->joint_sums, &work->config, work->cycle);
+    }
     out->accepted = sums->accepted;
     out->arcs = sums->arcs;
     out->blocks = sums->open;
@@ -532,40 +871,62 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
         return refuse(out, p, ZYGOS_REASON_NO_DATA);
     }
     zygos_accumulator_total(sums, work->total);
-    for (uint32_t i = 0; i < p; i++) {
-        const double square = work->total[at(i, i)];
-        work->scale[i] = (square > 0.0) ? 1.0 / root(square) : 0.0;
+    work->spread = work->total[at(p, p)];
+    memcpy(work->noise, sums->noise_closed.gram, at(p + 1u, 0) * sizeof work->noise[0]);
+    memset(work->weight, 0, sizeof work->weight);
+    uint32_t rank = begin(work, p);
+    if ((work->joint_sums.count > 0) && (rank > 0)) {
+        believe(work, p, rank, out);
+        (void)solve_with(work, p, rank, work->believed, work->solution);
+        add_motors(work, energy_loudness(work, p, rank));
+        rank = begin(work, p);
     }
-    scaled_equations(work, p, NULL);
-    const uint32_t rank = factorise(work, p);
     out->rank = rank;
     if (rank == 0) {
         return refuse(out, p, ZYGOS_REASON_NOT_IDENTIFIABLE);
     }
-    double inverse = 0.0;
-    out->condition = condition(work, rank, &inverse);
-    solve_once(work, p, rank, work->solution);
     mark_identifiable(work, p, rank, out);
     bool full = true; /* but for effects */
     for (uint32_t d = rank; d < p; d++) {
         full = full && (work->pivot[d] >= effects);
     }
+    believe(work, p, rank, out);
+    double inverse = 0.0;
+    if (solve_with(work, p, rank, work->believed, work->solution) < rank) {
+        return refuse(out, p, ZYGOS_REASON_NOISE);
+    }
+    out->condition = condition(work, rank, &inverse);
     memcpy(out->value, work->solution, p * sizeof out->value[0]);
     memcpy(out->solution, work->solution, p * sizeof out->solution[0]);
-    out->residual = residual(work, p, work->solution, out->accepted);
-    const double unexplained = out->residual * out->residual * (double)out->accepted;
-    if (!(unexplained < ZYGOS_UNEXPLAINED_LIMIT * work->total[at(p, p)])) {
+    double explained = 0.0;
+    const double unexplained = energy_left(work, p, work->solution, &explained);
+    out->residual = root(unexplained / (double)out->accepted);
+    out->noise_ratio = (explained > 0.0) ? unexplained / explained : not_a_number();
+    if (!(unexplained < ZYGOS_UNEXPLAINED_LIMIT * work->spread)) {
         return refuse(out, p, ZYGOS_REASON_NOT_IDENTIFIABLE);
     }
     double share = 0.0;
     out->cluster = (out->residual > 0.0) ? cluster(work, p, out, &share) : 0.0;
     const bool closed = (out->cluster <= ZYGOS_CLUSTER_LIMIT) || (share <= ZYGOS_CLUSTER_SHARE);
-    const double noise = noise_square(work, p, unexplained);
+    const bool loud = !(out->gate >= ZYGOS_GATE);
+    const uint32_t blind = loud ? ZYGOS_REASON_NOISE : ZYGOS_REASON_NOT_IDENTIFIABLE;
+    const double excess = unexplained - work->believed * explained;
+    const double noise = noise_square(work, p, (excess > 0.0) ? excess : 0.0);
     if (!(noise * inverse <= ZYGOS_NOISE_LIMIT)) {
-        return refuse(out, p, closed ? ZYGOS_REASON_NOT_IDENTIFIABLE : ZYGOS_REASON_UNCLOSED);
+        return refuse(out, p, closed ? blind : ZYGOS_REASON_UNCLOSED);
     }
+    inverse_diagonal(work, p, rank, work->inverse);
     jackknife(work, p, rank, out);
     put_in_again(work, p, noise);
+    if (loud) {
+        /* What is left of the noise where it could not be taken off in whole. */
+        (void)solve_with(work, p, rank, 0.0, work->left_out[0]);
+        for (uint32_t i = 0; i < p; i++) {
+            const double shift = work->left_out[0][i] - work->solution[i];
+            work->hidden[i] = root(work->hidden[i] * work->hidden[i] + shift * shift);
+        }
+    }
+    widen(work, p, out);
     measure(work);
 
     withhold_blurred(work, full, out);
@@ -574,7 +935,10 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
         known += out->identifiable[i];
     }
     if (4u * known < effects) {
-        return refuse(out, p, closed ? ZYGOS_REASON_NOT_IDENTIFIABLE : ZYGOS_REASON_UNCLOSED);
+        return refuse(out, p, closed ? blind : ZYGOS_REASON_UNCLOSED);
+    }
+    for (uint32_t i = 0; i < p; i++) {
+        out->half95[i] = student(work->freedom[i]) * out->sigma[i];
     }
     for (uint32_t i = effects; i < p; i++) {
         if (!out->identifiable[i] || !(out->sigma[i] < infinity())) {
@@ -593,6 +957,9 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     } else if (!closed) {
         out->validity = ZYGOS_DOUBTFUL;
         out->reason = ZYGOS_REASON_UNCLOSED;
+    } else if (loud) {
+        out->validity = (known < p) ? ZYGOS_PARTIAL : ZYGOS_DOUBTFUL;
+        out->reason = ZYGOS_REASON_NOISE;
     } else if (known < p) {
         out->validity = ZYGOS_PARTIAL;
         out->reason = ZYGOS_REASON_NOT_IDENTIFIABLE;

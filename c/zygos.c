@@ -5,6 +5,7 @@
 #define MARK 0x7A79676Fu /* "zygo" */
 #define LARGEST_ANGLE 1e4
 #define LARGEST_VALUE 1e6
+#define SEGMENTS 48u /* of an arc, at first */
 
 uint32_t zygos_abi(void)
 {
@@ -101,14 +102,16 @@ static int check_config(const zygos_config_t *config)
         (config->smoother_order > 2u * m - 2u) || (config->smoother_lag != m)) {
         return ZYGOS_E_SMOOTHER;
     }
-    if (config->arc_cycles < ZYGOS_MIN_ARC_INSTANTS) {
+    if ((config->arc_cycles < ZYGOS_MIN_ARC_INSTANTS) ||
+        ((config->impulse_arc_cycles != 0) && (config->impulse_arc_cycles < ZYGOS_MIN_ARC_INSTANTS))) {
         return ZYGOS_E_ARC;
     }
     if (((config->imu_node < 1u) && (config->base == ZYGOS_BASE_FREE)) || (config->imu_node > 31u)) {
         return ZYGOS_E_NODE;
     }
     if ((config->imu_fine > 1u) || !is_rotation(config->imu_to_base) ||
-        !within(config->imu_latch_s, 0.0, config->period_s)) {
+        !within(config->imu_latch_s, 0.0, config->period_s) || !within(config->imu_sigma, 0.0, 1.0) ||
+        (config->compensation > (uint32_t)ZYGOS_MAX_JOINTS)) {
         return ZYGOS_E_VALUE;
     }
     for (uint32_t i = 0; i < config->joints; i++) {
@@ -136,8 +139,11 @@ int zygos_init(zygos_t *self, const zygos_config_t *config)
     zygos_skeleton_init(&self->skeleton, &checked);
     zygos_receiver_init(&self->receiver);
     zygos_smoother_init(&self->smoother, &checked);
+    zygos_noise_init(&self->noise, &checked, &self->layout, &self->smoother);
     zygos_balance_gap(&self->balance);
-    zygos_accumulator_init(&self->accumulator, self->layout.count);
+    zygos_accumulator_init(&self->accumulator, self->layout.count, checked.arc_cycles / SEGMENTS);
+    zygos_impulse_gap(&self->impulse);
+    zygos_joint_sums_init(&self->joint_sums, &checked, &self->smoother);
     self->mark = MARK;
     return 1;
 }
@@ -164,6 +170,8 @@ static void gap(zygos_t *self)
     self->gaps += (self->smoother.filled > 0) ? 1u : 0u;
     zygos_smoother_gap(&self->smoother);
     zygos_balance_gap(&self->balance);
+    zygos_impulse_gap(&self->impulse);
+    zygos_joint_sums_end_arc(&self->joint_sums, &self->config, self->cycle);
     end_arc(self);
 }
 
@@ -177,6 +185,26 @@ static void void_arcs(zygos_t *self, const zygos_cycle_t *cycle)
     const uint64_t trusted = (doubtful < cycle->sync) ? cycle->sync - doubtful : 0u;
     if ((doubtful == 0) || (self->cycle > trusted)) {
         zygos_accumulator_drop_after(&self->accumulator, trusted);
+        zygos_joint_sums_drop_after(&self->joint_sums, trusted);
+    }
+}
+
+/* The motor impulse rows of the newest instant, which have arcs of their own. */
+static void add_impulses(zygos_t *self)
+{
+    const zygos_config_t *config = &self->config;
+    if (config->impulse_arc_cycles == 0) {
+        return;
+    }
+    if (zygos_impulse_row(&self->impulse, config, &self->joint_sums.layout, &self->state, &self->motion,
+                          zygos_balance_torque_before(&self->balance),
+                          zygos_balance_torque_after(&self->balance, config), &self->impulse_rows) == 0) {
+        return;
+    }
+    zygos_joint_sums_add(&self->joint_sums, config, &self->impulse_rows, self->state.accepted);
+    if (self->joint_sums.cycles >= config->impulse_arc_cycles) {
+        zygos_joint_sums_end_arc(&self->joint_sums, config, self->cycle);
+        zygos_impulse_new_arc(&self->impulse);
     }
 }
 
@@ -201,12 +229,19 @@ static void work_off(zygos_t *self, const zygos_cycle_t *cycle)
         return;
     }
     zygos_kinematics(&self->skeleton, &self->config, &self->state, &self->motion);
-    if (zygos_balance_row(&self->balance, &self->config, &self->layout, &self->state, &self->motion, &self->row) == 0) {
+    add_impulses(self);
+    if (zygos_balance_row(&self->balance, &self->config, &self->layout, &self->noise.drift, &self->state, &self->motion,
+                          &self->row) == 0) {
         return;
     }
     self->instant = 1;
     self->accepted = self->state.accepted;
+    zygos_noise_means(&self->noise, &self->config, &self->motion, &self->row);
     zygos_accumulator_add(&self->accumulator, &self->row, self->state.accepted);
+    zygos_noise_add(&self->noise, &self->config, &self->layout, &self->skeleton, &self->state, &self->motion,
+                    zygos_balance_torque_before(&self->balance),
+                    zygos_balance_torque_after(&self->balance, &self->config), self->arc, self->state.accepted,
+                    self->accumulator.noise.gram, self->accumulator.noise.sum);
     self->arc++;
     if (self->arc >= self->config.arc_cycles) {
         end_arc(self);
@@ -269,6 +304,7 @@ void zygos_take(const zygos_t *self, zygos_work_t *work)
         return;
     }
     work->accumulator = self->accumulator;
+    work->joint_sums = self->joint_sums;
     work->cycle = self->cycle;
     work->config = self->config;
 }
@@ -295,7 +331,9 @@ int zygos_restart(zygos_t *self, uint32_t keep)
     }
     zygos_smoother_gap(&self->smoother);
     zygos_balance_gap(&self->balance);
-    zygos_accumulator_init(&self->accumulator, self->layout.count);
+    zygos_impulse_gap(&self->impulse);
+    zygos_joint_sums_clear(&self->joint_sums, &self->config);
+    zygos_accumulator_init(&self->accumulator, self->layout.count, self->config.arc_cycles / SEGMENTS);
     self->arc = 0;
     self->instant = 0;
     return 1;

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -25,6 +26,16 @@ def need(found: object, what: str) -> None:
         if os.environ.get("CI"):
             pytest.fail(f"missing in CI: {what}")
         pytest.skip(f"missing here: {what}", allow_module_level=True)
+
+
+def house_flags() -> list[str]:
+    """The flags that tools/build_native.py compiles with, less those of a shared object."""
+    spec = importlib.util.spec_from_file_location("build_native", ROOT / "tools" / "build_native.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return [flag for flag in module.FLAGS.split() if flag not in ("-g", "-fPIC")]
 
 
 @pytest.fixture(scope="session")

@@ -46,6 +46,7 @@ class Encoder:
     sign: int = 1
     zero_rad: float = 0.0
     zero_sigma_rad: float = 0.0
+    """How well `zero_rad` is known, rad. Above 0 the joint's spring is estimated with an offset."""
     latch_us: int = 0
     """Delay of this encoder's latch after SYNC in µs, on top of the joint's."""
 
@@ -90,6 +91,11 @@ class Joint:
     """Delay of both encoders' latch after SYNC in µs, as stated on the wire."""
     flexible: bool = True
     """Whether the joint has a spring; a rigid one has theta = q, and neither stiffness nor damping."""
+
+    @property
+    def unsure_zero(self) -> bool:
+        """Whether the encoders may disagree about where theta = q: the zero of one has a deviation."""
+        return self.flexible and max(self.link_encoder.zero_sigma_rad, self.motor_encoder.zero_sigma_rad) > 0.0
 
 
 @dataclass(frozen=True)
@@ -136,6 +142,11 @@ class Arm:
     imu: Imu
     smoother: Smoother = Smoother()
     arc_max_s: float = 60.0
+    impulse_arc_s: float = 10.0
+    """Longest arc of the motor impulse rows, s; 0: none of them. Their noise sums up over an arc."""
+    compensate_every: int | None = None
+    """What sensor noise adds to the normal equations is taken off, each joint's share in every that many cycles; 0: it is
+    not. None: `compensation`."""
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """m/s^2 in the base frame, of a fixed base; a free-floating arm falls with its orbit and feels none."""
 
@@ -143,6 +154,12 @@ class Arm:
     def free(self) -> bool:
         """Whether the base floats."""
         return self.base == "free"
+
+    @property
+    def compensation(self) -> int:
+        """Cycles from one turn of a joint's compensation to the next: its cost grows with the fourth power of N."""
+        chosen = (1 if self.n <= 3 else self.n) if self.compensate_every is None else self.compensate_every
+        return chosen
 
     @property
     def spatial(self) -> bool:
@@ -306,11 +323,19 @@ def read_arm(top: Table) -> Arm:
         smoother=_smoother(top.table("smoother", optional=True)),
         arc_max_s=arc.number("max_s", 60.0, above=0.0, unit="s"),
         gravity=(gravity[0], gravity[1], gravity[2]),
+        impulse_arc_s=arc.number("impulse_max_s", 10.0, low=0.0, unit="s"),
+        compensate_every=_compensation(top.table("compensation", optional=True)),
     )
     arc.finish()
     top.finish()
     _check_whole(arm, top)
     return arm
+
+
+def _compensation(table: Table) -> int | None:
+    every = table.integer("every", low=0, high=7) if table.has("every") else None
+    table.finish()
+    return every
 
 
 def read_joint(table: Table) -> Joint:

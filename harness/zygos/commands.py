@@ -249,7 +249,10 @@ def finish_estimate(
     }
     known = (prior.base_parameters(flight.arm) if prior is not None else {}) | found
     quantities = {name: known[name] for name in flight.arm.parameter_names if name in known}
-    effects = tuple(learned(effect, found.get(effect.column(flight.arm))) for effect in prior.effects) if prior else ()
+    given = prior.effects if prior is not None else ()
+    # an offset that only the arm file asked for, and the run is silent on, is none
+    asked = (one for one in flight.effects if one not in given and one.column(flight.arm) in found)
+    effects = tuple(learned(effect, found.get(effect.column(flight.arm))) for effect in (*given, *asked))
     if json != "-":
         rows = [
             (name, unit, number(value), number(sigma, 2), number(100 * ratio(sigma, abs(value)), 2))

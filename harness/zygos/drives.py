@@ -80,7 +80,8 @@ class Drives:
         for kind, i, value in self.laws:
             assert kind.torque is not None
             if kind.place == "spring":
-                spring[..., i] += value * kind.torque(deflection[..., i])
+                # what a rigid joint exerts is a constraint
+                spring[..., i] += 0.0 if self.rigid[i] else value * kind.torque(deflection[..., i])
             elif kind.place == "motor":
                 motor[..., i] += value * kind.torque(thetad[..., i])
             else:

@@ -25,6 +25,9 @@ from zygos.errors import ZygosError
 Array = NDArray[np.float64]
 Place = Literal["motor", "link", "spring", "torque", "rotor", "base"]
 
+OFFSET = "spring_offset"
+"""The entry by which an estimator takes encoders whose zeros are off."""
+
 SLOWEST_RATE = 1e-3
 """Below this rate, rad/s after the gear, Coulomb friction fades to zero: a sign cannot be integrated, nor be read from
 a noisy rate."""
@@ -60,12 +63,16 @@ def smooth_sign(rate: Array) -> Array:
     return np.clip(rate / SLOWEST_RATE, -1.0, 1.0)
 
 
-def _same(rate: Array) -> Array:
-    return rate
+def _same(x: Array) -> Array:
+    return x
 
 
 def _cube(deflection: Array) -> Array:
     return deflection**3
+
+
+def _one(deflection: Array) -> Array:
+    return np.ones_like(deflection)
 
 
 def _quarter_fourth(deflection: Array) -> Array:
@@ -93,6 +100,7 @@ CATALOGUE = {
         ),
         Kind("link_coulomb", "Coulomb friction at the link", "Nm", "link", smooth_sign, twins=("motor_coulomb",)),
         Kind("cubic_stiffness", "cubic joint stiffness", "Nm/rad^3", "spring", _cube, _quarter_fourth, positive=False),
+        Kind(OFFSET, "offset of the spring", "Nm", "spring", _one, _same, positive=False),
         Kind("torque_lag", "torque lag", "s", "torque", twins=("motor_viscous",)),
         Kind("rotor_coupling", "rotor gyroscopic coupling", "1", "rotor", positive=False),
         Kind("angular_momentum", "angular momentum", "Nms", "base", positive=False),
@@ -100,6 +108,8 @@ CATALOGUE = {
 }
 """Entries by key. Units are those of the coefficient: torques at a motor in Nm before the gear, rates after it.
 
+spring_offset: the spring's torque where theta = q reads 0. Encoders whose zeros are off, so that theta - q reads too
+much by x, make a spring of stiffness k look as if it had one of -k x.
 torque_lag: the motor follows the reported torque later by that time, less than a SYNC period.
 rotor_coupling: the share of the rotor's inertia that the carrying body's rotation acts on, 1 in nature and 0 in
 simulators whose `armature` adds to the joint's inertia alone. A model that does not mention it has 1.
@@ -155,11 +165,12 @@ def spoken(arm: Arm, column: str) -> str:
     return title if joint < 0 else f"{title} ({arm.joints[joint].name})"
 
 
-def estimated(effects: Sequence[Effect]) -> tuple[Effect, ...]:
-    """Those of a model's effects that have a column in the energy balance, so that an estimator finds their values.
+def estimated(arm: Arm, effects: Sequence[Effect]) -> tuple[Effect, ...]:
+    """The effects that have a column in the energy balance, so that an estimator finds their values.
 
-    Rotor coupling as in nature is in the columns of every arm, and an angular momentum does no work: both are passed
-    over. Errors: ZygosError for any other rotor coupling.
+    Those of a model, and, where it does not name them, the offset of each spring between encoders whose zeros the arm
+    file does not vouch for (`zero_sigma_rad` above 0). Rotor coupling as in nature is in the columns of every arm, and
+    an angular momentum does no work: both are passed over. Errors: ZygosError for any other rotor coupling.
     """
     for effect in effects:
         if effect.kind.key == "rotor_coupling" and effect.value != 1.0:
@@ -167,4 +178,9 @@ def estimated(effects: Sequence[Effect]) -> tuple[Effect, ...]:
                 f"effect rotor_coupling at {effect.joint}: the estimator has no columns for a rotor that couples by "
                 f"{effect.value:g}; remedy: leave the entry out, in nature it is 1"
             )
-    return tuple(effect for effect in effects if effect.kind.place not in ("rotor", "base"))
+    offset = CATALOGUE[OFFSET]
+    named = {effect.joint for effect in effects if effect.kind == offset}
+    return (
+        *(effect for effect in effects if effect.kind.place not in ("rotor", "base")),
+        *(Effect(offset, joint.name, 0.0) for joint in arm.joints if joint.unsure_zero and joint.name not in named),
+    )

@@ -37,6 +37,7 @@ REASONS = (
     "the estimate is not physical: an inertia matrix that is not positive definite, or a negative Im, k, b or friction",
     "the accumulated sums are corrupt: memory was changed from outside",
     "the balance does not close: what the solution leaves over is no noise",
+    "sensor noise is as large as the motion in some combination of parameters",
 )
 _CONFIG_ERRORS = {
     -2: "the library was built with other headers",
@@ -116,7 +117,9 @@ class Estimate:
     value: NDArray[np.float64]
     """(p,)"""
     sigma: NDArray[np.float64]
-    """(p,) one standard deviation of the spread; the bias of squared noise is not in it."""
+    """(p,) one standard deviation."""
+    half95: NDArray[np.float64]
+    """(p,) half width of the 95 % interval."""
     covariance: NDArray[np.float64]
     """(p, p)"""
     validity: str
@@ -132,6 +135,10 @@ class Estimate:
     """How far the residuals of a block add up: around 1 for noise, up to the block's instants otherwise."""
     residual: float
     """rms of the rows' residuals, J."""
+    noise_ratio: float
+    """Its square over what the declared noise makes of it; NaN where none is declared."""
+    gate: float
+    """Smallest ratio of sums to noise over all combinations of parameters; infinite where none is declared."""
 
 
 def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
@@ -163,6 +170,9 @@ def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
     for k, entry in enumerate(np.asarray(arm.mount, dtype=float).ravel()):
         config.imu_to_base[k] = entry
     config.imu_latch_s = arm.imu.latch_us * 1e-6
+    config.imu_sigma = arm.imu.rate_sigma
+    config.compensation = arm.compensation
+    config.impulse_arc_cycles = max(1, round(arm.impulse_arc_s / arm.period_s)) if arm.impulse_arc_s > 0.0 else 0
     for i, joint in enumerate(arm.joints):
         out = config.joint[i]
         out.node = joint.node
@@ -177,11 +187,12 @@ def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
         out.link_sign, out.link_zero_rad, out.link_sigma_rad = link.sign, link.zero_rad, link.sigma_rad
         out.motor_sign, out.motor_zero_rad, out.motor_sigma_rad = motor.sign, motor.zero_rad, motor.sigma_rad
         out.link_latch_s, out.motor_latch_s = link.latch_us * 1e-6, motor.latch_us * 1e-6
-    columns = estimated(effects)
+    columns = estimated(arm, effects)
     if len(columns) > lib.ZYGOS_MAX_EFFECTS_VALUE:
         raise ZygosError(
             f"{len(columns)} effects are to be estimated, this build holds {lib.ZYGOS_MAX_EFFECTS_VALUE}; "
-            "remedy: keep those that matter most, or rebuild with -DZYGOS_MAX_EFFECTS"
+            "remedy: keep those that matter most (a joint with zero_sigma_rad > 0 has one), or rebuild with "
+            "-DZYGOS_MAX_EFFECTS"
         )
     config.effects = len(columns)
     for k, effect in enumerate(columns):
@@ -235,7 +246,7 @@ class Flight:
                 f"the flight library refuses arm {arm.name!r}: {_CONFIG_ERRORS.get(verdict, verdict)}; "
                 f"remedy: correct the {'effects' if verdict == lib.ZYGOS_E_EFFECT else 'arm file'}"
             )
-        self.effects = estimated(effects)
+        self.effects = estimated(arm, effects)
         self.names = (*arm.parameter_names, *(effect.column(arm) for effect in self.effects))
         if self.native.layout.count != len(self.names):
             raise ZygosError(
@@ -279,6 +290,7 @@ class Flight:
             solution=np.frombuffer(ffi.buffer(out.solution), dtype=np.float64)[:p].copy(),
             value=np.frombuffer(ffi.buffer(out.value), dtype=np.float64)[:p].copy(),
             sigma=np.frombuffer(ffi.buffer(out.sigma), dtype=np.float64)[:p].copy(),
+            half95=np.frombuffer(ffi.buffer(out.half95), dtype=np.float64)[:p].copy(),
             covariance=covariance,
             validity=VALIDITY[out.validity],
             reason=REASONS[out.reason],
@@ -291,6 +303,8 @@ class Flight:
             condition=out.condition,
             cluster=out.cluster,
             residual=out.residual,
+            noise_ratio=out.noise_ratio,
+            gate=out.gate,
         )
 
     def normal_equations(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

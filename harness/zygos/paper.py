@@ -76,7 +76,7 @@ def flight_estimates(arm: Arm, trajectory: Trajectory) -> Floats:
     for k in range(len(trajectory.seeds)):
         flight = Flight(arm)
         flight.frames(encode(arm, trajectory.cycles(k)))
-        values.append(flight.estimate().value)
+        values.append(flight.estimate().value[: len(arm.parameter_names)])
     return np.array(values)
 
 

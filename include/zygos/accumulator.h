@@ -4,8 +4,12 @@
 /// outer products of z = [row, W, 1]; the last column then holds all that is needed to eliminate the constant exactly
 /// when the arc ends: G := G - s m^T - m s^T + n m m^T with m the mean of the arc.
 ///
-/// The sums are kept in blocks of consecutive instants. When all blocks are in use, blocks become twice as long and
-/// neighbours that fit into one merge. The blocks do not change the sum; their spread is what the sigmas come from.
+/// The sums are kept in blocks, whose spread is what the sigmas come from. A block that begins and ends sharply would
+/// tell of its edges, for the noise of a rate adds up to the difference of two angles. So blocks overlap: in each
+/// segment one fades out and the next fades in, and the weights of an instant add up to 1. When all blocks are in use,
+/// segments become twice as long and neighbours that fit into one block merge. The blocks do not change the sum.
+///
+/// What noise adds on average (noise.h) is summed beside, and taken off the blocks when a segment ends.
 ///
 /// Every block carries its row sums. G 1 = sum holds to rounding, unless memory was corrupted.
 
@@ -20,12 +24,20 @@ extern "C" {
 #endif
 
 typedef struct {
-    double gram[ZYGOS_MAX_PACKED_ROW]; ///< Sum of z z^T, lower triangle row by row, width (width + 1)/2 used.
-    double sum[ZYGOS_MAX_ROW];         ///< Sum of z (1^T z): the row sums of gram.
-    double deviation[ZYGOS_MAX_ROW];   ///< Closed arcs: sum of z less as many times the mean of its arc.
-    uint64_t instants;                 ///< Accepted instants in this block.
+    double gram[ZYGOS_MAX_PACKED_ROW]; ///< Sum of w z z^T, lower triangle row by row, width (width + 1)/2 used.
+    double sum[ZYGOS_MAX_ROW];         ///< Row sums of gram.
+    double deviation[ZYGOS_MAX_ROW];   ///< Closed arcs: sum of w z less as many times the mean of its arc.
+    double instants;                   ///< Sum of the weights w of accepted instants.
+    double square;                     ///< Sum of w^2.
+    double overlap;                    ///< Sum of w times the weight in the block behind.
     uint64_t end;                      ///< Closed arcs: number of the newest cycle in them.
 } zygos_block_t;
+
+/// What noise adds on average: packed lower triangle of p + 1 rows, that of the work last, and its row sums.
+typedef struct {
+    double gram[ZYGOS_MAX_PACKED_ROW];
+    double sum[ZYGOS_MAX_ROW];
+} zygos_share_t;
 
 typedef struct {
     uint32_t width;        ///< p + 2.
@@ -35,18 +47,23 @@ typedef struct {
     uint32_t arcs;         ///< Arcs that closed with enough instants.
     uint32_t arcs_dropped; ///< Arcs that were dropped later, or had fewer than ZYGOS_MIN_ARC_INSTANTS.
     uint32_t corrupt;      ///< 1: the row sums of an arc did not match when it closed.
-    uint64_t target;       ///< Instants at which a block is full.
-    uint64_t accepted;     ///< Instants in closed arcs and in the open one.
-    uint64_t refused;      ///< Instants that failed the bandwidth test.
+    uint32_t reserved;
+    uint64_t target;            ///< Instants of a segment.
+    uint64_t segment;           ///< Accepted instants of the open segment.
+    uint64_t accepted;          ///< Instants in closed arcs and in the open one.
+    uint64_t refused;           ///< Instants that failed the bandwidth test.
+    zygos_share_t noise;        ///< Of the open segment, not yet taken off.
+    zygos_share_t noise_open;   ///< Of the other segments of the open arc, taken off.
+    zygos_share_t noise_closed; ///< Of closed arcs, taken off. When one of them is dropped, it shrinks in proportion.
     zygos_block_t block[ZYGOS_MAX_BLOCKS];
 } zygos_accumulator_t;
 
-/// Empties the accumulator for p parameters.
-void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters);
+/// Empties the accumulator for p parameters. segment: instants of a segment at first.
+void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint64_t segment);
 
-/// Adds one instant with weight 1 (accepted) or 0 (refused): the instructions are the same. Cost: one rank-1 update of
-/// (p+2)(p+3)/2 entries; when a block has become full, in addition what it takes to open the next, at the worst one
-/// merge of all blocks.
+/// Adds one instant with weight 1 (accepted) or 0 (refused): the instructions are the same. Cost: two rank-1 updates of
+/// (p+2)(p+3)/2 entries; when a segment has ended, in addition what it takes to open the next, at the worst one merge
+/// of all blocks. What noise adds on average to this instant goes into self->noise behind this call.
 void zygos_accumulator_add(zygos_accumulator_t *self, const zygos_row_t *row, double weight);
 
 /// Ends the open arc, whose newest cycle is the given one: eliminates its constant, or drops it when it is too short.
@@ -54,7 +71,7 @@ void zygos_accumulator_add(zygos_accumulator_t *self, const zygos_row_t *row, do
 void zygos_accumulator_end_arc(zygos_accumulator_t *self, uint64_t cycle);
 
 /// Drops the open arc, and the blocks of closed arcs that reach beyond the given cycle. A block in which that cycle was
-/// merged with older ones goes as a whole. Cost: none for the sums.
+/// merged with older ones goes as a whole. Cost: one pass over the noise of closed arcs.
 void zygos_accumulator_drop_after(zygos_accumulator_t *self, uint64_t cycle);
 
 /// Sums the blocks of closed arcs into gram (packed as in a block, width self->width).

@@ -47,6 +47,12 @@ typedef struct {
     double work; ///< [J]
 } zygos_row_t;
 
+/// What noise alone adds to the integrals of squared rates in a step, and is taken off (noise.h).
+typedef struct {
+    double slip[ZYGOS_MAX_JOINTS];      ///< [rad^2/s]
+    double effect[ZYGOS_EFFECT_PLACES]; ///< In units of the effect's column.
+} zygos_drift_t;
+
 /// Place of each joint's parameters, the rotor inertia's first, and number of parameters p.
 typedef struct {
     uint32_t kinetic;                 ///< Kinetic parameters of the bodies, which come first.
@@ -73,7 +79,12 @@ void zygos_balance_torque(zygos_balance_t *self, const zygos_config_t *config, c
 /// Carries W and D on to this instant and writes its row. Returns 1 when the row belongs to an arc, 0 while g fills.
 /// Cost: the same for every call of a configuration.
 int zygos_balance_row(zygos_balance_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
-                      const zygos_state_t *state, const zygos_motion_t *motion, zygos_row_t *out);
+                      const zygos_drift_t *drift, const zygos_state_t *state, const zygos_motion_t *motion,
+                      zygos_row_t *out);
+
+/// Torque in force on the step that ended with the newest instant, and on the one that begins with it: tau[N] each.
+const double *zygos_balance_torque_before(const zygos_balance_t *self);
+const double *zygos_balance_torque_after(const zygos_balance_t *self, const zygos_config_t *config);
 
 #ifdef __cplusplus
 }

@@ -9,6 +9,7 @@
 ///     ZYGOS_CUBIC_STIFFNESS    d^4 / 4                               energy of the spring
 ///     ZYGOS_TORQUE_LAG         sum over j < k of s_j, and s_k / 2    work that torque steps lose by being late,
 ///                                                                    s_j = n (tau_j - tau_(j-1)) theta'_j
+///     ZYGOS_SPRING_OFFSET      d                                     energy of the spring
 ///
 /// tau_j is the torque in force on [t_j, t_(j+1)). Integrals follow the rule of the dissipation (balance.h), and
 /// integrals and sums begin with the arc. Of the step at the instant itself a lag T takes half: the smoother sees it
@@ -44,12 +45,20 @@ int zygos_effects_check(const zygos_config_t *config);
 uint32_t zygos_effects_positive(const zygos_config_t *config);
 
 /// Carries the integrals and sums on to this instant. tau_before[N] and tau[N] are the torques in force until it and
-/// from it on. Needs a checked configuration. Cost: the same for every call of a configuration.
+/// from it on; drift, one an effect, is what noise alone adds to an integral in a step. Needs a checked configuration.
+/// Cost: the same for every call of a configuration.
 void zygos_effects_carry_on(zygos_effects_t *self, const zygos_config_t *config, const zygos_state_t *state,
-                            const double *tau_before, const double *tau);
+                            const double *tau_before, const double *tau, const double *drift);
 
 /// Multiplies the integrals and sums by keep: 0 at the origin of an arc, else 1.
 void zygos_effects_keep(zygos_effects_t *self, const zygos_config_t *config, double keep);
+
+/// Derivatives of the column of effect e in the newest smoothed angle and rate of its motor, and in the angle of its
+/// link; torque_step is the change of its torque at the instant. An integral changes with the newest angle by what it
+/// integrates over the angle.
+void zygos_effects_motor_slopes(const zygos_config_t *config, uint32_t e, const zygos_state_t *state,
+                                double torque_step, double *by_angle, double *by_rate);
+double zygos_effects_link_slope(const zygos_config_t *config, uint32_t e, const zygos_state_t *state);
 
 /// Writes the columns of this instant, one an effect.
 void zygos_effects_columns(const zygos_effects_t *self, const zygos_config_t *config, double *column);

@@ -34,14 +34,15 @@ typedef struct {
     uint32_t reserved;
 } zygos_skeleton_t;
 
+/// Vectors stand in the base's axes; those of a planar arm in the plane, along the two directions across its axis.
 typedef struct {
     double column[ZYGOS_MAX_BODY];             ///< Columns of the bodies' parameters [rad^2/s^2, m/s^2].
     double carrier_rate[ZYGOS_MAX_JOINTS];     ///< Rate of the body that carries joint i about its axis, a_i . w_(i-1)
                                                ///< [rad/s].
-    double direction[ZYGOS_MAX_DIRECTIONS][3]; ///< The directions in base axes, in the order of the columns; of a
-                                               ///< planar arm (cos phi_i, sin phi_i) of each body.
-    double rate[ZYGOS_MAX_DIRECTIONS][3];      ///< Their rate vectors [rad/s].
-    double axis[ZYGOS_MAX_JOINTS][3];          ///< Joint axes in base axes. Of a spatial arm only.
+    double direction[ZYGOS_MAX_DIRECTIONS][3]; ///< d: in space as above; in a plane one a body, (cos phi_i, sin phi_i).
+    double rate[ZYGOS_MAX_DIRECTIONS][3];      ///< v of each [rad/s].
+    double axis[ZYGOS_MAX_JOINTS][3];          ///< Of a spatial arm.
+    double spin[ZYGOS_MAX_JOINTS][3];          ///< Of a spatial arm: w_(i-1) of the body that carries joint i [rad/s].
 } zygos_motion_t;
 
 /// Sine and cosine. At most 1 ulp off for |angle| <= 1e5; branch-free: the same instructions for every finite angle,
@@ -59,6 +60,15 @@ uint32_t zygos_gravity_parameters(const zygos_config_t *config);
 
 /// Needs a configuration as above.
 void zygos_skeleton_init(zygos_skeleton_t *self, const zygos_config_t *config);
+
+/// Adds x_a . y_b for a <= b, halved for a = b, to the kinetic columns, x_a and y_b being any vectors in the place of
+/// the rate vectors: columns are quadratic, and this is their polar form. Returns the place behind the kinetic columns.
+double *zygos_kinetic_products(const zygos_config_t *config, const double (*x)[3], const double (*y)[3], double *out);
+
+/// Derivatives of the bodies' columns in the angle and in the rate of link i. Needs a motion that zygos_kinematics()
+/// filled. Cost: four products a pair of directions.
+void zygos_kinematics_slopes(const zygos_skeleton_t *self, const zygos_config_t *config, const zygos_motion_t *motion,
+                             uint32_t i, double *by_angle, double *by_rate);
 
 /// Fills *out from the state. Needs a checked configuration. Cost: N sincos; planar (N+1)(N+2)/2 plane products, twice
 /// as many where b_ij are parameters; spatial N rotations and (N+2)(2N+3) products of three.

@@ -2,14 +2,16 @@
 ///
 /// Columns are scaled to unit length, then factorised by Cholesky with symmetric pivoting. Columns that are linear
 /// combinations of others leave the factorisation; they and every parameter they can be exchanged for are "not
-/// identifiable yet" and have no value. Sigmas come from solving again with one block left out at a time (jackknife),
-/// because neighbouring rows share noise and s^2 A^-1 would be far too small. They describe the spread; the
-/// bias that noise squared in the row causes is not in them.
+/// identifiable yet" and have no value. What the declared noise adds to the equations is taken off (noise.h); when the
+/// residuals are smaller than that noise, as much less. Sigmas come from solving again with one block left out at a
+/// time, because neighbouring rows share noise and s^2 A^-1 would be far too small; what noise that nobody declared may
+/// hide is added to them.
 
 #ifndef ZYGOS_SOLVER_H
 #define ZYGOS_SOLVER_H
 
 #include "accumulator.h"
+#include "jointsums.h"
 #include "types.h"
 
 #ifdef __cplusplus
@@ -32,14 +34,22 @@ enum zygos_reason {
                                        ///< not positive, or a friction or lag is negative, by more than
                                        ///< ZYGOS_NEGATIVE_SIGMAS.
     ZYGOS_REASON_CORRUPT = 5,          ///< Row sums or counts do not match: memory was changed, or never taken.
-    ZYGOS_REASON_UNCLOSED = 6          ///< What the solution leaves over is no noise: see ZYGOS_CLUSTER_LIMIT.
+    ZYGOS_REASON_UNCLOSED = 6,         ///< What the solution leaves over is no noise: see ZYGOS_CLUSTER_LIMIT.
+    ZYGOS_REASON_NOISE = 7             ///< Noise is as large as the motion in some combination: see ZYGOS_GATE.
 };
 
 /// A parameter whose scaled pivot falls below this share is a combination of the others.
 #define ZYGOS_PIVOT_LIMIT 1e-11
-/// The residuals tell how much noise the columns hold. When the square of that noise, per scaled column, exceeds this
-/// share of what the motion puts into the combination of columns that it excites least, noise makes that combination,
-/// and with it the values. Below that, as much noise again must not move a value beyond the limits that hold for sigma.
+/// Smallest ratio of the sums to the noise in them, over all combinations of columns. At 1 they are noise. Below this
+/// limit only half of the sums' least combination is taken off, and values that this changes by more than the limits
+/// for sigma are withheld.
+#define ZYGOS_GATE 2.0
+/// When the residuals' square is less than this share of the declared noise, the declaration is too large, and as much
+/// of it is believed as the residuals show.
+#define ZYGOS_OVERDECLARED 0.6
+/// The residuals beyond the declared noise tell how much more the columns may hold. When its square, per scaled column,
+/// exceeds this share of what the motion puts into the combination of columns that it excites least, it makes that
+/// combination, and with it the values. Below that, what as much noise again changes is added to the sigmas.
 #define ZYGOS_NOISE_LIMIT 1.0
 /// When more than this share of the work's variance is left over, the rows are noise (an arm at rest) or another arm's:
 /// nothing is identifiable.
@@ -73,6 +83,8 @@ typedef struct {
     double condition;    ///< 1-norm condition of the scaled normal matrix of the independent columns.
     double cluster;      ///< How far the residuals of a block add up: around 1 for noise, up to its instants otherwise.
     double residual;     ///< Root mean square of W - row . x about the arc constants [J].
+    double noise_ratio;  ///< Its square over what the declared noise makes of it; NaN where none is declared.
+    double gate;         ///< Smallest ratio of sums to noise (ZYGOS_GATE); infinite where none is declared.
     uint32_t identifiable[ZYGOS_MAX_PARAMETERS]; ///< 1, or 0 and value and sigma are NaN.
     /// The least squares solution for all columns, dependent ones 0; NaN when refused. As a whole it predicts the
     /// energy of motions like those it came from. One of its entries means something by itself only where value has it
@@ -80,6 +92,8 @@ typedef struct {
     double solution[ZYGOS_MAX_PARAMETERS];
     double value[ZYGOS_MAX_PARAMETERS];
     double sigma[ZYGOS_MAX_PARAMETERS];
+    double half95[ZYGOS_MAX_PARAMETERS]; ///< Half width of the 95 % interval: sigma times Student's factor for as many
+                                         ///< blocks as the parameter's information really comes from.
     double covariance[ZYGOS_MAX_PACKED]; ///< Lower triangle row by row; NaN where a parameter has no value.
 } zygos_estimate_t;
 
@@ -87,10 +101,12 @@ typedef struct {
 /// that solves; none of it is meant to be read.
 typedef struct {
     zygos_accumulator_t accumulator;
+    zygos_joint_sums_t joint_sums;
     uint64_t cycle;
     zygos_config_t config;
     zygos_layout_t layout;
-    double total[ZYGOS_MAX_PACKED_ROW];
+    double total[ZYGOS_MAX_PACKED_ROW]; ///< All rows, weighted, the noise taken off.
+    double noise[ZYGOS_MAX_PACKED_ROW]; ///< The noise that was.
     double matrix[ZYGOS_MAX_PACKED];
     double factor[ZYGOS_MAX_PACKED];
     double scale[ZYGOS_MAX_PARAMETERS];
@@ -99,12 +115,20 @@ typedef struct {
     double size[ZYGOS_MAX_PARAMETERS];
     double hidden[ZYGOS_MAX_PARAMETERS];
     double score[ZYGOS_MAX_PARAMETERS];
-    double left_out[ZYGOS_MAX_BLOCKS][ZYGOS_MAX_PARAMETERS];
+    double left_out[ZYGOS_MAX_BLOCKS + ZYGOS_MAX_JOINT_BLOCKS][ZYGOS_MAX_PARAMETERS];
+    double weight[ZYGOS_MAX_JOINTS];      ///< Of each joint's motor rows beside the energy rows.
+    double inverse[ZYGOS_MAX_PARAMETERS]; ///< Diagonal of the inverse of the scaled matrix.
+    double shares[2][ZYGOS_MAX_PARAMETERS];
+    double freedom[ZYGOS_MAX_PARAMETERS];
+    double direct[ZYGOS_MAX_PARAMETERS];
+    double spread;   ///< Sum of the squared work about the arc constants [J^2].
+    double believed; ///< Share of the declared noise that is taken off.
     uint32_t pivot[ZYGOS_MAX_PARAMETERS];
 } zygos_work_t;
 
-/// Solves. Reads and changes *work, writes *out; touches nothing else. Cost: (blocks + 3) Cholesky factorisations of
-/// order p at the most. Returns 1 when there are values, 0 when validity is ZYGOS_REFUSED, or ZYGOS_E_NULL.
+/// Solves. Reads and changes *work, writes *out; touches nothing else. Cost: (2 blocks + 4) Cholesky
+/// factorisations of order p at the most. Returns 1 when there are values, 0 when validity is ZYGOS_REFUSED, or
+/// ZYGOS_E_NULL.
 int zygos_solve(zygos_work_t *work, zygos_estimate_t *out);
 
 #ifdef __cplusplus

@@ -36,7 +36,7 @@ extern "C" {
 
 /// Number of blocks in which the normal equations are kept; the spread of the blocks gives the sigmas. Even.
 #ifndef ZYGOS_MAX_BLOCKS
-#define ZYGOS_MAX_BLOCKS 32
+#define ZYGOS_MAX_BLOCKS 64
 #endif
 #if (ZYGOS_MAX_BLOCKS < 8) || (ZYGOS_MAX_BLOCKS > 256) || (ZYGOS_MAX_BLOCKS % 2 != 0)
 #error "ZYGOS_MAX_BLOCKS must be even, 8..256"
@@ -52,7 +52,7 @@ extern "C" {
 
 /// Largest number of effects that a configuration can switch on. At 0 the library has no room for any.
 #ifndef ZYGOS_MAX_EFFECTS
-#define ZYGOS_MAX_EFFECTS 4
+#define ZYGOS_MAX_EFFECTS 8
 #endif
 #if (ZYGOS_MAX_EFFECTS < 0) || (ZYGOS_MAX_EFFECTS > 16)
 #error "ZYGOS_MAX_EFFECTS must be 0..16"
@@ -113,7 +113,7 @@ enum zygos_error {
     ZYGOS_E_AXIS = -9, ///< A joint axis is no unit vector, of a spatial arm a frame no rotation, or of a planar one an
                        ///< axis not parallel.
     ZYGOS_E_VALUE = -10,  ///< A ratio, sign, zero, sigma, latch delay, imu_fine or imu_to_base is not in its range.
-    ZYGOS_E_ARC = -11,    ///< arc_cycles is below ZYGOS_MIN_ARC_INSTANTS.
+    ZYGOS_E_ARC = -11,    ///< arc_cycles or impulse_arc_cycles is below ZYGOS_MIN_ARC_INSTANTS.
     ZYGOS_E_ORDER = -12,  ///< zygos_init() has not succeeded on this struct.
     ZYGOS_E_KEEP = -13,   ///< zygos_restart() does not know one of the bits.
     ZYGOS_E_EFFECT = -14, ///< Too many effects, an unknown kind, a joint out of range, or an effect twice.
@@ -145,7 +145,8 @@ enum zygos_effect_kind {
     ZYGOS_MOTOR_VISCOUS = 1,   ///< Viscous friction of a rotor [Nms/rad]: torque before the ratio, rate after it.
     ZYGOS_LINK_COULOMB = 2,    ///< Coulomb friction between a link and the body that carries it [Nm].
     ZYGOS_CUBIC_STIFFNESS = 3, ///< Torque of the spring with the cube of its deflection [Nm/rad^3].
-    ZYGOS_TORQUE_LAG = 4       ///< Delay of the motor's torque behind the one in force [s], less than a period.
+    ZYGOS_TORQUE_LAG = 4,      ///< Delay of the motor's torque behind the one in force [s], less than a period.
+    ZYGOS_SPRING_OFFSET = 5    ///< Torque of the spring where theta = q [Nm]: -k times what theta - q reads too much.
 };
 
 typedef struct {
@@ -187,8 +188,12 @@ typedef struct {
     double period_s;              ///< SYNC period h. Time is the SYNC count times h, never a receive time.
     double imu_to_base[9];        ///< Rotation that takes a rate from the sensor's axes to the base's, row-major.
     double imu_latch_s;           ///< Delay from SYNC to the gyro's latch.
-    double gravity[3];            ///< In the base frame [m/s^2]; 0 on a free base.
+    double imu_sigma;  ///< Standard deviation of one component of one sample's noise [rad/s]; 0: not declared.
+    double gravity[3]; ///< In the base frame [m/s^2]; 0 on a free base.
     zygos_joint_config_t joint[ZYGOS_MAX_JOINTS];
+    uint32_t compensation; ///< 0: off. m: what noise adds to the normal equations is taken off, each joint's share in
+                           ///< every m-th cycle, 1..ZYGOS_MAX_JOINTS.
+    uint32_t impulse_arc_cycles; ///< Arcs of the motor impulse rows, >= ZYGOS_MIN_ARC_INSTANTS; 0: no such rows.
     uint32_t effects; ///< Effects to identify, 0..ZYGOS_MAX_EFFECTS. Their columns follow those of the joints.
     uint32_t base;    ///< enum zygos_base.
     zygos_effect_config_t effect[ZYGOS_EFFECT_PLACES]; ///< In the order of their columns, each kind once a joint.

@@ -26,8 +26,10 @@
 #include "cycle.h"
 #include "effects.h"
 #include "impulse.h"
+#include "jointsums.h"
 #include "kinematics.h"
 #include "momentum.h"
+#include "noise.h"
 #include "smoother.h"
 #include "solver.h"
 #include "types.h"
@@ -56,10 +58,14 @@ typedef struct {
     zygos_receiver_t receiver;
     zygos_hold_t hold;
     zygos_smoother_t smoother;
+    zygos_noise_t noise;
     zygos_state_t state;
     zygos_motion_t motion;
     zygos_balance_t balance;
     zygos_row_t row;
+    zygos_impulse_t impulse;
+    zygos_impulse_rows_t impulse_rows;
+    zygos_joint_sums_t joint_sums;
     zygos_accumulator_t accumulator;
 } zygos_t;
 

@@ -123,6 +123,25 @@ def test_effects_of_a_model_are_learned(simulated: Path, tmp_path: Path, capsys:
     assert load_model(tmp_path / "again.toml") == load_model(out)
 
 
+def test_an_arm_file_that_does_not_vouch_for_a_zero_gets_an_offset(simulated: Path, tmp_path: Path) -> None:
+    """The run was made with zeros that are right; here the elbow's are not: 0.02 rad at 1000 Nm/rad."""
+    arm = tmp_path / "arm.toml"
+    off = "zero_rad = 0.0, zero_sigma_rad = 0.0"
+    before, after = (EXAMPLE / "arm.toml").read_text().rsplit(off, 1)
+    out, log = tmp_path / "m.toml", simulated / "run.blf"
+    arm.write_text(f"{before}zero_rad = 0.02, zero_sigma_rad = 0.02{after}")
+    assert run("check", log, "--arm", arm) == 0
+    run("estimate", log, "--arm", arm, "-o", out)
+    (found,) = load_model(out).effects
+    assert (found.kind.key, found.joint, found.source) == ("spring_offset", "elbow", "zygos")
+    # q reads too little, theta - q too much
+    assert found.value == pytest.approx(-20.0, rel=0.1)
+    # a prior that names it is not asked twice
+    again = tmp_path / "again.toml"
+    run("estimate", log, "--arm", arm, "--model", out, "-o", again)
+    assert load_model(again) == load_model(out)
+
+
 def test_a_friction_that_noise_makes_negative_is_written_as_none(simulated: Path, tmp_path: Path) -> None:
     written = set()
     for joint in ("shoulder", "elbow"):

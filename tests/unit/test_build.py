@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import importlib.util
 import os
 import re
 import shutil
@@ -19,7 +18,7 @@ from arm_support import random_arm
 from flight_support import balanced, chosen, sines
 from reference_support import make_arm
 
-from conftest import need
+from conftest import house_flags, need
 from zygos import flight
 from zygos.arm import Arm, Encoder
 from zygos.cycles import Cycles
@@ -38,16 +37,6 @@ ALLOWED_SYMBOLS = {"memcpy", "memset", "memmove", "memcmp"}
 # and half width 15: 1584 and 2824 bytes in a planar build, 2992 and 4880 in a spatial one. The bounds leave room for
 # other compilers; a planar build fits a 4 KiB task stack with an interrupt frame.
 STACK = {"-DZYGOS_SPATIAL=0": (1792, 3072), "-DZYGOS_SPATIAL=1": (3072, 6144)}
-
-
-def house_flags() -> list[str]:
-    """The flags that tools/build_native.py compiles with, less those of a shared object."""
-    spec = importlib.util.spec_from_file_location("build_native", ROOT / "tools" / "build_native.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return [flag for flag in module.FLAGS.split() if flag not in ("-g", "-fPIC")]
 
 
 def tool(name: str) -> str:

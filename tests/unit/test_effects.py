@@ -16,20 +16,20 @@ import numpy as np
 import pytest
 from flight_support import CHOSEN, balanced, bytes_of, chosen, sines
 from numpy.typing import NDArray
-from plant_support import PAPER, paper
+from plant_support import PAPER, paper, random_arm
 from reference_support import make_arm
 from test_c_equals_numpy import CASES, arm_of, record_of
 
 from conftest import ROOT
 from zygos import flight, reference
-from zygos.arm import Arm
+from zygos.arm import Arm, load_arm
 from zygos.check import Room, check_chain
 from zygos.cycles import Cycles
 from zygos.effects import CATALOGUE, SLOWEST_RATE, Effect, estimated
 from zygos.errors import ZygosError
 from zygos.flight import REASONS, Flight, config_of, encode, ffi, lib
 from zygos.model import load_model, save_model
-from zygos.plant import simulate
+from zygos.plant import Trajectory, simulate
 
 Floats = NDArray[np.float64]
 
@@ -71,8 +71,9 @@ def test_entries_make_sense(key: str) -> None:
         return
     x = np.linspace(-2.0, 2.0, 4001)
     law = kind.torque(x)
-    np.testing.assert_allclose(law, -law[::-1], atol=1e-12)
-    assert (law * x >= 0.0).all()
+    if key != "spring_offset":
+        np.testing.assert_allclose(law, -law[::-1], atol=1e-12)
+        assert (law * x >= 0.0).all()
     if kind.potential is not None:
         np.testing.assert_allclose(np.gradient(kind.potential(x), x)[1:-1], law[1:-1], atol=1e-5)
 
@@ -82,7 +83,7 @@ def test_what_has_no_column_is_passed_over_or_refused() -> None:
     friction = effect("motor_coulomb", "elbow", 0.3)
     natural = effect("rotor_coupling", "shoulder", 1.0)
     momentum = Effect(CATALOGUE["angular_momentum"], None, 4.0)
-    assert estimated([natural, friction, momentum]) == (friction,)
+    assert estimated(arm, [natural, friction, momentum]) == (friction,)
     assert Flight(arm, [natural, friction, momentum]).names == (*arm.parameter_names, "motor_coulomb2")
     for coupling in (0.0, 0.5):
         with pytest.raises(ZygosError, match=r"rotor_coupling at elbow.*remedy"):
@@ -142,7 +143,7 @@ def test_refused_configurations_change_nothing() -> None:
     before = bytes_of(used.native)
     most, wrong = lib.ZYGOS_MAX_EFFECTS_VALUE, 2**32 - 1
     for count, *pairs in (
-        (most + 1,), (wrong,), (1, (5, 0)), (1, (wrong, 0)), (1, (0, 2)), (1, (0, wrong)),
+        (most + 1,), (wrong,), (1, (6, 0)), (1, (wrong, 0)), (1, (0, 2)), (1, (0, wrong)),
         (2, (0, 1), (0, 1)), (3, (4, 0), (0, 1), (4, 0)), (4, (0, 0), (1, 0), (2, 0), (3, 7)),
     ):  # fmt: skip
         config = config_of(arm)
@@ -160,7 +161,7 @@ def test_the_binding_names_what_is_refused() -> None:
     with pytest.raises(ZygosError, match=r"no joint 'wrist'.*remedy"):
         Flight(arm, [effect("torque_lag", "wrist")])
     many = [effect(key, joint) for key in COLUMNS for joint in ("shoulder", "elbow")]
-    with pytest.raises(ZygosError, match=r"10 effects.*this build holds 4; remedy"):
+    with pytest.raises(ZygosError, match=r"12 effects.*this build holds 8; remedy"):
         Flight(arm, many)
 
 
@@ -186,6 +187,7 @@ SIZES = {
     "motor_viscous": (2.0, 5e-5),
     "link_coulomb": (10.0, 5e-5),
     "cubic_stiffness": (1000.0, 5e-5),
+    "spring_offset": (1.0, 5e-5),
     "torque_lag": (1e-4, 3e-4),
 }
 
@@ -233,7 +235,7 @@ def test_c_equals_numpy_with_effects(name: str) -> None:
     arm = arm_of(CASES[name])
     cycles = record_of(CASES[name], arm)
     every = [effect(key, joint.name) for joint in arm.joints for key in COLUMNS]
-    same(arm, cycles, every[::-1][:4])
+    same(arm, cycles, every[::-1][: lib.ZYGOS_MAX_EFFECTS_VALUE])
 
 
 def test_c_equals_numpy_with_every_effect_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -247,7 +249,7 @@ def test_c_equals_numpy_with_every_effect_at_once(tmp_path: Path, monkeypatch: p
     trajectory = simulate(arm, model, scenario, noise=False, period_s=0.02, duration_s=30.0)
     effects = [effect(key, joint) for key in COLUMNS for joint in ("shoulder", "elbow")]
     rooms = same(trajectory.arm, trajectory.cycles(), effects)
-    assert (rooms[-1].name, rooms[-1].compared) == ("solution", 22)
+    assert (rooms[-1].name, rooms[-1].compared) == ("solution", 24)
 
 
 def test_no_effects_no_difference(tmp_path: Path) -> None:
@@ -309,7 +311,10 @@ def test_friction_at_the_elbow_is_found() -> None:
 def test_every_coefficient_is_found_without_noise(key: str) -> None:
     """From a run of 10 ms; the lag is 3 ms, whose square the column leaves out."""
     arm, model, scenario = paper()
-    value = {"motor_coulomb": 0.5, "motor_viscous": 1.0, "link_coulomb": 20.0, "cubic_stiffness": 5e4}.get(key, 3e-3)
+    value = {
+        "motor_coulomb": 0.5, "motor_viscous": 1.0, "link_coulomb": 20.0, "cubic_stiffness": 5e4, "spring_offset": -1.0,
+        "torque_lag": 3e-3,
+    }[key]  # fmt: skip
     plant = replace(model, effects=(effect(key, "elbow", value),))
     trajectory = simulate(arm, plant, scenario, noise=False, period_s=0.01, duration_s=25.0)
     run = Flight(trajectory.arm, [effect(key, "elbow")])
@@ -320,7 +325,9 @@ def test_every_coefficient_is_found_without_noise(key: str) -> None:
     assert np.abs(found.value[:-1] / model.base_values(arm) - 1.0).max() <= 1e-4
 
 
-@pytest.mark.parametrize(("key", "value"), [("motor_viscous", -0.5), ("cubic_stiffness", -20.0)])
+@pytest.mark.parametrize(
+    ("key", "value"), [("motor_viscous", -0.5), ("cubic_stiffness", -20.0), ("spring_offset", -1.0)]
+)
 def test_a_plant_that_creates_energy_is_not_physical(key: str, value: float) -> None:
     """A spring may soften all the same."""
     arm, model, scenario = paper()
@@ -331,6 +338,108 @@ def test_a_plant_that_creates_energy_is_not_physical(key: str, value: float) -> 
     found = run.estimate()
     assert found.value[-1] == pytest.approx(value, rel=0.01)
     assert (found.validity, found.reason) == (("doubtful", NOT_PHYSICAL) if CATALOGUE[key].positive else ("valid", ""))
+
+
+# ---------------------------------------------------------------- encoders whose zeros are off
+
+
+def unsure(arm: Arm, joints: Sequence[int] = (0, 1)) -> Arm:
+    """The arm file does not vouch for the zeros of these joints' motor encoders."""
+    sigma = {i: 1e-3 for i in joints}
+    listed = [
+        replace(joint, motor_encoder=replace(joint.motor_encoder, zero_sigma_rad=sigma.get(i, 0.0)))
+        for i, joint in enumerate(arm.joints)
+    ]
+    return replace(arm, joints=tuple(listed))
+
+
+def test_a_zero_that_is_not_vouched_for_gives_its_spring_an_offset() -> None:
+    arm, *_ = paper()
+    plain = arm.parameter_names
+    assert estimated(arm, ()) == ()
+    link = replace(arm.joints[1].link_encoder, zero_sigma_rad=1e-6)
+    for one in (unsure(arm, [1]), replace(arm, joints=(arm.joints[0], replace(arm.joints[1], link_encoder=link)))):
+        assert Flight(one).names == (*plain, "spring_offset2")
+        friction = effect("motor_coulomb", "shoulder")
+        assert Flight(one, [friction]).names == (*plain, "motor_coulomb1", "spring_offset2")
+        # the model may name it itself, and others
+        named = [effect("spring_offset", "elbow", 0.3), effect("spring_offset", "shoulder")]
+        assert Flight(one, named).names == (*plain, "spring_offset2", "spring_offset1")
+    rigid = replace(unsure(arm), joints=tuple(replace(joint, flexible=False) for joint in unsure(arm).joints))
+    assert estimated(rigid, ()) == ()
+    seven, _ = random_arm(np.random.default_rng(0), 7)
+    effects = Flight(unsure(seven, range(7)), [effect("torque_lag", "joint7")]).effects
+    assert [one.column(seven) for one in effects] == ["torque_lag7", *(f"spring_offset{i + 1}" for i in range(7))]
+
+
+def test_c_equals_numpy_with_the_offsets_that_an_arm_file_asks_for(tmp_path: Path) -> None:
+    arm = unsure(make_arm(tmp_path))
+    cycles = balanced(make_arm(tmp_path), sines(arm, 500), chosen(make_arm(tmp_path)))
+    for effects in ([], [effect("torque_lag", "joint2")]):
+        run = Flight(arm, effects)
+        trace = run.cycles(cycles, trace=True)
+        assert trace is not None
+        chain = reference.chain(arm, cycles, effects)
+        assert chain.balance.z.shape[1] == len(run.names) == 14 + len(effects)
+        assert [room for room in check_chain(arm, trace, run) if not room.equal] == []
+
+
+@pytest.fixture(scope="module")
+def modern() -> Trajectory:
+    """The paper's motion with sensors of today, 20 bits and 200 Hz."""
+    _, model, scenario = paper()
+    return simulate(load_arm(PAPER.parent / "gap" / "arm.toml"), model, scenario, noise=True, duration_s=30.0)
+
+
+@pytest.mark.parametrize("joint", [0, 1])
+def test_a_motor_encoders_zero_that_is_off_by_a_milliradian(modern: Trajectory, joint: int) -> None:
+    """Without the offset it ruins the estimate, a hundred sigmas and more, and the balance says so; with it, it costs
+    nothing, and neither does a column where nothing is off."""
+    arm, (_, model, _) = modern.arm, paper()
+    true, exact = model.base_values(arm), modern.cycles()
+    off = replace(exact, theta=exact.theta + 1e-3 * np.eye(2)[joint])
+    error, answers = {}, {}
+    for name, one, cycles in (
+        ("exact", arm, exact), ("exact, with columns", unsure(arm), exact),
+        ("off", arm, off), ("off, with columns", unsure(arm), off),
+    ):  # fmt: skip
+        answers[name] = estimate_of(one, cycles, ())
+        error[name] = float(np.abs(answers[name].value[:12] / true - 1.0).max())
+    print({name: f"{100.0 * share:.4f} %" for name, share in error.items()})
+    blind, found = answers["off"], answers["off, with columns"]
+    assert error["off"] >= 1e-3
+    assert (np.abs(blind.value - true) / answers["exact"].sigma).max() >= 100.0
+    assert blind.cluster >= 30.0
+    assert found.validity == "valid"
+    assert found.cluster <= 3.0
+    assert error["off, with columns"] <= 1.2 * error["exact"] + 1e-5
+    assert error["exact, with columns"] <= 1.2 * error["exact"] + 1e-5
+    stiffness = true[[arm.parameter_names.index("k1"), arm.parameter_names.index("k2")]]
+    expected = -1e-3 * stiffness * np.eye(2)[joint]
+    assert found.names[12:] == ("spring_offset1", "spring_offset2")
+    assert np.all(np.abs(found.value[12:] - expected) <= 5.0 * found.sigma[12:])
+
+
+@pytest.mark.parametrize("joint", [0, 1])
+def test_a_link_encoders_zero_turns_the_bodies_behind_it(modern: Trajectory, joint: int) -> None:
+    """The offset takes what it does to the spring; what the arm then looks like is no planar-symmetric one, but a
+    planar one with b_ij = 1 mrad of the a_ij across the joint."""
+    arm, (_, model, _) = modern.arm, paper()
+    a = dict(zip(arm.parameter_names, model.base_values(arm).tolist(), strict=True))
+    exact = modern.cycles()
+    off = replace(exact, q=exact.q + 1e-3 * np.eye(2)[joint])
+    blind, half = (estimate_of(one, off, ()) for one in (arm, unsure(arm)))
+    found = estimate_of(replace(unsure(arm), kinetic="planar"), off, ())
+    assert blind.cluster >= 30.0
+    assert half.cluster >= 10.0
+    assert found.validity == "valid"
+    assert found.cluster <= 3.0
+    value = dict(zip(found.names, found.value.tolist(), strict=True))
+    for name, true in a.items():
+        assert value[name] == pytest.approx(true, rel=1e-4)
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        across = i <= joint < j
+        assert value[f"b{i}{j}"] == pytest.approx(1e-3 * a[f"a{i}{j}"] if across else 0.0, abs=2e-5 * a[f"a{i}{j}"])
 
 
 def answer(columns: Floats, work_done: Floats, joints: int = 2, positive: int = 0) -> Any:

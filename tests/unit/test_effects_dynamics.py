@@ -20,7 +20,13 @@ from zygos.model import Model, Quantity
 from zygos.plant import simulate
 from zygos.replay import States, replay
 
-SIZE = {"motor_coulomb": 0.3, "motor_viscous": 2.0, "link_coulomb": 8.0, "cubic_stiffness": 700.0}
+SIZE = {
+    "motor_coulomb": 0.3,
+    "motor_viscous": 2.0,
+    "link_coulomb": 8.0,
+    "cubic_stiffness": 700.0,
+    "spring_offset": -60.0,
+}
 """Coefficients of the torque laws, large enough that each is a good share of the torques of a random state."""
 
 LAWS: dict[str, tuple[Callable[[Floats, Floats], Floats], Callable[[float, float, float], float]]] = {
@@ -85,6 +91,8 @@ class Lagrange:
             i, key = one.index(self.arm), one.kind.key
             if key == "cubic_stiffness":
                 spring[i] += one.value * (theta[i] - q[i]) ** 3
+            elif key == "spring_offset":
+                spring[i] += one.value
             elif key == "link_coulomb":
                 link[i] += one.value * LAWS[key][0](qd, thetad)[i]
             elif key in LAWS:
@@ -164,6 +172,7 @@ def test_accelerations_are_lagranges(kinetic: str, case: str, rigid: tuple[int, 
         for _ in range(1 if case == "each" else 4):
             drawn = random_state(rng, arm.n)
             s, tau = tied(drawn, rigid), 20.0 * drawn[-1]
+            assert (dynamics.spring(s.q, s.theta, s.qd, s.thetad)[list(rigid)] == 0.0).all()
             base, link, motor = dynamics.accelerations(s.q, s.theta, s.omega0, s.qd, s.thetad, tau)
             y, rate = np.hstack([0.3, s.q, s.theta]), np.hstack([s.omega0, s.qd, s.thetad])
             want = oracle.accelerations(y, rate, tau)

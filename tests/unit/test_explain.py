@@ -262,6 +262,15 @@ def test_an_effect_of_the_wrong_size_is_a_value_that_differs(tmp_path: Path) -> 
     assert effect.value == pytest.approx(2.0, rel=0.03)
 
 
+def test_an_offset_of_a_spring_changes_no_verdict() -> None:
+    """The zeros of each run stand for it; it is not predicted with either."""
+    drawn = simulation(Case("", "", exact=True))
+    offset = Effect(CATALOGUE["spring_offset"], "shoulder", 30.0)
+    found = _explained(None, sim=replace(drawn, effects=(*drawn.effects, offset)))
+    assert found.answer == "nothing missing", found.sentence
+    assert found.model is None or offset.kind not in [effect.kind for effect in found.model.effects]
+
+
 def test_an_effect_that_the_arm_does_not_have_leaves_the_model(tmp_path: Path) -> None:
     found = _explained(None, sim=_with_friction(3.0))
     assert found.answer == "values differ", found.sentence

@@ -13,8 +13,8 @@ import numpy as np
 from zygos.arm import Arm, TorqueLaw
 from zygos.audit.means import Array
 from zygos.cycles import Cycles
-from zygos.effects import CATALOGUE, Effect
-from zygos.flight import Flight, ffi
+from zygos.effects import CATALOGUE, Effect, estimated
+from zygos.flight import Flight, lib
 
 MOST_CYCLES = 20_000
 """The balance is tried on so many cycles at the most: it is repeated for every fault."""
@@ -41,9 +41,9 @@ class Balance:
         """Take the first `MOST_CYCLES` cycles. Errors: ZygosError where the C library has no columns for the arm."""
         self.arm = arm
         self.cycles = Cycles(*(getattr(cycles, name)[:MOST_CYCLES] for name in Cycles.__dataclass_fields__))
-        room = int(ffi.typeof("zygos_config_t").fields[_field("effect")][1].type.length)
+        room = lib.ZYGOS_MAX_EFFECTS_VALUE - len(estimated(arm, ()))
         friction = [(kind, joint.name) for kind in ("motor_coulomb", "motor_viscous") for joint in arm.joints]
-        self.friction = [Effect(CATALOGUE[kind], joint, 0.0) for kind, joint in friction[:room]]
+        self.friction = [Effect(CATALOGUE[kind], joint, 0.0) for kind, joint in friction[: max(room, 0)]]
         self.residual_j = self.residual(arm, self.cycles)
 
     def residual(self, arm: Arm, cycles: Cycles) -> float:
@@ -92,7 +92,3 @@ class Balance:
                 seen.append(felt)
                 if len(seen) > 1:
                     yield turn
-
-
-def _field(name: str) -> int:
-    return [field for field, _ in ffi.typeof("zygos_config_t").fields].index(name)

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
-from zygos.effects import CATALOGUE, Kind, column_name
+from zygos.effects import CATALOGUE, OFFSET, Kind, column_name
 from zygos.gap.record import Readings, over_the_wire, smooth
 from zygos.reference.kinematics import State, gram
 
@@ -40,9 +40,12 @@ class Layout:
 
     @cached_property
     def effects(self) -> tuple[tuple[Kind, int], ...]:
-        """Entries of the catalogue and joints (from 0; -1 for the base) in the order of their columns."""
-        joints = range(self.arm.n)
-        return tuple((kind, i) for kind in CATALOGUE.values() for i in (joints if kind.at_joint else (-1,)))
+        """Entries of the catalogue and joints (from 0; -1 for the base) in the order of their columns.
+
+        The offset of a spring is none of them: the zeros of its encoders stand for it.
+        """
+        joints, kinds = range(self.arm.n), [kind for kind in CATALOGUE.values() if kind.key != OFFSET]
+        return tuple((kind, i) for kind in kinds for i in (joints if kind.at_joint else (-1,)))
 
     @cached_property
     def columns(self) -> tuple[str, ...]:

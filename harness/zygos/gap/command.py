@@ -95,7 +95,7 @@ def explain_run(
 
 def flown(found: Explanation, logs: Sequence[bus.Log]) -> list[dict[str, Any]]:
     """What the flight library makes of the same runs, from energy alone, with the findings' columns switched on."""
-    columns = [] if found.model is None else list(estimated(found.model.effects))
+    columns = [] if found.model is None else list(estimated(found.arm, found.model.effects))
     names = {effect.column(found.arm) for effect in columns if effect.source == "zygos"}
     if not names:
         return []

@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from zygos.arm import Arm
 from zygos.dynamics import PlanarDynamics
-from zygos.effects import CATALOGUE, Effect, of_column, spoken
+from zygos.effects import CATALOGUE, OFFSET, Effect, of_column, spoken
 from zygos.errors import Undecided, ZygosError
 from zygos.gap.balances import Layout
 from zygos.gap.experiment import Experiment, propose
@@ -171,8 +171,10 @@ def explain(
 ) -> Explanation:
     """Say what a simulation lacks. step is told the share done and what is being done.
 
+    What the simulation says of springs' offsets is passed over: each run has its own zeros.
     Errors: ZygosError where the model does not fit the arm; Undecided where the runs do not tell its parameters apart.
     """
+    simulation = replace(simulation, effects=tuple(e for e in simulation.effects if e.kind.key != OFFSET))
     # the matrices are narrow: threads only get in each other's way
     with threadpool_limits(limits=1):
         return _Explainer(arm, simulation, tuple(measured), validate, step).explain()

@@ -26,7 +26,7 @@ def effect_columns(
     arc: (m,) number of the arc that an instant belongs to, -1 for none. Integrals and sums begin with their arc; what
     stands where there is no arc means nothing. Errors: as `estimated`, and ZygosError for an effect at no joint.
     """
-    columns = [_column(arm, samples, smoothed, arc, effect) for effect in estimated(effects)]
+    columns = [_column(arm, samples, smoothed, arc, effect) for effect in estimated(arm, effects)]
     return np.stack(columns, axis=1) if columns else np.zeros((len(arc), 0))
 
 

@@ -1,0 +1,194 @@
+#include "zygos/jointsums.h"
+
+#include <string.h>
+
+#define EPSILON 2.220446049250313e-16
+
+static double magnitude(double x)
+{
+    return (x < 0.0) ? -x : x;
+}
+
+static uint32_t entries(uint32_t width)
+{
+    return width * (width + 1u) / 2u;
+}
+
+void zygos_joint_sums_clear(zygos_joint_sums_t *self, const zygos_config_t *config)
+{
+    self->target = 2.0 * (double)config->impulse_arc_cycles;
+    self->count = 0;
+    self->corrupt = 0;
+    self->instants = 0;
+    self->cycles = 0;
+    memset(&self->open, 0, sizeof self->open);
+}
+
+void zygos_joint_sums_init(zygos_joint_sums_t *self, const zygos_config_t *config, const zygos_smoother_t *smoother)
+{
+    memset(self, 0, sizeof *self);
+    zygos_joint_sums_clear(self, config);
+    zygos_impulse_layout(config, &self->layout);
+    for (uint32_t i = 0; (i < config->joints) && (config->compensation != 0); i++) {
+        if (self->layout.count[i] > 0) {
+            zygos_impulse_noise(config, &self->layout, smoother, config->imu_sigma, i, self->noise[i]);
+        }
+    }
+}
+
+void zygos_joint_sums_add(zygos_joint_sums_t *self, const zygos_config_t *config, const zygos_impulse_rows_t *rows,
+                          double weight)
+{
+    for (uint32_t i = 0; i < config->joints; i++) {
+        const uint32_t p = self->layout.count[i];
+        if (p == 0) {
+            continue;
+        }
+        double z[ZYGOS_MAX_JOINT_ROW];
+        double total = 0.0;
+        for (uint32_t k = 0; k < p; k++) {
+            z[k] = weight * rows->column[i][k];
+            total += z[k];
+        }
+        z[p] = weight * rows->impulse[i];
+        z[p + 1u] = weight;
+        total += z[p] + z[p + 1u];
+        double *gram = self->open.joint[i].gram;
+        double *sum = self->open.joint[i].sum;
+        for (uint32_t a = 0; a < p + 2u; a++) {
+            for (uint32_t b = 0; b <= a; b++) {
+                gram[b] += z[a] * z[b];
+            }
+            gram += a + 1u;
+            sum[a] += z[a] * total;
+        }
+    }
+    self->instants += (weight > 0.0) ? 1u : 0u;
+    self->cycles++;
+}
+
+static void row_sums(const double *gram, uint32_t width, double *sum)
+{
+    memset(sum, 0, width * sizeof sum[0]);
+    for (uint32_t i = 0; i < width; i++) {
+        for (uint32_t j = 0; j < i; j++) {
+            sum[i] += *gram;
+            sum[j] += *gram;
+            gram++;
+        }
+        sum[i] += *gram;
+        gram++;
+    }
+}
+
+static bool matches(const zygos_joint_gram_t *joint, uint32_t width)
+{
+    double sum[ZYGOS_MAX_JOINT_ROW];
+    double largest = 0.0;
+    bool good = true;
+    row_sums(joint->gram, width, sum);
+    for (uint32_t k = 0; k < entries(width); k++) {
+        largest = (magnitude(joint->gram[k]) > largest) ? magnitude(joint->gram[k]) : largest;
+    }
+    const double tolerance = 64.0 * EPSILON * (double)width * largest;
+    for (uint32_t i = 0; i < width; i++) {
+        good = good && (magnitude(sum[i] - joint->sum[i]) <= tolerance) && (tolerance < 1e300);
+    }
+    return good;
+}
+
+/* G - s s^T / n without its last row, less n times the noise. */
+static void close_gram(zygos_joint_gram_t *joint, uint32_t p, double n, const double *noise)
+{
+    double s[ZYGOS_MAX_JOINT_ROW];
+    memcpy(s, &joint->gram[entries(p + 1u)], (p + 1u) * sizeof s[0]);
+    uint32_t k = 0;
+    for (uint32_t a = 0; a <= p; a++) {
+        for (uint32_t b = 0; b <= a; b++) {
+            joint->gram[k] -= s[a] * s[b] / n + ((a < p) ? n * noise[k] : 0.0);
+            k++;
+        }
+    }
+    memset(&joint->gram[k], 0, (p + 2u) * sizeof joint->gram[0]);
+    row_sums(joint->gram, p + 2u, joint->sum);
+}
+
+static void add_block(zygos_joint_block_t *to, const zygos_joint_block_t *from)
+{
+    for (uint32_t i = 0; i < ZYGOS_MAX_JOINTS; i++) {
+        for (uint32_t k = 0; k < ZYGOS_MAX_PACKED_JOINT; k++) {
+            to->joint[i].gram[k] += from->joint[i].gram[k];
+        }
+        for (uint32_t k = 0; k < ZYGOS_MAX_JOINT_ROW; k++) {
+            to->joint[i].sum[k] += from->joint[i].sum[k];
+        }
+    }
+    to->instants += from->instants;
+    to->end = from->end;
+}
+
+/* The target doubles only when merging up to it is not enough; once it holds all instants, one block is left. */
+static void make_room(zygos_joint_sums_t *self)
+{
+    for (uint32_t tries = 0; (tries < 64u) && (self->count > 3u * ZYGOS_MAX_JOINT_BLOCKS / 4u); tries++) {
+        uint32_t to = 0;
+        for (uint32_t from = 0; from < self->count; from++) {
+            if ((to > 0) && (self->block[to - 1u].instants + self->block[from].instants <= self->target)) {
+                add_block(&self->block[to - 1u], &self->block[from]);
+                continue;
+            }
+            if (to != from) {
+                self->block[to] = self->block[from];
+            }
+            to++;
+        }
+        self->count = to;
+        self->target *= 2.0;
+    }
+}
+
+void zygos_joint_sums_end_arc(zygos_joint_sums_t *self, const zygos_config_t *config, uint64_t cycle)
+{
+    if (self->instants >= ZYGOS_MIN_ARC_INSTANTS) {
+        for (uint32_t i = 0; i < config->joints; i++) {
+            const uint32_t p = self->layout.count[i];
+            if (p > 0) {
+                self->corrupt |= matches(&self->open.joint[i], p + 2u) ? 0u : 1u;
+                close_gram(&self->open.joint[i], p, (double)self->instants, self->noise[i]);
+            }
+        }
+        if (self->count == ZYGOS_MAX_JOINT_BLOCKS) {
+            make_room(self);
+        }
+        self->open.instants = (double)self->instants;
+        self->open.end = cycle;
+        self->block[self->count] = self->open;
+        self->count++;
+    }
+    memset(&self->open, 0, sizeof self->open);
+    self->instants = 0;
+    self->cycles = 0;
+}
+
+void zygos_joint_sums_drop_after(zygos_joint_sums_t *self, uint64_t cycle)
+{
+    memset(&self->open, 0, sizeof self->open);
+    self->instants = 0;
+    self->cycles = 0;
+    while ((self->count > 0) && (self->block[self->count - 1u].end > cycle)) {
+        self->count--;
+    }
+}
+
+double zygos_joint_sums_check(const zygos_joint_sums_t *self, const zygos_config_t *config)
+{
+    bool good = (self->corrupt == 0) && (self->count <= ZYGOS_MAX_JOINT_BLOCKS);
+    for (uint32_t i = 0; i < config->joints; i++) {
+        const uint32_t width = self->layout.count[i] + 2u;
+        good = good && (width <= (uint32_t)ZYGOS_MAX_JOINT_ROW) && matches(&self->open.joint[i], width);
+        for (uint32_t b = 0; good && (b < self->count); b++) {
+            good = matches(&self->block[b].joint[i], width);
+        }
+    }
+    return good ? 0.0 : 2.0;
+}

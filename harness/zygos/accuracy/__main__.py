@@ -1,0 +1,85 @@
+"""`python -m zygos.accuracy`, behind `make accuracy`."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from zygos.accuracy import campaign
+from zygos.accuracy.cases import all_cases, chosen
+from zygos.accuracy.cell import cells, fingerprint
+from zygos.accuracy.figure4 import Figure4
+from zygos.accuracy.summary import summarise
+from zygos.output import check_outputs, counted, errors_end_the_program, number, say, table, write_json
+from zygos.report.accuracy import write_accuracy_report
+
+FIGURE_CASE = "paper-60"
+CELLS = Path("out/accuracy/cells.jsonl")
+
+
+def accuracy(
+    cases: Annotated[list[str] | None, typer.Argument(metavar="[CASE]...", help="Cases; default: all of them.")] = None,
+    seeds: Annotated[int, typer.Option(min=2, max=10_000, help="Seeds 0 .. SEEDS-1 of each case.")] = 50,
+    draws: Annotated[int, typer.Option(min=1, help="Draws of sensor errors of each case, for the coverage.")] = 1000,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="tcp://HOST:PORT", help="A Dask cluster instead of processes here.")
+    ] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes here; default: one a core.")] = None,
+    lines: Annotated[Path, typer.Option(metavar="FILE", help="Where each finished cell is kept.")] = CELLS,
+    json: Annotated[Path, typer.Option(metavar="FILE", help="The numbers.")] = Path("out/accuracy.json"),
+    page: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="The page; default: docs/accuracy.html, if all cases run.")
+    ] = None,
+) -> None:
+    """Measure errors, coverage and refusals of all estimators. What an earlier start has finished is not done again.
+
+    Example: python -m zygos.accuracy paper-60 --seeds 10
+    """
+    begin = time.monotonic()
+    wanted = chosen(all_cases(), cases or [])
+    target = page or Path("out/accuracy.html" if cases else "docs/accuracy.html")
+    check_outputs([lines, json, target], [])
+    work: list[campaign.Job] = [*cells(wanted, seeds, draws)]
+    work += [Figure4(case, 0, fingerprint()) for case in wanted if case.name == FIGURE_CASE]
+    found = campaign.run(work, lines, lambda: campaign.executor(scheduler, workers))
+    summary = summarise(wanted, found)
+    figure = next((line for line in found if line.get("figure")), None)
+    short = figure and {key: figure[key] for key in ("seed", "rms_rad", "horizon_s", "arcs_rad", "missing")}
+    write_json(json, {"seeds": seeds, "draws": draws, "cases": summary, "figure4": short})
+    write_accuracy_report(target, wanted, summary, figure, draws)
+    table(
+        ("case", "estimator", "seeds", "refused", "mean %", "max %", "coverage 95 %, %", "wild"),
+        [
+            (
+                entry["case"],
+                entry["estimator"],
+                str(entry["seeds"]),
+                str(entry["refused"]),
+                number(entry["mean_rms_percent"], 3),
+                number(entry["max_rms_percent"], 3),
+                _span([x for x in (entry["coverage95"] or {}).values() if x is not None]),
+                "–" if entry["wild"] is None else str(entry["wild"]),
+            )
+            for entry in summary
+        ],
+    )
+    say(f"{counted(len(work), 'cell')} in {time.monotonic() - begin:.0f} s · {json} · {target}")
+
+
+def _span(shares: list[float]) -> str:
+    return f"{100 * min(shares):.1f} … {100 * max(shares):.1f}" if shares else "–"
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run with the arguments of the command line, or these."""
+    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+    app.command()(accuracy)
+    with errors_end_the_program():
+        app(args=arguments, prog_name="python -m zygos.accuracy")
+
+
+if __name__ == "__main__":
+    main()

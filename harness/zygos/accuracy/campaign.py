@@ -1,0 +1,104 @@
+"""Runs the cells of a campaign on one machine or on a cluster, and keeps a line of every one that is finished."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from importlib import import_module
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, Protocol
+
+from zygos.commands import progress
+from zygos.errors import ZygosError
+from zygos.output import write_text
+
+Line = dict[str, Any]
+_CONNECT_S = 10
+
+
+class Job(Protocol):
+    """Work for one process, and the name of what it computes."""
+
+    @property
+    def code(self) -> str:
+        """Fingerprint of the code that does it."""
+
+    @property
+    def key(self) -> str:
+        """Differs with whatever the result can differ with."""
+
+    def run(self) -> Line:
+        """Do it."""
+
+
+@contextmanager
+def executor(scheduler: str | None, workers: int | None) -> Iterator[Executor]:
+    """A pool of processes here, or the Dask cluster of a scheduler (tcp://host:port).
+
+    Errors: ZygosError if the cluster cannot be reached, or Dask is not installed.
+    """
+    if scheduler is None:
+        with ProcessPoolExecutor(workers or os.cpu_count(), mp_context=get_context("spawn")) as pool:
+            yield pool
+        return
+    try:
+        distributed = import_module("distributed")
+    except ImportError as error:
+        raise ZygosError(f"--scheduler needs Dask ({error}); remedy: pip install 'zygos[cluster]'") from None
+    try:
+        client: Any = distributed.Client(scheduler, timeout=_CONNECT_S)
+    except (OSError, ValueError, TypeError) as error:
+        raise ZygosError(
+            f"no Dask scheduler answers at {scheduler!r} ({error}); remedy: give the address that it prints, "
+            "tcp://host:port, or leave --scheduler out"
+        ) from None
+    with client:
+        yield client.get_executor()
+
+
+def run(jobs: Sequence[Job], file: Path, open_executor: Callable[[], Any]) -> list[Line]:
+    """The lines of all jobs, in their order; those that `file` has from before are not computed again.
+
+    Each finished job adds a line to the file at once. Lines of other code are taken out of it.
+    """
+    done = _known(file, jobs[0].code)
+    missing = [job for job in jobs if job.key not in done]
+    if missing:
+        with open_executor() as pool, file.open("a", encoding="utf-8") as stream, progress() as bar:
+            task = bar.add_task("cells", total=len(jobs), completed=len(jobs) - len(missing))
+            futures = {pool.submit(_work, job): job for job in missing}
+            try:
+                for future in as_completed(futures):
+                    job = futures[future]
+                    line = {"key": job.key, "code": job.code, **future.result()}
+                    stream.write(json.dumps(line, allow_nan=False, separators=(",", ":")) + "\n")
+                    stream.flush()
+                    done[job.key] = line
+                    bar.advance(task)
+            finally:
+                for future in futures:
+                    future.cancel()
+    return [done[job.key] for job in jobs]
+
+
+def _work(job: Job) -> Line:
+    return job.run()
+
+
+def _known(file: Path, code: str) -> dict[str, Line]:
+    """Lines of this code by key. A line that was cut short by the end of its writer is none."""
+    kept: dict[str, Line] = {}
+    texts = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
+    for text in texts:
+        try:
+            line = json.loads(text)
+        except ValueError:
+            continue
+        if line["code"] == code:
+            kept[line["key"]] = line
+    write_text(file, "".join(json.dumps(line, separators=(",", ":")) + "\n" for line in kept.values()))
+    return kept

@@ -1,0 +1,163 @@
+"""What is simulated, and what the estimator is told of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from zygos.arm import Arm, load_arm
+from zygos.errors import ZygosError
+from zygos.model import Model, load_model
+from zygos.motion import EngineName
+from zygos.scenario import Motion, Ramp, Scenario, load_scenario
+
+BLOCK = 25
+"""Seeds that one cell simulates together."""
+REST_S = 1.0
+"""How long the arm of the case "rest" holds still."""
+ZERO_RAD = 1e-3
+LOST = 0.01
+
+
+@dataclass(frozen=True)
+class Case:
+    """One plant with its sensors and motion, and the arm file that the estimators are given."""
+
+    name: str
+    said: str
+    """What it is, for the page."""
+    arm: Arm
+    """What the estimators are told."""
+    plant: Arm
+    """What the hardware is."""
+    model: Model
+    """What moves."""
+    scenario: Scenario
+    benign: bool = True
+    """Whether nothing is wrong that should make an estimator refuse."""
+    zeros_rad: float = 0.0
+    """Size of every encoder's unknown zero; its sign is drawn."""
+    lost: float = 0.0
+    """Share of the cycles in which the frames of one joint are lost."""
+    rest_s: float = 0.0
+    """How long the arm is known to rest at the start."""
+    share: int = 1
+    """Seeds that share one motion, each with sensor errors of its own."""
+    engine: EngineName = "zygos"
+
+
+def all_cases(folder: Path = Path("examples")) -> tuple[Case, ...]:
+    """The cases, from the examples of a checkout. Errors: ZygosError if they are not there."""
+    paper, spatial, gap = folder / "paper", folder / "spatial", folder / "gap"
+    if not (paper / "scenario.toml").is_file():
+        raise ZygosError(f"{paper / 'scenario.toml'}: no such file; remedy: run inside a checkout")
+    arm, model = load_arm(paper / "arm.toml"), load_model(paper / "model.toml")
+    scenario = load_scenario(paper / "scenario.toml")
+
+    def at(name: str, said: str, duration_s: float = 60.0) -> Case:
+        return Case(name, said, arm, arm, model, replace(scenario, duration_s=duration_s))
+
+    def modern(rate_hz: int) -> Case:
+        # smoother, gyro and arcs of the arm that examples/gap has at 200 Hz
+        hardware = load_arm(gap / "arm.toml").at_period(1.0 / rate_hz)
+        moves = replace(scenario, encoder_noise="quantised")
+        said = f"20-bit encoders on both sides, {rate_hz} Hz, T = 60 s"
+        return Case(f"modern-{rate_hz}", said, hardware, hardware, model, moves, share=BLOCK)
+
+    usual = at("paper-60", "the paper's sensors, T = 60 s")
+    space = load_arm(spatial / "arm.toml")
+    return (
+        at("paper-30", "the paper's sensors, T = 30 s", 30.0),
+        usual,
+        at("paper-120", "the paper's sensors, T = 120 s", 120.0),
+        at("paper-300", "the paper's sensors, T = 300 s", 300.0),
+        replace(
+            usual,
+            name="gain-50",
+            said="stiff servo, gain 50: torque steps",
+            scenario=replace(scenario, controller=replace(scenario.controller, gain=50.0)),
+            benign=False,
+        ),
+        modern(200),
+        modern(500),
+        replace(
+            usual,
+            name="quantised",
+            said="readings rounded to the quantum instead of Gaussian noise",
+            scenario=replace(scenario, encoder_noise="quantised"),
+        ),
+        replace(
+            usual,
+            name="sigma-half",
+            said="declared σ half of the true one",
+            plant=_coarser(arm, 2.0),
+            benign=False,
+        ),
+        replace(
+            usual,
+            name="sigma-double",
+            said="declared σ twice the true one",
+            plant=_coarser(arm, 0.5),
+            benign=False,
+        ),
+        replace(usual, name="lost", said="1 % of the cycles lack the frames of one joint", lost=LOST),
+        replace(usual, name="zeros", said="encoder zeros off by 1 mrad, signs at random", zeros_rad=ZERO_RAD),
+        replace(
+            usual,
+            name="rest",
+            said=f"the paper's sensors, T = 60 s, the first {REST_S:g} s of it known to be at rest",
+            scenario=_from_rest(scenario, [joint.name for joint in arm.joints]),
+            rest_s=REST_S,
+        ),
+        Case(
+            "spatial",
+            "three joints in space, 20-bit and geared 14-bit encoders, 500 Hz, T = 60 s; motion by Pinocchio",
+            space,
+            space,
+            load_model(spatial / "model.toml"),
+            load_scenario(spatial / "scenario.toml"),
+            share=BLOCK,
+            engine="pinocchio",
+        ),
+    )
+
+
+def chosen(cases: Sequence[Case], names: Sequence[str]) -> tuple[Case, ...]:
+    """Those of the cases that are named, or all. Errors: ZygosError for a name that no case has."""
+    known = {case.name: case for case in cases}
+    for name in names:
+        if name not in known:
+            raise ZygosError(f"there is no case {name!r}; remedy: one of {', '.join(known)}")
+    return tuple(case for case in cases if not names or case.name in names)
+
+
+def _coarser(arm: Arm, factor: float) -> Arm:
+    """The arm with encoders whose quantum is `factor` times as large."""
+    joints = tuple(
+        replace(
+            joint,
+            link_encoder=replace(joint.link_encoder, quantum_rad=factor * joint.link_encoder.quantum_rad),
+            motor_encoder=replace(joint.motor_encoder, quantum_rad=factor * joint.motor_encoder.quantum_rad),
+        )
+        for joint in arm.joints
+    )
+    return replace(arm, joints=joints)
+
+
+def _from_rest(scenario: Scenario, names: Sequence[str]) -> Scenario:
+    """The same sines, begun in a turning point after the arm has held still there.
+
+    Ramps of half a period each, up and down in turn, are a sine.
+    """
+    manoeuvre, start = {}, []
+    for name in names:
+        (sine,) = scenario.manoeuvre[name].sines
+        half = float(np.pi / sine.omega)
+        count = int(np.ceil((scenario.duration_s - REST_S) / half))
+        ramps = tuple(Ramp(REST_S + k * half, half, 2.0 * sine.amplitude * (-1) ** k) for k in range(count))
+        start.append(scenario.manoeuvre[name].offset - sine.amplitude)
+        manoeuvre[name] = Motion(start[-1], ramps=ramps)
+    return replace(scenario, manoeuvre=manoeuvre, initial_angles_rad=tuple(start))

@@ -1,0 +1,186 @@
+"""Truth meets the answers: here only, after they are written.
+
+Errors are in percent of the true values. Whatever an estimator calls refused or doubtful is not to be relied on: it
+counts as a refusal and enters no error. Errors are those of the seeds' own sensor errors (draw 0); coverage and wild
+values count all draws.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eigh
+
+from zygos.accuracy.cases import Case
+from zygos.accuracy.estimators import ESTIMATORS, NORMAL_95
+from zygos.arm import Arm
+from zygos.reference.kinematics import State, body_columns
+from zygos.score import score
+
+Floats = NDArray[np.float64]
+Line = dict[str, Any]
+
+RELIED_ON = ("valid", "partial")
+WILD_SIGMAS, WILD_PERCENT = 5.0, 2.0
+"""A published value is wild if its error is above both."""
+POSTURES = 200
+"""At which the inertia matrix of an arm in space is compared."""
+
+
+@dataclass(frozen=True)
+class Answers:
+    """All answers of one estimator in one case; A answers, p parameters."""
+
+    first: NDArray[np.bool_]
+    """(A,) whether it is a seed's own draw."""
+    validity: NDArray[np.str_]
+    """(A,)"""
+    reason: list[str]
+    value: Floats
+    """(A, p) NaN where nothing is published, or nothing that is to be relied on."""
+    half95: Floats
+    """(A, p) likewise."""
+    solution: Floats
+    """(A, p) likewise; all NaN where it is not kept."""
+
+    @classmethod
+    def of(cls, columns: Sequence[Line], parameters: int) -> Answers:
+        """From the columns of a case's lines."""
+
+        def joined(key: str) -> list[Any]:
+            return [entry for column in columns for entry in column[key]]
+
+        def array(key: str) -> Floats:
+            empty = [None] * parameters
+            filled = [entry or empty for entry in joined(key)] if key in columns[0] else [empty] * len(validity)
+            out = np.array(filled, dtype=np.float64)
+            out[~np.isin(validity, RELIED_ON)] = np.nan
+            return out
+
+        validity = np.array(joined("validity"))
+        return cls(
+            np.array(joined("draw")) == 0,
+            validity,
+            joined("reason"),
+            array("value"),
+            array("half95"),
+            array("solution"),
+        )
+
+
+def summarise(cases: Sequence[Case], lines: Sequence[Line]) -> list[dict[str, Any]]:
+    """One entry for each case and estimator."""
+    out = []
+    for case in cases:
+        own = [line for line in lines if line.get("case") == case.name]
+        true = case.model.base_values(case.arm)
+        for estimator in ESTIMATORS:
+            if estimator.fits(case.arm):
+                answers = Answers.of([line["answers"][estimator.name] for line in own], len(true))
+                out.append(_entry(case, estimator.name, answers, true))
+    return out
+
+
+def _entry(case: Case, estimator: str, answers: Answers, true: Floats) -> dict[str, Any]:
+    names = case.arm.parameter_names
+    relied = np.isin(answers.validity, RELIED_ON)
+    seeds = answers.first
+    error = score(answers.value, true).error_percent
+    gives = bool(np.isfinite(answers.half95).any())
+    coverage = _coverage(names, answers, true) if gives else None
+    per_parameter = {}
+    for k, name in enumerate(names):
+        own = error[seeds, k]
+        own = own[np.isfinite(own)]
+        per_parameter[name] = {
+            "published": len(own),
+            "rms_percent": float(np.sqrt(np.mean(own**2))) if len(own) else None,
+            "bias_percent": float(np.mean(own)) if len(own) else None,
+            "spread_percent": float(np.std(own, ddof=1)) if len(own) > 1 else None,
+            "coverage95": None if coverage is None else coverage[name],
+        }
+    rms = [entry["rms_percent"] for entry in per_parameter.values() if entry["rms_percent"] is not None]
+    entry = {
+        "case": case.name,
+        "said": case.said,
+        "estimator": estimator,
+        "benign": case.benign,
+        "seeds": int(seeds.sum()),
+        "refused": int(np.sum(~relied[seeds])),
+        "validity": dict(Counter(answers.validity[seeds].tolist())),
+        "reasons": dict(Counter(r for r, s in zip(answers.reason, seeds, strict=True) if s and r)),
+        "draws": len(relied),
+        "draws_refused": int(np.sum(~relied)),
+        "wild": _wild(answers, true, error) if gives else None,
+        "mean_rms_percent": float(np.mean(rms)) if rms else None,
+        "max_rms_percent": float(np.max(rms)) if rms else None,
+        "per_parameter": per_parameter,
+        "coverage95": coverage,
+    }
+    if case.arm.spatial:
+        entry["inertia"] = _inertia_errors(case.arm, answers.solution[seeds & relied], true)
+    return entry
+
+
+def _coverage(names: Sequence[str], answers: Answers, true: Floats) -> dict[str, float | None]:
+    """Share of the published intervals that hold the true value, by parameter."""
+    published = np.isfinite(answers.value) & np.isfinite(answers.half95)
+    with np.errstate(invalid="ignore"):
+        holds = published & (np.abs(answers.value - true) <= answers.half95)
+    return {
+        name: float(held / count) if count else None
+        for name, held, count in zip(names, holds.sum(axis=0), published.sum(axis=0), strict=True)
+    }
+
+
+def _wild(answers: Answers, true: Floats, error: Floats) -> int:
+    with np.errstate(invalid="ignore"):
+        far = np.abs(answers.value - true) > WILD_SIGMAS / NORMAL_95 * answers.half95
+        return int(np.sum(far & (np.abs(error) > WILD_PERCENT)))
+
+
+def inertia(arm: Arm, q: Floats, values: Floats) -> Floats:
+    """(P, 3+N, 3+N) inertia matrices H of base and joints, rotors locked, at postures q (P, N) [rad], kg m^2.
+
+    The energy of the bodies is 1/2 u' H u, so that three energies make an entry.
+    """
+    size = 3 + arm.n
+    kinetic = values[: len(arm.body_parameters)]
+
+    def energy(u: Floats) -> Floats:
+        """(P,) [J] with the rates u (size,)."""
+        rates = np.broadcast_to(u, (len(q), size))
+        still = np.zeros_like(q)
+        columns, _ = body_columns(arm, State(q, q, rates[:, 3:], still, rates[:, :3]))
+        return columns @ kinetic
+
+    units = np.eye(size)
+    own = np.array([energy(unit) for unit in units])
+    out = np.empty((len(q), size, size))
+    for i in range(size):
+        for j in range(size):
+            out[:, i, j] = energy(units[i] + units[j]) - own[i] - own[j]
+    return out
+
+
+def _inertia_errors(arm: Arm, solutions: Floats, true: Floats) -> dict[str, Any]:
+    """Largest deviation from 1 of the generalised eigenvalues of an estimated inertia matrix and the true one, percent:
+    worst and median over the postures, rms over the seeds of each."""
+    q = np.random.default_rng(0).uniform(-np.pi, np.pi, (POSTURES, arm.n))
+    right = inertia(arm, q, true)
+    worst, median = [], []
+    for solution in solutions[np.isfinite(solutions).all(axis=1)]:
+        found = inertia(arm, q, solution)
+        off = [100.0 * np.max(np.abs(eigh(a, b, eigvals_only=True) - 1.0)) for a, b in zip(found, right, strict=True)]
+        worst.append(max(off))
+        median.append(float(np.median(off)))
+
+    def rms(values: list[float]) -> float | None:
+        return float(np.sqrt(np.mean(np.square(values)))) if values else None
+
+    return {"postures": POSTURES, "seeds": len(worst), "worst_percent": rms(worst), "median_percent": rms(median)}

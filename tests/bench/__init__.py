@@ -1,0 +1,1 @@
+"""What the flight library costs, counted in instructions (`make count`)."""
