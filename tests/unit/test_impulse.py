@@ -18,6 +18,7 @@ EVERY = (
     effect("torque_lag", "joint2"),
     effect("motor_viscous", "joint2"),
     effect("link_coulomb", "joint2"),
+    effect("spring_offset", "joint2"),
     effect("cubic_stiffness", "joint1"),
 )
 
@@ -81,7 +82,7 @@ def test_c_is_numpy_on_the_paper_arm_with_effects() -> None:
 @pytest.mark.parametrize(("kinetic", "flexible"), [("spatial", (True, True, False)), ("planar", (False, True, True))])
 def test_c_is_numpy_across_gaps(law: str, kinetic: str, flexible: tuple[bool, ...]) -> None:
     arm = replace(awkward(4, 3, kinetic, flexible, latch_us=3000), torque_law=law)  # type: ignore[arg-type]
-    effects = EVERY if kinetic == "spatial" else EVERY[:3]
+    effects = EVERY if kinetic == "spatial" else EVERY[:4]
     compare(arm, wandering(arm, 260, gap=90), 40, effects)
 
 
