@@ -18,7 +18,8 @@ void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint
 {
     memset(self, 0, sizeof *self);
     self->width = parameters + 2u;
-    self->target = (segment > ZYGOS_MIN_ARC_INSTANTS) ? segment : ZYGOS_MIN_ARC_INSTANTS;
+    const uint64_t steps = segment / ZYGOS_STEP;
+    self->target = ZYGOS_STEP * ((steps > 3u) ? steps : 3u);
 }
 
 /* Row sums of a packed lower triangle. */
@@ -109,19 +110,25 @@ static void make_room(zygos_accumulator_t *self)
 
 static void append_block(zygos_accumulator_t *self)
 {
-    memset(&self->block[self->count], 0, sizeof self->block[0]);
+    zygos_block_t *block = &self->block[self->count];
+    memset(block->gram, 0, entries(self->width) * sizeof block->gram[0]);
+    memset(block->sum, 0, self->width * sizeof block->sum[0]);
+    memset(block->deviation, 0, self->width * sizeof block->deviation[0]);
+    block->instants = 0.0;
+    block->square = 0.0;
+    block->overlap = 0.0;
+    block->end = 0;
     self->count++;
 }
 
 /* Takes the noise of the open segment off its two blocks, as they share its instants. */
 static void end_segment(zygos_accumulator_t *self)
 {
-    if (self->segment == 0) {
+    if (!(self->segment > 0.0)) {
         return;
     }
     const uint32_t width = self->width - 1u;
-    const double n = (double)self->segment;
-    const double rising = self->block[self->count - 1u].instants / n;
+    const double rising = self->block[self->count - 1u].instants / self->segment;
     for (uint32_t b = 0; b < 2; b++) {
         zygos_block_t *block = &self->block[self->count - 2u + b];
         const double part = (b == 0) ? 1.0 - rising : rising;
@@ -134,7 +141,7 @@ static void end_segment(zygos_accumulator_t *self)
     }
     add_share(&self->noise_open, &self->noise, 1.0, width);
     clear_share(&self->noise, width);
-    self->segment = 0;
+    self->segment = 0.0;
 }
 
 static void next_segment(zygos_accumulator_t *self)
@@ -150,17 +157,73 @@ static void next_segment(zygos_accumulator_t *self)
     }
 }
 
+/* Shares out the entries of the older step from self->shared on, up to end. */
+static void share_out(zygos_accumulator_t *self, uint32_t end)
+{
+    double *step = self->step[1u - self->filling].gram;
+    double *falling = self->block[self->count - 2u].gram;
+    double *rising = self->block[self->count - 1u].gram;
+    const double late = self->late;
+    const double early = 1.0 - late;
+    for (uint32_t k = self->shared; k < end; k++) {
+        falling[k] += early * step[k];
+        rising[k] += late * step[k];
+        step[k] = 0.0;
+    }
+    self->shared = end;
+}
+
+/* The step that has filled is shared out from here on; the other one is empty, and fills. */
+static void next_step(zygos_accumulator_t *self)
+{
+    if ((self->count == self->open) || (self->segment >= (double)self->target)) {
+        next_segment(self);
+    }
+    zygos_step_t *step = &self->step[self->filling];
+    zygos_block_t *falling = &self->block[self->count - 2u];
+    zygos_block_t *rising = &self->block[self->count - 1u];
+    const double n = step->instants;
+    const double reached = (self->segment + 0.5 * n) / (double)self->target;
+    const double late = (reached < 1.0) ? reached : 1.0;
+    const double early = 1.0 - late;
+    for (uint32_t i = 0; i < self->width; i++) {
+        falling->sum[i] += early * step->sum[i];
+        rising->sum[i] += late * step->sum[i];
+        step->sum[i] = 0.0;
+    }
+    falling->instants += n * early;
+    falling->square += n * early * early;
+    falling->overlap += n * early * late;
+    rising->instants += n * late;
+    rising->square += n * late * late;
+    self->segment += n;
+    self->late = late;
+    step->instants = 0.0;
+    self->filling = 1u - self->filling;
+    self->filled = 0;
+    self->shared = 0;
+}
+
+void zygos_accumulator_flush(zygos_accumulator_t *self)
+{
+    const uint32_t size = entries(self->width);
+    for (uint32_t round = 0; round < 2u; round++) {
+        if (self->count > self->open) {
+            share_out(self, size);
+        }
+        if ((round == 0) && (self->filled > 0)) {
+            next_step(self);
+        }
+    }
+}
+
 void zygos_accumulator_add(zygos_accumulator_t *self, const zygos_row_t *row, double weight)
 {
     const uint32_t width = self->width;
     const uint32_t p = width - 2u;
-    if ((self->count == self->open) || (self->segment >= self->target)) {
-        next_segment(self);
-    }
-    zygos_block_t *falling = &self->block[self->count - 2u];
-    zygos_block_t *rising = &self->block[self->count - 1u];
-    const double late = ((double)self->segment + 0.5) / (double)self->target;
-    const double early = 1.0 - late;
+    const uint32_t size = entries(width);
+    const uint32_t slice = (size + ZYGOS_STEP - 1u) / ZYGOS_STEP;
+    zygos_step_t *step = &self->step[self->filling];
     double z[ZYGOS_MAX_ROW];
     double total = 0.0;
     for (uint32_t i = 0; i < p; i++) {
@@ -170,27 +233,24 @@ void zygos_accumulator_add(zygos_accumulator_t *self, const zygos_row_t *row, do
     z[p] = weight * row->work;
     z[p + 1u] = weight;
     total += z[p] + z[p + 1u];
-    double *before = falling->gram;
-    double *after = rising->gram;
+    double *gram = step->gram;
     for (uint32_t i = 0; i < width; i++) {
-        const double zi = early * z[i];
-        const double yi = late * z[i];
+        const double zi = z[i];
         for (uint32_t j = 0; j <= i; j++) {
-            before[j] += zi * z[j];
-            after[j] += yi * z[j];
+            gram[j] += zi * z[j];
         }
-        before += i + 1u;
-        after += i + 1u;
-        falling->sum[i] += zi * total;
-        rising->sum[i] += yi * total;
+        gram += i + 1u;
+        step->sum[i] += zi * total;
+    }
+    step->instants += weight;
+    self->filled++;
+    if (self->count > self->open) {
+        share_out(self, (self->shared + slice < size) ? self->shared + slice : size);
+    }
+    if (self->filled == ZYGOS_STEP) {
+        next_step(self);
     }
     const uint32_t one = (weight > 0.0) ? 1u : 0u;
-    falling->instants += weight * early;
-    falling->square += weight * early * early;
-    falling->overlap += weight * early * late;
-    rising->instants += weight * late;
-    rising->square += weight * late * late;
-    self->segment += one;
     self->arc_instants += one;
     self->accepted += one;
     self->refused += 1u - one;
@@ -240,8 +300,15 @@ static void forget_open_arc(zygos_accumulator_t *self)
 {
     clear_share(&self->noise, self->width - 1u);
     clear_share(&self->noise_open, self->width - 1u);
+    for (uint32_t k = 0; k < 2u; k++) {
+        memset(self->step[k].gram, 0, entries(self->width) * sizeof self->step[k].gram[0]);
+        memset(self->step[k].sum, 0, self->width * sizeof self->step[k].sum[0]);
+        self->step[k].instants = 0.0;
+    }
     self->arc_instants = 0;
-    self->segment = 0;
+    self->segment = 0.0;
+    self->filled = 0;
+    self->shared = 0;
 }
 
 static void drop_open_arc(zygos_accumulator_t *self)
@@ -287,6 +354,7 @@ void zygos_accumulator_end_arc(zygos_accumulator_t *self, uint64_t cycle)
         drop_open_arc(self);
         return;
     }
+    zygos_accumulator_flush(self);
     self->corrupt |= (check_sums(self->noise.gram, self->noise.sum, width - 1u) <= 1.0) ? 0u : 1u;
     end_segment(self);
     double mean[ZYGOS_MAX_ROW] = { 0.0 };

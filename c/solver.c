@@ -855,6 +855,7 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     out->cycle = work->cycle;
     out->refused = sums->refused;
     out->parameters = p;
+    zygos_accumulator_flush(sums);
     const bool corrupt =
         !(zygos_accumulator_check(sums) <= 1.0) || !(zygos_joint_sums_check(&work->joint_sums, &work->config) <= 1.0);
     zygos_accumulator_end_arc(sums, work->cycle);

@@ -9,6 +9,9 @@
 /// segment one fades out and the next fades in, and the weights of an instant add up to 1. When all blocks are in use,
 /// segments become twice as long and neighbours that fit into one block merge. The blocks do not change the sum.
 ///
+/// The rows of ZYGOS_STEP instants are summed together and then shared out to the two blocks, a few entries in each
+/// cycle, so that a cycle costs one rank-1 update and a little.
+///
 /// What noise adds on average (noise.h) is summed beside, and taken off the blocks when a segment ends.
 ///
 /// Every block carries its row sums. G 1 = sum holds to rounding, unless memory was corrupted.
@@ -39,6 +42,16 @@ typedef struct {
     double sum[ZYGOS_MAX_ROW];
 } zygos_share_t;
 
+/// Instants that are summed before they are shared out.
+#define ZYGOS_STEP 8
+
+/// The rows of a step.
+typedef struct {
+    double gram[ZYGOS_MAX_PACKED_ROW];
+    double sum[ZYGOS_MAX_ROW];
+    double instants; ///< Accepted ones.
+} zygos_step_t;
+
 typedef struct {
     uint32_t width;        ///< p + 2.
     uint32_t count;        ///< Blocks in use; those of the open arc come last.
@@ -47,24 +60,33 @@ typedef struct {
     uint32_t arcs;         ///< Arcs that closed with enough instants.
     uint32_t arcs_dropped; ///< Arcs that were dropped later, or had fewer than ZYGOS_MIN_ARC_INSTANTS.
     uint32_t corrupt;      ///< 1: the row sums of an arc did not match when it closed.
-    uint32_t reserved;
-    uint64_t target;            ///< Instants of a segment.
-    uint64_t segment;           ///< Accepted instants of the open segment.
-    uint64_t accepted;          ///< Instants in closed arcs and in the open one.
-    uint64_t refused;           ///< Instants that failed the bandwidth test.
+    uint32_t filled;       ///< Instants of the step that fills, accepted or not.
+    uint32_t filling;      ///< Which of the two steps fills; the other is shared out.
+    uint32_t shared;       ///< Entries of it that have been shared out.
+    uint64_t target;       ///< Instants of a segment.
+    double segment;        ///< Accepted instants of the open segment.
+    uint64_t accepted;     ///< Instants in closed arcs and in the open one.
+    uint64_t refused;      ///< Instants that failed the bandwidth test.
+    double late;           ///< Share of the newer block in the step that is shared out.
+    zygos_step_t step[2];
     zygos_share_t noise;        ///< Of the open segment, not yet taken off.
     zygos_share_t noise_open;   ///< Of the other segments of the open arc, taken off.
     zygos_share_t noise_closed; ///< Of closed arcs, taken off. When one of them is dropped, it shrinks in proportion.
     zygos_block_t block[ZYGOS_MAX_BLOCKS];
 } zygos_accumulator_t;
 
-/// Empties the accumulator for p parameters. segment: instants of a segment at first.
+/// Empties the accumulator for p parameters. segment: instants of a segment at first,
+/// which becomes a multiple of ZYGOS_STEP.
 void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint64_t segment);
 
-/// Adds one instant with weight 1 (accepted) or 0 (refused): the instructions are the same. Cost: two rank-1 updates of
-/// (p+2)(p+3)/2 entries; when a segment has ended, in addition what it takes to open the next, at the worst one merge
-/// of all blocks. What noise adds on average to this instant goes into self->noise behind this call.
+/// Adds one instant with weight 1 (accepted) or 0 (refused): the instructions are the same. Cost: one rank-1 update of
+/// (p+2)(p+3)/2 entries, and the same number / ZYGOS_STEP shared out; when a segment has ended, in addition what it
+/// takes to open the next, at the worst one merge of all blocks. What noise adds on average to this instant goes into
+/// self->noise behind this call.
 void zygos_accumulator_add(zygos_accumulator_t *self, const zygos_row_t *row, double weight);
+
+/// Shares out what waits in steps. Cost: each of them once.
+void zygos_accumulator_flush(zygos_accumulator_t *self);
 
 /// Ends the open arc, whose newest cycle is the given one: eliminates its constant, or drops it when it is too short.
 /// Cost: its blocks once.
@@ -78,7 +100,7 @@ void zygos_accumulator_drop_after(zygos_accumulator_t *self, uint64_t cycle);
 void zygos_accumulator_total(const zygos_accumulator_t *self, double *gram);
 
 /// Largest violation of G 1 = sum over all blocks, in units of its tolerance 64 eps n max|G|, or 2 when an arc that
-/// closed was corrupt. Above 1 means corrupt.
+/// closed was corrupt. Above 1 means corrupt. Steps are not looked at before they are flushed.
 double zygos_accumulator_check(const zygos_accumulator_t *self);
 
 #ifdef __cplusplus
