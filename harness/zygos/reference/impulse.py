@@ -39,7 +39,9 @@ class Impulse:
 
 def joint_effects(arm: Arm, joint: int, effects: Sequence[Effect]) -> tuple[Effect, ...]:
     """The effects with a column in the row of a joint (from 0), in their order. Errors: as `estimated`."""
-    return tuple(effect for effect in estimated(arm, effects) if effect.index(arm) == joint and effect.kind.place != "link")
+    return tuple(
+        effect for effect in estimated(arm, effects) if effect.index(arm) == joint and effect.kind.place != "link"
+    )
 
 
 def rows(
