@@ -39,11 +39,9 @@ void zygos_joint_sums_init(zygos_joint_sums_t *self, const zygos_config_t *confi
 void zygos_joint_sums_add(zygos_joint_sums_t *self, const zygos_config_t *config, const zygos_impulse_rows_t *rows,
                           double weight)
 {
-    for (uint32_t i = 0; i < config->joints; i++) {
-        const uint32_t p = self->layout.count[i];
-        if (p == 0) {
-            continue;
-        }
+    const uint32_t i = self->cycles % config->joints;
+    const uint32_t p = self->layout.count[i];
+    if (p > 0) {
         double z[ZYGOS_MAX_JOINT_ROW];
         double total = 0.0;
         for (uint32_t k = 0; k < p; k++) {
@@ -63,6 +61,7 @@ void zygos_joint_sums_add(zygos_joint_sums_t *self, const zygos_config_t *config
             sum[a] += z[a] * total;
         }
     }
+    self->open.instants[i] += weight;
     self->instants += (weight > 0.0) ? 1u : 0u;
     self->cycles++;
 }
@@ -122,8 +121,9 @@ static void add_block(zygos_joint_block_t *to, const zygos_joint_block_t *from)
         for (uint32_t k = 0; k < ZYGOS_MAX_JOINT_ROW; k++) {
             to->joint[i].sum[k] += from->joint[i].sum[k];
         }
+        to->instants[i] += from->instants[i];
     }
-    to->instants += from->instants;
+    to->total += from->total;
     to->end = from->end;
 }
 
@@ -133,7 +133,7 @@ static void make_room(zygos_joint_sums_t *self)
     for (uint32_t tries = 0; (tries < 64u) && (self->count > 3u * ZYGOS_MAX_JOINT_BLOCKS / 4u); tries++) {
         uint32_t to = 0;
         for (uint32_t from = 0; from < self->count; from++) {
-            if ((to > 0) && (self->block[to - 1u].instants + self->block[from].instants <= self->target)) {
+            if ((to > 0) && (self->block[to - 1u].total + self->block[from].total <= self->target)) {
                 add_block(&self->block[to - 1u], &self->block[from]);
                 continue;
             }
@@ -152,15 +152,15 @@ void zygos_joint_sums_end_arc(zygos_joint_sums_t *self, const zygos_config_t *co
     if (self->instants >= ZYGOS_MIN_ARC_INSTANTS) {
         for (uint32_t i = 0; i < config->joints; i++) {
             const uint32_t p = self->layout.count[i];
-            if (p > 0) {
+            if ((p > 0) && (self->open.instants[i] > 0.0)) {
                 self->corrupt |= matches(&self->open.joint[i], p + 2u) ? 0u : 1u;
-                close_gram(&self->open.joint[i], p, (double)self->instants, self->noise[i]);
+                close_gram(&self->open.joint[i], p, self->open.instants[i], self->noise[i]);
             }
         }
         if (self->count == ZYGOS_MAX_JOINT_BLOCKS) {
             make_room(self);
         }
-        self->open.instants = (double)self->instants;
+        self->open.total = (double)self->instants;
         self->open.end = cycle;
         self->block[self->count] = self->open;
         self->count++;

@@ -135,6 +135,11 @@ void zygos_skeleton_init(zygos_skeleton_t *self, const zygos_config_t *config)
         heavy |= (dot3(moment, moment) > 1e-18 * dot3(g, g)) ? 1u : 0u;
         self->heavy[i] = heavy;
     }
+    double u[3];
+    double v[3];
+    zygos_across(config->joint[0].axis, u, v);
+    self->pull[0] = -dot3(g, u);
+    self->pull[1] = -self->hand[0] * dot3(g, v);
 }
 
 uint32_t zygos_kinetic_parameters(const zygos_config_t *config)
@@ -236,11 +241,6 @@ static void planar(const zygos_skeleton_t *self, const zygos_config_t *config, c
                    zygos_motion_t *out)
 {
     const uint32_t n = config->joints;
-    double u[3];
-    double v[3];
-    zygos_across(config->joint[0].axis, u, v);
-    const double pull_u = -dot3(config->gravity, u);
-    const double pull_v = -self->hand[0] * dot3(config->gravity, v);
     double pull[2 * ZYGOS_MAX_JOINTS];
     double rate = (config->base == ZYGOS_BASE_FREE) ? dot3(config->joint[0].axis, state->omega) : 0.0;
     double angle = 0.0;
@@ -259,8 +259,8 @@ static void planar(const zygos_skeleton_t *self, const zygos_config_t *config, c
         out->direction[i + 1][1] = s;
         out->rate[i + 1][0] = rate * c;
         out->rate[i + 1][1] = rate * s;
-        pull[2u * i] = c * pull_u + s * pull_v;
-        pull[2u * i + 1u] = self->hand[0] * (c * pull_v - s * pull_u);
+        pull[2u * i] = c * self->pull[0] + s * self->pull[1];
+        pull[2u * i + 1u] = self->hand[0] * (c * self->pull[1] - s * self->pull[0]);
     }
     memset(out->column, 0, zygos_kinetic_parameters(config) * sizeof out->column[0]);
     double *column = planar_products(config, (const double(*)[3])out->rate, (const double(*)[3])out->rate, out->column);
@@ -329,73 +329,90 @@ void zygos_kinematics(const zygos_skeleton_t *self, const zygos_config_t *config
     }
 }
 
-/* The directions of the bodies that joint i carries follow its axis by the right hand; the axes of the joints behind it
-   do, too, so that a body's rate vector w x d turns as a whole, but for the share of w that joint i does not carry. */
-static uint32_t changes(const zygos_config_t *config, const zygos_motion_t *motion, uint32_t i, double (*by_angle)[3],
-                        double (*by_rate)[3])
+/* Pairs of bodies that joint i both carries turn together: only their rates tell of it. */
+static double *planar_slopes(const zygos_config_t *config, const zygos_motion_t *motion, uint32_t i, double *by_angle,
+                             double *by_rate)
 {
     const uint32_t n = config->joints;
-    if ((ZYGOS_SPATIAL == 0) || (config->kinetic != ZYGOS_SPATIAL_ARM)) {
-        for (uint32_t b = i + 1u; b <= n; b++) {
-            by_angle[b][0] = -motion->rate[b][1];
-            by_angle[b][1] = motion->rate[b][0];
-            by_rate[b][0] = motion->direction[b][0];
-            by_rate[b][1] = motion->direction[b][1];
+    const uint32_t first = (config->base == ZYGOS_BASE_FREE) ? 0u : 1u;
+    for (uint32_t skew = 0; skew < ((config->kinetic == ZYGOS_PLANAR) ? 2u : 1u); skew++) {
+        for (uint32_t a = first; a <= n; a++) {
+            for (uint32_t b = a + skew; b <= n; b++) {
+                const double *v = motion->rate[a];
+                const double *d = motion->direction[a];
+                /* Products with the other's vectors, or with those across them. */
+                const double w[2] = { skew ? motion->rate[b][1] : motion->rate[b][0],
+                                      skew ? -motion->rate[b][0] : motion->rate[b][1] };
+                const double e[2] = { skew ? motion->direction[b][1] : motion->direction[b][0],
+                                      skew ? -motion->direction[b][0] : motion->direction[b][1] };
+                const double both = (a > i) ? d[0] * w[0] + d[1] * w[1] : 0.0;
+                const double later = v[0] * e[0] + v[1] * e[1];
+                const double turned = v[1] * w[0] - v[0] * w[1];
+                *by_angle = ((b > i) && (a <= i)) ? turned : 0.0;
+                *by_rate = (b > i) ? ((a == b) ? later : later + both) : 0.0;
+                by_angle++;
+                by_rate++;
+            }
         }
-        return n + 1u;
     }
+    return by_angle;
+}
+
+/* The directions of the bodies that joint i carries follow its axis by the right hand; the axes of the joints behind it
+   do, too, so that a body's rate vector w x d turns as a whole, but for the share of w that joint i does not carry. */
+static double *spatial_slopes(const zygos_config_t *config, const zygos_motion_t *motion, uint32_t i, double *by_angle,
+                              double *by_rate, double (*moved)[3])
+{
+    const uint32_t n = config->joints;
     const uint32_t base = (config->base == ZYGOS_BASE_FREE) ? 3u : 0u;
+    const uint32_t kinetic = zygos_kinetic_parameters(config);
+    const double(*v)[3] = motion->rate;
     const double *axis = motion->axis[i];
+    double turned[ZYGOS_MAX_DIRECTIONS][3] = { { 0.0 } };
     double lag[3];
     cross3(axis, motion->spin[i], lag);
     for (uint32_t b = base + 2u * i; b < base + 2u * n; b++) {
         double behind[3];
-        cross3(axis, motion->rate[b], by_angle[b]);
+        cross3(axis, v[b], turned[b]);
         cross3(lag, motion->direction[b], behind);
         for (uint32_t k = 0; k < 3; k++) {
-            by_angle[b][k] -= behind[k];
+            turned[b][k] -= behind[k];
         }
-        cross3(axis, motion->direction[b], by_rate[b]);
+        cross3(axis, motion->direction[b], moved[b]);
     }
-    return base + 2u * n;
+    memset(by_angle, 0, kinetic * sizeof by_angle[0]);
+    memset(by_rate, 0, kinetic * sizeof by_rate[0]);
+    (void)spatial_products(config, v, (const double(*)[3])turned, by_angle);
+    (void)spatial_products(config, (const double(*)[3])turned, v, by_angle);
+    (void)spatial_products(config, v, (const double(*)[3])moved, by_rate);
+    (void)spatial_products(config, (const double(*)[3])moved, v, by_rate);
+    return by_angle + kinetic;
 }
 
 void zygos_kinematics_slopes(const zygos_skeleton_t *self, const zygos_config_t *config, const zygos_motion_t *motion,
                              uint32_t i, double *by_angle, double *by_rate)
 {
     const uint32_t n = config->joints;
-    double angle[ZYGOS_MAX_DIRECTIONS][3] = { { 0.0 } };
-    double rate[ZYGOS_MAX_DIRECTIONS][3] = { { 0.0 } };
-    const uint32_t count = changes(config, motion, i, angle, rate);
-    const uint32_t kinetic = zygos_kinetic_parameters(config);
-    const double(*v)[3] = motion->rate;
-    memset(by_angle, 0, kinetic * sizeof by_angle[0]);
-    memset(by_rate, 0, kinetic * sizeof by_rate[0]);
-    (void)zygos_kinetic_products(config, v, (const double(*)[3])angle, by_angle);
-    double *heavy = zygos_kinetic_products(config, (const double(*)[3])angle, v, by_angle);
-    (void)zygos_kinetic_products(config, v, (const double(*)[3])rate, by_rate);
-    (void)zygos_kinetic_products(config, (const double(*)[3])rate, v, by_rate);
-    if (!self->heavy[n - 1u]) {
-        return;
-    }
     double pull[2 * ZYGOS_MAX_JOINTS] = { 0.0 };
-    const double none[2 * ZYGOS_MAX_JOINTS] = { 0.0 };
-    for (uint32_t b = i; b < n; b++) {
-        if ((ZYGOS_SPATIAL != 0) && (config->kinetic == ZYGOS_SPATIAL_ARM)) {
-            pull[2u * b] = -dot3(config->gravity, rate[count - 2u * (n - b)]);
-            pull[2u * b + 1u] = -dot3(config->gravity, rate[count - 2u * (n - b) + 1u]);
-        } else {
-            double u[3];
-            double w[3];
-            zygos_across(config->joint[0].axis, u, w);
-            const double c = motion->direction[b + 1u][0];
-            const double s = motion->direction[b + 1u][1];
-            const double pull_u = -dot3(config->gravity, u);
-            const double pull_v = -self->hand[0] * dot3(config->gravity, w);
-            pull[2u * b] = c * pull_v - s * pull_u;
-            pull[2u * b + 1u] = -self->hand[0] * (c * pull_u + s * pull_v);
+    double *heavy = NULL;
+    if ((ZYGOS_SPATIAL != 0) && (config->kinetic == ZYGOS_SPATIAL_ARM)) {
+        double moved[ZYGOS_MAX_DIRECTIONS][3] = { { 0.0 } };
+        heavy = spatial_slopes(config, motion, i, by_angle, by_rate, moved);
+        const uint32_t base = (config->base == ZYGOS_BASE_FREE) ? 3u : 0u;
+        for (uint32_t b = 2u * i; (b < 2u * n) && self->heavy[n - 1u]; b++) {
+            pull[b] = -dot3(config->gravity, moved[base + b]);
+        }
+    } else {
+        heavy = planar_slopes(config, motion, i, by_angle, by_rate);
+        for (uint32_t b = i; (b < n) && self->heavy[n - 1u]; b++) {
+            const double *d = motion->direction[b + 1u];
+            pull[2u * b] = d[0] * self->pull[1] - d[1] * self->pull[0];
+            pull[2u * b + 1u] = -self->hand[0] * (d[0] * self->pull[0] + d[1] * self->pull[1]);
         }
     }
-    gravity_columns(self, n, pull, heavy);
-    gravity_columns(self, n, none, &by_rate[heavy - by_angle]);
+    if (self->heavy[n - 1u]) {
+        const double none[2 * ZYGOS_MAX_JOINTS] = { 0.0 };
+        gravity_columns(self, n, pull, heavy);
+        gravity_columns(self, n, none, &by_rate[heavy - by_angle]);
+    }
 }

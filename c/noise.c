@@ -23,44 +23,46 @@ static void put(zygos_places_t *list, uint32_t place)
     list->count++;
 }
 
-static void put_effects(zygos_places_t *list, const zygos_config_t *config, const zygos_layout_t *layout, uint32_t i)
-{
-    for (uint32_t e = 0; e < config->effects; e++) {
-        if (config->effect[e].joint == i) {
-            put(list, layout->effects + e);
-        }
-    }
-}
-
-/* Columns that change when joint i moves, or with the base rate for i = N: those of a motion in which everything is
-   different. */
-static void put_bodies(zygos_places_t *list, const zygos_config_t *config, const zygos_layout_t *layout, uint32_t i)
+/* Kinetic columns that the rate of joint i is in, or that of the base for i = N, and of those the ones that its angle
+   is in. They are found at a motion that has nothing special. */
+static void put_bodies(zygos_places_t *angle, zygos_places_t *rate, const zygos_config_t *config,
+                       const zygos_layout_t *layout, uint32_t i)
 {
     const bool space = (config->kinetic == ZYGOS_SPATIAL_ARM);
-    const uint32_t base = (config->base == ZYGOS_BASE_FREE) ? (space ? 3u : 1u) : (space ? 0u : 1u);
+    const bool free = (config->base == ZYGOS_BASE_FREE);
+    const uint32_t base = free ? (space ? 3u : 1u) : (space ? 0u : 1u);
     const uint32_t size = space ? base + 2u * config->joints : config->joints + 1u;
     const uint32_t begin = (i == config->joints) ? 0u : (space ? base + 2u * i : i + 1u);
     double one[ZYGOS_MAX_DIRECTIONS][3];
-    double moved[ZYGOS_MAX_DIRECTIONS][3] = { { 0.0 } };
-    double column[ZYGOS_MAX_BODY] = { 0.0 };
+    double carried[ZYGOS_MAX_DIRECTIONS][3] = { { 0.0 } };
+    double left[ZYGOS_MAX_DIRECTIONS][3] = { { 0.0 } };
+    double by_rate[ZYGOS_MAX_BODY] = { 0.0 };
+    double by_angle[ZYGOS_MAX_BODY] = { 0.0 };
     for (uint32_t a = 0; a < ZYGOS_MAX_DIRECTIONS; a++) {
         for (uint32_t k = 0; k < 3; k++) {
             one[a][k] = 1.0 + (double)(3u * a + k * k);
-            moved[a][k] = ((a >= begin) && (a < size)) ? 1.0 : 0.0;
+            carried[a][k] = ((a >= begin) && (a < size)) ? 1.0 : 0.0;
+            left[a][k] = (a < begin) ? one[a][k] : 0.0;
         }
     }
-    (void)zygos_kinetic_products(config, (const double(*)[3])one, (const double(*)[3])moved, column);
+    /* In a plane, what joint i carries turns together. */
+    const double(*others)[3] = space ? (const double(*)[3])one : (const double(*)[3])left;
+    (void)zygos_kinetic_products(config, (const double(*)[3])one, (const double(*)[3])carried, by_rate);
+    (void)zygos_kinetic_products(config, others, (const double(*)[3])carried, by_angle);
     for (uint32_t k = 0; k < layout->kinetic; k++) {
-        if (column[k] > 0.0 || column[k] < 0.0) {
-            put(list, k);
+        if (by_rate[k] > 0.0 || by_rate[k] < 0.0) {
+            put(rate, k);
+        }
+        if (by_angle[k] > 0.0 || by_angle[k] < 0.0) {
+            put(angle, k);
         }
     }
     for (uint32_t k = layout->kinetic; (k < layout->body) && (i < config->joints); k++) {
-        put(list, k);
+        put(angle, k);
     }
 }
 
-/* Rotors that the bodies behind joint i carry. */
+/* Rotors that the bodies behind joint i carry, as far as they notice. */
 static void put_rotors(zygos_places_t *list, const zygos_layout_t *layout, uint32_t joints, uint32_t from)
 {
     for (uint32_t i = from; i < joints; i++) {
@@ -70,27 +72,88 @@ static void put_rotors(zygos_places_t *list, const zygos_layout_t *layout, uint3
     }
 }
 
-static void put_joint(zygos_places_t *list, const zygos_config_t *config, const zygos_layout_t *layout, uint32_t i)
+/* Spring and damper, and the effects of the joint that an angle is in. */
+static void put_spring(zygos_places_t *list, const zygos_config_t *config, const zygos_layout_t *layout, uint32_t i)
 {
-    if (layout->rotor[i]) {
-        put(list, layout->joint[i]);
-    }
     if (config->joint[i].rigid == 0) {
         put(list, layout->joint[i] + layout->rotor[i]);
         put(list, layout->joint[i] + layout->rotor[i] + 1u);
     }
+    for (uint32_t e = 0; e < config->effects; e++) {
+        if (config->effect[e].joint == i) {
+            put(list, layout->effects + e);
+        }
+    }
 }
 
+/* What a motor's rate is in. */
+static void put_motor(zygos_places_t *list, const zygos_config_t *config, const zygos_layout_t *layout, uint32_t i)
+{
+    if (layout->rotor[i]) {
+        put(list, layout->joint[i]);
+    }
+    for (uint32_t e = 0; e < config->effects; e++) {
+        if ((config->effect[e].joint == i) && (config->effect[e].kind == ZYGOS_TORQUE_LAG)) {
+            put(list, layout->effects + e);
+        }
+    }
+    put(list, layout->count);
+}
+
+/* Sorts, and drops what stands there twice. */
 static void sort(zygos_places_t *list)
 {
-    for (uint32_t i = 1; i < list->count; i++) {
+    uint32_t count = 0;
+    for (uint32_t i = 0; i < list->count; i++) {
         const uint32_t place = list->place[i];
-        uint32_t j = i;
-        for (; (j > 0) && (list->place[j - 1u] > place); j--) {
-            list->place[j] = list->place[j - 1u];
+        uint32_t j = count;
+        while ((j > 0) && (list->place[j - 1u] > place)) {
+            j--;
+        }
+        if ((j > 0) && (list->place[j - 1u] == place)) {
+            continue;
+        }
+        for (uint32_t k = count; k > j; k--) {
+            list->place[k] = list->place[k - 1u];
         }
         list->place[j] = place;
+        count++;
     }
+    list->count = count;
+}
+
+static void find_places(zygos_noise_t *self, const zygos_config_t *config, const zygos_layout_t *layout)
+{
+    const uint32_t n = config->joints;
+    const bool space = (config->kinetic == ZYGOS_SPATIAL_ARM);
+    for (uint32_t i = 0; i < n; i++) {
+        zygos_places_t *angle[2] = { &self->angle[i], &self->angle[n + i] };
+        zygos_places_t *rate[2] = { &self->rate[i], &self->rate[n + i] };
+        put_bodies(angle[0], rate[0], config, layout, i);
+        put_rotors(rate[0], layout, n, i + 1u);
+        put_rotors(angle[0], layout, n, space ? i + 1u : n);
+        put_spring(angle[0], config, layout, i);
+        /* One sensor speaks for both sides of a rigid joint. */
+        const uint32_t motor = (config->joint[i].rigid == 0) ? 1u : 0u;
+        put_spring(angle[motor], config, layout, i);
+        put(angle[motor], layout->count);
+        put_motor(rate[motor], config, layout, i);
+    }
+    for (uint32_t s = 0; s < 2u * n; s++) {
+        sort(&self->rate[s]);
+        const bool late = (self->factor[s][1] > 0.0) || (self->factor[s][1] < 0.0);
+        for (uint32_t k = 0; late && (k < self->rate[s].count); k++) {
+            if (self->angle[s].count <= (uint32_t)ZYGOS_MAX_PARAMETERS) {
+                put(&self->angle[s], self->rate[s].place[k]);
+                sort(&self->angle[s]);
+            }
+        }
+        sort(&self->angle[s]);
+    }
+    zygos_places_t none = { 0 };
+    put_bodies(&none, &self->gyro, config, layout, n);
+    put_rotors(&self->gyro, layout, n, 0);
+    sort(&self->gyro);
 }
 
 void zygos_noise_init(zygos_noise_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
@@ -112,28 +175,13 @@ void zygos_noise_init(zygos_noise_t *self, const zygos_config_t *config, const z
         self->rate_variance[s] = sigma * sigma * product(slope, slope, smoother->window);
     }
     const double *gyro = smoother->value[2u * n];
-    self->gyro_variance = config->imu_sigma * config->imu_sigma * product(gyro, gyro, smoother->window);
+    const double gyro_variance = config->imu_sigma * config->imu_sigma * product(gyro, gyro, smoother->window);
+    double least = 1e300;
     for (uint32_t i = 0; i < n; i++) {
-        zygos_places_t *link = &self->link[i];
-        zygos_places_t *motor = &self->motor[i];
-        put_bodies(link, config, layout, i);
-        put_rotors(link, layout, n, i + 1u);
-        put_joint(motor, config, layout, i);
-        if (config->joint[i].rigid == 0) {
-            put(link, layout->joint[i] + layout->rotor[i]);
-            put(link, layout->joint[i] + layout->rotor[i] + 1u);
-            put_effects(link, config, layout, i);
-            put_effects(motor, config, layout, i);
-            put(motor, layout->count);
-        } else {
-            /* One sensor speaks for both sides. */
-            put_joint(link, config, layout, i);
-            put_effects(link, config, layout, i);
-            put(link, layout->count);
-        }
-        sort(link);
-        sort(motor);
+        least = (self->rate_variance[i] < least) ? self->rate_variance[i] : least;
     }
+    self->gyro_variance = (gyro_variance >= ZYGOS_GYRO_SHARE * least) ? gyro_variance : 0.0;
+    find_places(self, config, layout);
     for (uint32_t i = 0; (i < n) && (config->compensation != 0); i++) {
         self->drift.slip[i] = config->period_s * (self->rate_variance[i] + self->rate_variance[n + i]);
     }
@@ -143,29 +191,41 @@ void zygos_noise_init(zygos_noise_t *self, const zygos_config_t *config, const z
         self->drift.effect[e] =
             square ? config->period_s * config->joint[i].gear_ratio * self->rate_variance[n + i] : 0.0;
     }
-    put_bodies(&self->gyro, config, layout, n);
-    put_rotors(&self->gyro, layout, n, 0);
-    sort(&self->gyro);
 }
 
-/* x_a replaced by sum_j variance_j (z_j x (x_a x z_j)) over the joints before a body, and by the gyro's. */
+/* In a plane, what two bodies have in common: the rates of the base and of the joints up to the one nearer to it. */
+static void planar_means(const zygos_noise_t *self, const zygos_config_t *config, const zygos_motion_t *motion,
+                         double *column)
+{
+    const uint32_t n = config->joints;
+    const bool free = (config->base == ZYGOS_BASE_FREE);
+    for (uint32_t skew = 0; skew < ((config->kinetic == ZYGOS_PLANAR) ? 2u : 1u); skew++) {
+        double variance = free ? self->gyro_variance : self->rate_variance[0];
+        for (uint32_t a = free ? 0u : 1u; a <= n; a++) {
+            const double *d = motion->direction[a];
+            if (skew == 0) {
+                *column -= 0.5 * variance;
+                column++;
+            }
+            for (uint32_t b = a + 1u; b <= n; b++) {
+                const double *e = motion->direction[b];
+                *column -= variance * (skew ? d[0] * e[1] - d[1] * e[0] : d[0] * e[0] + d[1] * e[1]);
+                column++;
+            }
+            variance += (a < n) ? self->rate_variance[a] : 0.0;
+        }
+    }
+}
+
+/* In space, each direction replaced by sum_j variance_j (z_j x (d x z_j)) over the joints before its body, and by the
+   gyro's. */
 static void blur(const zygos_noise_t *self, const zygos_config_t *config, const zygos_motion_t *motion,
                  double (*out)[3])
 {
     const uint32_t n = config->joints;
-    const bool free = (config->base == ZYGOS_BASE_FREE);
-    const double gyro = free ? self->gyro_variance : 0.0;
-    if ((ZYGOS_SPATIAL == 0) || (config->kinetic != ZYGOS_SPATIAL_ARM)) {
-        double variance = gyro;
-        for (uint32_t i = 0; i <= n; i++) {
-            variance += (i > 0) ? self->rate_variance[i - 1u] : 0.0;
-            out[i][0] = variance * motion->direction[i][0];
-            out[i][1] = variance * motion->direction[i][1];
-        }
-        return;
-    }
-    double m[3][3] = { { 2.0 * gyro, 0.0, 0.0 }, { 0.0, 2.0 * gyro, 0.0 }, { 0.0, 0.0, 2.0 * gyro } };
-    const uint32_t base = free ? 3u : 0u;
+    const uint32_t base = (config->base == ZYGOS_BASE_FREE) ? 3u : 0u;
+    const double gyro = (base > 0) ? 2.0 * self->gyro_variance : 0.0;
+    double m[3][3] = { { gyro, 0.0, 0.0 }, { 0.0, gyro, 0.0 }, { 0.0, 0.0, gyro } };
     for (uint32_t a = 0; a < base + 2u * n; a++) {
         if ((a >= base) && ((a - base) % 2u == 0)) {
             const double *z = motion->axis[(a - base) / 2u];
@@ -185,11 +245,15 @@ static void blur(const zygos_noise_t *self, const zygos_config_t *config, const 
 void zygos_noise_means(const zygos_noise_t *self, const zygos_config_t *config, const zygos_motion_t *motion,
                        zygos_row_t *row)
 {
-    double blurred[ZYGOS_MAX_DIRECTIONS][3];
-    double mean[ZYGOS_MAX_BODY] = { 0.0 };
     if (config->compensation == 0) {
         return;
     }
+    if ((ZYGOS_SPATIAL == 0) || (config->kinetic != ZYGOS_SPATIAL_ARM)) {
+        planar_means(self, config, motion, row->column);
+        return;
+    }
+    double blurred[ZYGOS_MAX_DIRECTIONS][3];
+    double mean[ZYGOS_MAX_BODY] = { 0.0 };
     blur(self, config, motion, blurred);
     const double *end = zygos_kinetic_products(config, (const double(*)[3])blurred, motion->direction, mean);
     const uint32_t kinetic = (uint32_t)(end - mean);
@@ -198,27 +262,44 @@ void zygos_noise_means(const zygos_noise_t *self, const zygos_config_t *config, 
     }
 }
 
-/* packed += a a^T + b b^T at the places of the list. */
-static void add(const zygos_places_t *list, const double *a, const double *b, double *packed, double *sum)
+/* packed += x x^T at the places of the list. */
+static void add(const zygos_places_t *list, const double *x, double *packed, double *sum)
 {
-    double x[ZYGOS_MAX_PARAMETERS + 1];
-    double y[ZYGOS_MAX_PARAMETERS + 1];
-    double total_x = 0.0;
-    double total_y = 0.0;
+    double total = 0.0;
     for (uint32_t i = 0; i < list->count; i++) {
-        x[i] = a[list->place[i]];
-        y[i] = b[list->place[i]];
-        total_x += x[i];
-        total_y += y[i];
+        total += x[i];
     }
     for (uint32_t i = 0; i < list->count; i++) {
         const uint32_t place = list->place[i];
         double *line = &packed[place * (place + 1u) / 2u];
+        const double xi = x[i];
         for (uint32_t j = 0; j <= i; j++) {
-            line[list->place[j]] += x[i] * x[j] + y[i] * y[j];
+            line[list->place[j]] += xi * x[j];
         }
-        sum[place] += x[i] * total_x + y[i] * total_y;
+        sum[place] += xi * total;
     }
+}
+
+/* The same of the noise of an angle and of its rate, which are correlated where the signal latches late. */
+static void add_signal(const zygos_noise_t *self, uint32_t signal, double weight, const double *angle,
+                       const double *rate, double *packed, double *sum)
+{
+    const double *factor = self->factor[signal];
+    const zygos_places_t *of_angle = &self->angle[signal];
+    const zygos_places_t *of_rate = &self->rate[signal];
+    const bool late = (factor[1] > 0.0) || (factor[1] < 0.0);
+    double x[ZYGOS_MAX_PARAMETERS + 1];
+    for (uint32_t i = 0; i < of_angle->count; i++) {
+        x[i] = weight * factor[0] * angle[of_angle->place[i]];
+    }
+    for (uint32_t i = 0; (i < of_angle->count) && late; i++) {
+        x[i] += weight * factor[1] * rate[of_angle->place[i]];
+    }
+    add(of_angle, x, packed, sum);
+    for (uint32_t i = 0; i < of_rate->count; i++) {
+        x[i] = weight * factor[2] * rate[of_rate->place[i]];
+    }
+    add(of_rate, x, packed, sum);
 }
 
 /* Of a motion about joint i: bodies, and the rotors that they carry. */
@@ -295,55 +376,69 @@ static void against(const zygos_config_t *config, const zygos_layout_t *layout, 
     }
 }
 
-/* a := f0 a + f1 b, b := f2 b at the places of the list: independent of each other and of variance 1. */
-static void scale(const zygos_places_t *list, const double *factor, double weight, double *a, double *b)
+/* The axes that the gyro's noise acts about: x, y and z; z here, and the base, in a plane. */
+static void gyro_slopes(const zygos_config_t *config, const zygos_layout_t *layout, const zygos_state_t *state,
+                        const zygos_motion_t *motion, uint32_t axis, double *by_rate)
 {
-    for (uint32_t i = 0; i < list->count; i++) {
-        const uint32_t k = list->place[i];
-        a[k] = weight * (factor[0] * a[k] + factor[1] * b[k]);
-        b[k] = weight * factor[2] * b[k];
+    const uint32_t n = config->joints;
+    const bool space = (ZYGOS_SPATIAL != 0) && (config->kinetic == ZYGOS_SPATIAL_ARM);
+    memset(by_rate, 0, layout->kinetic * sizeof by_rate[0]);
+    if (space) {
+        double moved[ZYGOS_MAX_DIRECTIONS][3];
+        for (uint32_t a = 0; a < 2u * n + 3u; a++) {
+            const double *d = motion->direction[a];
+            moved[a][axis] = 0.0;
+            moved[a][(axis + 1u) % 3u] = -d[(axis + 2u) % 3u];
+            moved[a][(axis + 2u) % 3u] = d[(axis + 1u) % 3u];
+        }
+        (void)zygos_kinetic_products(config, motion->rate, (const double(*)[3])moved, by_rate);
+        (void)zygos_kinetic_products(config, (const double(*)[3])moved, motion->rate, by_rate);
+    } else {
+        (void)zygos_kinetic_products(config, motion->rate, motion->direction, by_rate);
+        (void)zygos_kinetic_products(config, motion->direction, motion->rate, by_rate);
+    }
+    for (uint32_t r = 0; r < n; r++) {
+        if (layout->rotor[r]) {
+            const double rotor = config->joint[r].gear_ratio * state->theta_rate[r];
+            by_rate[layout->joint[r]] = rotor * (space ? motion->axis[r][axis] : 1.0);
+        }
     }
 }
 
-static void add_gyro(const zygos_noise_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
-                     const zygos_state_t *state, const zygos_motion_t *motion, double weight, double *packed,
-                     double *sum)
+/* The share of one sensor: link encoders first, then motor encoders, then the gyro. */
+static void add_sensor(const zygos_noise_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
+                       const zygos_skeleton_t *skeleton, const zygos_state_t *state, const zygos_motion_t *motion,
+                       const double *tau, const double *tau_next, uint32_t sensor, double weight, double *packed,
+                       double *sum)
 {
-    const bool space = (ZYGOS_SPATIAL != 0) && (config->kinetic == ZYGOS_SPATIAL_ARM);
     const uint32_t n = config->joints;
-    const double deviation = weight * root(self->gyro_variance);
-    double slope[3][ZYGOS_MAX_PARAMETERS + 1];
-    memset(slope, 0, sizeof slope);
-    for (uint32_t k = 0; k < (space ? 3u : 1u); k++) {
-        double moved[ZYGOS_MAX_DIRECTIONS][3];
-        const uint32_t count = space ? 2u * n + 3u : n + 1u;
-        for (uint32_t a = 0; a < count; a++) {
-            const double *d = motion->direction[a];
-            if (space) {
-                moved[a][k] = 0.0;
-                moved[a][(k + 1u) % 3u] = -d[(k + 2u) % 3u];
-                moved[a][(k + 2u) % 3u] = d[(k + 1u) % 3u];
-            } else {
-                moved[a][0] = d[0];
-                moved[a][1] = d[1];
+    double angle[ZYGOS_MAX_PARAMETERS + 1];
+    double rate[ZYGOS_MAX_PARAMETERS + 1];
+    if (sensor == 2u * n) {
+        const double deviation = weight * root(self->gyro_variance);
+        const bool space = (ZYGOS_SPATIAL != 0) && (config->kinetic == ZYGOS_SPATIAL_ARM);
+        for (uint32_t axis = 0; axis < (space ? 3u : 1u); axis++) {
+            gyro_slopes(config, layout, state, motion, axis, rate);
+            for (uint32_t k = 0; k < self->gyro.count; k++) {
+                angle[k] = deviation * rate[self->gyro.place[k]];
             }
+            add(&self->gyro, angle, packed, sum);
         }
-        (void)zygos_kinetic_products(config, motion->rate, (const double(*)[3])moved, slope[k]);
-        (void)zygos_kinetic_products(config, (const double(*)[3])moved, motion->rate, slope[k]);
-        for (uint32_t r = 0; r < n; r++) {
-            if (layout->rotor[r]) {
-                const double rotor = config->joint[r].gear_ratio * state->theta_rate[r];
-                slope[k][layout->joint[r]] = rotor * (space ? motion->axis[r][k] : 1.0);
-            }
-        }
-        for (uint32_t i = 0; i < self->gyro.count; i++) {
-            slope[k][self->gyro.place[i]] *= deviation;
-        }
+        return;
     }
-    add(&self->gyro, slope[0], slope[1], packed, sum);
-    if (space) {
-        const double none[ZYGOS_MAX_PARAMETERS + 1] = { 0.0 };
-        add(&self->gyro, slope[2], none, packed, sum);
+    const uint32_t i = sensor % n;
+    const bool rigid = (config->joint[i].rigid != 0);
+    if (sensor < n) {
+        link_slopes(config, layout, skeleton, state, motion, i, angle, rate);
+        if (rigid) {
+            motor_slopes(config, layout, state, motion, tau, tau_next, i, angle, rate);
+        } else {
+            against(config, layout, state, i, angle, rate);
+        }
+        add_signal(self, i, weight, angle, rate, packed, sum);
+    } else if (!rigid) {
+        motor_slopes(config, layout, state, motion, tau, tau_next, i, angle, rate);
+        add_signal(self, sensor, weight, angle, rate, packed, sum);
     }
 }
 
@@ -352,32 +447,14 @@ void zygos_noise_add(const zygos_noise_t *self, const zygos_config_t *config, co
                      const double *tau, const double *tau_next, uint32_t turn, double weight, double *packed,
                      double *sum)
 {
-    const uint32_t n = config->joints;
-    if (config->compensation == 0) {
+    const uint32_t stride = config->compensation;
+    if (stride == 0) {
         return;
     }
-    const uint32_t stride = config->compensation;
+    const bool gyro = (self->gyro_variance > 0.0) && (config->base == ZYGOS_BASE_FREE);
+    const uint32_t sensors = 2u * config->joints + (gyro ? 1u : 0u);
     const double share = weight * root((double)stride);
-    for (uint32_t i = turn % stride; i < n; i += stride) {
-        double angle[ZYGOS_MAX_PARAMETERS + 1];
-        double rate[ZYGOS_MAX_PARAMETERS + 1];
-        link_slopes(config, layout, skeleton, state, motion, i, angle, rate);
-        if (config->joint[i].rigid == 0) {
-            double motor_angle[ZYGOS_MAX_PARAMETERS + 1];
-            double motor_rate[ZYGOS_MAX_PARAMETERS + 1];
-            against(config, layout, state, i, angle, rate);
-            scale(&self->link[i], self->factor[i], share, angle, rate);
-            add(&self->link[i], angle, rate, packed, sum);
-            motor_slopes(config, layout, state, motion, tau, tau_next, i, motor_angle, motor_rate);
-            scale(&self->motor[i], self->factor[n + i], share, motor_angle, motor_rate);
-            add(&self->motor[i], motor_angle, motor_rate, packed, sum);
-        } else {
-            motor_slopes(config, layout, state, motion, tau, tau_next, i, angle, rate);
-            scale(&self->link[i], self->factor[n + i], share, angle, rate);
-            add(&self->link[i], angle, rate, packed, sum);
-        }
-    }
-    if ((self->gyro_variance > 0.0) && (config->base == ZYGOS_BASE_FREE)) {
-        add_gyro(self, config, layout, state, motion, weight, packed, sum);
+    for (uint32_t sensor = turn % stride; sensor < sensors; sensor += stride) {
+        add_sensor(self, config, layout, skeleton, state, motion, tau, tau_next, sensor, share, packed, sum);
     }
 }

@@ -743,7 +743,7 @@ static void add_motors(zygos_work_t *work, double energy)
         work->weight[i] = (joint > 0.0) ? energy / joint : 0.0;
         for (uint32_t b = 0; (b < sums->count) && (joint > 0.0); b++) {
             embed(work, i, sums->block[b].joint[i].gram, work->weight[i], true, work->total);
-            embed(work, i, sums->noise[i], work->weight[i] * sums->block[b].instants, false, work->noise);
+            embed(work, i, sums->noise[i], work->weight[i] * sums->block[b].instants[i], false, work->noise);
         }
     }
 }

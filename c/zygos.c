@@ -111,7 +111,7 @@ static int check_config(const zygos_config_t *config)
     }
     if ((config->imu_fine > 1u) || !is_rotation(config->imu_to_base) ||
         !within(config->imu_latch_s, 0.0, config->period_s) || !within(config->imu_sigma, 0.0, 1.0) ||
-        (config->compensation > (uint32_t)ZYGOS_MAX_JOINTS)) {
+        (config->compensation > 2u * ZYGOS_MAX_JOINTS + 1u)) {
         return ZYGOS_E_VALUE;
     }
     for (uint32_t i = 0; i < config->joints; i++) {

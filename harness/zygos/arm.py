@@ -145,8 +145,8 @@ class Arm:
     impulse_arc_s: float = 10.0
     """Longest arc of the motor impulse rows, s; 0: none of them. Their noise sums up over an arc."""
     compensate_every: int | None = None
-    """What sensor noise adds to the normal equations is taken off, each joint's share in every that many cycles; 0: it is
-    not. None: `compensation`."""
+    """What sensor noise adds to the normal equations is taken off, each sensor's share in every that many cycles; 0: it
+    is not. None: `compensation`."""
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """m/s^2 in the base frame, of a fixed base; a free-floating arm falls with its orbit and feels none."""
 
@@ -157,9 +157,8 @@ class Arm:
 
     @property
     def compensation(self) -> int:
-        """Cycles from one turn of a joint's compensation to the next: its cost grows with the fourth power of N."""
-        chosen = (1 if self.n <= 3 else self.n) if self.compensate_every is None else self.compensate_every
-        return chosen
+        """Cycles from one turn of a sensor's compensation to the next: by default one sensor has its turn a cycle."""
+        return 2 * self.n + 1 if self.compensate_every is None else self.compensate_every
 
     @property
     def spatial(self) -> bool:
@@ -333,7 +332,7 @@ def read_arm(top: Table) -> Arm:
 
 
 def _compensation(table: Table) -> int | None:
-    every = table.integer("every", low=0, high=7) if table.has("every") else None
+    every = table.integer("every", low=0, high=15) if table.has("every") else None
     table.finish()
     return every
 

@@ -35,7 +35,8 @@ typedef struct {
 
 typedef struct {
     zygos_joint_gram_t joint[ZYGOS_MAX_JOINTS]; ///< Closed: the constants eliminated, the noise taken off.
-    double instants;                            ///< Accepted instants.
+    double instants[ZYGOS_MAX_JOINTS];          ///< Accepted ones that were a joint's turn.
+    double total;                               ///< Accepted ones in all.
     uint64_t end;                               ///< Number of the newest cycle.
 } zygos_joint_block_t;
 
@@ -57,7 +58,8 @@ void zygos_joint_sums_init(zygos_joint_sums_t *self, const zygos_config_t *confi
 /// Empties the sums only.
 void zygos_joint_sums_clear(zygos_joint_sums_t *self, const zygos_config_t *config);
 
-/// Adds the rows of one instant with weight 1 or 0. Cost: one small rank-1 update for each flexible joint.
+/// Adds the row of the joint whose turn it is with weight 1 or 0: joints take turns, for the noise of neighbouring
+/// instants is much the same. Cost: one small rank-1 update.
 void zygos_joint_sums_add(zygos_joint_sums_t *self, const zygos_config_t *config, const zygos_impulse_rows_t *rows,
                           double weight);
 

@@ -30,6 +30,7 @@ extern "C" {
 typedef struct {
     double turn[ZYGOS_MAX_JOINTS][9]; ///< Frame of body i in that of body i - 1 at q = 0, row-major.
     double hand[ZYGOS_MAX_JOINTS];    ///< +1 where u x v points along the axis, -1 where against it.
+    double pull[2];                   ///< Of a planar arm: gravity against its two directions [m/s^2].
     uint32_t heavy[ZYGOS_MAX_JOINTS]; ///< 1 where gravity has columns.
     uint32_t reserved;
 } zygos_skeleton_t;

@@ -26,6 +26,9 @@
 extern "C" {
 #endif
 
+/// A gyro whose variance is below this share of that of every link's rate is taken to be exact.
+#define ZYGOS_GYRO_SHARE 1e-4
+
 /// Where the noise of one sensor shows, in ascending order.
 typedef struct {
     uint32_t count;
@@ -38,10 +41,10 @@ typedef struct {
     /// value, covariance / value, what is left of the rate [rad, rad/s].
     double factor[2 * ZYGOS_MAX_JOINTS][3];
     double rate_variance[2 * ZYGOS_MAX_JOINTS]; ///< [rad^2/s^2]
-    double gyro_variance;                       ///< Of a smoothed component [rad^2/s^2].
+    double gyro_variance;                       ///< Of a smoothed component, or 0 [rad^2/s^2].
     zygos_drift_t drift;                        ///< Mean growth of the dissipation, and of effects, in a step.
-    zygos_places_t link[ZYGOS_MAX_JOINTS];
-    zygos_places_t motor[ZYGOS_MAX_JOINTS];
+    zygos_places_t angle[2 * ZYGOS_MAX_JOINTS]; ///< Of the value; where it latches late, also those of the rate.
+    zygos_places_t rate[2 * ZYGOS_MAX_JOINTS];
     zygos_places_t gyro;
 } zygos_noise_t;
 
@@ -56,8 +59,10 @@ void zygos_noise_means(const zygos_noise_t *self, const zygos_config_t *config, 
                        zygos_row_t *row);
 
 /// Adds weight^2 J S J^T of this instant to the packed lower triangle of p + 1 rows (the work's last), and its row sums
-/// to sum. tau[N] is the torque before the instant, tau_next[N] that after it. Cost: for each joint whose turn it is, J
-/// and two updates of the places where it is not zero; one more a gyro axis where the gyro's noise is declared.
+/// to sum. Sensors take turns, with as much more weight: sensor s (link encoders, motor encoders, gyro) has its turn
+/// where turn - s is a multiple of config->compensation. tau[N] is the torque before the instant, tau_next[N] that
+/// after it. Cost: for each sensor whose turn it is, J and one update of the places where it is not zero (three of the
+/// gyro's in space); it depends on the sensor, not on its data.
 void zygos_noise_add(const zygos_noise_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
                      const zygos_skeleton_t *skeleton, const zygos_state_t *state, const zygos_motion_t *motion,
                      const double *tau, const double *tau_next, uint32_t turn, double weight, double *packed,

@@ -191,8 +191,8 @@ typedef struct {
     double imu_sigma;  ///< Standard deviation of one component of one sample's noise [rad/s]; 0: not declared.
     double gravity[3]; ///< In the base frame [m/s^2]; 0 on a free base.
     zygos_joint_config_t joint[ZYGOS_MAX_JOINTS];
-    uint32_t compensation; ///< 0: off. m: what noise adds to the normal equations is taken off, each joint's share in
-                           ///< every m-th cycle, 1..ZYGOS_MAX_JOINTS.
+    uint32_t compensation; ///< 0: off. m: what noise adds to the normal equations is taken off, each sensor's share in
+                           ///< every m-th cycle, 1..2 ZYGOS_MAX_JOINTS + 1.
     uint32_t impulse_arc_cycles; ///< Arcs of the motor impulse rows, >= ZYGOS_MIN_ARC_INSTANTS; 0: no such rows.
     uint32_t effects; ///< Effects to identify, 0..ZYGOS_MAX_EFFECTS. Their columns follow those of the joints.
     uint32_t base;    ///< enum zygos_base.

@@ -81,6 +81,10 @@ def _at_each(arm: Arm, key: str) -> tuple[Effect, ...]:
 
 CONFIGURATIONS: dict[str, Callable[[], Configuration]] = {
     "paper": lambda: Configuration(_paper()),
+    "paper, neither compensated nor motor rows": lambda: Configuration(
+        replace(_paper(), compensate_every=0, impulse_arc_s=0.0)
+    ),
+    "paper, not compensated": lambda: Configuration(replace(_paper(), compensate_every=0)),
     "paper, friction": lambda: Configuration(_paper(), _at_each(_paper(), "motor_coulomb")),
     "paper, spring offsets": lambda: Configuration(_paper(), _at_each(_paper(), "spring_offset")),
     "seven joints in space": lambda: Configuration(_seven()),

@@ -4,7 +4,7 @@
 
        fills     the windows are not full yet, no row
        block     the row opens a new block of the normal equations
-       arc       the row ends its arc
+       arc       the row ends its arc, or that of the motor rows
        cycle     any other row */
 
 #include "zygos/zygos.h"
@@ -46,7 +46,9 @@ int main(int count, char **argument)
         if (zygos_cycle(&arm, &cycle) != 1) {
             return refuse("a cycle is not valid");
         }
-        const bool ended = (sums->arcs + sums->arcs_dropped != arcs) || ((arm.instant == 1) && (arm.arc == 0));
+        const bool motors = (config.impulse_arc_cycles > 0) && (arm.joint_sums.cycles == 0);
+        const bool ended =
+            (sums->arcs + sums->arcs_dropped != arcs) || ((arm.instant == 1) && ((arm.arc == 0) || motors));
         puts((arm.instant != 1) ? "fills" : ended ? "arc" : (sums->count != blocks) ? "block" : "cycle");
     }
     printf("parameters %" PRIu32 "\n", arm.layout.count);
