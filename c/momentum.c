@@ -64,9 +64,16 @@ static void turn(zygos_momentum_t *self, double h, const double *omega, double k
     self->attitude[3] += 1.0 - keep;
 }
 
-/* Columns in base axes, of the rate vectors and of what each rotor spins with. */
-static void spatial_columns(const zygos_config_t *config, const zygos_layout_t *layout, const zygos_motion_t *motion,
-                            double (*rate)[3], const double *spin, double (*out)[ZYGOS_MAX_MOMENTUM])
+/* What the columns are made of. */
+typedef struct {
+    double direction[ZYGOS_MAX_DIRECTIONS][3];
+    double rate[ZYGOS_MAX_DIRECTIONS][3];
+    double axis[ZYGOS_MAX_JOINTS][3]; /* of a spatial arm */
+    double spin[ZYGOS_MAX_JOINTS];    /* rate of each motor after the gear */
+} vectors_t;
+
+static void spatial_columns(const zygos_config_t *config, const zygos_layout_t *layout, const vectors_t *of,
+                            double (*out)[ZYGOS_MAX_MOMENTUM])
 {
     const uint32_t directions = 2u * config->joints + 3u;
     uint32_t column = 0;
@@ -74,8 +81,8 @@ static void spatial_columns(const zygos_config_t *config, const zygos_layout_t *
         for (uint32_t b = a; b < directions; b++) {
             double one[3];
             double other[3];
-            cross3(motion->direction[a], rate[b], one);
-            cross3(motion->direction[b], rate[a], other);
+            cross3(of->direction[a], of->rate[b], one);
+            cross3(of->direction[b], of->rate[a], other);
             const double twice = (a == b) ? 0.0 : 1.0;
             for (uint32_t k = 0; k < 3; k++) {
                 out[k][column] = one[k] + twice * other[k];
@@ -85,23 +92,22 @@ static void spatial_columns(const zygos_config_t *config, const zygos_layout_t *
     }
     for (uint32_t i = 0; i < config->joints; i++) {
         for (uint32_t k = 0; k < 3; k++) {
-            out[k][layout->kinetic + i] = config->joint[i].gear_ratio * spin[i] * motion->axis[i][k];
+            out[k][layout->kinetic + i] = config->joint[i].gear_ratio * of->spin[i] * of->axis[i][k];
         }
     }
 }
 
-static void planar_columns(const zygos_config_t *config, const zygos_layout_t *layout, const zygos_motion_t *motion,
-                           double (*rate)[3], const double *spin, double *out)
+static void planar_columns(const zygos_config_t *config, const zygos_layout_t *layout, const vectors_t *of, double *out)
 {
     const uint32_t n = config->joints;
     uint32_t column = 0;
     for (uint32_t skew = 0; skew < ((config->kinetic == ZYGOS_PLANAR) ? 2u : 1u); skew++) {
         for (uint32_t i = 0; i <= n; i++) {
             for (uint32_t j = i + skew; j <= n; j++) {
-                const double *d = motion->direction[i];
-                const double *e = motion->direction[j];
-                const double *v = rate[i];
-                const double *w = rate[j];
+                const double *d = of->direction[i];
+                const double *e = of->direction[j];
+                const double *v = of->rate[i];
+                const double *w = of->rate[j];
                 const double along = d[0] * w[0] + d[1] * w[1] + v[0] * e[0] + v[1] * e[1];
                 const double across = d[0] * w[1] - d[1] * w[0] + v[0] * e[1] - v[1] * e[0];
                 out[column] = skew ? across : ((i == j) ? 0.5 * along : along);
@@ -110,21 +116,30 @@ static void planar_columns(const zygos_config_t *config, const zygos_layout_t *l
         }
     }
     for (uint32_t i = 0; i < n; i++) {
-        out[layout->kinetic + i] = config->joint[i].gear_ratio * spin[i];
+        out[layout->kinetic + i] = config->joint[i].gear_ratio * of->spin[i];
     }
 }
 
-/* A spatial arm's columns from base axes to those of the arc's origin. */
-static void to_origin(const double *quaternion, uint32_t columns, double (*row)[ZYGOS_MAX_MOMENTUM])
+static void columns(const zygos_config_t *config, const zygos_layout_t *layout, const vectors_t *of,
+                    zygos_momentum_rows_t *out)
 {
-    for (uint32_t c = 0; c < columns; c++) {
-        const double v[3] = { row[0][c], row[1][c], row[2][c] };
+    if ((ZYGOS_SPATIAL != 0) && (config->kinetic == ZYGOS_SPATIAL_ARM)) {
+        spatial_columns(config, layout, of, out->column);
+    } else {
+        planar_columns(config, layout, of, out->column[0]);
+    }
+}
+
+/* Turns vectors from base axes to those of the arc's origin. */
+static void to_origin(const double *quaternion, uint32_t count, double (*vector)[3])
+{
+    for (uint32_t c = 0; c < count; c++) {
         double once[3];
         double twice[3];
-        cross3(quaternion, v, once);
+        cross3(quaternion, vector[c], once);
         cross3(quaternion, once, twice);
         for (uint32_t k = 0; k < 3; k++) {
-            row[k][c] = v[k] + 2.0 * (quaternion[3] * once[k] + twice[k]);
+            vector[c][k] += 2.0 * (quaternion[3] * once[k] + twice[k]);
         }
     }
 }
@@ -132,8 +147,9 @@ static void to_origin(const double *quaternion, uint32_t columns, double (*row)[
 int zygos_momentum_row(zygos_momentum_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
                        const zygos_state_t *state, const zygos_motion_t *motion, zygos_momentum_rows_t *out)
 {
+    const uint32_t n = config->joints;
+    const bool spatial = (config->kinetic == ZYGOS_SPATIAL_ARM);
     self->instants += (self->instants < 4u) ? 1u : 0u;
-    const bool spatial = (ZYGOS_SPATIAL != 0) && (config->kinetic == ZYGOS_SPATIAL_ARM);
     if (spatial) {
         turn(self, config->period_s, state->omega, self->origin ? 0.0 : 1.0);
     }
@@ -141,14 +157,17 @@ int zygos_momentum_row(zygos_momentum_t *self, const zygos_config_t *config, con
         return 0;
     }
     self->origin = 0;
-    double rate[ZYGOS_MAX_DIRECTIONS][3];
-    memcpy(rate, motion->rate, sizeof rate);
+    vectors_t of;
+    memcpy(of.direction, motion->direction, sizeof of.direction);
+    memcpy(of.rate, motion->rate, sizeof of.rate);
+    memcpy(of.axis, motion->axis, sizeof of.axis);
+    memcpy(of.spin, state->theta_rate, sizeof of.spin);
     if (spatial) {
-        spatial_columns(config, layout, motion, rate, state->theta_rate, out->column);
-        to_origin(self->attitude, layout->kinetic + config->joints, out->column);
-    } else {
-        planar_columns(config, layout, motion, rate, state->theta_rate, out->column[0]);
+        to_origin(self->attitude, 2u * n + 3u, of.direction);
+        to_origin(self->attitude, 2u * n + 3u, of.rate);
+        to_origin(self->attitude, n, of.axis);
     }
+    columns(config, layout, &of, out);
     return 1;
 }
 
@@ -158,29 +177,30 @@ void zygos_momentum_derivative(const zygos_config_t *config, const zygos_layout_
     const uint32_t n = config->joints;
     const bool of_link = (signal < n);
     const uint32_t first = of_link ? signal + 1u : 0u; /* the first body that turns faster */
-    double rate[ZYGOS_MAX_DIRECTIONS][3];
-    double spin[ZYGOS_MAX_JOINTS] = { 0.0 };
-    memset(rate, 0, sizeof rate);
+    vectors_t of;
+    memcpy(of.direction, motion->direction, sizeof of.direction);
+    memcpy(of.axis, motion->axis, sizeof of.axis);
+    memset(of.rate, 0, sizeof of.rate);
+    memset(of.spin, 0, sizeof of.spin);
     if (of_link) {
-        spin[signal] = config->joint[signal].rigid ? 1.0 : 0.0;
+        of.spin[signal] = config->joint[signal].rigid ? 1.0 : 0.0;
     }
-    if ((ZYGOS_SPATIAL != 0) && (config->kinetic == ZYGOS_SPATIAL_ARM)) {
+    if (config->kinetic == ZYGOS_SPATIAL_ARM) {
         double axis[3] = { 0.0, 0.0, 0.0 };
         if (of_link) {
             memcpy(axis, motion->axis[signal], sizeof axis);
         } else {
             axis[signal - n] = 1.0;
         }
-        for (uint32_t a = (first > 0) ? 2u * first + 1u : 0u; a < 2u * n + 3u; a++) {
-            cross3(axis, motion->direction[a], rate[a]);
+        for (uint32_t a = of_link ? 2u * first + 1u : 0u; a < 2u * n + 3u; a++) {
+            cross3(axis, of.direction[a], of.rate[a]);
         }
-        spatial_columns(config, layout, motion, rate, spin, out->column);
     } else {
         for (uint32_t i = first; i <= n; i++) {
-            memcpy(rate[i], motion->direction[i], sizeof rate[i]);
+            memcpy(of.rate[i], of.direction[i], sizeof of.rate[i]);
         }
-        planar_columns(config, layout, motion, rate, spin, out->column[0]);
     }
+    columns(config, layout, &of, out);
 }
 
 static double sum_of_squares(const double *x, uint32_t n)

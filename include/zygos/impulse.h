@@ -10,6 +10,7 @@
 ///     ZYGOS_MOTOR_COULOMB     integral of n sat(theta')
 ///     ZYGOS_MOTOR_VISCOUS     n theta
 ///     ZYGOS_CUBIC_STIFFNESS   integral of d^3
+///     ZYGOS_SPRING_OFFSET     time since the arc began
 ///     ZYGOS_TORQUE_LAG        n (tau_(k-1) + tau_k) / 2
 ///
 /// in the order of the configuration; friction of a link has no column. Integrals follow the rule of the dissipation

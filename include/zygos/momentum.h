@@ -52,7 +52,7 @@ void zygos_momentum_new_arc(zygos_momentum_t *self);
 
 /// Carries the attitude on to this instant and writes its rows. Needs a floating base. Returns 1 when the rows belong
 /// to an arc, 0 during three instants after a gap. Cost: the same for every call of a configuration; in space two
-/// products of vectors and a rotation for each of the (N+2)(2N+3) columns, and a square root.
+/// cross products for each of the (N+2)(2N+3) columns, 5N+6 rotations of a vector and a square root.
 int zygos_momentum_row(zygos_momentum_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
                        const zygos_state_t *state, const zygos_motion_t *motion, zygos_momentum_rows_t *out);
 

@@ -39,7 +39,9 @@ class Impulse:
 
 def joint_effects(arm: Arm, joint: int, effects: Sequence[Effect]) -> tuple[Effect, ...]:
     """The effects with a column in the row of a joint (from 0), in their order. Errors: as `estimated`."""
-    return tuple(effect for effect in estimated(effects) if effect.index(arm) == joint and effect.kind.place != "link")
+    return tuple(
+        effect for effect in estimated(arm, effects) if effect.index(arm) == joint and effect.kind.place != "link"
+    )
 
 
 def rows(
@@ -114,8 +116,8 @@ def noise(arm: Arm, joint: int, effects: Sequence[Effect] = ()) -> Floats:
         ),
     ]
     for before in arm.joints[:joint]:
-        encoder = before.link_encoder if before.flexible else before.motor_encoder
-        shares.append((encoder.over_the_wire.sigma_rad, column((0, n, weights(before.latch_us + encoder.latch_us, 1)))))
+        link = before.link_encoder  # of a rigid joint the motor's
+        shares.append((link.over_the_wire.sigma_rad, column((0, n, weights(before.latch_us + link.latch_us, 1)))))
     if arm.free:
         shares.append((arm.imu.rate_sigma, column((0, n, weights(arm.imu.latch_us, 0)))))
     total: Floats = np.sum([sigma**2 * share @ share.T for sigma, share in shares], axis=0)

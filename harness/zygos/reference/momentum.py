@@ -90,11 +90,10 @@ def variances(arm: Arm) -> Rates:
 
     link, rotor = [], []
     for joint in arm.joints:
-        encoder = joint.link_encoder if joint.flexible else joint.motor_encoder
+        encoder, motor = joint.link_encoder, joint.motor_encoder  # one and the same where the joint is rigid
         link.append(encoder.over_the_wire.sigma_rad**2 * size(joint.latch_us + encoder.latch_us, 1))
-        motor = joint.motor_encoder
-        free = motor.over_the_wire.sigma_rad**2 * size(joint.latch_us + motor.latch_us, 1)
-        rotor.append(free if joint.flexible else 0.0)
+        own = motor.over_the_wire.sigma_rad**2 * size(joint.latch_us + motor.latch_us, 1)
+        rotor.append(own if joint.flexible else 0.0)
     return Rates(np.array(link), arm.imu.rate_sigma**2 * size(arm.imu.latch_us, 0), np.array(rotor))
 
 
