@@ -87,18 +87,21 @@ static uint32_t merge(zygos_accumulator_t *self, uint32_t first, uint32_t end, u
     return to;
 }
 
-/* Blocks of closed arcs never merge with those of the open one, whose constant is still in them; nor does the newest
-   block, which has yet to fade out. The target doubles only when merging up to it is not enough; once it holds all
-   instants there are, each group is one block: the loop ends. */
+/* Blocks of closed arcs never merge with those of the open one, whose constant is still in them; nor do those of the
+   newest closed arc with older ones, from which it may differ; nor does the newest block, which has yet to fade out.
+   The target doubles only when merging up to it is not enough; once it holds all instants there are, each group is one
+   block: the loop ends. */
 static void make_room(zygos_accumulator_t *self)
 {
     for (uint32_t tries = 0; tries < 64u; tries++) {
         const uint32_t fading = (self->count > self->open) ? 1u : 0u;
-        const uint32_t open = merge(self, 0, self->open, 0);
+        const uint32_t newest = merge(self, 0, self->newest, 0);
+        const uint32_t open = merge(self, self->newest, self->open, newest);
         const uint32_t rest = merge(self, self->open, self->count - fading, open);
         if ((fading != 0) && (rest != self->count - 1u)) {
             self->block[rest] = self->block[self->count - 1u];
         }
+        self->newest = newest;
         self->open = open;
         self->count = rest + fading;
         if (self->count <= 3u * ZYGOS_MAX_BLOCKS / 4u) {
@@ -340,6 +343,7 @@ void zygos_accumulator_drop_after(zygos_accumulator_t *self, uint64_t cycle)
         self->open--;
     }
     self->count = self->open;
+    self->newest = (self->newest < self->open) ? self->newest : self->open;
     const double kept = closed_instants(self);
     if (kept < before) {
         self->accepted = (uint64_t)(kept + 0.5);
@@ -374,6 +378,11 @@ void zygos_accumulator_end_arc(zygos_accumulator_t *self, uint64_t cycle)
         self->block[b].end = cycle;
     }
     add_share(&self->noise_closed, &self->noise_open, 1.0, width - 1u);
+    double window = 0.0;
+    for (uint32_t b = self->newest; b < self->open; b++) {
+        window += self->block[b].instants;
+    }
+    self->newest = (2.0 * (double)self->arc_instants >= window) ? self->open : self->newest;
     self->open = self->count;
     self->arcs++;
     forget_open_arc(self);

@@ -118,7 +118,7 @@ static void scaled_equations(zygos_work_t *work, uint32_t p, const zygos_block_t
 {
     const double *total = work->total;
     const double *declared = work->noise;
-    const double part = without ? 1.0 - without->instants / (double)work->accumulator.accepted : 1.0;
+    const double part = without ? 1.0 - without->instants / work->instants : 1.0;
     const double back = (1.0 - noise) * part;
     for (uint32_t i = 0; i <= p; i++) {
         for (uint32_t j = 0; j <= ((i < p) ? i : p - 1u); j++) {
@@ -265,7 +265,7 @@ static double student(double freedom)
 static void score(const zygos_work_t *work, uint32_t p, const zygos_block_t *block, double *out)
 {
     const double *declared = work->accumulator.noise_closed.gram;
-    const double back = (1.0 - work->believed) * block->instants / (double)work->accumulator.accepted;
+    const double back = (1.0 - work->believed) * work->noise_part * block->instants / work->instants;
     for (uint32_t i = 0; i < p; i++) {
         double sum = block->gram[at(p, i)] + back * declared[at(p, i)];
         for (uint32_t j = 0; j < p; j++) {
@@ -296,22 +296,23 @@ static void score_of_arc(const zygos_work_t *work, uint32_t p, const zygos_joint
 /* Covariance by leaving out one block at a time. Blocks overlap, so the squares of their weights add up to less than
    their weights. A parameter whose information comes from few blocks has few degrees of freedom. A block without which
    the equations lose rank leaves all sigmas infinite: the motion was informative once only. */
-static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, zygos_estimate_t *out)
+static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, double *covariance)
 {
-    const zygos_accumulator_t *sums = &work->accumulator;
-    const zygos_joint_sums_t *joints = &work->joint_sums;
-    const uint32_t blocks = sums->open + joints->count;
+    const zygos_block_t *energy_block = &work->accumulator.block[work->blocks.first];
+    const zygos_joint_block_t *arc = &work->joint_sums.block[work->arcs.first];
+    const uint32_t energy_blocks = work->blocks.end - work->blocks.first;
+    const uint32_t blocks = energy_blocks + (work->arcs.end - work->arcs.first);
     double instants = 0.0;
     double square = 0.0;
     bool once = false;
     memset(work->shares, 0, sizeof work->shares);
     for (uint32_t b = 0; (b < blocks) && !once; b++) {
-        if (b < sums->open) {
-            scaled_equations(work, p, &sums->block[b], work->believed);
-            instants += sums->block[b].instants;
-            square += sums->block[b].square;
+        if (b < energy_blocks) {
+            scaled_equations(work, p, &energy_block[b], work->believed);
+            instants += energy_block[b].instants;
+            square += energy_block[b].square;
         } else {
-            scaled_without_arc(work, p, &joints->block[b - sums->open]);
+            scaled_without_arc(work, p, &arc[b - energy_blocks]);
         }
         once = (factorise(work, p, rank) < rank);
         solve_once(work, p, rank, work->left_out[b]);
@@ -324,21 +325,21 @@ static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, zygos_estim
             work->shares[1][i] += share * share;
         }
     }
-    memset(out->covariance, 0, at(p, 0) * sizeof out->covariance[0]);
+    memset(covariance, 0, at(p, 0) * sizeof covariance[0]);
     scaled_equations(work, p, NULL, work->believed);
     (void)factorise(work, p, rank);
     for (uint32_t b = 0; (b < blocks) && !once; b++) {
-        const bool energy = (b < sums->open);
+        const bool energy = (b < energy_blocks);
         if (energy) {
-            score(work, p, &sums->block[b], work->right);
+            score(work, p, &energy_block[b], work->right);
         } else {
-            score_of_arc(work, p, &joints->block[b - sums->open], work->right);
+            score_of_arc(work, p, &arc[b - energy_blocks], work->right);
         }
         solve_once(work, p, rank, work->direct);
         const double factor = 0.5 * (energy ? instants / square : 1.0);
         for (uint32_t i = 0; i < p; i++) {
             for (uint32_t j = 0; j <= i; j++) {
-                out->covariance[at(i, j)] +=
+                covariance[at(i, j)] +=
                     factor * (work->left_out[b][i] * work->direct[j] + work->left_out[b][j] * work->direct[i]);
             }
         }
@@ -346,7 +347,7 @@ static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, zygos_estim
     for (uint32_t i = 0; i < p; i++) {
         const double several = work->shares[0][i] * work->shares[0][i];
         const double freedom = (work->shares[1][i] > 0.0) ? several / work->shares[1][i] : 1.0;
-        out->covariance[at(i, i)] = once ? infinity() : out->covariance[at(i, i)];
+        covariance[at(i, i)] = once ? infinity() : covariance[at(i, i)];
         work->freedom[i] = (freedom > 2.0) ? freedom : 2.0;
     }
 }
@@ -615,11 +616,11 @@ static double energy_left(const zygos_work_t *work, uint32_t p, const double *x,
         for (uint32_t a = 0; a < count; a++) {
             local[a] = x[place_of(work, i, a)];
         }
-        for (uint32_t b = 0; (b < work->joint_sums.count) && (count > 0); b++) {
+        for (uint32_t b = work->arcs.first; (b < work->arcs.end) && (count > 0); b++) {
             left -= work->weight[i] * form(work->joint_sums.block[b].joint[i].gram, local, count);
         }
     }
-    *explained = form(work->accumulator.noise_closed.gram, x, p);
+    *explained = work->noise_part * form(work->accumulator.noise_closed.gram, x, p);
     left += *explained;
     return (left > 0.0) ? left : 0.0;
 }
@@ -677,7 +678,7 @@ static double energy_loudness(zygos_work_t *work, uint32_t p, uint32_t rank)
     double total = 0.0;
     double instants = 0.0;
     double square = 0.0;
-    for (uint32_t b = 0; b < sums->open; b++) {
+    for (uint32_t b = work->blocks.first; b < work->blocks.end; b++) {
         score(work, p, &sums->block[b], work->direct);
         total += loudness(work, rank, work->direct);
         instants += sums->block[b].instants;
@@ -695,10 +696,11 @@ static double joint_loudness(zygos_work_t *work, uint32_t i)
     double x[ZYGOS_MAX_IMPULSE];
     double scale[ZYGOS_MAX_IMPULSE];
     double total = 0.0;
-    if ((count == 0) || (sums->count < 3u)) {
+    const uint32_t arcs = work->arcs.end - work->arcs.first;
+    if ((count == 0) || (arcs < 3u)) {
         return 0.0;
     }
-    for (uint32_t b = 0; b < sums->count; b++) {
+    for (uint32_t b = work->arcs.first; b < work->arcs.end; b++) {
         for (uint32_t k = 0; k < at(count + 1u, 0); k++) {
             gram[k] += sums->block[b].joint[i].gram[k];
         }
@@ -720,7 +722,7 @@ static double joint_loudness(zygos_work_t *work, uint32_t i)
     for (uint32_t a = 0; a < count; a++) {
         x[work->pivot[a]] = work->score[a] * scale[work->pivot[a]];
     }
-    for (uint32_t b = 0; b < sums->count; b++) {
+    for (uint32_t b = work->arcs.first; b < work->arcs.end; b++) {
         const double *block = sums->block[b].joint[i].gram;
         for (uint32_t a = 0; a < count; a++) {
             double sum = block[at(count, a)];
@@ -731,7 +733,7 @@ static double joint_loudness(zygos_work_t *work, uint32_t i)
         }
         total += loudness(work, rank, work->direct);
     }
-    return total * (double)sums->count / (double)(sums->count - 1u);
+    return total * (double)arcs / (double)(arcs - 1u);
 }
 
 /* Adds the motor rows of each joint to those of the energy, weighted so that both are equally loud. */
@@ -739,9 +741,11 @@ static void add_motors(zygos_work_t *work, double energy)
 {
     const zygos_joint_sums_t *sums = &work->joint_sums;
     for (uint32_t i = 0; i < work->config.joints; i++) {
-        const double joint = joint_loudness(work, i);
-        work->weight[i] = (joint > 0.0) ? energy / joint : 0.0;
-        for (uint32_t b = 0; (b < sums->count) && (joint > 0.0); b++) {
+        if (!(work->weight[i] > 0.0)) {
+            const double joint = joint_loudness(work, i);
+            work->weight[i] = (joint > 0.0) ? energy / joint : 0.0;
+        }
+        for (uint32_t b = work->arcs.first; (b < work->arcs.end) && (work->weight[i] > 0.0); b++) {
             embed(work, i, sums->block[b].joint[i].gram, work->weight[i], true, work->total);
             embed(work, i, sums->noise[i], work->weight[i] * sums->block[b].instants[i], false, work->noise);
         }
@@ -816,11 +820,10 @@ static int refuse(zygos_estimate_t *out, uint32_t p, uint32_t reason)
    is the root mean square of the blocks' mean residuals, in units of the work's spread. */
 static double cluster(const zygos_work_t *work, uint32_t p, const zygos_estimate_t *out, double *share)
 {
-    const zygos_accumulator_t *sums = &work->accumulator;
     double squares = 0.0;
     double means = 0.0;
-    for (uint32_t b = 0; b < sums->open; b++) {
-        const zygos_block_t *block = &sums->block[b];
+    for (uint32_t b = work->blocks.first; b < work->blocks.end; b++) {
+        const zygos_block_t *block = &work->accumulator.block[b];
         double sum = block->deviation[p];
         for (uint32_t i = 0; i < p; i++) {
             sum -= work->solution[i] * block->deviation[i];
@@ -828,10 +831,87 @@ static double cluster(const zygos_work_t *work, uint32_t p, const zygos_estimate
         squares += (block->square > 0.0) ? sum * sum / block->square : 0.0;
         means += (block->instants > 0.0) ? sum * sum / (block->instants * block->instants) : 0.0;
     }
-    const double blocks = (double)sums->open;
-    const double spread = root(work->spread / (double)out->accepted);
+    const double blocks = (double)(work->blocks.end - work->blocks.first);
+    const double spread = root(work->spread / work->instants);
     *share = root(means / blocks) / spread;
     return squares / (blocks * out->residual * out->residual);
+}
+
+/* Whether the work was taken, and from memory that nobody changed; closes the open arcs. */
+static bool prepare(zygos_work_t *work)
+{
+    zygos_accumulator_t *sums = &work->accumulator;
+    if ((sums->count > ZYGOS_MAX_BLOCKS) || (sums->open > sums->count) || (work->config.joints < 1u) ||
+        (work->config.joints > ZYGOS_MAX_JOINTS) || (work->config.effects > (uint32_t)ZYGOS_MAX_EFFECTS) ||
+        (work->config.kinetic > (uint32_t)ZYGOS_SPATIAL_ARM) || (work->config.base > (uint32_t)ZYGOS_BASE_FIXED)) {
+        return false;
+    }
+    zygos_balance_layout(&work->config, &work->layout);
+    if ((work->layout.count > ZYGOS_MAX_PARAMETERS) || (sums->width != work->layout.count + 2u)) {
+        return false;
+    }
+    zygos_accumulator_flush(sums);
+    if (!(zygos_accumulator_check(sums) <= 1.0) || !(zygos_joint_sums_check(&work->joint_sums, &work->config) <= 1.0)) {
+        return false;
+    }
+    zygos_accumulator_end_arc(sums, work->cycle);
+    if (work->config.impulse_arc_cycles > 0) {
+        zygos_joint_sums_end_arc(&work->joint_sums, &work->config, work->cycle);
+    }
+    return sums->corrupt == 0;
+}
+
+/* Chooses the blocks that are looked at, and sums them: first those of the energy, then those of the motors. */
+static void choose(zygos_work_t *work, uint32_t p, uint32_t first, uint32_t end)
+{
+    const zygos_accumulator_t *sums = &work->accumulator;
+    const zygos_joint_sums_t *joints = &work->joint_sums;
+    const uint64_t after = (first > 0) ? sums->block[first - 1u].end : 0u;
+    const uint64_t until = (end > 0) ? sums->block[end - 1u].end : 0u;
+    double all = 0.0;
+    work->blocks.first = first;
+    work->blocks.end = end;
+    work->arcs.first = 0;
+    while ((work->arcs.first < joints->count) && (joints->block[work->arcs.first].end <= after)) {
+        work->arcs.first++;
+    }
+    work->arcs.end = work->arcs.first;
+    while ((work->arcs.end < joints->count) && ((end == sums->open) || (joints->block[work->arcs.end].end <= until))) {
+        work->arcs.end++;
+    }
+    memset(work->total, 0, at(p + 2u, 0) * sizeof work->total[0]);
+    work->instants = 0.0;
+    for (uint32_t b = 0; b < sums->open; b++) {
+        all += sums->block[b].instants;
+        for (uint32_t k = 0; (k < at(p + 2u, 0)) && (b >= first) && (b < end); k++) {
+            work->total[k] += sums->block[b].gram[k];
+        }
+        work->instants += ((b >= first) && (b < end)) ? sums->block[b].instants : 0.0;
+    }
+    work->spread = work->total[at(p, p)];
+    work->noise_part = (all > 0.0) ? work->instants / all : 0.0;
+    for (uint32_t k = 0; k < at(p + 1u, 0); k++) {
+        work->noise[k] = work->noise_part * sums->noise_closed.gram[k];
+    }
+}
+
+/* Solves the energy rows of the chosen blocks, weighs the motor rows beside them unless they have weights, and scales
+   the sums of both. Returns their rank. */
+static uint32_t combine(zygos_work_t *work, uint32_t p, zygos_estimate_t *out)
+{
+    const uint32_t rank = begin(work, p);
+    if ((work->arcs.first == work->arcs.end) || (rank == 0)) {
+        return rank;
+    }
+    double weight[ZYGOS_MAX_JOINTS];
+    memcpy(weight, work->weight, sizeof weight);
+    memset(work->weight, 0, sizeof work->weight);
+    believe(work, p, rank, out);
+    (void)solve_with(work, p, rank, work->believed, work->solution);
+    const double energy = energy_loudness(work, p, rank);
+    memcpy(work->weight, weight, sizeof weight);
+    add_motors(work, energy);
+    return begin(work, p);
 }
 
 int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
@@ -839,49 +919,25 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     if ((work == NULL) || (out == NULL)) {
         return ZYGOS_E_NULL;
     }
-    zygos_accumulator_t *sums = &work->accumulator;
+    const zygos_accumulator_t *sums = &work->accumulator;
     memset(out, 0, sizeof *out);
-    if ((sums->count > ZYGOS_MAX_BLOCKS) || (sums->open > sums->count) || (work->config.joints < 1u) ||
-        (work->config.joints > ZYGOS_MAX_JOINTS) || (work->config.effects > (uint32_t)ZYGOS_MAX_EFFECTS) ||
-        (work->config.kinetic > (uint32_t)ZYGOS_SPATIAL_ARM) || (work->config.base > (uint32_t)ZYGOS_BASE_FIXED)) {
+    if (!prepare(work)) {
         return refuse(out, ZYGOS_MAX_PARAMETERS, ZYGOS_REASON_CORRUPT);
     }
-    zygos_balance_layout(&work->config, &work->layout);
     const uint32_t p = work->layout.count;
     const uint32_t effects = work->layout.effects;
-    if ((p > ZYGOS_MAX_PARAMETERS) || (sums->width != p + 2u)) {
-        return refuse(out, ZYGOS_MAX_PARAMETERS, ZYGOS_REASON_CORRUPT);
-    }
     out->cycle = work->cycle;
     out->refused = sums->refused;
     out->parameters = p;
-    zygos_accumulator_flush(sums);
-    const bool corrupt =
-        !(zygos_accumulator_check(sums) <= 1.0) || !(zygos_joint_sums_check(&work->joint_sums, &work->config) <= 1.0);
-    zygos_accumulator_end_arc(sums, work->cycle);
-    if (!corrupt && (work->config.impulse_arc_cycles > 0)) {
-        zygos_joint_sums_end_arc(&work->joint_sums, &work->config, work->cycle);
-    }
     out->accepted = sums->accepted;
     out->arcs = sums->arcs;
     out->blocks = sums->open;
-    if (corrupt) {
-        return refuse(out, p, ZYGOS_REASON_CORRUPT);
-    }
     if ((out->accepted < (uint64_t)INSTANTS_PER_PARAMETER * p) || (out->blocks < 2u)) {
         return refuse(out, p, ZYGOS_REASON_NO_DATA);
     }
-    zygos_accumulator_total(sums, work->total);
-    work->spread = work->total[at(p, p)];
-    memcpy(work->noise, sums->noise_closed.gram, at(p + 1u, 0) * sizeof work->noise[0]);
+    choose(work, p, 0, sums->open);
     memset(work->weight, 0, sizeof work->weight);
-    uint32_t rank = begin(work, p);
-    if ((work->joint_sums.count > 0) && (rank > 0)) {
-        believe(work, p, rank, out);
-        (void)solve_with(work, p, rank, work->believed, work->solution);
-        add_motors(work, energy_loudness(work, p, rank));
-        rank = begin(work, p);
-    }
+    const uint32_t rank = combine(work, p, out);
     out->rank = rank;
     if (rank == 0) {
         return refuse(out, p, ZYGOS_REASON_NOT_IDENTIFIABLE);
@@ -901,7 +957,7 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     memcpy(out->solution, work->solution, p * sizeof out->solution[0]);
     double explained = 0.0;
     const double unexplained = energy_left(work, p, work->solution, &explained);
-    out->residual = root(unexplained / (double)out->accepted);
+    out->residual = root(unexplained / work->instants);
     out->noise_ratio = (explained > 0.0) ? unexplained / explained : not_a_number();
     if (!(unexplained < ZYGOS_UNEXPLAINED_LIMIT * work->spread)) {
         return refuse(out, p, ZYGOS_REASON_NOT_IDENTIFIABLE);
@@ -917,7 +973,7 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
         return refuse(out, p, closed ? blind : ZYGOS_REASON_UNCLOSED);
     }
     inverse_diagonal(work, p, rank, work->inverse);
-    jackknife(work, p, rank, out);
+    jackknife(work, p, rank, out->covariance);
     put_in_again(work, p, noise);
     if (loud) {
         /* What is left of the noise where it could not be taken off in whole. */
@@ -964,6 +1020,74 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     } else if (known < p) {
         out->validity = ZYGOS_PARTIAL;
         out->reason = ZYGOS_REASON_NOT_IDENTIFIABLE;
+    }
+    return 1;
+}
+
+/* What the chosen blocks say; false where they do not say anything. */
+static bool say(zygos_work_t *work, uint32_t p, zygos_estimate_t *scratch, uint32_t *rank)
+{
+    *rank = combine(work, p, scratch);
+    if (*rank == 0) {
+        return false;
+    }
+    believe(work, p, *rank, scratch);
+    return (scratch->gate >= ZYGOS_GATE) && (solve_with(work, p, *rank, work->believed, work->solution) == *rank);
+}
+
+int zygos_drift(zygos_work_t *work, zygos_estimate_t *out, double *deviation)
+{
+    if ((work == NULL) || (out == NULL) || (deviation == NULL)) {
+        return ZYGOS_E_NULL;
+    }
+    const zygos_accumulator_t *sums = &work->accumulator;
+    memset(out, 0, sizeof *out);
+    for (uint32_t i = 0; i < (uint32_t)ZYGOS_MAX_PARAMETERS; i++) {
+        deviation[i] = not_a_number();
+    }
+    if (!prepare(work)) {
+        return refuse(out, ZYGOS_MAX_PARAMETERS, ZYGOS_REASON_CORRUPT);
+    }
+    const uint32_t p = work->layout.count;
+    out->parameters = p;
+    out->cycle = work->cycle;
+    out->blocks = sums->newest;
+    if ((sums->newest < 4u) || (sums->newest + 2u > sums->open)) {
+        return refuse(out, p, ZYGOS_REASON_NO_DATA);
+    }
+    uint32_t rank = 0;
+    choose(work, p, 0, sums->newest);
+    memset(work->weight, 0, sizeof work->weight);
+    if (!say(work, p, out, &rank) || (rank < p)) {
+        return refuse(out, p, ZYGOS_REASON_NOT_IDENTIFIABLE);
+    }
+    inverse_diagonal(work, p, rank, work->inverse);
+    jackknife(work, p, rank, out->covariance);
+    memcpy(out->value, work->solution, p * sizeof out->value[0]);
+    memcpy(out->solution, work->solution, p * sizeof out->solution[0]);
+    double scaled[ZYGOS_MAX_PARAMETERS];
+    for (uint32_t i = 0; i < p; i++) {
+        out->sigma[i] = root(out->covariance[at(i, i)]);
+        out->half95[i] = student(work->freedom[i]) * out->sigma[i];
+        out->identifiable[i] = 1;
+        scaled[i] = work->inverse[i] * work->scale[i] * work->scale[i];
+    }
+    out->rank = rank;
+    out->validity = ZYGOS_VALID;
+    choose(work, p, sums->newest, sums->open);
+    zygos_estimate_t *const before = out;
+    const double gate = out->gate;
+    if (!say(work, p, before, &rank) || (rank < p)) {
+        out->gate = gate;
+        return 0;
+    }
+    out->gate = gate;
+    inverse_diagonal(work, p, rank, work->inverse);
+    for (uint32_t i = 0; i < p; i++) {
+        /* Noise is alike before and after; what differs is how well the motion tells of a parameter. */
+        const double less = work->inverse[i] * work->scale[i] * work->scale[i] / scaled[i];
+        const double spread = out->sigma[i] * root(1.0 + less);
+        deviation[i] = (work->solution[i] - out->value[i]) / spread;
     }
     return 1;
 }

@@ -56,6 +56,7 @@ typedef struct {
     uint32_t width;        ///< p + 2.
     uint32_t count;        ///< Blocks in use; those of the open arc come last.
     uint32_t open;         ///< First block of the open arc. The blocks before it belong to closed arcs.
+    uint32_t newest;       ///< First block of the newest closed arc; one with few instants counts with that before.
     uint32_t arc_instants; ///< Accepted instants of the open arc.
     uint32_t arcs;         ///< Arcs that closed with enough instants.
     uint32_t arcs_dropped; ///< Arcs that were dropped later, or had fewer than ZYGOS_MIN_ARC_INSTANTS.
@@ -63,11 +64,12 @@ typedef struct {
     uint32_t filled;       ///< Instants of the step that fills, accepted or not.
     uint32_t filling;      ///< Which of the two steps fills; the other is shared out.
     uint32_t shared;       ///< Entries of it that have been shared out.
-    uint64_t target;       ///< Instants of a segment.
-    double segment;        ///< Accepted instants of the open segment.
-    uint64_t accepted;     ///< Instants in closed arcs and in the open one.
-    uint64_t refused;      ///< Instants that failed the bandwidth test.
-    double late;           ///< Share of the newer block in the step that is shared out.
+    uint32_t reserved;
+    uint64_t target;   ///< Instants of a segment.
+    double segment;    ///< Accepted instants of the open segment.
+    uint64_t accepted; ///< Instants in closed arcs and in the open one.
+    uint64_t refused;  ///< Instants that failed the bandwidth test.
+    double late;       ///< Share of the newer block in the step that is shared out.
     zygos_step_t step[2];
     zygos_share_t noise;        ///< Of the open segment, not yet taken off.
     zygos_share_t noise_open;   ///< Of the other segments of the open arc, taken off.

@@ -67,6 +67,8 @@ enum zygos_reason {
 /// it out changes, and beside it the second, smaller share holds.
 #define ZYGOS_SIGMA_LIMIT 0.25
 #define ZYGOS_SIGMA_LIMIT_BESIDE 0.025
+/// Deviation of the newest arc from all before it, in standard deviations, that is no accident.
+#define ZYGOS_DRIFT_ALARM 5.0
 /// What cannot be negative may be zero, and come out negative by as many sigmas.
 #define ZYGOS_NEGATIVE_SIGMAS 3.0
 
@@ -121,8 +123,14 @@ typedef struct {
     double shares[2][ZYGOS_MAX_PARAMETERS];
     double freedom[ZYGOS_MAX_PARAMETERS];
     double direct[ZYGOS_MAX_PARAMETERS];
-    double spread;   ///< Sum of the squared work about the arc constants [J^2].
-    double believed; ///< Share of the declared noise that is taken off.
+    double spread; ///< Sum of the squared work about the arc constants [J^2].
+    struct {
+        uint32_t first;
+        uint32_t end;
+    } blocks, arcs;    ///< Blocks of the energy rows and of the motor rows that are looked at.
+    double instants;   ///< Their accepted instants.
+    double noise_part; ///< Their share of the noise of closed arcs.
+    double believed;   ///< Share of the declared noise that is taken off.
     uint32_t pivot[ZYGOS_MAX_PARAMETERS];
 } zygos_work_t;
 
@@ -130,6 +138,14 @@ typedef struct {
 /// factorisations of order p at the most. Returns 1 when there are values, 0 when validity is ZYGOS_REFUSED, or
 /// ZYGOS_E_NULL.
 int zygos_solve(zygos_work_t *work, zygos_estimate_t *out);
+
+/// Compares the newest arc with all that came before it. An arc that has just begun counts with the one before.
+/// Fills *out with what was known before, and deviation[ZYGOS_MAX_PARAMETERS] with how far the newest arc's own value
+/// lies from that, in standard deviations of the difference. ZYGOS_DRIFT_ALARM and beyond is a change of the arm.
+/// Reads and changes *work, as zygos_solve() does: take anew for each. Returns 1; 0 when all deviations are NaN,
+/// because before (validity is then ZYGOS_REFUSED) or within the newest arc something is not identifiable; or
+/// ZYGOS_E_NULL.
+int zygos_drift(zygos_work_t *work, zygos_estimate_t *out, double *deviation);
 
 #ifdef __cplusplus
 }
