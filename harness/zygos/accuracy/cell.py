@@ -125,8 +125,8 @@ def _codes(case: Case, number: int) -> Floats:
         [j.link_encoder.quantum_rad for j in case.plant.joints],
         [j.motor_encoder.quantum_rad for j in case.plant.joints],
     ]
-    phases: Floats = np.random.default_rng([number, 1]).uniform(-0.5, 0.5, (2, case.plant.n))
-    return phases * np.array(quanta)
+    codes: Floats = np.random.default_rng([number, 1]).uniform(-0.5, 0.5, (2, case.plant.n)) * np.array(quanta)
+    return codes
 
 
 def _with_zeros(arm: Arm, zeros: Floats) -> Arm:

@@ -14,6 +14,7 @@ import numpy as np
 
 from zygos.accuracy.cases import Case
 from zygos.accuracy.estimators import ESTIMATORS
+from zygos.accuracy.figure4 import HAIR
 from zygos.accuracy.summary import WILD_PERCENT, WILD_SIGMAS
 from zygos.output import number
 from zygos.report.page import Entry, render, series
@@ -110,7 +111,7 @@ def _panel(case: Case, ticks: Sequence[Entry]) -> Entry:
     """An empty chart with a column for each parameter."""
     names = case.arm.parameter_names
     upright = len(names) > _CROWDED
-    step = 19.0 if upright else 44.0
+    step = 19.0 if upright else 41.0
     return {
         "width": _LEFT + step * len(names) + 8.0,
         "height": _TOP + _HEIGHT + (62.0 if upright else 20.0),
@@ -126,7 +127,8 @@ def _panel(case: Case, ticks: Sequence[Entry]) -> Entry:
 
 def _place(panel: Entry, parameter: int, index: int, count: int) -> float:
     """Abscissa of one of `count` estimators in the column of a parameter."""
-    return round(float(panel["names"][parameter]["x"]) + panel["step"] * 0.8 * ((index + 0.5) / count - 0.5), 1)
+    aside: float = panel["step"] * 0.8 * ((index + 0.5) / count - 0.5)
+    return round(float(panel["names"][parameter]["x"]) + aside, 1)
 
 
 def _errors(case: Case, entries: Sequence[Mapping[str, Any]]) -> Entry | None:
@@ -192,7 +194,8 @@ _STYLES: dict[str, Entry] = {
     "true": {"colour": "ink", "wide": True},
     "+10 %": {"colour": "joint5"},
     "−10 %": {"colour": "joint3"},
-    "true, off by a hair": {"colour": "soft", "dash": True},
+    "+0.1 %": {"colour": "joint5", "dash": True},
+    HAIR: {"colour": "soft", "dash": True},
 }
 
 
@@ -204,13 +207,11 @@ def _charts(figure: Mapping[str, Any]) -> dict[str, Any]:
     long = {
         f"motion{k}": {
             "id": f"motion{k}",
-            "title": f"Link angle of the {joint}",
+            "title": f"Free motion: link angle of the {joint}",
             "unit": "rad",
             "time": "long",
             "height": 240,
-            "series": [
-                series(name, y=np.array(q[k][::_EVERY]), **_style(name)) for name, q in figure["motions"].items()
-            ],
+            "series": [series(name, y=np.array(q[k][::_EVERY]), **_style(name)) for name, q in figure["free"].items()],
         }
         for k, joint in enumerate(figure["joints"])
     }
@@ -232,6 +233,11 @@ def _charts(figure: Mapping[str, Any]) -> dict[str, Any]:
     return {"times": rounded, "charts": {**long, "arcs": arcs}, "refused": []}
 
 
+def _most(figure: Mapping[str, Any], name: str) -> str:
+    """How far a free motion gets from the true one, rad."""
+    return number(float(np.max(np.abs(np.array(figure["free"][name]) - np.array(figure["free"]["true"])))), 2)
+
+
 def _figure(figure: Mapping[str, Any]) -> Entry:
     horizon = figure["horizon_s"]
     at = [int(np.argmin(np.abs(np.array(horizon) - s))) for s in (0.5, 2.0, 5.0)]
@@ -241,12 +247,18 @@ def _figure(figure: Mapping[str, Any]) -> Entry:
             {
                 "name": name,
                 "colour": _style(name)["colour"],
-                "long": _number(rms),
+                "free": _number(rms),
+                "servo": _number(figure["servo_rms_rad"][name]),
                 "short": [_number(figure["arcs_rad"][name][k]) if name in figure["arcs_rad"] else "–" for k in at],
             }
-            for name, rms in figure["rms_rad"].items()
+            for name, rms in figure["free_rms_rad"].items()
             if name != "true"
         ],
         "missing": figure["missing"],
+        "duration": f"{figure['time_s'][-1]:.0f}",
+        "hair": HAIR,
+        "hair_most": _most(figure, HAIR),
+        "small": "+0.1 %",
+        "small_most": _most(figure, "+0.1 %"),
         "horizons": [f"{horizon[k]:g}" for k in at],
     }
