@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -109,11 +110,12 @@ def test_the_page_is_one_small_file_with_all_numbers(tiny: Path) -> None:
     assert "http" not in text
     for entry in json.loads((tiny / "a.json").read_text())["cases"]:
         assert f'<td class="c">{entry["mean_rms_percent"]:.3g}</td>' in text or entry["mean_rms_percent"] is None
-    # a dot for each bias and interval, a ring for each spread
+    # a dot for each bias and interval, a bar for each spread
     own = [p for entry in json.loads((tiny / "a.json").read_text())["cases"] for p in entry["per_parameter"].values()]
-    drawn = [p[key] for p in own for key in ("bias_percent", "spread_percent", "coverage95") if p[key] is not None]
-    assert len(drawn) > 150
-    assert text.count("<circle") == len(drawn)
+    for keys, stroke in ((("bias_percent", "coverage95"), "0"), (("spread_percent",), "6")):
+        drawn = [p[key] for p in own for key in keys if p[key] is not None]
+        assert len(drawn) > 60
+        assert len(re.findall(rf"M[0-9.]+ [0-9.]+h{stroke}(?=[M\"])", text)) == len(drawn)
 
 
 # going on

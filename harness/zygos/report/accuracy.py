@@ -125,42 +125,50 @@ def _panel(case: Case, ticks: Sequence[Entry]) -> Entry:
     }
 
 
-def _place(panel: Entry, parameter: int, index: int, count: int) -> float:
-    """Abscissa of one of `count` estimators in the column of a parameter."""
-    aside: float = panel["step"] * 0.8 * ((index + 0.5) / count - 0.5)
-    return round(float(panel["names"][parameter]["x"]) + aside, 1)
+def _mark(
+    panel: Entry, entry: Mapping[str, Any], index: int, count: int, of: Mapping[str, Mapping[int, float]]
+) -> None:
+    """Add the marks of one of `count` estimators, side by side in the columns: `of` kind "dots" or "bars", ordinates by
+    parameter."""
+    aside = panel["step"] * 0.8 * ((index + 0.5) / count - 0.5)
+    columns = panel["names"]
+
+    def path(kind: str, half: float) -> str:
+        """A stroke of that half width at each place."""
+        marks = of.get(kind, {}).items()
+        return "".join(f"M{columns[k]['x'] + aside - half:.1f} {y:.1f}h{2 * half:g}" for k, y in marks)
+
+    panel["marks"].append(
+        {
+            "name": entry["estimator"],
+            "colour": colour(entry["estimator"]),
+            "dots": path("dots", 0.0),
+            "bars": path("bars", 3.0),
+        }
+    )
 
 
 def _errors(case: Case, entries: Sequence[Mapping[str, Any]]) -> Entry | None:
     """Size of bias and spread over a scale of powers of ten."""
-    found = [
-        (k, index, entry["estimator"], name, key, abs(own[key]))
-        for index, entry in enumerate(entries)
-        for k, (name, own) in enumerate(entry["per_parameter"].items())
-        for key in ("bias_percent", "spread_percent")
-        if own[key]
-    ]
-    if not found:
+
+    def sizes(entry: Mapping[str, Any], key: str) -> dict[int, float]:
+        own = (parameter[key] for parameter in entry["per_parameter"].values())
+        return {k: min(max(abs(value), _LOW), _HIGH) for k, value in enumerate(own) if value}
+
+    found = [(sizes(entry, "bias_percent"), sizes(entry, "spread_percent")) for entry in entries]
+    every = [size for bias, spread in found for size in (*bias.values(), *spread.values())]
+    if not every:
         return None
-    sizes = [min(max(size, _LOW), _HIGH) for *_, size in found]
-    low, high = math.floor(math.log10(min(sizes))), math.ceil(math.log10(max(sizes)) + 1e-9)
-    high = max(high, low + 1)
+    low = math.floor(math.log10(min(every)))
+    high = max(low + 1, math.ceil(math.log10(max(every))))
 
     def at(size: float) -> float:
-        share = (math.log10(min(max(size, _LOW), _HIGH)) - low) / (high - low)
-        return round(_TOP + _HEIGHT * (1.0 - share), 1)
+        return _TOP + _HEIGHT * (high - math.log10(size)) / (high - low)
 
-    panel = _panel(case, [{"y": at(10.0**k), "label": f"{10.0**k:g}"} for k in range(low, high + 1)])
-    panel["marks"] = [
-        {
-            "x": _place(panel, k, index, len(entries)),
-            "y": at(size),
-            "colour": colour(estimator),
-            "hollow": key == "spread_percent",
-            "title": f"{estimator}, {name}: {key.split('_')[0]} {_number(size)} %",
-        }
-        for k, index, estimator, name, key, size in found
-    ]
+    panel = _panel(case, [{"y": round(at(10.0**k), 1), "label": f"{10.0**k:g}"} for k in range(low, high + 1)])
+    for index, (entry, (bias, spread)) in enumerate(zip(entries, found, strict=True)):
+        of = {"dots": {k: at(v) for k, v in bias.items()}, "bars": {k: at(v) for k, v in spread.items()}}
+        _mark(panel, entry, index, len(entries), of)
     return panel
 
 
@@ -171,22 +179,13 @@ def _coverage(case: Case, entries: Sequence[Mapping[str, Any]]) -> Entry | None:
         return None
 
     def at(share: float) -> float:
-        return round(_TOP + _HEIGHT * (1.0 - share), 1)
+        return _TOP + _HEIGHT * (1.0 - share)
 
-    panel = _panel(case, [{"y": at(k / 5), "label": str(20 * k)} for k in range(6)])
-    panel["band"] = {"y": at(BAND[1]), "height": round(at(BAND[0]) - at(BAND[1]), 1)}
-    panel["marks"] = [
-        {
-            "x": _place(panel, k, index, len(given)),
-            "y": at(share),
-            "colour": colour(entry["estimator"]),
-            "hollow": False,
-            "title": f"{entry['estimator']}, {name}: {100 * share:.1f} %",
-        }
-        for index, entry in enumerate(given)
-        for k, (name, share) in enumerate(entry["coverage95"].items())
-        if share is not None
-    ]
+    panel = _panel(case, [{"y": round(at(k / 5), 1), "label": str(20 * k)} for k in range(6)])
+    panel["band"] = {"y": round(at(BAND[1]), 1), "height": round(at(BAND[0]) - at(BAND[1]), 1)}
+    for index, entry in enumerate(given):
+        shares = {k: at(share) for k, share in enumerate(entry["coverage95"].values()) if share is not None}
+        _mark(panel, entry, index, len(given), {"dots": shares})
     return panel
 
 
