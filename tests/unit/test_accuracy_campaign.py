@@ -240,7 +240,7 @@ def test_what_is_counted(arm: Arm, true: Floats) -> None:
         "answers": {name: column(none, ["refused"] * 8, 0.0) for name in ("DE", "AMC")}
         | {one.name: column([0.0] * 8, fine, 0.01) for one in ESTIMATORS if one.ours}
         | {"EB": column([0.1] * 8, fine, 0.0) | {"half95": none}}
-        | {"flight": column([0.01, 0.003, -0.03, 0.0049, 9.0, 0.0051, None, -0.1], mixed, 0.005)},
+        | {"flight": column([0.01, 0.021, -0.03, 0.0049, 9.0, 0.018, None, 0.003], mixed, 0.005)},
     }
     entries = {entry["estimator"]: entry for entry in summarise([case], [line])}
     found = entries["flight"]
@@ -254,9 +254,9 @@ def test_what_is_counted(arm: Arm, true: Floats) -> None:
     assert own["bias_percent"] == pytest.approx(-1.0)
     assert own["rms_percent"] == pytest.approx(np.sqrt((1.0 + 9.0) / 2))
     assert own["spread_percent"] == pytest.approx(np.sqrt(8.0))
-    # of 0.01, 0.003, -0.03, 0.0049, 0.0051, -0.1 with half widths of 0.005
+    # of 0.01, 0.021, -0.03, 0.0049, 0.018, 0.003 with half widths of 0.005
     assert found["coverage95"]["k1"] == pytest.approx(2 / 6)
-    # five sigmas are 0.01276 here: -0.03 and -0.1 are beyond them and beyond 2 %, for each of the 12
+    # five sigmas are 0.01276 here: 0.021 and -0.03 are beyond them and beyond 2 %, for each of the 12
     assert pytest.approx(0.01276, abs=1e-5) == 5.0 / NORMAL_95 * 0.005
     assert found["wild"] == 24
     assert entries["DE"]["refused"] == 4
