@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-import os
+import signal
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from importlib import import_module
 from multiprocessing import get_context
@@ -42,7 +42,7 @@ def executor(scheduler: str | None, workers: int | None) -> Iterator[Executor]:
     Errors: ZygosError if the cluster cannot be reached, or Dask is not installed.
     """
     if scheduler is None:
-        with ProcessPoolExecutor(workers or os.cpu_count(), mp_context=get_context("spawn")) as pool:
+        with ProcessPoolExecutor(workers, get_context("spawn"), initializer=_end_on_interrupt) as pool:
             yield pool
         return
     try:
@@ -79,6 +79,11 @@ def run(jobs: Sequence[Job], file: Path, open_executor: Callable[[], Any]) -> li
                     stream.flush()
                     done[job.key] = line
                     bar.advance(task)
+            except BrokenExecutor as error:
+                raise ZygosError(
+                    f"a worker ended before its time ({error}); remedy: look for what ended it, and start again: "
+                    f"{len(done)} of {len(jobs)} cells are kept"
+                ) from None
             finally:
                 for future in futures:
                     future.cancel()
@@ -87,6 +92,11 @@ def run(jobs: Sequence[Job], file: Path, open_executor: Callable[[], Any]) -> li
 
 def _work(job: Job) -> Line:
     return job.run()
+
+
+def _end_on_interrupt() -> None:
+    """A worker ends at once and without a word when the user interrupts."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def _known(file: Path, code: str) -> dict[str, Line]:

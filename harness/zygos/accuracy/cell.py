@@ -31,7 +31,7 @@ Floats = NDArray[np.float64]
 
 STREAM = 1_000_000
 _SYNC = 0x080
-_READERS = ("cases.py", "cell.py", "estimators.py")
+_MAKERS = ("cases.py", "cell.py", "estimators.py", "figure4.py")
 
 
 @cache
@@ -43,7 +43,7 @@ def fingerprint() -> str:
     for path in sorted(package.rglob("*")):
         if path.suffix not in {".py", ".so"} or package / "report" in path.parents:
             continue
-        if path.parent == here and path.name not in _READERS:
+        if path.parent == here and path.name not in _MAKERS:
             continue
         digest.update(path.relative_to(package).as_posix().encode() + path.read_bytes())
     return digest.hexdigest()[:16]
@@ -125,8 +125,8 @@ def _codes(case: Case, number: int) -> Floats:
         [j.link_encoder.quantum_rad for j in case.plant.joints],
         [j.motor_encoder.quantum_rad for j in case.plant.joints],
     ]
-    phases: Floats = np.random.default_rng([number, 1]).uniform(-0.5, 0.5, (2, case.plant.n))
-    return phases * np.array(quanta)
+    codes: Floats = np.random.default_rng([number, 1]).uniform(-0.5, 0.5, (2, case.plant.n)) * np.array(quanta)
+    return codes
 
 
 def _with_zeros(arm: Arm, zeros: Floats) -> Arm:

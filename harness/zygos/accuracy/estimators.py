@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
-from zygos.errors import ZygosError
+from zygos.errors import Undecided, ZygosError
 from zygos.flight import Flight
 from zygos.methods import Record, amc, de, eb, record_of
 from zygos.reference.cycle import calibrate
@@ -84,6 +84,8 @@ def _batch(method: Callable[[Arm, Record, Told], Floats]) -> Estimate:
         assert trace is not None
         try:
             return Answer("valid", value=method(arm, record_of(arm, calibrate(arm, trace.cycles)), told)[0])
+        except Undecided:
+            return Answer("refused", "the unbroken record does not determine the parameters")
         except ZygosError as error:
             return Answer("refused", str(error))
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from zygos.accuracy.cases import Case
 from zygos.accuracy.estimators import ESTIMATORS
+from zygos.accuracy.figure4 import HAIR
 from zygos.accuracy.summary import WILD_PERCENT, WILD_SIGMAS
 from zygos.output import number
 from zygos.report.page import Entry, render, series
@@ -110,7 +111,7 @@ def _panel(case: Case, ticks: Sequence[Entry]) -> Entry:
     """An empty chart with a column for each parameter."""
     names = case.arm.parameter_names
     upright = len(names) > _CROWDED
-    step = 19.0 if upright else 44.0
+    step = 19.0 if upright else 41.0
     return {
         "width": _LEFT + step * len(names) + 8.0,
         "height": _TOP + _HEIGHT + (62.0 if upright else 20.0),
@@ -124,41 +125,50 @@ def _panel(case: Case, ticks: Sequence[Entry]) -> Entry:
     }
 
 
-def _place(panel: Entry, parameter: int, index: int, count: int) -> float:
-    """Abscissa of one of `count` estimators in the column of a parameter."""
-    return round(float(panel["names"][parameter]["x"]) + panel["step"] * 0.8 * ((index + 0.5) / count - 0.5), 1)
+def _mark(
+    panel: Entry, entry: Mapping[str, Any], index: int, count: int, of: Mapping[str, Mapping[int, float]]
+) -> None:
+    """Add the marks of one of `count` estimators, side by side in the columns: `of` kind "dots" or "bars", ordinates by
+    parameter."""
+    aside = panel["step"] * 0.8 * ((index + 0.5) / count - 0.5)
+    columns = panel["names"]
+
+    def path(kind: str, half: float) -> str:
+        """A stroke of that half width at each place."""
+        marks = of.get(kind, {}).items()
+        return "".join(f"M{columns[k]['x'] + aside - half:.1f} {y:.1f}h{2 * half:g}" for k, y in marks)
+
+    panel["marks"].append(
+        {
+            "name": entry["estimator"],
+            "colour": colour(entry["estimator"]),
+            "dots": path("dots", 0.0),
+            "bars": path("bars", 3.0),
+        }
+    )
 
 
 def _errors(case: Case, entries: Sequence[Mapping[str, Any]]) -> Entry | None:
     """Size of bias and spread over a scale of powers of ten."""
-    found = [
-        (k, index, entry["estimator"], name, key, abs(own[key]))
-        for index, entry in enumerate(entries)
-        for k, (name, own) in enumerate(entry["per_parameter"].items())
-        for key in ("bias_percent", "spread_percent")
-        if own[key]
-    ]
-    if not found:
+
+    def sizes(entry: Mapping[str, Any], key: str) -> dict[int, float]:
+        own = (parameter[key] for parameter in entry["per_parameter"].values())
+        return {k: min(max(abs(value), _LOW), _HIGH) for k, value in enumerate(own) if value}
+
+    found = [(sizes(entry, "bias_percent"), sizes(entry, "spread_percent")) for entry in entries]
+    every = [size for bias, spread in found for size in (*bias.values(), *spread.values())]
+    if not every:
         return None
-    sizes = [min(max(size, _LOW), _HIGH) for *_, size in found]
-    low, high = math.floor(math.log10(min(sizes))), math.ceil(math.log10(max(sizes)) + 1e-9)
-    high = max(high, low + 1)
+    low = math.floor(math.log10(min(every)))
+    high = max(low + 1, math.ceil(math.log10(max(every))))
 
     def at(size: float) -> float:
-        share = (math.log10(min(max(size, _LOW), _HIGH)) - low) / (high - low)
-        return round(_TOP + _HEIGHT * (1.0 - share), 1)
+        return _TOP + _HEIGHT * (high - math.log10(size)) / (high - low)
 
-    panel = _panel(case, [{"y": at(10.0**k), "label": f"{10.0**k:g}"} for k in range(low, high + 1)])
-    panel["marks"] = [
-        {
-            "x": _place(panel, k, index, len(entries)),
-            "y": at(size),
-            "colour": colour(estimator),
-            "hollow": key == "spread_percent",
-            "title": f"{estimator}, {name}: {key.split('_')[0]} {_number(size)} %",
-        }
-        for k, index, estimator, name, key, size in found
-    ]
+    panel = _panel(case, [{"y": round(at(10.0**k), 1), "label": f"{10.0**k:g}"} for k in range(low, high + 1)])
+    for index, (entry, (bias, spread)) in enumerate(zip(entries, found, strict=True)):
+        of = {"dots": {k: at(v) for k, v in bias.items()}, "bars": {k: at(v) for k, v in spread.items()}}
+        _mark(panel, entry, index, len(entries), of)
     return panel
 
 
@@ -169,22 +179,13 @@ def _coverage(case: Case, entries: Sequence[Mapping[str, Any]]) -> Entry | None:
         return None
 
     def at(share: float) -> float:
-        return round(_TOP + _HEIGHT * (1.0 - share), 1)
+        return _TOP + _HEIGHT * (1.0 - share)
 
-    panel = _panel(case, [{"y": at(k / 5), "label": str(20 * k)} for k in range(6)])
-    panel["band"] = {"y": at(BAND[1]), "height": round(at(BAND[0]) - at(BAND[1]), 1)}
-    panel["marks"] = [
-        {
-            "x": _place(panel, k, index, len(given)),
-            "y": at(share),
-            "colour": colour(entry["estimator"]),
-            "hollow": False,
-            "title": f"{entry['estimator']}, {name}: {100 * share:.1f} %",
-        }
-        for index, entry in enumerate(given)
-        for k, (name, share) in enumerate(entry["coverage95"].items())
-        if share is not None
-    ]
+    panel = _panel(case, [{"y": round(at(k / 5), 1), "label": str(20 * k)} for k in range(6)])
+    panel["band"] = {"y": round(at(BAND[1]), 1), "height": round(at(BAND[0]) - at(BAND[1]), 1)}
+    for index, entry in enumerate(given):
+        shares = {k: at(share) for k, share in enumerate(entry["coverage95"].values()) if share is not None}
+        _mark(panel, entry, index, len(given), {"dots": shares})
     return panel
 
 
@@ -192,7 +193,8 @@ _STYLES: dict[str, Entry] = {
     "true": {"colour": "ink", "wide": True},
     "+10 %": {"colour": "joint5"},
     "−10 %": {"colour": "joint3"},
-    "true, off by a hair": {"colour": "soft", "dash": True},
+    "+0.1 %": {"colour": "joint5", "dash": True},
+    HAIR: {"colour": "soft", "dash": True},
 }
 
 
@@ -204,13 +206,11 @@ def _charts(figure: Mapping[str, Any]) -> dict[str, Any]:
     long = {
         f"motion{k}": {
             "id": f"motion{k}",
-            "title": f"Link angle of the {joint}",
+            "title": f"Free motion: link angle of the {joint}",
             "unit": "rad",
             "time": "long",
             "height": 240,
-            "series": [
-                series(name, y=np.array(q[k][::_EVERY]), **_style(name)) for name, q in figure["motions"].items()
-            ],
+            "series": [series(name, y=np.array(q[k][::_EVERY]), **_style(name)) for name, q in figure["free"].items()],
         }
         for k, joint in enumerate(figure["joints"])
     }
@@ -232,6 +232,11 @@ def _charts(figure: Mapping[str, Any]) -> dict[str, Any]:
     return {"times": rounded, "charts": {**long, "arcs": arcs}, "refused": []}
 
 
+def _most(figure: Mapping[str, Any], name: str) -> str:
+    """How far a free motion gets from the true one, rad."""
+    return number(float(np.max(np.abs(np.array(figure["free"][name]) - np.array(figure["free"]["true"])))), 2)
+
+
 def _figure(figure: Mapping[str, Any]) -> Entry:
     horizon = figure["horizon_s"]
     at = [int(np.argmin(np.abs(np.array(horizon) - s))) for s in (0.5, 2.0, 5.0)]
@@ -241,12 +246,18 @@ def _figure(figure: Mapping[str, Any]) -> Entry:
             {
                 "name": name,
                 "colour": _style(name)["colour"],
-                "long": _number(rms),
+                "free": _number(rms),
+                "servo": _number(figure["servo_rms_rad"][name]),
                 "short": [_number(figure["arcs_rad"][name][k]) if name in figure["arcs_rad"] else "–" for k in at],
             }
-            for name, rms in figure["rms_rad"].items()
+            for name, rms in figure["free_rms_rad"].items()
             if name != "true"
         ],
         "missing": figure["missing"],
+        "duration": f"{figure['time_s'][-1]:.0f}",
+        "hair": HAIR,
+        "hair_most": _most(figure, HAIR),
+        "small": "+0.1 %",
+        "small_most": _most(figure, "+0.1 %"),
         "horizons": [f"{horizon[k]:g}" for k in at],
     }
