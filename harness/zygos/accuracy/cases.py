@@ -104,7 +104,13 @@ def all_cases(folder: Path = Path("examples")) -> tuple[Case, ...]:
             benign=False,
         ),
         replace(usual, name="lost", said="1 % of the cycles lack the frames of one joint", lost=LOST),
-        replace(usual, name="zeros", said="encoder zeros off by 1 mrad, signs at random", zeros_rad=ZERO_RAD),
+        replace(
+            usual,
+            name="zeros",
+            said="encoder zeros off by 1 mrad, signs at random; the arm file says that they are uncertain by as much",
+            arm=_uncertain(arm),
+            zeros_rad=ZERO_RAD,
+        ),
         replace(
             usual,
             name="rest",
@@ -143,6 +149,14 @@ def _coarser(arm: Arm, factor: float) -> Arm:
             motor_encoder=replace(joint.motor_encoder, quantum_rad=factor * joint.motor_encoder.quantum_rad),
         )
         for joint in arm.joints
+    )
+    return replace(arm, joints=joints)
+
+
+def _uncertain(arm: Arm) -> Arm:
+    """The arm with zeros that it does not trust."""
+    joints = tuple(
+        replace(joint, motor_encoder=replace(joint.motor_encoder, zero_sigma_rad=ZERO_RAD)) for joint in arm.joints
     )
     return replace(arm, joints=joints)
 

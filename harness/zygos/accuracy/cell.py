@@ -214,6 +214,7 @@ class _Column:
             "reason": [answer.reason for answer in self.answers],
             "value": [_digits(answer.value) for answer in self.answers],
             "half95": [_digits(answer.half95) for answer in self.answers],
+            "sigma": [_digits(answer.sigma) for answer in self.answers],
         }
         if spatial:
             out["solution"] = [

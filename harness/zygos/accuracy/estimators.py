@@ -6,7 +6,7 @@ Every estimator is given the arm file and the CAN frames of a run, and what else
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,10 +19,6 @@ from zygos.methods import Record, amc, de, eb, record_of
 from zygos.reference.cycle import calibrate
 
 Floats = NDArray[np.float64]
-
-NORMAL_95 = 1.959963984540054
-"""Deviations that hold 95 % of a normal distribution, to each side."""
-
 
 @dataclass(frozen=True)
 class Told:
@@ -44,6 +40,8 @@ class Answer:
     """(p,) NaN where nothing is published; None where the whole is refused."""
     half95: Floats | None = None
     """(p,) half widths of the 95 % intervals; None of an estimator that gives none."""
+    sigma: Floats | None = None
+    """(p,) likewise."""
     solution: Floats | None = None
     """(p,) numbers for all parameters, of which only the whole means something; None where there are none."""
 
@@ -73,7 +71,15 @@ def flight(arm: Arm, frames: NDArray[Any], _: Told) -> Answer:
     found = chain.estimate()
     if found.validity == "refused":
         return Answer(found.validity, found.reason)
-    return Answer(found.validity, found.reason, found.value, NORMAL_95 * found.sigma, found.solution)
+    own = len(arm.parameter_names)  # effects follow
+    return Answer(
+        found.validity, found.reason, found.value[:own], found.half95[:own], found.sigma[:own], found.solution[:own]
+    )
+
+
+def _with(**settings: Any) -> Estimate:
+    """The C library with other settings of the arm file."""
+    return lambda arm, frames, told: flight(replace(arm, **settings), frames, told)
 
 
 def _batch(method: Callable[[Arm, Record, Told], Floats]) -> Estimate:
@@ -105,5 +111,17 @@ ESTIMATORS: tuple[Estimator, ...] = (
     Estimator(
         "EB", "energy balance, backward differences (the paper)", _batch(lambda a, r, _: eb.estimate(a, r)), False
     ),
-    Estimator("flight", "the C library, from CAN frames", flight, True),
+    Estimator(
+        "flight, plain",
+        "the C library, from CAN frames: energy rows, the noise in them left as it is",
+        _with(compensate_every=0, impulse_arc_s=0.0),
+        True,
+    ),
+    Estimator(
+        "flight, energy",
+        "the C library, from CAN frames: energy rows, the noise taken off",
+        _with(impulse_arc_s=0.0),
+        True,
+    ),
+    Estimator("flight", "the C library, from CAN frames, as it comes", flight, True),
 )

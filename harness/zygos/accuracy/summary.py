@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh
 
 from zygos.accuracy.cases import Case
-from zygos.accuracy.estimators import ESTIMATORS, NORMAL_95
+from zygos.accuracy.estimators import ESTIMATORS
 from zygos.arm import Arm
 from zygos.reference.kinematics import State, body_columns
 from zygos.score import score
@@ -45,6 +45,8 @@ class Answers:
     """(A, p) NaN where nothing is published, or nothing that is to be relied on."""
     half95: Floats
     """(A, p) likewise."""
+    sigma: Floats
+    """(A, p) likewise."""
     solution: Floats
     """(A, p) likewise; all NaN where it is not kept."""
 
@@ -69,6 +71,7 @@ class Answers:
             joined("reason"),
             array("value"),
             array("half95"),
+            array("sigma"),
             array("solution"),
         )
 
@@ -140,7 +143,7 @@ def _coverage(names: Sequence[str], answers: Answers, true: Floats) -> dict[str,
 
 def _wild(answers: Answers, true: Floats, error: Floats) -> int:
     with np.errstate(invalid="ignore"):
-        far = np.abs(answers.value - true) > WILD_SIGMAS / NORMAL_95 * answers.half95
+        far = np.abs(answers.value - true) > WILD_SIGMAS * answers.sigma
         return int(np.sum(far & (np.abs(error) > WILD_PERCENT)))
 
 
