@@ -182,7 +182,8 @@ typedef struct {
     uint32_t smoother_half_width; ///< M >= 2: the window holds the 2 M + 1 cycles around the smoothed instant.
     uint32_t smoother_order;      ///< Order of the local polynomial, 2 .. 2 M - 2.
     uint32_t smoother_lag;        ///< Must equal M: a filter evaluated at its newest sample is refused.
-    uint32_t arc_cycles;          ///< An arc ends after that many instants at the latest, >= ZYGOS_MIN_ARC_INSTANTS.
+    uint32_t arc_cycles;          ///< An arc ends after that many instants at the latest, >= ZYGOS_MIN_ARC_INSTANTS;
+                                  ///< from an eighth of them on, at an instant that the bandwidth test refuses.
     uint32_t imu_node;            ///< Node number of the gyro, 1..31; 0 on a fixed base, which has none.
     uint32_t imu_fine;            ///< 1: rates come as i24 in two frames; 0: as i16 in one.
     double period_s;              ///< SYNC period h. Time is the SYNC count times h, never a receive time.
