@@ -5,6 +5,7 @@
 #define MAX_REFUSED_SHARE 0.05
 #define INSTANTS_PER_PARAMETER 3u
 #define POWER_ROUNDS 40u
+#define TWO_SIGMAS 1.959964 /* 95 % of a normal distribution */
 
 /* Place of entry (i, j), j <= i, in a packed lower triangle. */
 static uint32_t at(uint32_t i, uint32_t j)
@@ -258,7 +259,7 @@ static void inverse_diagonal(zygos_work_t *work, uint32_t p, uint32_t rank, doub
 static double student(double freedom)
 {
     const double u = 1.0 / freedom;
-    return 1.959964 + u * (2.372272 + u * (2.822499 + u * (2.555852 + u * 1.589536)));
+    return TWO_SIGMAS + u * (2.372272 + u * (2.822499 + u * (2.555852 + u * 1.589536)));
 }
 
 /* What a block alone leaves of the equations: right side less matrix times solution, scaled. */
@@ -1052,7 +1053,7 @@ int zygos_drift(zygos_work_t *work, zygos_estimate_t *out, double *deviation)
     out->parameters = p;
     out->cycle = work->cycle;
     out->blocks = sums->newest;
-    if ((sums->newest < 4u) || (sums->newest + 2u > sums->open)) {
+    if ((sums->newest < 4u) || (sums->newest == sums->open)) {
         return refuse(out, p, ZYGOS_REASON_NO_DATA);
     }
     uint32_t rank = 0;
@@ -1086,7 +1087,7 @@ int zygos_drift(zygos_work_t *work, zygos_estimate_t *out, double *deviation)
     for (uint32_t i = 0; i < p; i++) {
         /* Noise is alike before and after; what differs is how well the motion tells of a parameter. */
         const double less = work->inverse[i] * work->scale[i] * work->scale[i] / scaled[i];
-        const double spread = out->sigma[i] * root(1.0 + less);
+        const double spread = out->half95[i] / TWO_SIGMAS * root(1.0 + less);
         deviation[i] = (work->solution[i] - out->value[i]) / spread;
     }
     return 1;

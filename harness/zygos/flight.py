@@ -6,6 +6,7 @@ of them and the sizes of all public structs guard against a library that was bui
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -39,6 +40,8 @@ REASONS = (
     "the balance does not close: what the solution leaves over is no noise",
     "sensor noise is as large as the motion in some combination of parameters",
 )
+DRIFT_ALARM = 6.0
+"""Deviations that are no accident, as ``ZYGOS_DRIFT_ALARM``."""
 _CONFIG_ERRORS = {
     -2: "the library was built with other headers",
     -3: "too many joints for this build",
@@ -49,7 +52,7 @@ _CONFIG_ERRORS = {
     -8: "node numbers must be 1..31, each used once",
     -9: "joint axes must be unit vectors, parallel where the arm is planar",
     -10: "a ratio, sign, zero, sigma or latch delay is out of range",
-    -11: "arc.max_s is shorter than 20 cycles",
+    -11: "arc.max_s or arc.impulse_max_s is shorter than 20 cycles",
     -15: "base, gravity and gyro do not fit each other",
     -14: "an effect stands twice, or has no columns in this build",
 }
@@ -141,6 +144,24 @@ class Estimate:
     """Smallest ratio of sums to noise over all combinations of parameters; infinite where none is declared."""
 
 
+@dataclass(frozen=True)
+class Drift:
+    """The newest arc against all before it."""
+
+    names: tuple[str, ...]
+    deviation: NDArray[np.float64]
+    """(p,) how far the newest arc's own value lies from what was known before, in standard deviations of the
+    difference; NaN where either does not know."""
+    reason: str
+    """Why nothing was known before, or empty."""
+
+    @property
+    def changed(self) -> tuple[str, ...]:
+        """Parameters that have changed."""
+        far = np.abs(np.nan_to_num(self.deviation)) >= DRIFT_ALARM
+        return tuple(name for name, there in zip(self.names, far, strict=True) if there)
+
+
 def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
     """Translate an arm description, and the effects whose coefficients are to be found, into ``zygos_config_t *``.
 
@@ -171,6 +192,7 @@ def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
         config.imu_to_base[k] = entry
     config.imu_latch_s = arm.imu.latch_us * 1e-6
     config.imu_sigma = arm.imu.rate_sigma
+    config.keep = 1.0 if arm.memory_s is None else math.exp(-arm.period_s / arm.memory_s)
     config.compensation = arm.compensation
     config.impulse_arc_cycles = max(1, round(arm.impulse_arc_s / arm.period_s)) if arm.impulse_arc_s > 0.0 else 0
     for i, joint in enumerate(arm.joints):
@@ -306,6 +328,23 @@ class Flight:
             noise_ratio=out.noise_ratio,
             gate=out.gate,
         )
+
+    def drift(self) -> Drift:
+        """Compare the newest arc with all before it. The accumulation is not disturbed."""
+        deviation = ffi.new("double[]", lib.ZYGOS_MAX_PARAMETERS_VALUE)
+        lib.zygos_take(self.native, self._work)
+        lib.zygos_drift(self._work, self._estimate, deviation)
+        out, p = self._estimate, len(self.names)
+        far = np.frombuffer(ffi.buffer(deviation), dtype=np.float64)[:p].copy()
+        return Drift(self.names, far, REASONS[out.reason])
+
+    def restart(self, *, keep_joints: bool = False, keep_faults: bool = True) -> None:
+        """Start the estimate from nothing, or from what is known of Im, k and b. Errors: ZygosError if nothing is."""
+        keep = int(keep_faults) * lib.ZYGOS_KEEP_FAULTS + int(keep_joints) * lib.ZYGOS_KEEP_JOINTS
+        if lib.zygos_restart(self.native, keep) < 0:
+            raise ZygosError(
+                f"arm {self.arm.name!r} has no motor rows that could be kept; remedy: [arc] impulse_max_s above 0"
+            )
 
     def normal_equations(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """A (p, p) and b (p,) with the arc constants eliminated, as the solver sees them."""
