@@ -143,8 +143,8 @@ class Arm:
     smoother: Smoother = Smoother()
     arc_max_s: float = 60.0
     compensate_every: int | None = None
-    """What sensor noise adds to the normal equations is taken off, each joint's share in every that many cycles; 0: it is
-    not. None: `compensation`."""
+    """What sensor noise adds to the normal equations is taken off, each joint's share in every that many cycles; 0: it
+    is not. None: `compensation`."""
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """m/s^2 in the base frame, of a fixed base; a free-floating arm falls with its orbit and feels none."""
 

@@ -15,7 +15,7 @@ from zygos.flight import Flight, Trace
 from zygos.reference.accumulator import design
 from zygos.reference.balance import rows
 from zygos.reference.cycle import calibrate
-from zygos.reference.noise import noise
+from zygos.reference.noise import noise_of
 from zygos.reference.smoother import smooth
 from zygos.reference.solver import solve
 from zygos.reference.wire import Frame, Reception, receive
@@ -119,7 +119,7 @@ def check_chain(arm: Arm, trace: Trace, flight: Flight) -> list[Room]:
     if len(smoothed.index) == 0:
         return [Room("smoother", 0, float(trace.instant.sum()), None, 0.0)]
     raw = rows(arm, samples, smoothed, flight.effects)
-    added = noise(arm, samples, smoothed, raw, flight.effects)
+    added = noise_of(arm, samples, smoothed, raw, flight.effects)
     balance = replace(raw, z=raw.z - added.mean)
     half = arm.smoother.lag
     at = smoothed.index + half  # the instant k comes out with cycle k + M

@@ -15,11 +15,11 @@ from zygos.effects import Effect
 from zygos.reference.accumulator import Design, design
 from zygos.reference.balance import Balance, rows
 from zygos.reference.cycle import Samples, calibrate
-from zygos.reference.noise import noise
+from zygos.reference.noise import noise_of
 from zygos.reference.smoother import Smoothed, smooth
 from zygos.reference.solver import Solution, solve
 
-__all__ = ["Chain", "chain"]
+__all__ = ["Chain", "calibrate", "chain", "design", "noise_of", "rows", "smooth", "solve"]
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ def chain(arm: Arm, cycles: Cycles, effects: Sequence[Effect] = ()) -> Chain:
     samples = calibrate(arm, cycles)
     smoothed = smooth(arm, samples)
     raw = rows(arm, samples, smoothed, effects)
-    added = noise(arm, samples, smoothed, raw, effects)
+    added = noise_of(arm, samples, smoothed, raw, effects)
     balance = replace(raw, z=raw.z - added.mean)
     accumulated = design(balance, added.moment)
     return Chain(samples, smoothed, balance, accumulated, solve(accumulated.z, accumulated.w, accumulated.noise))

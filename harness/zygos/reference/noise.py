@@ -88,7 +88,7 @@ def spread(arm: Arm) -> Spread:
     )
 
 
-def noise(arm: Arm, samples: Samples, smoothed: Smoothed, balance: Balance, effects: Sequence[Effect] = ()) -> Noise:
+def noise_of(arm: Arm, samples: Samples, smoothed: Smoothed, balance: Balance, effects: Sequence[Effect] = ()) -> Noise:
     """What noise adds to the rows of a balance; zeros where the arm switches the compensation off."""
     m, p = balance.z.shape
     arcs = int(balance.arc.max(initial=-1)) + 1
@@ -200,17 +200,19 @@ def slopes(arm: Arm, here: Instants, side: Side, i: int, effects: Sequence[Effec
     ratio, jump = arm.gear_ratios[i], here.tau_next[:, i] - here.tau[:, i]
     rate = (here.state.thetad if side == "theta" else here.state.qd)[:, i]
     for k, effect in enumerate(estimated(arm, effects), start=len(arm.parameter_names)):
-        kind = effect.kind
+        torque, place = effect.kind.torque, effect.kind.place
         if effect.index(arm) != i:
             continue
-        if kind.potential is not None and kind.torque is not None:
-            by_angle[:, k] = sign * kind.torque(deflection)
-        elif kind.place == "torque" and side == "theta":
-            by_rate[:, k] = 0.5 * ratio * jump
-        elif kind.torque is not None and kind.place == {"q": "link", "theta": "motor"}[side]:
-            # d(f(v) v)/dv, f proportional to the rate or, above the slowest rate, constant
-            grows = 2.0 if kind.key == "motor_viscous" else 1.0
-            by_angle[:, k] = grows * (ratio if side == "theta" else 1.0) * kind.torque(rate)
+        if place == "torque":
+            by_rate[:, k] = 0.5 * ratio * jump if side == "theta" else 0.0
+            continue
+        assert torque is not None
+        if effect.kind.potential is not None:
+            by_angle[:, k] = sign * torque(deflection)
+        elif place == {"q": "link", "theta": "motor"}[side]:
+            # d(f(v) v)/dv of an f in proportion to the rate, or constant above the slowest rate
+            grows = 2.0 if effect.kind.key == "motor_viscous" else 1.0
+            by_angle[:, k] = grows * (ratio if side == "theta" else 1.0) * torque(rate)
     if side == "theta":
         by_angle[:, -1] = ratio * here.tau[:, i]
         by_rate[:, -1] = 0.0 if arm.torque_law == "sampled" else arm.period_s / 12.0 * ratio * jump

@@ -62,9 +62,10 @@ class _Triangle:
         x, _, rank, _ = np.linalg.lstsq(scaled, w, rcond=None)
         if rank < p:
             raise Undecided(
-                f"what is wrong: the motion determines {rank} of {p} parameters; remedy: a record that moves every joint"
+                f"what is wrong: the motion determines {rank} of {p} parameters; "
+                "remedy: a record that moves every joint"
             )
-        r = np.linalg.qr(scaled, mode="r")
+        r = np.asarray(np.linalg.qr(scaled, mode="r"), dtype=np.float64)
         half = solve_triangular(r, noise[:p, :p] / np.outer(scale, scale), trans="T")
         share = solve_triangular(r, half.T, trans="T")
         work = solve_triangular(r, noise[p, :p] / scale, trans="T")
