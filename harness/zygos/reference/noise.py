@@ -1,4 +1,4 @@
-"""What the sensors' noise adds to rows and to their squares on average (docs/theory.md, "Noise that squares itself").
+"""What the sensors' noise adds to rows and to their squares on average (include/zygos/noise.h).
 
 With S the covariance of the smoothed signals and J the derivative of the augmented row [columns, work] in them, a
 column holds 1/2 sum_s S_ss d2(column)/dx_s^2 too much, and a square J S J^T. Derivatives are differences of the columns
