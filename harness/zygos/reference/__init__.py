@@ -7,7 +7,7 @@ orthogonal least squares for normal equations), so that an agreement of the two 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from zygos.arm import Arm
 from zygos.cycles import Cycles
@@ -15,10 +15,11 @@ from zygos.effects import Effect
 from zygos.reference.accumulator import Design, design
 from zygos.reference.balance import Balance, rows
 from zygos.reference.cycle import Samples, calibrate
+from zygos.reference.noise import noise_of
 from zygos.reference.smoother import Smoothed, smooth
 from zygos.reference.solver import Solution, solve
 
-__all__ = ["Chain", "chain"]
+__all__ = ["Chain", "calibrate", "chain", "design", "noise_of", "rows", "smooth", "solve"]
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,8 @@ def chain(arm: Arm, cycles: Cycles, effects: Sequence[Effect] = ()) -> Chain:
     """
     samples = calibrate(arm, cycles)
     smoothed = smooth(arm, samples)
-    balance = rows(arm, samples, smoothed, effects)
-    accumulated = design(balance)
-    return Chain(samples, smoothed, balance, accumulated, solve(accumulated.z, accumulated.w))
+    raw = rows(arm, samples, smoothed, effects)
+    added = noise_of(arm, samples, smoothed, raw, effects)
+    balance = replace(raw, z=raw.z - added.mean)
+    accumulated = design(balance, added.moment)
+    return Chain(samples, smoothed, balance, accumulated, solve(accumulated.z, accumulated.w, accumulated.noise))
