@@ -15,9 +15,9 @@ from zygos.flight import Flight, Trace
 from zygos.reference.accumulator import design
 from zygos.reference.balance import rows
 from zygos.reference.cycle import calibrate
+from zygos.reference.motors import motors, solve_with_motors
 from zygos.reference.noise import noise_of
 from zygos.reference.smoother import smooth
-from zygos.reference.solver import solve
 from zygos.reference.wire import Frame, Reception, receive
 
 ROW_TOLERANCE = 1e-12
@@ -75,10 +75,12 @@ def _compare(
     return Room(name, c.size, largest, int(sync[row]) if largest > 0.0 else None, tolerance)
 
 
-def _compare_noise(c: Floats, numpy: Floats) -> Room:
-    """Compare what noise adds to the squares (p+1, p+1), with each entry's own size."""
-    size = np.sqrt(np.diag(numpy))
-    size[size == 0.0] = 1.0
+def _compare_noise(c: Floats, numpy: Floats, rows: Floats) -> Room:
+    """Compare what noise adds to the squares (p+1, p+1) of rows (m, p+1), with each entry's own size.
+
+    A column without noise holds the rounding of its own derivatives.
+    """
+    size = np.maximum(np.sqrt(np.diag(numpy)), 1e-9 * np.linalg.norm(rows, axis=0))
     difference = float(np.max(np.abs(c - numpy) / np.outer(size, size)))
     return Room("noise", c.size, difference, None, NOISE_TOLERANCE)
 
@@ -138,7 +140,7 @@ def check_chain(arm: Arm, trace: Trace, flight: Flight) -> list[Room]:
     used = design(balance, added.moment)
     if not balance.void:
         # of arcs that are dropped later the library takes the noise in proportion
-        rooms.append(_compare_noise(flight.noise(), used.noise))
+        rooms.append(_compare_noise(flight.noise(), used.noise, np.column_stack([used.z, used.w])))
     a, b = flight.normal_equations()
     numpy_a, numpy_b = used.normal()
     everything = np.zeros(len(a), dtype=np.uint64)
@@ -147,7 +149,7 @@ def check_chain(arm: Arm, trace: Trace, flight: Flight) -> list[Room]:
     )
     rooms.append(Room(equations.name, equations.compared, equations.difference, None, equations.tolerance))
     try:
-        solution = solve(used.z, used.w, used.noise)
+        solution = solve_with_motors(arm, used, motors(arm, samples, smoothed, flight.effects))
     except Undecided:
         return rooms
     tolerance = max(1e-9, 1e-14 * estimate.condition)

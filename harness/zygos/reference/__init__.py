@@ -15,11 +15,12 @@ from zygos.effects import Effect
 from zygos.reference.accumulator import Design, design
 from zygos.reference.balance import Balance, rows
 from zygos.reference.cycle import Samples, calibrate
+from zygos.reference.motors import motors, solve_with_motors
 from zygos.reference.noise import noise_of
 from zygos.reference.smoother import Smoothed, smooth
-from zygos.reference.solver import Solution, solve
+from zygos.reference.solver import Solution
 
-__all__ = ["Chain", "calibrate", "chain", "design", "noise_of", "rows", "smooth", "solve"]
+__all__ = ["Chain", "calibrate", "chain", "design", "motors", "noise_of", "rows", "smooth", "solve_with_motors"]
 
 
 @dataclass(frozen=True)
@@ -44,4 +45,5 @@ def chain(arm: Arm, cycles: Cycles, effects: Sequence[Effect] = ()) -> Chain:
     added = noise_of(arm, samples, smoothed, raw, effects)
     balance = replace(raw, z=raw.z - added.mean)
     accumulated = design(balance, added.moment)
-    return Chain(samples, smoothed, balance, accumulated, solve(accumulated.z, accumulated.w, accumulated.noise))
+    solution = solve_with_motors(arm, accumulated, motors(arm, samples, smoothed, effects))
+    return Chain(samples, smoothed, balance, accumulated, solution)

@@ -25,6 +25,9 @@ from zygos.reference.smoother import Smoothed, coefficients
 Floats = NDArray[np.float64]
 Side = Literal["q", "theta"]
 
+GYRO_SHARE = 1e-4
+"""A gyro whose variance is below this share of that of every link's rate is taken to be exact."""
+
 TURNS = np.pi * np.array([0.25, 0.75, 1.25, 1.75])
 RIESZ = np.array([1.0, -1.0, 1.0, -1.0]) / (8.0 * np.sin(0.5 * TURNS) ** 2)
 """The derivative of a trigonometric polynomial f of degree 2 is sum_t RIESZ_t f(x + TURNS_t). M. Riesz 1914."""
@@ -81,11 +84,10 @@ def spread(arm: Arm) -> Spread:
 
     links = [(joint.latch_us, joint.link_encoder.over_the_wire) for joint in arm.joints]
     motors = [(joint.latch_us, joint.motor_encoder.over_the_wire) for joint in arm.joints]
-    return Spread(
-        link=np.stack([of(own + encoder.latch_us, encoder.sigma_rad) for own, encoder in links]),
-        motor=np.stack([of(own + encoder.latch_us, encoder.sigma_rad) for own, encoder in motors]),
-        gyro=float(of(arm.imu.latch_us, arm.imu.rate_sigma)[0, 0]) if arm.free else 0.0,
-    )
+    link = np.stack([of(own + encoder.latch_us, encoder.sigma_rad) for own, encoder in links])
+    motor = np.stack([of(own + encoder.latch_us, encoder.sigma_rad) for own, encoder in motors])
+    gyro = float(of(arm.imu.latch_us, arm.imu.rate_sigma)[0, 0]) if arm.free else 0.0
+    return Spread(link, motor, gyro if gyro >= GYRO_SHARE * link[:, 1, 1].min() else 0.0)
 
 
 def noise_of(arm: Arm, samples: Samples, smoothed: Smoothed, balance: Balance, effects: Sequence[Effect] = ()) -> Noise:
@@ -145,9 +147,10 @@ def drift(arm: Arm, known: Spread, effects: Sequence[Effect] = ()) -> Floats:
 def moments(arm: Arm, known: Spread, here: Instants, turn: NDArray[np.int64], effects: Sequence[Effect] = ()) -> Floats:
     """Sum of J S J^T over instants, (p+1, p+1), the work last.
 
-    turn: (m,) joint i counts where turn % `arm.compensation` is i modulo the same, and then for all the others.
+    turn: (m,) sensor s (link encoders, motor encoders, gyro) counts where turn % `arm.compensation` is s modulo the
+    same, and then for all the others.
     """
-    every = arm.compensation
+    every, n = arm.compensation, arm.n
     p = len(arm.parameter_names) + len(estimated(arm, effects))
     total = np.zeros((p + 1, p + 1))
 
@@ -156,17 +159,21 @@ def moments(arm: Arm, known: Spread, here: Instants, turn: NDArray[np.int64], ef
             for b, right in enumerate(slopes):
                 total[:] += weight * covariance[a, b] * left.T @ right
 
+    def at(sensor: int) -> Instants:
+        return here.at(np.flatnonzero(turn % every == sensor % every))
+
     for i, joint in enumerate(arm.joints):
-        some = here.at(np.flatnonzero(turn % every == i % every))
-        link, motor = slopes(arm, some, "q", i, effects), slopes(arm, some, "theta", i, effects)
+        link = slopes(arm, at(i), "q", i, effects)
         if joint.flexible:
             add(every, known.link[i], *link)
-            add(every, known.motor[i], *motor)
+            add(every, known.motor[i], *slopes(arm, at(n + i), "theta", i, effects))
         else:
+            motor = slopes(arm, at(i), "theta", i, effects)
             add(every, known.motor[i], link[0] + motor[0], link[1] + motor[1])
+    some = at(2 * n)
     for axis in range(_gyro_axes(arm)):
-        columns = [energy_columns(arm, _moved(here.state, "base", axis, by), _none(here)) for by in (-1.0, 1.0)]
-        add(1.0, np.array([[known.gyro]]), _row(arm, 0.5 * (columns[1] - columns[0]), effects))
+        columns = [energy_columns(arm, _moved(some.state, "base", axis, by), _none(some)) for by in (-1.0, 1.0)]
+        add(every, np.array([[known.gyro]]), _row(arm, 0.5 * (columns[1] - columns[0]), effects))
     return total
 
 

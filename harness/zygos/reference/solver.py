@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -84,29 +85,48 @@ class _Triangle:
         return np.asarray(half @ middle @ half.T, dtype=np.float64)
 
 
-def solve(z: Floats, w: Floats, noise: Floats | None = None) -> Solution:
+@dataclass(frozen=True)
+class Rows:
+    """Centred rows. z: (m, p). w: (m,). noise: (p+1, p+1) what noise adds on average to the squares of [z, w]."""
+
+    z: Floats
+    w: Floats
+    noise: Floats
+
+    @classmethod
+    def exact(cls, z: Floats, w: Floats) -> Rows:
+        """Rows without noise."""
+        return cls(z, w, np.zeros((z.shape[1] + 1, z.shape[1] + 1)))
+
+    def times(self, weight: float) -> Rows:
+        """The same rows with a weight, which is that of their squares."""
+        return Rows(np.sqrt(weight) * self.z, np.sqrt(weight) * self.w, weight * self.noise)
+
+
+def solve(energy: Rows, beside: Sequence[Rows] = ()) -> Solution:
     """Minimise |z x - w|^2 by an orthogonal method on the rows themselves, columns scaled to unit length.
 
-    z: (m, p). w: (m,). noise: (p+1, p+1) what noise adds on average to the squares of [z, w]; it is taken off: as much
-    as the residuals show where that is clearly less, and of no combination of columns more than its sums over `GATE`.
+    The noise is taken off: as much as the residuals of the energy rows show where that is clearly less, and of no
+    combination of columns more than its sums over `GATE`. beside: rows that are solved with them.
     Raises Undecided where a column is zero, or the rows are fewer than the columns or dependent.
     """
-    p = z.shape[1]
-    noise = np.zeros((p + 1, p + 1)) if noise is None else noise
-    rows = _Triangle.of(z, w, noise)
+    every = [energy, *beside]
+    p = energy.z.shape[1]
+    noise = np.sum([rows.noise for rows in every], axis=0)
+    rows = _Triangle.of(np.concatenate([r.z for r in every]), np.concatenate([r.w for r in every]), noise)
     share = float(np.linalg.eigvalsh(rows.noise)[-1]) if noise.any() else 0.0
     believed, seen, gate = 1.0, 1.0, float("inf")
     for _ in range(2 if share > 0.0 else 0):
         believed, gate = min(seen, 1.0 / (GATE * share)), 1.0 / (share * seen)
         x = rows.solve(believed)
-        ratio = np.sum((z @ x - w) ** 2) / explained(noise, x)
+        ratio = np.sum((energy.z @ x - energy.w) ** 2) / explained(energy.noise, x)
         seen = float(ratio) if ratio < OVERDECLARED else 1.0
     x = rows.solve(believed) if share > 0.0 else rows.x / rows.scale
     scaled = rows.r.T @ (np.eye(p) - believed * rows.noise) @ rows.r
     return Solution(
         x=x,
         condition=float(np.linalg.cond(scaled, 1)),
-        residual=float(np.sqrt(np.mean((z @ x - w) ** 2))),
+        residual=float(np.sqrt(np.mean((energy.z @ x - energy.w) ** 2))),
         believed=believed,
         gate=gate,
     )
