@@ -3,7 +3,11 @@
 #include <string.h>
 
 #define EPSILON 2.220446049250313e-16
-#define SEGMENTS 48u /* of the longest arc, at first */
+/* Segments of the longest arc at first: many, but none shorter than a second unless the arc would have but a few. What
+   the noise of rates leaves at the edges of blocks falls with the time in which they fade. */
+#define SEGMENTS 48u
+#define SEGMENT_S 1.0
+#define FEWEST 4u
 #define LEAST_STEPS 3u
 
 static double magnitude(double x)
@@ -16,9 +20,13 @@ static uint32_t entries(uint32_t width)
     return width * (width + 1u) / 2u;
 }
 
-void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint64_t arc_cycles)
+void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint64_t arc_cycles, double period_s)
 {
-    const uint64_t steps = arc_cycles / (SEGMENTS * ZYGOS_STEP);
+    const uint64_t most = arc_cycles / FEWEST;
+    const uint64_t slow = (uint64_t)(SEGMENT_S / period_s);
+    const uint64_t least = (slow < most) ? slow : most;
+    const uint64_t many = arc_cycles / SEGMENTS;
+    const uint64_t steps = ((many > least) ? many : least) / ZYGOS_STEP;
     memset(self, 0, sizeof *self);
     self->width = parameters + 2u;
     self->target = ZYGOS_STEP * ((steps > LEAST_STEPS) ? steps : LEAST_STEPS);

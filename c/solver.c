@@ -5,8 +5,9 @@
 #define MAX_REFUSED_SHARE 0.05
 #define INSTANTS_PER_PARAMETER 3u
 #define POWER_ROUNDS 40u
-#define WALK 10.0 /* Of a random walk's mean square about its own mean: between 6, and 15 where its trend drops out.   \
-                   */
+#define WALK                                                                                                           \
+    10.0 /* Of a random walk's mean square about its own mean: between 6, and 15 where its trend drops out.            \
+          */
 #define TWO_SIGMAS 1.959964 /* 95 % of a normal distribution */
 
 /* Place of entry (i, j), j <= i, in a packed lower triangle. */

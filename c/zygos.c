@@ -141,7 +141,7 @@ int zygos_init(zygos_t *self, const zygos_config_t *config)
     zygos_smoother_init(&self->smoother, &checked);
     zygos_noise_init(&self->noise, &checked, &self->layout, &self->smoother);
     zygos_balance_gap(&self->balance);
-    zygos_accumulator_init(&self->accumulator, self->layout.count, checked.arc_cycles);
+    zygos_accumulator_init(&self->accumulator, self->layout.count, checked.arc_cycles, checked.period_s);
     zygos_impulse_gap(&self->impulse);
     zygos_joint_sums_init(&self->joint_sums, &checked, &self->smoother);
     self->faded = 1.0;
@@ -360,7 +360,7 @@ int zygos_restart(zygos_t *self, uint32_t keep)
         self->joints_faded = 1.0;
     }
     self->faded = 1.0;
-    zygos_accumulator_init(&self->accumulator, self->layout.count, self->config.arc_cycles);
+    zygos_accumulator_init(&self->accumulator, self->layout.count, self->config.arc_cycles, self->config.period_s);
     self->arc = 0;
     self->instant = 0;
     return 1;
