@@ -74,7 +74,17 @@ static bool base_fits(const zygos_config_t *config)
     if (config->base == ZYGOS_BASE_FREE) {
         return within(dot3(g, g), 0.0, 0.0);
     }
-    return (config->base == ZYGOS_BASE_FIXED) && (config->imu_node == 0) && within(dot3(g, g), 0.0, 1e6);
+    return (config->base == ZYGOS_BASE_FIXED) && (config->imu_node == 0) && (config->momentum_arc_cycles == 0) &&
+           within(dot3(g, g), 0.0, 1e6);
+}
+
+static bool arcs_fit(const zygos_config_t *config)
+{
+    const uint32_t least = ZYGOS_MIN_ARC_INSTANTS;
+    const uint32_t momentum = config->momentum_arc_cycles;
+    return (config->arc_cycles >= least) &&
+           ((config->impulse_arc_cycles == 0) || (config->impulse_arc_cycles >= least)) &&
+           ((momentum == 0) || ((ZYGOS_MOMENTUM != 0) && (momentum >= least)));
 }
 
 static int check_config(const zygos_config_t *config)
@@ -102,8 +112,7 @@ static int check_config(const zygos_config_t *config)
         (config->smoother_order > 2u * m - 2u) || (config->smoother_lag != m)) {
         return ZYGOS_E_SMOOTHER;
     }
-    if ((config->arc_cycles < ZYGOS_MIN_ARC_INSTANTS) ||
-        ((config->impulse_arc_cycles != 0) && (config->impulse_arc_cycles < ZYGOS_MIN_ARC_INSTANTS))) {
+    if (!arcs_fit(config)) {
         return ZYGOS_E_ARC;
     }
     if (((config->imu_node < 1u) && (config->base == ZYGOS_BASE_FREE)) || (config->imu_node > 31u)) {
@@ -144,6 +153,8 @@ int zygos_init(zygos_t *self, const zygos_config_t *config)
     zygos_accumulator_init(&self->accumulator, self->layout.count, checked.arc_cycles / SEGMENTS);
     zygos_impulse_gap(&self->impulse);
     zygos_joint_sums_init(&self->joint_sums, &checked, &self->smoother);
+    zygos_momentum_gap(&self->momentum);
+    zygos_momentum_sums_init(&self->momentum_sums, &checked, &self->layout, &self->smoother);
     self->mark = MARK;
     return 1;
 }
@@ -172,6 +183,8 @@ static void gap(zygos_t *self)
     zygos_balance_gap(&self->balance);
     zygos_impulse_gap(&self->impulse);
     zygos_joint_sums_end_arc(&self->joint_sums, &self->config, self->cycle);
+    zygos_momentum_gap(&self->momentum);
+    zygos_momentum_sums_end_arc(&self->momentum_sums, &self->config, self->cycle);
     end_arc(self);
 }
 
@@ -186,6 +199,7 @@ static void void_arcs(zygos_t *self, const zygos_cycle_t *cycle)
     if ((doubtful == 0) || (self->cycle > trusted)) {
         zygos_accumulator_drop_after(&self->accumulator, trusted);
         zygos_joint_sums_drop_after(&self->joint_sums, trusted);
+        zygos_momentum_sums_drop_after(&self->momentum_sums, trusted);
     }
 }
 
@@ -205,6 +219,22 @@ static void add_impulses(zygos_t *self)
     if (self->joint_sums.cycles >= config->impulse_arc_cycles) {
         zygos_joint_sums_end_arc(&self->joint_sums, config, self->cycle);
         zygos_impulse_new_arc(&self->impulse);
+    }
+}
+
+/* The momentum row of the newest instant whose turn it is; they have arcs of their own, too. */
+static void add_momentum(zygos_t *self)
+{
+    const zygos_config_t *config = &self->config;
+    if ((ZYGOS_MOMENTUM == 0) || (config->momentum_arc_cycles == 0) ||
+        (zygos_momentum_step(&self->momentum, config, &self->state) == 0)) {
+        return;
+    }
+    zygos_momentum_sums_add(&self->momentum_sums, config, &self->layout, &self->momentum, &self->state, &self->motion,
+                            self->state.accepted);
+    if (self->momentum_sums.cycles >= config->momentum_arc_cycles) {
+        zygos_momentum_sums_end_arc(&self->momentum_sums, config, self->cycle);
+        zygos_momentum_new_arc(&self->momentum);
     }
 }
 
@@ -230,6 +260,7 @@ static void work_off(zygos_t *self, const zygos_cycle_t *cycle)
     }
     zygos_kinematics(&self->skeleton, &self->config, &self->state, &self->motion);
     add_impulses(self);
+    add_momentum(self);
     if (zygos_balance_row(&self->balance, &self->config, &self->layout, &self->noise.drift, &self->state, &self->motion,
                           &self->row) == 0) {
         return;
@@ -305,6 +336,7 @@ void zygos_take(const zygos_t *self, zygos_work_t *work)
     }
     work->accumulator = self->accumulator;
     work->joint_sums = self->joint_sums;
+    work->momentum_sums = self->momentum_sums;
     work->cycle = self->cycle;
     work->config = self->config;
 }
@@ -333,6 +365,8 @@ int zygos_restart(zygos_t *self, uint32_t keep)
     zygos_balance_gap(&self->balance);
     zygos_impulse_gap(&self->impulse);
     zygos_joint_sums_clear(&self->joint_sums, &self->config);
+    zygos_momentum_gap(&self->momentum);
+    zygos_momentum_sums_clear(&self->momentum_sums, &self->config);
     zygos_accumulator_init(&self->accumulator, self->layout.count, self->config.arc_cycles / SEGMENTS);
     self->arc = 0;
     self->instant = 0;

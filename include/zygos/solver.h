@@ -12,6 +12,7 @@
 
 #include "accumulator.h"
 #include "jointsums.h"
+#include "momentumsums.h"
 #include "types.h"
 
 #ifdef __cplusplus
@@ -104,6 +105,7 @@ typedef struct {
 typedef struct {
     zygos_accumulator_t accumulator;
     zygos_joint_sums_t joint_sums;
+    zygos_momentum_sums_t momentum_sums;
     uint64_t cycle;
     zygos_config_t config;
     zygos_layout_t layout;

@@ -25,10 +25,12 @@
 #include "balance.h"
 #include "cycle.h"
 #include "effects.h"
+#include "gram.h"
 #include "impulse.h"
 #include "jointsums.h"
 #include "kinematics.h"
 #include "momentum.h"
+#include "momentumsums.h"
 #include "noise.h"
 #include "smoother.h"
 #include "solver.h"
@@ -66,6 +68,8 @@ typedef struct {
     zygos_impulse_t impulse;
     zygos_impulse_rows_t impulse_rows;
     zygos_joint_sums_t joint_sums;
+    zygos_momentum_t momentum;
+    zygos_momentum_sums_t momentum_sums;
     zygos_accumulator_t accumulator;
 } zygos_t;
 

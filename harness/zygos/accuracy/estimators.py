@@ -20,6 +20,7 @@ from zygos.reference.cycle import calibrate
 
 Floats = NDArray[np.float64]
 
+
 @dataclass(frozen=True)
 class Told:
     """What an estimator knows beside arm file and frames."""
