@@ -22,10 +22,11 @@ void zygos_gram_add(double *restrict gram, double *restrict sum, uint32_t width,
     }
     for (uint32_t i = 0; i < width; i++) {
         const double zi = z[i];
-        for (uint32_t j = 0; j <= i; j++) {
+        const uint32_t end = i + 1u;
+        for (uint32_t j = 0; j < end; j++) {
             gram[j] += zi * z[j];
         }
-        gram += i + 1u;
+        gram += end;
         sum[i] += zi * total;
     }
 }

@@ -16,14 +16,6 @@
 extern "C" {
 #endif
 
-/// Blocks of whole arcs.
-#ifndef ZYGOS_MAX_MOMENTUM_BLOCKS
-#define ZYGOS_MAX_MOMENTUM_BLOCKS 16
-#endif
-#if (ZYGOS_MAX_MOMENTUM_BLOCKS < 4) || (ZYGOS_MAX_MOMENTUM_BLOCKS > 256) || (ZYGOS_MAX_MOMENTUM_BLOCKS % 2 != 0)
-#error "ZYGOS_MAX_MOMENTUM_BLOCKS must be even, 4..256"
-#endif
-
 /// A row, augmented by the constants of the components. At ZYGOS_MOMENTUM = 0 there is room for none.
 #if ZYGOS_MOMENTUM
 #define ZYGOS_MAX_MOMENTUM_ROW (ZYGOS_MAX_MOMENTUM + 3)

@@ -74,6 +74,14 @@ extern "C" {
 #error "ZYGOS_MOMENTUM must be 0 or 1"
 #endif
 
+/// Number of blocks in which they are kept, of whole arcs each. Even.
+#ifndef ZYGOS_MAX_MOMENTUM_BLOCKS
+#define ZYGOS_MAX_MOMENTUM_BLOCKS 16
+#endif
+#if (ZYGOS_MAX_MOMENTUM_BLOCKS < 4) || (ZYGOS_MAX_MOMENTUM_BLOCKS > 256) || (ZYGOS_MAX_MOMENTUM_BLOCKS % 2 != 0)
+#error "ZYGOS_MAX_MOMENTUM_BLOCKS must be even, 4..256"
+#endif
+
 #define ZYGOS_MAX_WINDOW (2 * ZYGOS_MAX_HALF_WIDTH + 1)
 /// Signals the smoother filters: q and theta of each joint, and the base rate about three axes.
 #define ZYGOS_MAX_SIGNALS (2 * ZYGOS_MAX_JOINTS + 3)
