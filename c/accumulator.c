@@ -4,12 +4,16 @@
 
 #include <string.h>
 
-void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint64_t segment)
+#define SEGMENTS 48u /* of the longest arc, at first */
+#define LEAST_STEPS 3u
+
+void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint64_t arc_cycles)
 {
+    const uint64_t steps = arc_cycles / (SEGMENTS * ZYGOS_STEP);
     memset(self, 0, sizeof *self);
     self->width = parameters + 2u;
-    const uint64_t steps = segment / ZYGOS_STEP;
-    self->target = ZYGOS_STEP * ((steps > 3u) ? steps : 3u);
+    self->target = ZYGOS_STEP * ((steps > LEAST_STEPS) ? steps : LEAST_STEPS);
+    self->enough = 0.5 * (double)arc_cycles;
 }
 
 static void add_share(zygos_share_t *to, const zygos_share_t *from, double factor, uint32_t width)
@@ -73,12 +77,14 @@ static void make_room(zygos_accumulator_t *self)
     for (uint32_t tries = 0; tries < 64u; tries++) {
         const uint32_t fading = (self->count > self->open) ? 1u : 0u;
         const uint32_t newest = merge(self, 0, self->newest, 0);
-        const uint32_t open = merge(self, self->newest, self->open, newest);
+        const uint32_t window = merge(self, self->newest, self->window, newest);
+        const uint32_t open = merge(self, self->window, self->open, window);
         const uint32_t rest = merge(self, self->open, self->count - fading, open);
         if ((fading != 0) && (rest != self->count - 1u)) {
             self->block[rest] = self->block[self->count - 1u];
         }
         self->newest = newest;
+        self->window = window;
         self->open = open;
         self->count = rest + fading;
         if (self->count <= 3u * ZYGOS_MAX_BLOCKS / 4u) {
@@ -291,11 +297,31 @@ void zygos_accumulator_drop_after(zygos_accumulator_t *self, uint64_t cycle)
     }
     self->count = self->open;
     self->newest = (self->newest < self->open) ? self->newest : self->open;
+    self->window = (self->window < self->open) ? self->window : self->open;
     const double kept = closed_instants(self);
     if (kept < before) {
-        self->accepted = (uint64_t)(kept + 0.5);
+        self->accepted = (uint64_t)((double)self->accepted * kept / before + 0.5);
         add_share(&self->noise_closed, &self->noise_closed, kept / before - 1.0, self->width - 1u);
     }
+}
+
+void zygos_accumulator_fade(zygos_accumulator_t *self, double factor)
+{
+    const uint32_t size = zygos_gram_entries(self->width);
+    for (uint32_t b = 0; b < self->open; b++) {
+        zygos_block_t *block = &self->block[b];
+        for (uint32_t k = 0; k < size; k++) {
+            block->gram[k] *= factor;
+        }
+        for (uint32_t i = 0; i < self->width; i++) {
+            block->sum[i] *= factor;
+            block->deviation[i] *= factor;
+        }
+        block->instants *= factor;
+        block->square *= factor;
+        block->overlap *= factor;
+    }
+    add_share(&self->noise_closed, &self->noise_closed, factor - 1.0, self->width - 1u);
 }
 
 void zygos_accumulator_end_arc(zygos_accumulator_t *self, uint64_t cycle)
@@ -325,12 +351,15 @@ void zygos_accumulator_end_arc(zygos_accumulator_t *self, uint64_t cycle)
         self->block[b].end = cycle;
     }
     add_share(&self->noise_closed, &self->noise_open, 1.0, width - 1u);
-    double window = 0.0;
-    for (uint32_t b = self->newest; b < self->open; b++) {
-        window += self->block[b].instants;
-    }
-    self->newest = (2.0 * (double)self->arc_instants >= window) ? self->open : self->newest;
     self->open = self->count;
+    double instants = 0.0;
+    for (uint32_t b = self->window; b < self->open; b++) {
+        instants += self->block[b].instants;
+    }
+    if (instants >= self->enough) {
+        self->newest = self->window;
+        self->window = self->open;
+    }
     self->arcs++;
     forget_open_arc(self);
 }

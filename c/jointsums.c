@@ -124,6 +124,23 @@ void zygos_joint_sums_end_arc(zygos_joint_sums_t *self, const zygos_config_t *co
     self->cycles = 0;
 }
 
+void zygos_joint_sums_fade(zygos_joint_sums_t *self, double factor)
+{
+    for (uint32_t b = 0; b < self->count; b++) {
+        zygos_joint_block_t *block = &self->block[b];
+        for (uint32_t i = 0; i < ZYGOS_MAX_JOINTS; i++) {
+            for (uint32_t k = 0; k < ZYGOS_MAX_PACKED_JOINT; k++) {
+                block->joint[i].gram[k] *= factor;
+            }
+            for (uint32_t k = 0; k < ZYGOS_MAX_JOINT_ROW; k++) {
+                block->joint[i].sum[k] *= factor;
+            }
+            block->instants[i] *= factor;
+        }
+        block->total *= factor;
+    }
+}
+
 void zygos_joint_sums_drop_after(zygos_joint_sums_t *self, uint64_t cycle)
 {
     memset(&self->open, 0, sizeof self->open);

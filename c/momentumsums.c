@@ -163,6 +163,15 @@ void zygos_momentum_sums_end_arc(zygos_momentum_sums_t *self, const zygos_config
     forget_open_arc(self);
 }
 
+void zygos_momentum_sums_fade(zygos_momentum_sums_t *self, double factor)
+{
+    for (uint32_t b = 0; b < self->count; b++) {
+        add_gram(&self->block[b].rows, &self->block[b].rows, factor - 1.0, self->columns);
+        self->block[b].instants *= factor;
+    }
+    add_gram(&self->noise_closed, &self->noise_closed, factor - 1.0, self->columns);
+}
+
 static double closed_instants(const zygos_momentum_sums_t *self)
 {
     double total = 0.0;

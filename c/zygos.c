@@ -5,7 +5,7 @@
 #define MARK 0x7A79676Fu /* "zygo" */
 #define LARGEST_ANGLE 1e4
 #define LARGEST_VALUE 1e6
-#define SEGMENTS 48u /* of an arc, at first */
+#define SHORTEST 8u /* share of the longest arc that a snap leaves together */
 
 uint32_t zygos_abi(void)
 {
@@ -120,7 +120,7 @@ static int check_config(const zygos_config_t *config)
     }
     if ((config->imu_fine > 1u) || !is_rotation(config->imu_to_base) ||
         !within(config->imu_latch_s, 0.0, config->period_s) || !within(config->imu_sigma, 0.0, 1.0) ||
-        (config->compensation > 2u * ZYGOS_MAX_JOINTS + 1u)) {
+        !within(config->keep, 0.9, 1.0) || (config->compensation > 2u * ZYGOS_MAX_JOINTS + 1u)) {
         return ZYGOS_E_VALUE;
     }
     for (uint32_t i = 0; i < config->joints; i++) {
@@ -150,11 +150,14 @@ int zygos_init(zygos_t *self, const zygos_config_t *config)
     zygos_smoother_init(&self->smoother, &checked);
     zygos_noise_init(&self->noise, &checked, &self->layout, &self->smoother);
     zygos_balance_gap(&self->balance);
-    zygos_accumulator_init(&self->accumulator, self->layout.count, checked.arc_cycles / SEGMENTS);
+    zygos_accumulator_init(&self->accumulator, self->layout.count, checked.arc_cycles);
     zygos_impulse_gap(&self->impulse);
     zygos_joint_sums_init(&self->joint_sums, &checked, &self->smoother);
     zygos_momentum_gap(&self->momentum);
     zygos_momentum_sums_init(&self->momentum_sums, &checked, &self->layout, &self->smoother);
+    self->faded = 1.0;
+    self->joints_faded = 1.0;
+    self->momentum_faded = 1.0;
     self->mark = MARK;
     return 1;
 }
@@ -172,8 +175,30 @@ int zygos_frame(zygos_t *self, const zygos_frame_t *frame)
 
 static void end_arc(zygos_t *self)
 {
+    if (self->faded < 1.0) {
+        zygos_accumulator_fade(&self->accumulator, self->faded);
+    }
+    self->faded = 1.0;
     zygos_accumulator_end_arc(&self->accumulator, self->cycle);
     self->arc = 0;
+}
+
+static void end_joint_arc(zygos_t *self)
+{
+    if (self->joints_faded < 1.0) {
+        zygos_joint_sums_fade(&self->joint_sums, self->joints_faded);
+    }
+    self->joints_faded = 1.0;
+    zygos_joint_sums_end_arc(&self->joint_sums, &self->config, self->cycle);
+}
+
+static void end_momentum_arc(zygos_t *self)
+{
+    if (self->momentum_faded < 1.0) {
+        zygos_momentum_sums_fade(&self->momentum_sums, self->momentum_faded);
+    }
+    self->momentum_faded = 1.0;
+    zygos_momentum_sums_end_arc(&self->momentum_sums, &self->config, self->cycle);
 }
 
 static void gap(zygos_t *self)
@@ -182,9 +207,9 @@ static void gap(zygos_t *self)
     zygos_smoother_gap(&self->smoother);
     zygos_balance_gap(&self->balance);
     zygos_impulse_gap(&self->impulse);
-    zygos_joint_sums_end_arc(&self->joint_sums, &self->config, self->cycle);
+    end_joint_arc(self);
     zygos_momentum_gap(&self->momentum);
-    zygos_momentum_sums_end_arc(&self->momentum_sums, &self->config, self->cycle);
+    end_momentum_arc(self);
     end_arc(self);
 }
 
@@ -217,7 +242,7 @@ static void add_impulses(zygos_t *self)
     }
     zygos_joint_sums_add(&self->joint_sums, config, &self->impulse_rows, self->state.accepted);
     if (self->joint_sums.cycles >= config->impulse_arc_cycles) {
-        zygos_joint_sums_end_arc(&self->joint_sums, config, self->cycle);
+        end_joint_arc(self);
         zygos_impulse_new_arc(&self->impulse);
     }
 }
@@ -233,7 +258,7 @@ static void add_momentum(zygos_t *self)
     zygos_momentum_sums_add(&self->momentum_sums, config, &self->layout, &self->momentum, &self->state, &self->motion,
                             self->state.accepted);
     if (self->momentum_sums.cycles >= config->momentum_arc_cycles) {
-        zygos_momentum_sums_end_arc(&self->momentum_sums, config, self->cycle);
+        end_momentum_arc(self);
         zygos_momentum_new_arc(&self->momentum);
     }
 }
@@ -250,6 +275,9 @@ static void work_off(zygos_t *self, const zygos_cycle_t *cycle)
     }
     self->cycle = cycle->sync;
     self->cycles++;
+    self->faded *= self->config.keep;
+    self->joints_faded *= self->config.keep;
+    self->momentum_faded *= self->config.keep;
     self->instant = 0;
     double signal[ZYGOS_MAX_SIGNALS];
     double tau[ZYGOS_MAX_JOINTS];
@@ -274,7 +302,9 @@ static void work_off(zygos_t *self, const zygos_cycle_t *cycle)
                     zygos_balance_torque_after(&self->balance, &self->config), self->arc, self->state.accepted,
                     self->accumulator.noise.gram, self->accumulator.noise.sum);
     self->arc++;
-    if (self->arc >= self->config.arc_cycles) {
+    /* What the integrals get wrong in a snap is a constant of the arc behind it. */
+    const bool snapped = !(self->state.accepted > 0.0) && (self->arc >= self->config.arc_cycles / SHORTEST);
+    if ((self->arc >= self->config.arc_cycles) || snapped) {
         end_arc(self);
         zygos_balance_new_arc(&self->balance);
     }
@@ -349,7 +379,9 @@ int zygos_restart(zygos_t *self, uint32_t keep)
     if (self->mark != MARK) {
         return ZYGOS_E_ORDER;
     }
-    if ((keep & ~(uint32_t)ZYGOS_KEEP_FAULTS) != 0) {
+    const uint32_t known = (uint32_t)ZYGOS_KEEP_FAULTS | (uint32_t)ZYGOS_KEEP_JOINTS;
+    const bool joints = (keep & (uint32_t)ZYGOS_KEEP_JOINTS) != 0;
+    if (((keep & ~known) != 0) || (joints && (self->config.impulse_arc_cycles == 0))) {
         return ZYGOS_E_KEEP;
     }
     if ((keep & ZYGOS_KEEP_FAULTS) == 0) {
@@ -364,10 +396,17 @@ int zygos_restart(zygos_t *self, uint32_t keep)
     zygos_smoother_gap(&self->smoother);
     zygos_balance_gap(&self->balance);
     zygos_impulse_gap(&self->impulse);
-    zygos_joint_sums_clear(&self->joint_sums, &self->config);
+    if (joints) {
+        end_joint_arc(self);
+    } else {
+        zygos_joint_sums_clear(&self->joint_sums, &self->config);
+        self->joints_faded = 1.0;
+    }
     zygos_momentum_gap(&self->momentum);
     zygos_momentum_sums_clear(&self->momentum_sums, &self->config);
-    zygos_accumulator_init(&self->accumulator, self->layout.count, self->config.arc_cycles / SEGMENTS);
+    self->momentum_faded = 1.0;
+    self->faded = 1.0;
+    zygos_accumulator_init(&self->accumulator, self->layout.count, self->config.arc_cycles);
     self->arc = 0;
     self->instant = 0;
     return 1;

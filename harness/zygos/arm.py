@@ -146,6 +146,8 @@ class Arm:
     arc_max_s: float = 60.0
     impulse_arc_s: float = 10.0
     """Longest arc of the motor impulse rows, s; 0: none of them. Their noise sums up over an arc."""
+    memory_s: float | None = None
+    """Time in which what closed arcs left fades to 1/e, s; None: it does not."""
     compensate_every: int | None = None
     """What sensor noise adds to the normal equations is taken off, each sensor's share in every that many cycles; 0: it
     is not. None: `compensation`."""
@@ -337,6 +339,7 @@ def read_arm(top: Table) -> Arm:
         gravity=(gravity[0], gravity[1], gravity[2]),
         impulse_arc_s=arc.number("impulse_max_s", 10.0, low=0.0, unit="s"),
         momentum_max_s=arc.number("momentum_max_s", low=0.0, unit="s") if arc.has("momentum_max_s") else None,
+        memory_s=60.0 * arc.number("memory_min", above=0.0, unit="min") if arc.has("memory_min") else None,
         compensate_every=_compensation(top.table("compensation", optional=True)),
     )
     arc.finish()

@@ -6,6 +6,7 @@ of them and the sizes of all public structs guard against a library that was bui
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -39,6 +40,8 @@ REASONS = (
     "the balance does not close: what the solution leaves over is no noise",
     "sensor noise is as large as the motion in some combination of parameters",
 )
+DRIFT_ALARM = 6.0
+"""Deviations that are no accident, as ``ZYGOS_DRIFT_ALARM``."""
 _CONFIG_ERRORS = {
     -2: "the library was built with other headers",
     -3: "too many joints for this build",
@@ -141,6 +144,24 @@ class Estimate:
     """Smallest ratio of sums to noise over all combinations of parameters; infinite where none is declared."""
 
 
+@dataclass(frozen=True)
+class Drift:
+    """The newest arc against all before it."""
+
+    names: tuple[str, ...]
+    deviation: NDArray[np.float64]
+    """(p,) how far the newest arc's own value lies from what was known before, in standard deviations of the
+    difference; NaN where either does not know."""
+    reason: str
+    """Why nothing was known before, or empty."""
+
+    @property
+    def changed(self) -> tuple[str, ...]:
+        """Parameters that have changed."""
+        far = np.abs(np.nan_to_num(self.deviation)) >= DRIFT_ALARM
+        return tuple(name for name, there in zip(self.names, far, strict=True) if there)
+
+
 def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
     """Translate an arm description, and the effects whose coefficients are to be found, into ``zygos_config_t *``.
 
@@ -171,6 +192,7 @@ def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
         config.imu_to_base[k] = entry
     config.imu_latch_s = arm.imu.latch_us * 1e-6
     config.imu_sigma = arm.imu.rate_sigma
+    config.keep = 1.0 if arm.memory_s is None else math.exp(-arm.period_s / arm.memory_s)
     config.compensation = arm.compensation
     config.impulse_arc_cycles = max(1, round(arm.impulse_arc_s / arm.period_s)) if arm.impulse_arc_s > 0.0 else 0
     config.momentum_arc_cycles = max(1, round(arm.momentum_arc_s / arm.period_s)) if arm.momentum_arc_s > 0.0 else 0
@@ -236,6 +258,15 @@ def encode(arm: Arm, cycles: Cycles) -> NDArray[Any]:
     return frames[:used]
 
 
+def _symmetric(packed: Any, size: int) -> NDArray[np.float64]:
+    """The matrix whose lower triangle stands row by row in an array of the library's."""
+    out = np.zeros((size, size))
+    rows, columns = np.tril_indices(size)
+    out[rows, columns] = np.frombuffer(ffi.buffer(packed), dtype=np.float64)[: len(rows)]
+    out[columns, rows] = out[rows, columns]
+    return out
+
+
 class Flight:
     """One arm in the C library: frames or cycles in, estimates out."""
 
@@ -285,11 +316,6 @@ class Flight:
         lib.zygos_take(self.native, self._work)
         lib.zygos_solve(self._work, self._estimate)
         out, p = self._estimate, self._estimate.parameters
-        covariance = np.zeros((p, p))
-        rows, columns = np.tril_indices(p)
-        packed = np.frombuffer(ffi.buffer(out.covariance), dtype=np.float64)[: len(rows)]
-        covariance[rows, columns] = packed
-        covariance[columns, rows] = packed
         return Estimate(
             names=self.names,
             units=self.units,
@@ -297,7 +323,7 @@ class Flight:
             value=np.frombuffer(ffi.buffer(out.value), dtype=np.float64)[:p].copy(),
             sigma=np.frombuffer(ffi.buffer(out.sigma), dtype=np.float64)[:p].copy(),
             half95=np.frombuffer(ffi.buffer(out.half95), dtype=np.float64)[:p].copy(),
-            covariance=covariance,
+            covariance=_symmetric(out.covariance, p),
             validity=VALIDITY[out.validity],
             reason=REASONS[out.reason],
             cycle=out.cycle,
@@ -313,19 +339,42 @@ class Flight:
             gate=out.gate,
         )
 
+    def drift(self) -> Drift:
+        """Compare the newest arc with all before it. The accumulation is not disturbed."""
+        deviation = ffi.new("double[]", lib.ZYGOS_MAX_PARAMETERS_VALUE)
+        lib.zygos_take(self.native, self._work)
+        lib.zygos_drift(self._work, self._estimate, deviation)
+        out, p = self._estimate, len(self.names)
+        far = np.frombuffer(ffi.buffer(deviation), dtype=np.float64)[:p].copy()
+        return Drift(self.names, far, REASONS[out.reason])
+
+    def restart(self, *, keep_joints: bool = False, keep_faults: bool = True) -> None:
+        """Start the estimate from nothing, or from what is known of Im, k and b. Errors: ZygosError if nothing is."""
+        keep = int(keep_faults) * lib.ZYGOS_KEEP_FAULTS + int(keep_joints) * lib.ZYGOS_KEEP_JOINTS
+        if lib.zygos_restart(self.native, keep) < 0:
+            raise ZygosError(
+                f"arm {self.arm.name!r} has no motor rows that could be kept; remedy: [arc] impulse_max_s above 0"
+            )
+
     def normal_equations(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """A (p, p) and b (p,) with the arc constants eliminated, as the solver sees them."""
+        """A (p, p) and b (p,) with the arc constants eliminated and the declared noise taken off."""
+        sums = self._closed()
+        lib.zygos_accumulator_total(sums, self._work.total)
+        p = sums.width - 2
+        full = _symmetric(self._work.total, sums.width)
+        return full[:p, :p].copy(), full[p, :p].copy()
+
+    def noise(self) -> NDArray[np.float64]:
+        """What the declared noise adds on average to the squares of columns and work, (p+1, p+1)."""
+        sums = self._closed()
+        return _symmetric(sums.noise_closed.gram, sums.width - 1)
+
+    def _closed(self) -> Any:
+        """A copy of the sums whose open arc has ended."""
         lib.zygos_take(self.native, self._work)
         sums = ffi.addressof(self._work, "accumulator")
         lib.zygos_accumulator_end_arc(sums, self._work.cycle)
-        lib.zygos_accumulator_total(sums, self._work.total)
-        width = sums.width
-        rows, columns = np.tril_indices(width)
-        full = np.zeros((width, width))
-        full[rows, columns] = np.frombuffer(ffi.buffer(self._work.total), dtype=np.float64)[: len(rows)]
-        full[columns, rows] = full[rows, columns]
-        p = width - 2
-        return full[:p, :p].copy(), full[p, :p].copy()
+        return sums
 
     @property
     def faults(self) -> dict[str, int]:

@@ -56,7 +56,8 @@ typedef struct {
     uint32_t width;        ///< p + 2.
     uint32_t count;        ///< Blocks in use; those of the open arc come last.
     uint32_t open;         ///< First block of the open arc. The blocks before it belong to closed arcs.
-    uint32_t newest;       ///< First block of the newest closed arc; one with few instants counts with that before.
+    uint32_t newest;       ///< First block of the newest arcs that have enough instants to speak for themselves,
+    uint32_t window;       ///< and of those behind them, which do not yet.
     uint32_t arc_instants; ///< Accepted instants of the open arc.
     uint32_t arcs;         ///< Arcs that closed with enough instants.
     uint32_t arcs_dropped; ///< Arcs that were dropped later, or had fewer than ZYGOS_MIN_ARC_INSTANTS.
@@ -64,12 +65,12 @@ typedef struct {
     uint32_t filled;       ///< Instants of the step that fills, accepted or not.
     uint32_t filling;      ///< Which of the two steps fills; the other is shared out.
     uint32_t shared;       ///< Entries of it that have been shared out.
-    uint32_t reserved;
-    uint64_t target;   ///< Instants of a segment.
-    double segment;    ///< Accepted instants of the open segment.
-    uint64_t accepted; ///< Instants in closed arcs and in the open one.
-    uint64_t refused;  ///< Instants that failed the bandwidth test.
-    double late;       ///< Share of the newer block in the step that is shared out.
+    double enough;         ///< Instants with which arcs speak for themselves.
+    uint64_t target;       ///< Instants of a segment.
+    double segment;        ///< Accepted instants of the open segment.
+    uint64_t accepted;     ///< Instants in closed arcs and in the open one.
+    uint64_t refused;      ///< Instants that failed the bandwidth test.
+    double late;           ///< Share of the newer block in the step that is shared out.
     zygos_step_t step[2];
     zygos_share_t noise;        ///< Of the open segment, not yet taken off.
     zygos_share_t noise_open;   ///< Of the other segments of the open arc, taken off.
@@ -77,9 +78,8 @@ typedef struct {
     zygos_block_t block[ZYGOS_MAX_BLOCKS];
 } zygos_accumulator_t;
 
-/// Empties the accumulator for p parameters. segment: instants of a segment at first,
-/// which becomes a multiple of ZYGOS_STEP.
-void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint64_t segment);
+/// Empties the accumulator for p parameters and arcs of so many cycles.
+void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint64_t arc_cycles);
 
 /// Adds one instant with weight 1 (accepted) or 0 (refused): the instructions are the same. Cost: one rank-1 update of
 /// (p+2)(p+3)/2 entries, and the same number / ZYGOS_STEP shared out; when a segment has ended, in addition what it
@@ -93,6 +93,9 @@ void zygos_accumulator_flush(zygos_accumulator_t *self);
 /// Ends the open arc, whose newest cycle is the given one: eliminates its constant, or drops it when it is too short.
 /// Cost: its blocks once.
 void zygos_accumulator_end_arc(zygos_accumulator_t *self, uint64_t cycle);
+
+/// Multiplies all that closed arcs left by a factor. Cost: their blocks once.
+void zygos_accumulator_fade(zygos_accumulator_t *self, double factor);
 
 /// Drops the open arc, and the blocks of closed arcs that reach beyond the given cycle. A block in which that cycle was
 /// merged with older ones goes as a whole. Cost: one pass over the noise of closed arcs.

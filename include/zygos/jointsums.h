@@ -67,6 +67,9 @@ void zygos_joint_sums_add(zygos_joint_sums_t *self, const zygos_config_t *config
 /// it when it is too short. Cost: the sums of all joints once; at the worst one merge of all blocks.
 void zygos_joint_sums_end_arc(zygos_joint_sums_t *self, const zygos_config_t *config, uint64_t cycle);
 
+/// Multiplies all that closed arcs left by a factor.
+void zygos_joint_sums_fade(zygos_joint_sums_t *self, double factor);
+
 /// Drops the open arc, and the blocks that reach beyond the given cycle.
 void zygos_joint_sums_drop_after(zygos_joint_sums_t *self, uint64_t cycle);
 

@@ -72,6 +72,9 @@ void zygos_momentum_sums_add(zygos_momentum_sums_t *self, const zygos_config_t *
 /// it when it is too short. Cost: the sums of an arc a few times; at the worst one merge of all blocks.
 void zygos_momentum_sums_end_arc(zygos_momentum_sums_t *self, const zygos_config_t *config, uint64_t cycle);
 
+/// Multiplies all that closed arcs left by a factor. Cost: their blocks once.
+void zygos_momentum_sums_fade(zygos_momentum_sums_t *self, double factor);
+
 /// Drops the open arc, and the blocks that reach beyond the given cycle. Cost: one pass over the noise of closed arcs.
 void zygos_momentum_sums_drop_after(zygos_momentum_sums_t *self, uint64_t cycle);
 

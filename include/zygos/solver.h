@@ -69,7 +69,7 @@ enum zygos_reason {
 #define ZYGOS_SIGMA_LIMIT 0.25
 #define ZYGOS_SIGMA_LIMIT_BESIDE 0.025
 /// Deviation of the newest arc from all before it, in standard deviations, that is no accident.
-#define ZYGOS_DRIFT_ALARM 5.0
+#define ZYGOS_DRIFT_ALARM 6.0
 /// What cannot be negative may be zero, and come out negative by as many sigmas.
 #define ZYGOS_NEGATIVE_SIGMAS 3.0
 
@@ -142,12 +142,12 @@ typedef struct {
 /// ZYGOS_E_NULL.
 int zygos_solve(zygos_work_t *work, zygos_estimate_t *out);
 
-/// Compares the newest arc with all that came before it. An arc that has just begun counts with the one before.
-/// Fills *out with what was known before, and deviation[ZYGOS_MAX_PARAMETERS] with how far the newest arc's own value
-/// lies from that, in standard deviations of the difference. ZYGOS_DRIFT_ALARM and beyond is a change of the arm.
-/// Reads and changes *work, as zygos_solve() does: take anew for each. Returns 1; 0 when all deviations are NaN,
-/// because before (validity is then ZYGOS_REFUSED) or within the newest arc something is not identifiable; or
-/// ZYGOS_E_NULL.
+/// Compares the newest arc with all that came before it; one with fewer than half the instants of the longest counts
+/// with the one before. Fills *out with what was known before, and deviation[ZYGOS_MAX_PARAMETERS] with how far the
+/// newest arc's own value lies from that, in standard deviations of the difference (from half95). ZYGOS_DRIFT_ALARM and
+/// beyond is a change of the arm. Reads and changes *work, as zygos_solve() does: take anew for each. Returns 1; 0 when
+/// all deviations are NaN, because before (validity is then ZYGOS_REFUSED) or within the newest arc something is not
+/// identifiable; or ZYGOS_E_NULL.
 int zygos_drift(zygos_work_t *work, zygos_estimate_t *out, double *deviation);
 
 #ifdef __cplusplus

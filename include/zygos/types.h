@@ -132,7 +132,7 @@ enum zygos_error {
     ZYGOS_E_ARC = -11,    ///< arc_cycles, impulse_arc_cycles or momentum_arc_cycles is below ZYGOS_MIN_ARC_INSTANTS, or
                           ///< this build has no room for momentum rows.
     ZYGOS_E_ORDER = -12,  ///< zygos_init() has not succeeded on this struct.
-    ZYGOS_E_KEEP = -13,   ///< zygos_restart() does not know one of the bits.
+    ZYGOS_E_KEEP = -13,   ///< zygos_restart() does not know one of the bits, or there are no motor rows to keep.
     ZYGOS_E_EFFECT = -14, ///< Too many effects, an unknown kind, a joint out of range, or an effect twice.
     ZYGOS_E_BASE = -15    ///< base is none of enum zygos_base, or gravity, a gyro or momentum rows do not fit it.
 };
@@ -199,14 +199,17 @@ typedef struct {
     uint32_t smoother_half_width; ///< M >= 2: the window holds the 2 M + 1 cycles around the smoothed instant.
     uint32_t smoother_order;      ///< Order of the local polynomial, 2 .. 2 M - 2.
     uint32_t smoother_lag;        ///< Must equal M: a filter evaluated at its newest sample is refused.
-    uint32_t arc_cycles;          ///< An arc ends after that many instants at the latest, >= ZYGOS_MIN_ARC_INSTANTS.
-    uint32_t imu_node;            ///< Node number of the gyro, 1..31; 0 on a fixed base, which has none.
-    uint32_t imu_fine;            ///< 1: rates come as i24 in two frames; 0: as i16 in one.
-    double period_s;              ///< SYNC period h. Time is the SYNC count times h, never a receive time.
-    double imu_to_base[9];        ///< Rotation that takes a rate from the sensor's axes to the base's, row-major.
-    double imu_latch_s;           ///< Delay from SYNC to the gyro's latch.
-    double imu_sigma;  ///< Standard deviation of one component of one sample's noise [rad/s]; 0: not declared.
-    double gravity[3]; ///< In the base frame [m/s^2]; 0 on a free base.
+    uint32_t arc_cycles;          ///< An arc ends after that many instants at the latest, >= ZYGOS_MIN_ARC_INSTANTS;
+                                  ///< from an eighth of them on, at an instant that the bandwidth test refuses.
+    double keep;           ///< Share of what closed arcs left that is kept from cycle to cycle, 0.9 .. 1; 1 forgets
+                           ///< nothing. It is applied when an arc ends.
+    uint32_t imu_node;     ///< Node number of the gyro, 1..31; 0 on a fixed base, which has none.
+    uint32_t imu_fine;     ///< 1: rates come as i24 in two frames; 0: as i16 in one.
+    double period_s;       ///< SYNC period h. Time is the SYNC count times h, never a receive time.
+    double imu_to_base[9]; ///< Rotation that takes a rate from the sensor's axes to the base's, row-major.
+    double imu_latch_s;    ///< Delay from SYNC to the gyro's latch.
+    double imu_sigma;      ///< Standard deviation of one component of one sample's noise [rad/s]; 0: not declared.
+    double gravity[3];     ///< In the base frame [m/s^2]; 0 on a free base.
     zygos_joint_config_t joint[ZYGOS_MAX_JOINTS];
     uint32_t compensation; ///< 0: off. m: what noise adds to the normal equations is taken off, each sensor's share in
                            ///< every m-th cycle, 1..2 ZYGOS_MAX_JOINTS + 1.

@@ -46,14 +46,17 @@ extern "C" {
 typedef struct {
     uint32_t mark;
     uint32_t reserved;
-    uint64_t cycle;   ///< SYNC number of the newest cycle that was worked off.
-    uint64_t cycles;  ///< Cycles that were worked off.
-    uint64_t gaps;    ///< Times that an arc ended because cycles did not follow each other.
-    uint64_t invalid; ///< Cycles through zygos_cycle() that were flagged invalid or not finite.
-    uint64_t wraps;   ///< Times that an angle went over the end of its multi-turn range; the arc ends.
-    uint32_t arc;     ///< Instants of the open arc, accepted or not.
-    uint32_t instant; ///< 1: state, row and accepted below are those of the newest cycle.
-    double accepted;  ///< 1 when the newest row was accumulated, 0 when the bandwidth test refused it.
+    uint64_t cycle;        ///< SYNC number of the newest cycle that was worked off.
+    uint64_t cycles;       ///< Cycles that were worked off.
+    uint64_t gaps;         ///< Times that an arc ended because cycles did not follow each other.
+    uint64_t invalid;      ///< Cycles through zygos_cycle() that were flagged invalid or not finite.
+    uint64_t wraps;        ///< Times that an angle went over the end of its multi-turn range; the arc ends.
+    uint32_t arc;          ///< Instants of the open arc, accepted or not.
+    uint32_t instant;      ///< 1: state, row and accepted below are those of the newest cycle.
+    double faded;          ///< What is left of closed arcs by the cycles of the open one (keep).
+    double joints_faded;   ///< The same of the motor rows,
+    double momentum_faded; ///< and of the momentum rows.
+    double accepted;       ///< 1 when the newest row was accumulated, 0 when the bandwidth test refused it.
     zygos_config_t config;
     zygos_layout_t layout;
     zygos_skeleton_t skeleton;
@@ -91,7 +94,8 @@ typedef struct {
 /// Bits of zygos_restart().
 enum zygos_keep {
     ZYGOS_KEEP_NOTHING = 0,
-    ZYGOS_KEEP_FAULTS = 1 ///< Fault, gap and wrap counters run on. Without it, call while no frame is received.
+    ZYGOS_KEEP_FAULTS = 1, ///< Fault, gap and wrap counters run on. Without it, call while no frame is received.
+    ZYGOS_KEEP_JOINTS = 2 ///< The sums of the motor rows stay: what is known of Im, k and b. A new payload leaves them.
 };
 
 /// Checks the configuration and starts from nothing. Needs memory of its own; may be called again at any time by the
