@@ -12,6 +12,7 @@
 
 #include "accumulator.h"
 #include "jointsums.h"
+#include "momentumsums.h"
 #include "types.h"
 
 #ifdef __cplusplus
@@ -104,6 +105,7 @@ typedef struct {
 typedef struct {
     zygos_accumulator_t accumulator;
     zygos_joint_sums_t joint_sums;
+    zygos_momentum_sums_t momentum_sums;
     uint64_t cycle;
     zygos_config_t config;
     zygos_layout_t layout;
@@ -117,8 +119,9 @@ typedef struct {
     double size[ZYGOS_MAX_PARAMETERS];
     double hidden[ZYGOS_MAX_PARAMETERS];
     double score[ZYGOS_MAX_PARAMETERS];
-    double left_out[ZYGOS_MAX_BLOCKS + ZYGOS_MAX_JOINT_BLOCKS][ZYGOS_MAX_PARAMETERS];
+    double left_out[ZYGOS_MAX_BLOCKS + ZYGOS_MAX_JOINT_BLOCKS + ZYGOS_MOMENTUM_PLACES][ZYGOS_MAX_PARAMETERS];
     double weight[ZYGOS_MAX_JOINTS];      ///< Of each joint's motor rows beside the energy rows.
+    double momentum_weight;               ///< Of the momentum rows beside the energy rows.
     double inverse[ZYGOS_MAX_PARAMETERS]; ///< Diagonal of the inverse of the scaled matrix.
     double shares[2][ZYGOS_MAX_PARAMETERS];
     double freedom[ZYGOS_MAX_PARAMETERS];
@@ -127,10 +130,10 @@ typedef struct {
     struct {
         uint32_t first;
         uint32_t end;
-    } blocks, arcs;    ///< Blocks of the energy rows and of the motor rows that are looked at.
-    double instants;   ///< Their accepted instants.
-    double noise_part; ///< Their share of the noise of closed arcs.
-    double believed;   ///< Share of the declared noise that is taken off.
+    } blocks, arcs, momenta; ///< Blocks of the energy, the motor and the momentum rows that are looked at.
+    double instants;         ///< Accepted instants of the first.
+    double noise_part;       ///< Their share of the noise of closed arcs.
+    double believed;         ///< Share of the declared noise that is taken off.
     uint32_t pivot[ZYGOS_MAX_PARAMETERS];
 } zygos_work_t;
 

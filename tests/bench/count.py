@@ -70,6 +70,11 @@ def _paper() -> Arm:
     return replace(load_arm(EXAMPLE / "arm.toml"), arc_max_s=ARC_S)
 
 
+def _three(momentum: bool) -> Arm:
+    arm = load_arm(EXAMPLE.parent / "spatial" / "arm.toml")
+    return replace(arm, arc_max_s=300 * arm.period_s, momentum_max_s=200 * arm.period_s * momentum)
+
+
 def _seven() -> Arm:
     arm = load_arm(EXAMPLE.parent / "seven" / "arm.toml")
     return replace(arm, arc_max_s=300 * arm.period_s)
@@ -87,6 +92,8 @@ CONFIGURATIONS: dict[str, Callable[[], Configuration]] = {
     "paper, not compensated": lambda: Configuration(replace(_paper(), compensate_every=0)),
     "paper, friction": lambda: Configuration(_paper(), _at_each(_paper(), "motor_coulomb")),
     "paper, spring offsets": lambda: Configuration(_paper(), _at_each(_paper(), "spring_offset")),
+    "three joints in space": lambda: Configuration(_three(momentum=True)),
+    "three joints in space, no momentum rows": lambda: Configuration(_three(momentum=False)),
     "seven joints in space": lambda: Configuration(_seven()),
 }
 """Variants by name. Each is fed all the data that suit its arm."""

@@ -4,7 +4,7 @@
 
        fills     the windows are not full yet, no row
        block     the row opens a new block of the normal equations
-       arc       the row ends its arc, or that of the motor rows
+       arc       the row ends its arc, or that of the motor or momentum rows
        cycle     any other row */
 
 #include "zygos/zygos.h"
@@ -46,9 +46,10 @@ int main(int count, char **argument)
         if (zygos_cycle(&arm, &cycle) != 1) {
             return refuse("a cycle is not valid");
         }
-        const bool motors = (config.impulse_arc_cycles > 0) && (arm.joint_sums.cycles == 0);
+        const bool others = ((config.impulse_arc_cycles > 0) && (arm.joint_sums.cycles == 0)) ||
+                            ((config.momentum_arc_cycles > 0) && (arm.momentum_sums.cycles == 0));
         const bool ended =
-            (sums->arcs + sums->arcs_dropped != arcs) || ((arm.instant == 1) && ((arm.arc == 0) || motors));
+            (sums->arcs + sums->arcs_dropped != arcs) || ((arm.instant == 1) && ((arm.arc == 0) || others));
         puts((arm.instant != 1) ? "fills" : ended ? "arc" : (sums->count != blocks) ? "block" : "cycle");
     }
     printf("parameters %" PRIu32 "\n", arm.layout.count);
