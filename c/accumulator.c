@@ -9,6 +9,7 @@
 #define SEGMENTS 48u
 #define SEGMENT_S 1.0
 #define FEWEST 4u
+#define MOST 1024u /* instants of a segment at first, whatever the arc */
 #define LEAST_STEPS 3u
 
 void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint64_t arc_cycles, double period_s)
@@ -16,7 +17,7 @@ void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint
     const uint64_t most = arc_cycles / FEWEST;
     const uint64_t slow = (uint64_t)(SEGMENT_S / period_s);
     const uint64_t least = (slow < most) ? slow : most;
-    const uint64_t many = arc_cycles / SEGMENTS;
+    const uint64_t many = (arc_cycles / SEGMENTS < MOST) ? arc_cycles / SEGMENTS : MOST;
     const uint64_t steps = ((many > least) ? many : least) / ZYGOS_STEP;
     memset(self, 0, sizeof *self);
     self->width = parameters + 2u;

@@ -377,6 +377,7 @@ static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, double *cov
         }
     }
     memset(covariance, 0, at(p, 0) * sizeof covariance[0]);
+    memset(work->plain, 0, sizeof work->plain);
     scaled_equations(work, p, NULL, work->believed);
     (void)factorise(work, p, rank);
     for (uint32_t b = 0; (b < blocks) && !once; b++) {
@@ -391,6 +392,7 @@ static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, double *cov
         solve_once(work, p, rank, work->direct);
         const double factor = 0.5 * (energy ? instants / square : 1.0);
         for (uint32_t i = 0; i < p; i++) {
+            work->plain[i] += 2.0 * factor * work->direct[i] * work->direct[i];
             for (uint32_t j = 0; j <= i; j++) {
                 covariance[at(i, j)] +=
                     factor * (work->left_out[b][i] * work->direct[j] + work->left_out[b][j] * work->direct[i]);
@@ -400,7 +402,9 @@ static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, double *cov
     for (uint32_t i = 0; i < p; i++) {
         const double several = work->shares[0][i] * work->shares[0][i];
         const double freedom = (work->shares[1][i] > 0.0) ? several / work->shares[1][i] : 1.0;
-        covariance[at(i, i)] = once ? infinity() : covariance[at(i, i)];
+        const double variance = covariance[at(i, i)];
+        /* By an accident of few blocks the product may be too small, even negative; the square of the one is not. */
+        covariance[at(i, i)] = once ? infinity() : ((variance > work->plain[i]) ? variance : work->plain[i]);
         work->freedom[i] = (freedom > 2.0) ? freedom : 2.0;
     }
 }
@@ -699,14 +703,16 @@ static void believe(zygos_work_t *work, uint32_t p, uint32_t rank, zygos_estimat
     double seen = 1.0;
     work->believed = 1.0;
     out->gate = infinity();
-    for (uint32_t round = 0; (round < 2) && (share > 0.0); round++) {
+    for (uint32_t round = 0; (round < 3) && (share > 0.0); round++) {
         const double most = 1.0 / (ZYGOS_GATE * share);
+        if (round > 0) {
+            double explained = 0.0;
+            (void)solve_with(work, p, rank, work->believed, work->solution);
+            const double left = energy_left(work, p, work->solution, &explained);
+            seen = (left < ZYGOS_OVERDECLARED * explained) ? left / explained : 1.0;
+        }
         work->believed = (seen < most) ? seen : most;
         out->gate = 1.0 / (share * seen);
-        (void)solve_with(work, p, rank, work->believed, work->solution);
-        double explained = 0.0;
-        const double left = energy_left(work, p, work->solution, &explained);
-        seen = (left < ZYGOS_OVERDECLARED * explained) ? left / explained : 1.0;
     }
 }
 
@@ -1085,6 +1091,9 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     } else if (!closed) {
         out->validity = ZYGOS_DOUBTFUL;
         out->reason = ZYGOS_REASON_UNCLOSED;
+    } else if (out->noise_ratio < ZYGOS_NOT_THERE) {
+        out->validity = ZYGOS_DOUBTFUL;
+        out->reason = ZYGOS_REASON_DECLARED;
     } else if (loud) {
         out->validity = (known < p) ? ZYGOS_PARTIAL : ZYGOS_DOUBTFUL;
         out->reason = ZYGOS_REASON_NOISE;

@@ -36,6 +36,7 @@ enum zygos_reason {
                                        ///< ZYGOS_NEGATIVE_SIGMAS.
     ZYGOS_REASON_CORRUPT = 5,          ///< Row sums or counts do not match: memory was changed, or never taken.
     ZYGOS_REASON_UNCLOSED = 6,         ///< What the solution leaves over is no noise: see ZYGOS_CLUSTER_LIMIT.
+    ZYGOS_REASON_DECLARED = 8,         ///< The declared noise is not in the data: see ZYGOS_NOT_THERE.
     ZYGOS_REASON_NOISE = 7             ///< Noise is as large as the motion in some combination: see ZYGOS_GATE.
 };
 
@@ -48,6 +49,8 @@ enum zygos_reason {
 /// When the residuals' square is less than this share of the declared noise, the declaration is too large, and as much
 /// of it is believed as the residuals show.
 #define ZYGOS_OVERDECLARED 0.6
+/// Below this share the declaration is wrong by so much that what it took off the rows themselves cannot be trusted.
+#define ZYGOS_NOT_THERE 0.1
 /// The residuals beyond the declared noise tell how much more the columns may hold. When its square, per scaled column,
 /// exceeds this share of what the motion puts into the combination of columns that it excites least, it makes that
 /// combination, and with it the values. Below that, what as much noise again changes is added to the sigmas.
@@ -125,6 +128,7 @@ typedef struct {
     double inverse[ZYGOS_MAX_PARAMETERS]; ///< Diagonal of the inverse of the scaled matrix.
     double shares[2][ZYGOS_MAX_PARAMETERS];
     double freedom[ZYGOS_MAX_PARAMETERS];
+    double plain[ZYGOS_MAX_PARAMETERS];
     double direct[ZYGOS_MAX_PARAMETERS];
     double spread; ///< Sum of the squared work about the arc constants [J^2].
     struct {
