@@ -97,6 +97,8 @@ REFUSALS = [
     (lib.ZYGOS_E_VALUE, "imu_to_base", [[0.0] * 9, [0, 1, 0, 1, 0, 0, 0, 0, 1], [0.6, 0.8, 0, 0.8, 0.6, 0, 0, 0, 1]]),
     (lib.ZYGOS_E_VALUE, "imu_fine", [2, 2**32 - 1]),
     (lib.ZYGOS_E_ARC, "arc_cycles", [0, MIN_ARC - 1]),
+    (lib.ZYGOS_E_ARC, "impulse_arc_cycles", [1, MIN_ARC - 1]),
+    (lib.ZYGOS_E_ARC, "momentum_arc_cycles", [1, MIN_ARC - 1]),
     (lib.ZYGOS_E_EFFECT, "effects", [2, 5, 2**32 - 1]),
 ]
 

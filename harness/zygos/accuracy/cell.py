@@ -83,7 +83,7 @@ class Cell:
                 for draw in range(self.draws):
                     arm, frames = sensed(case, trajectory, index, seed + draw * STREAM)
                     for estimator in ESTIMATORS:
-                        if estimator.name in answers and (draw == 0 or estimator.ours):
+                        if estimator.name in answers and (draw == 0 or estimator.redrawn):
                             answers[estimator.name].add(seed, draw, estimator.estimate(arm, frames, told))
         return {
             "case": case.name,

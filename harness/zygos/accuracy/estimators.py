@@ -59,6 +59,8 @@ class Estimator:
     estimate: Estimate
     ours: bool
     """Works for every arm and gives intervals; the paper's methods are for the plane and give none."""
+    redrawn: bool = False
+    """Whether it is asked about every draw of sensor noise, so that the coverage of its intervals is known."""
 
     def fits(self, arm: Arm) -> bool:
         """Whether it can be asked about this arm."""
@@ -124,5 +126,5 @@ ESTIMATORS: tuple[Estimator, ...] = (
         _with(impulse_arc_s=0.0),
         True,
     ),
-    Estimator("flight", "the C library, from CAN frames, as it comes", flight, True),
+    Estimator("flight", "the C library, from CAN frames, as it comes", flight, True, True),
 )

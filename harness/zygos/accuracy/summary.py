@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh
 
 from zygos.accuracy.cases import Case
-from zygos.accuracy.estimators import ESTIMATORS
+from zygos.accuracy.estimators import ESTIMATORS, Estimator
 from zygos.arm import Arm
 from zygos.reference.kinematics import State, body_columns
 from zygos.score import score
@@ -85,17 +85,17 @@ def summarise(cases: Sequence[Case], lines: Sequence[Line]) -> list[dict[str, An
         for estimator in ESTIMATORS:
             if estimator.fits(case.arm):
                 answers = Answers.of([line["answers"][estimator.name] for line in own], len(true))
-                out.append(_entry(case, estimator.name, answers, true))
+                out.append(_entry(case, estimator, answers, true))
     return out
 
 
-def _entry(case: Case, estimator: str, answers: Answers, true: Floats) -> dict[str, Any]:
+def _entry(case: Case, estimator: Estimator, answers: Answers, true: Floats) -> dict[str, Any]:
     names = case.arm.parameter_names
     relied = np.isin(answers.validity, RELIED_ON)
     seeds = answers.first
     error = score(answers.value, true).error_percent
     gives = bool(np.isfinite(answers.half95).any())
-    coverage = _coverage(names, answers, true) if gives else None
+    coverage = _coverage(names, answers, true) if gives and estimator.redrawn else None
     per_parameter = {}
     for k, name in enumerate(names):
         own = error[seeds, k]
@@ -111,7 +111,7 @@ def _entry(case: Case, estimator: str, answers: Answers, true: Floats) -> dict[s
     entry = {
         "case": case.name,
         "said": case.said,
-        "estimator": estimator,
+        "estimator": estimator.name,
         "benign": case.benign,
         "seeds": int(seeds.sum()),
         "refused": int(np.sum(~relied[seeds])),
