@@ -241,20 +241,19 @@ void zygos_accumulator_add(zygos_accumulator_t *self, const zygos_row_t *row, do
     self->refused += 1u - one;
 }
 
-/* G - s m^T - m s^T + n m m^T, entry by entry; s is the last row of G. */
+/* G - s m^T - m s^T + n m m^T, entry by entry; s is the last row of G, which changes last and each entry by itself. */
 static void centre(zygos_block_t *block, uint32_t width, const double *mean)
 {
-    double s[ZYGOS_MAX_ROW];
-    const double *last = &block->gram[(width - 1u) * width / 2u];
-    memcpy(s, last, width * sizeof s[0]);
+    const double *s = &block->gram[(width - 1u) * width / 2u];
     const double n = s[width - 1u];
     for (uint32_t i = 0; i < width; i++) {
         block->deviation[i] = s[i] - n * mean[i];
     }
     uint32_t k = 0;
     for (uint32_t i = 0; i < width; i++) {
+        const double si = s[i];
         for (uint32_t j = 0; j <= i; j++) {
-            block->gram[k] += n * mean[i] * mean[j] - s[i] * mean[j] - mean[i] * s[j];
+            block->gram[k] += n * mean[i] * mean[j] - si * mean[j] - mean[i] * s[j];
             k++;
         }
     }
