@@ -5,6 +5,8 @@
 #define MAX_REFUSED_SHARE 0.05
 #define INSTANTS_PER_PARAMETER 3u
 #define POWER_ROUNDS 40u
+#define WALK 10.0 /* Of a random walk's mean square about its own mean: between 6, and 15 where its trend drops out.   \
+                   */
 #define TWO_SIGMAS 1.959964 /* 95 % of a normal distribution */
 
 /* Place of entry (i, j), j <= i, in a packed lower triangle. */
@@ -655,96 +657,36 @@ static uint32_t begin(zygos_work_t *work, uint32_t p)
     return solve_with(work, p, p, 0.0, work->solution);
 }
 
-/* Mean square of the factorised equations' scores, in the metric of their inverse: what their rows' noise amounts to.
- */
-static double loudness(zygos_work_t *work, uint32_t rank, const double *scores)
-{
-    double sum = 0.0;
-    double kept[ZYGOS_MAX_PARAMETERS];
-    for (uint32_t i = 0; i < rank; i++) {
-        kept[i] = scores[work->pivot[i]];
-        work->score[i] = kept[i];
-    }
-    substitute(work->factor, rank, work->score);
-    for (uint32_t i = 0; i < rank; i++) {
-        sum += kept[i] * work->score[i];
-    }
-    return sum / (double)rank;
-}
-
-/* Of the energy rows, at their solution. */
-static double energy_loudness(zygos_work_t *work, uint32_t p, uint32_t rank)
-{
-    const zygos_accumulator_t *sums = &work->accumulator;
-    double total = 0.0;
-    double instants = 0.0;
-    double square = 0.0;
-    for (uint32_t b = work->blocks.first; b < work->blocks.end; b++) {
-        score(work, p, &sums->block[b], work->direct);
-        total += loudness(work, rank, work->direct);
-        instants += sums->block[b].instants;
-        square += sums->block[b].square;
-    }
-    return total * instants / square;
-}
-
-/* Of the motor rows of joint i, at their own solution; 0 where they have none or too few arcs to tell. */
-static double joint_loudness(zygos_work_t *work, uint32_t i)
+/* Mean square of the noise in a motor row of joint i: what the signals of the instant put into it, and what the
+   integral of the deflection has summed up by then, the mean over an arc of a random walk about its own mean. */
+static double joint_variance(const zygos_work_t *work, uint32_t i)
 {
     const zygos_joint_sums_t *sums = &work->joint_sums;
-    const uint32_t count = sums->layout.count[i];
-    double gram[ZYGOS_MAX_PACKED_JOINT] = { 0.0 };
-    double x[ZYGOS_MAX_IMPULSE];
-    double scale[ZYGOS_MAX_IMPULSE];
-    double total = 0.0;
-    const uint32_t arcs = work->arcs.end - work->arcs.first;
-    if ((count == 0) || (arcs < 3u)) {
-        return 0.0;
-    }
-    for (uint32_t b = work->arcs.first; b < work->arcs.end; b++) {
-        for (uint32_t k = 0; k < at(count + 1u, 0); k++) {
-            gram[k] += sums->block[b].joint[i].gram[k];
-        }
-    }
-    for (uint32_t a = 0; a < count; a++) {
-        scale[a] = (gram[at(a, a)] > 0.0) ? 1.0 / root(gram[at(a, a)]) : 0.0;
+    const zygos_joint_config_t *joint = &work->config.joint[i];
+    double local[ZYGOS_MAX_IMPULSE] = { 0.0 };
+    double sum = 0.0;
+    for (uint32_t a = 0; a < sums->layout.count[i]; a++) {
+        local[a] = work->solution[place_of(work, i, a)];
         for (uint32_t b = 0; b <= a; b++) {
-            work->matrix[at(a, b)] = gram[at(a, b)] * scale[a] * scale[b];
+            sum += ((a == b) ? 1.0 : 2.0) * local[a] * local[b] * sums->noise[i][at(a, b)];
         }
     }
-    const uint32_t rank = factorise(work, count, count);
-    if (rank < count) {
-        return 0.0;
-    }
-    for (uint32_t a = 0; a < count; a++) {
-        work->score[a] = gram[at(count, work->pivot[a])] * scale[work->pivot[a]];
-    }
-    substitute(work->factor, rank, work->score);
-    for (uint32_t a = 0; a < count; a++) {
-        x[work->pivot[a]] = work->score[a] * scale[work->pivot[a]];
-    }
-    for (uint32_t b = work->arcs.first; b < work->arcs.end; b++) {
-        const double *block = sums->block[b].joint[i].gram;
-        for (uint32_t a = 0; a < count; a++) {
-            double sum = block[at(count, a)];
-            for (uint32_t c = 0; c < count; c++) {
-                sum -= entry(block, a, c) * x[c];
-            }
-            work->direct[a] = sum * scale[a];
-        }
-        total += loudness(work, rank, work->direct);
-    }
-    return total * (double)arcs / (double)(arcs - 1u);
+    const double arc_s = work->config.period_s * (double)work->config.impulse_arc_cycles;
+    const double reading =
+        joint->link_sigma_rad * joint->link_sigma_rad + joint->motor_sigma_rad * joint->motor_sigma_rad;
+    return sum + local[1] * local[1] * reading * arc_s * arc_s / WALK;
 }
 
-/* Adds the motor rows of each joint to those of the energy, weighted so that both are equally loud. */
+/* Adds the motor rows of each joint to those of the energy, weighted by their noise where they have no weights yet.
+   energy: mean square of the noise in an energy row. */
 static void add_motors(zygos_work_t *work, double energy)
 {
     const zygos_joint_sums_t *sums = &work->joint_sums;
+    const bool enough = (work->arcs.end - work->arcs.first >= 3u);
     for (uint32_t i = 0; i < work->config.joints; i++) {
-        if (!(work->weight[i] > 0.0)) {
-            const double joint = joint_loudness(work, i);
-            work->weight[i] = (joint > 0.0) ? energy / joint : 0.0;
+        if ((sums->layout.count[i] > 0) && !(work->weight[i] > 0.0)) {
+            const double joint = joint_variance(work, i);
+            work->weight[i] = ((joint > 0.0) && enough) ? energy / joint : 0.0;
         }
         for (uint32_t b = work->arcs.first; (b < work->arcs.end) && (work->weight[i] > 0.0); b++) {
             embed(work, i, sums->block[b].joint[i].gram, work->weight[i], true, work->total);
@@ -909,9 +851,10 @@ static uint32_t combine(zygos_work_t *work, uint32_t p, zygos_estimate_t *out)
     memset(work->weight, 0, sizeof work->weight);
     believe(work, p, rank, out);
     (void)solve_with(work, p, rank, work->believed, work->solution);
-    const double energy = energy_loudness(work, p, rank);
+    double explained = 0.0;
+    (void)energy_left(work, p, work->solution, &explained);
     memcpy(work->weight, weight, sizeof weight);
-    add_motors(work, energy);
+    add_motors(work, explained / work->instants);
     return begin(work, p);
 }
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,12 +15,15 @@ from zygos.flight import Flight, Trace
 from zygos.reference.accumulator import design
 from zygos.reference.balance import rows
 from zygos.reference.cycle import calibrate
+from zygos.reference.motors import motors, solve_with_motors
+from zygos.reference.noise import noise_of
 from zygos.reference.smoother import smooth
-from zygos.reference.solver import solve
 from zygos.reference.wire import Frame, Reception, receive
 
 ROW_TOLERANCE = 1e-12
 """Of each column's largest entry."""
+NOISE_TOLERANCE = 1e-9
+"""Of the root of the product of the two diagonal entries."""
 FLOOR = 0.1
 """The least size (rad, rad/s, J per unit) that a column of states or rows is measured by: at rest it holds rounding."""
 
@@ -72,6 +75,16 @@ def _compare(
     return Room(name, c.size, largest, int(sync[row]) if largest > 0.0 else None, tolerance)
 
 
+def _compare_noise(c: Floats, numpy: Floats, rows: Floats) -> Room:
+    """Compare what noise adds to the squares (p+1, p+1) of rows (m, p+1), with each entry's own size.
+
+    A column without noise holds the rounding of its own derivatives.
+    """
+    size = np.maximum(np.sqrt(np.diag(numpy)), 1e-9 * np.linalg.norm(rows, axis=0))
+    difference = float(np.max(np.abs(c - numpy) / np.outer(size, size)))
+    return Room("noise", c.size, difference, None, NOISE_TOLERANCE)
+
+
 def _columns(cycles: Cycles) -> Floats:
     return np.hstack([cycles.q, cycles.theta, cycles.tau, cycles.omega])
 
@@ -107,7 +120,9 @@ def check_chain(arm: Arm, trace: Trace, flight: Flight) -> list[Room]:
     smoothed = smooth(arm, samples)
     if len(smoothed.index) == 0:
         return [Room("smoother", 0, float(trace.instant.sum()), None, 0.0)]
-    balance = rows(arm, samples, smoothed, flight.effects)
+    raw = rows(arm, samples, smoothed, flight.effects)
+    added = noise_of(arm, samples, smoothed, raw, flight.effects)
+    balance = replace(raw, z=raw.z - added.mean)
     half = arm.smoother.lag
     at = smoothed.index + half  # the instant k comes out with cycle k + M
     numpy_state = np.hstack([smoothed.q, smoothed.theta, smoothed.qd, smoothed.thetad, smoothed.omega])
@@ -122,7 +137,10 @@ def check_chain(arm: Arm, trace: Trace, flight: Flight) -> list[Room]:
     known = np.isfinite(estimate.value)  # the library withholds what is not identifiable
     if not known.any():
         return rooms
-    used = design(balance)
+    used = design(balance, added.moment)
+    if not balance.void:
+        # of arcs that are dropped later the library takes the noise in proportion
+        rooms.append(_compare_noise(flight.noise(), used.noise, np.column_stack([used.z, used.w])))
     a, b = flight.normal_equations()
     numpy_a, numpy_b = used.normal()
     everything = np.zeros(len(a), dtype=np.uint64)
@@ -131,7 +149,7 @@ def check_chain(arm: Arm, trace: Trace, flight: Flight) -> list[Room]:
     )
     rooms.append(Room(equations.name, equations.compared, equations.difference, None, equations.tolerance))
     try:
-        solution = solve(used.z, used.w)
+        solution = solve_with_motors(arm, used, motors(arm, samples, smoothed, flight.effects))
     except Undecided:
         return rooms
     tolerance = max(1e-9, 1e-14 * estimate.condition)

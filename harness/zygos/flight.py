@@ -252,6 +252,15 @@ def encode(arm: Arm, cycles: Cycles) -> NDArray[Any]:
     return frames[:used]
 
 
+def _symmetric(packed: Any, size: int) -> NDArray[np.float64]:
+    """The matrix whose lower triangle stands row by row in an array of the library's."""
+    out = np.zeros((size, size))
+    rows, columns = np.tril_indices(size)
+    out[rows, columns] = np.frombuffer(ffi.buffer(packed), dtype=np.float64)[: len(rows)]
+    out[columns, rows] = out[rows, columns]
+    return out
+
+
 class Flight:
     """One arm in the C library: frames or cycles in, estimates out."""
 
@@ -301,11 +310,6 @@ class Flight:
         lib.zygos_take(self.native, self._work)
         lib.zygos_solve(self._work, self._estimate)
         out, p = self._estimate, self._estimate.parameters
-        covariance = np.zeros((p, p))
-        rows, columns = np.tril_indices(p)
-        packed = np.frombuffer(ffi.buffer(out.covariance), dtype=np.float64)[: len(rows)]
-        covariance[rows, columns] = packed
-        covariance[columns, rows] = packed
         return Estimate(
             names=self.names,
             units=self.units,
@@ -313,7 +317,7 @@ class Flight:
             value=np.frombuffer(ffi.buffer(out.value), dtype=np.float64)[:p].copy(),
             sigma=np.frombuffer(ffi.buffer(out.sigma), dtype=np.float64)[:p].copy(),
             half95=np.frombuffer(ffi.buffer(out.half95), dtype=np.float64)[:p].copy(),
-            covariance=covariance,
+            covariance=_symmetric(out.covariance, p),
             validity=VALIDITY[out.validity],
             reason=REASONS[out.reason],
             cycle=out.cycle,
@@ -347,18 +351,24 @@ class Flight:
             )
 
     def normal_equations(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """A (p, p) and b (p,) with the arc constants eliminated, as the solver sees them."""
+        """A (p, p) and b (p,) with the arc constants eliminated and the declared noise taken off."""
+        sums = self._closed()
+        lib.zygos_accumulator_total(sums, self._work.total)
+        p = sums.width - 2
+        full = _symmetric(self._work.total, sums.width)
+        return full[:p, :p].copy(), full[p, :p].copy()
+
+    def noise(self) -> NDArray[np.float64]:
+        """What the declared noise adds on average to the squares of columns and work, (p+1, p+1)."""
+        sums = self._closed()
+        return _symmetric(sums.noise_closed.gram, sums.width - 1)
+
+    def _closed(self) -> Any:
+        """A copy of the sums whose open arc has ended."""
         lib.zygos_take(self.native, self._work)
         sums = ffi.addressof(self._work, "accumulator")
         lib.zygos_accumulator_end_arc(sums, self._work.cycle)
-        lib.zygos_accumulator_total(sums, self._work.total)
-        width = sums.width
-        rows, columns = np.tril_indices(width)
-        full = np.zeros((width, width))
-        full[rows, columns] = np.frombuffer(ffi.buffer(self._work.total), dtype=np.float64)[: len(rows)]
-        full[columns, rows] = full[rows, columns]
-        p = width - 2
-        return full[:p, :p].copy(), full[p, :p].copy()
+        return sums
 
     @property
     def faults(self) -> dict[str, int]:

@@ -13,7 +13,7 @@ from zygos.arm import Arm
 from zygos.errors import ZygosError
 from zygos.methods import Record, by_backward_difference
 from zygos.reference.kinematics import State
-from zygos.reference.solver import solve
+from zygos.reference.solver import Rows, solve
 
 Floats = NDArray[np.float64]
 
@@ -63,5 +63,5 @@ def estimate(arm: Arm, record: Record, *, momentum_nms: float = 1.0, exact: bool
     target = np.full(z.shape[1], momentum_nms)
     visible = seen(arm)
     for b, zb in enumerate(z):
-        out[b, visible] = solve(zb, target).x
+        out[b, visible] = solve(Rows.exact(zb, target)).x
     return out

@@ -15,7 +15,7 @@ from zygos.arm import Arm
 from zygos.errors import ZygosError
 from zygos.methods import Record
 from zygos.reference.kinematics import State, absolute
-from zygos.reference.solver import solve
+from zygos.reference.solver import Rows, solve
 
 Floats = NDArray[np.float64]
 
@@ -85,7 +85,7 @@ def rows(arm: Arm, record: Record) -> tuple[Floats, Floats]:
 def estimate(arm: Arm, record: Record) -> Floats:
     """Estimates of all parameters, (B, p). Raises Undecided where a record is too poor."""
     z, w = rows(arm, record)
-    return np.stack([solve(zb, wb).x for zb, wb in zip(z, w, strict=True)])
+    return np.stack([solve(Rows.exact(zb, wb)).x for zb, wb in zip(z, w, strict=True)])
 
 
 def _first(x: Floats, h: float) -> Floats:

@@ -18,7 +18,7 @@ from zygos.methods import Record, by_backward_difference
 from zygos.reference.balance import energy_columns
 from zygos.reference.kinematics import State
 from zygos.reference.smoother import coefficients, convolve
-from zygos.reference.solver import solve
+from zygos.reference.solver import Rows, solve
 
 Floats = NDArray[np.float64]
 Rates = Literal["backward", "midpoint", "savgol", "exact"]
@@ -73,7 +73,7 @@ def rows(arm: Arm, record: Record, rates: Rates = "backward", start: Start = "re
 def estimate(arm: Arm, record: Record, *, rates: Rates = "backward", start: Start = "rest") -> Floats:
     """Estimates of all parameters, (B, p). See rows() for the options. Raises Undecided where a record is too poor."""
     z, w = rows(arm, record, rates, start)
-    return np.stack([solve(zb, wb).x for zb, wb in zip(z, w, strict=True)])
+    return np.stack([solve(Rows.exact(zb, wb)).x for zb, wb in zip(z, w, strict=True)])
 
 
 def _middle(x: Floats) -> Floats:

@@ -7,7 +7,7 @@ orthogonal least squares for normal equations), so that an agreement of the two 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from zygos.arm import Arm
 from zygos.cycles import Cycles
@@ -15,10 +15,12 @@ from zygos.effects import Effect
 from zygos.reference.accumulator import Design, design
 from zygos.reference.balance import Balance, rows
 from zygos.reference.cycle import Samples, calibrate
+from zygos.reference.motors import motors, solve_with_motors
+from zygos.reference.noise import noise_of
 from zygos.reference.smoother import Smoothed, smooth
-from zygos.reference.solver import Solution, solve
+from zygos.reference.solver import Solution
 
-__all__ = ["Chain", "chain"]
+__all__ = ["Chain", "calibrate", "chain", "design", "motors", "noise_of", "rows", "smooth", "solve_with_motors"]
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,9 @@ def chain(arm: Arm, cycles: Cycles, effects: Sequence[Effect] = ()) -> Chain:
     """
     samples = calibrate(arm, cycles)
     smoothed = smooth(arm, samples)
-    balance = rows(arm, samples, smoothed, effects)
-    accumulated = design(balance)
-    return Chain(samples, smoothed, balance, accumulated, solve(accumulated.z, accumulated.w))
+    raw = rows(arm, samples, smoothed, effects)
+    added = noise_of(arm, samples, smoothed, raw, effects)
+    balance = replace(raw, z=raw.z - added.mean)
+    accumulated = design(balance, added.moment)
+    solution = solve_with_motors(arm, accumulated, motors(arm, samples, smoothed, effects))
+    return Chain(samples, smoothed, balance, accumulated, solution)

@@ -23,6 +23,7 @@ class Design:
     """Accepted rows of all arcs that count, less each arc's mean; m rows, p parameters.
 
     z: (m, p). w: (m,) [J]. arc: (m,) arc number. sync: (m,) cycle number.
+    noise: (p+1, p+1) what noise adds on average to the squares of [z, w].
     arcs: arcs that count. dropped_arcs: arcs too short to count, or void. refused: instants the bandwidth test refused.
     """
 
@@ -33,14 +34,20 @@ class Design:
     arcs: int
     dropped_arcs: int
     refused: int
+    noise: Floats
 
     def normal(self) -> tuple[Floats, Floats]:
-        """A = Z' Z, shape (p, p), and b = Z' w, shape (p,)."""
-        return self.z.T @ self.z, self.z.T @ self.w
+        """A = Z' Z, shape (p, p), and b = Z' w, shape (p,), less what noise adds on average."""
+        return self.z.T @ self.z - self.noise[:-1, :-1], self.z.T @ self.w - self.noise[-1, :-1]
 
 
-def design(balance: Balance) -> Design:
-    """Collect the accepted rows of a record, arc by arc, and take each arc's mean away."""
+def design(balance: Balance, moment: Floats | None = None) -> Design:
+    """Collect the accepted rows of a record, arc by arc, and take each arc's mean away.
+
+    moment: (arcs, p+1, p+1) what noise adds on average to the sums of each arc; none without it.
+    """
+    width = balance.z.shape[1] + 1
+    noise = np.zeros((width, width))
     z: list[Floats] = []
     w: list[Floats] = []
     kept: list[NDArray[np.int64]] = []
@@ -53,6 +60,7 @@ def design(balance: Balance) -> Design:
         z.append(balance.z[of] - balance.z[of].mean(axis=0))
         w.append(balance.w[of] - balance.w[of].mean())
         kept.append(of)
+        noise += 0.0 if moment is None else moment[arc]
     positions = np.concatenate(kept) if kept else np.zeros(0, dtype=np.int64)
     return Design(
         z=np.concatenate(z) if z else np.zeros((0, balance.z.shape[1])),
@@ -62,4 +70,5 @@ def design(balance: Balance) -> Design:
         arcs=len(kept),
         dropped_arcs=dropped,
         refused=int(np.sum(~balance.accepted)),
+        noise=noise,
     )

@@ -63,14 +63,14 @@ def energy_columns(arm: Arm, state: State, dissipated: Floats) -> Floats:
     return np.concatenate([bodies, np.stack(joints, axis=-1)] if joints else [bodies], axis=-1)
 
 
-class _End(NamedTuple):
+class End(NamedTuple):
     """at: position of the newest cycle of an arc. full: the arc ended by its length, not by a break."""
 
     at: int
     full: bool
 
 
-def _void(samples: Samples, ends: Sequence[_End]) -> frozenset[int]:
+def void_arcs(samples: Samples, ends: Sequence[End]) -> frozenset[int]:
     """Numbers of the arcs in which cycles may be missing."""
     void: set[int] = set()
     stops = np.array([stop for _, stop in samples.segments])
@@ -95,6 +95,22 @@ def arc_cycles(arm: Arm) -> int:
     return round(arm.arc_max_s / arm.period_s)
 
 
+def _arcs(accepted: NDArray[np.bool_], longest: int) -> list[tuple[int, int]]:
+    """Origin and end of each arc of a segment: full, or at an instant that is refused, from an eighth of that on.
+
+    What the integrals get wrong in a snap is then a constant of the next arc.
+    """
+    ends: list[tuple[int, int]] = []
+    origin = FILL_INSTANTS
+    while origin < len(accepted):
+        refused = np.flatnonzero(~accepted[origin + longest // 8 - 1 : origin + longest])
+        snap = origin + longest // 8 + int(refused[0]) if longest >= 8 and len(refused) else len(accepted)
+        stop = min(snap, origin + longest, len(accepted))
+        ends.append((origin, stop))
+        origin = stop
+    return ends
+
+
 def rows(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Effect] = ()) -> Balance:
     """Rows of a whole record, with a column for each of the effects that `zygos.effects.estimated` names.
 
@@ -114,7 +130,7 @@ def rows(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Effec
     dissipated = np.zeros_like(smoothed.q)
     arc = np.full(len(smoothed.index), -1, dtype=np.int64)
     arcs = 0
-    ends: list[_End] = []
+    ends: list[End] = []
     for number in np.unique(smoothed.segment):
         of = np.flatnonzero(smoothed.segment == number)
         if len(of) <= FILL_INSTANTS:
@@ -125,14 +141,13 @@ def rows(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Effec
         step_work = np.sum(arm.gear_ratios * tau[:-1] * np.diff(theta, axis=0), axis=1)
         hold_correction = held * np.sum(arm.gear_ratios * np.diff(tau, axis=0) * smoothed.thetad[of[1:]], axis=1)
         step_loss = (h / 24.0) * (9.0 * g[3:] + 19.0 * g[2:-1] - 5.0 * g[1:-2] + g[:-3])
-        for origin in range(FILL_INSTANTS, len(of), longest):
-            stop = min(origin + longest, len(of))
+        for origin, stop in _arcs(smoothed.accepted[of], longest):
             work[of[origin + 1 : stop]] = np.cumsum(step_work[origin : stop - 1])
             work[of[origin:stop]] += hold_correction[origin - 1 : stop - 1]
             dissipated[of[origin + 1 : stop]] = np.cumsum(step_loss[origin - 2 : stop - 3], axis=0)
             arc[of[origin:stop]] = arcs
-            full = stop - origin == longest
-            ends.append(_End(int(smoothed.index[of[stop - 1]]) + arm.smoother.lag, full))
+            full = stop < len(of) or stop - origin == longest
+            ends.append(End(int(smoothed.index[of[stop - 1]]) + arm.smoother.lag, full))
             arcs += 1
     base = smoothed.omega if arm.spatial else smoothed.omega @ arm.axis
     state = State(smoothed.q, smoothed.theta, smoothed.qd, smoothed.thetad, base)
@@ -145,5 +160,5 @@ def rows(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Effec
         accepted=smoothed.accepted[kept],
         z=z[kept],
         w=work[kept],
-        void=_void(samples, ends),
+        void=void_arcs(samples, ends),
     )

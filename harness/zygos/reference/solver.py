@@ -7,64 +7,173 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from zygos.errors import Undecided
 
 Floats = NDArray[np.float64]
+
+GATE = 2.0
+"""Of any combination of columns, at most its sums over this are taken off as noise."""
+OVERDECLARED = 0.6
+"""Residuals with less than this share of the declared noise's square tell how much of it there is."""
+LEAST_FREEDOM = 2.0
 
 
 @dataclass(frozen=True)
 class Solution:
     """Least-squares parameters of p columns.
 
-    x: (p,) estimate. condition: 1-norm condition of the normal matrix scaled to a unit diagonal.
+    x: (p,) estimate. condition: 1-norm condition of the solved matrix in the scale that gives Z' Z a unit diagonal.
     residual: root mean square of the rows' residuals [unit of w].
+    believed: share of the declared noise that was taken off. gate: least ratio of the rows' squares to the noise in
+    them over all combinations of columns; infinite without noise.
     """
 
     x: Floats
     condition: float
     residual: float
+    believed: float = 1.0
+    gate: float = float("inf")
 
 
-def solve(z: Floats, w: Floats) -> Solution:
+@dataclass(frozen=True)
+class _Triangle:
+    """Rows made triangular: z = Q r scale, and the noise that such rows hold, divided likewise.
+
+    r: (p, p). x: (p,) plain least squares, scaled. noise: (p, p) R^-T K R^-1. work: (p,) R^-T k.
+    """
+
+    scale: Floats
+    r: Floats
+    x: Floats
+    noise: Floats
+    work: Floats
+
+    @classmethod
+    def of(cls, z: Floats, w: Floats, noise: Floats) -> _Triangle:
+        m, p = z.shape
+        scale = np.linalg.norm(z, axis=0)
+        if m < p or not np.all(scale > 0.0):
+            raise Undecided(
+                f"what is wrong: {m} rows do not determine {p} parameters; "
+                "remedy: a longer record that moves every joint"
+            )
+        scaled = z / scale
+        x, _, rank, _ = np.linalg.lstsq(scaled, w, rcond=None)
+        if rank < p:
+            raise Undecided(
+                f"what is wrong: the motion determines {rank} of {p} parameters; "
+                "remedy: a record that moves every joint"
+            )
+        r = np.asarray(np.linalg.qr(scaled, mode="r"), dtype=np.float64)
+        half = solve_triangular(r, noise[:p, :p] / np.outer(scale, scale), trans="T")
+        share = solve_triangular(r, half.T, trans="T")
+        work = solve_triangular(r, noise[p, :p] / scale, trans="T")
+        return cls(scale, r, x, 0.5 * (share + share.T), work)
+
+    def solve(self, believed: float) -> Floats:
+        """x of (Z'Z - believed K) x = Z'w - believed k."""
+        left = np.eye(len(self.x)) - believed * self.noise
+        y = np.linalg.solve(left, self.r @ self.x - believed * self.work)
+        return np.asarray(solve_triangular(self.r, y) / self.scale, dtype=np.float64)
+
+    def inverse(self, believed: float) -> Floats:
+        """(Z'Z - believed K)^-1."""
+        half = solve_triangular(self.r, np.eye(len(self.x))) / self.scale[:, None]
+        middle = np.linalg.inv(np.eye(len(self.x)) - believed * self.noise)
+        return np.asarray(half @ middle @ half.T, dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Centred rows. z: (m, p). w: (m,). noise: (p+1, p+1) what noise adds on average to the squares of [z, w]."""
+
+    z: Floats
+    w: Floats
+    noise: Floats
+
+    @classmethod
+    def exact(cls, z: Floats, w: Floats) -> Rows:
+        """Rows without noise."""
+        return cls(z, w, np.zeros((z.shape[1] + 1, z.shape[1] + 1)))
+
+    def times(self, weight: float) -> Rows:
+        """The same rows with a weight, which is that of their squares."""
+        return Rows(np.sqrt(weight) * self.z, np.sqrt(weight) * self.w, weight * self.noise)
+
+
+def solve(energy: Rows, beside: Sequence[Rows] = ()) -> Solution:
     """Minimise |z x - w|^2 by an orthogonal method on the rows themselves, columns scaled to unit length.
 
-    z: (m, p). w: (m,). Raises Undecided where a column is zero, or the rows are fewer than the columns or dependent.
+    The noise is taken off: as much as the residuals of the energy rows show where that is clearly less, and of no
+    combination of columns more than its sums over `GATE`. beside: rows that are solved with them.
+    Raises Undecided where a column is zero, or the rows are fewer than the columns or dependent.
     """
-    m, p = z.shape
-    scale = np.linalg.norm(z, axis=0)
-    if m < p or not np.all(scale > 0.0):
-        raise Undecided(
-            f"what is wrong: {m} rows do not determine {p} parameters; remedy: a longer record that moves every joint"
-        )
-    scaled = z / scale
-    x, _, rank, _ = np.linalg.lstsq(scaled, w, rcond=None)
-    if rank < p:
-        raise Undecided(
-            f"what is wrong: the motion determines {rank} of {p} parameters; remedy: a record that moves every joint"
-        )
+    every = [energy, *beside]
+    p = energy.z.shape[1]
+    noise = np.sum([rows.noise for rows in every], axis=0)
+    rows = _Triangle.of(np.concatenate([r.z for r in every]), np.concatenate([r.w for r in every]), noise)
+    share = float(np.linalg.eigvalsh(rows.noise)[-1]) if noise.any() else 0.0
+    believed, seen, gate = 1.0, 1.0, float("inf")
+    for _ in range(2 if share > 0.0 else 0):
+        believed, gate = min(seen, 1.0 / (GATE * share)), 1.0 / (share * seen)
+        x = rows.solve(believed)
+        ratio = np.sum((energy.z @ x - energy.w) ** 2) / explained(energy.noise, x)
+        seen = float(ratio) if ratio < OVERDECLARED else 1.0
+    x = rows.solve(believed) if share > 0.0 else rows.x / rows.scale
+    scaled = rows.r.T @ (np.eye(p) - believed * rows.noise) @ rows.r
     return Solution(
-        x=x / scale,
-        condition=float(np.linalg.cond(scaled.T @ scaled, 1)),
-        residual=float(np.sqrt(np.mean((scaled @ x - w) ** 2))),
+        x=x,
+        condition=float(np.linalg.cond(scaled, 1)),
+        residual=float(np.sqrt(np.mean((energy.z @ x - energy.w) ** 2))),
+        believed=believed,
+        gate=gate,
     )
 
 
-def jackknife(z: Floats, w: Floats, blocks: Sequence[NDArray[np.int64]]) -> Floats:
-    """Standard deviation of each parameter by leaving out one block of rows at a time, shape (p,).
+def explained(noise: Floats, x: Floats) -> float:
+    """Square of the residuals that the declared noise makes by itself."""
+    ahead = np.append(x, -1.0)
+    return float(ahead @ noise @ ahead)
 
-    z: (m, p) and w: (m,) are centred rows; blocks: K sets of their positions. var = (K-1)/K sum (x_-B - mean)^2,
-    Efron & Stein 1981. Blocks long against the rows' correlation are honest where s^2 A^-1 is not.
-    Raises Undecided for fewer than two blocks, or where the rest of the rows does not determine the parameters.
+
+@dataclass(frozen=True)
+class Scatter:
+    """What the blocks' scatter tells of an estimate.
+
+    covariance: (p, p). freedom: (p,) degrees of freedom, as many as the blocks that a parameter's information is from.
     """
-    count = len(blocks)
+
+    covariance: Floats
+    freedom: Floats
+
+
+def scatter(z: Floats, w: Floats, weights: Floats, noise: Floats | None = None, believed: float = 1.0) -> Scatter:
+    """Covariance from blocks of rows: how the estimate changes when one is left out, times what it pulls by itself.
+
+    Of a block b with the residuals' pull s_b = Z' W_b (w - z x), x_(-b) - x = -(A - A_b)^-1 s_b is too large by the
+    block's leverage and A^-1 s_b too small by it; the expectation of their product is neither (Kauermann & Carroll
+    2001). Blocks that overlap count by sum(w)/sum(w^2).
+
+    z: (m, p) and w: (m,) centred rows. weights: (K, m) of each row in each block, adding up to 1. noise: (K, p+1, p+1)
+    what noise adds on average to each block's squares. Raises Undecided for fewer than two blocks, or where the rest of
+    the rows does not determine the parameters.
+    """
+    count, p = len(weights), z.shape[1]
     if count < 2:
         raise Undecided(f"what is wrong: {count} blocks have no spread; remedy: a longer record")
-    estimates = []
-    for block in blocks:
-        rest = np.ones(len(w), dtype=np.bool_)
-        rest[block] = False
-        estimates.append(solve(z[rest], w[rest]).x)
-    stacked = np.stack(estimates)
-    variance: Floats = (count - 1) / count * np.sum((stacked - stacked.mean(axis=0)) ** 2, axis=0)
-    return np.sqrt(variance)
+    parts = np.zeros((count, p + 1, p + 1)) if noise is None else noise
+    whole = _Triangle.of(z, w, parts.sum(axis=0))
+    x, inverse = whole.solve(believed), whole.inverse(believed)
+    covariance, gains = np.zeros((p, p)), []
+    for weight, part in zip(weights, parts, strict=True):
+        root = np.sqrt(1.0 - weight)
+        rest = _Triangle.of(root[:, None] * z, root * w, parts.sum(axis=0) - part)
+        pull = z.T @ (weight * (w - z @ x)) + believed * (part[:p, :p] @ x - part[p, :p])
+        left_out, alone = x - rest.solve(believed), inverse @ pull
+        covariance += 0.5 * (np.outer(left_out, alone) + np.outer(alone, left_out))
+        gains.append(np.diag(rest.inverse(believed)) - np.diag(inverse))
+    gain = np.maximum(gains, 0.0)
+    freedom = np.maximum(gain.sum(axis=0) ** 2 / (gain**2).sum(axis=0), LEAST_FREEDOM)
+    return Scatter(covariance * np.sum(weights) / np.sum(weights**2), freedom)

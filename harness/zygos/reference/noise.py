@@ -1,0 +1,249 @@
+"""What the sensors' noise adds to rows and to their squares on average (include/zygos/noise.h).
+
+With S the covariance of the smoothed signals and J the derivative of the augmented row [columns, work] in them, a
+column holds 1/2 sum_s S_ss d2(column)/dx_s^2 too much, and a square J S J^T. Derivatives are differences of the columns
+themselves at states moved by hand, and all of them exact: a column is quadratic in every rate and in the motors'
+angles, and what bodies and rotors have in it is a trigonometric polynomial in every link angle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zygos.arm import Arm
+from zygos.effects import Effect, estimated
+from zygos.reference.balance import Balance, energy_columns
+from zygos.reference.cycle import Samples
+from zygos.reference.kinematics import State, body_columns
+from zygos.reference.smoother import Smoothed, coefficients
+
+Floats = NDArray[np.float64]
+Side = Literal["q", "theta"]
+
+GYRO_SHARE = 1e-4
+"""A gyro whose variance is below this share of that of every link's rate is taken to be exact."""
+
+TURNS = np.pi * np.array([0.25, 0.75, 1.25, 1.75])
+RIESZ = np.array([1.0, -1.0, 1.0, -1.0]) / (8.0 * np.sin(0.5 * TURNS) ** 2)
+"""The derivative of a trigonometric polynomial f of degree 2 is sum_t RIESZ_t f(x + TURNS_t). M. Riesz 1914."""
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Covariances of the smoothed signals; sensors are independent of each other.
+
+    link, motor: (N, 2, 2) of value and rate of each joint's signal [rad, rad/s]. gyro: variance of a component of the
+    smoothed base rate [rad^2/s^2]; 0 on a fixed base.
+    """
+
+    link: Floats
+    motor: Floats
+    gyro: float
+
+
+@dataclass(frozen=True)
+class Instants:
+    """m instants: their states, and the torques (m, N) before and after each [Nm]."""
+
+    state: State
+    tau: Floats
+    tau_next: Floats
+
+    def at(self, rows: NDArray[np.int64]) -> Instants:
+        """Some of them."""
+        s = self.state
+        state = State(s.q[rows], s.theta[rows], s.qd[rows], s.thetad[rows], s.base[rows])
+        return Instants(state, self.tau[rows], self.tau_next[rows])
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What noise adds on average to a record's rows; m rows, p columns.
+
+    mean: (m, p), to each column. moment: (arcs, p+1, p+1), to the sum of the squares of [columns, work] over the
+    accepted rows of each arc.
+    """
+
+    mean: Floats
+    moment: Floats
+
+
+def spread(arm: Arm) -> Spread:
+    """Covariances by the declared deviations and the smoother's coefficients."""
+    points, order, h = arm.smoother.points, arm.smoother.order, arm.period_s
+
+    def of(latch_us: int, sigma: float) -> Floats:
+        late = -1e-6 * latch_us / h
+        reader = np.stack([coefficients(points, order, late), coefficients(points, order, late, 1) / h])
+        return np.asarray(sigma**2 * reader @ reader.T, dtype=np.float64)
+
+    links = [(joint.latch_us, joint.link_encoder.over_the_wire) for joint in arm.joints]
+    motors = [(joint.latch_us, joint.motor_encoder.over_the_wire) for joint in arm.joints]
+    link = np.stack([of(own + encoder.latch_us, encoder.sigma_rad) for own, encoder in links])
+    motor = np.stack([of(own + encoder.latch_us, encoder.sigma_rad) for own, encoder in motors])
+    gyro = float(of(arm.imu.latch_us, arm.imu.rate_sigma)[0, 0]) if arm.free else 0.0
+    return Spread(link, motor, gyro if gyro >= GYRO_SHARE * link[:, 1, 1].min() else 0.0)
+
+
+def noise_of(arm: Arm, samples: Samples, smoothed: Smoothed, balance: Balance, effects: Sequence[Effect] = ()) -> Noise:
+    """What noise adds to the rows of a balance; zeros where the arm switches the compensation off."""
+    m, p = balance.z.shape
+    arcs = int(balance.arc.max(initial=-1)) + 1
+    mean, moment = np.zeros((m, p)), np.zeros((arcs, p + 1, p + 1))
+    if arm.compensation == 0:
+        return Noise(mean, moment)
+    here = instants(arm, samples, smoothed, balance)
+    known = spread(arm)
+    since_origin = np.arange(m) - np.searchsorted(balance.arc, balance.arc)
+    bodies = means(arm, known, here.state)
+    mean[:, : bodies.shape[1]] = bodies
+    mean[:, bodies.shape[1] :] = since_origin[:, None] * drift(arm, known, effects)
+    for arc in range(arcs):
+        used = np.flatnonzero(balance.accepted & (balance.arc == arc))
+        moment[arc] = moments(arm, known, here.at(used), since_origin[used], effects)
+    return Noise(mean, moment)
+
+
+def instants(arm: Arm, samples: Samples, smoothed: Smoothed, balance: Balance) -> Instants:
+    """The instants of a balance's rows."""
+    of = np.searchsorted(smoothed.index, balance.index)
+    base = smoothed.omega if arm.spatial else smoothed.omega @ arm.axis
+    state = State(smoothed.q, smoothed.theta, smoothed.qd, smoothed.thetad, base)
+    whole = Instants(state, samples.tau[smoothed.index - 1], samples.tau[smoothed.index])
+    return whole.at(of)
+
+
+def means(arm: Arm, known: Spread, state: State) -> Floats:
+    """1/2 S d2(column)/d(rate)^2 of the bodies' columns, (m, B), summed over joints and gyro."""
+
+    def curvature(place: str, i: int) -> Floats:
+        columns = [body_columns(arm, _moved(state, place, i, by))[0] for by in (-1.0, 0.0, 1.0)]
+        return np.asarray(columns[0] - 2.0 * columns[1] + columns[2], dtype=np.float64)
+
+    mean = np.zeros((len(state.q), len(arm.body_parameters)))
+    for i in range(arm.n):
+        mean += 0.5 * known.link[i, 1, 1] * curvature("qd", i)
+    for axis in range(_gyro_axes(arm)):
+        mean += 0.5 * known.gyro * curvature("base", axis)
+    return mean
+
+
+def drift(arm: Arm, known: Spread, effects: Sequence[Effect] = ()) -> Floats:
+    """What noise adds in a step to the columns behind those of bodies: to integrals of squared rates."""
+    h, rate = arm.period_s, known.motor[:, 1, 1]
+    slip = [h * (known.link[i, 1, 1] + rate[i]) if kind == "b" else 0.0 for kind, i, _ in arm.joint_parameters]
+    of_effects = [
+        h * arm.gear_ratios[effect.index(arm)] * rate[effect.index(arm)] if effect.kind.key == "motor_viscous" else 0.0
+        for effect in estimated(arm, effects)
+    ]
+    return np.array([*slip, *of_effects])
+
+
+def moments(arm: Arm, known: Spread, here: Instants, turn: NDArray[np.int64], effects: Sequence[Effect] = ()) -> Floats:
+    """Sum of J S J^T over instants, (p+1, p+1), the work last.
+
+    turn: (m,) sensor s (link encoders, motor encoders, gyro) counts where turn % `arm.compensation` is s modulo the
+    same, and then for all the others.
+    """
+    every, n = arm.compensation, arm.n
+    p = len(arm.parameter_names) + len(estimated(arm, effects))
+    total = np.zeros((p + 1, p + 1))
+
+    def add(weight: float, covariance: Floats, *slopes: Floats) -> None:
+        for a, left in enumerate(slopes):
+            for b, right in enumerate(slopes):
+                total[:] += weight * covariance[a, b] * left.T @ right
+
+    def at(sensor: int) -> Instants:
+        return here.at(np.flatnonzero(turn % every == sensor % every))
+
+    for i, joint in enumerate(arm.joints):
+        link = slopes(arm, at(i), "q", i, effects)
+        if joint.flexible:
+            add(every, known.link[i], *link)
+            add(every, known.motor[i], *slopes(arm, at(n + i), "theta", i, effects))
+        else:
+            motor = slopes(arm, at(i), "theta", i, effects)
+            add(every, known.motor[i], link[0] + motor[0], link[1] + motor[1])
+    some = at(2 * n)
+    for axis in range(_gyro_axes(arm)):
+        columns = [energy_columns(arm, _moved(some.state, "base", axis, by), _none(some)) for by in (-1.0, 1.0)]
+        add(every, np.array([[known.gyro]]), _row(arm, 0.5 * (columns[1] - columns[0]), effects))
+    return total
+
+
+def slopes(arm: Arm, here: Instants, side: Side, i: int, effects: Sequence[Effect] = ()) -> tuple[Floats, Floats]:
+    """Derivatives of [columns, work], (m, p+1) each, in the angle and in the rate of joint i's link or motor.
+
+    Of what has been integrated since the arc began, the part that the noise of this instant has in it is the integrand
+    over the rate, times the noise of the angle.
+    """
+
+    def columns(place: str, by: float) -> Floats:
+        return energy_columns(arm, _moved(here.state, place, i, by), _none(here))
+
+    def central(place: str) -> Floats:
+        return 0.5 * (columns(place, 1.0) - columns(place, -1.0))
+
+    of_springs = [kind == "k" for kind, _, _ in arm.joint_parameters]
+    first = len(arm.body_parameters)
+    angle = central(side)
+    if side == "q":
+        turned = sum(weight * columns("q", by) for weight, by in zip(RIESZ, TURNS, strict=True))
+        angle = np.where([*[False] * first, *of_springs], angle, turned)
+    deflection = (here.state.theta - here.state.q)[:, i]
+    slip = (here.state.thetad - here.state.qd)[:, i]
+    sign = 1.0 if side == "theta" else -1.0
+    for k, (kind, joint, _) in enumerate(arm.joint_parameters):
+        if kind == "b" and joint == i:
+            angle[:, first + k] = 2.0 * sign * slip
+    by_angle = _row(arm, angle, effects)
+    by_rate = _row(arm, central(side + "d"), effects)
+    ratio, jump = arm.gear_ratios[i], here.tau_next[:, i] - here.tau[:, i]
+    rate = (here.state.thetad if side == "theta" else here.state.qd)[:, i]
+    for k, effect in enumerate(estimated(arm, effects), start=len(arm.parameter_names)):
+        torque, place = effect.kind.torque, effect.kind.place
+        if effect.index(arm) != i:
+            continue
+        if place == "torque":
+            by_rate[:, k] = 0.5 * ratio * jump if side == "theta" else 0.0
+            continue
+        assert torque is not None
+        if effect.kind.potential is not None:
+            by_angle[:, k] = sign * torque(deflection)
+        elif place == {"q": "link", "theta": "motor"}[side]:
+            # d(f(v) v)/dv of an f in proportion to the rate, or constant above the slowest rate
+            grows = 2.0 if effect.kind.key == "motor_viscous" else 1.0
+            by_angle[:, k] = grows * (ratio if side == "theta" else 1.0) * torque(rate)
+    if side == "theta":
+        by_angle[:, -1] = ratio * here.tau[:, i]
+        by_rate[:, -1] = 0.0 if arm.torque_law == "sampled" else arm.period_s / 12.0 * ratio * jump
+    return by_angle, by_rate
+
+
+def _gyro_axes(arm: Arm) -> int:
+    return 0 if not arm.free else 3 if arm.spatial else 1
+
+
+def _none(here: Instants) -> Floats:
+    return np.zeros_like(here.state.q)
+
+
+def _row(arm: Arm, columns: Floats, effects: Sequence[Effect]) -> Floats:
+    """Columns (m, p) of the arm, with zeros for those of effects and for the work."""
+    return np.pad(columns, ((0, 0), (0, len(estimated(arm, effects)) + 1)))
+
+
+def _moved(state: State, place: str, i: int, by: float) -> State:
+    """The state with component i of one of its arrays changed."""
+    value: Floats = getattr(state, place).copy()
+    if value.ndim == 1:
+        value += by
+    else:
+        value[:, i] += by
+    return replace(state, **{place: value})
