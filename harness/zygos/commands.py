@@ -259,8 +259,8 @@ def about_noise(result: Estimate) -> str:
         )
     if result.noise_ratio < OVERDECLARED:
         return (
-            f"noise: the residuals' square is {number(result.noise_ratio, 2)} of what the arm file's sigmas make of it; "
-            "they were believed to that extent"
+            f"noise: the residuals' square is {number(result.noise_ratio, 2)} of what the arm file's sigmas make of it, "
+            "which were believed to that extent"
         )
     if result.noise_ratio > 1.0 / OVERDECLARED:
         return (
