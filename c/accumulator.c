@@ -359,6 +359,9 @@ void zygos_accumulator_end_arc(zygos_accumulator_t *self, uint64_t cycle)
         self->block[b].end = cycle;
     }
     add_share(&self->noise_closed, &self->noise_open, 1.0, width - 1u);
+    if ((double)self->arc_instants >= self->enough) {
+        self->window = self->open; /* it speaks without the short ones before it */
+    }
     self->open = self->count;
     double instants = 0.0;
     for (uint32_t b = self->window; b < self->open; b++) {

@@ -1130,11 +1130,11 @@ int zygos_drift(zygos_work_t *work, zygos_estimate_t *out, double *deviation)
     }
     const uint32_t p = work->layout.count;
     out->parameters = p;
-    out->cycle = work->cycle;
     out->blocks = sums->newest;
     if ((sums->newest < 4u) || (sums->newest == sums->open)) {
         return refuse(out, p, ZYGOS_REASON_NO_DATA);
     }
+    out->cycle = sums->block[sums->newest - 1u].end;
     uint32_t rank = 0;
     choose(work, p, 0, sums->newest);
     memset(work->weight, 0, sizeof work->weight);

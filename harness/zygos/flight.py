@@ -43,6 +43,10 @@ REASONS = (
 )
 DRIFT_ALARM = 6.0
 """Deviations that are no accident, as ``ZYGOS_DRIFT_ALARM``."""
+GATE = 2.0
+"""Ratio of sums to noise below which what noise makes of an estimate is not taken off in whole, as ``ZYGOS_GATE``."""
+OVERDECLARED = 0.6
+"""Share of the declared noise below which the residuals are believed instead, as ``ZYGOS_OVERDECLARED``."""
 _CONFIG_ERRORS = {
     -2: "the library was built with other headers",
     -3: "too many joints for this build",
@@ -155,6 +159,13 @@ class Drift:
     difference; NaN where either does not know."""
     reason: str
     """Why nothing was known before, or empty."""
+    until: int
+    """Number of the newest cycle of what was known before."""
+
+    @property
+    def largest(self) -> float:
+        """The largest deviation; 0 where nothing could be compared."""
+        return float(np.abs(np.nan_to_num(self.deviation)).max(initial=0.0))
 
     @property
     def changed(self) -> tuple[str, ...]:
@@ -347,7 +358,7 @@ class Flight:
         lib.zygos_drift(self._work, self._estimate, deviation)
         out, p = self._estimate, len(self.names)
         far = np.frombuffer(ffi.buffer(deviation), dtype=np.float64)[:p].copy()
-        return Drift(self.names, far, REASONS[out.reason])
+        return Drift(self.names, far, REASONS[out.reason], int(out.cycle))
 
     def restart(self, *, keep_joints: bool = False, keep_faults: bool = True) -> None:
         """Start the estimate from nothing, or from what is known of Im, k and b. Errors: ZygosError if nothing is."""

@@ -57,7 +57,7 @@ int main(int count, char **argument)
         const uint32_t sensors = (config.compensation > 0) ? config.compensation : 1u;
         printf(" %" PRIu32 ",%" PRIu32 ",%" PRIu32 ",%d\n", (arm.arc + sensors - 1u) % sensors,
                arm.joint_sums.cycles % config.joints, arm.momentum_sums.cycles % (3u * (config.joints + 3u)),
-               (sums->filled == 0) ? 1 : 0);
+               (int)sums->filled);
     }
     printf("parameters %" PRIu32 "\n", arm.layout.count);
     return (fclose(file) == 0) ? 0 : 1;

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from arm_support import random_arm
-from flight_support import balanced, chosen, energy_only, sines
+from flight_support import balanced, chosen, sines
 from reference_support import make_arm
 
 from conftest import house_flags, need

@@ -105,11 +105,12 @@ def noise(arm: Arm, smoothed: Smoothed) -> Floats:
     """
     size, of_rate, of_rotor = _derivatives(arm, smoothed)
     total: Floats = np.einsum("s,mskp,mskq->mpq", size, of_rate, of_rate)
-    return total + np.einsum("mikp,mikq->mpq", of_rotor, of_rotor)
+    total += np.einsum("mikp,mikq->mpq", of_rotor, of_rotor)
+    return total
 
 
 def sums(arm: Arm, smoothed: Smoothed, arc: NDArray[np.int64]) -> tuple[list[Floats], list[Floats]]:
-    """Normal matrices (K + N, K + N) of the arcs with MIN_ARC_INSTANTS accepted instants or more, and the noise in each.
+    """Normal matrices (K + N, K + N) of the arcs with MIN_ARC_INSTANTS accepted instants, and the noise in each.
 
     The components take turns, and so do the sensors whose noise acts on them; each component has a constant of its own.
     The noise is not taken off the matrices.
@@ -117,7 +118,7 @@ def sums(arm: Arm, smoothed: Smoothed, arc: NDArray[np.int64]) -> tuple[list[Flo
     z, turn = rows(arm, smoothed, arc), attitudes(arm, smoothed, arc)
     size, of_rate, of_rotor = _derivatives(arm, smoothed)
     found, owed = [], []
-    for number in range(arc.max(initial=-1) + 1):
+    for number in range(int(arc.max(initial=-1)) + 1):
         of = np.flatnonzero(arc == number)
         place, kept = np.arange(len(of)), smoothed.accepted[of]
         if np.count_nonzero(kept) < MIN_ARC_INSTANTS:
@@ -127,7 +128,8 @@ def sums(arm: Arm, smoothed: Smoothed, arc: NDArray[np.int64]) -> tuple[list[Flo
         for k in range(z.shape[1]):
             own = z[of[kept & (component == k)], k]
             gram += (own - own.mean(axis=0)).T @ (own - own.mean(axis=0))
-        for k in np.flatnonzero(kept):
+        for at in np.flatnonzero(kept):
+            k = int(at)
             instant = of[k]
             slopes = of_rate[instant, signal[k]]
             line = (turn[instant] @ slopes if arm.spatial else slopes)[component[k]]
