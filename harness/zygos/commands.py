@@ -259,7 +259,7 @@ def about_noise(result: Estimate) -> str:
         )
     if result.noise_ratio < OVERDECLARED:
         return (
-            f"noise: the residuals' square is {number(result.noise_ratio, 2)} of what the arm file's sigmas make of it, "
+            f"noise: the residuals' square is {number(result.noise_ratio, 2)} of what the arm's sigmas make of it, "
             "which were believed to that extent"
         )
     if result.noise_ratio > 1.0 / OVERDECLARED:
