@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 
 MAX_BLOCKS = int(lib.ZYGOS_MAX_BLOCKS_VALUE)
 MIN_ARC = int(lib.ZYGOS_MIN_ARC_INSTANTS_VALUE)
-NO_DATA, NOT_IDENTIFIABLE, TOO_FAST, NOT_PHYSICAL, CORRUPT, UNCLOSED, NOISE = REASONS[1:]
+NO_DATA, NOT_IDENTIFIABLE, TOO_FAST, NOT_PHYSICAL, CORRUPT, UNCLOSED = REASONS[1:7]
 
 
 @pytest.fixture
@@ -412,6 +412,14 @@ def constant(arm: Arm, first: int, n: int) -> Cycles:
     )
 
 
+def flushed(flight: Flight) -> Any:
+    """A copy of the sums in which nothing waits in steps: zygos_work_t."""
+    work = ffi.new("zygos_work_t *")
+    lib.zygos_take(flight.native, work)
+    lib.zygos_accumulator_flush(ffi.addressof(work.accumulator))
+    return work
+
+
 LONG_RUN = """
 import sys
 from dataclasses import replace
@@ -421,11 +429,14 @@ from zygos.cycles import Cycles
 from zygos.flight import Flight, ffi, lib
 
 flight = Flight(replace(load_arm(sys.argv[1]), arc_max_s=float(sys.argv[2])))
-sums, n = flight.native.accumulator, 100_000
+work, n = ffi.new("zygos_work_t *"), 100_000
 for first in range(1, 1_000_000, n):
     q, theta, tau = (np.full((n, 2), value) for value in (0.3, 0.31, 0.1))
     sync = np.arange(first, first + n, dtype=np.uint64)
     flight.cycles(Cycles(sync, q, theta, tau, np.full((n, 3), 0.0123), np.zeros(n, dtype=np.uint32)))
+lib.zygos_take(flight.native, work)
+sums = work.accumulator
+lib.zygos_accumulator_flush(ffi.addressof(sums))
 print(lib.zygos_accumulator_check(ffi.addressof(sums)), *(sums.block[b].instants for b in range(sums.count)))
 """
 
@@ -451,13 +462,14 @@ def test_blocks_merge_and_lose_nothing(arm: Arm, arc_s: float, cycles: int) -> N
     arm = replace(arm, arc_max_s=arc_s)
     run = balanced(arm, sines(arm, cycles), chosen(arm))
     flight = Flight(arm)
-    accumulator = flight.native.accumulator
     rows, accepted = [], []
     for start in range(0, cycles, 500):
         trace = flight.cycles(part(run, start, start + 500), trace=True)
         assert trace is not None
         rows.append(trace)
         accepted.append(int(trace.accepted.sum()))
+        work = flushed(flight)
+        accumulator = work.accumulator
         assert 1 <= accumulator.count <= MAX_BLOCKS
         assert accumulator.open <= accumulator.count
         instants = [accumulator.block[b].instants for b in range(accumulator.count)]
@@ -632,7 +644,7 @@ def test_columns_that_are_a_sum_of_others(seed: int) -> None:
     truth = rng.uniform(1.0, 2.0, 12)
     work, out, row = ffi.new("zygos_work_t *"), ffi.new("zygos_estimate_t *"), ffi.new("zygos_row_t *")
     sums = ffi.addressof(work, "accumulator")
-    lib.zygos_accumulator_init(sums, 12, MIN_ARC)
+    lib.zygos_accumulator_init(sums, 12, MIN_ARC, 0.02)
     work.config.joints = 2
     columns = rng.normal(size=(MIN_ARC, 12))
     columns[:, 2] = columns[:, 0] + 0.3 * columns[:, 5]
