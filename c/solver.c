@@ -5,9 +5,11 @@
 #define MAX_REFUSED_SHARE 0.05
 #define INSTANTS_PER_PARAMETER 3u
 #define POWER_ROUNDS 40u
-#define WALK 10.0 /* Of a random walk's mean square about its own mean: between 6, and 15 where its trend drops out.   \
-                   */
+#define WALK                                                                                                           \
+    10.0 /* Of a random walk's mean square about its own mean: between 6, and 15 where its trend drops out.            \
+          */
 #define TWO_SIGMAS 1.959964 /* 95 % of a normal distribution */
+#define POOLED_FREEDOM 4.0
 
 /* Place of entry (i, j), j <= i, in a packed lower triangle. */
 static uint32_t at(uint32_t i, uint32_t j)
@@ -296,6 +298,39 @@ static void score_of_arc(const zygos_work_t *work, uint32_t p, const zygos_joint
     }
 }
 
+/* A block's scores squared, in the metric of the inverse of the factorised equations: their mean over the parameters.
+ */
+static double loudness(zygos_work_t *work, uint32_t rank, const double *scores)
+{
+    double sum = 0.0;
+    for (uint32_t i = 0; i < rank; i++) {
+        work->score[i] = scores[work->pivot[i]];
+    }
+    substitute(work->factor, rank, work->score);
+    for (uint32_t i = 0; i < rank; i++) {
+        sum += scores[work->pivot[i]] * work->score[i];
+    }
+    return sum / (double)rank;
+}
+
+/* Few blocks may agree on a parameter by accident. If noise had no preference among parameters, the scores of all of
+   them together would tell its size: that stands for as many more degrees of freedom. Correlations stay. */
+static void pool(zygos_work_t *work, uint32_t p, double loud, double *covariance)
+{
+    for (uint32_t i = 0; i < p; i++) {
+        const double own = covariance[at(i, i)];
+        const double common = loud * work->inverse[i] * work->scale[i] * work->scale[i];
+        const double freedom = work->freedom[i] + POOLED_FREEDOM;
+        const double both = (work->freedom[i] * ((own > 0.0) ? own : 0.0) + POOLED_FREEDOM * common) / freedom;
+        const double factor = (own > 0.0) ? root(both / own) : 0.0;
+        for (uint32_t j = 0; j < p; j++) {
+            covariance[(i >= j) ? at(i, j) : at(j, i)] *= factor;
+        }
+        covariance[at(i, i)] = both;
+        work->freedom[i] = freedom;
+    }
+}
+
 /* Covariance by leaving out one block at a time. Blocks overlap, so the squares of their weights add up to less than
    their weights. A parameter whose information comes from few blocks has few degrees of freedom. A block without which
    the equations lose rank leaves all sigmas infinite: the motion was informative once only. */
@@ -307,6 +342,7 @@ static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, double *cov
     const uint32_t blocks = energy_blocks + (work->arcs.end - work->arcs.first);
     double instants = 0.0;
     double square = 0.0;
+    double loud = 0.0;
     bool once = false;
     memset(work->shares, 0, sizeof work->shares);
     for (uint32_t b = 0; (b < blocks) && !once; b++) {
@@ -338,8 +374,9 @@ static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, double *cov
         } else {
             score_of_arc(work, p, &arc[b - energy_blocks], work->right);
         }
-        solve_once(work, p, rank, work->direct);
         const double factor = 0.5 * (energy ? instants / square : 1.0);
+        loud += 2.0 * factor * loudness(work, rank, work->right);
+        solve_once(work, p, rank, work->direct);
         for (uint32_t i = 0; i < p; i++) {
             for (uint32_t j = 0; j <= i; j++) {
                 covariance[at(i, j)] +=
@@ -352,6 +389,9 @@ static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, double *cov
         const double freedom = (work->shares[1][i] > 0.0) ? several / work->shares[1][i] : 1.0;
         covariance[at(i, i)] = once ? infinity() : covariance[at(i, i)];
         work->freedom[i] = (freedom > 2.0) ? freedom : 2.0;
+    }
+    if (!once) {
+        pool(work, p, loud, covariance);
     }
 }
 
