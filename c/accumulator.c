@@ -1,48 +1,34 @@
 #include "zygos/accumulator.h"
 
+#include "zygos/gram.h"
+
 #include <string.h>
 
-#define EPSILON 2.220446049250313e-16
-#define SEGMENTS 48u /* of the longest arc, at first */
+/* Segments of the longest arc at first: many, but none shorter than a second unless the arc would have but a few. What
+   the noise of rates leaves at the edges of blocks falls with the time in which they fade. */
+#define SEGMENTS 48u
+#define SEGMENT_S 1.0
+#define FEWEST 4u
+#define MOST 1024u /* instants of a segment at first, whatever the arc */
 #define LEAST_STEPS 3u
 
-static double magnitude(double x)
+void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint64_t arc_cycles, double period_s)
 {
-    return (x < 0.0) ? -x : x;
-}
-
-static uint32_t entries(uint32_t width)
-{
-    return width * (width + 1u) / 2u;
-}
-
-void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint64_t arc_cycles)
-{
-    const uint64_t steps = arc_cycles / (SEGMENTS * ZYGOS_STEP);
+    const uint64_t most = arc_cycles / FEWEST;
+    const uint64_t slow = (uint64_t)(SEGMENT_S / period_s);
+    const uint64_t least = (slow < most) ? slow : most;
+    const uint64_t many = (arc_cycles / SEGMENTS < MOST) ? arc_cycles / SEGMENTS : MOST;
+    const uint64_t steps = ((many > least) ? many : least) / ZYGOS_STEP;
     memset(self, 0, sizeof *self);
     self->width = parameters + 2u;
     self->target = ZYGOS_STEP * ((steps > LEAST_STEPS) ? steps : LEAST_STEPS);
     self->enough = 0.5 * (double)arc_cycles;
 }
 
-/* Row sums of a packed lower triangle. */
-static void row_sums(const double *gram, uint32_t width, double *sum)
-{
-    memset(sum, 0, width * sizeof sum[0]);
-    for (uint32_t i = 0; i < width; i++) {
-        for (uint32_t j = 0; j < i; j++) {
-            sum[i] += *gram;
-            sum[j] += *gram;
-            gram++;
-        }
-        sum[i] += *gram;
-        gram++;
-    }
-}
-
 static void add_share(zygos_share_t *to, const zygos_share_t *from, double factor, uint32_t width)
 {
-    for (uint32_t k = 0; k < entries(width); k++) {
+    const uint32_t size = zygos_gram_entries(width);
+    for (uint32_t k = 0; k < size; k++) {
         to->gram[k] += factor * from->gram[k];
     }
     for (uint32_t i = 0; i < width; i++) {
@@ -52,13 +38,14 @@ static void add_share(zygos_share_t *to, const zygos_share_t *from, double facto
 
 static void clear_share(zygos_share_t *share, uint32_t width)
 {
-    memset(share->gram, 0, entries(width) * sizeof share->gram[0]);
+    memset(share->gram, 0, zygos_gram_entries(width) * sizeof share->gram[0]);
     memset(share->sum, 0, width * sizeof share->sum[0]);
 }
 
 static void add_block(zygos_block_t *to, const zygos_block_t *from, uint32_t width)
 {
-    for (uint32_t k = 0; k < entries(width); k++) {
+    const uint32_t size = zygos_gram_entries(width);
+    for (uint32_t k = 0; k < size; k++) {
         to->gram[k] += from->gram[k];
     }
     for (uint32_t i = 0; i < width; i++) {
@@ -119,7 +106,7 @@ static void make_room(zygos_accumulator_t *self)
 static void append_block(zygos_accumulator_t *self)
 {
     zygos_block_t *block = &self->block[self->count];
-    memset(block->gram, 0, entries(self->width) * sizeof block->gram[0]);
+    memset(block->gram, 0, zygos_gram_entries(self->width) * sizeof block->gram[0]);
     memset(block->sum, 0, self->width * sizeof block->sum[0]);
     memset(block->deviation, 0, self->width * sizeof block->deviation[0]);
     block->instants = 0.0;
@@ -136,11 +123,12 @@ static void end_segment(zygos_accumulator_t *self)
         return;
     }
     const uint32_t width = self->width - 1u;
+    const uint32_t size = zygos_gram_entries(width);
     const double rising = self->block[self->count - 1u].instants / self->segment;
     for (uint32_t b = 0; b < 2; b++) {
         zygos_block_t *block = &self->block[self->count - 2u + b];
         const double part = (b == 0) ? 1.0 - rising : rising;
-        for (uint32_t k = 0; k < entries(width); k++) {
+        for (uint32_t k = 0; k < size; k++) {
             block->gram[k] -= part * self->noise.gram[k];
         }
         for (uint32_t i = 0; i < width; i++) {
@@ -214,7 +202,7 @@ static void next_step(zygos_accumulator_t *self)
 
 void zygos_accumulator_flush(zygos_accumulator_t *self)
 {
-    const uint32_t size = entries(self->width);
+    const uint32_t size = zygos_gram_entries(self->width);
     for (uint32_t round = 0; round < 2u; round++) {
         if (self->count > self->open) {
             share_out(self, size);
@@ -229,27 +217,16 @@ void zygos_accumulator_add(zygos_accumulator_t *self, const zygos_row_t *row, do
 {
     const uint32_t width = self->width;
     const uint32_t p = width - 2u;
-    const uint32_t size = entries(width);
+    const uint32_t size = zygos_gram_entries(width);
     const uint32_t slice = (size + ZYGOS_STEP - 1u) / ZYGOS_STEP;
     zygos_step_t *step = &self->step[self->filling];
     double z[ZYGOS_MAX_ROW];
-    double total = 0.0;
     for (uint32_t i = 0; i < p; i++) {
         z[i] = weight * row->column[i];
-        total += z[i];
     }
     z[p] = weight * row->work;
     z[p + 1u] = weight;
-    total += z[p] + z[p + 1u];
-    double *gram = step->gram;
-    for (uint32_t i = 0; i < width; i++) {
-        const double zi = z[i];
-        for (uint32_t j = 0; j <= i; j++) {
-            gram[j] += zi * z[j];
-        }
-        gram += i + 1u;
-        step->sum[i] += zi * total;
-    }
+    zygos_gram_add(step->gram, step->sum, width, z);
     step->instants += weight;
     self->filled++;
     if (self->count > self->open) {
@@ -264,44 +241,23 @@ void zygos_accumulator_add(zygos_accumulator_t *self, const zygos_row_t *row, do
     self->refused += 1u - one;
 }
 
-static double check_sums(const double *gram, const double *carried, uint32_t width)
-{
-    double sum[ZYGOS_MAX_ROW];
-    double largest = 0.0;
-    double worst = 0.0;
-    row_sums(gram, width, sum);
-    for (uint32_t k = 0; k < entries(width); k++) {
-        largest = (magnitude(gram[k]) > largest) ? magnitude(gram[k]) : largest;
-    }
-    const double tolerance = 64.0 * EPSILON * (double)width * largest;
-    for (uint32_t i = 0; i < width; i++) {
-        const double off = magnitude(sum[i] - carried[i]);
-        /* Not-a-number compares false with everything; neither it nor infinity is a sum. */
-        const bool good = (off <= tolerance) && (tolerance < 1e300);
-        const double ratio = good ? off / (tolerance + 1e-300) : 2.0;
-        worst = (ratio > worst) ? ratio : worst;
-    }
-    return worst;
-}
-
-/* G - s m^T - m s^T + n m m^T, entry by entry; s is the last row of G. */
+/* G - s m^T - m s^T + n m m^T, entry by entry; s is the last row of G, which changes last and each entry by itself. */
 static void centre(zygos_block_t *block, uint32_t width, const double *mean)
 {
-    double s[ZYGOS_MAX_ROW];
-    const double *last = &block->gram[(width - 1u) * width / 2u];
-    memcpy(s, last, width * sizeof s[0]);
+    const double *s = &block->gram[(width - 1u) * width / 2u];
     const double n = s[width - 1u];
     for (uint32_t i = 0; i < width; i++) {
         block->deviation[i] = s[i] - n * mean[i];
     }
     uint32_t k = 0;
     for (uint32_t i = 0; i < width; i++) {
+        const double si = s[i];
         for (uint32_t j = 0; j <= i; j++) {
-            block->gram[k] += n * mean[i] * mean[j] - s[i] * mean[j] - mean[i] * s[j];
+            block->gram[k] += n * mean[i] * mean[j] - si * mean[j] - mean[i] * s[j];
             k++;
         }
     }
-    row_sums(block->gram, width, block->sum);
+    zygos_gram_row_sums(block->gram, width, block->sum);
 }
 
 static void forget_open_arc(zygos_accumulator_t *self)
@@ -309,7 +265,7 @@ static void forget_open_arc(zygos_accumulator_t *self)
     clear_share(&self->noise, self->width - 1u);
     clear_share(&self->noise_open, self->width - 1u);
     for (uint32_t k = 0; k < 2u; k++) {
-        memset(self->step[k].gram, 0, entries(self->width) * sizeof self->step[k].gram[0]);
+        memset(self->step[k].gram, 0, zygos_gram_entries(self->width) * sizeof self->step[k].gram[0]);
         memset(self->step[k].sum, 0, self->width * sizeof self->step[k].sum[0]);
         self->step[k].instants = 0.0;
     }
@@ -359,9 +315,10 @@ void zygos_accumulator_drop_after(zygos_accumulator_t *self, uint64_t cycle)
 
 void zygos_accumulator_fade(zygos_accumulator_t *self, double factor)
 {
+    const uint32_t size = zygos_gram_entries(self->width);
     for (uint32_t b = 0; b < self->open; b++) {
         zygos_block_t *block = &self->block[b];
-        for (uint32_t k = 0; k < entries(self->width); k++) {
+        for (uint32_t k = 0; k < size; k++) {
             block->gram[k] *= factor;
         }
         for (uint32_t i = 0; i < self->width; i++) {
@@ -383,7 +340,7 @@ void zygos_accumulator_end_arc(zygos_accumulator_t *self, uint64_t cycle)
         return;
     }
     zygos_accumulator_flush(self);
-    self->corrupt |= (check_sums(self->noise.gram, self->noise.sum, width - 1u) <= 1.0) ? 0u : 1u;
+    self->corrupt |= (zygos_gram_check(self->noise.gram, width - 1u, self->noise.sum) <= 1.0) ? 0u : 1u;
     end_segment(self);
     double mean[ZYGOS_MAX_ROW] = { 0.0 };
     const uint32_t last = (width - 1u) * width / 2u;
@@ -397,11 +354,14 @@ void zygos_accumulator_end_arc(zygos_accumulator_t *self, uint64_t cycle)
     }
     for (uint32_t b = self->open; b < self->count; b++) {
         /* Centring cancels: the row sums are judged before, and taken anew after. */
-        self->corrupt |= (check_sums(self->block[b].gram, self->block[b].sum, width) <= 1.0) ? 0u : 1u;
+        self->corrupt |= (zygos_gram_check(self->block[b].gram, width, self->block[b].sum) <= 1.0) ? 0u : 1u;
         centre(&self->block[b], width, mean);
         self->block[b].end = cycle;
     }
     add_share(&self->noise_closed, &self->noise_open, 1.0, width - 1u);
+    if ((double)self->arc_instants >= self->enough) {
+        self->window = self->open; /* it speaks without the short ones before it */
+    }
     self->open = self->count;
     double instants = 0.0;
     for (uint32_t b = self->window; b < self->open; b++) {
@@ -417,7 +377,7 @@ void zygos_accumulator_end_arc(zygos_accumulator_t *self, uint64_t cycle)
 
 void zygos_accumulator_total(const zygos_accumulator_t *self, double *gram)
 {
-    const uint32_t size = entries(self->width);
+    const uint32_t size = zygos_gram_entries(self->width);
     memset(gram, 0, size * sizeof gram[0]);
     for (uint32_t b = 0; b < self->open; b++) {
         for (uint32_t k = 0; k < size; k++) {
@@ -431,11 +391,11 @@ double zygos_accumulator_check(const zygos_accumulator_t *self)
     double worst = self->corrupt ? 2.0 : 0.0;
     const zygos_share_t *shares[3] = { &self->noise, &self->noise_open, &self->noise_closed };
     for (uint32_t s = 0; s < 3; s++) {
-        const double here = check_sums(shares[s]->gram, shares[s]->sum, self->width - 1u);
+        const double here = zygos_gram_check(shares[s]->gram, self->width - 1u, shares[s]->sum);
         worst = (here > worst) ? here : worst;
     }
     for (uint32_t b = 0; b < self->count; b++) {
-        const double here = check_sums(self->block[b].gram, self->block[b].sum, self->width);
+        const double here = zygos_gram_check(self->block[b].gram, self->width, self->block[b].sum);
         worst = (here > worst) ? here : worst;
     }
     return worst;

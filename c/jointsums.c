@@ -1,18 +1,8 @@
 #include "zygos/jointsums.h"
 
+#include "zygos/gram.h"
+
 #include <string.h>
-
-#define EPSILON 2.220446049250313e-16
-
-static double magnitude(double x)
-{
-    return (x < 0.0) ? -x : x;
-}
-
-static uint32_t entries(uint32_t width)
-{
-    return width * (width + 1u) / 2u;
-}
 
 void zygos_joint_sums_clear(zygos_joint_sums_t *self, const zygos_config_t *config)
 {
@@ -43,64 +33,28 @@ void zygos_joint_sums_add(zygos_joint_sums_t *self, const zygos_config_t *config
     const uint32_t p = self->layout.count[i];
     if (p > 0) {
         double z[ZYGOS_MAX_JOINT_ROW];
-        double total = 0.0;
         for (uint32_t k = 0; k < p; k++) {
             z[k] = weight * rows->column[i][k];
-            total += z[k];
         }
         z[p] = weight * rows->impulse[i];
         z[p + 1u] = weight;
-        total += z[p] + z[p + 1u];
-        double *gram = self->open.joint[i].gram;
-        double *sum = self->open.joint[i].sum;
-        for (uint32_t a = 0; a < p + 2u; a++) {
-            for (uint32_t b = 0; b <= a; b++) {
-                gram[b] += z[a] * z[b];
-            }
-            gram += a + 1u;
-            sum[a] += z[a] * total;
-        }
+        zygos_gram_add(self->open.joint[i].gram, self->open.joint[i].sum, p + 2u, z);
     }
     self->open.instants[i] += weight;
     self->instants += (weight > 0.0) ? 1u : 0u;
     self->cycles++;
 }
 
-static void row_sums(const double *gram, uint32_t width, double *sum)
-{
-    memset(sum, 0, width * sizeof sum[0]);
-    for (uint32_t i = 0; i < width; i++) {
-        for (uint32_t j = 0; j < i; j++) {
-            sum[i] += *gram;
-            sum[j] += *gram;
-            gram++;
-        }
-        sum[i] += *gram;
-        gram++;
-    }
-}
-
 static bool matches(const zygos_joint_gram_t *joint, uint32_t width)
 {
-    double sum[ZYGOS_MAX_JOINT_ROW];
-    double largest = 0.0;
-    bool good = true;
-    row_sums(joint->gram, width, sum);
-    for (uint32_t k = 0; k < entries(width); k++) {
-        largest = (magnitude(joint->gram[k]) > largest) ? magnitude(joint->gram[k]) : largest;
-    }
-    const double tolerance = 64.0 * EPSILON * (double)width * largest;
-    for (uint32_t i = 0; i < width; i++) {
-        good = good && (magnitude(sum[i] - joint->sum[i]) <= tolerance) && (tolerance < 1e300);
-    }
-    return good;
+    return zygos_gram_check(joint->gram, width, joint->sum) <= 1.0;
 }
 
 /* G - s s^T / n without its last row, less n times the noise. */
 static void close_gram(zygos_joint_gram_t *joint, uint32_t p, double n, const double *noise)
 {
     double s[ZYGOS_MAX_JOINT_ROW];
-    memcpy(s, &joint->gram[entries(p + 1u)], (p + 1u) * sizeof s[0]);
+    memcpy(s, &joint->gram[zygos_gram_entries(p + 1u)], (p + 1u) * sizeof s[0]);
     uint32_t k = 0;
     for (uint32_t a = 0; a <= p; a++) {
         for (uint32_t b = 0; b <= a; b++) {
@@ -109,7 +63,7 @@ static void close_gram(zygos_joint_gram_t *joint, uint32_t p, double n, const do
         }
     }
     memset(&joint->gram[k], 0, (p + 2u) * sizeof joint->gram[0]);
-    row_sums(joint->gram, p + 2u, joint->sum);
+    zygos_gram_row_sums(joint->gram, p + 2u, joint->sum);
 }
 
 static void add_block(zygos_joint_block_t *to, const zygos_joint_block_t *from)

@@ -64,143 +64,93 @@ static void turn(zygos_momentum_t *self, double h, const double *omega, double k
     self->attitude[3] += 1.0 - keep;
 }
 
-/* What the columns are made of. */
-typedef struct {
-    double direction[ZYGOS_MAX_DIRECTIONS][3];
-    double rate[ZYGOS_MAX_DIRECTIONS][3];
-    double axis[ZYGOS_MAX_JOINTS][3]; /* of a spatial arm */
-    double spin[ZYGOS_MAX_JOINTS];    /* rate of each motor after the gear */
-} vectors_t;
-
-static void spatial_columns(const zygos_config_t *config, const zygos_layout_t *layout, const vectors_t *of,
-                            double (*out)[ZYGOS_MAX_MOMENTUM])
+int zygos_momentum_step(zygos_momentum_t *self, const zygos_config_t *config, const zygos_state_t *state)
 {
-    const uint32_t directions = 2u * config->joints + 3u;
-    uint32_t column = 0;
-    for (uint32_t a = 0; a < directions; a++) {
-        for (uint32_t b = a; b < directions; b++) {
-            double one[3];
-            double other[3];
-            cross3(of->direction[a], of->rate[b], one);
-            cross3(of->direction[b], of->rate[a], other);
-            const double twice = (a == b) ? 0.0 : 1.0;
-            for (uint32_t k = 0; k < 3; k++) {
-                out[k][column] = one[k] + twice * other[k];
-            }
-            column++;
-        }
-    }
-    for (uint32_t i = 0; i < config->joints; i++) {
-        for (uint32_t k = 0; k < 3; k++) {
-            out[k][layout->kinetic + i] = config->joint[i].gear_ratio * of->spin[i] * of->axis[i][k];
-        }
-    }
-}
-
-static void planar_columns(const zygos_config_t *config, const zygos_layout_t *layout, const vectors_t *of, double *out)
-{
-    const uint32_t n = config->joints;
-    uint32_t column = 0;
-    for (uint32_t skew = 0; skew < ((config->kinetic == ZYGOS_PLANAR) ? 2u : 1u); skew++) {
-        for (uint32_t i = 0; i <= n; i++) {
-            for (uint32_t j = i + skew; j <= n; j++) {
-                const double *d = of->direction[i];
-                const double *e = of->direction[j];
-                const double *v = of->rate[i];
-                const double *w = of->rate[j];
-                const double along = d[0] * w[0] + d[1] * w[1] + v[0] * e[0] + v[1] * e[1];
-                const double across = d[0] * w[1] - d[1] * w[0] + v[0] * e[1] - v[1] * e[0];
-                out[column] = skew ? across : ((i == j) ? 0.5 * along : along);
-                column++;
-            }
-        }
-    }
-    for (uint32_t i = 0; i < n; i++) {
-        out[layout->kinetic + i] = config->joint[i].gear_ratio * of->spin[i];
-    }
-}
-
-static void columns(const zygos_config_t *config, const zygos_layout_t *layout, const vectors_t *of,
-                    zygos_momentum_rows_t *out)
-{
-    if ((ZYGOS_SPATIAL != 0) && (config->kinetic == ZYGOS_SPATIAL_ARM)) {
-        spatial_columns(config, layout, of, out->column);
-    } else {
-        planar_columns(config, layout, of, out->column[0]);
-    }
-}
-
-/* Turns vectors from base axes to those of the arc's origin. */
-static void to_origin(const double *quaternion, uint32_t count, double (*vector)[3])
-{
-    for (uint32_t c = 0; c < count; c++) {
-        double once[3];
-        double twice[3];
-        cross3(quaternion, vector[c], once);
-        cross3(quaternion, once, twice);
-        for (uint32_t k = 0; k < 3; k++) {
-            vector[c][k] += 2.0 * (quaternion[3] * once[k] + twice[k]);
-        }
-    }
-}
-
-int zygos_momentum_row(zygos_momentum_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
-                       const zygos_state_t *state, const zygos_motion_t *motion, zygos_momentum_rows_t *out)
-{
-    const uint32_t n = config->joints;
-    const bool spatial = (config->kinetic == ZYGOS_SPATIAL_ARM);
     self->instants += (self->instants < 4u) ? 1u : 0u;
-    if (spatial) {
+    if ((ZYGOS_SPATIAL != 0) && (config->kinetic == ZYGOS_SPATIAL_ARM)) {
         turn(self, config->period_s, state->omega, self->origin ? 0.0 : 1.0);
     }
     if (self->instants < 4u) {
         return 0;
     }
     self->origin = 0;
-    vectors_t of;
-    memcpy(of.direction, motion->direction, sizeof of.direction);
-    memcpy(of.rate, motion->rate, sizeof of.rate);
-    memcpy(of.axis, motion->axis, sizeof of.axis);
-    memcpy(of.spin, state->theta_rate, sizeof of.spin);
-    if (spatial) {
-        to_origin(self->attitude, 2u * n + 3u, of.direction);
-        to_origin(self->attitude, 2u * n + 3u, of.rate);
-        to_origin(self->attitude, n, of.axis);
-    }
-    columns(config, layout, &of, out);
     return 1;
 }
 
-void zygos_momentum_derivative(const zygos_config_t *config, const zygos_layout_t *layout, const zygos_motion_t *motion,
-                               uint32_t signal, zygos_momentum_rows_t *out)
+/* Axis k of the arc's origin, in base axes. */
+static void origin_axis(const zygos_momentum_t *self, uint32_t k, double *out)
+{
+    double once[3];
+    double twice[3];
+    double axis[3] = { 0.0, 0.0, 0.0 };
+    axis[k] = 1.0;
+    cross3(axis, self->attitude, once);
+    cross3(once, self->attitude, twice);
+    for (uint32_t j = 0; j < 3; j++) {
+        out[j] = axis[j] + 2.0 * (self->attitude[3] * once[j] + twice[j]);
+    }
+}
+
+/* How fast the directions move when the bodies from the given one on turn about an axis, or about that of the plane. */
+static void swing(const zygos_config_t *config, const zygos_motion_t *motion, const double *axis, uint32_t body,
+                  double (*out)[3])
+{
+    const bool space = (ZYGOS_SPATIAL != 0) && (config->kinetic == ZYGOS_SPATIAL_ARM);
+    const uint32_t first = (space && (body > 0)) ? 2u * body + 1u : body;
+    for (uint32_t a = 0; a < (space ? 2u * config->joints + 3u : config->joints + 1u); a++) {
+        const double moves = (a < first) ? 0.0 : 1.0;
+        if (space) {
+            cross3(axis, motion->direction[a], out[a]);
+        }
+        for (uint32_t k = 0; k < 3; k++) {
+            out[a][k] = moves * (space ? out[a][k] : motion->direction[a][k]);
+        }
+    }
+}
+
+/* The momentum along an axis is what the energy changes by when all turns faster about it. */
+static void columns(const zygos_config_t *config, const zygos_layout_t *layout, const zygos_motion_t *motion,
+                    const double *axis, const double (*rate)[3], const double *spin, double *out)
+{
+    const bool space = (ZYGOS_SPATIAL != 0) && (config->kinetic == ZYGOS_SPATIAL_ARM);
+    double whole[ZYGOS_MAX_DIRECTIONS][3];
+    swing(config, motion, axis, 0, whole);
+    memset(out, 0, layout->kinetic * sizeof out[0]);
+    (void)zygos_kinetic_products(config, (const double(*)[3])whole, rate, out);
+    (void)zygos_kinetic_products(config, rate, (const double(*)[3])whole, out);
+    for (uint32_t i = 0; i < config->joints; i++) {
+        const double *z = motion->axis[i];
+        const double along = space ? axis[0] * z[0] + axis[1] * z[1] + axis[2] * z[2] : 1.0;
+        out[layout->kinetic + i] = config->joint[i].gear_ratio * spin[i] * along;
+    }
+}
+
+void zygos_momentum_row(const zygos_momentum_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
+                        const zygos_state_t *state, const zygos_motion_t *motion, uint32_t component, double *out)
+{
+    double axis[3];
+    origin_axis(self, component, axis);
+    columns(config, layout, motion, axis, motion->rate, state->theta_rate, out);
+}
+
+void zygos_momentum_derivative(const zygos_momentum_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
+                               const zygos_motion_t *motion, uint32_t component, uint32_t signal, double *out)
 {
     const uint32_t n = config->joints;
     const bool of_link = (signal < n);
-    const uint32_t first = of_link ? signal + 1u : 0u; /* the first body that turns faster */
-    vectors_t of;
-    memcpy(of.direction, motion->direction, sizeof of.direction);
-    memcpy(of.axis, motion->axis, sizeof of.axis);
-    memset(of.rate, 0, sizeof of.rate);
-    memset(of.spin, 0, sizeof of.spin);
+    double rate[ZYGOS_MAX_DIRECTIONS][3];
+    double spin[ZYGOS_MAX_JOINTS] = { 0.0 };
+    double axis[3];
+    double about[3] = { 0.0, 0.0, 0.0 };
     if (of_link) {
-        of.spin[signal] = config->joint[signal].rigid ? 1.0 : 0.0;
-    }
-    if (config->kinetic == ZYGOS_SPATIAL_ARM) {
-        double axis[3] = { 0.0, 0.0, 0.0 };
-        if (of_link) {
-            memcpy(axis, motion->axis[signal], sizeof axis);
-        } else {
-            axis[signal - n] = 1.0;
-        }
-        for (uint32_t a = of_link ? 2u * first + 1u : 0u; a < 2u * n + 3u; a++) {
-            cross3(axis, of.direction[a], of.rate[a]);
-        }
+        memcpy(about, motion->axis[signal], sizeof about);
+        spin[signal] = config->joint[signal].rigid ? 1.0 : 0.0;
     } else {
-        for (uint32_t i = first; i <= n; i++) {
-            memcpy(of.rate[i], of.direction[i], sizeof of.rate[i]);
-        }
+        about[signal - n] = 1.0;
     }
-    columns(config, layout, &of, out);
+    origin_axis(self, component, axis);
+    swing(config, motion, about, of_link ? signal + 1u : 0u, rate);
+    columns(config, layout, motion, axis, (const double(*)[3])rate, spin, out);
 }
 
 static double sum_of_squares(const double *x, uint32_t n)

@@ -23,40 +23,44 @@ static void put(zygos_places_t *list, uint32_t place)
     list->count++;
 }
 
+/* Kinetic columns that are not zero. */
+static void put_products(zygos_places_t *list, const zygos_config_t *config, const zygos_layout_t *layout,
+                         const double (*x)[3], const double (*y)[3], double *column)
+{
+    (void)zygos_kinetic_products(config, x, y, column);
+    for (uint32_t k = 0; k < layout->kinetic; k++) {
+        if (column[k] > 0.0 || column[k] < 0.0) {
+            put(list, k);
+        }
+    }
+}
+
 /* Kinetic columns that the rate of joint i is in, or that of the base for i = N, and of those the ones that its angle
    is in. They are found at a motion that has nothing special. */
 static void put_bodies(zygos_places_t *angle, zygos_places_t *rate, const zygos_config_t *config,
                        const zygos_layout_t *layout, uint32_t i)
 {
-    const bool space = (config->kinetic == ZYGOS_SPATIAL_ARM);
+    const bool space = (ZYGOS_SPATIAL != 0) && (config->kinetic == ZYGOS_SPATIAL_ARM);
     const bool free = (config->base == ZYGOS_BASE_FREE);
     const uint32_t base = free ? (space ? 3u : 1u) : (space ? 0u : 1u);
     const uint32_t size = space ? base + 2u * config->joints : config->joints + 1u;
     const uint32_t begin = (i == config->joints) ? 0u : (space ? base + 2u * i : i + 1u);
-    double one[ZYGOS_MAX_DIRECTIONS][3];
-    double carried[ZYGOS_MAX_DIRECTIONS][3] = { { 0.0 } };
-    double left[ZYGOS_MAX_DIRECTIONS][3] = { { 0.0 } };
-    double by_rate[ZYGOS_MAX_BODY] = { 0.0 };
-    double by_angle[ZYGOS_MAX_BODY] = { 0.0 };
+    double others[ZYGOS_MAX_DIRECTIONS][3];
+    double carried[ZYGOS_MAX_DIRECTIONS][3];
+    double column[ZYGOS_MAX_BODY] = { 0.0 };
     for (uint32_t a = 0; a < ZYGOS_MAX_DIRECTIONS; a++) {
         for (uint32_t k = 0; k < 3; k++) {
-            one[a][k] = 1.0 + (double)(3u * a + k * k);
+            others[a][k] = 1.0 + (double)(3u * a + k * k);
             carried[a][k] = ((a >= begin) && (a < size)) ? 1.0 : 0.0;
-            left[a][k] = (a < begin) ? one[a][k] : 0.0;
         }
     }
+    put_products(rate, config, layout, (const double(*)[3])others, (const double(*)[3])carried, column);
     /* In a plane, what joint i carries turns together. */
-    const double(*others)[3] = space ? (const double(*)[3])one : (const double(*)[3])left;
-    (void)zygos_kinetic_products(config, (const double(*)[3])one, (const double(*)[3])carried, by_rate);
-    (void)zygos_kinetic_products(config, others, (const double(*)[3])carried, by_angle);
-    for (uint32_t k = 0; k < layout->kinetic; k++) {
-        if (by_rate[k] > 0.0 || by_rate[k] < 0.0) {
-            put(rate, k);
-        }
-        if (by_angle[k] > 0.0 || by_angle[k] < 0.0) {
-            put(angle, k);
-        }
+    for (uint32_t a = begin; (a < ZYGOS_MAX_DIRECTIONS) && !space; a++) {
+        memset(others[a], 0, sizeof others[a]);
     }
+    memset(column, 0, sizeof column);
+    put_products(angle, config, layout, (const double(*)[3])others, (const double(*)[3])carried, column);
     for (uint32_t k = layout->kinetic; (k < layout->body) && (i < config->joints); k++) {
         put(angle, k);
     }
@@ -65,7 +69,7 @@ static void put_bodies(zygos_places_t *angle, zygos_places_t *rate, const zygos_
 /* Rotors that the bodies behind joint i carry, as far as they notice. */
 static void put_rotors(zygos_places_t *list, const zygos_layout_t *layout, uint32_t joints, uint32_t from)
 {
-    for (uint32_t i = from; i < joints; i++) {
+    for (uint32_t i = from; (i < joints) && (i < (uint32_t)ZYGOS_MAX_JOINTS); i++) {
         if (layout->rotor[i]) {
             put(list, layout->joint[i]);
         }
@@ -135,7 +139,9 @@ static void find_places(zygos_noise_t *self, const zygos_config_t *config, const
         put_spring(angle[0], config, layout, i);
         /* One sensor speaks for both sides of a rigid joint. */
         const uint32_t motor = (config->joint[i].rigid == 0) ? 1u : 0u;
-        put_spring(angle[motor], config, layout, i);
+        if (motor == 1u) {
+            put_spring(angle[1], config, layout, i);
+        }
         put(angle[motor], layout->count);
         put_motor(rate[motor], config, layout, i);
     }
@@ -280,26 +286,27 @@ static void add(const zygos_places_t *list, const double *x, double *packed, dou
     }
 }
 
-/* The same of the noise of an angle and of its rate, which are correlated where the signal latches late. */
-static void add_signal(const zygos_noise_t *self, uint32_t signal, double weight, const double *angle,
-                       const double *rate, double *packed, double *sum)
+/* The same of the noise of an angle and of its rate, which are correlated where the signal latches late. Places
+   ascend, so what stands there can move to the front of its own array. */
+static void add_signal(const zygos_noise_t *self, uint32_t signal, double weight, double *angle, double *rate,
+                       double *packed, double *sum)
 {
     const double *factor = self->factor[signal];
     const zygos_places_t *of_angle = &self->angle[signal];
     const zygos_places_t *of_rate = &self->rate[signal];
     const bool late = (factor[1] > 0.0) || (factor[1] < 0.0);
-    double x[ZYGOS_MAX_PARAMETERS + 1];
     for (uint32_t i = 0; i < of_angle->count; i++) {
-        x[i] = weight * factor[0] * angle[of_angle->place[i]];
+        const uint32_t place = of_angle->place[i];
+        angle[i] = weight * factor[0] * angle[place];
+        if (late) {
+            angle[i] += weight * factor[1] * rate[place];
+        }
     }
-    for (uint32_t i = 0; (i < of_angle->count) && late; i++) {
-        x[i] += weight * factor[1] * rate[of_angle->place[i]];
-    }
-    add(of_angle, x, packed, sum);
+    add(of_angle, angle, packed, sum);
     for (uint32_t i = 0; i < of_rate->count; i++) {
-        x[i] = weight * factor[2] * rate[of_rate->place[i]];
+        rate[i] = weight * factor[2] * rate[of_rate->place[i]];
     }
-    add(of_rate, x, packed, sum);
+    add(of_rate, rate, packed, sum);
 }
 
 /* Of a motion about joint i: bodies, and the rotors that they carry. */
@@ -405,41 +412,46 @@ static void gyro_slopes(const zygos_config_t *config, const zygos_layout_t *layo
     }
 }
 
-/* The share of one sensor: link encoders first, then motor encoders, then the gyro. */
-static void add_sensor(const zygos_noise_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
-                       const zygos_skeleton_t *skeleton, const zygos_state_t *state, const zygos_motion_t *motion,
-                       const double *tau, const double *tau_next, uint32_t sensor, double weight, double *packed,
-                       double *sum)
+/* The share of the gyro. */
+static void add_gyro(const zygos_noise_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
+                     const zygos_state_t *state, const zygos_motion_t *motion, double weight, double *packed,
+                     double *sum)
+{
+    const double deviation = weight * root(self->gyro_variance);
+    const bool space = (ZYGOS_SPATIAL != 0) && (config->kinetic == ZYGOS_SPATIAL_ARM);
+    double rate[ZYGOS_MAX_PARAMETERS + 1];
+    for (uint32_t axis = 0; axis < (space ? 3u : 1u); axis++) {
+        gyro_slopes(config, layout, state, motion, axis, rate);
+        for (uint32_t k = 0; k < self->gyro.count; k++) {
+            rate[k] = deviation * rate[self->gyro.place[k]];
+        }
+        add(&self->gyro, rate, packed, sum);
+    }
+}
+
+/* The share of one encoder: those of the links first, then those of the motors. */
+static void add_encoder(const zygos_noise_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
+                        const zygos_skeleton_t *skeleton, const zygos_state_t *state, const zygos_motion_t *motion,
+                        const double *tau, const double *tau_next, uint32_t sensor, double weight, double *packed,
+                        double *sum)
 {
     const uint32_t n = config->joints;
-    double angle[ZYGOS_MAX_PARAMETERS + 1];
-    double rate[ZYGOS_MAX_PARAMETERS + 1];
-    if (sensor == 2u * n) {
-        const double deviation = weight * root(self->gyro_variance);
-        const bool space = (ZYGOS_SPATIAL != 0) && (config->kinetic == ZYGOS_SPATIAL_ARM);
-        for (uint32_t axis = 0; axis < (space ? 3u : 1u); axis++) {
-            gyro_slopes(config, layout, state, motion, axis, rate);
-            for (uint32_t k = 0; k < self->gyro.count; k++) {
-                angle[k] = deviation * rate[self->gyro.place[k]];
-            }
-            add(&self->gyro, angle, packed, sum);
-        }
-        return;
-    }
     const uint32_t i = sensor % n;
     const bool rigid = (config->joint[i].rigid != 0);
+    double angle[ZYGOS_MAX_PARAMETERS + 1];
+    double rate[ZYGOS_MAX_PARAMETERS + 1];
+    if (rigid && (sensor >= n)) {
+        return; /* it spoke for both sides */
+    }
     if (sensor < n) {
         link_slopes(config, layout, skeleton, state, motion, i, angle, rate);
-        if (rigid) {
-            motor_slopes(config, layout, state, motion, tau, tau_next, i, angle, rate);
-        } else {
-            against(config, layout, state, i, angle, rate);
-        }
-        add_signal(self, i, weight, angle, rate, packed, sum);
-    } else if (!rigid) {
-        motor_slopes(config, layout, state, motion, tau, tau_next, i, angle, rate);
-        add_signal(self, sensor, weight, angle, rate, packed, sum);
     }
+    if ((sensor < n) && !rigid) {
+        against(config, layout, state, i, angle, rate);
+    } else {
+        motor_slopes(config, layout, state, motion, tau, tau_next, i, angle, rate);
+    }
+    add_signal(self, sensor, weight, angle, rate, packed, sum);
 }
 
 void zygos_noise_add(const zygos_noise_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
@@ -455,6 +467,10 @@ void zygos_noise_add(const zygos_noise_t *self, const zygos_config_t *config, co
     const uint32_t sensors = 2u * config->joints + (gyro ? 1u : 0u);
     const double share = weight * root((double)stride);
     for (uint32_t sensor = turn % stride; sensor < sensors; sensor += stride) {
-        add_sensor(self, config, layout, skeleton, state, motion, tau, tau_next, sensor, share, packed, sum);
+        if (sensor == 2u * config->joints) {
+            add_gyro(self, config, layout, state, motion, share, packed, sum);
+        } else {
+            add_encoder(self, config, layout, skeleton, state, motion, tau, tau_next, sensor, share, packed, sum);
+        }
     }
 }

@@ -10,6 +10,9 @@
           */
 #define TWO_SIGMAS 1.959964 /* 95 % of a normal distribution */
 #define POOLED_FREEDOM 4.0
+/* The noise of neighbouring momentum rows is alike, that of energy rows forgets at once: so much less their square
+   says. */
+#define MOMENTUM_CAUTION 5.0
 
 /* Place of entry (i, j), j <= i, in a packed lower triangle. */
 static uint32_t at(uint32_t i, uint32_t j)
@@ -184,6 +187,33 @@ static void scaled_without_arc(zygos_work_t *work, uint32_t p, const zygos_joint
     }
 }
 
+/* Where column c of the momentum rows stands. Places ascend. */
+static uint32_t momentum_place(const zygos_work_t *work, uint32_t c)
+{
+    return (c < work->layout.kinetic) ? c : work->layout.joint[c - work->layout.kinetic];
+}
+
+/* out += factor times a matrix of the momentum rows, scaled where there is a scale. */
+static void embed_momentum(const zygos_work_t *work, const double *local, double factor, const double *scale,
+                           double *out)
+{
+    for (uint32_t a = 0; a < work->momentum_sums.columns; a++) {
+        const uint32_t place_a = momentum_place(work, a);
+        for (uint32_t b = 0; b <= a; b++) {
+            const uint32_t place_b = momentum_place(work, b);
+            const double both = scale ? scale[place_a] * scale[place_b] : 1.0;
+            out[at(place_a, place_b)] += factor * local[at(a, b)] * both;
+        }
+    }
+}
+
+/* The scaled equations without an arc of the momentum rows. */
+static void scaled_without_momentum(zygos_work_t *work, uint32_t p, const zygos_momentum_block_t *arc)
+{
+    scaled_equations(work, p, NULL, work->believed);
+    embed_momentum(work, arc->rows.gram, -work->momentum_weight, work->scale, work->matrix);
+}
+
 /* Solves the scaled equations of the rank independent columns; dependent ones become 0. Unscaled solution in x. */
 static void solve_once(zygos_work_t *work, uint32_t p, uint32_t rank, double *x)
 {
@@ -298,6 +328,19 @@ static void score_of_arc(const zygos_work_t *work, uint32_t p, const zygos_joint
     }
 }
 
+static void score_of_momentum(const zygos_work_t *work, uint32_t p, const zygos_momentum_block_t *arc, double *out)
+{
+    const uint32_t count = work->momentum_sums.columns;
+    memset(out, 0, p * sizeof out[0]);
+    for (uint32_t a = 0; a < count; a++) {
+        const uint32_t place = momentum_place(work, a);
+        for (uint32_t b = 0; b < count; b++) {
+            out[place] -= entry(arc->rows.gram, a, b) * work->solution[momentum_place(work, b)];
+        }
+        out[place] *= work->momentum_weight * work->scale[place];
+    }
+}
+
 /* A block's scores squared, in the metric of the inverse of the factorised equations: their mean over the parameters.
  */
 static double loudness(zygos_work_t *work, uint32_t rank, const double *scores)
@@ -339,7 +382,9 @@ static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, double *cov
     const zygos_block_t *energy_block = &work->accumulator.block[work->blocks.first];
     const zygos_joint_block_t *arc = &work->joint_sums.block[work->arcs.first];
     const uint32_t energy_blocks = work->blocks.end - work->blocks.first;
-    const uint32_t blocks = energy_blocks + (work->arcs.end - work->arcs.first);
+    const zygos_momentum_block_t *momenta = &work->momentum_sums.block[work->momenta.first];
+    const uint32_t energy_and_motors = energy_blocks + (work->arcs.end - work->arcs.first);
+    const uint32_t blocks = energy_and_motors + (work->momenta.end - work->momenta.first);
     double instants = 0.0;
     double square = 0.0;
     double loud = 0.0;
@@ -350,6 +395,8 @@ static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, double *cov
             scaled_equations(work, p, &energy_block[b], work->believed);
             instants += energy_block[b].instants;
             square += energy_block[b].square;
+        } else if (b >= energy_and_motors) {
+            scaled_without_momentum(work, p, &momenta[b - energy_and_motors]);
         } else {
             scaled_without_arc(work, p, &arc[b - energy_blocks]);
         }
@@ -365,12 +412,15 @@ static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, double *cov
         }
     }
     memset(covariance, 0, at(p, 0) * sizeof covariance[0]);
+    memset(work->plain, 0, sizeof work->plain);
     scaled_equations(work, p, NULL, work->believed);
     (void)factorise(work, p, rank);
     for (uint32_t b = 0; (b < blocks) && !once; b++) {
         const bool energy = (b < energy_blocks);
         if (energy) {
             score(work, p, &energy_block[b], work->right);
+        } else if (b >= energy_and_motors) {
+            score_of_momentum(work, p, &momenta[b - energy_and_motors], work->right);
         } else {
             score_of_arc(work, p, &arc[b - energy_blocks], work->right);
         }
@@ -378,6 +428,7 @@ static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, double *cov
         loud += 2.0 * factor * loudness(work, rank, work->right);
         solve_once(work, p, rank, work->direct);
         for (uint32_t i = 0; i < p; i++) {
+            work->plain[i] += 2.0 * factor * work->direct[i] * work->direct[i];
             for (uint32_t j = 0; j <= i; j++) {
                 covariance[at(i, j)] +=
                     factor * (work->left_out[b][i] * work->direct[j] + work->left_out[b][j] * work->direct[i]);
@@ -387,7 +438,9 @@ static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, double *cov
     for (uint32_t i = 0; i < p; i++) {
         const double several = work->shares[0][i] * work->shares[0][i];
         const double freedom = (work->shares[1][i] > 0.0) ? several / work->shares[1][i] : 1.0;
-        covariance[at(i, i)] = once ? infinity() : covariance[at(i, i)];
+        const double variance = covariance[at(i, i)];
+        /* By an accident of few blocks the product may be too small, even negative; the square of the one is not. */
+        covariance[at(i, i)] = once ? infinity() : ((variance > work->plain[i]) ? variance : work->plain[i]);
         work->freedom[i] = (freedom > 2.0) ? freedom : 2.0;
     }
     if (!once) {
@@ -649,6 +702,16 @@ static uint32_t solve_with(zygos_work_t *work, uint32_t p, uint32_t most, double
     return rank;
 }
 
+/* Sum over the columns of the momentum rows of x_a x_b entry. */
+static double momentum_form(const zygos_work_t *work, const zygos_momentum_gram_t *rows, const double *x)
+{
+    double local[ZYGOS_MAX_MOMENTUM];
+    for (uint32_t a = 0; a < work->momentum_sums.columns; a++) {
+        local[a] = x[momentum_place(work, a)];
+    }
+    return form(rows->gram, local, work->momentum_sums.columns);
+}
+
 /* What x leaves of the energy rows, noise included, and what of it the declared noise makes: sums of squares [J^2]. */
 static double energy_left(const zygos_work_t *work, uint32_t p, const double *x, double *explained)
 {
@@ -663,6 +726,9 @@ static double energy_left(const zygos_work_t *work, uint32_t p, const double *x,
             left -= work->weight[i] * form(work->joint_sums.block[b].joint[i].gram, local, count);
         }
     }
+    for (uint32_t b = work->momenta.first; (b < work->momenta.end) && (work->momentum_weight > 0.0); b++) {
+        left -= work->momentum_weight * momentum_form(work, &work->momentum_sums.block[b].rows, x);
+    }
     *explained = work->noise_part * form(work->accumulator.noise_closed.gram, x, p);
     left += *explained;
     return (left > 0.0) ? left : 0.0;
@@ -676,14 +742,16 @@ static void believe(zygos_work_t *work, uint32_t p, uint32_t rank, zygos_estimat
     double seen = 1.0;
     work->believed = 1.0;
     out->gate = infinity();
-    for (uint32_t round = 0; (round < 2) && (share > 0.0); round++) {
+    for (uint32_t round = 0; (round < 3) && (share > 0.0); round++) {
         const double most = 1.0 / (ZYGOS_GATE * share);
+        if (round > 0) {
+            double explained = 0.0;
+            (void)solve_with(work, p, rank, work->believed, work->solution);
+            const double left = energy_left(work, p, work->solution, &explained);
+            seen = (left < ZYGOS_OVERDECLARED * explained) ? left / explained : 1.0;
+        }
         work->believed = (seen < most) ? seen : most;
         out->gate = 1.0 / (share * seen);
-        (void)solve_with(work, p, rank, work->believed, work->solution);
-        double explained = 0.0;
-        const double left = energy_left(work, p, work->solution, &explained);
-        seen = (left < ZYGOS_OVERDECLARED * explained) ? left / explained : 1.0;
     }
 }
 
@@ -848,11 +916,30 @@ static bool prepare(zygos_work_t *work)
     if (!(zygos_accumulator_check(sums) <= 1.0) || !(zygos_joint_sums_check(&work->joint_sums, &work->config) <= 1.0)) {
         return false;
     }
+    const uint32_t columns = (work->config.momentum_arc_cycles > 0) ? work->layout.kinetic + work->config.joints : 0u;
+    if ((work->momentum_sums.columns != columns) || !(zygos_momentum_sums_check(&work->momentum_sums) <= 1.0)) {
+        return false;
+    }
+    zygos_momentum_sums_end_arc(&work->momentum_sums, &work->config, work->cycle);
     zygos_accumulator_end_arc(sums, work->cycle);
     if (work->config.impulse_arc_cycles > 0) {
         zygos_joint_sums_end_arc(&work->joint_sums, &work->config, work->cycle);
     }
     return sums->corrupt == 0;
+}
+
+/* Chooses the blocks of the momentum rows that end behind one cycle, and not behind another. */
+static void choose_momenta(zygos_work_t *work, uint64_t after, uint64_t until)
+{
+    const zygos_momentum_sums_t *sums = &work->momentum_sums;
+    work->momenta.first = 0;
+    while ((work->momenta.first < sums->count) && (sums->block[work->momenta.first].end <= after)) {
+        work->momenta.first++;
+    }
+    work->momenta.end = work->momenta.first;
+    while ((work->momenta.end < sums->count) && (sums->block[work->momenta.end].end <= until)) {
+        work->momenta.end++;
+    }
 }
 
 /* Chooses the blocks that are looked at, and sums them: first those of the energy, then those of the motors. */
@@ -873,6 +960,7 @@ static void choose(zygos_work_t *work, uint32_t p, uint32_t first, uint32_t end)
     while ((work->arcs.end < joints->count) && ((end == sums->open) || (joints->block[work->arcs.end].end <= until))) {
         work->arcs.end++;
     }
+    choose_momenta(work, after, (end == sums->open) ? work->cycle : until);
     memset(work->total, 0, at(p + 2u, 0) * sizeof work->total[0]);
     work->instants = 0.0;
     for (uint32_t b = 0; b < sums->open; b++) {
@@ -891,7 +979,7 @@ static void choose(zygos_work_t *work, uint32_t p, uint32_t first, uint32_t end)
 
 /* Solves the energy rows of the chosen blocks, weighs the motor rows beside them unless they have weights, and scales
    the sums of both. Returns their rank. */
-static uint32_t combine(zygos_work_t *work, uint32_t p, zygos_estimate_t *out)
+static uint32_t with_motors(zygos_work_t *work, uint32_t p, zygos_estimate_t *out)
 {
     const uint32_t rank = begin(work, p);
     if ((work->arcs.first == work->arcs.end) || (rank == 0)) {
@@ -907,6 +995,49 @@ static uint32_t combine(zygos_work_t *work, uint32_t p, zygos_estimate_t *out)
     memcpy(work->weight, weight, sizeof weight);
     add_motors(work, explained / work->instants);
     return begin(work, p);
+}
+
+/* Weighs the momentum rows of the chosen blocks unless they have a weight, by what the declared noise makes of a row of
+   either kind at the solution so far, and scales the sums of all rows. Returns their rank. Rows of fewer than three
+   arcs are left out, and without declared noise all. */
+static uint32_t with_momentum(zygos_work_t *work, uint32_t p, uint32_t rank, zygos_estimate_t *out)
+{
+    const zygos_momentum_sums_t *sums = &work->momentum_sums;
+    if ((rank == 0) || (work->momenta.end < work->momenta.first + 3u)) {
+        work->momenta.end = work->momenta.first;
+        return rank;
+    }
+    double weight = work->momentum_weight;
+    double all = 0.0;
+    double chosen = 0.0;
+    for (uint32_t b = 0; b < sums->count; b++) {
+        all += sums->block[b].instants;
+        chosen += ((b >= work->momenta.first) && (b < work->momenta.end)) ? sums->block[b].instants : 0.0;
+    }
+    work->momentum_weight = 0.0;
+    if (!(weight > 0.0)) {
+        double energy = 0.0;
+        believe(work, p, rank, out);
+        (void)solve_with(work, p, rank, work->believed, work->solution);
+        (void)energy_left(work, p, work->solution, &energy);
+        const double noise = momentum_form(work, &sums->noise_closed, work->solution) / all;
+        weight = (noise > 0.0) ? energy / work->instants / (MOMENTUM_CAUTION * noise) : 0.0;
+    }
+    if (!(weight > 0.0)) {
+        work->momenta.end = work->momenta.first;
+    }
+    for (uint32_t b = work->momenta.first; b < work->momenta.end; b++) {
+        embed_momentum(work, sums->block[b].rows.gram, weight, NULL, work->total);
+    }
+    embed_momentum(work, sums->noise_closed.gram, weight * chosen / all, NULL, work->noise);
+    work->momentum_weight = weight;
+    return begin(work, p);
+}
+
+/* Weighs all rows of the chosen blocks, and scales their sums. Returns their rank. */
+static uint32_t combine(zygos_work_t *work, uint32_t p, zygos_estimate_t *out)
+{
+    return with_momentum(work, p, with_motors(work, p, out), out);
 }
 
 int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
@@ -932,6 +1063,7 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     }
     choose(work, p, 0, sums->open);
     memset(work->weight, 0, sizeof work->weight);
+    work->momentum_weight = 0.0;
     const uint32_t rank = combine(work, p, out);
     out->rank = rank;
     if (rank == 0) {
@@ -1010,6 +1142,9 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     } else if (!closed) {
         out->validity = ZYGOS_DOUBTFUL;
         out->reason = ZYGOS_REASON_UNCLOSED;
+    } else if (out->noise_ratio < ZYGOS_NOT_THERE) {
+        out->validity = ZYGOS_DOUBTFUL;
+        out->reason = ZYGOS_REASON_DECLARED;
     } else if (loud) {
         out->validity = (known < p) ? ZYGOS_PARTIAL : ZYGOS_DOUBTFUL;
         out->reason = ZYGOS_REASON_NOISE;
@@ -1046,14 +1181,15 @@ int zygos_drift(zygos_work_t *work, zygos_estimate_t *out, double *deviation)
     }
     const uint32_t p = work->layout.count;
     out->parameters = p;
-    out->cycle = work->cycle;
     out->blocks = sums->newest;
     if ((sums->newest < 4u) || (sums->newest == sums->open)) {
         return refuse(out, p, ZYGOS_REASON_NO_DATA);
     }
+    out->cycle = sums->block[sums->newest - 1u].end;
     uint32_t rank = 0;
     choose(work, p, 0, sums->newest);
     memset(work->weight, 0, sizeof work->weight);
+    work->momentum_weight = 0.0;
     if (!say(work, p, out, &rank) || (rank < p)) {
         return refuse(out, p, ZYGOS_REASON_NOT_IDENTIFIABLE);
     }

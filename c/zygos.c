@@ -74,7 +74,17 @@ static bool base_fits(const zygos_config_t *config)
     if (config->base == ZYGOS_BASE_FREE) {
         return within(dot3(g, g), 0.0, 0.0);
     }
-    return (config->base == ZYGOS_BASE_FIXED) && (config->imu_node == 0) && within(dot3(g, g), 0.0, 1e6);
+    return (config->base == ZYGOS_BASE_FIXED) && (config->imu_node == 0) && (config->momentum_arc_cycles == 0) &&
+           within(dot3(g, g), 0.0, 1e6);
+}
+
+static bool arcs_fit(const zygos_config_t *config)
+{
+    const uint32_t least = ZYGOS_MIN_ARC_INSTANTS;
+    const uint32_t momentum = config->momentum_arc_cycles;
+    return (config->arc_cycles >= least) &&
+           ((config->impulse_arc_cycles == 0) || (config->impulse_arc_cycles >= least)) &&
+           ((momentum == 0) || ((ZYGOS_MOMENTUM != 0) && (momentum >= least)));
 }
 
 static int check_config(const zygos_config_t *config)
@@ -102,8 +112,7 @@ static int check_config(const zygos_config_t *config)
         (config->smoother_order > 2u * m - 2u) || (config->smoother_lag != m)) {
         return ZYGOS_E_SMOOTHER;
     }
-    if ((config->arc_cycles < ZYGOS_MIN_ARC_INSTANTS) ||
-        ((config->impulse_arc_cycles != 0) && (config->impulse_arc_cycles < ZYGOS_MIN_ARC_INSTANTS))) {
+    if (!arcs_fit(config)) {
         return ZYGOS_E_ARC;
     }
     if (((config->imu_node < 1u) && (config->base == ZYGOS_BASE_FREE)) || (config->imu_node > 31u)) {
@@ -141,11 +150,14 @@ int zygos_init(zygos_t *self, const zygos_config_t *config)
     zygos_smoother_init(&self->smoother, &checked);
     zygos_noise_init(&self->noise, &checked, &self->layout, &self->smoother);
     zygos_balance_gap(&self->balance);
-    zygos_accumulator_init(&self->accumulator, self->layout.count, checked.arc_cycles);
+    zygos_accumulator_init(&self->accumulator, self->layout.count, checked.arc_cycles, checked.period_s);
     zygos_impulse_gap(&self->impulse);
     zygos_joint_sums_init(&self->joint_sums, &checked, &self->smoother);
+    zygos_momentum_gap(&self->momentum);
+    zygos_momentum_sums_init(&self->momentum_sums, &checked, &self->layout, &self->smoother);
     self->faded = 1.0;
     self->joints_faded = 1.0;
+    self->momentum_faded = 1.0;
     self->mark = MARK;
     return 1;
 }
@@ -180,6 +192,15 @@ static void end_joint_arc(zygos_t *self)
     zygos_joint_sums_end_arc(&self->joint_sums, &self->config, self->cycle);
 }
 
+static void end_momentum_arc(zygos_t *self)
+{
+    if (self->momentum_faded < 1.0) {
+        zygos_momentum_sums_fade(&self->momentum_sums, self->momentum_faded);
+    }
+    self->momentum_faded = 1.0;
+    zygos_momentum_sums_end_arc(&self->momentum_sums, &self->config, self->cycle);
+}
+
 static void gap(zygos_t *self)
 {
     self->gaps += (self->smoother.filled > 0) ? 1u : 0u;
@@ -187,6 +208,8 @@ static void gap(zygos_t *self)
     zygos_balance_gap(&self->balance);
     zygos_impulse_gap(&self->impulse);
     end_joint_arc(self);
+    zygos_momentum_gap(&self->momentum);
+    end_momentum_arc(self);
     end_arc(self);
 }
 
@@ -201,6 +224,7 @@ static void void_arcs(zygos_t *self, const zygos_cycle_t *cycle)
     if ((doubtful == 0) || (self->cycle > trusted)) {
         zygos_accumulator_drop_after(&self->accumulator, trusted);
         zygos_joint_sums_drop_after(&self->joint_sums, trusted);
+        zygos_momentum_sums_drop_after(&self->momentum_sums, trusted);
     }
 }
 
@@ -223,6 +247,22 @@ static void add_impulses(zygos_t *self)
     }
 }
 
+/* The momentum row of the newest instant whose turn it is; they have arcs of their own, too. */
+static void add_momentum(zygos_t *self)
+{
+    const zygos_config_t *config = &self->config;
+    if ((ZYGOS_MOMENTUM == 0) || (config->momentum_arc_cycles == 0) ||
+        (zygos_momentum_step(&self->momentum, config, &self->state) == 0)) {
+        return;
+    }
+    zygos_momentum_sums_add(&self->momentum_sums, config, &self->layout, &self->momentum, &self->state, &self->motion,
+                            self->state.accepted);
+    if (self->momentum_sums.cycles >= config->momentum_arc_cycles) {
+        end_momentum_arc(self);
+        zygos_momentum_new_arc(&self->momentum);
+    }
+}
+
 static void work_off(zygos_t *self, const zygos_cycle_t *cycle)
 {
     const uint32_t broken = (uint32_t)ZYGOS_CYCLE_BREAK | (uint32_t)ZYGOS_CYCLE_VOID;
@@ -237,6 +277,7 @@ static void work_off(zygos_t *self, const zygos_cycle_t *cycle)
     self->cycles++;
     self->faded *= self->config.keep;
     self->joints_faded *= self->config.keep;
+    self->momentum_faded *= self->config.keep;
     self->instant = 0;
     double signal[ZYGOS_MAX_SIGNALS];
     double tau[ZYGOS_MAX_JOINTS];
@@ -247,6 +288,7 @@ static void work_off(zygos_t *self, const zygos_cycle_t *cycle)
     }
     zygos_kinematics(&self->skeleton, &self->config, &self->state, &self->motion);
     add_impulses(self);
+    add_momentum(self);
     if (zygos_balance_row(&self->balance, &self->config, &self->layout, &self->noise.drift, &self->state, &self->motion,
                           &self->row) == 0) {
         return;
@@ -324,6 +366,7 @@ void zygos_take(const zygos_t *self, zygos_work_t *work)
     }
     work->accumulator = self->accumulator;
     work->joint_sums = self->joint_sums;
+    work->momentum_sums = self->momentum_sums;
     work->cycle = self->cycle;
     work->config = self->config;
 }
@@ -359,8 +402,11 @@ int zygos_restart(zygos_t *self, uint32_t keep)
         zygos_joint_sums_clear(&self->joint_sums, &self->config);
         self->joints_faded = 1.0;
     }
+    zygos_momentum_gap(&self->momentum);
+    zygos_momentum_sums_clear(&self->momentum_sums, &self->config);
+    self->momentum_faded = 1.0;
     self->faded = 1.0;
-    zygos_accumulator_init(&self->accumulator, self->layout.count, self->config.arc_cycles);
+    zygos_accumulator_init(&self->accumulator, self->layout.count, self->config.arc_cycles, self->config.period_s);
     self->arc = 0;
     self->instant = 0;
     return 1;

@@ -31,6 +31,8 @@ _RESOLUTIONS: tuple[Resolution, ...] = ("fine", "coarse")
 _TORQUE_LAWS: tuple[TorqueLaw, ...] = ("applied_from_sync", "applied_previous_cycle", "sampled")
 WIRE_STEP_RAD = 2.0 * math.pi / 2**20
 """An angle's step on the wire."""
+MOMENTUM_ARC_S = 10.0
+"""Arcs of momentum rows where an arm has them by default."""
 _LATCH_MAX_US = 65_535  # the wire carries the latch delay as u16
 
 
@@ -149,6 +151,8 @@ class Arm:
     compensate_every: int | None = None
     """What sensor noise adds to the normal equations is taken off, each sensor's share in every that many cycles; 0: it
     is not. None: `compensation`."""
+    momentum_max_s: float | None = None
+    """Longest arc of the momentum rows of a floating base, s; 0: none of them. None: `momentum_arc_s`."""
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """m/s^2 in the base frame, of a fixed base; a free-floating arm falls with its orbit and feels none."""
 
@@ -161,6 +165,13 @@ class Arm:
     def compensation(self) -> int:
         """Cycles from one turn of a sensor's compensation to the next: by default one sensor has its turn a cycle."""
         return 2 * self.n + 1 if self.compensate_every is None else self.compensate_every
+
+    @property
+    def momentum_arc_s(self) -> float:
+        """Longest arc of the momentum rows, s, 0 for none: by default 10 s for an arm that floats in space, whose
+        inertias they tell apart. The attitude of the base is integrated over an arc, with the gyro's bias."""
+        default = MOMENTUM_ARC_S if self.free and self.spatial else 0.0
+        return default if self.momentum_max_s is None else self.momentum_max_s
 
     @property
     def spatial(self) -> bool:
@@ -306,11 +317,13 @@ def read_arm(top: Table) -> Arm:
     base = top.choice("base", _BASES)
     if base == "fixed" and top.has("imu"):
         raise top.error("imu", "a fixed base has no rate to measure", 'remove [imu], or write base = "free"')
+    arc = top.table("arc", optional=True)
+    if base == "fixed" and arc.has("momentum_max_s"):
+        raise arc.error("momentum_max_s", "a fixed base takes up momentum", 'remove it, or write base = "free"')
     if base == "free" and top.has("gravity"):
         raise top.error("gravity", "a free-floating arm feels none", 'remove it, or write base = "fixed"')
     imu = _imu(top.table("imu")) if base == "free" else NO_IMU
     gravity = (0.0, 0.0, 0.0) if base == "free" else top.vector("gravity", 3, limit=1e3, unit="m/s^2")
-    arc = top.table("arc", optional=True)
     arm = Arm(
         name=top.text("name"),
         base=base,
@@ -325,6 +338,7 @@ def read_arm(top: Table) -> Arm:
         arc_max_s=arc.number("max_s", 60.0, above=0.0, unit="s"),
         gravity=(gravity[0], gravity[1], gravity[2]),
         impulse_arc_s=arc.number("impulse_max_s", 10.0, low=0.0, unit="s"),
+        momentum_max_s=arc.number("momentum_max_s", low=0.0, unit="s") if arc.has("momentum_max_s") else None,
         memory_s=60.0 * arc.number("memory_min", above=0.0, unit="min") if arc.has("memory_min") else None,
         compensate_every=_compensation(top.table("compensation", optional=True)),
     )

@@ -88,7 +88,8 @@ def estimate(
     Writes a model.toml with value and sigma of each parameter. A parameter that the motion does not determine is left
     out, or taken from --model. The [[effect]] entries of --model (friction, cubic stiffness, torque lag) are learned as
     well, whatever their values; so is a spring_offset of each joint whose zeros the arm file does not vouch for
-    (zero_sigma_rad above 0). Exit code 3 when something is undecided; the reason is on stderr and in the JSON.
+    (zero_sigma_rad above 0). Exit code 3 when something is undecided; the reason is on stderr and in the JSON. Where
+    the arm changed during the run, a warning on stderr and the JSON say when, and in which parameters.
 
     Example: zygos estimate out/run.blf -o out/estimate.toml
     """

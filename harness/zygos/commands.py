@@ -24,12 +24,13 @@ from zygos.columns import check_table, is_table
 from zygos.cycletable import read_cycles
 from zygos.effects import Effect
 from zygos.errors import Damaged, Undecided, ZygosError
-from zygos.flight import Estimate, Flight, encode
+from zygos.flight import GATE, OVERDECLARED, Drift, Estimate, Flight, encode
 from zygos.model import Model, Quantity, load_model, save_model
 from zygos.motion import ENGINES
 from zygos.output import check_outputs, counted, errors, note, number, ratio, say, table, write_json
 from zygos.plant import simulate
 from zygos.scenario import load_scenario
+from zygos.watch import Watch
 
 NO_FRAMES = frozenset({"incomplete", "dropped", "sync_jumped", "time_lost", "time_jumped", "overrun", "bus_error"})
 """Fault counters that count something else than rejected frames."""
@@ -76,9 +77,9 @@ def read_run(run: Path) -> bus.Log:
     return log
 
 
-def warn(damage: Sequence[str]) -> None:
-    """Say what is missing of a log."""
-    for text in damage:
+def warn(texts: Sequence[str]) -> None:
+    """Say what the answer is to be taken with."""
+    for text in texts:
         note(f"warning: {text}")
 
 
@@ -197,7 +198,9 @@ def send(wire: can.BusABC, frames: NDArray[Any], arm: Arm, run: Path) -> None:
             bar.advance(task)
 
 
-def report_estimate(result: Estimate, flight: Flight, heading: Mapping[str, Any]) -> dict[str, Any]:
+def report_estimate(
+    result: Estimate, flight: Flight, drift: Drift | None, heading: Mapping[str, Any]
+) -> dict[str, Any]:
     """The content of an estimate's JSON."""
     return {
         **heading,
@@ -213,11 +216,18 @@ def report_estimate(result: Estimate, flight: Flight, heading: Mapping[str, Any]
         "condition": result.condition,
         "residual_j": result.residual,
         "cluster": result.cluster,
+        "noise_ratio": result.noise_ratio,
+        "gate": result.gate,
+        "drift": dict(zip(drift.names, drift.deviation.tolist(), strict=True)) if drift else None,
+        "changed": drift.changed if drift else (),
+        "changed_after_s": drift.until * flight.arm.period_s if drift and drift.changed else None,
         "faults": flight.faults,
         "counts": flight.counts,
         "parameters": [
-            {"name": name, "unit": unit, "value": float(value), "sigma": float(sigma)}
-            for name, unit, value, sigma in zip(result.names, result.units, result.value, result.sigma, strict=True)
+            {"name": name, "unit": unit, "value": float(value), "sigma": float(sigma), "half95": float(half95)}
+            for name, unit, value, sigma, half95 in zip(
+                result.names, result.units, result.value, result.sigma, result.half95, strict=True
+            )
         ],
         "solution": result.solution.tolist(),
         "covariance": result.covariance.tolist(),
@@ -240,10 +250,45 @@ def learned(effect: Effect, found: Quantity | None) -> Effect:
     return replace(effect, value=value, sigma=found.sigma, source=found.source)
 
 
+def about_noise(result: Estimate) -> str:
+    """What the noise did to an estimate, where that is worth a word."""
+    if result.gate < GATE:
+        return (
+            f"noise: in some combination of parameters the motion is only {number(result.gate, 2)} times as large as "
+            "the sensors' noise; the intervals hold what that may hide"
+        )
+    if result.noise_ratio < OVERDECLARED:
+        return (
+            f"noise: the residuals' square is {number(result.noise_ratio, 2)} of what the arm file's sigmas make of it, "
+            "which were believed to that extent"
+        )
+    if result.noise_ratio > 1.0 / OVERDECLARED:
+        return (
+            f"noise: the residuals' square is {number(result.noise_ratio, 2)} times what the arm file's sigmas make of "
+            "it: sensors are noisier, or something is not in the balance; the intervals hold what that may hide"
+        )
+    return ""
+
+
+def about_change(drift: Drift, arm: Arm) -> str:
+    """That the arm changed, and what to do."""
+    names = ", ".join(
+        f"{name} by {abs(far):.0f}"
+        for name, far in zip(drift.names, drift.deviation, strict=True)
+        if name in drift.changed
+    )
+    return (
+        f"the arm changed after {drift.until * arm.period_s:.0f} s, in standard deviations: {names}; the values mix "
+        "what it was and is; remedy: split the log there, or let old arcs fade ([arc] memory_min); on board "
+        "zygos_restart()"
+    )
+
+
 def finish_estimate(
-    result: Estimate, flight: Flight, out: Path, prior: Model | None, json: str | None, heading: Mapping[str, Any]
+    result: Estimate, watch: Watch, out: Path, prior: Model | None, json: str | None, heading: Mapping[str, Any]
 ) -> None:
-    """Print the table, write the model, and say what is undecided."""
+    """Print the table, write the model, say that the arm changed and what is undecided."""
+    flight, drift = watch.flight, watch.look()
     found = {
         name: Quantity(float(value), float(sigma), "zygos", unit)
         for name, unit, value, sigma in zip(result.names, result.units, result.value, result.sigma, strict=True)
@@ -257,10 +302,10 @@ def finish_estimate(
     effects = tuple(learned(effect, found.get(effect.column(flight.arm))) for effect in (*given, *asked))
     if json != "-":
         rows = [
-            (name, unit, number(value), number(sigma, 2), number(100 * ratio(sigma, abs(value)), 2))
-            for name, unit, value, sigma in zip(result.names, result.units, result.value, result.sigma, strict=True)
+            (name, unit, number(value), number(half95, 2), number(100 * ratio(half95, abs(value)), 2))
+            for name, unit, value, half95 in zip(result.names, result.units, result.value, result.half95, strict=True)
         ]
-        table(("name", "unit", "estimate", "sigma", "sigma %"), rows)
+        table(("name", "unit", "estimate", "±95 %", "in %"), rows)
         say(
             f"arm {flight.arm.name} · {counted(flight.counts['cycles'], 'cycle')} · {losses(flight)} · "
             f"{counted(result.accepted, 'instant')} accepted, {result.refused:,} refused · "
@@ -271,15 +316,20 @@ def finish_estimate(
         seen = [f"{name} {count:,}" for name, count in flight.faults.items() if count]
         if seen:
             say("faults: " + ", ".join(seen))
+        if noise := about_noise(result):
+            say(noise)
+    if drift and drift.changed:
+        warn([about_change(drift, flight.arm)])
     try:
         if result.validity != "refused":
             save_model(Model(name=flight.arm.name, parameters=quantities, effects=effects), out)
     finally:
         if json:
-            write_json(json, report_estimate(result, flight, heading))
+            write_json(json, report_estimate(result, flight, drift, heading))
     if result.validity != "valid":
         where = "nothing written" if result.validity == "refused" else f"{out} written"
-        raise Undecided(f"{result.validity}: {result.reason} ({where}); remedy: {_remedy(result, flight)}")
+        remedy = "see the warning: the arm changed" if drift and drift.changed else _remedy(result, flight)
+        raise Undecided(f"{result.validity}: {result.reason} ({where}); remedy: {remedy}")
 
 
 def _remedy(result: Estimate, flight: Flight) -> str:
@@ -322,13 +372,20 @@ def estimate_run(run: Path, arm_file: Path | None, out: Path, model_file: Path |
     prior = load_model(model_file) if model_file else None
     if prior is not None:
         prior.base_parameters(arm)
-    flight = Flight(arm, prior.effects if prior else ())
+    watch = Watch(Flight(arm, prior.effects if prior else ()))
     log = None if is_table(run) else read_run(run)
-    if log is None:
-        flight.cycles(read_cycles(run, arm))
-    else:
-        flight.frames(log.frames)
-    finish_estimate(flight.estimate(), flight, out, prior, json, origin(run, log))
+    with progress() as bar:
+        task = bar.add_task("learning", total=1.0)
+
+        def show(share: float) -> None:
+            bar.update(task, completed=share)
+
+        if log is None:
+            watch.cycles(read_cycles(run, arm), show)
+        else:
+            watch.frames(log.frames, show)
+        result = watch.flight.estimate()
+    finish_estimate(result, watch, out, prior, json, origin(run, log))
     not_whole(damage_of(log))
 
 
@@ -409,7 +466,8 @@ def listen_bus(
     if log is not None:
         bus.check_log_name(log)
     check_outputs([out, log, json], [arm_file])
-    flight = Flight(arm)
+    watch = Watch(Flight(arm))
+    flight = watch.flight
     batch: list[can.Message] = []
     failures: list[ZygosError] = []
     where = f"{interface or 'can.conf'} {channel or ''}".strip()
@@ -423,7 +481,7 @@ def listen_bus(
 
         def work_off() -> None:
             nonlocal recording
-            flight.frames(bus.from_messages(batch))
+            watch.frames(bus.from_messages(batch))
             try:
                 if recording is not None:
                     recording.append(batch)
@@ -445,10 +503,10 @@ def listen_bus(
                 if late:
                     shown = time.monotonic()
                     result = flight.estimate()
-                    known = int(np.isfinite(result.value).sum())
                     note(
                         f"{counted(flight.counts['cycles'], 'cycle'):>16} · {losses(flight)} · "
-                        f"{known}/{len(result.names)} parameters · {result.validity}"
+                        f"{np.isfinite(result.value).sum()}/{len(result.names)} parameters · {result.validity}"
+                        + (" · the arm changed" if watch.plainest and watch.plainest.changed else "")
                     )
         except can.CanError as error:
             fail(
@@ -465,6 +523,6 @@ def listen_bus(
             recording.finish()
         except ZygosError as error:
             fail(error)
-    finish_estimate(flight.estimate(), flight, out, None, json, {"bus": where, "door": "frames"})
+    finish_estimate(flight.estimate(), watch, out, None, json, {"bus": where, "door": "frames"})
     if failures:
         sys.exit(failures[0].exit_code)

@@ -39,9 +39,14 @@ REASONS = (
     "the accumulated sums are corrupt: memory was changed from outside",
     "the balance does not close: what the solution leaves over is no noise",
     "sensor noise is as large as the motion in some combination of parameters",
+    "the declared sensor noise is not in the data: the residuals are far smaller",
 )
 DRIFT_ALARM = 6.0
 """Deviations that are no accident, as ``ZYGOS_DRIFT_ALARM``."""
+GATE = 2.0
+"""Ratio of sums to noise below which what noise makes of an estimate is not taken off in whole, as ``ZYGOS_GATE``."""
+OVERDECLARED = 0.6
+"""Share of the declared noise below which the residuals are believed instead, as ``ZYGOS_OVERDECLARED``."""
 _CONFIG_ERRORS = {
     -2: "the library was built with other headers",
     -3: "too many joints for this build",
@@ -52,7 +57,7 @@ _CONFIG_ERRORS = {
     -8: "node numbers must be 1..31, each used once",
     -9: "joint axes must be unit vectors, parallel where the arm is planar",
     -10: "a ratio, sign, zero, sigma or latch delay is out of range",
-    -11: "arc.max_s or arc.impulse_max_s is shorter than 20 cycles",
+    -11: "arc.max_s, arc.impulse_max_s or arc.momentum_max_s is shorter than 20 cycles",
     -15: "base, gravity and gyro do not fit each other",
     -14: "an effect stands twice, or has no columns in this build",
 }
@@ -154,6 +159,13 @@ class Drift:
     difference; NaN where either does not know."""
     reason: str
     """Why nothing was known before, or empty."""
+    until: int
+    """Number of the newest cycle of what was known before."""
+
+    @property
+    def largest(self) -> float:
+        """The largest deviation; 0 where nothing could be compared."""
+        return float(np.abs(np.nan_to_num(self.deviation)).max(initial=0.0))
 
     @property
     def changed(self) -> tuple[str, ...]:
@@ -195,6 +207,12 @@ def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
     config.keep = 1.0 if arm.memory_s is None else math.exp(-arm.period_s / arm.memory_s)
     config.compensation = arm.compensation
     config.impulse_arc_cycles = max(1, round(arm.impulse_arc_s / arm.period_s)) if arm.impulse_arc_s > 0.0 else 0
+    config.momentum_arc_cycles = max(1, round(arm.momentum_arc_s / arm.period_s)) if arm.momentum_arc_s > 0.0 else 0
+    if config.momentum_arc_cycles > 0 and not lib.ZYGOS_MOMENTUM_VALUE:
+        raise ZygosError(
+            f"arm {arm.name!r} wants momentum rows, this build has no room for them; "
+            "remedy: momentum_max_s = 0 in [arc], or rebuild with -DZYGOS_MOMENTUM=1"
+        )
     for i, joint in enumerate(arm.joints):
         out = config.joint[i]
         out.node = joint.node
@@ -340,7 +358,7 @@ class Flight:
         lib.zygos_drift(self._work, self._estimate, deviation)
         out, p = self._estimate, len(self.names)
         far = np.frombuffer(ffi.buffer(deviation), dtype=np.float64)[:p].copy()
-        return Drift(self.names, far, REASONS[out.reason])
+        return Drift(self.names, far, REASONS[out.reason], int(out.cycle))
 
     def restart(self, *, keep_joints: bool = False, keep_faults: bool = True) -> None:
         """Start the estimate from nothing, or from what is known of Im, k and b. Errors: ZygosError if nothing is."""

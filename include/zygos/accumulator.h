@@ -79,7 +79,7 @@ typedef struct {
 } zygos_accumulator_t;
 
 /// Empties the accumulator for p parameters and arcs of so many cycles.
-void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint64_t arc_cycles);
+void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint64_t arc_cycles, double period_s);
 
 /// Adds one instant with weight 1 (accepted) or 0 (refused): the instructions are the same. Cost: one rank-1 update of
 /// (p+2)(p+3)/2 entries, and the same number / ZYGOS_STEP shared out; when a segment has ended, in addition what it

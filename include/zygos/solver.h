@@ -12,6 +12,7 @@
 
 #include "accumulator.h"
 #include "jointsums.h"
+#include "momentumsums.h"
 #include "types.h"
 
 #ifdef __cplusplus
@@ -35,6 +36,7 @@ enum zygos_reason {
                                        ///< ZYGOS_NEGATIVE_SIGMAS.
     ZYGOS_REASON_CORRUPT = 5,          ///< Row sums or counts do not match: memory was changed, or never taken.
     ZYGOS_REASON_UNCLOSED = 6,         ///< What the solution leaves over is no noise: see ZYGOS_CLUSTER_LIMIT.
+    ZYGOS_REASON_DECLARED = 8,         ///< The declared noise is not in the data: see ZYGOS_NOT_THERE.
     ZYGOS_REASON_NOISE = 7             ///< Noise is as large as the motion in some combination: see ZYGOS_GATE.
 };
 
@@ -47,6 +49,8 @@ enum zygos_reason {
 /// When the residuals' square is less than this share of the declared noise, the declaration is too large, and as much
 /// of it is believed as the residuals show.
 #define ZYGOS_OVERDECLARED 0.6
+/// Below this share the declaration is wrong by so much that what it took off the rows themselves cannot be trusted.
+#define ZYGOS_NOT_THERE 0.1
 /// The residuals beyond the declared noise tell how much more the columns may hold. When its square, per scaled column,
 /// exceeds this share of what the motion puts into the combination of columns that it excites least, it makes that
 /// combination, and with it the values. Below that, what as much noise again changes is added to the sigmas.
@@ -107,6 +111,7 @@ typedef struct {
 typedef struct {
     zygos_accumulator_t accumulator;
     zygos_joint_sums_t joint_sums;
+    zygos_momentum_sums_t momentum_sums;
     uint64_t cycle;
     zygos_config_t config;
     zygos_layout_t layout;
@@ -120,20 +125,22 @@ typedef struct {
     double size[ZYGOS_MAX_PARAMETERS];
     double hidden[ZYGOS_MAX_PARAMETERS];
     double score[ZYGOS_MAX_PARAMETERS];
-    double left_out[ZYGOS_MAX_BLOCKS + ZYGOS_MAX_JOINT_BLOCKS][ZYGOS_MAX_PARAMETERS];
+    double left_out[ZYGOS_MAX_BLOCKS + ZYGOS_MAX_JOINT_BLOCKS + ZYGOS_MOMENTUM_PLACES][ZYGOS_MAX_PARAMETERS];
     double weight[ZYGOS_MAX_JOINTS];      ///< Of each joint's motor rows beside the energy rows.
+    double momentum_weight;               ///< Of the momentum rows beside the energy rows.
     double inverse[ZYGOS_MAX_PARAMETERS]; ///< Diagonal of the inverse of the scaled matrix.
     double shares[2][ZYGOS_MAX_PARAMETERS];
     double freedom[ZYGOS_MAX_PARAMETERS];
+    double plain[ZYGOS_MAX_PARAMETERS];
     double direct[ZYGOS_MAX_PARAMETERS];
     double spread; ///< Sum of the squared work about the arc constants [J^2].
     struct {
         uint32_t first;
         uint32_t end;
-    } blocks, arcs;    ///< Blocks of the energy rows and of the motor rows that are looked at.
-    double instants;   ///< Their accepted instants.
-    double noise_part; ///< Their share of the noise of closed arcs.
-    double believed;   ///< Share of the declared noise that is taken off.
+    } blocks, arcs, momenta; ///< Blocks of the energy, the motor and the momentum rows that are looked at.
+    double instants;         ///< Accepted instants of the first.
+    double noise_part;       ///< Their share of the noise of closed arcs.
+    double believed;         ///< Share of the declared noise that is taken off.
     uint32_t pivot[ZYGOS_MAX_PARAMETERS];
 } zygos_work_t;
 
@@ -142,12 +149,14 @@ typedef struct {
 /// ZYGOS_E_NULL.
 int zygos_solve(zygos_work_t *work, zygos_estimate_t *out);
 
-/// Compares the newest arc with all that came before it; one with fewer than half the instants of the longest counts
-/// with the one before. Fills *out with what was known before, and deviation[ZYGOS_MAX_PARAMETERS] with how far the
-/// newest arc's own value lies from that, in standard deviations of the difference (from half95). ZYGOS_DRIFT_ALARM and
-/// beyond is a change of the arm. Reads and changes *work, as zygos_solve() does: take anew for each. Returns 1; 0 when
-/// all deviations are NaN, because before (validity is then ZYGOS_REFUSED) or within the newest arc something is not
-/// identifiable; or ZYGOS_E_NULL.
+/// Compares the newest arc with all that came before it. An arc with fewer than half the instants of the longest does
+/// not speak for itself: it counts with those before it, until several such have as many together. Fills *out with what
+/// was known before (until out->cycle), and deviation[ZYGOS_MAX_PARAMETERS] with how far the newest arc's own value
+/// lies from that, in standard deviations of the difference (from half95). ZYGOS_DRIFT_ALARM and beyond is a change of
+/// the arm; while the arcs that are compared hold the arm before and after it, it may name more than has changed. Call
+/// it twice an arc: when the next arc speaks, the changed one is among those before. Reads and changes *work, as
+/// zygos_solve() does: take anew for each. Returns 1; 0 when all deviations are NaN, because before (validity is then
+/// ZYGOS_REFUSED) or within the newest arc something is not identifiable; or ZYGOS_E_NULL.
 int zygos_drift(zygos_work_t *work, zygos_estimate_t *out, double *deviation);
 
 #ifdef __cplusplus

@@ -66,6 +66,22 @@ extern "C" {
 #error "ZYGOS_SPATIAL must be 0 or 1"
 #endif
 
+/// 1: the build has room for the sums of momentum rows; 0: it has none, which makes every struct smaller.
+#ifndef ZYGOS_MOMENTUM
+#define ZYGOS_MOMENTUM 1
+#endif
+#if (ZYGOS_MOMENTUM != 0) && (ZYGOS_MOMENTUM != 1)
+#error "ZYGOS_MOMENTUM must be 0 or 1"
+#endif
+
+/// Number of blocks in which they are kept, of whole arcs each. Even.
+#ifndef ZYGOS_MAX_MOMENTUM_BLOCKS
+#define ZYGOS_MAX_MOMENTUM_BLOCKS 16
+#endif
+#if (ZYGOS_MAX_MOMENTUM_BLOCKS < 4) || (ZYGOS_MAX_MOMENTUM_BLOCKS > 256) || (ZYGOS_MAX_MOMENTUM_BLOCKS % 2 != 0)
+#error "ZYGOS_MAX_MOMENTUM_BLOCKS must be even, 4..256"
+#endif
+
 #define ZYGOS_MAX_WINDOW (2 * ZYGOS_MAX_HALF_WIDTH + 1)
 /// Signals the smoother filters: q and theta of each joint, and the base rate about three axes.
 #define ZYGOS_MAX_SIGNALS (2 * ZYGOS_MAX_JOINTS + 3)
@@ -113,11 +129,12 @@ enum zygos_error {
     ZYGOS_E_AXIS = -9, ///< A joint axis is no unit vector, of a spatial arm a frame no rotation, or of a planar one an
                        ///< axis not parallel.
     ZYGOS_E_VALUE = -10,  ///< A ratio, sign, zero, sigma, latch delay, imu_fine or imu_to_base is not in its range.
-    ZYGOS_E_ARC = -11,    ///< arc_cycles or impulse_arc_cycles is below ZYGOS_MIN_ARC_INSTANTS.
+    ZYGOS_E_ARC = -11,    ///< arc_cycles, impulse_arc_cycles or momentum_arc_cycles is below ZYGOS_MIN_ARC_INSTANTS, or
+                          ///< this build has no room for momentum rows.
     ZYGOS_E_ORDER = -12,  ///< zygos_init() has not succeeded on this struct.
     ZYGOS_E_KEEP = -13,   ///< zygos_restart() does not know one of the bits, or there are no motor rows to keep.
     ZYGOS_E_EFFECT = -14, ///< Too many effects, an unknown kind, a joint out of range, or an effect twice.
-    ZYGOS_E_BASE = -15    ///< base is none of enum zygos_base, or gravity or a gyro does not fit it.
+    ZYGOS_E_BASE = -15    ///< base is none of enum zygos_base, or gravity, a gyro or momentum rows do not fit it.
 };
 
 /// How the arm can move, and so which columns its bodies have; the counts are those of a free base.
@@ -199,6 +216,8 @@ typedef struct {
     uint32_t impulse_arc_cycles; ///< Arcs of the motor impulse rows, >= ZYGOS_MIN_ARC_INSTANTS; 0: no such rows.
     uint32_t effects; ///< Effects to identify, 0..ZYGOS_MAX_EFFECTS. Their columns follow those of the joints.
     uint32_t base;    ///< enum zygos_base.
+    uint32_t momentum_arc_cycles; ///< Arcs of the momentum rows of a free base, >= ZYGOS_MIN_ARC_INSTANTS; 0: none.
+    uint32_t reserved;            ///< 0.
     zygos_effect_config_t effect[ZYGOS_EFFECT_PLACES]; ///< In the order of their columns, each kind once a joint.
 } zygos_config_t;
 

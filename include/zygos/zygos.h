@@ -25,10 +25,12 @@
 #include "balance.h"
 #include "cycle.h"
 #include "effects.h"
+#include "gram.h"
 #include "impulse.h"
 #include "jointsums.h"
 #include "kinematics.h"
 #include "momentum.h"
+#include "momentumsums.h"
 #include "noise.h"
 #include "smoother.h"
 #include "solver.h"
@@ -44,16 +46,17 @@ extern "C" {
 typedef struct {
     uint32_t mark;
     uint32_t reserved;
-    uint64_t cycle;      ///< SYNC number of the newest cycle that was worked off.
-    uint64_t cycles;     ///< Cycles that were worked off.
-    uint64_t gaps;       ///< Times that an arc ended because cycles did not follow each other.
-    uint64_t invalid;    ///< Cycles through zygos_cycle() that were flagged invalid or not finite.
-    uint64_t wraps;      ///< Times that an angle went over the end of its multi-turn range; the arc ends.
-    uint32_t arc;        ///< Instants of the open arc, accepted or not.
-    uint32_t instant;    ///< 1: state, row and accepted below are those of the newest cycle.
-    double faded;        ///< What is left of closed arcs by the cycles of the open one (keep).
-    double joints_faded; ///< The same of the motor rows.
-    double accepted;     ///< 1 when the newest row was accumulated, 0 when the bandwidth test refused it.
+    uint64_t cycle;        ///< SYNC number of the newest cycle that was worked off.
+    uint64_t cycles;       ///< Cycles that were worked off.
+    uint64_t gaps;         ///< Times that an arc ended because cycles did not follow each other.
+    uint64_t invalid;      ///< Cycles through zygos_cycle() that were flagged invalid or not finite.
+    uint64_t wraps;        ///< Times that an angle went over the end of its multi-turn range; the arc ends.
+    uint32_t arc;          ///< Instants of the open arc, accepted or not.
+    uint32_t instant;      ///< 1: state, row and accepted below are those of the newest cycle.
+    double faded;          ///< What is left of closed arcs by the cycles of the open one (keep).
+    double joints_faded;   ///< The same of the motor rows,
+    double momentum_faded; ///< and of the momentum rows.
+    double accepted;       ///< 1 when the newest row was accumulated, 0 when the bandwidth test refused it.
     zygos_config_t config;
     zygos_layout_t layout;
     zygos_skeleton_t skeleton;
@@ -68,6 +71,8 @@ typedef struct {
     zygos_impulse_t impulse;
     zygos_impulse_rows_t impulse_rows;
     zygos_joint_sums_t joint_sums;
+    zygos_momentum_t momentum;
+    zygos_momentum_sums_t momentum_sums;
     zygos_accumulator_t accumulator;
 } zygos_t;
 

@@ -4,8 +4,10 @@
 
        fills     the windows are not full yet, no row
        block     the row opens a new block of the normal equations
-       arc       the row ends its arc, or that of the motor rows
-       cycle     any other row */
+       arc       the row ends its arc, or that of the motor or momentum rows
+       cycle     any other row
+
+   and behind it the turn it was. */
 
 #include "zygos/zygos.h"
 
@@ -46,10 +48,16 @@ int main(int count, char **argument)
         if (zygos_cycle(&arm, &cycle) != 1) {
             return refuse("a cycle is not valid");
         }
-        const bool motors = (config.impulse_arc_cycles > 0) && (arm.joint_sums.cycles == 0);
+        const bool others = ((config.impulse_arc_cycles > 0) && (arm.joint_sums.cycles == 0)) ||
+                            ((config.momentum_arc_cycles > 0) && (arm.momentum_sums.cycles == 0));
         const bool ended =
-            (sums->arcs + sums->arcs_dropped != arcs) || ((arm.instant == 1) && ((arm.arc == 0) || motors));
-        puts((arm.instant != 1) ? "fills" : ended ? "arc" : (sums->count != blocks) ? "block" : "cycle");
+            (sums->arcs + sums->arcs_dropped != arcs) || ((arm.instant == 1) && ((arm.arc == 0) || others));
+        printf("%s", (arm.instant != 1) ? "fills" : ended ? "arc" : (sums->count != blocks) ? "block" : "cycle");
+        /* Whose turn it was, and whether a step ended with it: what a cycle costs may depend on that. */
+        const uint32_t sensors = (config.compensation > 0) ? config.compensation : 1u;
+        printf(" %" PRIu32 ",%" PRIu32 ",%" PRIu32 ",%d\n", (arm.arc + sensors - 1u) % sensors,
+               arm.joint_sums.cycles % config.joints, arm.momentum_sums.cycles % (3u * (config.joints + 3u)),
+               (int)sums->filled);
     }
     printf("parameters %" PRIu32 "\n", arm.layout.count);
     return (fclose(file) == 0) ? 0 : 1;

@@ -27,6 +27,15 @@ CHOSEN = {
 """Physical parameters of a two-joint arm."""
 
 
+def energy_only(arm: Arm, *, noise: bool = False) -> Arm:
+    """The arm as the records of `balanced` want it: without motor rows, and without noise unless there is some.
+
+    The torques of those records close the energy of the whole arm and nothing else. They are not what the motors'
+    equations of motion ask for, so motor rows of such a record contradict its parameters.
+    """
+    return replace(arm, impulse_arc_s=0.0, compensate_every=arm.compensate_every if noise else 0)
+
+
 def chosen(arm: Arm) -> Floats:
     return np.array([CHOSEN[name] for name in arm.parameter_names])
 

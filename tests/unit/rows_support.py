@@ -113,14 +113,14 @@ def c_rooms(arm: Arm, cycles: Cycles, longest: int, effects: Sequence[Effect] = 
     native, config = flight.native, ffi.addressof(flight.native, "config")
     impulse, momentum = ffi.new("zygos_impulse_t *"), ffi.new("zygos_momentum_t *")
     layout = ffi.new("zygos_impulse_layout_t *")
-    turned, pushed = ffi.new("zygos_momentum_rows_t *"), ffi.new("zygos_impulse_rows_t *")
+    pushed = ffi.new("zygos_impulse_rows_t *")
     parts = [ffi.addressof(native, name) for name in ("layout", "state", "motion")]
     lib.zygos_impulse_layout(config, layout)
     lib.zygos_impulse_gap(impulse)
     lib.zygos_momentum_gap(momentum)
     width = native.layout.kinetic + arm.n
     rows = lib.zygos_momentum_count(config)
-    capacity = lib.ZYGOS_MAX_BODY_VALUE + lib.ZYGOS_MAX_JOINTS_VALUE
+    line = ffi.new("double[]", width)
     variance, rotor = ffi.new("double[]", arm.n + 3), ffi.new("double[]", arm.n)
     lib.zygos_momentum_variance(config, ffi.addressof(native, "smoother"), arm.imu.rate_sigma, variance, rotor)
     found: list[tuple[int, Floats, Floats, Floats]] = []
@@ -136,15 +136,12 @@ def c_rooms(arm: Arm, cycles: Cycles, longest: int, effects: Sequence[Effect] = 
         before = native.balance.torque[at]
         after = native.balance.torque[0 if at == config.smoother_half_width else at + 1]
         of_arc = lib.zygos_impulse_row(impulse, config, layout, parts[1], parts[2], before, after, pushed)
-        assert lib.zygos_momentum_row(momentum, config, *parts, turned) == of_arc
+        assert lib.zygos_momentum_step(momentum, config, parts[1]) == of_arc
         if not of_arc:
             continue
         if inside == longest:
             arc, inside = arc + 1, 0
         inside += 1
-        if inside == longest:
-            lib.zygos_impulse_new_arc(impulse)
-            lib.zygos_momentum_new_arc(momentum)
         own = np.full((arm.n, 3 + len(effects) + 1), np.nan)
         for i in range(arm.n):
             if layout.count[i]:
@@ -152,13 +149,17 @@ def c_rooms(arm: Arm, cycles: Cycles, longest: int, effects: Sequence[Effect] = 
                 own[i, -1] = pushed.impulse[i]
         owed = np.zeros((width, width))
         if noise:
-            slope = ffi.new("zygos_momentum_rows_t *")
-            for signal in range(arm.n + (3 if arm.spatial else 1)):
-                lib.zygos_momentum_derivative(config, parts[0], parts[2], signal, slope)
-                matrix = np.frombuffer(ffi.buffer(slope)).reshape(3, capacity)[:rows, :width]
-                owed += variance[signal] * matrix.T @ matrix
+            for component, signal in np.ndindex(rows, arm.n + (3 if arm.spatial else 1)):
+                lib.zygos_momentum_derivative(momentum, config, parts[0], parts[2], component, signal, line)
+                owed += variance[signal] * np.outer(list(line), list(line))
             owed[range(width - arm.n, width), range(width - arm.n, width)] += list(rotor)
-        matrix = np.frombuffer(ffi.buffer(turned)).reshape(3, capacity)[:rows, :width].copy()
+        matrix = np.zeros((rows, width))
+        for component in range(rows):
+            lib.zygos_momentum_row(momentum, config, *parts, component, line)
+            matrix[component] = list(line)
+        if inside == longest:
+            lib.zygos_impulse_new_arc(impulse)
+            lib.zygos_momentum_new_arc(momentum)
         found.append((arc, own, matrix, owed))
     numbers, own_rows, matrices, debts = zip(*found, strict=True)
     return Rooms(np.array(numbers), np.stack(own_rows), np.stack(matrices), np.stack(debts))

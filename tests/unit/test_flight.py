@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from flight_support import CHOSEN, arcs, balanced, bytes_of, chosen, joined, part, sines, traced
+from flight_support import CHOSEN, arcs, balanced, bytes_of, chosen, energy_only, joined, part, sines, traced
 from numpy.typing import NDArray
 from reference_support import make_arm
 
@@ -30,8 +30,7 @@ NO_DATA, NOT_IDENTIFIABLE, TOO_FAST, NOT_PHYSICAL, CORRUPT, UNCLOSED, NOISE = RE
 
 @pytest.fixture
 def arm(tmp_path: Path) -> Arm:
-    """Its motions here hold no noise, so none is taken off."""
-    return replace(make_arm(tmp_path), compensate_every=0)
+    return energy_only(make_arm(tmp_path))
 
 
 def fed(arm: Arm, cycles: Cycles) -> Flight:
@@ -98,6 +97,8 @@ REFUSALS = [
     (lib.ZYGOS_E_VALUE, "imu_to_base", [[0.0] * 9, [0, 1, 0, 1, 0, 0, 0, 0, 1], [0.6, 0.8, 0, 0.8, 0.6, 0, 0, 0, 1]]),
     (lib.ZYGOS_E_VALUE, "imu_fine", [2, 2**32 - 1]),
     (lib.ZYGOS_E_ARC, "arc_cycles", [0, MIN_ARC - 1]),
+    (lib.ZYGOS_E_ARC, "impulse_arc_cycles", [1, MIN_ARC - 1]),
+    (lib.ZYGOS_E_ARC, "momentum_arc_cycles", [1, MIN_ARC - 1]),
     (lib.ZYGOS_E_EFFECT, "effects", [2, 5, 2**32 - 1]),
 ]
 
@@ -499,7 +500,7 @@ def test_the_same_run_gives_the_same_estimate(arm: Arm) -> None:
 @pytest.mark.parametrize("imu", ["fine", "coarse"])
 @pytest.mark.parametrize("law", ["applied_from_sync", "applied_previous_cycle", "sampled"])
 def test_balanced_rows_give_their_parameters_back(tmp_path: Path, law: str, imu: str) -> None:
-    arm = replace(make_arm(tmp_path, law=law, imu=f'resolution = "{imu}"'), compensate_every=0)
+    arm = energy_only(make_arm(tmp_path, law=law, imu=f'resolution = "{imu}"'))
     estimate = fed(arm, balanced(arm, sines(arm, 3000), chosen(arm))).estimate()
     assert (estimate.validity, estimate.reason) == ("valid", "")
     np.testing.assert_allclose(estimate.value, chosen(arm), rtol=1e-10)

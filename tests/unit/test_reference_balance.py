@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -95,6 +96,48 @@ def test_void_is_the_arc_that_is_open_and_no_other(
     cycles = motion.cycles()
     cycles.flags[position] = 5
     assert balance_of(arm, cycles).void == void
+
+
+def test_an_arc_ends_at_a_snap_from_an_eighth_of_the_longest_on(tmp_path: Path, motion: Motion) -> None:
+    """A refused instant is the last of its arc, unless that would hold fewer instants than an eighth of the longest."""
+    arm = make_arm(tmp_path, period=PERIOD, head="[arc]\nmax_s = 1.5")
+    cycles = motion.cycles()
+    cycles.flags[700] = 1
+    samples = calibrate(arm, cycles)
+    smoothed = smooth(arm, samples)
+    assert smoothed.accepted.all()
+
+    def spans(*refused: int) -> list[tuple[int, int]]:
+        balance = rows(arm, samples, replace(smoothed, accepted=~np.isin(smoothed.index, refused)))
+        np.testing.assert_array_equal(balance.index[~balance.accepted], [at for at in refused if at >= 6])
+        found = []
+        for number in range(balance.arc.max() + 1):
+            of = balance.arc == number
+            np.testing.assert_array_equal(np.diff(balance.index[of]), 1)
+            np.testing.assert_array_equal(balance.z[of][0, [8, 11]], 0.0)
+            found.append((int(balance.index[of][0]), int(balance.index[of][-1])))
+        return found
+
+    # 37 instants are an eighth of 300: an arc from 6 on may end at 42
+    whole = [(6, 305), (306, 605), (606, 696), (706, 997)]
+    assert spans(4, 10, 41) == whole
+    assert spans(42) == [(6, 42), (43, 342), (343, 642), (643, 696), (706, 997)]
+    assert spans(42, 43, 78, 79, 80) == [(6, 42), (43, 79), (80, 379), (380, 679), (680, 696), (706, 997)]
+    assert spans(304) == [(6, 304), (305, 604), (605, 696), (706, 997)]
+    assert spans(305, 306) == whole
+    assert spans(696, 741, 742) == [*whole[:3], (706, 742), (743, 997)]
+
+
+@pytest.mark.parametrize(("refused", "void"), [(450, {2}), (495, {2}), (496, set())])
+def test_an_arc_that_a_snap_ended_is_not_void(tmp_path: Path, motion: Motion, refused: int, void: set[int]) -> None:
+    """The arc behind the snap is open at a void cycle, if it has an instant; that that the snap ended is not."""
+    arm = make_arm(tmp_path, period=PERIOD, head="[arc]\nmax_s = 1.5")
+    cycles = motion.cycles()
+    cycles.flags[500] = 5
+    samples = calibrate(arm, cycles)
+    smoothed = smooth(arm, samples)
+    assert rows(arm, samples, smoothed).void == {1}
+    assert rows(arm, samples, replace(smoothed, accepted=smoothed.index != refused)).void == void
 
 
 def test_work_and_dissipation_of_an_arc_do_not_depend_on_where_it_starts(tmp_path: Path, motion: Motion) -> None:

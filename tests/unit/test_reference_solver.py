@@ -7,7 +7,7 @@ import pytest
 from reference_support import Floats
 
 from zygos.errors import Undecided
-from zygos.reference.solver import Scatter, scatter, solve
+from zygos.reference.solver import Rows, Scatter, scatter, solve
 
 
 def test_columns_of_any_size_are_solved() -> None:
@@ -15,7 +15,7 @@ def test_columns_of_any_size_are_solved() -> None:
     scale = 10.0 ** np.arange(-12, 12, 4)
     z = rng.normal(size=(80, 6)) * scale
     x = rng.normal(size=6) / scale
-    solution = solve(z, z @ x)
+    solution = solve(Rows.exact(z, z @ x))
     np.testing.assert_allclose(solution.x, x, rtol=1e-12)
     assert solution.condition < 20.0
     assert solution.residual < 1e-12
@@ -28,12 +28,12 @@ def test_condition_is_that_of_the_scaled_normal_matrix() -> None:
     d = 1.0 / np.sqrt(np.diag(a))
     scaled = d[:, None] * a * d
     expected = np.linalg.norm(scaled, 1) * np.linalg.norm(np.linalg.inv(scaled), 1)
-    assert solve(z, z[:, 0]).condition == pytest.approx(expected, rel=1e-9)
+    assert solve(Rows.exact(z, z[:, 0])).condition == pytest.approx(expected, rel=1e-9)
 
 
 def test_residual_is_a_root_mean_square() -> None:
     z = np.array([[1.0], [1.0], [1.0], [1.0]])
-    solution = solve(z, np.array([0.0, 2.0, 0.0, 2.0]))
+    solution = solve(Rows.exact(z, np.array([0.0, 2.0, 0.0, 2.0])))
     assert solution.x[0] == pytest.approx(1.0)
     assert solution.residual == pytest.approx(1.0)
 
@@ -49,7 +49,20 @@ def test_residual_is_a_root_mean_square() -> None:
 )
 def test_what_the_rows_do_not_determine_is_refused(z: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> None:
     with pytest.raises(Undecided, match="remedy"):
-        solve(z, np.ones(len(z)))
+        solve(Rows.exact(z, np.ones(len(z))))
+
+
+def test_rows_beside_count_by_their_weight_and_leave_the_residual_alone() -> None:
+    """As if every row had been multiplied by the root of its weight; the residual is that of the energy rows."""
+    rng = np.random.default_rng(9)
+    z, other = rng.normal(size=(60, 3)), rng.normal(size=(20, 3))
+    w, own = rng.normal(size=60), rng.normal(size=20)
+    noise, of_others = np.diag([0.6, 0.3, 0.9, 60.0]), np.diag([0.5, 0.1, 0.0, 0.2])
+    solution = solve(Rows(z, w, noise), [Rows(other, own, of_others).times(7.0)])
+    a = z.T @ z - noise[:3, :3] + 7.0 * (other.T @ other - of_others[:3, :3])
+    np.testing.assert_allclose(solution.x, np.linalg.solve(a, z.T @ w + 7.0 * other.T @ own), rtol=1e-11)
+    assert solution.believed == 1.0
+    assert solution.residual == pytest.approx(np.sqrt(np.mean((z @ solution.x - w) ** 2)), rel=1e-12)
 
 
 def blocks_of(m: int, count: int) -> Floats:
@@ -82,7 +95,7 @@ def test_scatter_is_honest_where_neighbours_share_noise() -> None:
     rng = np.random.default_rng(3)
     z = np.repeat(rng.normal(size=(60, 2)), 10, axis=0)
     trials = np.repeat(rng.normal(size=(400, 60)), 10, axis=1)
-    spread = np.std([solve(z, w).x for w in trials], axis=0)
+    spread = np.std([solve(Rows.exact(z, w)).x for w in trials], axis=0)
 
     def sigma(told: Scatter) -> Floats:
         return np.sqrt(np.diag(told.covariance))
@@ -114,11 +127,11 @@ def noisy(rng: np.random.Generator, m: int, sigma: Floats) -> tuple[Floats, Floa
 def test_declared_noise_is_taken_off() -> None:
     """The estimate is that of the equations without it, and no longer drawn to zero."""
     z, w, noise, x = noisy(np.random.default_rng(6), 100_000, np.array([0.5, 0.5, 0.3, 0.1]))
-    solution = solve(z, w, noise)
+    solution = solve(Rows(z, w, noise))
     plain = np.linalg.solve(z.T @ z - noise[:3, :3], z.T @ w - noise[3, :3])
     np.testing.assert_allclose(solution.x, plain, rtol=1e-11)
     np.testing.assert_allclose(solution.x, x, rtol=0.01)
-    assert np.all(np.abs(solve(z, w).x) < 0.98 * np.abs(x))
+    assert np.all(np.abs(solve(Rows.exact(z, w)).x) < 0.98 * np.abs(x))
     assert solution.believed == 1.0
     assert solution.gate == pytest.approx((1.0 + 0.3**2) / 0.3**2, rel=0.02)
     a = (z.T @ z - noise[:3, :3]) / np.outer(*[np.linalg.norm(z, axis=0)] * 2)
@@ -127,14 +140,14 @@ def test_declared_noise_is_taken_off() -> None:
 
 def test_noise_that_the_residuals_do_not_show_is_not_believed() -> None:
     z, w, noise, x = noisy(np.random.default_rng(7), 100_000, np.array([0.2, 0.2, 0.1, 0.1]))
-    solution = solve(z, w, 4.0 * noise)
+    solution = solve(Rows(z, w, 4.0 * noise))
     assert solution.believed == pytest.approx(0.25, rel=0.05)
     np.testing.assert_allclose(solution.x, x, rtol=0.01)
-    assert solve(z, w, 1.5 * noise).believed == 1.0
+    assert solve(Rows(z, w, 1.5 * noise)).believed == 1.0
 
 
 def test_of_noise_as_large_as_the_motion_half_is_taken_off() -> None:
     z, w, noise, _ = noisy(np.random.default_rng(8), 100_000, np.array([0.5, 0.5, 2.0, 0.1]))
-    solution = solve(z, w, noise)
+    solution = solve(Rows(z, w, noise))
     assert solution.gate == pytest.approx(5.0 / 4.0, rel=0.02)
     assert solution.believed == pytest.approx(solution.gate / 2.0, rel=1e-12)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from zygos.arm import Arm, load_arm
+from zygos.arm import Arm, Smoother, load_arm
 from zygos.errors import ZygosError
 from zygos.model import Model, load_model
 from zygos.motion import EngineName
@@ -61,8 +61,8 @@ def all_cases(folder: Path = Path("examples")) -> tuple[Case, ...]:
         return Case(name, said, arm, arm, model, replace(scenario, duration_s=duration_s))
 
     def modern(rate_hz: int) -> Case:
-        # smoother, gyro and arcs of the arm that examples/gap has at 200 Hz
-        hardware = load_arm(gap / "arm.toml").at_period(1.0 / rate_hz)
+        # gyro and arcs of the arm that examples/gap has at 200 Hz
+        hardware = replace(load_arm(gap / "arm.toml").at_period(1.0 / rate_hz), smoother=Smoother(25, 6, 12))
         moves = replace(scenario, encoder_noise="quantised")
         said = f"20-bit encoders on both sides, {rate_hz} Hz, T = 60 s"
         return Case(f"modern-{rate_hz}", said, hardware, hardware, model, moves, share=BLOCK)

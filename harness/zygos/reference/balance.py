@@ -64,7 +64,7 @@ def energy_columns(arm: Arm, state: State, dissipated: Floats) -> Floats:
 
 
 class End(NamedTuple):
-    """at: position of the newest cycle of an arc. full: the arc ended by its length, not by a break."""
+    """at: position of the newest cycle of an arc. full: the arc ended by itself, not by a break."""
 
     at: int
     full: bool
@@ -95,18 +95,21 @@ def arc_cycles(arm: Arm) -> int:
     return round(arm.arc_max_s / arm.period_s)
 
 
-def _arcs(accepted: NDArray[np.bool_], longest: int) -> list[tuple[int, int]]:
-    """Origin and end of each arc of a segment: full, or at an instant that is refused, from an eighth of that on.
+def _arcs(accepted: NDArray[np.bool_], longest: int) -> list[tuple[int, int, bool]]:
+    """Origin and end of each arc of a segment, and whether it ended by itself: full, or at an instant that is refused,
+    from an eighth of that on.
 
     What the integrals get wrong in a snap is then a constant of the next arc.
     """
-    ends: list[tuple[int, int]] = []
+    ends: list[tuple[int, int, bool]] = []
+    shortest = max(1, longest // 8)
     origin = FILL_INSTANTS
     while origin < len(accepted):
-        refused = np.flatnonzero(~accepted[origin + longest // 8 - 1 : origin + longest])
-        snap = origin + longest // 8 + int(refused[0]) if longest >= 8 and len(refused) else len(accepted)
-        stop = min(snap, origin + longest, len(accepted))
-        ends.append((origin, stop))
+        stop = origin + longest
+        refused = np.flatnonzero(~accepted[origin + shortest - 1 : stop])
+        if len(refused):
+            stop = origin + shortest + int(refused[0])
+        ends.append((origin, min(stop, len(accepted)), stop <= len(accepted)))
         origin = stop
     return ends
 
@@ -141,13 +144,12 @@ def rows(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Effec
         step_work = np.sum(arm.gear_ratios * tau[:-1] * np.diff(theta, axis=0), axis=1)
         hold_correction = held * np.sum(arm.gear_ratios * np.diff(tau, axis=0) * smoothed.thetad[of[1:]], axis=1)
         step_loss = (h / 24.0) * (9.0 * g[3:] + 19.0 * g[2:-1] - 5.0 * g[1:-2] + g[:-3])
-        for origin, stop in _arcs(smoothed.accepted[of], longest):
+        for origin, stop, ended in _arcs(smoothed.accepted[of], longest):
             work[of[origin + 1 : stop]] = np.cumsum(step_work[origin : stop - 1])
             work[of[origin:stop]] += hold_correction[origin - 1 : stop - 1]
             dissipated[of[origin + 1 : stop]] = np.cumsum(step_loss[origin - 2 : stop - 3], axis=0)
             arc[of[origin:stop]] = arcs
-            full = stop < len(of) or stop - origin == longest
-            ends.append(End(int(smoothed.index[of[stop - 1]]) + arm.smoother.lag, full))
+            ends.append(End(int(smoothed.index[of[stop - 1]]) + arm.smoother.lag, ended))
             arcs += 1
     base = smoothed.omega if arm.spatial else smoothed.omega @ arm.axis
     state = State(smoothed.q, smoothed.theta, smoothed.qd, smoothed.thetad, base)

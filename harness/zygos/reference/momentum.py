@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from zygos.arm import Arm
+from zygos.reference.accumulator import MIN_ARC_INSTANTS
 from zygos.reference.effects import STEP_RULE
 from zygos.reference.kinematics import State, body_rates, cross, gram, posture
 from zygos.reference.smoother import Smoothed, coefficients
@@ -100,24 +101,63 @@ def variances(arm: Arm) -> Rates:
 def noise(arm: Arm, smoothed: Smoothed) -> Floats:
     """What the noise of the rates adds to z' z of the rows of each of m instants on average, (m, K + N, K + N).
 
-    That of the angles and of the attitude is left out. The columns are linear in the rates, so those of a unit rate are
-    their derivatives.
+    That of the angles and of the attitude is left out.
+    """
+    size, of_rate, of_rotor = _derivatives(arm, smoothed)
+    total: Floats = np.einsum("s,mskp,mskq->mpq", size, of_rate, of_rate)
+    total += np.einsum("mikp,mikq->mpq", of_rotor, of_rotor)
+    return total
+
+
+def sums(arm: Arm, smoothed: Smoothed, arc: NDArray[np.int64]) -> tuple[list[Floats], list[Floats]]:
+    """Normal matrices (K + N, K + N) of the arcs with MIN_ARC_INSTANTS accepted instants, and the noise in each.
+
+    The components take turns, and so do the sensors whose noise acts on them; each component has a constant of its own.
+    The noise is not taken off the matrices.
+    """
+    z, turn = rows(arm, smoothed, arc), attitudes(arm, smoothed, arc)
+    size, of_rate, of_rotor = _derivatives(arm, smoothed)
+    found, owed = [], []
+    for number in range(int(arc.max(initial=-1)) + 1):
+        of = np.flatnonzero(arc == number)
+        place, kept = np.arange(len(of)), smoothed.accepted[of]
+        if np.count_nonzero(kept) < MIN_ARC_INSTANTS:
+            continue
+        component, signal = place % z.shape[1], place // z.shape[1] % len(size)
+        gram, noise = np.zeros((z.shape[2],) * 2), np.zeros((z.shape[2],) * 2)
+        for k in range(z.shape[1]):
+            own = z[of[kept & (component == k)], k]
+            gram += (own - own.mean(axis=0)).T @ (own - own.mean(axis=0))
+        for at in np.flatnonzero(kept):
+            k = int(at)
+            instant = of[k]
+            slopes = of_rate[instant, signal[k]]
+            line = (turn[instant] @ slopes if arm.spatial else slopes)[component[k]]
+            rotors = np.einsum("ikp,ikq->pq", of_rotor[instant], of_rotor[instant])
+            noise += len(size) * size[signal[k]] * np.outer(line, line) + rotors / z.shape[1]
+        found.append(gram)
+        owed.append(noise)
+    return found, owed
+
+
+def _derivatives(arm: Arm, smoothed: Smoothed) -> tuple[Floats, Floats, Floats]:
+    """Variances (S,) of the rates of links and base, rows (m, S, r, K + N) in base axes for a unit of each, and rows
+    (m, N, r, K + N) for a standard deviation of each rotor's rate.
+
+    The columns are linear in the rates, so those of a unit rate are their derivatives.
     """
     state, variance = _state(arm, smoothed), variances(arm)
     still = replace(state, **{name: np.zeros_like(getattr(state, name)) for name in ("qd", "thetad", "base")})
-    units: list[tuple[float, State]] = []
+    links, rotors = [], []
     for i, joint in enumerate(arm.joints):
         unit = np.zeros_like(state.qd)
         unit[..., i] = 1.0
-        units.append((variance.link[i], replace(still, qd=unit, thetad=unit * (not joint.flexible))))
-        units.append((variance.rotor[i], replace(still, thetad=unit)))
-    if arm.spatial:
-        units += [(variance.base, replace(still, base=np.broadcast_to(axis, state.base.shape))) for axis in np.eye(3)]
-    else:
-        units.append((variance.base, replace(still, base=np.ones_like(state.base))))
-    derivatives = [np.sqrt(size) * columns(arm, moving) for size, moving in units]
-    total: Floats = sum((np.swapaxes(one, -1, -2) @ one for one in derivatives), start=np.zeros(()))
-    return total
+        links.append(columns(arm, replace(still, qd=unit, thetad=unit * (not joint.flexible))))
+        rotors.append(np.sqrt(variance.rotor[i]) * columns(arm, replace(still, thetad=unit)))
+    axes = np.eye(3) if arm.spatial else np.ones(1)
+    bases = [columns(arm, replace(still, base=np.broadcast_to(axis, state.base.shape))) for axis in axes]
+    size = np.concatenate([variance.link, np.full(len(bases), variance.base)])
+    return size, np.stack([*links, *bases], axis=-3), np.stack(rotors, axis=-3)
 
 
 def _state(arm: Arm, smoothed: Smoothed) -> State:

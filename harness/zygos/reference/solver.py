@@ -116,11 +116,12 @@ def solve(energy: Rows, beside: Sequence[Rows] = ()) -> Solution:
     rows = _Triangle.of(np.concatenate([r.z for r in every]), np.concatenate([r.w for r in every]), noise)
     share = float(np.linalg.eigvalsh(rows.noise)[-1]) if noise.any() else 0.0
     believed, seen, gate = 1.0, 1.0, float("inf")
-    for _ in range(2 if share > 0.0 else 0):
+    for repeat in range(3 if share > 0.0 else 0):
+        if repeat > 0:
+            x = rows.solve(believed)
+            ratio = np.sum((energy.z @ x - energy.w) ** 2) / explained(energy.noise, x)
+            seen = float(ratio) if ratio < OVERDECLARED else 1.0
         believed, gate = min(seen, 1.0 / (GATE * share)), 1.0 / (share * seen)
-        x = rows.solve(believed)
-        ratio = np.sum((energy.z @ x - energy.w) ** 2) / explained(energy.noise, x)
-        seen = float(ratio) if ratio < OVERDECLARED else 1.0
     x = rows.solve(believed) if share > 0.0 else rows.x / rows.scale
     scaled = rows.r.T @ (np.eye(p) - believed * rows.noise) @ rows.r
     return Solution(
@@ -166,14 +167,17 @@ def scatter(z: Floats, w: Floats, weights: Floats, noise: Floats | None = None, 
     parts = np.zeros((count, p + 1, p + 1)) if noise is None else noise
     whole = _Triangle.of(z, w, parts.sum(axis=0))
     x, inverse = whole.solve(believed), whole.inverse(believed)
-    covariance, gains = np.zeros((p, p)), []
+    covariance, plain, gains = np.zeros((p, p)), np.zeros(p), []
     for weight, part in zip(weights, parts, strict=True):
         root = np.sqrt(1.0 - weight)
         rest = _Triangle.of(root[:, None] * z, root * w, parts.sum(axis=0) - part)
         pull = z.T @ (weight * (w - z @ x)) + believed * (part[:p, :p] @ x - part[p, :p])
         left_out, alone = x - rest.solve(believed), inverse @ pull
         covariance += 0.5 * (np.outer(left_out, alone) + np.outer(alone, left_out))
+        plain += alone**2
         gains.append(np.diag(rest.inverse(believed)) - np.diag(inverse))
     gain = np.maximum(gains, 0.0)
     freedom = np.maximum(gain.sum(axis=0) ** 2 / (gain**2).sum(axis=0), LEAST_FREEDOM)
+    # by an accident of few blocks the product may be too small, even negative; the square of the one is not
+    np.fill_diagonal(covariance, np.maximum(np.diag(covariance), plain))
     return Scatter(covariance * np.sum(weights) / np.sum(weights**2), freedom)

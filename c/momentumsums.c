@@ -1,0 +1,214 @@
+#include "zygos/momentumsums.h"
+
+#include "zygos/gram.h"
+
+#include <string.h>
+
+static uint32_t width_of(const zygos_momentum_sums_t *self)
+{
+    return self->columns + self->components;
+}
+
+static void clear_gram(zygos_momentum_gram_t *gram, uint32_t width)
+{
+    memset(gram->gram, 0, zygos_gram_entries(width) * sizeof gram->gram[0]);
+    memset(gram->sum, 0, width * sizeof gram->sum[0]);
+}
+
+static void add_gram(zygos_momentum_gram_t *to, const zygos_momentum_gram_t *from, double factor, uint32_t width)
+{
+    const uint32_t size = zygos_gram_entries(width);
+    for (uint32_t k = 0; k < size; k++) {
+        to->gram[k] += factor * from->gram[k];
+    }
+    for (uint32_t i = 0; i < width; i++) {
+        to->sum[i] += factor * from->sum[i];
+    }
+}
+
+static void forget_open_arc(zygos_momentum_sums_t *self)
+{
+    clear_gram(&self->open.rows, width_of(self));
+    clear_gram(&self->noise_open, self->columns);
+    self->open.instants = 0.0;
+    self->cycles = 0;
+}
+
+void zygos_momentum_sums_clear(zygos_momentum_sums_t *self, const zygos_config_t *config)
+{
+    self->target = 2.0 * (double)config->momentum_arc_cycles;
+    self->count = 0;
+    self->corrupt = 0;
+    clear_gram(&self->noise_closed, self->columns);
+    forget_open_arc(self);
+}
+
+void zygos_momentum_sums_init(zygos_momentum_sums_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
+                              const zygos_smoother_t *smoother)
+{
+    memset(self, 0, sizeof *self);
+    if (config->momentum_arc_cycles == 0) {
+        return;
+    }
+    self->columns = layout->kinetic + config->joints;
+    self->components = zygos_momentum_count(config);
+    zygos_momentum_sums_clear(self, config);
+    if (config->compensation == 0) {
+        return;
+    }
+    self->signals = config->joints + self->components;
+    zygos_momentum_variance(config, smoother, config->imu_sigma, self->deviation, self->rotor);
+    for (uint32_t s = 0; s < self->signals; s++) {
+        self->deviation[s] = __builtin_sqrt((double)self->signals * self->deviation[s]);
+    }
+}
+
+void zygos_momentum_sums_add(zygos_momentum_sums_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
+                             const zygos_momentum_t *momentum, const zygos_state_t *state, const zygos_motion_t *motion,
+                             double weight)
+{
+    const uint32_t component = self->cycles % self->components;
+    double z[ZYGOS_MAX_MOMENTUM + 3];
+    zygos_momentum_row(momentum, config, layout, state, motion, component, z);
+    for (uint32_t k = 0; k < self->columns; k++) {
+        z[k] *= weight;
+    }
+    for (uint32_t k = 0; k < self->components; k++) {
+        z[self->columns + k] = (k == component) ? weight : 0.0;
+    }
+    zygos_gram_add(self->open.rows.gram, self->open.rows.sum, width_of(self), z);
+    if (self->signals > 0) {
+        const uint32_t signal = self->cycles / self->components % self->signals;
+        zygos_momentum_derivative(momentum, config, layout, motion, component, signal, z);
+        for (uint32_t k = 0; k < self->columns; k++) {
+            z[k] *= weight * self->deviation[signal];
+        }
+        zygos_gram_add(self->noise_open.gram, self->noise_open.sum, self->columns, z);
+    }
+    self->open.instants += weight;
+    self->cycles++;
+}
+
+static double violation(const zygos_momentum_gram_t *rows, uint32_t width)
+{
+    return zygos_gram_check(rows->gram, width, rows->sum);
+}
+
+/* G - s s^T / n for each component, less the noise; the constants' rows are no more. */
+static void close_block(zygos_momentum_sums_t *self, zygos_momentum_gram_t *rows)
+{
+    const uint32_t p = self->columns;
+    for (uint32_t c = 0; c < self->components; c++) {
+        const double *s = &rows->gram[zygos_gram_entries(p + c)];
+        const double part = (s[p + c] > 0.0) ? 1.0 / s[p + c] : 0.0;
+        double *entry = rows->gram;
+        for (uint32_t a = 0; a < p; a++) {
+            for (uint32_t b = 0; b <= a; b++) {
+                *entry -= part * s[a] * s[b];
+                entry++;
+            }
+        }
+    }
+    const uint32_t size = zygos_gram_entries(p);
+    memset(&rows->gram[size], 0, (zygos_gram_entries(width_of(self)) - size) * sizeof rows->gram[0]);
+    add_gram(rows, &self->noise_open, -1.0, p);
+    zygos_gram_row_sums(rows->gram, width_of(self), rows->sum);
+}
+
+/* The target doubles only when merging up to it is not enough; once it holds all instants, one block is left. */
+static void make_room(zygos_momentum_sums_t *self)
+{
+    for (uint32_t tries = 0; (tries < 64u) && (self->count > 3u * ZYGOS_MOMENTUM_PLACES / 4u); tries++) {
+        uint32_t to = 0;
+        for (uint32_t from = 0; from < self->count; from++) {
+            const zygos_momentum_block_t *next = &self->block[from];
+            zygos_momentum_block_t *last = &self->block[(to > 0) ? to - 1u : 0u];
+            if ((to > 0) && (last->instants + next->instants <= self->target)) {
+                add_gram(&last->rows, &next->rows, 1.0, self->columns);
+                last->instants += next->instants;
+                last->end = next->end;
+                continue;
+            }
+            if (to != from) {
+                self->block[to] = *next;
+            }
+            to++;
+        }
+        self->count = to;
+        self->target *= 2.0;
+    }
+}
+
+void zygos_momentum_sums_end_arc(zygos_momentum_sums_t *self, const zygos_config_t *config, uint64_t cycle)
+{
+    const double instants = self->open.instants;
+    if (instants >= (double)ZYGOS_MIN_ARC_INSTANTS) {
+        const double worst = violation(&self->open.rows, width_of(self));
+        self->corrupt |= ((worst <= 1.0) && (violation(&self->noise_open, self->columns) <= 1.0)) ? 0u : 1u;
+        for (uint32_t i = 0; i < config->joints; i++) {
+            const uint32_t place = self->columns - config->joints + i;
+            const double owed = instants * self->rotor[i] / (double)self->components;
+            self->noise_open.gram[zygos_gram_entries(place + 1u) - 1u] += owed;
+            self->noise_open.sum[place] += owed;
+        }
+        close_block(self, &self->open.rows);
+        add_gram(&self->noise_closed, &self->noise_open, 1.0, self->columns);
+        if (self->count == (uint32_t)ZYGOS_MOMENTUM_PLACES) {
+            make_room(self);
+        }
+        self->open.end = cycle;
+        self->block[self->count] = self->open;
+        self->count++;
+    }
+    forget_open_arc(self);
+}
+
+void zygos_momentum_sums_fade(zygos_momentum_sums_t *self, double factor)
+{
+    for (uint32_t b = 0; b < self->count; b++) {
+        add_gram(&self->block[b].rows, &self->block[b].rows, factor - 1.0, self->columns);
+        self->block[b].instants *= factor;
+    }
+    add_gram(&self->noise_closed, &self->noise_closed, factor - 1.0, self->columns);
+}
+
+static double closed_instants(const zygos_momentum_sums_t *self)
+{
+    double total = 0.0;
+    for (uint32_t b = 0; b < self->count; b++) {
+        total += self->block[b].instants;
+    }
+    return total;
+}
+
+void zygos_momentum_sums_drop_after(zygos_momentum_sums_t *self, uint64_t cycle)
+{
+    forget_open_arc(self);
+    const double before = closed_instants(self);
+    while ((self->count > 0) && (self->block[self->count - 1u].end > cycle)) {
+        self->count--;
+    }
+    const double kept = closed_instants(self);
+    if (kept < before) {
+        add_gram(&self->noise_closed, &self->noise_closed, kept / before - 1.0, self->columns);
+    }
+}
+
+double zygos_momentum_sums_check(const zygos_momentum_sums_t *self)
+{
+    const uint32_t width = width_of(self);
+    if ((self->corrupt != 0) || (self->count > (uint32_t)ZYGOS_MOMENTUM_PLACES) || (self->components > 3u) ||
+        (self->columns > (uint32_t)ZYGOS_MAX_MOMENTUM_ROW) || (width > (uint32_t)ZYGOS_MAX_MOMENTUM_ROW)) {
+        return 2.0;
+    }
+    double worst = violation(&self->open.rows, width);
+    const double open = violation(&self->noise_open, self->columns);
+    const double closed = violation(&self->noise_closed, self->columns);
+    worst = (open > worst) ? open : worst;
+    worst = (closed > worst) ? closed : worst;
+    for (uint32_t b = 0; b < self->count; b++) {
+        const double here = violation(&self->block[b].rows, width);
+        worst = (here > worst) ? here : worst;
+    }
+    return worst;
+}
