@@ -254,13 +254,13 @@ def about_noise(result: Estimate) -> str:
     """What the noise did to an estimate, where that is worth a word."""
     if result.gate < GATE:
         return (
-            f"noise: in some combination of parameters the motion is only {number(result.gate, 2)} times as large as "
-            "the sensors' noise; the intervals hold what that may hide"
+            f"noise: in some combination of parameters the motion is {number(result.gate, 2)} times as large as the "
+            "sensors' noise; the intervals hold what that may hide"
         )
     if result.noise_ratio < OVERDECLARED:
         return (
-            f"noise: the residuals' square is {number(result.noise_ratio, 2)} of what the arm file's sigmas make of it, "
-            "which were believed to that extent"
+            f"noise: the residuals' square is {number(result.noise_ratio, 2)} of what the arm file's sigmas make of it;"
+            " they were believed to that extent"
         )
     if result.noise_ratio > 1.0 / OVERDECLARED:
         return (

@@ -64,6 +64,9 @@ enum zygos_reason {
 /// gear ratio, zero, sign or torque law, an effect that is not switched on, noise of the torques, a torque on the base.
 #define ZYGOS_CLUSTER_LIMIT 5.0
 #define ZYGOS_CLUSTER_SHARE 5e-3
+/// Where the balance closes by that share alone, sigmas allow for a residual that all blocks have in common: of what
+/// adds up beyond this, which noise does not reach.
+#define ZYGOS_CLUSTER_NOISE 1.0
 /// A parameter whose sigma exceeds this share of its size is not identifiable yet. The size is the value; of a kinetic
 /// parameter, if larger, the root of the product of the two diagonal ones that it couples, and of a first moment the
 /// largest of them. Effects are exempt: an effect may be zero.

@@ -15,12 +15,12 @@ from zygos.effects import Effect
 from zygos.reference.accumulator import Design, design
 from zygos.reference.balance import Balance, rows
 from zygos.reference.cycle import Samples, calibrate
-from zygos.reference.motors import motors, solve_with_motors
+from zygos.reference.motors import momenta, motors, solve_together
 from zygos.reference.noise import noise_of
 from zygos.reference.smoother import Smoothed, smooth
 from zygos.reference.solver import Solution
 
-__all__ = ["Chain", "calibrate", "chain", "design", "motors", "noise_of", "rows", "smooth", "solve_with_motors"]
+__all__ = ["Chain", "calibrate", "chain", "design", "momenta", "motors", "noise_of", "rows", "smooth", "solve_together"]
 
 
 @dataclass(frozen=True)
@@ -45,5 +45,6 @@ def chain(arm: Arm, cycles: Cycles, effects: Sequence[Effect] = ()) -> Chain:
     added = noise_of(arm, samples, smoothed, raw, effects)
     balance = replace(raw, z=raw.z - added.mean)
     accumulated = design(balance, added.moment)
-    solution = solve_with_motors(arm, accumulated, motors(arm, samples, smoothed, effects))
+    beside = motors(arm, samples, smoothed, effects), momenta(arm, samples, smoothed, effects)
+    solution = solve_together(arm, accumulated, *beside)
     return Chain(samples, smoothed, balance, accumulated, solution)

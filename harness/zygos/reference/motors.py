@@ -1,4 +1,4 @@
-"""The motor impulse rows that count beside those of the energy, and their weights (docs/theory.md, "Motor impulse")."""
+"""Motor and momentum rows that count beside those of the energy, and their weights (docs/theory.md)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from zygos.arm import Arm
 from zygos.effects import Effect, estimated
-from zygos.reference import impulse
+from zygos.reference import impulse, momentum
 from zygos.reference.accumulator import MIN_ARC_INSTANTS, Design
 from zygos.reference.arcs import numbered
 from zygos.reference.balance import End, void_arcs
@@ -22,6 +22,8 @@ Floats = NDArray[np.float64]
 
 LEAST_ARCS = 3
 """Of fewer arcs nothing is learned about their noise."""
+MOMENTUM_CAUTION = 5.0
+"""The noise of neighbouring momentum rows is alike, that of energy rows forgets at once: so much less they count."""
 WALK = 10.0
 """The mean square of a random walk about its own mean is sigma^2 T^2 over this, between 6 and 15."""
 
@@ -39,6 +41,14 @@ class Motors:
     arcs: int
 
 
+def _ends(arm: Arm, smoothed: Smoothed, arc: NDArray[np.int64], longest: int) -> list[End]:
+    ends = []
+    for number in range(int(arc.max(initial=-1)) + 1):
+        of = np.flatnonzero(arc == number)
+        ends.append(End(int(smoothed.index[of[-1]]) + arm.smoother.lag, len(of) == longest))
+    return ends
+
+
 def motors(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Effect] = ()) -> tuple[Motors, ...]:
     """Rows of every flexible joint over a whole record; none if the arm switches them off. Errors: as `estimated`."""
     if arm.impulse_arc_s == 0.0:
@@ -46,10 +56,7 @@ def motors(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Eff
     longest = max(1, round(arm.impulse_arc_s / arm.period_s))
     arc = numbered(smoothed, longest)
     position = np.arange(len(arc)) - np.searchsorted(arc, arc)
-    ends = []
-    for number in range(int(arc.max(initial=-1)) + 1):
-        of = np.flatnonzero(arc == number)
-        ends.append(End(int(smoothed.index[of[-1]]) + arm.smoother.lag, len(of) == longest))
+    ends = _ends(arm, smoothed, arc, longest)
     void = void_arcs(samples, ends)
     names = [*arm.parameter_names, *(effect.column(arm) for effect in estimated(arm, effects))]
     out = []
@@ -88,10 +95,54 @@ def weight(arm: Arm, own: Motors, energy: Floats, x: Floats) -> float:
     return float(explained(energy, x) / noise) if noise > 0.0 and own.arcs >= LEAST_ARCS else 0.0
 
 
-def solve_with_motors(arm: Arm, design: Design, beside: Sequence[Motors]) -> Solution:
-    """The energy rows and the motor rows, each weighed by its noise. Raises Undecided as `solve`."""
+@dataclass(frozen=True)
+class Momenta:
+    """Momentum rows of all arcs that count. rows: as in `Motors`, right side 0. arcs: how many. instants: accepted."""
+
+    rows: Rows
+    arcs: int
+    instants: int
+
+
+def momenta(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Effect] = ()) -> Momenta | None:
+    """Momentum rows over a whole record; None where the arm switches them off. Errors: as `estimated`."""
+    if arm.momentum_arc_s == 0.0:
+        return None
+    longest = max(1, round(arm.momentum_arc_s / arm.period_s))
+    arc = numbered(smoothed, longest)
+    counts = []
+    for number in void_arcs(samples, _ends(arm, smoothed, arc, longest)):
+        arc[arc == number] = -1
+    for number in range(int(arc.max(initial=-1)) + 1):
+        accepted = int(np.count_nonzero(smoothed.accepted[arc == number]))
+        counts += [accepted] if accepted >= MIN_ARC_INSTANTS else []
+    grams, owed = momentum.sums(arm, smoothed, arc)
+    names = [*arm.parameter_names, *(effect.column(arm) for effect in estimated(arm, effects))]
+    kinetic = len(arm.body_parameters)
+    places = [*range(kinetic), *(names.index(f"Im{i + 1}") for i in range(arm.n))]
+    size = len(places)
+    z, noise = np.zeros((size, len(names))), np.zeros((len(names) + 1, len(names) + 1))
+    if grams:
+        gram = np.sum(grams, axis=0)
+        scale = np.sqrt(np.where(np.diag(gram) > 0.0, np.diag(gram), 1.0))
+        value, vector = np.linalg.eigh(gram / np.outer(scale, scale))
+        z[:, places] = np.sqrt(np.maximum(value, 0.0))[:, None] * vector.T * scale
+        noise[np.ix_(places, places)] = np.sum(owed, axis=0)
+    return Momenta(Rows(z, np.zeros(size), noise), len(grams), sum(counts))
+
+
+def solve_together(arm: Arm, design: Design, own: Sequence[Motors], of_base: Momenta | None = None) -> Solution:
+    """Energy, motor and momentum rows, each weighed by its noise. Raises Undecided as `solve`."""
     energy = Rows(design.z, design.w, design.noise)
     alone = solve(energy)
     noise = design.noise / max(len(design.w), 1)
-    weighed = [(weight(arm, own, noise, alone.x), own.rows) for own in beside]
-    return solve(energy, [rows.times(factor) for factor, rows in weighed if factor > 0.0])
+    weighed = [(weight(arm, one, noise, alone.x), one.rows) for one in own]
+    beside = [rows.times(factor) for factor, rows in weighed if factor > 0.0]
+    so_far = solve(energy, beside) if beside else alone
+    if of_base is None or of_base.arcs < LEAST_ARCS:
+        return so_far
+    owed = explained(of_base.rows.noise, so_far.x) / of_base.instants
+    if not owed > 0.0:
+        return so_far
+    factor = explained(noise, so_far.x) / (MOMENTUM_CAUTION * owed)
+    return solve(energy, [*beside, of_base.rows.times(factor)])
