@@ -859,13 +859,27 @@ static double cluster(const zygos_work_t *work, uint32_t p, const zygos_estimate
     return squares / (blocks * out->residual * out->residual);
 }
 
+/* Whether the places that the accumulator points at exist. An open arc has two blocks at least. */
+static bool places_exist(const zygos_accumulator_t *sums)
+{
+    return (sums->count <= (uint32_t)ZYGOS_MAX_BLOCKS) && (sums->open <= sums->count) &&
+           (sums->count != sums->open + 1u) && (sums->window <= sums->open) && (sums->newest <= sums->window) &&
+           (sums->filling <= 1u) && (sums->filled < (uint32_t)ZYGOS_STEP) &&
+           (sums->shared <= (uint32_t)ZYGOS_MAX_PACKED_ROW);
+}
+
 /* Whether the work was taken, and from memory that nobody changed; closes the open arcs. */
 static bool prepare(zygos_work_t *work)
 {
     zygos_accumulator_t *sums = &work->accumulator;
-    if ((sums->count > ZYGOS_MAX_BLOCKS) || (sums->open > sums->count) || (work->config.joints < 1u) ||
-        (work->config.joints > ZYGOS_MAX_JOINTS) || (work->config.effects > (uint32_t)ZYGOS_MAX_EFFECTS) ||
-        (work->config.kinetic > (uint32_t)ZYGOS_SPATIAL_ARM) || (work->config.base > (uint32_t)ZYGOS_BASE_FIXED)) {
+    if (!places_exist(sums) || (work->config.joints < 1u) || (work->config.joints > ZYGOS_MAX_JOINTS) ||
+        (zygos_effects_check(&work->config) < 0) || (work->config.kinetic > (uint32_t)ZYGOS_SPATIAL_ARM) ||
+        (work->config.base > (uint32_t)ZYGOS_BASE_FIXED)) {
+        return false;
+    }
+    zygos_impulse_layout_t layout;
+    zygos_impulse_layout(&work->config, &layout);
+    if (memcmp(&layout, &work->joint_sums.layout, sizeof layout) != 0) {
         return false;
     }
     zygos_balance_layout(&work->config, &work->layout);
