@@ -326,7 +326,8 @@ def floating() -> tuple[Arm, Floats, Cycles]:
         attitude = attitude * Rotation.from_rotvec(h * middle)
     values = model.base_values(arm)
     moved = replace(told, omega=np.array(omega) @ arm.mount)
-    return arm, values, balanced(replace(arm, momentum_max_s=0.0), moved, values)
+    # over one long arc, for noise moves the ends of short ones
+    return arm, values, balanced(replace(arm, momentum_max_s=0.0, arc_max_s=1e3), moved, values)
 
 
 def noisy(cycles: Cycles, seed: int) -> Cycles:
