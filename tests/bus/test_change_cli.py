@@ -31,7 +31,7 @@ def run(*arguments: object) -> int:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two logs of 250 s. In same.blf nothing happens; in changed.blf the last link weighs twice as much from 120 s on."""
+    """Two logs of 250 s: nothing happens in same.blf, the last link is twice as heavy from 120 s on in changed.blf."""
     folder = tmp_path_factory.mktemp("change")
     arm, model = load_arm(EXAMPLE / "arm.toml"), load_model(EXAMPLE / "model.toml")
     scenario = load_scenario(EXAMPLE / "scenario.toml")
