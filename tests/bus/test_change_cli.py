@@ -16,7 +16,7 @@ from zygos import bus
 from zygos.arm import load_arm
 from zygos.cli import main
 from zygos.flight import encode
-from zygos.model import Quantity, load_model
+from zygos.model import Model, Quantity, load_model
 from zygos.plant import simulate
 from zygos.scenario import load_scenario
 
@@ -29,14 +29,23 @@ def run(*arguments: object) -> int:
     return int(end.value.code or 0)
 
 
+def heavier(model: Model) -> Model:
+    *others, last = model.bodies
+    return replace(model, bodies=(*others, replace(last, mass=Quantity(2.0 * last.mass.value))))
+
+
+def heavy_a22() -> float:
+    arm, model = load_arm(EXAMPLE / "arm.toml"), load_model(EXAMPLE / "model.toml")
+    return float(heavier(model).base_values(arm)[5])
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two logs of 250 s: nothing happens in same.blf, the last link is twice as heavy from 120 s on in changed.blf."""
+    """Logs of 250 s: same.blf, where nothing happens, and changed.blf, where the last link is heavier from 120 s on."""
     folder = tmp_path_factory.mktemp("change")
     arm, model = load_arm(EXAMPLE / "arm.toml"), load_model(EXAMPLE / "model.toml")
     scenario = load_scenario(EXAMPLE / "scenario.toml")
-    *others, last = model.bodies
-    heavy = replace(model, bodies=(*others, replace(last, mass=Quantity(2.0 * last.mass.value))))
+    heavy = heavier(model)
     same = simulate(arm, model, scenario, duration_s=250.0, seeds=[1]).cycles(0)
     before = simulate(arm, model, scenario, duration_s=120.0, seeds=[1]).cycles(0)
     after = simulate(arm, heavy, scenario, duration_s=130.0, seeds=[2]).cycles(0)
@@ -65,15 +74,20 @@ def test_a_change_is_a_warning_that_names_what_and_when(
     assert out.exists()
 
 
-def test_where_old_arcs_fade_the_answer_is_of_the_arm_as_it_is(
+def test_where_old_arcs_fade_the_answer_follows(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """130 s behind the change, with a memory of 40 s, a twenty-fifth of what the light arm left is left."""
     arm = tmp_path / "arm.toml"
-    arm.write_text((EXAMPLE / "arm.toml").read_text() + "\n[arc]\nmemory_min = 0.1\n")
-    out = tmp_path / "m.toml"
-    assert run("estimate", folder / "changed.blf", "--arm", arm, "-o", out) == 0
-    assert "warning: the arm changed after 120 s" in capsys.readouterr().err
-    arm.write_text((EXAMPLE / "arm.toml").read_text() + "\n[arc]\nmemory_min = 0.0\n")
+    off = []
+    for text in ("[arc]\nmax_s = 20.0\nmemory_min = 0.67\n", "[arc]\nmax_s = 20.0\n"):
+        arm.write_text((EXAMPLE / "arm.toml").read_text() + text)
+        out = tmp_path / "m.toml"
+        assert run("estimate", folder / "changed.blf", "--arm", arm, "-o", out) in (0, 3)
+        assert "warning: the arm changed after 120 s" in capsys.readouterr().err
+        off.append(abs(load_model(out).base_values(load_arm(arm))[5] / heavy_a22() - 1.0))
+    assert off[0] < 0.04 < 0.1 < off[1]
+    arm.write_text((EXAMPLE / "arm.toml").read_text() + "[arc]\nmemory_min = 0.0\n")
     assert run("estimate", folder / "changed.blf", "--arm", arm, "-o", out) == 2
     assert "arc.memory_min" in capsys.readouterr().err
 
