@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from flight_support import balanced
+from flight_support import balanced, energy_only
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
