@@ -254,13 +254,13 @@ def about_noise(result: Estimate) -> str:
     """What the noise did to an estimate, where that is worth a word."""
     if result.gate < GATE:
         return (
-            f"noise: in some combination of parameters the motion is only {number(result.gate, 2)} times as large as "
-            "the sensors' noise; the intervals hold what that may hide"
+            f"noise: in some combination of parameters the motion is {number(result.gate, 2)} times as large as the "
+            "sensors' noise; the intervals hold what that may hide"
         )
     if result.noise_ratio < OVERDECLARED:
         return (
-            f"noise: the residuals' square is {number(result.noise_ratio, 2)} of what the arm file's sigmas make of it, "
-            "which were believed to that extent"
+            f"noise: the residuals' square is {number(result.noise_ratio, 2)} of what the arm file's sigmas make of it;"
+            " they were believed to that extent"
         )
     if result.noise_ratio > 1.0 / OVERDECLARED:
         return (
@@ -302,7 +302,7 @@ def finish_estimate(
     effects = tuple(learned(effect, found.get(effect.column(flight.arm))) for effect in (*given, *asked))
     if json != "-":
         rows = [
-            (name, unit, number(value), number(half95, 2), number(100 * ratio(half95, abs(value)), 2))
+            (name, unit, number(value), number(float(f"{half95:.2g}")), number(100 * ratio(half95, abs(value)), 2))
             for name, unit, value, half95 in zip(result.names, result.units, result.value, result.half95, strict=True)
         ]
         table(("name", "unit", "estimate", "±95 %", "in %"), rows)

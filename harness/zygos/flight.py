@@ -56,7 +56,7 @@ _CONFIG_ERRORS = {
     -7: "the smoother's points, order or lag are out of range (lag must be points // 2: end-point filters are refused)",
     -8: "node numbers must be 1..31, each used once",
     -9: "joint axes must be unit vectors, parallel where the arm is planar",
-    -10: "a ratio, sign, zero, sigma or latch delay is out of range",
+    -10: "a ratio, sign, zero, sigma, latch delay or memory is out of range",
     -11: "arc.max_s, arc.impulse_max_s or arc.momentum_max_s is shorter than 20 cycles",
     -15: "base, gravity and gyro do not fit each other",
     -14: "an effect stands twice, or has no columns in this build",

@@ -28,12 +28,13 @@ CHOSEN = {
 
 
 def energy_only(arm: Arm, *, noise: bool = False) -> Arm:
-    """The arm as the records of `balanced` want it: without motor rows, and without noise unless there is some.
+    """The arm as the records of `balanced` want it: with energy rows only, and without noise unless there is some.
 
     The torques of those records close the energy of the whole arm and nothing else. They are not what the motors'
-    equations of motion ask for, so motor rows of such a record contradict its parameters.
+    equations of motion ask for, nor does the momentum stay the same: rows of these contradict the parameters.
     """
-    return replace(arm, impulse_arc_s=0.0, compensate_every=arm.compensate_every if noise else 0)
+    compensate_every = arm.compensate_every if noise else 0
+    return replace(arm, impulse_arc_s=0.0, momentum_max_s=0.0, compensate_every=compensate_every)
 
 
 def chosen(arm: Arm) -> Floats:

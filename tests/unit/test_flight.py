@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -16,16 +17,20 @@ from flight_support import CHOSEN, arcs, balanced, bytes_of, chosen, energy_only
 from numpy.typing import NDArray
 from reference_support import make_arm
 
-from zygos.arm import Arm
+from conftest import EXAMPLE
+from zygos.arm import Arm, load_arm
 from zygos.cycles import BREAK_BEFORE, INVALID, Cycles
 from zygos.errors import ZygosError
 from zygos.flight import REASONS, Flight, config_of, cycles_to_native, encode, ffi, lib
+from zygos.model import load_model
+from zygos.plant import simulate
+from zygos.scenario import load_scenario
 
 Floats = NDArray[np.float64]
 
 MAX_BLOCKS = int(lib.ZYGOS_MAX_BLOCKS_VALUE)
 MIN_ARC = int(lib.ZYGOS_MIN_ARC_INSTANTS_VALUE)
-NO_DATA, NOT_IDENTIFIABLE, TOO_FAST, NOT_PHYSICAL, CORRUPT, UNCLOSED, NOISE = REASONS[1:]
+NO_DATA, NOT_IDENTIFIABLE, TOO_FAST, NOT_PHYSICAL, CORRUPT, UNCLOSED = REASONS[1:7]
 
 
 @pytest.fixture
@@ -48,17 +53,19 @@ def fill(arm: Arm) -> int:
 
 
 def set_(path: str, value: Any) -> Callable[[Any], None]:
-    """Sets one member of a configuration, such as joint[1].node."""
+    """Sets one member of a struct, such as joint[1].node, to a value or to what a function makes of it."""
 
-    def change(config: Any) -> None:
+    def change(struct: Any) -> None:
         *parents, last = path.replace("[", ".").replace("]", "").split(".")
-        target = config
+        target = struct
         for name in parents:
             target = target[int(name)] if name.isdigit() else getattr(target, name)
+        before = target[int(last)] if last.isdigit() else getattr(target, last)
+        after = value(before) if callable(value) else value
         if last.isdigit():
-            target[int(last)] = value
+            target[int(last)] = after
         else:
-            setattr(target, last, value)
+            setattr(target, last, after)
 
     return change
 
@@ -96,6 +103,9 @@ REFUSALS = [
     (lib.ZYGOS_E_VALUE, "imu_to_base[4]", [1.1, -1.0, 0.0, NAN]),
     (lib.ZYGOS_E_VALUE, "imu_to_base", [[0.0] * 9, [0, 1, 0, 1, 0, 0, 0, 0, 1], [0.6, 0.8, 0, 0.8, 0.6, 0, 0, 0, 1]]),
     (lib.ZYGOS_E_VALUE, "imu_fine", [2, 2**32 - 1]),
+    (lib.ZYGOS_E_VALUE, "imu_sigma", [-1e-9, 1.1, NAN, INF]),
+    (lib.ZYGOS_E_VALUE, "keep", [0.0, 0.89, 1.0 + 1e-15, NAN]),
+    (lib.ZYGOS_E_VALUE, "compensation", [16, 2**32 - 1]),
     (lib.ZYGOS_E_ARC, "arc_cycles", [0, MIN_ARC - 1]),
     (lib.ZYGOS_E_ARC, "impulse_arc_cycles", [1, MIN_ARC - 1]),
     (lib.ZYGOS_E_ARC, "momentum_arc_cycles", [1, MIN_ARC - 1]),
@@ -137,6 +147,11 @@ def vars_of_enum(name: str) -> dict[str, int]:
         ("joint[1].node", 31),
         ("joint[1].link_sigma_rad", 0.0),
         ("imu_latch_s", 0.02),
+        ("imu_sigma", 0.0),
+        ("keep", 0.9),
+        ("compensation", 15),
+        ("impulse_arc_cycles", MIN_ARC),
+        ("momentum_arc_cycles", MIN_ARC),
     ],
 )
 def test_the_edges_of_what_is_allowed(arm: Arm, path: str, value: Any) -> None:
@@ -412,6 +427,14 @@ def constant(arm: Arm, first: int, n: int) -> Cycles:
     )
 
 
+def flushed(flight: Flight) -> Any:
+    """A copy of the sums in which nothing waits in steps: zygos_work_t."""
+    work = ffi.new("zygos_work_t *")
+    lib.zygos_take(flight.native, work)
+    lib.zygos_accumulator_flush(ffi.addressof(work.accumulator))
+    return work
+
+
 LONG_RUN = """
 import sys
 from dataclasses import replace
@@ -421,11 +444,14 @@ from zygos.cycles import Cycles
 from zygos.flight import Flight, ffi, lib
 
 flight = Flight(replace(load_arm(sys.argv[1]), arc_max_s=float(sys.argv[2])))
-sums, n = flight.native.accumulator, 100_000
+work, n = ffi.new("zygos_work_t *"), 100_000
 for first in range(1, 1_000_000, n):
     q, theta, tau = (np.full((n, 2), value) for value in (0.3, 0.31, 0.1))
     sync = np.arange(first, first + n, dtype=np.uint64)
     flight.cycles(Cycles(sync, q, theta, tau, np.full((n, 3), 0.0123), np.zeros(n, dtype=np.uint32)))
+lib.zygos_take(flight.native, work)
+sums = work.accumulator
+lib.zygos_accumulator_flush(ffi.addressof(sums))
 print(lib.zygos_accumulator_check(ffi.addressof(sums)), *(sums.block[b].instants for b in range(sums.count)))
 """
 
@@ -451,13 +477,14 @@ def test_blocks_merge_and_lose_nothing(arm: Arm, arc_s: float, cycles: int) -> N
     arm = replace(arm, arc_max_s=arc_s)
     run = balanced(arm, sines(arm, cycles), chosen(arm))
     flight = Flight(arm)
-    accumulator = flight.native.accumulator
     rows, accepted = [], []
     for start in range(0, cycles, 500):
         trace = flight.cycles(part(run, start, start + 500), trace=True)
         assert trace is not None
         rows.append(trace)
         accepted.append(int(trace.accepted.sum()))
+        work = flushed(flight)
+        accumulator = work.accumulator
         assert 1 <= accumulator.count <= MAX_BLOCKS
         assert accumulator.open <= accumulator.count
         instants = [accumulator.block[b].instants for b in range(accumulator.count)]
@@ -632,8 +659,9 @@ def test_columns_that_are_a_sum_of_others(seed: int) -> None:
     truth = rng.uniform(1.0, 2.0, 12)
     work, out, row = ffi.new("zygos_work_t *"), ffi.new("zygos_estimate_t *"), ffi.new("zygos_row_t *")
     sums = ffi.addressof(work, "accumulator")
-    lib.zygos_accumulator_init(sums, 12, MIN_ARC)
+    lib.zygos_accumulator_init(sums, 12, MIN_ARC, 0.02)
     work.config.joints = 2
+    lib.zygos_impulse_layout(ffi.addressof(work, "config"), ffi.addressof(work.joint_sums, "layout"))
     columns = rng.normal(size=(MIN_ARC, 12))
     columns[:, 2] = columns[:, 0] + 0.3 * columns[:, 5]
     for column in np.tile(columns, (20, 1)):
@@ -686,21 +714,70 @@ def flip(address: Any, bit: int) -> None:
     image[0] ^= 1 << bit
 
 
-@pytest.mark.parametrize("part", ["gram", "sum"])
+@cache
+def sums_of_every_kind() -> tuple[Arm, Cycles]:
+    """The paper's arm with rows of every kind, in arcs of which several are closed and one is open."""
+    arm = replace(load_arm(EXAMPLE / "arm.toml"), arc_max_s=20.0, momentum_max_s=10.0)
+    scenario = load_scenario(EXAMPLE / "scenario.toml")
+    run = simulate(arm, load_model(EXAMPLE / "model.toml"), scenario, seeds=[0], noise=True)
+    return arm, part(run.cycles(0), 0, 1106)
+
+
+SUMS: dict[str, Callable[[Any], Any]] = {
+    "first closed block": lambda native: native.accumulator.block[0],
+    "last closed block": lambda native: native.accumulator.block[native.accumulator.open - 1],
+    "first open block": lambda native: native.accumulator.block[native.accumulator.open],
+    "newest block": lambda native: native.accumulator.block[native.accumulator.count - 1],
+    "step that fills": lambda native: native.accumulator.step[native.accumulator.filling],
+    "step that is shared out": lambda native: native.accumulator.step[1 - native.accumulator.filling],
+    "noise of the segment": lambda native: native.accumulator.noise,
+    "noise of the arc": lambda native: native.accumulator.noise_open,
+    "noise of closed arcs": lambda native: native.accumulator.noise_closed,
+    "motor rows of a closed arc": lambda native: native.joint_sums.block[1].joint[1],
+    "motor rows of the open arc": lambda native: native.joint_sums.open.joint[0],
+    "momentum rows of a closed arc": lambda native: native.momentum_sums.block[1].rows,
+    "momentum rows of the open arc": lambda native: native.momentum_sums.open.rows,
+    "noise of open momentum rows": lambda native: native.momentum_sums.noise_open,
+    "noise of closed momentum rows": lambda native: native.momentum_sums.noise_closed,
+}
+
+
 @pytest.mark.parametrize("bit", [40, 51, 52, 55, 62, 63])
-def test_a_flipped_bit_in_the_sums_is_refused(arm: Arm, part: str, bit: int) -> None:
-    """In a block of a closed arc and in one of the open arc."""
-    run = balanced(replace(arm, arc_max_s=10.0), sines(arm, 1300), chosen(arm))
-    for block in (0, -1):  # the last one is open
-        flight = fed(replace(arm, arc_max_s=10.0), run)
-        assert flight.estimate().validity == "valid"
-        sums = flight.native.accumulator
-        target = sums.block[block % sums.count]
-        largest = int(np.argmax(np.abs(np.array(list(getattr(target, part))))))
-        flip(ffi.addressof(getattr(target, part), largest), bit)
-        estimate = flight.estimate()
-        assert (estimate.validity, estimate.reason) == ("refused", CORRUPT)
-        assert np.isnan(estimate.value).all()
+@pytest.mark.parametrize("entries", ["gram", "sum"])
+@pytest.mark.parametrize("place", SUMS)
+def test_a_flipped_bit_in_the_sums_is_refused(place: str, entries: str, bit: int) -> None:
+    """In its largest entry: in blocks, in what waits to go into them, in the noise, and in what motors add."""
+    flight = fed(*sums_of_every_kind())
+    assert flight.estimate().validity == "valid"
+    values = getattr(SUMS[place](flight.native), entries)
+    largest = int(np.argmax(np.abs(np.array(list(values)))))
+    if place == "step that is shared out" and entries == "sum":
+        assert values[largest] == 0.0  # it went to the blocks as a whole
+        return
+    assert values[largest] != 0.0
+    flip(ffi.addressof(values, largest), bit)
+    estimate = flight.estimate()
+    assert (estimate.validity, estimate.reason) == ("refused", CORRUPT)
+    assert np.isnan(estimate.value).all()
+
+
+@pytest.mark.parametrize("bit", [10, 20, 31])
+@pytest.mark.parametrize(
+    "path",
+    [
+        *(
+            f"accumulator.{name}"
+            for name in ("width", "count", "open", "newest", "window", "filling", "filled", "shared")
+        ),
+        *("joint_sums.count", "joint_sums.layout.count[0]", "joint_sums.layout.effect[1][0]"),
+        *(f"momentum_sums.{name}" for name in ("columns", "components", "count")),
+    ],
+)
+def test_a_flipped_bit_in_what_counts_the_sums_is_refused(path: str, bit: int) -> None:
+    """Nothing beyond the sums is read."""
+    flight = fed(*sums_of_every_kind())
+    set_(path, lambda value: value ^ 1 << bit)(flight.native)
+    assert flight.estimate().reason == CORRUPT
 
 
 def test_a_sum_that_is_not_a_number_is_refused(arm: Arm) -> None:
@@ -784,9 +861,33 @@ def test_restart_and_the_fault_counters(arm: Arm) -> None:
         assert after == tuple(kept * count for count in before)
 
 
-@pytest.mark.parametrize("keep", [2, 3, 2**31])
-def test_restart_refuses_bits_it_does_not_know(arm: Arm, keep: int) -> None:
-    flight = fed(arm, sines(arm, 300))
+@pytest.mark.parametrize(("motors", "keep"), [(False, 2), (False, 3), (True, 4), (True, 6), (True, 2**31)])
+def test_restart_refuses_bits_it_does_not_know(arm: Arm, motors: bool, keep: int) -> None:
+    """Bit 1 keeps the sums of the motor rows, where there are any."""
+    flight = fed(replace(arm, impulse_arc_s=10.0 * motors), sines(arm, 300))
     before = bytes_of(flight.native)
     assert lib.zygos_restart(flight.native, keep) == lib.ZYGOS_E_KEEP
     assert bytes_of(flight.native) == before
+
+
+@pytest.mark.parametrize("keep", [False, True])
+def test_restart_keeps_what_the_motor_rows_know(keep: bool) -> None:
+    """Of the arm before the restart if so asked; the rows of the energy are forgotten."""
+    arm, run = sums_of_every_kind()
+    flight = fed(arm, part(run, 0, 800))
+    blocks, instants = flight.native.joint_sums.count, flight.native.joint_sums.instants
+    known = bytes_of(flight.native.joint_sums.block)
+    assert blocks >= 3
+    assert instants >= MIN_ARC
+    flight.restart(keep_joints=keep)
+    sums = flight.native.joint_sums
+    assert sums.count == keep * (blocks + 1)  # the open arc is closed
+    assert (sums.instants, flight.native.accumulator.count, flight.native.momentum_sums.count) == (0, 0, 0)
+    assert flight.estimate().validity == "refused"
+    size = ffi.sizeof(sums.block[0])
+    assert not keep or bytes_of(sums.block)[: blocks * size] == known[: blocks * size]
+    rest = part(run, 800, 1106)
+    flight.cycles(rest)
+    sigma = flight.estimate().half95[arm.parameter_names.index("k1")]
+    alone = fed(arm, rest).estimate().half95[arm.parameter_names.index("k1")]
+    assert sigma < 0.7 * alone if keep else sigma == alone

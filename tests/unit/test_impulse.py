@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from rows_support import PAPER_EFFECTS, Floats, awkward, c_rooms, effect, less_means, run, smoothed, wandering
 
-from zygos.arm import Arm
+from zygos.arm import Arm, Smoother
 from zygos.cycles import Cycles
 from zygos.effects import Effect
 from zygos.flight import config_of, ffi, lib
@@ -138,6 +138,7 @@ def test_noise_entry_by_entry(joint: int, latch_us: int) -> None:
 def test_noise_with_the_paper_example() -> None:
     """sigma^2 of the encoders times the sums of squares of the filter, by hand: SG7/4."""
     arm, _, _, effects = run("paper")
+    arm = replace(arm, smoother=Smoother(7, 4, 3))
     value = np.array([5.0, -30.0, 75.0, 131.0, 75.0, -30.0, 5.0]) / 231.0
     slope = np.array([22.0, -67.0, -58.0, 0.0, 58.0, 67.0, -22.0]) / 252.0 / arm.period_s
     sigma = arm.joints[0].link_encoder.over_the_wire.sigma_rad

@@ -1,4 +1,4 @@
-"""The motor impulse rows that count beside those of the energy, and their weights (docs/theory.md, "Motor impulse")."""
+"""The rows that count beside those of the energy, and their weights (docs/theory.md, "Motor impulse", "Momentum")."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from zygos.arm import Arm
 from zygos.effects import Effect, estimated
 from zygos.reference import impulse
 from zygos.reference.accumulator import MIN_ARC_INSTANTS, Design
-from zygos.reference.arcs import numbered
-from zygos.reference.balance import End, void_arcs
+from zygos.reference.arcs import doubtful, numbered
 from zygos.reference.cycle import Samples
+from zygos.reference.momentum import Turns
 from zygos.reference.smoother import Smoothed
 from zygos.reference.solver import Rows, Solution, explained, solve
 
@@ -24,6 +24,10 @@ LEAST_ARCS = 3
 """Of fewer arcs nothing is learned about their noise."""
 WALK = 10.0
 """The mean square of a random walk about its own mean is sigma^2 T^2 over this, between 6 and 15."""
+
+
+MOMENTUM_CAUTION = 5.0
+"""The noise of neighbouring momentum rows is alike, that of energy rows forgets at once."""
 
 
 @dataclass(frozen=True)
@@ -46,17 +50,13 @@ def motors(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Eff
     longest = max(1, round(arm.impulse_arc_s / arm.period_s))
     arc = numbered(smoothed, longest)
     position = np.arange(len(arc)) - np.searchsorted(arc, arc)
-    ends = []
-    for number in range(int(arc.max(initial=-1)) + 1):
-        of = np.flatnonzero(arc == number)
-        ends.append(End(int(smoothed.index[of[-1]]) + arm.smoother.lag, len(of) == longest))
-    void = void_arcs(samples, ends)
+    void = doubtful(arm, samples, smoothed, arc, longest)
     names = [*arm.parameter_names, *(effect.column(arm) for effect in estimated(arm, effects))]
     out = []
     for one in impulse.rows(arm, samples, smoothed, arc, effects):
         places = [names.index(name) for name in one.names]
         z, w, count = [np.zeros((0, len(names)))], [np.zeros(0)], 0
-        for number in range(len(ends)):
+        for number in range(int(arc.max(initial=-1)) + 1):
             accepted = np.flatnonzero((arc == number) & smoothed.accepted)
             mine = accepted[position[accepted] % arm.n == one.joint]
             if len(accepted) < MIN_ARC_INSTANTS or number in void or not len(mine):
@@ -88,10 +88,31 @@ def weight(arm: Arm, own: Motors, energy: Floats, x: Floats) -> float:
     return float(explained(energy, x) / noise) if noise > 0.0 and own.arcs >= LEAST_ARCS else 0.0
 
 
-def solve_with_motors(arm: Arm, design: Design, beside: Sequence[Motors]) -> Solution:
-    """The energy rows and the motor rows, each weighed by its noise. Raises Undecided as `solve`."""
+def momentum_rows(names: Sequence[str], own: Turns, energy: Floats, x: Floats) -> Rows | None:
+    """The momentum rows of p parameters, weighed; None where fewer than LEAST_ARCS arcs or no noise tell the weight.
+
+    energy: (p+1, p+1) noise of one energy row. x: (p,) the parameters, by the other rows.
+    """
+    places = [names.index(name) for name in own.names]
+    z, noise = np.zeros((len(own.z), len(names))), np.zeros((len(names) + 1, len(names) + 1))
+    z[:, places] = own.z
+    noise[np.ix_(places, places)] = own.noise.sum(axis=0)
+    mean = explained(noise, x) / max(len(z), 1)
+    if len(own.noise) < LEAST_ARCS or not mean > 0.0:
+        return None
+    return Rows(z, np.zeros(len(z)), noise).times(explained(energy, x) / (MOMENTUM_CAUTION * mean))
+
+
+def solve_with_others(
+    arm: Arm, design: Design, motors: Sequence[Motors], momentum: Turns | None, effects: Sequence[Effect] = ()
+) -> Solution:
+    """The energy rows, the motor rows and the momentum rows, each weighed by its noise. Raises Undecided as `solve`."""
     energy = Rows(design.z, design.w, design.noise)
     alone = solve(energy)
     noise = design.noise / max(len(design.w), 1)
-    weighed = [(weight(arm, own, noise, alone.x), own.rows) for own in beside]
-    return solve(energy, [rows.times(factor) for factor, rows in weighed if factor > 0.0])
+    weighed = [(weight(arm, own, noise, alone.x), own.rows) for own in motors]
+    beside = [rows.times(factor) for factor, rows in weighed if factor > 0.0]
+    both = solve(energy, beside)
+    names = [*arm.parameter_names, *(effect.column(arm) for effect in estimated(arm, effects))]
+    third = momentum_rows(names, momentum, noise, both.x) if momentum is not None else None
+    return both if third is None else solve(energy, [*beside, third])

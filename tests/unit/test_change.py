@@ -1,0 +1,352 @@
+"""An arm that changes while it is learned: the alarm, a restart that keeps the joints, and sums that fade."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from flight_support import joined, part, sines
+from numpy.typing import NDArray
+from plant_support import PAPER, paper
+
+from zygos.arm import Arm, load_arm
+from zygos.cycles import Cycles
+from zygos.errors import ZygosError
+from zygos.flight import DRIFT_ALARM, GATE, OVERDECLARED, Drift, Estimate, Flight, config_of, encode, ffi, lib
+from zygos.model import Model, Quantity
+from zygos.plant import simulate
+from zygos.watch import Watch
+
+Floats = NDArray[np.float64]
+
+SEEDS = 10
+CHANGE_S, AFTER_S, ARC_S = 150.0, 130.0, 60.0
+LOST = 37
+"""Cycles between the light and the heavy part: somebody takes the payload up."""
+LOOK = 200
+"""Cycles."""
+BODIES = ("a00", "a01", "a02", "a11", "a12", "a22")
+NORMAL95 = 1.959964
+
+
+def heavier(model: Model) -> Model:
+    """The last link with twice its mass and inertia."""
+
+    def twice(one: Quantity) -> Quantity:
+        return replace(one, value=2.0 * one.value)
+
+    *others, last = model.bodies
+    xx, xy, xz, yy, yz, zz = last.inertia
+    inertia = (twice(xx), twice(xy), twice(xz), twice(yy), twice(yz), twice(zz))
+    return replace(model, bodies=(*others, replace(last, mass=twice(last.mass), inertia=inertia)))
+
+
+def shifted(cycles: Cycles, by: int) -> Cycles:
+    return replace(cycles, sync=cycles.sync + np.uint64(by))
+
+
+def split(frames: NDArray[np.void], every: int) -> list[NDArray[np.void]]:
+    """Pieces of so many cycles."""
+    return np.split(frames, np.flatnonzero(frames["id"] == 0x080)[every::every])
+
+
+@dataclass(frozen=True)
+class Story:
+    """One seed: a light arm, then a heavy one."""
+
+    light: Estimate
+    """At the end of the light part."""
+    looks: list[Drift]
+    """Every LOOK cycles of the heavy part, as if nobody had noticed."""
+    early: list[Drift]
+    """The same of the light part."""
+    kept: Estimate
+    """Two arcs behind a restart that keeps the joints."""
+    fresh: Estimate
+    """The same two arcs alone."""
+    watch: Watch
+
+
+@pytest.fixture(scope="module")
+def true() -> tuple[Floats, Floats]:
+    arm, model, _ = paper()
+    return model.base_values(arm), heavier(model).base_values(arm)
+
+
+@pytest.fixture(scope="module")
+def runs() -> list[tuple[Cycles, Cycles]]:
+    """The light and the heavy part of each seed."""
+    arm, model, scenario = paper()
+    light = simulate(arm, model, scenario, duration_s=CHANGE_S, seeds=range(SEEDS), noise=True)
+    heavy = simulate(arm, heavier(model), scenario, duration_s=AFTER_S, seeds=range(100, 100 + SEEDS), noise=True)
+    behind = round(CHANGE_S / arm.period_s) + LOST
+    return [(light.cycles(k), shifted(heavy.cycles(k), behind)) for k in range(SEEDS)]
+
+
+@pytest.fixture(scope="module")
+def stories(runs: list[tuple[Cycles, Cycles]]) -> list[Story]:
+    arm = paper()[0]
+    out = []
+    for light, heavy in runs:
+        first, second = encode(arm, light), encode(arm, heavy)
+        deaf, restarted, fresh, watch = Flight(arm), Flight(arm), Flight(arm), Watch(Flight(arm))
+        early, looks = [], []
+        for piece in split(first, LOOK):
+            deaf.frames(piece)
+            early.append(deaf.drift())
+        before = deaf.estimate()
+        for piece in split(second, LOOK):
+            deaf.frames(piece)
+            looks.append(deaf.drift())
+        watch.frames(np.concatenate([first, second]))
+        watch.look()
+        restarted.frames(first)
+        restarted.restart(keep_joints=True)
+        two = np.concatenate(split(second, LOOK)[: round(2.0 * ARC_S / arm.period_s) // LOOK])
+        restarted.frames(two)
+        fresh.frames(two)
+        out.append(Story(before, looks, early, restarted.estimate(), fresh.estimate(), watch))
+    return out
+
+
+def far(estimate: Estimate, true: Floats) -> Floats:
+    """(p,) errors in standard deviations that belong to the 95 % intervals."""
+    return (estimate.value - true) / (estimate.half95 / NORMAL95)
+
+
+# ---------------------------------------------------------------- the alarm
+
+
+def test_a_payload_raises_the_alarm_within_an_arc_and_only_bodies_have_changed(stories: list[Story]) -> None:
+    arc = round(ARC_S / 0.05) // LOOK
+    for story in stories:
+        assert not any(drift.changed for drift in story.early)
+        assert any(np.isfinite(drift.deviation).all() for drift in story.early)
+        assert any(drift.changed for drift in story.looks[:arc])
+        now = story.looks[arc - 1]
+        assert "a22" in now.changed
+        assert set(now.changed) <= set(BODIES)
+        # what was known before ends with the light part, whose newest cycle the gap shows
+        assert now.until == round(CHANGE_S / 0.05) - 1
+
+
+def test_the_watch_keeps_the_plainest_look(stories: list[Story]) -> None:
+    """It looks twice an arc through the whole log, at whose end the alarm is over."""
+    for story in stories:
+        found = story.watch.plainest
+        assert found is not None
+        assert "a22" in found.changed
+        assert set(found.changed) <= set(BODIES)
+        assert found.until * 0.05 == pytest.approx(CHANGE_S, abs=0.1)
+    assert any(not story.watch.flight.drift().changed for story in stories)
+
+
+def test_no_alarm_while_nothing_changes() -> None:
+    """20 seeds of five minutes, looked at every 15 s: 400 looks, most of which compare 12 parameters."""
+    arm, model, scenario = paper()
+    runs = simulate(arm, model, scenario, duration_s=300.0, seeds=range(20), noise=True)
+    compared, last = 0, []
+    for k in range(20):
+        flight, run = Flight(arm), runs.cycles(k)
+        for first in range(0, len(run), 300):
+            flight.cycles(part(run, first, first + 300))
+            drift = flight.drift()
+            compared += bool(np.isfinite(drift.deviation).all())
+            assert drift.changed == (), (k, first, drift.largest)
+        last.append(drift.deviation)
+    assert compared > 250
+    # and the deviations are what they are said to be: their mean square is 1, or less where intervals are careful
+    square = np.mean(np.square(last), axis=0)
+    print(np.sqrt(square).round(2))
+    assert np.all(square < 1.0 + 3.0 * math.sqrt(2.0 / 20.0))
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_the_deviation_in_closed_form(seed: int) -> None:
+    """Two flights that know one part each, and the inverses of their normal matrices by numpy."""
+    arm, model, scenario = paper()
+    arm = replace(arm, impulse_arc_s=0.0, compensate_every=0)
+    run = simulate(arm, model, scenario, duration_s=170.0, seeds=[seed], noise=True).cycles(0)
+    old, new = part(run, 0, 2400), shifted(part(run, 2400, 3400), LOST)
+    both, before, newest = Flight(arm), Flight(arm), Flight(arm)
+    both.cycles(joined(old, new))
+    before.cycles(old)
+    newest.cycles(new)
+    assert newest.estimate().arcs == 1
+    drift = both.drift()
+    assert drift.until == 2399
+    work, known, deviation = ffi.new("zygos_work_t *"), ffi.new("zygos_estimate_t *"), ffi.new("double[]", 256)
+    lib.zygos_take(both.native, work)
+    assert lib.zygos_drift(work, known, deviation) == 1
+    p = len(drift.names)
+    np.testing.assert_array_equal(list(deviation)[:p], drift.deviation)
+    solution = before.estimate().solution
+    np.testing.assert_allclose(list(known.value)[:p], solution, rtol=1e-9)
+    telling = [np.diag(np.linalg.inv(flight.normal_equations()[0])) for flight in (before, newest)]
+    spread = np.array(list(known.half95)[:p]) / NORMAL95 * np.sqrt(1.0 + telling[1] / telling[0])
+    np.testing.assert_allclose(drift.deviation, (newest.estimate().solution - solution) / spread, rtol=1e-6)
+
+
+def test_the_limits_are_those_of_the_library() -> None:
+    header = (Path(__file__).parents[2] / "include" / "zygos" / "solver.h").read_text()
+    for name, value in (("DRIFT_ALARM", DRIFT_ALARM), ("GATE", GATE), ("OVERDECLARED", OVERDECLARED)):
+        found = re.search(rf"#define ZYGOS_{name} ([\d.]+)", header)
+        assert found and float(found[1]) == value
+
+
+# ---------------------------------------------------------------- restart
+
+
+def test_two_arcs_after_the_restart_tell_the_new_payload(stories: list[Story], true: tuple[Floats, Floats]) -> None:
+    """Every parameter's errors are as large as its intervals say: their mean square is 1, within 3 of its errors."""
+    assert {story.kept.validity for story in stories} == {"valid"}
+    errors = np.array([far(story.kept, true[1]) for story in stories])
+    square = np.mean(errors**2, axis=0)
+    print(np.sqrt(square).round(2))
+    assert np.all(square < 1.0 + 3.0 * math.sqrt(2.0 / SEEDS))
+    # narrow intervals, not wide ones, make that true: the old payload is far outside of all of them
+    half95 = np.array([story.kept.half95 / true[1] for story in stories])
+    assert np.all(np.median(half95, axis=0) < 0.01)
+    bodies = [k for k, name in enumerate(stories[0].kept.names) if name in BODIES]
+    assert np.all(np.abs([far(story.kept, true[0])[bodies] for story in stories]) > 50.0)
+
+
+def test_what_is_known_of_the_joints_survives_the_restart(stories: list[Story], true: tuple[Floats, Floats]) -> None:
+    """Their errors are no larger than before it, within 3 errors of a ratio, and smaller than without what was kept."""
+    joints = [k for k, name in enumerate(stories[0].kept.names) if name not in BODIES]
+    assert len(joints) == 6
+    before = np.sqrt(np.mean([(story.light.value / true[0] - 1.0)[joints] ** 2 for story in stories], axis=0))
+    after = np.sqrt(np.mean([(story.kept.value / true[1] - 1.0)[joints] ** 2 for story in stories], axis=0))
+    print((100.0 * before).round(3), (100.0 * after).round(3))
+    assert np.all(after < before * (1.0 + 3.0 / math.sqrt(SEEDS)))
+    sigmas = np.array([(story.kept.sigma / story.fresh.sigma)[joints] for story in stories])
+    assert np.all(np.median(sigmas, axis=0) < 0.95)
+
+
+def test_a_restart_keeps_the_joints_sums_and_nothing_else() -> None:
+    arm, model, scenario = paper()
+    run = simulate(arm, model, scenario, duration_s=45.0, seeds=[0], noise=True).cycles(0)
+    flight = Flight(arm)
+    flight.cycles(run)
+    closed = flight.native.joint_sums.count
+    kept = bytes(ffi.buffer(flight.native.joint_sums.block[0:closed]))
+    flight.restart(keep_joints=True)
+    # the open arc of the motor rows is closed, not lost
+    assert flight.native.joint_sums.count == closed + 1
+    assert bytes(ffi.buffer(flight.native.joint_sums.block[0:closed])) == kept
+    assert flight.counts["accepted"] == 0
+    assert flight.estimate().validity == "refused"
+    flight.restart()
+    assert flight.native.joint_sums.count == 0
+
+
+# ---------------------------------------------------------------- fading
+
+
+def squares(flight: Flight, cycles: Cycles) -> Floats:
+    """(p, p) of the accepted rows that the flight forms, less their mean, by numpy."""
+    trace = flight.cycles(cycles, trace=True)
+    assert trace is not None
+    z = trace.row[trace.instant & trace.accepted][:, :-1]
+    z = z - z.mean(axis=0)
+    return np.asarray(z.T @ z, dtype=np.float64)
+
+
+def test_two_arcs_in_closed_form() -> None:
+    """What the first arc left fades in each cycle up to the end of the second."""
+    arm = replace(paper()[0], compensate_every=0, impulse_arc_s=0.0, memory_s=20.0)
+    keep = math.exp(-arm.period_s / 20.0)
+    run = sines(arm, 1100)
+    one, two, three = part(run, 0, 500), shifted(part(run, 500, 1000), 9), shifted(part(run, 1000, 1100), 18)
+    flight = Flight(arm)
+    first, second = squares(flight, one), squares(flight, two)
+    np.testing.assert_allclose(flight.normal_equations()[0], first + second, rtol=1e-10, atol=1e-10 * second.max())
+    third = squares(flight, three)  # the gap before it has ended the second arc
+    faded = keep**500
+    assert 0.1 < faded < 0.5
+    expected = faded * first + second + third
+    np.testing.assert_allclose(flight.normal_equations()[0], expected, rtol=1e-10, atol=1e-10 * expected.max())
+
+
+def test_motor_rows_fade_alike() -> None:
+    arm = replace(paper()[0], compensate_every=0, impulse_arc_s=5.0)
+    run = sines(arm, 430)
+    whole, fading = Flight(arm), Flight(replace(arm, memory_s=20.0))
+    whole.cycles(run)
+    fading.cycles(run)
+    count = whole.native.joint_sums.count
+    assert count == fading.native.joint_sums.count == 4
+    for block in range(count):
+        faded = math.exp(-100 * (count - 1 - block) * arm.period_s / 20.0)
+        for joint in range(arm.n):
+            there = [list(f.native.joint_sums.block[block].joint[joint].gram) for f in (whole, fading)]
+            np.testing.assert_allclose(there[1], faded * np.array(there[0]), rtol=1e-12)
+
+
+def test_with_a_short_memory_the_estimate_follows_and_without_it_does_not(
+    runs: list[tuple[Cycles, Cycles]], true: tuple[Floats, Floats]
+) -> None:
+    """With 10 s, a sixth of an arc, what the light arm left has faded to a thousandth of a thousandth in the end."""
+    arm = paper()[0]
+    errors: dict[str, list[Floats]] = {"fading": [], "endless": []}
+    for light, heavy in runs:
+        for name, memory in (("fading", 10.0), ("endless", None)):
+            flight = Flight(replace(arm, memory_s=memory))
+            flight.cycles(light)
+            flight.cycles(heavy)
+            errors[name].append((flight.estimate().solution / true[1] - 1.0)[: len(BODIES)])
+    mean = {name: np.sqrt(np.mean(np.square(each), axis=0)) for name, each in errors.items()}
+    print(mean)
+    assert np.all(mean["fading"] < 0.005)
+    assert np.all(mean["endless"] > 0.05)
+
+
+# ---------------------------------------------------------------- refusals
+
+
+def test_without_motor_rows_there_is_nothing_to_keep() -> None:
+    arm = replace(paper()[0], impulse_arc_s=0.0)
+    flight = Flight(arm)
+    flight.cycles(sines(arm, 300))
+    before = bytes(ffi.buffer(flight.native))
+    with pytest.raises(ZygosError, match=r"no motor rows .*remedy: \[arc\] impulse_max_s"):
+        flight.restart(keep_joints=True)
+    assert bytes(ffi.buffer(flight.native)) == before
+    flight.restart()
+
+
+@pytest.mark.parametrize("keep", [0.8999, 1.0001, 0.0, -1.0, math.inf, math.nan])
+def test_a_keep_out_of_range_is_refused(keep: float) -> None:
+    config = config_of(paper()[0])
+    native = ffi.new("zygos_t *")
+    assert lib.zygos_init(native, config) == 1
+    config.keep = keep
+    assert lib.zygos_init(native, config) == lib.ZYGOS_E_VALUE
+    for allowed in (0.9, 1.0):
+        config.keep = allowed
+        assert lib.zygos_init(native, config) == 1
+
+
+def with_memory(folder: Path, text: str) -> Path:
+    file = folder / "arm.toml"
+    file.write_text((PAPER / "arm.toml").read_text() + f"\n[arc]\nmemory_min = {text}\n")
+    return file
+
+
+@pytest.mark.parametrize("text", ["0", "-1", "1.99", "inf", "nan", "'short'"])
+def test_a_memory_that_is_none_is_refused(tmp_path: Path, text: str) -> None:
+    with pytest.raises(ZygosError, match=r"arc\.memory_min.*remedy") as error:
+        load_arm(with_memory(tmp_path, text))
+    assert error.value.exit_code == 2
+
+
+def test_a_memory_in_minutes(tmp_path: Path) -> None:
+    arm: Arm = load_arm(with_memory(tmp_path, "30"))
+    assert arm.memory_s == 1800.0
+    assert config_of(arm).keep == pytest.approx(1.0 - 0.05 / 1800.0, rel=1e-9)
+    assert load_arm(with_memory(tmp_path, "2")).memory_s == 120.0
+    assert config_of(load_arm(PAPER / "arm.toml")).keep == 1.0
