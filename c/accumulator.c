@@ -352,6 +352,9 @@ void zygos_accumulator_end_arc(zygos_accumulator_t *self, uint64_t cycle)
     for (uint32_t i = 0; i < width; i++) {
         mean[i] /= (double)self->arc_instants;
     }
+    /* The last column counts instants as well. */
+    const double counted = mean[width - 1u];
+    self->corrupt |= ((counted > 1.0 - 1e-9) && (counted < 1.0 + 1e-9)) ? 0u : 1u;
     for (uint32_t b = self->open; b < self->count; b++) {
         /* Centring cancels: the row sums are judged before, and taken anew after. */
         self->corrupt |= (zygos_gram_check(self->block[b].gram, width, self->block[b].sum) <= 1.0) ? 0u : 1u;

@@ -107,8 +107,12 @@ void zygos_joint_sums_end_arc(zygos_joint_sums_t *self, const zygos_config_t *co
         for (uint32_t i = 0; i < config->joints; i++) {
             const uint32_t p = self->layout.count[i];
             if ((p > 0) && (self->open.instants[i] > 0.0)) {
-                self->corrupt |= matches(&self->open.joint[i], p + 2u) ? 0u : 1u;
-                close_gram(&self->open.joint[i], p, self->open.instants[i], self->noise[i]);
+                const double n = self->open.instants[i];
+                /* The last entry counts instants as well. */
+                const double off = n - self->open.joint[i].gram[zygos_gram_entries(p + 2u) - 1u];
+                const bool counted = (off > -0.5) && (off < 0.5);
+                self->corrupt |= (counted && matches(&self->open.joint[i], p + 2u)) ? 0u : 1u;
+                close_gram(&self->open.joint[i], p, n, self->noise[i]);
             }
         }
         if (self->count == ZYGOS_MAX_JOINT_BLOCKS) {

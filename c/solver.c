@@ -5,11 +5,9 @@
 #define MAX_REFUSED_SHARE 0.05
 #define INSTANTS_PER_PARAMETER 3u
 #define POWER_ROUNDS 40u
-#define WALK                                                                                                           \
-    10.0 /* Of a random walk's mean square about its own mean: between 6, and 15 where its trend drops out.            \
-          */
+/* Of a random walk's mean square about its own mean: between 6, and 15 where its trend drops out. */
+#define WALK 10.0
 #define TWO_SIGMAS 1.959964 /* 95 % of a normal distribution */
-#define POOLED_FREEDOM 4.0
 /* The noise of neighbouring momentum rows is alike, that of energy rows forgets at once: so much less their square
    says. */
 #define MOMENTUM_CAUTION 5.0
@@ -341,39 +339,6 @@ static void score_of_momentum(const zygos_work_t *work, uint32_t p, const zygos_
     }
 }
 
-/* A block's scores squared, in the metric of the inverse of the factorised equations: their mean over the parameters.
- */
-static double loudness(zygos_work_t *work, uint32_t rank, const double *scores)
-{
-    double sum = 0.0;
-    for (uint32_t i = 0; i < rank; i++) {
-        work->score[i] = scores[work->pivot[i]];
-    }
-    substitute(work->factor, rank, work->score);
-    for (uint32_t i = 0; i < rank; i++) {
-        sum += scores[work->pivot[i]] * work->score[i];
-    }
-    return sum / (double)rank;
-}
-
-/* Few blocks may agree on a parameter by accident. If noise had no preference among parameters, the scores of all of
-   them together would tell its size: that stands for as many more degrees of freedom. Correlations stay. */
-static void pool(zygos_work_t *work, uint32_t p, double loud, double *covariance)
-{
-    for (uint32_t i = 0; i < p; i++) {
-        const double own = covariance[at(i, i)];
-        const double common = loud * work->inverse[i] * work->scale[i] * work->scale[i];
-        const double freedom = work->freedom[i] + POOLED_FREEDOM;
-        const double both = (work->freedom[i] * ((own > 0.0) ? own : 0.0) + POOLED_FREEDOM * common) / freedom;
-        const double factor = (own > 0.0) ? root(both / own) : 0.0;
-        for (uint32_t j = 0; j < p; j++) {
-            covariance[(i >= j) ? at(i, j) : at(j, i)] *= factor;
-        }
-        covariance[at(i, i)] = both;
-        work->freedom[i] = freedom;
-    }
-}
-
 /* Covariance by leaving out one block at a time. Blocks overlap, so the squares of their weights add up to less than
    their weights. A parameter whose information comes from few blocks has few degrees of freedom. A block without which
    the equations lose rank leaves all sigmas infinite: the motion was informative once only. */
@@ -387,7 +352,6 @@ static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, double *cov
     const uint32_t blocks = energy_and_motors + (work->momenta.end - work->momenta.first);
     double instants = 0.0;
     double square = 0.0;
-    double loud = 0.0;
     bool once = false;
     memset(work->shares, 0, sizeof work->shares);
     for (uint32_t b = 0; (b < blocks) && !once; b++) {
@@ -425,7 +389,6 @@ static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, double *cov
             score_of_arc(work, p, &arc[b - energy_blocks], work->right);
         }
         const double factor = 0.5 * (energy ? instants / square : 1.0);
-        loud += 2.0 * factor * loudness(work, rank, work->right);
         solve_once(work, p, rank, work->direct);
         for (uint32_t i = 0; i < p; i++) {
             work->plain[i] += 2.0 * factor * work->direct[i] * work->direct[i];
@@ -442,9 +405,6 @@ static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, double *cov
         /* By an accident of few blocks the product may be too small, even negative; the square of the one is not. */
         covariance[at(i, i)] = once ? infinity() : ((variance > work->plain[i]) ? variance : work->plain[i]);
         work->freedom[i] = (freedom > 2.0) ? freedom : 2.0;
-    }
-    if (!once) {
-        pool(work, p, loud, covariance);
     }
 }
 
@@ -1085,7 +1045,7 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     out->accepted = sums->accepted;
     out->arcs = sums->arcs;
     out->blocks = sums->open;
-    if ((out->accepted < (uint64_t)INSTANTS_PER_PARAMETER * p) || (out->blocks < 2u)) {
+    if ((out->accepted < (uint64_t)INSTANTS_PER_PARAMETER * p) || (out->blocks < ZYGOS_LEAST_BLOCKS)) {
         return refuse(out, p, ZYGOS_REASON_NO_DATA);
     }
     choose(work, p, 0, sums->open);
@@ -1209,7 +1169,7 @@ int zygos_drift(zygos_work_t *work, zygos_estimate_t *out, double *deviation)
     const uint32_t p = work->layout.count;
     out->parameters = p;
     out->blocks = sums->newest;
-    if ((sums->newest < 4u) || (sums->newest == sums->open)) {
+    if ((sums->newest < ZYGOS_LEAST_BLOCKS) || (sums->newest == sums->open)) {
         return refuse(out, p, ZYGOS_REASON_NO_DATA);
     }
     out->cycle = sums->block[sums->newest - 1u].end;

@@ -34,8 +34,8 @@ WIRE_STEP_RAD = 2.0 * math.pi / 2**20
 MOMENTUM_ARC_S = 10.0
 """Arcs of momentum rows where an arm has them by default."""
 _LATCH_MAX_US = 65_535  # the wire carries the latch delay as u16
-_SHORTEST_MEMORY = 10
-"""Cycles; the library keeps at least 0.9 of what it knows from one to the next."""
+_SHORTEST_MEMORY = 2
+"""Arcs."""
 
 
 @dataclass(frozen=True)
@@ -468,11 +468,11 @@ def _check_whole(arm: Arm, top: Table) -> None:
         raise top.error(
             "joint", f"node numbers repeat ({nodes}, the last is the IMU's)", "give every node a number of its own"
         )
-    if arm.memory_s is not None and arm.memory_s < _SHORTEST_MEMORY * arm.period_s:
+    if arm.memory_s is not None and arm.memory_s < _SHORTEST_MEMORY * arm.arc_max_s:
         raise top.error(
             "arc.memory_min",
-            f"{arm.memory_s / 60.0:g} min are fewer than {_SHORTEST_MEMORY} cycles",
-            f"give several arcs, or at least {_SHORTEST_MEMORY * arm.period_s / 60.0:.2g} min",
+            f"{arm.memory_s / 60.0:g} min are less than {_SHORTEST_MEMORY} arcs: too little to know a change by",
+            f"give at least {_SHORTEST_MEMORY * arm.arc_max_s / 60.0:g} min, or shorter arcs (max_s)",
         )
     for index, joint in enumerate(arm.joints):
         for key, encoder in (("link_encoder", joint.link_encoder), ("motor_encoder", joint.motor_encoder)):

@@ -15,7 +15,8 @@ from zygos.flight import Flight, Trace
 from zygos.reference.accumulator import design
 from zygos.reference.balance import rows
 from zygos.reference.cycle import calibrate
-from zygos.reference.motors import momenta, motors, solve_together
+from zygos.reference.momentum import turns
+from zygos.reference.motors import motors, solve_with_others
 from zygos.reference.noise import noise_of
 from zygos.reference.smoother import smooth
 from zygos.reference.wire import Frame, Reception, receive
@@ -149,8 +150,8 @@ def check_chain(arm: Arm, trace: Trace, flight: Flight) -> list[Room]:
     )
     rooms.append(Room(equations.name, equations.compared, equations.difference, None, equations.tolerance))
     try:
-        beside = motors(arm, samples, smoothed, flight.effects), momenta(arm, samples, smoothed, flight.effects)
-        solution = solve_together(arm, used, *beside)
+        of_motors, momentum = motors(arm, samples, smoothed, flight.effects), turns(arm, samples, smoothed)
+        solution = solve_with_others(arm, used, of_motors, momentum, flight.effects)
     except Undecided:
         return rooms
     tolerance = max(1e-9, 1e-14 * estimate.condition)

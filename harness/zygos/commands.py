@@ -302,7 +302,7 @@ def finish_estimate(
     effects = tuple(learned(effect, found.get(effect.column(flight.arm))) for effect in (*given, *asked))
     if json != "-":
         rows = [
-            (name, unit, number(value), number(half95, 2), number(100 * ratio(half95, abs(value)), 2))
+            (name, unit, number(value), number(float(f"{half95:.2g}")), number(100 * ratio(half95, abs(value)), 2))
             for name, unit, value, half95 in zip(result.names, result.units, result.value, result.half95, strict=True)
         ]
         table(("name", "unit", "estimate", "±95 %", "in %"), rows)

@@ -54,7 +54,7 @@ def converge(arm: Arm, frames: NDArray[Any]) -> Convergence:
     """Estimates of the C library while the run goes on, one every second of the run."""
     flight = Flight(arm)
     starts = np.flatnonzero(frames["id"] == 0x080)
-    time_s, values, sigmas = [], [], []
+    time_s, values, halves = [], [], []
     for first, last in zip(
         starts[:-1:SNAPSHOT_CYCLES], [*starts[SNAPSHOT_CYCLES::SNAPSHOT_CYCLES], len(frames)], strict=False
     ):
@@ -62,8 +62,8 @@ def converge(arm: Arm, frames: NDArray[Any]) -> Convergence:
         now = flight.estimate()
         time_s.append(now.cycle * arm.period_s)
         values.append(now.value)
-        sigmas.append(now.sigma)
-    return Convergence(np.array(time_s), np.array(values), np.array(sigmas))
+        halves.append(now.half95)
+    return Convergence(np.array(time_s), np.array(values), np.array(halves))
 
 
 def explain_gap(folder: Path) -> dict[str, Any]:
@@ -184,11 +184,11 @@ def learn(folder: Path) -> Learned:
             "true": float(t),
             "numpy": float(x),
             "c": float(c),
-            "sigma": float(s),
+            "half95": float(h),
             "error_percent": float(e),
         }
-        for n, u, t, x, c, s, e in zip(
-            arm.parameter_names, arm.parameter_units, true, numpy_value, written, estimate.sigma, percent, strict=True
+        for n, u, t, x, c, h, e in zip(
+            arm.parameter_names, arm.parameter_units, true, numpy_value, written, estimate.half95, percent, strict=True
         )
     ]
     content: dict[str, Any] = {
@@ -221,16 +221,15 @@ def run_demo(folder: Path = Path("out/demo")) -> None:
     )
 
     table(
-        ("name", "unit", "true", "numpy", "C", "error %", "sigma %", "C vs numpy"),
+        ("name", "unit", "true", "estimate", "±95 %", "error", "C vs numpy"),
         [
             (
                 p["name"],
                 p["unit"],
                 number(p["true"], 7),
-                number(p["numpy"], 7),
                 number(p["c"], 7),
-                f"{p['error_percent']:+.2f}",
-                f"{100 * ratio(p['sigma'], p['c']):.2f}",
+                f"{100 * ratio(p['half95'], p['c']):.2f} %",
+                f"{p['error_percent']:+.2f} %",
                 f"{abs(ratio(p['c'], p['numpy']) - 1):.0e}",
             )
             for p in content["parameters"]

@@ -28,7 +28,7 @@ enum zygos_validity {
 
 enum zygos_reason {
     ZYGOS_REASON_NONE = 0,
-    ZYGOS_REASON_NO_DATA = 1,          ///< Fewer accepted instants than three a parameter, or fewer than two blocks.
+    ZYGOS_REASON_NO_DATA = 1, ///< Fewer accepted instants than three a parameter, or fewer than ZYGOS_LEAST_BLOCKS.
     ZYGOS_REASON_NOT_IDENTIFIABLE = 2, ///< The motion so far does not excite every parameter.
     ZYGOS_REASON_TOO_FAST = 3,         ///< More than 5 % of the instants failed the bandwidth test.
     ZYGOS_REASON_NOT_PHYSICAL = 4,     ///< The bodies' inertia less the rotors' is not positive definite, Im, k or b is
@@ -40,6 +40,8 @@ enum zygos_reason {
     ZYGOS_REASON_NOISE = 7             ///< Noise is as large as the motion in some combination: see ZYGOS_GATE.
 };
 
+/// Of fewer blocks the spread says too little.
+#define ZYGOS_LEAST_BLOCKS 8u
 /// A parameter whose scaled pivot falls below this share is a combination of the others.
 #define ZYGOS_PIVOT_LIMIT 1e-11
 /// Smallest ratio of the sums to the noise in them, over all combinations of columns. At 1 they are noise. Below this

@@ -128,7 +128,8 @@ enum zygos_error {
     ZYGOS_E_NODE = -8,       ///< A node number is 0, above 31, or used twice (node numbers 1..31, 32 is the computer).
     ZYGOS_E_AXIS = -9, ///< A joint axis is no unit vector, of a spatial arm a frame no rotation, or of a planar one an
                        ///< axis not parallel.
-    ZYGOS_E_VALUE = -10,  ///< A ratio, sign, zero, sigma, latch delay, imu_fine or imu_to_base is not in its range.
+    ZYGOS_E_VALUE = -10,  ///< A ratio, sign, zero, sigma, latch delay, keep, compensation, imu_fine or imu_to_base is
+                          ///< not in its range.
     ZYGOS_E_ARC = -11,    ///< arc_cycles, impulse_arc_cycles or momentum_arc_cycles is below ZYGOS_MIN_ARC_INSTANTS, or
                           ///< this build has no room for momentum rows.
     ZYGOS_E_ORDER = -12,  ///< zygos_init() has not succeeded on this struct.

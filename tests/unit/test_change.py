@@ -337,7 +337,7 @@ def with_memory(folder: Path, text: str) -> Path:
     return file
 
 
-@pytest.mark.parametrize("text", ["0", "-1", "0.008", "inf", "nan", "'short'"])
+@pytest.mark.parametrize("text", ["0", "-1", "1.99", "inf", "nan", "'short'"])
 def test_a_memory_that_is_none_is_refused(tmp_path: Path, text: str) -> None:
     with pytest.raises(ZygosError, match=r"arc\.memory_min.*remedy") as error:
         load_arm(with_memory(tmp_path, text))
@@ -348,4 +348,5 @@ def test_a_memory_in_minutes(tmp_path: Path) -> None:
     arm: Arm = load_arm(with_memory(tmp_path, "30"))
     assert arm.memory_s == 1800.0
     assert config_of(arm).keep == pytest.approx(1.0 - 0.05 / 1800.0, rel=1e-9)
+    assert load_arm(with_memory(tmp_path, "2")).memory_s == 120.0
     assert config_of(load_arm(PAPER / "arm.toml")).keep == 1.0

@@ -2,20 +2,35 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from flight_support import joined, part
+from arm_support import random_arm
+from flight_support import balanced, joined, part, sines
 from numpy.typing import NDArray
 from rows_support import awkward, smoothed, wandering
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
 
-from zygos.arm import Arm
+from conftest import ROOT, need
+from zygos import flight as flight_module
+from zygos import reference
+from zygos.arm import Arm, Encoder, Kinetic, load_arm
 from zygos.cycles import VOID_BEFORE, VOID_SHIFT, Cycles
-from zygos.flight import Flight, ffi, lib
+from zygos.engines import engine
+from zygos.errors import ZygosError
+from zygos.flight import Estimate, Flight, config_of, ffi, lib
 from zygos.reference import momentum
 from zygos.reference.accumulator import MIN_ARC_INSTANTS
+from zygos.reference.balance import energy_columns
+from zygos.reference.kinematics import State
 
 Floats = NDArray[np.float64]
 
@@ -59,6 +74,15 @@ def closed(arm: Arm, cycles: Cycles) -> tuple[list[Floats], Floats, Any]:
     return blocks, noise, (sums, flight)
 
 
+def of_numpy(arm: Arm, cycles: Cycles) -> tuple[list[Floats], list[Floats]]:
+    """Normal matrices of the arcs, and the noise in each."""
+    samples, instants, _ = smoothed(arm, cycles, LONGEST)
+    found = momentum.turns(arm, samples, instants)
+    assert found is not None
+    rows = [found.z[found.arc == number] for number in np.unique(found.arc)]
+    return [z.T @ z for z in rows], list(found.noise)
+
+
 def assert_close(found: Floats, expected: Floats, tolerance: float) -> None:
     """Entry by entry, each against the size of its row and column."""
     scale = np.sqrt(np.diag(expected))
@@ -73,8 +97,8 @@ def test_c_is_numpy(kinetic: str, flexible: tuple[bool, ...]) -> None:
     arm = arm_of(kinetic, flexible)
     cycles = shaken(arm, 330, gap=120)
     _, instants, arc = smoothed(arm, cycles, LONGEST)
+    expected, owed = of_numpy(arm, cycles)
     assert 0 < np.count_nonzero(~instants.accepted) < 60
-    expected, owed = momentum.sums(arm, instants, arc)
     assert len(expected) >= 6
     raw, none, _ = closed(replace(arm, compensate_every=0), cycles)
     assert not none.any()
@@ -109,8 +133,7 @@ def test_turns_miss_nothing() -> None:
 def test_blocks_merge_and_lose_nothing() -> None:
     arm = arm_of("planar", (True, True, False))
     cycles = wandering(arm, 60 + 40 * LONGEST + 29)
-    _, instants, arc = smoothed(arm, cycles, LONGEST)
-    expected, owed = momentum.sums(arm, instants, arc)
+    expected, owed = of_numpy(arm, cycles)
     blocks, noise, (sums, _) = closed(arm, cycles)
     capacity = len(sums.block)
     assert capacity == 16 < len(expected)
@@ -118,7 +141,7 @@ def test_blocks_merge_and_lose_nothing() -> None:
     total = sum(expected, start=np.zeros(()))
     assert_close(sum(blocks, start=noise), total, 1e-12)
     assert_close(noise, sum(owed, start=np.zeros(())), 1e-9)
-    assert sum(sums.block[b].instants for b in range(sums.count)) == np.count_nonzero(arc >= 0)
+    assert sum(sums.block[b].instants for b in range(sums.count)) == len(cycles) - 6 - 3
     ends = [sums.block[b].end for b in range(sums.count)]
     assert ends == sorted(ends)
     assert ends[-1] == cycles.sync[-1]
@@ -192,3 +215,214 @@ def test_a_corrupt_arc_stays_known_when_it_closes() -> None:
     flight.cycles(part(cycles, 40, 290))
     assert sums.count > 3
     assert lib.zygos_momentum_sums_check(sums) > 1.0
+
+
+def test_sums_fade_with_the_arcs() -> None:
+    """Each arc counts by how long ago it ended, when the newest one ends."""
+    arm = arm_of("planar", (True, True, False))
+    cycles = wandering(arm, 290)
+    whole, _, (kept, _) = closed(arm, cycles)
+    memory = replace(arm, memory_s=4.0)
+    faded, noise, (sums, flight) = closed(memory, cycles)
+    keep = np.exp(-arm.period_s / 4.0)
+    last = sums.block[sums.count - 2].end  # `closed` ends the newest arc without a cycle
+    ages = [max(0, int(last) - int(sums.block[b].end)) for b in range(sums.count)]
+    assert ages[0] > 150
+    for old, new, age in zip(whole, faded, ages, strict=True):
+        assert_close(new, keep**age * old, 1e-12)
+    assert [sums.block[b].instants for b in range(sums.count)] == pytest.approx(
+        [keep**age * kept.block[b].instants for b, age in enumerate(ages)]
+    )
+    assert lib.zygos_momentum_sums_check(sums) <= 1.0
+    assert np.trace(noise) < np.trace(matrix(kept.noise_closed.gram, kept.columns))
+    assert flight.native.momentum_faded < 1.0
+
+
+def test_a_fixed_base_is_refused(tmp_path: Path) -> None:
+    arm, _ = random_arm(1, 2, "fixed", "spatial")
+    assert arm.momentum_arc_s == 0.0
+    config: Any = config_of(arm)
+    native = ffi.new("zygos_t *")
+    assert lib.zygos_init(native, config) == 1
+    config.momentum_arc_cycles = 100
+    assert lib.zygos_init(native, config) == lib.ZYGOS_E_BASE
+    path = tmp_path / "arm.toml"
+    text = 'name = "a"\nbase = "fixed"\nkinetic = "spatial"\n[arc]\nmomentum_max_s = 5\n'
+    path.write_text(text + '[[joint]]\nname = "j"\nnode = 1\naxis = [0, 0, 1]\ngear_ratio = 2\nflexible = false\n'
+                    "motor_encoder = { counts = 100, side = \"output\" }\n")  # fmt: skip
+    with pytest.raises(ZygosError, match=r"arc\.momentum_max_s: a fixed base .*; remedy: remove it"):
+        load_arm(path)
+
+
+def test_which_arms_have_momentum_rows() -> None:
+    def cycles_of(kinetic: Kinetic, momentum_max_s: float | None) -> int:
+        arm, _ = random_arm(1, 2, "free", kinetic)
+        config: Any = config_of(replace(arm, period_s=0.02, momentum_max_s=momentum_max_s))
+        return int(config.momentum_arc_cycles)
+
+    assert cycles_of("spatial", None) == 500
+    assert cycles_of("planar", None) == cycles_of("spatial", 0.0) == 0
+    assert cycles_of("planar", 3.0) == 150
+    arm, _ = random_arm(1, 2, "free", "spatial")
+    with pytest.raises(ZygosError, match="momentum_max_s is shorter than 20 cycles"):
+        Flight(replace(arm, period_s=0.02, momentum_max_s=0.3))
+
+
+def test_a_build_without_room_refuses_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    need(shutil.which(os.environ.get("CC", "cc").split()[0]), "a C compiler")
+    script = [sys.executable, str(ROOT / "tools" / "build_native.py"), str(tmp_path)]
+    subprocess.run(script, env={**os.environ, "CFLAGS": "-DZYGOS_MOMENTUM=0"}, check=True)
+    arm = arm_of("spatial", (True, True))
+    cycles = wandering(arm, 200)
+    large, none = ffi.sizeof("zygos_t"), replace(arm, momentum_max_s=0.0)
+    whole = Flight(none)
+    whole.cycles(cycles)
+    expected = whole.normal_equations()[0]
+    monkeypatch.setattr(flight_module, "_FOLDER", tmp_path)
+    small_ffi, small = flight_module._load()
+    monkeypatch.setattr(flight_module, "ffi", small_ffi)
+    monkeypatch.setattr(flight_module, "lib", small)
+    assert small_ffi.sizeof("zygos_t") < large - 15 * ffi.sizeof("zygos_momentum_block_t")
+    with pytest.raises(ZygosError, match=r"no room for them; remedy: momentum_max_s = 0 in \[arc\]"):
+        Flight(arm)
+    config: Any = config_of(none)
+    config.momentum_arc_cycles = 100
+    native = small_ffi.new("zygos_t *")
+    assert small.zygos_init(native, config) == small.ZYGOS_E_ARC
+    slim = Flight(none)
+    slim.cycles(cycles)
+    np.testing.assert_array_equal(slim.normal_equations()[0], expected)
+
+
+GYRO = 1e-5
+STEP = 3e-5
+
+
+@pytest.fixture(scope="module")
+def floating() -> tuple[Arm, Floats, Cycles]:
+    """Three joints in space that move as told for 40 s, without noise; and the true parameters.
+
+    The base turns as Pinocchio's momentum makes it, and the torques balance the energy: no equation of motion is
+    solved. Those of single motors mean nothing.
+    """
+    arm, model = random_arm(1, 3, "free", "spatial")
+    encoder = Encoder(quantum_rad=STEP)
+    joints = tuple(replace(joint, link_encoder=encoder, motor_encoder=encoder) for joint in arm.joints)
+    imu = replace(arm.imu, rate_sigma=GYRO)
+    arm = replace(arm, joints=joints, imu=imu, period_s=0.02, impulse_arc_s=0.0, arc_max_s=10.0)
+    told, oracle, still = sines(arm, 2000), engine("pinocchio", arm, model), np.zeros(3)
+    time = arm.period_s * np.arange(len(told))
+    q, theta = CubicSpline(time, told.q), CubicSpline(time, told.theta)
+
+    def base_rate(t: float, attitude: Rotation) -> Floats:
+        inertia = np.stack([oracle.momentum(q(t), unit, still, still) for unit in np.eye(3)], axis=1)
+        share = oracle.momentum(q(t), still, q(t, 1), theta(t, 1))
+        return np.asarray(np.linalg.solve(inertia, attitude.inv().apply([2.0, -1.0, 1.5]) - share))
+
+    omega, attitude, h = [], Rotation.identity(), arm.period_s
+    for t in time:
+        omega.append(base_rate(t, attitude))
+        middle = base_rate(t + h / 2, attitude * Rotation.from_rotvec(h / 2 * omega[-1]))
+        attitude = attitude * Rotation.from_rotvec(h * middle)
+    values = model.base_values(arm)
+    moved = replace(told, omega=np.array(omega) @ arm.mount)
+    # over one long arc, for noise moves the ends of short ones
+    return arm, values, balanced(replace(arm, momentum_max_s=0.0, arc_max_s=1e3), moved, values)
+
+
+def noisy(cycles: Cycles, seed: int) -> Cycles:
+    rng = np.random.default_rng(seed)
+    sigma = Encoder(quantum_rad=STEP).over_the_wire.sigma_rad
+    q, theta = (angle + sigma * rng.standard_normal(angle.shape) for angle in (cycles.q, cycles.theta))
+    return replace(cycles, q=q, theta=theta, omega=cycles.omega + GYRO * rng.standard_normal(cycles.omega.shape))
+
+
+def estimated(arm: Arm, cycles: Cycles, momentum_max_s: float) -> Estimate:
+    flight = Flight(replace(arm, momentum_max_s=momentum_max_s))
+    flight.cycles(cycles)
+    return flight.estimate()
+
+
+def test_the_solver_is_numpys(floating: tuple[Arm, Floats, Cycles]) -> None:
+    """Values, what is left of the energy rows, and how near the noise is."""
+    arm, _, clean = floating
+    cycles = noisy(clean, 0)
+    found = estimated(arm, cycles, 5.0)
+    expected = reference.chain(replace(arm, momentum_max_s=5.0), cycles).solution
+    np.testing.assert_allclose(found.solution, expected.x, rtol=1e-9)
+    assert found.residual == pytest.approx(expected.residual, rel=1e-6)
+    assert found.gate == pytest.approx(expected.gate, rel=1e-6)
+    assert found.condition == pytest.approx(expected.condition, rel=1e-6)
+
+
+def test_sigmas_come_from_blocks_of_both_kinds(floating: tuple[Arm, Floats, Cycles]) -> None:
+    """The estimate without a block, times what the block pulls by itself, over energy and momentum blocks."""
+    arm, _, clean = floating
+    flight = Flight(replace(arm, momentum_max_s=5.0))
+    flight.cycles(noisy(clean, 0))
+    found, work = flight.estimate(), flight._work
+    p, sums = len(found.names), work.momentum_sums
+    places = [k for k, name in enumerate(found.names) if name.startswith(("N", "Im"))]
+    blocks = work.accumulator.block[0 : work.accumulator.open]
+    parts = [matrix(block.gram, p + 2)[: p + 1, : p + 1] for block in blocks]
+    factors = [sum(block.instants for block in blocks) / sum(block.square for block in blocks)] * len(parts)
+    for b in range(sums.count):
+        own = np.zeros((p + 1, p + 1))
+        own[np.ix_(places, places)] = work.momentum_weight * matrix(sums.block[b].rows.gram, sums.columns)
+        parts.append(own)
+        factors.append(1.0)
+    assert sums.count == 8
+    whole = sum(parts, start=np.zeros(()))
+    scale = 1.0 / np.sqrt(np.diag(whole))[:p]
+
+    def solved(gram: Floats, right: Floats) -> Floats:
+        return np.asarray(scale * np.linalg.solve(gram[:p, :p] * np.outer(scale, scale), right * scale))
+
+    x = solved(whole, whole[p, :p])
+    np.testing.assert_allclose(found.solution, x, rtol=1e-9)
+    covariance = np.zeros((p, p))
+    for part_of, factor in zip(parts, factors, strict=True):
+        left_out = x - solved(whole - part_of, (whole - part_of)[p, :p])
+        alone = solved(whole, part_of[p, :p] - part_of[:p, :p] @ x)
+        covariance += 0.5 * factor * (np.outer(left_out, alone) + np.outer(alone, left_out))
+    # what undeclared noise may hide is added to the diagonal
+    apart = ~np.eye(p, dtype=bool)
+    size = np.outer(found.sigma, found.sigma)
+    np.testing.assert_allclose(found.covariance[apart] / size[apart], covariance[apart] / size[apart], atol=1e-6)
+
+
+def test_momentum_tells_the_inertias_apart(floating: tuple[Arm, Floats, Cycles]) -> None:
+    """Kinetic energies of motions that were not seen, over eight seeds, with sigmas that stay honest."""
+    arm, values, clean = floating
+    rng = np.random.default_rng(1)
+    states = State(*rng.normal(size=(4, 40, 3)), rng.normal(size=(40, 3)))
+    bodies = np.array([name.startswith(("N", "Im")) for name in arm.parameter_names])
+    columns = energy_columns(arm, states, np.zeros((40, 3)))[:, bodies]
+    true = columns @ values[bodies]
+    errors: dict[float, list[float]] = {0.0: [], 5.0: []}
+    off = []
+    for seed in range(8):
+        cycles = noisy(clean, seed)
+        for longest, listed in errors.items():
+            estimate = estimated(arm, cycles, longest)
+            assert estimate.validity == "valid"
+            listed.append(float(np.sqrt(np.mean((columns @ estimate.solution[bodies] / true - 1.0) ** 2))))
+        off.append((estimate.solution - values) / estimate.sigma)
+    without, beside = (np.sqrt(np.mean(np.square(errors[longest]))) for longest in errors)
+    print(f"kinetic energy off by {without:.1e} without momentum rows, {beside:.1e} with them")
+    assert beside < 0.2 * without
+    # the parameters share their noise: eight seeds are eight draws, so three standard errors are a factor of two
+    assert 0.5 < np.sqrt(np.mean(np.square(off))) < 2.0
+
+
+def test_without_three_arcs_or_declared_noise_they_are_left_out(floating: tuple[Arm, Floats, Cycles]) -> None:
+    arm, _, clean = floating
+    cycles = noisy(clean, 0)
+    plain = estimated(arm, cycles, 0.0)
+    assert not np.array_equal(estimated(arm, cycles, 12.0).solution, plain.solution)  # four arcs
+    for name in ("solution", "sigma", "covariance"):
+        np.testing.assert_array_equal(getattr(estimated(arm, cycles, 20.0), name), getattr(plain, name))
+    silent = replace(arm, compensate_every=0)
+    one, other = (estimated(silent, cycles, longest) for longest in (0.0, 5.0))
+    for name in ("solution", "sigma", "covariance"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))

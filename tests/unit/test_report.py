@@ -55,6 +55,7 @@ def make_estimate(arm: Arm, value: NDArray[np.float64], **changes: Any) -> Estim
         solution=value,
         value=value,
         sigma=0.005 * np.abs(value),
+        half95=0.01 * np.abs(value),
         covariance=np.diag((0.005 * value) ** 2),
         validity="valid",
         reason="",
@@ -67,6 +68,8 @@ def make_estimate(arm: Arm, value: NDArray[np.float64], **changes: Any) -> Estim
         condition=5e4,
         cluster=0.3,
         residual=20.0,
+        noise_ratio=1.0,
+        gate=50.0,
     )
     return replace(estimate, **changes)
 

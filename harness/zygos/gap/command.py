@@ -94,7 +94,7 @@ def explain_run(
 
 
 def flown(found: Explanation, logs: Sequence[bus.Log]) -> list[dict[str, Any]]:
-    """What the flight library makes of the same runs, from energy alone, with the findings' columns switched on."""
+    """What the flight library makes of the same runs, with the findings' columns switched on."""
     columns = [] if found.model is None else list(estimated(found.arm, found.model.effects))
     names = {effect.column(found.arm) for effect in columns if effect.source == "zygos"}
     if not names:
@@ -105,8 +105,15 @@ def flown(found: Explanation, logs: Sequence[bus.Log]) -> list[dict[str, Any]]:
         flight.frames(log.frames)
         result = flight.estimate()
         out += [
-            {"run": "AB"[run], "column": name, "unit": unit, "value": float(value), "sigma": float(sigma)}
-            for name, unit, value, sigma in zip(result.names, result.units, result.value, result.sigma, strict=True)
+            {
+                "run": "AB"[run],
+                "column": name,
+                "unit": unit,
+                "value": float(result.value[i]),
+                "sigma": float(result.sigma[i]),
+                "half95": float(result.half95[i]),
+            }
+            for i, (name, unit) in enumerate(zip(result.names, result.units, strict=True))
             if name in names
         ]
     return out
@@ -138,11 +145,11 @@ def finish(
         show(found)
         for column in dict.fromkeys(entry["column"] for entry in flight):
             each = [
-                f"{number(e['value'], 4)} ± {number(INTERVAL * e['sigma'], 2)} {e['unit']} on run {e['run']}"
+                f"{number(e['value'], 4)} ± {number(e['half95'], 2)} {e['unit']} on run {e['run']}"
                 for e in flight
                 if e["column"] == column
             ]
-            say(f"the flight library, from energy alone: {column} = {', '.join(each)}")
+            say(f"the flight library by itself: {column} = {', '.join(each)}")
         say(f"{found.answer}: {found.sentence}")
     try:
         if found.model is not None:

@@ -15,12 +15,24 @@ from zygos.effects import Effect
 from zygos.reference.accumulator import Design, design
 from zygos.reference.balance import Balance, rows
 from zygos.reference.cycle import Samples, calibrate
-from zygos.reference.motors import momenta, motors, solve_together
+from zygos.reference.momentum import turns
+from zygos.reference.motors import motors, solve_with_others
 from zygos.reference.noise import noise_of
 from zygos.reference.smoother import Smoothed, smooth
 from zygos.reference.solver import Solution
 
-__all__ = ["Chain", "calibrate", "chain", "design", "momenta", "motors", "noise_of", "rows", "smooth", "solve_together"]
+__all__ = [
+    "Chain",
+    "calibrate",
+    "chain",
+    "design",
+    "motors",
+    "noise_of",
+    "rows",
+    "smooth",
+    "solve_with_others",
+    "turns",
+]
 
 
 @dataclass(frozen=True)
@@ -45,6 +57,6 @@ def chain(arm: Arm, cycles: Cycles, effects: Sequence[Effect] = ()) -> Chain:
     added = noise_of(arm, samples, smoothed, raw, effects)
     balance = replace(raw, z=raw.z - added.mean)
     accumulated = design(balance, added.moment)
-    beside = motors(arm, samples, smoothed, effects), momenta(arm, samples, smoothed, effects)
-    solution = solve_together(arm, accumulated, *beside)
+    of_motors, momentum = motors(arm, samples, smoothed, effects), turns(arm, samples, smoothed)
+    solution = solve_with_others(arm, accumulated, of_motors, momentum, effects)
     return Chain(samples, smoothed, balance, accumulated, solution)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from zygos.reference.balance import FILL_INSTANTS
+from zygos.arm import Arm
+from zygos.reference.balance import FILL_INSTANTS, End, void_arcs
+from zygos.reference.cycle import Samples
 from zygos.reference.smoother import Smoothed
 
 
@@ -21,3 +23,12 @@ def numbered(smoothed: Smoothed, longest: int) -> NDArray[np.int64]:
         arc[of] = arcs + np.arange(len(of)) // longest
         arcs += -(-len(of) // longest)
     return arc
+
+
+def doubtful(arm: Arm, samples: Samples, smoothed: Smoothed, arc: NDArray[np.int64], longest: int) -> frozenset[int]:
+    """Numbers of the arcs of `numbered` in which cycles may be missing."""
+    ends = []
+    for number in range(int(arc.max(initial=-1)) + 1):
+        of = np.flatnonzero(arc == number)
+        ends.append(End(int(smoothed.index[of[-1]]) + arm.smoother.lag, len(of) == longest))
+    return void_arcs(samples, ends)

@@ -6,7 +6,7 @@ arm, in the axes that the base had at the arc's origin of a spatial one.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from zygos.arm import Arm
 from zygos.reference.accumulator import MIN_ARC_INSTANTS
+from zygos.reference.arcs import doubtful, numbered
+from zygos.reference.cycle import Samples
 from zygos.reference.effects import STEP_RULE
 from zygos.reference.kinematics import State, body_rates, cross, gram, posture
 from zygos.reference.smoother import Smoothed, coefficients
@@ -32,6 +34,20 @@ class Rates:
     link: Floats
     base: float
     rotor: Floats
+
+
+@dataclass(frozen=True)
+class Turns:
+    """Accepted rows whose turn it was, less the mean of their component in their arc; m rows.
+
+    names: of the columns. z: (m, K + N). arc: (m,) its number. noise: (arcs, K + N, K + N) that the squares of the rows
+    of each arc hold on average.
+    """
+
+    names: tuple[str, ...]
+    z: Floats
+    arc: NDArray[np.int64]
+    noise: Floats
 
 
 def columns(arm: Arm, state: State) -> Floats:
@@ -109,35 +125,53 @@ def noise(arm: Arm, smoothed: Smoothed) -> Floats:
     return total
 
 
-def sums(arm: Arm, smoothed: Smoothed, arc: NDArray[np.int64]) -> tuple[list[Floats], list[Floats]]:
-    """Normal matrices (K + N, K + N) of the arcs with MIN_ARC_INSTANTS accepted instants, and the noise in each.
+def turns(arm: Arm, samples: Samples, smoothed: Smoothed) -> Turns | None:
+    """The rows of a whole record whose turn it was; None if the arm switches them off.
 
-    The components take turns, and so do the sensors whose noise acts on them; each component has a constant of its own.
-    The noise is not taken off the matrices.
+    The components take turns, and so do the sensors whose noise acts on them; each component has a constant of its own
+    in each arc. Arcs in which cycles may be missing, or with fewer than MIN_ARC_INSTANTS accepted instants, are left
+    out.
     """
-    z, turn = rows(arm, smoothed, arc), attitudes(arm, smoothed, arc)
-    size, of_rate, of_rotor = _derivatives(arm, smoothed)
-    found, owed = [], []
+    if arm.momentum_arc_s == 0.0:
+        return None
+    longest = max(1, round(arm.momentum_arc_s / arm.period_s))
+    arc = numbered(smoothed, longest)
+    void = doubtful(arm, samples, smoothed, arc, longest)
+    every, turn = rows(arm, smoothed, arc), attitudes(arm, smoothed, arc)
+    count = every.shape[1]
+    z, numbers, noise = [every[:0, 0]], [arc[:0]], [np.zeros((0, every.shape[2], every.shape[2]))]
     for number in range(int(arc.max(initial=-1)) + 1):
         of = np.flatnonzero(arc == number)
-        place, kept = np.arange(len(of)), smoothed.accepted[of]
-        if np.count_nonzero(kept) < MIN_ARC_INSTANTS:
+        place = np.flatnonzero(smoothed.accepted[of])
+        if len(place) < MIN_ARC_INSTANTS or number in void:
             continue
-        component, signal = place % z.shape[1], place // z.shape[1] % len(size)
-        gram, noise = np.zeros((z.shape[2],) * 2), np.zeros((z.shape[2],) * 2)
-        for k in range(z.shape[1]):
-            own = z[of[kept & (component == k)], k]
-            gram += (own - own.mean(axis=0)).T @ (own - own.mean(axis=0))
-        for at in np.flatnonzero(kept):
-            k = int(at)
-            instant = of[k]
-            slopes = of_rate[instant, signal[k]]
-            line = (turn[instant] @ slopes if arm.spatial else slopes)[component[k]]
-            rotors = np.einsum("ikp,ikq->pq", of_rotor[instant], of_rotor[instant])
-            noise += len(size) * size[signal[k]] * np.outer(line, line) + rotors / z.shape[1]
-        found.append(gram)
-        owed.append(noise)
-    return found, owed
+        own = every[of[place], place % count]
+        for k in np.unique(place % count):
+            own[place % count == k] -= own[place % count == k].mean(axis=0)
+        z.append(own)
+        numbers.append(np.full(len(own), number))
+        noise.append(_noise_in_turns(arm, _at(smoothed, of[place]), turn[of[place]], place)[None])
+    names = tuple(name for name, _ in arm.body_parameters) + tuple(f"Im{i + 1}" for i in range(arm.n))
+    return Turns(names, np.concatenate(z), np.concatenate(numbers), np.concatenate(noise))
+
+
+def _noise_in_turns(arm: Arm, smoothed: Smoothed, turn: Floats, place: NDArray[np.int64]) -> Floats:
+    """(K + N, K + N) in the sum over instants at these places of an arc, whose attitudes are turn (m, 3, 3)."""
+    size, of_rate, of_rotor = _derivatives(arm, smoothed)
+    if not arm.compensation:
+        return np.zeros((of_rate.shape[-1],) * 2)
+    every, count = np.arange(len(place)), of_rate.shape[2]
+    signal = place // count % len(size)
+    slopes = of_rate[every, signal]
+    lines = (turn @ slopes if arm.spatial else slopes)[every, place % count]
+    rotors = np.einsum("mikp,mikq->pq", of_rotor, of_rotor) / count
+    total: Floats = len(size) * (lines.T * size[signal]) @ lines + rotors
+    return total
+
+
+def _at(smoothed: Smoothed, instants: NDArray[np.int64]) -> Smoothed:
+    """Some of them."""
+    return replace(smoothed, **{one.name: getattr(smoothed, one.name)[instants] for one in fields(smoothed)})
 
 
 def _derivatives(arm: Arm, smoothed: Smoothed) -> tuple[Floats, Floats, Floats]:

@@ -1,4 +1,4 @@
-"""Motor and momentum rows that count beside those of the energy, and their weights (docs/theory.md)."""
+"""The rows that count beside those of the energy, and their weights (docs/theory.md, "Motor impulse", "Momentum")."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from zygos.arm import Arm
 from zygos.effects import Effect, estimated
-from zygos.reference import impulse, momentum
+from zygos.reference import impulse
 from zygos.reference.accumulator import MIN_ARC_INSTANTS, Design
-from zygos.reference.arcs import numbered
-from zygos.reference.balance import End, void_arcs
+from zygos.reference.arcs import doubtful, numbered
 from zygos.reference.cycle import Samples
+from zygos.reference.momentum import Turns
 from zygos.reference.smoother import Smoothed
 from zygos.reference.solver import Rows, Solution, explained, solve
 
@@ -22,10 +22,12 @@ Floats = NDArray[np.float64]
 
 LEAST_ARCS = 3
 """Of fewer arcs nothing is learned about their noise."""
-MOMENTUM_CAUTION = 5.0
-"""The noise of neighbouring momentum rows is alike, that of energy rows forgets at once: so much less they count."""
 WALK = 10.0
 """The mean square of a random walk about its own mean is sigma^2 T^2 over this, between 6 and 15."""
+
+
+MOMENTUM_CAUTION = 5.0
+"""The noise of neighbouring momentum rows is alike, that of energy rows forgets at once."""
 
 
 @dataclass(frozen=True)
@@ -41,14 +43,6 @@ class Motors:
     arcs: int
 
 
-def _ends(arm: Arm, smoothed: Smoothed, arc: NDArray[np.int64], longest: int) -> list[End]:
-    ends = []
-    for number in range(int(arc.max(initial=-1)) + 1):
-        of = np.flatnonzero(arc == number)
-        ends.append(End(int(smoothed.index[of[-1]]) + arm.smoother.lag, len(of) == longest))
-    return ends
-
-
 def motors(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Effect] = ()) -> tuple[Motors, ...]:
     """Rows of every flexible joint over a whole record; none if the arm switches them off. Errors: as `estimated`."""
     if arm.impulse_arc_s == 0.0:
@@ -56,14 +50,13 @@ def motors(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Eff
     longest = max(1, round(arm.impulse_arc_s / arm.period_s))
     arc = numbered(smoothed, longest)
     position = np.arange(len(arc)) - np.searchsorted(arc, arc)
-    ends = _ends(arm, smoothed, arc, longest)
-    void = void_arcs(samples, ends)
+    void = doubtful(arm, samples, smoothed, arc, longest)
     names = [*arm.parameter_names, *(effect.column(arm) for effect in estimated(arm, effects))]
     out = []
     for one in impulse.rows(arm, samples, smoothed, arc, effects):
         places = [names.index(name) for name in one.names]
         z, w, count = [np.zeros((0, len(names)))], [np.zeros(0)], 0
-        for number in range(len(ends)):
+        for number in range(int(arc.max(initial=-1)) + 1):
             accepted = np.flatnonzero((arc == number) & smoothed.accepted)
             mine = accepted[position[accepted] % arm.n == one.joint]
             if len(accepted) < MIN_ARC_INSTANTS or number in void or not len(mine):
@@ -95,54 +88,31 @@ def weight(arm: Arm, own: Motors, energy: Floats, x: Floats) -> float:
     return float(explained(energy, x) / noise) if noise > 0.0 and own.arcs >= LEAST_ARCS else 0.0
 
 
-@dataclass(frozen=True)
-class Momenta:
-    """Momentum rows of all arcs that count. rows: as in `Motors`, right side 0. arcs: how many. instants: accepted."""
+def momentum_rows(names: Sequence[str], own: Turns, energy: Floats, x: Floats) -> Rows | None:
+    """The momentum rows of p parameters, weighed; None where fewer than LEAST_ARCS arcs or no noise tell the weight.
 
-    rows: Rows
-    arcs: int
-    instants: int
-
-
-def momenta(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Effect] = ()) -> Momenta | None:
-    """Momentum rows over a whole record; None where the arm switches them off. Errors: as `estimated`."""
-    if arm.momentum_arc_s == 0.0:
+    energy: (p+1, p+1) noise of one energy row. x: (p,) the parameters, by the other rows.
+    """
+    places = [names.index(name) for name in own.names]
+    z, noise = np.zeros((len(own.z), len(names))), np.zeros((len(names) + 1, len(names) + 1))
+    z[:, places] = own.z
+    noise[np.ix_(places, places)] = own.noise.sum(axis=0)
+    mean = explained(noise, x) / max(len(z), 1)
+    if len(own.noise) < LEAST_ARCS or not mean > 0.0:
         return None
-    longest = max(1, round(arm.momentum_arc_s / arm.period_s))
-    arc = numbered(smoothed, longest)
-    counts = []
-    for number in void_arcs(samples, _ends(arm, smoothed, arc, longest)):
-        arc[arc == number] = -1
-    for number in range(int(arc.max(initial=-1)) + 1):
-        accepted = int(np.count_nonzero(smoothed.accepted[arc == number]))
-        counts += [accepted] if accepted >= MIN_ARC_INSTANTS else []
-    grams, owed = momentum.sums(arm, smoothed, arc)
-    names = [*arm.parameter_names, *(effect.column(arm) for effect in estimated(arm, effects))]
-    kinetic = len(arm.body_parameters)
-    places = [*range(kinetic), *(names.index(f"Im{i + 1}") for i in range(arm.n))]
-    size = len(places)
-    z, noise = np.zeros((size, len(names))), np.zeros((len(names) + 1, len(names) + 1))
-    if grams:
-        gram = np.sum(grams, axis=0)
-        scale = np.sqrt(np.where(np.diag(gram) > 0.0, np.diag(gram), 1.0))
-        value, vector = np.linalg.eigh(gram / np.outer(scale, scale))
-        z[:, places] = np.sqrt(np.maximum(value, 0.0))[:, None] * vector.T * scale
-        noise[np.ix_(places, places)] = np.sum(owed, axis=0)
-    return Momenta(Rows(z, np.zeros(size), noise), len(grams), sum(counts))
+    return Rows(z, np.zeros(len(z)), noise).times(explained(energy, x) / (MOMENTUM_CAUTION * mean))
 
 
-def solve_together(arm: Arm, design: Design, own: Sequence[Motors], of_base: Momenta | None = None) -> Solution:
-    """Energy, motor and momentum rows, each weighed by its noise. Raises Undecided as `solve`."""
+def solve_with_others(
+    arm: Arm, design: Design, motors: Sequence[Motors], momentum: Turns | None, effects: Sequence[Effect] = ()
+) -> Solution:
+    """The energy rows, the motor rows and the momentum rows, each weighed by its noise. Raises Undecided as `solve`."""
     energy = Rows(design.z, design.w, design.noise)
     alone = solve(energy)
     noise = design.noise / max(len(design.w), 1)
-    weighed = [(weight(arm, one, noise, alone.x), one.rows) for one in own]
+    weighed = [(weight(arm, own, noise, alone.x), own.rows) for own in motors]
     beside = [rows.times(factor) for factor, rows in weighed if factor > 0.0]
-    so_far = solve(energy, beside) if beside else alone
-    if of_base is None or of_base.arcs < LEAST_ARCS:
-        return so_far
-    owed = explained(of_base.rows.noise, so_far.x) / of_base.instants
-    if not owed > 0.0:
-        return so_far
-    factor = explained(noise, so_far.x) / (MOMENTUM_CAUTION * owed)
-    return solve(energy, [*beside, of_base.rows.times(factor)])
+    both = solve(energy, beside)
+    names = [*arm.parameter_names, *(effect.column(arm) for effect in estimated(arm, effects))]
+    third = momentum_rows(names, momentum, noise, both.x) if momentum is not None else None
+    return both if third is None else solve(energy, [*beside, third])

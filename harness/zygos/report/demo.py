@@ -32,8 +32,8 @@ class Convergence:
     """(m,)"""
     value: Floats
     """(m, p)"""
-    sigma: Floats
-    """(m, p)"""
+    half95: Floats
+    """(m, p) half width of the 95 % interval."""
 
 
 @dataclass(frozen=True)
@@ -154,16 +154,15 @@ def _parameters(arm: Arm, estimate: Estimate, numpy_value: Floats, true: Floats)
     """The table's rows, and the few numbers of the headline."""
     with np.errstate(divide="ignore", invalid="ignore"):
         error = 100.0 * (estimate.value / true - 1.0)
-        sigma = 100.0 * np.abs(estimate.sigma / true)
-        ratio = error / sigma
+        half95 = 100.0 * np.abs(estimate.half95 / true)
         difference = np.abs(estimate.value / numpy_value - 1.0)
     known = np.isfinite(error)
-    reach = np.where(known, np.abs(error) + np.where(np.isfinite(sigma), 2.0 * sigma, 0.0), 0.0)
+    reach = np.where(known, np.abs(error) + np.where(np.isfinite(half95), half95, 0.0), 0.0)
     scale = max(float(reach.max(initial=0.0)), 1e-9)
     rows: list[Entry] = []
     for k, name in enumerate(arm.parameter_names):
         meaning, joint = _meaning(arm, k)
-        spread = 2.0 * sigma[k] if np.isfinite(sigma[k]) else 0.0
+        spread = half95[k] if np.isfinite(half95[k]) else 0.0
         rows.append(
             {
                 "name": name,
@@ -174,9 +173,8 @@ def _parameters(arm: Arm, estimate: Estimate, numpy_value: Floats, true: Floats)
                 "numpy": _grouped(numpy_value[k]),
                 "c": _grouped(estimate.value[k]),
                 "error": _signed(error[k]),
-                "sigma": f"{sigma[k]:.2f}" if np.isfinite(sigma[k]) else "–",
-                "ratio": _signed(ratio[k], 1),
-                "outside": bool(abs(ratio[k]) > 2.0),
+                "half95": f"{half95[k]:.2f}" if np.isfinite(half95[k]) else "–",
+                "outside": bool(abs(error[k]) > half95[k]),
                 "difference": f"{difference[k]:.0e}" if np.isfinite(difference[k]) else "–",
                 # per cent of the cell's width
                 "bar": {
@@ -197,8 +195,8 @@ def _parameters(arm: Arm, estimate: Estimate, numpy_value: Floats, true: Floats)
         "mean_error": float(np.abs(error[known]).mean()) if known.any() else None,
         "worst_error": float(abs(error[worst])) if known.any() else None,
         "worst_name": arm.parameter_names[worst],
-        "outside": int(np.count_nonzero(np.abs(ratio) > 2.0)),
-        "compared": int(np.count_nonzero(np.isfinite(ratio))),
+        "outside": int(np.count_nonzero(np.abs(error) > half95)),
+        "compared": int(np.count_nonzero(np.isfinite(error) & np.isfinite(half95))),
         "difference": f"{compared.max():.0e}" if compared.size else None,
     }
 
@@ -281,10 +279,10 @@ def _sheet(ledger: Ledger, time: Floats) -> Entry | None:
 
 
 def _convergence(arm: Arm, true: Floats, convergence: Convergence) -> list[Entry]:
-    """One chart a parameter: deviation from the true value in per cent, and a band of two sigmas."""
+    """One chart a parameter: deviation from the true value in per cent, and the 95 % interval as a band."""
     with np.errstate(divide="ignore", invalid="ignore"):
         deviation = 100.0 * (convergence.value / true - 1.0)
-        spread = 200.0 * np.abs(convergence.sigma / true)
+        spread = 100.0 * np.abs(convergence.half95 / true)
     reach = np.abs(deviation) + np.nan_to_num(spread, posinf=0.0)
     time = convergence.time_s
     settled = time >= (_SETTLED * time[-1] if len(time) else 0.0)
