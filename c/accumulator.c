@@ -277,7 +277,7 @@ static void forget_open_arc(zygos_accumulator_t *self)
 
 static void drop_open_arc(zygos_accumulator_t *self)
 {
-    self->arcs_dropped += (self->count > self->open) ? 1u : 0u;
+    self->arcs_dropped += ((self->count > self->open) || (self->filled > 0)) ? 1u : 0u;
     self->accepted -= self->arc_instants;
     self->count = self->open;
     forget_open_arc(self);

@@ -868,6 +868,21 @@ static bool places_exist(const zygos_accumulator_t *sums)
            (sums->shared <= (uint32_t)ZYGOS_MAX_PACKED_ROW);
 }
 
+/* Whether the columns of the motor rows are those of the configuration. */
+static bool same_layout(const zygos_impulse_layout_t *layout, const zygos_config_t *config)
+{
+    zygos_impulse_layout_t own;
+    bool same = true;
+    zygos_impulse_layout(config, &own);
+    for (uint32_t i = 0; i < config->joints; i++) {
+        same = same && (layout->count[i] == own.count[i]);
+        for (uint32_t e = 0; e < ZYGOS_EFFECT_PLACES; e++) {
+            same = same && (layout->effect[i][e] == own.effect[i][e]);
+        }
+    }
+    return same;
+}
+
 /* Whether the work was taken, and from memory that nobody changed; closes the open arcs. */
 static bool prepare(zygos_work_t *work)
 {
@@ -877,9 +892,7 @@ static bool prepare(zygos_work_t *work)
         (work->config.base > (uint32_t)ZYGOS_BASE_FIXED)) {
         return false;
     }
-    zygos_impulse_layout_t layout;
-    zygos_impulse_layout(&work->config, &layout);
-    if (memcmp(&layout, &work->joint_sums.layout, sizeof layout) != 0) {
+    if (!same_layout(&work->joint_sums.layout, &work->config)) {
         return false;
     }
     zygos_balance_layout(&work->config, &work->layout);

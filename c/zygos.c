@@ -1,5 +1,6 @@
 #include "zygos/zygos.h"
 
+#include <stddef.h>
 #include <string.h>
 
 #define MARK 0x7A79676Fu /* "zygo" */
@@ -141,20 +142,22 @@ int zygos_init(zygos_t *self, const zygos_config_t *config)
     if (verdict < 0) {
         return verdict;
     }
-    const zygos_config_t checked = *config; /* config may point into *self */
-    memset(self, 0, sizeof *self);
-    self->config = checked;
-    zygos_balance_layout(&checked, &self->layout);
-    zygos_skeleton_init(&self->skeleton, &checked);
+    memmove(&self->config, config, sizeof self->config); /* config may point into *self */
+    const zygos_config_t *own = &self->config;
+    unsigned char *behind = (unsigned char *)(&self->config + 1);
+    memset(self, 0, offsetof(zygos_t, config));
+    memset(behind, 0, sizeof *self - offsetof(zygos_t, config) - sizeof self->config);
+    zygos_balance_layout(own, &self->layout);
+    zygos_skeleton_init(&self->skeleton, own);
     zygos_receiver_init(&self->receiver);
-    zygos_smoother_init(&self->smoother, &checked);
-    zygos_noise_init(&self->noise, &checked, &self->layout, &self->smoother);
+    zygos_smoother_init(&self->smoother, own);
+    zygos_noise_init(&self->noise, own, &self->layout, &self->smoother);
     zygos_balance_gap(&self->balance);
-    zygos_accumulator_init(&self->accumulator, self->layout.count, checked.arc_cycles, checked.period_s);
+    zygos_accumulator_init(&self->accumulator, self->layout.count, own->arc_cycles, own->period_s);
     zygos_impulse_gap(&self->impulse);
-    zygos_joint_sums_init(&self->joint_sums, &checked, &self->smoother);
+    zygos_joint_sums_init(&self->joint_sums, own, &self->smoother);
     zygos_momentum_gap(&self->momentum);
-    zygos_momentum_sums_init(&self->momentum_sums, &checked, &self->layout, &self->smoother);
+    zygos_momentum_sums_init(&self->momentum_sums, own, &self->layout, &self->smoother);
     self->faded = 1.0;
     self->joints_faded = 1.0;
     self->momentum_faded = 1.0;

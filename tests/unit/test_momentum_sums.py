@@ -355,6 +355,42 @@ def test_the_solver_is_numpys(floating: tuple[Arm, Floats, Cycles]) -> None:
     assert found.condition == pytest.approx(expected.condition, rel=1e-6)
 
 
+def test_sigmas_come_from_blocks_of_both_kinds(floating: tuple[Arm, Floats, Cycles]) -> None:
+    """The estimate without a block, times what the block pulls by itself, over energy and momentum blocks."""
+    arm, _, clean = floating
+    flight = Flight(replace(arm, momentum_max_s=5.0))
+    flight.cycles(noisy(clean, 0))
+    found, work = flight.estimate(), flight._work
+    p, sums = len(found.names), work.momentum_sums
+    places = [k for k, name in enumerate(found.names) if name.startswith(("N", "Im"))]
+    blocks = work.accumulator.block[0 : work.accumulator.open]
+    parts = [matrix(block.gram, p + 2)[: p + 1, : p + 1] for block in blocks]
+    factors = [sum(block.instants for block in blocks) / sum(block.square for block in blocks)] * len(parts)
+    for b in range(sums.count):
+        own = np.zeros((p + 1, p + 1))
+        own[np.ix_(places, places)] = work.momentum_weight * matrix(sums.block[b].rows.gram, sums.columns)
+        parts.append(own)
+        factors.append(1.0)
+    assert sums.count == 8
+    whole = sum(parts, start=np.zeros(()))
+    scale = 1.0 / np.sqrt(np.diag(whole))[:p]
+
+    def solved(gram: Floats, right: Floats) -> Floats:
+        return np.asarray(scale * np.linalg.solve(gram[:p, :p] * np.outer(scale, scale), right * scale))
+
+    x = solved(whole, whole[p, :p])
+    np.testing.assert_allclose(found.solution, x, rtol=1e-9)
+    covariance = np.zeros((p, p))
+    for part_of, factor in zip(parts, factors, strict=True):
+        left_out = x - solved(whole - part_of, (whole - part_of)[p, :p])
+        alone = solved(whole, part_of[p, :p] - part_of[:p, :p] @ x)
+        covariance += 0.5 * factor * (np.outer(left_out, alone) + np.outer(alone, left_out))
+    # what undeclared noise may hide is added to the diagonal
+    apart = ~np.eye(p, dtype=bool)
+    size = np.outer(found.sigma, found.sigma)
+    np.testing.assert_allclose(found.covariance[apart] / size[apart], covariance[apart] / size[apart], atol=1e-6)
+
+
 def test_momentum_tells_the_inertias_apart(floating: tuple[Arm, Floats, Cycles]) -> None:
     """Kinetic energies of motions that were not seen, over eight seeds, with sigmas that stay honest."""
     arm, values, clean = floating
