@@ -89,9 +89,9 @@ void zygos_momentum_sums_add(zygos_momentum_sums_t *self, const zygos_config_t *
     self->cycles++;
 }
 
-static double violation(const zygos_momentum_gram_t *rows, uint32_t width)
+static double violation(const zygos_momentum_gram_t *rows, uint32_t width, double adds)
 {
-    return zygos_gram_check(rows->gram, width, rows->sum);
+    return zygos_gram_check(rows->gram, width, rows->sum, adds);
 }
 
 /* G - s s^T / n for each component, less the noise; the constants' rows are no more. */
@@ -143,8 +143,8 @@ void zygos_momentum_sums_end_arc(zygos_momentum_sums_t *self, const zygos_config
 {
     const double instants = self->open.instants;
     if (instants >= (double)ZYGOS_MIN_ARC_INSTANTS) {
-        const double worst = violation(&self->open.rows, width_of(self));
-        self->corrupt |= ((worst <= 1.0) && (violation(&self->noise_open, self->columns) <= 1.0)) ? 0u : 1u;
+        const double worst = violation(&self->open.rows, width_of(self), instants);
+        self->corrupt |= ((worst <= 1.0) && (violation(&self->noise_open, self->columns, instants) <= 1.0)) ? 0u : 1u;
         for (uint32_t i = 0; i < config->joints; i++) {
             const uint32_t place = self->columns - config->joints + i;
             const double owed = instants * self->rotor[i] / (double)self->components;
@@ -201,13 +201,13 @@ double zygos_momentum_sums_check(const zygos_momentum_sums_t *self)
         (self->columns > (uint32_t)ZYGOS_MAX_MOMENTUM_ROW) || (width > (uint32_t)ZYGOS_MAX_MOMENTUM_ROW)) {
         return 2.0;
     }
-    double worst = violation(&self->open.rows, width);
-    const double open = violation(&self->noise_open, self->columns);
-    const double closed = violation(&self->noise_closed, self->columns);
+    double worst = violation(&self->open.rows, width, self->open.instants);
+    const double open = violation(&self->noise_open, self->columns, self->open.instants);
+    const double closed = violation(&self->noise_closed, self->columns, closed_instants(self));
     worst = (open > worst) ? open : worst;
     worst = (closed > worst) ? closed : worst;
     for (uint32_t b = 0; b < self->count; b++) {
-        const double here = violation(&self->block[b].rows, width);
+        const double here = violation(&self->block[b].rows, width, self->block[b].instants);
         worst = (here > worst) ? here : worst;
     }
     return worst;
