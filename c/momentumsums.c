@@ -43,14 +43,14 @@ void zygos_momentum_sums_clear(zygos_momentum_sums_t *self, const zygos_config_t
     forget_open_arc(self);
 }
 
-void zygos_momentum_sums_init(zygos_momentum_sums_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
+void zygos_momentum_sums_init(zygos_momentum_sums_t *self, const zygos_config_t *config,
                               const zygos_smoother_t *smoother)
 {
     memset(self, 0, sizeof *self);
     if (config->momentum_arc_cycles == 0) {
         return;
     }
-    self->columns = layout->kinetic + config->joints;
+    self->columns = zygos_kinetic_parameters(config) + config->joints;
     self->components = zygos_momentum_count(config);
     zygos_momentum_sums_clear(self, config);
     if (config->compensation == 0) {
@@ -63,13 +63,13 @@ void zygos_momentum_sums_init(zygos_momentum_sums_t *self, const zygos_config_t 
     }
 }
 
-void zygos_momentum_sums_add(zygos_momentum_sums_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
+void zygos_momentum_sums_add(zygos_momentum_sums_t *self, const zygos_config_t *config,
                              const zygos_momentum_t *momentum, const zygos_state_t *state, const zygos_motion_t *motion,
                              double weight)
 {
     const uint32_t component = self->cycles % self->components;
     double z[ZYGOS_MAX_MOMENTUM + 3];
-    zygos_momentum_row(momentum, config, layout, state, motion, component, z);
+    zygos_momentum_row(momentum, config, state, motion, component, z);
     for (uint32_t k = 0; k < self->columns; k++) {
         z[k] *= weight;
     }
@@ -79,7 +79,7 @@ void zygos_momentum_sums_add(zygos_momentum_sums_t *self, const zygos_config_t *
     zygos_gram_add(self->open.rows.gram, self->open.rows.sum, width_of(self), z);
     if (self->signals > 0) {
         const uint32_t signal = self->cycles / self->components % self->signals;
-        zygos_momentum_derivative(momentum, config, layout, motion, component, signal, z);
+        zygos_momentum_derivative(momentum, config, motion, component, signal, z);
         for (uint32_t k = 0; k < self->columns; k++) {
             z[k] *= weight * self->deviation[signal];
         }
