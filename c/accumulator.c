@@ -340,7 +340,7 @@ void zygos_accumulator_end_arc(zygos_accumulator_t *self, uint64_t cycle)
         return;
     }
     zygos_accumulator_flush(self);
-    self->corrupt |= (zygos_gram_check(self->noise.gram, width - 1u, self->noise.sum) <= 1.0) ? 0u : 1u;
+    self->corrupt |= (zygos_gram_check(self->noise.gram, width - 1u, self->noise.sum, self->segment) <= 1.0) ? 0u : 1u;
     end_segment(self);
     double mean[ZYGOS_MAX_ROW] = { 0.0 };
     const uint32_t last = (width - 1u) * width / 2u;
@@ -357,7 +357,9 @@ void zygos_accumulator_end_arc(zygos_accumulator_t *self, uint64_t cycle)
     self->corrupt |= ((counted > 1.0 - 1e-9) && (counted < 1.0 + 1e-9)) ? 0u : 1u;
     for (uint32_t b = self->open; b < self->count; b++) {
         /* Centring cancels: the row sums are judged before, and taken anew after. */
-        self->corrupt |= (zygos_gram_check(self->block[b].gram, width, self->block[b].sum) <= 1.0) ? 0u : 1u;
+        self->corrupt |=
+            (zygos_gram_check(self->block[b].gram, width, self->block[b].sum, self->block[b].instants) <= 1.0) ? 0u
+                                                                                                               : 1u;
         centre(&self->block[b], width, mean);
         self->block[b].end = cycle;
     }
@@ -394,11 +396,12 @@ double zygos_accumulator_check(const zygos_accumulator_t *self)
     double worst = self->corrupt ? 2.0 : 0.0;
     const zygos_share_t *shares[3] = { &self->noise, &self->noise_open, &self->noise_closed };
     for (uint32_t s = 0; s < 3; s++) {
-        const double here = zygos_gram_check(shares[s]->gram, self->width - 1u, shares[s]->sum);
+        const double here = zygos_gram_check(shares[s]->gram, self->width - 1u, shares[s]->sum, (double)self->accepted);
         worst = (here > worst) ? here : worst;
     }
     for (uint32_t b = 0; b < self->count; b++) {
-        const double here = zygos_gram_check(self->block[b].gram, self->width, self->block[b].sum);
+        const double here =
+            zygos_gram_check(self->block[b].gram, self->width, self->block[b].sum, self->block[b].instants);
         worst = (here > worst) ? here : worst;
     }
     return worst;

@@ -45,9 +45,9 @@ void zygos_joint_sums_add(zygos_joint_sums_t *self, const zygos_config_t *config
     self->cycles++;
 }
 
-static bool matches(const zygos_joint_gram_t *joint, uint32_t width)
+static bool matches(const zygos_joint_gram_t *joint, uint32_t width, double adds)
 {
-    return zygos_gram_check(joint->gram, width, joint->sum) <= 1.0;
+    return zygos_gram_check(joint->gram, width, joint->sum, adds) <= 1.0;
 }
 
 /* G - s s^T / n without its last row, less n times the noise. */
@@ -111,7 +111,7 @@ void zygos_joint_sums_end_arc(zygos_joint_sums_t *self, const zygos_config_t *co
                 /* The last entry counts instants as well. */
                 const double off = n - self->open.joint[i].gram[zygos_gram_entries(p + 2u) - 1u];
                 const bool counted = (off > -0.5) && (off < 0.5);
-                self->corrupt |= (counted && matches(&self->open.joint[i], p + 2u)) ? 0u : 1u;
+                self->corrupt |= (counted && matches(&self->open.joint[i], p + 2u, n)) ? 0u : 1u;
                 close_gram(&self->open.joint[i], p, n, self->noise[i]);
             }
         }
@@ -160,9 +160,10 @@ double zygos_joint_sums_check(const zygos_joint_sums_t *self, const zygos_config
     bool good = (self->corrupt == 0) && (self->count <= ZYGOS_MAX_JOINT_BLOCKS);
     for (uint32_t i = 0; i < config->joints; i++) {
         const uint32_t width = self->layout.count[i] + 2u;
-        good = good && (width <= (uint32_t)ZYGOS_MAX_JOINT_ROW) && matches(&self->open.joint[i], width);
+        good = good && (width <= (uint32_t)ZYGOS_MAX_JOINT_ROW) &&
+               matches(&self->open.joint[i], width, self->open.instants[i]);
         for (uint32_t b = 0; good && (b < self->count); b++) {
-            good = matches(&self->block[b].joint[i], width);
+            good = matches(&self->block[b].joint[i], width, self->block[b].instants[i]);
         }
     }
     return good ? 0.0 : 2.0;

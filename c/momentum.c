@@ -109,32 +109,33 @@ static void swing(const zygos_config_t *config, const zygos_motion_t *motion, co
 }
 
 /* The momentum along an axis is what the energy changes by when all turns faster about it. */
-static void columns(const zygos_config_t *config, const zygos_layout_t *layout, const zygos_motion_t *motion,
-                    const double *axis, const double (*rate)[3], const double *spin, double *out)
+static void columns(const zygos_config_t *config, const zygos_motion_t *motion, const double *axis,
+                    const double (*rate)[3], const double *spin, double *out)
 {
     const bool space = (ZYGOS_SPATIAL != 0) && (config->kinetic == ZYGOS_SPATIAL_ARM);
+    const uint32_t kinetic = zygos_kinetic_parameters(config);
     double whole[ZYGOS_MAX_DIRECTIONS][3];
     swing(config, motion, axis, 0, whole);
-    memset(out, 0, layout->kinetic * sizeof out[0]);
+    memset(out, 0, kinetic * sizeof out[0]);
     (void)zygos_kinetic_products(config, (const double(*)[3])whole, rate, out);
     (void)zygos_kinetic_products(config, rate, (const double(*)[3])whole, out);
     for (uint32_t i = 0; i < config->joints; i++) {
         const double *z = motion->axis[i];
         const double along = space ? axis[0] * z[0] + axis[1] * z[1] + axis[2] * z[2] : 1.0;
-        out[layout->kinetic + i] = config->joint[i].gear_ratio * spin[i] * along;
+        out[kinetic + i] = config->joint[i].gear_ratio * spin[i] * along;
     }
 }
 
-void zygos_momentum_row(const zygos_momentum_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
-                        const zygos_state_t *state, const zygos_motion_t *motion, uint32_t component, double *out)
+void zygos_momentum_row(const zygos_momentum_t *self, const zygos_config_t *config, const zygos_state_t *state,
+                        const zygos_motion_t *motion, uint32_t component, double *out)
 {
     double axis[3];
     origin_axis(self, component, axis);
-    columns(config, layout, motion, axis, motion->rate, state->theta_rate, out);
+    columns(config, motion, axis, motion->rate, state->theta_rate, out);
 }
 
-void zygos_momentum_derivative(const zygos_momentum_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
-                               const zygos_motion_t *motion, uint32_t component, uint32_t signal, double *out)
+void zygos_momentum_derivative(const zygos_momentum_t *self, const zygos_config_t *config, const zygos_motion_t *motion,
+                               uint32_t component, uint32_t signal, double *out)
 {
     const uint32_t n = config->joints;
     const bool of_link = (signal < n);
@@ -150,7 +151,7 @@ void zygos_momentum_derivative(const zygos_momentum_t *self, const zygos_config_
     }
     origin_axis(self, component, axis);
     swing(config, motion, about, of_link ? signal + 1u : 0u, rate);
-    columns(config, layout, motion, axis, (const double(*)[3])rate, spin, out);
+    columns(config, motion, axis, (const double(*)[3])rate, spin, out);
 }
 
 static double sum_of_squares(const double *x, uint32_t n)

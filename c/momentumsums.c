@@ -43,14 +43,14 @@ void zygos_momentum_sums_clear(zygos_momentum_sums_t *self, const zygos_config_t
     forget_open_arc(self);
 }
 
-void zygos_momentum_sums_init(zygos_momentum_sums_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
+void zygos_momentum_sums_init(zygos_momentum_sums_t *self, const zygos_config_t *config,
                               const zygos_smoother_t *smoother)
 {
     memset(self, 0, sizeof *self);
     if (config->momentum_arc_cycles == 0) {
         return;
     }
-    self->columns = layout->kinetic + config->joints;
+    self->columns = zygos_kinetic_parameters(config) + config->joints;
     self->components = zygos_momentum_count(config);
     zygos_momentum_sums_clear(self, config);
     if (config->compensation == 0) {
@@ -63,13 +63,13 @@ void zygos_momentum_sums_init(zygos_momentum_sums_t *self, const zygos_config_t 
     }
 }
 
-void zygos_momentum_sums_add(zygos_momentum_sums_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
+void zygos_momentum_sums_add(zygos_momentum_sums_t *self, const zygos_config_t *config,
                              const zygos_momentum_t *momentum, const zygos_state_t *state, const zygos_motion_t *motion,
                              double weight)
 {
     const uint32_t component = self->cycles % self->components;
     double z[ZYGOS_MAX_MOMENTUM + 3];
-    zygos_momentum_row(momentum, config, layout, state, motion, component, z);
+    zygos_momentum_row(momentum, config, state, motion, component, z);
     for (uint32_t k = 0; k < self->columns; k++) {
         z[k] *= weight;
     }
@@ -79,7 +79,7 @@ void zygos_momentum_sums_add(zygos_momentum_sums_t *self, const zygos_config_t *
     zygos_gram_add(self->open.rows.gram, self->open.rows.sum, width_of(self), z);
     if (self->signals > 0) {
         const uint32_t signal = self->cycles / self->components % self->signals;
-        zygos_momentum_derivative(momentum, config, layout, motion, component, signal, z);
+        zygos_momentum_derivative(momentum, config, motion, component, signal, z);
         for (uint32_t k = 0; k < self->columns; k++) {
             z[k] *= weight * self->deviation[signal];
         }
@@ -89,9 +89,9 @@ void zygos_momentum_sums_add(zygos_momentum_sums_t *self, const zygos_config_t *
     self->cycles++;
 }
 
-static double violation(const zygos_momentum_gram_t *rows, uint32_t width)
+static double violation(const zygos_momentum_gram_t *rows, uint32_t width, double adds)
 {
-    return zygos_gram_check(rows->gram, width, rows->sum);
+    return zygos_gram_check(rows->gram, width, rows->sum, adds);
 }
 
 /* G - s s^T / n for each component, less the noise; the constants' rows are no more. */
@@ -143,8 +143,8 @@ void zygos_momentum_sums_end_arc(zygos_momentum_sums_t *self, const zygos_config
 {
     const double instants = self->open.instants;
     if (instants >= (double)ZYGOS_MIN_ARC_INSTANTS) {
-        const double worst = violation(&self->open.rows, width_of(self));
-        self->corrupt |= ((worst <= 1.0) && (violation(&self->noise_open, self->columns) <= 1.0)) ? 0u : 1u;
+        const double worst = violation(&self->open.rows, width_of(self), instants);
+        self->corrupt |= ((worst <= 1.0) && (violation(&self->noise_open, self->columns, instants) <= 1.0)) ? 0u : 1u;
         for (uint32_t i = 0; i < config->joints; i++) {
             const uint32_t place = self->columns - config->joints + i;
             const double owed = instants * self->rotor[i] / (double)self->components;
@@ -201,13 +201,13 @@ double zygos_momentum_sums_check(const zygos_momentum_sums_t *self)
         (self->columns > (uint32_t)ZYGOS_MAX_MOMENTUM_ROW) || (width > (uint32_t)ZYGOS_MAX_MOMENTUM_ROW)) {
         return 2.0;
     }
-    double worst = violation(&self->open.rows, width);
-    const double open = violation(&self->noise_open, self->columns);
-    const double closed = violation(&self->noise_closed, self->columns);
+    double worst = violation(&self->open.rows, width, self->open.instants);
+    const double open = violation(&self->noise_open, self->columns, self->open.instants);
+    const double closed = violation(&self->noise_closed, self->columns, closed_instants(self));
     worst = (open > worst) ? open : worst;
     worst = (closed > worst) ? closed : worst;
     for (uint32_t b = 0; b < self->count; b++) {
-        const double here = violation(&self->block[b].rows, width);
+        const double here = violation(&self->block[b].rows, width, self->block[b].instants);
         worst = (here > worst) ? here : worst;
     }
     return worst;

@@ -157,7 +157,7 @@ int zygos_init(zygos_t *self, const zygos_config_t *config)
     zygos_impulse_gap(&self->impulse);
     zygos_joint_sums_init(&self->joint_sums, own, &self->smoother);
     zygos_momentum_gap(&self->momentum);
-    zygos_momentum_sums_init(&self->momentum_sums, own, &self->layout, &self->smoother);
+    zygos_momentum_sums_init(&self->momentum_sums, own, &self->smoother);
     self->faded = 1.0;
     self->joints_faded = 1.0;
     self->momentum_faded = 1.0;
@@ -258,7 +258,7 @@ static void add_momentum(zygos_t *self)
         (zygos_momentum_step(&self->momentum, config, &self->state) == 0)) {
         return;
     }
-    zygos_momentum_sums_add(&self->momentum_sums, config, &self->layout, &self->momentum, &self->state, &self->motion,
+    zygos_momentum_sums_add(&self->momentum_sums, config, &self->momentum, &self->state, &self->motion,
                             self->state.accepted);
     if (self->momentum_sums.cycles >= config->momentum_arc_cycles) {
         end_momentum_arc(self);

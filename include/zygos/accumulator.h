@@ -104,7 +104,7 @@ void zygos_accumulator_drop_after(zygos_accumulator_t *self, uint64_t cycle);
 /// Sums the blocks of closed arcs into gram (packed as in a block, width self->width).
 void zygos_accumulator_total(const zygos_accumulator_t *self, double *gram);
 
-/// Largest violation of G 1 = sum over all blocks, in units of its tolerance 64 eps n max|G|, or 2 when an arc that
+/// Largest violation of G 1 = sum over all blocks, in units of its tolerance (gram.h), or 2 when an arc that
 /// closed was corrupt. Above 1 means corrupt. Steps are not looked at before they are flushed.
 double zygos_accumulator_check(const zygos_accumulator_t *self);
 

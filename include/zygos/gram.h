@@ -20,9 +20,11 @@ void zygos_gram_add(double *gram, double *sum, uint32_t width, const double *z);
 /// Writes the row sums.
 void zygos_gram_row_sums(const double *gram, uint32_t width, double *sum);
 
-/// Largest violation of G 1 = sum in units of its tolerance 64 eps width max|G|, at the most 2; above 1 means corrupt.
-/// width is at the most ZYGOS_MAX_ROW.
-double zygos_gram_check(const double *gram, uint32_t width, const double *sum);
+/// Largest violation of G 1 = sum in units of a row's tolerance, at the most 2; above 1 means corrupt. That is
+/// (64 width + adds) eps times the largest entry that the row has, or by its diagonal could have: columns differ
+/// in size by orders of magnitude, and every addition rounds, of like numbers always the same way. adds: how many there
+/// were, or more. width is at the most ZYGOS_MAX_ROW.
+double zygos_gram_check(const double *gram, uint32_t width, const double *sum, double adds);
 
 #ifdef __cplusplus
 }

@@ -53,8 +53,8 @@ int zygos_momentum_step(zygos_momentum_t *self, const zygos_config_t *config, co
 /// Writes one of the rows of an instant that belongs to an arc, at the most ZYGOS_MAX_MOMENTUM columns; component is
 /// 0 .. zygos_momentum_count() - 1. Cost: the same for every call of a configuration; two products of vectors for each
 /// of the kinetic columns.
-void zygos_momentum_row(const zygos_momentum_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
-                        const zygos_state_t *state, const zygos_motion_t *motion, uint32_t component, double *out);
+void zygos_momentum_row(const zygos_momentum_t *self, const zygos_config_t *config, const zygos_state_t *state,
+                        const zygos_motion_t *motion, uint32_t component, double *out);
 
 /// Noise of the rows. It is taken from the rates alone, next to whose noise that of the angles and of the attitude is
 /// small. An error of the rate of link j (signal = j) or of the base about axis k (signal = N + k; in a plane N alone)
@@ -63,8 +63,8 @@ void zygos_momentum_row(const zygos_momentum_t *self, const zygos_config_t *conf
 ///     sum over signals and rows of variance[signal] out outT      and rotor[i] to the diagonal at Im_i
 ///
 /// to the sum of their products. Cost: as zygos_momentum_row().
-void zygos_momentum_derivative(const zygos_momentum_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
-                               const zygos_motion_t *motion, uint32_t component, uint32_t signal, double *out);
+void zygos_momentum_derivative(const zygos_momentum_t *self, const zygos_config_t *config, const zygos_motion_t *motion,
+                               uint32_t component, uint32_t signal, double *out);
 
 /// variance[N + 3] of the smoothed rates [rad^2/s^2], and rotor[N], what the rotors' rates owe at each instant. The
 /// rate of a rigid joint's rotor is that of its link, and it owes nothing of its own. imu_sigma is the standard

@@ -54,8 +54,8 @@ typedef struct {
     zygos_momentum_block_t block[ZYGOS_MOMENTUM_PLACES];
 } zygos_momentum_sums_t;
 
-/// Empties the sums, and computes what noise adds in an instant. Needs a checked configuration and its layout.
-void zygos_momentum_sums_init(zygos_momentum_sums_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
+/// Empties the sums, and computes what noise adds in an instant. Needs a checked configuration.
+void zygos_momentum_sums_init(zygos_momentum_sums_t *self, const zygos_config_t *config,
                               const zygos_smoother_t *smoother);
 
 /// Empties the sums only.
@@ -64,7 +64,7 @@ void zygos_momentum_sums_clear(zygos_momentum_sums_t *self, const zygos_config_t
 /// Adds the row of the component whose turn it is with weight 1 or 0, and what the sensor whose turn it is adds to it.
 /// Needs a configuration that asks for such rows, and an instant that belongs to an arc. Cost: one row, one derivative,
 /// and a rank-1 update of (columns + 3)(columns + 4)/2 entries for each.
-void zygos_momentum_sums_add(zygos_momentum_sums_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
+void zygos_momentum_sums_add(zygos_momentum_sums_t *self, const zygos_config_t *config,
                              const zygos_momentum_t *momentum, const zygos_state_t *state, const zygos_motion_t *motion,
                              double weight);
 

@@ -83,9 +83,10 @@ def test_where_old_arcs_fade_the_answer_follows(
     for text in ("[arc]\nmax_s = 20.0\nmemory_min = 0.67\n", "[arc]\nmax_s = 20.0\n"):
         arm.write_text((EXAMPLE / "arm.toml").read_text() + text)
         out = tmp_path / "m.toml"
-        assert run("estimate", folder / "changed.blf", "--arm", arm, "-o", out) in (0, 3)
+        numbers = tmp_path / "m.json"
+        assert run("estimate", folder / "changed.blf", "--arm", arm, "-o", out, "--json", numbers) in (0, 3)
         assert "warning: the arm changed after 120 s" in capsys.readouterr().err
-        off.append(abs(load_model(out).base_values(load_arm(arm))[5] / heavy_a22() - 1.0))
+        off.append(abs(json.loads(numbers.read_text())["solution"][5] / heavy_a22() - 1.0))
     assert off[0] < 0.04 < 0.1 < off[1]
     arm.write_text((EXAMPLE / "arm.toml").read_text() + "[arc]\nmemory_min = 0.0\n")
     assert run("estimate", folder / "changed.blf", "--arm", arm, "-o", out) == 2
@@ -111,7 +112,7 @@ def test_no_warning_where_nothing_happens(folder: Path, tmp_path: Path, capsys: 
 def test_sensors_that_are_better_than_declared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = tmp_path / "run.blf"
     assert run("simulate", EXAMPLE / "scenario.toml", "-o", log, "--no-noise") == 0
-    assert run("estimate", log, "-o", tmp_path / "m.toml", "--json", tmp_path / "m.json") == 0
+    assert run("estimate", log, "-o", tmp_path / "m.toml", "--json", tmp_path / "m.json") == 3  # doubtful
     assert "of what the arm file's sigmas make of it" in capsys.readouterr().out
     content = json.loads((tmp_path / "m.json").read_text())
     assert content["noise_ratio"] < 0.6

@@ -150,12 +150,12 @@ def c_rooms(arm: Arm, cycles: Cycles, longest: int, effects: Sequence[Effect] = 
         owed = np.zeros((width, width))
         if noise:
             for component, signal in np.ndindex(rows, arm.n + (3 if arm.spatial else 1)):
-                lib.zygos_momentum_derivative(momentum, config, parts[0], parts[2], component, signal, line)
+                lib.zygos_momentum_derivative(momentum, config, parts[2], component, signal, line)
                 owed += variance[signal] * np.outer(list(line), list(line))
             owed[range(width - arm.n, width), range(width - arm.n, width)] += list(rotor)
         matrix = np.zeros((rows, width))
         for component in range(rows):
-            lib.zygos_momentum_row(momentum, config, *parts, component, line)
+            lib.zygos_momentum_row(momentum, config, *parts[1:], component, line)
             matrix[component] = list(line)
         if inside == longest:
             lib.zygos_impulse_new_arc(impulse)

@@ -23,7 +23,7 @@ from zygos.accuracy import __main__ as command
 from zygos.accuracy import campaign
 from zygos.accuracy.cases import Case, all_cases, chosen
 from zygos.accuracy.cell import Cell, cells, sensed
-from zygos.accuracy.estimators import ESTIMATORS, NORMAL_95
+from zygos.accuracy.estimators import ESTIMATORS
 from zygos.accuracy.figure4 import Figure4
 from zygos.accuracy.summary import inertia, summarise
 from zygos.arm import Arm
@@ -98,6 +98,9 @@ def test_a_small_campaign_says_what_the_methods_say_by_themselves(
         assert entry["max_rms_percent"] == max(rms)
     assert entries["paper-30", "EB"]["coverage95"] is None
     assert entries["paper-30", "flight"]["draws"] == 6
+    # its other settings and the methods are asked about each seed's own draw
+    assert {entry["draws"] for entry in content["cases"] if entry["estimator"] != "flight"} == {2}
+    assert entries["paper-30", "flight, energy"]["coverage95"] is None
     # two seeds of three draws each
     assert all(
         6 * share == pytest.approx(round(6 * share)) for share in entries["paper-30", "flight"]["coverage95"].values()
@@ -221,7 +224,7 @@ def test_what_is_counted(arm: Arm, true: Floats) -> None:
     """Four seeds of one draw and another: errors, refusals, coverage and wild values as they were put in."""
     case = CASES["paper-30"]
 
-    def column(errors: list[float | None], validity: list[str], half: float) -> dict[str, Any]:
+    def column(errors: list[float | None], validity: list[str], sigma: float) -> dict[str, Any]:
         value = [None if e is None else (true * (1.0 + e)).tolist() for e in errors]
         return {
             "seed": [0, 0, 1, 1, 2, 2, 3, 3],
@@ -229,7 +232,8 @@ def test_what_is_counted(arm: Arm, true: Floats) -> None:
             "validity": validity,
             "reason": ["" if v == "valid" else f"because {v}" for v in validity],
             "value": value,
-            "half95": [None if v is None else (half * true).tolist() for v in value],
+            "half95": [None if v is None else (2.5 * sigma * true).tolist() for v in value],
+            "sigma": [None if v is None else (sigma * true).tolist() for v in value],
         }
 
     none: list[float | None] = [None] * 8
@@ -239,8 +243,8 @@ def test_what_is_counted(arm: Arm, true: Floats) -> None:
         "case": case.name,
         "answers": {name: column(none, ["refused"] * 8, 0.0) for name in ("DE", "AMC")}
         | {one.name: column([0.0] * 8, fine, 0.01) for one in ESTIMATORS if one.ours}
-        | {"EB": column([0.1] * 8, fine, 0.0) | {"half95": none}}
-        | {"flight": column([0.01, 0.021, -0.03, 0.0049, 9.0, 0.018, None, 0.003], mixed, 0.005)},
+        | {"EB": column([0.1] * 8, fine, 0.0) | {"half95": none, "sigma": none}}
+        | {"flight": column([0.01, 0.021, -0.03, 0.0049, 9.0, 0.018, None, 0.003], mixed, 0.002)},
     }
     entries = {entry["estimator"]: entry for entry in summarise([case], [line])}
     found = entries["flight"]
@@ -256,8 +260,7 @@ def test_what_is_counted(arm: Arm, true: Floats) -> None:
     assert own["spread_percent"] == pytest.approx(np.sqrt(8.0))
     # of 0.01, 0.021, -0.03, 0.0049, 0.018, 0.003 with half widths of 0.005
     assert found["coverage95"]["k1"] == pytest.approx(2 / 6)
-    # five sigmas are 0.01276 here: 0.021 and -0.03 are beyond them and beyond 2 %, for each of the 12
-    assert pytest.approx(0.01276, abs=1e-5) == 5.0 / NORMAL_95 * 0.005
+    # five sigmas are 0.01: 0.021 and -0.03 are beyond them and beyond 2 %, for each of the 12
     assert found["wild"] == 24
     assert entries["DE"]["refused"] == 4
     assert entries["DE"]["mean_rms_percent"] is None

@@ -24,7 +24,7 @@ def test_the_papers_arm() -> None:
     assert len(arm.parameter_units) == 12
     assert arm.parameter_units[5:9] == ("kg m^2", "kg m^2", "Nm/rad", "Nms/rad")
     assert arm.joints[0].link_encoder.sigma_rad ** 2 == pytest.approx(7.5e-7)
-    assert (arm.smoother.points, arm.smoother.order, arm.smoother.lag, arm.arc_max_s) == (7, 4, 3, 60.0)
+    assert (arm.smoother.points, arm.smoother.order, arm.smoother.lag, arm.arc_max_s) == (11, 6, 5, 60.0)
     np.testing.assert_array_equal(arm.axis, [0, 0, 1])
     # the gyro's densities as the paper prints them, rad/s^(1/2) and rad/s^(3/2)
     assert arm.imu.rate_sigma * math.sqrt(arm.period_s) == pytest.approx(0.31623e-6, rel=1e-4)
@@ -65,11 +65,11 @@ def test_counts_on_either_side_of_the_gear(tmp_path: Path, side: str, quantum: f
 def test_optional_parts(tmp_path: Path) -> None:
     file = tmp_path / "arm.toml"
     file.write_text(
-        (PAPER / "arm.toml").read_text()
-        + 'resolution = "coarse"\n[smoother]\npoints = 11\norder = 6\n[arc]\nmax_s = 10\n'
+        (PAPER / "arm.toml").read_text().replace("points = 11\norder = 6\n", "points = 13\norder = 8\n")
+        + 'resolution = "coarse"\n[arc]\nmax_s = 10\n'
     )
     arm = load_arm(file)
-    assert (arm.imu.resolution, arm.smoother.points, arm.smoother.order, arm.smoother.lag) == ("coarse", 11, 6, 5)
+    assert (arm.imu.resolution, arm.smoother.points, arm.smoother.order, arm.smoother.lag) == ("coarse", 13, 8, 6)
     assert arm.arc_max_s == 10.0
 
 
@@ -112,9 +112,9 @@ def test_optional_parts(tmp_path: Path) -> None:
     ("rate_sigma = 1.4142e-6", "rate_sigma = nan", r"imu\.rate_sigma"),
     ("bias_walk = 3.1623e-10", "", r"imu\.bias_walk: is missing"),
     ("[imu]", "[arc]\nmax_s = 0\n[imu]", r"arc\.max_s"),
-    ("[imu]", "[smoother]\npoints = 7\nlag = 0\n[imu]", r"smoother\.lag: 0 makes end-point filters"),
-    ("[imu]", "[smoother]\npoints = 8\n[imu]", r"smoother\.points: 8 is even"),
-    ("[imu]", "[smoother]\npoints = 5\norder = 5\n[imu]", r"smoother\.order"),
+    ("points = 11", "points = 11\nlag = 0", r"smoother\.lag: 0 makes end-point filters"),
+    ("points = 11", "points = 8", r"smoother\.points: 8 is even"),
+    ("points = 11", "points = 5", r"smoother\.order"),
     ("[imu]", "[[joint]]\n[imu]", r"joint\[2\]\.gear_ratio: is missing"),
     ("[imu]", "[imu", "not valid TOML"),
     ("[imu]", "[imus]", "imu: is missing"),
