@@ -170,17 +170,23 @@ def test_a_rotor_that_does_not_couple_is_refused(
 
 
 def test_a_rigid_prior_is_kept_where_the_run_is_silent(tmp_path: Path) -> None:
-    """An elbow that is rigid, and seen to be: neither stiffness nor damping has a value."""
+    """An elbow that is rigid, and seen to be: neither stiffness nor damping has a value. Its deflection is noise, or
+    nothing where there is none and none is declared."""
     rigid = example_with(tmp_path / "example", "model.toml", ("stiffness = 1000.0", "stiffness = inf"))
-    log, out = tmp_path / "run.blf", tmp_path / "m.toml"
-    assert run("simulate", EXAMPLE / "scenario.toml", "--model", rigid, "-o", log, "--no-noise") == 0
-    assert run("estimate", log, "-o", out, "--model", rigid) == 3
-    arm, model, plant = load_arm(EXAMPLE / "arm.toml"), load_model(out), load_model(rigid)
-    assert model.parameters["k2"].value == np.inf
-    assert model.parameters["k2"].source == "CAD"
-    learned = [name for name, quantity in model.parameters.items() if quantity.source == "zygos"]
-    assert set(learned) == set(arm.parameter_names) - {"k2", "b2"}
-    np.testing.assert_allclose(model.base_values(arm)[:10], plant.base_values(arm)[:10], rtol=0.01)
+    exact = example_with(tmp_path / "exact", "arm.toml", ("# [compensation]", "[compensation]\nevery = 0"))
+    shutil.copy(rigid, exact.with_name("model.toml"))
+    out = tmp_path / "m.toml"
+    for scenario, noise, close in ((EXAMPLE, (), 0.05), (exact.parent, ("--no-noise",), 0.01)):
+        log = tmp_path / scenario.name / "run.blf"
+        log.parent.mkdir(exist_ok=True)
+        assert run("simulate", scenario / "scenario.toml", "--model", rigid, "-o", log, *noise) == 0
+        assert run("estimate", log, "-o", out, "--model", rigid) == 3
+        arm, model, plant = load_arm(scenario / "arm.toml"), load_model(out), load_model(rigid)
+        assert model.parameters["k2"].value == np.inf
+        assert model.parameters["k2"].source == "CAD"
+        learned = [name for name, quantity in model.parameters.items() if quantity.source == "zygos"]
+        assert set(learned) == set(arm.parameter_names) - {"k2", "b2"}
+        np.testing.assert_allclose(model.base_values(arm)[:10], plant.base_values(arm)[:10], rtol=close)
     # a rigid prior for an arm that is not rigid is corrected
     assert run("simulate", EXAMPLE / "scenario.toml", "-o", tmp_path / "soft.blf") == 0
     assert run("estimate", tmp_path / "soft.blf", "-o", out, "--model", rigid) == 0

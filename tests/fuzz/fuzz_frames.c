@@ -110,6 +110,11 @@ static void start(uint32_t joints, uint32_t fine)
     config.smoother_order = 4;
     config.smoother_lag = 3;
     config.arc_cycles = 200;
+    config.impulse_arc_cycles = 100;
+    config.momentum_arc_cycles = 100;
+    config.compensation = 2u * joints + 1u;
+    config.keep = 0.9999;
+    config.imu_sigma = 1e-4;
     config.imu_node = 16;
     config.imu_fine = fine;
     config.period_s = 1e-6 * PERIOD_US;
