@@ -36,8 +36,8 @@ COMPILER = ["gcc", *house_flags(), "-static"]
 """Static: no call is bound while it is counted."""
 KINDS = ("cycle", "block", "arc", "fills")
 """Of calls, as bench/cycles.c names them."""
-RING = 8
-"""Instructions that the ring of torques costs where it begins anew, at most."""
+RING = 24
+"""Instructions that the rings of torques and samples cost where they begin anew, at most."""
 CYCLES = 500
 ARC_S = 15.0
 """Short enough for an arc to end in a run."""
@@ -154,7 +154,7 @@ def count(program: Path, one: Configuration, cycles: Cycles, folder: Path) -> Co
 def spread(runs: dict[str, Count]) -> int:
     """Most instructions by which an ordinary call depends on its data: of those whose turn is the same, in all runs.
 
-    The place in the ring of torques costs a handful, which are not of the data either.
+    The place in the rings costs a handful, which are not of the data either.
     """
     calls = np.concatenate([one.of("cycle") for one in runs.values()])
     turns = np.concatenate([one.turns[one.kinds == "cycle"] for one in runs.values()])

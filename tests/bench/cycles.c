@@ -53,11 +53,12 @@ int main(int count, char **argument)
         const bool ended =
             (sums->arcs + sums->arcs_dropped != arcs) || ((arm.instant == 1) && ((arm.arc == 0) || others));
         printf("%s", (arm.instant != 1) ? "fills" : ended ? "arc" : (sums->count != blocks) ? "block" : "cycle");
-        /* Whose turn it was, and whether a step ended with it: what a cycle costs may depend on that. */
+        /* Whose turn it was, how far the step has filled, and whether it is the arc's first, behind which none is
+           shared out: what a cycle costs may depend on that. */
         const uint32_t sensors = (config.compensation > 0) ? config.compensation : 1u;
-        printf(" %" PRIu32 ",%" PRIu32 ",%" PRIu32 ",%d\n", (arm.arc + sensors - 1u) % sensors,
+        printf(" %" PRIu32 ",%" PRIu32 ",%" PRIu32 ",%d,%d\n", (arm.arc + sensors - 1u) % sensors,
                arm.joint_sums.cycles % config.joints, arm.momentum_sums.cycles % (3u * (config.joints + 3u)),
-               (int)sums->filled);
+               (int)sums->filled, (arm.arc <= (uint32_t)ZYGOS_STEP) ? 1 : 0);
     }
     printf("parameters %" PRIu32 "\n", arm.layout.count);
     return (fclose(file) == 0) ? 0 : 1;
