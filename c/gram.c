@@ -47,27 +47,27 @@ void zygos_gram_row_sums(const double *gram, uint32_t width, double *sum)
 
 double zygos_gram_check(const double *gram, uint32_t width, const double *sum, double adds)
 {
-    double anew[ZYGOS_MAX_ROW];
-    double row_most[ZYGOS_MAX_ROW] = { 0.0 };
     double largest = 0.0;
     double worst = 0.0;
-    zygos_gram_row_sums(gram, width, anew);
-    const double *row = gram;
-    for (uint32_t i = 0; i < width; i++) {
-        for (uint32_t j = 0; j <= i; j++) {
-            const double size = magnitude(row[j]);
-            row_most[i] = (size > row_most[i]) ? size : row_most[i];
-            row_most[j] = (size > row_most[j]) ? size : row_most[j];
-            largest = (size > largest) ? size : largest;
-        }
-        row += i + 1u;
+    const uint32_t size = zygos_gram_entries(width);
+    for (uint32_t k = 0; k < size; k++) {
+        largest = (magnitude(gram[k]) > largest) ? magnitude(gram[k]) : largest;
     }
     const double share = EPSILON * (64.0 * (double)width + adds);
     for (uint32_t i = 0; i < width; i++) {
-        const double off = magnitude(anew[i] - sum[i]);
+        /* Row by row, in the order of zygos_gram_row_sums(): along the row, then down the column. */
+        double anew = 0.0;
+        double most = 0.0;
+        uint32_t k = zygos_gram_entries(i);
+        for (uint32_t j = 0; j < width; j++) {
+            anew += gram[k];
+            most = (magnitude(gram[k]) > most) ? magnitude(gram[k]) : most;
+            k += (j < i) ? 1u : j + 1u;
+        }
+        const double off = magnitude(anew - sum[i]);
         const double square = magnitude(gram[zygos_gram_entries(i + 1u) - 1u]);
         const double bound = __builtin_sqrt(square) * __builtin_sqrt(largest);
-        const double tolerance = share * ((bound > row_most[i]) ? bound : row_most[i]);
+        const double tolerance = share * ((bound > most) ? bound : most);
         /* Not-a-number compares false with everything; neither it nor infinity is a sum. */
         const bool good = (off <= tolerance) && (tolerance < 1e300);
         const double ratio = good ? off / (tolerance + 1e-300) : 2.0;

@@ -36,8 +36,8 @@ COMPILER = ["gcc", *house_flags(), "-static"]
 """Static: no call is bound while it is counted."""
 KINDS = ("cycle", "block", "arc", "fills")
 """Of calls, as bench/cycles.c names them."""
-PHASES = 8
-"""Instructions at most that calls of the same turn differ by in every run alike, whatever the data."""
+RING = 24
+"""Instructions that the rings of torques and samples cost where they begin anew, at most."""
 CYCLES = 500
 ARC_S = 15.0
 """Short enough for an arc to end in a run."""
@@ -152,16 +152,14 @@ def count(program: Path, one: Configuration, cycles: Cycles, folder: Path) -> Co
 
 
 def spread(runs: dict[str, Count]) -> int:
-    """Most instructions by which an ordinary call depends on its data: of those whose turn is the same, in all runs."""
+    """Most instructions by which an ordinary call depends on its data: of those whose turn is the same, in all runs.
+
+    The place in the rings costs a handful, which are not of the data either.
+    """
     calls = np.concatenate([one.of("cycle") for one in runs.values()])
     turns = np.concatenate([one.turns[one.kinds == "cycle"] for one in runs.values()])
     most = max(int(np.ptp(calls[turns == turn])) for turn in np.unique(turns))
-    return most if most > PHASES else 0
-
-
-def shared(runs: dict[str, Count]) -> int:
-    """Turns of ordinary calls that all runs had."""
-    return len(set.intersection(*(set(one.turns[one.kinds == "cycle"].tolist()) for one in runs.values())))
+    return most if most > RING else 0
 
 
 def every(folder: Path) -> dict[str, dict[str, Count]]:
@@ -201,8 +199,7 @@ def _content(runs: dict[str, Count]) -> dict[str, Any]:
         name: {key: numbers(one.of(key)) for key in KINDS if len(one.of(key))} | {"every": numbers(one.calls)}
         for name, one in runs.items()
     }
-    known = {"parameters": next(iter(runs.values())).parameters, "turns_shared": shared(runs)}
-    return {**known, "spread_by_data": spread(runs), "data": listed}
+    return {"parameters": next(iter(runs.values())).parameters, "spread_by_data": spread(runs), "data": listed}
 
 
 def main(path: Path) -> None:

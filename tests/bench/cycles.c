@@ -45,8 +45,6 @@ int main(int count, char **argument)
         const zygos_accumulator_t *sums = &arm.accumulator;
         const uint32_t blocks = sums->count;
         const uint32_t arcs = sums->arcs + sums->arcs_dropped;
-        const bool shares = (blocks > sums->open);
-        const uint32_t ring = arm.balance.torque_at;
         if (zygos_cycle(&arm, &cycle) != 1) {
             return refuse("a cycle is not valid");
         }
@@ -55,12 +53,12 @@ int main(int count, char **argument)
         const bool ended =
             (sums->arcs + sums->arcs_dropped != arcs) || ((arm.instant == 1) && ((arm.arc == 0) || others));
         printf("%s", (arm.instant != 1) ? "fills" : ended ? "arc" : (sums->count != blocks) ? "block" : "cycle");
-        /* Whose turn it was, the place in its step and in the ring of torques, and whether the arc had its first step
-           behind it: what a cycle costs may depend on that, for it is not data. */
+        /* Whose turn it was, how far the step has filled, and whether it is the arc's first, behind which none is
+           shared out: what a cycle costs may depend on that. */
         const uint32_t sensors = (config.compensation > 0) ? config.compensation : 1u;
-        printf(" %" PRIu32 ",%" PRIu32 ",%" PRIu32 ",%" PRIu32 ",%d,%" PRIu32 "\n", (arm.arc + sensors - 1u) % sensors,
+        printf(" %" PRIu32 ",%" PRIu32 ",%" PRIu32 ",%d,%d\n", (arm.arc + sensors - 1u) % sensors,
                arm.joint_sums.cycles % config.joints, arm.momentum_sums.cycles % (3u * (config.joints + 3u)),
-               sums->filled, (int)shares, ring);
+               (int)sums->filled, (arm.arc <= (uint32_t)ZYGOS_STEP) ? 1 : 0);
     }
     printf("parameters %" PRIu32 "\n", arm.layout.count);
     return (fclose(file) == 0) ? 0 : 1;

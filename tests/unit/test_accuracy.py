@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from conftest import EXAMPLE
-from zygos.arm import Arm
+from zygos.arm import Arm, Smoother
 from zygos.check import check_frames, sizes
 from zygos.cycles import Cycles
 from zygos.flight import Estimate, Flight, encode
@@ -64,7 +64,10 @@ def test_frames_cost_little_against_cycles(arm: Arm, clean: Clean) -> None:
 def test_a_torque_one_cycle_late_is_no_small_thing(arm: Arm, clean: Clean, true: Floats) -> None:
     cycles = clean().cycles()
     late = replace(cycles, tau=np.vstack([cycles.tau[:1], cycles.tau[:-1]]))
-    assert score(through_cycles(arm, late).value, true).worst > 10.0
+    assert score(without_constants(arm, late), true).worst > 10.0
+    estimate = through_cycles(arm, late)
+    assert (estimate.validity, np.isfinite(estimate.value).any()) == ("refused", False)
+    assert "does not close" in estimate.reason
 
 
 def test_shifting_everything_together_changes_nothing(arm: Arm, clean: Clean) -> None:
@@ -87,9 +90,12 @@ def test_paper_noise_batch(arm: Arm, noisy: Trajectory, true: Floats) -> None:
 
 
 def test_paper_noise_flight_chain(arm: Arm, noisy: Trajectory, true: Floats) -> None:
-    result = score(flight_estimates(arm, noisy), true)
-    assert result.mean == pytest.approx(0.265, abs=0.03)
-    assert result.worst <= 0.6
+    """What the issue asks for, with the motor rows and without them."""
+    every, energy = (score(flight_estimates(each, noisy), true) for each in (arm, replace(arm, impulse_arc_s=0.0)))
+    print(f"mean error {every.mean:.3f} %, by the energy alone {energy.mean:.3f} %")
+    assert every.mean <= 0.25
+    assert energy.mean <= 0.40
+    assert max(every.worst, energy.worst) <= 0.6
 
 
 def test_c_equals_numpy_room_by_room(arm: Arm, noisy: Trajectory) -> None:
@@ -114,9 +120,11 @@ def test_a_snap_of_a_300_s_run_is_survived(arm: Arm, model: Model, true: Floats)
     """Link 2 whips through 13 rad/s within a few samples, faster than the smoother can follow.
 
     The motion is chaotic, and what follows the snap differs with the last bit of the start; so the error is that of
-    three starts, 1e-11 rad apart.
+    three starts, 1e-11 rad apart. A window of seven samples loses fewer instants to each snap than a longer one, which
+    on this run loses about as many as an estimate may.
     """
     scenario = load_scenario(EXAMPLE / "snap.toml")
+    arm = replace(arm, smoother=Smoother(points=7, order=4, lag=3))
     blind = replace(
         arm,
         joints=tuple(
@@ -197,7 +205,7 @@ def test_pieces_of_a_run_with_fine_encoders_give_no_wild_numbers(arm: Arm, model
     answers = 0
     for seed in range(6):
         cycles = run.cycles(seed)
-        for length in (400, 1000):
+        for length in (400, 1000, 1800, 3000):
             for start in range(0, len(cycles) - length, 397):
                 piece = Cycles(*(getattr(cycles, name)[start : start + length] for name in names))
                 estimate = through_cycles(run.arm, piece)

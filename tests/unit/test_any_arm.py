@@ -94,7 +94,7 @@ def test_a_rigid_joint_needs_no_link_encoder() -> None:
 
 
 @pytest.mark.parametrize(
-    ("example", "learn_s", "known"), [("spatial", 15.0, 54), ("seven", 30.0, 120)], ids=["three joints", "seven joints"]
+    ("example", "learn_s", "known"), [("spatial", 30.0, 54), ("seven", 30.0, 120)], ids=["three joints", "seven joints"]
 )
 def test_kinetic_energy_of_an_arm_in_space(example: str, learn_s: float, known: int) -> None:
     """Moved by Pinocchio's equations at 500 Hz, without noise, through `zygos_cycle`.
