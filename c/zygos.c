@@ -305,9 +305,11 @@ static void work_off(zygos_t *self, const zygos_cycle_t *cycle)
                     zygos_balance_torque_after(&self->balance, &self->config), self->arc, self->state.accepted,
                     self->accumulator.noise.gram, self->accumulator.noise.sum);
     self->arc++;
-    /* What the integrals get wrong in a snap is a constant of the arc behind it. */
-    const bool snapped = !(self->state.accepted > 0.0) && (self->arc >= self->config.arc_cycles / SHORTEST);
-    if ((self->arc >= self->config.arc_cycles) || snapped) {
+    /* What the integrals get wrong in a snap is a constant of the arc behind it. A factor instead of a branch: the work
+       of a cycle does not depend on its data. */
+    const double shortest = (double)(self->config.arc_cycles / SHORTEST);
+    const double longest = (double)self->config.arc_cycles;
+    if ((double)self->arc >= shortest + self->state.accepted * (longest - shortest)) {
         end_arc(self);
         zygos_balance_new_arc(&self->balance);
     }

@@ -49,7 +49,8 @@ def motors(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Eff
         return ()
     longest = max(1, round(arm.impulse_arc_s / arm.period_s))
     arc = numbered(smoothed, longest)
-    position = np.arange(len(arc)) - np.searchsorted(arc, arc)
+    _, first, which = np.unique(arc, return_index=True, return_inverse=True)
+    position = np.arange(len(arc)) - first[which]
     void = doubtful(arm, samples, smoothed, arc, longest)
     names = [*arm.parameter_names, *(effect.column(arm) for effect in estimated(arm, effects))]
     out = []
