@@ -13,7 +13,6 @@ import pytest
 from bench.count import CONFIGURATIONS, main
 from conftest import need
 
-
 NEITHER = "paper, neither compensated nor motor rows"
 
 
