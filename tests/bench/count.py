@@ -162,6 +162,11 @@ def spread(runs: dict[str, Count]) -> int:
     return most if most > RING else 0
 
 
+def shared(runs: dict[str, Count]) -> int:
+    """Turns of ordinary calls that all runs had."""
+    return len(set.intersection(*(set(one.turns[one.kinds == "cycle"].tolist()) for one in runs.values())))
+
+
 def every(folder: Path) -> dict[str, dict[str, Count]]:
     """Counts by configuration and data."""
     program = build(folder)
@@ -199,7 +204,8 @@ def _content(runs: dict[str, Count]) -> dict[str, Any]:
         name: {key: numbers(one.of(key)) for key in KINDS if len(one.of(key))} | {"every": numbers(one.calls)}
         for name, one in runs.items()
     }
-    return {"parameters": next(iter(runs.values())).parameters, "spread_by_data": spread(runs), "data": listed}
+    known = {"parameters": next(iter(runs.values())).parameters, "turns_shared": shared(runs)}
+    return {**known, "spread_by_data": spread(runs), "data": listed}
 
 
 def main(path: Path) -> None:
