@@ -212,9 +212,13 @@ def test_a_log_without_a_counter(
     for i, joint in enumerate(noisy.joints):
         error = got.q[inner, i] - true_angle(at[inner])[:, i]
         assert 0.3 < np.sqrt(np.mean(error**2)) / joint.link_encoder.sigma_rad < 1.1
-    # stamps that lie so far put more noise into the rows than the weakest of the parameters bears
-    assert run("estimate", out / "run.npz", "-o", tmp_path / "m.toml", "--json", tmp_path / "m.json") == 3
-    assert json.loads((tmp_path / "m.json").read_text())["validity"] == "refused"
+    # stamps that lie so far leave little of the bodies; what is said of them holds, and says so
+    assert run("estimate", out / "run.npz", "-o", tmp_path / "m.toml", "--json", tmp_path / "m.json") == 0
+    content = json.loads((tmp_path / "m.json").read_text())
+    assert content["noise_ratio"] > 1.5
+    value, half = (np.array([one[key] for one in content["parameters"]]) for key in ("value", "half95"))
+    assert np.all(np.abs(value - true) <= half)
+    assert np.all(half[:6] > 0.2 * true[:6])
 
     steady, better = jittered(twice, tmp_path, share=0.05), tmp_path / "better"
     assert convert(steady, better / "run.npz", map_file=map_file) == 0

@@ -86,13 +86,27 @@ def test_a_refused_instant_has_its_turn_but_no_row(tmp_path: Path) -> None:
         assert_rows(own.rows, expected(arm, own.joint, arcs))
 
 
-@pytest.mark.parametrize(("flag", "arcs"), [(BREAK_BEFORE, 4), (BREAK_BEFORE | VOID_BEFORE, 3)])
-def test_void_is_the_motor_arc_that_is_open(tmp_path: Path, flag: int, arcs: int) -> None:
+@pytest.mark.parametrize("at", [42, 60, 80])
+def test_turns_begin_anew_behind_a_gap(tmp_path: Path, at: int) -> None:
+    """Three cycles before a gap fill the window, and six behind it fill window and integrals, as at the start."""
+    arm = short(make_arm(tmp_path))
+    cycles = winding(arm.period_s)
+    cycles.flags[at] = BREAK_BEFORE
+    segments = ((FIRST, at - 3), (at + FIRST, LAST + 1))
+    spans = [(origin, min(origin + 25, stop)) for start, stop in segments for origin in range(start, stop, 25)]
+    for own in beside(arm, cycles):
+        arcs = [list(range(start + own.joint, stop, 2)) for start, stop in spans if stop - start >= 20]
+        assert own.arcs == len(arcs)
+        assert_rows(own.rows, expected(arm, own.joint, arcs))
+
+
+def test_void_is_the_motor_arc_that_is_open(tmp_path: Path) -> None:
     """Cycles 6 .. 76 before the break are two full arcs and one of 21 instants; 86 .. 116 behind it one, and six."""
     arm = short(make_arm(tmp_path))
     cycles = winding(arm.period_s)
-    cycles.flags[80] = flag
-    assert [own.arcs for own in beside(arm, cycles)] == [arcs, arcs]
+    for flag, arcs in ((BREAK_BEFORE, 4), (BREAK_BEFORE | VOID_BEFORE, 3)):
+        cycles.flags[80] = flag
+        assert [own.arcs for own in beside(arm, cycles)] == [arcs, arcs]
 
 
 def test_an_arm_may_go_without(tmp_path: Path) -> None:
