@@ -26,7 +26,7 @@ def test_a_cycle_costs_the_same_whatever_its_data(tmp_path: Path, capsys: pytest
     assert set(found) == set(CONFIGURATIONS)
     for name, one in found.items():
         assert one["spread_by_data"] == 0, name
-        assert one["turns_shared"] >= 20, name
+        assert one["turns_shared"] >= 10, f"{name}: hardly a call was compared"
         runs = one["data"]
         assert min(run["cycle"]["calls"] for run in runs.values()) >= 400
         assert runs["random"]["arc"]["calls"] > runs["rest"]["arc"]["calls"], "nothing was refused: no arc ended early"
