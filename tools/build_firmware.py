@@ -2,7 +2,8 @@
 
 Usage: build_firmware.py m7|m4f ELF SOURCE... [-DNAME=VALUE ...] [-O... -f... -I...]
 
-SOURCE holds main() and what it needs beside the library and the port (c/ports/cortex-m): semihosting.h, uart.h, slcan.h.
+SOURCE holds main() and what it needs beside the library and the port (c/ports/cortex-m): core.h,
+semihosting.h, uart.h, slcan.h.
 m7 has a hardware double, m4f a soft one. Options go to the compiler behind the house flags.
 """
 
@@ -16,7 +17,7 @@ from pathlib import Path
 from build_native import FLAGS, ROOT
 
 PORT = ROOT / "c" / "ports" / "cortex-m"
-ROOMS = [*sorted((ROOT / "c").glob("*.c")), *(PORT / f"{noun}.c" for noun in ("startup", "semihosting"))]
+ROOMS = [*sorted((ROOT / "c").glob("*.c")), *(PORT / f"{noun}.c" for noun in ("core", "semihosting"))]
 """The flight library, and what every firmware has. Sections that nobody calls are left out of the image."""
 HOUSE = [flag for flag in FLAGS.split() if flag != "-fPIC"]
 INCLUDES = ["-I", str(ROOT / "include"), "-I", str(PORT)]
