@@ -22,6 +22,7 @@ int uart_read(uart_t *self, uint8_t *out)
     if (state & RECEIVE_OVERRUN) {
         registers->state = RECEIVE_OVERRUN; /* a 1 clears it */
         self->overruns++;
+        return -1;
     }
     if (!(state & RECEIVED)) {
         return 0;

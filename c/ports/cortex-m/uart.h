@@ -32,7 +32,8 @@ typedef struct {
 /// Switches the UART on, its interrupts included.
 void uart_init(uart_t *self, uart_registers_t *registers, uint32_t divider);
 
-/// The receive interrupt: returns 1 and the character, or 0 when none waits. Counts an overrun.
+/// The receive interrupt: returns 1 and the character, 0 when none waits, or -1 when one was lost since the last call,
+/// which is counted; the next call goes on.
 int uart_read(uart_t *self, uint8_t *out);
 
 /// The transmit interrupt: sends the next character, if one waits.
