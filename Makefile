@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 NATIVE := harness/zygos/_native/libzygos.so
-SOURCES := $(wildcard c/*.c c/ports/host/*) $(wildcard include/zygos/*) tools/build_native.py
+SOURCES := $(wildcard c/*.c c/ports/host/*) c/flags.txt $(wildcard include/zygos/*) tools/build_native.py
 C_FILES := $(wildcard c/*.c c/ports/*/*.[ch] include/zygos/*.h tests/fuzz/*.c tests/bench/*.c tools/*.c) \
            $(filter-out %/arm_config.h,$(wildcard examples/onboard/*.[ch]))
 ifdef CI
@@ -117,7 +117,7 @@ format: $(VENV)/.test ## rewrite Python and C in the house style
 	$(BIN)/clang-format -i $(C_FILES)
 
 clean: ## remove everything that was built
-	rm -rf $(VENV) out build harness/zygos/_native harness/*.egg-info
+	rm -rf $(VENV) out build examples/onboard/build harness/zygos/_native harness/*.egg-info
 
 help: ## this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 10

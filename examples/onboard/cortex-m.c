@@ -1,5 +1,5 @@
 /* The flight loop on a Cortex-M: CAN through an slcan adapter on the UART, as the boards that QEMU knows have no CAN.
-   With a CAN controller can_interrupt() is its receive interrupt, and uart.h and slcan.h go. Start-up, interrupts and
+   With a CAN controller, its receive interrupt takes the place of the UART's. Start-up, interrupts and
    UART are those of c/ports/cortex-m. */
 
 #include "core.h"
@@ -17,7 +17,10 @@ void uart_receive_interrupt(void)
     uint8_t character = 0;
     zygos_frame_t frame;
     char answer[SLCAN_TEXT];
-    while (uart_read(&line, &character) == 1) {
+    for (int read = uart_read(&line, &character); read != 0; read = uart_read(&line, &character)) {
+        if (read < 0) {
+            continue; /* the line that lost a character is too short, and is refused */
+        }
         if (slcan_take(&adapter, character, &frame, answer) == 1) {
             flight_receive(&frame);
         }
@@ -65,6 +68,8 @@ int main(void)
     }
     slcan_init(&adapter);
     uart_init(&line, UART_0, BIT_TICKS);
+    core_enable(CORE_UART_RECEIVE);
+    core_enable(CORE_UART_TRANSMIT);
     for (;;) {
         flight_task();
         (void)flight_solve(); /* the ring holds what comes meanwhile */

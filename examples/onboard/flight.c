@@ -8,7 +8,7 @@
 #define RING 64u         /* frames between interrupt and task: ten cycles of this arm */
 #define SOLVE_EVERY 200u /* cycles: ten seconds */
 
-enum kind { TELEMETRY_ESTIMATE = 0, TELEMETRY_SIGMA = 1 };
+enum kind { TELEMETRY_ESTIMATE = 0, TELEMETRY_SIGMA = 1, TELEMETRY_VERDICT = 3 }; /* as in zygos.dbc */
 
 static zygos_t arm;               /* belongs to flight_task() */
 static zygos_work_t work;         /* changes hands by work_is_full */
@@ -115,11 +115,13 @@ static void tell(uint32_t index, enum kind kind, double value)
 /* What to do with an estimate is decided by its validity, before any value is looked at. */
 static void use(void)
 {
+    tell(0, TELEMETRY_VERDICT, estimate.validity);
+    tell(1, TELEMETRY_VERDICT, estimate.reason);
     if (estimate.reason == ZYGOS_REASON_CORRUPT) {
         atomic_store_explicit(&corrupt, 1u, memory_order_release);
     }
     if ((estimate.validity != ZYGOS_VALID) && (estimate.validity != ZYGOS_PARTIAL)) {
-        return; /* doubtful or refused: what was known before is better, and estimate.reason says what to look for */
+        return; /* doubtful or refused: what was known before is better, and the reason says what to look for */
     }
     for (uint32_t i = 0; i < estimate.parameters; i++) {
         if (estimate.identifiable[i] == 1u) {

@@ -12,6 +12,7 @@
 void *memcpy(void *to, const void *from, size_t size);
 void *memmove(void *to, const void *from, size_t size);
 void *memset(void *to, int value, size_t size);
+int memcmp(const void *a, const void *b, size_t size);
 int64_t __fixdfdi(double value);
 uint64_t __fixunsdfdi(double value);
 double __floatundidf(uint64_t value);
@@ -42,6 +43,17 @@ void *memset(void *to, int value, size_t size)
         ((unsigned char *)to)[i] = (unsigned char)value;
     }
     return to;
+}
+
+int memcmp(const void *a, const void *b, size_t size)
+{
+    for (size_t i = 0; i < size; i++) {
+        const int difference = (int)((const unsigned char *)a)[i] - (int)((const unsigned char *)b)[i];
+        if (difference != 0) {
+            return difference;
+        }
+    }
+    return 0;
 }
 
 uint64_t __fixunsdfdi(double value)
