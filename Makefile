@@ -15,6 +15,7 @@ endif
 BUILD  ?= build
 PREFIX ?= /usr/local
 LIBRARY := $(BUILD)/libzygos.a
+NODE := $(BUILD)/zygos-node
 OBJECTS := $(patsubst c/%.c,$(BUILD)/objects/%.o,$(wildcard c/*.c))
 HEADERS := $(notdir $(wildcard include/zygos/*.h))
 DATABASES := $(notdir $(wildcard include/zygos/*.dbc))
@@ -30,7 +31,7 @@ $(error CAPACITIES holds $(filter-out -DZYGOS_%,$(CAPACITIES)), which is no capa
 endif
 
 .DEFAULT_GOAL := demo
-.PHONY: demo build library install uninstall FORCE test hil gap count accuracy demo-log lint format warnings clean help
+.PHONY: demo build library install uninstall FORCE node test hil gap count accuracy demo-log lint format warnings clean help
 
 demo: build ## set up, run the paper's example over CAN, show the result (out/demo/report.html)
 	$(BIN)/python -m zygos.demo
@@ -87,10 +88,16 @@ uninstall: ## remove what install put there (same PREFIX and DESTDIR)
 		lib/cmake/zygos/zygosConfig.cmake lib/cmake/zygos/zygosConfigVersion.cmake
 	cd "$$TO" && for folder in include/zygos share/zygos lib/cmake/zygos; do rmdir $$folder 2>/dev/null || true; done
 
-test: build $(VENV)/.test ## unit, bus, fuzz and bench tests, a process for each core
+node: $(NODE) ## build build/zygos-node, the flight node for SocketCAN (docs/node.md)
+
+$(NODE): $(LIBRARY) $(wildcard c/ports/linux/*.[ch] include/zygos/*.h)
+	$(COMPILE) -D_GNU_SOURCE $(filter %.c,$^) $(LIBRARY) -lm -o $@.partial
+	mv $@.partial $@
+
+test: build node $(VENV)/.test ## unit, bus, fuzz and bench tests, a process for each core
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile tests/unit tests/bus tests/fuzz tests/bench
 
-hil: build $(VENV)/.test ## the example across a real vcan (the kernel's, or User-Mode Linux)
+hil: build node $(VENV)/.test ## the example across a real vcan (the kernel's, or User-Mode Linux)
 	tools/with-vcan $(BIN)/python -m pytest tests/hil
 
 gap: build $(VENV)/.test ## hide effects in a MuJoCo plant, explain them, score the verdicts (out/gap.json; 20 minutes)
