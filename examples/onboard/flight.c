@@ -5,7 +5,7 @@
 #include <stdatomic.h>
 #include <stddef.h>
 
-#define RING 64u         /* frames between interrupt and task: ten cycles of this arm */
+#define RING 256u        /* frames between interrupt and task: 40 cycles of this arm */
 #define SOLVE_EVERY 200u /* cycles: ten seconds */
 
 enum kind { TELEMETRY_ESTIMATE = 0, TELEMETRY_SIGMA = 1, TELEMETRY_VERDICT = 3 }; /* as in zygos.dbc */
