@@ -152,6 +152,67 @@ def test_a_payload_starts_the_bodies_anew(program: Path, frames: NDArray[Any], a
     assert found == expected.found
 
 
+# A solver that answers as it is told, in place of the library's; it is interrupted while it solves for the fourth time.
+SOLVER = """
+#include "flight.h"
+#include <string.h>
+
+static int calls;
+static double accepted[5]; /* instants in the sums that each was given */
+
+int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
+{
+    static const uint32_t validity[] = { ZYGOS_PARTIAL, ZYGOS_DOUBTFUL, ZYGOS_REFUSED, ZYGOS_VALID, ZYGOS_VALID };
+    memset(out, 0, sizeof *out);
+    out->cycle = work->cycle;
+    out->parameters = 12;
+    out->validity = validity[calls];
+    out->reason = (out->validity == ZYGOS_REFUSED) ? ZYGOS_REASON_CORRUPT : ZYGOS_REASON_NONE;
+    for (uint32_t i = 0; i < 12; i++) {
+        out->identifiable[i] = (uint32_t)((calls > 0) || (i % 2 == 0));
+        out->value[i] = 100.0 * (calls + 1) + i;
+    }
+    if (calls == 3) {
+        zygos_frame_t changed = { .id = FLIGHT_PAYLOAD_CHANGED };
+        flight_receive(&changed);
+        flight_task();
+    }
+    accepted[calls] = (double)work->accumulator.accepted;
+    if (calls == 4) {
+        out->value[0] = accepted[3];
+        out->value[1] = accepted[4];
+    }
+    calls++;
+    return 1;
+}
+"""
+
+
+def test_what_is_believed_follows_from_validity(program: Path, frames: NDArray[Any], arm: Arm, tmp_path: Path) -> None:
+    (tmp_path / "solver.c").write_text(SOLVER)
+    zygos = program.parent / "zygos"
+    flags = run(
+        [tool("pkg-config"), "--cflags", "--libs", "zygos"],
+        tmp_path,
+        PKG_CONFIG_LIBDIR=str(zygos / "lib" / "pkgconfig"),
+    ).split()
+    sources = [str(EXAMPLE / "flight.c"), str(EXAMPLE / "host.c"), "solver.c"]
+    run([tool("gcc"), "-std=c11", f"-I{EXAMPLE}", *sources, *flags, "-o", "scripted"], tmp_path)
+    text = run([str(tmp_path / "scripted"), str(log_of(frames, arm, tmp_path))], tmp_path)
+    known = {cycle: {i: value for i, (value, _) in row[2].items()} for cycle, row in estimates(text).items()}
+    partial = {i: 100.0 + i for i in range(0, 12, 2)}
+    assert known[199] == known[399] == known[599] == partial  # what is doubtful or refused replaces nothing
+    assert 799 not in known  # of the payload that was there before
+    values = known[999]
+    # The sums began anew at cycle 600, of corrupt memory, and at 800, of another payload: less a window and three.
+    assert values == {i: 200.0 - 2 * 5 - 3 if i < 2 else 500.0 + i for i in range(12)}
+    verdicts = [bytes.fromhex(line[5:]) for line in telemetry(text) if line[11:13] == "03"]
+    assert [(data[2], np.frombuffer(data[4:], "<f4")[0]) for data in verdicts[4:6]] == [
+        (0, lib.ZYGOS_REFUSED),
+        (1, lib.ZYGOS_REASON_CORRUPT),
+    ]
+
+
 def test_a_stored_state_goes_on(program: Path, frames: NDArray[Any], arm: Arm, tmp_path: Path) -> None:
     half = int(np.flatnonzero(frames["id"] == 0x080)[650])
     first, second = log_of(frames[:half], arm, tmp_path, "a.log"), log_of(frames[half:], arm, tmp_path, "b.log")
