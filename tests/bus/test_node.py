@@ -386,16 +386,24 @@ def test_silence_ends_it_where_asked(config: Path, frames: Log, tmp_path: Path) 
     assert state.exists()
 
 
-def test_the_other_end_closes(config: Path, frames: Log, arm: Arm, tmp_path: Path) -> None:
+@pytest.mark.parametrize("heard", [True, False])
+def test_the_other_end_closes(heard: bool, config: Path, frames: Log, arm: Arm, tmp_path: Path) -> None:
+    """What it has sent is worked off, whether or not it has read what it was sent."""
     state = tmp_path / "state.zyg"
     with Node("--config", config, "--state", state) as node:
-        node.send(frames[:700])
-        node.listen()
-        node.near.shutdown(socket.SHUT_WR)
-        code, _, said = node.wait()
-    assert (code, said) == (0, "")
+        node.process.send_signal(signal.SIGSTOP)
+        for frame in frames[:200]:
+            node.near.send(packet(frame))
+        if heard:
+            node.near.shutdown(socket.SHUT_WR)
+        else:
+            node.near.close()
+        node.process.send_signal(signal.SIGCONT)
+        out, said = node.process.communicate(timeout=60)
+    assert (node.process.returncode, said) == (0, "")
+    assert "fault_crc" in out
     flight = Flight(arm)
-    flight.frames(frames[:700])
+    flight.frames(frames[:200])
     assert saved(state) == image(flight)
 
 
