@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from pil.pil_support import Comparison, Sizes, need_tools
 
+from pil.pil_support import Comparison, Sizes, need_tools
 from zygos.output import table
 
 Agree = Callable[[str, str, str, Comparison], None]

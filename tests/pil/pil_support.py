@@ -1,5 +1,5 @@
-"""What the tests on an emulated Cortex-M share: builds of firmware and of the host's library at the same capacities, runs
-of both on the same vectors, and a comparison that names the first byte that differs."""
+"""What the tests on an emulated Cortex-M share: firmware and the host's library at the same capacities, runs of both on
+the same vectors, and a comparison that names the first byte that differs."""
 
 from __future__ import annotations
 
@@ -21,9 +21,14 @@ from numpy.typing import NDArray
 
 from conftest import ROOT, need
 from zygos import flight
+from zygos.arm import Arm, load_arm
+from zygos.cycles import Cycles
+from zygos.model import load_model
+from zygos.plant import simulate
+from zygos.scenario import load_scenario
 
 sys.path.insert(0, str(ROOT / "tools"))
-import build_firmware  # noqa: E402
+import build_firmware
 
 HERE = Path(__file__).parent
 PORT = build_firmware.PORT
@@ -48,6 +53,23 @@ class Build:
 PAPER = Build("two joints", ("-DZYGOS_MAX_JOINTS=2", "-DZYGOS_SPATIAL=0"))
 SPATIAL = Build("three joints in space", ("-DZYGOS_MAX_JOINTS=3", "-DZYGOS_MAX_BLOCKS=8"))
 SEVEN = Build("seven joints in space", ("-DZYGOS_MAX_JOINTS=7", "-DZYGOS_MAX_BLOCKS=8"))
+
+
+PATIENT = Build("two joints, long queue", (*PAPER.defines, "-DZYGOS_CYCLE_QUEUE=1024"))
+"""Nothing is lost however fast the frames come."""
+BUILDS = {"paper": PAPER, "spatial": SPATIAL, "seven": SEVEN}
+DURATION_S = {"paper": 60.0, "spatial": 1.2, "seven": 1.6}
+"""1,200 cycles, 600 and 400."""
+
+
+@functools.cache
+def recorded(example: str) -> tuple[Arm, Cycles]:
+    """The motion of an example, with noise; bits need no accurate plant."""
+    folder = ROOT / "examples" / example
+    arm, scenario = load_arm(folder / "arm.toml"), load_scenario(folder / "scenario.toml")
+    model = load_model(folder / "model.toml")
+    run = simulate(arm, model, scenario, noise=True, duration_s=DURATION_S[example], rtol=1e-6, atol=1e-8)
+    return arm, run.cycles()
 
 
 @dataclass(frozen=True)
@@ -142,11 +164,12 @@ def on_host(config: Any, sections: Sequence[Section]) -> list[Record]:
 def firmware(
     folder: Path, target: str, program: str, build: Build, flags: tuple[str, ...] = (), drill: str | None = None
 ) -> Path:
-    """Build firmware whose main() is in c/ports/cortex-m/PROGRAM.c into folder, once a process.
+    """Build firmware whose main() is in PROGRAM.c, here or in c/ports/cortex-m, into folder, once a process.
 
     drill: a source in this folder whose __wrap_ functions stand before those of the firmware.
     """
-    sources = [PORT / f"{noun}.c" for noun in (program, "slcan", "uart")]
+    own = HERE / f"{program}.c"
+    sources = [own if own.exists() else PORT / own.name, PORT / "slcan.c", PORT / "uart.c"]
     wrapped: list[str] = []
     if drill:
         sources.append(HERE / f"{drill}.c")
