@@ -5,7 +5,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 NATIVE := harness/zygos/_native/libzygos.so
 SOURCES := $(wildcard c/*.c c/ports/host/*) c/flags.txt $(wildcard include/zygos/*) tools/build_native.py
-C_FILES := $(wildcard c/*.c c/ports/*/*.[ch] include/zygos/*.h tests/fuzz/*.c tests/bench/*.c tools/*.c) \
+C_FILES := $(wildcard c/*.c c/ports/*/*.[ch] include/zygos/*.h tests/fuzz/*.c tests/bench/*.c tests/pil/*.c tools/*.c) \
            $(filter-out %/arm_config.h,$(wildcard examples/onboard/*.[ch]))
 ifdef CI
 export CFLAGS += -Werror
@@ -31,7 +31,7 @@ $(error CAPACITIES holds $(filter-out -DZYGOS_%,$(CAPACITIES)), which is no capa
 endif
 
 .DEFAULT_GOAL := demo
-.PHONY: demo build library install uninstall FORCE node test hil gap count accuracy demo-log lint format warnings clean help
+.PHONY: demo build library install uninstall FORCE node test hil pil gap count accuracy demo-log lint format warnings clean help
 
 demo: build ## set up, run the paper's example over CAN, show the result (out/demo/report.html)
 	$(BIN)/python -m zygos.demo
@@ -99,6 +99,9 @@ test: build node $(VENV)/.test ## unit, bus, fuzz and bench tests, a process for
 
 hil: build node $(VENV)/.test ## the example across a real vcan (the kernel's, or User-Mode Linux)
 	tools/with-vcan $(BIN)/python -m pytest tests/hil
+
+pil: build $(VENV)/.test ## the library as firmware on an emulated Cortex-M7 and Cortex-M4F: the host's bits (QEMU)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile tests/pil
 
 gap: build $(VENV)/.test ## hide effects in a MuJoCo plant, explain them, score the verdicts (out/gap.json; 20 minutes)
 	PYTHONPATH=tests $(BIN)/python -m oracles.campaign

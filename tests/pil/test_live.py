@@ -232,7 +232,7 @@ def test_a_task_that_is_held_up(target: str, builds: Path, tmp_path: Path, agree
     """The queue runs over: as many cycles as were lost are counted, the arc ends, and the rest is as on the host."""
     with capacities(builds, PAPER):
         arm, frames = the_run()
-        frames = frames[: np.flatnonzero(frames["id"] == 0x080)[400] + 1]
+        frames = frames[: np.flatnonzero(frames["id"] == 0x080)[100] + 1]
         with (
             running(builds, tmp_path, target, PAPER, Flight(arm), drill="drill_stall") as live,
             listening(live) as (line, _),
@@ -246,21 +246,21 @@ def test_a_task_that_is_held_up(target: str, builds: Path, tmp_path: Path, agree
         state = flight.ffi.from_buffer("zygos_t *", found)
         lost = state.receiver.faults.overrun
         assert lost >= 5
-        assert state.cycles == 400 - lost
+        assert state.cycles == 100 - lost
         assert state.gaps == 1
         expected = held_up(arm, frames, lost)
         agree(target, "paper, task held up", f"{lost} cycles lost", compare([expected], [Record("image", found)]))
 
 
 def held_up(arm: Arm, frames: NDArray[Any], lost: int) -> Record:
-    """zygos_t of the host when nothing is worked off from the 300th cycle until so many cycles are lost."""
+    """zygos_t of the host when nothing is worked off from the 60th cycle until so many cycles are lost."""
     ffi, lib = flight.ffi, flight.lib
     state = ffi.new("zygos_t *")
     assert lib.zygos_init(state, flight.config_of(arm)) == 1
     native = ffi.from_buffer("zygos_frame_t[]", frames.tobytes())
     for k in range(len(frames)):
         lib.zygos_frame(state, native + k)
-        while (state.cycles != 300 or state.receiver.faults.overrun >= lost) and lib.zygos_step(state) == 1:
+        while (state.cycles != 60 or state.receiver.faults.overrun >= lost) and lib.zygos_step(state) == 1:
             pass
     return Record("image", bytes(ffi.buffer(state)))
 
