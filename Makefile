@@ -90,8 +90,8 @@ uninstall: ## remove what install put there (same PREFIX and DESTDIR)
 
 node: $(NODE) ## build build/zygos-node, the flight node for SocketCAN (docs/node.md)
 
-$(NODE): $(LIBRARY) $(wildcard c/ports/linux/*.[ch] include/zygos/*.h)
-	$(COMPILE) -D_GNU_SOURCE $(filter %.c,$^) $(LIBRARY) -lm -o $@.partial
+$(NODE): $(LIBRARY) $(wildcard c/ports/linux/*.[ch] c/ports/telemetry/* include/zygos/*.h)
+	$(COMPILE) -D_GNU_SOURCE -Ic/ports/telemetry $(filter %.c,$^) $(LIBRARY) -lm -o $@.partial
 	mv $@.partial $@
 
 test: build node $(VENV)/.test ## unit, bus, fuzz and bench tests, a process for each core

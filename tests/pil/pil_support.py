@@ -169,7 +169,7 @@ def firmware(
     drill: a source in this folder whose __wrap_ functions stand before those of the firmware.
     """
     own = HERE / f"{program}.c"
-    sources = [own if own.exists() else PORT / own.name, PORT / "slcan.c", PORT / "uart.c"]
+    sources = [own if own.exists() else PORT / own.name]
     wrapped: list[str] = []
     if drill:
         sources.append(HERE / f"{drill}.c")
