@@ -1,0 +1,83 @@
+"""Puts frames on a SocketCAN interface, in a process of its own: python sender.py CHANNEL PACE < frames.
+
+Each frame on stdin is a double, when it is due in seconds, and a `struct can_frame`. Only the standard library is used, so
+that it starts at once and nothing else waits for it. On stdout: what was sent and how it went, as JSON.
+
+PACE real: each frame when it is due. fast: as soon as the device under test has answered all but the newest SYNCs, and in
+the end until it has answered all of them. flood: at once, whatever becomes of them.
+"""
+
+import errno
+import json
+import select
+import socket
+import struct
+import sys
+import time
+from collections import deque
+
+RECORD = struct.Struct("=d16s")
+CAN_FRAME = struct.Struct("=IB3x8s")
+SYNC = 0x080
+TELEMETRY = 0x1A0
+UNANSWERED = 12
+"""SYNCs under way at most, each with its cycle's frames. A socket's buffer of default size holds 278 frames; the counter
+of an answer is that of its SYNC modulo 16."""
+PATIENCE_S = 20.0
+"""Without an answer for that long there is none. A guest in emulation is slow to start."""
+
+
+def main(channel: str, pace: str) -> None:
+    """Send what stands on stdin."""
+    raw = sys.stdin.buffer.read()
+    records = [RECORD.unpack_from(raw, at) for at in range(0, len(raw), RECORD.size)]
+    with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as can:
+        exact = TELEMETRY, socket.CAN_SFF_MASK | socket.CAN_EFF_FLAG | socket.CAN_RTR_FLAG
+        can.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, struct.pack("=II", *exact))
+        can.bind((channel,))
+        unanswered: deque[int] = deque()
+        begin = time.monotonic()
+        latest = 0.0
+        for due, frame in records:
+            word, _, data = CAN_FRAME.unpack(frame)
+            if pace == "real":
+                wait = begin + due - time.monotonic()
+                if wait > 0.0:
+                    time.sleep(wait)
+                latest = max(latest, -wait)
+            if pace == "fast" and word == SYNC:
+                hear(can, unanswered, UNANSWERED - 1)
+                unanswered.append(data[0] % 16)
+            put(can, frame)
+        if pace == "fast":
+            hear(can, unanswered, 0)
+        took = time.monotonic() - begin
+    json.dump({"frames": len(records), "seconds": took, "latest_s": latest}, sys.stdout)
+
+
+def hear(can: socket.socket, unanswered: "deque[int]", most: int) -> None:
+    """Take answers until no more than `most` SYNCs are without one."""
+    while len(unanswered) > most:
+        if not select.select([can], [], [], PATIENCE_S)[0]:
+            sys.exit(f"no answer (frame 0x{TELEMETRY:X}) to a SYNC for {PATIENCE_S:g} s")
+        _, _, data = CAN_FRAME.unpack(can.recv(CAN_FRAME.size))
+        counter = data[1] % 16
+        if counter in unanswered:
+            while unanswered.popleft() != counter:
+                pass
+
+
+def put(can: socket.socket, frame: bytes) -> None:
+    """Send a frame; wait where the interface's queue is full, as that of a controller may be."""
+    while True:
+        try:
+            can.send(frame)
+            return
+        except OSError as error:
+            if error.errno != errno.ENOBUFS:
+                raise
+            time.sleep(1e-4)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
