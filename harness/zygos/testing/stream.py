@@ -33,8 +33,12 @@ class Stream:
     @classmethod
     def of(cls, arm: Arm, cycles: Cycles) -> Stream:
         """Encode a run. Behind its n cycles comes the SYNC of cycle n, which closes the last one."""
-        frames = encode(arm, cycles)
-        return cls(arm, frames, np.cumsum(frames["id"] == SYNC) - 1)
+        return cls.recorded(arm, encode(arm, cycles))
+
+    @classmethod
+    def recorded(cls, arm: Arm, frames: NDArray[Any]) -> Stream:
+        """Frames as they were on a bus, `FRAME` records (n,): each SYNC begins a cycle, good or not."""
+        return cls(arm, frames, np.maximum(np.cumsum(frames["id"] == SYNC) - 1, 0))
 
     def __len__(self) -> int:
         """Number of frames."""

@@ -1,0 +1,162 @@
+"""The device under test: zygos-node in a process of its own, or whatever answers on the channel."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import can
+import pytest
+from cantools.database.can import Database
+
+from zygos import snapshot
+from zygos.arm import Arm
+from zygos.bus import open_bus
+from zygos.dbc import arm_database
+from zygos.errors import ZygosError
+from zygos.flight import Flight, ffi
+from zygos.testing.stream import Stream
+
+EXTERNAL = "external"
+"""Instead of a command: the device is there already, and is not ours to start and stop."""
+TELEMETRY, HEARTBEAT = 0x1A0, 0x720
+EVERY = 12
+"""SYNCs from one estimate of zygos-node to the next: few enough that a plant at pace "fast" never waits for nothing."""
+PATIENCE_S = 30.0
+"""For a process to start or to end. A guest in emulation is slow."""
+
+
+class Dut:
+    """The device, and a twin of it: the C library in this process, which is given the same frames.
+
+    What a test asks for that needs a device of our own ends the test as *not evaluated* (`own`).
+    """
+
+    def __init__(self, arm: Arm, channel: str, command: str, folder: Path) -> None:
+        """Command: what starts the device, or EXTERNAL. folder: where its files are. It is not started."""
+        self.arm, self.channel, self.command, self.folder = arm, channel, command, folder
+        self.twin = Flight(arm)
+        self.answers: list[can.Message] = []
+        self.record: dict[str, Any] = {}
+        self._process: subprocess.Popen[bytes] | None = None
+        self._database: Database = arm_database(arm)
+
+    def __enter__(self) -> Dut:
+        """Begin to listen."""
+        filters = [{"can_id": i, "can_mask": 0x7FF, "extended": False} for i in (TELEMETRY, HEARTBEAT)]
+        self._bus = open_bus("socketcan", self.channel)
+        self._bus.set_filters(filters)
+        self._notifier = can.Notifier(self._bus, [self.answers.append], timeout=0.2)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Listen no more, and end a device of our own."""
+        self._notifier.stop()
+        self._bus.shutdown()
+        self._end()
+
+    def renew(self) -> None:
+        """Forget what was; a device of our own and its state as well. An external one goes on as it is."""
+        self.answers.clear()
+        self.record = {"frames": 0, "expected": None, "found": None}
+        if not self.external:
+            self._end()
+            self.state.unlink(missing_ok=True)
+            self.twin = Flight(self.arm)
+
+    def _end(self) -> None:
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+            self._process = None
+
+    @property
+    def external(self) -> bool:
+        """Whether it is somebody else's."""
+        return self.command == EXTERNAL
+
+    def own(self, what: str) -> None:
+        """Say that a test needs a device of our own; with another one the test ends here, not evaluated."""
+        if self.external:
+            pytest.skip(f"not evaluated: {what}, which nobody can do to an external device")
+
+    @property
+    def state(self) -> Path:
+        """The file of its saved state."""
+        return self.folder / "state.zyg"
+
+    def start(self) -> None:
+        """Start it, from its saved state if there is one. An external one is there: nothing happens.
+
+        Errors: ZygosError if there is no such command, or it ends at once.
+        """
+        if self.external:
+            return
+        node = shutil.which(self.command)
+        if node is None:
+            raise ZygosError(f"there is no {self.command}; remedy: make node, or --zygos-dut {EXTERNAL}")
+        blob, said = self.folder / "arm.zyg", self.folder / "stderr"
+        self.twin = Flight(self.arm)
+        snapshot.write(blob, "configuration", ffi.addressof(self.twin.native, "config"))
+        if self.state.exists():
+            snapshot.resume(self.twin, self.state)  # as the device will
+        command = [node, "--config", blob, "-i", self.channel, "--state", self.state, "--every", str(EVERY)]
+        with said.open("wb") as errors, (self.folder / "stdout").open("wb") as out:
+            self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=out, stderr=errors)
+        deadline = time.monotonic() + PATIENCE_S
+        while b"listening on" not in said.read_bytes():
+            if self._process.poll() is not None or time.monotonic() > deadline:
+                self.kill()
+                raise ZygosError(
+                    f"{self.command} does not listen: {said.read_text(errors='replace').strip() or 'it says nothing'}; "
+                    f"remedy: see whether interface {self.channel} is up"
+                )
+            time.sleep(0.002)
+
+    @property
+    def process(self) -> subprocess.Popen[bytes]:
+        """The process. Errors: ZygosError if it was not started."""
+        if self._process is None:
+            raise ZygosError("the device under test does not run; remedy: dut.start()")
+        return self._process
+
+    def stop(self) -> dict[str, int]:
+        """End it in order (SIGTERM): it saves its state. Returns the counters that it then says.
+
+        Errors: ZygosError if it does not end, or not in order.
+        """
+        self.own("stopping it")
+        self.process.send_signal(signal.SIGTERM)
+        try:
+            status = self.process.wait(PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            self.kill()
+            raise ZygosError(f"{self.command} does not end; remedy: see {self.folder}") from None
+        self._process = None
+        if status:
+            said = (self.folder / "stderr").read_text(errors="replace").strip()
+            raise ZygosError(f"{self.command} ended with status {status}: {said}; remedy: see {self.folder}")
+        return dict(_counters((self.folder / "stdout").read_text(encoding="utf-8")))
+
+    def kill(self) -> None:
+        """End it at once (SIGKILL)."""
+        self.own("killing it")
+        self.process.kill()
+        self._end()
+
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """Let it stand still (SIGSTOP) for a while, as a task does that is kept from running."""
+        self.own("holding it")
+        os.kill(self.process.pid, signal.SIGSTOP)
+        try:
+            yield
+        finally:
+            os.kill(self.process.pid, signal.SIGCONT)
