@@ -12,6 +12,7 @@ from typing import Any
 
 import can
 import pytest
+from rich.markup import escape
 
 from zygos.bus import open_bus
 from zygos.errors import ZygosError
@@ -92,7 +93,10 @@ def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> Non
         return
     table(
         ("drill", "frames", "faults expected", "found", "verdict"),
-        [(r["drill"], f"{r['frames']:,}", _listed(r["expected"]), _listed(r["found"]), r["verdict"]) for r in rows],
+        [
+            (escape(r["drill"]), f"{r['frames']:,}", _listed(r["expected"]), _listed(r["found"]), r["verdict"])
+            for r in rows
+        ],
     )
     path = config.getoption("--zygos-json")
     if path:
@@ -103,4 +107,4 @@ def _listed(counts: dict[str, int] | None) -> str:
     """Counters in a cell."""
     if counts is None:
         return "–"
-    return ", ".join(f"{name} {count}" for name, count in counts.items()) or "none"
+    return ", ".join(f"{name} {count}" for name, count in sorted(counts.items())) or "none"

@@ -22,6 +22,7 @@ from zygos.bus import open_bus
 from zygos.dbc import arm_database
 from zygos.errors import ZygosError
 from zygos.flight import Flight, ffi
+from zygos.testing.oracle import counted, disagreement
 from zygos.testing.stream import Stream
 
 EXTERNAL = "external"
@@ -31,6 +32,8 @@ EVERY = 12
 """SYNCs from one estimate of zygos-node to the next: few enough that a plant at pace "fast" never waits for nothing."""
 PATIENCE_S = 30.0
 """For a process to start or to end. A guest in emulation is slow."""
+QUIET_S = 0.3
+"""A device that has not answered for so long has no more to say."""
 
 
 class Dut:
@@ -43,7 +46,7 @@ class Dut:
         """Command: what starts the device, or EXTERNAL. folder: where its files are. It is not started."""
         self.arm, self.channel, self.command, self.folder = arm, channel, command, folder
         self.twin = Flight(arm)
-        self.answers: list[can.Message] = []
+        self._answers: list[can.Message] = []
         self.record: dict[str, Any] = {}
         self._process: subprocess.Popen[bytes] | None = None
         self._database: Database = arm_database(arm)
@@ -53,7 +56,7 @@ class Dut:
         filters = [{"can_id": i, "can_mask": 0x7FF, "extended": False} for i in (TELEMETRY, HEARTBEAT)]
         self._bus = open_bus("socketcan", self.channel)
         self._bus.set_filters(filters)
-        self._notifier = can.Notifier(self._bus, [self.answers.append], timeout=0.2)
+        self._notifier = can.Notifier(self._bus, [self._answers.append], timeout=0.2)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -64,7 +67,7 @@ class Dut:
 
     def renew(self) -> None:
         """Forget what was; a device of our own and its state as well. An external one goes on as it is."""
-        self.answers.clear()
+        self._answers.clear()
         self.record = {"frames": 0, "expected": None, "found": None}
         if not self.external:
             self._end()
@@ -151,6 +154,21 @@ class Dut:
         self.process.kill()
         self._end()
 
+    def telemetry(self) -> list[can.Message]:
+        """Its telemetry frames so far."""
+        return [message for message in self._answers if message.arbitration_id == TELEMETRY]
+
+    def heartbeats(self) -> list[can.Message]:
+        """Its heartbeats so far."""
+        return [message for message in self._answers if message.arbitration_id == HEARTBEAT]
+
+    def settle(self) -> None:
+        """Wait until it has said nothing new for a while: it has worked off what it was sent."""
+        known = -1
+        while known < len(self.telemetry()):
+            known = len(self.telemetry())
+            time.sleep(QUIET_S)
+
     @contextmanager
     def paused(self) -> Iterator[None]:
         """Let it stand still (SIGSTOP) for a while, as a task does that is kept from running."""
@@ -160,3 +178,37 @@ class Dut:
             yield
         finally:
             os.kill(self.process.pid, signal.SIGCONT)
+
+    def judge(self, *streams: Stream, **expected: int) -> None:
+        """Hold the device against what it must be, having heard the last of the streams since its start.
+
+        expected: the faults that the drill makes by its own reckoning, 0 where not named. streams: what the estimate
+        rests on, in order; those before the last one were heard by the device in earlier lives.
+
+        A device of our own is stopped. Its saved state must be that of the C library in each byte; its counters the
+        expected ones, for a single stream those of the numpy reference, too; its estimate numpy's over the cycles
+        that survived. Raises AssertionError.
+        """
+        wanted = {name: count for name, count in expected.items() if count}
+        self.record |= {"frames": sum(map(len, streams)), "expected": wanted}
+        self.twin.frames(streams[-1].frames)
+        self.stop()
+        device = Flight(self.arm)
+        device.native = snapshot.read(self.state, "state")
+        found = {name: count for name, count in device.faults.items() if count}
+        self.record["found"] = found
+        assert found == wanted, f"the device counts {found}, not {wanted}"
+        if len(streams) == 1:
+            reference = counted(streams[0])
+            assert reference == wanted, f"the reference counts {reference}, not {wanted}"
+        assert self.state.read_bytes() == snapshot.seal("state", self.twin.native), "the state is not the library's"
+        off = disagreement(device.estimate(), *streams)
+        assert off <= 1.0, f"the estimate is off by {off:.3g} tolerances"
+
+
+def _counters(text: str) -> Iterator[tuple[str, int]]:
+    """Lines that consist of a name and a number."""
+    for line in text.splitlines():
+        words = line.split()
+        if len(words) == 2 and words[1].isdigit():
+            yield words[0], int(words[1])

@@ -47,6 +47,8 @@ class Plant:
 
     scenario: Scenario
     channel: str
+    patience_s: float = 20.0
+    """How long the device may take for an answer. A guest in emulation is slow."""
 
     @cached_property
     def arm(self) -> Arm:
@@ -75,7 +77,7 @@ class Plant:
 
         Errors: ZygosError if there is no such channel, if it refuses a frame, or if no answer comes.
         """
-        command = [sys.executable, "-I", str(_SENDER), self.channel, pace]
+        command = [sys.executable, "-I", str(_SENDER), self.channel, pace, str(self.patience_s)]
         done = subprocess.run(command, input=_packed(stream), capture_output=True, check=False)
         if done.returncode:
             said = done.stderr.decode(errors="replace").strip().splitlines()

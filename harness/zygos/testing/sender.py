@@ -1,10 +1,11 @@
-"""Puts frames on a SocketCAN interface, in a process of its own: python sender.py CHANNEL PACE < frames.
+"""Puts frames on a SocketCAN interface, in a process of its own: python sender.py CHANNEL PACE PATIENCE < frames.
 
 Each frame on stdin is a double, when it is due in seconds, and a `struct can_frame`. Only the standard library is used, so
 that it starts at once and nothing else waits for it. On stdout: what was sent and how it went, as JSON.
 
 PACE real: each frame when it is due. fast: as soon as the device under test has answered all but the newest SYNCs, and in
-the end until it has answered all of them. flood: at once, whatever becomes of them.
+the end until it has answered all of them; without an answer for PATIENCE seconds there is none. flood: at once,
+whatever becomes of them.
 """
 
 import errno
@@ -23,11 +24,9 @@ TELEMETRY = 0x1A0
 UNANSWERED = 12
 """SYNCs under way at most, each with its cycle's frames. A socket's buffer of default size holds 278 frames; the counter
 of an answer is that of its SYNC modulo 16."""
-PATIENCE_S = 20.0
-"""Without an answer for that long there is none. A guest in emulation is slow to start."""
 
 
-def main(channel: str, pace: str) -> None:
+def main(channel: str, pace: str, patience: str) -> None:
     """Send what stands on stdin."""
     raw = sys.stdin.buffer.read()
     records = [RECORD.unpack_from(raw, at) for at in range(0, len(raw), RECORD.size)]
@@ -46,20 +45,20 @@ def main(channel: str, pace: str) -> None:
                     time.sleep(wait)
                 latest = max(latest, -wait)
             if pace == "fast" and word == SYNC:
-                hear(can, unanswered, UNANSWERED - 1)
+                hear(can, unanswered, UNANSWERED - 1, float(patience))
                 unanswered.append(data[0] % 16)
             put(can, frame)
         if pace == "fast":
-            hear(can, unanswered, 0)
+            hear(can, unanswered, 0, float(patience))
         took = time.monotonic() - begin
     json.dump({"frames": len(records), "seconds": took, "latest_s": latest}, sys.stdout)
 
 
-def hear(can: socket.socket, unanswered: "deque[int]", most: int) -> None:
+def hear(can: socket.socket, unanswered: "deque[int]", most: int, patience_s: float) -> None:
     """Take answers until no more than `most` SYNCs are without one."""
     while len(unanswered) > most:
-        if not select.select([can], [], [], PATIENCE_S)[0]:
-            sys.exit(f"no answer (frame 0x{TELEMETRY:X}) to a SYNC for {PATIENCE_S:g} s")
+        if not select.select([can], [], [], patience_s)[0]:
+            sys.exit(f"no answer (frame 0x{TELEMETRY:X}) to a SYNC for {patience_s:g} s")
         _, _, data = CAN_FRAME.unpack(can.recv(CAN_FRAME.size))
         counter = data[1] % 16
         if counter in unanswered:
