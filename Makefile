@@ -5,13 +5,16 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 NATIVE := harness/zygos/_native/libzygos.so
 SOURCES := $(wildcard c/*.c c/ports/host/*) $(wildcard include/zygos/*) tools/build_native.py
+NODE := build/zygos-node
+NODE_SOURCES := $(wildcard c/*.c c/ports/linux/*.c)
+C_FLAGS := -std=c11 -O2 -ffp-contract=off -fno-math-errno -Wall -Wextra -Wconversion -Wsign-conversion -Wdouble-promotion -Wshadow -pedantic
 C_FILES := $(wildcard c/*.c c/ports/*/*.[ch] include/zygos/*.h tests/fuzz/*.c tests/bench/*.c tools/*.c)
 ifdef CI
 export CFLAGS += -Werror
 endif
 
 .DEFAULT_GOAL := demo
-.PHONY: demo build test hil gap count accuracy demo-log lint format warnings clean help
+.PHONY: demo build node test hil gap count accuracy demo-log lint format warnings clean help
 
 demo: build ## set up, run the paper's example over CAN, show the result (out/demo/report.html)
 	$(BIN)/python -m zygos.demo
@@ -31,10 +34,17 @@ $(VENV)/.test: $(VENV)/.core
 $(NATIVE): $(SOURCES) | $(VENV)/.core
 	$(BIN)/python tools/build_native.py $(@D)
 
-test: build $(VENV)/.test ## unit, bus, fuzz and bench tests, a process for each core
+node: $(NODE) ## build build/zygos-node, the flight node for SocketCAN (docs/node.md)
+
+$(NODE): $(NODE_SOURCES) $(wildcard c/ports/linux/*.h include/zygos/*.h)
+	mkdir -p $(@D)
+	$(CC) $(C_FLAGS) $(CFLAGS) -D_GNU_SOURCE -Iinclude $(NODE_SOURCES) -lm -o $@.partial
+	mv $@.partial $@
+
+test: build node $(VENV)/.test ## unit, bus, fuzz and bench tests, a process for each core
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile tests/unit tests/bus tests/fuzz tests/bench
 
-hil: build $(VENV)/.test ## the example across a real vcan (the kernel's, or User-Mode Linux)
+hil: build node $(VENV)/.test ## the example across a real vcan (the kernel's, or User-Mode Linux)
 	tools/with-vcan $(BIN)/python -m pytest tests/hil
 
 gap: build $(VENV)/.test ## hide effects in a MuJoCo plant, explain them, score the verdicts (out/gap.json; 20 minutes)
