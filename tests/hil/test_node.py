@@ -5,10 +5,11 @@ from __future__ import annotations
 import subprocess
 import time
 
+import numpy as np
 import pytest
 
 from zygos.testing import Dut, Plant
-from zygos.testing.stream import Stream
+from zygos.testing.stream import SYNC, Stream
 from zygos.vcan import kernel_counts
 
 FULL_BUS = 9_009
@@ -70,22 +71,33 @@ def test_killed_without_a_state(plant: Plant, dut: Dut) -> None:
     dut.judge(stream.part(100))
 
 
+def stuffed(stream: Stream) -> Stream:
+    """Behind each SYNC 250 frames that the device has to read, and to reject for their length."""
+    at = np.repeat(np.flatnonzero(stream.frames["id"] == SYNC) + 1, 250)
+    empty = np.zeros(len(at), dtype=stream.frames.dtype)
+    empty["id"] = 0x180 + stream.arm.joints[0].node
+    return Stream(
+        stream.arm, np.insert(stream.frames, at, empty), np.insert(stream.cycle, at, stream.cycle[at - 1])
+    )
+
+
 def test_receive_buffer_overflow(plant: Plant, dut: Dut) -> None:
-    """The node stands still for 100 cycles: its socket keeps the first frames of them, and the kernel counts the rest."""
+    """The device stands still for 100 cycles: its socket keeps the first frames of them, the kernel counts the rest."""
     stream = plant.run(400)
-    first, flood, rest = stream.part(0, 100), stream.part(100, 200), stream.part(200)
+    first, flood, rest = stream.part(0, 100), stream.part(100, 200).through(stuffed), stream.part(200)
     dut.start()
     plant.send(first)
     with dut.paused():
         plant.send(flood, "flood")
     dut.settle()
     plant.send(rest)
-    lost = dut.stop()["overflow"]
-    assert 100 < lost < len(flood) - 100
-    kept = Stream(flood.arm, flood.frames[: len(flood) - lost], flood.cycle[: len(flood) - lost])
-    # The last cycle that was kept is not whole, unless the buffer ended with it; then the counter skips.
-    whole = kept.cycle[-1] != flood.cycle[len(kept)]
-    dut.judge(first + kept + rest, incomplete=not whole, dropped=not whole, sync_jumped=1)
+    lost = dut.stop()["node_overflow"]
+    assert 0 < lost < len(flood)
+    kept = Stream(plant.arm, flood.frames[: len(flood) - lost], flood.cycle[: len(flood) - lost])
+    broken = int(kept.cycle[-1] == flood.cycle[len(kept)])  # unless the buffer was full just before a SYNC
+    rejected = int(np.sum(kept.frames["length"] == 0))
+    assert rejected > 100
+    dut.judge(first + kept + rest, length=rejected, incomplete=broken, dropped=broken, sync_jumped=1)
 
 
 @pytest.mark.parametrize("who", ["extended", "ours by name"])

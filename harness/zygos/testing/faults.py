@@ -22,8 +22,8 @@ from zygos.reference.wire import ERROR, EXTENDED, REMOTE, identifiers
 from zygos.testing.stream import SYNC, Fault, Stream
 
 MessageName = Literal["sync", "time", "angles", "torque", "rates"]
-ErrorKind = Literal["bus-off", "controller", "no-acknowledge", "restarted"]
-_CLASSES: dict[ErrorKind, int] = {"bus-off": 0x40, "controller": 0x04, "no-acknowledge": 0x20, "restarted": 0x100}
+ErrorKind = Literal["bus-off", "controller", "no-acknowledge"]
+_CLASSES: dict[ErrorKind, int] = {"bus-off": 0x40, "controller": 0x04, "no-acknowledge": 0x20}
 """Classes of error frames in SocketCAN: bits of the identifier (linux/can/error.h)."""
 
 

@@ -3,9 +3,8 @@
 Each frame on stdin is a double, when it is due in seconds, and a `struct can_frame`. Only the standard library is used, so
 that it starts at once and nothing else waits for it. On stdout: what was sent and how it went, as JSON.
 
-PACE real: each frame when it is due. fast: as soon as the device under test has answered all but the newest SYNCs, and in
-the end until it has answered all of them; without an answer for PATIENCE seconds there is none. flood: at once,
-whatever becomes of them.
+PACE real: each frame when it is due. fast: as soon as the device under test has answered all but the newest SYNCs; without
+an answer for PATIENCE seconds there is none. flood: at once, whatever becomes of them.
 """
 
 import errno
@@ -21,9 +20,11 @@ RECORD = struct.Struct("=d16s")
 CAN_FRAME = struct.Struct("=IB3x8s")
 SYNC = 0x080
 TELEMETRY = 0x1A0
-UNANSWERED = 12
-"""SYNCs under way at most, each with its cycle's frames. A socket's buffer of default size holds 278 frames; the counter
-of an answer is that of its SYNC modulo 16."""
+UNANSWERED = 15
+"""SYNCs under way at most, for the counter of an answer is that of its SYNC modulo 16. With the frames of two joints that
+is less than half of what a socket's buffer of default size holds."""
+QUIET_S = 0.3
+"""In the end, a device that says nothing for so long has no more to say: not each SYNC has an answer."""
 
 
 def main(channel: str, pace: str, patience: str) -> None:
@@ -45,25 +46,27 @@ def main(channel: str, pace: str, patience: str) -> None:
                     time.sleep(wait)
                 latest = max(latest, -wait)
             if pace == "fast" and word == SYNC:
-                hear(can, unanswered, UNANSWERED - 1, float(patience))
+                if not hear(can, unanswered, UNANSWERED - 1, float(patience)):
+                    sys.exit(f"no answer (frame 0x{TELEMETRY:X}) to {UNANSWERED} SYNCs for {patience} s")
                 unanswered.append(data[0] % 16)
             put(can, frame)
         if pace == "fast":
-            hear(can, unanswered, 0, float(patience))
+            hear(can, unanswered, 0, QUIET_S)
         took = time.monotonic() - begin
     json.dump({"frames": len(records), "seconds": took, "latest_s": latest}, sys.stdout)
 
 
-def hear(can: socket.socket, unanswered: "deque[int]", most: int, patience_s: float) -> None:
-    """Take answers until no more than `most` SYNCs are without one."""
+def hear(can: socket.socket, unanswered: "deque[int]", most: int, patience_s: float) -> bool:
+    """Take answers until no more than `most` SYNCs are without one. False if none comes any more."""
     while len(unanswered) > most:
         if not select.select([can], [], [], patience_s)[0]:
-            sys.exit(f"no answer (frame 0x{TELEMETRY:X}) to a SYNC for {patience_s:g} s")
+            return False
         _, _, data = CAN_FRAME.unpack(can.recv(CAN_FRAME.size))
         counter = data[1] % 16
         if counter in unanswered:
             while unanswered.popleft() != counter:
                 pass
+    return True
 
 
 def put(can: socket.socket, frame: bytes) -> None:
