@@ -16,20 +16,25 @@ from zygos import bus
 from zygos.testing import Dut, Plant
 from zygos.testing.dut import HEARTBEAT, TELEMETRY
 from zygos.testing.stream import Stream
+from zygos.vcan import kernel_counts
 
 
 @contextmanager
 def candump(channel: str, log: Path) -> Iterator[None]:
-    """Record all that is on the channel meanwhile."""
+    """Record all that is on the channel meanwhile: at the end, as many frames as the kernel has counted."""
     already = listeners()
     with log.open("wb") as file:
-        recorder = subprocess.Popen(["candump", "-L", "-r", "4000000", channel], stdout=file)
+        recorder = subprocess.Popen(["stdbuf", "-oL", "candump", "-L", "-r", "4000000", channel], stdout=file)
         try:
             wait_for_listeners(already + 1)
+            before = kernel_counts(channel)
             yield
-            time.sleep(0.2)
+            deadline = time.monotonic() + 30.0
+            while log.read_bytes().count(b"\n") < (kernel_counts(channel) - before).sent:
+                assert time.monotonic() < deadline, "candump has not recorded every frame"
+                time.sleep(0.05)
         finally:
-            recorder.terminate()
+            recorder.kill()
             recorder.wait()
 
 
