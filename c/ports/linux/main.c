@@ -144,7 +144,7 @@ int main(int argc, char **argv)
     uint64_t counter[NODE_COUNTERS];
     node_counters(&arm, &bus, counter);
     for (uint32_t i = 0; i < NODE_COUNTERS; i++) {
-        printf("%-14s %llu\n", node_counter_name[i], (unsigned long long)counter[i]);
+        printf("%-20s %llu\n", node_counter_name[i], (unsigned long long)counter[i]);
     }
     return ((saved == 1) && (reading != NODE_FAILED)) ? 0 : REFUSED;
 }

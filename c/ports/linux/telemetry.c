@@ -10,11 +10,13 @@
 _Static_assert(FAULTS + 12u == NODE_COUNTERS, "a counter without a name");
 
 const char *const node_counter_name[NODE_COUNTERS] = {
-    "length",     "crc",          "range",         "late",           "counter",   "repeated",     "unsynced",
-    "latch",      "link_invalid", "motor_invalid", "torque_invalid", "disabled",  "gyro_invalid", "saturated",
-    "incomplete", "dropped",      "sync_repeated", "sync_jumped",    "time_lost", "time_jumped",  "overrun",
-    "bus_error",  "cycles",       "gaps",          "invalid",        "wraps",     "accepted",     "refused",
-    "arcs",       "arcs_dropped", "overflow",      "misshapen",      "down",      "unsent",
+    "fault_length",         "fault_crc",           "fault_range",        "fault_late",         "fault_counter",
+    "fault_repeated",       "fault_unsynced",      "fault_latch",        "fault_link_invalid", "fault_motor_invalid",
+    "fault_torque_invalid", "fault_disabled",      "fault_gyro_invalid", "fault_saturated",    "fault_incomplete",
+    "fault_dropped",        "fault_sync_repeated", "fault_sync_jumped",  "fault_time_lost",    "fault_time_jumped",
+    "fault_overrun",        "fault_bus_error",     "count_cycles",       "count_gaps",         "count_invalid",
+    "count_wraps",          "count_accepted",      "count_refused",      "count_arcs",         "count_arcs_dropped",
+    "node_overflow",        "node_misshapen",      "node_down",          "node_unsent",
 };
 
 void node_counters(const zygos_t *arm, const node_bus_t *bus, uint64_t *out)

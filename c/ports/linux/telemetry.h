@@ -34,7 +34,7 @@ typedef struct {
     zygos_estimate_t estimate;
 } node_telemetry_t;
 
-/// Counters in the order of their indices.
+/// Counters in the order of their indices, called as in zygos.dbc.
 extern const char *const node_counter_name[NODE_COUNTERS];
 void node_counters(const zygos_t *arm, const node_bus_t *bus, uint64_t *out);
 
