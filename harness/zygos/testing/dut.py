@@ -2,28 +2,32 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import can
+import numpy as np
 import pytest
 from cantools.database.can import Database
 
 from zygos import snapshot
 from zygos.arm import Arm
 from zygos.bus import open_bus
-from zygos.dbc import arm_database
+from zygos.dbc import arm_database, ascii_name
 from zygos.errors import ZygosError
-from zygos.flight import Flight, ffi
+from zygos.flight import Estimate, Flight, ffi
 from zygos.testing.oracle import counted, disagreement
-from zygos.testing.stream import Stream
+from zygos.testing.stream import SYNC, Stream
 
 EXTERNAL = "external"
 """Instead of a command: the device is there already, and is not ours to start and stop."""
@@ -32,6 +36,11 @@ EVERY = 12
 """SYNCs from one estimate of zygos-node to the next: its first frame answers a SYNC, the rest may be NaN and not sent."""
 PATIENCE_S = 30.0
 """For a process to start or to end. A guest in emulation is slow."""
+RECEIVE_BUFFER = 8_000_000
+"""Bytes for answers that were not read yet."""
+_SO_RCVBUFFORCE = 33
+_MODULUS = 2**24
+"""Counters in telemetry stay whole numbers as single floats."""
 QUIET_S = 0.3
 """A device that has not answered for so long has no more to say."""
 
@@ -56,6 +65,8 @@ class Dut:
         filters = [{"can_id": i, "can_mask": 0x7FF, "extended": False} for i in (TELEMETRY, HEARTBEAT)]
         self._bus = open_bus("socketcan", self.channel)
         self._bus.set_filters(filters)
+        with suppress(PermissionError):  # without the right to more, the usual room must do
+            self._bus.socket.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, RECEIVE_BUFFER)
         self._notifier = can.Notifier(self._bus, [self._answers.append], timeout=0.2)
         return self
 
@@ -180,32 +191,77 @@ class Dut:
         finally:
             os.kill(self.process.pid, signal.SIGCONT)
 
+    def rounds(self) -> list[dict[str, float]]:
+        """Its answers so far, decoded by the DBC of the arm: a round of each estimate, but for one that is under way.
+
+        Names are those of the signals: k1, k1_sigma, fault_crc, verdict_cycle. What was not finite is not sent.
+        """
+        rounds: list[dict[str, float]] = [{}]
+        for message in self.telemetry():
+            decoded = self._database.decode_message(TELEMETRY, message.data, decode_choices=False)
+            assert isinstance(decoded, dict)
+            name = next(reversed(decoded))
+            if name in rounds[-1]:
+                rounds.append({})
+            rounds[-1][name] = float(decoded[name])
+        return rounds[:-1]
+
     def judge(self, *streams: Stream, **expected: int) -> None:
         """Hold the device against what it must be, having heard the last of the streams since its start.
 
         expected: the faults that the drill makes by its own reckoning, 0 where not named. streams: what the estimate
         rests on, in order; those before the last one were heard by the device in earlier lives.
 
-        A device of our own is stopped. Its saved state must be that of the C library in each byte; its counters the
-        expected ones, for a single stream those of the numpy reference, too; its estimate numpy's over the cycles
-        that survived. Raises AssertionError.
+        The library in this process must count the expected faults, for a single stream the numpy reference as well;
+        its estimate must be numpy's over the cycles that survived. The last answers of the device must be those
+        counters, and the library's estimate at that cycle. A device of our own is stopped, and its saved state must be
+        the library's in each byte. Raises AssertionError.
         """
-        wanted = {name: count for name, count in expected.items() if count}
-        self.record |= {"frames": sum(map(len, streams)), "expected": wanted}
-        self.twin.frames(streams[-1].frames)
+        wanted = +Counter(expected)
+        self.record |= {"frames": sum(map(len, streams)), "expected": dict(wanted)}
         if self._process is not None:
             self.stop()
-        device = Flight(self.arm)
-        device.native = snapshot.read(self.state, "state")
-        found = {name: count for name, count in device.faults.items() if count}
-        self.record["found"] = found
-        assert found == wanted, f"the device counts {found}, not {wanted}"
+        self.settle()
+        rounds = self.rounds()
+        assert rounds and "verdict_cycle" in rounds[-1], "the device has not answered with a whole estimate"
+        answer = rounds[-1]
+        before = Counter(self.twin.faults) if self.external else Counter()
+        estimate = self._hear(streams[-1], int(answer["verdict_cycle"]))
+        prefix = "fault_"
+        counts = {name.removeprefix(prefix): int(x) for name, x in answer.items() if name.startswith(prefix)}
+        found = Counter(counts) - before
+        self.record["found"] = dict(found)
+        if self.external:  # it counts, too, how the runs of two drills meet
+            assert found == Counter(self.twin.faults) - before, f"the device counts {dict(found)} more than before"
+        else:
+            assert found == wanted, f"the device counts {dict(found)}, not {dict(wanted)}"
+            assert self.state.read_bytes() == snapshot.seal("state", self.twin.native), "the state is not the library's"
         if len(streams) == 1:
-            reference = counted(streams[0])
-            assert reference == wanted, f"the reference counts {reference}, not {wanted}"
-        assert self.state.read_bytes() == snapshot.seal("state", self.twin.native), "the state is not the library's"
-        off = disagreement(device.estimate(), *streams)
+            assert counted(streams[0]) == wanted, f"the reference counts {counted(streams[0])}, not {dict(wanted)}"
+        for name, value, sigma in zip(estimate.names, estimate.value, estimate.sigma, strict=True):
+            for signal, x in ((ascii_name(name), value), (f"{ascii_name(name)}_sigma", sigma)):
+                same = abs(answer.get(signal, math.nan) - x) <= 1e-6 * abs(x)
+                assert same or (math.isnan(x) and signal not in answer), f"{signal} is {answer.get(signal)}, not {x}"
+        off = disagreement(self._learned(streams), *streams)
         assert off <= 1.0, f"the estimate is off by {off:.3g} tolerances"
+
+    def _hear(self, stream: Stream, cycle: int) -> Estimate:
+        """Tell the twin of a stream. Returns its estimate as of a cycle, by its number modulo 2^24."""
+        estimate = None
+        for part in np.split(stream.frames, np.flatnonzero(stream.frames["id"] == SYNC)):
+            self.twin.frames(part)
+            if estimate is None and int(self.twin.native.cycle) % _MODULUS == cycle:
+                estimate = self.twin.estimate()
+        assert estimate is not None, f"the device answers with cycle {cycle}, which was not in the stream"
+        return estimate
+
+    def _learned(self, streams: Sequence[Stream]) -> Estimate:
+        """The library's estimate from these streams."""
+        if not self.external:
+            return self.twin.estimate()
+        alone = Flight(self.arm)
+        alone.frames(streams[-1].frames)
+        return alone.estimate()
 
 
 def _counters(text: str) -> Iterator[tuple[str, int]]:
