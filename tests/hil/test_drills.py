@@ -1,7 +1,7 @@
 """Faults on a real vcan: the device counts each of them, learns from what survived, and from nothing else.
 
-What a drill expects is its own arithmetic. `Dut.judge` holds the device against it, against the numpy reference and, bit by
-bit, against the C library in this process.
+What a drill expects is its own arithmetic. `Dut.judge` holds the device against it, against the numpy reference and,
+bit by bit, against the C library in this process.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def test_drill(name: str, plant: Plant, dut: Dut) -> None:
     cycles, happens, expected = DRILLS[name]
     stream = plant.run(cycles).through(*happens)
     if any(stream.frames["flags"] & 4):
-        dut.own("an error frame from another node reaches it on a virtual bus only")
+        dut.own("error frames come from its own controller; another node can send them on a virtual bus only")
     dut.start()
     before = kernel_counts(plant.channel)
     plant.send(stream)

@@ -31,7 +31,7 @@ def test_real_pace_beside_a_babbling_node(plant: Plant, dut: Dut) -> None:
             babbler.kill()
             babbler.wait()
     load = (kernel_counts(plant.channel) - before).sent / (time.monotonic() - began)
-    assert load > FULL_BUS
+    assert dut.external or load > FULL_BUS
     assert 0.0 <= sent.seconds - stream.due_s()[-1] < 5.0
     dut.settle()
     assert [message.data[0] for message in dut.heartbeats()].count(OPERATIONAL) >= 9
@@ -86,9 +86,7 @@ def stuffed(stream: Stream) -> Stream:
     at = np.repeat(np.flatnonzero(stream.frames["id"] == SYNC) + 1, 250)
     empty = np.zeros(len(at), dtype=stream.frames.dtype)
     empty["id"] = 0x180 + stream.arm.joints[0].node
-    return Stream(
-        stream.arm, np.insert(stream.frames, at, empty), np.insert(stream.cycle, at, stream.cycle[at - 1])
-    )
+    return Stream(stream.arm, np.insert(stream.frames, at, empty), np.insert(stream.cycle, at, stream.cycle[at - 1]))
 
 
 def test_receive_buffer_overflow(plant: Plant, dut: Dut) -> None:

@@ -213,5 +213,3 @@ def test_any_function_of_a_stream_is_a_fault(stream: Stream) -> None:
         return Stream(whole.arm, whole.frames[::-1], whole.cycle[::-1])
 
     assert lines(stream.through(backwards, backwards)) == lines(stream)
-
-

@@ -11,7 +11,6 @@ from types import ModuleType
 from typing import Any
 
 import can
-import pytest
 from rich.markup import escape
 
 from zygos.bus import open_bus
@@ -23,10 +22,15 @@ from zygos.testing.dut import EXTERNAL, Dut
 from zygos.testing.plant import Pace, Plant, Sent
 from zygos.testing.stream import Fault, Stream
 
+try:
+    import pytest
+except ImportError as error:
+    raise ZygosError("zygos.testing needs pytest; remedy: pip install 'zygos[testing]'") from error
+
 __all__ = ["Dut", "Fault", "Pace", "Plant", "Sent", "Stream"]
 
 _DRILL = "zygos drill"
-_VERDICTS = {"passed": "pass", "failed": "fail", "skipped": "not evaluated"}
+_VERDICTS = {"passed": "pass", "failed": "fail", "error": "fail", "skipped": "not evaluated"}
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -87,14 +91,23 @@ def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> Non
     for outcome, verdict in _VERDICTS.items():
         for report in terminalreporter.getreports(outcome):
             record = dict(report.user_properties).get(_DRILL)
-            if record is not None and (report.when == "call" or outcome != "passed"):
-                rows.append({"drill": report.nodeid.rpartition("::")[2], **record, "verdict": verdict})
+            if record is None or (outcome == "passed" and (report.when != "call" or record["expected"] is None)):
+                continue  # no drill, or a test that judged nothing
+            reason = report.longrepr[2].partition("not evaluated: ")[2] if outcome == "skipped" else None
+            name = report.nodeid.rpartition("::")[2]
+            rows.append({"drill": name, **record, "verdict": verdict, "reason": reason})
     if not rows:
         return
     table(
         ("drill", "frames", "faults expected", "found", "verdict"),
         [
-            (escape(r["drill"]), f"{r['frames']:,}", _listed(r["expected"]), _listed(r["found"]), r["verdict"])
+            (
+                escape(r["drill"]),
+                f"{r['frames']:,}",
+                _listed(r["expected"]),
+                _listed(r["found"]),
+                f"{r['verdict']}: {r['reason']}" if r["reason"] else r["verdict"],
+            )
             for r in rows
         ],
     )

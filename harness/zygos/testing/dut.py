@@ -18,6 +18,7 @@ from typing import Any
 import can
 import numpy as np
 import pytest
+from can.interfaces.socketcan import SocketcanBus
 from cantools.database.can import Database
 
 from zygos import snapshot
@@ -33,7 +34,7 @@ EXTERNAL = "external"
 """Instead of a command: the device is there already, and is not ours to start and stop."""
 TELEMETRY, HEARTBEAT = 0x1A0, 0x720
 EVERY = 12
-"""SYNCs from one estimate of zygos-node to the next: its first frame answers a SYNC, the rest may be NaN and not sent."""
+"""SYNCs from one estimate of zygos-node to the next. The first of them is answered; what is not finite is not sent."""
 PATIENCE_S = 30.0
 """For a process to start or to end. A guest in emulation is slow."""
 RECEIVE_BUFFER = 8_000_000
@@ -62,9 +63,9 @@ class Dut:
 
     def __enter__(self) -> Dut:
         """Begin to listen."""
-        filters = [{"can_id": i, "can_mask": 0x7FF, "extended": False} for i in (TELEMETRY, HEARTBEAT)]
         self._bus = open_bus("socketcan", self.channel)
-        self._bus.set_filters(filters)
+        assert isinstance(self._bus, SocketcanBus)
+        self._bus.set_filters([{"can_id": i, "can_mask": 0x7FF, "extended": False} for i in (TELEMETRY, HEARTBEAT)])
         with suppress(PermissionError):  # without the right to more, the usual room must do
             self._bus.socket.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, RECEIVE_BUFFER)
         self._notifier = can.Notifier(self._bus, [self._answers.append], timeout=0.2)
@@ -96,10 +97,10 @@ class Dut:
         """Whether it is somebody else's."""
         return self.command == EXTERNAL
 
-    def own(self, what: str) -> None:
-        """Say that a test needs a device of our own; with another one the test ends here, not evaluated."""
+    def own(self, why: str) -> None:
+        """Say why a test needs a device of our own; with an external one the test ends here, not evaluated."""
         if self.external:
-            pytest.skip(f"not evaluated: {what}, which nobody can do to an external device")
+            pytest.skip(f"not evaluated: {why}")
 
     @property
     def state(self) -> Path:
@@ -121,7 +122,8 @@ class Dut:
         snapshot.write(blob, "configuration", ffi.addressof(self.twin.native, "config"))
         if self.state.exists():
             snapshot.resume(self.twin, self.state)  # as the device will
-        command = [node, "--config", blob, "-i", self.channel, "--state", self.state, "--every", str(EVERY)]
+        files = ["--config", str(blob), "--state", str(self.state)]
+        command = [node, "-i", self.channel, *files, "--every", str(EVERY)]
         with said.open("wb") as errors, (self.folder / "stdout").open("wb") as out:
             self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=out, stderr=errors)
         deadline = time.monotonic() + PATIENCE_S
@@ -146,7 +148,7 @@ class Dut:
 
         Errors: ZygosError if it does not end, or not in order.
         """
-        self.own("stopping it")
+        self.own("an external device is not ours to end")
         self.process.send_signal(signal.SIGTERM)
         try:
             status = self.process.wait(PATIENCE_S)
@@ -161,7 +163,7 @@ class Dut:
 
     def kill(self) -> None:
         """End it at once (SIGKILL)."""
-        self.own("killing it")
+        self.own("an external device is not ours to kill")
         self.process.kill()
         self._end()
 
@@ -183,7 +185,7 @@ class Dut:
     @contextmanager
     def paused(self) -> Iterator[None]:
         """Let it stand still (SIGSTOP) for a while, as a task does that is kept from running."""
-        self.own("holding it")
+        self.own("an external device is not ours to hold")
         os.kill(self.process.pid, signal.SIGSTOP)
         os.waitpid(self.process.pid, os.WUNTRACED)
         try:
@@ -192,18 +194,21 @@ class Dut:
             os.kill(self.process.pid, signal.SIGCONT)
 
     def rounds(self) -> list[dict[str, float]]:
-        """Its answers so far, decoded by the DBC of the arm: a round of each estimate, but for one that is under way.
+        """Its answers so far, decoded by the DBC of the arm: a round for each estimate, but for the one under way.
 
-        Names are those of the signals: k1, k1_sigma, fault_crc, verdict_cycle. What was not finite is not sent.
+        Names are those of the signals: k1, k1_sigma, fault_crc, verdict_cycle. What was not finite is not sent. A round
+        begins with verdict_validity.
         """
-        rounds: list[dict[str, float]] = [{}]
+        rounds: list[dict[str, float]] = []
         for message in self.telemetry():
-            decoded = self._database.decode_message(TELEMETRY, message.data, decode_choices=False)
+            decoded = self._database.decode_message(TELEMETRY, bytes(message.data), decode_choices=False)
             assert isinstance(decoded, dict)
-            name = next(reversed(decoded))
-            if name in rounds[-1]:
+            name, value = next(reversed(decoded.items()))
+            assert isinstance(value, float | int)
+            if name == "verdict_validity":
                 rounds.append({})
-            rounds[-1][name] = float(decoded[name])
+            if rounds:
+                rounds[-1][name] = value
         return rounds[:-1]
 
     def judge(self, *streams: Stream, **expected: int) -> None:
@@ -239,9 +244,9 @@ class Dut:
         if len(streams) == 1:
             assert counted(streams[0]) == wanted, f"the reference counts {counted(streams[0])}, not {dict(wanted)}"
         for name, value, sigma in zip(estimate.names, estimate.value, estimate.sigma, strict=True):
-            for signal, x in ((ascii_name(name), value), (f"{ascii_name(name)}_sigma", sigma)):
-                same = abs(answer.get(signal, math.nan) - x) <= 1e-6 * abs(x)
-                assert same or (math.isnan(x) and signal not in answer), f"{signal} is {answer.get(signal)}, not {x}"
+            for item, x in ((ascii_name(name), value), (f"{ascii_name(name)}_sigma", sigma)):
+                same = abs(answer.get(item, math.nan) - x) <= 1e-6 * abs(x)
+                assert same or (math.isnan(x) and item not in answer), f"{item} is {answer.get(item)}, not {x}"
         off = disagreement(self._learned(streams), *streams)
         assert off <= 1.0, f"the estimate is off by {off:.3g} tolerances"
 

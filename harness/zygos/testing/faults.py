@@ -2,9 +2,9 @@
 
     stream.through(faults.drop(joint=2, cycles=range(100, 103)), faults.late(message="rates", cycles=[200]))
 
-`cycles` are counted from 0, `joint` from 1 in the order of the arm file. `message` is "sync", "time", "angles", "torque" or
-"rates"; without it all frames of the joint are meant, without a joint all frames of the cycle. Cycles are those that a
-frame tells of, whatever faults came before. Random choices come from `seed`.
+`cycles` are counted from 0, `joint` from 1 in the order of the arm file. `message` is "sync", "time", "angles",
+"torque" or "rates"; without it all frames of the joint are meant, without a joint all frames of the cycle. Cycles are
+those that a frame tells of, whatever faults came before. Random choices come from `seed`.
 
 Errors: ZygosError for a fault that picks no frame, because a drill with it would test nothing.
 """
@@ -183,9 +183,7 @@ def error(*, cycles: Iterable[int], kind: ErrorKind) -> Fault:
     return fault
 
 
-def _picked(
-    stream: Stream, cycles: Iterable[int], joint: int | None, message: MessageName | None
-) -> NDArray[np.bool_]:
+def _picked(stream: Stream, cycles: Iterable[int], joint: int | None, message: MessageName | None) -> NDArray[np.bool_]:
     """Which frames are meant, (n,); at least one."""
     chosen = np.array(list(cycles), dtype=np.int64)
     picked = np.isin(stream.cycle, chosen)

@@ -1,4 +1,4 @@
-"""What a device must make of the frames that it was given, by the numpy reference, which shares no code with the C library."""
+"""What a device must make of the frames that it was given, by the numpy reference: no code is shared with C."""
 
 from __future__ import annotations
 

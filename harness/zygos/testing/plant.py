@@ -73,8 +73,8 @@ class Plant:
     def send(self, stream: Stream, pace: Pace = "fast") -> Sent:
         """Put a stream on the bus, from a process of its own, and wait for the end of it.
 
-        At pace "fast" that is when the device has answered the last SYNC, or says no more. An answer is a telemetry frame
-        with the counter of a SYNC; at the latest each fifteenth SYNC must have one.
+        At pace "fast" that is when the device has answered the last SYNC, or says no more. An answer is a telemetry
+        frame with the counter of a SYNC; at the latest each fifteenth SYNC must have one.
 
         Errors: ZygosError if there is no such channel, if it refuses a frame, or if no answer comes.
         """

@@ -1,10 +1,10 @@
 """Puts frames on a SocketCAN interface, in a process of its own: python sender.py CHANNEL PACE PATIENCE < frames.
 
-Each frame on stdin is a double, when it is due in seconds, and a `struct can_frame`. Only the standard library is used, so
-that it starts at once and nothing else waits for it. On stdout: what was sent and how it went, as JSON.
+Each frame on stdin is a double, when it is due in seconds, and a `struct can_frame`. Only the standard library is used,
+so that it starts at once. On stdout: what was sent and how it went, as JSON.
 
-PACE real: each frame when it is due. fast: as soon as the device under test has answered all but the newest SYNCs; without
-an answer for PATIENCE seconds there is none. flood: at once, whatever becomes of them.
+PACE real: each frame when it is due. fast: as soon as the device under test has answered all but the newest SYNCs;
+without an answer for PATIENCE seconds there is none. flood: at once, whatever becomes of them.
 """
 
 import errno
@@ -21,8 +21,8 @@ CAN_FRAME = struct.Struct("=IB3x8s")
 SYNC = 0x080
 TELEMETRY = 0x1A0
 UNANSWERED = 15
-"""SYNCs under way at most, for the counter of an answer is that of its SYNC modulo 16. With the frames of two joints that
-is less than half of what a socket's buffer of default size holds."""
+"""SYNCs under way at most, for the counter of an answer is that of its SYNC modulo 16. With the frames of two joints
+that is less than half of what a socket's buffer of default size holds."""
 QUIET_S = 0.3
 """In the end, a device that says nothing for so long has no more to say: not each SYNC has an answer."""
 

@@ -59,17 +59,18 @@ class Stream:
 
     def __add__(self, other: Stream) -> Stream:
         """One stream behind the other."""
-        return Stream(
-            self.arm, np.concatenate([self.frames, other.frames]), np.concatenate([self.cycle, other.cycle])
-        )
+        return Stream(self.arm, np.concatenate([self.frames, other.frames]), np.concatenate([self.cycle, other.cycle]))
 
     def due_s(self) -> NDArray[np.float64]:
         """When each frame is due at real-time pace, in seconds since cycle 0: with the SYNC before it."""
-        return self._now() * self.arm.period_s
+        due: NDArray[np.float64] = self._now().astype(np.float64) * self.arm.period_s
+        return due
 
     def ours(self) -> NDArray[np.bool_]:
         """(n,) which frames bear an identifier of the arm."""
-        return np.isin(self.frames["id"], list(identifiers(self.arm))) & (self.frames["flags"] == 0)
+        ours: NDArray[np.bool_] = np.isin(self.frames["id"], list(identifiers(self.arm)))
+        ours &= self.frames["flags"] == 0
+        return ours
 
     def messages(self) -> list[can.Message]:
         """The frames as python-can's messages, stamped with the time at which they are due."""
