@@ -62,7 +62,7 @@ def test_drills_on_whatever_answers(
     reason = "an external device is not ours to end"
     assert rows["test_killed_and_resumed"]["reason"] == reason
     assert f"not evaluated: {reason}" in capsys.readouterr().out
-    # The run of "lost" ends with an open cycle, 50 behind its last FTIME; that of "clean" begins 80 SYNC counters on, with
+    # The run of "lost" ends with an open cycle, 50 behind its last FTIME; that of "clean" begins 80 counters on, with
     # a clock at zero.
     assert rows["test_drill[lost]"]["found"] == {"dropped": 3, "incomplete": 3}
     assert rows["test_drill[clean]"]["found"] == {
