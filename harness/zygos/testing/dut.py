@@ -6,19 +6,17 @@ import math
 import os
 import shutil
 import signal
-import socket
 import subprocess
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import can
 import numpy as np
 import pytest
-from can.interfaces.socketcan import SocketcanBus
 from cantools.database.can import Database
 
 from zygos import snapshot
@@ -37,9 +35,6 @@ EVERY = 12
 """SYNCs from one estimate of zygos-node to the next. The first of them is answered; what is not finite is not sent."""
 PATIENCE_S = 30.0
 """For a process to start or to end. A guest in emulation is slow."""
-RECEIVE_BUFFER = 8_000_000
-"""Bytes for answers that were not read yet."""
-_SO_RCVBUFFORCE = 33
 _MODULUS = 2**24
 """Counters in telemetry stay whole numbers as single floats."""
 QUIET_S = 0.3
@@ -64,10 +59,7 @@ class Dut:
     def __enter__(self) -> Dut:
         """Begin to listen."""
         self._bus = open_bus("socketcan", self.channel)
-        assert isinstance(self._bus, SocketcanBus)
         self._bus.set_filters([{"can_id": i, "can_mask": 0x7FF, "extended": False} for i in (TELEMETRY, HEARTBEAT)])
-        with suppress(PermissionError):  # without the right to more, the usual room must do
-            self._bus.socket.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, RECEIVE_BUFFER)
         self._notifier = can.Notifier(self._bus, [self._answers.append], timeout=0.2)
         return self
 
