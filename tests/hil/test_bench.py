@@ -8,11 +8,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import can
 import pytest
 
 from conftest import EXAMPLE, ROOT
+from zygos.bus import from_messages
 from zygos.errors import ZygosError
-from zygos.testing import Dut, Plant
+from zygos.testing import Dut, Plant, Stream
 
 DRILLS = "tests/hil/test_drills.py::test_drill"
 
@@ -72,6 +74,18 @@ def test_drills_on_whatever_answers(
     assert status == 1
     assert rows["test_drill[clean]"]["verdict"] == "fail"
     assert dut.stop()["fault_crc"] == 20
+
+
+def test_a_frame_of_ones_own(bus: can.BusABC, plant: Plant, dut: Dut) -> None:
+    """Sent by hand between two cycles: joint 1's angles without a CRC."""
+    stream = plant.run(400)
+    mine = can.Message(arbitration_id=0x181, is_extended_id=False, data=bytes(range(8)))
+    dut.start()
+    plant.send(stream.part(0, 100))
+    bus.send(mine)
+    plant.send(stream.part(100))
+    heard = stream.part(0, 100) + Stream.recorded(plant.arm, from_messages([mine])) + stream.part(100)
+    dut.judge(heard, crc=1)
 
 
 def test_what_does_not_answer_is_named(plant: Plant, dut: Dut) -> None:

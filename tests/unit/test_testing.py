@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,9 @@ from flight_support import sines
 
 from zygos.arm import Arm
 from zygos.errors import ZygosError
-from zygos.testing import faults
+from zygos.flight import Flight
+from zygos.plant import Trajectory
+from zygos.testing import faults, oracle
 from zygos.testing.stream import Fault, Stream
 
 SYNC, FTIME = 0x080, 0x3A0
@@ -213,3 +216,33 @@ def test_any_function_of_a_stream_is_a_fault(stream: Stream) -> None:
         return Stream(whole.arm, whole.frames[::-1], whole.cycle[::-1])
 
     assert lines(stream.through(backwards, backwards)) == lines(stream)
+
+
+# -- the oracle -----------------------------------------------------------------------------------------------------
+
+
+def test_what_survives_of_two_lives(stream: Stream) -> None:
+    """Of each the cycles that a SYNC closed, less one that lacks a frame; numbers of their own, and a break between."""
+    first = stream.part(0, 60).through(faults.drop(joint=2, message="torque", cycles=[20]))
+    second = stream.part(80)
+    cycles = oracle.survived(first, second)
+    assert len(cycles) == 58 + 40
+    assert np.flatnonzero(cycles.flags & 1).tolist() == [0, 58]
+    assert np.diff(cycles.sync.astype(int))[[18, 19, 20, 57]].tolist() == [1, 2, 1, 1000]
+    np.testing.assert_allclose(cycles.q[58:], sines(stream.arm, CYCLES, first=0).q[80:], atol=4e-6)
+    assert oracle.counted(first) == {"incomplete": 1, "dropped": 1}
+
+
+def test_an_estimate_is_held_against_numpy(arm: Arm, clean: Callable[[float], Trajectory]) -> None:
+    whole = Stream.of(arm, clean(arm.period_s).cycles(0))
+    flight = Flight(arm)
+    flight.frames(whole.frames)
+    estimate = flight.estimate()
+    assert oracle.disagreement(estimate, whole) <= 1.0
+    k1 = np.array(estimate.names) == "k1"
+    tolerance = max(1e-9, 1e-14 * estimate.condition)
+    for share in (0.5, 2.0):
+        off = replace(estimate, value=estimate.value * (1.0 + share * tolerance * k1))
+        assert oracle.disagreement(off, whole) == pytest.approx(share, rel=0.1)
+    assert oracle.disagreement(replace(estimate, value=np.full(len(k1), np.nan)), whole) == np.inf
+    assert oracle.disagreement(estimate, whole.part(0, 700)) > 1.0
