@@ -1,11 +1,11 @@
-"""What the tests on an emulated Cortex-M share: builds of firmware and of the host's library at the same capacities, runs
-of both on the same vectors, and a comparison that names the first byte that differs."""
+"""What the tests on an emulated Cortex-M share: firmware and the host's library at the same capacities, runs of both on
+the same vectors, and a comparison that names the first byte that differs."""
 
 from __future__ import annotations
 
 import functools
 import os
-import shlex
+import re
 import struct
 import subprocess
 import sys
@@ -19,12 +19,18 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from conftest import ROOT
+from conftest import ROOT, need
 from zygos import flight
+from zygos.arm import Arm, load_arm
+from zygos.cycles import Cycles
+from zygos.model import load_model
+from zygos.plant import simulate
+from zygos.scenario import load_scenario
 
 sys.path.insert(0, str(ROOT / "tools"))
 import build_firmware
 
+HERE = Path(__file__).parent
 PORT = build_firmware.PORT
 TARGETS = tuple(build_firmware.TARGETS)
 LIMIT_S = 240.0
@@ -44,9 +50,26 @@ class Build:
     defines: tuple[str, ...]
 
 
-PAPER = Build("paper", ("-DZYGOS_MAX_JOINTS=2", "-DZYGOS_SPATIAL=0"))
-SPATIAL = Build("spatial", ("-DZYGOS_MAX_JOINTS=3", "-DZYGOS_MAX_BLOCKS=8"))
-SEVEN = Build("seven", ("-DZYGOS_MAX_JOINTS=7", "-DZYGOS_MAX_BLOCKS=8"))
+PAPER = Build("two joints", ("-DZYGOS_MAX_JOINTS=2", "-DZYGOS_SPATIAL=0"))
+SPATIAL = Build("three joints in space", ("-DZYGOS_MAX_JOINTS=3", "-DZYGOS_MAX_BLOCKS=8"))
+SEVEN = Build("seven joints in space", ("-DZYGOS_MAX_JOINTS=7", "-DZYGOS_MAX_BLOCKS=8"))
+
+
+PATIENT = Build("two joints, long queue", (*PAPER.defines, "-DZYGOS_CYCLE_QUEUE=1024"))
+"""Nothing is lost however fast the frames come."""
+BUILDS = {"paper": PAPER, "spatial": SPATIAL, "seven": SEVEN}
+DURATION_S = {"paper": 60.0, "spatial": 1.2, "seven": 1.6}
+"""1,200 cycles, 600 and 400."""
+
+
+@functools.cache
+def recorded(example: str) -> tuple[Arm, Cycles]:
+    """The motion of an example, with noise; bits need no accurate plant."""
+    folder = ROOT / "examples" / example
+    arm, scenario = load_arm(folder / "arm.toml"), load_scenario(folder / "scenario.toml")
+    model = load_model(folder / "model.toml")
+    run = simulate(arm, model, scenario, noise=True, duration_s=DURATION_S[example], rtol=1e-6, atol=1e-8)
+    return arm, run.cycles()
 
 
 @dataclass(frozen=True)
@@ -81,18 +104,19 @@ class Record:
 
 
 @functools.cache
-def host_library(folder: Path, build: Build) -> Path:
-    """Build the host's library at these capacities into folder, once a process."""
+def host_library(builds: Path, build: Build) -> Path:
+    """Build the host's library at these capacities, once a process. Returns its folder."""
+    folder = builds / build.name
     environment = {**os.environ, "CFLAGS": " ".join(build.defines)}
     subprocess.run([sys.executable, str(ROOT / "tools" / "build_native.py"), str(folder)], env=environment, check=True)
     return folder
 
 
 @contextmanager
-def capacities(folder: Path) -> Iterator[None]:
-    """Within it zygos.flight is that of the library in folder."""
+def capacities(builds: Path, build: Build) -> Iterator[None]:
+    """Within it zygos.flight is that of a library with these capacities."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(flight, "_FOLDER", folder)
+        patch.setattr(flight, "_FOLDER", host_library(builds, build))
         ffi, lib = flight._load()
         patch.setattr(flight, "ffi", ffi)
         patch.setattr(flight, "lib", lib)
@@ -137,17 +161,28 @@ def on_host(config: Any, sections: Sequence[Section]) -> list[Record]:
 
 
 @functools.cache
-def firmware(folder: Path, target: str, program: str, flags: tuple[str, ...]) -> Path:
-    """Build firmware whose main() is in c/ports/cortex-m/PROGRAM.c, once a process."""
-    sources = [PORT / f"{noun}.c" for noun in (program, "slcan", "uart")]
-    return build_firmware.build(target, folder / f"{program}.elf", sources, flags)
+def firmware(
+    folder: Path, target: str, program: str, build: Build, flags: tuple[str, ...] = (), drill: str | None = None
+) -> Path:
+    """Build firmware whose main() is in PROGRAM.c, here or in c/ports/cortex-m, into folder, once a process.
+
+    drill: a source in this folder whose __wrap_ functions stand before those of the firmware.
+    """
+    own = HERE / f"{program}.c"
+    sources = [own if own.exists() else PORT / own.name, PORT / "slcan.c", PORT / "uart.c"]
+    wrapped: list[str] = []
+    if drill:
+        sources.append(HERE / f"{drill}.c")
+        names = re.findall(r"__wrap_(\w+)\(", sources[-1].read_text())
+        wrapped = [f"-Wl,--wrap={name}" for name in sorted(set(names))]
+    elf = folder / f"{target}-{build.name}-{program}-{abs(hash((flags, drill)))}.elf"
+    return build_firmware.build(target, elf, sources, [*build.defines, *flags, *wrapped])
 
 
 @dataclass(frozen=True)
-class TargetRun:
-    """What a target came to."""
+class Sizes:
+    """Memory on a target."""
 
-    records: list[Record]
     state: int
     """Bytes of zygos_t,"""
     work: int
@@ -160,8 +195,10 @@ class TargetRun:
     """Bytes of instructions and constants of the image."""
 
 
-def on_target(target: str, elf: Path, folder: Path, config: Any, sections: Sequence[Section]) -> TargetRun:
-    """Run bulk firmware on these vectors in folder."""
+def on_target(
+    target: str, elf: Path, folder: Path, config: Any, sections: Sequence[Section]
+) -> tuple[list[Record], Sizes]:
+    """What bulk firmware comes to on these vectors, run in folder."""
     folder.mkdir(parents=True, exist_ok=True)
     head = struct.pack("<I", config.abi) + bytes(flight.ffi.buffer(config))
     body = b"".join(struct.pack("<II", s.kind, s.items) + s.payload for s in sections)
@@ -173,7 +210,7 @@ def on_target(target: str, elf: Path, folder: Path, config: Any, sections: Seque
         records.append(Record(RECORDS[kind], out[at + 8 : at + 8 + size]))
         at += 8 + size
     assert records[-1].kind == "sizes", "the run ended early"
-    return TargetRun(records[:-1], *struct.unpack("<4I", records[-1].data), code_bytes(elf))
+    return records[:-1], Sizes(*struct.unpack("<4I", records[-1].data), code_bytes(elf))
 
 
 def code_bytes(elf: Path) -> int:
@@ -246,7 +283,5 @@ def compare(host: Sequence[Record], target: Sequence[Record]) -> Comparison:
 
 def need_tools() -> None:
     """What a build and a run need."""
-    from conftest import need
-
     lost = build_firmware.missing()
-    need(not lost, f"{shlex.join(lost)}: nothing runs on a target; remedy: apt install {build_firmware.PACKAGES}")
+    need(not lost, f"{' '.join(lost)}: nothing runs on a target; remedy: sudo apt install {build_firmware.PACKAGES}")

@@ -25,6 +25,7 @@ static void fault(void)
 }
 
 #define MAY_BE_MISSING __attribute__((weak, alias("fault")))
+MAY_BE_MISSING void tick_interrupt(void);
 MAY_BE_MISSING void uart_receive_interrupt(void);
 MAY_BE_MISSING void uart_transmit_interrupt(void);
 
@@ -35,7 +36,7 @@ typedef struct {
 
 __attribute__((section(".vectors"), used)) static const vectors_t vectors = {
     core_stack_top,
-    { reset, fault, fault, fault, fault, fault, fault, fault, fault, fault, fault, fault, fault, fault, fault,
+    { reset, fault, fault, fault, fault, fault, fault, fault, fault, fault, fault, fault, fault, fault, tick_interrupt,
       uart_receive_interrupt, uart_transmit_interrupt },
 };
 

@@ -16,6 +16,7 @@ int main(void);
 
 /// Handlers; a program defines those of the interrupts that it enables. All have the same priority: none interrupts
 /// another. The processor saves the floating-point registers when a handler first uses one, so handlers may calculate.
+void tick_interrupt(void); ///< Of the processor's own timer, SysTick.
 void uart_receive_interrupt(void);
 void uart_transmit_interrupt(void);
 
