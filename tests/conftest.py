@@ -6,6 +6,7 @@ import importlib.util
 import os
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -28,14 +29,19 @@ def need(found: object, what: str) -> None:
         pytest.skip(f"missing here: {what}", allow_module_level=True)
 
 
-def house_flags() -> list[str]:
-    """The flags that tools/build_native.py compiles with, less those of a shared object."""
+def build_native() -> ModuleType:
+    """tools/build_native.py."""
     spec = importlib.util.spec_from_file_location("build_native", ROOT / "tools" / "build_native.py")
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    return [flag for flag in module.FLAGS.split() if flag not in ("-g", "-fPIC")]
+    return module
+
+
+def house_flags() -> list[str]:
+    """The flags that tools/build_native.py compiles with, less those of a shared object."""
+    return [flag for flag in build_native().FLAGS.split() if flag not in ("-g", "-fPIC")]
 
 
 @pytest.fixture(scope="session")
