@@ -96,4 +96,4 @@ def write_run(one: Configuration, cycles: Cycles, path: Path) -> None:
     with build_of(one.capacities) as ffi:
         config = bytes(ffi.buffer(flight.config_of(one.arm, one.effects)))
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(struct.pack("=3Q", len(config), flight.FRAME.itemsize, len(frames)) + config + frames.tobytes())
+    path.write_bytes(struct.pack("=3I", len(config), flight.FRAME.itemsize, len(frames)) + config + frames.tobytes())

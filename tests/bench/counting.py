@@ -1,0 +1,94 @@
+"""Instructions of each cycle, stage by stage: what a tool counted, and where the driver says that the cycle stood."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conftest import ROOT
+from zygos.errors import ZygosError
+
+ROOMS = ("wire", "cycle", "smoother", "kinematics", "balance", "impulse", "momentum", "noise", "accumulator", "solver")
+"""In the order in which a sample walks through them. What one costs is counted from c/zygos.c calling a function of its
+file until that returns; of `cycle`, which calls it, `wire` is taken off. Rooms and c/zygos.c itself add up to all."""
+WHOLE = ("frame", "step", "solve")
+"""All frames of a cycle; working it off; one solution."""
+STAGES = (*ROOMS, *WHOLE)
+FOLDED = {"jointsums": "impulse", "momentumsums": "momentum"}
+"""Files that are part of another room."""
+KINDS = ("fills", "block", "arc", "cycle")
+"""Of cycles, as bench/driver.c numbers them."""
+SIZES = (
+    "parameters", "cycle", "smoother", "kinematics", "balance", "impulse", "momentum", "noise", "accumulator", "whole",
+    "solver",
+)  # fmt: skip
+DRIVER = ROOT / "tests" / "bench" / "driver.c"
+
+
+@dataclass(frozen=True)
+class Tally:
+    """What a tool counted between two marks of the driver, for n cycles."""
+
+    stages: NDArray[np.int64]
+    """(n, len(STAGES))"""
+    functions: dict[str, NDArray[np.int64]]
+    """(n,) of each function that ran: its own instructions, without those of what it calls."""
+    solve: int
+    """Of the solution at the end."""
+
+
+@dataclass(frozen=True)
+class Count:
+    """A tally, with what the driver says of each cycle."""
+
+    tally: Tally
+    sizes: dict[str, int]
+    """Parameters, and bytes of state."""
+    kinds: NDArray[np.int64]
+    """(n,) index into KINDS."""
+    places: NDArray[np.int64]
+    """(n, 8) all on which the cost of a cycle may depend beside its data."""
+    rank: int
+    """Of the solution."""
+
+    def ordinary(self) -> NDArray[np.bool_]:
+        """(n,) cycles that form a row, and neither open a block nor end an arc."""
+        return self.kinds == KINDS.index("cycle")
+
+
+def read_places(path: Path) -> tuple[dict[str, int], NDArray[np.int64], int]:
+    """What bench/driver.c wrote: sizes, (n, 9) a kind and a place for each cycle, and the rank."""
+    words = np.fromfile(path, dtype="<u4").astype(np.int64)
+    body, rank = words[len(SIZES) : -1].reshape(-1, 9), int(words[-1])
+    return dict(zip(SIZES, words[: len(SIZES)].tolist(), strict=True)), body, rank
+
+
+def joined(tally: Tally, folder: Path, tool: str) -> Count:
+    """A tally and the driver's places. Errors: ZygosError when they are not of as many cycles."""
+    sizes, places, rank = read_places(folder / "places.bin")
+    if len(places) != len(tally.stages):
+        raise ZygosError(
+            f"{tool} told {len(tally.stages)} cycles of {len(places)}; remedy: another version of {tool}"
+        )
+    return Count(tally, sizes, places[:, 0], places[:, 1:], rank)
+
+
+def spread_by_data(count: Count, stage: str) -> int:
+    """Most instructions by which ordinary cycles differ that stand at the same place."""
+    chosen = count.ordinary()
+    counted = count.tally.stages[chosen, STAGES.index(stage)]
+    _, group = np.unique(count.places[chosen], axis=0, return_inverse=True)
+    most = np.full(group.max() + 1, np.iinfo(np.int64).min)
+    least = np.full(group.max() + 1, np.iinfo(np.int64).max)
+    np.maximum.at(most, group, counted)
+    np.minimum.at(least, group, counted)
+    return int((most - least).max())
+
+
+def compared(count: Count) -> int:
+    """Pairs of cycles that the spread by data compares."""
+    chosen = count.places[count.ordinary()]
+    return len(chosen) - len(np.unique(chosen, axis=0))
