@@ -13,7 +13,7 @@ from unittest.mock import patch
 import numpy as np
 from cffi import FFI
 
-from conftest import ROOT, build_native
+from conftest import ROOT, tool_module
 from zygos import flight
 from zygos.arm import Arm, load_arm
 from zygos.cycles import Cycles
@@ -85,7 +85,7 @@ def motion(one: Configuration, duration_s: float) -> Cycles:
 def build_of(capacities: tuple[str, ...]) -> Iterator[Any]:
     """`zygos.flight` with the declarations of another build; nothing of it can be run."""
     ffi = FFI()
-    ffi.cdef(build_native().declarations(*capacities))
+    ffi.cdef(tool_module("build_native").declarations(*capacities))
     with patch.multiple(flight, ffi=ffi, lib=ffi.dlopen(str(flight._FOLDER / "libzygos.so"))):
         yield ffi
 

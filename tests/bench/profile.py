@@ -1,6 +1,6 @@
-"""Where the instructions of a full cycle go, function by function, on the host.
+"""Where the instructions of a full cycle go, function by function.
 
-    python -m bench.profile ["paper, bare"] [INPUTS]
+    python -m bench.profile ["paper, bare" [INPUTS [x86-64|m7|m4f]]]
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from bench import callgrind
+from bench import callgrind, cortex
 from bench.configurations import CONFIGURATIONS, random_cycles, write_run
 from bench.counting import STAGES, WHOLE, Count, spread_by_data
 from zygos.output import say, table
@@ -40,10 +40,13 @@ def show(count: Count) -> None:
 
 
 if __name__ == "__main__":
-    name = sys.argv[1] if len(sys.argv) > 1 else "paper, bare"
-    inputs = int(sys.argv[2]) if len(sys.argv) > 2 else 1000
+    name, inputs, target = (sys.argv[1:] + ["paper, bare", "1000", "x86-64"][len(sys.argv) - 1 :])[:3]
     folder = Path("out/bench/profile")
     one = CONFIGURATIONS[name]()
-    callgrind.build(folder, one.capacities)
-    write_run(one, random_cycles(one.arm, inputs), folder / "run.bin")
-    show(callgrind.count(folder))
+    write_run(one, random_cycles(one.arm, int(inputs)), folder / "run.bin")
+    if target == "x86-64":
+        callgrind.build(folder, one.capacities)
+        show(callgrind.count(folder))
+    else:
+        cortex.build(target, folder, one.capacities)
+        show(cortex.count(target, folder))
