@@ -5,13 +5,13 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 NATIVE := harness/zygos/_native/libzygos.so
 SOURCES := $(wildcard c/*.c c/ports/host/*) $(wildcard include/zygos/*) tools/build_native.py
-C_FILES := $(wildcard c/*.c c/ports/*/*.[ch] include/zygos/*.h tests/fuzz/*.c tests/bench/*.c tools/*.c)
+C_FILES := $(wildcard c/*.c c/ports/*/*.[ch] include/zygos/*.h tests/fuzz/*.c tests/bench/*.c tests/bench/*.cpp tools/*.c)
 ifdef CI
 export CFLAGS += -Werror
 endif
 
 .DEFAULT_GOAL := demo
-.PHONY: demo build test hil gap count accuracy demo-log lint format warnings clean help
+.PHONY: demo build test hil gap bench accuracy demo-log lint format warnings clean help
 
 demo: build ## set up, run the paper's example over CAN, show the result (out/demo/report.html)
 	$(BIN)/python -m zygos.demo
@@ -40,8 +40,8 @@ hil: build $(VENV)/.test ## the example across a real vcan (the kernel's, or Use
 gap: build $(VENV)/.test ## hide effects in a MuJoCo plant, explain them, score the verdicts (out/gap.json; 20 minutes)
 	PYTHONPATH=tests $(BIN)/python -m oracles.campaign
 
-count: build $(VENV)/.test ## count the instructions of a cycle, by valgrind (out/count.json)
-	PYTHONPATH=tests $(BIN)/python -m bench.count out/count.json
+bench: build $(VENV)/.test ## what it costs, beside its peers (out/bench.json, README.md, docs/cost.md; 6 minutes)
+	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tests $(BIN)/python -m bench out/bench.json
 
 accuracy: build $(VENV)/.test ## errors, coverage and refusals of all estimators (docs/accuracy.html; 10 minutes; SEEDS= DRAWS= SCHEDULER= CASES=)
 	$(BIN)/python -m zygos.accuracy $(CASES) $(if $(SEEDS),--seeds $(SEEDS)) $(if $(DRAWS),--draws $(DRAWS)) $(if $(SCHEDULER),--scheduler $(SCHEDULER))

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.counting import DRIVER, FOLDED, STAGES, Count, Tally, joined
+from bench.counting import DRIVER, FOLDED, STAGES, WHOLE, Count, Tally, joined
 from conftest import ROOT, house_flags
 from zygos.errors import ZygosError
 
@@ -38,7 +38,7 @@ def count(folder: Path) -> Count:
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise ZygosError(f"the driver failed under callgrind: {done.stderr.strip()[-500:]}; remedy: see there")
-    tally = parse(out)
+    tally = tally_of(out)
     out.unlink()
     return joined(tally, folder, "callgrind")
 
@@ -48,7 +48,7 @@ def _room(path: str) -> str:
     return FOLDED.get(stem, stem)
 
 
-class _Part:
+class Part:
     """What one part of a callgrind file, a cycle, says."""
 
     def __init__(self) -> None:
@@ -65,22 +65,27 @@ class _Part:
             self.stages["wire"] += cost
             self.stages["cycle"] -= cost
 
+    def of(self, function: str) -> int:
+        """Instructions of a function and of all that it calls, whatever file it is of."""
+        keys = [key for key in {*self.own, *self.total} if key.endswith(f": {function}")]
+        return sum(self.own.get(key, 0) + self.total.get(key, 0) for key in keys)
+
     def stage(self, name: str) -> int:
         """Instructions of a stage."""
-        whole = {"frame": "zygos: zygos_frame", "step": "zygos: zygos_step", "solve": "solver: zygos_solve"}
-        whole["solver"] = whole["solve"]
-        return self.own[whole[name]] + self.total[whole[name]] if name in whole else self.stages[name]
+        if name in WHOLE or name == "solver":
+            return self.of(f"zygos_{'solve' if name == 'solver' else name}")
+        return self.stages[name]
 
 
-def parse(path: Path) -> Tally:
-    """The parts of a callgrind file: each a cycle, and in the last one the solution."""
+def parts(path: Path) -> list[Part]:
+    """The parts of a callgrind file, the one at the program's end last."""
     names: dict[str, str] = {}
 
     def named(kind: str, value: str) -> str:
         number, _, name = value.rstrip().partition(" ")
         return names.setdefault(kind + number, name) if name else names[kind + number]
 
-    parts: list[_Part] = []
+    found: list[Part] = []
     room = here = callee_room = function = ""
     calling = False
     with path.open() as lines:
@@ -89,10 +94,10 @@ def parse(path: Path) -> Tally:
             if first in "+-*0123456789":
                 cost = int(line.rsplit(maxsplit=1)[1])
                 if calling:
-                    parts[-1].call(function, room, callee_room, cost)
+                    found[-1].call(function, room, callee_room, cost)
                     callee_room, calling = here, False
                 else:
-                    parts[-1].own[function] += cost
+                    found[-1].own[function] += cost
                 continue
             key, _, value = line.partition("=")
             if key == "fn":
@@ -107,8 +112,13 @@ def parse(path: Path) -> Tally:
             elif key == "calls":
                 calling = True
             elif line.startswith("desc: Trigger"):
-                parts.append(_Part())
-    *cycles, last = parts
+                found.append(Part())
+    return found
+
+
+def tally_of(path: Path) -> Tally:
+    """Of each part, which is a cycle, and of the last one, in which the solution is."""
+    *cycles, last = parts(path)
     functions = sorted({name for part in cycles for name in part.own})
     return Tally(
         np.array([[part.stage(stage) for stage in STAGES] for part in cycles], dtype=np.int64),

@@ -18,9 +18,6 @@ from zygos import flight
 from zygos.arm import Arm, load_arm
 from zygos.cycles import Cycles
 from zygos.effects import CATALOGUE, Effect
-from zygos.model import load_model
-from zygos.plant import simulate
-from zygos.scenario import load_scenario
 
 SEGMENT = 250
 """Cycles that are of one kind: at rest, at random, smooth."""
@@ -40,22 +37,36 @@ def _bare(arm: Arm) -> Arm:
     return replace(arm, compensate_every=0, impulse_arc_s=0.0, momentum_max_s=0.0)
 
 
-def _example(name: str, *capacities: str, change: Callable[[Arm], Arm] = lambda arm: arm) -> Configuration:
-    arm = change(load_arm(ROOT / "examples" / name / "arm.toml"))
-    return Configuration(name, arm, tuple(f"-DZYGOS_{one}" for one in capacities))
+def _short(arm: Arm) -> Arm:
+    return replace(arm, arc_max_s=300 * arm.period_s)
 
 
-_PAPER = ("MAX_JOINTS=2", "SPATIAL=0", "MOMENTUM=0")
+def _example(name: str, capacities: str, *changes: Callable[[Arm], Arm]) -> Configuration:
+    arm = load_arm(ROOT / "examples" / name / "arm.toml")
+    for change in changes:
+        arm = change(arm)
+    return Configuration(name, arm, tuple(f"-DZYGOS_{one}" for one in capacities.split()))
+
+
+BARE = ", bare"
+_PAPER, _SPATIAL, _SEVEN = "MAX_JOINTS=2 SPATIAL=0 MOMENTUM=0", "MAX_JOINTS=3", "MAX_JOINTS=7 MAX_BLOCKS=8"
 
 CONFIGURATIONS: dict[str, Callable[[], Configuration]] = {
-    "paper, bare": lambda: _example("paper", *_PAPER, change=_bare),
-    "paper": lambda: _example("paper", *_PAPER),
-    "spatial, bare": lambda: _example("spatial", "MAX_JOINTS=3", change=_bare),
-    "spatial": lambda: _example("spatial", "MAX_JOINTS=3"),
-    "seven, bare": lambda: _example("seven", "MAX_JOINTS=7", "MAX_BLOCKS=8", change=_bare),
-    "seven": lambda: _example("seven", "MAX_JOINTS=7", "MAX_BLOCKS=8"),
+    "paper, bare": lambda: _example("paper", _PAPER, _bare),
+    "paper": lambda: _example("paper", _PAPER),
+    "spatial, bare": lambda: _example("spatial", _SPATIAL, _short, _bare),
+    "spatial": lambda: _example("spatial", _SPATIAL, _short),
+    "seven, bare": lambda: _example("seven", _SEVEN, _short, _bare),
+    "seven": lambda: _example("seven", _SEVEN, _short),
 }
-"""By name. "bare": the energy rows alone, neither compensated nor with rows of motors or momentum."""
+"""By name. BARE: the energy rows alone, neither compensated nor with rows of motors or momentum. The arms in space have
+arcs of 300 cycles, so that some end."""
+
+
+def with_effects(key: str) -> Configuration:
+    """The paper's arm with an effect at each joint."""
+    one = replace(CONFIGURATIONS["paper"](), capacities=("-DZYGOS_MAX_JOINTS=2", "-DZYGOS_SPATIAL=0"))
+    return replace(one, effects=tuple(Effect(CATALOGUE[key], joint.name, 0.0) for joint in one.arm.joints))
 
 
 def random_cycles(arm: Arm, count: int) -> Cycles:
@@ -69,16 +80,8 @@ def random_cycles(arm: Arm, count: int) -> Cycles:
         smooth = (amplitudes[:, None] * np.sin(np.outer(rates, time) + phases[:, None])).sum(axis=0)
         column[:] = np.where(kind == 1, rng.normal(size=count), np.where(kind == 2, smooth, 0.0))
     q, theta, tau, omega = np.split(signal, [arm.n, 2 * arm.n, 3 * arm.n], axis=1)
-    sync = np.arange(1, count + 1, dtype=np.uint64)
+    sync = 50 + np.arange(count, dtype=np.uint64)  # the first cycle has an FTIME, which nothing is compared with
     return Cycles(sync, q, q + 1e-3 * theta, tau, 0.1 * omega, np.zeros(count, dtype=np.uint32))
-
-
-def motion(one: Configuration, duration_s: float) -> Cycles:
-    """The example's own motion, from which its parameters can be told."""
-    folder = ROOT / "examples" / one.example
-    model, scenario = load_model(folder / "model.toml"), load_scenario(folder / "scenario.toml")
-    engine = "pinocchio" if one.arm.spatial else "zygos"
-    return simulate(one.arm, model, scenario, engine=engine, noise=True, duration_s=duration_s).cycles()
 
 
 @contextmanager

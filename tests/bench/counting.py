@@ -17,6 +17,8 @@ file until that returns; of `cycle`, which calls it, `wire` is taken off. Rooms 
 WHOLE = ("frame", "step", "solve")
 """All frames of a cycle; working it off; one solution."""
 STAGES = (*ROOMS, *WHOLE)
+TOGETHER = "frame + step"
+"""A full cycle: its frames in, its row accumulated."""
 FOLDED = {"jointsums": "impulse", "momentumsums": "momentum"}
 """Files that are part of another room."""
 KINDS = ("fills", "block", "arc", "cycle")
@@ -25,6 +27,14 @@ SIZES = (
     "parameters", "cycle", "smoother", "kinematics", "balance", "impulse", "momentum", "noise", "accumulator", "whole",
     "solver",
 )  # fmt: skip
+PLACES = ("frames", "turn", "joint_turn", "momentum_turn", "filled", "torque_at", "position", "first")
+"""Where a cycle stands, as bench/driver.c has it."""
+RELEVANT: dict[str, tuple[str, ...]] = {
+    "wire": ("frames",), "cycle": ("frames",), "smoother": ("position",), "kinematics": (), "balance": ("torque_at",),
+    "impulse": ("joint_turn", "torque_at"), "momentum": ("momentum_turn",), "noise": ("turn", "torque_at"),
+    "accumulator": ("filled", "first"), "frame": ("frames",),
+}  # fmt: skip
+"""On which of them the cost of a stage may depend."""
 DRIVER = ROOT / "tests" / "bench" / "driver.c"
 
 
@@ -50,12 +60,17 @@ class Count:
     kinds: NDArray[np.int64]
     """(n,) index into KINDS."""
     places: NDArray[np.int64]
-    """(n, 8) all on which the cost of a cycle may depend beside its data."""
+    """(n, len(PLACES)) all on which the cost of a cycle may depend beside its data."""
     rank: int
     """Of the solution."""
 
+    def stage(self, name: str) -> NDArray[np.int64]:
+        """(n,) instructions of a stage in each cycle."""
+        parts = name.split(" + ")
+        return np.sum([self.tally.stages[:, STAGES.index(part)] for part in parts], axis=0, dtype=np.int64)
+
     def ordinary(self) -> NDArray[np.bool_]:
-        """(n,) cycles that form a row, and neither open a block nor end an arc."""
+        """(n,) cycles that form a row, and neither open a block nor begin or end an arc."""
         return self.kinds == KINDS.index("cycle")
 
 
@@ -70,17 +85,13 @@ def joined(tally: Tally, folder: Path, tool: str) -> Count:
     """A tally and the driver's places. Errors: ZygosError when they are not of as many cycles."""
     sizes, places, rank = read_places(folder / "places.bin")
     if len(places) != len(tally.stages):
-        raise ZygosError(
-            f"{tool} told {len(tally.stages)} cycles of {len(places)}; remedy: another version of {tool}"
-        )
+        raise ZygosError(f"{tool} told {len(tally.stages)} cycles of {len(places)}; remedy: another version of {tool}")
     return Count(tally, sizes, places[:, 0], places[:, 1:], rank)
 
 
-def spread_by_data(count: Count, stage: str) -> int:
-    """Most instructions by which ordinary cycles differ that stand at the same place."""
-    chosen = count.ordinary()
-    counted = count.tally.stages[chosen, STAGES.index(stage)]
-    _, group = np.unique(count.places[chosen], axis=0, return_inverse=True)
+def _spread(counted: NDArray[np.int64], places: NDArray[np.int64]) -> int:
+    """Most by which entries of counted (n,) differ whose places (n, k) are equal."""
+    _, group = np.unique(places, axis=0, return_inverse=True)
     most = np.full(group.max() + 1, np.iinfo(np.int64).min)
     least = np.full(group.max() + 1, np.iinfo(np.int64).max)
     np.maximum.at(most, group, counted)
@@ -88,7 +99,17 @@ def spread_by_data(count: Count, stage: str) -> int:
     return int((most - least).max())
 
 
-def compared(count: Count) -> int:
-    """Pairs of cycles that the spread by data compares."""
-    chosen = count.places[count.ordinary()]
-    return len(chosen) - len(np.unique(chosen, axis=0))
+def spread_by_data(count: Count, stage: str) -> int:
+    """Most instructions by which ordinary cycles differ that stand at the same place.
+
+    That of `step` is the sum over its rooms and what is left of it, which is not less than its own.
+    """
+    if stage == TOGETHER:
+        return spread_by_data(count, "frame") + spread_by_data(count, "step")
+    chosen = count.ordinary()
+    if stage == "step":
+        rooms = [room for room in ROOMS if room not in ("wire", "cycle", "solver")]
+        rest = count.stage("step") - count.stage(" + ".join(rooms))
+        return sum(spread_by_data(count, room) for room in rooms) + int(np.ptp(rest[chosen]))
+    relevant = count.places[chosen][:, [PLACES.index(one) for one in RELEVANT[stage]]]
+    return _spread(count.stage(stage)[chosen], np.column_stack([np.zeros(len(relevant), np.int64), relevant]))

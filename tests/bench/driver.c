@@ -32,7 +32,7 @@ static struct {
 enum kind {
     KIND_FILLS, /* the windows are not full yet: no row */
     KIND_BLOCK, /* the row opens a new block of the normal equations */
-    KIND_ARC,   /* the row ends its arc, or that of the motor or momentum rows */
+    KIND_ARC,   /* the row begins or ends its arc, or that of the motor or momentum rows */
     KIND_CYCLE  /* any other row */
 };
 
@@ -56,10 +56,10 @@ static place_t step(uint32_t frames)
     const uint32_t arcs = sums->arcs + sums->arcs_dropped;
     (void)zygos_step(&arm);
     driver_mark();
-    const bool others = ((config->impulse_arc_cycles > 0) && (arm.joint_sums.cycles == 0)) ||
-                        ((config->momentum_arc_cycles > 0) && (arm.momentum_sums.cycles == 0));
-    const bool ended = (sums->arcs + sums->arcs_dropped != arcs) || (arm.arc == 0) || others;
-    const uint32_t row = ended ? KIND_ARC : ((sums->count != blocks) ? KIND_BLOCK : KIND_CYCLE);
+    const bool others = ((config->impulse_arc_cycles > 0) && (arm.joint_sums.cycles <= 1)) ||
+                        ((config->momentum_arc_cycles > 0) && (arm.momentum_sums.cycles <= 1));
+    const bool edge = (sums->arcs + sums->arcs_dropped != arcs) || (arm.arc <= 1) || others;
+    const uint32_t row = edge ? KIND_ARC : ((sums->count != blocks) ? KIND_BLOCK : KIND_CYCLE);
     const uint32_t sensors = (config->compensation > 0) ? config->compensation : 1u;
     return (place_t){
         .kind = (arm.instant == 1) ? row : KIND_FILLS,

@@ -40,9 +40,7 @@ def footprints(target: str, folder: Path, capacities: tuple[str, ...]) -> dict[s
     rooms = sorted((ROOT / "c").glob("*.c"))
     includes = ["-I", str(ROOT / "include")]
     sections = ["-fcallgraph-info=su", "-ffunction-sections", "-fdata-sections"]
-    subprocess.run(
-        [*compiler, *sections, *capacities, *includes, "-c", *map(str, rooms)], cwd=folder, check=True
-    )
+    subprocess.run([*compiler, *sections, *capacities, *includes, "-c", *map(str, rooms)], cwd=folder, check=True)
     calls = Calls(folder)
 
     def linked(*entries: str) -> Path:
@@ -54,7 +52,9 @@ def footprints(target: str, folder: Path, capacities: tuple[str, ...]) -> dict[s
 
     found = {}
     for stage, entries in {**{one: (f"zygos_{one}",) for one in WHOLE}, LIBRARY: ENTRIES}.items():
-        sizes = subprocess.run([f"{prefix}size", "-A", str(linked(*entries))], capture_output=True, text=True, check=True)
+        sizes = subprocess.run(
+            [f"{prefix}size", "-A", str(linked(*entries))], capture_output=True, text=True, check=True
+        )
         code = sum(int(size) for size in re.findall(r"^\.(?:text|rodata)\S*\s+(\d+)", sizes.stdout, re.M))
         found[stage] = Footprint(code, max(calls.depth(entry) for entry in entries))
     listing = subprocess.run(

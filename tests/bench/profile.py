@@ -1,6 +1,6 @@
 """Where the instructions of a full cycle go, function by function.
 
-    python -m bench.profile ["paper, bare" [INPUTS [x86-64|m7|m4f]]]
+python -m bench.profile ["paper, bare" [INPUTS [x86-64|m7|m4f]]]
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from pathlib import Path
 
 from bench import callgrind, cortex
 from bench.configurations import CONFIGURATIONS, random_cycles, write_run
-from bench.counting import STAGES, WHOLE, Count, spread_by_data
+from bench.counting import RELEVANT, TOGETHER, Count, spread_by_data
 from zygos.output import say, table
 
 
@@ -25,13 +25,10 @@ def show(count: Count) -> None:
     """Print stages and functions."""
     chosen = count.ordinary()
     rows = []
-    for k, stage in enumerate(STAGES):
-        counted = count.tally.stages[chosen, k]
-        if stage not in ("solver", "solve"):
-            spread = str(spread_by_data(count, stage))
-            rows.append((stage, f"{counted.mean():,.1f}", f"{counted.min():,}", f"{counted.max():,}", spread))
-    full = count.tally.stages[chosen][:, [STAGES.index(one) for one in WHOLE[:2]]].sum(axis=1)
-    rows.append(("frame + step", f"{full.mean():,.1f}", f"{full.min():,}", f"{full.max():,}", ""))
+    for stage in (*RELEVANT, "step", TOGETHER):
+        counted = count.stage(stage)[chosen]
+        spread = str(spread_by_data(count, stage))
+        rows.append((stage, f"{counted.mean():,.1f}", f"{counted.min():,}", f"{counted.max():,}", spread))
     table(("stage", "instructions", "least", "most", "by data"), rows)
     say("")
     found = profile(count)

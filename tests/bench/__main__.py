@@ -1,0 +1,162 @@
+"""Measures what the flight library costs, here and on Cortex-M, beside its peers (`make bench`).
+
+    python -m bench [out/bench.json]
+
+Writes the file, a copy to docs/bench.json, and the tables of README.md and docs/cost.md from it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from bench import callgrind, cortex, peers, tables
+from bench.configurations import BARE, CONFIGURATIONS, random_cycles, write_run
+from bench.counting import STAGES, TOGETHER, Count, spread_by_data
+from bench.footprint import LIBRARY, footprints
+from bench.profile import profile
+from conftest import ROOT
+from zygos.commands import progress
+from zygos.errors import ZygosError
+from zygos.output import errors_end_the_program, say, write_json
+
+FOLDER = Path("out/bench")
+TARGETS = ("x86-64", "m7", "m4f")
+PROFILED = ("paper, bare", "seven, bare")
+
+
+def inputs(target: str, name: str) -> int:
+    """Random cycles that are fed: 10,000 but where counting takes minutes."""
+    if target == "m4f":
+        return 1000
+    return 2000 if (target, name) == ("x86-64", "seven") else 10_000
+
+
+def measure(target: str, name: str) -> tuple[list[dict[str, Any]], dict[str, float]]:
+    """The rows of a configuration on a target, and its profile."""
+    folder, one = FOLDER / target / name.replace(", ", "-"), CONFIGURATIONS[name]()
+    write_run(one, random_cycles(one.arm, inputs(target, name)), folder / "run.bin")
+    if target == "x86-64":
+        callgrind.build(folder, one.capacities)
+        count = callgrind.count(folder)
+    else:
+        cortex.build(target, folder, one.capacities)
+        count = cortex.count(target, folder)
+    bytes_of = footprints(target, folder / "objects", one.capacities)
+    rows = []
+    for stage in (*STAGES, TOGETHER, LIBRARY):
+        size = bytes_of[stage if stage != TOGETHER else LIBRARY]
+        rows.append(
+            {
+                "target": target,
+                "configuration": name,
+                "parameters": count.sizes["parameters"],
+                "stage": stage,
+                **_costs(count, stage),
+                "bytes_code": None if stage == TOGETHER else size.code,
+                "bytes_state": None if stage == TOGETHER else _state(count, stage),
+                "bytes_stack": None if stage == TOGETHER else size.stack,
+            }
+        )
+    return rows, profile(count)
+
+
+def _costs(count: Count, stage: str) -> dict[str, Any]:
+    """Instructions: the mean of ordinary cycles; how far they are apart; and the most of any cycle."""
+    if stage in ("solver", "solve", LIBRARY):
+        solved = None if stage == LIBRARY else count.tally.solve
+        return {"instructions": solved, "spread": None, "spread_by_place": None, "most": solved, "inputs": 1}
+    chosen, counted = count.ordinary(), count.stage(stage)
+    return {
+        "instructions": round(float(counted[chosen].mean()), 1),
+        "spread": spread_by_data(count, stage),
+        "spread_by_place": int(counted[chosen].max() - counted[chosen].min()),
+        "most": int(counted.max()),
+        "inputs": int(chosen.sum()),
+    }
+
+
+def _state(count: Count, stage: str) -> int:
+    """Bytes of state."""
+    whole = {"frame": "whole", "step": "whole", "solve": "solver"}
+    if stage == LIBRARY:
+        return count.sizes["whole"] + count.sizes["solver"]
+    return count.sizes.get(whole.get(stage, stage), 0)
+
+
+def throughput() -> dict[str, float]:
+    """Frames per second through cffi and a vcan, where there is one or can be."""
+    path = FOLDER / "throughput.json"
+    command = [str(ROOT / "tools" / "with-vcan"), sys.executable, "-m", "bench.throughput", str(path)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise ZygosError(f"the vcan part failed: {done.stderr.strip()[-500:]}; remedy: see there")
+    found: dict[str, float] = json.loads(path.read_text())
+    return found
+
+
+def versions() -> dict[str, str]:
+    """First lines of what the tools say of themselves."""
+    named = ("gcc", "arm-none-eabi-gcc", "valgrind", "qemu-system-arm")
+    said = {one: subprocess.run([one, "--version"], capture_output=True, text=True, check=True).stdout for one in named}
+    return {one: text.splitlines()[0] for one, text in said.items()}
+
+
+def main(path: Path) -> None:
+    """Measure everything, write it, print the tables."""
+    missing = [one for one in ("gcc", "g++", "valgrind", *cortex.firmware.TOOLS) if shutil.which(one) is None]
+    if missing:
+        raise ZygosError(
+            f"not installed: {', '.join(missing)}; remedy: apt install build-essential valgrind libeigen3-dev "
+            "gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm"
+        )
+    counted = [(target, name) for target in TARGETS for name in CONFIGURATIONS]
+    compared = [name for name in CONFIGURATIONS if name.endswith(BARE)]
+    folder = FOLDER / "peers"
+    with progress() as bar:
+        task = bar.add_task("counting", total=len(counted) + len(peers.OPTIMISED) + len(compared) + 1)
+
+        def done(_: object) -> None:
+            bar.advance(task)
+
+        with ProcessPoolExecutor(os.cpu_count(), get_context("spawn")) as pool:
+            jobs = {}
+            for key in sorted(counted, key=lambda key: list(CONFIGURATIONS).index(key[1]), reverse=True):
+                jobs[key] = pool.submit(measure, *key)  # what takes longest begins first
+            builds = {one: pool.submit(peers.build, folder / one.replace(" ", ""), one) for one in peers.OPTIMISED}
+            for job in (*jobs.values(), *builds.values()):
+                job.add_done_callback(done)
+            results = {key: job.result() for key, job in jobs.items()}
+            programs = {one: job.result().resolve() for one, job in builds.items()}
+        bar.update(task, description="timing")  # alone
+        found = []
+        for name in compared:
+            found += [*peers.native(name, folder, programs), *peers.interpreted(name)]
+            done(None)
+        frames = throughput()
+        done(None)
+    content = {
+        "tools": versions(),
+        "rows": [row for key in counted for row in results[key][0]],
+        "peers": [asdict(peer) for peer in found],
+        "frames_per_second": frames,
+        "profiles": {target: {name: results[target, name][1] for name in PROFILED} for target in TARGETS},
+    }
+    for place in (path, tables.COMMITTED):
+        write_json(place, content)
+    for block in tables.blocks(content):
+        block.write()
+        say(block.text + "\n")
+
+
+if __name__ == "__main__":
+    with errors_end_the_program():
+        main(Path(sys.argv[1] if len(sys.argv) > 1 else "out/bench.json"))
