@@ -29,7 +29,7 @@ CONSTANTS = (
 
 
 def declarations(*defines: str) -> str:
-    """Text of the headers for cffi, at the capacities that the -D flags say; the constants stand in it as enumerators."""
+    """Text of the headers for cffi, at the capacities that -D flags say; constants stand in it as enumerators."""
     compiler = shlex.split(os.environ.get("CC", "cc"))
     probe = "".join(f"\nenum {{ {name}_VALUE = {name} }};" for name in CONSTANTS)
     return subprocess.run(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 from collections import defaultdict
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -77,27 +78,26 @@ class Part:
         return self.stages[name]
 
 
-def parts(path: Path) -> list[Part]:
-    """The parts of a callgrind file, the one at the program's end last."""
+def parts(path: Path) -> Iterator[Part]:
+    """The parts of a callgrind file, one after the other, that of the program's end last."""
     names: dict[str, str] = {}
 
     def named(kind: str, value: str) -> str:
         number, _, name = value.rstrip().partition(" ")
         return names.setdefault(kind + number, name) if name else names[kind + number]
 
-    found: list[Part] = []
+    part: Part | None = None
     room = here = callee_room = function = ""
     calling = False
     with path.open() as lines:
         for line in lines:
-            first = line[0]
-            if first in "+-*0123456789":
+            if part is not None and line[0] in "+-*0123456789":
                 cost = int(line.rsplit(maxsplit=1)[1])
                 if calling:
-                    found[-1].call(function, room, callee_room, cost)
+                    part.call(function, room, callee_room, cost)
                     callee_room, calling = here, False
                 else:
-                    found[-1].own[function] += cost
+                    part.own[function] += cost
                 continue
             key, _, value = line.partition("=")
             if key == "fn":
@@ -112,16 +112,26 @@ def parts(path: Path) -> list[Part]:
             elif key == "calls":
                 calling = True
             elif line.startswith("desc: Trigger"):
-                found.append(Part())
-    return found
+                if part is not None:
+                    yield part
+                part = Part()
+    if part is not None:
+        yield part
 
 
 def tally_of(path: Path) -> Tally:
     """Of each part, which is a cycle, and of the last one, in which the solution is."""
-    *cycles, last = parts(path)
-    functions = sorted({name for part in cycles for name in part.own})
-    return Tally(
-        np.array([[part.stage(stage) for stage in STAGES] for part in cycles], dtype=np.int64),
-        {name: np.array([part.own.get(name, 0) for part in cycles], dtype=np.int64) for name in functions},
-        last.stage("solve"),
-    )
+    stages: list[list[int]] = []
+    functions: dict[str, dict[int, int]] = defaultdict(dict)
+    last = Part()
+    for number, part in enumerate(parts(path)):
+        stages.append([part.stage(stage) for stage in STAGES])
+        for name, cost in part.own.items():
+            functions[name][number] = cost
+        last = part
+    count = len(stages) - 1
+    calls = {name: np.zeros(count + 1, dtype=np.int64) for name in functions}
+    for name, costs in functions.items():
+        calls[name][list(costs)] = list(costs.values())
+    own = {name: all_of[:count] for name, all_of in calls.items() if all_of[:count].any()}
+    return Tally(np.array(stages[:count], dtype=np.int64), own, last.stage("solve"))

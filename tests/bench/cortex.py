@@ -10,6 +10,7 @@ import subprocess
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bench.counting import DRIVER, FOLDED, STAGES, Count, Tally, joined
 from conftest import ROOT, tool_module
@@ -29,6 +30,16 @@ def build(target: str, folder: Path, capacities: tuple[str, ...]) -> Path:
 
 def count(target: str, folder: Path) -> Count:
     """Run folder/driver.elf on folder/run.bin and count. Errors: ZygosError without QEMU, or what the program says."""
+    names = write_symbols(folder / "driver.elf", folder / "symbols.txt")
+    parts = run(target, folder / "driver.elf", folder).reshape(-1, len(STAGES) + len(names))
+    cycles, last = parts[:-1], parts[-1]
+    ran = {name: cycles[:, len(STAGES) + k] for k, name in enumerate(names) if cycles[:, len(STAGES) + k].any()}
+    tally = Tally(cycles[:, : len(STAGES)], ran, int(last[STAGES.index("solve")]))
+    return joined(tally, folder, "QEMU")
+
+
+def run(target: str, elf: Path, folder: Path) -> NDArray[np.int64]:
+    """Run an image in a folder that has symbols.txt. Returns all that the plugin wrote. Errors: as `count`."""
     for program in (*firmware.TOOLS, "arm-none-eabi-nm"):
         if shutil.which(program) is None:
             raise ZygosError(
@@ -37,18 +48,14 @@ def count(target: str, folder: Path) -> Count:
             )
     plugin = folder / "plugin.so"
     subprocess.run(["gcc", "-std=c11", "-O2", "-shared", "-fPIC", str(PLUGIN), "-o", str(plugin)], check=True)
-    names = write_symbols(folder / "driver.elf", folder / "symbols.txt")
     arguments = f"{plugin.resolve()},symbols=symbols.txt,out=parts.bin"
-    command = [*firmware.run(target, (folder / "driver.elf").resolve()), "-plugin", arguments]
+    command = [*firmware.run(target, elf.resolve()), "-plugin", arguments]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     if done.returncode != 0:
-        raise ZygosError(f"the driver failed under QEMU: {(done.stdout + done.stderr).strip()}; remedy: see there")
-    parts = np.fromfile(folder / "parts.bin", dtype="<i8").reshape(-1, len(STAGES) + len(names))
+        raise ZygosError(f"{elf.name} failed under QEMU: {(done.stdout + done.stderr).strip()}; remedy: see there")
+    parts = np.fromfile(folder / "parts.bin", dtype="<i8").astype(np.int64)
     (folder / "parts.bin").unlink()
-    cycles, last = parts[:-1], parts[-1]
-    ran = {name: cycles[:, len(STAGES) + k] for k, name in enumerate(names) if cycles[:, len(STAGES) + k].any()}
-    tally = Tally(cycles[:, : len(STAGES)], ran, int(last[STAGES.index("solve")]))
-    return joined(tally, folder, "QEMU")
+    return parts
 
 
 def write_symbols(elf: Path, path: Path) -> list[str]:

@@ -31,7 +31,7 @@ static struct {
 
 enum kind {
     KIND_FILLS, /* the windows are not full yet: no row */
-    KIND_BLOCK, /* the row opens a new block of the normal equations */
+    KIND_BLOCK, /* the row opens a segment, and so a block of the normal equations */
     KIND_ARC,   /* the row begins or ends its arc, or that of the motor or momentum rows */
     KIND_CYCLE  /* any other row */
 };
@@ -52,14 +52,14 @@ static place_t step(uint32_t frames)
 {
     const zygos_accumulator_t *sums = &arm.accumulator;
     const zygos_config_t *config = &arm.config;
-    const uint32_t blocks = sums->count;
+    const double segment = sums->segment;
     const uint32_t arcs = sums->arcs + sums->arcs_dropped;
     (void)zygos_step(&arm);
     driver_mark();
     const bool others = ((config->impulse_arc_cycles > 0) && (arm.joint_sums.cycles <= 1)) ||
                         ((config->momentum_arc_cycles > 0) && (arm.momentum_sums.cycles <= 1));
     const bool edge = (sums->arcs + sums->arcs_dropped != arcs) || (arm.arc <= 1) || others;
-    const uint32_t row = edge ? KIND_ARC : ((sums->count != blocks) ? KIND_BLOCK : KIND_CYCLE);
+    const uint32_t row = edge ? KIND_ARC : ((sums->segment < segment) ? KIND_BLOCK : KIND_CYCLE);
     const uint32_t sensors = (config->compensation > 0) ? config->compensation : 1u;
     return (place_t){
         .kind = (arm.instant == 1) ? row : KIND_FILLS,

@@ -7,7 +7,6 @@ of its ten parameters a body to those that can be told apart.
 
 from __future__ import annotations
 
-
 import shutil
 import struct
 import subprocess
@@ -34,7 +33,7 @@ ROUNDS = 20
 """Of a timing; the fastest counts."""
 EIGEN = Path("/usr/include/eigen3")
 FLAGS = "-std=c++20 -w -DNDEBUG -DBOOST_VARIANT_USE_RELAXED_GET_BY_DEFAULT".split()
-"""Relaxed: Pinocchio asks for kinds of joints that bench/peers.cpp leaves out. No assertions, which Eigen has many of."""
+"""Relaxed: Pinocchio asks for kinds of joints that bench/peers.cpp leaves out. No assertions: Eigen has many."""
 OPTIMISED = {"-O2": ["-O2"], "-O3 -march=native": ["-O3", "-march=native"]}
 """How C++ and C are compiled, the same for both; the first is what is meant where nothing is said."""
 ZYGOS = "zygos"

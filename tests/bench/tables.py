@@ -99,26 +99,32 @@ def _summary(content: dict[str, Any]) -> str:
         + _table(("instructions of a full cycle", *TITLES.values()), cycles)
         + "\n"
         + _table(("code and deepest stack", *TITLES.values(), "state"), sizes)
-        + f"\nInstructions of kinematics, balance and accumulator for one of Pinocchio's C++ regressor with Eigen's rank-1 "
+        + "\nKinematics, balance and accumulator for each instruction of Pinocchio's C++ regressor with Eigen's rank-1 "
         f"update, same p, -O2: {compared}.\n\n"
     )
 
 
 def _details(content: dict[str, Any]) -> str:
     out = ["\n" + " · ".join(content["tools"].values()) + "\n"]
+    of = {(row["target"], row["configuration"], row["stage"]): row for row in content["rows"]}
     for name in CONFIGURATIONS:
-        rows = [row for row in content["rows"] if row["configuration"] == name]
-        of = {(row["target"], row["stage"]): row for row in rows}
+        head = [f"{title}{what}" for title in TITLES.values() for what in ("", ", spread", ", most")]
         lines = []
-        for stage in (*ROOMS, "frame", "step", TOGETHER, "solve"):
-            cells = []
-            for target in TITLES:
-                row = of[target, stage]
-                cells += [_number(row["instructions"]), _number(row["spread"]), _number(row["most"])]
-                cells += [_number(row["bytes_code"]), _number(row["bytes_stack"])]
-            lines.append([stage, *cells, _number(of["x86-64", stage]["bytes_state"])])
-        head = [f"{title} {what}" for title in TITLES.values() for what in ("", "spread", "most", "code", "stack")]
-        out.append(f"\n### {_title(name, rows[0]['parameters'])}\n\n" + _table(("stage", *head, "state"), lines))
+        for stage in (*ROOMS[:-1], "frame", "step", TOGETHER, "solve"):
+            here = [of[target, name, stage] for target in TITLES]
+            lines.append([stage, *(_number(row[key]) for row in here for key in ("instructions", "spread", "most"))])
+        title = _title(name, of["x86-64", name, "step"]["parameters"])
+        out.append(f"\n### Instructions: {title}\n\n" + _table(("stage", *head), lines))
+    for name in CONFIGURATIONS:
+        if not name.endswith(BARE):
+            continue
+        head = [f"{title}, {what}" for title in TITLES.values() for what in ("code", "stack")]
+        lines = []
+        for stage in (*ROOMS, "frame", "step", "solve", "library"):
+            here = [of[target, name, stage] for target in TITLES]
+            cells = [_number(row[key]) for row in here for key in ("bytes_code", "bytes_stack")]
+            lines.append([stage, *cells, _number(here[0]["bytes_state"])])
+        out.append(f"\n### Bytes: {ARMS[name.removesuffix(BARE)]}\n\n" + _table(("stage", *head, "state"), lines))
     lines = []
     for peer in content["peers"]:
         arm = ARMS[peer["configuration"].removesuffix(BARE)]
