@@ -53,13 +53,15 @@ static place_t step(uint32_t frames)
     const zygos_accumulator_t *sums = &arm.accumulator;
     const zygos_config_t *config = &arm.config;
     const double segment = sums->segment;
+    const uint32_t blocks = sums->count;
     const uint32_t arcs = sums->arcs + sums->arcs_dropped;
     (void)zygos_step(&arm);
     driver_mark();
     const bool others = ((config->impulse_arc_cycles > 0) && (arm.joint_sums.cycles <= 1)) ||
                         ((config->momentum_arc_cycles > 0) && (arm.momentum_sums.cycles <= 1));
     const bool edge = (sums->arcs + sums->arcs_dropped != arcs) || (arm.arc <= 1) || others;
-    const uint32_t row = edge ? KIND_ARC : ((sums->segment < segment) ? KIND_BLOCK : KIND_CYCLE);
+    const bool opened = (sums->segment < segment) || (sums->count != blocks);
+    const uint32_t row = edge ? KIND_ARC : (opened ? KIND_BLOCK : KIND_CYCLE);
     const uint32_t sensors = (config->compensation > 0) ? config->compensation : 1u;
     return (place_t){
         .kind = (arm.instant == 1) ? row : KIND_FILLS,

@@ -18,6 +18,14 @@ TITLES = {"x86-64": "x86-64", "m7": "Cortex-M7", "m4f": "Cortex-M4F"}
 ARMS = {"paper": "planar, 2 joints", "spatial": "space, 3 joints", "seven": "space, 7 joints"}
 
 
+BUDGETS = {("x86-64", "paper, bare"): 3000, ("m7", "paper, bare"): 4500, ("m7", "seven, bare"): 150_000}
+"""Most instructions of a full cycle, by target and configuration."""
+QUARTER = 0.25
+"""Most of the instructions of Pinocchio and Eigen that balance and accumulator take, of the paper's arm."""
+SHOWN = 12
+"""Functions of a profile that a table has."""
+
+
 @dataclass(frozen=True)
 class Block:
     """Lines of a file between two markers."""
@@ -107,6 +115,7 @@ def _summary(content: dict[str, Any]) -> str:
 def _details(content: dict[str, Any]) -> str:
     out = ["\n" + " · ".join(content["tools"].values()) + "\n"]
     of = {(row["target"], row["configuration"], row["stage"]): row for row in content["rows"]}
+    out.append(_budgets(content, of))
     for name in CONFIGURATIONS:
         head = [f"{title}{what}" for title in TITLES.values() for what in ("", ", spread", ", most")]
         lines = []
@@ -149,6 +158,24 @@ def _details(content: dict[str, Any]) -> str:
         + "\n"
     )
     return "".join(out)
+
+
+def _budgets(content: dict[str, Any], of: dict[tuple[str, str, str], dict[str, Any]]) -> str:
+    """Budgets, and where a full cycle goes that misses its own."""
+    lines, missed = [], []
+    for (target, name), most in BUDGETS.items():
+        row = of[target, name, TOGETHER]
+        title = f"{TITLES[target]}: {_title(name, row['parameters'])}"
+        lines.append([title, _number(row["instructions"]), _number(most)])
+        if row["instructions"] > most:
+            functions = list(content["profiles"][target][name].items())[:SHOWN]
+            shown = [
+                [function, _number(own), f"{100 * own / row['instructions']:.0f} %"] for function, own in functions
+            ]
+            missed.append(f"\n{title}, which misses it:\n\n" + _table(("function", "instructions", "share"), shown))
+    sums = ratios(content, "paper, bare")["sums"]
+    lines.append(["balance + accumulator to Pinocchio C++ + Eigen, p = 12", f"{sums:.2f}", f"{QUARTER:.2f}"])
+    return "\n### Budgets\n\n" + _table(("full cycle", "instructions", "budget"), lines) + "".join(missed)
 
 
 def _ratio(value: float | None, base: float | None) -> str:
