@@ -2,7 +2,8 @@
 
 Usage: build_firmware.py m7|m4f ELF SOURCE... [-DNAME=VALUE ...] [-O... -f... -I...]
 
-SOURCE holds main() and what it needs beside the library and the port (c/ports/cortex-m): semihosting.h, uart.h, slcan.h.
+SOURCE holds main() and what it needs beside the library and the port (c/ports/cortex-m): core.h,
+semihosting.h, uart.h, slcan.h.
 m7 has a hardware double, m4f a soft one. Options go to the compiler behind the house flags.
 """
 
@@ -16,7 +17,7 @@ from pathlib import Path
 from build_native import FLAGS, ROOT
 
 PORT = ROOT / "c" / "ports" / "cortex-m"
-ROOMS = [*sorted((ROOT / "c").glob("*.c")), *(PORT / f"{noun}.c" for noun in ("startup", "semihosting"))]
+ROOMS = [*sorted((ROOT / "c").glob("*.c")), *(PORT / f"{noun}.c" for noun in ("core", "semihosting"))]
 """The flight library, and what every firmware has. Sections that nobody calls are left out of the image."""
 HOUSE = [flag for flag in FLAGS.split() if flag != "-fPIC"]
 INCLUDES = ["-I", str(ROOT / "include"), "-I", str(PORT)]
@@ -30,14 +31,20 @@ class Target:
     machine: str
     """Name for ``qemu-system-arm -M``, and of the linker script."""
     flags: tuple[str, ...]
+    soft: bool
+    """No double in hardware."""
 
 
 TARGETS = {
-    "m7": Target("mps2-an500", ("-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-d16", "-mfloat-abi=hard")),
-    "m4f": Target("mps2-an386", ("-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard")),
+    "m7": Target("mps2-an500", ("-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-d16", "-mfloat-abi=hard"), soft=False),
+    "m4f": Target("mps2-an386", ("-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard"), soft=True),
 }
+ADDITION = ("__aeabi_dadd", "__aeabi_dsub", "__aeabi_drsub")
+"""Functions of libgcc before which the port's own stand where double is soft (c/ports/cortex-m/addition.c)."""
 TOOLS = ("arm-none-eabi-gcc", "qemu-system-arm")
-"""What a build and a run need."""
+"""What a build and a run need,"""
+PACKAGES = "gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm"
+"""and where Debian has it."""
 
 
 def missing() -> list[str]:
@@ -53,9 +60,11 @@ def compiler(target: str) -> list[str]:
 def build(target: str, elf: Path, sources: Sequence[Path], flags: Sequence[str] = ()) -> Path:
     """Write an image for m7 or m4f. Returns elf. Errors: CalledProcessError, the compiler's text on stderr."""
     elf.parent.mkdir(parents=True, exist_ok=True)
-    script = f"{TARGETS[target].machine}.ld"
-    link = [*LINK.split(), f"-L{PORT}", f"-Wl,-T,{script}", "-lm"]
-    command = [*compiler(target), *flags, *map(str, [*ROOMS, *sources]), *link, "-o", str(elf)]
+    soft = TARGETS[target].soft
+    rooms = [*ROOMS, *([PORT / "addition.c"] if soft else [])]
+    link = [*LINK.split(), f"-L{PORT}", f"-Wl,-T,{TARGETS[target].machine}.ld", "-lm"]
+    link += [f"-Wl,--wrap={name}" for name in ADDITION if soft]
+    command = [*compiler(target), *flags, *map(str, [*rooms, *sources]), *link, "-o", str(elf)]
     subprocess.run(command, check=True)
     return elf
 

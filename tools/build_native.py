@@ -17,14 +17,12 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 HEADER = ROOT / "c" / "ports" / "host" / "batch.h"
 INCLUDES = ["-I", str(ROOT / "include"), "-I", str(HEADER.parent)]
-FLAGS = (
-    "-std=c11 -O2 -g -fPIC -ffp-contract=off -fno-math-errno "
-    "-Wall -Wextra -Wconversion -Wsign-conversion -Wdouble-promotion -Wshadow -pedantic"
-)
+FLAGS = "-g -fPIC " + (ROOT / "c" / "flags.txt").read_text()
 CONSTANTS = (
     "ZYGOS_MAX_JOINTS ZYGOS_MAX_HALF_WIDTH ZYGOS_MAX_BLOCKS ZYGOS_CYCLE_QUEUE ZYGOS_MAX_EFFECTS ZYGOS_MAX_PARAMETERS "
     "ZYGOS_MAX_ROW ZYGOS_MAX_PACKED_ROW ZYGOS_MAX_BODY ZYGOS_SPATIAL ZYGOS_MOMENTUM ZYGOS_MIN_ARC_INSTANTS "
-    "ZYGOS_MAX_WINDOW ZYGOS_VERSION_MAJOR ZYGOS_VERSION_MINOR"
+    "ZYGOS_MAX_WINDOW ZYGOS_VERSION_MAJOR ZYGOS_VERSION_MINOR ZYGOS_LAYOUT "
+    "ZYGOS_SNAPSHOT_HEAD"
 ).split()
 
 

@@ -360,6 +360,9 @@ def fit(
 def dbc(
     arm: Annotated[Path, typer.Option("--arm", metavar="ARM.toml", help="The hardware.")],
     out: Annotated[Path, typer.Option("-o", "--out", metavar="ARM.dbc", help="The DBC to write.")],
+    model: Annotated[
+        Path | None, typer.Option("--model", metavar="PRIOR.toml", help="Also name the effects of this model.")
+    ] = None,
     json: Json = None,
 ) -> None:
     """Write the DBC of this arm, for any CAN tool: its frames, with the joints' and parameters' names.
@@ -371,7 +374,31 @@ def dbc(
     """
     from zygos.dbc import write_dbc  # noqa: PLC0415
 
-    write_dbc(arm, out, json)
+    write_dbc(arm, model, out, json)
+
+
+@app.command()
+def compile_model(
+    arm: Annotated[Path, typer.Argument(metavar="ARM.toml", help="The hardware.")],
+    out: Annotated[
+        Path, typer.Option("-o", "--out", metavar="FOLDER", help="Where arm_config.h and arm.zyg are written.")
+    ] = Path(),
+    model: Annotated[
+        Path | None, typer.Option("--model", metavar="PRIOR.toml", help="Also learn the effects of this model.")
+    ] = None,
+    json: Json = None,
+) -> None:
+    """Compile an arm file into the constant that onboard software links, and into bytes that it loads.
+
+    Writes arm_config.h, C11 and C++17, with the configuration and the places of the parameters (ARM_k1), and arm.zyg,
+    the same configuration as memory of this build behind a head with layout and CRC (docs/snapshot.md), which
+    `zygos-node` loads. What the flight library would refuse is not written.
+
+    Example: zygos compile-model examples/paper/arm.toml -o out/onboard
+    """
+    from zygos.compiled import compile_model as compile_arm  # noqa: PLC0415
+
+    compile_arm(arm, out, model, json)
 
 
 @app.command()

@@ -52,7 +52,7 @@ def main(path: Path) -> None:
     if missing:
         raise ZygosError(
             f"not installed: {', '.join(missing)}; remedy: apt install build-essential valgrind libeigen3-dev "
-            "gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm"
+            + cortex.firmware.PACKAGES
         )
     counted = [(target, name) for target in TARGETS for name in CONFIGURATIONS]
     compared = [name for name in CONFIGURATIONS if name.endswith(BARE)]

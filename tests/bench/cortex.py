@@ -5,7 +5,6 @@ does not know the processor's pipeline.
 from __future__ import annotations
 
 import re
-import shutil
 import subprocess
 from pathlib import Path
 
@@ -40,12 +39,8 @@ def count(target: str, folder: Path) -> Count:
 
 def run(target: str, elf: Path, folder: Path) -> NDArray[np.int64]:
     """Run an image in a folder that has symbols.txt. Returns all that the plugin wrote. Errors: as `count`."""
-    for program in (*firmware.TOOLS, "arm-none-eabi-nm"):
-        if shutil.which(program) is None:
-            raise ZygosError(
-                f"{program} is not installed; remedy: apt install gcc-arm-none-eabi libnewlib-arm-none-eabi "
-                "qemu-system-arm"
-            )
+    if firmware.missing():
+        raise ZygosError(f"not installed: {', '.join(firmware.missing())}; remedy: apt install {firmware.PACKAGES}")
     plugin = folder / "plugin.so"
     subprocess.run(["gcc", "-std=c11", "-O2", "-shared", "-fPIC", str(PLUGIN), "-o", str(plugin)], check=True)
     arguments = f"{plugin.resolve()},symbols=symbols.txt,out=parts.bin"
@@ -84,4 +79,5 @@ def _room(file: str) -> int:
     if path.parent == ROOT / "c":
         room = FOLDED.get(path.stem, path.stem)
         return _TOP if room == "zygos" else STAGES.index(room) if room in STAGES else _RUNTIME
-    return _OUTSIDE if path.is_relative_to(ROOT) else _RUNTIME
+    # the port's soft double is the compiler's runtime, too
+    return _OUTSIDE if path.is_relative_to(ROOT) and path.stem != "addition" else _RUNTIME

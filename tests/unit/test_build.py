@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import os
 import re
-import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -14,9 +13,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-
+from build_support import run, tool
 from calls_support import Calls
-from conftest import house_flags, need
+from conftest import house_flags
 from zygos import flight
 from zygos.arm import Arm, load_arm
 from zygos.cycles import Cycles
@@ -38,20 +37,6 @@ ALLOWED_SYMBOLS = {"memcpy", "memset", "memmove", "memcmp"}
 # and half width 15: 1616 and 2568 bytes in a planar build, 3056 and 4920 in a spatial one. The bounds leave room for
 # other compilers; a planar build fits a 4 KiB task stack with an interrupt frame.
 STACK = {"-DZYGOS_SPATIAL=0": (1792, 3072), "-DZYGOS_SPATIAL=1": (3072, 6144)}
-
-
-def tool(name: str) -> str:
-    """The program, or a skipped test; on a build server a failed one."""
-    path = shutil.which(name)
-    need(path, f"{name}: this target stays unchecked")
-    return str(path)
-
-
-def run(command: list[str], folder: Path) -> str:
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, f"{' '.join(command)}\n{done.stdout}{done.stderr}"
-    assert not done.stderr, done.stderr
-    return done.stdout
 
 
 def compile_all(target: str, folder: Path, *flags: str) -> list[Path]:

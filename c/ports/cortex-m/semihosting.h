@@ -1,5 +1,5 @@
-/// Files and the exit status of the host, through a debugger or an emulator (Arm's semihosting). Without one, every call
-/// is a fault of the processor.
+/// Files and the exit status of the host, through a debugger or an emulator (Arm's semihosting). Without one, every
+/// call is a fault of the processor.
 
 #ifndef ZYGOS_SEMIHOSTING_H
 #define ZYGOS_SEMIHOSTING_H
