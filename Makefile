@@ -127,4 +127,4 @@ clean: ## remove everything that was built
 	rm -rf $(VENV) out build examples/onboard/build harness/zygos/_native harness/*.egg-info
 
 help: ## this list
-	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 10
+	@grep -E '^[a-z-]+:.*##' $(firstword $(MAKEFILE_LIST)) | sed 's/:.*## /\t/' | expand -t 10

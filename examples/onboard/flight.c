@@ -5,7 +5,7 @@
 #include <stdatomic.h>
 #include <stddef.h>
 
-#define RING 64u         /* frames between interrupt and task: ten cycles of this arm */
+#define RING 256u        /* frames between interrupt and task: 40 cycles of this arm */
 #define SOLVE_EVERY 200u /* cycles: ten seconds */
 
 enum kind { TELEMETRY_ESTIMATE = 0, TELEMETRY_SIGMA = 1, TELEMETRY_VERDICT = 3 }; /* as in zygos.dbc */
@@ -14,6 +14,7 @@ static zygos_t arm;               /* belongs to flight_task() */
 static zygos_work_t work;         /* changes hands by work_is_full */
 static zygos_estimate_t estimate; /* belongs to flight_solve(), and so does what is learned */
 static flight_learned_t learned;
+static uint8_t estimate_counter;
 
 static zygos_frame_t ring[RING];
 static _Atomic uint32_t ring_head; /* written by the interrupt */
@@ -23,6 +24,7 @@ static _Atomic uint32_t work_is_full; /* set by flight_task(), cleared by flight
 static _Atomic uint32_t corrupt;      /* the other way round */
 static _Atomic uint32_t payload;      /* how often the payload changed; written by the task */
 static uint32_t payload_of_work;
+static uint8_t counter_of_work; /* of the SYNC at which it was taken, modulo 16 */
 static uint64_t taken_at;
 
 int flight_start(void)
@@ -80,6 +82,7 @@ static void take_when_due(void)
     }
     taken_at = arm.cycles;
     zygos_take(&arm, &work);
+    counter_of_work = (uint8_t)(arm.receiver.assembly.counter % 16u);
     payload_of_work = atomic_load_explicit(&payload, memory_order_relaxed);
     atomic_store_explicit(&work_is_full, 1u, memory_order_release);
 }
@@ -105,10 +108,8 @@ void flight_task(void)
 
 static void tell(uint32_t index, enum kind kind, double value)
 {
-    static uint8_t counter;
     zygos_frame_t frame;
-    zygos_wire_encode_telemetry(counter, (uint8_t)index, (uint8_t)kind, (float)value, &frame);
-    counter = (uint8_t)((counter + 1u) % 16u);
+    zygos_wire_encode_telemetry(estimate_counter, (uint8_t)index, (uint8_t)kind, (float)value, &frame);
     port_send(&frame);
 }
 
@@ -141,6 +142,7 @@ const zygos_estimate_t *flight_solve(void)
         return NULL;
     }
     const uint32_t of = payload_of_work;
+    estimate_counter = counter_of_work;
     (void)zygos_solve(&work, &estimate);
     atomic_store_explicit(&work_is_full, 0u, memory_order_release);
     if (of != atomic_load_explicit(&payload, memory_order_acquire)) {

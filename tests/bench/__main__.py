@@ -68,8 +68,10 @@ def main(path: Path) -> None:
             for key in sorted(counted, key=lambda key: list(CONFIGURATIONS).index(key[1]), reverse=True):
                 jobs[key] = pool.submit(measure, *key)  # what takes longest begins first
             builds = {one: pool.submit(peers.build, folder / one.replace(" ", ""), one) for one in peers.OPTIMISED}
-            for job in (*jobs.values(), *builds.values()):
-                job.add_done_callback(done)
+            for counting in jobs.values():
+                counting.add_done_callback(done)
+            for building in builds.values():
+                building.add_done_callback(done)
             results = {key: job.result() for key, job in jobs.items()}
             programs = {one: job.result().resolve() for one, job in builds.items()}
         bar.update(task, description="timing")  # alone

@@ -67,11 +67,11 @@ class Count:
     def stage(self, name: str) -> NDArray[np.int64]:
         """(n,) instructions of a stage in each cycle."""
         parts = name.split(" + ")
-        return np.sum([self.tally.stages[:, STAGES.index(part)] for part in parts], axis=0, dtype=np.int64)
+        return np.asarray(self.tally.stages[:, [STAGES.index(part) for part in parts]].sum(axis=1), dtype=np.int64)
 
     def ordinary(self) -> NDArray[np.bool_]:
         """(n,) cycles that form a row, and neither open a block nor begin or end an arc."""
-        return self.kinds == KINDS.index("cycle")
+        return np.asarray(self.kinds == KINDS.index("cycle"), dtype=np.bool_)
 
 
 def read_places(path: Path) -> tuple[dict[str, int], NDArray[np.int64], int]:

@@ -142,10 +142,9 @@ static int read_failed(node_bus_t *self)
     case ENETDOWN: /* the interface went down: what is lost is noticed by the counters of SYNC and FTIME */
         self->down++;
         return NODE_READ;
-    case ECONNREFUSED: /* the other end of a datagram socket is not there, yet or any more */
+    case ECONNREFUSED: /* the other end of a socket of datagrams is not there */
+    case ECONNRESET:   /* it closed with our answers unread; what it sent before is still to be read */
         return NODE_READ;
-    case ECONNRESET: /* closed with our answers unread */
-        return NODE_ENDED;
     default:
         node_say("cannot receive any more (%s); remedy: see `ip link`, and start again", strerror(errno));
         return NODE_FAILED;

@@ -86,9 +86,8 @@ static int work(uint64_t *frames, uint64_t *syncs)
 }
 
 /* Until the end is asked for, or comes. Returns the last enum node_reading. */
-static int run(double idle_s)
+static int run(double idle_s, const sigset_t *mask)
 {
-    const sigset_t mask = catch_signals();
     uint64_t frames = 0;
     uint64_t syncs = 0;
     uint64_t frames_before = 0;
@@ -99,7 +98,7 @@ static int run(double idle_s)
     node_telemetry_heartbeat(&bus, NODE_BOOT);
     while (!told_to_end && (reading >= NODE_EMPTY)) {
         const double idle_end_s = (idle_s > 0.0) ? last_frame_s + idle_s : heartbeat_s;
-        wait_until((idle_end_s < heartbeat_s) ? idle_end_s : heartbeat_s, &mask);
+        wait_until((idle_end_s < heartbeat_s) ? idle_end_s : heartbeat_s, mask);
         reading = work(&frames, &syncs);
         const double now = now_s();
         last_frame_s = (frames != frames_before) ? now : last_frame_s;
@@ -136,10 +135,11 @@ int main(int argc, char **argv)
         return REFUSED;
     }
     node_telemetry_init(&telemetry, options.every);
+    const sigset_t mask = catch_signals();
     node_say("listening on %s, %u joints, %u parameters, %s cycle %llu", options.interface ? options.interface : "--fd",
              config.joints, arm.layout.count, (arm.cycles > 0u) ? "goes on behind" : "starts at",
              (unsigned long long)arm.cycle);
-    const int reading = run(options.idle_s);
+    const int reading = run(options.idle_s, &mask);
     const int saved = node_store_save(options.state, &arm);
     uint64_t counter[NODE_COUNTERS];
     node_counters(&arm, &bus, counter);

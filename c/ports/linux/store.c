@@ -167,6 +167,10 @@ int node_store_save(const char *path, const zygos_t *arm)
     bool done = (fd >= 0) && write_all(fd, head, sizeof head) && write_all(fd, arm, sizeof *arm) && (fsync(fd) == 0);
     done = (fd >= 0) && (close(fd) == 0) && done;
     done = done && (rename(partial, path) == 0) && sync_folder(path);
-    return done ? 1
-                : node_say("%s: cannot be saved (%s); remedy: check the folder and its space", path, strerror(errno));
+    if (!done) {
+        const int why = errno;
+        (void)unlink(partial);
+        return node_say("%s: cannot be saved (%s); remedy: check the folder and its space", path, strerror(why));
+    }
+    return 1;
 }
