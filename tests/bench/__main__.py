@@ -23,18 +23,25 @@ from bench.rows import FOLDER, TARGETS, measure
 from conftest import ROOT
 from zygos.commands import progress
 from zygos.errors import ZygosError
-from zygos.output import errors_end_the_program, say, write_json
+from zygos.output import errors_end_the_program, note, say, write_json
 
 PROFILED = ("paper, bare", "seven, bare")
 
 
+NO_VCAN = 3
+"""Status of tools/with-vcan where there can be none."""
+
+
 def throughput() -> dict[str, float]:
-    """Frames per second through cffi and a vcan, where there is one or can be."""
+    """Frames per second through cffi, and through a vcan where there is one or can be."""
     path = FOLDER / "throughput.json"
-    command = [str(ROOT / "tools" / "with-vcan"), sys.executable, "-m", "bench.throughput", str(path)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    command = [sys.executable, "-m", "bench.throughput", str(path)]
+    done = subprocess.run([str(ROOT / "tools" / "with-vcan"), *command], capture_output=True, text=True, check=False)
+    if done.returncode == NO_VCAN:
+        note(done.stderr.strip())
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
-        raise ZygosError(f"the vcan part failed: {done.stderr.strip()[-500:]}; remedy: see there")
+        raise ZygosError(f"frames per second: {done.stderr.strip()[-500:]}; remedy: see there")
     found: dict[str, float] = json.loads(path.read_text())
     return found
 
