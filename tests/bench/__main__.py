@@ -56,6 +56,7 @@ def versions() -> dict[str, str]:
 def main(path: Path) -> None:
     """Measure everything, write it, print the tables."""
     missing = [one for one in ("gcc", "g++", "valgrind", *cortex.firmware.TOOLS) if shutil.which(one) is None]
+    missing += [] if peers.EIGEN.is_dir() else ["Eigen"]
     if missing:
         raise ZygosError(
             f"not installed: {', '.join(missing)}; remedy: apt install build-essential valgrind libeigen3-dev "
