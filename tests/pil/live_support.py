@@ -1,4 +1,4 @@
-"""A target that runs by itself: its serial line on a TCP port or a pseudo-terminal, its memory through QEMU's monitor."""
+"""A target that runs by itself: its serial line on a TCP port or a pseudo-terminal, its memory through QEMU."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import re
 import struct
 import subprocess
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
@@ -52,8 +52,9 @@ class Live:
     def _answer(self) -> Any:
         assert self._process.stdout is not None
         while True:
-            said = json.loads(self._process.stdout.readline())
-            if "event" not in said:
+            line = self._process.stdout.readline()
+            assert line, "QEMU has ended"
+            if line.startswith("{") and "event" not in (said := json.loads(line)):
                 return said
 
     def ask(self, command: str, **arguments: Any) -> Any:
@@ -123,3 +124,26 @@ def running(
     finally:
         process.kill()
         process.communicate()
+
+
+def lines_of(messages: Iterable[can.Message]) -> list[bytes]:
+    """Frames in slcan's words, as python-can has them."""
+    with can.Bus(interface="slcan", channel="loop://", sleep_after_open=0.0) as line:
+        port: Any = line.serialPortOrig  # type: ignore[attr-defined]
+        port.timeout = PATIENCE_S
+        assert port.read_until(b"\r") == b"O\r"
+        out = []
+        for message in messages:
+            line.send(message)
+            out.append(bytes(port.read_until(b"\r")))
+    return out
+
+
+def parsed(text: bytes) -> can.Message:
+    """The frame that python-can makes of a line."""
+    with can.Bus(interface="slcan", channel="loop://", sleep_after_open=0.0) as line:
+        port: Any = line.serialPortOrig  # type: ignore[attr-defined]
+        port.write(text)
+        message = line.recv(timeout=PATIENCE_S)
+    assert message is not None
+    return message

@@ -1,5 +1,5 @@
-"""What the tests on an emulated Cortex-M share: builds of firmware and of the host's library at the same capacities, runs
-of both on the same vectors, and a comparison that names the first byte that differs."""
+"""What the tests on an emulated Cortex-M share: firmware and the host's library at the same capacities, runs of both on
+the same vectors, and a comparison that names the first byte that differs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Double arithmetic on the targets is that of IEEE 754, which numpy has from the host's processor, operation by operation.
+"""Double arithmetic on the targets is that of IEEE 754, which numpy has from the host's processor.
 
 Operands are such that software gets them wrong: far apart, near powers of two, denormal, halfway between two results.
 """

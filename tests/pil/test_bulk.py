@@ -112,7 +112,7 @@ def test_from_frames_to_the_estimate(
 @pytest.mark.parametrize("target", TARGETS)
 def test_other_levels_of_optimisation(target: str, builds: Path, tmp_path: Path, agree: Agree) -> None:
     with capacities(builds, PAPER):
-        arm, effects, cycles = CASES["paper"].of()
+        arm, _, cycles = CASES["paper"].of()
         config, sections = flight.config_of(arm), [frames_section(flight.encode(arm, cycles)), *END]
         for level in ("-Os", "-O3"):
             host, records, _ = both(builds, tmp_path, target, PAPER, config, sections, (level,))
@@ -230,7 +230,7 @@ def test_special_doubles(name: str, target: str, builds: Path, tmp_path: Path, a
 
 def test_denormals_that_are_flushed_are_noticed(builds: Path, tmp_path: Path) -> None:
     with capacities(builds, PAPER):
-        arm, effects, cycles = CASES["paper"].of()
+        arm, _, cycles = CASES["paper"].of()
         tiny = special(cycles, 2)
         sections = [cycles_section(flight.cycles_to_native(tiny), len(tiny)), *END]
         config = flight.config_of(arm)

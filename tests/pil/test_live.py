@@ -1,4 +1,4 @@
-"""Firmware that runs by itself, spoken to by python-can through slcan: frames in the receive interrupt, cycles in a task."""
+"""Firmware that runs by itself, spoken to by python-can through slcan: frames in an interrupt, cycles in a task."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ import pytest
 from numpy.typing import NDArray
 
 from pil.conftest import Agree
-from pil.live_support import PATIENCE_S, Live, running
+from pil.live_support import PATIENCE_S, Live, lines_of, running
 from pil.pil_support import END, PAPER, PATIENT, TARGETS, Record, capacities, compare, frames_section, on_host, recorded
 from zygos import bus, flight
 from zygos.arm import Arm
@@ -120,26 +120,13 @@ def check_telemetry(arm: Arm, messages: list[can.Message], expected: list[tuple[
     """What came back is the estimate, by name, as cantools reads it."""
     database = arm_database(arm)
     assert {message.arbitration_id for message in messages} == {0x1A0}
-    decoded: list[dict[str, Any]] = [database.decode_message(m.arbitration_id, m.data) for m in messages]  # type: ignore[misc]
+    decoded: list[dict[str, Any]] = [database.decode_message(m.arbitration_id, m.data) for m in messages]
     assert [(m.data[2], m.data[3]) for m in messages] == [(index, kind) for index, kind, _ in expected]
     values = [np.frombuffer(bytes(m.data[4:8]), "<f4")[0] for m in messages]
     assert values == [np.float32(value) for _, _, value in expected]
     last = {name: value for one in decoded for name, value in one.items()}
     for name in arm.parameter_names:
         assert last[name] in values
-
-
-def lines_of(frames: NDArray[Any]) -> list[bytes]:
-    """As slcan writes frames: python-can's own words."""
-    line = can.Bus(interface="slcan", channel="loop://", sleep_after_open=0.0)
-    port: Any = line.serialPortOrig  # type: ignore[attr-defined]
-    port.read(port.in_waiting)
-    out = []
-    for message in bus.to_messages(frames, 0.05):
-        line.send(message)
-        out.append(bytes(port.read(port.in_waiting)))
-    line.shutdown()
-    return out
 
 
 def spoiled(rng: np.random.Generator, line: bytes) -> bytes:
@@ -169,7 +156,7 @@ def test_spoiled_lines(target: str, builds: Path, tmp_path: Path, agree: Agree) 
         arm, frames = the_run()
         frames = frames[:1400]
         stream, bad = [b"\r\r\rC\rS8\rO\r"], 0
-        for line in lines_of(frames):
+        for line in lines_of(bus.to_messages(frames, arm.period_s)):
             if rng.random() < 0.3:
                 stream.append(spoiled(rng, line))
                 bad += 1
@@ -192,17 +179,17 @@ def test_lost_characters(target: str, builds: Path, tmp_path: Path, agree: Agree
     with capacities(builds, PATIENT):
         arm, frames = the_run()
         frames = frames[:2800]
-        text = np.frombuffer(b"".join(lines_of(frames)), np.uint8)
+        text = np.frombuffer(b"".join(lines_of(bus.to_messages(frames, arm.period_s))), np.uint8)
         kept = bytes(text[rng.random(len(text)) > 2e-3])
         *lines, rest = kept.split(b"\r")
-        good = np.array([bytes(re.sub(rb"..", b"", line[5:])) == b"" and well_formed(line) for line in lines])
-        survived = [frame for line, ok in zip(lines, good, strict=True) if ok for frame in [read(line)]]
+        good = np.array([well_formed(line) for line in lines])
+        survived = [read(line) for line, ok in zip(lines, good, strict=True) if ok]
         with running(builds, tmp_path, target, PATIENT, Flight(arm)) as live:
             exchange(live, b"O\r" + kept, len(lines))
             found = live.settle(len(lines))
             assert live.lines() == (int(good.sum()), int((~good).sum()))
-        left = np.array(survived, dtype=flight.FRAME)
         assert rest == b""
+        left = np.array(survived, dtype=flight.FRAME)
         state = flight.ffi.from_buffer("zygos_t *", found)
         assert state.receiver.faults.incomplete > 30
         assert state.gaps > 10
@@ -215,10 +202,10 @@ def well_formed(line: bytes) -> bool:
     return match is not None and len(match[2]) == 2 * int(match[1])
 
 
-def read(line: bytes) -> tuple[int, int, int, bytes, list[int]]:
+def read(line: bytes) -> tuple[int, int, int, list[int], list[int]]:
     """The frame of a well-formed line, as a `FRAME` record."""
     data = bytes.fromhex(line[5:].decode())
-    return int(line[1:4], 16), int(line[4:5]), 0, b"\0\0", list(data.ljust(8, b"\0"))  # type: ignore[return-value]
+    return int(line[1:4], 16), int(line[4:5]), 0, [0, 0], list(data.ljust(8, b"\0"))
 
 
 def exchange(live: Live, text: bytes, lines: int) -> bytes:
@@ -246,14 +233,16 @@ def test_a_task_that_is_held_up(target: str, builds: Path, tmp_path: Path, agree
     with capacities(builds, PAPER):
         arm, frames = the_run()
         frames = frames[: np.flatnonzero(frames["id"] == 0x080)[400] + 1]
-        with running(builds, tmp_path, target, PAPER, Flight(arm), drill="drill_stall") as live:
-            with listening(live) as (line, _):
-                for k, message in enumerate(bus.to_messages(frames, arm.period_s)):
-                    line.send(message)
-                    # no faster than the task, or it would lose cycles elsewhere too
-                    while k % 14 == 13 and sum(live.lines()) < k - 14:
-                        time.sleep(0.001)
-                found = live.settle(len(frames))
+        with (
+            running(builds, tmp_path, target, PAPER, Flight(arm), drill="drill_stall") as live,
+            listening(live) as (line, _),
+        ):
+            for k, message in enumerate(bus.to_messages(frames, arm.period_s)):
+                line.send(message)
+                # no faster than the task, or it would lose cycles elsewhere too
+                while k % 14 == 13 and sum(live.lines()) < k - 14:
+                    time.sleep(0.001)
+            found = live.settle(len(frames))
         state = flight.ffi.from_buffer("zygos_t *", found)
         lost = state.receiver.faults.overrun
         assert lost >= 5
@@ -297,10 +286,10 @@ def test_a_closed_channel(builds: Path, tmp_path: Path) -> None:
     """Before O and behind C no frame comes in, and none goes out."""
     with capacities(builds, PATIENT):
         arm, frames = the_run()
-        text = b"".join(lines_of(frames[:70]))
+        text = b"".join(lines_of(bus.to_messages(frames[:70], arm.period_s)))
         with running(builds, tmp_path, "m7", PATIENT, Flight(arm)) as live:
-            untouched = live.memory("arm")
             assert exchange(live, text, 70) == b"\a" * 70
+            untouched = live.memory("arm")
             assert exchange(live, b"S9\rO\rS8\rC\r", 72) == b"\a\r\a\r"
             assert exchange(live, text, 142) == b"\a" * 70
             assert live.memory("arm") == untouched
