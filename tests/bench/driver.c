@@ -60,7 +60,8 @@ static place_t step(uint32_t frames)
     const bool others = ((config->impulse_arc_cycles > 0) && (arm.joint_sums.cycles <= 1)) ||
                         ((config->momentum_arc_cycles > 0) && (arm.momentum_sums.cycles <= 1));
     const bool edge = (sums->arcs + sums->arcs_dropped != arcs) || (arm.arc <= 1) || others;
-    const bool opened = (sums->segment < segment) || (sums->count != blocks);
+    const bool first = (arm.arc <= (uint32_t)ZYGOS_STEP); /* nothing is shared out yet */
+    const bool opened = (sums->segment < segment) || (sums->count != blocks) || (first && (sums->filled == 0));
     const uint32_t row = edge ? KIND_ARC : (opened ? KIND_BLOCK : KIND_CYCLE);
     const uint32_t sensors = (config->compensation > 0) ? config->compensation : 1u;
     return (place_t){
@@ -72,7 +73,7 @@ static place_t step(uint32_t frames)
         .filled = sums->filled,
         .torque_at = arm.balance.torque_at,
         .position = arm.smoother.position,
-        .first = (arm.arc <= (uint32_t)ZYGOS_STEP) ? 1u : 0u, /* nothing is shared out yet */
+        .first = first ? 1u : 0u,
     };
 }
 
