@@ -97,8 +97,11 @@ $(NODE): $(LIBRARY) $(wildcard c/ports/linux/*.[ch] include/zygos/*.h)
 test: build node $(VENV)/.test ## unit, bus, fuzz and bench tests, a process for each core
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile tests/unit tests/bus tests/fuzz tests/bench
 
-hil: build node $(VENV)/.test ## the example across a real vcan (the kernel's, or User-Mode Linux)
-	tools/with-vcan $(BIN)/python -m pytest tests/hil
+DRILLS := tests/hil/test_drills.py tests/hil/test_node.py tests/hil/test_can_utils.py
+hil: build node $(VENV)/.test ## fault drills across a real vcan (the kernel's, or User-Mode Linux); or CHANNEL=can0 DUT=external (docs/hil.md)
+	$(if $(CHANNEL),ZYGOS_VCAN_IFS=$(CHANNEL) ZYGOS_OUT=$${ZYGOS_OUT:-out},tools/with-vcan) $(BIN)/python -m pytest \
+	    $(if $(DUT),$(DRILLS),tests/hil) --zygos-channel $(or $(CHANNEL),$(firstword $(ZYGOS_VCAN_IFS)),vcan0) \
+	    --zygos-dut $(or $(DUT),$(NODE)) --zygos-scenario examples/paper/scenario.toml --zygos-json $${ZYGOS_OUT:-out}/hil.json
 
 gap: build $(VENV)/.test ## hide effects in a MuJoCo plant, explain them, score the verdicts (out/gap.json; 20 minutes)
 	PYTHONPATH=tests $(BIN)/python -m oracles.campaign

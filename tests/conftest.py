@@ -18,6 +18,8 @@ from zygos.model import Model, load_model
 from zygos.plant import Trajectory, simulate
 from zygos.scenario import Scenario, load_scenario
 
+pytest_plugins = ["zygos.testing"]
+
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLE = ROOT / "examples" / "paper"
 
