@@ -5,7 +5,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 NATIVE := harness/zygos/_native/libzygos.so
 SOURCES := $(wildcard c/*.c c/ports/host/*) c/flags.txt $(wildcard include/zygos/*) tools/build_native.py
-C_FILES := $(wildcard c/*.c c/ports/*/*.[ch] include/zygos/*.h tests/fuzz/*.c tests/bench/*.c tests/pil/*.c tools/*.c) \
+C_FILES := $(wildcard c/*.c c/ports/*/*.[ch] include/zygos/*.h tests/fuzz/*.c tests/bench/*.c tests/bench/*.cpp tests/pil/*.c tools/*.c) \
            $(filter-out %/arm_config.h,$(wildcard examples/onboard/*.[ch]))
 ifdef CI
 export CFLAGS += -Werror
@@ -31,7 +31,7 @@ $(error CAPACITIES holds $(filter-out -DZYGOS_%,$(CAPACITIES)), which is no capa
 endif
 
 .DEFAULT_GOAL := demo
-.PHONY: demo build library install uninstall FORCE node test hil pil gap count accuracy demo-log lint format warnings clean help
+.PHONY: demo build library install uninstall FORCE node test hil pil gap bench accuracy demo-log lint format warnings clean help
 
 demo: build ## set up, run the paper's example over CAN, show the result (out/demo/report.html)
 	$(BIN)/python -m zygos.demo
@@ -109,8 +109,8 @@ pil: build $(VENV)/.test ## the library as firmware on an emulated Cortex-M7 and
 gap: build $(VENV)/.test ## hide effects in a MuJoCo plant, explain them, score the verdicts (out/gap.json; 20 minutes)
 	PYTHONPATH=tests $(BIN)/python -m oracles.campaign
 
-count: build $(VENV)/.test ## count the instructions of a cycle, by valgrind (out/count.json)
-	PYTHONPATH=tests $(BIN)/python -m bench.count out/count.json
+bench: build $(VENV)/.test ## what it costs, beside its peers (out/bench.json, README.md, docs/cost.md; 6 minutes)
+	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tests $(BIN)/python -m bench out/bench.json
 
 accuracy: build $(VENV)/.test ## errors, coverage and refusals of all estimators (docs/accuracy.html; 10 minutes; SEEDS= DRAWS= SCHEDULER= CASES=)
 	$(BIN)/python -m zygos.accuracy $(CASES) $(if $(SEEDS),--seeds $(SEEDS)) $(if $(DRAWS),--draws $(DRAWS)) $(if $(SCHEDULER),--scheduler $(SCHEDULER))
