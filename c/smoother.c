@@ -64,18 +64,25 @@ void zygos_smoother_init(zygos_smoother_t *self, const zygos_config_t *config)
         const double own_s = link ? joint->link_latch_s : joint->motor_latch_s;
         const double latch_s = gyro ? config->imu_latch_s : own_s + 1e-6 * joint->latch_us;
         const double s = -latch_s / config->period_s;
-        zygos_smoother_coefficients(m, config->smoother_order, s, 0, self->value[i]);
-        if (gyro) {
-            continue;
-        }
+        double value[ZYGOS_MAX_WINDOW];
+        double slope[ZYGOS_MAX_WINDOW];
         double second[ZYGOS_MAX_WINDOW] = { 0.0 };
-        zygos_smoother_coefficients(m, config->smoother_order, s, 1, self->slope[i]);
+        zygos_smoother_coefficients(m, config->smoother_order, s, 0, value);
+        zygos_smoother_coefficients(m, config->smoother_order, s, 1, slope);
         zygos_smoother_coefficients(m - 1u, config->smoother_order, s, 1, &second[1]);
         double square = 0.0;
         for (uint32_t j = 0; j < self->window; j++) {
-            self->slope[i][j] /= config->period_s;
-            self->probe[i][j] = self->slope[i][j] - second[j] / config->period_s;
-            square += self->probe[i][j] * self->probe[i][j];
+            zygos_taps_t *taps = &self->taps[i][j / 2u];
+            taps->value[j % 2u] = value[j];
+            if (!gyro) {
+                const double probe = slope[j] / config->period_s - second[j] / config->period_s;
+                taps->slope[j % 2u] = slope[j] / config->period_s;
+                taps->probe[j % 2u] = probe;
+                square += probe * probe;
+            }
+        }
+        if (gyro) {
+            continue;
         }
         /* |probe . x| <= limit is tested as a square, which needs no square root. */
         const double sigma = link ? joint->link_sigma_rad : joint->motor_sigma_rad;
@@ -89,13 +96,48 @@ void zygos_smoother_gap(zygos_smoother_t *self)
     self->filled = 0;
 }
 
-static double product(const double *a, const double *b, uint32_t n)
+void zygos_smoother_variance(const zygos_smoother_t *self, uint32_t signal, double out[3])
 {
-    double sum = 0.0;
-    for (uint32_t j = 0; j < n; j++) {
-        sum += a[j] * b[j];
+    memset(out, 0, 3u * sizeof out[0]);
+    for (uint32_t j = 0; j < self->window; j++) {
+        const double value = self->taps[signal][j / 2u].value[j % 2u];
+        const double slope = self->taps[signal][j / 2u].slope[j % 2u];
+        out[0] += value * value;
+        out[1] += value * slope;
+        out[2] += slope * slope;
     }
-    return sum;
+}
+
+/* Value of a signal of the gyro at the middle of the window that begins at x. */
+static double value_of(const zygos_taps_t *taps, const double *x, uint32_t window)
+{
+    double value[2] = { 0.0, 0.0 };
+    for (const double *end = x + window; x < end; x += 2) {
+        value[1] += taps->value[1] * x[1];
+        value[0] += taps->value[0] * x[0];
+        taps++;
+    }
+    return value[0] + value[1];
+}
+
+/* Value, rate and probe of a joint's signal: two samples at a time, each read once for all three. */
+static void polynomial(const zygos_taps_t *taps, const double *x, uint32_t window, double out[3])
+{
+    double value[2] = { 0.0, 0.0 };
+    double slope[2] = { 0.0, 0.0 };
+    double probe[2] = { 0.0, 0.0 };
+    for (const double *end = x + window; x < end; x += 2) {
+        value[1] += taps->value[1] * x[1];
+        value[0] += taps->value[0] * x[0];
+        slope[1] += taps->slope[1] * x[1];
+        slope[0] += taps->slope[0] * x[0];
+        probe[1] += taps->probe[1] * x[1];
+        probe[0] += taps->probe[0] * x[0];
+        taps++;
+    }
+    out[0] = value[0] + value[1];
+    out[1] = slope[0] + slope[1];
+    out[2] = probe[0] + probe[1];
 }
 
 int zygos_smoother_push(zygos_smoother_t *self, const double *signal, zygos_state_t *out)
@@ -113,23 +155,17 @@ int zygos_smoother_push(zygos_smoother_t *self, const double *signal, zygos_stat
     }
     const uint32_t n = self->joint_signals / 2u;
     uint32_t steady = 1u;
-    for (uint32_t i = 0; i < self->signals; i++) {
-        const double *x = &self->sample[i][at + 1u];
-        const double value = product(self->value[i], x, w);
-        if (i >= 2u * n) {
-            out->omega[i - 2u * n] = value;
-            continue;
-        }
-        const double rate = product(self->slope[i], x, w);
-        const double probe = product(self->probe[i], x, w);
-        steady &= (uint32_t)(probe * probe <= self->limit[i]);
-        if (i < n) {
-            out->q[i] = value;
-            out->q_rate[i] = rate;
-        } else {
-            out->theta[i - n] = value;
-            out->theta_rate[i - n] = rate;
-        }
+    for (uint32_t i = 0; i < 2u * n; i++) {
+        double smooth[3];
+        polynomial(self->taps[i], &self->sample[i][at + 1u], w, smooth);
+        steady &= (uint32_t)(smooth[2] * smooth[2] <= self->limit[i]);
+        double *value = (i < n) ? &out->q[i] : &out->theta[i - n];
+        double *rate = (i < n) ? &out->q_rate[i] : &out->theta_rate[i - n];
+        *value = smooth[0];
+        *rate = smooth[1];
+    }
+    for (uint32_t k = 0; k < 3; k++) {
+        out->omega[k] = value_of(self->taps[2u * n + k], &self->sample[2u * n + k][at + 1u], w);
     }
     out->accepted = (double)steady;
     return 1;
