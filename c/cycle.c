@@ -9,11 +9,24 @@
 /* Error class of an error frame, as SocketCAN puts it into the identifier. */
 #define BUS_OFF 0x40u
 #define HALF_RANGE_RAD 50.26548245743669
+/* Of timed: there is an FTIME to compare with, and one before an outage of unknown length. */
+#define TIMED 1u
+#define RESUMED 2u
 
 void zygos_receiver_init(zygos_receiver_t *self)
 {
     memset(self, 0, sizeof *self);
     self->assembly.broken = ZYGOS_CYCLE_BREAK;
+}
+
+void zygos_receiver_resume(zygos_receiver_t *self)
+{
+    self->faults.dropped += self->queue.head - self->queue.tail;
+    self->queue.tail = self->queue.head;
+    self->assembly.received = 0;
+    self->assembly.broken |= ZYGOS_CYCLE_BREAK;
+    self->assembly.timed = (self->assembly.timed != 0) ? RESUMED : 0u;
+    self->status.spoiled = 1;
 }
 
 int zygos_receiver_pop(zygos_receiver_t *self, zygos_cycle_t *out)
@@ -127,6 +140,24 @@ static int take_sync(zygos_receiver_t *self, const zygos_config_t *config, const
     return accept(self);
 }
 
+/* The counter tells the length of an outage modulo 240 cycles. The time since the FTIME before it tells the rest, where
+   it fits. */
+static void catch_up(zygos_receiver_t *self, const zygos_config_t *config, uint32_t time_us)
+{
+    zygos_assembly_t *a = &self->assembly;
+    const double turn_s = ZYGOS_SYNC_MODULUS * config->period_s;
+    const double elapsed_s = (double)(uint32_t)(time_us - a->time_us) * 1e-6;
+    const double missing_s = elapsed_s - (double)(a->sync - a->time_sync) * config->period_s;
+    const uint64_t turns = (missing_s > 0.0) ? (uint64_t)(missing_s / turn_s + 0.5) : 0u;
+    const double error = missing_s - (double)turns * turn_s;
+    const double tolerance = 0.5 * config->period_s;
+    if ((error > tolerance) || (error < -tolerance)) {
+        self->faults.time_jumped++;
+        return;
+    }
+    a->sync += turns * ZYGOS_SYNC_MODULUS;
+}
+
 static int take_time(zygos_receiver_t *self, const zygos_config_t *config, const zygos_frame_t *frame)
 {
     zygos_record_t record;
@@ -143,7 +174,9 @@ static int take_time(zygos_receiver_t *self, const zygos_config_t *config, const
         const bool late = (behind == 1) && (record.counter == (record.sync & 0x0Fu));
         return reject(self, late ? &self->faults.late : &self->faults.counter);
     }
-    if (a->timed) {
+    if (a->timed == RESUMED) {
+        catch_up(self, config, record.time_us);
+    } else if (a->timed == TIMED) {
         /* Modulo 2^32, nearest to 0: a clock that starts anew runs backwards. */
         const double elapsed_s = (double)(int32_t)(record.time_us - a->time_us) * 1e-6;
         const double counted_s = (double)(a->sync - a->time_sync) * config->period_s;
@@ -160,7 +193,7 @@ static int take_time(zygos_receiver_t *self, const zygos_config_t *config, const
             a->broken |= ZYGOS_CYCLE_VOID;
         }
     }
-    a->timed = 1;
+    a->timed = TIMED;
     a->time_us = record.time_us;
     a->time_sync = a->sync;
     a->since_time = 0;

@@ -133,6 +133,16 @@ static int check_config(const zygos_config_t *config)
     return zygos_effects_check(config);
 }
 
+/* What follows from the configuration alone. */
+static void make_tables(zygos_t *self)
+{
+    const zygos_config_t *own = &self->config;
+    zygos_balance_layout(own, &self->layout);
+    zygos_skeleton_init(&self->skeleton, own);
+    zygos_smoother_init(&self->smoother, own);
+    zygos_noise_init(&self->noise, own, &self->layout, &self->smoother);
+}
+
 int zygos_init(zygos_t *self, const zygos_config_t *config)
 {
     if ((self == NULL) || (config == NULL)) {
@@ -147,11 +157,8 @@ int zygos_init(zygos_t *self, const zygos_config_t *config)
     unsigned char *behind = (unsigned char *)(&self->config + 1);
     memset(self, 0, offsetof(zygos_t, config));
     memset(behind, 0, sizeof *self - offsetof(zygos_t, config) - sizeof self->config);
-    zygos_balance_layout(own, &self->layout);
-    zygos_skeleton_init(&self->skeleton, own);
+    make_tables(self);
     zygos_receiver_init(&self->receiver);
-    zygos_smoother_init(&self->smoother, own);
-    zygos_noise_init(&self->noise, own, &self->layout, &self->smoother);
     zygos_balance_gap(&self->balance);
     zygos_accumulator_init(&self->accumulator, self->layout.count, own->arc_cycles, own->period_s);
     zygos_impulse_gap(&self->impulse);
@@ -313,6 +320,28 @@ static void work_off(zygos_t *self, const zygos_cycle_t *cycle)
         end_arc(self);
         zygos_balance_new_arc(&self->balance);
     }
+}
+
+int zygos_resume(zygos_t *self, const zygos_config_t *config)
+{
+    if ((self == NULL) || (config == NULL)) {
+        return ZYGOS_E_NULL;
+    }
+    if (self->mark != MARK) {
+        return ZYGOS_E_ORDER;
+    }
+    const int verdict = check_config(config);
+    if (verdict < 0) {
+        return verdict;
+    }
+    if (memcmp(&self->config, config, sizeof *config) != 0) {
+        return ZYGOS_E_CONFIG;
+    }
+    gap(self);
+    self->instant = 0;
+    make_tables(self);
+    zygos_receiver_resume(&self->receiver);
+    return 1;
 }
 
 int zygos_step(zygos_t *self)

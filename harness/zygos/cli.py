@@ -375,6 +375,30 @@ def dbc(
 
 
 @app.command()
+def compile_model(
+    arm: Annotated[Path, typer.Argument(metavar="ARM.toml", help="The hardware.")],
+    out: Annotated[
+        Path, typer.Option("-o", "--out", metavar="FOLDER", help="Where arm_config.h and arm.zyg are written.")
+    ] = Path(),
+    model: Annotated[
+        Path | None, typer.Option("--model", metavar="PRIOR.toml", help="Also learn the effects of this model.")
+    ] = None,
+    json: Json = None,
+) -> None:
+    """Compile an arm file into the constant that onboard software links, and into bytes that it loads.
+
+    Writes arm_config.h, C11 and C++17, with the configuration and the places of the parameters (ARM_k1), and arm.zyg,
+    the same configuration as memory of this build behind a head with layout and CRC (docs/snapshot.md), which
+    `zygos-node` loads. What the flight library would refuse is not written.
+
+    Example: zygos compile-model examples/paper/arm.toml -o out/onboard
+    """
+    from zygos.compiled import compile_model as compile_arm  # noqa: PLC0415
+
+    compile_arm(arm, out, model, json)
+
+
+@app.command()
 def bus_load(
     arm: Annotated[Path, typer.Option("--arm", metavar="ARM.toml", help="The hardware.")],
     bitrate: Annotated[int, typer.Option(min=1000, max=1_000_000, help="Bits per second of the bus.")] = 1_000_000,

@@ -74,7 +74,7 @@ def arm_database(arm: Arm) -> Database:
     names = joint_names(arm)
     listeners = [*names, *([IMU] if arm.free else [])]
     computer = shipped.get_node_by_name(COMPUTER).comment
-    nodes = [Node(COMPUTER, comment=f"{computer} It serves the arm {_printable(arm.name)}.")]
+    nodes = [Node(COMPUTER, comment=f"{computer} It serves the arm {printable(arm.name)}.")]
     messages = [deepcopy(shipped.get_message_by_name(name)) for name in ("SYNC", "FTIME")]
     for message in messages:
         for signal in message.signals:
@@ -117,10 +117,10 @@ def _attributes(message: Message) -> Mapping[str, Any]:
 
 def _title(i: int, joint: Joint) -> str:
     """What comments call joint i, from 0."""
-    return f"joint {i + 1}, {_printable(joint.name)}"
+    return f"joint {i + 1}, {printable(joint.name)}"
 
 
-def _printable(name: str) -> str:
+def printable(name: str) -> str:
     """A name in a comment: ASCII without quotes, for the format states no encoding."""
     plain = re.sub(r'[^ -~]|["\\]', " ", _without_marks(name))
     return " ".join(plain.split()) or "unnamed"

@@ -77,11 +77,11 @@ def _load() -> tuple[Any, Any]:
     import hashlib  # noqa: PLC0415  (only needed once, at load)
 
     digest = int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big")
-    abi = 0
-    for name in ("zygos_t", "zygos_config_t", "zygos_work_t", "zygos_estimate_t", "zygos_cycle_t", "zygos_frame_t"):
-        abi = (abi * 31 + binding.sizeof(name)) & 0xFFFFFFFF
+    sizes = [binding.sizeof(f"zygos_{name}_t") for name in ("config", "work", "estimate", "cycle", "frame")]
     version = library.ZYGOS_VERSION_MAJOR_VALUE * 256 + library.ZYGOS_VERSION_MINOR_VALUE
-    abi = ((abi * 31 + library.ZYGOS_MAX_JOINTS_VALUE) * 31 + version) & 0xFFFFFFFF
+    abi = binding.sizeof("zygos_t")
+    for part in (*sizes, library.ZYGOS_MAX_JOINTS_VALUE, version, library.ZYGOS_LAYOUT_VALUE):
+        abi = (abi ^ part) * 16777619 & 0xFFFFFFFF
     if library.zygos_declarations_digest() != digest or library.zygos_abi() != abi:
         raise ZygosError(
             f"{_FOLDER / 'libzygos.so'} was not built from {_FOLDER / 'zygos.cdef'}; remedy: run `make build`"

@@ -61,7 +61,7 @@ typedef struct {
     uint32_t broken;     ///< Flags of the next complete cycle.
     uint64_t void_from;  ///< With ZYGOS_CYCLE_VOID: the last cycle that can be trusted.
     uint32_t since_time; ///< Cycles since the last FTIME.
-    uint32_t timed;      ///< 1: time_us and time_sync hold the last FTIME.
+    uint32_t timed;      ///< 1: time_us and time_sync hold the last FTIME; 2: one before zygos_receiver_resume().
     uint32_t time_us;
     uint64_t time_sync;
     zygos_cycle_t cycle; ///< Values received so far.
@@ -83,6 +83,12 @@ typedef struct {
 
 /// Forgets everything. Needs memory of its own; cost: one memset.
 void zygos_receiver_init(zygos_receiver_t *self);
+
+/// Goes on after an outage of unknown length, during which nothing was received. The open cycle is lost, and counted
+/// when the next SYNC closes it; cycles in the queue are forgotten and counted as dropped. The cycle number goes on by
+/// the step of the SYNC counter, modulo 240; the next FTIME corrects it where it fits, and otherwise counts in
+/// time_jumped.
+void zygos_receiver_resume(zygos_receiver_t *self);
 
 /// Takes one frame. Needs an initialised receiver and a checked configuration. Decodes and stores only: bounded by one
 /// CRC and, when a SYNC closes a complete cycle, one copy into the queue. A rejected frame changes faults and status

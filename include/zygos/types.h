@@ -135,7 +135,15 @@ enum zygos_error {
     ZYGOS_E_ORDER = -12,  ///< zygos_init() has not succeeded on this struct.
     ZYGOS_E_KEEP = -13,   ///< zygos_restart() does not know one of the bits, or there are no motor rows to keep.
     ZYGOS_E_EFFECT = -14, ///< Too many effects, an unknown kind, a joint out of range, or an effect twice.
-    ZYGOS_E_BASE = -15    ///< base is none of enum zygos_base, or gravity, a gyro or momentum rows do not fit it.
+    ZYGOS_E_BASE = -15,   ///< base is none of enum zygos_base, or gravity, a gyro or momentum rows do not fit it.
+    ZYGOS_E_SNAPSHOT = -16,   ///< No snapshot, or not even a whole head of one.
+    ZYGOS_E_FORMAT = -17,     ///< A snapshot of a format that this build does not read.
+    ZYGOS_E_KIND = -18,       ///< A snapshot of another kind, or a kind that there is not.
+    ZYGOS_E_BYTE_ORDER = -19, ///< A snapshot from a machine of the other byte order.
+    ZYGOS_E_LAYOUT = -20,     ///< A snapshot from a build with other capacities, structs or version.
+    ZYGOS_E_LENGTH = -21,     ///< A snapshot that is cut off, or has more behind it.
+    ZYGOS_E_CRC = -22,        ///< A snapshot whose bytes were changed.
+    ZYGOS_E_CONFIG = -23      ///< A state that was made with another configuration.
 };
 
 /// How the arm can move, and so which columns its bodies have; the counts are those of a free base.

@@ -33,6 +33,7 @@
 #include "momentumsums.h"
 #include "noise.h"
 #include "smoother.h"
+#include "snapshot.h"
 #include "solver.h"
 #include "types.h"
 #include "wire.h"
@@ -76,20 +77,23 @@ typedef struct {
     zygos_accumulator_t accumulator;
 } zygos_t;
 
-/// Differs between builds whose structs differ. Goes into zygos_config_t.abi; zygos_init() compares it with its own.
+/// Digest of the text of all structs in these headers, without comments: a field that is moved, renamed or given
+/// another type changes it. tests/unit/test_snapshot.py knows what it must be.
+#define ZYGOS_LAYOUT 0x360BFDF9u
+
+#define ZYGOS_MIX(hash, value) (((uint32_t)(hash) ^ (uint32_t)(value)) * 16777619u)
+
+/// Differs between builds whose structs differ: in text, in capacities, or by the compiler. Goes into
+/// zygos_config_t.abi; zygos_init() compares it with its own. Also in the head of a snapshot.
 #define ZYGOS_ABI                                                                                                      \
-    ((uint32_t)((((((((uint32_t)sizeof(zygos_t) * 31u + (uint32_t)sizeof(zygos_config_t)) * 31u +                      \
-                     (uint32_t)sizeof(zygos_work_t)) *                                                                 \
-                        31u +                                                                                          \
-                    (uint32_t)sizeof(zygos_estimate_t)) *                                                              \
-                       31u +                                                                                           \
-                   (uint32_t)sizeof(zygos_cycle_t)) *                                                                  \
-                      31u +                                                                                            \
-                  (uint32_t)sizeof(zygos_frame_t)) *                                                                   \
-                     31u +                                                                                             \
-                 (uint32_t)ZYGOS_MAX_JOINTS) *                                                                         \
-                    31u +                                                                                              \
-                (uint32_t)(ZYGOS_VERSION_MAJOR * 256 + ZYGOS_VERSION_MINOR)))
+    ZYGOS_MIX(                                                                                                         \
+        ZYGOS_MIX(ZYGOS_MIX(ZYGOS_ABI_SIZES, ZYGOS_MAX_JOINTS), ZYGOS_VERSION_MAJOR * 256 + ZYGOS_VERSION_MINOR),      \
+        ZYGOS_LAYOUT)
+#define ZYGOS_ABI_SIZES                                                                                                \
+    ZYGOS_MIX(ZYGOS_MIX(ZYGOS_MIX(ZYGOS_MIX(ZYGOS_MIX(sizeof(zygos_t), sizeof(zygos_config_t)), sizeof(zygos_work_t)), \
+                                  sizeof(zygos_estimate_t)),                                                           \
+                        sizeof(zygos_cycle_t)),                                                                        \
+              sizeof(zygos_frame_t))
 
 /// Bits of zygos_restart().
 enum zygos_keep {
@@ -102,6 +106,13 @@ enum zygos_keep {
 /// task that steps while no frame is being received. Returns 1, or an enum zygos_error and *self is as it was.
 /// Cost: the coefficients of the smoother, and one memset of zygos_t.
 int zygos_init(zygos_t *self, const zygos_config_t *config);
+
+/// Goes on with a state that was stored, after zygos_snapshot_check() found it whole, or with one in memory that no
+/// frames reached for a while. What was learned and counted stays. The arc in progress ends, cycles in the queue and
+/// the open one are lost and counted (zygos_receiver_resume()), and what follows from the configuration is computed
+/// anew. Needs a state of the same configuration, otherwise ZYGOS_E_CONFIG. Same task as zygos_step(), while no frame
+/// is being received. Returns 1, or an enum zygos_error and *self is as it was. Cost: the coefficients of the smoother.
+int zygos_resume(zygos_t *self, const zygos_config_t *config);
 
 /// Front door: one CAN frame, in the order of the bus. Decodes and stores only; may run in the receive interrupt while
 /// zygos_step() runs in a task. Returns enum zygos_reception or an enum zygos_error.

@@ -1,0 +1,142 @@
+"""`zygos compile-model`: what onboard software links is what the harness runs, bit for bit."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from wire_support import SEVEN_NODES, arm_text
+
+from conftest import EXAMPLE, ROOT, need
+from zygos import snapshot
+from zygos.arm import load_arm
+from zygos.cli import main
+from zygos.flight import Flight, config_of, ffi
+from zygos.model import load_model
+
+WARNINGS = "-Wall -Wextra -Wconversion -Wsign-conversion -Wdouble-promotion -Wshadow -pedantic -Werror".split()
+COMPILERS = {
+    "gcc": ["gcc", "-std=c11", "-x", "c"],
+    "clang": ["clang", "-std=c11", "-x", "c"],
+    "g++": ["g++", "-std=c++17", "-x", "c++"],
+    "clang++": ["clang++", "-std=c++17", "-x", "c++"],
+}
+PROGRAM = """
+#include <stdio.h>
+#include "arm_config.h"
+int main(void) { return fwrite(&arm_config, sizeof arm_config, 1, stdout) == 1 ? 0 : 1; }
+"""
+
+
+def run(*arguments: object) -> int:
+    with pytest.raises(SystemExit) as end:
+        main([str(argument) for argument in arguments])
+    return int(end.value.code or 0)
+
+
+def compiled(folder: Path, compiler: str, *flags: str) -> subprocess.CompletedProcess[str]:
+    """Compile the program that writes the configuration of folder/arm_config.h to its output."""
+    command = COMPILERS[compiler]
+    need(shutil.which(command[0]), f"{command[0]}: this compiler stays unchecked")
+    (folder / "program.c").write_text(PROGRAM)
+    command = [*command, *WARNINGS, *flags, f"-I{ROOT / 'include'}", f"-I{folder}", str(folder / "program.c")]
+    return subprocess.run([*command, "-o", str(folder / "program")], capture_output=True, text=True, check=False)
+
+
+@pytest.mark.parametrize("compiler", COMPILERS)
+@pytest.mark.parametrize("example", ["paper", "spatial", "seven"])
+def test_header_blob_and_harness_have_the_same_bits(example: str, compiler: str, tmp_path: Path) -> None:
+    arm_file = ROOT / "examples" / example / "arm.toml"
+    assert run("compile-model", arm_file, "-o", tmp_path) == 0
+    done = compiled(tmp_path, compiler)
+    assert (done.returncode, done.stderr) == (0, "")
+    linked = subprocess.run([tmp_path / "program"], capture_output=True, check=True).stdout
+    expected = bytes(ffi.buffer(config_of(load_arm(arm_file))))
+    assert linked == expected
+    assert (tmp_path / "arm.zyg").read_bytes()[24:] == expected
+    assert bytes(ffi.buffer(snapshot.read(tmp_path / "arm.zyg", "configuration"))) == expected
+
+
+def test_effects_of_a_model_are_compiled_in(tmp_path: Path) -> None:
+    text = (EXAMPLE / "model.toml").read_text()
+    model = tmp_path / "model.toml"
+    model.write_text(text + '\n[[effect]]\nkind = "torque_lag"\njoint = "elbow"\nvalue = 0.002\n')
+    out = tmp_path / "answer.json"
+    command = ("compile-model", EXAMPLE / "arm.toml", "--model", model, "-o", tmp_path, "--json", out)
+    assert run(*command) == 0
+    arm, effects = load_arm(EXAMPLE / "arm.toml"), load_model(model).effects
+    assert len(effects) == 1
+    assert compiled(tmp_path, "gcc").returncode == 0
+    linked = subprocess.run([tmp_path / "program"], capture_output=True, check=True).stdout
+    assert linked == bytes(ffi.buffer(config_of(arm, effects)))
+    names = json.loads(out.read_text())["parameters"]
+    assert names == list(Flight(arm, effects).names)
+    assert names[-1] == "torque_lag2"
+
+
+def test_parameters_have_their_places(tmp_path: Path) -> None:
+    """The names of a spatial arm hold brackets and commas; the enumeration counts as the estimate does."""
+    (tmp_path / "arm.toml").write_text(arm_text(tuple("abcdefg"), SEVEN_NODES, kinetic="spatial"))
+    assert run("compile-model", tmp_path / "arm.toml", "-o", tmp_path) == 0
+    names = Flight(load_arm(tmp_path / "arm.toml")).names
+    checks = "\n".join(
+        f'_Static_assert(ARM_{"_".join(name.replace("[", ",").replace("]", ",").split(",")).rstrip("_")} == {k}, "");'
+        for k, name in enumerate(names)
+    )
+    unit = tmp_path / "unit.c"
+    unit.write_text(f'#include "arm_config.h"\n{checks}\n_Static_assert(ARM_PARAMETERS == {len(names)}, "");\n')
+    subprocess.run(["gcc", "-std=c11", f"-I{ROOT / 'include'}", "-fsyntax-only", unit], check=True)
+    assert len(names) > 150
+
+
+@pytest.mark.parametrize(
+    ("example", "flag", "word"),
+    [
+        ("spatial", "-DZYGOS_MAX_JOINTS=2", "ZYGOS_MAX_JOINTS 3"),
+        ("spatial", "-DZYGOS_SPATIAL=0", "ZYGOS_SPATIAL 1"),
+        ("paper", "-DZYGOS_MAX_HALF_WIDTH=4", "ZYGOS_MAX_HALF_WIDTH 5"),
+    ],
+)
+def test_a_build_that_is_too_small_does_not_compile(example: str, flag: str, word: str, tmp_path: Path) -> None:
+    assert run("compile-model", ROOT / "examples" / example / "arm.toml", "-o", tmp_path) == 0
+    done = compiled(tmp_path, "gcc", flag)
+    assert done.returncode != 0
+    assert f"needs {word}; remedy: compile with -D{word.replace(' ', '=')}" in done.stderr
+
+
+def test_a_smaller_build_that_suffices_compiles(tmp_path: Path) -> None:
+    assert run("compile-model", EXAMPLE / "arm.toml", "-o", tmp_path) == 0
+    flags = "-DZYGOS_MAX_JOINTS=2 -DZYGOS_SPATIAL=0 -DZYGOS_MOMENTUM=0 -DZYGOS_MAX_EFFECTS=0 -DZYGOS_MAX_HALF_WIDTH=5"
+    assert compiled(tmp_path, "gcc", *flags.split()).returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        (("period_s = 0.05", "period_s = 0.066"), "period_s"),
+        (("gear_ratio = 50", "gear_ratio = 1e7"), "out of range"),
+        (("node = 2", "node = 1"), "node"),
+        (("[smoother]", "[arc]\nmax_s = 0.9\n[smoother]"), "shorter than 20 cycles"),
+    ],
+)
+def test_what_the_library_would_refuse_is_not_written(
+    change: tuple[str, str], word: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (EXAMPLE / "arm.toml").read_text()
+    assert change[0] in text
+    (tmp_path / "arm.toml").write_text(text.replace(*change))
+    assert run("compile-model", tmp_path / "arm.toml", "-o", tmp_path / "out") == 2
+    said = capsys.readouterr().err
+    assert word in said
+    assert "remedy: " in said
+    assert not (tmp_path / "out").exists()
+
+
+def test_outputs_do_not_replace_inputs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copy(EXAMPLE / "arm.toml", tmp_path / "arm.zyg")
+    assert run("compile-model", tmp_path / "arm.zyg", "-o", tmp_path) == 2
+    assert "would replace" in capsys.readouterr().err
+    assert not (tmp_path / "arm_config.h").exists()
