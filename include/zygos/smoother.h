@@ -16,27 +16,29 @@
 extern "C" {
 #endif
 
-/// Coefficients of two neighbouring samples.
+/// Coefficients of one sample of a joint: of q, of theta.
 typedef struct {
     double value[2];
     double slope[2]; ///< Of the rate [1/s].
     double probe[2]; ///< Slope minus the second slope [1/s].
 } zygos_taps_t;
 
-/// A window in pairs of samples; the second of the last pair has no weight.
-#define ZYGOS_MAX_TAPS (ZYGOS_MAX_HALF_WIDTH + 1)
+/// Samples of one instant: the base rate about three axes, then q and theta of each joint.
+typedef struct {
+    double omega[3];
+    double reserved;
+    double angle[ZYGOS_MAX_JOINTS][2];
+} zygos_sample_t;
 
 typedef struct {
-    uint32_t signals;       ///< 2N + 3.
-    uint32_t joint_signals; ///< 2N: those with a slope and a bandwidth test.
-    uint32_t window;        ///< 2M + 1.
-    uint32_t position;      ///< Where the next sample goes.
-    uint32_t filled;        ///< Samples since the last gap, at most window.
-    uint32_t reserved;
-    zygos_taps_t taps[ZYGOS_MAX_SIGNALS][ZYGOS_MAX_TAPS]; ///< Oldest sample first; of the gyro the value alone.
-    double limit[2 * ZYGOS_MAX_JOINTS];                   ///< Largest allowed square of the probe [rad^2/s^2].
-    /// Each sample twice, so that a window is contiguous; behind them what the last tap reads, 0.
-    double sample[ZYGOS_MAX_SIGNALS][2 * ZYGOS_MAX_WINDOW + 1];
+    uint32_t joints;                                       ///< N.
+    uint32_t window;                                       ///< 2M + 1.
+    uint32_t position;                                     ///< Where the next sample goes.
+    uint32_t filled;                                       ///< Samples since the last gap, at most window.
+    zygos_taps_t taps[ZYGOS_MAX_JOINTS][ZYGOS_MAX_WINDOW]; ///< Oldest sample first.
+    double gyro[ZYGOS_MAX_WINDOW];                         ///< The same of the gyro, which has a value only.
+    double limit[ZYGOS_MAX_JOINTS][2];                     ///< Largest allowed square of the probe [rad^2/s^2].
+    zygos_sample_t sample[2 * ZYGOS_MAX_WINDOW];           ///< Each twice, so that a window is contiguous.
 } zygos_smoother_t;
 
 /// The arm at one instant.

@@ -83,7 +83,7 @@ extern "C" {
 #endif
 
 #define ZYGOS_MAX_WINDOW (2 * ZYGOS_MAX_HALF_WIDTH + 1)
-/// Signals the smoother filters: q and theta of each joint, and the base rate about three axes.
+/// Signals the smoother filters: q_1 .. q_N, theta_1 .. theta_N, and the base rate about three axes.
 #define ZYGOS_MAX_SIGNALS (2 * ZYGOS_MAX_JOINTS + 3)
 /// Directions that rate vectors belong to: three of the base, two of each other body.
 #define ZYGOS_MAX_DIRECTIONS (2 * ZYGOS_MAX_JOINTS + 3)
