@@ -42,12 +42,12 @@ extern "C" {
 #error "ZYGOS_MAX_BLOCKS must be even, 8..256"
 #endif
 
-/// Complete cycles that may wait between zygos_frame() and zygos_step(). A power of two.
+/// Complete cycles that may wait between zygos_frame() and zygos_step(), with the one being worked off.
 #ifndef ZYGOS_CYCLE_QUEUE
 #define ZYGOS_CYCLE_QUEUE 8
 #endif
-#if (ZYGOS_CYCLE_QUEUE < 2) || (ZYGOS_CYCLE_QUEUE > 1024) || ((ZYGOS_CYCLE_QUEUE & (ZYGOS_CYCLE_QUEUE - 1)) != 0)
-#error "ZYGOS_CYCLE_QUEUE must be a power of two, 2..1024"
+#if (ZYGOS_CYCLE_QUEUE < 2) || (ZYGOS_CYCLE_QUEUE > 1024)
+#error "ZYGOS_CYCLE_QUEUE must be 2..1024"
 #endif
 
 /// Largest number of effects that a configuration can switch on. At 0 the library has no room for any.
