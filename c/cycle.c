@@ -423,20 +423,17 @@ int zygos_receiver_frame(zygos_receiver_t *self, const zygos_config_t *config, c
     return take(self, config, message, joint, frame);
 }
 
-/* 1 or 0, without a branch: most of what is compared is near. */
-static uint32_t far(double a, double b)
-{
-    return (uint32_t)(a - b > HALF_RANGE_RAD) | (uint32_t)(b - a > HALF_RANGE_RAD);
-}
-
 int zygos_cycle_wrapped(const zygos_hold_t *hold, const zygos_config_t *config, const zygos_cycle_t *cycle)
 {
-    uint32_t wrapped = 0;
+    double farthest = 0.0;
     for (uint32_t i = 0; i < config->joints; i++) {
-        const uint32_t flexible = (config->joint[i].rigid == 0) ? 1u : 0u;
-        wrapped |= (flexible & far(cycle->q[i], hold->q[i])) | far(cycle->theta[i], hold->theta[i]);
+        const double link = __builtin_fabs(cycle->q[i] - hold->q[i]);
+        const double motor = __builtin_fabs(cycle->theta[i] - hold->theta[i]);
+        const double moved = config->joint[i].rigid ? motor : link;
+        farthest = (moved > farthest) ? moved : farthest;
+        farthest = (motor > farthest) ? motor : farthest;
     }
-    return (int)wrapped;
+    return (farthest > HALF_RANGE_RAD) ? 1 : 0;
 }
 
 void zygos_cycle_calibrate(zygos_hold_t *hold, const zygos_config_t *config, const zygos_cycle_t *cycle, double *signal,

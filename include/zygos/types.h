@@ -104,6 +104,10 @@ extern "C" {
 /// A row, augmented by the work and by 1.
 #define ZYGOS_MAX_ROW (ZYGOS_MAX_PARAMETERS + 2)
 #define ZYGOS_MAX_PACKED_ROW (ZYGOS_MAX_ROW * (ZYGOS_MAX_ROW + 1) / 2)
+/// Instants that are summed before they are shared out in as many slices, and both with the last slice filled up.
+#define ZYGOS_STEP 8
+#define ZYGOS_MAX_SLICED_ROW (ZYGOS_MAX_ROW + 2 * ZYGOS_STEP)
+#define ZYGOS_MAX_SLICED_GRAM (ZYGOS_MAX_PACKED_ROW + 2 * ZYGOS_STEP)
 #define ZYGOS_MAX_PACKED (ZYGOS_MAX_PARAMETERS * (ZYGOS_MAX_PARAMETERS + 1) / 2)
 
 #ifdef __FAST_MATH__
