@@ -4,14 +4,34 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 NATIVE := harness/zygos/_native/libzygos.so
-SOURCES := $(wildcard c/*.c c/ports/host/*) $(wildcard include/zygos/*) tools/build_native.py
-C_FILES := $(wildcard c/*.c c/ports/*/*.[ch] include/zygos/*.h tests/fuzz/*.c tests/bench/*.c tools/*.c)
+SOURCES := $(wildcard c/*.c c/ports/host/*) c/flags.txt $(wildcard include/zygos/*) tools/build_native.py
+C_FILES := $(wildcard c/*.c c/ports/*/*.[ch] include/zygos/*.h tests/fuzz/*.c tests/bench/*.c tests/bench/*.cpp tools/*.c) \
+           $(filter-out %/arm_config.h,$(wildcard examples/onboard/*.[ch]))
 ifdef CI
 export CFLAGS += -Werror
 endif
 
+# The library for linking. It needs a C compiler and no Python.
+BUILD  ?= build
+PREFIX ?= /usr/local
+LIBRARY := $(BUILD)/libzygos.a
+NODE := $(BUILD)/zygos-node
+OBJECTS := $(patsubst c/%.c,$(BUILD)/objects/%.o,$(wildcard c/*.c))
+HEADERS := $(notdir $(wildcard include/zygos/*.h))
+DATABASES := $(notdir $(wildcard include/zygos/*.dbc))
+PACKAGES := zygos.pc zygosConfig.cmake zygosConfigVersion.cmake
+# What sizes the structs goes on to those who link, wherever it was written.
+SIZES := $(sort $(filter -DZYGOS_%,$(CAPACITIES) $(CFLAGS)))
+COMPILE = $(CC) $(strip $(file <c/flags.txt)) $(CFLAGS) $(CAPACITIES) -Iinclude
+ifeq ($(origin AR),default)
+AR = $(shell $(CC) -print-prog-name=ar)
+endif
+ifneq ($(filter-out -DZYGOS_%,$(CAPACITIES)),)
+$(error CAPACITIES holds $(filter-out -DZYGOS_%,$(CAPACITIES)), which is no capacity; remedy: CAPACITIES="-DZYGOS_MAX_JOINTS=2 ..", other options in CFLAGS)
+endif
+
 .DEFAULT_GOAL := demo
-.PHONY: demo build test hil gap count accuracy demo-log lint format warnings clean help
+.PHONY: demo build library install uninstall FORCE node test hil gap bench accuracy demo-log lint format warnings clean help
 
 demo: build ## set up, run the paper's example over CAN, show the result (out/demo/report.html)
 	$(BIN)/python -m zygos.demo
@@ -31,17 +51,60 @@ $(VENV)/.test: $(VENV)/.core
 $(NATIVE): $(SOURCES) | $(VENV)/.core
 	$(BIN)/python tools/build_native.py $(@D)
 
-test: build $(VENV)/.test ## unit, bus, fuzz and bench tests, a process for each core
+library: $(LIBRARY) ## build/libzygos.a, for linking (CC= CFLAGS= CAPACITIES="-DZYGOS_MAX_JOINTS=2 .." BUILD=)
+
+$(LIBRARY): $(OBJECTS)
+	rm -f $@
+	$(AR) rcs $@ $^
+
+$(BUILD)/objects/%.o: c/%.c $(BUILD)/command
+	@mkdir -p $(@D)
+	$(COMPILE) -MMD -MP -c $< -o $@
+
+-include $(OBJECTS:.o=.d)
+
+# Changes when the command that compiles does, and all objects with it.
+$(BUILD)/command: export COMMAND = $(COMPILE)
+$(BUILD)/command: FORCE
+	@mkdir -p $(@D)
+	@echo "$$COMMAND" | cmp -s - $@ || echo "$$COMMAND" >$@
+
+$(PACKAGES:%=$(BUILD)/%): $(BUILD)/%: tools/package/%.in include/zygos/types.h $(BUILD)/command
+	sed -e 's/@VERSION@/$(shell sed -n 's/^#define ZYGOS_VERSION_M[A-Z]* //p' include/zygos/types.h | paste -sd .)/' \
+		-e 's/@SIZES@/$(SIZES)/' $< >$@
+
+install: export TO = $(DESTDIR)$(PREFIX)
+install: $(LIBRARY) $(PACKAGES:%=$(BUILD)/%) ## library, headers, DBC, pkg-config and CMake files (PREFIX=/usr/local DESTDIR=)
+	install -d "$$TO/include/zygos" "$$TO/lib/cmake/zygos" "$$TO/lib/pkgconfig" "$$TO/share/zygos"
+	install -m 644 $(HEADERS:%=include/zygos/%) "$$TO/include/zygos"
+	install -m 644 $(DATABASES:%=include/zygos/%) "$$TO/share/zygos"
+	install -m 644 $(LIBRARY) "$$TO/lib"
+	install -m 644 $(BUILD)/zygos.pc "$$TO/lib/pkgconfig"
+	install -m 644 $(BUILD)/zygosConfig.cmake $(BUILD)/zygosConfigVersion.cmake "$$TO/lib/cmake/zygos"
+
+uninstall: export TO = $(DESTDIR)$(PREFIX)
+uninstall: ## remove what install put there (same PREFIX and DESTDIR)
+	cd "$$TO" && rm -f $(HEADERS:%=include/zygos/%) $(DATABASES:%=share/zygos/%) lib/libzygos.a lib/pkgconfig/zygos.pc \
+		lib/cmake/zygos/zygosConfig.cmake lib/cmake/zygos/zygosConfigVersion.cmake
+	cd "$$TO" && for folder in include/zygos share/zygos lib/cmake/zygos; do rmdir $$folder 2>/dev/null || true; done
+
+node: $(NODE) ## build build/zygos-node, the flight node for SocketCAN (docs/node.md)
+
+$(NODE): $(LIBRARY) $(wildcard c/ports/linux/*.[ch] include/zygos/*.h)
+	$(COMPILE) -D_GNU_SOURCE $(filter %.c,$^) $(LIBRARY) -lm -o $@.partial
+	mv $@.partial $@
+
+test: build node $(VENV)/.test ## unit, bus, fuzz and bench tests, a process for each core
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile tests/unit tests/bus tests/fuzz tests/bench
 
-hil: build $(VENV)/.test ## the example across a real vcan (the kernel's, or User-Mode Linux)
+hil: build node $(VENV)/.test ## the example across a real vcan (the kernel's, or User-Mode Linux)
 	tools/with-vcan $(BIN)/python -m pytest tests/hil
 
 gap: build $(VENV)/.test ## hide effects in a MuJoCo plant, explain them, score the verdicts (out/gap.json; 20 minutes)
 	PYTHONPATH=tests $(BIN)/python -m oracles.campaign
 
-count: build $(VENV)/.test ## count the instructions of a cycle, by valgrind (out/count.json)
-	PYTHONPATH=tests $(BIN)/python -m bench.count out/count.json
+bench: build $(VENV)/.test ## what it costs, beside its peers (out/bench.json, README.md, docs/cost.md; 6 minutes)
+	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tests $(BIN)/python -m bench out/bench.json
 
 accuracy: build $(VENV)/.test ## errors, coverage and refusals of all estimators (docs/accuracy.html; 10 minutes; SEEDS= DRAWS= SCHEDULER= CASES=)
 	$(BIN)/python -m zygos.accuracy $(CASES) $(if $(SEEDS),--seeds $(SEEDS)) $(if $(DRAWS),--draws $(DRAWS)) $(if $(SCHEDULER),--scheduler $(SCHEDULER))
@@ -61,7 +124,7 @@ format: $(VENV)/.test ## rewrite Python and C in the house style
 	$(BIN)/clang-format -i $(C_FILES)
 
 clean: ## remove everything that was built
-	rm -rf $(VENV) out build harness/zygos/_native harness/*.egg-info
+	rm -rf $(VENV) out build examples/onboard/build harness/zygos/_native harness/*.egg-info
 
 help: ## this list
-	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 10
+	@grep -E '^[a-z-]+:.*##' $(firstword $(MAKEFILE_LIST)) | sed 's/:.*## /\t/' | expand -t 10

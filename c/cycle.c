@@ -47,7 +47,6 @@ void zygos_receiver_resume(zygos_receiver_t *self)
         self->faults.dropped++;
     }
     self->assembly.received = 0;
-    self->assembly.broken |= ZYGOS_CYCLE_BREAK;
     self->assembly.timed = (self->assembly.timed != 0) ? RESUMED : 0u;
     self->status.spoiled = 1;
 }

@@ -8,6 +8,15 @@
 /* As of PNG: a transfer that strips the eighth bit or translates line ends spoils it. */
 static const uint8_t magic[8] = { 0x89, 'z', 'y', 'g', 'o', 's', '\r', '\n' };
 
+static bool has_magic(const uint8_t *head)
+{
+    bool same = true;
+    for (uint32_t i = 0; i < sizeof magic; i++) {
+        same = same && (head[i] == magic[i]);
+    }
+    return same;
+}
+
 /* Where the fields of the head are. */
 #define FORMAT 8u
 #define KIND 10u
@@ -94,7 +103,7 @@ int zygos_snapshot_check(uint32_t kind, const uint8_t *head, const void *image, 
     if ((image == NULL) || (head == NULL)) {
         return ZYGOS_E_NULL;
     }
-    if ((length < ZYGOS_SNAPSHOT_HEAD) || (memcmp(head, magic, sizeof magic) != 0)) {
+    if ((length < ZYGOS_SNAPSHOT_HEAD) || !has_magic(head)) {
         return ZYGOS_E_SNAPSHOT;
     }
     if (get(head + FORMAT, 2) != ZYGOS_SNAPSHOT_FORMAT) {

@@ -322,6 +322,18 @@ static void work_off(zygos_t *self, const zygos_cycle_t *cycle)
     }
 }
 
+/* Not memcmp(): compilers make a call of bcmp() of it. A configuration has no padding. */
+static bool is_same(const zygos_config_t *a, const zygos_config_t *b)
+{
+    const unsigned char *const left = (const unsigned char *)a;
+    const unsigned char *const right = (const unsigned char *)b;
+    bool same = true;
+    for (size_t i = 0; i < sizeof *a; i++) {
+        same = same && (left[i] == right[i]);
+    }
+    return same;
+}
+
 int zygos_resume(zygos_t *self, const zygos_config_t *config)
 {
     if ((self == NULL) || (config == NULL)) {
@@ -334,7 +346,7 @@ int zygos_resume(zygos_t *self, const zygos_config_t *config)
     if (verdict < 0) {
         return verdict;
     }
-    if (memcmp(&self->config, config, sizeof *config) != 0) {
+    if (!is_same(&self->config, config)) {
         return ZYGOS_E_CONFIG;
     }
     gap(self);

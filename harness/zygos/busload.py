@@ -124,7 +124,7 @@ def plan(arm: Arm, bitrate: int, attitude_hz: float | None = None, telemetry_hz:
         raise ZygosError(
             f"arm {arm.name}: a fixed base has no gyro to send an attitude; remedy: leave --attitude-hz out"
         )
-    own = {"IMU_ATTITUDE": 100.0 if attitude_hz is None else attitude_hz, "TELEMETRY": telemetry_hz}
+    own = {"IMU_ATTITUDE": 100.0 if attitude_hz is None else attitude_hz, "TELEMETRY": telemetry_hz, "HEARTBEAT": 1.0}
     # how often FTIME comes is exact in the shipped file; the arm's own is rounded to milliseconds
     per_cycle = {"FTIME": 1.0 / cycles_between(database().get_message_by_name("FTIME"))}
     shares = []

@@ -360,6 +360,9 @@ def fit(
 def dbc(
     arm: Annotated[Path, typer.Option("--arm", metavar="ARM.toml", help="The hardware.")],
     out: Annotated[Path, typer.Option("-o", "--out", metavar="ARM.dbc", help="The DBC to write.")],
+    model: Annotated[
+        Path | None, typer.Option("--model", metavar="PRIOR.toml", help="Also name the effects of this model.")
+    ] = None,
     json: Json = None,
 ) -> None:
     """Write the DBC of this arm, for any CAN tool: its frames, with the joints' and parameters' names.
@@ -371,7 +374,7 @@ def dbc(
     """
     from zygos.dbc import write_dbc  # noqa: PLC0415
 
-    write_dbc(arm, out, json)
+    write_dbc(arm, model, out, json)
 
 
 @app.command()

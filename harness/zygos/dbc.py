@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,9 @@ from cantools.database.namedsignalvalue import NamedSignalValue
 from cantools.database.utils import sort_signals_by_start_bit
 
 from zygos.arm import Arm, Joint, load_arm
+from zygos.effects import Effect, estimated
 from zygos.errors import ZygosError
+from zygos.model import load_model
 from zygos.output import check_outputs, counted, say, table, write_json, write_text
 from zygos.reference.wire import data_ids, database
 
@@ -29,6 +31,8 @@ _HEADER = ("Crc", "Counter", "Status")
 """Signals that bear the same name in each frame."""
 _MOST_PARAMETERS = 256
 """The telemetry's index is a byte."""
+_OF_PARAMETERS = {"": 0, "_sigma": 1, "_half95": 4}
+"""What the telemetry tells of a parameter: end of the signal's name, and its kind, the upper byte of Item."""
 
 
 def _without_marks(text: str) -> str:
@@ -60,14 +64,16 @@ def joint_names(arm: Arm) -> tuple[str, ...]:
     )
 
 
-def arm_database(arm: Arm) -> Database:
+def arm_database(arm: Arm, effects: Sequence[Effect] = ()) -> Database:
     """The DBC of an arm, derived from zygos.dbc and zygos-coarse-gyro.dbc: layouts, scales and ranges are theirs.
 
-    Errors: ZygosError if the arm has more parameters than the telemetry can name.
+    effects: those whose values are learned. Errors: ZygosError if the telemetry cannot name that many parameters.
     """
-    if len(arm.parameter_names) > _MOST_PARAMETERS:
+    learned = estimated(arm, effects)
+    count = len(arm.parameter_names) + len(learned)
+    if count > _MOST_PARAMETERS:
         raise ZygosError(
-            f"arm {arm.name}: {len(arm.parameter_names)} parameters, but the telemetry's index names "
+            f"arm {arm.name}: {count} parameters, but the telemetry's index names "
             f"{_MOST_PARAMETERS}; remedy: describe fewer joints"
         )
     shipped = database()
@@ -95,11 +101,12 @@ def arm_database(arm: Arm) -> Database:
         messages += [
             _at_node(message, arm.imu.node) for message in (*gyro, shipped.get_message_by_name("IMU_ATTITUDE"))
         ]
-    messages.append(_telemetry(shipped, arm))
+    messages.append(_telemetry(shipped, arm, learned))
     for message in messages:
         message.cycle_time = max(1, round(1e3 * arm.period_s * cycles_between(message)))
         _explain_crc(message)
         message.refresh()
+    messages.append(deepcopy(shipped.get_message_by_name("HEARTBEAT")))
     return Database(messages, nodes, version=shipped.version, dbc_specifics=deepcopy(shipped.dbc))
 
 
@@ -154,32 +161,48 @@ def _of_joint(shipped: Database, kind: str, joint: Joint, name: str, title: str)
     return message
 
 
-def _telemetry(shipped: Database, arm: Arm) -> Message:
-    """Frame 0x1A0, with a signal for each parameter of the arm in the place of the shipped ones."""
+def _telemetry(shipped: Database, arm: Arm, effects: Sequence[Effect]) -> Message:
+    """Frame 0x1A0, with signals for each parameter of the arm in the place of the shipped ones."""
     message = deepcopy(shipped.get_message_by_name("TELEMETRY"))
-    known = {signal.name: signal for signal in message.signals if signal.multiplexer_ids}
-    titles = {f"{kind}{i + 1}": _title(i, arm.joints[i]) for kind, i, _ in arm.joint_parameters}
-    parameters: list[Signal] = []
-    for index, (name, unit) in enumerate(zip(arm.parameter_names, arm.parameter_units, strict=True)):
-        if name in titles:
-            like = known[f"{name.rstrip('0123456789')}1"]
-            comment = f"{like.comment} Of {titles[name]}."
-        else:
-            like = known["a00"]
-            comment = str(like.comment) if unit == like.unit else "Base parameter of the potential energy."
-        signal = deepcopy(like)
-        signal.name, signal.unit, signal.comment = ascii_name(name), unit, comment
-        signal.multiplexer_ids = [index]
-        parameters.append(signal)
-    message.signals[:] = [signal for signal in message.signals if not signal.multiplexer_ids] + parameters
-    message.comment = (
-        "One value of the estimate, named by Index: the parameters in the order of the estimator's output."
-    )
-    choices: OrderedDict[int, str | NamedSignalValue] = OrderedDict()
-    for index, name in enumerate(arm.parameter_names):
-        choices[index] = NamedSignalValue(index, name)
-    message.get_signal_by_name("Index").conversion.choices = choices
+    item = message.get_signal_by_name("Item")
+    likes = {signal.name: signal for signal in message.signals}
+    signals = [signal for signal in message.signals if _kind(signal) not in _OF_PARAMETERS.values()]
+    choices = OrderedDict(item.conversion.choices or {})
+    for place in [place for place in choices if place >> 8 in _OF_PARAMETERS.values()]:
+        del choices[place]
+    for index, (name, unit, comment) in enumerate(_parameters(arm, effects, likes)):
+        for end, kind in _OF_PARAMETERS.items():
+            signal = deepcopy(likes[f"a00{end}"])
+            signal.name, signal.unit = f"{ascii_name(name)}{end}", unit
+            signal.comment = str(signal.comment).replace("a00", name) if end else comment
+            place = 256 * kind + index
+            signal.multiplexer_ids = [place]
+            signals.append(signal)
+            choices[place] = NamedSignalValue(place, f"{name}{end.replace('_', ' ')}")
+    message.signals[:] = signals
+    message.comment = re.sub(r" The parameters are .* of an arm\.", "", str(message.comment))
+    item.conversion.choices = OrderedDict(sorted(choices.items()))
     return message
+
+
+def _kind(signal: Signal) -> int | None:
+    """The kind of telemetry that a signal is; None for the header of all."""
+    return next(iter(signal.multiplexer_ids)) >> 8 if signal.multiplexer_ids else None
+
+
+def _parameters(arm: Arm, effects: Sequence[Effect], likes: Mapping[str, Signal]) -> Iterator[tuple[str, str, str]]:
+    """Name, unit and comment of each parameter that is learned."""
+    titles = {f"{kind}{i + 1}": _title(i, arm.joints[i]) for kind, i, _ in arm.joint_parameters}
+    for name, unit in zip(arm.parameter_names, arm.parameter_units, strict=True):
+        if name in titles:
+            yield name, unit, f"{likes[name.rstrip('0123456789') + '1'].comment} Of {titles[name]}."
+        elif unit == likes["a00"].unit:
+            yield name, unit, str(likes["a00"].comment)
+        else:
+            yield name, unit, "Base parameter of the potential energy."
+    for effect in effects:
+        title, joint = effect.kind.title, effect.index(arm)
+        yield effect.column(arm), effect.kind.unit, f"{title.capitalize()}, {_title(joint, arm.joints[joint])}."
 
 
 def _explain_crc(message: Message) -> None:
@@ -193,13 +216,13 @@ def _explain_crc(message: Message) -> None:
     )
 
 
-def write_dbc(arm_file: Path, out: Path, json: str | None) -> None:
+def write_dbc(arm_file: Path, model_file: Path | None, out: Path, json: str | None) -> None:
     """Write the DBC of an arm; see `zygos dbc --help`."""
     if out.suffix.lower() != ".dbc":
         raise ZygosError(f"{out}: no name for a DBC; remedy: let it end in .dbc")
-    check_outputs([out, json], [arm_file])
+    check_outputs([out, json], [arm_file, model_file])
     arm = load_arm(arm_file)
-    content = arm_database(arm)
+    content = arm_database(arm, load_model(model_file).effects if model_file else ())
     write_text(out, content.as_dbc_string(sort_signals=sort_signals_by_start_bit))
     if json:
         listed = [

@@ -22,6 +22,7 @@ from conftest import EXAMPLE
 from zygos.arm import Arm, load_arm
 from zygos.cli import main
 from zygos.flight import FRAME, Flight, encode, ffi, lib
+from zygos.model import load_model
 from zygos.plant import Trajectory
 
 Log = NDArray[Any]
@@ -143,7 +144,7 @@ def test_a_fixed_base_is_decoded_as_the_library_does(written: Callable[[str | Pa
     for name, node in zip(SEVEN, SEVEN_NODES, strict=True):
         kinds[f"{name}_ANGLES"] = (lib.ZYGOS_MSG_ANGLES, node)
         kinds[f"{name}_TORQUE"] = (lib.ZYGOS_MSG_TORQUE, node)
-    assert {message.name for message in dbc.messages} == {*kinds, "TELEMETRY"}
+    assert {message.name for message in dbc.messages} == {*kinds, "TELEMETRY", "HEARTBEAT"}
     rng = np.random.default_rng(0)
     record, answer, frame = ffi.new("zygos_record_t *"), ffi.new("zygos_record_t *"), ffi.new("zygos_frame_t *")
     for counter in range(1, 241):
@@ -203,7 +204,8 @@ def test_two_parsers_agree(written: Callable[[str | Path], tuple[Arm, Path]]) ->
 
 def test_messages_are_those_of_the_arm(written: Callable[[str | Path], tuple[Arm, Path]]) -> None:
     _, path = written(arm_text(SEVEN, SEVEN_NODES, gyro="coarse", imu_node=2))
-    expected = {"SYNC": 0x080, "FTIME": 0x3A0, "TELEMETRY": 0x1A0, "IMU_RATE": 0x182, "IMU_ATTITUDE": 0x282}
+    expected = {"SYNC": 0x080, "FTIME": 0x3A0, "TELEMETRY": 0x1A0, "HEARTBEAT": 0x720}
+    expected |= {"IMU_RATE": 0x182, "IMU_ATTITUDE": 0x282}
     for name, node in zip(SEVEN, SEVEN_NODES, strict=True):
         expected |= {f"{name}_ANGLES": 0x180 + node, f"{name}_TORQUE": 0x280 + node}
     assert {message.name: message.frame_id for message in database(path).messages} == expected
@@ -229,6 +231,7 @@ def test_units_ranges_times_and_tables(written: Callable[[str | Path], tuple[Arm
     assert status is not None and str(status[15]) == "ready" and str(status[7]) == "disabled"
     times = {message.name: message.cycle_time for message in dbc.messages}
     assert (times["SYNC"], times["elbow_TORQUE"], times["FTIME"]) == (12, 12, 625)
+    assert times["HEARTBEAT"] == 1000
     assert "12.5 ms" in (dbc.get_message_by_name("SYNC").comment or "")
     assert "-1 * (reading - 0.25 rad)" in (dbc.get_message_by_name("elbow_ANGLES").signals[3].comment or "")
     assert latch.comment is not None and "10 us" in latch.comment
@@ -237,7 +240,7 @@ def test_units_ranges_times_and_tables(written: Callable[[str | Path], tuple[Arm
         assert all(signal.comment for signal in message.signals)
         node = {"COMPUTER": 32, "base_yaw": 4, "elbow": 30, "IMU": 9}[message.senders[0]]
         attributes = message.dbc.attributes if message.dbc is not None else {}
-        if message.name != "SYNC":
+        if message.name not in ("SYNC", "HEARTBEAT"):
             assert attributes["E2ENode"].value == node
             assert message.frame_id == (0x180, 0x280, 0x380, 0x180)[attributes["E2EFamily"].value] + node
 
@@ -248,19 +251,54 @@ def test_telemetry_names_each_parameter(
 ) -> None:
     """A value that the C library sends is found under the parameter's name, and no other."""
     arm, path = written(arm_text(SEVEN, SEVEN_NODES, gyro=gyro, kinetic=kinetic))
+    check_telemetry(path, list(zip(arm.parameter_names, arm.parameter_units, strict=True)))
+
+
+def check_telemetry(path: Path, parameters: list[tuple[str, str]]) -> None:
+    """All that a library with these parameters sends is found by name: parameters as values, sigmas and half95."""
     message, other = database(path).get_message_by_name("TELEMETRY"), matrix(path).frame_by_name("TELEMETRY")
     frame = ffi.new("zygos_frame_t *")
-    for index, (name, unit) in enumerate(zip(arm.parameter_names, arm.parameter_units, strict=True)):
-        value = 0.5 + index
-        lib.zygos_wire_encode_telemetry(3, index, 1, value, frame)
-        data = bytes(frame.data)
-        values = message.decode(data)
-        assert isinstance(values, dict)
+    seen = {"Crc", "Counter", "Status", "Item"}
+    for index, (name, unit) in enumerate(parameters):
         plain = "_".join(re.findall("[A-Za-z0-9]+", name))
-        assert set(values) == {"Crc", "Counter", "Status", "Index", "Kind", plain}
-        assert (values[plain], str(values["Kind"]), str(values["Index"])) == (value, "sigma", name)
-        assert message.get_signal_by_name(plain).unit == unit
-        assert float(other.decode(data)[plain].phys_value) == value
+        for kind, end in ((0, ""), (1, "_sigma"), (4, "_half95")):
+            value = 0.5 + index + kind
+            lib.zygos_wire_encode_telemetry(3, index, kind, value, frame)
+            data = bytes(frame.data)
+            values = message.decode(data)
+            assert isinstance(values, dict)
+            assert set(values) == {"Crc", "Counter", "Status", "Item", plain + end}
+            assert (values[plain + end], str(values["Item"])) == (
+                value,
+                (name + end).replace(end, end.replace("_", " ")),
+            )
+            assert message.get_signal_by_name(plain + end).unit == unit
+            assert float(other.decode(data)[plain + end].phys_value) == value
+            seen.add(plain + end)
+    rest = {signal.name for signal in message.signals} - seen
+    assert rest == {
+        *(f"fault_{name}" for name, _ in ffi.typeof("zygos_faults_t").fields),
+        *(f"count_{name}" for name in "cycles gaps invalid wraps accepted refused arcs arcs_dropped".split()),
+        *(f"node_{name}" for name in "overflow misshapen down unsent".split()),
+        *(f"verdict_{name}" for name in "validity reason cycle accepted refused arcs blocks rank condition".split()),
+        *(f"verdict_{name}" for name in "cluster residual noise_ratio gate".split()),
+    }
+
+
+def test_telemetry_names_effects(tmp_path: Path) -> None:
+    """Those of a model, and the offsets that an unsure zero asks for."""
+    text = (EXAMPLE / "arm.toml").read_text()
+    assert "zero_sigma_rad = 0.0" in text
+    (tmp_path / "arm.toml").write_text(text.replace("zero_sigma_rad = 0.0", "zero_sigma_rad = 1e-3", 1))
+    lag = '\n[[effect]]\nkind = "torque_lag"\njoint = "elbow"\nvalue = 0.002\n'
+    (tmp_path / "model.toml").write_text((EXAMPLE / "model.toml").read_text() + lag)
+    command = ("dbc", "--arm", tmp_path / "arm.toml", "--model", tmp_path / "model.toml", "-o", tmp_path / "arm.dbc")
+    assert run(*command) == 0
+    flight = Flight(load_arm(tmp_path / "arm.toml"), load_model(tmp_path / "model.toml").effects)
+    assert flight.names[12:] == ("torque_lag2", "spring_offset1")
+    check_telemetry(tmp_path / "arm.dbc", list(zip(flight.names, flight.units, strict=True)))
+    dbc = database(tmp_path / "arm.dbc").get_message_by_name("TELEMETRY")
+    assert dbc.get_signal_by_name("torque_lag2").comment == "Torque lag, joint 2, elbow."
 
 
 FORTY = "the second joint of the arm on the left "

@@ -184,10 +184,13 @@ def seven(tmp_path: Path) -> Callable[[str | None], Arm]:
 
 
 def test_the_example_by_hand(arm: Arm) -> None:
-    """20 Hz: SYNC 65, four frames of 135, rates 135 + 105 bits a cycle; FTIME 125 every fifty; 100 Hz twice 135."""
+    """20 Hz: SYNC 65, four frames of 135, rates 135 + 105 bits a cycle; FTIME 125 every fifty; 100 Hz twice 135;
+    heartbeat 65 a second."""
     planned = plan(arm, 500_000)
-    assert planned.load == pytest.approx((20 * (65 + 4 * 135 + 135 + 105 + 125 / 50) + 200 * 135) / 500_000, rel=1e-12)
-    assert planned.largest_sync_hz == pytest.approx((350_000 - 27_000) / 847.5, rel=1e-12)
+    assert planned.load == pytest.approx(
+        (20 * (65 + 4 * 135 + 135 + 105 + 125 / 50) + 200 * 135 + 65) / 500_000, rel=1e-12
+    )
+    assert planned.largest_sync_hz == pytest.approx((350_000 - 27_065) / 847.5, rel=1e-12)
     assert {share.name: (share.bits, share.rate_hz) for share in planned.shares} == {
         "SYNC": (65, pytest.approx(20)),
         "FTIME": (125, pytest.approx(0.4)),
@@ -199,6 +202,7 @@ def test_the_example_by_hand(arm: Arm) -> None:
         "IMU_RATE_Z": (105, pytest.approx(20)),
         "IMU_ATTITUDE": (135, 100),
         "TELEMETRY": (135, 100),
+        "HEARTBEAT": (65, 1),
     }
 
 
@@ -235,7 +239,7 @@ def test_at_the_largest_sync_rate_the_bus_is_loaded_to_the_limit(arm: Arm, seven
 def test_a_fixed_base_has_no_gyro_and_no_attitude(seven: Callable[[str | None], Arm]) -> None:
     fixed = seven(None)
     assert not [share.name for share in plan(fixed, 1_000_000).shares if share.name.startswith("IMU")]
-    assert plan(fixed, 10**6).load == pytest.approx((50 * (65 + 14 * 135 + 2.5) + 100 * 135) / 10**6, rel=1e-12)
+    assert plan(fixed, 10**6).load == pytest.approx((50 * (65 + 14 * 135 + 2.5) + 100 * 135 + 65) / 10**6, rel=1e-12)
     assert plan(fixed, 10**6, 0.0).load == plan(fixed, 10**6).load
     with pytest.raises(ZygosError, match=r"a fixed base has no gyro .*; remedy: "):
         plan(fixed, 10**6, 10.0)

@@ -123,7 +123,7 @@ def e2e_of(message: Message) -> tuple[int, int] | None:
 
 
 def test_every_message_and_no_other(database: Database) -> None:
-    assert {message.name for message in database.messages} == set(MESSAGES) | {"TELEMETRY"}
+    assert {message.name for message in database.messages} == set(MESSAGES) | {"TELEMETRY", "HEARTBEAT"}
 
 
 @pytest.mark.parametrize("name", MESSAGES)
@@ -140,32 +140,64 @@ def test_coarse_gyro_takes_the_place_of_the_fine_one(database: Database, coarse:
     assert message.frame_id == database.get_message_by_name("IMU_RATE_XY").frame_id
 
 
-def test_telemetry_names_each_parameter(database: Database) -> None:
+COUNTERS = (
+    *("length", "crc", "range", "late", "counter", "repeated", "unsynced", "latch", "link_invalid", "motor_invalid"),
+    *("torque_invalid", "disabled", "gyro_invalid", "saturated", "incomplete", "dropped", "sync_repeated"),
+    *("sync_jumped", "time_lost", "time_jumped", "overrun", "bus_error"),
+)
+COUNTS = ("cycles", "gaps", "invalid", "wraps", "accepted", "refused", "arcs", "arcs_dropped")
+NODE = ("overflow", "misshapen", "down", "unsent")
+VERDICTS = (
+    *("validity", "reason", "cycle", "accepted", "refused", "arcs", "blocks", "rank", "condition", "cluster"),
+    *("residual", "noise_ratio", "gate"),
+)
+ITEMS = {
+    **{i: (name, unit) for i, (name, unit) in enumerate(PARAMETERS.items())},
+    **{256 + i: (f"{name}_sigma", unit) for i, (name, unit) in enumerate(PARAMETERS.items())},
+    **{512 + i: (f"fault_{name}", "") for i, name in enumerate(COUNTERS)},
+    **{534 + i: (f"count_{name}", "") for i, name in enumerate(COUNTS)},
+    **{542 + i: (f"node_{name}", "") for i, name in enumerate(NODE)},
+    **{768 + i: (f"verdict_{name}", "J" if name == "residual" else "") for i, name in enumerate(VERDICTS)},
+    **{1024 + i: (f"{name}_half95", unit) for i, (name, unit) in enumerate(PARAMETERS.items())},
+}
+"""What the telemetry sends: index + 256 kind, name and unit."""
+
+
+def test_telemetry_names_each_item(database: Database) -> None:
     message = database.get_message_by_name("TELEMETRY")
     assert (message.frame_id, message.length, e2e_of(message)) == (0x1A0, 8, (3, 32))
     for name, layout in HEADER.items():
         check_signal(message.get_signal_by_name(name), layout)
-    index = message.get_signal_by_name("Index")
-    check_signal(index, (16, 8, False, 1, "", 0, 255))
-    assert index.is_multiplexer
-    kind = message.get_signal_by_name("Kind")
-    check_signal(kind, (24, 8, False, 1, "", 0, 255))
-    assert kind.multiplexer_ids is None
-    for i, (name, unit) in enumerate(PARAMETERS.items()):
+    item = message.get_signal_by_name("Item")
+    check_signal(item, (16, 16, False, 1, "", 0, 65535))
+    assert item.is_multiplexer
+    assert {signal.name for signal in message.signals} == {*HEADER, "Item", *(name for name, _ in ITEMS.values())}
+    assert set(item.choices or {}) == set(ITEMS)
+    for place, (name, unit) in ITEMS.items():
         signal = message.get_signal_by_name(name)
-        assert (signal.start, signal.length, signal.is_float, signal.unit) == (32, 32, True, unit)
+        assert (signal.start, signal.length, signal.is_float, signal.unit or "") == (32, 32, True, unit)
         assert (signal.minimum, signal.maximum) == (-FLOAT_MAX, FLOAT_MAX)
-        assert signal.multiplexer_ids == [i]
+        assert signal.multiplexer_ids == [place]
 
 
 def test_telemetry_is_plotted_by_name(database: Database) -> None:
     message = database.get_message_by_name("TELEMETRY")
-    for i, name in enumerate(PARAMETERS):
-        data = message.encode({"Crc": 1, "Counter": 2, "Status": 0, "Index": i, "Kind": 1, name: 0.5 + i})
+    for place, (name, _) in ITEMS.items():
+        data = message.encode({"Crc": 1, "Counter": 2, "Status": 0, "Item": place, name: 0.5 + place})
+        assert data[2:4] == bytes([place % 256, place // 256])
         decoded = message.decode(data)
         assert isinstance(decoded, dict)
-        assert decoded[name] == 0.5 + i
-        assert str(decoded["Kind"]) == "sigma"
+        assert decoded[name] == 0.5 + place
+        assert str(decoded["Item"]).replace(" ", "_") == name
+
+
+def test_heartbeat_is_that_of_canopen(database: Database) -> None:
+    message = database.get_message_by_name("HEARTBEAT")
+    assert (message.frame_id, message.length, message.cycle_time) == (0x700 + 32, 1, 1000)
+    for state, name in {0: "boot_up", 4: "stopped", 5: "operational", 127: "pre_operational"}.items():
+        decoded = message.decode(bytes([state]))
+        assert isinstance(decoded, dict)
+        assert str(decoded["State"]) == name
 
 
 def test_codes_without_a_value_have_a_name(database: Database, coarse: Database) -> None:
@@ -209,6 +241,6 @@ def test_data_identifiers_are_distinct_on_every_network() -> None:
 def test_data_identifiers_of_a_message_are_distinct(database: Database) -> None:
     """A message's own list has no value twice, so that a frame of another counter fails its CRC."""
     pairs = [pair for message in database.messages if (pair := e2e_of(message)) is not None]
-    assert len(set(pairs)) == len(pairs) == len(database.messages) - 1
+    assert len(set(pairs)) == len(pairs) == len(database.messages) - 2  # SYNC and the heartbeat have no header
     for family, node in pairs:
         assert len({data_id(family, node, counter) for counter in range(16)}) == 16

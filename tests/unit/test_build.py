@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import os
 import re
-import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -14,8 +13,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from build_support import run, tool
 
-from conftest import house_flags, need
+from calls_support import Calls
+from conftest import house_flags
 from zygos import flight
 from zygos.arm import Arm, load_arm
 from zygos.cycles import Cycles
@@ -37,20 +38,6 @@ ALLOWED_SYMBOLS = {"memcpy", "memset", "memmove", "memcmp"}
 # and half width 15: 1616 and 2568 bytes in a planar build, 3056 and 4920 in a spatial one. The bounds leave room for
 # other compilers; a planar build fits a 4 KiB task stack with an interrupt frame.
 STACK = {"-DZYGOS_SPATIAL=0": (1792, 3072), "-DZYGOS_SPATIAL=1": (3072, 6144)}
-
-
-def tool(name: str) -> str:
-    """The program, or a skipped test; on a build server a failed one."""
-    path = shutil.which(name)
-    need(path, f"{name}: this target stays unchecked")
-    return str(path)
-
-
-def run(command: list[str], folder: Path) -> str:
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, f"{' '.join(command)}\n{done.stdout}{done.stderr}"
-    assert not done.stderr, done.stderr
-    return done.stdout
 
 
 def compile_all(target: str, folder: Path, *flags: str) -> list[Path]:
@@ -170,30 +157,6 @@ def test_a_cpp_program_links_and_agrees_on_the_abi(tmp_path: Path) -> None:
     # -lm is in every C++ link anyway; that the library needs none is tested on its symbols.
     run([tool("g++"), *flags, *INCLUDE, str(program), *map(str, objects), "-o", "program"], tmp_path)
     run([str(tmp_path / "program")], tmp_path)
-
-
-class Calls:
-    """Call graph of the whole library, from GCC's -fcallgraph-info=su."""
-
-    def __init__(self, folder: Path) -> None:
-        self.frame: dict[str, int] = {}
-        self.bounded: dict[str, bool] = {}
-        self.calls: dict[str, set[str]] = {}
-        for graph in sorted(folder.glob("*.ci")):
-            text = graph.read_text()
-            for title, label in re.findall(r'node: \{ title: "([^"]*)" label: "([^"]*)"', text):
-                size = re.search(r"(\d+) bytes \(([^)]*)\)", label)
-                if size:
-                    self.frame[title] = int(size[1])
-                    self.bounded[title] = size[2] == "static"
-                self.calls.setdefault(title, set())
-            for source, target in re.findall(r'edge: \{ sourcename: "([^"]*)" targetname: "([^"]*)"', text):
-                self.calls.setdefault(source, set()).add(target)
-
-    def depth(self, name: str, above: tuple[str, ...] = ()) -> int:
-        """Bytes of stack below and including a function. Fails on recursion."""
-        assert name not in above, f"recursion: {' -> '.join([*above, name])}"
-        return self.frame.get(name, 0) + max((self.depth(x, (*above, name)) for x in self.calls[name]), default=0)
 
 
 @pytest.mark.parametrize("build", STACK)

@@ -264,6 +264,17 @@ def test_a_clock_that_started_anew_only_breaks_the_count(arm: Arm, noisy: Trajec
     assert again.native.cycle > 420 + len(cycles) - 10
 
 
+def test_the_open_cycle_is_not_completed_by_another(arm: Arm, frames: NDArray[Any], tmp_path: Path) -> None:
+    """Sixteen cycles on, frames bear the same counter; the SYNC before them was missed."""
+    starts = cycle_starts(frames)
+    flight = Flight(arm)
+    flight.frames(frames[: starts[420] + 1])
+    again = resumed(arm, flight, tmp_path)
+    again.frames(frames[starts[436] + 1 : starts[440] + 1])
+    assert again.counts["cycles"] == 420 + 3
+    assert again.faults["dropped"] == 1
+
+
 def test_cycles_in_the_queue_are_forgotten_and_counted(arm: Arm, frames: NDArray[Any], tmp_path: Path) -> None:
     flight = Flight(arm)
     starts = cycle_starts(frames)

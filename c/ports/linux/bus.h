@@ -1,0 +1,42 @@
+/// The socket that frames come from and go to. CAN_RAW, or another one whose packets are struct can_frame.
+
+#ifndef ZYGOS_NODE_BUS_H
+#define ZYGOS_NODE_BUS_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "options.h"
+#include "zygos/zygos.h"
+
+/// Frames that one call reads at the most.
+#define NODE_BATCH 64u
+
+typedef struct {
+    int fd;
+    bool stream_ends;   ///< An empty packet means that the other end is closed.
+    uint32_t drops;     ///< What the kernel counted last.
+    uint32_t overflow;  ///< Frames that the kernel dropped because the receive buffer was full.
+    uint32_t misshapen; ///< Packets that are no frame: rejected.
+    uint32_t down;      ///< Times that the interface went down.
+    uint32_t unsent;    ///< Frames of ours that the interface did not take.
+} node_bus_t;
+
+enum node_reading {
+    NODE_READ = 1,   ///< There may be more.
+    NODE_EMPTY = 0,  ///< Nothing was waiting.
+    NODE_ENDED = -1, ///< The other end is closed.
+    NODE_FAILED = -2 ///< The reason was said.
+};
+
+/// Opens the interface, or takes over the descriptor, and asks for the frames of this arm and for error frames.
+/// Returns 1, or -1 after saying why not.
+int node_bus_open(node_bus_t *self, const node_options_t *options, const zygos_config_t *config);
+
+/// Reads what is waiting, without blocking, into frame[NODE_BATCH]; *count says how many. Returns enum node_reading.
+int node_bus_read(node_bus_t *self, zygos_frame_t *frame, uint32_t *count);
+
+/// Sends a frame without blocking. One that is not taken is counted and forgotten.
+void node_bus_send(node_bus_t *self, const zygos_frame_t *frame);
+
+#endif

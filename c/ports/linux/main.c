@@ -1,0 +1,150 @@
+/* zygos-node: the flight library on a CAN interface of Linux. docs/node.md. */
+
+#include <poll.h>
+#include <signal.h>
+#include <stdio.h>
+#include <string.h>
+#include <time.h>
+
+#include "bus.h"
+#include "options.h"
+#include "say.h"
+#include "store.h"
+#include "telemetry.h"
+
+#define REFUSED 2
+#define HEARTBEAT_S 1.0
+/* Longest time to work off what had been received when the end was asked for. */
+#define PATIENCE_S 10.0
+
+static zygos_config_t config;
+static zygos_t arm;
+static node_bus_t bus;
+static node_telemetry_t telemetry;
+static volatile sig_atomic_t told_to_end;
+
+static void end(int signal_number)
+{
+    (void)signal_number;
+    told_to_end = 1;
+}
+
+static double now_s(void)
+{
+    struct timespec now;
+    (void)clock_gettime(CLOCK_MONOTONIC, &now);
+    return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
+}
+
+/* Signals come in while ppoll() waits with this mask, and at no other time: none is missed. */
+static sigset_t catch_signals(void)
+{
+    struct sigaction action;
+    memset(&action, 0, sizeof action);
+    action.sa_handler = end;
+    (void)sigaction(SIGTERM, &action, NULL);
+    (void)sigaction(SIGINT, &action, NULL);
+    sigset_t both;
+    sigset_t while_waiting;
+    (void)sigemptyset(&both);
+    (void)sigaddset(&both, SIGTERM);
+    (void)sigaddset(&both, SIGINT);
+    (void)sigprocmask(SIG_BLOCK, &both, &while_waiting);
+    (void)sigdelset(&while_waiting, SIGTERM);
+    (void)sigdelset(&while_waiting, SIGINT);
+    return while_waiting;
+}
+
+/* Waits for a frame, a signal or the time. */
+static void wait_until(double deadline_s, const sigset_t *mask)
+{
+    const double left_s = deadline_s - now_s();
+    const double wait_s = (left_s > 0.0) ? left_s : 0.0;
+    const struct timespec timeout = { .tv_sec = (time_t)wait_s,
+                                      .tv_nsec = (long)(1e9 * (wait_s - (double)(time_t)wait_s)) };
+    struct pollfd socket = { .fd = bus.fd, .events = POLLIN };
+    (void)ppoll(&socket, 1, &timeout, mask);
+}
+
+/* Reads one batch and works it off. *frames and *syncs count. Returns enum node_reading. */
+static int work(uint64_t *frames, uint64_t *syncs)
+{
+    zygos_frame_t frame[NODE_BATCH];
+    uint32_t count = 0;
+    const int reading = node_bus_read(&bus, frame, &count);
+    for (uint32_t i = 0; i < count; i++) {
+        const int verdict = zygos_frame(&arm, &frame[i]);
+        while (zygos_step(&arm) == 1) {
+        }
+        if ((verdict == ZYGOS_ACCEPTED) && (frame[i].flags == 0u) && (frame[i].id == ZYGOS_ID_SYNC)) {
+            (*syncs)++;
+            node_telemetry_sync(&telemetry, &arm, &bus);
+        }
+    }
+    *frames += count;
+    return reading;
+}
+
+/* Until the end is asked for, or comes. Returns the last enum node_reading. */
+static int run(double idle_s, const sigset_t *mask)
+{
+    uint64_t frames = 0;
+    uint64_t syncs = 0;
+    uint64_t frames_before = 0;
+    uint64_t syncs_before = 0;
+    double heartbeat_s = now_s() + HEARTBEAT_S;
+    double last_frame_s = now_s();
+    int reading = NODE_EMPTY;
+    node_telemetry_heartbeat(&bus, NODE_BOOT);
+    while (!told_to_end && (reading >= NODE_EMPTY)) {
+        const double idle_end_s = (idle_s > 0.0) ? last_frame_s + idle_s : heartbeat_s;
+        wait_until((idle_end_s < heartbeat_s) ? idle_end_s : heartbeat_s, mask);
+        reading = work(&frames, &syncs);
+        const double now = now_s();
+        last_frame_s = (frames != frames_before) ? now : last_frame_s;
+        frames_before = frames;
+        if (now >= heartbeat_s) {
+            node_telemetry_heartbeat(&bus, (syncs != syncs_before) ? NODE_OPERATIONAL : NODE_WAITING);
+            syncs_before = syncs;
+            heartbeat_s = now + HEARTBEAT_S;
+        }
+        if ((idle_s > 0.0) && (now - last_frame_s >= idle_s)) {
+            break;
+        }
+    }
+    const double latest_s = now_s() + PATIENCE_S;
+    while ((reading >= NODE_EMPTY) && (now_s() < latest_s)) {
+        reading = work(&frames, &syncs);
+        if (reading == NODE_EMPTY) {
+            break;
+        }
+    }
+    node_telemetry_heartbeat(&bus, NODE_STOPPED);
+    return reading;
+}
+
+int main(int argc, char **argv)
+{
+    node_options_t options;
+    const int understood = node_options_read(argc, argv, &options);
+    if (understood < 1) {
+        return (understood == 0) ? 0 : REFUSED;
+    }
+    if ((node_store_config(options.config, &config) < 1) || (node_store_begin(options.state, &config, &arm) < 1) ||
+        (node_bus_open(&bus, &options, &config) < 1)) {
+        return REFUSED;
+    }
+    node_telemetry_init(&telemetry, options.every);
+    const sigset_t mask = catch_signals();
+    node_say("listening on %s, %u joints, %u parameters, %s cycle %llu", options.interface ? options.interface : "--fd",
+             config.joints, arm.layout.count, (arm.cycles > 0u) ? "goes on behind" : "starts at",
+             (unsigned long long)arm.cycle);
+    const int reading = run(options.idle_s, &mask);
+    const int saved = node_store_save(options.state, &arm);
+    uint64_t counter[NODE_COUNTERS];
+    node_counters(&arm, &bus, counter);
+    for (uint32_t i = 0; i < NODE_COUNTERS; i++) {
+        printf("%-20s %llu\n", node_counter_name[i], (unsigned long long)counter[i]);
+    }
+    return ((saved == 1) && (reading != NODE_FAILED)) ? 0 : REFUSED;
+}

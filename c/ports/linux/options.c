@@ -1,0 +1,112 @@
+#include "options.h"
+
+#include <errno.h>
+#include <getopt.h>
+#include <limits.h>
+#include <math.h>
+#include <stdbool.h>
+#include <stdio.h>
+#include <stdlib.h>
+
+#include "say.h"
+
+static const char help[] =
+    "usage: zygos-node --config arm.zyg (-i CAN | --fd N) [--state FILE] [--every SYNCS] [--exit-idle SECONDS]\n"
+    "\n"
+    "Learns an arm's dynamics from the frames of a CAN interface, and answers on it with estimates, intervals and "
+    "fault\n"
+    "counters (0x1A0) and a heartbeat (0x720). SIGTERM or SIGINT: works off what has been received, saves, ends.\n"
+    "\n"
+    "  --config FILE        the arm, written by `zygos compile-model`\n"
+    "  -i, --interface CAN  interface to receive from and to answer on, for instance can0\n"
+    "  --fd N               instead: an open CAN_RAW socket, or another that carries struct can_frame in packets\n"
+    "  --state FILE         go on from this file if it exists; save into it at the end\n"
+    "  --every SYNCS        from one estimate to the next (100); its values are sent in between\n"
+    "  --exit-idle SECONDS  end when no frame came for so long\n"
+    "\n"
+    "Exit codes: 0 ended as told, 2 refused, or the state could not be saved.\n";
+
+/* The value of an option, within limits. Returns false after saying why not. */
+static bool number(const char *option, const char *text, double low, double high, double *out)
+{
+    char *end = NULL;
+    errno = 0;
+    *out = strtod(text, &end);
+    if ((end == text) || (*end != '\0') || (errno != 0) || !((*out >= low) && (*out <= high))) {
+        node_say("--%s %s: no number from %g to %g; remedy: see --help", option, text, low, high);
+        return false;
+    }
+    return true;
+}
+
+static bool whole(const char *option, const char *text, double low, double high, double *out)
+{
+    if (!number(option, text, low, high, out)) {
+        return false;
+    }
+    if (floor(*out) < *out) {
+        node_say("--%s %s: no whole number; remedy: see --help", option, text);
+        return false;
+    }
+    return true;
+}
+
+int node_options_read(int argc, char **argv, node_options_t *out)
+{
+    static const struct option known[] = {
+        { "config", required_argument, NULL, 'c' }, { "interface", required_argument, NULL, 'i' },
+        { "fd", required_argument, NULL, 'f' },     { "state", required_argument, NULL, 's' },
+        { "every", required_argument, NULL, 'e' },  { "exit-idle", required_argument, NULL, 'x' },
+        { "help", no_argument, NULL, 'h' },         { NULL, 0, NULL, 0 }
+    };
+    *out = (node_options_t){ .fd = -1, .every = 100u };
+    double value = 0.0;
+    for (int letter = 0; letter != -1;) {
+        letter = getopt_long(argc, argv, "i:h", known, NULL);
+        switch (letter) {
+        case -1:
+            break;
+        case 'c':
+            out->config = optarg;
+            break;
+        case 'i':
+            out->interface = optarg;
+            break;
+        case 'f':
+            if (!whole("fd", optarg, 0.0, INT_MAX, &value)) {
+                return -1;
+            }
+            out->fd = (int)value;
+            break;
+        case 's':
+            out->state = optarg;
+            break;
+        case 'e':
+            if (!whole("every", optarg, 1.0, 1e9, &value)) {
+                return -1;
+            }
+            out->every = (uint32_t)value;
+            break;
+        case 'x':
+            if (!number("exit-idle", optarg, 0.1, 1e9, &out->idle_s)) {
+                return -1;
+            }
+            break;
+        case 'h':
+            fputs(help, stdout);
+            return 0;
+        default: /* getopt has said what is wrong */
+            return node_say("remedy: see --help");
+        }
+    }
+    if (optind < argc) {
+        return node_say("%s: not an option; remedy: see --help", argv[optind]);
+    }
+    if (out->config == NULL) {
+        return node_say("no configuration; remedy: --config arm.zyg, written by `zygos compile-model`");
+    }
+    if ((out->interface == NULL) == (out->fd < 0)) {
+        return node_say("either an interface or a descriptor is needed; remedy: -i can0, or --fd N");
+    }
+    return 1;
+}

@@ -1,0 +1,121 @@
+#include "telemetry.h"
+
+#include <float.h>
+#include <string.h>
+
+#define HEARTBEAT 0x700u
+#define FAULTS (sizeof(zygos_faults_t) / sizeof(uint32_t))
+#define MODULUS 0x1000000u
+
+_Static_assert(FAULTS + 12u == NODE_COUNTERS, "a counter without a name");
+
+const char *const node_counter_name[NODE_COUNTERS] = {
+    "fault_length",         "fault_crc",           "fault_range",        "fault_late",         "fault_counter",
+    "fault_repeated",       "fault_unsynced",      "fault_latch",        "fault_link_invalid", "fault_motor_invalid",
+    "fault_torque_invalid", "fault_disabled",      "fault_gyro_invalid", "fault_saturated",    "fault_incomplete",
+    "fault_dropped",        "fault_sync_repeated", "fault_sync_jumped",  "fault_time_lost",    "fault_time_jumped",
+    "fault_overrun",        "fault_bus_error",     "count_cycles",       "count_gaps",         "count_invalid",
+    "count_wraps",          "count_accepted",      "count_refused",      "count_arcs",         "count_arcs_dropped",
+    "node_overflow",        "node_misshapen",      "node_down",          "node_unsent",
+};
+
+void node_counters(const zygos_t *arm, const node_bus_t *bus, uint64_t *out)
+{
+    uint32_t fault[FAULTS];
+    memcpy(fault, &arm->receiver.faults, sizeof fault);
+    for (uint32_t i = 0; i < FAULTS; i++) {
+        out[i] = fault[i];
+    }
+    const uint64_t other[NODE_COUNTERS - FAULTS] = {
+        arm->cycles,
+        arm->gaps,
+        arm->invalid,
+        arm->wraps,
+        arm->accumulator.accepted,
+        arm->accumulator.refused,
+        arm->accumulator.arcs,
+        arm->accumulator.arcs_dropped,
+        bus->overflow,
+        bus->misshapen,
+        bus->down,
+        bus->unsent,
+    };
+    memcpy(&out[FAULTS], other, sizeof other);
+}
+
+void node_telemetry_init(node_telemetry_t *self, uint32_t every)
+{
+    memset(self, 0, sizeof *self);
+    self->every = every;
+}
+
+static void put(node_telemetry_t *self, enum node_kind kind, uint32_t index, double value)
+{
+    self->value[self->items] = value;
+    self->index[self->items] = (uint8_t)index;
+    self->kind[self->items] = (uint8_t)kind;
+    self->items++;
+}
+
+static void solve(node_telemetry_t *self, const zygos_t *arm, const node_bus_t *bus)
+{
+    zygos_estimate_t *const out = &self->estimate;
+    zygos_take(arm, &self->work);
+    (void)zygos_solve(&self->work, out);
+    self->items = 0;
+    self->next = 0;
+    const double verdict[NODE_VERDICTS] = { (double)out->validity,
+                                            (double)out->reason,
+                                            (double)(out->cycle % MODULUS),
+                                            (double)(out->accepted % MODULUS),
+                                            (double)(out->refused % MODULUS),
+                                            (double)out->arcs,
+                                            (double)out->blocks,
+                                            (double)out->rank,
+                                            out->condition,
+                                            out->cluster,
+                                            out->residual,
+                                            out->noise_ratio,
+                                            out->gate };
+    for (uint32_t i = 0; i < NODE_VERDICTS; i++) {
+        put(self, NODE_VERDICT, i, verdict[i]);
+    }
+    uint64_t counter[NODE_COUNTERS];
+    node_counters(arm, bus, counter);
+    for (uint32_t i = 0; i < NODE_COUNTERS; i++) {
+        put(self, NODE_COUNTER, i, (double)(counter[i] % MODULUS));
+    }
+    for (uint32_t i = 0; i < arm->layout.count; i++) {
+        put(self, NODE_ESTIMATE, i, out->value[i]);
+        put(self, NODE_SIGMA, i, out->sigma[i]);
+        put(self, NODE_HALF95, i, out->half95[i]);
+    }
+}
+
+void node_telemetry_sync(node_telemetry_t *self, const zygos_t *arm, node_bus_t *bus)
+{
+    if (self->syncs == 0u) {
+        solve(self, arm, bus);
+    }
+    self->syncs = (self->syncs + 1u) % self->every;
+    const uint32_t share = (self->items + self->every - 1u) / self->every;
+    for (uint32_t i = 0; (i < share) && (self->next < self->items); i++) {
+        const uint32_t k = self->next++;
+        if ((self->value[k] >= -(double)FLT_MAX) && (self->value[k] <= (double)FLT_MAX)) {
+            zygos_frame_t frame;
+            zygos_wire_encode_telemetry((uint8_t)(arm->receiver.assembly.counter & 0x0Fu), self->index[k],
+                                        self->kind[k], (float)self->value[k], &frame);
+            node_bus_send(bus, &frame);
+        }
+    }
+}
+
+void node_telemetry_heartbeat(node_bus_t *bus, enum node_heartbeat state)
+{
+    zygos_frame_t frame;
+    memset(&frame, 0, sizeof frame);
+    frame.id = HEARTBEAT + ZYGOS_NODE_COMPUTER;
+    frame.length = 1;
+    frame.data[0] = (uint8_t)state;
+    node_bus_send(bus, &frame);
+}

@@ -1,0 +1,109 @@
+"""zygos-node as a child of the test, its bus one end of a pair of sockets."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import signal
+import socket
+import struct
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conftest import ROOT
+from zygos.flight import FRAME
+
+NODE = ROOT / "build" / "zygos-node"
+EXTENDED, REMOTE, ERROR, FD = 1, 2, 4, 8
+"""Bits of a frame's flags."""
+
+
+def build() -> Path:
+    """The node of this tree. Several tests may ask at once."""
+    own = {name: value for name, value in os.environ.items() if not name.startswith(("MAKE", "MFLAGS"))}
+    with (Path(tempfile.gettempdir()) / "zygos-node.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        subprocess.run(["make", "--silent", "node"], cwd=ROOT, env=own, check=True)
+    return NODE
+
+
+def packet(frame: Any) -> bytes:
+    """A `FRAME` record as the struct can_frame or canfd_frame of a socket."""
+    bits = sum(bit for flag, bit in ((EXTENDED, 1 << 31), (REMOTE, 1 << 30), (ERROR, 1 << 29)) if frame["flags"] & flag)
+    head = struct.pack("=IB3x", int(frame["id"]) | bits, int(frame["length"]))
+    return head + bytes(frame["data"]) + (bytes(56) if frame["flags"] & FD else b"")
+
+
+def frame_of(identifier: int, data: bytes = b"", flags: int = 0) -> Any:
+    """One `FRAME` record."""
+    out = np.zeros(1, FRAME)
+    out["id"], out["length"], out["flags"] = identifier, len(data), flags
+    out["data"][0, : len(data)] = np.frombuffer(data, np.uint8)
+    return out[0]
+
+
+class Node:
+    """A running node. `answers` has the (identifier, data) of what it sent."""
+
+    def __init__(self, *arguments: object, pair: tuple[socket.socket, socket.socket] | None = None) -> None:
+        self.near, far = pair or socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self.answers: list[tuple[int, bytes]] = []
+        command = [str(build()), *map(str, arguments), "--fd", str(far.fileno())]
+        self.process = subprocess.Popen(
+            command, pass_fds=[far.fileno()], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        far.close()
+        assert self.process.stderr is not None
+        self.first = self.process.stderr.readline()
+
+    def __enter__(self) -> Node:
+        assert self.first.startswith("zygos-node: listening on --fd"), self.first
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.process.kill()
+        self.process.communicate()
+        self.near.close()
+
+    def listen(self) -> None:
+        """Take what has been sent until now."""
+        while True:
+            try:
+                data = self.near.recv(100, socket.MSG_DONTWAIT)
+            except (BlockingIOError, ConnectionResetError):
+                return
+            if not data:
+                return
+            identifier, length = struct.unpack_from("=IB", data)
+            assert len(data) == 16
+            self.answers.append((identifier, data[8 : 8 + length]))
+
+    def send(self, frames: NDArray[Any]) -> None:
+        """Send `FRAME` records, listening meanwhile."""
+        for frame in frames:
+            self.near.send(packet(frame))
+            if frame["id"] == 0x080:
+                self.listen()
+
+    def wait(self) -> tuple[int, dict[str, int], str]:
+        """Exit code, counters and what else was said, once the node has ended."""
+        out, said = self.process.communicate(timeout=60)
+        self.listen()
+        counters = dict(line.split() for line in out.splitlines())
+        return self.process.returncode, {name: int(value) for name, value in counters.items()}, said
+
+    def end(self) -> dict[str, int]:
+        """Tell it to end, in order. Returns its counters."""
+        self.process.send_signal(signal.SIGTERM)
+        code, counters, said = self.wait()
+        assert (code, said) == (0, "")
+        return counters
+
+    def of(self, identifier: int) -> list[bytes]:
+        """The data of all answers with an identifier."""
+        return [data for one, data in self.answers if one == identifier]

@@ -1,0 +1,287 @@
+"""What the tests on an emulated Cortex-M share: firmware and the host's library at the same capacities, runs of both on
+the same vectors, and a comparison that names the first byte that differs."""
+
+from __future__ import annotations
+
+import functools
+import os
+import re
+import struct
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from conftest import ROOT, need
+from zygos import flight
+from zygos.arm import Arm, load_arm
+from zygos.cycles import Cycles
+from zygos.model import load_model
+from zygos.plant import simulate
+from zygos.scenario import load_scenario
+
+sys.path.insert(0, str(ROOT / "tools"))
+import build_firmware
+
+HERE = Path(__file__).parent
+PORT = build_firmware.PORT
+TARGETS = tuple(build_firmware.TARGETS)
+LIMIT_S = 240.0
+"""Longest that a run on a target may take."""
+
+FRAMES, CYCLES, IMAGE, ESTIMATE = 1, 2, 3, 4
+"""Sections of run.bin, as c/ports/cortex-m/bulk.c has them."""
+RECORDS = {1: "init", 2: "verdicts", 3: "instant", 4: "image", 5: "estimate", 6: "sizes"}
+"""Records of out.bin."""
+
+
+@dataclass(frozen=True)
+class Build:
+    """Capacities that host and target are built with."""
+
+    name: str
+    defines: tuple[str, ...]
+
+
+PAPER = Build("two joints", ("-DZYGOS_MAX_JOINTS=2", "-DZYGOS_SPATIAL=0"))
+SPATIAL = Build("three joints in space", ("-DZYGOS_MAX_JOINTS=3", "-DZYGOS_MAX_BLOCKS=8"))
+SEVEN = Build("seven joints in space", ("-DZYGOS_MAX_JOINTS=7", "-DZYGOS_MAX_BLOCKS=8"))
+
+
+PATIENT = Build("two joints, long queue", (*PAPER.defines, "-DZYGOS_CYCLE_QUEUE=1024"))
+"""Nothing is lost however fast the frames come."""
+BUILDS = {"paper": PAPER, "spatial": SPATIAL, "seven": SEVEN}
+DURATION_S = {"paper": 60.0, "spatial": 1.2, "seven": 1.6}
+"""1,200 cycles, 600 and 400."""
+
+
+@functools.cache
+def recorded(example: str) -> tuple[Arm, Cycles]:
+    """The motion of an example, with noise; bits need no accurate plant."""
+    folder = ROOT / "examples" / example
+    arm, scenario = load_arm(folder / "arm.toml"), load_scenario(folder / "scenario.toml")
+    model = load_model(folder / "model.toml")
+    run = simulate(arm, model, scenario, noise=True, duration_s=DURATION_S[example], rtol=1e-6, atol=1e-8)
+    return arm, run.cycles()
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of run.bin."""
+
+    kind: int
+    items: int
+    payload: bytes = b""
+
+
+def frames_section(frames: NDArray[Any]) -> Section:
+    """`FRAME` records through zygos_frame() and zygos_step()."""
+    return Section(FRAMES, len(frames), np.ascontiguousarray(frames, dtype=flight.FRAME).tobytes())
+
+
+def cycles_section(native: Any, count: int) -> Section:
+    """A `zygos_cycle_t` array of the build in use through zygos_cycle()."""
+    return Section(CYCLES, count, bytes(flight.ffi.buffer(native))[: count * flight.ffi.sizeof("zygos_cycle_t")])
+
+
+END = (Section(IMAGE, 0), Section(ESTIMATE, 0), Section(IMAGE, 0))
+"""The whole zygos_t, the estimate, and once more the zygos_t, which that must not change."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """A part of out.bin."""
+
+    kind: str
+    data: bytes
+
+
+@functools.cache
+def host_library(builds: Path, build: Build) -> Path:
+    """Build the host's library at these capacities, once a process. Returns its folder."""
+    folder = builds / build.name
+    environment = {**os.environ, "CFLAGS": " ".join(build.defines)}
+    subprocess.run([sys.executable, str(ROOT / "tools" / "build_native.py"), str(folder)], env=environment, check=True)
+    return folder
+
+
+@contextmanager
+def capacities(builds: Path, build: Build) -> Iterator[None]:
+    """Within it zygos.flight is that of a library with these capacities."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(flight, "_FOLDER", host_library(builds, build))
+        ffi, lib = flight._load()
+        patch.setattr(flight, "ffi", ffi)
+        patch.setattr(flight, "lib", lib)
+        yield
+
+
+def on_host(config: Any, sections: Sequence[Section]) -> list[Record]:
+    """What bulk.c does, by the library in use."""
+    ffi, lib = flight.ffi, flight.lib
+    arm = ffi.new("zygos_t *")
+    work, estimate = ffi.new("zygos_work_t *"), ffi.new("zygos_estimate_t *")
+    records: list[Record] = []
+
+    def add(kind: str, data: Any) -> None:
+        records.append(Record(kind, bytes(data)))
+
+    def instant() -> None:
+        head = struct.pack("<QII", arm.cycle, arm.instant, int(arm.accepted > 0.0))
+        add("instant", head + b"".join(bytes(ffi.buffer(x)) for x in parts))
+
+    parts = [ffi.addressof(arm, name) for name in ("state", "motion", "row")]
+    verdict = lib.zygos_init(arm, config)
+    add("init", struct.pack("<i", verdict))
+    for section in sections if verdict == 1 else ():
+        if section.kind in (FRAMES, CYCLES):
+            kind = "zygos_frame_t" if section.kind == FRAMES else "zygos_cycle_t"
+            vectors = ffi.from_buffer(f"{kind}[]", section.payload)
+            for k in range(section.items):
+                said = (lib.zygos_frame if section.kind == FRAMES else lib.zygos_cycle)(arm, vectors + k)
+                add("verdicts", struct.pack("<b", said))
+                if section.kind == CYCLES and said == 1:
+                    instant()
+                while section.kind == FRAMES and lib.zygos_step(arm) == 1:
+                    instant()
+        elif section.kind == IMAGE:
+            add("image", ffi.buffer(arm))
+        elif section.kind == ESTIMATE:
+            lib.zygos_take(arm, work)
+            lib.zygos_solve(work, estimate)
+            add("estimate", ffi.buffer(estimate))
+    return records
+
+
+@functools.cache
+def firmware(
+    folder: Path, target: str, program: str, build: Build, flags: tuple[str, ...] = (), drill: str | None = None
+) -> Path:
+    """Build firmware whose main() is in PROGRAM.c, here or in c/ports/cortex-m, into folder, once a process.
+
+    drill: a source in this folder whose __wrap_ functions stand before those of the firmware.
+    """
+    own = HERE / f"{program}.c"
+    sources = [own if own.exists() else PORT / own.name, PORT / "slcan.c", PORT / "uart.c"]
+    wrapped: list[str] = []
+    if drill:
+        sources.append(HERE / f"{drill}.c")
+        names = re.findall(r"__wrap_(\w+)\(", sources[-1].read_text())
+        wrapped = [f"-Wl,--wrap={name}" for name in sorted(set(names))]
+    elf = folder / f"{target}-{build.name}-{program}-{abs(hash((flags, drill)))}.elf"
+    return build_firmware.build(target, elf, sources, [*build.defines, *flags, *wrapped])
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Memory on a target."""
+
+    state: int
+    """Bytes of zygos_t,"""
+    work: int
+    """zygos_work_t,"""
+    estimate: int
+    """zygos_estimate_t,"""
+    stack: int
+    """and of stack in use at the most."""
+    code: int
+    """Bytes of instructions and constants of the image."""
+
+
+def on_target(
+    target: str, elf: Path, folder: Path, config: Any, sections: Sequence[Section]
+) -> tuple[list[Record], Sizes]:
+    """What bulk firmware comes to on these vectors, run in folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    head = struct.pack("<I", config.abi) + bytes(flight.ffi.buffer(config))
+    body = b"".join(struct.pack("<II", s.kind, s.items) + s.payload for s in sections)
+    (folder / "run.bin").write_bytes(head + body)
+    subprocess.run(build_firmware.run(target, elf), cwd=folder, check=True, timeout=LIMIT_S)
+    out, at, records = (folder / "out.bin").read_bytes(), 0, []
+    while at < len(out):
+        kind, size = struct.unpack_from("<II", out, at)
+        records.append(Record(RECORDS[kind], out[at + 8 : at + 8 + size]))
+        at += 8 + size
+    assert records[-1].kind == "sizes", "the run ended early"
+    return records[:-1], Sizes(*struct.unpack("<4I", records[-1].data), code_bytes(elf))
+
+
+def code_bytes(elf: Path) -> int:
+    """Instructions, constants and initial values of an image."""
+    done = subprocess.run(["arm-none-eabi-size", str(elf)], capture_output=True, text=True, check=True)
+    text, data = done.stdout.splitlines()[1].split()[:2]
+    return int(text) + int(data)
+
+
+def place(kind: Any, offset: int) -> str:
+    """The member of a struct that lies at a byte, or "padding"."""
+    if kind.kind == "struct":
+        for name, field in kind.fields:
+            if field.offset <= offset < field.offset + flight.ffi.sizeof(field.type):
+                inner = place(field.type, offset - field.offset)
+                return f".{name}{inner}"
+        return ".padding"
+    if kind.kind == "array":
+        size = flight.ffi.sizeof(kind.item)
+        return f"[{offset // size}]{place(kind.item, offset % size)}"
+    return ""
+
+
+def where(record: Record, offset: int) -> str:
+    """The member of a record's struct at a byte."""
+    if record.kind == "image":
+        return "zygos_t" + place(flight.ffi.typeof("zygos_t"), offset)
+    if record.kind == "estimate":
+        return "zygos_estimate_t" + place(flight.ffi.typeof("zygos_estimate_t"), offset)
+    if record.kind == "instant":
+        offset -= 16
+        for name in ("state", "motion", "row"):
+            kind = flight.ffi.typeof(f"zygos_{name}_t")
+            if 0 <= offset < flight.ffi.sizeof(kind):
+                return f"zygos_{name}_t" + place(kind, offset)
+            offset -= flight.ffi.sizeof(kind)
+    return f"byte {offset}"
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two lists of records, byte by byte."""
+
+    equal: int
+    """Bytes that are equal."""
+    total: int
+    first: str
+    """Where the first difference is, in words; empty when there is none."""
+
+
+def compare(host: Sequence[Record], target: Sequence[Record]) -> Comparison:
+    """Compare what host and target came to."""
+    equal = total = 0
+    first = ""
+    for k, (one, other) in enumerate(zip(host, target, strict=False)):
+        if one.kind != other.kind or len(one.data) != len(other.data):
+            first = first or f"record {k}: {one.kind} of {len(one.data)} bytes, {other.kind} of {len(other.data)}"
+            break
+        total += len(one.data)
+        if one.data == other.data:
+            equal += len(one.data)
+            continue
+        different = np.flatnonzero(np.frombuffer(one.data, np.uint8) != np.frombuffer(other.data, np.uint8))
+        equal += len(one.data) - len(different)
+        first = first or f"record {k}: {one.kind}, {where(one, int(different[0]))}"
+    if len(host) != len(target):
+        first = first or f"{len(host)} records and {len(target)}"
+    return Comparison(equal, total, first)
+
+
+def need_tools() -> None:
+    """What a build and a run need."""
+    lost = build_firmware.missing()
+    need(not lost, f"{' '.join(lost)}: nothing runs on a target; remedy: sudo apt install {build_firmware.PACKAGES}")

@@ -1,0 +1,295 @@
+"""Firmware that runs by itself, spoken to by python-can through slcan: frames in an interrupt, cycles in a task."""
+
+from __future__ import annotations
+
+import re
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import can
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pil.conftest import Agree
+from pil.live_support import PATIENCE_S, Live, lines_of, running
+from pil.pil_support import END, PAPER, PATIENT, TARGETS, Record, capacities, compare, frames_section, on_host, recorded
+from zygos import bus, flight
+from zygos.arm import Arm
+from zygos.dbc import arm_database
+from zygos.flight import Flight, encode
+
+VALUE, SIGMA, VERDICT = 0, 1, 3
+"""Kinds of telemetry, as c/ports/cortex-m/live.c has them."""
+
+
+def the_run() -> tuple[Arm, NDArray[Any]]:
+    """The paper's as frames."""
+    arm, cycles = recorded("paper")
+    return arm, encode(arm, cycles)
+
+
+def image(arm: Arm, frames: NDArray[Any]) -> Record:
+    """zygos_t of the host behind these frames in order."""
+    return on_host(flight.config_of(arm), [frames_section(frames), END[0]])[-1]
+
+
+class Listener:
+    """Takes what the firmware sends, in a thread of its own."""
+
+    def __init__(self, line: can.BusABC) -> None:
+        self.messages: list[can.Message] = []
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._listen, args=(line,))
+        self._thread.start()
+
+    def _listen(self, line: can.BusABC) -> None:
+        while not self._over.is_set():
+            message = line.recv(timeout=0.1)
+            if message is not None:
+                self.messages.append(message)
+
+    def stop(self) -> list[can.Message]:
+        self._over.set()
+        self._thread.join()
+        return self.messages
+
+
+@contextmanager
+def listening(live: Live) -> Iterator[tuple[can.BusABC, Listener]]:
+    line = live.bus()
+    listener = Listener(line)
+    try:
+        yield line, listener
+    finally:
+        listener.stop()
+        line.shutdown()
+
+
+def reported(arm: Arm, frames: NDArray[Any]) -> list[tuple[int, int, float]]:
+    """Index, kind and value that live.c is to send while these frames come, by the host's library."""
+    estimates, out = Flight(arm), []
+    p, cycles = len(arm.parameter_names), 0
+    starts = np.flatnonzero(frames["id"] == 0x080)
+    known = None
+    for first, last in zip(starts, [*starts[1:], len(frames)], strict=False):
+        estimates.frames(frames[first:last])
+        if estimates.counts["cycles"] == cycles:
+            continue
+        cycles += 1
+        turn = cycles % (2 * p + 1)
+        if turn == 0:
+            known = estimates.estimate()
+            out.append((0, VERDICT, float(flight.VALIDITY.index(known.validity))))
+        elif known is not None:
+            index, kind = ((turn - 1) % p, VALUE if turn <= p else SIGMA)
+            value = float(np.float32((known.value if kind == VALUE else known.sigma)[index]))
+            if np.isfinite(value):
+                out.append((index, kind, value))
+        else:
+            out.append((turn - 1, VALUE, 0.0) if turn <= p else (turn - p - 1, SIGMA, 0.0))
+    return out
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_a_run_through_the_interrupt(target: str, builds: Path, tmp_path: Path, agree: Agree) -> None:
+    """All frames at once: the interrupt takes them while the task works off cycles. The same bits as in order."""
+    with capacities(builds, PATIENT):
+        arm, frames = the_run()
+        with running(builds, tmp_path, target, PATIENT, Flight(arm)) as live:
+            with listening(live) as (line, listener):
+                for message in bus.to_messages(frames, arm.period_s):
+                    line.send(message)
+                found = live.settle(len(frames))
+                expected = reported(arm, frames)
+                limit = time.monotonic() + PATIENCE_S
+                while len(listener.messages) < len(expected) and time.monotonic() < limit:
+                    time.sleep(0.1)
+            assert live.lines() == (len(frames), 0)
+            assert live.word("uart", 1) == live.word("uart", 2) == 0
+        agree(target, "paper, live", "zygos_t behind a run", compare([image(arm, frames)], [Record("image", found)]))
+        check_telemetry(arm, listener.messages, expected)
+
+
+def check_telemetry(arm: Arm, messages: list[can.Message], expected: list[tuple[int, int, float]]) -> None:
+    """What came back is the estimate, by name, as cantools reads it."""
+    database = arm_database(arm)
+    assert {message.arbitration_id for message in messages} == {0x1A0}
+    decoded: list[dict[str, Any]] = [database.decode_message(m.arbitration_id, m.data) for m in messages]
+    assert [(m.data[2], m.data[3]) for m in messages] == [(index, kind) for index, kind, _ in expected]
+    values = [np.frombuffer(bytes(m.data[4:8]), "<f4")[0] for m in messages]
+    assert values == [np.float32(value) for _, _, value in expected]
+    last = {name: value for one in decoded for name, value in one.items()}
+    for name in arm.parameter_names:
+        assert last[name] in values
+
+
+def spoiled(rng: np.random.Generator, line: bytes) -> bytes:
+    """A line that is none any more, as noise on the wire and hasty hosts make them."""
+    match rng.integers(0, 6):
+        case 0:
+            return line[: rng.integers(1, len(line) - 1)] + b"\r"  # cut off
+        case 1:
+            return line[:-1] + b"0" * int(rng.integers(1, 300)) + b"\r"  # too long
+        case 2:
+            noise = rng.integers(0, 256, rng.integers(1, 60), dtype=np.uint8)
+            return b"\xff" + bytes(noise[noise != 13]) + b"\r"
+        case 3:
+            at = int(rng.integers(1, len(line) - 1))
+            return line[:at] + b"g" + line[at + 1 :]  # no digit
+        case 4:
+            return line[:4] + b"9" + line[5:]  # more bytes than a frame has
+        case _:
+            return b"t8" + line[2:]  # no identifier of 11 bits
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_spoiled_lines(target: str, builds: Path, tmp_path: Path, agree: Agree) -> None:
+    """Garbage, cut and overlong lines: each is answered by BEL, counted and without effect on the frames around it."""
+    rng = np.random.default_rng(3)
+    with capacities(builds, PATIENT):
+        arm, frames = the_run()
+        frames = frames[:1400]
+        stream, bad = [b"\r\r\rC\rS8\rO\r"], 0
+        for line in lines_of(bus.to_messages(frames, arm.period_s)):
+            if rng.random() < 0.3:
+                stream.append(spoiled(rng, line))
+                bad += 1
+            stream.append(line)
+        with running(builds, tmp_path, target, PATIENT, Flight(arm)) as live:
+            answers = exchange(live, b"".join(stream), len(frames) + bad)
+            found = live.settle(len(frames) + bad)
+            assert live.lines() == (len(frames), bad)
+            assert b"F80\r" in exchange(live, b"F\r", 0)
+            assert b"F00\r" in exchange(live, b"F\r", 0)
+        assert answers.count(b"\a") == bad
+        assert answers.count(b"z\r") == len(frames)
+        agree(target, "paper, spoiled lines", f"{bad} of them", compare([image(arm, frames)], [Record("image", found)]))
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_lost_characters(target: str, builds: Path, tmp_path: Path, agree: Agree) -> None:
+    """What an overrun of the UART does to the lines: they are refused, their cycles are incomplete, nothing else."""
+    rng = np.random.default_rng(4)
+    with capacities(builds, PATIENT):
+        arm, frames = the_run()
+        frames = frames[:2800]
+        text = np.frombuffer(b"".join(lines_of(bus.to_messages(frames, arm.period_s))), np.uint8)
+        kept = bytes(text[rng.random(len(text)) > 2e-3])
+        *lines, rest = kept.split(b"\r")
+        good = np.array([well_formed(line) for line in lines])
+        survived = [read(line) for line, ok in zip(lines, good, strict=True) if ok]
+        with running(builds, tmp_path, target, PATIENT, Flight(arm)) as live:
+            exchange(live, b"O\r" + kept, len(lines))
+            found = live.settle(len(lines))
+            assert live.lines() == (int(good.sum()), int((~good).sum()))
+        assert rest == b""
+        left = np.array(survived, dtype=flight.FRAME)
+        state = flight.ffi.from_buffer("zygos_t *", found)
+        assert state.receiver.faults.incomplete > 30
+        assert state.gaps > 10
+        agree(target, "paper, lost characters", "what survived", compare([image(arm, left)], [Record("image", found)]))
+
+
+def well_formed(line: bytes) -> bool:
+    """A frame with an 11-bit identifier, as the manual of slcan describes it."""
+    match = re.fullmatch(rb"t[0-7][0-9A-F]{2}([0-8])((?:[0-9A-F]{2})*)", line)
+    return match is not None and len(match[2]) == 2 * int(match[1])
+
+
+def read(line: bytes) -> tuple[int, int, int, list[int], list[int]]:
+    """The frame of a well-formed line, as a `FRAME` record."""
+    data = bytes.fromhex(line[5:].decode())
+    return int(line[1:4], 16), int(line[4:5]), 0, [0, 0], list(data.ljust(8, b"\0"))
+
+
+def exchange(live: Live, text: bytes, lines: int) -> bytes:
+    """Send characters; what came back until so many frames and refused lines are through and the line is quiet."""
+    host, port = live.channel.removeprefix("socket://").split(":")
+    out = bytearray()
+    with socket.create_connection((host, int(port)), timeout=PATIENCE_S) as line:
+        sender = threading.Thread(target=line.sendall, args=(text,))
+        sender.start()
+        limit = time.monotonic() + PATIENCE_S
+        line.settimeout(0.3)
+        while time.monotonic() < limit:
+            try:
+                out += line.recv(65536)
+            except TimeoutError:
+                if sum(live.lines()) >= lines and not sender.is_alive():
+                    break
+        sender.join()
+    return bytes(out)
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_a_task_that_is_held_up(target: str, builds: Path, tmp_path: Path, agree: Agree) -> None:
+    """The queue runs over: as many cycles as were lost are counted, the arc ends, and the rest is as on the host."""
+    with capacities(builds, PAPER):
+        arm, frames = the_run()
+        frames = frames[: np.flatnonzero(frames["id"] == 0x080)[400] + 1]
+        with (
+            running(builds, tmp_path, target, PAPER, Flight(arm), drill="drill_stall") as live,
+            listening(live) as (line, _),
+        ):
+            for k, message in enumerate(bus.to_messages(frames, arm.period_s)):
+                line.send(message)
+                # no faster than the task, or it would lose cycles elsewhere too
+                while k % 14 == 13 and sum(live.lines()) < k - 14:
+                    time.sleep(0.001)
+            found = live.settle(len(frames))
+        state = flight.ffi.from_buffer("zygos_t *", found)
+        lost = state.receiver.faults.overrun
+        assert lost >= 5
+        assert state.cycles == 400 - lost
+        assert state.gaps == 1
+        expected = held_up(arm, frames, lost)
+        agree(target, "paper, task held up", f"{lost} cycles lost", compare([expected], [Record("image", found)]))
+
+
+def held_up(arm: Arm, frames: NDArray[Any], lost: int) -> Record:
+    """zygos_t of the host when nothing is worked off from the 300th cycle until so many cycles are lost."""
+    ffi, lib = flight.ffi, flight.lib
+    state = ffi.new("zygos_t *")
+    assert lib.zygos_init(state, flight.config_of(arm)) == 1
+    native = ffi.from_buffer("zygos_frame_t[]", frames.tobytes())
+    for k in range(len(frames)):
+        lib.zygos_frame(state, native + k)
+        while (state.cycles != 300 or state.receiver.faults.overrun >= lost) and lib.zygos_step(state) == 1:
+            pass
+    return Record("image", bytes(ffi.buffer(state)))
+
+
+def test_a_pseudo_terminal(builds: Path, tmp_path: Path) -> None:
+    """The other way to a serial line, and what adapters say of themselves."""
+    with capacities(builds, PATIENT):
+        arm, frames = the_run()
+        frames = frames[:350]
+        with running(builds, tmp_path, "m7", PATIENT, Flight(arm), line="pty") as live:
+            line: Any = live.bus()
+            line.set_bitrate(500_000)
+            assert line.get_serial_number(timeout=10) == "ZYGO"
+            assert line.get_version(timeout=10) == (0, 1)
+            for message in bus.to_messages(frames, arm.period_s):
+                line.send(message)
+            found = live.settle(len(frames))
+            line.shutdown()
+        assert not compare([image(arm, frames)], [Record("image", found)]).first
+
+
+def test_a_closed_channel(builds: Path, tmp_path: Path) -> None:
+    """Before O and behind C no frame comes in, and none goes out."""
+    with capacities(builds, PATIENT):
+        arm, frames = the_run()
+        text = b"".join(lines_of(bus.to_messages(frames[:70], arm.period_s)))
+        with running(builds, tmp_path, "m7", PATIENT, Flight(arm)) as live:
+            assert exchange(live, text, 70) == b"\a" * 70
+            untouched = live.memory("arm")
+            assert exchange(live, b"S9\rO\rS8\rC\r", 72) == b"\a\r\a\r"
+            assert exchange(live, text, 142) == b"\a" * 70
+            assert live.memory("arm") == untouched
