@@ -170,18 +170,19 @@ void zygos_noise_init(zygos_noise_t *self, const zygos_config_t *config, const z
     for (uint32_t s = 0; s < 2u * n; s++) {
         const zygos_joint_config_t *joint = &config->joint[s % n];
         const double sigma = ((s < n) && (joint->rigid == 0)) ? joint->link_sigma_rad : joint->motor_sigma_rad;
-        const double *value = smoother->value[s];
-        const double *slope = smoother->slope[s];
-        const double value_norm = root(product(value, value, smoother->window));
-        const double shared = product(value, slope, smoother->window) / value_norm;
-        const double rest = product(slope, slope, smoother->window) - shared * shared;
+        double variance[3];
+        zygos_smoother_variance(smoother, s, variance);
+        const double value_norm = root(variance[0]);
+        const double shared = variance[1] / value_norm;
+        const double rest = variance[2] - shared * shared;
         self->factor[s][0] = sigma * value_norm;
         self->factor[s][1] = sigma * shared;
         self->factor[s][2] = sigma * root((rest > 0.0) ? rest : 0.0);
-        self->rate_variance[s] = sigma * sigma * product(slope, slope, smoother->window);
+        self->rate_variance[s] = sigma * sigma * variance[2];
     }
-    const double *gyro = smoother->value[2u * n];
-    const double gyro_variance = config->imu_sigma * config->imu_sigma * product(gyro, gyro, smoother->window);
+    double gyro[3];
+    zygos_smoother_variance(smoother, 2u * n, gyro);
+    const double gyro_variance = config->imu_sigma * config->imu_sigma * gyro[0];
     double least = 1e300;
     for (uint32_t i = 0; i < n; i++) {
         least = (self->rate_variance[i] < least) ? self->rate_variance[i] : least;
@@ -268,21 +269,36 @@ void zygos_noise_means(const zygos_noise_t *self, const zygos_config_t *config, 
     }
 }
 
-/* packed += x x^T at the places of the list. */
-static void add(const zygos_places_t *list, const double *x, double *packed, double *sum)
+static double *line_of(double *packed, uint32_t place)
 {
+    return &packed[place * (place + 1u) / 2u];
+}
+
+/* packed += x x^T at the places of the list, two lines at a time. */
+static void add(const zygos_places_t *list, const double *restrict x, double *restrict packed, double *restrict sum)
+{
+    const uint32_t *place = list->place;
     double total = 0.0;
     for (uint32_t i = 0; i < list->count; i++) {
         total += x[i];
     }
     for (uint32_t i = 0; i < list->count; i++) {
-        const uint32_t place = list->place[i];
-        double *line = &packed[place * (place + 1u) / 2u];
-        const double xi = x[i];
+        sum[place[i]] += x[i] * total;
+    }
+    uint32_t i = 0;
+    for (; i + 1u < list->count; i += 2u) {
+        double *upper = line_of(packed, place[i]);
+        double *lower = line_of(packed, place[i + 1u]);
+        const double upper_x = x[i];
+        const double lower_x = x[i + 1u];
         for (uint32_t j = 0; j <= i; j++) {
-            line[list->place[j]] += xi * x[j];
+            upper[place[j]] += upper_x * x[j];
+            lower[place[j]] += lower_x * x[j];
         }
-        sum[place] += xi * total;
+        lower[place[i + 1u]] += lower_x * lower_x;
+    }
+    for (uint32_t j = 0; (i < list->count) && (j <= i); j++) {
+        line_of(packed, place[i])[place[j]] += x[i] * x[j];
     }
 }
 
