@@ -21,7 +21,7 @@ void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint
     const uint64_t steps = ((many > least) ? many : least) / ZYGOS_STEP;
     memset(self, 0, sizeof *self);
     self->width = parameters + 2u;
-    self->target = ZYGOS_STEP * ((steps > LEAST_STEPS) ? steps : LEAST_STEPS);
+    self->target = (double)(ZYGOS_STEP * ((steps > LEAST_STEPS) ? steps : LEAST_STEPS));
     self->enough = 0.5 * (double)arc_cycles;
 }
 
@@ -63,7 +63,7 @@ static void add_block(zygos_block_t *to, const zygos_block_t *from, uint32_t wid
 static uint32_t merge(zygos_accumulator_t *self, uint32_t first, uint32_t end, uint32_t to)
 {
     const uint32_t begin = to;
-    const double most = (double)self->target;
+    const double most = self->target;
     for (uint32_t from = first; from < end; from++) {
         if ((to > begin) && (self->block[to - 1u].instants + self->block[from].instants <= most)) {
             add_block(&self->block[to - 1u], &self->block[from], self->width);
@@ -99,7 +99,7 @@ static void make_room(zygos_accumulator_t *self)
         if (self->count <= 3u * ZYGOS_MAX_BLOCKS / 4u) {
             return;
         }
-        self->target *= 2u;
+        self->target *= 2.0;
     }
 }
 
@@ -153,62 +153,79 @@ static void next_segment(zygos_accumulator_t *self)
     }
 }
 
-/* Shares out the entries of the older step from self->shared on, up to end. */
-static void share_out(zygos_accumulator_t *self, uint32_t end)
+/* Of so many entries, those of a slice: an even number. The last slice reaches beyond the entries, where all is 0. */
+static uint32_t slice_of(uint32_t entries)
 {
-    double *step = self->step[1u - self->filling].gram;
-    double *falling = self->block[self->count - 2u].gram;
-    double *rising = self->block[self->count - 1u].gram;
-    const double late = self->late;
-    const double early = 1.0 - late;
-    for (uint32_t k = self->shared; k < end; k++) {
-        falling[k] += early * step[k];
-        rising[k] += late * step[k];
-        step[k] = 0.0;
-    }
-    self->shared = end;
+    return 2u * ((entries + 2u * ZYGOS_STEP - 1u) / (2u * ZYGOS_STEP));
 }
 
-/* The step that has filled is shared out from here on; the other one is empty, and fills. */
-static void next_step(zygos_accumulator_t *self)
+/* Moves an even number of entries of a step to its two blocks, by their shares. */
+static void move(double *restrict step, double *restrict falling, double *restrict rising, double early, double late,
+                 uint32_t count)
 {
-    if ((self->count == self->open) || (self->segment >= (double)self->target)) {
+    for (const double *end = step + count; step < end; step += 2) {
+        falling[0] += early * step[0];
+        falling[1] += early * step[1];
+        rising[0] += late * step[0];
+        rising[1] += late * step[1];
+        step[0] = 0.0;
+        step[1] = 0.0;
+        falling += 2;
+        rising += 2;
+    }
+}
+
+/* Shares out the next slices of the older step. */
+static void share_out(zygos_accumulator_t *self, uint32_t slices)
+{
+    zygos_step_t *step = &self->step[1u - self->filling];
+    zygos_block_t *falling = &self->block[self->count - 2u];
+    zygos_block_t *rising = &self->block[self->count - 1u];
+    const uint32_t entries = slice_of(zygos_gram_entries(self->width));
+    const uint32_t sums = slice_of(self->width);
+    const uint32_t entry = self->shared * entries;
+    const uint32_t row = self->shared * sums;
+    move(&step->gram[entry], &falling->gram[entry], &rising->gram[entry], self->early, self->late, slices * entries);
+    move(&step->sum[row], &falling->sum[row], &rising->sum[row], self->early, self->late, slices * sums);
+    self->shared += slices;
+}
+
+/* When the step is full (1, else 0), it is shared out from here on; the other one is empty, and fills. Factors instead
+   of a branch: all cycles cost the same. */
+static void next_step(zygos_accumulator_t *self, uint32_t full)
+{
+    if (full * self->segment >= self->target) {
         next_segment(self);
     }
     zygos_step_t *step = &self->step[self->filling];
     zygos_block_t *falling = &self->block[self->count - 2u];
     zygos_block_t *rising = &self->block[self->count - 1u];
-    const double n = step->instants;
-    const double reached = (self->segment + 0.5 * n) / (double)self->target;
-    const double late = (reached < 1.0) ? reached : 1.0;
-    const double early = 1.0 - late;
-    for (uint32_t i = 0; i < self->width; i++) {
-        falling->sum[i] += early * step->sum[i];
-        rising->sum[i] += late * step->sum[i];
-        step->sum[i] = 0.0;
-    }
+    const double n = full * step->instants;
+    const double reached = (self->segment + 0.5 * n) / self->target;
+    const double end[2] = { 1.0, reached };
+    const double late = end[reached < 1.0];
+    const double share[2][2] = { { self->early, self->late }, { 1.0 - late, late } };
+    const double early = share[1][0];
     falling->instants += n * early;
     falling->square += n * early * early;
     falling->overlap += n * early * late;
     rising->instants += n * late;
     rising->square += n * late * late;
     self->segment += n;
-    self->late = late;
-    step->instants = 0.0;
-    self->filling = 1u - self->filling;
-    self->filled = 0;
-    self->shared = 0;
+    self->early = share[full][0];
+    self->late = share[full][1];
+    step->instants -= n;
+    self->filling ^= full;
+    self->filled *= 1u - full;
+    self->shared *= 1u - full;
 }
 
 void zygos_accumulator_flush(zygos_accumulator_t *self)
 {
-    const uint32_t size = zygos_gram_entries(self->width);
-    for (uint32_t round = 0; round < 2u; round++) {
-        if (self->count > self->open) {
-            share_out(self, size);
-        }
+    for (uint32_t round = 0; (round < 2u) && (self->count > self->open); round++) {
+        share_out(self, ZYGOS_STEP - self->shared);
         if ((round == 0) && (self->filled > 0)) {
-            next_step(self);
+            next_step(self, 1u);
         }
     }
 }
@@ -217,8 +234,9 @@ void zygos_accumulator_add(zygos_accumulator_t *self, const zygos_row_t *row, do
 {
     const uint32_t width = self->width;
     const uint32_t p = width - 2u;
-    const uint32_t size = zygos_gram_entries(width);
-    const uint32_t slice = (size + ZYGOS_STEP - 1u) / ZYGOS_STEP;
+    if (self->count == self->open) {
+        next_segment(self);
+    }
     zygos_step_t *step = &self->step[self->filling];
     double z[ZYGOS_MAX_ROW];
     for (uint32_t i = 0; i < p; i++) {
@@ -229,13 +247,9 @@ void zygos_accumulator_add(zygos_accumulator_t *self, const zygos_row_t *row, do
     zygos_gram_add(step->gram, step->sum, width, z);
     step->instants += weight;
     self->filled++;
-    if (self->count > self->open) {
-        share_out(self, (self->shared + slice < size) ? self->shared + slice : size);
-    }
-    if (self->filled == ZYGOS_STEP) {
-        next_step(self);
-    }
-    const uint32_t one = (weight > 0.0) ? 1u : 0u;
+    share_out(self, 1u);
+    next_step(self, self->filled / ZYGOS_STEP);
+    const uint32_t one = (uint32_t)(weight > 0.0);
     self->arc_instants += one;
     self->accepted += one;
     self->refused += 1u - one;
@@ -273,11 +287,13 @@ static void forget_open_arc(zygos_accumulator_t *self)
     self->segment = 0.0;
     self->filled = 0;
     self->shared = 0;
+    self->early = 0.0;
+    self->late = 0.0;
 }
 
 static void drop_open_arc(zygos_accumulator_t *self)
 {
-    self->arcs_dropped += ((self->count > self->open) || (self->filled > 0)) ? 1u : 0u;
+    self->arcs_dropped += (self->count > self->open) ? 1u : 0u;
     self->accepted -= self->arc_instants;
     self->count = self->open;
     forget_open_arc(self);

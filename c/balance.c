@@ -29,13 +29,19 @@ void zygos_balance_new_arc(zygos_balance_t *self)
     self->origin = 1;
 }
 
+/* A product instead of a branch: the work of a cycle does not depend on the place in the ring. */
+static uint32_t behind(uint32_t place, const zygos_config_t *config)
+{
+    return (place + 1u) * (uint32_t)(place != config->smoother_half_width);
+}
+
 void zygos_balance_torque(zygos_balance_t *self, const zygos_config_t *config, const double *tau)
 {
     for (uint32_t i = 0; i < config->joints; i++) {
         self->torque[self->torque_at][i] = tau[i];
     }
     /* The ring holds M + 1 torques, so the place of the next one holds that of M cycles ago. */
-    self->torque_at = (self->torque_at == config->smoother_half_width) ? 0u : self->torque_at + 1u;
+    self->torque_at = behind(self->torque_at, config);
 }
 
 const double *zygos_balance_torque_before(const zygos_balance_t *self)
@@ -45,7 +51,7 @@ const double *zygos_balance_torque_before(const zygos_balance_t *self)
 
 const double *zygos_balance_torque_after(const zygos_balance_t *self, const zygos_config_t *config)
 {
-    return self->torque[(self->torque_at == config->smoother_half_width) ? 0u : self->torque_at + 1u];
+    return self->torque[behind(self->torque_at, config)];
 }
 
 /* W, D and the effects at this instant, from those at the one before. Returns what torque steps add to the work of the

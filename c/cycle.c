@@ -8,6 +8,10 @@
 #define LATCH_TOLERANCE_US 50
 /* Error class of an error frame, as SocketCAN puts it into the identifier. */
 #define BUS_OFF 0x40u
+/* Of an identifier. */
+#define NODE 0x7Fu
+/* Of the data of a joint's or the gyro's frame. */
+#define STATUS(data) ((uint32_t)(data)[1] >> 4)
 #define HALF_RANGE_RAD 50.26548245743669
 /* Of timed: there is an FTIME to compare with, and one before an outage of unknown length. */
 #define TIMED 1u
@@ -19,39 +23,50 @@ void zygos_receiver_init(zygos_receiver_t *self)
     self->assembly.broken = ZYGOS_CYCLE_BREAK;
 }
 
+static uint32_t behind(uint32_t place)
+{
+    return (place == ZYGOS_CYCLE_QUEUE) ? 0u : place + 1u;
+}
+
+const zygos_cycle_t *zygos_receiver_front(const zygos_receiver_t *self)
+{
+    const zygos_queue_t *queue = &self->queue;
+    const uint32_t head = __atomic_load_n(&queue->head, __ATOMIC_ACQUIRE);
+    return (head == queue->tail) ? NULL : &queue->slot[queue->tail];
+}
+
+void zygos_receiver_pop(zygos_receiver_t *self)
+{
+    __atomic_store_n(&self->queue.tail, behind(self->queue.tail), __ATOMIC_RELEASE);
+}
+
 void zygos_receiver_resume(zygos_receiver_t *self)
 {
-    self->faults.dropped += self->queue.head - self->queue.tail;
-    self->queue.tail = self->queue.head;
+    for (uint32_t i = 0; (i < ZYGOS_CYCLE_QUEUE) && (zygos_receiver_front(self) != NULL); i++) {
+        zygos_receiver_pop(self);
+        self->faults.dropped++;
+    }
     self->assembly.received = 0;
     self->assembly.timed = (self->assembly.timed != 0) ? RESUMED : 0u;
     self->status.spoiled = 1;
 }
 
-int zygos_receiver_pop(zygos_receiver_t *self, zygos_cycle_t *out)
+static zygos_cycle_t *open_cycle(zygos_receiver_t *self)
 {
-    zygos_queue_t *queue = &self->queue;
-    const uint32_t tail = queue->tail;
-    if (__atomic_load_n(&queue->head, __ATOMIC_ACQUIRE) == tail) {
-        return 0;
-    }
-    *out = queue->slot[tail & (ZYGOS_CYCLE_QUEUE - 1u)];
-    __atomic_store_n(&queue->tail, tail + 1u, __ATOMIC_RELEASE);
-    return 1;
+    return &self->queue.slot[self->queue.head];
 }
 
 static void push(zygos_receiver_t *self)
 {
     zygos_queue_t *queue = &self->queue;
-    const uint32_t head = queue->head;
-    if (head - __atomic_load_n(&queue->tail, __ATOMIC_ACQUIRE) >= ZYGOS_CYCLE_QUEUE) {
+    const uint32_t next = behind(queue->head);
+    if (next == __atomic_load_n(&queue->tail, __ATOMIC_ACQUIRE)) {
         self->faults.overrun++;
         self->faults.dropped++;
         self->assembly.broken |= ZYGOS_CYCLE_BREAK;
         return;
     }
-    queue->slot[head & (ZYGOS_CYCLE_QUEUE - 1u)] = self->assembly.cycle;
-    __atomic_store_n(&queue->head, head + 1u, __ATOMIC_RELEASE);
+    __atomic_store_n(&queue->head, next, __ATOMIC_RELEASE);
     self->assembly.broken = 0;
 }
 
@@ -70,8 +85,9 @@ static void close_cycle(zygos_receiver_t *self, const zygos_config_t *config)
     const uint32_t all = (1u << (2u * config->joints + rates)) - 1u;
     const bool complete = (a->received == all);
     if (complete && !self->status.spoiled) {
-        a->cycle.sync = a->sync;
-        a->cycle.flags = a->broken | void_cycles(a);
+        zygos_cycle_t *cycle = open_cycle(self);
+        cycle->sync = a->sync;
+        cycle->flags = a->broken | void_cycles(a);
         push(self);
         return;
     }
@@ -107,14 +123,14 @@ static int accept(zygos_receiver_t *self)
 
 static int take_sync(zygos_receiver_t *self, const zygos_config_t *config, const zygos_frame_t *frame)
 {
-    zygos_record_t record;
-    const int fault = zygos_wire_decode(frame, ZYGOS_MSG_SYNC, 0, &record);
+    const int fault = zygos_wire_check(frame, ZYGOS_MSG_SYNC, 0);
+    const uint32_t counter = frame->data[0];
     if (fault != ZYGOS_WIRE_OK) {
         return reject_wire(self, fault);
     }
     zygos_assembly_t *a = &self->assembly;
     if (a->counter != 0) {
-        const uint32_t step = (record.sync + ZYGOS_SYNC_MODULUS - a->counter) % ZYGOS_SYNC_MODULUS;
+        const uint32_t step = (counter + ZYGOS_SYNC_MODULUS - a->counter) % ZYGOS_SYNC_MODULUS;
         if (step == 0) {
             /* Which of the two cycles a frame belongs to is unknown: the cycle is not used. */
             return spoil(self, &self->faults.sync_repeated);
@@ -133,7 +149,7 @@ static int take_sync(zygos_receiver_t *self, const zygos_config_t *config, const
             a->broken |= ZYGOS_CYCLE_BREAK;
         }
     }
-    a->counter = record.sync;
+    a->counter = counter;
     a->received = 0;
     self->status.spoiled = 0;
     return accept(self);
@@ -199,143 +215,183 @@ static int take_time(zygos_receiver_t *self, const zygos_config_t *config, const
     return accept(self);
 }
 
-/* The checks that every frame of a cycle shares. Returns true when the frame is the first of its kind in this cycle. */
-static bool belongs(zygos_receiver_t *self, const zygos_record_t *record, uint32_t bit, int *verdict)
-{
-    const zygos_assembly_t *a = &self->assembly;
-    if (a->counter == 0) {
-        *verdict = reject(self, &self->faults.unsynced);
-        return false;
-    }
-    if (record->counter != (a->counter & 0x0Fu)) {
-        const bool late = (record->counter == ((a->counter + 15u) & 0x0Fu));
-        *verdict = reject(self, late ? &self->faults.late : &self->faults.counter);
-        return false;
-    }
-    if ((a->received & (1u << bit)) != 0) {
-        *verdict = spoil(self, &self->faults.repeated);
-        return false;
-    }
-    return true;
-}
-
-/* A status bit of a joint's frame that is 0 and forbids the use of the cycle, or null. */
+/* What of a joint's status forbids the use of the cycle, or null. */
 static uint32_t *status_fault(zygos_faults_t *faults, uint32_t status)
 {
+    const uint32_t all =
+        ZYGOS_STATUS_ENABLED | ZYGOS_STATUS_LINK_VALID | ZYGOS_STATUS_MOTOR_VALID | ZYGOS_STATUS_TORQUE_VALID;
+    if ((status & all) == all) {
+        return NULL;
+    }
     if (!(status & ZYGOS_STATUS_ENABLED)) {
         return &faults->disabled;
     }
     if (!(status & ZYGOS_STATUS_LINK_VALID)) {
         return &faults->link_invalid;
     }
-    if (!(status & ZYGOS_STATUS_MOTOR_VALID)) {
-        return &faults->motor_invalid;
-    }
-    return (status & ZYGOS_STATUS_TORQUE_VALID) ? NULL : &faults->torque_invalid;
+    return (status & ZYGOS_STATUS_MOTOR_VALID) ? &faults->torque_invalid : &faults->motor_invalid;
 }
 
-static int take_angles(zygos_receiver_t *self, const zygos_config_t *config, uint32_t joint, const zygos_frame_t *frame)
+/* The four that follow store the values of a frame that was checked, or return the counter of what forbids the use of
+   the cycle. */
+static uint32_t *take_angles(zygos_receiver_t *self, const zygos_config_t *config, uint32_t joint, const uint8_t *data)
 {
-    zygos_record_t record;
-    const int fault = zygos_wire_decode(frame, ZYGOS_MSG_ANGLES, config->joint[joint].node, &record);
-    if (fault != ZYGOS_WIRE_OK) {
-        return reject_wire(self, fault);
+    const uint32_t rigid = config->joint[joint].rigid;
+    const int32_t motor = zygos_wire_i24(data + 5);
+    const int32_t link = rigid ? motor : zygos_wire_i24(data + 2);
+    uint32_t *const fault =
+        status_fault(&self->faults, STATUS(data) | (rigid ? (uint32_t)ZYGOS_STATUS_LINK_VALID : 0u));
+    if (fault != NULL) {
+        return fault;
     }
-    int verdict = ZYGOS_REJECTED;
-    if (!belongs(self, &record, 2u * joint, &verdict)) {
-        return verdict;
+    if (!rigid && (link == ZYGOS_CODE_ANGLE_INVALID)) {
+        return &self->faults.link_invalid;
     }
-    const bool rigid = (config->joint[joint].rigid != 0);
-    uint32_t *const status =
-        status_fault(&self->faults, record.status | (rigid ? (uint32_t)ZYGOS_STATUS_LINK_VALID : 0u));
-    if (status != NULL) {
-        return spoil(self, status);
+    if (motor == ZYGOS_CODE_ANGLE_INVALID) {
+        return &self->faults.motor_invalid;
     }
-    record.code[0] = rigid ? record.code[1] : record.code[0];
-    if (!rigid && (record.code[0] == ZYGOS_CODE_ANGLE_INVALID)) {
-        return spoil(self, &self->faults.link_invalid);
-    }
-    if (record.code[1] == ZYGOS_CODE_ANGLE_INVALID) {
-        return spoil(self, &self->faults.motor_invalid);
-    }
-    self->assembly.cycle.q[joint] = zygos_wire_angle(record.code[0]);
-    self->assembly.cycle.theta[joint] = zygos_wire_angle(record.code[1]);
-    self->assembly.received |= 1u << (2u * joint);
-    return accept(self);
+    zygos_cycle_t *cycle = open_cycle(self);
+    cycle->q[joint] = link * ZYGOS_ANGLE_UNIT;
+    cycle->theta[joint] = motor * ZYGOS_ANGLE_UNIT;
+    return NULL;
 }
 
-static int take_torque(zygos_receiver_t *self, const zygos_config_t *config, uint32_t joint, const zygos_frame_t *frame)
+static uint32_t *take_torque(zygos_receiver_t *self, const zygos_config_t *config, uint32_t joint, const uint8_t *data)
 {
-    zygos_record_t record;
-    const int fault = zygos_wire_decode(frame, ZYGOS_MSG_TORQUE, config->joint[joint].node, &record);
-    if (fault != ZYGOS_WIRE_OK) {
-        return reject_wire(self, fault);
+    const int32_t torque = zygos_wire_i24(data + 2);
+    const int32_t latch_error = (int32_t)zygos_wire_u16(data + 5) - (int32_t)config->joint[joint].latch_us;
+    uint32_t *const fault = status_fault(&self->faults, STATUS(data));
+    if (fault != NULL) {
+        return fault;
     }
-    int verdict = ZYGOS_REJECTED;
-    if (!belongs(self, &record, 2u * joint + 1u, &verdict)) {
-        return verdict;
+    if ((torque == ZYGOS_CODE_I24_MIN) || (torque == ZYGOS_CODE_I24_MAX)) {
+        return &self->faults.saturated;
     }
-    uint32_t *const status = status_fault(&self->faults, record.status);
-    if (status != NULL) {
-        return spoil(self, status);
-    }
-    if ((record.code[0] == ZYGOS_CODE_I24_MIN) || (record.code[0] == ZYGOS_CODE_I24_MAX)) {
-        return spoil(self, &self->faults.saturated);
-    }
-    const int32_t latch_error = (int32_t)record.latch_us - (int32_t)config->joint[joint].latch_us;
     if ((latch_error > LATCH_TOLERANCE_US) || (latch_error < -LATCH_TOLERANCE_US)) {
-        return spoil(self, &self->faults.latch);
+        return &self->faults.latch;
     }
-    self->assembly.cycle.tau[joint] = zygos_wire_torque(record.code[0]);
-    self->assembly.received |= 1u << (2u * joint + 1u);
-    return accept(self);
+    open_cycle(self)->tau[joint] = torque / ZYGOS_TORQUE_CODES;
+    return NULL;
 }
 
-static int take_rates(zygos_receiver_t *self, const zygos_config_t *config, uint32_t message,
-                      const zygos_frame_t *frame)
+static uint32_t *take_rates(zygos_receiver_t *self, uint32_t message, const uint8_t *data)
 {
-    zygos_record_t record;
-    const int fault = zygos_wire_decode(frame, message, config->imu_node, &record);
-    if (fault != ZYGOS_WIRE_OK) {
-        return reject_wire(self, fault);
+    double *omega = open_cycle(self)->omega;
+    const int32_t first = zygos_wire_i24(data + 2);
+    const int32_t second = (message == ZYGOS_MSG_RATE_XY) ? zygos_wire_i24(data + 5) : 0;
+    if (!(STATUS(data) & ZYGOS_STATUS_RATE_VALID)) {
+        return &self->faults.gyro_invalid;
     }
-    const bool coarse = (message == ZYGOS_MSG_RATE_COARSE);
-    const uint32_t first = (message == ZYGOS_MSG_RATE_Z) ? 2u : 0u;
-    const uint32_t axes = coarse ? 3u : ((message == ZYGOS_MSG_RATE_Z) ? 1u : 2u);
-    const uint32_t bit = 2u * config->joints + ((message == ZYGOS_MSG_RATE_Z) ? 1u : 0u);
-    int verdict = ZYGOS_REJECTED;
-    if (!belongs(self, &record, bit, &verdict)) {
-        return verdict;
+    if ((first == ZYGOS_CODE_I24_MIN) || (first == ZYGOS_CODE_I24_MAX) || (second == ZYGOS_CODE_I24_MIN) ||
+        (second == ZYGOS_CODE_I24_MAX)) {
+        return &self->faults.saturated;
     }
-    if (!(record.status & ZYGOS_STATUS_RATE_VALID)) {
-        return spoil(self, &self->faults.gyro_invalid);
+    if (message == ZYGOS_MSG_RATE_XY) {
+        omega[0] = first / ZYGOS_RATE_FINE_CODES;
+        omega[1] = second / ZYGOS_RATE_FINE_CODES;
+    } else {
+        omega[2] = first / ZYGOS_RATE_FINE_CODES;
     }
-    const int32_t low = coarse ? ZYGOS_CODE_I16_MIN : ZYGOS_CODE_I24_MIN;
-    const int32_t high = coarse ? ZYGOS_CODE_I16_MAX : ZYGOS_CODE_I24_MAX;
-    for (uint32_t i = 0; i < axes; i++) {
-        if ((record.code[i] == low) || (record.code[i] == high)) {
-            return spoil(self, &self->faults.saturated);
+    return NULL;
+}
+
+static uint32_t *take_coarse_rates(zygos_receiver_t *self, const uint8_t *data)
+{
+    if (!(STATUS(data) & ZYGOS_STATUS_RATE_VALID)) {
+        return &self->faults.gyro_invalid;
+    }
+    for (uint32_t i = 0; i < 3; i++) {
+        const int32_t code = zygos_wire_i16(data + 2u + 2u * i);
+        if ((code == ZYGOS_CODE_I16_MIN) || (code == ZYGOS_CODE_I16_MAX)) {
+            return &self->faults.saturated;
         }
     }
-    for (uint32_t i = 0; i < axes; i++) {
-        self->assembly.cycle.omega[first + i] =
-            coarse ? zygos_wire_rate_coarse(record.code[i]) : zygos_wire_rate_fine(record.code[i]);
+    for (uint32_t i = 0; i < 3; i++) {
+        open_cycle(self)->omega[i] = zygos_wire_i16(data + 2u + 2u * i) / ZYGOS_RATE_COARSE_CODES;
     }
-    self->assembly.received |= 1u << bit;
+    return NULL;
+}
+
+/* A frame of a joint, or of the gyro (joint = N). */
+static int take(zygos_receiver_t *self, const zygos_config_t *config, uint32_t message, uint32_t joint,
+                const zygos_frame_t *frame)
+{
+    zygos_assembly_t *a = &self->assembly;
+    const uint32_t second = ((message == ZYGOS_MSG_TORQUE) || (message == ZYGOS_MSG_RATE_Z)) ? 1u : 0u;
+    const uint32_t bit = 1u << (2u * joint + second);
+    const uint32_t counter = frame->data[1] & 0x0Fu;
+    const int wire = zygos_wire_check(frame, message, frame->id & NODE);
+    if (wire != ZYGOS_WIRE_OK) {
+        return reject_wire(self, wire);
+    }
+    if (a->counter == 0) {
+        return reject(self, &self->faults.unsynced);
+    }
+    if (counter != (a->counter & 0x0Fu)) {
+        const bool late = (counter == ((a->counter + 15u) & 0x0Fu));
+        return reject(self, late ? &self->faults.late : &self->faults.counter);
+    }
+    if ((a->received & bit) != 0) {
+        return spoil(self, &self->faults.repeated);
+    }
+    uint32_t *fault;
+    if (message == ZYGOS_MSG_ANGLES) {
+        fault = take_angles(self, config, joint, frame->data);
+    } else if (message == ZYGOS_MSG_TORQUE) {
+        fault = take_torque(self, config, joint, frame->data);
+    } else if (message == ZYGOS_MSG_RATE_COARSE) {
+        fault = take_coarse_rates(self, frame->data);
+    } else {
+        fault = take_rates(self, message, frame->data);
+    }
+    if (fault != NULL) {
+        return spoil(self, fault);
+    }
+    a->received |= bit;
     return accept(self);
 }
 
 /* The third axis of a fine gyro, where a coarse one is configured: its other frame would pass for a coarse one's. */
 static int take_fine_rate(zygos_receiver_t *self, const zygos_config_t *config, const zygos_frame_t *frame)
 {
-    zygos_record_t record;
-    if (zygos_wire_decode(frame, ZYGOS_MSG_RATE_Z, config->imu_node, &record) != ZYGOS_WIRE_OK) {
+    if (zygos_wire_check(frame, ZYGOS_MSG_RATE_Z, config->imu_node) != ZYGOS_WIRE_OK) {
         return ZYGOS_FOREIGN;
     }
     if (self->assembly.counter == 0) {
         return reject(self, &self->faults.unsynced);
     }
     return spoil(self, &self->faults.gyro_invalid);
+}
+
+/* Which message an identifier stands for, and the joint that it is of: N for the gyro. */
+static uint32_t message_of(const zygos_config_t *config, uint32_t id, uint32_t *joint)
+{
+    const uint32_t n = config->joints;
+    const uint32_t node = id & NODE;
+    const uint32_t kind = id - node;
+    uint32_t i = 0;
+    while ((i < n) && (config->joint[i].node != node)) {
+        i++;
+    }
+    *joint = i;
+    if (i < n) {
+        return (kind == ZYGOS_ID_TPDO1)   ? ZYGOS_MSG_ANGLES
+               : (kind == ZYGOS_ID_TPDO2) ? ZYGOS_MSG_TORQUE
+                                          : ZYGOS_MSG_FOREIGN;
+    }
+    if (id == ZYGOS_ID_SYNC) {
+        return ZYGOS_MSG_SYNC;
+    }
+    if (id == ZYGOS_ID_TPDO3 + ZYGOS_NODE_COMPUTER) {
+        return ZYGOS_MSG_FTIME;
+    }
+    if ((config->imu_node == 0) || (config->imu_node != node)) {
+        return ZYGOS_MSG_FOREIGN;
+    }
+    if (kind == ZYGOS_ID_TPDO1) {
+        return config->imu_fine ? ZYGOS_MSG_RATE_XY : ZYGOS_MSG_RATE_COARSE;
+    }
+    return (kind == ZYGOS_ID_TPDO3) ? ZYGOS_MSG_RATE_Z : ZYGOS_MSG_FOREIGN;
 }
 
 int zygos_receiver_frame(zygos_receiver_t *self, const zygos_config_t *config, const zygos_frame_t *frame)
@@ -349,44 +405,34 @@ int zygos_receiver_frame(zygos_receiver_t *self, const zygos_config_t *config, c
     if (frame->flags & (ZYGOS_FRAME_EXTENDED | ZYGOS_FRAME_REMOTE | ZYGOS_FRAME_FD)) {
         return ZYGOS_FOREIGN;
     }
-    if (frame->id == ZYGOS_ID_SYNC) {
+    uint32_t joint;
+    const uint32_t message = message_of(config, frame->id, &joint);
+    if (message == ZYGOS_MSG_FOREIGN) {
+        return ZYGOS_FOREIGN;
+    }
+    if (message == ZYGOS_MSG_SYNC) {
         return take_sync(self, config, frame);
     }
-    if (frame->id == ZYGOS_ID_TPDO3 + ZYGOS_NODE_COMPUTER) {
+    if (message == ZYGOS_MSG_FTIME) {
         return take_time(self, config, frame);
     }
-    if ((config->imu_node != 0) && (frame->id == ZYGOS_ID_TPDO1 + config->imu_node)) {
-        return take_rates(self, config, config->imu_fine ? ZYGOS_MSG_RATE_XY : ZYGOS_MSG_RATE_COARSE, frame);
+    if ((message == ZYGOS_MSG_RATE_Z) && (config->imu_fine == 0)) {
+        return take_fine_rate(self, config, frame);
     }
-    if ((config->imu_node != 0) && (frame->id == ZYGOS_ID_TPDO3 + config->imu_node)) {
-        return config->imu_fine ? take_rates(self, config, ZYGOS_MSG_RATE_Z, frame)
-                                : take_fine_rate(self, config, frame);
-    }
-    for (uint32_t i = 0; i < config->joints; i++) {
-        if (frame->id == ZYGOS_ID_TPDO1 + config->joint[i].node) {
-            return take_angles(self, config, i, frame);
-        }
-        if (frame->id == ZYGOS_ID_TPDO2 + config->joint[i].node) {
-            return take_torque(self, config, i, frame);
-        }
-    }
-    return ZYGOS_FOREIGN;
-}
-
-/* 1 or 0, without a branch: most of what is compared is near. */
-static uint32_t far(double a, double b)
-{
-    return (uint32_t)(a - b > HALF_RANGE_RAD) | (uint32_t)(b - a > HALF_RANGE_RAD);
+    return take(self, config, message, joint, frame);
 }
 
 int zygos_cycle_wrapped(const zygos_hold_t *hold, const zygos_config_t *config, const zygos_cycle_t *cycle)
 {
-    uint32_t wrapped = 0;
+    double farthest = 0.0;
     for (uint32_t i = 0; i < config->joints; i++) {
-        const uint32_t flexible = (config->joint[i].rigid == 0) ? 1u : 0u;
-        wrapped |= (flexible & far(cycle->q[i], hold->q[i])) | far(cycle->theta[i], hold->theta[i]);
+        const double link = __builtin_fabs(cycle->q[i] - hold->q[i]);
+        const double motor = __builtin_fabs(cycle->theta[i] - hold->theta[i]);
+        const double moved = config->joint[i].rigid ? motor : link;
+        farthest = (moved > farthest) ? moved : farthest;
+        farthest = (motor > farthest) ? motor : farthest;
     }
-    return (int)wrapped;
+    return (farthest > HALF_RANGE_RAD) ? 1 : 0;
 }
 
 void zygos_cycle_calibrate(zygos_hold_t *hold, const zygos_config_t *config, const zygos_cycle_t *cycle, double *signal,

@@ -20,14 +20,33 @@ void zygos_gram_add(double *restrict gram, double *restrict sum, uint32_t width,
     for (uint32_t i = 0; i < width; i++) {
         total += z[i];
     }
-    for (uint32_t i = 0; i < width; i++) {
-        const double zi = z[i];
-        const uint32_t end = i + 1u;
-        for (uint32_t j = 0; j < end; j++) {
-            gram[j] += zi * z[j];
+    /* Two rows and two columns at a time: most of all instructions of a cycle are here. */
+    uint32_t i = 0;
+    for (; i + 1u < width; i += 2u) {
+        const double upper = z[i];
+        const double lower = z[i + 1u];
+        double *below = gram + i + 1u;
+        for (const double *x = z; x < z + i; x += 2) {
+            gram[0] += upper * x[0];
+            gram[1] += upper * x[1];
+            below[0] += lower * x[0];
+            below[1] += lower * x[1];
+            gram += 2;
+            below += 2;
         }
-        gram += end;
-        sum[i] += zi * total;
+        gram[0] += upper * upper;
+        below[0] += lower * upper;
+        below[1] += lower * lower;
+        gram = below + 2;
+        sum[0] += upper * total;
+        sum[1] += lower * total;
+        sum += 2;
+    }
+    if (i < width) {
+        for (uint32_t j = 0; j < width; j++) {
+            gram[j] += z[i] * z[j];
+        }
+        *sum += z[i] * total;
     }
 }
 

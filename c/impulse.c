@@ -101,39 +101,34 @@ int zygos_impulse_row(zygos_impulse_t *self, const zygos_config_t *config, const
     return 1;
 }
 
-static double product(const double *a, const double *b, uint32_t n)
-{
-    double sum = 0.0;
-    for (uint32_t j = 0; j < n; j++) {
-        sum += a[j] * b[j];
-    }
-    return sum;
-}
-
 void zygos_impulse_noise(const zygos_config_t *config, const zygos_impulse_layout_t *layout,
                          const zygos_smoother_t *smoother, double imu_sigma, uint32_t joint, double *out)
 {
     const uint32_t n = config->joints;
-    const uint32_t w = smoother->window;
-    const double *link = smoother->value[joint];
-    const double *motor = smoother->value[n + joint];
-    const double *motor_rate = smoother->slope[n + joint];
+    double link[3];
+    double motor[3];
+    zygos_smoother_variance(smoother, joint, link);
+    zygos_smoother_variance(smoother, n + joint, motor);
     /* Of one sample: the link encoder, the motor encoder. */
     const double link_variance = config->joint[joint].link_sigma_rad * config->joint[joint].link_sigma_rad;
     const double motor_variance = config->joint[joint].motor_sigma_rad * config->joint[joint].motor_sigma_rad;
     double carrier = 0.0;
     if (config->base == ZYGOS_BASE_FREE) {
-        carrier = imu_sigma * imu_sigma * product(smoother->value[2u * n], smoother->value[2u * n], w);
+        double gyro[3];
+        zygos_smoother_variance(smoother, 2u * n, gyro);
+        carrier = imu_sigma * imu_sigma * gyro[0];
     }
     for (uint32_t j = 0; j < joint; j++) {
         const double sigma =
             config->joint[j].rigid ? config->joint[j].motor_sigma_rad : config->joint[j].link_sigma_rad;
-        carrier += sigma * sigma * product(smoother->slope[j], smoother->slope[j], w);
+        double before[3];
+        zygos_smoother_variance(smoother, j, before);
+        carrier += sigma * sigma * before[2];
     }
     const double ratio = config->joint[joint].gear_ratio;
-    const double value = motor_variance * product(motor, motor, w);
-    const double rate = motor_variance * product(motor_rate, motor_rate, w);
-    const double both = motor_variance * product(motor, motor_rate, w);
+    const double value = motor_variance * motor[0];
+    const double rate = motor_variance * motor[2];
+    const double both = motor_variance * motor[1];
     /* How each column depends on the motor's rate and value; the others' noise is in it alone. */
     for (uint32_t a = 0; a < layout->count[joint]; a++) {
         for (uint32_t b = 0; b <= a; b++) {
@@ -149,7 +144,7 @@ void zygos_impulse_noise(const zygos_config_t *config, const zygos_impulse_layou
             double sum = by_rate[0] * by_rate[1] * rate + by_value[0] * by_value[1] * value +
                          (by_rate[0] * by_value[1] + by_value[0] * by_rate[1]) * both;
             sum += ((a == 0) && (b == 0)) ? ratio * ratio * carrier : 0.0;
-            sum += ((a == 2u) && (b == 2u)) ? link_variance * product(link, link, w) : 0.0;
+            sum += ((a == 2u) && (b == 2u)) ? link_variance * link[0] : 0.0;
             *out = sum;
             out++;
         }

@@ -154,28 +154,24 @@ void zygos_momentum_derivative(const zygos_momentum_t *self, const zygos_config_
     columns(config, motion, axis, (const double(*)[3])rate, spin, out);
 }
 
-static double sum_of_squares(const double *x, uint32_t n)
-{
-    double sum = 0.0;
-    for (uint32_t j = 0; j < n; j++) {
-        sum += x[j] * x[j];
-    }
-    return sum;
-}
-
 void zygos_momentum_variance(const zygos_config_t *config, const zygos_smoother_t *smoother, double imu_sigma,
                              double *variance, double *rotor)
 {
     const uint32_t n = config->joints;
-    const uint32_t w = smoother->window;
     for (uint32_t i = 0; i < n; i++) {
         const zygos_joint_config_t *joint = &config->joint[i];
         const double sigma = joint->rigid ? joint->motor_sigma_rad : joint->link_sigma_rad;
         const double spin = joint->gear_ratio * joint->motor_sigma_rad;
-        variance[i] = sigma * sigma * sum_of_squares(smoother->slope[i], w);
-        rotor[i] = joint->rigid ? 0.0 : spin * spin * sum_of_squares(smoother->slope[n + i], w);
+        double link[3];
+        double motor[3];
+        zygos_smoother_variance(smoother, i, link);
+        zygos_smoother_variance(smoother, n + i, motor);
+        variance[i] = sigma * sigma * link[2];
+        rotor[i] = joint->rigid ? 0.0 : spin * spin * motor[2];
     }
     for (uint32_t k = 0; k < 3; k++) {
-        variance[n + k] = imu_sigma * imu_sigma * sum_of_squares(smoother->value[2u * n + k], w);
+        double gyro[3];
+        zygos_smoother_variance(smoother, 2u * n + k, gyro);
+        variance[n + k] = imu_sigma * imu_sigma * gyro[0];
     }
 }

@@ -170,18 +170,19 @@ void zygos_noise_init(zygos_noise_t *self, const zygos_config_t *config, const z
     for (uint32_t s = 0; s < 2u * n; s++) {
         const zygos_joint_config_t *joint = &config->joint[s % n];
         const double sigma = ((s < n) && (joint->rigid == 0)) ? joint->link_sigma_rad : joint->motor_sigma_rad;
-        const double *value = smoother->value[s];
-        const double *slope = smoother->slope[s];
-        const double value_norm = root(product(value, value, smoother->window));
-        const double shared = product(value, slope, smoother->window) / value_norm;
-        const double rest = product(slope, slope, smoother->window) - shared * shared;
+        double variance[3];
+        zygos_smoother_variance(smoother, s, variance);
+        const double value_norm = root(variance[0]);
+        const double shared = variance[1] / value_norm;
+        const double rest = variance[2] - shared * shared;
         self->factor[s][0] = sigma * value_norm;
         self->factor[s][1] = sigma * shared;
         self->factor[s][2] = sigma * root((rest > 0.0) ? rest : 0.0);
-        self->rate_variance[s] = sigma * sigma * product(slope, slope, smoother->window);
+        self->rate_variance[s] = sigma * sigma * variance[2];
     }
-    const double *gyro = smoother->value[2u * n];
-    const double gyro_variance = config->imu_sigma * config->imu_sigma * product(gyro, gyro, smoother->window);
+    double gyro[3];
+    zygos_smoother_variance(smoother, 2u * n, gyro);
+    const double gyro_variance = config->imu_sigma * config->imu_sigma * gyro[0];
     double least = 1e300;
     for (uint32_t i = 0; i < n; i++) {
         least = (self->rate_variance[i] < least) ? self->rate_variance[i] : least;

@@ -49,38 +49,45 @@ void zygos_smoother_coefficients(uint32_t half_width, uint32_t order, double s, 
     }
 }
 
+/* Of a joint's encoder, of the link (0) or of the motor (1), with the given latch and noise. */
+static void init_taps(zygos_smoother_t *self, const zygos_config_t *config, uint32_t joint, uint32_t side,
+                      double latch_s, double sigma)
+{
+    const uint32_t m = config->smoother_half_width;
+    const double s = -latch_s / config->period_s;
+    double value[ZYGOS_MAX_WINDOW];
+    double slope[ZYGOS_MAX_WINDOW];
+    double second[ZYGOS_MAX_WINDOW] = { 0.0 };
+    zygos_smoother_coefficients(m, config->smoother_order, s, 0, value);
+    zygos_smoother_coefficients(m, config->smoother_order, s, 1, slope);
+    zygos_smoother_coefficients(m - 1u, config->smoother_order, s, 1, &second[1]);
+    double square = 0.0;
+    for (uint32_t j = 0; j < self->window; j++) {
+        zygos_taps_t *taps = &self->taps[joint][j];
+        taps->value[side] = value[j];
+        taps->slope[side] = slope[j] / config->period_s;
+        taps->probe[side] = taps->slope[side] - second[j] / config->period_s;
+        square += taps->probe[side] * taps->probe[side];
+    }
+    /* |probe . x| <= limit is tested as a square, which needs no square root. */
+    const double bound = BANDWIDTH_SIGMAS * BANDWIDTH_SIGMAS * sigma * sigma * square;
+    self->limit[joint][side] = (sigma > 0.0) ? bound : 1e300;
+}
+
 void zygos_smoother_init(zygos_smoother_t *self, const zygos_config_t *config)
 {
-    const uint32_t n = config->joints;
     const uint32_t m = config->smoother_half_width;
     memset(self, 0, sizeof *self);
-    self->signals = 2u * n + 3u;
-    self->joint_signals = 2u * n;
+    self->joints = config->joints;
     self->window = 2u * m + 1u;
-    for (uint32_t i = 0; i < self->signals; i++) {
-        const bool gyro = (i >= 2u * n);
-        const zygos_joint_config_t *joint = &config->joint[gyro ? 0u : i % n];
-        const bool link = (i < n) && (joint->rigid == 0);
-        const double own_s = link ? joint->link_latch_s : joint->motor_latch_s;
-        const double latch_s = gyro ? config->imu_latch_s : own_s + 1e-6 * joint->latch_us;
-        const double s = -latch_s / config->period_s;
-        zygos_smoother_coefficients(m, config->smoother_order, s, 0, self->value[i]);
-        if (gyro) {
-            continue;
-        }
-        double second[ZYGOS_MAX_WINDOW] = { 0.0 };
-        zygos_smoother_coefficients(m, config->smoother_order, s, 1, self->slope[i]);
-        zygos_smoother_coefficients(m - 1u, config->smoother_order, s, 1, &second[1]);
-        double square = 0.0;
-        for (uint32_t j = 0; j < self->window; j++) {
-            self->slope[i][j] /= config->period_s;
-            self->probe[i][j] = self->slope[i][j] - second[j] / config->period_s;
-            square += self->probe[i][j] * self->probe[i][j];
-        }
-        /* |probe . x| <= limit is tested as a square, which needs no square root. */
-        const double sigma = link ? joint->link_sigma_rad : joint->motor_sigma_rad;
-        const double bound = BANDWIDTH_SIGMAS * BANDWIDTH_SIGMAS * sigma * sigma * square;
-        self->limit[i] = (sigma > 0.0) ? bound : 1e300;
+    zygos_smoother_coefficients(m, config->smoother_order, -config->imu_latch_s / config->period_s, 0, self->gyro);
+    for (uint32_t i = 0; i < config->joints; i++) {
+        const zygos_joint_config_t *joint = &config->joint[i];
+        const bool rigid = (joint->rigid != 0);
+        const double latch_s = 1e-6 * joint->latch_us;
+        const double link_s = rigid ? joint->motor_latch_s : joint->link_latch_s;
+        init_taps(self, config, i, 0, link_s + latch_s, rigid ? joint->motor_sigma_rad : joint->link_sigma_rad);
+        init_taps(self, config, i, 1, joint->motor_latch_s + latch_s, joint->motor_sigma_rad);
     }
 }
 
@@ -89,48 +96,99 @@ void zygos_smoother_gap(zygos_smoother_t *self)
     self->filled = 0;
 }
 
-static double product(const double *a, const double *b, uint32_t n)
+void zygos_smoother_variance(const zygos_smoother_t *self, uint32_t signal, double out[3])
 {
-    double sum = 0.0;
-    for (uint32_t j = 0; j < n; j++) {
-        sum += a[j] * b[j];
+    const uint32_t n = self->joints;
+    memset(out, 0, 3u * sizeof out[0]);
+    for (uint32_t j = 0; j < self->window; j++) {
+        const bool gyro = (signal >= 2u * n);
+        const zygos_taps_t *taps = &self->taps[gyro ? 0u : signal % n][j];
+        const double value = gyro ? self->gyro[j] : taps->value[signal / n];
+        const double slope = gyro ? 0.0 : taps->slope[signal / n];
+        out[0] += value * value;
+        out[1] += value * slope;
+        out[2] += slope * slope;
     }
-    return sum;
+}
+
+static void put_in(zygos_sample_t *sample, uint32_t joints, const double *signal)
+{
+    for (uint32_t i = 0; i < joints; i++) {
+        sample->angle[i][0] = signal[i];
+        sample->angle[i][1] = signal[joints + i];
+    }
+    for (uint32_t k = 0; k < 3; k++) {
+        sample->omega[k] = signal[2u * joints + k];
+    }
+}
+
+static void smooth_gyro(const zygos_smoother_t *self, const zygos_sample_t *x, double *omega)
+{
+    double x_rate = 0.0;
+    double y_rate = 0.0;
+    double z_rate = 0.0;
+    for (const double *c = self->gyro; c < self->gyro + self->window; c++) {
+        x_rate += *c * x->omega[0];
+        y_rate += *c * x->omega[1];
+        z_rate += *c * x->omega[2];
+        x++;
+    }
+    omega[0] = x_rate;
+    omega[1] = y_rate;
+    omega[2] = z_rate;
+}
+
+/* Both angles of a joint: values, rates and squares of the probes. Each sample is read once for all three, and lies
+   beside that of the other angle. */
+static void smooth_joint(const zygos_taps_t *taps, uint32_t window, const zygos_sample_t *x, uint32_t joint,
+                         double out[6])
+{
+    double value[2] = { 0.0, 0.0 };
+    double slope[2] = { 0.0, 0.0 };
+    double probe[2] = { 0.0, 0.0 };
+    for (const zygos_taps_t *end = taps + window; taps < end; taps++) {
+        const double *angle = x->angle[joint];
+        value[0] += taps->value[0] * angle[0];
+        value[1] += taps->value[1] * angle[1];
+        slope[0] += taps->slope[0] * angle[0];
+        slope[1] += taps->slope[1] * angle[1];
+        probe[0] += taps->probe[0] * angle[0];
+        probe[1] += taps->probe[1] * angle[1];
+        x++;
+    }
+    out[0] = value[0];
+    out[1] = value[1];
+    out[2] = slope[0];
+    out[3] = slope[1];
+    out[4] = probe[0] * probe[0];
+    out[5] = probe[1] * probe[1];
 }
 
 int zygos_smoother_push(zygos_smoother_t *self, const double *signal, zygos_state_t *out)
 {
     const uint32_t w = self->window;
     const uint32_t at = self->position;
-    for (uint32_t i = 0; i < self->signals; i++) {
-        self->sample[i][at] = signal[i];
-        self->sample[i][at + w] = signal[i];
-    }
+    put_in(&self->sample[at], self->joints, signal);
+    put_in(&self->sample[at + w], self->joints, signal);
     self->position = (at + 1u == w) ? 0u : at + 1u;
     self->filled += (self->filled < w) ? 1u : 0u;
     if (self->filled < w) {
         return 0;
     }
-    const uint32_t n = self->joint_signals / 2u;
-    uint32_t steady = 1u;
-    for (uint32_t i = 0; i < self->signals; i++) {
-        const double *x = &self->sample[i][at + 1u];
-        const double value = product(self->value[i], x, w);
-        if (i >= 2u * n) {
-            out->omega[i - 2u * n] = value;
-            continue;
-        }
-        const double rate = product(self->slope[i], x, w);
-        const double probe = product(self->probe[i], x, w);
-        steady &= (uint32_t)(probe * probe <= self->limit[i]);
-        if (i < n) {
-            out->q[i] = value;
-            out->q_rate[i] = rate;
-        } else {
-            out->theta[i - n] = value;
-            out->theta_rate[i - n] = rate;
-        }
+    const zygos_sample_t *oldest = &self->sample[at + 1u];
+    double smooth[ZYGOS_MAX_JOINTS][6];
+    for (uint32_t i = 0; i < self->joints; i++) {
+        smooth_joint(self->taps[i], w, oldest, i, smooth[i]);
     }
+    uint32_t steady = 1u;
+    for (uint32_t i = 0; i < self->joints; i++) {
+        out->q[i] = smooth[i][0];
+        out->theta[i] = smooth[i][1];
+        out->q_rate[i] = smooth[i][2];
+        out->theta_rate[i] = smooth[i][3];
+        steady &= (uint32_t)(smooth[i][4] <= self->limit[i][0]) & (uint32_t)(smooth[i][5] <= self->limit[i][1]);
+    }
+    smooth_gyro(self, oldest, out->omega);
     out->accepted = (double)steady;
     return 1;
 }

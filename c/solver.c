@@ -864,8 +864,7 @@ static bool places_exist(const zygos_accumulator_t *sums)
 {
     return (sums->count <= (uint32_t)ZYGOS_MAX_BLOCKS) && (sums->open <= sums->count) &&
            (sums->count != sums->open + 1u) && (sums->window <= sums->open) && (sums->newest <= sums->window) &&
-           (sums->filling <= 1u) && (sums->filled < (uint32_t)ZYGOS_STEP) &&
-           (sums->shared <= (uint32_t)ZYGOS_MAX_PACKED_ROW);
+           (sums->filling <= 1u) && (sums->filled < (uint32_t)ZYGOS_STEP) && (sums->shared <= (uint32_t)ZYGOS_STEP);
 }
 
 /* Whether the columns of the motor rows are those of the configuration. */

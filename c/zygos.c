@@ -364,11 +364,12 @@ int zygos_step(zygos_t *self)
     if (self->mark != MARK) {
         return ZYGOS_E_ORDER;
     }
-    zygos_cycle_t cycle;
-    if (zygos_receiver_pop(&self->receiver, &cycle) == 0) {
+    const zygos_cycle_t *cycle = zygos_receiver_front(&self->receiver);
+    if (cycle == NULL) {
         return 0;
     }
-    work_off(self, &cycle);
+    work_off(self, cycle);
+    zygos_receiver_pop(&self->receiver);
     return 1;
 }
 
@@ -436,8 +437,8 @@ int zygos_restart(zygos_t *self, uint32_t keep)
         self->invalid = 0;
         self->wraps = 0;
     }
-    zygos_cycle_t waiting;
-    for (uint32_t i = 0; (i < ZYGOS_CYCLE_QUEUE) && (zygos_receiver_pop(&self->receiver, &waiting) == 1); i++) {
+    for (uint32_t i = 0; (i < ZYGOS_CYCLE_QUEUE) && (zygos_receiver_front(&self->receiver) != NULL); i++) {
+        zygos_receiver_pop(&self->receiver);
     }
     zygos_smoother_gap(&self->smoother);
     zygos_balance_gap(&self->balance);

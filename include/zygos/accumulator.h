@@ -9,8 +9,8 @@
 /// segment one fades out and the next fades in, and the weights of an instant add up to 1. When all blocks are in use,
 /// segments become twice as long and neighbours that fit into one block merge. The blocks do not change the sum.
 ///
-/// The rows of ZYGOS_STEP instants are summed together and then shared out to the two blocks, a few entries in each
-/// cycle, so that a cycle costs one rank-1 update and a little.
+/// The rows of ZYGOS_STEP instants are summed together and then shared out to the two blocks, a slice in each cycle, so
+/// that a cycle costs one rank-1 update and a little, and all cycles cost the same.
 ///
 /// What noise adds on average (noise.h) is summed beside, and taken off the blocks when a segment ends.
 ///
@@ -27,13 +27,14 @@ extern "C" {
 #endif
 
 typedef struct {
-    double gram[ZYGOS_MAX_PACKED_ROW]; ///< Sum of w z z^T, lower triangle row by row, width (width + 1)/2 used.
-    double sum[ZYGOS_MAX_ROW];         ///< Row sums of gram.
-    double deviation[ZYGOS_MAX_ROW];   ///< Closed arcs: sum of w z less as many times the mean of its arc.
-    double instants;                   ///< Sum of the weights w of accepted instants.
-    double square;                     ///< Sum of w^2.
-    double overlap;                    ///< Sum of w times the weight in the block behind.
-    uint64_t end;                      ///< Closed arcs: number of the newest cycle in them.
+    double gram[ZYGOS_MAX_SLICED_GRAM]; ///< Sum of w z z^T, lower triangle row by row, width (width + 1)/2 used; behind
+                                        ///< it 0.
+    double sum[ZYGOS_MAX_SLICED_ROW];   ///< Row sums of gram.
+    double deviation[ZYGOS_MAX_ROW];    ///< Closed arcs: sum of w z less as many times the mean of its arc.
+    double instants;                    ///< Sum of the weights w of accepted instants.
+    double square;                      ///< Sum of w^2.
+    double overlap;                     ///< Sum of w times the weight in the block behind.
+    uint64_t end;                       ///< Closed arcs: number of the newest cycle in them.
 } zygos_block_t;
 
 /// What noise adds on average: packed lower triangle of p + 1 rows, that of the work last, and its row sums.
@@ -42,13 +43,10 @@ typedef struct {
     double sum[ZYGOS_MAX_ROW];
 } zygos_share_t;
 
-/// Instants that are summed before they are shared out.
-#define ZYGOS_STEP 8
-
 /// The rows of a step.
 typedef struct {
-    double gram[ZYGOS_MAX_PACKED_ROW];
-    double sum[ZYGOS_MAX_ROW];
+    double gram[ZYGOS_MAX_SLICED_GRAM];
+    double sum[ZYGOS_MAX_SLICED_ROW];
     double instants; ///< Accepted ones.
 } zygos_step_t;
 
@@ -64,13 +62,14 @@ typedef struct {
     uint32_t corrupt;      ///< 1: the row sums of an arc did not match when it closed.
     uint32_t filled;       ///< Instants of the step that fills, accepted or not.
     uint32_t filling;      ///< Which of the two steps fills; the other is shared out.
-    uint32_t shared;       ///< Entries of it that have been shared out.
+    uint32_t shared;       ///< Slices of it that have been shared out.
     double enough;         ///< Instants with which arcs speak for themselves.
-    uint64_t target;       ///< Instants of a segment.
+    double target;         ///< Instants of a segment.
     double segment;        ///< Accepted instants of the open segment.
     uint64_t accepted;     ///< Instants in closed arcs and in the open one.
     uint64_t refused;      ///< Instants that failed the bandwidth test.
-    double late;           ///< Share of the newer block in the step that is shared out.
+    double early;          ///< Share of the older block in the step that is shared out, and
+    double late;           ///< of the newer one.
     zygos_step_t step[2];
     zygos_share_t noise;        ///< Of the open segment, not yet taken off.
     zygos_share_t noise_open;   ///< Of the other segments of the open arc, taken off.
@@ -82,9 +81,9 @@ typedef struct {
 void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint64_t arc_cycles, double period_s);
 
 /// Adds one instant with weight 1 (accepted) or 0 (refused): the instructions are the same. Cost: one rank-1 update of
-/// (p+2)(p+3)/2 entries, and the same number / ZYGOS_STEP shared out; when a segment has ended, in addition what it
-/// takes to open the next, at the worst one merge of all blocks. What noise adds on average to this instant goes into
-/// self->noise behind this call.
+/// (p+2)(p+3)/2 entries, and the same number / ZYGOS_STEP shared out; when an arc begins or a segment has ended, in
+/// addition what it takes to open the next, at the worst one merge of all blocks. What noise adds on average to this
+/// instant goes into self->noise behind this call.
 void zygos_accumulator_add(zygos_accumulator_t *self, const zygos_row_t *row, double weight);
 
 /// Shares out what waits in steps. Cost: each of them once.

@@ -64,14 +64,14 @@ typedef struct {
     uint32_t timed;      ///< 1: time_us and time_sync hold the last FTIME; 2: one before zygos_receiver_resume().
     uint32_t time_us;
     uint64_t time_sync;
-    zygos_cycle_t cycle; ///< Values received so far.
 } zygos_assembly_t;
 
-/// Queue of complete cycles. head is written by the producer only, tail by the consumer only.
+/// Ring of complete cycles, and the open one behind them. head is written by the producer only, tail by the consumer
+/// only.
 typedef struct {
-    uint32_t head;
-    uint32_t tail;
-    zygos_cycle_t slot[ZYGOS_CYCLE_QUEUE];
+    uint32_t head; ///< Place of the open cycle.
+    uint32_t tail; ///< Place of the oldest complete one, if there is one.
+    zygos_cycle_t slot[ZYGOS_CYCLE_QUEUE + 1];
 } zygos_queue_t;
 
 typedef struct {
@@ -91,12 +91,13 @@ void zygos_receiver_init(zygos_receiver_t *self);
 void zygos_receiver_resume(zygos_receiver_t *self);
 
 /// Takes one frame. Needs an initialised receiver and a checked configuration. Decodes and stores only: bounded by one
-/// CRC and, when a SYNC closes a complete cycle, one copy into the queue. A rejected frame changes faults and status
-/// and nothing else. Returns enum zygos_reception.
+/// CRC. A rejected frame changes faults and status and nothing else. Returns enum zygos_reception.
 int zygos_receiver_frame(zygos_receiver_t *self, const zygos_config_t *config, const zygos_frame_t *frame);
 
-/// Takes the oldest complete cycle from the queue. Returns 1, or 0 when there is none and *out is as it was.
-int zygos_receiver_pop(zygos_receiver_t *self, zygos_cycle_t *out);
+/// The oldest complete cycle in the queue, or null when there is none. It stays there, and in its place, until
+/// zygos_receiver_pop(), which needs that there is one.
+const zygos_cycle_t *zygos_receiver_front(const zygos_receiver_t *self);
+void zygos_receiver_pop(zygos_receiver_t *self);
 
 /// What later cycles need of this one: the reported torque for the torque law, the angles to notice that they wrap.
 typedef struct {

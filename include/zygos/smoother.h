@@ -16,18 +16,29 @@
 extern "C" {
 #endif
 
+/// Coefficients of one sample of a joint: of q, of theta.
 typedef struct {
-    uint32_t signals;       ///< 2N + 3.
-    uint32_t joint_signals; ///< 2N: those with a slope and a bandwidth test.
-    uint32_t window;        ///< 2M + 1.
-    uint32_t position;      ///< Where the next sample goes.
-    uint32_t filled;        ///< Samples since the last gap, at most window.
-    uint32_t reserved;
-    double value[ZYGOS_MAX_SIGNALS][ZYGOS_MAX_WINDOW];      ///< Coefficients of the value, oldest sample first.
-    double slope[2 * ZYGOS_MAX_JOINTS][ZYGOS_MAX_WINDOW];   ///< Coefficients of the rate [1/s].
-    double probe[2 * ZYGOS_MAX_JOINTS][ZYGOS_MAX_WINDOW];   ///< Slope minus the second slope [1/s].
-    double limit[2 * ZYGOS_MAX_JOINTS];                     ///< Largest allowed square of the probe [rad^2/s^2].
-    double sample[ZYGOS_MAX_SIGNALS][2 * ZYGOS_MAX_WINDOW]; ///< Each sample twice, so that a window is contiguous.
+    double value[2];
+    double slope[2]; ///< Of the rate [1/s].
+    double probe[2]; ///< Slope minus the second slope [1/s].
+} zygos_taps_t;
+
+/// Samples of one instant: the base rate about three axes, then q and theta of each joint.
+typedef struct {
+    double omega[3];
+    double reserved;
+    double angle[ZYGOS_MAX_JOINTS][2];
+} zygos_sample_t;
+
+typedef struct {
+    uint32_t joints;                                       ///< N.
+    uint32_t window;                                       ///< 2M + 1.
+    uint32_t position;                                     ///< Where the next sample goes.
+    uint32_t filled;                                       ///< Samples since the last gap, at most window.
+    zygos_taps_t taps[ZYGOS_MAX_JOINTS][ZYGOS_MAX_WINDOW]; ///< Oldest sample first.
+    double gyro[ZYGOS_MAX_WINDOW];                         ///< The same of the gyro, which has a value only.
+    double limit[ZYGOS_MAX_JOINTS][2];                     ///< Largest allowed square of the probe [rad^2/s^2].
+    zygos_sample_t sample[2 * ZYGOS_MAX_WINDOW];           ///< Each twice, so that a window is contiguous.
 } zygos_smoother_t;
 
 /// The arm at one instant.
@@ -51,6 +62,10 @@ void zygos_smoother_gap(zygos_smoother_t *self);
 /// returns 1; else returns 0 and leaves *out as it was. Cost: 3 window products a joint signal, 1 a gyro axis; the same
 /// for every call that returns 1.
 int zygos_smoother_push(zygos_smoother_t *self, const double *signal, zygos_state_t *out);
+
+/// What noise of variance 1 makes of a signal: variance of the value, covariance of value and rate, variance of the
+/// rate, which is 0 of the gyro. Needs an initialised smoother.
+void zygos_smoother_variance(const zygos_smoother_t *self, uint32_t signal, double out[3]);
 
 /// The coefficients of the derivative-th derivative (0 or 1, in samples) at s samples after the centre, for a
 /// polynomial of the given order over 2 half_width + 1 samples, oldest first. Needs 2 half_width >= order.

@@ -42,12 +42,12 @@ extern "C" {
 #error "ZYGOS_MAX_BLOCKS must be even, 8..256"
 #endif
 
-/// Complete cycles that may wait between zygos_frame() and zygos_step(). A power of two.
+/// Complete cycles that may wait between zygos_frame() and zygos_step(), with the one being worked off.
 #ifndef ZYGOS_CYCLE_QUEUE
 #define ZYGOS_CYCLE_QUEUE 8
 #endif
-#if (ZYGOS_CYCLE_QUEUE < 2) || (ZYGOS_CYCLE_QUEUE > 1024) || ((ZYGOS_CYCLE_QUEUE & (ZYGOS_CYCLE_QUEUE - 1)) != 0)
-#error "ZYGOS_CYCLE_QUEUE must be a power of two, 2..1024"
+#if (ZYGOS_CYCLE_QUEUE < 2) || (ZYGOS_CYCLE_QUEUE > 1024)
+#error "ZYGOS_CYCLE_QUEUE must be 2..1024"
 #endif
 
 /// Largest number of effects that a configuration can switch on. At 0 the library has no room for any.
@@ -83,7 +83,7 @@ extern "C" {
 #endif
 
 #define ZYGOS_MAX_WINDOW (2 * ZYGOS_MAX_HALF_WIDTH + 1)
-/// Signals the smoother filters: q and theta of each joint, and the base rate about three axes.
+/// Signals the smoother filters: q_1 .. q_N, theta_1 .. theta_N, and the base rate about three axes.
 #define ZYGOS_MAX_SIGNALS (2 * ZYGOS_MAX_JOINTS + 3)
 /// Directions that rate vectors belong to: three of the base, two of each other body.
 #define ZYGOS_MAX_DIRECTIONS (2 * ZYGOS_MAX_JOINTS + 3)
@@ -104,6 +104,10 @@ extern "C" {
 /// A row, augmented by the work and by 1.
 #define ZYGOS_MAX_ROW (ZYGOS_MAX_PARAMETERS + 2)
 #define ZYGOS_MAX_PACKED_ROW (ZYGOS_MAX_ROW * (ZYGOS_MAX_ROW + 1) / 2)
+/// Instants that are summed before they are shared out in as many slices, and both with the last slice filled up.
+#define ZYGOS_STEP 8
+#define ZYGOS_MAX_SLICED_ROW (ZYGOS_MAX_ROW + 2 * ZYGOS_STEP)
+#define ZYGOS_MAX_SLICED_GRAM (ZYGOS_MAX_PACKED_ROW + 2 * ZYGOS_STEP)
 #define ZYGOS_MAX_PACKED (ZYGOS_MAX_PARAMETERS * (ZYGOS_MAX_PARAMETERS + 1) / 2)
 
 #ifdef __FAST_MATH__

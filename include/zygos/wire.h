@@ -67,6 +67,12 @@ enum zygos_imu_status { ZYGOS_STATUS_RATE_VALID = 1, ZYGOS_STATUS_ATTITUDE_VALID
 #define ZYGOS_NODE_COMPUTER 32u
 #define ZYGOS_SYNC_MODULUS 240u /* SYNC counts 1..240; 240 = 15 * 16, so the 4-bit counter runs on across the wrap. */
 
+/// SI to codes: an angle is ZYGOS_ANGLE_UNIT times its code; torques and rates are their code divided by the others.
+#define ZYGOS_ANGLE_UNIT (6.283185307179586476925286766559 / 1048576.0)
+#define ZYGOS_TORQUE_CODES 1e4
+#define ZYGOS_RATE_FINE_CODES 2097152.0
+#define ZYGOS_RATE_COARSE_CODES 8192.0
+
 #define ZYGOS_CODE_ANGLE_INVALID (-8388608)
 #define ZYGOS_CODE_I24_MAX 8388607
 #define ZYGOS_CODE_I24_MIN (-8388608)
@@ -89,6 +95,10 @@ typedef struct {
 /// (32 f + node + 17 counter) mod 251. f is 0, 1, 2 for TPDO1, 2, 3 and 3 for telemetry.
 /// Needs length 2..8. Returns the CRC. Cost: one table look-up a byte.
 uint8_t zygos_wire_crc(const uint8_t *data, uint32_t length, uint32_t f, uint32_t node);
+
+/// Whether a frame is a good one of the given message of the given node. Returns enum zygos_wire_fault. Bounded: one
+/// CRC.
+int zygos_wire_check(const zygos_frame_t *frame, uint32_t message, uint32_t node);
 
 /// Decodes a frame as the given message of the given node. Returns ZYGOS_WIRE_OK and fills *out, or another
 /// enum zygos_wire_fault and leaves *out as it was. Bounded: one CRC.
@@ -115,6 +125,24 @@ int32_t zygos_wire_angle_code(double angle_rad);
 int32_t zygos_wire_torque_code(double torque_nm);
 int32_t zygos_wire_rate_fine_code(double rate);
 int32_t zygos_wire_rate_coarse_code(double rate);
+
+#ifndef ZYGOS_DECLARATIONS_ONLY
+/// Fields as they lie in a frame, least byte first. Inline: they are read with each frame.
+static inline uint32_t zygos_wire_u16(const uint8_t *p)
+{
+    return (uint32_t)p[0] | ((uint32_t)p[1] << 8);
+}
+
+static inline int32_t zygos_wire_i16(const uint8_t *p)
+{
+    return (int32_t)(zygos_wire_u16(p) ^ 0x8000u) - 0x8000;
+}
+
+static inline int32_t zygos_wire_i24(const uint8_t *p)
+{
+    return (int32_t)((zygos_wire_u16(p) | ((uint32_t)p[2] << 16)) ^ 0x800000u) - 0x800000;
+}
+#endif
 
 #ifdef __cplusplus
 }

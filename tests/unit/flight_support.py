@@ -196,9 +196,10 @@ class Bus:
     def drain(self) -> list[tuple[int, int]]:
         """Take all complete cycles out of the queue: (number, flags) of each."""
         out = []
-        cycle = ffi.new("zygos_cycle_t *")
-        while lib.zygos_receiver_pop(ffi.addressof(self.flight.native, "receiver"), cycle):
+        receiver = ffi.addressof(self.flight.native, "receiver")
+        while (cycle := lib.zygos_receiver_front(receiver)) != ffi.NULL:
             out.append((int(cycle.sync), int(cycle.flags)))
+            lib.zygos_receiver_pop(receiver)
         return out
 
     def faults(self) -> dict[str, int]:

@@ -65,12 +65,12 @@ def spoilt(bus: Bus, index: int, bad: Any, **expected: int) -> None:
 
 def test_good_cycles_come_out_in_order_with_their_values(bus: Bus) -> None:
     """Codes in the wire's units; the first cycle after the start continues nothing."""
-    turn, cycle = 2.0 * np.pi, ffi.new("zygos_cycle_t *")
+    turn = 2.0 * np.pi
     bus.send(
         bus.sync(239), bus.angles(0, 239, 1048576, -2097152), bus.torque(0, 239, 123456), *bus.rates(239, (5, 6, -7))
     )
     bus.send(bus.angles(1, 239, -5, 8388607), bus.torque(1, 239, -1), bus.sync(240))
-    assert lib.zygos_receiver_pop(ffi.addressof(bus.flight.native, "receiver"), cycle) == 1
+    cycle = lib.zygos_receiver_front(ffi.addressof(bus.flight.native, "receiver"))
     assert (cycle.sync, cycle.flags) == (0, BREAK_BEFORE)
     np.testing.assert_allclose(list(cycle.q[0:2]), [turn, -5 * turn / 2**20], rtol=1e-15)
     np.testing.assert_allclose(list(cycle.theta[0:2]), [-2 * turn, 8388607 * turn / 2**20], rtol=1e-15)
@@ -80,10 +80,9 @@ def test_good_cycles_come_out_in_order_with_their_values(bus: Bus) -> None:
 
 
 def test_coarse_gyro(coarse: Bus) -> None:
-    cycle = ffi.new("zygos_cycle_t *")
     frames = [coarse.angles(0, 1), coarse.torque(0, 1), coarse.angles(1, 1), coarse.torque(1, 1)]
     coarse.send(coarse.sync(1), *frames, *coarse.rates(1, (-32767, 32766, 8192)), coarse.sync(2))
-    assert lib.zygos_receiver_pop(ffi.addressof(coarse.flight.native, "receiver"), cycle) == 1
+    cycle = lib.zygos_receiver_front(ffi.addressof(coarse.flight.native, "receiver"))
     assert list(cycle.omega) == [-32767 / 8192, 32766 / 8192, 1.0]
     assert coarse.faults() == {}
 
@@ -110,12 +109,13 @@ def test_an_incomplete_open_cycle_is_not_given_out(bus: Bus) -> None:
     assert lib.zygos_step(bus.flight.native) == 0
 
 
-def test_pop_of_nothing_leaves_the_cycle_as_it_was(bus: Bus) -> None:
-    cycle = ffi.new("zygos_cycle_t *")
-    cycle.sync = 77
-    before = bytes_of(cycle)
-    assert lib.zygos_receiver_pop(ffi.addressof(bus.flight.native, "receiver"), cycle) == 0
-    assert bytes_of(cycle) == before
+def test_nothing_is_at_the_front_of_an_empty_queue(bus: Bus) -> None:
+    receiver = ffi.addressof(bus.flight.native, "receiver")
+    assert lib.zygos_receiver_front(receiver) == ffi.NULL
+    bus.cycles(1, 2)
+    assert lib.zygos_receiver_front(receiver).sync == 0
+    lib.zygos_receiver_pop(receiver)
+    assert lib.zygos_receiver_front(receiver) == ffi.NULL
 
 
 # ---------------------------------------------------------------- what a lost, late or doubled frame becomes
@@ -480,12 +480,15 @@ def test_overrun(bus: Bus) -> None:
 
 
 def test_overrun_after_the_queue_has_gone_round_many_times(bus: Bus) -> None:
-    """head and tail wrap at 2^32."""
-    queue = bus.flight.native.receiver.queue
-    queue.head = queue.tail = 2**32 - 3
-    bus.cycles(1, QUEUE + 2)
-    assert [number for number, _ in close(bus, QUEUE + 3)] == list(range(QUEUE))
-    assert bus.faults() == {"overrun": 2, "dropped": 2}
+    """Wherever in the ring it happens."""
+    bus.cycles(1)
+    for round_ in range(QUEUE + 1):
+        first = round_ * (QUEUE + 3)
+        bus.cycles((first + 1) % 240 + 1, QUEUE + 2)
+        assert [number for number, _ in bus.drain()] == list(range(first, first + QUEUE))
+        assert bus.faults() == {"overrun": 2 * round_ + 2, "dropped": 2 * round_ + 2}
+        bus.cycles((first + QUEUE + 3) % 240 + 1)
+        assert len(bus.drain()) == 1
 
 
 # ---------------------------------------------------------------- FTIME

@@ -73,9 +73,9 @@ int64_t zygos_batch_frames(zygos_t *self, const zygos_frame_t *frame, uint64_t n
         if (verdict) {
             verdict[i] = (uint8_t)reception;
         }
-        const zygos_queue_t *queue = &self->receiver.queue;
-        while (queue->head != queue->tail) {
-            const zygos_cycle_t cycle = queue->slot[queue->tail & (ZYGOS_CYCLE_QUEUE - 1u)];
+        const zygos_cycle_t *front;
+        while ((front = zygos_receiver_front(&self->receiver)) != NULL) {
+            const zygos_cycle_t cycle = *front;
             cycles += zygos_step(self);
             record(self, &cycle, trace);
         }
