@@ -30,6 +30,7 @@ static int refuse(const char *path, int code)
         { ZYGOS_E_LENGTH, "is cut off, or has more bytes than its head says", "copy it again, or remove it" },
         { ZYGOS_E_CRC, "is damaged: its CRC does not fit its bytes", "copy it again, or remove it" },
         { ZYGOS_E_CONFIG, "is the state of another configuration", "give that configuration, or remove the state" },
+        { ZYGOS_E_STATE, "was damaged before it was sealed: it holds a count that cannot be", "remove it" },
     };
     for (uint32_t i = 0; i < sizeof known / sizeof known[0]; i++) {
         if (known[i].code == code) {
