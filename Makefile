@@ -5,7 +5,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 NATIVE := harness/zygos/_native/libzygos.so
 SOURCES := $(wildcard c/*.c c/ports/host/*) c/flags.txt $(wildcard include/zygos/*) tools/build_native.py
-C_FILES := $(wildcard c/*.c c/ports/*/*.[ch] include/zygos/*.h tests/fuzz/*.[ch] tests/bench/*.c tools/*.c) \
+C_FILES := $(wildcard c/*.c c/ports/*/*.[ch] include/zygos/*.h tests/fuzz/*.[ch] tests/bench/*.c tests/bench/*.cpp tests/pil/*.c tools/*.c) \
            $(filter-out %/arm_config.h,$(wildcard examples/onboard/*.[ch]))
 ifdef CI
 export CFLAGS += -Werror
@@ -31,7 +31,7 @@ $(error CAPACITIES holds $(filter-out -DZYGOS_%,$(CAPACITIES)), which is no capa
 endif
 
 .DEFAULT_GOAL := demo
-.PHONY: demo build library install uninstall FORCE node test hil gap count accuracy demo-log lint format warnings clean help
+.PHONY: demo build library install uninstall FORCE node test hil pil gap bench accuracy demo-log lint format warnings clean help
 
 demo: build ## set up, run the paper's example over CAN, show the result (out/demo/report.html)
 	$(BIN)/python -m zygos.demo
@@ -90,21 +90,27 @@ uninstall: ## remove what install put there (same PREFIX and DESTDIR)
 
 node: $(NODE) ## build build/zygos-node, the flight node for SocketCAN (docs/node.md)
 
-$(NODE): $(LIBRARY) $(wildcard c/ports/linux/*.[ch] include/zygos/*.h)
-	$(COMPILE) -D_GNU_SOURCE $(filter %.c,$^) $(LIBRARY) -lm -o $@.partial
+$(NODE): $(LIBRARY) $(wildcard c/ports/linux/*.[ch] c/ports/telemetry/* include/zygos/*.h)
+	$(COMPILE) -D_GNU_SOURCE -Ic/ports/telemetry $(filter %.c,$^) $(LIBRARY) -lm -o $@.partial
 	mv $@.partial $@
 
 test: build node $(VENV)/.test ## unit, bus, fuzz and bench tests, a process for each core
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile tests/unit tests/bus tests/fuzz tests/bench
 
-hil: build node $(VENV)/.test ## the example across a real vcan (the kernel's, or User-Mode Linux)
-	tools/with-vcan $(BIN)/python -m pytest tests/hil
+DRILLS := tests/hil/test_drills.py tests/hil/test_node.py tests/hil/test_can_utils.py
+hil: build node $(VENV)/.test ## fault drills across a real vcan (the kernel's, or User-Mode Linux); or CHANNEL=can0 DUT=external (docs/hil.md)
+	$(if $(CHANNEL),ZYGOS_VCAN_IFS=$(CHANNEL) ZYGOS_OUT=$${ZYGOS_OUT:-out},tools/with-vcan) $(BIN)/python -m pytest \
+	    $(if $(DUT),$(DRILLS),tests/hil) --zygos-channel $(or $(CHANNEL),$(firstword $(ZYGOS_VCAN_IFS)),vcan0) \
+	    --zygos-dut $(or $(DUT),$(NODE)) --zygos-scenario examples/paper/scenario.toml --zygos-json $${ZYGOS_OUT:-out}/hil.json
+
+pil: build $(VENV)/.test ## the library as firmware on an emulated Cortex-M7 and Cortex-M4F: the host's bits (QEMU)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile tests/pil
 
 gap: build $(VENV)/.test ## hide effects in a MuJoCo plant, explain them, score the verdicts (out/gap.json; 20 minutes)
 	PYTHONPATH=tests $(BIN)/python -m oracles.campaign
 
-count: build $(VENV)/.test ## count the instructions of a cycle, by valgrind (out/count.json)
-	PYTHONPATH=tests $(BIN)/python -m bench.count out/count.json
+bench: build $(VENV)/.test ## what it costs, beside its peers (out/bench.json, README.md, docs/cost.md; 6 minutes)
+	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tests $(BIN)/python -m bench out/bench.json
 
 accuracy: build $(VENV)/.test ## errors, coverage and refusals of all estimators (docs/accuracy.html; 10 minutes; SEEDS= DRAWS= SCHEDULER= CASES=)
 	$(BIN)/python -m zygos.accuracy $(CASES) $(if $(SEEDS),--seeds $(SEEDS)) $(if $(DRAWS),--draws $(DRAWS)) $(if $(SCHEDULER),--scheduler $(SCHEDULER))

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -15,6 +17,8 @@ from zygos.arm import Arm, load_arm
 from zygos.model import Model, load_model
 from zygos.plant import Trajectory, simulate
 from zygos.scenario import Scenario, load_scenario
+
+pytest_plugins = ["zygos.testing"]
 
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLE = ROOT / "examples" / "paper"
@@ -28,14 +32,17 @@ def need(found: object, what: str) -> None:
         pytest.skip(f"missing here: {what}", allow_module_level=True)
 
 
+def tool_module(name: str) -> ModuleType:
+    """A module of tools/, which is no package."""
+    folder = str(ROOT / "tools")
+    if folder not in sys.path:
+        sys.path.append(folder)
+    return importlib.import_module(name)
+
+
 def house_flags() -> list[str]:
     """The flags that tools/build_native.py compiles with, less those of a shared object."""
-    spec = importlib.util.spec_from_file_location("build_native", ROOT / "tools" / "build_native.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return [flag for flag in module.FLAGS.split() if flag not in ("-g", "-fPIC")]
+    return [flag for flag in tool_module("build_native").FLAGS.split() if flag not in ("-g", "-fPIC")]
 
 
 @pytest.fixture(scope="session")

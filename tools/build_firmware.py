@@ -2,8 +2,8 @@
 
 Usage: build_firmware.py m7|m4f ELF SOURCE... [-DNAME=VALUE ...] [-O... -f... -I...]
 
-SOURCE holds main() and what it needs beside the library and the port (c/ports/cortex-m): core.h,
-semihosting.h, uart.h, slcan.h.
+SOURCE holds main() and what it needs beside the library and the port (core.h, semihosting.h, uart.h, slcan.h in
+c/ports/cortex-m, telemetry.h).
 m7 has a hardware double, m4f a soft one. Options go to the compiler behind the house flags.
 """
 
@@ -17,10 +17,15 @@ from pathlib import Path
 from build_native import FLAGS, ROOT
 
 PORT = ROOT / "c" / "ports" / "cortex-m"
-ROOMS = [*sorted((ROOT / "c").glob("*.c")), *(PORT / f"{noun}.c" for noun in ("core", "semihosting"))]
-"""The flight library, and what every firmware has. Sections that nobody calls are left out of the image."""
+TELEMETRY = ROOT / "c" / "ports" / "telemetry"
+ROOMS = [
+    *sorted((ROOT / "c").glob("*.c")),
+    *(PORT / f"{noun}.c" for noun in ("core", "semihosting", "slcan", "uart")),
+    TELEMETRY / "telemetry.c",
+]
+"""The flight library and what firmware may need. Sections that nobody calls are left out of the image."""
 HOUSE = [flag for flag in FLAGS.split() if flag != "-fPIC"]
-INCLUDES = ["-I", str(ROOT / "include"), "-I", str(PORT)]
+INCLUDES = ["-I", str(ROOT / "include"), "-I", str(PORT), "-I", str(TELEMETRY)]
 LINK = "-nostartfiles -ffunction-sections -fdata-sections -Wl,--gc-sections -Wl,--fatal-warnings"
 
 

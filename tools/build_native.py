@@ -26,20 +26,25 @@ CONSTANTS = (
 ).split()
 
 
-def main(folder: Path) -> None:
-    """Write folder/libzygos.so and folder/zygos.cdef."""
+def declarations(*defines: str) -> str:
+    """Text of the headers for cffi, at the capacities that -D flags say; constants stand in it as enumerators."""
     compiler = shlex.split(os.environ.get("CC", "cc"))
-    extra = shlex.split(os.environ.get("CFLAGS", ""))
-    defines = [flag for flag in extra if flag.startswith("-D")]
-    folder.mkdir(parents=True, exist_ok=True)
     probe = "".join(f"\nenum {{ {name}_VALUE = {name} }};" for name in CONSTANTS)
-    text = subprocess.run(
+    return subprocess.run(
         [*compiler, "-E", "-P", "-x", "c", "-DZYGOS_DECLARATIONS_ONLY", *defines, *INCLUDES, "-"],
         input=f'#include "{HEADER.name}"{probe}\n',
         capture_output=True,
         text=True,
         check=True,
     ).stdout
+
+
+def main(folder: Path) -> None:
+    """Write folder/libzygos.so and folder/zygos.cdef."""
+    compiler = shlex.split(os.environ.get("CC", "cc"))
+    extra = shlex.split(os.environ.get("CFLAGS", ""))
+    folder.mkdir(parents=True, exist_ok=True)
+    text = declarations(*(flag for flag in extra if flag.startswith("-D")))
     digest = int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big")
     sources = sorted(str(path) for path in [*(ROOT / "c").glob("*.c"), *HEADER.parent.glob("*.c")])
     command = [*compiler, *FLAGS.split(), *extra]

@@ -14,6 +14,7 @@ from typing import Any
 
 import can
 import numpy as np
+from can.interfaces.socketcan import SocketcanBus
 from numpy.typing import NDArray
 
 from zygos import salvage, vcan
@@ -208,7 +209,10 @@ def open_bus(interface: str | None, channel: str | None, bitrate: int | None = N
     """
     options: dict[str, Any] = {} if bitrate is None else {"bitrate": bitrate}
     try:
-        return can.Bus(channel=channel, interface=interface, receive_own_messages=False, **options)
+        opened = can.Bus(channel=channel, interface=interface, receive_own_messages=False, **options)
+        if isinstance(opened, SocketcanBus):
+            vcan.make_room(opened.socket)
+        return opened
     except (can.CanError, OSError, ValueError, ImportError) as error:
         raise ZygosError(
             f"bus {interface or 'of can.conf'} {channel or ''} cannot be opened ({error}); remedy: check -i and -c, "

@@ -24,6 +24,10 @@ WINDOW = 128
 # Without a frame for that long, the rest is lost [s].
 PATIENCE_S = 5.0
 
+# Bytes of a larger buffer; a frame takes 768 of them, and the kernel doubles what it is asked for.
+_ROOM = 8_000_000
+_SO_RCVBUFFORCE = 33
+
 # struct can_frame: identifier and flags, length, 3 bytes that are not used, data.
 _FRAME = struct.Struct("=IB3x8s")
 
@@ -67,6 +71,14 @@ def open_receiver(channel: str) -> socket.socket:
         raise ZygosError(f"no interface {channel}; remedy: tools/with-vcan COMMAND, or name another channel") from error
     receiver.settimeout(PATIENCE_S)
     return receiver
+
+
+def make_room(receiver: socket.socket) -> None:
+    """Let a socket hold thousands of frames that were not read yet, as far as this user may."""
+    try:
+        receiver.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _ROOM)
+    except PermissionError:
+        receiver.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _ROOM)
 
 
 def read_frame(receiver: socket.socket) -> can.Message:

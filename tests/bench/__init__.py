@@ -1,1 +1,1 @@
-"""What the flight library costs, counted in instructions (`make count`)."""
+"""What the flight library costs: instructions, bytes, and its peers (`make bench`)."""

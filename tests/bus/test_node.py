@@ -18,13 +18,13 @@ from node_support import ERROR, EXTENDED, FD, REMOTE, Node, build, frame_of, pac
 from numpy.typing import NDArray
 
 from conftest import EXAMPLE, ROOT
+from round_support import round_of, told
 from zygos import snapshot
 from zygos.arm import Arm
 from zygos.cli import main
 from zygos.dbc import arm_database
-from zygos.flight import VALIDITY, Flight, encode, ffi
+from zygos.flight import Flight, encode, ffi
 from zygos.plant import Trajectory
-from zygos.reference.wire import data_ids
 
 SYNC, TELEMETRY, HEARTBEAT = 0x080, 0x1A0, 0x720
 Log = NDArray[Any]
@@ -111,40 +111,6 @@ def test_what_is_saved_is_the_librarys_own_memory(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["state.zyg"]
 
 
-def decoded(dbc: Database, data: bytes) -> tuple[str, float, int]:
-    """Name, value and counter of a telemetry frame whose CRC is good."""
-    from e2e.p02 import e2e_p02_check
-
-    assert e2e_p02_check(data, data_ids(3, 32), length=8)
-    values = dbc.get_message_by_name("TELEMETRY").decode(data, decode_choices=False)
-    assert isinstance(values, dict)
-    (name,) = set(values) - {"Crc", "Counter", "Status", "Item"}
-    return name, float(values[name]), int(values["Counter"])
-
-
-def expected_round(flight: Flight) -> dict[str, float]:
-    """What the telemetry of an estimate holds: float32, counters modulo 2^24, nothing where there is no value."""
-    estimate = flight.estimate()
-    raw = flight._estimate
-    out: dict[str, float] = {
-        "verdict_validity": VALIDITY.index(estimate.validity),
-        "verdict_reason": raw.reason,
-        **{
-            f"verdict_{name}": getattr(estimate, name)
-            for name in ("cycle", "accepted", "refused", "arcs", "blocks", "rank", "condition", "cluster", "residual")
-        },
-        "verdict_noise_ratio": estimate.noise_ratio,
-        "verdict_gate": estimate.gate,
-        **{f"fault_{name}": n for name, n in flight.faults.items()},
-        **{f"count_{name}": n for name, n in flight.counts.items()},
-        "count_arcs": flight.native.accumulator.arcs,
-        **{f"node_{name}": 0 for name in ("overflow", "misshapen", "down", "unsent")},
-    }
-    for name, value, sigma, half in zip(estimate.names, estimate.value, estimate.sigma, estimate.half95, strict=True):
-        out |= {name: value, f"{name}_sigma": sigma, f"{name}_half95": half}
-    return {name: float(np.float32(value)) for name, value in out.items() if math.isfinite(value)}
-
-
 @pytest.mark.parametrize("every", [50, 200])
 def test_telemetry_is_the_estimate(every: int, arm: Arm, config: Path, frames: Log) -> None:
     """Each round of so many SYNCs tells the estimate at its first; decoded by the arm's DBC and checked by its CRC."""
@@ -152,7 +118,7 @@ def test_telemetry_is_the_estimate(every: int, arm: Arm, config: Path, frames: L
     with Node("--config", config, "--every", every) as node:
         node.send(frames)
         node.end()
-        rounds = [decoded(dbc, data) for data in node.of(TELEMETRY)]
+        rounds = [told(dbc, data) for data in node.of(TELEMETRY)]
     at = starts(frames)
     flight, done = Flight(arm), 0
     items, share = 13 + 34 + 36, math.ceil((13 + 34 + 36) / every)
@@ -160,7 +126,7 @@ def test_telemetry_is_the_estimate(every: int, arm: Arm, config: Path, frames: L
         flight.frames(frames[done : at[begin] + 1])
         done = int(at[begin]) + 1
         complete = begin + math.ceil(items / share) <= len(at)
-        expected = expected_round(flight)
+        expected = round_of(flight)
         found = {name: value for name, value, _ in rounds[: len(expected)]}
         if complete:
             assert found == expected

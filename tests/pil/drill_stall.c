@@ -1,4 +1,4 @@
-/* A task that is held up at its 300th cycle until 5 cycles are lost. */
+/* A task that is held up at its 60th cycle until 5 cycles are lost. */
 
 #include "core.h"
 #include "zygos/zygos.h"
@@ -9,7 +9,7 @@ int __wrap_zygos_step(zygos_t *self);
 int __wrap_zygos_step(zygos_t *self)
 {
     const volatile uint32_t *lost = &self->receiver.faults.overrun;
-    while ((self->cycles == 300u) && (*lost < 5u)) {
+    while ((self->cycles == 60u) && (*lost < 5u)) {
         core_sleep();
     }
     return __real_zygos_step(self);

@@ -4,6 +4,7 @@ the same vectors, and a comparison that names the first byte that differs."""
 from __future__ import annotations
 
 import functools
+import importlib.util
 import os
 import re
 import struct
@@ -169,7 +170,7 @@ def firmware(
     drill: a source in this folder whose __wrap_ functions stand before those of the firmware.
     """
     own = HERE / f"{program}.c"
-    sources = [own if own.exists() else PORT / own.name, PORT / "slcan.c", PORT / "uart.c"]
+    sources = [own if own.exists() else PORT / own.name]
     wrapped: list[str] = []
     if drill:
         sources.append(HERE / f"{drill}.c")
@@ -285,3 +286,4 @@ def need_tools() -> None:
     """What a build and a run need."""
     lost = build_firmware.missing()
     need(not lost, f"{' '.join(lost)}: nothing runs on a target; remedy: sudo apt install {build_firmware.PACKAGES}")
+    need(importlib.util.find_spec("serial"), "pyserial: nobody speaks slcan; remedy: pip install 'zygos[serial]'")

@@ -156,18 +156,19 @@ def damaged(arm: Arm, cycles: Cycles, count: int, seed: int) -> NDArray[Any]:
                 frame["flags"] = rng.integers(0, 16)
             case 5:
                 frame["id"] = rng.choice(ours)
-            case 6:  # sound in itself, with any field
-                frames[k] = any_sound(rng, arm)
+            case 6:  # sound in itself and of this cycle, with any other field
+                counter = frame["data"][0, 0 if frame["id"][0] == 0x080 else 1] & 15
+                frames[k] = any_sound(rng, arm, int(rng.choice([counter, counter, rng.integers(0, 16)])))
     return frames
 
 
-def any_sound(rng: np.random.Generator, arm: Arm) -> Any:
+def any_sound(rng: np.random.Generator, arm: Arm, counter: int) -> Any:
     """A frame of ours with a valid CRC and fields at random, the outermost ones often."""
     ffi, lib = flight.ffi, flight.lib
     record = ffi.new("zygos_record_t *")
-    record.counter, record.status = rng.integers(0, 16), rng.choice([15, 14, 13, 11, 7, rng.integers(0, 16)])
+    record.counter, record.status = counter, rng.choice([15, 15, 15, 14, 13, 11, 7, rng.integers(0, 16)])
     record.sync, record.time_us = rng.integers(0, 256), rng.integers(0, 2**32)
-    record.latch_us = rng.choice([0, 40, 60, 65535])
+    record.latch_us = rng.choice([0, 60, 300, 65535])
     for i in range(3):
         record.code[i] = rng.choice([-(2**23), 2**23 - 1, 0, rng.integers(-(2**23), 2**23)])
     message = int(rng.integers(1, 8))

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -14,18 +15,20 @@ from typing import Any
 import can
 import numpy as np
 import pytest
+from cantools.database.can import Database
 from numpy.typing import NDArray
 
 from pil.conftest import Agree
 from pil.live_support import PATIENCE_S, Live, lines_of, running
 from pil.pil_support import END, PAPER, PATIENT, TARGETS, Record, capacities, compare, frames_section, on_host, recorded
+from round_support import round_of, told
 from zygos import bus, flight
 from zygos.arm import Arm
 from zygos.dbc import arm_database
 from zygos.flight import Flight, encode
 
-VALUE, SIGMA, VERDICT = 0, 1, 3
-"""Kinds of telemetry, as c/ports/cortex-m/live.c has them."""
+EVERY = 100
+"""SYNCs from one estimate to the next, as c/ports/cortex-m/live.c has it."""
 
 
 def the_run() -> tuple[Arm, NDArray[Any]]:
@@ -71,62 +74,63 @@ def listening(live: Live) -> Iterator[tuple[can.BusABC, Listener]]:
         line.shutdown()
 
 
-def reported(arm: Arm, frames: NDArray[Any]) -> list[tuple[int, int, float]]:
-    """Index, kind and value that live.c is to send while these frames come, by the host's library."""
-    estimates, out = Flight(arm), []
-    p, cycles = len(arm.parameter_names), 0
-    starts = np.flatnonzero(frames["id"] == 0x080)
-    known = None
-    for first, last in zip(starts, [*starts[1:], len(frames)], strict=False):
-        estimates.frames(frames[first:last])
-        if estimates.counts["cycles"] == cycles:
-            continue
-        cycles += 1
-        turn = cycles % (2 * p + 1)
-        if turn == 0:
-            known = estimates.estimate()
-            out.append((0, VERDICT, float(flight.VALIDITY.index(known.validity))))
-        elif known is not None:
-            index, kind = ((turn - 1) % p, VALUE if turn <= p else SIGMA)
-            value = float(np.float32((known.value if kind == VALUE else known.sigma)[index]))
-            if np.isfinite(value):
-                out.append((index, kind, value))
-        else:
-            out.append((turn - 1, VALUE, 0.0) if turn <= p else (turn - p - 1, SIGMA, 0.0))
-    return out
-
-
 @pytest.mark.parametrize("target", TARGETS)
 def test_a_run_through_the_interrupt(target: str, builds: Path, tmp_path: Path, agree: Agree) -> None:
     """All frames at once: the interrupt takes them while the task works off cycles. The same bits as in order."""
     with capacities(builds, PATIENT):
         arm, frames = the_run()
-        with running(builds, tmp_path, target, PATIENT, Flight(arm)) as live:
-            with listening(live) as (line, listener):
-                for message in bus.to_messages(frames, arm.period_s):
-                    line.send(message)
-                found = live.settle(len(frames))
-                expected = reported(arm, frames)
-                limit = time.monotonic() + PATIENCE_S
-                while len(listener.messages) < len(expected) and time.monotonic() < limit:
-                    time.sleep(0.1)
+        with running(builds, tmp_path, target, PATIENT, Flight(arm)) as live, listening(live) as (line, _):
+            for message in bus.to_messages(frames, arm.period_s):
+                line.send(message)
+            found = live.settle(len(frames))
             assert live.lines() == (len(frames), 0)
             assert live.word("uart", 1) == live.word("uart", 2) == 0
         agree(target, "paper, live", "zygos_t behind a run", compare([image(arm, frames)], [Record("image", found)]))
-        check_telemetry(arm, listener.messages, expected)
 
 
-def check_telemetry(arm: Arm, messages: list[can.Message], expected: list[tuple[int, int, float]]) -> None:
-    """What came back is the estimate, by name, as cantools reads it."""
-    database = arm_database(arm)
-    assert {message.arbitration_id for message in messages} == {0x1A0}
-    decoded: list[dict[str, Any]] = [database.decode_message(m.arbitration_id, m.data) for m in messages]
-    assert [(m.data[2], m.data[3]) for m in messages] == [(index, kind) for index, kind, _ in expected]
-    values = [np.frombuffer(bytes(m.data[4:8]), "<f4")[0] for m in messages]
-    assert values == [np.float32(value) for _, _, value in expected]
-    last = {name: value for one in decoded for name, value in one.items()}
-    for name in arm.parameter_names:
-        assert last[name] in values
+@pytest.mark.parametrize("target", TARGETS)
+def test_the_estimate_comes_back(target: str, builds: Path, tmp_path: Path) -> None:
+    """Telemetry by name, as cantools reads it: each round is the host's estimate behind the same SYNC."""
+    with capacities(builds, PATIENT):
+        arm, frames = the_run()
+        at = np.flatnonzero(frames["id"] == 0x080)
+        begins = at[: 9 * EVERY : EVERY]
+        host, done, expected, database = Flight(arm), 0, [], arm_database(arm)
+        with running(builds, tmp_path, target, PATIENT, Flight(arm)) as live, listening(live) as (line, listener):
+            for begin, end in itertools.pairwise(begins):
+                for message in bus.to_messages(frames[done : begin + 1], arm.period_s):
+                    line.send(message)
+                host.frames(frames[done : begin + 1])
+                expected.append(round_of(host))
+                # the estimate is of what came up to here: nothing may follow before its first value is there
+                wait_for(lambda: len(rounds(database, listener.messages)) == len(expected))
+                for message in bus.to_messages(frames[begin + 1 : end], arm.period_s):
+                    line.send(message)
+                host.frames(frames[begin + 1 : end])
+                done = end
+            wait_for(lambda: len(rounds(database, listener.messages)[-1]) == len(expected[-1]))
+        assert rounds(database, listener.messages) == expected
+        assert expected[-1]["verdict_validity"] >= 2.0
+        assert set(arm.parameter_names) <= set(expected[-1])
+
+
+def rounds(database: Database, messages: list[can.Message]) -> list[dict[str, float]]:
+    """What each estimate's telemetry says; the verdict comes first."""
+    out: list[dict[str, float]] = []
+    for message in list(messages):
+        assert message.arbitration_id == 0x1A0
+        name, value, _ = told(database, bytes(message.data))
+        if name == "verdict_validity":
+            out.append({})
+        out[-1][name] = value
+    return out
+
+
+def wait_for(there: Callable[[], bool]) -> None:
+    limit = time.monotonic() + PATIENCE_S
+    while not there():
+        assert time.monotonic() < limit, "the target does not answer"
+        time.sleep(0.005)
 
 
 def spoiled(rng: np.random.Generator, line: bytes) -> bytes:
@@ -232,7 +236,7 @@ def test_a_task_that_is_held_up(target: str, builds: Path, tmp_path: Path, agree
     """The queue runs over: as many cycles as were lost are counted, the arc ends, and the rest is as on the host."""
     with capacities(builds, PAPER):
         arm, frames = the_run()
-        frames = frames[: np.flatnonzero(frames["id"] == 0x080)[400] + 1]
+        frames = frames[: np.flatnonzero(frames["id"] == 0x080)[100] + 1]
         with (
             running(builds, tmp_path, target, PAPER, Flight(arm), drill="drill_stall") as live,
             listening(live) as (line, _),
@@ -246,21 +250,21 @@ def test_a_task_that_is_held_up(target: str, builds: Path, tmp_path: Path, agree
         state = flight.ffi.from_buffer("zygos_t *", found)
         lost = state.receiver.faults.overrun
         assert lost >= 5
-        assert state.cycles == 400 - lost
+        assert state.cycles == 100 - lost
         assert state.gaps == 1
         expected = held_up(arm, frames, lost)
         agree(target, "paper, task held up", f"{lost} cycles lost", compare([expected], [Record("image", found)]))
 
 
 def held_up(arm: Arm, frames: NDArray[Any], lost: int) -> Record:
-    """zygos_t of the host when nothing is worked off from the 300th cycle until so many cycles are lost."""
+    """zygos_t of the host when nothing is worked off from the 60th cycle until so many cycles are lost."""
     ffi, lib = flight.ffi, flight.lib
     state = ffi.new("zygos_t *")
     assert lib.zygos_init(state, flight.config_of(arm)) == 1
     native = ffi.from_buffer("zygos_frame_t[]", frames.tobytes())
     for k in range(len(frames)):
         lib.zygos_frame(state, native + k)
-        while (state.cycles != 300 or state.receiver.faults.overrun >= lost) and lib.zygos_step(state) == 1:
+        while (state.cycles != 60 or state.receiver.faults.overrun >= lost) and lib.zygos_step(state) == 1:
             pass
     return Record("image", bytes(ffi.buffer(state)))
 

@@ -1,5 +1,5 @@
-"""The slcan parser and the UART's buffer on the host, under sanitizers: whatever comes on the line, and what the UART of
-QEMU cannot do, which never loses a character."""
+"""The slcan parser and the UART's buffer on the host, under sanitizers: whatever comes on the line, and what the UART
+of QEMU cannot do, which never loses a character."""
 
 from __future__ import annotations
 

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from build_support import run, tool
 
+from calls_support import Calls
 from conftest import house_flags
 from zygos import flight
 from zygos.arm import Arm, load_arm
@@ -156,30 +157,6 @@ def test_a_cpp_program_links_and_agrees_on_the_abi(tmp_path: Path) -> None:
     # -lm is in every C++ link anyway; that the library needs none is tested on its symbols.
     run([tool("g++"), *flags, *INCLUDE, str(program), *map(str, objects), "-o", "program"], tmp_path)
     run([str(tmp_path / "program")], tmp_path)
-
-
-class Calls:
-    """Call graph of the whole library, from GCC's -fcallgraph-info=su."""
-
-    def __init__(self, folder: Path) -> None:
-        self.frame: dict[str, int] = {}
-        self.bounded: dict[str, bool] = {}
-        self.calls: dict[str, set[str]] = {}
-        for graph in sorted(folder.glob("*.ci")):
-            text = graph.read_text()
-            for title, label in re.findall(r'node: \{ title: "([^"]*)" label: "([^"]*)"', text):
-                size = re.search(r"(\d+) bytes \(([^)]*)\)", label)
-                if size:
-                    self.frame[title] = int(size[1])
-                    self.bounded[title] = size[2] == "static"
-                self.calls.setdefault(title, set())
-            for source, target in re.findall(r'edge: \{ sourcename: "([^"]*)" targetname: "([^"]*)"', text):
-                self.calls.setdefault(source, set()).add(target)
-
-    def depth(self, name: str, above: tuple[str, ...] = ()) -> int:
-        """Bytes of stack below and including a function. Fails on recursion."""
-        assert name not in above, f"recursion: {' -> '.join([*above, name])}"
-        return self.frame.get(name, 0) + max((self.depth(x, (*above, name)) for x in self.calls[name]), default=0)
 
 
 @pytest.mark.parametrize("build", STACK)

@@ -1,24 +1,26 @@
 /* Firmware of a flight computer behind a serial line that speaks slcan: frames that come are those of its CAN bus,
    frames that it sends are telemetry.
 
-   The receive interrupt hands each frame to zygos_frame(); the one task there is works off cycles and reports. One
-   telemetry frame goes out for each cycle: in turn the verdict of a fresh estimate, its values and its sigmas. */
+   The receive interrupt hands each frame to zygos_frame(); the one task there is works off cycles, and at each SYNC
+   reports. */
 
 #include "arm_config.h"
 #include "core.h"
 #include "slcan.h"
+#include "telemetry.h"
 #include "uart.h"
 
 #define CLOCK_HZ 25000000u
 #define BAUD 115200u
 
-enum kind { KIND_VALUE = 0, KIND_SIGMA = 1, KIND_VERDICT = 3 }; /* as in the DBC */
+/* SYNCs from one estimate to the next. */
+#define EVERY 100u
 
 static zygos_t arm;
-static zygos_work_t work;
-static zygos_estimate_t estimate;
+static node_telemetry_t telemetry;
 static uart_t uart;
 static slcan_t line;
+static volatile uint32_t syncs;
 
 /* In a handler, or masked. */
 static void send(const char *text)
@@ -39,7 +41,8 @@ void uart_receive_interrupt(void)
         zygos_frame_t frame;
         char answer[SLCAN_TEXT];
         if (slcan_take(&line, character, &frame, answer) == 1) {
-            zygos_frame(&arm, &frame);
+            const int verdict = zygos_frame(&arm, &frame);
+            syncs += ((verdict == ZYGOS_ACCEPTED) && (frame.flags == 0) && (frame.id == ZYGOS_ID_SYNC)) ? 1u : 0u;
         }
         send(answer);
     }
@@ -50,34 +53,19 @@ void uart_transmit_interrupt(void)
     uart_transmit(&uart);
 }
 
-/* What is not known has no value, and is not sent. */
-static void report(uint32_t index, enum kind kind, double value)
+static void report(void)
 {
+    const node_losses_t losses = { uart.overruns, line.refused, 0, uart.left_out };
     zygos_frame_t frame;
-    char text[SLCAN_TEXT];
-    if ((line.open == 0) || !((value > -1e38) && (value < 1e38))) {
-        return;
-    }
-    zygos_wire_encode_telemetry((uint8_t)arm.receiver.assembly.counter, (uint8_t)index, (uint8_t)kind, (float)value,
-                                &frame);
-    slcan_line(&frame, text);
-    core_mask();
-    send(text);
-    core_unmask();
-}
-
-static void report_in_turn(void)
-{
-    const uint32_t p = arm.layout.count;
-    const uint32_t turn = (uint32_t)(arm.cycles % (2u * p + 1u));
-    if (turn == 0) {
-        zygos_take(&arm, &work);
-        zygos_solve(&work, &estimate);
-        report(0, KIND_VERDICT, estimate.validity);
-    } else if (turn <= p) {
-        report(turn - 1u, KIND_VALUE, estimate.value[turn - 1u]);
-    } else {
-        report(turn - p - 1u, KIND_SIGMA, estimate.sigma[turn - p - 1u]);
+    node_telemetry_sync(&telemetry, &arm, &losses);
+    while (node_telemetry_next(&telemetry, &arm, &frame) == 1) {
+        char text[SLCAN_TEXT];
+        slcan_line(&frame, text);
+        core_mask();
+        if (line.open == 1) {
+            send(text);
+        }
+        core_unmask();
     }
 }
 
@@ -86,17 +74,24 @@ int main(void)
     if (zygos_init(&arm, &arm_config) < 0) {
         return 1;
     }
+    node_telemetry_init(&telemetry, EVERY);
     slcan_init(&line);
     uart_init(&uart, UART_0, CLOCK_HZ / BAUD);
     core_enable(CORE_UART_RECEIVE);
     core_enable(CORE_UART_TRANSMIT);
+    uint32_t reported = 0;
     for (;;) {
+        const uint32_t closed = syncs; /* read first: when no cycle waits behind it, theirs are worked off */
         if (zygos_step(&arm) == 1) {
-            report_in_turn();
+            continue;
+        }
+        if (reported != closed) {
+            reported++;
+            report();
             continue;
         }
         core_mask();
-        if (arm.receiver.queue.head == arm.receiver.queue.tail) {
+        if ((arm.receiver.queue.head == arm.receiver.queue.tail) && (reported == syncs)) {
             core_sleep();
         }
         core_unmask();

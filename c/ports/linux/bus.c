@@ -126,7 +126,7 @@ static void count_drops(node_bus_t *self, struct msghdr *message)
         if ((c->cmsg_level == SOL_SOCKET) && (c->cmsg_type == SO_RXQ_OVFL)) {
             uint32_t drops;
             memcpy(&drops, CMSG_DATA(c), sizeof drops);
-            self->overflow += drops - self->drops;
+            self->losses.overflow += drops - self->drops;
             self->drops = drops;
         }
     }
@@ -140,7 +140,7 @@ static int read_failed(node_bus_t *self)
     case EAGAIN:
         return NODE_EMPTY;
     case ENETDOWN: /* the interface went down: what is lost is noticed by the counters of SYNC and FTIME */
-        self->down++;
+        self->losses.down++;
         return NODE_READ;
     case ECONNREFUSED: /* the other end of a socket of datagrams is not there */
     case ECONNRESET:   /* it closed with our answers unread; what it sent before is still to be read */
@@ -178,7 +178,7 @@ int node_bus_read(node_bus_t *self, zygos_frame_t *frame, uint32_t *count)
         }
         const bool whole = (message[i].msg_hdr.msg_flags & MSG_TRUNC) == 0;
         if (!whole || ((length != CAN_MTU) && (length != CANFD_MTU))) {
-            self->misshapen++;
+            self->losses.misshapen++;
             continue;
         }
         frame[(*count)++] = frame_of(&packet[i], length == CANFD_MTU);
@@ -194,5 +194,5 @@ void node_bus_send(node_bus_t *self, const zygos_frame_t *frame)
     out.len = frame->length;
     memcpy(out.data, frame->data, sizeof out.data);
     const ssize_t sent = send(self->fd, &out, sizeof out, MSG_DONTWAIT | MSG_NOSIGNAL);
-    self->unsent += (sent == (ssize_t)sizeof out) ? 0u : 1u;
+    self->losses.unsent += (sent == (ssize_t)sizeof out) ? 0u : 1u;
 }

@@ -7,6 +7,7 @@
 #include <stdint.h>
 
 #include "options.h"
+#include "telemetry.h"
 #include "zygos/zygos.h"
 
 /// Frames that one call reads at the most.
@@ -14,12 +15,11 @@
 
 typedef struct {
     int fd;
-    bool stream_ends;   ///< An empty packet means that the other end is closed.
-    uint32_t drops;     ///< What the kernel counted last.
-    uint32_t overflow;  ///< Frames that the kernel dropped because the receive buffer was full.
-    uint32_t misshapen; ///< Packets that are no frame: rejected.
-    uint32_t down;      ///< Times that the interface went down.
-    uint32_t unsent;    ///< Frames of ours that the interface did not take.
+    bool stream_ends; ///< An empty packet means that the other end is closed.
+    uint32_t drops;   ///< What the kernel counted last.
+    /// Overflow: frames that the kernel dropped because the receive buffer was full. Misshapen: packets that are no
+    /// frame.
+    node_losses_t losses;
 } node_bus_t;
 
 enum node_reading {

@@ -78,11 +78,21 @@ static int work(uint64_t *frames, uint64_t *syncs)
         }
         if ((verdict == ZYGOS_ACCEPTED) && (frame[i].flags == 0u) && (frame[i].id == ZYGOS_ID_SYNC)) {
             (*syncs)++;
-            node_telemetry_sync(&telemetry, &arm, &bus);
+            node_telemetry_sync(&telemetry, &arm, &bus.losses);
+            for (zygos_frame_t out; node_telemetry_next(&telemetry, &arm, &out) == 1;) {
+                node_bus_send(&bus, &out);
+            }
         }
     }
     *frames += count;
     return reading;
+}
+
+static void say_state(enum node_heartbeat state)
+{
+    zygos_frame_t frame;
+    node_telemetry_heartbeat(state, &frame);
+    node_bus_send(&bus, &frame);
 }
 
 /* Until the end is asked for, or comes. Returns the last enum node_reading. */
@@ -95,7 +105,7 @@ static int run(double idle_s, const sigset_t *mask)
     double heartbeat_s = now_s() + HEARTBEAT_S;
     double last_frame_s = now_s();
     int reading = NODE_EMPTY;
-    node_telemetry_heartbeat(&bus, NODE_BOOT);
+    say_state(NODE_BOOT);
     while (!told_to_end && (reading >= NODE_EMPTY)) {
         const double idle_end_s = (idle_s > 0.0) ? last_frame_s + idle_s : heartbeat_s;
         wait_until((idle_end_s < heartbeat_s) ? idle_end_s : heartbeat_s, mask);
@@ -104,7 +114,7 @@ static int run(double idle_s, const sigset_t *mask)
         last_frame_s = (frames != frames_before) ? now : last_frame_s;
         frames_before = frames;
         if (now >= heartbeat_s) {
-            node_telemetry_heartbeat(&bus, (syncs != syncs_before) ? NODE_OPERATIONAL : NODE_WAITING);
+            say_state((syncs != syncs_before) ? NODE_OPERATIONAL : NODE_WAITING);
             syncs_before = syncs;
             heartbeat_s = now + HEARTBEAT_S;
         }
@@ -119,7 +129,7 @@ static int run(double idle_s, const sigset_t *mask)
             break;
         }
     }
-    node_telemetry_heartbeat(&bus, NODE_STOPPED);
+    say_state(NODE_STOPPED);
     return reading;
 }
 
@@ -142,7 +152,7 @@ int main(int argc, char **argv)
     const int reading = run(options.idle_s, &mask);
     const int saved = node_store_save(options.state, &arm);
     uint64_t counter[NODE_COUNTERS];
-    node_counters(&arm, &bus, counter);
+    node_counters(&arm, &bus.losses, counter);
     for (uint32_t i = 0; i < NODE_COUNTERS; i++) {
         printf("%-20s %llu\n", node_counter_name[i], (unsigned long long)counter[i]);
     }

@@ -19,7 +19,7 @@ const char *const node_counter_name[NODE_COUNTERS] = {
     "node_overflow",        "node_misshapen",      "node_down",          "node_unsent",
 };
 
-void node_counters(const zygos_t *arm, const node_bus_t *bus, uint64_t *out)
+void node_counters(const zygos_t *arm, const node_losses_t *losses, uint64_t *out)
 {
     uint32_t fault[FAULTS];
     memcpy(fault, &arm->receiver.faults, sizeof fault);
@@ -35,10 +35,10 @@ void node_counters(const zygos_t *arm, const node_bus_t *bus, uint64_t *out)
         arm->accumulator.refused,
         arm->accumulator.arcs,
         arm->accumulator.arcs_dropped,
-        bus->overflow,
-        bus->misshapen,
-        bus->down,
-        bus->unsent,
+        losses->overflow,
+        losses->misshapen,
+        losses->down,
+        losses->unsent,
     };
     memcpy(&out[FAULTS], other, sizeof other);
 }
@@ -57,7 +57,7 @@ static void put(node_telemetry_t *self, enum node_kind kind, uint32_t index, dou
     self->items++;
 }
 
-static void solve(node_telemetry_t *self, const zygos_t *arm, const node_bus_t *bus)
+static void solve(node_telemetry_t *self, const zygos_t *arm, const node_losses_t *losses)
 {
     zygos_estimate_t *const out = &self->estimate;
     zygos_take(arm, &self->work);
@@ -81,7 +81,7 @@ static void solve(node_telemetry_t *self, const zygos_t *arm, const node_bus_t *
         put(self, NODE_VERDICT, i, verdict[i]);
     }
     uint64_t counter[NODE_COUNTERS];
-    node_counters(arm, bus, counter);
+    node_counters(arm, losses, counter);
     for (uint32_t i = 0; i < NODE_COUNTERS; i++) {
         put(self, NODE_COUNTER, i, (double)(counter[i] % MODULUS));
     }
@@ -92,30 +92,33 @@ static void solve(node_telemetry_t *self, const zygos_t *arm, const node_bus_t *
     }
 }
 
-void node_telemetry_sync(node_telemetry_t *self, const zygos_t *arm, node_bus_t *bus)
+void node_telemetry_sync(node_telemetry_t *self, const zygos_t *arm, const node_losses_t *losses)
 {
     if (self->syncs == 0u) {
-        solve(self, arm, bus);
+        solve(self, arm, losses);
     }
     self->syncs = (self->syncs + 1u) % self->every;
     const uint32_t share = (self->items + self->every - 1u) / self->every;
-    for (uint32_t i = 0; (i < share) && (self->next < self->items); i++) {
-        const uint32_t k = self->next++;
-        if ((self->value[k] >= -(double)FLT_MAX) && (self->value[k] <= (double)FLT_MAX)) {
-            zygos_frame_t frame;
-            zygos_wire_encode_telemetry((uint8_t)(arm->receiver.assembly.counter & 0x0Fu), self->index[k],
-                                        self->kind[k], (float)self->value[k], &frame);
-            node_bus_send(bus, &frame);
-        }
-    }
+    self->due = (self->next + share < self->items) ? self->next + share : self->items;
 }
 
-void node_telemetry_heartbeat(node_bus_t *bus, enum node_heartbeat state)
+int node_telemetry_next(node_telemetry_t *self, const zygos_t *arm, zygos_frame_t *out)
 {
-    zygos_frame_t frame;
-    memset(&frame, 0, sizeof frame);
-    frame.id = HEARTBEAT + ZYGOS_NODE_COMPUTER;
-    frame.length = 1;
-    frame.data[0] = (uint8_t)state;
-    node_bus_send(bus, &frame);
+    while (self->next < self->due) {
+        const uint32_t k = self->next++;
+        if ((self->value[k] >= -(double)FLT_MAX) && (self->value[k] <= (double)FLT_MAX)) {
+            zygos_wire_encode_telemetry((uint8_t)(arm->receiver.assembly.counter & 0x0Fu), self->index[k],
+                                        self->kind[k], (float)self->value[k], out);
+            return 1;
+        }
+    }
+    return 0;
+}
+
+void node_telemetry_heartbeat(enum node_heartbeat state, zygos_frame_t *out)
+{
+    memset(out, 0, sizeof *out);
+    out->id = HEARTBEAT + ZYGOS_NODE_COMPUTER;
+    out->length = 1;
+    out->data[0] = (uint8_t)state;
 }

@@ -1,9 +1,9 @@
-/// What the node answers on the bus: the estimate, its intervals, every counter, and a heartbeat. zygos.dbc has it all.
+/// What a flight computer says on the bus: the estimate, its intervals, every counter, and a heartbeat. zygos.dbc has
+/// it all. The same for every port.
 
 #ifndef ZYGOS_NODE_TELEMETRY_H
 #define ZYGOS_NODE_TELEMETRY_H
 
-#include "bus.h"
 #include "zygos/zygos.h"
 
 /// Kinds of telemetry; the index beside it counts parameters, counters or verdicts.
@@ -27,6 +27,7 @@ typedef struct {
     uint32_t syncs; ///< Since the last.
     uint32_t items; ///< Values that belong to it,
     uint32_t next;  ///< the one that is sent next,
+    uint32_t due;   ///< and the first that has to wait for the next SYNC.
     double value[NODE_MAX_ITEMS];
     uint8_t index[NODE_MAX_ITEMS];
     uint8_t kind[NODE_MAX_ITEMS];
@@ -34,19 +35,30 @@ typedef struct {
     zygos_estimate_t estimate;
 } node_telemetry_t;
 
+/// What only the port can count. 0 where it cannot happen.
+typedef struct {
+    uint32_t overflow;  ///< Frames, or characters of frames, that came faster than they were taken.
+    uint32_t misshapen; ///< What came and was no frame.
+    uint32_t down;      ///< Times that the bus went down.
+    uint32_t unsent;    ///< Frames of ours that the bus did not take.
+} node_losses_t;
+
 /// Counters in the order of their indices, called as in zygos.dbc.
 extern const char *const node_counter_name[NODE_COUNTERS];
-void node_counters(const zygos_t *arm, const node_bus_t *bus, uint64_t *out);
+void node_counters(const zygos_t *arm, const node_losses_t *losses, uint64_t *out);
 
 /// every: SYNCs from one estimate to the next.
 void node_telemetry_init(node_telemetry_t *self, uint32_t every);
 
 /// Call after each accepted SYNC, when the cycle that it closed is worked off: at the first and every so many SYNCs
-/// behind it, solves; after each, sends as many values as it takes to have sent all by the next estimate. What has no
+/// behind it, solves; after each, as many values are due as it takes to have sent all by the next estimate. What has no
 /// value is passed over. Nothing here depends on a clock.
-void node_telemetry_sync(node_telemetry_t *self, const zygos_t *arm, node_bus_t *bus);
+void node_telemetry_sync(node_telemetry_t *self, const zygos_t *arm, const node_losses_t *losses);
 
-/// Sends the heartbeat.
-void node_telemetry_heartbeat(node_bus_t *bus, enum node_heartbeat state);
+/// Takes the next value that is due. Returns 1 and its frame, or 0 when none is.
+int node_telemetry_next(node_telemetry_t *self, const zygos_t *arm, zygos_frame_t *out);
+
+/// Writes the heartbeat's frame.
+void node_telemetry_heartbeat(enum node_heartbeat state, zygos_frame_t *out);
 
 #endif

@@ -1,0 +1,123 @@
+"""A bench for flight computers, as a pytest plugin: `pytest_plugins = ["zygos.testing"]` (docs/hil.md).
+
+Fixtures: `bus`, `plant`, `dut`, `faults`. Options: --zygos-channel, --zygos-dut, --zygos-scenario, --zygos-json.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import can
+from rich.markup import escape
+
+from zygos.bus import open_bus
+from zygos.errors import ZygosError
+from zygos.output import table, write_json
+from zygos.scenario import load_scenario
+from zygos.testing import faults as _faults
+from zygos.testing.dut import EXTERNAL, Dut
+from zygos.testing.plant import Pace, Plant, Sent
+from zygos.testing.stream import Fault, Stream
+
+try:
+    import pytest
+except ImportError as error:
+    raise ZygosError("zygos.testing needs pytest; remedy: pip install 'zygos[testing]'") from error
+
+__all__ = ["Dut", "Fault", "Pace", "Plant", "Sent", "Stream"]
+
+_DRILL = "zygos drill"
+_VERDICTS = {"passed": "pass", "failed": "fail", "error": "fail", "skipped": "not evaluated"}
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Say which bench it is."""
+    group = parser.getgroup("zygos")
+    group.addoption("--zygos-channel", metavar="NAME", default="vcan0", help="SocketCAN interface (vcan0).")
+    group.addoption(
+        "--zygos-dut",
+        metavar="COMMAND",
+        default="zygos-node",
+        help=f"What starts the device under test (zygos-node), or {EXTERNAL}: whatever answers on the channel.",
+    )
+    group.addoption("--zygos-scenario", metavar="FILE", help="The plant: a scenario.toml, which names arm and model.")
+    group.addoption("--zygos-json", metavar="FILE", help="Where the table of drills is written as JSON, too.")
+
+
+@pytest.fixture
+def bus(pytestconfig: pytest.Config) -> Iterator[can.BusABC]:
+    """The bench's channel as a bus of python-can, for a test's own frames."""
+    with open_bus("socketcan", pytestconfig.getoption("--zygos-channel")) as opened:
+        yield opened
+
+
+@pytest.fixture(scope="session")
+def plant(pytestconfig: pytest.Config) -> Plant:
+    """The plant that moves as --zygos-scenario says."""
+    scenario = pytestconfig.getoption("--zygos-scenario")
+    if scenario is None:
+        raise ZygosError("no plant is named; remedy: pytest --zygos-scenario SCENARIO.toml")
+    return Plant(load_scenario(Path(scenario)), pytestconfig.getoption("--zygos-channel"))
+
+
+@pytest.fixture(scope="session")
+def _device(plant: Plant, pytestconfig: pytest.Config, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Dut]:
+    """One device a session: an external one has heard all that was sent."""
+    command = pytestconfig.getoption("--zygos-dut")
+    with Dut(plant.arm, plant.channel, command, tmp_path_factory.mktemp("dut")) as device:
+        yield device
+
+
+@pytest.fixture
+def dut(_device: Dut, request: pytest.FixtureRequest) -> Dut:
+    """The device under test: one of our own is new in each test, and still to be started."""
+    _device.renew()
+    request.node.user_properties.append((_DRILL, _device.record))
+    return _device
+
+
+@pytest.fixture(name="faults")
+def faults_fixture() -> ModuleType:
+    """`zygos.testing.faults`: what can happen to a stream."""
+    return _faults
+
+
+def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
+    """Print the table of drills, and write it as JSON."""
+    rows = []
+    for outcome, verdict in _VERDICTS.items():
+        for report in terminalreporter.getreports(outcome):
+            record = dict(report.user_properties).get(_DRILL)
+            if record is None or (outcome == "passed" and (report.when != "call" or record["expected"] is None)):
+                continue  # no drill, or a test that judged nothing
+            reason = report.longrepr[2].partition("not evaluated: ")[2] if outcome == "skipped" else None
+            name = report.nodeid.rpartition("::")[2]
+            rows.append({"drill": name, **record, "verdict": verdict, "reason": reason})
+    if not rows:
+        return
+    table(
+        ("drill", "frames", "faults expected", "found", "verdict"),
+        [
+            (
+                escape(r["drill"]),
+                f"{r['frames']:,}",
+                _listed(r["expected"]),
+                _listed(r["found"]),
+                f"{r['verdict']}: {r['reason']}" if r["reason"] else r["verdict"],
+            )
+            for r in rows
+        ],
+    )
+    path = config.getoption("--zygos-json")
+    if path:
+        write_json(path, {"channel": config.getoption("--zygos-channel"), "drills": rows})
+
+
+def _listed(counts: dict[str, int] | None) -> str:
+    """Counters in a cell."""
+    if counts is None:
+        return "–"
+    return ", ".join(f"{name} {count}" for name, count in sorted(counts.items())) or "none"

@@ -1,0 +1,48 @@
+"""What a device must make of the frames that it was given, by the numpy reference: no code is shared with C."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zygos.check import decode, sizes
+from zygos.cycles import BREAK_BEFORE, Cycles
+from zygos.flight import Estimate
+from zygos.reference import chain
+from zygos.testing.stream import Stream
+
+_FIELDS = tuple(Cycles.__dataclass_fields__)
+
+
+def counted(stream: Stream) -> dict[str, int]:
+    """Faults by name, those that happened."""
+    return {name: count for name, count in decode(stream.arm, stream.frames).faults.items() if count}
+
+
+def survived(*streams: Stream) -> Cycles:
+    """The cycles that may be used, of one stream after the other; between two of them the arc ends."""
+    parts: list[Cycles] = []
+    first = 0
+    for stream in streams:
+        cycles = decode(stream.arm, stream.frames).cycles
+        cycles.flags[:1] |= BREAK_BEFORE
+        parts.append(replace(cycles, sync=cycles.sync + np.uint64(first)))
+        first = int(parts[-1].sync.max(initial=first)) + 1000
+    return Cycles(*(np.concatenate([getattr(part, name) for part in parts]) for name in _FIELDS))
+
+
+def disagreement(estimate: Estimate, *streams: Stream) -> float:
+    """How far an estimate is from numpy's over the cycles that survived, in units of its tolerance.
+
+    The tolerance is 1e-9 of a parameter, or 1e-14 times the condition where that is more. Infinite if the estimate
+    knows nothing. Raises Undecided if the streams determine no parameter.
+    """
+    arm = streams[0].arm
+    expected = chain(arm, survived(*streams)).solution.x
+    known = np.isfinite(estimate.value)
+    if not known.any():
+        return float("inf")
+    relative: NDArray[np.float64] = (np.abs(estimate.value - expected) / sizes(arm, expected))[known]
+    return float(relative.max() / max(1e-9, 1e-14 * estimate.condition))

@@ -1,0 +1,115 @@
+"""Instructions of each cycle, stage by stage: what a tool counted, and where the driver says that the cycle stood."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conftest import ROOT
+from zygos.errors import ZygosError
+
+ROOMS = ("wire", "cycle", "smoother", "kinematics", "balance", "impulse", "momentum", "noise", "accumulator", "solver")
+"""In the order in which a sample walks through them. What one costs is counted from c/zygos.c calling a function of its
+file until that returns; of `cycle`, which calls it, `wire` is taken off. Rooms and c/zygos.c itself add up to all."""
+WHOLE = ("frame", "step", "solve")
+"""All frames of a cycle; working it off; one solution."""
+STAGES = (*ROOMS, *WHOLE)
+TOGETHER = "frame + step"
+"""A full cycle: its frames in, its row accumulated."""
+FOLDED = {"jointsums": "impulse", "momentumsums": "momentum"}
+"""Files that are part of another room."""
+KINDS = ("fills", "block", "arc", "cycle")
+"""Of cycles, as bench/driver.c numbers them."""
+SIZES = (
+    "parameters", "cycle", "smoother", "kinematics", "balance", "impulse", "momentum", "noise", "accumulator", "whole",
+    "solver",
+)  # fmt: skip
+PLACES = ("frames", "turn", "joint_turn", "momentum_turn", "filled", "torque_at", "position", "first")
+"""Where a cycle stands, as bench/driver.c has it."""
+RELEVANT: dict[str, tuple[str, ...]] = {
+    "wire": ("frames",), "cycle": ("frames",), "smoother": ("position",), "kinematics": (), "balance": ("torque_at",),
+    "impulse": ("joint_turn", "torque_at"), "momentum": ("momentum_turn",), "noise": ("turn", "torque_at"),
+    "accumulator": ("filled", "first"), "frame": ("frames",),
+}  # fmt: skip
+"""On which of them the cost of a stage may depend."""
+DRIVER = ROOT / "tests" / "bench" / "driver.c"
+
+
+@dataclass(frozen=True)
+class Tally:
+    """What a tool counted between two marks of the driver, for n cycles."""
+
+    stages: NDArray[np.int64]
+    """(n, len(STAGES))"""
+    functions: dict[str, NDArray[np.int64]]
+    """(n,) of each function that ran: its own instructions, without those of what it calls."""
+    solve: int
+    """Of the solution at the end."""
+
+
+@dataclass(frozen=True)
+class Count:
+    """A tally, with what the driver says of each cycle."""
+
+    tally: Tally
+    sizes: dict[str, int]
+    """Parameters, and bytes of state."""
+    kinds: NDArray[np.int64]
+    """(n,) index into KINDS."""
+    places: NDArray[np.int64]
+    """(n, len(PLACES)) all on which the cost of a cycle may depend beside its data."""
+    rank: int
+    """Of the solution."""
+
+    def stage(self, name: str) -> NDArray[np.int64]:
+        """(n,) instructions of a stage in each cycle."""
+        parts = name.split(" + ")
+        return np.asarray(self.tally.stages[:, [STAGES.index(part) for part in parts]].sum(axis=1), dtype=np.int64)
+
+    def ordinary(self) -> NDArray[np.bool_]:
+        """(n,) cycles that form a row, and neither open a block nor begin or end an arc."""
+        return np.asarray(self.kinds == KINDS.index("cycle"), dtype=np.bool_)
+
+
+def read_places(path: Path) -> tuple[dict[str, int], NDArray[np.int64], int]:
+    """What bench/driver.c wrote: sizes, (n, 9) a kind and a place for each cycle, and the rank."""
+    words = np.fromfile(path, dtype="<u4").astype(np.int64)
+    body, rank = words[len(SIZES) : -1].reshape(-1, 9), int(words[-1])
+    return dict(zip(SIZES, words[: len(SIZES)].tolist(), strict=True)), body, rank
+
+
+def joined(tally: Tally, folder: Path, tool: str) -> Count:
+    """A tally and the driver's places. Errors: ZygosError when they are not of as many cycles."""
+    sizes, places, rank = read_places(folder / "places.bin")
+    if len(places) != len(tally.stages):
+        raise ZygosError(f"{tool} told {len(tally.stages)} cycles of {len(places)}; remedy: another version of {tool}")
+    return Count(tally, sizes, places[:, 0], places[:, 1:], rank)
+
+
+def _spread(counted: NDArray[np.int64], places: NDArray[np.int64]) -> int:
+    """Most by which entries of counted (n,) differ whose places (n, k) are equal."""
+    _, group = np.unique(places, axis=0, return_inverse=True)
+    most = np.full(group.max() + 1, np.iinfo(np.int64).min)
+    least = np.full(group.max() + 1, np.iinfo(np.int64).max)
+    np.maximum.at(most, group, counted)
+    np.minimum.at(least, group, counted)
+    return int((most - least).max())
+
+
+def spread_by_data(count: Count, stage: str) -> int:
+    """Most instructions by which ordinary cycles differ that stand at the same place.
+
+    That of `step` is the sum over its rooms and what is left of it, which is not less than its own.
+    """
+    if stage == TOGETHER:
+        return spread_by_data(count, "frame") + spread_by_data(count, "step")
+    chosen = count.ordinary()
+    if stage == "step":
+        rooms = [room for room in ROOMS if room not in ("wire", "cycle", "solver")]
+        rest = count.stage("step") - count.stage(" + ".join(rooms))
+        return sum(spread_by_data(count, room) for room in rooms) + int(np.ptp(rest[chosen]))
+    relevant = count.places[chosen][:, [PLACES.index(one) for one in RELEVANT[stage]]]
+    return _spread(count.stage(stage)[chosen], np.column_stack([np.zeros(len(relevant), np.int64), relevant]))

@@ -1,0 +1,126 @@
+/* Feeds recorded frames to the library and says of each cycle what it was, for a tool that counts its instructions.
+   Reads run.bin: three uint32 (size of a configuration, size of a frame, number of frames), the configuration and the
+   frames as they lie in memory. Writes places.bin: the sizes below, then a record for each cycle, all of uint32. At the
+   end the estimate is solved once. */
+
+#include "semihosting.h"
+#include "zygos/zygos.h"
+
+int main(void);
+void driver_mark(void);
+
+static zygos_t arm;
+static zygos_work_t work;
+static zygos_estimate_t estimate;
+
+/* Bytes of state in this build. */
+static struct {
+    uint32_t parameters, cycle, smoother, kinematics, balance, impulse, momentum, noise, accumulator, whole, solver;
+} sizes = {
+    .cycle = (uint32_t)(sizeof(zygos_receiver_t) + sizeof(zygos_hold_t)),
+    .smoother = (uint32_t)(sizeof(zygos_smoother_t) + sizeof(zygos_state_t)),
+    .kinematics = (uint32_t)(sizeof(zygos_skeleton_t) + sizeof(zygos_motion_t)),
+    .balance = (uint32_t)(sizeof(zygos_layout_t) + sizeof(zygos_balance_t) + sizeof(zygos_row_t)),
+    .impulse = (uint32_t)(sizeof(zygos_impulse_t) + sizeof(zygos_impulse_rows_t) + sizeof(zygos_joint_sums_t)),
+    .momentum = (uint32_t)(sizeof(zygos_momentum_t) + sizeof(zygos_momentum_sums_t)),
+    .noise = (uint32_t)sizeof(zygos_noise_t),
+    .accumulator = (uint32_t)sizeof(zygos_accumulator_t),
+    .whole = (uint32_t)sizeof(zygos_t),
+    .solver = (uint32_t)(sizeof(zygos_work_t) + sizeof(zygos_estimate_t)),
+};
+
+enum kind {
+    KIND_FILLS, /* the windows are not full yet: no row */
+    KIND_BLOCK, /* the row opens a segment, and so a block of the normal equations */
+    KIND_ARC,   /* the row begins or ends its arc, or that of the motor or momentum rows */
+    KIND_CYCLE  /* any other row */
+};
+
+/* What a cycle was, and all on which its cost may depend beside its data: its frames, whose turn it is, and where rings
+   and steps stand. */
+typedef struct {
+    uint32_t kind, frames, turn, joint_turn, momentum_turn, filled, torque_at, position, first;
+} place_t;
+
+/* What counts instructions sees this call behind each cycle. */
+__attribute__((noinline)) void driver_mark(void)
+{
+    __asm__ volatile("" ::: "memory");
+}
+
+static place_t step(uint32_t frames)
+{
+    const zygos_accumulator_t *sums = &arm.accumulator;
+    const zygos_config_t *config = &arm.config;
+    const double segment = sums->segment;
+    const uint32_t blocks = sums->count;
+    const uint32_t arcs = sums->arcs + sums->arcs_dropped;
+    (void)zygos_step(&arm);
+    driver_mark();
+    const bool others = ((config->impulse_arc_cycles > 0) && (arm.joint_sums.cycles <= 1)) ||
+                        ((config->momentum_arc_cycles > 0) && (arm.momentum_sums.cycles <= 1));
+    const bool edge = (sums->arcs + sums->arcs_dropped != arcs) || (arm.arc <= 1) || others;
+    const bool first = (arm.arc <= (uint32_t)ZYGOS_STEP); /* nothing is shared out yet */
+    const bool opened = (sums->segment < segment) || (sums->count != blocks) || (first && (sums->filled == 0));
+    const uint32_t row = edge ? KIND_ARC : (opened ? KIND_BLOCK : KIND_CYCLE);
+    const uint32_t sensors = (config->compensation > 0) ? config->compensation : 1u;
+    return (place_t){
+        .kind = (arm.instant == 1) ? row : KIND_FILLS,
+        .frames = frames,
+        .turn = (arm.arc + sensors - 1u) % sensors,
+        .joint_turn = arm.joint_sums.cycles % config->joints,
+        .momentum_turn = arm.momentum_sums.cycles % (3u * (config->joints + 3u)),
+        .filled = sums->filled,
+        .torque_at = arm.balance.torque_at,
+        .position = arm.smoother.position,
+        .first = first ? 1u : 0u,
+    };
+}
+
+static int refuse(const char *why)
+{
+    semihosting_print(why);
+    semihosting_print("\n");
+    return 1;
+}
+
+int main(void)
+{
+    const int32_t run = semihosting_open("run.bin", SEMIHOSTING_READ);
+    const int32_t places = semihosting_open("places.bin", SEMIHOSTING_WRITE);
+    uint32_t head[3];
+    zygos_config_t config;
+    if ((run < 0) || (places < 0) || (semihosting_read(run, head, sizeof head) != sizeof head)) {
+        return refuse("run.bin cannot be read or places.bin not written");
+    }
+    if ((head[0] != sizeof config) || (head[1] != sizeof(zygos_frame_t)) ||
+        (semihosting_read(run, &config, sizeof config) != sizeof config)) {
+        return refuse("run.bin was written with other headers or capacities");
+    }
+    config.abi = ZYGOS_ABI;
+    if (zygos_init(&arm, &config) < 0) {
+        return refuse("the configuration is refused");
+    }
+    sizes.parameters = arm.layout.count;
+    bool written = (semihosting_write(places, &sizes, sizeof sizes) == sizeof sizes);
+    uint32_t frames = 0;
+    for (uint32_t k = 0; k < head[2]; k++) {
+        zygos_frame_t frame;
+        if (semihosting_read(run, &frame, sizeof frame) != sizeof frame) {
+            return refuse("frames are missing");
+        }
+        if (zygos_frame(&arm, &frame) != ZYGOS_ACCEPTED) {
+            return refuse("a frame is not accepted");
+        }
+        frames++;
+        if (arm.receiver.queue.head != arm.receiver.queue.tail) {
+            const place_t place = step(frames);
+            written = written && (semihosting_write(places, &place, sizeof place) == sizeof place);
+            frames = 0;
+        }
+    }
+    zygos_take(&arm, &work);
+    (void)zygos_solve(&work, &estimate);
+    written = (semihosting_write(places, &estimate.rank, sizeof estimate.rank) == sizeof estimate.rank) && written;
+    return (written && (semihosting_close(places) == 0)) ? 0 : refuse("places.bin cannot be written");
+}

@@ -1,0 +1,182 @@
+"""The tables that README.md and docs/cost.md have of docs/bench.json, a copy of what `make bench` found last."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from bench import peers
+from bench.configurations import BARE, CONFIGURATIONS
+from bench.counting import ROOMS, TOGETHER
+from conftest import ROOT
+from zygos.output import write_text
+
+COMMITTED = ROOT / "docs" / "bench.json"
+TITLES = {"x86-64": "x86-64", "m7": "Cortex-M7", "m4f": "Cortex-M4F"}
+ARMS = {"paper": "planar, 2 joints", "spatial": "space, 3 joints", "seven": "space, 7 joints"}
+
+
+BUDGETS = {("x86-64", "paper, bare"): 3000, ("m7", "paper, bare"): 4500, ("m7", "seven, bare"): 150_000}
+"""Most instructions of a full cycle, by target and configuration."""
+QUARTER = 0.25
+"""Most of the instructions of Pinocchio and Eigen that balance and accumulator take, of the paper's arm."""
+SHOWN = 12
+"""Functions of a profile that a table has."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """Lines of a file between two markers."""
+
+    path: Path
+    text: str
+
+    @property
+    def markers(self) -> tuple[str, str]:
+        """What stands before and behind the lines."""
+        return "<!-- make bench writes this -->", "<!-- to here -->"
+
+    def _split(self) -> tuple[str, str, str]:
+        begin, end = self.markers
+        before, _, rest = self.path.read_text().partition(begin + "\n")
+        found, _, behind = rest.partition(end)
+        return before, found, behind
+
+    def found(self) -> str:
+        """What stands there."""
+        return self._split()[1]
+
+    def write(self) -> None:
+        """Put the text there."""
+        before, _, behind = self._split()
+        begin, end = self.markers
+        write_text(self.path, f"{before}{begin}\n{self.text}{end}{behind}")
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = [head, ["---"] + ["---:"] * (len(head) - 1), *rows]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def _number(value: float | None) -> str:
+    return "–" if value is None else f"{value:,.0f}"
+
+
+def _title(name: str, parameters: int) -> str:
+    arm = ARMS[name.removesuffix(BARE)]
+    return f"{arm}, p = {parameters}" + ("" if name.endswith(BARE) else ", everything on")
+
+
+def ratios(content: dict[str, Any], name: str) -> dict[str, float]:
+    """zygos over Pinocchio with Eigen, in the same run: of instructions, of its sums alone, and of time."""
+    of = {peer["name"]: peer for peer in content["peers"] if peer["configuration"] == name}
+    peer, ours = of[peers.PINOCCHIO], of[peers.ZYGOS]
+    return {
+        "instructions": ours["instructions"] / peer["instructions"],
+        "sums": of[peers.SUMS]["instructions"] / peer["instructions"],
+        "own": ours["instructions"] / of[peers.OWN]["instructions"],
+        "time": ours["nanoseconds"] / peer["nanoseconds"],
+    }
+
+
+def blocks(content: dict[str, Any]) -> list[Block]:
+    """What the two files have to say."""
+    return [Block(ROOT / "README.md", _summary(content)), Block(ROOT / "docs" / "cost.md", _details(content))]
+
+
+def _summary(content: dict[str, Any]) -> str:
+    rows = {(row["target"], row["configuration"], row["stage"]): row for row in content["rows"]}
+    cycles, sizes = [], []
+    for name in CONFIGURATIONS:
+        here = [rows[target, name, TOGETHER] for target in TITLES]
+        cycles.append([_title(name, here[0]["parameters"]), *(_number(row["instructions"]) for row in here)])
+    for name in CONFIGURATIONS:
+        if name.endswith(BARE):
+            here = [rows[target, name, "library"] for target in TITLES]
+            state = rows["x86-64", name, "step"]["bytes_state"]
+            cells = (f"{row['bytes_code'] / 1000:.0f} kB, {_number(row['bytes_stack'])} B" for row in here)
+            sizes.append([ARMS[name.removesuffix(BARE)], *cells, f"{state / 1000:,.0f} kB"])
+    compared = " · ".join(
+        f"{ARMS[name.removesuffix(BARE)]} {ratios(content, name)['instructions']:.2f}"
+        for name in CONFIGURATIONS if name.endswith(BARE)
+    )  # fmt: skip
+    return (
+        "\n"
+        + _table(("instructions of a full cycle", *TITLES.values()), cycles)
+        + "\n"
+        + _table(("code and deepest stack", *TITLES.values(), "state"), sizes)
+        + "\nKinematics, balance and accumulator for each instruction of Pinocchio's C++ regressor with Eigen's rank-1 "
+        f"update, same p, -O2: {compared}.\n\n"
+    )
+
+
+def _details(content: dict[str, Any]) -> str:
+    out = ["\n" + " · ".join(content["tools"].values()) + "\n"]
+    of = {(row["target"], row["configuration"], row["stage"]): row for row in content["rows"]}
+    out.append(_budgets(content, of))
+    for name in CONFIGURATIONS:
+        head = [f"{title}{what}" for title in TITLES.values() for what in ("", ", spread", ", most")]
+        lines = []
+        for stage in (*ROOMS[:-1], "frame", "step", TOGETHER, "solve"):
+            here = [of[target, name, stage] for target in TITLES]
+            lines.append([stage, *(_number(row[key]) for row in here for key in ("instructions", "spread", "most"))])
+        title = _title(name, of["x86-64", name, "step"]["parameters"])
+        out.append(f"\n### Instructions: {title}\n\n" + _table(("stage", *head), lines))
+    for name in CONFIGURATIONS:
+        if not name.endswith(BARE):
+            continue
+        head = [f"{title}, {what}" for title in TITLES.values() for what in ("code", "stack")]
+        lines = []
+        for stage in (*ROOMS, "frame", "step", "solve", "library"):
+            here = [of[target, name, stage] for target in TITLES]
+            cells = [_number(row[key]) for row in here for key in ("bytes_code", "bytes_stack")]
+            lines.append([stage, *cells, _number(here[0]["bytes_state"])])
+        out.append(f"\n### Bytes: {ARMS[name.removesuffix(BARE)]}\n\n" + _table(("stage", *head, "state"), lines))
+    lines = []
+    for peer in content["peers"]:
+        arm = ARMS[peer["configuration"].removesuffix(BARE)]
+        base = next(
+            other for other in content["peers"]
+            if (other["configuration"], other["name"]) == (peer["configuration"], peers.ZYGOS)
+        )  # fmt: skip
+        cells = [
+            _ratio(peer["instructions"], base["instructions"]),
+            _ratio(peer["nanoseconds"], base["nanoseconds"]),
+        ]
+        lines.append([f"{arm}: {peer['name']}", _number(peer["instructions"]), *cells])
+    out.append("\n### Peers\n\n" + _table(("one sample", "instructions", "to zygos'", "time to zygos'"), lines))
+    frames = content["frames_per_second"]
+    fastest = max(frames.values())
+    out.append(
+        "\n### Frames\n\n"
+        + _table(
+            ("frames into the library, the paper's arm", "share of the fastest"),
+            [[k, f"{v / fastest:.4f}"] for k, v in frames.items()],
+        )
+        + "\n"
+    )
+    return "".join(out)
+
+
+def _budgets(content: dict[str, Any], of: dict[tuple[str, str, str], dict[str, Any]]) -> str:
+    """Budgets, and where a full cycle goes that misses its own."""
+    lines, missed = [], []
+    for (target, name), most in BUDGETS.items():
+        row = of[target, name, TOGETHER]
+        title = f"{TITLES[target]}: {_title(name, row['parameters'])}"
+        lines.append([title, _number(row["instructions"]), _number(most)])
+        if row["instructions"] > most:
+            functions = list(content["profiles"][target][name].items())[:SHOWN]
+            shown = [
+                [function, _number(own), f"{100 * own / row['instructions']:.0f} %"] for function, own in functions
+            ]
+            missed.append(f"\n{title}, which misses it:\n\n" + _table(("function", "instructions", "share"), shown))
+    sums = ratios(content, "paper, bare")["sums"]
+    lines.append(["balance + accumulator to Pinocchio C++ + Eigen, p = 12", f"{sums:.2f}", f"{QUARTER:.2f}"])
+    return "\n### Budgets\n\n" + _table(("full cycle", "instructions", "budget"), lines) + "".join(missed)
+
+
+def _ratio(value: float | None, base: float | None) -> str:
+    return "–" if value is None or base is None else f"{value / base:.2f}"

@@ -1,0 +1,167 @@
+"""What a cycle costs stays within its budget, does not depend on its data, and is what README and docs say."""
+
+from __future__ import annotations
+
+import json
+import platform
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench import callgrind, cortex, tables
+from bench.configurations import CONFIGURATIONS, Configuration, random_cycles, with_effects, write_run
+from bench.counting import PLACES, RELEVANT, TOGETHER, Count, spread_by_data
+from bench.footprint import footprints
+from bench.profile import profile
+from bench.rows import TARGETS
+from conftest import need
+from zygos.errors import ZygosError
+
+Counter = Callable[[str, str, int], Count]
+
+
+@pytest.fixture(scope="module")
+def counted(tmp_path_factory: pytest.TempPathFactory) -> Counter:
+    """Counts of a configuration on a target, each once."""
+    known: dict[tuple[str, str], Count] = {}
+
+    def count(target: str, name: str, inputs: int) -> Count:
+        if (target, name) not in known:
+            one = CONFIGURATIONS[name]() if name in CONFIGURATIONS else with_effects(name)
+            known[target, name] = measured(target, one, inputs, tmp_path_factory.mktemp("bench"))
+        return known[target, name]
+
+    return count
+
+
+def measured(target: str, one: Configuration, inputs: int, folder: Path) -> Count:
+    need(platform.machine() == "x86_64", "an x86-64 machine: the instructions of a cycle stay uncounted")
+    for program in ("gcc", "valgrind") if target == "x86-64" else cortex.firmware.TOOLS:
+        need(shutil.which(program), f"{program}: the instructions of a cycle stay uncounted")
+    write_run(one, random_cycles(one.arm, inputs), folder / "run.bin")
+    if target == "x86-64":
+        callgrind.build(folder, one.capacities)
+        return callgrind.count(folder)
+    cortex.build(target, folder, one.capacities)
+    return cortex.count(target, folder)
+
+
+@pytest.mark.parametrize(("target", "name"), tables.BUDGETS)
+def test_a_full_cycle_stays_within_its_budget(counted: Counter, target: str, name: str) -> None:
+    """All frames in, the row accumulated; the mean of ordinary cycles, wherever they stand."""
+    count = counted(target, name, 750)
+    mean = float(count.stage(TOGETHER)[count.ordinary()].mean())
+    assert count.ordinary().sum() > 600
+    assert mean <= tables.BUDGETS[target, name], f"where it goes: {profile(count)}"
+    # a product and a sum for each entry of the normal equations, two at a time at the most
+    entries = (count.sizes["parameters"] + 2) * (count.sizes["parameters"] + 3) / 2
+    assert mean > entries
+
+
+@pytest.mark.parametrize(
+    ("target", "name"),
+    [
+        ("x86-64", "paper, bare"),
+        ("x86-64", "paper"),
+        *(("m7", name) for name in CONFIGURATIONS),
+        ("m7", "motor_coulomb"),
+        ("m7", "spring_offset"),
+    ],
+)
+def test_a_cycle_costs_the_same_whatever_its_data(counted: Counter, target: str, name: str) -> None:
+    """At rest, at random, smooth; accepted by the bandwidth test or refused: at the same place, the same count."""
+    count = counted(target, name, 750)
+    chosen = count.ordinary()
+    stepped = [stage for stage in RELEVANT if stage not in ("wire", "cycle", "frame")] + ["step"]
+    spreads = {stage: spread_by_data(count, stage) for stage in stepped}
+    assert spreads == dict.fromkeys(stepped, 0)
+    assert spread_by_data(count, "frame") <= 2, "SYNC numbers wrap, and FTIME ends silences"
+    # the places that excuse a difference are few beside the cycles that are compared
+    for stage, relevant in RELEVANT.items():
+        places = count.places[chosen][:, [PLACES.index(one) for one in relevant]]
+        assert not relevant or 5 * len(np.unique(places, axis=0)) < len(places), stage
+
+
+def test_compensation_and_motor_rows_cost_little(counted: Counter) -> None:
+    """1,500 instructions of a mean cycle, at the most; effects cost something."""
+    mean = {
+        name: float(count.stage("step")[count.ordinary()].mean())
+        for name in ("paper", "paper, bare", "motor_coulomb", "spring_offset")
+        for count in [counted("m7", name, 750)]
+    }
+    assert 0.0 < mean["paper"] - mean["paper, bare"] <= 1500.0
+    assert min(mean["motor_coulomb"], mean["spring_offset"]) > mean["paper"]
+
+
+def test_a_count_repeats_exactly(counted: Counter, tmp_path: Path) -> None:
+    first = counted("m7", "paper, bare", 750)
+    again = measured("m7", CONFIGURATIONS["paper, bare"](), 750, tmp_path)
+    np.testing.assert_array_equal(first.tally.stages, again.tally.stages)
+    # what the stages say is what the functions say
+    sums = np.sum(list(first.tally.functions.values()), axis=0)
+    np.testing.assert_array_equal(first.stage(TOGETHER), sums)
+
+
+def test_a_run_for_another_build_is_refused(tmp_path: Path) -> None:
+    for program in cortex.firmware.TOOLS:
+        need(shutil.which(program), f"{program}: the instructions of a cycle stay uncounted")
+    paper, spatial = CONFIGURATIONS["paper"](), CONFIGURATIONS["spatial"]()
+    cortex.build("m7", tmp_path, spatial.capacities)
+    write_run(paper, random_cycles(paper.arm, 10), tmp_path / "run.bin")
+    with pytest.raises(ZygosError, match="other headers or capacities"):
+        cortex.count("m7", tmp_path)
+
+
+def test_the_driver_and_the_library_agree_on_state(counted: Counter) -> None:
+    """zygos_t is the same on both targets, and its rooms fit into it."""
+    host, target = counted("x86-64", "paper, bare", 750).sizes, counted("m7", "paper, bare", 750).sizes
+    assert host == target
+    rooms = sum(size for name, size in host.items() if name not in ("parameters", "whole", "solver"))
+    assert 0.95 < rooms / host["whole"] < 1.0
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_bytes_of_code_add_up(target: str, tmp_path: Path) -> None:
+    """What frame, step and solve reach is in the library, which is little more than all rooms together."""
+    if target != "x86-64":
+        need(shutil.which("arm-none-eabi-gcc"), "arm-none-eabi-gcc: the bytes of firmware stay uncounted")
+    found = footprints(target, tmp_path, CONFIGURATIONS["paper"]().capacities)
+    library = found["library"]
+    assert max(found[one].code for one in ("frame", "step", "solve")) < library.code
+    rooms = sum(found[one].code for one in RELEVANT if one != "frame") + found["solver"].code
+    assert 0.75 < rooms / library.code < 1.0
+    assert library.stack == max(one.stack for one in found.values())
+
+
+def test_readme_and_docs_say_what_was_measured() -> None:
+    """The tables are those of docs/bench.json; remedy: make bench."""
+    content = json.loads(tables.COMMITTED.read_text())
+    for block in tables.blocks(content):
+        assert block.found() == block.text, f"{block.path.name} is not of docs/bench.json; remedy: make bench"
+
+
+def test_what_was_measured_is_still_so(counted: Counter) -> None:
+    """docs/bench.json is of this code, within 2 %, where the compiler is the same; remedy: make bench."""
+    content = json.loads(tables.COMMITTED.read_text())
+    compilers = {"x86-64": "gcc", "m7": "arm-none-eabi-gcc"}
+    for target, compiler in compilers.items():
+        count = counted(target, "paper, bare", 750)
+        version = subprocess.run([compiler, "--version"], capture_output=True, text=True, check=True).stdout
+        if content["tools"][compiler] != version.splitlines()[0]:
+            continue
+        row = next(
+            row for row in content["rows"]
+            if (row["target"], row["configuration"], row["stage"]) == (target, "paper, bare", TOGETHER)
+        )  # fmt: skip
+        mean = float(count.stage(TOGETHER)[count.ordinary()].mean())
+        assert mean == pytest.approx(row["instructions"], rel=0.02), f"{target}: remedy: make bench"
+
+
+def test_sums_are_a_quarter_of_those_of_pinocchio() -> None:
+    """Balance and accumulator beside regressor and rank-1 update, as measured side by side in one run."""
+    content = json.loads(tables.COMMITTED.read_text())
+    assert tables.ratios(content, "paper, bare")["sums"] <= tables.QUARTER

@@ -1,0 +1,108 @@
+"""The node as a process: killed, resumed, kept from running, at its true pace, beside a babbling node."""
+
+from __future__ import annotations
+
+import subprocess
+import time
+
+import numpy as np
+
+from zygos.testing import Dut, Plant
+from zygos.testing.stream import SYNC, Stream
+from zygos.vcan import kernel_counts
+
+FULL_BUS = 9_009
+"""Frames a second that a classical bus at 1 Mbit/s carries at most: of eight bytes, without stuffing."""
+OPERATIONAL = 5
+
+
+def test_real_pace_beside_a_babbling_node(plant: Plant, dut: Dut) -> None:
+    """Twelve seconds as they pass, while cangen loads the bus as no controller could: with extended frames of any
+    identifier, and with remote ones that bear that of joint 1's angles. The device's heart beats every second."""
+    stream = plant.run(240)
+    dut.start()
+    before, began = kernel_counts(plant.channel), time.monotonic()
+    cangen = ["cangen", plant.channel, "-g", "0", "-i"]
+    babblers = [subprocess.Popen([*cangen, "-e", "-I", "r"]), subprocess.Popen([*cangen, "-R", "-I", "181"])]
+    try:
+        sent = plant.send(stream, "real")
+    finally:
+        for babbler in babblers:
+            babbler.kill()
+            babbler.wait()
+    load = (kernel_counts(plant.channel) - before).sent / (time.monotonic() - began)
+    assert dut.external or load > FULL_BUS
+    assert 0.0 <= sent.seconds - stream.due_s()[-1] < 5.0
+    dut.settle()
+    assert [message.data[0] for message in dut.heartbeats()].count(OPERATIONAL) >= 9
+    dut.judge(stream)
+
+
+def test_ended_and_resumed(plant: Plant, dut: Dut) -> None:
+    """What it knows survives an end in order; 20 cycles pass before it is there again.
+
+    The cycle that is open when it ends is lost; then the counter skips.
+    """
+    stream = plant.run(400)
+    first, second = stream.part(0, 180), stream.part(200)
+    dut.start()
+    plant.send(first)
+    dut.stop()
+    dut.start()
+    plant.send(second)
+    dut.judge(first, second, incomplete=1, dropped=1, sync_jumped=1)
+
+
+def test_killed_and_resumed(plant: Plant, dut: Dut) -> None:
+    """Lost is what came after the last save, and nothing else."""
+    stream = plant.run(500)
+    first, lost, second = stream.part(0, 180), stream.part(180, 240), stream.part(250)
+    dut.start()
+    plant.send(first)
+    dut.stop()
+    saved = dut.state.read_bytes()
+    dut.start()
+    plant.send(lost)
+    dut.kill()
+    assert dut.state.read_bytes() == saved
+    dut.start()
+    plant.send(second)
+    dut.judge(first, second, incomplete=1, dropped=1, sync_jumped=1)
+
+
+def test_killed_without_a_state(plant: Plant, dut: Dut) -> None:
+    stream = plant.run(400)
+    dut.start()
+    plant.send(stream.part(0, 100))
+    dut.kill()
+    assert not dut.state.exists()
+    dut.start()
+    plant.send(stream.part(100))
+    dut.judge(stream.part(100))
+
+
+def stuffed(stream: Stream) -> Stream:
+    """Behind each SYNC 250 frames that the device has to read, and to reject for their length."""
+    at = np.repeat(np.flatnonzero(stream.frames["id"] == SYNC) + 1, 250)
+    empty = np.zeros(len(at), dtype=stream.frames.dtype)
+    empty["id"] = 0x180 + stream.arm.joints[0].node
+    return Stream(stream.arm, np.insert(stream.frames, at, empty), np.insert(stream.cycle, at, stream.cycle[at - 1]))
+
+
+def test_receive_buffer_overflow(plant: Plant, dut: Dut) -> None:
+    """The device stands still for 100 cycles: its socket keeps the first frames of them, the kernel counts the rest."""
+    stream = plant.run(400)
+    first, flood, rest = stream.part(0, 100), stream.part(100, 200).through(stuffed), stream.part(200)
+    dut.start()
+    plant.send(first)
+    with dut.paused():
+        plant.send(flood, "flood")
+    dut.settle()
+    plant.send(rest)
+    lost = dut.stop()["node_overflow"]
+    assert 0 < lost < len(flood)
+    kept = Stream(plant.arm, flood.frames[: len(flood) - lost], flood.cycle[: len(flood) - lost])
+    broken = int(kept.cycle[-1] == flood.cycle[len(kept)])  # unless the buffer was full just before a SYNC
+    rejected = int(np.sum(kept.frames["length"] == 0))
+    assert rejected > 100
+    dut.judge(first + kept + rest, length=rejected, incomplete=broken, dropped=broken, sync_jumped=1)
