@@ -163,7 +163,7 @@ static uint32_t slice_of(uint32_t entries)
 static void move(double *restrict step, double *restrict falling, double *restrict rising, double early, double late,
                  uint32_t count)
 {
-    for (const double *end = step + count; step < end; step += 2) {
+    for (const double *end = step + count; step != end; step += 2) {
         falling[0] += early * step[0];
         falling[1] += early * step[1];
         rising[0] += late * step[0];

@@ -26,7 +26,7 @@ void zygos_gram_add(double *restrict gram, double *restrict sum, uint32_t width,
         const double upper = z[i];
         const double lower = z[i + 1u];
         double *below = gram + i + 1u;
-        for (const double *x = z; x < z + i; x += 2) {
+        for (const double *x = z; x != z + i; x += 2) {
             gram[0] += upper * x[0];
             gram[1] += upper * x[1];
             below[0] += lower * x[0];

@@ -269,21 +269,36 @@ void zygos_noise_means(const zygos_noise_t *self, const zygos_config_t *config, 
     }
 }
 
-/* packed += x x^T at the places of the list. */
-static void add(const zygos_places_t *list, const double *x, double *packed, double *sum)
+static double *line_of(double *packed, uint32_t place)
 {
+    return &packed[place * (place + 1u) / 2u];
+}
+
+/* packed += x x^T at the places of the list, two lines at a time. */
+static void add(const zygos_places_t *list, const double *restrict x, double *restrict packed, double *restrict sum)
+{
+    const uint32_t *place = list->place;
     double total = 0.0;
     for (uint32_t i = 0; i < list->count; i++) {
         total += x[i];
     }
     for (uint32_t i = 0; i < list->count; i++) {
-        const uint32_t place = list->place[i];
-        double *line = &packed[place * (place + 1u) / 2u];
-        const double xi = x[i];
+        sum[place[i]] += x[i] * total;
+    }
+    uint32_t i = 0;
+    for (; i + 1u < list->count; i += 2u) {
+        double *upper = line_of(packed, place[i]);
+        double *lower = line_of(packed, place[i + 1u]);
+        const double upper_x = x[i];
+        const double lower_x = x[i + 1u];
         for (uint32_t j = 0; j <= i; j++) {
-            line[list->place[j]] += xi * x[j];
+            upper[place[j]] += upper_x * x[j];
+            lower[place[j]] += lower_x * x[j];
         }
-        sum[place] += xi * total;
+        lower[place[i + 1u]] += lower_x * lower_x;
+    }
+    for (uint32_t j = 0; (i < list->count) && (j <= i); j++) {
+        line_of(packed, place[i])[place[j]] += x[i] * x[j];
     }
 }
 

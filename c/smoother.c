@@ -111,14 +111,18 @@ void zygos_smoother_variance(const zygos_smoother_t *self, uint32_t signal, doub
     }
 }
 
-static void put_in(zygos_sample_t *sample, uint32_t joints, const double *signal)
+static void put_in(zygos_sample_t *restrict sample, zygos_sample_t *restrict twin, uint32_t joints,
+                   const double *restrict signal)
 {
     for (uint32_t i = 0; i < joints; i++) {
         sample->angle[i][0] = signal[i];
+        twin->angle[i][0] = signal[i];
         sample->angle[i][1] = signal[joints + i];
+        twin->angle[i][1] = signal[joints + i];
     }
     for (uint32_t k = 0; k < 3; k++) {
         sample->omega[k] = signal[2u * joints + k];
+        twin->omega[k] = signal[2u * joints + k];
     }
 }
 
@@ -168,8 +172,7 @@ int zygos_smoother_push(zygos_smoother_t *self, const double *signal, zygos_stat
 {
     const uint32_t w = self->window;
     const uint32_t at = self->position;
-    put_in(&self->sample[at], self->joints, signal);
-    put_in(&self->sample[at + w], self->joints, signal);
+    put_in(&self->sample[at], &self->sample[at + w], self->joints, signal);
     self->position = (at + 1u == w) ? 0u : at + 1u;
     self->filled += (self->filled < w) ? 1u : 0u;
     if (self->filled < w) {
