@@ -107,11 +107,11 @@ int node_store_begin(const char *path, const zygos_config_t *config, zygos_t *ar
     int found = 0;
     if (path != NULL) {
         char buffer[PATH_MAX];
-        const char *const folder = folder_of(path, buffer, sizeof buffer);
-        if ((strlen(path) + sizeof ".partial" > PATH_MAX) || (access(folder, W_OK | X_OK) != 0)) {
+        const bool fits = (strlen(path) + sizeof ".partial" <= PATH_MAX);
+        if (!fits || (access(folder_of(path, buffer, sizeof buffer), W_OK | X_OK) != 0)) {
             return node_say(
                 "%s: could not be saved (%s); remedy: name a file in a folder that is there, and open to you", path,
-                strerror(errno));
+                strerror(fits ? errno : ENAMETOOLONG));
         }
         found = load(path, ZYGOS_SNAPSHOT_STATE, arm, sizeof *arm);
         if (found < 0) {
