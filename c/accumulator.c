@@ -396,6 +396,29 @@ void zygos_accumulator_end_arc(zygos_accumulator_t *self, uint64_t cycle)
     forget_open_arc(self);
 }
 
+static bool is_count(double instants)
+{
+    return (instants >= 0.0) && (instants <= ZYGOS_MOST_INSTANTS);
+}
+
+/* An open arc has two blocks at least, and without blocks there is no segment. Instants and target decide whether
+   blocks merge, and so whether there is room. */
+bool zygos_accumulator_intact(const zygos_accumulator_t *self, uint32_t parameters)
+{
+    const bool is_open = (self->count > self->open);
+    bool good = (parameters <= (uint32_t)ZYGOS_MAX_PARAMETERS) && (self->width == parameters + 2u) &&
+                (self->count <= (uint32_t)ZYGOS_MAX_BLOCKS) && (self->open <= self->count) &&
+                (self->count != self->open + 1u) && (self->window <= self->open) && (self->newest <= self->window) &&
+                (self->filling <= 1u) && (self->filled < (uint32_t)ZYGOS_STEP) &&
+                (self->shared < (uint32_t)ZYGOS_STEP) && is_count(self->segment) &&
+                (is_open || !(self->segment > 0.0)) && is_count(self->step[0].instants) &&
+                is_count(self->step[1].instants) && (self->target >= 1.0) && is_count(self->target);
+    for (uint32_t b = 0; good && (b < self->count); b++) {
+        good = is_count(self->block[b].instants);
+    }
+    return good;
+}
+
 void zygos_accumulator_total(const zygos_accumulator_t *self, double *gram)
 {
     const uint32_t size = zygos_gram_entries(self->width);

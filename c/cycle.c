@@ -23,6 +23,11 @@ void zygos_receiver_init(zygos_receiver_t *self)
     self->assembly.broken = ZYGOS_CYCLE_BREAK;
 }
 
+bool zygos_receiver_intact(const zygos_receiver_t *self)
+{
+    return (self->queue.head <= (uint32_t)ZYGOS_CYCLE_QUEUE) && (self->queue.tail <= (uint32_t)ZYGOS_CYCLE_QUEUE);
+}
+
 static uint32_t behind(uint32_t place)
 {
     return (place == ZYGOS_CYCLE_QUEUE) ? 0u : place + 1u;

@@ -14,16 +14,42 @@ void zygos_joint_sums_clear(zygos_joint_sums_t *self, const zygos_config_t *conf
     memset(&self->open, 0, sizeof self->open);
 }
 
-void zygos_joint_sums_init(zygos_joint_sums_t *self, const zygos_config_t *config, const zygos_smoother_t *smoother)
+void zygos_joint_sums_tables(zygos_joint_sums_t *self, const zygos_config_t *config, const zygos_smoother_t *smoother)
 {
-    memset(self, 0, sizeof *self);
-    zygos_joint_sums_clear(self, config);
     zygos_impulse_layout(config, &self->layout);
+    memset(self->noise, 0, sizeof self->noise);
     for (uint32_t i = 0; (i < config->joints) && (config->compensation != 0); i++) {
         if (self->layout.count[i] > 0) {
             zygos_impulse_noise(config, &self->layout, smoother, config->imu_sigma, i, self->noise[i]);
         }
     }
+}
+
+static bool same_layout(const zygos_impulse_layout_t *layout, const zygos_config_t *config)
+{
+    zygos_impulse_layout_t own;
+    bool same = true;
+    zygos_impulse_layout(config, &own);
+    for (uint32_t i = 0; i < config->joints; i++) {
+        same = same && (layout->count[i] == own.count[i]);
+        for (uint32_t e = 0; e < ZYGOS_EFFECT_PLACES; e++) {
+            same = same && (layout->effect[i][e] == own.effect[i][e]);
+        }
+    }
+    return same;
+}
+
+/* Instants and target decide whether blocks merge, and so whether there is room. */
+bool zygos_joint_sums_intact(const zygos_joint_sums_t *self, const zygos_config_t *config)
+{
+    const bool none = (config->impulse_arc_cycles == 0);
+    bool good = same_layout(&self->layout, config) && (self->count <= ZYGOS_MAX_JOINT_BLOCKS) &&
+                (none ? (self->count == 0) && (self->instants == 0)
+                      : (self->target >= 1.0) && (self->target <= ZYGOS_MOST_INSTANTS));
+    for (uint32_t b = 0; good && (b < self->count); b++) {
+        good = (self->block[b].total >= 0.0) && (self->block[b].total <= ZYGOS_MOST_INSTANTS);
+    }
+    return good;
 }
 
 void zygos_joint_sums_add(zygos_joint_sums_t *self, const zygos_config_t *config, const zygos_impulse_rows_t *rows,
@@ -157,11 +183,10 @@ void zygos_joint_sums_drop_after(zygos_joint_sums_t *self, uint64_t cycle)
 
 double zygos_joint_sums_check(const zygos_joint_sums_t *self, const zygos_config_t *config)
 {
-    bool good = (self->corrupt == 0) && (self->count <= ZYGOS_MAX_JOINT_BLOCKS);
+    bool good = (self->corrupt == 0);
     for (uint32_t i = 0; i < config->joints; i++) {
         const uint32_t width = self->layout.count[i] + 2u;
-        good = good && (width <= (uint32_t)ZYGOS_MAX_JOINT_ROW) &&
-               matches(&self->open.joint[i], width, self->open.instants[i]);
+        good = good && matches(&self->open.joint[i], width, self->open.instants[i]);
         for (uint32_t b = 0; good && (b < self->count); b++) {
             good = matches(&self->block[b].joint[i], width, self->block[b].instants[i]);
         }

@@ -43,24 +43,57 @@ void zygos_momentum_sums_clear(zygos_momentum_sums_t *self, const zygos_config_t
     forget_open_arc(self);
 }
 
-void zygos_momentum_sums_init(zygos_momentum_sums_t *self, const zygos_config_t *config,
-                              const zygos_smoother_t *smoother)
+static uint32_t columns_of(const zygos_config_t *config)
 {
-    memset(self, 0, sizeof *self);
-    if (config->momentum_arc_cycles == 0) {
+    return (config->momentum_arc_cycles > 0) ? zygos_kinetic_parameters(config) + config->joints : 0u;
+}
+
+static uint32_t components_of(const zygos_config_t *config)
+{
+    return (config->momentum_arc_cycles > 0) ? zygos_momentum_count(config) : 0u;
+}
+
+static uint32_t signals_of(const zygos_config_t *config)
+{
+    return ((config->momentum_arc_cycles > 0) && (config->compensation > 0)) ? config->joints + components_of(config)
+                                                                             : 0u;
+}
+
+void zygos_momentum_sums_tables(zygos_momentum_sums_t *self, const zygos_config_t *config,
+                                const zygos_smoother_t *smoother)
+{
+    self->columns = columns_of(config);
+    self->components = components_of(config);
+    self->signals = signals_of(config);
+    memset(self->deviation, 0, sizeof self->deviation);
+    memset(self->rotor, 0, sizeof self->rotor);
+    if (self->signals == 0) {
         return;
     }
-    self->columns = zygos_kinetic_parameters(config) + config->joints;
-    self->components = zygos_momentum_count(config);
-    zygos_momentum_sums_clear(self, config);
-    if (config->compensation == 0) {
-        return;
-    }
-    self->signals = config->joints + self->components;
     zygos_momentum_variance(config, smoother, config->imu_sigma, self->deviation, self->rotor);
     for (uint32_t s = 0; s < self->signals; s++) {
         self->deviation[s] = __builtin_sqrt((double)self->signals * self->deviation[s]);
     }
+}
+
+static bool is_count(double instants)
+{
+    return (instants >= 0.0) && (instants <= ZYGOS_MOST_INSTANTS);
+}
+
+/* Instants and target decide whether blocks merge, and so whether there is room. */
+bool zygos_momentum_sums_intact(const zygos_momentum_sums_t *self, const zygos_config_t *config)
+{
+    const bool none = (config->momentum_arc_cycles == 0);
+    bool good =
+        (self->columns == columns_of(config)) && (self->components == components_of(config)) &&
+        (self->signals == signals_of(config)) && (width_of(self) <= (uint32_t)ZYGOS_MAX_MOMENTUM_ROW) &&
+        (self->count <= (uint32_t)ZYGOS_MOMENTUM_PLACES) && is_count(self->open.instants) &&
+        (none ? (self->count == 0) && !(self->open.instants > 0.0) : (self->target >= 1.0) && is_count(self->target));
+    for (uint32_t b = 0; good && (b < self->count); b++) {
+        good = is_count(self->block[b].instants);
+    }
+    return good;
 }
 
 void zygos_momentum_sums_add(zygos_momentum_sums_t *self, const zygos_config_t *config,
@@ -197,8 +230,7 @@ void zygos_momentum_sums_drop_after(zygos_momentum_sums_t *self, uint64_t cycle)
 double zygos_momentum_sums_check(const zygos_momentum_sums_t *self)
 {
     const uint32_t width = width_of(self);
-    if ((self->corrupt != 0) || (self->count > (uint32_t)ZYGOS_MOMENTUM_PLACES) || (self->components > 3u) ||
-        (self->columns > (uint32_t)ZYGOS_MAX_MOMENTUM_ROW) || (width > (uint32_t)ZYGOS_MAX_MOMENTUM_ROW)) {
+    if (self->corrupt != 0) {
         return 2.0;
     }
     double worst = violation(&self->open.rows, width, self->open.instants);

@@ -859,51 +859,24 @@ static double cluster(const zygos_work_t *work, uint32_t p, const zygos_estimate
     return squares / (blocks * out->residual * out->residual);
 }
 
-/* Whether the places that the accumulator points at exist. An open arc has two blocks at least. */
-static bool places_exist(const zygos_accumulator_t *sums)
-{
-    return (sums->count <= (uint32_t)ZYGOS_MAX_BLOCKS) && (sums->open <= sums->count) &&
-           (sums->count != sums->open + 1u) && (sums->window <= sums->open) && (sums->newest <= sums->window) &&
-           (sums->filling <= 1u) && (sums->filled < (uint32_t)ZYGOS_STEP) && (sums->shared <= (uint32_t)ZYGOS_STEP);
-}
-
-/* Whether the columns of the motor rows are those of the configuration. */
-static bool same_layout(const zygos_impulse_layout_t *layout, const zygos_config_t *config)
-{
-    zygos_impulse_layout_t own;
-    bool same = true;
-    zygos_impulse_layout(config, &own);
-    for (uint32_t i = 0; i < config->joints; i++) {
-        same = same && (layout->count[i] == own.count[i]);
-        for (uint32_t e = 0; e < ZYGOS_EFFECT_PLACES; e++) {
-            same = same && (layout->effect[i][e] == own.effect[i][e]);
-        }
-    }
-    return same;
-}
-
 /* Whether the work was taken, and from memory that nobody changed; closes the open arcs. */
 static bool prepare(zygos_work_t *work)
 {
     zygos_accumulator_t *sums = &work->accumulator;
-    if (!places_exist(sums) || (work->config.joints < 1u) || (work->config.joints > ZYGOS_MAX_JOINTS) ||
+    if ((work->config.joints < 1u) || (work->config.joints > ZYGOS_MAX_JOINTS) ||
         (zygos_effects_check(&work->config) < 0) || (work->config.kinetic > (uint32_t)ZYGOS_SPATIAL_ARM) ||
         (work->config.base > (uint32_t)ZYGOS_BASE_FIXED)) {
         return false;
     }
-    if (!same_layout(&work->joint_sums.layout, &work->config)) {
-        return false;
-    }
     zygos_balance_layout(&work->config, &work->layout);
-    if ((work->layout.count > ZYGOS_MAX_PARAMETERS) || (sums->width != work->layout.count + 2u)) {
+    if (!zygos_accumulator_intact(sums, work->layout.count) ||
+        !zygos_joint_sums_intact(&work->joint_sums, &work->config) ||
+        !zygos_momentum_sums_intact(&work->momentum_sums, &work->config)) {
         return false;
     }
     zygos_accumulator_flush(sums);
-    if (!(zygos_accumulator_check(sums) <= 1.0) || !(zygos_joint_sums_check(&work->joint_sums, &work->config) <= 1.0)) {
-        return false;
-    }
-    const uint32_t columns = (work->config.momentum_arc_cycles > 0) ? work->layout.kinetic + work->config.joints : 0u;
-    if ((work->momentum_sums.columns != columns) || !(zygos_momentum_sums_check(&work->momentum_sums) <= 1.0)) {
+    if (!(zygos_accumulator_check(sums) <= 1.0) || !(zygos_joint_sums_check(&work->joint_sums, &work->config) <= 1.0) ||
+        !(zygos_momentum_sums_check(&work->momentum_sums) <= 1.0)) {
         return false;
     }
     zygos_momentum_sums_end_arc(&work->momentum_sums, &work->config, work->cycle);

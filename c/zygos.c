@@ -141,6 +141,8 @@ static void make_tables(zygos_t *self)
     zygos_skeleton_init(&self->skeleton, own);
     zygos_smoother_init(&self->smoother, own);
     zygos_noise_init(&self->noise, own, &self->layout, &self->smoother);
+    zygos_joint_sums_tables(&self->joint_sums, own, &self->smoother);
+    zygos_momentum_sums_tables(&self->momentum_sums, own, &self->smoother);
 }
 
 int zygos_init(zygos_t *self, const zygos_config_t *config)
@@ -162,9 +164,9 @@ int zygos_init(zygos_t *self, const zygos_config_t *config)
     zygos_balance_gap(&self->balance);
     zygos_accumulator_init(&self->accumulator, self->layout.count, own->arc_cycles, own->period_s);
     zygos_impulse_gap(&self->impulse);
-    zygos_joint_sums_init(&self->joint_sums, own, &self->smoother);
+    zygos_joint_sums_clear(&self->joint_sums, own);
     zygos_momentum_gap(&self->momentum);
-    zygos_momentum_sums_init(&self->momentum_sums, own, &self->smoother);
+    zygos_momentum_sums_clear(&self->momentum_sums, own);
     self->faded = 1.0;
     self->joints_faded = 1.0;
     self->momentum_faded = 1.0;
@@ -334,6 +336,16 @@ static bool is_same(const zygos_config_t *a, const zygos_config_t *b)
     return same;
 }
 
+/* Whether what is used as a place, a count or a length can be. What follows from the configuration is computed anew. */
+static bool is_intact(const zygos_t *self)
+{
+    zygos_layout_t layout;
+    zygos_balance_layout(&self->config, &layout);
+    return zygos_receiver_intact(&self->receiver) && zygos_accumulator_intact(&self->accumulator, layout.count) &&
+           zygos_joint_sums_intact(&self->joint_sums, &self->config) &&
+           zygos_momentum_sums_intact(&self->momentum_sums, &self->config);
+}
+
 int zygos_resume(zygos_t *self, const zygos_config_t *config)
 {
     if ((self == NULL) || (config == NULL)) {
@@ -349,9 +361,13 @@ int zygos_resume(zygos_t *self, const zygos_config_t *config)
     if (!is_same(&self->config, config)) {
         return ZYGOS_E_CONFIG;
     }
+    if (!is_intact(self)) {
+        return ZYGOS_E_STATE;
+    }
+    self->gaps += (self->smoother.filled > 0) ? 1u : 0u; /* before the tables empty the smoother */
+    make_tables(self);
     gap(self);
     self->instant = 0;
-    make_tables(self);
     zygos_receiver_resume(&self->receiver);
     return 1;
 }

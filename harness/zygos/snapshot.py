@@ -26,6 +26,7 @@ _REFUSALS = {
     ),
     lib.ZYGOS_E_LENGTH: ("is cut off, or has more bytes than its head says", "copy it again"),
     lib.ZYGOS_E_CRC: ("is damaged: its CRC does not fit its bytes", "copy or write it again"),
+    lib.ZYGOS_E_STATE: ("was damaged before it was sealed: it holds a count that cannot be", "take an older one"),
     lib.ZYGOS_E_CONFIG: ("is the state of another configuration", "give the configuration that it was made with"),
 }
 

@@ -100,11 +100,16 @@ void zygos_accumulator_fade(zygos_accumulator_t *self, double factor);
 /// merged with older ones goes as a whole. Cost: one pass over the noise of closed arcs.
 void zygos_accumulator_drop_after(zygos_accumulator_t *self, uint64_t cycle);
 
+/// Whether every place, count and length exists for p parameters: the other calls rely on that, and do not look. Reads
+/// nothing beyond the struct, whatever is in it. Cost: a few comparisons a block.
+bool zygos_accumulator_intact(const zygos_accumulator_t *self, uint32_t parameters);
+
 /// Sums the blocks of closed arcs into gram (packed as in a block, width self->width).
 void zygos_accumulator_total(const zygos_accumulator_t *self, double *gram);
 
 /// Largest violation of G 1 = sum over all blocks, in units of its tolerance (gram.h), or 2 when an arc that
-/// closed was corrupt. Above 1 means corrupt. Steps are not looked at before they are flushed.
+/// closed was corrupt. Above 1 means corrupt. Needs an accumulator that is intact. Steps are not looked at before they
+/// are flushed.
 double zygos_accumulator_check(const zygos_accumulator_t *self);
 
 #ifdef __cplusplus

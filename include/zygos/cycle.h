@@ -84,6 +84,9 @@ typedef struct {
 /// Forgets everything. Needs memory of its own; cost: one memset.
 void zygos_receiver_init(zygos_receiver_t *self);
 
+/// Whether the places in the queue exist: the other calls rely on that, and do not look.
+bool zygos_receiver_intact(const zygos_receiver_t *self);
+
 /// Goes on after an outage of unknown length, during which nothing was received. The open cycle is lost, and counted
 /// when the next SYNC closes it; cycles in the queue are forgotten and counted as dropped. The cycle number goes on by
 /// the step of the SYNC counter, modulo 240; the next FTIME corrects it where it fits, and otherwise counts in

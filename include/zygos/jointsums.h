@@ -52,10 +52,15 @@ typedef struct {
     zygos_joint_block_t block[ZYGOS_MAX_JOINT_BLOCKS];
 } zygos_joint_sums_t;
 
-/// Empties the sums, and computes what noise adds in an instant. Needs a checked configuration.
-void zygos_joint_sums_init(zygos_joint_sums_t *self, const zygos_config_t *config, const zygos_smoother_t *smoother);
+/// What follows from the configuration: the layout, and what noise adds in an instant. The sums stay.
+/// Needs a checked configuration.
+void zygos_joint_sums_tables(zygos_joint_sums_t *self, const zygos_config_t *config, const zygos_smoother_t *smoother);
 
-/// Empties the sums only.
+/// Whether every place and count exists for a checked configuration: the other calls rely on that, and do not look.
+/// Cost: a comparison a block and an entry of the layout.
+bool zygos_joint_sums_intact(const zygos_joint_sums_t *self, const zygos_config_t *config);
+
+/// Empties the sums; the tables stay.
 void zygos_joint_sums_clear(zygos_joint_sums_t *self, const zygos_config_t *config);
 
 /// Adds the row of the joint whose turn it is with weight 1 or 0: joints take turns, for the noise of neighbouring
@@ -73,7 +78,7 @@ void zygos_joint_sums_fade(zygos_joint_sums_t *self, double factor);
 /// Drops the open arc, and the blocks that reach beyond the given cycle.
 void zygos_joint_sums_drop_after(zygos_joint_sums_t *self, uint64_t cycle);
 
-/// 2 when the row sums of a block do not match, else at most 1.
+/// 2 when the row sums of a block do not match, else at most 1. Needs sums that are intact.
 double zygos_joint_sums_check(const zygos_joint_sums_t *self, const zygos_config_t *config);
 
 #ifdef __cplusplus

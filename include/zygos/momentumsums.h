@@ -54,11 +54,16 @@ typedef struct {
     zygos_momentum_block_t block[ZYGOS_MOMENTUM_PLACES];
 } zygos_momentum_sums_t;
 
-/// Empties the sums, and computes what noise adds in an instant. Needs a checked configuration.
-void zygos_momentum_sums_init(zygos_momentum_sums_t *self, const zygos_config_t *config,
-                              const zygos_smoother_t *smoother);
+/// What follows from the configuration: columns, components, and what noise adds in an instant. The sums stay.
+/// Needs a checked configuration.
+void zygos_momentum_sums_tables(zygos_momentum_sums_t *self, const zygos_config_t *config,
+                                const zygos_smoother_t *smoother);
 
-/// Empties the sums only.
+/// Whether every place and count exists for a checked configuration: the other calls rely on that, and do not look.
+/// Cost: a comparison a block.
+bool zygos_momentum_sums_intact(const zygos_momentum_sums_t *self, const zygos_config_t *config);
+
+/// Empties the sums. Needs the tables.
 void zygos_momentum_sums_clear(zygos_momentum_sums_t *self, const zygos_config_t *config);
 
 /// Adds the row of the component whose turn it is with weight 1 or 0, and what the sensor whose turn it is adds to it.
@@ -79,7 +84,7 @@ void zygos_momentum_sums_fade(zygos_momentum_sums_t *self, double factor);
 void zygos_momentum_sums_drop_after(zygos_momentum_sums_t *self, uint64_t cycle);
 
 /// Largest violation of the row sums in units of their tolerance, or 2 when an arc that closed was corrupt. Above 1
-/// means corrupt.
+/// means corrupt. Needs sums that are intact.
 double zygos_momentum_sums_check(const zygos_momentum_sums_t *self);
 
 #ifdef __cplusplus

@@ -117,6 +117,9 @@ extern "C" {
 #define ZYGOS_VERSION_MAJOR 0
 #define ZYGOS_VERSION_MINOR 1
 
+/// Doubles count instants as far.
+#define ZYGOS_MOST_INSTANTS 9007199254740992.0
+
 /// Arcs with fewer accepted instants than this carry no weight: they are dropped and counted.
 #define ZYGOS_MIN_ARC_INSTANTS 20
 
@@ -147,7 +150,9 @@ enum zygos_error {
     ZYGOS_E_LAYOUT = -20,     ///< A snapshot from a build with other capacities, structs or version.
     ZYGOS_E_LENGTH = -21,     ///< A snapshot that is cut off, or has more behind it.
     ZYGOS_E_CRC = -22,        ///< A snapshot whose bytes were changed.
-    ZYGOS_E_CONFIG = -23      ///< A state that was made with another configuration.
+    ZYGOS_E_CONFIG = -23,     ///< A state that was made with another configuration.
+    ZYGOS_E_STATE = -24 ///< A state with a place, count or length that cannot be: memory was changed before it was
+                        ///< sealed.
 };
 
 /// How the arm can move, and so which columns its bodies have; the counts are those of a free base.

@@ -110,8 +110,10 @@ int zygos_init(zygos_t *self, const zygos_config_t *config);
 /// Goes on with a state that was stored, after zygos_snapshot_check() found it whole, or with one in memory that no
 /// frames reached for a while. What was learned and counted stays. The arc in progress ends, cycles in the queue and
 /// the open one are lost and counted (zygos_receiver_resume()), and what follows from the configuration is computed
-/// anew. Needs a state of the same configuration, otherwise ZYGOS_E_CONFIG. Same task as zygos_step(), while no frame
-/// is being received. Returns 1, or an enum zygos_error and *self is as it was. Cost: the coefficients of the smoother.
+/// anew. Needs a state of the same configuration, otherwise ZYGOS_E_CONFIG, in which all that is used as a place, count
+/// or length can be, otherwise ZYGOS_E_STATE: no image, whatever its bytes, takes this or a later call out of *self.
+/// Same task as zygos_step(), while no frame is being received. Returns 1, or an enum zygos_error and *self is as it
+/// was. Cost: the coefficients of the smoother, and the end of an arc.
 int zygos_resume(zygos_t *self, const zygos_config_t *config);
 
 /// Front door: one CAN frame, in the order of the bus. Decodes and stores only; may run in the receive interrupt while

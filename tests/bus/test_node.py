@@ -180,6 +180,78 @@ def test_killed_and_resumed(cut: int, arm: Arm, config: Path, frames: Log, tmp_p
     assert again.native.cycle == 1199
 
 
+def wait_for(path: Path, cycle: int) -> None:
+    """Until a state is stored that knows of this cycle."""
+    deadline = time.monotonic() + 30.0
+    while not path.exists() or snapshot.read(path, "state").cycle < cycle:
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def test_killed_without_warning(arm: Arm, config: Path, frames: Log, tmp_path: Path) -> None:
+    """SIGKILL costs what came since the last save, and no more."""
+    at, state = starts(frames), tmp_path / "state.zyg"
+    with Node("--config", config, "--state", state, "--save-every", 100) as node:
+        node.send(frames[: at[650]])
+        wait_for(state, 598)
+        node.process.kill()
+        assert node.process.wait() == -signal.SIGKILL
+    flight = Flight(arm)
+    flight.frames(frames[: at[599] + 1])  # up to the 600th SYNC
+    assert saved(state) == image(flight)
+    with Node("--config", config, "--state", state) as node:
+        node.send(frames[at[655] :])
+        node.end()
+    snapshot.write(tmp_path / "own.zyg", "state", flight.native)
+    again = Flight(arm)
+    snapshot.resume(again, tmp_path / "own.zyg")
+    again.frames(frames[at[655] :])
+    assert saved(state) == image(again)
+    assert again.native.cycle == 1199
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_killed_while_it_saves(seed: int, arm: Arm, config: Path, frames: Log, tmp_path: Path) -> None:
+    """Whenever the kill comes, the file is whole: the state behind some SYNC."""
+    at, state = starts(frames), tmp_path / "state.zyg"
+    with Node("--config", config, "--state", state, "--save-every", 1) as node:
+        node.send(frames[: at[40] + 1])
+        wait_for(state, 3)
+        time.sleep(float(np.random.default_rng(seed).uniform(0.0, 0.2)))
+        node.process.kill()
+        node.process.wait()
+    flight = Flight(arm)
+    stored = snapshot.read(state, "state")
+    syncs = int(stored.receiver.assembly.sync)
+    flight.frames(frames[: at[syncs] + 1])
+    assert saved(state) == image(flight)
+    with Node("--config", config, "--state", state) as node:
+        node.end()
+
+
+def test_told_to_end_where_frames_always_wait(config: Path) -> None:
+    """Each of these SYNCs is answered by a solution, so that there is never nothing to read."""
+    with Node("--config", config, "--every", 1) as node:
+        node.near.setblocking(False)
+        told_at = time.monotonic() + 1.0
+        told = False
+        k = 0
+        while node.process.poll() is None:
+            try:
+                node.near.send(packet(frame_of(SYNC, bytes([k % 240 + 1]))))
+                k += 1
+            except BlockingIOError:
+                node.listen()
+            except (BrokenPipeError, ConnectionResetError):
+                break
+            if not told and time.monotonic() > told_at:
+                node.process.send_signal(signal.SIGTERM)
+                told = True
+            assert time.monotonic() < told_at + 20.0
+        assert told
+        assert node.process.wait() == 0
+
+
 def refused(*arguments: object) -> str:
     """What a node says that does not start."""
     near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -250,7 +322,10 @@ def test_a_state_of_another_arm_is_refused(config: Path, tmp_path: Path) -> None
         (("--config", "CONFIG", "--fd", "FD", "--exit-idle", "nan"), "--exit-idle nan: no number"),
         (("--config", "CONFIG", "--fd", "FD", "more"), "more: not an option"),
         (("--config", "CONFIG", "--fd", "FD", "--speed", "9"), "--speed"),
-        (("--config", "CONFIG", "--fd", "FD", "--state", "/nowhere/at/all/state"), "could not be saved"),
+        (("--config", "CONFIG", "--fd", "FD", "--state", "/nowhere/at/all/state"), "could not be saved (No such file"),
+        (("--config", "CONFIG", "--fd", "FD", "--state", 2100 * "./" + "s"), "could not be saved (File name too long"),
+        (("--config", "CONFIG", "--fd", "FD", "--state", ROOT), "cannot be read (Is a directory"),
+        (("--config", "CONFIG", "--fd", "FD", "--save-every", "9"), "--save-every without a file"),
         (("--config", "CONFIG", "-i", "nothere0"), "here"),  # no such interface, or no CAN in this kernel
     ],
 )

@@ -196,6 +196,42 @@ def test_resume_refuses_what_it_was_not_made_for(arm: Arm, tmp_path: Path) -> No
     assert lib.zygos_resume(flight.native, config) == lib.ZYGOS_E_PERIOD
 
 
+@pytest.mark.parametrize(
+    ("member", "value"),
+    [
+        ("receiver.queue.head", 1 << 20),
+        ("receiver.queue.tail", 1 << 31),
+        ("accumulator.count", 65),
+        ("accumulator.open", (1 << 32) - 1),
+        ("accumulator.filling", 2),
+        ("accumulator.width", 9),
+        ("accumulator.target", float("nan")),
+        ("accumulator.segment", -1.0),
+        ("joint_sums.count", 33),
+        ("joint_sums.layout.count", 12),
+        ("momentum_sums.count", 17),
+        ("momentum_sums.columns", 200),
+    ],
+)
+def test_a_count_that_cannot_be_is_refused(member: str, value: float, arm: Arm, tmp_path: Path) -> None:
+    """The CRC is good: memory was changed before it was sealed."""
+    flight = Flight(arm)
+    part: Any = flight.native
+    *folders, name = member.split(".")
+    for folder in folders:
+        part = getattr(part, folder)
+    if member == "joint_sums.layout.count":
+        part.count[0] = value
+    else:
+        setattr(part, name, value)
+    before = image_of(flight)
+    config = ffi.addressof(flight.native, "config")
+    assert lib.zygos_resume(flight.native, config) == lib.ZYGOS_E_STATE
+    assert image_of(flight) == before
+    with pytest.raises(ZygosError, match=r"was damaged before it was sealed.*; remedy: "):
+        snapshot.resume(Flight(arm), stored(flight, tmp_path))
+
+
 def test_what_was_learned_and_counted_stays(arm: Arm, frames: NDArray[Any], tmp_path: Path) -> None:
     flight = Flight(arm)
     flight.frames(np.concatenate([frames[:40], frames[30:3000]]))
@@ -297,6 +333,12 @@ def test_tables_are_computed_anew(arm: Arm, frames: NDArray[Any]) -> None:
     for damaged in ("smoother", "noise", "layout", "skeleton"):
         part = ffi.addressof(flight.native, damaged)
         ffi.memmove(part, b"\x55" * ffi.sizeof(part[0]), ffi.sizeof(part[0]))
+    for numbers in (
+        flight.native.joint_sums.noise[1],
+        flight.native.momentum_sums.deviation,
+        flight.native.momentum_sums.rotor,
+    ):
+        numbers[0] += 1.0
     assert image_of(flight) != good
     flight.native.smoother.filled = 0  # a gap that ended no window is none
     assert lib.zygos_resume(flight.native, config) == 1

@@ -17,6 +17,7 @@
 /* Longest time to work off what had been received when the end was asked for. */
 #define PATIENCE_S 10.0
 
+static node_options_t options;
 static zygos_config_t config;
 static zygos_t arm;
 static node_bus_t bus;
@@ -36,7 +37,8 @@ static double now_s(void)
     return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
 }
 
-/* Signals come in while ppoll() waits with this mask, and at no other time: none is missed. */
+/* Signals come in while ppoll() waits with this mask, and at no other time: none is missed. Where frames always wait,
+   ppoll() never does: is_told_to_end() looks. */
 static sigset_t catch_signals(void)
 {
     struct sigaction action;
@@ -53,6 +55,13 @@ static sigset_t catch_signals(void)
     (void)sigdelset(&while_waiting, SIGTERM);
     (void)sigdelset(&while_waiting, SIGINT);
     return while_waiting;
+}
+
+static bool is_told_to_end(void)
+{
+    sigset_t pending;
+    (void)sigpending(&pending);
+    return (told_to_end != 0) || (sigismember(&pending, SIGTERM) == 1) || (sigismember(&pending, SIGINT) == 1);
 }
 
 /* Waits for a frame, a signal or the time. */
@@ -82,6 +91,9 @@ static int work(uint64_t *frames, uint64_t *syncs)
             for (zygos_frame_t out; node_telemetry_next(&telemetry, &arm, &out) == 1;) {
                 node_bus_send(&bus, &out);
             }
+            if ((options.save_every > 0u) && (*syncs % options.save_every == 0u)) {
+                (void)node_store_save(options.state, &arm); /* if it fails it has said so; the last save decides */
+            }
         }
     }
     *frames += count;
@@ -96,8 +108,9 @@ static void say_state(enum node_heartbeat state)
 }
 
 /* Until the end is asked for, or comes. Returns the last enum node_reading. */
-static int run(double idle_s, const sigset_t *mask)
+static int run(const sigset_t *mask)
 {
+    const double idle_s = options.idle_s;
     uint64_t frames = 0;
     uint64_t syncs = 0;
     uint64_t frames_before = 0;
@@ -106,7 +119,7 @@ static int run(double idle_s, const sigset_t *mask)
     double last_frame_s = now_s();
     int reading = NODE_EMPTY;
     say_state(NODE_BOOT);
-    while (!told_to_end && (reading >= NODE_EMPTY)) {
+    while (!is_told_to_end() && (reading >= NODE_EMPTY)) {
         const double idle_end_s = (idle_s > 0.0) ? last_frame_s + idle_s : heartbeat_s;
         wait_until((idle_end_s < heartbeat_s) ? idle_end_s : heartbeat_s, mask);
         reading = work(&frames, &syncs);
@@ -135,7 +148,6 @@ static int run(double idle_s, const sigset_t *mask)
 
 int main(int argc, char **argv)
 {
-    node_options_t options;
     const int understood = node_options_read(argc, argv, &options);
     if (understood < 1) {
         return (understood == 0) ? 0 : REFUSED;
@@ -149,7 +161,7 @@ int main(int argc, char **argv)
     node_say("listening on %s, %u joints, %u parameters, %s cycle %llu", options.interface ? options.interface : "--fd",
              config.joints, arm.layout.count, (arm.cycles > 0u) ? "goes on behind" : "starts at",
              (unsigned long long)arm.cycle);
-    const int reading = run(options.idle_s, &mask);
+    const int reading = run(&mask);
     const int saved = node_store_save(options.state, &arm);
     uint64_t counter[NODE_COUNTERS];
     node_counters(&arm, &bus.losses, counter);

@@ -11,7 +11,8 @@
 #include "say.h"
 
 static const char help[] =
-    "usage: zygos-node --config arm.zyg (-i CAN | --fd N) [--state FILE] [--every SYNCS] [--exit-idle SECONDS]\n"
+    "usage: zygos-node --config arm.zyg (-i CAN | --fd N) [--state FILE [--save-every SYNCS]]\n"
+    "                  [--every SYNCS] [--exit-idle SECONDS]\n"
     "\n"
     "Learns an arm's dynamics from the frames of a CAN interface, and answers on it with estimates, intervals and "
     "fault\n"
@@ -21,6 +22,7 @@ static const char help[] =
     "  -i, --interface CAN  interface to receive from and to answer on, for instance can0\n"
     "  --fd N               instead: an open CAN_RAW socket, or another that carries struct can_frame in packets\n"
     "  --state FILE         go on from this file if it exists; save into it at the end\n"
+    "  --save-every SYNCS   also from one save to the next; what came since is lost with the power\n"
     "  --every SYNCS        from one estimate to the next (100); its values are sent in between\n"
     "  --exit-idle SECONDS  end when no frame came for so long\n"
     "\n"
@@ -53,12 +55,15 @@ static bool whole(const char *option, const char *text, double low, double high,
 
 int node_options_read(int argc, char **argv, node_options_t *out)
 {
-    static const struct option known[] = {
-        { "config", required_argument, NULL, 'c' }, { "interface", required_argument, NULL, 'i' },
-        { "fd", required_argument, NULL, 'f' },     { "state", required_argument, NULL, 's' },
-        { "every", required_argument, NULL, 'e' },  { "exit-idle", required_argument, NULL, 'x' },
-        { "help", no_argument, NULL, 'h' },         { NULL, 0, NULL, 0 }
-    };
+    static const struct option known[] = { { "config", required_argument, NULL, 'c' },
+                                           { "interface", required_argument, NULL, 'i' },
+                                           { "fd", required_argument, NULL, 'f' },
+                                           { "state", required_argument, NULL, 's' },
+                                           { "every", required_argument, NULL, 'e' },
+                                           { "save-every", required_argument, NULL, 'v' },
+                                           { "exit-idle", required_argument, NULL, 'x' },
+                                           { "help", no_argument, NULL, 'h' },
+                                           { NULL, 0, NULL, 0 } };
     *out = (node_options_t){ .fd = -1, .every = 100u };
     double value = 0.0;
     for (int letter = 0; letter != -1;) {
@@ -87,6 +92,12 @@ int node_options_read(int argc, char **argv, node_options_t *out)
             }
             out->every = (uint32_t)value;
             break;
+        case 'v':
+            if (!whole("save-every", optarg, 0.0, 1e9, &value)) {
+                return -1;
+            }
+            out->save_every = (uint32_t)value;
+            break;
         case 'x':
             if (!number("exit-idle", optarg, 0.1, 1e9, &out->idle_s)) {
                 return -1;
@@ -104,6 +115,9 @@ int node_options_read(int argc, char **argv, node_options_t *out)
     }
     if (out->config == NULL) {
         return node_say("no configuration; remedy: --config arm.zyg, written by `zygos compile-model`");
+    }
+    if ((out->save_every > 0u) && (out->state == NULL)) {
+        return node_say("--save-every without a file to save into; remedy: --state FILE");
     }
     if ((out->interface == NULL) == (out->fd < 0)) {
         return node_say("either an interface or a descriptor is needed; remedy: -i can0, or --fd N");

@@ -11,6 +11,7 @@ typedef struct {
     int fd;                ///< A socket that is open already, or -1.
     const char *state;     ///< File of a sealed state, or null.
     uint32_t every;        ///< SYNCs from one estimate to the next.
+    uint32_t save_every;   ///< SYNCs from one save to the next; 0: saved at the end alone.
     double idle_s;         ///< The end after so many seconds without a frame; 0: never.
 } node_options_t;
 

@@ -30,6 +30,7 @@ static int refuse(const char *path, int code)
         { ZYGOS_E_LENGTH, "is cut off, or has more bytes than its head says", "copy it again, or remove it" },
         { ZYGOS_E_CRC, "is damaged: its CRC does not fit its bytes", "copy it again, or remove it" },
         { ZYGOS_E_CONFIG, "is the state of another configuration", "give that configuration, or remove the state" },
+        { ZYGOS_E_STATE, "was damaged before it was sealed: it holds a count that cannot be", "remove it" },
     };
     for (uint32_t i = 0; i < sizeof known / sizeof known[0]; i++) {
         if (known[i].code == code) {
@@ -106,11 +107,11 @@ int node_store_begin(const char *path, const zygos_config_t *config, zygos_t *ar
     int found = 0;
     if (path != NULL) {
         char buffer[PATH_MAX];
-        const char *const folder = folder_of(path, buffer, sizeof buffer);
-        if ((strlen(path) + sizeof ".partial" > PATH_MAX) || (access(folder, W_OK | X_OK) != 0)) {
+        const bool fits = (strlen(path) + sizeof ".partial" <= PATH_MAX);
+        if (!fits || (access(folder_of(path, buffer, sizeof buffer), W_OK | X_OK) != 0)) {
             return node_say(
                 "%s: could not be saved (%s); remedy: name a file in a folder that is there, and open to you", path,
-                strerror(errno));
+                strerror(fits ? errno : ENAMETOOLONG));
         }
         found = load(path, ZYGOS_SNAPSHOT_STATE, arm, sizeof *arm);
         if (found < 0) {

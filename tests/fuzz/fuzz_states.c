@@ -1,0 +1,247 @@
+/* Stores states of an arm at work, changes them, seals them again, and goes on with them: whatever was in a file with a
+ * good CRC, zygos_resume() refuses it and leaves it as it was, or all that follows stays within its memory, under the
+ * sanitizers this is compiled with. The same of work that is changed before zygos_solve().
+ *
+ * Usage: fuzz_states SEED TRIES JOINTS. Prints counts; status 1 and a message when a check failed. */
+
+#include <math.h>
+#include <stddef.h>
+
+#include "traffic.h"
+
+#define STATES 24u
+#define CYCLES_BETWEEN 97u
+#define ROTOR_INERTIA 2e-3
+#define CODES_PER_RAD (1.0 / ZYGOS_ANGLE_UNIT)
+
+static zygos_t good[STATES];
+static uint64_t good_cycle[STATES];
+static zygos_t arm;
+static zygos_t before;
+static zygos_work_t work;
+static zygos_estimate_t estimate;
+static slot_t slot[4 + 2 * ZYGOS_MAX_JOINTS];
+static uint32_t slot_count;
+
+static void check(bool holds, const char *what)
+{
+    if (!holds) {
+        printf("%s\n", what);
+        exit(1);
+    }
+}
+
+static double noise(void)
+{
+    return (double)below(2001) / 1000.0 - 1.0;
+}
+
+/* Rotors that obey their torques, and a little of everything else: the solver has something to find. */
+static zygos_record_t motion_of(slot_t at, uint64_t cycle)
+{
+    zygos_record_t record = record_of(at, cycle);
+    memset(record.code, 0, sizeof record.code);
+    /* A torque is held until the next cycle. */
+    const double held = (at.message == ZYGOS_MSG_TORQUE) ? 0.5 : 0.0;
+    const double t = 1e-6 * PERIOD_US * ((double)cycle + held);
+    const double w[2] = { 0.3 + 0.05 * at.node, 0.9 + 0.07 * at.node };
+    const double angle = 0.8 * sin(w[0] * t) + 0.3 * sin(w[1] * t);
+    const double acceleration = -0.8 * w[0] * w[0] * sin(w[0] * t) - 0.3 * w[1] * w[1] * sin(w[1] * t);
+    if (at.message == ZYGOS_MSG_ANGLES) {
+        record.code[0] = (int32_t)(CODES_PER_RAD * (angle + 0.01 * sin(1.7 * w[0] * t) + 1e-5 * noise()));
+        record.code[1] = (int32_t)(CODES_PER_RAD * (angle + 1e-5 * noise()));
+    } else if (at.message == ZYGOS_MSG_TORQUE) {
+        record.code[0] = (int32_t)(ZYGOS_TORQUE_CODES * 50.0 * ROTOR_INERTIA * acceleration);
+    } else if ((at.message == ZYGOS_MSG_RATE_XY) || (at.message == ZYGOS_MSG_RATE_Z)) {
+        record.code[0] = (int32_t)(ZYGOS_RATE_FINE_CODES * (0.05 * sin(0.5 * t) + 1e-5 * noise()));
+        record.code[1] = (int32_t)(ZYGOS_RATE_FINE_CODES * (0.04 * sin(0.4 * t) + 1e-5 * noise()));
+    }
+    return record;
+}
+
+static void run(uint64_t from, uint64_t cycles)
+{
+    for (uint64_t cycle = from; cycle < from + cycles; cycle++) {
+        for (uint32_t i = 0; i < slot_count; i++) {
+            const zygos_record_t record = motion_of(slot[i], cycle);
+            const zygos_frame_t frame = encode(&record, slot[i]);
+            check(zygos_frame(&arm, &frame) >= 0, "a frame was refused");
+        }
+        for (uint32_t i = 0; (i < 2u * ZYGOS_CYCLE_QUEUE) && (zygos_step(&arm) == 1); i++) {
+        }
+    }
+}
+
+/* What decides about places and lengths lies here; elsewhere are mostly sums. */
+typedef struct {
+    size_t offset;
+    size_t size;
+} region_t;
+
+#define REGIONS (16u + ZYGOS_MAX_BLOCKS + ZYGOS_MAX_JOINT_BLOCKS + ZYGOS_MOMENTUM_PLACES)
+#define BETWEEN(type, first, end)                                                                                      \
+    {                                                                                                                  \
+        offsetof(type, first), offsetof(type, end) - offsetof(type, first)                                             \
+    }
+
+static uint32_t regions_of_sums(region_t *out, size_t accumulator, size_t joints, size_t momenta)
+{
+    static const region_t scalars[3] = { BETWEEN(zygos_accumulator_t, width, step),
+                                         BETWEEN(zygos_joint_sums_t, count, open),
+                                         BETWEEN(zygos_momentum_sums_t, columns, noise_open) };
+    uint32_t n = 0;
+    out[n++] = (region_t){ accumulator, scalars[0].size };
+    out[n++] = (region_t){ joints + scalars[1].offset, scalars[1].size };
+    out[n++] = (region_t){ momenta, scalars[2].size };
+    out[n++] = (region_t){ joints, sizeof(zygos_impulse_layout_t) };
+    out[n++] = (region_t){ momenta + offsetof(zygos_momentum_sums_t, open.instants), 16 };
+    for (uint32_t s = 0; s < 2; s++) {
+        out[n++] = (region_t){ accumulator + offsetof(zygos_accumulator_t, step) + s * sizeof(zygos_step_t) +
+                                   offsetof(zygos_step_t, instants),
+                               8 };
+    }
+    for (uint32_t b = 0; b < ZYGOS_MAX_BLOCKS; b++) {
+        out[n++] = (region_t){ accumulator + offsetof(zygos_accumulator_t, block) + b * sizeof(zygos_block_t) +
+                                   offsetof(zygos_block_t, instants),
+                               32 };
+    }
+    for (uint32_t b = 0; b < ZYGOS_MAX_JOINT_BLOCKS; b++) {
+        out[n++] = (region_t){ joints + offsetof(zygos_joint_sums_t, block) + b * sizeof(zygos_joint_block_t) +
+                                   offsetof(zygos_joint_block_t, total),
+                               16 };
+    }
+    for (uint32_t b = 0; b < ZYGOS_MOMENTUM_PLACES; b++) {
+        out[n++] = (region_t){ momenta + offsetof(zygos_momentum_sums_t, block) + b * sizeof(zygos_momentum_block_t) +
+                                   offsetof(zygos_momentum_block_t, instants),
+                               16 };
+    }
+    return n;
+}
+
+static uint32_t regions_of_state(region_t *out)
+{
+    uint32_t n = regions_of_sums(out, offsetof(zygos_t, accumulator), offsetof(zygos_t, joint_sums),
+                                 offsetof(zygos_t, momentum_sums));
+    out[n++] = (region_t){ 0, offsetof(zygos_t, config) };
+    out[n++] = (region_t){ offsetof(zygos_t, layout), sizeof(zygos_layout_t) };
+    out[n++] = (region_t){ offsetof(zygos_t, receiver), offsetof(zygos_receiver_t, queue.slot) };
+    out[n++] = (region_t){ offsetof(zygos_t, hold), sizeof(zygos_hold_t) };
+    out[n++] = (region_t){ offsetof(zygos_t, smoother), 16 };
+    out[n++] = (region_t){ offsetof(zygos_t, noise), sizeof(zygos_noise_t) };
+    out[n++] = (region_t){ offsetof(zygos_t, balance), 16 };
+    return n;
+}
+
+static uint32_t regions_of_work(region_t *out)
+{
+    uint32_t n = regions_of_sums(out, offsetof(zygos_work_t, accumulator), offsetof(zygos_work_t, joint_sums),
+                                 offsetof(zygos_work_t, momentum_sums));
+    out[n++] = (region_t){ offsetof(zygos_work_t, config), sizeof(zygos_config_t) };
+    out[n++] = (region_t){ offsetof(zygos_work_t, cycle), 8 };
+    return n;
+}
+
+/* One to three bits, words or numbers. */
+static void change(void *memory, size_t size, const region_t *region, uint32_t regions)
+{
+    static const uint32_t words[] = { 0, 1,  2,           3,           4,           7,           8,
+                                      9, 17, 0x7FFFFFFFu, 0x80000000u, 0xFFFFFFFFu, 0xFFFFFFFEu, 0xFFFFFFF8u };
+    static const double numbers[] = { 0.0,    -1.0,   0.5,    1.0,      1e16,      -1e16,      1e300,
+                                      -1e300, 1e-300, 5e-324, INFINITY, -INFINITY, (double)NAN };
+    unsigned char *bytes = memory;
+    for (uint32_t times = 1u + below(3); times > 0; times--) {
+        const region_t at = region[below(regions)];
+        const uint32_t kind = below(8);
+        if (kind == 0) {
+            bytes[(size_t)draw() % size] ^= (unsigned char)(1u << below(8));
+        } else if (kind == 1) {
+            bytes[at.offset + (size_t)draw() % at.size] ^= (unsigned char)(1u << below(8));
+        } else if (kind < 6) {
+            const uint32_t word = (kind == 2) ? (uint32_t)draw() : ((kind == 3) ? below(300) : words[below(14)]);
+            memcpy(&bytes[at.offset + 4u * below((uint32_t)at.size / 4u)], &word, 4);
+        } else if (at.size >= 8u) {
+            memcpy(&bytes[at.offset + 8u * below((uint32_t)at.size / 8u)], &numbers[below(13)], 8);
+        }
+    }
+}
+
+static void store_states(const zygos_config_t *config)
+{
+    check(zygos_init(&arm, config) == 1, "zygos_init refuses the configuration");
+    uint64_t cycle = 0;
+    for (uint32_t k = 0; k < STATES; k++) {
+        run(cycle, CYCLES_BETWEEN);
+        cycle += CYCLES_BETWEEN;
+        good[k] = arm;
+        good_cycle[k] = cycle;
+    }
+}
+
+static int solve(void)
+{
+    static double deviation[ZYGOS_MAX_PARAMETERS];
+    zygos_take(&arm, &work);
+    (void)zygos_drift(&work, &estimate, deviation);
+    zygos_take(&arm, &work);
+    return zygos_solve(&work, &estimate);
+}
+
+int main(int count, char **argument)
+{
+    if (count != 4) {
+        printf("usage: fuzz_states SEED TRIES JOINTS\n");
+        return 2;
+    }
+    random_state = strtoull(argument[1], NULL, 10) * 2u + 1u;
+    const uint64_t tries = strtoull(argument[2], NULL, 10);
+    const uint32_t joints = (uint32_t)strtoul(argument[3], NULL, 10);
+    slot_count = slots(slot, joints, 1);
+    zygos_config_t config = config_of(joints, 1);
+    for (uint32_t i = 0; i < joints; i++) {
+        config.joint[i].link_sigma_rad = config.joint[i].motor_sigma_rad = 1e-5;
+    }
+    config.imu_sigma = 1e-5;
+    config.arc_cycles = 60;
+    config.impulse_arc_cycles = 30;
+    config.momentum_arc_cycles = (ZYGOS_MOMENTUM != 0) ? 30u : 0u;
+    store_states(&config);
+
+    static region_t of_state[REGIONS];
+    static region_t of_work[REGIONS];
+    const uint32_t state_regions = regions_of_state(of_state);
+    const uint32_t work_regions = regions_of_work(of_work);
+    uint64_t refused_state = 0;
+    uint64_t refused_otherwise = 0;
+    uint64_t resumed = 0;
+    uint64_t values = 0;
+    uint64_t corrupt = 0;
+    for (uint64_t k = 0; k < tries; k++) {
+        uint8_t head[ZYGOS_SNAPSHOT_HEAD];
+        const uint32_t from = below(STATES);
+        arm = good[from];
+        change(&arm, sizeof arm, of_state, state_regions);
+        check(zygos_snapshot_seal(ZYGOS_SNAPSHOT_STATE, &arm, head) == 1, "not sealed");
+        check(zygos_snapshot_check(ZYGOS_SNAPSHOT_STATE, head, &arm, sizeof head + sizeof arm) == 1,
+              "not what was sealed");
+        memcpy(&before, &arm, sizeof arm);
+        const int verdict = zygos_resume(&arm, &config);
+        if (verdict < 0) {
+            refused_state += (verdict == ZYGOS_E_STATE) ? 1u : 0u;
+            refused_otherwise += (verdict == ZYGOS_E_STATE) ? 0u : 1u;
+            check(memcmp(&arm, &before, sizeof arm) == 0, "refused, but changed");
+        } else {
+            resumed++;
+            run(good_cycle[from] + below(500), (k % 8u == 0) ? 150u : 25u);
+            values += (solve() == 1) ? 1u : 0u;
+            corrupt += (estimate.reason == ZYGOS_REASON_CORRUPT) ? 1u : 0u;
+        }
+        zygos_take(&good[from], &work);
+        change(&work, sizeof work, of_work, work_regions);
+        values += (zygos_solve(&work, &estimate) == 1) ? 1u : 0u;
+        corrupt += (estimate.reason == ZYGOS_REASON_CORRUPT) ? 1u : 0u;
+    }
+    printf("resumed %" PRIu64 "\nrefused_state %" PRIu64 "\nrefused_otherwise %" PRIu64 "\nvalues %" PRIu64
+           "\ncorrupt %" PRIu64 "\n",
+           resumed, refused_state, refused_otherwise, values, corrupt);
+    return 0;
+}
