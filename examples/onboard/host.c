@@ -4,6 +4,7 @@
 
 #include "flight.h"
 
+#include <ctype.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -73,7 +74,8 @@ static int read_frame(const char *line, zygos_frame_t *frame)
         return 1;
     }
     unsigned byte = 0;
-    while ((frame->length < sizeof frame->data) && (sscanf(at, "%2x", &byte) == 1)) {
+    while ((frame->length < sizeof frame->data) && isxdigit((unsigned char)at[0]) && isxdigit((unsigned char)at[1])) {
+        (void)sscanf(at, "%2x", &byte);
         frame->data[frame->length++] = (uint8_t)byte;
         at += 2;
     }

@@ -2,7 +2,8 @@
 ///
 /// A snapshot is a head of ZYGOS_SNAPSHOT_HEAD bytes and, behind it, the memory of a zygos_config_t or a zygos_t as it
 /// is. The head says what follows, of which layout and byte order, and holds a CRC-32C over all of it. docs/snapshot.md
-/// has the bytes. The CRC finds accidents; who wants to deceive can compute one.
+/// has the bytes. The CRC finds accidents; who wants to deceive can compute one, and what was in memory by accident is
+/// sealed with it. zygos_init() and zygos_resume() therefore check what they are given.
 ///
 ///     zygos_snapshot_seal(ZYGOS_SNAPSHOT_STATE, &arm, head);             // in the task that steps; then store both
 ///     ...

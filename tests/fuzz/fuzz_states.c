@@ -1,6 +1,6 @@
 /* Stores states of an arm at work, changes them, seals them again, and goes on with them: whatever was in a file with a
  * good CRC, zygos_resume() refuses it and leaves it as it was, or all that follows stays within its memory, under the
- * sanitizers this is compiled with. The same of work that is changed before zygos_solve().
+ * sanitizers this is compiled with. The same of work that is changed before zygos_solve(), and of configurations.
  *
  * Usage: fuzz_states SEED TRIES JOINTS. Prints counts; status 1 and a message when a check failed. */
 
@@ -208,11 +208,13 @@ int main(int count, char **argument)
 
     static region_t of_state[REGIONS];
     static region_t of_work[REGIONS];
+    const region_t of_config = { 0, sizeof(zygos_config_t) };
     const uint32_t state_regions = regions_of_state(of_state);
     const uint32_t work_regions = regions_of_work(of_work);
     uint64_t refused_state = 0;
     uint64_t refused_otherwise = 0;
     uint64_t resumed = 0;
+    uint64_t configured = 0;
     uint64_t values = 0;
     uint64_t corrupt = 0;
     for (uint64_t k = 0; k < tries; k++) {
@@ -235,13 +237,20 @@ int main(int count, char **argument)
             values += (solve() == 1) ? 1u : 0u;
             corrupt += (estimate.reason == ZYGOS_REASON_CORRUPT) ? 1u : 0u;
         }
+        zygos_config_t wild = config;
+        change(&wild, sizeof wild, &of_config, 1);
+        if (zygos_init(&arm, &wild) == 1) {
+            configured++;
+            run(0, (k % 8u == 0) ? 150u : 25u);
+            (void)solve();
+        }
         zygos_take(&good[from], &work);
         change(&work, sizeof work, of_work, work_regions);
         values += (zygos_solve(&work, &estimate) == 1) ? 1u : 0u;
         corrupt += (estimate.reason == ZYGOS_REASON_CORRUPT) ? 1u : 0u;
     }
     printf("resumed %" PRIu64 "\nrefused_state %" PRIu64 "\nrefused_otherwise %" PRIu64 "\nvalues %" PRIu64
-           "\ncorrupt %" PRIu64 "\n",
-           resumed, refused_state, refused_otherwise, values, corrupt);
+           "\ncorrupt %" PRIu64 "\nconfigured %" PRIu64 "\n",
+           resumed, refused_state, refused_otherwise, values, corrupt, configured);
     return 0;
 }

@@ -111,6 +111,15 @@ class Expected:
             self.found[raw.cycle] = raw.validity, raw.reason, dict(self.known)
 
 
+@pytest.mark.parametrize("text", ["080#A", "080#A\n", "080#+1\n", "080\n", "#01\n", "080#010203040506070809\n"])
+def test_a_line_that_is_none_is_refused(program: Path, tmp_path: Path, text: str) -> None:
+    log = tmp_path / "bad.log"
+    log.write_text("(0.0) can0 080#01\n(0.0) can0 " + text)
+    done = subprocess.run([program, log], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "no line of candump's; remedy: " in done.stderr
+
+
 def test_the_loop_gives_the_bits_of_the_library(
     program: Path, frames: NDArray[Any], arm: Arm, tmp_path: Path, true: NDArray[np.float64]
 ) -> None:
