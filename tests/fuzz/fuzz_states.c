@@ -141,7 +141,7 @@ static uint32_t regions_of_work(region_t *out)
     return n;
 }
 
-/* One to three bits, words or numbers. */
+/* One to three bits, words or numbers, or the same number in neighbouring blocks. */
 static void change(void *memory, size_t size, const region_t *region, uint32_t regions)
 {
     static const uint32_t words[] = { 0, 1,  2,           3,           4,           7,           8,
@@ -149,6 +149,17 @@ static void change(void *memory, size_t size, const region_t *region, uint32_t r
     static const double numbers[] = { 0.0,    -1.0,   0.5,    1.0,      1e16,      -1e16,      1e300,
                                       -1e300, 1e-300, 5e-324, INFINITY, -INFINITY, (double)NAN };
     unsigned char *bytes = memory;
+    if (below(8) == 0) {
+        const double number = numbers[below(13)];
+        const uint32_t first = below(regions);
+        const uint32_t length = 1u + below(16);
+        for (uint32_t r = first; (r < first + length) && (r < regions) && (region[r].size == region[first].size); r++) {
+            if (region[r].size >= 8u) {
+                memcpy(&bytes[region[r].offset], &number, 8);
+            }
+        }
+        return;
+    }
     for (uint32_t times = 1u + below(3); times > 0; times--) {
         const region_t at = region[below(regions)];
         const uint32_t kind = below(8);
