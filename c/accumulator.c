@@ -116,6 +116,27 @@ static void append_block(zygos_accumulator_t *self)
     self->count++;
 }
 
+/* Moves the noise of a segment to that of its arc, and takes it off the two blocks that share the segment; two entries
+   at a time, the last of which may lie beyond, where all is 0. */
+static void take_off(double *restrict noise, double *restrict open, double *restrict falling, double *restrict rising,
+                     double late, uint32_t count)
+{
+    const double early = 1.0 - late;
+    for (const double *end = noise + count; noise < end; noise += 2) {
+        falling[0] -= early * noise[0];
+        falling[1] -= early * noise[1];
+        rising[0] -= late * noise[0];
+        rising[1] -= late * noise[1];
+        open[0] += noise[0];
+        open[1] += noise[1];
+        noise[0] = 0.0;
+        noise[1] = 0.0;
+        falling += 2;
+        rising += 2;
+        open += 2;
+    }
+}
+
 /* Takes the noise of the open segment off its two blocks, as they share its instants. */
 static void end_segment(zygos_accumulator_t *self)
 {
@@ -123,20 +144,11 @@ static void end_segment(zygos_accumulator_t *self)
         return;
     }
     const uint32_t width = self->width - 1u;
-    const uint32_t size = zygos_gram_entries(width);
-    const double rising = self->block[self->count - 1u].instants / self->segment;
-    for (uint32_t b = 0; b < 2; b++) {
-        zygos_block_t *block = &self->block[self->count - 2u + b];
-        const double part = (b == 0) ? 1.0 - rising : rising;
-        for (uint32_t k = 0; k < size; k++) {
-            block->gram[k] -= part * self->noise.gram[k];
-        }
-        for (uint32_t i = 0; i < width; i++) {
-            block->sum[i] -= part * self->noise.sum[i];
-        }
-    }
-    add_share(&self->noise_open, &self->noise, 1.0, width);
-    clear_share(&self->noise, width);
+    zygos_block_t *falling = &self->block[self->count - 2u];
+    zygos_block_t *rising = &self->block[self->count - 1u];
+    const double late = rising->instants / self->segment;
+    take_off(self->noise.gram, self->noise_open.gram, falling->gram, rising->gram, late, zygos_gram_entries(width));
+    take_off(self->noise.sum, self->noise_open.sum, falling->sum, rising->sum, late, width);
     self->segment = 0.0;
 }
 
@@ -239,9 +251,11 @@ void zygos_accumulator_add(zygos_accumulator_t *self, const zygos_row_t *row, do
     }
     zygos_step_t *step = &self->step[self->filling];
     double z[ZYGOS_MAX_ROW];
-    for (uint32_t i = 0; i < p; i++) {
-        z[i] = weight * row->column[i];
+    for (uint32_t i = 0; i < p / 2u; i++) { /* two at a time, and the last where p is odd */
+        z[2u * i] = weight * row->column[2u * i];
+        z[2u * i + 1u] = weight * row->column[2u * i + 1u];
     }
+    z[p - 1u] = weight * row->column[p - 1u];
     z[p] = weight * row->work;
     z[p + 1u] = weight;
     zygos_gram_add(step->gram, step->sum, width, z);
