@@ -22,8 +22,8 @@ BUDGETS = {("x86-64", "paper, bare"): 3000, ("m7", "paper, bare"): 4500, ("m7", 
 """Most instructions of a full cycle, by target and configuration."""
 HELD = BUDGETS | {("x86-64", "paper, bare"): 4300}
 """What is held: the budgets that are met, and what stands in for the one that is not."""
-QUARTER, QUARTER_HELD = 0.25, 0.27
-"""Most that balance and accumulator take of the instructions of Pinocchio, as it comes, and Eigen, and what is held; the paper's arm."""
+QUARTER = 0.25
+"""Most of the instructions of Pinocchio, as it comes, and Eigen that balance and accumulator of the paper's arm take."""
 SHOWN = 12
 """Functions of a profile that a table has."""
 
