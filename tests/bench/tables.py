@@ -23,7 +23,7 @@ BUDGETS = {("x86-64", "paper, bare"): 3000, ("m7", "paper, bare"): 4500, ("m7", 
 HELD = BUDGETS | {("x86-64", "paper, bare"): 4300}
 """What is held: the budgets that are met, and what stands in for the one that is not."""
 QUARTER = 0.25
-"""Most of the instructions of Pinocchio, as it comes, and Eigen that balance and accumulator of the paper's arm take."""
+"""Most that balance and accumulator take of the instructions of Pinocchio, as it comes, and Eigen; paper's arm."""
 SHOWN = 12
 """Functions of a profile that a table has."""
 
