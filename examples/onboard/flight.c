@@ -15,6 +15,7 @@ static zygos_work_t work;         /* changes hands by work_is_full */
 static zygos_estimate_t estimate; /* belongs to flight_solve(), and so does what is learned */
 static flight_learned_t learned;
 static uint8_t estimate_counter;
+static uint32_t payload_of_learned;
 
 static zygos_frame_t ring[RING];
 static _Atomic uint32_t ring_head; /* written by the interrupt */
@@ -113,6 +114,16 @@ static void tell(uint32_t index, enum kind kind, double value)
     port_send(&frame);
 }
 
+/* The bodies with another payload are other bodies. */
+static void forget_bodies(void)
+{
+    const uint32_t now = atomic_load_explicit(&payload, memory_order_acquire);
+    for (uint32_t i = 0; (now != payload_of_learned) && (i < arm.layout.body); i++) { /* the layout never changes */
+        learned.known[i] = 0u;
+    }
+    payload_of_learned = now;
+}
+
 /* What to do with an estimate is decided by its validity, before any value is looked at. */
 static void use(void)
 {
@@ -138,6 +149,7 @@ static void use(void)
 
 const zygos_estimate_t *flight_solve(void)
 {
+    forget_bodies();
     if (atomic_load_explicit(&work_is_full, memory_order_acquire) == 0u) {
         return NULL;
     }

@@ -9,7 +9,8 @@
 /// A frame of this spacecraft's own, by which the ground or the mission manager says: the gripper took or left a load.
 #define FLIGHT_PAYLOAD_CHANGED 0x7F0u
 
-/// What the rest of the flight software may use. An entry stays as it is until a better one is known.
+/// What the rest of the flight software may use. An entry stays as it is until a better one is known; those of bodies
+/// are forgotten when the payload changes.
 typedef struct {
     uint64_t cycle;                       ///< Of the newest estimate that was good.
     uint32_t known[ZYGOS_MAX_PARAMETERS]; ///< 1: value and half95 hold.
