@@ -112,7 +112,7 @@ gap: build $(VENV)/.test ## hide effects in a MuJoCo plant, explain them, score 
 bench: build $(VENV)/.test ## what it costs, beside its peers (out/bench.json, README.md, docs/cost.md; 6 minutes)
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tests $(BIN)/python -m bench out/bench.json
 
-accuracy: build $(VENV)/.test ## errors, coverage and refusals of all estimators (docs/accuracy.html; 10 minutes; SEEDS= DRAWS= SCHEDULER= CASES=)
+accuracy: build $(VENV)/.test ## errors, coverage and refusals of all estimators (docs/accuracy.html; 15 minutes; SEEDS= DRAWS= SCHEDULER= CASES=)
 	$(BIN)/python -m zygos.accuracy $(CASES) $(if $(SEEDS),--seeds $(SEEDS)) $(if $(DRAWS),--draws $(DRAWS)) $(if $(SCHEDULER),--scheduler $(SCHEDULER))
 
 demo-log: build $(VENV)/.test ## write the logs of examples/gap/demo again

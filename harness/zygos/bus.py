@@ -221,9 +221,9 @@ def open_bus(interface: str | None, channel: str | None, bitrate: int | None = N
 
 
 def receive(bus: can.BusABC, idle_s: float, stop: Callable[[], bool] = lambda: False) -> Iterator[can.Message]:
-    """Messages of a bus until it is silent for idle_s, ten times as long before the first one, or stop() is true.
+    """Messages of a bus until no SYNC came for idle_s, ten times as long before the first one, or stop() is true.
 
-    Raises can.CanError when the bus fails.
+    Others on the bus have heartbeats that never end. Raises can.CanError when the bus fails.
     """
     patience = 10 * idle_s
     newest = time.monotonic()
@@ -233,7 +233,8 @@ def receive(bus: can.BusABC, idle_s: float, stop: Callable[[], bool] = lambda: F
         except OSError as error:
             raise can.CanOperationError(str(error)) from error
         if message is not None:
-            patience, newest = idle_s, time.monotonic()
+            if message.arbitration_id == _SYNC and not message.is_extended_id:
+                patience, newest = idle_s, time.monotonic()
             yield message
 
 

@@ -255,7 +255,7 @@ def listen(
     ] = None,
     duration: Annotated[float, typer.Option(min=0.0, help="Stop after so many seconds; 0: no limit.")] = 0.0,
     idle: Annotated[
-        float, typer.Option(min=0.1, help="Stop when the bus is silent for so many seconds; at first for ten times.")
+        float, typer.Option(min=0.1, help="Stop when no SYNC came for so many seconds; at first for ten times.")
     ] = 2.0,
     json: Json = None,
 ) -> None:

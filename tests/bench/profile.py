@@ -38,6 +38,10 @@ def show(count: Count) -> None:
 
 if __name__ == "__main__":
     name, inputs, target = (sys.argv[1:] + ["paper, bare", "1000", "x86-64"][len(sys.argv) - 1 :])[:3]
+    targets = ("x86-64", *cortex.firmware.TARGETS)
+    if name not in CONFIGURATIONS or target not in targets or not inputs.isdecimal():
+        say(f"usage: bench.profile CONFIGURATION INPUTS TARGET; {' · '.join(CONFIGURATIONS)}; {' · '.join(targets)}")
+        sys.exit(2)
     folder = Path("out/bench/profile")
     one = CONFIGURATIONS[name]()
     write_run(one, random_cycles(one.arm, int(inputs)), folder / "run.bin")

@@ -551,6 +551,27 @@ def test_a_signal_ends_listening_and_keeps_what_was_learned(
     assert bus.read_log(tmp_path / "live.log").frames.tobytes() == bus.read_log(simulated / "run.blf").frames.tobytes()
 
 
+def test_the_heartbeat_of_others_does_not_keep_it_listening(simulated: Path, tmp_path: Path) -> None:
+    done = threading.Event()
+
+    def beat() -> None:
+        with can.Bus(interface="virtual", channel="test_beat") as other:
+            while not done.wait(0.2):
+                other.send(can.Message(arbitration_id=0x720, data=[5], is_extended_id=False))
+
+    beating = threading.Thread(target=beat)
+    beating.start()
+    try:
+        with playing("test_beat", simulated / "run.blf"):
+            assert listen("test_beat", tmp_path, "--idle", 1, "--duration", 40) == 0
+        begin = time.monotonic()
+        assert listen("test_beat", tmp_path, "--idle", 0.1, "--duration", 40) == 3
+        assert time.monotonic() - begin < 20
+    finally:
+        done.set()
+        beating.join()
+
+
 def test_a_bus_that_fails_while_listening(
     simulated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -57,6 +57,26 @@ def symbols(target: str, objects: list[Path]) -> list[tuple[str, str]]:
     return [(m[2], m[1]) for m in re.finditer(r"^[0-9a-f ]* ([A-Za-z]) (\S+)$", out, re.M)]
 
 
+def test_the_manual_says_how_large_the_structs_are(tmp_path: Path) -> None:
+    """The table of docs/integrate.md, by the command above it."""
+    text = (ROOT / "docs" / "integrate.md").read_text()
+    rows = re.findall(r"^\| (\d) \| (\d) \| (\d+) \| ([\d,]+) \| ([\d,]+) \| ([\d,]+) \|$", text, re.M)
+    assert len(rows) >= 8
+    command = re.search(r"^    (printf .*\n.*sizes\.o)$", text, re.M)
+    assert command is not None
+    asked = "-DZYGOS_MAX_JOINTS=2 -DZYGOS_SPATIAL=0"
+    assert asked in command[1]
+    for joints, spatial, blocks, *said in rows:
+        given = (
+            f"-DZYGOS_MAX_JOINTS={joints} -DZYGOS_SPATIAL={spatial} -DZYGOS_MAX_BLOCKS={blocks} -I{ROOT / 'include'}"
+        )
+        out = run(["sh", "-c", command[1].replace(asked, given)], tmp_path)
+        found = {name: int(size) for size, name in re.findall(r"^\d+ 0*(\d+) \w (\w+)$", out, re.M)}
+        assert [f"{found[name]:,}" for name in ("arm", "work", "estimate")] == said
+        if (joints, spatial, blocks) == ("2", "0", "64"):
+            assert f"{found['arm'] / 1000:.0f} kB at {asked}" in (ROOT / "README.md").read_text()
+
+
 @functools.cache
 def declared() -> dict[str, str]:
     """Prototypes in the public headers: name and the paragraph that it stands in."""

@@ -59,7 +59,7 @@ def plant(pytestconfig: pytest.Config) -> Plant:
     """The plant that moves as --zygos-scenario says."""
     scenario = pytestconfig.getoption("--zygos-scenario")
     if scenario is None:
-        raise ZygosError("no plant is named; remedy: pytest --zygos-scenario SCENARIO.toml")
+        pytest.fail("no plant is named; remedy: pytest --zygos-scenario SCENARIO.toml", pytrace=False)
     return Plant(load_scenario(Path(scenario)), pytestconfig.getoption("--zygos-channel"))
 
 
