@@ -11,7 +11,7 @@ from zygos.arm import Arm
 from zygos.dynamics import PlanarDynamics
 from zygos.engines import Engine, engine
 from zygos.model import Model
-from zygos.spatial import SpatialDynamics
+from zygos.multibody import Multibody
 
 Array = NDArray[np.float64]
 EngineName = Literal["zygos", "pinocchio", "mujoco"]
@@ -69,4 +69,4 @@ def equations(arm: Arm, model: Model, name: EngineName = "zygos") -> Motion:
     """The equations of motion of a model. Errors: ZygosError for what does not fit the arm or the engine."""
     if name != "zygos":
         return _Engine(engine(name, arm, model))
-    return (PlanarDynamics if moves_in_plane(arm, name) else SpatialDynamics).from_model(arm, model)
+    return (PlanarDynamics if moves_in_plane(arm, name) else Multibody).from_model(arm, model)
