@@ -53,6 +53,10 @@ class Multibody(SpatialDynamics):
         native.rigid = kept[-1]
         return native, int(lib.zygos_multibody_scratch(self.n)), kept
 
+    def __getstate__(self) -> dict[str, Any]:
+        """All but what points into this process: a copy makes its own."""
+        return {name: value for name, value in self.__dict__.items() if name != "_compiled"}
+
     def accelerations(
         self, q: Array, theta: Array, omega0: Array, qd: Array, thetad: Array, tau: Array
     ) -> tuple[Array, Array, Array]:
