@@ -82,9 +82,9 @@ class Tables:
     """(m, p+1) columns and work."""
 
     def lengths(self) -> Floats:
-        """(p+1,) lengths of the columns and the work of the rows in use, less the mean of each arc; above 0."""
+        """(p+1,) lengths of the columns and the work of the rows in use, less the mean of each arc; above 0, also where nothing moved."""
         length: Floats = np.linalg.norm(np.column_stack([self.used.z, self.used.w]), axis=0)
-        return np.maximum(length, np.finfo(np.float64).tiny)
+        return np.maximum(length, 1e-150)
 
     def in_lengths(self, a: Floats, b: Floats) -> Floats:
         """(p, p+1) normal equations a (p, p), b (p,), each entry divided by the lengths of its two columns."""
