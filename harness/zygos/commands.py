@@ -345,6 +345,8 @@ def _remedy(result: Estimate, flight: Flight) -> str:
     found = []
     if faults["dropped"] > MANY_DROPPED * (cycles + faults["dropped"]):
         found.append(f"the bus loses or damages frames, or some are not as the arm file says ({seen}): repair that")
+    if flight.counts["apart"] > MANY_DROPPED * cycles:
+        found.append("link and motor angle of a joint read more than 8 turns apart: check unit, side, sign and zeros")
     if faults["time_lost"]:
         found.append("FTIME (0x3A0) must come at least every 100 cycles")
     if faults["time_jumped"]:

@@ -403,6 +403,7 @@ class Flight:
             "gaps": int(self.native.gaps),
             "invalid": int(self.native.invalid),
             "wraps": int(self.native.wraps),
+            "apart": int(self.native.apart),
             "arcs_dropped": int(sums.arcs_dropped),
             "accepted": int(sums.accepted),
             "refused": int(sums.refused),
