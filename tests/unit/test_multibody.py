@@ -11,6 +11,7 @@ import pytest
 from arm_support import State as Sample
 from arm_support import random_arm, random_state
 
+from bench.simulator import far
 from conftest import ROOT
 from zygos.arm import Arm, load_arm
 from zygos.effects import CATALOGUE, Effect, Kind
@@ -47,13 +48,6 @@ def arm_of(joints: int, base: str, kinetic: str, kind: str) -> tuple[Arm, Model,
 def example(name: str) -> tuple[Arm, Model, Scenario]:
     folder = ROOT / "examples" / name
     return load_arm(folder / "arm.toml"), load_model(folder / "model.toml"), load_scenario(folder / "scenario.toml")
-
-
-def far(got: Trajectory, wanted: Trajectory) -> float:
-    """The largest difference of two motions, of the size of its signal."""
-    names = ("attitude", "omega0", "q", "qd", "theta", "thetad", "tau", "slip2")
-    pairs = [(getattr(got, name), getattr(wanted, name)) for name in names]
-    return max(float(np.abs(one - other).max() / np.abs(other).max()) for one, other in pairs)
 
 
 @pytest.mark.parametrize(("joints", "base", "kinetic", "kind"), ARMS)
