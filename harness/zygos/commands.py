@@ -28,7 +28,7 @@ from zygos.flight import GATE, OVERDECLARED, Drift, Estimate, Flight, encode
 from zygos.lines import LineProgress
 from zygos.model import Model, Quantity, load_model, save_model
 from zygos.motion import ENGINES
-from zygos.output import check_outputs, counted, errors, note, number, ratio, say, table, write_json
+from zygos.output import bad, check_outputs, counted, errors, good, note, number, ratio, say, table, write_json
 from zygos.plant import simulate
 from zygos.scenario import load_scenario
 from zygos.watch import Watch
@@ -412,7 +412,7 @@ def check_run(run: Path, arm_file: Path | None, model_file: Path | None, json: s
                     number(room.difference, 2),
                     "–" if room.cycle is None else str(room.cycle),
                     number(room.tolerance, 2),
-                    "[green]equal[/]" if room.equal else "[red]differs[/]",
+                    good("equal") if room.equal else bad("differs"),
                 )
                 for room in rooms
             ],
