@@ -25,6 +25,7 @@ from zygos.cycletable import read_cycles
 from zygos.effects import Effect
 from zygos.errors import Damaged, Undecided, ZygosError
 from zygos.flight import GATE, OVERDECLARED, Drift, Estimate, Flight, encode
+from zygos.lines import LineProgress
 from zygos.model import Model, Quantity, load_model, save_model
 from zygos.motion import ENGINES
 from zygos.output import bad, check_outputs, counted, errors, good, note, number, ratio, say, table, write_json
@@ -39,7 +40,9 @@ MANY_DROPPED = 0.02
 
 
 def progress() -> Progress:
-    """A progress bar on stderr."""
+    """A progress bar on stderr; where that is no terminal, a line now and then."""
+    if not errors.is_interactive:
+        return LineProgress()
     return Progress(
         TextColumn("{task.description}", markup=False),
         BarColumn(),
