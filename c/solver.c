@@ -879,10 +879,10 @@ static bool prepare(zygos_work_t *work)
         !(zygos_momentum_sums_check(&work->momentum_sums) <= 1.0)) {
         return false;
     }
-    zygos_momentum_sums_end_arc(&work->momentum_sums, &work->config, work->cycle);
-    zygos_accumulator_end_arc(sums, work->cycle);
+    zygos_guard_end_momentum(&work->guard, &work->config, &work->layout, &work->momentum_sums, work->cycle);
+    zygos_guard_end_energy(&work->guard, &work->config, sums, work->cycle, work->arc);
     if (work->config.impulse_arc_cycles > 0) {
-        zygos_joint_sums_end_arc(&work->joint_sums, &work->config, work->cycle);
+        zygos_guard_end_motors(&work->guard, &work->config, &work->layout, &work->joint_sums, work->cycle);
     }
     return sums->corrupt == 0;
 }
@@ -1017,6 +1017,8 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     out->accepted = sums->accepted;
     out->arcs = sums->arcs;
     out->blocks = sums->open;
+    memcpy(out->left_out, work->guard.left_out, sizeof out->left_out);
+    out->in_a_row = work->guard.in_a_row[ZYGOS_ENERGY_ROWS];
     if ((out->accepted < (uint64_t)INSTANTS_PER_PARAMETER * p) || (out->blocks < ZYGOS_LEAST_BLOCKS)) {
         return refuse(out, p, ZYGOS_REASON_NO_DATA);
     }
@@ -1101,6 +1103,9 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     } else if (!closed) {
         out->validity = ZYGOS_DOUBTFUL;
         out->reason = ZYGOS_REASON_UNCLOSED;
+    } else if (work->guard.changed != 0) {
+        out->validity = ZYGOS_DOUBTFUL;
+        out->reason = ZYGOS_REASON_CHANGED;
     } else if (out->noise_ratio < ZYGOS_NOT_THERE) {
         out->validity = ZYGOS_DOUBTFUL;
         out->reason = ZYGOS_REASON_DECLARED;
@@ -1135,6 +1140,7 @@ int zygos_drift(zygos_work_t *work, zygos_estimate_t *out, double *deviation)
     for (uint32_t i = 0; i < (uint32_t)ZYGOS_MAX_PARAMETERS; i++) {
         deviation[i] = not_a_number();
     }
+    work->guard.known = 0; /* the newest arc is what it is about */
     if (!prepare(work)) {
         return refuse(out, ZYGOS_MAX_PARAMETERS, ZYGOS_REASON_CORRUPT);
     }

@@ -40,6 +40,7 @@ REASONS = (
     "the balance does not close: what the solution leaves over is no noise",
     "sensor noise is as large as the motion in some combination of parameters",
     "the declared sensor noise is not in the data: the residuals are far smaller",
+    "the arm changed: its newest arcs contradict what those before them say, several in a row",
 )
 DRIFT_ALARM = 6.0
 """Deviations that are no accident, as ``ZYGOS_DRIFT_ALARM``."""
@@ -147,6 +148,11 @@ class Estimate:
     """Its square over what the declared noise makes of it; NaN where none is declared."""
     gate: float
     """Smallest ratio of sums to noise over all combinations of parameters; infinite where none is declared."""
+    left_out: tuple[int, int, int]
+    """Arcs that contradicted the running solution, of the energy, the motor and the momentum rows, the open ones
+    included."""
+    in_a_row: int
+    """Of those of the energy rows the newest that no arc that agrees lies between."""
 
 
 @dataclass(frozen=True)
@@ -349,7 +355,16 @@ class Flight:
             residual=out.residual,
             noise_ratio=out.noise_ratio,
             gate=out.gate,
+            left_out=tuple(int(count) for count in out.left_out),
+            in_a_row=int(out.in_a_row),
         )
+
+    def adopt(self) -> bool:
+        """Take what `estimate` answered last as the running solution, if it is valid.
+
+        An arc that contradicts the running solution when it ends is left out of the sums and counted.
+        """
+        return bool(lib.zygos_adopt(self.native, self._estimate) == 1)
 
     def drift(self) -> Drift:
         """Compare the newest arc with all before it. The accumulation is not disturbed."""

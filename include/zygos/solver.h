@@ -11,6 +11,7 @@
 #define ZYGOS_SOLVER_H
 
 #include "accumulator.h"
+#include "guard.h"
 #include "jointsums.h"
 #include "momentumsums.h"
 #include "types.h"
@@ -37,7 +38,8 @@ enum zygos_reason {
     ZYGOS_REASON_CORRUPT = 5,          ///< Row sums or counts do not match: memory was changed, or never taken.
     ZYGOS_REASON_UNCLOSED = 6,         ///< What the solution leaves over is no noise: see ZYGOS_CLUSTER_LIMIT.
     ZYGOS_REASON_DECLARED = 8,         ///< The declared noise is not in the data: see ZYGOS_NOT_THERE.
-    ZYGOS_REASON_NOISE = 7             ///< Noise is as large as the motion in some combination: see ZYGOS_GATE.
+    ZYGOS_REASON_NOISE = 7,            ///< Noise is as large as the motion in some combination: see ZYGOS_GATE.
+    ZYGOS_REASON_CHANGED = 9           ///< The newest arcs contradict the values, several in a row: see guard.h.
 };
 
 /// Of fewer blocks the spread says too little.
@@ -82,20 +84,22 @@ enum zygos_reason {
 #define ZYGOS_NEGATIVE_SIGMAS 3.0
 
 typedef struct {
-    uint64_t cycle;      ///< SYNC number of the newest cycle that went in.
-    uint64_t accepted;   ///< Instants that went in.
-    uint64_t refused;    ///< Instants that failed the bandwidth test.
-    uint32_t parameters; ///< p.
-    uint32_t validity;   ///< enum zygos_validity.
-    uint32_t reason;     ///< enum zygos_reason.
-    uint32_t arcs;       ///< Arcs that went in, the open one included.
-    uint32_t blocks;     ///< Blocks behind the sigmas.
-    uint32_t rank;       ///< Independent columns.
-    double condition;    ///< 1-norm condition of the scaled normal matrix of the independent columns.
-    double cluster;      ///< How far the residuals of a block add up: around 1 for noise, up to its instants otherwise.
-    double residual;     ///< Root mean square of W - row . x about the arc constants [J].
-    double noise_ratio;  ///< Its square over what the declared noise makes of it; NaN where none is declared.
-    double gate;         ///< Smallest ratio of sums to noise (ZYGOS_GATE); infinite where none is declared.
+    uint64_t cycle;                         ///< SYNC number of the newest cycle that went in.
+    uint64_t accepted;                      ///< Instants that went in.
+    uint64_t refused;                       ///< Instants that failed the bandwidth test.
+    uint32_t parameters;                    ///< p.
+    uint32_t validity;                      ///< enum zygos_validity.
+    uint32_t reason;                        ///< enum zygos_reason.
+    uint32_t arcs;                          ///< Arcs that went in, the open one included.
+    uint32_t blocks;                        ///< Blocks behind the sigmas.
+    uint32_t rank;                          ///< Independent columns.
+    uint32_t left_out[ZYGOS_KINDS_OF_ROWS]; ///< Arcs that contradicted, by enum zygos_rows, the open ones included.
+    uint32_t in_a_row;  ///< Of those of the energy rows the newest that no arc that agrees lies between.
+    double condition;   ///< 1-norm condition of the scaled normal matrix of the independent columns.
+    double cluster;     ///< How far the residuals of a block add up: around 1 for noise, up to its instants otherwise.
+    double residual;    ///< Root mean square of W - row . x about the arc constants [J].
+    double noise_ratio; ///< Its square over what the declared noise makes of it; NaN where none is declared.
+    double gate;        ///< Smallest ratio of sums to noise (ZYGOS_GATE); infinite where none is declared.
     uint32_t identifiable[ZYGOS_MAX_PARAMETERS]; ///< 1, or 0 and value and sigma are NaN.
     /// The least squares solution for all columns, dependent ones 0; NaN when refused. As a whole it predicts the
     /// energy of motions like those it came from. One of its entries means something by itself only where value has it
@@ -114,7 +118,10 @@ typedef struct {
     zygos_accumulator_t accumulator;
     zygos_joint_sums_t joint_sums;
     zygos_momentum_sums_t momentum_sums;
+    zygos_guard_t guard;
     uint64_t cycle;
+    uint32_t arc; ///< Instants of the open arc of the energy rows.
+    uint32_t reserved;
     zygos_config_t config;
     zygos_layout_t layout;
     double total[ZYGOS_MAX_PACKED_ROW]; ///< All rows, weighted, the noise taken off.
