@@ -114,8 +114,7 @@ static void look(const zygos_guard_t *self, const double *gram, const uint32_t *
     out->spread += sides ? gram[columns] : 0.0;
 }
 
-/* The quantile of chi-square over its degrees of freedom, by Wilson and Hilferty, and the margin. */
-static double most_of(double freedom)
+double zygos_guard_most(double freedom)
 {
     const double u = 2.0 / (9.0 * ((freedom > 1.0) ? freedom : 1.0));
     const double third = 1.0 - u + SIGMAS * __builtin_sqrt(u);
@@ -133,7 +132,7 @@ static double limit_of(const finding_t *found, const zygos_usual_t *usual, doubl
     const double spread = larger(found->spread, n * usual->spread);
     const double alike =
         larger(n * usual->residual, (usual->spread > 0.0) ? usual->residual / usual->spread * spread : 0.0);
-    return most_of(freedom) * larger(found->usual, alike) + SIGMAS * SIGMAS * larger(found->off, 0.0) +
+    return zygos_guard_most(freedom) * larger(found->usual, alike) + SIGMAS * SIGMAS * larger(found->off, 0.0) +
            ZYGOS_GUARD_SHARE * ZYGOS_GUARD_SHARE * spread;
 }
 
@@ -165,7 +164,9 @@ static void count(zygos_guard_t *self, const zygos_config_t *config, uint32_t ro
         self->changed |= (self->in_a_row[k] >= several(config, k)) ? 1u : 0u;
     }
     if ((self->changed != 0) && (self->instants[rows] > there)) {
-        self->known = 0; /* what is known now is the smaller part */
+        /* What is known is the smaller part, and is not taken up again before half an arc has been admitted. */
+        self->known = 0;
+        self->since = cycle + config->arc_cycles / 2u;
     }
 }
 
@@ -206,7 +207,7 @@ static bool energy_contradicts(zygos_guard_t *self, const zygos_config_t *config
     const double limit = limit_of(&rows, &self->energy, n, n / window);
     /* What adds up in a block: as the run has it, of a mean square that is usual. */
     const double usual = larger(rows.usual / n, self->energy.residual);
-    const double most = most_of(0.5 * count_of_blocks) * self->cluster * usual * count_of_blocks +
+    const double most = zygos_guard_most(0.5 * count_of_blocks) * self->cluster * usual * count_of_blocks +
                         SIGMAS * SIGMAS * larger(blocks.off, 0.0) +
                         ZYGOS_GUARD_SHARE * ZYGOS_GUARD_SHARE * self->energy.spread * share;
     const double first = (limit > 0.0) ? rows.residual / limit : 0.0;

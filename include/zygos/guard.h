@@ -95,6 +95,10 @@ void zygos_guard_begin(zygos_guard_t *self, const zygos_config_t *config, const 
                        const zygos_accumulator_t *energy, const zygos_joint_sums_t *motors,
                        const zygos_momentum_sums_t *momentum);
 
+/// How many times its mean a mean square of so many independent rows can reach: the 6-sigma quantile of chi-square over
+/// its degrees of freedom, by Wilson and Hilferty, times ZYGOS_GUARD_MARGIN.
+double zygos_guard_most(double freedom);
+
 /// End the open arc of the energy, motor or momentum rows, whose newest cycle is the given one and which had so many:
 /// as zygos_accumulator_end_arc() and its like do, unless the arc contradicts the running solution. Cost: as these, and
 /// the sums of the arc twice.

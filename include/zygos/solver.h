@@ -163,9 +163,11 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out);
 /// was known before (until out->cycle), and deviation[ZYGOS_MAX_PARAMETERS] with how far the newest arc's own value
 /// lies from that, in standard deviations of the difference (from half95). ZYGOS_DRIFT_ALARM and beyond is a change of
 /// the arm; while the arcs that are compared hold the arm before and after it, it may name more than has changed. Call
-/// it twice an arc: when the next arc speaks, the changed one is among those before. Reads and changes *work, as
-/// zygos_solve() does: take anew for each. Returns 1; 0 when all deviations are NaN, because before (validity is then
-/// ZYGOS_REFUSED) or within the newest arc something is not identifiable; or ZYGOS_E_NULL.
+/// it twice an arc: when the next arc speaks, the changed one is among those before. The open arc is looked at even if
+/// it contradicts the running solution (guard.h); where there is one, a newest arc that no arm explains, for what its
+/// own solution leaves is unusual, is no change. Reads and changes *work, as zygos_solve() does: take anew for each.
+/// Returns 1; 0 when all deviations are NaN, because before (validity is then ZYGOS_REFUSED) or within the newest arc
+/// something is not identifiable or not explained; or ZYGOS_E_NULL.
 int zygos_drift(zygos_work_t *work, zygos_estimate_t *out, double *deviation);
 
 #ifdef __cplusplus
