@@ -42,23 +42,11 @@ static uint64_t check_of(const zygos_guard_t *self)
     return hash;
 }
 
-static bool is_finite(double x)
-{
-    return (x > -1e300) && (x < 1e300);
-}
-
-bool zygos_guard_intact(const zygos_guard_t *self, uint32_t parameters)
+bool zygos_guard_intact(const zygos_guard_t *self)
 {
     bool good = (self->known <= 1u) && (self->changed <= 1u);
     for (uint32_t k = 0; k < (uint32_t)ZYGOS_KINDS_OF_ROWS; k++) {
         good = good && (self->instants[k] >= 0.0) && (self->instants[k] <= ZYGOS_MOST_INSTANTS);
-    }
-    if (!good || (self->known == 0)) {
-        return good;
-    }
-    good = (self->parameters == parameters) && (self->check == check_of(self));
-    for (uint32_t i = 0; good && (i < parameters); i++) {
-        good = is_finite(self->solution[i]);
     }
     return good;
 }

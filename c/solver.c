@@ -887,6 +887,11 @@ static bool prepare(zygos_work_t *work)
     return sums->corrupt == 0;
 }
 
+bool zygos_work_intact(zygos_work_t *work)
+{
+    return (work != NULL) && prepare(work);
+}
+
 /* Chooses the blocks of the momentum rows that end behind one cycle, and not behind another. */
 static void choose_momenta(zygos_work_t *work, uint64_t after, uint64_t until)
 {

@@ -345,8 +345,7 @@ static bool is_intact(const zygos_t *self)
     zygos_balance_layout(&self->config, &layout);
     return zygos_receiver_intact(&self->receiver) && zygos_accumulator_intact(&self->accumulator, layout.count) &&
            zygos_joint_sums_intact(&self->joint_sums, &self->config) &&
-           zygos_momentum_sums_intact(&self->momentum_sums, &self->config) &&
-           zygos_guard_intact(&self->guard, layout.count);
+           zygos_momentum_sums_intact(&self->momentum_sums, &self->config) && zygos_guard_intact(&self->guard);
 }
 
 int zygos_resume(zygos_t *self, const zygos_config_t *config)
@@ -476,6 +475,24 @@ int zygos_adopt(zygos_t *self, const zygos_estimate_t *estimate)
     return 1;
 }
 
+int zygos_check(const zygos_t *self, const zygos_config_t *config, zygos_work_t *work)
+{
+    if ((self == NULL) || (config == NULL) || (work == NULL)) {
+        return ZYGOS_E_NULL;
+    }
+    if (self->mark != MARK) {
+        return ZYGOS_E_ORDER;
+    }
+    if (!is_same(&self->config, config)) {
+        return ZYGOS_E_CONFIG;
+    }
+    if ((check_config(config) < 0) || !is_intact(self)) {
+        return ZYGOS_E_STATE;
+    }
+    zygos_take(self, work);
+    return zygos_work_intact(work) ? 1 : ZYGOS_E_SUMS;
+}
+
 int zygos_restart(zygos_t *self, uint32_t keep)
 {
     if (self == NULL) {
@@ -483,6 +500,10 @@ int zygos_restart(zygos_t *self, uint32_t keep)
     }
     if (self->mark != MARK) {
         return ZYGOS_E_ORDER;
+    }
+    const int verdict = check_config(&self->config);
+    if (verdict < 0) {
+        return verdict;
     }
     const uint32_t known = (uint32_t)ZYGOS_KEEP_FAULTS | (uint32_t)ZYGOS_KEEP_JOINTS;
     const bool joints = (keep & (uint32_t)ZYGOS_KEEP_JOINTS) != 0;
@@ -498,7 +519,7 @@ int zygos_restart(zygos_t *self, uint32_t keep)
     for (uint32_t i = 0; (i < ZYGOS_CYCLE_QUEUE) && (zygos_receiver_front(&self->receiver) != NULL); i++) {
         zygos_receiver_pop(&self->receiver);
     }
-    zygos_smoother_gap(&self->smoother);
+    make_tables(self); /* memory may have been changed there */
     zygos_balance_gap(&self->balance);
     zygos_impulse_gap(&self->impulse);
     if (joints) {

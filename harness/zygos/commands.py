@@ -27,7 +27,7 @@ from zygos.errors import Damaged, Undecided, ZygosError
 from zygos.flight import GATE, OVERDECLARED, ROWS, Drift, Estimate, Flight, encode
 from zygos.model import Model, Quantity, load_model, save_model
 from zygos.motion import ENGINES
-from zygos.output import check_outputs, counted, errors, note, number, ratio, say, table, write_json
+from zygos.output import bad, check_outputs, counted, errors, good, note, number, ratio, say, table, write_json
 from zygos.plant import simulate
 from zygos.scenario import load_scenario
 from zygos.watch import Watch
@@ -342,7 +342,8 @@ def finish_estimate(
             f"arm {flight.arm.name} · {counted(flight.counts['cycles'], 'cycle')} · {losses(flight)} · "
             f"{counted(result.accepted, 'instant')} accepted, {result.refused:,} refused · "
             f"{counted(result.arcs, 'arc')}, {flight.counts['arcs_dropped']:,} dropped, "
-            f"{result.left_out[0]:,} left out · {np.isfinite(result.value).sum()} of {counted(len(result.names), 'parameter')} · {result.validity}"
+            f"{result.left_out[0]:,} left out · "
+            f"{np.isfinite(result.value).sum()} of {counted(len(result.names), 'parameter')} · {result.validity}"
             + (" · door: cycle" if heading["door"] == "cycle" else "")
         )
         seen = [f"{name} {count:,}" for name, count in flight.faults.items() if count]
@@ -437,7 +438,7 @@ def check_run(run: Path, arm_file: Path | None, model_file: Path | None, json: s
                     number(room.difference, 2),
                     "–" if room.cycle is None else str(room.cycle),
                     number(room.tolerance, 2),
-                    "[green]equal[/]" if room.equal else "[red]differs[/]",
+                    good("equal") if room.equal else bad("differs"),
                 )
                 for room in rooms
             ],

@@ -84,9 +84,9 @@ typedef struct {
 /// Empties the guard. counters: those of arcs left out go as well. cycle: estimates up to it are of another arm.
 void zygos_guard_clear(zygos_guard_t *self, bool counters, uint64_t cycle);
 
-/// Whether flags and counts are possible for p parameters, and the running solution, if there is one, is whole and
-/// finite. Cost: one pass over it.
-bool zygos_guard_intact(const zygos_guard_t *self, uint32_t parameters);
+/// Whether flags and counts are possible. A running solution that memory spoilt is no obstacle: its check does not
+/// match when the next arc ends, and it is forgotten. Cost: a few comparisons.
+bool zygos_guard_intact(const zygos_guard_t *self);
 
 /// Begins with the running solution that the caller has written (parameters, noise_ratio, cluster, energy.residual,
 /// solution, covariance): what rows of the run leave on average at it, and the check. Cost: the sums of the motor and

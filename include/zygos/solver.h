@@ -158,6 +158,11 @@ typedef struct {
 /// ZYGOS_E_NULL.
 int zygos_solve(zygos_work_t *work, zygos_estimate_t *out);
 
+/// Whether sums and counts that were taken are those that were accumulated: where this is false, zygos_solve() answers
+/// ZYGOS_REASON_CORRUPT. Reads and changes *work, as zygos_solve() does: take anew for each. Cost: a few passes over
+/// the sums, and none of the factorisations.
+bool zygos_work_intact(zygos_work_t *work);
+
 /// Compares the newest arc with all that came before it. An arc with fewer than half the instants of the longest does
 /// not speak for itself: it counts with those before it, until several such have as many together. Fills *out with what
 /// was known before (until out->cycle), and deviation[ZYGOS_MAX_PARAMETERS] with how far the newest arc's own value

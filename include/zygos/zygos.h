@@ -145,9 +145,21 @@ void zygos_take(const zygos_t *self, zygos_work_t *work);
 /// of the motor and the momentum rows once, and two passes over the covariance.
 int zygos_adopt(zygos_t *self, const zygos_estimate_t *estimate);
 
-/// Starts the estimate from nothing with the same configuration (the payload changed); reception goes on, cycles that
-/// wait in the queue are forgotten.
-/// keep: bits of enum zygos_keep. Same task as zygos_step(). Returns 1 or an enum zygos_error.
+/// Whether memory is what the library left in it: call it before a state is sealed, and behind zygos_snapshot_check()
+/// before one that was stored is used, for a CRC also fits what was damaged before it was sealed. Returns 1;
+/// ZYGOS_E_NULL; ZYGOS_E_ORDER; ZYGOS_E_CONFIG when the configuration in *self is not *config; ZYGOS_E_STATE when
+/// something that is used as a place, count or length cannot be; or ZYGOS_E_SUMS when zygos_solve() would answer
+/// ZYGOS_REASON_CORRUPT. zygos_restart() heals the sums, and zygos_init() everything. Changes *work alone, which is
+/// scratch; what it held is lost. Not seen: fault and cycle counters, and the smoother's window, which is soon
+/// overwritten. Same task as zygos_step(), while no frame is being received. Cost: zygos_take(), and a few passes over
+/// the sums; about as much as zygos_snapshot_seal(), and far less than zygos_solve().
+int zygos_check(const zygos_t *self, const zygos_config_t *config, zygos_work_t *work);
+
+/// Starts the estimate from nothing with the same configuration (the payload changed, or the sums are corrupt);
+/// reception goes on, cycles that wait in the queue are forgotten. What follows from the configuration is computed
+/// anew. keep: bits of enum zygos_keep. Same task as zygos_step(). Returns 1, or an enum zygos_error and *self is as it
+/// was: that of the configuration if memory was changed there. Cost: the coefficients of the smoother, and one memset
+/// of the sums.
 int zygos_restart(zygos_t *self, uint32_t keep);
 
 /// ZYGOS_ABI as the library was compiled.

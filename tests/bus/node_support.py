@@ -48,7 +48,8 @@ def frame_of(identifier: int, data: bytes = b"", flags: int = 0) -> Any:
 
 
 class Node:
-    """A running node. `answers` has the (identifier, data) of what it sent."""
+    """A running node. `answers` has the (identifier, data) of what it sent, `complaints` what it said before `first`,
+    the line that tells that it listens."""
 
     def __init__(self, *arguments: object, pair: tuple[socket.socket, socket.socket] | None = None) -> None:
         self.near, far = pair or socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -59,10 +60,14 @@ class Node:
         )
         far.close()
         assert self.process.stderr is not None
+        self.complaints = ""
         self.first = self.process.stderr.readline()
+        while self.first and "listening on" not in self.first:
+            self.complaints += self.first
+            self.first = self.process.stderr.readline()
 
     def __enter__(self) -> Node:
-        assert self.first.startswith("zygos-node: listening on --fd"), self.first
+        assert self.first.startswith("zygos-node: listening on --fd"), self.complaints + self.first
         return self
 
     def __exit__(self, *error: object) -> None:
