@@ -70,7 +70,7 @@ enum zygos_reason {
 /// adds up beyond this, which noise does not reach.
 #define ZYGOS_CLUSTER_NOISE 1.0
 /// Least share of the residuals' square that is taken for systematic.
-#define ZYGOS_SYSTEMATIC 0.03
+#define ZYGOS_SYSTEMATIC 0.05
 /// A parameter whose sigma exceeds this share of its size is not identifiable yet. The size is the value; of a kinetic
 /// parameter, if larger, the root of the product of the two diagonal ones that it couples, and of a first moment the
 /// largest of them. Effects are exempt: an effect may be zero.
