@@ -110,7 +110,7 @@ static void add_block(zygos_joint_block_t *to, const zygos_joint_block_t *from)
 /* The target doubles only when merging up to it is not enough; once it holds all instants, one block is left. */
 static void make_room(zygos_joint_sums_t *self)
 {
-    for (uint32_t tries = 0; (tries < 64u) && (self->count > 3u * ZYGOS_MAX_JOINT_BLOCKS / 4u); tries++) {
+    for (uint32_t tries = 0; tries < 64u; tries++) {
         uint32_t to = 0;
         for (uint32_t from = 0; from < self->count; from++) {
             if ((to > 0) && (self->block[to - 1u].total + self->block[from].total <= self->target)) {
@@ -123,6 +123,9 @@ static void make_room(zygos_joint_sums_t *self)
             to++;
         }
         self->count = to;
+        if (self->count <= 3u * ZYGOS_MAX_JOINT_BLOCKS / 4u) {
+            return;
+        }
         self->target *= 2.0;
     }
 }

@@ -151,7 +151,7 @@ static void close_block(zygos_momentum_sums_t *self, zygos_momentum_gram_t *rows
 /* The target doubles only when merging up to it is not enough; once it holds all instants, one block is left. */
 static void make_room(zygos_momentum_sums_t *self)
 {
-    for (uint32_t tries = 0; (tries < 64u) && (self->count > 3u * ZYGOS_MOMENTUM_PLACES / 4u); tries++) {
+    for (uint32_t tries = 0; tries < 64u; tries++) {
         uint32_t to = 0;
         for (uint32_t from = 0; from < self->count; from++) {
             const zygos_momentum_block_t *next = &self->block[from];
@@ -168,6 +168,9 @@ static void make_room(zygos_momentum_sums_t *self)
             to++;
         }
         self->count = to;
+        if (self->count <= 3u * ZYGOS_MOMENTUM_PLACES / 4u) {
+            return;
+        }
         self->target *= 2.0;
     }
 }
