@@ -24,7 +24,7 @@ from test_c_equals_numpy import CASES, arm_of, record_of
 from conftest import ROOT
 from zygos import flight, reference
 from zygos.arm import Arm, load_arm
-from zygos.check import Room, check_chain
+from zygos.check import Room, check_chain, rounding, tables
 from zygos.cycles import Cycles
 from zygos.effects import CATALOGUE, SLOWEST_RATE, Effect, estimated
 from zygos.errors import ZygosError
@@ -217,7 +217,8 @@ def test_column_is_what_the_effect_does_to_the_balance(key: str, joint: str) -> 
 
 
 def same(arm: Arm, cycles: Cycles, effects: Sequence[Effect]) -> list[Room]:
-    """Rows within 1e-12 of each column's largest entry, and every room of `zygos check`."""
+    """Rows within rounding, 1e-12 of each column's largest entry or what the readings' own rounding does, and every
+    room of `zygos check`."""
     run = Flight(arm, effects)
     trace = run.cycles(cycles, trace=True)
     assert trace is not None
@@ -228,7 +229,8 @@ def same(arm: Arm, cycles: Cycles, effects: Sequence[Effect]) -> list[Room]:
     assert numpy.shape[1] == len(run.names) + 1 == len(arm.parameter_names) + len(effects) + 1
     scale = np.abs(numpy).max(axis=0)
     assert (scale > 0.0).all()
-    assert (np.abs(c - numpy) / scale).max() <= 1e-12
+    samples = reference.calibrate(arm, cycles)
+    assert (np.abs(c - numpy) / scale <= rounding(arm, samples, tables(arm, samples, effects), effects).row).all()
     rooms = check_chain(arm, trace, run)
     assert [room for room in rooms if not room.equal] == []
     return rooms
