@@ -153,7 +153,8 @@ def simulated(case: Case) -> list[Cycles]:
 
 def _packed(motions: Sequence[Cycles]) -> bytes:
     with tempfile.TemporaryFile() as file:
-        np.savez(file, **{name: np.stack([getattr(one, name) for one in motions]) for name in vars(motions[0])})
+        columns: Any = {name: np.stack([getattr(one, name) for one in motions]) for name in vars(motions[0])}
+        np.savez(file, **columns)
         file.seek(0)
         return file.read()
 

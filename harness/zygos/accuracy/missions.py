@@ -12,10 +12,12 @@ import numpy as np
 import typer
 
 from zygos.accuracy import campaign
-from zygos.accuracy.cases import Case, all_cases, chosen
+from zygos.accuracy.cases import Case
 from zygos.accuracy.cell import fingerprint
 from zygos.accuracy.mission import LENGTHS, LOST, MISSING, MOTION_S, MOTIONS, REPEATED, Mission
+from zygos.arm import load_arm
 from zygos.errors import ZygosError
+from zygos.model import load_model
 from zygos.output import (
     check_outputs,
     counted,
@@ -26,11 +28,23 @@ from zygos.output import (
     write_json,
     write_text,
 )
+from zygos.scenario import load_scenario
 
 Line = dict[str, Any]
 
-CASE = "paper-60"
+EXAMPLE = "paper"
 FOLDER = Path("out/mission")
+
+
+def case_of(name: str, folder: Path = Path("examples")) -> Case:
+    """The arm, plant and scenario of an example. Errors: ZygosError if it has none."""
+    own = folder / name
+    if not (own / "scenario.toml").is_file():
+        raise ZygosError(
+            f"{own / 'scenario.toml'}: no such file; remedy: run inside a checkout, and name a folder of {folder}/"
+        )
+    arm = load_arm(own / "arm.toml")
+    return Case(name, "", arm, arm, load_model(own / "model.toml"), load_scenario(own / "scenario.toml"))
 
 
 def summarised(case: Case, lines: Sequence[Line]) -> list[Line]:
@@ -116,7 +130,9 @@ def mission(
     lengths: Annotated[
         list[str] | None, typer.Argument(metavar="[LENGTH]...", help="60s, 300s, 3h, 30d; default: all of them.")
     ] = None,
-    case: Annotated[list[str] | None, typer.Option(metavar="CASE", help="Case of `make accuracy`; repeatable.")] = None,
+    example: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="Folder of examples/; repeatable; default: paper.")
+    ] = None,
     draws: Annotated[
         int | None, typer.Option(min=1, help="Missions of each length; default: 200, 200, 60, 12.")
     ] = None,
@@ -142,10 +158,10 @@ def mission(
         for length in LENGTHS
         if not lengths or length.name in lengths
     ]
-    target = json or (FOLDER / "mission.json" if lengths or draws or case or door else Path("docs/mission.json"))
+    target = json or (FOLDER / "mission.json" if lengths or draws or example or door else Path("docs/mission.json"))
     check_outputs([target, target.with_suffix(".md"), folder / "lines.jsonl"], [])
     begin = time.monotonic()
-    cases = chosen(all_cases(), case or [CASE])
+    cases = [case_of(name) for name in example or [EXAMPLE]]
     jobs = [
         Mission(one, replace(length, draws=0), k, folder, fingerprint())
         for one in cases
