@@ -134,21 +134,21 @@ def stored(case: Case, folder: Path) -> list[Cycles]:
     return _read(path)
 
 
-def simulated(case: Case) -> list[Cycles]:
-    """The motions, which differ by what the encoder errors do to the servo."""
+def simulated(case: Case, count: int = MOTIONS) -> list[Cycles]:
+    """The motions of seeds 0 .. count-1, which differ by what the encoder errors do to the servo."""
     run = simulate(
         case.plant,
         case.model,
         case.scenario,
         engine=case.engine,
-        seeds=range(MOTIONS),
+        seeds=range(count),
         noise=True,
         duration_s=MOTION_S,
         rtol=1e-9,
         atol=1e-11,
     )
     silent = replace(run, noise=no_noise(run.arm, len(run.t), run.seeds))
-    return [record(silent, index) for index in range(MOTIONS)]
+    return [record(silent, index) for index in range(count)]
 
 
 def _packed(motions: Sequence[Cycles]) -> bytes:
