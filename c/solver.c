@@ -772,14 +772,18 @@ static void widen(const zygos_work_t *work, uint32_t p, zygos_estimate_t *out)
     }
 }
 
-/* Leaving out a block tells of what blocks do not have in common. The part of the residuals that adds up within a block
-   is no noise, and may be the same in all of them: then no number of blocks averages it out. */
-static void allow_for_likeness(const zygos_work_t *work, uint32_t p, zygos_estimate_t *out)
+/* Leaving out a block tells of what blocks do not have in common. Two parts of the residuals may be the same in all of
+   them, and then no number of blocks averages them out: what adds up within a block, and what the declared noise does
+   not explain, of which as much is left as it does in one arc of the longest kind. */
+static void allow_for_likeness(const zygos_work_t *work, uint32_t p, double systematic, zygos_estimate_t *out)
 {
     const double blocks = (double)(work->blocks.end - work->blocks.first);
+    const double arcs = work->instants / (double)work->config.arc_cycles;
     const double alike = (out->cluster > ZYGOS_CLUSTER_NOISE) ? 1.0 - ZYGOS_CLUSTER_NOISE / out->cluster : 0.0;
-    for (uint32_t k = 0; (k < at(p, 0)) && (alike > 0.0); k++) {
-        out->covariance[k] *= 1.0 + (blocks - 1.0) * alike;
+    const double adds = (blocks - 1.0) * alike;
+    const double stays = arcs * ((systematic > ZYGOS_SYSTEMATIC) ? systematic : ZYGOS_SYSTEMATIC);
+    for (uint32_t k = 0; k < at(p, 0); k++) {
+        out->covariance[k] *= 1.0 + ((adds > stays) ? adds : stays);
     }
 }
 
@@ -1067,7 +1071,7 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     }
     inverse_diagonal(work, p, rank, work->inverse);
     jackknife(work, p, rank, out->covariance);
-    allow_for_likeness(work, p, out);
+    allow_for_likeness(work, p, (excess > 0.0) ? excess / unexplained : 0.0, out);
     put_in_again(work, p, noise);
     if (loud) {
         /* What is left of the noise where it could not be taken off in whole. */

@@ -16,9 +16,10 @@ from zygos.arm import Arm, Encoder, Imu, Joint, Smoother, TorqueLaw
 from zygos.check import Rounding, rounding, tables
 from zygos.cycles import BREAK_BEFORE, INVALID, VOID_BEFORE, VOID_SHIFT, Cycles
 from zygos.flight import Flight, Trace, ffi, lib
+from zygos.reference.balance import arc_cycles
 from zygos.reference.cycle import usable
 from zygos.reference.noise import instants, moments, spread
-from zygos.reference.solver import explained, scatter
+from zygos.reference.solver import Rows, explained, scatter, that_stays
 
 Floats = NDArray[np.float64]
 
@@ -344,17 +345,20 @@ def test_sigmas_from_the_same_blocks(name: str) -> None:
     np.testing.assert_allclose(weights.sum(axis=0), 1.0, rtol=1e-12)
     np.testing.assert_allclose(noise.sum(axis=0), design.noise, rtol=1e-9, atol=1e-12 * np.abs(design.noise).max())
     told = scatter(design.z, design.w, weights, noise)
+    stays = that_stays(Rows(design.z, design.w, design.noise), solution, arc_cycles(both.arm))
+    assert estimate.cluster < 1.0  # nothing adds up within blocks
+    covariance = (1.0 + stays) * told.covariance
     left = design.w - design.z @ solution.x
     a, b = design.normal()
     excess = max(0.0, left @ left - explained(design.noise, solution.x)) / (solution.x**2 @ np.diag(a))
     hidden = np.linalg.solve(a + excess * np.diag(np.sum(design.z**2, axis=0)), b) - np.linalg.solve(a, b)
-    sigma = np.sqrt(np.diag(told.covariance) + hidden**2)
+    sigma = np.sqrt(np.diag(covariance) + hidden**2)
     np.testing.assert_allclose(estimate.sigma, sigma, rtol=1e-6)
     np.testing.assert_allclose(estimate.half95 / estimate.sigma, student.ppf(0.975, told.freedom), rtol=0.02)
     np.testing.assert_allclose(np.sqrt(np.diag(estimate.covariance)), estimate.sigma, rtol=1e-14)
     np.testing.assert_allclose(
         estimate.covariance - np.diag(estimate.sigma**2),
-        told.covariance - np.diag(np.diag(told.covariance)),
+        covariance - np.diag(np.diag(covariance)),
         atol=1e-6 * np.abs(np.outer(sigma, sigma)).max(),
         rtol=0,
     )
