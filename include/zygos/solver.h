@@ -112,8 +112,8 @@ typedef struct {
     /// too.
     double solution[ZYGOS_MAX_PARAMETERS];
     double value[ZYGOS_MAX_PARAMETERS];
-    double sigma[ZYGOS_MAX_PARAMETERS]; ///< One standard deviation: scatter of the blocks, and a floor that no length
-                                        ///< of the run averages out (ZYGOS_SYSTEMATIC).
+    double sigma[ZYGOS_MAX_PARAMETERS];  ///< One standard deviation: scatter of the blocks, and a floor that no length
+                                         ///< of the run averages out (ZYGOS_SYSTEMATIC).
     double half95[ZYGOS_MAX_PARAMETERS]; ///< Half width of the 95 % interval: sigma times Student's factor for as many
                                          ///< blocks as the parameter's information really comes from.
     double covariance[ZYGOS_MAX_PACKED]; ///< Lower triangle row by row, the floor in all of it; NaN where a parameter
