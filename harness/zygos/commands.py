@@ -24,12 +24,8 @@ from zygos.columns import check_table, is_table
 from zygos.cycletable import read_cycles
 from zygos.effects import Effect
 from zygos.errors import Damaged, Undecided, ZygosError
-<<<<<<< HEAD
-from zygos.flight import GATE, OVERDECLARED, Drift, Estimate, Flight, encode
-from zygos.lines import LineProgress
-=======
 from zygos.flight import GATE, OVERDECLARED, ROWS, Drift, Estimate, Flight, encode
->>>>>>> arcs
+from zygos.lines import LineProgress
 from zygos.model import Model, Quantity, load_model, save_model
 from zygos.motion import ENGINES
 from zygos.output import bad, check_outputs, counted, errors, good, note, number, ratio, say, table, write_json
