@@ -82,7 +82,10 @@ class Tables:
     """(m, p+1) columns and work."""
 
     def lengths(self) -> Floats:
-        """(p+1,) lengths of the columns and the work of the rows in use, less the mean of each arc; above 0, also where nothing moved."""
+        """(p+1,) lengths of the columns and the work of the rows in use, less the mean of each arc.
+
+        Above 0, also where nothing moved.
+        """
         length: Floats = np.linalg.norm(np.column_stack([self.used.z, self.used.w]), axis=0)
         return np.maximum(length, 1e-150)
 
