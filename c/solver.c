@@ -750,7 +750,7 @@ static double joint_variance(const zygos_work_t *work, uint32_t i)
 static void add_motors(zygos_work_t *work, double energy)
 {
     const zygos_joint_sums_t *sums = &work->joint_sums;
-    const bool enough = (work->arcs.end - work->arcs.first >= 3u);
+    const bool enough = (work->arcs.end - work->arcs.first >= ZYGOS_LEAST_ARCS);
     for (uint32_t i = 0; i < work->config.joints; i++) {
         if ((sums->layout.count[i] > 0) && !(work->weight[i] > 0.0)) {
             const double joint = joint_variance(work, i);
@@ -888,7 +888,7 @@ static bool prepare(zygos_work_t *work)
     if (work->config.impulse_arc_cycles > 0) {
         zygos_guard_end_motors(&work->guard, &work->config, &work->layout, &work->joint_sums, work->cycle);
     }
-    return sums->corrupt == 0;
+    return (sums->corrupt == 0) && (work->joint_sums.corrupt == 0) && (work->momentum_sums.corrupt == 0);
 }
 
 bool zygos_work_intact(zygos_work_t *work)
@@ -971,7 +971,7 @@ static uint32_t with_motors(zygos_work_t *work, uint32_t p, zygos_estimate_t *ou
 static uint32_t with_momentum(zygos_work_t *work, uint32_t p, uint32_t rank, zygos_estimate_t *out)
 {
     const zygos_momentum_sums_t *sums = &work->momentum_sums;
-    if ((rank == 0) || (work->momenta.end < work->momenta.first + 3u)) {
+    if ((rank == 0) || (work->momenta.end < work->momenta.first + ZYGOS_LEAST_ARCS)) {
         work->momenta.end = work->momenta.first;
         return rank;
     }
