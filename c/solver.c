@@ -1175,8 +1175,9 @@ int zygos_drift(zygos_work_t *work, zygos_estimate_t *out, double *deviation)
     for (uint32_t i = 0; i < (uint32_t)ZYGOS_MAX_PARAMETERS; i++) {
         deviation[i] = not_a_number();
     }
-    const bool guarded = (work->guard.known != 0);
-    work->guard.known = 0; /* the newest arc is what it is about */
+    /* The newest arc is what it is about, unless it is too short to speak for itself. */
+    const bool guarded = (work->guard.known != 0) && ((double)sums->arc_instants >= sums->enough);
+    work->guard.known = guarded ? 0u : work->guard.known;
     if (!prepare(work)) {
         return refuse(out, ZYGOS_MAX_PARAMETERS, ZYGOS_REASON_CORRUPT);
     }
