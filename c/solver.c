@@ -859,39 +859,6 @@ static double cluster(const zygos_work_t *work, uint32_t p, const zygos_estimate
     return squares / (blocks * out->residual * out->residual);
 }
 
-/* Whether the work was taken, and from memory that nobody changed; closes the open arcs. */
-static bool prepare(zygos_work_t *work)
-{
-    zygos_accumulator_t *sums = &work->accumulator;
-    if ((work->config.joints < 1u) || (work->config.joints > ZYGOS_MAX_JOINTS) ||
-        (zygos_effects_check(&work->config) < 0) || (work->config.kinetic > (uint32_t)ZYGOS_SPATIAL_ARM) ||
-        (work->config.base > (uint32_t)ZYGOS_BASE_FIXED)) {
-        return false;
-    }
-    zygos_balance_layout(&work->config, &work->layout);
-    if (!zygos_accumulator_intact(sums, work->layout.count) ||
-        !zygos_joint_sums_intact(&work->joint_sums, &work->config) ||
-        !zygos_momentum_sums_intact(&work->momentum_sums, &work->config)) {
-        return false;
-    }
-    zygos_accumulator_flush(sums);
-    if (!(zygos_accumulator_check(sums) <= 1.0) || !(zygos_joint_sums_check(&work->joint_sums, &work->config) <= 1.0) ||
-        !(zygos_momentum_sums_check(&work->momentum_sums) <= 1.0)) {
-        return false;
-    }
-    zygos_momentum_sums_end_arc(&work->momentum_sums, &work->config, work->cycle);
-    zygos_accumulator_end_arc(sums, work->cycle);
-    if (work->config.impulse_arc_cycles > 0) {
-        zygos_joint_sums_end_arc(&work->joint_sums, &work->config, work->cycle);
-    }
-    return sums->corrupt == 0;
-}
-
-bool zygos_work_intact(zygos_work_t *work)
-{
-    return (work != NULL) && prepare(work);
-}
-
 /* Chooses the blocks of the momentum rows that end behind one cycle, and not behind another. */
 static void choose_momenta(zygos_work_t *work, uint64_t after, uint64_t until)
 {
@@ -1011,7 +978,7 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     }
     const zygos_accumulator_t *sums = &work->accumulator;
     memset(out, 0, sizeof *out);
-    if (!prepare(work)) {
+    if (!zygos_work_intact(work)) {
         return refuse(out, ZYGOS_MAX_PARAMETERS, ZYGOS_REASON_CORRUPT);
     }
     const uint32_t p = work->layout.count;
@@ -1140,7 +1107,7 @@ int zygos_drift(zygos_work_t *work, zygos_estimate_t *out, double *deviation)
     for (uint32_t i = 0; i < (uint32_t)ZYGOS_MAX_PARAMETERS; i++) {
         deviation[i] = not_a_number();
     }
-    if (!prepare(work)) {
+    if (!zygos_work_intact(work)) {
         return refuse(out, ZYGOS_MAX_PARAMETERS, ZYGOS_REASON_CORRUPT);
     }
     const uint32_t p = work->layout.count;
