@@ -26,10 +26,10 @@ bool zygos_work_intact(zygos_work_t *work)
         !(zygos_momentum_sums_check(&work->momentum_sums) <= 1.0)) {
         return false;
     }
-    zygos_momentum_sums_end_arc(&work->momentum_sums, &work->config, work->cycle);
-    zygos_accumulator_end_arc(sums, work->cycle);
+    zygos_guard_end_momentum(&work->guard, &work->config, &work->layout, &work->momentum_sums, work->cycle);
+    zygos_guard_end_energy(&work->guard, &work->config, sums, work->cycle, work->arc);
     if (work->config.impulse_arc_cycles > 0) {
-        zygos_joint_sums_end_arc(&work->joint_sums, &work->config, work->cycle);
+        zygos_guard_end_motors(&work->guard, &work->config, &work->layout, &work->joint_sums, work->cycle);
     }
     return sums->corrupt == 0;
 }
