@@ -863,39 +863,6 @@ static double cluster(const zygos_work_t *work, uint32_t p, const zygos_estimate
     return squares / (blocks * out->residual * out->residual);
 }
 
-/* Whether the work was taken, and from memory that nobody changed; closes the open arcs. */
-static bool prepare(zygos_work_t *work)
-{
-    zygos_accumulator_t *sums = &work->accumulator;
-    if ((work->config.joints < 1u) || (work->config.joints > ZYGOS_MAX_JOINTS) ||
-        (zygos_effects_check(&work->config) < 0) || (work->config.kinetic > (uint32_t)ZYGOS_SPATIAL_ARM) ||
-        (work->config.base > (uint32_t)ZYGOS_BASE_FIXED)) {
-        return false;
-    }
-    zygos_balance_layout(&work->config, &work->layout);
-    if (!zygos_accumulator_intact(sums, work->layout.count) ||
-        !zygos_joint_sums_intact(&work->joint_sums, &work->config) ||
-        !zygos_momentum_sums_intact(&work->momentum_sums, &work->config)) {
-        return false;
-    }
-    zygos_accumulator_flush(sums);
-    if (!(zygos_accumulator_check(sums) <= 1.0) || !(zygos_joint_sums_check(&work->joint_sums, &work->config) <= 1.0) ||
-        !(zygos_momentum_sums_check(&work->momentum_sums) <= 1.0)) {
-        return false;
-    }
-    zygos_guard_end_momentum(&work->guard, &work->config, &work->layout, &work->momentum_sums, work->cycle);
-    zygos_guard_end_energy(&work->guard, &work->config, sums, work->cycle, work->arc);
-    if (work->config.impulse_arc_cycles > 0) {
-        zygos_guard_end_motors(&work->guard, &work->config, &work->layout, &work->joint_sums, work->cycle);
-    }
-    return (sums->corrupt == 0) && (work->joint_sums.corrupt == 0) && (work->momentum_sums.corrupt == 0);
-}
-
-bool zygos_work_intact(zygos_work_t *work)
-{
-    return (work != NULL) && prepare(work);
-}
-
 /* Chooses the blocks of the momentum rows that end behind one cycle, and not behind another. */
 static void choose_momenta(zygos_work_t *work, uint64_t after, uint64_t until)
 {
@@ -1015,7 +982,7 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     }
     const zygos_accumulator_t *sums = &work->accumulator;
     memset(out, 0, sizeof *out);
-    if (!prepare(work)) {
+    if (!zygos_work_intact(work)) {
         return refuse(out, ZYGOS_MAX_PARAMETERS, ZYGOS_REASON_CORRUPT);
     }
     const uint32_t p = work->layout.count;
@@ -1178,7 +1145,7 @@ int zygos_drift(zygos_work_t *work, zygos_estimate_t *out, double *deviation)
     /* The newest arc is what it is about, unless it is too short to speak for itself. */
     const bool guarded = (work->guard.known != 0) && ((double)sums->arc_instants >= sums->enough);
     work->guard.known = guarded ? 0u : work->guard.known;
-    if (!prepare(work)) {
+    if (!zygos_work_intact(work)) {
         return refuse(out, ZYGOS_MAX_PARAMETERS, ZYGOS_REASON_CORRUPT);
     }
     const uint32_t p = work->layout.count;
