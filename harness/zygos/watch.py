@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from zygos.cycles import Cycles
 from zygos.flight import Drift, Flight
+from zygos.remedies import Known
 
 SYNC = 0x080
 LOOKS = 2
@@ -24,7 +25,9 @@ class Watch:
         """Nothing has come yet."""
         self.flight = flight
         self.plainest: Drift | None = None
-        """The look with the largest deviation; None while nothing could be compared."""
+        """The look with the largest deviation, those that prove a change before others; None where there was none."""
+        self.known: list[Known] = []
+        """What was known while the run grew, each entry at twice the cycles of the one before."""
         self._every = max(1, round(flight.arm.arc_max_s / flight.arm.period_s) // LOOKS)
         self._since = 0
 
@@ -61,7 +64,12 @@ class Watch:
 
     def look(self) -> Drift | None:
         """Compare the newest arc with all before it. Returns the plainest look so far."""
+        cycles = self.flight.counts["cycles"]
+        if cycles > 2 * (self.known[-1].cycles if self.known else 0):
+            values = self.flight.estimate().value
+            self.known.append(Known(cycles, int(np.count_nonzero(np.isfinite(values)))))
         drift = self.flight.drift()
-        if drift.largest > (self.plainest.largest if self.plainest else 0.0):
+        best = (bool(self.plainest.changed), self.plainest.largest) if self.plainest else (False, 0.0)
+        if (bool(drift.changed), drift.largest) > best:
             self.plainest = drift
         return self.plainest
