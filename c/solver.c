@@ -975,6 +975,19 @@ static uint32_t combine(zygos_work_t *work, uint32_t p, zygos_estimate_t *out)
     return with_momentum(work, p, with_motors(work, p, out), out);
 }
 
+/* Whether what the solution leaves of the chosen energy rows is noise: see ZYGOS_CLUSTER_LIMIT. Fills in what is left
+   over and how far it adds up. */
+static bool closes(const zygos_work_t *work, uint32_t p, zygos_estimate_t *out)
+{
+    double explained = 0.0;
+    double share = 0.0;
+    const double unexplained = energy_left(work, p, work->solution, &explained);
+    out->residual = root(unexplained / work->instants);
+    out->noise_ratio = (explained > 0.0) ? unexplained / explained : not_a_number();
+    out->cluster = (out->residual > 0.0) ? cluster(work, p, out, &share) : 0.0;
+    return (out->cluster <= ZYGOS_CLUSTER_LIMIT) || (share <= ZYGOS_CLUSTER_SHARE);
+}
+
 int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
 {
     if ((work == NULL) || (out == NULL)) {
@@ -1019,16 +1032,13 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     out->condition = condition(work, rank, &inverse);
     memcpy(out->value, work->solution, p * sizeof out->value[0]);
     memcpy(out->solution, work->solution, p * sizeof out->solution[0]);
+    const bool closed = closes(work, p, out);
     double explained = 0.0;
     const double unexplained = energy_left(work, p, work->solution, &explained);
-    out->residual = root(unexplained / work->instants);
-    out->noise_ratio = (explained > 0.0) ? unexplained / explained : not_a_number();
     if (!(unexplained < ZYGOS_UNEXPLAINED_LIMIT * work->spread)) {
-        return refuse(out, p, ZYGOS_REASON_NOT_IDENTIFIABLE);
+        /* What adds up is no noise, so something moved. */
+        return refuse(out, p, closed ? ZYGOS_REASON_NOT_IDENTIFIABLE : ZYGOS_REASON_UNEXPLAINED);
     }
-    double share = 0.0;
-    out->cluster = (out->residual > 0.0) ? cluster(work, p, out, &share) : 0.0;
-    const bool closed = (out->cluster <= ZYGOS_CLUSTER_LIMIT) || (share <= ZYGOS_CLUSTER_SHARE);
     const bool loud = !(out->gate >= ZYGOS_GATE);
     const uint32_t blind = loud ? ZYGOS_REASON_NOISE : ZYGOS_REASON_NOT_IDENTIFIABLE;
     const double excess = unexplained - work->believed * explained;
@@ -1175,15 +1185,24 @@ int zygos_drift(zygos_work_t *work, zygos_estimate_t *out, double *deviation)
         scaled[i] = work->inverse[i] * work->scale[i] * work->scale[i];
     }
     out->rank = rank;
-    out->validity = ZYGOS_VALID;
+    const bool before = closes(work, p, out);
+    out->validity = before ? ZYGOS_VALID : ZYGOS_DOUBTFUL;
+    out->reason = before ? ZYGOS_REASON_NONE : ZYGOS_REASON_UNCLOSED;
     choose(work, p, sums->newest, sums->open);
-    zygos_estimate_t *const before = out;
-    const double gate = out->gate;
-    if (!say(work, p, before, &rank) || (rank < p) || (guarded && !explains(work, p, &usual))) {
-        out->gate = gate;
+    const double known[4] = { out->gate, out->cluster, out->residual, out->noise_ratio };
+    const bool said = say(work, p, out, &rank) && (rank == p);
+    if (said && !closes(work, p, out)) {
+        out->validity = ZYGOS_DOUBTFUL;
+        out->reason = ZYGOS_REASON_UNCLOSED;
+    }
+    const double newest = out->cluster;
+    out->gate = known[0];
+    out->cluster = (said && (newest > known[1])) ? newest : known[1];
+    out->residual = known[2];
+    out->noise_ratio = known[3];
+    if (!said || (guarded && !explains(work, p, &usual))) {
         return 0;
     }
-    out->gate = gate;
     inverse_diagonal(work, p, rank, work->inverse);
     for (uint32_t i = 0; i < p; i++) {
         /* Noise is alike before and after; what differs is how well the motion tells of a parameter. */
