@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.errors import ZygosError
+from zygos.inputs import local, suffix
 from zygos.output import cannot_be_written
 
 TABLE_SUFFIXES = (".csv", ".parquet", ".npz")
@@ -19,13 +20,13 @@ Columns = dict[str, NDArray[Any]]
 
 
 def is_table(path: Path) -> bool:
-    """Whether the suffix is that of a table."""
-    return path.suffix.lower() in TABLE_SUFFIXES
+    """Whether the suffix is that of a table; of standard input, whether it begins like one."""
+    return suffix(path) in TABLE_SUFFIXES
 
 
 def check_table(path: Path) -> None:
     """Refuse a table that is missing."""
-    if not path.is_file():
+    if not local(path).is_file():
         raise ZygosError(f"{path}: no such file; remedy: give a table ({' '.join(TABLE_SUFFIXES)}) that exists")
 
 
@@ -37,13 +38,13 @@ def read_columns(path: Path) -> Columns:
     """
     check_table(path)
     try:
-        columns = _read_npz(path) if path.suffix.lower() == ".npz" else _read_polars(path)
+        columns = _read_npz(local(path)) if suffix(path) == ".npz" else _read_polars(path)
     except ZygosError:
         raise
     except Exception as error:  # polars and numpy raise errors of their own for each kind of damage
         first = (str(error).strip().splitlines() or [""])[0]
         raise ZygosError(
-            f"{path}: not a readable {path.suffix} table ({type(error).__name__}: {first}); remedy: write it again "
+            f"{path}: not a readable {suffix(path)} table ({type(error).__name__}: {first}); remedy: write it again "
             "with one row of column names (CSV), or without objects (NPZ)"
         ) from error
     lengths = {len(values) for values in columns.values()}
@@ -81,7 +82,7 @@ def _polars(path: Path) -> Any:
         import polars  # noqa: PLC0415  (an extra: only CSV and Parquet need it)
     except ImportError:
         raise ZygosError(
-            f"{path}: {path.suffix} tables need polars, which is not installed; remedy: pip install 'zygos[tables]', "
+            f"{path}: {suffix(path)} tables need polars, which is not installed; remedy: pip install 'zygos[tables]', "
             "or use NPZ"
         ) from None
     return polars
@@ -89,10 +90,10 @@ def _polars(path: Path) -> Any:
 
 def _read_polars(path: Path) -> Columns:
     polars = _polars(path)
-    if path.suffix.lower() == ".csv":
-        frame = polars.read_csv(path, infer_schema_length=None)
+    if suffix(path) == ".csv":
+        frame = polars.read_csv(local(path), infer_schema_length=None)
     else:
-        frame = polars.read_parquet(path)
+        frame = polars.read_parquet(local(path))
     return {series.name.strip(): series.to_numpy() for series in frame.iter_columns()}
 
 
