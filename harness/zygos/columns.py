@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,13 @@ from zygos.output import cannot_be_written
 TABLE_SUFFIXES = (".csv", ".parquet", ".npz")
 
 Columns = dict[str, NDArray[Any]]
+
+_SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "vertical bars"}
+"""What stands between the columns of a CSV, in words; only the first is read."""
+_DECIMAL_COMMA = re.compile(r'(?:^|[;|\t"])\s*[+-]?\d+,\d')
+"""In a row of numbers."""
+_LINE = 1_000_000
+"""Longest line that is looked at."""
 
 
 def is_table(path: Path) -> bool:
@@ -91,10 +99,29 @@ def _polars(path: Path) -> Any:
 def _read_polars(path: Path) -> Columns:
     polars = _polars(path)
     if suffix(path) == ".csv":
+        _check_separator(path)
         frame = polars.read_csv(local(path), infer_schema_length=None)
     else:
         frame = polars.read_parquet(local(path))
     return {series.name.strip(): series.to_numpy() for series in frame.iter_columns()}
+
+
+def _check_separator(path: Path) -> None:
+    """Refuse a CSV whose columns are not separated by commas, or whose numbers have a decimal comma."""
+    with local(path).open(encoding="utf-8-sig", errors="replace") as stream:
+        head, row = stream.readline(_LINE), stream.readline(_LINE)
+    found = max(_SEPARATORS, key=head.count)
+    decimal = _DECIMAL_COMMA.search(row) is not None
+    if found != "," and head.count(found):
+        also = ", and decimals by a comma" if decimal else ""
+        option = ", decimal_comma=True" if decimal else ""
+        raise ZygosError(
+            f"{path}: columns are separated by {_SEPARATORS[found]}{also}; remedy: export it with a comma between "
+            "columns and a point in numbers, or rewrite it in Python: "
+            f"polars.read_csv(FILE, separator={found!r}{option}).write_csv(NEW)"
+        )
+    if '"' in row and decimal:
+        raise ZygosError(f"{path}: numbers have a decimal comma; remedy: export it with a point in numbers")
 
 
 def _read_npz(path: Path) -> Columns:
