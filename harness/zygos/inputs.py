@@ -6,7 +6,7 @@ import re
 import shutil
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from functools import cached_property
 from pathlib import Path
@@ -32,15 +32,15 @@ _HEAD = 4096
 class _Spool:
     """Standard input as a file, for readers that seek in it or read it twice."""
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
+    def __init__(self, cleanup: ExitStack) -> None:
+        self._cleanup = cleanup
 
     @cached_property
     def file(self) -> Path:
         """The file; it is read when it is first asked for, and its suffix is that of what it begins like."""
         if sys.stdin.isatty():
             note("reading standard input; Ctrl-D ends it")
-        raw = self._folder / "input"
+        raw = Path(self._cleanup.enter_context(TemporaryDirectory(prefix="zygos-")), "input")
         with raw.open("wb") as copy:
             shutil.copyfileobj(sys.stdin.buffer, copy)
         with raw.open("rb") as copy:
@@ -55,8 +55,8 @@ _SPOOL: ContextVar[_Spool | None] = ContextVar("spool", default=None)
 @contextmanager
 def standard_input() -> Iterator[None]:
     """Within, the name - of an input means standard input, which is read at most once."""
-    with TemporaryDirectory(prefix="zygos-") as folder:
-        token = _SPOOL.set(_Spool(Path(folder)))
+    with ExitStack() as cleanup:
+        token = _SPOOL.set(_Spool(cleanup))
         try:
             yield
         finally:

@@ -67,7 +67,7 @@ def errors_end_the_program() -> Iterator[None]:
         sys.exit(128 + signal.SIGINT)
     finally:
         if alone:
-            signal.signal(signal.SIGTERM, before)
+            signal.signal(signal.SIGTERM, before or signal.SIG_DFL)
 
 
 def is_dash(path: str | Path | None) -> bool:
