@@ -526,9 +526,10 @@ def paper(
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line. Errors of the user end with a message on stderr and their exit code, never a traceback."""
+    from zygos.inputs import standard_input  # noqa: PLC0415
     from zygos.output import errors_end_the_program  # noqa: PLC0415
 
-    with errors_end_the_program():
+    with errors_end_the_program(), standard_input():
         app(args=arguments, obj=sys.argv[1:] if arguments is None else arguments)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import signal
 import sys
 import time
@@ -25,10 +24,27 @@ from zygos.cycletable import read_cycles
 from zygos.effects import Effect
 from zygos.errors import Damaged, Undecided, ZygosError
 from zygos.flight import GATE, OVERDECLARED, ROWS, Drift, Estimate, Flight, encode
+from zygos.inputs import local
 from zygos.lines import LineProgress
 from zygos.model import Model, Quantity, load_model, save_model
 from zygos.motion import ENGINES
-from zygos.output import bad, check_outputs, counted, errors, good, note, number, ratio, say, table, write_json
+from zygos.output import (
+    bad,
+    check_outputs,
+    counted,
+    errors,
+    good,
+    is_dash,
+    named,
+    note,
+    number,
+    quiet,
+    ratio,
+    say,
+    table,
+    write_bytes,
+    write_json,
+)
 from zygos.plant import simulate
 from zygos.remedies import NO_FRAMES, measured
 from zygos.remedies import remedy as _remedy
@@ -60,14 +76,14 @@ def find_arm(run: Path, arm: Path | None) -> Path:
     else:
         bus.check_log(run)
     chosen = arm or run.parent / "arm.toml"
-    if not chosen.is_file():
+    if not local(chosen).is_file():
         raise ZygosError(f"{chosen}: no such arm file; remedy: give it with --arm, or put arm.toml beside the run")
     return chosen
 
 
 def check_model_name(path: Path) -> None:
-    """Refuse a model file that is not called .toml."""
-    if path.suffix.lower() != ".toml":
+    """Refuse a model file that is not called .toml, unless it is standard output."""
+    if not is_dash(path) and path.suffix.lower() != ".toml":
         raise ZygosError(f"{path}: no name for a model; remedy: let it end in .toml")
 
 
@@ -122,16 +138,17 @@ def simulate_run(
     json: str | None,
 ) -> None:
     """Simulate a scenario and record its traffic; see `zygos simulate --help`."""
-    bus.check_log_name(out)
+    if not is_dash(out):
+        bus.check_log_name(out)
     chosen = next((name for name in ENGINES if name == engine), None)
     if chosen is None:
         raise ZygosError(f"there is no engine {engine!r}; remedy: one of {', '.join(ENGINES)}")
     scenario = load_scenario(scenario_file)
     arm_file = scenario.arm
     arm = load_arm(arm_file)
-    beside = out.parent / "arm.toml"
+    beside = None if is_dash(out) else out.parent / "arm.toml"
     check_outputs([out, json], [scenario_file, arm_file, scenario.plant, model_file, beside])
-    if beside.exists() and beside.read_bytes() != arm_file.read_bytes():
+    if beside and beside.exists() and beside.read_bytes() != arm_file.read_bytes():
         raise ZygosError(
             f"{beside} describes another arm than {arm_file}; remedy: write the run into another folder, or "
             "remove that file"
@@ -154,8 +171,8 @@ def simulate_run(
         cycles = trajectory.cycles(0)
         frames = encode(arm, cycles)
         bus.write_log(out, frames, arm.period_s)
-        if not beside.exists():
-            shutil.copyfile(arm_file, beside)
+        if beside and not beside.exists():
+            write_bytes(beside, arm_file.read_bytes())
         if wire is not None:
             send(wire, frames, arm, out)
     ranges = [
@@ -166,7 +183,7 @@ def simulate_run(
     ]
     summary = {
         "run": str(out),
-        "arm": str(beside),
+        "arm": str(beside or arm_file),
         "seed": scenario.seed,
         "engine": chosen,
         "cycles": len(cycles),
@@ -174,7 +191,7 @@ def simulate_run(
         "duration_s": len(cycles) * arm.period_s,
         "largest": {name: value for name, _, value in ranges},
     }
-    if json != "-":
+    if not quiet(out, json):
         table(("largest", "unit", ""), [(name, unit, number(value, 4)) for name, unit, value in ranges])
         say(f"{out}: {counted(len(cycles), 'cycle')}, {counted(len(frames), 'frame')}, seed {scenario.seed}")
     if json:
@@ -195,8 +212,8 @@ def send(wire: can.BusABC, frames: NDArray[Any], arm: Arm, run: Path) -> None:
                 wire.send(message, timeout=2.0)
             except (can.CanError, OSError) as error:
                 raise ZygosError(
-                    f"the bus took no more frames ({error}); {run} is written; remedy: see whether the bus is up and "
-                    "another node acknowledges, then send the run with python-can's `can_player`"
+                    f"the bus took no more frames ({error}); {named(run)} is written; remedy: see whether the bus is "
+                    "up and another node acknowledges, then send the run with python-can's `can_player`"
                 ) from error
             bar.advance(task)
 
@@ -333,7 +350,7 @@ def finish_estimate(
     # an offset that only the arm file asked for, and the run is silent on, is none
     asked = (one for one in flight.effects if one not in given and one.column(flight.arm) in found)
     effects = tuple(learned(effect, found.get(effect.column(flight.arm))) for effect in (*given, *asked))
-    if json != "-":
+    if not quiet(out, json):
         rows = [
             (name, unit, number(value), number(float(f"{half95:.2g}")), number(100 * ratio(half95, abs(value)), 2))
             for name, unit, value, half95 in zip(result.names, result.units, result.value, result.half95, strict=True)
@@ -363,7 +380,7 @@ def finish_estimate(
         if json:
             write_json(json, report_estimate(result, watch, drift, heading))
     if result.validity != "valid":
-        where = "nothing written" if result.validity == "refused" else f"{out} written"
+        where = "nothing written" if result.validity == "refused" else f"{named(out)} written"
         changed = "see the warning: the arm changed" if drift and drift.changed else ""
         number_of = measured(result, flight)
         raise Undecided(

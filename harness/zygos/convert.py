@@ -34,7 +34,8 @@ from zygos.grid import (
     tracks,
     tracks_of,
 )
-from zygos.output import check_outputs, counted, number, say, table, write_json, write_text
+from zygos.inputs import local
+from zygos.output import check_outputs, counted, is_dash, number, say, table, write_json, write_text
 from zygos.sensors import encoder_angle
 from zygos.telemetry import SI_UNIT, Channel, Dictionary, Map, Recording, load_map, read_can, read_table
 
@@ -53,7 +54,7 @@ def convert_run(
     tabular = is_table(source)
     _check_names(source, dbc, out, tabular=tabular)
     chosen = arm_file or map_file.parent / "arm.toml"
-    if not chosen.is_file():
+    if not local(chosen).is_file():
         raise ZygosError(f"{chosen}: no such arm file; remedy: give it with --arm, or put arm.toml beside the map")
     beside = out.parent / "arm.toml"
     check_outputs([out, json], [source, *dbc, map_file, chosen, beside])
@@ -75,7 +76,7 @@ def convert_run(
         found, cycles, lost = _cycles(recording, mapping, arm)
         added = _added(found, mapping, arm)
         if not any(added):
-            described, text = arm, chosen.read_text(encoding="utf-8")
+            described, text = arm, local(chosen).read_text(encoding="utf-8")
         else:
             described = noisier(arm, mapping.channels, added)
             text = _arm_text(chosen, described, f"{source.name} by {map_file.name}")
@@ -130,6 +131,8 @@ def _check_names(source: Path, dbc: Sequence[Path], out: Path, *, tabular: bool)
         bus.check_log(source)
         if not dbc:
             raise ZygosError(f"{source}: a CAN log needs the DBC of its bus; remedy: give it with --dbc")
+    if is_dash(out):
+        raise ZygosError("- cannot be the run, which has its arm file beside it; remedy: give -o a file's name")
     if not is_table(out):
         bus.check_log_name(out)
 
@@ -167,7 +170,7 @@ def _check_noise(arm: Arm, mapping: Map, added: Sequence[float]) -> None:
 
 def _arm_text(file: Path, arm: Arm, whence: str) -> str:
     """The arm file with the noise of `arm`."""
-    document = tomlkit.parse(file.read_text(encoding="utf-8"))
+    document = tomlkit.parse(local(file).read_text(encoding="utf-8"))
     for entry, joint in zip(document["joint"], arm.joints, strict=True):
         for key, encoder in (("link_encoder", joint.link_encoder), ("motor_encoder", joint.motor_encoder)):
             if key in entry and encoder.counts is None:

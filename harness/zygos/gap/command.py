@@ -22,8 +22,9 @@ from zygos.gap.explain import INTERVAL, Explanation, Gap, explain
 from zygos.gap.forecast import Forecast
 from zygos.gap.provenance import Provenance
 from zygos.gap.record import Record, read_record
+from zygos.inputs import local
 from zygos.model import load_model, save_model
-from zygos.output import check_outputs, number, say, table, write_json
+from zygos.output import check_outputs, named, number, quiet, say, table, write_json
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,7 @@ def explain_run(
     source = Provenance(
         shlex.join(["zygos", *command]),
         version("zygos"),
-        tuple((role, str(path), hashlib.sha256(path.read_bytes()).hexdigest()) for role, path in inputs.files),
+        tuple((role, str(path), hashlib.sha256(local(path).read_bytes()).hexdigest()) for role, path in inputs.files),
     )
     finish(found, records, logs, inputs, source, out, report, json)
     not_whole(*(log.damage for log in logs))
@@ -141,7 +142,7 @@ def finish(
 ) -> None:
     """Print the tables, write what was asked for, and say what is undecided."""
     flight = flown(found, logs[:2])
-    if json != "-":
+    if not quiet(out, report, json):
         show(found)
         for column in dict.fromkeys(entry["column"] for entry in flight):
             each = [
@@ -163,7 +164,7 @@ def finish(
             damage = [text for log in logs for text in log.damage]
             write_json(json, {**as_json(found, records, source), "flight": flight, "damage": damage or None})
     if found.answer in {"unknown", "cannot tell"}:
-        raise Undecided(f"{found.answer}: {found.sentence} ({out} not written); remedy: {_next(found)}")
+        raise Undecided(f"{found.answer}: {found.sentence} ({named(out)} not written); remedy: {_next(found)}")
 
 
 def _next(found: Explanation) -> str:
