@@ -149,7 +149,7 @@ COUNTS = ("cycles", "gaps", "invalid", "wraps", "accepted", "refused", "arcs", "
 NODE = ("overflow", "misshapen", "down", "unsent", "corrupt", "unsaved")
 VERDICTS = (
     *("validity", "reason", "cycle", "accepted", "refused", "arcs", "blocks", "rank", "condition", "cluster"),
-    *("residual", "noise_ratio", "gate"),
+    *("residual", "noise_ratio", "gate", "left_out"),
 )
 ITEMS = {
     **{i: (name, unit) for i, (name, unit) in enumerate(PARAMETERS.items())},

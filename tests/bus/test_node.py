@@ -123,7 +123,7 @@ def test_telemetry_is_the_estimate(every: int, arm: Arm, config: Path, frames: L
         rounds = [told(dbc, data) for data in node.of(TELEMETRY)]
     at = starts(frames)
     flight, done = Flight(arm), 0
-    items, share = 13 + 36 + 36, math.ceil((13 + 36 + 36) / every)
+    items, share = 14 + 36 + 36, math.ceil((14 + 36 + 36) / every)
     for begin in range(0, len(at), every):
         flight.frames(frames[done : at[begin] + 1])
         done = int(at[begin]) + 1

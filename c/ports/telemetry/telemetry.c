@@ -60,11 +60,12 @@ static void put(node_telemetry_t *self, enum node_kind kind, uint32_t index, dou
     self->items++;
 }
 
-static void solve(node_telemetry_t *self, const zygos_t *arm, const node_losses_t *losses)
+static void solve(node_telemetry_t *self, zygos_t *arm, const node_losses_t *losses)
 {
     zygos_estimate_t *const out = &self->estimate;
     zygos_take(arm, &self->work);
     (void)zygos_solve(&self->work, out);
+    (void)zygos_adopt(arm, out);
     self->items = 0;
     self->next = 0;
     const double verdict[NODE_VERDICTS] = { (double)out->validity,
@@ -79,7 +80,8 @@ static void solve(node_telemetry_t *self, const zygos_t *arm, const node_losses_
                                             out->cluster,
                                             out->residual,
                                             out->noise_ratio,
-                                            out->gate };
+                                            out->gate,
+                                            (double)out->left_out[ZYGOS_ENERGY_ROWS] };
     for (uint32_t i = 0; i < NODE_VERDICTS; i++) {
         put(self, NODE_VERDICT, i, verdict[i]);
     }
@@ -95,7 +97,7 @@ static void solve(node_telemetry_t *self, const zygos_t *arm, const node_losses_
     }
 }
 
-int node_telemetry_sync(node_telemetry_t *self, const zygos_t *arm, const node_losses_t *losses)
+int node_telemetry_sync(node_telemetry_t *self, zygos_t *arm, const node_losses_t *losses)
 {
     const bool solves = (self->syncs == 0u);
     if (solves) {

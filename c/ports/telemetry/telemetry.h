@@ -16,7 +16,7 @@ enum node_kind {
 };
 
 #define NODE_COUNTERS 36u
-#define NODE_VERDICTS 13u
+#define NODE_VERDICTS 14u
 #define NODE_MAX_ITEMS (3u * ZYGOS_MAX_PARAMETERS + NODE_COUNTERS + NODE_VERDICTS)
 
 /// States of the heartbeat, as in CANopen.
@@ -53,10 +53,11 @@ void node_counters(const zygos_t *arm, const node_losses_t *losses, uint64_t *ou
 void node_telemetry_init(node_telemetry_t *self, uint32_t every);
 
 /// Call after each accepted SYNC, when the cycle that it closed is worked off: at the first and every so many SYNCs
-/// behind it, solves; after each, as many values are due as it takes to have sent all by the next estimate. What has no
-/// value is passed over. Nothing here depends on a clock. Returns 1, or ZYGOS_E_SUMS when this was a solution and found
-/// the sums corrupt: the port then starts the estimate over, and counts it.
-int node_telemetry_sync(node_telemetry_t *self, const zygos_t *arm, const node_losses_t *losses);
+/// behind it, solves, and has the arm adopt a valid estimate; after each, as many values are due as it takes to have
+/// sent all by the next estimate. What has no value is passed over. Nothing here depends on a clock. Returns 1, or
+/// ZYGOS_E_SUMS when this was a solution and found the sums corrupt: the port then starts the estimate over, and counts
+/// it.
+int node_telemetry_sync(node_telemetry_t *self, zygos_t *arm, const node_losses_t *losses);
 
 /// Takes the next value that is due. Returns 1 and its frame, or 0 when none is.
 int node_telemetry_next(node_telemetry_t *self, const zygos_t *arm, zygos_frame_t *out);
