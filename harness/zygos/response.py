@@ -1,0 +1,54 @@
+"""The response to the torques (50) of the paper, from rest, and by how much that of other parameters differs."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zygos.arm import Arm
+from zygos.dynamics import PlanarDynamics
+from zygos.replay import States, replay, substeps
+
+Floats = NDArray[np.float64]
+
+AMPLITUDES_NM = (0.5, 0.1)
+RATES = (1.0, 0.1)
+"""rad/s: the rotor torques are [0.5 cos t, 0.1 cos 0.1 t] Nm."""
+DURATION_S = 120.0
+HAIR_RAD = 1e-3
+"""By which a start is off that shows how fast copies of the same arm part."""
+PARTING = 10.0
+"""A motion whose copies part by more than so many times their first distance is not to be compared point by point."""
+_POSTURES = np.linspace(-np.pi, np.pi, 9)
+
+
+def instants(arm: Arm) -> Floats:
+    """(n,) SYNC instants of a response, s."""
+    return np.asarray(arm.period_s * np.arange(round(DURATION_S / arm.period_s) + 1), dtype=np.float64)
+
+
+def respond(arm: Arm, values: Floats, momentum_nms: float, off_rad: float = 0.0) -> Floats:
+    """(n, 2) link angles [rad] of an arm of two joints with these parameters (p,), at the instants.
+
+    The arm starts stretched, its joints at rest, its springs relaxed, with an angular momentum; off_rad is added to the
+    first joint. Each torque is held over a period, at its value in the middle of it. RK4, 1e-6 of the motion.
+    Errors: ZygosError where the parameters are no arm: an inertia that is not positive.
+    """
+    dynamics = PlanarDynamics.from_parameters(arm, values)
+    time = instants(arm)
+    torques = np.array(AMPLITUDES_NM) * np.cos(np.multiply.outer(time + 0.5 * arm.period_s, np.array(RATES)))
+    start = np.zeros((1, 4 * arm.n + 1))
+    start[0, [1, 1 + arm.n]] = off_rad
+    start[0, 0] = momentum_nms / float(np.sum(dynamics.inertia(start[0, 1 : 1 + arm.n])[0]))
+    postures = np.stack(np.meshgrid(*[_POSTURES] * arm.n), axis=-1)
+    steps = substeps(dynamics, postures.reshape(-1, arm.n), arm.period_s)
+    before = np.zeros((1, arm.n))
+    moved, _ = replay(dynamics, arm.period_s, start, lambda k, _: torques[None, k], before, len(time), steps)
+    return States.of(moved[0]).q
+
+
+def apart_percent(response: Floats, true: Floats) -> Floats:
+    """(n, N) by how much a response is off, in per cent of the largest angle of the true one until then."""
+    largest = np.maximum.accumulate(np.abs(true), axis=0)
+    out = np.zeros_like(true)
+    return np.asarray(np.divide(100.0 * np.abs(response - true), largest, out=out, where=largest > 0.0))
