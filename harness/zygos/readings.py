@@ -65,20 +65,20 @@ def _start(scenario: Scenario) -> Scenario:
 
 
 READINGS = (
-    Reading("as examples/paper"),
+    Reading("as the example"),
     *(_duration(duration) for duration in (30.0, 90.0, 120.0, 150.0)),
-    Reading("start at rest at 20°, 40°", _start),
+    Reading("start at 20°, 40°", _start),
     Reading(
-        "servo on the link angle",
+        "servo on link angle",
         lambda scenario: replace(scenario, controller=replace(scenario.controller, angle="link")),
     ),
     Reading(
-        "PD law gives tau, not n tau",
+        "servo: tau, not n tau",
         lambda scenario: replace(scenario, controller=replace(scenario.controller, gain=50.0)),
     ),
     Reading("q = 0.0021 rad", arm=lambda arm: _quantum(arm, FINER_RAD)),
-    Reading("variances as (48) prints", arm=lambda arm: _quantum(arm, float(np.sqrt(12.0 * PRINTED_VARIANCE)))),
-    Reading("differences at mid-step", rates="midpoint"),
+    Reading("variances of (48)", arm=lambda arm: _quantum(arm, float(np.sqrt(12.0 * PRINTED_VARIANCE)))),
+    Reading("mid-step differences", rates="midpoint"),
     Reading("one row in ten", every=SPARSE),
 )
 COLUMNS = {
