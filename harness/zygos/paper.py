@@ -130,7 +130,8 @@ def run_paper(seeds: int, folder: Path | None, json: str | None) -> None:
             "flight, no noise": flight_estimates(arm, clean),
         }
         bar.update(task, description="responding to the torques (50)", completed=0.5)
-        figure = responses(arm, true, estimates, momentum) if printed.describes(arm) else None
+        told = printed.describes(arm, true)
+        figure = responses(arm, true, estimates, momentum) if told else None
     scores = {name: score(value, true) for name, value in estimates.items()}
     content: dict[str, Any] = {
         "arm": arm.name,
@@ -139,7 +140,7 @@ def run_paper(seeds: int, folder: Path | None, json: str | None) -> None:
         "noise": NOISE,
         "methods": [_summary(name, estimates[name], scores[name], arm) for name in estimates],
     }
-    if printed.describes(arm):
+    if told:
         content["printed"] = {
             "actual": printed.ACTUAL,
             "estimates": printed.ESTIMATES,
@@ -154,8 +155,8 @@ def run_paper(seeds: int, folder: Path | None, json: str | None) -> None:
         return
     say(f"Noise, as read here: {NOISE}.")
     say(f"{seeds} seeds, {example.scenario.duration_s:g} s at {1 / arm.period_s:g} Hz\n")
-    _table_3(arm, true, estimates)
-    _table_4(arm, scores)
+    _table_3(arm, true, estimates, told)
+    _table_4(arm, scores, told)
     if figure is not None:
         _table_figure(figure, arm)
 
@@ -186,18 +187,17 @@ def _agreements(name: str, result: Score, arm: Arm) -> dict[str, str]:
     return {n: printed.agreement(float(mean[n]), error) for n, error in printed.ERRORS[name].items()}
 
 
-def _order(arm: Arm) -> list[int]:
-    """Rows of a table: the paper's order where it has these parameters."""
+def _order(arm: Arm, told: bool) -> list[int]:
+    """Rows of a table: the paper's order where it is the paper's arm."""
     names = list(arm.parameter_names)
-    return [names.index(n) for n in printed.PARAMETERS] if printed.describes(arm) else list(range(len(names)))
+    return [names.index(n) for n in printed.PARAMETERS] if told else list(range(len(names)))
 
 
-def _table_3(arm: Arm, true: Floats, estimates: dict[str, Floats]) -> None:
-    told = printed.describes(arm)
+def _table_3(arm: Arm, true: Floats, estimates: dict[str, Floats], told: bool) -> None:
     rows = []
-    for k in _order(arm):
+    for k in _order(arm, told):
         n = arm.parameter_names[k]
-        row = [n, number(float(true[k]), 6)]
+        row = [n, number(float(true[k]), 9)]
         for name in ("DE", "EB", "EB (32)", "flight"):
             if told and name in printed.ESTIMATES:
                 row.append(number(printed.ESTIMATES[name][n], 6))
@@ -213,8 +213,7 @@ def _table_3(arm: Arm, true: Floats, estimates: dict[str, Floats]) -> None:
         )
 
 
-def _table_4(arm: Arm, scores: dict[str, Score]) -> None:
-    told = printed.describes(arm)
+def _table_4(arm: Arm, scores: dict[str, Score], told: bool) -> None:
     if told:
         for left, right, title in (
             ("DE, exact data", "EB, exact data", "Table IV, exact data: error, %"),
@@ -223,7 +222,7 @@ def _table_4(arm: Arm, scores: dict[str, Score]) -> None:
             heads = ["", "DE printed", "here", "agree in", "EB printed", "here", "agree in"]
             means = {name: _mean_error(scores[name]) for name in (left, right)}
             rows = []
-            for k in _order(arm):
+            for k in _order(arm, told):
                 n = arm.parameter_names[k]
                 cells = [n]
                 for name in (left, right):
@@ -243,7 +242,7 @@ def _table_4(arm: Arm, scores: dict[str, Score]) -> None:
             "agree.\nWhat DE leaves on exact data is rounding, here as there.\n"
         )
     names = (*NOISY, *EXACT[1:])
-    rows = [[arm.parameter_names[k], *(number(float(scores[n].rms[k]), 3) for n in names)] for k in _order(arm)]
+    rows = [[arm.parameter_names[k], *(number(float(scores[n].rms[k]), 3) for n in names)] for k in _order(arm, told)]
     rows.append(["mean", *(number(float(np.nanmean(scores[n].rms)), 3) for n in names)])
     rows.append(["largest", *(number(float(np.nanmax(scores[n].rms)), 3) for n in names)])
     heads = ["", *NOISY, *(name.replace(", ", "\n") for name in EXACT[1:])]

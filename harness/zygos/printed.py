@@ -37,6 +37,8 @@ def _column(values: tuple[float, ...], scale: float = 1.0) -> dict[str, float]:
 
 
 ACTUAL = _column(_ACTUAL, 1e4)
+_STEP = 0.5 * (1.0 + 1e-9)
+"""Half of the last digit of Table III, and what the rounding of a float adds."""
 ESTIMATES = {"DE": _column(_DE, 1e4), "EB": _column(_EB, 1e4)}
 """Table III."""
 ERRORS = {
@@ -50,9 +52,12 @@ SIZE = 2.0
 """Two errors agree in size where neither is more than so many times the other."""
 
 
-def describes(arm: Arm) -> bool:
-    """Whether an arm has just the parameters that the tables list."""
-    return sorted(arm.parameter_names) == sorted(PARAMETERS)
+def describes(arm: Arm, true: Floats) -> bool:
+    """Whether an arm with these true values (p,) is the one of the tables, to all digits that they print."""
+    if sorted(arm.parameter_names) != sorted(PARAMETERS):
+        return False
+    actual = np.array([ACTUAL[name] for name in arm.parameter_names])
+    return bool(np.all(np.abs(true - actual) <= _STEP))
 
 
 ROUNDING = 1e-8

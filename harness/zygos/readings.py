@@ -93,10 +93,10 @@ def run_readings(seeds: int, folder: Path | None, json: str | None) -> None:
     """Print how close each reading comes to Table IV; see `zygos paper --help`."""
     example, _ = paper_example(folder)
     check_outputs([json], example.files)
-    if not printed.describes(example.arm):
+    if not printed.describes(example.arm, example.true):
         raise ZygosError(
-            f"arm {example.arm.name}: its parameters are not those of the paper's tables; remedy: a planar-symmetric "
-            "arm of two flexible joints"
+            f"arm {example.arm.name}: its true values are not those of the paper's Table III, with which the readings "
+            "are compared; remedy: examples/paper, or a copy of it with another scenario"
         )
     if any(not motion.sines for motion in example.scenario.manoeuvre.values()):
         raise ZygosError(

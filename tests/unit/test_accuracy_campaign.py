@@ -81,7 +81,7 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
     before = Path.cwd()
     os.chdir(ROOT)
     try:
-        assert status(["paper-30", "lost", "--seeds=2", "--draws=6", "--workers=2", *outputs(folder)]) == 0
+        assert status(["paper-60", "lost", "--seeds=2", "--draws=6", "--workers=2", *outputs(folder)]) == 0
     finally:
         os.chdir(before)
     return folder
@@ -92,15 +92,15 @@ def test_a_small_campaign_says_what_the_methods_say_by_themselves(
 ) -> None:
     content = json.loads((tiny / "a.json").read_text())
     entries = {(entry["case"], entry["estimator"]): entry for entry in content["cases"]}
-    assert set(entries) == {(case, one.name) for case in ("paper-30", "lost") for one in ESTIMATORS}
-    run = simulate(arm, model, scenario, seeds=range(2), duration_s=30.0, noise=True)
+    assert set(entries) == {(case, one.name) for case in ("paper-60", "lost") for one in ESTIMATORS}
+    run = simulate(arm, model, scenario, seeds=range(2), duration_s=60.0, noise=True)
     # the wire rounds what EB is given in the campaign
     expected = {
         "flight": (flight_estimates(arm, run), 1e-5),
         "EB": (eb.estimate(arm, noisy_record(arm, run)), 0.02),
     }
     for name, (values, close) in expected.items():
-        entry = entries["paper-30", name]
+        entry = entries["paper-60", name]
         error = 100.0 * (values / true - 1.0)
         assert entry["seeds"] == 2
         assert entry["refused"] == 0
@@ -112,14 +112,14 @@ def test_a_small_campaign_says_what_the_methods_say_by_themselves(
         rms = [own["rms_percent"] for own in entry["per_parameter"].values()]
         assert entry["mean_rms_percent"] == pytest.approx(np.mean(rms))
         assert entry["max_rms_percent"] == max(rms)
-    assert entries["paper-30", "EB"]["coverage95"] is None
-    assert entries["paper-30", "flight"]["draws"] == 6
+    assert entries["paper-60", "EB"]["coverage95"] is None
+    assert entries["paper-60", "flight"]["draws"] == 6
     # its other settings and the methods are asked about each seed's own draw
     assert {entry["draws"] for entry in content["cases"] if entry["estimator"] != "flight"} == {2}
-    assert entries["paper-30", "flight, energy"]["coverage95"] is None
+    assert entries["paper-60", "flight, energy"]["coverage95"] is None
     # two seeds of three draws each
     assert all(
-        6 * share == pytest.approx(round(6 * share)) for share in entries["paper-30", "flight"]["coverage95"].values()
+        6 * share == pytest.approx(round(6 * share)) for share in entries["paper-60", "flight"]["coverage95"].values()
     )
 
 
@@ -176,7 +176,7 @@ def test_what_was_finished_is_not_done_again(tmp_path: Path) -> None:
 
 def test_a_campaign_that_is_killed_goes_on(tiny: Path, tmp_path: Path) -> None:
     """The same numbers as without the interruption, and the cell that was finished is kept."""
-    words = ["paper-30", "lost", "--seeds=2", "--draws=6", *outputs(tmp_path)]
+    words = ["paper-60", "lost", "--seeds=2", "--draws=6", *outputs(tmp_path)]
     file = tmp_path / "cells.jsonl"
     process = subprocess.Popen(
         [sys.executable, "-m", "zygos.accuracy", "--workers=1", *words], cwd=ROOT, start_new_session=True
@@ -204,7 +204,7 @@ def test_a_cluster_says_the_same(tiny: Path, tmp_path: Path) -> None:
     ) as cluster:
         address = cluster.scheduler_address
         assert address.startswith("tcp://")
-        words = ["paper-30", "lost", "--seeds=2", "--draws=6", f"--scheduler={address}"]
+        words = ["paper-60", "lost", "--seeds=2", "--draws=6", f"--scheduler={address}"]
         assert status([*words, *outputs(tmp_path)]) == 0
     assert (tmp_path / "a.json").read_text() == (tiny / "a.json").read_text()
 

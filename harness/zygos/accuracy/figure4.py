@@ -63,7 +63,7 @@ class Figure4:
 
             true = case.model.base_values(arm)
             scaled = {name: scale * true for name, scale in SCALES.items()}
-            told_by = {PRINTED: printed.eb_values(true, arm.parameter_names)} if printed.describes(arm) else {}
+            told_by = {PRINTED: printed.eb_values(true, arm.parameter_names)} if printed.describes(arm, true) else {}
             sets: dict[str, Floats | None] = {"true": true, **told_by, **answers, **scaled, HAIR: true}
             momentum = case.scenario.angular_momentum_nms
             assert not isinstance(momentum, tuple)
