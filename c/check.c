@@ -31,5 +31,5 @@ bool zygos_work_intact(zygos_work_t *work)
     if (work->config.impulse_arc_cycles > 0) {
         zygos_guard_end_motors(&work->guard, &work->config, &work->layout, &work->joint_sums, work->cycle);
     }
-    return sums->corrupt == 0;
+    return (sums->corrupt == 0) && (work->joint_sums.corrupt == 0) && (work->momentum_sums.corrupt == 0);
 }

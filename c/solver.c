@@ -750,7 +750,7 @@ static double joint_variance(const zygos_work_t *work, uint32_t i)
 static void add_motors(zygos_work_t *work, double energy)
 {
     const zygos_joint_sums_t *sums = &work->joint_sums;
-    const bool enough = (work->arcs.end - work->arcs.first >= 3u);
+    const bool enough = (work->arcs.end - work->arcs.first >= ZYGOS_LEAST_ARCS);
     for (uint32_t i = 0; i < work->config.joints; i++) {
         if ((sums->layout.count[i] > 0) && !(work->weight[i] > 0.0)) {
             const double joint = joint_variance(work, i);
@@ -938,7 +938,7 @@ static uint32_t with_motors(zygos_work_t *work, uint32_t p, zygos_estimate_t *ou
 static uint32_t with_momentum(zygos_work_t *work, uint32_t p, uint32_t rank, zygos_estimate_t *out)
 {
     const zygos_momentum_sums_t *sums = &work->momentum_sums;
-    if ((rank == 0) || (work->momenta.end < work->momenta.first + 3u)) {
+    if ((rank == 0) || (work->momenta.end < work->momenta.first + ZYGOS_LEAST_ARCS)) {
         work->momenta.end = work->momenta.first;
         return rank;
     }
@@ -1142,8 +1142,9 @@ int zygos_drift(zygos_work_t *work, zygos_estimate_t *out, double *deviation)
     for (uint32_t i = 0; i < (uint32_t)ZYGOS_MAX_PARAMETERS; i++) {
         deviation[i] = not_a_number();
     }
-    const bool guarded = (work->guard.known != 0);
-    work->guard.known = 0; /* the newest arc is what it is about */
+    /* The newest arc is what it is about, unless it is too short to speak for itself. */
+    const bool guarded = (work->guard.known != 0) && ((double)sums->arc_instants >= sums->enough);
+    work->guard.known = guarded ? 0u : work->guard.known;
     if (!zygos_work_intact(work)) {
         return refuse(out, ZYGOS_MAX_PARAMETERS, ZYGOS_REASON_CORRUPT);
     }

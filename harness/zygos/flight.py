@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -111,6 +111,14 @@ class Trace:
     """(n, 4N+3) smoothed q, theta, q rate, theta rate, omega; rad and rad/s. Undefined where no window was full."""
     row: NDArray[np.float64]
     """(n, p+1) the columns and the work. Undefined where `instant` is false."""
+
+    @classmethod
+    def joined(cls, parts: Sequence[Trace]) -> Trace:
+        """At least one part, one behind the other."""
+        cycles = [part.cycles for part in parts]
+        whole = Cycles(*(np.concatenate([getattr(one, f.name) for one in cycles]) for f in fields(Cycles)))
+        others = (f.name for f in fields(cls) if f.name != "cycles")
+        return cls(whole, *(np.concatenate([getattr(part, name) for part in parts]) for name in others))
 
 
 @dataclass(frozen=True)
@@ -416,8 +424,8 @@ class Flight:
     def _closed(self) -> Any:
         """A copy of the sums whose open arc has ended."""
         lib.zygos_take(self.native, self._work)
-        sums = ffi.addressof(self._work, "accumulator")
-        lib.zygos_accumulator_end_arc(sums, self._work.cycle)
+        sums, guard, config = (ffi.addressof(self._work, name) for name in ("accumulator", "guard", "config"))
+        lib.zygos_guard_end_energy(guard, config, sums, self._work.cycle, self._work.arc)
         return sums
 
     @property

@@ -42,8 +42,6 @@ enum zygos_reason {
     ZYGOS_REASON_CHANGED = 9           ///< The newest arcs contradict the values, several in a row: see guard.h.
 };
 
-/// Of fewer blocks the spread says too little.
-#define ZYGOS_LEAST_BLOCKS 8u
 /// A parameter whose scaled pivot falls below this share is a combination of the others.
 #define ZYGOS_PIVOT_LIMIT 1e-11
 /// Smallest ratio of the sums to the noise in them, over all combinations of columns. At 1 they are noise. Below this
