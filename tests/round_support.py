@@ -34,6 +34,7 @@ def round_of(flight: Flight) -> dict[str, float]:
         },
         "verdict_noise_ratio": estimate.noise_ratio,
         "verdict_gate": estimate.gate,
+        "verdict_left_out": estimate.left_out[0],
         **{f"fault_{name}": n for name, n in flight.faults.items()},
         **{f"count_{name}": n for name, n in flight.counts.items()},
         "count_arcs": flight.native.accumulator.arcs,

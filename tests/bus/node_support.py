@@ -53,9 +53,10 @@ def frame_of(identifier: int, data: bytes = b"", flags: int = 0) -> Any:
 def hear(flight: Flight, frames: NDArray[Any], every: int = 100, syncs: int = 0) -> None:
     """What a node does with frames that it hears behind so many SYNCs: at the first and every so many behind it, it
     solves, and its arcs are judged by the solution from there on."""
-    for part in np.split(frames, np.flatnonzero(frames["id"] == SYNC) + 1):
+    accepted = (frames["id"] == SYNC) & (frames["flags"] == 0) & (frames["data"][:, 0] <= 240)
+    for part in np.split(frames, np.flatnonzero(accepted) + 1):
         flight.frames(part)
-        if len(part) and part[-1]["id"] == SYNC:
+        if len(part) and part[-1]["id"] == SYNC and part[-1]["data"][0] <= 240:
             if syncs % every == 0:
                 flight.estimate()
                 flight.adopt()

@@ -157,6 +157,7 @@ ITEMS = {
     **{512 + i: (f"fault_{name}", "") for i, name in enumerate(COUNTERS)},
     **{534 + i: (f"count_{name}", "") for i, name in enumerate(COUNTS)},
     **{542 + i: (f"node_{name}", "") for i, name in enumerate(NODE)},
+    548: ("count_apart", ""),
     **{768 + i: (f"verdict_{name}", "J" if name == "residual" else "") for i, name in enumerate(VERDICTS)},
     **{1024 + i: (f"{name}_half95", unit) for i, (name, unit) in enumerate(PARAMETERS.items())},
 }

@@ -7,7 +7,7 @@
 #define FAULTS (sizeof(zygos_faults_t) / sizeof(uint32_t))
 #define MODULUS 0x1000000u
 
-_Static_assert(FAULTS + 14u == NODE_COUNTERS, "a counter without a name");
+_Static_assert(FAULTS + 15u == NODE_COUNTERS, "a counter without a name");
 
 const char *const node_counter_name[NODE_COUNTERS] = {
     "fault_length",         "fault_crc",           "fault_range",        "fault_late",         "fault_counter",
@@ -17,7 +17,7 @@ const char *const node_counter_name[NODE_COUNTERS] = {
     "fault_overrun",        "fault_bus_error",     "count_cycles",       "count_gaps",         "count_invalid",
     "count_wraps",          "count_accepted",      "count_refused",      "count_arcs",         "count_arcs_dropped",
     "node_overflow",        "node_misshapen",      "node_down",          "node_unsent",        "node_corrupt",
-    "node_unsaved",
+    "node_unsaved",         "count_apart",
 };
 
 void node_counters(const zygos_t *arm, const node_losses_t *losses, uint64_t *out)
@@ -42,6 +42,7 @@ void node_counters(const zygos_t *arm, const node_losses_t *losses, uint64_t *ou
         losses->unsent,
         losses->corrupt,
         losses->unsaved,
+        arm->apart,
     };
     memcpy(&out[FAULTS], other, sizeof other);
 }

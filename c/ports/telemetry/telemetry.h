@@ -15,7 +15,7 @@ enum node_kind {
     NODE_HALF95 = 4
 };
 
-#define NODE_COUNTERS 36u
+#define NODE_COUNTERS 37u
 #define NODE_VERDICTS 14u
 #define NODE_MAX_ITEMS (3u * ZYGOS_MAX_PARAMETERS + NODE_COUNTERS + NODE_VERDICTS)
 
