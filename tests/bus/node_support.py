@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 
 from conftest import ROOT
 from zygos.flight import FRAME, Flight, ffi
+from zygos.testing.dut import hear as heard
 
 NODE = ROOT / "build" / "zygos-node"
-SYNC = 0x080
+
 EXTENDED, REMOTE, ERROR, FD = 1, 2, 4, 8
 """Bits of a frame's flags."""
 
@@ -51,16 +52,9 @@ def frame_of(identifier: int, data: bytes = b"", flags: int = 0) -> Any:
 
 
 def hear(flight: Flight, frames: NDArray[Any], every: int = 100, syncs: int = 0) -> None:
-    """What a node does with frames that it hears behind so many SYNCs: at the first and every so many behind it, it
-    solves, and its arcs are judged by the solution from there on."""
-    accepted = (frames["id"] == SYNC) & (frames["flags"] == 0) & (frames["data"][:, 0] <= 240)
-    for part in np.split(frames, np.flatnonzero(accepted) + 1):
-        flight.frames(part)
-        if len(part) and part[-1]["id"] == SYNC and part[-1]["data"][0] <= 240:
-            if syncs % every == 0:
-                flight.estimate()
-                flight.adopt()
-            syncs += 1
+    """What a node does with frames that it hears behind so many SYNCs."""
+    for _ in heard(flight, frames, every, syncs):
+        pass
 
 
 class Node:

@@ -18,6 +18,7 @@ import can
 import numpy as np
 import pytest
 from cantools.database.can import Database
+from numpy.typing import NDArray
 
 from zygos import snapshot
 from zygos.arm import Arm
@@ -31,6 +32,8 @@ from zygos.testing.stream import SYNC, Stream
 EXTERNAL = "external"
 """Instead of a command: the device is there already, and is not ours to start and stop."""
 TELEMETRY, HEARTBEAT = 0x1A0, 0x720
+LARGEST_COUNTER = 240
+"""Of SYNC, as CANopen has it."""
 EVERY = 12
 """SYNCs from one estimate of zygos-node to the next. The first of them is answered; what is not finite is not sent."""
 PATIENCE_S = 30.0
@@ -39,6 +42,23 @@ _MODULUS = 2**24
 """Counters in telemetry stay whole numbers as single floats."""
 QUIET_S = 0.3
 """A device that has not answered for so long has no more to say."""
+
+
+def hear(flight: Flight, frames: NDArray[Any], every: int = 100, syncs: int = 0) -> Iterator[None]:
+    """Give frames to a flight as zygos-node does, which has heard so many SYNCs before; pauses behind each SYNC.
+
+    At the first SYNC and every so many behind it the node solves; its arcs are judged by the solution from there on.
+    """
+    accepted = (frames["id"] == SYNC) & (frames["flags"] == 0) & (frames["data"][:, 0] <= LARGEST_COUNTER)
+    ends = np.flatnonzero(accepted) + 1
+    for part in np.split(frames, ends)[: len(ends)]:
+        flight.frames(part)
+        if syncs % every == 0:
+            flight.estimate()
+            flight.adopt()
+        syncs += 1
+        yield
+    flight.frames(frames[ends[-1] if len(ends) else 0 :])
 
 
 class Dut:
@@ -246,8 +266,7 @@ class Dut:
     def _hear(self, stream: Stream, cycle: int) -> Estimate:
         """Tell the twin of a stream. Returns its estimate as of a cycle, by its number modulo 2^24."""
         estimate = None
-        for part in np.split(stream.frames, np.flatnonzero(stream.frames["id"] == SYNC)):
-            self.twin.frames(part)
+        for _ in hear(self.twin, stream.frames, EVERY):
             if estimate is None and int(self.twin.native.cycle) % _MODULUS == cycle:
                 estimate = self.twin.estimate()
         assert estimate is not None, f"the device answers with cycle {cycle}, which was not in the stream"
@@ -258,7 +277,8 @@ class Dut:
         if not self.external:
             return self.twin.estimate()
         alone = Flight(self.arm)
-        alone.frames(streams[-1].frames)
+        for _ in hear(alone, streams[-1].frames, EVERY):
+            pass
         return alone.estimate()
 
 
