@@ -76,6 +76,8 @@ enum zygos_reason {
 #define ZYGOS_SIGMA_LIMIT_BESIDE 0.025
 /// Deviation of the newest arc from all before it, in standard deviations, that is no accident.
 #define ZYGOS_DRIFT_ALARM 6.0
+/// Blocks that the arcs before the newest one must fill: the spread of fewer makes false alarms.
+#define ZYGOS_DRIFT_BLOCKS 8u
 /// What cannot be negative may be zero, and come out negative by as many sigmas.
 #define ZYGOS_NEGATIVE_SIGMAS 3.0
 
@@ -152,11 +154,12 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out);
 /// Compares the newest arc with all that came before it. An arc with fewer than half the instants of the longest does
 /// not speak for itself: it counts with those before it, until several such have as many together. Fills *out with what
 /// was known before (until out->cycle), and deviation[ZYGOS_MAX_PARAMETERS] with how far the newest arc's own value
-/// lies from that, in standard deviations of the difference (from half95). ZYGOS_DRIFT_ALARM and beyond is a change of
-/// the arm; while the arcs that are compared hold the arm before and after it, it may name more than has changed. Call
-/// it twice an arc: when the next arc speaks, the changed one is among those before. Reads and changes *work, as
-/// zygos_solve() does: take anew for each. Returns 1; 0 when all deviations are NaN, because before (validity is then
-/// ZYGOS_REFUSED) or within the newest arc something is not identifiable; or ZYGOS_E_NULL.
+/// lies from that, in standard deviations of the difference (from half95). Needs ZYGOS_DRIFT_BLOCKS blocks before the
+/// newest arc, which a build with ZYGOS_MAX_BLOCKS of 32 and more keeps, and one of 8 never has. ZYGOS_DRIFT_ALARM and
+/// beyond is a change of the arm; while the arcs that are compared hold the arm before and after it, it may name more
+/// than has changed. Call it twice an arc: when the next arc speaks, the changed one is among those before. Reads and
+/// changes *work, as zygos_solve() does: take anew for each. Returns 1; 0 when all deviations are NaN, because before
+/// (validity is then ZYGOS_REFUSED) or within the newest arc something is not identifiable; or ZYGOS_E_NULL.
 int zygos_drift(zygos_work_t *work, zygos_estimate_t *out, double *deviation);
 
 #ifdef __cplusplus
