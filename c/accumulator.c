@@ -364,14 +364,19 @@ static void forget_open_arc(zygos_accumulator_t *self)
     self->late = 0.0;
 }
 
-static void drop_open_arc(zygos_accumulator_t *self)
+void zygos_accumulator_leave_out(zygos_accumulator_t *self)
 {
     judge(self);
-    self->arcs_dropped += (self->count > self->open) ? 1u : 0u;
     self->accepted -= self->arc_instants;
     self->count = self->open;
     self->seal = seal_of(self);
     forget_open_arc(self);
+}
+
+static void drop_open_arc(zygos_accumulator_t *self)
+{
+    self->arcs_dropped += (self->count > self->open) ? 1u : 0u;
+    zygos_accumulator_leave_out(self);
 }
 
 static double closed_instants(const zygos_accumulator_t *self)
@@ -435,12 +440,12 @@ void zygos_accumulator_fade(zygos_accumulator_t *self, double factor)
     add_share(&self->noise_closed, &self->noise_closed, ((left > 0.0) ? factor : 0.0) - 1.0, self->width - 1u);
 }
 
-void zygos_accumulator_end_arc(zygos_accumulator_t *self, uint64_t cycle)
+bool zygos_accumulator_close(zygos_accumulator_t *self)
 {
     const uint32_t width = self->width;
     if (self->arc_instants < ZYGOS_MIN_ARC_INSTANTS) {
         drop_open_arc(self);
-        return;
+        return false;
     }
     judge(self);
     zygos_accumulator_flush(self);
@@ -469,10 +474,17 @@ void zygos_accumulator_end_arc(zygos_accumulator_t *self, uint64_t cycle)
             (zygos_gram_check(self->block[b].gram, width, self->block[b].sum, self->block[b].instants) <= 1.0) ? 0u
                                                                                                                : 1u;
         centre(&self->block[b], width, mean);
-        self->block[b].end = cycle;
-        self->block[b].seal = seal_of_block(&self->block[b], width);
     }
-    add_share(&self->noise_closed, &self->noise_open, 1.0, width - 1u);
+    return true;
+}
+
+void zygos_accumulator_admit(zygos_accumulator_t *self, uint64_t cycle)
+{
+    for (uint32_t b = self->open; b < self->count; b++) {
+        self->block[b].end = cycle;
+        self->block[b].seal = seal_of_block(&self->block[b], self->width);
+    }
+    add_share(&self->noise_closed, &self->noise_open, 1.0, self->width - 1u);
     if ((double)self->arc_instants >= self->enough) {
         self->window = self->open; /* it speaks without the short ones before it */
     }
@@ -488,6 +500,13 @@ void zygos_accumulator_end_arc(zygos_accumulator_t *self, uint64_t cycle)
     self->arcs++;
     self->seal = seal_of(self);
     forget_open_arc(self);
+}
+
+void zygos_accumulator_end_arc(zygos_accumulator_t *self, uint64_t cycle)
+{
+    if (zygos_accumulator_close(self)) {
+        zygos_accumulator_admit(self, cycle);
+    }
 }
 
 static bool is_count(double instants)

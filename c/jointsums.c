@@ -162,37 +162,56 @@ static void make_room(zygos_joint_sums_t *self)
     }
 }
 
-void zygos_joint_sums_end_arc(zygos_joint_sums_t *self, const zygos_config_t *config, uint64_t cycle)
+void zygos_joint_sums_leave_out(zygos_joint_sums_t *self)
 {
-    if (self->instants >= ZYGOS_MIN_ARC_INSTANTS) {
-        double turns = -(double)self->instants;
-        judge(self);
-        for (uint32_t i = 0; i < config->joints; i++) {
-            const uint32_t p = self->layout.count[i];
-            turns += self->open.instants[i];
-            if ((p > 0) && (self->open.instants[i] > 0.0)) {
-                const double n = self->open.instants[i];
-                /* The last entry counts instants as well. */
-                const double off = n - self->open.joint[i].gram[zygos_gram_entries(p + 2u) - 1u];
-                const bool counted = (off > -COUNTED) && (off < COUNTED);
-                self->corrupt |= (counted && matches(&self->open.joint[i], p + 2u, n)) ? 0u : 1u;
-                close_gram(&self->open.joint[i], p, n, self->noise[i]);
-            }
-        }
-        self->corrupt |= ((turns > -COUNTED) && (turns < COUNTED)) ? 0u : 1u;
-        if (self->count == ZYGOS_MAX_JOINT_BLOCKS) {
-            make_room(self);
-        }
-        self->open.total = (double)self->instants;
-        self->open.end = cycle;
-        self->open.seal = seal_of_block(&self->open);
-        self->block[self->count] = self->open;
-        self->count++;
-        self->seal = seal_of(self);
-    }
     memset(&self->open, 0, sizeof self->open);
     self->instants = 0;
     self->cycles = 0;
+}
+
+bool zygos_joint_sums_close(zygos_joint_sums_t *self, const zygos_config_t *config)
+{
+    if (self->instants < ZYGOS_MIN_ARC_INSTANTS) {
+        zygos_joint_sums_leave_out(self);
+        return false;
+    }
+    double turns = -(double)self->instants;
+    judge(self);
+    for (uint32_t i = 0; i < config->joints; i++) {
+        const uint32_t p = self->layout.count[i];
+        turns += self->open.instants[i];
+        if ((p > 0) && (self->open.instants[i] > 0.0)) {
+            const double n = self->open.instants[i];
+            /* The last entry counts instants as well. */
+            const double off = n - self->open.joint[i].gram[zygos_gram_entries(p + 2u) - 1u];
+            const bool counted = (off > -COUNTED) && (off < COUNTED);
+            self->corrupt |= (counted && matches(&self->open.joint[i], p + 2u, n)) ? 0u : 1u;
+            close_gram(&self->open.joint[i], p, n, self->noise[i]);
+        }
+    }
+    self->corrupt |= ((turns > -COUNTED) && (turns < COUNTED)) ? 0u : 1u;
+    return true;
+}
+
+void zygos_joint_sums_admit(zygos_joint_sums_t *self, uint64_t cycle)
+{
+    if (self->count == ZYGOS_MAX_JOINT_BLOCKS) {
+        make_room(self);
+    }
+    self->open.total = (double)self->instants;
+    self->open.end = cycle;
+    self->open.seal = seal_of_block(&self->open);
+    self->block[self->count] = self->open;
+    self->count++;
+    self->seal = seal_of(self);
+    zygos_joint_sums_leave_out(self);
+}
+
+void zygos_joint_sums_end_arc(zygos_joint_sums_t *self, const zygos_config_t *config, uint64_t cycle)
+{
+    if (zygos_joint_sums_close(self, config)) {
+        zygos_joint_sums_admit(self, cycle);
+    }
 }
 
 void zygos_joint_sums_fade(zygos_joint_sums_t *self, double factor)
@@ -217,9 +236,7 @@ void zygos_joint_sums_fade(zygos_joint_sums_t *self, double factor)
 
 void zygos_joint_sums_drop_after(zygos_joint_sums_t *self, uint64_t cycle)
 {
-    memset(&self->open, 0, sizeof self->open);
-    self->instants = 0;
-    self->cycles = 0;
+    zygos_joint_sums_leave_out(self);
     judge(self);
     while ((self->count > 0) && (self->block[self->count - 1u].end > cycle)) {
         self->count--;

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import subprocess
+import sys
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -81,7 +84,7 @@ def test_a_wrong_arm_file_is_told_what_to_write(
 def test_json_alone_on_stdout(tmp_path: Path, arm: Arm, cycles: Cycles, capsys: pytest.CaptureFixture[str]) -> None:
     log = logged(tmp_path / "run.blf", arm, cycles)
     assert run("check-arm", ARM, log, "--json", "-") == 0
-    assert json.loads(capsys.readouterr().out)["arm"] == "paper"
+    assert json.loads(capsys.readouterr().out)["arm"] == "lively"
 
 
 def test_a_cycle_table_gives_what_the_log_gives(tmp_path: Path, arm: Arm, cycles: Cycles) -> None:
@@ -225,3 +228,26 @@ def test_other_bad_input_is_refused(
         assert run("check-arm", *arguments) == 2
         assert "remedy" in capsys.readouterr().err
     assert log.read_bytes() == before
+
+
+def test_the_manual_runs_from_a_fresh_clone(tmp_path: Path) -> None:
+    """Every command of docs/check-arm.md, with nothing beside the checkout; the last one finds what was done to it."""
+    text = (ROOT / "docs" / "check-arm.md").read_text()
+    commands = [line.strip() for line in re.findall(r"^    (.*zygos .*)$", text, re.M) if "ARM.toml RUN" not in line]
+    assert len(commands) == 3
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+    codes = []
+    for command in commands:
+        done = subprocess.run(
+            command, shell=True, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+        )
+        codes.append(done.returncode)
+    assert codes == [0, 0, 3]
+    assert "shoulder motor angle: inverted" in done.stdout
+    assert "elbow motor angle: inverted" in done.stdout
+    # what is not in the repository is named as that, with its source
+    _, before, behind = text.partition("run_a.mat")
+    assert before
+    assert "not part of this repository" in " ".join(text.split())
+    assert "github.com/JonasWeigand/Robot_Identification" in behind

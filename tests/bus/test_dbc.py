@@ -146,10 +146,10 @@ COUNTERS = (
     *("sync_jumped", "time_lost", "time_jumped", "overrun", "bus_error"),
 )
 COUNTS = ("cycles", "gaps", "invalid", "wraps", "accepted", "refused", "arcs", "arcs_dropped")
-NODE = ("overflow", "misshapen", "down", "unsent")
+NODE = ("overflow", "misshapen", "down", "unsent", "corrupt", "unsaved")
 VERDICTS = (
     *("validity", "reason", "cycle", "accepted", "refused", "arcs", "blocks", "rank", "condition", "cluster"),
-    *("residual", "noise_ratio", "gate"),
+    *("residual", "noise_ratio", "gate", "left_out"),
 )
 ITEMS = {
     **{i: (name, unit) for i, (name, unit) in enumerate(PARAMETERS.items())},
@@ -157,6 +157,7 @@ ITEMS = {
     **{512 + i: (f"fault_{name}", "") for i, name in enumerate(COUNTERS)},
     **{534 + i: (f"count_{name}", "") for i, name in enumerate(COUNTS)},
     **{542 + i: (f"node_{name}", "") for i, name in enumerate(NODE)},
+    548: ("count_apart", ""),
     **{768 + i: (f"verdict_{name}", "J" if name == "residual" else "") for i, name in enumerate(VERDICTS)},
     **{1024 + i: (f"{name}_half95", unit) for i, (name, unit) in enumerate(PARAMETERS.items())},
 }
