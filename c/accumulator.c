@@ -13,6 +13,9 @@
 #define LEAST_STEPS 3u
 #define ROOM (3u * ZYGOS_MAX_BLOCKS / 4u) /* blocks that may be left where room is made */
 
+_Static_assert((ZYGOS_LEAST_BLOCKS + 2u <= ZYGOS_MAX_BLOCKS) && (ROOM + 2u <= ZYGOS_MAX_BLOCKS),
+               "an arc that begins needs two blocks");
+
 /* What rounding may make of a sum of so many weights, relative to it. A flipped bit that changes less does no harm. */
 static double rounded(double instants)
 {

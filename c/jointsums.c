@@ -4,6 +4,8 @@
 
 #include <string.h>
 
+_Static_assert(ZYGOS_LEAST_ARCS < ZYGOS_MAX_JOINT_BLOCKS, "an arc that closes needs a block");
+
 #define COUNTED 1e-9 /* counts add up exactly */
 
 static uint64_t seal_of(const zygos_joint_sums_t *self)

@@ -4,6 +4,9 @@
 
 #include <string.h>
 
+_Static_assert((ZYGOS_MOMENTUM == 0) || (ZYGOS_LEAST_ARCS < ZYGOS_MAX_MOMENTUM_BLOCKS),
+               "an arc that closes needs a block");
+
 #define COUNTED 1e-9 /* counts add up exactly */
 
 static uint32_t width_of(const zygos_momentum_sums_t *self)

@@ -1161,7 +1161,7 @@ int zygos_drift(zygos_work_t *work, zygos_estimate_t *out, double *deviation)
     const uint32_t p = work->layout.count;
     out->parameters = p;
     out->blocks = sums->newest;
-    if ((sums->newest < ZYGOS_LEAST_BLOCKS) || (sums->newest == sums->open)) {
+    if ((sums->newest < ZYGOS_DRIFT_BLOCKS) || (sums->newest == sums->open)) {
         return refuse(out, p, ZYGOS_REASON_NO_DATA);
     }
     out->cycle = sums->block[sums->newest - 1u].end;

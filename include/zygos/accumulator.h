@@ -64,7 +64,7 @@ typedef struct {
     uint32_t newest;       ///< First block of the newest arcs that have enough instants to speak for themselves,
     uint32_t window;       ///< and of those behind them, which do not yet.
     uint32_t arc_instants; ///< Accepted instants of the open arc.
-    uint32_t arcs;         ///< Arcs that closed with enough instants.
+    uint32_t arcs;         ///< Arcs that closed with enough instants. Wraps at 2^32, and so does the next.
     uint32_t arcs_dropped; ///< Arcs that were dropped later, or had fewer than ZYGOS_MIN_ARC_INSTANTS.
     uint32_t corrupt;      ///< 1: the row sums of an arc did not match when it closed.
     uint32_t filled;       ///< Instants of the step that fills, accepted or not.

@@ -86,6 +86,8 @@ enum zygos_reason {
 #define ZYGOS_SIGMA_LIMIT_BESIDE 0.025
 /// Deviation of the newest arc from all before it, in standard deviations, that is no accident.
 #define ZYGOS_DRIFT_ALARM 6.0
+/// Blocks that the arcs before the newest one must fill: the spread of fewer makes false alarms.
+#define ZYGOS_DRIFT_BLOCKS 8u
 /// What cannot be negative may be zero, and come out negative by as many sigmas.
 #define ZYGOS_NEGATIVE_SIGMAS 3.0
 
@@ -175,16 +177,17 @@ bool zygos_work_intact(zygos_work_t *work);
 /// not speak for itself: it counts with those before it, until several such have as many together. Fills *out with what
 /// was known before (until out->cycle; sigmas by the scatter alone, for what all arcs have in common is in both sides
 /// of the comparison), and deviation[ZYGOS_MAX_PARAMETERS] with how far the newest arc's own value lies from that, in
-/// standard deviations of the difference (from half95). ZYGOS_DRIFT_ALARM and beyond is a change of the arm where the
-/// balance closes on both sides (validity ZYGOS_VALID). Where it does not close on one of them (ZYGOS_DOUBTFUL for
-/// ZYGOS_REASON_UNCLOSED; cluster is the larger of the two), it may as well be an effect that no column describes,
-/// friction say, in a motion that was another: then the deviation is no proof of a change. While the arcs that are
-/// compared hold the arm before and after it, it may name more than has changed. Call it twice an arc: when the next
-/// arc speaks, the changed one is among those before. The open arc is looked at even if it contradicts the running
-/// solution (guard.h); where there is one, a newest arc that no arm explains, for what its own solution leaves is
-/// unusual, is no change. Reads and changes *work, as zygos_solve() does: take anew for each. Returns 1; 0 when all
-/// deviations are NaN, because before (validity is then ZYGOS_REFUSED) or within the newest arc something is not
-/// identifiable or not explained; or ZYGOS_E_NULL.
+/// standard deviations of the difference (from half95). Needs ZYGOS_DRIFT_BLOCKS blocks before the newest
+/// arc, which a build with ZYGOS_MAX_BLOCKS of 32 and more keeps, and one of 8 never has. ZYGOS_DRIFT_ALARM and beyond
+/// is a change of the arm where the balance closes on both sides (validity ZYGOS_VALID). Where it does not close on one
+/// of them (ZYGOS_DOUBTFUL for ZYGOS_REASON_UNCLOSED; cluster is the larger of the two), it may as well be an effect
+/// that no column describes, friction say, in a motion that was another: then the deviation is no proof of a change.
+/// While the arcs that are compared hold the arm before and after it, it may name more than has changed. Call it twice
+/// an arc: when the next arc speaks, the changed one is among those before. The open arc is looked at even if it
+/// contradicts the running solution (guard.h); where there is one, a newest arc that no arm explains, for what its own
+/// solution leaves is unusual, is no change. Reads and changes *work, as zygos_solve() does: take anew for each.
+/// Returns 1; 0 when all deviations are NaN, because before (validity is then ZYGOS_REFUSED) or within the newest arc
+/// something is not identifiable or not explained; or ZYGOS_E_NULL.
 int zygos_drift(zygos_work_t *work, zygos_estimate_t *out, double *deviation);
 
 #ifdef __cplusplus
