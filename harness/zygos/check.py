@@ -13,7 +13,7 @@ from zygos.arm import Arm
 from zygos.cycles import Cycles
 from zygos.effects import Effect
 from zygos.errors import Undecided
-from zygos.flight import Flight, Trace
+from zygos.flight import ROWS, Flight, LeftOut, Trace
 from zygos.reference.accumulator import Design, design
 from zygos.reference.balance import Balance, rows
 from zygos.reference.cycle import Samples, calibrate
@@ -22,6 +22,7 @@ from zygos.reference.motors import motors, solve_with_others
 from zygos.reference.noise import noise_of
 from zygos.reference.smoother import Smoothed, smooth
 from zygos.reference.wire import Frame, Reception, receive
+from zygos.watch import Watch
 
 ROW_TOLERANCE = 1e-12
 """Of each column's largest entry, where rounding is no larger."""
@@ -229,13 +230,24 @@ def sizes(arm: Arm, x: Floats) -> Floats:
     return out
 
 
-def check_chain(arm: Arm, trace: Trace, flight: Flight) -> list[Room]:
+def left_out(flight: Flight, ended: Sequence[LeftOut]) -> dict[str, frozenset[int]]:
+    """Newest cycles of the arcs that a flight left out, by kind of rows: those that ended, and open ones."""
+    estimate, guard = flight.estimate(), flight.native.guard
+    out = {}
+    for k, kind in enumerate(ROWS):
+        still = {estimate.cycle} if estimate.left_out[k] > guard.left_out[k] else set()
+        out[kind] = frozenset({arc.last for arc in ended if arc.rows == kind} | still)
+    return out
+
+
+def check_chain(arm: Arm, trace: Trace, flight: Flight, ended: Sequence[LeftOut] = ()) -> list[Room]:
     """Compare what the rooms behind the receiver made of a run with numpy's result on the same cycles.
 
     The last room is "solution", unless the run determines none: too short for an instant it ends with the smoother,
-    without any parameter known with the bandwidth test.
+    without any parameter known with the bandwidth test. ended: arcs that the flight left out when they ended; they are
+    told to numpy, which judges none.
     """
-    samples = calibrate(arm, trace.cycles)
+    samples = replace(calibrate(arm, trace.cycles), left_out=left_out(flight, ended))
     smoothed = smooth(arm, samples)
     if len(smoothed.index) == 0:
         return [Room("smoother", 0, float(trace.instant.sum()), None, 0.0)]
@@ -288,9 +300,9 @@ def _frame(record: Any) -> Frame:
 
 def check_frames(arm: Arm, frames: NDArray[Any], flight: Flight | None = None) -> list[Room]:
     """Compare all rooms on a log, beginning with the frames, which a fresh `flight` takes in."""
-    flight = flight or Flight(arm)
-    trace = flight.frames(frames, trace=True)
-    assert trace is not None
+    watch = Watch(flight or Flight(arm), trace=True)
+    watch.frames(frames)
+    flight, trace = watch.flight, watch.trace()
     reception = decode(arm, frames)
     ours, theirs = trace.cycles, reception.cycles
     rooms = [_compare("wire and cycles", _columns(ours), _columns(theirs), ours.sync, 1e-15)]
@@ -301,12 +313,11 @@ def check_frames(arm: Arm, frames: NDArray[Any], flight: Flight | None = None) -
     c_faults = flight.faults
     off = sum(abs(count - reception.faults[name]) for name, count in c_faults.items())
     rooms.append(Room("fault counters", len(c_faults), float(off), None, 0.0))
-    return rooms + check_chain(arm, trace, flight)
+    return rooms + check_chain(arm, trace, flight, watch.left_out)
 
 
 def check_cycles(arm: Arm, cycles: Cycles, flight: Flight | None = None) -> list[Room]:
     """Compare the rooms behind the receiver on cycles that came through the other door of a fresh `flight`."""
-    flight = flight or Flight(arm)
-    trace = flight.cycles(cycles, trace=True)
-    assert trace is not None
-    return check_chain(arm, trace, flight)
+    watch = Watch(flight or Flight(arm), trace=True)
+    watch.cycles(cycles)
+    return check_chain(arm, watch.trace(), watch.flight, watch.left_out)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from datetime import timedelta
 
@@ -19,8 +20,8 @@ class LineProgress(Progress):
     """Rich's tasks, and a thread that prints where those stand that are not finished; nothing else is printed."""
 
     def __init__(self) -> None:
-        """Take the tasks' times and speeds from Rich; work may stand still for minutes between two updates."""
-        super().__init__(console=errors, auto_refresh=False, speed_estimate_period=600.0)
+        """Take the tasks' times and speeds from Rich, which may be updated once in many minutes."""
+        super().__init__(console=errors, auto_refresh=False, speed_estimate_period=math.inf)
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._watch, daemon=True)
 

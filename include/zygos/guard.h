@@ -42,7 +42,7 @@ extern "C" {
 /// Residuals of this share of the right side's spread contradict nothing.
 #define ZYGOS_GUARD_SHARE 1e-3
 /// Arcs whose place is remembered.
-#define ZYGOS_GUARD_ARCS 8u
+#define ZYGOS_GUARD_ARCS 16u
 
 /// The kinds of rows, each with arcs of its own.
 enum zygos_rows { ZYGOS_ENERGY_ROWS = 0, ZYGOS_MOTOR_ROWS = 1, ZYGOS_MOMENTUM_ROWS = 2, ZYGOS_KINDS_OF_ROWS = 3 };

@@ -30,7 +30,7 @@ enum zygos_validity {
 enum zygos_reason {
     ZYGOS_REASON_NONE = 0,
     ZYGOS_REASON_NO_DATA = 1, ///< Fewer accepted instants than three a parameter, or fewer than ZYGOS_LEAST_BLOCKS.
-    ZYGOS_REASON_NOT_IDENTIFIABLE = 2, ///< The motion so far does not excite every parameter.
+    ZYGOS_REASON_NOT_IDENTIFIABLE = 2, ///< The motion so far does not determine every parameter: rank or sigmas say so.
     ZYGOS_REASON_TOO_FAST = 3,         ///< More than 5 % of the instants failed the bandwidth test.
     ZYGOS_REASON_NOT_PHYSICAL = 4,     ///< The bodies' inertia less the rotors' is not positive definite, Im, k or b is
                                        ///< not positive, or a friction or lag is negative, by more than
@@ -39,11 +39,11 @@ enum zygos_reason {
     ZYGOS_REASON_UNCLOSED = 6,         ///< What the solution leaves over is no noise: see ZYGOS_CLUSTER_LIMIT.
     ZYGOS_REASON_DECLARED = 8,         ///< The declared noise is not in the data: see ZYGOS_NOT_THERE.
     ZYGOS_REASON_NOISE = 7,            ///< Noise is as large as the motion in some combination: see ZYGOS_GATE.
-    ZYGOS_REASON_CHANGED = 9           ///< The newest arcs contradict the values, several in a row: see guard.h.
+    ZYGOS_REASON_CHANGED = 9,          ///< The newest arcs contradict the values, several in a row: see guard.h.
+    ZYGOS_REASON_UNEXPLAINED = 10      ///< What the solution leaves over is no noise, and more than a share of the
+                                       ///< work: see ZYGOS_UNEXPLAINED_LIMIT.
 };
 
-/// Of fewer blocks the spread says too little.
-#define ZYGOS_LEAST_BLOCKS 8u
 /// A parameter whose scaled pivot falls below this share is a combination of the others.
 #define ZYGOS_PIVOT_LIMIT 1e-11
 /// Smallest ratio of the sums to the noise in them, over all combinations of columns. At 1 they are noise. Below this
@@ -59,8 +59,8 @@ enum zygos_reason {
 /// exceeds this share of what the motion puts into the combination of columns that it excites least, it makes that
 /// combination, and with it the values. Below that, what as much noise again changes is added to the sigmas.
 #define ZYGOS_NOISE_LIMIT 1.0
-/// When more than this share of the work's variance is left over, the rows are noise (an arm at rest) or another arm's:
-/// nothing is identifiable.
+/// When more than this share of the work's variance is left over, nothing has a value: the rows are noise (an arm at
+/// rest: not identifiable), or, where what is left over adds up as noise does not, another arm's (unexplained).
 #define ZYGOS_UNEXPLAINED_LIMIT 0.1
 /// Noise in the rows forgets within a few instants, so the residuals of a block add up like the square root of their
 /// number, or less: the mean of (sum)^2 / (instants * mean square) over the blocks is around 1. When it exceeds this
@@ -175,13 +175,16 @@ bool zygos_work_intact(zygos_work_t *work);
 /// not speak for itself: it counts with those before it, until several such have as many together. Fills *out with what
 /// was known before (until out->cycle; sigmas by the scatter alone, for what all arcs have in common is in both sides
 /// of the comparison), and deviation[ZYGOS_MAX_PARAMETERS] with how far the newest arc's own value lies from that, in
-/// standard deviations of the difference (from half95). ZYGOS_DRIFT_ALARM and beyond is a change of the arm; while the
-/// arcs that are compared hold the arm before and after it, it may name more than has changed. Call it twice an arc:
-/// when the next arc speaks, the changed one is among those before. The open arc is looked at even if it contradicts
-/// the running solution (guard.h); where there is one, a newest arc that no arm explains, for what its own solution
-/// leaves is unusual, is no change. Reads and changes *work, as zygos_solve() does: take anew for each. Returns 1; 0
-/// when all deviations are NaN, because before (validity is then ZYGOS_REFUSED) or within the newest arc something is
-/// not identifiable or not explained; or ZYGOS_E_NULL.
+/// standard deviations of the difference (from half95). ZYGOS_DRIFT_ALARM and beyond is a change of the arm where the
+/// balance closes on both sides (validity ZYGOS_VALID). Where it does not close on one of them (ZYGOS_DOUBTFUL for
+/// ZYGOS_REASON_UNCLOSED; cluster is the larger of the two), it may as well be an effect that no column describes,
+/// friction say, in a motion that was another: then the deviation is no proof of a change. While the arcs that are
+/// compared hold the arm before and after it, it may name more than has changed. Call it twice an arc: when the next
+/// arc speaks, the changed one is among those before. The open arc is looked at even if it contradicts the running
+/// solution (guard.h); where there is one, a newest arc that no arm explains, for what its own solution leaves is
+/// unusual, is no change. Reads and changes *work, as zygos_solve() does: take anew for each. Returns 1; 0 when all
+/// deviations are NaN, because before (validity is then ZYGOS_REFUSED) or within the newest arc something is not
+/// identifiable or not explained; or ZYGOS_E_NULL.
 int zygos_drift(zygos_work_t *work, zygos_estimate_t *out, double *deviation);
 
 #ifdef __cplusplus

@@ -120,6 +120,12 @@ extern "C" {
 /// Doubles count instants as far.
 #define ZYGOS_MOST_INSTANTS 9007199254740992.0
 
+/// Of fewer arcs of motor or momentum rows the spread says too little: they are left out, and no more of them merge.
+#define ZYGOS_LEAST_ARCS 3u
+
+/// A block of closed arcs of which forgetting has left fewer instants than this is emptied.
+#define ZYGOS_FAINT 1e-6
+
 /// Arcs with fewer accepted instants than this carry no weight: they are dropped and counted.
 #define ZYGOS_MIN_ARC_INSTANTS 20
 

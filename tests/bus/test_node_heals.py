@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from node_support import Node
+from node_support import Node, hear
 from numpy.typing import NDArray
 
 from conftest import EXAMPLE, ROOT, need
@@ -108,9 +108,9 @@ def test_a_corrupt_sum_starts_the_estimate_over(
     assert (counters["node_corrupt"], counters["node_unsaved"]) == (1, 0)
     assert values(heard, "verdict_validity")[-1] == 3.0
     flight = Flight(arm)
-    flight.frames(frames[: syncs[450] + 1])
+    hear(flight, frames[: syncs[450] + 1], 50)
     assert lib.zygos_restart(flight.native, lib.ZYGOS_KEEP_FAULTS) == 1
-    flight.frames(frames[syncs[450] + 1 :])
+    hear(flight, frames[syncs[450] + 1 :], 50, 451)
     assert saved(state) == image(flight)
     assert not any(n for name, n in counters.items() if name.startswith("fault_"))
     assert counters["count_cycles"] == 1200
@@ -139,7 +139,7 @@ def test_it_goes_back_to_the_last_good_state(
     flight = Flight(arm)
     snapshot.resume(flight, tmp_path / "good.zyg")
     assert f"goes on behind cycle {flight.native.cycle}\n" in said
-    flight.frames(frames[syncs[found] + 1 : syncs[790]])
+    hear(flight, frames[syncs[found] + 1 : syncs[790]], every, found + 1)
     assert saved(state) == image(flight)
     assert counters["node_corrupt"] == 1
     assert counters["node_unsaved"] == (0 if every == 50 else 1)
@@ -381,7 +381,7 @@ def test_a_full_disk_ends_nothing(arm: Arm, config: Path, frames: Log, syncs: Lo
     ]
     assert values(heard, "node_unsaved") == [0.0, 0.0, 2.0, 4.0, 4.0, 4.0]
     flight = Flight(arm)
-    flight.frames(frames[: syncs[600]])
+    hear(flight, frames[: syncs[600]])
     assert saved(state) == image(flight)
 
 

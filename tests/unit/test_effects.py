@@ -436,7 +436,7 @@ def test_c_equals_numpy_with_the_offsets_that_an_arm_file_asks_for(tmp_path: Pat
 
 @pytest.fixture(scope="module")
 def modern() -> Trajectory:
-    """The paper's motion with sensors of today, 20 bits and 200 Hz."""
+    """The motion of examples/lively with sensors of today, 20 bits and 200 Hz."""
     _, model, scenario = lively()
     return simulate(load_arm(LIVELY.parent / "gap" / "arm.toml"), model, scenario, noise=True, duration_s=30.0)
 

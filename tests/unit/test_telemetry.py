@@ -385,7 +385,7 @@ def test_a_repeated_stamp_counts_once(arm: Arm, tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def fine(scenario: Scenario, model: Model, arm: Arm) -> tuple[Arm, Cycles]:
-    """The paper's arm with encoders of 0.1 mrad, 20 s at 200 Hz."""
+    """The arm of examples/lively with encoders of 0.1 mrad, 20 s at 200 Hz."""
     sharp = replace(
         arm,
         joints=tuple(

@@ -48,7 +48,11 @@ def accuracy(
     summary = summarise(wanted, found)
     figure = next((line for line in found if line.get("figure")), None)
     short = figure and {
-        key: figure[key] for key in ("seed", "free_rms_rad", "servo_rms_rad", "horizon_s", "arcs_rad", "missing")
+        key: figure[key]
+        for key in (
+            *("seed", "free_rms_rad", "free_rms_percent", "parting"),
+            *("servo_rms_rad", "horizon_s", "arcs_rad", "missing"),
+        )
     }
     write_json(json, {"seeds": seeds, "draws": draws, "cases": summary, "figure4": short})
     write_accuracy_report(target, wanted, summary, figure, draws)

@@ -6,7 +6,8 @@ record is cut into segments: unbroken runs of usable cycles.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,6 +57,7 @@ class Samples:
     sync: (n,) cycle number. q, theta: (n, N) [rad]. tau: (n, N) rotor torque in force on [t_k, t_k+1) [Nm], NaN where
     the torque law needs a cycle that the segment does not have. omega: (n, 3) base rate in base axes [rad/s].
     segments: half-open ranges of positions in these arrays. voids, wraps: as in `Segments`.
+    left_out: newest cycles of the arcs that the library left out of its sums, by kind of rows: the reference is told.
     """
 
     sync: NDArray[np.uint64]
@@ -66,6 +68,7 @@ class Samples:
     segments: tuple[tuple[int, int], ...]
     voids: tuple[tuple[int, int | None], ...]
     wraps: int
+    left_out: Mapping[str, frozenset[int]] = field(default_factory=dict)
 
 
 def usable(cycles: Cycles) -> NDArray[np.bool_]:
