@@ -149,7 +149,7 @@ enum zygos_error {
     ZYGOS_E_KEEP = -13,   ///< zygos_restart() does not know one of the bits, or there are no motor rows to keep.
     ZYGOS_E_EFFECT = -14, ///< Too many effects, an unknown kind, a joint out of range, an effect twice, or one of the
                           ///< spring of a rigid joint.
-    ZYGOS_E_BASE = -15,       ///< base is none of enum zygos_base, or gravity, a gyro or momentum rows do not fit it.
+    ZYGOS_E_BASE = -15,   ///< base is none of enum zygos_base, or gravity, a gyro or momentum rows do not fit it.
     ZYGOS_E_SNAPSHOT = -16,   ///< No snapshot, or not even a whole head of one.
     ZYGOS_E_FORMAT = -17,     ///< A snapshot of a format that this build does not read.
     ZYGOS_E_KIND = -18,       ///< A snapshot of another kind, or a kind that there is not.
