@@ -166,14 +166,13 @@ def test_every_kind_of_file_comes_on_standard_input(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Arm, model, scenario, DBC, map, answers, URDF and estimate; with the result that the file by its name gives."""
+    """Arm, model, scenario, DBC, map, answers, URDF, with the result that the file by its name gives."""
     monkeypatch.chdir(simulated / "example")
     telemetry, urdf = ROOT / "examples" / "telemetry", ROOT / "examples" / "urdf"
     model, out = EXAMPLE / "model.toml", tmp_path / "out"
     arm = EXAMPLE / "arm.toml"
     log, named, maps = telemetry / "run.blf", telemetry / "arm.toml", telemetry / "map.toml"
     convert = ["convert", log, "--arm", named, "-o", out / "run.blf"]
-    assert run("estimate", simulated / "run.blf", "-o", tmp_path / "e.toml", "--json", tmp_path / "e.json") in (0, 3)
     cases: list[tuple[list[object], Path]] = [
         (["dbc", "-o", out / "arm.dbc", "--arm"], arm),
         (["dbc", "--arm", arm, "-o", out / "arm.dbc", "--model"], model),
@@ -184,7 +183,6 @@ def test_every_kind_of_file_comes_on_standard_input(
         ([*convert, "--dbc", telemetry / "arm.dbc", "--map"], maps),
         (["import", "--template", out / "answers.toml"], urdf / "arm.urdf"),
         (["import", urdf / "arm.urdf", "-o", out, "--answers"], urdf / "answers.toml"),
-        (["fit", "--arm", arm, "--model", model, "-o", out / "m.toml", "--json", out / "f.json"], tmp_path / "e.json"),
     ]
     for arguments, file in cases:
         found = []
@@ -196,6 +194,9 @@ def test_every_kind_of_file_comes_on_standard_input(
         assert found[0] == found[1]
         assert found[0] or "simulate" in arguments
     assert "standard input" not in capsys.readouterr().err
+    stdin(b"{}")
+    assert run("fit", "-", "--arm", arm, "--model", model, "-o", out / "m.toml") == 2
+    assert "-: has no arm" in capsys.readouterr().err
 
 
 def test_only_one_file_comes_on_standard_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -296,7 +297,12 @@ def test_an_output_that_cannot_be_written_is_noticed_before_the_work(
 
 @pytest.mark.parametrize(("how", "code"), [("Ctrl-C", 130), ("SIGTERM", 143), ("an error", 2)])
 def test_work_that_does_not_end_leaves_nothing(
-    how: str, code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    how: str,
+    code: int,
+    simulated: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     before = signal.getsignal(signal.SIGTERM)
 
@@ -307,7 +313,7 @@ def test_work_that_does_not_end_leaves_nothing(
         time.sleep(10)
 
     monkeypatch.setattr("can.BLFWriter.on_message_received", interrupted)
-    assert run("simulate", EXAMPLE / "scenario.toml", "-o", tmp_path / "run.blf") == code
+    assert run("simulate", simulated / "example" / "scenario.toml", "-o", tmp_path / "run.blf") == code
     assert list(tmp_path.iterdir()) == []
     assert "Traceback" not in capsys.readouterr().err
     assert signal.getsignal(signal.SIGTERM) is before
