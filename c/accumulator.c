@@ -362,12 +362,12 @@ void zygos_accumulator_fade(zygos_accumulator_t *self, double factor)
     add_share(&self->noise_closed, &self->noise_closed, factor - 1.0, self->width - 1u);
 }
 
-void zygos_accumulator_end_arc(zygos_accumulator_t *self, uint64_t cycle)
+bool zygos_accumulator_close(zygos_accumulator_t *self)
 {
     const uint32_t width = self->width;
     if (self->arc_instants < ZYGOS_MIN_ARC_INSTANTS) {
         drop_open_arc(self);
-        return;
+        return false;
     }
     zygos_accumulator_flush(self);
     self->corrupt |= (zygos_gram_check(self->noise.gram, width - 1u, self->noise.sum, self->segment) <= 1.0) ? 0u : 1u;
@@ -391,9 +391,16 @@ void zygos_accumulator_end_arc(zygos_accumulator_t *self, uint64_t cycle)
             (zygos_gram_check(self->block[b].gram, width, self->block[b].sum, self->block[b].instants) <= 1.0) ? 0u
                                                                                                                : 1u;
         centre(&self->block[b], width, mean);
+    }
+    return true;
+}
+
+void zygos_accumulator_admit(zygos_accumulator_t *self, uint64_t cycle)
+{
+    for (uint32_t b = self->open; b < self->count; b++) {
         self->block[b].end = cycle;
     }
-    add_share(&self->noise_closed, &self->noise_open, 1.0, width - 1u);
+    add_share(&self->noise_closed, &self->noise_open, 1.0, self->width - 1u);
     if ((double)self->arc_instants >= self->enough) {
         self->window = self->open; /* it speaks without the short ones before it */
     }
@@ -408,6 +415,20 @@ void zygos_accumulator_end_arc(zygos_accumulator_t *self, uint64_t cycle)
     }
     self->arcs++;
     forget_open_arc(self);
+}
+
+void zygos_accumulator_leave_out(zygos_accumulator_t *self)
+{
+    self->accepted -= self->arc_instants;
+    self->count = self->open;
+    forget_open_arc(self);
+}
+
+void zygos_accumulator_end_arc(zygos_accumulator_t *self, uint64_t cycle)
+{
+    if (zygos_accumulator_close(self)) {
+        zygos_accumulator_admit(self, cycle);
+    }
 }
 
 static bool is_count(double instants)

@@ -110,7 +110,7 @@ static void add_block(zygos_joint_block_t *to, const zygos_joint_block_t *from)
 /* The target doubles only when merging up to it is not enough; once it holds all instants, one block is left. */
 static void make_room(zygos_joint_sums_t *self)
 {
-    for (uint32_t tries = 0; (tries < 64u) && (self->count > 3u * ZYGOS_MAX_JOINT_BLOCKS / 4u); tries++) {
+    for (uint32_t tries = 0; tries < 64u; tries++) {
         uint32_t to = 0;
         for (uint32_t from = 0; from < self->count; from++) {
             if ((to > 0) && (self->block[to - 1u].total + self->block[from].total <= self->target)) {
@@ -123,35 +123,57 @@ static void make_room(zygos_joint_sums_t *self)
             to++;
         }
         self->count = to;
+        if (self->count <= 3u * ZYGOS_MAX_JOINT_BLOCKS / 4u) {
+            return;
+        }
         self->target *= 2.0;
     }
 }
 
-void zygos_joint_sums_end_arc(zygos_joint_sums_t *self, const zygos_config_t *config, uint64_t cycle)
+void zygos_joint_sums_leave_out(zygos_joint_sums_t *self)
 {
-    if (self->instants >= ZYGOS_MIN_ARC_INSTANTS) {
-        for (uint32_t i = 0; i < config->joints; i++) {
-            const uint32_t p = self->layout.count[i];
-            if ((p > 0) && (self->open.instants[i] > 0.0)) {
-                const double n = self->open.instants[i];
-                /* The last entry counts instants as well. */
-                const double off = n - self->open.joint[i].gram[zygos_gram_entries(p + 2u) - 1u];
-                const bool counted = (off > -0.5) && (off < 0.5);
-                self->corrupt |= (counted && matches(&self->open.joint[i], p + 2u, n)) ? 0u : 1u;
-                close_gram(&self->open.joint[i], p, n, self->noise[i]);
-            }
-        }
-        if (self->count == ZYGOS_MAX_JOINT_BLOCKS) {
-            make_room(self);
-        }
-        self->open.total = (double)self->instants;
-        self->open.end = cycle;
-        self->block[self->count] = self->open;
-        self->count++;
-    }
     memset(&self->open, 0, sizeof self->open);
     self->instants = 0;
     self->cycles = 0;
+}
+
+bool zygos_joint_sums_close(zygos_joint_sums_t *self, const zygos_config_t *config)
+{
+    if (self->instants < ZYGOS_MIN_ARC_INSTANTS) {
+        zygos_joint_sums_leave_out(self);
+        return false;
+    }
+    for (uint32_t i = 0; i < config->joints; i++) {
+        const uint32_t p = self->layout.count[i];
+        if ((p > 0) && (self->open.instants[i] > 0.0)) {
+            const double n = self->open.instants[i];
+            /* The last entry counts instants as well. */
+            const double off = n - self->open.joint[i].gram[zygos_gram_entries(p + 2u) - 1u];
+            const bool counted = (off > -0.5) && (off < 0.5);
+            self->corrupt |= (counted && matches(&self->open.joint[i], p + 2u, n)) ? 0u : 1u;
+            close_gram(&self->open.joint[i], p, n, self->noise[i]);
+        }
+    }
+    return true;
+}
+
+void zygos_joint_sums_admit(zygos_joint_sums_t *self, uint64_t cycle)
+{
+    if (self->count == ZYGOS_MAX_JOINT_BLOCKS) {
+        make_room(self);
+    }
+    self->open.total = (double)self->instants;
+    self->open.end = cycle;
+    self->block[self->count] = self->open;
+    self->count++;
+    zygos_joint_sums_leave_out(self);
+}
+
+void zygos_joint_sums_end_arc(zygos_joint_sums_t *self, const zygos_config_t *config, uint64_t cycle)
+{
+    if (zygos_joint_sums_close(self, config)) {
+        zygos_joint_sums_admit(self, cycle);
+    }
 }
 
 void zygos_joint_sums_fade(zygos_joint_sums_t *self, double factor)
@@ -173,9 +195,7 @@ void zygos_joint_sums_fade(zygos_joint_sums_t *self, double factor)
 
 void zygos_joint_sums_drop_after(zygos_joint_sums_t *self, uint64_t cycle)
 {
-    memset(&self->open, 0, sizeof self->open);
-    self->instants = 0;
-    self->cycles = 0;
+    zygos_joint_sums_leave_out(self);
     while ((self->count > 0) && (self->block[self->count - 1u].end > cycle)) {
         self->count--;
     }

@@ -26,7 +26,7 @@ static void add_gram(zygos_momentum_gram_t *to, const zygos_momentum_gram_t *fro
     }
 }
 
-static void forget_open_arc(zygos_momentum_sums_t *self)
+void zygos_momentum_sums_leave_out(zygos_momentum_sums_t *self)
 {
     clear_gram(&self->open.rows, width_of(self));
     clear_gram(&self->noise_open, self->columns);
@@ -40,7 +40,7 @@ void zygos_momentum_sums_clear(zygos_momentum_sums_t *self, const zygos_config_t
     self->count = 0;
     self->corrupt = 0;
     clear_gram(&self->noise_closed, self->columns);
-    forget_open_arc(self);
+    zygos_momentum_sums_leave_out(self);
 }
 
 static uint32_t columns_of(const zygos_config_t *config)
@@ -151,7 +151,7 @@ static void close_block(zygos_momentum_sums_t *self, zygos_momentum_gram_t *rows
 /* The target doubles only when merging up to it is not enough; once it holds all instants, one block is left. */
 static void make_room(zygos_momentum_sums_t *self)
 {
-    for (uint32_t tries = 0; (tries < 64u) && (self->count > 3u * ZYGOS_MOMENTUM_PLACES / 4u); tries++) {
+    for (uint32_t tries = 0; tries < 64u; tries++) {
         uint32_t to = 0;
         for (uint32_t from = 0; from < self->count; from++) {
             const zygos_momentum_block_t *next = &self->block[from];
@@ -168,32 +168,49 @@ static void make_room(zygos_momentum_sums_t *self)
             to++;
         }
         self->count = to;
+        if (self->count <= 3u * ZYGOS_MOMENTUM_PLACES / 4u) {
+            return;
+        }
         self->target *= 2.0;
     }
 }
 
-void zygos_momentum_sums_end_arc(zygos_momentum_sums_t *self, const zygos_config_t *config, uint64_t cycle)
+bool zygos_momentum_sums_close(zygos_momentum_sums_t *self, const zygos_config_t *config)
 {
     const double instants = self->open.instants;
-    if (instants >= (double)ZYGOS_MIN_ARC_INSTANTS) {
-        const double worst = violation(&self->open.rows, width_of(self), instants);
-        self->corrupt |= ((worst <= 1.0) && (violation(&self->noise_open, self->columns, instants) <= 1.0)) ? 0u : 1u;
-        for (uint32_t i = 0; i < config->joints; i++) {
-            const uint32_t place = self->columns - config->joints + i;
-            const double owed = instants * self->rotor[i] / (double)self->components;
-            self->noise_open.gram[zygos_gram_entries(place + 1u) - 1u] += owed;
-            self->noise_open.sum[place] += owed;
-        }
-        close_block(self, &self->open.rows);
-        add_gram(&self->noise_closed, &self->noise_open, 1.0, self->columns);
-        if (self->count == (uint32_t)ZYGOS_MOMENTUM_PLACES) {
-            make_room(self);
-        }
-        self->open.end = cycle;
-        self->block[self->count] = self->open;
-        self->count++;
+    if (instants < (double)ZYGOS_MIN_ARC_INSTANTS) {
+        zygos_momentum_sums_leave_out(self);
+        return false;
     }
-    forget_open_arc(self);
+    const double worst = violation(&self->open.rows, width_of(self), instants);
+    self->corrupt |= ((worst <= 1.0) && (violation(&self->noise_open, self->columns, instants) <= 1.0)) ? 0u : 1u;
+    for (uint32_t i = 0; i < config->joints; i++) {
+        const uint32_t place = self->columns - config->joints + i;
+        const double owed = instants * self->rotor[i] / (double)self->components;
+        self->noise_open.gram[zygos_gram_entries(place + 1u) - 1u] += owed;
+        self->noise_open.sum[place] += owed;
+    }
+    close_block(self, &self->open.rows);
+    return true;
+}
+
+void zygos_momentum_sums_admit(zygos_momentum_sums_t *self, uint64_t cycle)
+{
+    add_gram(&self->noise_closed, &self->noise_open, 1.0, self->columns);
+    if (self->count == (uint32_t)ZYGOS_MOMENTUM_PLACES) {
+        make_room(self);
+    }
+    self->open.end = cycle;
+    self->block[self->count] = self->open;
+    self->count++;
+    zygos_momentum_sums_leave_out(self);
+}
+
+void zygos_momentum_sums_end_arc(zygos_momentum_sums_t *self, const zygos_config_t *config, uint64_t cycle)
+{
+    if (zygos_momentum_sums_close(self, config)) {
+        zygos_momentum_sums_admit(self, cycle);
+    }
 }
 
 void zygos_momentum_sums_fade(zygos_momentum_sums_t *self, double factor)
@@ -216,7 +233,7 @@ static double closed_instants(const zygos_momentum_sums_t *self)
 
 void zygos_momentum_sums_drop_after(zygos_momentum_sums_t *self, uint64_t cycle)
 {
-    forget_open_arc(self);
+    zygos_momentum_sums_leave_out(self);
     const double before = closed_instants(self);
     while ((self->count > 0) && (self->block[self->count - 1u].end > cycle)) {
         self->count--;

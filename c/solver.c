@@ -772,14 +772,18 @@ static void widen(const zygos_work_t *work, uint32_t p, zygos_estimate_t *out)
     }
 }
 
-/* Leaving out a block tells of what blocks do not have in common. The part of the residuals that adds up within a block
-   is no noise, and may be the same in all of them: then no number of blocks averages it out. */
-static void allow_for_likeness(const zygos_work_t *work, uint32_t p, zygos_estimate_t *out)
+/* Leaving out a block tells of what blocks do not have in common. Two parts of the residuals may be the same in all of
+   them, and then no number of blocks averages them out: what adds up within a block, and what the declared noise does
+   not explain, of which as much is left as it does in one arc of the longest kind. */
+static void allow_for_likeness(const zygos_work_t *work, uint32_t p, double systematic, zygos_estimate_t *out)
 {
     const double blocks = (double)(work->blocks.end - work->blocks.first);
+    const double arcs = work->instants / (double)work->config.arc_cycles;
     const double alike = (out->cluster > ZYGOS_CLUSTER_NOISE) ? 1.0 - ZYGOS_CLUSTER_NOISE / out->cluster : 0.0;
-    for (uint32_t k = 0; (k < at(p, 0)) && (alike > 0.0); k++) {
-        out->covariance[k] *= 1.0 + (blocks - 1.0) * alike;
+    const double adds = (blocks - 1.0) * alike;
+    const double stays = arcs * ((systematic > ZYGOS_SYSTEMATIC) ? systematic : ZYGOS_SYSTEMATIC);
+    for (uint32_t k = 0; k < at(p, 0); k++) {
+        out->covariance[k] *= 1.0 + ((adds > stays) ? adds : stays);
     }
 }
 
@@ -879,12 +883,17 @@ static bool prepare(zygos_work_t *work)
         !(zygos_momentum_sums_check(&work->momentum_sums) <= 1.0)) {
         return false;
     }
-    zygos_momentum_sums_end_arc(&work->momentum_sums, &work->config, work->cycle);
-    zygos_accumulator_end_arc(sums, work->cycle);
+    zygos_guard_end_momentum(&work->guard, &work->config, &work->layout, &work->momentum_sums, work->cycle);
+    zygos_guard_end_energy(&work->guard, &work->config, sums, work->cycle, work->arc);
     if (work->config.impulse_arc_cycles > 0) {
-        zygos_joint_sums_end_arc(&work->joint_sums, &work->config, work->cycle);
+        zygos_guard_end_motors(&work->guard, &work->config, &work->layout, &work->joint_sums, work->cycle);
     }
     return sums->corrupt == 0;
+}
+
+bool zygos_work_intact(zygos_work_t *work)
+{
+    return (work != NULL) && prepare(work);
 }
 
 /* Chooses the blocks of the momentum rows that end behind one cycle, and not behind another. */
@@ -1030,6 +1039,8 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     out->accepted = sums->accepted;
     out->arcs = sums->arcs;
     out->blocks = sums->open;
+    memcpy(out->left_out, work->guard.left_out, sizeof out->left_out);
+    out->in_a_row = work->guard.in_a_row[ZYGOS_ENERGY_ROWS];
     if ((out->accepted < (uint64_t)INSTANTS_PER_PARAMETER * p) || (out->blocks < ZYGOS_LEAST_BLOCKS)) {
         return refuse(out, p, ZYGOS_REASON_NO_DATA);
     }
@@ -1070,7 +1081,7 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     }
     inverse_diagonal(work, p, rank, work->inverse);
     jackknife(work, p, rank, out->covariance);
-    allow_for_likeness(work, p, out);
+    allow_for_likeness(work, p, (excess > 0.0) ? excess / unexplained : 0.0, out);
     put_in_again(work, p, noise);
     if (loud) {
         /* What is left of the noise where it could not be taken off in whole. */
@@ -1111,6 +1122,9 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     } else if (!closed) {
         out->validity = ZYGOS_DOUBTFUL;
         out->reason = ZYGOS_REASON_UNCLOSED;
+    } else if (work->guard.changed != 0) {
+        out->validity = ZYGOS_DOUBTFUL;
+        out->reason = ZYGOS_REASON_CHANGED;
     } else if (out->noise_ratio < ZYGOS_NOT_THERE) {
         out->validity = ZYGOS_DOUBTFUL;
         out->reason = ZYGOS_REASON_DECLARED;
@@ -1135,6 +1149,32 @@ static bool say(zygos_work_t *work, uint32_t p, zygos_estimate_t *scratch, uint3
     return (scratch->gate >= ZYGOS_GATE) && (solve_with(work, p, *rank, work->believed, work->solution) == *rank);
 }
 
+/* What the solution of the chosen blocks leaves of the energy rows: mean square, and ratio to the declared noise. */
+typedef struct {
+    double residual;
+    double ratio;
+} usual_t;
+
+static usual_t usual_of(const zygos_work_t *work, uint32_t p)
+{
+    double explained = 0.0;
+    const double left = energy_left(work, p, work->solution, &explained);
+    const usual_t out = { left / work->instants, (explained > 0.0) ? left / explained : 0.0 };
+    return out;
+}
+
+/* Whether the chosen blocks' own solution leaves no more of them than is usual: otherwise they are no other arm's. */
+static bool explains(const zygos_work_t *work, uint32_t p, const usual_t *usual)
+{
+    double explained = 0.0;
+    const double left = energy_left(work, p, work->solution, &explained);
+    const double by_noise = usual->ratio * explained;
+    const double by_number = usual->residual * work->instants;
+    const double window = 2.0 * (double)work->config.smoother_half_width + 1.0;
+    const double most = zygos_guard_most(work->instants / window) * ((by_noise > by_number) ? by_noise : by_number);
+    return left <= most + ZYGOS_GUARD_SHARE * ZYGOS_GUARD_SHARE * work->spread;
+}
+
 int zygos_drift(zygos_work_t *work, zygos_estimate_t *out, double *deviation)
 {
     if ((work == NULL) || (out == NULL) || (deviation == NULL)) {
@@ -1145,6 +1185,8 @@ int zygos_drift(zygos_work_t *work, zygos_estimate_t *out, double *deviation)
     for (uint32_t i = 0; i < (uint32_t)ZYGOS_MAX_PARAMETERS; i++) {
         deviation[i] = not_a_number();
     }
+    const bool guarded = (work->guard.known != 0);
+    work->guard.known = 0; /* the newest arc is what it is about */
     if (!prepare(work)) {
         return refuse(out, ZYGOS_MAX_PARAMETERS, ZYGOS_REASON_CORRUPT);
     }
@@ -1166,6 +1208,7 @@ int zygos_drift(zygos_work_t *work, zygos_estimate_t *out, double *deviation)
     jackknife(work, p, rank, out->covariance);
     memcpy(out->value, work->solution, p * sizeof out->value[0]);
     memcpy(out->solution, work->solution, p * sizeof out->solution[0]);
+    const usual_t usual = usual_of(work, p);
     double scaled[ZYGOS_MAX_PARAMETERS];
     for (uint32_t i = 0; i < p; i++) {
         out->sigma[i] = root(out->covariance[at(i, i)]);
@@ -1179,7 +1222,7 @@ int zygos_drift(zygos_work_t *work, zygos_estimate_t *out, double *deviation)
     out->reason = before ? ZYGOS_REASON_NONE : ZYGOS_REASON_UNCLOSED;
     choose(work, p, sums->newest, sums->open);
     const double known[4] = { out->gate, out->cluster, out->residual, out->noise_ratio };
-    const bool said = say(work, p, out, &rank) && (rank == p);
+    const bool said = say(work, p, out, &rank) && (rank == p) && (!guarded || explains(work, p, &usual));
     if (said && !closes(work, p, out)) {
         out->validity = ZYGOS_DOUBTFUL;
         out->reason = ZYGOS_REASON_UNCLOSED;

@@ -21,7 +21,8 @@ from zygos.scenario import Scenario, load_scenario
 pytest_plugins = ["zygos.testing"]
 
 ROOT = Path(__file__).resolve().parent.parent
-EXAMPLE = ROOT / "examples" / "paper"
+PAPER = ROOT / "examples" / "paper"
+EXAMPLE = ROOT / "examples" / "lively"
 
 
 def need(found: object, what: str) -> None:

@@ -24,19 +24,25 @@ from zygos.columns import check_table, is_table
 from zygos.cycletable import read_cycles
 from zygos.effects import Effect
 from zygos.errors import Damaged, Undecided, ZygosError
-from zygos.flight import GATE, OVERDECLARED, Drift, Estimate, Flight, encode
+from zygos.flight import GATE, OVERDECLARED, ROWS, Drift, Estimate, Flight, encode
+from zygos.lines import LineProgress
 from zygos.model import Model, Quantity, load_model, save_model
 from zygos.motion import ENGINES
-from zygos.output import check_outputs, counted, errors, note, number, ratio, say, table, write_json
+from zygos.output import bad, check_outputs, counted, errors, good, note, number, ratio, say, table, write_json
 from zygos.plant import simulate
 from zygos.remedies import NO_FRAMES, measured
 from zygos.remedies import remedy as _remedy
 from zygos.scenario import load_scenario
 from zygos.watch import Watch
 
+LEFT_OUT_SHOWN = 6
+"""Arcs of a kind whose times are said."""
+
 
 def progress() -> Progress:
-    """A progress bar on stderr."""
+    """A progress bar on stderr; where that is no terminal, a line now and then."""
+    if not errors.is_interactive:
+        return LineProgress()
     return Progress(
         TextColumn("{task.description}", markup=False),
         BarColumn(),
@@ -195,10 +201,9 @@ def send(wire: can.BusABC, frames: NDArray[Any], arm: Arm, run: Path) -> None:
             bar.advance(task)
 
 
-def report_estimate(
-    result: Estimate, flight: Flight, drift: Drift | None, heading: Mapping[str, Any]
-) -> dict[str, Any]:
+def report_estimate(result: Estimate, watch: Watch, drift: Drift | None, heading: Mapping[str, Any]) -> dict[str, Any]:
     """The content of an estimate's JSON."""
+    flight = watch.flight
     return {
         **heading,
         "arm": flight.arm.name,
@@ -208,6 +213,11 @@ def report_estimate(
         "accepted": result.accepted,
         "refused": result.refused,
         "arcs": result.arcs,
+        "left_out": dict(zip(ROWS, result.left_out, strict=True)),
+        "left_out_arcs": [
+            {"rows": arc.rows, "from_s": arc.first * flight.arm.period_s, "to_s": arc.last * flight.arm.period_s}
+            for arc in watch.left_out
+        ],
         "blocks": result.blocks,
         "rank": result.rank,
         "condition": result.condition,
@@ -271,8 +281,22 @@ def about_noise(result: Estimate) -> str:
     return ""
 
 
-def about_change(drift: Drift, arm: Arm) -> str:
+def about_left_out(result: Estimate, watch: Watch) -> str:
+    """How many arcs contradicted the others, and when; empty where none did."""
+    if not any(result.left_out):
+        return ""
+    period, found = watch.flight.arm.period_s, []
+    for rows, count in zip(ROWS, result.left_out, strict=True):
+        spans = [f"{arc.first * period:.0f}..{arc.last * period:.0f} s" for arc in watch.left_out if arc.rows == rows]
+        opened = ["the newest, still open"] if count > watch.flight.native.guard.left_out[ROWS.index(rows)] else []
+        shown = [*spans[:LEFT_OUT_SHOWN], *(["…"] if len(spans) > LEFT_OUT_SHOWN else []), *opened]
+        found += [f"{counted(count, 'arc')} of the {rows} rows ({', '.join(shown)})"] if count else []
+    return f"left out, for they contradict the others: {'; '.join(found)}"
+
+
+def about_change(result: Estimate, drift: Drift, arm: Arm) -> str:
     """That the arm changed, or what else may have made an arc contradict those before it, and what to do."""
+    values = "are those of the arm before" if result.in_a_row else "mix what it was and is"
     names = ", ".join(
         f"{name} by {abs(far):.0f}"
         for name, far in zip(drift.names, drift.deviation, strict=True)
@@ -281,7 +305,7 @@ def about_change(drift: Drift, arm: Arm) -> str:
     at = f"after {drift.until * arm.period_s:.0f} s"
     if drift.changed:
         return (
-            f"the arm changed {at}, in standard deviations: {names}; the values mix what it was and is; remedy: split "
+            f"the arm changed {at}, in standard deviations: {names}; the values {values}; remedy: split "
             "the log there, or let old arcs fade ([arc] memory_min); on board zygos_restart()"
         )
     return (
@@ -318,23 +342,26 @@ def finish_estimate(
         say(
             f"arm {flight.arm.name} · {counted(flight.counts['cycles'], 'cycle')} · {losses(flight)} · "
             f"{counted(result.accepted, 'instant')} accepted, {result.refused:,} refused · "
-            f"{counted(result.arcs, 'arc')}, {flight.counts['arcs_dropped']:,} dropped · "
+            f"{counted(result.arcs, 'arc')}, {flight.counts['arcs_dropped']:,} dropped, "
+            f"{result.left_out[0]:,} left out · "
             f"{np.isfinite(result.value).sum()} of {counted(len(result.names), 'parameter')} · {result.validity}"
             + (" · door: cycle" if heading["door"] == "cycle" else "")
         )
         seen = [f"{name} {count:,}" for name, count in flight.faults.items() if count]
         if seen:
             say("faults: " + ", ".join(seen))
+        if left_out := about_left_out(result, watch):
+            say(left_out)
         if noise := about_noise(result):
             say(noise)
     if drift and drift.contradicting:
-        warn([about_change(drift, flight.arm)])
+        warn([about_change(result, drift, flight.arm)])
     try:
         if result.validity != "refused":
             save_model(Model(name=flight.arm.name, parameters=quantities, effects=effects), out)
     finally:
         if json:
-            write_json(json, report_estimate(result, flight, drift, heading))
+            write_json(json, report_estimate(result, watch, drift, heading))
     if result.validity != "valid":
         where = "nothing written" if result.validity == "refused" else f"{out} written"
         changed = "see the warning: the arm changed" if drift and drift.changed else ""
@@ -391,7 +418,7 @@ def check_run(run: Path, arm_file: Path | None, model_file: Path | None, json: s
                     number(room.difference, 2),
                     "–" if room.cycle is None else str(room.cycle),
                     number(room.tolerance, 2),
-                    "[green]equal[/]" if room.equal else "[red]differs[/]",
+                    good("equal") if room.equal else bad("differs"),
                 )
                 for room in rooms
             ],

@@ -149,6 +149,27 @@ class Estimate:
     """Its square over what the declared noise makes of it; NaN where none is declared."""
     gate: float
     """Smallest ratio of sums to noise over all combinations of parameters; infinite where none is declared."""
+    left_out: tuple[int, int, int] = (0, 0, 0)
+    """Arcs that contradicted the running solution, of the energy, the motor and the momentum rows, the open ones
+    included."""
+    in_a_row: int = 0
+    """Of those of the energy rows the newest that no arc that agrees lies between."""
+
+
+ROWS = ("energy", "motor", "momentum")
+"""Kinds of rows, each with arcs of its own, as ``zygos_rows``."""
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """An arc that contradicted the running solution."""
+
+    rows: str
+    """One of `ROWS`."""
+    first: int
+    """Number of its first instant's cycle."""
+    last: int
+    """Number of its newest cycle."""
 
 
 @dataclass(frozen=True)
@@ -314,6 +335,7 @@ class Flight:
         self.units = (*arm.parameter_units, *(effect.kind.unit for effect in self.effects))
         self._work = ffi.new("zygos_work_t *")
         self._estimate = ffi.new("zygos_estimate_t *")
+        self._before = ffi.new("zygos_estimate_t *")
 
     def frames(self, frames: NDArray[Any], *, trace: bool = False) -> Trace | None:
         """Feed `FRAME` records and work off every cycle they complete."""
@@ -358,14 +380,23 @@ class Flight:
             residual=out.residual,
             noise_ratio=out.noise_ratio,
             gate=out.gate,
+            left_out=(out.left_out[0], out.left_out[1], out.left_out[2]),
+            in_a_row=int(out.in_a_row),
         )
+
+    def adopt(self) -> bool:
+        """Take what `estimate` answered last as the running solution, if it is valid.
+
+        An arc that contradicts the running solution when it ends is left out of the sums and counted.
+        """
+        return bool(lib.zygos_adopt(self.native, self._estimate) == 1)
 
     def drift(self) -> Drift:
         """Compare the newest arc with all before it. The accumulation is not disturbed."""
         deviation = ffi.new("double[]", lib.ZYGOS_MAX_PARAMETERS_VALUE)
         lib.zygos_take(self.native, self._work)
-        lib.zygos_drift(self._work, self._estimate, deviation)
-        out, p = self._estimate, len(self.names)
+        lib.zygos_drift(self._work, self._before, deviation)
+        out, p = self._before, len(self.names)
         far = np.frombuffer(ffi.buffer(deviation), dtype=np.float64)[:p].copy()
         return Drift(self.names, far, REASONS[out.reason], float(out.cluster), int(out.cycle))
 
@@ -406,6 +437,14 @@ class Flight:
         return sums
 
     @property
+    def left_out(self) -> tuple[int, tuple[LeftOut, ...]]:
+        """How many arcs that have ended were left out, and the newest of them, oldest first."""
+        guard = self.native.guard
+        count, places = sum(guard.left_out), len(guard.newest)
+        arcs = [guard.newest[k % places] for k in range(max(0, count - places), count)]
+        return count, tuple(LeftOut(ROWS[a.rows], int(a.end) - a.cycles + 1, int(a.end)) for a in arcs)
+
+    @property
     def faults(self) -> dict[str, int]:
         """Counter of every kind of fault of the world."""
         counters = self.native.receiver.faults
@@ -420,6 +459,7 @@ class Flight:
             "gaps": int(self.native.gaps),
             "invalid": int(self.native.invalid),
             "wraps": int(self.native.wraps),
+            "apart": int(self.native.apart),
             "arcs_dropped": int(sums.arcs_dropped),
             "accepted": int(sums.accepted),
             "refused": int(sums.refused),

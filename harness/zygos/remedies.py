@@ -99,7 +99,7 @@ _FIXED = {
     NOISE: "a larger or faster motion of every joint, or sensors declared as they are (quanta, rate_sigma); more of "
     "the same motion does not change that ratio",
     DECLARED: "state the sensors of the arm file as they are: counts or quantum_rad, rate_sigma",
-    CHANGED: "split the log where the arm changed, or let old arcs fade ([arc] memory_min)",
+    CHANGED: "split the log where the arm changed, or let old arcs fade ([arc] memory_min); on board zygos_restart()",
 }
 
 
@@ -115,6 +115,8 @@ def _bus(flight: Flight) -> str:
     found = []
     if faults["dropped"] > MANY_DROPPED * (cycles + faults["dropped"]):
         found.append(f"the bus loses or damages frames, or some are not as the arm file says ({seen}): repair that")
+    if flight.counts["apart"] > MANY_DROPPED * cycles:
+        found.append("link and motor angle of a joint read more than 8 turns apart: check unit, side, sign and zeros")
     if faults["time_lost"]:
         found.append("FTIME (0x3A0) must come at least every 100 cycles")
     if faults["time_jumped"]:

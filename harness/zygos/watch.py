@@ -1,4 +1,4 @@
-"""Whether the arm changed while it was watched: what `Flight.drift` says twice an arc, the plainest of it kept."""
+"""A flight that is watched: twice an arc it adopts what it knows, and says whether the arm changed."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.cycles import Cycles
-from zygos.flight import Drift, Flight
+from zygos.flight import Drift, Flight, LeftOut
 from zygos.remedies import Known
 
 SYNC = 0x080
@@ -19,15 +19,22 @@ LOOKS = 2
 
 
 class Watch:
-    """Feeds a flight, and looks for a change of its arm."""
+    """Feeds a flight, has it leave out arcs that contradict what it knows, and looks for a change of its arm."""
 
     def __init__(self, flight: Flight) -> None:
         """Nothing has come yet."""
         self.flight = flight
         self.plainest: Drift | None = None
-        """The look with the largest deviation, those that prove a change before others; None where there was none."""
+        """The look with the largest deviation, those that prove a change before others; None where there was none.
+
+        Looks into arcs that were left out do not count, once an arc behind them agrees with what was known before.
+        """
         self.known: list[Known] = []
         """What was known while the run grew, each entry at twice the cycles of the one before."""
+        self.left_out: list[LeftOut] = []
+        """Arcs that were left out when they ended; of more than eight between two looks the newest."""
+        self._left_out = 0
+        self._settled: Drift | None = None
         self._every = max(1, round(flight.arm.arc_max_s / flight.arm.period_s) // LOOKS)
         self._since = 0
 
@@ -63,13 +70,29 @@ class Watch:
         self._since = (self._since + len(starts)) % self._every
 
     def look(self) -> Drift | None:
-        """Compare the newest arc with all before it. Returns the plainest look so far."""
-        cycles = self.flight.counts["cycles"]
-        if cycles > 2 * (self.known[-1].cycles if self.known else 0):
-            values = self.flight.estimate().value
-            self.known.append(Known(cycles, int(np.count_nonzero(np.isfinite(values)))))
+        """Compare the newest arc with all before it, and adopt a valid estimate. Returns the plainest look so far."""
+        contradicts = self._note_arcs()
         drift = self.flight.drift()
+        if not contradicts:  # what stood out in arcs that were left out was no change
+            self.plainest = self._settled
         best = (bool(self.plainest.changed), self.plainest.largest) if self.plainest else (False, 0.0)
         if (bool(drift.changed), drift.largest) > best:
             self.plainest = drift
+        estimate, cycles = self.flight.estimate(), self.flight.counts["cycles"]
+        if cycles > 2 * (self.known[-1].cycles if self.known else 0):
+            self.known.append(Known(cycles, int(np.count_nonzero(np.isfinite(estimate.value)))))
+        if not estimate.in_a_row:
+            self._settled = self.plainest
+        self.flight.adopt()
         return self.plainest
+
+    def _note_arcs(self) -> bool:
+        """Note arcs that were left out since the last look. Returns whether the newest energy arc was."""
+        count, newest = self.flight.left_out
+        fresh = count - self._left_out
+        self._left_out = count
+        self.left_out += newest[max(0, len(newest) - fresh) :]
+        guard = self.flight.native.guard
+        if guard.changed:
+            self._settled = self.plainest
+        return bool(guard.in_a_row[0])

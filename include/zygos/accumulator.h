@@ -93,6 +93,13 @@ void zygos_accumulator_flush(zygos_accumulator_t *self);
 /// Cost: its blocks once.
 void zygos_accumulator_end_arc(zygos_accumulator_t *self, uint64_t cycle);
 
+/// The same in two steps. Closing eliminates the constant and returns true, or drops an arc that is too short and
+/// returns false. A closed arc is in the blocks from self->open on, its noise in self->noise_open, until the next call
+/// admits it to those before, or leaves it out.
+bool zygos_accumulator_close(zygos_accumulator_t *self);
+void zygos_accumulator_admit(zygos_accumulator_t *self, uint64_t cycle);
+void zygos_accumulator_leave_out(zygos_accumulator_t *self);
+
 /// Multiplies all that closed arcs left by a factor. Cost: their blocks once.
 void zygos_accumulator_fade(zygos_accumulator_t *self, double factor);
 

@@ -72,6 +72,12 @@ void zygos_joint_sums_add(zygos_joint_sums_t *self, const zygos_config_t *config
 /// it when it is too short. Cost: the sums of all joints once; at the worst one merge of all blocks.
 void zygos_joint_sums_end_arc(zygos_joint_sums_t *self, const zygos_config_t *config, uint64_t cycle);
 
+/// The same in two steps. Closing eliminates the constants and returns true, or drops an arc that is too short and
+/// returns false. A closed arc is in self->open until the next call admits it to the blocks, or leaves it out.
+bool zygos_joint_sums_close(zygos_joint_sums_t *self, const zygos_config_t *config);
+void zygos_joint_sums_admit(zygos_joint_sums_t *self, uint64_t cycle);
+void zygos_joint_sums_leave_out(zygos_joint_sums_t *self);
+
 /// Multiplies all that closed arcs left by a factor.
 void zygos_joint_sums_fade(zygos_joint_sums_t *self, double factor);
 

@@ -77,6 +77,13 @@ void zygos_momentum_sums_add(zygos_momentum_sums_t *self, const zygos_config_t *
 /// it when it is too short. Cost: the sums of an arc a few times; at the worst one merge of all blocks.
 void zygos_momentum_sums_end_arc(zygos_momentum_sums_t *self, const zygos_config_t *config, uint64_t cycle);
 
+/// The same in two steps. Closing eliminates the constants, takes the noise off and returns true, or drops an arc that
+/// is too short and returns false. A closed arc is in self->open until the next call admits it to the blocks, or leaves
+/// it out.
+bool zygos_momentum_sums_close(zygos_momentum_sums_t *self, const zygos_config_t *config);
+void zygos_momentum_sums_admit(zygos_momentum_sums_t *self, uint64_t cycle);
+void zygos_momentum_sums_leave_out(zygos_momentum_sums_t *self);
+
 /// Multiplies all that closed arcs left by a factor. Cost: their blocks once.
 void zygos_momentum_sums_fade(zygos_momentum_sums_t *self, double factor);
 

@@ -151,8 +151,9 @@ enum zygos_error {
     ZYGOS_E_LENGTH = -21,     ///< A snapshot that is cut off, or has more behind it.
     ZYGOS_E_CRC = -22,        ///< A snapshot whose bytes were changed.
     ZYGOS_E_CONFIG = -23,     ///< A state that was made with another configuration.
-    ZYGOS_E_STATE = -24 ///< A state with a place, count or length that cannot be: memory was changed before it was
-                        ///< sealed.
+    ZYGOS_E_STATE = -24, ///< A state with a place, count or length that cannot be: memory was changed before it was
+                         ///< sealed.
+    ZYGOS_E_SUMS = -25   ///< A state whose sums do not match their row sums: likewise.
 };
 
 /// How the arm can move, and so which columns its bodies have; the counts are those of a free base.

@@ -81,7 +81,7 @@ def test_a_wrong_arm_file_is_told_what_to_write(
 def test_json_alone_on_stdout(tmp_path: Path, arm: Arm, cycles: Cycles, capsys: pytest.CaptureFixture[str]) -> None:
     log = logged(tmp_path / "run.blf", arm, cycles)
     assert run("check-arm", ARM, log, "--json", "-") == 0
-    assert json.loads(capsys.readouterr().out)["arm"] == "paper"
+    assert json.loads(capsys.readouterr().out)["arm"] == "lively"
 
 
 def test_a_cycle_table_gives_what_the_log_gives(tmp_path: Path, arm: Arm, cycles: Cycles) -> None:

@@ -69,7 +69,7 @@ def test_estimate_json_to_stdout_is_all_there_is(
     simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run("estimate", simulated / "run.blf", "-o", tmp_path / "m.toml", "--json", "-") == 0
-    assert json.loads(capsys.readouterr().out)["arm"] == "paper"
+    assert json.loads(capsys.readouterr().out)["arm"] == "lively"
 
 
 def test_the_estimate_can_be_simulated(simulated: Path, tmp_path: Path) -> None:

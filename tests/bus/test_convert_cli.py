@@ -398,7 +398,7 @@ def test_the_other_commands_refuse_what_they_cannot_take(
     assert "none.npz: no such file" in capsys.readouterr().err
     write_columns(tmp_path / "bad.npz", {"sync": np.arange(5)})
     assert run("check", tmp_path / "bad.npz") == 2
-    assert "the cycle table of arm paper has no column q1" in capsys.readouterr().err
+    assert "the cycle table of arm lively has no column q1" in capsys.readouterr().err
 
 
 def test_cycles_of_no_use(cycles: Cycles, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

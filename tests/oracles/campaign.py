@@ -34,7 +34,7 @@ from zygos.model import Model, Quantity, load_model
 from zygos.output import number, say, table, write_json
 from zygos.scenario import Motion, Scenario, Sine, load_scenario
 
-PAPER = EXAMPLE.parent / "paper"
+LIVELY = EXAMPLE.parent / "lively"
 SHOULDER, ELBOW = 0, 1
 PLACES = ("shoulder", "elbow")
 
@@ -98,8 +98,8 @@ def modern() -> Bench:
     return Bench("modern", load_arm(EXAMPLE / "arm.toml"), scenarios, tuple(cases))
 
 
-def paper() -> Bench:
-    """The paper's sensors, 3 mrad at 20 Hz, and motions as large as its own."""
+def lively() -> Bench:
+    """The sensors of the paper, 3 mrad at 20 Hz, and the large motions of examples/lively."""
     cases = [
         *_at(laws.MotorCoulomb, (5.0, 3.0)),
         *_at(laws.MotorViscous, (10.0, 5.0)),
@@ -114,7 +114,7 @@ def paper() -> Bench:
         Case("rate stiffness elbow", "unknown", law=laws.RateStiffness(ELBOW, 0.2)),
         Case("base detent", "unknown", law=laws.BaseDetent(0, 400.0)),
     ]
-    scenario = replace(load_scenario(PAPER / "scenario.toml"), encoder_noise="quantised")
+    scenario = replace(load_scenario(LIVELY / "scenario.toml"), encoder_noise="quantised")
     motions = ((0.9, 0.6, 0.8, 1.1), (0.8, 0.75, 0.7, 1.0), (0.9, 0.5, 0.8, 1.3))
     scenarios = tuple(
         replace(
@@ -127,8 +127,8 @@ def paper() -> Bench:
         for first, slow, second, fast in motions
     )
     # the example's longer window shows how the laws differ in form from the columns, and names what that looks like
-    arm = replace(load_arm(PAPER / "arm.toml"), smoother=Smoother())
-    return Bench("paper", arm, scenarios, tuple(cases))
+    arm = replace(load_arm(LIVELY / "arm.toml"), smoother=Smoother())
+    return Bench("lively", arm, scenarios, tuple(cases))
 
 
 def simulation(case: Case) -> Model:
@@ -240,7 +240,7 @@ def _parse(column: str) -> tuple[str, str | None]:
 
 def one(bench_name: str, case_name: str, seed: int) -> dict[str, Any]:
     """Hide, explain, score."""
-    bench = {"modern": modern, "paper": paper}[bench_name]()
+    bench = {"modern": modern, "lively": lively}[bench_name]()
     case = next(case for case in bench.cases if case.name == case_name)
     begin = time.monotonic()
     seen = frames(bench, case, seed)
@@ -257,7 +257,7 @@ def one(bench_name: str, case_name: str, seed: int) -> dict[str, Any]:
     }
 
 
-SEEDS = {"modern": 10, "paper": 3}
+SEEDS = {"modern": 10, "lively": 3}
 NULLS = 20
 """Seeds of each case that hides nothing, with the sensors of today."""
 
@@ -341,7 +341,7 @@ def main(arguments: Sequence[str]) -> int:
     words = [word for word in arguments if not word.startswith("seeds=")]
     jobs = [
         (bench.name, case.name, seed)
-        for bench in (modern(), paper())
+        for bench in (modern(), lively())
         for case in bench.cases
         for seed in range(
             seeds or (NULLS if (bench.name, case.answer) == ("modern", "nothing missing") else SEEDS[bench.name])

@@ -1,4 +1,4 @@
-"""The paper's example files, and arms made of random bodies, for the tests of the plant."""
+"""The files of examples/lively, and arms made of random bodies, for the tests of the plant."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from zygos.model import Body, JointModel, Model, Quantity, load_model
 from zygos.scenario import Scenario, load_scenario
 
 Floats = NDArray[np.float64]
-PAPER = Path(__file__).parents[2] / "examples" / "paper"
+LIVELY = Path(__file__).parents[2] / "examples" / "lively"
 
 
-def paper() -> tuple[Arm, Model, Scenario]:
-    """The paper's arm, model and scenario as they are in examples/paper."""
-    return (load_arm(PAPER / "arm.toml"), load_model(PAPER / "model.toml"), load_scenario(PAPER / "scenario.toml"))
+def lively() -> tuple[Arm, Model, Scenario]:
+    """Arm, model and scenario of examples/lively."""
+    return (load_arm(LIVELY / "arm.toml"), load_model(LIVELY / "model.toml"), load_scenario(LIVELY / "scenario.toml"))
 
 
 def random_arm(rng: np.random.Generator, joints: int, kinetic: Kinetic = "planar") -> tuple[Arm, Model]:

@@ -11,7 +11,7 @@ import numpy as np
 from arm_support import random_arm
 from flight_support import part
 from numpy.typing import NDArray
-from plant_support import paper
+from plant_support import lively
 
 from zygos.arm import Arm, Encoder, Smoother, load_arm
 from zygos.cycles import Cycles
@@ -32,7 +32,7 @@ def effect(key: str, joint: str, value: float = 0.0) -> Effect:
     return Effect(CATALOGUE[key], joint, value)
 
 
-PAPER_EFFECTS = (
+LIVELY_EFFECTS = (
     effect("motor_coulomb", "shoulder", 0.4),
     effect("cubic_stiffness", "elbow", 800.0),
     effect("torque_lag", "elbow", 2e-3),
@@ -43,16 +43,16 @@ PAPER_EFFECTS = (
 
 @cache
 def run(name: str) -> tuple[Arm, Cycles, Floats, tuple[Effect, ...]]:
-    """An arm, its cycles without noise, its true parameters and those of its effects: "paper" (20 ms, four effects),
-    "paper 10 ms" without effects, "spatial" (5 ms, three joints)."""
+    """An arm, its cycles without noise, its true parameters and those of its effects: "lively" (20 ms, four effects),
+    "lively 10 ms" without effects, "spatial" (5 ms, three joints)."""
     if name == "spatial":
         arm = load_arm(SPATIAL / "arm.toml").at_period(0.005)
         model, scenario = load_model(SPATIAL / "model.toml"), load_scenario(SPATIAL / "scenario.toml")
         arm = replace(arm, smoother=Smoother(7, 4, 3))
         moved = simulate(arm, model, scenario, noise=False, duration_s=2.5, rtol=1e-10, atol=1e-12)
         return arm, moved.cycles(), model.base_values(arm), ()
-    arm, model, scenario = paper()
-    effects = PAPER_EFFECTS if name == "paper" else ()
+    arm, model, scenario = lively()
+    effects = LIVELY_EFFECTS if name == "lively" else ()
     plant = replace(model, effects=effects)
     moved = simulate(
         arm, plant, scenario, noise=False, period_s=0.02 if effects else 0.01, duration_s=12.0, rtol=1e-11, atol=1e-13

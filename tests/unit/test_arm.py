@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from plant_support import PAPER, paper, random_arm
+from plant_support import LIVELY, lively, random_arm
 
 from zygos.arm import Arm, load_arm
 from zygos.errors import ZygosError
@@ -18,7 +18,7 @@ MOTOR = 'motor_encoder = { quantum_rad = 0.003, side = "output", sign = 1, zero_
 
 
 def test_the_papers_arm() -> None:
-    arm = paper()[0]
+    arm = lively()[0]
     assert arm.n == 2
     assert arm.parameter_names == ("a00", "a01", "a02", "a11", "a12", "a22", "Im1", "k1", "b1", "Im2", "k2", "b2")
     assert len(arm.parameter_units) == 12
@@ -42,7 +42,7 @@ def test_names_of_other_arms() -> None:
 
 
 def test_another_period_keeps_the_gyros_density() -> None:
-    arm = paper()[0]
+    arm = lively()[0]
     faster = arm.at_period(0.005)
     assert faster.period_s == 0.005
     assert faster.imu.rate_sigma / arm.imu.rate_sigma == pytest.approx(math.sqrt(10.0))
@@ -56,7 +56,7 @@ def test_another_period_keeps_the_gyros_density() -> None:
 @pytest.mark.parametrize(("side", "quantum"), [("output", 2 * math.pi / 4096), ("rotor", 2 * math.pi / 4096 / 50)])
 def test_counts_on_either_side_of_the_gear(tmp_path: Path, side: str, quantum: float) -> None:
     file = tmp_path / "arm.toml"
-    file.write_text((PAPER / "arm.toml").read_text().replace(MOTOR, f'motor_encoder = {{counts=4096, side="{side}"}}'))
+    file.write_text((LIVELY / "arm.toml").read_text().replace(MOTOR, f'motor_encoder = {{counts=4096, side="{side}"}}'))
     encoder = load_arm(file).joints[0].motor_encoder
     assert encoder.quantum_rad == pytest.approx(quantum, rel=1e-15)
     assert encoder.sigma_rad == pytest.approx(quantum / math.sqrt(12), rel=1e-15)
@@ -65,7 +65,7 @@ def test_counts_on_either_side_of_the_gear(tmp_path: Path, side: str, quantum: f
 def test_optional_parts(tmp_path: Path) -> None:
     file = tmp_path / "arm.toml"
     file.write_text(
-        (PAPER / "arm.toml").read_text().replace("points = 11\norder = 6\n", "points = 13\norder = 8\n")
+        (LIVELY / "arm.toml").read_text().replace("points = 11\norder = 6\n", "points = 13\norder = 8\n")
         + 'resolution = "coarse"\n[arc]\nmax_s = 10\n'
     )
     arm = load_arm(file)
@@ -120,7 +120,7 @@ def test_optional_parts(tmp_path: Path) -> None:
     ("[imu]", "[imus]", "imu: is missing"),
 ])  # fmt: skip
 def test_bad_files_are_refused(tmp_path: Path, find: str, put: str, key: str) -> None:
-    text = (PAPER / "arm.toml").read_text()
+    text = (LIVELY / "arm.toml").read_text()
     assert find in text
     file = tmp_path / "arm.toml"
     file.write_text(text.replace(find, put, 1))

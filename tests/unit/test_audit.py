@@ -44,13 +44,13 @@ from zygos.scenario import load_scenario
 
 GAP = ROOT / "examples" / "gap"
 KR300 = Path(ROOT).parent / "shared" / "data" / "kr300" / "run_a.mat"
-PAPER_SEEDS, GAP_SEEDS = 10, 2
+LIVELY_SEEDS, GAP_SEEDS = 10, 2
 STEP = 2 * np.pi / 2**20
 
 
 def run(name: str, arm: Arm, seeds: int, effects: list[tuple[str, str, float]] = []) -> list[Cycles]:  # noqa: B006
-    """The runs of seeds 0.. of an example, through the bus. "paper", "a" and "b" of the gap example."""
-    if name == "paper":
+    """The runs of seeds 0.. of an example, through the bus. "lively", "a" and "b" of the gap example."""
+    if name == "lively":
         model, scenario, options = load_model(EXAMPLE / "model.toml"), load_scenario(EXAMPLE / "scenario.toml"), {}
     else:
         model, scenario = load_model(GAP / "cad.toml"), load_scenario(GAP / f"{name}.toml")
@@ -62,12 +62,12 @@ def run(name: str, arm: Arm, seeds: int, effects: list[tuple[str, str, float]] =
 
 
 def arm_of(name: str) -> Arm:
-    return load_arm((EXAMPLE if name == "paper" else GAP) / "arm.toml")
+    return load_arm((EXAMPLE if name == "lively" else GAP) / "arm.toml")
 
 
 @pytest.fixture(scope="module")
 def runs() -> dict[str, tuple[Arm, list[Cycles]]]:
-    seeds = {"paper": PAPER_SEEDS, "a": GAP_SEEDS, "b": GAP_SEEDS}
+    seeds = {"lively": LIVELY_SEEDS, "a": GAP_SEEDS, "b": GAP_SEEDS}
     return {name: (arm_of(name), run(name, arm_of(name), count)) for name, count in seeds.items()}
 
 
@@ -77,7 +77,7 @@ def named(found: Audit) -> dict[str, str]:
     return {f.signal: f.fault for f in found.findings}
 
 
-@pytest.mark.parametrize("name", ["paper", "a", "b"])
+@pytest.mark.parametrize("name", ["lively", "a", "b"])
 def test_a_clean_run_is_clean(runs: dict[str, tuple[Arm, list[Cycles]]], name: str) -> None:
     arm, clean = runs[name]
     for cycles in clean:
@@ -137,7 +137,7 @@ FAULTS: list[tuple[str, Fault, dict[str, str]]] = [
 
 
 @pytest.mark.parametrize(("fault", "expected"), [f[1:] for f in FAULTS], ids=[f[0] for f in FAULTS])
-@pytest.mark.parametrize("name", ["paper", "b"])
+@pytest.mark.parametrize("name", ["lively", "b"])
 def test_a_fault_is_named_and_nothing_else(
     runs: dict[str, tuple[Arm, list[Cycles]]], name: str, fault: Fault, expected: dict[str, str]
 ) -> None:
@@ -154,8 +154,8 @@ def test_a_fault_is_named_and_nothing_else(
 def test_a_gear_ratio_too_many_is_named(
     runs: dict[str, tuple[Arm, list[Cycles]]], kind: str, i: int, power: int
 ) -> None:
-    """Which of the two angles it is, their noise tells; the paper's is far above the wire's steps."""
-    arm, clean = runs["paper"]
+    """Which of the two angles it is, their noise tells; the example's is far above the wire's steps."""
+    arm, clean = runs["lively"]
     signal = {"q": (Q1, Q2), "theta": (M1, M2)}[kind][i]
     for cycles in clean:
         found = named(audit(arm, scaled(kind, i, 50.0**power)(cycles)))
@@ -163,7 +163,7 @@ def test_a_gear_ratio_too_many_is_named(
 
 
 @pytest.mark.parametrize(("kind", "i", "sign"), [("q", 0, 1), ("q", 1, 1), ("theta", 0, -1), ("theta", 1, -1)])
-@pytest.mark.parametrize("name", ["paper", "b"])
+@pytest.mark.parametrize("name", ["lively", "b"])
 def test_a_zero_that_is_off_is_named_with_its_value(
     runs: dict[str, tuple[Arm, list[Cycles]]], name: str, kind: str, i: int, sign: int
 ) -> None:
@@ -177,7 +177,7 @@ def test_a_zero_that_is_off_is_named_with_its_value(
 
 
 def test_other_steps_than_declared_are_named(runs: dict[str, tuple[Arm, list[Cycles]]]) -> None:
-    for name, counts in (("paper", 1024), ("b", 65536)):
+    for name, counts in (("lively", 1024), ("b", 65536)):
         arm, clean = runs[name]
         for cycles in clean:
             found = audit(arm, rounded("q", 0, 2 * np.pi / counts)(cycles))
@@ -197,7 +197,7 @@ def test_noise_above_the_declared_is_named(runs: dict[str, tuple[Arm, list[Cycle
 
 @pytest.mark.parametrize("side", ["link", "motor"])
 @pytest.mark.parametrize("i", [0, 1])
-@pytest.mark.parametrize(("name", "latch_us", "seeds"), [("paper", 20_000, 4), ("b", 3000, 2)])
+@pytest.mark.parametrize(("name", "latch_us", "seeds"), [("lively", 20_000, 4), ("b", 3000, 2)])
 def test_a_latch_that_the_arm_file_hides_is_named(name: str, latch_us: int, seeds: int, i: int, side: str) -> None:
     arm = arm_of(name)
     true = late(arm, i, f"{side}_encoder", latch_us)
@@ -230,7 +230,7 @@ def test_what_an_arm_may_do_is_no_fault_of_a_signal(effects: list[tuple[str, str
         assert named(audit(arm_of(name), inverted("tau", 1)(cycles))) == {T2: "inverted"}
 
 
-@pytest.mark.parametrize(("name", "seeds"), [("paper", PAPER_SEEDS), ("a", 1), ("b", 1)])
+@pytest.mark.parametrize(("name", "seeds"), [("lively", LIVELY_SEEDS), ("a", 1), ("b", 1)])
 def test_another_torque_law_is_named(name: str, seeds: int) -> None:
     arm = arm_of(name)
     true = replace(arm, torque_law="applied_previous_cycle")
@@ -266,7 +266,7 @@ def test_what_does_not_move_is_not_decided(runs: dict[str, tuple[Arm, list[Cycle
 
 
 def test_a_short_run_is_not_decided(runs: dict[str, tuple[Arm, list[Cycles]]]) -> None:
-    arm, clean = runs["paper"]
+    arm, clean = runs["lively"]
     short = Cycles(*(getattr(clean[0], name)[:20] for name in Cycles.__dataclass_fields__))
     found = audit(arm, short)
     assert found.findings == ()
@@ -274,8 +274,8 @@ def test_a_short_run_is_not_decided(runs: dict[str, tuple[Arm, list[Cycles]]]) -
 
 
 def test_another_number_of_joints_is_refused(runs: dict[str, tuple[Arm, list[Cycles]]]) -> None:
-    arm, clean = runs["paper"]
-    with pytest.raises(ZygosError, match="2 joints, arm paper has 1"):
+    arm, clean = runs["lively"]
+    with pytest.raises(ZygosError, match="2 joints, arm lively has 1"):
         audit(replace(arm, joints=arm.joints[:1]), clean[0])
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from flight_support import joined, part, sines
 from numpy.typing import NDArray
-from plant_support import PAPER, paper
+from plant_support import LIVELY, lively
 
 from zygos.arm import Arm, load_arm
 from zygos.cycles import Cycles
@@ -73,14 +73,14 @@ class Story:
 
 @pytest.fixture(scope="module")
 def true() -> tuple[Floats, Floats]:
-    arm, model, _ = paper()
+    arm, model, _ = lively()
     return model.base_values(arm), heavier(model).base_values(arm)
 
 
 @pytest.fixture(scope="module")
 def runs() -> list[tuple[Cycles, Cycles]]:
     """The light and the heavy part of each seed."""
-    arm, model, scenario = paper()
+    arm, model, scenario = lively()
     light = simulate(arm, model, scenario, duration_s=CHANGE_S, seeds=range(SEEDS), noise=True)
     heavy = simulate(arm, heavier(model), scenario, duration_s=AFTER_S, seeds=range(100, 100 + SEEDS), noise=True)
     behind = round(CHANGE_S / arm.period_s) + LOST
@@ -89,7 +89,7 @@ def runs() -> list[tuple[Cycles, Cycles]]:
 
 @pytest.fixture(scope="module")
 def stories(runs: list[tuple[Cycles, Cycles]]) -> list[Story]:
-    arm = paper()[0]
+    arm = lively()[0]
     out = []
     for light, heavy in runs:
         first, second = encode(arm, light), encode(arm, heavy)
@@ -147,7 +147,7 @@ def test_the_watch_keeps_the_plainest_look(stories: list[Story]) -> None:
 
 def test_no_alarm_while_nothing_changes() -> None:
     """20 seeds of five minutes, looked at every 15 s: 400 looks, most of which compare 12 parameters."""
-    arm, model, scenario = paper()
+    arm, model, scenario = lively()
     runs = simulate(arm, model, scenario, duration_s=300.0, seeds=range(20), noise=True)
     compared, last = 0, []
     for k in range(20):
@@ -168,7 +168,7 @@ def test_no_alarm_while_nothing_changes() -> None:
 @pytest.mark.parametrize("seed", range(2))
 def test_the_deviation_in_closed_form(seed: int) -> None:
     """Two flights that know one part each, and the inverses of their normal matrices by numpy."""
-    arm, model, scenario = paper()
+    arm, model, scenario = lively()
     arm = replace(arm, impulse_arc_s=0.0, compensate_every=0)
     run = simulate(arm, model, scenario, duration_s=170.0, seeds=[seed], noise=True).cycles(0)
     old, new = part(run, 0, 2400), shifted(part(run, 2400, 3400), LOST)
@@ -228,7 +228,7 @@ def test_what_is_known_of_the_joints_survives_the_restart(stories: list[Story], 
 
 
 def test_a_restart_keeps_the_joints_sums_and_nothing_else() -> None:
-    arm, model, scenario = paper()
+    arm, model, scenario = lively()
     run = simulate(arm, model, scenario, duration_s=45.0, seeds=[0], noise=True).cycles(0)
     flight = Flight(arm)
     flight.cycles(run)
@@ -258,7 +258,7 @@ def squares(flight: Flight, cycles: Cycles) -> Floats:
 
 def test_two_arcs_in_closed_form() -> None:
     """What the first arc left fades in each cycle up to the end of the second."""
-    arm = replace(paper()[0], compensate_every=0, impulse_arc_s=0.0, memory_s=20.0)
+    arm = replace(lively()[0], compensate_every=0, impulse_arc_s=0.0, memory_s=20.0)
     keep = math.exp(-arm.period_s / 20.0)
     run = sines(arm, 1100)
     one, two, three = part(run, 0, 500), shifted(part(run, 500, 1000), 9), shifted(part(run, 1000, 1100), 18)
@@ -273,7 +273,7 @@ def test_two_arcs_in_closed_form() -> None:
 
 
 def test_motor_rows_fade_alike() -> None:
-    arm = replace(paper()[0], compensate_every=0, impulse_arc_s=5.0)
+    arm = replace(lively()[0], compensate_every=0, impulse_arc_s=5.0)
     run = sines(arm, 430)
     whole, fading = Flight(arm), Flight(replace(arm, memory_s=20.0))
     whole.cycles(run)
@@ -291,7 +291,7 @@ def test_with_a_short_memory_the_estimate_follows_and_without_it_does_not(
     runs: list[tuple[Cycles, Cycles]], true: tuple[Floats, Floats]
 ) -> None:
     """With 10 s, a sixth of an arc, what the light arm left has faded to a thousandth of a thousandth in the end."""
-    arm = paper()[0]
+    arm = lively()[0]
     errors: dict[str, list[Floats]] = {"fading": [], "endless": []}
     for light, heavy in runs:
         for name, memory in (("fading", 10.0), ("endless", None)):
@@ -309,7 +309,7 @@ def test_with_a_short_memory_the_estimate_follows_and_without_it_does_not(
 
 
 def test_without_motor_rows_there_is_nothing_to_keep() -> None:
-    arm = replace(paper()[0], impulse_arc_s=0.0)
+    arm = replace(lively()[0], impulse_arc_s=0.0)
     flight = Flight(arm)
     flight.cycles(sines(arm, 300))
     before = bytes(ffi.buffer(flight.native))
@@ -321,7 +321,7 @@ def test_without_motor_rows_there_is_nothing_to_keep() -> None:
 
 @pytest.mark.parametrize("keep", [0.8999, 1.0001, 0.0, -1.0, math.inf, math.nan])
 def test_a_keep_out_of_range_is_refused(keep: float) -> None:
-    config = config_of(paper()[0])
+    config = config_of(lively()[0])
     native = ffi.new("zygos_t *")
     assert lib.zygos_init(native, config) == 1
     config.keep = keep
@@ -333,7 +333,7 @@ def test_a_keep_out_of_range_is_refused(keep: float) -> None:
 
 def with_memory(folder: Path, text: str) -> Path:
     file = folder / "arm.toml"
-    file.write_text((PAPER / "arm.toml").read_text() + f"\n[arc]\nmemory_min = {text}\n")
+    file.write_text((LIVELY / "arm.toml").read_text() + f"\n[arc]\nmemory_min = {text}\n")
     return file
 
 
@@ -349,4 +349,4 @@ def test_a_memory_in_minutes(tmp_path: Path) -> None:
     assert arm.memory_s == 1800.0
     assert config_of(arm).keep == pytest.approx(1.0 - 0.05 / 1800.0, rel=1e-9)
     assert load_arm(with_memory(tmp_path, "2")).memory_s == 120.0
-    assert config_of(load_arm(PAPER / "arm.toml")).keep == 1.0
+    assert config_of(load_arm(LIVELY / "arm.toml")).keep == 1.0

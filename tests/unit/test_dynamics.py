@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from plant_support import Floats, paper, random_arm
+from plant_support import Floats, lively, random_arm
 
 from zygos.arm import Arm
 from zygos.dynamics import PlanarDynamics
@@ -74,13 +74,13 @@ def random_state(rng: np.random.Generator, joints: int) -> tuple[Floats, Floats,
 
 
 @pytest.mark.parametrize(("kinetic", "joints"), [
-    ("paper", 2), ("planar", 1), ("planar", 2), ("planar", 3), ("planar", 7), ("planar-symmetric", 2),
+    ("lively", 2), ("planar", 1), ("planar", 2), ("planar", 3), ("planar", 7), ("planar-symmetric", 2),
     ("planar-symmetric", 7),
 ])  # fmt: skip
 def test_energy_momentum_and_accelerations_equal_pinocchio(kinetic: str, joints: int) -> None:
     pin = pytest.importorskip("pinocchio", reason="needs the test extra: pip install zygos[test]")
     rng = np.random.default_rng(joints)
-    arm, model = paper()[:2] if kinetic == "paper" else random_arm(rng, joints, kinetic)  # type: ignore[arg-type]
+    arm, model = lively()[:2] if kinetic == "lively" else random_arm(rng, joints, kinetic)  # type: ignore[arg-type]
     dynamics = PlanarDynamics.from_parameters(arm, model.base_values(arm))
     oracle = Oracle(pin, arm, model)
     for _ in range(20):
@@ -111,7 +111,7 @@ def test_energy_momentum_and_accelerations_equal_pinocchio(kinetic: str, joints:
 
 def test_accelerations_solve_the_papers_equations() -> None:
     """docs/theory.md, "The other two methods": five equations of the two-joint arm in absolute angles."""
-    arm, model, _ = paper()
+    arm, model, _ = lively()
     value = {name: quantity.value for name, quantity in model.base_parameters(arm).items()}
     dynamics = PlanarDynamics.from_parameters(arm, model.base_values(arm))
     rng = np.random.default_rng(0)
@@ -146,7 +146,7 @@ def test_accelerations_solve_the_papers_equations() -> None:
 
 
 def test_a_batch_is_its_members() -> None:
-    arm, model, _ = paper()
+    arm, model, _ = lively()
     dynamics = PlanarDynamics.from_parameters(arm, model.base_values(arm))
     rng = np.random.default_rng(1)
     q, theta, qd, thetad, tau = rng.normal(size=(5, 3, 4, 2))
@@ -165,7 +165,7 @@ def test_a_batch_is_its_members() -> None:
 
 
 def test_base_rate_gives_the_momentum_asked_for() -> None:
-    arm, model, _ = paper()
+    arm, model, _ = lively()
     dynamics = PlanarDynamics.from_parameters(arm, model.base_values(arm))
     rng = np.random.default_rng(2)
     q, qd, thetad = rng.normal(size=(3, 5, 2))
@@ -177,7 +177,7 @@ def test_base_rate_gives_the_momentum_asked_for() -> None:
 
 
 def test_parameters_without_a_body_are_refused() -> None:
-    arm, model, _ = paper()
+    arm, model, _ = lively()
     values = model.base_values(arm)
     with pytest.raises(ZygosError, match="12 parameters"):
         PlanarDynamics.from_parameters(arm, values[:-1])

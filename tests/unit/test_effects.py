@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from flight_support import CHOSEN, balanced, bytes_of, chosen, sines
 from numpy.typing import NDArray
-from plant_support import PAPER, paper, random_arm
+from plant_support import LIVELY, lively, random_arm
 from reference_support import make_arm
 from scipy import stats
 from test_c_equals_numpy import CASES, arm_of, record_of
@@ -24,7 +24,7 @@ from test_c_equals_numpy import CASES, arm_of, record_of
 from conftest import ROOT
 from zygos import flight, reference
 from zygos.arm import Arm, load_arm
-from zygos.check import Room, check_chain
+from zygos.check import Room, check_chain, rounding, tables
 from zygos.cycles import Cycles
 from zygos.effects import CATALOGUE, SLOWEST_RATE, Effect, estimated
 from zygos.errors import ZygosError
@@ -61,7 +61,7 @@ def test_catalogue_and_flight_library_agree_on_what_they_share() -> None:
     found = re.search(r"#define ZYGOS_SLOWEST_RATE (\S+)", header)
     assert found is not None
     assert float(found[1]) == SLOWEST_RATE
-    arm, *_ = paper()
+    arm, *_ = lively()
     for key in COLUMNS:
         config = config_of(arm, [effect(key, "elbow")])
         assert (config.effects, config.effect[0].joint) == (1, 1)
@@ -85,7 +85,7 @@ def test_entries_make_sense(key: str) -> None:
 
 
 def test_what_has_no_column_is_passed_over_or_refused() -> None:
-    arm, *_ = paper()
+    arm, *_ = lively()
     friction = effect("motor_coulomb", "elbow", 0.3)
     natural = effect("rotor_coupling", "shoulder", 1.0)
     momentum = Effect(CATALOGUE["angular_momentum"], None, 4.0)
@@ -100,7 +100,7 @@ def test_what_has_no_column_is_passed_over_or_refused() -> None:
 
 
 def test_model_file_round_trip(tmp_path: Path) -> None:
-    _, model, _ = paper()
+    _, model, _ = lively()
     effects = [
         Effect(kind, "elbow" if kind.at_joint else None, 0.25, 0.01, "test", "because") for kind in CATALOGUE.values()
     ]
@@ -133,9 +133,9 @@ ENTRY = '[[effect]]\nkind = "motor_coulomb"\njoint = "elbow"\nvalue = 0.3\nunit 
 def test_model_file_refusals(tmp_path: Path, find: str, put: str, message: str) -> None:
     assert find in ENTRY
     file = tmp_path / "model.toml"
-    file.write_text((PAPER / "model.toml").read_text() + ENTRY)
+    file.write_text((LIVELY / "model.toml").read_text() + ENTRY)
     load_model(file)
-    file.write_text((PAPER / "model.toml").read_text() + ENTRY.replace(find, put))
+    file.write_text((LIVELY / "model.toml").read_text() + ENTRY.replace(find, put))
     with pytest.raises(ZygosError, match=rf"model\.toml: .*(?:{message}).*; remedy: "):
         load_model(file)
 
@@ -144,7 +144,7 @@ def test_model_file_refusals(tmp_path: Path, find: str, put: str, message: str) 
 
 
 def test_refused_configurations_change_nothing() -> None:
-    arm, *_ = paper()
+    arm, *_ = lively()
     used = Flight(arm, [effect("motor_coulomb", "elbow")])
     before = bytes_of(used.native)
     most, wrong = lib.ZYGOS_MAX_EFFECTS_VALUE, 2**32 - 1
@@ -161,7 +161,7 @@ def test_refused_configurations_change_nothing() -> None:
 
 
 def test_the_binding_names_what_is_refused() -> None:
-    arm, *_ = paper()
+    arm, *_ = lively()
     with pytest.raises(ZygosError, match=r"stands twice.*remedy: correct the effects"):
         Flight(arm, [effect("torque_lag", "elbow"), effect("torque_lag", "elbow")])
     with pytest.raises(ZygosError, match=r"no joint 'wrist'.*remedy"):
@@ -176,7 +176,7 @@ def test_the_binding_names_what_is_refused() -> None:
 
 def balance_left_over(period: float, one: Effect, value: float) -> tuple[Floats, Floats]:
     """row . true parameters - W, without the effect, and the effect's column, both less their means (one arc)."""
-    arm, model, scenario = paper()
+    arm, model, scenario = lively()
     plant = replace(model, effects=(replace(one, value=value),))
     trajectory = simulate(arm, plant, scenario, noise=False, period_s=period, duration_s=12.0)
     trace = Flight(silent(trajectory.arm), [one]).cycles(trajectory.cycles(), trace=True)
@@ -217,7 +217,8 @@ def test_column_is_what_the_effect_does_to_the_balance(key: str, joint: str) -> 
 
 
 def same(arm: Arm, cycles: Cycles, effects: Sequence[Effect]) -> list[Room]:
-    """Rows within 1e-12 of each column's largest entry, and every room of `zygos check`."""
+    """Rows within rounding, 1e-12 of each column's largest entry or what the readings' own rounding does, and every
+    room of `zygos check`."""
     run = Flight(arm, effects)
     trace = run.cycles(cycles, trace=True)
     assert trace is not None
@@ -228,7 +229,9 @@ def same(arm: Arm, cycles: Cycles, effects: Sequence[Effect]) -> list[Room]:
     assert numpy.shape[1] == len(run.names) + 1 == len(arm.parameter_names) + len(effects) + 1
     scale = np.abs(numpy).max(axis=0)
     assert (scale > 0.0).all()
-    assert (np.abs(c - numpy) / scale).max() <= 1e-12
+    samples = reference.calibrate(arm, cycles)
+    known = tables(arm, samples, chain.smoothed, effects)
+    assert (np.abs(c - numpy) / scale <= rounding(arm, samples, known, effects).row).all()
     rooms = check_chain(arm, trace, run)
     assert [room for room in rooms if not room.equal] == []
     return rooms
@@ -250,7 +253,7 @@ def test_c_equals_numpy_with_every_effect_at_once(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr(flight, "_FOLDER", tmp_path)
     for name, value in zip(("ffi", "lib"), flight._load(), strict=True):
         monkeypatch.setattr(flight, name, value)
-    arm, model, scenario = paper()
+    arm, model, scenario = lively()
     trajectory = simulate(arm, model, scenario, noise=False, period_s=0.02, duration_s=30.0)
     effects = [effect(key, joint) for key in COLUMNS for joint in ("shoulder", "elbow")]
     rooms = same(silent(trajectory.arm), trajectory.cycles(), effects)
@@ -297,7 +300,7 @@ def estimate_of(arm: Arm, cycles: Cycles, effects: Sequence[Effect]) -> flight.E
 
 def test_friction_at_the_elbow_is_found() -> None:
     """With the paper's noise, through frames; without the column the balance does not close."""
-    arm, model, scenario = paper()
+    arm, model, scenario = lively()
     friction = effect("motor_coulomb", "elbow", 0.8)
     plant = replace(model, effects=(friction,))
     trajectory = simulate(arm, plant, scenario, seeds=range(3), noise=True)
@@ -315,7 +318,7 @@ def test_friction_at_the_elbow_is_found() -> None:
 @pytest.mark.parametrize("key", COLUMNS)
 def test_every_coefficient_is_found_without_noise(key: str) -> None:
     """From a run of 10 ms; the lag is 3 ms, whose square the column leaves out."""
-    arm, model, scenario = paper()
+    arm, model, scenario = lively()
     value = {
         "motor_coulomb": 0.5, "motor_viscous": 1.0, "link_coulomb": 20.0, "cubic_stiffness": 5e4, "spring_offset": -1.0,
         "torque_lag": 3e-3,
@@ -335,7 +338,7 @@ def test_every_coefficient_is_found_without_noise(key: str) -> None:
 )
 def test_a_plant_that_creates_energy_is_not_physical(key: str, value: float) -> None:
     """A spring may soften all the same."""
-    arm, model, scenario = paper()
+    arm, model, scenario = lively()
     plant = replace(model, effects=(effect(key, "elbow", value),))
     trajectory = simulate(arm, plant, scenario, noise=False, period_s=0.01, duration_s=20.0)
     run = Flight(silent(trajectory.arm), [effect(key, "elbow")])
@@ -359,7 +362,7 @@ def unsure(arm: Arm, joints: Sequence[int] = (0, 1)) -> Arm:
 
 
 def test_a_zero_that_is_not_vouched_for_gives_its_spring_an_offset() -> None:
-    arm, *_ = paper()
+    arm, *_ = lively()
     plain = arm.parameter_names
     assert estimated(arm, ()) == ()
     link = replace(arm.joints[1].link_encoder, zero_sigma_rad=1e-6)
@@ -392,15 +395,15 @@ def test_c_equals_numpy_with_the_offsets_that_an_arm_file_asks_for(tmp_path: Pat
 @pytest.fixture(scope="module")
 def modern() -> Trajectory:
     """The paper's motion with sensors of today, 20 bits and 200 Hz."""
-    _, model, scenario = paper()
-    return simulate(load_arm(PAPER.parent / "gap" / "arm.toml"), model, scenario, noise=True, duration_s=30.0)
+    _, model, scenario = lively()
+    return simulate(load_arm(LIVELY.parent / "gap" / "arm.toml"), model, scenario, noise=True, duration_s=30.0)
 
 
 @pytest.mark.parametrize("joint", [0, 1])
 def test_a_motor_encoders_zero_that_is_off_by_a_milliradian(modern: Trajectory, joint: int) -> None:
     """Without the offset it ruins the estimate, what of it is not withheld by a hundred sigmas and more, and the
     balance says so; with it, it costs nothing, and neither does a column where nothing is off."""
-    arm, (_, model, _) = modern.arm, paper()
+    arm, (_, model, _) = modern.arm, lively()
     true, exact = model.base_values(arm), modern.cycles()
     off = replace(exact, theta=exact.theta + 1e-3 * np.eye(2)[joint])
     error, answers = {}, {}
@@ -429,7 +432,7 @@ def test_a_motor_encoders_zero_that_is_off_by_a_milliradian(modern: Trajectory, 
 def test_a_link_encoders_zero_turns_the_bodies_behind_it(modern: Trajectory, joint: int) -> None:
     """The offset takes what it does to the spring; what the arm then looks like is no planar-symmetric one, but a
     planar one with b_ij = 1 mrad of the a_ij across the joint."""
-    arm, (_, model, _) = modern.arm, paper()
+    arm, (_, model, _) = modern.arm, lively()
     a = dict(zip(arm.parameter_names, model.base_values(arm).tolist(), strict=True))
     exact = modern.cycles()
     off = replace(exact, q=exact.q + 1e-3 * np.eye(2)[joint])

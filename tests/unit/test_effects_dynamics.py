@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from gap_support import effect, example
-from plant_support import Floats, paper, random_arm
+from plant_support import Floats, lively, random_arm
 from test_dynamics import Oracle, random_state
 
 from zygos.arm import Arm
@@ -158,11 +158,11 @@ EVERY = [
 
 @pytest.mark.parametrize("rigid", [(), (0,), (1,), (0, 1)])
 @pytest.mark.parametrize("case", ["none", "each", "all"])
-@pytest.mark.parametrize("kinetic", ["paper", "planar"])
+@pytest.mark.parametrize("kinetic", ["lively", "planar"])
 def test_accelerations_are_lagranges(kinetic: str, case: str, rigid: tuple[int, ...]) -> None:
     """Effects one at a time and together, at flexible and at rigid joints."""
     rng = np.random.default_rng(5)
-    arm, model = paper()[:2] if kinetic == "paper" else random_arm(rng, 3, "planar")
+    arm, model = lively()[:2] if kinetic == "lively" else random_arm(rng, 3, "planar")
     each = [(effect(arm, key, joint, value),) for key, value in EVERY for joint in range(arm.n)]
     together = tuple(one for (one,) in each if one.value != 0.4)
     cases: dict[str, list[tuple[Effect, ...]]] = {"none": [()], "each": [*each], "all": [together]}
@@ -194,7 +194,7 @@ def rates_of(dynamics: PlanarDynamics, s: States, tau: Floats, of: Callable[[Sta
 @pytest.mark.parametrize(("key", "value"), EVERY)
 def test_power_balance_and_momentum(key: str, value: float, joint: int, rigid: bool) -> None:
     """d(T + V)/dt = power of the motors - losses, and nothing inside the arm changes its angular momentum."""
-    arm, model, _ = paper()
+    arm, model, _ = lively()
     effects = (effect(arm, key, joint, value),)
     whole = stiffened(model, np.inf, (joint,)) if rigid else model
     dynamics = PlanarDynamics.from_model(arm, replace(whole, effects=effects))
@@ -225,7 +225,7 @@ def test_power_balance_and_momentum(key: str, value: float, joint: int, rigid: b
 @pytest.mark.parametrize("rigid", [(), (0,), (0, 1)])
 def test_a_run_without_losses_keeps_energy_and_momentum(rigid: tuple[int, ...]) -> None:
     """Half a second of free motion of an arm whose rotors do not couple, with a cubic spring."""
-    arm, model, _ = paper()
+    arm, model, _ = lively()
     drives = tuple(replace(joint, damping=Quantity(0.0)) for joint in stiffened(model, np.inf, rigid).joints)
     listed = (("rotor_coupling", 0, 0.0), ("rotor_coupling", 1, 0.0), ("cubic_stiffness", 1, 500.0))
     effects = tuple(effect(arm, *one) for one in listed)

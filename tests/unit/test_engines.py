@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from arm_support import Floats, State, random_arm, random_state
-from plant_support import paper
+from plant_support import lively
 from scipy.spatial.transform import Rotation
 
 from conftest import ROOT, need
@@ -233,7 +233,7 @@ def against_planar(name: str, arm: Arm, model: Model, rng: np.random.Generator) 
 
 @NAMES
 def test_the_examples_move_as_our_planar_equations_say(name: str) -> None:
-    arm, model, _ = paper()
+    arm, model, _ = lively()
     against_planar(name, arm, model, np.random.default_rng(0))
     drawing = load_model(ROOT / "examples" / "gap" / "cad.toml")
     against_planar(name, arm, replace(drawing, effects=()), np.random.default_rng(1))
@@ -279,7 +279,7 @@ def test_random_arms_could_be_built(base: Base, kinetic: Kinetic, tmp_path: Path
 
 @NAMES
 def test_what_an_engine_refuses(name: str) -> None:
-    arm, model, _ = paper()
+    arm, model, _ = lively()
     with pytest.raises(ZygosError, match=r"effects \(angular_momentum\).*remedy: engine \"zygos\""):
         engine(name, arm, load_model(ROOT / "examples" / "gap" / "cad.toml"))
     with pytest.raises(ZygosError, match=r"base parameters.*remedy: .*engine \"zygos\""):
@@ -289,7 +289,7 @@ def test_what_an_engine_refuses(name: str) -> None:
 
 
 def test_an_unknown_engine_is_refused() -> None:
-    arm, model, _ = paper()
+    arm, model, _ = lively()
     with pytest.raises(ZygosError, match="no engine 'ode'; remedy: one of pinocchio, mujoco"):
         engine("ode", arm, model)
 
@@ -299,7 +299,7 @@ def test_an_engine_that_is_not_installed_is_named(name: str, monkeypatch: pytest
     monkeypatch.delitem(sys.modules, f"zygos.engines.{name}", raising=False)
     monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(ZygosError, match=rf"engine {name}.*remedy: pip install 'zygos\[engines\]'"):
-        engine(name, *paper()[:2])
+        engine(name, *lively()[:2])
 
 
 def test_mujoco_names_the_model_that_it_refuses() -> None:

@@ -21,7 +21,7 @@ from zygos.model import Model, Quantity, load_model, save_model
 need(importlib.util.find_spec("mujoco"), "mujoco, which makes the runs")
 
 from oracles import laws  # noqa: E402
-from oracles.campaign import ELBOW, SHOULDER, Bench, Case, frames, modern, paper, plant, score, simulation, verdict  # noqa: E402
+from oracles.campaign import ELBOW, SHOULDER, Bench, Case, frames, lively, modern, plant, score, simulation, verdict  # noqa: E402
 from oracles.simulate import run  # noqa: E402
 
 Judge = Callable[[str, str], Explanation]
@@ -38,7 +38,7 @@ def judge() -> Iterator[Judge]:
 
     def of(bench_name: str, name: str) -> Explanation:
         if (bench_name, name) not in known:
-            bench = {"modern": modern, "paper": paper}[bench_name]()
+            bench = {"modern": modern, "lively": lively}[bench_name]()
             case = _case(bench, name)
             known[bench_name, name] = verdict(bench, simulation(case), frames(bench, case, 0))
         return known[bench_name, name]
@@ -76,12 +76,12 @@ def test_names_an_effect_and_closes_the_gap(judge: Judge, name: str) -> None:
     ],
 )
 def test_names_an_effect_with_coarse_sensors(judge: Judge, name: str) -> None:
-    found = judge("paper", name)
-    assert score(_case(paper(), name), 0, found)["right"], found.sentence
+    found = judge("lively", name)
+    assert score(_case(lively(), name), 0, found)["right"], found.sentence
 
 
 def test_says_nothing_missing_with_the_limits(judge: Judge) -> None:
-    found = judge("paper", "null as drawn")
+    found = judge("lively", "null as drawn")
     assert found.answer == "nothing missing"
     assert found.search is not None
     limits = {c.name: c.limit for c in found.search.rounds[0]}
@@ -92,9 +92,9 @@ def test_says_nothing_missing_with_the_limits(judge: Judge) -> None:
 
 
 def test_a_limit_is_a_size_from_which_an_effect_is_named(judge: Judge) -> None:
-    search = judge("paper", "null as drawn").search
+    search = judge("lively", "null as drawn").search
     assert search is not None
-    bench = paper()
+    bench = lively()
     limit = next(c.limit for c in search.rounds[0] if c.name == "motor_coulomb2")
     seen = []
     for size in (0.4 * limit, 1.5 * limit):
@@ -104,7 +104,7 @@ def test_a_limit_is_a_size_from_which_an_effect_is_named(judge: Judge) -> None:
 
 
 def test_says_which_values_differ(judge: Judge) -> None:
-    found = judge("paper", "values")
+    found = judge("lively", "values")
     assert found.answer == "values differ"
     differing = {value.name: value.change for value in found.values if value.differs}
     assert differing == {"k1": pytest.approx(-0.20, abs=0.002), "Im2": pytest.approx(0.10, abs=0.002)}
@@ -114,7 +114,7 @@ def test_says_which_values_differ(judge: Judge) -> None:
 
 @pytest.mark.parametrize("name", ["rate stiffness elbow", "base detent"])
 def test_does_not_name_what_is_not_in_the_catalogue(judge: Judge, name: str) -> None:
-    found = judge("paper", name)
+    found = judge("lively", name)
     assert found.answer == "unknown", found.sentence
     assert found.findings == ()
     assert found.model is None
@@ -127,7 +127,7 @@ def _stiff(model: Model) -> Model:
 
 
 def test_cannot_tell_motor_from_link_where_they_turn_as_one() -> None:
-    bench, case = paper(), Case("stiff", "cannot tell", lacks="flexibility")
+    bench, case = lively(), Case("stiff", "cannot tell", lacks="flexibility")
     moved, law = _stiff(plant(case, 0)), laws.LinkCoulomb(SHOULDER, 100.0)
     seen = [encode(bench.arm, run(bench.arm, moved, s, k, law)) for k, s in enumerate(bench.scenarios)]
     found = verdict(bench, simulation(case), seen)
@@ -146,7 +146,7 @@ def _column(kind: str, joint: str | None) -> str:
 
 def test_timing_comes_before_physics() -> None:
     """A late link encoder looks like a spring to a simulation whose joints are rigid."""
-    bench, case = paper(), Case("late", "unknown", lacks="flexibility")
+    bench, case = lively(), Case("late", "unknown", lacks="flexibility")
     moved = _stiff(plant(case, 0))
     seen = []
     for k, scenario in enumerate(bench.scenarios):
@@ -191,8 +191,8 @@ def test_simulator_and_estimator_read_the_entry_that_was_written(judge: Judge, t
 
 def test_explained_model_leaves_nothing_to_explain(judge: Judge) -> None:
     """The model that was written, as the simulation of the same runs: the verdict is that nothing is missing."""
-    bench, case = paper(), _case(paper(), "motor_coulomb shoulder")
-    first = judge("paper", "motor_coulomb shoulder")
+    bench, case = lively(), _case(lively(), "motor_coulomb shoulder")
+    first = judge("lively", "motor_coulomb shoulder")
     assert first.model is not None
     second = verdict(bench, first.model, frames(bench, case, 0))
     assert second.answer in {"nothing missing", "values differ"}, second.sentence
@@ -201,7 +201,7 @@ def test_explained_model_leaves_nothing_to_explain(judge: Judge) -> None:
 
 
 def test_a_run_without_a_whole_stretch_is_refused() -> None:
-    bench = paper()
+    bench = lively()
     seen = frames(bench, _case(bench, "null as drawn"), 0)[0]
     with pytest.raises(ZygosError, match="no stretch of 2 s"):
         read_record(bench.arm, Path("short.blf"), seen[:200])
@@ -215,7 +215,7 @@ def _explained(
     law: object, *, exact: bool = True, sim: Model | None = None, second: Model | None = None
 ) -> Explanation:
     """A verdict with the paper's sensors on an arm with these laws; `second` moves in the second run."""
-    bench, case = paper(), Case("", "", exact=True)
+    bench, case = lively(), Case("", "", exact=True)
     moved = plant(case, 0)
     arms = (moved, second or moved, moved)
     seen = [
@@ -289,7 +289,7 @@ def test_an_effect_that_the_arm_does_not_have_leaves_the_model(tmp_path: Path) -
     ],
 )
 def test_an_arm_file_that_is_wrong_is_said_first(change: dict[str, object], says: str) -> None:
-    bench, case = paper(), _case(paper(), "null as drawn")
+    bench, case = lively(), _case(lively(), "null as drawn")
     joints = bench.arm.joints
     arm = bench.arm
     if "torque_law" in change:

@@ -38,8 +38,8 @@ def moved(example: str, model: str, scenario: str, duration_s: float) -> tuple[T
     return run, plant.base_values(arm)
 
 
-def paper() -> tuple[Trajectory, Floats]:
-    return moved("paper", "model.toml", "scenario.toml", 120.0)
+def lively() -> tuple[Trajectory, Floats]:
+    return moved("lively", "model.toml", "scenario.toml", 120.0)
 
 
 def modern() -> tuple[Trajectory, Floats]:
@@ -74,7 +74,7 @@ def pieces(cycles: Cycles, arm: Arm, span_s: float) -> Iterator[Cycles]:
 
 @pytest.mark.parametrize("span_s", [12.0, 20.0, 30.0, 60.0])
 def test_pieces_of_a_run(span_s: float) -> None:
-    run, true = paper()
+    run, true = lively()
     found = [told(run.arm, piece) for seed in range(6) for piece in pieces(read(run, seed), run.arm, span_s)]
     assert [lies(estimate, true) for estimate in found] == [[] for _ in found]
     assert all(estimate.validity == "valid" or estimate.reason for estimate in found)
@@ -124,7 +124,7 @@ def sums_of(flight: Flight) -> list[tuple[int, int]]:
 
 def test_no_bit_of_the_sums_moves_an_estimate_unnoticed() -> None:
     """Columns differ in size by orders of magnitude: a bit that is small beside the work is not small for a spring."""
-    run, _ = paper()
+    run, _ = lively()
     cycles = read(run, 5)
     before, after = part(cycles, 0, 1600), part(cycles, 1600, 1660)
     flight = Flight(run.arm)
@@ -150,7 +150,7 @@ def test_no_bit_of_the_sums_moves_an_estimate_unnoticed() -> None:
 
 @pytest.mark.parametrize("bit", [0, 3, 9, 30])
 def test_a_wrong_count_of_an_arc_is_noticed(bit: int) -> None:
-    run, _ = paper()
+    run, _ = lively()
     flight = Flight(run.arm)
     flight.cycles(read(run, 5))
     flight.native.accumulator.arc_instants ^= 1 << bit

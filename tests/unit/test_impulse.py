@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rows_support import PAPER_EFFECTS, Floats, awkward, c_rooms, effect, less_means, run, smoothed, wandering
+from rows_support import LIVELY_EFFECTS, Floats, awkward, c_rooms, effect, less_means, run, smoothed, wandering
 
 from zygos.arm import Arm, Smoother
 from zygos.cycles import Cycles
@@ -43,7 +43,7 @@ def left_over(name: str, *, corrected: bool = True) -> list[tuple[float, dict[st
     return out
 
 
-@pytest.mark.parametrize(("name", "share"), [("paper", 2e-4), ("paper 10 ms", 1e-5), ("spatial", 1e-4)])
+@pytest.mark.parametrize(("name", "share"), [("lively", 2e-4), ("lively 10 ms", 1e-5), ("spatial", 1e-4)])
 def test_rows_close_on_simulated_motion(name: str, share: float) -> None:
     """What the true parameters leave over is a small share of the largest term, and of every term that stands out."""
     for rest, terms in left_over(name):
@@ -52,8 +52,8 @@ def test_rows_close_on_simulated_motion(name: str, share: float) -> None:
 
 
 def test_rows_close_faster_with_faster_cycles_and_not_without_the_torque_step() -> None:
-    fine = left_over("paper 10 ms")
-    for (rest, _), (without, _) in zip(fine, left_over("paper 10 ms", corrected=False), strict=True):
+    fine = left_over("lively 10 ms")
+    for (rest, _), (without, _) in zip(fine, left_over("lively 10 ms", corrected=False), strict=True):
         assert without > 10.0 * rest
 
 
@@ -74,7 +74,7 @@ def compare(arm: Arm, cycles: Cycles, longest: int, effects: tuple[Effect, ...])
 
 
 def test_c_is_numpy_on_the_paper_arm_with_effects() -> None:
-    arm, cycles, _, effects = run("paper")
+    arm, cycles, _, effects = run("lively")
     compare(arm, cycles, 150, effects)
 
 
@@ -137,7 +137,7 @@ def test_noise_entry_by_entry(joint: int, latch_us: int) -> None:
 
 def test_noise_with_the_paper_example() -> None:
     """sigma^2 of the encoders times the sums of squares of the filter, by hand: SG7/4."""
-    arm, _, _, effects = run("paper")
+    arm, _, _, effects = run("lively")
     arm = replace(arm, smoother=Smoother(7, 4, 3))
     value = np.array([5.0, -30.0, 75.0, 131.0, 75.0, -30.0, 5.0]) / 231.0
     slope = np.array([22.0, -67.0, -58.0, 0.0, 58.0, 67.0, -22.0]) / 252.0 / arm.period_s
@@ -145,4 +145,4 @@ def test_noise_with_the_paper_example() -> None:
     owed = impulse.noise(arm, 0, effects)
     assert owed[0, 0] == pytest.approx(50.0**4 * sigma**2 * slope @ slope, rel=1e-9)
     assert owed[2, 2] == pytest.approx(2.0 * sigma**2 * value @ value, rel=1e-12)
-    assert impulse.joint_effects(arm, 1, PAPER_EFFECTS) == PAPER_EFFECTS[1:]
+    assert impulse.joint_effects(arm, 1, LIVELY_EFFECTS) == LIVELY_EFFECTS[1:]

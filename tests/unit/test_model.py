@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from plant_support import PAPER, paper, random_arm
+from plant_support import LIVELY, lively, random_arm
 
 from zygos.dynamics import PlanarDynamics
 from zygos.errors import ZygosError
@@ -20,7 +20,7 @@ TABLE_III = {  # Nanos & Papadopoulos, Table III
 
 
 def test_the_papers_table_to_all_printed_digits() -> None:
-    arm, model, _ = paper()
+    arm, model, _ = lively()
     parameters = model.base_parameters(arm)
     assert tuple(parameters) == arm.parameter_names
     for name, printed in TABLE_III.items():
@@ -30,7 +30,7 @@ def test_the_papers_table_to_all_printed_digits() -> None:
 
 def test_closed_form_of_the_papers_example() -> None:
     """docs/paper.md, "The arm", with other numbers than the paper's."""
-    arm, model, _ = paper()
+    arm, model, _ = lively()
     base, link1, link2 = model.bodies
     model = replace(
         model,
@@ -54,7 +54,7 @@ def test_closed_form_of_the_papers_example() -> None:
 
 def test_covariance_is_that_of_the_bodies() -> None:
     """Against draws of the bodies: correlated, so that no draw within it gives negative kinetic energy."""
-    arm, model, _ = paper()
+    arm, model, _ = lively()
     base, link1, link2 = model.bodies
     relative = 0.02
 
@@ -87,7 +87,7 @@ def test_mass_centres_off_the_line_need_a_planar_arm() -> None:
 
 
 def test_file_round_trip(tmp_path: Path) -> None:
-    arm, model, _ = paper()
+    arm, model, _ = lively()
     model = replace(
         model, joints=tuple(replace(joint, stiffness=Quantity(820.0, 6.0, "test", "Nm/rad")) for joint in model.joints)
     )
@@ -103,7 +103,7 @@ def test_file_round_trip(tmp_path: Path) -> None:
 
 
 def test_a_failed_write_leaves_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    _, model, _ = paper()
+    _, model, _ = lively()
     file = tmp_path / "model.toml"
     save_model(model, file)
     before = file.read_bytes()
@@ -139,12 +139,12 @@ def test_a_failed_write_leaves_the_file(tmp_path: Path, monkeypatch: pytest.Monk
     ("rotor_inertia = 1.0", "rotor_inertia = 0", r"joint\[0\]\.rotor_inertia"),
     ("damping = 85.0", "damping = -1.0", r"joint\[0\]\.damping"),
     ('source = "CAD"', 'source = "guess"', "source"),
-    ('name = "paper"', 'name = "paper"\n[parameters]\na00 = 1.0', "parameters"),
+    ('name = "lively"', 'name = "lively"\n[parameters]\na00 = 1.0', "parameters"),
     ("[[body]]", "[[body]", "not valid TOML"),
     ('name = "elbow"', "name = 3", r"joint\[1\]\.name"),
 ])  # fmt: skip
 def test_bad_files_are_refused(tmp_path: Path, find: str, put: str, key: str) -> None:
-    text = (PAPER / "model.toml").read_text()
+    text = (LIVELY / "model.toml").read_text()
     assert find in text
     file = tmp_path / "model.toml"
     file.write_text(text.replace(find, put, 1))
@@ -155,7 +155,7 @@ def test_bad_files_are_refused(tmp_path: Path, find: str, put: str, key: str) ->
 def test_a_missing_file_and_a_missing_body(tmp_path: Path) -> None:
     with pytest.raises(ZygosError, match="no such file; remedy"):
         load_model(tmp_path / "none.toml")
-    text = (PAPER / "model.toml").read_text()
+    text = (LIVELY / "model.toml").read_text()
     file = tmp_path / "model.toml"
     file.write_text(text[: text.rindex("[[joint]]")])
     with pytest.raises(ZygosError, match="3 bodies for 1 joints; remedy"):
@@ -163,7 +163,7 @@ def test_a_missing_file_and_a_missing_body(tmp_path: Path) -> None:
 
 
 def test_a_model_of_another_arm_is_refused() -> None:
-    arm, model, _ = paper()
+    arm, model, _ = lively()
     other = replace(model, joints=model.joints[::-1])
     with pytest.raises(ZygosError, match=r"joints.*remedy"):
         other.base_parameters(arm)

@@ -42,7 +42,7 @@ def test_columns_give_the_momentum_of_bodies(kinetic: str, flexible: tuple[bool,
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * np.linalg.norm(h))
 
 
-@pytest.mark.parametrize(("name", "share"), [("paper", 1e-4), ("paper 10 ms", 1e-5), ("spatial", 1e-4)])
+@pytest.mark.parametrize(("name", "share"), [("lively", 1e-4), ("lively 10 ms", 1e-5), ("spatial", 1e-4)])
 def test_rows_close_on_simulated_motion(name: str, share: float) -> None:
     """What the true parameters leave over is a small share of what the base alone contributes."""
     arm, cycles, values, _ = run(name)

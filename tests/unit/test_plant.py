@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plant_support import Floats, paper, random_arm
+from plant_support import Floats, lively, random_arm
 from scipy.integrate import solve_ivp
 
 from zygos.arm import Arm
@@ -31,7 +31,7 @@ def energy_terms(trajectory: Trajectory) -> tuple[Floats, Floats]:
 )
 def test_energy_and_momentum_close(duration: float, period: float | None, seeds: list[int]) -> None:
     """Work = change of energy + dissipation, and h = 1 Nms of itself, although its terms reach 1e5 Nms."""
-    arm, model, scenario = paper()
+    arm, model, scenario = lively()
     run = simulate(arm, model, scenario, seeds=seeds, duration_s=duration, period_s=period)
     assert run.t[-1] == pytest.approx(duration - run.arm.period_s)
     gained, work = energy_terms(run)
@@ -45,7 +45,7 @@ def test_energy_and_momentum_close(duration: float, period: float | None, seeds:
 def test_energy_and_momentum_close_for_seven_joints() -> None:
     arm, model = random_arm(np.random.default_rng(3), 7, "planar")
     scenario = replace(
-        paper()[2],
+        lively()[2],
         manoeuvre={joint.name: Motion(sines=(Sine(0.2, 0.5 + 0.2 * i),)) for i, joint in enumerate(arm.joints)},
         initial_angles_rad=(),
         angular_momentum_nms=3.0,
@@ -61,7 +61,7 @@ def test_energy_and_momentum_close_for_seven_joints() -> None:
 
 def test_another_integrator_gives_the_same_motion() -> None:
     """LSODA over 3 s, period by period, with the attitude and the slip integral; and the run with latches below."""
-    arm, model, scenario = paper()
+    arm, model, scenario = lively()
     run = simulate(arm, model, scenario, duration_s=3.0)
     end = 40
     state = np.concatenate(
@@ -94,7 +94,7 @@ def advance(dynamics: PlanarDynamics, state: Floats, tau: Floats, span: float) -
 
 def test_the_servo_holds_what_its_law_says() -> None:
     """From the recorded encoder alone: the noise that is fed back is the noise that is recorded."""
-    arm, model, scenario = paper()
+    arm, model, scenario = lively()
     run = simulate(arm, model, scenario, seeds=[5, 6], duration_s=3.0)
     angle, rate = scenario.desired([joint.name for joint in arm.joints], run.t)
     np.testing.assert_array_equal(run.desired, angle)
@@ -107,7 +107,7 @@ def test_the_servo_holds_what_its_law_says() -> None:
 
 
 def test_link_angle_feedback_reads_the_link_encoder() -> None:
-    arm, model, scenario = paper()
+    arm, model, scenario = lively()
     scenario = replace(scenario, controller=replace(scenario.controller, angle="link", gain=0.1))
     run = simulate(arm, model, scenario, duration_s=1.0)
     angle, rate = scenario.desired([joint.name for joint in arm.joints], run.t)
@@ -118,7 +118,7 @@ def test_link_angle_feedback_reads_the_link_encoder() -> None:
 
 
 def test_signs_and_zeros_do_not_change_the_motion() -> None:
-    arm, model, scenario = paper()
+    arm, model, scenario = lively()
 
     def turned(arm: Arm) -> Arm:
         joints = [
@@ -140,7 +140,7 @@ def test_signs_and_zeros_do_not_change_the_motion() -> None:
 
 
 def test_without_noise_the_sensors_are_exact() -> None:
-    arm, model, scenario = paper()
+    arm, model, scenario = lively()
     for run in (
         simulate(arm, model, scenario, duration_s=1.0, noise=False),
         simulate(arm, model, replace(scenario, noise=False, encoder_noise="quantised"), duration_s=1.0),
@@ -159,7 +159,7 @@ def test_without_noise_the_sensors_are_exact() -> None:
 
 def test_late_latches_read_later_angles() -> None:
     """Every sensor with a delay of its own, against an independent integration from the SYNC state."""
-    arm, model, scenario = paper()
+    arm, model, scenario = lively()
     shoulder, elbow = arm.joints
     late = replace(
         arm,
@@ -185,7 +185,7 @@ def test_late_latches_read_later_angles() -> None:
 
 
 def test_accelerations_are_the_slopes_after_sync() -> None:
-    arm, model, scenario = paper()
+    arm, model, scenario = lively()
     run = simulate(arm, model, scenario, duration_s=2.0, period_s=0.001, noise=False)
     base, link, motor = run.accelerations()
     # over one period the torque is constant: a one-sided difference is off by half a period of jerk
@@ -195,7 +195,7 @@ def test_accelerations_are_the_slopes_after_sync() -> None:
 
 
 def test_a_batch_is_its_seeds_and_repeats() -> None:
-    arm, model, scenario = paper()
+    arm, model, scenario = lively()
     batch = simulate(arm, model, scenario, seeds=range(4), duration_s=3.0)
     again = simulate(arm, model, scenario, seeds=range(4), duration_s=3.0)
     alone = simulate(arm, model, scenario, seeds=[2], duration_s=3.0)
@@ -207,7 +207,7 @@ def test_a_batch_is_its_seeds_and_repeats() -> None:
 
 
 def test_start() -> None:
-    arm, model, scenario = paper()
+    arm, model, scenario = lively()
     run = simulate(arm, model, replace(scenario, initial_angles_rad=(0.3, -0.4)), duration_s=0.1)
     np.testing.assert_array_equal(run.q[0, 0], [0.3, -0.4])
     np.testing.assert_array_equal(run.theta[0, 0], [0.3, -0.4])
@@ -225,13 +225,13 @@ def test_start() -> None:
     ],
 )
 def test_misuse_is_refused(change: dict[str, object], message: str) -> None:
-    arm, model, scenario = paper()
+    arm, model, scenario = lively()
     with pytest.raises(ZygosError, match=f"{message}.*remedy"):
         simulate(arm, model, scenario, **change)  # type: ignore[arg-type]
 
 
 def test_a_model_too_stiff_to_integrate_is_refused() -> None:
-    arm, model, scenario = paper()
+    arm, model, scenario = lively()
     stiff = replace(
         model, joints=tuple(replace(joint, damping=replace(joint.damping, value=1e9)) for joint in model.joints)
     )
@@ -240,7 +240,7 @@ def test_a_model_too_stiff_to_integrate_is_refused() -> None:
 
 
 def test_unfit_scenarios_are_refused() -> None:
-    arm, model, scenario = paper()
+    arm, model, scenario = lively()
     unfit: list[tuple[Scenario, str]] = [
         (replace(scenario, manoeuvre={"shoulder": Motion()}), "manoeuvre is for joints"),
         (replace(scenario, initial_angles_rad=(0.0,)), "1 initial angles for 2 joints"),

@@ -20,7 +20,7 @@ from zygos.scenario import Scenario, load_scenario
 from zygos.spatial import SpatialDynamics
 
 SPATIAL = Path(__file__).parents[2] / "examples" / "spatial"
-PAPER = SPATIAL.parent / "paper"
+LIVELY = SPATIAL.parent / "lively"
 DURATION_S = 1.0
 
 
@@ -91,8 +91,8 @@ def test_engines_by_others_move_alike(engine: EngineName, case: str) -> None:
 
 def test_a_planar_arm_moves_alike_in_space() -> None:
     """The planar equations against Pinocchio's, whose base is free to leave the plane."""
-    arm, model, scenario = load_arm(PAPER / "arm.toml"), load_model(PAPER / "model.toml"), None
-    scenario = load_scenario(PAPER / "scenario.toml")
+    arm, model, scenario = load_arm(LIVELY / "arm.toml"), load_model(LIVELY / "model.toml"), None
+    scenario = load_scenario(LIVELY / "scenario.toml")
     ours = simulate(arm, model, scenario, noise=False, duration_s=3.0)
     theirs = simulate(arm, model, scenario, engine="pinocchio", noise=False, duration_s=3.0)
     assert isinstance(ours.dynamics, PlanarDynamics)
@@ -158,9 +158,9 @@ def test_what_is_refused() -> None:
     arm, model, scenario = example()
     with pytest.raises(ZygosError, match=r"2 kp for 3 joints; remedy: one number, or one for each joint"):
         run(arm, model, replace(scenario, controller=replace(scenario.controller, kp=(1.0, 2.0))))
-    paper = load_arm(PAPER / "arm.toml"), load_model(PAPER / "model.toml"), load_scenario(PAPER / "scenario.toml")
-    with pytest.raises(ZygosError, match=r"angular_momentum_nms is a vector, but arm paper moves in a plane"):
-        simulate(*paper[:2], replace(paper[2], angular_momentum_nms=(0.0, 0.0, 1.0)), duration_s=1.0)
+    planar = load_arm(LIVELY / "arm.toml"), load_model(LIVELY / "model.toml"), load_scenario(LIVELY / "scenario.toml")
+    with pytest.raises(ZygosError, match=r"angular_momentum_nms is a vector, but arm lively moves in a plane"):
+        simulate(*planar[:2], replace(planar[2], angular_momentum_nms=(0.0, 0.0, 1.0)), duration_s=1.0)
     parameters = Model("learned", parameters=model.base_parameters(arm))
     with pytest.raises(ZygosError, match=r"engine pinocchio needs bodies"):
         run(arm, parameters, scenario, "pinocchio")

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from plant_support import paper, random_arm
+from plant_support import lively, random_arm
 from scipy.spatial.transform import Rotation
 
 from conftest import need
@@ -114,17 +114,17 @@ def test_without_a_model_lengths_are_one_across_the_axes() -> None:
     np.testing.assert_allclose(np.linalg.norm(np.vstack([lengths.joint_xyz, lengths.end_xyz]), axis=1), 1.0)
     for joint, reach in zip(arm.joints, [*lengths.joint_xyz[1:], lengths.end_xyz], strict=True):
         assert abs(np.dot(joint.axis, reach)) < 1e-12
-    planar = paper()[0]  # stretched at zero angles, as planar arms count theirs
+    planar = lively()[0]  # stretched at zero angles, as planar arms count theirs
     poses = place(planar, skeleton(planar, None), np.zeros((1, 2)), np.eye(3)[None])
     np.testing.assert_allclose(poses.position[0], [[0, 0, 0], [1, 0, 0], [2, 0, 0]], atol=1e-15)
 
 
 def test_a_model_of_another_arm_is_refused() -> None:
-    arm, model, _ = paper()
+    arm, model, _ = lively()
     other = replace(arm, joints=(arm.joints[0], replace(arm.joints[1], name="wrist")))
-    with pytest.raises(ZygosError, match=r"model paper has joints .*elbow.* arm paper has .*wrist.*remedy"):
+    with pytest.raises(ZygosError, match=r"model lively has joints .*elbow.* arm lively has .*wrist.*remedy"):
         skeleton(other, model)
-    with pytest.raises(ZygosError, match="does not fit arm paper"):
+    with pytest.raises(ZygosError, match="does not fit arm lively"):
         skeleton(arm, Model("few", parameters={"a00": Quantity(1.0)}))
 
 
@@ -172,7 +172,7 @@ def cycles(q: Floats, *, theta: Floats | None = None, omega: Floats | None = Non
 
 
 def test_signs_zeros_and_mount_are_applied() -> None:
-    arm = paper()[0]
+    arm = lively()[0]
     link = Encoder(quantum_rad=1e-6, sign=-1, zero_rad=0.25)
     motor = Encoder(quantum_rad=1e-6, zero_rad=-0.5)
     joint = replace(arm.joints[0], link_encoder=link, motor_encoder=motor)
@@ -195,7 +195,7 @@ def test_signs_zeros_and_mount_are_applied() -> None:
 
 
 def test_cycles_of_no_use_are_left_out_and_gaps_counted() -> None:
-    arm = paper()[0]
+    arm = lively()[0]
     record = cycles(np.arange(12.0).reshape(6, 2), sync=[7, 8, 9, 10, 20, 21])
     record.flags[1] = INVALID
     run = motion(arm, record)
@@ -205,8 +205,8 @@ def test_cycles_of_no_use_are_left_out_and_gaps_counted() -> None:
 
 
 def test_a_run_without_cycles_is_refused() -> None:
-    arm = paper()[0]
-    with pytest.raises(ZygosError, match=r"no complete cycle of arm paper.*remedy"):
+    arm = lively()[0]
+    with pytest.raises(ZygosError, match=r"no complete cycle of arm lively.*remedy"):
         motion(arm, cycles(np.zeros((0, 2))))
     record = cycles(np.zeros((3, 2)))
     record.flags[:] = INVALID

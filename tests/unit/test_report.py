@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from plant_support import paper
+from plant_support import lively
 
 from zygos.arm import Arm
 from zygos.cycles import Cycles
@@ -95,7 +95,7 @@ def page_of(
 
 
 def test_page_is_self_contained_and_names_every_parameter(tmp_path: Path) -> None:
-    arm = paper()[0]
+    arm = lively()[0]
     text, data = page_of(tmp_path, arm, make_trace(arm), make_estimate(arm, 1.01 * TRUE))
     # a favicon in the page keeps the browser from asking for one
     assert re.findall(r"<link[^>]*>", text) == ['<link rel="icon" href="data:,">']
@@ -109,7 +109,7 @@ def test_page_is_self_contained_and_names_every_parameter(tmp_path: Path) -> Non
 
 
 def test_refused_instants_and_gaps(tmp_path: Path) -> None:
-    arm = paper()[0]
+    arm = lively()[0]
     trace = make_trace(arm)
     text, data = page_of(tmp_path, arm, trace, make_estimate(arm, TRUE), faults={"crc": 2, "sync_jumped": 1})
     assert data["refused"] == REFUSED
@@ -127,7 +127,7 @@ def test_refused_instants_and_gaps(tmp_path: Path) -> None:
 
 
 def test_page_with_parameters_that_are_not_identifiable(tmp_path: Path) -> None:
-    arm = paper()[0]
+    arm = lively()[0]
     value = TRUE.copy()
     value[[3, 11]] = np.nan
     reason = "the motion so far does not excite every parameter"
@@ -146,7 +146,7 @@ def test_page_with_parameters_that_are_not_identifiable(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("cycles", [0, N])
 def test_page_of_a_run_that_gave_nothing(tmp_path: Path, cycles: int) -> None:
-    arm = paper()[0]
+    arm = lively()[0]
     full = make_trace(arm)
     c = full.cycles
     trace = Trace(
@@ -164,7 +164,7 @@ def test_page_of_a_run_that_gave_nothing(tmp_path: Path, cycles: int) -> None:
 
 
 def test_names_cannot_break_the_page(tmp_path: Path) -> None:
-    arm = paper()[0]
+    arm = lively()[0]
     bad = "</script><script>x"
     arm = replace(arm, joints=(replace(arm.joints[0], name=bad), arm.joints[1]))
     text, data = page_of(tmp_path, arm, make_trace(arm), make_estimate(arm, TRUE))
@@ -173,7 +173,7 @@ def test_names_cannot_break_the_page(tmp_path: Path) -> None:
 
 
 def test_ledger_adds_up() -> None:
-    arm = paper()[0]
+    arm = lively()[0]
     trace = make_trace(arm)
     ledger = balance(arm, trace, TRUE)
     used = trace.accepted

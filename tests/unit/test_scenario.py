@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from plant_support import PAPER, paper
+from plant_support import LIVELY, lively
 
 from zygos.errors import ZygosError
 from zygos.scenario import Motion, Ramp, Sine, load_scenario
@@ -59,7 +59,7 @@ def test_kinds_of_manoeuvre_add_up(tmp_path: Path) -> None:
 
 
 def test_the_papers_controller() -> None:
-    scenario = paper()[2]
+    scenario = lively()[2]
     assert (scenario.controller.kp, scenario.controller.kd, scenario.controller.angle) == (1000.0, 250.0, "motor")
     assert scenario.angular_momentum_nms == 1.0
     assert scenario.plant.name == "model.toml"
@@ -81,8 +81,8 @@ def test_the_papers_controller() -> None:
 ])  # fmt: skip
 def test_bad_files_are_refused(tmp_path: Path, find: str, put: str, key: str) -> None:
     for name in ("arm.toml", "model.toml"):
-        (tmp_path / name).write_text((PAPER / name).read_text())
-    text = (PAPER / "scenario.toml").read_text()
+        (tmp_path / name).write_text((LIVELY / name).read_text())
+    text = (LIVELY / "scenario.toml").read_text()
     assert find in text
     file = tmp_path / "scenario.toml"
     file.write_text(text.replace(find, put, 1))

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plant_support import Floats, paper
+from plant_support import Floats, lively
 
 from zygos.arm import Arm
 from zygos.plant import simulate
@@ -18,7 +18,7 @@ CYCLES = 1200
 
 def loud() -> Arm:
     """The paper's arm with torque noise, which it does not have."""
-    arm = paper()[0]
+    arm = lively()[0]
     return replace(arm, joints=tuple(replace(joint, torque_sigma=0.02) for joint in arm.joints))
 
 
@@ -44,7 +44,7 @@ def test_encoders_and_torque() -> None:
 
 def test_gyro_white_part_and_units() -> None:
     """sigma_v = 0.31623 urad/s^(1/2): one sample at 0.05 s errs by 1.414e-6 rad/s."""
-    arm = paper()[0]
+    arm = lively()[0]
     noise = draw_noise(arm, CYCLES, SEEDS)
     white = noise.gyro - noise.bias
     for axis in range(3):
@@ -55,7 +55,7 @@ def test_gyro_white_part_and_units() -> None:
 
 def test_gyro_bias_walks() -> None:
     """sigma_u = 3.1623e-4 urad/s^(3/2): after t seconds the bias has the variance sigma_u^2 t."""
-    arm = paper()[0]
+    arm = lively()[0]
     seeds = range(400)
     bias = draw_noise(arm, 241, seeds).bias
     sigma = 3.1623e-10
@@ -68,7 +68,7 @@ def test_gyro_bias_walks() -> None:
 
 def test_a_strong_walk_shows_in_the_reading() -> None:
     """Farrenkopf's sampled gyro: the mean of both ends of the bias, and the walk's own variance in the white part."""
-    arm = paper()[0]
+    arm = lively()[0]
     arm = replace(arm, imu=replace(arm.imu, rate_sigma=1e-9, bias_walk=1.0))
     noise = draw_noise(arm, CYCLES, SEEDS)
     mean = 0.5 * (noise.bias[:, 1:] + noise.bias[:, :-1])
@@ -87,7 +87,7 @@ def test_a_seed_is_the_same_alone_in_a_batch_and_in_a_longer_run() -> None:
 
 
 def test_a_setting_does_not_change_other_sensors_draws() -> None:
-    quiet, noisy = draw_noise(paper()[0], 50, [1]), draw_noise(loud(), 50, [1])
+    quiet, noisy = draw_noise(lively()[0], 50, [1]), draw_noise(loud(), 50, [1])
     for name in ("link", "motor", "gyro"):
         np.testing.assert_array_equal(getattr(quiet, name), getattr(noisy, name))
     np.testing.assert_array_equal(quiet.torque, 0.0)
@@ -107,7 +107,7 @@ def test_first_draws_of_a_seed() -> None:
 
 
 def test_cycles_carry_the_declared_errors() -> None:
-    _, model, scenario = paper()
+    _, model, scenario = lively()
     run = simulate(loud(), model, scenario, seeds=range(3), duration_s=20.0)
     readings = [run.cycles(i) for i in range(3)]
     assert_gaussian(np.array([cycles.q for cycles in readings])[..., 0] - run.q[..., 0], 0.003 / np.sqrt(12))
@@ -119,7 +119,7 @@ def test_cycles_carry_the_declared_errors() -> None:
 
 
 def test_quantised_encoders() -> None:
-    arm, model, scenario = paper()
+    arm, model, scenario = lively()
     run = simulate(arm, model, replace(scenario, encoder_noise="quantised"), duration_s=60.0)
     cycles = run.cycles()
     for reading, truth in ((cycles.q, run.q[0]), (cycles.theta, run.theta[0])):
@@ -131,7 +131,7 @@ def test_quantised_encoders() -> None:
 
 
 def test_readings_lead_back_to_angles() -> None:
-    arm = paper()[0]
+    arm = lively()[0]
     encoders = [
         replace(joint.link_encoder, sign=sign, zero_rad=zero)
         for joint, sign, zero in zip(arm.joints, (-1, 1), (0.4, -1.1), strict=True)
@@ -143,7 +143,7 @@ def test_readings_lead_back_to_angles() -> None:
 
 
 def test_a_turned_gyro_reads_in_its_own_frame() -> None:
-    arm = paper()[0]
+    arm = lively()[0]
     quaternion = (0.1, -0.5, 0.3, np.sqrt(1 - 0.35))
     arm = replace(arm, imu=replace(arm.imu, mount_xyzw=quaternion))
     reading = gyro_reading(arm, np.array([2.0, -1.0])[:, None] * arm.axis, np.zeros((2, 3)))
@@ -159,13 +159,13 @@ def test_a_turned_gyro_reads_in_its_own_frame() -> None:
     ("applied_from_sync", [1.0, 2.0, 3.0]), ("sampled", [1.0, 2.0, 3.0]), ("applied_previous_cycle", [0.0, 1.0, 2.0]),
 ])  # fmt: skip
 def test_torque_laws(law: str, expected: list[float]) -> None:
-    arm = replace(paper()[0], torque_law=law)  # type: ignore[arg-type]
+    arm = replace(lively()[0], torque_law=law)  # type: ignore[arg-type]
     tau = np.array([[1.0, 1.0], [2.0, 2.0], [3.0, 3.0]])
     np.testing.assert_array_equal(torque_record(arm, tau, np.zeros((3, 2)))[:, 1], expected)
 
 
 def test_no_noise_is_none() -> None:
-    noise = no_noise(paper()[0], 5, [0, 1])
+    noise = no_noise(lively()[0], 5, [0, 1])
     assert noise.link.shape == noise.motor.shape == noise.torque.shape == (2, 5, 2)
     assert noise.gyro.shape == noise.bias.shape == (2, 5, 3)
     assert not any(array.any() for array in (noise.link, noise.motor, noise.torque, noise.gyro))

@@ -133,17 +133,17 @@ REFUSED_MAPS = [
     (
         'name = "elbow"',
         'name = "elbo"',
-        r'joint\[1\].name: "elbo" is no joint of arm paper; remedy: did you mean "elbow"',
+        r'joint\[1\].name: "elbo" is no joint of arm lively; remedy: did you mean "elbow"',
     ),
     ('name = "elbow"', 'name = "shoulder"', r'"shoulder" stands twice'),
-    (JOINT.format(name="elbow", i=2), "", r"joint: no entry for elbow of arm paper"),
+    (JOINT.format(name="elbow", i=2), "", r"joint: no entry for elbow of arm lively"),
     (GYRO, "", r"gyro: is missing"),
     ('z = { column = "wz", unit = "rad/s" }', "", r"gyro.z: is missing"),
     ('column = "m1"', 'signal = "Drive.Motor"', r"motor.signal: the input is a table"),
     ('interpolation = "cubic"\n', "", r"time.interpolation: is missing"),
     ('"column"', '"receive"', r"time.source: 'receive' is not known; remedy: write \"sync\" or \"column\""),
     ('unit = "s"', 'unit = "min"', r'time.unit: "min" is no unit of time'),
-    (GRID, SYNC + "period_s = 0.03\n", r"time.period_s: a count lasts 0.03 s, a period of arm paper 0.05 s"),
+    (GRID, SYNC + "period_s = 0.03\n", r"time.period_s: a count lasts 0.03 s, a period of arm lively 0.05 s"),
     ('column = "l1"', 'colum = "l1"', r"link.column: is missing"),
     ('unit = "rad/s"', 'unit = "rad/s", sing = -1', r'gyro.x.sing: unknown key; remedy: did you mean "sign"'),
     ('unit = "rad/s"', 'unit = "rad/s", scale = 0', r"gyro.x.scale: is 0"),
@@ -165,7 +165,7 @@ def test_a_fixed_base_has_no_gyro_and_a_rigid_joint_no_link(arm: Arm, tmp_path: 
     with pytest.raises(ZygosError, match=r"joint\[0\].link: a rigid joint has one angle"):
         mapping(tmp_path, ground)
     text = SYNC + JOINTS.replace('link = { column = "l1", unit = "rad" }\n', "")
-    with pytest.raises(ZygosError, match="gyro: the base of arm paper is fixed"):
+    with pytest.raises(ZygosError, match="gyro: the base of arm lively is fixed"):
         mapping(tmp_path, ground, text + GYRO)
     sent = some_cycles(12)
     write_columns(tmp_path / "x.npz", row(sent))

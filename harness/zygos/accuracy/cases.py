@@ -51,7 +51,7 @@ class Case:
 
 def all_cases(folder: Path = Path("examples")) -> tuple[Case, ...]:
     """The cases, from the examples of a checkout. Errors: ZygosError if they are not there."""
-    paper, spatial, gap = folder / "paper", folder / "spatial", folder / "gap"
+    paper, spatial, gap = folder / "lively", folder / "spatial", folder / "gap"
     if not (paper / "scenario.toml").is_file():
         raise ZygosError(f"{paper / 'scenario.toml'}: no such file; remedy: run inside a checkout")
     arm, model = load_arm(paper / "arm.toml"), load_model(paper / "model.toml")
