@@ -58,6 +58,8 @@ def structural_rank(arm: Arm) -> int:
 
 def measured(result: Estimate, flight: Flight) -> str:
     """The number behind the reason; empty where it has none."""
+    if flight.counts["cycles"] == 0:
+        return "not one whole cycle of this arm came"
     share = flight.unexplained(result)
     said = {
         NOT_IDENTIFIABLE: f"rank {result.rank} of {len(result.names)}",

@@ -15,6 +15,7 @@ from gap_support import example
 from scipy.io import loadmat
 
 from conftest import EXAMPLE, ROOT, need
+from zygos import bus
 from zygos.arm import NO_IMU, Arm, Encoder, Joint, Smoother, load_arm
 from zygos.audit import Audit, audit
 from zygos.cli import main
@@ -22,9 +23,11 @@ from zygos.columns import write_columns
 from zygos.commands import about_change, about_noise
 from zygos.cycles import Cycles
 from zygos.cycletable import read_cycles
+from zygos.errors import ZygosError
 from zygos.flight import REASONS, Estimate, Flight, lib
 from zygos.gap.balances import Layout
 from zygos.gap.explain import Finding, whereabouts
+from zygos.gap.record import read_record
 from zygos.grid import needed_rate, tracks
 from zygos.remedies import Known, measured, remedy, structural_rank
 from zygos.telemetry import load_map, read_table
@@ -206,9 +209,12 @@ def test_a_log_of_another_machine_has_no_frames_of_the_arm(tmp_path: Path, capsy
         )
     assert end.value.code == 3
     said = capsys.readouterr()
-    assert "no cycle was complete" in said.err
+    assert "not one whole cycle of this arm came" in said.err
+    assert "no frame of this arm came: compare the node numbers" in said.err
     assert "times as large" not in said.out + said.err
     assert not (tmp_path / "m.toml").exists()
+    with pytest.raises(ZygosError, match=r"not one whole cycle of arm \w+.*no frame of this arm.*node numbers"):
+        read_record(load_arm(EXAMPLE / "arm.toml"), VEHICLE, bus.read_log(VEHICLE).frames)
 
 
 # ------------------------------------------------------------------------------------------ timing
