@@ -1190,7 +1190,7 @@ int zygos_drift(zygos_work_t *work, zygos_estimate_t *out, double *deviation)
     out->reason = before ? ZYGOS_REASON_NONE : ZYGOS_REASON_UNCLOSED;
     choose(work, p, sums->newest, sums->open);
     const double known[4] = { out->gate, out->cluster, out->residual, out->noise_ratio };
-    const bool said = say(work, p, out, &rank) && (rank == p);
+    const bool said = say(work, p, out, &rank) && (rank == p) && (!guarded || explains(work, p, &usual));
     if (said && !closes(work, p, out)) {
         out->validity = ZYGOS_DOUBTFUL;
         out->reason = ZYGOS_REASON_UNCLOSED;

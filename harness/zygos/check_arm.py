@@ -50,11 +50,18 @@ def check_arm_run(arm_file: Path, run: Path, json: str | None) -> None:
         )
     if not found.ok:
         names = ", ".join(signal.name for signal in found.signals if not signal.decided)
-        raise Undecided(
-            f"nothing wrong was found, but nothing confirms {names}; remedy: a longer run that moves every joint at "
-            "different speeds"
-        )
+        raise Undecided(f"nothing wrong was found, but nothing confirms {names}; remedy: {_what_decides(found)}")
     not_whole(damage_of(log))
+
+
+def _what_decides(found: Audit) -> str:
+    """What would confirm the signals that nothing confirms, by what stood in the way."""
+    still = [note.partition(":")[0] for note in found.notes if "does not move" in note]
+    if still:
+        return f"a run in which {', '.join(still)} moves"
+    if any("too few accepted instants" in note or "is long enough" in note for note in found.notes):
+        return "a longer run without gaps"
+    return 'a run that moves every joint faster and at different speeds; the lines that begin with "open" say why'
 
 
 def show(found: Audit) -> None:

@@ -204,6 +204,6 @@ def _check_possible(body: Body, drawing: Model, given: Model) -> None:
     if wrong:
         raise Undecided(
             f"the bodies nearest to model {drawing.name} with the base parameters of model {given.name} cannot exist: "
-            f"{body.name} has {wrong}; remedy: fit bodies that can with `zygos fit`, a longer run, or sigmas in the "
+            f"{body.name} has {wrong}; remedy: fit bodies that can with `zygos fit`, or sigmas in the "
             "drawing for what is least certain there"
         )

@@ -112,7 +112,7 @@ def observe(names: Sequence[str], report: Mapping[str, Any]) -> Observed:
     ratio = (sigma**2 / spread)[own]
     ratio = ratio[np.isfinite(ratio) & (ratio > 0.0)]
     if not len(ratio):
-        raise Undecided("no parameter of the estimate has a sigma; remedy: a longer run that moves every joint")
+        raise Undecided("no parameter of the estimate has a sigma; remedy: that of `zygos estimate`")
     inner = scaled[np.ix_(own, own)]
     if others:
         cross = scaled[np.ix_(own, others)]

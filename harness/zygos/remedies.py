@@ -58,6 +58,8 @@ def structural_rank(arm: Arm) -> int:
 
 def measured(result: Estimate, flight: Flight) -> str:
     """The number behind the reason; empty where it has none."""
+    if flight.counts["cycles"] == 0:
+        return "not one whole cycle of this arm came"
     share = flight.unexplained(result)
     said = {
         NOT_IDENTIFIABLE: f"rank {result.rank} of {len(result.names)}",
@@ -99,7 +101,7 @@ _FIXED = {
     NOISE: "a larger or faster motion of every joint, or sensors declared as they are (quanta, rate_sigma); more of "
     "the same motion does not change that ratio",
     DECLARED: "state the sensors of the arm file as they are: counts or quantum_rad, rate_sigma",
-    CHANGED: "split the log where the arm changed, or let old arcs fade ([arc] memory_min)",
+    CHANGED: "split the log where the arm changed, or let old arcs fade ([arc] memory_min); on board zygos_restart()",
 }
 
 

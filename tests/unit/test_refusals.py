@@ -15,6 +15,7 @@ from gap_support import example
 from scipy.io import loadmat
 
 from conftest import EXAMPLE, ROOT, need
+from zygos import bus
 from zygos.arm import NO_IMU, Arm, Encoder, Joint, Smoother, load_arm
 from zygos.audit import Audit, audit
 from zygos.cli import main
@@ -22,9 +23,11 @@ from zygos.columns import write_columns
 from zygos.commands import about_change, about_noise
 from zygos.cycles import Cycles
 from zygos.cycletable import read_cycles
+from zygos.errors import ZygosError
 from zygos.flight import REASONS, Estimate, Flight, lib
 from zygos.gap.balances import Layout
 from zygos.gap.explain import Finding, whereabouts
+from zygos.gap.record import read_record
 from zygos.grid import needed_rate, tracks
 from zygos.remedies import Known, measured, remedy, structural_rank
 from zygos.telemetry import load_map, read_table
@@ -113,14 +116,15 @@ def test_a_payload_is_a_change_and_friction_that_comes_up_is_not(lever: Arm) -> 
     _, payload = learned(lever, swung(lever, (3.0, 0.0, 15_000), (4.0, 0.0, 10_000)))
     found = payload.look()
     assert found is not None and found.changed == ("a11",) and found.reason == ""
-    assert about_change(found, lever).startswith("the arm changed after 60 s")
-    _, friction = learned(lever, swung(lever, (3.0, 0.0, 15_000), (3.0, 3.0, 10_000)))
+    assert about_change(payload.flight.estimate(), found, lever).startswith("the arm changed after 60 s")
+    # not closed from the start, so that no running solution guards the sums
+    _, friction = learned(lever, swung(lever, (3.0, 0.05, 15_000), (3.0, 4.0, 10_000)))
     found = friction.look()
     assert found is not None and found.contradicting == ("a11",)
     assert found.changed == ()
     assert found.reason == REASONS[lib.ZYGOS_REASON_UNCLOSED]
     assert found.cluster > 5.0
-    said = about_change(found, lever)
+    said = about_change(friction.flight.estimate(), found, lever)
     assert not said.startswith("the arm changed")
     assert "friction" in said and "or a change of the arm" in said and f"{found.cluster:.0f} times" in said
 
@@ -205,9 +209,12 @@ def test_a_log_of_another_machine_has_no_frames_of_the_arm(tmp_path: Path, capsy
         )
     assert end.value.code == 3
     said = capsys.readouterr()
-    assert "no cycle was complete" in said.err
+    assert "not one whole cycle of this arm came" in said.err
+    assert "no frame of this arm came: compare the node numbers" in said.err
     assert "times as large" not in said.out + said.err
     assert not (tmp_path / "m.toml").exists()
+    with pytest.raises(ZygosError, match=r"not one whole cycle of arm \w+.*no frame of this arm.*node numbers"):
+        read_record(load_arm(EXAMPLE / "arm.toml"), VEHICLE, bus.read_log(VEHICLE).frames)
 
 
 # ------------------------------------------------------------------------------------------ timing

@@ -115,6 +115,9 @@ class _Auditor:
         means = Means(self.arm, self.cycles)
         if means.count:
             self._together(means, broken)
+        elif len(self.cycles) == 0:
+            self.notes.append(f"not one whole cycle of arm {self.arm.name} came: nothing can be compared")
+            self.undecided |= {name for name, _, _ in self.names}
         else:
             self.notes.append(
                 "no stretch without a gap is long enough to compare signals with each other "

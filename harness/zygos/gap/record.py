@@ -101,6 +101,12 @@ def read_record(arm: Arm, path: Path, frames: NDArray[Any]) -> Record:
     lengths = [stop - start - 1 - 4 * half for start, stop in samples.segments]
     longest = max(lengths, default=0)
     instants = _arc_length(lengths, arm.period_s)
+    if len(trace.cycles) == 0:
+        seen = ", ".join(f"{name} {count:,}" for name, count in flight.faults.items() if count)
+        raise ZygosError(
+            f"{path}: not one whole cycle of arm {arm.name} is in it ({seen or 'no frame of this arm came'}); remedy: "
+            "compare the node numbers and the gyro of the arm file with the bus"
+        )
     if instants * arm.period_s < 2.0:
         raise ZygosError(
             f"{path}: no stretch of 2 s in which every cycle arrived (the longest has {max(0, longest)} cycles); "

@@ -56,10 +56,14 @@ class _Triangle:
     def of(cls, z: Floats, w: Floats, noise: Floats) -> _Triangle:
         m, p = z.shape
         scale = np.linalg.norm(z, axis=0)
-        if m < p or not np.all(scale > 0.0):
+        if m < p:
             raise Undecided(
-                f"what is wrong: {m} rows do not determine {p} parameters; "
-                "remedy: a longer record that moves every joint"
+                f"what is wrong: {m} rows do not determine {p} parameters; remedy: a longer record, or fewer gaps in it"
+            )
+        if not np.all(scale > 0.0):
+            raise Undecided(
+                f"what is wrong: {np.count_nonzero(~(scale > 0.0))} of {p} columns are empty, the motion does not "
+                "reach them; remedy: a record that moves every joint"
             )
         scaled = z / scale
         x, _, rank, _ = np.linalg.lstsq(scaled, w, rcond=None)
