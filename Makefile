@@ -31,7 +31,7 @@ $(error CAPACITIES holds $(filter-out -DZYGOS_%,$(CAPACITIES)), which is no capa
 endif
 
 .DEFAULT_GOAL := demo
-.PHONY: demo build library install uninstall FORCE node test hil pil gap bench accuracy demo-log lint format warnings clean help
+.PHONY: demo build library install uninstall FORCE node test kernels hil pil gap bench accuracy mission demo-log lint format warnings clean help
 
 demo: build ## set up, run the paper's example over CAN, show the result (out/demo/report.html)
 	$(BIN)/python -m zygos.demo
@@ -97,6 +97,11 @@ $(NODE): $(LIBRARY) $(wildcard c/ports/linux/*.[ch] c/ports/telemetry/* include/
 test: build node $(VENV)/.test ## unit, bus, fuzz and bench tests, a process for each core
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile tests/unit tests/bus tests/fuzz tests/bench
 
+KERNEL_TESTS := tests/unit/test_c_equals_numpy.py tests/unit/test_effects.py tests/unit/test_any_arm.py tests/unit/test_motors.py \
+    tests/unit/test_momentum_sums.py tests/unit/test_noise.py tests/unit/test_honesty.py tests/bus/test_cli.py
+kernels: build node $(VENV)/.test ## C against numpy under two more sets of BLAS and numpy kernels (other processors' rounding)
+	$(BIN)/python tools/with_kernels.py $(BIN)/python -m pytest -n auto --dist loadfile $(KERNEL_TESTS)
+
 DRILLS := tests/hil/test_drills.py tests/hil/test_node.py tests/hil/test_can_utils.py
 hil: build node $(VENV)/.test ## fault drills across a real vcan (the kernel's, or User-Mode Linux); or CHANNEL=can0 DUT=external (docs/hil.md)
 	$(if $(CHANNEL),ZYGOS_VCAN_IFS=$(CHANNEL) ZYGOS_OUT=$${ZYGOS_OUT:-out},ZYGOS_VCAN_TIMEOUT=$${ZYGOS_VCAN_TIMEOUT:-1500} tools/with-vcan) $(BIN)/python -m pytest \
@@ -114,6 +119,9 @@ bench: build $(VENV)/.test ## what it costs, beside its peers (out/bench.json, R
 
 accuracy: build $(VENV)/.test ## errors, coverage and refusals of all estimators (docs/accuracy.html; 15 minutes; SEEDS= DRAWS= SCHEDULER= CASES=)
 	$(BIN)/python -m zygos.accuracy $(CASES) $(if $(SEEDS),--seeds $(SEEDS)) $(if $(DRAWS),--draws $(DRAWS)) $(if $(SCHEDULER),--scheduler $(SCHEDULER))
+
+mission: build $(VENV)/.test ## intervals over missions of up to 30 days of fresh noise (docs/mission.md; 30 minutes; LENGTHS="300s 3h" DRAWS=)
+	$(BIN)/python -m zygos.accuracy.missions $(LENGTHS) $(if $(DRAWS),--draws $(DRAWS))
 
 demo-log: build $(VENV)/.test ## write the logs of examples/gap/demo again
 	PYTHONPATH=tests $(BIN)/python -m oracles.demo_log

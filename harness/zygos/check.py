@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,23 +11,32 @@ from numpy.typing import NDArray
 
 from zygos.arm import Arm
 from zygos.cycles import Cycles
+from zygos.effects import Effect
 from zygos.errors import Undecided
-from zygos.flight import Flight, Trace
-from zygos.reference.accumulator import design
-from zygos.reference.balance import rows
-from zygos.reference.cycle import calibrate
+from zygos.flight import ROWS, Flight, LeftOut, Trace
+from zygos.reference.accumulator import Design, design
+from zygos.reference.balance import Balance, rows
+from zygos.reference.cycle import Samples, calibrate
 from zygos.reference.momentum import turns
 from zygos.reference.motors import motors, solve_with_others
 from zygos.reference.noise import noise_of
-from zygos.reference.smoother import smooth
+from zygos.reference.smoother import Smoothed, smooth
 from zygos.reference.wire import Frame, Reception, receive
+from zygos.watch import Watch
 
 ROW_TOLERANCE = 1e-12
-"""Of each column's largest entry."""
+"""Of each column's largest entry, where rounding is no larger."""
+ROUNDING = 32.0
+"""Two correct programs differ by at most so many times what one rounding of every reading and of every coefficient of
+the smoother does to the results."""
+LARGEST_TOLERANCE = 1e-9
+"""Beyond it a difference is no rounding, whatever the readings."""
 NOISE_TOLERANCE = 1e-9
 """Of the root of the product of the two diagonal entries."""
 FLOOR = 0.1
 """The least size (rad, rad/s, J per unit) that a column of states or rows is measured by: at rest it holds rounding."""
+
+EPSILON = float(np.finfo(np.float64).eps)
 
 Floats = NDArray[np.float64]
 
@@ -61,19 +71,128 @@ class Room:
         }
 
 
+@dataclass(frozen=True)
+class Tables:
+    """What numpy makes of a record, as far as C is compared with it; n smoothed instants, m rows, p columns."""
+
+    balance: Balance
+    used: Design
+    state: Floats
+    """(n, 4N+3)"""
+    row: Floats
+    """(m, p+1) columns and work."""
+
+    def lengths(self) -> Floats:
+        """(p+1,) lengths of the columns and the work of the rows in use, less the mean of each arc.
+
+        Above 0, also where nothing moved.
+        """
+        length: Floats = np.linalg.norm(np.column_stack([self.used.z, self.used.w]), axis=0)
+        return np.maximum(length, 1e-150)
+
+    def in_lengths(self, a: Floats, b: Floats) -> Floats:
+        """(p, p+1) normal equations a (p, p), b (p,), each entry divided by the lengths of its two columns."""
+        length = self.lengths()
+        out: Floats = np.column_stack([a, b]) / np.outer(length[:-1], length)
+        return out
+
+
+def tables(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Effect] = ()) -> Tables:
+    """Take a calibrated and smoothed record through the rest of numpy's rooms."""
+    raw = rows(arm, samples, smoothed, effects)
+    added = noise_of(arm, samples, smoothed, raw, effects)
+    balance = replace(raw, z=raw.z - added.mean)
+    state = np.hstack([smoothed.q, smoothed.theta, smoothed.qd, smoothed.thetad, smoothed.omega])
+    row = np.column_stack([balance.z, balance.w])
+    return Tables(balance, design(balance, added.moment), state, row)
+
+
+@dataclass(frozen=True)
+class Rounding:
+    """Tolerances: what rounding may do to a table, as a share of each column's largest entry, and no less."""
+
+    state: Floats
+    """(4N+3,)"""
+    row: Floats
+    """(p+1,)"""
+    equations: Floats
+    """(p, p+1), in the unit of `Tables.in_lengths`."""
+
+
+def rounding(arm: Arm, samples: Samples, known: Tables, effects: Sequence[Effect] = ()) -> Rounding:
+    """Measure it: all is computed again from readings moved by up to one rounding of their column's largest.
+
+    A rounded coefficient of the smoother errs in the same way at every instant: angles and rates are moved as a whole,
+    too. So a tolerance follows the conditioning of the readings (angles many turns from zero, rates from small
+    differences) and the length of the arcs over which integrals sum up. The library sums squares before it takes the
+    means of an arc away, which rounds the more, the larger the means are.
+    """
+    generator = np.random.default_rng(0)
+
+    def largest(table: Floats) -> Floats:
+        out: Floats = EPSILON * np.max(np.abs(np.nan_to_num(table)), axis=0, initial=0.0)
+        return out
+
+    def moved(table: Floats) -> Floats:
+        out: Floats = table + largest(table) * generator.uniform(-1.0, 1.0, table.shape)
+        return out
+
+    def shifted(table: Floats, readings: Floats, unit: float = 1.0) -> Floats:
+        size = largest(readings) / unit
+        out: Floats = table + size * generator.choice([-1.0, 1.0], size.shape)
+        return out
+
+    q, theta, tau, omega = moved(samples.q), moved(samples.theta), moved(samples.tau), moved(samples.omega)
+    readings = replace(samples, q=q, theta=theta, tau=tau, omega=omega)
+    again = smooth(arm, readings)
+    smoothed = replace(
+        again,
+        q=shifted(again.q, q),
+        theta=shifted(again.theta, theta),
+        qd=shifted(again.qd, q, arm.period_s),
+        thetad=shifted(again.thetad, theta, arm.period_s),
+        omega=shifted(again.omega, omega),
+    )
+    other = tables(arm, readings, smoothed, effects)
+
+    def tolerance(off: Floats) -> Floats:
+        out: Floats = np.clip(ROUNDING * off, ROW_TOLERANCE, LARGEST_TOLERANCE)
+        return out
+
+    def share(ours: Floats, theirs: Floats) -> Floats:
+        off = np.abs(ours - theirs).max(axis=0, initial=0.0)
+        return tolerance(off / np.maximum(np.abs(ours).max(axis=0, initial=0.0), FLOOR))
+
+    used = np.isin(known.balance.sync, known.used.sync)
+    cancelled = np.linalg.norm(known.row[used], axis=0) / known.lengths()
+    sums = EPSILON * np.sqrt(used.sum()) * np.outer(cancelled[:-1], cancelled)
+    off = np.abs(known.in_lengths(*other.used.normal()) - known.in_lengths(*known.used.normal()))
+    return Rounding(share(known.state, other.state), share(known.row, other.row), tolerance(off + sums))
+
+
+def _closest(difference: Floats, tolerance: Floats | float) -> tuple[int, float, float]:
+    """Where a difference is the largest share of its tolerance: place, difference and tolerance there."""
+    most = np.broadcast_to(tolerance, difference.shape)
+    place = int(np.argmax(difference / np.maximum(most, 1e-300)))
+    return place, float(difference.flat[place]), float(most.flat[place])
+
+
 def _compare(
-    name: str, c: Floats, numpy: Floats, sync: NDArray[np.uint64], tolerance: float, floor: float = 1e-300
+    name: str, c: Floats, numpy: Floats, sync: NDArray[np.uint64], tolerance: Floats | float, floor: float = 1e-300
 ) -> Room:
-    """Compare two tables (n, columns) whose rows belong to the cycles sync (n,)."""
+    """Compare two tables (n, columns) whose rows belong to the cycles sync (n,).
+
+    tolerance: of each column, or of all; a share of the column's largest entry.
+    """
     if c.shape != numpy.shape:
-        return Room(name, 0, float("inf"), None, tolerance)
+        return Room(name, 0, float("inf"), None, float(np.max(tolerance)))
     if c.size == 0:
-        return Room(name, 0, 0.0, None, tolerance)
+        return Room(name, 0, 0.0, None, float(np.max(tolerance)))
     scale = np.maximum(np.abs(numpy).max(axis=0), floor)
-    relative = np.abs(c - numpy) / scale
-    row = int(np.argmax(relative.max(axis=1)))
-    largest = float(relative[row].max())
-    return Room(name, c.size, largest, int(sync[row]) if largest > 0.0 else None, tolerance)
+    relative = np.nan_to_num(np.abs(c - numpy) / scale, nan=np.inf)
+    column, difference, most = _closest(relative.max(axis=0), tolerance)
+    cycle = int(sync[np.argmax(relative[:, column])]) if difference > 0.0 else None
+    return Room(name, c.size, difference, cycle, most)
 
 
 def _compare_noise(c: Floats, numpy: Floats, rows: Floats) -> Room:
@@ -84,13 +203,6 @@ def _compare_noise(c: Floats, numpy: Floats, rows: Floats) -> Room:
     size = np.maximum(np.sqrt(np.diag(numpy)), 1e-9 * np.linalg.norm(rows, axis=0))
     difference = float(np.max(np.abs(c - numpy) / np.outer(size, size)))
     return Room("noise", c.size, difference, None, NOISE_TOLERANCE)
-
-
-def _compare_sums(c: Floats, numpy: Floats, z: Floats, w: Floats) -> Room:
-    """Compare normal equations (p, p+1) of rows z (m, p), w (m,), with the lengths of the two columns of an entry."""
-    length = np.linalg.norm(np.column_stack([z, w]), axis=0)
-    difference = float(np.max(np.abs(c - numpy) / np.outer(length[:-1], length)))
-    return Room("normal equations", c.size, difference, None, ROW_TOLERANCE)
 
 
 def _columns(cycles: Cycles) -> Floats:
@@ -118,40 +230,48 @@ def sizes(arm: Arm, x: Floats) -> Floats:
     return out
 
 
-def check_chain(arm: Arm, trace: Trace, flight: Flight) -> list[Room]:
+def left_out(flight: Flight, ended: Sequence[LeftOut]) -> dict[str, frozenset[int]]:
+    """Newest cycles of the arcs that a flight left out, by kind of rows: those that ended, and open ones."""
+    estimate, guard = flight.estimate(), flight.native.guard
+    out = {}
+    for k, kind in enumerate(ROWS):
+        still = {estimate.cycle} if estimate.left_out[k] > guard.left_out[k] else set()
+        out[kind] = frozenset({arc.last for arc in ended if arc.rows == kind} | still)
+    return out
+
+
+def check_chain(arm: Arm, trace: Trace, flight: Flight, ended: Sequence[LeftOut] = ()) -> list[Room]:
     """Compare what the rooms behind the receiver made of a run with numpy's result on the same cycles.
 
     The last room is "solution", unless the run determines none: too short for an instant it ends with the smoother,
-    without any parameter known with the bandwidth test.
+    without any parameter known with the bandwidth test. ended: arcs that the flight left out when they ended; they are
+    told to numpy, which judges none.
     """
-    samples = calibrate(arm, trace.cycles)
+    samples = replace(calibrate(arm, trace.cycles), left_out=left_out(flight, ended))
     smoothed = smooth(arm, samples)
     if len(smoothed.index) == 0:
         return [Room("smoother", 0, float(trace.instant.sum()), None, 0.0)]
-    raw = rows(arm, samples, smoothed, flight.effects)
-    added = noise_of(arm, samples, smoothed, raw, flight.effects)
-    balance = replace(raw, z=raw.z - added.mean)
+    known = tables(arm, samples, smoothed, flight.effects)
+    balance, used = known.balance, known.used
+    rounds = rounding(arm, samples, known, flight.effects)
     half = arm.smoother.lag
     at = smoothed.index + half  # the instant k comes out with cycle k + M
-    numpy_state = np.hstack([smoothed.q, smoothed.theta, smoothed.qd, smoothed.thetad, smoothed.omega])
-    rooms = [_compare("smoother", trace.state[at], numpy_state, smoothed.sync, ROW_TOLERANCE, FLOOR)]
+    rooms = [_compare("smoother", trace.state[at], known.state, smoothed.sync, rounds.state, FLOOR)]
     instants = np.flatnonzero(trace.instant)
-    numpy_rows = np.column_stack([balance.z, balance.w])
     sync = trace.cycles.sync[instants] - half
-    rooms.append(_compare("balance", trace.row[instants], numpy_rows, sync, ROW_TOLERANCE, FLOOR))
+    rooms.append(_compare("balance", trace.row[instants], known.row, sync, rounds.row, FLOOR))
     c_accepted = trace.accepted[instants].astype(float)[:, None]
     rooms.append(_compare("bandwidth test", c_accepted, balance.accepted.astype(float)[:, None], sync, 0.0))
     estimate = flight.estimate()
-    known = np.isfinite(estimate.value)  # the library withholds what is not identifiable
-    if not known.any():
+    has_value = np.isfinite(estimate.value)  # the library withholds what is not identifiable
+    if not has_value.any():
         return rooms
-    used = design(balance, added.moment)
     if not balance.void:
         # of arcs that are dropped later the library takes the noise in proportion
         rooms.append(_compare_noise(flight.noise(), used.noise, np.column_stack([used.z, used.w])))
-    a, b = flight.normal_equations()
-    numpy_a, numpy_b = used.normal()
-    rooms.append(_compare_sums(np.column_stack([a, b]), np.column_stack([numpy_a, numpy_b]), used.z, used.w))
+    off = np.abs(known.in_lengths(*flight.normal_equations()) - known.in_lengths(*used.normal()))
+    _, difference, tolerance = _closest(off, rounds.equations)
+    rooms.append(Room("normal equations", off.size, difference, None, tolerance))
     try:
         of_motors, momentum = motors(arm, samples, smoothed, flight.effects), turns(arm, samples, smoothed)
         solution = solve_with_others(arm, used, of_motors, momentum, flight.effects)
@@ -162,7 +282,7 @@ def check_chain(arm: Arm, trace: Trace, flight: Flight) -> list[Room]:
     # an effect may be zero; what it could explain at the most is its size then
     first = len(arm.parameter_names)
     size[first:] = np.linalg.norm(used.w) / np.linalg.norm(used.z[:, first:], axis=0)
-    relative = (np.abs(estimate.value - solution.x) / size)[known]
+    relative = (np.abs(estimate.value - solution.x) / size)[has_value]
     worst = float(np.max(relative, initial=0.0)) if np.all(np.isfinite(relative)) else float("inf")
     rooms.append(Room("solution", len(relative), worst, None, tolerance))
     return rooms
@@ -180,9 +300,9 @@ def _frame(record: Any) -> Frame:
 
 def check_frames(arm: Arm, frames: NDArray[Any], flight: Flight | None = None) -> list[Room]:
     """Compare all rooms on a log, beginning with the frames, which a fresh `flight` takes in."""
-    flight = flight or Flight(arm)
-    trace = flight.frames(frames, trace=True)
-    assert trace is not None
+    watch = Watch(flight or Flight(arm), trace=True)
+    watch.frames(frames)
+    flight, trace = watch.flight, watch.trace()
     reception = decode(arm, frames)
     ours, theirs = trace.cycles, reception.cycles
     rooms = [_compare("wire and cycles", _columns(ours), _columns(theirs), ours.sync, 1e-15)]
@@ -193,12 +313,11 @@ def check_frames(arm: Arm, frames: NDArray[Any], flight: Flight | None = None) -
     c_faults = flight.faults
     off = sum(abs(count - reception.faults[name]) for name, count in c_faults.items())
     rooms.append(Room("fault counters", len(c_faults), float(off), None, 0.0))
-    return rooms + check_chain(arm, trace, flight)
+    return rooms + check_chain(arm, trace, flight, watch.left_out)
 
 
 def check_cycles(arm: Arm, cycles: Cycles, flight: Flight | None = None) -> list[Room]:
     """Compare the rooms behind the receiver on cycles that came through the other door of a fresh `flight`."""
-    flight = flight or Flight(arm)
-    trace = flight.cycles(cycles, trace=True)
-    assert trace is not None
-    return check_chain(arm, trace, flight)
+    watch = Watch(flight or Flight(arm), trace=True)
+    watch.cycles(cycles)
+    return check_chain(arm, watch.trace(), watch.flight, watch.left_out)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -33,13 +33,15 @@ VALIDITY = ("refused", "doubtful", "partial", "valid")
 REASONS = (
     "",
     "too few accepted instants",
-    "the motion so far does not excite every parameter",
+    "the motion so far does not determine every parameter",
     "motion too fast for this sample rate: more than 5 % of the instants failed the bandwidth test",
     "the estimate is not physical: an inertia matrix that is not positive definite, or a negative Im, k, b or friction",
     "the accumulated sums are corrupt: memory was changed from outside",
     "the balance does not close: what the solution leaves over is no noise",
     "sensor noise is as large as the motion in some combination of parameters",
     "the declared sensor noise is not in the data: the residuals are far smaller",
+    "the arm changed: its newest arcs contradict what those before them say, several in a row",
+    "the balance leaves more than a tenth of the work unexplained, and what it leaves is no noise",
 )
 DRIFT_ALARM = 6.0
 """Deviations that are no accident, as ``ZYGOS_DRIFT_ALARM``."""
@@ -111,6 +113,14 @@ class Trace:
     row: NDArray[np.float64]
     """(n, p+1) the columns and the work. Undefined where `instant` is false."""
 
+    @classmethod
+    def joined(cls, parts: Sequence[Trace]) -> Trace:
+        """At least one part, one behind the other."""
+        cycles = [part.cycles for part in parts]
+        whole = Cycles(*(np.concatenate([getattr(one, f.name) for one in cycles]) for f in fields(Cycles)))
+        others = (f.name for f in fields(cls) if f.name != "cycles")
+        return cls(whole, *(np.concatenate([getattr(part, name) for part in parts]) for name in others))
+
 
 @dataclass(frozen=True)
 class Estimate:
@@ -147,6 +157,27 @@ class Estimate:
     """Its square over what the declared noise makes of it; NaN where none is declared."""
     gate: float
     """Smallest ratio of sums to noise over all combinations of parameters; infinite where none is declared."""
+    left_out: tuple[int, int, int] = (0, 0, 0)
+    """Arcs that contradicted the running solution, of the energy, the motor and the momentum rows, the open ones
+    included."""
+    in_a_row: int = 0
+    """Of those of the energy rows the newest that no arc that agrees lies between."""
+
+
+ROWS = ("energy", "motor", "momentum")
+"""Kinds of rows, each with arcs of its own, as ``zygos_rows``."""
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """An arc that contradicted the running solution."""
+
+    rows: str
+    """One of `ROWS`."""
+    first: int
+    """Number of its first instant's cycle."""
+    last: int
+    """Number of its newest cycle."""
 
 
 @dataclass(frozen=True)
@@ -158,7 +189,9 @@ class Drift:
     """(p,) how far the newest arc's own value lies from what was known before, in standard deviations of the
     difference; NaN where either does not know."""
     reason: str
-    """Why nothing was known before, or empty."""
+    """Why nothing was known before, or why a deviation proves no change: the balance does not close; or empty."""
+    cluster: float
+    """How far residuals add up in a block, on the side where they do more: around 1 for noise."""
     until: int
     """Number of the newest cycle of what was known before."""
 
@@ -169,7 +202,12 @@ class Drift:
 
     @property
     def changed(self) -> tuple[str, ...]:
-        """Parameters that have changed."""
+        """Parameters that have changed: they contradict, and the balance closes before and after."""
+        return () if self.reason else self.contradicting
+
+    @property
+    def contradicting(self) -> tuple[str, ...]:
+        """Parameters whose value in the newest arc contradicts what was known before, whatever the cause."""
         far = np.abs(np.nan_to_num(self.deviation)) >= DRIFT_ALARM
         return tuple(name for name, there in zip(self.names, far, strict=True) if there)
 
@@ -305,6 +343,7 @@ class Flight:
         self.units = (*arm.parameter_units, *(effect.kind.unit for effect in self.effects))
         self._work = ffi.new("zygos_work_t *")
         self._estimate = ffi.new("zygos_estimate_t *")
+        self._before = ffi.new("zygos_estimate_t *")
 
     def frames(self, frames: NDArray[Any], *, trace: bool = False) -> Trace | None:
         """Feed `FRAME` records and work off every cycle they complete."""
@@ -349,16 +388,25 @@ class Flight:
             residual=out.residual,
             noise_ratio=out.noise_ratio,
             gate=out.gate,
+            left_out=(out.left_out[0], out.left_out[1], out.left_out[2]),
+            in_a_row=int(out.in_a_row),
         )
+
+    def adopt(self) -> bool:
+        """Take what `estimate` answered last as the running solution, if it is valid.
+
+        An arc that contradicts the running solution when it ends is left out of the sums and counted.
+        """
+        return bool(lib.zygos_adopt(self.native, self._estimate) == 1)
 
     def drift(self) -> Drift:
         """Compare the newest arc with all before it. The accumulation is not disturbed."""
         deviation = ffi.new("double[]", lib.ZYGOS_MAX_PARAMETERS_VALUE)
         lib.zygos_take(self.native, self._work)
-        lib.zygos_drift(self._work, self._estimate, deviation)
-        out, p = self._estimate, len(self.names)
+        lib.zygos_drift(self._work, self._before, deviation)
+        out, p = self._before, len(self.names)
         far = np.frombuffer(ffi.buffer(deviation), dtype=np.float64)[:p].copy()
-        return Drift(self.names, far, REASONS[out.reason], int(out.cycle))
+        return Drift(self.names, far, REASONS[out.reason], float(out.cluster), int(out.cycle))
 
     def restart(self, *, keep_joints: bool = False, keep_faults: bool = True) -> None:
         """Start the estimate from nothing, or from what is known of Im, k and b. Errors: ZygosError if nothing is."""
@@ -376,6 +424,14 @@ class Flight:
         full = _symmetric(self._work.total, sums.width)
         return full[:p, :p].copy(), full[p, :p].copy()
 
+    def unexplained(self, result: Estimate) -> float:
+        """Share of the work's variance about the arc constants that an estimate leaves over; NaN without work."""
+        sums = self._closed()
+        lib.zygos_accumulator_total(sums, self._work.total)
+        p = sums.width - 2
+        spread = float(_symmetric(self._work.total, sums.width)[p, p])
+        return result.residual**2 * result.accepted / spread if spread > 0.0 else float("nan")
+
     def noise(self) -> NDArray[np.float64]:
         """What the declared noise adds on average to the squares of columns and work, (p+1, p+1)."""
         sums = self._closed()
@@ -384,9 +440,17 @@ class Flight:
     def _closed(self) -> Any:
         """A copy of the sums whose open arc has ended."""
         lib.zygos_take(self.native, self._work)
-        sums = ffi.addressof(self._work, "accumulator")
-        lib.zygos_accumulator_end_arc(sums, self._work.cycle)
+        sums, guard, config = (ffi.addressof(self._work, name) for name in ("accumulator", "guard", "config"))
+        lib.zygos_guard_end_energy(guard, config, sums, self._work.cycle, self._work.arc)
         return sums
+
+    @property
+    def left_out(self) -> tuple[int, tuple[LeftOut, ...]]:
+        """How many arcs that have ended were left out, and the newest of them, oldest first."""
+        guard = self.native.guard
+        count, places = sum(guard.left_out), len(guard.newest)
+        arcs = [guard.newest[k % places] for k in range(max(0, count - places), count)]
+        return count, tuple(LeftOut(ROWS[a.rows], int(a.end) - a.cycles + 1, int(a.end)) for a in arcs)
 
     @property
     def faults(self) -> dict[str, int]:
@@ -403,6 +467,7 @@ class Flight:
             "gaps": int(self.native.gaps),
             "invalid": int(self.native.invalid),
             "wraps": int(self.native.wraps),
+            "apart": int(self.native.apart),
             "arcs_dropped": int(sums.arcs_dropped),
             "accepted": int(sums.accepted),
             "refused": int(sums.refused),

@@ -6,20 +6,28 @@ import io
 import json
 import math
 import os
+import signal
 import sys
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any
 
-from rich.console import Console
+from rich.console import Console, JustifyMethod
 from rich.table import Table
+from rich.text import Text
 
 from zygos.errors import ZygosError
 
-# A file or a pipe has no width: its tables are not cut to a terminal's nominal 80 columns.
-console = Console(soft_wrap=True, width=None if sys.stdout.isatty() else 200)
+console = Console(soft_wrap=True)
 errors = Console(stderr=True, soft_wrap=True)
+
+_WIDE = 200
+"""Columns of a file or a pipe, which have no width of their own."""
+_BETWEEN = 2
+"""Columns between those of a table."""
 
 
 def say(text: str) -> None:
@@ -34,10 +42,17 @@ def note(text: str) -> None:
 
 @contextmanager
 def errors_end_the_program() -> Iterator[None]:
-    """Errors of the user end the program with a message on stderr and their exit code, never a traceback."""
+    """Errors of the user end the program with a message on stderr and their exit code, never a traceback.
+
+    SIGTERM ends it as Ctrl-C does, so that no part of an output is left behind.
+    """
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal without UTF-8 shows "?" for what it lacks
+    before = signal.getsignal(signal.SIGTERM)
+    alone = threading.current_thread() is threading.main_thread()  # others may not set it
+    if alone:
+        signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     try:
         yield
     except (ZygosError, OSError) as error:
@@ -47,6 +62,27 @@ def errors_end_the_program() -> Iterator[None]:
         errors.print("[bold red]zygos:[/]", end=" ")
         note(message)
         sys.exit(error.exit_code if isinstance(error, ZygosError) else 2)
+    except KeyboardInterrupt:
+        note("zygos: interrupted")
+        sys.exit(128 + signal.SIGINT)
+    finally:
+        if alone:
+            signal.signal(signal.SIGTERM, before or signal.SIG_DFL)
+
+
+def is_dash(path: str | Path | None) -> bool:
+    """Whether a name is -, which stands for standard input or output."""
+    return str(path) == "-"
+
+
+def quiet(*outputs: str | Path | None) -> bool:
+    """Whether an output goes to standard output, so that nothing else may."""
+    return any(map(is_dash, outputs))
+
+
+def named(output: str | Path) -> str:
+    """An output as a message names it."""
+    return "standard output" if is_dash(output) else str(output)
 
 
 def counted(count: int, noun: str) -> str:
@@ -64,14 +100,58 @@ def number(value: float | None, digits: int = 6) -> str:
     return "–" if value is None or not math.isfinite(value) else f"{value:.{digits}g}"
 
 
-def table(columns: Sequence[str], rows: Sequence[Sequence[str]], title: str | None = None) -> None:
-    """Print a table: first column left, the others right."""
-    out = Table(title=title, title_justify="left", header_style="bold", box=None, pad_edge=False)
-    for k, column in enumerate(columns):
-        out.add_column(column, justify="left" if k == 0 else "right", no_wrap=True)
-    for row in rows:
-        out.add_row(*row)
-    console.print(out)
+def good(text: str) -> Text:
+    """A cell that says that something is as it should be."""
+    return Text(text, style="green")
+
+
+def bad(text: str) -> Text:
+    """A cell that says that something is not as it should be."""
+    return Text(text, style="red")
+
+
+def _room() -> int:
+    """Columns that a table may take: those of the terminal, or what COLUMNS says."""
+    return console.width if console.is_terminal or os.environ.get("COLUMNS", "").isdigit() else _WIDE
+
+
+def table(columns: Sequence[str], rows: Sequence[Sequence[str | Text]], title: str | None = None) -> None:
+    """Print a table: first column left, the others right. Text is printed as it is, brackets are no markup.
+
+    Nothing is cut off. Where the columns do not fit beside each other, their heads break at spaces; where that is not
+    enough, they are printed in several tables, each of which begins with the first column.
+    """
+    cells = [[Text(cell) if isinstance(cell, str) else cell for cell in row] for row in rows]
+    room = _room()
+    heads = [Text(column, style="bold") for column in columns]
+    inside = [max((row[k].cell_len for row in cells), default=0) for k in range(len(columns))]
+    widths = [max(width, head.cell_len) for width, head in zip(inside, heads, strict=True)]
+    if sum(widths) + _BETWEEN * (len(columns) - 1) > room:
+        widths = [max([width, *map(len, column.split())]) for width, column in zip(inside, columns, strict=True)]
+    for k, width in enumerate(widths[1:], start=1):  # a text longer than a line breaks at its spaces
+        words = [len(word) for text in (heads[k], *(row[k] for row in cells)) for word in text.plain.split()]
+        widths[k] = max(min(width, room - widths[0] - _BETWEEN), *words, 1)
+    for k, group in enumerate(_groups(widths, room)):
+        out = Table(title=Text(title) if title and k == 0 else None, title_justify="left", box=None, pad_edge=False)
+        for column in group:
+            justify: JustifyMethod = "left" if column == 0 else "right"
+            out.add_column(heads[column], justify=justify, width=widths[column], overflow="fold")
+        for row in cells:
+            out.add_row(*(row[column] for column in group))
+        if k > 0:
+            console.print()
+        Console(width=max(room, sum(widths[column] + _BETWEEN for column in group))).print(out)
+
+
+def _groups(widths: Sequence[int], room: int) -> list[list[int]]:
+    """Which columns stand beside each other: the first in every table, the others in as few tables as they fit in."""
+    groups = [[0]]
+    for column in range(1, len(widths)):
+        taken = sum(widths[other] + _BETWEEN for other in groups[-1])
+        if len(groups[-1]) > 1 and taken + widths[column] > room:
+            groups.append([0])
+        groups[-1].append(column)
+    return groups
 
 
 def _clean(value: Any) -> Any:
@@ -86,13 +166,17 @@ def _clean(value: Any) -> Any:
 
 
 def check_outputs(outputs: Sequence[str | Path | None], inputs: Sequence[str | Path | None]) -> None:
-    """Refuse outputs that would replace an input or one another, or that cannot be written. None and "-" are no files.
+    """Refuse outputs that would replace an input or one another, or that cannot be written; and "-" for two of them.
 
-    Nothing is created. Errors: ZygosError naming both files, or the one.
+    To be called before any work. None and "-" are no files. Nothing is left behind. Errors: ZygosError naming both
+    files, or the one.
     """
-    taken = [Path(entry) for entry in inputs if entry is not None]
+    for stream, entries in (("input", inputs), ("output", outputs)):
+        if sum(map(is_dash, entries)) > 1:
+            raise ZygosError(f"- stands for standard {stream} more than once; remedy: give all but one a file's name")
+    taken = [Path(entry) for entry in inputs if entry is not None and not is_dash(entry)]
     for entry in outputs:
-        if entry is None or str(entry) == "-":
+        if entry is None or is_dash(entry):
             continue
         path = Path(entry)
         for other in taken:
@@ -105,10 +189,13 @@ def check_outputs(outputs: Sequence[str | Path | None], inputs: Sequence[str | P
         if path.exists() and not path.is_file():
             raise ZygosError(f"{path}: is no ordinary file; remedy: name a file to write")
         folder = next(parent for parent in path.absolute().parents if parent.exists())
-        if not (folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)):
+        try:
+            with TemporaryFile(dir=folder):  # of permissions, mounts and quotas, only the attempt tells
+                pass
+        except OSError as error:
             raise ZygosError(
-                f"{path}: cannot be written, {folder} is no folder, or closed to you; remedy: choose another folder"
-            )
+                f"{path}: cannot be written, {folder} takes no file ({error.strerror}); remedy: choose another folder"
+            ) from error
 
 
 def cannot_be_written(path: Path, error: Exception) -> ZygosError:
@@ -123,7 +210,15 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file whole, or not at all; folders are made as needed. Errors: ZygosError if it cannot be written."""
+    """Write a file whole, or not at all; folders are made as needed; - is standard output.
+
+    Errors: ZygosError if it cannot be written.
+    """
+    if is_dash(path):
+        sys.stdout.flush()
+        sys.stdout.buffer.write(content)
+        sys.stdout.buffer.flush()
+        return
     partial = path.with_name(f".{os.getpid()}.partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -141,8 +236,4 @@ def write_bytes(path: Path, content: bytes) -> None:
 
 def write_json(path: str | Path, content: Mapping[str, Any]) -> None:
     """Write JSON to a file, or to standard output for "-"."""
-    text = json.dumps(_clean(dict(content)), indent=1) + "\n"
-    if str(path) == "-":
-        print(text, end="")
-    else:
-        write_text(Path(path), text)
+    write_text(Path(path), json.dumps(_clean(dict(content)), indent=1) + "\n")

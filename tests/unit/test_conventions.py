@@ -782,7 +782,9 @@ def test_damping_is_the_deflection_rates(tmp_path: Path) -> None:
     engine.opt.gravity[:] = 0.0
     close(acceleration(engine, 0.0, RATE) * own_inertia(), -DAMPING * RATE, 1e-6)
     close(pinocchio("fixed", damped).damping, [DAMPING])
-    assert not flexible_joint((ZERO, ZERO), (RATE, RATE))[0].any()
+    # no deflection rate, no torque: but for what is rounded where two equal ones cancel
+    alike = flexible_joint((ZERO, ZERO), (RATE, RATE))[0] * own_inertia()
+    assert np.max(np.abs(alike)) <= 1e-12 * DAMPING * np.max(np.abs(RATE))
     apart(acceleration(engine, 0.0, RATE), link)
     # zygos takes none of it for its own damping, and says so
     assert any("damping" in note for note in imported(tmp_path, damped)[0].notes)

@@ -11,11 +11,10 @@ from types import ModuleType
 from typing import Any
 
 import can
-from rich.markup import escape
 
 from zygos.bus import open_bus
 from zygos.errors import ZygosError
-from zygos.output import table, write_json
+from zygos.output import check_outputs, table, write_json
 from zygos.scenario import load_scenario
 from zygos.testing import faults as _faults
 from zygos.testing.dut import EXTERNAL, Dut
@@ -45,6 +44,14 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
     group.addoption("--zygos-scenario", metavar="FILE", help="The plant: a scenario.toml, which names arm and model.")
     group.addoption("--zygos-json", metavar="FILE", help="Where the table of drills is written as JSON, too.")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Refuse, before the drills, a file for their table that cannot be written."""
+    try:
+        check_outputs([config.getoption("--zygos-json")], [])
+    except ZygosError as error:
+        raise pytest.UsageError(str(error)) from error
 
 
 @pytest.fixture
@@ -90,7 +97,7 @@ def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> Non
     rows = []
     for outcome, verdict in _VERDICTS.items():
         for report in terminalreporter.getreports(outcome):
-            record = dict(report.user_properties).get(_DRILL)
+            record = dict(getattr(report, "user_properties", ())).get(_DRILL)  # a failed collection has none
             if record is None or (outcome == "passed" and (report.when != "call" or record["expected"] is None)):
                 continue  # no drill, or a test that judged nothing
             reason = report.longrepr[2].partition("not evaluated: ")[2] if outcome == "skipped" else None
@@ -102,7 +109,7 @@ def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> Non
         ("drill", "frames", "faults expected", "found", "verdict"),
         [
             (
-                escape(r["drill"]),
+                r["drill"],
                 f"{r['frames']:,}",
                 _listed(r["expected"]),
                 _listed(r["found"]),
