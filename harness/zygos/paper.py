@@ -246,7 +246,7 @@ def _table_4(arm: Arm, scores: dict[str, Score], told: bool) -> None:
     rows.append(["mean", *(number(float(np.nanmean(scores[n].rms)), 3) for n in names)])
     rows.append(["largest", *(number(float(np.nanmax(scores[n].rms)), 3) for n in names)])
     heads = ["", *NOISY, *(name.replace(", ", "\n") for name in EXACT[1:])]
-    table(heads, rows, title="Root mean square error over the seeds, %")
+    table(heads, rows, title="Table IV, in size: root mean square error over the seeds, %")
     say(f"\nEB (32): {SAID['EB (32)']}. The flight chain reads CAN frames; the last two columns have no noise.")
 
 
