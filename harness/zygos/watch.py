@@ -94,7 +94,9 @@ class Watch:
         drift = self.flight.drift()
         if not contradicts:  # what stood out in arcs that were left out was no change
             self.plainest = self._settled
-        if drift.largest > (self.plainest.largest if self.plainest else 0.0):
+        # the first arc that was left out names the change; those behind it say it again
+        named = contradicts and self.plainest is not self._settled
+        if not named and drift.largest > (self.plainest.largest if self.plainest else 0.0):
             self.plainest = drift
         estimate = self.flight.estimate()
         if not estimate.in_a_row:
