@@ -1145,6 +1145,22 @@ static uint32_t next_arc(const zygos_accumulator_t *sums, uint32_t from)
     return b;
 }
 
+/* Whether the blocks from the given one on are at least half of all, and of several arcs: a short piece closes where
+   the whole does not, whatever is wrong with it. */
+static bool several_behind(const zygos_accumulator_t *sums, uint32_t first)
+{
+    double before = 0.0;
+    double behind = 0.0;
+    uint32_t arcs = 0;
+    for (uint32_t b = 0; b < sums->open; b++) {
+        const bool last_of_arc = (b + 1u == sums->open) || (sums->block[b + 1u].end != sums->block[b].end);
+        before += (b < first) ? sums->block[b].instants : 0.0;
+        behind += (b < first) ? 0.0 : sums->block[b].instants;
+        arcs += ((b >= first) && last_of_arc) ? 1u : 0u;
+    }
+    return (first + ZYGOS_LEAST_BLOCKS <= sums->open) && (behind >= before) && (arcs >= ZYGOS_IN_A_ROW);
+}
+
 int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
 {
     if ((work == NULL) || (out == NULL)) {
@@ -1156,15 +1172,23 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
         return refuse(out, ZYGOS_MAX_PARAMETERS, ZYGOS_REASON_CORRUPT);
     }
     int answer = solve_from(work, out, 0);
+    if ((work->guard.asked == 0) || !is_spoilt(out)) {
+        return answer;
+    }
+    const double ratio = out->noise_ratio;
+    const double clustered = out->cluster;
     uint32_t first = 0;
-    for (uint32_t quarter = 1; (work->guard.asked != 0) && is_spoilt(out) && (quarter < 4u); quarter++) {
+    bool better = false;
+    for (uint32_t quarter = 1; !better && (quarter <= 2u); quarter++) {
         const uint32_t next = next_arc(sums, quarter * sums->open / 4u);
-        if ((next > first) && (next + ZYGOS_LEAST_BLOCKS <= sums->open)) {
+        if ((next > first) && several_behind(sums, next)) {
             first = next;
             answer = solve_from(work, out, first);
+            better = ((out->validity == (uint32_t)ZYGOS_VALID) || (out->reason == (uint32_t)ZYGOS_REASON_CHANGED)) &&
+                     ((SPOILT * out->noise_ratio < ratio) || (ZYGOS_CLUSTER_LIMIT * out->cluster < clustered));
         }
     }
-    if ((first > 0) && (out->validity != (uint32_t)ZYGOS_VALID) && (out->reason != (uint32_t)ZYGOS_REASON_CHANGED)) {
+    if ((first > 0) && !better) {
         answer = solve_from(work, out, 0);
     }
     return answer;

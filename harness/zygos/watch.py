@@ -39,6 +39,8 @@ class Watch:
         self._settled: Drift | None = None
         self._every = max(1, round(flight.arm.arc_max_s / flight.arm.period_s) // LOOKS)
         self._since = 0
+        others = max(flight.arm.impulse_arc_s, flight.arm.momentum_arc_s)
+        self._reach = round(others / flight.arm.period_s)
 
     def frames(self, frames: NDArray[Any], progress: Callable[[float], None] | None = None) -> None:
         """Feed frames as `Flight.frames`. progress is called now and then with the share that is done."""
@@ -94,11 +96,13 @@ class Watch:
         drift = self.flight.drift()
         if not contradicts:  # what stood out in arcs that were left out was no change
             self.plainest = self._settled
-        # the first arc that was left out names the change; those behind it say it again
-        named = contradicts and self.plainest is not self._settled
-        if not named and drift.largest > (self.plainest.largest if self.plainest else 0.0):
-            self.plainest = drift
         estimate = self.flight.estimate()
+        # the first arc that was left out names the change, those behind it say it again; and motor rows of the time of
+        # an arc that was left out say nothing of one that agrees
+        named = contradicts and self.plainest is not self._settled
+        spoilt = not estimate.in_a_row and any(arc.last + self._reach > drift.until for arc in self.left_out)
+        if not named and not spoilt and drift.largest > (self.plainest.largest if self.plainest else 0.0):
+            self.plainest = drift
         if not estimate.in_a_row:
             self._settled = self.plainest
         self.flight.adopt()

@@ -155,10 +155,10 @@ typedef struct {
 } zygos_work_t;
 
 /// Solves. Reads and changes *work, writes *out; touches nothing else. Where estimates are adopted (zygos_adopt()) and
-/// the sums do not give a valid one because more is left over than noise leaves, the oldest quarter, half and three
-/// quarters of the arcs are left out in turns; the first of these that is valid is the answer, with out->since. Cost:
-/// (2 blocks + 4) Cholesky factorisations of order p at the most, and where arcs are left out in turns up to five times
-/// as many. Returns 1 when there are values, 0 when validity is ZYGOS_REFUSED, or ZYGOS_E_NULL.
+/// the sums do not give a valid one because more is left over than noise leaves, it is tried without the oldest quarter
+/// and the older half of the arcs; the first of these that is valid, and leaves far less over, is the answer, with
+/// out->since. Cost: (2 blocks + 4) Cholesky factorisations of order p at the most, and where arcs are left out in
+/// turns up to four times as many. Returns 1 when there are values, 0 when validity is ZYGOS_REFUSED, or ZYGOS_E_NULL.
 int zygos_solve(zygos_work_t *work, zygos_estimate_t *out);
 
 /// Whether sums and counts that were taken are those that were accumulated: where this is false, zygos_solve() answers
