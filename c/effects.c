@@ -1,5 +1,11 @@
 #include "zygos/effects.h"
 
+/* Whether the column is energy of the spring: a state without a history, of either sign. */
+static bool stored(const zygos_effect_config_t *effect)
+{
+    return (effect->kind == ZYGOS_CUBIC_STIFFNESS) || (effect->kind == ZYGOS_SPRING_OFFSET);
+}
+
 int zygos_effects_check(const zygos_config_t *config)
 {
     if (config->effects > (uint32_t)ZYGOS_MAX_EFFECTS) {
@@ -10,6 +16,9 @@ int zygos_effects_check(const zygos_config_t *config)
         if ((effect->kind > ZYGOS_SPRING_OFFSET) || (effect->joint >= config->joints)) {
             return ZYGOS_E_EFFECT;
         }
+        if (stored(effect) && (config->joint[effect->joint].rigid != 0)) {
+            return ZYGOS_E_EFFECT;
+        }
         for (uint32_t other = 0; other < e; other++) {
             if ((effect->kind == config->effect[other].kind) && (effect->joint == config->effect[other].joint)) {
                 return ZYGOS_E_EFFECT;
@@ -17,12 +26,6 @@ int zygos_effects_check(const zygos_config_t *config)
         }
     }
     return 1;
-}
-
-/* Whether the column is energy of the spring: a state without a history, of either sign. */
-static bool stored(const zygos_effect_config_t *effect)
-{
-    return (effect->kind == ZYGOS_CUBIC_STIFFNESS) || (effect->kind == ZYGOS_SPRING_OFFSET);
 }
 
 uint32_t zygos_effects_positive(const zygos_config_t *config)

@@ -752,7 +752,7 @@ static double joint_variance(const zygos_work_t *work, uint32_t i)
 static void add_motors(zygos_work_t *work, double energy)
 {
     const zygos_joint_sums_t *sums = &work->joint_sums;
-    const bool enough = (work->arcs.end - work->arcs.first >= 3u);
+    const bool enough = (work->arcs.end - work->arcs.first >= ZYGOS_LEAST_ARCS);
     for (uint32_t i = 0; i < work->config.joints; i++) {
         if ((sums->layout.count[i] > 0) && !(work->weight[i] > 0.0)) {
             const double joint = joint_variance(work, i);
@@ -774,14 +774,18 @@ static void widen(const zygos_work_t *work, uint32_t p, zygos_estimate_t *out)
     }
 }
 
-/* Leaving out a block tells of what blocks do not have in common. The part of the residuals that adds up within a block
-   is no noise, and may be the same in all of them: then no number of blocks averages it out. */
-static void allow_for_likeness(const zygos_work_t *work, uint32_t p, zygos_estimate_t *out)
+/* Leaving out a block tells of what blocks do not have in common. Two parts of the residuals may be the same in all of
+   them, and then no number of blocks averages them out: what adds up within a block, and what the declared noise does
+   not explain, of which as much is left as it does in one arc of the longest kind. */
+static void allow_for_likeness(const zygos_work_t *work, uint32_t p, double systematic, zygos_estimate_t *out)
 {
     const double blocks = (double)(work->blocks.end - work->blocks.first);
+    const double arcs = work->instants / (double)work->config.arc_cycles;
     const double alike = (out->cluster > ZYGOS_CLUSTER_NOISE) ? 1.0 - ZYGOS_CLUSTER_NOISE / out->cluster : 0.0;
-    for (uint32_t k = 0; (k < at(p, 0)) && (alike > 0.0); k++) {
-        out->covariance[k] *= 1.0 + (blocks - 1.0) * alike;
+    const double adds = (blocks - 1.0) * alike;
+    const double stays = arcs * ((systematic > ZYGOS_SYSTEMATIC) ? systematic : ZYGOS_SYSTEMATIC);
+    for (uint32_t k = 0; k < at(p, 0); k++) {
+        out->covariance[k] *= 1.0 + ((adds > stays) ? adds : stays);
     }
 }
 
@@ -861,39 +865,6 @@ static double cluster(const zygos_work_t *work, uint32_t p, const zygos_estimate
     return squares / (blocks * out->residual * out->residual);
 }
 
-/* Whether the work was taken, and from memory that nobody changed; closes the open arcs. */
-static bool prepare(zygos_work_t *work)
-{
-    zygos_accumulator_t *sums = &work->accumulator;
-    if ((work->config.joints < 1u) || (work->config.joints > ZYGOS_MAX_JOINTS) ||
-        (zygos_effects_check(&work->config) < 0) || (work->config.kinetic > (uint32_t)ZYGOS_SPATIAL_ARM) ||
-        (work->config.base > (uint32_t)ZYGOS_BASE_FIXED)) {
-        return false;
-    }
-    zygos_balance_layout(&work->config, &work->layout);
-    if (!zygos_accumulator_intact(sums, work->layout.count) ||
-        !zygos_joint_sums_intact(&work->joint_sums, &work->config) ||
-        !zygos_momentum_sums_intact(&work->momentum_sums, &work->config)) {
-        return false;
-    }
-    zygos_accumulator_flush(sums);
-    if (!(zygos_accumulator_check(sums) <= 1.0) || !(zygos_joint_sums_check(&work->joint_sums, &work->config) <= 1.0) ||
-        !(zygos_momentum_sums_check(&work->momentum_sums) <= 1.0)) {
-        return false;
-    }
-    zygos_guard_end_momentum(&work->guard, &work->config, &work->layout, &work->momentum_sums, work->cycle);
-    zygos_guard_end_energy(&work->guard, &work->config, sums, work->cycle, work->arc);
-    if (work->config.impulse_arc_cycles > 0) {
-        zygos_guard_end_motors(&work->guard, &work->config, &work->layout, &work->joint_sums, work->cycle);
-    }
-    return sums->corrupt == 0;
-}
-
-bool zygos_work_intact(zygos_work_t *work)
-{
-    return (work != NULL) && prepare(work);
-}
-
 /* Chooses the blocks of the momentum rows that end behind one cycle, and not behind another. */
 static void choose_momenta(zygos_work_t *work, uint64_t after, uint64_t until)
 {
@@ -969,7 +940,7 @@ static uint32_t with_motors(zygos_work_t *work, uint32_t p, zygos_estimate_t *ou
 static uint32_t with_momentum(zygos_work_t *work, uint32_t p, uint32_t rank, zygos_estimate_t *out)
 {
     const zygos_momentum_sums_t *sums = &work->momentum_sums;
-    if ((rank == 0) || (work->momenta.end < work->momenta.first + 3u)) {
+    if ((rank == 0) || (work->momenta.end < work->momenta.first + ZYGOS_LEAST_ARCS)) {
         work->momenta.end = work->momenta.first;
         return rank;
     }
@@ -1004,6 +975,19 @@ static uint32_t with_momentum(zygos_work_t *work, uint32_t p, uint32_t rank, zyg
 static uint32_t combine(zygos_work_t *work, uint32_t p, zygos_estimate_t *out)
 {
     return with_momentum(work, p, with_motors(work, p, out), out);
+}
+
+/* Whether what the solution leaves of the chosen energy rows is noise: see ZYGOS_CLUSTER_LIMIT. Fills in what is left
+   over and how far it adds up. */
+static bool closes(const zygos_work_t *work, uint32_t p, zygos_estimate_t *out)
+{
+    double explained = 0.0;
+    double share = 0.0;
+    const double unexplained = energy_left(work, p, work->solution, &explained);
+    out->residual = root(unexplained / work->instants);
+    out->noise_ratio = (explained > 0.0) ? unexplained / explained : not_a_number();
+    out->cluster = (out->residual > 0.0) ? cluster(work, p, out, &share) : 0.0;
+    return (out->cluster <= ZYGOS_CLUSTER_LIMIT) || (share <= ZYGOS_CLUSTER_SHARE);
 }
 
 /* Solves the blocks from the given one on, with which an arc begins. */
@@ -1051,16 +1035,13 @@ static int solve_from(zygos_work_t *work, zygos_estimate_t *out, uint32_t first)
     out->condition = condition(work, rank, &inverse);
     memcpy(out->value, work->solution, p * sizeof out->value[0]);
     memcpy(out->solution, work->solution, p * sizeof out->solution[0]);
+    const bool closed = closes(work, p, out);
     double explained = 0.0;
     const double unexplained = energy_left(work, p, work->solution, &explained);
-    out->residual = root(unexplained / work->instants);
-    out->noise_ratio = (explained > 0.0) ? unexplained / explained : not_a_number();
     if (!(unexplained < ZYGOS_UNEXPLAINED_LIMIT * work->spread)) {
-        return refuse(out, p, ZYGOS_REASON_NOT_IDENTIFIABLE);
+        /* What adds up is no noise, so something moved. */
+        return refuse(out, p, closed ? ZYGOS_REASON_NOT_IDENTIFIABLE : ZYGOS_REASON_UNEXPLAINED);
     }
-    double share = 0.0;
-    out->cluster = (out->residual > 0.0) ? cluster(work, p, out, &share) : 0.0;
-    const bool closed = (out->cluster <= ZYGOS_CLUSTER_LIMIT) || (share <= ZYGOS_CLUSTER_SHARE);
     const bool loud = !(out->gate >= ZYGOS_GATE);
     const uint32_t blind = loud ? ZYGOS_REASON_NOISE : ZYGOS_REASON_NOT_IDENTIFIABLE;
     const double excess = unexplained - work->believed * explained;
@@ -1070,7 +1051,7 @@ static int solve_from(zygos_work_t *work, zygos_estimate_t *out, uint32_t first)
     }
     inverse_diagonal(work, p, rank, work->inverse);
     jackknife(work, p, rank, out->covariance);
-    allow_for_likeness(work, p, out);
+    allow_for_likeness(work, p, (excess > 0.0) ? excess / unexplained : 0.0, out);
     put_in_again(work, p, noise);
     if (loud) {
         /* What is left of the noise where it could not be taken off in whole. */
@@ -1132,7 +1113,8 @@ static bool is_spoilt(const zygos_estimate_t *out)
 {
     return (out->validity != (uint32_t)ZYGOS_VALID) && (out->reason != (uint32_t)ZYGOS_REASON_NO_DATA) &&
            (out->reason != (uint32_t)ZYGOS_REASON_CHANGED) &&
-           ((out->reason == (uint32_t)ZYGOS_REASON_UNCLOSED) || (out->noise_ratio > SPOILT));
+           ((out->reason == (uint32_t)ZYGOS_REASON_UNCLOSED) || (out->reason == (uint32_t)ZYGOS_REASON_UNEXPLAINED) ||
+            (out->noise_ratio > SPOILT));
 }
 
 /* First block of an arc, from the given one on. */
@@ -1167,7 +1149,7 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
         return ZYGOS_E_NULL;
     }
     const zygos_accumulator_t *sums = &work->accumulator;
-    if (!prepare(work)) {
+    if (!zygos_work_intact(work)) {
         memset(out, 0, sizeof *out);
         return refuse(out, ZYGOS_MAX_PARAMETERS, ZYGOS_REASON_CORRUPT);
     }
@@ -1244,7 +1226,7 @@ int zygos_drift(zygos_work_t *work, zygos_estimate_t *out, double *deviation)
     /* The newest arc is what it is about, unless it is too short to speak for itself. */
     const bool guarded = (work->guard.known != 0);
     work->guard.known = (guarded && ((double)sums->arc_instants < sums->enough)) ? 1u : 0u;
-    if (!prepare(work)) {
+    if (!zygos_work_intact(work)) {
         return refuse(out, ZYGOS_MAX_PARAMETERS, ZYGOS_REASON_CORRUPT);
     }
     const uint32_t p = work->layout.count;
@@ -1274,15 +1256,24 @@ int zygos_drift(zygos_work_t *work, zygos_estimate_t *out, double *deviation)
         scaled[i] = work->inverse[i] * work->scale[i] * work->scale[i];
     }
     out->rank = rank;
-    out->validity = ZYGOS_VALID;
+    const bool before = closes(work, p, out);
+    out->validity = before ? ZYGOS_VALID : ZYGOS_DOUBTFUL;
+    out->reason = before ? ZYGOS_REASON_NONE : ZYGOS_REASON_UNCLOSED;
     choose(work, p, sums->newest, sums->open);
-    zygos_estimate_t *const before = out;
-    const double gate = out->gate;
-    if (!say(work, p, before, &rank) || (rank < p) || (guarded && !explains(work, p, &usual))) {
-        out->gate = gate;
+    const double known[4] = { out->gate, out->cluster, out->residual, out->noise_ratio };
+    const bool said = say(work, p, out, &rank) && (rank == p);
+    if (said && !closes(work, p, out)) {
+        out->validity = ZYGOS_DOUBTFUL;
+        out->reason = ZYGOS_REASON_UNCLOSED;
+    }
+    const double newest = out->cluster;
+    out->gate = known[0];
+    out->cluster = (said && (newest > known[1])) ? newest : known[1];
+    out->residual = known[2];
+    out->noise_ratio = known[3];
+    if (!said || (guarded && !explains(work, p, &usual))) {
         return 0;
     }
-    out->gate = gate;
     inverse_diagonal(work, p, rank, work->inverse);
     for (uint32_t i = 0; i < p; i++) {
         /* Noise is alike before and after; what differs is how well the motion tells of a parameter. */

@@ -282,9 +282,11 @@ static void work_off(zygos_t *self, const zygos_cycle_t *cycle)
     const uint32_t broken = (uint32_t)ZYGOS_CYCLE_BREAK | (uint32_t)ZYGOS_CYCLE_VOID;
     const bool follows = (self->cycles > 0) && (cycle->sync == self->cycle + 1u) && !(cycle->flags & broken);
     const bool wrapped = follows && (zygos_cycle_wrapped(&self->hold, &self->config, cycle) == 1);
+    const bool apart = (zygos_cycle_apart(&self->config, cycle) == 1);
     self->wraps += wrapped ? 1u : 0u;
+    self->apart += apart ? 1u : 0u;
     void_arcs(self, cycle);
-    if (!follows || wrapped) {
+    if (!follows || wrapped || (apart && (self->smoother.filled > 0))) {
         gap(self);
     }
     self->cycle = cycle->sync;
@@ -296,6 +298,9 @@ static void work_off(zygos_t *self, const zygos_cycle_t *cycle)
     double signal[ZYGOS_MAX_SIGNALS];
     double tau[ZYGOS_MAX_JOINTS];
     zygos_cycle_calibrate(&self->hold, &self->config, cycle, signal, tau);
+    if (apart) {
+        return;
+    }
     zygos_balance_torque(&self->balance, &self->config, tau);
     if (zygos_smoother_push(&self->smoother, signal, &self->state) == 0) {
         return;
@@ -519,6 +524,7 @@ int zygos_restart(zygos_t *self, uint32_t keep)
         self->gaps = 0;
         self->invalid = 0;
         self->wraps = 0;
+        self->apart = 0;
     }
     for (uint32_t i = 0; (i < ZYGOS_CYCLE_QUEUE) && (zygos_receiver_front(&self->receiver) != NULL); i++) {
         zygos_receiver_pop(&self->receiver);

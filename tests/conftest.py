@@ -22,7 +22,9 @@ pytest_plugins = ["zygos.testing"]
 
 ROOT = Path(__file__).resolve().parent.parent
 PAPER = ROOT / "examples" / "paper"
+"""The paper's own arm and motion, of which test_paper.py and the cases paper-* of the campaign tell."""
 EXAMPLE = ROOT / "examples" / "lively"
+"""The motion of all fixtures: every parameter shows in it."""
 
 
 def need(found: object, what: str) -> None:
@@ -82,5 +84,5 @@ def clean(arm: Arm, model: Model, scenario: Scenario) -> Callable[[float], Traje
 
 @pytest.fixture(scope="session")
 def noisy(arm: Arm, model: Model, scenario: Scenario) -> Trajectory:
-    """The example with the paper's noise, seeds 0 .. 49."""
+    """The example with the noise of the paper, seeds 0 .. 49."""
     return simulate(arm, model, scenario, seeds=range(50), noise=True)

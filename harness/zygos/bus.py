@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import can
@@ -17,10 +18,10 @@ import numpy as np
 from can.interfaces.socketcan import SocketcanBus
 from numpy.typing import NDArray
 
-from zygos import salvage, vcan
+from zygos import inputs, salvage, vcan
 from zygos.errors import ZygosError
 from zygos.flight import FRAME
-from zygos.output import cannot_be_written
+from zygos.output import cannot_be_written, is_dash, write_bytes
 
 LOG_SUFFIXES = (".log", ".blf", ".asc", ".trc", ".mf4")
 """Formats of python-can that keep classical frames whole."""
@@ -73,7 +74,10 @@ def from_messages(messages: Iterable[can.Message]) -> NDArray[Any]:
 
 def check_log_name(path: Path) -> None:
     """Refuse a file name whose suffix is none of `LOG_SUFFIXES`, or stands for a format that is not installed."""
-    suffix = path.suffix.lower()
+    _check_suffix(path, path.suffix.lower())
+
+
+def _check_suffix(path: Path, suffix: str) -> None:
     if suffix == ".db":
         raise ZygosError(
             f"{path}: python-can loses frames when it writes a .db; remedy: record, or send the frames with "
@@ -87,8 +91,14 @@ def check_log_name(path: Path) -> None:
 
 def check_log(path: Path) -> None:
     """Refuse a log that is missing or of no known kind."""
-    check_log_name(path)
-    if not path.is_file():
+    suffix = inputs.suffix(path)
+    if is_dash(path) and suffix not in LOG_SUFFIXES:
+        raise ZygosError(
+            f"{path}: standard input does not begin like a CAN log; remedy: send it the bytes of a "
+            f"{' '.join(LOG_SUFFIXES)} file, the lines of `candump -L`, or, where the command takes one, of a table"
+        )
+    _check_suffix(path, suffix)
+    if not inputs.local(path).is_file():
         raise ZygosError(f"{path}: no such file; remedy: give a CAN log, for instance one that `zygos simulate` wrote")
 
 
@@ -143,7 +153,16 @@ class Recording:
 
 
 def write_log(path: Path, frames: NDArray[Any], period_s: float) -> None:
-    """Write a log in the format of the suffix: whole, or not at all. Errors: ZygosError if it cannot be written."""
+    """Write a log in the format of the suffix: whole, or not at all; - is standard output and gets candump's format.
+
+    Errors: ZygosError if it cannot be written.
+    """
+    if is_dash(path):
+        with TemporaryDirectory() as folder:
+            log = Path(folder, "run.log")
+            write_log(log, frames, period_s)
+            write_bytes(path, log.read_bytes())
+        return
     recording = Recording(path)
     recording.append(to_messages(frames, period_s))
     recording.finish()
@@ -177,9 +196,10 @@ def read_log(path: Path, progress: Callable[[int], None] | None = None) -> Log:
     if len(frames) == 0:
         if not damage:
             raise ZygosError(f"{path}: the log holds no frame; remedy: record with the bus running")
+        kind = inputs.suffix(path)
         raise ZygosError(
-            f"{path}: nothing can be read, the log {damage[0]}; remedy: see whether it is a {path.suffix} log, and "
-            "record it again"
+            f"{path}: nothing can be read, the log {damage[0]}; remedy: see whether it is a {kind} log, and record it "
+            "again"
         )
     return Log(frames, tuple(f"{path} {text}" for text in damage))
 
@@ -194,11 +214,11 @@ def read_messages(
     """
     check_log(path)
     try:
-        yield from _counted(salvage.messages(path, damage), progress)
+        yield from _counted(salvage.messages(inputs.local(path), damage), progress)
     except Exception as error:  # of the file, or what a reader makes of damage that nobody has thought of
         raise ZygosError(
-            f"{path}: not a readable {path.suffix} log ({type(error).__name__}: {error}); remedy: record it again, "
-            "or convert it with python-can's `can_logconvert`"
+            f"{path}: not a readable {inputs.suffix(path)} log ({type(error).__name__}: {error}); remedy: record it "
+            "again, or convert it with python-can's `can_logconvert`"
         ) from error
 
 

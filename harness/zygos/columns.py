@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,21 +12,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.errors import ZygosError
+from zygos.inputs import local, suffix
 from zygos.output import cannot_be_written
 
 TABLE_SUFFIXES = (".csv", ".parquet", ".npz")
 
 Columns = dict[str, NDArray[Any]]
 
+_SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "vertical bars"}
+"""What stands between the columns of a CSV, in words; only the first is read."""
+_DECIMAL_COMMA = re.compile(r'(?:^|[;|\t"])\s*[+-]?\d+,\d')
+"""In a row of numbers."""
+_LINE = 1_000_000
+"""Longest line that is looked at."""
+
 
 def is_table(path: Path) -> bool:
-    """Whether the suffix is that of a table."""
-    return path.suffix.lower() in TABLE_SUFFIXES
+    """Whether the suffix is that of a table; of standard input, whether it begins like one."""
+    return suffix(path) in TABLE_SUFFIXES
 
 
 def check_table(path: Path) -> None:
     """Refuse a table that is missing."""
-    if not path.is_file():
+    if not local(path).is_file():
         raise ZygosError(f"{path}: no such file; remedy: give a table ({' '.join(TABLE_SUFFIXES)}) that exists")
 
 
@@ -37,13 +46,13 @@ def read_columns(path: Path) -> Columns:
     """
     check_table(path)
     try:
-        columns = _read_npz(path) if path.suffix.lower() == ".npz" else _read_polars(path)
+        columns = _read_npz(local(path)) if suffix(path) == ".npz" else _read_polars(path)
     except ZygosError:
         raise
     except Exception as error:  # polars and numpy raise errors of their own for each kind of damage
         first = (str(error).strip().splitlines() or [""])[0]
         raise ZygosError(
-            f"{path}: not a readable {path.suffix} table ({type(error).__name__}: {first}); remedy: write it again "
+            f"{path}: not a readable {suffix(path)} table ({type(error).__name__}: {first}); remedy: write it again "
             "with one row of column names (CSV), or without objects (NPZ)"
         ) from error
     lengths = {len(values) for values in columns.values()}
@@ -81,7 +90,7 @@ def _polars(path: Path) -> Any:
         import polars  # noqa: PLC0415  (an extra: only CSV and Parquet need it)
     except ImportError:
         raise ZygosError(
-            f"{path}: {path.suffix} tables need polars, which is not installed; remedy: pip install 'zygos[tables]', "
+            f"{path}: {suffix(path)} tables need polars, which is not installed; remedy: pip install 'zygos[tables]', "
             "or use NPZ"
         ) from None
     return polars
@@ -89,11 +98,30 @@ def _polars(path: Path) -> Any:
 
 def _read_polars(path: Path) -> Columns:
     polars = _polars(path)
-    if path.suffix.lower() == ".csv":
-        frame = polars.read_csv(path, infer_schema_length=None)
+    if suffix(path) == ".csv":
+        _check_separator(path)
+        frame = polars.read_csv(local(path), infer_schema_length=None)
     else:
-        frame = polars.read_parquet(path)
+        frame = polars.read_parquet(local(path))
     return {series.name.strip(): series.to_numpy() for series in frame.iter_columns()}
+
+
+def _check_separator(path: Path) -> None:
+    """Refuse a CSV whose columns are not separated by commas, or whose numbers have a decimal comma."""
+    with local(path).open(encoding="utf-8-sig", errors="replace") as stream:
+        head, row = stream.readline(_LINE), stream.readline(_LINE)
+    found = max(_SEPARATORS, key=head.count)
+    decimal = _DECIMAL_COMMA.search(row) is not None
+    if found != "," and head.count(found):
+        also = ", and decimals by a comma" if decimal else ""
+        option = ", decimal_comma=True" if decimal else ""
+        raise ZygosError(
+            f"{path}: columns are separated by {_SEPARATORS[found]}{also}; remedy: export it with a comma between "
+            "columns and a point in numbers, or rewrite it in Python: "
+            f"polars.read_csv(FILE, separator={found!r}{option}).write_csv(NEW)"
+        )
+    if '"' in row and decimal:
+        raise ZygosError(f"{path}: numbers have a decimal comma; remedy: export it with a point in numbers")
 
 
 def _read_npz(path: Path) -> Columns:

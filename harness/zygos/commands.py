@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import signal
 import sys
 import time
@@ -25,35 +24,41 @@ from zygos.cycletable import read_cycles
 from zygos.effects import Effect
 from zygos.errors import Damaged, Undecided, ZygosError
 from zygos.flight import GATE, OVERDECLARED, ROWS, Drift, Estimate, Flight, encode
+from zygos.inputs import local
+from zygos.lines import LineProgress
 from zygos.model import Model, Quantity, load_model, save_model
 from zygos.motion import ENGINES
-from zygos.output import bad, check_outputs, counted, errors, good, note, number, ratio, say, table, write_json
+from zygos.output import (
+    bad,
+    check_outputs,
+    counted,
+    errors,
+    good,
+    is_dash,
+    named,
+    note,
+    number,
+    quiet,
+    ratio,
+    say,
+    table,
+    write_bytes,
+    write_json,
+)
 from zygos.plant import simulate
+from zygos.remedies import NO_FRAMES, measured
+from zygos.remedies import remedy as _remedy
 from zygos.scenario import load_scenario
 from zygos.watch import Watch
 
-NO_FRAMES = frozenset({"incomplete", "dropped", "sync_jumped", "time_lost", "time_jumped", "overrun", "bus_error"})
-"""Fault counters that count something else than rejected frames."""
-MANY_DROPPED = 0.02
-"""Share of the cycles whose loss is worth a word before anything else."""
-REMEDIES = {
-    "too fast": "a higher SYNC rate, a shorter smoother window, or a slower motion",
-    "does not close": (
-        "check gear ratios, signs, zeros and the torque_law of the arm file; friction, cubic springs and torque "
-        "lag are in the balance only where --model names them, noise of the torques and torques on the base never"
-    ),
-    "arm changed": (
-        "split the log where the arm changed, or let old arcs fade ([arc] memory_min); on board zygos_restart()"
-    ),
-    "not physical": "check signs, gear ratios and the torque_law of the arm file, or a longer run",
-}
-"""What helps where the estimate's reason says so."""
 LEFT_OUT_SHOWN = 6
 """Arcs of a kind whose times are said."""
 
 
 def progress() -> Progress:
-    """A progress bar on stderr."""
+    """A progress bar on stderr; where that is no terminal, a line now and then."""
+    if not errors.is_interactive:
+        return LineProgress()
     return Progress(
         TextColumn("{task.description}", markup=False),
         BarColumn(),
@@ -71,14 +76,14 @@ def find_arm(run: Path, arm: Path | None) -> Path:
     else:
         bus.check_log(run)
     chosen = arm or run.parent / "arm.toml"
-    if not chosen.is_file():
+    if not local(chosen).is_file():
         raise ZygosError(f"{chosen}: no such arm file; remedy: give it with --arm, or put arm.toml beside the run")
     return chosen
 
 
 def check_model_name(path: Path) -> None:
-    """Refuse a model file that is not called .toml."""
-    if path.suffix.lower() != ".toml":
+    """Refuse a model file that is not called .toml, unless it is standard output."""
+    if not is_dash(path) and path.suffix.lower() != ".toml":
         raise ZygosError(f"{path}: no name for a model; remedy: let it end in .toml")
 
 
@@ -133,16 +138,17 @@ def simulate_run(
     json: str | None,
 ) -> None:
     """Simulate a scenario and record its traffic; see `zygos simulate --help`."""
-    bus.check_log_name(out)
+    if not is_dash(out):
+        bus.check_log_name(out)
     chosen = next((name for name in ENGINES if name == engine), None)
     if chosen is None:
         raise ZygosError(f"there is no engine {engine!r}; remedy: one of {', '.join(ENGINES)}")
     scenario = load_scenario(scenario_file)
     arm_file = scenario.arm
     arm = load_arm(arm_file)
-    beside = out.parent / "arm.toml"
+    beside = None if is_dash(out) else out.parent / "arm.toml"
     check_outputs([out, json], [scenario_file, arm_file, scenario.plant, model_file, beside])
-    if beside.exists() and beside.read_bytes() != arm_file.read_bytes():
+    if beside and beside.exists() and beside.read_bytes() != arm_file.read_bytes():
         raise ZygosError(
             f"{beside} describes another arm than {arm_file}; remedy: write the run into another folder, or "
             "remove that file"
@@ -165,8 +171,8 @@ def simulate_run(
         cycles = trajectory.cycles(0)
         frames = encode(arm, cycles)
         bus.write_log(out, frames, arm.period_s)
-        if not beside.exists():
-            shutil.copyfile(arm_file, beside)
+        if beside and not beside.exists():
+            write_bytes(beside, arm_file.read_bytes())
         if wire is not None:
             send(wire, frames, arm, out)
     ranges = [
@@ -177,7 +183,7 @@ def simulate_run(
     ]
     summary = {
         "run": str(out),
-        "arm": str(beside),
+        "arm": str(beside or arm_file),
         "seed": scenario.seed,
         "engine": chosen,
         "cycles": len(cycles),
@@ -185,7 +191,7 @@ def simulate_run(
         "duration_s": len(cycles) * arm.period_s,
         "largest": {name: value for name, _, value in ranges},
     }
-    if json != "-":
+    if not quiet(out, json):
         table(("largest", "unit", ""), [(name, unit, number(value, 4)) for name, unit, value in ranges])
         say(f"{out}: {counted(len(cycles), 'cycle')}, {counted(len(frames), 'frame')}, seed {scenario.seed}")
     if json:
@@ -206,8 +212,8 @@ def send(wire: can.BusABC, frames: NDArray[Any], arm: Arm, run: Path) -> None:
                 wire.send(message, timeout=2.0)
             except (can.CanError, OSError) as error:
                 raise ZygosError(
-                    f"the bus took no more frames ({error}); {run} is written; remedy: see whether the bus is up and "
-                    "another node acknowledges, then send the run with python-can's `can_player`"
+                    f"the bus took no more frames ({error}); {named(run)} is written; remedy: see whether the bus is "
+                    "up and another node acknowledges, then send the run with python-can's `can_player`"
                 ) from error
             bar.advance(task)
 
@@ -238,6 +244,7 @@ def report_estimate(result: Estimate, watch: Watch, drift: Drift | None, heading
         "gate": result.gate,
         "drift": dict(zip(drift.names, drift.deviation.tolist(), strict=True)) if drift else None,
         "changed": drift.changed if drift else (),
+        "contradicting": drift.contradicting if drift else (),
         "changed_after_s": drift.until * flight.arm.period_s if drift and drift.changed else None,
         "faults": flight.faults,
         "counts": flight.counts,
@@ -270,10 +277,12 @@ def learned(effect: Effect, found: Quantity | None) -> Effect:
 
 def about_noise(result: Estimate) -> str:
     """What the noise did to an estimate, where that is worth a word."""
+    if result.rank == 0:
+        return ""  # nothing was solved, so nothing was weighed against the noise
     if result.gate < GATE:
         return (
             f"noise: in some combination of parameters the motion is {number(result.gate, 2)} times as large as the "
-            "sensors' noise; the intervals hold what that may hide"
+            "sensors' noise" + ("; the intervals hold what that may hide" if np.isfinite(result.half95).any() else "")
         )
     if result.noise_ratio < OVERDECLARED:
         return (
@@ -283,7 +292,8 @@ def about_noise(result: Estimate) -> str:
     if result.noise_ratio > 1.0 / OVERDECLARED:
         return (
             f"noise: the residuals' square is {number(result.noise_ratio, 2)} times what the arm file's sigmas make of "
-            "it: sensors are noisier, or something is not in the balance; the intervals hold what that may hide"
+            "it: sensors are noisier, or something is not in the balance"
+            + ("; the intervals hold what that may hide" if np.isfinite(result.half95).any() else "")
         )
     return ""
 
@@ -302,17 +312,25 @@ def about_left_out(result: Estimate, watch: Watch) -> str:
 
 
 def about_change(result: Estimate, drift: Drift, arm: Arm) -> str:
-    """That the arm changed, and what to do."""
+    """That the arm changed, or what else may have made an arc contradict those before it, and what to do."""
     values = "are those of the arm before" if result.in_a_row else "mix what it was and is"
     names = ", ".join(
         f"{name} by {abs(far):.0f}"
         for name, far in zip(drift.names, drift.deviation, strict=True)
-        if name in drift.changed
+        if name in drift.contradicting
     )
+    at = f"after {drift.until * arm.period_s:.0f} s"
+    if drift.changed:
+        return (
+            f"the arm changed {at}, in standard deviations: {names}; the values {values}; remedy: split "
+            "the log there, or let old arcs fade ([arc] memory_min); on board zygos_restart()"
+        )
     return (
-        f"the arm changed after {drift.until * arm.period_s:.0f} s, in standard deviations: {names}; the values "
-        f"{values}; remedy: split the log there, or let old arcs fade ([arc] memory_min); on board "
-        "zygos_restart()"
+        f"what comes {at} contradicts what came before, in standard deviations: {names}; but the balance does not "
+        f"close on both sides (residuals add up {drift.cluster:.0f} times in a block, noise once), so this is an "
+        "effect without a column, friction for instance, in a motion that was another, or a change of the arm; remedy: "
+        "name friction with --model, and estimate both parts of the log by themselves: where each closes, the arm "
+        "changed"
     )
 
 
@@ -332,7 +350,7 @@ def finish_estimate(
     # an offset that only the arm file asked for, and the run is silent on, is none
     asked = (one for one in flight.effects if one not in given and one.column(flight.arm) in found)
     effects = tuple(learned(effect, found.get(effect.column(flight.arm))) for effect in (*given, *asked))
-    if json != "-":
+    if not quiet(out, json):
         rows = [
             (name, unit, number(value), number(float(f"{half95:.2g}")), number(100 * ratio(half95, abs(value)), 2))
             for name, unit, value, half95 in zip(result.names, result.units, result.value, result.half95, strict=True)
@@ -353,7 +371,7 @@ def finish_estimate(
             say(left_out)
         if noise := about_noise(result):
             say(noise)
-    if drift and drift.changed:
+    if drift and drift.contradicting:
         warn([about_change(result, drift, flight.arm)])
     try:
         if result.validity != "refused":
@@ -362,34 +380,13 @@ def finish_estimate(
         if json:
             write_json(json, report_estimate(result, watch, drift, heading))
     if result.validity != "valid":
-        where = "nothing written" if result.validity == "refused" else f"{out} written"
-        remedy = "see the warning: the arm changed" if drift and drift.changed else _remedy(result, flight)
-        raise Undecided(f"{result.validity}: {result.reason} ({where}); remedy: {remedy}")
-
-
-def _remedy(result: Estimate, flight: Flight) -> str:
-    """What helps: what the bus did wrong comes first, for it spoils everything behind it."""
-    faults, cycles = flight.faults, flight.counts["cycles"]
-    largest = sorted(((count, name) for name, count in faults.items() if count and name != "dropped"), reverse=True)
-    seen = ", ".join(f"{name} {count:,}" for count, name in largest[:3])
-    if cycles == 0:
-        if flight.counts["invalid"]:
-            seen = f"{counted(flight.counts['invalid'], 'cycle')} invalid, not finite or beyond all reason"
-        came = f"the fault counters say {seen}" if seen else "no frame of this arm came"
-        return f"no cycle was complete and {came}: compare the node numbers and the gyro of the arm file with the bus"
-    found = []
-    if faults["dropped"] > MANY_DROPPED * (cycles + faults["dropped"]):
-        found.append(f"the bus loses or damages frames, or some are not as the arm file says ({seen}): repair that")
-    if faults["time_lost"]:
-        found.append("FTIME (0x3A0) must come at least every 100 cycles")
-    if faults["time_jumped"]:
-        found.append("period_s of the arm file disagrees with the clock of the bus, or SYNCs are lost")
-    if found:
-        return "; ".join(found)
-    for words, remedy in REMEDIES.items():
-        if words in result.reason:
-            return remedy
-    return "a longer run that moves every joint at different speeds"
+        where = "nothing written" if result.validity == "refused" else f"{named(out)} written"
+        changed = "see the warning: the arm changed" if drift and drift.changed else ""
+        number_of = measured(result, flight)
+        raise Undecided(
+            f"{result.validity}: {result.reason}{f': {number_of}' if number_of else ''} ({where}); remedy: "
+            f"{changed or _remedy(result, flight, watch.known)}"
+        )
 
 
 def estimate_run(run: Path, arm_file: Path | None, out: Path, model_file: Path | None, json: str | None) -> None:

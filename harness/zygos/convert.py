@@ -34,7 +34,8 @@ from zygos.grid import (
     tracks,
     tracks_of,
 )
-from zygos.output import check_outputs, counted, number, say, table, write_json, write_text
+from zygos.inputs import local
+from zygos.output import check_outputs, counted, is_dash, number, say, table, write_json, write_text
 from zygos.sensors import encoder_angle
 from zygos.telemetry import SI_UNIT, Channel, Dictionary, Map, Recording, load_map, read_can, read_table
 
@@ -53,7 +54,7 @@ def convert_run(
     tabular = is_table(source)
     _check_names(source, dbc, out, tabular=tabular)
     chosen = arm_file or map_file.parent / "arm.toml"
-    if not chosen.is_file():
+    if not local(chosen).is_file():
         raise ZygosError(f"{chosen}: no such arm file; remedy: give it with --arm, or put arm.toml beside the map")
     beside = out.parent / "arm.toml"
     check_outputs([out, json], [source, *dbc, map_file, chosen, beside])
@@ -75,12 +76,14 @@ def convert_run(
         found, cycles, lost = _cycles(recording, mapping, arm)
         added = _added(found, mapping, arm)
         if not any(added):
-            described, text = arm, chosen.read_text(encoding="utf-8")
+            described, text = arm, local(chosen).read_text(encoding="utf-8")
         else:
             described = noisier(arm, mapping.channels, added)
             text = _arm_text(chosen, described, f"{source.name} by {map_file.name}")
         _check_noise(described, mapping, added)
         rate, needed = needed_rate(found, arm, mapping)
+        # where the motion passes with even stamps, it is not the motion that is too fast
+        _, even = needed_rate([track.evened for track in found], arm, mapping) if needed != rate else (rate, needed)
         frames = None if is_table(out) else encode(described, _with_time(cycles))
         _write(out, cycles, frames, arm.period_s, beside, text)
         refused = _refused(described, cycles, frames)
@@ -102,14 +105,20 @@ def convert_run(
         "damage": recording.missing or None,
         "damaged_frames": recording.damaged,
         "signals": rows,
-        "bandwidth": {"rate_hz": rate, "needed_hz": needed, "refused_share": refused},
+        "bandwidth": {
+            "rate_hz": rate,
+            "needed_hz": needed,
+            "needed_with_even_stamps_hz": even,
+            "stamps_sigma_s": _stamps(found),
+            "refused_share": refused,
+        },
         "warnings": warnings,
     }
     if json != "-":
         _print(content)
     if json:
         write_json(json, content)
-    _judge(rate, needed, refused, mapping, out)
+    _judge(rate, needed, even, _stamps(found), refused, mapping, out)
     not_whole(recording.missing)
 
 
@@ -122,6 +131,8 @@ def _check_names(source: Path, dbc: Sequence[Path], out: Path, *, tabular: bool)
         bus.check_log(source)
         if not dbc:
             raise ZygosError(f"{source}: a CAN log needs the DBC of its bus; remedy: give it with --dbc")
+    if is_dash(out):
+        raise ZygosError("- cannot be the run, which has its arm file beside it; remedy: give -o a file's name")
     if not is_table(out):
         bus.check_log_name(out)
 
@@ -159,7 +170,7 @@ def _check_noise(arm: Arm, mapping: Map, added: Sequence[float]) -> None:
 
 def _arm_text(file: Path, arm: Arm, whence: str) -> str:
     """The arm file with the noise of `arm`."""
-    document = tomlkit.parse(file.read_text(encoding="utf-8"))
+    document = tomlkit.parse(local(file).read_text(encoding="utf-8"))
     for entry, joint in zip(document["joint"], arm.joints, strict=True):
         for key, encoder in (("link_encoder", joint.link_encoder), ("motor_encoder", joint.motor_encoder)):
             if key in entry and encoder.counts is None:
@@ -327,10 +338,32 @@ def _print(content: dict[str, Any]) -> None:
         say(f"look: {line}")
 
 
-def _judge(rate: float, needed: float | None, refused: float | None, mapping: Map, out: Path) -> None:
-    """Undecided where the motion is faster than the recording."""
+def _stamps(found: Sequence[Track]) -> float:
+    """How far the stamps of the worst signal lie off an even train, s."""
+    return max(track.stamp_sigma_s for track in found)
+
+
+def _judge(
+    rate: float,
+    needed: float | None,
+    even: float | None,
+    stamps_s: float,
+    refused: float | None,
+    mapping: Map,
+    out: Path,
+) -> None:
+    """Undecided where the motion is faster than the recording, or the stamps make it look so."""
+    lie = f"the time stamps jitter by {1e3 * stamps_s:.3g} ms ({100 * stamps_s * rate:.0f} % of the interval)"
     if needed is None or needed > rate * 1.001:
-        wanted = "more than the search holds" if needed is None else f">= {needed:.4g} Hz"
+        if even is not None and even <= rate * 1.001:
+            raise Undecided(
+                f"{lie}, and the bandwidth test takes that for motion; with even stamps the same samples pass at "
+                f'{rate:.4g} Hz ({out} written); remedy: a cycle counter (source = "sync"), or a time that is taken '
+                "with the sample; recording faster does not help"
+            )
+        # a number that even stamps lower is not all the motion's
+        known = [one for one in (needed, even) if one is not None]
+        wanted = f">= {min(known):.4g} Hz" if known else "more than the search holds"
         raise Undecided(
             f"{rate:.4g} Hz; this motion needs {wanted} ({out} written); remedy: record faster, where the recording is "
             "faster shorten period_s of the arm file, or move more slowly"
@@ -338,7 +371,7 @@ def _judge(rate: float, needed: float | None, refused: float | None, mapping: Ma
     if refused is not None and refused > REFUSED_MAX:
         raise Undecided(
             f"{refused:.0%} of the instants fail the bandwidth test on the grid, though the telemetry is fast enough "
-            f"({out} written); remedy: "
+            f"({out} written; {lie}); remedy: "
             + ('interpolation = "cubic", ' if mapping.clock.interpolation == "linear" else "")
             + 'honest quanta in the arm file, or a cycle counter (source = "sync")'
         )

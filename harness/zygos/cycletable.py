@@ -17,6 +17,7 @@ from zygos.arm import Arm
 from zygos.columns import Columns, read_columns, write_columns
 from zygos.cycles import Cycles
 from zygos.errors import ZygosError
+from zygos.inputs import suffix
 
 _BLOCKS = ("q", "theta", "tau")
 
@@ -42,7 +43,7 @@ def read_cycles(path: Path, arm: Arm) -> Cycles:
     that are not whole, or numbers that do not rise.
     """
     columns = read_columns(path)
-    if path.suffix.lower() == ".npz":
+    if suffix(path) == ".npz":
         columns = {_of_npz(name): values for name, values in columns.items()}
     wanted = _names(arm.n)
     for name in wanted:

@@ -18,7 +18,7 @@ from zygos.arm import Arm, Joint, load_arm
 from zygos.effects import Effect, estimated
 from zygos.errors import ZygosError
 from zygos.model import load_model
-from zygos.output import check_outputs, counted, say, table, write_json, write_text
+from zygos.output import check_outputs, counted, is_dash, quiet, say, table, write_json, write_text
 from zygos.reference.wire import data_ids, database
 
 COMPUTER, IMU = "COMPUTER", "IMU"
@@ -218,7 +218,7 @@ def _explain_crc(message: Message) -> None:
 
 def write_dbc(arm_file: Path, model_file: Path | None, out: Path, json: str | None) -> None:
     """Write the DBC of an arm; see `zygos dbc --help`."""
-    if out.suffix.lower() != ".dbc":
+    if not is_dash(out) and out.suffix.lower() != ".dbc":
         raise ZygosError(f"{out}: no name for a DBC; remedy: let it end in .dbc")
     check_outputs([out, json], [arm_file, model_file])
     arm = load_arm(arm_file)
@@ -238,7 +238,7 @@ def write_dbc(arm_file: Path, model_file: Path | None, out: Path, json: str | No
         ]
         joints = {joint.name: name for joint, name in zip(arm.joints, joint_names(arm), strict=True)}
         write_json(json, {"dbc": str(out), "arm": arm.name, "joints": joints, "messages": listed})
-    if json != "-":
+    if not quiet(out, json):
         table(
             ("message", "identifier", "bytes", "sender", "every", "signals"),
             [

@@ -26,7 +26,7 @@ from zygos.commands import losses
 from zygos.errors import ZygosError
 from zygos.flight import Estimate, Flight, Trace
 from zygos.model import load_model
-from zygos.output import errors_end_the_program, note, number, ratio, say, table, write_json
+from zygos.output import check_outputs, errors_end_the_program, note, number, ratio, say, table, write_json
 from zygos.report.demo import Convergence, write_report
 from zygos.scenario import load_scenario
 from zygos.score import score
@@ -204,6 +204,7 @@ def learn(folder: Path) -> Learned:
 def run_demo(folder: Path = Path("out/demo")) -> None:
     """Learn the paper's arm; explain a gap; report. Writes folder/report.html and folder.json."""
     begin = time.monotonic()
+    check_outputs([folder / "report.html", folder.with_suffix(".json")], [])
     learned = learn(folder)
     content = learned.content
     note("explaining a gap in which an effect is hidden …")

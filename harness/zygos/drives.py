@@ -120,7 +120,8 @@ def by_name(arm: Arm, values: ArrayLike) -> dict[str, float]:
 def drives(arm: Arm, value: Mapping[str, float], effects: Sequence[Effect]) -> dict[str, Any]:
     """The fields of `Drives` from parameters by name and effects.
 
-    Errors: ZygosError for a torque lag that is not less than a SYNC period, and for an effect at no joint.
+    Errors: ZygosError for a torque lag that is not less than a SYNC period, for an effect that the arm cannot have, and
+    for one of a spring where the stiffness is infinite.
     """
     joints = range(1, arm.n + 1)
     coupling, lag = np.ones(arm.n), np.zeros(arm.n)
@@ -128,6 +129,11 @@ def drives(arm: Arm, value: Mapping[str, float], effects: Sequence[Effect]) -> d
     laws: list[tuple[Kind, int, float]] = []
     for effect in effects:
         joint = effect.index(arm)
+        if effect.kind.place == "spring" and value.get(f"k{joint + 1}", np.inf) == np.inf:
+            raise ZygosError(
+                f"effect {effect.kind.key} at {effect.joint}: the joint's stiffness is infinite, so it has no spring; "
+                "remedy: remove the entry, or give a finite stiffness"
+            )
         if effect.kind.torque is not None:
             laws.append((effect.kind, joint, effect.value))
         elif effect.kind.key == "rotor_coupling":

@@ -132,15 +132,37 @@ class Effect:
     """Why it is in the model, in words."""
 
     def index(self, arm: Arm) -> int:
-        """Number of its joint from 0; -1 for the base. Errors: ZygosError if the arm has no such joint."""
+        """Number of its joint from 0; -1 for the base.
+
+        Errors: ZygosError if the arm has no such joint, or not what the effect acts on: a spring, a carrying body that
+        turns, a momentum of the whole arm that one number is.
+        """
         names = [joint.name for joint in arm.joints]
         if self.joint is None:
+            if not arm.free or arm.spatial:
+                lacks = "its base is fixed" if not arm.free else "it moves in space, where that is a vector"
+                raise ZygosError(
+                    f"effect {self.kind.key}: is one of free-floating arms in a plane, but of arm {arm.name} {lacks}; "
+                    "remedy: remove the entry"
+                    + (", and state angular_momentum_nms in the scenario" if arm.free else "")
+                )
             return -1
         if self.joint not in names:
             raise ZygosError(
                 f"effect {self.kind.key}: arm {arm.name} has no joint {self.joint!r}; remedy: one of {', '.join(names)}"
             )
-        return names.index(self.joint)
+        joint = names.index(self.joint)
+        if self.kind.place == "spring" and not arm.joints[joint].flexible:
+            raise ZygosError(
+                f"effect {self.kind.key} at {self.joint}: the joint is rigid in arm {arm.name} and has no spring; "
+                "remedy: remove the entry, or write flexible = true in the arm file"
+            )
+        if self.kind.place == "rotor" and joint == 0 and not arm.free:
+            raise ZygosError(
+                f"effect {self.kind.key} at {self.joint}: the body that carries this rotor is the base, which is fixed "
+                f"in arm {arm.name} and does not turn; remedy: remove the entry"
+            )
+        return joint
 
     def column(self, arm: Arm) -> str:
         """Name of its column: the entry's, and the number of its joint from 1."""
@@ -170,9 +192,11 @@ def estimated(arm: Arm, effects: Sequence[Effect]) -> tuple[Effect, ...]:
 
     Those of a model, and, where it does not name them, the offset of each spring between encoders whose zeros the arm
     file does not vouch for (`zero_sigma_rad` above 0). Rotor coupling as in nature is in the columns of every arm, and
-    an angular momentum does no work: both are passed over. Errors: ZygosError for any other rotor coupling.
+    an angular momentum does no work: both are passed over. Errors: ZygosError for any other rotor coupling, and for an
+    effect that the arm cannot have.
     """
     for effect in effects:
+        effect.index(arm)
         if effect.kind.key == "rotor_coupling" and effect.value != 1.0:
             raise ZygosError(
                 f"effect rotor_coupling at {effect.joint}: the estimator has no columns for a rotor that couples by "

@@ -33,7 +33,7 @@ VALIDITY = ("refused", "doubtful", "partial", "valid")
 REASONS = (
     "",
     "too few accepted instants",
-    "the motion so far does not excite every parameter",
+    "the motion so far does not determine every parameter",
     "motion too fast for this sample rate: more than 5 % of the instants failed the bandwidth test",
     "the estimate is not physical: an inertia matrix that is not positive definite, or a negative Im, k, b or friction",
     "the accumulated sums are corrupt: memory was changed from outside",
@@ -41,6 +41,7 @@ REASONS = (
     "sensor noise is as large as the motion in some combination of parameters",
     "the declared sensor noise is not in the data: the residuals are far smaller",
     "the arm changed: its newest arcs contradict what those before them say, several in a row",
+    "the balance leaves more than a tenth of the work unexplained, and what it leaves is no noise",
 )
 DRIFT_ALARM = 6.0
 """Deviations that are no accident, as ``ZYGOS_DRIFT_ALARM``."""
@@ -190,7 +191,9 @@ class Drift:
     """(p,) how far the newest arc's own value lies from what was known before, in standard deviations of the
     difference; NaN where either does not know."""
     reason: str
-    """Why nothing was known before, or empty."""
+    """Why nothing was known before, or why a deviation proves no change: the balance does not close; or empty."""
+    cluster: float
+    """How far residuals add up in a block, on the side where they do more: around 1 for noise."""
     until: int
     """Number of the newest cycle of what was known before."""
 
@@ -201,7 +204,12 @@ class Drift:
 
     @property
     def changed(self) -> tuple[str, ...]:
-        """Parameters that have changed."""
+        """Parameters that have changed: they contradict, and the balance closes before and after."""
+        return () if self.reason else self.contradicting
+
+    @property
+    def contradicting(self) -> tuple[str, ...]:
+        """Parameters whose value in the newest arc contradicts what was known before, whatever the cause."""
         far = np.abs(np.nan_to_num(self.deviation)) >= DRIFT_ALARM
         return tuple(name for name, there in zip(self.names, far, strict=True) if there)
 
@@ -401,7 +409,7 @@ class Flight:
         lib.zygos_drift(self._work, self._before, deviation)
         out, p = self._before, len(self.names)
         far = np.frombuffer(ffi.buffer(deviation), dtype=np.float64)[:p].copy()
-        return Drift(self.names, far, REASONS[out.reason], int(out.cycle))
+        return Drift(self.names, far, REASONS[out.reason], float(out.cluster), int(out.cycle))
 
     def restart(self, *, keep_joints: bool = False, keep_faults: bool = True) -> None:
         """Start the estimate from nothing, or from what is known of Im, k and b. Errors: ZygosError if nothing is."""
@@ -418,6 +426,14 @@ class Flight:
         p = sums.width - 2
         full = _symmetric(self._work.total, sums.width)
         return full[:p, :p].copy(), full[p, :p].copy()
+
+    def unexplained(self, result: Estimate) -> float:
+        """Share of the work's variance about the arc constants that an estimate leaves over; NaN without work."""
+        sums = self._closed()
+        lib.zygos_accumulator_total(sums, self._work.total)
+        p = sums.width - 2
+        spread = float(_symmetric(self._work.total, sums.width)[p, p])
+        return result.residual**2 * result.accepted / spread if spread > 0.0 else float("nan")
 
     def noise(self) -> NDArray[np.float64]:
         """What the declared noise adds on average to the squares of columns and work, (p+1, p+1)."""
@@ -454,6 +470,7 @@ class Flight:
             "gaps": int(self.native.gaps),
             "invalid": int(self.native.invalid),
             "wraps": int(self.native.wraps),
+            "apart": int(self.native.apart),
             "arcs_dropped": int(sums.arcs_dropped),
             "accepted": int(sums.accepted),
             "refused": int(sums.refused),

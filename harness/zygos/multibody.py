@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Multibody(SpatialDynamics):
-    """Any arm; accelerations some fifty times faster than in numpy, one state at a time."""
+    """Any arm of `SpatialDynamics`, whose accelerations it has from one call of compiled code for all states."""
 
     @cached_property
     def _compiled(self) -> tuple[Any, int, list[Any]]:

@@ -6,10 +6,13 @@ import io
 import json
 import math
 import os
+import signal
 import sys
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any
 
 from rich.console import Console, JustifyMethod
@@ -39,10 +42,17 @@ def note(text: str) -> None:
 
 @contextmanager
 def errors_end_the_program() -> Iterator[None]:
-    """Errors of the user end the program with a message on stderr and their exit code, never a traceback."""
+    """Errors of the user end the program with a message on stderr and their exit code, never a traceback.
+
+    SIGTERM ends it as Ctrl-C does, so that no part of an output is left behind.
+    """
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal without UTF-8 shows "?" for what it lacks
+    before = signal.getsignal(signal.SIGTERM)
+    alone = threading.current_thread() is threading.main_thread()  # others may not set it
+    if alone:
+        signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     try:
         yield
     except (ZygosError, OSError) as error:
@@ -52,6 +62,27 @@ def errors_end_the_program() -> Iterator[None]:
         errors.print("[bold red]zygos:[/]", end=" ")
         note(message)
         sys.exit(error.exit_code if isinstance(error, ZygosError) else 2)
+    except KeyboardInterrupt:
+        note("zygos: interrupted")
+        sys.exit(128 + signal.SIGINT)
+    finally:
+        if alone:
+            signal.signal(signal.SIGTERM, before or signal.SIG_DFL)
+
+
+def is_dash(path: str | Path | None) -> bool:
+    """Whether a name is -, which stands for standard input or output."""
+    return str(path) == "-"
+
+
+def quiet(*outputs: str | Path | None) -> bool:
+    """Whether an output goes to standard output, so that nothing else may."""
+    return any(map(is_dash, outputs))
+
+
+def named(output: str | Path) -> str:
+    """An output as a message names it."""
+    return "standard output" if is_dash(output) else str(output)
 
 
 def counted(count: int, noun: str) -> str:
@@ -135,13 +166,17 @@ def _clean(value: Any) -> Any:
 
 
 def check_outputs(outputs: Sequence[str | Path | None], inputs: Sequence[str | Path | None]) -> None:
-    """Refuse outputs that would replace an input or one another, or that cannot be written. None and "-" are no files.
+    """Refuse outputs that would replace an input or one another, or that cannot be written; and "-" for two of them.
 
-    Nothing is created. Errors: ZygosError naming both files, or the one.
+    To be called before any work. None and "-" are no files. Nothing is left behind. Errors: ZygosError naming both
+    files, or the one.
     """
-    taken = [Path(entry) for entry in inputs if entry is not None]
+    for stream, entries in (("input", inputs), ("output", outputs)):
+        if sum(map(is_dash, entries)) > 1:
+            raise ZygosError(f"- stands for standard {stream} more than once; remedy: give all but one a file's name")
+    taken = [Path(entry) for entry in inputs if entry is not None and not is_dash(entry)]
     for entry in outputs:
-        if entry is None or str(entry) == "-":
+        if entry is None or is_dash(entry):
             continue
         path = Path(entry)
         for other in taken:
@@ -154,10 +189,13 @@ def check_outputs(outputs: Sequence[str | Path | None], inputs: Sequence[str | P
         if path.exists() and not path.is_file():
             raise ZygosError(f"{path}: is no ordinary file; remedy: name a file to write")
         folder = next(parent for parent in path.absolute().parents if parent.exists())
-        if not (folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)):
+        try:
+            with TemporaryFile(dir=folder):  # of permissions, mounts and quotas, only the attempt tells
+                pass
+        except OSError as error:
             raise ZygosError(
-                f"{path}: cannot be written, {folder} is no folder, or closed to you; remedy: choose another folder"
-            )
+                f"{path}: cannot be written, {folder} takes no file ({error.strerror}); remedy: choose another folder"
+            ) from error
 
 
 def cannot_be_written(path: Path, error: Exception) -> ZygosError:
@@ -172,7 +210,15 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file whole, or not at all; folders are made as needed. Errors: ZygosError if it cannot be written."""
+    """Write a file whole, or not at all; folders are made as needed; - is standard output.
+
+    Errors: ZygosError if it cannot be written.
+    """
+    if is_dash(path):
+        sys.stdout.flush()
+        sys.stdout.buffer.write(content)
+        sys.stdout.buffer.flush()
+        return
     partial = path.with_name(f".{os.getpid()}.partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -190,8 +236,4 @@ def write_bytes(path: Path, content: bytes) -> None:
 
 def write_json(path: str | Path, content: Mapping[str, Any]) -> None:
     """Write JSON to a file, or to standard output for "-"."""
-    text = json.dumps(_clean(dict(content)), indent=1) + "\n"
-    if str(path) == "-":
-        print(text, end="")
-    else:
-        write_text(Path(path), text)
+    write_text(Path(path), json.dumps(_clean(dict(content)), indent=1) + "\n")

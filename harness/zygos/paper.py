@@ -9,19 +9,22 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos import printed
 from zygos.arm import Arm, load_arm
 from zygos.commands import progress
 from zygos.errors import ZygosError
 from zygos.flight import Flight, encode
-from zygos.methods import Record, amc, de, eb, exact_record, record_of
+from zygos.methods import Record, amc, de, eb, exact_record, noisy_states, record_of
 from zygos.model import load_model
-from zygos.output import check_outputs, console, number, table, write_json
+from zygos.output import check_outputs, number, say, table, write_json
 from zygos.plant import Trajectory, simulate
 from zygos.reference.cycle import calibrate
+from zygos.response import HAIR_RAD, PARTING, apart_percent, respond
 from zygos.scenario import Scenario, load_scenario
 from zygos.score import Score, score
 
@@ -31,13 +34,6 @@ NOISE = (
     "encoders: quantum q = 0.003 rad (500 lines, decoded fourfold), white, variance q²/12 = 7.5e-7 rad²; "
     "gyro: white part 0.31623 µrad/s^½, bias walk 3.1623e-4 µrad/s^1.5; torque exact"
 )
-PRINTED = {
-    "AMC": "fails",
-    "DE": "about +100 % (the sign reads flipped: −99 %)",
-    "EB": "4 to 9 %",
-    "EB, exact data": "1e-6 %",
-}
-"""What the paper itself reports of each method, as far as its conditions are known."""
 
 
 @dataclass(frozen=True)
@@ -80,18 +76,38 @@ def flight_estimates(arm: Arm, trajectory: Trajectory) -> Floats:
     return np.array(values)
 
 
-def run_paper(seeds: int, folder: Path | None, json: str | None) -> None:
-    """Print Tables III and IV; see `zygos paper --help`."""
+def paper_example(folder: Path | None) -> tuple[Example, float]:
+    """An example that the paper's methods can be tried on, and its angular momentum, Nms. Errors: ZygosError."""
     example = load_example(folder)
+    momentum = example.scenario.angular_momentum_nms
+    if example.arm.spatial or not example.arm.free or isinstance(momentum, tuple):
+        raise ZygosError(
+            f"arm {example.arm.name}: the paper's methods are those of a free-floating arm that moves in a plane; "
+            "remedy: `zygos estimate` for any other"
+        )
+    return example, momentum
+
+
+NOISY = ("AMC", "DE", "EB", "EB (32)", "flight")
+EXACT = ("DE, exact data", "EB, exact data", "flight, no noise")
+SAID = {
+    "AMC": "angular momentum, backward differences",
+    "DE": "equations of motion, central and second differences",
+    "EB": "energy balance, backward differences",
+    "EB (32)": "energy balance, exact states with independent noise of the variances (32) added to angles and rates",
+    "flight": "the C library from CAN frames",
+    "DE, exact data": "equations of motion, exact rates and accelerations",
+    "EB, exact data": "energy balance, exact rates and dissipation",
+    "flight, no noise": "the C library from CAN frames of exact sensors",
+}
+
+
+def run_paper(seeds: int, folder: Path | None, json: str | None) -> None:
+    """Print Tables III and IV and the numbers of Fig. 4(b); see `zygos paper --help`."""
+    example, momentum = paper_example(folder)
     check_outputs([json], example.files)
     arm, true = example.arm, example.true
     model = load_model(example.scenario.plant)
-    momentum = example.scenario.angular_momentum_nms
-    if arm.spatial or not arm.free or isinstance(momentum, tuple):
-        raise ZygosError(
-            f"arm {arm.name}: the paper's methods are those of a free-floating arm that moves in a plane; remedy: "
-            "`zygos estimate` for any other"
-        )
     with progress() as bar:
         task = bar.add_task(f"simulating {seeds} seeds", total=1.0)
 
@@ -101,68 +117,199 @@ def run_paper(seeds: int, folder: Path | None, json: str | None) -> None:
         noisy = simulate(arm, model, example.scenario, seeds=range(seeds), noise=True, progress=show)
         bar.update(task, description="simulating without noise", completed=0.0)
         clean = simulate(arm, model, example.scenario, seeds=[0], noise=False, progress=show)
-    record, exact = noisy_record(arm, noisy), exact_record(clean)
-    estimates: dict[str, Floats] = {
-        "AMC": amc.estimate(arm, record, momentum_nms=momentum),
-        "DE": de.estimate(arm, record),
-        "EB": eb.estimate(arm, record, rates="backward", start="rest"),
-        "flight (C, CAN)": flight_estimates(arm, noisy),
-        "EB, exact data": eb.estimate(arm, exact, rates="exact", start="rest"),
-        "flight, no noise": flight_estimates(arm, clean),
-    }
+        bar.update(task, description="estimating", completed=0.0)
+        record, exact = noisy_record(arm, noisy), exact_record(clean)
+        estimates: dict[str, Floats] = {
+            "AMC": amc.estimate(arm, record, momentum_nms=momentum),
+            "DE": de.estimate(arm, record),
+            "EB": eb.estimate(arm, record, rates="backward", start="rest"),
+            "EB (32)": eb.estimate(arm, noisy_states(arm, exact, range(seeds)), rates="exact", start="rest"),
+            "flight": flight_estimates(arm, noisy),
+            "DE, exact data": de.estimate(arm, exact, exact=True),
+            "EB, exact data": eb.estimate(arm, exact, rates="exact", start="rest"),
+            "flight, no noise": flight_estimates(arm, clean),
+        }
+        bar.update(task, description="responding to the torques (50)", completed=0.5)
+        told = printed.describes(arm, true)
+        figure = responses(arm, true, estimates, momentum) if told else None
     scores = {name: score(value, true) for name, value in estimates.items()}
-    content = {
+    content: dict[str, Any] = {
+        "arm": arm.name,
         "seeds": seeds,
         "duration_s": example.scenario.duration_s,
         "noise": NOISE,
-        "methods": [_summary(name, estimates[name], scores[name], arm.parameter_names) for name in estimates],
+        "methods": [_summary(name, estimates[name], scores[name], arm) for name in estimates],
     }
+    if told:
+        content["printed"] = {
+            "actual": printed.ACTUAL,
+            "estimates": printed.ESTIMATES,
+            "errors_percent": printed.ERRORS,
+            "agreement": {name: _agreements(name, scores[name], arm) for name in printed.ERRORS},
+        }
+    if figure is not None:
+        content["figure4b"] = figure
     if json:
         write_json(json, content)
     if json == "-":
         return
-    noisy_names = ("AMC", "DE", "EB", "flight (C, CAN)")
-    console.print(f"Noise, as read here: {NOISE}.", highlight=False, soft_wrap=True)
-    console.print(f"{seeds} seeds, {example.scenario.duration_s:g} s at {1 / arm.period_s:g} Hz\n", highlight=False)
-    _table_3(arm, true, noisy_names, estimates)
-    _table_4(arm, noisy_names, scores, PRINTED)
+    say(f"Noise, as read here: {NOISE}.")
+    say(f"{seeds} seeds, {example.scenario.duration_s:g} s at {1 / arm.period_s:g} Hz\n")
+    _table_3(arm, true, estimates, told)
+    _table_4(arm, scores, told)
+    if figure is not None:
+        _table_figure(figure, arm)
 
 
-def _summary(name: str, value: Floats, result: Score, parameters: Sequence[str]) -> dict[str, object]:
+def _summary(name: str, value: Floats, result: Score, arm: Arm) -> dict[str, Any]:
     seen = np.isfinite(result.rms)
     return {
         "method": name,
+        "said": SAID[name],
         "seen": int(seen.sum()),
         "mean_rms_percent": float(np.mean(result.rms[seen])),
         "max_rms_percent": float(np.max(result.rms[seen])),
         "per_parameter": {
-            n: {"mean": float(v), "rms_percent": float(r)}
-            for n, v, r in zip(parameters, value.mean(axis=0), result.rms, strict=True)
+            n: {"mean": float(v), "mean_error_percent": float(e), "rms_percent": float(r)}
+            for n, v, e, r in zip(arm.parameter_names, value.mean(axis=0), _mean_error(result), result.rms, strict=True)
         },
     }
 
 
-def _table_3(arm: Arm, true: Floats, names: Sequence[str], estimates: dict[str, Floats]) -> None:
-    means = [estimates[name].mean(axis=0) for name in names]
+def _mean_error(result: Score) -> Floats:
+    """(p,) mean over the seeds, with its sign, %."""
+    return np.asarray(result.error_percent.mean(axis=0), dtype=np.float64)
+
+
+def _agreements(name: str, result: Score, arm: Arm) -> dict[str, str]:
+    """In what our mean error of each parameter agrees with the printed one."""
+    mean = dict(zip(arm.parameter_names, _mean_error(result), strict=True))
+    return {n: printed.agreement(float(mean[n]), error) for n, error in printed.ERRORS[name].items()}
+
+
+def _order(arm: Arm, told: bool) -> list[int]:
+    """Rows of a table: the paper's order where it is the paper's arm."""
+    names = list(arm.parameter_names)
+    return [names.index(n) for n in printed.PARAMETERS] if told else list(range(len(names)))
+
+
+def _table_3(arm: Arm, true: Floats, estimates: dict[str, Floats], told: bool) -> None:
+    rows = []
+    for k in _order(arm, told):
+        n = arm.parameter_names[k]
+        row = [n, number(float(true[k]), 9)]
+        for name in ("DE", "EB", "EB (32)", "flight"):
+            if told and name in printed.ESTIMATES:
+                row.append(number(printed.ESTIMATES[name][n], 6))
+            row.append(number(float(estimates[name][:, k].mean()), 5))
+        rows.append(row)
+    paired = ("DE printed", "DE", "EB printed", "EB") if told else ("DE", "EB")
+    title = "Table III: estimates in SI units, mean over the seeds"
+    table(["", "true", *paired, "EB (32)", "flight"], rows, title=title)
+    if told:
+        say(
+            "\nThe DE estimates are printed with the sign of their error turned round: a00 is 47320, which\n"
+            "is 99 % too high, and Table IV says -99 %. Table IV is right: noise attenuates.\n"
+        )
+
+
+def _table_4(arm: Arm, scores: dict[str, Score], told: bool) -> None:
+    if told:
+        for left, right, title in (
+            ("DE, exact data", "EB, exact data", "Table IV, exact data: error, %"),
+            ("DE", "EB", "Table IV, noise: error, %, mean over the seeds"),
+        ):
+            heads = ["", "DE printed", "here", "agree in", "EB printed", "here", "agree in"]
+            means = {name: _mean_error(scores[name]) for name in (left, right)}
+            rows = []
+            for k in _order(arm, told):
+                n = arm.parameter_names[k]
+                cells = [n]
+                for name in (left, right):
+                    ours = float(means[name][k])
+                    cells += [number(printed.ERRORS[name][n], 3), number(ours, 3)]
+                    cells.append(printed.agreement(ours, printed.ERRORS[name][n]))
+                rows.append(cells)
+            said = ["in all"]
+            for name in (left, right):
+                words = list(_agreements(name, scores[name], arm).values())
+                sizes = [np.mean([abs(x) for x in column]) for column in (printed.ERRORS[name].values(), means[name])]
+                said += [*(number(float(size), 3) for size in sizes), _counted(words)]
+            table(heads, [*rows, said], title=title)
+            say("")
+        say(
+            f"Sizes agree within a factor of {printed.SIZE:g}. In all: mean size of the errors; how many signs + sizes "
+            "agree.\nWhat DE leaves on exact data is rounding, here as there.\n"
+        )
+    names = (*NOISY, *EXACT[1:])
+    rows = [[arm.parameter_names[k], *(number(float(scores[n].rms[k]), 3) for n in names)] for k in _order(arm, told)]
+    rows.append(["mean", *(number(float(np.nanmean(scores[n].rms)), 3) for n in names)])
+    rows.append(["largest", *(number(float(np.nanmax(scores[n].rms)), 3) for n in names)])
+    heads = ["", *NOISY, *(name.replace(", ", "\n") for name in EXACT[1:])]
+    table(heads, rows, title="Root mean square error over the seeds, %")
+    say(f"\nEB (32): {SAID['EB (32)']}. The flight chain reads CAN frames; the last two columns have no noise.")
+
+
+def _counted(words: Sequence[str]) -> str:
+    if "rounding" in words:
+        return "rounding"
+    return f"{sum('sign' in w for w in words)} + {sum('size' in w for w in words)} of {len(words)}"
+
+
+INSTANTS_S = (5.0, 10.0, 20.0, 30.0, 60.0, 90.0, 120.0)
+
+
+def responses(arm: Arm, true: Floats, estimates: dict[str, Floats], momentum_nms: float) -> dict[str, Any]:
+    """Fig. 4(b) as numbers: by how much the responses to (50) differ, in per cent of the largest angle so far."""
+    sets = {
+        "EB printed": printed.eb_values(true, arm.parameter_names),
+        "EB": estimates["EB"][0],
+        "flight": estimates["flight"][0],
+        "+10 %": 1.1 * true,
+        "-10 %": 0.9 * true,
+    }
+    exact = respond(arm, true, momentum_nms)
+    at = np.rint(np.array(INSTANTS_S) / arm.period_s).astype(np.int64)
+    content: dict[str, Any] = {
+        "time_s": list(INSTANTS_S),
+        "true_rad": exact[at].T.tolist(),
+        "error_percent": {},
+        "rms_percent": {},
+        "missing": {},
+    }
+    for name, values in sets.items():
+        try:
+            off = apart_percent(respond(arm, values, momentum_nms), exact)
+        except ZygosError as error:
+            content["missing"][name] = str(error)
+            continue
+        content["error_percent"][name] = off[at].T.tolist()
+        content["rms_percent"][name] = float(np.sqrt(np.mean(off**2)))
+    hair = respond(arm, true, momentum_nms, HAIR_RAD)
+    content["parting"] = float(np.max(np.abs(hair - exact)) / HAIR_RAD)
+    return content
+
+
+def _table_figure(figure: dict[str, Any], arm: Arm) -> None:
+    names = list(figure["error_percent"])
+    rows = []
+    for joint, label in enumerate(joint.name for joint in arm.joints):
+        for k, t in enumerate(figure["time_s"]):
+            errors = (number(figure["error_percent"][name][joint][k], 3) for name in names)
+            rows.append([f"{label} {t:g} s", number(figure["true_rad"][joint][k], 3), *errors])
+    rows.append(["rms, both", "", *(number(figure["rms_percent"][name], 3) for name in names)])
+    say("")
     table(
-        ("parameter", "unit", "true", *names),
-        [
-            (n, u, number(float(t), 9), *(number(float(mean[k]), 6) for mean in means))
-            for k, (n, u, t) in enumerate(zip(arm.parameter_names, arm.parameter_units, true, strict=True))
-        ],
-        title="Table III, on this run: estimates, mean over the seeds",
+        ["", "true, rad", *names],
+        rows,
+        title="Fig. 4(b): response to the torques (50), error in % of the largest angle of that joint so far",
     )
-    console.print()
-
-
-def _table_4(arm: Arm, noisy: Sequence[str], scores: dict[str, Score], printed: dict[str, str]) -> None:
-    names = (*noisy, "EB, exact data", "flight, no noise")
-    rows = [(n, *(number(float(scores[name].rms[k]), 3) for name in names)) for k, n in enumerate(arm.parameter_names)]
-    rows.append(("mean", *(number(float(np.nanmean(scores[name].rms)), 3) for name in names)))
-    rows.append(("largest", *(number(float(np.nanmax(scores[name].rms)), 3) for name in names)))
-    table(("parameter", *names), rows, title="Table IV, on this run: error, % (rms over the seeds)")
-    console.print(
-        "\nThe paper reports: " + "; ".join(f"{name}: {text}" for name, text in printed.items()) + ".",
-        highlight=False,
-        soft_wrap=True,
+    for name, why in figure["missing"].items():
+        say(f"{name} has no response: {why}")
+    say(
+        f"\nEB and flight: from seed 0. The motion is not chaotic: a start {1e3 * HAIR_RAD:g} mrad aside gets at most "
+        f"{figure['parting']:.1f} times as far apart."
+        if figure["parting"] < PARTING
+        else f"\nEB and flight: from seed 0. The motion is chaotic: a start {1e3 * HAIR_RAD:g} mrad aside gets "
+        f"{figure['parting']:.0f} times as far apart."
     )

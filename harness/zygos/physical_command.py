@@ -13,8 +13,9 @@ from zygos.arm import Arm, load_arm
 from zygos.commands import check_model_name, learned, progress
 from zygos.effects import Effect
 from zygos.errors import Undecided, ZygosError
+from zygos.inputs import local
 from zygos.model import Model, Quantity, load_model, save_model
-from zygos.output import check_outputs, number, say, table, write_json
+from zygos.output import check_outputs, number, quiet, say, table, write_json
 from zygos.physical import CHANCE, Fit, entries_of_model, fit_bodies, observe
 
 _KEYS = ("arm", "parameters", "solution", "normal", "validity", "reason", "blocks")
@@ -36,7 +37,7 @@ def fit_estimate(
         task = bar.add_task("fitting bodies", total=1.0)
         found = fit_bodies(arm, drawing, observed, length_sigma, lambda share: bar.update(task, completed=share))
     model = replace(found.model, effects=effects)
-    if json != "-":
+    if not quiet(out, json):
         _tables(arm, drawing, found)
     try:
         if found.explained:
@@ -61,7 +62,7 @@ def fit_estimate(
 def read_estimate(path: Path) -> dict[str, Any]:
     """The JSON of `zygos estimate`. Errors: ZygosError if it is missing, or something else."""
     try:
-        content = reader.loads(path.read_text(encoding="utf-8"))
+        content = reader.loads(local(path).read_text(encoding="utf-8"))
     except OSError as error:
         raise ZygosError(
             f"{path}: cannot be read ({error.strerror}); remedy: give what `zygos estimate --json` wrote"

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from zygos.errors import ZygosError
+from zygos.inputs import local
 
 Word = TypeVar("Word", bound=str)
 
@@ -29,7 +30,7 @@ class Table:
         """Read a TOML file. Errors: ZygosError if it is missing, unreadable or not TOML."""
         file = Path(path)
         try:
-            with file.open("rb") as stream:
+            with local(file).open("rb") as stream:
                 return cls(tomllib.load(stream), file)
         except FileNotFoundError:
             raise ZygosError(f"{file}: no such file; remedy: check the path") from None

@@ -23,6 +23,8 @@ from zygos import bus
 from zygos.arm import Arm
 from zygos.columns import Columns, read_columns
 from zygos.errors import ZygosError
+from zygos.inputs import local
+from zygos.output import is_dash
 from zygos.table import Table
 
 Floats = NDArray[np.float64]
@@ -312,7 +314,9 @@ class Dictionary:
         messages: dict[str, Message] = {}
         for file in files:
             try:
-                database = cantools.database.load_file(str(file))
+                database = cantools.database.load_file(
+                    str(local(file)), database_format="dbc" if is_dash(file) else None
+                )
             except FileNotFoundError:
                 raise ZygosError(f"{file}: no such file; remedy: check the path") from None
             except Exception as error:  # cantools raises errors of its own for each format

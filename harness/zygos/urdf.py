@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from zygos.errors import ZygosError
+from zygos.inputs import local
 from zygos.model import Body, is_possible
 
 try:
@@ -429,7 +430,7 @@ class _Tree:
 def _parse(file: Path) -> Any:
     """The XML tree of a URDF."""
     try:
-        tree = etree.ElementTree(etree.fromstring(file.read_bytes(), etree.XMLParser(resolve_entities=False)))
+        tree = etree.ElementTree(etree.fromstring(local(file).read_bytes(), etree.XMLParser(resolve_entities=False)))
     except OSError as error:
         raise ZygosError(f"{file}: cannot be read ({error.strerror}); remedy: check the path") from None
     except etree.XMLSyntaxError as error:

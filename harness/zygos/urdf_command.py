@@ -18,7 +18,7 @@ from zygos.commands import progress
 from zygos.errors import ZygosError
 from zygos.model import Body, Model, Quantity, load_model, save_model
 from zygos.nearest import DETERMINED, ENTRIES, UNITS, Nearest, entries_of, nearest_bodies
-from zygos.output import check_outputs, counted, note, number, say, table, write_json, write_text
+from zygos.output import check_outputs, counted, note, number, quiet, say, table, write_json, write_text
 from zygos.urdf import Chain, Inertial, read_chain, read_chain_of, with_inertials
 
 _SAME = 1e-9
@@ -45,11 +45,7 @@ def import_urdf(
     chain, inertials = read_chain(urdf, base, tip)
     answers = Answers(answers_file, [hinge.name for hinge in chain.hinges])
     if template:
-        write_text(template, answers.template(chain))
-        say(f"{template}: {counted(len(answers.missing()), 'value')} to fill in")
-        if json:
-            missing = [{"joint": joint or None, "key": question.key} for joint, question in answers.missing()]
-            write_json(json, {"template": str(template), "missing": missing})
+        _write_template(template, answers, chain, json)
         return
     if sys.stdin.isatty():
         answers.ask()
@@ -87,6 +83,17 @@ def import_urdf(
         )
 
 
+def _write_template(template: Path, answers: Answers, chain: Chain, json: str | None) -> None:
+    """Write the questions that are open, instead of the arm."""
+    write_text(template, answers.template(chain))
+    missing = answers.missing()
+    if not quiet(template, json):
+        say(f"{template}: {counted(len(missing), 'value')} to fill in")
+    if json:
+        listed = [{"joint": joint or None, "key": question.key} for joint, question in missing]
+        write_json(json, {"template": str(template), "missing": listed})
+
+
 def export_urdf(
     arm_file: Path, model_file: Path, urdf: Path, out: Path, cad: Path | None, base: str | None, json: str | None
 ) -> None:
@@ -114,7 +121,7 @@ def export_urdf(
         notes.append("a URDF has no place for what [[effect]] says")
     for line in notes:
         note(f"note: {line}")
-    if json != "-":
+    if not quiet(out, json):
         if found:
             _table_of_entries(found, bodies)
         else:

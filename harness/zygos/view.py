@@ -25,7 +25,7 @@ from zygos.cycletable import read_cycles
 from zygos.errors import ZygosError
 from zygos.flight import Flight
 from zygos.model import load_model
-from zygos.output import check_outputs, counted, note, number, say, table, write_bytes, write_json, write_text
+from zygos.output import check_outputs, counted, note, number, quiet, say, table, write_bytes, write_json, write_text
 from zygos.pose import Floats, Motion, Poses, Skeleton, forward, motion, place, skeleton
 
 try:
@@ -416,7 +416,7 @@ def view_run(
             "html": str(html_file) if html_file else None,
         }
         write_json(json, summary)
-    if json != "-":
+    if not quiet(png_file, html_file, json):
         rows = [(name, *(number(angle, 4) for angle in angles)) for name, *angles in figures]
         table(("joint", "least rad", "largest rad", "largest |θ − q| rad"), rows)
         drawn = ", ".join(str(file) for file in (png_file, html_file) if file) or "in the browser"

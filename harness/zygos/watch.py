@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from zygos.cycles import Cycles
 from zygos.flight import Drift, Flight, LeftOut, Trace
+from zygos.remedies import Known
 
 SYNC = 0x080
 LOOKS = 2
@@ -28,10 +29,12 @@ class Watch:
         """Nothing has come yet. trace: keep what each room makes of each cycle."""
         self.flight = flight
         self.plainest: Drift | None = None
-        """The look with the largest deviation; None while nothing could be compared.
+        """The look with the largest deviation, those that prove a change before others; None where there was none.
 
         Looks into arcs that were left out do not count, once an arc behind them agrees with what was known before.
         """
+        self.known: list[Known] = []
+        """What was known while the run grew, each entry at twice the cycles of the one before."""
         self.left_out: list[LeftOut] = []
         """Arcs that were left out when they ended."""
         self._traces: list[Trace] | None = [] if trace else None
@@ -96,13 +99,16 @@ class Watch:
         drift = self.flight.drift()
         if not contradicts:  # what stood out in arcs that were left out was no change
             self.plainest = self._settled
-        estimate = self.flight.estimate()
+        best = (bool(self.plainest.changed), self.plainest.largest) if self.plainest else (False, 0.0)
+        estimate, cycles = self.flight.estimate(), self.flight.counts["cycles"]
         # the first arc that was left out names the change, those behind it say it again; and motor rows of the time of
         # an arc that was left out say nothing of one that agrees
         named = contradicts and self.plainest is not self._settled
         spoilt = not estimate.in_a_row and any(arc.last + self._reach > drift.until for arc in self.left_out)
-        if not named and not spoilt and drift.largest > (self.plainest.largest if self.plainest else 0.0):
+        if not named and not spoilt and (bool(drift.changed), drift.largest) > best:
             self.plainest = drift
+        if cycles > 2 * (self.known[-1].cycles if self.known else 0):
+            self.known.append(Known(cycles, int(np.count_nonzero(np.isfinite(estimate.value)))))
         if not estimate.in_a_row:
             self._settled = self.plainest
         self.flight.adopt()

@@ -38,6 +38,7 @@ typedef struct {
     double instants[ZYGOS_MAX_JOINTS];          ///< Accepted ones that were a joint's turn.
     double total;                               ///< Accepted ones in all.
     uint64_t end;                               ///< Number of the newest cycle.
+    uint64_t seal;                              ///< Of instants, total and end, when the arc has closed.
 } zygos_joint_block_t;
 
 typedef struct {
@@ -48,6 +49,7 @@ typedef struct {
     uint32_t instants; ///< Accepted instants of the open arc.
     uint32_t cycles;   ///< Instants of the open arc, accepted or not.
     double target;     ///< Instants up to which blocks merge.
+    uint64_t seal;     ///< Of count and target.
     zygos_joint_block_t open;
     zygos_joint_block_t block[ZYGOS_MAX_JOINT_BLOCKS];
 } zygos_joint_sums_t;
@@ -87,7 +89,7 @@ void zygos_joint_sums_drop_after(zygos_joint_sums_t *self, uint64_t cycle);
 /// Drops the blocks up to the given cycle, and returns how many.
 uint32_t zygos_joint_sums_drop_until(zygos_joint_sums_t *self, uint64_t cycle);
 
-/// 2 when the row sums of a block do not match, else at most 1. Needs sums that are intact.
+/// 2 when row sums or a seal do not match, else at most 1. Needs sums that are intact.
 double zygos_joint_sums_check(const zygos_joint_sums_t *self, const zygos_config_t *config);
 
 #ifdef __cplusplus

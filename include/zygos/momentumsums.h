@@ -36,6 +36,7 @@ typedef struct {
     zygos_momentum_gram_t rows; ///< Closed: the constants eliminated, the noise taken off.
     double instants;            ///< Accepted ones.
     uint64_t end;               ///< Number of the newest cycle.
+    uint64_t seal;              ///< Of instants and end, when the arc has closed.
 } zygos_momentum_block_t;
 
 typedef struct {
@@ -46,6 +47,7 @@ typedef struct {
     uint32_t cycles;                        ///< Instants of the open arc, accepted or not.
     uint32_t signals;                       ///< Sensors whose noise is taken off; 0 where none is.
     double target;                          ///< Instants up to which blocks merge.
+    uint64_t seal;                          ///< Of count and target.
     double deviation[ZYGOS_MAX_JOINTS + 3]; ///< Of each signal, for its turn (momentum.h).
     double rotor[ZYGOS_MAX_JOINTS];         ///< What the rotors' rates owe in an instant.
     zygos_momentum_gram_t noise_open;       ///< Of the open arc, not yet taken off, without the rotors' share.
@@ -93,8 +95,8 @@ void zygos_momentum_sums_drop_after(zygos_momentum_sums_t *self, uint64_t cycle)
 /// Drops the blocks up to the given cycle and their share of the noise, and returns how many.
 uint32_t zygos_momentum_sums_drop_until(zygos_momentum_sums_t *self, uint64_t cycle);
 
-/// Largest violation of the row sums in units of their tolerance, or 2 when an arc that closed was corrupt. Above 1
-/// means corrupt. Needs sums that are intact.
+/// Largest violation of the row sums in units of their tolerance, or 2 when an arc that closed was corrupt, or a seal
+/// does not match. Above 1 means corrupt. Needs sums that are intact.
 double zygos_momentum_sums_check(const zygos_momentum_sums_t *self);
 
 #ifdef __cplusplus

@@ -5,7 +5,7 @@
 /// identifiable yet" and have no value. What the declared noise adds to the equations is taken off (noise.h); when the
 /// residuals are smaller than that noise, as much less. Sigmas come from solving again with one block left out at a
 /// time, because neighbouring rows share noise and s^2 A^-1 would be far too small; what noise that nobody declared may
-/// hide is added to them.
+/// hide is added to them, and what may be the same in every arc is kept, however long the run (ZYGOS_SYSTEMATIC).
 
 #ifndef ZYGOS_SOLVER_H
 #define ZYGOS_SOLVER_H
@@ -30,7 +30,7 @@ enum zygos_validity {
 enum zygos_reason {
     ZYGOS_REASON_NONE = 0,
     ZYGOS_REASON_NO_DATA = 1, ///< Fewer accepted instants than three a parameter, or fewer than ZYGOS_LEAST_BLOCKS.
-    ZYGOS_REASON_NOT_IDENTIFIABLE = 2, ///< The motion so far does not excite every parameter.
+    ZYGOS_REASON_NOT_IDENTIFIABLE = 2, ///< The motion so far does not determine every parameter: rank or sigmas say so.
     ZYGOS_REASON_TOO_FAST = 3,         ///< More than 5 % of the instants failed the bandwidth test.
     ZYGOS_REASON_NOT_PHYSICAL = 4,     ///< The bodies' inertia less the rotors' is not positive definite, Im, k or b is
                                        ///< not positive, or a friction or lag is negative, by more than
@@ -39,11 +39,11 @@ enum zygos_reason {
     ZYGOS_REASON_UNCLOSED = 6,         ///< What the solution leaves over is no noise: see ZYGOS_CLUSTER_LIMIT.
     ZYGOS_REASON_DECLARED = 8,         ///< The declared noise is not in the data: see ZYGOS_NOT_THERE.
     ZYGOS_REASON_NOISE = 7,            ///< Noise is as large as the motion in some combination: see ZYGOS_GATE.
-    ZYGOS_REASON_CHANGED = 9           ///< The newest arcs contradict the values, several in a row: see guard.h.
+    ZYGOS_REASON_CHANGED = 9,          ///< The newest arcs contradict the values, several in a row: see guard.h.
+    ZYGOS_REASON_UNEXPLAINED = 10      ///< What the solution leaves over is no noise, and more than a share of the
+                                       ///< work: see ZYGOS_UNEXPLAINED_LIMIT.
 };
 
-/// Of fewer blocks the spread says too little.
-#define ZYGOS_LEAST_BLOCKS 8u
 /// A parameter whose scaled pivot falls below this share is a combination of the others.
 #define ZYGOS_PIVOT_LIMIT 1e-11
 /// Smallest ratio of the sums to the noise in them, over all combinations of columns. At 1 they are noise. Below this
@@ -59,8 +59,8 @@ enum zygos_reason {
 /// exceeds this share of what the motion puts into the combination of columns that it excites least, it makes that
 /// combination, and with it the values. Below that, what as much noise again changes is added to the sigmas.
 #define ZYGOS_NOISE_LIMIT 1.0
-/// When more than this share of the work's variance is left over, the rows are noise (an arm at rest) or another arm's:
-/// nothing is identifiable.
+/// When more than this share of the work's variance is left over, nothing has a value: the rows are noise (an arm at
+/// rest: not identifiable), or, where what is left over adds up as noise does not, another arm's (unexplained).
 #define ZYGOS_UNEXPLAINED_LIMIT 0.1
 /// Noise in the rows forgets within a few instants, so the residuals of a block add up like the square root of their
 /// number, or less: the mean of (sum)^2 / (instants * mean square) over the blocks is around 1. When it exceeds this
@@ -71,6 +71,12 @@ enum zygos_reason {
 /// Where the balance closes by that share alone, sigmas allow for a residual that all blocks have in common: of what
 /// adds up beyond this, which noise does not reach.
 #define ZYGOS_CLUSTER_NOISE 1.0
+/// What the declared noise does not explain of the residuals' square may be the same in every arc: what the smoother
+/// makes of fast motion, for one. So beside the scatter of the blocks, which falls with their number, sigmas keep what
+/// that share of the scatter would be after a single arc of arc_cycles instants: cov = scatter (1 + share instants /
+/// arc_cycles). The share is at least this, for no deviation is declared exactly, and products of noise with itself
+/// that are neglected (noise.h) leave no trace in the residuals.
+#define ZYGOS_SYSTEMATIC 0.05
 /// A parameter whose sigma exceeds this share of its size is not identifiable yet. The size is the value; of a kinetic
 /// parameter, if larger, the root of the product of the two diagonal ones that it couples, and of a first moment the
 /// largest of them. Effects are exempt: an effect may be zero.
@@ -107,10 +113,12 @@ typedef struct {
     /// too.
     double solution[ZYGOS_MAX_PARAMETERS];
     double value[ZYGOS_MAX_PARAMETERS];
-    double sigma[ZYGOS_MAX_PARAMETERS];
+    double sigma[ZYGOS_MAX_PARAMETERS];  ///< One standard deviation: scatter of the blocks, and a floor that no length
+                                         ///< of the run averages out (ZYGOS_SYSTEMATIC).
     double half95[ZYGOS_MAX_PARAMETERS]; ///< Half width of the 95 % interval: sigma times Student's factor for as many
                                          ///< blocks as the parameter's information really comes from.
-    double covariance[ZYGOS_MAX_PACKED]; ///< Lower triangle row by row; NaN where a parameter has no value.
+    double covariance[ZYGOS_MAX_PACKED]; ///< Lower triangle row by row, the floor in all of it; NaN where a parameter
+                                         ///< has no value.
 } zygos_estimate_t;
 
 /// A copy of the sums and room to calculate in. Filled by zygos_take(), consumed by zygos_solve(). Belongs to the task
@@ -168,14 +176,18 @@ bool zygos_work_intact(zygos_work_t *work);
 
 /// Compares the newest arc with all that came before it. An arc with fewer than half the instants of the longest does
 /// not speak for itself: it counts with those before it, until several such have as many together. Fills *out with what
-/// was known before (until out->cycle), and deviation[ZYGOS_MAX_PARAMETERS] with how far the newest arc's own value
-/// lies from that, in standard deviations of the difference (from half95). ZYGOS_DRIFT_ALARM and beyond is a change of
-/// the arm; while the arcs that are compared hold the arm before and after it, it may name more than has changed. Call
-/// it twice an arc: when the next arc speaks, the changed one is among those before. The open arc is looked at even if
-/// it contradicts the running solution (guard.h); where there is one, a newest arc that no arm explains, for what its
-/// own solution leaves is unusual, is no change. Reads and changes *work, as zygos_solve() does: take anew for each.
-/// Returns 1; 0 when all deviations are NaN, because before (validity is then ZYGOS_REFUSED) or within the newest arc
-/// something is not identifiable or not explained; or ZYGOS_E_NULL.
+/// was known before (until out->cycle; sigmas by the scatter alone, for what all arcs have in common is in both sides
+/// of the comparison), and deviation[ZYGOS_MAX_PARAMETERS] with how far the newest arc's own value lies from that, in
+/// standard deviations of the difference (from half95). ZYGOS_DRIFT_ALARM and beyond is a change of the arm where the
+/// balance closes on both sides (validity ZYGOS_VALID). Where it does not close on one of them (ZYGOS_DOUBTFUL for
+/// ZYGOS_REASON_UNCLOSED; cluster is the larger of the two), it may as well be an effect that no column describes,
+/// friction say, in a motion that was another: then the deviation is no proof of a change. While the arcs that are
+/// compared hold the arm before and after it, it may name more than has changed. Call it twice an arc: when the next
+/// arc speaks, the changed one is among those before. The open arc is looked at even if it contradicts the running
+/// solution (guard.h); where there is one, a newest arc that no arm explains, for what its own solution leaves is
+/// unusual, is no change. Reads and changes *work, as zygos_solve() does: take anew for each. Returns 1; 0 when all
+/// deviations are NaN, because before (validity is then ZYGOS_REFUSED) or within the newest arc something is not
+/// identifiable or not explained; or ZYGOS_E_NULL.
 int zygos_drift(zygos_work_t *work, zygos_estimate_t *out, double *deviation);
 
 #ifdef __cplusplus

@@ -120,6 +120,12 @@ extern "C" {
 /// Doubles count instants as far.
 #define ZYGOS_MOST_INSTANTS 9007199254740992.0
 
+/// Of fewer arcs of motor or momentum rows the spread says too little: they are left out, and no more of them merge.
+#define ZYGOS_LEAST_ARCS 3u
+
+/// A block of closed arcs of which forgetting has left fewer instants than this is emptied.
+#define ZYGOS_FAINT 1e-6
+
 /// Arcs with fewer accepted instants than this carry no weight: they are dropped and counted.
 #define ZYGOS_MIN_ARC_INSTANTS 20
 
@@ -141,7 +147,8 @@ enum zygos_error {
                           ///< this build has no room for momentum rows.
     ZYGOS_E_ORDER = -12,  ///< zygos_init() has not succeeded on this struct.
     ZYGOS_E_KEEP = -13,   ///< zygos_restart() does not know one of the bits, or there are no motor rows to keep.
-    ZYGOS_E_EFFECT = -14, ///< Too many effects, an unknown kind, a joint out of range, or an effect twice.
+    ZYGOS_E_EFFECT = -14, ///< Too many effects, an unknown kind, a joint out of range, an effect twice, or one of the
+                          ///< spring of a rigid joint.
     ZYGOS_E_BASE = -15,   ///< base is none of enum zygos_base, or gravity, a gyro or momentum rows do not fit it.
     ZYGOS_E_SNAPSHOT = -16,   ///< No snapshot, or not even a whole head of one.
     ZYGOS_E_FORMAT = -17,     ///< A snapshot of a format that this build does not read.

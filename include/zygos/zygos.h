@@ -54,6 +54,7 @@ typedef struct {
     uint64_t gaps;         ///< Times that an arc ended because cycles did not follow each other.
     uint64_t invalid;      ///< Cycles through zygos_cycle() that were flagged invalid or not finite.
     uint64_t wraps;        ///< Times that an angle went over the end of its multi-turn range; the arc ends.
+    uint64_t apart;        ///< Cycles with link and motor angle on different sides of that end; they are not used.
     uint32_t arc;          ///< Instants of the open arc, accepted or not.
     uint32_t instant;      ///< 1: state, row and accepted below are those of the newest cycle.
     double faded;          ///< What is left of closed arcs by the cycles of the open one (keep).
@@ -82,7 +83,7 @@ typedef struct {
 
 /// Digest of the text of all structs in these headers, without comments: a field that is moved, renamed or given
 /// another type changes it. tests/unit/test_snapshot.py knows what it must be.
-#define ZYGOS_LAYOUT 0x06A15F2Au
+#define ZYGOS_LAYOUT 0x954B9836u
 
 #define ZYGOS_MIX(hash, value) (((uint32_t)(hash) ^ (uint32_t)(value)) * 16777619u)
 

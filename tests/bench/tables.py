@@ -97,9 +97,9 @@ def _summary(content: dict[str, Any]) -> str:
     for name in CONFIGURATIONS:
         if name.endswith(BARE):
             here = [rows[target, name, "library"] for target in TITLES]
-            state = rows["x86-64", name, "step"]["bytes_state"]
+            structs = rows["x86-64", name, "library"]["bytes_state"]
             cells = (f"{row['bytes_code'] / 1000:.0f} kB, {_number(row['bytes_stack'])} B" for row in here)
-            sizes.append([ARMS[name.removesuffix(BARE)], *cells, f"{state / 1000:,.0f} kB"])
+            sizes.append([ARMS[name.removesuffix(BARE)], *cells, f"{structs / 1000:,.0f} kB"])
     compared = " · ".join(
         f"{ARMS[name.removesuffix(BARE)]} {ratios(content, name)['instructions']:.2f}"
         for name in CONFIGURATIONS if name.endswith(BARE)
@@ -108,7 +108,7 @@ def _summary(content: dict[str, Any]) -> str:
         "\n"
         + _table(("instructions of a full cycle", *TITLES.values()), cycles)
         + "\n"
-        + _table(("code and deepest stack", *TITLES.values(), "state"), sizes)
+        + _table(("code and deepest stack", *TITLES.values(), "state + work + estimate"), sizes)
         + "\nKinematics, balance and accumulator for each instruction of Pinocchio's C++ regressor with Eigen's rank-1 "
         f"update, same p, -O2: {compared}.\n\n"
     )

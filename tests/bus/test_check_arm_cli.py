@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import subprocess
+import sys
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -225,3 +228,26 @@ def test_other_bad_input_is_refused(
         assert run("check-arm", *arguments) == 2
         assert "remedy" in capsys.readouterr().err
     assert log.read_bytes() == before
+
+
+def test_the_manual_runs_from_a_fresh_clone(tmp_path: Path) -> None:
+    """Every command of docs/check-arm.md, with nothing beside the checkout; the last one finds what was done to it."""
+    text = (ROOT / "docs" / "check-arm.md").read_text()
+    commands = [line.strip() for line in re.findall(r"^    (.*zygos .*)$", text, re.M) if "ARM.toml RUN" not in line]
+    assert len(commands) == 3
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+    codes = []
+    for command in commands:
+        done = subprocess.run(
+            command, shell=True, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+        )
+        codes.append(done.returncode)
+    assert codes == [0, 0, 3]
+    assert "shoulder motor angle: inverted" in done.stdout
+    assert "elbow motor angle: inverted" in done.stdout
+    # what is not in the repository is named as that, with its source
+    _, before, behind = text.partition("run_a.mat")
+    assert before
+    assert "not part of this repository" in " ".join(text.split())
+    assert "github.com/JonasWeigand/Robot_Identification" in behind

@@ -3,18 +3,29 @@
 from __future__ import annotations
 
 import inspect
+import io
+import json
 import os
 import re
+import shutil
+import signal
 import subprocess
 import sys
+import time
+from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from pathlib import Path
 
 import pytest
 import typer
 
-from conftest import ROOT
+from conftest import EXAMPLE, ROOT
+from zygos import bus
+from zygos.arm import load_arm
 from zygos.cli import app, main
+from zygos.columns import TABLE_SUFFIXES
+from zygos.cycletable import write_cycles
+from zygos.flight import Flight
 
 COMMANDS = sorted(str(name) for name in typer.main.get_command(app).commands)  # type: ignore[attr-defined]
 
@@ -23,14 +34,6 @@ def run(*arguments: object) -> int:
     with pytest.raises(SystemExit) as end:
         main([str(argument) for argument in arguments])
     return int(end.value.code or 0)
-
-
-def shell(*arguments: object, **environment: str) -> subprocess.CompletedProcess[str]:
-    """The command line in a process of its own."""
-    command = [sys.executable, "-m", "zygos.cli", *map(str, arguments)]
-    return subprocess.run(
-        command, cwd=ROOT, env={**os.environ, **environment}, capture_output=True, text=True, check=False
-    )
 
 
 def words(text: str) -> str:
@@ -72,40 +75,239 @@ def test_brackets_are_in_the_refusal(arguments: tuple[str, ...], capsys: pytest.
     assert arguments[-1] in capsys.readouterr().err
 
 
+def test_completion_can_be_installed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("--help") == 0
+    assert "--install-completion" in capsys.readouterr().out
+
+
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("--version") == 0
     assert capsys.readouterr().out == f"zygos {version('zygos')}\n"
 
 
+def test_bash_completes() -> None:
+    """As the function does that bash calls when Tab is pressed, from the script that is installed."""
+    cases = {
+        "zygos esti": "estimate",
+        "zygos check": "check check-arm",
+        "zygos estimate --mo": "--model",
+        "zygos x": "",
+    }
+    folder = Path(sys.executable).parent
+    environment = {**os.environ, "PATH": f"{folder}:{os.environ['PATH']}"}
+    asked = {**environment, "_ZYGOS_COMPLETE": "source_bash"}
+    script = subprocess.run([folder / "zygos"], env=asked, capture_output=True, text=True, check=True).stdout
+    for line in cases:
+        script += f"COMP_WORDS=({line}); COMP_CWORD={len(line.split()) - 1}; _zygos_completion zygos\n"
+        script += 'echo "${COMPREPLY[@]}"\n'
+    done = subprocess.run(["bash", "-c", script], env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines() == list(cases.values())
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of 20 s, and its arm file."""
+    folder = tmp_path_factory.mktemp("run")
+    shutil.copytree(EXAMPLE, folder / "example")
+    scenario = folder / "example" / "scenario.toml"
+    text = scenario.read_text()
+    assert "duration_s = 60.0" in text
+    scenario.write_text(text.replace("duration_s = 60.0", "duration_s = 20.0"))
+    assert run("simulate", scenario, "-o", folder / "run.blf") == 0
+    return folder
+
+
+@pytest.fixture
+def stdin(monkeypatch: pytest.MonkeyPatch) -> Callable[[bytes], None]:
+    """What comes on standard input."""
+
+    def put(content: bytes) -> None:
+        monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(content)))
+
+    return put
+
+
+@pytest.mark.parametrize("kind", [".blf", ".log", ".asc", ".trc", ".mf4", ".npz", ".csv", ".parquet"])
+def test_a_run_comes_on_standard_input(
+    kind: str, simulated: Path, tmp_path: Path, stdin: Callable[[bytes], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever its kind, which is seen from how it begins; the arm file is then that of the current folder."""
+    file, arm = tmp_path / f"run{kind}", load_arm(simulated / "arm.toml")
+    frames = bus.read_log(simulated / "run.blf").frames
+    if kind in TABLE_SUFFIXES:
+        trace = Flight(arm).frames(frames, trace=True)
+        assert trace is not None
+        write_cycles(file, trace.cycles)
+    else:
+        bus.write_log(file, frames, arm.period_s)
+    monkeypatch.chdir(simulated)
+    run("estimate", file, "--arm", "arm.toml", "-o", tmp_path / "named.toml", "--json", tmp_path / "named.json")
+    stdin(file.read_bytes())
+    run("estimate", "-", "-o", tmp_path / "piped.toml", "--json", tmp_path / "piped.json")
+    assert (tmp_path / "piped.toml").read_bytes() == (tmp_path / "named.toml").read_bytes()
+    named, piped = (json.loads((tmp_path / f"{name}.json").read_text()) for name in ("named", "piped"))
+    assert piped == {**named, "run": "-"}
+
+
+@pytest.mark.parametrize("content", [b"", b"MZ\x90\0", b"name = 'paper'\n", b"hello\n"])
+def test_standard_input_that_is_no_run(
+    content: bytes, stdin: Callable[[bytes], None], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stdin(content)
+    assert run("estimate", "-", "--arm", EXAMPLE / "arm.toml", "-o", tmp_path / "m.toml") == 2
+    assert "-: standard input does not begin like a CAN log; remedy" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_every_kind_of_file_comes_on_standard_input(
+    simulated: Path,
+    tmp_path: Path,
+    stdin: Callable[[bytes], None],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Arm, model, scenario, DBC, map, answers, URDF and estimate; with the result that the file by its name gives."""
+    monkeypatch.chdir(simulated / "example")
+    telemetry, urdf = ROOT / "examples" / "telemetry", ROOT / "examples" / "urdf"
+    model, out = EXAMPLE / "model.toml", tmp_path / "out"
+    arm = EXAMPLE / "arm.toml"
+    log, named, maps = telemetry / "run.blf", telemetry / "arm.toml", telemetry / "map.toml"
+    convert = ["convert", log, "--arm", named, "-o", out / "run.blf"]
+    assert run("estimate", simulated / "run.blf", "-o", tmp_path / "e.toml", "--json", tmp_path / "e.json") in (0, 3)
+    cases: list[tuple[list[object], Path]] = [
+        (["dbc", "-o", out / "arm.dbc", "--arm"], arm),
+        (["dbc", "--arm", arm, "-o", out / "arm.dbc", "--model"], model),
+        (["bus-load", "--json", out / "load.json", "--arm"], arm),
+        (["simulate", "-o", out / "run.blf"], simulated / "example" / "scenario.toml"),
+        (["simulate", "scenario.toml", "-o", out / "run.blf", "--model"], model),
+        ([*convert, "--map", maps, "--dbc"], telemetry / "arm.dbc"),
+        ([*convert, "--dbc", telemetry / "arm.dbc", "--map"], maps),
+        (["import", "--template", out / "answers.toml"], urdf / "arm.urdf"),
+        (["import", urdf / "arm.urdf", "-o", out, "--answers"], urdf / "answers.toml"),
+        (["fit", "--arm", arm, "--model", model, "-o", out / "m.toml", "--json", out / "f.json"], tmp_path / "e.json"),
+    ]
+    for arguments, file in cases:
+        found = []
+        for name in (file, Path("-")):
+            shutil.rmtree(out, ignore_errors=True)
+            stdin(file.read_bytes())
+            assert run(*arguments, name) in (0, 3), arguments
+            found.append({path.name: path.read_bytes() for path in out.iterdir() if path.suffix != ".blf"})
+        assert found[0] == found[1]
+        assert found[0] or "simulate" in arguments
+    assert "standard input" not in capsys.readouterr().err
+
+
+def test_only_one_file_comes_on_standard_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("dbc", "--arm", "-", "--model", "-", "-o", tmp_path / "a.dbc") == 2
+    assert "standard input more than once" in capsys.readouterr().err
+
+
+def test_only_one_file_goes_to_standard_output(simulated: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("estimate", simulated / "run.blf", "-o", "-", "--json", "-") == 2
+    said = capsys.readouterr()
+    assert "standard output more than once" in said.err
+    assert said.out == ""
+
+
 @pytest.mark.parametrize(
-    ("line", "completed"),
+    ("arguments", "option", "suffix"),
     [
-        ("zygos esti", ["estimate"]),
-        ("zygos check", ["check", "check-arm"]),
-        ("zygos estimate --mo", ["--model"]),
-        ("zygos nothing", []),
+        (("estimate", "{run}"), "-o", ".toml"),
+        (("estimate", "{run}", "-o", "{out}/x.toml"), "--json", ".json"),
+        (("dbc", "--arm", EXAMPLE / "arm.toml"), "-o", ".dbc"),
+        (("import", ROOT / "examples" / "urdf" / "arm.urdf"), "--template", ".toml"),
+        (("view", "{run}", "--model", EXAMPLE / "model.toml", "--at", "1"), "--png", ".png"),
     ],
 )
-def test_bash_completes(line: str, completed: list[str]) -> None:
-    """As the function does that bash calls when Tab is pressed."""
-    script = subprocess.run(
-        [Path(sys.executable).parent / "zygos", "--show-completion", "bash"], capture_output=True, text=True, check=True
-    ).stdout
-    asked = f"COMP_WORDS=({line}); COMP_CWORD={len(line.split()) - 1}; _zygos_completion zygos; echo ${{COMPREPLY[@]}}"
-    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
-    done = subprocess.run(
-        ["bash", "-c", f"{script}\n{asked}"],
-        env={**os.environ, "PATH": path},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert done.stdout.split() == completed
+def test_standard_output_has_the_file_and_nothing_else(
+    arguments: Sequence[object], option: str, suffix: str, simulated: Path, tmp_path: Path,
+    capfdbinary: pytest.CaptureFixture[bytes],
+) -> None:  # fmt: skip
+    given = [str(part).format(run=simulated / "run.blf", out=tmp_path) for part in arguments]
+    assert run(*given, option, tmp_path / f"file{suffix}") == 0
+    assert capfdbinary.readouterr().out
+    assert run(*given, option, "-") == 0
+    assert capfdbinary.readouterr().out == (tmp_path / f"file{suffix}").read_bytes()
 
 
-def test_what_completes_is_installed(tmp_path: Path) -> None:
-    home = {"HOME": str(tmp_path), "SHELL": "/bin/bash"}
-    zygos = Path(sys.executable).parent / "zygos"
-    done = subprocess.run([zygos, "--install-completion", "bash"], env={**os.environ, **home}, check=False)
-    assert done.returncode == 0
-    assert "zygos" in (tmp_path / ".bashrc").read_text()
+def test_a_pipe_from_the_plant_to_the_estimate(simulated: Path, tmp_path: Path) -> None:
+    """candump's lines on the way; no file is written."""
+    zygos, arm = [sys.executable, "-m", "zygos.cli"], str(simulated / "arm.toml")
+    command = [*zygos, "simulate", str(simulated / "example" / "scenario.toml"), "-o", "-"]
+    log = subprocess.run(command, cwd=tmp_path, capture_output=True, check=True).stdout
+    assert re.match(rb"\(\d+\.\d+\) can0 080#[0-9A-F]{2}", log)
+    command = [*zygos, "estimate", "-", "--arm", arm, "-o", "-"]
+    done = subprocess.run(command, cwd=tmp_path, input=log, capture_output=True, check=True)
+    assert run("estimate", simulated / "run.blf", "-o", tmp_path / "m.toml") == 0
+    assert done.stdout == (tmp_path / "m.toml").read_bytes()
+    assert [path.name for path in tmp_path.iterdir()] == ["m.toml"]
+
+
+OUTPUTS: list[tuple[tuple[object, ...], str, str]] = [
+    (("simulate", EXAMPLE / "scenario.toml"), "-o", ".blf"),
+    (("simulate", EXAMPLE / "scenario.toml", "-o", "{out}/x.blf"), "--json", ".json"),
+    (("estimate", "{run}"), "-o", ".toml"),
+    (("estimate", "{run}", "-o", "{out}/x.toml"), "--json", ".json"),
+    (("check", "{run}"), "--json", ".json"),
+    (("check-arm", EXAMPLE / "arm.toml", "{run}"), "--json", ".json"),
+    (("convert", ROOT / "examples/telemetry/run.blf", "--dbc", ROOT / "examples/telemetry/arm.dbc", "--map",
+      ROOT / "examples/telemetry/map.toml"), "-o", ".blf"),
+    (("view", "{run}"), "--png", ".png"),
+    (("view", "{run}"), "--html", ".html"),
+    (("view", "{run}", "--png", "{out}/x.png"), "--json", ".json"),
+    (("explain", "--simulation", ROOT / "examples/gap/cad.toml", "--measured", ROOT / "examples/gap/demo/a.blf",
+      ROOT / "examples/gap/demo/b.blf", "--arm", ROOT / "examples/gap/arm.toml"), "-o", ".toml"),
+    (("explain", "--simulation", ROOT / "examples/gap/cad.toml", "--measured", ROOT / "examples/gap/demo/a.blf",
+      ROOT / "examples/gap/demo/b.blf", "--arm", ROOT / "examples/gap/arm.toml", "-o", "{out}/x.toml"), "--report",
+     ".html"),
+    (("import", ROOT / "examples/urdf/arm.urdf"), "--template", ".toml"),
+    (("dbc", "--arm", EXAMPLE / "arm.toml"), "-o", ".dbc"),
+    (("compile-model", EXAMPLE / "arm.toml", "-o", "{out}/x"), "--json", ".json"),
+    (("bus-load", "--arm", EXAMPLE / "arm.toml"), "--json", ".json"),
+    (("paper",), "--json", ".json"),
+]  # fmt: skip
+
+
+def no_work(*_: object, **__: object) -> None:
+    pytest.fail("work was begun before the outputs were looked at")
+
+
+@pytest.mark.parametrize("wrong", ["a folder", "below a file", "no folder for files"])
+@pytest.mark.parametrize(("arguments", "option", "suffix"), OUTPUTS)
+def test_an_output_that_cannot_be_written_is_noticed_before_the_work(
+    arguments: Sequence[object], option: str, suffix: str, wrong: str, simulated: Path, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    given = [str(part).format(run=simulated / "run.blf", out=tmp_path / "out") for part in arguments]
+    (tmp_path / "file").write_text("")
+    (tmp_path / f"folder{suffix}").mkdir()
+    # /proc takes no files, whoever asks: neither permissions nor the user's number say so
+    places = {"a folder": tmp_path / f"folder{suffix}", "below a file": tmp_path / "file" / f"x{suffix}"}
+    place = places.get(wrong, Path(f"/proc/x{suffix}"))
+    for name in ("zygos.bus.read_messages", "zygos.plant.DOP853", "zygos.flight.Flight.__init__"):
+        monkeypatch.setattr(name, no_work)
+    assert run(*given, option, place) == 2
+    said = capsys.readouterr().err
+    assert f"{place}: " in said
+    assert "remedy" in said
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", f"folder{suffix}"]
+
+
+@pytest.mark.parametrize(("how", "code"), [("Ctrl-C", 130), ("SIGTERM", 143), ("an error", 2)])
+def test_work_that_does_not_end_leaves_nothing(
+    how: str, code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = signal.getsignal(signal.SIGTERM)
+
+    def interrupted(*_: object, **__: object) -> None:
+        if how == "an error":
+            raise OSError(28, "No space left on device")
+        os.kill(os.getpid(), signal.SIGTERM if how == "SIGTERM" else signal.SIGINT)
+        time.sleep(10)
+
+    monkeypatch.setattr("can.BLFWriter.on_message_received", interrupted)
+    assert run("simulate", EXAMPLE / "scenario.toml", "-o", tmp_path / "run.blf") == code
+    assert list(tmp_path.iterdir()) == []
+    assert "Traceback" not in capsys.readouterr().err
+    assert signal.getsignal(signal.SIGTERM) is before

@@ -17,8 +17,7 @@ from scipy.interpolate import CubicSpline
 from scipy.io import loadmat
 
 import telemetry_support as foreign
-from conftest import EXAMPLE as PAPER
-from conftest import ROOT, need
+from conftest import EXAMPLE, PAPER, ROOT, need
 from zygos import bus
 from zygos.arm import NO_IMU, Arm, load_arm
 from zygos.cli import main
@@ -27,9 +26,9 @@ from zygos.cycles import Cycles
 from zygos.cycletable import read_cycles
 from zygos.flight import Estimate, Flight, encode
 from zygos.grid import regrid, tracks
-from zygos.model import Model
+from zygos.model import Model, load_model
 from zygos.plant import simulate
-from zygos.scenario import Scenario
+from zygos.scenario import Scenario, load_scenario
 from zygos.telemetry import load_map, read_table
 
 FOLDER = foreign.EXAMPLE
@@ -46,7 +45,7 @@ def run(*arguments: object) -> int:
 
 def convert(log: Path, out: Path, *more: object, map_file: Path = FOLDER / "map.toml") -> int:
     dbc = [] if log.suffix in (".csv", ".parquet", ".npz") else ["--dbc", FOLDER / "arm.dbc"]
-    arm = [] if "--arm" in more else ["--arm", PAPER / "arm.toml"]
+    arm = [] if "--arm" in more else ["--arm", EXAMPLE / "arm.toml"]
     return run("convert", log, *dbc, "--map", map_file, *arm, "-o", out, *more)
 
 
@@ -90,7 +89,7 @@ def log(cycles: Cycles, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_log_with_a_counter_gives_the_native_estimate(arm: Arm, cycles: Cycles, log: Path, tmp_path: Path) -> None:
     """Within what the two roundings explain: that of the foreign codes, and that of zygos' own wire."""
     assert convert(log, tmp_path / "run.blf", "--json", tmp_path / "c.json") == 0
-    assert (tmp_path / "arm.toml").read_bytes() == (PAPER / "arm.toml").read_bytes()
+    assert (tmp_path / "arm.toml").read_bytes() == (EXAMPLE / "arm.toml").read_bytes()
     assert run("estimate", tmp_path / "run.blf", "-o", tmp_path / "m.toml", "--json", tmp_path / "m.json") == 0
     content = json.loads((tmp_path / "m.json").read_text())
     assert (content["door"], content["cycles"]) == ("frames", 1200)
@@ -161,7 +160,7 @@ def si_log(folder: Path, cycles: Cycles) -> tuple[Path, Path, Path]:
 
 def test_with_a_counter_and_si_not_a_bit_changes(arm: Arm, cycles: Cycles, tmp_path: Path) -> None:
     log, dbc, map_file = si_log(tmp_path, cycles)
-    options = ("--dbc", dbc, "--map", map_file, "--arm", PAPER / "arm.toml")
+    options = ("--dbc", dbc, "--map", map_file, "--arm", EXAMPLE / "arm.toml")
     assert run("convert", log, *options, "-o", tmp_path / "table" / "run.npz") == 0
     got = read_cycles(tmp_path / "table" / "run.npz", arm)
     for name in Cycles.__dataclass_fields__:
@@ -291,7 +290,7 @@ def test_a_recording_that_is_too_slow(
     model: Model, scenario: Scenario, arm: Arm, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The example with 20-bit encoders at 10 Hz; at 40 Hz the same motion passes. The file is written all the same."""
-    text = (PAPER / "arm.toml").read_text().replace("quantum_rad = 0.003", "quantum_rad = 6e-6")
+    text = (EXAMPLE / "arm.toml").read_text().replace("quantum_rad = 0.003", "quantum_rad = 6e-6")
     sharp = tmp_path / "sharp.toml"
     sharp.write_text(text)
     fast = simulate(load_arm(sharp), model, scenario, seeds=[3], noise=True, period_s=0.0125).cycles()
@@ -385,7 +384,7 @@ def test_the_other_commands_refuse_what_they_cannot_take(
     code = run(
         "explain",
         "--simulation",
-        PAPER / "model.toml",
+        EXAMPLE / "model.toml",
         "--measured",
         tmp_path / "run.npz",
         tmp_path / "run.npz",
@@ -405,7 +404,7 @@ def test_cycles_of_no_use(cycles: Cycles, tmp_path: Path, capsys: pytest.Capture
     from zygos.cycletable import write_cycles
 
     write_cycles(tmp_path / "run.npz", replace(cycles, tau=np.full_like(cycles.tau, np.nan)))
-    (tmp_path / "arm.toml").write_bytes((PAPER / "arm.toml").read_bytes())
+    (tmp_path / "arm.toml").write_bytes((EXAMPLE / "arm.toml").read_bytes())
     assert run("estimate", tmp_path / "run.npz", "-o", tmp_path / "m.toml") == 3
     assert "1,200 cycles invalid, not finite or beyond all reason" in capsys.readouterr().err
 
@@ -427,7 +426,7 @@ def test_what_the_wire_cannot_carry_is_counted(arm: Arm, cycles: Cycles, tmp_pat
 
 
 def test_a_wire_that_is_coarser_than_the_sensor_says_so(log: Path, tmp_path: Path) -> None:
-    text = (PAPER / "arm.toml").read_text().replace("quantum_rad = 0.003", "quantum_rad = 1e-6")
+    text = (EXAMPLE / "arm.toml").read_text().replace("quantum_rad = 0.003", "quantum_rad = 1e-6")
     (tmp_path / "arm.toml").write_text(text)
     convert(log, tmp_path / "a" / "run.log", "--arm", tmp_path / "arm.toml", "--json", tmp_path / "c.json")
     said = json.loads((tmp_path / "c.json").read_text())["warnings"]
@@ -466,7 +465,16 @@ REFUSALS: list[tuple[str, Callable[[Path], list[object]], str]] = [
     ),
     (
         "map that is not there",
-        lambda f: ["--dbc", FOLDER / "arm.dbc", "--map", f / "no.toml", "--arm", PAPER / "arm.toml", "-o", f / "r.blf"],
+        lambda f: [
+            "--dbc",
+            FOLDER / "arm.dbc",
+            "--map",
+            f / "no.toml",
+            "--arm",
+            EXAMPLE / "arm.toml",
+            "-o",
+            f / "r.blf",
+        ],
         "no.toml: no such file",
     ),
     (
@@ -492,7 +500,7 @@ REFUSALS: list[tuple[str, Callable[[Path], list[object]], str]] = [
             "--map",
             f / "typo.toml",
             "--arm",
-            PAPER / "arm.toml",
+            EXAMPLE / "arm.toml",
             "-o",
             f / "r.blf",
         ],
@@ -545,9 +553,9 @@ def test_refusals(
     (tmp_path / "bad.dbc").write_text("BO_ nonsense\n")
     foreign.edited(FOLDER / "arm.dbc", tmp_path / "other.dbc", ("2566848306", "2566848307"))
     foreign.edited(FOLDER / "arm.dbc", tmp_path / "third.dbc", ("BO_ 256 ", "BO_ 257 "))
-    foreign.edited(PAPER / "arm.toml", tmp_path / "slow.toml", ("period_s = 0.05", "period_s = 0.04"))
+    foreign.edited(EXAMPLE / "arm.toml", tmp_path / "slow.toml", ("period_s = 0.05", "period_s = 0.04"))
     (tmp_path / "beside").mkdir()
-    (tmp_path / "beside" / "arm.toml").write_bytes((PAPER.parent / "gap" / "arm.toml").read_bytes())
+    (tmp_path / "beside" / "arm.toml").write_bytes((EXAMPLE.parent / "gap" / "arm.toml").read_bytes())
     before = sorted(tmp_path.rglob("*"))
     assert run("convert", source, *arguments(tmp_path)) == 2
     assert message in capsys.readouterr().err.replace("\n", " ")
@@ -566,8 +574,10 @@ def test_a_table_takes_no_dbc(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert "the input is a table, it has columns; remedy: name a column" in capsys.readouterr().err
 
 
-def test_the_worked_example_of_the_documentation(arm: Arm, model: Model, scenario: Scenario, tmp_path: Path) -> None:
+def test_the_worked_example_of_the_documentation(tmp_path: Path) -> None:
     """The log of examples/telemetry, which is seed 7 of examples/paper, with the commands of docs/telemetry.md."""
+    arm, model = load_arm(PAPER / "arm.toml"), load_model(PAPER / "model.toml")
+    scenario = load_scenario(PAPER / "scenario.toml")
     options = ("--dbc", FOLDER / "arm.dbc", "--map", FOLDER / "map.toml")
     assert run("convert", FOLDER / "run.blf", *options, "-o", tmp_path / "run.blf") == 0
     assert run("estimate", tmp_path / "run.blf", "-o", tmp_path / "model.toml") == 0

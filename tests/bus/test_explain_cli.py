@@ -26,7 +26,7 @@ def run(*arguments: object) -> int:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Runs of the paper's arm, plain (p0 p1 p2) and with friction at the elbow's motor (f0 f1 f2)."""
+    """Runs of examples/lively, plain (p0 p1 p2) and with friction at the elbow's motor (f0 f1 f2)."""
     folder = tmp_path_factory.mktemp("runs")
     rubbing = folder / "rubbing.toml"
     model = load_model(EXAMPLE / "model.toml")

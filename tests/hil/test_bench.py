@@ -11,7 +11,7 @@ from typing import Any
 import can
 import pytest
 
-from conftest import EXAMPLE, ROOT
+from conftest import PAPER, ROOT
 from zygos.bus import from_messages
 from zygos.errors import ZygosError
 from zygos.testing import Dut, Plant, Stream
@@ -21,7 +21,7 @@ DRILLS = "tests/hil/test_drills.py::test_drill"
 
 def run(config: pytest.Config, device: str, out: Path, *tests: str) -> tuple[int, dict[str, dict[str, Any]]]:
     """Run tests in a session of their own. Returns its status and the rows by drill."""
-    bench = ["--zygos-scenario", str(EXAMPLE / "scenario.toml"), "--zygos-dut", device, "--zygos-json", str(out)]
+    bench = ["--zygos-scenario", str(PAPER / "scenario.toml"), "--zygos-dut", device, "--zygos-json", str(out)]
     bench += ["--zygos-channel", config.getoption("--zygos-channel")]
     outer = sys.modules["conftest"]
     status = pytest.main(["-rs", *(str(ROOT / test) for test in tests), *bench])

@@ -14,7 +14,7 @@ import pytest
 from numpy.typing import NDArray
 from test_vcan import listeners, wait_for_listeners
 
-from conftest import EXAMPLE, ROOT
+from conftest import PAPER, ROOT
 from zygos import bus, vcan
 from zygos.arm import Arm
 from zygos.flight import Flight, encode
@@ -71,7 +71,7 @@ def test_listen(arm: Arm, frames: NDArray[np.void], tmp_path: Path) -> None:
     already = listeners()
     out = tmp_path / "live.toml"
     command = [sys.executable, "-m", "zygos.cli", "listen", "-i", "socketcan", "-c", CHANNEL, "--idle", "2"]
-    listener = subprocess.Popen([*command, "--arm", str(EXAMPLE / "arm.toml"), "-o", str(out)])
+    listener = subprocess.Popen([*command, "--arm", str(PAPER / "arm.toml"), "-o", str(out)])
     try:
         wait_for_listeners(already + 1)
         with bus.open_bus("socketcan", CHANNEL) as sender:

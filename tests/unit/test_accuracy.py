@@ -1,4 +1,4 @@
-"""What the estimators reach on the paper's arm."""
+"""What the estimators reach in examples/lively, with the sensors of the paper."""
 
 from __future__ import annotations
 

@@ -322,7 +322,16 @@ def robot() -> tuple[Arm, Cycles]:
     ratios = (256.8571, 267.4286, 252.3333)
     axes = ((0.0, 0.0, -1.0), (0.0, 1.0, 0.0), (0.0, 1.0, 0.0))
     joints = tuple(
-        Joint(f"a{i + 1}", i + 1, axes[i], (0.0, 0.0, 0.0), ratios[i], Encoder(quanta[0][i]), Encoder(quanta[1][i]))
+        Joint(
+            f"a{i + 1}",
+            i + 1,
+            axes[i],
+            (0.0, 0.0, 0.0),
+            ratios[i],
+            Encoder(quanta[0][i]),
+            Encoder(quanta[1][i]),
+            torque_sigma=noise_level(record.act_torque_abs_nm[i], [(0, n)]),
+        )
         for i in range(3)
     )
     arm = Arm("kr300", "fixed", "spatial", 0.004, "sampled", "rotor", joints, NO_IMU, gravity=(0.0, 0.0, -9.81))

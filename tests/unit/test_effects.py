@@ -23,13 +23,14 @@ from test_c_equals_numpy import CASES, arm_of, record_of
 
 from conftest import ROOT
 from zygos import flight, reference
-from zygos.arm import Arm, load_arm
+from zygos.arm import NO_IMU, Arm, load_arm
 from zygos.check import Room, check_chain, rounding, tables
 from zygos.cycles import Cycles
 from zygos.effects import CATALOGUE, SLOWEST_RATE, Effect, estimated
 from zygos.errors import ZygosError
 from zygos.flight import REASONS, Flight, config_of, encode, ffi, lib
 from zygos.model import load_model, save_model
+from zygos.motion import equations
 from zygos.plant import Trajectory, simulate
 
 Floats = NDArray[np.float64]
@@ -160,6 +161,47 @@ def test_refused_configurations_change_nothing() -> None:
         assert bytes_of(used.native) == before
 
 
+@pytest.mark.parametrize("key", COLUMNS)
+def test_a_rigid_joint_has_no_spring(key: str) -> None:
+    """In the library's configuration, in the estimator and in the simulator."""
+    arm, model, _ = lively()
+    shoulder, elbow = arm.joints
+    stiff = replace(arm, joints=(shoulder, replace(elbow, flexible=False, link_encoder=elbow.motor_encoder)))
+    infinite = replace(model.joints[1], stiffness=replace(model.joints[1].stiffness, value=np.inf))
+    rigid = replace(model, joints=(model.joints[0], infinite), effects=(effect(key, "elbow"),))
+    config, native = config_of(arm, [effect(key, "elbow")]), Flight(arm).native
+    assert lib.zygos_init(native, config) == 1
+    config.joint[1].rigid = 1
+    before = bytes_of(native)
+    if CATALOGUE[key].place != "spring":
+        assert lib.zygos_init(native, config) == 1
+        assert Flight(stiff, rigid.effects).names[-1] == f"{key}2"
+        equations(stiff, rigid, "zygos")
+        return
+    assert lib.zygos_init(native, config) == lib.ZYGOS_E_EFFECT
+    assert bytes_of(native) == before
+    with pytest.raises(ZygosError, match=rf"effect {key} at elbow: the joint is rigid in arm {arm.name}.*remedy"):
+        Flight(stiff, rigid.effects)
+    for one, wrong in ((stiff, "the joint is rigid"), (arm, "the joint's stiffness is infinite")):
+        with pytest.raises(ZygosError, match=rf"effect {key} at elbow: {wrong}.*remedy"):
+            equations(one, rigid, "zygos")
+    config.effect[0].joint = 0
+    assert lib.zygos_init(native, config) == 1
+
+
+def test_effects_of_a_base_that_cannot_turn() -> None:
+    arm, *_ = lively()
+    momentum = Effect(CATALOGUE["angular_momentum"], None, 1.0)
+    fixed, space = replace(arm, base="fixed", imu=NO_IMU), replace(arm, kinetic="spatial")
+    assert momentum.index(arm) == -1
+    for other, said in ((fixed, "base is fixed"), (space, "moves in space")):
+        with pytest.raises(ZygosError, match=rf"angular_momentum: .*{said}.*remedy"):
+            estimated(other, [momentum])
+    assert estimated(fixed, [effect("rotor_coupling", "elbow", 1.0)]) == ()
+    with pytest.raises(ZygosError, match=r"rotor_coupling at shoulder: .*does not turn; remedy"):
+        estimated(fixed, [effect("rotor_coupling", "shoulder", 1.0)])
+
+
 def test_the_binding_names_what_is_refused() -> None:
     arm, *_ = lively()
     with pytest.raises(ZygosError, match=r"stands twice.*remedy: correct the effects"):
@@ -230,7 +272,8 @@ def same(arm: Arm, cycles: Cycles, effects: Sequence[Effect]) -> list[Room]:
     scale = np.abs(numpy).max(axis=0)
     assert (scale > 0.0).all()
     samples = reference.calibrate(arm, cycles)
-    assert (np.abs(c - numpy) / scale <= rounding(arm, samples, tables(arm, samples, effects), effects).row).all()
+    known = tables(arm, samples, chain.smoothed, effects)
+    assert (np.abs(c - numpy) / scale <= rounding(arm, samples, known, effects).row).all()
     rooms = check_chain(arm, trace, run)
     assert [room for room in rooms if not room.equal] == []
     return rooms
@@ -393,7 +436,7 @@ def test_c_equals_numpy_with_the_offsets_that_an_arm_file_asks_for(tmp_path: Pat
 
 @pytest.fixture(scope="module")
 def modern() -> Trajectory:
-    """The paper's motion with sensors of today, 20 bits and 200 Hz."""
+    """The motion of examples/lively with sensors of today, 20 bits and 200 Hz."""
     _, model, scenario = lively()
     return simulate(load_arm(LIVELY.parent / "gap" / "arm.toml"), model, scenario, noise=True, duration_s=30.0)
 

@@ -722,7 +722,7 @@ def flip(address: Any, bit: int) -> None:
 
 @cache
 def sums_of_every_kind() -> tuple[Arm, Cycles]:
-    """The paper's arm with rows of every kind, in arcs of which several are closed and one is open."""
+    """The arm of examples/lively with rows of every kind, in arcs of which several are closed and one is open."""
     arm = replace(load_arm(EXAMPLE / "arm.toml"), arc_max_s=20.0, momentum_max_s=10.0)
     scenario = load_scenario(EXAMPLE / "scenario.toml")
     run = simulate(arm, load_model(EXAMPLE / "model.toml"), scenario, seeds=[0], noise=True)

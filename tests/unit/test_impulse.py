@@ -73,7 +73,7 @@ def compare(arm: Arm, cycles: Cycles, longest: int, effects: tuple[Effect, ...])
         np.testing.assert_allclose(ours / size, expected / size, rtol=0, atol=1e-12)
 
 
-def test_c_is_numpy_on_the_paper_arm_with_effects() -> None:
+def test_c_is_numpy_on_a_planar_arm_with_effects() -> None:
     arm, cycles, _, effects = run("lively")
     compare(arm, cycles, 150, effects)
 
@@ -135,7 +135,7 @@ def test_noise_entry_by_entry(joint: int, latch_us: int) -> None:
     np.testing.assert_array_less(np.abs(drawn - owed), 3.0 * spread + 1e-30)
 
 
-def test_noise_with_the_paper_example() -> None:
+def test_noise_with_a_planar_arm() -> None:
     """sigma^2 of the encoders times the sums of squares of the filter, by hand: SG7/4."""
     arm, _, _, effects = run("lively")
     arm = replace(arm, smoother=Smoother(7, 4, 3))

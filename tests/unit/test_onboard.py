@@ -58,7 +58,7 @@ def image(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
 
 @pytest.fixture(scope="module")
 def frames(arm: Arm, noisy: Trajectory) -> NDArray[Any]:
-    """The paper's run, 60 s."""
+    """The run of examples/lively, 60 s."""
     return encode(arm, noisy.cycles())
 
 

@@ -17,7 +17,7 @@ CYCLES = 1200
 
 
 def loud() -> Arm:
-    """The paper's arm with torque noise, which it does not have."""
+    """An arm with torque noise, which it does not have."""
     arm = lively()[0]
     return replace(arm, joints=tuple(replace(joint, torque_sigma=0.02) for joint in arm.joints))
 

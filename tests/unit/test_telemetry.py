@@ -385,7 +385,7 @@ def test_a_repeated_stamp_counts_once(arm: Arm, tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def fine(scenario: Scenario, model: Model, arm: Arm) -> tuple[Arm, Cycles]:
-    """The paper's arm with encoders of 0.1 mrad, 20 s at 200 Hz."""
+    """The arm of examples/lively with encoders of 0.1 mrad, 20 s at 200 Hz."""
     sharp = replace(
         arm,
         joints=tuple(
@@ -467,6 +467,47 @@ def test_the_columns_of_a_csv_have_their_names(tmp_path: Path) -> None:
     write_cycles(tmp_path / "x.csv", some_cycles(2))
     names = (tmp_path / "x.csv").read_text().splitlines()[0]
     assert names == "sync,q1,q2,theta1,theta2,tau1,tau2,wx,wy,wz,flags"
+
+
+def european(text: str, separator: str, decimal: str) -> str:
+    """A CSV with another separator and decimal mark."""
+    return text.replace(",", separator).replace(".", decimal)
+
+
+@pytest.mark.parametrize(
+    ("separator", "decimal", "said"),
+    [
+        (";", ",", r"separated by semicolons, and decimals by a comma; remedy: .*separator=';', decimal_comma=True\)"),
+        (";", ".", r"separated by semicolons; remedy: .*separator=';'\)"),
+        ("\t", ".", r"separated by tabs; remedy: .*separator='\\t'\)"),
+        ("\t", ",", "separated by tabs, and decimals by a comma; remedy: "),
+        ("|", ".", "separated by vertical bars; remedy: "),
+    ],
+)
+@pytest.mark.parametrize("mark", ["", "\ufeff"])
+def test_a_csv_with_another_separator_says_so(
+    mark: str, separator: str, decimal: str, said: str, tmp_path: Path
+) -> None:
+    write_cycles(tmp_path / "x.csv", some_cycles(2))
+    text = european((tmp_path / "x.csv").read_text(), separator, decimal)
+    (tmp_path / "y.csv").write_text(mark + text, encoding="utf-8")
+    with pytest.raises(ZygosError, match=rf"y\.csv: columns are {said}"):
+        read_columns(tmp_path / "y.csv")
+
+
+def test_a_csv_with_quoted_decimal_commas_says_so(tmp_path: Path) -> None:
+    (tmp_path / "x.csv").write_text('t,q\n"0,05","1,25"\n')
+    with pytest.raises(ZygosError, match=r"x\.csv: numbers have a decimal comma; remedy: "):
+        read_columns(tmp_path / "x.csv")
+
+
+@pytest.mark.parametrize("text", ["\ufefft,q\n0.5,1\n1.5,2\n", "t,q;r\n0.5,1\n1.5,2\n", '"t","q"\n0.5,1\n1.5,2\n'])
+def test_a_csv_with_commas_is_read(text: str, tmp_path: Path) -> None:
+    """With the mark that spreadsheets put before the first name, and with a name that holds another separator."""
+    (tmp_path / "x.csv").write_text(text, encoding="utf-8")
+    columns = read_columns(tmp_path / "x.csv")
+    assert list(columns) == ["t", "q;r" if ";" in text else "q"]
+    np.testing.assert_array_equal(columns["t"], [0.5, 1.5])
 
 
 BAD_TABLES = [

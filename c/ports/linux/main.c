@@ -148,6 +148,10 @@ static int work(uint64_t *frames, uint64_t *syncs)
     zygos_frame_t frame[NODE_BATCH];
     uint32_t count = 0;
     const int reading = node_bus_read(&bus, frame, &count);
+    /* Looked at with each batch: a wrong node number can hide every SYNC, a wrong place is written to. */
+    if ((configuration_changed() || !zygos_receiver_intact(&arm.receiver)) && (start_over() < 1)) {
+        return NODE_FAILED;
+    }
     for (uint32_t i = 0; i < count; i++) {
         const int verdict = zygos_frame(&arm, &frame[i]);
         while (zygos_step(&arm) == 1) {
@@ -161,7 +165,7 @@ static int work(uint64_t *frames, uint64_t *syncs)
             for (zygos_frame_t out; node_telemetry_next(&telemetry, &arm, &out) == 1;) {
                 node_bus_send(&bus, &out);
             }
-            if (((solved < 1) || configuration_changed()) && (start_over() < 1)) {
+            if ((solved < 1) && (start_over() < 1)) {
                 return NODE_FAILED;
             }
             if ((options.save_every > 0u) && (*syncs % options.save_every == 0u)) {

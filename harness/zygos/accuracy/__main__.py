@@ -13,7 +13,7 @@ from zygos.accuracy.cases import all_cases, chosen
 from zygos.accuracy.cell import cells, fingerprint
 from zygos.accuracy.figure4 import Figure4
 from zygos.accuracy.summary import summarise
-from zygos.output import check_outputs, counted, errors_end_the_program, number, say, table, write_json
+from zygos.output import check_outputs, counted, errors_end_the_program, number, quiet, say, table, write_json
 from zygos.report.accuracy import write_accuracy_report
 
 FIGURE_CASE = "paper-60"
@@ -48,10 +48,16 @@ def accuracy(
     summary = summarise(wanted, found)
     figure = next((line for line in found if line.get("figure")), None)
     short = figure and {
-        key: figure[key] for key in ("seed", "free_rms_rad", "servo_rms_rad", "horizon_s", "arcs_rad", "missing")
+        key: figure[key]
+        for key in (
+            *("seed", "free_rms_rad", "free_rms_percent", "parting"),
+            *("servo_rms_rad", "horizon_s", "arcs_rad", "missing"),
+        )
     }
     write_json(json, {"seeds": seeds, "draws": draws, "cases": summary, "figure4": short})
     write_accuracy_report(target, wanted, summary, figure, draws)
+    if quiet(json, target):
+        return
     table(
         ("case", "estimator", "seeds", "refused", "mean %", "max %", "coverage 95 %, %", "wild"),
         [

@@ -51,13 +51,14 @@ class Case:
 
 def all_cases(folder: Path = Path("examples")) -> tuple[Case, ...]:
     """The cases, from the examples of a checkout. Errors: ZygosError if they are not there."""
-    paper, spatial, gap = folder / "lively", folder / "spatial", folder / "gap"
+    paper, lively, spatial, gap = (folder / name for name in ("paper", "lively", "spatial", "gap"))
     if not (paper / "scenario.toml").is_file():
         raise ZygosError(f"{paper / 'scenario.toml'}: no such file; remedy: run inside a checkout")
     arm, model = load_arm(paper / "arm.toml"), load_model(paper / "model.toml")
     scenario = load_scenario(paper / "scenario.toml")
 
     def at(name: str, said: str, duration_s: float = 60.0) -> Case:
+        """The paper's own run, or a piece or a continuation of it."""
         return Case(name, said, arm, arm, model, replace(scenario, duration_s=duration_s))
 
     def modern(rate_hz: int) -> Case:
@@ -67,13 +68,21 @@ def all_cases(folder: Path = Path("examples")) -> tuple[Case, ...]:
         said = f"20-bit encoders on both sides, {rate_hz} Hz, T = 60 s"
         return Case(f"modern-{rate_hz}", said, hardware, hardware, model, moves, share=BLOCK)
 
-    usual = at("paper-60", "the paper's sensors, T = 60 s")
+    usual = at("paper-60", "the paper's run, T = 60 s")
     space = load_arm(spatial / "arm.toml")
     return (
-        at("paper-30", "the paper's sensors, T = 30 s", 30.0),
+        at("paper-30", "the paper's run, T = 30 s", 30.0),
         usual,
-        at("paper-120", "the paper's sensors, T = 120 s", 120.0),
-        at("paper-300", "the paper's sensors, T = 300 s", 300.0),
+        at("paper-120", "the paper's run, T = 120 s", 120.0),
+        at("paper-300", "the paper's run, T = 300 s", 300.0),
+        Case(
+            "lively",
+            "the paper's sensors on an arm with a stiffer shoulder in a larger and faster motion, T = 60 s",
+            load_arm(lively / "arm.toml"),
+            load_arm(lively / "arm.toml"),
+            load_model(lively / "model.toml"),
+            load_scenario(lively / "scenario.toml"),
+        ),
         replace(
             usual,
             name="gain-50",
@@ -114,7 +123,7 @@ def all_cases(folder: Path = Path("examples")) -> tuple[Case, ...]:
         replace(
             usual,
             name="rest",
-            said=f"the paper's sensors, T = 60 s, the first {REST_S:g} s of it known to be at rest",
+            said=f"the paper's run from a turning point, T = 60 s, the first {REST_S:g} s of it known to be at rest",
             scenario=_from_rest(scenario, [joint.name for joint in arm.joints]),
             rest_s=REST_S,
         ),

@@ -31,7 +31,7 @@ Floats = NDArray[np.float64]
 
 STREAM = 1_000_000
 _SYNC = 0x080
-_MAKERS = ("cases.py", "cell.py", "estimators.py", "figure4.py")
+_MAKERS = ("cases.py", "cell.py", "estimators.py", "figure4.py", "mission.py")
 
 
 @cache

@@ -15,6 +15,7 @@ from zygos.audit.means import Array
 from zygos.cycles import Cycles
 from zygos.effects import CATALOGUE, Effect, estimated
 from zygos.flight import Flight, lib
+from zygos.output import counted
 
 MOST_CYCLES = 20_000
 """The balance is tried on so many cycles at the most: it is repeated for every fault."""
@@ -44,14 +45,23 @@ class Balance:
         room = lib.ZYGOS_MAX_EFFECTS_VALUE - len(estimated(arm, ()))
         friction = [(kind, joint.name) for kind in ("motor_coulomb", "motor_viscous") for joint in arm.joints]
         self.friction = [Effect(CATALOGUE[kind], joint, 0.0) for kind, joint in friction[: max(room, 0)]]
+        self.reason = ""
+        """Why the last residual that was asked for is infinite."""
         self.residual_j = self.residual(arm, self.cycles)
 
     def residual(self, arm: Arm, cycles: Cycles) -> float:
         """rms residual, J; infinite where nothing comes out."""
         flight = Flight(arm, self.friction)
         flight.cycles(cycles)
-        residual = float(flight.estimate().residual)
-        return residual if math.isfinite(residual) and residual > 0.0 else math.inf
+        estimate = flight.estimate()
+        residual = float(estimate.residual)
+        if math.isfinite(residual) and residual > 0.0:
+            return residual
+        self.reason = (
+            f"{estimate.reason}: {counted(estimate.accepted, 'instant')} accepted, {estimate.refused:,} refused by the "
+            "bandwidth test"
+        )
+        return math.inf
 
     def laws(self, arm: Arm) -> dict[str, float]:
         """rms residual under each torque law, J."""

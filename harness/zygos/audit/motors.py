@@ -100,7 +100,7 @@ class Motors:
             for i in range(self.arm.n)
         ]
         self.stiff = [joint.flexible and rate >= STIFF for joint, rate in zip(self.arm.joints, rates, strict=True)]
-        self._known: dict[Any, float] = {}
+        self._known: dict[Any, tuple[float, ...]] = {}
 
     @staticmethod
     def _correlation(x: Array, y: Array) -> float:
@@ -110,6 +110,13 @@ class Motors:
     def score(self, joint: int, change: Change) -> float:
         """Logarithm of what stays unexplained at a joint: of its torque, and of a stiff joint's one rate by the
         other, whose scale is 1 as well."""
+        return sum(math.log(max(share, 1e-6)) for share in self._shares(joint, change))
+
+    def left(self, joint: int, change: Change) -> float:
+        """Share of a joint's torque that the law of its motor leaves unexplained."""
+        return self._shares(joint, change)[0]
+
+    def _shares(self, joint: int, change: Change) -> tuple[float, ...]:
         m = self.means
         source = {"q": joint, "theta": joint, "tau": joint}
         factor = {"q": 1.0, "theta": 1.0, "tau": 1.0}
@@ -125,12 +132,12 @@ class Motors:
                 q = theta
             if exchanged:
                 q, theta = theta, q
-            value = math.log(max(_law(m, joint, q, theta, factor["tau"] * m.tau[source["tau"]][0]), 1e-6))
+            shares = [_law(m, joint, q, theta, factor["tau"] * m.tau[source["tau"]][0])]
             if self.stiff[joint]:
                 # as the slope of a stiff joint is 1, a scale or a sign leaves the difference of the rates
                 left = np.std(theta[1] - q[1]) / max(float(np.std(theta[1])), float(np.std(q[1])), 1e-300)
-                value += math.log(max(float(left), 1e-6))
-            self._known[key] = value
+                shares.append(float(left))
+            self._known[key] = tuple(shares)
         return self._known[key]
 
     def total(self, change: Change) -> float:

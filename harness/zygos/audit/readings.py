@@ -46,3 +46,41 @@ def noise_level(readings: Array, ranges: Sequence[tuple[int, int]]) -> float:
     if not fourth:
         return math.nan
     return 1.4826 * float(np.median(np.abs(np.concatenate(fourth)))) / math.sqrt(70.0)  # 1 + 16 + 36 + 16 + 1
+
+
+_LAGS = 4
+"""Cycles back to which a controller's torque may follow the readings."""
+_ROUNDS, _OUTLIER = 3, 5.0
+"""Fits without what lies so many deviations off: a command that jumps is no noise."""
+
+
+def noise_beside(readings: Array, others: Array, ranges: Sequence[tuple[int, int]]) -> float:
+    """`noise_level` of readings (n,) without what goes with the noise of other readings (n, m) of the last cycles.
+
+    A torque that a controller makes of encoders and gyro carries their noise, and is really applied. Fourth
+    differences of the readings are fitted by those of the others; what is left over is the readings' own. NaN where the
+    run is too short to tell.
+    """
+    target, columns = [], []
+    for a, b in ranges:
+        if b - a <= 4 + _LAGS:
+            continue
+        rest = np.diff(others[a:b], 4, axis=0)
+        n = len(rest) - _LAGS + 1
+        target.append(np.diff(readings[a:b], 4)[_LAGS - 1 :])
+        columns.append(np.column_stack([rest[lag : lag + n] for lag in range(_LAGS)]))
+    if not target:
+        return math.nan
+    y, x = np.concatenate(target), np.concatenate(columns)
+    if len(y) < 10 * x.shape[1]:
+        return math.nan
+    scale = np.sqrt(np.mean(x**2, axis=0))
+    x = x[:, scale > 0.0] / scale[scale > 0.0]
+    left, kept = y, np.ones(len(y), dtype=np.bool_)
+    for _ in range(_ROUNDS):
+        left = y - x @ np.linalg.lstsq(x[kept], y[kept], rcond=None)[0]
+        kept = np.abs(left) <= _OUTLIER * 1.4826 * float(np.median(np.abs(left)))
+        if np.count_nonzero(kept) < 5 * x.shape[1]:
+            break
+    level = min(float(np.median(np.abs(left))), float(np.median(np.abs(y))))
+    return 1.4826 * level / math.sqrt(70.0)

@@ -15,15 +15,16 @@ import numpy as np
 from zygos import bus
 from zygos.arm import load_arm
 from zygos.commands import check_model_name, find_arm, not_whole, progress, warn
-from zygos.effects import estimated
+from zygos.effects import estimated, spoken
 from zygos.errors import Undecided, ZygosError
 from zygos.flight import Flight
 from zygos.gap.explain import INTERVAL, Explanation, Gap, explain
 from zygos.gap.forecast import Forecast
 from zygos.gap.provenance import Provenance
 from zygos.gap.record import Record, read_record
+from zygos.inputs import local
 from zygos.model import load_model, save_model
-from zygos.output import check_outputs, number, say, table, write_json
+from zygos.output import check_outputs, named, number, quiet, say, table, write_json
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,7 @@ def explain_run(
     source = Provenance(
         shlex.join(["zygos", *command]),
         version("zygos"),
-        tuple((role, str(path), hashlib.sha256(path.read_bytes()).hexdigest()) for role, path in inputs.files),
+        tuple((role, str(path), hashlib.sha256(local(path).read_bytes()).hexdigest()) for role, path in inputs.files),
     )
     finish(found, records, logs, inputs, source, out, report, json)
     not_whole(*(log.damage for log in logs))
@@ -141,7 +142,7 @@ def finish(
 ) -> None:
     """Print the tables, write what was asked for, and say what is undecided."""
     flight = flown(found, logs[:2])
-    if json != "-":
+    if not quiet(out, report, json):
         show(found)
         for column in dict.fromkeys(entry["column"] for entry in flight):
             each = [
@@ -163,15 +164,27 @@ def finish(
             damage = [text for log in logs for text in log.damage]
             write_json(json, {**as_json(found, records, source), "flight": flight, "damage": damage or None})
     if found.answer in {"unknown", "cannot tell"}:
-        remedy = "see the report"
-        if found.experiments:
-            best = found.experiments[0]
-            remedy = (
-                f"{best.said} would tell them apart" if best.tells else "no variant of these motions tells them apart"
-            )
-        elif found.partly:
-            remedy = f"part of it looks like {found.partly}"
-        raise Undecided(f"{found.answer}: {found.sentence} ({out} not written); remedy: {remedy}")
+        raise Undecided(f"{found.answer}: {found.sentence} ({named(out)} not written); remedy: {_next(found)}")
+
+
+def _next(found: Explanation) -> str:
+    """What to do where nothing was named."""
+    if found.experiments:
+        best = found.experiments[0]
+        return f"{best.said} would tell them apart" if best.tells else "no variant of these motions tells them apart"
+    if found.partly:
+        return f"part of it looks like {found.partly}"
+    if found.search is None or " first: " in found.sentence:
+        return "correct the arm file; `zygos check-arm` on one of the runs tells more of its signals"
+    if "not the same in the two runs" in found.sentence:
+        return "two runs of one and the same arm; `zygos estimate` says of each what it is"
+    _, colon, look = found.where.partition(": look at ")
+    nearest = found.search.rounds[0][0]
+    return (
+        (f"look at {look.removesuffix('.')}; " if colon else "")
+        + f"the nearest in the catalogue, {spoken(found.arm, nearest.name)}, explains "
+        f"{100 * max(0.0, nearest.complete):.0f} % of it"
+    )
 
 
 def show(found: Explanation) -> None:

@@ -40,6 +40,8 @@ _USED = 0.9
 """Share of a run below which its losses are worth a word."""
 _DEFLECTED = 3.0
 """Deviations of the encoders beyond which a joint that is said to be rigid is not."""
+_ALIKE = 1.0 / 3.0
+"""Share of the worst balance's ratio from which on another balance fails about as much."""
 _SKEWED = 0.95
 """Share of a deflection that goes with the joint's rate: then it is a matter of the encoders' timing."""
 
@@ -249,7 +251,7 @@ class _Explainer:
             self.simulation,
             answer,
             sentence,
-            whereabouts(arm, layout, local, flexible),
+            whereabouts(arm, layout, local, flexible, kept, first=answer == "unknown" and " first: " in sentence),
             refit,
             found,
             kept,
@@ -574,12 +576,23 @@ def deflection(arm: Arm, records: Sequence[Record], joint: int) -> Deflection:
     )
 
 
-def whereabouts(arm: Arm, layout: Layout, local: Array, flexible: Sequence[Deflection]) -> str:
-    """One sentence on which balance fails, from each balance by itself."""
+def whereabouts(
+    arm: Arm,
+    layout: Layout,
+    local: Array,
+    flexible: Sequence[Deflection],
+    findings: Sequence[Finding] = (),
+    *,
+    first: bool = False,
+) -> str:
+    """One sentence on which balance fails, from each balance by itself, and on where to look.
+
+    Where effects were named, it is their places; where timing or sensors come first, it is the verdict that says where.
+    Else it is where those balances are that fail about as much as the worst: an effect shows in others, too.
+    """
     worst = np.nanmax(np.where(np.isnan(local), 0.0, local), axis=0)
     said = dict(zip(layout.balances, worst.tolist(), strict=True))
     failing = [name for name, rho in said.items() if rho**2 - 1.0 > EXCESS]
-    motors = [arm.joints[int(name[1:]) - 1].name for name in failing if name[0] == "M"]
     parts = [
         f"link and motor of the {bent.joint} part by {_times(bent.rms_rad / bent.noise_rad)} their noise"
         for bent in flexible
@@ -591,16 +604,39 @@ def whereabouts(arm: Arm, layout: Layout, local: Array, flexible: Sequence[Defle
     if not parts:
         return "Every balance closes as well as its twin's."
     tail = ""
-    if motors:
-        tail = f": look at the motor side of the {' and the '.join(motors)}"
-    elif flexible:
-        tail = ": look at the joints' flexibility first"
-    elif "H" in failing:
-        tail = ": look at the base, the gyro, or the momentum that is assumed"
-    elif failing == ["E"]:
-        tail = " while every motor balance closes: look at the link side"
+    if findings:
+        places = dict.fromkeys(_place(finding) for finding in findings)
+        tail = f": what explains it acts {' and '.join(places)}"
+    elif not first:
+        tail = _look_at(arm, said, failing, bent=bool(flexible))
     said_all = "; ".join(parts) + tail + "."
     return said_all[0].upper() + said_all[1:]
+
+
+def _look_at(arm: Arm, said: dict[str, float], failing: Sequence[str], *, bent: bool) -> str:
+    most = max((said[name] for name in failing), default=0.0)
+    plain = [name for name in failing if said[name] >= _ALIKE * most]
+    motors = [arm.joints[int(name[1:]) - 1].name for name in plain if name[0] == "M"]
+    base = "the base, the gyro, or the momentum that is assumed"
+    if motors:
+        return f": look at the motor side of the {' and the '.join(motors)}" + (f", and at {base}" * ("H" in plain))
+    if bent:
+        return ": look at the joints' flexibility first"
+    if "H" in plain:
+        # friction at a link shows in the momentum, too
+        return f": look at {base}" + (", and at the link side" if "E" in failing else "")
+    if "H" in failing:
+        return f": look at the link side, then at {base}"
+    return " while every motor balance closes: look at the link side" if failing == ["E"] else ": look at the link side"
+
+
+def _place(finding: Finding) -> str:
+    """Where a finding acts, in words."""
+    if finding.joint is None:
+        return "on the base"
+    side = {"motor": "at the motor side", "torque": "at the motor side", "link": "at the link side"}
+    kind = CATALOGUE.get(finding.kind)
+    return f"{side.get(kind.place if kind else '', 'at the joint')} of the {finding.joint}"
 
 
 def _other(found: Search) -> Candidate | None:

@@ -137,8 +137,8 @@ def _solve(total: Array, names: Sequence[str], *, blind: bool) -> Array:
     scaled = matrix / (scale[..., :, None] * scale[..., None, :])
     if np.min(np.linalg.eigvalsh(scaled)[..., 0]) < 1e-12:
         raise Undecided(
-            "these runs do not tell the parameters apart (a combination of columns is empty); remedy: a longer run "
-            "that moves every joint at different speeds"
+            "these runs do not tell the parameters apart (a combination of columns is empty); remedy: a motion that "
+            "moves every joint, at different speeds; more of the same motion adds nothing"
         )
     out = np.zeros((*total.shape[:-2], len(names)))
     out[..., kept] = np.linalg.solve(scaled, (right / scale)[..., None])[..., 0] / scale

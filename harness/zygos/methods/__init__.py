@@ -6,6 +6,7 @@ see a parameter: `eb` energy balance, `amc` angular momentum conservation, `de` 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +18,7 @@ from zygos.plant import Trajectory
 from zygos.reference.cycle import Samples
 from zygos.reference.kinematics import State
 
-__all__ = ["Record", "by_backward_difference", "exact_record", "record_of"]
+__all__ = ["Record", "by_backward_difference", "exact_record", "noisy_states", "record_of"]
 
 Floats = NDArray[np.float64]
 
@@ -29,7 +30,8 @@ class Record:
     q, theta: (B, n, N) [rad]. tau: (B, n, N) rotor torque in force on [t_k, t_k+1) [Nm]; the last one is not used.
     f0: (B, n) base rate about the common axis [rad/s].
     qd, thetad: (B, n, N) exact rates [rad/s], or None. slip2: (B, n, N) exact integral of (thetad - qd)^2 from the
-    first instant on [rad^2/s], or None. Exact data let a method be tried without its rate estimate.
+    first instant on [rad^2/s], or None. qdd, thetadd: (B, n, N) accelerations just after each instant [rad/s^2], f0d:
+    (B, n) that of the base, or None. Exact data let a method be tried without its rate estimate.
     """
 
     q: Floats
@@ -39,12 +41,17 @@ class Record:
     qd: Floats | None = None
     thetad: Floats | None = None
     slip2: Floats | None = None
+    qdd: Floats | None = None
+    thetadd: Floats | None = None
+    f0d: Floats | None = None
 
     def __post_init__(self) -> None:
         """Raises ZygosError where the shapes do not belong together."""
         shape = self.q.shape
-        joints = [self.theta, self.tau, *(x for x in (self.qd, self.thetad, self.slip2) if x is not None)]
-        if len(shape) != 3 or any(x.shape != shape for x in joints) or self.f0.shape != shape[:2]:
+        given = (self.qd, self.thetad, self.slip2, self.qdd, self.thetadd)
+        joints = [self.theta, self.tau, *(x for x in given if x is not None)]
+        base = [self.f0, *([] if self.f0d is None else [self.f0d])]
+        if len(shape) != 3 or any(x.shape != shape for x in joints) or any(x.shape != shape[:2] for x in base):
             raise ZygosError(
                 "what is wrong: the arrays of a record differ in shape; remedy: (B, n, N) for joints, (B, n) for f0"
             )
@@ -70,7 +77,8 @@ def record_of(arm: Arm, *samples: Samples) -> Record:
 
 
 def exact_record(trajectory: Trajectory) -> Record:
-    """A simulation as perfect sensors would see it, with its exact rates and dissipation."""
+    """A simulation as perfect sensors would see it, with its exact rates, accelerations and dissipation."""
+    f0d, qdd, thetadd = trajectory.accelerations()
     return Record(
         q=trajectory.q,
         theta=trajectory.theta,
@@ -79,7 +87,48 @@ def exact_record(trajectory: Trajectory) -> Record:
         qd=trajectory.qd,
         thetad=trajectory.thetad,
         slip2=trajectory.slip2,
+        qdd=qdd,
+        thetadd=thetadd,
+        f0d=f0d,
     )
+
+
+def noisy_states(arm: Arm, exact: Record, seeds: Sequence[int]) -> Record:
+    """Exact states with white noise of the paper's variances (32) added to each, one run for each seed.
+
+    exact: one run of `exact_record`. Angles get the encoders' variance s^2, rates 2 s^2 / T^2, accelerations
+    4 s^2 / T^4, all independent of one another, as nothing that differences angles can give them; the gyro its white
+    noise, and the derivative of it that of a backward difference. The dissipation is that of the noisy rates.
+    Raises ZygosError where the record is not exact.
+    """
+    if exact.qd is None or exact.thetad is None or exact.qdd is None or exact.thetadd is None or exact.f0d is None:
+        raise ZygosError("what is wrong: the record has no exact rates; remedy: a simulated record")
+    h, gyro = arm.period_s, arm.imu.rate_sigma
+    link = np.array([joint.link_encoder.sigma_rad for joint in arm.joints])
+    motor = np.array([joint.motor_encoder.sigma_rad for joint in arm.joints])
+    runs: list[list[Floats]] = []
+    for seed in seeds:
+        rng = np.random.default_rng(seed)
+
+        def noisy(x: Floats, sigma: Floats | float, rng: np.random.Generator = rng) -> Floats:
+            return np.asarray(x[0] + sigma * rng.standard_normal(x.shape[1:]), dtype=np.float64)
+
+        qd, thetad = noisy(exact.qd, np.sqrt(2.0) * link / h), noisy(exact.thetad, np.sqrt(2.0) * motor / h)
+        runs.append(
+            [
+                noisy(exact.q, link),
+                noisy(exact.theta, motor),
+                exact.tau[0],
+                noisy(exact.f0, gyro),
+                qd,
+                thetad,
+                np.cumsum(h * (thetad - qd) ** 2, axis=0),
+                noisy(exact.qdd, 2.0 * link / h**2),
+                noisy(exact.thetadd, 2.0 * motor / h**2),
+                noisy(exact.f0d, np.sqrt(2.0) * gyro / h),
+            ]
+        )
+    return Record(*(np.stack(column) for column in zip(*runs, strict=True)))
 
 
 def by_backward_difference(arm: Arm, record: Record) -> State:

@@ -59,16 +59,22 @@ def columns(arm: Arm, state: State, qdd: Floats, thetadd: Floats, f0d: Floats) -
     return z
 
 
-def rows(arm: Arm, record: Record) -> tuple[Floats, Floats]:
+def rows(arm: Arm, record: Record, exact: bool = False) -> tuple[Floats, Floats]:
     """Design (B, m, p) and right side (B, m) [Nm] at the inner instants, equations of one instant together.
 
-    Accelerations are second differences of the angles and central differences of the gyro, rates central differences.
+    exact: rates and accelerations are the record's own, at all instants but the last, whose torque is not known. Else
+    accelerations are second differences of the angles and central differences of the gyro, rates central differences.
     A second difference weighs the steps before and after the instant alike, so the torque is the mean of both.
     """
+    if exact:
+        qd, thetad, qdd, thetadd, f0d = record.qd, record.thetad, record.qdd, record.thetadd, record.f0d
+        if qd is None or thetad is None or qdd is None or thetadd is None or f0d is None:
+            raise ZygosError("what is wrong: the record has no exact accelerations; remedy: a simulated record")
+        state = State(record.q, record.theta, qd, thetad, record.f0)
+        return _flat(arm, columns(arm, state, qdd, thetadd, f0d)[:, :-1], record.tau[:, :-1])
     if record.q.shape[1] < 3:
         raise ZygosError("what is wrong: fewer than three samples have no second difference; remedy: a longer record")
     h = arm.period_s
-    joints = len(arm.joints)
     inner = State(
         q=record.q[:, 1:-1],
         theta=record.theta[:, 1:-1],
@@ -77,14 +83,19 @@ def rows(arm: Arm, record: Record) -> tuple[Floats, Floats]:
         base=record.f0[:, 1:-1],
     )
     z = columns(arm, inner, _second(record.q, h), _second(record.theta, h), _first(record.f0, h))
-    u = arm.gear_ratios * 0.5 * (record.tau[:, 1:-1] + record.tau[:, :-2])
-    right = np.concatenate([np.zeros((*u.shape[:2], joints + 1)), u], axis=-1)
+    return _flat(arm, z, 0.5 * (record.tau[:, 1:-1] + record.tau[:, :-2]))
+
+
+def _flat(arm: Arm, z: Floats, tau: Floats) -> tuple[Floats, Floats]:
+    """The equations of all instants below one another, with their right sides."""
+    u = arm.gear_ratios * tau
+    right = np.concatenate([np.zeros((*u.shape[:2], arm.n + 1)), u], axis=-1)
     return z.reshape(z.shape[0], -1, z.shape[-1]), right.reshape(right.shape[0], -1)
 
 
-def estimate(arm: Arm, record: Record) -> Floats:
-    """Estimates of all parameters, (B, p). Raises Undecided where a record is too poor."""
-    z, w = rows(arm, record)
+def estimate(arm: Arm, record: Record, *, exact: bool = False) -> Floats:
+    """Estimates of all parameters, (B, p); see rows(). Raises Undecided where a record is too poor."""
+    z, w = rows(arm, record, exact)
     return np.stack([solve(Rows.exact(zb, wb)).x for zb, wb in zip(z, w, strict=True)])
 
 

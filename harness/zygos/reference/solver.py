@@ -18,6 +18,8 @@ GATE = 2.0
 OVERDECLARED = 0.6
 """Residuals with less than this share of the declared noise's square tell how much of it there is."""
 LEAST_FREEDOM = 2.0
+SYSTEMATIC = 0.05
+"""At least this share of the residuals' square is taken for systematic: no deviation is declared more exactly."""
 
 
 @dataclass(frozen=True)
@@ -137,6 +139,17 @@ def explained(noise: Floats, x: Floats) -> float:
     """Square of the residuals that the declared noise makes by itself."""
     ahead = np.append(x, -1.0)
     return float(ahead @ noise @ ahead)
+
+
+def that_stays(energy: Rows, solution: Solution, longest: int) -> float:
+    """By how much the blocks' scatter is too small for an error that is the same in every arc, relative to itself.
+
+    What the declared noise does not explain of the residuals' square does to the estimate what it does in one arc of
+    `longest` instants, and no number of arcs averages it out.
+    """
+    square = float(np.sum((energy.z @ solution.x - energy.w) ** 2))
+    share = 1.0 - solution.believed * explained(energy.noise, solution.x) / square
+    return max(SYSTEMATIC, share) * len(energy.w) / longest
 
 
 @dataclass(frozen=True)

@@ -14,10 +14,11 @@ import numpy as np
 
 from zygos.accuracy.cases import Case
 from zygos.accuracy.estimators import ESTIMATORS
-from zygos.accuracy.figure4 import HAIR
+from zygos.accuracy.figure4 import HAIR, PRINTED
 from zygos.accuracy.summary import WILD_PERCENT, WILD_SIGMAS
 from zygos.output import number
 from zygos.report.page import Entry, render, series
+from zygos.response import PARTING
 
 BAND = (0.92, 0.97)
 """Coverage that a 95 % interval should have."""
@@ -30,7 +31,7 @@ _LOW, _HIGH = 1e-6, 1e4
 _TOP, _HEIGHT, _LEFT = 12.0, 190.0, 46.0
 _CROWDED = 16
 """Parameters from which on their names stand upright."""
-_EVERY = 3
+_EVERY = 6
 """Points of a long motion that are drawn: one of so many."""
 
 
@@ -191,6 +192,7 @@ def _coverage(case: Case, entries: Sequence[Mapping[str, Any]]) -> Entry | None:
 
 _STYLES: dict[str, Entry] = {
     "true": {"colour": "ink", "wide": True},
+    PRINTED: {"colour": "joint1", "dash": True},
     "+10 %": {"colour": "joint5"},
     "−10 %": {"colour": "joint3"},
     "+0.1 %": {"colour": "joint5", "dash": True},
@@ -206,7 +208,7 @@ def _charts(figure: Mapping[str, Any]) -> dict[str, Any]:
     long = {
         f"motion{k}": {
             "id": f"motion{k}",
-            "title": f"Free motion: link angle of the {joint}",
+            "title": f"Response to the torques (50): link angle of the {joint}",
             "unit": "rad",
             "time": "long",
             "height": 240,
@@ -247,6 +249,7 @@ def _figure(figure: Mapping[str, Any]) -> Entry:
                 "name": name,
                 "colour": _style(name)["colour"],
                 "free": _number(rms),
+                "percent": _number(figure["free_rms_percent"][name]),
                 "servo": _number(figure["servo_rms_rad"][name]),
                 "short": [_number(figure["arcs_rad"][name][k]) if name in figure["arcs_rad"] else "–" for k in at],
             }
@@ -255,6 +258,9 @@ def _figure(figure: Mapping[str, Any]) -> Entry:
         ],
         "missing": figure["missing"],
         "duration": f"{figure['time_s'][-1]:.0f}",
+        "parting": number(figure["parting"], 2),
+        "chaotic": figure["parting"] > PARTING,
+        "printed": PRINTED,
         "hair": HAIR,
         "hair_most": _most(figure, HAIR),
         "small": "+0.1 %",

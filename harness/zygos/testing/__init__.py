@@ -14,7 +14,7 @@ import can
 
 from zygos.bus import open_bus
 from zygos.errors import ZygosError
-from zygos.output import table, write_json
+from zygos.output import check_outputs, table, write_json
 from zygos.scenario import load_scenario
 from zygos.testing import faults as _faults
 from zygos.testing.dut import EXTERNAL, Dut
@@ -44,6 +44,14 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
     group.addoption("--zygos-scenario", metavar="FILE", help="The plant: a scenario.toml, which names arm and model.")
     group.addoption("--zygos-json", metavar="FILE", help="Where the table of drills is written as JSON, too.")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Refuse, before the drills, a file for their table that cannot be written."""
+    try:
+        check_outputs([config.getoption("--zygos-json")], [])
+    except ZygosError as error:
+        raise pytest.UsageError(str(error)) from error
 
 
 @pytest.fixture

@@ -1,0 +1,218 @@
+"""A mission: up to a month of one arm, and what the flight library says in the end.
+
+A mission repeats a few stored motions that no sensor touched, and draws the errors of all sensors anew each time. Where
+one motion ends and the next begins some cycles are missing. A share of the traffic is lost, and now and then the state
+is sealed into a snapshot and resumed from it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from zygos import snapshot
+from zygos.accuracy.cases import Case
+from zygos.accuracy.cell import STREAM
+from zygos.cycles import Cycles
+from zygos.flight import Estimate, Flight, encode
+from zygos.output import write_bytes
+from zygos.plant import record, simulate
+from zygos.sensors import draw_noise, no_noise
+
+Floats = NDArray[np.float64]
+Line = dict[str, Any]
+
+MOTION_S = 300.0
+MOTIONS, REPEATED = 24, 4
+"""Stored motions, each with encoder errors of its own in the servo, and how many of them one mission repeats."""
+MISSING = 5
+"""Cycles that are missing between two motions."""
+LOST = 1e-4
+"""Of the frames, or of the cycles where they come through the other door."""
+RESUMED_S = 86_400.0
+"""How often the state is sealed and resumed, at the most; an hour where a mission is shorter than a day."""
+
+
+@dataclass(frozen=True)
+class Length:
+    """How long missions last, how many there are, and through which door they come."""
+
+    name: str
+    duration_s: float
+    draws: int
+    door: str
+    """"frames": the CAN frames of a bus; "cycles": cycles in SI, five times as fast."""
+
+
+LENGTHS = (
+    Length("60s", 60.0, 200, "frames"),
+    Length("300s", 300.0, 200, "frames"),
+    Length("3h", 10_800.0, 60, "frames"),
+    Length("30d", 2_592_000.0, 12, "cycles"),
+)
+
+
+@dataclass(frozen=True)
+class Mission:
+    """Work for one process."""
+
+    case: Case
+    length: Length
+    number: int
+    folder: Path
+    """Where motions are stored."""
+    code: str
+    """Fingerprint of whoever ordered it."""
+
+    @property
+    def key(self) -> str:
+        """Names what is computed, down to the code that does it."""
+        return hashlib.sha256(repr(replace(self, folder=Path())).encode()).hexdigest()[:16]
+
+    def motions(self) -> list[int]:
+        """Which of the stored motions are repeated, in their order: one for each motion's time, four at the most."""
+        count = min(REPEATED, max(1, round(self.length.duration_s / MOTION_S)))
+        order = np.random.default_rng([self.number, 4]).permutation(MOTIONS)
+        return [int(k) for k in order[:count]]
+
+    def run(self) -> Line:
+        """Simulate or read the motions, feed the library, and write down what it says in the end."""
+        with threadpool_limits(1):
+            every = stored(self.case, self.folder)
+            motions = [every[k] for k in self.motions()]
+            begin = time.perf_counter()
+            flight, cycles, resumed = flown(self, motions)
+            found = flight.estimate()
+        return {
+            "case": self.case.name,
+            "length": self.length.name,
+            "mission": self.number,
+            "cycles": cycles,
+            "resumed": resumed,
+            "seconds": round(time.perf_counter() - begin, 1),
+            **_answer(found, len(self.case.arm.parameter_names)),
+        }
+
+
+def _answer(found: Estimate, own: int) -> Line:
+    """An estimate as a line holds it, without the effects."""
+
+    def digits(values: Floats) -> list[float | None]:
+        return [float(f"{x:.9g}") if np.isfinite(x) else None for x in values[:own].tolist()]
+
+    return {
+        "validity": found.validity,
+        "reason": found.reason,
+        "value": digits(found.value),
+        "sigma": digits(found.sigma),
+        "half95": digits(found.half95),
+        "refused": found.refused,
+        "arcs": found.arcs,
+        "blocks": found.blocks,
+        "gate": float(f"{found.gate:.6g}") if np.isfinite(found.gate) else None,
+        "noise_ratio": float(f"{found.noise_ratio:.6g}") if np.isfinite(found.noise_ratio) else None,
+        "cluster": float(f"{found.cluster:.6g}"),
+    }
+
+
+def stored(case: Case, folder: Path) -> list[Cycles]:
+    """The motions of a case as perfect sensors see them, from the folder, or simulated and put there."""
+    described = repr((case.plant, case.model, case.scenario, case.engine, MOTIONS, MOTION_S))
+    path = folder / f"{case.name}-{hashlib.sha256(described.encode()).hexdigest()[:12]}.npz"
+    if not path.exists():
+        write_bytes(path, _packed(simulated(case)))
+    return _read(path)
+
+
+def simulated(case: Case, count: int = MOTIONS) -> list[Cycles]:
+    """The motions of seeds 0 .. count-1, which differ by what the encoder errors do to the servo."""
+    run = simulate(
+        case.plant,
+        case.model,
+        case.scenario,
+        engine=case.engine,
+        seeds=range(count),
+        noise=True,
+        duration_s=MOTION_S,
+        rtol=1e-9,
+        atol=1e-11,
+    )
+    silent = replace(run, noise=no_noise(run.arm, len(run.t), run.seeds))
+    return [record(silent, index) for index in range(count)]
+
+
+def _packed(motions: Sequence[Cycles]) -> bytes:
+    with tempfile.TemporaryFile() as file:
+        columns: Any = {name: np.stack([getattr(one, name) for one in motions]) for name in vars(motions[0])}
+        np.savez(file, **columns)
+        file.seek(0)
+        return file.read()
+
+
+@lru_cache(maxsize=1)
+def _read(path: Path) -> list[Cycles]:
+    with np.load(path) as file:
+        held = dict(file)
+    return [Cycles(**{name: column[k] for name, column in held.items()}) for k in range(MOTIONS)]
+
+
+def flown(mission: Mission, motions: Sequence[Cycles]) -> tuple[Flight, int, int]:
+    """The library after a mission, how many cycles were sent, and how often it was resumed from a snapshot."""
+    arm, length = mission.case.arm, mission.length
+    flight = Flight(arm)
+    every = RESUMED_S if length.duration_s > RESUMED_S else 3600.0
+    resumed, sent = 0, 0
+    with tempfile.TemporaryDirectory() as scratch:
+        for cycles in sensed(mission, motions):
+            if cycles.sync[0] * arm.period_s >= (resumed + 1) * every:
+                snapshot.write(Path(scratch) / "state", "state", flight.native)
+                flight = Flight(arm)
+                snapshot.resume(flight, Path(scratch) / "state")
+                resumed += 1
+            sent += len(cycles)
+            rng = np.random.default_rng([mission.number, int(cycles.sync[0]), 6])
+            if length.door == "frames":
+                frames = encode(arm, cycles)
+                flight.frames(frames[rng.random(len(frames)) >= LOST])
+            else:
+                flight.cycles(taken(cycles, np.flatnonzero(rng.random(len(cycles)) >= LOST)))
+    return flight, sent, resumed
+
+
+def sensed(mission: Mission, motions: Sequence[Cycles]) -> Iterator[Cycles]:
+    """The motions in turn as the sensors see them, until the mission ends."""
+    arm = mission.case.arm
+    left, sync = round(mission.length.duration_s / arm.period_s), 0
+    bias = np.zeros(3)
+    turn = 0
+    while left > 0:
+        motion = motions[turn % len(motions)]
+        n = min(left, len(motion))
+        noise = draw_noise(arm, n, [mission.number + turn * STREAM])
+        yield Cycles(
+            sync=np.arange(sync, sync + n, dtype=np.uint64),
+            q=motion.q[:n] + noise.link[0],
+            theta=motion.theta[:n] + noise.motor[0],
+            tau=motion.tau[:n] + noise.torque[0],
+            omega=motion.omega[:n] + noise.gyro[0] + bias,
+            flags=motion.flags[:n],
+        )
+        bias += noise.bias[0, -1]
+        sync += n + MISSING
+        left -= n
+        turn += 1
+
+
+def taken(cycles: Cycles, places: NDArray[np.int64]) -> Cycles:
+    """Some of the cycles."""
+    return Cycles(**{name: column[places] for name, column in vars(cycles).items()})
