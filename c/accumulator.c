@@ -416,6 +416,35 @@ void zygos_accumulator_drop_after(zygos_accumulator_t *self, uint64_t cycle)
     }
 }
 
+uint32_t zygos_accumulator_drop_until(zygos_accumulator_t *self, uint64_t cycle)
+{
+    judge(self);
+    const double before = closed_instants(self);
+    uint32_t drop = 0;
+    uint32_t dropped = 0;
+    while ((drop < self->open) && (self->block[drop].end <= cycle)) {
+        const bool last_of_arc = (drop + 1u == self->open) || (self->block[drop + 1u].end != self->block[drop].end);
+        dropped += last_of_arc ? 1u : 0u;
+        drop++;
+    }
+    for (uint32_t b = drop; (drop > 0) && (b < self->count); b++) {
+        self->block[b - drop] = self->block[b];
+    }
+    self->count -= drop;
+    self->open -= drop;
+    self->newest -= (self->newest < drop) ? self->newest : drop;
+    self->window -= (self->window < drop) ? self->window : drop;
+    self->arcs -= (dropped < self->arcs) ? dropped : self->arcs;
+    const double kept = closed_instants(self);
+    if (kept < before) {
+        const uint64_t closed = self->accepted - self->arc_instants;
+        self->accepted = self->arc_instants + (uint64_t)((double)closed * kept / before + 0.5);
+        add_share(&self->noise_closed, &self->noise_closed, kept / before - 1.0, self->width - 1u);
+    }
+    self->seal = seal_of(self);
+    return dropped;
+}
+
 void zygos_accumulator_fade(zygos_accumulator_t *self, double factor)
 {
     const uint32_t size = zygos_gram_entries(self->width);

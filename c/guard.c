@@ -9,7 +9,7 @@
 #define SIGMAS 6.0
 /* Of a random walk's mean square about its own mean, as the solver has it. */
 #define WALK 10.0
-/* An arc says that it agrees when this share of its spread would have contradicted. */
+/* An arc can say that it agrees when this share of its spread would have contradicted. */
 #define TELLING 0.1
 
 void zygos_guard_clear(zygos_guard_t *self, bool counters, uint64_t cycle)
@@ -124,13 +124,19 @@ static double limit_of(const finding_t *found, const zygos_usual_t *usual, doubl
            ZYGOS_GUARD_SHARE * ZYGOS_GUARD_SHARE * spread;
 }
 
-/* Longest energy arcs that so many arcs of the given length cover. */
+static uint32_t longest(const zygos_config_t *config, uint32_t rows)
+{
+    if (rows == (uint32_t)ZYGOS_ENERGY_ROWS) {
+        return config->arc_cycles;
+    }
+    return (rows == (uint32_t)ZYGOS_MOTOR_ROWS) ? config->impulse_arc_cycles : config->momentum_arc_cycles;
+}
+
+/* Arcs in a row that are no accident. */
 static uint32_t several(const zygos_config_t *config, uint32_t rows)
 {
-    const uint32_t own = (rows == (uint32_t)ZYGOS_MOTOR_ROWS)      ? config->impulse_arc_cycles
-                         : (rows == (uint32_t)ZYGOS_MOMENTUM_ROWS) ? config->momentum_arc_cycles
-                                                                   : config->arc_cycles;
-    return ZYGOS_IN_A_ROW * ((own > 0) ? (config->arc_cycles + own - 1u) / own : 1u);
+    const uint32_t own = longest(config, rows);
+    return ZYGOS_IN_A_ROW * (((own > 0) && (own < config->arc_cycles)) ? (config->arc_cycles + own - 1u) / own : 1u);
 }
 
 /* Counts an arc that was judged. telling: it could have contradicted. there: instants in the sums. */
@@ -143,9 +149,14 @@ static void count(zygos_guard_t *self, const zygos_config_t *config, uint32_t ro
         self->left_out[rows]++;
         self->in_a_row[rows]++;
         self->instants[rows] += n;
-    } else if (telling) {
+        self->agreed[rows] = 0.0;
+    } else {
+        self->agreed[rows] += telling ? n : 0.0;
+    }
+    if (self->agreed[rows] >= 0.5 * (double)longest(config, rows)) {
         self->in_a_row[rows] = 0;
         self->instants[rows] = 0.0;
+        self->agreed[rows] = 0.0;
     }
     self->changed = 0;
     for (uint32_t k = 0; k < (uint32_t)ZYGOS_KINDS_OF_ROWS; k++) {
@@ -343,6 +354,15 @@ void zygos_guard_end_momentum(zygos_guard_t *self, const zygos_config_t *config,
     }
 }
 
+void zygos_guard_drop(zygos_guard_t *self, zygos_accumulator_t *energy, zygos_joint_sums_t *motors,
+                      zygos_momentum_sums_t *momentum, uint64_t cycle)
+{
+    self->left_out[ZYGOS_ENERGY_ROWS] += zygos_accumulator_drop_until(energy, cycle);
+    self->left_out[ZYGOS_MOTOR_ROWS] += zygos_joint_sums_drop_until(motors, cycle);
+    self->left_out[ZYGOS_MOMENTUM_ROWS] += zygos_momentum_sums_drop_until(momentum, cycle);
+    self->dropped = cycle;
+}
+
 static zygos_usual_t usual_of(const finding_t *found, double n)
 {
     zygos_usual_t out = { 0.0, 0.0 };
@@ -388,6 +408,7 @@ void zygos_guard_begin(zygos_guard_t *self, const zygos_config_t *config, const 
     if (self->known == 0) { /* the first, or that of another arm */
         memset(self->in_a_row, 0, sizeof self->in_a_row);
         memset(self->instants, 0, sizeof self->instants);
+        memset(self->agreed, 0, sizeof self->agreed);
         self->changed = 0;
     }
     self->known = 1;

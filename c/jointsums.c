@@ -244,6 +244,21 @@ void zygos_joint_sums_drop_after(zygos_joint_sums_t *self, uint64_t cycle)
     self->seal = seal_of(self);
 }
 
+uint32_t zygos_joint_sums_drop_until(zygos_joint_sums_t *self, uint64_t cycle)
+{
+    judge(self);
+    uint32_t drop = 0;
+    while ((drop < self->count) && (self->block[drop].end <= cycle)) {
+        drop++;
+    }
+    for (uint32_t b = drop; (drop > 0) && (b < self->count); b++) {
+        self->block[b - drop] = self->block[b];
+    }
+    self->count -= drop;
+    self->seal = seal_of(self);
+    return drop;
+}
+
 double zygos_joint_sums_check(const zygos_joint_sums_t *self, const zygos_config_t *config)
 {
     bool good = (self->corrupt == 0) && (self->seal == seal_of(self));

@@ -290,6 +290,26 @@ void zygos_momentum_sums_drop_after(zygos_momentum_sums_t *self, uint64_t cycle)
     }
 }
 
+uint32_t zygos_momentum_sums_drop_until(zygos_momentum_sums_t *self, uint64_t cycle)
+{
+    judge(self);
+    const double before = closed_instants(self);
+    uint32_t drop = 0;
+    while ((drop < self->count) && (self->block[drop].end <= cycle)) {
+        drop++;
+    }
+    for (uint32_t b = drop; (drop > 0) && (b < self->count); b++) {
+        self->block[b - drop] = self->block[b];
+    }
+    self->count -= drop;
+    const double kept = closed_instants(self);
+    if (kept < before) {
+        add_gram(&self->noise_closed, &self->noise_closed, kept / before - 1.0, self->columns);
+    }
+    self->seal = seal_of(self);
+    return drop;
+}
+
 double zygos_momentum_sums_check(const zygos_momentum_sums_t *self)
 {
     const uint32_t width = width_of(self);

@@ -7,6 +7,8 @@
 #define POWER_ROUNDS 40u
 /* Of a random walk's mean square about its own mean: between 6, and 15 where its trend drops out. */
 #define WALK 10.0
+/* More than what noise leaves, by the square: an arc may have spoilt the sums before there was a running solution. */
+#define SPOILT 2.0
 #define TWO_SIGMAS 1.959964 /* 95 % of a normal distribution */
 /* The noise of neighbouring momentum rows is alike, that of energy rows forgets at once: so much less their square
    says. */
@@ -988,30 +990,31 @@ static bool closes(const zygos_work_t *work, uint32_t p, zygos_estimate_t *out)
     return (out->cluster <= ZYGOS_CLUSTER_LIMIT) || (share <= ZYGOS_CLUSTER_SHARE);
 }
 
-int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
+/* Solves the blocks from the given one on, with which an arc begins. */
+static int solve_from(zygos_work_t *work, zygos_estimate_t *out, uint32_t first)
 {
-    if ((work == NULL) || (out == NULL)) {
-        return ZYGOS_E_NULL;
-    }
     const zygos_accumulator_t *sums = &work->accumulator;
-    memset(out, 0, sizeof *out);
-    if (!zygos_work_intact(work)) {
-        return refuse(out, ZYGOS_MAX_PARAMETERS, ZYGOS_REASON_CORRUPT);
-    }
     const uint32_t p = work->layout.count;
     const uint32_t effects = work->layout.effects;
+    double before = 0.0;
+    memset(out, 0, sizeof *out);
+    memcpy(out->left_out, work->guard.left_out, sizeof out->left_out);
+    for (uint32_t b = 0; b < first; b++) {
+        before += sums->block[b].instants;
+        out->left_out[ZYGOS_ENERGY_ROWS] += (sums->block[b].end != sums->block[b + 1u].end) ? 1u : 0u;
+    }
     out->cycle = work->cycle;
     out->refused = sums->refused;
     out->parameters = p;
-    out->accepted = sums->accepted;
-    out->arcs = sums->arcs;
-    out->blocks = sums->open;
-    memcpy(out->left_out, work->guard.left_out, sizeof out->left_out);
+    out->accepted = sums->accepted - (uint64_t)(before + 0.5);
+    out->arcs = sums->arcs - (out->left_out[ZYGOS_ENERGY_ROWS] - work->guard.left_out[ZYGOS_ENERGY_ROWS]);
+    out->blocks = sums->open - first;
+    out->since = (first > 0) ? sums->block[first - 1u].end : 0u;
     out->in_a_row = work->guard.in_a_row[ZYGOS_ENERGY_ROWS];
     if ((out->accepted < (uint64_t)INSTANTS_PER_PARAMETER * p) || (out->blocks < ZYGOS_LEAST_BLOCKS)) {
         return refuse(out, p, ZYGOS_REASON_NO_DATA);
     }
-    choose(work, p, 0, sums->open);
+    choose(work, p, first, sums->open);
     memset(work->weight, 0, sizeof work->weight);
     work->momentum_weight = 0.0;
     const uint32_t rank = combine(work, p, out);
@@ -1105,6 +1108,74 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     return 1;
 }
 
+/* Whether what is wrong may be in old arcs: more is left over than noise leaves. */
+static bool is_spoilt(const zygos_estimate_t *out)
+{
+    return (out->validity != (uint32_t)ZYGOS_VALID) && (out->reason != (uint32_t)ZYGOS_REASON_NO_DATA) &&
+           (out->reason != (uint32_t)ZYGOS_REASON_CHANGED) &&
+           ((out->reason == (uint32_t)ZYGOS_REASON_UNCLOSED) || (out->reason == (uint32_t)ZYGOS_REASON_UNEXPLAINED) ||
+            (out->noise_ratio > SPOILT));
+}
+
+/* First block of an arc, from the given one on. */
+static uint32_t next_arc(const zygos_accumulator_t *sums, uint32_t from)
+{
+    uint32_t b = from;
+    while ((b > 0) && (b < sums->open) && (sums->block[b].end == sums->block[b - 1u].end)) {
+        b++;
+    }
+    return b;
+}
+
+/* Whether the blocks from the given one on are at least half of all, and of several arcs: a short piece closes where
+   the whole does not, whatever is wrong with it. */
+static bool several_behind(const zygos_accumulator_t *sums, uint32_t first)
+{
+    double before = 0.0;
+    double behind = 0.0;
+    uint32_t arcs = 0;
+    for (uint32_t b = 0; b < sums->open; b++) {
+        const bool last_of_arc = (b + 1u == sums->open) || (sums->block[b + 1u].end != sums->block[b].end);
+        before += (b < first) ? sums->block[b].instants : 0.0;
+        behind += (b < first) ? 0.0 : sums->block[b].instants;
+        arcs += ((b >= first) && last_of_arc) ? 1u : 0u;
+    }
+    return (first + ZYGOS_LEAST_BLOCKS <= sums->open) && (behind >= before) && (arcs >= ZYGOS_IN_A_ROW);
+}
+
+int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
+{
+    if ((work == NULL) || (out == NULL)) {
+        return ZYGOS_E_NULL;
+    }
+    const zygos_accumulator_t *sums = &work->accumulator;
+    if (!zygos_work_intact(work)) {
+        memset(out, 0, sizeof *out);
+        return refuse(out, ZYGOS_MAX_PARAMETERS, ZYGOS_REASON_CORRUPT);
+    }
+    int answer = solve_from(work, out, 0);
+    if ((work->guard.asked == 0) || !is_spoilt(out)) {
+        return answer;
+    }
+    const double ratio = out->noise_ratio;
+    const double clustered = out->cluster;
+    uint32_t first = 0;
+    bool better = false;
+    for (uint32_t quarter = 1; !better && (quarter <= 2u); quarter++) {
+        const uint32_t next = next_arc(sums, quarter * sums->open / 4u);
+        if ((next > first) && several_behind(sums, next)) {
+            first = next;
+            answer = solve_from(work, out, first);
+            better = ((out->validity == (uint32_t)ZYGOS_VALID) || (out->reason == (uint32_t)ZYGOS_REASON_CHANGED)) &&
+                     ((SPOILT * out->noise_ratio < ratio) || (ZYGOS_CLUSTER_LIMIT * out->cluster < clustered));
+        }
+    }
+    if ((first > 0) && !better) {
+        answer = solve_from(work, out, 0);
+    }
+    return answer;
+}
+
 /* What the chosen blocks say; false where they do not say anything. */
 static bool say(zygos_work_t *work, uint32_t p, zygos_estimate_t *scratch, uint32_t *rank)
 {
@@ -1153,8 +1224,8 @@ int zygos_drift(zygos_work_t *work, zygos_estimate_t *out, double *deviation)
         deviation[i] = not_a_number();
     }
     /* The newest arc is what it is about, unless it is too short to speak for itself. */
-    const bool guarded = (work->guard.known != 0) && ((double)sums->arc_instants >= sums->enough);
-    work->guard.known = guarded ? 0u : work->guard.known;
+    const bool guarded = (work->guard.known != 0);
+    work->guard.known = (guarded && ((double)sums->arc_instants < sums->enough)) ? 1u : 0u;
     if (!zygos_work_intact(work)) {
         return refuse(out, ZYGOS_MAX_PARAMETERS, ZYGOS_REASON_CORRUPT);
     }

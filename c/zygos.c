@@ -463,12 +463,16 @@ int zygos_adopt(zygos_t *self, const zygos_estimate_t *estimate)
         wider[i] = (estimate->sigma[i] > 0.0) ? estimate->half95[i] / (TWO_SIGMAS * estimate->sigma[i]) : 1.0;
         good = within(estimate->solution[i], -LARGEST_SUM, LARGEST_SUM) && within(wider[i], 0.0, LARGEST_SUM);
     }
+    guard->asked = 1;
     if (!good) {
         return 0;
     }
+    if (estimate->since > 0) {
+        zygos_guard_drop(guard, &self->accumulator, &self->joint_sums, &self->momentum_sums, estimate->since);
+    }
     const double ratio = estimate->noise_ratio;
     guard->noise_ratio = within(ratio, 0.0, LARGEST_SUM) ? ratio : 0.0;
-    guard->cluster = (estimate->cluster > 1.0) ? estimate->cluster : 1.0;
+    guard->cluster = (estimate->cluster > ZYGOS_GUARD_CLUSTER) ? estimate->cluster : ZYGOS_GUARD_CLUSTER;
     guard->energy.residual = estimate->residual * estimate->residual;
     memcpy(guard->solution, estimate->solution, sizeof guard->solution);
     for (uint32_t i = 0, k = 0; i < p; i++) {

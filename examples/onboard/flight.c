@@ -12,7 +12,8 @@ enum kind { TELEMETRY_ESTIMATE = 0, TELEMETRY_SIGMA = 1, TELEMETRY_VERDICT = 3 }
 
 static zygos_t arm;               /* belongs to flight_task() */
 static zygos_work_t work;         /* changes hands by work_is_full */
-static zygos_estimate_t estimate; /* belongs to flight_solve(), and so does what is learned */
+static zygos_estimate_t estimate; /* belongs to flight_solve(), as does what is learned; while no work is full, to
+                                    flight_task() */
 static flight_learned_t learned;
 static uint8_t estimate_counter;
 static uint32_t payload_of_learned;
@@ -83,6 +84,7 @@ static void take_when_due(void)
         return;
     }
     taken_at = arm.cycles;
+    (void)zygos_adopt(&arm, &estimate); /* the solver is idle; what it found last judges the arcs to come */
     zygos_take(&arm, &work);
     counter_of_work = (uint8_t)(arm.receiver.assembly.counter % 16u);
     payload_of_work = atomic_load_explicit(&payload, memory_order_relaxed);

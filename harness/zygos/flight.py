@@ -160,6 +160,8 @@ class Estimate:
     left_out: tuple[int, int, int] = (0, 0, 0)
     """Arcs that contradicted the running solution, of the energy, the motor and the momentum rows, the open ones
     included."""
+    since: int = 0
+    """0, or older arcs spoilt the sums and only what came behind this cycle went in."""
     in_a_row: int = 0
     """Of those of the energy rows the newest that no arc that agrees lies between."""
 
@@ -389,6 +391,7 @@ class Flight:
             noise_ratio=out.noise_ratio,
             gate=out.gate,
             left_out=(out.left_out[0], out.left_out[1], out.left_out[2]),
+            since=int(out.since),
             in_a_row=int(out.in_a_row),
         )
 

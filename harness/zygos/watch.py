@@ -42,6 +42,8 @@ class Watch:
         self._settled: Drift | None = None
         self._every = max(1, round(flight.arm.arc_max_s / flight.arm.period_s) // LOOKS)
         self._since = 0
+        others = max(flight.arm.impulse_arc_s, flight.arm.momentum_arc_s)
+        self._reach = round(others / flight.arm.period_s)
 
     def frames(self, frames: NDArray[Any], progress: Callable[[float], None] | None = None) -> None:
         """Feed frames as `Flight.frames`. progress is called now and then with the share that is done."""
@@ -98,9 +100,13 @@ class Watch:
         if not contradicts:  # what stood out in arcs that were left out was no change
             self.plainest = self._settled
         best = (bool(self.plainest.changed), self.plainest.largest) if self.plainest else (False, 0.0)
-        if (bool(drift.changed), drift.largest) > best:
-            self.plainest = drift
         estimate, cycles = self.flight.estimate(), self.flight.counts["cycles"]
+        # the first arc that was left out names the change, those behind it say it again; and motor rows of the time of
+        # an arc that was left out say nothing of one that agrees
+        named = contradicts and self.plainest is not self._settled
+        spoilt = not estimate.in_a_row and any(arc.last + self._reach > drift.until for arc in self.left_out)
+        if not named and not spoilt and (bool(drift.changed), drift.largest) > best:
+            self.plainest = drift
         if cycles > 2 * (self.known[-1].cycles if self.known else 0):
             self.known.append(Known(cycles, int(np.count_nonzero(np.isfinite(estimate.value)))))
         if not estimate.in_a_row:

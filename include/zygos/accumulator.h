@@ -115,6 +115,10 @@ void zygos_accumulator_fade(zygos_accumulator_t *self, double factor);
 /// merged with older ones goes as a whole. Cost: one pass over the noise of closed arcs.
 void zygos_accumulator_drop_after(zygos_accumulator_t *self, uint64_t cycle);
 
+/// Drops the blocks of closed arcs up to the given cycle, and their share of the noise. Returns how many arcs these
+/// were, those that were merged as one. Cost: a move of the others.
+uint32_t zygos_accumulator_drop_until(zygos_accumulator_t *self, uint64_t cycle);
+
 /// Whether every place, count and length exists for p parameters: the other calls rely on that, and do not look. Reads
 /// nothing beyond the struct, whatever is in it. Cost: a few comparisons a block.
 bool zygos_accumulator_intact(const zygos_accumulator_t *self, uint32_t parameters);

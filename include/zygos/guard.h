@@ -38,7 +38,9 @@ extern "C" {
 /// Energy arcs in a row; of the other rows as many as fit into so many of the longest energy arcs.
 #define ZYGOS_IN_A_ROW 3u
 /// Noise differs from arc to arc by more than chance: what nobody declared depends on the motion.
-#define ZYGOS_GUARD_MARGIN 2.0
+#define ZYGOS_GUARD_MARGIN 1.25
+/// Of noise the residuals of a block add up to little (ZYGOS_CLUSTER_LIMIT): at least this is usual.
+#define ZYGOS_GUARD_CLUSTER 0.25
 /// Residuals of this share of the right side's spread contradict nothing.
 #define ZYGOS_GUARD_SHARE 1e-3
 /// Arcs whose place is remembered.
@@ -61,19 +63,23 @@ typedef struct {
 } zygos_usual_t;
 
 typedef struct {
-    uint32_t known;                            ///< 1: there is a running solution.
-    uint32_t parameters;                       ///< p.
-    uint32_t changed;                          ///< 1: so many arcs in a row contradict that the arm has changed.
-    uint32_t lost;                             ///< Times that the running solution was found spoilt, and forgotten.
-    uint32_t left_out[ZYGOS_KINDS_OF_ROWS];    ///< Arcs that were left out, by enum zygos_rows.
-    uint32_t in_a_row[ZYGOS_KINDS_OF_ROWS];    ///< Of these the newest that no arc that agrees lies between.
-    double instants[ZYGOS_KINDS_OF_ROWS];      ///< Of those in a row.
+    uint32_t known;      ///< 1: there is a running solution.
+    uint32_t parameters; ///< p.
+    uint32_t changed;    ///< 1: so many arcs in a row contradict that the arm has changed.
+    uint32_t lost;       ///< Times that the running solution was found spoilt, and forgotten.
+    uint32_t asked;      ///< 1: zygos_adopt() was called, whatever it was given.
+    uint32_t reserved;
+    uint32_t left_out[ZYGOS_KINDS_OF_ROWS]; ///< Arcs that were left out, by enum zygos_rows.
+    uint32_t in_a_row[ZYGOS_KINDS_OF_ROWS]; ///< Of these the newest that no arc that agrees lies between.
+    double instants[ZYGOS_KINDS_OF_ROWS];   ///< Of those in a row.
+    double agreed[ZYGOS_KINDS_OF_ROWS]; ///< Instants of arcs behind them that agree; half the longest arc ends the row.
     double contradiction[ZYGOS_KINDS_OF_ROWS]; ///< Residuals of the newest arc over their limit; above 1 left out.
     uint64_t since;                            ///< Estimates up to this cycle are of another arm.
+    uint64_t dropped; ///< Sums up to this cycle were dropped, for arcs before the first running solution spoilt them.
     zygos_left_out_t newest[ZYGOS_GUARD_ARCS]; ///< Number k of those left out, from 0, is at k % ZYGOS_GUARD_ARCS.
     uint64_t check;                            ///< Of what stands behind it, which only zygos_adopt() writes.
     double noise_ratio;                        ///< 0 where no noise is declared.
-    double cluster;                            ///< At least 1.
+    double cluster;                            ///< At least ZYGOS_GUARD_CLUSTER.
     zygos_usual_t energy;
     zygos_usual_t motor[ZYGOS_MAX_JOINTS];
     zygos_usual_t momentum;
@@ -87,6 +93,10 @@ void zygos_guard_clear(zygos_guard_t *self, bool counters, uint64_t cycle);
 /// Whether flags and counts are possible. A running solution that memory spoilt is no obstacle: its check does not
 /// match when the next arc ends, and it is forgotten. Cost: a few comparisons.
 bool zygos_guard_intact(const zygos_guard_t *self);
+
+/// Drops the sums up to a cycle with which an arc ended, and counts their arcs as left out. Cost: one move of the sums.
+void zygos_guard_drop(zygos_guard_t *self, zygos_accumulator_t *energy, zygos_joint_sums_t *motors,
+                      zygos_momentum_sums_t *momentum, uint64_t cycle);
 
 /// Begins with the running solution that the caller has written (parameters, noise_ratio, cluster, energy.residual,
 /// solution, covariance): what rows of the run leave on average at it, and the check. Cost: the sums of the motor and

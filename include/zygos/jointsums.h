@@ -86,6 +86,9 @@ void zygos_joint_sums_fade(zygos_joint_sums_t *self, double factor);
 /// Drops the open arc, and the blocks that reach beyond the given cycle.
 void zygos_joint_sums_drop_after(zygos_joint_sums_t *self, uint64_t cycle);
 
+/// Drops the blocks up to the given cycle, and returns how many.
+uint32_t zygos_joint_sums_drop_until(zygos_joint_sums_t *self, uint64_t cycle);
+
 /// 2 when row sums or a seal do not match, else at most 1. Needs sums that are intact.
 double zygos_joint_sums_check(const zygos_joint_sums_t *self, const zygos_config_t *config);
 

@@ -92,6 +92,9 @@ void zygos_momentum_sums_fade(zygos_momentum_sums_t *self, double factor);
 /// Drops the open arc, and the blocks that reach beyond the given cycle. Cost: one pass over the noise of closed arcs.
 void zygos_momentum_sums_drop_after(zygos_momentum_sums_t *self, uint64_t cycle);
 
+/// Drops the blocks up to the given cycle and their share of the noise, and returns how many.
+uint32_t zygos_momentum_sums_drop_until(zygos_momentum_sums_t *self, uint64_t cycle);
+
 /// Largest violation of the row sums in units of their tolerance, or 2 when an arc that closed was corrupt, or a seal
 /// does not match. Above 1 means corrupt. Needs sums that are intact.
 double zygos_momentum_sums_check(const zygos_momentum_sums_t *self);

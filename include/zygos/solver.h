@@ -92,15 +92,16 @@ enum zygos_reason {
 #define ZYGOS_NEGATIVE_SIGMAS 3.0
 
 typedef struct {
-    uint64_t cycle;                         ///< SYNC number of the newest cycle that went in.
-    uint64_t accepted;                      ///< Instants that went in.
-    uint64_t refused;                       ///< Instants that failed the bandwidth test.
-    uint32_t parameters;                    ///< p.
-    uint32_t validity;                      ///< enum zygos_validity.
-    uint32_t reason;                        ///< enum zygos_reason.
-    uint32_t arcs;                          ///< Arcs that went in, the open one included.
-    uint32_t blocks;                        ///< Blocks behind the sigmas.
-    uint32_t rank;                          ///< Independent columns.
+    uint64_t cycle;      ///< SYNC number of the newest cycle that went in.
+    uint64_t accepted;   ///< Instants that went in.
+    uint64_t refused;    ///< Instants that failed the bandwidth test.
+    uint64_t since;      ///< 0, or older arcs spoil the sums: only those behind this cycle went in (zygos_solve()).
+    uint32_t parameters; ///< p.
+    uint32_t validity;   ///< enum zygos_validity.
+    uint32_t reason;     ///< enum zygos_reason.
+    uint32_t arcs;       ///< Arcs that went in, the open one included.
+    uint32_t blocks;     ///< Blocks behind the sigmas.
+    uint32_t rank;       ///< Independent columns.
     uint32_t left_out[ZYGOS_KINDS_OF_ROWS]; ///< Arcs that contradicted, by enum zygos_rows, the open ones included.
     uint32_t in_a_row;  ///< Of those of the energy rows the newest that no arc that agrees lies between.
     double condition;   ///< 1-norm condition of the scaled normal matrix of the independent columns.
@@ -163,9 +164,11 @@ typedef struct {
     uint32_t pivot[ZYGOS_MAX_PARAMETERS];
 } zygos_work_t;
 
-/// Solves. Reads and changes *work, writes *out; touches nothing else. Cost: (2 blocks + 4) Cholesky
-/// factorisations of order p at the most. Returns 1 when there are values, 0 when validity is ZYGOS_REFUSED, or
-/// ZYGOS_E_NULL.
+/// Solves. Reads and changes *work, writes *out; touches nothing else. Where estimates are adopted (zygos_adopt()) and
+/// the sums do not give a valid one because more is left over than noise leaves, it is tried without the oldest quarter
+/// and the older half of the arcs; the first of these that is valid, and leaves far less over, is the answer, with
+/// out->since. Cost: (2 blocks + 4) Cholesky factorisations of order p at the most, and where arcs are left out in
+/// turns up to four times as many. Returns 1 when there are values, 0 when validity is ZYGOS_REFUSED, or ZYGOS_E_NULL.
 int zygos_solve(zygos_work_t *work, zygos_estimate_t *out);
 
 /// Whether sums and counts that were taken are those that were accumulated: where this is false, zygos_solve() answers

@@ -83,7 +83,7 @@ typedef struct {
 
 /// Digest of the text of all structs in these headers, without comments: a field that is moved, renamed or given
 /// another type changes it. tests/unit/test_snapshot.py knows what it must be.
-#define ZYGOS_LAYOUT 0x6E8D1214u
+#define ZYGOS_LAYOUT 0x954B9836u
 
 #define ZYGOS_MIX(hash, value) (((uint32_t)(hash) ^ (uint32_t)(value)) * 16777619u)
 
@@ -139,11 +139,12 @@ int zygos_cycle(zygos_t *self, const zygos_cycle_t *cycle);
 void zygos_take(const zygos_t *self, zygos_work_t *work);
 
 /// Takes a valid estimate of this arm as the running solution that judges each arc when it ends (guard.h): one that
-/// contradicts it is left out of the sums and counted. Call it once or twice an arc with what zygos_solve() made of the
-/// newest zygos_take(). Without it nothing is left out. Same task as zygos_step(). Returns 1; 0, and nothing has
-/// changed, for an estimate that is not valid, or from before zygos_restart(); or an enum zygos_error. After the
-/// running solution was given up, one that is doubtful for ZYGOS_REASON_CHANGED alone is taken as well. Cost: the sums
-/// of the motor and the momentum rows once, and two passes over the covariance.
+/// contradicts it is left out of the sums and counted. Sums that the estimate had to leave out (since) are dropped.
+/// Call it once or twice an arc with what zygos_solve() made of the newest zygos_take(). Without it nothing is left
+/// out. Same task as zygos_step(). Returns 1; 0, and the sums and the running solution are as they were, for an
+/// estimate that is not valid, or from before zygos_restart(); or an enum zygos_error. After the running solution was
+/// given up, one that is doubtful for ZYGOS_REASON_CHANGED alone is taken as well. Cost: the sums of the motor and the
+/// momentum rows once, and two passes over the covariance; where sums are dropped, a move of the others.
 int zygos_adopt(zygos_t *self, const zygos_estimate_t *estimate);
 
 /// Whether memory is what the library left in it: call it before a state is sealed, and behind zygos_snapshot_check()

@@ -1,0 +1,369 @@
+"""Arcs that contradict the running solution: left out, counted and named; several in a row are a change of the arm."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from flight_support import joined, part
+from numpy.typing import NDArray
+
+from conftest import EXAMPLE
+from zygos.arm import Arm, TorqueLaw, load_arm
+from zygos.check import check_chain, check_cycles, check_frames
+from zygos.commands import about_left_out
+from zygos.cycles import Cycles
+from zygos.flight import Estimate, Flight, encode, ffi, lib
+from zygos.model import Model, Quantity, load_model
+from zygos.plant import Trajectory, record, simulate
+from zygos.scenario import Ramp, Scenario, load_scenario
+from zygos.sensors import draw_noise
+from zygos.watch import Watch
+
+Floats = NDArray[np.float64]
+Fault = Callable[[Cycles], Cycles]
+
+ARC_S, ARCS = 20.0, 10
+LAWS: tuple[TorqueLaw, ...] = ("applied_from_sync", "applied_previous_cycle")
+"""Those that the simulator has. They differ in the record alone: the motion is the same."""
+
+
+def arm_of(law: TorqueLaw = "applied_from_sync") -> Arm:
+    return replace(load_arm(EXAMPLE / "arm.toml"), arc_max_s=ARC_S, torque_law=law)
+
+
+def scenario_of(lively: bool) -> Scenario:
+    """The example's motion; or arcs of very different ones: both joints, rest, one at a time, a little, fast, both."""
+    scenario = load_scenario(EXAMPLE / "scenario.toml")
+    if lively:
+        return scenario
+    shoulder = ((0, 9, 1.0), (10, 9, -0.9), (41, 8, 0.7), (50, 9, -1.2), (101, 12, 0.3), (121, 7, 1.1), (130, 7, -1.1))
+    elbow = ((1, 7, -0.9), (9, 8, 1.1), (62, 8, -1.3), (71, 8, 0.9), (104, 9, -0.2), (121, 9, 1.2), (131, 8, -1.4))
+    late = ((162, 8, 0.8), (171, 8, -0.8), (181, 9, 1.3))
+    motions = [
+        replace(scenario.manoeuvre[name], sines=(), ramps=tuple(Ramp(float(t), float(d), c) for t, d, c in ramps))
+        for name, ramps in (("shoulder", (*shoulder, *late)), ("elbow", elbow))
+    ]
+    return replace(scenario, manoeuvre=dict(zip(("shoulder", "elbow"), motions, strict=True)))
+
+
+def moved(arm: Arm, lively: bool, model: Model | None = None) -> Trajectory:
+    model = model or load_model(EXAMPLE / "model.toml")
+    return simulate(arm, model, scenario_of(lively), duration_s=ARC_S * ARCS, noise=False, rtol=1e-9, atol=1e-11)
+
+
+def seen(motion: Trajectory, seed: int) -> Cycles:
+    """The motion as other noise shows it."""
+    return record(replace(motion, noise=draw_noise(motion.arm, len(motion.t), [seed])))
+
+
+@pytest.fixture(scope="module")
+def motion() -> Trajectory:
+    return moved(arm_of(), lively=True)
+
+
+def stuck(signal: str, first: int, count: int, joint: int = 0) -> Fault:
+    """A sensor that repeats its last reading, its frames good in all else."""
+
+    def fault(cycles: Cycles) -> Cycles:
+        readings = getattr(cycles, signal).copy()
+        of = slice(None) if signal == "omega" else joint
+        readings[first : first + count, of] = readings[first - 1, of]
+        return replace(cycles, **{signal: readings})
+
+    return fault
+
+
+def weak(first: int, count: int) -> Fault:
+    """A motor that gives two thirds of the torque that it reports."""
+
+    def fault(cycles: Cycles) -> Cycles:
+        tau = cycles.tau.copy()
+        tau[first : first + count, 0] *= 1.5
+        return replace(cycles, tau=tau)
+
+    return fault
+
+
+def watched(arm: Arm, cycles: Cycles) -> Watch:
+    watch = Watch(Flight(arm))
+    watch.frames(encode(arm, cycles))
+    return watch
+
+
+def far(estimate: Estimate, motion: Trajectory) -> Floats:
+    """(p,) errors in half widths of the 95 % intervals."""
+    true = load_model(EXAMPLE / "model.toml").base_values(motion.arm)
+    return np.asarray(np.abs(estimate.value - true) / estimate.half95)
+
+
+@dataclass(frozen=True)
+class Case:
+    name: str
+    fault: Fault
+
+
+SOON = 1250
+"""In the middle of an arc."""
+CASES = (
+    Case("link encoder", stuck("q", SOON, 60)),
+    Case("motor encoder", stuck("theta", SOON, 60, joint=1)),
+    Case("gyro", stuck("omega", SOON, 60)),
+    Case("torque", weak(SOON, 150)),
+)
+
+
+# ---------------------------------------------------------------- one bad arc
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_one_bad_arc_is_left_out_and_the_rest_is_as_without_it(case: Case, motion: Trajectory) -> None:
+    arm, spoilt, clean, bad = motion.arm, [], [], []
+    for seed in range(3):
+        cycles = seen(motion, seed)
+        faulty = case.fault(cycles)
+        deaf = Flight(arm)
+        deaf.frames(encode(arm, faulty))
+        spoilt.append(deaf.estimate())
+        watch = watched(arm, faulty)
+        estimate = watch.flight.estimate()
+        assert estimate.validity == "valid"
+        assert estimate.left_out[0] == 1
+        assert [arc.rows for arc in watch.left_out].count("energy") == 1
+        arc = next(arc for arc in watch.left_out if arc.rows == "energy")
+        assert arc.first <= SOON + 60 and arc.last >= SOON
+        assert "left out" in about_left_out(estimate, watch) and "1 arc of the energy rows" in about_left_out(
+            estimate, watch
+        )
+        # one bad arc is no change of the arm
+        found = watch.look()
+        assert found is None or not found.changed
+        bad.append(far(estimate, motion))
+        clean.append(far(watched(arm, cycles).flight.estimate(), motion))
+    # which a flight that adopts nothing refuses, doubts, or answers with residuals that noise does not explain
+    plain = [estimate for estimate in spoilt if estimate.validity == "valid"]
+    assert all(estimate.noise_ratio > 1.25 for estimate in plain)
+    assert np.mean(np.array(bad) > 1.0) <= np.mean(np.array(clean) > 1.0) + 3.0 * np.sqrt(0.05 * 0.95 / np.size(bad))
+    assert np.mean(np.square(bad)) < 1.0 and np.mean(np.square(clean)) < 1.0
+
+
+def test_an_estimate_in_the_middle_of_a_bad_arc_does_not_flip(motion: Trajectory) -> None:
+    arm = motion.arm
+    faulty = CASES[0].fault(seen(motion, 0))
+    watch = Watch(Flight(arm))
+    watch.cycles(part(faulty, 0, SOON + 50))
+    estimate = watch.flight.estimate()
+    assert (estimate.validity, estimate.left_out[0], estimate.in_a_row) == ("valid", 1, 1)
+    # the arc is still open: nothing was left out yet but in the copy
+    assert watch.flight.native.guard.left_out[0] == 0
+    assert "the newest, still open" in about_left_out(estimate, watch)
+
+
+# ---------------------------------------------------------------- good arcs
+
+
+def test_good_arcs_are_never_left_out() -> None:
+    """Over 500 judged arcs: lively ones, and very different ones, resting ones among them."""
+    judged, largest = 0, np.zeros(3)
+    for lively in (True, False):
+        once = moved(arm_of(), lively)
+        for law in LAWS:
+            motion = replace(once, arm=arm_of(law))
+            for seed in range(14):
+                flight, cycles = Flight(motion.arm), seen(motion, seed)
+                for first in range(0, len(cycles), 200):
+                    known = bool(flight.native.guard.known)
+                    before = flight.native.accumulator.arcs
+                    flight.cycles(part(cycles, first, first + 200))
+                    judged += (flight.native.accumulator.arcs - before) * known
+                    largest = np.maximum(largest, list(flight.native.guard.contradiction))
+                    estimate = flight.estimate()
+                    assert estimate.left_out == (0, 0, 0), (law, lively, seed, first)
+                    flight.adopt()
+    print(judged, largest.round(3))
+    assert judged > 500
+    # and are far from it: in units of the limit
+    assert np.all(largest < 0.5)
+
+
+# ---------------------------------------------------------------- several in a row
+
+
+def heavier(model: Model) -> Model:
+    *others, last = model.bodies
+    return replace(model, bodies=(*others, replace(last, mass=Quantity(2.0 * last.mass.value))))
+
+
+def behind(first: Cycles, second: Cycles, gap: int = 37) -> Cycles:
+    """second comes so many cycles after first."""
+    return joined(first, replace(second, sync=second.sync + first.sync[-1] + np.uint64(gap)))
+
+
+def test_several_in_a_row_are_a_change_of_the_arm(motion: Trajectory) -> None:
+    arm, model = motion.arm, heavier(load_model(EXAMPLE / "model.toml"))
+    heavy = seen(moved(arm, True, model), 100)
+    cycles = behind(seen(motion, 0), part(heavy, 0, 1500))
+    watch = watched(arm, cycles)
+    estimate = watch.flight.estimate()
+    assert estimate.validity == "doubtful" and estimate.in_a_row >= 3
+    assert "the arm changed" in estimate.reason
+    # the values are still those of the arm before
+    assert np.mean(far(estimate, motion) > 1.0) < 0.3
+    found = watch.look()
+    assert found is not None and "a22" in found.changed
+    assert found.until * arm.period_s == pytest.approx(ARC_S * ARCS, abs=0.1)
+    # the restart takes the new arm
+    watch.flight.restart(keep_joints=True)
+    assert watch.flight.native.guard.known == 0
+    watch.cycles(replace(heavy, sync=heavy.sync + cycles.sync[-1] + np.uint64(9)))
+    estimate = watch.flight.estimate()
+    assert (estimate.validity, estimate.in_a_row) == ("valid", 0)
+    assert np.mean(np.abs(estimate.value - model.base_values(arm)) > estimate.half95) < 0.3
+
+
+def test_a_fault_of_several_arcs_is_over_when_an_arc_agrees(motion: Trajectory) -> None:
+    arm, cycles = motion.arm, seen(motion, 0)
+    faulty = stuck("q", 2250, 1200)(cycles)
+    watch = Watch(Flight(arm))
+    watch.cycles(part(faulty, 0, 3450))
+    estimate = watch.flight.estimate()
+    assert "the arm changed" in estimate.reason and estimate.in_a_row >= 3
+    watch.cycles(part(faulty, 3450, len(faulty)))
+    estimate = watch.flight.estimate()
+    assert (estimate.validity, estimate.in_a_row) == ("valid", 0)
+    assert estimate.left_out[0] >= 3
+
+
+def test_where_every_arc_is_bad_from_the_start_the_answer_is_a_refusal(motion: Trajectory) -> None:
+    cycles = seen(motion, 0)
+    for first in range(50, len(cycles), 200):
+        cycles = stuck("q", first, 60)(cycles)
+    estimate = watched(motion.arm, cycles).flight.estimate()
+    assert estimate.validity == "refused"
+    assert estimate.left_out == (0, 0, 0)
+
+
+@pytest.mark.parametrize("law", ["sampled", "applied_previous_cycle"])
+def test_what_is_wrong_with_every_arc_stays_a_refusal(law: TorqueLaw, motion: Trajectory) -> None:
+    """Leaving arcs out heals no wrong torque law."""
+    arm, cycles = replace(motion.arm, torque_law=law), seen(motion, 0)
+    flight = Flight(arm)
+    for first in range(0, len(cycles), 200):
+        flight.cycles(part(cycles, first, first + 200))
+        estimate = flight.estimate()
+        assert estimate.validity in ("refused", "doubtful")
+        assert not flight.adopt()
+    assert flight.counts["accepted"] > 3000
+
+
+def test_a_bad_first_arc_is_dropped_when_those_behind_it_agree(motion: Trajectory) -> None:
+    """Before there is a running solution nothing can contradict it; the solver tries without the oldest arcs."""
+    for seed in range(3):
+        watch = watched(motion.arm, stuck("q", 100, 60)(seen(motion, seed)))
+        estimate = watch.flight.estimate()
+        assert estimate.validity == "valid"
+        assert estimate.left_out[0] >= 1
+        assert watch.flight.native.guard.dropped > 0
+        assert np.mean(far(estimate, motion) > 1.0) < 0.3
+        # who adopts nothing gets the answer for all arcs
+        deaf = Flight(motion.arm)
+        deaf.cycles(stuck("q", 100, 60)(seen(motion, seed)))
+        assert deaf.estimate().validity != "valid" or deaf.estimate().noise_ratio > 1.5
+
+
+def test_stale_frames_for_an_hour(motion: Trajectory) -> None:
+    """One frame in ten thousand repeats what it said sixteen cycles ago: its counter and its checksum are good."""
+    arm, runs, last = replace(motion.arm, arc_max_s=60.0), [], 0
+    rng = np.random.default_rng(0)
+    for seed in range(18):
+        run = seen(motion, seed)
+        for names, joints in ((("q", "theta"), arm.n), (("tau",), arm.n), (("omega",), 1)):
+            for joint in range(joints):
+                for k in np.flatnonzero(rng.random(len(run)) < 1e-4):
+                    for name in names:
+                        of = slice(None) if name == "omega" else joint
+                        getattr(run, name)[k, of] = getattr(run, name)[max(k - 16, 0), of]
+        runs.append(replace(run, sync=run.sync + np.uint64(last)))
+        last += len(run) + 9
+    watch = Watch(Flight(arm))
+    for run in runs:
+        watch.cycles(run)
+    estimate = watch.flight.estimate()
+    print(estimate.left_out, estimate.noise_ratio, far(estimate, motion).round(2))
+    assert estimate.validity == "valid"
+    assert np.mean(far(estimate, motion) > 1.0) < 0.3
+
+
+# ---------------------------------------------------------------- C against numpy
+
+
+def test_c_equals_numpy_with_arcs_left_out(motion: Trajectory) -> None:
+    arm = motion.arm
+    for faulty in (CASES[0].fault(seen(motion, 0)), stuck("omega", len(motion.t) - 120, 60)(seen(motion, 0))):
+        for rooms in (check_frames(arm, encode(arm, faulty)), check_cycles(arm, faulty)):
+            assert [room.name for room in rooms if not room.equal] == []
+            assert rooms[-1].name == "solution" and "noise" in [room.name for room in rooms]
+        # numpy that is not told differs
+        flight = Flight(arm)
+        watch = Watch(flight, trace=True)
+        watch.frames(encode(arm, faulty))
+
+        if any(arc.rows == "energy" for arc in watch.left_out):
+            assert not all(room.equal for room in check_chain(arm, watch.trace(), flight))
+
+
+# ---------------------------------------------------------------- misuse, memory
+
+
+def test_only_a_valid_estimate_of_this_arm_is_adopted(motion: Trajectory) -> None:
+    arm, cycles = motion.arm, seen(motion, 0)
+    flight = Flight(arm)
+    flight.cycles(part(cycles, 0, 30))
+    assert flight.estimate().validity == "refused"
+    assert not flight.adopt()
+    before = bytes(ffi.buffer(flight.native))
+    assert not flight.adopt()
+    assert bytes(ffi.buffer(flight.native)) == before
+    assert lib.zygos_adopt(ffi.NULL, flight._estimate) == lib.ZYGOS_E_NULL
+    assert lib.zygos_adopt(flight.native, ffi.NULL) == lib.ZYGOS_E_NULL
+    assert lib.zygos_adopt(ffi.new("zygos_t *"), flight._estimate) == lib.ZYGOS_E_ORDER
+    flight.cycles(part(cycles, 30, len(cycles)))
+    assert flight.estimate().validity == "valid"
+    flight.restart()
+    assert not flight.adopt(), "an estimate from before the restart"
+
+
+def test_a_flipped_bit_in_the_running_solution_leaves_no_good_arc_out(motion: Trajectory) -> None:
+    arm, cycles = motion.arm, seen(motion, 0)
+    half = len(cycles) // 2
+    for member in ("solution", "covariance", "noise_ratio", "cluster"):
+        flight = Flight(arm)
+        flight.cycles(part(cycles, 0, half))
+        flight.estimate()
+        assert flight.adopt()
+        place = ffi.offsetof("zygos_guard_t", member) + 6  # in the exponent
+        ffi.cast("unsigned char *", ffi.addressof(flight.native, "guard"))[place] ^= 0x40
+        flight.cycles(part(cycles, half, len(cycles)))
+        guard = flight.native.guard
+        assert (guard.known, guard.lost, list(guard.left_out)) == (0, 1, [0, 0, 0])
+        assert flight.estimate().validity == "valid"
+        assert flight.adopt()
+
+
+def test_a_state_goes_on_with_its_running_solution(motion: Trajectory) -> None:
+    arm, faulty = motion.arm, CASES[0].fault(seen(motion, 0))
+    flight = Flight(arm)
+    flight.cycles(part(faulty, 0, SOON - 100))
+    flight.estimate()
+    assert flight.adopt()
+    assert lib.zygos_resume(flight.native, ffi.addressof(flight.native, "config")) == 1
+    flight.cycles(part(faulty, SOON - 100, len(faulty)))
+    estimate = flight.estimate()
+    assert (estimate.validity, estimate.left_out[0]) == ("valid", 1)
+    for member, wrong in (("known", 2), ("changed", 2)):
+        right = getattr(flight.native.guard, member)
+        setattr(flight.native.guard, member, wrong)
+        assert lib.zygos_resume(flight.native, ffi.addressof(flight.native, "config")) == lib.ZYGOS_E_STATE
+        setattr(flight.native.guard, member, right)
