@@ -11,6 +11,43 @@
 #define FEWEST 4u
 #define MOST 1024u /* instants of a segment at first, whatever the arc */
 #define LEAST_STEPS 3u
+#define ROOM (3u * ZYGOS_MAX_BLOCKS / 4u) /* blocks that may be left where room is made */
+
+/* What rounding may make of a sum of so many weights, relative to it. A flipped bit that changes less does no harm. */
+static double rounded(double instants)
+{
+    return 1e-9 + 2.220446049250313e-16 * instants;
+}
+
+static uint64_t seal_of(const zygos_accumulator_t *self)
+{
+    const double lengths[2] = { self->enough, self->target };
+    const uint32_t places[6] = { self->width, self->count, self->open, self->newest, self->window, self->arcs };
+    uint64_t seal = zygos_seal_doubles(1u, lengths, 2);
+    for (uint32_t i = 0; i < 6; i++) {
+        seal = zygos_seal_number(seal, places[i]);
+    }
+    return seal;
+}
+
+/* Before anything under the seal is changed. */
+static void judge(zygos_accumulator_t *self)
+{
+    self->corrupt |= (self->seal == seal_of(self)) ? 0u : 1u;
+}
+
+static uint64_t seal_of_block(const zygos_block_t *block, uint32_t width)
+{
+    const double weights[3] = { block->instants, block->square, block->overlap };
+    return zygos_seal_number(zygos_seal_doubles(zygos_seal_doubles(1u, block->deviation, width), weights, 3),
+                             block->end);
+}
+
+/* Whether a block is that of a closed arc as it was sealed, or one of the open arc. */
+static bool is_whole(const zygos_block_t *block, uint32_t width)
+{
+    return (block->seal == 0) || (block->seal == seal_of_block(block, width));
+}
 
 void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint64_t arc_cycles, double period_s)
 {
@@ -23,6 +60,7 @@ void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint
     self->width = parameters + 2u;
     self->target = (double)(ZYGOS_STEP * ((steps > LEAST_STEPS) ? steps : LEAST_STEPS));
     self->enough = 0.5 * (double)arc_cycles;
+    self->seal = seal_of(self);
 }
 
 static void add_share(zygos_share_t *to, const zygos_share_t *from, double factor, uint32_t width)
@@ -56,16 +94,20 @@ static void add_block(zygos_block_t *to, const zygos_block_t *from, uint32_t wid
     to->square += from->square + 2.0 * to->overlap;
     to->overlap = from->overlap;
     to->end = from->end;
+    to->seal = (to->seal == 0) ? 0u : seal_of_block(to, width);
 }
 
-/* Merges neighbours in [first, end) that fit into one block and puts the results at to, to + 1, ...
-   Returns the place behind them. */
-static uint32_t merge(zygos_accumulator_t *self, uint32_t first, uint32_t end, uint32_t to)
+/* Merges neighbours in [first, end) that fit into one block, as long as blocks are to spare, and puts the results at
+   to, to + 1, ... Returns the place behind them. */
+static uint32_t merge(zygos_accumulator_t *self, uint32_t first, uint32_t end, uint32_t to, uint32_t *spare)
 {
     const uint32_t begin = to;
     const double most = self->target;
     for (uint32_t from = first; from < end; from++) {
-        if ((to > begin) && (self->block[to - 1u].instants + self->block[from].instants <= most)) {
+        if ((to > begin) && (*spare > 0) && (self->block[to - 1u].instants + self->block[from].instants <= most)) {
+            (*spare)--;
+            self->corrupt |= is_whole(&self->block[to - 1u], self->width) ? 0u : 1u;
+            self->corrupt |= is_whole(&self->block[from], self->width) ? 0u : 1u;
             add_block(&self->block[to - 1u], &self->block[from], self->width);
             continue;
         }
@@ -85,10 +127,11 @@ static void make_room(zygos_accumulator_t *self)
 {
     for (uint32_t tries = 0; tries < 64u; tries++) {
         const uint32_t fading = (self->count > self->open) ? 1u : 0u;
-        const uint32_t newest = merge(self, 0, self->newest, 0);
-        const uint32_t window = merge(self, self->newest, self->window, newest);
-        const uint32_t open = merge(self, self->window, self->open, window);
-        const uint32_t rest = merge(self, self->open, self->count - fading, open);
+        uint32_t spare = (self->count > ZYGOS_LEAST_BLOCKS) ? self->count - ZYGOS_LEAST_BLOCKS : 0u;
+        const uint32_t newest = merge(self, 0, self->newest, 0, &spare);
+        const uint32_t window = merge(self, self->newest, self->window, newest, &spare);
+        const uint32_t open = merge(self, self->window, self->open, window, &spare);
+        const uint32_t rest = merge(self, self->open, self->count - fading, open, &spare);
         if ((fading != 0) && (rest != self->count - 1u)) {
             self->block[rest] = self->block[self->count - 1u];
         }
@@ -96,7 +139,7 @@ static void make_room(zygos_accumulator_t *self)
         self->window = window;
         self->open = open;
         self->count = rest + fading;
-        if (self->count <= 3u * ZYGOS_MAX_BLOCKS / 4u) {
+        if (self->count <= ((ROOM > ZYGOS_LEAST_BLOCKS) ? ROOM : ZYGOS_LEAST_BLOCKS)) {
             return;
         }
         self->target *= 2.0;
@@ -113,6 +156,7 @@ static void append_block(zygos_accumulator_t *self)
     block->square = 0.0;
     block->overlap = 0.0;
     block->end = 0;
+    block->seal = 0;
     self->count++;
 }
 
@@ -155,6 +199,7 @@ static void end_segment(zygos_accumulator_t *self)
 static void next_segment(zygos_accumulator_t *self)
 {
     const bool first = (self->count == self->open);
+    judge(self);
     end_segment(self);
     if (self->count + 2u > ZYGOS_MAX_BLOCKS) {
         make_room(self);
@@ -163,6 +208,7 @@ static void next_segment(zygos_accumulator_t *self)
     if (first) {
         append_block(self);
     }
+    self->seal = seal_of(self);
 }
 
 /* Of so many entries, those of a slice: an even number. The last slice reaches beyond the entries, where all is 0. */
@@ -288,6 +334,16 @@ static void centre(zygos_block_t *block, uint32_t width, const double *mean)
     zygos_gram_row_sums(block->gram, width, block->sum);
 }
 
+/* Whether a block of the open arc has as many instants as its sums count, and of these the weights that its segments
+   gave it: those of an instant add up to 1, so w = w^2 + what w shares with the block before and the one behind. */
+static bool weighs_what_it_should(const zygos_block_t *block, uint32_t width, double before)
+{
+    const double off = block->gram[zygos_gram_entries(width) - 1u] - block->instants;
+    const double shared = block->instants - block->square - block->overlap - before;
+    const double few = rounded(block->instants) * (1.0 + block->instants);
+    return (block->seal == 0) && (off >= -few) && (off <= few) && (shared >= -few) && (shared <= few);
+}
+
 static void forget_open_arc(zygos_accumulator_t *self)
 {
     clear_share(&self->noise, self->width - 1u);
@@ -305,12 +361,19 @@ static void forget_open_arc(zygos_accumulator_t *self)
     self->late = 0.0;
 }
 
+void zygos_accumulator_leave_out(zygos_accumulator_t *self)
+{
+    judge(self);
+    self->accepted -= self->arc_instants;
+    self->count = self->open;
+    self->seal = seal_of(self);
+    forget_open_arc(self);
+}
+
 static void drop_open_arc(zygos_accumulator_t *self)
 {
     self->arcs_dropped += (self->count > self->open) ? 1u : 0u;
-    self->accepted -= self->arc_instants;
-    self->count = self->open;
-    forget_open_arc(self);
+    zygos_accumulator_leave_out(self);
 }
 
 static double closed_instants(const zygos_accumulator_t *self)
@@ -334,8 +397,15 @@ void zygos_accumulator_drop_after(zygos_accumulator_t *self, uint64_t cycle)
         self->open--;
     }
     self->count = self->open;
+    if (self->open > 0) {
+        zygos_block_t *last = &self->block[self->open - 1u];
+        self->corrupt |= is_whole(last, self->width) ? 0u : 1u;
+        last->overlap = 0.0; /* the block behind is gone, or another arc's */
+        last->seal = seal_of_block(last, self->width);
+    }
     self->newest = (self->newest < self->open) ? self->newest : self->open;
     self->window = (self->window < self->open) ? self->window : self->open;
+    self->seal = seal_of(self);
     const double kept = closed_instants(self);
     if (kept < before) {
         self->accepted = (uint64_t)((double)self->accepted * kept / before + 0.5);
@@ -346,29 +416,35 @@ void zygos_accumulator_drop_after(zygos_accumulator_t *self, uint64_t cycle)
 void zygos_accumulator_fade(zygos_accumulator_t *self, double factor)
 {
     const uint32_t size = zygos_gram_entries(self->width);
+    double left = 0.0;
     for (uint32_t b = 0; b < self->open; b++) {
         zygos_block_t *block = &self->block[b];
+        self->corrupt |= is_whole(block, self->width) ? 0u : 1u;
+        const double kept = (factor * block->instants >= ZYGOS_FAINT) ? factor : 0.0;
         for (uint32_t k = 0; k < size; k++) {
-            block->gram[k] *= factor;
+            block->gram[k] *= kept;
         }
         for (uint32_t i = 0; i < self->width; i++) {
-            block->sum[i] *= factor;
-            block->deviation[i] *= factor;
+            block->sum[i] *= kept;
+            block->deviation[i] *= kept;
         }
-        block->instants *= factor;
-        block->square *= factor;
-        block->overlap *= factor;
+        block->instants *= kept;
+        block->square *= kept;
+        block->overlap *= kept;
+        block->seal = seal_of_block(block, self->width);
+        left += block->instants;
     }
-    add_share(&self->noise_closed, &self->noise_closed, factor - 1.0, self->width - 1u);
+    add_share(&self->noise_closed, &self->noise_closed, ((left > 0.0) ? factor : 0.0) - 1.0, self->width - 1u);
 }
 
-void zygos_accumulator_end_arc(zygos_accumulator_t *self, uint64_t cycle)
+bool zygos_accumulator_close(zygos_accumulator_t *self)
 {
     const uint32_t width = self->width;
     if (self->arc_instants < ZYGOS_MIN_ARC_INSTANTS) {
         drop_open_arc(self);
-        return;
+        return false;
     }
+    judge(self);
     zygos_accumulator_flush(self);
     self->corrupt |= (zygos_gram_check(self->noise.gram, width - 1u, self->noise.sum, self->segment) <= 1.0) ? 0u : 1u;
     end_segment(self);
@@ -384,16 +460,28 @@ void zygos_accumulator_end_arc(zygos_accumulator_t *self, uint64_t cycle)
     }
     /* The last column counts instants as well. */
     const double counted = mean[width - 1u];
-    self->corrupt |= ((counted > 1.0 - 1e-9) && (counted < 1.0 + 1e-9)) ? 0u : 1u;
+    const double few = rounded((double)self->arc_instants);
+    self->corrupt |= ((counted > 1.0 - few) && (counted < 1.0 + few)) ? 0u : 1u;
+    double before = 0.0; /* what a block shares with the one before it */
     for (uint32_t b = self->open; b < self->count; b++) {
+        self->corrupt |= weighs_what_it_should(&self->block[b], width, before) ? 0u : 1u;
+        before = self->block[b].overlap;
         /* Centring cancels: the row sums are judged before, and taken anew after. */
         self->corrupt |=
             (zygos_gram_check(self->block[b].gram, width, self->block[b].sum, self->block[b].instants) <= 1.0) ? 0u
                                                                                                                : 1u;
         centre(&self->block[b], width, mean);
-        self->block[b].end = cycle;
     }
-    add_share(&self->noise_closed, &self->noise_open, 1.0, width - 1u);
+    return true;
+}
+
+void zygos_accumulator_admit(zygos_accumulator_t *self, uint64_t cycle)
+{
+    for (uint32_t b = self->open; b < self->count; b++) {
+        self->block[b].end = cycle;
+        self->block[b].seal = seal_of_block(&self->block[b], self->width);
+    }
+    add_share(&self->noise_closed, &self->noise_open, 1.0, self->width - 1u);
     if ((double)self->arc_instants >= self->enough) {
         self->window = self->open; /* it speaks without the short ones before it */
     }
@@ -407,7 +495,15 @@ void zygos_accumulator_end_arc(zygos_accumulator_t *self, uint64_t cycle)
         self->window = self->open;
     }
     self->arcs++;
+    self->seal = seal_of(self);
     forget_open_arc(self);
+}
+
+void zygos_accumulator_end_arc(zygos_accumulator_t *self, uint64_t cycle)
+{
+    if (zygos_accumulator_close(self)) {
+        zygos_accumulator_admit(self, cycle);
+    }
 }
 
 static bool is_count(double instants)
@@ -446,7 +542,7 @@ void zygos_accumulator_total(const zygos_accumulator_t *self, double *gram)
 
 double zygos_accumulator_check(const zygos_accumulator_t *self)
 {
-    double worst = self->corrupt ? 2.0 : 0.0;
+    double worst = ((self->corrupt != 0) || (self->seal != seal_of(self))) ? 2.0 : 0.0;
     const zygos_share_t *shares[3] = { &self->noise, &self->noise_open, &self->noise_closed };
     for (uint32_t s = 0; s < 3; s++) {
         const double here = zygos_gram_check(shares[s]->gram, self->width - 1u, shares[s]->sum, (double)self->accepted);
@@ -456,6 +552,8 @@ double zygos_accumulator_check(const zygos_accumulator_t *self)
         const double here =
             zygos_gram_check(self->block[b].gram, self->width, self->block[b].sum, self->block[b].instants);
         worst = (here > worst) ? here : worst;
+        const bool closed = (self->block[b].seal != 0);
+        worst = ((closed == (b < self->open)) && is_whole(&self->block[b], self->width)) ? worst : 2.0;
     }
     return worst;
 }

@@ -440,6 +440,19 @@ int zygos_cycle_wrapped(const zygos_hold_t *hold, const zygos_config_t *config, 
     return (farthest > HALF_RANGE_RAD) ? 1 : 0;
 }
 
+int zygos_cycle_apart(const zygos_config_t *config, const zygos_cycle_t *cycle)
+{
+    double widest = 0.0;
+    for (uint32_t i = 0; i < config->joints; i++) {
+        const zygos_joint_config_t *joint = &config->joint[i];
+        const double link = joint->link_sign * (cycle->q[i] - joint->link_zero_rad);
+        const double motor = joint->motor_sign * (cycle->theta[i] - joint->motor_zero_rad);
+        const double apart = joint->rigid ? 0.0 : __builtin_fabs(motor - link);
+        widest = (apart > widest) ? apart : widest;
+    }
+    return (widest > HALF_RANGE_RAD) ? 1 : 0;
+}
+
 void zygos_cycle_calibrate(zygos_hold_t *hold, const zygos_config_t *config, const zygos_cycle_t *cycle, double *signal,
                            double *tau)
 {

@@ -94,3 +94,19 @@ double zygos_gram_check(const double *gram, uint32_t width, const double *sum, d
     }
     return worst;
 }
+
+/* Odd, so that no two seals become one. */
+uint64_t zygos_seal_number(uint64_t seal, uint64_t number)
+{
+    return (seal ^ number) * 0x100000001B3u;
+}
+
+uint64_t zygos_seal_doubles(uint64_t seal, const double *x, uint32_t n)
+{
+    for (uint32_t i = 0; i < n; i++) {
+        uint64_t bits;
+        memcpy(&bits, &x[i], sizeof bits);
+        seal = zygos_seal_number(seal, bits);
+    }
+    return seal;
+}

@@ -4,6 +4,30 @@
 
 #include <string.h>
 
+#define COUNTED 1e-9 /* counts add up exactly */
+
+static uint64_t seal_of(const zygos_joint_sums_t *self)
+{
+    return zygos_seal_number(zygos_seal_doubles(0u, &self->target, 1), self->count);
+}
+
+static uint64_t seal_of_block(const zygos_joint_block_t *block)
+{
+    const uint64_t instants = zygos_seal_doubles(1u, block->instants, ZYGOS_MAX_JOINTS);
+    return zygos_seal_number(zygos_seal_doubles(instants, &block->total, 1), block->end);
+}
+
+/* Before anything under the seal is changed. */
+static void judge(zygos_joint_sums_t *self)
+{
+    self->corrupt |= (self->seal == seal_of(self)) ? 0u : 1u;
+}
+
+static void judge_block(zygos_joint_sums_t *self, const zygos_joint_block_t *block)
+{
+    self->corrupt |= (block->seal == seal_of_block(block)) ? 0u : 1u;
+}
+
 void zygos_joint_sums_clear(zygos_joint_sums_t *self, const zygos_config_t *config)
 {
     self->target = 2.0 * (double)config->impulse_arc_cycles;
@@ -12,6 +36,7 @@ void zygos_joint_sums_clear(zygos_joint_sums_t *self, const zygos_config_t *conf
     self->instants = 0;
     self->cycles = 0;
     memset(&self->open, 0, sizeof self->open);
+    self->seal = seal_of(self);
 }
 
 void zygos_joint_sums_tables(zygos_joint_sums_t *self, const zygos_config_t *config, const zygos_smoother_t *smoother)
@@ -105,6 +130,7 @@ static void add_block(zygos_joint_block_t *to, const zygos_joint_block_t *from)
     }
     to->total += from->total;
     to->end = from->end;
+    to->seal = seal_of_block(to);
 }
 
 /* The target doubles only when merging up to it is not enough; once it holds all instants, one block is left. */
@@ -113,7 +139,11 @@ static void make_room(zygos_joint_sums_t *self)
     for (uint32_t tries = 0; tries < 64u; tries++) {
         uint32_t to = 0;
         for (uint32_t from = 0; from < self->count; from++) {
-            if ((to > 0) && (self->block[to - 1u].total + self->block[from].total <= self->target)) {
+            const uint32_t left = to + (self->count - from);
+            if ((to > 0) && (left > ZYGOS_LEAST_ARCS) &&
+                (self->block[to - 1u].total + self->block[from].total <= self->target)) {
+                judge_block(self, &self->block[to - 1u]);
+                judge_block(self, &self->block[from]);
                 add_block(&self->block[to - 1u], &self->block[from]);
                 continue;
             }
@@ -130,63 +160,94 @@ static void make_room(zygos_joint_sums_t *self)
     }
 }
 
-void zygos_joint_sums_end_arc(zygos_joint_sums_t *self, const zygos_config_t *config, uint64_t cycle)
+void zygos_joint_sums_leave_out(zygos_joint_sums_t *self)
 {
-    if (self->instants >= ZYGOS_MIN_ARC_INSTANTS) {
-        for (uint32_t i = 0; i < config->joints; i++) {
-            const uint32_t p = self->layout.count[i];
-            if ((p > 0) && (self->open.instants[i] > 0.0)) {
-                const double n = self->open.instants[i];
-                /* The last entry counts instants as well. */
-                const double off = n - self->open.joint[i].gram[zygos_gram_entries(p + 2u) - 1u];
-                const bool counted = (off > -0.5) && (off < 0.5);
-                self->corrupt |= (counted && matches(&self->open.joint[i], p + 2u, n)) ? 0u : 1u;
-                close_gram(&self->open.joint[i], p, n, self->noise[i]);
-            }
-        }
-        if (self->count == ZYGOS_MAX_JOINT_BLOCKS) {
-            make_room(self);
-        }
-        self->open.total = (double)self->instants;
-        self->open.end = cycle;
-        self->block[self->count] = self->open;
-        self->count++;
-    }
     memset(&self->open, 0, sizeof self->open);
     self->instants = 0;
     self->cycles = 0;
+}
+
+bool zygos_joint_sums_close(zygos_joint_sums_t *self, const zygos_config_t *config)
+{
+    if (self->instants < ZYGOS_MIN_ARC_INSTANTS) {
+        zygos_joint_sums_leave_out(self);
+        return false;
+    }
+    double turns = -(double)self->instants;
+    judge(self);
+    for (uint32_t i = 0; i < config->joints; i++) {
+        const uint32_t p = self->layout.count[i];
+        turns += self->open.instants[i];
+        if ((p > 0) && (self->open.instants[i] > 0.0)) {
+            const double n = self->open.instants[i];
+            /* The last entry counts instants as well. */
+            const double off = n - self->open.joint[i].gram[zygos_gram_entries(p + 2u) - 1u];
+            const bool counted = (off > -COUNTED) && (off < COUNTED);
+            self->corrupt |= (counted && matches(&self->open.joint[i], p + 2u, n)) ? 0u : 1u;
+            close_gram(&self->open.joint[i], p, n, self->noise[i]);
+        }
+    }
+    self->corrupt |= ((turns > -COUNTED) && (turns < COUNTED)) ? 0u : 1u;
+    return true;
+}
+
+void zygos_joint_sums_admit(zygos_joint_sums_t *self, uint64_t cycle)
+{
+    if (self->count == ZYGOS_MAX_JOINT_BLOCKS) {
+        make_room(self);
+    }
+    self->open.total = (double)self->instants;
+    self->open.end = cycle;
+    self->open.seal = seal_of_block(&self->open);
+    self->block[self->count] = self->open;
+    self->count++;
+    self->seal = seal_of(self);
+    zygos_joint_sums_leave_out(self);
+}
+
+void zygos_joint_sums_end_arc(zygos_joint_sums_t *self, const zygos_config_t *config, uint64_t cycle)
+{
+    if (zygos_joint_sums_close(self, config)) {
+        zygos_joint_sums_admit(self, cycle);
+    }
 }
 
 void zygos_joint_sums_fade(zygos_joint_sums_t *self, double factor)
 {
     for (uint32_t b = 0; b < self->count; b++) {
         zygos_joint_block_t *block = &self->block[b];
+        judge_block(self, block);
+        const double kept = (factor * block->total >= ZYGOS_FAINT) ? factor : 0.0;
         for (uint32_t i = 0; i < ZYGOS_MAX_JOINTS; i++) {
             for (uint32_t k = 0; k < ZYGOS_MAX_PACKED_JOINT; k++) {
-                block->joint[i].gram[k] *= factor;
+                block->joint[i].gram[k] *= kept;
             }
             for (uint32_t k = 0; k < ZYGOS_MAX_JOINT_ROW; k++) {
-                block->joint[i].sum[k] *= factor;
+                block->joint[i].sum[k] *= kept;
             }
-            block->instants[i] *= factor;
+            block->instants[i] *= kept;
         }
-        block->total *= factor;
+        block->total *= kept;
+        block->seal = seal_of_block(block);
     }
 }
 
 void zygos_joint_sums_drop_after(zygos_joint_sums_t *self, uint64_t cycle)
 {
-    memset(&self->open, 0, sizeof self->open);
-    self->instants = 0;
-    self->cycles = 0;
+    zygos_joint_sums_leave_out(self);
+    judge(self);
     while ((self->count > 0) && (self->block[self->count - 1u].end > cycle)) {
         self->count--;
     }
+    self->seal = seal_of(self);
 }
 
 double zygos_joint_sums_check(const zygos_joint_sums_t *self, const zygos_config_t *config)
 {
-    bool good = (self->corrupt == 0);
+    bool good = (self->corrupt == 0) && (self->seal == seal_of(self));
+    for (uint32_t b = 0; good && (b < self->count); b++) {
+        good = (self->block[b].seal == seal_of_block(&self->block[b]));
+    }
     for (uint32_t i = 0; i < config->joints; i++) {
         const uint32_t width = self->layout.count[i] + 2u;
         good = good && matches(&self->open.joint[i], width, self->open.instants[i]);

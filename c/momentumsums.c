@@ -4,9 +4,32 @@
 
 #include <string.h>
 
+#define COUNTED 1e-9 /* counts add up exactly */
+
 static uint32_t width_of(const zygos_momentum_sums_t *self)
 {
     return self->columns + self->components;
+}
+
+static uint64_t seal_of(const zygos_momentum_sums_t *self)
+{
+    return zygos_seal_number(zygos_seal_doubles(0u, &self->target, 1), self->count);
+}
+
+static uint64_t seal_of_block(const zygos_momentum_block_t *block)
+{
+    return zygos_seal_number(zygos_seal_doubles(1u, &block->instants, 1), block->end);
+}
+
+/* Before anything under the seal is changed. */
+static void judge(zygos_momentum_sums_t *self)
+{
+    self->corrupt |= (self->seal == seal_of(self)) ? 0u : 1u;
+}
+
+static void judge_block(zygos_momentum_sums_t *self, const zygos_momentum_block_t *block)
+{
+    self->corrupt |= (block->seal == seal_of_block(block)) ? 0u : 1u;
 }
 
 static void clear_gram(zygos_momentum_gram_t *gram, uint32_t width)
@@ -26,7 +49,7 @@ static void add_gram(zygos_momentum_gram_t *to, const zygos_momentum_gram_t *fro
     }
 }
 
-static void forget_open_arc(zygos_momentum_sums_t *self)
+void zygos_momentum_sums_leave_out(zygos_momentum_sums_t *self)
 {
     clear_gram(&self->open.rows, width_of(self));
     clear_gram(&self->noise_open, self->columns);
@@ -39,8 +62,9 @@ void zygos_momentum_sums_clear(zygos_momentum_sums_t *self, const zygos_config_t
     self->target = 2.0 * (double)config->momentum_arc_cycles;
     self->count = 0;
     self->corrupt = 0;
+    self->seal = seal_of(self);
     clear_gram(&self->noise_closed, self->columns);
-    forget_open_arc(self);
+    zygos_momentum_sums_leave_out(self);
 }
 
 static uint32_t columns_of(const zygos_config_t *config)
@@ -156,10 +180,14 @@ static void make_room(zygos_momentum_sums_t *self)
         for (uint32_t from = 0; from < self->count; from++) {
             const zygos_momentum_block_t *next = &self->block[from];
             zygos_momentum_block_t *last = &self->block[(to > 0) ? to - 1u : 0u];
-            if ((to > 0) && (last->instants + next->instants <= self->target)) {
+            const uint32_t left = to + (self->count - from);
+            if ((to > 0) && (left > ZYGOS_LEAST_ARCS) && (last->instants + next->instants <= self->target)) {
+                judge_block(self, last);
+                judge_block(self, next);
                 add_gram(&last->rows, &next->rows, 1.0, self->columns);
                 last->instants += next->instants;
                 last->end = next->end;
+                last->seal = seal_of_block(last);
                 continue;
             }
             if (to != from) {
@@ -175,37 +203,64 @@ static void make_room(zygos_momentum_sums_t *self)
     }
 }
 
-void zygos_momentum_sums_end_arc(zygos_momentum_sums_t *self, const zygos_config_t *config, uint64_t cycle)
+bool zygos_momentum_sums_close(zygos_momentum_sums_t *self, const zygos_config_t *config)
 {
     const double instants = self->open.instants;
-    if (instants >= (double)ZYGOS_MIN_ARC_INSTANTS) {
-        const double worst = violation(&self->open.rows, width_of(self), instants);
-        self->corrupt |= ((worst <= 1.0) && (violation(&self->noise_open, self->columns, instants) <= 1.0)) ? 0u : 1u;
-        for (uint32_t i = 0; i < config->joints; i++) {
-            const uint32_t place = self->columns - config->joints + i;
-            const double owed = instants * self->rotor[i] / (double)self->components;
-            self->noise_open.gram[zygos_gram_entries(place + 1u) - 1u] += owed;
-            self->noise_open.sum[place] += owed;
-        }
-        close_block(self, &self->open.rows);
-        add_gram(&self->noise_closed, &self->noise_open, 1.0, self->columns);
-        if (self->count == (uint32_t)ZYGOS_MOMENTUM_PLACES) {
-            make_room(self);
-        }
-        self->open.end = cycle;
-        self->block[self->count] = self->open;
-        self->count++;
+    if (instants < (double)ZYGOS_MIN_ARC_INSTANTS) {
+        zygos_momentum_sums_leave_out(self);
+        return false;
     }
-    forget_open_arc(self);
+    const double worst = violation(&self->open.rows, width_of(self), instants);
+    double off = -instants; /* the constants' diagonal counts as well */
+    for (uint32_t c = 0; c < self->components; c++) {
+        off += self->open.rows.gram[zygos_gram_entries(self->columns + c + 1u) - 1u];
+    }
+    judge(self);
+    self->corrupt |= ((off > -COUNTED) && (off < COUNTED)) ? 0u : 1u;
+    self->corrupt |= ((worst <= 1.0) && (violation(&self->noise_open, self->columns, instants) <= 1.0)) ? 0u : 1u;
+    for (uint32_t i = 0; i < config->joints; i++) {
+        const uint32_t place = self->columns - config->joints + i;
+        const double owed = instants * self->rotor[i] / (double)self->components;
+        self->noise_open.gram[zygos_gram_entries(place + 1u) - 1u] += owed;
+        self->noise_open.sum[place] += owed;
+    }
+    close_block(self, &self->open.rows);
+    return true;
+}
+
+void zygos_momentum_sums_admit(zygos_momentum_sums_t *self, uint64_t cycle)
+{
+    add_gram(&self->noise_closed, &self->noise_open, 1.0, self->columns);
+    if (self->count == (uint32_t)ZYGOS_MOMENTUM_PLACES) {
+        make_room(self);
+    }
+    self->open.end = cycle;
+    self->open.seal = seal_of_block(&self->open);
+    self->block[self->count] = self->open;
+    self->count++;
+    self->seal = seal_of(self);
+    zygos_momentum_sums_leave_out(self);
+}
+
+void zygos_momentum_sums_end_arc(zygos_momentum_sums_t *self, const zygos_config_t *config, uint64_t cycle)
+{
+    if (zygos_momentum_sums_close(self, config)) {
+        zygos_momentum_sums_admit(self, cycle);
+    }
 }
 
 void zygos_momentum_sums_fade(zygos_momentum_sums_t *self, double factor)
 {
+    double left = 0.0;
     for (uint32_t b = 0; b < self->count; b++) {
-        add_gram(&self->block[b].rows, &self->block[b].rows, factor - 1.0, self->columns);
-        self->block[b].instants *= factor;
+        judge_block(self, &self->block[b]);
+        const double kept = (factor * self->block[b].instants >= ZYGOS_FAINT) ? factor : 0.0;
+        add_gram(&self->block[b].rows, &self->block[b].rows, kept - 1.0, self->columns);
+        self->block[b].instants *= kept;
+        self->block[b].seal = seal_of_block(&self->block[b]);
+        left += self->block[b].instants;
     }
-    add_gram(&self->noise_closed, &self->noise_closed, factor - 1.0, self->columns);
+    add_gram(&self->noise_closed, &self->noise_closed, ((left > 0.0) ? factor : 0.0) - 1.0, self->columns);
 }
 
 static double closed_instants(const zygos_momentum_sums_t *self)
@@ -219,11 +274,13 @@ static double closed_instants(const zygos_momentum_sums_t *self)
 
 void zygos_momentum_sums_drop_after(zygos_momentum_sums_t *self, uint64_t cycle)
 {
-    forget_open_arc(self);
+    zygos_momentum_sums_leave_out(self);
+    judge(self);
     const double before = closed_instants(self);
     while ((self->count > 0) && (self->block[self->count - 1u].end > cycle)) {
         self->count--;
     }
+    self->seal = seal_of(self);
     const double kept = closed_instants(self);
     if (kept < before) {
         add_gram(&self->noise_closed, &self->noise_closed, kept / before - 1.0, self->columns);
@@ -233,7 +290,11 @@ void zygos_momentum_sums_drop_after(zygos_momentum_sums_t *self, uint64_t cycle)
 double zygos_momentum_sums_check(const zygos_momentum_sums_t *self)
 {
     const uint32_t width = width_of(self);
-    if (self->corrupt != 0) {
+    bool whole = (self->corrupt == 0) && (self->seal == seal_of(self));
+    for (uint32_t b = 0; whole && (b < self->count); b++) {
+        whole = (self->block[b].seal == seal_of_block(&self->block[b]));
+    }
+    if (!whole) {
         return 2.0;
     }
     double worst = violation(&self->open.rows, width, self->open.instants);

@@ -750,7 +750,7 @@ static double joint_variance(const zygos_work_t *work, uint32_t i)
 static void add_motors(zygos_work_t *work, double energy)
 {
     const zygos_joint_sums_t *sums = &work->joint_sums;
-    const bool enough = (work->arcs.end - work->arcs.first >= 3u);
+    const bool enough = (work->arcs.end - work->arcs.first >= ZYGOS_LEAST_ARCS);
     for (uint32_t i = 0; i < work->config.joints; i++) {
         if ((sums->layout.count[i] > 0) && !(work->weight[i] > 0.0)) {
             const double joint = joint_variance(work, i);
@@ -863,34 +863,6 @@ static double cluster(const zygos_work_t *work, uint32_t p, const zygos_estimate
     return squares / (blocks * out->residual * out->residual);
 }
 
-/* Whether the work was taken, and from memory that nobody changed; closes the open arcs. */
-static bool prepare(zygos_work_t *work)
-{
-    zygos_accumulator_t *sums = &work->accumulator;
-    if ((work->config.joints < 1u) || (work->config.joints > ZYGOS_MAX_JOINTS) ||
-        (zygos_effects_check(&work->config) < 0) || (work->config.kinetic > (uint32_t)ZYGOS_SPATIAL_ARM) ||
-        (work->config.base > (uint32_t)ZYGOS_BASE_FIXED)) {
-        return false;
-    }
-    zygos_balance_layout(&work->config, &work->layout);
-    if (!zygos_accumulator_intact(sums, work->layout.count) ||
-        !zygos_joint_sums_intact(&work->joint_sums, &work->config) ||
-        !zygos_momentum_sums_intact(&work->momentum_sums, &work->config)) {
-        return false;
-    }
-    zygos_accumulator_flush(sums);
-    if (!(zygos_accumulator_check(sums) <= 1.0) || !(zygos_joint_sums_check(&work->joint_sums, &work->config) <= 1.0) ||
-        !(zygos_momentum_sums_check(&work->momentum_sums) <= 1.0)) {
-        return false;
-    }
-    zygos_momentum_sums_end_arc(&work->momentum_sums, &work->config, work->cycle);
-    zygos_accumulator_end_arc(sums, work->cycle);
-    if (work->config.impulse_arc_cycles > 0) {
-        zygos_joint_sums_end_arc(&work->joint_sums, &work->config, work->cycle);
-    }
-    return sums->corrupt == 0;
-}
-
 /* Chooses the blocks of the momentum rows that end behind one cycle, and not behind another. */
 static void choose_momenta(zygos_work_t *work, uint64_t after, uint64_t until)
 {
@@ -966,7 +938,7 @@ static uint32_t with_motors(zygos_work_t *work, uint32_t p, zygos_estimate_t *ou
 static uint32_t with_momentum(zygos_work_t *work, uint32_t p, uint32_t rank, zygos_estimate_t *out)
 {
     const zygos_momentum_sums_t *sums = &work->momentum_sums;
-    if ((rank == 0) || (work->momenta.end < work->momenta.first + 3u)) {
+    if ((rank == 0) || (work->momenta.end < work->momenta.first + ZYGOS_LEAST_ARCS)) {
         work->momenta.end = work->momenta.first;
         return rank;
     }
@@ -1010,7 +982,7 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     }
     const zygos_accumulator_t *sums = &work->accumulator;
     memset(out, 0, sizeof *out);
-    if (!prepare(work)) {
+    if (!zygos_work_intact(work)) {
         return refuse(out, ZYGOS_MAX_PARAMETERS, ZYGOS_REASON_CORRUPT);
     }
     const uint32_t p = work->layout.count;
@@ -1021,6 +993,8 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     out->accepted = sums->accepted;
     out->arcs = sums->arcs;
     out->blocks = sums->open;
+    memcpy(out->left_out, work->guard.left_out, sizeof out->left_out);
+    out->in_a_row = work->guard.in_a_row[ZYGOS_ENERGY_ROWS];
     if ((out->accepted < (uint64_t)INSTANTS_PER_PARAMETER * p) || (out->blocks < ZYGOS_LEAST_BLOCKS)) {
         return refuse(out, p, ZYGOS_REASON_NO_DATA);
     }
@@ -1105,6 +1079,9 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     } else if (!closed) {
         out->validity = ZYGOS_DOUBTFUL;
         out->reason = ZYGOS_REASON_UNCLOSED;
+    } else if (work->guard.changed != 0) {
+        out->validity = ZYGOS_DOUBTFUL;
+        out->reason = ZYGOS_REASON_CHANGED;
     } else if (out->noise_ratio < ZYGOS_NOT_THERE) {
         out->validity = ZYGOS_DOUBTFUL;
         out->reason = ZYGOS_REASON_DECLARED;
@@ -1129,6 +1106,32 @@ static bool say(zygos_work_t *work, uint32_t p, zygos_estimate_t *scratch, uint3
     return (scratch->gate >= ZYGOS_GATE) && (solve_with(work, p, *rank, work->believed, work->solution) == *rank);
 }
 
+/* What the solution of the chosen blocks leaves of the energy rows: mean square, and ratio to the declared noise. */
+typedef struct {
+    double residual;
+    double ratio;
+} usual_t;
+
+static usual_t usual_of(const zygos_work_t *work, uint32_t p)
+{
+    double explained = 0.0;
+    const double left = energy_left(work, p, work->solution, &explained);
+    const usual_t out = { left / work->instants, (explained > 0.0) ? left / explained : 0.0 };
+    return out;
+}
+
+/* Whether the chosen blocks' own solution leaves no more of them than is usual: otherwise they are no other arm's. */
+static bool explains(const zygos_work_t *work, uint32_t p, const usual_t *usual)
+{
+    double explained = 0.0;
+    const double left = energy_left(work, p, work->solution, &explained);
+    const double by_noise = usual->ratio * explained;
+    const double by_number = usual->residual * work->instants;
+    const double window = 2.0 * (double)work->config.smoother_half_width + 1.0;
+    const double most = zygos_guard_most(work->instants / window) * ((by_noise > by_number) ? by_noise : by_number);
+    return left <= most + ZYGOS_GUARD_SHARE * ZYGOS_GUARD_SHARE * work->spread;
+}
+
 int zygos_drift(zygos_work_t *work, zygos_estimate_t *out, double *deviation)
 {
     if ((work == NULL) || (out == NULL) || (deviation == NULL)) {
@@ -1139,7 +1142,10 @@ int zygos_drift(zygos_work_t *work, zygos_estimate_t *out, double *deviation)
     for (uint32_t i = 0; i < (uint32_t)ZYGOS_MAX_PARAMETERS; i++) {
         deviation[i] = not_a_number();
     }
-    if (!prepare(work)) {
+    /* The newest arc is what it is about, unless it is too short to speak for itself. */
+    const bool guarded = (work->guard.known != 0) && ((double)sums->arc_instants >= sums->enough);
+    work->guard.known = guarded ? 0u : work->guard.known;
+    if (!zygos_work_intact(work)) {
         return refuse(out, ZYGOS_MAX_PARAMETERS, ZYGOS_REASON_CORRUPT);
     }
     const uint32_t p = work->layout.count;
@@ -1160,6 +1166,7 @@ int zygos_drift(zygos_work_t *work, zygos_estimate_t *out, double *deviation)
     jackknife(work, p, rank, out->covariance);
     memcpy(out->value, work->solution, p * sizeof out->value[0]);
     memcpy(out->solution, work->solution, p * sizeof out->solution[0]);
+    const usual_t usual = usual_of(work, p);
     double scaled[ZYGOS_MAX_PARAMETERS];
     for (uint32_t i = 0; i < p; i++) {
         out->sigma[i] = root(out->covariance[at(i, i)]);
@@ -1172,7 +1179,7 @@ int zygos_drift(zygos_work_t *work, zygos_estimate_t *out, double *deviation)
     choose(work, p, sums->newest, sums->open);
     zygos_estimate_t *const before = out;
     const double gate = out->gate;
-    if (!say(work, p, before, &rank) || (rank < p)) {
+    if (!say(work, p, before, &rank) || (rank < p) || (guarded && !explains(work, p, &usual))) {
         out->gate = gate;
         return 0;
     }

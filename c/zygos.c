@@ -6,7 +6,9 @@
 #define MARK 0x7A79676Fu /* "zygo" */
 #define LARGEST_ANGLE 1e4
 #define LARGEST_VALUE 1e6
-#define SHORTEST 8u /* share of the longest arc that a snap leaves together */
+#define LARGEST_SUM 1e150
+#define TWO_SIGMAS 1.959964 /* 95 % of a normal distribution */
+#define SHORTEST 8u         /* share of the longest arc that a snap leaves together */
 
 uint32_t zygos_abi(void)
 {
@@ -191,7 +193,7 @@ static void end_arc(zygos_t *self)
         zygos_accumulator_fade(&self->accumulator, self->faded);
     }
     self->faded = 1.0;
-    zygos_accumulator_end_arc(&self->accumulator, self->cycle);
+    zygos_guard_end_energy(&self->guard, &self->config, &self->accumulator, self->cycle, self->arc);
     self->arc = 0;
 }
 
@@ -201,7 +203,7 @@ static void end_joint_arc(zygos_t *self)
         zygos_joint_sums_fade(&self->joint_sums, self->joints_faded);
     }
     self->joints_faded = 1.0;
-    zygos_joint_sums_end_arc(&self->joint_sums, &self->config, self->cycle);
+    zygos_guard_end_motors(&self->guard, &self->config, &self->layout, &self->joint_sums, self->cycle);
 }
 
 static void end_momentum_arc(zygos_t *self)
@@ -210,7 +212,7 @@ static void end_momentum_arc(zygos_t *self)
         zygos_momentum_sums_fade(&self->momentum_sums, self->momentum_faded);
     }
     self->momentum_faded = 1.0;
-    zygos_momentum_sums_end_arc(&self->momentum_sums, &self->config, self->cycle);
+    zygos_guard_end_momentum(&self->guard, &self->config, &self->layout, &self->momentum_sums, self->cycle);
 }
 
 static void gap(zygos_t *self)
@@ -280,9 +282,11 @@ static void work_off(zygos_t *self, const zygos_cycle_t *cycle)
     const uint32_t broken = (uint32_t)ZYGOS_CYCLE_BREAK | (uint32_t)ZYGOS_CYCLE_VOID;
     const bool follows = (self->cycles > 0) && (cycle->sync == self->cycle + 1u) && !(cycle->flags & broken);
     const bool wrapped = follows && (zygos_cycle_wrapped(&self->hold, &self->config, cycle) == 1);
+    const bool apart = (zygos_cycle_apart(&self->config, cycle) == 1);
     self->wraps += wrapped ? 1u : 0u;
+    self->apart += apart ? 1u : 0u;
     void_arcs(self, cycle);
-    if (!follows || wrapped) {
+    if (!follows || wrapped || (apart && (self->smoother.filled > 0))) {
         gap(self);
     }
     self->cycle = cycle->sync;
@@ -294,6 +298,9 @@ static void work_off(zygos_t *self, const zygos_cycle_t *cycle)
     double signal[ZYGOS_MAX_SIGNALS];
     double tau[ZYGOS_MAX_JOINTS];
     zygos_cycle_calibrate(&self->hold, &self->config, cycle, signal, tau);
+    if (apart) {
+        return;
+    }
     zygos_balance_torque(&self->balance, &self->config, tau);
     if (zygos_smoother_push(&self->smoother, signal, &self->state) == 0) {
         return;
@@ -343,7 +350,7 @@ static bool is_intact(const zygos_t *self)
     zygos_balance_layout(&self->config, &layout);
     return zygos_receiver_intact(&self->receiver) && zygos_accumulator_intact(&self->accumulator, layout.count) &&
            zygos_joint_sums_intact(&self->joint_sums, &self->config) &&
-           zygos_momentum_sums_intact(&self->momentum_sums, &self->config);
+           zygos_momentum_sums_intact(&self->momentum_sums, &self->config) && zygos_guard_intact(&self->guard);
 }
 
 int zygos_resume(zygos_t *self, const zygos_config_t *config)
@@ -430,8 +437,65 @@ void zygos_take(const zygos_t *self, zygos_work_t *work)
     work->accumulator = self->accumulator;
     work->joint_sums = self->joint_sums;
     work->momentum_sums = self->momentum_sums;
+    work->guard = self->guard;
     work->cycle = self->cycle;
+    work->arc = self->arc;
+    work->reserved = 0;
     work->config = self->config;
+}
+
+int zygos_adopt(zygos_t *self, const zygos_estimate_t *estimate)
+{
+    if ((self == NULL) || (estimate == NULL)) {
+        return ZYGOS_E_NULL;
+    }
+    if (self->mark != MARK) {
+        return ZYGOS_E_ORDER;
+    }
+    zygos_guard_t *guard = &self->guard;
+    const uint32_t p = self->layout.count;
+    const bool after_change = (estimate->validity == (uint32_t)ZYGOS_DOUBTFUL) &&
+                              (estimate->reason == (uint32_t)ZYGOS_REASON_CHANGED) && (guard->known == 0);
+    bool good = ((estimate->validity == (uint32_t)ZYGOS_VALID) || after_change) && (estimate->parameters == p) &&
+                (estimate->cycle > guard->since) && within(estimate->residual, 0.0, LARGEST_SUM);
+    double wider[ZYGOS_MAX_PARAMETERS];
+    for (uint32_t i = 0; good && (i < p); i++) {
+        wider[i] = (estimate->sigma[i] > 0.0) ? estimate->half95[i] / (TWO_SIGMAS * estimate->sigma[i]) : 1.0;
+        good = within(estimate->solution[i], -LARGEST_SUM, LARGEST_SUM) && within(wider[i], 0.0, LARGEST_SUM);
+    }
+    if (!good) {
+        return 0;
+    }
+    const double ratio = estimate->noise_ratio;
+    guard->noise_ratio = within(ratio, 0.0, LARGEST_SUM) ? ratio : 0.0;
+    guard->cluster = (estimate->cluster > 1.0) ? estimate->cluster : 1.0;
+    guard->energy.residual = estimate->residual * estimate->residual;
+    memcpy(guard->solution, estimate->solution, sizeof guard->solution);
+    for (uint32_t i = 0, k = 0; i < p; i++) {
+        for (uint32_t j = 0; j <= i; j++, k++) {
+            guard->covariance[k] = wider[i] * wider[j] * estimate->covariance[k];
+        }
+    }
+    zygos_guard_begin(guard, &self->config, &self->layout, &self->accumulator, &self->joint_sums, &self->momentum_sums);
+    return 1;
+}
+
+int zygos_check(const zygos_t *self, const zygos_config_t *config, zygos_work_t *work)
+{
+    if ((self == NULL) || (config == NULL) || (work == NULL)) {
+        return ZYGOS_E_NULL;
+    }
+    if (self->mark != MARK) {
+        return ZYGOS_E_ORDER;
+    }
+    if (!is_same(&self->config, config)) {
+        return ZYGOS_E_CONFIG;
+    }
+    if ((check_config(config) < 0) || !is_intact(self)) {
+        return ZYGOS_E_STATE;
+    }
+    zygos_take(self, work);
+    return zygos_work_intact(work) ? 1 : ZYGOS_E_SUMS;
 }
 
 int zygos_restart(zygos_t *self, uint32_t keep)
@@ -441,6 +505,10 @@ int zygos_restart(zygos_t *self, uint32_t keep)
     }
     if (self->mark != MARK) {
         return ZYGOS_E_ORDER;
+    }
+    const int verdict = check_config(&self->config);
+    if (verdict < 0) {
+        return verdict;
     }
     const uint32_t known = (uint32_t)ZYGOS_KEEP_FAULTS | (uint32_t)ZYGOS_KEEP_JOINTS;
     const bool joints = (keep & (uint32_t)ZYGOS_KEEP_JOINTS) != 0;
@@ -452,11 +520,12 @@ int zygos_restart(zygos_t *self, uint32_t keep)
         self->gaps = 0;
         self->invalid = 0;
         self->wraps = 0;
+        self->apart = 0;
     }
     for (uint32_t i = 0; (i < ZYGOS_CYCLE_QUEUE) && (zygos_receiver_front(&self->receiver) != NULL); i++) {
         zygos_receiver_pop(&self->receiver);
     }
-    zygos_smoother_gap(&self->smoother);
+    make_tables(self); /* memory may have been changed there */
     zygos_balance_gap(&self->balance);
     zygos_impulse_gap(&self->impulse);
     if (joints) {
@@ -470,6 +539,7 @@ int zygos_restart(zygos_t *self, uint32_t keep)
     self->momentum_faded = 1.0;
     self->faded = 1.0;
     zygos_accumulator_init(&self->accumulator, self->layout.count, self->config.arc_cycles, self->config.period_s);
+    zygos_guard_clear(&self->guard, (keep & ZYGOS_KEEP_FAULTS) == 0, self->cycle);
     self->arc = 0;
     self->instant = 0;
     return 1;

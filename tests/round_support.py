@@ -37,7 +37,7 @@ def round_of(flight: Flight) -> dict[str, float]:
         **{f"fault_{name}": n for name, n in flight.faults.items()},
         **{f"count_{name}": n for name, n in flight.counts.items()},
         "count_arcs": flight.native.accumulator.arcs,
-        **{f"node_{name}": 0 for name in ("overflow", "misshapen", "down", "unsent")},
+        **{f"node_{name}": 0 for name in ("overflow", "misshapen", "down", "unsent", "corrupt", "unsaved")},
     }
     for name, value, sigma, half in zip(estimate.names, estimate.value, estimate.sigma, estimate.half95, strict=True):
         out |= {name: value, f"{name}_sigma": sigma, f"{name}_half95": half}

@@ -2,8 +2,8 @@
 
 Usage: build_native.py OUTPUT_FOLDER. Environment: CC (default cc), CFLAGS (added).
 
-The declarations are zygos.h itself after the C preprocessor, so they cannot drift from it; a digest of their text is
-compiled into the library, and the binding compares the two when it loads.
+The declarations are the headers themselves after the C preprocessor, so they cannot drift from them; a digest of their
+text is compiled into the library, and the binding compares the two when it loads.
 """
 
 import hashlib
@@ -15,8 +15,9 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-HEADER = ROOT / "c" / "ports" / "host" / "batch.h"
-INCLUDES = ["-I", str(ROOT / "include"), "-I", str(HEADER.parent)]
+HOST = ROOT / "c" / "ports" / "host"
+HEADERS = ("batch.h", "multibody.h")
+INCLUDES = ["-I", str(ROOT / "include"), "-I", str(HOST)]
 FLAGS = "-g -fPIC " + (ROOT / "c" / "flags.txt").read_text()
 CONSTANTS = (
     "ZYGOS_MAX_JOINTS ZYGOS_MAX_HALF_WIDTH ZYGOS_MAX_BLOCKS ZYGOS_CYCLE_QUEUE ZYGOS_MAX_EFFECTS ZYGOS_MAX_PARAMETERS "
@@ -32,7 +33,7 @@ def declarations(*defines: str) -> str:
     probe = "".join(f"\nenum {{ {name}_VALUE = {name} }};" for name in CONSTANTS)
     return subprocess.run(
         [*compiler, "-E", "-P", "-x", "c", "-DZYGOS_DECLARATIONS_ONLY", *defines, *INCLUDES, "-"],
-        input=f'#include "{HEADER.name}"{probe}\n',
+        input="".join(f'#include "{name}"\n' for name in HEADERS) + f"{probe}\n",
         capture_output=True,
         text=True,
         check=True,
@@ -46,7 +47,7 @@ def main(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     text = declarations(*(flag for flag in extra if flag.startswith("-D")))
     digest = int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big")
-    sources = sorted(str(path) for path in [*(ROOT / "c").glob("*.c"), *HEADER.parent.glob("*.c")])
+    sources = sorted(str(path) for path in [*(ROOT / "c").glob("*.c"), *HOST.glob("*.c")])
     command = [*compiler, *FLAGS.split(), *extra]
     command += [f"-DZYGOS_DECLARATIONS_DIGEST={digest}u", *INCLUDES, "-shared", *sources]
     partial = folder / "libzygos.so.partial"

@@ -33,7 +33,7 @@ int flight_start(void)
     uint8_t head[ZYGOS_SNAPSHOT_HEAD];
     const uint32_t length = port_load(head, &arm, sizeof arm);
     if ((zygos_snapshot_check(ZYGOS_SNAPSHOT_STATE, head, &arm, length) == 1) &&
-        (zygos_resume(&arm, &arm_config) == 1)) {
+        (zygos_check(&arm, &arm_config, &work) == 1) && (zygos_resume(&arm, &arm_config) == 1)) {
         taken_at = arm.cycles;
         return 2;
     }
@@ -43,9 +43,10 @@ int flight_start(void)
 int flight_store(void)
 {
     /* Where power may fail while this writes, keep two places and write them in turn: the CRC tells a half-written one.
-     */
+       A CRC also fits what memory errors have changed: what is stored already is then better. */
     uint8_t head[ZYGOS_SNAPSHOT_HEAD];
-    return (zygos_snapshot_seal(ZYGOS_SNAPSHOT_STATE, &arm, head) == 1) &&
+    return (zygos_check(&arm, &arm_config, &work) == 1) &&
+           (zygos_snapshot_seal(ZYGOS_SNAPSHOT_STATE, &arm, head) == 1) &&
            (port_save(head, &arm, sizeof arm) == sizeof head + sizeof arm);
 }
 
@@ -88,10 +89,21 @@ static void take_when_due(void)
     atomic_store_explicit(&work_is_full, 1u, memory_order_release);
 }
 
+/* Memory was changed from outside: nothing learned is kept. Where it was not in the sums, a restart does not help. The
+   ring is ours, so that no frame is received meanwhile. */
+static void heal(void)
+{
+    if ((zygos_restart(&arm, ZYGOS_KEEP_FAULTS) != 1) || (zygos_check(&arm, &arm_config, &work) != 1)) {
+        (void)zygos_init(&arm, &arm_config);
+        taken_at = 0;
+    }
+}
+
 void flight_task(void)
 {
-    if (atomic_load_explicit(&corrupt, memory_order_acquire) != 0u) {
-        (void)zygos_restart(&arm, ZYGOS_KEEP_FAULTS); /* memory was changed from outside: nothing learned is kept */
+    if ((atomic_load_explicit(&corrupt, memory_order_acquire) != 0u) &&
+        (atomic_load_explicit(&work_is_full, memory_order_acquire) == 0u)) {
+        heal();
         atomic_store_explicit(&corrupt, 0u, memory_order_release);
     }
     uint32_t tail = atomic_load_explicit(&ring_tail, memory_order_relaxed);

@@ -38,7 +38,8 @@ const zygos_estimate_t *flight_solve(void);
 /// What is believed. Read it in the task that solves, or where that task cannot interrupt.
 const flight_learned_t *flight_learned(void);
 
-/// Stores the state. In the task of the SYNC period; the state is whole, so frames may come. Returns 1 or 0.
+/// Stores the state, unless memory errors have changed it. In the task of the SYNC period; the state is whole, so
+/// frames may come. flight_solve() must not run any more, whose memory the check takes. Returns 1 or 0.
 int flight_store(void);
 
 /// The port: sends a frame, or drops it when there is no room; never waits.

@@ -13,7 +13,7 @@ from zygos.arm import Arm
 from zygos.cycles import Cycles
 from zygos.effects import Effect
 from zygos.errors import Undecided
-from zygos.flight import GATE, Estimate, Flight, Trace
+from zygos.flight import GATE, ROWS, Estimate, Flight, LeftOut, Trace
 from zygos.reference.accumulator import Design, design
 from zygos.reference.balance import Balance, arc_cycles, rows
 from zygos.reference.cycle import Samples, calibrate
@@ -24,11 +24,13 @@ from zygos.reference.noise import noise_of
 from zygos.reference.sigmas import Block, intervals
 from zygos.reference.smoother import Smoothed, smooth
 from zygos.reference.wire import Frame, Reception, receive
+from zygos.watch import Watch
 
 ROW_TOLERANCE = 1e-12
 """Of each column's largest entry, where rounding is no larger."""
-ROUNDING = 64.0
-"""Two correct programs differ by at most so many times what one rounding of every reading does to the results."""
+ROUNDING = 32.0
+"""Two correct programs differ by at most so many times what one rounding of every reading and of every coefficient of
+the smoother does to the results."""
 LARGEST_TOLERANCE = 1e-9
 """Beyond it a difference is no rounding, whatever the readings."""
 NOISE_TOLERANCE = 1e-9
@@ -79,7 +81,6 @@ class Room:
 class Tables:
     """What numpy makes of a record, as far as C is compared with it; n smoothed instants, m rows, p columns."""
 
-    smoothed: Smoothed
     balance: Balance
     used: Design
     state: Floats
@@ -88,9 +89,12 @@ class Tables:
     """(m, p+1) columns and work."""
 
     def lengths(self) -> Floats:
-        """(p+1,) lengths of the columns and the work of the rows in use, less the mean of each arc."""
+        """(p+1,) lengths of the columns and the work of the rows in use, less the mean of each arc.
+
+        Above 0, also where nothing moved.
+        """
         length: Floats = np.linalg.norm(np.column_stack([self.used.z, self.used.w]), axis=0)
-        return length
+        return np.maximum(length, 1e-150)
 
     def in_lengths(self, a: Floats, b: Floats) -> Floats:
         """(p, p+1) normal equations a (p, p), b (p,), each entry divided by the lengths of its two columns."""
@@ -99,15 +103,14 @@ class Tables:
         return out
 
 
-def tables(arm: Arm, samples: Samples, effects: Sequence[Effect] = ()) -> Tables:
-    """Take a calibrated record with at least one smoothed instant through numpy's rooms."""
-    smoothed = smooth(arm, samples)
+def tables(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Effect] = ()) -> Tables:
+    """Take a calibrated and smoothed record through the rest of numpy's rooms."""
     raw = rows(arm, samples, smoothed, effects)
     added = noise_of(arm, samples, smoothed, raw, effects)
     balance = replace(raw, z=raw.z - added.mean)
     state = np.hstack([smoothed.q, smoothed.theta, smoothed.qd, smoothed.thetad, smoothed.omega])
     row = np.column_stack([balance.z, balance.w])
-    return Tables(smoothed, balance, design(balance, added.moment), state, row)
+    return Tables(balance, design(balance, added.moment), state, row)
 
 
 @dataclass(frozen=True)
@@ -123,21 +126,40 @@ class Rounding:
 
 
 def rounding(arm: Arm, samples: Samples, known: Tables, effects: Sequence[Effect] = ()) -> Rounding:
-    """Measure it: every reading is moved by up to one rounding of its column's largest, and all is computed again.
+    """Measure it: all is computed again from readings moved by up to one rounding of their column's largest.
 
-    So a tolerance follows the conditioning of the readings (angles many turns from zero, rates from small differences)
-    and the length of the arcs over which integrals sum up. The library sums squares before it takes the means of an arc
-    away, which rounds the more, the larger the means are.
+    A rounded coefficient of the smoother errs in the same way at every instant: angles and rates are moved as a whole,
+    too. So a tolerance follows the conditioning of the readings (angles many turns from zero, rates from small
+    differences) and the length of the arcs over which integrals sum up. The library sums squares before it takes the
+    means of an arc away, which rounds the more, the larger the means are.
     """
     generator = np.random.default_rng(0)
 
+    def largest(table: Floats) -> Floats:
+        out: Floats = EPSILON * np.max(np.abs(np.nan_to_num(table)), axis=0, initial=0.0)
+        return out
+
     def moved(table: Floats) -> Floats:
-        largest = np.max(np.abs(np.nan_to_num(table)), axis=0, initial=0.0)
-        out: Floats = table + EPSILON * largest * generator.uniform(-1.0, 1.0, table.shape)
+        out: Floats = table + largest(table) * generator.uniform(-1.0, 1.0, table.shape)
+        return out
+
+    def shifted(table: Floats, readings: Floats, unit: float = 1.0) -> Floats:
+        size = largest(readings) / unit
+        out: Floats = table + size * generator.choice([-1.0, 1.0], size.shape)
         return out
 
     q, theta, tau, omega = moved(samples.q), moved(samples.theta), moved(samples.tau), moved(samples.omega)
-    other = tables(arm, replace(samples, q=q, theta=theta, tau=tau, omega=omega), effects)
+    readings = replace(samples, q=q, theta=theta, tau=tau, omega=omega)
+    again = smooth(arm, readings)
+    smoothed = replace(
+        again,
+        q=shifted(again.q, q),
+        theta=shifted(again.theta, theta),
+        qd=shifted(again.qd, q, arm.period_s),
+        thetad=shifted(again.thetad, theta, arm.period_s),
+        omega=shifted(again.omega, omega),
+    )
+    other = tables(arm, readings, smoothed, effects)
 
     def tolerance(off: Floats) -> Floats:
         out: Floats = np.clip(ROUNDING * off, ROW_TOLERANCE, LARGEST_TOLERANCE)
@@ -148,10 +170,10 @@ def rounding(arm: Arm, samples: Samples, known: Tables, effects: Sequence[Effect
         return tolerance(off / np.maximum(np.abs(ours).max(axis=0, initial=0.0), FLOOR))
 
     used = np.isin(known.balance.sync, known.used.sync)
-    cancelled = np.linalg.norm(known.row[used], axis=0) / np.maximum(known.lengths(), 1e-300)
+    cancelled = np.linalg.norm(known.row[used], axis=0) / known.lengths()
     sums = EPSILON * np.sqrt(used.sum()) * np.outer(cancelled[:-1], cancelled)
     off = np.abs(known.in_lengths(*other.used.normal()) - known.in_lengths(*known.used.normal()))
-    return Rounding(share(known.state, other.state), share(known.row, other.row), tolerance(np.nan_to_num(off) + sums))
+    return Rounding(share(known.state, other.state), share(known.row, other.row), tolerance(off + sums))
 
 
 def _closest(difference: Floats, tolerance: Floats | float) -> tuple[int, float, float]:
@@ -214,17 +236,29 @@ def sizes(arm: Arm, x: Floats) -> Floats:
     return out
 
 
-def check_chain(arm: Arm, trace: Trace, flight: Flight) -> list[Room]:
+def left_out(flight: Flight, ended: Sequence[LeftOut]) -> dict[str, frozenset[int]]:
+    """Newest cycles of the arcs that a flight left out, by kind of rows: those that ended, and open ones."""
+    estimate, guard = flight.estimate(), flight.native.guard
+    out = {}
+    for k, kind in enumerate(ROWS):
+        still = {estimate.cycle} if estimate.left_out[k] > guard.left_out[k] else set()
+        out[kind] = frozenset({arc.last for arc in ended if arc.rows == kind} | still)
+    return out
+
+
+def check_chain(arm: Arm, trace: Trace, flight: Flight, ended: Sequence[LeftOut] = ()) -> list[Room]:
     """Compare what the rooms behind the receiver made of a run with numpy's result on the same cycles.
 
     The last room is "solution", unless the run determines none: too short for an instant it ends with the smoother,
-    without any parameter known with the bandwidth test.
+    without any parameter known with the bandwidth test. ended: arcs that the flight left out when they ended; they are
+    told to numpy, which judges none.
     """
-    samples = calibrate(arm, trace.cycles)
-    known = tables(arm, samples, flight.effects)
-    smoothed, balance, used = known.smoothed, known.balance, known.used
+    samples = replace(calibrate(arm, trace.cycles), left_out=left_out(flight, ended))
+    smoothed = smooth(arm, samples)
     if len(smoothed.index) == 0:
         return [Room("smoother", 0, float(trace.instant.sum()), None, 0.0)]
+    known = tables(arm, samples, smoothed, flight.effects)
+    balance, used = known.balance, known.used
     rounds = rounding(arm, samples, known, flight.effects)
     half = arm.smoother.lag
     at = smoothed.index + half  # the instant k comes out with cycle k + M
@@ -320,9 +354,9 @@ def _frame(record: Any) -> Frame:
 
 def check_frames(arm: Arm, frames: NDArray[Any], flight: Flight | None = None) -> list[Room]:
     """Compare all rooms on a log, beginning with the frames, which a fresh `flight` takes in."""
-    flight = flight or Flight(arm)
-    trace = flight.frames(frames, trace=True)
-    assert trace is not None
+    watch = Watch(flight or Flight(arm), trace=True)
+    watch.frames(frames)
+    flight, trace = watch.flight, watch.trace()
     reception = decode(arm, frames)
     ours, theirs = trace.cycles, reception.cycles
     rooms = [_compare("wire and cycles", _columns(ours), _columns(theirs), ours.sync, 1e-15)]
@@ -333,12 +367,11 @@ def check_frames(arm: Arm, frames: NDArray[Any], flight: Flight | None = None) -
     c_faults = flight.faults
     off = sum(abs(count - reception.faults[name]) for name, count in c_faults.items())
     rooms.append(Room("fault counters", len(c_faults), float(off), None, 0.0))
-    return rooms + check_chain(arm, trace, flight)
+    return rooms + check_chain(arm, trace, flight, watch.left_out)
 
 
 def check_cycles(arm: Arm, cycles: Cycles, flight: Flight | None = None) -> list[Room]:
     """Compare the rooms behind the receiver on cycles that came through the other door of a fresh `flight`."""
-    flight = flight or Flight(arm)
-    trace = flight.cycles(cycles, trace=True)
-    assert trace is not None
-    return check_chain(arm, trace, flight)
+    watch = Watch(flight or Flight(arm), trace=True)
+    watch.cycles(cycles)
+    return check_chain(arm, watch.trace(), watch.flight, watch.left_out)

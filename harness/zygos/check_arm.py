@@ -17,7 +17,7 @@ from zygos.cycles import Cycles
 from zygos.cycletable import read_cycles
 from zygos.errors import Undecided
 from zygos.flight import Flight, ffi, lib
-from zygos.output import check_outputs, counted, number, say, table, write_json
+from zygos.output import check_outputs, counted, good, number, say, table, write_json
 from zygos.reference.wire import identifiers
 
 _SYNC, _FTIME = 0x080, 0x3A0
@@ -72,7 +72,7 @@ def show(found: Audit) -> None:
                 number(s.quantum, 3),
                 number(s.noise, 2),
                 number(s.declared, 2),
-                f"[green]{s.verdict}[/]" if s.verdict == "ok" else s.verdict,
+                good(s.verdict) if s.verdict == "ok" else s.verdict,
             )
             for s in found.signals
         ],

@@ -24,10 +24,11 @@ from zygos.columns import check_table, is_table
 from zygos.cycletable import read_cycles
 from zygos.effects import Effect
 from zygos.errors import Damaged, Undecided, ZygosError
-from zygos.flight import GATE, OVERDECLARED, Drift, Estimate, Flight, encode
+from zygos.flight import GATE, OVERDECLARED, ROWS, Drift, Estimate, Flight, encode
+from zygos.lines import LineProgress
 from zygos.model import Model, Quantity, load_model, save_model
 from zygos.motion import ENGINES
-from zygos.output import check_outputs, counted, errors, note, number, ratio, say, table, write_json
+from zygos.output import bad, check_outputs, counted, errors, good, note, number, ratio, say, table, write_json
 from zygos.plant import simulate
 from zygos.scenario import load_scenario
 from zygos.watch import Watch
@@ -36,10 +37,26 @@ NO_FRAMES = frozenset({"incomplete", "dropped", "sync_jumped", "time_lost", "tim
 """Fault counters that count something else than rejected frames."""
 MANY_DROPPED = 0.02
 """Share of the cycles whose loss is worth a word before anything else."""
+REMEDIES = {
+    "too fast": "a higher SYNC rate, a shorter smoother window, or a slower motion",
+    "does not close": (
+        "check gear ratios, signs, zeros and the torque_law of the arm file; friction, cubic springs and torque "
+        "lag are in the balance only where --model names them, noise of the torques and torques on the base never"
+    ),
+    "arm changed": (
+        "split the log where the arm changed, or let old arcs fade ([arc] memory_min); on board zygos_restart()"
+    ),
+    "not physical": "check signs, gear ratios and the torque_law of the arm file, or a longer run",
+}
+"""What helps where the estimate's reason says so."""
+LEFT_OUT_SHOWN = 6
+"""Arcs of a kind whose times are said."""
 
 
 def progress() -> Progress:
-    """A progress bar on stderr."""
+    """A progress bar on stderr; where that is no terminal, a line now and then."""
+    if not errors.is_interactive:
+        return LineProgress()
     return Progress(
         TextColumn("{task.description}", markup=False),
         BarColumn(),
@@ -198,10 +215,9 @@ def send(wire: can.BusABC, frames: NDArray[Any], arm: Arm, run: Path) -> None:
             bar.advance(task)
 
 
-def report_estimate(
-    result: Estimate, flight: Flight, drift: Drift | None, heading: Mapping[str, Any]
-) -> dict[str, Any]:
+def report_estimate(result: Estimate, watch: Watch, drift: Drift | None, heading: Mapping[str, Any]) -> dict[str, Any]:
     """The content of an estimate's JSON."""
+    flight = watch.flight
     return {
         **heading,
         "arm": flight.arm.name,
@@ -211,6 +227,11 @@ def report_estimate(
         "accepted": result.accepted,
         "refused": result.refused,
         "arcs": result.arcs,
+        "left_out": dict(zip(ROWS, result.left_out, strict=True)),
+        "left_out_arcs": [
+            {"rows": arc.rows, "from_s": arc.first * flight.arm.period_s, "to_s": arc.last * flight.arm.period_s}
+            for arc in watch.left_out
+        ],
         "blocks": result.blocks,
         "rank": result.rank,
         "condition": result.condition,
@@ -270,16 +291,30 @@ def about_noise(result: Estimate) -> str:
     return ""
 
 
-def about_change(drift: Drift, arm: Arm) -> str:
+def about_left_out(result: Estimate, watch: Watch) -> str:
+    """How many arcs contradicted the others, and when; empty where none did."""
+    if not any(result.left_out):
+        return ""
+    period, found = watch.flight.arm.period_s, []
+    for rows, count in zip(ROWS, result.left_out, strict=True):
+        spans = [f"{arc.first * period:.0f}..{arc.last * period:.0f} s" for arc in watch.left_out if arc.rows == rows]
+        opened = ["the newest, still open"] if count > watch.flight.native.guard.left_out[ROWS.index(rows)] else []
+        shown = [*spans[:LEFT_OUT_SHOWN], *(["…"] if len(spans) > LEFT_OUT_SHOWN else []), *opened]
+        found += [f"{counted(count, 'arc')} of the {rows} rows ({', '.join(shown)})"] if count else []
+    return f"left out, for they contradict the others: {'; '.join(found)}"
+
+
+def about_change(result: Estimate, drift: Drift, arm: Arm) -> str:
     """That the arm changed, and what to do."""
+    values = "are those of the arm before" if result.in_a_row else "mix what it was and is"
     names = ", ".join(
         f"{name} by {abs(far):.0f}"
         for name, far in zip(drift.names, drift.deviation, strict=True)
         if name in drift.changed
     )
     return (
-        f"the arm changed after {drift.until * arm.period_s:.0f} s, in standard deviations: {names}; the values mix "
-        "what it was and is; remedy: split the log there, or let old arcs fade ([arc] memory_min); on board "
+        f"the arm changed after {drift.until * arm.period_s:.0f} s, in standard deviations: {names}; the values "
+        f"{values}; remedy: split the log there, or let old arcs fade ([arc] memory_min); on board "
         "zygos_restart()"
     )
 
@@ -309,23 +344,26 @@ def finish_estimate(
         say(
             f"arm {flight.arm.name} · {counted(flight.counts['cycles'], 'cycle')} · {losses(flight)} · "
             f"{counted(result.accepted, 'instant')} accepted, {result.refused:,} refused · "
-            f"{counted(result.arcs, 'arc')}, {flight.counts['arcs_dropped']:,} dropped · "
+            f"{counted(result.arcs, 'arc')}, {flight.counts['arcs_dropped']:,} dropped, "
+            f"{result.left_out[0]:,} left out · "
             f"{np.isfinite(result.value).sum()} of {counted(len(result.names), 'parameter')} · {result.validity}"
             + (" · door: cycle" if heading["door"] == "cycle" else "")
         )
         seen = [f"{name} {count:,}" for name, count in flight.faults.items() if count]
         if seen:
             say("faults: " + ", ".join(seen))
+        if left_out := about_left_out(result, watch):
+            say(left_out)
         if noise := about_noise(result):
             say(noise)
     if drift and drift.changed:
-        warn([about_change(drift, flight.arm)])
+        warn([about_change(result, drift, flight.arm)])
     try:
         if result.validity != "refused":
             save_model(Model(name=flight.arm.name, parameters=quantities, effects=effects), out)
     finally:
         if json:
-            write_json(json, report_estimate(result, flight, drift, heading))
+            write_json(json, report_estimate(result, watch, drift, heading))
     if result.validity != "valid":
         where = "nothing written" if result.validity == "refused" else f"{out} written"
         remedy = "see the warning: the arm changed" if drift and drift.changed else _remedy(result, flight)
@@ -345,21 +383,17 @@ def _remedy(result: Estimate, flight: Flight) -> str:
     found = []
     if faults["dropped"] > MANY_DROPPED * (cycles + faults["dropped"]):
         found.append(f"the bus loses or damages frames, or some are not as the arm file says ({seen}): repair that")
+    if flight.counts["apart"] > MANY_DROPPED * cycles:
+        found.append("link and motor angle of a joint read more than 8 turns apart: check unit, side, sign and zeros")
     if faults["time_lost"]:
         found.append("FTIME (0x3A0) must come at least every 100 cycles")
     if faults["time_jumped"]:
         found.append("period_s of the arm file disagrees with the clock of the bus, or SYNCs are lost")
     if found:
         return "; ".join(found)
-    if "too fast" in result.reason:
-        return "a higher SYNC rate, a shorter smoother window, or a slower motion"
-    if "does not close" in result.reason:
-        return (
-            "check gear ratios, signs, zeros and the torque_law of the arm file; friction, cubic springs and torque "
-            "lag are in the balance only where --model names them, noise of the torques and torques on the base never"
-        )
-    if "not physical" in result.reason:
-        return "check signs, gear ratios and the torque_law of the arm file, or a longer run"
+    for words, remedy in REMEDIES.items():
+        if words in result.reason:
+            return remedy
     return "a longer run that moves every joint at different speeds"
 
 
@@ -409,7 +443,7 @@ def check_run(run: Path, arm_file: Path | None, model_file: Path | None, json: s
                     number(room.difference, 2),
                     "–" if room.cycle is None else str(room.cycle),
                     number(room.tolerance, 2),
-                    "[green]equal[/]" if room.equal else "[red]differs[/]",
+                    good("equal") if room.equal else bad("differs"),
                 )
                 for room in rooms
             ],

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +40,7 @@ REASONS = (
     "the balance does not close: what the solution leaves over is no noise",
     "sensor noise is as large as the motion in some combination of parameters",
     "the declared sensor noise is not in the data: the residuals are far smaller",
+    "the arm changed: its newest arcs contradict what those before them say, several in a row",
 )
 DRIFT_ALARM = 6.0
 """Deviations that are no accident, as ``ZYGOS_DRIFT_ALARM``."""
@@ -111,6 +112,14 @@ class Trace:
     row: NDArray[np.float64]
     """(n, p+1) the columns and the work. Undefined where `instant` is false."""
 
+    @classmethod
+    def joined(cls, parts: Sequence[Trace]) -> Trace:
+        """At least one part, one behind the other."""
+        cycles = [part.cycles for part in parts]
+        whole = Cycles(*(np.concatenate([getattr(one, f.name) for one in cycles]) for f in fields(Cycles)))
+        others = (f.name for f in fields(cls) if f.name != "cycles")
+        return cls(whole, *(np.concatenate([getattr(part, name) for part in parts]) for name in others))
+
 
 @dataclass(frozen=True)
 class Estimate:
@@ -147,6 +156,27 @@ class Estimate:
     """Its square over what the declared noise makes of it; NaN where none is declared."""
     gate: float
     """Smallest ratio of sums to noise over all combinations of parameters; infinite where none is declared."""
+    left_out: tuple[int, int, int] = (0, 0, 0)
+    """Arcs that contradicted the running solution, of the energy, the motor and the momentum rows, the open ones
+    included."""
+    in_a_row: int = 0
+    """Of those of the energy rows the newest that no arc that agrees lies between."""
+
+
+ROWS = ("energy", "motor", "momentum")
+"""Kinds of rows, each with arcs of its own, as ``zygos_rows``."""
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """An arc that contradicted the running solution."""
+
+    rows: str
+    """One of `ROWS`."""
+    first: int
+    """Number of its first instant's cycle."""
+    last: int
+    """Number of its newest cycle."""
 
 
 @dataclass(frozen=True)
@@ -318,6 +348,7 @@ class Flight:
         self.units = (*arm.parameter_units, *(effect.kind.unit for effect in self.effects))
         self._work = ffi.new("zygos_work_t *")
         self._estimate = ffi.new("zygos_estimate_t *")
+        self._before = ffi.new("zygos_estimate_t *")
 
     def frames(self, frames: NDArray[Any], *, trace: bool = False) -> Trace | None:
         """Feed `FRAME` records and work off every cycle they complete."""
@@ -362,14 +393,23 @@ class Flight:
             residual=out.residual,
             noise_ratio=out.noise_ratio,
             gate=out.gate,
+            left_out=(out.left_out[0], out.left_out[1], out.left_out[2]),
+            in_a_row=int(out.in_a_row),
         )
+
+    def adopt(self) -> bool:
+        """Take what `estimate` answered last as the running solution, if it is valid.
+
+        An arc that contradicts the running solution when it ends is left out of the sums and counted.
+        """
+        return bool(lib.zygos_adopt(self.native, self._estimate) == 1)
 
     def drift(self) -> Drift:
         """Compare the newest arc with all before it. The accumulation is not disturbed."""
         deviation = ffi.new("double[]", lib.ZYGOS_MAX_PARAMETERS_VALUE)
         lib.zygos_take(self.native, self._work)
-        lib.zygos_drift(self._work, self._estimate, deviation)
-        out, p = self._estimate, len(self.names)
+        lib.zygos_drift(self._work, self._before, deviation)
+        out, p = self._before, len(self.names)
         far = np.frombuffer(ffi.buffer(deviation), dtype=np.float64)[:p].copy()
         return Drift(self.names, far, REASONS[out.reason], int(out.cycle))
 
@@ -423,9 +463,17 @@ class Flight:
     def _closed(self) -> Any:
         """A copy of the sums whose open arc has ended."""
         lib.zygos_take(self.native, self._work)
-        sums = ffi.addressof(self._work, "accumulator")
-        lib.zygos_accumulator_end_arc(sums, self._work.cycle)
+        sums, guard, config = (ffi.addressof(self._work, name) for name in ("accumulator", "guard", "config"))
+        lib.zygos_guard_end_energy(guard, config, sums, self._work.cycle, self._work.arc)
         return sums
+
+    @property
+    def left_out(self) -> tuple[int, tuple[LeftOut, ...]]:
+        """How many arcs that have ended were left out, and the newest of them, oldest first."""
+        guard = self.native.guard
+        count, places = sum(guard.left_out), len(guard.newest)
+        arcs = [guard.newest[k % places] for k in range(max(0, count - places), count)]
+        return count, tuple(LeftOut(ROWS[a.rows], int(a.end) - a.cycles + 1, int(a.end)) for a in arcs)
 
     @property
     def faults(self) -> dict[str, int]:
@@ -442,6 +490,7 @@ class Flight:
             "gaps": int(self.native.gaps),
             "invalid": int(self.native.invalid),
             "wraps": int(self.native.wraps),
+            "apart": int(self.native.apart),
             "arcs_dropped": int(sums.arcs_dropped),
             "accepted": int(sums.accepted),
             "refused": int(sums.refused),

@@ -11,7 +11,7 @@ from zygos.arm import Arm
 from zygos.dynamics import PlanarDynamics
 from zygos.engines import Engine, engine
 from zygos.model import Model
-from zygos.spatial import SpatialDynamics
+from zygos.multibody import Multibody
 
 Array = NDArray[np.float64]
 EngineName = Literal["zygos", "pinocchio", "mujoco"]
@@ -60,13 +60,8 @@ class _Engine:
         return np.stack([np.linalg.solve(one, np.asarray(momentum)) for one in inertia])
 
 
-def moves_in_plane(arm: Arm, name: EngineName) -> bool:
-    """Whether these equations have a base that turns about one axis only, by a scalar rate."""
-    return name == "zygos" and arm.free and not arm.spatial
-
-
 def equations(arm: Arm, model: Model, name: EngineName = "zygos") -> Motion:
     """The equations of motion of a model. Errors: ZygosError for what does not fit the arm or the engine."""
     if name != "zygos":
         return _Engine(engine(name, arm, model))
-    return (PlanarDynamics if moves_in_plane(arm, name) else SpatialDynamics).from_model(arm, model)
+    return (PlanarDynamics if arm.free and not arm.spatial else Multibody).from_model(arm, model)

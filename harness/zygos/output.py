@@ -12,14 +12,19 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
+from rich.console import Console, JustifyMethod
 from rich.table import Table
+from rich.text import Text
 
 from zygos.errors import ZygosError
 
-# A file or a pipe has no width: its tables are not cut to a terminal's nominal 80 columns.
-console = Console(soft_wrap=True, width=None if sys.stdout.isatty() else 200)
+console = Console(soft_wrap=True)
 errors = Console(stderr=True, soft_wrap=True)
+
+_WIDE = 200
+"""Columns of a file or a pipe, which have no width of their own."""
+_BETWEEN = 2
+"""Columns between those of a table."""
 
 
 def say(text: str) -> None:
@@ -64,14 +69,58 @@ def number(value: float | None, digits: int = 6) -> str:
     return "–" if value is None or not math.isfinite(value) else f"{value:.{digits}g}"
 
 
-def table(columns: Sequence[str], rows: Sequence[Sequence[str]], title: str | None = None) -> None:
-    """Print a table: first column left, the others right."""
-    out = Table(title=title, title_justify="left", header_style="bold", box=None, pad_edge=False)
-    for k, column in enumerate(columns):
-        out.add_column(column, justify="left" if k == 0 else "right", no_wrap=True)
-    for row in rows:
-        out.add_row(*row)
-    console.print(out)
+def good(text: str) -> Text:
+    """A cell that says that something is as it should be."""
+    return Text(text, style="green")
+
+
+def bad(text: str) -> Text:
+    """A cell that says that something is not as it should be."""
+    return Text(text, style="red")
+
+
+def _room() -> int:
+    """Columns that a table may take: those of the terminal, or what COLUMNS says."""
+    return console.width if console.is_terminal or os.environ.get("COLUMNS", "").isdigit() else _WIDE
+
+
+def table(columns: Sequence[str], rows: Sequence[Sequence[str | Text]], title: str | None = None) -> None:
+    """Print a table: first column left, the others right. Text is printed as it is, brackets are no markup.
+
+    Nothing is cut off. Where the columns do not fit beside each other, their heads break at spaces; where that is not
+    enough, they are printed in several tables, each of which begins with the first column.
+    """
+    cells = [[Text(cell) if isinstance(cell, str) else cell for cell in row] for row in rows]
+    room = _room()
+    heads = [Text(column, style="bold") for column in columns]
+    inside = [max((row[k].cell_len for row in cells), default=0) for k in range(len(columns))]
+    widths = [max(width, head.cell_len) for width, head in zip(inside, heads, strict=True)]
+    if sum(widths) + _BETWEEN * (len(columns) - 1) > room:
+        widths = [max([width, *map(len, column.split())]) for width, column in zip(inside, columns, strict=True)]
+    for k, width in enumerate(widths[1:], start=1):  # a text longer than a line breaks at its spaces
+        words = [len(word) for text in (heads[k], *(row[k] for row in cells)) for word in text.plain.split()]
+        widths[k] = max(min(width, room - widths[0] - _BETWEEN), *words, 1)
+    for k, group in enumerate(_groups(widths, room)):
+        out = Table(title=Text(title) if title and k == 0 else None, title_justify="left", box=None, pad_edge=False)
+        for column in group:
+            justify: JustifyMethod = "left" if column == 0 else "right"
+            out.add_column(heads[column], justify=justify, width=widths[column], overflow="fold")
+        for row in cells:
+            out.add_row(*(row[column] for column in group))
+        if k > 0:
+            console.print()
+        Console(width=max(room, sum(widths[column] + _BETWEEN for column in group))).print(out)
+
+
+def _groups(widths: Sequence[int], room: int) -> list[list[int]]:
+    """Which columns stand beside each other: the first in every table, the others in as few tables as they fit in."""
+    groups = [[0]]
+    for column in range(1, len(widths)):
+        taken = sum(widths[other] + _BETWEEN for other in groups[-1])
+        if len(groups[-1]) > 1 and taken + widths[column] > room:
+            groups.append([0])
+        groups[-1].append(column)
+    return groups
 
 
 def _clean(value: Any) -> Any:

@@ -16,9 +16,10 @@ from scipy.integrate import DOP853
 
 from zygos.arm import Arm
 from zygos.cycles import Cycles
+from zygos.dynamics import PlanarDynamics
 from zygos.errors import ZygosError
 from zygos.model import Model
-from zygos.motion import EngineName, Motion, equations, moves_in_plane
+from zygos.motion import EngineName, Motion, equations
 from zygos.scenario import Scenario
 from zygos.sensors import Noise, draw_noise, encoder_angle, encoder_reading, gyro_reading, no_noise, torque_record
 
@@ -108,6 +109,7 @@ def simulate(
     scenario: Scenario,
     *,
     engine: EngineName = "zygos",
+    dynamics: Motion | None = None,
     seeds: Sequence[int] | None = None,
     noise: bool | None = None,
     period_s: float | None = None,
@@ -119,7 +121,7 @@ def simulate(
     """Simulate the scenario in closed loop, with the effects of the model.
 
     An angular momentum that the model names goes before the scenario's. engine: whose equations of motion; those of
-    others know bodies only, no effects.
+    others know bodies only, no effects. dynamics: other equations of motion of this arm, instead of the engine's.
 
     seeds (default: the scenario's) are integrated together; noise, duration_s and period_s override scenario and arm.
     There are round(duration / period) cycles. rtol and atol are DOP853's. A trajectory depends on the other seeds of
@@ -138,10 +140,10 @@ def simulate(
             f"scenario {scenario.name}: {n} cycles of {len(chosen)} seeds is nothing to simulate; remedy: "
             "a duration of at least two SYNC periods, and one seed"
         )
-    dynamics = equations(arm, model, engine)
+    dynamics = equations(arm, model, engine) if dynamics is None else dynamics
     noisy = scenario.noise if noise is None else noise
     errors = draw_noise(arm, n, chosen, scenario.encoder_noise) if noisy else no_noise(arm, n, chosen)
-    planar = moves_in_plane(arm, engine)
+    planar = isinstance(dynamics, PlanarDynamics)
     run = _Run(arm, dynamics, scenario, planar=planar, seeds=chosen, n=n, noise=errors, rtol=rtol, atol=atol)
     return run.trajectory(progress)
 
@@ -345,11 +347,15 @@ class _Run:
         self.state = solver.y.reshape(self.state.shape)
 
 
+_TURN_OF = np.array([[3, 2, 1], [2, 3, 0], [1, 0, 3], [0, 1, 2]])
+_TURN_SIGN = 0.5 * np.array([[1, -1, 1], [1, 1, -1], [-1, 1, 1], [-1, -1, -1]])
+"""A quaternion's rate is this half of its components, times the angular velocity."""
+
+
 def _quaternion_rate(attitude: Array, omega: Array) -> Array:
     """(B, 4) derivative of the attitude (scalar last) of a base that turns at omega (B, 3) in its own axes, rad/s."""
-    vector, scalar = attitude[:, :3], attitude[:, 3:]
-    turned = scalar * omega + np.cross(vector, omega)
-    return 0.5 * np.hstack([turned, -np.sum(vector * omega, axis=1, keepdims=True)])
+    rate: Array = ((_TURN_SIGN * attitude[:, _TURN_OF]) @ omega[:, :, None])[:, :, 0]
+    return rate
 
 
 def _pauses(latches: _Latches, lag: Array | None) -> list[tuple[float, tuple[list[int], list[int]], list[int]]]:

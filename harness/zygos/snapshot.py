@@ -27,6 +27,7 @@ _REFUSALS = {
     lib.ZYGOS_E_LENGTH: ("is cut off, or has more bytes than its head says", "copy it again"),
     lib.ZYGOS_E_CRC: ("is damaged: its CRC does not fit its bytes", "copy or write it again"),
     lib.ZYGOS_E_STATE: ("was damaged before it was sealed: it holds a count that cannot be", "take an older one"),
+    lib.ZYGOS_E_SUMS: ("was damaged before it was sealed: its sums are corrupt", "take an older one"),
     lib.ZYGOS_E_CONFIG: ("is the state of another configuration", "give the configuration that it was made with"),
 }
 
@@ -70,9 +71,15 @@ def write(path: Path, kind: Kind, native: Any) -> None:
 
 
 def resume(flight: Flight, path: str | Path) -> None:
-    """Let an estimator go on where a stored state ended. Errors: as `read`, and for another configuration."""
+    """Let an estimator go on where a stored state ended.
+
+    Errors: as `read`, and for another configuration, or counts and sums that memory errors had changed.
+    """
     state = read(path, "state")
-    verdict = lib.zygos_resume(state, ffi.addressof(flight.native, "config"))
+    config = ffi.addressof(flight.native, "config")
+    verdict = lib.zygos_check(state, config, ffi.new("zygos_work_t *"))
+    if verdict == 1:
+        verdict = lib.zygos_resume(state, config)
     if verdict < 0:
         raise refusal(path, "state", verdict)
     flight.native = state

@@ -1,4 +1,4 @@
-"""Whether the arm changed while it was watched: what `Flight.drift` says twice an arc, the plainest of it kept."""
+"""A flight that is watched: twice an arc it adopts what it knows, and says whether the arm changed."""
 
 from __future__ import annotations
 
@@ -10,34 +10,51 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.cycles import Cycles
-from zygos.flight import Drift, Flight
+from zygos.flight import Drift, Flight, LeftOut, Trace
 
 SYNC = 0x080
 LOOKS = 2
 """In an arc: the arc behind a change stands out only until the next one takes it for known."""
 
 
-class Watch:
-    """Feeds a flight, and looks for a change of its arm."""
+STRETCH = 100
+"""Cycles that are fed at once: no more arcs end in them than the library remembers the place of."""
 
-    def __init__(self, flight: Flight) -> None:
-        """Nothing has come yet."""
+
+class Watch:
+    """Feeds a flight, has it leave out arcs that contradict what it knows, and looks for a change of its arm."""
+
+    def __init__(self, flight: Flight, *, trace: bool = False) -> None:
+        """Nothing has come yet. trace: keep what each room makes of each cycle."""
         self.flight = flight
         self.plainest: Drift | None = None
-        """The look with the largest deviation; None while nothing could be compared."""
+        """The look with the largest deviation; None while nothing could be compared.
+
+        Looks into arcs that were left out do not count, once an arc behind them agrees with what was known before.
+        """
+        self.left_out: list[LeftOut] = []
+        """Arcs that were left out when they ended."""
+        self._traces: list[Trace] | None = [] if trace else None
+        self._left_out = 0
+        self._settled: Drift | None = None
         self._every = max(1, round(flight.arm.arc_max_s / flight.arm.period_s) // LOOKS)
         self._since = 0
 
     def frames(self, frames: NDArray[Any], progress: Callable[[float], None] | None = None) -> None:
         """Feed frames as `Flight.frames`. progress is called now and then with the share that is done."""
         starts = np.flatnonzero(frames["id"] == SYNC)
-        self._feed(starts, len(frames), lambda first, last: self.flight.frames(frames[first:last]), progress)
+
+        def feed(first: int, last: int) -> Trace | None:
+            return self.flight.frames(frames[first:last], trace=self._traces is not None)
+
+        self._feed(starts, len(frames), feed, progress)
 
     def cycles(self, cycles: Cycles, progress: Callable[[float], None] | None = None) -> None:
         """Feed cycles as `Flight.cycles`."""
 
-        def feed(first: int, last: int) -> None:
-            self.flight.cycles(Cycles(*(getattr(cycles, field.name)[first:last] for field in fields(Cycles))))
+        def feed(first: int, last: int) -> Trace | None:
+            part = Cycles(*(getattr(cycles, field.name)[first:last] for field in fields(Cycles)))
+            return self.flight.cycles(part, trace=self._traces is not None)
 
         self._feed(np.arange(len(cycles)), len(cycles), feed, progress)
 
@@ -45,23 +62,53 @@ class Watch:
         self,
         starts: NDArray[np.intp],
         n: int,
-        feed: Callable[[int, int], object],
+        feed: Callable[[int, int], Trace | None],
         progress: Callable[[float], None] | None,
     ) -> None:
         """starts: where cycles begin in what is fed, of n entries."""
         first = 0
-        for last in starts[self._every - self._since :: self._every]:
-            feed(first, int(last))
-            first = int(last)
-            self.look()
-            if progress:
-                progress(first / n)
-        feed(first, n)
+        ends = [*starts[1:].tolist(), n]
+        for count, last in enumerate(ends, start=self._since + min(1, len(starts))):
+            due = count % self._every == 0
+            if last < n and not due and count % STRETCH:
+                continue
+            trace = feed(first, last)
+            first = last
+            if self._traces is not None and trace is not None:
+                self._traces.append(trace)
+            self._note_arcs()
+            if due and last < n:
+                self.look()
+                if progress:
+                    progress(first / n)
         self._since = (self._since + len(starts)) % self._every
 
+    def trace(self) -> Trace:
+        """What each room made of each cycle so far. Needs a watch that was told to keep it, and was fed."""
+        assert self._traces
+        return Trace.joined(self._traces)
+
     def look(self) -> Drift | None:
-        """Compare the newest arc with all before it. Returns the plainest look so far."""
+        """Compare the newest arc with all before it, and adopt a valid estimate. Returns the plainest look so far."""
+        contradicts = self._note_arcs()
         drift = self.flight.drift()
+        if not contradicts:  # what stood out in arcs that were left out was no change
+            self.plainest = self._settled
         if drift.largest > (self.plainest.largest if self.plainest else 0.0):
             self.plainest = drift
+        estimate = self.flight.estimate()
+        if not estimate.in_a_row:
+            self._settled = self.plainest
+        self.flight.adopt()
         return self.plainest
+
+    def _note_arcs(self) -> bool:
+        """Note arcs that were left out since the last look. Returns whether the newest energy arc was."""
+        count, newest = self.flight.left_out
+        fresh = count - self._left_out
+        self._left_out = count
+        self.left_out += newest[max(0, len(newest) - fresh) :]
+        guard = self.flight.native.guard
+        if guard.changed:
+            self._settled = self.plainest
+        return bool(guard.in_a_row[0])

@@ -14,7 +14,9 @@
 ///
 /// What noise adds on average (noise.h) is summed beside, and taken off the blocks when a segment ends.
 ///
-/// Every block carries its row sums. G 1 = sum holds to rounding, unless memory was corrupted.
+/// Every block carries its row sums. G 1 = sum holds to rounding, unless memory was corrupted. What a block of closed
+/// arcs holds beside its sums, and what says which blocks there are, carries a seal; in the open arc the instants are
+/// counted in the sums as well, and the weights of a block are what it shares with its neighbours.
 
 #ifndef ZYGOS_ACCUMULATOR_H
 #define ZYGOS_ACCUMULATOR_H
@@ -26,6 +28,10 @@
 extern "C" {
 #endif
 
+/// Of fewer blocks the spread says too little, so no more are merged. Where room is made, two must be free for the arc
+/// that begins: the smallest build has six that stay.
+#define ZYGOS_LEAST_BLOCKS ((ZYGOS_MAX_BLOCKS < 10) ? 6u : 8u)
+
 typedef struct {
     double gram[ZYGOS_MAX_SLICED_GRAM]; ///< Sum of w z z^T, lower triangle row by row, width (width + 1)/2 used; behind
                                         ///< it 0.
@@ -35,6 +41,7 @@ typedef struct {
     double square;                      ///< Sum of w^2.
     double overlap;                     ///< Sum of w times the weight in the block behind.
     uint64_t end;                       ///< Closed arcs: number of the newest cycle in them.
+    uint64_t seal;                      ///< Closed arcs: of deviation and all behind it; 0 in the open arc.
 } zygos_block_t;
 
 /// What noise adds on average: packed lower triangle of p + 1 rows, that of the work last, and its row sums.
@@ -68,6 +75,7 @@ typedef struct {
     double segment;        ///< Accepted instants of the open segment.
     uint64_t accepted;     ///< Instants in closed arcs and in the open one.
     uint64_t refused;      ///< Instants that failed the bandwidth test.
+    uint64_t seal;         ///< Of width, count, open, newest, window, arcs, enough and target.
     double early;          ///< Share of the older block in the step that is shared out, and
     double late;           ///< of the newer one.
     zygos_step_t step[2];
@@ -92,6 +100,13 @@ void zygos_accumulator_flush(zygos_accumulator_t *self);
 /// Ends the open arc, whose newest cycle is the given one: eliminates its constant, or drops it when it is too short.
 /// Cost: its blocks once.
 void zygos_accumulator_end_arc(zygos_accumulator_t *self, uint64_t cycle);
+
+/// The same in two steps. Closing eliminates the constant and returns true, or drops an arc that is too short and
+/// returns false. A closed arc is in the blocks from self->open on, its noise in self->noise_open, until the next call
+/// admits it to those before, or leaves it out.
+bool zygos_accumulator_close(zygos_accumulator_t *self);
+void zygos_accumulator_admit(zygos_accumulator_t *self, uint64_t cycle);
+void zygos_accumulator_leave_out(zygos_accumulator_t *self);
 
 /// Multiplies all that closed arcs left by a factor. Cost: their blocks once.
 void zygos_accumulator_fade(zygos_accumulator_t *self, double factor);

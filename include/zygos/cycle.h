@@ -113,6 +113,11 @@ typedef struct {
 /// half that range, 8 turns. Cost: 2 comparisons a joint.
 int zygos_cycle_wrapped(const zygos_hold_t *hold, const zygos_config_t *config, const zygos_cycle_t *cycle);
 
+/// Returns 1 when link and motor angle of a flexible joint, signs and zeros applied, are more than 8 turns apart: one
+/// of them has gone over the end of its multi-turn range and the other has not, which reads as a deflection of 16
+/// turns. No spring gives way by half of that. Cost: 5 operations a joint.
+int zygos_cycle_apart(const zygos_config_t *config, const zygos_cycle_t *cycle);
+
 /// Applies signs, zeros and mounting. Writes the signals q_1..q_N, theta_1..theta_N, omega_x..omega_z (base axes) into
 /// signal[2N+3], and into tau[N] the torque that was in force from the SYNC before this one until this one.
 /// Changes *hold. Cost: 9 multiplications for the gyro and 6 a joint.

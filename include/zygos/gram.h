@@ -1,6 +1,6 @@
 /// zygos/gram.h: packed sums of outer products, lower triangle row by row, that carry their row sums.
 ///
-/// G 1 = sum holds to rounding, unless memory was changed from outside.
+/// G 1 = sum holds to rounding, unless memory was changed from outside. What stands beside the sums has a seal.
 
 #ifndef ZYGOS_GRAM_H
 #define ZYGOS_GRAM_H
@@ -25,6 +25,11 @@ void zygos_gram_row_sums(const double *gram, uint32_t width, double *sum);
 /// in size by orders of magnitude, and every addition rounds, of like numbers always the same way. adds: how many there
 /// were, or more. width is at the most ZYGOS_MAX_ROW.
 double zygos_gram_check(const double *gram, uint32_t width, const double *sum, double adds);
+
+/// A seal of what changes seldom and has no row sums: goes on with another number, or with n doubles. One flipped bit
+/// in any of them always changes it. Cost: a multiplication a word.
+uint64_t zygos_seal_number(uint64_t seal, uint64_t number);
+uint64_t zygos_seal_doubles(uint64_t seal, const double *x, uint32_t n);
 
 #ifdef __cplusplus
 }

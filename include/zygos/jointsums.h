@@ -38,6 +38,7 @@ typedef struct {
     double instants[ZYGOS_MAX_JOINTS];          ///< Accepted ones that were a joint's turn.
     double total;                               ///< Accepted ones in all.
     uint64_t end;                               ///< Number of the newest cycle.
+    uint64_t seal;                              ///< Of instants, total and end, when the arc has closed.
 } zygos_joint_block_t;
 
 typedef struct {
@@ -48,6 +49,7 @@ typedef struct {
     uint32_t instants; ///< Accepted instants of the open arc.
     uint32_t cycles;   ///< Instants of the open arc, accepted or not.
     double target;     ///< Instants up to which blocks merge.
+    uint64_t seal;     ///< Of count and target.
     zygos_joint_block_t open;
     zygos_joint_block_t block[ZYGOS_MAX_JOINT_BLOCKS];
 } zygos_joint_sums_t;
@@ -72,13 +74,19 @@ void zygos_joint_sums_add(zygos_joint_sums_t *self, const zygos_config_t *config
 /// it when it is too short. Cost: the sums of all joints once; at the worst one merge of all blocks.
 void zygos_joint_sums_end_arc(zygos_joint_sums_t *self, const zygos_config_t *config, uint64_t cycle);
 
+/// The same in two steps. Closing eliminates the constants and returns true, or drops an arc that is too short and
+/// returns false. A closed arc is in self->open until the next call admits it to the blocks, or leaves it out.
+bool zygos_joint_sums_close(zygos_joint_sums_t *self, const zygos_config_t *config);
+void zygos_joint_sums_admit(zygos_joint_sums_t *self, uint64_t cycle);
+void zygos_joint_sums_leave_out(zygos_joint_sums_t *self);
+
 /// Multiplies all that closed arcs left by a factor.
 void zygos_joint_sums_fade(zygos_joint_sums_t *self, double factor);
 
 /// Drops the open arc, and the blocks that reach beyond the given cycle.
 void zygos_joint_sums_drop_after(zygos_joint_sums_t *self, uint64_t cycle);
 
-/// 2 when the row sums of a block do not match, else at most 1. Needs sums that are intact.
+/// 2 when row sums or a seal do not match, else at most 1. Needs sums that are intact.
 double zygos_joint_sums_check(const zygos_joint_sums_t *self, const zygos_config_t *config);
 
 #ifdef __cplusplus

@@ -36,6 +36,7 @@ typedef struct {
     zygos_momentum_gram_t rows; ///< Closed: the constants eliminated, the noise taken off.
     double instants;            ///< Accepted ones.
     uint64_t end;               ///< Number of the newest cycle.
+    uint64_t seal;              ///< Of instants and end, when the arc has closed.
 } zygos_momentum_block_t;
 
 typedef struct {
@@ -46,6 +47,7 @@ typedef struct {
     uint32_t cycles;                        ///< Instants of the open arc, accepted or not.
     uint32_t signals;                       ///< Sensors whose noise is taken off; 0 where none is.
     double target;                          ///< Instants up to which blocks merge.
+    uint64_t seal;                          ///< Of count and target.
     double deviation[ZYGOS_MAX_JOINTS + 3]; ///< Of each signal, for its turn (momentum.h).
     double rotor[ZYGOS_MAX_JOINTS];         ///< What the rotors' rates owe in an instant.
     zygos_momentum_gram_t noise_open;       ///< Of the open arc, not yet taken off, without the rotors' share.
@@ -77,14 +79,21 @@ void zygos_momentum_sums_add(zygos_momentum_sums_t *self, const zygos_config_t *
 /// it when it is too short. Cost: the sums of an arc a few times; at the worst one merge of all blocks.
 void zygos_momentum_sums_end_arc(zygos_momentum_sums_t *self, const zygos_config_t *config, uint64_t cycle);
 
+/// The same in two steps. Closing eliminates the constants, takes the noise off and returns true, or drops an arc that
+/// is too short and returns false. A closed arc is in self->open until the next call admits it to the blocks, or leaves
+/// it out.
+bool zygos_momentum_sums_close(zygos_momentum_sums_t *self, const zygos_config_t *config);
+void zygos_momentum_sums_admit(zygos_momentum_sums_t *self, uint64_t cycle);
+void zygos_momentum_sums_leave_out(zygos_momentum_sums_t *self);
+
 /// Multiplies all that closed arcs left by a factor. Cost: their blocks once.
 void zygos_momentum_sums_fade(zygos_momentum_sums_t *self, double factor);
 
 /// Drops the open arc, and the blocks that reach beyond the given cycle. Cost: one pass over the noise of closed arcs.
 void zygos_momentum_sums_drop_after(zygos_momentum_sums_t *self, uint64_t cycle);
 
-/// Largest violation of the row sums in units of their tolerance, or 2 when an arc that closed was corrupt. Above 1
-/// means corrupt. Needs sums that are intact.
+/// Largest violation of the row sums in units of their tolerance, or 2 when an arc that closed was corrupt, or a seal
+/// does not match. Above 1 means corrupt. Needs sums that are intact.
 double zygos_momentum_sums_check(const zygos_momentum_sums_t *self);
 
 #ifdef __cplusplus

@@ -5,10 +5,12 @@
 /// has the bytes. The CRC finds accidents; who wants to deceive can compute one, and what was in memory by accident is
 /// sealed with it. zygos_init() and zygos_resume() therefore check what they are given.
 ///
+///     zygos_check(&arm, &config, &work);                                 // zygos.h: never seal what is corrupt
 ///     zygos_snapshot_seal(ZYGOS_SNAPSHOT_STATE, &arm, head);             // in the task that steps; then store both
 ///     ...
 ///     zygos_snapshot_check(ZYGOS_SNAPSHOT_STATE, head, &arm, length);    // after both were read back
-///     zygos_resume(&arm, &config);                                       // zygos.h
+///     zygos_check(&arm, &config, &work);
+///     zygos_resume(&arm, &config);
 ///
 /// zygos_snapshot_check() on a configuration in memory tells at any time whether it is still what was sealed.
 

@@ -11,6 +11,7 @@
 #define ZYGOS_SOLVER_H
 
 #include "accumulator.h"
+#include "guard.h"
 #include "jointsums.h"
 #include "momentumsums.h"
 #include "types.h"
@@ -37,11 +38,10 @@ enum zygos_reason {
     ZYGOS_REASON_CORRUPT = 5,          ///< Row sums or counts do not match: memory was changed, or never taken.
     ZYGOS_REASON_UNCLOSED = 6,         ///< What the solution leaves over is no noise: see ZYGOS_CLUSTER_LIMIT.
     ZYGOS_REASON_DECLARED = 8,         ///< The declared noise is not in the data: see ZYGOS_NOT_THERE.
-    ZYGOS_REASON_NOISE = 7             ///< Noise is as large as the motion in some combination: see ZYGOS_GATE.
+    ZYGOS_REASON_NOISE = 7,            ///< Noise is as large as the motion in some combination: see ZYGOS_GATE.
+    ZYGOS_REASON_CHANGED = 9           ///< The newest arcs contradict the values, several in a row: see guard.h.
 };
 
-/// Of fewer blocks the spread says too little.
-#define ZYGOS_LEAST_BLOCKS 8u
 /// A parameter whose scaled pivot falls below this share is a combination of the others.
 #define ZYGOS_PIVOT_LIMIT 1e-11
 /// Smallest ratio of the sums to the noise in them, over all combinations of columns. At 1 they are noise. Below this
@@ -88,28 +88,30 @@ enum zygos_reason {
 #define ZYGOS_NEGATIVE_SIGMAS 3.0
 
 typedef struct {
-    uint64_t cycle;      ///< SYNC number of the newest cycle that went in.
-    uint64_t accepted;   ///< Instants that went in.
-    uint64_t refused;    ///< Instants that failed the bandwidth test.
-    uint32_t parameters; ///< p.
-    uint32_t validity;   ///< enum zygos_validity.
-    uint32_t reason;     ///< enum zygos_reason.
-    uint32_t arcs;       ///< Arcs that went in, the open one included.
-    uint32_t blocks;     ///< Blocks behind the sigmas.
-    uint32_t rank;       ///< Independent columns.
-    double condition;    ///< 1-norm condition of the scaled normal matrix of the independent columns.
-    double cluster;      ///< How far the residuals of a block add up: around 1 for noise, up to its instants otherwise.
-    double residual;     ///< Root mean square of W - row . x about the arc constants [J].
-    double noise_ratio;  ///< Its square over what the declared noise makes of it; NaN where none is declared.
-    double gate;         ///< Smallest ratio of sums to noise (ZYGOS_GATE); infinite where none is declared.
+    uint64_t cycle;                         ///< SYNC number of the newest cycle that went in.
+    uint64_t accepted;                      ///< Instants that went in.
+    uint64_t refused;                       ///< Instants that failed the bandwidth test.
+    uint32_t parameters;                    ///< p.
+    uint32_t validity;                      ///< enum zygos_validity.
+    uint32_t reason;                        ///< enum zygos_reason.
+    uint32_t arcs;                          ///< Arcs that went in, the open one included.
+    uint32_t blocks;                        ///< Blocks behind the sigmas.
+    uint32_t rank;                          ///< Independent columns.
+    uint32_t left_out[ZYGOS_KINDS_OF_ROWS]; ///< Arcs that contradicted, by enum zygos_rows, the open ones included.
+    uint32_t in_a_row;  ///< Of those of the energy rows the newest that no arc that agrees lies between.
+    double condition;   ///< 1-norm condition of the scaled normal matrix of the independent columns.
+    double cluster;     ///< How far the residuals of a block add up: around 1 for noise, up to its instants otherwise.
+    double residual;    ///< Root mean square of W - row . x about the arc constants [J].
+    double noise_ratio; ///< Its square over what the declared noise makes of it; NaN where none is declared.
+    double gate;        ///< Smallest ratio of sums to noise (ZYGOS_GATE); infinite where none is declared.
     uint32_t identifiable[ZYGOS_MAX_PARAMETERS]; ///< 1, or 0 and value and sigma are NaN.
     /// The least squares solution for all columns, dependent ones 0; NaN when refused. As a whole it predicts the
     /// energy of motions like those it came from. One of its entries means something by itself only where value has it
     /// too.
     double solution[ZYGOS_MAX_PARAMETERS];
     double value[ZYGOS_MAX_PARAMETERS];
-    double sigma[ZYGOS_MAX_PARAMETERS]; ///< One standard deviation: scatter of the blocks, and a floor that no length
-                                        ///< of the run averages out (ZYGOS_SYSTEMATIC).
+    double sigma[ZYGOS_MAX_PARAMETERS];  ///< One standard deviation: scatter of the blocks, and a floor that no length
+                                         ///< of the run averages out (ZYGOS_SYSTEMATIC).
     double half95[ZYGOS_MAX_PARAMETERS]; ///< Half width of the 95 % interval: sigma times Student's factor for as many
                                          ///< blocks as the parameter's information really comes from.
     double covariance[ZYGOS_MAX_PACKED]; ///< Lower triangle row by row, the floor in all of it; NaN where a parameter
@@ -122,7 +124,10 @@ typedef struct {
     zygos_accumulator_t accumulator;
     zygos_joint_sums_t joint_sums;
     zygos_momentum_sums_t momentum_sums;
+    zygos_guard_t guard;
     uint64_t cycle;
+    uint32_t arc; ///< Instants of the open arc of the energy rows.
+    uint32_t reserved;
     zygos_config_t config;
     zygos_layout_t layout;
     double total[ZYGOS_MAX_PACKED_ROW]; ///< All rows, weighted, the noise taken off.
@@ -159,15 +164,22 @@ typedef struct {
 /// ZYGOS_E_NULL.
 int zygos_solve(zygos_work_t *work, zygos_estimate_t *out);
 
+/// Whether sums and counts that were taken are those that were accumulated: where this is false, zygos_solve() answers
+/// ZYGOS_REASON_CORRUPT. Reads and changes *work, as zygos_solve() does: take anew for each. Cost: a few passes over
+/// the sums, and none of the factorisations.
+bool zygos_work_intact(zygos_work_t *work);
+
 /// Compares the newest arc with all that came before it. An arc with fewer than half the instants of the longest does
 /// not speak for itself: it counts with those before it, until several such have as many together. Fills *out with what
 /// was known before (until out->cycle; sigmas by the scatter alone, for what all arcs have in common is in both sides
 /// of the comparison), and deviation[ZYGOS_MAX_PARAMETERS] with how far the newest arc's own value lies from that, in
 /// standard deviations of the difference (from half95). ZYGOS_DRIFT_ALARM and beyond is a change of the arm; while the
 /// arcs that are compared hold the arm before and after it, it may name more than has changed. Call it twice an arc:
-/// when the next arc speaks, the changed one is among those before. Reads and changes *work, as zygos_solve() does:
-/// take anew for each. Returns 1; 0 when all deviations are NaN, because before (validity is then ZYGOS_REFUSED) or
-/// within the newest arc something is not identifiable; or ZYGOS_E_NULL.
+/// when the next arc speaks, the changed one is among those before. The open arc is looked at even if it contradicts
+/// the running solution (guard.h); where there is one, a newest arc that no arm explains, for what its own solution
+/// leaves is unusual, is no change. Reads and changes *work, as zygos_solve() does: take anew for each. Returns 1; 0
+/// when all deviations are NaN, because before (validity is then ZYGOS_REFUSED) or within the newest arc something is
+/// not identifiable or not explained; or ZYGOS_E_NULL.
 int zygos_drift(zygos_work_t *work, zygos_estimate_t *out, double *deviation);
 
 #ifdef __cplusplus

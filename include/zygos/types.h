@@ -120,6 +120,12 @@ extern "C" {
 /// Doubles count instants as far.
 #define ZYGOS_MOST_INSTANTS 9007199254740992.0
 
+/// Of fewer arcs of motor or momentum rows the spread says too little: they are left out, and no more of them merge.
+#define ZYGOS_LEAST_ARCS 3u
+
+/// A block of closed arcs of which forgetting has left fewer instants than this is emptied.
+#define ZYGOS_FAINT 1e-6
+
 /// Arcs with fewer accepted instants than this carry no weight: they are dropped and counted.
 #define ZYGOS_MIN_ARC_INSTANTS 20
 
@@ -151,8 +157,9 @@ enum zygos_error {
     ZYGOS_E_LENGTH = -21,     ///< A snapshot that is cut off, or has more behind it.
     ZYGOS_E_CRC = -22,        ///< A snapshot whose bytes were changed.
     ZYGOS_E_CONFIG = -23,     ///< A state that was made with another configuration.
-    ZYGOS_E_STATE = -24 ///< A state with a place, count or length that cannot be: memory was changed before it was
-                        ///< sealed.
+    ZYGOS_E_STATE = -24, ///< A state with a place, count or length that cannot be: memory was changed before it was
+                         ///< sealed.
+    ZYGOS_E_SUMS = -25   ///< A state whose sums do not match their row sums: likewise.
 };
 
 /// How the arm can move, and so which columns its bodies have; the counts are those of a free base.

@@ -12,6 +12,7 @@
 ///     while (zygos_step(&arm) == 1) { }        // one task: works off complete cycles
 ///     zygos_take(&arm, &work);                 // the same task, whenever an estimate is wanted
 ///     zygos_solve(&work, &estimate);           // any task, at any priority
+///     zygos_adopt(&arm, &estimate);            // the task that steps, once or twice an arc
 ///
 /// An arm on another bus uses zygos_cycle() instead of zygos_frame() and zygos_step(), with values in SI.
 ///
@@ -26,6 +27,7 @@
 #include "cycle.h"
 #include "effects.h"
 #include "gram.h"
+#include "guard.h"
 #include "impulse.h"
 #include "jointsums.h"
 #include "kinematics.h"
@@ -52,6 +54,7 @@ typedef struct {
     uint64_t gaps;         ///< Times that an arc ended because cycles did not follow each other.
     uint64_t invalid;      ///< Cycles through zygos_cycle() that were flagged invalid or not finite.
     uint64_t wraps;        ///< Times that an angle went over the end of its multi-turn range; the arc ends.
+    uint64_t apart;        ///< Cycles with link and motor angle on different sides of that end; they are not used.
     uint32_t arc;          ///< Instants of the open arc, accepted or not.
     uint32_t instant;      ///< 1: state, row and accepted below are those of the newest cycle.
     double faded;          ///< What is left of closed arcs by the cycles of the open one (keep).
@@ -75,11 +78,12 @@ typedef struct {
     zygos_momentum_t momentum;
     zygos_momentum_sums_t momentum_sums;
     zygos_accumulator_t accumulator;
+    zygos_guard_t guard;
 } zygos_t;
 
 /// Digest of the text of all structs in these headers, without comments: a field that is moved, renamed or given
 /// another type changes it. tests/unit/test_snapshot.py knows what it must be.
-#define ZYGOS_LAYOUT 0x99B20AD9u
+#define ZYGOS_LAYOUT 0x6E8D1214u
 
 #define ZYGOS_MIX(hash, value) (((uint32_t)(hash) ^ (uint32_t)(value)) * 16777619u)
 
@@ -134,9 +138,29 @@ int zygos_cycle(zygos_t *self, const zygos_cycle_t *cycle);
 /// of the accumulator.
 void zygos_take(const zygos_t *self, zygos_work_t *work);
 
-/// Starts the estimate from nothing with the same configuration (the payload changed); reception goes on, cycles that
-/// wait in the queue are forgotten.
-/// keep: bits of enum zygos_keep. Same task as zygos_step(). Returns 1 or an enum zygos_error.
+/// Takes a valid estimate of this arm as the running solution that judges each arc when it ends (guard.h): one that
+/// contradicts it is left out of the sums and counted. Call it once or twice an arc with what zygos_solve() made of the
+/// newest zygos_take(). Without it nothing is left out. Same task as zygos_step(). Returns 1; 0, and nothing has
+/// changed, for an estimate that is not valid, or from before zygos_restart(); or an enum zygos_error. After the
+/// running solution was given up, one that is doubtful for ZYGOS_REASON_CHANGED alone is taken as well. Cost: the sums
+/// of the motor and the momentum rows once, and two passes over the covariance.
+int zygos_adopt(zygos_t *self, const zygos_estimate_t *estimate);
+
+/// Whether memory is what the library left in it: call it before a state is sealed, and behind zygos_snapshot_check()
+/// before one that was stored is used, for a CRC also fits what was damaged before it was sealed. Returns 1;
+/// ZYGOS_E_NULL; ZYGOS_E_ORDER; ZYGOS_E_CONFIG when the configuration in *self is not *config; ZYGOS_E_STATE when
+/// something that is used as a place, count or length cannot be; or ZYGOS_E_SUMS when zygos_solve() would answer
+/// ZYGOS_REASON_CORRUPT. zygos_restart() heals the sums, and zygos_init() everything. Changes *work alone, which is
+/// scratch; what it held is lost. Not seen: fault and cycle counters, and the smoother's window, which is soon
+/// overwritten. Same task as zygos_step(), while no frame is being received. Cost: zygos_take(), and a few passes over
+/// the sums; about as much as zygos_snapshot_seal(), and far less than zygos_solve().
+int zygos_check(const zygos_t *self, const zygos_config_t *config, zygos_work_t *work);
+
+/// Starts the estimate from nothing with the same configuration (the payload changed, or the sums are corrupt);
+/// reception goes on, cycles that wait in the queue are forgotten. What follows from the configuration is computed
+/// anew. keep: bits of enum zygos_keep. Same task as zygos_step(). Returns 1, or an enum zygos_error and *self is as it
+/// was: that of the configuration if memory was changed there. Cost: the coefficients of the smoother, and one memset
+/// of the sums.
 int zygos_restart(zygos_t *self, uint32_t keep);
 
 /// ZYGOS_ABI as the library was compiled.

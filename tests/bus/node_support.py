@@ -9,6 +9,8 @@ import socket
 import struct
 import subprocess
 import tempfile
+import termios
+import time
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conftest import ROOT
-from zygos.flight import FRAME
+from zygos.flight import FRAME, Flight, ffi
 
 NODE = ROOT / "build" / "zygos-node"
+SYNC = 0x080
 EXTENDED, REMOTE, ERROR, FD = 1, 2, 4, 8
 """Bits of a frame's flags."""
 
@@ -47,22 +50,50 @@ def frame_of(identifier: int, data: bytes = b"", flags: int = 0) -> Any:
     return out[0]
 
 
-class Node:
-    """A running node. `answers` has the (identifier, data) of what it sent."""
+def hear(flight: Flight, frames: NDArray[Any], every: int = 100, syncs: int = 0) -> None:
+    """What a node does with frames that it hears behind so many SYNCs: at the first and every so many behind it, it
+    solves, and its arcs are judged by the solution from there on."""
+    for part in np.split(frames, np.flatnonzero(frames["id"] == SYNC) + 1):
+        flight.frames(part)
+        if len(part) and part[-1]["id"] == SYNC:
+            if syncs % every == 0:
+                flight.estimate()
+                flight.adopt()
+            syncs += 1
 
-    def __init__(self, *arguments: object, pair: tuple[socket.socket, socket.socket] | None = None) -> None:
+
+class Node:
+    """A running node. `answers` has the (identifier, data) of what it sent, `complaints` what it said before `first`,
+    the line that tells that it listens."""
+
+    def __init__(
+        self,
+        *arguments: object,
+        pair: tuple[socket.socket, socket.socket] | None = None,
+        environment: dict[str, str] | None = None,
+        through: tuple[str, ...] = (),
+    ) -> None:
         self.near, far = pair or socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self.answers: list[tuple[int, bytes]] = []
-        command = [str(build()), *map(str, arguments), "--fd", str(far.fileno())]
+        command = [*through, str(build()), *map(str, arguments), "--fd", str(far.fileno())]
         self.process = subprocess.Popen(
-            command, pass_fds=[far.fileno()], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+            command,
+            pass_fds=[far.fileno()],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=os.environ | (environment or {}),
         )
         far.close()
         assert self.process.stderr is not None
+        self.complaints = ""
         self.first = self.process.stderr.readline()
+        while self.first and "listening on" not in self.first:
+            self.complaints += self.first
+            self.first = self.process.stderr.readline()
 
     def __enter__(self) -> Node:
-        assert self.first.startswith("zygos-node: listening on --fd"), self.first
+        assert self.first.startswith("zygos-node: listening on --fd"), self.complaints + self.first
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -103,6 +134,42 @@ class Node:
         code, counters, said = self.wait()
         assert (code, said) == (0, "")
         return counters
+
+    def worked_off(self, syncs: int) -> None:
+        """Wait until it has received so many SYNCs since its first start, and waits for more."""
+        place = ffi.offsetof("zygos_t", "receiver") + ffi.offsetof("zygos_receiver_t", "assembly")
+        deadline = time.monotonic() + 30.0
+        while int.from_bytes(self.memory(place, 8), "little") < syncs - 1 or not self._waits():
+            assert time.monotonic() < deadline
+            self.listen()
+            time.sleep(0.005)
+
+    def _waits(self) -> bool:
+        """Whether it sleeps, with nothing left to receive."""
+        state = Path(f"/proc/{self.process.pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
+        waiting = fcntl.ioctl(self.near.fileno(), termios.TIOCOUTQ, bytes(4))
+        return state == "S" and waiting == bytes(4)
+
+    def memory(self, place: int, size: int) -> bytes:
+        """Bytes of the zygos_t of the running node."""
+        with Path(f"/proc/{self.process.pid}/mem").open("rb", buffering=0) as memory:
+            memory.seek(self._arm() + place)
+            return memory.read(size)
+
+    def flip(self, place: int, bit: int) -> None:
+        """An upset: one bit of the zygos_t of the running node changes."""
+        changed = self.memory(place, 1)[0] ^ 1 << bit
+        with Path(f"/proc/{self.process.pid}/mem").open("r+b", buffering=0) as memory:
+            memory.seek(self._arm() + place)
+            memory.write(bytes([changed]))
+
+    def _arm(self) -> int:
+        """Address of its zygos_t: where the program was loaded, and where in it the symbol is."""
+        symbols = subprocess.run(["nm", NODE], capture_output=True, text=True, check=True).stdout.splitlines()
+        (symbol,) = (int(line.split()[0], 16) for line in symbols if line.split()[1:] == ["b", "arm"])
+        maps = Path(f"/proc/{self.process.pid}/maps").read_text().splitlines()
+        begin = next(int(line.split("-")[0], 16) for line in maps if line.endswith(str(NODE)))
+        return begin + symbol
 
     def of(self, identifier: int) -> list[bytes]:
         """The data of all answers with an identifier."""

@@ -146,10 +146,10 @@ COUNTERS = (
     *("sync_jumped", "time_lost", "time_jumped", "overrun", "bus_error"),
 )
 COUNTS = ("cycles", "gaps", "invalid", "wraps", "accepted", "refused", "arcs", "arcs_dropped")
-NODE = ("overflow", "misshapen", "down", "unsent")
+NODE = ("overflow", "misshapen", "down", "unsent", "corrupt", "unsaved")
 VERDICTS = (
     *("validity", "reason", "cycle", "accepted", "refused", "arcs", "blocks", "rank", "condition", "cluster"),
-    *("residual", "noise_ratio", "gate"),
+    *("residual", "noise_ratio", "gate", "left_out"),
 )
 ITEMS = {
     **{i: (name, unit) for i, (name, unit) in enumerate(PARAMETERS.items())},

@@ -27,6 +27,8 @@ from zygos.flight import Flight, encode, ffi
 from zygos.plant import Trajectory
 
 SYNC, TELEMETRY, HEARTBEAT = 0x080, 0x1A0, 0x720
+NODE = ("overflow", "misshapen", "down", "unsent", "corrupt", "unsaved")
+"""Counters of the node itself."""
 Log = NDArray[Any]
 
 
@@ -107,7 +109,7 @@ def test_what_is_saved_is_the_librarys_own_memory(
         if day == "good"
         else {"length", "crc", "range", "late", "repeated", "incomplete", "dropped", "bus_error", "counter"}
     )
-    assert [counters[f"node_{name}"] for name in ("overflow", "misshapen", "down", "unsent")] == [0, 0, 0, 0]
+    assert [counters[f"node_{name}"] for name in NODE] == 6 * [0]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["state.zyg"]
 
 
@@ -121,7 +123,7 @@ def test_telemetry_is_the_estimate(every: int, arm: Arm, config: Path, frames: L
         rounds = [told(dbc, data) for data in node.of(TELEMETRY)]
     at = starts(frames)
     flight, done = Flight(arm), 0
-    items, share = 13 + 34 + 36, math.ceil((13 + 34 + 36) / every)
+    items, share = 14 + 36 + 36, math.ceil((14 + 36 + 36) / every)
     for begin in range(0, len(at), every):
         flight.frames(frames[done : at[begin] + 1])
         done = int(at[begin]) + 1
@@ -274,34 +276,65 @@ REGIONS = {
 }
 
 
-@pytest.mark.parametrize("which", ["--config", "--state"])
-def test_a_damaged_file_is_refused_with_a_reason(which: str, arm: Arm, config: Path, tmp_path: Path) -> None:
-    path = tmp_path / "damaged.zyg"
-    good = config.read_bytes() if which == "--config" else snapshot.seal("state", Flight(arm).native)
+def damages(good: bytes) -> list[tuple[bytes, str]]:
+    """Contents that a file may have instead of these, and what is then said of it."""
     image_places = np.linspace(24, len(good) - 1, 12).astype(int)
     regions = REGIONS | {"image": ([int(place) for place in image_places], "is damaged")}
     cases = [(place, reason) for places, reason in regions.values() for place in places]
     contents = [(good[:at] + bytes([good[at] ^ 0x20]) + good[at + 1 :], reason) for at, reason in cases]
     contents += [(b"", "is no snapshot"), (good[:23], "is no snapshot"), (good[:24], "is cut off")]
     contents += [(good[:-1], "is cut off"), (good + b"\0", "has more bytes"), (b"\0" * len(good), "is no snapshot")]
-    for content, reason in contents:
+    return contents
+
+
+def test_a_damaged_configuration_is_refused_with_a_reason(config: Path, tmp_path: Path) -> None:
+    path = tmp_path / "damaged.zyg"
+    for content, reason in damages(config.read_bytes()):
         path.write_bytes(content)
-        files = ("--config", path) if which == "--config" else ("--config", config, "--state", path)
-        said = refused(*files, "--fd", "FD")
+        said = refused("--config", path, "--fd", "FD")
         assert f"{path}: " in said
         assert reason in said
         assert path.read_bytes() == content
 
 
-def test_a_state_of_another_arm_is_refused(config: Path, tmp_path: Path) -> None:
+def test_a_damaged_state_is_put_aside_with_a_reason(arm: Arm, config: Path, tmp_path: Path) -> None:
+    """It ends no start, and is not lost: the complaint names the file and what to do about it."""
+    path, aside = tmp_path / "damaged.zyg", tmp_path / "damaged.zyg.unusable"
+    for content, reason in damages(snapshot.seal("state", Flight(arm).native)):
+        path.write_bytes(content)
+        with Node("--config", config, "--state", path) as node:
+            assert "starts at cycle 0" in node.first
+            assert node.end()["count_cycles"] == 0
+        why, consequence = node.complaints.splitlines()
+        assert f"{path}: " in why
+        assert reason in why
+        assert why.endswith(str(aside))
+        assert "remedy: " in why
+        assert consequence.startswith(f"zygos-node: {path}: no state can be used, starts from nothing; remedy: ")
+        assert aside.read_bytes() == content
+        assert saved(path) == image(Flight(arm))
+        aside.unlink()
+
+
+def test_a_state_of_another_arm_is_put_aside(config: Path, tmp_path: Path) -> None:
+    """It may be the work of a month: the first one is kept, whatever follows."""
     other = tmp_path / "arm.toml"
     other.write_text((EXAMPLE / "arm.toml").read_text().replace("gear_ratio = 50", "gear_ratio = 51", 1))
     with pytest.raises(SystemExit):
         main(["compile-model", str(other), "-o", str(tmp_path)])
-    state = tmp_path / "state.zyg"
+    state, aside = tmp_path / "state.zyg", tmp_path / "state.zyg.unusable"
     with Node("--config", tmp_path / "arm.zyg", "--state", state) as node:
         node.end()
-    assert "is the state of another configuration" in refused("--config", config, "--state", state, "--fd", "FD")
+    long_work = state.read_bytes()
+    with Node("--config", config, "--state", state) as node:
+        node.end()
+    assert f"{state}: is the state of another configuration; kept as {aside}; remedy: " in node.complaints
+    assert aside.read_bytes() == long_work
+    with Node("--config", tmp_path / "arm.zyg", "--state", state) as node:
+        node.end()
+    assert f"{state}: is the state of another configuration; a later save replaces it; remedy: " in node.complaints
+    assert aside.read_bytes() == long_work
+    assert state.read_bytes() == long_work  # that of an arm that has not moved is always the same
     assert "is a snapshot of the other kind" in refused("--config", state, "--fd", "FD")
     assert "is a snapshot of the other kind" in refused("--config", config, "--state", config, "--fd", "FD")
 
@@ -347,7 +380,7 @@ def test_a_state_that_cannot_be_saved_is_no_success(config: Path, tmp_path: Path
         code, counters, said = node.wait()
     assert code == 2
     assert "cannot be saved" in said
-    assert len(counters) == 34
+    assert len(counters) == 36
 
 
 def test_what_is_no_frame_is_rejected_and_counted(arm: Arm, config: Path, frames: Log, tmp_path: Path) -> None:

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
 import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
+import can
 import numpy as np
+import pytest
 
+from zygos import snapshot
+from zygos.flight import Flight, ffi
 from zygos.testing import Dut, Plant
 from zygos.testing.stream import SYNC, Stream
 from zygos.vcan import kernel_counts
@@ -106,3 +114,61 @@ def test_receive_buffer_overflow(plant: Plant, dut: Dut) -> None:
     rejected = int(np.sum(kept.frames["length"] == 0))
     assert rejected > 100
     dut.judge(first + kept + rest, length=rejected, incomplete=broken, dropped=broken, sync_jumped=1)
+
+
+@pytest.fixture
+def own_interface() -> Iterator[str]:
+    """An interface that nobody else uses, and may be taken away."""
+    name = f"vcan{os.getpid() % 10_000}"
+    made = subprocess.run(["ip", "link", "add", name, "type", "vcan"], capture_output=True, check=False)
+    if made.returncode:
+        pytest.skip("not evaluated: no right to make an interface")
+    subprocess.run(["ip", "link", "set", name, "up"], check=True)
+    yield name
+    subprocess.run(["ip", "link", "del", name], capture_output=True, check=False)
+
+
+def until(condition: Callable[[], object]) -> None:
+    deadline = time.monotonic() + 30.0
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def test_the_interface_goes_down_and_away_and_comes_back(own_interface: str, plant: Plant, dut: Dut) -> None:
+    """As an adapter that is unplugged and plugged in again: the node waits, and goes on with what it knows."""
+    dut.own("its interface is not ours to remove")
+    blob, said, out = dut.folder / "own.zyg", dut.folder / "own.stderr", dut.folder / "own.stdout"
+    snapshot.write(blob, "configuration", ffi.addressof(Flight(plant.arm).native, "config"))
+    with said.open("wb") as errors, out.open("wb") as output:
+        node = subprocess.Popen(
+            [Path(dut.command).resolve(), "-i", own_interface, "--config", blob], stdout=output, stderr=errors
+        )
+    try:
+        until(lambda: b"listening" in said.read_bytes())
+
+        def heart_beats_after_syncs(begin: int) -> None:
+            with can.Bus(own_interface, "socketcan") as bus:
+                for k in range(10):
+                    bus.send(can.Message(arbitration_id=SYNC, data=[begin + k], is_extended_id=False))
+                until(lambda: (message := bus.recv(1.0)) and message.data == bytes([OPERATIONAL]))
+
+        heart_beats_after_syncs(1)
+        for state in ("down", "up"):
+            subprocess.run(["ip", "link", "set", own_interface, state], check=True)
+        heart_beats_after_syncs(11)
+        subprocess.run(["ip", "link", "del", own_interface], check=True)
+        until(lambda: f"{own_interface}: was removed".encode() in said.read_bytes())
+        subprocess.run(["ip", "link", "add", own_interface, "type", "vcan"], check=True)
+        subprocess.run(["ip", "link", "set", own_interface, "up"], check=True)
+        until(lambda: f"{own_interface}: is back".encode() in said.read_bytes())
+        heart_beats_after_syncs(21)
+        node.send_signal(signal.SIGTERM)
+        assert node.wait(30.0) == 0
+    finally:
+        node.kill()
+        node.wait()
+    assert said.read_text().count("\n") == 3  # it listens, removed, back
+    counters = dict(line.split() for line in out.read_text().splitlines())
+    assert counters["fault_sync_jumped"] == "0"
+    assert 2 <= int(counters["node_down"]) <= 4  # a removal may show as going down, too, and so may the return

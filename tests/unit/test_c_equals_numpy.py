@@ -13,7 +13,7 @@ from scipy.stats import t as student
 
 from zygos import reference
 from zygos.arm import Arm, Encoder, Imu, Joint, Smoother, TorqueLaw
-from zygos.check import Room, check_cycles
+from zygos.check import Room, Rounding, check_cycles, rounding, tables
 from zygos.cycles import BREAK_BEFORE, INVALID, VOID_BEFORE, VOID_SHIFT, Cycles
 from zygos.flight import Flight, Trace, ffi, lib
 from zygos.reference.balance import arc_cycles
@@ -188,6 +188,8 @@ class Both:
     flight: Flight
     trace: Trace
     chain: reference.Chain
+    rounds: Rounding
+    """At least 1e-12 of each column's largest entry, at the most 1e-9."""
 
 
 @cache
@@ -198,7 +200,9 @@ def both_of(name: str) -> Both:
     flight = Flight(arm)
     trace = flight.cycles(cycles, trace=True)
     assert trace is not None
-    return Both(case, arm, cycles, flight, trace, reference.chain(arm, cycles))
+    chain = reference.chain(arm, cycles)
+    rounds = rounding(arm, chain.samples, tables(arm, chain.samples, chain.smoothed))
+    return Both(case, arm, cycles, flight, trace, chain, rounds)
 
 
 @pytest.fixture(params=CASES)
@@ -206,10 +210,10 @@ def both(request: pytest.FixtureRequest) -> Both:
     return both_of(request.param)
 
 
-def close(both: Both, c: Floats, numpy: Floats) -> None:
-    """Within 1e-12 of the largest entry of each column; where the angles are large, 1e-10."""
+def close(c: Floats, numpy: Floats, tolerance: Floats) -> None:
+    """Within a share of the largest entry of each column."""
     assert c.shape == numpy.shape
-    assert np.max(np.abs(c - numpy) / np.abs(numpy).max(axis=0)) <= (1e-10 if both.case.far else 1e-12)
+    assert (np.abs(c - numpy) / np.abs(numpy).max(axis=0) <= tolerance).all()
 
 
 def test_states_and_rows(both: Both) -> None:
@@ -219,9 +223,9 @@ def test_states_and_rows(both: Both) -> None:
     assert len(balance.w) > 1000
     instants = np.flatnonzero(both.trace.instant)
     np.testing.assert_array_equal(used[instants] - lag, balance.index)
-    close(both, both.trace.row[instants], np.column_stack([balance.z, balance.w]))
+    close(both.trace.row[instants], np.column_stack([balance.z, balance.w]), both.rounds.row)
     states = np.hstack([smoothed.q, smoothed.theta, smoothed.qd, smoothed.thetad, smoothed.omega])
-    close(both, both.trace.state[instants], states[np.isin(smoothed.index, balance.index)])
+    close(both.trace.state[instants], states[np.isin(smoothed.index, balance.index)], both.rounds.state)
 
 
 def test_bandwidth_verdicts(both: Both) -> None:
@@ -265,9 +269,8 @@ def test_normal_equations(both: Both) -> None:
     """In units of the lengths of the two columns that an entry is the product of."""
     (a, b), (numpy_a, numpy_b) = both.flight.normal_equations(), both.chain.design.normal()
     columns, work = np.linalg.norm(both.chain.design.z, axis=0), np.linalg.norm(both.chain.design.w)
-    most = 1e-10 if both.case.far else 1e-12
-    assert np.max(np.abs(a - numpy_a) / np.outer(columns, columns)) <= most
-    assert np.max(np.abs(b - numpy_b) / (columns * work)) <= most
+    off = np.column_stack([np.abs(a - numpy_a) / np.outer(columns, columns), np.abs(b - numpy_b) / (columns * work)])
+    assert (off <= both.rounds.equations).all()
 
 
 def test_solution(both: Both) -> None:

@@ -158,9 +158,9 @@ def test_what_is_refused() -> None:
     arm, model, scenario = example()
     with pytest.raises(ZygosError, match=r"2 kp for 3 joints; remedy: one number, or one for each joint"):
         run(arm, model, replace(scenario, controller=replace(scenario.controller, kp=(1.0, 2.0))))
-    example = load_arm(LIVELY / "arm.toml"), load_model(LIVELY / "model.toml"), load_scenario(LIVELY / "scenario.toml")
+    planar = load_arm(LIVELY / "arm.toml"), load_model(LIVELY / "model.toml"), load_scenario(LIVELY / "scenario.toml")
     with pytest.raises(ZygosError, match=r"angular_momentum_nms is a vector, but arm lively moves in a plane"):
-        simulate(*example[:2], replace(example[2], angular_momentum_nms=(0.0, 0.0, 1.0)), duration_s=1.0)
+        simulate(*planar[:2], replace(planar[2], angular_momentum_nms=(0.0, 0.0, 1.0)), duration_s=1.0)
     parameters = Model("learned", parameters=model.base_parameters(arm))
     with pytest.raises(ZygosError, match=r"engine pinocchio needs bodies"):
         run(arm, parameters, scenario, "pinocchio")

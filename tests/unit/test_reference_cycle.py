@@ -78,6 +78,19 @@ def test_an_angle_that_goes_over_the_end_of_its_range_ends_the_segment(encoder: 
     assert HALF_RANGE_RAD == 50.26548245743669
 
 
+def test_a_cycle_with_its_angles_on_both_sides_of_the_end_belongs_to_no_segment(tmp_path: Path) -> None:
+    """Of the calibrated angles: readings may differ by as much as signs and zeros make of them."""
+    arm = make_arm(tmp_path, encoder="sign = -1, zero_rad = 0.25")
+    for other, apart in ((HALF_RANGE_RAD - 1e-9, False), (HALF_RANGE_RAD + 1e-9, True)):
+        cycles = at_rest(list(range(9)), [0] * 9)
+        cycles.theta[3:6, 1] = -other
+        samples = calibrate(arm, cycles)
+        assert samples.segments == (((0, 3), (6, 9)) if apart else ((0, 9),))
+        assert samples.wraps == (2 if apart else 0)
+        cycles.sync[4:] += 7
+        assert calibrate(arm, cycles).segments == (((0, 3), (6, 9)) if apart else ((0, 4), (4, 9)))
+
+
 @pytest.mark.parametrize(("signal", "largest"), [("q", 1e4), ("theta", 1e4), ("tau", 1e6), ("omega", 1e6)])
 def test_values_beyond_reason_are_of_no_use(signal: str, largest: float) -> None:
     for value in (np.nan, np.inf, -np.inf, np.nextafter(largest, np.inf), -1.01 * largest):

@@ -6,24 +6,20 @@ door in SI.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+from soak_support import fly, instants, stored, with_all_rows
 
 from zygos import snapshot
 from zygos.arm import Arm
-from zygos.cycles import BREAK_BEFORE, Cycles
+from zygos.cycles import Cycles
 from zygos.flight import Estimate, Flight
 from zygos.model import Model
-from zygos.plant import simulate
 from zygos.scenario import Scenario
 
-Floats = NDArray[np.float64]
-
-DURATION_S = 60.0
 LARGEST = {"energy": 1.0 / 8.0, "motors": 1.0 / 6.0, "momentum": 1.0 / 3.0}
 """Share of the instants in the largest block: twice the target, which doubles only where three quarters of all blocks
 hold more than it in pairs, and some more while the oldest arcs are few."""
@@ -32,39 +28,13 @@ hold more than it in pairs, and some more while the oldest arcs are few."""
 @pytest.fixture(scope="module")
 def floating(arm: Arm) -> Arm:
     """The example's arm with rows of all kinds."""
-    return replace(arm, momentum_max_s=10.0)
+    return with_all_rows(arm)
 
 
 @pytest.fixture(scope="module")
 def motion(floating: Arm, model: Model, scenario: Scenario) -> Cycles:
     """A minute without noise."""
-    return simulate(floating, model, scenario, noise=False, duration_s=DURATION_S).cycles()
-
-
-def again(arm: Arm, motion: Cycles, first: int, rng: np.random.Generator) -> Cycles:
-    """The motion with fresh noise, from cycle `first` on; an arc begins."""
-    link = np.array([joint.link_encoder.over_the_wire.sigma_rad for joint in arm.joints])
-    motor = np.array([joint.motor_encoder.over_the_wire.sigma_rad for joint in arm.joints])
-    flags = np.zeros(len(motion), dtype=np.uint32)
-    flags[0] = BREAK_BEFORE
-    return replace(
-        motion,
-        sync=np.arange(first, first + len(motion), dtype=np.uint64),
-        q=motion.q + link * rng.normal(size=motion.q.shape),
-        theta=motion.theta + motor * rng.normal(size=motion.theta.shape),
-        omega=motion.omega + arm.imu.rate_sigma * rng.normal(size=motion.omega.shape),
-        flags=flags,
-    )
-
-
-def instants(flight: Flight) -> dict[str, list[float]]:
-    """Of the blocks of closed arcs."""
-    energy, motors, momentum = flight.native.accumulator, flight.native.joint_sums, flight.native.momentum_sums
-    return {
-        "energy": [energy.block[b].instants for b in range(energy.open)],
-        "motors": [motors.block[b].total for b in range(motors.count)],
-        "momentum": [momentum.block[b].instants for b in range(momentum.count)],
-    }
+    return stored(floating, model, scenario)
 
 
 def resumed(flight: Flight, file: Path) -> Flight:
@@ -88,7 +58,7 @@ def soak(arm: Arm, motion: Cycles, looks: list[int], file: Path) -> list[Look]:
     """Look when so many motions have passed, each time through a file."""
     flight, rng, seen = Flight(arm), np.random.default_rng(0), []
     for number in range(looks[-1]):
-        flight.cycles(again(arm, motion, number * len(motion), rng))
+        fly(flight, motion, 1, rng)
         if number + 1 in looks:
             flight = resumed(flight, file)
             seen.append(Look((number + 1) * len(motion), instants(flight), flight.estimate()))

@@ -21,6 +21,7 @@ static node_telemetry_t telemetry;
 static uart_t uart;
 static slcan_t line;
 static volatile uint32_t syncs;
+static uint32_t corrupt;
 
 /* In a handler, or masked. */
 static void send(const char *text)
@@ -53,11 +54,24 @@ void uart_transmit_interrupt(void)
     uart_transmit(&uart);
 }
 
+/* Memory was changed from outside. */
+static void start_over(void)
+{
+    corrupt++;
+    core_mask();
+    if ((zygos_restart(&arm, ZYGOS_KEEP_FAULTS) != 1) || (zygos_check(&arm, &arm_config, &telemetry.work) != 1)) {
+        (void)zygos_init(&arm, &arm_config);
+    }
+    core_unmask();
+}
+
 static void report(void)
 {
-    const node_losses_t losses = { uart.overruns, line.refused, 0, uart.left_out };
+    const node_losses_t losses = {
+        .overflow = uart.overruns, .misshapen = line.refused, .unsent = uart.left_out, .corrupt = corrupt
+    };
     zygos_frame_t frame;
-    node_telemetry_sync(&telemetry, &arm, &losses);
+    const int solved = node_telemetry_sync(&telemetry, &arm, &losses);
     while (node_telemetry_next(&telemetry, &arm, &frame) == 1) {
         char text[SLCAN_TEXT];
         slcan_line(&frame, text);
@@ -66,6 +80,9 @@ static void report(void)
             send(text);
         }
         core_unmask();
+    }
+    if (solved < 1) {
+        start_over();
     }
 }
 

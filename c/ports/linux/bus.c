@@ -72,11 +72,23 @@ static int option_of(int fd, int name)
     return (getsockopt(fd, SOL_SOCKET, name, &value, &size) == 0) ? value : -1;
 }
 
+/* Buffer, filters and the count of drops. */
+static bool prepare(int fd, bool can, const zygos_config_t *config)
+{
+    const int yes = 1;
+    const int room = RECEIVE_BUFFER;
+    if (!set(fd, SOL_SOCKET, SO_RCVBUFFORCE, &room, sizeof room)) {
+        (void)set(fd, SOL_SOCKET, SO_RCVBUF, &room, sizeof room); /* as much as this user may have */
+    }
+    return set(fd, SOL_SOCKET, SO_RXQ_OVFL, &yes, sizeof yes) && (!can || ask_for_frames(fd, config));
+}
+
 int node_bus_open(node_bus_t *self, const node_options_t *options, const zygos_config_t *config)
 {
     memset(self, 0, sizeof *self);
     self->fd = options->fd;
-    if (options->interface != NULL) {
+    self->interface = options->interface;
+    if (self->interface != NULL) {
         self->fd = socket(PF_CAN, SOCK_RAW | SOCK_CLOEXEC, CAN_RAW);
         if (self->fd < 0) {
             return node_say("no CAN socket here (%s); remedy: modprobe can_raw", strerror(errno));
@@ -88,19 +100,29 @@ int node_bus_open(node_bus_t *self, const node_options_t *options, const zygos_c
         return node_say("--fd %d: no socket of packets; remedy: CAN_RAW, SOCK_SEQPACKET or SOCK_DGRAM", self->fd);
     }
     self->stream_ends = (type == SOCK_SEQPACKET);
-    const int yes = 1;
-    const int room = RECEIVE_BUFFER;
-    if (!set(self->fd, SOL_SOCKET, SO_RCVBUFFORCE, &room, sizeof room)) {
-        (void)set(self->fd, SOL_SOCKET, SO_RCVBUF, &room, sizeof room); /* as much as this user may have */
-    }
-    if (!set(self->fd, SOL_SOCKET, SO_RXQ_OVFL, &yes, sizeof yes) || (can && !ask_for_frames(self->fd, config))) {
+    if (!prepare(self->fd, can, config)) {
         return node_say("the socket takes no options (%s); remedy: use a newer kernel", strerror(errno));
     }
-    if ((options->interface != NULL) && !bind_to(self->fd, options->interface)) {
-        return node_say("%s: cannot be opened (%s); remedy: see `ip link`, and set it up", options->interface,
+    if ((self->interface != NULL) && !bind_to(self->fd, self->interface)) {
+        return node_say("%s: cannot be opened (%s); remedy: see `ip link`, and set it up", self->interface,
                         strerror(errno));
     }
     return 1;
+}
+
+void node_bus_again(node_bus_t *self, const zygos_config_t *config)
+{
+    if (self->fd >= 0) {
+        return;
+    }
+    const int fd = socket(PF_CAN, SOCK_RAW | SOCK_CLOEXEC, CAN_RAW);
+    if ((fd >= 0) && prepare(fd, true, config) && bind_to(fd, self->interface)) {
+        self->fd = fd;
+        self->drops = 0; /* the kernel counts from 0 for this socket */
+        node_say("%s: is back", self->interface);
+    } else if (fd >= 0) {
+        (void)close(fd);
+    }
 }
 
 /* What the library is given of a packet. CAN FD frames are foreign to it, so that of theirs eight bytes will do. */
@@ -139,12 +161,26 @@ static int read_failed(node_bus_t *self)
         return NODE_READ;
     case EAGAIN:
         return NODE_EMPTY;
+    case ENOBUFS:
+    case ENOMEM: /* the kernel is short of memory for a while */
+        return NODE_EMPTY;
     case ENETDOWN: /* the interface went down: what is lost is noticed by the counters of SYNC and FTIME */
         self->losses.down++;
         return NODE_READ;
     case ECONNREFUSED: /* the other end of a socket of datagrams is not there */
     case ECONNRESET:   /* it closed with our answers unread; what it sent before is still to be read */
         return NODE_READ;
+    case ENODEV: /* the interface was removed, as an adapter that is unplugged */
+    case ENXIO:
+        if (self->interface != NULL) {
+            node_say("%s: was removed (%s), waits for it; remedy: see `ip link`, and set it up again", self->interface,
+                     strerror(errno));
+            (void)close(self->fd);
+            self->fd = -1;
+            self->losses.down++;
+            return NODE_EMPTY;
+        }
+        /* fall through */
     default:
         node_say("cannot receive any more (%s); remedy: see `ip link`, and start again", strerror(errno));
         return NODE_FAILED;
@@ -166,6 +202,9 @@ int node_bus_read(node_bus_t *self, zygos_frame_t *frame, uint32_t *count)
         message[i].msg_hdr.msg_controllen = CONTROL;
     }
     *count = 0;
+    if (self->fd < 0) {
+        return NODE_EMPTY;
+    }
     const int got = recvmmsg(self->fd, message, NODE_BATCH, MSG_DONTWAIT, NULL);
     if (got < 0) {
         return read_failed(self);

@@ -14,9 +14,10 @@
 #define NODE_BATCH 64u
 
 typedef struct {
-    int fd;
-    bool stream_ends; ///< An empty packet means that the other end is closed.
-    uint32_t drops;   ///< What the kernel counted last.
+    int fd;                ///< -1 while an interface is away.
+    const char *interface; ///< Null where the descriptor was given.
+    bool stream_ends;      ///< An empty packet means that the other end is closed.
+    uint32_t drops;        ///< What the kernel counted last.
     /// Overflow: frames that the kernel dropped because the receive buffer was full. Misshapen: packets that are no
     /// frame.
     node_losses_t losses;
@@ -32,6 +33,9 @@ enum node_reading {
 /// Opens the interface, or takes over the descriptor, and asks for the frames of this arm and for error frames.
 /// Returns 1, or -1 after saying why not.
 int node_bus_open(node_bus_t *self, const node_options_t *options, const zygos_config_t *config);
+
+/// Opens an interface anew that was removed, if it is there again. Where nothing is missing it does nothing.
+void node_bus_again(node_bus_t *self, const zygos_config_t *config);
 
 /// Reads what is waiting, without blocking, into frame[NODE_BATCH]; *count says how many. Returns enum node_reading.
 int node_bus_read(node_bus_t *self, zygos_frame_t *frame, uint32_t *count);

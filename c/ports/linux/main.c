@@ -22,6 +22,7 @@ static zygos_config_t config;
 static zygos_t arm;
 static node_bus_t bus;
 static node_telemetry_t telemetry;
+static node_store_t store;
 static volatile sig_atomic_t told_to_end;
 
 static void end(int signal_number)
@@ -35,6 +36,16 @@ static double now_s(void)
     struct timespec now;
     (void)clock_gettime(CLOCK_MONOTONIC, &now);
     return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
+}
+
+/* A reader of stderr who has gone, and a limit to the size of files, are answered by the calls that meet them. */
+static void outlive(void)
+{
+    struct sigaction action;
+    memset(&action, 0, sizeof action);
+    action.sa_handler = SIG_IGN;
+    (void)sigaction(SIGPIPE, &action, NULL);
+    (void)sigaction(SIGXFSZ, &action, NULL);
 }
 
 /* Signals come in while ppoll() waits with this mask, and at no other time: none is missed. Where frames always wait,
@@ -75,24 +86,90 @@ static void wait_until(double deadline_s, const sigset_t *mask)
     (void)ppoll(&socket, 1, &timeout, mask);
 }
 
+/* From what is stored; otherwise, unless files were tried and *arm is spoiled, from what memory still has; otherwise
+   from nothing. Returns 1, or -1 after saying why not. */
+static int begin(bool initialised)
+{
+    const int loaded = node_store_load(&store, &config, &arm, &telemetry.work);
+    if ((loaded == 1) || ((loaded == 0) && initialised && (zygos_restart(&arm, ZYGOS_KEEP_FAULTS) == 1) &&
+                          (zygos_check(&arm, &config, &telemetry.work) == 1))) {
+        return 1;
+    }
+    const int verdict = zygos_init(&arm, &config);
+    return (verdict == 1)
+               ? 1
+               : node_say("%s: the library refuses the configuration with code %d; remedy: compile the model again",
+                          options.config, verdict);
+}
+
+static bool configuration_changed(void)
+{
+    return memcmp(&arm.config, &config, sizeof config) != 0;
+}
+
+/* Memory was changed from outside. Which of the two configurations it was in, the file tells. Returns 1, or -1 after
+   saying why the estimate cannot start. */
+static int start_over(void)
+{
+    static zygos_config_t again;
+    const bool configured = !configuration_changed();
+    bus.losses.corrupt++;
+    node_say("memory was changed: %s; the estimate starts over; remedy: none if it is rare, otherwise test the memory",
+             configured ? "sums or counts are corrupt" : "the configuration is not what was compiled");
+    if (!configured && (node_store_config(options.config, &again) == 1)) {
+        config = again;
+    }
+    if (begin(true) < 1) {
+        return -1;
+    }
+    node_say("%s cycle %llu", (arm.accumulator.accepted > 0u) ? "goes on behind" : "starts at",
+             (unsigned long long)arm.cycle);
+    return 1;
+}
+
+/* Nothing corrupt is sealed. If it fails it has said so. Returns 1, or -1. */
+static int save(void)
+{
+    if (store.path == NULL) {
+        return 1;
+    }
+    const int verdict = zygos_check(&arm, &config, &telemetry.work);
+    if (verdict < 1) {
+        (void)start_over();
+    }
+    const int saved = (verdict == 1) ? node_store_save(&store, &arm) : -1;
+    bus.losses.unsaved += (saved == 1) ? 0u : 1u;
+    return saved;
+}
+
 /* Reads one batch and works it off. *frames and *syncs count. Returns enum node_reading. */
 static int work(uint64_t *frames, uint64_t *syncs)
 {
     zygos_frame_t frame[NODE_BATCH];
     uint32_t count = 0;
     const int reading = node_bus_read(&bus, frame, &count);
+    /* Looked at with each batch: a wrong node number can hide every SYNC, a wrong place is written to. */
+    if ((configuration_changed() || !zygos_receiver_intact(&arm.receiver)) && (start_over() < 1)) {
+        return NODE_FAILED;
+    }
     for (uint32_t i = 0; i < count; i++) {
         const int verdict = zygos_frame(&arm, &frame[i]);
         while (zygos_step(&arm) == 1) {
         }
+        if ((verdict < 0) && (start_over() < 1)) { /* the mark of a struct that was initialised is gone */
+            return NODE_FAILED;
+        }
         if ((verdict == ZYGOS_ACCEPTED) && (frame[i].flags == 0u) && (frame[i].id == ZYGOS_ID_SYNC)) {
             (*syncs)++;
-            node_telemetry_sync(&telemetry, &arm, &bus.losses);
+            const int solved = node_telemetry_sync(&telemetry, &arm, &bus.losses);
             for (zygos_frame_t out; node_telemetry_next(&telemetry, &arm, &out) == 1;) {
                 node_bus_send(&bus, &out);
             }
+            if ((solved < 1) && (start_over() < 1)) {
+                return NODE_FAILED;
+            }
             if ((options.save_every > 0u) && (*syncs % options.save_every == 0u)) {
-                (void)node_store_save(options.state, &arm); /* if it fails it has said so; the last save decides */
+                (void)save(); /* the last save decides */
             }
         }
     }
@@ -128,6 +205,7 @@ static int run(const sigset_t *mask)
         frames_before = frames;
         if (now >= heartbeat_s) {
             say_state((syncs != syncs_before) ? NODE_OPERATIONAL : NODE_WAITING);
+            node_bus_again(&bus, &config);
             syncs_before = syncs;
             heartbeat_s = now + HEARTBEAT_S;
         }
@@ -152,8 +230,10 @@ int main(int argc, char **argv)
     if (understood < 1) {
         return (understood == 0) ? 0 : REFUSED;
     }
-    if ((node_store_config(options.config, &config) < 1) || (node_store_begin(options.state, &config, &arm) < 1) ||
-        (node_bus_open(&bus, &options, &config) < 1)) {
+    outlive();
+    if ((node_store_config(options.config, &config) < 1) ||
+        (node_store_open(&store, options.state, options.config) < 1) || (node_bus_open(&bus, &options, &config) < 1) ||
+        (begin(false) < 1)) {
         return REFUSED;
     }
     node_telemetry_init(&telemetry, options.every);
@@ -162,7 +242,8 @@ int main(int argc, char **argv)
              config.joints, arm.layout.count, (arm.cycles > 0u) ? "goes on behind" : "starts at",
              (unsigned long long)arm.cycle);
     const int reading = run(&mask);
-    const int saved = node_store_save(options.state, &arm);
+    store.failure = 0; /* a failure of the last save is said, whatever was said before */
+    const int saved = save();
     uint64_t counter[NODE_COUNTERS];
     node_counters(&arm, &bus.losses, counter);
     for (uint32_t i = 0; i < NODE_COUNTERS; i++) {

@@ -21,12 +21,12 @@ static const char help[] =
     "  --config FILE        the arm, written by `zygos compile-model`\n"
     "  -i, --interface CAN  interface to receive from and to answer on, for instance can0\n"
     "  --fd N               instead: an open CAN_RAW socket, or another that carries struct can_frame in packets\n"
-    "  --state FILE         go on from this file if it exists; save into it at the end\n"
+    "  --state FILE         go on from this file, or from FILE.previous, if it can be used; save at the end\n"
     "  --save-every SYNCS   also from one save to the next; what came since is lost with the power\n"
     "  --every SYNCS        from one estimate to the next (100); its values are sent in between\n"
     "  --exit-idle SECONDS  end when no frame came for so long\n"
     "\n"
-    "Exit codes: 0 ended as told, 2 refused, or the state could not be saved.\n";
+    "Exit codes: 0 ended as told; 2 an option or the configuration was refused, or the state could not be saved.\n";
 
 /* The value of an option, within limits. Returns false after saying why not. */
 static bool number(const char *option, const char *text, double low, double high, double *out)

@@ -7,37 +7,55 @@
 #include <stdbool.h>
 #include <stdio.h>
 #include <string.h>
+#include <sys/stat.h>
 #include <sys/uio.h>
 #include <unistd.h>
 
 #include "say.h"
 #include "zygos/snapshot.h"
 
-static int refuse(const char *path, int code)
+#define AS_PREVIOUS ".previous"
+#define AS_PARTIAL ".partial"
+#define AS_UNUSABLE ".unusable"
+#define LONGEST_SUFFIX (sizeof AS_PREVIOUS)
+
+/* Below it, codes hold the errno of a file that could not be read. */
+#define NOT_READ (-1000)
+
+/* Why a file is not used. config: what to do about a configuration; state: about a state, before the file's name. */
+typedef struct {
+    int code;
+    const char *reason;
+    const char *config;
+    const char *state;
+} refusal_t;
+
+static const refusal_t refusals[] = {
+    { ZYGOS_E_SNAPSHOT, "is no snapshot of zygos", "check the path", "see what wrote" },
+    { ZYGOS_E_FORMAT, "is a snapshot of a format that this node does not read", "use the version that wrote it",
+      "use the version that wrote" },
+    { ZYGOS_E_KIND, "is a snapshot of the other kind", "--config is what `zygos compile-model` wrote, --state is not",
+      "give --state a file of its own, and rename" },
+    { ZYGOS_E_BYTE_ORDER, "was written by a machine of the other byte order", "write it for this one", "delete" },
+    { ZYGOS_E_LAYOUT, "was written by a build with other capacities, structs or version",
+      "compile the model again with the same version", "use the build that wrote it, or delete" },
+    { ZYGOS_E_LENGTH, "is cut off, or has more bytes than its head says", "copy it again",
+      "restore it from a copy, or delete" },
+    { ZYGOS_E_CRC, "is damaged: its CRC does not fit its bytes", "copy it again", "restore it from a copy, or delete" },
+    { ZYGOS_E_CONFIG, "is the state of another configuration", "", "give --config the arm that it is of, or delete" },
+    { ZYGOS_E_STATE, "was damaged before it was sealed: it holds a count that cannot be", "", "delete" },
+    { ZYGOS_E_SUMS, "was damaged before it was sealed: its sums are corrupt", "", "delete" },
+};
+
+static const refusal_t *refusal_of(int code)
 {
-    static const struct {
-        int code;
-        const char *reason;
-        const char *remedy;
-    } known[] = {
-        { ZYGOS_E_SNAPSHOT, "is no snapshot of zygos", "check the path" },
-        { ZYGOS_E_FORMAT, "is a snapshot of a format that this node does not read", "use the version that wrote it" },
-        { ZYGOS_E_KIND, "is a snapshot of the other kind",
-          "--config is what `zygos compile-model` wrote, --state is not" },
-        { ZYGOS_E_BYTE_ORDER, "was written by a machine of the other byte order", "write it for this one" },
-        { ZYGOS_E_LAYOUT, "was written by a build with other capacities, structs or version",
-          "compile the model again with the same version; a state cannot be carried over: remove it" },
-        { ZYGOS_E_LENGTH, "is cut off, or has more bytes than its head says", "copy it again, or remove it" },
-        { ZYGOS_E_CRC, "is damaged: its CRC does not fit its bytes", "copy it again, or remove it" },
-        { ZYGOS_E_CONFIG, "is the state of another configuration", "give that configuration, or remove the state" },
-        { ZYGOS_E_STATE, "was damaged before it was sealed: it holds a count that cannot be", "remove it" },
-    };
-    for (uint32_t i = 0; i < sizeof known / sizeof known[0]; i++) {
-        if (known[i].code == code) {
-            return node_say("%s: %s; remedy: %s", path, known[i].reason, known[i].remedy);
+    static const refusal_t other = { 0, "is refused by the library", "compile the model again", "delete" };
+    for (uint32_t i = 0; i < sizeof refusals / sizeof refusals[0]; i++) {
+        if (refusals[i].code == code) {
+            return &refusals[i];
         }
     }
-    return node_say("%s: the library refuses it with code %d; remedy: compile the model again", path, code);
+    return &other;
 }
 
 /* Reads head and image. Returns the number of bytes, one more than these when there are more, or -1. */
@@ -67,32 +85,36 @@ static ssize_t read_all(int fd, uint8_t *head, void *image, size_t size)
     return total;
 }
 
-/* Returns 1; 0 where there is no such file; -1 after saying why not. */
+/* Returns 1, 0 where there is no such file, an enum zygos_error, or NOT_READ - errno. */
 static int load(const char *path, uint32_t kind, void *image, size_t size)
 {
     uint8_t head[ZYGOS_SNAPSHOT_HEAD];
-    const int fd = open(path, O_RDONLY | O_CLOEXEC);
+    const int fd = open(path, O_RDONLY | O_CLOEXEC | O_NONBLOCK); /* a pipe without a writer is not waited for */
     if ((fd < 0) && (errno == ENOENT)) {
         return 0;
     }
     const ssize_t length = (fd < 0) ? -1 : read_all(fd, head, image, size);
-    if (length < 0) {
-        node_say("%s: cannot be read (%s); remedy: check the path and its permissions", path, strerror(errno));
-    }
+    const int why = errno;
     if (fd >= 0) {
         (void)close(fd);
     }
-    if (length < 0) {
-        return -1;
-    }
-    const int verdict = zygos_snapshot_check(kind, head, image, (uint32_t)length);
-    return (verdict == 1) ? 1 : refuse(path, verdict);
+    return (length < 0) ? NOT_READ - why : zygos_snapshot_check(kind, head, image, (uint32_t)length);
 }
 
 int node_store_config(const char *path, zygos_config_t *config)
 {
-    const int loaded = load(path, ZYGOS_SNAPSHOT_CONFIG, config, sizeof *config);
-    return (loaded == 0) ? node_say("%s: no such file; remedy: write it with `zygos compile-model`", path) : loaded;
+    const int verdict = load(path, ZYGOS_SNAPSHOT_CONFIG, config, sizeof *config);
+    if (verdict == 1) {
+        return 1;
+    }
+    if (verdict == 0) {
+        return node_say("%s: no such file; remedy: write it with `zygos compile-model`", path);
+    }
+    if (verdict <= NOT_READ) {
+        return node_say("%s: cannot be read (%s); remedy: check the path and its permissions", path,
+                        strerror(NOT_READ - verdict));
+    }
+    return node_say("%s: %s; remedy: %s", path, refusal_of(verdict)->reason, refusal_of(verdict)->config);
 }
 
 /* The folder of a path, in a buffer of the caller's. */
@@ -102,30 +124,114 @@ static const char *folder_of(const char *path, char *buffer, size_t size)
     return dirname(buffer);
 }
 
-int node_store_begin(const char *path, const zygos_config_t *config, zygos_t *arm)
+int node_store_open(node_store_t *self, const char *path, const char *config)
 {
-    int found = 0;
-    if (path != NULL) {
-        char buffer[PATH_MAX];
-        const bool fits = (strlen(path) + sizeof ".partial" <= PATH_MAX);
-        if (!fits || (access(folder_of(path, buffer, sizeof buffer), W_OK | X_OK) != 0)) {
-            return node_say(
-                "%s: could not be saved (%s); remedy: name a file in a folder that is there, and open to you", path,
-                strerror(fits ? errno : ENAMETOOLONG));
-        }
-        found = load(path, ZYGOS_SNAPSHOT_STATE, arm, sizeof *arm);
-        if (found < 0) {
-            return -1;
-        }
+    *self = (node_store_t){ .path = path, .good = true };
+    if (path == NULL) {
+        return 1;
     }
-    if (found == 1) {
-        const int verdict = zygos_resume(arm, config);
-        return (verdict == 1) ? 1 : refuse(path, verdict);
+    char buffer[PATH_MAX];
+    if (strlen(path) + LONGEST_SUFFIX > PATH_MAX) {
+        return node_say("%s: could not be saved (%s); remedy: a shorter name for --state", path,
+                        strerror(ENAMETOOLONG));
     }
-    const int verdict = zygos_init(arm, config);
-    return (verdict == 1)
-               ? 1
-               : node_say("the library refuses the configuration with code %d; remedy: compile it again", verdict);
+    struct stat entry;
+    const char *folder = folder_of(path, buffer, sizeof buffer);
+    const bool reached = (stat(folder, &entry) == 0);
+    if (!reached || !S_ISDIR(entry.st_mode)) {
+        return node_say("%s: could not be saved (%s); remedy: name a file in a folder that is there", path,
+                        strerror(reached ? ENOTDIR : errno));
+    }
+    if (access(folder, W_OK | X_OK) != 0) {
+        node_say("%s: cannot be saved (%s); remedy: open the folder %s to this user; until then states are lost", path,
+                 strerror(errno), folder);
+    }
+    struct stat other;
+    if (stat(path, &entry) != 0) {
+        return 1;
+    }
+    if ((stat(config, &other) == 0) && (entry.st_dev == other.st_dev) && (entry.st_ino == other.st_ino)) {
+        return node_say("%s: %s; remedy: %s", path, refusal_of(ZYGOS_E_KIND)->reason, refusal_of(ZYGOS_E_KIND)->config);
+    }
+    if (!S_ISREG(entry.st_mode)) {
+        return node_say("%s: cannot be read (%s); remedy: name a file with --state", path,
+                        S_ISDIR(entry.st_mode) ? strerror(EISDIR) : "Not a regular file");
+    }
+    return 1;
+}
+
+/* A file that belongs to the state, in buffer[PATH_MAX]. */
+static const char *name_of(const node_store_t *self, const char *suffix, char *buffer)
+{
+    (void)snprintf(buffer, PATH_MAX, "%s%s", self->path, suffix);
+    return buffer;
+}
+
+/* Returns 1, 0 where there is no such file, an enum zygos_error, or NOT_READ - errno. */
+static int take_up(const char *path, const zygos_config_t *config, zygos_t *arm, zygos_work_t *work)
+{
+    int verdict = load(path, ZYGOS_SNAPSHOT_STATE, arm, sizeof *arm);
+    verdict = (verdict == 1) ? zygos_check(arm, config, work) : verdict;
+    return (verdict == 1) ? zygos_resume(arm, config) : verdict;
+}
+
+/* path: the file that is not used. aside: what it is called from here on, or null where it stays. */
+static void say_why(const char *path, int verdict, const char *aside)
+{
+    const char *what = (aside != NULL) ? "kept as " : "a later save replaces it";
+    const char *where = (aside != NULL) ? aside : "";
+    const char *kept = (aside != NULL) ? aside : path;
+    if (verdict <= NOT_READ) {
+        node_say("%s: cannot be read (%s); %s%s; remedy: check the disk and the permissions of %s", path,
+                 strerror(NOT_READ - verdict), what, where, kept);
+        return;
+    }
+    const refusal_t *refusal = refusal_of(verdict);
+    node_say("%s: %s; %s%s; remedy: %s %s", path, refusal->reason, what, where, refusal->state, kept);
+}
+
+/* Gives a FILE that cannot be used another name, so that nothing is lost. The first one stays: it may be the long work
+   of another arm, and those behind it a consequence. */
+static void put_aside(node_store_t *self, int verdict)
+{
+    char aside[PATH_MAX];
+    struct stat entry;
+    (void)name_of(self, AS_UNUSABLE, aside);
+    const bool vacant = (lstat(aside, &entry) != 0) && (errno == ENOENT);
+    self->good = vacant && (rename(self->path, aside) == 0);
+    say_why(self->path, verdict, self->good ? aside : NULL);
+}
+
+int node_store_load(node_store_t *self, const zygos_config_t *config, zygos_t *arm, zygos_work_t *work)
+{
+    if (self->path == NULL) {
+        return 0;
+    }
+    const int newest = take_up(self->path, config, arm, work);
+    if (newest == 1) {
+        self->good = true;
+        return 1;
+    }
+    if (newest < 0) {
+        put_aside(self, newest);
+    }
+    char previous[PATH_MAX];
+    const int older = take_up(name_of(self, AS_PREVIOUS, previous), config, arm, work);
+    if (older == 1) {
+        node_say("%s: %s; goes on from %s, the state before it", self->path, (newest < 0) ? "not used" : "is not there",
+                 previous);
+        return 1;
+    }
+    if (older < 0) {
+        say_why(previous, older, NULL);
+    }
+    if ((newest == 0) && (older == 0)) {
+        return 0;
+    }
+    return node_say(
+        "%s: no state can be used, starts from nothing; remedy: to go on from a copy, end this node, put the "
+        "copy there, and start again",
+        self->path);
 }
 
 static bool write_all(int fd, const void *bytes, size_t size)
@@ -155,23 +261,71 @@ static bool sync_folder(const char *path)
     return done;
 }
 
-int node_store_save(const char *path, const zygos_t *arm)
+static bool write_snapshot(const char *path, const zygos_t *arm)
 {
-    if (path == NULL) {
+    uint8_t head[ZYGOS_SNAPSHOT_HEAD];
+    (void)zygos_snapshot_seal(ZYGOS_SNAPSHOT_STATE, arm, head);
+    const int fd = open(path, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0644);
+    if (fd < 0) {
+        return false;
+    }
+    const bool done = write_all(fd, head, sizeof head) && write_all(fd, arm, sizeof *arm) && (fsync(fd) == 0);
+    const int why = errno;
+    const bool closed = (close(fd) == 0);
+    errno = done ? errno : why;
+    return done && closed;
+}
+
+/* FILE gets a second name, so that it is there all the time; where a file has but one name it is renamed. Without a
+   FILE the generation before stays. */
+static bool keep(const char *path, const char *previous)
+{
+    if ((access(path, F_OK) != 0) && (errno == ENOENT)) {
+        return true;
+    }
+    (void)unlink(previous);
+    return (link(path, previous) == 0) || (rename(path, previous) == 0);
+}
+
+/* Where FILE cannot be kept as the generation before, it is replaced all the same: one good state is more than none. */
+static bool replace(node_store_t *self, const char *partial)
+{
+    char previous[PATH_MAX];
+    (void)name_of(self, AS_PREVIOUS, previous);
+    const bool kept = !self->good || keep(self->path, previous);
+    if (!kept && !self->alone) {
+        node_say("%s: cannot be kept as %s (%s); remedy: remove what stands there", self->path, previous,
+                 strerror(errno));
+    }
+    self->alone = !kept;
+    if (rename(partial, self->path) != 0) {
+        return false;
+    }
+    self->good = true;
+    return sync_folder(self->path);
+}
+
+int node_store_save(node_store_t *self, const zygos_t *arm)
+{
+    if (self->path == NULL) {
         return 1;
     }
-    uint8_t head[ZYGOS_SNAPSHOT_HEAD];
     char partial[PATH_MAX];
-    (void)snprintf(partial, sizeof partial, "%s.partial", path);
-    (void)zygos_snapshot_seal(ZYGOS_SNAPSHOT_STATE, arm, head);
-    const int fd = open(partial, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0644);
-    bool done = (fd >= 0) && write_all(fd, head, sizeof head) && write_all(fd, arm, sizeof *arm) && (fsync(fd) == 0);
-    done = (fd >= 0) && (close(fd) == 0) && done;
-    done = done && (rename(partial, path) == 0) && sync_folder(path);
-    if (!done) {
+    (void)name_of(self, AS_PARTIAL, partial);
+    if (!write_snapshot(partial, arm) || !replace(self, partial)) {
         const int why = errno;
         (void)unlink(partial);
-        return node_say("%s: cannot be saved (%s); remedy: check the folder and its space", path, strerror(why));
+        self->failed++;
+        if (self->failure != why) {
+            node_say("%s: cannot be saved (%s); remedy: check the folder and its space", self->path, strerror(why));
+        }
+        self->failure = why;
+        return -1;
     }
+    if (self->failed > 0u) {
+        node_say("%s: saved again, after %u times that it could not be", self->path, self->failed);
+    }
+    self->failed = 0;
+    self->failure = 0;
     return 1;
 }

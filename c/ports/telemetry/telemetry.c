@@ -7,7 +7,7 @@
 #define FAULTS (sizeof(zygos_faults_t) / sizeof(uint32_t))
 #define MODULUS 0x1000000u
 
-_Static_assert(FAULTS + 12u == NODE_COUNTERS, "a counter without a name");
+_Static_assert(FAULTS + 14u == NODE_COUNTERS, "a counter without a name");
 
 const char *const node_counter_name[NODE_COUNTERS] = {
     "fault_length",         "fault_crc",           "fault_range",        "fault_late",         "fault_counter",
@@ -16,7 +16,8 @@ const char *const node_counter_name[NODE_COUNTERS] = {
     "fault_dropped",        "fault_sync_repeated", "fault_sync_jumped",  "fault_time_lost",    "fault_time_jumped",
     "fault_overrun",        "fault_bus_error",     "count_cycles",       "count_gaps",         "count_invalid",
     "count_wraps",          "count_accepted",      "count_refused",      "count_arcs",         "count_arcs_dropped",
-    "node_overflow",        "node_misshapen",      "node_down",          "node_unsent",
+    "node_overflow",        "node_misshapen",      "node_down",          "node_unsent",        "node_corrupt",
+    "node_unsaved",
 };
 
 void node_counters(const zygos_t *arm, const node_losses_t *losses, uint64_t *out)
@@ -39,6 +40,8 @@ void node_counters(const zygos_t *arm, const node_losses_t *losses, uint64_t *ou
         losses->misshapen,
         losses->down,
         losses->unsent,
+        losses->corrupt,
+        losses->unsaved,
     };
     memcpy(&out[FAULTS], other, sizeof other);
 }
@@ -57,11 +60,12 @@ static void put(node_telemetry_t *self, enum node_kind kind, uint32_t index, dou
     self->items++;
 }
 
-static void solve(node_telemetry_t *self, const zygos_t *arm, const node_losses_t *losses)
+static void solve(node_telemetry_t *self, zygos_t *arm, const node_losses_t *losses)
 {
     zygos_estimate_t *const out = &self->estimate;
     zygos_take(arm, &self->work);
     (void)zygos_solve(&self->work, out);
+    (void)zygos_adopt(arm, out);
     self->items = 0;
     self->next = 0;
     const double verdict[NODE_VERDICTS] = { (double)out->validity,
@@ -76,7 +80,8 @@ static void solve(node_telemetry_t *self, const zygos_t *arm, const node_losses_
                                             out->cluster,
                                             out->residual,
                                             out->noise_ratio,
-                                            out->gate };
+                                            out->gate,
+                                            (double)out->left_out[ZYGOS_ENERGY_ROWS] };
     for (uint32_t i = 0; i < NODE_VERDICTS; i++) {
         put(self, NODE_VERDICT, i, verdict[i]);
     }
@@ -92,14 +97,16 @@ static void solve(node_telemetry_t *self, const zygos_t *arm, const node_losses_
     }
 }
 
-void node_telemetry_sync(node_telemetry_t *self, const zygos_t *arm, const node_losses_t *losses)
+int node_telemetry_sync(node_telemetry_t *self, zygos_t *arm, const node_losses_t *losses)
 {
-    if (self->syncs == 0u) {
+    const bool solves = (self->syncs == 0u);
+    if (solves) {
         solve(self, arm, losses);
     }
     self->syncs = (self->syncs + 1u) % self->every;
     const uint32_t share = (self->items + self->every - 1u) / self->every;
     self->due = (self->next + share < self->items) ? self->next + share : self->items;
+    return (solves && (self->estimate.reason == ZYGOS_REASON_CORRUPT)) ? ZYGOS_E_SUMS : 1;
 }
 
 int node_telemetry_next(node_telemetry_t *self, const zygos_t *arm, zygos_frame_t *out)

@@ -15,8 +15,8 @@ enum node_kind {
     NODE_HALF95 = 4
 };
 
-#define NODE_COUNTERS 34u
-#define NODE_VERDICTS 13u
+#define NODE_COUNTERS 36u
+#define NODE_VERDICTS 14u
 #define NODE_MAX_ITEMS (3u * ZYGOS_MAX_PARAMETERS + NODE_COUNTERS + NODE_VERDICTS)
 
 /// States of the heartbeat, as in CANopen.
@@ -41,6 +41,8 @@ typedef struct {
     uint32_t misshapen; ///< What came and was no frame.
     uint32_t down;      ///< Times that the bus went down.
     uint32_t unsent;    ///< Frames of ours that the bus did not take.
+    uint32_t corrupt;   ///< Times that memory was found changed, and the estimate started over.
+    uint32_t unsaved;   ///< States that could not be saved.
 } node_losses_t;
 
 /// Counters in the order of their indices, called as in zygos.dbc.
@@ -51,9 +53,11 @@ void node_counters(const zygos_t *arm, const node_losses_t *losses, uint64_t *ou
 void node_telemetry_init(node_telemetry_t *self, uint32_t every);
 
 /// Call after each accepted SYNC, when the cycle that it closed is worked off: at the first and every so many SYNCs
-/// behind it, solves; after each, as many values are due as it takes to have sent all by the next estimate. What has no
-/// value is passed over. Nothing here depends on a clock.
-void node_telemetry_sync(node_telemetry_t *self, const zygos_t *arm, const node_losses_t *losses);
+/// behind it, solves, and has the arm adopt a valid estimate; after each, as many values are due as it takes to have
+/// sent all by the next estimate. What has no value is passed over. Nothing here depends on a clock. Returns 1, or
+/// ZYGOS_E_SUMS when this was a solution and found the sums corrupt: the port then starts the estimate over, and counts
+/// it.
+int node_telemetry_sync(node_telemetry_t *self, zygos_t *arm, const node_losses_t *losses);
 
 /// Takes the next value that is due. Returns 1 and its frame, or 0 when none is.
 int node_telemetry_next(node_telemetry_t *self, const zygos_t *arm, zygos_frame_t *out);

@@ -24,7 +24,8 @@ class Design:
 
     z: (m, p). w: (m,) [J]. arc: (m,) arc number. sync: (m,) cycle number.
     noise: (p+1, p+1) what noise adds on average to the squares of [z, w].
-    arcs: arcs that count. dropped_arcs: arcs too short to count, or void. refused: instants the bandwidth test refused.
+    arcs: arcs that count. dropped_arcs: arcs too short to count, void, or left out. refused: instants the bandwidth
+    test refused.
     """
 
     z: Floats
@@ -54,7 +55,7 @@ def design(balance: Balance, moment: Floats | None = None) -> Design:
     dropped = 0
     for arc in np.unique(balance.arc):
         of = np.flatnonzero((balance.arc == arc) & balance.accepted)
-        if len(of) < MIN_ARC_INSTANTS or arc in balance.void:
+        if len(of) < MIN_ARC_INSTANTS or arc in balance.void | balance.left_out:
             dropped += 1
             continue
         z.append(balance.z[of] - balance.z[of].mean(axis=0))

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
-from zygos.reference.balance import FILL_INSTANTS, End, void_arcs
+from zygos.reference.balance import FILL_INSTANTS, End, left_out_arcs, void_arcs
 from zygos.reference.cycle import Samples
 from zygos.reference.smoother import Smoothed
 
@@ -25,10 +25,15 @@ def numbered(smoothed: Smoothed, longest: int) -> NDArray[np.int64]:
     return arc
 
 
-def doubtful(arm: Arm, samples: Samples, smoothed: Smoothed, arc: NDArray[np.int64], longest: int) -> frozenset[int]:
-    """Numbers of the arcs of `numbered` in which cycles may be missing."""
+def unused(
+    arm: Arm, samples: Samples, smoothed: Smoothed, arc: NDArray[np.int64], longest: int, rows: str
+) -> frozenset[int]:
+    """Numbers of the arcs of `numbered` in which cycles may be missing, or which the library left out.
+
+    rows: their kind, "motor" or "momentum".
+    """
     ends = []
     for number in range(int(arc.max(initial=-1)) + 1):
         of = np.flatnonzero(arc == number)
         ends.append(End(int(smoothed.index[of[-1]]) + arm.smoother.lag, len(of) == longest))
-    return void_arcs(samples, ends)
+    return void_arcs(samples, ends) | left_out_arcs(samples, ends, rows)

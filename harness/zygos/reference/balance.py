@@ -34,7 +34,7 @@ class Balance:
     accepted: (m,) False where the smoother refuses the instant. z: (m, p) columns in `arm.parameter_names` order, then
     those of the effects.
     w: (m,) work since the arc's origin [J], raised by what torque steps add to the kinetic energy as it is read.
-    void: numbers of the arcs in which cycles may be missing unnoticed.
+    void: numbers of the arcs in which cycles may be missing unnoticed. left_out: of those that the library left out.
     """
 
     index: NDArray[np.int64]
@@ -44,6 +44,7 @@ class Balance:
     z: Floats
     w: Floats
     void: frozenset[int] = frozenset()
+    left_out: frozenset[int] = frozenset()
 
 
 def energy_columns(arm: Arm, state: State, dissipated: Floats) -> Floats:
@@ -68,6 +69,12 @@ class End(NamedTuple):
 
     at: int
     full: bool
+
+
+def left_out_arcs(samples: Samples, ends: Sequence[End], rows: str) -> frozenset[int]:
+    """Numbers of the arcs of such rows ("energy", "motor", "momentum") that the library left out."""
+    told = samples.left_out.get(rows, frozenset())
+    return frozenset(number for number, end in enumerate(ends) if int(samples.sync[end.at]) in told)
 
 
 def void_arcs(samples: Samples, ends: Sequence[End]) -> frozenset[int]:
@@ -163,4 +170,5 @@ def rows(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Effec
         z=z[kept],
         w=work[kept],
         void=void_arcs(samples, ends),
+        left_out=left_out_arcs(samples, ends, "energy"),
     )

@@ -6,7 +6,8 @@ record is cut into segments: unbroken runs of usable cycles.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +27,10 @@ TORQUE_WEIGHTS = {
 
 
 HALF_RANGE_RAD = 16.0 * np.pi
-"""Half the range of a multi-turn angle, 8 turns: a reading that jumps by more has gone over the end of the range."""
+"""Half the range of a multi-turn angle, 8 turns: a reading that jumps by more has gone over the end of the range.
+
+Where link and motor angle differ by more, only one of them has.
+"""
 
 LARGEST_ANGLE_RAD, LARGEST_VALUE = 1e4, 1e6
 """Beyond these a reading (rad; Nm and rad/s) is taken for a fault of the sensor."""
@@ -53,6 +57,7 @@ class Samples:
     sync: (n,) cycle number. q, theta: (n, N) [rad]. tau: (n, N) rotor torque in force on [t_k, t_k+1) [Nm], NaN where
     the torque law needs a cycle that the segment does not have. omega: (n, 3) base rate in base axes [rad/s].
     segments: half-open ranges of positions in these arrays. voids, wraps: as in `Segments`.
+    left_out: newest cycles of the arcs that the library left out of its sums, by kind of rows: the reference is told.
     """
 
     sync: NDArray[np.uint64]
@@ -63,6 +68,7 @@ class Samples:
     segments: tuple[tuple[int, int], ...]
     voids: tuple[tuple[int, int | None], ...]
     wraps: int
+    left_out: Mapping[str, frozenset[int]] = field(default_factory=dict)
 
 
 def usable(cycles: Cycles) -> NDArray[np.bool_]:
@@ -74,9 +80,14 @@ def usable(cycles: Cycles) -> NDArray[np.bool_]:
     return out
 
 
-def segments(cycles: Cycles) -> Segments:
-    """Cut a record into runs of usable cycles whose numbers rise by one, without a break flag or a wrap of an angle."""
+def segments(cycles: Cycles, apart: NDArray[np.bool_] | None = None) -> Segments:
+    """Cut a record into runs of usable cycles whose numbers rise by one, without a break flag or a wrap of an angle.
+
+    apart: (n,) cycles in which link and motor angle stand on different sides of the end of their range. They have a
+    number, and belong to no run.
+    """
     n = len(cycles)
+    out = np.zeros(n, dtype=np.bool_) if apart is None else apart
     use = usable(cycles)
     follows = np.zeros(n, dtype=np.bool_)
     follows[1:] = use[1:] & use[:-1] & (cycles.sync[1:] - cycles.sync[:-1] == 1)
@@ -86,9 +97,10 @@ def segments(cycles: Cycles) -> Segments:
         with np.errstate(invalid="ignore"):
             wraps[1:] |= np.any(np.abs(np.diff(reading, axis=0)) > HALF_RANGE_RAD, axis=1)
     wraps &= follows
-    joined = follows & ~wraps
-    starts = np.flatnonzero(use & ~joined)
-    ends = np.flatnonzero(use & ~np.append(joined[1:], False)) + 1
+    joined = follows & ~wraps & ~out
+    joined[1:] &= ~out[:-1]
+    starts = np.flatnonzero(use & ~out & ~joined)
+    ends = np.flatnonzero(use & ~out & ~np.append(joined[1:], False)) + 1
     voids = []
     for at in np.flatnonzero(cycles.flags & VOID_BEFORE):
         doubtful = int(cycles.flags[at]) >> VOID_SHIFT
@@ -120,7 +132,7 @@ def calibrate(arm: Arm, cycles: Cycles) -> Samples:
     motors = [joint.motor_encoder for joint in arm.joints]
     q = np.array([e.sign for e in links]) * (cycles.q - np.array([e.zero_rad for e in links]))
     theta = np.array([e.sign for e in motors]) * (cycles.theta - np.array([e.zero_rad for e in motors]))
-    runs = segments(cycles)
+    runs = segments(cycles, np.any(np.abs(theta - q) > HALF_RANGE_RAD, axis=1))
     alpha, beta = TORQUE_WEIGHTS[arm.torque_law]
     tau = np.full(cycles.tau.shape, np.nan)
     for start, stop in runs.ranges:

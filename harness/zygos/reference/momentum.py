@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from zygos.arm import Arm
 from zygos.reference.accumulator import MIN_ARC_INSTANTS
-from zygos.reference.arcs import doubtful, numbered
+from zygos.reference.arcs import numbered, unused
 from zygos.reference.cycle import Samples
 from zygos.reference.effects import STEP_RULE
 from zygos.reference.kinematics import State, body_rates, cross, gram, posture
@@ -136,7 +136,7 @@ def turns(arm: Arm, samples: Samples, smoothed: Smoothed) -> Turns | None:
         return None
     longest = max(1, round(arm.momentum_arc_s / arm.period_s))
     arc = numbered(smoothed, longest)
-    void = doubtful(arm, samples, smoothed, arc, longest)
+    void = unused(arm, samples, smoothed, arc, longest, "momentum")
     every, turn = rows(arm, smoothed, arc), attitudes(arm, smoothed, arc)
     count = every.shape[1]
     z, numbers, noise = [every[:0, 0]], [arc[:0]], [np.zeros((0, every.shape[2], every.shape[2]))]

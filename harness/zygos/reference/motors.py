@@ -12,7 +12,7 @@ from zygos.arm import Arm
 from zygos.effects import Effect, estimated
 from zygos.reference import impulse
 from zygos.reference.accumulator import MIN_ARC_INSTANTS, Design
-from zygos.reference.arcs import doubtful, numbered
+from zygos.reference.arcs import numbered, unused
 from zygos.reference.cycle import Samples
 from zygos.reference.momentum import Turns
 from zygos.reference.smoother import Smoothed
@@ -51,7 +51,7 @@ def motors(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Eff
     arc = numbered(smoothed, longest)
     _, first, which = np.unique(arc, return_index=True, return_inverse=True)
     position = np.arange(len(arc)) - first[which]
-    void = doubtful(arm, samples, smoothed, arc, longest)
+    void = unused(arm, samples, smoothed, arc, longest, "motor")
     names = [*arm.parameter_names, *(effect.column(arm) for effect in estimated(arm, effects))]
     out = []
     for one in impulse.rows(arm, samples, smoothed, arc, effects):

@@ -11,7 +11,6 @@ from types import ModuleType
 from typing import Any
 
 import can
-from rich.markup import escape
 
 from zygos.bus import open_bus
 from zygos.errors import ZygosError
@@ -90,7 +89,7 @@ def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> Non
     rows = []
     for outcome, verdict in _VERDICTS.items():
         for report in terminalreporter.getreports(outcome):
-            record = dict(report.user_properties).get(_DRILL)
+            record = dict(getattr(report, "user_properties", ())).get(_DRILL)  # a failed collection has none
             if record is None or (outcome == "passed" and (report.when != "call" or record["expected"] is None)):
                 continue  # no drill, or a test that judged nothing
             reason = report.longrepr[2].partition("not evaluated: ")[2] if outcome == "skipped" else None
@@ -102,7 +101,7 @@ def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> Non
         ("drill", "frames", "faults expected", "found", "verdict"),
         [
             (
-                escape(r["drill"]),
+                r["drill"],
                 f"{r['frames']:,}",
                 _listed(r["expected"]),
                 _listed(r["found"]),

@@ -75,7 +75,8 @@ class Dut:
         self.record = {"frames": 0, "expected": None, "found": None}
         if not self.external:
             self._end()
-            self.state.unlink(missing_ok=True)
+            for path in self.folder.glob(f"{self.state.name}*"):  # the generation before, too
+                path.unlink()
             self.twin = Flight(self.arm)
 
     def _end(self) -> None:

@@ -1,0 +1,35 @@
+#include "zygos/solver.h"
+
+#include <stddef.h>
+
+/* Whether the work was taken, and from memory that nobody changed; closes the open arcs. Apart from the solver, so that
+   who only checks does not link it. */
+bool zygos_work_intact(zygos_work_t *work)
+{
+    if (work == NULL) {
+        return false;
+    }
+    zygos_accumulator_t *sums = &work->accumulator;
+    if ((work->config.joints < 1u) || (work->config.joints > ZYGOS_MAX_JOINTS) ||
+        (zygos_effects_check(&work->config) < 0) || (work->config.kinetic > (uint32_t)ZYGOS_SPATIAL_ARM) ||
+        (work->config.base > (uint32_t)ZYGOS_BASE_FIXED)) {
+        return false;
+    }
+    zygos_balance_layout(&work->config, &work->layout);
+    if (!zygos_accumulator_intact(sums, work->layout.count) ||
+        !zygos_joint_sums_intact(&work->joint_sums, &work->config) ||
+        !zygos_momentum_sums_intact(&work->momentum_sums, &work->config)) {
+        return false;
+    }
+    zygos_accumulator_flush(sums);
+    if (!(zygos_accumulator_check(sums) <= 1.0) || !(zygos_joint_sums_check(&work->joint_sums, &work->config) <= 1.0) ||
+        !(zygos_momentum_sums_check(&work->momentum_sums) <= 1.0)) {
+        return false;
+    }
+    zygos_guard_end_momentum(&work->guard, &work->config, &work->layout, &work->momentum_sums, work->cycle);
+    zygos_guard_end_energy(&work->guard, &work->config, sums, work->cycle, work->arc);
+    if (work->config.impulse_arc_cycles > 0) {
+        zygos_guard_end_motors(&work->guard, &work->config, &work->layout, &work->joint_sums, work->cycle);
+    }
+    return (sums->corrupt == 0) && (work->joint_sums.corrupt == 0) && (work->momentum_sums.corrupt == 0);
+}

@@ -1,0 +1,396 @@
+#include "zygos/guard.h"
+
+#include "zygos/gram.h"
+
+#include <stddef.h>
+#include <string.h>
+
+/* Standard deviations that are no accident: those of ZYGOS_DRIFT_ALARM. */
+#define SIGMAS 6.0
+/* Of a random walk's mean square about its own mean, as the solver has it. */
+#define WALK 10.0
+/* An arc says that it agrees when this share of its spread would have contradicted. */
+#define TELLING 0.1
+
+void zygos_guard_clear(zygos_guard_t *self, bool counters, uint64_t cycle)
+{
+    uint32_t left_out[ZYGOS_KINDS_OF_ROWS];
+    zygos_left_out_t newest[ZYGOS_GUARD_ARCS];
+    const uint32_t lost = counters ? 0u : self->lost;
+    memcpy(left_out, self->left_out, sizeof left_out);
+    memcpy(newest, self->newest, sizeof newest);
+    memset(self, 0, sizeof *self);
+    if (!counters) {
+        memcpy(self->left_out, left_out, sizeof left_out);
+        memcpy(self->newest, newest, sizeof newest);
+    }
+    self->lost = lost;
+    self->since = cycle;
+}
+
+/* Each step is a bijection, so no flipped bit goes unnoticed. */
+static uint64_t check_of(const zygos_guard_t *self)
+{
+    const unsigned char *from = (const unsigned char *)&self->noise_ratio;
+    const size_t words = (sizeof *self - offsetof(zygos_guard_t, noise_ratio)) / sizeof(uint64_t);
+    uint64_t hash = 14695981039346656037u ^ self->parameters;
+    for (size_t i = 0; i < words; i++) {
+        uint64_t word;
+        memcpy(&word, from + i * sizeof word, sizeof word);
+        hash = (hash ^ word) * 1099511628211u;
+    }
+    return hash;
+}
+
+bool zygos_guard_intact(const zygos_guard_t *self)
+{
+    bool good = (self->known <= 1u) && (self->changed <= 1u);
+    for (uint32_t k = 0; k < (uint32_t)ZYGOS_KINDS_OF_ROWS; k++) {
+        good = good && (self->instants[k] >= 0.0) && (self->instants[k] <= ZYGOS_MOST_INSTANTS);
+    }
+    return good;
+}
+
+/* Whether there is a running solution that can be trusted; one that was spoilt is forgotten. */
+static bool knows(zygos_guard_t *self, uint32_t parameters)
+{
+    if (self->known == 0) {
+        return false;
+    }
+    if ((self->parameters != parameters) || (self->check != check_of(self))) {
+        self->known = 0;
+        self->lost++;
+        return false;
+    }
+    return true;
+}
+
+/* Entry of a symmetric matrix that is kept as its lower triangle. */
+static double entry(const double *packed, uint32_t i, uint32_t j)
+{
+    return (i >= j) ? packed[zygos_gram_entries(i) + j] : packed[zygos_gram_entries(j) + i];
+}
+
+/* What the rows of an arc say of the running solution. */
+typedef struct {
+    double residual; /* Sum of the residuals' squares, noise included. */
+    double usual;    /* What of it is usual. */
+    double off;      /* Its expectation when the solution is off by one standard deviation. */
+    double spread;   /* Sum of the squares of the right side. */
+} finding_t;
+
+/* Adds x~' G x~ of columns that stand at place[] of all, the right side behind them, and tr(G C). */
+static void look(const zygos_guard_t *self, const double *gram, const uint32_t *place, uint32_t columns, bool sides,
+                 finding_t *out)
+{
+    for (uint32_t a = 0; a < columns; a++) {
+        const uint32_t i = place ? place[a] : a;
+        for (uint32_t b = 0; b < a; b++) {
+            const uint32_t j = place ? place[b] : b;
+            out->residual += 2.0 * *gram * self->solution[i] * self->solution[j];
+            out->off += 2.0 * *gram * entry(self->covariance, i, j);
+            gram++;
+        }
+        out->residual += *gram * self->solution[i] * self->solution[i];
+        out->off += *gram * entry(self->covariance, i, i);
+        gram++;
+    }
+    for (uint32_t a = 0; sides && (a < columns); a++) {
+        out->residual -= 2.0 * gram[a] * self->solution[place ? place[a] : a];
+    }
+    out->residual += sides ? gram[columns] : 0.0;
+    out->spread += sides ? gram[columns] : 0.0;
+}
+
+double zygos_guard_most(double freedom)
+{
+    const double u = 2.0 / (9.0 * ((freedom > 1.0) ? freedom : 1.0));
+    const double third = 1.0 - u + SIGMAS * __builtin_sqrt(u);
+    return ZYGOS_GUARD_MARGIN * third * third * third;
+}
+
+static double larger(double a, double b)
+{
+    return (a > b) ? a : b;
+}
+
+/* The limit of a finding: usual is what n instants of the run leave, by number and by spread, and what noise says. */
+static double limit_of(const finding_t *found, const zygos_usual_t *usual, double n, double freedom)
+{
+    const double spread = larger(found->spread, n * usual->spread);
+    const double alike =
+        larger(n * usual->residual, (usual->spread > 0.0) ? usual->residual / usual->spread * spread : 0.0);
+    return zygos_guard_most(freedom) * larger(found->usual, alike) + SIGMAS * SIGMAS * larger(found->off, 0.0) +
+           ZYGOS_GUARD_SHARE * ZYGOS_GUARD_SHARE * spread;
+}
+
+/* Longest energy arcs that so many arcs of the given length cover. */
+static uint32_t several(const zygos_config_t *config, uint32_t rows)
+{
+    const uint32_t own = (rows == (uint32_t)ZYGOS_MOTOR_ROWS)      ? config->impulse_arc_cycles
+                         : (rows == (uint32_t)ZYGOS_MOMENTUM_ROWS) ? config->momentum_arc_cycles
+                                                                   : config->arc_cycles;
+    return ZYGOS_IN_A_ROW * ((own > 0) ? (config->arc_cycles + own - 1u) / own : 1u);
+}
+
+/* Counts an arc that was judged. telling: it could have contradicted. there: instants in the sums. */
+static void count(zygos_guard_t *self, const zygos_config_t *config, uint32_t rows, bool contradicts, bool telling,
+                  double n, double there, uint64_t cycle, uint32_t cycles)
+{
+    if (contradicts) {
+        const uint32_t place = (self->left_out[0] + self->left_out[1] + self->left_out[2]) % ZYGOS_GUARD_ARCS;
+        self->newest[place] = (zygos_left_out_t){ cycle, cycles, rows };
+        self->left_out[rows]++;
+        self->in_a_row[rows]++;
+        self->instants[rows] += n;
+    } else if (telling) {
+        self->in_a_row[rows] = 0;
+        self->instants[rows] = 0.0;
+    }
+    self->changed = 0;
+    for (uint32_t k = 0; k < (uint32_t)ZYGOS_KINDS_OF_ROWS; k++) {
+        self->changed |= (self->in_a_row[k] >= several(config, k)) ? 1u : 0u;
+    }
+    if ((self->changed != 0) && (self->instants[rows] > there)) {
+        /* What is known is the smaller part, and is not taken up again before half an arc has been admitted. */
+        self->known = 0;
+        self->since = cycle + config->arc_cycles / 2u;
+    }
+}
+
+static bool energy_contradicts(zygos_guard_t *self, const zygos_config_t *config, const zygos_accumulator_t *sums,
+                               bool *telling)
+{
+    const uint32_t p = sums->width - 2u;
+    const double n = (double)sums->arc_instants;
+    const double window = 2.0 * (double)config->smoother_half_width + 1.0;
+    finding_t rows = { 0.0, 0.0, 0.0, 0.0 };
+    finding_t noise = { 0.0, 0.0, 0.0, 0.0 };
+    finding_t blocks = { 0.0, 0.0, 0.0, 0.0 };
+    look(self, sums->noise_open.gram, NULL, p, true, &noise);
+    rows.usual = self->noise_ratio * noise.residual;
+    double share = 0.0;
+    double count_of_blocks = 0.0;
+    for (uint32_t b = sums->open; b < sums->count; b++) {
+        const zygos_block_t *block = &sums->block[b];
+        look(self, block->gram, NULL, p, true, &rows);
+        if (!(block->square > 0.0)) {
+            continue;
+        }
+        double sum = block->deviation[p];
+        double off = 0.0;
+        for (uint32_t i = 0; i < p; i++) {
+            sum -= self->solution[i] * block->deviation[i];
+            for (uint32_t j = 0; j < i; j++) {
+                off += 2.0 * block->deviation[i] * block->deviation[j] * entry(self->covariance, i, j);
+            }
+            off += block->deviation[i] * block->deviation[i] * entry(self->covariance, i, i);
+        }
+        blocks.residual += sum * sum / block->square;
+        blocks.off += off / block->square;
+        share += block->instants * block->instants / block->square;
+        count_of_blocks += 1.0;
+    }
+    rows.residual += noise.residual;
+    const double limit = limit_of(&rows, &self->energy, n, n / window);
+    /* What adds up in a block: as the run has it, of a mean square that is usual. */
+    const double usual = larger(rows.usual / n, self->energy.residual);
+    const double most = zygos_guard_most(0.5 * count_of_blocks) * self->cluster * usual * count_of_blocks +
+                        SIGMAS * SIGMAS * larger(blocks.off, 0.0) +
+                        ZYGOS_GUARD_SHARE * ZYGOS_GUARD_SHARE * self->energy.spread * share;
+    const double first = (limit > 0.0) ? rows.residual / limit : 0.0;
+    const double second = (most > 0.0) ? blocks.residual / most : 0.0;
+    self->contradiction[ZYGOS_ENERGY_ROWS] = larger(first, second);
+    *telling = limit < TELLING * rows.spread;
+    return self->contradiction[ZYGOS_ENERGY_ROWS] > 1.0;
+}
+
+void zygos_guard_end_energy(zygos_guard_t *self, const zygos_config_t *config, zygos_accumulator_t *sums,
+                            uint64_t cycle, uint32_t cycles)
+{
+    if (!zygos_accumulator_close(sums)) {
+        return;
+    }
+    if (!knows(self, sums->width - 2u) || !(self->energy.residual > 0.0)) {
+        zygos_accumulator_admit(sums, cycle);
+        return;
+    }
+    bool telling = false;
+    const bool contradicts = energy_contradicts(self, config, sums, &telling);
+    double there = 0.0;
+    for (uint32_t b = 0; b < sums->open; b++) {
+        there += sums->block[b].instants;
+    }
+    count(self, config, (uint32_t)ZYGOS_ENERGY_ROWS, contradicts, telling, (double)sums->arc_instants, there, cycle,
+          cycles);
+    if (contradicts) {
+        zygos_accumulator_leave_out(sums);
+    } else {
+        zygos_accumulator_admit(sums, cycle);
+    }
+}
+
+/* Places of the columns of the motor rows of a joint. Returns their number. */
+static uint32_t motor_places(const zygos_layout_t *layout, const zygos_impulse_layout_t *columns, uint32_t i,
+                             uint32_t *place)
+{
+    for (uint32_t c = 0; c < columns->count[i]; c++) {
+        place[c] = (c < 3u) ? layout->joint[i] + c : layout->effects + columns->effect[i][c - 3u];
+    }
+    return columns->count[i];
+}
+
+/* What a joint's rows in a block leave; usual is what the declared noise makes of it. */
+static void look_at_motor(const zygos_guard_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
+                          const zygos_joint_sums_t *sums, const zygos_joint_block_t *block, uint32_t i, finding_t *out)
+{
+    uint32_t place[ZYGOS_MAX_IMPULSE];
+    const uint32_t columns = motor_places(layout, &sums->layout, i, place);
+    const zygos_joint_config_t *joint = &config->joint[i];
+    finding_t noise = { 0.0, 0.0, 0.0, 0.0 };
+    look(self, sums->noise[i], place, columns, false, &noise);
+    look(self, block->joint[i].gram, place, columns, true, out);
+    const double n = block->instants[i];
+    const double stiffness = self->solution[place[1]];
+    const double reading =
+        joint->link_sigma_rad * joint->link_sigma_rad + joint->motor_sigma_rad * joint->motor_sigma_rad;
+    const double arc_s = config->period_s * (double)config->impulse_arc_cycles;
+    out->residual += n * noise.residual;
+    out->usual += n * (noise.residual + stiffness * stiffness * reading * arc_s * arc_s / WALK);
+}
+
+void zygos_guard_end_motors(zygos_guard_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
+                            zygos_joint_sums_t *sums, uint64_t cycle)
+{
+    const uint32_t cycles = sums->cycles;
+    if (!zygos_joint_sums_close(sums, config)) {
+        return;
+    }
+    if (!knows(self, layout->count)) {
+        zygos_joint_sums_admit(sums, cycle);
+        return;
+    }
+    double worst = 0.0;
+    bool telling = false;
+    for (uint32_t i = 0; i < config->joints; i++) {
+        const double n = sums->open.instants[i];
+        if ((sums->layout.count[i] == 0) || !(n > 0.0) || !(self->motor[i].residual > 0.0)) {
+            continue;
+        }
+        finding_t found = { 0.0, 0.0, 0.0, 0.0 };
+        look_at_motor(self, config, layout, sums, &sums->open, i, &found);
+        const double limit = limit_of(&found, &self->motor[i], n, 1.0);
+        telling = telling || (limit < TELLING * found.spread);
+        worst = (limit > 0.0) ? larger(worst, found.residual / limit) : worst;
+    }
+    double there = 0.0;
+    for (uint32_t b = 0; b < sums->count; b++) {
+        there += sums->block[b].total;
+    }
+    self->contradiction[ZYGOS_MOTOR_ROWS] = worst;
+    count(self, config, (uint32_t)ZYGOS_MOTOR_ROWS, worst > 1.0, telling, (double)sums->instants, there, cycle, cycles);
+    if (worst > 1.0) {
+        zygos_joint_sums_leave_out(sums);
+    } else {
+        zygos_joint_sums_admit(sums, cycle);
+    }
+}
+
+/* What momentum rows leave. Their right side is zero: the parts that must cancel stand for its spread. */
+static void look_at_momentum(const zygos_guard_t *self, const zygos_layout_t *layout, const zygos_momentum_sums_t *sums,
+                             const zygos_momentum_gram_t *rows, finding_t *out)
+{
+    uint32_t place[ZYGOS_MAX_MOMENTUM];
+    for (uint32_t c = 0; c < sums->columns; c++) {
+        place[c] = (c < layout->kinetic) ? c : layout->joint[c - layout->kinetic];
+        const double x = self->solution[place[c]];
+        out->spread += x * x * rows->gram[zygos_gram_entries(c + 1u) - 1u];
+    }
+    look(self, rows->gram, place, sums->columns, false, out);
+}
+
+void zygos_guard_end_momentum(zygos_guard_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
+                              zygos_momentum_sums_t *sums, uint64_t cycle)
+{
+    const uint32_t cycles = sums->cycles;
+    if (!zygos_momentum_sums_close(sums, config)) {
+        return;
+    }
+    if (!knows(self, layout->count) || !(self->momentum.residual > 0.0)) {
+        zygos_momentum_sums_admit(sums, cycle);
+        return;
+    }
+    const double n = sums->open.instants;
+    finding_t found = { 0.0, 0.0, 0.0, 0.0 };
+    finding_t noise = { 0.0, 0.0, 0.0, 0.0 };
+    look_at_momentum(self, layout, sums, &sums->noise_open, &noise);
+    look_at_momentum(self, layout, sums, &sums->open.rows, &found);
+    found.residual += noise.residual;
+    found.usual = noise.residual;
+    const double limit = limit_of(&found, &self->momentum, n, 1.0);
+    const bool contradicts = (limit > 0.0) && (found.residual > limit);
+    double there = 0.0;
+    for (uint32_t b = 0; b < sums->count; b++) {
+        there += sums->block[b].instants;
+    }
+    self->contradiction[ZYGOS_MOMENTUM_ROWS] = (limit > 0.0) ? found.residual / limit : 0.0;
+    count(self, config, (uint32_t)ZYGOS_MOMENTUM_ROWS, contradicts, limit < TELLING * found.spread, n, there, cycle,
+          cycles);
+    if (contradicts) {
+        zygos_momentum_sums_leave_out(sums);
+    } else {
+        zygos_momentum_sums_admit(sums, cycle);
+    }
+}
+
+static zygos_usual_t usual_of(const finding_t *found, double n)
+{
+    zygos_usual_t out = { 0.0, 0.0 };
+    if ((n > 0.0) && (found->residual > 0.0)) {
+        out.residual = found->residual / n;
+        out.spread = larger(found->spread, 0.0) / n;
+    }
+    return out;
+}
+
+void zygos_guard_begin(zygos_guard_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
+                       const zygos_accumulator_t *energy, const zygos_joint_sums_t *motors,
+                       const zygos_momentum_sums_t *momentum)
+{
+    const uint32_t p = layout->count;
+    double spread = 0.0;
+    double n = 0.0;
+    for (uint32_t b = 0; b < energy->open; b++) {
+        spread += energy->block[b].gram[zygos_gram_entries(p + 1u) - 1u];
+        n += energy->block[b].instants;
+    }
+    self->energy.spread = (n > 0.0) ? larger(spread, 0.0) / n : 0.0;
+    memset(self->motor, 0, sizeof self->motor);
+    for (uint32_t i = 0; i < config->joints; i++) {
+        finding_t found = { 0.0, 0.0, 0.0, 0.0 };
+        n = 0.0;
+        for (uint32_t b = 0; (b < motors->count) && (motors->layout.count[i] > 0); b++) {
+            look_at_motor(self, config, layout, motors, &motors->block[b], i, &found);
+            n += motors->block[b].instants[i];
+        }
+        self->motor[i] = usual_of(&found, n);
+    }
+    finding_t found = { 0.0, 0.0, 0.0, 0.0 };
+    n = 0.0;
+    for (uint32_t b = 0; b < momentum->count; b++) {
+        look_at_momentum(self, layout, momentum, &momentum->block[b].rows, &found);
+        n += momentum->block[b].instants;
+    }
+    if (n > 0.0) {
+        look_at_momentum(self, layout, momentum, &momentum->noise_closed, &found);
+    }
+    self->momentum = usual_of(&found, n);
+    if (self->known == 0) { /* the first, or that of another arm */
+        memset(self->in_a_row, 0, sizeof self->in_a_row);
+        memset(self->instants, 0, sizeof self->instants);
+        self->changed = 0;
+    }
+    self->known = 1;
+    self->parameters = p;
+    self->check = check_of(self);
+}

@@ -1,0 +1,457 @@
+"""zygos-node where memory, files or the disk fail: it goes on, with what can be trusted, and says so."""
+
+from __future__ import annotations
+
+import os
+import resource
+import shutil
+import signal
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from node_support import Node, hear
+from numpy.typing import NDArray
+
+from conftest import EXAMPLE, ROOT, need
+from round_support import told
+from zygos import snapshot
+from zygos.arm import Arm
+from zygos.cli import main
+from zygos.dbc import arm_database
+from zygos.flight import Flight, encode, ffi, lib
+from zygos.plant import Trajectory
+
+SYNC, TELEMETRY = 0x080, 0x1A0
+CORRUPT = lib.ZYGOS_REASON_CORRUPT
+Log = NDArray[Any]
+
+
+@pytest.fixture(scope="module")
+def config(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("onboard")
+    with pytest.raises(SystemExit) as end:
+        main(["compile-model", str(EXAMPLE / "arm.toml"), "-o", str(folder)])
+    assert not end.value.code
+    return folder / "arm.zyg"
+
+
+@pytest.fixture(scope="module")
+def frames(noisy: Trajectory, arm: Arm) -> Log:
+    return encode(arm, noisy.cycles(0))
+
+
+@pytest.fixture(scope="module")
+def syncs(frames: Log) -> NDArray[np.int64]:
+    """Where the SYNCs are."""
+    return np.flatnonzero(frames["id"] == SYNC)
+
+
+def image(flight: Flight) -> bytes:
+    return bytes(ffi.buffer(flight.native))
+
+
+def saved(path: Path) -> bytes:
+    return bytes(ffi.buffer(snapshot.read(path, "state")))
+
+
+def place_of(struct: str, *members: str | int) -> int:
+    return int(ffi.offsetof(struct, *members))
+
+
+GRAM = place_of("zygos_t", "accumulator", "block", 0, "gram", 0)
+"""An entry of the sums that is far from 0: the square of the first column."""
+
+
+def upset(node: Node) -> None:
+    """One bit of a sum: its exponent changes."""
+    node.flip(GRAM + 7, 4)
+
+
+def listened(node: Node, arm: Arm) -> list[tuple[str, float]]:
+    """Name and value of all telemetry, decoded by the arm's DBC and checked by its CRC."""
+    dbc = arm_database(arm)
+    return [told(dbc, data)[:2] for data in node.of(TELEMETRY)]
+
+
+def values(heard: list[tuple[str, float]], name: str) -> list[float]:
+    return [value for one, value in heard if one == name]
+
+
+# ---------------------------------------------------------------- memory
+
+
+def test_a_corrupt_sum_starts_the_estimate_over(
+    arm: Arm, config: Path, frames: Log, syncs: Log, tmp_path: Path
+) -> None:
+    """Nothing is stored yet, so it starts from nothing; reception and its counters go on. The verdict of the solution,
+    the counter and a line on stderr tell; what is saved at the end is what the library then has, and is sound."""
+    state = tmp_path / "state.zyg"
+    with Node("--config", config, "--every", 50, "--state", state) as node:
+        node.send(frames[: syncs[420] + 1])
+        node.worked_off(421)
+        upset(node)
+        node.send(frames[syncs[420] + 1 :])
+        node.process.send_signal(signal.SIGTERM)
+        code, counters, said = node.wait()
+        heard = listened(node, arm)
+    assert code == 0
+    assert said.startswith("zygos-node: memory was changed: sums or counts are corrupt; the estimate starts over; rem")
+    assert said.count("memory was changed") == 1
+    reasons = values(heard, "verdict_reason")
+    assert reasons.count(CORRUPT) == 1
+    assert reasons[9] == CORRUPT  # behind SYNC 451
+    assert values(heard, "node_corrupt")[:12] == 10 * [0.0] + 2 * [1.0]
+    assert (counters["node_corrupt"], counters["node_unsaved"]) == (1, 0)
+    assert values(heard, "verdict_validity")[-1] == 3.0
+    flight = Flight(arm)
+    hear(flight, frames[: syncs[450] + 1], 50)
+    assert lib.zygos_restart(flight.native, lib.ZYGOS_KEEP_FAULTS) == 1
+    hear(flight, frames[syncs[450] + 1 :], 50, 451)
+    assert saved(state) == image(flight)
+    assert not any(n for name, n in counters.items() if name.startswith("fault_"))
+    assert counters["count_cycles"] == 1200
+
+
+@pytest.mark.parametrize("every", [50, 1000], ids=["a solution finds it", "a save finds it"])
+def test_it_goes_back_to_the_last_good_state(
+    every: int, arm: Arm, config: Path, frames: Log, syncs: Log, tmp_path: Path
+) -> None:
+    """What corrupt memory would have been sealed over is what it goes on from."""
+    state = tmp_path / "state.zyg"
+    with Node("--config", config, "--state", state, "--save-every", 100, "--every", every) as node:
+        node.send(frames[: syncs[620] + 1])
+        node.worked_off(621)
+        good = state.read_bytes()
+        upset(node)
+        found = 650 if every == 50 else 699  # the SYNC behind which it is noticed, counted from 0
+        node.send(frames[syncs[620] + 1 : syncs[found] + 1])
+        node.worked_off(600)
+        assert state.read_bytes() == good
+        node.send(frames[syncs[found] + 1 : syncs[790]])
+        node.process.send_signal(signal.SIGTERM)
+        code, counters, said = node.wait()
+    assert code == 0
+    (tmp_path / "good.zyg").write_bytes(good)
+    flight = Flight(arm)
+    snapshot.resume(flight, tmp_path / "good.zyg")
+    assert f"goes on behind cycle {flight.native.cycle}\n" in said
+    hear(flight, frames[syncs[found] + 1 : syncs[790]], every, found + 1)
+    assert saved(state) == image(flight)
+    assert counters["node_corrupt"] == 1
+    assert counters["node_unsaved"] == (0 if every == 50 else 1)
+    assert flight.counts["accepted"] > 650
+    assert flight.estimate().validity == "valid"
+
+
+def test_corrupt_memory_is_not_saved_at_the_end(
+    arm: Arm, config: Path, frames: Log, syncs: Log, tmp_path: Path
+) -> None:
+    """The last good state stays, exit code 2 tells."""
+    state = tmp_path / "state.zyg"
+    with Node("--config", config, "--state", state, "--save-every", 100, "--every", 1000) as node:
+        node.send(frames[: syncs[250] + 1])
+        node.worked_off(251)
+        good = state.read_bytes()
+        upset(node)
+        node.process.send_signal(signal.SIGTERM)
+        code, counters, said = node.wait()
+    assert (code, counters["node_corrupt"], counters["node_unsaved"]) == (2, 1, 1)
+    assert "memory was changed" in said
+    assert state.read_bytes() == good
+    assert snapshot.read(state, "state").accumulator.accepted > 150
+
+
+@pytest.mark.parametrize(
+    ("where", "bit", "word"),
+    [
+        (place_of("zygos_t", "config", "joint", 1, "gear_ratio") + 6, 5, "the configuration is not what was compiled"),
+        (place_of("zygos_t", "config", "joints"), 0, "the configuration is not what was compiled"),
+        (place_of("zygos_t", "mark") + 3, 2, "sums or counts"),
+        (place_of("zygos_t", "joint_sums", "layout", "count", 0), 1, "sums or counts"),
+        (place_of("zygos_t", "accumulator", "target") + 7, 7, "sums or counts"),
+        (place_of("zygos_t", "receiver", "queue", "head") + 2, 4, "sums or counts"),
+    ],
+    ids=["gear ratio", "joints", "mark", "layout of the motor rows", "target", "place in the queue"],
+)
+def test_other_memory_heals_too(
+    where: int, bit: int, word: str, arm: Arm, config: Path, frames: Log, syncs: Log
+) -> None:
+    """A configuration that was changed makes every value wrong and no check of sums notices; a mark that is lost stops
+    the library; tables that follow from the configuration are computed anew."""
+    with Node("--config", config, "--every", 50) as node:
+        node.send(frames[: syncs[220] + 1])
+        node.worked_off(221)
+        node.flip(where, bit)
+        node.send(frames[syncs[220] + 1 :])
+        node.process.send_signal(signal.SIGTERM)
+        code, counters, said = node.wait()
+        heard = listened(node, arm)
+    assert (code, counters["node_corrupt"]) == (0, 1), (said, counters)
+    assert f"memory was changed: {word}" in said
+    assert values(heard, "verdict_validity")[-1] == 3.0
+    flight = Flight(arm)
+    flight.frames(frames[syncs[300] :])
+    known = flight.estimate()
+    for name, value, half in zip(known.names, known.value, known.half95, strict=True):
+        assert abs(values(heard, name)[-1] - value) < 3.0 * half
+
+
+# ---------------------------------------------------------------- two generations
+
+
+def run_to(config: Path, state: Path, frames: Log, end: int) -> int:
+    """Let a node hear these frames and save. Returns the cycle that it knows."""
+    with Node("--config", config, "--state", state) as node:
+        node.send(frames[:end])
+        node.end()
+    return int(snapshot.read(state, "state").cycle)
+
+
+def went_on(config: Path, state: Path) -> tuple[int, str]:
+    """The cycle behind which a start goes on, 0 where it starts from nothing, and what it complains of."""
+    with Node("--config", config, "--state", state) as node:
+        begin, words = int(node.first.split()[-1]), node.first
+        node.process.kill()
+    assert ("goes on behind" in words) == (begin > 0)
+    return begin, node.complaints
+
+
+@pytest.fixture
+def generations(config: Path, frames: Log, syncs: Log, tmp_path: Path) -> tuple[Path, int, int]:
+    """A state and the one before it; their cycles, newest first."""
+    state = tmp_path / "state.zyg"
+    older = run_to(config, state, frames, syncs[100])
+    first = state.read_bytes()
+    newest = run_to(config, state, frames, syncs[180])
+    assert (tmp_path / "state.zyg.previous").read_bytes() == first
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["state.zyg", "state.zyg.previous"]
+    assert newest > older > 90
+    return state, newest, older
+
+
+def sealed_corrupt(path: Path) -> None:
+    """Sums that were changed in memory, and then sealed with a CRC that fits."""
+    native = snapshot.read(path, "state")
+    native.accumulator.block[0].gram[0] *= 2.0
+    path.write_bytes(snapshot.seal("state", native))
+    snapshot.read(path, "state")
+
+
+SPOILED: dict[str, tuple[Callable[[Path], object], str]] = {
+    "sealed corrupt": (sealed_corrupt, "was damaged before it was sealed: its sums are corrupt"),
+    "empty": (lambda path: path.write_bytes(b""), "is no snapshot of zygos"),
+    "cut off": (lambda path: os.truncate(path, path.stat().st_size // 2), "is cut off"),
+    "zeros": (lambda path: path.write_bytes(bytes(path.stat().st_size)), "is no snapshot of zygos"),
+    "gone": (lambda path: path.unlink(), "is not there"),
+}
+
+
+@pytest.mark.parametrize("how", SPOILED)
+def test_the_older_state_where_the_newest_cannot_be_used(
+    how: str, config: Path, frames: Log, syncs: Log, generations: tuple[Path, int, int]
+) -> None:
+    state, _, older = generations
+    spoil, reason = SPOILED[how]
+    spoil(state)
+    begin, complaints = went_on(config, state)
+    assert begin == older
+    assert f"{state}: {reason}" in complaints
+    assert f"goes on from {state}.previous, the state before it" in complaints
+    assert state.with_name("state.zyg.unusable").exists() == (how != "gone")
+    newest = run_to(config, state, frames[syncs[190] :], 300)
+    assert went_on(config, state) == (newest, "")
+    sealed_corrupt(state)
+    assert went_on(config, state)[0] == older  # what could not be used has not become the generation before
+
+
+@pytest.mark.parametrize("how", [name for name in SPOILED if name != "gone"])
+def test_from_nothing_where_neither_can_be_used(
+    how: str, config: Path, frames: Log, syncs: Log, generations: tuple[Path, int, int]
+) -> None:
+    state, _, _ = generations
+    spoil, reason = SPOILED[how]
+    spoil(state)
+    spoil(state.with_name("state.zyg.previous"))
+    begin, complaints = went_on(config, state)
+    assert begin == 0
+    first, second, third = complaints.splitlines()
+    assert first.startswith(f"zygos-node: {state}: {reason}")
+    assert first.endswith(f" {state}.unusable")
+    assert second.startswith(f"zygos-node: {state}.previous: {reason}")
+    assert second.endswith(f" {state}.previous")
+    assert f"{state}: no state can be used, starts from nothing; remedy: " in third
+    newest = run_to(config, state, frames, syncs[60])
+    assert went_on(config, state) == (newest, "")
+
+
+@pytest.fixture(scope="module")
+def power_cut(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    cc = shutil.which("cc")
+    need(cc, "cc")
+    library = tmp_path_factory.mktemp("cut") / "power_cut.so"
+    source = ROOT / "tests" / "bus" / "power_cut.c"
+    subprocess.run([str(cc), "-O1", "-shared", "-fPIC", source, "-o", library, "-ldl"], check=True)
+    return library
+
+
+@pytest.mark.parametrize(
+    ("how", "links"), [("both good", True), ("both good", False), ("gone", True), ("sealed corrupt", True)]
+)
+def test_power_is_lost_at_any_change_of_the_disk(
+    how: str,
+    links: bool,
+    config: Path,
+    frames: Log,
+    syncs: Log,
+    generations: tuple[Path, int, int],
+    power_cut: Path,
+    tmp_path: Path,
+) -> None:
+    """Before each of the changes that a start and a save make, also on a disk where a file has but one name. A state is
+    there whenever it comes: the newest that there was before, or the one that was being saved."""
+    state, newest, older = generations
+    known = newest if how == "both good" else older
+    if how in SPOILED:
+        SPOILED[how][0](state)
+    files = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    log = tmp_path / "log"
+    environment = {"LD_PRELOAD": str(power_cut), "CUT_LOG": str(log)} | ({} if links else {"NO_LINKS": "1"})
+    begins: list[int] = []
+    code = -signal.SIGKILL
+    while code == -signal.SIGKILL:
+        for path in tmp_path.iterdir():
+            path.unlink()
+        for path, content in files.items():
+            path.write_bytes(content)
+        cut = len(begins) + 1
+        node = Node("--config", config, "--state", state, environment=environment | {"CUT": str(cut)})
+        if node.first:  # the start got through
+            node.send(frames[syncs[190] : syncs[200]])
+            node.process.send_signal(signal.SIGTERM)
+        code = node.process.wait(30.0)
+        node.__exit__()
+        changes = log.read_text().splitlines() if log.exists() else []
+        if code:
+            assert len(changes) == cut - 1
+            begins.append(went_on(config, state)[0])
+    assert code == 0
+    assert set(changes) == {"open", "write", "fsync", "rename", "fsync of the folder"} | (
+        {"unlink", "link"} if how == "both good" else set()
+    )
+    assert changes.count("write") > 3
+    assert begins[:-1] == (len(changes) - 1) * [known]
+    assert begins[-1] > known  # all but the folder was flushed
+
+
+# ---------------------------------------------------------------- the disk
+
+
+def limit(node: Node, size: int) -> None:
+    """Files may be so large from here on: the disk is full in the middle of a write."""
+    hard = resource.prlimit(node.process.pid, resource.RLIMIT_FSIZE)[1]
+    resource.prlimit(node.process.pid, resource.RLIMIT_FSIZE, (size, hard))
+
+
+def test_a_full_disk_ends_nothing(arm: Arm, config: Path, frames: Log, syncs: Log, tmp_path: Path) -> None:
+    """It is said once, and that it is over; the counter is on the bus; the states that there were stay."""
+    state = tmp_path / "state.zyg"
+    with Node("--config", config, "--state", state, "--save-every", 50, "--every", 100) as node:
+        node.send(frames[: syncs[110] + 1])
+        node.worked_off(111)
+        good, older = state.read_bytes(), state.with_name("state.zyg.previous").read_bytes()
+        limit(node, 1_000_000)
+        node.send(frames[syncs[110] + 1 : syncs[330] + 1])
+        node.worked_off(331)
+        assert state.read_bytes() == good
+        assert state.with_name("state.zyg.previous").read_bytes() == older
+        assert not state.with_name("state.zyg.partial").exists()
+        limit(node, resource.RLIM_INFINITY)
+        node.send(frames[syncs[330] + 1 : syncs[600]])
+        node.process.send_signal(signal.SIGTERM)
+        code, counters, said = node.wait()
+        heard = listened(node, arm)
+    assert (code, counters["node_unsaved"], counters["node_corrupt"]) == (0, 4, 0)
+    assert said.splitlines() == [
+        f"zygos-node: {state}: cannot be saved (File too large); remedy: check the folder and its space",
+        f"zygos-node: {state}: saved again, after 4 times that it could not be",
+    ]
+    assert values(heard, "node_unsaved") == [0.0, 0.0, 2.0, 4.0, 4.0, 4.0]
+    flight = Flight(arm)
+    hear(flight, frames[: syncs[600]])
+    assert saved(state) == image(flight)
+
+
+def plain_user() -> tuple[str, ...]:
+    """Root may write everywhere, unless that is taken from it."""
+    if os.geteuid():
+        return ()
+    setpriv = shutil.which("setpriv")
+    need(setpriv, "setpriv (util-linux)")
+    return (str(setpriv), "--bounding-set=-dac_override", "--inh-caps=-dac_override")
+
+
+def test_a_folder_that_is_not_open_for_writing(config: Path, frames: Log, syncs: Log, tmp_path: Path) -> None:
+    """As a disk that the kernel has made read-only after an error: what was stored is used, and nothing saved."""
+    folder = tmp_path / "states"
+    folder.mkdir()
+    state = folder / "state.zyg"
+    cycle = run_to(config, state, frames, syncs[100])
+    good = state.read_bytes()
+    folder.chmod(0o555)
+    try:
+        with Node("--config", config, "--state", state, through=plain_user()) as node:
+            assert f"goes on behind cycle {cycle}" in node.first
+            node.send(frames[syncs[110] : syncs[140]])
+            node.process.send_signal(signal.SIGTERM)
+            code, counters, said = node.wait()
+    finally:
+        folder.chmod(0o755)
+    assert node.complaints.startswith(f"zygos-node: {state}: cannot be saved (Permission denied); remedy: ")
+    assert (code, counters["node_unsaved"], counters["count_cycles"]) == (2, 1, cycle + 1 + 29)
+    assert said.startswith(f"zygos-node: {state}: cannot be saved (Permission denied); remedy: ")
+    assert state.read_bytes() == good
+
+
+def test_what_stands_in_the_way_of_the_older_state_is_said_once(
+    config: Path, frames: Log, syncs: Log, tmp_path: Path
+) -> None:
+    """The newest is saved all the same."""
+    state = tmp_path / "state.zyg"
+    (tmp_path / "state.zyg.previous").mkdir()
+    with Node("--config", config, "--state", state, "--save-every", 20) as node:
+        node.send(frames[: syncs[100]])
+        node.process.send_signal(signal.SIGTERM)
+        code, counters, said = node.wait()
+    assert (code, counters["node_unsaved"]) == (0, 0)
+    assert said.count("\n") == 1
+    assert f"{state}: cannot be kept as {state}.previous (Is a directory); remedy: remove what stands there" in said
+    assert snapshot.read(state, "state").cycle == 98
+
+
+def test_a_pipe_is_no_state(config: Path, tmp_path: Path) -> None:
+    """Nor does it wait for somebody who writes into it."""
+    pipe = tmp_path / "state.zyg"
+    os.mkfifo(pipe)
+    node = Node("--config", config, "--state", pipe)
+    assert node.process.wait(20.0) == 2
+    node.__exit__()
+    assert f"{pipe}: cannot be read (Not a regular file); remedy: name a file with --state" in node.complaints
+
+
+def test_nobody_reads_what_it_says(arm: Arm, config: Path, frames: Log, syncs: Log) -> None:
+    """Whoever kept its log has ended: that is no reason to end as well."""
+    with Node("--config", config, "--every", 50) as node:
+        assert node.process.stderr is not None
+        node.process.stderr.close()
+        node.send(frames[: syncs[220] + 1])
+        node.worked_off(221)
+        upset(node)
+        node.send(frames[syncs[220] + 1 : syncs[345]])
+        node.worked_off(345)
+        assert node.process.poll() is None
+        node.listen()
+        assert values(listened(node, arm), "node_corrupt")[-1] == 1.0

@@ -1,0 +1,58 @@
+"""A stored motion that is repeated for as long as one likes, with the sensors' noise drawn anew each time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from zygos.arm import Arm
+from zygos.cycles import BREAK_BEFORE, Cycles
+from zygos.flight import Flight
+from zygos.model import Model
+from zygos.plant import simulate
+from zygos.scenario import Scenario
+
+DURATION_S = 60.0
+
+
+def with_all_rows(arm: Arm) -> Arm:
+    """The arm with energy, motor and momentum rows."""
+    return replace(arm, momentum_max_s=10.0)
+
+
+def stored(arm: Arm, model: Model, scenario: Scenario) -> Cycles:
+    """A minute without noise."""
+    return simulate(arm, model, scenario, noise=False, duration_s=DURATION_S).cycles()
+
+
+def again(arm: Arm, motion: Cycles, first: int, rng: np.random.Generator) -> Cycles:
+    """The motion with fresh noise, from cycle `first` on; an arc begins."""
+    link = np.array([joint.link_encoder.over_the_wire.sigma_rad for joint in arm.joints])
+    motor = np.array([joint.motor_encoder.over_the_wire.sigma_rad for joint in arm.joints])
+    flags = np.zeros(len(motion), dtype=np.uint32)
+    flags[0] = BREAK_BEFORE
+    return replace(
+        motion,
+        sync=np.arange(first, first + len(motion), dtype=np.uint64),
+        q=motion.q + link * rng.normal(size=motion.q.shape),
+        theta=motion.theta + motor * rng.normal(size=motion.theta.shape),
+        omega=motion.omega + arm.imu.rate_sigma * rng.normal(size=motion.omega.shape),
+        flags=flags,
+    )
+
+
+def fly(flight: Flight, motion: Cycles, times: int, rng: np.random.Generator) -> None:
+    """Repeat the motion behind what the flight has seen."""
+    for _ in range(times):
+        flight.cycles(again(flight.arm, motion, int(flight.native.cycle) + 1, rng))
+
+
+def instants(flight: Flight) -> dict[str, list[float]]:
+    """Of the blocks of closed arcs."""
+    energy, motors, momentum = flight.native.accumulator, flight.native.joint_sums, flight.native.momentum_sums
+    return {
+        "energy": [energy.block[b].instants for b in range(energy.open)],
+        "motors": [motors.block[b].total for b in range(motors.count)],
+        "momentum": [momentum.block[b].instants for b in range(momentum.count)],
+    }

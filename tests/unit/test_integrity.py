@@ -1,0 +1,190 @@
+"""A bit of the sums that flips: the estimate is refused as corrupt, or hardly another."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+from flight_support import part
+from soak_support import again, fly, stored, with_all_rows
+
+from zygos.arm import Arm
+from zygos.cycles import Cycles
+from zygos.flight import REASONS, Estimate, Flight, ffi
+from zygos.model import Model
+from zygos.scenario import Scenario
+
+CORRUPT = REASONS[5]
+MOVED, FACTOR = 0.5, 1.5
+"""What a flip that is not noticed may do: move a value by so many sigmas, and change a sigma by this factor."""
+BITS = (0, 10, 20, 28, 36, 40, 44, 46, 48, 49, 50, 51, 52, 53, 54, 57, 60, 61, 62, 63)
+FEW_BITS = (30, 46, 51, 53, 62, 63)
+
+Word = tuple[str, int, int]
+"""Name, place in the state, bytes."""
+
+
+@pytest.fixture(scope="module")
+def motion(arm: Arm, model: Model, scenario: Scenario) -> Cycles:
+    """A minute without noise."""
+    return stored(arm, model, scenario)
+
+
+@pytest.fixture(scope="module")
+def flight(arm: Arm, motion: Cycles) -> Flight:
+    """Eight arcs of the energy, of which blocks have merged in each kind of sums, and two thirds of the ninth."""
+    floating, rng = with_all_rows(arm), np.random.default_rng(0)
+    out = Flight(floating)
+    fly(out, motion, 8, rng)
+    out.cycles(part(again(floating, motion, int(out.native.cycle) + 1, rng), 0, 2 * len(motion) // 3 + 37))
+    sums = out.native
+    assert sums.accumulator.target > 24.0  # the least segment
+    assert sums.joint_sums.block[0].total > sums.config.impulse_arc_cycles
+    assert sums.momentum_sums.block[0].instants > sums.config.momentum_arc_cycles
+    assert sums.accumulator.count >= sums.accumulator.open + 3
+    return out
+
+
+def words(flight: Flight, name: str, struct: Any, members: Sequence[str]) -> Iterator[Word]:
+    """The members of a struct inside the state: numbers, or arrays of them."""
+    start = int(ffi.cast("uintptr_t", flight.native))
+    for member in members:
+        place = int(ffi.cast("uintptr_t", ffi.addressof(struct, member))) - start
+        kind = dict(ffi.typeof(struct).fields)[member].type
+        one = kind.item if kind.kind == "array" else kind
+        count = kind.length if kind.kind == "array" else 1
+        for k in range(count):
+            yield f"{name}.{member}[{k}]", place + k * ffi.sizeof(one), ffi.sizeof(one)
+
+
+def flipped(flight: Flight, word: Word, bit: int) -> Estimate:
+    """The estimate with that bit the other way round, which it is only for so long."""
+    memory = ffi.buffer(flight.native)
+    at = word[1] + bit // 8
+    memory[at] = bytes([memory[at][0] ^ 1 << bit % 8])
+    try:
+        return flight.estimate()
+    finally:
+        memory[at] = bytes([memory[at][0] ^ 1 << bit % 8])
+
+
+def harmless(found: Estimate, before: Estimate) -> bool:
+    if (found.validity, found.reason) != (before.validity, before.reason):
+        return False
+    moved = np.abs(found.value - before.value) / before.sigma
+    changed = np.abs(np.log(found.sigma / before.sigma))
+    return bool((moved <= MOVED).all() and (changed <= np.log(FACTOR)).all())
+
+
+def flip(flight: Flight, listed: Sequence[Word], bits: Sequence[int], *, silent: bool = False) -> None:
+    """Every one of these bits. silent: to have no values for another reason than corruption will do as well."""
+    before = flight.estimate()
+    assert before.validity == "valid"
+    refused, wrong = 0, []
+    for word in listed:
+        for bit in (bit for bit in bits if bit < 8 * word[2]):
+            found = flipped(flight, word, bit)
+            refused += found.reason == CORRUPT
+            mute = silent and found.validity in ("refused", "doubtful")
+            if found.reason != CORRUPT and not harmless(found, before) and not mute:
+                wrong.append(f"{word[0]} bit {bit}: {found.validity} {found.reason}")
+    assert wrong == []
+    assert refused > 0
+
+
+def blocks(flight: Flight, kind: str) -> list[tuple[str, Any]]:
+    """The first, one in the middle and the last of the closed arcs; and those of the open arc."""
+    sums = getattr(flight.native, kind)
+    closed = sums.open if kind == "accumulator" else sums.count
+    listed = [(f"{kind}.block[{b}]", sums.block[b]) for b in (0, closed // 2, closed - 1)]
+    if kind != "accumulator":
+        return [*listed, (f"{kind}.open", sums.open)]
+    return listed + [(f"{kind}.block[{b}]", sums.block[b]) for b in (sums.open, sums.open + 1, sums.count - 1)]
+
+
+SMALL = {
+    "accumulator": ("instants", "square", "overlap", "end", "seal"),
+    "joint_sums": ("instants", "total", "end", "seal"),
+    "momentum_sums": ("instants", "end", "seal"),
+}
+
+
+@pytest.mark.parametrize("kind", SMALL)
+def test_what_stands_beside_the_sums_of_a_block(flight: Flight, kind: str) -> None:
+    listed = [word for name, block in blocks(flight, kind) for word in words(flight, name, block, SMALL[kind])]
+    flip(flight, [word for word in listed if "instants[" not in word[0] or word[0][-2] in "01"], BITS)
+
+
+def test_the_deviations_of_a_block(flight: Flight) -> None:
+    p = flight.native.layout.count
+    listed = []
+    for name, block in blocks(flight, "accumulator"):
+        listed += list(words(flight, name, block, ["deviation"]))[: p + 2]
+    flip(flight, listed, FEW_BITS)
+
+
+@pytest.mark.parametrize("kind", SMALL)
+def test_the_sums_of_a_block(flight: Flight, kind: str) -> None:
+    """Every fifth entry, and every row sum."""
+    p = flight.native.layout.count
+    listed: list[Word] = []
+    for name, block in (blocks(flight, kind)[0], blocks(flight, kind)[-1]):
+        if kind == "joint_sums":
+            listed += list(words(flight, name, block.joint[0], ["gram"]))[:14]
+            listed += list(words(flight, name, block.joint[1], ["sum"]))[:4]
+            continue
+        sums = block.rows if kind == "momentum_sums" else block
+        width = flight.native.momentum_sums.columns if kind == "momentum_sums" else p + 1
+        listed += list(words(flight, name, sums, ["gram"]))[: width * (width + 1) // 2 : 5]
+        listed += list(words(flight, name, sums, ["sum"]))[:width]
+    flip(flight, listed, FEW_BITS)
+
+
+def test_what_says_which_blocks_there_are(flight: Flight) -> None:
+    """Of places and lengths, and of the segment and the step that fill."""
+    energy, motors, momentum = (getattr(flight.native, kind) for kind in SMALL)
+    listed = [
+        *words(flight, "accumulator", energy, ["width", "count", "open", "newest", "window", "arcs", "arc_instants"]),
+        *words(
+            flight, "accumulator", energy, ["corrupt", "filled", "filling", "shared", "enough", "target", "segment"]
+        ),
+        *words(flight, "accumulator", energy, ["early", "late", "accepted", "refused", "seal"]),
+        *words(flight, "accumulator", energy.step[0], ["instants"]),
+        *words(flight, "accumulator", energy.step[1], ["instants"]),
+        *words(flight, "joint_sums", motors, ["count", "corrupt", "instants", "cycles", "target", "seal"]),
+        *words(flight, "momentum_sums", momentum, ["columns", "components", "signals", "count", "corrupt"]),
+        *words(flight, "momentum_sums", momentum, ["cycles", "target", "seal"]),
+    ]
+    flip(flight, listed, (0, 1, 2, 5, 9, 20, 31, 40, 51, 52, 55, 62, 63), silent=True)
+
+
+@pytest.mark.parametrize("keep", [1.0, 1.0 - 1e-5])
+def test_a_flip_is_remembered_when_its_block_changes(flight: Flight, motion: Cycles, keep: float) -> None:
+    """Blocks that merge or fade, and an arc that closes, do not seal what was changed before."""
+
+    def other() -> Flight:
+        out = Flight(flight.arm)
+        ffi.memmove(out.native, flight.native, ffi.sizeof("zygos_t"))
+        out.native.config.keep = keep
+        return out
+
+    def refused(changed: Flight) -> bool:
+        fly(changed, motion, 7, np.random.default_rng(2))
+        return changed.estimate().reason == CORRUPT
+
+    assert not refused(other())
+    for member in ("instants", "square", "overlap", "end"):
+        closed, opened = other(), other()
+        first = closed.native.accumulator.block[0]
+        last = opened.native.accumulator.block[opened.native.accumulator.count - 1]
+        for block in (first, last):
+            setattr(block, member, getattr(block, member) + 1)
+        assert refused(closed)
+        assert refused(opened) == (member != "end")  # which an arc gets when it closes
+    for kind, member in (("joint_sums", "total"), ("joint_sums", "end"), ("momentum_sums", "instants")):
+        changed = other()
+        block = getattr(changed.native, kind).block[0]
+        setattr(block, member, getattr(block, member) + 1)
+        assert refused(changed)

@@ -1,0 +1,229 @@
+"""The compiled equations of motion are those of numpy and of engines by others; what a simulation with them errs by."""
+
+from __future__ import annotations
+
+import pickle
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from arm_support import State as Sample
+from arm_support import random_arm, random_state
+
+from bench.simulator import far
+from conftest import ROOT
+from zygos.arm import Arm, load_arm
+from zygos.effects import CATALOGUE, Effect, Kind
+from zygos.engines import engine
+from zygos.errors import ZygosError
+from zygos.flight import ffi, lib
+from zygos.model import Model, load_model
+from zygos.motion import equations
+from zygos.multibody import Multibody
+from zygos.plant import Trajectory, simulate
+from zygos.scenario import Motion, Scenario, Sine, load_scenario
+from zygos.spatial import SpatialDynamics
+
+ARMS = [
+    (joints, base, kinetic, kind)
+    for joints in (1, 2, 3, 7, 9)
+    for base in ("free", "fixed")
+    for kinetic in ("spatial", "planar", "planar-symmetric")
+    for kind in ("flexible", "rigid", "mixed")
+    if base == "fixed" or kinetic == "spatial"
+]
+FLEXIBLE = {"flexible": (True, True), "rigid": (False, False), "mixed": (False, True)}
+BOUND = 1e-9
+"""What a simulation may err by, of each signal's size."""
+
+
+def arm_of(joints: int, base: str, kinetic: str, kind: str) -> tuple[Arm, Model, list[Sample]]:
+    flexible = [FLEXIBLE[kind][i % 2] for i in range(joints)]
+    arm, model = random_arm(joints, joints, base, kinetic, flexible)  # type: ignore[arg-type]
+    rng = np.random.default_rng(joints)
+    return arm, model, [random_state(rng, arm) for _ in range(5)]
+
+
+def example(name: str) -> tuple[Arm, Model, Scenario]:
+    folder = ROOT / "examples" / name
+    return load_arm(folder / "arm.toml"), load_model(folder / "model.toml"), load_scenario(folder / "scenario.toml")
+
+
+@pytest.mark.parametrize(("joints", "base", "kinetic", "kind"), ARMS)
+def test_accelerations_are_numpys(joints: int, base: str, kinetic: str, kind: str) -> None:
+    arm, model, samples = arm_of(joints, base, kinetic, kind)
+    ours, numpys = Multibody.from_model(arm, model), SpatialDynamics.from_model(arm, model)
+    for sample in samples:
+        for got, wanted in zip(ours.accelerations(*sample), numpys.accelerations(*sample), strict=True):
+            np.testing.assert_allclose(got, wanted, rtol=0, atol=1e-11 * np.abs(wanted).max())
+
+
+@pytest.mark.parametrize(("joints", "base", "kinetic", "kind"), ARMS)
+@pytest.mark.parametrize("name", ["pinocchio", "mujoco"])
+def test_accelerations_are_those_of_engines(name: str, joints: int, base: str, kinetic: str, kind: str) -> None:
+    arm, model, samples = arm_of(joints, base, kinetic, kind)
+    oracle, ours = engine(name, arm, model), Multibody.from_model(arm, model)
+    for sample in samples:
+        for got, wanted in zip(ours.accelerations(*sample), oracle.accelerations(*sample), strict=True):
+            np.testing.assert_allclose(got, wanted, rtol=0, atol=1e-10 * np.abs(wanted).max())
+
+
+def _stribeck(rate: np.ndarray) -> np.ndarray:
+    return np.tanh(rate / 0.01) * (1.0 + 0.5 * np.exp(-((rate / 0.05) ** 2)))
+
+
+OWN = Kind("stribeck", "Stribeck friction", "Nm", "link", _stribeck)
+"""A law of somebody's own: any callable."""
+
+
+def laws(arm: Arm) -> tuple[Effect, ...]:
+    """Every torque law of the catalogue and one of our own, and a coupling that is not nature's."""
+    first, last = arm.joints[0].name, arm.joints[-1].name
+    values = {"motor_coulomb": 0.02, "motor_viscous": 0.01, "link_coulomb": 0.3, "cubic_stiffness": 900.0}
+    common = [Effect(CATALOGUE[key], last, value) for key, value in values.items()]
+    others = [Effect(CATALOGUE["spring_offset"], first, 0.4), Effect(CATALOGUE["rotor_coupling"], first, 0.3)]
+    return (*common, *others, Effect(OWN, first, 0.7))
+
+
+@pytest.mark.parametrize("kind", FLEXIBLE)
+@pytest.mark.parametrize("base", ["free", "fixed"])
+def test_effects_act_as_in_numpy(base: str, kind: str) -> None:
+    arm, model, samples = arm_of(4, base, "spatial", kind)
+    plain, model = Multibody.from_model(arm, model), replace(model, effects=laws(arm))
+    ours, numpys = Multibody.from_model(arm, model), SpatialDynamics.from_model(arm, model)
+    for sample in samples:
+        together = zip(ours.accelerations(*sample), numpys.accelerations(*sample), strict=True)
+        for got, wanted in together:
+            np.testing.assert_allclose(got, wanted, rtol=0, atol=1e-11 * np.abs(wanted).max())
+        assert np.abs(ours.accelerations(*sample)[1] - plain.accelerations(*sample)[1]).max() > 1e-3
+
+
+def test_a_batch_is_its_members() -> None:
+    arm, model, samples = arm_of(3, "free", "spatial", "mixed")
+    dynamics = Multibody.from_model(arm, model)
+    stacked = [np.stack([part, part]) for part in map(np.stack, zip(*samples, strict=True))]
+    for k, part in enumerate(dynamics.accelerations(*stacked)):
+        assert part.shape[:2] == (2, len(samples))
+        for row in part:
+            np.testing.assert_array_equal(row, [dynamics.accelerations(*sample)[k] for sample in samples])
+    with pytest.raises(ValueError, match="broadcast"):
+        dynamics.accelerations(*stacked[:-1], samples[0].tau[:2])
+
+
+def test_a_copy_in_another_process_moves_alike() -> None:
+    arm, model, samples = arm_of(2, "free", "spatial", "flexible")
+    dynamics = Multibody.from_model(arm, model)
+    before = dynamics.accelerations(*samples[0])
+    copied = pickle.loads(pickle.dumps(dynamics))
+    np.testing.assert_array_equal(np.hstack(copied.accelerations(*samples[0])), np.hstack(before))
+
+
+@pytest.mark.parametrize("joints", [1, 3, 12])
+@pytest.mark.parametrize("base", ["free", "fixed"])
+def test_memory_is_what_it_says(joints: int, base: str) -> None:
+    """It fills its scratch memory to the last double and not beyond, and nothing of it is read before it is written."""
+    arm, model, samples = arm_of(joints, base, "spatial", "mixed")
+    dynamics = Multibody.from_model(arm, model)
+    native, room, _ = dynamics._compiled
+    state = np.concatenate([samples[0].omega0, samples[0].q, samples[0].qd, samples[0].thetad, *np.ones((3, joints))])
+    results = []
+    for filling in (np.nan, 7.0):
+        scratch, result = np.full(room + 50, filling), np.full(3 + 2 * joints + 50, filling)
+        views = [ffi.from_buffer("double[]", array) for array in (state, result, scratch)]
+        lib.zygos_multibody_accelerations(native, 1, *views)
+        for array, used in ((scratch, room), (result, 3 + 2 * joints)):
+            np.testing.assert_array_equal(array[used:], filling)
+        if base == "free":
+            assert scratch[room - 1] != filling
+        results.append(result[: 3 + 2 * joints])
+    assert np.isfinite(results[0]).all()
+    np.testing.assert_array_equal(*results)
+
+
+def test_where_no_inertia_resists_nothing_is_finite() -> None:
+    """Not a crash, and no number that looks like one."""
+    arm, model, samples = arm_of(2, "free", "spatial", "flexible")
+    dynamics = Multibody.from_model(arm, model)
+    empty = replace(dynamics, matrix=np.zeros_like(dynamics.matrix), coupling=np.zeros(2))
+    assert not np.isfinite(np.hstack(empty.accelerations(*samples[0]))).any()
+
+
+def test_nothing_is_shared_with_the_library_that_estimates() -> None:
+    text = (ROOT / "c" / "ports" / "host" / "multibody.c").read_text()
+    text += (ROOT / "c" / "ports" / "host" / "multibody.h").read_text()
+    assert set(re.findall(r'#include ["<](.*)[">]', text)) == {"multibody.h", "math.h", "string.h", "stdint.h"}
+    assert set(re.findall(r"\b(zygos_\w+)\(", text)) == {"zygos_multibody_scratch", "zygos_multibody_accelerations"}
+
+
+# of each scenario in space: SYNC period and seconds beside numpy, which takes 3 and 20 CPU seconds a second
+SHIPPED = {"spatial": (0.01, 0.3, 4.0), "seven": (0.004, 0.032, 0.4)}
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_a_simulation_errs_by_less_than_it_may(name: str) -> None:
+    """Against DOP853 on numpy's equations at a tighter tolerance; and longer against itself at that tolerance.
+
+    Sensors are exact: an encoder that rounds tips over at differences of any size. Nothing amplifies an error here: the
+    servos hold every joint, and after the start the difference does not grow.
+    """
+    arm, model, scenario = example(name)
+    period, beside_s, longer_s = SHIPPED[name]
+
+    def run(duration: float, law: type[SpatialDynamics], **tolerance: float) -> Trajectory:
+        dynamics = law.from_model(arm, model)
+        return simulate(
+            arm, model, scenario, dynamics=dynamics, noise=False, period_s=period, duration_s=duration, **tolerance
+        )
+
+    tight = {"rtol": 1e-13, "atol": 1e-15}
+    assert isinstance(equations(arm, model), Multibody)
+    short, long = run(beside_s, Multibody), run(longer_s, Multibody)
+    assert far(short, run(beside_s, SpatialDynamics, **tight)) < BOUND
+    assert far(long, run(longer_s, Multibody, **tight)) < BOUND
+    # and the bound is one: a coarser integration does not keep it
+    assert far(run(beside_s, Multibody, rtol=1e-5, atol=1e-7), short) > BOUND
+
+
+def test_laws_in_python_move_an_arm_in_space() -> None:
+    arm, model, scenario = example("spatial")
+    arm = arm.at_period(0.01)
+    effects = (
+        Effect(CATALOGUE["cubic_stiffness"], "elbow", 2e5),
+        Effect(CATALOGUE["motor_viscous"], "yaw", 1e-3),
+        Effect(CATALOGUE["torque_lag"], "shoulder", 0.004),
+        Effect(OWN, "shoulder", 0.5),
+    )
+    drawn = replace(model, effects=effects)
+
+    def run(law: type[SpatialDynamics], model: Model) -> Trajectory:
+        dynamics = law.from_model(arm, model)
+        return simulate(arm, model, scenario, dynamics=dynamics, noise=False, duration_s=0.2, seeds=[0, 1])
+
+    moved = run(Multibody, drawn)
+    assert far(moved, run(SpatialDynamics, drawn)) < BOUND
+    assert far(moved, run(Multibody, model)) > 1e-3
+    np.testing.assert_array_equal(moved.q[0], moved.q[1])
+
+
+def test_a_motion_that_no_number_follows_is_refused() -> None:
+    """Gains far too high for the sample rate: NaN and infinity end in a message, not in a result."""
+    arm, model, scenario = example("spatial")
+    wild = replace(scenario, controller=replace(scenario.controller, kp=1e9, kd=1e8))
+    with pytest.raises(ZygosError, match=r"(diverges|integration steps).*remedy"):
+        simulate(arm, model, wild, period_s=0.01, duration_s=1.0)
+
+
+def test_six_joints_conserve_momentum() -> None:
+    arm, model = random_arm(6, 6, "free")
+    moves = {joint.name: Motion(sines=(Sine(0.3, 0.7 + 0.3 * i),)) for i, joint in enumerate(arm.joints)}
+    scenario = replace(
+        example("spatial")[2], manoeuvre=moves, initial_angles_rad=(), angular_momentum_nms=(3.0, 1.0, -2.0)
+    )
+    scenario = replace(scenario, controller=replace(scenario.controller, kp=40.0, kd=10.0))
+    run = simulate(arm, model, scenario, noise=False, period_s=0.01, duration_s=1.0)
+    law = run.dynamics
+    assert isinstance(law, Multibody)
+    h = law.momentum(run.q[0], run.omega0[0], run.qd[0], run.thetad[0])
+    np.testing.assert_allclose(np.linalg.norm(h, axis=1), np.linalg.norm([3.0, 1.0, -2.0]), rtol=1e-10)
+    assert np.abs(run.q[0]).max() > 0.1
