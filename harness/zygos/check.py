@@ -13,13 +13,15 @@ from zygos.arm import Arm
 from zygos.cycles import Cycles
 from zygos.effects import Effect
 from zygos.errors import Undecided
-from zygos.flight import ROWS, Flight, LeftOut, Trace
+from zygos.flight import GATE, ROWS, Estimate, Flight, LeftOut, Trace
 from zygos.reference.accumulator import Design, design
-from zygos.reference.balance import Balance, rows
+from zygos.reference.balance import Balance, arc_cycles, rows
 from zygos.reference.cycle import Samples, calibrate
-from zygos.reference.momentum import turns
-from zygos.reference.motors import motors, solve_with_others
+from zygos.reference.impulse import joint_names as impulse_names
+from zygos.reference.momentum import Turns, turns
+from zygos.reference.motors import Combined, Motors, combine, motors
 from zygos.reference.noise import noise_of
+from zygos.reference.sigmas import Block, intervals
 from zygos.reference.smoother import Smoothed, smooth
 from zygos.reference.wire import Frame, Reception, receive
 from zygos.watch import Watch
@@ -33,6 +35,10 @@ LARGEST_TOLERANCE = 1e-9
 """Beyond it a difference is no rounding, whatever the readings."""
 NOISE_TOLERANCE = 1e-9
 """Of the root of the product of the two diagonal entries."""
+SIGMA_TOLERANCE = 1e-5
+"""Of each sigma, where the solution is known better than that."""
+STUDENT_TOLERANCE = 0.02
+"""Of each half width, from 2 degrees of freedom on."""
 FLOOR = 0.1
 """The least size (rad, rad/s, J per unit) that a column of states or rows is measured by: at rest it holds rounding."""
 
@@ -274,9 +280,10 @@ def check_chain(arm: Arm, trace: Trace, flight: Flight, ended: Sequence[LeftOut]
     rooms.append(Room("normal equations", off.size, difference, None, tolerance))
     try:
         of_motors, momentum = motors(arm, samples, smoothed, flight.effects), turns(arm, samples, smoothed)
-        solution = solve_with_others(arm, used, of_motors, momentum, flight.effects)
+        combined = combine(arm, used, of_motors, momentum, flight.effects)
     except Undecided:
         return rooms
+    solution = combined.solution
     tolerance = max(1e-9, 1e-14 * estimate.condition)
     size = sizes(arm, solution.x)
     # an effect may be zero; what it could explain at the most is its size then
@@ -284,8 +291,55 @@ def check_chain(arm: Arm, trace: Trace, flight: Flight, ended: Sequence[LeftOut]
     size[first:] = np.linalg.norm(used.w) / np.linalg.norm(used.z[:, first:], axis=0)
     relative = (np.abs(estimate.value - solution.x) / size)[has_value]
     worst = float(np.max(relative, initial=0.0)) if np.all(np.isfinite(relative)) else float("inf")
-    rooms.append(Room("solution", len(relative), worst, None, tolerance))
-    return rooms
+    if not balance.void and has_value.all() and estimate.gate >= GATE:
+        # a sigma comes from differences of solutions
+        closest = max(SIGMA_TOLERANCE, tolerance * float(np.max(size / estimate.sigma)))
+        rooms.append(_compare_sigmas(arm, flight, estimate, used, of_motors, momentum, combined, closest))
+    return [*rooms, Room("solution", len(relative), worst, None, tolerance)]
+
+
+def _compare_sigmas(
+    arm: Arm,
+    flight: Flight,
+    estimate: Estimate,
+    used: Design,
+    of_motors: Sequence[Motors],
+    momentum: Turns | None,
+    combined: Combined,
+    tolerance: float,
+) -> Room:
+    """Compare sigmas and half widths where every parameter has them, from the library's own blocks."""
+    names = list(flight.names)
+    blocks = flight.blocks()
+
+    def spread_out(own: Sequence[str], sums: Floats, factor: float) -> Floats:
+        """(p+1, p+1) with the sums of some columns, and of their right-hand side where it has one."""
+        places = [names.index(name) for name in own] + ([len(names)] if len(sums) > len(own) else [])
+        out = np.zeros((len(names) + 1, len(names) + 1))
+        out[np.ix_(places, places)] = factor * sums
+        return out
+
+    noise = used.noise.copy()
+    arcs = []
+    zero = np.zeros(len(names) + 1)
+    of_joint = [(own, factor) for own, factor in zip(of_motors, combined.weights, strict=True) if factor > 0.0]
+    columns = {own.joint: impulse_names(arm, own.joint, flight.effects) for own, _ in of_joint}
+    for block in blocks.motors if of_joint else []:
+        sums = [spread_out(columns[own.joint], block[own.joint][0], factor) for own, factor in of_joint]
+        arcs.append(Block(np.sum(sums, axis=0), zero))
+    for own, factor in of_joint:
+        noise += factor * own.rows.noise
+    if momentum is not None and combined.momentum_weight > 0.0:
+        factor = combined.momentum_weight
+        arcs += [Block(spread_out(momentum.names, sums, factor), zero) for sums in blocks.momentum]
+        noise += spread_out(momentum.names, momentum.noise.sum(axis=0), factor)
+    energy = [Block(*block) for block in blocks.energy]
+    told = intervals(energy, arcs, noise, used.noise, combined.solution.believed, arc_cycles(arm))
+    sigma = np.abs(estimate.sigma / told.sigma - 1.0)
+    half = np.abs(estimate.half95 / told.half95 - 1.0)
+    # the library has Student's factor by its expansion
+    difference = float(max(sigma.max(), half.max() * tolerance / (STUDENT_TOLERANCE + tolerance)))
+    return Room("sigmas", 2 * len(sigma), difference, None, tolerance)
 
 
 def decode(arm: Arm, frames: NDArray[Any]) -> Reception:

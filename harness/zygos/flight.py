@@ -183,6 +183,19 @@ class LeftOut:
 
 
 @dataclass(frozen=True)
+class Blocks:
+    """Sums of the rows, block by block, the arcs' constants eliminated and the declared noise taken off."""
+
+    energy: list[tuple[NDArray[np.float64], NDArray[np.float64], float, float]]
+    """Of each block the squares of columns and work (p+1, p+1), their sums less the arcs' means (p+1,), and the sums of
+    the instants' shares in it and of the shares' squares."""
+    motors: list[list[tuple[NDArray[np.float64], float]]]
+    """Of each block and joint the squares of its c columns and the impulse (c+1, c+1), and the instants."""
+    momentum: list[NDArray[np.float64]]
+    """Of each block the squares of the columns (K+N, K+N)."""
+
+
+@dataclass(frozen=True)
 class Drift:
     """The newest arc against all before it."""
 
@@ -439,6 +452,32 @@ class Flight:
         """What the declared noise adds on average to the squares of columns and work, (p+1, p+1)."""
         sums = self._closed()
         return _symmetric(sums.noise_closed.gram, sums.width - 1)
+
+    def blocks(self) -> Blocks:
+        """The blocks behind the sigmas, the open arcs ended; not weighed."""
+        lib.zygos_take(self.native, self._work)
+        lib.zygos_solve(self._work, self._estimate)  # ends the open arcs of the copy
+        sums, joints, momenta = self._work.accumulator, self._work.joint_sums, self._work.momentum_sums
+        width = len(self.names) + 1
+        return Blocks(
+            energy=[
+                (
+                    _symmetric(block.gram, width),
+                    np.frombuffer(ffi.buffer(block.deviation), dtype=np.float64)[:width].copy(),
+                    block.instants,
+                    block.square,
+                )
+                for block in sums.block[0 : sums.open]
+            ],
+            motors=[
+                [
+                    (_symmetric(block.joint[i].gram, joints.layout.count[i] + 1), block.instants[i])
+                    for i in range(self.arm.n)
+                ]
+                for block in joints.block[0 : joints.count]
+            ],
+            momentum=[_symmetric(block.rows.gram, momenta.columns) for block in momenta.block[0 : momenta.count]],
+        )
 
     def _closed(self) -> Any:
         """A copy of the sums whose open arc has ended."""

@@ -13,7 +13,7 @@ from scipy.stats import t as student
 
 from zygos import reference
 from zygos.arm import Arm, Encoder, Imu, Joint, Smoother, TorqueLaw
-from zygos.check import Rounding, rounding, tables
+from zygos.check import Room, Rounding, check_cycles, rounding, tables
 from zygos.cycles import BREAK_BEFORE, INVALID, VOID_BEFORE, VOID_SHIFT, Cycles
 from zygos.flight import Flight, Trace, ffi, lib
 from zygos.reference.balance import arc_cycles
@@ -364,3 +364,17 @@ def test_sigmas_from_the_same_blocks(name: str) -> None:
     )
     cluster = np.mean((weights @ left) ** 2 / np.sum(weights**2, axis=1)) / estimate.residual**2
     assert estimate.cluster == pytest.approx(cluster, rel=1e-5)
+
+
+def test_a_sigma_that_is_too_small_is_not_equal(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With and without the part that stays: `zygos check` tells them apart."""
+    both = both_of("plain")
+
+    def room() -> Room:
+        rooms = {room.name: room for room in check_cycles(both.arm, both.cycles)}
+        return rooms["sigmas"]
+
+    assert room().equal
+    monkeypatch.setattr("zygos.reference.sigmas.SYSTEMATIC", 0.0)
+    assert not room().equal
+    assert room().difference > 1e-3

@@ -173,7 +173,7 @@ def mission(
     write_json(target, {"missions": entries})
     write_text(target.with_suffix(".md"), page(entries))
     table(
-        ("case", "length", "missions", "valid", "cycles", "coverage 95 %, %", "worst parameter", "widest bias/half"),
+        ("case", "length", "missions", "valid", "cycles", "coverage 95 %, %", "worst parameter"),
         [_row(entry) for entry in entries],
     )
     say(f"{counted(len(jobs), 'mission')} in {time.monotonic() - begin:.0f} s · {target} · {target.with_suffix('.md')}")
@@ -182,7 +182,6 @@ def mission(
 def _row(entry: Line) -> tuple[str, ...]:
     shares = {name: own["coverage95"] for name, own in entry["parameters"].items() if own["coverage95"] is not None}
     worst = min(shares, key=lambda name: shares[name]) if shares else "–"
-    widest = max(abs(own["bias_percent"]) / own["half95_percent"] for own in entry["parameters"].values())
     return (
         entry["case"],
         entry["length"],
@@ -191,7 +190,6 @@ def _row(entry: Line) -> tuple[str, ...]:
         f"{entry['cycles']:,}",
         f"{100 * (entry['coverage95'] or 0.0):.1f} ± {100 * (entry['coverage95_error'] or 0.0):.1f}",
         f"{worst} {100 * shares[worst]:.1f}" if shares else "–",
-        number(widest, 2),
     )
 
 

@@ -44,6 +44,12 @@ def joint_effects(arm: Arm, joint: int, effects: Sequence[Effect]) -> tuple[Effe
     )
 
 
+def joint_names(arm: Arm, joint: int, effects: Sequence[Effect] = ()) -> tuple[str, ...]:
+    """Names of the columns in the row of a joint (from 0). Errors: as `estimated`."""
+    acting = joint_effects(arm, joint, effects)
+    return (*(f"{kind}{joint + 1}" for kind in ("Im", "k", "b")), *(effect.column(arm) for effect in acting))
+
+
 def rows(
     arm: Arm, samples: Samples, smoothed: Smoothed, arc: NDArray[np.int64], effects: Sequence[Effect] = ()
 ) -> tuple[Impulse, ...]:
@@ -79,7 +85,7 @@ def rows(
                 spring = effect.kind.place == "spring"
                 torque = effect.kind.torque(deflection if spring else thetad)
                 columns.append(integral(torque if spring else n * torque))
-        names = (*(f"{kind}{i + 1}" for kind in ("Im", "k", "b")), *(effect.column(arm) for effect in acting))
+        names = joint_names(arm, i, effects)
         w = n * (h * since_origin(np.cumsum(before), arc) + held * (after - before))
         out.append(Impulse(i, names, np.stack(columns, axis=1), w))
     return tuple(out)

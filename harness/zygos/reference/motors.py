@@ -89,31 +89,56 @@ def weight(arm: Arm, own: Motors, energy: Floats, x: Floats) -> float:
     return float(explained(energy, x) / noise) if noise > 0.0 and own.arcs >= LEAST_ARCS else 0.0
 
 
-def momentum_rows(names: Sequence[str], own: Turns, energy: Floats, x: Floats) -> Rows | None:
-    """The momentum rows of p parameters, weighed; None where fewer than LEAST_ARCS arcs or no noise tell the weight.
-
-    energy: (p+1, p+1) noise of one energy row. x: (p,) the parameters, by the other rows.
-    """
+def placed(names: Sequence[str], own: Turns) -> Rows:
+    """The momentum rows of p parameters, unweighed."""
     places = [names.index(name) for name in own.names]
     z, noise = np.zeros((len(own.z), len(names))), np.zeros((len(names) + 1, len(names) + 1))
     z[:, places] = own.z
     noise[np.ix_(places, places)] = own.noise.sum(axis=0)
-    mean = explained(noise, x) / max(len(z), 1)
+    return Rows(z, np.zeros(len(z)), noise)
+
+
+def momentum_weight(own: Turns, rows: Rows, energy: Floats, x: Floats) -> float:
+    """Of the momentum rows; 0 where fewer than LEAST_ARCS arcs or no noise tell it.
+
+    energy: (p+1, p+1) noise of one energy row. x: (p,) the parameters, by the other rows.
+    """
+    mean = explained(rows.noise, x) / max(len(rows.z), 1)
     if len(own.noise) < LEAST_ARCS or not mean > 0.0:
-        return None
-    return Rows(z, np.zeros(len(z)), noise).times(explained(energy, x) / (MOMENTUM_CAUTION * mean))
+        return 0.0
+    return float(explained(energy, x) / (MOMENTUM_CAUTION * mean))
+
+
+@dataclass(frozen=True)
+class Combined:
+    """The estimate from all rows. weights: of each joint's motor rows. momentum_weight: of the momentum rows."""
+
+    solution: Solution
+    weights: tuple[float, ...]
+    momentum_weight: float
+
+
+def combine(
+    arm: Arm, design: Design, motors: Sequence[Motors], momentum: Turns | None, effects: Sequence[Effect] = ()
+) -> Combined:
+    """The energy rows, the motor rows and the momentum rows, each weighed by its noise. Raises Undecided as `solve`."""
+    energy = Rows(design.z, design.w, design.noise)
+    alone = solve(energy)
+    noise = design.noise / max(len(design.w), 1)
+    weights = tuple(weight(arm, own, noise, alone.x) for own in motors)
+    beside = [own.rows.times(factor) for factor, own in zip(weights, motors, strict=True) if factor > 0.0]
+    both = solve(energy, beside)
+    if momentum is None:
+        return Combined(both, weights, 0.0)
+    names = [*arm.parameter_names, *(effect.column(arm) for effect in estimated(arm, effects))]
+    third = placed(names, momentum)
+    factor = momentum_weight(momentum, third, noise, both.x)
+    solution = solve(energy, [*beside, third.times(factor)]) if factor > 0.0 else both
+    return Combined(solution, weights, factor)
 
 
 def solve_with_others(
     arm: Arm, design: Design, motors: Sequence[Motors], momentum: Turns | None, effects: Sequence[Effect] = ()
 ) -> Solution:
-    """The energy rows, the motor rows and the momentum rows, each weighed by its noise. Raises Undecided as `solve`."""
-    energy = Rows(design.z, design.w, design.noise)
-    alone = solve(energy)
-    noise = design.noise / max(len(design.w), 1)
-    weighed = [(weight(arm, own, noise, alone.x), own.rows) for own in motors]
-    beside = [rows.times(factor) for factor, rows in weighed if factor > 0.0]
-    both = solve(energy, beside)
-    names = [*arm.parameter_names, *(effect.column(arm) for effect in estimated(arm, effects))]
-    third = momentum_rows(names, momentum, noise, both.x) if momentum is not None else None
-    return both if third is None else solve(energy, [*beside, third])
+    """The estimate of `combine`. Raises Undecided as `solve`."""
+    return combine(arm, design, motors, momentum, effects).solution

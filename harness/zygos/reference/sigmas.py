@@ -1,0 +1,90 @@
+"""Sigmas and 95 % intervals from the sums of blocks (docs/theory.md, "Sigmas and intervals").
+
+The blocks are the library's own; what is made of them is not. Matrices are inverted as they are, one for each block.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student
+
+from zygos.reference.solver import LEAST_FREEDOM, SYSTEMATIC, explained
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Block:
+    """Sums of some rows, p parameters.
+
+    sums: (p+1, p+1) squares of [z, w], weighed, the noise taken off. deviation: (p+1,) sum of [z, w] less the means of
+    their arcs. instants, square: sums of the rows' shares in the block and of their squares; 0 of motor and momentum
+    rows, whose blocks are arcs.
+    """
+
+    sums: Floats
+    deviation: Floats
+    instants: float = 0.0
+    square: float = 0.0
+
+
+@dataclass(frozen=True)
+class Intervals:
+    """covariance: (p, p). half95: (p,) half widths of the 95 % intervals."""
+
+    covariance: Floats
+    half95: Floats
+
+    @property
+    def sigma(self) -> Floats:
+        """(p,)"""
+        root: Floats = np.sqrt(np.diag(self.covariance))
+        return root
+
+
+def intervals(
+    energy: Sequence[Block], arcs: Sequence[Block], noise: Floats, own: Floats, believed: float, longest: int
+) -> Intervals:
+    """What the blocks of the energy rows, and the arcs of the others, tell of the estimate.
+
+    noise: (p+1, p+1) all that was taken off. own: (p+1, p+1) of it, of the energy rows. believed: share of it that is
+    believed. longest: instants of the longest arc of the energy rows.
+    """
+    p = len(noise) - 1
+    total = np.sum([block.sums for block in [*energy, *arcs]], axis=0)
+    instants, square = sum(block.instants for block in energy), sum(block.square for block in energy)
+    back = (1.0 - believed) * noise
+    scale = 1.0 / np.sqrt(np.diag(total + noise)[:p])
+
+    def solved(sums: Floats, added: float = 0.0) -> tuple[Floats, Floats]:
+        scaled = sums[:p, :p] * np.outer(scale, scale) + added * np.eye(p)
+        inverse = np.asarray(np.linalg.inv(scaled), dtype=np.float64)
+        return scale * (inverse @ (scale * sums[p, :p])), inverse
+
+    x, inverse = solved(total + back)
+    ahead = np.append(x, -1.0)
+    square_left = float(ahead @ np.sum([block.sums for block in energy], axis=0) @ ahead) + explained(own, x)
+    covariance, plain, gains = np.zeros((p, p)), np.zeros(p), []
+    for block in [*energy, *arcs]:
+        share = block.instants / instants
+        without, rest = solved(total - block.sums + (1.0 - share) * back)
+        mine = block.sums + (1.0 - believed) * share * own
+        alone = scale * (inverse @ (scale * (mine[p, :p] - mine[:p, :p] @ x)))
+        factor = instants / square if block.instants > 0.0 else 1.0
+        covariance += 0.5 * factor * (np.outer(x - without, alone) + np.outer(alone, x - without))
+        plain += factor * alone**2
+        gains.append(np.maximum(np.diag(rest) - np.diag(inverse), 0.0))
+    np.fill_diagonal(covariance, np.maximum(np.diag(covariance), plain))
+    adds_up = float(np.mean([float(block.deviation @ ahead) ** 2 / block.square for block in energy]))
+    alike = max(0.0, 1.0 - square_left / instants / adds_up)
+    excess = max(0.0, square_left - believed * explained(own, x))
+    stays = instants / longest * max(SYSTEMATIC, excess / square_left)
+    covariance *= 1.0 + max(stays, (len(energy) - 1) * alike)
+    hidden, _ = solved(total + back, excess / float(x**2 @ np.diag(total)[:p]))
+    covariance += np.diag((hidden - x) ** 2)
+    freedom = np.maximum(np.sum(gains, axis=0) ** 2 / np.sum(np.square(gains), axis=0), LEAST_FREEDOM)
+    return Intervals(covariance, np.sqrt(np.diag(covariance)) * student.ppf(0.975, freedom))
