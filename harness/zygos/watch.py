@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.cycles import Cycles
-from zygos.flight import Drift, Flight, LeftOut, Trace
+from zygos.flight import Drift, Flight, LeftOut, Trace, ffi
 from zygos.remedies import Known
 
 SYNC = 0x080
@@ -40,6 +40,8 @@ class Watch:
         self._traces: list[Trace] | None = [] if trace else None
         self._left_out = 0
         self._settled: Drift | None = None
+        self._open = Flight(flight.arm, flight.effects)
+        """What the flight would be if it had admitted the arcs that contradict: only they can tell of another arm."""
         self._every = max(1, round(flight.arm.arc_max_s / flight.arm.period_s) // LOOKS)
         self._since = 0
         others = max(flight.arm.impulse_arc_s, flight.arm.momentum_arc_s)
@@ -50,6 +52,7 @@ class Watch:
         starts = np.flatnonzero(frames["id"] == SYNC)
 
         def feed(first: int, last: int) -> Trace | None:
+            self._open.frames(frames[first:last])
             return self.flight.frames(frames[first:last], trace=self._traces is not None)
 
         self._feed(starts, len(frames), feed, progress)
@@ -59,6 +62,7 @@ class Watch:
 
         def feed(first: int, last: int) -> Trace | None:
             part = Cycles(*(getattr(cycles, field.name)[first:last] for field in fields(Cycles)))
+            self._open.cycles(part)
             return self.flight.cycles(part, trace=self._traces is not None)
 
         self._feed(np.arange(len(cycles)), len(cycles), feed, progress)
@@ -95,17 +99,17 @@ class Watch:
 
     def look(self) -> Drift | None:
         """Compare the newest arc with all before it, and adopt a valid estimate. Returns the plainest look so far."""
-        contradicts = self._note_arcs()
-        drift = self.flight.drift()
-        if not contradicts:  # what stood out in arcs that were left out was no change
-            self.plainest = self._settled
-        best = (bool(self.plainest.changed), self.plainest.largest) if self.plainest else (False, 0.0)
+        self._note_arcs()
         estimate, cycles = self.flight.estimate(), self.flight.counts["cycles"]
-        # the first arc that was left out names the change, those behind it say it again; and motor rows of the time of
-        # an arc that was left out say nothing of one that agrees
-        named = contradicts and self.plainest is not self._settled
+        if not estimate.in_a_row:
+            ffi.memmove(self._open.native, self.flight.native, ffi.sizeof("zygos_t"))
+            self._open.native.guard.known = 0
+            self.plainest = self._settled  # what stood out in arcs that were left out was no change
+        drift = self._open.drift()
+        best = (bool(self.plainest.changed), self.plainest.largest) if self.plainest else (False, 0.0)
+        # motor rows of the time of an arc that was left out say nothing of one that agrees
         spoilt = not estimate.in_a_row and any(arc.last + self._reach > drift.until for arc in self.left_out)
-        if not named and not spoilt and (bool(drift.changed), drift.largest) > best:
+        if not spoilt and (bool(drift.changed), drift.largest) > best:
             self.plainest = drift
         if cycles > 2 * (self.known[-1].cycles if self.known else 0):
             self.known.append(Known(cycles, int(np.count_nonzero(np.isfinite(estimate.value)))))
@@ -114,13 +118,11 @@ class Watch:
         self.flight.adopt()
         return self.plainest
 
-    def _note_arcs(self) -> bool:
-        """Note arcs that were left out since the last look. Returns whether the newest energy arc was."""
+    def _note_arcs(self) -> None:
+        """Note arcs that were left out since the last time."""
         count, newest = self.flight.left_out
         fresh = count - self._left_out
         self._left_out = count
         self.left_out += newest[max(0, len(newest) - fresh) :]
-        guard = self.flight.native.guard
-        if guard.changed:
+        if self.flight.native.guard.changed:
             self._settled = self.plainest
-        return bool(guard.in_a_row[0])
