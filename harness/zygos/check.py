@@ -37,6 +37,8 @@ NOISE_TOLERANCE = 1e-9
 """Of the root of the product of the two diagonal entries."""
 SIGMA_TOLERANCE = 1e-5
 """Of each sigma, where the solution is known better than that."""
+SIGMA_DIGITS = 0.01
+"""Where the solutions are known to no better than this share of a sigma, as in a run without noise, it is rounding."""
 STUDENT_TOLERANCE = 0.02
 """Of each half width, from 2 degrees of freedom on."""
 FLOOR = 0.1
@@ -294,7 +296,8 @@ def check_chain(arm: Arm, trace: Trace, flight: Flight, ended: Sequence[LeftOut]
     if not balance.void and has_value.all() and estimate.gate >= GATE:
         # a sigma comes from differences of solutions
         closest = max(SIGMA_TOLERANCE, tolerance * float(np.max(size / estimate.sigma)))
-        rooms.append(_compare_sigmas(arm, flight, estimate, used, of_motors, momentum, combined, closest))
+        if closest <= SIGMA_DIGITS:
+            rooms.append(_compare_sigmas(arm, flight, estimate, used, of_motors, momentum, combined, closest))
     return [*rooms, Room("solution", len(relative), worst, None, tolerance)]
 
 

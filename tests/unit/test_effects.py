@@ -498,7 +498,7 @@ def answer(columns: Floats, work_done: Floats, joints: int = 2, positive: int = 
     sums = ffi.addressof(work, "accumulator")
     count = columns.shape[1]
     lib.zygos_accumulator_init(sums, count, lib.ZYGOS_MIN_ARC_INSTANTS_VALUE, 0.02)
-    work.config.joints, work.config.effects = joints, count - 12
+    work.config.joints, work.config.effects, work.config.arc_cycles = joints, count - 12, len(columns)
     cannot, can = (
         (lib.ZYGOS_MOTOR_COULOMB, lib.ZYGOS_MOTOR_VISCOUS),
         (lib.ZYGOS_CUBIC_STIFFNESS, lib.ZYGOS_SPRING_OFFSET),
@@ -507,6 +507,8 @@ def answer(columns: Floats, work_done: Floats, joints: int = 2, positive: int = 
         work.config.effect[e].kind = (cannot if positive >> e & 1 else can)[e // 2]
         work.config.effect[e].joint = e % 2
     lib.zygos_impulse_layout(ffi.addressof(work, "config"), ffi.addressof(work.joint_sums, "layout"))
+    lib.zygos_joint_sums_clear(ffi.addressof(work, "joint_sums"), ffi.addressof(work, "config"))
+    lib.zygos_momentum_sums_clear(ffi.addressof(work, "momentum_sums"), ffi.addressof(work, "config"))
     for column, done in zip(columns, work_done, strict=True):
         row.column[0:count] = column.tolist()
         row.work = float(done)

@@ -666,8 +666,10 @@ def test_columns_that_are_a_sum_of_others(seed: int) -> None:
     work, out, row = ffi.new("zygos_work_t *"), ffi.new("zygos_estimate_t *"), ffi.new("zygos_row_t *")
     sums = ffi.addressof(work, "accumulator")
     lib.zygos_accumulator_init(sums, 12, MIN_ARC, 0.02)
-    work.config.joints = 2
+    work.config.joints, work.config.arc_cycles = 2, 20 * MIN_ARC
     lib.zygos_impulse_layout(ffi.addressof(work, "config"), ffi.addressof(work.joint_sums, "layout"))
+    lib.zygos_joint_sums_clear(ffi.addressof(work, "joint_sums"), ffi.addressof(work, "config"))
+    lib.zygos_momentum_sums_clear(ffi.addressof(work, "momentum_sums"), ffi.addressof(work, "config"))
     columns = rng.normal(size=(MIN_ARC, 12))
     columns[:, 2] = columns[:, 0] + 0.3 * columns[:, 5]
     for column in np.tile(columns, (20, 1)):

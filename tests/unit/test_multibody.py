@@ -78,12 +78,18 @@ OWN = Kind("stribeck", "Stribeck friction", "Nm", "link", _stribeck)
 
 
 def laws(arm: Arm) -> tuple[Effect, ...]:
-    """Every torque law of the catalogue and one of our own, and a coupling that is not nature's."""
+    """Every torque law of the catalogue that the arm has a place for, and one of our own, and a coupling that is not
+    nature's."""
     first, last = arm.joints[0].name, arm.joints[-1].name
-    values = {"motor_coulomb": 0.02, "motor_viscous": 0.01, "link_coulomb": 0.3, "cubic_stiffness": 900.0}
+    values = {"motor_coulomb": 0.02, "motor_viscous": 0.01, "link_coulomb": 0.3}
     common = [Effect(CATALOGUE[key], last, value) for key, value in values.items()]
-    others = [Effect(CATALOGUE["spring_offset"], first, 0.4), Effect(CATALOGUE["rotor_coupling"], first, 0.3)]
-    return (*common, *others, Effect(OWN, first, 0.7))
+    springs = [joint.name for joint in arm.joints if joint.flexible]
+    if springs:
+        common.append(Effect(CATALOGUE["cubic_stiffness"], springs[-1], 900.0))
+        common.append(Effect(CATALOGUE["spring_offset"], springs[0], 0.4))
+    # the carrier of a fixed arm's first rotor does not turn
+    coupled = Effect(CATALOGUE["rotor_coupling"], first if arm.free else last, 0.3)
+    return (*common, coupled, Effect(OWN, first, 0.7))
 
 
 @pytest.mark.parametrize("kind", FLEXIBLE)

@@ -295,8 +295,10 @@ class _Auditor:
         spoilt = ("moves in steps", "noisier", "stuck", "saturated")
         if any(f.fault.startswith(spoilt) and f.signal.endswith("angle") for f in self.findings):
             return
+        skewed = {f.signal for f in self.findings if f.fault.startswith("skewed")}
+        late = {i for name, _, i in self.names if name in skewed}
         for name, kind, i in self.names:
-            if kind == "tau" and not any(f.signal == name for f in self.findings):
+            if kind == "tau" and i not in late and not any(f.signal == name for f in self.findings):
                 self._torque_noise(name, i)
 
     def _noise(self, kind: str, i: int) -> float:
