@@ -478,7 +478,7 @@ def test_the_other_end_closes(heard: bool, config: Path, frames: Log, arm: Arm, 
     assert (node.process.returncode, said) == (0, "")
     assert "fault_crc" in out
     flight = Flight(arm)
-    flight.frames(frames[:200])
+    hear(flight, frames[:200])
     assert saved(state) == image(flight)
 
 
