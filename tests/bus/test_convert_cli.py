@@ -612,5 +612,5 @@ def test_a_matlab_file_by_the_snippet_of_the_documentation(arm: Arm, tmp_path: P
     assert len(cycles) >= 2500
     n = len(cycles)
     assert np.max(np.abs(cycles.q[:, 0] - np.radians(raw.act_pos_se_deg[0, :n]))) < 1e-6
-    assert np.max(np.abs(cycles.tau[:, 0] * 256.8571 - raw.act_torque_abs_nm[0, :n])) < 1e-3
+    assert np.max(np.abs(cycles.tau[:, 0] - raw.act_torque_abs_nm[0, :n])) < 1e-3
     assert np.ptp(cycles.q) > 0.01 and np.max(np.abs(cycles.theta - cycles.q)) < 0.01
