@@ -255,7 +255,7 @@ static uint32_t motor_places(const zygos_layout_t *layout, const zygos_impulse_l
 static void look_at_motor(const zygos_guard_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
                           const zygos_joint_sums_t *sums, const zygos_joint_block_t *block, uint32_t i, finding_t *out)
 {
-    uint32_t place[ZYGOS_MAX_IMPULSE];
+    uint32_t place[ZYGOS_MAX_IMPULSE] = { 0 };
     const uint32_t columns = motor_places(layout, &sums->layout, i, place);
     const zygos_joint_config_t *joint = &config->joint[i];
     finding_t noise = { 0.0, 0.0, 0.0, 0.0 };

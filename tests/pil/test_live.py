@@ -74,6 +74,19 @@ def listening(live: Live) -> Iterator[tuple[can.BusABC, Listener]]:
         line.shutdown()
 
 
+def unguarded(found: bytes) -> Record:
+    """zygos_t, its guard emptied.
+
+    The task solves and adopts beside an interrupt that brings further cycles: of which one the running solution is
+    depends on how fast it was. No arc of these runs contradicts one.
+    """
+    state = flight.ffi.new("zygos_t *")
+    flight.ffi.memmove(state, found, len(found))
+    assert sum(state.guard.left_out) == 0
+    state.guard = flight.ffi.new("zygos_guard_t *")[0]
+    return Record("image", bytes(flight.ffi.buffer(state)))
+
+
 @pytest.mark.parametrize("target", TARGETS)
 def test_a_run_through_the_interrupt(target: str, builds: Path, tmp_path: Path, agree: Agree) -> None:
     """All frames at once: the interrupt takes them while the task works off cycles. The same bits as in order."""
@@ -85,7 +98,7 @@ def test_a_run_through_the_interrupt(target: str, builds: Path, tmp_path: Path, 
             found = live.settle(len(frames))
             assert live.lines() == (len(frames), 0)
             assert live.word("uart", 1) == live.word("uart", 2) == 0
-        agree(target, "paper, live", "zygos_t behind a run", compare([image(arm, frames)], [Record("image", found)]))
+        agree(target, "paper, live", "zygos_t behind a run", compare([image(arm, frames)], [unguarded(found)]))
 
 
 @pytest.mark.parametrize("target", TARGETS)
@@ -173,7 +186,7 @@ def test_spoiled_lines(target: str, builds: Path, tmp_path: Path, agree: Agree) 
             assert b"F00\r" in exchange(live, b"F\r", 0)
         assert answers.count(b"\a") == bad
         assert answers.count(b"z\r") == len(frames)
-        agree(target, "paper, spoiled lines", f"{bad} of them", compare([image(arm, frames)], [Record("image", found)]))
+        agree(target, "paper, spoiled lines", f"{bad} of them", compare([image(arm, frames)], [unguarded(found)]))
 
 
 @pytest.mark.parametrize("target", TARGETS)
@@ -197,7 +210,7 @@ def test_lost_characters(target: str, builds: Path, tmp_path: Path, agree: Agree
         state = flight.ffi.from_buffer("zygos_t *", found)
         assert state.receiver.faults.incomplete > 30
         assert state.gaps > 10
-        agree(target, "paper, lost characters", "what survived", compare([image(arm, left)], [Record("image", found)]))
+        agree(target, "paper, lost characters", "what survived", compare([image(arm, left)], [unguarded(found)]))
 
 
 def well_formed(line: bytes) -> bool:
@@ -253,7 +266,7 @@ def test_a_task_that_is_held_up(target: str, builds: Path, tmp_path: Path, agree
         assert state.cycles == 100 - lost
         assert state.gaps == 1
         expected = held_up(arm, frames, lost)
-        agree(target, "paper, task held up", f"{lost} cycles lost", compare([expected], [Record("image", found)]))
+        agree(target, "paper, task held up", f"{lost} cycles lost", compare([expected], [unguarded(found)]))
 
 
 def held_up(arm: Arm, frames: NDArray[Any], lost: int) -> Record:
@@ -283,7 +296,7 @@ def test_a_pseudo_terminal(builds: Path, tmp_path: Path) -> None:
                 line.send(message)
             found = live.settle(len(frames))
             line.shutdown()
-        assert not compare([image(arm, frames)], [Record("image", found)]).first
+        assert not compare([image(arm, frames)], [unguarded(found)]).first
 
 
 def test_a_closed_channel(builds: Path, tmp_path: Path) -> None:
