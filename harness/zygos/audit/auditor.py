@@ -298,7 +298,8 @@ class _Auditor:
         skewed = {f.signal for f in self.findings if f.fault.startswith("skewed")}
         late = {i for name, _, i in self.names if name in skewed}
         for name, kind, i in self.names:
-            if kind == "tau" and i not in late and not any(f.signal == name for f in self.findings):
+            decided = name not in self.undecided and i not in late
+            if kind == "tau" and decided and not any(f.signal == name for f in self.findings):
                 self._torque_noise(name, i)
 
     def _noise(self, kind: str, i: int) -> float:
