@@ -176,6 +176,35 @@ static void change(void *memory, size_t size, const region_t *region, uint32_t r
     }
 }
 
+/* Whoever can change a state can seal it, too: what lies behind the seals must hold by itself. */
+static void forge(zygos_accumulator_t *sums, zygos_joint_sums_t *joints, zygos_momentum_sums_t *momenta)
+{
+    const double lengths[2] = { sums->enough, sums->target };
+    const uint32_t places[6] = { sums->width, sums->count, sums->open, sums->newest, sums->window, sums->arcs };
+    const uint32_t width = (sums->width < (uint32_t)ZYGOS_MAX_ROW) ? sums->width : (uint32_t)ZYGOS_MAX_ROW;
+    sums->seal = zygos_seal_doubles(1u, lengths, 2);
+    for (uint32_t i = 0; i < 6; i++) {
+        sums->seal = zygos_seal_number(sums->seal, places[i]);
+    }
+    for (uint32_t b = 0; b < ZYGOS_MAX_BLOCKS; b++) {
+        zygos_block_t *block = &sums->block[b];
+        const double weights[3] = { block->instants, block->square, block->overlap };
+        const uint64_t seal = zygos_seal_doubles(zygos_seal_doubles(1u, block->deviation, width), weights, 3);
+        block->seal = (block->seal == 0) ? 0u : zygos_seal_number(seal, block->end);
+    }
+    joints->seal = zygos_seal_number(zygos_seal_doubles(0u, &joints->target, 1), joints->count);
+    for (uint32_t b = 0; b < ZYGOS_MAX_JOINT_BLOCKS; b++) {
+        zygos_joint_block_t *block = &joints->block[b];
+        const uint64_t seal = zygos_seal_doubles(1u, block->instants, ZYGOS_MAX_JOINTS);
+        block->seal = zygos_seal_number(zygos_seal_doubles(seal, &block->total, 1), block->end);
+    }
+    momenta->seal = zygos_seal_number(zygos_seal_doubles(0u, &momenta->target, 1), momenta->count);
+    for (uint32_t b = 0; b < ZYGOS_MOMENTUM_PLACES; b++) {
+        zygos_momentum_block_t *block = &momenta->block[b];
+        block->seal = zygos_seal_number(zygos_seal_doubles(1u, &block->instants, 1), block->end);
+    }
+}
+
 static void store_states(const zygos_config_t *config)
 {
     check(zygos_init(&arm, config) == 1, "zygos_init refuses the configuration");
@@ -209,7 +238,7 @@ int main(int count, char **argument)
     slot_count = slots(slot, joints, 1);
     zygos_config_t config = config_of(joints, 1);
     for (uint32_t i = 0; i < joints; i++) {
-        config.joint[i].link_sigma_rad = config.joint[i].motor_sigma_rad = 1e-5;
+        config.joint[i].link_sigma_rad = config.joint[i].motor_sigma_rad = 1e-4;
     }
     config.imu_sigma = 1e-5;
     config.arc_cycles = 60;
@@ -233,6 +262,9 @@ int main(int count, char **argument)
         const uint32_t from = below(STATES);
         arm = good[from];
         change(&arm, sizeof arm, of_state, state_regions);
+        if (k % 4u != 0) {
+            forge(&arm.accumulator, &arm.joint_sums, &arm.momentum_sums);
+        }
         check(zygos_snapshot_seal(ZYGOS_SNAPSHOT_STATE, &arm, head) == 1, "not sealed");
         check(zygos_snapshot_check(ZYGOS_SNAPSHOT_STATE, head, &arm, sizeof head + sizeof arm) == 1,
               "not what was sealed");
@@ -257,6 +289,9 @@ int main(int count, char **argument)
         }
         zygos_take(&good[from], &work);
         change(&work, sizeof work, of_work, work_regions);
+        if (k % 4u != 0) {
+            forge(&work.accumulator, &work.joint_sums, &work.momentum_sums);
+        }
         values += (zygos_solve(&work, &estimate) == 1) ? 1u : 0u;
         corrupt += (estimate.reason == ZYGOS_REASON_CORRUPT) ? 1u : 0u;
     }

@@ -295,8 +295,14 @@ class _Auditor:
         spoilt = ("moves in steps", "noisier", "stuck", "saturated")
         if any(f.fault.startswith(spoilt) and f.signal.endswith("angle") for f in self.findings):
             return
+        # nor where an encoder is read at another time than SYNC, at which the controller reads it
         skewed = {f.signal for f in self.findings if f.fault.startswith("skewed")}
         late = {i for name, _, i in self.names if name in skewed}
+        late |= {
+            i
+            for i, joint in enumerate(self.arm.joints)
+            if joint.latch_us + joint.link_encoder.latch_us + joint.motor_encoder.latch_us > 0
+        }
         for name, kind, i in self.names:
             decided = name not in self.undecided and i not in late
             if kind == "tau" and decided and not any(f.signal == name for f in self.findings):
