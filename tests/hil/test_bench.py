@@ -96,7 +96,7 @@ def test_what_does_not_answer_is_named(plant: Plant, dut: Dut) -> None:
         replace(plant, channel="nothere0").send(stream)
     with pytest.raises(ZygosError, match="does not run"):
         dut.stop()
-    with pytest.raises(ZygosError, match="scenario paper has 1200 cycles; remedy"):
+    with pytest.raises(ZygosError, match="scenario lively has 1200 cycles; remedy"):
         plant.run(1201)
 
 

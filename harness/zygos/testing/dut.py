@@ -25,15 +25,13 @@ from zygos.arm import Arm
 from zygos.bus import open_bus
 from zygos.dbc import arm_database, ascii_name
 from zygos.errors import ZygosError
-from zygos.flight import Estimate, Flight, ffi
+from zygos.flight import Estimate, Flight, ffi, lib
 from zygos.testing.oracle import counted, disagreement
 from zygos.testing.stream import SYNC, Stream
 
 EXTERNAL = "external"
 """Instead of a command: the device is there already, and is not ours to start and stop."""
 TELEMETRY, HEARTBEAT = 0x1A0, 0x720
-LARGEST_COUNTER = 240
-"""Of SYNC, as CANopen has it."""
 EVERY = 12
 """SYNCs from one estimate of zygos-node to the next. The first of them is answered; what is not finite is not sent."""
 PATIENCE_S = 30.0
@@ -49,16 +47,21 @@ def hear(flight: Flight, frames: NDArray[Any], every: int = 100, syncs: int = 0)
 
     At the first SYNC and every so many behind it the node solves; its arcs are judged by the solution from there on.
     """
-    accepted = (frames["id"] == SYNC) & (frames["flags"] == 0) & (frames["data"][:, 0] <= LARGEST_COUNTER)
-    ends = np.flatnonzero(accepted) + 1
-    for part in np.split(frames, ends)[: len(ends)]:
-        flight.frames(part)
+    first = 0
+    for at in np.flatnonzero((frames["id"] == SYNC) & (frames["flags"] == 0)):
+        flight.frames(frames[first:at])
+        first = int(at) + 1
+        verdict = lib.zygos_frame(flight.native, ffi.from_buffer("zygos_frame_t[]", frames[at : at + 1].tobytes()))
+        while lib.zygos_step(flight.native) == 1:
+            pass
+        if verdict != lib.ZYGOS_ACCEPTED:  # a SYNC that comes twice is none
+            continue
         if syncs % every == 0:
             flight.estimate()
             flight.adopt()
         syncs += 1
         yield
-    flight.frames(frames[ends[-1] if len(ends) else 0 :])
+    flight.frames(frames[first:])
 
 
 class Dut:
