@@ -32,11 +32,11 @@ typedef struct {
 /// Doubles of memory that zygos_multibody_accelerations() works in, for an arm of that many joints.
 uint64_t zygos_multibody_scratch(uint32_t joints);
 
-/// Accelerations in n states, each on its own: 21,000 instructions of x86-64 a state for three joints, 73,000 for
-/// seven. in: n x (3 + 6N): base rate in base axes [rad/s], zero where it is fixed; q [rad]; link rates, motor rates
-/// [rad/s]; torque of the springs on the links, not read at a rigid joint; torque on the rotors before the gear; torque
-/// on the links besides that of the springs [Nm]. out: n x (3 + 2N): accelerations of base, links and motors [rad/s^2];
-/// not finite where no inertia resists. scratch: zygos_multibody_scratch() doubles that no other call uses meanwhile.
+/// Accelerations in n states, each on its own. in: n x (3 + 6N): base rate in base axes [rad/s], zero where it is
+/// fixed; q [rad]; link rates, motor rates [rad/s]; torque of the springs on the links, not read at a rigid joint;
+/// torque on the rotors before the gear; torque on the links besides that of the springs [Nm]. out: n x (3 + 2N):
+/// accelerations of base, links and motors [rad/s^2]; not finite where no inertia resists. scratch:
+/// zygos_multibody_scratch() doubles that no other call uses meanwhile. Cost: of the order of N^2 products of vectors.
 void zygos_multibody_accelerations(const zygos_multibody_t *self, uint64_t n, const double *in, double *out,
                                    double *scratch);
 
