@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from zygos.output import good, table
+from zygos.output import console, good, table
 
 COLUMNS = ("signal of the arm", "largest difference", "at cycle", "verdict")
 ROWS = [
@@ -16,6 +16,7 @@ ROWS = [
 
 
 def printed(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, width: int | None) -> str:
+    monkeypatch.setattr(console, "_width", None)  # where COLUMNS was set when it was made, it is fixed
     if width is None:
         monkeypatch.delenv("COLUMNS", raising=False)
     else:
