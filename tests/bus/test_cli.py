@@ -26,7 +26,7 @@ from zygos.arm import Arm, load_arm
 from zygos.can import bus
 from zygos.cli import main
 from zygos.cli import simulate as simulate_command
-from zygos.demo import __main__ as demo
+from zygos.demo import demonstration as demo
 from zygos.errors import ZygosError
 from zygos.estimation.remedies import remedy as remedy_of
 from zygos.model.model import load_model
