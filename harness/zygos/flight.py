@@ -44,9 +44,9 @@ REASONS = (
     "the balance leaves more than a tenth of the work unexplained, and what it leaves is no noise",
 )
 DRIFT_ALARM = 6.0
-"""Deviations that are no accident, as ``ZYGOS_DRIFT_ALARM``."""
+"""Deviations that are no accident, as ``ZYGOS_CHANGE_ALARM``."""
 GATE = 2.0
-"""Ratio of sums to noise below which what noise makes of an estimate is not taken off in whole, as ``ZYGOS_GATE``."""
+"""Ratio of sums to noise below which what noise makes of an estimate is not taken off in whole, as ``ZYGOS_MIN_SIGNAL_TO_NOISE``."""
 OVERDECLARED = 0.6
 """Share of the declared noise below which the residuals are believed instead, as ``ZYGOS_OVERDECLARED``."""
 _CONFIG_ERRORS = {
@@ -257,7 +257,7 @@ def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
         config.imu_to_base[k] = entry
     config.imu_latch_s = arm.imu.latch_us * 1e-6
     config.imu_sigma = arm.imu.rate_sigma
-    config.keep = 1.0 if arm.memory_s is None else math.exp(-arm.period_s / arm.memory_s)
+    config.forgetting_factor = 1.0 if arm.memory_s is None else math.exp(-arm.period_s / arm.memory_s)
     config.compensation = arm.compensation
     config.impulse_arc_cycles = max(1, round(arm.impulse_arc_s / arm.period_s)) if arm.impulse_arc_s > 0.0 else 0
     config.momentum_arc_cycles = max(1, round(arm.momentum_arc_s / arm.period_s)) if arm.momentum_arc_s > 0.0 else 0
@@ -350,7 +350,7 @@ class Flight:
             )
         self.effects = estimated(arm, effects)
         self.names = (*arm.parameter_names, *(effect.column(arm) for effect in self.effects))
-        if self.native.layout.count != len(self.names):
+        if self.native.column_map.count != len(self.names):
             raise ZygosError(
                 f"arm {arm.name!r}: gravity is within 1e-9 rad of a joint axis, which may or may not feel it; "
                 "remedy: make them parallel, or tilt them"
@@ -402,10 +402,10 @@ class Flight:
             cluster=out.cluster,
             residual=out.residual,
             noise_ratio=out.noise_ratio,
-            gate=out.gate,
+            gate=out.signal_to_noise,
             left_out=(out.left_out[0], out.left_out[1], out.left_out[2]),
             since=int(out.since),
-            in_a_row=int(out.in_a_row),
+            in_a_row=int(out.consecutive),
         )
 
     def adopt(self) -> bool:
@@ -419,7 +419,7 @@ class Flight:
         """Compare the newest arc with all before it. The accumulation is not disturbed."""
         deviation = ffi.new("double[]", lib.ZYGOS_MAX_PARAMETERS_VALUE)
         lib.zygos_take(self.native, self._work)
-        lib.zygos_drift(self._work, self._before, deviation)
+        lib.zygos_detect_change(self._work, self._before, deviation)
         out, p = self._before, len(self.names)
         far = np.frombuffer(ffi.buffer(deviation), dtype=np.float64)[:p].copy()
         return Drift(self.names, far, REASONS[out.reason], float(out.cluster), int(out.cycle))
@@ -471,7 +471,7 @@ class Flight:
             ],
             motors=[
                 [
-                    (_symmetric(block.joint[i].gram, joints.layout.count[i] + 1), block.instants[i])
+                    (_symmetric(block.joint[i].gram, joints.column_map.count[i] + 1), block.instants[i])
                     for i in range(self.arm.n)
                 ]
                 for block in joints.block[0 : joints.count]

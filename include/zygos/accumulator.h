@@ -9,8 +9,8 @@
 /// segment one fades out and the next fades in, and the weights of an instant add up to 1. When all blocks are in use,
 /// segments become twice as long and neighbours that fit into one block merge. The blocks do not change the sum.
 ///
-/// The rows of ZYGOS_STEP instants are summed together and then shared out to the two blocks, a slice in each cycle, so
-/// that a cycle costs one rank-1 update and a little, and all cycles cost the same.
+/// The rows of ZYGOS_BUFFER_ROWS instants are summed together and then shared out to the two blocks, a slice in each
+/// cycle, so that a cycle costs one rank-1 update and a little, and all cycles cost the same.
 ///
 /// What noise adds on average (noise.h) is summed beside, and taken off the blocks when a segment ends.
 ///
@@ -30,7 +30,7 @@ extern "C" {
 
 /// Of fewer blocks the spread says too little, so no more are merged. Where room is made, two must be free for the arc
 /// that begins: the smallest build has six that stay.
-#define ZYGOS_LEAST_BLOCKS ((ZYGOS_MAX_BLOCKS < 10) ? 6u : 8u)
+#define ZYGOS_MIN_BLOCKS ((ZYGOS_MAX_BLOCKS < 10) ? 6u : 8u)
 
 typedef struct {
     double gram[ZYGOS_MAX_SLICED_GRAM]; ///< Sum of w z z^T, lower triangle row by row, width (width + 1)/2 used; behind
@@ -41,21 +41,21 @@ typedef struct {
     double square;                      ///< Sum of w^2.
     double overlap;                     ///< Sum of w times the weight in the block behind.
     uint64_t end;                       ///< Closed arcs: number of the newest cycle in them.
-    uint64_t seal;                      ///< Closed arcs: of deviation and all behind it; 0 in the open arc.
+    uint64_t checksum;                  ///< Closed arcs: of deviation and all behind it; 0 in the open arc.
 } zygos_block_t;
 
 /// What noise adds on average: packed lower triangle of p + 1 rows, that of the work last, and its row sums.
 typedef struct {
     double gram[ZYGOS_MAX_PACKED_ROW];
     double sum[ZYGOS_MAX_ROW];
-} zygos_share_t;
+} zygos_noise_sums_t;
 
 /// The rows of a step.
 typedef struct {
     double gram[ZYGOS_MAX_SLICED_GRAM];
     double sum[ZYGOS_MAX_SLICED_ROW];
     double instants; ///< Accepted ones.
-} zygos_step_t;
+} zygos_row_buffer_t;
 
 typedef struct {
     uint32_t width;        ///< p + 2.
@@ -75,13 +75,14 @@ typedef struct {
     double segment;        ///< Accepted instants of the open segment.
     uint64_t accepted;     ///< Instants in closed arcs and in the open one.
     uint64_t refused;      ///< Instants that failed the bandwidth test.
-    uint64_t seal;         ///< Of width, count, open, newest, window, arcs, enough and target.
+    uint64_t checksum;     ///< Of width, count, open, newest, window, arcs, enough and target.
     double early;          ///< Share of the older block in the step that is shared out, and
     double late;           ///< of the newer one.
-    zygos_step_t step[2];
-    zygos_share_t noise;        ///< Of the open segment, not yet taken off.
-    zygos_share_t noise_open;   ///< Of the other segments of the open arc, taken off.
-    zygos_share_t noise_closed; ///< Of closed arcs, taken off. When one of them is dropped, it shrinks in proportion.
+    zygos_row_buffer_t buffer[2];
+    zygos_noise_sums_t noise;      ///< Of the open segment, not yet taken off.
+    zygos_noise_sums_t noise_open; ///< Of the other segments of the open arc, taken off.
+    zygos_noise_sums_t
+        noise_closed; ///< Of closed arcs, taken off. When one of them is dropped, it shrinks in proportion.
     zygos_block_t block[ZYGOS_MAX_BLOCKS];
 } zygos_accumulator_t;
 
@@ -89,8 +90,8 @@ typedef struct {
 void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint64_t arc_cycles, double period_s);
 
 /// Adds one instant with weight 1 (accepted) or 0 (refused): the instructions are the same. Cost: one rank-1 update of
-/// (p+2)(p+3)/2 entries, and the same number / ZYGOS_STEP shared out; when an arc begins or a segment has ended, in
-/// addition what it takes to open the next, at the worst one merge of all blocks. What noise adds on average to this
+/// (p+2)(p+3)/2 entries, and the same number / ZYGOS_BUFFER_ROWS shared out; when an arc begins or a segment has ended,
+/// in addition what it takes to open the next, at the worst one merge of all blocks. What noise adds on average to this
 /// instant goes into self->noise behind this call.
 void zygos_accumulator_add(zygos_accumulator_t *self, const zygos_row_t *row, double weight);
 
@@ -109,7 +110,7 @@ void zygos_accumulator_admit(zygos_accumulator_t *self, uint64_t cycle);
 void zygos_accumulator_leave_out(zygos_accumulator_t *self);
 
 /// Multiplies all that closed arcs left by a factor. Cost: their blocks once.
-void zygos_accumulator_fade(zygos_accumulator_t *self, double factor);
+void zygos_accumulator_forget(zygos_accumulator_t *self, double factor);
 
 /// Drops the open arc, and the blocks of closed arcs that reach beyond the given cycle. A block in which that cycle was
 /// merged with older ones goes as a whole. Cost: one pass over the noise of closed arcs.

@@ -35,9 +35,9 @@ typedef struct {
     uint32_t torque_at; ///< Where the next torque goes.
     uint32_t reserved;
     double work;                                        ///< W [J].
-    double slip[ZYGOS_MAX_JOINTS];                      ///< D [rad^2/s].
+    double dissipation[ZYGOS_MAX_JOINTS];               ///< D [rad^2/s].
     double theta[ZYGOS_MAX_JOINTS];                     ///< theta of the instant before.
-    double slip_rate[3][ZYGOS_MAX_JOINTS];              ///< g of the three instants before, newest first.
+    double dissipation_rate[3][ZYGOS_MAX_JOINTS];       ///< g of the three instants before, newest first.
     double torque[ZYGOS_TORQUE_RING][ZYGOS_MAX_JOINTS]; ///< Torque in force, waiting for its instant.
     zygos_effects_t effects;
 } zygos_balance_t;
@@ -49,9 +49,9 @@ typedef struct {
 
 /// What noise alone adds to the integrals of squared rates in a step, and is taken off (noise.h).
 typedef struct {
-    double slip[ZYGOS_MAX_JOINTS];      ///< [rad^2/s]
-    double effect[ZYGOS_EFFECT_PLACES]; ///< In units of the effect's column.
-} zygos_drift_t;
+    double dissipation[ZYGOS_MAX_JOINTS]; ///< [rad^2/s]
+    double effect[ZYGOS_EFFECT_PLACES];   ///< In units of the effect's column.
+} zygos_integral_bias_t;
 
 /// Place of each joint's parameters, the rotor inertia's first, and number of parameters p.
 typedef struct {
@@ -61,13 +61,13 @@ typedef struct {
     uint32_t rotor[ZYGOS_MAX_JOINTS]; ///< 1 where there is an Im_i.
     uint32_t effects;                 ///< Place of the first effect.
     uint32_t count;                   ///< p.
-} zygos_layout_t;
+} zygos_column_map_t;
 
 /// Needs a checked configuration.
-void zygos_balance_layout(const zygos_config_t *config, zygos_layout_t *out);
+void zygos_balance_column_map(const zygos_config_t *config, zygos_column_map_t *out);
 
 /// Forgets all that was. Used at init and at every gap.
-void zygos_balance_gap(zygos_balance_t *self);
+void zygos_balance_reset(zygos_balance_t *self);
 
 /// Makes the next instant the origin of an arc; the filters run on.
 void zygos_balance_new_arc(zygos_balance_t *self);
@@ -78,8 +78,8 @@ void zygos_balance_torque(zygos_balance_t *self, const zygos_config_t *config, c
 
 /// Carries W and D on to this instant and writes its row. Returns 1 when the row belongs to an arc, 0 while g fills.
 /// Cost: the same for every call of a configuration.
-int zygos_balance_row(zygos_balance_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
-                      const zygos_drift_t *drift, const zygos_state_t *state, const zygos_motion_t *motion,
+int zygos_balance_row(zygos_balance_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+                      const zygos_integral_bias_t *bias, const zygos_arm_state_t *state, const zygos_motion_t *motion,
                       zygos_row_t *out);
 
 /// Torque in force on the step that ended with the newest instant, and on the one that begins with it: tau[N] each.

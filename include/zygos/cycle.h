@@ -107,11 +107,12 @@ typedef struct {
     double reported[ZYGOS_MAX_JOINTS]; ///< Torque.
     double q[ZYGOS_MAX_JOINTS];        ///< Encoder readings of the cycle before.
     double theta[ZYGOS_MAX_JOINTS];
-} zygos_hold_t;
+} zygos_previous_cycle_t;
 
 /// Returns 1 when an angle went over the end of its multi-turn range since the cycle before: it differs by more than
 /// half that range, 8 turns. Cost: 2 comparisons a joint.
-int zygos_cycle_wrapped(const zygos_hold_t *hold, const zygos_config_t *config, const zygos_cycle_t *cycle);
+int zygos_cycle_wrapped(const zygos_previous_cycle_t *previous, const zygos_config_t *config,
+                        const zygos_cycle_t *cycle);
 
 /// Returns 1 when link and motor angle of a flexible joint, signs and zeros applied, are more than 8 turns apart: one
 /// of them has gone over the end of its multi-turn range and the other has not, which reads as a deflection of 16
@@ -121,8 +122,8 @@ int zygos_cycle_apart(const zygos_config_t *config, const zygos_cycle_t *cycle);
 /// Applies signs, zeros and mounting. Writes the signals q_1..q_N, theta_1..theta_N, omega_x..omega_z (base axes) into
 /// signal[2N+3], and into tau[N] the torque that was in force from the SYNC before this one until this one.
 /// Changes *hold. Cost: 9 multiplications for the gyro and 6 a joint.
-void zygos_cycle_calibrate(zygos_hold_t *hold, const zygos_config_t *config, const zygos_cycle_t *cycle, double *signal,
-                           double *tau);
+void zygos_cycle_calibrate(zygos_previous_cycle_t *previous, const zygos_config_t *config, const zygos_cycle_t *cycle,
+                           double *signal, double *tau);
 
 #ifdef __cplusplus
 }

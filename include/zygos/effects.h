@@ -1,7 +1,7 @@
 /// zygos/effects.h: columns of the balance for what is no rigid body, rotor, linear spring or damper.
 ///
 /// An effect with coefficient c adds c times its column to the left side of the balance. With the smoothed state of its
-/// joint, sat(v) = clamp(v / ZYGOS_SLOWEST_RATE, -1, 1), n the ratio and d = theta - q, the columns are
+/// joint, sat(v) = clamp(v / ZYGOS_COULOMB_FULL_RATE, -1, 1), n the ratio and d = theta - q, the columns are
 ///
 ///     ZYGOS_MOTOR_COULOMB      integral of n sat(theta') theta'      work of the friction
 ///     ZYGOS_MOTOR_VISCOUS      integral of n theta'^2                work of the friction
@@ -27,7 +27,7 @@ extern "C" {
 #endif
 
 /// Below this rate, after the gear, Coulomb friction fades to zero [rad/s].
-#define ZYGOS_SLOWEST_RATE 1e-3
+#define ZYGOS_COULOMB_FULL_RATE 1e-3
 
 typedef struct {
     double total[ZYGOS_EFFECT_PLACES];   ///< Integral or sum since the arc began.
@@ -47,18 +47,18 @@ uint32_t zygos_effects_positive(const zygos_config_t *config);
 /// Carries the integrals and sums on to this instant. tau_before[N] and tau[N] are the torques in force until it and
 /// from it on; drift, one an effect, is what noise alone adds to an integral in a step. Needs a checked configuration.
 /// Cost: the same for every call of a configuration.
-void zygos_effects_carry_on(zygos_effects_t *self, const zygos_config_t *config, const zygos_state_t *state,
-                            const double *tau_before, const double *tau, const double *drift);
+void zygos_effects_advance(zygos_effects_t *self, const zygos_config_t *config, const zygos_arm_state_t *state,
+                           const double *tau_before, const double *tau, const double *bias);
 
 /// Multiplies the integrals and sums by keep: 0 at the origin of an arc, else 1.
-void zygos_effects_keep(zygos_effects_t *self, const zygos_config_t *config, double keep);
+void zygos_effects_scale(zygos_effects_t *self, const zygos_config_t *config, double factor);
 
 /// Derivatives of the column of effect e in the newest smoothed angle and rate of its motor, and in the angle of its
 /// link; torque_step is the change of its torque at the instant. An integral changes with the newest angle by what it
 /// integrates over the angle.
-void zygos_effects_motor_slopes(const zygos_config_t *config, uint32_t e, const zygos_state_t *state,
+void zygos_effects_motor_slopes(const zygos_config_t *config, uint32_t e, const zygos_arm_state_t *state,
                                 double torque_step, double *by_angle, double *by_rate);
-double zygos_effects_link_slope(const zygos_config_t *config, uint32_t e, const zygos_state_t *state);
+double zygos_effects_link_slope(const zygos_config_t *config, uint32_t e, const zygos_arm_state_t *state);
 
 /// Writes the columns of this instant, one an effect.
 void zygos_effects_columns(const zygos_effects_t *self, const zygos_config_t *config, double *column);

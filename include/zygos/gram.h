@@ -28,8 +28,8 @@ double zygos_gram_check(const double *gram, uint32_t width, const double *sum, d
 
 /// A seal of what changes seldom and has no row sums: goes on with another number, or with n doubles. One flipped bit
 /// in any of them always changes it. Cost: a multiplication a word.
-uint64_t zygos_seal_number(uint64_t seal, uint64_t number);
-uint64_t zygos_seal_doubles(uint64_t seal, const double *x, uint32_t n);
+uint64_t zygos_checksum_number(uint64_t checksum, uint64_t number);
+uint64_t zygos_checksum_doubles(uint64_t checksum, const double *x, uint32_t n);
 
 #ifdef __cplusplus
 }

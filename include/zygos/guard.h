@@ -18,10 +18,10 @@
 /// is judged by itself. An arc that contradicts is not admitted to the sums, but counted and named. Without a running
 /// solution nothing is left out.
 ///
-/// ZYGOS_IN_A_ROW arcs in a row that contradict are no accident: the arm has changed. They are left out all the same,
-/// and the estimate, which is still that of the arm before, is doubtful (ZYGOS_REASON_CHANGED) until an arc agrees
-/// again, zygos_restart(), or the arcs left out in a row hold more instants than the sums do: then the running solution
-/// is given up, and all arcs are admitted until the next one.
+/// ZYGOS_CONSECUTIVE_ARCS arcs in a row that contradict are no accident: the arm has changed. They are left out all the
+/// same, and the estimate, which is still that of the arm before, is doubtful (ZYGOS_REASON_CHANGED) until an arc
+/// agrees again, zygos_restart(), or the arcs left out in a row hold more instants than the sums do: then the running
+/// solution is given up, and all arcs are admitted until the next one.
 
 #ifndef ZYGOS_GUARD_H
 #define ZYGOS_GUARD_H
@@ -36,7 +36,7 @@ extern "C" {
 #endif
 
 /// Energy arcs in a row; of the other rows as many as fit into so many of the longest energy arcs.
-#define ZYGOS_IN_A_ROW 3u
+#define ZYGOS_CONSECUTIVE_ARCS 3u
 /// Noise differs from arc to arc by more than chance: what nobody declared depends on the motion.
 #define ZYGOS_GUARD_MARGIN 1.25
 /// Of noise the residuals of a block add up to little (ZYGOS_CLUSTER_LIMIT): at least this is usual.
@@ -60,29 +60,30 @@ typedef struct {
 typedef struct {
     double residual; ///< 0: nothing is known, and no such arc is left out.
     double spread;
-} zygos_usual_t;
+} zygos_mean_squares_t;
 
 typedef struct {
     uint32_t known;      ///< 1: there is a running solution.
     uint32_t parameters; ///< p.
     uint32_t changed;    ///< 1: so many arcs in a row contradict that the arm has changed.
     uint32_t lost;       ///< Times that the running solution was found spoilt, and forgotten.
-    uint32_t asked;      ///< 1: zygos_adopt() was called, whatever it was given.
+    uint32_t adopting;   ///< 1: zygos_adopt() was called, whatever it was given.
     uint32_t reserved;
-    uint32_t left_out[ZYGOS_KINDS_OF_ROWS]; ///< Arcs that were left out, by enum zygos_rows.
-    uint32_t in_a_row[ZYGOS_KINDS_OF_ROWS]; ///< Of these the newest that no arc that agrees lies between.
-    double instants[ZYGOS_KINDS_OF_ROWS];   ///< Of those in a row.
-    double agreed[ZYGOS_KINDS_OF_ROWS]; ///< Instants of arcs behind them that agree; half the longest arc ends the row.
-    double contradiction[ZYGOS_KINDS_OF_ROWS]; ///< Residuals of the newest arc over their limit; above 1 left out.
-    uint64_t since;                            ///< Estimates up to this cycle are of another arm.
+    uint32_t left_out[ZYGOS_KINDS_OF_ROWS];        ///< Arcs that were left out, by enum zygos_rows.
+    uint32_t consecutive[ZYGOS_KINDS_OF_ROWS];     ///< Of these the newest that no arc that agrees lies between.
+    double instants[ZYGOS_KINDS_OF_ROWS];          ///< Of those in a row.
+    double agreeing_instants[ZYGOS_KINDS_OF_ROWS]; ///< Instants of arcs behind them that agree; half the longest arc
+                                                   ///< ends the row.
+    double contradiction[ZYGOS_KINDS_OF_ROWS];     ///< Residuals of the newest arc over their limit; above 1 left out.
+    uint64_t since;                                ///< Estimates up to this cycle are of another arm.
     uint64_t dropped; ///< Sums up to this cycle were dropped, for arcs before the first running solution spoilt them.
     zygos_left_out_t newest[ZYGOS_GUARD_ARCS]; ///< Number k of those left out, from 0, is at k % ZYGOS_GUARD_ARCS.
-    uint64_t check;                            ///< Of what stands behind it, which only zygos_adopt() writes.
+    uint64_t checksum;                         ///< Of what stands behind it, which only zygos_adopt() writes.
     double noise_ratio;                        ///< 0 where no noise is declared.
     double cluster;                            ///< At least ZYGOS_GUARD_CLUSTER.
-    zygos_usual_t energy;
-    zygos_usual_t motor[ZYGOS_MAX_JOINTS];
-    zygos_usual_t momentum;
+    zygos_mean_squares_t energy;
+    zygos_mean_squares_t motor[ZYGOS_MAX_JOINTS];
+    zygos_mean_squares_t momentum;
     double solution[ZYGOS_MAX_PARAMETERS];
     double covariance[ZYGOS_MAX_PACKED]; ///< Of as many standard deviations as the 95 % intervals have.
 } zygos_guard_t;
@@ -101,22 +102,22 @@ void zygos_guard_drop(zygos_guard_t *self, zygos_accumulator_t *energy, zygos_jo
 /// Begins with the running solution that the caller has written (parameters, noise_ratio, cluster, energy.residual,
 /// solution, covariance): what rows of the run leave on average at it, and the check. Cost: the sums of the motor and
 /// the momentum rows once, and one pass over the solution.
-void zygos_guard_begin(zygos_guard_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
+void zygos_guard_begin(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
                        const zygos_accumulator_t *energy, const zygos_joint_sums_t *motors,
                        const zygos_momentum_sums_t *momentum);
 
 /// How many times its mean a mean square of so many independent rows can reach: the 6-sigma quantile of chi-square over
 /// its degrees of freedom, by Wilson and Hilferty, times ZYGOS_GUARD_MARGIN.
-double zygos_guard_most(double freedom);
+double zygos_guard_chi_square_limit(double freedom);
 
 /// End the open arc of the energy, motor or momentum rows, whose newest cycle is the given one and which had so many:
 /// as zygos_accumulator_end_arc() and its like do, unless the arc contradicts the running solution. Cost: as these, and
 /// the sums of the arc twice.
 void zygos_guard_end_energy(zygos_guard_t *self, const zygos_config_t *config, zygos_accumulator_t *sums,
                             uint64_t cycle, uint32_t cycles);
-void zygos_guard_end_motors(zygos_guard_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
+void zygos_guard_end_motors(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
                             zygos_joint_sums_t *sums, uint64_t cycle);
-void zygos_guard_end_momentum(zygos_guard_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
+void zygos_guard_end_momentum(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
                               zygos_momentum_sums_t *sums, uint64_t cycle);
 
 #ifdef __cplusplus

@@ -42,20 +42,20 @@ extern "C" {
 #define ZYGOS_MAX_PACKED_IMPULSE (ZYGOS_MAX_IMPULSE * (ZYGOS_MAX_IMPULSE + 1) / 2)
 
 typedef struct {
-    uint32_t instants;                     ///< Smoothed instants since the gap, at most 4.
-    uint32_t origin;                       ///< 1: the next instant opens an arc.
-    double impulse[ZYGOS_MAX_JOINTS];      ///< n int tau [Nms].
-    double wound[ZYGOS_MAX_JOINTS];        ///< Integral of d [rad s].
-    double past[3][ZYGOS_MAX_JOINTS];      ///< d of the three instants before, newest first.
-    double total[ZYGOS_EFFECT_PLACES];     ///< Integral of an effect.
-    double before[3][ZYGOS_EFFECT_PLACES]; ///< Its integrand at the three instants before, newest first.
+    uint32_t instants;                            ///< Smoothed instants since the gap, at most 4.
+    uint32_t origin;                              ///< 1: the next instant opens an arc.
+    double impulse[ZYGOS_MAX_JOINTS];             ///< n int tau [Nms].
+    double deflection_integral[ZYGOS_MAX_JOINTS]; ///< Integral of d [rad s].
+    double past[3][ZYGOS_MAX_JOINTS];             ///< d of the three instants before, newest first.
+    double total[ZYGOS_EFFECT_PLACES];            ///< Integral of an effect.
+    double before[3][ZYGOS_EFFECT_PLACES];        ///< Its integrand at the three instants before, newest first.
 } zygos_impulse_t;
 
 /// Which columns each joint has. effect[i][c] is the effect in column 3 + c.
 typedef struct {
     uint32_t count[ZYGOS_MAX_JOINTS]; ///< 0 where the joint is rigid and has no row.
     uint32_t effect[ZYGOS_MAX_JOINTS][ZYGOS_EFFECT_PLACES];
-} zygos_impulse_layout_t;
+} zygos_impulse_column_map_t;
 
 typedef struct {
     double column[ZYGOS_MAX_JOINTS][ZYGOS_MAX_IMPULSE];
@@ -63,10 +63,10 @@ typedef struct {
 } zygos_impulse_rows_t;
 
 /// Needs a checked configuration.
-void zygos_impulse_layout(const zygos_config_t *config, zygos_impulse_layout_t *out);
+void zygos_impulse_column_map(const zygos_config_t *config, zygos_impulse_column_map_t *out);
 
 /// Forgets all that was. Used at init and at every gap.
-void zygos_impulse_gap(zygos_impulse_t *self);
+void zygos_impulse_reset(zygos_impulse_t *self);
 
 /// Makes the next instant the origin of an arc; the integrands of the past stay.
 void zygos_impulse_new_arc(zygos_impulse_t *self);
@@ -74,8 +74,8 @@ void zygos_impulse_new_arc(zygos_impulse_t *self);
 /// Carries the integrals on to this instant and writes the rows of the flexible joints. tau_before[N] and tau[N] are
 /// the torques in force until the instant and from it on. Returns 1 when the rows belong to an arc, 0 while the
 /// integrands fill: three instants, as the energy row. Cost: the same for every call of a configuration.
-int zygos_impulse_row(zygos_impulse_t *self, const zygos_config_t *config, const zygos_impulse_layout_t *layout,
-                      const zygos_state_t *state, const zygos_motion_t *motion, const double *tau_before,
+int zygos_impulse_row(zygos_impulse_t *self, const zygos_config_t *config, const zygos_impulse_column_map_t *column_map,
+                      const zygos_arm_state_t *state, const zygos_motion_t *motion, const double *tau_before,
                       const double *tau, zygos_impulse_rows_t *out);
 
 /// What the noise of the sensors adds to the products of one row's columns of a flexible joint on average: out takes
@@ -83,7 +83,7 @@ int zygos_impulse_row(zygos_impulse_t *self, const zygos_config_t *config, const
 /// motion: N accepted instants owe N times as much. imu_sigma is the standard deviation of one sample of the gyro
 /// [rad/s]. Integrals average noise out and have none here; the noise of a_i . w_(i-1) is counted as if the axes were
 /// parallel, which in space is a little too much (of the order of 1/n^2). Needs an initialised smoother.
-void zygos_impulse_noise(const zygos_config_t *config, const zygos_impulse_layout_t *layout,
+void zygos_impulse_noise(const zygos_config_t *config, const zygos_impulse_column_map_t *column_map,
                          const zygos_smoother_t *smoother, double imu_sigma, uint32_t joint, double *out);
 
 #ifdef __cplusplus

@@ -38,18 +38,18 @@ typedef struct {
     double instants[ZYGOS_MAX_JOINTS];          ///< Accepted ones that were a joint's turn.
     double total;                               ///< Accepted ones in all.
     uint64_t end;                               ///< Number of the newest cycle.
-    uint64_t seal;                              ///< Of instants, total and end, when the arc has closed.
+    uint64_t checksum;                          ///< Of instants, total and end, when the arc has closed.
 } zygos_joint_block_t;
 
 typedef struct {
-    zygos_impulse_layout_t layout;
+    zygos_impulse_column_map_t column_map;
     double noise[ZYGOS_MAX_JOINTS][ZYGOS_MAX_PACKED_IMPULSE]; ///< Of one instant.
     uint32_t count;                                           ///< Blocks of closed arcs.
     uint32_t corrupt;  ///< 1: the row sums of an arc did not match when it closed.
     uint32_t instants; ///< Accepted instants of the open arc.
     uint32_t cycles;   ///< Instants of the open arc, accepted or not.
     double target;     ///< Instants up to which blocks merge.
-    uint64_t seal;     ///< Of count and target.
+    uint64_t checksum; ///< Of count and target.
     zygos_joint_block_t open;
     zygos_joint_block_t block[ZYGOS_MAX_JOINT_BLOCKS];
 } zygos_joint_sums_t;
@@ -81,7 +81,7 @@ void zygos_joint_sums_admit(zygos_joint_sums_t *self, uint64_t cycle);
 void zygos_joint_sums_leave_out(zygos_joint_sums_t *self);
 
 /// Multiplies all that closed arcs left by a factor.
-void zygos_joint_sums_fade(zygos_joint_sums_t *self, double factor);
+void zygos_joint_sums_forget(zygos_joint_sums_t *self, double factor);
 
 /// Drops the open arc, and the blocks that reach beyond the given cycle.
 void zygos_joint_sums_drop_after(zygos_joint_sums_t *self, uint64_t cycle);

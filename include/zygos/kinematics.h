@@ -28,12 +28,12 @@ extern "C" {
 /// What the configuration says of directions, in the form in which a cycle needs it. The frame of body i has its two
 /// directions u and v across the joint axis, and the axis, as columns; that of the base is the base's.
 typedef struct {
-    double turn[ZYGOS_MAX_JOINTS][9]; ///< Frame of body i in that of body i - 1 at q = 0, row-major.
-    double hand[ZYGOS_MAX_JOINTS];    ///< +1 where u x v points along the axis, -1 where against it.
-    double pull[2];                   ///< Of a planar arm: gravity against its two directions [m/s^2].
-    uint32_t heavy[ZYGOS_MAX_JOINTS]; ///< 1 where gravity has columns.
+    double rotation[ZYGOS_MAX_JOINTS][9];   ///< Frame of body i in that of body i - 1 at q = 0, row-major.
+    double handedness[ZYGOS_MAX_JOINTS];    ///< +1 where u x v points along the axis, -1 where against it.
+    double plane_gravity[2];                ///< Of a planar arm: gravity against its two directions [m/s^2].
+    uint32_t has_gravity[ZYGOS_MAX_JOINTS]; ///< 1 where gravity has columns.
     uint32_t reserved;
-} zygos_skeleton_t;
+} zygos_geometry_t;
 
 /// Vectors stand in the base's axes; those of a planar arm in the plane, along the two directions across its axis.
 typedef struct {
@@ -52,7 +52,7 @@ void zygos_sincos(double angle, double *sine, double *cosine);
 
 /// Two unit vectors across a unit vector: of the reflection that takes the axis to its largest component k, what it
 /// takes e_k+1 and e_k+2 to. An axis along x, y or z has the next two axes, cyclically.
-void zygos_across(const double *axis, double *u, double *v);
+void zygos_perpendicular(const double *axis, double *u, double *v);
 
 /// Number of parameters of the bodies: kinetic ones, and those that gravity has columns for. Needs a configuration
 /// whose base, kinetic, joints, axes, frames and gravity are checked.
@@ -60,7 +60,7 @@ uint32_t zygos_kinetic_parameters(const zygos_config_t *config);
 uint32_t zygos_gravity_parameters(const zygos_config_t *config);
 
 /// Needs a configuration as above.
-void zygos_skeleton_init(zygos_skeleton_t *self, const zygos_config_t *config);
+void zygos_geometry_init(zygos_geometry_t *self, const zygos_config_t *config);
 
 /// Adds x_a . y_b for a <= b, halved for a = b, to the kinetic columns, x_a and y_b being any vectors in the place of
 /// the rate vectors: columns are quadratic, and this is their polar form. Returns the place behind the kinetic columns.
@@ -68,12 +68,12 @@ double *zygos_kinetic_products(const zygos_config_t *config, const double (*x)[3
 
 /// Derivatives of the bodies' columns in the angle and in the rate of link i. Needs a motion that zygos_kinematics()
 /// filled. Cost: four products a pair of directions.
-void zygos_kinematics_slopes(const zygos_skeleton_t *self, const zygos_config_t *config, const zygos_motion_t *motion,
+void zygos_kinematics_slopes(const zygos_geometry_t *self, const zygos_config_t *config, const zygos_motion_t *motion,
                              uint32_t i, double *by_angle, double *by_rate);
 
 /// Fills *out from the state. Needs a checked configuration. Cost: N sincos; planar (N+1)(N+2)/2 plane products, twice
 /// as many where b_ij are parameters; spatial N rotations and (N+2)(2N+3) products of three.
-void zygos_kinematics(const zygos_skeleton_t *self, const zygos_config_t *config, const zygos_state_t *state,
+void zygos_kinematics(const zygos_geometry_t *self, const zygos_config_t *config, const zygos_arm_state_t *state,
                       zygos_motion_t *out);
 
 #ifdef __cplusplus

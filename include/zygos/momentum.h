@@ -41,19 +41,19 @@ typedef struct {
 uint32_t zygos_momentum_count(const zygos_config_t *config);
 
 /// Forgets all that was. Used at init and at every gap.
-void zygos_momentum_gap(zygos_momentum_t *self);
+void zygos_momentum_reset(zygos_momentum_t *self);
 
 /// Makes the next instant the origin of an arc.
 void zygos_momentum_new_arc(zygos_momentum_t *self);
 
 /// Carries the attitude on to this instant. Needs a floating base. Returns 1 when the instant belongs to an arc, 0
 /// during three instants after a gap. Cost: the same for every call of a configuration; in space one rotation.
-int zygos_momentum_step(zygos_momentum_t *self, const zygos_config_t *config, const zygos_state_t *state);
+int zygos_momentum_advance(zygos_momentum_t *self, const zygos_config_t *config, const zygos_arm_state_t *state);
 
 /// Writes one of the rows of an instant that belongs to an arc, at the most ZYGOS_MAX_MOMENTUM columns; component is
 /// 0 .. zygos_momentum_count() - 1. Cost: the same for every call of a configuration; two products of vectors for each
 /// of the kinetic columns.
-void zygos_momentum_row(const zygos_momentum_t *self, const zygos_config_t *config, const zygos_state_t *state,
+void zygos_momentum_row(const zygos_momentum_t *self, const zygos_config_t *config, const zygos_arm_state_t *state,
                         const zygos_motion_t *motion, uint32_t component, double *out);
 
 /// Noise of the rows. It is taken from the rates alone, next to whose noise that of the angles and of the attitude is

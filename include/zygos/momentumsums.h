@@ -36,7 +36,7 @@ typedef struct {
     zygos_momentum_gram_t rows; ///< Closed: the constants eliminated, the noise taken off.
     double instants;            ///< Accepted ones.
     uint64_t end;               ///< Number of the newest cycle.
-    uint64_t seal;              ///< Of instants and end, when the arc has closed.
+    uint64_t checksum;          ///< Of instants and end, when the arc has closed.
 } zygos_momentum_block_t;
 
 typedef struct {
@@ -47,7 +47,7 @@ typedef struct {
     uint32_t cycles;                        ///< Instants of the open arc, accepted or not.
     uint32_t signals;                       ///< Sensors whose noise is taken off; 0 where none is.
     double target;                          ///< Instants up to which blocks merge.
-    uint64_t seal;                          ///< Of count and target.
+    uint64_t checksum;                      ///< Of count and target.
     double deviation[ZYGOS_MAX_JOINTS + 3]; ///< Of each signal, for its turn (momentum.h).
     double rotor[ZYGOS_MAX_JOINTS];         ///< What the rotors' rates owe in an instant.
     zygos_momentum_gram_t noise_open;       ///< Of the open arc, not yet taken off, without the rotors' share.
@@ -72,8 +72,8 @@ void zygos_momentum_sums_clear(zygos_momentum_sums_t *self, const zygos_config_t
 /// Needs a configuration that asks for such rows, and an instant that belongs to an arc. Cost: one row, one derivative,
 /// and a rank-1 update of (columns + 3)(columns + 4)/2 entries for each.
 void zygos_momentum_sums_add(zygos_momentum_sums_t *self, const zygos_config_t *config,
-                             const zygos_momentum_t *momentum, const zygos_state_t *state, const zygos_motion_t *motion,
-                             double weight);
+                             const zygos_momentum_t *momentum, const zygos_arm_state_t *state,
+                             const zygos_motion_t *motion, double weight);
 
 /// Ends the open arc, whose newest cycle is the given one: eliminates its constants and takes its noise off, or drops
 /// it when it is too short. Cost: the sums of an arc a few times; at the worst one merge of all blocks.
@@ -87,7 +87,7 @@ void zygos_momentum_sums_admit(zygos_momentum_sums_t *self, uint64_t cycle);
 void zygos_momentum_sums_leave_out(zygos_momentum_sums_t *self);
 
 /// Multiplies all that closed arcs left by a factor. Cost: their blocks once.
-void zygos_momentum_sums_fade(zygos_momentum_sums_t *self, double factor);
+void zygos_momentum_sums_forget(zygos_momentum_sums_t *self, double factor);
 
 /// Drops the open arc, and the blocks that reach beyond the given cycle. Cost: one pass over the noise of closed arcs.
 void zygos_momentum_sums_drop_after(zygos_momentum_sums_t *self, uint64_t cycle);

@@ -33,24 +33,24 @@ extern "C" {
 typedef struct {
     uint32_t count;
     uint32_t place[ZYGOS_MAX_PARAMETERS + 1];
-} zygos_places_t;
+} zygos_column_list_t;
 
 /// Sensors: link encoder of each joint, motor encoder of each joint, the gyro. What they share with each other is 0.
 typedef struct {
     /// Of the smoothed value and rate of a joint's signal, q_1 .. q_N theta_1 .. theta_N, as a lower Cholesky factor:
     /// value, covariance / value, what is left of the rate [rad, rad/s].
     double factor[2 * ZYGOS_MAX_JOINTS][3];
-    double rate_variance[2 * ZYGOS_MAX_JOINTS]; ///< [rad^2/s^2]
-    double gyro_variance;                       ///< Of a smoothed component, or 0 [rad^2/s^2].
-    zygos_drift_t drift;                        ///< Mean growth of the dissipation, and of effects, in a step.
-    zygos_places_t angle[2 * ZYGOS_MAX_JOINTS]; ///< Of the value; where it latches late, also those of the rate.
-    zygos_places_t rate[2 * ZYGOS_MAX_JOINTS];
-    zygos_places_t gyro;
+    double rate_variance[2 * ZYGOS_MAX_JOINTS];      ///< [rad^2/s^2]
+    double gyro_variance;                            ///< Of a smoothed component, or 0 [rad^2/s^2].
+    zygos_integral_bias_t integral_bias;             ///< Mean growth of the dissipation, and of effects, in a step.
+    zygos_column_list_t angle[2 * ZYGOS_MAX_JOINTS]; ///< Of the value; where it latches late, also those of the rate.
+    zygos_column_list_t rate[2 * ZYGOS_MAX_JOINTS];
+    zygos_column_list_t gyro;
 } zygos_noise_t;
 
 /// Computes the covariances from the smoother's coefficients and the declared deviations. Needs a checked
 /// configuration.
-void zygos_noise_init(zygos_noise_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
+void zygos_noise_init(zygos_noise_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
                       const zygos_smoother_t *smoother);
 
 /// Removes the mean of the noise from the kinetic columns of a row. Does nothing where the configuration switches the
@@ -63,8 +63,8 @@ void zygos_noise_means(const zygos_noise_t *self, const zygos_config_t *config, 
 /// where turn - s is a multiple of config->compensation. tau[N] is the torque before the instant, tau_next[N] that
 /// after it. Cost: for each sensor whose turn it is, J and one update of the places where it is not zero (three of the
 /// gyro's in space); it depends on the sensor, not on its data.
-void zygos_noise_add(const zygos_noise_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
-                     const zygos_skeleton_t *skeleton, const zygos_state_t *state, const zygos_motion_t *motion,
+void zygos_noise_add(const zygos_noise_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+                     const zygos_geometry_t *geometry, const zygos_arm_state_t *state, const zygos_motion_t *motion,
                      const double *tau, const double *tau_next, uint32_t turn, double weight, double *packed,
                      double *sum);
 

@@ -19,8 +19,8 @@ extern "C" {
 /// Coefficients of one sample of a joint: of q, of theta.
 typedef struct {
     double value[2];
-    double slope[2]; ///< Of the rate [1/s].
-    double probe[2]; ///< Slope minus the second slope [1/s].
+    double slope[2];            ///< Of the rate [1/s].
+    double slope_difference[2]; ///< Slope minus the second slope [1/s].
 } zygos_taps_t;
 
 /// Samples of one instant: the base rate about three axes, then q and theta of each joint.
@@ -49,19 +49,19 @@ typedef struct {
     double theta_rate[ZYGOS_MAX_JOINTS]; ///< [rad/s]
     double omega[3];                     ///< Base rate, base axes [rad/s].
     double accepted;                     ///< 1 when every signal passed the bandwidth test, else 0.
-} zygos_state_t;
+} zygos_arm_state_t;
 
 /// Computes the coefficients and empties the window. Needs a checked configuration. Cost: about order * window^2
 /// operations a signal; no library function. Returns nothing: every checked configuration has coefficients.
 void zygos_smoother_init(zygos_smoother_t *self, const zygos_config_t *config);
 
 /// Empties the window; the coefficients stay.
-void zygos_smoother_gap(zygos_smoother_t *self);
+void zygos_smoother_reset(zygos_smoother_t *self);
 
 /// Puts in the newest sample of each signal. When the window is full, writes the state M cycles ago into *out and
 /// returns 1; else returns 0 and leaves *out as it was. Cost: 3 window products a joint signal, 1 a gyro axis; the same
 /// for every call that returns 1.
-int zygos_smoother_push(zygos_smoother_t *self, const double *signal, zygos_state_t *out);
+int zygos_smoother_push(zygos_smoother_t *self, const double *signal, zygos_arm_state_t *out);
 
 /// What noise of variance 1 makes of a signal: variance of the value, covariance of value and rate, variance of the
 /// rate, which is 0 of the gyro. Needs an initialised smoother.

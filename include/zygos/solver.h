@@ -29,7 +29,7 @@ enum zygos_validity {
 
 enum zygos_reason {
     ZYGOS_REASON_NONE = 0,
-    ZYGOS_REASON_NO_DATA = 1, ///< Fewer accepted instants than three a parameter, or fewer than ZYGOS_LEAST_BLOCKS.
+    ZYGOS_REASON_NO_DATA = 1, ///< Fewer accepted instants than three a parameter, or fewer than ZYGOS_MIN_BLOCKS.
     ZYGOS_REASON_NOT_IDENTIFIABLE = 2, ///< The motion so far does not determine every parameter: rank or sigmas say so.
     ZYGOS_REASON_TOO_FAST = 3,         ///< More than 5 % of the instants failed the bandwidth test.
     ZYGOS_REASON_NOT_PHYSICAL = 4,     ///< The bodies' inertia less the rotors' is not positive definite, Im, k or b is
@@ -37,11 +37,11 @@ enum zygos_reason {
                                        ///< ZYGOS_NEGATIVE_SIGMAS.
     ZYGOS_REASON_CORRUPT = 5,          ///< Row sums or counts do not match: memory was changed, or never taken.
     ZYGOS_REASON_UNCLOSED = 6,         ///< What the solution leaves over is no noise: see ZYGOS_CLUSTER_LIMIT.
-    ZYGOS_REASON_DECLARED = 8,         ///< The declared noise is not in the data: see ZYGOS_NOT_THERE.
-    ZYGOS_REASON_NOISE = 7,            ///< Noise is as large as the motion in some combination: see ZYGOS_GATE.
-    ZYGOS_REASON_CHANGED = 9,          ///< The newest arcs contradict the values, several in a row: see guard.h.
-    ZYGOS_REASON_UNEXPLAINED = 10      ///< What the solution leaves over is no noise, and more than a share of the
-                                       ///< work: see ZYGOS_UNEXPLAINED_LIMIT.
+    ZYGOS_REASON_DECLARED = 8,         ///< The declared noise is not in the data: see ZYGOS_NOISE_ABSENT.
+    ZYGOS_REASON_NOISE = 7,   ///< Noise is as large as the motion in some combination: see ZYGOS_MIN_SIGNAL_TO_NOISE.
+    ZYGOS_REASON_CHANGED = 9, ///< The newest arcs contradict the values, several in a row: see guard.h.
+    ZYGOS_REASON_UNEXPLAINED = 10 ///< What the solution leaves over is no noise, and more than a share of the
+                                  ///< work: see ZYGOS_UNEXPLAINED_LIMIT.
 };
 
 /// A parameter whose scaled pivot falls below this share is a combination of the others.
@@ -49,12 +49,12 @@ enum zygos_reason {
 /// Smallest ratio of the sums to the noise in them, over all combinations of columns. At 1 they are noise. Below this
 /// limit only half of the sums' least combination is taken off, and values that this changes by more than the limits
 /// for sigma are withheld.
-#define ZYGOS_GATE 2.0
+#define ZYGOS_MIN_SIGNAL_TO_NOISE 2.0
 /// When the residuals' square is less than this share of the declared noise, the declaration is too large, and as much
 /// of it is believed as the residuals show.
 #define ZYGOS_OVERDECLARED 0.6
 /// Below this share the declaration is wrong by so much that what it took off the rows themselves cannot be trusted.
-#define ZYGOS_NOT_THERE 0.1
+#define ZYGOS_NOISE_ABSENT 0.1
 /// The residuals beyond the declared noise tell how much more the columns may hold. When its square, per scaled column,
 /// exceeds this share of what the motion puts into the combination of columns that it excites least, it makes that
 /// combination, and with it the values. Below that, what as much noise again changes is added to the sigmas.
@@ -85,9 +85,9 @@ enum zygos_reason {
 #define ZYGOS_SIGMA_LIMIT 0.25
 #define ZYGOS_SIGMA_LIMIT_BESIDE 0.025
 /// Deviation of the newest arc from all before it, in standard deviations, that is no accident.
-#define ZYGOS_DRIFT_ALARM 6.0
+#define ZYGOS_CHANGE_ALARM 6.0
 /// Blocks that the arcs before the newest one must fill: the spread of fewer makes false alarms.
-#define ZYGOS_DRIFT_BLOCKS 8u
+#define ZYGOS_CHANGE_MIN_BLOCKS 8u
 /// What cannot be negative may be zero, and come out negative by as many sigmas.
 #define ZYGOS_NEGATIVE_SIGMAS 3.0
 
@@ -103,12 +103,13 @@ typedef struct {
     uint32_t blocks;     ///< Blocks behind the sigmas.
     uint32_t rank;       ///< Independent columns.
     uint32_t left_out[ZYGOS_KINDS_OF_ROWS]; ///< Arcs that contradicted, by enum zygos_rows, the open ones included.
-    uint32_t in_a_row;  ///< Of those of the energy rows the newest that no arc that agrees lies between.
-    double condition;   ///< 1-norm condition of the scaled normal matrix of the independent columns.
+    uint32_t consecutive; ///< Of those of the energy rows the newest that no arc that agrees lies between.
+    double condition;     ///< 1-norm condition of the scaled normal matrix of the independent columns.
     double cluster;     ///< How far the residuals of a block add up: around 1 for noise, up to its instants otherwise.
     double residual;    ///< Root mean square of W - row . x about the arc constants [J].
     double noise_ratio; ///< Its square over what the declared noise makes of it; NaN where none is declared.
-    double gate;        ///< Smallest ratio of sums to noise (ZYGOS_GATE); infinite where none is declared.
+    double signal_to_noise; ///< Smallest ratio of sums to noise (ZYGOS_MIN_SIGNAL_TO_NOISE); infinite where none is
+                            ///< declared.
     uint32_t identifiable[ZYGOS_MAX_PARAMETERS]; ///< 1, or 0 and value and sigma are NaN.
     /// The least squares solution for all columns, dependent ones 0; NaN when refused. As a whole it predicts the
     /// energy of motions like those it came from. One of its entries means something by itself only where value has it
@@ -134,33 +135,33 @@ typedef struct {
     uint32_t arc; ///< Instants of the open arc of the energy rows.
     uint32_t reserved;
     zygos_config_t config;
-    zygos_layout_t layout;
+    zygos_column_map_t column_map;
     double total[ZYGOS_MAX_PACKED_ROW]; ///< All rows, weighted, the noise taken off.
     double noise[ZYGOS_MAX_PACKED_ROW]; ///< The noise that was.
     double matrix[ZYGOS_MAX_PACKED];
     double factor[ZYGOS_MAX_PACKED];
     double scale[ZYGOS_MAX_PARAMETERS];
-    double right[ZYGOS_MAX_PARAMETERS];
+    double right_side[ZYGOS_MAX_PARAMETERS];
     double solution[ZYGOS_MAX_PARAMETERS];
     double size[ZYGOS_MAX_PARAMETERS];
-    double hidden[ZYGOS_MAX_PARAMETERS];
+    double noise_shift[ZYGOS_MAX_PARAMETERS];
     double score[ZYGOS_MAX_PARAMETERS];
-    double left_out[ZYGOS_MAX_BLOCKS + ZYGOS_MAX_JOINT_BLOCKS + ZYGOS_MOMENTUM_PLACES][ZYGOS_MAX_PARAMETERS];
+    double leave_one_out[ZYGOS_MAX_BLOCKS + ZYGOS_MAX_JOINT_BLOCKS + ZYGOS_MOMENTUM_PLACES][ZYGOS_MAX_PARAMETERS];
     double weight[ZYGOS_MAX_JOINTS];      ///< Of each joint's motor rows beside the energy rows.
     double momentum_weight;               ///< Of the momentum rows beside the energy rows.
     double inverse[ZYGOS_MAX_PARAMETERS]; ///< Diagonal of the inverse of the scaled matrix.
-    double shares[2][ZYGOS_MAX_PARAMETERS];
-    double freedom[ZYGOS_MAX_PARAMETERS];
-    double plain[ZYGOS_MAX_PARAMETERS];
-    double direct[ZYGOS_MAX_PARAMETERS];
+    double information[2][ZYGOS_MAX_PARAMETERS];
+    double degrees_of_freedom[ZYGOS_MAX_PARAMETERS];
+    double linearised_variance[ZYGOS_MAX_PARAMETERS];
+    double linearised[ZYGOS_MAX_PARAMETERS];
     double spread; ///< Sum of the squared work about the arc constants [J^2].
     struct {
         uint32_t first;
         uint32_t end;
     } blocks, arcs, momenta; ///< Blocks of the energy, the motor and the momentum rows that are looked at.
     double instants;         ///< Accepted instants of the first.
-    double noise_part;       ///< Their share of the noise of closed arcs.
-    double believed;         ///< Share of the declared noise that is taken off.
+    double noise_fraction;   ///< Their share of the noise of closed arcs.
+    double noise_scale;      ///< Share of the declared noise that is taken off.
     uint32_t pivot[ZYGOS_MAX_PARAMETERS];
 } zygos_work_t;
 
@@ -180,8 +181,8 @@ bool zygos_work_intact(zygos_work_t *work);
 /// not speak for itself: it counts with those before it, until several such have as many together. Fills *out with what
 /// was known before (until out->cycle; sigmas by the scatter alone, for what all arcs have in common is in both sides
 /// of the comparison), and deviation[ZYGOS_MAX_PARAMETERS] with how far the newest arc's own value lies from that, in
-/// standard deviations of the difference (from half95). Needs ZYGOS_DRIFT_BLOCKS blocks before the newest
-/// arc, which a build with ZYGOS_MAX_BLOCKS of 32 and more keeps, and one of 8 never has. ZYGOS_DRIFT_ALARM and beyond
+/// standard deviations of the difference (from half95). Needs ZYGOS_CHANGE_MIN_BLOCKS blocks before the newest
+/// arc, which a build with ZYGOS_MAX_BLOCKS of 32 and more keeps, and one of 8 never has. ZYGOS_CHANGE_ALARM and beyond
 /// is a change of the arm where the balance closes on both sides (validity ZYGOS_VALID). Where it does not close on one
 /// of them (ZYGOS_DOUBTFUL for ZYGOS_REASON_UNCLOSED; cluster is the larger of the two), it may as well be an effect
 /// that no column describes, friction say, in a motion that was another: then the deviation is no proof of a change.
@@ -191,7 +192,7 @@ bool zygos_work_intact(zygos_work_t *work);
 /// solution leaves is unusual, is no change. Reads and changes *work, as zygos_solve() does: take anew for each.
 /// Returns 1; 0 when all deviations are NaN, because before (validity is then ZYGOS_REFUSED) or within the newest arc
 /// something is not identifiable or not explained; or ZYGOS_E_NULL.
-int zygos_drift(zygos_work_t *work, zygos_estimate_t *out, double *deviation);
+int zygos_detect_change(zygos_work_t *work, zygos_estimate_t *out, double *deviation);
 
 #ifdef __cplusplus
 }

@@ -105,9 +105,9 @@ extern "C" {
 #define ZYGOS_MAX_ROW (ZYGOS_MAX_PARAMETERS + 2)
 #define ZYGOS_MAX_PACKED_ROW (ZYGOS_MAX_ROW * (ZYGOS_MAX_ROW + 1) / 2)
 /// Instants that are summed before they are shared out in as many slices, and both with the last slice filled up.
-#define ZYGOS_STEP 8
-#define ZYGOS_MAX_SLICED_ROW (ZYGOS_MAX_ROW + 2 * ZYGOS_STEP)
-#define ZYGOS_MAX_SLICED_GRAM (ZYGOS_MAX_PACKED_ROW + 2 * ZYGOS_STEP)
+#define ZYGOS_BUFFER_ROWS 8
+#define ZYGOS_MAX_SLICED_ROW (ZYGOS_MAX_ROW + 2 * ZYGOS_BUFFER_ROWS)
+#define ZYGOS_MAX_SLICED_GRAM (ZYGOS_MAX_PACKED_ROW + 2 * ZYGOS_BUFFER_ROWS)
 #define ZYGOS_MAX_PACKED (ZYGOS_MAX_PARAMETERS * (ZYGOS_MAX_PARAMETERS + 1) / 2)
 
 #ifdef __FAST_MATH__
@@ -118,13 +118,13 @@ extern "C" {
 #define ZYGOS_VERSION_MINOR 1
 
 /// Doubles count instants as far.
-#define ZYGOS_MOST_INSTANTS 9007199254740992.0
+#define ZYGOS_MAX_INSTANTS 9007199254740992.0
 
 /// Of fewer arcs of motor or momentum rows the spread says too little: they are left out, and no more of them merge.
-#define ZYGOS_LEAST_ARCS 3u
+#define ZYGOS_MIN_ARCS 3u
 
 /// A block of closed arcs of which forgetting has left fewer instants than this is emptied.
-#define ZYGOS_FAINT 1e-6
+#define ZYGOS_NEGLIGIBLE_INSTANTS 1e-6
 
 /// Arcs with fewer accepted instants than this carry no weight: they are dropped and counted.
 #define ZYGOS_MIN_ARC_INSTANTS 20
@@ -227,15 +227,15 @@ typedef struct {
     uint32_t smoother_lag;        ///< Must equal M: a filter evaluated at its newest sample is refused.
     uint32_t arc_cycles;          ///< An arc ends after that many instants at the latest, >= ZYGOS_MIN_ARC_INSTANTS;
                                   ///< from an eighth of them on, at an instant that the bandwidth test refuses.
-    double keep;           ///< Share of what closed arcs left that is kept from cycle to cycle, 0.9 .. 1; 1 forgets
-                           ///< nothing. It is applied when an arc ends.
-    uint32_t imu_node;     ///< Node number of the gyro, 1..31; 0 on a fixed base, which has none.
-    uint32_t imu_fine;     ///< 1: rates come as i24 in two frames; 0: as i16 in one.
-    double period_s;       ///< SYNC period h. Time is the SYNC count times h, never a receive time.
-    double imu_to_base[9]; ///< Rotation that takes a rate from the sensor's axes to the base's, row-major.
-    double imu_latch_s;    ///< Delay from SYNC to the gyro's latch.
-    double imu_sigma;      ///< Standard deviation of one component of one sample's noise [rad/s]; 0: not declared.
-    double gravity[3];     ///< In the base frame [m/s^2]; 0 on a free base.
+    double forgetting_factor; ///< Share of what closed arcs left that is kept from cycle to cycle, 0.9 .. 1; 1 forgets
+                              ///< nothing. It is applied when an arc ends.
+    uint32_t imu_node;        ///< Node number of the gyro, 1..31; 0 on a fixed base, which has none.
+    uint32_t imu_fine;        ///< 1: rates come as i24 in two frames; 0: as i16 in one.
+    double period_s;          ///< SYNC period h. Time is the SYNC count times h, never a receive time.
+    double imu_to_base[9];    ///< Rotation that takes a rate from the sensor's axes to the base's, row-major.
+    double imu_latch_s;       ///< Delay from SYNC to the gyro's latch.
+    double imu_sigma;         ///< Standard deviation of one component of one sample's noise [rad/s]; 0: not declared.
+    double gravity[3];        ///< In the base frame [m/s^2]; 0 on a free base.
     zygos_joint_config_t joint[ZYGOS_MAX_JOINTS];
     uint32_t compensation; ///< 0: off. m: what noise adds to the normal equations is taken off, each sensor's share in
                            ///< every m-th cycle, 1..2 ZYGOS_MAX_JOINTS + 1.

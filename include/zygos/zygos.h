@@ -47,28 +47,28 @@ extern "C" {
 /// Everything about one arm. Its members are for reading; only the calls below change them. Memory that zygos_init()
 /// has not accepted is recognised by its mark, except by chance.
 typedef struct {
-    uint32_t mark;
+    uint32_t magic;
     uint32_t reserved;
-    uint64_t cycle;        ///< SYNC number of the newest cycle that was worked off.
-    uint64_t cycles;       ///< Cycles that were worked off.
-    uint64_t gaps;         ///< Times that an arc ended because cycles did not follow each other.
-    uint64_t invalid;      ///< Cycles through zygos_cycle() that were flagged invalid or not finite.
-    uint64_t wraps;        ///< Times that an angle went over the end of its multi-turn range; the arc ends.
-    uint64_t apart;        ///< Cycles with link and motor angle on different sides of that end; they are not used.
-    uint32_t arc;          ///< Instants of the open arc, accepted or not.
-    uint32_t instant;      ///< 1: state, row and accepted below are those of the newest cycle.
-    double faded;          ///< What is left of closed arcs by the cycles of the open one (keep).
-    double joints_faded;   ///< The same of the motor rows,
-    double momentum_faded; ///< and of the momentum rows.
-    double accepted;       ///< 1 when the newest row was accumulated, 0 when the bandwidth test refused it.
+    uint64_t cycle;             ///< SYNC number of the newest cycle that was worked off.
+    uint64_t cycles;            ///< Cycles that were worked off.
+    uint64_t gaps;              ///< Times that an arc ended because cycles did not follow each other.
+    uint64_t invalid;           ///< Cycles through zygos_cycle() that were flagged invalid or not finite.
+    uint64_t wraps;             ///< Times that an angle went over the end of its multi-turn range; the arc ends.
+    uint64_t apart;             ///< Cycles with link and motor angle on different sides of that end; they are not used.
+    uint32_t arc;               ///< Instants of the open arc, accepted or not.
+    uint32_t instant;           ///< 1: state, row and accepted below are those of the newest cycle.
+    double forgetting;          ///< What is left of closed arcs by the cycles of the open one (keep).
+    double joints_forgetting;   ///< The same of the motor rows,
+    double momentum_forgetting; ///< and of the momentum rows.
+    double accepted;            ///< 1 when the newest row was accumulated, 0 when the bandwidth test refused it.
     zygos_config_t config;
-    zygos_layout_t layout;
-    zygos_skeleton_t skeleton;
+    zygos_column_map_t column_map;
+    zygos_geometry_t geometry;
     zygos_receiver_t receiver;
-    zygos_hold_t hold;
+    zygos_previous_cycle_t previous;
     zygos_smoother_t smoother;
     zygos_noise_t noise;
-    zygos_state_t state;
+    zygos_arm_state_t arm_state;
     zygos_motion_t motion;
     zygos_balance_t balance;
     zygos_row_t row;
@@ -83,7 +83,7 @@ typedef struct {
 
 /// Digest of the text of all structs in these headers, without comments: a field that is moved, renamed or given
 /// another type changes it. tests/unit/test_snapshot.py knows what it must be.
-#define ZYGOS_LAYOUT 0x954B9836u
+#define ZYGOS_LAYOUT 0xB4DBF2D6u
 
 #define ZYGOS_MIX(hash, value) (((uint32_t)(hash) ^ (uint32_t)(value)) * 16777619u)
 

@@ -27,7 +27,7 @@ typedef struct {
     uint64_t cycle;
     uint32_t instant;
     uint32_t accepted;
-    zygos_state_t state;
+    zygos_arm_state_t state;
     zygos_motion_t motion;
     zygos_row_t row;
 } instant_t;
@@ -58,7 +58,7 @@ static void put_instant(void)
     instant.cycle = arm.cycle;
     instant.instant = arm.instant;
     instant.accepted = (arm.accepted > 0.0) ? 1u : 0u;
-    memcpy(&instant.state, &arm.state, sizeof arm.state);
+    memcpy(&instant.state, &arm.arm_state, sizeof arm.arm_state);
     memcpy(&instant.motion, &arm.motion, sizeof arm.motion);
     memcpy(&instant.row, &arm.row, sizeof arm.row);
     put(INSTANT, &instant, sizeof instant);

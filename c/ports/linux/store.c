@@ -11,7 +11,7 @@
 #include <sys/uio.h>
 #include <unistd.h>
 
-#include "say.h"
+#include "log.h"
 #include "zygos/snapshot.h"
 
 #define AS_PREVIOUS ".previous"
@@ -108,13 +108,13 @@ int node_store_config(const char *path, zygos_config_t *config)
         return 1;
     }
     if (verdict == 0) {
-        return node_say("%s: no such file; remedy: write it with `zygos compile-model`", path);
+        return node_log("%s: no such file; remedy: write it with `zygos compile-model`", path);
     }
     if (verdict <= NOT_READ) {
-        return node_say("%s: cannot be read (%s); remedy: check the path and its permissions", path,
+        return node_log("%s: cannot be read (%s); remedy: check the path and its permissions", path,
                         strerror(NOT_READ - verdict));
     }
-    return node_say("%s: %s; remedy: %s", path, refusal_of(verdict)->reason, refusal_of(verdict)->config);
+    return node_log("%s: %s; remedy: %s", path, refusal_of(verdict)->reason, refusal_of(verdict)->config);
 }
 
 /* The folder of a path, in a buffer of the caller's. */
@@ -132,18 +132,18 @@ int node_store_open(node_store_t *self, const char *path, const char *config)
     }
     char buffer[PATH_MAX];
     if (strlen(path) + LONGEST_SUFFIX > PATH_MAX) {
-        return node_say("%s: could not be saved (%s); remedy: a shorter name for --state", path,
+        return node_log("%s: could not be saved (%s); remedy: a shorter name for --state", path,
                         strerror(ENAMETOOLONG));
     }
     struct stat entry;
     const char *folder = folder_of(path, buffer, sizeof buffer);
     const bool reached = (stat(folder, &entry) == 0);
     if (!reached || !S_ISDIR(entry.st_mode)) {
-        return node_say("%s: could not be saved (%s); remedy: name a file in a folder that is there", path,
+        return node_log("%s: could not be saved (%s); remedy: name a file in a folder that is there", path,
                         strerror(reached ? ENOTDIR : errno));
     }
     if (access(folder, W_OK | X_OK) != 0) {
-        node_say("%s: cannot be saved (%s); remedy: open the folder %s to this user; until then states are lost", path,
+        node_log("%s: cannot be saved (%s); remedy: open the folder %s to this user; until then states are lost", path,
                  strerror(errno), folder);
     }
     struct stat other;
@@ -151,10 +151,10 @@ int node_store_open(node_store_t *self, const char *path, const char *config)
         return 1;
     }
     if ((stat(config, &other) == 0) && (entry.st_dev == other.st_dev) && (entry.st_ino == other.st_ino)) {
-        return node_say("%s: %s; remedy: %s", path, refusal_of(ZYGOS_E_KIND)->reason, refusal_of(ZYGOS_E_KIND)->config);
+        return node_log("%s: %s; remedy: %s", path, refusal_of(ZYGOS_E_KIND)->reason, refusal_of(ZYGOS_E_KIND)->config);
     }
     if (!S_ISREG(entry.st_mode)) {
-        return node_say("%s: cannot be read (%s); remedy: name a file with --state", path,
+        return node_log("%s: cannot be read (%s); remedy: name a file with --state", path,
                         S_ISDIR(entry.st_mode) ? strerror(EISDIR) : "Not a regular file");
     }
     return 1;
@@ -176,18 +176,18 @@ static int take_up(const char *path, const zygos_config_t *config, zygos_t *arm,
 }
 
 /* path: the file that is not used. aside: what it is called from here on, or null where it stays. */
-static void say_why(const char *path, int verdict, const char *aside)
+static void log_refusal(const char *path, int verdict, const char *aside)
 {
     const char *what = (aside != NULL) ? "kept as " : "a later save replaces it";
     const char *where = (aside != NULL) ? aside : "";
     const char *kept = (aside != NULL) ? aside : path;
     if (verdict <= NOT_READ) {
-        node_say("%s: cannot be read (%s); %s%s; remedy: check the disk and the permissions of %s", path,
+        node_log("%s: cannot be read (%s); %s%s; remedy: check the disk and the permissions of %s", path,
                  strerror(NOT_READ - verdict), what, where, kept);
         return;
     }
     const refusal_t *refusal = refusal_of(verdict);
-    node_say("%s: %s; %s%s; remedy: %s %s", path, refusal->reason, what, where, refusal->state, kept);
+    node_log("%s: %s; %s%s; remedy: %s %s", path, refusal->reason, what, where, refusal->state, kept);
 }
 
 /* Gives a FILE that cannot be used another name, so that nothing is lost. The first one stays: it may be the long work
@@ -199,7 +199,7 @@ static void put_aside(node_store_t *self, int verdict)
     (void)name_of(self, AS_UNUSABLE, aside);
     const bool vacant = (lstat(aside, &entry) != 0) && (errno == ENOENT);
     self->good = vacant && (rename(self->path, aside) == 0);
-    say_why(self->path, verdict, self->good ? aside : NULL);
+    log_refusal(self->path, verdict, self->good ? aside : NULL);
 }
 
 int node_store_load(node_store_t *self, const zygos_config_t *config, zygos_t *arm, zygos_work_t *work)
@@ -218,17 +218,17 @@ int node_store_load(node_store_t *self, const zygos_config_t *config, zygos_t *a
     char previous[PATH_MAX];
     const int older = take_up(name_of(self, AS_PREVIOUS, previous), config, arm, work);
     if (older == 1) {
-        node_say("%s: %s; goes on from %s, the state before it", self->path, (newest < 0) ? "not used" : "is not there",
+        node_log("%s: %s; goes on from %s, the state before it", self->path, (newest < 0) ? "not used" : "is not there",
                  previous);
         return 1;
     }
     if (older < 0) {
-        say_why(previous, older, NULL);
+        log_refusal(previous, older, NULL);
     }
     if ((newest == 0) && (older == 0)) {
         return 0;
     }
-    return node_say(
+    return node_log(
         "%s: no state can be used, starts from nothing; remedy: to go on from a copy, end this node, put the "
         "copy there, and start again",
         self->path);
@@ -294,7 +294,7 @@ static bool replace(node_store_t *self, const char *partial)
     (void)name_of(self, AS_PREVIOUS, previous);
     const bool kept = !self->good || keep(self->path, previous);
     if (!kept && !self->alone) {
-        node_say("%s: cannot be kept as %s (%s); remedy: remove what stands there", self->path, previous,
+        node_log("%s: cannot be kept as %s (%s); remedy: remove what stands there", self->path, previous,
                  strerror(errno));
     }
     self->alone = !kept;
@@ -317,13 +317,13 @@ int node_store_save(node_store_t *self, const zygos_t *arm)
         (void)unlink(partial);
         self->failed++;
         if (self->failure != why) {
-            node_say("%s: cannot be saved (%s); remedy: check the folder and its space", self->path, strerror(why));
+            node_log("%s: cannot be saved (%s); remedy: check the folder and its space", self->path, strerror(why));
         }
         self->failure = why;
         return -1;
     }
     if (self->failed > 0u) {
-        node_say("%s: saved again, after %u times that it could not be", self->path, self->failed);
+        node_log("%s: saved again, after %u times that it could not be", self->path, self->failed);
     }
     self->failed = 0;
     self->failure = 0;

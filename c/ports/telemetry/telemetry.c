@@ -81,7 +81,7 @@ static void solve(node_telemetry_t *self, zygos_t *arm, const node_losses_t *los
                                             out->cluster,
                                             out->residual,
                                             out->noise_ratio,
-                                            out->gate,
+                                            out->signal_to_noise,
                                             (double)out->left_out[ZYGOS_ENERGY_ROWS] };
     for (uint32_t i = 0; i < NODE_VERDICTS; i++) {
         put(self, NODE_VERDICT, i, verdict[i]);
@@ -91,7 +91,7 @@ static void solve(node_telemetry_t *self, zygos_t *arm, const node_losses_t *los
     for (uint32_t i = 0; i < NODE_COUNTERS; i++) {
         put(self, NODE_COUNTER, i, (double)(counter[i] % MODULUS));
     }
-    for (uint32_t i = 0; i < arm->layout.count; i++) {
+    for (uint32_t i = 0; i < arm->column_map.count; i++) {
         put(self, NODE_ESTIMATE, i, out->value[i]);
         put(self, NODE_SIGMA, i, out->sigma[i]);
         put(self, NODE_HALF95, i, out->half95[i]);
