@@ -44,6 +44,9 @@ typedef struct {
     uint32_t bus_error;     ///< Error frames from the controller; bus-off ends the arc.
 } zygos_faults_t;
 
+/// Number of counters in zygos_faults_t.
+#define ZYGOS_FAULT_COUNTERS ((uint32_t)(sizeof(zygos_faults_t) / sizeof(uint32_t)))
+
 /// What zygos_frame() made of a frame.
 enum zygos_reception { ZYGOS_FOREIGN = 0, ZYGOS_ACCEPTED = 1, ZYGOS_REJECTED = 2 };
 

@@ -37,6 +37,7 @@
 #include "smoother.h"
 #include "snapshot.h"
 #include "solver.h"
+#include "text.h"
 #include "types.h"
 #include "wire.h"
 

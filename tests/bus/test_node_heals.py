@@ -180,8 +180,8 @@ def test_corrupt_memory_is_not_saved_at_the_end(
 def test_other_memory_heals_too(
     where: int, bit: int, word: str, arm: Arm, config: Path, frames: Log, syncs: Log
 ) -> None:
-    """A configuration that was changed makes every value wrong and no check of sums notices; a magic number that is lost stops
-    the library; tables that follow from the configuration are computed anew."""
+    """A configuration that was changed makes every value wrong and no check of sums notices; a magic number that is
+    lost stops the library; tables that follow from the configuration are computed anew."""
     with Node("--config", config, "--every", 50) as node:
         node.send(frames[: syncs[220] + 1])
         node.worked_off(221)

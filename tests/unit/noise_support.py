@@ -65,7 +65,18 @@ class NoiseRoom:
         state, motion = self._at(sample)
         before, after = (ffi.new("double[]", tau.tolist()) for tau in (sample.tau, tau_next))
         lib.zygos_noise_add(
-            self.noise, self.config, self.column_map, self.geometry, state, motion, before, after, turn, 1.0, packed, sums
+            self.noise,
+            self.config,
+            self.column_map,
+            self.geometry,
+            state,
+            motion,
+            before,
+            after,
+            turn,
+            1.0,
+            packed,
+            sums,
         )
         out = np.zeros((width, width))
         out[np.tril_indices(width)] = list(packed)

@@ -13,6 +13,7 @@
 
 #include "log.h"
 #include "zygos/snapshot.h"
+#include "zygos/text.h"
 
 #define AS_PREVIOUS ".previous"
 #define AS_PARTIAL ".partial"
@@ -22,37 +23,42 @@
 /* Below it, codes hold the errno of a file that could not be read. */
 #define NOT_READ (-1000)
 
-/* Why a file is not used. config: what to do about a configuration; state: about a state, before the file's name. */
+/* What to do about a file that is not used. config: about a configuration; state: about a state, before the file's
+   name. */
 typedef struct {
     int code;
-    const char *reason;
     const char *config;
     const char *state;
-} refusal_t;
+} remedy_t;
 
-static const refusal_t refusals[] = {
-    { ZYGOS_E_SNAPSHOT, "is no snapshot of zygos", "check the path", "see what wrote" },
-    { ZYGOS_E_FORMAT, "is a snapshot of a format that this node does not read", "use the version that wrote it",
-      "use the version that wrote" },
-    { ZYGOS_E_KIND, "is a snapshot of the other kind", "--config is what `zygos compile-model` wrote, --state is not",
+static const remedy_t remedies[] = {
+    { ZYGOS_E_SNAPSHOT, "check the path", "see what wrote" },
+    { ZYGOS_E_FORMAT, "use the version that wrote it", "use the version that wrote" },
+    { ZYGOS_E_KIND, "--config is what `zygos compile-model` wrote, --state is not",
       "give --state a file of its own, and rename" },
-    { ZYGOS_E_BYTE_ORDER, "was written by a machine of the other byte order", "write it for this one", "delete" },
-    { ZYGOS_E_LAYOUT, "was written by a build with other capacities, structs or version",
-      "compile the model again with the same version", "use the build that wrote it, or delete" },
-    { ZYGOS_E_LENGTH, "is cut off, or has more bytes than its head says", "copy it again",
-      "restore it from a copy, or delete" },
-    { ZYGOS_E_CRC, "is damaged: its CRC does not fit its bytes", "copy it again", "restore it from a copy, or delete" },
-    { ZYGOS_E_CONFIG, "is the state of another configuration", "", "give --config the arm that it is of, or delete" },
-    { ZYGOS_E_STATE, "was damaged before it was sealed: it holds a count that cannot be", "", "delete" },
-    { ZYGOS_E_SUMS, "was damaged before it was sealed: its sums are corrupt", "", "delete" },
+    { ZYGOS_E_BYTE_ORDER, "write it for this one", "delete" },
+    { ZYGOS_E_LAYOUT, "compile the model again with the same version", "use the build that wrote it, or delete" },
+    { ZYGOS_E_LENGTH, "copy it again", "restore it from a copy, or delete" },
+    { ZYGOS_E_CRC, "copy it again", "restore it from a copy, or delete" },
+    { ZYGOS_E_CONFIG, "", "give --config the arm that it is of, or delete" },
+    { ZYGOS_E_STATE, "", "delete" },
+    { ZYGOS_E_SUMS, "", "delete" },
 };
 
-static const refusal_t *refusal_of(int code)
+/* What is wrong with a file, behind its name. */
+static const char *reason_of(int code)
 {
-    static const refusal_t other = { 0, "is refused by the library", "compile the model again", "delete" };
-    for (uint32_t i = 0; i < sizeof refusals / sizeof refusals[0]; i++) {
-        if (refusals[i].code == code) {
-            return &refusals[i];
+    return (code == ZYGOS_E_FORMAT)    ? "is a snapshot of a format that this node does not read"
+           : (code > ZYGOS_E_SNAPSHOT) ? "is refused by the library"
+                                       : zygos_text(code);
+}
+
+static const remedy_t *remedy_of(int code)
+{
+    static const remedy_t other = { 0, "compile the model again", "delete" };
+    for (uint32_t i = 0; i < sizeof remedies / sizeof remedies[0]; i++) {
+        if (remedies[i].code == code) {
+            return &remedies[i];
         }
     }
     return &other;
@@ -114,7 +120,7 @@ int node_store_config(const char *path, zygos_config_t *config)
         return node_log("%s: cannot be read (%s); remedy: check the path and its permissions", path,
                         strerror(NOT_READ - verdict));
     }
-    return node_log("%s: %s; remedy: %s", path, refusal_of(verdict)->reason, refusal_of(verdict)->config);
+    return node_log("%s: %s; remedy: %s", path, reason_of(verdict), remedy_of(verdict)->config);
 }
 
 /* The folder of a path, in a buffer of the caller's. */
@@ -151,7 +157,7 @@ int node_store_open(node_store_t *self, const char *path, const char *config)
         return 1;
     }
     if ((stat(config, &other) == 0) && (entry.st_dev == other.st_dev) && (entry.st_ino == other.st_ino)) {
-        return node_log("%s: %s; remedy: %s", path, refusal_of(ZYGOS_E_KIND)->reason, refusal_of(ZYGOS_E_KIND)->config);
+        return node_log("%s: %s; remedy: %s", path, reason_of(ZYGOS_E_KIND), remedy_of(ZYGOS_E_KIND)->config);
     }
     if (!S_ISREG(entry.st_mode)) {
         return node_log("%s: cannot be read (%s); remedy: name a file with --state", path,
@@ -186,8 +192,7 @@ static void log_refusal(const char *path, int verdict, const char *aside)
                  strerror(NOT_READ - verdict), what, where, kept);
         return;
     }
-    const refusal_t *refusal = refusal_of(verdict);
-    node_log("%s: %s; %s%s; remedy: %s %s", path, refusal->reason, what, where, refusal->state, kept);
+    node_log("%s: %s; %s%s; remedy: %s %s", path, reason_of(verdict), what, where, remedy_of(verdict)->state, kept);
 }
 
 /* Gives a FILE that cannot be used another name, so that nothing is lost. The first one stays: it may be the long work
