@@ -4,16 +4,16 @@
 
 #include <string.h>
 
-/* Segments of the longest arc at first: many, but none shorter than a second unless the arc would have but a few. What
-   the noise of rates leaves at the edges of blocks falls with the time in which they fade. */
+/* Initial number of segments of the longest arc: many, but none shorter than a second unless the arc would have only a
+   few. The error by the noise of rates at the ends of a block decreases with the time in which its weight changes. */
 #define SEGMENTS 48u
 #define SEGMENT_S 1.0
 #define FEWEST 4u
-#define MOST 1024u /* instants of a segment at first, whatever the arc */
-#define LEAST_STEPS 3u
-#define ROOM (3u * ZYGOS_MAX_BLOCKS / 4u) /* blocks that may be left where room is made */
+#define MOST 1024u /* largest initial length of a segment in instants */
+#define MIN_BUFFERS 3u
+#define MERGED_BLOCKS (3u * ZYGOS_MAX_BLOCKS / 4u) /* largest number of blocks after merging */
 
-_Static_assert((ZYGOS_MIN_BLOCKS + 2u <= ZYGOS_MAX_BLOCKS) && (ROOM + 2u <= ZYGOS_MAX_BLOCKS),
+_Static_assert((ZYGOS_MIN_BLOCKS + 2u <= ZYGOS_MAX_BLOCKS) && (MERGED_BLOCKS + 2u <= ZYGOS_MAX_BLOCKS),
                "an arc that begins needs two blocks");
 
 /* What rounding may make of a sum of so many weights, relative to it. A flipped bit that changes less does no harm. */
@@ -33,7 +33,7 @@ static uint64_t checksum_of(const zygos_accumulator_t *self)
     return checksum;
 }
 
-/* Before anything under the seal is changed. */
+/* Verifies the checksum, before anything that it protects is changed. */
 static void judge(zygos_accumulator_t *self)
 {
     self->corrupt |= (self->checksum == checksum_of(self)) ? 0u : 1u;
@@ -46,7 +46,7 @@ static uint64_t checksum_of_block(const zygos_block_t *block, uint32_t width)
         zygos_checksum_doubles(zygos_checksum_doubles(1u, block->deviation, width), weights, 3), block->end);
 }
 
-/* Whether a block is that of a closed arc as it was sealed, or one of the open arc. */
+/* Whether a block belongs to the open arc, or to a closed arc and has the right checksum. */
 static bool is_whole(const zygos_block_t *block, uint32_t width)
 {
     return (block->checksum == 0) || (block->checksum == checksum_of_block(block, width));
@@ -61,7 +61,7 @@ void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint
     const uint64_t steps = ((many > least) ? many : least) / ZYGOS_BUFFER_ROWS;
     memset(self, 0, sizeof *self);
     self->width = parameters + 2u;
-    self->target = (double)(ZYGOS_BUFFER_ROWS * ((steps > LEAST_STEPS) ? steps : LEAST_STEPS));
+    self->target = (double)(ZYGOS_BUFFER_ROWS * ((steps > MIN_BUFFERS) ? steps : MIN_BUFFERS));
     self->enough = 0.5 * (double)arc_cycles;
     self->checksum = checksum_of(self);
 }
@@ -123,10 +123,11 @@ static uint32_t merge(zygos_accumulator_t *self, uint32_t first, uint32_t end, u
 }
 
 /* Blocks of closed arcs never merge with those of the open one, whose constant is still in them; nor do those of the
-   newest closed arc with older ones, from which it may differ; nor does the newest block, which has yet to fade out.
+   newest closed arc with older ones, from which it may differ; nor does the newest block, whose weight has yet to
+   decrease.
    The target doubles only when merging up to it is not enough; once it holds all instants there are, each group is one
    block: the loop ends. */
-static void make_room(zygos_accumulator_t *self)
+static void free_blocks(zygos_accumulator_t *self)
 {
     for (uint32_t tries = 0; tries < 64u; tries++) {
         const uint32_t fading = (self->count > self->open) ? 1u : 0u;
@@ -142,7 +143,7 @@ static void make_room(zygos_accumulator_t *self)
         self->window = window;
         self->open = open;
         self->count = rest + fading;
-        if (self->count <= ((ROOM > ZYGOS_MIN_BLOCKS) ? ROOM : ZYGOS_MIN_BLOCKS)) {
+        if (self->count <= ((MERGED_BLOCKS > ZYGOS_MIN_BLOCKS) ? MERGED_BLOCKS : ZYGOS_MIN_BLOCKS)) {
             return;
         }
         self->target *= 2.0;
@@ -205,7 +206,7 @@ static void next_segment(zygos_accumulator_t *self)
     judge(self);
     end_segment(self);
     if (self->count + 2u > ZYGOS_MAX_BLOCKS) {
-        make_room(self);
+        free_blocks(self);
     }
     append_block(self);
     if (first) {
@@ -220,7 +221,7 @@ static uint32_t slice_of(uint32_t entries)
     return 2u * ((entries + 2u * ZYGOS_BUFFER_ROWS - 1u) / (2u * ZYGOS_BUFFER_ROWS));
 }
 
-/* Moves an even number of entries of a step to its two blocks, by their shares. */
+/* Moves an even number of entries of a buffer to its two blocks, by their weights. */
 static void move(double *restrict buffer, double *restrict falling, double *restrict rising, double early, double late,
                  uint32_t count)
 {
@@ -236,8 +237,8 @@ static void move(double *restrict buffer, double *restrict falling, double *rest
     }
 }
 
-/* Shares out the next slices of the older step. */
-static void share_out(zygos_accumulator_t *self, uint32_t slices)
+/* Adds the next slices of the older buffer to the blocks. */
+static void add_slices(zygos_accumulator_t *self, uint32_t slices)
 {
     zygos_row_buffer_t *buffer = &self->buffer[1u - self->filling];
     zygos_block_t *falling = &self->block[self->count - 2u];
@@ -251,8 +252,8 @@ static void share_out(zygos_accumulator_t *self, uint32_t slices)
     self->shared += slices;
 }
 
-/* When the step is full (1, else 0), it is shared out from here on; the other one is empty, and fills. Factors instead
-   of a branch: all cycles cost the same. */
+/* When the buffer is full (1, else 0), its slices are added from here on; the other one is empty, and is filled.
+   Factors are used instead of a branch, so that all cycles cost the same. */
 static void next_buffer(zygos_accumulator_t *self, uint32_t full)
 {
     if (full * self->segment >= self->target) {
@@ -284,7 +285,7 @@ static void next_buffer(zygos_accumulator_t *self, uint32_t full)
 void zygos_accumulator_flush(zygos_accumulator_t *self)
 {
     for (uint32_t round = 0; (round < 2u) && (self->count > self->open); round++) {
-        share_out(self, ZYGOS_BUFFER_ROWS - self->shared);
+        add_slices(self, ZYGOS_BUFFER_ROWS - self->shared);
         if ((round == 0) && (self->filled > 0)) {
             next_buffer(self, 1u);
         }
@@ -310,7 +311,7 @@ void zygos_accumulator_add(zygos_accumulator_t *self, const zygos_row_t *row, do
     zygos_gram_add(buffer->gram, buffer->sum, width, z);
     buffer->instants += weight;
     self->filled++;
-    share_out(self, 1u);
+    add_slices(self, 1u);
     next_buffer(self, self->filled / ZYGOS_BUFFER_ROWS);
     const uint32_t one = (uint32_t)(weight > 0.0);
     self->arc_instants += one;
@@ -544,7 +545,7 @@ static bool is_count(double instants)
 }
 
 /* An open arc has two blocks at least, and without blocks there is no segment. Instants and target decide whether
-   blocks merge, and so whether there is room. */
+   blocks merge, and so whether blocks are free. */
 bool zygos_accumulator_intact(const zygos_accumulator_t *self, uint32_t parameters)
 {
     const bool is_open = (self->count > self->open);

@@ -54,8 +54,7 @@ const double *zygos_balance_torque_after(const zygos_balance_t *self, const zygo
     return self->torque[behind(self->torque_at, config)];
 }
 
-/* W, D and the effects at this instant, from those at the one before. Returns what torque steps add to the work of the
- * row. */
+/* Advances W, D and the effects to this instant. Returns the term of torque steps in the work of the row. */
 static double advance(zygos_balance_t *self, const zygos_config_t *config, const zygos_integral_bias_t *bias,
                       const zygos_arm_state_t *state)
 {

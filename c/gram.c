@@ -95,7 +95,7 @@ double zygos_gram_check(const double *gram, uint32_t width, const double *sum, d
     return worst;
 }
 
-/* Odd, so that no two seals become one. */
+/* The factor is odd, so that two checksums never become equal. */
 uint64_t zygos_checksum_number(uint64_t checksum, uint64_t number)
 {
     return (checksum ^ number) * 0x100000001B3u;

@@ -5,11 +5,11 @@
 #include <stddef.h>
 #include <string.h>
 
-/* Standard deviations that are no accident: those of ZYGOS_CHANGE_ALARM. */
+/* Number of standard deviations of a contradiction, as ZYGOS_CHANGE_ALARM. */
 #define SIGMAS 6.0
-/* Of a random walk's mean square about its own mean, as the solver has it. */
+/* Divisor of the mean square of a random walk about its own mean, as in the solver. */
 #define WALK 10.0
-/* An arc can say that it agrees when this share of its spread would have contradicted. */
+/* An arc counts as agreeing when a residual of this share of its spread would have contradicted. */
 #define INFORMATIVE 0.1
 
 void zygos_guard_clear(zygos_guard_t *self, bool counters, uint64_t cycle)
@@ -28,7 +28,7 @@ void zygos_guard_clear(zygos_guard_t *self, bool counters, uint64_t cycle)
     self->since = cycle;
 }
 
-/* Each step is a bijection, so no flipped bit goes unnoticed. */
+/* Each iteration is a bijection, so that every flipped bit changes the result. */
 static uint64_t checksum_of(const zygos_guard_t *self)
 {
     const unsigned char *from = (const unsigned char *)&self->noise_ratio;
@@ -51,7 +51,7 @@ bool zygos_guard_intact(const zygos_guard_t *self)
     return good;
 }
 
-/* Whether there is a running solution that can be trusted; one that was spoilt is forgotten. */
+/* Whether there is a running solution with the right checksum; otherwise it is discarded. */
 static bool has_running_solution(zygos_guard_t *self, uint32_t parameters)
 {
     if (self->known == 0) {
@@ -65,21 +65,21 @@ static bool has_running_solution(zygos_guard_t *self, uint32_t parameters)
     return true;
 }
 
-/* Entry of a symmetric matrix that is kept as its lower triangle. */
+/* Entry of a symmetric matrix that is stored as its lower triangle. */
 static double entry(const double *packed, uint32_t i, uint32_t j)
 {
     return (i >= j) ? packed[zygos_gram_entries(i) + j] : packed[zygos_gram_entries(j) + i];
 }
 
-/* What the rows of an arc say of the running solution. */
+/* Comparison of the rows of an arc with the running solution. */
 typedef struct {
-    double residual;    /* Sum of the residuals' squares, noise included. */
-    double expected;    /* What of it is usual. */
-    double uncertainty; /* Its expectation when the solution is off by one standard deviation. */
+    double residual;    /* Sum of the squared residuals, including noise. */
+    double expected;    /* Its expected value by the declared noise. */
+    double uncertainty; /* Its expectation for an error of the solution of one standard deviation. */
     double spread;      /* Sum of the squares of the right side. */
 } finding_t;
 
-/* Adds x~' G x~ of columns that stand at place[] of all, the right side behind them, and tr(G C). */
+/* Adds x~' G x~ and tr(G C) of the columns at place[], followed by the right side. */
 static void add_residuals(const zygos_guard_t *self, const double *gram, const uint32_t *place, uint32_t columns,
                           bool sides, finding_t *out)
 {
@@ -114,7 +114,8 @@ static double larger(double a, double b)
     return (a > b) ? a : b;
 }
 
-/* The limit of a finding: usual is what n instants of the run leave, by number and by spread, and what noise says. */
+/* The limit of the residuals: what n instants of the run leave on average, by number and by spread, or what the
+   declared noise leaves. */
 static double limit_of(const finding_t *found, const zygos_mean_squares_t *run, double n, double freedom)
 {
     const double spread = larger(found->spread, n * run->spread);
@@ -131,7 +132,7 @@ static uint32_t longest(const zygos_config_t *config, uint32_t rows)
     return (rows == (uint32_t)ZYGOS_MOTOR_ROWS) ? config->impulse_arc_cycles : config->momentum_arc_cycles;
 }
 
-/* Arcs in a row that are no accident. */
+/* Number of consecutive arcs that mean a change of the arm. */
 static uint32_t consecutive_limit(const zygos_config_t *config, uint32_t rows)
 {
     const uint32_t own = longest(config, rows);
@@ -139,7 +140,7 @@ static uint32_t consecutive_limit(const zygos_config_t *config, uint32_t rows)
            (((own > 0) && (own < config->arc_cycles)) ? (config->arc_cycles + own - 1u) / own : 1u);
 }
 
-/* Counts an arc that was judged. telling: it could have contradicted. there: instants in the sums. */
+/* Counts an arc that was compared. informative: it could have contradicted. there: instants in the sums. */
 static void count(zygos_guard_t *self, const zygos_config_t *config, uint32_t rows, bool contradicts, bool informative,
                   double n, double there, uint64_t cycle, uint32_t cycles)
 {
@@ -163,7 +164,8 @@ static void count(zygos_guard_t *self, const zygos_config_t *config, uint32_t ro
         self->changed |= (self->consecutive[k] >= consecutive_limit(config, k)) ? 1u : 0u;
     }
     if ((self->changed != 0) && (self->instants[rows] > there)) {
-        /* What is known is the smaller part, and is not taken up again before half an arc has been admitted. */
+        /* The sums hold fewer instants than the arcs that contradict; they are not adopted again before half an arc has
+           been admitted. */
         self->known = 0;
         self->since = cycle + config->arc_cycles / 2u;
     }
@@ -204,7 +206,7 @@ static bool energy_contradicts(zygos_guard_t *self, const zygos_config_t *config
     }
     rows.residual += noise.residual;
     const double limit = limit_of(&rows, &self->energy, n, n / window);
-    /* What adds up in a block: as the run has it, of a mean square that is usual. */
+    /* The squared sums of residuals in blocks: by the cluster statistic of the run and the expected mean square. */
     const double expected = larger(rows.expected / n, self->energy.residual);
     const double most =
         zygos_guard_chi_square_limit(0.5 * count_of_blocks) * self->cluster * expected * count_of_blocks +
@@ -252,7 +254,7 @@ static uint32_t motor_places(const zygos_column_map_t *column_map, const zygos_i
     return columns->count[i];
 }
 
-/* What a joint's rows in a block leave; usual is what the declared noise makes of it. */
+/* The residuals of a joint's rows in a block, and their expected value by the declared noise. */
 static void add_motor_residuals(const zygos_guard_t *self, const zygos_config_t *config,
                                 const zygos_column_map_t *column_map, const zygos_joint_sums_t *sums,
                                 const zygos_joint_block_t *block, uint32_t i, finding_t *out)
@@ -310,7 +312,7 @@ void zygos_guard_end_motors(zygos_guard_t *self, const zygos_config_t *config, c
     }
 }
 
-/* What momentum rows leave. Their right side is zero: the parts that must cancel stand for its spread. */
+/* The residuals of momentum rows. Their right side is zero: the terms that must cancel are used as its spread. */
 static void add_momentum_residuals(const zygos_guard_t *self, const zygos_column_map_t *column_map,
                                    const zygos_momentum_sums_t *sums, const zygos_momentum_gram_t *rows, finding_t *out)
 {

@@ -19,7 +19,7 @@ static uint64_t checksum_of_block(const zygos_joint_block_t *block)
     return zygos_checksum_number(zygos_checksum_doubles(instants, &block->total, 1), block->end);
 }
 
-/* Before anything under the seal is changed. */
+/* Verifies the checksum, before anything that it protects is changed. */
 static void judge(zygos_joint_sums_t *self)
 {
     self->corrupt |= (self->checksum == checksum_of(self)) ? 0u : 1u;
@@ -66,7 +66,7 @@ static bool same_layout(const zygos_impulse_column_map_t *column_map, const zygo
     return same;
 }
 
-/* Instants and target decide whether blocks merge, and so whether there is room. */
+/* Instants and target decide whether blocks merge, and so whether blocks are free. */
 bool zygos_joint_sums_intact(const zygos_joint_sums_t *self, const zygos_config_t *config)
 {
     const bool none = (config->impulse_arc_cycles == 0);

@@ -24,7 +24,7 @@ static uint64_t checksum_of_block(const zygos_momentum_block_t *block)
     return zygos_checksum_number(zygos_checksum_doubles(1u, &block->instants, 1), block->end);
 }
 
-/* Before anything under the seal is changed. */
+/* Verifies the checksum, before anything that it protects is changed. */
 static void judge(zygos_momentum_sums_t *self)
 {
     self->corrupt |= (self->checksum == checksum_of(self)) ? 0u : 1u;
@@ -108,7 +108,7 @@ static bool is_count(double instants)
     return (instants >= 0.0) && (instants <= ZYGOS_MAX_INSTANTS);
 }
 
-/* Instants and target decide whether blocks merge, and so whether there is room. */
+/* Instants and target decide whether blocks merge, and so whether blocks are free. */
 bool zygos_momentum_sums_intact(const zygos_momentum_sums_t *self, const zygos_config_t *config)
 {
     const bool none = (config->momentum_arc_cycles == 0);

@@ -5,13 +5,13 @@
 #define MAX_REFUSED_SHARE 0.05
 #define INSTANTS_PER_PARAMETER 3u
 #define POWER_ROUNDS 40u
-/* Of a random walk's mean square about its own mean: between 6, and 15 where its trend drops out. */
+/* Divisor of the mean square of a random walk about its own mean: between 6, and 15 without its trend. */
 #define WALK 10.0
-/* More than what noise leaves, by the square: an arc may have spoilt the sums before there was a running solution. */
+/* Ratio of squared residuals to noise above which a bad arc may be in the sums, from before the first running solution.
+ */
 #define CORRUPTED_RATIO 2.0
 #define TWO_SIGMAS 1.959964 /* 95 % of a normal distribution */
-/* The noise of neighbouring momentum rows is alike, that of energy rows forgets at once: so much less their square
-   says. */
+/* Factor by which the variance of momentum rows is increased, because the noise of neighbouring rows is correlated. */
 #define MOMENTUM_CORRELATION 5.0
 
 /* Place of entry (i, j), j <= i, in a packed lower triangle. */
@@ -121,7 +121,7 @@ static double form(const double *packed, const double *x, uint32_t p)
 }
 
 /* The scaled matrix and right side of all blocks, less those of one unless it is null. noise: share of the declared
-   noise that is taken off. */
+   noise that is subtracted. */
 static void scaled_equations(zygos_work_t *work, uint32_t p, const zygos_block_t *without, double noise)
 {
     const double *total = work->total;
@@ -297,7 +297,7 @@ static double student(double degrees_of_freedom)
     return TWO_SIGMAS + u * (2.372272 + u * (2.822499 + u * (2.555852 + u * 1.589536)));
 }
 
-/* What a block alone leaves of the equations: right side less matrix times solution, scaled. */
+/* The score of a block: its right side less its matrix times the solution, scaled. */
 static void score(const zygos_work_t *work, uint32_t p, const zygos_block_t *block, double *out)
 {
     const double *declared = work->accumulator.noise_closed.gram;
@@ -594,8 +594,8 @@ static void withhold(zygos_estimate_t *out, uint32_t i, uint32_t p)
     }
 }
 
-/* The noise in the rows takes from each value what it puts into the squares of the columns: the mean square noise per
-   scaled column, if the residuals are its work alone and all columns have the same. */
+/* The mean square of the undeclared noise for each scaled column, if it alone causes the residuals and is the same in
+   all columns. It biases the values by its contribution to the squares of the columns. */
 static double noise_square(const zygos_work_t *work, uint32_t p, double unexplained)
 {
     double length = 0.0;
@@ -605,7 +605,7 @@ static double noise_square(const zygos_work_t *work, uint32_t p, double unexplai
     return (unexplained > 0.0) ? unexplained / length : 0.0;
 }
 
-/* So as much again is put in: what this changes is what the noise may hide. */
+/* Adds the same amount of noise again: the change of the solution is the error that the noise may hide. */
 static void shift_by_noise(zygos_work_t *work, uint32_t p, double noise)
 {
     scaled_equations(work, p, NULL, work->noise_scale);
@@ -657,7 +657,7 @@ static double noise_share(zygos_work_t *work, uint32_t rank)
     return ratio;
 }
 
-/* Factorises with the given share of the declared noise taken off, and solves. */
+/* Factorises without the given share of the declared noise, and solves. */
 static uint32_t solve_with(zygos_work_t *work, uint32_t p, uint32_t most, double noise, double *x)
 {
     scaled_equations(work, p, NULL, noise);
@@ -676,7 +676,7 @@ static double momentum_form(const zygos_work_t *work, const zygos_momentum_gram_
     return form(rows->gram, local, work->momentum_sums.columns);
 }
 
-/* What x leaves of the energy rows, noise included, and what of it the declared noise makes: sums of squares [J^2]. */
+/* The squared residuals of the energy rows for x, including noise, and the part of the declared noise in them [J^2]. */
 static double energy_left(const zygos_work_t *work, uint32_t p, const double *x, double *explained)
 {
     double left = form(work->total, x, p);
@@ -698,8 +698,8 @@ static double energy_left(const zygos_work_t *work, uint32_t p, const double *x,
     return (left > 0.0) ? left : 0.0;
 }
 
-/* How much of the declared noise is taken off: as much as the residuals show when that is clearly less, and no more
-   than half of any combination. Needs the factor of the sums with their noise. */
+/* Chooses the share of the declared noise that is subtracted: as much as the residuals show if that is clearly less,
+   and not more than half of any combination. Needs the factor of the sums with their noise. */
 static void choose_noise_scale(zygos_work_t *work, uint32_t p, uint32_t rank, zygos_estimate_t *out)
 {
     const double share = noise_share(work, rank);
@@ -729,8 +729,8 @@ static uint32_t begin(zygos_work_t *work, uint32_t p)
     return solve_with(work, p, p, 0.0, work->solution);
 }
 
-/* Mean square of the noise in a motor row of joint i: what the signals of the instant put into it, and what the
-   integral of the deflection has summed up by then, the mean over an arc of a random walk about its own mean. */
+/* Mean square of the noise in a motor row of joint i: that of the signals of the instant, and that of the integral of
+   the deflection, the mean over an arc of a random walk about its own mean. */
 static double joint_variance(const zygos_work_t *work, uint32_t i)
 {
     const zygos_joint_sums_t *sums = &work->joint_sums;
@@ -767,7 +767,7 @@ static void add_motors(zygos_work_t *work, double energy)
     }
 }
 
-/* What may be hidden is added to the sigmas. */
+/* Adds the error that noise may hide to the sigmas. */
 static void widen(const zygos_work_t *work, uint32_t p, zygos_estimate_t *out)
 {
     for (uint32_t i = 0; i < p; i++) {
@@ -776,9 +776,9 @@ static void widen(const zygos_work_t *work, uint32_t p, zygos_estimate_t *out)
     }
 }
 
-/* Leaving out a block tells of what blocks do not have in common. Two parts of the residuals may be the same in all of
-   them, and then no number of blocks averages them out: what adds up within a block, and what the declared noise does
-   not explain, of which as much is left as it does in one arc of the longest kind. */
+/* The jackknife shows only errors that differ between blocks. Two parts of the residuals may be the same in all blocks
+   and do not average out: the part that adds up within a block, and the part that the declared noise does not explain.
+   Of the latter, the error of one arc of the longest kind is kept. */
 static void add_common_error(const zygos_work_t *work, uint32_t p, double systematic, zygos_estimate_t *out)
 {
     const double blocks = (double)(work->blocks.end - work->blocks.first);
@@ -796,10 +796,10 @@ static bool is_precise(const zygos_work_t *work, const zygos_estimate_t *out, ui
     return out->sigma[i] <= limit * work->size[i];
 }
 
-/* A value that is not sharp lends its error to others, because noise in the rows acts on them through it: where nothing
-   but noise makes the rank full, every value is made of noise. So the equations are solved again without those values,
-   and what this changes goes into the others' sigmas. Columns that left the factorisation lend nothing. An effect may
-   be zero, so its sigma has no size to be compared with. */
+/* The error of an imprecise value is also in the others: where the rank is full only because of noise, every value is
+   determined by noise. Therefore the equations are solved again without the imprecise values, and the change is added
+   to the sigmas of the others. Columns that were removed from the factorisation have no such influence. An effect may
+   be zero, so that its sigma cannot be compared with a size. */
 static void withhold_imprecise(zygos_work_t *work, bool full, zygos_estimate_t *out)
 {
     const uint32_t p = work->column_map.count;
@@ -881,7 +881,7 @@ static void choose_momenta(zygos_work_t *work, uint64_t after, uint64_t until)
     }
 }
 
-/* Chooses the blocks that are looked at, and sums them: first those of the energy, then those of the motors. */
+/* Chooses the blocks that are used, and sums them: first those of the energy, then those of the motors. */
 static void choose(zygos_work_t *work, uint32_t p, uint32_t first, uint32_t end)
 {
     const zygos_accumulator_t *sums = &work->accumulator;
@@ -979,8 +979,8 @@ static uint32_t combine(zygos_work_t *work, uint32_t p, zygos_estimate_t *out)
     return with_momentum(work, p, with_motors(work, p, out), out);
 }
 
-/* Whether what the solution leaves of the chosen energy rows is noise: see ZYGOS_CLUSTER_LIMIT. Fills in what is left
-   over and how far it adds up. */
+/* Whether the residuals of the chosen energy rows are noise: see ZYGOS_CLUSTER_LIMIT. Writes residual, noise_ratio and
+   cluster. */
 static bool closes(const zygos_work_t *work, uint32_t p, zygos_estimate_t *out)
 {
     double explained = 0.0;
@@ -1041,7 +1041,7 @@ static int solve_from(zygos_work_t *work, zygos_estimate_t *out, uint32_t first)
     double explained = 0.0;
     const double unexplained = energy_left(work, p, work->solution, &explained);
     if (!(unexplained < ZYGOS_UNEXPLAINED_LIMIT * work->spread)) {
-        /* What adds up is no noise, so something moved. */
+        /* The residuals are no noise, so the arm moved. */
         return refuse(out, p, closed ? ZYGOS_REASON_NOT_IDENTIFIABLE : ZYGOS_REASON_UNEXPLAINED);
     }
     const bool noisy = !(out->signal_to_noise >= ZYGOS_MIN_SIGNAL_TO_NOISE);
@@ -1056,7 +1056,7 @@ static int solve_from(zygos_work_t *work, zygos_estimate_t *out, uint32_t first)
     add_common_error(work, p, (excess > 0.0) ? excess / unexplained : 0.0, out);
     shift_by_noise(work, p, noise);
     if (noisy) {
-        /* What is left of the noise where it could not be taken off in whole. */
+        /* The error by the noise that could not be subtracted. */
         (void)solve_with(work, p, rank, 0.0, work->leave_one_out[0]);
         for (uint32_t i = 0; i < p; i++) {
             const double shift = work->leave_one_out[0][i] - work->solution[i];
@@ -1110,7 +1110,7 @@ static int solve_from(zygos_work_t *work, zygos_estimate_t *out, uint32_t first)
     return 1;
 }
 
-/* Whether what is wrong may be in old arcs: more is left over than noise leaves. */
+/* Whether the cause of an invalid estimate may be in old arcs: the residuals are larger than noise. */
 static bool may_hold_bad_arcs(const zygos_estimate_t *out)
 {
     return (out->validity != (uint32_t)ZYGOS_VALID) && (out->reason != (uint32_t)ZYGOS_REASON_NO_DATA) &&
@@ -1129,8 +1129,8 @@ static uint32_t next_arc(const zygos_accumulator_t *sums, uint32_t from)
     return b;
 }
 
-/* Whether the blocks from the given one on are at least half of all, and of several arcs: a short piece closes where
-   the whole does not, whatever is wrong with it. */
+/* Whether the blocks from the given one on are at least half of all, and of several arcs: the balance of a short piece
+   closes even if that of the whole does not. */
 static bool several_behind(const zygos_accumulator_t *sums, uint32_t first)
 {
     double before = 0.0;
@@ -1178,7 +1178,7 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     return answer;
 }
 
-/* What the chosen blocks say; false where they do not say anything. */
+/* Solves the chosen blocks by themselves. Returns false where they determine no solution. */
 static bool solve_chosen(zygos_work_t *work, uint32_t p, zygos_estimate_t *scratch, uint32_t *rank)
 {
     *rank = combine(work, p, scratch);
@@ -1190,7 +1190,7 @@ static bool solve_chosen(zygos_work_t *work, uint32_t p, zygos_estimate_t *scrat
            (solve_with(work, p, *rank, work->noise_scale, work->solution) == *rank);
 }
 
-/* What the solution of the chosen blocks leaves of the energy rows: mean square, and ratio to the declared noise. */
+/* The residuals of the energy rows of the chosen blocks: mean square, and ratio to the declared noise. */
 typedef struct {
     double residual;
     double ratio;
@@ -1204,7 +1204,8 @@ static reference_t reference_of(const zygos_work_t *work, uint32_t p)
     return out;
 }
 
-/* Whether the chosen blocks' own solution leaves no more of them than is usual: otherwise they are no other arm's. */
+/* Whether the residuals of the chosen blocks with their own solution are no larger than those of the reference.
+   Otherwise another arm does not explain these blocks either. */
 static bool explains(const zygos_work_t *work, uint32_t p, const reference_t *reference)
 {
     double explained = 0.0;
@@ -1227,7 +1228,7 @@ int zygos_detect_change(zygos_work_t *work, zygos_estimate_t *out, double *devia
     for (uint32_t i = 0; i < (uint32_t)ZYGOS_MAX_PARAMETERS; i++) {
         deviation[i] = not_a_number();
     }
-    /* The newest arc is what it is about, unless it is too short to speak for itself. */
+    /* The newest arc is compared even if it contradicts, unless it is too short to be compared by itself. */
     const bool guarded = (work->guard.known != 0);
     work->guard.known = (guarded && ((double)sums->arc_instants < sums->enough)) ? 1u : 0u;
     if (!zygos_work_intact(work)) {

@@ -8,7 +8,7 @@
 #define LARGEST_VALUE 1e6
 #define LARGEST_SUM 1e150
 #define TWO_SIGMAS 1.959964 /* 95 % of a normal distribution */
-#define SHORTEST 8u         /* share of the longest arc that a snap leaves together */
+#define SHORTEST 8u         /* an instant that fails the bandwidth test ends an arc from this part of the longest on */
 
 uint32_t zygos_abi(void)
 {
@@ -321,8 +321,8 @@ static void process_cycle(zygos_t *self, const zygos_cycle_t *cycle)
                     zygos_balance_torque_after(&self->balance, &self->config), self->arc, self->arm_state.accepted,
                     self->accumulator.noise.gram, self->accumulator.noise.sum);
     self->arc++;
-    /* What the integrals get wrong in a snap is a constant of the arc behind it. A factor instead of a branch: the work
-       of a cycle does not depend on its data. */
+    /* Where the motion is too fast for the smoother, the error of the integrals is a constant of the following arc. A
+       factor is used instead of a branch, so that the instructions of a cycle do not depend on its data. */
     const double shortest = (double)(self->config.arc_cycles / SHORTEST);
     const double longest = (double)self->config.arc_cycles;
     if ((double)self->arc >= shortest + self->arm_state.accepted * (longest - shortest)) {

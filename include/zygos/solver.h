@@ -32,7 +32,7 @@ enum zygos_validity {
 /// Why an estimate is not valid.
 enum zygos_reason {
     ZYGOS_REASON_NONE = 0,    ///< The estimate is valid.
-    ZYGOS_REASON_NO_DATA = 1, ///< Fewer accepted instants than three a parameter, or fewer than ZYGOS_MIN_BLOCKS.
+    ZYGOS_REASON_NO_DATA = 1, ///< Fewer than three accepted instants for each parameter, or than ZYGOS_MIN_BLOCKS.
     ZYGOS_REASON_NOT_IDENTIFIABLE = 2, ///< The motion does not determine every parameter, as rank or sigmas show.
     ZYGOS_REASON_TOO_FAST = 3,         ///< More than 5 % of the instants failed the bandwidth test.
     ZYGOS_REASON_NOT_PHYSICAL = 4,     ///< The bodies' inertia less the rotors' is not positive definite, Im, k or b is
@@ -108,25 +108,23 @@ typedef struct {
     uint32_t rank;       ///< Number of independent columns.
     uint32_t left_out[ZYGOS_KINDS_OF_ROWS]; ///< Number of excluded arcs, by enum zygos_rows, including open ones.
     uint32_t consecutive;                   ///< Number of consecutive newest arcs of energy rows that were excluded.
-    double condition; ///< 1-norm condition of the scaled normal matrix of the independent columns.
-    double
-        cluster; ///< The cluster statistic (ZYGOS_CLUSTER_LIMIT): around 1 for noise, at most the instants of a block.
+    double condition;   ///< 1-norm condition of the scaled normal matrix of the independent columns.
+    double cluster;     ///< The statistic of ZYGOS_CLUSTER_LIMIT: around 1 for noise, at most the instants of a block.
     double residual;    ///< Root mean square of W - row . x without the constants of the arcs [J].
     double noise_ratio; ///< Square of residual over the share of the declared noise in it; NaN where none is declared.
-    double signal_to_noise; ///< Smallest ratio of sums to noise (ZYGOS_MIN_SIGNAL_TO_NOISE); infinite where none is
-                            ///< declared.
+    double signal_to_noise; ///< The ratio of ZYGOS_MIN_SIGNAL_TO_NOISE; infinite where no noise is declared.
     uint32_t identifiable[ZYGOS_MAX_PARAMETERS]; ///< 1; or 0, and value and sigma are NaN.
     /// The least squares solution for all columns, 0 for dependent columns; NaN when refused. As a whole it predicts
     /// the energy of motions like those that it was estimated from. A single entry is meaningful only where value has
     /// it, too.
     double solution[ZYGOS_MAX_PARAMETERS];
     double value[ZYGOS_MAX_PARAMETERS];
-    double sigma[ZYGOS_MAX_PARAMETERS];  ///< One standard deviation: scatter of the blocks, and a floor that no length
-                                         ///< of the run averages out (ZYGOS_SYSTEMATIC).
-    double half95[ZYGOS_MAX_PARAMETERS]; ///< Half width of the 95 % interval: sigma times Student's factor for as many
-                                         ///< blocks as the parameter's information really comes from.
-    double covariance[ZYGOS_MAX_PACKED]; ///< Lower triangle row by row, the floor in all of it; NaN where a parameter
-                                         ///< has no value.
+    double sigma[ZYGOS_MAX_PARAMETERS];  ///< One standard deviation: scatter of the blocks, and a floor that does not
+                                         ///< average out (ZYGOS_SYSTEMATIC).
+    double half95[ZYGOS_MAX_PARAMETERS]; ///< Half width of the 95 % interval: sigma times Student's factor for the
+                                         ///< effective number of blocks of the parameter.
+    double covariance[ZYGOS_MAX_PACKED]; ///< Lower triangle by rows, including the floor; NaN where a parameter has no
+                                         ///< value.
 } zygos_estimate_t;
 
 /// A copy of the sums, and scratch memory of the solver. It is filled by zygos_take() and consumed by zygos_solve(). It

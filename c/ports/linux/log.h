@@ -1,4 +1,4 @@
-/// What zygos-node says to people, on stderr.
+/// Messages of zygos-node to people, on stderr.
 
 #ifndef ZYGOS_NODE_LOG_H
 #define ZYGOS_NODE_LOG_H

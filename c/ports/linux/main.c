@@ -14,7 +14,7 @@
 
 #define REFUSED 2
 #define HEARTBEAT_S 1.0
-/* Longest time to work off what had been received when the end was asked for. */
+/* Longest time to process the frames that had been received when the node was asked to stop. */
 #define PATIENCE_S 10.0
 
 static node_options_t options;
@@ -87,7 +87,7 @@ static void wait_until(double deadline_s, const sigset_t *mask)
 }
 
 /* From what is stored; otherwise, unless files were tried and *arm is spoiled, from what memory still has; otherwise
-   from nothing. Returns 1, or -1 after saying why not. */
+   from nothing. Returns 1, or -1 after logging the reason. */
 static int begin(bool initialised)
 {
     const int loaded = node_store_load(&store, &config, &arm, &telemetry.work);
@@ -108,7 +108,7 @@ static bool configuration_changed(void)
 }
 
 /* Memory was changed from outside. Which of the two configurations it was in, the file tells. Returns 1, or -1 after
-   saying why the estimate cannot start. */
+   logging why the estimate cannot start. */
 static int start_over(void)
 {
     static zygos_config_t again;
@@ -127,7 +127,7 @@ static int start_over(void)
     return 1;
 }
 
-/* Nothing corrupt is sealed. If it fails it has said so. Returns 1, or -1. */
+/* A corrupt state is not saved. A failure has been logged. Returns 1, or -1. */
 static int save(void)
 {
     if (store.path == NULL) {
@@ -142,7 +142,7 @@ static int save(void)
     return saved;
 }
 
-/* Reads one batch and works it off. *frames and *syncs count. Returns enum node_reading. */
+/* Reads one batch and processes it. *frames and *syncs count. Returns enum node_reading. */
 static int process_batch(uint64_t *frames, uint64_t *syncs)
 {
     zygos_frame_t frame[NODE_BATCH];
@@ -156,7 +156,7 @@ static int process_batch(uint64_t *frames, uint64_t *syncs)
         const int verdict = zygos_frame(&arm, &frame[i]);
         while (zygos_step(&arm) == 1) {
         }
-        if ((verdict < 0) && (start_over() < 1)) { /* the mark of a struct that was initialised is gone */
+        if ((verdict < 0) && (start_over() < 1)) { /* the magic number of a struct that was initialised is gone */
             return NODE_FAILED;
         }
         if ((verdict == ZYGOS_ACCEPTED) && (frame[i].flags == 0u) && (frame[i].id == ZYGOS_ID_SYNC)) {
@@ -242,7 +242,7 @@ int main(int argc, char **argv)
              config.joints, arm.column_map.count, (arm.cycles > 0u) ? "goes on behind" : "starts at",
              (unsigned long long)arm.cycle);
     const int reading = run(&mask);
-    store.failure = 0; /* a failure of the last save is said, whatever was said before */
+    store.failure = 0; /* a failure of the last save is logged in any case */
     const int saved = save();
     uint64_t counter[NODE_COUNTERS];
     node_counters(&arm, &bus.losses, counter);

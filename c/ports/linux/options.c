@@ -28,7 +28,7 @@ static const char help[] =
     "\n"
     "Exit codes: 0 ended as told; 2 an option or the configuration was refused, or the state could not be saved.\n";
 
-/* The value of an option, within limits. Returns false after saying why not. */
+/* The value of an option, within limits. Returns false after logging the reason. */
 static bool number(const char *option, const char *text, double low, double high, double *out)
 {
     char *end = NULL;
@@ -106,7 +106,7 @@ int node_options_read(int argc, char **argv, node_options_t *out)
         case 'h':
             fputs(help, stdout);
             return 0;
-        default: /* getopt has said what is wrong */
+        default: /* getopt has printed what is wrong */
             return node_log("remedy: see --help");
         }
     }
