@@ -27,7 +27,7 @@ TURN = 2.0 * np.pi
 PERIOD = 0.02
 CYCLES = 3000
 SIGMA = 4e-5
-STEP = 8  # ZYGOS_STEP
+STEP = 8  # ZYGOS_BUFFER_ROWS
 
 
 @dataclass(frozen=True)

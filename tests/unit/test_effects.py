@@ -60,7 +60,7 @@ def test_every_column_has_its_kind_in_the_flight_library() -> None:
 
 def test_catalogue_and_flight_library_agree_on_what_they_share() -> None:
     header = (ROOT / "include" / "zygos" / "effects.h").read_text()
-    found = re.search(r"#define ZYGOS_SLOWEST_RATE (\S+)", header)
+    found = re.search(r"#define ZYGOS_COULOMB_FULL_RATE (\S+)", header)
     assert found is not None
     assert float(found[1]) == SLOWEST_RATE
     arm, *_ = lively()
@@ -507,7 +507,7 @@ def answer(columns: Floats, work_done: Floats, joints: int = 2, positive: int = 
     for e in range(count - 12):
         work.config.effect[e].kind = (cannot if positive >> e & 1 else can)[e // 2]
         work.config.effect[e].joint = e % 2
-    lib.zygos_impulse_layout(ffi.addressof(work, "config"), ffi.addressof(work.joint_sums, "layout"))
+    lib.zygos_impulse_column_map(ffi.addressof(work, "config"), ffi.addressof(work.joint_sums, "column_map"))
     lib.zygos_joint_sums_clear(ffi.addressof(work, "joint_sums"), ffi.addressof(work, "config"))
     lib.zygos_momentum_sums_clear(ffi.addressof(work, "momentum_sums"), ffi.addressof(work, "config"))
     for column, done in zip(columns, work_done, strict=True):

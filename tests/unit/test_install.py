@@ -46,7 +46,7 @@ int main(void)
     config.smoother_order = 6;
     config.smoother_lag = 5;
     config.arc_cycles = 1000;
-    config.keep = 1.0;
+    config.forgetting_factor = 1.0;
     config.period_s = 0.01;
     config.imu_to_base[0] = config.imu_to_base[4] = config.imu_to_base[8] = 1.0;
     config.joint[0].node = 1;

@@ -235,7 +235,7 @@ def test_sums_fade_with_the_arcs() -> None:
     )
     assert lib.zygos_momentum_sums_check(sums) <= 1.0
     assert np.trace(noise) < np.trace(matrix(kept.noise_closed.gram, kept.columns))
-    assert flight.native.momentum_faded < 1.0
+    assert flight.native.momentum_forgetting < 1.0
 
 
 def test_a_fixed_base_is_refused(tmp_path: Path) -> None:
