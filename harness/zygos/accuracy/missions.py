@@ -96,12 +96,13 @@ def page(entries: Sequence[Line]) -> str:
         "# Coverage of the intervals, from a minute to a month",
         "",
         f"`make mission` writes this page. A mission repeats up to {REPEATED} of {MOTIONS} stored motions of "
-        f"{MOTION_S:g} s. The motions differ because the errors of the encoders act on the servo. Every repetition "
-        f"draws new errors of all sensors. Between two motions, {MISSING} cycles are missing, and a share of {LOST:g} of the "
-        "CAN traffic is lost. The state is saved and resumed once per day of the mission, or once per hour in missions "
-        "of up to a day. In the tables, *bias* and *spread* are the mean and the standard deviation of the errors "
-        "over the missions, and *half width* is the median half width of the 95 % interval. All three are in percent "
-        "of the true value. *Coverage* is the share of intervals that contain the true value.",
+        f"{MOTION_S:g} s. The motions differ because the errors of the encoders act on the servo. "
+        "Every repetition draws new errors of all sensors. "
+        f"Between two motions, {MISSING} cycles are missing, and a share of {LOST:g} of the CAN traffic is lost. "
+        "The state is saved and resumed once per day of the mission, or once per hour in missions of up to a day. "
+        "In the tables, *bias* and *spread* are the mean and the standard deviation of the errors over the missions, "
+        "and *half width* is the median half width of the 95 % interval. All three are in percent of the true value. "
+        "*Coverage* is the share of intervals that contain the true value.",
     ]
     for entry in entries:
         off = entry["coverage95_error"]
