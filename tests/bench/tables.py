@@ -149,7 +149,7 @@ def _details(content: dict[str, Any]) -> str:
         ]
         lines.append([f"{arm}: {peer['name']}", _number(peer["instructions"]), *cells])
     out.append(
-        "\n### Peers\n\n"
+        "\n### Comparison with other software\n\n"
         + _table(("one sample", "instructions", "instructions relative to zygos", "time relative to zygos"), lines)
     )
     frames = content["frames_per_second"]
