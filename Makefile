@@ -126,10 +126,11 @@ mission: build $(VENV)/.test ## intervals over missions of up to 30 days of fres
 demo-log: build $(VENV)/.test ## write the logs of examples/gap/demo again
 	PYTHONPATH=tests $(BIN)/python -m oracles.demo_log
 
-lint: build $(VENV)/.test ## ruff, mypy, clang-format
+lint: build $(VENV)/.test ## ruff, mypy, the order of sub-packages, clang-format
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/lint-imports --no-cache
 	$(BIN)/clang-format --dry-run --Werror $(C_FILES)
 
 format: $(VENV)/.test ## rewrite Python and C in the house style

@@ -14,9 +14,9 @@ import pytest
 from numpy.typing import NDArray
 
 from zygos.arm import Arm, load_arm
-from zygos.model import Model, load_model
-from zygos.plant import Trajectory, simulate
-from zygos.scenario import Scenario, load_scenario
+from zygos.model.model import Model, load_model
+from zygos.simulation.plant import Trajectory, simulate
+from zygos.simulation.scenario import Scenario, load_scenario
 
 pytest_plugins = ["zygos.testing"]
 

@@ -10,9 +10,9 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
-from zygos.model import Body, Model, Quantity
-from zygos.reference.balance import energy_columns
-from zygos.reference.kinematics import State
+from zygos.balances.energy import energy_columns
+from zygos.balances.kinematics import State
+from zygos.model.model import Body, Model, Quantity
 
 Floats = NDArray[np.float64]
 

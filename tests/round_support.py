@@ -8,8 +8,8 @@ import numpy as np
 from cantools.database.can import Database
 from e2e.p02 import e2e_p02_check
 
-from zygos.flight import VALIDITY, Flight
-from zygos.reference.wire import data_ids
+from zygos.can.wire import data_ids
+from zygos.native.flight import VALIDITY, Flight
 
 
 def told(dbc: Database, data: bytes) -> tuple[str, float, int]:

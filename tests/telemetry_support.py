@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conftest import ROOT
-from zygos.cycles import Cycles
+from zygos.runs.cycles import Cycles
 
 EXAMPLE = ROOT / "examples" / "telemetry"
 GEAR = 50.0

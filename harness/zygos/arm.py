@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from zygos.errors import ZygosError
-from zygos.table import Table
+from zygos.files.toml import Table
 
 Base = Literal["free", "fixed"]
 Kinetic = Literal["planar-symmetric", "planar", "spatial"]

@@ -21,9 +21,9 @@ from bench import cortex, peers, tables
 from bench.configurations import BARE, CONFIGURATIONS
 from bench.rows import FOLDER, TARGETS, measure
 from conftest import ROOT
-from zygos.commands import progress
 from zygos.errors import ZygosError
-from zygos.output import errors_end_the_program, note, say, write_json
+from zygos.files.output import errors_end_the_program, note, say, write_json
+from zygos.files.progress import progress
 
 PROFILED = ("paper, bare", "seven, bare")
 

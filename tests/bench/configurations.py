@@ -14,10 +14,10 @@ import numpy as np
 from cffi import FFI
 
 from conftest import ROOT, tool_module
-from zygos import flight
 from zygos.arm import Arm, load_arm
-from zygos.cycles import Cycles
 from zygos.effects import CATALOGUE, Effect
+from zygos.native import flight
+from zygos.runs.cycles import Cycles
 
 SEGMENT = 250
 """Cycles that are of one kind: at rest, at random, smooth."""
@@ -86,7 +86,7 @@ def random_cycles(arm: Arm, count: int) -> Cycles:
 
 @contextmanager
 def build_of(capacities: tuple[str, ...]) -> Iterator[Any]:
-    """`zygos.flight` with the declarations of another build; nothing of it can be run."""
+    """`zygos.native.flight` with the declarations of another build; nothing of it can be run."""
     ffi = FFI()
     ffi.cdef(tool_module("build_native").declarations(*capacities))
     with patch.multiple(flight, ffi=ffi, lib=ffi.dlopen(str(flight._FOLDER / "libzygos.so"))):

@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from bench import callgrind
 from bench.configurations import CONFIGURATIONS, Configuration
 from conftest import ROOT
-from zygos.flight import config_of, ffi
-from zygos.model import load_model
-from zygos.reference.balance import energy_columns
-from zygos.reference.kinematics import State
+from zygos.balances.energy import energy_columns
+from zygos.balances.kinematics import State
+from zygos.model.model import load_model
+from zygos.native.flight import config_of, ffi
 
 SAMPLES = 500
 ROUNDS = 20

@@ -11,7 +11,7 @@ from pathlib import Path
 from bench import callgrind, cortex
 from bench.configurations import CONFIGURATIONS, random_cycles, write_run
 from bench.counting import RELEVANT, TOGETHER, Count, spread_by_data
-from zygos.output import say, table
+from zygos.files.output import say, table
 
 
 def profile(count: Count) -> dict[str, float]:

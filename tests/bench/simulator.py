@@ -19,13 +19,13 @@ import numpy as np
 
 from conftest import ROOT
 from zygos.arm import Arm, load_arm
-from zygos.commands import progress
-from zygos.model import Model, load_model
-from zygos.multibody import Multibody
-from zygos.output import errors_end_the_program, number, say, table, write_json
-from zygos.plant import Trajectory, simulate
-from zygos.scenario import Scenario, load_scenario
-from zygos.spatial import SpatialDynamics
+from zygos.dynamics.compiled import Multibody
+from zygos.dynamics.serial import SpatialDynamics
+from zygos.files.output import errors_end_the_program, number, say, table, write_json
+from zygos.files.progress import progress
+from zygos.model.model import Model, load_model
+from zygos.simulation.plant import Trajectory, simulate
+from zygos.simulation.scenario import Scenario, load_scenario
 
 PERIOD_S = 0.01
 TURNS = 2

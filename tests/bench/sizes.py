@@ -11,7 +11,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from conftest import ROOT
-from zygos.output import write_text
+from zygos.files.output import write_text
 
 ROW = re.compile(r"^(\| (\d) \| (\d) \| (\d+) \|).*$", re.M)
 """A row of the manual's table: joints, whether spatial, blocks."""

@@ -11,7 +11,7 @@ from bench import peers
 from bench.configurations import BARE, CONFIGURATIONS
 from bench.counting import ROOMS, TOGETHER
 from conftest import ROOT
-from zygos.output import write_text
+from zygos.files.output import write_text
 
 COMMITTED = ROOT / "docs" / "bench.json"
 TITLES = {"x86-64": "x86-64", "m7": "Cortex-M7", "m4f": "Cortex-M4F"}

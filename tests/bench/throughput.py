@@ -14,10 +14,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 from bench.configurations import CONFIGURATIONS, random_cycles
-from zygos.bus import from_messages, to_messages
-from zygos.flight import Flight, encode
-from zygos.output import write_json
-from zygos.vcan import transfer
+from zygos.can.bus import from_messages, to_messages
+from zygos.can.vcan import transfer
+from zygos.files.output import write_json
+from zygos.native.flight import Flight, encode
 
 CYCLES = 1500
 LEAST_S = 2.0

@@ -9,7 +9,7 @@ import can
 import pytest
 from numpy.typing import NDArray
 
-from zygos import bus
+from zygos.can import bus
 from zygos.cli import main
 
 SMALL = 8192

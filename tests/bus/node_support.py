@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conftest import ROOT
-from zygos.flight import FRAME, Flight, ffi
+from zygos.native.flight import FRAME, Flight, ffi
 from zygos.testing.dut import hear as heard
 
 NODE = ROOT / "build" / "zygos-node"

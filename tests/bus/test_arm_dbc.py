@@ -21,9 +21,9 @@ from wire_support import SEVEN_NODES, arm_text, wandering
 from conftest import EXAMPLE
 from zygos.arm import Arm, load_arm
 from zygos.cli import main
-from zygos.flight import FRAME, Flight, encode, ffi, lib
-from zygos.model import load_model
-from zygos.plant import Trajectory
+from zygos.model.model import load_model
+from zygos.native.flight import FRAME, Flight, encode, ffi, lib
+from zygos.simulation.plant import Trajectory
 
 Log = NDArray[Any]
 SEVEN = ("yaw", "pitch", "roll", "elbow", "w1", "w2", "w3")

@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from wire_support import SEVEN_NODES, arm_text, wandering
 
 from conftest import EXAMPLE, ROOT, need
-from zygos import bus
 from zygos.arm import Arm, load_arm
-from zygos.busload import OTHERS, exact_bits, plan, usage, worst_bits
+from zygos.can import bus
+from zygos.can.load import OTHERS, exact_bits, plan, usage, worst_bits
 from zygos.cli import main
 from zygos.errors import ZygosError
-from zygos.flight import FRAME, encode
-from zygos.plant import Trajectory
+from zygos.native.flight import FRAME, encode
+from zygos.simulation.plant import Trajectory
 
 Log = NDArray[Any]
 STRANGERS = Path(ROOT).parent / "shared" / "data" / "foreign-can" / "savvycan-candump.log"

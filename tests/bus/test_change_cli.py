@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 from conftest import EXAMPLE
-from zygos import bus
 from zygos.arm import load_arm
+from zygos.can import bus
 from zygos.cli import main
-from zygos.flight import encode
-from zygos.model import Model, Quantity, load_model
-from zygos.plant import simulate
-from zygos.scenario import load_scenario
+from zygos.model.model import Model, Quantity, load_model
+from zygos.native.flight import encode
+from zygos.simulation.plant import simulate
+from zygos.simulation.scenario import load_scenario
 
 BODIES = {"a00", "a01", "a02", "a11", "a12", "a22"}
 

@@ -16,14 +16,14 @@ import pytest
 from scipy.io import loadmat
 
 from conftest import EXAMPLE, ROOT, need
-from zygos import bus
 from zygos.arm import Arm
 from zygos.audit.readings import noise_level
+from zygos.can import bus
 from zygos.cli import main
-from zygos.cycles import Cycles
-from zygos.cycletable import write_cycles
-from zygos.flight import encode
-from zygos.plant import Trajectory
+from zygos.native.flight import encode
+from zygos.runs.cycles import Cycles
+from zygos.runs.tables import write_cycles
+from zygos.simulation.plant import Trajectory
 
 ARM = EXAMPLE / "arm.toml"
 KR300 = ROOT.parent / "shared" / "data" / "kr300" / "run_a.mat"

@@ -22,14 +22,18 @@ import pytest
 from numpy.typing import NDArray
 
 from conftest import EXAMPLE, ROOT
-from zygos import bus, check, commands, demo
 from zygos.arm import Arm, load_arm
+from zygos.can import bus
 from zygos.cli import main
+from zygos.cli import simulate as simulate_command
+from zygos.demo import demonstration as demo
 from zygos.errors import ZygosError
-from zygos.flight import Flight
-from zygos.model import load_model
-from zygos.reference.cycle import Samples
-from zygos.reference.smoother import Smoothed
+from zygos.estimation.remedies import remedy as remedy_of
+from zygos.model.model import load_model
+from zygos.native.flight import Flight
+from zygos.reference import compare as check
+from zygos.runs.samples import Samples
+from zygos.runs.smoother import Smoothed
 
 
 def run(*arguments: object) -> int:
@@ -218,7 +222,7 @@ def test_check(simulated: Path, tmp_path: Path) -> None:
 
 
 def test_check_says_when_c_and_numpy_differ(simulated: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from zygos.reference.smoother import smooth
+    from zygos.runs.smoother import smooth
 
     def bent(arm: Arm, samples: Samples) -> Smoothed:
         straight = smooth(arm, samples)
@@ -454,7 +458,7 @@ def test_the_remedy_begins_with_the_bus(damage: Damage, remedy: str, simulated: 
     flight = Flight(load_arm(EXAMPLE / "arm.toml"))
     flight.frames(damage(bus.read_log(simulated / "run.blf").frames))
     result = replace(flight.estimate(), reason="the estimate is not physical")
-    assert re.search(remedy, commands._remedy(result, flight))
+    assert re.search(remedy, remedy_of(result, flight))
 
 
 def test_the_remedy_names_another_period(simulated: Path) -> None:
@@ -462,7 +466,7 @@ def test_the_remedy_names_another_period(simulated: Path) -> None:
     flight = Flight(replace(arm, period_s=0.02))
     flight.frames(bus.read_log(simulated / "run.blf").frames)
     assert flight.faults["time_jumped"] > 0
-    assert "period_s of the arm file disagrees" in commands._remedy(flight.estimate(), flight)
+    assert "period_s of the arm file disagrees" in remedy_of(flight.estimate(), flight)
 
 
 @pytest.mark.parametrize("count", [0, 40])
@@ -636,7 +640,7 @@ def test_listen_to_silence_for_a_second(tmp_path: Path) -> None:
 def test_simulate_opens_the_bus_first(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(commands, "simulate", lambda *_, **__: pytest.fail("simulated before the bus was open"))
+    monkeypatch.setattr(simulate_command, "simulate", lambda *_, **__: pytest.fail("simulated before the bus was open"))
     assert run("simulate", EXAMPLE / "scenario.toml", "-o", tmp_path / "run.blf", "-i", "nothing", "-c", "x") == 2
     assert "cannot be opened" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

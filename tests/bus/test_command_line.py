@@ -15,19 +15,19 @@ import time
 from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import pytest
 import typer
 
 from conftest import EXAMPLE, ROOT
-from zygos import bus
 from zygos.arm import load_arm
-from zygos.cli import app, main
-from zygos.columns import TABLE_SUFFIXES
-from zygos.cycletable import write_cycles
-from zygos.flight import Flight
+from zygos.can import bus
+from zygos.cli import COMMANDS, app, load, main
+from zygos.files.tables import TABLE_SUFFIXES
+from zygos.native.flight import Flight
+from zygos.runs.tables import write_cycles
 
-COMMANDS = sorted(str(name) for name in typer.main.get_command(app).commands)  # type: ignore[attr-defined]
 
 
 def run(*arguments: object) -> int:
@@ -55,12 +55,16 @@ def test_help_is_whole(
     assert run(*([command] if command else []), "--help") == 0
     said = capsys.readouterr().out
     assert "…" not in said
-    group = typer.main.get_command(app)
-    described = group.commands[command] if command else group  # type: ignore[attr-defined]
+    described: Any = load(command) if command else typer.main.get_command(app)
     assert words(inspect.cleandoc(described.callback.__doc__ or described.help)) in words(said)
     for option in described.params:
         for name in (*option.opts, *option.secondary_opts):
             assert not name.startswith("-") or re.search(rf"(?<![\w-]){name}(?![\w-])", said), name
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_list_of_commands_has_the_first_line_of_each(command: str) -> None:
+    assert COMMANDS[command][1] == str(load(command).help).splitlines()[0]
 
 
 def test_brackets_of_toml_are_in_the_help(capsys: pytest.CaptureFixture[str]) -> None:
@@ -286,7 +290,7 @@ def test_an_output_that_cannot_be_written_is_noticed_before_the_work(
     # /proc takes no files, whoever asks: neither permissions nor the user's number say so
     places = {"a folder": tmp_path / f"folder{suffix}", "below a file": tmp_path / "file" / f"x{suffix}"}
     place = places.get(wrong, Path(f"/proc/x{suffix}"))
-    for name in ("zygos.bus.read_messages", "zygos.plant.DOP853", "zygos.flight.Flight.__init__"):
+    for name in ("zygos.can.bus.read_messages", "zygos.simulation.plant.DOP853", "zygos.native.flight.Flight.__init__"):
         monkeypatch.setattr(name, no_work)
     assert run(*given, option, place) == 2
     said = capsys.readouterr().err

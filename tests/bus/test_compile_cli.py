@@ -11,11 +11,11 @@ import pytest
 from wire_support import SEVEN_NODES, arm_text
 
 from conftest import EXAMPLE, ROOT, need
-from zygos import snapshot
 from zygos.arm import load_arm
 from zygos.cli import main
-from zygos.flight import Flight, config_of, ffi
-from zygos.model import load_model
+from zygos.model.model import load_model
+from zygos.native import snapshot
+from zygos.native.flight import Flight, config_of, ffi
 
 WARNINGS = "-Wall -Wextra -Wconversion -Wsign-conversion -Wdouble-promotion -Wshadow -pedantic -Werror".split()
 COMPILERS = {

@@ -18,18 +18,18 @@ from scipy.io import loadmat
 
 import telemetry_support as foreign
 from conftest import EXAMPLE, PAPER, ROOT, need
-from zygos import bus
 from zygos.arm import NO_IMU, Arm, load_arm
+from zygos.can import bus
 from zygos.cli import main
-from zygos.columns import write_columns
-from zygos.cycles import Cycles
-from zygos.cycletable import read_cycles
-from zygos.flight import Estimate, Flight, encode
-from zygos.grid import regrid, tracks
-from zygos.model import Model, load_model
-from zygos.plant import simulate
-from zygos.scenario import Scenario, load_scenario
-from zygos.telemetry import load_map, read_table
+from zygos.files.tables import write_columns
+from zygos.model.model import Model, load_model
+from zygos.native.flight import Estimate, Flight, encode
+from zygos.runs.cycles import Cycles
+from zygos.runs.tables import read_cycles
+from zygos.simulation.plant import simulate
+from zygos.simulation.scenario import Scenario, load_scenario
+from zygos.telemetry.grid import regrid, tracks
+from zygos.telemetry.map import load_map, read_table
 
 FOLDER = foreign.EXAMPLE
 NAMES = ("Cycle", "Drive1Position", "Drive1Torque", "Drive2Position", "Drive2Torque", "RatesXY", "RateZ")
@@ -401,7 +401,7 @@ def test_the_other_commands_refuse_what_they_cannot_take(
 
 
 def test_cycles_of_no_use(cycles: Cycles, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from zygos.cycletable import write_cycles
+    from zygos.runs.tables import write_cycles
 
     write_cycles(tmp_path / "run.npz", replace(cycles, tau=np.full_like(cycles.tau, np.nan)))
     (tmp_path / "arm.toml").write_bytes((EXAMPLE / "arm.toml").read_bytes())

@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 
 from bus.log_support import SMALL, containers, run, write
 from conftest import EXAMPLE
-from zygos import bus
 from zygos.arm import Arm
-from zygos.cycles import BREAK_BEFORE
+from zygos.can import bus
 from zygos.errors import ZygosError
-from zygos.flight import Flight, encode
-from zygos.plant import Trajectory
+from zygos.native.flight import Flight, encode
+from zygos.runs.cycles import BREAK_BEFORE
+from zygos.simulation.plant import Trajectory
 
 Frames = NDArray[Any]
 ARM = EXAMPLE / "arm.toml"

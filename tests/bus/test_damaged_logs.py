@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from zygos import reference
 from zygos.arm import Arm
-from zygos.check import check_frames, decode
-from zygos.cycles import Cycles
-from zygos.flight import FRAME, Flight, encode, ffi, lib
-from zygos.model import Model
-from zygos.plant import simulate
-from zygos.reference.wire import BUS_OFF, ERROR, EXTENDED, FD, REMOTE, data_ids, identifiers
-from zygos.scenario import Scenario
+from zygos.can.wire import BUS_OFF, ERROR, EXTENDED, FD, REMOTE, data_ids, identifiers
+from zygos.model.model import Model
+from zygos.native.flight import FRAME, Flight, encode, ffi, lib
+from zygos.reference.compare import check_frames, decode
+from zygos.runs.cycles import Cycles
+from zygos.simulation.plant import simulate
+from zygos.simulation.scenario import Scenario
 
 Log = NDArray[Any]
 Damage = Callable[[np.random.Generator, Arm, Log], Log]

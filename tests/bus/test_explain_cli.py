@@ -12,7 +12,7 @@ import pytest
 from conftest import EXAMPLE, ROOT
 from zygos.cli import main
 from zygos.effects import CATALOGUE, Effect
-from zygos.model import load_model, save_model
+from zygos.model.model import load_model, save_model
 
 FRICTION = 2.0
 """Nm at the elbow's rotor."""

@@ -16,7 +16,7 @@ from conftest import EXAMPLE, ROOT
 from physical_support import estimate_of
 from zygos.arm import load_arm
 from zygos.cli import main
-from zygos.model import Model, Quantity, load_model, save_model
+from zygos.model.model import Model, Quantity, load_model, save_model
 
 SPATIAL = ROOT / "examples" / "spatial"
 URDF = """<robot name="paper">

@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 
 from bus.log_support import run as zygos
 from conftest import EXAMPLE, ROOT, need
-from zygos import bus
 from zygos.arm import Arm
-from zygos.commands import NO_FRAMES
-from zygos.cycles import BREAK_BEFORE, Cycles
-from zygos.flight import Flight, encode, ffi, lib
-from zygos.model import Model
-from zygos.plant import simulate
-from zygos.reference.wire import identifiers
-from zygos.scenario import Scenario
+from zygos.can import bus
+from zygos.can.wire import identifiers
+from zygos.estimation.remedies import NO_FRAMES
+from zygos.model.model import Model
+from zygos.native.flight import Flight, encode, ffi, lib
+from zygos.runs.cycles import BREAK_BEFORE, Cycles
+from zygos.simulation.plant import simulate
+from zygos.simulation.scenario import Scenario
 
 Log = NDArray[Any]
 

@@ -12,12 +12,12 @@ import pytest
 
 from bus.log_support import run
 from conftest import EXAMPLE
-from zygos import bus
 from zygos.arm import Arm
+from zygos.can import bus
+from zygos.can.wire import BUS_OFF, ERROR, EXTENDED, FD, REMOTE
 from zygos.errors import ZygosError
-from zygos.flight import Flight, encode
-from zygos.plant import Trajectory
-from zygos.reference.wire import BUS_OFF, ERROR, EXTENDED, FD, REMOTE
+from zygos.native.flight import Flight, encode
+from zygos.simulation.plant import Trajectory
 
 DATA = bytes(range(1, 9))
 EPOCH = 1_700_000_000.0

@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 
 from conftest import EXAMPLE, ROOT
 from round_support import round_of, told
-from zygos import snapshot
 from zygos.arm import Arm
+from zygos.can.dbc import arm_database
 from zygos.cli import main
-from zygos.dbc import arm_database
-from zygos.flight import Flight, encode, ffi
-from zygos.plant import Trajectory
+from zygos.native import snapshot
+from zygos.native.flight import Flight, encode, ffi
+from zygos.simulation.plant import Trajectory
 
 SYNC, TELEMETRY, HEARTBEAT = 0x080, 0x1A0, 0x720
 NODE = ("overflow", "misshapen", "down", "unsent", "corrupt", "unsaved")

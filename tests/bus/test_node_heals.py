@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 
 from conftest import EXAMPLE, ROOT, need
 from round_support import told
-from zygos import snapshot
 from zygos.arm import Arm
+from zygos.can.dbc import arm_database
 from zygos.cli import main
-from zygos.dbc import arm_database
-from zygos.flight import Flight, encode, ffi, lib
-from zygos.plant import Trajectory
+from zygos.native import snapshot
+from zygos.native.flight import Flight, encode, ffi, lib
+from zygos.simulation.plant import Trajectory
 
 SYNC, TELEMETRY = 0x080, 0x1A0
 CORRUPT = lib.ZYGOS_REASON_CORRUPT

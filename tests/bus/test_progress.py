@@ -13,9 +13,9 @@ import pytest
 from rich.progress import Task
 
 from conftest import ROOT
-from zygos import lines
 from zygos.cli import main
-from zygos.commands import progress
+from zygos.files import progress as lines
+from zygos.files.progress import progress
 
 PAPER = ROOT / "examples" / "paper" / "scenario.toml"
 LINE = re.compile(r"simulating · (\d+) % · (\d+):(\d\d):(\d\d) elapsed( · about \d+:\d\d:\d\d left)?")

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from zygos import bus, vcan
 from zygos.arm import Arm
+from zygos.can import bus, vcan
 from zygos.errors import ZygosError
-from zygos.flight import FRAME, Flight, encode
-from zygos.plant import Trajectory
+from zygos.native.flight import FRAME, Flight, encode
+from zygos.simulation.plant import Trajectory
 
 
 def bits(arm: Arm, frames: NDArray[np.void]) -> bytes:

@@ -18,7 +18,7 @@ import pytest
 from conftest import ROOT
 from zygos.arm import load_arm
 from zygos.cli import main
-from zygos.model import Model, Quantity, load_model, save_model
+from zygos.model.model import Model, Quantity, load_model, save_model
 
 URDF, ANSWERS = ROOT / "examples" / "urdf" / "arm.urdf", ROOT / "examples" / "urdf" / "answers.toml"
 GAP = ROOT / "examples" / "gap"

@@ -20,12 +20,12 @@ import pytest
 from numpy.typing import NDArray
 
 from conftest import EXAMPLE, ROOT
-from zygos import bus
 from zygos.arm import Arm, load_arm
+from zygos.can import bus
 from zygos.cli import main
-from zygos.cycles import Cycles
-from zygos.flight import encode
-from zygos.pose import motion, skeleton
+from zygos.dynamics.pose import motion, skeleton
+from zygos.native.flight import encode
+from zygos.runs.cycles import Cycles
 
 if not os.environ.get("CI"):  # there, a missing tool is a failure
     for name in ("matplotlib", "trimesh", "viser"):
@@ -35,7 +35,7 @@ import matplotlib.image
 import msgspec
 import zstandard
 
-from zygos import view
+from zygos.view import scene as view
 
 Floats = NDArray[np.float64]
 MODEL = EXAMPLE / "model.toml"
@@ -315,7 +315,7 @@ def test_without_the_extra_the_remedy_is_said(
     log: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "viser", None)
-    monkeypatch.delitem(sys.modules, "zygos.view")
+    monkeypatch.delitem(sys.modules, "zygos.view.scene")
     said = refused(capsys, log)
     assert "viser is missing" in said
     assert "pip install 'zygos[view]'" in said

@@ -22,7 +22,7 @@ from cantools.database.can import Database, Message
 from cffi import FFI
 
 from zygos.arm import load_arm
-from zygos.flight import Flight, ffi, lib
+from zygos.native.flight import Flight, ffi, lib
 
 ROOT = Path(__file__).resolve().parents[2]
 INCLUDE = ROOT / "include" / "zygos"

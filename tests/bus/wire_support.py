@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from zygos.arm import Arm
-from zygos.cycles import Cycles
+from zygos.runs.cycles import Cycles
 
 SEVEN_NODES = (31, 3, 17, 1, 29, 5, 11)
 """Odd node numbers of a seven-joint arm, out of order."""

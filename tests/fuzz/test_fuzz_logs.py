@@ -15,10 +15,11 @@ import pytest
 
 from bus.log_support import KINDS, run, write
 from conftest import EXAMPLE
-from zygos import bus, salvage
 from zygos.arm import Arm
-from zygos.flight import encode
-from zygos.plant import Trajectory
+from zygos.can import bus
+from zygos.can import damaged as salvage
+from zygos.native.flight import encode
+from zygos.simulation.plant import Trajectory
 
 PLACES = 200
 

@@ -12,7 +12,7 @@ import can
 import pytest
 
 from conftest import PAPER, ROOT
-from zygos.bus import from_messages
+from zygos.can.bus import from_messages
 from zygos.errors import ZygosError
 from zygos.testing import Dut, Plant, Stream
 

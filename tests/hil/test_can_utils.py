@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 from test_vcan import listeners, wait_for_listeners
 
-from zygos import bus
+from zygos.can import bus
+from zygos.can.vcan import kernel_counts
 from zygos.testing import Dut, Plant
 from zygos.testing.dut import HEARTBEAT, TELEMETRY
 from zygos.testing.stream import Stream
-from zygos.vcan import kernel_counts
 
 
 @contextmanager

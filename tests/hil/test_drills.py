@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import pytest
 
+from zygos.can.vcan import kernel_counts
 from zygos.testing import Dut, Fault, Plant, faults
-from zygos.vcan import kernel_counts
 
 DRILLS: dict[str, tuple[int, list[Fault], dict[str, int]]] = {
     "clean": (600, [], {}),

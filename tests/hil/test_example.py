@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from test_vcan import listeners, wait_for_listeners
 
 from conftest import PAPER, ROOT
-from zygos import bus, vcan
 from zygos.arm import Arm
-from zygos.flight import Flight, encode
-from zygos.model import Model, load_model
-from zygos.plant import simulate
-from zygos.scenario import Scenario
+from zygos.can import bus, vcan
+from zygos.model.model import Model, load_model
+from zygos.native.flight import Flight, encode
+from zygos.simulation.plant import simulate
+from zygos.simulation.scenario import Scenario
 
 CHANNEL = os.environ.get("ZYGOS_VCAN_IFS", "vcan0").split()[0]
 
@@ -55,7 +55,7 @@ def test_the_demo_takes_vcan_where_there_is_one() -> None:
     """The part of `make` that crosses a bus, as a machine with vcan0 runs it; only the output folder can be written."""
     before = vcan.kernel_counts(CHANNEL)
     folder = Path(os.environ["ZYGOS_OUT"]) / "hil"
-    code = "import json, sys; from pathlib import Path; from zygos.demo import learn"
+    code = "import json, sys; from pathlib import Path; from zygos.demo.demonstration import learn"
     code += "; print(json.dumps(learn(Path(sys.argv[1])).content))"
     done = subprocess.run([sys.executable, "-c", code, str(folder)], cwd=ROOT, check=True, capture_output=True)
     said = json.loads(done.stdout)

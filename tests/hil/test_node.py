@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 
 from conftest import need
-from zygos import snapshot
-from zygos.flight import Flight, ffi
+from zygos.can.vcan import kernel_counts
+from zygos.native import snapshot
+from zygos.native.flight import Flight, ffi
 from zygos.testing import Dut, Plant
 from zygos.testing.stream import SYNC, Stream
-from zygos.vcan import kernel_counts
 
 FULL_BUS = 9_009
 """Frames a second that a classical bus at 1 Mbit/s carries at most: of eight bytes, without stuffing."""

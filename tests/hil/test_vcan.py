@@ -12,9 +12,9 @@ import can
 import numpy as np
 import pytest
 
-from zygos import vcan
+from zygos.can import vcan
+from zygos.can.vcan import KernelCounts, kernel_counts, transfer
 from zygos.errors import ZygosError
-from zygos.vcan import KernelCounts, kernel_counts, transfer
 
 CHANNEL = os.environ.get("ZYGOS_VCAN_IFS", "vcan0").split()[0]
 

@@ -24,15 +24,15 @@ from oracles.demo_log import EXAMPLE, built
 from oracles.laws import Law
 from oracles.simulate import run
 from zygos.arm import Arm, Smoother, load_arm
-from zygos.commands import progress
 from zygos.effects import CATALOGUE, Effect, of_column
 from zygos.errors import Undecided
-from zygos.flight import encode
+from zygos.files.output import number, say, table, write_json
+from zygos.files.progress import progress
 from zygos.gap.explain import Explanation, explain
 from zygos.gap.record import read_record
-from zygos.model import Model, Quantity, load_model
-from zygos.output import number, say, table, write_json
-from zygos.scenario import Motion, Scenario, Sine, load_scenario
+from zygos.model.model import Model, Quantity, load_model
+from zygos.native.flight import encode
+from zygos.simulation.scenario import Motion, Scenario, Sine, load_scenario
 
 LIVELY = EXAMPLE.parent / "lively"
 SHOULDER, ELBOW = 0, 1

@@ -17,8 +17,8 @@ import numpy as np
 from oracles.laws import MotorCoulomb
 from oracles.simulate import run, write
 from zygos.arm import load_arm
-from zygos.model import Model, Quantity, load_model
-from zygos.scenario import load_scenario
+from zygos.model.model import Model, Quantity, load_model
+from zygos.simulation.scenario import load_scenario
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "gap"
 RUNS = ("a", "b", "c")

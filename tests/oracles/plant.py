@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from oracles.laws import Law, Local
 from zygos.arm import Arm
-from zygos.cycles import Cycles
-from zygos.model import Body, JointModel, Model
-from zygos.scenario import Scenario
+from zygos.model.model import Body, JointModel, Model
+from zygos.runs.cycles import Cycles
+from zygos.simulation.scenario import Scenario
 
 Array = NDArray[np.float64]
 

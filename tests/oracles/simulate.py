@@ -8,11 +8,11 @@ from pathlib import Path
 from oracles.laws import Law
 from oracles.plant import MujocoPlant
 from zygos.arm import Arm
-from zygos.bus import write_log
-from zygos.cycles import Cycles
-from zygos.flight import encode
-from zygos.model import Model
-from zygos.scenario import Scenario
+from zygos.can.bus import write_log
+from zygos.model.model import Model
+from zygos.native.flight import encode
+from zygos.runs.cycles import Cycles
+from zygos.simulation.scenario import Scenario
 
 
 def run(arm: Arm, model: Model, scenario: Scenario, seed: int, law: Law | Sequence[Law] | None = None) -> Cycles:

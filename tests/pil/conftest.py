@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from pil.pil_support import Comparison, Sizes, need_tools
-from zygos.output import table
+from zygos.files.output import table
 
 Agree = Callable[[str, str, str, Comparison], None]
 Measured = Callable[[str, str, Sizes], None]

@@ -16,8 +16,8 @@ from typing import Any
 import can
 
 from pil.pil_support import Build, build_firmware, firmware
-from zygos import compiled
-from zygos.flight import Flight
+from zygos.native import header as compiled
+from zygos.native.flight import Flight
 
 PATIENCE_S = 60.0
 """Longest that a test waits for a target."""

@@ -21,12 +21,12 @@ import pytest
 from numpy.typing import NDArray
 
 from conftest import ROOT, need
-from zygos import flight
 from zygos.arm import Arm, load_arm
-from zygos.cycles import Cycles
-from zygos.model import load_model
-from zygos.plant import simulate
-from zygos.scenario import load_scenario
+from zygos.model.model import load_model
+from zygos.native import flight
+from zygos.runs.cycles import Cycles
+from zygos.simulation.plant import simulate
+from zygos.simulation.scenario import load_scenario
 
 sys.path.insert(0, str(ROOT / "tools"))
 import build_firmware
@@ -115,7 +115,7 @@ def host_library(builds: Path, build: Build) -> Path:
 
 @contextmanager
 def capacities(builds: Path, build: Build) -> Iterator[None]:
-    """Within it zygos.flight is that of a library with these capacities."""
+    """Within it zygos.native.flight is that of a library with these capacities."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(flight, "_FOLDER", host_library(builds, build))
         ffi, lib = flight._load()

@@ -32,10 +32,10 @@ from pil.pil_support import (
     place,
     recorded,
 )
-from zygos import flight
 from zygos.arm import Arm
-from zygos.cycles import Cycles
 from zygos.effects import CATALOGUE, Effect
+from zygos.native import flight
+from zygos.runs.cycles import Cycles
 
 FUZZ_FRAMES = 20_000
 

@@ -29,9 +29,9 @@ from pil.pil_support import (
     on_host,
     recorded,
 )
-from zygos import flight
 from zygos.arm import Arm
-from zygos.flight import Flight, encode
+from zygos.native import flight
+from zygos.native.flight import Flight, encode
 
 CLOCK = ["-icount", "shift=5,sleep=off"]
 """32 ns an instruction; a tick of SysTick is 40 ns."""

@@ -22,10 +22,11 @@ from pil.conftest import Agree
 from pil.live_support import PATIENCE_S, Live, lines_of, running
 from pil.pil_support import END, PAPER, PATIENT, TARGETS, Record, capacities, compare, frames_section, on_host, recorded
 from round_support import round_of, told
-from zygos import bus, flight
 from zygos.arm import Arm
-from zygos.dbc import arm_database
-from zygos.flight import Flight, encode
+from zygos.can import bus
+from zygos.can.dbc import arm_database
+from zygos.native import flight
+from zygos.native.flight import Flight, encode
 
 EVERY = 100
 """SYNCs from one estimate to the next, as c/ports/cortex-m/live.c has it."""

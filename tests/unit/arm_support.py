@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from zygos.arm import NO_IMU, Arm, Base, Encoder, Imu, Joint, Kinetic
-from zygos.model import Body, JointModel, Model, Quantity
+from zygos.model.model import Body, JointModel, Model, Quantity
 
 Floats = NDArray[np.float64]
 

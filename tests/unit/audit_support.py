@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
-from zygos.cycles import Cycles
-from zygos.flight import Flight, encode
+from zygos.native.flight import Flight, encode
+from zygos.runs.cycles import Cycles
 
 Fault = Callable[[Cycles], Cycles]
 

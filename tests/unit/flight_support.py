@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from zygos.arm import Arm
-from zygos.cycles import Cycles
-from zygos.flight import Flight, Trace, ffi, lib
+from zygos.native.flight import Flight, Trace, ffi, lib
+from zygos.runs.cycles import Cycles
 
 Floats = NDArray[np.float64]
 

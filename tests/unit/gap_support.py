@@ -13,9 +13,9 @@ from zygos.arm import Arm, load_arm
 from zygos.effects import CATALOGUE, Effect
 from zygos.gap.balances import Layout
 from zygos.gap.record import Readings
-from zygos.model import Model, load_model
-from zygos.plant import Trajectory, simulate
-from zygos.scenario import Scenario, load_scenario
+from zygos.model.model import Model, load_model
+from zygos.simulation.plant import Trajectory, simulate
+from zygos.simulation.scenario import Scenario, load_scenario
 
 Floats = NDArray[np.float64]
 GAP = Path(__file__).parents[2] / "examples" / "gap"

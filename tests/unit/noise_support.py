@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy.signal import savgol_coeffs
 
 from zygos.arm import Arm, Encoder
-from zygos.flight import config_of, ffi, lib
-from zygos.reference.balance import energy_columns
-from zygos.reference.kinematics import State
+from zygos.balances.energy import energy_columns
+from zygos.balances.kinematics import State
+from zygos.native.flight import config_of, ffi, lib
 
 Floats = NDArray[np.float64]
 

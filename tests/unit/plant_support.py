@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from zygos.arm import Arm, Encoder, Imu, Joint, Kinetic, load_arm
-from zygos.model import Body, JointModel, Model, Quantity, load_model
-from zygos.scenario import Scenario, load_scenario
+from zygos.model.model import Body, JointModel, Model, Quantity, load_model
+from zygos.simulation.scenario import Scenario, load_scenario
 
 Floats = NDArray[np.float64]
 LIVELY = Path(__file__).parents[2] / "examples" / "lively"

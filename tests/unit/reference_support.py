@@ -1,7 +1,7 @@
 """An arm, a small simulation of it and a recorder, for the tests of the numpy reference and of the methods.
 
-The motion comes from the equations of `zygos.methods.de`, solved for the accelerations. The energy balance and the
-momentum share none of their terms with those, so their agreement is a check of all three.
+The motion comes from the equations of `zygos.paper.methods.de`, solved for the accelerations. The energy
+balance and the momentum share none of their terms with those, so their agreement is a check of all three.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from zygos.arm import Arm, load_arm
-from zygos.cycles import Cycles
-from zygos.methods import Record, de
-from zygos.reference.kinematics import State
+from zygos.balances.kinematics import State
+from zygos.paper.methods import Record, de
+from zygos.runs.cycles import Cycles
 
 Floats = NDArray[np.float64]
 

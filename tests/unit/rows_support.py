@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 from plant_support import lively
 
 from zygos.arm import Arm, Encoder, Smoother, load_arm
-from zygos.cycles import Cycles
+from zygos.balances import arcs
 from zygos.effects import CATALOGUE, Effect
-from zygos.flight import Flight, ffi, lib
-from zygos.model import load_model
-from zygos.plant import simulate
-from zygos.reference import arcs
-from zygos.reference.cycle import Samples, calibrate
-from zygos.reference.smoother import Smoothed, smooth
-from zygos.scenario import load_scenario
+from zygos.model.model import load_model
+from zygos.native.flight import Flight, ffi, lib
+from zygos.runs.cycles import Cycles
+from zygos.runs.samples import Samples, calibrate
+from zygos.runs.smoother import Smoothed, smooth
+from zygos.simulation.plant import simulate
+from zygos.simulation.scenario import load_scenario
 
 Floats = NDArray[np.float64]
 SPATIAL = Path(__file__).parents[2] / "examples" / "spatial"

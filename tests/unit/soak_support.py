@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from zygos.arm import Arm
-from zygos.cycles import BREAK_BEFORE, Cycles
-from zygos.flight import Flight
-from zygos.model import Model
-from zygos.plant import simulate
-from zygos.scenario import Scenario
+from zygos.model.model import Model
+from zygos.native.flight import Flight
+from zygos.runs.cycles import BREAK_BEFORE, Cycles
+from zygos.simulation.plant import simulate
+from zygos.simulation.scenario import Scenario
 
 DURATION_S = 60.0
 

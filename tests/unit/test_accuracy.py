@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 
 from conftest import EXAMPLE
 from zygos.arm import Arm, Smoother
-from zygos.check import check_frames, sizes
-from zygos.cycles import Cycles
-from zygos.flight import Estimate, Flight, encode
-from zygos.methods import amc, de, eb, exact_record
-from zygos.model import Model
-from zygos.paper import flight_estimates, noisy_record
-from zygos.plant import Trajectory, simulate
-from zygos.scenario import Scenario, load_scenario
-from zygos.score import score
+from zygos.model.model import Model
+from zygos.native.flight import Estimate, Flight, encode
+from zygos.paper.methods import amc, de, eb, exact_record
+from zygos.paper.tables import flight_estimates, noisy_record
+from zygos.reference.compare import check_frames, sizes
+from zygos.runs.cycles import Cycles
+from zygos.simulation.plant import Trajectory, simulate
+from zygos.simulation.scenario import Scenario, load_scenario
+from zygos.simulation.score import score
 
 Floats = NDArray[np.float64]
 Clean = Callable[..., Trajectory]

@@ -19,24 +19,24 @@ import pytest
 from numpy.typing import NDArray
 
 from conftest import ROOT
-from zygos import printed, response
 from zygos.accuracy import __main__ as command
 from zygos.accuracy import campaign
 from zygos.accuracy.cases import Case, all_cases, chosen
 from zygos.accuracy.cell import Cell, cells, sensed
 from zygos.accuracy.estimators import ESTIMATORS
 from zygos.accuracy.figure4 import PRINTED, Figure4
+from zygos.accuracy.page import write_accuracy_report
 from zygos.accuracy.summary import inertia, summarise
 from zygos.arm import Arm
-from zygos.engines import engine
+from zygos.dynamics.engines import engine
 from zygos.errors import ZygosError
-from zygos.flight import Flight
-from zygos.methods import eb
-from zygos.model import Model
-from zygos.paper import flight_estimates, noisy_record
-from zygos.plant import Trajectory, simulate
-from zygos.report.accuracy import write_accuracy_report
-from zygos.scenario import Scenario
+from zygos.model.model import Model
+from zygos.native.flight import Flight
+from zygos.paper import printed, response
+from zygos.paper.methods import eb
+from zygos.paper.tables import flight_estimates, noisy_record
+from zygos.simulation.plant import Trajectory, simulate
+from zygos.simulation.scenario import Scenario
 
 Floats = NDArray[np.float64]
 CASES = {case.name: case for case in all_cases(ROOT / "examples")}

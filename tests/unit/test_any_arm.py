@@ -13,15 +13,15 @@ from arm_support import random_arm
 from numpy.typing import NDArray
 
 from zygos.arm import Arm, Encoder, load_arm
-from zygos.check import check_frames
-from zygos.cycles import Cycles
-from zygos.flight import Flight, config_of, encode, ffi, lib
-from zygos.model import load_model
-from zygos.plant import simulate
+from zygos.balances.energy import energy_columns
+from zygos.balances.kinematics import State
+from zygos.model.model import load_model
+from zygos.native.flight import Flight, config_of, encode, ffi, lib
 from zygos.reference import chain
-from zygos.reference.balance import energy_columns
-from zygos.reference.kinematics import State
-from zygos.scenario import load_scenario
+from zygos.reference.compare import check_frames
+from zygos.runs.cycles import Cycles
+from zygos.simulation.plant import simulate
+from zygos.simulation.scenario import load_scenario
 
 Floats = NDArray[np.float64]
 EXAMPLES = Path(__file__).parents[2] / "examples"

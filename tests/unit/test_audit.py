@@ -35,12 +35,12 @@ from zygos.arm import NO_IMU, Arm, Encoder, Joint, load_arm
 from zygos.audit import Audit, audit
 from zygos.audit.means import Means, jackknifed
 from zygos.audit.readings import grid_step, noise_level, runs_of_equal
-from zygos.cycles import Cycles
 from zygos.effects import CATALOGUE, Effect
 from zygos.errors import ZygosError
-from zygos.model import load_model
-from zygos.plant import simulate
-from zygos.scenario import load_scenario
+from zygos.model.model import load_model
+from zygos.runs.cycles import Cycles
+from zygos.simulation.plant import simulate
+from zygos.simulation.scenario import load_scenario
 
 GAP = ROOT / "examples" / "gap"
 KR300 = Path(ROOT).parent / "shared" / "data" / "kr300" / "run_a.mat"

@@ -17,12 +17,12 @@ from build_support import run, tool
 
 from calls_support import Calls
 from conftest import house_flags
-from zygos import flight
 from zygos.arm import Arm, load_arm
-from zygos.cycles import Cycles
-from zygos.model import load_model
-from zygos.plant import simulate
-from zygos.scenario import load_scenario
+from zygos.model.model import load_model
+from zygos.native import flight
+from zygos.runs.cycles import Cycles
+from zygos.simulation.plant import simulate
+from zygos.simulation.scenario import load_scenario
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = sorted((ROOT / "c").glob("*.c"))

@@ -13,13 +13,13 @@ from scipy.stats import t as student
 
 from zygos import reference
 from zygos.arm import Arm, Encoder, Imu, Joint, Smoother, TorqueLaw
-from zygos.check import Room, Rounding, check_cycles, rounding, tables
-from zygos.cycles import BREAK_BEFORE, INVALID, VOID_BEFORE, VOID_SHIFT, Cycles
-from zygos.flight import Flight, Trace, ffi, lib
-from zygos.reference.balance import arc_cycles
-from zygos.reference.cycle import usable
+from zygos.balances.arcs import arc_cycles
+from zygos.native.flight import Flight, Trace, ffi, lib
+from zygos.reference.compare import Room, Rounding, check_cycles, rounding, tables
 from zygos.reference.noise import instants, moments, spread
 from zygos.reference.solver import Rows, explained, scatter, that_stays
+from zygos.runs.cycles import BREAK_BEFORE, INVALID, VOID_BEFORE, VOID_SHIFT, Cycles
+from zygos.runs.samples import usable
 
 Floats = NDArray[np.float64]
 

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from plant_support import LIVELY, lively
 
 from zygos.arm import Arm, load_arm
-from zygos.cycles import Cycles
 from zygos.errors import ZygosError
-from zygos.flight import DRIFT_ALARM, GATE, OVERDECLARED, Drift, Estimate, Flight, config_of, encode, ffi, lib
-from zygos.model import Model, Quantity
-from zygos.plant import simulate
-from zygos.watch import Watch
+from zygos.estimation.watch import Watch
+from zygos.model.model import Model, Quantity
+from zygos.native.flight import DRIFT_ALARM, GATE, OVERDECLARED, Drift, Estimate, Flight, config_of, encode, ffi, lib
+from zygos.runs.cycles import Cycles
+from zygos.simulation.plant import simulate
 
 Floats = NDArray[np.float64]
 

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 
 from conftest import EXAMPLE
-from zygos import snapshot
 from zygos.arm import Arm, load_arm
-from zygos.cycles import Cycles
 from zygos.errors import ZygosError
-from zygos.flight import Flight, ffi, lib
-from zygos.model import load_model
-from zygos.plant import simulate
-from zygos.scenario import load_scenario
+from zygos.model.model import load_model
+from zygos.native import snapshot
+from zygos.native.flight import Flight, ffi, lib
+from zygos.runs.cycles import Cycles
+from zygos.simulation.plant import simulate
+from zygos.simulation.scenario import load_scenario
 
 WORK = ffi.new("zygos_work_t *")
 

@@ -19,20 +19,20 @@ from scipy.spatial.transform import Rotation
 
 from conftest import ROOT, need
 from zygos.arm import NO_IMU, Arm, Base, Encoder, Imu, Joint, read_joint
-from zygos.cycles import Cycles
+from zygos.dynamics.pose import attitudes, forward
+from zygos.dynamics.serial import SpatialDynamics
 from zygos.effects import CATALOGUE, Effect
 from zygos.errors import ZygosError
-from zygos.model import Body, JointModel, Model, Quantity
-from zygos.pose import attitudes, forward
-from zygos.reference.cycle import calibrate
-from zygos.spatial import SpatialDynamics
-from zygos.table import Table
+from zygos.files.toml import Table
+from zygos.model.model import Body, JointModel, Model, Quantity
+from zygos.runs.cycles import Cycles
+from zygos.runs.samples import calibrate
 
 try:
     import mujoco
     import pinocchio as pin
 
-    from zygos.urdf import Chain, Inertial, read_chain
+    from zygos.urdf.chain import Chain, Inertial, read_chain
 except (ImportError, ZygosError) as reason:
     need(None, f"{reason} (pip install 'zygos[engines,urdf]')")
 

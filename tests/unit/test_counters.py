@@ -12,13 +12,13 @@ from flight_support import part
 from numpy.typing import NDArray
 from soak_support import again, fly, instants, stored, with_all_rows
 
-from zygos import snapshot
 from zygos.arm import Arm
-from zygos.cycles import VOID_BEFORE, VOID_SHIFT, Cycles
-from zygos.flight import Estimate, Flight, encode, ffi
-from zygos.model import Model
-from zygos.plant import Trajectory
-from zygos.scenario import Scenario
+from zygos.model.model import Model
+from zygos.native import snapshot
+from zygos.native.flight import Estimate, Flight, encode, ffi
+from zygos.runs.cycles import VOID_BEFORE, VOID_SHIFT, Cycles
+from zygos.simulation.plant import Trajectory
+from zygos.simulation.scenario import Scenario
 
 Floats = NDArray[np.float64]
 

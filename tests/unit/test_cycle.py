@@ -14,8 +14,8 @@ from flight_support import Bus, balanced, bytes_of, chosen, masked, part, sines
 from reference_support import make_arm
 
 from zygos.arm import Arm
-from zygos.cycles import BREAK_BEFORE, INVALID, VOID_SHIFT
-from zygos.flight import FRAME, Flight, _field_names, config_of, encode, ffi, lib
+from zygos.native.flight import FRAME, Flight, _field_names, config_of, encode, ffi, lib
+from zygos.runs.cycles import BREAK_BEFORE, INVALID, VOID_SHIFT
 
 QUEUE = int(lib.ZYGOS_CYCLE_QUEUE_VALUE)
 REJECTED, ACCEPTED, FOREIGN = lib.ZYGOS_REJECTED, lib.ZYGOS_ACCEPTED, lib.ZYGOS_FOREIGN

@@ -9,9 +9,9 @@ import pytest
 from plant_support import Floats, lively, random_arm
 
 from zygos.arm import Arm
-from zygos.dynamics import PlanarDynamics
+from zygos.dynamics.planar import PlanarDynamics
 from zygos.errors import ZygosError
-from zygos.model import Model
+from zygos.model.model import Model
 
 
 class Oracle:

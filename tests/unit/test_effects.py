@@ -22,16 +22,17 @@ from scipy import stats
 from test_c_equals_numpy import CASES, arm_of, record_of
 
 from conftest import ROOT
-from zygos import flight, reference
+from zygos import reference
 from zygos.arm import NO_IMU, Arm, load_arm
-from zygos.check import Room, check_chain, rounding, tables
-from zygos.cycles import Cycles
+from zygos.dynamics.equations import equations
 from zygos.effects import CATALOGUE, SLOWEST_RATE, Effect, estimated
 from zygos.errors import ZygosError
-from zygos.flight import REASONS, Flight, config_of, encode, ffi, lib
-from zygos.model import load_model, save_model
-from zygos.motion import equations
-from zygos.plant import Trajectory, simulate
+from zygos.model.model import load_model, save_model
+from zygos.native import flight
+from zygos.native.flight import REASONS, Flight, config_of, encode, ffi, lib
+from zygos.reference.compare import Room, check_chain, rounding, tables
+from zygos.runs.cycles import Cycles
+from zygos.simulation.plant import Trajectory, simulate
 
 Floats = NDArray[np.float64]
 

@@ -13,12 +13,12 @@ from plant_support import Floats, lively, random_arm
 from test_dynamics import Oracle, random_state
 
 from zygos.arm import Arm
-from zygos.dynamics import PlanarDynamics
+from zygos.dynamics.planar import PlanarDynamics
+from zygos.dynamics.replay import States, replay
 from zygos.effects import CATALOGUE, SLOWEST_RATE, Effect
 from zygos.errors import ZygosError
-from zygos.model import Model, Quantity
-from zygos.plant import simulate
-from zygos.replay import States, replay
+from zygos.model.model import Model, Quantity
+from zygos.simulation.plant import simulate
 
 SIZE = {
     "motor_coulomb": 0.3,

@@ -15,10 +15,10 @@ from scipy.spatial.transform import Rotation
 
 from conftest import ROOT, need
 from zygos.arm import Arm, Base, Kinetic
-from zygos.dynamics import PlanarDynamics
-from zygos.engines import ENGINES, Engine, engine
+from zygos.dynamics.engines import ENGINES, Engine, engine
+from zygos.dynamics.planar import PlanarDynamics
 from zygos.errors import ZygosError
-from zygos.model import Body, Model, Quantity, load_model, save_model
+from zygos.model.model import Body, Model, Quantity, load_model, save_model
 
 for library in ENGINES:
     try:
@@ -296,7 +296,7 @@ def test_an_unknown_engine_is_refused() -> None:
 
 @NAMES
 def test_an_engine_that_is_not_installed_is_named(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delitem(sys.modules, f"zygos.engines.{name}", raising=False)
+    monkeypatch.delitem(sys.modules, f"zygos.dynamics.engines.{name}", raising=False)
     monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(ZygosError, match=rf"engine {name}.*remedy: pip install 'zygos\[engines\]'"):
         engine(name, *lively()[:2])

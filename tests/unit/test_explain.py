@@ -13,10 +13,10 @@ import pytest
 from conftest import EXAMPLE, need
 from zygos.effects import CATALOGUE, Effect
 from zygos.errors import ZygosError
-from zygos.flight import Flight, encode
 from zygos.gap.explain import Explanation
 from zygos.gap.record import read_record
-from zygos.model import Model, Quantity, load_model, save_model
+from zygos.model.model import Model, Quantity, load_model, save_model
+from zygos.native.flight import Flight, encode
 
 need(importlib.util.find_spec("mujoco"), "mujoco, which makes the runs")
 

@@ -19,12 +19,12 @@ from reference_support import make_arm
 
 from conftest import EXAMPLE
 from zygos.arm import Arm, load_arm
-from zygos.cycles import BREAK_BEFORE, INVALID, Cycles
 from zygos.errors import ZygosError
-from zygos.flight import REASONS, Flight, config_of, cycles_to_native, encode, ffi, lib
-from zygos.model import load_model
-from zygos.plant import simulate
-from zygos.scenario import load_scenario
+from zygos.model.model import load_model
+from zygos.native.flight import REASONS, Flight, config_of, cycles_to_native, encode, ffi, lib
+from zygos.runs.cycles import BREAK_BEFORE, INVALID, Cycles
+from zygos.simulation.plant import simulate
+from zygos.simulation.scenario import load_scenario
 
 Floats = NDArray[np.float64]
 

@@ -14,15 +14,15 @@ import pytest
 
 from zygos.arm import load_arm
 from zygos.effects import CATALOGUE, Effect
-from zygos.flight import encode
 from zygos.gap.experiment import Experiment
 from zygos.gap.explain import Deflection, Explanation, explain
+from zygos.gap.page import figure, write_gap_report
 from zygos.gap.provenance import Provenance
 from zygos.gap.record import read_record
-from zygos.model import load_model
-from zygos.plant import simulate
-from zygos.report.gap import figure, write_gap_report
-from zygos.scenario import load_scenario
+from zygos.model.model import load_model
+from zygos.native.flight import encode
+from zygos.simulation.plant import simulate
+from zygos.simulation.scenario import load_scenario
 
 GAP = Path(__file__).parents[2] / "examples" / "gap"
 HASHES = tuple(f"{k:x}" * 64 for k in range(1, 6))

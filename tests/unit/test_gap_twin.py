@@ -18,21 +18,22 @@ from gap_support import Floats, centred, effect, example, rms, true_columns
 from threadpoolctl import threadpool_limits
 
 from zygos.arm import Arm, Joint
-from zygos.dynamics import PlanarDynamics
+from zygos.can.wire import RATE_STEP, TORQUE_STEP, over_the_wire
+from zygos.dynamics.planar import PlanarDynamics
 from zygos.effects import Effect
 from zygos.errors import Undecided
-from zygos.flight import encode
 from zygos.gap.balances import Layout, Sums, accumulate, rows
 from zygos.gap.fit import Fit, fit
-from zygos.gap.record import RATE_STEP, TORQUE_STEP, Readings, Record, over_the_wire, read_record, smooth
+from zygos.gap.record import Readings, Record, read_record, smooth
 from zygos.gap.search import candidates
 from zygos.gap.study import DRAWS, Study, base_values, begin, coefficient, read_hypothesis
 from zygos.gap.twin import Twin, draws, follow, measure, observed
-from zygos.model import Model
-from zygos.plant import Trajectory, simulate
-from zygos.reference.cycle import calibrate
-from zygos.scenario import EncoderNoise
-from zygos.sensors import draw_noise
+from zygos.model.model import Model
+from zygos.native.flight import encode
+from zygos.runs.samples import calibrate
+from zygos.simulation.plant import Trajectory, simulate
+from zygos.simulation.scenario import EncoderNoise
+from zygos.simulation.sensors import draw_noise
 
 DURATION_S = 20.0
 SEEDS = 16

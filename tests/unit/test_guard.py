@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 
 from conftest import EXAMPLE
 from zygos.arm import Arm, TorqueLaw, load_arm
-from zygos.check import check_chain, check_cycles, check_frames
-from zygos.commands import about_left_out
-from zygos.cycles import Cycles
-from zygos.flight import Estimate, Flight, encode, ffi, lib
-from zygos.model import Model, Quantity, load_model
-from zygos.plant import Trajectory, record, simulate
-from zygos.scenario import Ramp, Scenario, load_scenario
-from zygos.sensors import draw_noise
-from zygos.watch import Watch
+from zygos.estimation.watch import Watch
+from zygos.estimation.words import about_left_out
+from zygos.model.model import Model, Quantity, load_model
+from zygos.native.flight import Estimate, Flight, encode, ffi, lib
+from zygos.reference.compare import check_chain, check_cycles, check_frames
+from zygos.runs.cycles import Cycles
+from zygos.simulation.plant import Trajectory, record, simulate
+from zygos.simulation.scenario import Ramp, Scenario, load_scenario
+from zygos.simulation.sensors import draw_noise
 
 Floats = NDArray[np.float64]
 Fault = Callable[[Cycles], Cycles]

@@ -13,12 +13,12 @@ from flight_support import bytes_of, part
 from numpy.typing import NDArray
 
 from zygos.arm import Arm, load_arm
-from zygos.cycles import Cycles
-from zygos.flight import REASONS, Estimate, Flight, ffi, lib
-from zygos.model import load_model
-from zygos.plant import Trajectory, simulate
-from zygos.scenario import load_scenario
-from zygos.sensors import draw_noise
+from zygos.model.model import load_model
+from zygos.native.flight import REASONS, Estimate, Flight, ffi, lib
+from zygos.runs.cycles import Cycles
+from zygos.simulation.plant import Trajectory, simulate
+from zygos.simulation.scenario import load_scenario
+from zygos.simulation.sensors import draw_noise
 
 Floats = NDArray[np.float64]
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -9,10 +9,10 @@ import pytest
 from rows_support import LIVELY_EFFECTS, Floats, awkward, c_rooms, effect, less_means, run, smoothed, wandering
 
 from zygos.arm import Arm, Smoother
-from zygos.cycles import Cycles
+from zygos.balances import impulse
 from zygos.effects import Effect
-from zygos.flight import config_of, ffi, lib
-from zygos.reference import impulse
+from zygos.native.flight import config_of, ffi, lib
+from zygos.runs.cycles import Cycles
 
 EVERY = (
     effect("torque_lag", "joint2"),

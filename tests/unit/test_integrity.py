@@ -11,10 +11,10 @@ from flight_support import part
 from soak_support import again, fly, stored, with_all_rows
 
 from zygos.arm import Arm
-from zygos.cycles import Cycles
-from zygos.flight import REASONS, Estimate, Flight, ffi
-from zygos.model import Model
-from zygos.scenario import Scenario
+from zygos.model.model import Model
+from zygos.native.flight import REASONS, Estimate, Flight, ffi
+from zygos.runs.cycles import Cycles
+from zygos.simulation.scenario import Scenario
 
 CORRUPT = REASONS[5]
 MOVED, FACTOR = 0.5, 1.5

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from reference_support import make_arm
 
-from zygos.flight import config_of, ffi, lib
+from zygos.native.flight import config_of, ffi, lib
 
 Floats = NDArray[np.float64]
 

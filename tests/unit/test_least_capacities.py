@@ -14,12 +14,12 @@ from flight_support import part
 from numpy.typing import NDArray
 from soak_support import fly, instants, stored, with_all_rows
 
-from zygos import flight
 from zygos.arm import Arm
-from zygos.flight import Flight
-from zygos.model import Model
-from zygos.plant import Trajectory
-from zygos.scenario import Scenario
+from zygos.model.model import Model
+from zygos.native import flight
+from zygos.native.flight import Flight
+from zygos.simulation.plant import Trajectory
+from zygos.simulation.scenario import Scenario
 
 Floats = NDArray[np.float64]
 

@@ -11,8 +11,8 @@ from reference_support import Motion, make_arm, move, true_parameters
 
 from zygos.arm import Arm
 from zygos.errors import ZygosError
-from zygos.methods import Record, amc, de, eb, record_of
-from zygos.reference.cycle import calibrate
+from zygos.paper.methods import Record, amc, de, eb, record_of
+from zygos.runs.samples import calibrate
 
 
 @pytest.fixture(scope="module", params=["planar-symmetric", "planar"])

@@ -15,10 +15,10 @@ from conftest import ROOT
 from zygos.accuracy import missions as command
 from zygos.accuracy.mission import LENGTHS, LOST, MISSING, Length, Mission, flown, sensed, simulated
 from zygos.accuracy.missions import case_of, summarised
-from zygos.cycles import Cycles
-from zygos.flight import ffi, lib
-from zygos.reference.balance import arc_cycles
+from zygos.balances.arcs import arc_cycles
+from zygos.native.flight import ffi, lib
 from zygos.reference.solver import SYSTEMATIC
+from zygos.runs.cycles import Cycles
 
 Floats = NDArray[np.float64]
 PAPER = case_of("paper", ROOT / "examples")

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from plant_support import LIVELY, lively, random_arm
 
-from zygos.dynamics import PlanarDynamics
+from zygos.dynamics.planar import PlanarDynamics
 from zygos.errors import ZygosError
-from zygos.model import Model, Quantity, load_model, save_model
+from zygos.model.model import Model, Quantity, load_model, save_model
 
 TABLE_III = {  # Nanos & Papadopoulos, Table III
     "a00": 23774.1975, "a01": 42329.8731, "a02": 9611.6878, "a11": 81831.7048, "a12": 19708.7659, "a22": 5098.5390,

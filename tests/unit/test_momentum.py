@@ -11,10 +11,10 @@ from rows_support import Floats, awkward, c_rooms, less_means, run, smoothed, wa
 from scipy.spatial.transform import Rotation
 
 from zygos.arm import Arm
-from zygos.engines import engine
-from zygos.flight import config_of, lib
-from zygos.reference import momentum
-from zygos.reference.kinematics import State
+from zygos.balances import momentum
+from zygos.balances.kinematics import State
+from zygos.dynamics.engines import engine
+from zygos.native.flight import config_of, lib
 
 ARMS = [("spatial", (True, False, True)), ("planar", (True, True, False)), ("planar-symmetric", (True, True))]
 

@@ -20,17 +20,17 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from conftest import ROOT, need
-from zygos import flight as flight_module
 from zygos import reference
 from zygos.arm import Arm, Encoder, Kinetic, load_arm
-from zygos.cycles import VOID_BEFORE, VOID_SHIFT, Cycles
-from zygos.engines import engine
+from zygos.balances import momentum
+from zygos.balances.arcs import MIN_ARC_INSTANTS
+from zygos.balances.energy import energy_columns
+from zygos.balances.kinematics import State
+from zygos.dynamics.engines import engine
 from zygos.errors import ZygosError
-from zygos.flight import Estimate, Flight, config_of, ffi, lib
-from zygos.reference import momentum
-from zygos.reference.accumulator import MIN_ARC_INSTANTS
-from zygos.reference.balance import energy_columns
-from zygos.reference.kinematics import State
+from zygos.native import flight as flight_module
+from zygos.native.flight import Estimate, Flight, config_of, ffi, lib
+from zygos.runs.cycles import VOID_BEFORE, VOID_SHIFT, Cycles
 
 Floats = NDArray[np.float64]
 

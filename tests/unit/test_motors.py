@@ -11,13 +11,13 @@ from reference_support import make_arm
 from rows_support import awkward, effect, wandering
 
 from zygos.arm import Arm, Encoder
-from zygos.cycles import BREAK_BEFORE, VOID_BEFORE, Cycles
-from zygos.reference import impulse
+from zygos.balances import impulse
 from zygos.reference.accumulator import Design
-from zygos.reference.cycle import calibrate
-from zygos.reference.motors import Motors, motors, solve_with_others, weight
-from zygos.reference.smoother import smooth
+from zygos.reference.combination import Motors, motors, solve_with_others, weight
 from zygos.reference.solver import Rows
+from zygos.runs.cycles import BREAK_BEFORE, VOID_BEFORE, Cycles
+from zygos.runs.samples import calibrate
+from zygos.runs.smoother import smooth
 
 SLIP, TORQUE = (0.3, -0.5), (2.0, 3.0)
 FIRST, LAST = 6, 116

@@ -14,16 +14,16 @@ from arm_support import random_arm, random_state
 from bench.simulator import far
 from conftest import ROOT
 from zygos.arm import Arm, load_arm
+from zygos.dynamics.compiled import Multibody
+from zygos.dynamics.engines import engine
+from zygos.dynamics.equations import equations
+from zygos.dynamics.serial import SpatialDynamics
 from zygos.effects import CATALOGUE, Effect, Kind
-from zygos.engines import engine
 from zygos.errors import ZygosError
-from zygos.flight import ffi, lib
-from zygos.model import Model, load_model
-from zygos.motion import equations
-from zygos.multibody import Multibody
-from zygos.plant import Trajectory, simulate
-from zygos.scenario import Motion, Scenario, Sine, load_scenario
-from zygos.spatial import SpatialDynamics
+from zygos.model.model import Model, load_model
+from zygos.native.flight import ffi, lib
+from zygos.simulation.plant import Trajectory, simulate
+from zygos.simulation.scenario import Motion, Scenario, Sine, load_scenario
 
 ARMS = [
     (joints, base, kinetic, kind)

@@ -17,9 +17,9 @@ from scipy.stats import norm
 
 from zygos import reference
 from zygos.arm import Arm, load_arm
-from zygos.cycles import Cycles
 from zygos.effects import CATALOGUE, Effect
-from zygos.flight import Flight
+from zygos.native.flight import Flight
+from zygos.runs.cycles import Cycles
 
 DRAWS = 100_000
 PAIRS = 150

@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from typer.testing import CliRunner
 
 from zygos.arm import Arm
-from zygos.bus import write_log
+from zygos.can.bus import write_log
 from zygos.cli import app
-from zygos.flight import FRAME, Flight, encode, ffi, lib
-from zygos.plant import Trajectory
+from zygos.native.flight import FRAME, Flight, encode, ffi, lib
+from zygos.simulation.plant import Trajectory
 
 EXAMPLE = ROOT / "examples" / "onboard"
 STRICT = "-Wconversion -Wsign-conversion -Wdouble-promotion -Wshadow -pedantic -Werror"

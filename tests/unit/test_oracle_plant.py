@@ -33,9 +33,9 @@ from oracles.laws import (
 from oracles.plant import TORQUE_STEP, MujocoPlant
 from oracles.simulate import run, write
 from zygos.arm import Arm, load_arm
-from zygos.model import Model, load_model
-from zygos.plant import simulate
-from zygos.scenario import Scenario, load_scenario
+from zygos.model.model import Model, load_model
+from zygos.simulation.plant import simulate
+from zygos.simulation.scenario import Scenario, load_scenario
 
 Floats = NDArray[np.float64]
 GAP = ROOT / "examples" / "gap"
@@ -65,7 +65,7 @@ def at(**values: float) -> Local:
 
 
 def test_nothing_is_shared_with_the_plant_of_the_package() -> None:
-    readers = {"zygos.arm", "zygos.model", "zygos.scenario", "zygos.cycles"}
+    readers = {"zygos.arm", "zygos.model.model", "zygos.simulation.scenario", "zygos.runs.cycles"}
     for file in ("plant", "laws"):
         tree = ast.parse((ROOT / "tests" / "oracles" / f"{file}.py").read_text())
         imported = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}

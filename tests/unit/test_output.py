@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from zygos.output import console, good, table
+from zygos.files.output import console, good, table
 
 COLUMNS = ("signal of the arm", "largest difference", "at cycle", "verdict")
 ROWS = [

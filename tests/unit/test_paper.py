@@ -14,16 +14,16 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from conftest import PAPER
-from zygos import printed, readings, response
 from zygos.arm import Arm, load_arm
 from zygos.cli import main
+from zygos.dynamics.equations import equations
 from zygos.errors import ZygosError
-from zygos.methods import Record, de, eb, exact_record, noisy_states
-from zygos.model import load_model
-from zygos.motion import equations
-from zygos.paper import flight_estimates, load_example, noisy_record
-from zygos.plant import Trajectory, simulate
-from zygos.scenario import load_scenario
+from zygos.model.model import load_model
+from zygos.paper import printed, readings, response
+from zygos.paper.methods import Record, de, eb, exact_record, noisy_states
+from zygos.paper.tables import flight_estimates, load_example, noisy_record
+from zygos.simulation.plant import Trajectory, simulate
+from zygos.simulation.scenario import load_scenario
 
 Floats = NDArray[np.float64]
 SEEDS = 16

@@ -19,12 +19,12 @@ from physical_support import (
     inertia_matrices,
     inertia_matrices_of,
 )
-from zygos import gram
 from zygos.arm import Arm, load_arm
+from zygos.dynamics.serial import SpatialDynamics
 from zygos.errors import Undecided, ZygosError
-from zygos.model import Model, Quantity, load_model
-from zygos.physical import Fit, Observed, fit_bodies, nearest_matrix, observe
-from zygos.spatial import SpatialDynamics
+from zygos.model import gram
+from zygos.model.model import Model, Quantity, load_model
+from zygos.model.physical import Fit, Observed, fit_bodies, nearest_matrix, observe
 
 Floats = NDArray[np.float64]
 SPATIAL = ROOT / "examples" / "spatial"

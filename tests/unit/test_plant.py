@@ -10,10 +10,10 @@ from plant_support import Floats, lively, random_arm
 from scipy.integrate import solve_ivp
 
 from zygos.arm import Arm
-from zygos.dynamics import PlanarDynamics
+from zygos.dynamics.planar import PlanarDynamics
 from zygos.errors import ZygosError
-from zygos.plant import Trajectory, simulate
-from zygos.scenario import Motion, Scenario, Sine
+from zygos.simulation.plant import Trajectory, simulate
+from zygos.simulation.scenario import Motion, Scenario, Sine
 
 
 def energy_terms(trajectory: Trajectory) -> tuple[Floats, Floats]:

@@ -11,13 +11,13 @@ from scipy.spatial.transform import Rotation
 
 from zygos.arm import NO_IMU, Arm, load_arm
 from zygos.cli import main
-from zygos.dynamics import PlanarDynamics
+from zygos.dynamics.equations import EngineName
+from zygos.dynamics.planar import PlanarDynamics
+from zygos.dynamics.serial import SpatialDynamics
 from zygos.errors import ZygosError
-from zygos.model import JointModel, Model, Quantity, load_model
-from zygos.motion import EngineName
-from zygos.plant import Trajectory, simulate
-from zygos.scenario import Scenario, load_scenario
-from zygos.spatial import SpatialDynamics
+from zygos.model.model import JointModel, Model, Quantity, load_model
+from zygos.simulation.plant import Trajectory, simulate
+from zygos.simulation.scenario import Scenario, load_scenario
 
 SPATIAL = Path(__file__).parents[2] / "examples" / "spatial"
 LIVELY = SPATIAL.parent / "lively"

@@ -15,11 +15,11 @@ from scipy.spatial.transform import Rotation
 
 from conftest import need
 from zygos.arm import Arm, Encoder, Imu
-from zygos.cycles import INVALID, Cycles
+from zygos.dynamics.pose import attitudes, forward, mass_centre, motion, place, skeleton
 from zygos.errors import ZygosError
-from zygos.model import Model, Quantity
-from zygos.plant import Trajectory
-from zygos.pose import attitudes, forward, mass_centre, motion, place, skeleton
+from zygos.model.model import Model, Quantity
+from zygos.runs.cycles import INVALID, Cycles
+from zygos.simulation.plant import Trajectory
 
 Floats = NDArray[np.float64]
 

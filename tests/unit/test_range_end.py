@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from zygos import reference
 from zygos.arm import Arm
-from zygos.cycles import Cycles
-from zygos.flight import Flight, encode
-from zygos.plant import Trajectory
-from zygos.reference.cycle import HALF_RANGE_RAD
+from zygos.native.flight import Flight, encode
+from zygos.runs.cycles import Cycles
+from zygos.runs.samples import HALF_RANGE_RAD
+from zygos.simulation.plant import Trajectory
 
 Floats = NDArray[np.float64]
 

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from reference_support import Floats
 
-from zygos.reference.accumulator import MIN_ARC_INSTANTS, design
-from zygos.reference.balance import Balance
+from zygos.balances.arcs import MIN_ARC_INSTANTS
+from zygos.balances.energy import Balance
+from zygos.reference.accumulator import design
 from zygos.reference.solver import Rows, solve
 
 

@@ -10,10 +10,11 @@ import pytest
 from reference_support import Motion, make_arm, move, true_parameters
 
 from zygos.arm import Arm
-from zygos.cycles import Cycles
-from zygos.reference.balance import Balance, arc_cycles, rows
-from zygos.reference.cycle import calibrate
-from zygos.reference.smoother import smooth
+from zygos.balances.arcs import arc_cycles
+from zygos.balances.energy import Balance, rows
+from zygos.runs.cycles import Cycles
+from zygos.runs.samples import calibrate
+from zygos.runs.smoother import smooth
 
 PERIOD = 0.005
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from reference_support import make_arm
 
-from zygos.cycles import Cycles
 from zygos.errors import ZygosError
-from zygos.reference.cycle import HALF_RANGE_RAD, calibrate, segments, usable
+from zygos.runs.cycles import Cycles
+from zygos.runs.samples import HALF_RANGE_RAD, calibrate, segments, usable
 
 
 def record(n: int = 12) -> Cycles:

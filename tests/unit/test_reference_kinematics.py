@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from reference_support import Floats, make_arm
 
-from zygos.reference.balance import energy_columns
-from zygos.reference.kinematics import State, cross, gram
+from zygos.balances.energy import energy_columns
+from zygos.balances.kinematics import State, cross, gram
 
 
 def point_mass_energy(rng: np.random.Generator, on_line: bool, q: Floats, f: Floats) -> Floats:

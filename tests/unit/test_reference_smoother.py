@@ -11,10 +11,10 @@ from reference_support import Floats, make_arm
 from scipy.signal import savgol_coeffs
 
 from zygos.arm import Smoother
-from zygos.cycles import Cycles
 from zygos.errors import ZygosError
-from zygos.reference.cycle import calibrate
-from zygos.reference.smoother import bandwidth_coefficients, coefficients, convolve, smooth
+from zygos.runs.cycles import Cycles
+from zygos.runs.samples import calibrate
+from zygos.runs.smoother import bandwidth_coefficients, coefficients, convolve, smooth
 
 
 def record(q: Floats, theta: Floats, omega: Floats | None = None) -> Cycles:

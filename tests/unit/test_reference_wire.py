@@ -11,7 +11,8 @@ from e2e.p02 import e2e_p02_protect
 from reference_support import make_arm
 
 from zygos.arm import Arm
-from zygos.reference.wire import ERROR, EXTENDED, FD, REMOTE, Frame, data_ids, database, identifiers, receive
+from zygos.can.wire import ERROR, EXTENDED, FD, REMOTE, Frame, data_ids, database, identifiers
+from zygos.reference.wire import receive
 
 PER_CYCLE = 7
 """Frames of a cycle: SYNC, four of the joints, two of the gyro; every 50th cycle has an FTIME behind the SYNC."""

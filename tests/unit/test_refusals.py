@@ -15,23 +15,23 @@ from gap_support import example
 from scipy.io import loadmat
 
 from conftest import EXAMPLE, ROOT, need
-from zygos import bus
 from zygos.arm import NO_IMU, Arm, Encoder, Joint, Smoother, load_arm
 from zygos.audit import Audit, audit
+from zygos.can import bus
 from zygos.cli import main
-from zygos.columns import write_columns
-from zygos.commands import about_change, about_noise
-from zygos.cycles import Cycles
-from zygos.cycletable import read_cycles
 from zygos.errors import ZygosError
-from zygos.flight import REASONS, Estimate, Flight, lib
+from zygos.estimation.remedies import Known, measured, remedy, structural_rank
+from zygos.estimation.watch import Watch
+from zygos.estimation.words import about_change, about_noise
+from zygos.files.tables import write_columns
 from zygos.gap.balances import Layout
 from zygos.gap.explain import Finding, whereabouts
 from zygos.gap.record import read_record
-from zygos.grid import needed_rate, tracks
-from zygos.remedies import Known, measured, remedy, structural_rank
-from zygos.telemetry import load_map, read_table
-from zygos.watch import Watch
+from zygos.native.flight import REASONS, Estimate, Flight, lib
+from zygos.runs.cycles import Cycles
+from zygos.runs.tables import read_cycles
+from zygos.telemetry.grid import needed_rate, tracks
+from zygos.telemetry.map import load_map, read_table
 
 DATA = ROOT.parent / "shared" / "data"
 PENDULUM, KR300, VEHICLE = (

@@ -11,11 +11,11 @@ import pytest
 from gap_support import Floats, effect, example, moved
 
 from zygos.arm import Arm
-from zygos.dynamics import PlanarDynamics
+from zygos.dynamics.planar import PlanarDynamics
+from zygos.dynamics.replay import STEP_OF_MODE, States, read, replay, substeps
 from zygos.effects import Effect
-from zygos.model import Model, Quantity
-from zygos.plant import Trajectory, simulate
-from zygos.replay import STEP_OF_MODE, States, read, replay, substeps
+from zygos.model.model import Model, Quantity
+from zygos.simulation.plant import Trajectory, simulate
 
 DURATION_S = 4.0
 CYCLES = 151

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from plant_support import lively
 
 from zygos.arm import Arm
-from zygos.cycles import Cycles
-from zygos.flight import Estimate, Trace
-from zygos.report.demo import Convergence, balance, write_report
+from zygos.demo.page import Convergence, balance, write_report
+from zygos.native.flight import Estimate, Trace
+from zygos.runs.cycles import Cycles
 
 TRUE = np.array([24e3, 42e3, 9.6e3, 82e3, 20e3, 5e3, 1.0, 3000.0, 85.0, 1.0, 1000.0, 75.0])
 N = 120

@@ -12,7 +12,7 @@ from conftest import ROOT
 from zygos.report.page import render
 
 REPORT = ROOT / "harness" / "zygos" / "report"
-PAGES = ("demo.html", "gap.html", "accuracy.html")
+PAGES = ("demo/page.html", "gap/page.html", "accuracy/page.html")
 
 
 class Tables(HTMLParser):
@@ -34,7 +34,7 @@ class Tables(HTMLParser):
 @pytest.mark.parametrize("page", PAGES)
 def test_tables_are_stacked_or_scroll(page: str) -> None:
     """A script gives each cell the head of its column; the style then makes rows blocks. Without it, tables scroll."""
-    text = (REPORT / page).read_text()
+    text = (REPORT.parent / page).read_text()
     found = Tables()
     found.feed(text)
     assert found.count >= 1
@@ -61,7 +61,7 @@ def test_the_style_stacks_what_the_script_labels() -> None:
 def test_a_page_holds_style_and_script(tmp_path: Path) -> None:
     data = {"times": {}, "charts": {}, "refused": []}
     content = {"seeds": 2, "draws": 2, "estimators": [], "groups": [], "band": (0.92, 0.97), "refusals": 0.05}
-    render(tmp_path / "a.html", "accuracy.html", data, **content, wild=(5, 2), figure=None)
+    render(tmp_path / "a.html", "accuracy/page.html", data, **content, wild=(5, 2), figure=None)
     text = (tmp_path / "a.html").read_text()
     assert "dataset.label" in text
     assert "attr(data-label)" in text

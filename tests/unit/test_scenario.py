@@ -9,7 +9,7 @@ import pytest
 from plant_support import LIVELY, lively
 
 from zygos.errors import ZygosError
-from zygos.scenario import Motion, Ramp, Sine, load_scenario
+from zygos.simulation.scenario import Motion, Ramp, Sine, load_scenario
 
 
 def test_desired_rate_is_the_derivative_of_the_angle() -> None:

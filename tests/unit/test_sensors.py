@@ -9,8 +9,8 @@ import pytest
 from plant_support import Floats, lively
 
 from zygos.arm import Arm
-from zygos.plant import simulate
-from zygos.sensors import draw_noise, encoder_angle, encoder_reading, gyro_reading, no_noise, torque_record
+from zygos.simulation.plant import simulate
+from zygos.simulation.sensors import draw_noise, encoder_angle, encoder_reading, gyro_reading, no_noise, torque_record
 
 SEEDS = range(40)
 CYCLES = 1200

@@ -14,7 +14,7 @@ from reference_support import make_arm
 from scipy.signal import savgol_coeffs
 
 from zygos.arm import Arm
-from zygos.flight import config_of, ffi, lib
+from zygos.native.flight import config_of, ffi, lib
 
 Floats = NDArray[np.float64]
 

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from snapshot_support import HEAD, MAGIC, layout_digest, sealed, struct_texts
 
 from conftest import EXAMPLE, ROOT
-from zygos import snapshot
 from zygos.arm import Arm, load_arm
 from zygos.errors import ZygosError
-from zygos.flight import Flight, config_of, encode, ffi, lib
-from zygos.plant import Trajectory
+from zygos.native import snapshot
+from zygos.native.flight import Flight, config_of, encode, ffi, lib
+from zygos.simulation.plant import Trajectory
 
 HEADERS = sorted((ROOT / "include" / "zygos").glob("*.h"))
 SYNC, FTIME = 0x080, 0x3A0

@@ -14,13 +14,13 @@ import pytest
 from numpy.typing import NDArray
 from soak_support import fly, instants, stored, with_all_rows
 
-from zygos import snapshot
 from zygos.arm import Arm
-from zygos.cycles import Cycles
-from zygos.flight import Estimate, Flight
-from zygos.model import Model
+from zygos.model.model import Model
+from zygos.native import snapshot
+from zygos.native.flight import Estimate, Flight
 from zygos.reference.solver import SYSTEMATIC
-from zygos.scenario import Scenario
+from zygos.runs.cycles import Cycles
+from zygos.simulation.scenario import Scenario
 
 Floats = NDArray[np.float64]
 

@@ -11,15 +11,15 @@ import pytest
 from arm_support import State as Sample
 from arm_support import random_arm, random_state
 
-from zygos import gram
 from zygos.arm import Arm
-from zygos.engines import engine
+from zygos.balances.energy import energy_columns
+from zygos.balances.kinematics import State, across, body_columns
+from zygos.dynamics.engines import engine
+from zygos.dynamics.serial import SpatialDynamics
 from zygos.errors import ZygosError
-from zygos.flight import config_of, ffi, lib
-from zygos.model import Model
-from zygos.reference.balance import energy_columns
-from zygos.reference.kinematics import State, across, body_columns
-from zygos.spatial import SpatialDynamics
+from zygos.model import gram
+from zygos.model.model import Model
+from zygos.native.flight import config_of, ffi, lib
 
 FLEXIBLE: dict[str, Callable[[int], bool]] = {
     "flexible": lambda _: True,

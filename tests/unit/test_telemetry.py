@@ -14,12 +14,15 @@ from numpy.typing import NDArray
 from conftest import EXAMPLE
 from telemetry_support import edited
 from zygos.arm import Arm, load_arm
-from zygos.columns import read_columns, write_columns
-from zygos.cycles import BREAK_BEFORE, Cycles
-from zygos.cycletable import read_cycles, write_cycles
 from zygos.errors import ZygosError
-from zygos.flight import Flight
-from zygos.grid import (
+from zygos.files.tables import read_columns, write_columns
+from zygos.model.model import Model
+from zygos.native.flight import Flight
+from zygos.runs.cycles import BREAK_BEFORE, Cycles
+from zygos.runs.tables import read_cycles, write_cycles
+from zygos.simulation.plant import simulate
+from zygos.simulation.scenario import Scenario, load_scenario
+from zygos.telemetry.grid import (
     Track,
     held_mean,
     interpolate,
@@ -31,10 +34,7 @@ from zygos.grid import (
     tracks_of,
     unwrap,
 )
-from zygos.model import Model
-from zygos.plant import simulate
-from zygos.scenario import Scenario, load_scenario
-from zygos.telemetry import Channel, Map, load_map, read_table
+from zygos.telemetry.map import Channel, Map, load_map, read_table
 
 Floats = NDArray[np.float64]
 JOINT = """
@@ -407,7 +407,7 @@ def fine(scenario: Scenario, model: Model, arm: Arm) -> tuple[Arm, Cycles]:
 def quick() -> tuple[Arm, Cycles]:
     """The arm of examples/gap, 20 bit, 20 s at 200 Hz."""
     folder = EXAMPLE.parent / "gap"
-    from zygos.model import load_model
+    from zygos.model.model import load_model
 
     scenario, arm = load_scenario(folder / "b.toml"), load_arm(folder / "arm.toml")
     plant = load_model(scenario.plant)

@@ -11,8 +11,8 @@ from flight_support import sines
 
 from zygos.arm import Arm
 from zygos.errors import ZygosError
-from zygos.flight import Flight
-from zygos.plant import Trajectory
+from zygos.native.flight import Flight
+from zygos.simulation.plant import Trajectory
 from zygos.testing import faults, oracle
 from zygos.testing.stream import Fault, Stream
 

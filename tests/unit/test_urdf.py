@@ -15,12 +15,12 @@ from urdf_support import answers, inertial, mass_matrix, numbers, pin_of_import,
 
 from conftest import ROOT
 from zygos.arm import Arm, load_arm
-from zygos.check import sizes
+from zygos.cli.import_urdf import import_urdf
 from zygos.errors import Undecided, ZygosError
-from zygos.model import Body, Model, Quantity, load_model, save_model
-from zygos.nearest import entries_of, nearest_bodies
-from zygos.urdf import read_chain, read_chain_of, with_inertials
-from zygos.urdf_command import import_urdf
+from zygos.model.model import Body, Model, Quantity, load_model, save_model
+from zygos.model.nearest import entries_of, nearest_bodies
+from zygos.reference.compare import sizes
+from zygos.urdf.chain import read_chain, read_chain_of, with_inertials
 
 EXAMPLE = ROOT / "examples" / "urdf"
 GAP, SPATIAL = ROOT / "examples" / "gap", ROOT / "examples" / "spatial"

@@ -12,9 +12,9 @@ from zygos.accuracy import campaign
 from zygos.accuracy.cases import all_cases, chosen
 from zygos.accuracy.cell import cells, fingerprint
 from zygos.accuracy.figure4 import Figure4
+from zygos.accuracy.page import write_accuracy_report
 from zygos.accuracy.summary import summarise
-from zygos.output import check_outputs, counted, errors_end_the_program, number, quiet, say, table, write_json
-from zygos.report.accuracy import write_accuracy_report
+from zygos.files.output import check_outputs, counted, errors_end_the_program, number, quiet, say, table, write_json
 
 FIGURE_CASE = "paper-60"
 CELLS = Path("out/accuracy/cells.jsonl")

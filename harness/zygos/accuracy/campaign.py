@@ -12,9 +12,9 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Protocol
 
-from zygos.commands import progress
 from zygos.errors import ZygosError
-from zygos.output import write_text
+from zygos.files.output import write_text
+from zygos.files.progress import progress
 
 Line = dict[str, Any]
 _CONNECT_S = 10

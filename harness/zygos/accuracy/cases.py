@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from zygos.arm import Arm, Smoother, load_arm
+from zygos.dynamics.equations import EngineName
 from zygos.errors import ZygosError
-from zygos.model import Model, load_model
-from zygos.motion import EngineName
-from zygos.scenario import Motion, Ramp, Scenario, load_scenario
+from zygos.model.model import Model, load_model
+from zygos.simulation.scenario import Motion, Ramp, Scenario, load_scenario
 
 BLOCK = 25
 """Seeds that one cell simulates together."""

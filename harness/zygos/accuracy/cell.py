@@ -23,14 +23,16 @@ from zygos.accuracy.cases import BLOCK, Case
 from zygos.accuracy.estimators import ESTIMATORS, Answer, Told
 from zygos.arm import Arm
 from zygos.errors import ZygosError
-from zygos.flight import encode
-from zygos.plant import Trajectory, record, simulate
-from zygos.sensors import draw_noise
+from zygos.native.flight import encode
+from zygos.simulation.plant import Trajectory, record, simulate
+from zygos.simulation.sensors import draw_noise
 
 Floats = NDArray[np.float64]
 
 STREAM = 1_000_000
 _SYNC = 0x080
+_FACES = ("cli", "demo", "report", "view")
+"""Sub-packages that no answer depends on."""
 _MAKERS = ("cases.py", "cell.py", "estimators.py", "figure4.py", "mission.py")
 
 
@@ -41,7 +43,7 @@ def fingerprint() -> str:
     here = Path(__file__).parent
     digest = hashlib.sha256()
     for path in sorted(package.rglob("*")):
-        if path.suffix not in {".py", ".so"} or package / "report" in path.parents:
+        if path.suffix not in {".py", ".so"} or path.relative_to(package).parts[0] in _FACES:
             continue
         if path.parent == here and path.name not in _MAKERS:
             continue

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from zygos.arm import Arm
 from zygos.errors import Undecided, ZygosError
-from zygos.flight import Flight
-from zygos.methods import Record, amc, de, eb, record_of
-from zygos.reference.cycle import calibrate
+from zygos.native.flight import Flight
+from zygos.paper.methods import Record, amc, de, eb, record_of
+from zygos.runs.samples import calibrate
 
 Floats = NDArray[np.float64]
 

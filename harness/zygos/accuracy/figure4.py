@@ -16,16 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from zygos import printed
 from zygos.accuracy.cases import Case
 from zygos.accuracy.cell import sensed
 from zygos.accuracy.estimators import ESTIMATORS, Told
-from zygos.dynamics import PlanarDynamics
+from zygos.dynamics.planar import PlanarDynamics
+from zygos.dynamics.replay import States, replay, substeps
 from zygos.errors import ZygosError
-from zygos.plant import Trajectory, simulate
-from zygos.replay import States, replay, substeps
-from zygos.response import HAIR_RAD, apart_percent, instants, respond
-from zygos.scenario import Scenario
+from zygos.paper import printed
+from zygos.paper.response import HAIR_RAD, apart_percent, instants, respond
+from zygos.simulation.plant import Trajectory, simulate
+from zygos.simulation.scenario import Scenario
 
 Floats = NDArray[np.float64]
 

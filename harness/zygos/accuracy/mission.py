@@ -20,14 +20,14 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from zygos import snapshot
 from zygos.accuracy.cases import Case
 from zygos.accuracy.cell import STREAM
-from zygos.cycles import Cycles
-from zygos.flight import Estimate, Flight, encode
-from zygos.output import write_bytes
-from zygos.plant import record, simulate
-from zygos.sensors import draw_noise, no_noise
+from zygos.files.output import write_bytes
+from zygos.native import snapshot
+from zygos.native.flight import Estimate, Flight, encode
+from zygos.runs.cycles import Cycles
+from zygos.simulation.plant import record, simulate
+from zygos.simulation.sensors import draw_noise, no_noise
 
 Floats = NDArray[np.float64]
 Line = dict[str, Any]

@@ -17,8 +17,7 @@ from zygos.accuracy.cell import fingerprint
 from zygos.accuracy.mission import LENGTHS, LOST, MISSING, MOTION_S, MOTIONS, REPEATED, Mission
 from zygos.arm import load_arm
 from zygos.errors import ZygosError
-from zygos.model import load_model
-from zygos.output import (
+from zygos.files.output import (
     check_outputs,
     counted,
     errors_end_the_program,
@@ -28,7 +27,8 @@ from zygos.output import (
     write_json,
     write_text,
 )
-from zygos.scenario import load_scenario
+from zygos.model.model import load_model
+from zygos.simulation.scenario import load_scenario
 
 Line = dict[str, Any]
 

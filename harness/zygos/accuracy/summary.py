@@ -19,8 +19,8 @@ from scipy.linalg import eigh
 from zygos.accuracy.cases import Case
 from zygos.accuracy.estimators import ESTIMATORS, Estimator
 from zygos.arm import Arm
-from zygos.reference.kinematics import State, body_columns
-from zygos.score import score
+from zygos.balances.kinematics import State, body_columns
+from zygos.simulation.score import score
 
 Floats = NDArray[np.float64]
 Line = dict[str, Any]

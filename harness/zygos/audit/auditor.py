@@ -16,10 +16,10 @@ from zygos.audit.findings import Audit, Finding, Pair, Signal, Traffic, signal_n
 from zygos.audit.means import FLAT_QUANTA, Array, Means
 from zygos.audit.motors import NOTHING, Change, Motors, changed
 from zygos.audit.readings import grid_step, noise_beside, noise_level, runs_of_equal
-from zygos.cycles import Cycles
+from zygos.can.wire import ANGLE_STEP, COARSE_RATE_STEP, RATE_STEP, TORQUE_STEP
 from zygos.errors import ZygosError
-from zygos.gap.record import ANGLE_STEP, COARSE_RATE_STEP, RATE_STEP, TORQUE_STEP
-from zygos.reference.cycle import segments
+from zygos.runs.cycles import Cycles
+from zygos.runs.samples import segments
 
 SURE = 1.5
 """What the equations leave unexplained must shrink by this factor before a fault is named. Trials: wrong readings of

@@ -12,10 +12,10 @@ import numpy as np
 
 from zygos.arm import Arm, TorqueLaw
 from zygos.audit.means import Array
-from zygos.cycles import Cycles
 from zygos.effects import CATALOGUE, Effect, estimated
-from zygos.flight import Flight, lib
-from zygos.output import counted
+from zygos.files.output import counted
+from zygos.native.flight import Flight, lib
+from zygos.runs.cycles import Cycles
 
 MOST_CYCLES = 20_000
 """The balance is tried on so many cycles at the most: it is repeated for every fault."""

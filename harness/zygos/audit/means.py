@@ -10,8 +10,8 @@ from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
 from zygos.arm import Arm, Encoder
-from zygos.cycles import Cycles
-from zygos.reference.cycle import segments
+from zygos.runs.cycles import Cycles
+from zygos.runs.samples import segments
 
 Array = NDArray[np.float64]
 

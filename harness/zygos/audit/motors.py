@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment, nnls
 
 from zygos.audit.means import Array, Means, direction
-from zygos.cycles import Cycles
+from zygos.runs.cycles import Cycles
 
 STIFF = 0.99
 """Correlation of the two encoders' rates from which on the deflection is a small difference."""

@@ -20,9 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
+from zygos.balances.kinematics import State, gram
+from zygos.can.wire import over_the_wire
 from zygos.effects import CATALOGUE, OFFSET, Kind, column_name
-from zygos.gap.record import Readings, over_the_wire, smooth
-from zygos.reference.kinematics import State, gram
+from zygos.gap.record import Readings, smooth
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from scipy.stats import norm
 from threadpoolctl import threadpool_limits
 
 from zygos.arm import Arm
-from zygos.dynamics import PlanarDynamics
+from zygos.dynamics.planar import PlanarDynamics
 from zygos.effects import CATALOGUE, OFFSET, Effect, of_column, spoken
 from zygos.errors import Undecided, ZygosError
 from zygos.gap.balances import Layout
@@ -23,7 +23,7 @@ from zygos.gap.record import Record
 from zygos.gap.search import CERTAIN, COMPLETE, EXCESS, PARTLY, Candidate, Search, excess, search
 from zygos.gap.study import Study, again, begin, read_hypothesis, realise, split
 from zygos.gap.twin import follow
-from zygos.model import Model, Quantity
+from zygos.model.model import Model, Quantity
 
 Array = NDArray[np.float64]
 Answer = Literal["nothing missing", "values differ", "named", "cannot tell", "unknown"]

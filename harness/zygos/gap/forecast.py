@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
-from zygos.dynamics import PlanarDynamics
+from zygos.can.wire import over_the_wire
+from zygos.dynamics.planar import PlanarDynamics
+from zygos.dynamics.replay import States, read, replay, substeps
 from zygos.errors import ZygosError
-from zygos.gap.record import Readings, Record, over_the_wire, smooth
+from zygos.gap.record import Readings, Record, smooth
 from zygos.gap.twin import Twin, measure
-from zygos.reference.smoother import coefficients
-from zygos.replay import States, read, replay, substeps
+from zygos.runs.smoother import coefficients
 
 Array = NDArray[np.float64]
 

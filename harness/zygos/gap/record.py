@@ -6,7 +6,7 @@ All arcs of a run, and all draws of its twin, go through the same smoother and t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,22 +15,17 @@ from numpy.typing import NDArray
 from scipy.ndimage import correlate1d
 
 from zygos.arm import Arm
+from zygos.balances.kinematics import State
 from zygos.errors import ZygosError
-from zygos.flight import Flight
-from zygos.reference.cycle import Samples, calibrate
-from zygos.reference.kinematics import State
-from zygos.reference.smoother import BANDWIDTH_SIGMAS, bandwidth_coefficients, coefficients
+from zygos.native.flight import Flight
+from zygos.runs.samples import Samples, calibrate
+from zygos.runs.smoother import BANDWIDTH_SIGMAS, bandwidth_coefficients, coefficients
 
 Array = NDArray[np.float64]
 
+
 ARC_S = 10.0
 """Longest arc, s: W sums up the torques' noise, a constant an arc costs what the encoders' noise allows to know."""
-
-
-ANGLE_STEP, TORQUE_STEP = 2.0 * np.pi / 2**20, 1e-4
-"""Of the wire, rad and Nm."""
-RATE_STEP, COARSE_RATE_STEP = 2.0**-21, 2.0**-13
-"""Of the wire, rad/s."""
 
 
 @dataclass(frozen=True)
@@ -129,23 +124,6 @@ def _arc_length(lengths: Sequence[int], period_s: float) -> int:
     sizes = [longest // max(1, round(longest * period_s / wanted)) for wanted in (ARC_S, 5.0, 3.0, 2.0)]
     covered = [sum(length // size * size for length in lengths if length > 0) for size in sizes]
     return next(size for size, found in zip(sizes, covered, strict=True) if found >= 0.8 * max(covered))
-
-
-def over_the_wire(arm: Arm) -> Arm:
-    """The arm with the errors that its sensors have once the wire has rounded their readings (docs/wire.md)."""
-
-    joints = tuple(
-        replace(
-            joint,
-            link_encoder=joint.link_encoder.over_the_wire,
-            motor_encoder=joint.motor_encoder.over_the_wire,
-            torque_sigma=float(np.hypot(joint.torque_sigma, TORQUE_STEP / np.sqrt(12.0))),
-        )
-        for joint in arm.joints
-    )
-    step = RATE_STEP if arm.imu.resolution == "fine" else COARSE_RATE_STEP
-    imu = replace(arm.imu, rate_sigma=float(np.hypot(arm.imu.rate_sigma, step / np.sqrt(12.0))))
-    return replace(arm, joints=joints, imu=imu)
 
 
 def smooth(arm: Arm, readings: Readings) -> State:

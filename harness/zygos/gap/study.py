@@ -8,15 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from zygos.dynamics import PlanarDynamics
+from zygos.balances.kinematics import State
+from zygos.dynamics.planar import PlanarDynamics
 from zygos.effects import CATALOGUE, Effect, column_name, of_column
 from zygos.errors import Undecided, ZygosError
 from zygos.gap.balances import Layout, Sums, accumulate, rows
 from zygos.gap.fit import Fit, Hypothesis, fit
 from zygos.gap.record import Record, followed, smooth
 from zygos.gap.twin import Twin, draws, follow
-from zygos.model import Model
-from zygos.reference.kinematics import State
+from zygos.model.model import Model
 
 Array = NDArray[np.float64]
 

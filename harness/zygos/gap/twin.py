@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
-from zygos.dynamics import PlanarDynamics
+from zygos.can.wire import over_the_wire
+from zygos.dynamics.planar import PlanarDynamics
+from zygos.dynamics.replay import States, mobility, read, replay, substeps
 from zygos.errors import Undecided
 from zygos.gap.balances import Sums, accumulate, rows
-from zygos.gap.record import Readings, Record, followed, over_the_wire, smooth
-from zygos.replay import States, mobility, read, replay, substeps
-from zygos.sensors import draw_noise
+from zygos.gap.record import Readings, Record, followed, smooth
+from zygos.simulation.sensors import draw_noise
 
 Array = NDArray[np.float64]
 

@@ -10,16 +10,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from zygos.arm import Arm
-from zygos.cycles import Cycles
+from zygos.balances.energy import Balance, rows
+from zygos.balances.momentum import turns
 from zygos.effects import Effect
 from zygos.reference.accumulator import Design, design
-from zygos.reference.balance import Balance, rows
-from zygos.reference.cycle import Samples, calibrate
-from zygos.reference.momentum import turns
-from zygos.reference.motors import motors, solve_with_others
+from zygos.reference.combination import motors, solve_with_others
 from zygos.reference.noise import noise_of
-from zygos.reference.smoother import Smoothed, smooth
 from zygos.reference.solver import Solution
+from zygos.runs.cycles import Cycles
+from zygos.runs.samples import Samples, calibrate
+from zygos.runs.smoother import Smoothed, smooth
 
 __all__ = [
     "Chain",

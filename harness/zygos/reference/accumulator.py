@@ -10,12 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from zygos.reference.balance import Balance
+from zygos.balances.arcs import MIN_ARC_INSTANTS
+from zygos.balances.energy import Balance
 
 Floats = NDArray[np.float64]
-
-MIN_ARC_INSTANTS = 20
-"""An arc with fewer accepted instants is dropped."""
 
 
 @dataclass(frozen=True)

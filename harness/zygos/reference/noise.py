@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
+from zygos.balances.energy import Balance, energy_columns
+from zygos.balances.kinematics import State, body_columns
 from zygos.effects import Effect, estimated
-from zygos.reference.balance import Balance, energy_columns
-from zygos.reference.cycle import Samples
-from zygos.reference.kinematics import State, body_columns
-from zygos.reference.smoother import Smoothed, coefficients
+from zygos.runs.samples import Samples
+from zygos.runs.smoother import Smoothed, coefficients
 
 Floats = NDArray[np.float64]
 Side = Literal["q", "theta"]

@@ -10,58 +10,24 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cache
-from pathlib import Path
 from typing import NamedTuple
 
-import cantools
 import numpy as np
-from cantools.database.can import Database, Message
+from cantools.database.can import Message
 from e2e.p02 import e2e_p02_check
 
 from zygos.arm import Arm
-from zygos.cycles import BREAK_BEFORE, VOID_BEFORE, VOID_SHIFT, Cycles
+from zygos.can.wire import BUS_OFF, ERROR, SYNC_MODULUS, UNWANTED, Frame, Kind, data_ids, identifiers
+from zygos.runs.cycles import BREAK_BEFORE, VOID_BEFORE, VOID_SHIFT, Cycles
 
-DBC_FOLDER = Path(__file__).resolve().parents[1] / "_native"
-
-SYNC_MODULUS = 240
 MAX_CYCLES_WITHOUT_TIME = 120
+
+
 LATCH_TOLERANCE_US = 50
-COMPUTER_NODE = 32
 
-EXTENDED, REMOTE, ERROR, FD = 1, 2, 4, 8
-"""Bits of Frame.flags."""
-
-BUS_OFF = 0x40
-"""Class of an error frame, a bit of its identifier: the controller has left the bus."""
 
 STATUS_FAULTS = (("disabled", 8), ("link_invalid", 1), ("motor_invalid", 2), ("torque_invalid", 4))
 """Faults that a joint's frame states by a status bit that is 0, in the order in which one of them is counted."""
-
-
-UNWANTED = "unwanted"
-"""Part of a cycle that forbids its use: of a fine gyro, where the arm says that it is coarse."""
-
-
-class Frame(NamedTuple):
-    """A CAN frame: identifier, data, and EXTENDED, REMOTE, ERROR, FD as flags."""
-
-    id: int
-    data: bytes
-    flags: int = 0
-
-
-class Kind(NamedTuple):
-    """What an identifier means for an arm: its message in the DBC, its E2E family and node, the joint it belongs to.
-
-    part: what the frame contributes to a cycle, None for SYNC and FTIME.
-    """
-
-    message: Message
-    family: int | None
-    node: int
-    joint: int = 0
-    part: str | None = None
 
 
 @dataclass(frozen=True)
@@ -75,41 +41,6 @@ class Reception:
     cycles: Cycles
     faults: Counter[str]
     verdicts: tuple[str, ...]
-
-
-@cache
-def database(coarse_gyro: bool = False) -> Database:
-    """The wire's DBC, with the messages of the coarse gyro in place of the fine one's."""
-    loaded = cantools.database.load_file(DBC_FOLDER / ("zygos-coarse-gyro.dbc" if coarse_gyro else "zygos.dbc"))
-    assert isinstance(loaded, Database)
-    return loaded
-
-
-def identifiers(arm: Arm) -> dict[int, Kind]:
-    """Identifiers of the arm's messages. The DBC names joints by node 1 to 7; other nodes have the same layout."""
-    messages = {message.name: message for message in database().messages}
-    kinds = {
-        0x080: Kind(messages["SYNC"], None, COMPUTER_NODE),
-        0x380 + COMPUTER_NODE: Kind(messages["FTIME"], 2, COMPUTER_NODE),
-    }
-    for i, joint in enumerate(arm.joints):
-        kinds[0x180 + joint.node] = Kind(messages["JOINT1_ANGLES"], 0, joint.node, i, f"angles{i}")
-        kinds[0x280 + joint.node] = Kind(messages["JOINT1_TORQUE"], 1, joint.node, i, f"torque{i}")
-    node = arm.imu.node
-    if node == 0:
-        return kinds
-    if arm.imu.resolution == "coarse":
-        kinds[0x180 + node] = Kind(database(coarse_gyro=True).get_message_by_frame_id(0x190), 0, node, 0, "rate")
-        kinds[0x380 + node] = Kind(messages["IMU_RATE_Z"], 2, node, 0, UNWANTED)
-    else:
-        kinds[0x180 + node] = Kind(messages["IMU_RATE_XY"], 0, node, 0, "rate_xy")
-        kinds[0x380 + node] = Kind(messages["IMU_RATE_Z"], 2, node, 0, "rate_z")
-    return kinds
-
-
-def data_ids(family: int, node: int) -> bytes:
-    """DataIDList of E2E profile 2: one identifier for each of the sixteen counters."""
-    return bytes((32 * family + node + 17 * counter) % 251 for counter in range(16))
 
 
 class _Seen(NamedTuple):

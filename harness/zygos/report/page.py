@@ -17,7 +17,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from zygos.output import write_text
+from zygos.files.output import write_text
 
 Floats = NDArray[np.float64]
 Entry = dict[str, Any]
@@ -25,12 +25,16 @@ Entry = dict[str, Any]
 UNITS = {"kg m^2": "kg m²", "Nm/rad": "N m/rad", "Nms/rad": "N m s/rad"}
 """Units of parameters as people write them."""
 _JOINT_COLOURS = 7
+_FOLDER = Path(__file__).parent
 
 
 def render(path: Path, template: str, data: Mapping[str, Any], **content: Any) -> None:
-    """Write a page: a template of this folder, what it says, and the data of its charts."""
+    """Write a page: a template, named from the package's folder, its content, and the data of its charts."""
     page = Environment(
-        loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+        loader=FileSystemLoader([_FOLDER, _FOLDER.parent]),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
     ).get_template(template)
     # no "<" may end the script element early
     text = json.dumps(data, ensure_ascii=False, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")

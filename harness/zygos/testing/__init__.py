@@ -12,10 +12,10 @@ from typing import Any
 
 import can
 
-from zygos.bus import open_bus
+from zygos.can.bus import open_bus
 from zygos.errors import ZygosError
-from zygos.output import check_outputs, table, write_json
-from zygos.scenario import load_scenario
+from zygos.files.output import check_outputs, table, write_json
+from zygos.simulation.scenario import load_scenario
 from zygos.testing import faults as _faults
 from zygos.testing.dut import EXTERNAL, Dut
 from zygos.testing.plant import Pace, Plant, Sent

@@ -20,12 +20,13 @@ import pytest
 from cantools.database.can import Database
 from numpy.typing import NDArray
 
-from zygos import snapshot
 from zygos.arm import Arm
-from zygos.bus import open_bus
-from zygos.dbc import arm_database, ascii_name
+from zygos.can.bus import open_bus
+from zygos.can.dbc import arm_database
 from zygos.errors import ZygosError
-from zygos.flight import Estimate, Flight, ffi, lib
+from zygos.files.names import ascii_name
+from zygos.native import snapshot
+from zygos.native.flight import Estimate, Flight, ffi, lib
 from zygos.testing.oracle import counted, disagreement
 from zygos.testing.stream import SYNC, Stream
 

@@ -17,8 +17,8 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos.can.wire import ERROR, EXTENDED, REMOTE, identifiers
 from zygos.errors import ZygosError
-from zygos.reference.wire import ERROR, EXTENDED, REMOTE, identifiers
 from zygos.testing.stream import SYNC, Fault, Stream
 
 MessageName = Literal["sync", "time", "angles", "torque", "rates"]

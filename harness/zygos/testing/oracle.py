@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from zygos.check import decode, sizes
-from zygos.cycles import BREAK_BEFORE, Cycles
-from zygos.flight import Estimate
+from zygos.native.flight import Estimate
 from zygos.reference import chain
+from zygos.reference.compare import decode, sizes
+from zygos.runs.cycles import BREAK_BEFORE, Cycles
 from zygos.testing.stream import Stream
 
 _FIELDS = tuple(Cycles.__dataclass_fields__)

@@ -14,12 +14,12 @@ from typing import Literal
 import numpy as np
 
 from zygos.arm import Arm, load_arm
-from zygos.cycles import Cycles
+from zygos.can.wire import ERROR, EXTENDED, REMOTE
 from zygos.errors import ZygosError
-from zygos.model import load_model
-from zygos.plant import simulate
-from zygos.reference.wire import ERROR, EXTENDED, REMOTE
-from zygos.scenario import Scenario
+from zygos.model.model import load_model
+from zygos.runs.cycles import Cycles
+from zygos.simulation.plant import simulate
+from zygos.simulation.scenario import Scenario
 from zygos.testing.stream import Stream
 
 Pace = Literal["fast", "real", "flood"]

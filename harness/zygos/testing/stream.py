@@ -10,11 +10,11 @@ import can
 import numpy as np
 from numpy.typing import NDArray
 
-from zygos import bus
 from zygos.arm import Arm
-from zygos.cycles import Cycles
-from zygos.flight import encode
-from zygos.reference.wire import identifiers
+from zygos.can import bus
+from zygos.can.wire import identifiers
+from zygos.native.flight import encode
+from zygos.runs.cycles import Cycles
 
 SYNC = 0x080
 """Identifier of SYNC."""
@@ -26,7 +26,7 @@ class Stream:
 
     arm: Arm
     frames: NDArray[Any]
-    """(n,) `zygos.flight.FRAME` records."""
+    """(n,) `zygos.native.flight.FRAME` records."""
     cycle: NDArray[np.int64]
     """(n,) the cycle that each frame tells of, from 0; a frame that somebody else sends has that in which it comes."""
 

@@ -1,0 +1,1 @@
+"""The balances that every estimate rests on: kinematics, and rows of energy, motor impulse and momentum."""

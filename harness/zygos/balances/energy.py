@@ -1,0 +1,114 @@
+"""Rows of the energy balance over whole records (docs/theory.md, "The energy balance").
+
+Within an arc, an unbroken run of instants, z_k . pi - W_k is an unknown constant: z_k holds the columns of the kinetic
+energy, of the springs' energy and of the dissipation, W_k is the work of the motors since the arc's origin.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zygos.arm import Arm
+from zygos.balances.arcs import FILL_INSTANTS, End, arc_cycles, left_out_arcs, spans, void_arcs
+from zygos.balances.effects import effect_columns
+from zygos.balances.kinematics import State, body_columns
+from zygos.effects import Effect
+from zygos.runs.samples import Samples
+from zygos.runs.smoother import Smoothed
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Balance:
+    """Rows at every instant from the first arc's origin of each segment on; m instants, p parameters.
+
+    index: (m,) position of the instant in the record of samples. sync: (m,) cycle number. arc: (m,) arc number from 0.
+    accepted: (m,) False where the smoother refuses the instant. z: (m, p) columns in `arm.parameter_names` order, then
+    those of the effects.
+    w: (m,) work since the arc's origin [J], raised by what torque steps add to the kinetic energy as it is read.
+    void: numbers of the arcs in which cycles may be missing unnoticed. left_out: of those that the library left out.
+    """
+
+    index: NDArray[np.int64]
+    sync: NDArray[np.uint64]
+    arc: NDArray[np.int64]
+    accepted: NDArray[np.bool_]
+    z: Floats
+    w: Floats
+    void: frozenset[int] = frozenset()
+    left_out: frozenset[int] = frozenset()
+
+
+def energy_columns(arm: Arm, state: State, dissipated: Floats) -> Floats:
+    """Columns of the energy balance, shape (..., p), in `arm.parameter_names` order.
+
+    dissipated: (..., N) integral of (thetad - qd)^2 [rad^2/s]. Nanos & Papadopoulos eq. (37), with the ratio of
+    eq. (11).
+    """
+    bodies, carried = body_columns(arm, state)
+    rotor_rate = arm.gear_ratios * state.thetad
+    of_joint = {
+        "Im": 0.5 * rotor_rate**2 + rotor_rate * carried,
+        "k": 0.5 * (state.theta - state.q) ** 2,
+        "b": dissipated,
+    }
+    joints = [of_joint[kind][..., i] for kind, i, _ in arm.joint_parameters]
+    return np.concatenate([bodies, np.stack(joints, axis=-1)] if joints else [bodies], axis=-1)
+
+
+def rows(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Effect] = ()) -> Balance:
+    """Rows of a whole record, with a column for each of the effects that `zygos.effects.estimated` names.
+
+    Work of a step: n tau_k-1 (theta_k - theta_k-1), exact for a torque held over the step. Dissipation of a step:
+    (h/24)(9 g_k + 19 g_k-1 - 5 g_k-2 + g_k-3), the cubic through the four newest values of g = (thetad - qd)^2.
+
+    Under a held torque the slope of a smooth curve through the samples is h^2/12 da/dt above the true rate, so the
+    kinetic energy reads h/12 n (tau_k - tau_k-1) thetad_k too high; the work of the row is raised by as much.
+
+    A void cycle makes those arcs before it void that reach beyond the last cycle that can be trusted, or the arc that
+    it ends where that cycle is not known.
+    """
+    h = arm.period_s
+    held = 0.0 if arm.torque_law == "sampled" else h / 12.0
+    longest = arc_cycles(arm)
+    work = np.zeros(len(smoothed.index))
+    dissipated = np.zeros_like(smoothed.q)
+    arc = np.full(len(smoothed.index), -1, dtype=np.int64)
+    arcs = 0
+    ends: list[End] = []
+    for number in np.unique(smoothed.segment):
+        of = np.flatnonzero(smoothed.segment == number)
+        if len(of) <= FILL_INSTANTS:
+            continue
+        theta = smoothed.theta[of]
+        tau = samples.tau[smoothed.index[of]]
+        g = (smoothed.thetad[of] - smoothed.qd[of]) ** 2
+        step_work = np.sum(arm.gear_ratios * tau[:-1] * np.diff(theta, axis=0), axis=1)
+        hold_correction = held * np.sum(arm.gear_ratios * np.diff(tau, axis=0) * smoothed.thetad[of[1:]], axis=1)
+        step_loss = (h / 24.0) * (9.0 * g[3:] + 19.0 * g[2:-1] - 5.0 * g[1:-2] + g[:-3])
+        for origin, stop, ended in spans(smoothed.accepted[of], longest):
+            work[of[origin + 1 : stop]] = np.cumsum(step_work[origin : stop - 1])
+            work[of[origin:stop]] += hold_correction[origin - 1 : stop - 1]
+            dissipated[of[origin + 1 : stop]] = np.cumsum(step_loss[origin - 2 : stop - 3], axis=0)
+            arc[of[origin:stop]] = arcs
+            ends.append(End(int(smoothed.index[of[stop - 1]]) + arm.smoother.lag, ended))
+            arcs += 1
+    base = smoothed.omega if arm.spatial else smoothed.omega @ arm.axis
+    state = State(smoothed.q, smoothed.theta, smoothed.qd, smoothed.thetad, base)
+    z = np.hstack([energy_columns(arm, state, dissipated), effect_columns(arm, samples, smoothed, arc, effects)])
+    kept = arc >= 0
+    return Balance(
+        index=smoothed.index[kept],
+        sync=smoothed.sync[kept],
+        arc=arc[kept],
+        accepted=smoothed.accepted[kept],
+        z=z[kept],
+        w=work[kept],
+        void=void_arcs(samples, ends),
+        left_out=left_out_arcs(samples, ends, "energy"),
+    )

@@ -1,0 +1,1 @@
+"""The CAN side: buses, logs and their repair, the DBC of the wire, bus load."""

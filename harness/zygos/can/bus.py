@@ -1,0 +1,293 @@
+"""Frames on buses and in logs: `FRAME` records on our side, python-can on the other."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import can
+import numpy as np
+from can.interfaces.socketcan import SocketcanBus
+from numpy.typing import NDArray
+
+from zygos.can import damaged as salvage
+from zygos.can import vcan
+from zygos.errors import ZygosError
+from zygos.files import inputs
+from zygos.files.output import cannot_be_written, is_dash, write_bytes
+from zygos.native.flight import FRAME
+
+LOG_SUFFIXES = (".log", ".blf", ".asc", ".trc", ".mf4")
+"""Formats of python-can that keep classical frames whole."""
+_EXTENDED, _REMOTE, _ERROR, _FD = 1, 2, 4, 8
+_SYNC = 0x080
+_POLL_S = 0.2
+"""A listener notices that it is to stop within that time."""
+_SLOT_S = 150e-6
+"""Spacing of the frames of a cycle in the stamps of a log: a little more than a frame lasts at 1 Mbit/s."""
+
+
+def to_messages(frames: NDArray[Any], period_s: float) -> list[can.Message]:
+    """`FRAME` records (n,) as messages; the k-th SYNC is stamped k * period_s. The stamps are for people only."""
+    cycle = np.maximum(np.cumsum(frames["id"] == _SYNC) - 1, 0)
+    first = np.maximum.accumulate(np.where(frames["id"] == _SYNC, np.arange(len(frames)), 0))
+    stamps = cycle * period_s + (np.arange(len(frames)) - first) * min(_SLOT_S, period_s / 20)
+    return [
+        can.Message(
+            timestamp=float(stamp),
+            arbitration_id=int(frame["id"]),
+            is_extended_id=bool(frame["flags"] & _EXTENDED),
+            is_remote_frame=bool(frame["flags"] & _REMOTE),
+            is_error_frame=bool(frame["flags"] & _ERROR),
+            is_fd=bool(frame["flags"] & _FD),
+            data=bytes(frame["data"][: frame["length"]]),
+        )
+        for frame, stamp in zip(frames, stamps, strict=True)
+    ]
+
+
+def from_messages(messages: Iterable[can.Message]) -> NDArray[Any]:
+    """Messages as `FRAME` records (n,), foreign and error frames included."""
+    ids, lengths, flags, data = [], [], [], []
+    for message in messages:
+        ids.append(message.arbitration_id)
+        flags.append(
+            _EXTENDED * message.is_extended_id
+            + _REMOTE * message.is_remote_frame
+            + _ERROR * message.is_error_frame
+            + _FD * message.is_fd
+        )
+        payload = b"" if message.is_remote_frame else bytes(message.data or b"")
+        lengths.append(min(len(payload), 255))
+        data.append(payload[:8].ljust(8, b"\0"))
+    frames = np.zeros(len(ids), dtype=FRAME)
+    frames["id"], frames["length"], frames["flags"] = ids, lengths, flags
+    frames["data"] = np.frombuffer(b"".join(data), dtype=np.uint8).reshape(-1, 8)
+    return frames
+
+
+def check_log_name(path: Path) -> None:
+    """Refuse a file name whose suffix is none of `LOG_SUFFIXES`, or stands for a format that is not installed."""
+    _check_suffix(path, path.suffix.lower())
+
+
+def _check_suffix(path: Path, suffix: str) -> None:
+    if suffix == ".db":
+        raise ZygosError(
+            f"{path}: python-can loses frames when it writes a .db; remedy: record, or send the frames with "
+            "`can_player`, into a .blf"
+        )
+    if suffix not in LOG_SUFFIXES:
+        raise ZygosError(f"{path}: no CAN log of a known kind; remedy: use one of {' '.join(LOG_SUFFIXES)}")
+    if suffix == ".mf4" and importlib.util.find_spec("asammdf") is None:
+        raise ZygosError(f"{path}: .mf4 needs asammdf; remedy: pip install 'zygos[mf4]', or use a .blf")
+
+
+def check_log(path: Path) -> None:
+    """Refuse a log that is missing or of no known kind."""
+    suffix = inputs.suffix(path)
+    if is_dash(path) and suffix not in LOG_SUFFIXES:
+        raise ZygosError(
+            f"{path}: standard input does not begin like a CAN log; remedy: send it the bytes of a "
+            f"{' '.join(LOG_SUFFIXES)} file, the lines of `candump -L`, or, where the command takes one, of a table"
+        )
+    _check_suffix(path, suffix)
+    if not inputs.local(path).is_file():
+        raise ZygosError(f"{path}: no such file; remedy: give a CAN log, for instance one that `zygos simulate` wrote")
+
+
+class Recording:
+    """A log in the format of the suffix that grows as messages come. It has its name once it is finished.
+
+    Every method raises ZygosError, naming the log, when it cannot be written; what was written is then removed.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Begin an empty log beside `path`."""
+        check_log_name(path)
+        self.path = path
+        self.count = 0
+        self._partial = path.with_name(f".{os.getpid()}.partial{path.suffix}")
+        self._classical_only = path.suffix.lower() == ".trc"  # python-can would leave the others out
+        self._channel = "can0" if path.suffix.lower() == ".log" else 0
+        with self._refusing():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._logger = can.Logger(str(self._partial))
+
+    def append(self, messages: Iterable[can.Message]) -> None:
+        """Write messages behind those that are there."""
+        with self._refusing():
+            for message in messages:
+                if self._classical_only and (message.is_fd or message.is_remote_frame or message.is_error_frame):
+                    kind = "an FD" if message.is_fd else "a remote" if message.is_remote_frame else "an error"
+                    raise ZygosError(f"{self.path}: a .trc cannot hold {kind} frame; remedy: write a .blf")
+                message.channel = self._channel
+                self._logger.on_message_received(message)
+                self.count += 1
+
+    def finish(self) -> None:
+        """Give the log its name; one without a message is removed."""
+        with self._refusing():
+            self._logger.stop()
+            if self.count:
+                self._partial.replace(self.path)
+        self._partial.unlink(missing_ok=True)
+
+    @contextmanager
+    def _refusing(self) -> Iterator[None]:
+        try:
+            yield
+        except BaseException as error:
+            self._partial.unlink(missing_ok=True)
+            if isinstance(error, Exception) and not isinstance(
+                error, ZygosError
+            ):  # each writer of python-can raises errors of its own
+                raise cannot_be_written(self.path, error) from error
+            raise
+
+
+def write_log(path: Path, frames: NDArray[Any], period_s: float) -> None:
+    """Write a log in the format of the suffix: whole, or not at all; - is standard output and gets candump's format.
+
+    Errors: ZygosError if it cannot be written.
+    """
+    if is_dash(path):
+        with TemporaryDirectory() as folder:
+            log = Path(folder, "run.log")
+            write_log(log, frames, period_s)
+            write_bytes(path, log.read_bytes())
+        return
+    recording = Recording(path)
+    recording.append(to_messages(frames, period_s))
+    recording.finish()
+
+
+def _counted(messages: Iterable[can.Message], progress: Callable[[int], None] | None) -> Iterator[can.Message]:
+    for count, message in enumerate(messages, start=1):
+        if progress is not None and count % 5000 == 0:
+            progress(count)
+        yield message
+
+
+@dataclass(frozen=True)
+class Log:
+    """What a log holds."""
+
+    frames: NDArray[Any]
+    """`FRAME` records (n,) in file order."""
+    damage: tuple[str, ...]
+    """What is missing, in words that begin with the log's name; empty for a log that looks whole."""
+
+
+def read_log(path: Path, progress: Callable[[int], None] | None = None) -> Log:
+    """Read all frames of a log, and of a damaged one what can be read.
+
+    progress is called now and then with the number read so far. Raises ZygosError when the file is missing, of no
+    known kind, unreadable, or holds no frame.
+    """
+    damage: list[str] = []
+    frames = from_messages(read_messages(path, damage, progress))
+    if len(frames) == 0:
+        if not damage:
+            raise ZygosError(f"{path}: the log holds no frame; remedy: record with the bus running")
+        kind = inputs.suffix(path)
+        raise ZygosError(
+            f"{path}: nothing can be read, the log {damage[0]}; remedy: see whether it is a {kind} log, and record it "
+            "again"
+        )
+    return Log(frames, tuple(f"{path} {text}" for text in damage))
+
+
+def read_messages(
+    path: Path, damage: list[str], progress: Callable[[int], None] | None = None
+) -> Iterator[can.Message]:
+    """Messages of a log of anybody's, as python-can reads them; progress as in `read_log`.
+
+    What is missing of it goes into damage, in words that follow "the log". Raises ZygosError when the file is missing,
+    of no known kind, or unreadable.
+    """
+    check_log(path)
+    try:
+        yield from _counted(salvage.messages(inputs.local(path), damage), progress)
+    except Exception as error:  # of the file, or what a reader makes of damage that nobody has thought of
+        raise ZygosError(
+            f"{path}: not a readable {inputs.suffix(path)} log ({type(error).__name__}: {error}); remedy: record it "
+            "again, or convert it with python-can's `can_logconvert`"
+        ) from error
+
+
+def open_bus(interface: str | None, channel: str | None, bitrate: int | None = None) -> can.BusABC:
+    """Open a bus as python-can does (`can.conf` honoured).
+
+    Raises ZygosError when it cannot be opened.
+    """
+    options: dict[str, Any] = {} if bitrate is None else {"bitrate": bitrate}
+    try:
+        opened = can.Bus(channel=channel, interface=interface, receive_own_messages=False, **options)
+        if isinstance(opened, SocketcanBus):
+            vcan.make_room(opened.socket)
+        return opened
+    except (can.CanError, OSError, ValueError, ImportError) as error:
+        raise ZygosError(
+            f"bus {interface or 'of can.conf'} {channel or ''} cannot be opened ({error}); remedy: check -i and -c, "
+            "bring the interface up, or run under tools/with-vcan"
+        ) from error
+
+
+def receive(bus: can.BusABC, idle_s: float, stop: Callable[[], bool] = lambda: False) -> Iterator[can.Message]:
+    """Messages of a bus until no SYNC came for idle_s, ten times as long before the first one, or stop() is true.
+
+    Others on the bus have heartbeats that never end. Raises can.CanError when the bus fails.
+    """
+    patience = 10 * idle_s
+    newest = time.monotonic()
+    while not stop() and time.monotonic() - newest < patience:
+        try:
+            message = bus.recv(timeout=min(_POLL_S, patience))
+        except OSError as error:
+            raise can.CanOperationError(str(error)) from error
+        if message is not None:
+            if message.arbitration_id == _SYNC and not message.is_extended_id:
+                patience, newest = idle_s, time.monotonic()
+            yield message
+
+
+def transfer(frames: NDArray[Any], period_s: float, interface: str = "virtual", channel: str = "zygos") -> NDArray[Any]:
+    """Send frames from one end of a bus to another, and return what arrived.
+
+    Frames of others on that bus are left out. On SocketCAN the sender waits for the receiver, whose buffer would
+    overflow without a word (zygos.can.vcan). Raises ZygosError when the bus cannot be opened or lost a frame.
+    """
+    sent = to_messages(frames, period_s)
+    if interface == "socketcan":
+        return from_messages(vcan.transfer(sent, channel))
+    with open_bus(interface, channel) as sender, open_bus(interface, channel) as receiver:
+        arrived: list[can.Message] = []
+
+        def collect() -> None:
+            newest = time.monotonic()
+            while len(arrived) < len(sent) and time.monotonic() - newest < 2.0:
+                message = receiver.recv(timeout=2.0)
+                if message is not None and vcan.same(message, sent[len(arrived)]):
+                    newest = time.monotonic()
+                    arrived.append(message)
+
+        thread = threading.Thread(target=collect)
+        thread.start()
+        for message in sent:
+            sender.send(message, timeout=2.0)
+        thread.join()
+    if len(arrived) != len(frames):
+        raise ZygosError(
+            f"bus {interface} {channel}: {len(frames)} frames sent, {len(arrived)} arrived; remedy: enlarge the "
+            "receive buffer (net.core.rmem_max) or send more slowly"
+        )
+    return from_messages(arrived)

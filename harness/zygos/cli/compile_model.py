@@ -1,0 +1,72 @@
+"""`zygos compile-model`: an arm file as the constant that onboard software links, and as bytes that it loads."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from zygos.arm import load_arm
+from zygos.cli.options import Json
+from zygos.files.names import printable
+from zygos.files.output import check_outputs, counted, say, table, write_json, write_text
+from zygos.model.model import load_model
+from zygos.native import snapshot
+from zygos.native.flight import Flight, ffi, lib
+from zygos.native.header import capacities, header
+
+HEADER, BLOB = "arm_config.h", "arm.zyg"
+
+
+def compile_model(arm_file: Path, folder: Path, model_file: Path | None, json: str | None) -> None:
+    """Write the configuration of an arm; see `zygos compile-model --help`."""
+    source, blob = folder / HEADER, folder / BLOB
+    check_outputs([source, blob, json], [arm_file, model_file])
+    arm = load_arm(arm_file)
+    effects = load_model(model_file).effects if model_file else ()
+    flight = Flight(arm, effects)
+    made_of = " and ".join(printable(path.name) for path in (arm_file, model_file) if path)
+    write_text(source, header(flight, made_of))
+    snapshot.write(blob, "configuration", ffi.addressof(flight.native, "config"))
+    needs = capacities(flight.native.config)
+    summary = {
+        "arm": arm.name,
+        "header": str(source),
+        "blob": str(blob),
+        "layout": lib.zygos_abi(),
+        "parameters": list(flight.names),
+        "units": list(flight.units),
+        "capacities": needs,
+    }
+    if json:
+        write_json(json, summary)
+    if json != "-":
+        rows = [(macro, str(value), str(getattr(lib, f"{macro}_VALUE"))) for macro, value in needs.items()]
+        table(("capacity", "needed", f"{BLOB} has"), rows)
+        say(
+            f"{source}, {blob}: arm {arm.name}, {counted(arm.n, 'joint')}, "
+            f"{counted(len(flight.names), 'parameter')}, layout 0x{lib.zygos_abi():08X}"
+        )
+
+
+def command(
+    arm: Annotated[Path, typer.Argument(metavar="ARM.toml", help="The arm file.")],
+    out: Annotated[
+        Path,
+        typer.Option("-o", "--out", metavar="FOLDER", help="The folder where arm_config.h and arm.zyg are written."),
+    ] = Path(),
+    model: Annotated[
+        Path | None, typer.Option("--model", metavar="PRIOR.toml", help="Also learn the effects of this model.")
+    ] = None,
+    json: Json = None,
+) -> None:
+    """Compile an arm file into the constant that onboard software links, and into bytes that it loads.
+
+    Writes arm_config.h, for C11 and C++17, with the configuration and the places of the parameters (ARM_k1), and
+    arm.zyg, the bytes of the same configuration in this build behind a head with layout and CRC (docs/snapshot.md),
+    which `zygos-node` loads. A configuration that the flight library would refuse is not written.
+
+    Example: zygos compile-model examples/paper/arm.toml -o out/onboard
+    """
+    compile_model(arm, out, model, json)

@@ -1,0 +1,226 @@
+"""`zygos convert`: telemetry of others becomes a run, with a table of what became of each signal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from zygos.arm import load_arm
+from zygos.can import bus
+from zygos.cli.options import Json
+from zygos.cli.shared import not_whole, warn
+from zygos.errors import Undecided, ZygosError
+from zygos.files.inputs import local
+from zygos.files.output import check_outputs, counted, is_dash, number, say, table, write_json
+from zygos.files.progress import progress
+from zygos.files.tables import check_table, is_table
+from zygos.native.flight import Flight, encode
+from zygos.telemetry.convert import (
+    added_noise,
+    arm_text,
+    check_noise,
+    cycles_of,
+    refused_share,
+    signal_rows,
+    stamps_sigma,
+    warnings_of,
+    with_time,
+    write_run,
+)
+from zygos.telemetry.grid import (
+    REFUSED_MAX,
+    needed_rate,
+    noisier,
+)
+from zygos.telemetry.map import Dictionary, Map, load_map, read_can, read_table
+
+
+def convert_run(
+    source: Path, dbc: Sequence[Path], map_file: Path, arm_file: Path | None, out: Path, json: str | None
+) -> None:
+    """Convert foreign telemetry; see `zygos convert --help`."""
+    tabular = is_table(source)
+    _check_names(source, dbc, out, tabular=tabular)
+    chosen = arm_file or map_file.parent / "arm.toml"
+    if not local(chosen).is_file():
+        raise ZygosError(f"{chosen}: no such arm file; remedy: give it with --arm, or put arm.toml beside the map")
+    beside = out.parent / "arm.toml"
+    check_outputs([out, json], [source, *dbc, map_file, chosen, beside])
+    arm = load_arm(chosen)
+    Flight(arm)  # an arm that the library refuses is refused before anything is read
+    mapping = load_map(map_file, arm, tabular=tabular)
+    with progress() as bar:
+        task = bar.add_task(f"reading {source.name}", total=None)
+        if tabular:
+            recording = read_table(source, mapping)
+        else:
+            recording = read_can(
+                source,
+                Dictionary.load(dbc),
+                mapping,
+                lambda count: bar.update(task, description=f"reading {source.name}: {count:,} frames"),
+            )
+        bar.update(task, description="converting")
+        found, cycles, lost = cycles_of(recording, mapping, arm)
+        added = added_noise(found, mapping, arm)
+        if not any(added):
+            described, text = arm, local(chosen).read_text(encoding="utf-8")
+        else:
+            described = noisier(arm, mapping.channels, added)
+            text = arm_text(chosen, described, f"{source.name} by {map_file.name}")
+        check_noise(described, mapping, added)
+        rate, needed = needed_rate(found, arm, mapping)
+        # where the motion passes with even stamps, it is not the motion that is too fast
+        _, even = needed_rate([track.evened for track in found], arm, mapping) if needed != rate else (rate, needed)
+        frames = None if is_table(out) else encode(described, with_time(cycles))
+        write_run(out, cycles, frames, arm.period_s, beside, text)
+        refused = refused_share(described, cycles, frames)
+    warn(recording.missing)
+    rows = signal_rows(recording, found, cycles, described, mapping, added)
+    warnings = warnings_of(arm, cycles, described, recording, found, out)
+    content: dict[str, Any] = {
+        "input": str(source),
+        "map": str(map_file),
+        "run": str(out),
+        "arm": str(beside),
+        "door": "cycle" if is_table(out) else "frames",
+        "time": mapping.clock.kind,
+        "interpolation": mapping.clock.interpolation,
+        "period_s": arm.period_s,
+        "cycles": len(cycles),
+        "breaks": int(np.count_nonzero(cycles.flags)),
+        "left_out": lost,
+        "damage": recording.missing or None,
+        "damaged_frames": recording.damaged,
+        "signals": rows,
+        "bandwidth": {
+            "rate_hz": rate,
+            "needed_hz": needed,
+            "needed_with_even_stamps_hz": even,
+            "stamps_sigma_s": stamps_sigma(found),
+            "refused_share": refused,
+        },
+        "warnings": warnings,
+    }
+    if json != "-":
+        _print(content)
+    if json:
+        write_json(json, content)
+    _judge(rate, needed, even, stamps_sigma(found), refused, mapping, out)
+    not_whole(recording.missing)
+
+
+def _check_names(source: Path, dbc: Sequence[Path], out: Path, *, tabular: bool) -> None:
+    if tabular:
+        check_table(source)
+        if dbc:
+            raise ZygosError(f"{source}: a table needs no --dbc; remedy: leave it out")
+    else:
+        bus.check_log(source)
+        if not dbc:
+            raise ZygosError(f"{source}: a CAN log needs the DBC of its bus; remedy: give it with --dbc")
+    if is_dash(out):
+        raise ZygosError("- cannot be the run, which has its arm file beside it; remedy: give -o a file's name")
+    if not is_table(out):
+        bus.check_log_name(out)
+
+
+def _print(content: dict[str, Any]) -> None:
+    table(
+        ("signal", "from", "in", "samples", "Hz", "smallest", "largest", "unit", "sigma", "of it added"),
+        [
+            (
+                row["signal"],
+                row["from"],
+                row["from_unit"],
+                f"{row['samples']:,}",
+                number(row["rate_hz"], 4),
+                number(row["smallest"], 4),
+                number(row["largest"], 4),
+                row["unit"],
+                number(row["sigma"], 3),
+                number(row["added_by_interpolation"], 3) if row["added_by_interpolation"] else "–",
+            )
+            for row in content["signals"]
+        ],
+    )
+    how = "by its cycle counter" if content["interpolation"] is None else f"{content['interpolation']} interpolation"
+    left = ", ".join(f"{count:,} {reason}" for reason, count in content["left_out"].items() if count)
+    say(
+        f"{content['run']}: {counted(content['cycles'], 'cycle')} at {1 / content['period_s']:g} Hz {how}, "
+        f"{counted(content['breaks'], 'break')}, left out: {left or 'nothing'} · door: {content['door']}"
+    )
+    for line in content["warnings"]:
+        say(f"look: {line}")
+
+
+def _judge(
+    rate: float,
+    needed: float | None,
+    even: float | None,
+    stamps_s: float,
+    refused: float | None,
+    mapping: Map,
+    out: Path,
+) -> None:
+    """Undecided where the motion is faster than the recording, or the stamps make it look so."""
+    lie = f"the time stamps jitter by {1e3 * stamps_s:.3g} ms ({100 * stamps_s * rate:.0f} % of the interval)"
+    if needed is None or needed > rate * 1.001:
+        if even is not None and even <= rate * 1.001:
+            raise Undecided(
+                f"{lie}, and the bandwidth test takes that for motion; with even stamps the same samples pass at "
+                f'{rate:.4g} Hz ({out} written); remedy: a cycle counter (source = "sync"), or a time that is taken '
+                "with the sample; recording faster does not help"
+            )
+        # a number that even stamps lower is not all the motion's
+        known = [one for one in (needed, even) if one is not None]
+        wanted = f">= {min(known):.4g} Hz" if known else "more than the search holds"
+        raise Undecided(
+            f"{rate:.4g} Hz; this motion needs {wanted} ({out} written); remedy: record faster, where the recording is "
+            "faster shorten period_s of the arm file, or move more slowly"
+        )
+    if refused is not None and refused > REFUSED_MAX:
+        raise Undecided(
+            f"{refused:.0%} of the instants fail the bandwidth test on the grid, though the telemetry is fast enough "
+            f"({out} written; {lie}); remedy: "
+            + ('interpolation = "cubic", ' if mapping.clock.interpolation == "linear" else "")
+            + 'honest quanta in the arm file, or a cycle counter (source = "sync")'
+        )
+
+
+def command(
+    source: Annotated[
+        Path,
+        typer.Argument(metavar="LOG", help="A CAN log (.log .blf .asc .trc .mf4), or a table (.csv .parquet .npz)."),
+    ],
+    map_file: Annotated[
+        Path, typer.Option("--map", metavar="MAP.toml", help="Says which signal is what of the arm, in which unit.")
+    ],
+    out: Annotated[
+        Path, typer.Option("-o", "--out", metavar="RUN", help="The run to write: a CAN log or a table of cycles.")
+    ],
+    dbc: Annotated[
+        list[Path] | None,
+        typer.Option("--dbc", metavar="MY.dbc", help="The DBC of a CAN log; may be given several times."),
+    ] = None,
+    arm: Annotated[
+        Path | None, typer.Option("--arm", metavar="ARM.toml", help="The arm file. Default: arm.toml beside the map.")
+    ] = None,
+    json: Json = None,
+) -> None:
+    """Make a run of somebody else's telemetry.
+
+    Decodes LOG with its own DBC, turns signals into SI by scale, sign and unit, and writes RUN with arm.toml beside it.
+    A cycle counter in the telemetry gives one record a cycle. Without one, signals are interpolated on the grid of the
+    arm's period, and the error of that is added to the noise that the arm.toml beside RUN declares. The table shows the
+    range of every signal: see whether it is plausible.
+
+    Exit code 3 when the motion is faster than the recording; RUN is written all the same.
+
+    Example: zygos convert MY.blf --dbc MY.dbc --map map.toml -o out/run.blf
+    """
+    convert_run(source, dbc or [], map_file, arm, out, json)

@@ -1,0 +1,367 @@
+"""`zygos explain`: read runs and simulation, say what is missing, write model, report and JSON."""
+
+from __future__ import annotations
+
+import hashlib
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from zygos.arm import load_arm
+from zygos.can import bus
+from zygos.cli.options import ArmFile, Json
+from zygos.cli.shared import check_model_name, find_arm, not_whole, warn
+from zygos.effects import estimated, spoken
+from zygos.errors import Undecided, ZygosError
+from zygos.files.inputs import local
+from zygos.files.output import check_outputs, named, number, quiet, say, table, write_json
+from zygos.files.progress import progress
+from zygos.gap.explain import INTERVAL, Explanation, Gap, explain
+from zygos.gap.forecast import Forecast
+from zygos.gap.provenance import Provenance
+from zygos.gap.record import Record, read_record
+from zygos.model.model import load_model, save_model
+from zygos.native.flight import Flight
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Files that are read."""
+
+    simulation: Path
+    arm: Path
+    measured: tuple[Path, Path]
+    validate: Path | None
+
+    @property
+    def files(self) -> list[tuple[str, Path]]:
+        """Their roles and paths."""
+        listed = [("simulation", self.simulation), ("arm", self.arm)]
+        listed += [("measured", run) for run in self.measured]
+        return listed + ([("validate", self.validate)] if self.validate else [])
+
+
+def explain_run(
+    simulation: Path,
+    measured: tuple[Path, Path],
+    validate: Path | None,
+    arm_file: Path | None,
+    out: Path,
+    report: Path | None,
+    json: str | None,
+    command: Sequence[str],
+) -> None:
+    """Explain the gap between a simulation and measured runs; see `zygos explain --help`."""
+    inputs = Inputs(simulation, find_arm(measured[0], arm_file), measured, validate)
+    runs = [run for role, run in inputs.files if role in {"measured", "validate"}]
+    for run in runs:
+        bus.check_log(run)
+    check_model_name(out)
+    check_outputs([out, report, json], [path for _, path in inputs.files])
+    arm, model = load_arm(inputs.arm), load_model(simulation)
+    if arm.kinetic != "planar-symmetric" or not arm.free or not all(joint.flexible for joint in arm.joints):
+        raise ZygosError(
+            f"{inputs.arm}: the balances of a gap are those of a free-floating, planar-symmetric arm with flexible "
+            "joints; remedy: `zygos estimate` and `zygos check` take any arm"
+        )
+    model.base_parameters(arm)
+    with progress() as bar:
+        task = bar.add_task("reading", total=1.0)
+        records: list[Record] = []
+        logs: list[bus.Log] = []
+        for k, run in enumerate(runs):
+            bar.update(task, description=f"reading {run.name}", completed=0.2 * k / len(runs))
+            logs.append(bus.read_log(run))
+            warn(logs[-1].damage)
+            _check_distinct(runs, logs)
+            records.append(read_record(arm, run, logs[-1].frames))
+        found = explain(
+            arm,
+            model,
+            records[:2],
+            records[2] if validate else None,
+            lambda share, what: bar.update(task, description=what, completed=0.2 + 0.8 * share),
+        )
+    source = Provenance(
+        shlex.join(["zygos", *command]),
+        version("zygos"),
+        tuple((role, str(path), hashlib.sha256(local(path).read_bytes()).hexdigest()) for role, path in inputs.files),
+    )
+    finish(found, records, logs, inputs, source, out, report, json)
+    not_whole(*(log.damage for log in logs))
+
+
+def flown(found: Explanation, logs: Sequence[bus.Log]) -> list[dict[str, Any]]:
+    """What the flight library makes of the same runs, with the findings' columns switched on."""
+    columns = [] if found.model is None else list(estimated(found.arm, found.model.effects))
+    names = {effect.column(found.arm) for effect in columns if effect.source == "zygos"}
+    if not names:
+        return []
+    out = []
+    for run, log in enumerate(logs):
+        flight = Flight(found.arm, columns)
+        flight.frames(log.frames)
+        result = flight.estimate()
+        out += [
+            {
+                "run": "AB"[run],
+                "column": name,
+                "unit": unit,
+                "value": float(result.value[i]),
+                "sigma": float(result.sigma[i]),
+                "half95": float(result.half95[i]),
+            }
+            for i, (name, unit) in enumerate(zip(result.names, result.units, strict=True))
+            if name in names
+        ]
+    return out
+
+
+def _check_distinct(runs: Sequence[Path], logs: Sequence[bus.Log]) -> None:
+    """Refuse a newest log that holds the same frames as an earlier one, in whatever format."""
+    for other, log in zip(runs, logs[:-1], strict=False):
+        if np.array_equal(log.frames, logs[-1].frames):
+            raise ZygosError(
+                f"{other} and {runs[len(logs) - 1]} are the same recording; remedy: two runs to learn from, and with "
+                "--validate a third, for what one run says must hold on another"
+            )
+
+
+def finish(
+    found: Explanation,
+    records: Sequence[Record],
+    logs: Sequence[bus.Log],
+    inputs: Inputs,
+    source: Provenance,
+    out: Path,
+    report: Path | None,
+    json: str | None,
+) -> None:
+    """Print the tables, write what was asked for, and say what is undecided."""
+    flight = flown(found, logs[:2])
+    if not quiet(out, report, json):
+        show(found)
+        for column in dict.fromkeys(entry["column"] for entry in flight):
+            each = [
+                f"{number(e['value'], 4)} ± {number(e['half95'], 2)} {e['unit']} on run {e['run']}"
+                for e in flight
+                if e["column"] == column
+            ]
+            say(f"the flight library by itself: {column} = {', '.join(each)}")
+        say(f"{found.answer}: {found.sentence}")
+    try:
+        if found.model is not None:
+            save_model(found.model, out)
+        if report is not None:
+            from zygos.gap.page import write_gap_report  # noqa: PLC0415  (only a report needs charts)
+
+            write_gap_report(report, found, source)
+    finally:
+        if json:
+            damage = [text for log in logs for text in log.damage]
+            write_json(json, {**as_json(found, records, source), "flight": flight, "damage": damage or None})
+    if found.answer in {"unknown", "cannot tell"}:
+        raise Undecided(f"{found.answer}: {found.sentence} ({named(out)} not written); remedy: {_next(found)}")
+
+
+def _next(found: Explanation) -> str:
+    """What to do where nothing was named."""
+    if found.experiments:
+        best = found.experiments[0]
+        return f"{best.said} would tell them apart" if best.tells else "no variant of these motions tells them apart"
+    if found.partly:
+        return f"part of it looks like {found.partly}"
+    if found.search is None or " first: " in found.sentence:
+        return "correct the arm file; `zygos check-arm` on one of the runs tells more of its signals"
+    if "not the same in the two runs" in found.sentence:
+        return "two runs of one and the same arm; `zygos estimate` says of each what it is"
+    _, colon, look = found.where.partition(": look at ")
+    nearest = found.search.rounds[0][0]
+    return (
+        (f"look at {look.removesuffix('.')}; " if colon else "")
+        + f"the nearest in the catalogue, {spoken(found.arm, nearest.name)}, explains "
+        f"{100 * max(0.0, nearest.complete):.0f} % of it"
+    )
+
+
+def show(found: Explanation) -> None:
+    """The tables of a verdict."""
+    if found.search is not None:
+        listed = found.search.rounds[0][:6]
+        table(
+            ("candidate", "run A", "run B", "unit", "z A", "z B", "explains %", "seen from", ""),
+            [
+                (
+                    c.name,
+                    *(number(x, 4) for x in c.each),
+                    c.kind.unit,
+                    *(f"{z:.1f}" for z in c.z),
+                    f"{100 * max(0.0, c.complete):.1f}",
+                    number(c.limit, 2),
+                    "named" if c in found.search.named else c.verdict or "explains less",
+                )
+                for c in listed
+            ],
+            title=f"the first {len(listed)} of {len(found.search.rounds[0])} candidates",
+        )
+    changed = [v for v in found.values if v.differs]
+    if changed:
+        table(
+            ("value", "unit", "simulation", "found", "± 95 %", "change %"),
+            [
+                (
+                    v.name,
+                    v.unit,
+                    number(v.delivered),
+                    number(v.found),
+                    number(INTERVAL * v.sigma, 2),
+                    f"{100 * v.change:+.2f}" if np.isfinite(v.change) else "–",
+                )
+                for v in changed
+            ],
+        )
+    if found.gap is not None:
+        table(
+            ("gap on the untouched run", "rms, sigma", "median", "90th percentile"),
+            [
+                (name, number(one.gap, 4), number(one.median, 4), number(one.tenth, 4))
+                for name, one in _predictions(found.gap)
+            ],
+        )
+    say(found.where)
+    for remark in found.remarks:
+        say(f"note: {remark}")
+
+
+def _predictions(gap: Gap) -> list[tuple[str, Forecast]]:
+    listed = [("as delivered", gap.delivered), ("refit", gap.refit), ("closed", gap.closed), ("floor", gap.floor)]
+    return listed + ([(f"with {gap.wrong_name} instead", gap.wrong)] if gap.wrong is not None else [])
+
+
+def as_json(found: Explanation, records: Sequence[Record], source: Provenance) -> dict[str, Any]:
+    """The content of a verdict's JSON."""
+    layout = found.refit.layout
+    gap = found.gap
+    return {
+        "answer": found.answer,
+        "sentence": found.sentence,
+        "where": found.where,
+        "findings": [
+            {
+                "effect": f.kind,
+                "title": f.title,
+                "joint": f.joint,
+                "value": f.value,
+                "sigma": f.sigma,
+                "interval": list(f.interval),
+                "unit": f.unit,
+                "evidence": f.evidence,
+                "cannot_tell_from": list(f.instead),
+            }
+            for f in found.findings
+        ],
+        "partly": found.partly or None,
+        "gap": gap
+        and {
+            "unit": "sigma",
+            "as_delivered": gap.delivered.gap,
+            "refit": gap.refit.gap,
+            "closed": gap.closed.gap,
+            "floor": gap.floor.gap,
+            "shrinks": gap.refit.gap / gap.closed.gap,
+            "median": {name: one.median for name, one in _predictions(gap)[:4]},
+            "ninetieth": {name: one.tenth for name, one in _predictions(gap)[:4]},
+            "best_wrong": gap.wrong and {"candidate": gap.wrong_name, "gap": gap.wrong.gap},
+        },
+        "balances": [
+            {
+                "name": name,
+                "before": found.refit.excess[:, k].tolist(),
+                "alone": found.local[:, k].tolist(),
+                "after": found.closed.excess[:, k].tolist(),
+            }
+            for k, name in enumerate(layout.balances)
+        ],
+        "candidates": []
+        if found.search is None
+        else [
+            {
+                "name": c.name,
+                "unit": c.kind.unit,
+                "value": c.value,
+                "each": list(c.each),
+                "z": list(c.z),
+                "completeness": list(c.completeness),
+                "limit": c.limit,
+                "twins": list(c.kind.twins),
+                "against": c.verdict or None,
+            }
+            for c in found.search.rounds[0]
+        ],
+        "completeness": None if found.search is None else list(found.search.completeness),
+        "values": [
+            {
+                "name": v.name,
+                "unit": v.unit,
+                "simulation": v.delivered,
+                "simulation_sigma": v.delivered_sigma,
+                "found": v.found,
+                "sigma": v.sigma,
+                "differs": v.differs,
+            }
+            for v in found.values
+        ],
+        "experiments": [
+            {"speed": e.speed, "amplitude": e.amplitude, "z": e.z, "z_now": e.now} for e in found.experiments
+        ],
+        "remarks": list(found.remarks),
+        "runs": [{"run": str(r.path), "arcs": len(r.starts), "faults": r.faults} for r in records],
+        "command": source.command,
+        "version": source.version,
+        "files": [{"role": role, "path": path, "sha256": digest} for role, path, digest in source.files],
+    }
+
+
+def command(
+    context: typer.Context,
+    simulation: Annotated[
+        Path, typer.Option("--simulation", metavar="CAD.toml", help="The model that the simulation uses.")
+    ],
+    measured: Annotated[
+        tuple[Path, Path],
+        typer.Option(
+            "--measured", metavar="RUN_A RUN_B", help="Two runs; what is learned from one must hold on the other."
+        ),
+    ],
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="NEW.toml", help="The model to write.")],
+    validate: Annotated[
+        Path | None,
+        typer.Option(
+            "--validate", metavar="RUN_C", help="A third run, from which nothing is learned; the gap is measured on it."
+        ),
+    ] = None,
+    arm: ArmFile = None,
+    report: Annotated[
+        Path | None, typer.Option("--report", metavar="GAP.html", help="Also write a report, one HTML page.")
+    ] = None,
+    json: Json = None,
+) -> None:
+    """Say where simulation and measurement disagree, name the missing effect, add it, and show the gap shrink.
+
+    Balances of energy, motor impulse and momentum are drawn up on cycles that the C library decoded, and compared with
+    those of a simulated twin of the run. The answer is one of: values differ, named, cannot tell these apart, nothing
+    missing above the detection limits, unknown. What is named enters NEW.toml with value, interval and evidence. The
+    gap is the error of predictions half a second ahead on RUN_C, in units of the sensors' noise: with the model as
+    delivered, refit, closed (with what was named), and the floor that noise leaves.
+
+    Exit code 3 when the answer is unknown or cannot tell; then NEW.toml is not written.
+
+    Example: zygos explain --simulation examples/gap/cad.toml --measured A.blf B.blf --validate C.blf -o out/new.toml
+    """
+    explain_run(simulation, measured, validate, arm, out, report, json, context.obj or ["explain"])

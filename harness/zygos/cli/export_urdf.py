@@ -1,0 +1,127 @@
+"""`zygos export`: a URDF with the inertials of a model."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from zygos.arm import load_arm
+from zygos.cli.links import links_as_json, table_of_bodies
+from zygos.cli.options import Json
+from zygos.files.output import check_outputs, counted, note, number, quiet, say, table, write_json, write_text
+from zygos.files.progress import progress
+from zygos.model.model import Model, load_model
+from zygos.model.nearest import DETERMINED, ENTRIES, UNITS, Nearest, entries_of, nearest_bodies
+from zygos.urdf.chain import with_inertials
+from zygos.urdf.exporting import bodies_of, chain_of, comment
+
+
+def export_urdf(
+    arm_file: Path, model_file: Path, urdf: Path, out: Path, cad: Path | None, base: str | None, json: str | None
+) -> None:
+    """Write a URDF with the inertials of a model; see `zygos export --help`."""
+    check_outputs([out, json], [arm_file, model_file, urdf, cad])
+    arm, model = load_arm(arm_file), load_model(model_file)
+    bodies = bodies_of(model_file, model, cad)
+    chain = chain_of(urdf, arm, bodies, base)
+    found: Nearest | None = None
+    if bodies is not model:
+        with progress() as bar:
+            task = bar.add_task("nearest bodies", total=1.0)
+            found = nearest_bodies(arm, bodies, model, lambda share: bar.update(task, completed=share))
+    result = found.model if found else bodies
+    remark = comment(found, model, bodies) if found else f" Inertials by `zygos export`: those of model {model.name}. "
+    write_text(out, with_inertials(urdf, chain.segments, result.bodies, remark))
+    notes = [
+        f"link {segment.link} holds the inertia of {', '.join(segment.merged)} as well, which have none"
+        for segment in chain.segments
+        if segment.merged
+    ]
+    if model.effects:
+        notes.append("a URDF has no place for what [[effect]] says")
+    for line in notes:
+        note(f"note: {line}")
+    if not quiet(out, json):
+        if found:
+            _table_of_entries(found, bodies)
+        else:
+            table_of_bodies(chain, result)
+        say(f"{out}: {urdf.name} with the inertials of {counted(len(result.bodies), 'link')}")
+    if json:
+        links = links_as_json(chain, result)
+        if found:
+            for link, entries in zip(links, _entries(found, bodies), strict=True):
+                link["entries"] = entries
+        write_json(json, {"urdf": str(out), "links": links, "tolerance": DETERMINED if found else None, "notes": notes})
+
+
+def _entries(found: Nearest, cad: Model) -> list[list[dict[str, Any]]]:
+    """For each link, what is known of each entry of its inertial."""
+    return [
+        [
+            {
+                "name": entry,
+                "value": entries_of(body)[k],
+                "cad": entries_of(drawn)[k],
+                "moved": float(found.moved[index, k]),
+                "known": float(found.known[index, k]),
+                "determined": bool(found.determined[index, k]),
+            }
+            for k, entry in enumerate(ENTRIES)
+        ]
+        for index, (body, drawn) in enumerate(zip(found.model.bodies, cad.bodies, strict=True))
+    ]
+
+
+def _table_of_entries(found: Nearest, cad: Model) -> None:
+    rows = [
+        (
+            f"{body.name} {entry['name']}",
+            unit,
+            number(entry["cad"]),
+            number(entry["value"]),
+            f"{entry['moved']:+.2f}",
+            f"{100 * entry['known']:.1f} %",
+            "yes" if entry["determined"] else "no",
+        )
+        for body, entries in zip(found.model.bodies, _entries(found, cad), strict=True)
+        for entry, unit in zip(entries, UNITS, strict=True)
+    ]
+    table(("entry", "unit", "CAD", "nearest", "moved", "known", "determined"), rows)
+    say(
+        "moved: in units of the drawing's sigma · known: how much of it the base parameters take away · "
+        f"determined: no change of more than {DETERMINED:g} units leaves them the same"
+    )
+
+
+def command(
+    arm: Annotated[Path, typer.Option("--arm", metavar="ARM.toml", help="The arm file.")],
+    model: Annotated[
+        Path, typer.Option("--model", metavar="MODEL.toml", help="A model by bodies, or by base parameters.")
+    ],
+    urdf: Annotated[Path, typer.Option("--urdf", metavar="IN.urdf", help="The URDF whose inertials are replaced.")],
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="OUT.urdf", help="The URDF to write.")],
+    cad: Annotated[
+        Path | None,
+        typer.Option(
+            "--cad", metavar="CAD.toml", help="For base parameters: the model by bodies that decides the rest."
+        ),
+    ] = None,
+    base: Annotated[
+        str | None,
+        typer.Option(metavar="LINK", help="The link that the arm begins at. Default: that of the model's first body."),
+    ] = None,
+    json: Json = None,
+) -> None:
+    """Write a URDF with the inertials of a model; all else of the URDF stays as it is.
+
+    Base parameters, as `zygos estimate` writes them, do not determine every inertial. Of all bodies that have them, the
+    nearest to those of --cad are written, and a table says which entries are determined.
+
+    Exit code 3 when no bodies that can exist have these base parameters.
+
+    Example: zygos export --arm arm.toml --model estimate.toml --cad model.toml --urdf arm.urdf -o new.urdf
+    """
+    export_urdf(arm, model, urdf, out, cad, base, json)

@@ -1,0 +1,118 @@
+"""`zygos import`: arm.toml and model.toml from a URDF."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from zygos.arm import load_arm
+from zygos.cli.links import links_as_json, table_of_bodies
+from zygos.cli.options import Json
+from zygos.errors import ZygosError
+from zygos.files.output import check_outputs, counted, note, number, quiet, say, write_json, write_text
+from zygos.model.model import load_model, save_model
+from zygos.urdf.answers import Answers
+from zygos.urdf.chain import Chain, read_chain
+from zygos.urdf.importing import arm_text, model_of
+
+
+def import_urdf(
+    urdf: Path,
+    folder: Path | None,
+    base: str | None,
+    tip: str | None,
+    answers_file: Path | None,
+    template: Path | None,
+    json: str | None,
+) -> None:
+    """Write arm.toml and model.toml from a URDF; see `zygos import --help`."""
+    if (folder is None) == (template is None):
+        raise ZygosError("what is to be written?; remedy: give either -o FOLDER or --template ANSWERS.toml")
+    files = [template] if template else [folder / "arm.toml", folder / "model.toml"] if folder else []
+    check_outputs([*files, json], [urdf, answers_file])
+    for file in files:
+        if file and file.exists():
+            raise ZygosError(f"{file}: exists; remedy: remove it, or name another place")
+    chain, inertials = read_chain(urdf, base, tip)
+    answers = Answers(answers_file, [hinge.name for hinge in chain.hinges])
+    if template:
+        _write_template(template, answers, chain, json)
+        return
+    if sys.stdin.isatty():
+        answers.ask()
+    arm = answers.arm(chain)
+    model = model_of(chain, inertials, answers)
+    assert folder is not None
+    origin = f"From {urdf.name} by `zygos import`, and from answers to what a URDF does not say."
+    try:
+        save_model(model, folder / "model.toml")
+        write_text(folder / "arm.toml", arm_text(arm, origin))
+        load_model(folder / "model.toml").check_fits(load_arm(folder / "arm.toml"))
+    except ZygosError:
+        for file in files:
+            if file:
+                file.unlink(missing_ok=True)
+        raise
+    for line in chain.notes:
+        note(f"note: {line}")
+    if json != "-":
+        table_of_bodies(chain, model)
+        say(
+            f"{folder}: arm.toml and model.toml, {counted(len(chain.hinges), 'joint')}, "
+            f"{number(sum(body.mass.value for body in model.bodies))} kg without rotors"
+        )
+    if json:
+        write_json(
+            json,
+            {
+                "arm": str(folder / "arm.toml"),
+                "model": str(folder / "model.toml"),
+                "joints": [hinge.name for hinge in chain.hinges],
+                "bodies": links_as_json(chain, model),
+                "notes": list(chain.notes),
+            },
+        )
+
+
+def _write_template(template: Path, answers: Answers, chain: Chain, json: str | None) -> None:
+    """Write the questions that are open, instead of the arm."""
+    write_text(template, answers.template(chain))
+    missing = answers.missing()
+    if not quiet(template, json):
+        say(f"{template}: {counted(len(missing), 'value')} to fill in")
+    if json:
+        listed = [{"joint": joint or None, "key": question.key} for joint, question in missing]
+        write_json(json, {"template": str(template), "missing": listed})
+
+
+def command(
+    urdf: Annotated[Path, typer.Argument(metavar="ARM.urdf", help="The URDF of the arm.")],
+    out: Annotated[
+        Path | None,
+        typer.Option("-o", "--out", metavar="FOLDER", help="The folder where arm.toml and model.toml are written."),
+    ] = None,
+    base: Annotated[
+        str | None, typer.Option(metavar="LINK", help="The link that the arm begins at. Default: the root.")
+    ] = None,
+    tip: Annotated[
+        str | None, typer.Option(metavar="LINK", help="The last link of the arm. Default: the only end.")
+    ] = None,
+    answers: Annotated[
+        Path | None, typer.Option(metavar="ANSWERS.toml", help="Says what a URDF does not: motors, sensors, bus.")
+    ] = None,
+    template: Annotated[
+        Path | None, typer.Option(metavar="ANSWERS.toml", help="Write only this file of questions, to be filled in.")
+    ] = None,
+    json: Json = None,
+) -> None:
+    """Make arm.toml and model.toml from a URDF.
+
+    Links behind fixed joints, and branches off the chain, are merged into the link that carries them. Gears, rotors,
+    springs, encoders, gyro and bus are in no URDF: they come from --answers, or are asked for at a terminal.
+
+    Example: zygos import examples/urdf/arm.urdf --answers examples/urdf/answers.toml -o out/arm
+    """
+    import_urdf(urdf, out, base, tip, answers, template, json)

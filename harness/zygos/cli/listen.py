@@ -1,0 +1,137 @@
+"""`zygos listen`: estimate while frames arrive."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import Annotated
+
+import can
+import numpy as np
+import typer
+
+from zygos.arm import load_arm
+from zygos.can import bus
+from zygos.cli.answer import finish_estimate
+from zygos.cli.options import Bitrate, Channel, Interface, Json
+from zygos.cli.shared import check_model_name
+from zygos.errors import Undecided, ZygosError
+from zygos.estimation.watch import Watch
+from zygos.estimation.words import losses
+from zygos.files.output import (
+    check_outputs,
+    counted,
+    note,
+)
+from zygos.files.signals import stop_signals
+from zygos.native.flight import Flight
+
+
+def listen_bus(
+    arm_file: Path,
+    out: Path,
+    interface: str | None,
+    channel: str | None,
+    bitrate: int | None,
+    log: Path | None,
+    duration: float,
+    idle: float,
+    json: str | None,
+) -> None:
+    """Estimate while frames arrive; see `zygos listen --help`."""
+    arm = load_arm(arm_file)
+    check_model_name(out)
+    if log is not None:
+        bus.check_log_name(log)
+    check_outputs([out, log, json], [arm_file])
+    watch = Watch(Flight(arm))
+    flight = watch.flight
+    batch: list[can.Message] = []
+    failures: list[ZygosError] = []
+    where = f"{interface or 'can.conf'} {channel or ''}".strip()
+
+    def fail(error: ZygosError) -> None:
+        note(str(error))
+        failures.append(error)
+
+    with bus.open_bus(interface, channel, bitrate) as source, stop_signals() as stopped:
+        recording = bus.Recording(log) if log is not None else None
+
+        def work_off() -> None:
+            nonlocal recording
+            watch.frames(bus.from_messages(batch))
+            try:
+                if recording is not None:
+                    recording.append(batch)
+            except ZygosError as error:
+                recording = None
+                fail(error)
+            batch.clear()
+
+        note(f"listening to {where}; Ctrl-C ends")
+        begin = shown = time.monotonic()
+        try:
+            for message in bus.receive(
+                source, idle, lambda: stopped() or (duration > 0.0 and time.monotonic() - begin > duration)
+            ):
+                batch.append(message)
+                late = time.monotonic() - shown > 2.0
+                if late or len(batch) >= 256:
+                    work_off()
+                if late:
+                    shown = time.monotonic()
+                    result = flight.estimate()
+                    note(
+                        f"{counted(flight.counts['cycles'], 'cycle'):>16} · {losses(flight)} · "
+                        f"{np.isfinite(result.value).sum()}/{len(result.names)} parameters · {result.validity}"
+                        + (" · the arm changed" if watch.plainest and watch.plainest.changed else "")
+                    )
+        except can.CanError as error:
+            fail(
+                Undecided(
+                    f"{where} failed while listening ({error}), what was learned until then is kept; remedy: see "
+                    "whether the interface is up, and listen again"
+                )
+            )
+        if stopped():
+            note("stopped; keeping what was learned")
+        work_off()
+    if recording is not None:
+        try:
+            recording.finish()
+        except ZygosError as error:
+            fail(error)
+    finish_estimate(flight.estimate(), watch, out, None, json, {"bus": where, "door": "frames"})
+    if failures:
+        sys.exit(failures[0].exit_code)
+
+
+def command(
+    arm: Annotated[Path, typer.Option("--arm", metavar="ARM.toml", help="The arm file.")],
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="MODEL.toml", help="The model to write at the end.")],
+    interface: Interface = None,
+    channel: Channel = None,
+    bitrate: Bitrate = None,
+    log: Annotated[
+        Path | None,
+        typer.Option(metavar="RUN", help="Also record the frames in this CAN log, which appears at the end."),
+    ] = None,
+    duration: Annotated[
+        float, typer.Option(metavar="S", min=0.0, help="Stop after so many seconds; 0: no limit.")
+    ] = 0.0,
+    idle: Annotated[
+        float,
+        typer.Option(
+            metavar="S", min=0.1, help="Stop so many seconds after the last SYNC; the first may take 10 times as long."
+        ),
+    ] = 2.0,
+    json: Json = None,
+) -> None:
+    """Listen to a bus and learn while the frames arrive. Ctrl-C or SIGTERM ends it and keeps what was learned.
+
+    Exit code 3 when something is undecided, or the bus failed; what was learned until then is kept.
+
+    Example: zygos listen -i socketcan -c vcan0 --arm examples/paper/arm.toml -o out/live.toml
+    """
+    listen_bus(arm, out, interface, channel, bitrate, log, duration, idle, json)

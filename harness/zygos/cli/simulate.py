@@ -1,0 +1,168 @@
+"""`zygos simulate`: a scenario becomes a recorded run."""
+
+from __future__ import annotations
+
+import time
+from contextlib import nullcontext
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import can
+import numpy as np
+import typer
+from numpy.typing import NDArray
+
+from zygos.arm import Arm, load_arm
+from zygos.can import bus
+from zygos.cli.options import Bitrate, Channel, Interface, Json
+from zygos.dynamics.equations import ENGINES
+from zygos.errors import ZygosError
+from zygos.files.output import (
+    check_outputs,
+    counted,
+    is_dash,
+    named,
+    number,
+    quiet,
+    say,
+    table,
+    write_bytes,
+    write_json,
+)
+from zygos.files.progress import progress
+from zygos.model.model import load_model
+from zygos.native.flight import encode
+from zygos.simulation.plant import simulate
+from zygos.simulation.scenario import load_scenario
+
+
+def simulate_run(
+    scenario_file: Path,
+    out: Path,
+    model_file: Path | None,
+    seed: int | None,
+    noise: bool | None,
+    engine: str,
+    interface: str | None,
+    channel: str | None,
+    bitrate: int | None,
+    json: str | None,
+) -> None:
+    """Simulate a scenario and record its traffic; see `zygos simulate --help`."""
+    if not is_dash(out):
+        bus.check_log_name(out)
+    chosen = next((name for name in ENGINES if name == engine), None)
+    if chosen is None:
+        raise ZygosError(f"there is no engine {engine!r}; remedy: one of {', '.join(ENGINES)}")
+    scenario = load_scenario(scenario_file)
+    arm_file = scenario.arm
+    arm = load_arm(arm_file)
+    beside = None if is_dash(out) else out.parent / "arm.toml"
+    check_outputs([out, json], [scenario_file, arm_file, scenario.plant, model_file, beside])
+    if beside and beside.exists() and beside.read_bytes() != arm_file.read_bytes():
+        raise ZygosError(
+            f"{beside} describes another arm than {arm_file}; remedy: write the run into another folder, or "
+            "remove that file"
+        )
+    if seed is not None:
+        scenario = replace(scenario, seed=seed)
+    model = load_model(model_file or scenario.plant)
+    wanted = interface is not None or channel is not None
+    with bus.open_bus(interface, channel, bitrate) if wanted else nullcontext() as wire:
+        with progress() as bar:
+            task = bar.add_task("simulating", total=1.0)
+            trajectory = simulate(
+                arm,
+                model,
+                scenario,
+                engine=chosen,
+                noise=noise,
+                progress=lambda share: bar.update(task, completed=share),
+            )
+        cycles = trajectory.cycles(0)
+        frames = encode(arm, cycles)
+        bus.write_log(out, frames, arm.period_s)
+        if beside and not beside.exists():
+            write_bytes(beside, arm_file.read_bytes())
+        if wire is not None:
+            send(wire, frames, arm, out)
+    ranges = [
+        ("rotor torque", "Nm", float(np.abs(cycles.tau).max())),
+        ("link angle", "rad", float(np.abs(cycles.q).max())),
+        ("deflection", "rad", float(np.abs(cycles.theta - cycles.q).max())),
+        ("base rate", "rad/s", float(np.abs(cycles.omega).max())),
+    ]
+    summary = {
+        "run": str(out),
+        "arm": str(beside or arm_file),
+        "seed": scenario.seed,
+        "engine": chosen,
+        "cycles": len(cycles),
+        "frames": len(frames),
+        "duration_s": len(cycles) * arm.period_s,
+        "largest": {name: value for name, _, value in ranges},
+    }
+    if not quiet(out, json):
+        table(("largest", "unit", ""), [(name, unit, number(value, 4)) for name, unit, value in ranges])
+        say(f"{out}: {counted(len(cycles), 'cycle')}, {counted(len(frames), 'frame')}, seed {scenario.seed}")
+    if json:
+        write_json(json, summary)
+
+
+def send(wire: can.BusABC, frames: NDArray[Any], arm: Arm, run: Path) -> None:
+    """Send the frames of a run that is already recorded; each cycle waits for its time."""
+    messages = bus.to_messages(frames, arm.period_s)
+    with progress() as bar:
+        task = bar.add_task("sending", total=len(messages))
+        begin = time.monotonic()
+        for message in messages:
+            delay = begin + message.timestamp - time.monotonic()
+            if delay > 0.0:
+                time.sleep(delay)
+            try:
+                wire.send(message, timeout=2.0)
+            except (can.CanError, OSError) as error:
+                raise ZygosError(
+                    f"the bus took no more frames ({error}); {named(run)} is written; remedy: see whether the bus is "
+                    "up and another node acknowledges, then send the run with python-can's `can_player`"
+                ) from error
+            bar.advance(task)
+
+
+def command(
+    scenario: Annotated[Path, typer.Argument(metavar="SCENARIO.toml", help="The scenario, which names arm and plant.")],
+    out: Annotated[
+        Path, typer.Option("-o", "--out", metavar="RUN", help="The CAN log to write; - writes lines of candump.")
+    ],
+    model: Annotated[
+        Path | None,
+        typer.Option("--model", metavar="MODEL", help="Simulate this plant instead of the scenario's."),
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(metavar="N", min=0, help="Seed of the sensor noise. Default: the scenario's.")
+    ] = None,
+    noise: Annotated[
+        bool | None,
+        typer.Option("--noise/--no-noise", help="Whether sensors are noisy. Default: as the scenario says."),
+    ] = None,
+    engine: Annotated[
+        str,
+        typer.Option(
+            metavar="ENGINE", help="Whose equations of motion are integrated: those of zygos, pinocchio or mujoco."
+        ),
+    ] = "zygos",
+    interface: Interface = None,
+    channel: Channel = None,
+    bitrate: Bitrate = None,
+    json: Json = None,
+) -> None:
+    """Simulate a run: plant, servo and sensors, recorded as the CAN traffic they would cause.
+
+    Writes RUN, and a copy of the arm file beside it as arm.toml. The plant's true values are written nowhere. With
+    -i and -c the frames are also sent on that bus, at the pace of the SYNCs. With --engine, Pinocchio or MuJoCo move
+    the same bodies by their own equations; those know no effects.
+
+    Example: zygos simulate examples/paper/scenario.toml -o out/run.blf
+    """
+    simulate_run(scenario, out, model, seed, noise, engine, interface, channel, bitrate, json)

@@ -1,0 +1,1 @@
+"""The demonstration that `make` runs: the paper's example from simulated frames to a scored report."""

@@ -1,0 +1,8 @@
+"""`python -m zygos.demo`, the main job of `make`."""
+
+from zygos.demo.demonstration import run_demo
+from zygos.files.output import errors_end_the_program
+
+if __name__ == "__main__":
+    with errors_end_the_program():
+        run_demo()

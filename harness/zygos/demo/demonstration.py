@@ -1,0 +1,258 @@
+"""The main job: the paper's example from CAN frames to parameters, a gap explained, and their report.
+
+Each step is a process of its own, and the one that estimates is given no file with true values: `zygos simulate` writes
+a log, its frames cross a bus, `zygos estimate` and numpy read what arrived, and only then does the scorer open the
+plant's model.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zygos import reference
+from zygos.arm import Arm, load_arm
+from zygos.can import bus
+from zygos.demo.page import Convergence, write_report
+from zygos.errors import ZygosError
+from zygos.estimation.words import losses
+from zygos.files.output import check_outputs, note, number, ratio, say, table, write_json
+from zygos.model.model import load_model
+from zygos.native.flight import Estimate, Flight, Trace
+from zygos.reference.compare import decode
+from zygos.simulation.scenario import load_scenario
+from zygos.simulation.score import score
+
+EXAMPLE, GAP = Path("examples/paper"), Path("examples/gap")
+SNAPSHOT_CYCLES = 20
+
+
+def choose_bus() -> tuple[str, str]:
+    """python-can's interface and channel: vcan0 if the machine has one and it is up, else the in-process bus."""
+    flags = Path("/sys/class/net/vcan0/flags")
+    if flags.exists() and int(flags.read_text(), 16) & 1:
+        return "socketcan", "vcan0"
+    return "virtual", "zygos"
+
+
+def zygos(*arguments: str | Path) -> None:
+    """Run a zygos command in a process of its own."""
+    command = [sys.executable, "-m", "zygos.cli", *map(str, arguments)]
+    if subprocess.run(command, check=False, stdout=subprocess.DEVNULL).returncode != 0:
+        raise ZygosError(f"`zygos {' '.join(map(str, arguments))}` failed; remedy: see its message above")
+
+
+def converge(arm: Arm, frames: NDArray[Any]) -> Convergence:
+    """Estimates of the C library while the run goes on, one every second of the run."""
+    flight = Flight(arm)
+    starts = np.flatnonzero(frames["id"] == 0x080)
+    time_s, values, halves = [], [], []
+    for first, last in zip(
+        starts[:-1:SNAPSHOT_CYCLES], [*starts[SNAPSHOT_CYCLES::SNAPSHOT_CYCLES], len(frames)], strict=False
+    ):
+        flight.frames(frames[first:last])
+        now = flight.estimate()
+        time_s.append(now.cycle * arm.period_s)
+        values.append(now.value)
+        halves.append(now.half95)
+    return Convergence(np.array(time_s), np.array(values), np.array(halves))
+
+
+def explain_gap(folder: Path) -> dict[str, Any]:
+    """Explain the logs of examples/gap/demo, in which an effect is hidden, and compare with what was sealed.
+
+    Writes folder/gap.html, folder/gap.json and folder/explained.toml. Errors: ZygosError if a log is not the one that
+    was sealed, or if nothing could be named.
+    """
+    logs = [GAP / "demo" / f"{name}.blf" for name in "abc"]
+    verdict_file, report = folder / "gap.json", folder / "gap.html"
+    arguments: list[str | Path] = [
+        "--simulation",
+        GAP / "cad.toml",
+        "--measured",
+        logs[0],
+        logs[1],
+        "--validate",
+        logs[2],
+    ]
+    arguments += [
+        "--arm",
+        GAP / "arm.toml",
+        "-o",
+        folder / "explained.toml",
+        "--report",
+        report,
+        "--json",
+        verdict_file,
+    ]
+    zygos("explain", *arguments)
+
+    # The scorer: the verdict is on disk, and nothing below changes it.
+    verdict = json.loads(verdict_file.read_text())
+    sealed = json.loads((GAP / "demo" / "sealed.json").read_text())
+    for log in logs:
+        if hashlib.sha256(log.read_bytes()).hexdigest() != sealed["sha256"][log.name]:
+            raise ZygosError(f"{log} is not the log that was sealed; remedy: `make demo-log`, or restore it from git")
+    if not verdict["findings"]:
+        raise ZygosError(f"nothing was named: {verdict['sentence']}; remedy: see {report}")
+    found, gap = verdict["findings"][0], verdict["gap"]
+    return {
+        "hidden": sealed["hidden"],
+        "named": found["effect"],
+        "where": found["joint"],
+        "right": [(f["effect"], f["joint"]) for f in verdict["findings"]] == [(sealed["hidden"], sealed["where"])],
+        "title": found["title"],
+        "size": sealed["size"],
+        "value": found["value"],
+        "interval": found["interval"],
+        "unit": found["unit"],
+        "sentence": verdict["sentence"],
+        "report": report.name,
+        **{name: gap[name] for name in ("as_delivered", "refit", "closed", "floor")},
+    }
+
+
+@dataclass(frozen=True)
+class Learned:
+    """What came of the paper's example."""
+
+    arm: Arm
+    trace: Trace
+    estimate: Estimate
+    numpy_value: NDArray[np.float64]
+    """(p,) by the batch reference."""
+    true: NDArray[np.float64]
+    """(p,) opened after the estimate was written."""
+    convergence: Convergence
+    losses: str
+    content: dict[str, Any]
+    """The part of demo.json."""
+
+
+def learn(folder: Path) -> Learned:
+    """Simulate the paper's example, send its frames across a bus, estimate, score. Writes run, arm and estimate."""
+    folder.mkdir(parents=True, exist_ok=True)
+    sent, run = folder / "sent.blf", folder / "run.blf"
+    estimate_file, estimate_json = folder / "estimate.toml", folder / "estimate.json"
+    (folder / "arm.toml").unlink(missing_ok=True)
+    estimate_file.unlink(missing_ok=True)
+
+    note("simulating the paper's arm …")
+    zygos("simulate", EXAMPLE / "scenario.toml", "-o", sent)
+    arm_file = folder / "arm.toml"
+    arm = load_arm(arm_file)
+
+    interface, channel = choose_bus()
+    name = f"{interface} {channel}" + ("" if interface == "socketcan" else " (in-process: this machine has no vcan0)")
+    note(f"sending its frames over {name} …")
+    frames = bus.transfer(bus.read_log(sent).frames, arm.period_s, interface, channel)
+    bus.write_log(run, frames, arm.period_s)
+
+    flight = Flight(arm)
+    trace = flight.frames(frames, trace=True)
+    assert trace is not None
+    if any(flight.faults.values()):
+        seen = ", ".join(f"{fault} {count}" for fault, count in flight.faults.items() if count)
+        raise ZygosError(
+            f"frames were lost or damaged on {interface} {channel} ({seen}); remedy: see that nothing else sends on "
+            "that bus, and run again"
+        )
+
+    note("learning …")
+    zygos("estimate", run, "--arm", arm_file, "-o", estimate_file, "--json", estimate_json)
+    estimate = flight.estimate()
+    numpy_value = reference.chain(arm, decode(arm, frames).cycles).solution.x
+    convergence = converge(arm, frames)
+
+    # The scorer: the estimate is on disk, and nothing below changes it.
+    written = load_model(estimate_file).base_values(arm)
+    scenario = load_scenario(EXAMPLE / "scenario.toml")
+    true = load_model(scenario.plant).base_values(arm)
+    percent = score(written, true).error_percent
+    parameters: list[dict[str, Any]] = [
+        {
+            "name": n,
+            "unit": u,
+            "true": float(t),
+            "numpy": float(x),
+            "c": float(c),
+            "half95": float(h),
+            "error_percent": float(e),
+        }
+        for n, u, t, x, c, h, e in zip(
+            arm.parameter_names, arm.parameter_units, true, numpy_value, written, estimate.half95, percent, strict=True
+        )
+    ]
+    content: dict[str, Any] = {
+        "bus": f"{interface} {channel}",
+        "validity": estimate.validity,
+        "cycles": flight.counts["cycles"],
+        "faults": flight.faults,
+        "parameters": parameters,
+    }
+    return Learned(arm, trace, estimate, numpy_value, true, convergence, losses(flight), content)
+
+
+def run_demo(folder: Path = Path("out/demo")) -> None:
+    """Learn the paper's arm; explain a gap; report. Writes folder/report.html and folder.json."""
+    begin = time.monotonic()
+    check_outputs([folder / "report.html", folder.with_suffix(".json")], [])
+    learned = learn(folder)
+    content = learned.content
+    note("explaining a gap in which an effect is hidden …")
+    gap = content["gap"] = explain_gap(folder)
+    write_json(folder.with_suffix(".json"), content)
+    write_report(
+        folder / "report.html",
+        learned.arm,
+        learned.trace,
+        learned.estimate,
+        learned.numpy_value,
+        learned.true,
+        learned.convergence,
+        content,
+    )
+
+    table(
+        ("name", "unit", "true", "estimate", "±95 %", "error", "C vs numpy"),
+        [
+            (
+                p["name"],
+                p["unit"],
+                number(p["true"], 7),
+                number(p["c"], 7),
+                f"{100 * ratio(p['half95'], p['c']):.2f} %",
+                f"{p['error_percent']:+.2f} %",
+                f"{abs(ratio(p['c'], p['numpy']) - 1):.0e}",
+            )
+            for p in content["parameters"]
+        ],
+    )
+    mean = float(np.mean([abs(p["error_percent"]) for p in content["parameters"]]))
+    say(
+        f"arm {learned.arm.name} · bus {content['bus']} · {content['cycles']:,} cycles · {learned.losses} · "
+        f"mean |error| {mean:.2f} % · {time.monotonic() - begin:.0f} s"
+    )
+    shrinks = ", ".join(
+        f"{number(gap[key], 3)} {word}"
+        for key, word in {
+            "as_delivered": "as delivered",
+            "refit": "refit",
+            "closed": "closed",
+            "floor": "floor",
+        }.items()
+    )
+    say(
+        f"hidden effect: {'found' if gap['right'] else 'MISNAMED as'} {gap['title']}, {gap['where']}, "
+        f"{number(gap['value'], 4)} {gap['unit']} (hidden: {gap['size']}) · gap, sigma: {shrinks}"
+    )
+    say(f"report: {folder / 'report.html'} · numbers: {folder.with_suffix('.json')}")

@@ -1,0 +1,79 @@
+"""The equations of motion of `zygos.dynamics.serial`, compiled (c/ports/host/multibody.c).
+
+Only the bodies are: what springs, friction and other effects do remains what their laws in Python say. The compiled
+code sums the same matrix in another order of work, and shares nothing with the library that estimates.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from zygos.balances.kinematics import across
+from zygos.dynamics.serial import SpatialDynamics
+from zygos.native.flight import ffi, lib
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Multibody(SpatialDynamics):
+    """Any arm of `SpatialDynamics`, whose accelerations it has from one call of compiled code for all states."""
+
+    @cached_property
+    def _compiled(self) -> tuple[Any, int, list[Any]]:
+        """The arm for the compiled code, the doubles that it works in, and the memory that must outlive it."""
+        axes = np.array([joint.axis for joint in self.arm.joints])
+        mounts = np.stack([Rotation.from_euler("xyz", joint.frame_rpy).as_matrix() for joint in self.arm.joints])
+        along = axes[:, :, None] * axes[:, None, :]
+        # Rodrigues: what of a turn about the axis is constant, what goes with its cosine and what with its sine
+        turning = np.stack([along, np.eye(3) - along, np.cross(np.eye(3), axes[:, None, :])], axis=1)
+        fields: dict[str, Array] = {
+            "turn": mounts[:, None] @ turning,
+            "axis": axes,
+            "across": np.stack([across(axis).T for axis in axes]),
+            "matrix": self.matrix,
+            "moment": self.moments,
+            "gravity": np.array(self.arm.gravity),
+            "ratio": self.gear_ratio,
+            "rotor": self.rotor_inertia,
+            "coupling": self.coupling,
+        }
+        native = ffi.new("zygos_multibody_t *", {"joints": self.n, "floating": int(self.arm.free)})
+        kept: list[Any] = [native]
+        for name, values in fields.items():
+            kept.append(ffi.from_buffer("double[]", np.ascontiguousarray(values, dtype=np.float64)))
+            setattr(native, name, kept[-1])
+        kept.append(ffi.from_buffer("uint8_t[]", self.rigid.astype(np.uint8)))
+        native.rigid = kept[-1]
+        return native, int(lib.zygos_multibody_scratch(self.n)), kept
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but what points into this process: a copy makes its own."""
+        return {name: value for name, value in self.__dict__.items() if name != "_compiled"}
+
+    def accelerations(
+        self, q: Array, theta: Array, omega0: Array, qd: Array, thetad: Array, tau: Array
+    ) -> tuple[Array, Array, Array]:
+        """As `SpatialDynamics.accelerations`."""
+        spring, motor_loss, link_loss = self._forces(q, theta, qd, thetad)
+        n, batch = self.n, q.shape[:-1]
+        state = np.empty((*batch, 3 + 6 * n))
+        state[..., :3] = omega0
+        for k, part in enumerate((q, qd, thetad, spring, tau - motor_loss, -link_loss)):
+            state[..., 3 + k * n : 3 + (k + 1) * n] = part
+        native, room, _ = self._compiled
+        result = np.empty((*batch, 3 + 2 * n))
+        lib.zygos_multibody_accelerations(
+            native,
+            result.size // (3 + 2 * n),
+            ffi.from_buffer("double[]", state),
+            ffi.from_buffer("double[]", result),
+            ffi.from_buffer("double[]", np.empty(room)),
+        )
+        return result[..., :3], result[..., 3 : 3 + n], result[..., 3 + n :]

@@ -1,0 +1,158 @@
+"""Equations of motion of the planar free-floating arm, from its base parameters and effects alone (docs/theory.md).
+
+Body i (0 = base) turns at the absolute rate f_i; f_0 = omega_0, f_i = f_{i-1} + qd_i; phi_i is its absolute angle. With
+c = phi_j - phi_i the kinetic energy of Nanos & Papadopoulos eq. (11) is
+
+    T = 1/2 sum_i a_ii f_i^2 + sum_{i<j} f_i f_j [a_ij cos c + b_ij sin c]
+        + sum_i [1/2 Im_i n_i^2 thetad_i^2 + Im_i n_i thetad_i f_{i-1}]
+
+and its Lagrange equations in (phi_0 .. phi_N, theta_1 .. theta_N) are solved here for the accelerations. Nothing else
+of the arm is needed: neither masses nor lengths, and no state of the base beyond its rate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from zygos.arm import Arm
+from zygos.dynamics.joints import Drives, by_name, drives
+from zygos.effects import Effect
+from zygos.errors import ZygosError
+from zygos.model.model import Model
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanarDynamics(Drives):
+    """A planar arm of N joints. Every method takes arrays with any leading batch axes."""
+
+    a: Array
+    """(N+1, N+1) symmetric a_ij, kg m^2."""
+    b: Array
+    """(N+1, N+1) antisymmetric b_ij (b[i, j] = b_ij for i < j), kg m^2; zero for a planar-symmetric arm."""
+
+    @classmethod
+    def from_model(cls, arm: Arm, model: Model) -> PlanarDynamics:
+        """Dynamics of a model, its effects included. Errors: as `from_parameters`, and what does not fit the arm."""
+        return cls.from_parameters(arm, model.base_values(arm), model.effects)
+
+    @classmethod
+    def from_parameters(cls, arm: Arm, values: ArrayLike, effects: Sequence[Effect] = ()) -> PlanarDynamics:
+        """Dynamics from base parameters in the order of `arm.parameter_names`, shape (p,), and effects.
+
+        Errors: ZygosError if the number of values is not p or if some posture would have negative kinetic energy.
+        """
+        value = by_name(arm, values)
+        bodies = arm.n + 1
+        a = np.zeros((bodies, bodies))
+        b = np.zeros((bodies, bodies))
+        for i in range(bodies):
+            for j in range(i, bodies):
+                a[i, j] = a[j, i] = value[f"a{i}{j}"]
+                if i < j:
+                    b[i, j] = value.get(f"b{i}{j}", 0.0)
+                    b[j, i] = -b[i, j]
+        dynamics = cls(a=a, b=b, **drives(arm, value, effects))
+        if dynamics.margin <= 0.0:
+            raise ZygosError(
+                f"arm {arm.name}: these a_ij give negative kinetic energy in some posture (smallest "
+                f"eigenvalue {dynamics.margin:g} kg m^2); remedy: take the a_ij from one set of masses "
+                "and lengths, they cannot be varied independently"
+            )
+        return dynamics
+
+    @cached_property
+    def margin(self) -> float:
+        """Smallest eigenvalue of the inertia matrix over all postures, rotors free, kg m^2.
+
+        f_i exp(i phi_i) ranges over all complex vectors, so the Hermitian matrix a + ib less the rotors decides.
+        """
+        carried = np.append(self.coupling**2 * self.rotor_inertia, 0.0)
+        return float(np.linalg.eigvalsh(self.a - np.diag(carried) + 1j * self.b)[0])
+
+    def rates(self, omega0: ArrayLike, qd: Array) -> Array:
+        """(..., N+1) absolute rates f from the base rate (...,) and the joint rates (..., N), rad/s."""
+        return np.cumsum(np.concatenate([np.asarray(omega0, dtype=np.float64)[..., None], qd], axis=-1), axis=-1)
+
+    def inertia(self, q: Array) -> tuple[Array, Array]:
+        """The matrix G of the kinetic energy in the absolute rates and its derivative, both (..., N+1, N+1).
+
+        G[i, j] = a_ij cos c + b_ij sin c; the second is dG[i, j]/dphi_j, c = phi_j - phi_i.
+        """
+        phi = np.cumsum(np.concatenate([np.zeros_like(q[..., :1]), q], axis=-1), axis=-1)
+        angle = phi[..., None, :] - phi[..., :, None]
+        cosine, sine = np.cos(angle), np.sin(angle)
+        return self.a * cosine + self.b * sine, self.b * cosine - self.a * sine
+
+    @cached_property
+    def rotor_mass(self) -> Array:
+        """(N+1, N+1) what the rotors add to the inertia matrix once their own accelerations are eliminated."""
+        mass = -np.diag(np.append(np.where(self.rigid, 0.0, self.coupling**2 * self.rotor_inertia), 0.0))
+        for i in np.flatnonzero(self.rigid):
+            turn, carrier = np.zeros(self.n + 1), np.zeros(self.n + 1)
+            turn[i], turn[i + 1], carrier[i] = -1.0, 1.0, 1.0
+            rotor = self.rotor_inertia[i] * self.gear_ratio[i]
+            both = np.outer(turn, carrier)
+            mass += rotor * self.gear_ratio[i] * np.outer(turn, turn) + rotor * self.coupling[i] * (both + both.T)
+        return mass
+
+    def accelerations(
+        self, q: Array, theta: Array, omega0: ArrayLike, qd: Array, thetad: Array, tau: Array
+    ) -> tuple[Array, Array, Array]:
+        """Accelerations (base (...,), joints (..., N), motors after the gear (..., N)), rad/s^2.
+
+        q, theta rad; omega0, qd, thetad rad/s; tau the rotor torque before the gear, Nm (Nanos & Papadopoulos
+        eqs. (14)-(18) in absolute angles, docs/theory.md).
+        """
+        f = self.rates(omega0, qd)
+        inertia, slope = self.inertia(q)
+        spring, motor_loss, link_loss = self._forces(q, theta, qd, thetad)
+        ratio = self.gear_ratio
+        drive = tau - motor_loss
+        # a rigid gear hands on what drives the rotor, a spring what it holds
+        rigid = self.rigid.any()
+        force = (np.where(self.rigid, ratio * drive, spring) if rigid else spring) - link_loss
+        right = -(slope @ (f * f)[..., None])[..., 0]
+        right[..., 1:] += force
+        # rotor i pushes off the body that carries it, with what its motor and the reaction of its gear leave over
+        pushed = self.coupling * (drive - spring / ratio)
+        right[..., :-1] -= force + (np.where(self.rigid, 0.0, pushed) if rigid else pushed)
+        absolute = np.asarray(np.linalg.solve(inertia + self.rotor_mass, right[..., None])[..., 0], dtype=np.float64)
+        joint = absolute[..., 1:] - absolute[..., :-1]
+        motor = (ratio * drive - spring) / (ratio * ratio * self.rotor_inertia)
+        motor -= self.coupling * absolute[..., :-1] / ratio
+        return absolute[..., 0], joint, np.where(self.rigid, joint, motor) if rigid else motor
+
+    def kinetic_energy(self, q: Array, omega0: ArrayLike, qd: Array, thetad: Array) -> Array:
+        """(...,) kinetic energy T, J, without that of the mass centre (Nanos & Papadopoulos eq. (11))."""
+        f = self.rates(omega0, qd)
+        carried = self.coupling * f[..., :-1]
+        rotor = self.rotor_inertia * self.gear_ratio * thetad * (0.5 * self.gear_ratio * thetad + carried)
+        energy: Array = 0.5 * np.einsum("...i,...ij,...j->...", f, self.inertia(q)[0], f) + rotor.sum(axis=-1)
+        return energy
+
+    def momentum(self, q: Array, omega0: ArrayLike, qd: Array, thetad: Array) -> Array:
+        """(...,) angular momentum h about the mass centre along the joint axis, Nms."""
+        rotor = self.coupling * self.rotor_inertia * self.gear_ratio * thetad
+        total: Array = (self.inertia(q)[0] @ self.rates(omega0, qd)[..., None]).sum(axis=(-2, -1)) + rotor.sum(axis=-1)
+        return total
+
+    def base_rate(
+        self,
+        q: Array,
+        momentum: float | Array,
+        qd: Sequence[float] | Array | None = None,
+        thetad: Sequence[float] | Array | None = None,
+    ) -> Array:
+        """(...,) base rate omega_0, rad/s, at which the arm has the given angular momentum, Nms."""
+        joint = np.zeros_like(q) if qd is None else np.broadcast_to(np.asarray(qd, dtype=np.float64), q.shape)
+        motor = np.zeros_like(q) if thetad is None else np.broadcast_to(np.asarray(thetad, dtype=np.float64), q.shape)
+        rest = self.momentum(q, np.zeros(q.shape[:-1]), joint, motor)
+        rate: Array = (momentum - rest) / self.inertia(q)[0].sum(axis=(-2, -1))
+        return rate

@@ -1,0 +1,195 @@
+"""What was measured behind the reason of an estimate that is not valid, and what helps against it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from zygos.arm import Arm
+from zygos.balances.energy import energy_columns
+from zygos.balances.kinematics import State
+from zygos.files.output import counted, number
+from zygos.native.flight import GATE, REASONS, Estimate, Flight
+
+NO_FRAMES = frozenset({"incomplete", "dropped", "sync_jumped", "time_lost", "time_jumped", "overrun", "bus_error"})
+"""Fault counters that count something else than rejected frames."""
+MANY_DROPPED = 0.02
+"""Share of the cycles whose loss is worth a word before anything else."""
+LEAST_BLOCKS, INSTANTS_PER_PARAMETER = 8, 3
+"""What a solution needs at the least, as in the C library."""
+NO_DATA, NOT_IDENTIFIABLE, TOO_FAST, NOT_PHYSICAL, _, UNCLOSED, NOISE, DECLARED, CHANGED, UNEXPLAINED = REASONS[1:]
+_NEGATIVE_SIGMAS = 3.0
+_LISTED = 6
+"""Names in a sentence."""
+
+
+@dataclass(frozen=True)
+class Known:
+    """How much was known at some time of a run."""
+
+    cycles: int
+    parameters: int
+    """Those with a value."""
+
+
+def structural_rank(arm: Arm) -> int:
+    """How many combinations of the arm's parameters (effects apart) any motion can determine.
+
+    The rank of the energy columns at random states: what is missing to `len(arm.parameter_names)` is a matter of the
+    arm's geometry, parallel or perpendicular axes for instance, and no motion changes it.
+    """
+    rng = np.random.default_rng(0)
+    p = len(arm.parameter_names)
+    shape = (4 * p + 8, arm.n)
+    rigid = np.array([not joint.flexible for joint in arm.joints])
+    q, qd = rng.uniform(-np.pi, np.pi, shape), rng.normal(size=shape)
+    theta = np.where(rigid, q, q + rng.normal(size=shape))
+    thetad = np.where(rigid, qd, qd + rng.normal(size=shape))
+    spin = rng.normal(size=(shape[0], 3)) * (1.0 if arm.free else 0.0)
+    state = State(q, theta, qd, thetad, spin if arm.spatial else spin @ arm.axis)
+    columns = energy_columns(arm, state, rng.uniform(size=shape))
+    columns = columns - columns.mean(axis=0)
+    length = np.linalg.norm(columns, axis=0)
+    size = np.linalg.svd(columns / np.where(length > 0.0, length, 1.0), compute_uv=False)
+    return int(np.count_nonzero(size > 1e-9 * size[0]))
+
+
+def measured(result: Estimate, flight: Flight) -> str:
+    """The number behind the reason; empty where it has none."""
+    if flight.counts["cycles"] == 0:
+        return "not one whole cycle of this arm came"
+    share = flight.unexplained(result)
+    said = {
+        NOT_IDENTIFIABLE: f"rank {result.rank} of {len(result.names)}",
+        UNEXPLAINED: f"{100 * share:.3g} % of the work's variance is left over, rank {result.rank} of "
+        f"{len(result.names)}",
+        UNCLOSED: f"{100 * share:.3g} % of the work's variance is left over and adds up {number(result.cluster, 3)} "
+        "times in a block, where noise does once",
+        NOISE: f"in some combination the motion's square is {number(result.gate, 2)} times that of the noise, "
+        f"{GATE:g} is the least",
+        DECLARED: f"the residuals' square is {number(result.noise_ratio, 2)} of the declared noise's",
+    }
+    return said.get(result.reason, "") if result.rank else ""
+
+
+def remedy(result: Estimate, flight: Flight, known: Sequence[Known] = ()) -> str:
+    """What helps: what the bus did wrong comes first, for it spoils everything behind it.
+
+    known: what was known at earlier times of the run, which tells whether a longer one helps.
+    """
+    of_the_bus = _bus(flight)
+    if of_the_bus:
+        return of_the_bus
+    if result.reason == NO_DATA:
+        return _more(result, flight)
+    if result.reason == NOT_PHYSICAL:
+        return _unphysical(result, flight)
+    return _FIXED.get(result.reason) or _motion(result, flight, known)
+
+
+_CHECK = "check signs, gear ratios, zeros and the torque_law of the arm file (`zygos check-arm`)"
+_CLOSE = (
+    f"{_CHECK}; friction, cubic springs and torque lag are in the balance only where --model names them, noise of the "
+    "torques and torques on the base never"
+)
+_FIXED = {
+    TOO_FAST: "a higher SYNC rate, a shorter smoother window, or a slower motion",
+    UNCLOSED: _CLOSE,
+    UNEXPLAINED: _CLOSE,
+    NOISE: "a larger or faster motion of every joint, or sensors declared as they are (quanta, rate_sigma); more of "
+    "the same motion does not change that ratio",
+    DECLARED: "state the sensors of the arm file as they are: counts or quantum_rad, rate_sigma",
+    CHANGED: "split the log where the arm changed, or let old arcs fade ([arc] memory_min); on board zygos_restart()",
+}
+
+
+def _bus(flight: Flight) -> str:
+    faults, cycles = flight.faults, flight.counts["cycles"]
+    largest = sorted(((count, name) for name, count in faults.items() if count and name != "dropped"), reverse=True)
+    seen = ", ".join(f"{name} {count:,}" for count, name in largest[:3])
+    if cycles == 0:
+        if flight.counts["invalid"]:
+            seen = f"{counted(flight.counts['invalid'], 'cycle')} invalid, not finite or beyond all reason"
+        came = f"the fault counters say {seen}" if seen else "no frame of this arm came"
+        return f"no cycle was complete and {came}: compare the node numbers and the gyro of the arm file with the bus"
+    found = []
+    if faults["dropped"] > MANY_DROPPED * (cycles + faults["dropped"]):
+        found.append(f"the bus loses or damages frames, or some are not as the arm file says ({seen}): repair that")
+    if flight.counts["apart"] > MANY_DROPPED * cycles:
+        found.append("link and motor angle of a joint read more than 8 turns apart: check unit, side, sign and zeros")
+    if faults["time_lost"]:
+        found.append("FTIME (0x3A0) must come at least every 100 cycles")
+    if faults["time_jumped"]:
+        found.append("period_s of the arm file disagrees with the clock of the bus, or SYNCs are lost")
+    return "; ".join(found)
+
+
+def _more(result: Estimate, flight: Flight) -> str:
+    """Against too few instants."""
+    cycles, needed = flight.counts["cycles"], INSTANTS_PER_PARAMETER * len(result.names)
+    if result.accepted + result.refused == 0:
+        return (
+            f"longer unbroken stretches: {counted(cycles, 'cycle')} in {counted(flight.counts['gaps'] + 1, 'piece')} "
+            f"gave no instant, the smoother needs {flight.arm.smoother.points} cycles at a stretch, the balance three "
+            "more"
+        )
+    if result.refused > result.accepted:
+        return (
+            f"a higher SYNC rate, a shorter smoother window, or a slower motion: {result.refused:,} of "
+            f"{counted(result.accepted + result.refused, 'instant')} failed the bandwidth test"
+        )
+    if result.accepted < needed:
+        return f"a longer run: {counted(result.accepted, 'instant')} were accepted, {needed} are needed"
+    return (
+        f"a longer run, or shorter arcs ([arc] max_s): its {counted(result.accepted, 'instant')} make "
+        f"{counted(result.blocks, 'block')}, {LEAST_BLOCKS} are needed to say how sure the values are"
+    )
+
+
+def _unphysical(result: Estimate, flight: Flight) -> str:
+    found = dict(zip(result.names, zip(result.value, result.sigma, strict=True), strict=True))
+    never_negative = [name for _, _, name in _joint_names(flight.arm)] + [
+        effect.column(flight.arm) for effect in flight.effects if effect.kind.positive
+    ]
+    below = {name: found[name] for name in never_negative if name in found and found[name][0] <= 0.0}
+    if not below:
+        return f"{_CHECK}; it is the matrix of the inertias that no body can have"
+    listed = ", ".join(f"{name} = {value:.3g} ± {sigma:.2g}" for name, (value, sigma) in list(below.items())[:_LISTED])
+    if all(value > -_NEGATIVE_SIGMAS * sigma for value, sigma in below.values()):
+        return f"a longer run, or a motion that tells it better: {listed} is negative within its deviation"
+    return f"{_CHECK}; {listed} is negative by more than its deviation"
+
+
+def _joint_names(arm: Arm) -> list[tuple[str, int, str]]:
+    return [(kind, i, f"{kind}{i + 1}") for kind, i, _ in arm.joint_parameters]
+
+
+def _motion(result: Estimate, flight: Flight, known: Sequence[Known]) -> str:
+    """Against parameters that the motion does not determine."""
+    arm = flight.arm
+    own = len(arm.parameter_names)
+    missing = [name for name, there in zip(result.names, np.isfinite(result.value), strict=True) if not there]
+    listed = ", ".join(missing[:_LISTED]) + (" …" if len(missing) > _LISTED else "")
+    possible = structural_rank(arm)
+    every = "a motion that moves every joint, at different speeds and together"
+    if possible < own and result.rank >= possible:
+        return (
+            f"none of the motion: by its geometry (the directions of its axes) {possible} of the {own} parameters of "
+            "this arm can be told apart; a run of whatever length has no value for the others, and the solution as a "
+            "whole predicts (`solution` of --json)"
+        )
+    if result.rank < len(result.names):
+        geometry = f"; the arm's geometry allows {possible} of {own}" if possible < own else ""
+        return f"{every}, for this one leaves {listed or 'some'} undetermined{geometry}; more of the same adds nothing"
+    now = int(np.count_nonzero(np.isfinite(result.value)))
+    cycles = flight.counts["cycles"]
+    before = [one for one in known if one.cycles <= 0.6 * cycles]
+    if before:
+        h, then = arm.period_s, before[-1]
+        grew = f"{then.parameters} parameters had a value after {h * then.cycles:.0f} s, {now} after {h * cycles:.0f} s"
+        if now > then.parameters:
+            return f"a longer run: {grew}"
+        return f"{every}, larger than this one; more of the same adds little ({grew})"
+    return f"{every}: {listed or 'some'} is known to no better than a quarter of its size"

@@ -1,0 +1,128 @@
+"""A flight that is watched: twice an arc it adopts what it knows, and says whether the arm changed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zygos.estimation.remedies import Known
+from zygos.native.flight import Drift, Flight, LeftOut, Trace, ffi
+from zygos.runs.cycles import Cycles
+
+SYNC = 0x080
+LOOKS = 2
+"""In an arc: the arc behind a change stands out only until the next one takes it for known."""
+
+
+STRETCH = 100
+"""Cycles that are fed at once: no more arcs end in them than the library remembers the place of."""
+
+
+class Watch:
+    """Feeds a flight, has it leave out arcs that contradict what it knows, and looks for a change of its arm."""
+
+    def __init__(self, flight: Flight, *, trace: bool = False) -> None:
+        """Nothing has come yet. trace: keep what each room makes of each cycle."""
+        self.flight = flight
+        self.plainest: Drift | None = None
+        """The look with the largest deviation, those that prove a change before others; None where there was none.
+
+        Looks into arcs that were left out do not count, once an arc behind them agrees with what was known before.
+        """
+        self.known: list[Known] = []
+        """What was known while the run grew, each entry at twice the cycles of the one before."""
+        self.left_out: list[LeftOut] = []
+        """Arcs that were left out when they ended."""
+        self._traces: list[Trace] | None = [] if trace else None
+        self._left_out = 0
+        self._settled: Drift | None = None
+        self._open = Flight(flight.arm, flight.effects)
+        """What the flight would be if it had admitted the arcs that contradict: only they can tell of another arm."""
+        self._every = max(1, round(flight.arm.arc_max_s / flight.arm.period_s) // LOOKS)
+        self._since = 0
+        others = max(flight.arm.impulse_arc_s, flight.arm.momentum_arc_s)
+        self._reach = round(others / flight.arm.period_s)
+
+    def frames(self, frames: NDArray[Any], progress: Callable[[float], None] | None = None) -> None:
+        """Feed frames as `Flight.frames`. progress is called now and then with the share that is done."""
+        starts = np.flatnonzero(frames["id"] == SYNC)
+
+        def feed(first: int, last: int) -> Trace | None:
+            self._open.frames(frames[first:last])
+            return self.flight.frames(frames[first:last], trace=self._traces is not None)
+
+        self._feed(starts, len(frames), feed, progress)
+
+    def cycles(self, cycles: Cycles, progress: Callable[[float], None] | None = None) -> None:
+        """Feed cycles as `Flight.cycles`."""
+
+        def feed(first: int, last: int) -> Trace | None:
+            part = Cycles(*(getattr(cycles, field.name)[first:last] for field in fields(Cycles)))
+            self._open.cycles(part)
+            return self.flight.cycles(part, trace=self._traces is not None)
+
+        self._feed(np.arange(len(cycles)), len(cycles), feed, progress)
+
+    def _feed(
+        self,
+        starts: NDArray[np.intp],
+        n: int,
+        feed: Callable[[int, int], Trace | None],
+        progress: Callable[[float], None] | None,
+    ) -> None:
+        """starts: where cycles begin in what is fed, of n entries."""
+        first = 0
+        ends = [*starts[1:].tolist(), n]
+        for count, last in enumerate(ends, start=self._since + min(1, len(starts))):
+            due = count % self._every == 0
+            if last < n and not due and count % STRETCH:
+                continue
+            trace = feed(first, last)
+            first = last
+            if self._traces is not None and trace is not None:
+                self._traces.append(trace)
+            self._note_arcs()
+            if due and last < n:
+                self.look()
+                if progress:
+                    progress(first / n)
+        self._since = (self._since + len(starts)) % self._every
+
+    def trace(self) -> Trace:
+        """What each room made of each cycle so far. Needs a watch that was told to keep it, and was fed."""
+        assert self._traces
+        return Trace.joined(self._traces)
+
+    def look(self) -> Drift | None:
+        """Compare the newest arc with all before it, and adopt a valid estimate. Returns the plainest look so far."""
+        self._note_arcs()
+        estimate, cycles = self.flight.estimate(), self.flight.counts["cycles"]
+        if not estimate.in_a_row:
+            ffi.memmove(self._open.native, self.flight.native, ffi.sizeof("zygos_t"))
+            self._open.native.guard.known = 0
+            self.plainest = self._settled  # what stood out in arcs that were left out was no change
+        drift = self._open.drift()
+        best = (bool(self.plainest.changed), self.plainest.largest) if self.plainest else (False, 0.0)
+        # motor rows of the time of an arc that was left out say nothing of one that agrees
+        spoilt = not estimate.in_a_row and any(arc.last + self._reach > drift.until for arc in self.left_out)
+        if not spoilt and (bool(drift.changed), drift.largest) > best:
+            self.plainest = drift
+        if cycles > 2 * (self.known[-1].cycles if self.known else 0):
+            self.known.append(Known(cycles, int(np.count_nonzero(np.isfinite(estimate.value)))))
+        if not estimate.in_a_row:
+            self._settled = self.plainest
+        self.flight.adopt()
+        return self.plainest
+
+    def _note_arcs(self) -> None:
+        """Note arcs that were left out since the last time."""
+        count, newest = self.flight.left_out
+        fresh = count - self._left_out
+        self._left_out = count
+        self.left_out += newest[max(0, len(newest) - fresh) :]
+        if self.flight.native.guard.changed:
+            self._settled = self.plainest

@@ -1,0 +1,1 @@
+"""Files and streams: TOML, tables, standard input and output, progress."""

@@ -1,0 +1,74 @@
+"""What a command reads: a file, or standard input where the name is -."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from contextvars import ContextVar
+from functools import cached_property
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from zygos.files.output import is_dash, note
+
+_KINDS = (
+    (".blf", re.compile(rb"LOGG")),
+    (".mf4", re.compile(rb"MDF ")),
+    (".npz", re.compile(rb"PK\x03\x04")),
+    (".parquet", re.compile(rb"PAR1")),
+    (".log", re.compile(rb"\s*\(\d+\.\d+\)\s+\S+\s+[0-9A-Fa-f]+#")),
+    (".asc", re.compile(rb"\s*(date|base|//|\d+\.\d+\s)", re.IGNORECASE)),
+    (".trc", re.compile(rb"\s*;")),
+    (".csv", re.compile(rb"(\xef\xbb\xbf)?[^\n\0]*[,;\t][^\n\0]*\n")),
+)
+"""How each kind of log and table begins, and the suffix that its files have."""
+_HEAD = 4096
+"""Bytes in which that is seen."""
+
+
+class _Spool:
+    """Standard input as a file, for readers that seek in it or read it twice."""
+
+    def __init__(self, cleanup: ExitStack) -> None:
+        self._cleanup = cleanup
+
+    @cached_property
+    def file(self) -> Path:
+        """The file; it is read when it is first asked for, and its suffix is that of what it begins like."""
+        if sys.stdin.isatty():
+            note("reading standard input; Ctrl-D ends it")
+        raw = Path(self._cleanup.enter_context(TemporaryDirectory(prefix="zygos-")), "input")
+        with raw.open("wb") as copy:
+            shutil.copyfileobj(sys.stdin.buffer, copy)
+        with raw.open("rb") as copy:
+            head = copy.read(_HEAD)
+        suffix = next((suffix for suffix, sign in _KINDS if sign.match(head)), "")
+        return raw.rename(raw.with_suffix(suffix))
+
+
+_SPOOL: ContextVar[_Spool | None] = ContextVar("spool", default=None)
+
+
+@contextmanager
+def standard_input() -> Iterator[None]:
+    """Within, the name - of an input means standard input, which is read at most once."""
+    with ExitStack() as cleanup:
+        token = _SPOOL.set(_Spool(cleanup))
+        try:
+            yield
+        finally:
+            _SPOOL.reset(token)
+
+
+def local(path: Path) -> Path:
+    """The file to open for an input: itself, or the copy of standard input that - stands for."""
+    spool = _SPOOL.get()
+    return path if spool is None or not is_dash(path) else spool.file
+
+
+def suffix(path: Path) -> str:
+    """The suffix of an input in small letters; of standard input that of what it begins like, "" if like nothing."""
+    return local(path).suffix.lower()

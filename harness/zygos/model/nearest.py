@@ -1,0 +1,209 @@
+"""Bodies from base parameters: those nearest to a drawing, and which of their entries the parameters determine.
+
+Base parameters are fewer than the entries of the bodies (docs/theory.md). Of all bodies with the given parameters,
+these differ least from the drawing, in units of its sigmas: min |y|^2 subject to base(x + D y) = given, by
+Gauss-Newton, each step of which is the shortest solution of the linearised equations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zygos.arm import Arm
+from zygos.errors import Undecided, ZygosError
+from zygos.model.model import Body, JointModel, Model, Quantity, is_possible
+
+Array = NDArray[np.float64]
+
+ENTRIES = ("mass", "x", "y", "z", "ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+"""What a URDF <inertial> says of a body; the inertia is about the mass centre."""
+UNITS = ("kg", *("m",) * 3, *("kg m^2",) * 6)
+DETERMINED = 1e-6
+"""An entry is determined if no direction in which the parameters stay the same has a larger component along it, both in
+units of the drawing."""
+
+_SINGULAR = 1e-8
+"""Of the largest singular value; the Jacobian is good to 1e-11."""
+_STEP = 1e-3
+"""Of numerical differentiation, in natural sizes."""
+_STEPS = 50
+_UNMOVED = 1e-12
+"""Units by which rounding alone moves an entry: it keeps the drawing's value."""
+_CLOSE = 1e-10
+"""Largest difference of a base parameter, relative to its value and to what the drawing's units move it."""
+
+
+@dataclass(frozen=True)
+class Nearest:
+    """Bodies with given base parameters."""
+
+    model: Model
+    """The drawing with these bodies; rotor inertias, stiffness and damping as given."""
+    known: Array
+    """(N+1, 10) how much of the drawing's uncertainty in each of ENTRIES the parameters take away, 0 .. 1."""
+    determined: NDArray[np.bool_]
+    """(N+1, 10) whether the parameters alone determine the entry."""
+    moved: Array
+    """(N+1, 10) by how many of the drawing's units the entry differs from it."""
+
+
+def nearest_bodies(
+    arm: Arm, drawing: Model, given: Model, progress: Callable[[float], None] = lambda share: None
+) -> Nearest:
+    """The bodies nearest to `drawing` (given by bodies) whose base parameters are those of `given` (given by base
+    parameters; one that is missing constrains nothing).
+
+    The unit of an entry is its sigma; where that is 0, its natural size (mass, radius of gyration, mean principal
+    moment) times the largest relative sigma of the body, or the size itself if the body has no sigma. Lengths are
+    exact, and so are rotor masses.
+    Errors: ZygosError if the models do not fit the arm, Undecided if no possible bodies near the drawing have these
+    parameters.
+    """
+    unknown = [name for name in given.parameters if name not in arm.parameter_names]
+    if unknown:
+        raise ZygosError(
+            f"model {given.name} does not fit arm {arm.name}: unknown {unknown}; remedy: give the arm that "
+            "it was learned with"
+        )
+    target = {name: given.parameters[name].value for name, _ in arm.body_parameters if name in given.parameters}
+    if arm.kinetic == "planar-symmetric":
+        # on the way there, mass centres leave the lines between the joints
+        arm = replace(arm, kinetic="planar")
+        target |= {name: 0.0 for name, _ in arm.body_parameters if name.startswith("b")}
+    rows = [arm.parameter_names.index(name) for name in target]
+    wanted = np.array(list(target.values()))
+    drives = tuple(_drive(arm, index, joint, given) for index, joint in enumerate(drawing.joints))
+    start, units, sizes = _entries(drawing)
+
+    def base(entries: Array) -> Array:
+        bodies = tuple(_body(body, row) for body, row in zip(drawing.bodies, entries.reshape(-1, 10), strict=True))
+        # the sigmas of the drives are of no use here, and would cost a covariance
+        plain = tuple(JointModel(joint.name, *(Quantity(q.value) for q in _quantities(joint))) for joint in drives)
+        return Model(drawing.name, bodies, plain).base_values(arm)[rows]
+
+    y = np.zeros(start.size)
+    jacobian = _jacobian(base, start, sizes) * units
+    weights = np.linalg.norm(jacobian, axis=1)
+    # a product of two entries that are both zero moves with neither, until one of them has moved
+    weights[weights == 0.0] = weights.max()
+    error = _error(base(start), wanted, weights)
+    for step in range(_STEPS):
+        progress(step / _STEPS)
+        scaled = jacobian / weights[:, None]
+        missing = (wanted - base(start + units * y)) / weights
+        towards = np.linalg.pinv(scaled, rcond=_SINGULAR) @ (missing + scaled @ y) - y
+        share = 1.0
+        while share > 1e-3 and error > _CLOSE:
+            if _error(base(start + units * (y + share * towards)), wanted, weights) < error:
+                break
+            share /= 2
+        y = y + share * towards
+        error = _error(base(start + units * y), wanted, weights)
+        jacobian = _jacobian(base, start + units * y, sizes) * units
+        if error < _CLOSE and np.linalg.norm(share * towards) < 1e-9 * (1.0 + np.linalg.norm(y)):
+            break
+    if not error < _CLOSE:
+        raise Undecided(
+            f"no bodies near model {drawing.name} have the base parameters of model {given.name}; remedy: see whether "
+            "both are of the same arm with the same lengths; with its noise, an estimate of an arm in space is that of "
+            "no bodies: fit some with `zygos fit`, and export those"
+        )
+    y[np.abs(y) < _UNMOVED] = 0.0
+    _, singular, directions = np.linalg.svd(jacobian / weights[:, None])
+    rank = int(np.sum(singular > _SINGULAR * singular[0]))
+    free = np.linalg.norm(directions[rank:], axis=0)
+    found = (start + units * y).reshape(-1, 10)
+    model = replace(
+        drawing,
+        bodies=tuple(_body(body, row) for body, row in zip(drawing.bodies, found, strict=True)),
+        joints=drives,
+        effects=given.effects,
+    )
+    for body in model.bodies:
+        _check_possible(body, drawing, given)
+    return Nearest(
+        model,
+        known=np.clip(1.0 - free.reshape(-1, 10) ** 2, 0.0, 1.0),
+        determined=free.reshape(-1, 10) < DETERMINED,
+        moved=y.reshape(-1, 10),
+    )
+
+
+def entries_of(body: Body) -> list[float]:
+    """The ENTRIES of a body."""
+    return [body.mass.value, *body.origin_xyz, *(quantity.value for quantity in body.inertia)]
+
+
+def _quantities(joint: JointModel) -> tuple[Quantity, ...]:
+    return joint.rotor_mass, joint.rotor_inertia, joint.stiffness, joint.damping
+
+
+def _drive(arm: Arm, index: int, joint: JointModel, given: Model) -> JointModel:
+    """The drive as drawn, with what is given of it."""
+    names = [f"{kind}{at + 1}" for kind, at, _ in arm.joint_parameters if at == index]
+    known = {name: given.parameters[name] for name in names if name in given.parameters}
+    return replace(
+        joint,
+        rotor_inertia=known.get(f"Im{index + 1}", joint.rotor_inertia),
+        stiffness=known.get(f"k{index + 1}", joint.stiffness),
+        damping=known.get(f"b{index + 1}", joint.damping),
+    )
+
+
+def _entries(drawing: Model) -> tuple[Array, Array, Array]:
+    """Values, units and natural sizes (10 (N+1),) of the drawing's entries."""
+    values, units, sizes = [], [], []
+    for body in drawing.bodies:
+        moment = float(np.trace(body.tensor)) / 3.0
+        size = np.array([body.mass.value] + [np.sqrt(moment / body.mass.value)] * 3 + [moment] * 6)
+        sigma = np.array([body.mass.sigma, 0.0, 0.0, 0.0, *(quantity.sigma for quantity in body.inertia)])
+        relative = float((sigma / size).max()) or 1.0
+        values.append(entries_of(body))
+        units.append(np.where(sigma > 0.0, sigma, relative * size))
+        sizes.append(size)
+    return np.ravel(values), np.ravel(units), np.ravel(sizes)
+
+
+def _body(body: Body, entries: Array) -> Body:
+    """The body with other entries; nothing is said of their sigmas."""
+    x, y, z = (float(value) for value in entries[1:4])
+    ixx, ixy, ixz, iyy, iyz, izz = (
+        Quantity(float(value), 0.0, "zygos", quantity.unit)
+        for value, quantity in zip(entries[4:], body.inertia, strict=True)
+    )
+    mass = Quantity(float(entries[0]), 0.0, "zygos", body.mass.unit)
+    return replace(body, mass=mass, origin_xyz=(x, y, z), inertia=(ixx, ixy, ixz, iyy, iyz, izz))
+
+
+def _jacobian(base: Callable[[Array], Array], at: Array, sizes: Array) -> Array:
+    """(p, 10 (N+1)) by fourth-order central differences."""
+    columns = []
+    for index, size in enumerate(sizes):
+        step = np.zeros_like(at)
+        step[index] = _STEP * size
+        near = base(at + step) - base(at - step)
+        far = base(at + 2 * step) - base(at - 2 * step)
+        columns.append((8 * near - far) / (12 * _STEP * size))
+    return np.array(columns).T
+
+
+def _error(values: Array, wanted: Array, weights: Array) -> float:
+    return float(np.max(np.abs(values - wanted) / (weights + np.abs(wanted)), initial=0.0))
+
+
+def _check_possible(body: Body, drawing: Model, given: Model) -> None:
+    wrong = ""
+    if body.mass.value <= 0.0:
+        wrong = f"the mass {body.mass.value:g} kg"
+    elif not is_possible(body.tensor):
+        wrong = f"the principal moments {np.linalg.eigvalsh(body.tensor).tolist()} kg m^2"
+    if wrong:
+        raise Undecided(
+            f"the bodies nearest to model {drawing.name} with the base parameters of model {given.name} cannot exist: "
+            f"{body.name} has {wrong}; remedy: fit bodies that can with `zygos fit`, or sigmas in the "
+            "drawing for what is least certain there"
+        )

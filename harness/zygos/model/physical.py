@@ -1,0 +1,448 @@
+"""The arm behind an estimate: bodies, lengths and drives whose base parameters explain it (docs/physical.md).
+
+Base parameters with noise are those of no arm: their matrix N has entries to spare, 45 against 31 that bodies can
+choose in space with three joints, and nothing keeps it positive. A fit moves bodies instead of numbers. Each body is
+written so that whatever the numbers are it can exist (log-Cholesky: Rucker & Wensing, "Smooth parameterization of
+rigid-body inertia", RA-L 2022), and what the estimate does not say stays as the drawing has it.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.stats import f as fisher
+
+from zygos.arm import Arm
+from zygos.errors import Undecided, ZygosError
+from zygos.model import gram
+from zygos.model.model import INERTIA_KEYS, Body, JointModel, Model, Quantity
+
+Array = NDArray[np.float64]
+
+CHANCE = 1e-3
+"""The limit of chi^2/dof is what an estimate of the described arm exceeds this often."""
+THINNEST = 1e-4
+"""Of a body's largest principal second moment: what is thinner in the drawing is made so thick."""
+
+_DEPENDENT = 1e-11
+"""Columns whose scaled normal matrix has a smaller eigenvalue depend on each other, as in c/solver.c."""
+_SHARPEST = 1e-6
+"""Relative sigma of a combination of parameters, at least."""
+_STEPS = 4
+"""Of the path from the drawing to the estimate."""
+_ROUGH, _CLOSE = 1e-3, 1e-10
+"""Tolerances of the steps on the way, and of the last."""
+_STEP = 1e-5
+"""Of numerical differentiation."""
+_UPPER = np.triu_indices(3)
+_DRIVE_KEYS = {"Im": "rotor_inertia", "k": "stiffness", "b": "damping"}
+
+
+@dataclass(frozen=True)
+class Observed:
+    """What an estimate says of the p base parameters of an arm."""
+
+    value: Array
+    """(p,) least squares for all of them; NaN for none."""
+    root: Array
+    """(r, p): |root (x - value)|^2 is chi^2 of base parameters x; what the motion did not excite has no row."""
+    blocks: int
+    """Of the jackknife that chi^2 is scaled by."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The arm that explains an estimate best."""
+
+    model: Model
+    """By bodies; sigmas are of each entry by itself, and those of entries nobody has determined are large."""
+    value: Array
+    """(p,) its base parameters."""
+    covariance: Array
+    """(p, p) theirs."""
+    known: dict[str, float]
+    """For each entry of `entries_of_model`, how much of the drawing's uncertainty the estimate took away, 0 .. 1."""
+    lengths: Array
+    """(N, 3) by how much the lengths differ from the drawing, m."""
+    chi2: float
+    """Of the estimate and of the lengths' prior."""
+    dof: float
+    """What these say beyond what the bodies were fitted to."""
+    limit: float
+    """Of chi2/dof; infinite where dof is below one, for then the bodies can follow any estimate."""
+    least: float
+    """chi^2 of the nearest positive semi-definite N, by convex programming: no arm whatever has less."""
+
+    @property
+    def explained(self) -> bool:
+        """Whether chi2/dof is within its limit."""
+        return self.chi2 <= self.limit * max(self.dof, 1.0)
+
+
+def observe(names: Sequence[str], report: Mapping[str, Any]) -> Observed:
+    """What the JSON of `zygos estimate` says of the parameters `names`; other columns of it are eliminated.
+
+    chi^2 has the shape of the normal equations, A, and the size of the jackknife: (x - value)' A (x - value) / c with c
+    the median of published variance over that of A^-1. The published covariance has the rank of its at most 32 blocks
+    and is no metric; independent variances would give away the sharpest combinations. Errors: ZygosError, Undecided if
+    the estimate was refused.
+    """
+    listed = [str(entry["name"]) for entry in report["parameters"]]
+    missing = [name for name in names if name not in listed]
+    if missing:
+        raise ZygosError(f"the estimate has no {', '.join(missing[:3])}; remedy: give the arm that it was learned with")
+    if report["validity"] == "refused":
+        raise Undecided(f"the estimate was refused: {report['reason']}; remedy: that of `zygos estimate`")
+    solution = np.array(report["solution"], dtype=float)
+    sigma = np.array([entry["sigma"] for entry in report["parameters"]], dtype=float)
+    normal = np.array(report["normal"], dtype=float)
+    own = [listed.index(name) for name in names]
+    others = [k for k in range(len(listed)) if k not in own]
+    scale = 1.0 / np.sqrt(np.where(np.diag(normal) > 0.0, np.diag(normal), 1.0))
+    scaled = normal * np.outer(scale, scale)
+    spread = scale**2 * np.diag(np.linalg.pinv(scaled, rcond=_DEPENDENT, hermitian=True))
+    ratio = (sigma**2 / spread)[own]
+    ratio = ratio[np.isfinite(ratio) & (ratio > 0.0)]
+    if not len(ratio):
+        raise Undecided("no parameter of the estimate has a sigma; remedy: that of `zygos estimate`")
+    inner = scaled[np.ix_(own, own)]
+    if others:
+        cross = scaled[np.ix_(own, others)]
+        inner = (
+            inner - cross @ np.linalg.pinv(scaled[np.ix_(others, others)], rcond=_DEPENDENT, hermitian=True) @ cross.T
+        )
+    eigen, vectors = np.linalg.eigh(inner)
+    kept = eigen > _DEPENDENT * eigen[-1]
+    root = np.sqrt(eigen[kept, None] / np.median(ratio)) * vectors[:, kept].T / scale[own]
+    # sharper than this no estimate is, but for one without any noise, and no solver takes it
+    sharp = np.linalg.norm(root * solution[own], axis=1)[:, None] * _SHARPEST
+    return Observed(solution[own], root / np.maximum(1.0, sharp), int(report["blocks"]))
+
+
+class Coordinates:
+    """Numbers y, zero at the drawing and one where it is off by a standard deviation, for arms near the drawing.
+
+    Of each body: log mass, the factor E (lower triangular, logarithms on the diagonal) that the Cholesky factor of its
+    second moment per mass is multiplied with, and the mass centre in radii of gyration. Then the lengths, and the
+    logarithms of Im, k and b. A drawing is taken to be right to a factor of e, or a radius of gyration.
+    """
+
+    def __init__(self, arm: Arm, drawing: Model, length_sigma: float) -> None:
+        """length_sigma: of each component of a length, m; 0: exact. Errors: ZygosError if the drawing does not fit the
+        arm, or a value of it that can have any size is zero."""
+        drawing.base_values(arm)
+        for kind, i, _ in arm.joint_parameters:
+            start = getattr(drawing.joints[i], _DRIVE_KEYS[kind]).value
+            if not 0.0 < start < np.inf:
+                raise ZygosError(
+                    f"model {drawing.name}: {_DRIVE_KEYS[kind]} of joint {drawing.joints[i].name} is {start:g}, and no "
+                    "factor makes another value of it; remedy: state its order of magnitude"
+                )
+        self.arm = arm
+        self.drawing = drawing
+        self.length_sigma = length_sigma
+        self.bodies = range(0 if arm.free else 1, arm.n + 1)
+        """Those that move."""
+        self._directions = {i: self._movable(i) for i in self.bodies}
+        self._roots = {i: _root(drawing.bodies[i]) for i in self.bodies}
+        self._places = [(i, d) for i in self.bodies if i < arm.n for d in self._directions[i]] if length_sigma else []
+        of_bodies = sum(7 + len(directions) for directions in self._directions.values())
+        self.of_lengths = slice(of_bodies, of_bodies + len(self._places))
+        """Where the lengths stand in y."""
+        self.size = self.of_lengths.stop + len(arm.joint_parameters)
+
+    def model(self, y: Array) -> Model:
+        """The arm with these coordinates; sigmas 0."""
+        bodies = list(self.drawing.bodies)
+        first = 0
+        for i in self.bodies:
+            count = 7 + len(self._directions[i])
+            bodies[i] = self._body(i, y[first : first + count])
+            first += count
+        for (i, direction), off in zip(self._places, y[self.of_lengths], strict=True):
+            x, y_, z = (_reach(bodies[i]) + self.length_sigma * off * direction).tolist()
+            bodies[i] = replace(bodies[i], joint_xyz=(x, y_, z))
+        joints = list(self.drawing.joints)
+        for (kind, i, _), log in zip(self.arm.joint_parameters, y[self.of_lengths.stop :], strict=True):
+            key = _DRIVE_KEYS[kind]
+            drawn = getattr(joints[i], key)
+            joints[i] = _with(joints[i], {key: Quantity(drawn.value * float(np.exp(log)), 0.0, "zygos", drawn.unit)})
+        return Model(self.drawing.name, tuple(bodies), tuple(joints))
+
+    def base(self, y: Array) -> Array:
+        """(p,) base parameters of the arm at y."""
+        return self.model(y).base_values(self.arm)
+
+    def _body(self, i: int, y: Array) -> Body:
+        drawn = self.drawing.bodies[i]
+        mass = drawn.mass.value * float(np.exp(y[0]))
+        factor = np.diag(np.exp(y[1:4]))
+        factor[1, 0], factor[2, 0], factor[2, 1] = y[4:7]
+        root = self._roots[i] @ factor
+        second = mass * root @ root.T
+        tensor = np.trace(second) * np.eye(3) - second
+        gyration = float(np.linalg.norm(self._roots[i]))
+        x, y_, z = (np.array(drawn.origin_xyz) + gyration * y[7:] @ self._directions[i]).tolist()
+        return replace(
+            drawn,
+            mass=Quantity(mass, 0.0, "zygos", "kg"),
+            origin_xyz=(x, y_, z),
+            inertia=_six(Quantity(entry, 0.0, "zygos", "kg m^2") for entry in tensor[_UPPER].tolist()),
+        )
+
+    def _movable(self, i: int) -> Array:
+        """(d, 3) directions in body i's frame in which its mass centre and the next joint may be off: on a planar arm
+        across the axis, for nothing else has an effect; on a planar-symmetric one along the line of its joints."""
+        if self.arm.spatial:
+            return np.eye(3)
+        along = self._line()
+        vectors = [along] if self.arm.kinetic == "planar-symmetric" else [along, np.cross(self.arm.axis, along)]
+        directions: Array = np.array(vectors) @ self.arm.frames[i]
+        return directions
+
+    def _line(self) -> Array:
+        """(3,) across the axis, in the base frame of the stretched arm: the longest way from a joint to the next, or
+        from the last one to the mass centre."""
+        ways = [body.joint_xyz or body.origin_xyz for body in self.drawing.bodies[1:]]
+        stretched = np.einsum("iab,ib->ia", self.arm.frames[1:], np.array(ways))
+        across = stretched - np.outer(stretched @ self.arm.axis, self.arm.axis)
+        longest: Array = across[np.argmax(np.linalg.norm(across, axis=1))]
+        if not longest.any():
+            raise ZygosError(
+                f"model {self.drawing.name}: joints and mass centres lie on one axis; remedy: state the lengths"
+            )
+        return longest / np.linalg.norm(longest)
+
+
+def entries_of_model(arm: Arm, model: Model) -> dict[str, Quantity]:
+    """By name what a fit moves and a model file has a sigma for: mass and inertia of the bodies, Im, k, b."""
+    listed: dict[str, Quantity] = {}
+    for body in model.bodies[0 if arm.free else 1 :]:
+        listed[f"{body.name} mass"] = body.mass
+        listed |= {f"{body.name} {key}": entry for key, entry in zip(INERTIA_KEYS, body.inertia, strict=True)}
+    for kind, i, _ in arm.joint_parameters:
+        key = _DRIVE_KEYS[kind]
+        listed[f"{model.joints[i].name} {key}"] = getattr(model.joints[i], key)
+    return listed
+
+
+def fit_bodies(
+    arm: Arm,
+    drawing: Model,
+    observed: Observed,
+    length_sigma: float,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Fit:
+    """The arm near `drawing` (given by bodies) that explains an estimate best.
+
+    Minimises chi^2 + |y|^2 over the `Coordinates` y. The way there: the estimate is first moved to the nearest N that
+    is positive semi-definite, a convex problem with one answer; then the target goes from the drawing's base parameters
+    to it along a line, on which every N is, for these matrices form a convex set; and the fit follows in steps, each
+    starting from the one before. Errors: ZygosError if the drawing does not fit the arm.
+    """
+    where = Coordinates(arm, drawing, length_sigma)
+    nearest, least = nearest_matrix(arm, drawing, observed)
+    y = np.zeros(where.size)
+    start = where.base(y)
+    targets = [*(start + step / _STEPS * (nearest - start) for step in range(1, _STEPS + 1)), observed.value]
+    for step, target in enumerate(targets):
+        progress(step / len(targets))
+        y = _least_squares(where, observed.root, target, y, _CLOSE if step == _STEPS else _ROUGH)
+    value = where.base(y)
+    slope_of_base = _slope(where.base, y)
+    missing = observed.root @ (value - observed.value)
+    lengths = y[where.of_lengths]
+    rows = np.vstack([observed.root @ slope_of_base, np.eye(where.size)])
+    # a root of the covariance of y
+    spread = np.linalg.inv(np.linalg.qr(rows, mode="r"))
+    tested = np.vstack([rows[: -where.size], rows[-where.size :][where.of_lengths]])
+    dof = float(len(tested) - np.sum((tested @ spread) ** 2))
+    model, known = _with_sigmas(where, y, spread)
+    return Fit(
+        model=model,
+        value=value,
+        covariance=(slope_of_base @ spread) @ (slope_of_base @ spread).T,
+        known=known,
+        lengths=np.array(
+            [
+                _reach(after) - _reach(before)
+                for after, before in zip(model.bodies[:-1], drawing.bodies[:-1], strict=True)
+            ]
+        ),
+        chi2=float(missing @ missing + lengths @ lengths),
+        dof=dof,
+        limit=float(fisher.isf(CHANCE, dof, observed.blocks - 1)) if dof >= 1.0 else np.inf,
+        least=least,
+    )
+
+
+def nearest_matrix(arm: Arm, drawing: Model, observed: Observed) -> tuple[Array, float]:
+    """The base parameters (p,) nearest to an estimate whose N less the rotors' share is positive semi-definite and
+    whose Im, k and b are not negative, and their chi^2.
+
+    What every arm obeys, though not only arms: a semidefinite program, solved by Clarabel. The drawing gives the units
+    alone. Errors: ZygosError if cvxpy or Clarabel is missing.
+    """
+    try:
+        cvxpy = import_module("cvxpy")
+        import_module("clarabel")
+    except ImportError:
+        raise ZygosError("fitting needs cvxpy and Clarabel; remedy: pip install 'zygos[fit]'") from None
+    drawn = drawing.base_values(arm)
+    kinetic, rotor = _linear(arm)
+    bodies = len(arm.body_parameters)
+    size = int(np.sqrt(kinetic.shape[1]))
+    # a diagonal entry of N in the drawing's size makes every unknown of order one
+    diagonal = np.abs(kinetic[:, :: size + 1]).T @ np.abs(drawn[: len(kinetic)])
+    unit = np.sqrt(diagonal)
+    matrix = cvxpy.Variable((size, size), PSD=True)
+    moments = cvxpy.Variable(bodies - len(kinetic))
+    drives = cvxpy.Variable(len(drawn) - bodies, nonneg=True)
+    drive_units = drawn[bodies:]
+    weight = float(np.abs(drawn[len(kinetic) : bodies]).max(initial=0.0)) or 1.0
+    scaled = kinetic * np.outer(unit, unit).ravel()
+    x = cvxpy.hstack(
+        [
+            scaled @ cvxpy.vec(matrix, order="C") + (rotor * drive_units) @ drives,
+            weight * moments,
+            cvxpy.multiply(drive_units, drives),
+        ]
+    )
+    problem = cvxpy.Problem(cvxpy.Minimize(cvxpy.sum_squares(observed.root @ x - observed.root @ observed.value)))
+    with warnings.catch_warnings():
+        # of a solution that is good to fewer digits: it is a start, and a bound on a number of a few digits
+        warnings.simplefilter("ignore", UserWarning)
+        with suppress(cvxpy.SolverError):
+            problem.solve(solver=cvxpy.CLARABEL)
+    if x.value is None:
+        raise Undecided(
+            f"Clarabel finds no arm near the estimate ({problem.status}); remedy: see whether the estimate is that of "
+            f"arm {arm.name}, and model {drawing.name} in SI units"
+        )
+    value: Array = np.asarray(x.value, dtype=float)
+    gone = observed.root @ (value - observed.value)
+    return value, float(gone @ gone)
+
+
+def _linear(arm: Arm) -> tuple[Array, Array]:
+    """Kinetic parameters from N of the bodies without rotors, (c, V^2), and from Im, k, b, (c, at most 3 N)."""
+    kinds = arm.joint_parameters
+    if arm.spatial:
+        size = gram.directions(arm)
+        kinetic = np.array([gram.to_parameters(arm, unit.reshape(size, size)) for unit in np.eye(size * size)]).T
+        # the upper triangle stands for both entries
+        both = np.array([gram.to_parameters(arm, unit.reshape(size, size).T) for unit in np.eye(size * size)]).T
+        kinetic = 0.5 * (kinetic + both)
+        rotor = np.zeros((len(kinetic), len(kinds)))
+        for column, (kind, i, _) in enumerate(kinds):
+            if kind == "Im":
+                rotor[:, column] = gram.to_parameters(arm, gram.of_rotors(arm, np.eye(arm.n)[i]))
+        return kinetic, rotor
+    first = 0 if arm.free else 1
+    count = arm.n + 1 - first
+    pairs = [(i, j) for i in range(count) for j in range(i, count)]
+    rows = []
+    for i, j in pairs:
+        row = np.zeros((2 * count, 2 * count))
+        row[2 * i, 2 * j] = row[2 * i + 1, 2 * j + 1] = 1.0
+        rows.append(0.5 * (row + row.T))
+    for i, j in pairs if arm.kinetic == "planar" else []:
+        if i < j:
+            row = np.zeros((2 * count, 2 * count))
+            row[2 * i + 1, 2 * j], row[2 * i, 2 * j + 1] = 1.0, -1.0
+            rows.append(0.5 * (row + row.T))
+    rotor = np.zeros((len(rows), len(kinds)))
+    for column, (kind, i, _) in enumerate(kinds):
+        if kind == "Im" and i >= first:
+            rotor[pairs.index((i - first, i - first)), column] = 1.0
+    return np.array([row.ravel() for row in rows]), rotor
+
+
+def _least_squares(where: Coordinates, root: Array, target: Array, start: Array, tolerance: float) -> Array:
+    """The y that minimises |root (base(y) - target)|^2 + |y|^2."""
+
+    def residual(y: Array) -> Array:
+        return np.concatenate([root @ (where.base(y) - target), y])
+
+    def slope(y: Array) -> Array:
+        return np.vstack([root @ _slope(where.base, y), np.eye(where.size)])
+
+    found: Array = least_squares(residual, start, slope, method="lm", xtol=tolerance, ftol=tolerance, max_nfev=100).x
+    return found
+
+
+def _six(entries: Iterable[Quantity]) -> tuple[Quantity, Quantity, Quantity, Quantity, Quantity, Quantity]:
+    ixx, ixy, ixz, iyy, iyz, izz = entries
+    return ixx, ixy, ixz, iyy, iyz, izz
+
+
+def _with(joint: JointModel, changed: dict[str, Any]) -> JointModel:
+    return replace(joint, **changed)
+
+
+def _slope(function: Callable[[Array], Array], y: Array) -> Array:
+    """Jacobian by central differences; every coordinate is of order one."""
+    steps = _STEP * np.eye(len(y))
+    return np.array([(function(y + step) - function(y - step)) / (2.0 * _STEP) for step in steps]).T
+
+
+def _root(body: Body) -> Array:
+    """(3, 3) Cholesky factor of the second moment per mass about the centre, at least THINNEST thick, m."""
+    second = (0.5 * np.trace(body.tensor) * np.eye(3) - body.tensor) / body.mass.value
+    eigen, vectors = np.linalg.eigh(second)
+    root: Array = np.linalg.cholesky((vectors * np.maximum(eigen, THINNEST * eigen[-1])) @ vectors.T)
+    return root
+
+
+def _reach(body: Body) -> Array:
+    """(3,) where the next joint stands, m; of the last body zero."""
+    return np.array(body.joint_xyz or (0.0, 0.0, 0.0))
+
+
+def _with_sigmas(where: Coordinates, y: Array, spread: NDArray[Any]) -> tuple[Model, dict[str, float]]:
+    """The arm at y with the sigmas that the coordinates' covariance, spread spread', gives each entry, and how much of
+    each is known."""
+
+    def entries(at: Array) -> Array:
+        return np.array([entry.value for entry in entries_of_model(where.arm, where.model(at)).values()])
+
+    slope = _slope(entries, y)
+    after = np.linalg.norm(slope @ spread, axis=1)
+    before = np.linalg.norm(slope, axis=1)
+    model = where.model(y)
+    names = list(entries_of_model(where.arm, model))
+    sigma = dict(zip(names, after.tolist(), strict=True))
+    bodies = tuple(
+        replace(
+            body,
+            mass=replace(body.mass, sigma=sigma[f"{body.name} mass"]),
+            inertia=_six(
+                replace(entry, sigma=sigma[f"{body.name} {key}"])
+                for key, entry in zip(INERTIA_KEYS, body.inertia, strict=True)
+            ),
+        )
+        if i in where.bodies
+        else body
+        for i, body in enumerate(model.bodies)
+    )
+    joints = tuple(
+        _with(
+            joint,
+            {
+                key: replace(getattr(joint, key), sigma=sigma[f"{joint.name} {key}"])
+                for key in _DRIVE_KEYS.values()
+                if f"{joint.name} {key}" in sigma
+            },
+        )
+        for joint in model.joints
+    )
+    known = 1.0 - (after / np.where(before > 0.0, before, 1.0)) ** 2
+    return replace(model, bodies=bodies, joints=joints), dict(zip(names, known.tolist(), strict=True))

@@ -1,0 +1,1 @@
+"""The C library that flies, through cffi: estimator, snapshots, generated configuration."""

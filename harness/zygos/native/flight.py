@@ -1,0 +1,545 @@
+"""The C library from Python: the same code that flies, called through cffi in ABI mode.
+
+A whole recording passes in one call. The declarations come from ``zygos.h`` itself (`tools/build_native.py`); a digest
+of them and the sizes of all public structs guard against a library that was built from other headers.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from cffi import FFI
+from numpy.typing import NDArray
+
+from zygos.arm import Arm
+from zygos.effects import Effect, estimated
+from zygos.errors import ZygosError
+from zygos.runs.cycles import Cycles
+
+_FOLDER = Path(__file__).parents[1] / "_native"
+
+FRAME = np.dtype(
+    [("id", "<u4"), ("length", "u1"), ("flags", "u1"), ("pad", "u1", (2,)), ("data", "u1", (8,))], align=False
+)
+"""A classical CAN frame, as ``zygos_frame_t``."""
+
+VALIDITY = ("refused", "doubtful", "partial", "valid")
+REASONS = (
+    "",
+    "too few accepted instants",
+    "the motion so far does not determine every parameter",
+    "motion too fast for this sample rate: more than 5 % of the instants failed the bandwidth test",
+    "the estimate is not physical: an inertia matrix that is not positive definite, or a negative Im, k, b or friction",
+    "the accumulated sums are corrupt: memory was changed from outside",
+    "the balance does not close: what the solution leaves over is no noise",
+    "sensor noise is as large as the motion in some combination of parameters",
+    "the declared sensor noise is not in the data: the residuals are far smaller",
+    "the arm changed: its newest arcs contradict what those before them say, several in a row",
+    "the balance leaves more than a tenth of the work unexplained, and what it leaves is no noise",
+)
+DRIFT_ALARM = 6.0
+"""Deviations that are no accident, as ``ZYGOS_DRIFT_ALARM``."""
+GATE = 2.0
+"""Ratio of sums to noise below which what noise makes of an estimate is not taken off in whole, as ``ZYGOS_GATE``."""
+OVERDECLARED = 0.6
+"""Share of the declared noise below which the residuals are believed instead, as ``ZYGOS_OVERDECLARED``."""
+_CONFIG_ERRORS = {
+    -2: "the library was built with other headers",
+    -3: "too many joints for this build",
+    -4: "this build has no columns of that `kinetic`",
+    -5: "period_s must be within 1e-5 .. 0.065",
+    -6: "unknown torque_law",
+    -7: "the smoother's points, order or lag are out of range (lag must be points // 2: end-point filters are refused)",
+    -8: "node numbers must be 1..31, each used once",
+    -9: "joint axes must be unit vectors, parallel where the arm is planar",
+    -10: "a ratio, sign, zero, sigma, latch delay or memory is out of range",
+    -11: "arc.max_s, arc.impulse_max_s or arc.momentum_max_s is shorter than 20 cycles",
+    -15: "base, gravity and gyro do not fit each other",
+    -14: "an effect stands twice, or has no columns in this build",
+}
+
+
+def _load() -> tuple[Any, Any]:
+    """Load the library and compare its digest and struct sizes with the declarations."""
+    try:
+        text = (_FOLDER / "zygos.cdef").read_text()
+        binding = FFI()
+        binding.cdef(text)
+        library = binding.dlopen(str(_FOLDER / "libzygos.so"))
+    except OSError as error:
+        raise ZygosError(
+            f"the C library is not built ({error}); remedy: run `make build`, or install the package with pip"
+        ) from error
+    import hashlib  # noqa: PLC0415  (only needed once, at load)
+
+    digest = int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big")
+    sizes = [binding.sizeof(f"zygos_{name}_t") for name in ("config", "work", "estimate", "cycle", "frame")]
+    version = library.ZYGOS_VERSION_MAJOR_VALUE * 256 + library.ZYGOS_VERSION_MINOR_VALUE
+    abi = binding.sizeof("zygos_t")
+    for part in (*sizes, library.ZYGOS_MAX_JOINTS_VALUE, version, library.ZYGOS_LAYOUT_VALUE):
+        abi = (abi ^ part) * 16777619 & 0xFFFFFFFF
+    if library.zygos_declarations_digest() != digest or library.zygos_abi() != abi:
+        raise ZygosError(
+            f"{_FOLDER / 'libzygos.so'} was not built from {_FOLDER / 'zygos.cdef'}; remedy: run `make build`"
+        )
+    return binding, library
+
+
+ffi, lib = _load()
+
+
+def _field_names(struct: str) -> tuple[str, ...]:
+    return tuple(name for name, _ in ffi.typeof(struct).fields)
+
+
+@dataclass(frozen=True)
+class Trace:
+    """What each room made of each cycle: n cycles of an arm with N joints and p parameters, effects included."""
+
+    cycles: Cycles
+    """The cycles that the receiver completed."""
+    instant: NDArray[np.bool_]
+    """(n,) whether the cycle completed an instant with a row."""
+    accepted: NDArray[np.bool_]
+    """(n,) whether that row was accumulated."""
+    state: NDArray[np.float64]
+    """(n, 4N+3) smoothed q, theta, q rate, theta rate, omega; rad and rad/s. Undefined where no window was full."""
+    row: NDArray[np.float64]
+    """(n, p+1) the columns and the work. Undefined where `instant` is false."""
+
+    @classmethod
+    def joined(cls, parts: Sequence[Trace]) -> Trace:
+        """At least one part, one behind the other."""
+        cycles = [part.cycles for part in parts]
+        whole = Cycles(*(np.concatenate([getattr(one, f.name) for one in cycles]) for f in fields(Cycles)))
+        others = (f.name for f in fields(cls) if f.name != "cycles")
+        return cls(whole, *(np.concatenate([getattr(part, name) for part in parts]) for name in others))
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What the C solver answers. Values and sigmas are NaN where a parameter is not identifiable."""
+
+    names: tuple[str, ...]
+    """The arm's parameters, then the columns of the effects."""
+    units: tuple[str, ...]
+    solution: NDArray[np.float64]
+    """(p,) least squares for all columns, whatever the motion determines; NaN when refused. As a whole it predicts the
+    energy of motions like those it came from."""
+    value: NDArray[np.float64]
+    """(p,)"""
+    sigma: NDArray[np.float64]
+    """(p,) one standard deviation."""
+    half95: NDArray[np.float64]
+    """(p,) half width of the 95 % interval."""
+    covariance: NDArray[np.float64]
+    """(p, p)"""
+    validity: str
+    reason: str
+    cycle: int
+    accepted: int
+    refused: int
+    arcs: int
+    blocks: int
+    rank: int
+    condition: float
+    cluster: float
+    """How far the residuals of a block add up: around 1 for noise, up to the block's instants otherwise."""
+    residual: float
+    """rms of the rows' residuals, J."""
+    noise_ratio: float
+    """Its square over what the declared noise makes of it; NaN where none is declared."""
+    gate: float
+    """Smallest ratio of sums to noise over all combinations of parameters; infinite where none is declared."""
+    left_out: tuple[int, int, int] = (0, 0, 0)
+    """Arcs that contradicted the running solution, of the energy, the motor and the momentum rows, the open ones
+    included."""
+    since: int = 0
+    """0, or older arcs spoilt the sums and only what came behind this cycle went in."""
+    in_a_row: int = 0
+    """Of those of the energy rows the newest that no arc that agrees lies between."""
+
+
+ROWS = ("energy", "motor", "momentum")
+"""Kinds of rows, each with arcs of its own, as ``zygos_rows``."""
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """An arc that contradicted the running solution."""
+
+    rows: str
+    """One of `ROWS`."""
+    first: int
+    """Number of its first instant's cycle."""
+    last: int
+    """Number of its newest cycle."""
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """Sums of the rows, block by block, the arcs' constants eliminated and the declared noise taken off."""
+
+    energy: list[tuple[NDArray[np.float64], NDArray[np.float64], float, float]]
+    """Of each block the squares of columns and work (p+1, p+1), their sums less the arcs' means (p+1,), and the sums of
+    the instants' shares in it and of the shares' squares."""
+    motors: list[list[tuple[NDArray[np.float64], float]]]
+    """Of each block and joint the squares of its c columns and the impulse (c+1, c+1), and the instants."""
+    momentum: list[NDArray[np.float64]]
+    """Of each block the squares of the columns (K+N, K+N)."""
+
+
+@dataclass(frozen=True)
+class Drift:
+    """The newest arc against all before it."""
+
+    names: tuple[str, ...]
+    deviation: NDArray[np.float64]
+    """(p,) how far the newest arc's own value lies from what was known before, in standard deviations of the
+    difference; NaN where either does not know."""
+    reason: str
+    """Why nothing was known before, or why a deviation proves no change: the balance does not close; or empty."""
+    cluster: float
+    """How far residuals add up in a block, on the side where they do more: around 1 for noise."""
+    until: int
+    """Number of the newest cycle of what was known before."""
+
+    @property
+    def largest(self) -> float:
+        """The largest deviation; 0 where nothing could be compared."""
+        return float(np.abs(np.nan_to_num(self.deviation)).max(initial=0.0))
+
+    @property
+    def changed(self) -> tuple[str, ...]:
+        """Parameters that have changed: they contradict, and the balance closes before and after."""
+        return () if self.reason else self.contradicting
+
+    @property
+    def contradicting(self) -> tuple[str, ...]:
+        """Parameters whose value in the newest arc contradicts what was known before, whatever the cause."""
+        far = np.abs(np.nan_to_num(self.deviation)) >= DRIFT_ALARM
+        return tuple(name for name, there in zip(self.names, far, strict=True) if there)
+
+
+def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
+    """Translate an arm description, and the effects whose coefficients are to be found, into ``zygos_config_t *``.
+
+    Errors: ZygosError for what has no columns in this build.
+    """
+    if arm.n > lib.ZYGOS_MAX_JOINTS_VALUE:
+        raise ZygosError(
+            f"arm {arm.name!r} has {arm.n} joints, this build holds {lib.ZYGOS_MAX_JOINTS_VALUE}; "
+            "remedy: rebuild with -DZYGOS_MAX_JOINTS"
+        )
+    laws = {"applied_from_sync": 0, "applied_previous_cycle": 1, "sampled": 2}
+    kinetics = {"planar-symmetric": 0, "planar": 1, "spatial": 2}
+    config = ffi.new("zygos_config_t *")
+    config.abi = lib.zygos_abi()
+    config.joints = arm.n
+    config.kinetic = kinetics[arm.kinetic]
+    config.base = 0 if arm.free else 1
+    config.gravity = arm.gravity
+    config.torque_law = laws[arm.torque_law]
+    config.smoother_half_width = arm.smoother.points // 2
+    config.smoother_order = arm.smoother.order
+    config.smoother_lag = arm.smoother.lag
+    config.arc_cycles = max(1, round(arm.arc_max_s / arm.period_s))
+    config.imu_node = arm.imu.node
+    config.imu_fine = int(arm.imu.resolution == "fine")
+    config.period_s = arm.period_s
+    for k, entry in enumerate(np.asarray(arm.mount, dtype=float).ravel()):
+        config.imu_to_base[k] = entry
+    config.imu_latch_s = arm.imu.latch_us * 1e-6
+    config.imu_sigma = arm.imu.rate_sigma
+    config.keep = 1.0 if arm.memory_s is None else math.exp(-arm.period_s / arm.memory_s)
+    config.compensation = arm.compensation
+    config.impulse_arc_cycles = max(1, round(arm.impulse_arc_s / arm.period_s)) if arm.impulse_arc_s > 0.0 else 0
+    config.momentum_arc_cycles = max(1, round(arm.momentum_arc_s / arm.period_s)) if arm.momentum_arc_s > 0.0 else 0
+    if config.momentum_arc_cycles > 0 and not lib.ZYGOS_MOMENTUM_VALUE:
+        raise ZygosError(
+            f"arm {arm.name!r} wants momentum rows, this build has no room for them; "
+            "remedy: momentum_max_s = 0 in [arc], or rebuild with -DZYGOS_MOMENTUM=1"
+        )
+    for i, joint in enumerate(arm.joints):
+        out = config.joint[i]
+        out.node = joint.node
+        out.latch_us = joint.latch_us
+        out.rigid = int(not joint.flexible)
+        # the bodies of a planar arm have the base's frame in its stretched posture
+        out.axis = list(joint.axis if arm.spatial else arm.axis)
+        if arm.spatial:
+            out.frame = (arm.frames[i].T @ arm.frames[i + 1]).ravel().tolist()
+        out.gear_ratio = joint.gear_ratio
+        link, motor = joint.link_encoder.over_the_wire, joint.motor_encoder.over_the_wire
+        out.link_sign, out.link_zero_rad, out.link_sigma_rad = link.sign, link.zero_rad, link.sigma_rad
+        out.motor_sign, out.motor_zero_rad, out.motor_sigma_rad = motor.sign, motor.zero_rad, motor.sigma_rad
+        out.link_latch_s, out.motor_latch_s = link.latch_us * 1e-6, motor.latch_us * 1e-6
+    columns = estimated(arm, effects)
+    if len(columns) > lib.ZYGOS_MAX_EFFECTS_VALUE:
+        raise ZygosError(
+            f"{len(columns)} effects are to be estimated, this build holds {lib.ZYGOS_MAX_EFFECTS_VALUE}; "
+            "remedy: keep those that matter most (a joint with zero_sigma_rad > 0 has one), or rebuild with "
+            "-DZYGOS_MAX_EFFECTS"
+        )
+    config.effects = len(columns)
+    for k, effect in enumerate(columns):
+        config.effect[k].kind = getattr(lib, f"ZYGOS_{effect.kind.key.upper()}")
+        config.effect[k].joint = effect.index(arm)
+    return config
+
+
+def cycles_to_native(cycles: Cycles) -> Any:
+    """Pack cycles into an array of ``zygos_cycle_t``, owned by the caller."""
+    n, joints = cycles.q.shape
+    array = ffi.new("zygos_cycle_t[]", max(n, 1))
+    width = ffi.sizeof("zygos_cycle_t") // 8
+    table = np.frombuffer(ffi.buffer(array), dtype=np.float64).reshape(-1, width)
+    integers = table.view(np.uint64)
+    capacity = lib.ZYGOS_MAX_JOINTS_VALUE
+    integers[:n, 0] = cycles.sync
+    integers[:n, 1] = cycles.flags.astype(np.uint64)
+    for block, values in enumerate((cycles.q, cycles.theta, cycles.tau)):
+        table[:n, 2 + block * capacity : 2 + block * capacity + joints] = values
+    table[:n, 2 + 3 * capacity : 5 + 3 * capacity] = cycles.omega
+    return array
+
+
+def encode(arm: Arm, cycles: Cycles) -> NDArray[Any]:
+    """Encode cycles as the frames of a bus, `FRAME` records in the order of transmission.
+
+    Each cycle is SYNC, FTIME (every 50th cycle), angles and torque of each joint, and the gyro; one SYNC at the end
+    closes the last cycle. Values outside the wire's ranges saturate, as a drive's would.
+    """
+    n = len(cycles)
+    frames = np.zeros(n * (4 + 2 * arm.n) + 1, dtype=FRAME)
+    out = ffi.cast("zygos_frame_t *", frames.ctypes.data)
+    used = lib.zygos_batch_encode(config_of(arm), cycles_to_native(cycles), n, out)
+    return frames[:used]
+
+
+def _symmetric(packed: Any, size: int) -> NDArray[np.float64]:
+    """The matrix whose lower triangle stands row by row in an array of the library's."""
+    out = np.zeros((size, size))
+    rows, columns = np.tril_indices(size)
+    out[rows, columns] = np.frombuffer(ffi.buffer(packed), dtype=np.float64)[: len(rows)]
+    out[columns, rows] = out[rows, columns]
+    return out
+
+
+class Flight:
+    """One arm in the C library: frames or cycles in, estimates out."""
+
+    def __init__(self, arm: Arm, effects: Sequence[Effect] = ()) -> None:
+        """Initialise ``zygos_t`` for an arm and the effects to find; their values play no part.
+
+        Raises ZygosError when the library refuses the configuration, or has no columns for an effect.
+        """
+        self.arm = arm
+        self.native = ffi.new("zygos_t *")
+        verdict = lib.zygos_init(self.native, config_of(arm, effects))
+        if verdict < 0:
+            raise ZygosError(
+                f"the flight library refuses arm {arm.name!r}: {_CONFIG_ERRORS.get(verdict, verdict)}; "
+                f"remedy: correct the {'effects' if verdict == lib.ZYGOS_E_EFFECT else 'arm file'}"
+            )
+        self.effects = estimated(arm, effects)
+        self.names = (*arm.parameter_names, *(effect.column(arm) for effect in self.effects))
+        if self.native.layout.count != len(self.names):
+            raise ZygosError(
+                f"arm {arm.name!r}: gravity is within 1e-9 rad of a joint axis, which may or may not feel it; "
+                "remedy: make them parallel, or tilt them"
+            )
+        self.units = (*arm.parameter_units, *(effect.kind.unit for effect in self.effects))
+        self._work = ffi.new("zygos_work_t *")
+        self._estimate = ffi.new("zygos_estimate_t *")
+        self._before = ffi.new("zygos_estimate_t *")
+
+    def frames(self, frames: NDArray[Any], *, trace: bool = False) -> Trace | None:
+        """Feed `FRAME` records and work off every cycle they complete."""
+        frames = np.ascontiguousarray(frames, dtype=FRAME)
+        pointer = ffi.cast("zygos_frame_t *", frames.ctypes.data)
+        table = (
+            _TraceTable(self.arm, len(self.names), int(np.count_nonzero(frames["id"] == 0x080)) + 1) if trace else None
+        )
+        lib.zygos_batch_frames(self.native, pointer, len(frames), ffi.NULL, table.native if table else ffi.NULL)
+        return table.trace() if table else None
+
+    def cycles(self, cycles: Cycles, *, trace: bool = False) -> Trace | None:
+        """Feed cycles in SI through the other door."""
+        table = _TraceTable(self.arm, len(self.names), len(cycles)) if trace else None
+        native = cycles_to_native(cycles)
+        lib.zygos_batch_cycles(self.native, native, len(cycles), table.native if table else ffi.NULL)
+        return table.trace() if table else None
+
+    def estimate(self) -> Estimate:
+        """Take and solve. The accumulation is not disturbed."""
+        lib.zygos_take(self.native, self._work)
+        lib.zygos_solve(self._work, self._estimate)
+        out, p = self._estimate, self._estimate.parameters
+        return Estimate(
+            names=self.names,
+            units=self.units,
+            solution=np.frombuffer(ffi.buffer(out.solution), dtype=np.float64)[:p].copy(),
+            value=np.frombuffer(ffi.buffer(out.value), dtype=np.float64)[:p].copy(),
+            sigma=np.frombuffer(ffi.buffer(out.sigma), dtype=np.float64)[:p].copy(),
+            half95=np.frombuffer(ffi.buffer(out.half95), dtype=np.float64)[:p].copy(),
+            covariance=_symmetric(out.covariance, p),
+            validity=VALIDITY[out.validity],
+            reason=REASONS[out.reason],
+            cycle=out.cycle,
+            accepted=out.accepted,
+            refused=out.refused,
+            arcs=out.arcs,
+            blocks=out.blocks,
+            rank=out.rank,
+            condition=out.condition,
+            cluster=out.cluster,
+            residual=out.residual,
+            noise_ratio=out.noise_ratio,
+            gate=out.gate,
+            left_out=(out.left_out[0], out.left_out[1], out.left_out[2]),
+            since=int(out.since),
+            in_a_row=int(out.in_a_row),
+        )
+
+    def adopt(self) -> bool:
+        """Take what `estimate` answered last as the running solution, if it is valid.
+
+        An arc that contradicts the running solution when it ends is left out of the sums and counted.
+        """
+        return bool(lib.zygos_adopt(self.native, self._estimate) == 1)
+
+    def drift(self) -> Drift:
+        """Compare the newest arc with all before it. The accumulation is not disturbed."""
+        deviation = ffi.new("double[]", lib.ZYGOS_MAX_PARAMETERS_VALUE)
+        lib.zygos_take(self.native, self._work)
+        lib.zygos_drift(self._work, self._before, deviation)
+        out, p = self._before, len(self.names)
+        far = np.frombuffer(ffi.buffer(deviation), dtype=np.float64)[:p].copy()
+        return Drift(self.names, far, REASONS[out.reason], float(out.cluster), int(out.cycle))
+
+    def restart(self, *, keep_joints: bool = False, keep_faults: bool = True) -> None:
+        """Start the estimate from nothing, or from what is known of Im, k and b. Errors: ZygosError if nothing is."""
+        keep = int(keep_faults) * lib.ZYGOS_KEEP_FAULTS + int(keep_joints) * lib.ZYGOS_KEEP_JOINTS
+        if lib.zygos_restart(self.native, keep) < 0:
+            raise ZygosError(
+                f"arm {self.arm.name!r} has no motor rows that could be kept; remedy: [arc] impulse_max_s above 0"
+            )
+
+    def normal_equations(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """A (p, p) and b (p,) with the arc constants eliminated and the declared noise taken off."""
+        sums = self._closed()
+        lib.zygos_accumulator_total(sums, self._work.total)
+        p = sums.width - 2
+        full = _symmetric(self._work.total, sums.width)
+        return full[:p, :p].copy(), full[p, :p].copy()
+
+    def unexplained(self, result: Estimate) -> float:
+        """Share of the work's variance about the arc constants that an estimate leaves over; NaN without work."""
+        sums = self._closed()
+        lib.zygos_accumulator_total(sums, self._work.total)
+        p = sums.width - 2
+        spread = float(_symmetric(self._work.total, sums.width)[p, p])
+        return result.residual**2 * result.accepted / spread if spread > 0.0 else float("nan")
+
+    def noise(self) -> NDArray[np.float64]:
+        """What the declared noise adds on average to the squares of columns and work, (p+1, p+1)."""
+        sums = self._closed()
+        return _symmetric(sums.noise_closed.gram, sums.width - 1)
+
+    def blocks(self) -> Blocks:
+        """The blocks behind the sigmas, the open arcs ended; not weighed."""
+        lib.zygos_take(self.native, self._work)
+        lib.zygos_solve(self._work, self._estimate)  # ends the open arcs of the copy
+        sums, joints, momenta = self._work.accumulator, self._work.joint_sums, self._work.momentum_sums
+        width = len(self.names) + 1
+        return Blocks(
+            energy=[
+                (
+                    _symmetric(block.gram, width),
+                    np.frombuffer(ffi.buffer(block.deviation), dtype=np.float64)[:width].copy(),
+                    block.instants,
+                    block.square,
+                )
+                for block in sums.block[0 : sums.open]
+            ],
+            motors=[
+                [
+                    (_symmetric(block.joint[i].gram, joints.layout.count[i] + 1), block.instants[i])
+                    for i in range(self.arm.n)
+                ]
+                for block in joints.block[0 : joints.count]
+            ],
+            momentum=[_symmetric(block.rows.gram, momenta.columns) for block in momenta.block[0 : momenta.count]],
+        )
+
+    def _closed(self) -> Any:
+        """A copy of the sums whose open arc has ended."""
+        lib.zygos_take(self.native, self._work)
+        sums, guard, config = (ffi.addressof(self._work, name) for name in ("accumulator", "guard", "config"))
+        lib.zygos_guard_end_energy(guard, config, sums, self._work.cycle, self._work.arc)
+        return sums
+
+    @property
+    def left_out(self) -> tuple[int, tuple[LeftOut, ...]]:
+        """How many arcs that have ended were left out, and the newest of them, oldest first."""
+        guard = self.native.guard
+        count, places = sum(guard.left_out), len(guard.newest)
+        arcs = [guard.newest[k % places] for k in range(max(0, count - places), count)]
+        return count, tuple(LeftOut(ROWS[a.rows], int(a.end) - a.cycles + 1, int(a.end)) for a in arcs)
+
+    @property
+    def faults(self) -> dict[str, int]:
+        """Counter of every kind of fault of the world."""
+        counters = self.native.receiver.faults
+        return {name: int(getattr(counters, name)) for name in _field_names("zygos_faults_t")}
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Cycles worked off, gaps between them, arcs and instants."""
+        sums = self.native.accumulator
+        return {
+            "cycles": int(self.native.cycles),
+            "gaps": int(self.native.gaps),
+            "invalid": int(self.native.invalid),
+            "wraps": int(self.native.wraps),
+            "apart": int(self.native.apart),
+            "arcs_dropped": int(sums.arcs_dropped),
+            "accepted": int(sums.accepted),
+            "refused": int(sums.refused),
+        }
+
+
+class _TraceTable:
+    """Arrays that the library writes a trace into."""
+
+    def __init__(self, arm: Arm, p: int, capacity: int) -> None:
+        n = arm.n
+        self.arm = arm
+        self.arrays: dict[str, NDArray[Any]] = {
+            "sync": np.zeros(capacity, np.uint64),
+            "flags": np.zeros(capacity, np.uint32),
+            "instant": np.zeros(capacity, np.uint8),
+            "accepted": np.zeros(capacity, np.uint8),
+            "measured": np.zeros((capacity, 3 * n + 3)),
+            "state": np.zeros((capacity, 4 * n + 3)),
+            "row": np.zeros((capacity, p + 1)),
+        }
+        self.native = ffi.new("zygos_trace_t *")
+        self.native.capacity = capacity
+        for name, array in self.arrays.items():
+            kind = re.sub(r"\[\d+\]$", "", str(ffi.typeof(getattr(self.native, name)).cname))
+            setattr(self.native, name, ffi.cast(kind, array.ctypes.data))
+
+    def trace(self) -> Trace:
+        used = {name: array[: self.native.count] for name, array in self.arrays.items()}
+        n = self.arm.n
+        q, theta, tau, omega = np.split(used["measured"], [n, 2 * n, 3 * n], axis=1)
+        cycles = Cycles(sync=used["sync"], q=q, theta=theta, tau=tau, omega=omega, flags=used["flags"])
+        return Trace(cycles, used["instant"] > 0, used["accepted"] > 0, used["state"], used["row"])

@@ -1,0 +1,109 @@
+"""`zygos compile-model`: an arm file as the constant that onboard software links, and as bytes that it loads."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from zygos.files.names import ascii_name, printable
+from zygos.native.flight import Flight, ffi, lib
+
+_ENUMS = {
+    "kinetic": "zygos_kinetic",
+    "torque_law": "zygos_torque_law",
+    "base": "zygos_base",
+    "kind": "zygos_effect_kind",
+}
+"""Fields that hold a value of an enumeration."""
+
+
+_COUNTED = {"joint": "joints", "effect": "effects"}
+"""Arrays of which only so many entries are in use."""
+
+
+def capacities(config: Any) -> dict[str, int]:
+    """The least capacity, by macro, that a build needs for a ``zygos_config_t *``."""
+    return {
+        "ZYGOS_MAX_JOINTS": max(config.joints, config.compensation // 2),
+        "ZYGOS_MAX_HALF_WIDTH": config.smoother_half_width,
+        "ZYGOS_MAX_EFFECTS": config.effects,
+        "ZYGOS_SPATIAL": int(config.kinetic == lib.ZYGOS_SPATIAL_ARM),
+        "ZYGOS_MOMENTUM": int(config.momentum_arc_cycles > 0),
+    }
+
+
+def _initialiser(value: Any, field: str) -> str:
+    """A value of C as source: numbers exactly, with the name of an enumeration's."""
+    if isinstance(value, float):
+        return repr(value)  # the shortest number that reads back as the same
+    if field in _ENUMS:
+        names: dict[int, str] = ffi.typeof(f"enum {_ENUMS[field]}").elements
+        return names[value]
+    return "ZYGOS_ABI" if field == "abi" else f"{value}u"
+
+
+def _fields(struct: Any, indent: str) -> Iterator[str]:
+    """Lines that initialise the fields of a struct in their order."""
+    for field, kind in ffi.typeof(struct).fields:
+        value = getattr(struct, field)
+        if kind.type.kind != "array":
+            yield f"{indent}.{field} = {_initialiser(value, field)},"
+        elif kind.type.item.kind != "struct":
+            yield f"{indent}.{field} = {{ {', '.join(_initialiser(entry, field) for entry in value)} }},"
+        else:
+            yield f"{indent}.{field} = {{"
+            for entry in list(value)[: max(1, getattr(struct, _COUNTED[field]))]:
+                yield f"{indent}    {{"
+                yield from _fields(entry, indent + "        ")
+                yield f"{indent}    }},"
+            yield f"{indent}}},"
+
+
+def header(flight: Flight, source: str) -> str:
+    """The text of arm_config.h for an arm that the library has accepted. source: what it was made of."""
+    config = flight.native.config
+    parameters = [
+        f"    ARM_{ascii_name(name)} = {k}, // {unit}"
+        for k, (name, unit) in enumerate(zip(flight.names, flight.units, strict=True))
+    ]
+    least = [
+        f"#if {macro} < {value}\n"
+        f'#error "this arm needs {macro} {value}; remedy: compile with -D{macro}={value}"\n'
+        "#endif"
+        for macro, value in capacities(config).items()
+        if value > 0
+    ]
+    version = lib.ZYGOS_VERSION_MAJOR_VALUE, lib.ZYGOS_VERSION_MINOR_VALUE
+    return "\n".join(
+        [
+            f"// Arm {printable(flight.arm.name)}, compiled from {source} by `zygos compile-model`. Do not edit.",
+            "",
+            "#ifndef ARM_CONFIG_H",
+            "#define ARM_CONFIG_H",
+            "",
+            '#include "zygos/zygos.h"',
+            "",
+            f"#if (ZYGOS_VERSION_MAJOR != {version[0]}) || (ZYGOS_VERSION_MINOR != {version[1]})",
+            '#error "written for another version of zygos; remedy: run `zygos compile-model` again"',
+            "#endif",
+            *least,
+            "",
+            "/// Where the estimate has each parameter: estimate.value[ARM_k1].",
+            "enum arm_parameter {",
+            *parameters,
+            f"    ARM_PARAMETERS = {len(parameters)}",
+            "};",
+            "",
+            "#ifdef __cplusplus",
+            "#pragma GCC system_header // no warning: C++17 compilers know the designated initialisers of C and C++20",
+            "#endif",
+            "",
+            "/// What zygos_init() is given.",
+            "static const zygos_config_t arm_config = {",
+            *_fields(config, "    "),
+            "};",
+            "",
+            "#endif",
+            "",
+        ]
+    )

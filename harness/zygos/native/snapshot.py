@@ -1,0 +1,85 @@
+"""Stored configurations and states: memory of the C library behind a head with layout and CRC (docs/snapshot.md)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+from zygos.errors import ZygosError
+from zygos.files.output import write_bytes
+from zygos.native.flight import Flight, ffi, lib
+
+Kind = Literal["configuration", "state"]
+_KINDS: dict[Kind, tuple[int, str]] = {
+    "configuration": (lib.ZYGOS_SNAPSHOT_CONFIG, "zygos_config_t"),
+    "state": (lib.ZYGOS_SNAPSHOT_STATE, "zygos_t"),
+}
+_HEAD = lib.ZYGOS_SNAPSHOT_HEAD_VALUE
+_REFUSALS = {
+    lib.ZYGOS_E_SNAPSHOT: ("is no snapshot of zygos", "check the path"),
+    lib.ZYGOS_E_FORMAT: ("is a snapshot of a format that this version does not read", "use the version that wrote it"),
+    lib.ZYGOS_E_KIND: ("is a snapshot of something else, no {kind}", "check the path"),
+    lib.ZYGOS_E_BYTE_ORDER: ("was written by a machine of the other byte order", "read it on such a machine"),
+    lib.ZYGOS_E_LAYOUT: (
+        "was written by a build with other capacities, structs or version",
+        "write it again with this",
+    ),
+    lib.ZYGOS_E_LENGTH: ("is cut off, or has more bytes than its head says", "copy it again"),
+    lib.ZYGOS_E_CRC: ("is damaged: its CRC does not fit its bytes", "copy or write it again"),
+    lib.ZYGOS_E_STATE: ("was damaged before it was sealed: it holds a count that cannot be", "take an older one"),
+    lib.ZYGOS_E_SUMS: ("was damaged before it was sealed: its sums are corrupt", "take an older one"),
+    lib.ZYGOS_E_CONFIG: ("is the state of another configuration", "give the configuration that it was made with"),
+}
+
+
+def refusal(path: str | Path, kind: Kind, code: int) -> ZygosError:
+    """The error for what `zygos_snapshot_check` or `zygos_resume` answers."""
+    wrong, remedy = _REFUSALS.get(code, (f"is refused with code {code}", "write it again"))
+    return ZygosError(f"{path}: {wrong.format(kind=kind)}; remedy: {remedy}")
+
+
+def seal(kind: Kind, native: Any) -> bytes:
+    """Head and memory of a ``zygos_config_t *`` or ``zygos_t *``."""
+    number, _ = _KINDS[kind]
+    head = ffi.new("uint8_t[]", _HEAD)
+    lib.zygos_snapshot_seal(number, native, head)
+    return bytes(head) + bytes(ffi.buffer(native))
+
+
+def read(path: str | Path, kind: Kind) -> Any:
+    """The ``zygos_config_t *`` or ``zygos_t *`` of a file.
+
+    Errors: ZygosError if there is none, or it is not exactly what this build of the library would have sealed.
+    """
+    try:
+        content = Path(path).read_bytes()
+    except OSError as error:
+        raise ZygosError(f"{path}: cannot be read ({error.strerror}); remedy: check the path") from None
+    number, struct = _KINDS[kind]
+    image = content[_HEAD:]
+    verdict = lib.zygos_snapshot_check(number, content[:_HEAD], ffi.from_buffer(image), len(content))
+    if verdict < 0:
+        raise refusal(path, kind, verdict)
+    native = ffi.new(f"{struct} *")
+    ffi.memmove(native, image, len(image))
+    return native
+
+
+def write(path: Path, kind: Kind, native: Any) -> None:
+    """Seal into a file, which is written whole or not at all. Errors: ZygosError if it cannot be written."""
+    write_bytes(path, seal(kind, native))
+
+
+def resume(flight: Flight, path: str | Path) -> None:
+    """Let an estimator go on where a stored state ended.
+
+    Errors: as `read`, and for another configuration, or counts and sums that memory errors had changed.
+    """
+    state = read(path, "state")
+    config = ffi.addressof(flight.native, "config")
+    verdict = lib.zygos_check(state, config, ffi.new("zygos_work_t *"))
+    if verdict == 1:
+        verdict = lib.zygos_resume(state, config)
+    if verdict < 0:
+        raise refusal(path, "state", verdict)
+    flight.native = state

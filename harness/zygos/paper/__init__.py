@@ -1,0 +1,1 @@
+"""The paper's estimators and tables, beside those that are printed."""

@@ -1,0 +1,144 @@
+"""The rows that count beside those of the energy, and their weights (docs/theory.md, "Motor impulse", "Momentum")."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zygos.arm import Arm
+from zygos.balances import impulse
+from zygos.balances.arcs import MIN_ARC_INSTANTS, numbered, unused
+from zygos.balances.momentum import Turns
+from zygos.effects import Effect, estimated
+from zygos.reference.accumulator import Design
+from zygos.reference.solver import Rows, Solution, explained, solve
+from zygos.runs.samples import Samples
+from zygos.runs.smoother import Smoothed
+
+Floats = NDArray[np.float64]
+
+LEAST_ARCS = 3
+"""Of fewer arcs nothing is learned about their noise."""
+WALK = 10.0
+"""The mean square of a random walk about its own mean is sigma^2 T^2 over this, between 6 and 15."""
+
+
+MOMENTUM_CAUTION = 5.0
+"""The noise of neighbouring momentum rows is alike, that of energy rows forgets at once."""
+
+
+@dataclass(frozen=True)
+class Motors:
+    """Accepted rows of one joint whose turn it was, less each arc's mean; m rows, p parameters of the arm.
+
+    joint: from 0. rows: z (m, p) with zeros but for the joint's own, w (m,) [Nms], noise (p+1, p+1) that they hold.
+    arcs: arcs that count.
+    """
+
+    joint: int
+    rows: Rows
+    arcs: int
+
+
+def motors(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Effect] = ()) -> tuple[Motors, ...]:
+    """Rows of every flexible joint over a whole record; none if the arm switches them off. Errors: as `estimated`."""
+    if arm.impulse_arc_s == 0.0:
+        return ()
+    longest = max(1, round(arm.impulse_arc_s / arm.period_s))
+    arc = numbered(smoothed, longest)
+    _, first, which = np.unique(arc, return_index=True, return_inverse=True)
+    position = np.arange(len(arc)) - first[which]
+    void = unused(arm, samples, smoothed, arc, longest, "motor")
+    names = [*arm.parameter_names, *(effect.column(arm) for effect in estimated(arm, effects))]
+    out = []
+    for one in impulse.rows(arm, samples, smoothed, arc, effects):
+        places = [names.index(name) for name in one.names]
+        z, w, count = [np.zeros((0, len(names)))], [np.zeros(0)], 0
+        for number in range(int(arc.max(initial=-1)) + 1):
+            accepted = np.flatnonzero((arc == number) & smoothed.accepted)
+            mine = accepted[position[accepted] % arm.n == one.joint]
+            if len(accepted) < MIN_ARC_INSTANTS or number in void or not len(mine):
+                continue
+            own = np.zeros((len(mine), len(names)))
+            own[:, places] = one.z[mine] - one.z[mine].mean(axis=0)
+            z.append(own)
+            w.append(one.w[mine] - one.w[mine].mean())
+            count += 1
+        noise = np.zeros((len(names) + 1, len(names) + 1))
+        if arm.compensation:
+            noise[np.ix_(places, places)] = sum(map(len, w)) * impulse.noise(arm, one.joint, effects)
+        out.append(Motors(one.joint, Rows(np.concatenate(z), np.concatenate(w), noise), count))
+    return tuple(out)
+
+
+def weight(arm: Arm, own: Motors, energy: Floats, x: Floats) -> float:
+    """Of a joint's rows beside those of the energy: the ratio of the noise in them.
+
+    energy: (p+1, p+1) noise of one energy row. x: (p,) the parameters, by the energy rows alone.
+    """
+    joint = arm.joints[own.joint]
+    stiffness = x[arm.parameter_names.index(f"k{own.joint + 1}")]
+    link, motor = joint.link_encoder.over_the_wire, joint.motor_encoder.over_the_wire
+    reading = link.sigma_rad**2 + motor.sigma_rad**2
+    arc_s = arm.period_s * max(1, round(arm.impulse_arc_s / arm.period_s))
+    instant = explained(own.rows.noise, x) / max(len(own.rows.w), 1)
+    noise = instant + stiffness**2 * reading * arc_s**2 / WALK
+    return float(explained(energy, x) / noise) if noise > 0.0 and own.arcs >= LEAST_ARCS else 0.0
+
+
+def placed(names: Sequence[str], own: Turns) -> Rows:
+    """The momentum rows of p parameters, unweighed."""
+    places = [names.index(name) for name in own.names]
+    z, noise = np.zeros((len(own.z), len(names))), np.zeros((len(names) + 1, len(names) + 1))
+    z[:, places] = own.z
+    noise[np.ix_(places, places)] = own.noise.sum(axis=0)
+    return Rows(z, np.zeros(len(z)), noise)
+
+
+def momentum_weight(own: Turns, rows: Rows, energy: Floats, x: Floats) -> float:
+    """Of the momentum rows; 0 where fewer than LEAST_ARCS arcs or no noise tell it.
+
+    energy: (p+1, p+1) noise of one energy row. x: (p,) the parameters, by the other rows.
+    """
+    mean = explained(rows.noise, x) / max(len(rows.z), 1)
+    if len(own.noise) < LEAST_ARCS or not mean > 0.0:
+        return 0.0
+    return float(explained(energy, x) / (MOMENTUM_CAUTION * mean))
+
+
+@dataclass(frozen=True)
+class Combined:
+    """The estimate from all rows. weights: of each joint's motor rows. momentum_weight: of the momentum rows."""
+
+    solution: Solution
+    weights: tuple[float, ...]
+    momentum_weight: float
+
+
+def combine(
+    arm: Arm, design: Design, motors: Sequence[Motors], momentum: Turns | None, effects: Sequence[Effect] = ()
+) -> Combined:
+    """The energy rows, the motor rows and the momentum rows, each weighed by its noise. Raises Undecided as `solve`."""
+    energy = Rows(design.z, design.w, design.noise)
+    alone = solve(energy)
+    noise = design.noise / max(len(design.w), 1)
+    weights = tuple(weight(arm, own, noise, alone.x) for own in motors)
+    beside = [own.rows.times(factor) for factor, own in zip(weights, motors, strict=True) if factor > 0.0]
+    both = solve(energy, beside)
+    if momentum is None:
+        return Combined(both, weights, 0.0)
+    names = [*arm.parameter_names, *(effect.column(arm) for effect in estimated(arm, effects))]
+    third = placed(names, momentum)
+    factor = momentum_weight(momentum, third, noise, both.x)
+    solution = solve(energy, [*beside, third.times(factor)]) if factor > 0.0 else both
+    return Combined(solution, weights, factor)
+
+
+def solve_with_others(
+    arm: Arm, design: Design, motors: Sequence[Motors], momentum: Turns | None, effects: Sequence[Effect] = ()
+) -> Solution:
+    """The estimate of `combine`. Raises Undecided as `solve`."""
+    return combine(arm, design, motors, momentum, effects).solution

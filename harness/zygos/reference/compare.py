@@ -1,0 +1,382 @@
+"""C against numpy on one log, room by room."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zygos.arm import Arm
+from zygos.balances.arcs import arc_cycles
+from zygos.balances.energy import Balance, rows
+from zygos.balances.impulse import joint_names as impulse_names
+from zygos.balances.momentum import Turns, turns
+from zygos.can.wire import Frame
+from zygos.effects import Effect
+from zygos.errors import Undecided
+from zygos.estimation.watch import Watch
+from zygos.native.flight import GATE, ROWS, Estimate, Flight, LeftOut, Trace
+from zygos.reference.accumulator import Design, design
+from zygos.reference.combination import Combined, Motors, combine, motors
+from zygos.reference.noise import noise_of
+from zygos.reference.sigmas import Block, intervals
+from zygos.reference.wire import Reception, receive
+from zygos.runs.cycles import Cycles
+from zygos.runs.samples import Samples, calibrate
+from zygos.runs.smoother import Smoothed, smooth
+
+ROW_TOLERANCE = 1e-12
+"""Of each column's largest entry, where rounding is no larger."""
+ROUNDING = 32.0
+"""Two correct programs differ by at most so many times what one rounding of every reading and of every coefficient of
+the smoother does to the results."""
+LARGEST_TOLERANCE = 1e-9
+"""Beyond it a difference is no rounding, whatever the readings."""
+NOISE_TOLERANCE = 1e-9
+"""Of the root of the product of the two diagonal entries."""
+SIGMA_TOLERANCE = 1e-5
+"""Of each sigma, where the solution is known better than that."""
+SIGMA_DIGITS = 0.01
+"""Where the solutions are known to no better than this share of a sigma, as in a run without noise, it is rounding."""
+STUDENT_TOLERANCE = 0.02
+"""Of each half width, from 2 degrees of freedom on."""
+FLOOR = 0.1
+"""The least size (rad, rad/s, J per unit) that a column of states or rows is measured by: at rest it holds rounding."""
+
+EPSILON = float(np.finfo(np.float64).eps)
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Room:
+    """Result of one comparison."""
+
+    name: str
+    compared: int
+    """Numbers compared."""
+    difference: float
+    """Largest difference, relative to the largest entry of its column."""
+    cycle: int | None
+    """SYNC number at which it occurs."""
+    tolerance: float
+
+    @property
+    def equal(self) -> bool:
+        """Whether the difference is within the tolerance."""
+        return self.difference <= self.tolerance
+
+    def as_json(self) -> dict[str, Any]:
+        """For the command's JSON."""
+        return {
+            "room": self.name,
+            "compared": self.compared,
+            "difference": self.difference,
+            "cycle": self.cycle,
+            "tolerance": self.tolerance,
+            "equal": self.equal,
+        }
+
+
+@dataclass(frozen=True)
+class Tables:
+    """What numpy makes of a record, as far as C is compared with it; n smoothed instants, m rows, p columns."""
+
+    balance: Balance
+    used: Design
+    state: Floats
+    """(n, 4N+3)"""
+    row: Floats
+    """(m, p+1) columns and work."""
+
+    def lengths(self) -> Floats:
+        """(p+1,) lengths of the columns and the work of the rows in use, less the mean of each arc.
+
+        Above 0, also where nothing moved.
+        """
+        length: Floats = np.linalg.norm(np.column_stack([self.used.z, self.used.w]), axis=0)
+        return np.maximum(length, 1e-150)
+
+    def in_lengths(self, a: Floats, b: Floats) -> Floats:
+        """(p, p+1) normal equations a (p, p), b (p,), each entry divided by the lengths of its two columns."""
+        length = self.lengths()
+        out: Floats = np.column_stack([a, b]) / np.outer(length[:-1], length)
+        return out
+
+
+def tables(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Effect] = ()) -> Tables:
+    """Take a calibrated and smoothed record through the rest of numpy's rooms."""
+    raw = rows(arm, samples, smoothed, effects)
+    added = noise_of(arm, samples, smoothed, raw, effects)
+    balance = replace(raw, z=raw.z - added.mean)
+    state = np.hstack([smoothed.q, smoothed.theta, smoothed.qd, smoothed.thetad, smoothed.omega])
+    row = np.column_stack([balance.z, balance.w])
+    return Tables(balance, design(balance, added.moment), state, row)
+
+
+@dataclass(frozen=True)
+class Rounding:
+    """Tolerances: what rounding may do to a table, as a share of each column's largest entry, and no less."""
+
+    state: Floats
+    """(4N+3,)"""
+    row: Floats
+    """(p+1,)"""
+    equations: Floats
+    """(p, p+1), in the unit of `Tables.in_lengths`."""
+
+
+def rounding(arm: Arm, samples: Samples, known: Tables, effects: Sequence[Effect] = ()) -> Rounding:
+    """Measure it: all is computed again from readings moved by up to one rounding of their column's largest.
+
+    A rounded coefficient of the smoother errs in the same way at every instant: angles and rates are moved as a whole,
+    too. So a tolerance follows the conditioning of the readings (angles many turns from zero, rates from small
+    differences) and the length of the arcs over which integrals sum up. The library sums squares before it takes the
+    means of an arc away, which rounds the more, the larger the means are.
+    """
+    generator = np.random.default_rng(0)
+
+    def largest(table: Floats) -> Floats:
+        out: Floats = EPSILON * np.max(np.abs(np.nan_to_num(table)), axis=0, initial=0.0)
+        return out
+
+    def moved(table: Floats) -> Floats:
+        out: Floats = table + largest(table) * generator.uniform(-1.0, 1.0, table.shape)
+        return out
+
+    def shifted(table: Floats, readings: Floats, unit: float = 1.0) -> Floats:
+        size = largest(readings) / unit
+        out: Floats = table + size * generator.choice([-1.0, 1.0], size.shape)
+        return out
+
+    q, theta, tau, omega = moved(samples.q), moved(samples.theta), moved(samples.tau), moved(samples.omega)
+    readings = replace(samples, q=q, theta=theta, tau=tau, omega=omega)
+    again = smooth(arm, readings)
+    smoothed = replace(
+        again,
+        q=shifted(again.q, q),
+        theta=shifted(again.theta, theta),
+        qd=shifted(again.qd, q, arm.period_s),
+        thetad=shifted(again.thetad, theta, arm.period_s),
+        omega=shifted(again.omega, omega),
+    )
+    other = tables(arm, readings, smoothed, effects)
+
+    def tolerance(off: Floats) -> Floats:
+        out: Floats = np.clip(ROUNDING * off, ROW_TOLERANCE, LARGEST_TOLERANCE)
+        return out
+
+    def share(ours: Floats, theirs: Floats) -> Floats:
+        off = np.abs(ours - theirs).max(axis=0, initial=0.0)
+        return tolerance(off / np.maximum(np.abs(ours).max(axis=0, initial=0.0), FLOOR))
+
+    used = np.isin(known.balance.sync, known.used.sync)
+    cancelled = np.linalg.norm(known.row[used], axis=0) / known.lengths()
+    sums = EPSILON * np.sqrt(used.sum()) * np.outer(cancelled[:-1], cancelled)
+    off = np.abs(known.in_lengths(*other.used.normal()) - known.in_lengths(*known.used.normal()))
+    return Rounding(share(known.state, other.state), share(known.row, other.row), tolerance(off + sums))
+
+
+def _closest(difference: Floats, tolerance: Floats | float) -> tuple[int, float, float]:
+    """Where a difference is the largest share of its tolerance: place, difference and tolerance there."""
+    most = np.broadcast_to(tolerance, difference.shape)
+    place = int(np.argmax(difference / np.maximum(most, 1e-300)))
+    return place, float(difference.flat[place]), float(most.flat[place])
+
+
+def _compare(
+    name: str, c: Floats, numpy: Floats, sync: NDArray[np.uint64], tolerance: Floats | float, floor: float = 1e-300
+) -> Room:
+    """Compare two tables (n, columns) whose rows belong to the cycles sync (n,).
+
+    tolerance: of each column, or of all; a share of the column's largest entry.
+    """
+    if c.shape != numpy.shape:
+        return Room(name, 0, float("inf"), None, float(np.max(tolerance)))
+    if c.size == 0:
+        return Room(name, 0, 0.0, None, float(np.max(tolerance)))
+    scale = np.maximum(np.abs(numpy).max(axis=0), floor)
+    relative = np.nan_to_num(np.abs(c - numpy) / scale, nan=np.inf)
+    column, difference, most = _closest(relative.max(axis=0), tolerance)
+    cycle = int(sync[np.argmax(relative[:, column])]) if difference > 0.0 else None
+    return Room(name, c.size, difference, cycle, most)
+
+
+def _compare_noise(c: Floats, numpy: Floats, rows: Floats) -> Room:
+    """Compare what noise adds to the squares (p+1, p+1) of rows (m, p+1), with each entry's own size.
+
+    A column without noise holds the rounding of its own derivatives.
+    """
+    size = np.maximum(np.sqrt(np.diag(numpy)), 1e-9 * np.linalg.norm(rows, axis=0))
+    difference = float(np.max(np.abs(c - numpy) / np.outer(size, size)))
+    return Room("noise", c.size, difference, None, NOISE_TOLERANCE)
+
+
+def _columns(cycles: Cycles) -> Floats:
+    return np.hstack([cycles.q, cycles.theta, cycles.tau, cycles.omega])
+
+
+def sizes(arm: Arm, x: Floats) -> Floats:
+    """What differences of the parameters x (p,) are measured by, (p,).
+
+    The value; of a kinetic one, which may be zero, at least the root of the product of the two diagonal ones that it
+    couples; of a first moment the largest of them.
+    """
+    out: Floats = np.abs(x)
+    value: dict[str, float] = dict(zip(arm.parameter_names, out.tolist(), strict=False))
+    largest = max((value[name] for name, unit in arm.body_parameters if unit == "kg m"), default=0.0)
+
+    def own(end: str) -> float:
+        # on a fixed base the first body's two directions share a parameter
+        name = f"N[{end},{end}]" if arm.spatial else f"a{end}{end}"
+        return value[name] if name in value else value["N[1u,1u]"]
+
+    for k, (name, unit) in enumerate(arm.body_parameters):
+        first, second = name[2:-1].split(",") if unit != "kg m" and arm.spatial else (name[1], name[2])
+        out[k] = largest if unit == "kg m" else max(out[k], float(np.sqrt(own(first) * own(second))))
+    return out
+
+
+def left_out(flight: Flight, ended: Sequence[LeftOut]) -> dict[str, frozenset[int]]:
+    """Newest cycles of the arcs that a flight left out, by kind of rows: those that ended, and open ones."""
+    estimate, guard = flight.estimate(), flight.native.guard
+    out = {}
+    for k, kind in enumerate(ROWS):
+        still = {estimate.cycle} if estimate.left_out[k] > guard.left_out[k] else set()
+        out[kind] = frozenset({arc.last for arc in ended if arc.rows == kind} | still)
+    return out
+
+
+def check_chain(arm: Arm, trace: Trace, flight: Flight, ended: Sequence[LeftOut] = ()) -> list[Room]:
+    """Compare what the rooms behind the receiver made of a run with numpy's result on the same cycles.
+
+    The last room is "solution", unless the run determines none: too short for an instant it ends with the smoother,
+    without any parameter known with the bandwidth test. ended: arcs that the flight left out when they ended; they are
+    told to numpy, which judges none.
+    """
+    samples = replace(calibrate(arm, trace.cycles), left_out=left_out(flight, ended))
+    smoothed = smooth(arm, samples)
+    if len(smoothed.index) == 0:
+        return [Room("smoother", 0, float(trace.instant.sum()), None, 0.0)]
+    known = tables(arm, samples, smoothed, flight.effects)
+    balance, used = known.balance, known.used
+    rounds = rounding(arm, samples, known, flight.effects)
+    half = arm.smoother.lag
+    at = smoothed.index + half  # the instant k comes out with cycle k + M
+    rooms = [_compare("smoother", trace.state[at], known.state, smoothed.sync, rounds.state, FLOOR)]
+    instants = np.flatnonzero(trace.instant)
+    sync = trace.cycles.sync[instants] - half
+    rooms.append(_compare("balance", trace.row[instants], known.row, sync, rounds.row, FLOOR))
+    c_accepted = trace.accepted[instants].astype(float)[:, None]
+    rooms.append(_compare("bandwidth test", c_accepted, balance.accepted.astype(float)[:, None], sync, 0.0))
+    estimate = flight.estimate()
+    has_value = np.isfinite(estimate.value)  # the library withholds what is not identifiable
+    if not has_value.any():
+        return rooms
+    if not balance.void:
+        # of arcs that are dropped later the library takes the noise in proportion
+        rooms.append(_compare_noise(flight.noise(), used.noise, np.column_stack([used.z, used.w])))
+    off = np.abs(known.in_lengths(*flight.normal_equations()) - known.in_lengths(*used.normal()))
+    _, difference, tolerance = _closest(off, rounds.equations)
+    rooms.append(Room("normal equations", off.size, difference, None, tolerance))
+    try:
+        of_motors, momentum = motors(arm, samples, smoothed, flight.effects), turns(arm, samples, smoothed)
+        combined = combine(arm, used, of_motors, momentum, flight.effects)
+    except Undecided:
+        return rooms
+    solution = combined.solution
+    tolerance = max(1e-9, 1e-14 * estimate.condition)
+    size = sizes(arm, solution.x)
+    # an effect may be zero; what it could explain at the most is its size then
+    first = len(arm.parameter_names)
+    size[first:] = np.linalg.norm(used.w) / np.linalg.norm(used.z[:, first:], axis=0)
+    relative = (np.abs(estimate.value - solution.x) / size)[has_value]
+    worst = float(np.max(relative, initial=0.0)) if np.all(np.isfinite(relative)) else float("inf")
+    if not balance.void and has_value.all() and estimate.gate >= GATE:
+        # a sigma comes from differences of solutions
+        closest = max(SIGMA_TOLERANCE, tolerance * float(np.max(size / estimate.sigma)))
+        if closest <= SIGMA_DIGITS:
+            rooms.append(_compare_sigmas(arm, flight, estimate, used, of_motors, momentum, combined, closest))
+    return [*rooms, Room("solution", len(relative), worst, None, tolerance)]
+
+
+def _compare_sigmas(
+    arm: Arm,
+    flight: Flight,
+    estimate: Estimate,
+    used: Design,
+    of_motors: Sequence[Motors],
+    momentum: Turns | None,
+    combined: Combined,
+    tolerance: float,
+) -> Room:
+    """Compare sigmas and half widths where every parameter has them, from the library's own blocks."""
+    names = list(flight.names)
+    blocks = flight.blocks()
+
+    def spread_out(own: Sequence[str], sums: Floats, factor: float) -> Floats:
+        """(p+1, p+1) with the sums of some columns, and of their right-hand side where it has one."""
+        places = [names.index(name) for name in own] + ([len(names)] if len(sums) > len(own) else [])
+        out = np.zeros((len(names) + 1, len(names) + 1))
+        out[np.ix_(places, places)] = factor * sums
+        return out
+
+    noise = used.noise.copy()
+    arcs = []
+    zero = np.zeros(len(names) + 1)
+    of_joint = [(own, factor) for own, factor in zip(of_motors, combined.weights, strict=True) if factor > 0.0]
+    columns = {own.joint: impulse_names(arm, own.joint, flight.effects) for own, _ in of_joint}
+    for block in blocks.motors if of_joint else []:
+        sums = [spread_out(columns[own.joint], block[own.joint][0], factor) for own, factor in of_joint]
+        arcs.append(Block(np.sum(sums, axis=0), zero))
+    for own, factor in of_joint:
+        noise += factor * own.rows.noise
+    if momentum is not None and combined.momentum_weight > 0.0:
+        factor = combined.momentum_weight
+        arcs += [Block(spread_out(momentum.names, sums, factor), zero) for sums in blocks.momentum]
+        noise += spread_out(momentum.names, momentum.noise.sum(axis=0), factor)
+    energy = [Block(*block) for block in blocks.energy]
+    told = intervals(energy, arcs, noise, used.noise, combined.solution.believed, arc_cycles(arm))
+    sigma = np.abs(estimate.sigma / told.sigma - 1.0)
+    half = np.abs(estimate.half95 / told.half95 - 1.0)
+    # the library has Student's factor by its expansion
+    difference = float(max(sigma.max(), half.max() * tolerance / (STUDENT_TOLERANCE + tolerance)))
+    return Room("sigmas", 2 * len(sigma), difference, None, tolerance)
+
+
+def decode(arm: Arm, frames: NDArray[Any]) -> Reception:
+    """`FRAME` records as numpy's side receives them."""
+    return receive(arm, [_frame(f) for f in frames])
+
+
+def _frame(record: Any) -> Frame:
+    length = int(record["length"])
+    return Frame(int(record["id"]), bytes(record["data"])[:length].ljust(length, b"\0"), int(record["flags"]))
+
+
+def check_frames(arm: Arm, frames: NDArray[Any], flight: Flight | None = None) -> list[Room]:
+    """Compare all rooms on a log, beginning with the frames, which a fresh `flight` takes in."""
+    watch = Watch(flight or Flight(arm), trace=True)
+    watch.frames(frames)
+    flight, trace = watch.flight, watch.trace()
+    reception = decode(arm, frames)
+    ours, theirs = trace.cycles, reception.cycles
+    rooms = [_compare("wire and cycles", _columns(ours), _columns(theirs), ours.sync, 1e-15)]
+    if len(ours) == len(theirs):
+        unlike = (ours.sync != theirs.sync) | (ours.flags != theirs.flags)
+        first = int(ours.sync[np.argmax(unlike)]) if unlike.any() else None
+        rooms.append(Room("cycle numbers and breaks", len(ours), float(unlike.sum()), first, 0.0))
+    c_faults = flight.faults
+    off = sum(abs(count - reception.faults[name]) for name, count in c_faults.items())
+    rooms.append(Room("fault counters", len(c_faults), float(off), None, 0.0))
+    return rooms + check_chain(arm, trace, flight, watch.left_out)
+
+
+def check_cycles(arm: Arm, cycles: Cycles, flight: Flight | None = None) -> list[Room]:
+    """Compare the rooms behind the receiver on cycles that came through the other door of a fresh `flight`."""
+    watch = Watch(flight or Flight(arm), trace=True)
+    watch.cycles(cycles)
+    return check_chain(arm, watch.trace(), watch.flight, watch.left_out)

@@ -1,0 +1,1 @@
+"""A recorded run: cycles, tables of cycles, calibrated samples, smoothed instants."""

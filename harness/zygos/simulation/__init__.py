@@ -1,0 +1,1 @@
+"""The simulated plant: scenario, motion, sensors, and the scorer that compares estimates with its true values."""

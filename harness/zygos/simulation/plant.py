@@ -1,0 +1,400 @@
+"""The simulated arm: sampled servo, torque held between SYNCs, SciPy's DOP853 in between.
+
+Between SYNCs the equations of motion are smooth and autonomous, so each period is integrated on its own, all seeds as
+one state; no step ever crosses a torque step. The servo sees the same encoder errors that the run records.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import DOP853
+
+from zygos.arm import Arm
+from zygos.dynamics.equations import EngineName, Motion, equations
+from zygos.dynamics.planar import PlanarDynamics
+from zygos.errors import ZygosError
+from zygos.model.model import Model
+from zygos.runs.cycles import Cycles
+from zygos.simulation.scenario import Scenario
+from zygos.simulation.sensors import (
+    Noise,
+    draw_noise,
+    encoder_angle,
+    encoder_reading,
+    gyro_reading,
+    no_noise,
+    torque_record,
+)
+
+Array = NDArray[np.float64]
+
+_STEPS_MAX = 400
+"""DOP853 steps within one SYNC period; an arm that needs more is too stiff for an explicit method."""
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """The exact motion of B seeds at n SYNC instants t_k = k * period; N joints."""
+
+    arm: Arm
+    """The arm, at the period that was simulated."""
+    dynamics: Motion
+    seeds: tuple[int, ...]
+    t: Array
+    """(n,) s."""
+    attitude: Array
+    """Of the base: (B, n) angle about the axis of a planar arm, rad; (B, n, 4) quaternion from base to inertial axes,
+    scalar last, where the base turns in space; (B, n, 0) where it is fixed."""
+    omega0: Array
+    """(B, n) base rate of a planar arm, rad/s; (B, n, 3) in base axes where it turns in space or is fixed."""
+    q: Array
+    """(B, n, N) link angles, rad."""
+    qd: Array
+    """(B, n, N) link rates, rad/s."""
+    theta: Array
+    """(B, n, N) motor angles after the gear, rad."""
+    thetad: Array
+    """(B, n, N) motor rates after the gear, rad/s."""
+    tau: Array
+    """(B, n, N) rotor torque before the gear, Nm, in force on [t_k, t_{k+1})."""
+    slip2: Array
+    """(B, n, N) integral of (thetad - qd)^2 from 0 to t_k, rad^2/s."""
+    desired: Array
+    """(n, N) desired angles, rad."""
+    q_latched: Array
+    """(B, n, N) link angles when the link encoders latch, rad; q itself where no latch is late."""
+    theta_latched: Array
+    """(B, n, N) motor angles when the motor encoders latch, rad."""
+    omega0_latched: Array
+    """Base rate when the gyro latches, rad/s; shape as omega0."""
+    noise: Noise
+    """The errors that the servo saw and `cycles` records."""
+
+    def accelerations(self) -> tuple[Array, Array, Array]:
+        """Exact accelerations just after each SYNC: base as omega0, links (B, n, N), motors after the gear (B, n, N),
+        rad/s^2."""
+        return self.dynamics.accelerations(self.q, self.theta, self.omega0, self.qd, self.thetad, self.tau)
+
+    def cycles(self, index: int = 0) -> Cycles:
+        """What the sensors say of the run of `seeds[index]`."""
+        return record(self, index)
+
+
+def record(trajectory: Trajectory, index: int = 0) -> Cycles:
+    """What the sensors say of the run of `trajectory.seeds[index]`: n cycles, numbered from 0."""
+    arm, noise = trajectory.arm, trajectory.noise
+    n = len(trajectory.t)
+    return Cycles(
+        sync=np.arange(n, dtype=np.uint64),
+        q=encoder_reading(
+            [joint.link_encoder for joint in arm.joints], trajectory.q_latched[index], noise.link[index], noise.rounding
+        ),
+        theta=encoder_reading(
+            [joint.motor_encoder for joint in arm.joints],
+            trajectory.theta_latched[index],
+            noise.motor[index],
+            noise.rounding,
+        ),
+        tau=torque_record(arm, trajectory.tau[index], noise.torque[index]),
+        omega=gyro_reading(arm, _vector(arm, trajectory.omega0_latched)[index], noise.gyro[index]),
+        flags=np.zeros(n, dtype=np.uint32),
+    )
+
+
+def _vector(arm: Arm, omega0: Array) -> Array:
+    """(B, n, 3) base rate in base axes."""
+    return omega0 if omega0.ndim == 3 else omega0[..., None] * arm.axis
+
+
+def simulate(
+    arm: Arm,
+    model: Model,
+    scenario: Scenario,
+    *,
+    engine: EngineName = "zygos",
+    dynamics: Motion | None = None,
+    seeds: Sequence[int] | None = None,
+    noise: bool | None = None,
+    period_s: float | None = None,
+    duration_s: float | None = None,
+    rtol: float = 1e-12,
+    atol: float = 1e-14,
+    progress: Callable[[float], None] | None = None,
+) -> Trajectory:
+    """Simulate the scenario in closed loop, with the effects of the model.
+
+    An angular momentum that the model names goes before the scenario's. engine: whose equations of motion; those of
+    others know bodies only, no effects. dynamics: other equations of motion of this arm, instead of the engine's.
+
+    seeds (default: the scenario's) are integrated together; noise, duration_s and period_s override scenario and arm.
+    There are round(duration / period) cycles. rtol and atol are DOP853's. A trajectory depends on the other seeds of
+    its batch through the choice of steps, within the tolerances, which chaos then magnifies; its noise does not.
+
+    progress is called now and then with the share that is done.
+
+    Errors: ZygosError if model, scenario and arm do not fit each other, or if the motion diverges.
+    """
+    if period_s is not None:
+        arm = arm.at_period(period_s)
+    chosen = tuple(seeds) if seeds is not None else (scenario.seed,)
+    n = round((scenario.duration_s if duration_s is None else duration_s) / arm.period_s)
+    if n < 2 or not chosen:
+        raise ZygosError(
+            f"scenario {scenario.name}: {n} cycles of {len(chosen)} seeds is nothing to simulate; remedy: "
+            "a duration of at least two SYNC periods, and one seed"
+        )
+    dynamics = equations(arm, model, engine) if dynamics is None else dynamics
+    noisy = scenario.noise if noise is None else noise
+    errors = draw_noise(arm, n, chosen, scenario.encoder_noise) if noisy else no_noise(arm, n, chosen)
+    planar = isinstance(dynamics, PlanarDynamics)
+    run = _Run(arm, dynamics, scenario, planar=planar, seeds=chosen, n=n, noise=errors, rtol=rtol, atol=atol)
+    return run.trajectory(progress)
+
+
+class _Run:
+    """State of one simulation; the state vector is B rows of attitude, omega0, q, qd, theta, thetad, slip2."""
+
+    def __init__(
+        self,
+        arm: Arm,
+        dynamics: Motion,
+        scenario: Scenario,
+        *,
+        planar: bool,
+        seeds: tuple[int, ...],
+        n: int,
+        noise: Noise,
+        rtol: float,
+        atol: float,
+    ) -> None:
+        self.arm, self.dynamics, self.scenario, self.seeds = arm, dynamics, scenario, seeds
+        self.n, self.noise = n, noise
+        self.rtol, self.atol = rtol, atol
+        joints = arm.n
+        self.planar = planar
+        widths = [1, 1] if planar else [4, 3] if arm.free else [0, 0]
+        ends = np.cumsum([0, *widths, *[joints] * 5]).tolist()
+        self.attitude, self.omega, *self.slices = (slice(a, b) for a, b in pairwise(ends))
+        self.ratio = arm.gear_ratios
+        self.step = arm.period_s
+        self.tau = np.zeros((len(seeds), joints))
+        angles = scenario.initial_angles_rad or (0.0,) * joints
+        if len(angles) != joints:
+            raise ZygosError(
+                f"scenario {scenario.name}: {len(angles)} initial angles for {joints} joints; remedy: "
+                "give initial_angles_rad one number a joint"
+            )
+        for key, gain in (("kp", scenario.controller.kp), ("kd", scenario.controller.kd)):
+            if isinstance(gain, tuple) and len(gain) != joints:
+                raise ZygosError(
+                    f"scenario {scenario.name}: {len(gain)} {key} for {joints} joints; remedy: one number, or one "
+                    "for each joint"
+                )
+        self.state = np.zeros((len(seeds), ends[-1]))
+        q, _, theta, _, _ = self.slices
+        self.state[:, q] = self.state[:, theta] = np.array(angles)
+        if not arm.free:
+            return
+        if not planar:
+            self.state[:, self.attitude] = [0.0, 0.0, 0.0, 1.0]
+        assumed = dynamics.angular_momentum
+        momentum = np.array(scenario.angular_momentum_nms if assumed is None else assumed, dtype=np.float64)
+        if planar and momentum.ndim:
+            raise ZygosError(
+                f"scenario {scenario.name}: angular_momentum_nms is a vector, but arm {arm.name} moves in a plane; "
+                "remedy: one number"
+            )
+        if not planar and not momentum.ndim:
+            momentum = momentum * (arm.axis if not arm.spatial else np.array([0.0, 0.0, 1.0]))
+        self._set_omega0(self.state, dynamics.base_rate(self.state[:, q], momentum))
+
+    def _omega0(self, state: Array) -> Array:
+        """Base rate in a state (..., width) as the equations of motion take it."""
+        if not self.arm.free:
+            return np.zeros((*state.shape[:-1], 3))
+        return state[..., self.omega.start] if self.planar else state[..., self.omega]
+
+    def _set_omega0(self, state: Array, rate: Array) -> None:
+        if self.arm.free:
+            state[..., self.omega] = rate[..., None] if self.planar else rate
+
+    def trajectory(self, progress: Callable[[float], None] | None) -> Trajectory:
+        arm, joints = self.arm, self.arm.n
+        shape = (len(self.seeds), self.n)
+        t: Array = arm.period_s * np.arange(self.n, dtype=np.float64)
+        desired, desired_rate = self.scenario.desired([joint.name for joint in arm.joints], t)
+        states = np.empty((*shape, self.state.shape[1]))
+        taus = np.empty((*shape, joints))
+        latches = _Latches(arm, self.slices, self.omega)
+        pauses = _pauses(latches, self.dynamics.torque_lag)
+        latched = np.empty((*shape, latches.width)) if latches.late else None
+        slip = self.slices[4]
+        total = np.zeros((len(self.seeds), joints))
+        before: Array | None = None
+        for k in range(self.n):
+            if progress is not None and k % 20 == 0:
+                progress(k / self.n)
+            states[:, k] = self.state
+            states[:, k, slip] = total
+            angle = self._measured(k)
+            rate = np.zeros_like(angle) if before is None else (angle - before) / arm.period_s
+            before = angle
+            servo = self.scenario.controller
+            command = (
+                servo.gain
+                * (np.array(servo.kp) * (desired[k] - angle) + np.array(servo.kd) * (desired_rate[k] - rate))
+                / self.ratio
+            )
+            taus[:, k] = command
+            self.state[:, slip] = 0.0
+            reached = 0.0
+            for offset, columns, motors in pauses:
+                self._integrate(offset - reached, t[k])
+                reached = offset
+                self.tau[:, motors] = command[:, motors]
+                if latched is not None:
+                    latched[:, k, columns[0]] = self.state[:, columns[1]]
+            self._integrate(arm.period_s - reached, t[k])
+            total += self.state[:, slip]
+        q, qd, theta, thetad, _ = (states[..., part] for part in self.slices)
+        omega0 = omega0_latched = self._omega0(states)
+        q_latched, theta_latched = q, theta
+        if latched is not None:
+            q_latched, theta_latched = latched[..., :joints], latched[..., joints : 2 * joints]
+            if arm.free:
+                omega0_latched = latched[..., -1] if self.planar else latched[..., 2 * joints :]
+        return Trajectory(
+            arm,
+            self.dynamics,
+            self.seeds,
+            t,
+            states[..., 0] if self.planar else states[..., self.attitude],
+            omega0,
+            q,
+            qd,
+            theta,
+            thetad,
+            taus,
+            states[..., slip],
+            desired,
+            q_latched,
+            theta_latched,
+            omega0_latched,
+            self.noise,
+        )
+
+    def _measured(self, k: int) -> Array:
+        """(B, N) the angles that the servo reads at SYNC k, rad."""
+        if self.scenario.controller.angle == "motor":
+            encoders = [joint.motor_encoder for joint in self.arm.joints]
+            angle, error = self.state[:, self.slices[2]], self.noise.motor[:, k]
+        else:
+            encoders = [joint.link_encoder for joint in self.arm.joints]
+            angle, error = self.state[:, self.slices[0]], self.noise.link[:, k]
+        return encoder_angle(encoders, encoder_reading(encoders, angle, error, self.noise.rounding))
+
+    def _derivative(self, _: float, flat: Array) -> Array:
+        state = flat.reshape(self.state.shape)
+        q, qd, theta, thetad, slip = self.slices
+        omega0 = self._omega0(state)
+        base, link, motor = self.dynamics.accelerations(
+            state[:, q], state[:, theta], omega0, state[:, qd], state[:, thetad], self.tau
+        )
+        rate = np.empty_like(state)
+        if self.planar:
+            rate[:, 0] = omega0
+        elif self.arm.free:
+            rate[:, self.attitude] = _quaternion_rate(state[:, self.attitude], omega0)
+        self._set_omega0(rate, base)
+        rate[:, q] = state[:, qd]
+        rate[:, qd] = link
+        rate[:, theta] = state[:, thetad]
+        rate[:, thetad] = motor
+        rate[:, slip] = (state[:, thetad] - state[:, qd]) ** 2
+        return rate.ravel()
+
+    def _integrate(self, span: float, t: float) -> None:
+        """Advance the state by `span` s under the torque held; local time starts at zero, which keeps its roundoff
+        out of the step."""
+        if span <= 0.0:
+            return
+        with np.errstate(over="ignore", invalid="ignore"):
+            solver = DOP853(
+                self._derivative,
+                0.0,
+                self.state.ravel(),
+                span,
+                first_step=min(self.step, span),
+                rtol=self.rtol,
+                atol=self.atol,
+            )
+            for _ in range(_STEPS_MAX):
+                solver.step()
+                if solver.status != "running":
+                    break
+        if solver.status == "running":
+            raise ZygosError(
+                f"scenario {self.scenario.name}: one SYNC period takes more than {_STEPS_MAX} integration "
+                f"steps at t = {t:.3f} s; remedy: check the units of stiffness, damping and rotor inertia "
+                "in the model (Nm/rad and Nms/rad after the gear, kg m^2 before it)"
+            )
+        turned = solver.y.reshape(self.state.shape)[:, self.slices[0]] - self.state[:, self.slices[0]]
+        # a joint that turns by more than half a turn between two samples cannot be followed by a sampled servo
+        if solver.status != "finished" or not np.max(np.abs(turned)) < np.pi:
+            raise ZygosError(
+                f"scenario {self.scenario.name}: the motion diverges at t = {t:.3f} s; remedy: lower the "
+                "controller's gain, feed back the motor angle, or shorten period_s"
+            )
+        # the size that the step control proposes is the best first guess for the next period
+        self.step = min(solver.h_abs, self.arm.period_s)
+        self.state = solver.y.reshape(self.state.shape)
+
+
+_TURN_OF = np.array([[3, 2, 1], [2, 3, 0], [1, 0, 3], [0, 1, 2]])
+_TURN_SIGN = 0.5 * np.array([[1, -1, 1], [1, 1, -1], [-1, 1, 1], [-1, -1, -1]])
+"""A quaternion's rate is this half of its components, times the angular velocity."""
+
+
+def _quaternion_rate(attitude: Array, omega: Array) -> Array:
+    """(B, 4) derivative of the attitude (scalar last) of a base that turns at omega (B, 3) in its own axes, rad/s."""
+    rate: Array = ((_TURN_SIGN * attitude[:, _TURN_OF]) @ omega[:, :, None])[:, :, 0]
+    return rate
+
+
+def _pauses(latches: _Latches, lag: Array | None) -> list[tuple[float, tuple[list[int], list[int]], list[int]]]:
+    """Instants after SYNC at which something happens: (s, columns that latch as in `_Latches`, motors whose torque
+    takes effect)."""
+    happens: dict[float, tuple[tuple[list[int], list[int]], list[int]]] = {
+        offset: (columns, []) for offset, columns in latches.groups
+    }
+    for motor, late in enumerate([0.0] * latches.joints if lag is None else lag.tolist()):
+        happens.setdefault(late, (([], []), []))[1].append(motor)
+    return [(offset, *happens[offset]) for offset in sorted(happens)]
+
+
+class _Latches:
+    """Instants at which readings are latched, in order: (s after SYNC, (columns of the record, of the state))."""
+
+    def __init__(self, arm: Arm, slices: list[slice], omega: slice) -> None:
+        at: dict[int, tuple[list[int], list[int]]] = {}
+        for i, joint in enumerate(arm.joints):
+            for encoder, column, source in (
+                (joint.link_encoder, i, slices[0].start + i),
+                (joint.motor_encoder, arm.n + i, slices[2].start + i),
+            ):
+                into, out = at.setdefault(joint.latch_us + encoder.latch_us, ([], []))
+                into.append(column)
+                out.append(source)
+        into, out = at.setdefault(arm.imu.latch_us, ([], []))
+        rates = omega.stop - omega.start
+        into += range(2 * arm.n, 2 * arm.n + rates)
+        out += range(omega.start, omega.stop)
+        self.width = 2 * arm.n + rates
+        self.joints = arm.n
+        self.late = any(offset > 0 for offset in at)
+        self.groups = [(offset * 1e-6, columns) for offset, columns in sorted(at.items())]

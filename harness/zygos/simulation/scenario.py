@@ -1,0 +1,204 @@
+"""What is done with an arm: manoeuvre, controller, duration and seed (`scenario.toml`)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from zygos.errors import ZygosError
+from zygos.files.toml import Table
+
+Array = NDArray[np.float64]
+EncoderNoise = Literal["gaussian", "quantised"]
+FeedbackAngle = Literal["motor", "link"]
+Kind = Literal["constant", "sines", "ramp"]
+
+_ENCODER_NOISES: tuple[EncoderNoise, ...] = ("gaussian", "quantised")
+_FEEDBACK_ANGLES: tuple[FeedbackAngle, ...] = ("motor", "link")
+_KINDS: tuple[Kind, ...] = ("constant", "sines", "ramp")
+
+
+@dataclass(frozen=True)
+class Sine:
+    """amplitude * sin(omega t + phase)."""
+
+    amplitude: float
+    """rad."""
+    omega: float
+    """rad/s."""
+    phase: float = 0.0
+    """rad."""
+
+
+@dataclass(frozen=True)
+class Ramp:
+    """A change that starts and ends at rest: change/2 * (1 - cos(pi (t - start) / duration)) in between."""
+
+    start_s: float
+    duration_s: float
+    change: float
+    """rad."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Desired motion of one joint: an offset (rad) plus sines plus ramps."""
+
+    offset: float = 0.0
+    sines: tuple[Sine, ...] = ()
+    ramps: tuple[Ramp, ...] = ()
+
+    def desired(self, t: ArrayLike) -> tuple[Array, Array]:
+        """Desired angle, rad, and rate, rad/s, each of the shape of the times t, s."""
+        time = np.asarray(t, dtype=np.float64)
+        angle = np.full_like(time, self.offset)
+        rate = np.zeros_like(time)
+        for sine in self.sines:
+            angle += sine.amplitude * np.sin(sine.omega * time + sine.phase)
+            rate += sine.amplitude * sine.omega * np.cos(sine.omega * time + sine.phase)
+        for ramp in self.ramps:
+            turn = np.pi * np.clip((time - ramp.start_s) / ramp.duration_s, 0.0, 1.0)
+            angle += 0.5 * ramp.change * (1.0 - np.cos(turn))
+            rate += 0.5 * ramp.change * np.pi / ramp.duration_s * np.sin(turn)
+        return angle, rate
+
+
+@dataclass(frozen=True)
+class Controller:
+    """The sampled servo of every joint: n tau = gain * [kp (q_d - angle) + kd (qd_d - rate)]."""
+
+    kp: float | tuple[float, ...] = 1000.0
+    """Nm/rad, after the gear; one for all joints, or (N,)."""
+    kd: float | tuple[float, ...] = 250.0
+    """Nms/rad, after the gear; one for all joints, or (N,)."""
+    gain: float = 1.0
+    angle: FeedbackAngle = "motor"
+    """The encoder that is fed back."""
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One run: what the arm is asked to do, and under which conditions."""
+
+    name: str
+    arm: Path
+    """Path of `arm.toml`."""
+    plant: Path
+    """Path of the `model.toml` that is simulated."""
+    duration_s: float
+    manoeuvre: dict[str, Motion]
+    """Desired motion by joint name."""
+    controller: Controller = Controller()
+    seed: int = 0
+    noise: bool = True
+    """False: sensors, and the encoder that is fed back, are exact."""
+    encoder_noise: EncoderNoise = "gaussian"
+    """"gaussian": sigma = quantum/sqrt(12) (Nanos & Papadopoulos eq. (28)); "quantised": readings are rounded."""
+    angular_momentum_nms: float | tuple[float, float, float] = 1.0
+    """At the start: about the joint axis of a planar arm, or a vector in base axes; a number is then about z."""
+    initial_angles_rad: tuple[float, ...] = ()
+    """(N,) link and motor angles at the start, springs relaxed, all joints at rest; empty: zeros."""
+
+    def motions(self, names: Sequence[str]) -> list[Motion]:
+        """Desired motion of each named joint. Errors: ZygosError if the manoeuvre names other joints."""
+        if sorted(names) != sorted(self.manoeuvre):
+            raise ZygosError(
+                f"scenario {self.name}: the manoeuvre is for joints {sorted(self.manoeuvre)}, the arm has "
+                f"{list(names)}; remedy: give each joint of the arm at least one [[manoeuvre]]"
+            )
+        return [self.manoeuvre[name] for name in names]
+
+    def desired(self, names: Sequence[str], t: ArrayLike) -> tuple[Array, Array]:
+        """Desired angles, rad, and rates, rad/s, of the named joints at the times t (n,), s: each (n, N)."""
+        pairs = [motion.desired(t) for motion in self.motions(names)]
+        return np.stack([angle for angle, _ in pairs], axis=-1), np.stack([rate for _, rate in pairs], axis=-1)
+
+
+def load_scenario(path: str | Path) -> Scenario:
+    """Read `scenario.toml`; paths in it are relative to the file. Errors: ZygosError naming file, key and remedy."""
+    top = Table.load(path)
+    manoeuvre = _manoeuvre(top.tables("manoeuvre"))
+    control = top.table("controller", optional=True)
+    controller = Controller(
+        _gain(control, "kp", 1000.0, len(manoeuvre), "Nm/rad"),
+        _gain(control, "kd", 250.0, len(manoeuvre), "Nms/rad"),
+        control.number("gain", 1.0, low=0.0),
+        control.choice("angle", _FEEDBACK_ANGLES, "motor"),
+    )
+    control.finish()
+    momentum: float | tuple[float, float, float]
+    if top.has("angular_momentum_nms") and isinstance(top.peek("angular_momentum_nms"), list):
+        x, y, z = top.vector("angular_momentum_nms", 3, unit="Nms")
+        momentum = (x, y, z)
+    else:
+        momentum = top.number("angular_momentum_nms", 1.0, unit="Nms")
+    scenario = Scenario(
+        name=top.text("name"),
+        arm=_file(top, "arm", "arm.toml"),
+        plant=_file(top, "plant", "model.toml"),
+        duration_s=top.number("duration_s", above=0.0, high=1e6, unit="s"),
+        manoeuvre=manoeuvre,
+        controller=controller,
+        seed=top.integer("seed", 0, low=0, high=2**63 - 1),
+        noise=top.boolean("noise", True),
+        encoder_noise=top.choice("encoder_noise", _ENCODER_NOISES, "gaussian"),
+        angular_momentum_nms=momentum,
+        initial_angles_rad=top.vector("initial_angles_rad", len(manoeuvre), (0.0,) * len(manoeuvre), unit="rad"),
+    )
+    top.finish()
+    return scenario
+
+
+def _gain(table: Table, key: str, default: float, joints: int, unit: str) -> float | tuple[float, ...]:
+    if not (table.has(key) and isinstance(table.peek(key), list)):
+        return table.number(key, default, low=0.0, unit=unit)
+    gains = table.vector(key, joints, unit=unit)
+    if min(gains) < 0.0:
+        raise table.error(key, f"{min(gains):g} is negative", "write gains >= 0")
+    return gains
+
+
+def _file(top: Table, key: str, default: str) -> Path:
+    file = top.file.parent / top.text(key, default)
+    if not file.is_file():
+        raise top.error(key, f"{file}: no such file", "give a path relative to the scenario file")
+    return file
+
+
+def _manoeuvre(tables: list[Table]) -> dict[str, Motion]:
+    """Entries for the same joint add up."""
+    motions: dict[str, Motion] = {}
+    for table in tables:
+        joint = table.text("joint")
+        kind = table.choice("kind", _KINDS)
+        before = motions.get(joint, Motion())
+        offset, sines, ramps = before.offset, before.sines, before.ramps
+        if kind == "constant":
+            offset += table.number("angle_rad", unit="rad")
+        elif kind == "sines":
+            offset += table.number("offset_rad", 0.0, unit="rad")
+            for entry in table.tables("sines"):
+                sines += (
+                    Sine(
+                        entry.number("amplitude_rad", unit="rad"),
+                        entry.number("omega_rad_s", unit="rad/s"),
+                        entry.number("phase_rad", 0.0, unit="rad"),
+                    ),
+                )
+                entry.finish()
+        else:
+            ramps += (
+                Ramp(
+                    table.number("start_s", low=0.0, unit="s"),
+                    table.number("duration_s", above=0.0, unit="s"),
+                    table.number("change_rad", unit="rad"),
+                ),
+            )
+        table.finish()
+        motions[joint] = Motion(offset, sines, ramps)
+    return motions

@@ -1,0 +1,112 @@
+"""What the sensors say of a motion (Nanos & Papadopoulos eqs. (28)-(32); docs/paper.md, errata and noise).
+
+Encoders err by a Gaussian of variance quantum^2/12, or round to the quantum. The gyro has white noise and a bias that
+walks at random. Reported torque has white noise. The errors of one seed are the same bits whether it is drawn alone or
+among others, and those of a short run are the beginning of those of a long one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zygos.arm import Arm, Encoder
+from zygos.simulation.scenario import EncoderNoise
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Errors of every reading of B seeds over n cycles."""
+
+    link: Array
+    """(B, n, N) of the link encoders, rad; zero if they round."""
+    motor: Array
+    """(B, n, N) of the motor encoders after the gear, rad; zero if they round."""
+    torque: Array
+    """(B, n, N) of the reported rotor torque, Nm."""
+    gyro: Array
+    """(B, n, 3) of the gyro in its own frame, bias included, rad/s."""
+    bias: Array
+    """(B, n, 3) the gyro's bias at the start of each cycle, rad/s."""
+    rounding: bool = False
+    """Whether encoder readings are rounded to the quantum."""
+
+
+def draw_noise(arm: Arm, cycles: int, seeds: Sequence[int], encoder_noise: EncoderNoise = "gaussian") -> Noise:
+    """Draw the errors of all sensors, shapes as in `Noise`, at the arm's SYNC period.
+
+    Each seed has a generator of its own, `numpy.random.default_rng(seed)`, that gives 3N+6 standard normals a cycle,
+    cycle after cycle: link encoders 1..N, motor encoders 1..N, torques 1..N, gyro white x y z, gyro bias step x y z.
+    All are drawn even where a deviation is zero, so that a setting never changes the other sensors' draws.
+    """
+    joints = arm.n
+    normal = np.empty((len(seeds), cycles, 3 * joints + 6))
+    for row, seed in enumerate(seeds):
+        normal[row] = np.random.default_rng(seed).standard_normal((cycles, 3 * joints + 6))
+    rounding = encoder_noise == "quantised"
+    share = 0.0 if rounding else 1.0
+    link = share * np.array([joint.link_encoder.sigma_rad for joint in arm.joints])
+    motor = share * np.array([joint.motor_encoder.sigma_rad for joint in arm.joints])
+    torque = np.array([joint.torque_sigma for joint in arm.joints])
+    step = arm.imu.bias_walk * np.sqrt(arm.period_s)
+    after = np.cumsum(step * normal[..., 3 * joints + 3 :], axis=1)
+    bias = np.concatenate([np.zeros_like(after[:, :1]), after[:, :-1]], axis=1)
+    # a sample is the mean rate over its period, hence the mean bias and the walk's variance about it
+    white = np.sqrt(arm.imu.rate_sigma**2 + step**2 / 12.0)
+    gyro = white * normal[..., 3 * joints : 3 * joints + 3] + 0.5 * (bias + after)
+    return Noise(
+        link * normal[..., :joints],
+        motor * normal[..., joints : 2 * joints],
+        torque * normal[..., 2 * joints : 3 * joints],
+        gyro,
+        bias,
+        rounding,
+    )
+
+
+def no_noise(arm: Arm, cycles: int, seeds: Sequence[int]) -> Noise:
+    """Exact sensors, shapes as in `Noise`."""
+    angles = np.zeros((len(seeds), cycles, arm.n))
+    rates = np.zeros((len(seeds), cycles, 3))
+    return Noise(angles, angles, angles, rates, rates)
+
+
+def encoder_reading(encoders: Sequence[Encoder], angle: Array, error: Array, rounding: bool) -> Array:
+    """(..., N) readings of N encoders, rad: sign * angle + zero, with the error added or rounded to the quantum."""
+    sign = np.array([encoder.sign for encoder in encoders])
+    zero = np.array([encoder.zero_rad for encoder in encoders])
+    reading: Array = sign * angle + zero + error
+    if rounding:
+        quantum = np.array([encoder.quantum_rad for encoder in encoders])
+        reading = quantum * np.rint(reading / quantum)
+    return reading
+
+
+def encoder_angle(encoders: Sequence[Encoder], reading: Array) -> Array:
+    """(..., N) joint angles, rad, that readings stand for: sign * (reading - zero)."""
+    sign = np.array([encoder.sign for encoder in encoders])
+    zero = np.array([encoder.zero_rad for encoder in encoders])
+    angle: Array = sign * (reading - zero)
+    return angle
+
+
+def gyro_reading(arm: Arm, omega0: Array, error: Array) -> Array:
+    """(..., 3) gyro readings in the sensor's frame, rad/s, of the base rate (..., 3) in base axes."""
+    reading: Array = omega0 @ arm.mount + error
+    return reading
+
+
+def torque_record(arm: Arm, tau: Array, error: Array) -> Array:
+    """(..., n, N) rotor torque as recorded, Nm, from the torque in force on [t_k, t_{k+1}).
+
+    `applied_previous_cycle` records at k what was in force on the period that ends at t_k (zero before the first).
+    """
+    record = tau
+    if arm.torque_law == "applied_previous_cycle":
+        record = np.concatenate([np.zeros_like(tau[..., :1, :]), tau[..., :-1, :]], axis=-2)
+    return record + error

@@ -1,0 +1,1 @@
+"""Somebody else's telemetry: map.toml, the grid of cycles, conversion."""

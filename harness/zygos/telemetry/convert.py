@@ -1,0 +1,226 @@
+"""`zygos convert`: telemetry of others becomes a run of zygos, with a table of what became of each signal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomlkit
+from numpy.typing import NDArray
+
+from zygos.arm import Arm
+from zygos.can import bus
+from zygos.can.wire import ANGLE_STEP, COARSE_RATE_STEP, RATE_STEP, TORQUE_STEP
+from zygos.errors import ZygosError
+from zygos.files.inputs import local
+from zygos.files.output import counted, write_text
+from zygos.files.tables import is_table
+from zygos.native.flight import Flight
+from zygos.runs.cycles import INVALID, Cycles
+from zygos.runs.tables import write_cycles
+from zygos.simulation.sensors import encoder_angle
+from zygos.telemetry.grid import (
+    Track,
+    declared_sigma,
+    interpolation_sigma,
+    kind_of,
+    regrid,
+    synchronous,
+    tracks,
+    tracks_of,
+)
+from zygos.telemetry.map import SI_UNIT, Channel, Map, Recording
+
+_FTIME_CYCLES = 50
+"""`encode` sends FTIME with every cycle whose number is a multiple of this."""
+
+
+_ANGLE_MAX, _TORQUE_MAX, _RATE_MAX = 16 * math.pi, (2**23 - 1) * TORQUE_STEP, 4.0
+"""What the wire carries, SI (docs/wire.md)."""
+
+
+UNLIKE = 5.0
+"""Motor and link angle of a joint whose motions differ by such a factor are worth a word."""
+
+
+def cycles_of(recording: Recording, mapping: Map, arm: Arm) -> tuple[list[Track], Cycles, dict[str, int]]:
+    """Tracks, cycles, and how much was left out for which reason."""
+    if mapping.clock.kind == "sync":
+        run = synchronous(recording, mapping, arm)
+        lost = {"incomplete cycles": run.incomplete, "repeated cycles": run.repeated}
+        return tracks_of(run.cycles, arm, mapping), run.cycles, lost
+    found = tracks(recording, mapping)
+    cycles = regrid(found, arm, mapping)
+    missing = int(cycles.sync[-1]) + 1 - len(cycles)
+    return found, cycles, {"instants in holes": missing, "repeated stamps": sum(track.repeated for track in found)}
+
+
+def added_noise(found: Sequence[Track], mapping: Map, arm: Arm) -> list[float]:
+    """What the interpolation adds to the noise of each channel, SI."""
+    if mapping.clock.kind == "sync":
+        return [0.0] * len(found)
+    return [
+        interpolation_sigma(track, kind_of(track.channel, mapping, arm), declared_sigma(arm, track.channel))
+        for track in found
+    ]
+
+
+def check_noise(arm: Arm, mapping: Map, added: Sequence[float]) -> None:
+    """Refuse samples so far apart that an angle between them is unknown by more than a radian."""
+    for channel, sigma in zip(mapping.channels, added, strict=True):
+        if channel.quantity == "angle" and math.sqrt(12.0) * declared_sigma(arm, channel) > 1.0:
+            raise ZygosError(
+                f"{channel.where}: between the samples of {channel.source} the angle is unknown by {sigma:.2g} rad; "
+                "remedy: record faster, and check unit and stamps"
+            )
+
+
+def arm_text(file: Path, arm: Arm, whence: str) -> str:
+    """The arm file with the noise of `arm`."""
+    document = tomlkit.parse(local(file).read_text(encoding="utf-8"))
+    for entry, joint in zip(document["joint"], arm.joints, strict=True):
+        for key, encoder in (("link_encoder", joint.link_encoder), ("motor_encoder", joint.motor_encoder)):
+            if key in entry and encoder.counts is None:
+                entry[key].pop("counts", None)
+                geared = joint.gear_ratio if encoder.side == "rotor" else 1.0
+                entry[key]["quantum_rad"] = encoder.quantum_rad * geared
+        entry["torque_sigma"] = joint.torque_sigma
+    if arm.free:
+        document["imu"]["rate_sigma"] = arm.imu.rate_sigma
+    head = f"# Quanta and sigmas contain what interpolation and stamps of {whence} err (zygos convert).\n"
+    return head + tomlkit.dumps(document)
+
+
+def write_run(out: Path, cycles: Cycles, frames: NDArray[Any] | None, period_s: float, beside: Path, text: str) -> None:
+    """Write the run, as frames where there are any, and the arm file beside it."""
+    if beside.exists() and beside.read_text(encoding="utf-8") != text:
+        raise ZygosError(
+            f"{beside} is not the arm file of this run, whose noise contains that of the interpolation; remedy: write "
+            "the run into another folder, or remove that file"
+        )
+    if frames is None:
+        write_cycles(out, cycles)
+    else:
+        bus.write_log(out, frames, period_s)
+    if not beside.exists():
+        write_text(beside, text)
+
+
+def with_time(cycles: Cycles) -> Cycles:
+    """The cycles, and invalid ones where only they can carry FTIME: a receiver loses its time after 120 cycles."""
+    ticks = np.arange(0, int(cycles.sync[-1]), _FTIME_CYCLES, dtype=np.uint64)
+    sync = np.union1d(cycles.sync, ticks)
+    at = np.searchsorted(sync, cycles.sync)
+
+    def spread(values: Any) -> Any:
+        out = np.zeros((len(sync), *values.shape[1:]), dtype=values.dtype)
+        out[at] = values
+        return out
+
+    flags = np.full(len(sync), INVALID, dtype=np.uint32)
+    flags[at] = cycles.flags
+    return replace(
+        cycles,
+        sync=sync,
+        q=spread(cycles.q),
+        theta=spread(cycles.theta),
+        tau=spread(cycles.tau),
+        omega=spread(cycles.omega),
+        flags=flags,
+    )
+
+
+def refused_share(arm: Arm, cycles: Cycles, frames: NDArray[Any] | None) -> float | None:
+    """Share of the run's instants that the flight library's bandwidth test refuses; None without an instant."""
+    flight = Flight(arm)
+    if frames is None:
+        flight.cycles(cycles)
+    else:
+        flight.frames(frames)
+    accepted, refused = flight.counts["accepted"], flight.counts["refused"]
+    return refused / (accepted + refused) if accepted + refused else None
+
+
+def _wire_step(channel: Channel, arm: Arm) -> float:
+    """Step of the wire's code, SI."""
+    if channel.field == "omega":
+        return RATE_STEP if arm.imu.resolution == "fine" else COARSE_RATE_STEP
+    return TORQUE_STEP if channel.field == "tau" else ANGLE_STEP
+
+
+def signal_rows(
+    recording: Recording, found: Sequence[Track], cycles: Cycles, arm: Arm, mapping: Map, added: Sequence[float]
+) -> list[dict[str, Any]]:
+    """What became of each signal, as the table and the JSON of a conversion have it."""
+    rows: list[dict[str, Any]] = []
+    for track, more in zip(found, added, strict=True):
+        channel = track.channel
+        values = getattr(cycles, channel.field)[:, channel.index]
+        rows.append(
+            {
+                "signal": channel.label,
+                "from": channel.source,
+                "from_unit": channel.unit,
+                "samples": len(recording.sources[channel.source].value),
+                "rate_hz": 1.0 / track.interval_s if len(track.t) > 1 else math.nan,
+                "holes": int(track.holes.sum()) if len(track.t) > 1 else 0,
+                "unit": SI_UNIT[channel.quantity],
+                "smallest": float(values.min()),
+                "largest": float(values.max()),
+                "sigma": declared_sigma(arm, channel),
+                "added_by_interpolation": more,
+                "wire_step": _wire_step(channel, arm),
+            }
+        )
+    return rows
+
+
+def warnings_of(
+    arm: Arm, cycles: Cycles, described: Arm, recording: Recording, found: Sequence[Track], out: Path
+) -> list[str]:
+    """What a person should look at."""
+    said = []
+    if recording.damaged:
+        said.append(f"{counted(recording.damaged, 'frame')} could not be decoded by the DBC")
+    q = encoder_angle([joint.link_encoder for joint in arm.joints], cycles.q)
+    theta = encoder_angle([joint.motor_encoder for joint in arm.joints], cycles.theta)
+    for i, joint in enumerate(arm.joints):
+        motor, link = float(np.std(theta[:, i])), float(np.std(q[:, i]))
+        together = float(np.mean((theta[:, i] - theta[:, i].mean()) * (q[:, i] - q[:, i].mean())))
+        if together < 0.0 or motor > UNLIKE * link or link > UNLIKE * motor:
+            said.append(
+                f"{joint.name}: motor and link angle do not move alike (after signs and zeros {motor:.3g} and "
+                f"{link:.3g} rad rms{', against each other' if together < 0.0 else ''}): look at unit, side, sign and "
+                "counts_per_turn of both"
+            )
+    if is_table(out):
+        return said
+    outside = [
+        ("angles beyond ±8 turns wrap", np.abs(np.hstack([cycles.q, cycles.theta])) > _ANGLE_MAX),
+        ("torques beyond ±838.8606 Nm saturate", np.abs(cycles.tau) >= _TORQUE_MAX),
+        ("rates beyond ±4 rad/s saturate", np.abs(cycles.omega) >= _RATE_MAX),
+    ]
+    for what, where in outside:
+        bad = int(np.any(where, axis=1).sum())
+        if bad:
+            said.append(f"{counted(bad, 'cycle')}: on the wire {what}; a cycle table (-o RUN.npz) carries them whole")
+    for track in found:
+        channel = track.channel
+        step = _wire_step(channel, arm)
+        if channel.quantity == "angle":
+            own = math.sqrt(12.0) * declared_sigma(described, channel)
+            if step > own * (1 + 1e-9):
+                said.append(
+                    f"{channel.label}: the wire's step of {step:.3g} rad is coarser than the quantum of {own:.3g} rad; "
+                    "a cycle table (-o RUN.npz) keeps it"
+                )
+    return said
+
+
+def stamps_sigma(found: Sequence[Track]) -> float:
+    """How far the stamps of the worst signal lie off an even train, s."""
+    return max(track.stamp_sigma_s for track in found)

@@ -1,0 +1,436 @@
+"""Telemetry of others: which signal of a foreign log or table is what of the arm, in which unit (`map.toml`).
+
+A CAN log is decoded by cantools with the DBC files of its owner, a table is read by its column names. Either way the
+result is a `Recording`: each signal's values in SI, and when they were taken.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import can
+import cantools
+import numpy as np
+from cantools.database.can import Message
+from numpy.typing import NDArray
+
+from zygos.arm import Arm
+from zygos.can import bus
+from zygos.errors import ZygosError
+from zygos.files.inputs import local
+from zygos.files.output import is_dash
+from zygos.files.tables import Columns, read_columns
+from zygos.files.toml import Table
+
+Floats = NDArray[np.float64]
+Quantity = Literal["angle", "torque", "rate", "time"]
+Field = Literal["q", "theta", "tau", "omega"]
+Source = Literal["sync", "signal", "column", "receive"]
+Interpolation = Literal["linear", "cubic"]
+
+UNITS: dict[Quantity, dict[str, float]] = {
+    "angle": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "turn": 2 * math.pi, "counts": math.nan},
+    "torque": {"Nm": 1.0, "mNm": 1e-3, "kNm": 1e3, "A": math.nan, "mA": math.nan},
+    "rate": {
+        "rad/s": 1.0,
+        "mrad/s": 1e-3,
+        "deg/s": math.pi / 180,
+        "mdeg/s": math.pi / 180e3,
+        "turn/s": 2 * math.pi,
+        "rpm": 2 * math.pi / 60,
+    },
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+}
+"""SI per unit; NaN where another key of the map says it: counts_per_turn of counts, torque_constant of A and mA."""
+SI_UNIT: dict[Quantity, str] = {"angle": "rad", "torque": "Nm", "rate": "rad/s", "time": "s"}
+
+_INTERPOLATIONS: tuple[Interpolation, ...] = ("linear", "cubic")
+_SPELLINGS = {
+    "°": "deg", "degree": "deg", "degrees": "deg", "radian": "rad", "radians": "rad", "rev": "turn", "turns": "turn",
+    "N·m": "Nm", "N m": "Nm", "N.m": "Nm", "N*m": "Nm", "mN·m": "mNm", "mN.m": "mNm", "Amps": "A", "1/min": "rpm",
+    "r/min": "rpm", "RPM": "rpm", "°/s": "deg/s", "dps": "deg/s", "µs": "us", "sec": "s",
+}  # fmt: skip
+"""How DBC files also write these units."""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One reading of the arm: where it comes from, and SI = gain * value + offset."""
+
+    label: str
+    """As people read it: shoulder.motor, gyro.x."""
+    field: Field
+    """Member of `Cycles` that it belongs to."""
+    index: int
+    """Its column there."""
+    quantity: Quantity
+    source: str
+    """message.signal, or the name of a column."""
+    unit: str
+    gain: float
+    offset: float
+    bare: bool
+    """Whether the map names neither scale nor offset: the source's own unit must then be the map's."""
+    where: str
+    """File and key in the map, for refusals."""
+
+
+@dataclass(frozen=True)
+class Clock:
+    """What says when: the log's stamps (`receive`), a time (`signal`, `column`) or a counter of cycles (`sync`)."""
+
+    kind: Source
+    source: str = ""
+    """message.signal, or the name of a column; none for `receive`."""
+    unit: str = "s"
+    unit_s: float = 1.0
+    """Seconds of one count or unit."""
+    modulo: float | None = None
+    """The value starts anew at this many counts or units."""
+    interpolation: Interpolation | None = None
+    """None where the counter is the cycle."""
+    where: str = ""
+
+
+@dataclass(frozen=True)
+class Map:
+    """What `map.toml` says about the telemetry of an arm."""
+
+    clock: Clock
+    channels: tuple[Channel, ...]
+
+
+@dataclass(frozen=True)
+class Samples:
+    """n values of one source, in its own unit, in the order of the recording."""
+
+    value: Floats
+    """(n,)"""
+    group: NDArray[np.int64]
+    """(n,) how many values of the clock came before or with each, less one; zeros where there is no clock."""
+    stamp: Floats
+    """(n,) receive stamp, s after the first of the recording; NaN in a table."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Telemetry as it was recorded; m values of the clock."""
+
+    sources: dict[str, Samples]
+    clock: Floats
+    """(m,) values of the clock less the first one, in its own unit; empty for `receive`."""
+    clock_stamp: Floats
+    """(m,) receive stamps of the clock, s; NaN in a table."""
+    modulo: float | None
+    """At how many of its units the clock starts anew."""
+    damaged: int = 0
+    """Frames that the DBC could not decode."""
+    missing: tuple[str, ...] = ()
+    """What is missing of a damaged log, in words that begin with its name."""
+
+
+def closest(name: str, known: Iterable[str], noun: str) -> str:
+    """A remedy for a name that does not exist."""
+    listed = list(known)
+    close = difflib.get_close_matches(name, listed, n=1, cutoff=0.5)
+    if close:
+        return f'did you mean "{close[0]}"?'
+    return f"the {noun} there are {', '.join(listed[:12])}{' …' if len(listed) > 12 else ''}"
+
+
+def load_map(path: str | Path, arm: Arm, *, tabular: bool) -> Map:
+    """Read `map.toml` for an arm and a kind of input (a table or a CAN log).
+
+    Errors: ZygosError naming file, key and remedy for anything unknown, missing or contradictory.
+    """
+    top = Table.load(path)
+    entries: dict[str, Table] = {}
+    names = [joint.name for joint in arm.joints]
+    for table in top.tables("joint"):
+        name = table.text("name")
+        if name not in names:
+            raise table.error("name", f'"{name}" is no joint of arm {arm.name}', closest(name, names, "joints"))
+        if name in entries:
+            raise table.error("name", f'"{name}" stands twice', "keep one [[joint]] a joint")
+        entries[name] = table
+    missing = [name for name in names if name not in entries]
+    if missing:
+        raise top.error(
+            "joint", f"no entry for {', '.join(missing)} of arm {arm.name}", "give every joint of the arm a [[joint]]"
+        )
+    channels: list[Channel] = []
+    for i, joint in enumerate(arm.joints):
+        table = entries[joint.name]
+        if not joint.flexible and table.has("link"):
+            raise table.error("link", "a rigid joint has one angle, its motor's", "remove it")
+        kinds: list[tuple[str, Field, Quantity]] = [("motor", "theta", "angle"), ("torque", "tau", "torque")]
+        if joint.flexible:
+            kinds.insert(0, ("link", "q", "angle"))
+        for key, field, quantity in kinds:
+            entry = table.table(key)
+            label = f"{joint.name}.{key}"
+            channels.append(_channel(entry, label, field, i, quantity, joint.gear_ratio, tabular=tabular))
+        table.finish()
+    if arm.free:
+        gyro = top.table("gyro")
+        for i, axis in enumerate("xyz"):
+            channels.append(_channel(gyro.table(axis), f"gyro.{axis}", "omega", i, "rate", 1.0, tabular=tabular))
+        gyro.finish()
+    elif top.has("gyro"):
+        raise top.error("gyro", f"the base of arm {arm.name} is fixed, it has no gyro", "remove [gyro]")
+    clock = _clock(top.table("time"), arm, tabular=tabular)
+    top.finish()
+    return Map(clock, tuple(channels))
+
+
+def _source(table: Table, *, tabular: bool) -> str:
+    key, other = ("column", "signal") if tabular else ("signal", "column")
+    if table.has(other):
+        kind = "a table, it has columns" if tabular else "a CAN log, it has signals of messages"
+        raise table.error(other, f"the input is {kind}", f"name a {key}")
+    name = table.text(key)
+    if not tabular and "." not in name:
+        raise table.error(key, f'"{name}" names no signal of a message', 'write "Message.Signal"')
+    return name
+
+
+def _unit(table: Table, quantity: Quantity) -> str:
+    unit = table.text("unit")
+    known = UNITS[quantity]
+    if unit not in known:
+        listed = ", ".join(f'"{name}"' for name in known)
+        raise table.error("unit", f'"{unit}" is no unit of {quantity}', f"write one of {listed}")
+    return unit
+
+
+def _channel(
+    table: Table, label: str, field: Field, index: int, quantity: Quantity, gear_ratio: float, *, tabular: bool
+) -> Channel:
+    source = _source(table, tabular=tabular)
+    unit = _unit(table, quantity)
+    si = UNITS[quantity][unit]
+    if unit == "counts":
+        si = 2 * math.pi / table.number("counts_per_turn", above=0.0)
+    elif unit in ("A", "mA"):
+        si = table.number("torque_constant", above=0.0, unit="Nm/A") * (1e-3 if unit == "mA" else 1.0)
+    bare = not (table.has("scale") or table.has("offset"))
+    scale = table.number("scale", 1.0)
+    offset = table.number("offset", 0.0, unit=unit)
+    sign = table.integer("sign", 1, low=-1, high=1)
+    if scale == 0.0:
+        raise table.error("scale", "is 0", "write the units per value of the source")
+    if sign == 0:
+        raise table.error("sign", "is 0", "write 1 or -1")
+    # angles and torques of either side of the gear; `Cycles` has angles after it and torques before it
+    if quantity == "torque":
+        geared = table.choice("at", ("rotor", "output"), "rotor") == "output"
+    else:
+        geared = field == "theta" and table.choice("side", ("output", "rotor")) == "rotor"
+    factor = sign * si / (gear_ratio if geared else 1.0)
+    table.finish()
+    where = f"{table.file}: {table.where}"
+    return Channel(label, field, index, quantity, source, unit, factor * scale, factor * offset, bare, where)
+
+
+def _clock(table: Table, arm: Arm, *, tabular: bool) -> Clock:
+    kinds: tuple[Source, ...] = ("sync", "column") if tabular else ("sync", "signal", "receive")
+    kind = table.choice("source", kinds)
+    source, unit, unit_s, modulo = "", "s", 1.0, None
+    if kind != "receive":
+        source = _source(table, tabular=tabular)
+        if table.has("modulo"):
+            modulo = table.number("modulo", above=0.0)
+    interpolation: Interpolation | None = None
+    if kind == "sync":
+        unit, unit_s = "counts", table.number("period_s", arm.period_s, above=0.0, unit="s")
+        cycle = arm.period_s / unit_s
+        if cycle < 0.5 or abs(cycle - round(cycle)) > 1e-6 * cycle:
+            raise table.error(
+                "period_s",
+                f"a count lasts {unit_s:g} s, a period of arm {arm.name} {arm.period_s:g} s, which is no multiple",
+                "correct this period_s, or that of the arm file",
+            )
+    else:
+        if kind != "receive":
+            unit = _unit(table, "time")
+            unit_s = UNITS["time"][unit]
+        interpolation = table.choice("interpolation", _INTERPOLATIONS)
+    table.finish()
+    return Clock(kind, source, unit, unit_s, modulo, interpolation, f"{table.file}: {table.where}")
+
+
+def read_table(path: Path, mapping: Map) -> Recording:
+    """Read the columns that a map names. Errors: ZygosError for a column that is missing or holds no numbers."""
+    columns = read_columns(path)
+    nowhere = np.full(len(next(iter(columns.values()))), np.nan)
+    rows = np.arange(len(nowhere))
+    sources = {
+        channel.source: Samples(
+            _column(path, columns, channel.source, channel.where).astype(np.float64),
+            rows,
+            nowhere,
+        )
+        for channel in mapping.channels
+    }
+    raw = _column(path, columns, mapping.clock.source, mapping.clock.where)
+    if raw.dtype.kind == "u":
+        raw = raw.astype(np.int64)
+    clock = (raw - raw[0]).astype(np.float64)  # nanoseconds since 1970 have more digits than a float
+    if not np.all(np.isfinite(clock)):
+        at = int(np.flatnonzero(~np.isfinite(clock))[0])
+        raise ZygosError(
+            f"{path}: column {mapping.clock.source} has no value in row {at + 1}; remedy: remove rows without time"
+        )
+    return Recording(sources, clock, nowhere, mapping.clock.modulo)
+
+
+def _column(path: Path, columns: Columns, name: str, where: str) -> NDArray[Any]:
+    if name not in columns:
+        raise ZygosError(f'{where}: {path.name} has no column "{name}"; remedy: {closest(name, columns, "columns")}')
+    values = columns[name]
+    if values.dtype.kind not in "iuf":
+        raise ZygosError(
+            f'{where}: column "{name}" of {path.name} holds something else than numbers ({values.dtype}); '
+            "remedy: export numbers, a time as seconds"
+        )
+    return values
+
+
+@dataclass(frozen=True)
+class Dictionary:
+    """The messages of all DBC files of a log."""
+
+    files: tuple[Path, ...]
+    messages: dict[str, Message]
+
+    @classmethod
+    def load(cls, files: Sequence[Path]) -> Dictionary:
+        """Read DBC files. Errors: ZygosError for one that is missing, unreadable, or defines a message again."""
+        messages: dict[str, Message] = {}
+        for file in files:
+            try:
+                database = cantools.database.load_file(
+                    str(local(file)), database_format="dbc" if is_dash(file) else None
+                )
+            except FileNotFoundError:
+                raise ZygosError(f"{file}: no such file; remedy: check the path") from None
+            except Exception as error:  # cantools raises errors of its own for each format
+                first = (str(error).strip().splitlines() or [""])[0]
+                raise ZygosError(f"{file}: not a readable DBC ({first}); remedy: correct that file") from error
+            for message in getattr(database, "messages", ()):
+                if message.name in messages:
+                    raise ZygosError(
+                        f"{file}: message {message.name} is defined in another DBC, too; remedy: leave one of them out"
+                    )
+                messages[message.name] = message
+        return cls(tuple(files), messages)
+
+    def find(self, source: str, where: str) -> tuple[Message, Any]:
+        """Message and signal of "message.signal". Errors: ZygosError naming the closest that exists."""
+        name, _, signal_name = source.partition(".")
+        message = self.messages.get(name)
+        if message is not None:
+            for signal in message.signals:
+                if signal.name == signal_name:
+                    return message, signal
+        known = [f"{m.name}.{s.name}" for m in self.messages.values() for s in m.signals]
+        files = " or ".join(file.name for file in self.files)
+        raise ZygosError(f'{where}: there is no "{source}" in {files}; remedy: {closest(source, known, "signals")}')
+
+
+def _check_unit(channel: Channel, signal: Any) -> None:
+    """Refuse a unit that contradicts the DBC's."""
+    said = _SPELLINGS.get(signal.unit or "", signal.unit or "")
+    known = {unit for units in UNITS.values() for unit in units}
+    if channel.bare and said in known and said != channel.unit:
+        raise ZygosError(
+            f'{channel.where}.unit: the map says "{channel.unit}", the DBC says "{signal.unit}" of {channel.source}; '
+            "remedy: write the DBC's unit, or, where the DBC is wrong, scale = 1.0 beside yours"
+        )
+
+
+def read_can(
+    path: Path, dictionary: Dictionary, mapping: Map, progress: Callable[[int], None] | None = None
+) -> Recording:
+    """Read the signals that a map names from a CAN log.
+
+    Errors: ZygosError for a signal that the DBC does not have or the log does not hold, or a log that cannot be read.
+    """
+    clock = mapping.clock
+    wanted: dict[tuple[int, bool], tuple[Message, set[str]]] = {}
+    modulo = clock.modulo
+
+    def want(source: str, where: str) -> Any:
+        message, signal = dictionary.find(source, where)
+        key = (message.frame_id, message.is_extended_frame)
+        wanted.setdefault(key, (message, set()))[1].add(signal.name)
+        return signal
+
+    for channel in mapping.channels:
+        _check_unit(channel, want(channel.source, channel.where))
+    if clock.source:
+        signal = want(clock.source, clock.where)
+        if modulo is None and not signal.is_float:
+            modulo = 2.0**signal.length * abs(float(signal.scale))
+    values: dict[str, list[tuple[float, int, float]]] = {channel.source: [] for channel in mapping.channels}
+    ticks: list[tuple[float, float]] = []
+    damaged = 0
+    missing: list[str] = []
+    begin: float | None = None
+    for message_in in bus.read_messages(path, missing, progress):
+        key = (message_in.arbitration_id, message_in.is_extended_id)
+        if key not in wanted or message_in.is_error_frame or message_in.is_remote_frame:
+            continue
+        message, names = wanted[key]
+        decoded = _decode(message, message_in)
+        if decoded is None:
+            damaged += 1
+            continue
+        begin = message_in.timestamp if begin is None else begin
+        stamp = message_in.timestamp - begin
+        for name in sorted(names & decoded.keys(), key=lambda name: f"{message.name}.{name}" != clock.source):
+            source = f"{message.name}.{name}"
+            if source == clock.source:
+                ticks.append((float(decoded[name]), stamp))
+            if source in values and (ticks or not clock.source):
+                values[source].append((float(decoded[name]), max(len(ticks) - 1, 0), stamp))
+    if clock.source and not ticks:
+        raise ZygosError(
+            f"{clock.where}: {path.name} holds no {clock.source}; remedy: check the DBC's identifiers against the log"
+        )
+    for channel in mapping.channels:
+        if not values[channel.source]:
+            raise ZygosError(
+                f"{channel.where}: {path.name} holds no {channel.source}"
+                + (f" ({damaged} frames could not be decoded)" if damaged else "")
+                + "; remedy: check the DBC's identifiers against the log"
+            )
+    sources = {
+        source: Samples(
+            np.array([v for v, _, _ in rows]), np.array([g for _, g, _ in rows]), np.array([s for _, _, s in rows])
+        )
+        for source, rows in values.items()
+    }
+    first = ticks[0][0] if ticks else 0.0
+    return Recording(
+        sources,
+        np.array([v - first for v, _ in ticks]),
+        np.array([stamp for _, stamp in ticks]),
+        modulo,
+        damaged,
+        tuple(f"{path} {text}" for text in missing),
+    )
+
+
+def _decode(message: Message, frame: can.Message) -> dict[str, Any] | None:
+    """Values by signal, or None for a frame that is not as the DBC says."""
+    try:
+        decoded = message.decode(bytes(frame.data), decode_choices=False)
+    except Exception:  # cantools and bitstruct raise errors of their own
+        return None
+    return decoded if isinstance(decoded, dict) else None

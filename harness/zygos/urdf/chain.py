@@ -1,0 +1,506 @@
+"""URDF in and out: the serial chain of an arm with everything that rides on its links, and inertials put back.
+
+ROS's own library, urdf_parser_py (package urdfdom_py), parses the file; docs/urdf.md says what maps to what.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from copy import deepcopy
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from zygos.errors import ZygosError
+from zygos.files.inputs import local
+from zygos.model.model import Body, is_possible
+
+try:
+    from lxml import etree
+    from urdf_parser_py.urdf import URDF, Inertia
+    from urdf_parser_py.xml_reflection import core
+except ImportError as missing:
+    raise ZygosError(f"URDF needs the package {missing.name}; remedy: pip install 'zygos[urdf]'") from missing
+
+Array = NDArray[np.float64]
+Vector3 = tuple[float, float, float]
+
+_TURNING = ("revolute", "continuous")
+_LOOSE = ("floating", "planar")
+"""Joints that hold nothing in place: what hangs on one is another body."""
+_READ = {"link": ("inertial",), "joint": ("origin", "axis", "parent", "child", "dynamics", "mimic")}
+"""What zygos reads. Nothing else is parsed, so that no mesh, plugin or transmission can make a file unreadable."""
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where a frame lies in another: attitude (3, 3) and origin (3,), m."""
+
+    attitude: Array
+    origin: Array
+
+    def __matmul__(self, inner: Pose) -> Pose:
+        """The frame `inner`, given in this one, in this one's parent."""
+        return Pose(self.attitude @ inner.attitude, self.origin + self.attitude @ inner.origin)
+
+    @property
+    def inverse(self) -> Pose:
+        """The parent's frame in this one."""
+        return Pose(self.attitude.T, -self.attitude.T @ self.origin)
+
+
+_HERE = Pose(np.eye(3), np.zeros(3))
+
+
+@dataclass(frozen=True)
+class Hinge:
+    """A joint of the chain."""
+
+    name: str
+    axis: Vector3
+    """Unit vector in the joint's frame."""
+    xyz: Vector3
+    """Origin of the joint's frame in the body that carries it, m."""
+    rpy: Vector3
+    """Attitude of the joint's frame in the body that carries it, rad, as URDF's <origin rpy>."""
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A body of the chain: a link, and the links that ride on it with their poses in its frame."""
+
+    link: str
+    riders: tuple[tuple[str, Pose], ...]
+
+    @property
+    def merged(self) -> tuple[str, ...]:
+        """Names of the links that ride on it."""
+        return tuple(name for name, _ in self.riders)
+
+
+@dataclass(frozen=True)
+class Inertial:
+    """Mass and inertia of a body in the frame of its link, which is that of its joint."""
+
+    mass: float
+    """kg."""
+    centre: Array
+    """(3,) m."""
+    tensor: Array
+    """(3, 3) about the mass centre, kg m^2."""
+
+
+@dataclass(frozen=True)
+class Chain:
+    """A serial arm as its URDF describes it: N+1 segments, N hinges."""
+
+    name: str
+    segments: tuple[Segment, ...]
+    hinges: tuple[Hinge, ...]
+    notes: tuple[str, ...]
+    """What the URDF says and zygos does not use."""
+
+
+def read_chain(path: str | Path, base: str | None = None, tip: str | None = None) -> tuple[Chain, tuple[Inertial, ...]]:
+    """Read the chain from link `base` (default: the root) to link `tip` (default: the end of the only chain), and the
+    inertials (N+1) of its segments with all that rides on them.
+
+    Errors: ZygosError for a file that is no URDF or no tree, a chain with joints that do not turn, links that cannot
+    exist, and bodies without mass.
+    """
+    tree = _Tree(Path(path))
+    chain = tree.chain(base, tip)
+    return chain, tuple(tree.weigh(segment, base=index == 0) for index, segment in enumerate(chain.segments))
+
+
+def read_chain_of(path: str | Path, base: str, joints: Sequence[str]) -> Chain:
+    """Read the chain that begins at link `base` and has just these joints; its inertials do not matter.
+
+    Errors: ZygosError as `read_chain`, and if there is no such chain.
+    """
+    tree = _Tree(Path(path))
+    if joints[-1] not in tree.joints:
+        raise tree.error(f"has no joint {joints[-1]}", "give the URDF of this arm, and name the joints alike")
+    if base not in tree.links:
+        raise tree.error(f"has no link {base} to be the base", "say with --base which link the arm begins at")
+    chain = tree.chain(base, tree.joints[joints[-1]].child)
+    if (names := [hinge.name for hinge in chain.hinges]) != list(joints):
+        raise tree.error(
+            f"the joints from link {base} are {', '.join(names)}, those of the arm {', '.join(joints)}",
+            "give the URDF of this arm, or say with --base which link the arm begins at",
+        )
+    return chain
+
+
+def with_inertials(path: str | Path, segments: Sequence[Segment], bodies: Sequence[Body], comment: str = "") -> str:
+    """The URDF `path` with the inertials of `bodies` (N+1) on the links of `segments`, and none on those merged into
+    them; a comment on top. All else stays as it is. Errors: ZygosError if the file cannot be read."""
+    tree = _parse(Path(path))
+    root = tree.getroot()
+    links = {link.get("name"): link for link in root.findall("link")}
+    for segment, body in zip(segments, bodies, strict=True):
+        for name in segment.merged:
+            for inertial in links[name].findall("inertial"):
+                links[name].remove(inertial)
+        link = links[segment.link]
+        inertial = link.find("inertial")
+        if inertial is None:
+            inertial = etree.Element("inertial")
+            inertial.tail = link.text  # as far in as the first of its siblings
+            link.insert(0, inertial)
+        tail, inner = inertial.tail, inertial.text if len(inertial) else None
+        inertial.clear()
+        etree.SubElement(inertial, "origin", xyz=" ".join(map(repr, body.origin_xyz)), rpy="0 0 0")
+        etree.SubElement(inertial, "mass", value=repr(body.mass.value))
+        entries = {key: repr(entry.value) for key, entry in zip(Inertia.KEYS, body.inertia, strict=True)}
+        etree.SubElement(inertial, "inertia", entries)
+        inertial.tail = tail
+        if inner is not None:
+            inertial.text = inner
+            for child in inertial:
+                child.tail = inner
+            inertial[-1].tail = tail if inertial.getnext() is not None else inner
+    if comment:
+        # two hyphens would end an XML comment
+        root.insert(0, etree.Comment(comment.replace("--", "- -")))
+        root[0].tail = root.text
+    # lxml keeps no line ends outside the root
+    parts = [*reversed(list(root.itersiblings(preceding=True))), root, *root.itersiblings()]
+    lines = [etree.tostring(part, encoding="unicode", with_tail=False) for part in parts]
+    return "\n".join(['<?xml version="1.0" encoding="utf-8"?>', *lines, ""])
+
+
+class _Tree:
+    """Links and joints of a file, checked to be one tree."""
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+        root = _parse(file).getroot()
+        self.limited = [joint.get("name") for joint in root.findall("joint") if joint.find("limit") is not None]
+        robot, self.complaints = _read(file, root)
+        self.name: str = robot.name
+        self.links: dict[str, Any] = self._by_name("link", robot.links)
+        self.joints: dict[str, Any] = self._by_name("joint", robot.joints)
+        for joint in robot.joints:
+            if joint.mimic is not None:
+                raise self.error(
+                    f"joint {joint.name} mimics {joint.mimic.joint}: it has no motor of its own",
+                    'make it type="fixed", or remove <mimic>',
+                )
+            for link in (joint.parent, joint.child):
+                if link not in self.links:
+                    raise self.error(
+                        f"joint {joint.name} names the link {link}, which the file does not have",
+                        _like(link, self.links),
+                    )
+        self.above: dict[str, Any] = {}
+        for joint in robot.joints:
+            if (other := self.above.setdefault(joint.child, joint)) is not joint:
+                raise self.error(
+                    f"link {joint.child} hangs on two joints, {other.name} and {joint.name}",
+                    "open the loop: a link has one parent",
+                )
+        if not self.links:
+            raise self.error("has no <link>", "give a file with links and joints")
+        roots = [link for link in self.links if link not in self.above]
+        if len(roots) > 1:
+            raise self.error(
+                f"the links {', '.join(roots)} hang on nothing: one root is allowed", "join them to the rest"
+            )
+        self.root = roots[0] if roots else ""
+        unreached = sorted(set(self.links) - self.beside(self.root, None)) if roots else sorted(self.links)
+        if unreached:
+            raise self.error(
+                f"the links {', '.join(unreached)} hang on one another in a circle",
+                "give every link one parent, up to a root",
+            )
+
+    def error(self, wrong: str, remedy: str) -> ZygosError:
+        return ZygosError(f"{self.file}: {wrong}; remedy: {remedy}")
+
+    def _by_name(self, noun: str, listed: Sequence[Any]) -> dict[str, Any]:
+        named = {entry.name: entry for entry in listed}
+        for name in named:
+            if sum(entry.name == name for entry in listed) > 1:
+                raise self.error(f"two {noun}s are called {name}", f"give every {noun} a name of its own")
+        return named
+
+    @cached_property
+    def _neighbours(self) -> dict[str, list[tuple[Any, str]]]:
+        found: dict[str, list[tuple[Any, str]]] = {link: [] for link in self.links}
+        for joint in self.joints.values():
+            found[joint.parent].append((joint, joint.child))
+            found[joint.child].append((joint, joint.parent))
+        return found
+
+    def beside(self, link: str, without: Any) -> set[str]:
+        """The links that hang together with `link`, itself included, when the joint `without` is cut."""
+        found, waiting = {link}, [link]
+        while waiting:
+            for joint, other in self._neighbours[waiting.pop()]:
+                if joint is not without and other not in found:
+                    found.add(other)
+                    waiting.append(other)
+        return found
+
+    def chain(self, base: str | None, tip: str | None) -> Chain:
+        for link, option in ((base, "--base"), (tip, "--tip")):
+            if link is not None and link not in self.links:
+                raise self.error(f"{option}: there is no link {link}", _like(link, self.links))
+        base = base or self.root
+        path = self._path(base, tip or self._only_tip(base))
+        hinges: list[Hinge] = []
+        starts = [base]
+        pose, between = _HERE, 0
+        for joint in path:
+            pose = pose @ self._pose(f"joint {joint.name}", joint.origin)
+            if joint.type == "fixed":
+                between += 1
+                continue
+            if joint.type not in _TURNING:
+                raise self.error(
+                    f"joint {joint.name} is {joint.type}: the joints of the chain must turn",
+                    'make it type="fixed" if it stands still, or choose another chain with --base and --tip',
+                )
+            # a frame that no fixed joint lies before keeps the very numbers of the file
+            rpy = _rpy(pose.attitude) if between else _numbers(joint.origin.rpy if joint.origin else (0.0, 0.0, 0.0))
+            hinges.append(Hinge(joint.name, self._axis(joint), _numbers(pose.origin), rpy))
+            starts.append(joint.child)
+            pose, between = _HERE, 0
+        if not hinges:
+            raise self.error(
+                f"no joint turns from {base} to {tip or 'its end'}", "choose another chain with --base and --tip"
+            )
+        names = {hinge.name for hinge in hinges}
+        held: list[str] = []
+        segments = tuple(self._segment(start, names, held) for start in starts)
+        return Chain(self.name, segments, tuple(hinges), tuple(self._notes(names, held)))
+
+    def _path(self, base: str, tip: str) -> list[Any]:
+        joints: list[Any] = []
+        link = tip
+        while link != base:
+            if link not in self.above:
+                raise self.error(
+                    f"link {tip} does not hang on link {base}",
+                    f"choose --base among {', '.join(self._ancestors(tip))}",
+                )
+            joints.append(self.above[link])
+            link = self.above[link].parent
+        return joints[::-1]
+
+    def _ancestors(self, link: str) -> list[str]:
+        found = [link]
+        while found[-1] in self.above:
+            found.append(self.above[found[-1]].parent)
+        return found[::-1]
+
+    def _only_tip(self, base: str) -> str:
+        """The link behind the last moving joint, if there is one such joint."""
+        below = [
+            joint for joint in self.joints.values() if joint.type != "fixed" and base in self._ancestors(joint.parent)
+        ]
+        carrying = {link for joint in below for link in self._ancestors(joint.parent)}
+        tips = [joint.child for joint in below if joint.child not in carrying]
+        if len(tips) > 1:
+            raise self.error(
+                f"the tree branches: moving joints end at the links {', '.join(tips)}",
+                "choose the end of the arm with --tip, and its beginning with --base",
+            )
+        return tips[0] if tips else base
+
+    def _segment(self, start: str, hinges: set[str], held: list[str]) -> Segment:
+        """The link and all that rides on it; off the chain, moving joints are held at zero."""
+        riders: list[tuple[str, Pose]] = []
+        waiting: list[tuple[str, Pose, Any]] = [(start, _HERE, None)]
+        while waiting:
+            link, pose, through = waiting.pop(0)
+            if link != start:
+                riders.append((link, pose))
+            for joint, other in self._neighbours[link]:
+                if joint is through or joint.name in hinges:
+                    continue
+                if joint.type in _LOOSE:
+                    heavy = [name for name in self.beside(other, joint) if self.links[name].inertial is not None]
+                    if heavy:
+                        raise self.error(
+                            f"joint {joint.name} is {joint.type}: nothing holds {', '.join(sorted(heavy))} to the arm",
+                            "leave those links out of the file, or join them otherwise",
+                        )
+                    continue
+                if joint.type != "fixed":
+                    held.append(joint.name)
+                origin = self._pose(f"joint {joint.name}", joint.origin)
+                waiting.append((other, pose @ (origin if other == joint.child else origin.inverse), joint))
+        return Segment(start, tuple(riders))
+
+    def weigh(self, segment: Segment, *, base: bool) -> Inertial:
+        """The inertial of a segment with all that rides on it. A base may be without mass, for it may be fixed."""
+        parts: list[tuple[float, Array, Array]] = []
+        for link, pose in ((segment.link, _HERE), *segment.riders):
+            mass, centre, tensor = self._inertial(self.links[link])
+            attitude = pose.attitude
+            parts.append((mass, pose.origin + attitude @ centre, attitude @ tensor @ attitude.T))
+        total = math.fsum(mass for mass, _, _ in parts)
+        if total <= 0.0 and base:
+            return Inertial(0.0, np.zeros(3), np.zeros((3, 3)))
+        if total <= 0.0:
+            raise self.error(
+                f"link {segment.link} has no mass, and nothing with mass is fixed to it",
+                "give it an <inertial>, or make a joint at one of its ends fixed",
+            )
+        centre = parts[0][1] if len(parts) == 1 else np.sum([mass * place for mass, place, _ in parts], axis=0) / total
+        # parallel axes
+        tensor = np.sum([part + mass * _about(place - centre) for mass, place, part in parts], axis=0)
+        if not is_possible(tensor):
+            raise self.error(
+                f"link {segment.link} with what is fixed to it has the principal moments "
+                f"{np.linalg.eigvalsh(tensor).tolist()} kg m^2, like no body",
+                "correct its <inertia>: all positive, none above the sum of the other two",
+            )
+        return Inertial(total, centre, tensor)
+
+    def _inertial(self, link: Any) -> tuple[float, Array, Array]:
+        """Mass, centre and inertia about the centre in the link's frame; zeros without an <inertial>."""
+        inertial = link.inertial
+        if inertial is None:
+            return 0.0, np.zeros(3), np.zeros((3, 3))
+        where = f"link {link.name}"
+        mass = float(inertial.mass)
+        if not (math.isfinite(mass) and mass >= 0.0):
+            raise self.error(f"{where} has the mass {mass:g} kg", "give it a positive mass, or no <inertial>")
+        if inertial.inertia is None:
+            raise self.error(
+                f"{where} has an <inertial> without <inertia>", "add the six moments, or remove <inertial>"
+            )
+        pose = self._pose(f"{where}: <inertial>", inertial.origin)
+        tensor = np.array(inertial.inertia.to_matrix())
+        if not np.isfinite(tensor).all():
+            raise self.error(f"{where} has the inertia {tensor.tolist()}", "write numbers, kg m^2")
+        if mass == 0.0 and np.any(tensor):
+            raise self.error(f"{where} has inertia but no mass", "give it a positive mass, or no <inertial>")
+        # a point mass is possible, if something is fixed to it
+        if np.any(tensor) and not is_possible(tensor):
+            raise self.error(
+                f"{where} has the principal moments {np.linalg.eigvalsh(tensor).tolist()} kg m^2, like no body",
+                "correct its <inertia>: all positive, none above the sum of the other two",
+            )
+        return mass, pose.origin, pose.attitude @ tensor @ pose.attitude.T
+
+    def _pose(self, where: str, origin: Any) -> Pose:
+        if origin is None:
+            return _HERE
+        if not (np.isfinite(origin.xyz).all() and np.isfinite(origin.rpy).all()):
+            raise self.error(f"{where}: <origin> is not finite", "write three numbers each into xyz (m) and rpy (rad)")
+        return Pose(Rotation.from_euler("xyz", origin.rpy).as_matrix(), np.array(origin.xyz))
+
+    def _axis(self, joint: Any) -> Vector3:
+        axis = np.array((1.0, 0.0, 0.0) if joint.axis is None else joint.axis)
+        length = float(np.linalg.norm(axis))
+        if not (math.isfinite(length) and length > 0.0):
+            raise self.error(f"joint {joint.name}: the axis {axis.tolist()} has no direction", "write a unit vector")
+        return _numbers(axis if length == 1.0 else axis / length)
+
+    def _notes(self, hinges: set[str], held: list[str]) -> Iterator[str]:
+        yield from self.complaints
+        if held:
+            yield f"off the chain, held at zero: joint {', '.join(held)}"
+        lossy = [
+            f"{joint.name} (damping {joint.dynamics.damping or 0:g}, friction {joint.dynamics.friction or 0:g})"
+            for joint in self.joints.values()
+            if joint.name in hinges and joint.dynamics is not None
+        ]
+        if lossy:
+            yield (
+                f"<dynamics> is not used: {', '.join(lossy)}; in zygos damping is that of the spring, and friction an "
+                "[[effect]] of model.toml"
+            )
+        if limited := [name for name in self.limited if name in hinges]:
+            yield f"<limit> is not used, arm.toml has no limits: {', '.join(limited)}"
+
+
+def _parse(file: Path) -> Any:
+    """The XML tree of a URDF."""
+    try:
+        tree = etree.ElementTree(etree.fromstring(local(file).read_bytes(), etree.XMLParser(resolve_entities=False)))
+    except OSError as error:
+        raise ZygosError(f"{file}: cannot be read ({error.strerror}); remedy: check the path") from None
+    except etree.XMLSyntaxError as error:
+        raise ZygosError(f"{file}: is not valid XML ({error}); remedy: correct that line") from None
+    root = tree.getroot()
+    if any("xacro" in str(uri) for element in root.iter() for uri in element.nsmap.values()) and any(
+        isinstance(element.tag, str) and "xacro" in element.tag for element in root.iter()
+    ):
+        raise ZygosError(f"{file}: is a xacro file; remedy: expand it first: xacro FILE.xacro > ARM.urdf")
+    if root.tag != "robot":
+        raise ZygosError(f"{file}: is no URDF, its root is <{root.tag}>; remedy: give a file that begins with <robot>")
+    return tree
+
+
+def _read(file: Path, root: Any) -> tuple[Any, list[str]]:
+    """What the library makes of links and joints, and what it complains of."""
+    pruned = etree.Element("robot", name=root.get("name") or file.stem)
+    for kind, tags in _READ.items():
+        for element in root.findall(kind):
+            copy = etree.SubElement(pruned, kind, dict(element.attrib))
+            for tag in tags:
+                found = element.findall(tag)
+                if len(found) > 1:
+                    raise ZygosError(
+                        f"{file}: {kind} {element.get('name')} has {len(found)} <{tag}>; remedy: keep one of them"
+                    )
+                copy.extend(deepcopy(child) for child in found)
+    etree.strip_elements(pruned, etree.Comment, etree.ProcessingInstruction, with_tail=False)
+    try:
+        with _complaints() as complaints:
+            return URDF.from_xml_string(etree.tostring(pruned)), complaints
+    except core.ParseError as error:
+        wrong = " ".join(str(error).removeprefix("ParseError in ").split())
+        raise ZygosError(f"{file}: is not valid URDF ({wrong}); remedy: correct that element") from None
+    except Exception as error:  # the library raises what the conversion of a word raises
+        raise ZygosError(f"{file}: is not valid URDF ({error!r}); remedy: correct that value") from None
+
+
+@contextmanager
+def _complaints() -> Iterator[list[str]]:
+    """Collects what the library would print."""
+    found: list[str] = []
+    usual, core.on_error = core.on_error, found.append
+    try:
+        yield found
+    finally:
+        core.on_error = usual
+
+
+def _like(name: str, known: Iterable[str]) -> str:
+    close = difflib.get_close_matches(name, list(known), n=1)
+    return f"did you mean {close[0]}?" if close else f"the links are {', '.join(known)}"
+
+
+def _numbers(values: Iterable[float]) -> Vector3:
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
+def _about(arm: Array) -> Array:
+    """(3, 3) inertia of a unit mass at `arm` about the origin, m^2."""
+    inertia: Array = (arm @ arm) * np.eye(3) - np.outer(arm, arm)
+    return inertia
+
+
+def _rpy(attitude: Array) -> Vector3:
+    """Roll, pitch and yaw of an attitude, exact also at a pitch of 90 degrees, where scipy gives up 1e-7 (R. Paul,
+    Robot Manipulators, 1981, ch. 3: the later angles are taken after the earlier ones are undone)."""
+    roll = math.atan2(attitude[2, 1], attitude[2, 2])
+    sine, cosine = math.sin(roll), math.cos(roll)
+    pitch = math.atan2(-attitude[2, 0], math.hypot(attitude[2, 1], attitude[2, 2]))
+    yaw = math.atan2(sine * attitude[0, 2] - cosine * attitude[0, 1], cosine * attitude[1, 1] - sine * attitude[1, 2])
+    return roll, pitch, yaw

@@ -1,0 +1,1 @@
+"""The arm of a run in three dimensions."""
