@@ -112,10 +112,10 @@ pil: build $(VENV)/.test ## the library as firmware on an emulated Cortex-M7 and
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile tests/pil
 
 gap: build $(VENV)/.test ## hide effects in a MuJoCo plant, explain them, score the verdicts (out/gap.json; 20 minutes)
-	PYTHONPATH=tests $(BIN)/python -m oracles.campaign
+	PYTHONPATH=tests:tests/support $(BIN)/python -m oracles.campaign
 
 bench: build $(VENV)/.test ## what it costs, beside its peers (out/bench.json, README.md, docs/cost.md; 6 minutes)
-	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tests $(BIN)/python -m bench out/bench.json
+	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tests:tests/support $(BIN)/python -m bench out/bench.json
 
 accuracy: build $(VENV)/.test ## errors, coverage and refusals of all estimators (docs/accuracy.html; 15 minutes; SEEDS= DRAWS= SCHEDULER= CASES=)
 	$(BIN)/python -m zygos.accuracy $(CASES) $(if $(SEEDS),--seeds $(SEEDS)) $(if $(DRAWS),--draws $(DRAWS)) $(if $(SCHEDULER),--scheduler $(SCHEDULER))
@@ -124,7 +124,7 @@ mission: build $(VENV)/.test ## intervals over missions of up to 30 days of fres
 	$(BIN)/python -m zygos.accuracy.missions $(LENGTHS) $(if $(DRAWS),--draws $(DRAWS))
 
 demo-log: build $(VENV)/.test ## write the logs of examples/gap/demo again
-	PYTHONPATH=tests $(BIN)/python -m oracles.demo_log
+	PYTHONPATH=tests:tests/support $(BIN)/python -m oracles.demo_log
 
 lint: build $(VENV)/.test ## ruff, mypy, clang-format
 	$(BIN)/ruff check .

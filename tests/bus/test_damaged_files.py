@@ -14,9 +14,9 @@ from typing import Any
 import can
 import numpy as np
 import pytest
+from log_support import SMALL, containers, run, write
 from numpy.typing import NDArray
 
-from bus.log_support import SMALL, containers, run, write
 from conftest import EXAMPLE
 from zygos import bus
 from zygos.arm import Arm

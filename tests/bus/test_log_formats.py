@@ -9,8 +9,8 @@ from pathlib import Path
 import can
 import numpy as np
 import pytest
+from log_support import run
 
-from bus.log_support import run
 from conftest import EXAMPLE
 from zygos import bus
 from zygos.arm import Arm

@@ -16,9 +16,9 @@ import pytest
 from cantools.database.can import Database
 from node_support import ERROR, EXTENDED, FD, REMOTE, Node, build, frame_of, hear, packet
 from numpy.typing import NDArray
+from round_support import round_of, told
 
 from conftest import EXAMPLE, ROOT
-from round_support import round_of, told
 from zygos import snapshot
 from zygos.arm import Arm
 from zygos.cli import main

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 from node_support import Node, hear
 from numpy.typing import NDArray
+from round_support import told
 
 from conftest import EXAMPLE, ROOT, need
-from round_support import told
 from zygos import snapshot
 from zygos.arm import Arm
 from zygos.cli import main

@@ -12,8 +12,8 @@ from pathlib import Path
 import can.logconvert
 import numpy as np
 import pytest
+from log_support import KINDS, run, write
 
-from bus.log_support import KINDS, run, write
 from conftest import EXAMPLE
 from zygos import bus, salvage
 from zygos.arm import Arm

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-from test_vcan import listeners, wait_for_listeners
+from vcan_support import listeners, wait_for_listeners
 
 from zygos import bus
 from zygos.testing import Dut, Plant

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 from build_support import run, tool
-
 from calls_support import Calls
+
 from conftest import house_flags
 from zygos import flight
 from zygos.arm import Arm, load_arm

@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cases_support import CASES, arm_of, record_of
 from flight_support import CHOSEN, balanced, bytes_of, chosen, sines
 from numpy.typing import NDArray
 from plant_support import LIVELY, lively, random_arm
 from reference_support import make_arm
 from scipy import stats
-from test_c_equals_numpy import CASES, arm_of, record_of
 
 from conftest import ROOT
 from zygos import flight, reference

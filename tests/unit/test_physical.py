@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 from arm_support import random_arm
 from numpy.typing import NDArray
-
-from conftest import ROOT
 from physical_support import (
     BLOCKS,
     directional_errors,
@@ -19,6 +17,8 @@ from physical_support import (
     inertia_matrices,
     inertia_matrices_of,
 )
+
+from conftest import ROOT
 from zygos import gram
 from zygos.arm import Arm, load_arm
 from zygos.errors import Undecided, ZygosError

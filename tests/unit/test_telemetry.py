@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from telemetry_support import edited
 
 from conftest import EXAMPLE
-from telemetry_support import edited
 from zygos.arm import Arm, load_arm
 from zygos.columns import read_columns, write_columns
 from zygos.cycles import BREAK_BEFORE, Cycles
