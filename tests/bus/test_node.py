@@ -298,6 +298,7 @@ def test_a_damaged_configuration_is_refused_with_a_reason(config: Path, tmp_path
         assert path.read_bytes() == content
 
 
+@pytest.mark.slow
 def test_a_damaged_state_is_put_aside_with_a_reason(arm: Arm, config: Path, tmp_path: Path) -> None:
     """It ends no start, and is not lost: the complaint names the file and what to do about it."""
     path, aside = tmp_path / "damaged.zyg", tmp_path / "damaged.zyg.unusable"

@@ -39,6 +39,7 @@ def forked(source: Path, target: Path) -> str:
     return "" if os.waitpid(child, 0)[1] == 0 else "died"
 
 
+@pytest.mark.slow(but=[".log-cut"])
 @pytest.mark.parametrize("damage", ["cut", "flipped"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_damage_anywhere(

@@ -11,6 +11,7 @@ import resource
 import time
 from collections import defaultdict
 from collections.abc import Generator
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 import pytest
@@ -43,8 +44,12 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests of slow folders, and give slow tests the patience that they need."""
+    """Mark the tests of slow folders, unmark the quick cases of slow tests, and give slow tests their own timeout."""
     for item in items:
+        slow = item.get_closest_marker("slow")
+        case = getattr(getattr(item, "callspec", None), "id", "")
+        if slow and any(fnmatchcase(case, pattern) for pattern in slow.kwargs.get("but", ())):
+            item.own_markers[:] = [marker for marker in item.own_markers if marker.name != "slow"]
         if item.path.is_relative_to(TESTS) and item.path.relative_to(TESTS).parts[0] in SLOW_FOLDERS:
             item.add_marker("slow")
         if item.get_closest_marker("slow") and not item.get_closest_marker("timeout"):
