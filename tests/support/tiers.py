@@ -9,8 +9,8 @@ from __future__ import annotations
 import json
 import resource
 import time
-from collections import defaultdict
 from collections.abc import Generator
+from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 
@@ -22,6 +22,15 @@ SLOW_TIMEOUT_S = 1800.0
 """After this time of the clock a slow test counts as stuck."""
 TESTS = Path(__file__).resolve().parents[1]
 CLOCK = pytest.StashKey[float]()
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What a test or a phase of it takes."""
+
+    processor_s: float = 0.0
+    wall_s: float = 0.0
+    slow: bool = False
 
 
 def processor_s() -> float:
@@ -66,9 +75,9 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestR
     report = yield
     now = processor_s()
     spent, item.config.stash[CLOCK] = now - item.config.stash[CLOCK], now
-    report.processor_s = round(spent, 3)
     limit = float(item.config.getini("quick_limit_s"))
     slow = item.get_closest_marker("slow") is not None
+    report.cost = Cost(spent, report.duration, slow).__dict__
     if report.when == "call" and report.passed and not slow and 0.0 < limit < spent:
         report.outcome = "failed"
         report.longrepr = (
@@ -83,20 +92,25 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestR
 
 
 class Times:
-    """Processor time and wall time of each test, written when the run ends."""
+    """What each test takes, written when the run ends."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.spent: dict[str, list[float]] = defaultdict(lambda: [0.0, 0.0])
+        self.costs: dict[str, Cost] = {}
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Add a phase of a test, from whichever process ran it."""
-        spent = self.spent[report.nodeid]
-        spent[0] += getattr(report, "processor_s", 0.0)
-        spent[1] += report.duration
+        if hasattr(report, "cost"):
+            known, phase = self.costs.get(report.nodeid, Cost()), Cost(**report.cost)
+            self.costs[report.nodeid] = Cost(
+                known.processor_s + phase.processor_s, known.wall_s + phase.wall_s, phase.slow
+            )
 
     def pytest_sessionfinish(self) -> None:
         """Write the file."""
-        rows = {name: [round(value, 3) for value in spent] for name, spent in sorted(self.spent.items())}
+        rows = {
+            name: {"processor_s": round(cost.processor_s, 3), "wall_s": round(cost.wall_s, 3), "slow": cost.slow}
+            for name, cost in sorted(self.costs.items())
+        }
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        self.path.write_text(json.dumps(rows, indent=0) + "\n", encoding="utf-8")
+        self.path.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
