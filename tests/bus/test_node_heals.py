@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 from node_support import Node, hear
 from numpy.typing import NDArray
+from round_support import told
 
 from conftest import EXAMPLE, ROOT, need
-from round_support import told
 from zygos.arm import Arm
 from zygos.can.dbc import arm_database
 from zygos.cli import main
@@ -298,6 +298,7 @@ def power_cut(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return library
 
 
+@pytest.mark.slow(but=["both good-True"])
 @pytest.mark.parametrize(
     ("how", "links"), [("both good", True), ("both good", False), ("gone", True), ("sealed corrupt", True)]
 )

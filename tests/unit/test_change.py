@@ -121,6 +121,7 @@ def far(estimate: Estimate, true: Floats) -> Floats:
 # ---------------------------------------------------------------- the alarm
 
 
+@pytest.mark.slow
 def test_a_payload_raises_the_alarm_within_an_arc_and_only_bodies_have_changed(stories: list[Story]) -> None:
     arc = round(ARC_S / 0.05) // LOOK
     for story in stories:
@@ -145,6 +146,7 @@ def test_the_watch_keeps_the_plainest_look(stories: list[Story]) -> None:
     assert any(not story.watch.flight.drift().changed for story in stories)
 
 
+@pytest.mark.slow
 def test_no_alarm_while_nothing_changes() -> None:
     """20 seeds of five minutes, looked at every 15 s: 400 looks, most of which compare 12 parameters."""
     arm, model, scenario = lively()
@@ -165,6 +167,7 @@ def test_no_alarm_while_nothing_changes() -> None:
     assert np.all(square < 1.0 + 3.0 * math.sqrt(2.0 / 20.0))
 
 
+@pytest.mark.slow(but=["1"])
 @pytest.mark.parametrize("seed", range(2))
 def test_the_deviation_in_closed_form(seed: int) -> None:
     """Two flights that know one part each, and the inverses of their normal matrices by numpy."""

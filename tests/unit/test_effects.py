@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cases_support import CASES, arm_of, record_of
 from flight_support import CHOSEN, balanced, bytes_of, chosen, sines
 from numpy.typing import NDArray
 from plant_support import LIVELY, lively, random_arm
 from reference_support import make_arm
 from scipy import stats
-from test_c_equals_numpy import CASES, arm_of, record_of
 
 from conftest import ROOT
 from zygos import reference
@@ -241,6 +241,7 @@ SIZES = {
 }
 
 
+@pytest.mark.slow(but=["*-shoulder"])
 @pytest.mark.parametrize("joint", ["shoulder", "elbow"])
 @pytest.mark.parametrize("key", SIZES)
 def test_column_is_what_the_effect_does_to_the_balance(key: str, joint: str) -> None:
@@ -289,6 +290,7 @@ def test_c_equals_numpy_with_effects(name: str) -> None:
     same(arm, cycles, every[::-1][: lib.ZYGOS_MAX_EFFECTS_VALUE])
 
 
+@pytest.mark.slow
 def test_c_equals_numpy_with_every_effect_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In a build that has room for them."""
     script = [sys.executable, str(ROOT / "tools" / "build_native.py"), str(tmp_path)]
@@ -358,6 +360,7 @@ def test_friction_at_the_elbow_is_found() -> None:
         assert np.abs(found.value[:-1] / model.base_values(arm) - 1.0).mean() <= 0.02
 
 
+@pytest.mark.slow(but=["motor_coulomb", "cubic_stiffness"])
 @pytest.mark.parametrize("key", COLUMNS)
 def test_every_coefficient_is_found_without_noise(key: str) -> None:
     """From a run of 10 ms; the lag is 3 ms, whose square the column leaves out."""

@@ -11,7 +11,7 @@ import pytest
 
 from conftest import house_flags
 from zygos.effects import CATALOGUE
-from zygos.native.flight import (REASONS, ROWS, VALIDITY, ffi, lib, text_of)
+from zygos.native.flight import REASONS, ROWS, VALIDITY, ffi, lib, text_of
 
 ROOT = Path(__file__).resolve().parents[2]
 HEADERS = sorted((ROOT / "include" / "zygos").glob("*.h"))

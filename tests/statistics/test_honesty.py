@@ -85,6 +85,7 @@ def late(arm: Arm, latch_us: int) -> Arm:
     return replace(arm, joints=tuple(replace(joint, latch_us=latch_us) for joint in arm.joints))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("latch_us", [300, 1000, 2000])
 def test_a_wrong_latch_is_in_the_sigmas_of_fine_encoders(latch_us: int) -> None:
     """The residuals are no noise then, and the same in every block: blocks that agree do not make an error smaller."""

@@ -60,10 +60,12 @@ def least(draws: int) -> float:
     return float(HELD - 3.0 * np.sqrt(HELD * (1.0 - HELD) / draws))
 
 
+@pytest.mark.slow
 def test_intervals_hold_after_five_minutes() -> None:
     assert (held(MINUTES, 160) >= least(0.9 * 160)).all()
 
 
+@pytest.mark.slow
 def test_intervals_hold_after_three_hours() -> None:
     """By then the noise has averaged out, and what the smoother makes of fast motion is the larger part."""
     assert (held(HOURS, 16) >= least(0.9 * 16)).all()
