@@ -39,12 +39,13 @@ uint32_t zygos_effects_positive(const zygos_config_t *config)
 
 double zygos_effects_saturated(double rate)
 {
-    const double share = rate / ZYGOS_SLOWEST_RATE;
+    const double share = rate / ZYGOS_COULOMB_FULL_RATE;
     return 0.5 * (__builtin_fabs(share + 1.0) - __builtin_fabs(share - 1.0));
 }
 
 /* What an effect integrates, adds up or is. Only the configuration chooses. */
-static double newest(const zygos_effect_config_t *effect, double ratio, const zygos_state_t *state, double torque_step)
+static double newest(const zygos_effect_config_t *effect, double ratio, const zygos_arm_state_t *state,
+                     double torque_step)
 {
     const double motor = state->theta_rate[effect->joint];
     const double link = state->q_rate[effect->joint];
@@ -65,8 +66,8 @@ static double newest(const zygos_effect_config_t *effect, double ratio, const zy
     }
 }
 
-void zygos_effects_carry_on(zygos_effects_t *self, const zygos_config_t *config, const zygos_state_t *state,
-                            const double *tau_before, const double *tau, const double *drift)
+void zygos_effects_advance(zygos_effects_t *self, const zygos_config_t *config, const zygos_arm_state_t *state,
+                           const double *tau_before, const double *tau, const double *bias)
 {
     const double h24 = config->period_s / 24.0;
     for (uint32_t e = 0; e < config->effects; e++) {
@@ -82,7 +83,7 @@ void zygos_effects_carry_on(zygos_effects_t *self, const zygos_config_t *config,
             self->total[e] += *past_0;
             self->instant[e] = 0.5 * g;
         } else {
-            self->total[e] += h24 * (9.0 * g + 19.0 * *past_0 - 5.0 * *past_1 + *past_2) - drift[e];
+            self->total[e] += h24 * (9.0 * g + 19.0 * *past_0 - 5.0 * *past_1 + *past_2) - bias[e];
         }
         *past_2 = *past_1;
         *past_1 = *past_0;
@@ -90,20 +91,20 @@ void zygos_effects_carry_on(zygos_effects_t *self, const zygos_config_t *config,
     }
 }
 
-void zygos_effects_keep(zygos_effects_t *self, const zygos_config_t *config, double keep)
+void zygos_effects_scale(zygos_effects_t *self, const zygos_config_t *config, double factor)
 {
     for (uint32_t e = 0; e < config->effects; e++) {
-        self->total[e] *= keep;
+        self->total[e] *= factor;
     }
 }
 
-static double cube(const zygos_state_t *state, uint32_t joint)
+static double cube(const zygos_arm_state_t *state, uint32_t joint)
 {
     const double deflection = state->theta[joint] - state->q[joint];
     return deflection * deflection * deflection;
 }
 
-void zygos_effects_motor_slopes(const zygos_config_t *config, uint32_t e, const zygos_state_t *state,
+void zygos_effects_motor_slopes(const zygos_config_t *config, uint32_t e, const zygos_arm_state_t *state,
                                 double torque_step, double *by_angle, double *by_rate)
 {
     const uint32_t i = config->effect[e].joint;
@@ -131,7 +132,7 @@ void zygos_effects_motor_slopes(const zygos_config_t *config, uint32_t e, const 
     }
 }
 
-double zygos_effects_link_slope(const zygos_config_t *config, uint32_t e, const zygos_state_t *state)
+double zygos_effects_link_slope(const zygos_config_t *config, uint32_t e, const zygos_arm_state_t *state)
 {
     const uint32_t i = config->effect[e].joint;
     switch (config->effect[e].kind) {

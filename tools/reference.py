@@ -21,7 +21,7 @@ from zygos.files import toml
 from zygos.files.output import write_text
 from zygos.files.toml import Entry, Table
 from zygos.model.model import read_model
-from zygos.native.flight import ffi
+from zygos.native.flight import ffi, lib
 from zygos.simulation.scenario import read_scenario
 from zygos.telemetry.map import read_map
 from zygos.urdf import answers
@@ -332,7 +332,9 @@ def _answer(key: str, row: Row, question: "answers.Question | None", name: str) 
 
 HEADERS = ROOT / "include" / "zygos"
 ENUM = re.compile(r"((?:^///[^\n]*\n)*)^(?:#define \w+ \d+\n)?enum (zygos_\w+) \{(.*?)\};", re.M | re.S)
-MEMBER = re.compile(r"(ZYGOS_\w+)(?: = [^,\n/]+?)?\s*,?\s*((?:///<[^\n]*\n?\s*)*)(?=ZYGOS_|\s*$)")
+MEMBER = re.compile(r"(ZYGOS_\w+)(?:\s*=\s*[^,\n/]+?)?\s*,?\s*((?:///<[^\n]*\n?\s*)*)(?=ZYGOS_|\s*$)")
+TEXTS = {"zygos_error": "zygos_text", "zygos_effect_kind": "zygos_effect_text"}
+"""Functions of text.h whose names are not that of the enumeration with _text behind it."""
 
 
 def _words(comment: str) -> str:
@@ -352,21 +354,41 @@ def codes() -> list[tuple[str, str, str, list[tuple[str, int, str]]]]:
     return found
 
 
+def text_of(function: str, code: int) -> str:
+    """The text of a code in C; enumerations of bits have none, nor has the number of the codes."""
+    known = getattr(lib, function, None)
+    text = ffi.string(known(code)).decode() if known else ""
+    return "" if text == "unknown code" else text
+
+
 def codes_page() -> str:
-    """The page of the enumerations."""
+    """The page of the enumerations, and of the fault counters."""
     parts = []
     for name, header, comment, members in codes():
+        function = TEXTS.get(name, f"{name}_text")
+        texts = [text_of(function, value) for _, value, _ in members]
+        said = [f"`{function}()` returns the texts."] if any(texts) else []
         parts.append(f"## `enum {name}`")
-        parts.append(" ".join(filter(None, (comment, f"Declared in `zygos/{header}`."))))
-        parts.append(
-            "\n".join(
-                markdown(
-                    ("Enumerator", "Value", "Meaning"),
-                    [(f"`{member}`", str(value), words) for member, value, words in members],
-                )
-            )
-        )
-    return page("Codes of the C library", "Every enumeration that a caller of the C library can meet.", *parts)
+        parts.append(" ".join(filter(None, (comment, f"Declared in `zygos/{header}`.", *said))))
+        lines = [
+            (f"`{member}`", str(value), text, words)
+            for (member, value, words), text in zip(members, texts, strict=True)
+        ]
+        heads = ("Enumerator", "Value", "Text", "Comment in the header")
+        if not any(texts):
+            heads, lines = (heads[0], heads[1], heads[3]), [(line[0], line[1], line[3]) for line in lines]
+        parts.append("\n".join(markdown(heads, lines)))
+    counters = [name for name, _ in ffi.typeof("zygos_faults_t").fields]
+    faults = [(f"`{name}`", text_of("zygos_fault_text", place)) for place, name in enumerate(counters)]
+    return page(
+        "Codes of the C library",
+        "Every enumeration that a caller of the C library can meet, and the fault counters.",
+        *parts,
+        "## Fault counters",
+        "Members of `zygos_faults_t` (`zygos/cycle.h`), which have the same names in JSON. `zygos_fault_text()` "
+        "returns the texts.",
+        "\n".join(markdown(("Counter", "What it counts"), faults)),
+    )
 
 
 SCHEMAS = PAGES / "schemas"

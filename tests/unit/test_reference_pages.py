@@ -4,34 +4,22 @@ from __future__ import annotations
 
 import ast
 import copy
-import importlib.util
-import sys
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
 
+from conftest import ROOT, tool_module
 from zygos.errors import ZygosError
 
-ROOT = Path(__file__).resolve().parents[2]
 HARNESS = ROOT / "harness" / "zygos"
 READERS = ("arm.py", "model/model.py", "simulation/scenario.py", "telemetry/map.py")
 METHODS = {"number", "integer", "boolean", "text", "choice", "vector", "table", "tables"}
 
 
-def load_tool() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("reference_pages", ROOT / "tools" / "reference.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-tool = load_tool()
+tool = tool_module("reference")
 
 
 def test_the_pages_are_up_to_date() -> None:

@@ -16,7 +16,7 @@ from zygos.files import output
 
 SCHEMAS = {
     path.stem: json.loads(path.read_text())
-    for path in (Path(__file__).resolve().parent.parent / "docs" / "reference" / "schemas").glob("*.json")
+    for path in (Path(__file__).resolve().parents[2] / "docs" / "reference" / "schemas").glob("*.json")
 }
 OF_COMMAND = {command: name for name, schema in SCHEMAS.items() for command in schema["commands"]}
 
