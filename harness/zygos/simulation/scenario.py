@@ -220,7 +220,7 @@ def _manoeuvre(tables: list[Table]) -> dict[str, Motion]:
                 "Angle that is added to the sines.",
                 0.0,
                 unit="rad",
-                otherwise=f"0.0; {_allowed('sines')}",
+                otherwise=f"0.0 where {_allowed('sines')}",
             )
             for entry in table.tables("sines", "Sines, which are added.", otherwise=_only("sines")):
                 sines += (

@@ -199,7 +199,8 @@ def read_map(top: Table, arm: Arm, *, tabular: bool) -> Map:
     return Map(clock, tuple(channels))
 
 
-def _source(table: Table, *, tabular: bool) -> str:
+def _source(table: Table, also: str = "", *, tabular: bool) -> str:
+    """also: a further condition of the map under which the source is named."""
     key, other = ("column", "signal") if tabular else ("signal", "column")
     if table.has(other):
         kind = "a table, it has columns" if tabular else "a CAN log, it has signals of messages"
@@ -207,14 +208,14 @@ def _source(table: Table, *, tabular: bool) -> str:
     meaning, input_kind = (
         ("Name of the column.", "table") if tabular else ("Message.Signal, as the DBC names them.", "CAN log")
     )
-    name = table.text(key, meaning, otherwise=f"required where the input is a {input_kind}, refused elsewhere")
+    name = table.text(key, meaning, otherwise=f"required where the input is a {input_kind}{also}, refused elsewhere")
     if not tabular and "." not in name:
         raise table.error(key, f'"{name}" names no signal of a message', 'write "Message.Signal"')
     return name
 
 
-def _unit(table: Table, quantity: Quantity) -> str:
-    unit = table.text("unit", f"Unit of the value: {', '.join(UNITS[quantity])}.")
+def _unit(table: Table, quantity: Quantity, otherwise: str = "") -> str:
+    unit = table.text("unit", f"Unit of the value: {', '.join(UNITS[quantity])}.", otherwise=otherwise)
     known = UNITS[quantity]
     if unit not in known:
         listed = ", ".join(f'"{name}"' for name in known)
@@ -285,13 +286,13 @@ def _clock(table: Table, arm: Arm, *, tabular: bool) -> Clock:
     )
     source, unit, unit_s, modulo = "", "s", 1.0, None
     if kind != "receive":
-        source = _source(table, tabular=tabular)
+        source = _source(table, "" if tabular else ' and source is not "receive"', tabular=tabular)
         if table.has("modulo"):
             modulo = table.number(
                 "modulo",
                 "Counts, or units of time, after which the clock starts again at 0.",
                 above=0.0,
-                otherwise="the clock does not start again; for a CAN log, what the length of the signal says",
+                otherwise="the width of the signal in the DBC; in a table the clock does not start again",
             )
     interpolation: Interpolation | None = None
     if kind == "sync":
@@ -313,7 +314,7 @@ def _clock(table: Table, arm: Arm, *, tabular: bool) -> Clock:
             )
     else:
         if kind != "receive":
-            unit = _unit(table, "time")
+            unit = _unit(table, "time", 'required where source is "signal" or "column", refused elsewhere')
             unit_s = UNITS["time"][unit]
         interpolation = table.choice(
             "interpolation",
