@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import copy
+import re
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,6 +21,7 @@ METHODS = {"number", "integer", "boolean", "text", "choice", "vector", "table", 
 
 
 tool = tool_module("reference")
+keys = tool_module("reference_pages.keys")
 
 
 def test_the_pages_are_up_to_date() -> None:
@@ -39,7 +41,7 @@ def calls(path: Path) -> Iterator[tuple[str, int, int]]:
 
 def test_every_call_that_reads_a_key_is_on_a_page() -> None:
     """The samples lead the readers through all their branches."""
-    recorded = {read.place for file in tool.FILES for read in file.reads()}
+    recorded = {read.place for file in keys.FILES for read in file.reads()}
     read = {call for reader in READERS for call in calls(HARNESS / reader)}
     assert read - recorded == set(), "remedy: a file in tools/samples/ with the key that is read there"
 
@@ -51,6 +53,12 @@ def test_no_other_module_reads_files_of_keys() -> None:
         if "from zygos.files.toml import" in path.read_text()
     }
     assert importing == {*READERS, "urdf/answers.py"}, "remedy: a page of its own in tools/reference.py"
+
+
+def test_every_enumeration_of_the_headers_is_on_the_page() -> None:
+    headers = "".join(path.read_text() for path in (ROOT / "include" / "zygos").glob("*.h"))
+    page = (tool.PAGES / "codes.md").read_text()
+    assert set(re.findall(r"^enum (\w+) \{", headers, re.MULTILINE)) == set(re.findall(r"## `enum (\w+)`", page))
 
 
 def leaves(data: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
@@ -65,9 +73,9 @@ def leaves(data: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
 
 
 def samples() -> Iterator[Any]:
-    for file in tool.FILES:
+    for file in keys.FILES:
         for sample in ("free", "fixed"):
-            path = tool.SAMPLES / sample / file.name
+            path = keys.SAMPLES / sample / file.name
             for leaf in leaves(tomllib.loads(path.read_text())):
                 yield pytest.param(file, path, leaf, id=f"{sample}-{file.name}-{'.'.join(map(str, leaf))}")
 
@@ -78,8 +86,8 @@ def test_the_pages_say_which_keys_are_required(file: Any, path: Path, leaf: tupl
     data = tomllib.loads(path.read_text())
     where = ".".join(part for part in leaf[:-1] if isinstance(part, str))
     stated = {
-        tool.default_of(read.entry)
-        for read in tool.recorded(file.read, path)
+        keys.default_of(read.entry)
+        for read in keys.recorded(file.read, path)
         if read.table == where and read.entry.key == leaf[-1]
     }
     shortened = copy.deepcopy(data)
@@ -89,7 +97,7 @@ def test_the_pages_say_which_keys_are_required(file: Any, path: Path, leaf: tupl
     del table[leaf[-1]]
     refusal = ""
     try:
-        file.read(tool.Recorder(shortened, path))
+        file.read(keys.Recorder(shortened, path))
     except ZygosError as error:
         refusal = str(error)
     if where == "parameters":
