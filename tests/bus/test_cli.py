@@ -20,6 +20,7 @@ import can
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from schema_support import hold
 
 from conftest import EXAMPLE, ROOT
 from zygos.arm import Arm, load_arm
@@ -675,5 +676,6 @@ def test_the_demo_says_what_its_estimate_is_worth(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr(demo, "choose_bus", lambda: ("virtual", "test_demo"))
     demo.run_demo(tmp_path / "demo")
     content = json.loads((tmp_path / "demo.json").read_text())
+    hold("demo", content)
     assert content["validity"] == "valid"
     assert list(content["faults"].values()) == [0] * len(content["faults"])
