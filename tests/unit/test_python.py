@@ -54,6 +54,7 @@ def test_a_name_that_does_not_exist() -> None:
         _ = zygos.estimte  # type: ignore[attr-defined]
 
 
+@pytest.mark.slow
 def test_users_of_mypy_see_types(tmp_path: Path) -> None:
     """Strictly: a wrong argument and a misspelled name are errors, and what is right is none."""
     right = 'import zygos\narm = zygos.load_arm("arm.toml")\nrun = zygos.load_run("run.blf", arm)\n'
@@ -115,7 +116,9 @@ def test_arrays_in_and_out(run: zygos.Run) -> None:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"q": np.zeros((5, 3))}, "theta has the shape"),
+        ({"q": np.zeros((5, 3))}, "q has the shape"),
+        ({"q": np.zeros((5, 2))}, "theta has the shape"),
+        ({"q": 0.0}, "q has the shape"),
         ({"tau": np.zeros(7)}, "tau has the shape"),
         ({"omega": None}, "omega is missing"),
         ({"sync": [3]}, "sync is not"),
@@ -306,6 +309,7 @@ def test_a_result_without_a_page_is_refused(run: zygos.Run, tmp_path: Path) -> N
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(600)
 def test_the_examples_of_the_page_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -327,6 +331,7 @@ def test_the_examples_of_the_page_run(
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(600)
 def test_the_notebook_runs(tmp_path: Path) -> None:
     """From top to bottom, outside the checkout; what is committed has no outputs."""
     nbclient, nbformat = pytest.importorskip("nbclient"), pytest.importorskip("nbformat")

@@ -19,7 +19,7 @@ import pytest
 from conftest import ROOT
 from zygos.files.examples import EXAMPLES
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 
 INPUTS = ("c", "docs", "examples", "harness", "include", "tools", *"LICENSE MANIFEST.in README.md".split())
 BUILDERS = ("pyproject.toml", "setup.py")
