@@ -6,13 +6,15 @@ import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+import tomlkit
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from zygos.errors import ZygosError
+from zygos.files.output import write_text
 from zygos.files.toml import Table
 
 Base = Literal["free", "fixed"]
@@ -666,3 +668,53 @@ def _check_whole(arm: Arm, top: Table) -> None:
         _ = arm.axis
     except ZygosError as error:
         raise ZygosError(f"{top.file}: joint: {error}") from None
+
+
+def save_arm(arm: Arm, path: str | Path) -> None:
+    """Write `arm.toml` so that a reader sees the old file or the whole new one. Errors: ZygosError if it cannot be
+    written."""
+    document = tomlkit.document()
+    document.update({"name": arm.name, "base": arm.base, "kinetic": arm.kinetic, "period_s": arm.period_s})
+    document.update({"torque_law": arm.torque_law, "torque_at": arm.torque_at})
+    if not arm.free:
+        document["gravity"] = list(arm.gravity)
+    joints = tomlkit.aot()
+    for joint in arm.joints:
+        entry = tomlkit.table()
+        entry.update({"name": joint.name, "node": joint.node, "axis": list(joint.axis)})
+        entry.update({"frame_rpy": list(joint.frame_rpy), "gear_ratio": joint.gear_ratio})
+        entry.update({"torque_sigma": joint.torque_sigma, "latch_us": joint.latch_us, "flexible": joint.flexible})
+        if joint.flexible:
+            entry["link_encoder"] = _encoder_entry(joint.link_encoder)
+        entry["motor_encoder"] = _encoder_entry(joint.motor_encoder, joint.gear_ratio)
+        joints.append(entry)
+    document["joint"] = joints
+    if arm.free:
+        imu = {"node": arm.imu.node, "mount_xyzw": list(arm.imu.mount_xyzw), "rate_sigma": arm.imu.rate_sigma}
+        others = {"bias_walk": arm.imu.bias_walk, "latch_us": arm.imu.latch_us, "resolution": arm.imu.resolution}
+        document["imu"] = imu | others
+    document["smoother"] = {"points": arm.smoother.points, "order": arm.smoother.order}
+    arc = {"max_s": arm.arc_max_s, "impulse_max_s": arm.impulse_arc_s}
+    if arm.momentum_max_s is not None:
+        arc["momentum_max_s"] = arm.momentum_max_s
+    if arm.memory_s is not None:
+        arc["memory_min"] = arm.memory_s / 60.0
+    document["arc"] = arc
+    if arm.compensate_every is not None:
+        document["compensation"] = {"every": arm.compensate_every}
+    write_text(Path(path), tomlkit.dumps(document))
+
+
+def _encoder_entry(encoder: Encoder, gear_ratio: float | None = None) -> Any:
+    """An encoder as `_encoder` reads it. gear_ratio: of the motor's encoder, which also says its side."""
+    entry = tomlkit.inline_table()
+    if encoder.counts is not None:
+        entry["counts"] = encoder.counts
+    else:
+        on_rotor = gear_ratio is not None and encoder.side == "rotor"
+        entry["quantum_rad"] = encoder.quantum_rad * (gear_ratio or 1.0) if on_rotor else encoder.quantum_rad
+    if gear_ratio is not None:
+        entry["side"] = encoder.side
+    entry.update({"sign": encoder.sign, "zero_rad": encoder.zero_rad, "zero_sigma_rad": encoder.zero_sigma_rad})
+    entry["latch_us"] = encoder.latch_us
+    return entry

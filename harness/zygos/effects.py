@@ -169,6 +169,21 @@ class Effect:
         return column_name(self.kind, self.index(arm))
 
 
+def effect(kind: str, joint: str | None = None, value: float = 0.0, sigma: float = 0.0) -> Effect:
+    """An effect of the catalogue: `kind` is its key there, joint the name of its joint, None for one of the base.
+
+    value, sigma: in the unit of its entry. Errors: ZygosError for a key that is not in the catalogue, and for a joint
+    where none belongs, or none where one does.
+    """
+    if kind not in CATALOGUE:
+        raise ZygosError(f"there is no effect {kind!r}; remedy: one of {', '.join(CATALOGUE)}")
+    entry = CATALOGUE[kind]
+    if entry.at_joint != (joint is not None):
+        remedy = "name its joint" if entry.at_joint else "leave the joint out"
+        raise ZygosError(f"effect {kind}: belongs to {'a joint' if entry.at_joint else 'the base'}; remedy: {remedy}")
+    return Effect(entry, joint, value, sigma)
+
+
 def column_name(kind: Kind, joint: int) -> str:
     """Name of a column: the entry's, and the number from 1 of its joint (from 0; below 0: the base)."""
     return kind.key if joint < 0 else f"{kind.key}{joint + 1}"

@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-import zygos
 from zygos.accuracy.cases import BLOCK, Case
 from zygos.accuracy.estimators import ESTIMATORS, Answer, Told
 from zygos.arm import Arm
@@ -39,7 +38,7 @@ _MAKERS = ("cases.py", "cell.py", "estimators.py", "figure4.py", "mission.py")
 @cache
 def fingerprint() -> str:
     """Digest of all code that a cell's answers can depend on."""
-    package = Path(zygos.__file__).parent
+    package = Path(__file__).parents[1]
     here = Path(__file__).parent
     digest = hashlib.sha256()
     for path in sorted(package.rglob("*")):

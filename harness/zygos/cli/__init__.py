@@ -40,6 +40,7 @@ COMMANDS = {
         "Compile an arm file into the constant that onboard software links, and into bytes that it loads.",
     ),
     "bus-load": ("bus_load", "Say how much of the bus this arm's frames take, and how fast its SYNC may be."),
+    "example": ("example", "Write one of the examples into a folder, or list them."),
     "paper": (
         "paper",
         "Reproduce the paper's Tables III and IV and the numbers of Fig. 4(b), with the printed ones beside them.",

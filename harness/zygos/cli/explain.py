@@ -26,6 +26,7 @@ from zygos.gap.explain import INTERVAL, Explanation, Gap, explain
 from zygos.gap.forecast import Forecast
 from zygos.gap.provenance import Provenance
 from zygos.gap.record import Record, read_record
+from zygos.gap.runs import check_arm_of_gap
 from zygos.model.model import load_model, save_model
 from zygos.native.flight import Flight
 
@@ -65,11 +66,7 @@ def explain_run(
     check_model_name(out)
     check_outputs([out, report, json], [path for _, path in inputs.files])
     arm, model = load_arm(inputs.arm), load_model(simulation)
-    if arm.kinetic != "planar-symmetric" or not arm.free or not all(joint.flexible for joint in arm.joints):
-        raise ZygosError(
-            f"{inputs.arm}: the balances of a gap are those of a free-floating, planar-symmetric arm with flexible "
-            "joints; remedy: `zygos estimate` and `zygos check` take any arm"
-        )
+    check_arm_of_gap(arm, str(inputs.arm))
     model.base_parameters(arm)
     with progress() as bar:
         task = bar.add_task("reading", total=1.0)

@@ -17,6 +17,7 @@ from zygos.cli.answer import finish_estimate
 from zygos.cli.options import Bitrate, Channel, Interface, Json
 from zygos.cli.shared import check_model_name
 from zygos.errors import Undecided, ZygosError
+from zygos.estimation.estimate import conclude
 from zygos.estimation.watch import Watch
 from zygos.estimation.words import losses
 from zygos.files.output import (
@@ -102,7 +103,7 @@ def listen_bus(
             recording.finish()
         except ZygosError as error:
             fail(error)
-    finish_estimate(flight.estimate(), watch, out, None, json, {"bus": where, "door": "frames"})
+    finish_estimate(conclude(watch), out, json, {"bus": where, "door": "frames"})
     if failures:
         sys.exit(failures[0].exit_code)
 

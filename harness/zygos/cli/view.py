@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from zygos.arm import load_arm
 from zygos.cli.options import ArmFile, Json, Run
-from zygos.cli.shared import damage_of, find_arm, not_whole, read_run
+from zygos.cli.shared import find_arm, not_whole, read_run
 from zygos.dynamics.pose import motion, skeleton
 from zygos.errors import ZygosError
 from zygos.files.output import (
@@ -27,10 +27,7 @@ from zygos.files.output import (
     write_text,
 )
 from zygos.files.progress import progress
-from zygos.files.tables import is_table
 from zygos.model.model import load_model
-from zygos.native.flight import Flight
-from zygos.runs.tables import read_cycles
 from zygos.view.scene import FRAMES_PER_S, MOST_FRAMES, STILLS, film, instants, page, png, serve
 
 
@@ -52,14 +49,8 @@ def view_run(
         raise ZygosError("--at says which instant the still of --png shows; remedy: add --png FILE")
     arm = load_arm(chosen)
     lengths = skeleton(arm, load_model(model_file) if model_file else None)
-    log = None if is_table(run_file) else read_run(run_file)
-    if log is None:
-        cycles = read_cycles(run_file, arm)
-    else:
-        trace = Flight(arm).frames(log.frames, trace=True)
-        assert trace is not None
-        cycles = trace.cycles
-    run = motion(arm, cycles)
+    recorded = read_run(run_file, arm)
+    run = motion(arm, recorded.cycles)
     last = float(run.time[-1])
     if at is not None and not 0.0 <= at <= last:
         raise ZygosError(f"--at {at:g}: the run lasts from 0 to {last:g} s; remedy: name a second within")
@@ -109,7 +100,7 @@ def view_run(
         note(f"cycles are missing in {counted(run.gaps, 'place')}; the base's attitude behind them is a guess")
     if png_file is None and html_file is None:
         serve(content, port)
-    not_whole(damage_of(log))
+    not_whole(recorded.damage)
 
 
 def command(
