@@ -1,4 +1,4 @@
-"""The end of `zygos estimate` and `zygos listen`: table, model file, JSON, and what is undecided."""
+"""The end of `zygos estimate` and `zygos listen`: table, model file, JSON, and messages."""
 
 from __future__ import annotations
 
@@ -31,7 +31,8 @@ from zygos.native.flight import Estimate
 def finish_estimate(
     result: Estimate, watch: Watch, out: Path, prior: Model | None, json: str | None, heading: Mapping[str, Any]
 ) -> None:
-    """Print the table, write the model, say that the arm changed and what is undecided."""
+    """Print the table, write the model, report a change of the arm, and raise Undecided if the estimate is not
+    valid."""
     flight, drift = watch.flight, watch.look()
     found = {
         name: Quantity(float(value), float(sigma), "zygos", unit)
@@ -41,7 +42,7 @@ def finish_estimate(
     known = (prior.base_parameters(flight.arm) if prior is not None else {}) | found
     quantities = {name: known[name] for name in flight.arm.parameter_names if name in known}
     given = prior.effects if prior is not None else ()
-    # an offset that only the arm file asked for, and the run is silent on, is none
+    # an offset that is estimated only because of the arm file is left out if the run does not determine it
     asked = (one for one in flight.effects if one not in given and one.column(flight.arm) in found)
     effects = tuple(learned(effect, found.get(effect.column(flight.arm))) for effect in (*given, *asked))
     if not quiet(out, json):
@@ -56,7 +57,7 @@ def finish_estimate(
             f"{counted(result.arcs, 'arc')}, {flight.counts['arcs_dropped']:,} dropped, "
             f"{result.left_out[0]:,} left out · "
             f"{np.isfinite(result.value).sum()} of {counted(len(result.names), 'parameter')} · {result.validity}"
-            + (" · door: cycle" if heading["door"] == "cycle" else "")
+            + (" · input: table of cycles" if heading["door"] == "cycle" else "")
         )
         seen = [f"{name} {count:,}" for name, count in flight.faults.items() if count]
         if seen:
@@ -74,8 +75,8 @@ def finish_estimate(
         if json:
             write_json(json, report_estimate(result, watch, drift, heading))
     if result.validity != "valid":
-        where = "nothing written" if result.validity == "refused" else f"{named(out)} written"
-        changed = "see the warning: the arm changed" if drift and drift.changed else ""
+        where = "no model written" if result.validity == "refused" else f"{named(out)} written"
+        changed = "read the warning: the arm changed" if drift and drift.changed else ""
         number_of = measured(result, flight)
         raise Undecided(
             f"{result.validity}: {result.reason}{f': {number_of}' if number_of else ''} ({where}); remedy: "

@@ -146,8 +146,9 @@ def drift(arm: Arm, known: Spread, effects: Sequence[Effect] = ()) -> Floats:
 
 def moments(arm: Arm, known: Spread, here: Instants, turn: NDArray[np.int64], effects: Sequence[Effect] = ()) -> Floats:
     """Sum of J S J^T over instants, (p+1, p+1), the work last.
-    turn: (m,) sensor s (link encoders, motor encoders, gyro) is evaluated where turn % `arm.compensation` is s modulo the
-    same number, and then represents all other instants.
+
+    turn: (m,) sensor s (link encoders, motor encoders, gyro) is evaluated where turn % `arm.compensation` is s modulo
+    the same number, and then represents all other instants.
     """
     every, n = arm.compensation, arm.n
     p = len(arm.parameter_names) + len(estimated(arm, effects))
