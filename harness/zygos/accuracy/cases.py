@@ -27,7 +27,7 @@ class Case:
     """One plant with its sensors and motion, and the arm file that the estimators are given."""
 
     name: str
-    said: str
+    description: str
     """Description of the case, for the page."""
     arm: Arm
     """The arm file that the estimators get."""
@@ -57,16 +57,16 @@ def all_cases(folder: Path = Path("examples")) -> tuple[Case, ...]:
     arm, model = load_arm(paper / "arm.toml"), load_model(paper / "model.toml")
     scenario = load_scenario(paper / "scenario.toml")
 
-    def at(name: str, said: str, duration_s: float = 60.0) -> Case:
+    def at(name: str, description: str, duration_s: float = 60.0) -> Case:
         """The paper's own run, or a shorter or longer version of it."""
-        return Case(name, said, arm, arm, model, replace(scenario, duration_s=duration_s))
+        return Case(name, description, arm, arm, model, replace(scenario, duration_s=duration_s))
 
     def modern(rate_hz: int) -> Case:
         # gyro and arcs are those of the arm that examples/gap has at 200 Hz
         hardware = replace(load_arm(gap / "arm.toml").at_period(1.0 / rate_hz), smoother=Smoother(25, 6, 12))
         moves = replace(scenario, encoder_noise="quantised")
-        said = f"20-bit encoders on both sides, {rate_hz} Hz, T = 60 s"
-        return Case(f"modern-{rate_hz}", said, hardware, hardware, model, moves, share=BLOCK)
+        description = f"20-bit encoders on both sides, {rate_hz} Hz, T = 60 s"
+        return Case(f"modern-{rate_hz}", description, hardware, hardware, model, moves, share=BLOCK)
 
     usual = at("paper-60", "the paper's run, T = 60 s")
     moving = load_arm(lively / "arm.toml")
@@ -89,7 +89,7 @@ def all_cases(folder: Path = Path("examples")) -> tuple[Case, ...]:
         replace(
             usual,
             name="gain-50",
-            said="stiff servo, gain 50: torque steps",
+            description="stiff servo, gain 50: torque steps",
             scenario=replace(scenario, controller=replace(scenario.controller, gain=50.0)),
             benign=False,
         ),
@@ -98,35 +98,37 @@ def all_cases(folder: Path = Path("examples")) -> tuple[Case, ...]:
         replace(
             usual,
             name="quantised",
-            said="readings rounded to the quantum instead of Gaussian noise",
+            description="readings rounded to the quantum instead of Gaussian noise",
             scenario=replace(scenario, encoder_noise="quantised"),
         ),
         replace(
             usual,
             name="sigma-half",
-            said="declared σ half of the true one",
+            description="declared σ half of the true one",
             plant=_coarser(arm, 2.0),
             benign=False,
         ),
         replace(
             usual,
             name="sigma-double",
-            said="declared σ twice the true one",
+            description="declared σ twice the true one",
             plant=_coarser(arm, 0.5),
             benign=False,
         ),
-        replace(usual, name="lost", said="1 % of the cycles lack the frames of one joint", lost=LOST),
+        replace(usual, name="lost", description="1 % of the cycles lack the frames of one joint", lost=LOST),
         replace(
             usual,
             name="zeros",
-            said="encoder zeros off by 1 mrad, signs at random; the arm file says that they are uncertain by as much",
+            description="encoder zeros off by 1 mrad, signs at random; "
+            "the arm file says that they are uncertain by as much",
             arm=_uncertain(arm),
             zeros_rad=ZERO_RAD,
         ),
         replace(
             larger,
             name="rest",
-            said=f"the arm of lively from a turning point, T = 60 s, the first {REST_S:g} s of it known to be at rest",
+            description="the arm of lively from a turning point, T = 60 s, "
+            f"the first {REST_S:g} s of it known to be at rest",
             scenario=_from_rest(larger.scenario, [joint.name for joint in moving.joints]),
             rest_s=REST_S,
         ),

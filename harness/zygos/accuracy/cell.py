@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 
 import zygos
 from zygos.accuracy.cases import BLOCK, Case
-from zygos.accuracy.estimators import ESTIMATORS, Answer, Told
+from zygos.accuracy.estimators import ESTIMATORS, Answer, Prior
 from zygos.arm import Arm
 from zygos.errors import ZygosError
 from zygos.native.flight import encode
@@ -79,14 +79,14 @@ class Cell:
             motions = _motions(case, self.seeds[:: case.share])
             simulated = time.perf_counter()
             answers = {one.name: _Column() for one in ESTIMATORS if one.fits(case.arm)}
-            told = Told(case.scenario.angular_momentum_nms, case.rest_s)
+            prior = Prior(case.scenario.angular_momentum_nms, case.rest_s)
             for place, seed in enumerate(self.seeds):
                 trajectory, index = motions[place // case.share]
                 for draw in range(self.draws):
                     arm, frames = sensed(case, trajectory, index, seed + draw * STREAM)
                     for estimator in ESTIMATORS:
                         if estimator.name in answers and (draw == 0 or estimator.redrawn):
-                            answers[estimator.name].add(seed, draw, estimator.estimate(arm, frames, told))
+                            answers[estimator.name].add(seed, draw, estimator.estimate(arm, frames, prior))
         return {
             "case": case.name,
             "seeds": list(self.seeds),
@@ -147,18 +147,18 @@ def _with_zeros(arm: Arm, zeros: Floats) -> Arm:
 
 def sensed(case: Case, trajectory: Trajectory, index: int, number: int) -> tuple[Arm, NDArray[Any]]:
     """The arm file and the CAN frames of one motion; `number` selects the sensor errors."""
-    told, plant = case.arm, case.plant
+    stated, plant = case.arm, case.plant
     cycles = len(trajectory.t)
     if case.scenario.encoder_noise == "quantised":
         codes = _codes(case, number)
-        told, plant = _with_zeros(told, codes), _with_zeros(plant, codes)
+        stated, plant = _with_zeros(stated, codes), _with_zeros(plant, codes)
     if case.zeros_rad:
         signs = np.random.default_rng([number, 2]).choice([-1.0, 1.0], (2, plant.n))
         plant = _with_zeros(plant, case.zeros_rad * signs)
     noise = draw_noise(plant, cycles, [number], case.scenario.encoder_noise)
     alone = _one(trajectory, index)
-    frames = encode(told, record(replace(alone, arm=plant, noise=noise)))
-    return told, _lose(case, frames, number) if case.lost else frames
+    frames = encode(stated, record(replace(alone, arm=plant, noise=noise)))
+    return stated, _lose(case, frames, number) if case.lost else frames
 
 
 def _one(trajectory: Trajectory, index: int) -> Trajectory:

@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Told:
+class Prior:
     """Knowledge of an estimator besides arm file and frames."""
 
     momentum_nms: float | tuple[float, float, float]
@@ -47,7 +47,7 @@ class Answer:
     """(p,) solution for all parameters, which is meaningful only as a whole; None if there is none."""
 
 
-Estimate = Callable[[Arm, NDArray[Any], Told], Answer]
+Estimate = Callable[[Arm, NDArray[Any], Prior], Answer]
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Estimator:
     """An entry of the table."""
 
     name: str
-    said: str
+    description: str
     estimate: Estimate
     ours: bool
     """Whether it works for every arm and gives intervals; the paper's methods are planar and give none."""
@@ -67,7 +67,7 @@ class Estimator:
         return self.ours or (arm.free and not arm.spatial)
 
 
-def flight(arm: Arm, frames: NDArray[Any], _: Told) -> Answer:
+def flight(arm: Arm, frames: NDArray[Any], _: Prior) -> Answer:
     """The C library, fed with CAN frames."""
     chain = Flight(arm)
     chain.frames(frames)
@@ -82,17 +82,17 @@ def flight(arm: Arm, frames: NDArray[Any], _: Told) -> Answer:
 
 def _with(**settings: Any) -> Estimate:
     """The C library with other settings of the arm file."""
-    return lambda arm, frames, told: flight(replace(arm, **settings), frames, told)
+    return lambda arm, frames, prior: flight(replace(arm, **settings), frames, prior)
 
 
-def _batch(method: Callable[[Arm, Record, Told], Floats]) -> Estimate:
+def _batch(method: Callable[[Arm, Record, Prior], Floats]) -> Estimate:
     """A method of the paper, applied to the cycles that the receiver completed before the first missing one."""
 
-    def estimate(arm: Arm, frames: NDArray[Any], told: Told) -> Answer:
+    def estimate(arm: Arm, frames: NDArray[Any], prior: Prior) -> Answer:
         trace = Flight(arm).frames(frames, trace=True)
         assert trace is not None
         try:
-            return Answer("valid", value=method(arm, record_of(arm, calibrate(arm, trace.cycles)), told)[0])
+            return Answer("valid", value=method(arm, record_of(arm, calibrate(arm, trace.cycles)), prior)[0])
         except Undecided:
             return Answer("refused", "the unbroken record does not determine the parameters")
         except ZygosError as error:
@@ -101,9 +101,9 @@ def _batch(method: Callable[[Arm, Record, Told], Floats]) -> Estimate:
     return estimate
 
 
-def _amc(arm: Arm, record: Record, told: Told) -> Floats:
-    assert isinstance(told.momentum_nms, float)
-    return amc.estimate(arm, record, momentum_nms=told.momentum_nms)
+def _amc(arm: Arm, record: Record, prior: Prior) -> Floats:
+    assert isinstance(prior.momentum_nms, float)
+    return amc.estimate(arm, record, momentum_nms=prior.momentum_nms)
 
 
 ESTIMATORS: tuple[Estimator, ...] = (

@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_limits
 
 from zygos.accuracy.cases import Case
 from zygos.accuracy.cell import sensed
-from zygos.accuracy.estimators import ESTIMATORS, Told
+from zygos.accuracy.estimators import ESTIMATORS, Prior
 from zygos.dynamics.planar import PlanarDynamics
 from zygos.dynamics.replay import States, replay, substeps
 from zygos.errors import ZygosError
@@ -56,15 +56,17 @@ class Figure4:
         with threadpool_limits(1):
             case, arm = self.case, self.case.arm
             noisy = simulate(case.plant, case.model, case.scenario, seeds=[self.seed], noise=True)
-            told_arm, frames = sensed(case, noisy, 0, self.seed)
-            told = Told(case.scenario.angular_momentum_nms, case.rest_s)
+            stated_arm, frames = sensed(case, noisy, 0, self.seed)
+            prior = Prior(case.scenario.angular_momentum_nms, case.rest_s)
             asked = [one for one in ESTIMATORS if one.ours or one.name == _PAPER]
-            answers = {one.name: one.estimate(told_arm, frames, told).value for one in asked}
+            answers = {one.name: one.estimate(stated_arm, frames, prior).value for one in asked}
 
             true = case.model.base_values(arm)
             scaled = {name: scale * true for name, scale in SCALES.items()}
-            told_by = {PRINTED: printed.eb_values(true, arm.parameter_names)} if printed.describes(arm, true) else {}
-            sets: dict[str, Floats | None] = {"true": true, **told_by, **answers, **scaled, HAIR: true}
+            printed_sets = (
+                {PRINTED: printed.eb_values(true, arm.parameter_names)} if printed.describes(arm, true) else {}
+            )
+            sets: dict[str, Floats | None] = {"true": true, **printed_sets, **answers, **scaled, HAIR: true}
             momentum = case.scenario.angular_momentum_nms
             assert not isinstance(momentum, tuple)
             exact = simulate(case.plant, case.model, case.scenario, seeds=[self.seed], noise=False)

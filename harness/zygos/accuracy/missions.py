@@ -93,7 +93,7 @@ def summarised(case: Case, lines: Sequence[Line]) -> list[Line]:
 
 def page(entries: Sequence[Line]) -> str:
     """The numbers as Markdown."""
-    said = [
+    lines = [
         "# How honest intervals stay, from a minute to a month",
         "",
         f"Written by `make mission`. A mission repeats up to {REPEATED} of {MOTIONS} stored motions of {MOTION_S:g} s, "
@@ -105,7 +105,7 @@ def page(entries: Sequence[Line]) -> str:
     ]
     for entry in entries:
         off = entry["coverage95_error"]
-        said += [
+        lines += [
             "",
             f"## {entry['case']}, {entry['length']}",
             "",
@@ -120,11 +120,11 @@ def page(entries: Sequence[Line]) -> str:
         ]
         for name, own in entry["parameters"].items():
             share = own["coverage95"]
-            said.append(
+            lines.append(
                 f"| {name} | {number(own['bias_percent'], 3)} | {number(own['spread_percent'], 3)} | "
                 f"{number(own['half95_percent'], 3)} | {number(100 * share if share is not None else None, 3)} |"
             )
-    return "\n".join(said) + "\n"
+    return "\n".join(lines) + "\n"
 
 
 def mission(

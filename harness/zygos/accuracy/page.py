@@ -49,7 +49,7 @@ def write_accuracy_report(
         groups.append(
             {
                 "name": case.name,
-                "said": case.said,
+                "said": case.description,
                 "benign": case.benign,
                 "rows": [_row(entry) for entry in entries],
                 "errors": _errors(case, entries),
@@ -71,7 +71,7 @@ def write_accuracy_report(
         "accuracy/page.html",
         _charts(figure) if figure else {"times": {}, "charts": {}, "refused": []},
         groups=groups,
-        estimators=[(one.name, one.said, colour(one.name)) for one in ESTIMATORS],
+        estimators=[(one.name, one.description, colour(one.name)) for one in ESTIMATORS],
         seeds=max(entry["seeds"] for entry in summary),
         draws=draws,
         figure=None if figure is None else _figure(figure),

@@ -109,7 +109,7 @@ def _entry(case: Case, estimator: Estimator, answers: Answers, true: Floats) -> 
     rms = [entry["rms_percent"] for entry in per_parameter.values() if entry["rms_percent"] is not None]
     entry = {
         "case": case.name,
-        "said": case.said,
+        "said": case.description,
         "estimator": estimator.name,
         "benign": case.benign,
         "seeds": int(seeds.sum()),

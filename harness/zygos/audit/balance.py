@@ -42,9 +42,9 @@ class Balance:
         """Take the first `MOST_CYCLES` cycles. Errors: ZygosError if the C library has no columns for the arm."""
         self.arm = arm
         self.cycles = Cycles(*(getattr(cycles, name)[:MOST_CYCLES] for name in Cycles.__dataclass_fields__))
-        room = lib.ZYGOS_MAX_EFFECTS_VALUE - len(estimated(arm, ()))
+        unused = lib.ZYGOS_MAX_EFFECTS_VALUE - len(estimated(arm, ()))
         friction = [(kind, joint.name) for kind in ("motor_coulomb", "motor_viscous") for joint in arm.joints]
-        self.friction = [Effect(CATALOGUE[kind], joint, 0.0) for kind, joint in friction[: max(room, 0)]]
+        self.friction = [Effect(CATALOGUE[kind], joint, 0.0) for kind, joint in friction[: max(unused, 0)]]
         self.reason = ""
         """The reason why the last computed residual is infinite."""
         self.residual_j = self.residual(arm, self.cycles)

@@ -178,12 +178,12 @@ def usage(arm: Arm, bitrate: int, frames: NDArray[Any], bits: NDArray[np.int64])
     uncounted = (frames["flags"] & (ERROR | FD)) > 0
     others &= ~uncounted
     found[OTHERS], taken[OTHERS] = int(others.sum()), int(bits[others].sum())
-    room = bitrate * arm.period_s
+    capacity = bitrate * arm.period_s
     return Usage(
         float(steps.sum() * arm.period_s),
         found,
         taken,
-        float(bits.sum() / (steps.sum() * room)),
-        float((per_cycle[steps > 0] / (steps[steps > 0] * room)).max()),
+        float(bits.sum() / (steps.sum() * capacity)),
+        float((per_cycle[steps > 0] / (steps[steps > 0] * capacity)).max()),
         int(uncounted.sum()),
     )

@@ -95,10 +95,10 @@ def _print(arm: Arm, bitrate: int, planned: Plan, used: Usage | None) -> None:
     if used is not None:
         columns += ["frames in the log", "bits, mean", "load %"]
         rows.append([OTHERS, *[""] * 5])
-        room = bitrate * used.duration_s
+        capacity = bitrate * used.duration_s
         for row in rows:
             frames, bits = used.frames[row[0]], used.bits[row[0]]
-            row += [f"{frames:,}", number(bits / frames, 4) if frames else "–", _percent(bits / room)]
+            row += [f"{frames:,}", number(bits / frames, 4) if frames else "–", _percent(bits / capacity)]
         total += [f"{sum(used.frames.values()):,}", "", _percent(used.load)]
     table(columns, [*rows, total])
     if used is not None:

@@ -68,13 +68,13 @@ class Multibody(SpatialDynamics):
         state[..., :3] = omega0
         for k, part in enumerate((q, qd, thetad, spring, tau - motor_loss, -link_loss)):
             state[..., 3 + k * n : 3 + (k + 1) * n] = part
-        native, room, _ = self._compiled
+        native, size, _ = self._compiled
         result = np.empty((*batch, 3 + 2 * n))
         lib.zygos_multibody_accelerations(
             native,
             result.size // (3 + 2 * n),
             ffi.from_buffer("double[]", state),
             ffi.from_buffer("double[]", result),
-            ffi.from_buffer("double[]", np.empty(room)),
+            ffi.from_buffer("double[]", np.empty(size)),
         )
         return result[..., :3], result[..., 3 : 3 + n], result[..., 3 + n :]

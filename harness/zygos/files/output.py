@@ -110,7 +110,7 @@ def bad(text: str) -> Text:
     return Text(text, style="red")
 
 
-def _room() -> int:
+def _available_width() -> int:
     """Width that a table may take, in characters: that of the terminal, or the value of COLUMNS."""
     return console.width if console.is_terminal or os.environ.get("COLUMNS", "").isdigit() else _WIDE
 
@@ -122,16 +122,16 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[str | Text]], title: s
     several tables are printed, each of which begins with the first column.
     """
     cells = [[Text(cell) if isinstance(cell, str) else cell for cell in row] for row in rows]
-    room = _room()
+    available = _available_width()
     heads = [Text(column, style="bold") for column in columns]
     inside = [max((row[k].cell_len for row in cells), default=0) for k in range(len(columns))]
     widths = [max(width, head.cell_len) for width, head in zip(inside, heads, strict=True)]
-    if sum(widths) + _BETWEEN * (len(columns) - 1) > room:
+    if sum(widths) + _BETWEEN * (len(columns) - 1) > available:
         widths = [max([width, *map(len, column.split())]) for width, column in zip(inside, columns, strict=True)]
     for k, width in enumerate(widths[1:], start=1):  # a text longer than a line is broken at its spaces
         words = [len(word) for text in (heads[k], *(row[k] for row in cells)) for word in text.plain.split()]
-        widths[k] = max(min(width, room - widths[0] - _BETWEEN), *words, 1)
-    for k, group in enumerate(_groups(widths, room)):
+        widths[k] = max(min(width, available - widths[0] - _BETWEEN), *words, 1)
+    for k, group in enumerate(_groups(widths, available)):
         out = Table(title=Text(title) if title and k == 0 else None, title_justify="left", box=None, pad_edge=False)
         for column in group:
             justify: JustifyMethod = "left" if column == 0 else "right"
@@ -140,16 +140,16 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[str | Text]], title: s
             out.add_row(*(row[column] for column in group))
         if k > 0:
             console.print()
-        Console(width=max(room, sum(widths[column] + _BETWEEN for column in group))).print(out)
+        Console(width=max(available, sum(widths[column] + _BETWEEN for column in group))).print(out)
 
 
-def _groups(widths: Sequence[int], room: int) -> list[list[int]]:
+def _groups(widths: Sequence[int], available: int) -> list[list[int]]:
     """Columns of each printed table: the first column is in every table, the others are spread over as few as
     possible."""
     groups = [[0]]
     for column in range(1, len(widths)):
         taken = sum(widths[other] + _BETWEEN for other in groups[-1])
-        if len(groups[-1]) > 1 and taken + widths[column] > room:
+        if len(groups[-1]) > 1 and taken + widths[column] > available:
             groups.append([0])
         groups[-1].append(column)
     return groups

@@ -343,9 +343,9 @@ def _compare_sigmas(
         arcs += [Block(spread_out(momentum.names, sums, factor), zero) for sums in blocks.momentum]
         noise += spread_out(momentum.names, momentum.noise.sum(axis=0), factor)
     energy = [Block(*block) for block in blocks.energy]
-    told = intervals(energy, arcs, noise, used.noise, combined.solution.believed, arc_cycles(arm))
-    sigma = np.abs(estimate.sigma / told.sigma - 1.0)
-    half = np.abs(estimate.half95 / told.half95 - 1.0)
+    expected = intervals(energy, arcs, noise, used.noise, combined.solution.believed, arc_cycles(arm))
+    sigma = np.abs(estimate.sigma / expected.sigma - 1.0)
+    half = np.abs(estimate.half95 / expected.half95 - 1.0)
     # the library computes Student's factor by a series expansion
     difference = float(max(sigma.max(), half.max() * tolerance / (STUDENT_TOLERANCE + tolerance)))
     return Room("sigmas", 2 * len(sigma), difference, None, tolerance)

@@ -349,9 +349,9 @@ class Dictionary:
 
 def _check_unit(channel: Channel, signal: Any) -> None:
     """Refuse a unit that contradicts that in the DBC."""
-    said = _SPELLINGS.get(signal.unit or "", signal.unit or "")
+    spelled = _SPELLINGS.get(signal.unit or "", signal.unit or "")
     known = {unit for units in UNITS.values() for unit in units}
-    if channel.bare and said in known and said != channel.unit:
+    if channel.bare and spelled in known and spelled != channel.unit:
         raise ZygosError(
             f'{channel.where}.unit: the map says "{channel.unit}", the DBC says "{signal.unit}" for {channel.source}; '
             "remedy: write the DBC's unit, or, if the DBC is wrong, add scale = 1.0 to yours"

@@ -174,8 +174,8 @@ class Dut:
             raise ZygosError(f"{self.command} does not end; remedy: read {self.folder}") from None
         self._process = None
         if status:
-            said = (self.folder / "stderr").read_text(errors="replace").strip()
-            raise ZygosError(f"{self.command} ended with status {status}: {said}; remedy: see {self.folder}")
+            message = (self.folder / "stderr").read_text(errors="replace").strip()
+            raise ZygosError(f"{self.command} ended with status {status}: {message}; remedy: see {self.folder}")
         return dict(_counters((self.folder / "stdout").read_text(encoding="utf-8")))
 
     def kill(self) -> None:
