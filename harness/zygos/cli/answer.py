@@ -1,4 +1,4 @@
-"""The end of `zygos estimate` and `zygos listen`: table, model file, JSON, and what is undecided."""
+"""The end of `zygos estimate` and `zygos listen`: table, model file, JSON, and messages."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ from zygos.model.model import save_model
 
 
 def finish_estimate(found: Estimation, out: Path, json: str | None, heading: Mapping[str, Any]) -> None:
-    """Print the table, write the model, say that the arm changed and what is undecided."""
+    """Print the table, write the model, report a change of the arm, and raise Undecided if the estimate is not
+    valid."""
     result, flight = found.result, found.watch.flight
     if not quiet(out, json):
         rows = [
@@ -40,7 +41,7 @@ def finish_estimate(found: Estimation, out: Path, json: str | None, heading: Map
             f"{counted(result.arcs, 'arc')}, {flight.counts['arcs_dropped']:,} dropped, "
             f"{result.left_out[0]:,} left out · "
             f"{np.isfinite(result.value).sum()} of {counted(len(result.names), 'parameter')} · {result.validity}"
-            + (" · door: cycle" if heading["door"] == "cycle" else "")
+            + (" · input: table of cycles" if heading["door"] == "cycle" else "")
         )
         seen = [f"{name} {count:,}" for name, count in flight.faults.items() if count]
         if seen:
@@ -56,6 +57,6 @@ def finish_estimate(found: Estimation, out: Path, json: str | None, heading: Map
         if json:
             write_json(json, found.as_dict(heading))
     if found.validity != "valid":
-        where = "nothing written" if found.validity == "refused" else f"{named(out)} written"
+        where = "no model written" if found.validity == "refused" else f"{named(out)} written"
         number_of = f": {found.measured}" if found.measured else ""
         raise Undecided(f"{found.validity}: {found.reason}{number_of} ({where}); remedy: {found.remedy}")

@@ -1,4 +1,4 @@
-"""`zygos check`: the C library beside numpy on a run."""
+"""`zygos check`: compares the C library with numpy on a run."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def check_run(run: Path, arm_file: Path | None, model_file: Path | None, json: s
         write_json(json, {**origin(recorded), **found.as_dict()})
     if json != "-":
         table(
-            ("room", "compared", "largest difference", "at cycle", "tolerance", ""),
+            ("stage", "compared", "largest difference", "at cycle", "tolerance", ""),
             [
                 (
                     room.name,
@@ -50,10 +50,10 @@ def check_run(run: Path, arm_file: Path | None, model_file: Path | None, json: s
             ],
         )
         if recorded.frames is None:
-            say("door: cycle")
+            say("input: table of cycles")
     failed = [room.name for room in found.stages if not room.equal]
     if failed:
-        raise Undecided(f"C and numpy differ in: {', '.join(failed)}; remedy: report the run, it is worth a look")
+        raise Undecided(f"C and numpy differ in: {', '.join(failed)}; remedy: report this run as a defect of zygos")
     if not found.solved:
         raise Undecided(found.unsolved)
     not_whole(recorded.damage)
@@ -68,13 +68,13 @@ def command(
     ] = None,
     json: Json = None,
 ) -> None:
-    """Compare the C library with numpy on a run, room by room.
+    """Compare the C library with numpy on a run, stage by stage.
 
-    The rooms are wire and cycles, smoother, rows, normal equations and solution. For each the table has the largest
-    difference, the cycle where it is found, and the tolerance. The two sides share no code: on numpy's side cantools
+    The stages are wire and cycles, smoother, rows, normal equations and solution. For each the table has the largest
+    difference, the cycle in which it occurs, and the tolerance. The two sides share no code: on numpy's side cantools
     and autosar-e2e decode, a convolution of the whole record smooths, and lstsq solves.
 
-    Exit code 3 when a room differs by more than its tolerance, or the run does not determine the parameters.
+    Exit code 3 when a stage differs by more than its tolerance, or the run does not determine the parameters.
 
     Example: zygos check out/run.blf
     """

@@ -1,4 +1,4 @@
-"""`zygos check-arm`: what a run says of its arm file, as a table."""
+"""`zygos check-arm`: compares a run with its arm file, and prints the result as a table."""
 
 from __future__ import annotations
 
@@ -41,22 +41,22 @@ def check_arm_run(arm_file: Path, run: Path, json: str | None) -> None:
         )
     if not found.ok:
         names = ", ".join(signal.name for signal in found.signals if not signal.decided)
-        raise Undecided(f"nothing wrong was found, but nothing confirms {names}; remedy: {_what_decides(found)}")
+        raise Undecided(f"no fault was found, but nothing confirms {names}; remedy: {_what_decides(found)}")
     not_whole(recorded.damage)
 
 
 def _what_decides(found: Audit) -> str:
-    """What would confirm the signals that nothing confirms, by what stood in the way."""
+    """A run that would confirm the signals that are not confirmed yet, by the reasons that the notes give."""
     still = [note.partition(":")[0] for note in found.notes if "does not move" in note]
     if still:
         return f"a run in which {', '.join(still)} moves"
     if any("too few accepted instants" in note or "is long enough" in note for note in found.notes):
         return "a longer run without gaps"
-    return 'a run that moves every joint faster and at different speeds; the lines that begin with "open" say why'
+    return 'a run that moves every joint faster and at different speeds; the lines with "open" give the reasons'
 
 
 def show(found: Audit) -> None:
-    """Print what was found."""
+    """Print the results."""
     table(
         ("signal", "unit", "rate %", "low", "high", "steps", "declared", "noise", "declared", "verdict"),
         [
@@ -102,11 +102,11 @@ def command(
     run: Run,
     json: Json = None,
 ) -> None:
-    """Hold a run against its arm file: rate, range, steps and noise of each signal, and whether the signals agree.
+    """Check a run against its arm file: rate, range, steps and noise of each signal, and whether the signals agree.
 
-    Names signals that are swapped, inverted, scaled by the gear ratio, stuck or saturated, a skew in time between the
-    two encoders of a joint, zeros that are off, and a wrong torque law; each with the number that says how sure it is,
-    and the remedy. No model is needed.
+    Reports signals that are swapped, inverted, scaled by the gear ratio, stuck or saturated, a skew in time between the
+    two encoders of a joint, zeros that are off, and a wrong torque law; each with the evidence in numbers and the
+    remedy. No model is needed.
 
     Exit code 3 when something is found, or the run does not confirm every signal.
 

@@ -1,4 +1,4 @@
-"""`zygos estimate`: the parameters from a recorded run."""
+"""`zygos estimate`: estimates the parameters from a recorded run."""
 
 from __future__ import annotations
 
@@ -43,18 +43,18 @@ def command(
         typer.Option(
             "--model",
             metavar="PRIOR.toml",
-            help="Also learn the effects of this model, and keep its values where the run determines none.",
+            help="Also estimate the effects of this model, and use its values where the run determines none.",
         ),
     ] = None,
     json: Json = None,
 ) -> None:
-    """Learn the parameters from a run, with the C library that flies.
+    """Estimate the parameters from a run, with the C library for flight.
 
     Writes a model.toml with value and sigma of each parameter. A parameter that the motion does not determine is left
-    out, or taken from --model. The [[effect]] entries of --model (friction, cubic stiffness, torque lag) are learned as
-    well, whatever their values; so is a spring_offset of each joint whose zeros the arm file does not vouch for
-    (zero_sigma_rad above 0). Exit code 3 when something is undecided; the reason is on stderr and in the JSON. Where
-    the arm changed during the run, a warning on stderr and the JSON say when, and in which parameters.
+    out, or taken from --model. The [[effect]] entries of --model (friction, cubic stiffness, torque lag) are estimated
+    as well, whatever their values; so is a spring_offset of each joint whose encoder zeros are uncertain by the arm
+    file (zero_sigma_rad above 0). Exit code 3 when something is undecided; the reason is on stderr and in the JSON. If
+    the arm changed during the run, a warning on stderr and the JSON state when, and in which parameters.
 
     Example: zygos estimate out/run.blf -o out/estimate.toml
     """

@@ -82,7 +82,7 @@ class Estimation:
         """What to do about an estimate that is not valid; empty where it is."""
         if self.validity == "valid":
             return ""
-        changed = "see the warning: the arm changed" if self.drift and self.drift.changed else ""
+        changed = "read the warning: the arm changed" if self.drift and self.drift.changed else ""
         return changed or remedy(self.result, self.watch.flight, self.watch.known)
 
     @property
@@ -120,7 +120,7 @@ class Estimation:
         known = (self.prior.base_parameters(flight.arm) if self.prior is not None else {}) | found
         quantities = {name: known[name] for name in flight.arm.parameter_names if name in known}
         given = (*(self.prior.effects if self.prior is not None else ()), *self.asked)
-        # an offset that only the arm file asked for, and the run is silent on, is none
+        # an offset that is estimated only because of the arm file is left out if the run does not determine it
         others = (one for one in flight.effects if one not in given and one.column(flight.arm) in found)
         effects = tuple(learned(effect, found.get(effect.column(flight.arm))) for effect in (*given, *others))
         return Model(name=flight.arm.name, parameters=quantities, effects=effects)

@@ -20,8 +20,8 @@ def check_arm_of_gap(arm: Arm, named: str) -> None:
     """Refuse, with ZygosError, an arm that the balances of a gap do not describe. named: how the message begins."""
     if arm.kinetic != "planar-symmetric" or not arm.free or not all(joint.flexible for joint in arm.joints):
         raise ZygosError(
-            f"{named}: the balances of a gap are those of a free-floating, planar-symmetric arm with flexible "
-            "joints; remedy: `zygos estimate` and `zygos check` take any arm"
+            f"{named}: a gap can be explained only for a free-floating, planar-symmetric arm with flexible "
+            "joints; remedy: use `zygos estimate` or `zygos check`, which take any arm"
         )
 
 
