@@ -17,9 +17,10 @@ import numpy as np
 import pytest
 from gap_support import Floats, centred, effect, exact, example, moved, rms, true_columns
 
+from zygos.balances.quadrature import integral
 from zygos.effects import CATALOGUE, Effect, column_name
 from zygos.gap import balances
-from zygos.gap.balances import Layout, Rows, integral, rows
+from zygos.gap.balances import Layout, Rows, rows
 from zygos.gap.record import Readings
 
 DURATION_S = 4.0

@@ -8,14 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
+from zygos.balances.quadrature import integral, since_origin
 from zygos.effects import Effect, estimated
 from zygos.runs.samples import Samples
 from zygos.runs.smoother import Smoothed
 
 Floats = NDArray[np.float64]
-
-STEP_RULE = np.array([9.0, 19.0, -5.0, 1.0]) / 24.0
-"""Weights, newest first, of the integral over the newest step of the cubic through four values."""
 
 
 def effect_columns(
@@ -43,11 +41,4 @@ def _column(arm: Arm, samples: Samples, smoothed: Smoothed, arc: NDArray[np.int6
     assert kind.torque is not None
     rate, factor = (motor_rate, ratio) if kind.place == "motor" else (link_rate, 1.0)
     power = factor * kind.torque(rate) * rate
-    return since_origin(arm.period_s * np.cumsum(np.convolve(power, STEP_RULE)[: len(power)]), arc)
-
-
-def since_origin(total: Floats, arc: NDArray[np.int64]) -> Floats:
-    """A running total (m,) less its value at the first instant of the arc (m,)."""
-    position = np.arange(len(arc))
-    opens = np.diff(arc, prepend=-2) != 0
-    return total - total[np.maximum.accumulate(np.where(opens, position, 0))]
+    return since_origin(integral(power, arm.period_s), arc)

@@ -16,6 +16,7 @@ from zygos.arm import Arm
 from zygos.balances.arcs import FILL_INSTANTS, End, arc_cycles, left_out_arcs, spans, void_arcs
 from zygos.balances.effects import effect_columns
 from zygos.balances.kinematics import State, body_columns
+from zygos.balances.quadrature import step_integrals
 from zygos.effects import Effect
 from zygos.runs.samples import Samples
 from zygos.runs.smoother import Smoothed
@@ -65,7 +66,7 @@ def rows(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Effec
     """Rows of a whole record, with a column for each of the effects that `zygos.effects.estimated` names.
 
     Work of a step: n tau_k-1 (theta_k - theta_k-1), exact for a torque held over the step. Dissipation of a step:
-    (h/24)(9 g_k + 19 g_k-1 - 5 g_k-2 + g_k-3), the cubic through the four newest values of g = (thetad - qd)^2.
+    that of the cubic through the four newest values of (thetad - qd)^2.
 
     Under a held torque the slope of a smooth curve through the samples is h^2/12 da/dt above the true rate, so the
     kinetic energy reads h/12 n (tau_k - tau_k-1) thetad_k too high; the work of the row is raised by as much.
@@ -90,11 +91,11 @@ def rows(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Effec
         g = (smoothed.thetad[of] - smoothed.qd[of]) ** 2
         step_work = np.sum(arm.gear_ratios * tau[:-1] * np.diff(theta, axis=0), axis=1)
         hold_correction = held * np.sum(arm.gear_ratios * np.diff(tau, axis=0) * smoothed.thetad[of[1:]], axis=1)
-        step_loss = (h / 24.0) * (9.0 * g[3:] + 19.0 * g[2:-1] - 5.0 * g[1:-2] + g[:-3])
+        step_loss = step_integrals(g, h, axis=0)
         for origin, stop, ended in spans(smoothed.accepted[of], longest):
             work[of[origin + 1 : stop]] = np.cumsum(step_work[origin : stop - 1])
             work[of[origin:stop]] += hold_correction[origin - 1 : stop - 1]
-            dissipated[of[origin + 1 : stop]] = np.cumsum(step_loss[origin - 2 : stop - 3], axis=0)
+            dissipated[of[origin + 1 : stop]] = np.cumsum(step_loss[origin : stop - 1], axis=0)
             arc[of[origin:stop]] = arcs
             ends.append(End(int(smoothed.index[of[stop - 1]]) + arm.smoother.lag, ended))
             arcs += 1

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
-from zygos.balances.effects import STEP_RULE, since_origin
 from zygos.balances.kinematics import State, body_columns
+from zygos.balances.quadrature import integral, since_origin
 from zygos.effects import Effect, estimated
 from zygos.runs.samples import Samples
 from zygos.runs.smoother import Smoothed, coefficients
@@ -63,8 +63,8 @@ def rows(
     carried = body_columns(arm, State(smoothed.q, smoothed.theta, smoothed.qd, smoothed.thetad, base))[1]
     held = 0.0 if arm.torque_law == "sampled" else h / 12.0
 
-    def integral(g: Floats) -> Floats:
-        return since_origin(h * np.cumsum(np.convolve(g, STEP_RULE)[: len(g)]), arc)
+    def of_arc(g: Floats) -> Floats:
+        return since_origin(integral(g, h), arc)
 
     out = []
     for i, joint in enumerate(arm.joints):
@@ -73,7 +73,7 @@ def rows(
         n, theta, thetad = joint.gear_ratio, smoothed.theta[:, i], smoothed.thetad[:, i]
         deflection = theta - smoothed.q[:, i]
         before, after = samples.tau[smoothed.index - 1, i], samples.tau[smoothed.index, i]
-        columns = [n**2 * thetad + n * carried[:, i], integral(deflection), deflection]
+        columns = [n**2 * thetad + n * carried[:, i], of_arc(deflection), deflection]
         acting = joint_effects(arm, i, effects)
         for effect in acting:
             if effect.kind.place == "torque":
@@ -84,7 +84,7 @@ def rows(
                 assert effect.kind.torque is not None
                 spring = effect.kind.place == "spring"
                 torque = effect.kind.torque(deflection if spring else thetad)
-                columns.append(integral(torque if spring else n * torque))
+                columns.append(of_arc(torque if spring else n * torque))
         names = joint_names(arm, i, effects)
         w = n * (h * since_origin(np.cumsum(before), arc) + held * (after - before))
         out.append(Impulse(i, names, np.stack(columns, axis=1), w))

@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from zygos.arm import Arm
 from zygos.balances.arcs import MIN_ARC_INSTANTS, numbered, unused
-from zygos.balances.effects import STEP_RULE
 from zygos.balances.kinematics import State, body_rates, cross, gram, posture
+from zygos.balances.quadrature import step_integrals
 from zygos.runs.samples import Samples
 from zygos.runs.smoother import Smoothed, coefficients
 
@@ -81,12 +81,11 @@ def attitudes(arm: Arm, smoothed: Smoothed, arc: NDArray[np.int64]) -> Floats:
     add: h^2/12 omega_k-1 x omega_k (Bortz 1971, to second order).
     """
     h, omega = arm.period_s, smoothed.omega
-    step = h * np.apply_along_axis(lambda rate: np.convolve(rate, STEP_RULE)[: len(rate)], 0, omega)
-    step[1:] += h * h / 12.0 * np.cross(omega[:-1], omega[1:])
+    step = step_integrals(omega, h, axis=0) + h * h / 12.0 * np.cross(omega[:-1], omega[1:])
     turn = Rotation.from_rotvec(step).as_matrix() if len(step) else np.zeros((0, 3, 3))
     out = np.tile(np.eye(3), (len(arc), 1, 1))
     for k in np.flatnonzero((arc[1:] >= 0) & (arc[1:] == arc[:-1])) + 1:
-        out[k] = out[k - 1] @ turn[k]
+        out[k] = out[k - 1] @ turn[k - 1]
     return out
 
 

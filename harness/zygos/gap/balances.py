@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from zygos.arm import Arm
 from zygos.balances.kinematics import State, gram
+from zygos.balances.quadrature import from_first, integral
 from zygos.can.wire import over_the_wire
 from zygos.effects import CATALOGUE, OFFSET, Kind, column_name
 from zygos.gap.record import Readings, smooth
@@ -136,8 +137,8 @@ def _drives(arm: Arm, state: State, tau: Array, previous: Array, put: _Put) -> N
     delayed = n * jump * state.thetad
     # what a smooth curve makes of rates under a held torque (docs/theory.md) goes to the right side
     held = 0.0 if arm.torque_law == "sampled" else h / 12.0
-    work = _steps(n * previous[..., 1:, :] * np.diff(state.theta, axis=-2)) + held * delayed
-    impulse = _steps(h * previous[..., 1:, :]) + held * jump
+    work = from_first(n * previous[..., 1:, :] * np.diff(state.theta, axis=-2), axis=-2) + held * delayed
+    impulse = from_first(h * previous[..., 1:, :], axis=-2) + held * jump
     put.right("E", work.sum(axis=-1))
     # a torque that begins later by T takes n (tau_k - tau_(k-1)) thetad_k T out of the work, the newest step by half
     lag = np.cumsum(delayed, axis=-2) - 0.5 * delayed
@@ -203,22 +204,6 @@ def _zeros(arm: Arm, state: State, values: Array, put: _Put) -> None:
         put(f"M{i + 1}", f"link_zero{i + 1}", impulse)
         put("E", f"motor_zero{i + 1}", -spring)
         put(f"M{i + 1}", f"motor_zero{i + 1}", -impulse)
-
-
-def _steps(x: Array) -> Array:
-    """Running sum over instants (second to last axis) that starts at zero."""
-    pad = [(0, 0)] * (x.ndim - 2) + [(1, 0), (0, 0)]
-    return np.cumsum(np.pad(x, pad), axis=-2)
-
-
-def integral(g: Array, h: float) -> Array:
-    """Integral from each arc's first instant, (..., instants). One-sided, for rates bend at every torque step: the
-    cubic through the four newest values, trapezoids where there are fewer."""
-    step = 0.5 * h * (g[..., 1:] + g[..., :-1])
-    step[..., 2:] = (h / 24.0) * (9.0 * g[..., 3:] + 19.0 * g[..., 2:-1] - 5.0 * g[..., 1:-2] + g[..., :-3])
-    out = np.zeros_like(g)
-    np.cumsum(step, axis=-1, out=out[..., 1:])
-    return out
 
 
 @dataclass(frozen=True)

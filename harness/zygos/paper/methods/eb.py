@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from zygos.arm import Arm
 from zygos.balances.energy import energy_columns
 from zygos.balances.kinematics import State
+from zygos.balances.quadrature import from_first, integral
 from zygos.errors import ZygosError
 from zygos.paper.methods import Record, by_backward_difference
 from zygos.reference.solver import Rows, solve
@@ -28,7 +29,7 @@ Start = Literal["rest", "first"]
 def work(arm: Arm, record: Record) -> Floats:
     """W, shape (B, n) [J]: work of the motors since the first instant, exact for a torque held between samples."""
     steps = np.sum(arm.gear_ratios * record.tau[:, :-1] * np.diff(record.theta, axis=1), axis=-1)
-    return np.pad(np.cumsum(steps, axis=1), ((0, 0), (1, 0)))
+    return from_first(steps)
 
 
 def rows(arm: Arm, record: Record, rates: Rates = "backward", start: Start = "rest") -> tuple[Floats, Floats]:
@@ -104,15 +105,10 @@ def _smoothed_rows(arm: Arm, record: Record) -> tuple[Floats, Floats]:
     )
     theta = state.theta
     steps = np.sum(arm.gear_ratios * record.tau[:, : theta.shape[1] - 1] * np.diff(theta, axis=1), axis=-1)
-    w = np.pad(np.cumsum(steps, axis=1), ((0, 0), (1, 0)))
+    w = from_first(steps)
     if arm.torque_law != "sampled":
         # What a held torque leaves in the slope of a smooth curve (docs/theory.md).
         jumps = np.diff(record.tau[:, : theta.shape[1]], axis=1)
         w[:, 1:] += h / 12.0 * np.sum(arm.gear_ratios * jumps * state.thetad[:, 1:], axis=-1)
-    g = (state.thetad - state.qd) ** 2
-    # Trapezoid over the first two steps, then the cubic through the four newest values.
-    loss = h / 2.0 * (g[:, 1:] + g[:, :-1])
-    loss[:, 2:] = h / 24.0 * (9.0 * g[:, 3:] + 19.0 * g[:, 2:-1] - 5.0 * g[:, 1:-2] + g[:, :-3])
-    slip2 = np.pad(np.cumsum(loss, axis=1), ((0, 0), (1, 0), (0, 0)))
-    z = energy_columns(arm, state, slip2)
+    z = energy_columns(arm, state, integral((state.thetad - state.qd) ** 2, h, axis=1))
     return z[:, half:], w[:, half:]
