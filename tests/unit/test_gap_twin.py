@@ -17,8 +17,7 @@ import pytest
 from gap_support import Floats, centred, effect, example, rms, true_columns
 from threadpoolctl import threadpool_limits
 
-from zygos.arm import Arm, Joint
-from zygos.can.wire import RATE_STEP, TORQUE_STEP, over_the_wire
+from zygos.arm import TORQUE_STEP, Arm, Joint
 from zygos.dynamics.planar import PlanarDynamics
 from zygos.effects import Effect
 from zygos.errors import Undecided
@@ -381,7 +380,7 @@ def test_a_reading_of_a_twin_errs_as_the_sensors_declare() -> None:
         (one.q, twin.exact.q, sigma),
         (one.theta, twin.exact.theta, sigma),
         (one.tau, twin.exact.tau, np.hypot(0.01, TORQUE_STEP / np.sqrt(12.0))),
-        (one.omega0, twin.exact.omega0, np.hypot(arm.imu.rate_sigma, RATE_STEP / np.sqrt(12.0))),
+        (one.omega0, twin.exact.omega0, np.hypot(arm.imu.rate_sigma, arm.imu.step / np.sqrt(12.0))),
     ):
         error = got - want
         # the gyro's bias walks by 1e-8 sqrt(20 s), which is nothing beside its white noise
@@ -391,11 +390,11 @@ def test_a_reading_of_a_twin_errs_as_the_sensors_declare() -> None:
 def test_the_wire_adds_its_rounding() -> None:
     """To what is finer than its steps; encoders whose steps are the wire's are not rounded twice."""
     arm, _, _ = example()
-    same = over_the_wire(arm)
+    same = arm.over_the_wire
     assert [j.link_encoder for j in same.joints] == [j.link_encoder for j in arm.joints]
     fine = [replace(j, link_encoder=replace(j.link_encoder, quantum_rad=2.0 * np.pi / 2**24)) for j in arm.joints]
     imu = replace(arm.imu, resolution="coarse", rate_sigma=0.0)
-    through = over_the_wire(replace(arm, joints=tuple(fine), imu=imu))
+    through = replace(arm, joints=tuple(fine), imu=imu).over_the_wire
     assert through.joints[0].link_encoder.sigma_rad == pytest.approx(2.0 * np.pi / 2**20 / np.sqrt(12.0), rel=0.01)
     assert through.imu.rate_sigma == pytest.approx(2.0**-13 / np.sqrt(12.0))
     assert through.joints[1].torque_sigma == pytest.approx(1e-4 / np.sqrt(12.0))

@@ -94,7 +94,7 @@ def rows(
 def noise(arm: Arm, joint: int, effects: Sequence[Effect] = ()) -> Floats:
     """What the noise of the samples adds to z' z of one row of a flexible joint on average, (c, c).
 
-    The declared noise of the encoders, over the wire, and of the gyro passes through the smoother. Integrals average it
+    The declared noise of encoders and gyro, over the wire, passes through the smoother. Integrals average it
     out: they have none here. The carrying body's rate is taken as if all axes were parallel. Errors: as `estimated`.
     """
     points, order, h = arm.smoother.points, arm.smoother.order, arm.period_s
@@ -125,6 +125,6 @@ def noise(arm: Arm, joint: int, effects: Sequence[Effect] = ()) -> Floats:
         link = before.link_encoder  # of a rigid joint the motor's
         shares.append((link.over_the_wire.sigma_rad, column((0, n, weights(before.latch_us + link.latch_us, 1)))))
     if arm.free:
-        shares.append((arm.imu.rate_sigma, column((0, n, weights(arm.imu.latch_us, 0)))))
+        shares.append((arm.imu.over_the_wire.rate_sigma, column((0, n, weights(arm.imu.latch_us, 0)))))
     total: Floats = np.sum([sigma**2 * share @ share.T for sigma, share in shares], axis=0)
     return total

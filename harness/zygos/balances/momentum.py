@@ -96,7 +96,7 @@ def rows(arm: Arm, smoothed: Smoothed, arc: NDArray[np.int64]) -> Floats:
 
 
 def variances(arm: Arm) -> Rates:
-    """The declared noise of encoders, over the wire, and gyro through the smoother."""
+    """The declared noise of encoders and gyro, over the wire, through the smoother."""
     points, order, h = arm.smoother.points, arm.smoother.order, arm.period_s
 
     def size(latch_us: float, derivative: int) -> float:
@@ -109,7 +109,8 @@ def variances(arm: Arm) -> Rates:
         link.append(encoder.over_the_wire.sigma_rad**2 * size(joint.latch_us + encoder.latch_us, 1))
         own = motor.over_the_wire.sigma_rad**2 * size(joint.latch_us + motor.latch_us, 1)
         rotor.append(own if joint.flexible else 0.0)
-    return Rates(np.array(link), arm.imu.rate_sigma**2 * size(arm.imu.latch_us, 0), np.array(rotor))
+    gyro = arm.imu.over_the_wire.rate_sigma**2 * size(arm.imu.latch_us, 0)
+    return Rates(np.array(link), gyro, np.array(rotor))
 
 
 def noise(arm: Arm, smoothed: Smoothed) -> Floats:

@@ -1,14 +1,12 @@
-"""What the frames of the wire mean: the shipped DBC, the identifiers of an arm, the steps of the codes."""
+"""What the frames of the wire mean: the shipped DBC, the identifiers of an arm."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 import cantools
-import numpy as np
 from cantools.database.can import Database, Message
 
 from zygos.arm import Arm
@@ -88,28 +86,3 @@ def identifiers(arm: Arm) -> dict[int, Kind]:
 def data_ids(family: int, node: int) -> bytes:
     """DataIDList of E2E profile 2: one identifier for each of the sixteen counters."""
     return bytes((32 * family + node + 17 * counter) % 251 for counter in range(16))
-
-
-ANGLE_STEP, TORQUE_STEP = 2.0 * np.pi / 2**20, 1e-4
-"""Of the wire, rad and Nm."""
-
-
-RATE_STEP, COARSE_RATE_STEP = 2.0**-21, 2.0**-13
-"""Of the wire, rad/s."""
-
-
-def over_the_wire(arm: Arm) -> Arm:
-    """The arm with the errors that its sensors have once the wire has rounded their readings (docs/wire.md)."""
-
-    joints = tuple(
-        replace(
-            joint,
-            link_encoder=joint.link_encoder.over_the_wire,
-            motor_encoder=joint.motor_encoder.over_the_wire,
-            torque_sigma=float(np.hypot(joint.torque_sigma, TORQUE_STEP / np.sqrt(12.0))),
-        )
-        for joint in arm.joints
-    )
-    step = RATE_STEP if arm.imu.resolution == "fine" else COARSE_RATE_STEP
-    imu = replace(arm.imu, rate_sigma=float(np.hypot(arm.imu.rate_sigma, step / np.sqrt(12.0))))
-    return replace(arm, joints=joints, imu=imu)

@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from zygos.arm import Arm
 from zygos.balances.kinematics import State, gram
 from zygos.balances.quadrature import from_first, integral
-from zygos.can.wire import over_the_wire
 from zygos.effects import CATALOGUE, OFFSET, Kind, column_name
 from zygos.gap.record import Readings, smooth
 
@@ -71,7 +70,7 @@ class Layout:
         """(2N+1,) how well the arm file knows them, rad and rad/s, in the order of `zeros`."""
         pairs = [(joint.link_encoder, joint.motor_encoder) for joint in self.arm.joints]
         encoders = [max(e.zero_sigma_rad, e.quantum_rad) for pair in pairs for e in pair]
-        return np.array([*encoders, over_the_wire(self.arm).imu.rate_sigma])
+        return np.array([*encoders, self.arm.over_the_wire.imu.rate_sigma])
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
-from zygos.can.wire import over_the_wire
 from zygos.dynamics.planar import PlanarDynamics
 from zygos.dynamics.replay import States, read, replay, substeps
 from zygos.errors import ZygosError
@@ -51,7 +50,7 @@ class Segments:
     @property
     def sigma(self) -> Array:
         """(2N+1,) declared deviations of one reading of q, theta, omega0 that came over the wire."""
-        arm = over_the_wire(self.arm)
+        arm = self.arm.over_the_wire
         link, motor = [j.link_encoder.sigma_rad for j in arm.joints], [j.motor_encoder.sigma_rad for j in arm.joints]
         return np.array([*link, *motor, arm.imu.rate_sigma])
 

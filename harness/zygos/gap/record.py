@@ -145,7 +145,7 @@ def followed(arm: Arm, readings: Readings) -> NDArray[np.bool_]:
     good: NDArray[np.bool_] | None = None
     for signals, side in ((readings.q, "link"), (readings.theta, "motor")):
         for i, offset in enumerate(_late(arm, side)):
-            joint = arm.joints[i]
+            joint = arm.over_the_wire.joints[i]
             sigma = (joint.link_encoder if side == "link" else joint.motor_encoder).sigma_rad
             weights = bandwidth_coefficients(points, order, offset)
             spread = sigma * float(np.linalg.norm(weights))

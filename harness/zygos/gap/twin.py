@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
-from zygos.can.wire import over_the_wire
 from zygos.dynamics.planar import PlanarDynamics
 from zygos.dynamics.replay import States, mobility, read, replay, substeps
 from zygos.errors import Undecided
@@ -134,7 +133,7 @@ def _servo(dynamics: PlanarDynamics, path: Array, tau: Array, h: float, rate: fl
 def measure(twin: Twin, seed: int) -> Readings:
     """One reading of a twin: its exact readings with the errors of the declared sensors and the wire, drawn
     for this seed."""
-    arm, exact = over_the_wire(twin.arm), twin.exact
+    arm, exact = twin.arm.over_the_wire, twin.exact
     arcs, cycles, _ = exact.q.shape
     noise = draw_noise(arm, arcs * cycles, [_STREAMS + seed])
 

@@ -86,7 +86,7 @@ def spread(arm: Arm) -> Spread:
     motors = [(joint.latch_us, joint.motor_encoder.over_the_wire) for joint in arm.joints]
     link = np.stack([of(own + encoder.latch_us, encoder.sigma_rad) for own, encoder in links])
     motor = np.stack([of(own + encoder.latch_us, encoder.sigma_rad) for own, encoder in motors])
-    gyro = float(of(arm.imu.latch_us, arm.imu.rate_sigma)[0, 0]) if arm.free else 0.0
+    gyro = float(of(arm.imu.latch_us, arm.imu.over_the_wire.rate_sigma)[0, 0]) if arm.free else 0.0
     return Spread(link, motor, gyro if gyro >= GYRO_SHARE * link[:, 1, 1].min() else 0.0)
 
 
