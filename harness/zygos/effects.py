@@ -7,7 +7,7 @@ columns it has in the balances follow from it. A torque law f acts with coeffici
     at the link:    link torque  -c f(qd)                          int f qd dt                           none
     in the spring:  link torque  +c f(theta - q)                   int f d(theta - q)                    1/n int f dt
 
-with all angles after the gear. What is no torque law has its columns in `zygos.gap.balances`.
+with all angles after the gear. The columns are made in `zygos.balances.effects`.
 """
 
 from __future__ import annotations

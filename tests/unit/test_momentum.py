@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from zygos.arm import Arm
 from zygos.balances import momentum
-from zygos.balances.kinematics import State
+from zygos.balances.state import State
 from zygos.dynamics.engines import engine
 from zygos.native.flight import config_of, lib
 

@@ -25,7 +25,7 @@ from zygos.arm import Arm, Encoder, Kinetic, load_arm
 from zygos.balances import momentum
 from zygos.balances.arcs import MIN_ARC_INSTANTS
 from zygos.balances.energy import energy_columns
-from zygos.balances.kinematics import State
+from zygos.balances.state import State
 from zygos.dynamics.engines import engine
 from zygos.errors import ZygosError
 from zygos.native import flight as flight_module

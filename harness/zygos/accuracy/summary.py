@@ -19,7 +19,8 @@ from scipy.linalg import eigh
 from zygos.accuracy.cases import Case
 from zygos.accuracy.estimators import ESTIMATORS, Estimator
 from zygos.arm import Arm
-from zygos.balances.kinematics import State, body_columns
+from zygos.balances.kinematics import body_columns
+from zygos.balances.state import State
 from zygos.simulation.score import score
 
 Floats = NDArray[np.float64]

@@ -13,8 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
-from zygos.balances.kinematics import State, body_columns
-from zygos.balances.quadrature import integral, since_origin
+from zygos.balances.effects import Signals, impulse_column
+from zygos.balances.energy import held_torque
+from zygos.balances.kinematics import body_columns
+from zygos.balances.quadrature import FromOrigin
+from zygos.balances.state import State
 from zygos.effects import Effect, estimated
 from zygos.runs.samples import Samples
 from zygos.runs.smoother import Smoothed, coefficients
@@ -58,37 +61,46 @@ def rows(
     The smoothed rate is h/12 times the jump of the acceleration above the true one where a held torque steps (as in
     the energy balance), and Im n^2 times that jump is n (tau_k - tau_k-1). Errors: as `estimated`.
     """
-    h = arm.period_s
-    base = smoothed.omega if arm.spatial else smoothed.omega @ arm.axis
-    carried = body_columns(arm, State(smoothed.q, smoothed.theta, smoothed.qd, smoothed.thetad, base))[1]
-    held = 0.0 if arm.torque_law == "sampled" else h / 12.0
-
-    def of_arc(g: Floats) -> Floats:
-        return since_origin(integral(g, h), arc)
-
+    state, totals = State.smoothed(arm, smoothed), FromOrigin(arm.period_s, arc)
+    carried = body_columns(arm, state)[1]
+    before, after = samples.tau[smoothed.index - 1], samples.tau[smoothed.index]
     out = []
     for i, joint in enumerate(arm.joints):
         if not joint.flexible:
             continue
-        n, theta, thetad = joint.gear_ratio, smoothed.theta[:, i], smoothed.thetad[:, i]
-        deflection = theta - smoothed.q[:, i]
-        before, after = samples.tau[smoothed.index - 1, i], samples.tau[smoothed.index, i]
-        columns = [n**2 * thetad + n * carried[:, i], of_arc(deflection), deflection]
-        acting = joint_effects(arm, i, effects)
-        for effect in acting:
-            if effect.kind.place == "torque":
-                columns.append(0.5 * n * (before + after))
-            elif effect.kind.key == "motor_viscous":
-                columns.append(n * theta)  # the integral of the rate
-            else:
-                assert effect.kind.torque is not None
-                spring = effect.kind.place == "spring"
-                torque = effect.kind.torque(deflection if spring else thetad)
-                columns.append(of_arc(torque if spring else n * torque))
-        names = joint_names(arm, i, effects)
-        w = n * (h * since_origin(np.cumsum(before), arc) + held * (after - before))
-        out.append(Impulse(i, names, np.stack(columns, axis=1), w))
+        signals = Signals.of(arm, state, before, after, i, totals)
+        own = drive_columns(signals, carried[:, i])
+        columns = [own.rotor + own.coupling, own.spring, own.damper]
+        columns += [impulse_column(effect.kind, signals) for effect in joint_effects(arm, i, effects)]
+        z, w = np.stack(columns, axis=1), motor_impulse(arm, signals)
+        out.append(Impulse(i, joint_names(arm, i, effects), joint.gear_ratio * z, joint.gear_ratio * w))
     return tuple(out)
+
+
+@dataclass(frozen=True)
+class DriveColumns:
+    """Columns of a joint's drive in the balance of its motor's impulse, before the gear; (..., m) each."""
+
+    rotor: Floats
+    """Of the rotor's inertia, as far as the rotor alone turns."""
+    coupling: Floats
+    """Of the rotor's inertia, for the rotation of the body that carries it."""
+    spring: Floats
+    damper: Floats
+
+
+def drive_columns(signals: Signals, carried: Floats) -> DriveColumns:
+    """Columns of rotor, spring and damper. carried: (..., m) rate of the carrying body about the joint's axis."""
+    s = signals
+    spring = s.totals.integral(s.deflection) / s.gear_ratio
+    return DriveColumns(s.gear_ratio * s.motor_rate, carried, spring, s.deflection / s.gear_ratio)
+
+
+def motor_impulse(arm: Arm, signals: Signals) -> Floats:
+    """Impulse of the motor since the arc's origin, before the gear, (..., m) [Nms], raised by what a torque step adds
+    to the rate that is read."""
+    s = signals
+    return arm.period_s * s.totals.sum_before(s.after) + held_torque(arm) * (s.after - s.before)
 
 
 def noise(arm: Arm, joint: int, effects: Sequence[Effect] = ()) -> Floats:

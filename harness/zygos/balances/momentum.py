@@ -14,8 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from zygos.arm import Arm
 from zygos.balances.arcs import MIN_ARC_INSTANTS, numbered, unused
-from zygos.balances.kinematics import State, body_rates, cross, gram, posture
+from zygos.balances.kinematics import body_rates, planar_columns, posture
 from zygos.balances.quadrature import step_integrals
+from zygos.balances.state import State
 from zygos.runs.samples import Samples
 from zygos.runs.smoother import Smoothed, coefficients
 
@@ -53,18 +54,11 @@ def columns(arm: Arm, state: State) -> Floats:
     """Columns (..., r, K + N) of the K kinetic parameters and of Im_1 .. Im_N in base axes; r is 3 in space, else 1.
 
     Of N_ab: rho_a x v_b, and rho_b x v_a where a and b differ; of Im_i: n thetad times the axis. In a plane the first
-    is the derivative of the kinetic energy with respect to all rates f together.
+    are `planar_columns` of the sums of two rates.
     """
     spin = arm.gear_ratios * state.thetad
     if not arm.spatial:
-        one, f, phi = np.ones_like(state.f), state.f, state.phi
-        # d/de of the Gram table at rates f + e
-        tables = [gram] if arm.kinetic == "planar-symmetric" else [gram, cross]
-        slopes = [0.5 * (table(f + one, phi) - table(f - one, phi)) for table in tables]
-        pairs = np.triu_indices(arm.n + 1)
-        parts = [slopes[0][..., *pairs] * np.where(pairs[0] == pairs[1], 0.5, 1.0)]
-        parts += [slope[..., *np.triu_indices(arm.n + 1, 1)] for slope in slopes[1:]]
-        return np.concatenate([*parts, spin], axis=-1)[..., None, :]
+        return np.concatenate([planar_columns(arm, state, np.add), spin], axis=-1)[..., None, :]
     places = posture(arm, state.q)
     rate = np.cross(body_rates(state.base, places.axis, state.qd)[..., places.body, :], places.direction)
     products = np.cross(places.direction[..., :, None, :], rate[..., None, :, :])
@@ -91,7 +85,7 @@ def attitudes(arm: Arm, smoothed: Smoothed, arc: NDArray[np.int64]) -> Floats:
 
 def rows(arm: Arm, smoothed: Smoothed, arc: NDArray[np.int64]) -> Floats:
     """Rows (m, r, K + N) at m smoothed instants. arc: (m,) number of the arc of each, -1 for none."""
-    z = columns(arm, _state(arm, smoothed))
+    z = columns(arm, State.smoothed(arm, smoothed))
     return attitudes(arm, smoothed, arc) @ z if arm.spatial else z
 
 
@@ -179,7 +173,7 @@ def _derivatives(arm: Arm, smoothed: Smoothed) -> tuple[Floats, Floats, Floats]:
 
     The columns are linear in the rates, so those of a unit rate are their derivatives.
     """
-    state, variance = _state(arm, smoothed), variances(arm)
+    state, variance = State.smoothed(arm, smoothed), variances(arm)
     still = replace(state, **{name: np.zeros_like(getattr(state, name)) for name in ("qd", "thetad", "base")})
     links, rotors = [], []
     for i, joint in enumerate(arm.joints):
@@ -191,8 +185,3 @@ def _derivatives(arm: Arm, smoothed: Smoothed) -> tuple[Floats, Floats, Floats]:
     bases = [columns(arm, replace(still, base=np.broadcast_to(axis, state.base.shape))) for axis in axes]
     size = np.concatenate([variance.link, np.full(len(bases), variance.base)])
     return size, np.stack([*links, *bases], axis=-3), np.stack(rotors, axis=-3)
-
-
-def _state(arm: Arm, smoothed: Smoothed) -> State:
-    base = smoothed.omega if arm.spatial else smoothed.omega @ arm.axis
-    return State(smoothed.q, smoothed.theta, smoothed.qd, smoothed.thetad, base)

@@ -6,6 +6,8 @@ the four newest values, and as a trapezoid where there are fewer than four.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -44,3 +46,24 @@ def since_origin(total: Floats, arc: NDArray[np.int64]) -> Floats:
     position = np.arange(len(arc))
     opens = np.diff(arc, prepend=-2) != 0
     return total - total[np.maximum.accumulate(np.where(opens, position, 0))]
+
+
+@dataclass(frozen=True)
+class FromOrigin:
+    """Running totals of signals (..., m) that begin at 0 with their arc; what stands where there is no arc means
+    nothing."""
+
+    period_s: float
+    arc: NDArray[np.int64] | None = None
+    """(m,) number of the arc of each instant, -1 for none; None: all m are one arc."""
+
+    def integral(self, g: Floats) -> Floats:
+        """Integral of g, by `step_integrals`."""
+        return self._begun(integral(g, self.period_s))
+
+    def sum_before(self, x: Floats) -> Floats:
+        """Sum of x from the arc's origin on up to the instant before."""
+        return self._begun(from_first(x[..., :-1]))
+
+    def _begun(self, total: Floats) -> Floats:
+        return total if self.arc is None else since_origin(total, self.arc)

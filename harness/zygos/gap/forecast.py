@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
+from zygos.balances.state import State
 from zygos.dynamics.planar import PlanarDynamics
-from zygos.dynamics.replay import States, read, replay, substeps
+from zygos.dynamics.replay import read, replay, substeps
 from zygos.errors import ZygosError
 from zygos.gap.record import Readings, Record, smooth
 from zygos.gap.twin import Twin, measure
@@ -43,7 +44,7 @@ class Segments:
     before: Array
     """(S, N) torque of the period before the segment, Nm."""
     guess: Array
-    """(S, 4N+1) smoothed state at the first sample, packed as `States`."""
+    """(S, 4N+1) smoothed state at the first sample, packed as `State.packed`."""
     time_s: Array
     """(S, 2n) since the run's first cycle."""
 
@@ -121,7 +122,7 @@ def _segments(arm: Arm, samples: Readings, stretches: Sequence[tuple[int, int]],
     at = starts[:, None] + np.arange(2 * n)
     around = starts[:, None] + np.arange(-half, half + 1)
     state = smooth(arm, Readings(samples.q[around], samples.theta[around], samples.omega0[around], samples.tau[around]))
-    guess = States(state.base, state.q, state.theta, state.qd, state.thetad).packed()[:, 0]
+    guess = state.packed()[:, 0]
     readings = np.concatenate([samples.q[at], samples.theta[at], samples.omega0[at][..., None]], axis=-1)
     return Segments(arm, readings, samples.tau[at], samples.tau[starts - 1], guess, time[at])
 
@@ -198,7 +199,7 @@ def _free(dynamics: PlanarDynamics, joints: int) -> tuple[Callable[[Array], Arra
         out[:, 1 + joints + rigid] = out[:, 1 + rigid]
         out[:, 1 + 3 * joints + rigid] = out[:, 1 + 2 * joints + rigid]
         if held is not None:
-            s = States.of(out)
+            s = State.unpacked(out)
             out[:, 0] = dynamics.base_rate(s.q, held, s.qd, s.thetad)
         return out
 

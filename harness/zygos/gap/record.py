@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import correlate1d
 
 from zygos.arm import Arm
-from zygos.balances.kinematics import State
+from zygos.balances.state import State
 from zygos.errors import ZygosError
 from zygos.native.flight import Flight
 from zygos.runs.samples import Samples, calibrate

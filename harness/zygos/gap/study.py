@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from zygos.balances.kinematics import State
+from zygos.balances.state import State
 from zygos.dynamics.planar import PlanarDynamics
 from zygos.effects import CATALOGUE, Effect, column_name, of_column
 from zygos.errors import Undecided, ZygosError

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
+from zygos.balances.state import State
 from zygos.dynamics.planar import PlanarDynamics
-from zygos.dynamics.replay import States, mobility, read, replay, substeps
+from zygos.dynamics.replay import mobility, read, replay, substeps
 from zygos.errors import Undecided
 from zygos.gap.balances import Sums, accumulate, rows
 from zygos.gap.record import Readings, Record, followed, smooth
@@ -54,7 +55,7 @@ def follow(dynamics: PlanarDynamics, records: Sequence[Record]) -> list[Twin]:
         at = record.starts[:, None] - half + np.arange(record.cycles + 1 + 2 * half)
         s = record.samples
         state = smooth(arm, Readings(s.q[at], s.theta[at], record.omega0[at], s.tau[at]))
-        path = States(state.base, state.q, state.theta, state.qd, state.thetad).packed()
+        path = state.packed()
         missing = longest - 1 - record.cycles
         paths.append(np.pad(path, ((0, 0), (0, missing), (0, 0)), mode="edge"))
         tau = record.samples.tau[record.starts[:, None] - 1 + np.arange(record.cycles + 2)]
@@ -79,7 +80,7 @@ def retrace(dynamics: PlanarDynamics, record: Record, speed: float, amplitude: f
     begin, end = int(record.starts[0]) - half, int(record.starts[-1]) + record.cycles + half
     at = np.arange(begin, end)[None]
     state = smooth(arm, Readings(s.q[at], s.theta[at], record.omega0[at], s.tau[at]))
-    path = States(state.base, state.q, state.theta, state.qd, state.thetad).packed()[0]
+    path = state.packed()[0]
     rest = np.concatenate([[0.0], path[:, 1 : 1 + 2 * arm.n].mean(axis=0), np.zeros(2 * arm.n)])
     path = rest + amplitude * (path - rest)
     last = min(len(path) - 1, int(speed * (len(path) - 1)))
@@ -103,11 +104,11 @@ def _servo(dynamics: PlanarDynamics, path: Array, tau: Array, h: float, rate: fl
     and a servo of the given bandwidth, rad/s. Returns states and torques at every SYNC."""
     joints = dynamics.n
     start = path[:, 0].copy()
-    reference = States.of(path)
-    states = States.of(start)
+    reference = State.unpacked(path)
+    states = State.unpacked(start)
     start[:, 1 + joints : 1 + 2 * joints] = np.where(dynamics.rigid, states.q, states.theta)
     start[:, 1 + 3 * joints :] = np.where(dynamics.rigid, states.qd, states.thetad)
-    states = States.of(start)
+    states = State.unpacked(start)
     if dynamics.angular_momentum is not None:
         start[:, 0] = dynamics.base_rate(states.q, dynamics.angular_momentum, states.qd, states.thetad)
     postures = reference.q[:, ::97]
@@ -116,7 +117,7 @@ def _servo(dynamics: PlanarDynamics, path: Array, tau: Array, h: float, rate: fl
     rotor = dynamics.rotor_inertia * dynamics.gear_ratio
     moved = np.where(dynamics.rigid, link / dynamics.gear_ratio, rotor)
 
-    def torque(k: int, now: States) -> Array:
+    def torque(k: int, now: State) -> Array:
         behind, slower = reference.theta[:, k] - now.theta, reference.thetad[:, k] - now.thetad
         return np.asarray(tau[:, k + 1] + moved * rate * (rate * behind + 2.0 * slower), dtype=np.float64)
 

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from zygos.arm import Arm
 from zygos.balances.energy import Balance, energy_columns
-from zygos.balances.kinematics import State, body_columns
+from zygos.balances.kinematics import body_columns
+from zygos.balances.state import State
 from zygos.effects import Effect, estimated
 from zygos.runs.samples import Samples
 from zygos.runs.smoother import Smoothed, coefficients
@@ -112,9 +113,7 @@ def noise_of(arm: Arm, samples: Samples, smoothed: Smoothed, balance: Balance, e
 def instants(arm: Arm, samples: Samples, smoothed: Smoothed, balance: Balance) -> Instants:
     """The instants of a balance's rows."""
     of = np.searchsorted(smoothed.index, balance.index)
-    base = smoothed.omega if arm.spatial else smoothed.omega @ arm.axis
-    state = State(smoothed.q, smoothed.theta, smoothed.qd, smoothed.thetad, base)
-    whole = Instants(state, samples.tau[smoothed.index - 1], samples.tau[smoothed.index])
+    whole = Instants(State.smoothed(arm, smoothed), samples.tau[smoothed.index - 1], samples.tau[smoothed.index])
     return whole.at(of)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
-from zygos.balances.kinematics import State
+from zygos.balances.state import State
 from zygos.errors import ZygosError
 from zygos.paper.methods import Record, by_backward_difference
 from zygos.reference.solver import Rows, solve

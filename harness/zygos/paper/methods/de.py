@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
-from zygos.balances.kinematics import State, absolute
+from zygos.balances.state import State, absolute
 from zygos.errors import ZygosError
 from zygos.paper.methods import Record
 from zygos.reference.solver import Rows, solve

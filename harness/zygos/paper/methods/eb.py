@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
-from zygos.balances.energy import energy_columns
-from zygos.balances.kinematics import State
+from zygos.balances.energy import energy_columns, step_work, torque_jump_energy
 from zygos.balances.quadrature import from_first, integral
+from zygos.balances.state import State
 from zygos.errors import ZygosError
 from zygos.paper.methods import Record, by_backward_difference
 from zygos.reference.solver import Rows, solve
@@ -28,8 +28,7 @@ Start = Literal["rest", "first"]
 
 def work(arm: Arm, record: Record) -> Floats:
     """W, shape (B, n) [J]: work of the motors since the first instant, exact for a torque held between samples."""
-    steps = np.sum(arm.gear_ratios * record.tau[:, :-1] * np.diff(record.theta, axis=1), axis=-1)
-    return from_first(steps)
+    return from_first(step_work(arm, record.theta, record.tau))
 
 
 def rows(arm: Arm, record: Record, rates: Rates = "backward", start: Start = "rest") -> tuple[Floats, Floats]:
@@ -103,12 +102,8 @@ def _smoothed_rows(arm: Arm, record: Record) -> tuple[Floats, Floats]:
         thetad=run(record.theta, 1),
         base=run(record.f0, 0),
     )
-    theta = state.theta
-    steps = np.sum(arm.gear_ratios * record.tau[:, : theta.shape[1] - 1] * np.diff(theta, axis=1), axis=-1)
-    w = from_first(steps)
-    if arm.torque_law != "sampled":
-        # What a held torque leaves in the slope of a smooth curve (docs/theory.md).
-        jumps = np.diff(record.tau[:, : theta.shape[1]], axis=1)
-        w[:, 1:] += h / 12.0 * np.sum(arm.gear_ratios * jumps * state.thetad[:, 1:], axis=-1)
+    tau = record.tau[:, : state.theta.shape[1]]
+    w = from_first(step_work(arm, state.theta, tau))
+    w[:, 1:] += torque_jump_energy(arm, state.thetad[:, 1:], tau[:, :-1], tau[:, 1:])
     z = energy_columns(arm, state, integral((state.thetad - state.qd) ** 2, h, axis=1))
     return z[:, half:], w[:, half:]
