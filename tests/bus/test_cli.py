@@ -669,6 +669,7 @@ def test_the_demo_says_when_frames_were_lost(tmp_path: Path, monkeypatch: pytest
     assert not (tmp_path / "demo.json").exists()
 
 
+@pytest.mark.slow
 def test_the_demo_says_what_its_estimate_is_worth(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
     monkeypatch.setattr(demo, "choose_bus", lambda: ("virtual", "test_demo"))

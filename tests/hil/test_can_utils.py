@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-from test_vcan import listeners, wait_for_listeners
+from vcan_support import listeners, wait_for_listeners
 
 from zygos.can import bus
 from zygos.can.vcan import kernel_counts

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from test_vcan import listeners, wait_for_listeners
+from vcan_support import CHANNEL, listeners, wait_for_listeners
 
 from conftest import PAPER, ROOT
 from zygos.arm import Arm
@@ -21,8 +21,6 @@ from zygos.model.model import Model, load_model
 from zygos.native.flight import Flight, encode
 from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import Scenario
-
-CHANNEL = os.environ.get("ZYGOS_VCAN_IFS", "vcan0").split()[0]
 
 
 @pytest.fixture(scope="module")

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from dynamics_support import Oracle, random_state
 from gap_support import effect, example
 from plant_support import Floats, lively, random_arm
-from test_dynamics import Oracle, random_state
 
 from zygos.arm import Arm
 from zygos.balances.state import State

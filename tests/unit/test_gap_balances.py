@@ -130,6 +130,7 @@ def test_every_entry_is_listed() -> None:
     assert [(kind.key, i) for kind, i in Layout(arm).effects] == PLACES
 
 
+@pytest.mark.slow(but=["*-0", "*--1"])
 @pytest.mark.parametrize(("key", "joint"), PLACES)
 def test_column_is_what_the_effect_does(key: str, joint: int) -> None:
     assert proved(key, joint)

@@ -88,12 +88,12 @@ def test_c_is_numpy_across_gaps(law: str, kinetic: str, flexible: tuple[bool, ..
 
 def c_noise(arm: Arm, joint: int, effects: tuple[Effect, ...]) -> Floats:
     config, smoother = config_of(arm, effects), ffi.new("zygos_smoother_t *")
-    layout = ffi.new("zygos_impulse_layout_t *")
-    lib.zygos_impulse_layout(config, layout)
+    column_map = ffi.new("zygos_impulse_column_map_t *")
+    lib.zygos_impulse_column_map(config, column_map)
     lib.zygos_smoother_init(smoother, config)
-    width = layout.count[joint]
+    width = column_map.count[joint]
     packed = ffi.new("double[]", width * (width + 1) // 2)
-    lib.zygos_impulse_noise(config, layout, smoother, arm.imu.rate_sigma, joint, packed)
+    lib.zygos_impulse_noise(config, column_map, smoother, arm.imu.rate_sigma, joint, packed)
     out = np.zeros((width, width))
     out[np.tril_indices(width)] = list(packed)
     return out + np.tril(out, -1).T

@@ -235,7 +235,7 @@ def test_sums_fade_with_the_arcs() -> None:
     )
     assert lib.zygos_momentum_sums_check(sums) <= 1.0
     assert np.trace(noise) < np.trace(matrix(kept.noise_closed.gram, kept.columns))
-    assert flight.native.momentum_faded < 1.0
+    assert flight.native.momentum_forgetting < 1.0
 
 
 def test_a_fixed_base_is_refused(tmp_path: Path) -> None:
@@ -268,6 +268,7 @@ def test_which_arms_have_momentum_rows() -> None:
         Flight(replace(arm, period_s=0.02, momentum_max_s=0.3))
 
 
+@pytest.mark.slow
 def test_a_build_without_room_refuses_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     need(shutil.which(os.environ.get("CC", "cc").split()[0]), "a C compiler")
     script = [sys.executable, str(ROOT / "tools" / "build_native.py"), str(tmp_path)]

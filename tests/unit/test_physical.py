@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 from arm_support import random_arm
 from numpy.typing import NDArray
-
-from conftest import ROOT
 from physical_support import (
     BLOCKS,
     directional_errors,
@@ -19,6 +17,8 @@ from physical_support import (
     inertia_matrices,
     inertia_matrices_of,
 )
+
+from conftest import ROOT
 from zygos.arm import Arm, load_arm
 from zygos.dynamics.serial import SpatialDynamics
 from zygos.errors import Undecided, ZygosError
@@ -51,6 +51,7 @@ def campaign(spatial: tuple[Arm, Model]) -> list[tuple[Floats, Fit]]:
     return runs
 
 
+@pytest.mark.slow
 def test_bodies_predict_better_than_the_estimate(
     spatial: tuple[Arm, Model], campaign: list[tuple[Floats, Fit]]
 ) -> None:
@@ -97,6 +98,7 @@ def test_an_indefinite_estimate_becomes_an_arm(spatial: tuple[Arm, Model]) -> No
     assert 0.0 < fit.least < fit.chi2
 
 
+@pytest.mark.slow
 def test_without_noise_any_drawing_leads_to_the_arm(spatial: tuple[Arm, Model]) -> None:
     arm, built = spatial
     true = built.base_values(arm)
@@ -169,6 +171,7 @@ def test_the_nearest_matrix_is_the_clipped_one(spatial: tuple[Arm, Model]) -> No
     assert least == pytest.approx(np.sum(np.minimum(eigen, 0.0) ** 2), rel=1e-3)
 
 
+@pytest.mark.slow(but=["axis"])
 @pytest.mark.parametrize("what", ["frame_rpy", "axis", "length"])
 def test_an_estimate_of_another_arm_is_not_explained(spatial: tuple[Arm, Model], what: str) -> None:
     arm, built = spatial

@@ -11,13 +11,10 @@ import typer
 
 from zygos.arm import Arm
 from zygos.cli.options import Json
-from zygos.errors import ZygosError
 from zygos.files.output import check_outputs, number, say, table, write_json
 from zygos.files.progress import progress
-from zygos.model.model import load_model
 from zygos.paper import printed
-from zygos.paper.methods import amc, de, eb, exact_record, noisy_states
-from zygos.paper.readings import COLUMNS, READINGS, closeness, solved
+from zygos.paper.readings import COLUMNS, compare
 from zygos.paper.response import HAIR_RAD, PARTING
 from zygos.paper.tables import (
     EXACT,
@@ -26,74 +23,32 @@ from zygos.paper.tables import (
     SAID,
     Floats,
     agreements,
-    flight_estimates,
     mean_error,
-    noisy_record,
     paper_example,
-    responses,
-    summary,
+    reproduce,
 )
-from zygos.simulation.plant import simulate
-from zygos.simulation.score import Score, score
+from zygos.simulation.score import Score
 
 
 def run_paper(seeds: int, folder: Path | None, json: str | None) -> None:
     """Print Tables III and IV and the numbers of Fig. 4(b); see `zygos paper --help`."""
     example, momentum = paper_example(folder)
     check_outputs([json], example.files)
-    arm, true = example.arm, example.true
-    model = load_model(example.scenario.plant)
     with progress() as bar:
-        task = bar.add_task(f"simulating {seeds} seeds", total=1.0)
-
-        def show(share: float) -> None:
-            bar.update(task, completed=share)
-
-        noisy = simulate(arm, model, example.scenario, seeds=range(seeds), noise=True, progress=show)
-        bar.update(task, description="simulating without noise", completed=0.0)
-        clean = simulate(arm, model, example.scenario, seeds=[0], noise=False, progress=show)
-        bar.update(task, description="estimating", completed=0.0)
-        record, exact = noisy_record(arm, noisy), exact_record(clean)
-        estimates: dict[str, Floats] = {
-            "AMC": amc.estimate(arm, record, momentum_nms=momentum),
-            "DE": de.estimate(arm, record),
-            "EB": eb.estimate(arm, record, rates="backward", start="rest"),
-            "EB (32)": eb.estimate(arm, noisy_states(arm, exact, range(seeds)), rates="exact", start="rest"),
-            "flight": flight_estimates(arm, noisy),
-            "DE, exact data": de.estimate(arm, exact, exact=True),
-            "EB, exact data": eb.estimate(arm, exact, rates="exact", start="rest"),
-            "flight, no noise": flight_estimates(arm, clean),
-        }
-        bar.update(task, description="responding to the torques (50)", completed=0.5)
-        told = printed.describes(arm, true)
-        figure = responses(arm, true, estimates, momentum) if told else None
-    scores = {name: score(value, true) for name, value in estimates.items()}
-    content: dict[str, Any] = {
-        "arm": arm.name,
-        "seeds": seeds,
-        "duration_s": example.scenario.duration_s,
-        "noise": NOISE,
-        "methods": [summary(name, estimates[name], scores[name], arm) for name in estimates],
-    }
-    if told:
-        content["printed"] = {
-            "actual": printed.ACTUAL,
-            "estimates": printed.ESTIMATES,
-            "errors_percent": printed.ERRORS,
-            "agreement": {name: agreements(name, scores[name], arm) for name in printed.ERRORS},
-        }
-    if figure is not None:
-        content["figure4b"] = figure
+        task = bar.add_task("", total=1.0)
+        found = reproduce(
+            example, momentum, seeds, lambda what, share: bar.update(task, description=what, completed=share)
+        )
     if json:
-        write_json(json, content)
+        write_json(json, found.as_json())
     if json == "-":
         return
     say(f"Noise, as read here: {NOISE}.")
-    say(f"{seeds} seeds, {example.scenario.duration_s:g} s at {1 / arm.period_s:g} Hz\n")
-    _table_3(arm, true, estimates, told)
-    _table_4(arm, scores, told)
-    if figure is not None:
-        _table_figure(figure, arm)
+    say(f"{seeds} seeds, {example.scenario.duration_s:g} s at {1 / example.arm.period_s:g} Hz\n")
+    _table_3(example.arm, example.true, found.estimates, found.told)
+    _table_4(example.arm, found.scores, found.told)
+    if found.figure is not None:
+        _table_figure(found.figure, example.arm)
 
 
 def _order(arm: Arm, told: bool) -> list[int]:
@@ -194,37 +149,9 @@ def run_readings(seeds: int, folder: Path | None, json: str | None) -> None:
     """Print how close each reading comes to Table IV; see `zygos paper --help`."""
     example, _ = paper_example(folder)
     check_outputs([json], example.files)
-    if not printed.describes(example.arm, example.true):
-        raise ZygosError(
-            f"arm {example.arm.name}: its true values are not those of the paper's Table III, with which the readings "
-            "are compared; remedy: examples/paper, or a copy of it with another scenario"
-        )
-    if any(not motion.sines for motion in example.scenario.manoeuvre.values()):
-        raise ZygosError(
-            f"scenario {example.scenario.name}: a joint has no sines, as the paper's motion (47) has; remedy: "
-            '`kind = "sines"` for each joint'
-        )
-    model = load_model(example.scenario.plant)
-    found = []
     with progress() as bar:
-        task = bar.add_task("", total=float(len(READINGS)))
-        for index, reading in enumerate(READINGS):
-            bar.update(task, description=reading.said, completed=float(index))
-            arm, scenario = reading.arm(example.arm), reading.scenario(example.scenario)
-            noisy = simulate(arm, model, scenario, seeds=range(seeds), noise=True, rtol=1e-9, atol=1e-11)
-            exact = exact_record(simulate(arm, model, scenario, seeds=[0], noise=False))
-            record, states = noisy_record(arm, noisy), noisy_states(arm, exact, range(seeds))
-            estimates = {
-                "DE": de.rows(arm, record),
-                "DE (32)": de.rows(arm, states, exact=True),
-                "EB": eb.rows(arm, record, reading.rates),
-                "EB (32)": eb.rows(arm, states, "exact"),
-            }
-            close: dict[str, Any] = {"reading": reading.said}
-            for name, (z, w) in estimates.items():
-                value = solved(z, w, reading.every, 2 * arm.n + 1 if "DE" in name else 1)
-                close[name] = closeness(name, value, example.true, arm)
-            found.append(close)
+        task = bar.add_task("", total=1.0)
+        found = compare(example, seeds, lambda what, share: bar.update(task, description=what, completed=share))
     if json:
         write_json(json, {"seeds": seeds, "columns": COLUMNS, "printed_percent": printed.ERRORS, "readings": found})
     if json == "-":

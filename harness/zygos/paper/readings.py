@@ -10,9 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
+from zygos.errors import ZygosError
+from zygos.model.model import load_model
 from zygos.paper import printed
-from zygos.paper.methods import eb
+from zygos.paper.methods import de, eb, exact_record, noisy_states
+from zygos.paper.tables import Example, noisy_record
 from zygos.reference.solver import Rows, solve
+from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import Scenario
 from zygos.simulation.score import score
 
@@ -87,6 +91,46 @@ COLUMNS = {
     "EB": "energy balance, differences",
     "EB (32)": "energy balance, noise of the variances (32) added to exact angles and rates",
 }
+
+
+def compare(
+    example: Example, seeds: int, progress: Callable[[str, float], None] = lambda *_: None
+) -> list[dict[str, Any]]:
+    """How close each of `READINGS` comes to Table IV: for each its name, and by column what `closeness` gives.
+
+    progress: called with the reading that is being tried and the share of all that is finished. Errors: ZygosError for
+    an arm that is not the paper's, and for a motion that is not one of sines.
+    """
+    if not printed.describes(example.arm, example.true):
+        raise ZygosError(
+            f"arm {example.arm.name}: its true values are not those of the paper's Table III, with which the readings "
+            "are compared; remedy: examples/paper, or a copy of it with another scenario"
+        )
+    if any(not motion.sines for motion in example.scenario.manoeuvre.values()):
+        raise ZygosError(
+            f"scenario {example.scenario.name}: a joint has no sines, as the paper's motion (47) has; remedy: "
+            '`kind = "sines"` for each joint'
+        )
+    model = load_model(example.scenario.plant)
+    found = []
+    for index, reading in enumerate(READINGS):
+        progress(reading.said, index / len(READINGS))
+        arm, scenario = reading.arm(example.arm), reading.scenario(example.scenario)
+        noisy = simulate(arm, model, scenario, seeds=range(seeds), noise=True, rtol=1e-9, atol=1e-11)
+        exact = exact_record(simulate(arm, model, scenario, seeds=[0], noise=False))
+        record, states = noisy_record(arm, noisy), noisy_states(arm, exact, range(seeds))
+        estimates = {
+            "DE": de.rows(arm, record),
+            "DE (32)": de.rows(arm, states, exact=True),
+            "EB": eb.rows(arm, record, reading.rates),
+            "EB (32)": eb.rows(arm, states, "exact"),
+        }
+        close: dict[str, Any] = {"reading": reading.said}
+        for name, (z, w) in estimates.items():
+            value = solved(z, w, reading.every, 2 * arm.n + 1 if "DE" in name else 1)
+            close[name] = closeness(name, value, example.true, arm)
+        found.append(close)
+    return found
 
 
 def solved(z: Floats, w: Floats, every: int, equations: int) -> Floats:

@@ -6,7 +6,9 @@ Balance". docs/paper.md says what is read how, and which of its printed formulas
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +20,12 @@ from zygos.errors import ZygosError
 from zygos.model.model import load_model
 from zygos.native.flight import Flight, encode
 from zygos.paper import printed
-from zygos.paper.methods import Record, record_of
+from zygos.paper.methods import Record, amc, de, eb, exact_record, noisy_states, record_of
 from zygos.paper.response import HAIR_RAD, apart_percent, respond
 from zygos.runs.samples import calibrate
-from zygos.simulation.plant import Trajectory
+from zygos.simulation.plant import Trajectory, simulate
 from zygos.simulation.scenario import Scenario, load_scenario
-from zygos.simulation.score import Score
+from zygos.simulation.score import Score, score
 
 Floats = NDArray[np.float64]
 
@@ -102,6 +104,77 @@ SAID = {
     "EB, exact data": "energy balance, exact rates and dissipation",
     "flight, no noise": "the C library from CAN frames of exact sensors",
 }
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """The estimates of all methods, and how far they are off."""
+
+    example: Example
+    seeds: int
+    estimates: dict[str, Floats]
+    """(seeds, p) by method; (1, p) of exact data."""
+    told: bool
+    """Whether the arm is the one whose numbers the paper prints."""
+    figure: dict[str, Any] | None
+    """Fig. 4(b) as numbers; None for another arm."""
+
+    @cached_property
+    def scores(self) -> dict[str, Score]:
+        """Errors by method."""
+        return {name: score(value, self.example.true) for name, value in self.estimates.items()}
+
+    def as_json(self) -> dict[str, Any]:
+        """The content of the command's JSON."""
+        arm = self.example.arm
+        content: dict[str, Any] = {
+            "arm": arm.name,
+            "seeds": self.seeds,
+            "duration_s": self.example.scenario.duration_s,
+            "noise": NOISE,
+            "methods": [summary(name, value, self.scores[name], arm) for name, value in self.estimates.items()],
+        }
+        if self.told:
+            content["printed"] = {
+                "actual": printed.ACTUAL,
+                "estimates": printed.ESTIMATES,
+                "errors_percent": printed.ERRORS,
+                "agreement": {name: agreements(name, self.scores[name], arm) for name in printed.ERRORS},
+            }
+        if self.figure is not None:
+            content["figure4b"] = self.figure
+        return content
+
+
+def reproduce(
+    example: Example, momentum_nms: float, seeds: int, progress: Callable[[str, float], None] = lambda *_: None
+) -> Reproduction:
+    """Simulate an example with the noise of seeds 0 .. seeds-1 and without, and let every method estimate.
+
+    momentum_nms: what AMC is told. progress: called with what is being done and the share of it that is finished.
+    """
+    arm, true, scenario = example.arm, example.true, example.scenario
+    model = load_model(scenario.plant)
+    what = f"simulating {seeds} seeds"
+    noisy = simulate(arm, model, scenario, seeds=range(seeds), noise=True, progress=lambda share: progress(what, share))
+    quiet = "simulating without noise"
+    clean = simulate(arm, model, scenario, seeds=[0], noise=False, progress=lambda share: progress(quiet, share))
+    progress("estimating", 0.0)
+    record, exact = noisy_record(arm, noisy), exact_record(clean)
+    estimates: dict[str, Floats] = {
+        "AMC": amc.estimate(arm, record, momentum_nms=momentum_nms),
+        "DE": de.estimate(arm, record),
+        "EB": eb.estimate(arm, record, rates="backward", start="rest"),
+        "EB (32)": eb.estimate(arm, noisy_states(arm, exact, range(seeds)), rates="exact", start="rest"),
+        "flight": flight_estimates(arm, noisy),
+        "DE, exact data": de.estimate(arm, exact, exact=True),
+        "EB, exact data": eb.estimate(arm, exact, rates="exact", start="rest"),
+        "flight, no noise": flight_estimates(arm, clean),
+    }
+    progress("responding to the torques (50)", 0.5)
+    told = printed.describes(arm, true)
+    figure = responses(arm, true, estimates, momentum_nms) if told else None
+    return Reproduction(example, seeds, estimates, told, figure)
 
 
 def summary(name: str, value: Floats, result: Score, arm: Arm) -> dict[str, Any]:

@@ -161,6 +161,7 @@ def beyond(values: Floats, target: float, shared: Floats | float) -> Floats:
 # ---------------------------------------------------------------- a run without a gap
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", ["gaussian", "quantised"])
 def test_rho_of_a_null_run_is_1(noise: EncoderNoise) -> None:
     first, seen = study(), ensemble(noise)
@@ -176,6 +177,7 @@ def test_rho_of_a_null_run_is_1(noise: EncoderNoise) -> None:
     assert seen.rho.max() ** 2 - 1.0 < 0.3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", ["gaussian", "quantised"])
 def test_z_of_every_candidate_is_standard_on_null_runs(noise: EncoderNoise) -> None:
     """Over the seeds z has mean 0 and deviation 1, but for what 20 draws know of the twin: z is Student's t with 19
@@ -197,6 +199,7 @@ def test_z_of_every_candidate_is_standard_on_null_runs(noise: EncoderNoise) -> N
     assert np.abs(z).min(axis=-1).max() < 3.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", ["gaussian", "quantised"])
 def test_values_are_right_within_their_spread(noise: EncoderNoise) -> None:
     seen = ensemble(noise)

@@ -112,13 +112,13 @@ def c_rooms(arm: Arm, cycles: Cycles, longest: int, effects: Sequence[Effect] = 
     flight = Flight(arm, effects)
     native, config = flight.native, ffi.addressof(flight.native, "config")
     impulse, momentum = ffi.new("zygos_impulse_t *"), ffi.new("zygos_momentum_t *")
-    layout = ffi.new("zygos_impulse_layout_t *")
+    column_map = ffi.new("zygos_impulse_column_map_t *")
     pushed = ffi.new("zygos_impulse_rows_t *")
-    parts = [ffi.addressof(native, name) for name in ("layout", "state", "motion")]
-    lib.zygos_impulse_layout(config, layout)
-    lib.zygos_impulse_gap(impulse)
-    lib.zygos_momentum_gap(momentum)
-    width = native.layout.kinetic + arm.n
+    parts = [ffi.addressof(native, name) for name in ("column_map", "arm_state", "motion")]
+    lib.zygos_impulse_column_map(config, column_map)
+    lib.zygos_impulse_reset(impulse)
+    lib.zygos_momentum_reset(momentum)
+    width = native.column_map.kinetic + arm.n
     rows = lib.zygos_momentum_count(config)
     line = ffi.new("double[]", width)
     variance, rotor = ffi.new("double[]", arm.n + 3), ffi.new("double[]", arm.n)
@@ -128,15 +128,15 @@ def c_rooms(arm: Arm, cycles: Cycles, longest: int, effects: Sequence[Effect] = 
     for k in range(len(cycles)):
         flight.cycles(part(cycles, k, k + 1))
         if native.smoother.filled < native.smoother.window:
-            lib.zygos_impulse_gap(impulse)
-            lib.zygos_momentum_gap(momentum)
+            lib.zygos_impulse_reset(impulse)
+            lib.zygos_momentum_reset(momentum)
             inside = longest
             continue
         at = native.balance.torque_at
         before = native.balance.torque[at]
         after = native.balance.torque[0 if at == config.smoother_half_width else at + 1]
-        of_arc = lib.zygos_impulse_row(impulse, config, layout, parts[1], parts[2], before, after, pushed)
-        assert lib.zygos_momentum_step(momentum, config, parts[1]) == of_arc
+        of_arc = lib.zygos_impulse_row(impulse, config, column_map, parts[1], parts[2], before, after, pushed)
+        assert lib.zygos_momentum_advance(momentum, config, parts[1]) == of_arc
         if not of_arc:
             continue
         if inside == longest:
@@ -144,8 +144,8 @@ def c_rooms(arm: Arm, cycles: Cycles, longest: int, effects: Sequence[Effect] = 
         inside += 1
         own = np.full((arm.n, 3 + len(effects) + 1), np.nan)
         for i in range(arm.n):
-            if layout.count[i]:
-                own[i, : layout.count[i]] = list(pushed.column[i])[: layout.count[i]]
+            if column_map.count[i]:
+                own[i, : column_map.count[i]] = list(pushed.column[i])[: column_map.count[i]]
                 own[i, -1] = pushed.impulse[i]
         owed = np.zeros((width, width))
         if noise:

@@ -42,6 +42,7 @@ def test_batch_reference_with_exact_data_reaches_table_4(arm: Arm, clean: Clean,
     assert score(value, true).worst <= 1e-6
 
 
+@pytest.mark.slow
 def test_noise_free_errors_fall_tenfold_with_each_halving(arm: Arm, clean: Clean, true: Floats) -> None:
     """Cycle door: no quantisation of the wire."""
     worst = {}
@@ -116,6 +117,7 @@ def without_constants(arm: Arm, cycles: Cycles) -> Floats:
     return solution
 
 
+@pytest.mark.slow
 def test_a_snap_of_a_300_s_run_is_survived(arm: Arm, model: Model, true: Floats) -> None:
     """Link 2 whips through 13 rad/s within a few samples, faster than the smoother can follow.
 
@@ -183,6 +185,7 @@ def test_no_beginning_of_a_run_gives_wild_numbers(arm: Arm, noisy: Trajectory, t
     assert answered > 150
 
 
+@pytest.mark.slow
 def test_pieces_of_a_run_with_fine_encoders_give_no_wild_numbers(arm: Arm, model: Model, scenario: Scenario) -> None:
     """Too little motion, and noise that is small and yet makes the rank full: what it makes is not handed out.
 

@@ -46,7 +46,7 @@ int main(void)
     config.smoother_order = 6;
     config.smoother_lag = 5;
     config.arc_cycles = 1000;
-    config.keep = 1.0;
+    config.forgetting_factor = 1.0;
     config.period_s = 0.01;
     config.imu_to_base[0] = config.imu_to_base[4] = config.imu_to_base[8] = 1.0;
     config.joint[0].node = 1;
@@ -159,6 +159,7 @@ def test_cmake_finds_no_other_version(installed: Path, outside: Path) -> None:
         assert f'compatible with requested version "{other}"' in " ".join(done.stderr.split())
 
 
+@pytest.mark.slow
 def test_links_as_a_folder_of_a_cmake_project(outside: Path, installed: Path) -> None:
     """add_subdirectory(), which is what FetchContent does with a checkout; the rooms compile as by the Makefile."""
     find = f'set(ZYGOS_CAPACITIES ZYGOS_MAX_JOINTS=2 ZYGOS_SPATIAL=0)\nadd_subdirectory("{ROOT}" zygos)'
@@ -215,6 +216,7 @@ def test_nothing_but_c_is_installed(installed: Path) -> None:
     assert sorted(members) == sorted(f"{path.stem}.o" for path in (ROOT / "c").glob("*.c"))
 
 
+@pytest.mark.slow
 def test_destdir_is_put_in_front(tmp_path: Path, installed: Path) -> None:
     make("install", tmp_path / "build", DESTDIR=tmp_path / "root", PREFIX="/opt/zygos", CAPACITIES=SMALL)
     staged = tmp_path / "root" / "opt" / "zygos"
@@ -238,6 +240,7 @@ def test_uninstall_removes_what_install_put_there(tmp_path: Path) -> None:
     assert not (prefix / "share" / "zygos").exists()
 
 
+@pytest.mark.slow
 def test_two_installations_of_one_tree_keep_their_capacities(tmp_path: Path, outside: Path) -> None:
     for joints in (2, 3, 2):
         make(
@@ -278,6 +281,7 @@ def sources(tmp_path: Path) -> Path:
     return tree
 
 
+@pytest.mark.slow
 def test_installs_from_and_to_paths_with_a_space(sources: Path, outside: Path, tmp_path: Path) -> None:
     prefix = tmp_path / "my prefix"
     make("install", Path("build"), sources, PREFIX=prefix, CAPACITIES=SMALL)
@@ -287,6 +291,7 @@ def test_installs_from_and_to_paths_with_a_space(sources: Path, outside: Path, t
     assert files(prefix) == set()
 
 
+@pytest.mark.slow
 def test_what_changed_is_compiled_again(sources: Path) -> None:
     def compiled(**variables: str) -> set[str]:
         """The rooms that `make library` compiles."""
@@ -327,6 +332,7 @@ def test_nothing_is_installed_of_a_build_that_is_refused(words: str, told: str, 
     assert not (tmp_path / "p").exists()
 
 
+@pytest.mark.slow
 def test_the_manual_links_as_it_says(outside: Path, tmp_path: Path) -> None:
     """The commands of docs/integrate.md, with another folder in place of /opt/zygos."""
     section = (ROOT / "docs" / "integrate.md").read_text().split("\n## Link\n")[1].split("\n## ")[0]
@@ -359,6 +365,7 @@ TARGETS = {
 CALLED = {"memcpy", "memmove", "memset", "memcmp", "sqrt"}
 
 
+@pytest.mark.slow(but=["gcc"])
 @pytest.mark.parametrize("target", TARGETS)
 def test_archive_exports_zygos_and_needs_the_compilers_runtime_only(target: str, tmp_path: Path) -> None:
     compiler, options = TARGETS[target]

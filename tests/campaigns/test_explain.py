@@ -46,6 +46,7 @@ def judge() -> Iterator[Judge]:
     yield of
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["motor_coulomb elbow", "link_coulomb shoulder", "torque_lag shoulder", "coupling"])
 def test_names_an_effect_and_closes_the_gap(judge: Judge, name: str) -> None:
     found = judge("modern", name)
@@ -63,6 +64,7 @@ def test_names_an_effect_and_closes_the_gap(judge: Judge, name: str) -> None:
     assert abs(found.findings[0].value / size - 1.0) < 0.02
 
 
+@pytest.mark.slow(but=["motor_viscous elbow"])
 @pytest.mark.parametrize(
     "name",
     [
@@ -91,6 +93,7 @@ def test_says_nothing_missing_with_the_limits(judge: Judge) -> None:
     assert found.where == "Every balance closes as well as its twin's."
 
 
+@pytest.mark.slow
 def test_a_limit_is_a_size_from_which_an_effect_is_named(judge: Judge) -> None:
     search = judge("lively", "null as drawn").search
     assert search is not None
@@ -112,6 +115,7 @@ def test_says_which_values_differ(judge: Judge) -> None:
     assert found.findings == ()
 
 
+@pytest.mark.slow(but=["rate stiffness elbow"])
 @pytest.mark.parametrize("name", ["rate stiffness elbow", "base detent"])
 def test_does_not_name_what_is_not_in_the_catalogue(judge: Judge, name: str) -> None:
     found = judge("lively", name)
@@ -126,6 +130,7 @@ def _stiff(model: Model) -> Model:
     return replace(model, joints=tuple(joints))
 
 
+@pytest.mark.slow
 def test_cannot_tell_motor_from_link_where_they_turn_as_one() -> None:
     bench, case = lively(), Case("stiff", "cannot tell", lacks="flexibility")
     moved, law = _stiff(plant(case, 0)), laws.LinkCoulomb(SHOULDER, 100.0)
@@ -161,6 +166,7 @@ def test_timing_comes_before_physics() -> None:
     assert abs(bent.skew_s) == pytest.approx(0.05, rel=0.05)
 
 
+@pytest.mark.slow
 def test_where_is_the_side_that_fails(judge: Judge) -> None:
     motor, link = judge("modern", "motor_coulomb elbow"), judge("modern", "link_coulomb shoulder")
     e, m1, m2 = (motor.refit.layout.balances.index(name) for name in ("E", "M1", "M2"))
@@ -170,6 +176,7 @@ def test_where_is_the_side_that_fails(judge: Judge) -> None:
     assert "link side" in link.where
 
 
+@pytest.mark.slow
 def test_simulator_and_estimator_read_the_entry_that_was_written(judge: Judge, tmp_path: Path) -> None:
     found = judge("modern", "motor_coulomb elbow")
     assert found.model is not None
@@ -189,6 +196,7 @@ def test_simulator_and_estimator_read_the_entry_that_was_written(judge: Judge, t
     assert again == pytest.approx(entry.value, rel=0.02)
 
 
+@pytest.mark.slow
 def test_explained_model_leaves_nothing_to_explain(judge: Judge) -> None:
     """The model that was written, as the simulation of the same runs: the verdict is that nothing is missing."""
     bench, case = lively(), _case(lively(), "motor_coulomb shoulder")
@@ -229,6 +237,7 @@ def _named(found: Explanation) -> dict[tuple[str, str | None], float]:
     return {(f.kind, f.joint): f.value for f in found.findings}
 
 
+@pytest.mark.slow
 def test_names_two_effects_of_different_size() -> None:
     found = _explained((laws.MotorCoulomb(ELBOW, 3.0), laws.MotorCoulomb(SHOULDER, 0.6)))
     assert found.answer == "named", found.sentence
@@ -252,6 +261,7 @@ def _with_friction(size: float) -> Model:
     return replace(drawn, effects=(*drawn.effects, Effect(CATALOGUE["motor_coulomb"], "elbow", size)))
 
 
+@pytest.mark.slow
 def test_an_effect_of_the_wrong_size_is_a_value_that_differs(tmp_path: Path) -> None:
     found = _explained(laws.MotorCoulomb(ELBOW, 2.0), sim=_with_friction(4.0))
     assert found.answer == "values differ", found.sentence
@@ -262,6 +272,7 @@ def test_an_effect_of_the_wrong_size_is_a_value_that_differs(tmp_path: Path) -> 
     assert effect.value == pytest.approx(2.0, rel=0.03)
 
 
+@pytest.mark.slow
 def test_an_offset_of_a_spring_changes_no_verdict() -> None:
     """The zeros of each run stand for it; it is not predicted with either."""
     drawn = simulation(Case("", "", exact=True))
@@ -271,6 +282,7 @@ def test_an_offset_of_a_spring_changes_no_verdict() -> None:
     assert found.model is None or offset.kind not in [effect.kind for effect in found.model.effects]
 
 
+@pytest.mark.slow
 def test_an_effect_that_the_arm_does_not_have_leaves_the_model(tmp_path: Path) -> None:
     found = _explained(None, sim=_with_friction(3.0))
     assert found.answer == "values differ", found.sentence
@@ -280,6 +292,7 @@ def test_an_effect_that_the_arm_does_not_have_leaves_the_model(tmp_path: Path) -
     assert all(effect.kind.key != "motor_coulomb" for effect in load_model(tmp_path / "new.toml").effects)
 
 
+@pytest.mark.slow(but=["change1-Sensors first"])
 @pytest.mark.parametrize(
     ("change", "says"),
     [
@@ -315,6 +328,7 @@ def test_an_arm_file_that_is_wrong_is_said_first(change: dict[str, object], says
         assert any("zeros of the sensors are off" in remark and "joint 2" in remark for remark in found.remarks)
 
 
+@pytest.mark.slow
 def test_a_gyro_bias_is_no_angular_momentum() -> None:
     bench, case = modern(), Case("bias", "nothing missing", exact=True)
     moved, bias = plant(case, 0), 1e-4
@@ -327,6 +341,7 @@ def test_a_gyro_bias_is_no_angular_momentum() -> None:
     assert any("gyro bias +0.1 mrad/s" in remark for remark in found.remarks)
 
 
+@pytest.mark.slow
 def test_names_a_pair_of_which_neither_passes_alone() -> None:
     bench, case = modern(), Case("pair", "named", exact=True)
     pair = (laws.LinkCoulomb(SHOULDER, 0.3), laws.LinkCoulomb(ELBOW, 0.36))

@@ -36,36 +36,47 @@ class NoiseRoom:
 
     def __init__(self, arm: Arm) -> None:
         self.arm, self.config = arm, config_of(arm)
-        self.layout, self.skeleton = ffi.new("zygos_layout_t *"), ffi.new("zygos_skeleton_t *")
+        self.column_map, self.geometry = ffi.new("zygos_column_map_t *"), ffi.new("zygos_geometry_t *")
         self.smoother, self.noise = ffi.new("zygos_smoother_t *"), ffi.new("zygos_noise_t *")
-        lib.zygos_balance_layout(self.config, self.layout)
-        lib.zygos_skeleton_init(self.skeleton, self.config)
+        lib.zygos_balance_column_map(self.config, self.column_map)
+        lib.zygos_geometry_init(self.geometry, self.config)
         lib.zygos_smoother_init(self.smoother, self.config)
-        lib.zygos_noise_init(self.noise, self.config, self.layout, self.smoother)
+        lib.zygos_noise_init(self.noise, self.config, self.column_map, self.smoother)
 
     def _at(self, sample: Sample) -> tuple[Any, Any]:
-        state, motion = ffi.new("zygos_state_t *"), ffi.new("zygos_motion_t *")
+        state, motion = ffi.new("zygos_arm_state_t *"), ffi.new("zygos_motion_t *")
         n = self.arm.n
         state.q[0:n], state.q_rate[0:n] = sample.q.tolist(), sample.qd.tolist()
         state.theta[0:n], state.theta_rate[0:n] = sample.theta.tolist(), sample.thetad.tolist()
         state.omega = sample.omega0.tolist()
-        lib.zygos_kinematics(self.skeleton, self.config, state, motion)
+        lib.zygos_kinematics(self.geometry, self.config, state, motion)
         return state, motion
 
     def mean(self, sample: Sample) -> Floats:
         """What is taken off the columns (p,)."""
         row = ffi.new("zygos_row_t *")
         lib.zygos_noise_means(self.noise, self.config, self._at(sample)[1], row)
-        return -np.array(list(row.column)[: self.layout.count])
+        return -np.array(list(row.column)[: self.column_map.count])
 
     def moment(self, sample: Sample, tau_next: Floats, turn: int = 0) -> Floats:
         """J S J^T, (p+1, p+1); sample.tau is the torque before the instant."""
-        width = self.layout.count + 1
+        width = self.column_map.count + 1
         packed, sums = ffi.new("double[]", width * (width + 1) // 2), ffi.new("double[]", width)
         state, motion = self._at(sample)
         before, after = (ffi.new("double[]", tau.tolist()) for tau in (sample.tau, tau_next))
         lib.zygos_noise_add(
-            self.noise, self.config, self.layout, self.skeleton, state, motion, before, after, turn, 1.0, packed, sums
+            self.noise,
+            self.config,
+            self.column_map,
+            self.geometry,
+            state,
+            motion,
+            before,
+            after,
+            turn,
+            1.0,
+            packed,
+            sums,
         )
         out = np.zeros((width, width))
         out[np.tril_indices(width)] = list(packed)

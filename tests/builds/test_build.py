@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 from build_support import run, tool
-
 from calls_support import Calls
+
 from conftest import house_flags
 from zygos.arm import Arm, load_arm
 from zygos.model.model import load_model
@@ -95,6 +95,7 @@ def declared() -> dict[str, str]:
     return out
 
 
+@pytest.mark.slow(but=["gcc--O2"])
 @pytest.mark.parametrize("optimise", ["-O2", "-O0", "-Os"])
 @pytest.mark.parametrize("target", TARGETS)
 def test_compiles_without_a_warning_and_needs_no_library(target: str, optimise: str, tmp_path: Path) -> None:
@@ -117,6 +118,7 @@ def test_every_public_function_is_described() -> None:
     assert [name for name, paragraph in declared().items() if "///" not in paragraph] == []
 
 
+@pytest.mark.slow(but=["-DZYGOS_MAX_JOINTS=2"])
 @pytest.mark.parametrize(
     "flags",
     [
@@ -186,6 +188,7 @@ def test_a_cpp_program_links_and_agrees_on_the_abi(tmp_path: Path) -> None:
     run([str(tmp_path / "program")], tmp_path)
 
 
+@pytest.mark.slow(but=["cortex-m7--DZYGOS_SPATIAL=1"])
 @pytest.mark.parametrize("build", STACK)
 @pytest.mark.parametrize("target", ["gcc", "cortex-m7"])
 def test_stack_is_bounded_and_nothing_recurses(target: str, build: str, tmp_path: Path) -> None:
@@ -220,6 +223,7 @@ def results(arm: Arm, cycles: Cycles) -> dict[str, Any]:
     return doors
 
 
+@pytest.mark.slow(but=["paper-2"])
 @pytest.mark.parametrize(("example", "joints"), [("paper", 2), ("spatial", 3)])
 def test_capacity_changes_no_bit(example: str, joints: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An arm in a build for just its joints, without room for effects, and in the largest one; rows of every kind."""

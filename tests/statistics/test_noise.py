@@ -81,6 +81,7 @@ def agree(drawn: Drawn, value: Floats, floor: Floats) -> bool:
     return bool(np.all(np.abs(drawn.mean - value) <= band * drawn.error + floor))
 
 
+@pytest.mark.slow(but=["paper, prompt", "paper, late", "fixed, late"])
 @pytest.mark.parametrize(("name", "latch"), CASES, ids=IDS)
 def test_squares_grow_as_the_library_says(name: str, latch: tuple[int, int, int]) -> None:
     arm = measured(ARMS[name](), period_s=0.02, sigma=2e-5, gyro=4e-4, latch_us=latch)
@@ -104,6 +105,7 @@ def test_squares_grow_as_the_library_says(name: str, latch: tuple[int, int, int]
     assert not agree(drawn, wrong, floor)
 
 
+@pytest.mark.slow(but=["paper, prompt", "paper, late", "fixed, late"])
 @pytest.mark.parametrize(("name", "latch"), CASES, ids=IDS)
 def test_kinetic_columns_grow_as_the_library_says(name: str, latch: tuple[int, int, int]) -> None:
     """At a short period: what the noise of the angles adds is smaller by the square of period times rate."""
@@ -176,6 +178,7 @@ RANDOM = [
 ]
 
 
+@pytest.mark.slow(but=["*-None", "*-3"])
 @pytest.mark.parametrize("every", [None, 1, 2, 3])
 @pytest.mark.parametrize(("seed", "joints", "base", "kinetic", "kind"), RANDOM)
 def test_library_and_twin(seed: int, joints: int, base: str, kinetic: str, kind: str, every: int | None) -> None:

@@ -93,6 +93,7 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_small_campaign_says_what_the_methods_say_by_themselves(
     tiny: Path, arm: Arm, model: Model, scenario: Scenario, true: Floats
 ) -> None:
@@ -129,6 +130,7 @@ def test_a_small_campaign_says_what_the_methods_say_by_themselves(
     )
 
 
+@pytest.mark.slow
 def test_the_page_is_one_small_file_with_all_numbers(tiny: Path) -> None:
     text = (tiny / "a.html").read_text()
     assert len(text) < 500_000
@@ -180,6 +182,7 @@ def test_what_was_finished_is_not_done_again(tmp_path: Path) -> None:
     assert len(file.read_text().splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_a_campaign_that_is_killed_goes_on(tiny: Path, tmp_path: Path) -> None:
     """The same numbers as without the interruption, and the cell that was finished is kept."""
     words = ["paper-60", "lost", "--seeds=2", "--draws=6", *outputs(tmp_path)]
@@ -203,6 +206,7 @@ def test_a_campaign_that_is_killed_goes_on(tiny: Path, tmp_path: Path) -> None:
     assert (tmp_path / "a.json").read_text() == (tiny / "a.json").read_text()
 
 
+@pytest.mark.slow
 def test_a_cluster_says_the_same(tiny: Path, tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed") if not os.environ.get("CI") else __import__("distributed")
     with distributed.LocalCluster(
@@ -423,6 +427,7 @@ def test_a_campaign_has_at_least_so_many_draws() -> None:
 # Figure 4
 
 
+@pytest.mark.slow
 def test_figure_4_predicts() -> None:
     case = CASES["lively"]
     short = replace(case.scenario, duration_s=30.0)
@@ -437,6 +442,7 @@ def test_figure_4_predicts() -> None:
     assert figure["missing"] == {}
 
 
+@pytest.mark.slow
 def test_figure_4_has_the_torques_of_the_paper(arm: Arm, model: Model) -> None:
     """The curves of the response to (50), the paper's own estimates among them."""
     figure = Figure4(CASES["paper-60"], 0, "").run()

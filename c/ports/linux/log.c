@@ -1,9 +1,9 @@
-#include "say.h"
+#include "log.h"
 
 #include <stdarg.h>
 #include <stdio.h>
 
-int node_say(const char *format, ...)
+int node_log(const char *format, ...)
 {
     va_list arguments;
     va_start(arguments, format);

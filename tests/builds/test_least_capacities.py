@@ -60,6 +60,7 @@ def test_it_answers_at_any_time(arm: Arm, noisy: Trajectory) -> None:
     assert looks >= 30
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small")
 def test_it_answers_for_hours(arm: Arm, model: Model, scenario: Scenario) -> None:
     floating, rng = with_all_rows(arm), np.random.default_rng(0)
@@ -76,6 +77,7 @@ def test_it_answers_for_hours(arm: Arm, model: Model, scenario: Scenario) -> Non
     assert run.native.accumulator.arcs >= 280
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small")
 def test_its_intervals_hold(arm: Arm, noisy: Trajectory, true: Floats) -> None:
     """Seeds 0 .. 49: 95 % of all, give or take three standard errors of fifty runs, or more of them."""

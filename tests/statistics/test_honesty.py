@@ -85,6 +85,7 @@ def late(arm: Arm, latch_us: int) -> Arm:
     return replace(arm, joints=tuple(replace(joint, latch_us=latch_us) for joint in arm.joints))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("latch_us", [300, 1000, 2000])
 def test_a_wrong_latch_is_in_the_sigmas_of_fine_encoders(latch_us: int) -> None:
     """The residuals are no noise then, and the same in every block: blocks that agree do not make an error smaller."""
@@ -111,9 +112,9 @@ def sums_of(flight: Flight) -> list[tuple[int, int]]:
     row, noise = 4 * (p + 2) * (p + 3), 4 * (p + 1) * (p + 2)
     at = ffi.offsetof("zygos_t", "accumulator")
     out = [(at + ffi.offsetof("zygos_accumulator_t", name), noise) for name in ("noise", "noise_open", "noise_closed")]
-    block, step = ffi.sizeof("zygos_block_t"), ffi.sizeof("zygos_step_t")
+    block, buffer = ffi.sizeof("zygos_block_t"), ffi.sizeof("zygos_row_buffer_t")
     out += [(at + ffi.offsetof("zygos_accumulator_t", "block") + b * block, row) for b in range(sums.count)]
-    out += [(at + ffi.offsetof("zygos_accumulator_t", "step") + b * step, row) for b in range(2)]
+    out += [(at + ffi.offsetof("zygos_accumulator_t", "buffer") + b * buffer, row) for b in range(2)]
     at = ffi.offsetof("zygos_t", "joint_sums")
     own, whole = ffi.sizeof("zygos_joint_gram_t"), ffi.sizeof("zygos_joint_block_t")
     places = [at + ffi.offsetof("zygos_joint_sums_t", "open")]

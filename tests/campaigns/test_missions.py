@@ -60,10 +60,12 @@ def least(draws: int) -> float:
     return float(HELD - 3.0 * np.sqrt(HELD * (1.0 - HELD) / draws))
 
 
+@pytest.mark.slow
 def test_intervals_hold_after_five_minutes() -> None:
     assert (held(MINUTES, 160) >= least(0.9 * 160)).all()
 
 
+@pytest.mark.slow
 def test_intervals_hold_after_three_hours() -> None:
     """By then the noise has averaged out, and what the smoother makes of fast motion is the larger part."""
     assert (held(HOURS, 16) >= least(0.9 * 16)).all()
@@ -79,8 +81,8 @@ def test_what_stays_grows_with_the_arcs_beside_a_scatter_that_falls_with_them() 
     lib.zygos_joint_sums_end_arc(joints, ffi.addressof(state, "config"), state.cycle)
     short = flight.estimate()
     larger = 1e4
-    lib.zygos_accumulator_fade(sums, larger)
-    lib.zygos_joint_sums_fade(joints, larger)
+    lib.zygos_accumulator_forget(sums, larger)
+    lib.zygos_joint_sums_forget(joints, larger)
     long = flight.estimate()
     np.testing.assert_allclose(long.value, short.value, rtol=1e-9)
     stays = max(SYSTEMATIC, 1.0 - 1.0 / short.noise_ratio) * short.accepted / arc_cycles(PAPER.arm)

@@ -142,6 +142,7 @@ def test_the_loop_gives_the_bits_of_the_library(
         assert [signals[name] for signals in sent if name in signals] == [row[of] for row in found.values()]
 
 
+@pytest.mark.slow
 def test_a_big_endian_leon3_gives_the_same_bits(program: Path, frames: NDArray[Any], arm: Arm, tmp_path: Path) -> None:
     """flight.c and the library, compiled for LEON3, in QEMU's user mode. It refuses a state of the other byte order."""
     qemu, log = tool("qemu-sparc32plus"), log_of(frames, arm, tmp_path)
@@ -319,6 +320,7 @@ def test_an_arm_that_the_build_does_not_hold_is_refused(tmp_path: Path) -> None:
     assert "remedy: compile with -DZYGOS_MAX_JOINTS=2" in done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("target", "machine", "prefix"),
     [("m7", "ARM", "arm-none-eabi"), ("m4f", "ARM", "arm-none-eabi"), ("leon3", "Sparc", "sparc64-linux-gnu")],
@@ -419,6 +421,7 @@ def qemu() -> Iterator[Callable[[str, Path], Serial]]:
         one.process.wait()
 
 
+@pytest.mark.slow(but=["m7-mps2-an500"])
 @pytest.mark.parametrize(("target", "machine"), [("m7", "mps2-an500"), ("m4f", "mps2-an386")])
 def test_a_cortex_m_sends_what_the_host_sends(
     target: str,
