@@ -47,6 +47,8 @@ class Kind:
     """f: of the rate (motor, link; rad/s) or the deflection (spring; rad), torque a unit coefficient."""
     potential: Callable[[Array], Array] | None = None
     """Energy stored a unit coefficient, of the deflection, where f is conservative."""
+    impulse: Callable[[Array], Array] | None = None
+    """Integral of f over time a unit coefficient, of the angle (motor; rad), where the angle alone tells it."""
     positive: bool = True
     """Whether a negative coefficient would create energy, and so means that the model is wrong."""
     twins: tuple[str, ...] = ()
@@ -96,6 +98,7 @@ CATALOGUE = {
             "Nms/rad",
             "motor",
             _same,
+            impulse=_same,
             twins=("motor_coulomb", "torque_lag"),
         ),
         Kind("link_coulomb", "Coulomb friction at the link", "Nm", "link", smooth_sign, twins=("motor_coulomb",)),

@@ -28,8 +28,11 @@ class Signals:
     deflection: Floats
     """(..., m) theta - q, rad."""
     link_rate: Floats
-    """(..., m) rad/s, as `motor_rate`, which is after the gear."""
+    """(..., m) rad/s."""
+    motor_angle: Floats
+    """(..., m) after the gear, rad."""
     motor_rate: Floats
+    """(..., m) after the gear, rad/s."""
     before: Floats
     """(..., m) rotor torque of the cycle before the instant, Nm."""
     after: Floats
@@ -43,6 +46,7 @@ class Signals:
         return cls(
             state.theta[..., joint] - state.q[..., joint],
             state.qd[..., joint],
+            state.theta[..., joint],
             state.thetad[..., joint],
             before[..., joint],
             after[..., joint],
@@ -68,9 +72,11 @@ def energy_column(kind: Kind, signals: Signals) -> Floats:
 
 
 def impulse_column(kind: Kind, signals: Signals) -> Floats:
-    """Column (..., m) in the balance of the motor's impulse, before the gear, Nms per unit; 0 of what acts on the link
-    alone."""
+    """Column (..., m) in the balance of the motor's impulse, before the gear, Nms per unit, up to a constant in each
+    arc; 0 of what acts on the link alone."""
     s = signals
+    if kind.impulse is not None:
+        return kind.impulse(s.motor_angle)
     if kind.place == "torque":
         return np.asarray(0.5 * (s.before + s.after), dtype=np.float64)
     assert kind.torque is not None
