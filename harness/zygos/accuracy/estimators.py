@@ -32,7 +32,7 @@ class Told:
 
 
 @dataclass(frozen=True)
-class Answer:
+class EstimatorResult:
     """What an estimator says of one run; p parameters."""
 
     validity: str
@@ -47,7 +47,7 @@ class Answer:
     """(p,) numbers for all parameters, of which only the whole means something; None where there are none."""
 
 
-Estimate = Callable[[Arm, NDArray[Any], Told], Answer]
+EstimateFunction = Callable[[Arm, NDArray[Any], Told], EstimatorResult]
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Estimator:
 
     name: str
     said: str
-    estimate: Estimate
+    estimate: EstimateFunction
     ours: bool
     """Works for every arm and gives intervals; the paper's methods are for the plane and give none."""
     redrawn: bool = False
@@ -67,36 +67,36 @@ class Estimator:
         return self.ours or (arm.free and not arm.spatial)
 
 
-def flight(arm: Arm, frames: NDArray[Any], _: Told) -> Answer:
+def flight(arm: Arm, frames: NDArray[Any], _: Told) -> EstimatorResult:
     """The C library over its CAN door."""
     chain = Flight(arm)
     chain.frames(frames)
     found = chain.estimate()
     if found.validity == "refused":
-        return Answer(found.validity, found.reason)
+        return EstimatorResult(found.validity, found.reason)
     own = len(arm.parameter_names)  # effects follow
-    return Answer(
+    return EstimatorResult(
         found.validity, found.reason, found.value[:own], found.half95[:own], found.sigma[:own], found.solution[:own]
     )
 
 
-def _with(**settings: Any) -> Estimate:
+def _with(**settings: Any) -> EstimateFunction:
     """The C library with other settings of the arm file."""
     return lambda arm, frames, told: flight(replace(arm, **settings), frames, told)
 
 
-def _batch(method: Callable[[Arm, Record, Told], Floats]) -> Estimate:
+def _batch(method: Callable[[Arm, Record, Told], Floats]) -> EstimateFunction:
     """A method of the paper on the cycles that the receiver completed, up to the first that is missing."""
 
-    def estimate(arm: Arm, frames: NDArray[Any], told: Told) -> Answer:
+    def estimate(arm: Arm, frames: NDArray[Any], told: Told) -> EstimatorResult:
         trace = Flight(arm).frames(frames, trace=True)
         assert trace is not None
         try:
-            return Answer("valid", value=method(arm, record_of(arm, calibrate(arm, trace.cycles)), told)[0])
+            return EstimatorResult("valid", value=method(arm, record_of(arm, calibrate(arm, trace.cycles)), told)[0])
         except Undecided:
-            return Answer("refused", "the unbroken record does not determine the parameters")
+            return EstimatorResult("refused", "the unbroken record does not determine the parameters")
         except ZygosError as error:
-            return Answer("refused", str(error))
+            return EstimatorResult("refused", str(error))
 
     return estimate
 

@@ -9,7 +9,7 @@ from zygos.arm import Arm
 
 
 @dataclass(frozen=True)
-class Finding:
+class SignalFault:
     """Something that is wrong with a signal."""
 
     signal: str
@@ -67,7 +67,7 @@ class Audit:
     """All that is found in a run."""
 
     signals: tuple[Signal, ...]
-    findings: tuple[Finding, ...]
+    findings: tuple[SignalFault, ...]
     pairs: tuple[Pair, ...]
     laws: dict[str, float] = field(default_factory=dict)
     """rms residual of the energy balance in J under each torque law; empty where the C library has no columns."""

@@ -104,7 +104,7 @@ def check_log(path: Path) -> None:
         raise ZygosError(f"{path}: no such file; remedy: give a CAN log, for instance one that `zygos simulate` wrote")
 
 
-class Recording:
+class LogWriter:
     """A log in the format of the suffix that grows as messages come. It has its name once it is finished.
 
     Every method raises ZygosError, naming the log, when it cannot be written; what was written is then removed.
@@ -165,7 +165,7 @@ def write_log(path: Path, frames: NDArray[Any], period_s: float) -> None:
             write_log(log, frames, period_s)
             write_bytes(path, log.read_bytes())
         return
-    recording = Recording(path)
+    recording = LogWriter(path)
     recording.append(to_messages(frames, period_s))
     recording.finish()
 
@@ -242,7 +242,9 @@ def open_bus(interface: str | None, channel: str | None, bitrate: int | None = N
         ) from error
 
 
-def receive(bus: can.BusABC, idle_s: float, stop: Callable[[], bool] = lambda: False) -> Iterator[can.Message]:
+def received_messages(
+    bus: can.BusABC, idle_s: float, stop: Callable[[], bool] = lambda: False
+) -> Iterator[can.Message]:
     """Messages of a bus until no SYNC came for idle_s, ten times as long before the first one, or stop() is true.
 
     Others on the bus have heartbeats that never end. Raises can.CanError when the bus fails.
@@ -260,7 +262,9 @@ def receive(bus: can.BusABC, idle_s: float, stop: Callable[[], bool] = lambda: F
             yield message
 
 
-def transfer(frames: NDArray[Any], period_s: float, interface: str = "virtual", channel: str = "zygos") -> NDArray[Any]:
+def transferred(
+    frames: NDArray[Any], period_s: float, interface: str = "virtual", channel: str = "zygos"
+) -> NDArray[Any]:
     """Send frames from one end of a bus to another, and return what arrived.
 
     Frames of others on that bus are left out. On SocketCAN the sender waits for the receiver, whose buffer would

@@ -42,7 +42,7 @@ def check_arm_run(arm_file: Path, run: Path, json: str | None) -> None:
     if json:
         write_json(json, {**origin(run, log), "arm": arm.name, "ok": found.ok, "faults": faults, **asdict(found)})
     if json != "-":
-        show(found)
+        show_audit(found)
         seen = [f"{name} {count:,}" for name, count in faults.items() if count]
         say(f"arm {arm.name} · {counted(len(cycles), 'cycle')}" + (f" · faults: {', '.join(seen)}" if seen else ""))
     if found.findings:
@@ -67,7 +67,7 @@ def _what_decides(found: Audit) -> str:
     return 'a run that moves every joint faster and at different speeds; the lines that begin with "open" say why'
 
 
-def show(found: Audit) -> None:
+def show_audit(found: Audit) -> None:
     """Print what was found."""
     table(
         ("signal", "unit", "rate %", "low", "high", "steps", "declared", "noise", "declared", "verdict"),

@@ -49,7 +49,7 @@ class Poses:
 
 
 @dataclass(frozen=True)
-class Motion:
+class RecordedMotion:
     """What a run says of the arm's posture, at n cycles."""
 
     time: Floats
@@ -125,7 +125,7 @@ def place(arm: Arm, lengths: Skeleton, q: Floats, base: Floats) -> Poses:
     return Poses(poses.attitude, poses.position - mass_centre(lengths, poses)[:, None])
 
 
-def attitudes(time: Floats, rate: Floats) -> Floats:
+def integrated_attitudes(time: Floats, rate: Floats) -> Floats:
     """(n, 3, 3) attitude of a body that turns at rate (n, 3) in its own axes, rad/s, from one at the first instant.
 
     R_{k+1} = R_k exp((rate_k + rate_{k+1}) / 2 * dt), second order in dt.
@@ -138,7 +138,7 @@ def attitudes(time: Floats, rate: Floats) -> Floats:
     return attitude
 
 
-def motion(arm: Arm, cycles: Cycles) -> Motion:
+def motion(arm: Arm, cycles: Cycles) -> RecordedMotion:
     """How a run moved the arm: signs, zeros and the gyro's mount applied, cycles of no use left out.
 
     Errors: ZygosError if no cycle is of use, or the record is of another number of joints.
@@ -155,5 +155,5 @@ def motion(arm: Arm, cycles: Cycles) -> Motion:
     q, deflection = samples.q[use], samples.theta[use] - samples.q[use]
     # an encoder that went over the end of its range is off by whole turns
     deflection -= 2.0 * np.pi * np.round(deflection / (2.0 * np.pi))
-    base = attitudes(time, samples.omega[use]) if arm.free else np.tile(np.eye(3), (len(time), 1, 1))
-    return Motion(time, q, deflection, base, gaps=int(np.count_nonzero(np.diff(sync) > 1)))
+    base = integrated_attitudes(time, samples.omega[use]) if arm.free else np.tile(np.eye(3), (len(time), 1, 1))
+    return RecordedMotion(time, q, deflection, base, gaps=int(np.count_nonzero(np.diff(sync) > 1)))

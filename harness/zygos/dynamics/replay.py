@@ -81,7 +81,7 @@ def replay(
     return states, torques
 
 
-def read(dynamics: PlanarDynamics, arm: Arm, states: Array, torques: Array) -> tuple[Array, Array, Array]:
+def exact_readings(dynamics: PlanarDynamics, arm: Arm, states: Array, torques: Array) -> tuple[Array, Array, Array]:
     """What exact sensors read of stretches (B, n+1, 4N+1) under torques (B, n+1, N) in their first n cycles.
 
     q, theta (B, n, N), omega0 (B, n): each where it latches, which may be after SYNC. Between two SYNCs an angle is the

@@ -272,7 +272,7 @@ def load_model(path: str | Path) -> Model:
     bodies = tuple(
         _body(table, source, first=index == 0, last=index == len(tables) - 1) for index, table in enumerate(tables)
     )
-    joints = tuple(read_joint(table, source) for table in top.tables("joint"))
+    joints = tuple(read_joint_model(table, source) for table in top.tables("joint"))
     if len(bodies) != len(joints) + 1:
         raise top.error(
             "body",
@@ -432,7 +432,7 @@ def _body(table: Table, source: str, *, first: bool, last: bool) -> Body:
     return body
 
 
-def read_joint(table: Table, source: str) -> JointModel:
+def read_joint_model(table: Table, source: str) -> JointModel:
     """One [[joint]] of a model file; values without a source have `source`. Errors: as `load_model`."""
     joint = JointModel(
         table.text("name"),

@@ -59,7 +59,7 @@ class Observed:
 
 
 @dataclass(frozen=True)
-class Fit:
+class PhysicalFit:
     """The arm that explains an estimate best."""
 
     model: Model
@@ -240,7 +240,7 @@ def fit_bodies(
     observed: Observed,
     length_sigma: float,
     progress: Callable[[float], None] = lambda share: None,
-) -> Fit:
+) -> PhysicalFit:
     """The arm near `drawing` (given by bodies) that explains an estimate best.
 
     Minimises chi^2 + |y|^2 over the `Coordinates` y. The way there: the estimate is first moved to the nearest N that
@@ -266,7 +266,7 @@ def fit_bodies(
     tested = np.vstack([rows[: -where.size], rows[-where.size :][where.of_lengths]])
     dof = float(len(tested) - np.sum((tested @ spread) ** 2))
     model, known = _with_sigmas(where, y, spread)
-    return Fit(
+    return PhysicalFit(
         model=model,
         value=value,
         covariance=(slope_of_base @ spread) @ (slope_of_base @ spread).T,

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.balances.arcs import MIN_ARC_INSTANTS
-from zygos.balances.energy import Balance
+from zygos.balances.energy import EnergyRows
 
 Floats = NDArray[np.float64]
 
@@ -40,7 +40,7 @@ class Design:
         return self.z.T @ self.z - self.noise[:-1, :-1], self.z.T @ self.w - self.noise[-1, :-1]
 
 
-def design(balance: Balance, moment: Floats | None = None) -> Design:
+def design(balance: EnergyRows, moment: Floats | None = None) -> Design:
     """Collect the accepted rows of a record, arc by arc, and take each arc's mean away.
 
     moment: (arcs, p+1, p+1) what noise adds on average to the sums of each arc; none without it.

@@ -31,7 +31,7 @@ MOMENTUM_CAUTION = 5.0
 
 
 @dataclass(frozen=True)
-class Motors:
+class JointRows:
     """Accepted rows of one joint whose turn it was, less each arc's mean; m rows, p parameters of the arm.
 
     joint: from 0. rows: z (m, p) with zeros but for the joint's own, w (m,) [Nms], noise (p+1, p+1) that they hold.
@@ -43,7 +43,7 @@ class Motors:
     arcs: int
 
 
-def motors(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Effect] = ()) -> tuple[Motors, ...]:
+def motors(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Effect] = ()) -> tuple[JointRows, ...]:
     """Rows of every flexible joint over a whole record; none if the arm switches them off. Errors: as `estimated`."""
     if arm.impulse_arc_s == 0.0:
         return ()
@@ -54,7 +54,7 @@ def motors(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Eff
     void = unused(arm, samples, smoothed, arc, longest, "motor")
     names = [*arm.parameter_names, *(effect.column(arm) for effect in estimated(arm, effects))]
     out = []
-    for one in impulse.rows(arm, samples, smoothed, arc, effects):
+    for one in impulse.impulse_rows(arm, samples, smoothed, arc, effects):
         places = [names.index(name) for name in one.names]
         z, w, count = [np.zeros((0, len(names)))], [np.zeros(0)], 0
         for number in range(int(arc.max(initial=-1)) + 1):
@@ -69,12 +69,12 @@ def motors(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Eff
             count += 1
         noise = np.zeros((len(names) + 1, len(names) + 1))
         if arm.compensation:
-            noise[np.ix_(places, places)] = sum(map(len, w)) * impulse.noise(arm, one.joint, effects)
-        out.append(Motors(one.joint, Rows(np.concatenate(z), np.concatenate(w), noise), count))
+            noise[np.ix_(places, places)] = sum(map(len, w)) * impulse.impulse_noise(arm, one.joint, effects)
+        out.append(JointRows(one.joint, Rows(np.concatenate(z), np.concatenate(w), noise), count))
     return tuple(out)
 
 
-def weight(arm: Arm, own: Motors, energy: Floats, x: Floats) -> float:
+def weight(arm: Arm, own: JointRows, energy: Floats, x: Floats) -> float:
     """Of a joint's rows beside those of the energy: the ratio of the noise in them.
 
     energy: (p+1, p+1) noise of one energy row. x: (p,) the parameters, by the energy rows alone.
@@ -119,7 +119,7 @@ class Combined:
 
 
 def combine(
-    arm: Arm, design: Design, motors: Sequence[Motors], momentum: Turns | None, effects: Sequence[Effect] = ()
+    arm: Arm, design: Design, motors: Sequence[JointRows], momentum: Turns | None, effects: Sequence[Effect] = ()
 ) -> Combined:
     """The energy rows, the motor rows and the momentum rows, each weighed by its noise. Raises Undecided as `solve`."""
     energy = Rows(design.z, design.w, design.noise)
@@ -138,7 +138,7 @@ def combine(
 
 
 def solve_with_others(
-    arm: Arm, design: Design, motors: Sequence[Motors], momentum: Turns | None, effects: Sequence[Effect] = ()
+    arm: Arm, design: Design, motors: Sequence[JointRows], momentum: Turns | None, effects: Sequence[Effect] = ()
 ) -> Solution:
     """The estimate of `combine`. Raises Undecided as `solve`."""
     return combine(arm, design, motors, momentum, effects).solution

@@ -16,11 +16,11 @@ from zygos.files.toml import Table
 Array = NDArray[np.float64]
 EncoderNoise = Literal["gaussian", "quantised"]
 FeedbackAngle = Literal["motor", "link"]
-Kind = Literal["constant", "sines", "ramp"]
+ManoeuvreKind = Literal["constant", "sines", "ramp"]
 
 _ENCODER_NOISES: tuple[EncoderNoise, ...] = ("gaussian", "quantised")
 _FEEDBACK_ANGLES: tuple[FeedbackAngle, ...] = ("motor", "link")
-_KINDS: tuple[Kind, ...] = ("constant", "sines", "ramp")
+_KINDS: tuple[ManoeuvreKind, ...] = ("constant", "sines", "ramp")
 
 
 @dataclass(frozen=True)

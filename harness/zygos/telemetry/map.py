@@ -106,7 +106,7 @@ class Map:
 
 
 @dataclass(frozen=True)
-class Samples:
+class SourceSamples:
     """n values of one source, in its own unit, in the order of the recording."""
 
     value: Floats
@@ -121,7 +121,7 @@ class Samples:
 class Recording:
     """Telemetry as it was recorded; m values of the clock."""
 
-    sources: dict[str, Samples]
+    sources: dict[str, SourceSamples]
     clock: Floats
     """(m,) values of the clock less the first one, in its own unit; empty for `receive`."""
     clock_stamp: Floats
@@ -270,7 +270,7 @@ def read_table(path: Path, mapping: Map) -> Recording:
     nowhere = np.full(len(next(iter(columns.values()))), np.nan)
     rows = np.arange(len(nowhere))
     sources = {
-        channel.source: Samples(
+        channel.source: SourceSamples(
             _column(path, columns, channel.source, channel.where).astype(np.float64),
             rows,
             nowhere,
@@ -411,7 +411,7 @@ def read_can(
                 + "; remedy: check the DBC's identifiers against the log"
             )
     sources = {
-        source: Samples(
+        source: SourceSamples(
             np.array([v for v, _, _ in rows]), np.array([g for _, g, _ in rows]), np.array([s for _, _, s in rows])
         )
         for source, rows in values.items()

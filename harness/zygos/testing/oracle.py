@@ -16,7 +16,7 @@ from zygos.testing.stream import Stream
 _FIELDS = tuple(Cycles.__dataclass_fields__)
 
 
-def counted(stream: Stream) -> dict[str, int]:
+def fault_counts(stream: Stream) -> dict[str, int]:
     """Faults by name, those that happened."""
     return {name: count for name, count in decode(stream.arm, stream.frames).faults.items() if count}
 

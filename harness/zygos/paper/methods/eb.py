@@ -31,7 +31,7 @@ def work(arm: Arm, record: Record) -> Floats:
     return from_first(step_work(arm, record.theta, record.tau))
 
 
-def rows(arm: Arm, record: Record, rates: Rates = "backward", start: Start = "rest") -> tuple[Floats, Floats]:
+def regressor(arm: Arm, record: Record, rates: Rates = "backward", start: Start = "rest") -> tuple[Floats, Floats]:
     """Design (B, m, p) and work (B, m) [J].
 
     rates: "backward" differences as in the paper, the angles of the newer instant; "midpoint", the same differences
@@ -71,8 +71,8 @@ def rows(arm: Arm, record: Record, rates: Rates = "backward", start: Start = "re
 
 
 def estimate(arm: Arm, record: Record, *, rates: Rates = "backward", start: Start = "rest") -> Floats:
-    """Estimates of all parameters, (B, p). See rows() for the options. Raises Undecided where a record is too poor."""
-    z, w = rows(arm, record, rates, start)
+    """Estimates of all parameters, (B, p). See regressor() for the options. Raises Undecided if too poor."""
+    z, w = regressor(arm, record, rates, start)
     return np.stack([solve(Rows.exact(zb, wb)).x for zb, wb in zip(z, w, strict=True)])
 
 
