@@ -31,21 +31,21 @@ $(error CAPACITIES holds $(filter-out -DZYGOS_%,$(CAPACITIES)), which is no capa
 endif
 
 .DEFAULT_GOAL := demo
-.PHONY: demo build library install uninstall FORCE node test test-all coverage times kernels hil pil gap bench accuracy mission demo-log reference lint format warnings clean help
+.PHONY: lock demo build library install uninstall FORCE node test test-all coverage times kernels hil pil gap bench accuracy mission demo-log reference lint format warnings clean help
 
 demo: build ## set up, run the paper's example over CAN, show the result (out/demo/report.html)
 	$(BIN)/python -m zygos.demo
 
 build: $(VENV)/.core $(NATIVE) ## set up .venv and build the C library for it
 
-$(VENV)/.core: pyproject.toml setup.py
+$(VENV)/.core: pyproject.toml setup.py constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit("zygos needs Python 3.11 or later; remedy: make PYTHON=python3.11" if sys.version_info < (3, 11) else 0)'
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --disable-pip-version-check --editable .
+	$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable .
 	touch $@
 
 $(VENV)/.test: $(VENV)/.core
-	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[test,lint]'
+	$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[test,lint]'
 	touch $@
 
 $(NATIVE): $(SOURCES) | $(VENV)/.core
@@ -149,6 +149,9 @@ demo-log: build $(VENV)/.test ## write the logs of examples/gap/demo again
 
 reference: build $(VENV)/.test ## the pages in docs/reference/: keys of the files, codes of the C library, JSON outputs
 	$(BIN)/python tools/reference.py
+
+lock: ## resolve all Python packages anew and write their versions (constraints.txt)
+	tools/lock.sh $(PYTHON)
 
 lint: build $(VENV)/.test ## ruff, mypy, the order of sub-packages, clang-format
 	$(BIN)/ruff check .
