@@ -399,7 +399,7 @@ def _encoder(table: Table, gear_ratio: float | None) -> Encoder:
     counts: int | None = None
     if table.has("quantum_rad"):
         if table.has("counts"):
-            raise table.error("quantum_rad", "is given together with counts", "state one of the two")
+            raise table.error("quantum_rad", "is given with counts", "state one of the two")
         quantum = table.number("quantum_rad", above=0.0, high=1.0, unit="rad")
     else:
         counts = table.integer("counts", low=4, high=2**32)
