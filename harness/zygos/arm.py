@@ -246,7 +246,7 @@ class Arm:
 
     @cached_property
     def feels_gravity(self) -> tuple[bool, ...]:
-        """(N,) whether gravity does work on the first moment of the body behind each joint as the joints move. It does
+        """(N,) whether gravity does work on the first moment of the body after each joint as the joints move. It does
         not while every axis up to that joint is vertical."""
         gravity = np.array(self.gravity)
         weight = float(np.linalg.norm(gravity))

@@ -514,7 +514,7 @@ REFUSALS: list[tuple[str, Callable[[Path], list[object]], str]] = [
     (
         "counter that is not in the log",
         lambda f: ["--dbc", f / "third.dbc", "--map", FOLDER / "map.toml", "-o", f / "r.blf"],
-        "time: my.blf holds no Cycle.Count",
+        "time: my.blf has no Cycle.Count",
     ),
     (
         "another period",

@@ -290,7 +290,7 @@ def test_what_an_engine_refuses(name: str) -> None:
 
 def test_an_unknown_engine_is_refused() -> None:
     arm, model, _ = lively()
-    with pytest.raises(ZygosError, match="no engine 'ode'; remedy: one of pinocchio, mujoco"):
+    with pytest.raises(ZygosError, match="no engine 'ode'; remedy: use one of pinocchio, mujoco"):
         engine("ode", arm, model)
 
 
