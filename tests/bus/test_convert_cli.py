@@ -322,7 +322,7 @@ def test_a_wrong_unit(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[s
     link = 'signal = "Drive1Position.Link", unit = "deg"'
     wrong = foreign.edited(FOLDER / "map.toml", tmp_path / "wrong.toml", (link, link.replace("deg", "rad")))
     assert convert(log, tmp_path / "run.blf", map_file=wrong) == 2
-    assert 'link.unit: the map says "rad", the DBC says "deg" of Drive1Position.Link' in capsys.readouterr().err
+    assert 'link.unit: the map says "rad", the DBC says "deg" for Drive1Position.Link' in capsys.readouterr().err
     assert not (tmp_path / "run.blf").exists()
     forced = foreign.edited(
         FOLDER / "map.toml", tmp_path / "forced.toml", (link, link.replace('"deg"', '"rad", scale = 1.0'))
