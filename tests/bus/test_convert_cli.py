@@ -12,11 +12,11 @@ from typing import Any
 import can
 import numpy as np
 import pytest
+import telemetry_support as foreign
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.io import loadmat
 
-import telemetry_support as foreign
 from conftest import EXAMPLE, PAPER, ROOT, need
 from zygos.arm import NO_IMU, Arm, load_arm
 from zygos.can import bus

@@ -14,9 +14,9 @@ from typing import Any
 import can
 import numpy as np
 import pytest
+from log_support import SMALL, containers, run, write
 from numpy.typing import NDArray
 
-from bus.log_support import SMALL, containers, run, write
 from conftest import EXAMPLE
 from zygos.arm import Arm
 from zygos.can import bus
@@ -179,6 +179,7 @@ CASES: list[tuple[str, Spoil, str]] = [
 ]
 
 
+@pytest.mark.slow(but=[".log-*", "small.blf-bit_in_a_block-*", "stored.blf-cut*"])
 @pytest.mark.parametrize(("kind", "spoil", "said"), CASES, ids=lambda case: getattr(case, "__name__", None))
 def test_what_survives_is_answered_from(
     kind: str,
@@ -267,6 +268,7 @@ def test_a_hole_of_240_cycles_is_not_bridged(arm: Arm, frames: Frames, tmp_path:
     assert run("check", path, "--arm", ARM) == 4
 
 
+@pytest.mark.slow
 def test_an_mf4_is_read_up_to_the_damaged_block(arm: Arm, frames: Frames, tmp_path: Path) -> None:
     """asammdf compresses 4 MB at a time, some 50,000 frames."""
     many = np.tile(frames, 7)

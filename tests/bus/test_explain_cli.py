@@ -46,6 +46,7 @@ def explain(folder: Path, prefix: str, out: Path, *more: object, simulation: Pat
     return run("explain", *arguments, *more)
 
 
+@pytest.mark.slow
 def test_names_what_the_simulation_lacks(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out, verdict, page = tmp_path / "new.toml", tmp_path / "verdict.json", tmp_path / "gap.html"
     assert explain(folder, "f", out, "--json", verdict, "--report", page) == 0

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from physical_support import estimate_of
 
 from conftest import EXAMPLE, ROOT
-from physical_support import estimate_of
 from zygos.arm import load_arm
 from zygos.cli import main
 from zygos.model.model import Model, Quantity, load_model, save_model

@@ -10,6 +10,7 @@ from typing import Any
 
 import can
 import pytest
+from schema_support import hold
 
 from conftest import PAPER, ROOT
 from zygos.can.bus import from_messages
@@ -26,7 +27,9 @@ def run(config: pytest.Config, device: str, out: Path, *tests: str) -> tuple[int
     outer = sys.modules["conftest"]
     status = pytest.main(["-rs", *(str(ROOT / test) for test in tests), *bench])
     sys.modules["conftest"] = outer
-    return int(status), {row["drill"]: row for row in json.loads(out.read_text())["drills"]}
+    content = json.loads(out.read_text())
+    hold("hil", content)
+    return int(status), {row["drill"]: row for row in content["drills"]}
 
 
 def test_the_example_of_the_manual(pytestconfig: pytest.Config, dut: Dut, tmp_path: Path) -> None:

@@ -26,6 +26,7 @@ def energy_terms(trajectory: Trajectory) -> tuple[Floats, Floats]:
     return stored - stored[:, :1] + spent, work
 
 
+@pytest.mark.slow(but=["60.05-None-seeds0", "20.0-0.01-seeds2"])
 @pytest.mark.parametrize(
     ("duration", "period", "seeds"), [(60.05, None, range(3)), (300.0, None, [0]), (20.0, 0.01, [0])]
 )

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from telemetry_support import edited
 
 from conftest import EXAMPLE
-from telemetry_support import edited
 from zygos.arm import Arm, load_arm
 from zygos.errors import ZygosError
 from zygos.files.tables import read_columns, write_columns
@@ -436,6 +436,7 @@ def refused(arm: Arm, cycles: Cycles, step: int) -> float:
     return flight.counts["refused"] / (flight.counts["accepted"] + flight.counts["refused"])
 
 
+@pytest.mark.slow(but=["16-fine", "16-quick", "20-fine", "20-quick", "40-fine", "40-quick"])
 @pytest.mark.parametrize("which", ["fine", "quick"])
 @pytest.mark.parametrize("step", [8, 16, 20, 40])
 def test_the_rate_that_a_motion_needs(

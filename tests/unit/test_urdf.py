@@ -269,6 +269,7 @@ def gap() -> tuple[Arm, Model]:
     return replace(load_arm(GAP / "arm.toml"), kinetic="planar"), load_model(GAP / "cad.toml")
 
 
+@pytest.mark.slow(but=["0"])
 @pytest.mark.parametrize("seed", range(5))
 def test_the_nearest_bodies_have_the_parameters_and_none_are_nearer(seed: int, gap: tuple[Arm, Model]) -> None:
     """Against SLSQP, which shares nothing with Gauss-Newton but the conversion."""

@@ -18,9 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-import zygos
 from zygos.accuracy.cases import BLOCK, Case
-from zygos.accuracy.estimators import ESTIMATORS, Answer, Prior
+from zygos.accuracy.estimators import ESTIMATORS, EstimatorResult, Prior
 from zygos.arm import Arm
 from zygos.errors import ZygosError
 from zygos.native.flight import encode
@@ -39,7 +38,7 @@ _MAKERS = ("cases.py", "cell.py", "estimators.py", "figure4.py", "mission.py")
 @cache
 def fingerprint() -> str:
     """Digest of all code on which a cell's answers can depend."""
-    package = Path(zygos.__file__).parent
+    package = Path(__file__).parents[1]
     here = Path(__file__).parent
     digest = hashlib.sha256()
     for path in sorted(package.rglob("*")):
@@ -201,9 +200,9 @@ class _Column:
     def __init__(self) -> None:
         self.seeds: list[int] = []
         self.draws: list[int] = []
-        self.answers: list[Answer] = []
+        self.answers: list[EstimatorResult] = []
 
-    def add(self, seed: int, draw: int, answer: Answer) -> None:
+    def add(self, seed: int, draw: int, answer: EstimatorResult) -> None:
         self.seeds.append(seed)
         self.draws.append(draw)
         self.answers.append(answer)

@@ -91,17 +91,19 @@ def summarised(case: Case, lines: Sequence[Line]) -> list[Line]:
     return out
 
 
-def page(entries: Sequence[Line]) -> str:
+def missions_page(entries: Sequence[Line]) -> str:
     """The numbers as Markdown."""
     lines = [
-        "# How honest intervals stay, from a minute to a month",
+        "# Coverage of the intervals, from a minute to a month",
         "",
-        f"Written by `make mission`. A mission repeats up to {REPEATED} of {MOTIONS} stored motions of {MOTION_S:g} s, "
-        "which differ by what encoder errors do to the servo, and draws the errors of all sensors anew each time. "
-        f"{MISSING} cycles are missing between two motions, a share of {LOST:g} of the traffic is lost, and the state "
-        "is sealed and resumed once a day, or once an hour in missions that are shorter. Bias and spread are mean and "
-        "standard deviation of the errors over the missions, the half width of the 95 % interval is the median, all in "
-        "percent of the true value.",
+        f"`make mission` writes this page. A mission repeats up to {REPEATED} of {MOTIONS} stored motions of "
+        f"{MOTION_S:g} s. The motions differ because the errors of the encoders act on the servo. "
+        "Every repetition draws new errors of all sensors. "
+        f"Between two motions, {MISSING} cycles are missing, and a share of {LOST:g} of the CAN traffic is lost. "
+        "The state is saved and resumed once per day of the mission, or once per hour in missions of up to a day. "
+        "In the tables, *bias* and *spread* are the mean and the standard deviation of the errors over the missions, "
+        "and *half width* is the median half width of the 95 % interval. All three are in percent of the true value. "
+        "*Coverage* is the share of intervals that contain the true value.",
     ]
     for entry in entries:
         off = entry["coverage95_error"]
@@ -110,8 +112,8 @@ def page(entries: Sequence[Line]) -> str:
             f"## {entry['case']}, {entry['length']}",
             "",
             f"{counted(entry['missions'], 'mission')} of {entry['cycles']:,} cycles, sent as {entry['door']}, "
-            f"{entry['valid']} of them valid, resumed {counted(entry['resumed'], 'time')}. "
-            f"The intervals hold the true value in {100 * (entry['coverage95'] or 0.0):.1f} %"
+            f"{entry['valid']} of them valid, each resumed {counted(entry['resumed'], 'time')}. "
+            f"The intervals contain the true value in {100 * (entry['coverage95'] or 0.0):.1f} %"
             + (f" ± {100 * off:.1f} %" if off is not None else "")
             + " of all cases.",
             "",
@@ -176,7 +178,7 @@ def mission(
     found = campaign.run(jobs, folder / "lines.jsonl", lambda: campaign.executor(None, workers))
     entries = [entry for one in cases for entry in summarised(one, found)]
     write_json(target, {"missions": entries})
-    write_text(target.with_suffix(".md"), page(entries))
+    write_text(target.with_suffix(".md"), missions_page(entries))
     table(
         ("case", "length", "missions", "valid", "cycles", "coverage 95 %, %", "worst parameter"),
         [_row(entry) for entry in entries],

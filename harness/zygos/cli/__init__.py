@@ -42,6 +42,7 @@ COMMANDS = {
         "Compile an arm file into a constant that onboard software links, and into bytes that it loads.",
     ),
     "bus-load": ("bus_load", "Compute how much of the bus this arm's frames take, and its largest SYNC rate."),
+    "example": ("example", "Write one of the examples into a folder, or list them."),
     "paper": (
         "paper",
         "Reproduce the paper's Tables III and IV and the numbers of Fig. 4(b), next to the printed ones.",

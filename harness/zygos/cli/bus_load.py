@@ -14,7 +14,7 @@ from zygos.arm import Arm, load_arm
 from zygos.can.bus import check_log
 from zygos.can.load import LIMIT, OTHERS, Plan, Usage, exact_bits, plan, usage
 from zygos.cli.options import Json
-from zygos.cli.shared import damage_of, not_whole, read_run
+from zygos.cli.shared import not_whole, read_log
 from zygos.errors import Undecided
 from zygos.files.output import check_outputs, counted, note, number, say, table, write_json
 from zygos.files.progress import progress
@@ -42,7 +42,7 @@ def report_bus_load(
     planned = plan(arm, bitrate, attitude_hz, telemetry_hz)
     used, log = None, None
     if run is not None:
-        log = read_run(run)
+        log = read_log(run)
         frames = log.frames
         parts = [frames[k : k + _AT_ONCE] for k in range(0, len(frames), _AT_ONCE)]
         with progress() as bar:
@@ -75,7 +75,7 @@ def report_bus_load(
             f"{run}: a load of {100 * used.load:.1f} % is above {100 * LIMIT:g} %, {OTHERS} included; remedy: a higher "
             "bit rate, or fewer foreign frames"
         )
-    not_whole(damage_of(log))
+    not_whole(log.damage if log else ())
 
 
 def _print(arm: Arm, bitrate: int, planned: Plan, used: Usage | None) -> None:

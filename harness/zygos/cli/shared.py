@@ -6,7 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from zygos.arm import Arm
 from zygos.can import bus
+from zygos.can.run import Run
 from zygos.errors import Damaged, ZygosError
 from zygos.files.inputs import local
 from zygos.files.output import (
@@ -15,6 +17,7 @@ from zygos.files.output import (
 )
 from zygos.files.progress import progress
 from zygos.files.tables import check_table, is_table
+from zygos.runs.tables import read_cycles
 
 
 def find_arm(run: Path, arm: Path | None) -> Path:
@@ -35,7 +38,15 @@ def check_model_name(path: Path) -> None:
         raise ZygosError(f"{path}: not a name for a model; remedy: give it the suffix .toml")
 
 
-def read_run(run: Path) -> bus.Log:
+def read_run(run: Path, arm: Arm) -> Run:
+    """Read a log or a table of cycles; as `read_log`."""
+    if is_table(run):
+        return Run(arm, table=read_cycles(run, arm), path=run)
+    log = read_log(run)
+    return Run(arm, log.frames, path=run, damage=log.damage)
+
+
+def read_log(run: Path) -> bus.Log:
     """Read a log, with progress for a long one. Damage is reported at once; `not_whole` ends the command."""
     with progress() as bar:
         task = bar.add_task(f"reading {run.name}", total=None)
@@ -59,16 +70,6 @@ def not_whole(*damage: Sequence[str]) -> None:
         )
 
 
-def damage_of(log: bus.Log | None) -> tuple[str, ...]:
-    """Sentences about what is missing in a log; none for a table."""
-    return log.damage if log else ()
-
-
-def door(run: Path) -> str:
-    """The input of the flight library for a run, as named in JSON: "frames", or "cycle" for a table of cycles."""
-    return "cycle" if is_table(run) else "frames"
-
-
-def origin(run: Path, log: bus.Log | None) -> dict[str, Any]:
-    """The entries about the run in the JSON of an answer; a table has no log."""
-    return {"run": str(run), "door": door(run), "damage": damage_of(log) or None}
+def origin(run: Run) -> dict[str, Any]:
+    """The entries about the run in the JSON of an answer: its file, the input of the library, and its damage."""
+    return {"run": str(run.path), "door": "cycle" if run.frames is None else "frames", "damage": run.damage or None}

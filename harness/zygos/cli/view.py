@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from zygos.arm import load_arm
 from zygos.cli.options import ArmFile, Json, Run
-from zygos.cli.shared import damage_of, find_arm, not_whole, read_run
+from zygos.cli.shared import find_arm, not_whole, read_run
 from zygos.dynamics.pose import motion, skeleton
 from zygos.errors import ZygosError
 from zygos.files.output import (
@@ -27,11 +27,8 @@ from zygos.files.output import (
     write_text,
 )
 from zygos.files.progress import progress
-from zygos.files.tables import is_table
 from zygos.model.model import load_model
-from zygos.native.flight import Flight
-from zygos.runs.tables import read_cycles
-from zygos.view.scene import FRAMES_PER_S, MOST_FRAMES, STILLS, film, instants, page, png, serve
+from zygos.view.scene import FRAMES_PER_S, MOST_FRAMES, STILLS, film, frame_instants, page, png, serve
 
 
 def view_run(
@@ -52,26 +49,20 @@ def view_run(
         raise ZygosError("--at selects the instant of the still in --png; remedy: add --png FILE")
     arm = load_arm(chosen)
     lengths = skeleton(arm, load_model(model_file) if model_file else None)
-    log = None if is_table(run_file) else read_run(run_file)
-    if log is None:
-        cycles = read_cycles(run_file, arm)
-    else:
-        trace = Flight(arm).frames(log.frames, trace=True)
-        assert trace is not None
-        cycles = trace.cycles
-    run = motion(arm, cycles)
+    recorded = read_run(run_file, arm)
+    run = motion(arm, recorded.cycles)
     last = float(run.time[-1])
     if at is not None and not 0.0 <= at <= last:
         raise ZygosError(f"--at {at:g}: the run lasts from 0 to {last:g} s; remedy: give a time in this range")
     content = ""
     if html_file is not None or png_file is None:
-        frames = instants(run, max(2, min(MOST_FRAMES, round(last * FRAMES_PER_S))))
+        frames = frame_instants(run, max(2, min(MOST_FRAMES, round(last * FRAMES_PER_S))))
         with progress() as bar:
             task = bar.add_task("drawing", total=len(frames))
             shown = film(arm, lengths, run, frames, exaggerate)
             content = page(shown, lambda done: bar.update(task, completed=done))
     if png_file is not None:
-        stills = instants(run, STILLS) if at is None else np.array([np.argmin(np.abs(run.time - at))])
+        stills = frame_instants(run, STILLS) if at is None else np.array([np.argmin(np.abs(run.time - at))])
         write_bytes(png_file, png(film(arm, lengths, run, stills, exaggerate)))
     if html_file is not None:
         write_text(html_file, content)
@@ -109,7 +100,7 @@ def view_run(
         note(f"cycles are missing in {counted(run.gaps, 'place')}; after them the base's attitude is approximate")
     if png_file is None and html_file is None:
         serve(content, port)
-    not_whole(damage_of(log))
+    not_whole(recorded.damage)
 
 
 def command(

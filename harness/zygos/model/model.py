@@ -26,6 +26,8 @@ _LARGEST = 1e12
 """Largest accepted mass, inertia, stiffness, damping or sigma, in SI units. A space station has about 1e9 kg m^2."""
 _FARTHEST_M = 1e6
 INERTIA_KEYS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+_SOURCE_MEANING = "Where the value comes from."
+_SOURCE_OTHERWISE = "source of the file"
 _JOINT_UNITS = {"rotor_mass": "kg", "rotor_inertia": "kg m^2", "stiffness": "Nm/rad", "damping": "Nms/rad"}
 
 
@@ -258,22 +260,52 @@ class Model:
 
 def load_model(path: str | Path) -> Model:
     """Read `model.toml`. Errors: ZygosError naming file, key and remedy, also for a physically impossible body."""
-    top = Table.load(path)
-    name = top.text("name")
-    source = top.choice("source", SOURCES, "CAD")
+    return read_model(Table.load(path))
+
+
+def read_model(top: Table) -> Model:
+    """The model of a table with the keys of `model.toml`. Errors: as `load_model`."""
+    name = top.text("name", "Name of the model, for messages.")
+    source = top.choice("source", "Where the values come from that state no source of their own.", SOURCES, "CAD")
     if top.has("parameters"):
         if top.has("body") or top.has("joint"):
             raise top.error("parameters", "is given together with [[body]] or [[joint]]", "keep one of the two")
-        table = top.table("parameters")
-        parameters = {key: _quantity(table, key, None, source, infinite=key.startswith("k")) for key in table.names()}
+        table = top.table(
+            "parameters",
+            "The base parameters by their names (docs/theory.md). A model has either this table, or [[body]] and "
+            "[[joint]].",
+            otherwise="required where [[body]] is absent, refused beside it",
+        )
+        parameters = {
+            key: _quantity(
+                table,
+                key,
+                "A base parameter, as `zygos estimate` names it.",
+                None,
+                source,
+                infinite=key.startswith("k"),
+            )
+            for key in table.names()
+        }
         effects = _effects(top, source)
         top.finish()
         return Model(name, parameters=parameters, effects=effects)
-    tables = top.tables("body")
+    tables = top.tables(
+        "body",
+        "The bodies from the base to the last link, each without the rotor that it carries.",
+        otherwise="required where [parameters] is absent, refused beside it",
+    )
     bodies = tuple(
         _body(table, source, first=index == 0, last=index == len(tables) - 1) for index, table in enumerate(tables)
     )
-    joints = tuple(read_joint(table, source) for table in top.tables("joint"))
+    joints = tuple(
+        read_joint_model(table, source)
+        for table in top.tables(
+            "joint",
+            "The joints' drives, in the order of the joints.",
+            otherwise="required where [parameters] is absent, refused beside it",
+        )
+    )
     if len(bodies) != len(joints) + 1:
         raise top.error(
             "body",
@@ -336,18 +368,28 @@ def save_model(model: Model, path: str | Path) -> None:
 
 def _effects(top: Table, source: str) -> tuple[Effect, ...]:
     effects: list[Effect] = []
-    for table in top.tables("effect", optional=True):
-        key = table.choice("kind", tuple(CATALOGUE))
+    for table in top.tables("effect", "Effects beyond rigid bodies and linear springs (docs/gap.md).", optional=True):
+        key = table.choice("kind", "The effect.", tuple(CATALOGUE))
         kind = CATALOGUE[key]
         effect = Effect(
             kind,
-            table.text("joint") if kind.at_joint else None,
-            table.number("value", low=0.0 if kind.positive else -_LARGEST, high=_LARGEST, unit=kind.unit),
-            table.number("sigma", 0.0, low=0.0, high=_LARGEST, unit=kind.unit),
-            table.choice("source", SOURCES, source),
-            table.text("evidence") if table.has("evidence") else "",
+            _at(table) if kind.at_joint else None,
+            table.number(
+                "value",
+                "Coefficient of the effect.",
+                low=0.0 if kind.positive else -_LARGEST,
+                high=_LARGEST,
+                unit=kind.unit,
+            ),
+            table.number(
+                "sigma", "Standard deviation of the value. 0: exact.", 0.0, low=0.0, high=_LARGEST, unit=kind.unit
+            ),
+            table.choice("source", _SOURCE_MEANING, SOURCES, source, otherwise=_SOURCE_OTHERWISE),
+            table.text("evidence", "Why the effect is in the model, in words.", otherwise="none")
+            if table.has("evidence")
+            else "",
         )
-        if table.has("unit") and (unit := table.text("unit")) != kind.unit:
+        if table.has("unit") and (unit := _unit(table, "the unit of the kind")) != kind.unit:
             raise table.error("unit", f"{unit!r} is not the unit of {key}", f'convert the value to "{kind.unit}"')
         table.finish()
         if any((other.kind, other.joint) == (effect.kind, effect.joint) for other in effects):
@@ -369,6 +411,7 @@ def _inline(quantity: Quantity, *, unit: bool = False) -> Any:
 def _quantity(
     table: Table,
     key: str,
+    meaning: str,
     unit: str | None,
     source: str,
     *,
@@ -380,23 +423,38 @@ def _quantity(
     """A number, or { value, sigma, source }; with unit None the file states the unit."""
     if not table.has(key) and default is not None:
         return Quantity(default, 0.0, source, unit or "")
+    otherwise = "" if default is None else f"{default:g}"
     if not table.has(key) or not isinstance(table.peek(key), dict):
-        value = table.number(key, low=low, above=above, high=_LARGEST, unit=unit or "", infinite=infinite)
+        value = table.number(
+            key, meaning, low=low, above=above, high=_LARGEST, unit=unit or "", infinite=infinite, otherwise=otherwise
+        )
         return Quantity(value, 0.0, source, unit or "")
-    entry = table.table(key)
+    entry = table.table(key, meaning, otherwise=otherwise)
     quantity = Quantity(
-        entry.number("value", low=low, above=above, high=_LARGEST, unit=unit or "", infinite=infinite),
-        entry.number("sigma", 0.0, low=0.0, high=_LARGEST, unit=unit or ""),
-        entry.choice("source", SOURCES, source),
-        entry.text("unit") if unit is None else unit,
+        entry.number("value", "The value.", low=low, above=above, high=_LARGEST, unit=unit or "", infinite=infinite),
+        entry.number(
+            "sigma", "Standard deviation of the value. 0: exact.", 0.0, low=0.0, high=_LARGEST, unit=unit or ""
+        ),
+        entry.choice("source", _SOURCE_MEANING, SOURCES, source, otherwise=_SOURCE_OTHERWISE),
+        _unit(entry) if unit is None else unit,
     )
     entry.finish()
     return quantity
 
 
-def _vector3(table: Table, key: str) -> tuple[float, float, float]:
-    x, y, z = table.vector(key, 3, limit=_FARTHEST_M, unit="m")
+def _vector3(table: Table, key: str, meaning: str, otherwise: str = "") -> tuple[float, float, float]:
+    x, y, z = table.vector(key, meaning, 3, limit=_FARTHEST_M, unit="m", otherwise=otherwise)
     return x, y, z
+
+
+def _at(table: Table) -> str:
+    return table.text(
+        "joint", "Name of the joint at which the effect acts.", otherwise="required, except for effects of the base"
+    )
+
+
+def _unit(table: Table, otherwise: str = "") -> str:
+    return table.text("unit", "Unit of value and sigma.", otherwise=otherwise)
 
 
 def _tensor(entries: Any) -> NDArray[np.float64]:
@@ -413,15 +471,41 @@ def is_possible(tensor: NDArray[np.float64]) -> bool:
 
 def _body(table: Table, source: str, *, first: bool, last: bool) -> Body:
     """Read a body. The first one, the base, may have no mass: that of a fixed base has no effect."""
-    name = table.text("name")
-    mass = _quantity(table, "mass", "kg", source, low=0.0, above=-np.inf if first else 0.0)
-    origin = _vector3(table, "origin_xyz")
+    name = table.text("name", "Name of the body.")
+    mass = _quantity(
+        table,
+        "mass",
+        "Mass of the body. Only the base may have none.",
+        "kg",
+        source,
+        low=0.0,
+        above=-np.inf if first else 0.0,
+    )
+    origin = _vector3(
+        table, "origin_xyz", "Mass centre in the frame of the body, whose origin is the joint that carries it."
+    )
     ixx, ixy, ixz, iyy, iyz, izz = (
-        _quantity(table, key, "kg m^2", source, default=None if key[1] == key[2] else 0.0) for key in INERTIA_KEYS
+        _quantity(
+            table,
+            key,
+            "Entry of the inertia about the mass centre, in the axes of the body.",
+            "kg m^2",
+            source,
+            default=None if key[1] == key[2] else 0.0,
+        )
+        for key in INERTIA_KEYS
     )
     if last and table.has("joint_xyz"):
         raise table.error("joint_xyz", "the last body carries no joint", "remove it")
-    joint = None if last else _vector3(table, "joint_xyz")
+    joint = None
+    if not last:
+        joint = _vector3(
+            table,
+            "joint_xyz",
+            "Origin of the joint that carries the next body, in the frame of this body.",
+            "required, except for the last body, where it is refused",
+        )
+
     table.finish()
     body = Body(name, mass, origin, (ixx, ixy, ixz, iyy, iyz, izz), joint)
     if not is_possible(body.tensor) and (mass.value > 0.0 or body.tensor.any()):
@@ -433,14 +517,32 @@ def _body(table: Table, source: str, *, first: bool, last: bool) -> Body:
     return body
 
 
-def read_joint(table: Table, source: str) -> JointModel:
+def read_joint_model(table: Table, source: str) -> JointModel:
     """Read one [[joint]] of a model file; values without a source get `source`. Errors: as `load_model`."""
     joint = JointModel(
-        table.text("name"),
-        _quantity(table, "rotor_mass", "kg", source, default=0.0, low=0.0),
-        _quantity(table, "rotor_inertia", "kg m^2", source, above=0.0),
-        _quantity(table, "stiffness", "Nm/rad", source, above=0.0, infinite=True),
-        _quantity(table, "damping", "Nms/rad", source, low=0.0),
+        table.text("name", "Name of the joint."),
+        _quantity(
+            table,
+            "rotor_mass",
+            "Mass of the rotor, which the body before the joint carries.",
+            "kg",
+            source,
+            default=0.0,
+            low=0.0,
+        ),
+        _quantity(
+            table, "rotor_inertia", "Inertia of the rotor about its axis, before the gear.", "kg m^2", source, above=0.0
+        ),
+        _quantity(
+            table,
+            "stiffness",
+            "Stiffness of the joint's spring, after the gear. inf: the joint is rigid.",
+            "Nm/rad",
+            source,
+            above=0.0,
+            infinite=True,
+        ),
+        _quantity(table, "damping", "Damping of the joint's spring, after the gear.", "Nms/rad", source, low=0.0),
     )
     table.finish()
     return joint

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from zygos.arm import Arm, load_arm
 from zygos.errors import ZygosError
+from zygos.files.examples import example
 from zygos.model.model import load_model
 from zygos.native.flight import Flight, encode
 from zygos.paper import printed
@@ -49,12 +50,8 @@ class Example:
 
 
 def load_example(folder: Path | None) -> Example:
-    """Read arm, scenario and plant of a folder; by default examples/paper of the checkout."""
-    chosen = folder or Path("examples/paper")
-    if not (chosen / "scenario.toml").is_file():
-        raise ZygosError(
-            f"{chosen / 'scenario.toml'}: no such file; remedy: run inside a checkout, or name the folder by --example"
-        )
+    """Read arm, scenario and plant of a folder; by default the example `paper` of the package."""
+    chosen = folder or example("paper")
     scenario = load_scenario(chosen / "scenario.toml")
     arm = load_arm(scenario.arm)
     files = (chosen / "scenario.toml", scenario.arm, scenario.plant)

@@ -109,7 +109,7 @@ class Map:
 
 
 @dataclass(frozen=True)
-class Samples:
+class SourceSamples:
     """The n values of one source, in its own unit, in the order of the recording."""
 
     value: Floats
@@ -124,7 +124,7 @@ class Samples:
 class Recording:
     """Telemetry as it was recorded, with m values of the clock."""
 
-    sources: dict[str, Samples]
+    sources: dict[str, SourceSamples]
     clock: Floats
     """(m,) values of the clock minus the first one, in its own unit; empty for `receive`."""
     clock_stamp: Floats
@@ -151,11 +151,15 @@ def load_map(path: str | Path, arm: Arm, *, tabular: bool) -> Map:
 
     Errors: ZygosError naming file, key and remedy for anything unknown, missing or contradictory.
     """
-    top = Table.load(path)
+    return read_map(Table.load(path), arm, tabular=tabular)
+
+
+def read_map(top: Table, arm: Arm, *, tabular: bool) -> Map:
+    """The map of a table with the keys of `map.toml`. Errors: as `load_map`."""
     entries: dict[str, Table] = {}
     names = [joint.name for joint in arm.joints]
-    for table in top.tables("joint"):
-        name = table.text("name")
+    for table in top.tables("joint", "The signals of each joint. Every joint of the arm has an entry."):
+        name = table.text("name", "Name of the joint in the arm file.")
         if name not in names:
             raise table.error("name", f'"{name}" is no joint of arm {arm.name}', closest(name, names, "joints"))
         if name in entries:
@@ -171,39 +175,50 @@ def load_map(path: str | Path, arm: Arm, *, tabular: bool) -> Map:
         table = entries[joint.name]
         if not joint.flexible and table.has("link"):
             raise table.error("link", "a rigid joint has only its motor's angle", "remove it")
-        kinds: list[tuple[str, Field, Quantity]] = [("motor", "theta", "angle"), ("torque", "tau", "torque")]
+        kinds: list[tuple[str, str, str, Field, Quantity]] = [
+            ("motor", "The angle of the motor.", "", "theta", "angle"),
+            ("torque", "The torque of the motor.", "", "tau", "torque"),
+        ]
         if joint.flexible:
-            kinds.insert(0, ("link", "q", "angle"))
-        for key, field, quantity in kinds:
-            entry = table.table(key)
+            only = "required for a flexible joint, refused for a rigid one"
+            kinds.insert(0, ("link", "The angle of the link.", only, "q", "angle"))
+        for key, meaning, otherwise, field, quantity in kinds:
+            entry = table.table(key, meaning, otherwise=otherwise)
             label = f"{joint.name}.{key}"
             channels.append(_channel(entry, label, field, i, quantity, joint.gear_ratio, tabular=tabular))
         table.finish()
     if arm.free:
-        gyro = top.table("gyro")
+        gyro = top.table(
+            "gyro", "The rates of the base.", otherwise="required for an arm with a free base, refused for a fixed one"
+        )
         for i, axis in enumerate("xyz"):
-            channels.append(_channel(gyro.table(axis), f"gyro.{axis}", "omega", i, "rate", 1.0, tabular=tabular))
+            entry = gyro.table(axis, f"The rate about the {axis} axis of the gyro.")
+            channels.append(_channel(entry, f"gyro.{axis}", "omega", i, "rate", 1.0, tabular=tabular))
         gyro.finish()
     elif top.has("gyro"):
         raise top.error("gyro", f"the base of arm {arm.name} is fixed and has no gyro", "remove [gyro]")
-    clock = _clock(top.table("time"), arm, tabular=tabular)
+    clock = _clock(top.table("time", "What says when a value was measured."), arm, tabular=tabular)
     top.finish()
     return Map(clock, tuple(channels))
 
 
-def _source(table: Table, *, tabular: bool) -> str:
+def _source(table: Table, also: str = "", *, tabular: bool) -> str:
+    """also: a further condition of the map under which the source is named."""
     key, other = ("column", "signal") if tabular else ("signal", "column")
     if table.has(other):
         kind = "a table, which has columns" if tabular else "a CAN log, which has signals of messages"
         raise table.error(other, f"the input is {kind}", f"name a {key}")
-    name = table.text(key)
+    meaning, input_kind = (
+        ("Name of the column.", "table") if tabular else ("Message.Signal, as the DBC names them.", "CAN log")
+    )
+    name = table.text(key, meaning, otherwise=f"required where the input is a {input_kind}{also}, refused elsewhere")
     if not tabular and "." not in name:
         raise table.error(key, f'"{name}" names no signal of a message', 'write "Message.Signal"')
     return name
 
 
-def _unit(table: Table, quantity: Quantity) -> str:
-    unit = table.text("unit")
+def _unit(table: Table, quantity: Quantity, otherwise: str = "") -> str:
+    unit = table.text("unit", f"Unit of the value: {', '.join(UNITS[quantity])}.", otherwise=otherwise)
     known = UNITS[quantity]
     if unit not in known:
         listed = ", ".join(f'"{name}"' for name in known)
@@ -218,22 +233,46 @@ def _channel(
     unit = _unit(table, quantity)
     si = UNITS[quantity][unit]
     if unit == "counts":
-        si = 2 * math.pi / table.number("counts_per_turn", above=0.0)
+        si = (
+            2
+            * math.pi
+            / table.number(
+                "counts_per_turn",
+                "Counts of the encoder in one turn.",
+                above=0.0,
+                otherwise='required where unit is "counts", refused elsewhere',
+            )
+        )
     elif unit in ("A", "mA"):
-        si = table.number("torque_constant", above=0.0, unit="Nm/A") * (1e-3 if unit == "mA" else 1.0)
+        si = table.number(
+            "torque_constant",
+            "Torque of the motor for one ampere.",
+            above=0.0,
+            unit="Nm/A",
+            otherwise='required where unit is "A" or "mA", refused elsewhere',
+        )
+        si *= 1e-3 if unit == "mA" else 1.0
     bare = not (table.has("scale") or table.has("offset"))
-    scale = table.number("scale", 1.0)
-    offset = table.number("offset", 0.0, unit=unit)
-    sign = table.integer("sign", 1, low=-1, high=1)
+    scale = table.number("scale", "Units for one step of the source. Not 0.", 1.0)
+    offset = table.number("offset", "Value in units that is added after scaling, before the sign.", 0.0, unit=unit)
+    sign = table.integer(
+        "sign", "1, or -1 where the source counts against the axis of the arm file.", 1, low=-1, high=1
+    )
     if scale == 0.0:
         raise table.error("scale", "is 0", "write the units per value of the source")
     if sign == 0:
         raise table.error("sign", "is 0", "write 1 or -1")
     # angles and torques may be given on either side of the gear; `Cycles` has angles after it and torques before it
     if quantity == "torque":
-        geared = table.choice("at", ("rotor", "output"), "rotor") == "output"
+        geared = (
+            table.choice("at", "The side of the gear at which the torque is stated.", ("rotor", "output"), "rotor")
+            == "output"
+        )
     else:
-        geared = field == "theta" and table.choice("side", ("output", "rotor")) == "rotor"
+        sides = ("output", "rotor")
+        geared = field == "theta" and (
+            table.choice("side", "The side of the gear at which the encoder of the motor sits.", sides) == "rotor"
+        )
     factor = sign * si / (gear_ratio if geared else 1.0)
     table.finish()
     where = f"{table.file}: {table.where}"
@@ -242,15 +281,33 @@ def _channel(
 
 def _clock(table: Table, arm: Arm, *, tabular: bool) -> Clock:
     kinds: tuple[Source, ...] = ("sync", "column") if tabular else ("sync", "signal", "receive")
-    kind = table.choice("source", kinds)
+    kind = table.choice(
+        "source",
+        'The clock. "sync": a counter of cycles, nothing is interpolated. "signal" or "column": a time that is '
+        'recorded beside the values. "receive": the receive time of each frame.',
+        kinds,
+    )
     source, unit, unit_s, modulo = "", "s", 1.0, None
     if kind != "receive":
-        source = _source(table, tabular=tabular)
+        source = _source(table, "" if tabular else ' and source is not "receive"', tabular=tabular)
         if table.has("modulo"):
-            modulo = table.number("modulo", above=0.0)
+            modulo = table.number(
+                "modulo",
+                "Counts, or units of time, after which the clock starts again at 0.",
+                above=0.0,
+                otherwise="the width of the signal in the DBC; in a table the clock does not start again",
+            )
     interpolation: Interpolation | None = None
     if kind == "sync":
-        unit, unit_s = "counts", table.number("period_s", arm.period_s, above=0.0, unit="s")
+        unit = "counts"
+        unit_s = table.number(
+            "period_s",
+            "Time between two counts of the counter.",
+            arm.period_s,
+            above=0.0,
+            unit="s",
+            otherwise='period_s of the arm file; refused where source is not "sync"',
+        )
         cycle = arm.period_s / unit_s
         if cycle < 0.5 or abs(cycle - round(cycle)) > 1e-6 * cycle:
             raise table.error(
@@ -261,9 +318,14 @@ def _clock(table: Table, arm: Arm, *, tabular: bool) -> Clock:
             )
     else:
         if kind != "receive":
-            unit = _unit(table, "time")
+            unit = _unit(table, "time", 'required where source is "signal" or "column", refused elsewhere')
             unit_s = UNITS["time"][unit]
-        interpolation = table.choice("interpolation", _INTERPOLATIONS)
+        interpolation = table.choice(
+            "interpolation",
+            "How values are interpolated at the instants of the cycles.",
+            _INTERPOLATIONS,
+            otherwise='required where source is not "sync", refused elsewhere',
+        )
     table.finish()
     return Clock(kind, source, unit, unit_s, modulo, interpolation, f"{table.file}: {table.where}")
 
@@ -274,7 +336,7 @@ def read_table(path: Path, mapping: Map) -> Recording:
     nowhere = np.full(len(next(iter(columns.values()))), np.nan)
     rows = np.arange(len(nowhere))
     sources = {
-        channel.source: Samples(
+        channel.source: SourceSamples(
             _column(path, columns, channel.source, channel.where).astype(np.float64),
             rows,
             nowhere,
@@ -415,7 +477,7 @@ def read_can(
                 + "; remedy: compare the DBC's identifiers with the log"
             )
     sources = {
-        source: Samples(
+        source: SourceSamples(
             np.array([v for v, _, _ in rows]), np.array([g for _, g, _ in rows]), np.array([s for _, _, s in rows])
         )
         for source, rows in values.items()

@@ -28,8 +28,8 @@ _ENCODERS = ("link_encoder", "motor_encoder")
 _DRIVE = ("rotor_mass", "rotor_inertia", "stiffness", "damping")
 _SPRING = ("link_encoder", "stiffness", "damping")
 """Keys that a rigid joint does not have."""
-_JOINT = ("node", "gear_ratio", *_ENCODERS, "torque_sigma", "latch_us", "flexible", *_DRIVE)
-_TOP = ("base", "period_s", "torque_law", "gravity", "imu", "smoother", "arc")
+JOINT = ("node", "gear_ratio", *_ENCODERS, "torque_sigma", "latch_us", "flexible", *_DRIVE)
+TOP = ("base", "period_s", "torque_law", "gravity", "imu", "smoother", "arc")
 _OPTIONAL = "# optional, too: rotor_mass, torque_sigma, flexible, latch_us, and the other keys of an encoder"
 _ON_EARTH = (0.0, 0.0, -9.81)
 
@@ -43,25 +43,26 @@ class Question:
     usual: str
     example: str
     """A usual value, as TOML."""
-    check: Callable[[Table, str], object]
+    check: Callable[[Table, str, str], object]
+    """Reads the answer, given the table, the last part of the key and `what`."""
     instead: str = ""
     """Another key that may be given in its place."""
 
 
-def _above(limit: float, unit: str) -> Callable[[Table, str], object]:
-    return lambda table, key: table.number(key, above=limit, unit=unit)
+def _above(limit: float, unit: str) -> Callable[[Table, str, str], object]:
+    return lambda table, key, what: table.number(key, what, above=limit, unit=unit)
 
 
-def _from(limit: float, unit: str) -> Callable[[Table, str], object]:
-    return lambda table, key: table.number(key, low=limit, unit=unit)
+def _from(limit: float, unit: str) -> Callable[[Table, str, str], object]:
+    return lambda table, key, what: table.number(key, what, low=limit, unit=unit)
 
 
-def _whole(low: int, high: int) -> Callable[[Table, str], object]:
-    return lambda table, key: table.integer(key, low=low, high=high)
+def _whole(low: int, high: int) -> Callable[[Table, str, str], object]:
+    return lambda table, key, what: table.integer(key, what, low=low, high=high)
 
 
-def _one_of(*words: str) -> Callable[[Table, str], object]:
-    return lambda table, key: table.choice(key, words)
+def _one_of(*words: str) -> Callable[[Table, str, str], object]:
+    return lambda table, key, what: table.choice(key, what, words)
 
 
 _BASE = Question("base", "whether the base floats or is fixed", '"free" or "fixed"', '"free"', _one_of("free", "fixed"))
@@ -109,6 +110,8 @@ _FLEXIBLE = (
     ),
 )  # fmt: skip
 _NODE = Question("node", "CAN node", "1 to 31", "1", _whole(1, 31))
+QUESTIONS = (_BASE, *_BUS, *_GYRO, _NODE, *_MOTOR, *_FLEXIBLE)
+"""All values that must be answered for an arm with a free base and flexible joints."""
 
 
 class Answers:
@@ -120,14 +123,16 @@ class Answers:
         self.file = path or Path("answers")
         self.joints = tuple(joints)
         top = Table.load(path) if path else Table({}, self.file)
-        self.default = _known(top.table("default", optional=True), _JOINT)
-        each = top.table("joint", optional=True)
+        self.default = _known(
+            top.table("default", "What holds for every joint that does not say otherwise.", optional=True), JOINT
+        )
+        each = top.table("joint", "What holds for one joint, by its name.", optional=True)
         self.own: dict[str, dict[str, Any]] = {joint: {} for joint in self.joints}
         for joint in each.names():
             if joint not in self.own:
                 raise each.error(joint, "the chain has no such joint", f"its joints are {', '.join(self.joints)}")
-            self.own[joint] = _known(each.table(joint), _JOINT)
-        self.top = _known(top, _TOP)
+            self.own[joint] = _known(each.table(joint, "One joint."), JOINT)
+        self.top = _known(top, TOP)
 
     def missing(self) -> list[tuple[str, Question]]:
         """The questions without an answer, each with its joint ("" if it concerns the whole arm)."""
@@ -211,7 +216,7 @@ class Answers:
         for hinge in chain.hinges:
             values = self._of(hinge.name)
             geometry = {"name": hinge.name, "axis": list(hinge.axis), "frame_rpy": list(hinge.rpy)}
-            joint = geometry | {key: values[key] for key in _JOINT if key in values and key not in _DRIVE}
+            joint = geometry | {key: values[key] for key in JOINT if key in values and key not in _DRIVE}
             hardware.read_joint(Table(joint, self.file, f"joint.{hinge.name}"))
             joints.append(joint)
         top = {"name": chain.name, "kinetic": "spatial", "torque_at": "rotor"} | self.top | {"joint": joints}
@@ -232,7 +237,7 @@ class Answers:
                     if table.has(key):
                         raise table.error(key, "a rigid joint has no spring", "remove it, or write flexible = true")
                 table = Table(drive | {"stiffness": math.inf, "damping": 0.0}, self.file, f"joint.{joint}")
-            found.append(beliefs.read_joint(table, "CAD"))
+            found.append(beliefs.read_joint_model(table, "CAD"))
         return tuple(found)
 
     def _of(self, joint: str) -> dict[str, Any]:
@@ -288,7 +293,7 @@ def _checked(question: Question, text: str) -> Any:
         value = text.strip()
     key = question.key.rpartition(".")[2]
     try:
-        question.check(Table({key: value}, Path("answer")), key)
+        question.check(Table({key: value}, Path("answer")), key, question.what)
     except ZygosError as error:
         raise typer.BadParameter(str(error).removeprefix("answer: ")) from None
     return value
