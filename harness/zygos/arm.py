@@ -285,7 +285,7 @@ class Arm:
 
     @cached_property
     def feels_gravity(self) -> tuple[bool, ...]:
-        """(N,) whether gravity does work on the first moment of the body behind each joint as the joints move. It does
+        """(N,) whether gravity does work on the first moment of the body after each joint as the joints move. It does
         not while every axis up to that joint is vertical."""
         gravity = np.array(self.gravity)
         weight = float(np.linalg.norm(gravity))
@@ -531,7 +531,7 @@ def _encoder(table: Table, gear_ratio: float | None) -> Encoder:
     counts: int | None = None
     if table.has("quantum_rad"):
         if table.has("counts"):
-            raise table.error("quantum_rad", "is given together with counts", "state one of the two")
+            raise table.error("quantum_rad", "is given with counts", "state one of the two")
         quantum = table.number(
             "quantum_rad",
             "Step of the encoder's reading, as an angle of its own disc. It may be given in place of counts.",

@@ -53,7 +53,7 @@ def test_names_what_the_simulation_lacks(folder: Path, tmp_path: Path, capsys: p
     said = capsys.readouterr()
     assert "named: The simulation lacks Coulomb friction at the motor (elbow)" in said.out
     assert "as delivered" in said.out and "floor" in said.out
-    assert "the flight library by itself: motor_coulomb2" in said.out
+    assert "estimate of the flight library: motor_coulomb2" in said.out
     content = json.loads(verdict.read_text())
     (found,) = content["findings"]
     assert (found["effect"], found["joint"], found["unit"]) == ("motor_coulomb", "elbow", "Nm")

@@ -132,7 +132,7 @@ def test_what_a_mission_cannot_be_is_refused(
     monkeypatch.chdir(ROOT)
     for arguments, words in (
         (["5min"], "there is no length '5min'"),
-        (["60s", "--door=window"], "there is no door 'window'"),
+        (["60s", "--door=window"], "'window' is not a value of --door"),
         (["60s", "--example=nothing"], "no such file"),
     ):
         assert status(arguments) == 2

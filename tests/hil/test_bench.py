@@ -93,7 +93,7 @@ def test_a_frame_of_ones_own(bus: can.BusABC, plant: Plant, dut: Dut) -> None:
 
 def test_what_does_not_answer_is_named(plant: Plant, dut: Dut) -> None:
     stream = plant.run(50)
-    with pytest.raises(ZygosError, match=r"no answer \(frame 0x1A0\) to 15 SYNCs for 0.5 s; remedy: see whether"):
+    with pytest.raises(ZygosError, match=r"no answer \(frame 0x1A0\) to 15 SYNCs for 0.5 s; remedy: check that"):
         replace(plant, patience_s=0.5).send(stream)
     with pytest.raises(ZygosError, match=r"nothere0: .*No such device; remedy"):
         replace(plant, channel="nothere0").send(stream)

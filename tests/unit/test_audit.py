@@ -425,7 +425,7 @@ def test_a_scale_of_a_stiff_joint(robot: tuple[Arm, Cycles]) -> None:
             assert scale == pytest.approx(factor, rel=0.002)
         else:
             assert max(scale, 1 / scale) == pytest.approx(factor, rel=0.002)
-            assert "angle scaled would do as well" in said.evidence
+            assert "angle scaled would explain it equally well" in said.evidence
 
 
 # --------------------------------------------------------------------------------------------------- the parts

@@ -129,7 +129,7 @@ ENTRY = '[[effect]]\nkind = "motor_coulomb"\njoint = "elbow"\nvalue = 0.3\nunit 
         ("0.3", '0.3\nsource = "guess"', r"effect\[0\]\.source"),
         ("0.3", '0.3\nvalues = 3', r"effect\[0\]\.values: unknown key"),
         ('motor_coulomb"', 'angular_momentum"', r"effect\[0\]\.joint: unknown key|effect\[0\]\.unit"),
-        (ENTRY, ENTRY + ENTRY, r"effect\[1\]\.kind: motor_coulomb at elbow stands twice"),
+        (ENTRY, ENTRY + ENTRY, r"effect\[1\]\.kind: motor_coulomb at elbow appears twice"),
     ],
 )  # fmt: skip
 def test_model_file_refusals(tmp_path: Path, find: str, put: str, message: str) -> None:

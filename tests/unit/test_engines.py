@@ -290,7 +290,7 @@ def test_what_an_engine_refuses(name: str) -> None:
 
 def test_an_unknown_engine_is_refused() -> None:
     arm, model, _ = lively()
-    with pytest.raises(ZygosError, match="no engine 'ode'; remedy: one of pinocchio, mujoco"):
+    with pytest.raises(ZygosError, match="no engine 'ode'; remedy: use one of pinocchio, mujoco"):
         engine("ode", arm, model)
 
 
@@ -306,5 +306,5 @@ def test_mujoco_names_the_model_that_it_refuses() -> None:
     arm, model = random_arm(0, 1, "free")
     entries = map(Quantity, (1.0, 0.0, 0.0, 1.0, 0.0, 3.0))
     impossible: Body = replace(model.bodies[1], inertia=tuple(entries))
-    with pytest.raises(ZygosError, match=r"model random: MuJoCo refuses.*inertia.*remedy"):
+    with pytest.raises(ZygosError, match=r"model random: MuJoCo rejects it.*inertia.*remedy"):
         engine("mujoco", arm, replace(model, bodies=(model.bodies[0], impossible)))

@@ -134,7 +134,7 @@ def test_a_failed_write_leaves_the_file(tmp_path: Path, monkeypatch: pytest.Monk
     ("origin_xyz = [2.5, 0, 0]", "origin_xyz = [2.5, 0]", r"body\[2\]\.origin_xyz"),
     ("origin_xyz = [2.5, 0, 0]", "origin_xyz = [2.5, 0, 0]\njoint_xyz = [5, 0, 0]", r"body\[2\]\.joint_xyz"),
     ("joint_xyz = [10, 0, 0]", "", r"body\[1\]\.joint_xyz: is missing"),
-    ("ixx = 33.3", "ixx = 3.3e3", r"body\[1\]\.ixx: no body has the principal moments"),
+    ("ixx = 33.3", "ixx = 3.3e3", r"body\[1\]\.ixx: no body can have the principal moments"),
     ("ixx = 33.3", "ixx = -33.3", r"body\[1\]\.ixx"),
     ("rotor_inertia = 1.0", "rotor_inertia = 0", r"joint\[0\]\.rotor_inertia"),
     ("damping = 85.0", "damping = -1.0", r"joint\[0\]\.damping"),

@@ -174,7 +174,7 @@ def test_engines_and_arms_that_commands_refuse(tmp_path: Path, capsys: pytest.Ca
 
     out = tmp_path / "run.blf"
     assert run_command("simulate", SPATIAL / "scenario.toml", "--engine", "ode", "-o", out) == 2
-    assert "there is no engine 'ode'; remedy: one of zygos, pinocchio, mujoco" in capsys.readouterr().err
+    assert "there is no engine 'ode'; remedy: use one of zygos, pinocchio, mujoco" in capsys.readouterr().err
     assert not out.exists()
     assert run_command("paper", "--seeds", 2, "--example", SPATIAL) == 2
     assert "the paper's methods need a free-floating arm that moves in a plane" in capsys.readouterr().err

@@ -92,7 +92,7 @@ def test_friction_of_a_joint_that_moves_is_unexplained_and_no_lack_of_motion(lev
     assert (found.validity, found.reason, found.rank) == ("refused", UNEXPLAINED, 1)
     assert "excite" not in found.reason and "determine" not in found.reason
     said = measured(found, watch.flight)
-    assert re.match(r"\d[\d.]* % of the work's variance is left over, rank 1 of 1$", said)
+    assert re.match(r"\d[\d.]* % of the variance of the work is unexplained, rank 1 of 1$", said)
     share = watch.flight.unexplained(found)
     assert 0.1 < share <= 1.0 + 1e-9
     helps = remedy(found, watch.flight, watch.known)

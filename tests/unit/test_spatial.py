@@ -195,5 +195,5 @@ def test_bodies_have_a_matrix_that_could_be_built(joints: int, base: str) -> Non
 def test_a_stiffness_where_the_arm_is_rigid() -> None:
     arm, model = random_arm(0, 2, "free", flexible=True)
     rigid = replace(arm, joints=tuple(replace(joint, flexible=False) for joint in arm.joints))
-    with pytest.raises(ZygosError, match=r"in arm random it is rigid; remedy: stiffness = inf"):
+    with pytest.raises(ZygosError, match=r"in arm random it is rigid; remedy: write stiffness = inf"):
         model.base_values(rigid)

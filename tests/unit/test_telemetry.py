@@ -124,9 +124,13 @@ def test_the_cycles_have_every_channel_in_its_place(arm: Arm, tmp_path: Path) ->
 
 
 REFUSED_MAPS = [
-    ('unit = "Nm"', 'unit = "Nn"', r'torque.unit: "Nn" is no unit of torque; remedy: write one of "Nm", "mNm", "kNm"'),
-    ('unit = "rad", side', 'unit = "Nm", side', r'motor.unit: "Nm" is no unit of angle'),
-    ('unit = "rad/s"', 'unit = "rad"', r'gyro.x.unit: "rad" is no unit of rate; remedy: .*"deg/s".*"rpm"'),
+    (
+        'unit = "Nm"',
+        'unit = "Nn"',
+        r'torque.unit: "Nn" is not a unit of torque; remedy: write one of "Nm", "mNm", "kNm"',
+    ),
+    ('unit = "rad", side', 'unit = "Nm", side', r'motor.unit: "Nm" is not a unit of angle'),
+    ('unit = "rad/s"', 'unit = "rad"', r'gyro.x.unit: "rad" is not a unit of rate; remedy: .*"deg/s".*"rpm"'),
     ('unit = "rad", side', 'unit = "counts", side', r"motor.counts_per_turn: is missing"),
     ('unit = "Nm"', 'unit = "A"', r"torque.torque_constant: is missing"),
     (', side = "output"', "", r"motor.side: is missing"),
@@ -135,15 +139,15 @@ REFUSED_MAPS = [
         'name = "elbo"',
         r'joint\[1\].name: "elbo" is no joint of arm lively; remedy: did you mean "elbow"',
     ),
-    ('name = "elbow"', 'name = "shoulder"', r'"shoulder" stands twice'),
+    ('name = "elbow"', 'name = "shoulder"', r'"shoulder" appears twice'),
     (JOINT.format(name="elbow", i=2), "", r"joint: no entry for elbow of arm lively"),
     (GYRO, "", r"gyro: is missing"),
     ('z = { column = "wz", unit = "rad/s" }', "", r"gyro.z: is missing"),
     ('column = "m1"', 'signal = "Drive.Motor"', r"motor.signal: the input is a table"),
     ('interpolation = "cubic"\n', "", r"time.interpolation: is missing"),
     ('"column"', '"receive"', r"time.source: 'receive' is not known; remedy: write \"sync\" or \"column\""),
-    ('unit = "s"', 'unit = "min"', r'time.unit: "min" is no unit of time'),
-    (GRID, SYNC + "period_s = 0.03\n", r"time.period_s: a count lasts 0.03 s, a period of arm lively 0.05 s"),
+    ('unit = "s"', 'unit = "min"', r'time.unit: "min" is not a unit of time'),
+    (GRID, SYNC + "period_s = 0.03\n", r"time.period_s: a count lasts 0.03 s, and 0.05 s, a period of arm lively, is not a multiple"),
     ('column = "l1"', 'colum = "l1"', r"link.column: is missing"),
     ('unit = "rad/s"', 'unit = "rad/s", sing = -1', r'gyro.x.sing: unknown key; remedy: did you mean "sign"'),
     ('unit = "rad/s"', 'unit = "rad/s", scale = 0', r"gyro.x.scale: is 0"),
@@ -162,7 +166,7 @@ def test_maps_that_are_refused(arm: Arm, tmp_path: Path, old: str, new: str, mes
 def test_a_fixed_base_has_no_gyro_and_a_rigid_joint_no_link(arm: Arm, tmp_path: Path) -> None:
     rigid = replace(arm.joints[0], flexible=False)
     ground = replace(arm, base="fixed", joints=(rigid, arm.joints[1]))
-    with pytest.raises(ZygosError, match=r"joint\[0\].link: a rigid joint has one angle"):
+    with pytest.raises(ZygosError, match=r"joint\[0\].link: a rigid joint has only its motor's angle"):
         mapping(tmp_path, ground)
     text = SYNC + JOINTS.replace('link = { column = "l1", unit = "rad" }\n', "")
     with pytest.raises(ZygosError, match="gyro: the base of arm lively is fixed"):
@@ -205,7 +209,7 @@ def test_a_counter_that_wraps_and_counts_milliseconds(arm: Arm, tmp_path: Path) 
     columns["n"][7] += 3
     with pytest.raises(ZygosError, match=r"time: counter n steps by 53 at value 8, a cycle has 50 counts"):
         counted(arm, tmp_path, columns, SYNC + "modulo = 1000\nperiod_s = 0.001\n")
-    with pytest.raises(ZygosError, match="counter n falls after value 6"):
+    with pytest.raises(ZygosError, match="counter n decreases after value 6"):
         counted(arm, tmp_path, columns, SYNC)
 
 
@@ -518,8 +522,8 @@ BAD_TABLES = [
     ("q2,", "p2,", r"has no column q2; remedy: it needs sync q1 q2"),
     ("flags\n", "flags,tau3\n", r"tau3 is no column of a cycle table of 2 joints"),
     ("\n1,", "\n0,", r"sync does not increase after row 1 \(0, then 0\)"),
-    ("\n1,", "\n1.5,", r"column sync holds something else than whole numbers"),
-    ("\n1,", "\none,", r"column sync holds something else than whole numbers"),
+    ("\n1,", "\n1.5,", r"column sync has values that are not whole numbers"),
+    ("\n1,", "\none,", r"column sync has values that are not whole numbers"),
 ]
 
 

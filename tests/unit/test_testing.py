@@ -200,8 +200,8 @@ NOTHING: list[tuple[Fault, str]] = [
     (faults.drop(joint=1, cycles=[]), r"no frame of joint 1 in cycles \(none\); remedy"),
     (faults.drop(joint=1, cycles=[500]), "in cycles 500 to 500; remedy: .* up to cycle 120"),
     (faults.late(message="time", cycles=[3]), "no time in cycles 3 to 3; remedy"),
-    (faults.error(kind="off", cycles=[3]), "'off' is no error of a controller; remedy: one of bus-off"),  # type: ignore[arg-type]
-    (faults.drop(message="rate", cycles=[3]), "there is no message 'rate'; remedy: one of sync, time"),  # type: ignore[arg-type]
+    (faults.error(kind="off", cycles=[3]), "'off' is not an error of a controller; remedy: use one of bus-off"),  # type: ignore[arg-type]
+    (faults.drop(message="rate", cycles=[3]), "there is no message 'rate'; remedy: use one of sync, time"),  # type: ignore[arg-type]
 ]
 
 

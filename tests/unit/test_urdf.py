@@ -190,9 +190,9 @@ BROKEN: dict[str, tuple[Callable[[str], str], str]] = {
             '<link name="d"/><link name="e"/><joint name="x" type="fixed"><parent link="d"/><child link="e"/></joint>'
             '<joint name="y" type="fixed"><parent link="e"/><child link="d"/></joint></robot>',
         ),
-        "d, e hang on one another",
+        "d, e form a loop",
     ),
-    "two roots": (swapped("</robot>", '<link name="d"/></robot>'), "a, d hang on nothing"),
+    "two roots": (swapped("</robot>", '<link name="d"/></robot>'), "a, d have no parent"),
     "twice": (swapped('name="b"', 'name="a"'), "two links are called a"),
     "zero axis": (swapped("0 0 2", "0 0 0"), "has no direction"),
     "short axis": (swapped("0 0 2", "0 2"), "vector length"),
@@ -235,7 +235,7 @@ def test_a_link_that_floats_off_is_refused_and_a_world_is_not_part_of_the_arm(tm
     with pytest.raises(ZygosError, match="joint orbit is floating: the joints of the chain must turn"):
         read_chain(file)
     file.write_text(SOUND.replace("</robot>", world.format(LINK) + "</joint></robot>"))
-    with pytest.raises(ZygosError, match="nothing holds world to the arm"):
+    with pytest.raises(ZygosError, match="nothing fixes world to the arm"):
         read_chain(file, base="a")
 
 
@@ -246,7 +246,7 @@ def test_what_is_not_used_is_said(tmp_path: Path) -> None:
     chain, _ = read_chain(file)
     assert chain.hinges[1].axis == (1.0, 0.0, 0.0)  # URDF's default
     assert "two (damping 3, friction 0.5)" in " ".join(chain.notes)
-    assert "<limit> is not used, arm.toml has no limits: two" in chain.notes
+    assert "<limit> is not used, because arm.toml has no limits: two" in chain.notes
 
 
 # --- from base parameters

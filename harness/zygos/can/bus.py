@@ -36,8 +36,8 @@ _SLOT_S = 150e-6
 
 
 def to_messages(frames: NDArray[Any], period_s: float) -> list[can.Message]:
-    """`FRAME` records (n,) as messages; the k-th SYNC has the time stamp k * period_s. No command reads these
-    stamps."""
+    """`FRAME` records (n,) as messages; the k-th SYNC has the time stamp k * period_s. The stamps are only for
+    people to read."""
     cycle = np.maximum(np.cumsum(frames["id"] == _SYNC) - 1, 0)
     first = np.maximum.accumulate(np.where(frames["id"] == _SYNC, np.arange(len(frames)), 0))
     stamps = cycle * period_s + (np.arange(len(frames)) - first) * min(_SLOT_S, period_s / 20)

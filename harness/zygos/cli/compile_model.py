@@ -66,5 +66,7 @@ def command(
     Writes arm_config.h, for C11 and C++17, with the configuration and the indices of the parameters (ARM_k1), and
     arm.zyg, the bytes of the same configuration in this build after a header with layout and CRC (docs/snapshot.md),
     which `zygos-node` loads. A configuration that the flight library would refuse is not written.
+
+    Example: zygos compile-model examples/paper/arm.toml -o out/onboard
     """
     compile_model(arm, out, model, json)

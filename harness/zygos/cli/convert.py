@@ -175,8 +175,7 @@ def _judge(
             raise Undecided(
                 f"{jitter}, which looks like motion in the bandwidth test; with even stamps the same samples pass at "
                 f'{rate:.4g} Hz ({out} written); remedy: use a cycle counter (source = "sync"), or a time that is '
-                "taken "
-                "with the sample; recording faster does not help"
+                "taken with the sample; recording faster does not help"
             )
         # a number that even stamps reduce is not due to the motion alone
         known = [one for one in (needed, even) if one is not None]

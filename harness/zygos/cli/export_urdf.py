@@ -118,8 +118,9 @@ def command(
     """Write a URDF with the inertials of a model; everything else in the URDF is unchanged.
 
     Base parameters, as `zygos estimate` writes them, do not determine every inertial. Of all bodies that have them,
-    those nearest to the bodies of --cad are written, and a table shows which entries are determined. Exit code 3 when
-    no physically possible bodies have these base parameters.
+    those nearest to the bodies of --cad are written, and a table shows which entries are determined.
+
+    Exit code 3 when no physically possible bodies have these base parameters.
 
     Example: zygos export --arm arm.toml --model estimate.toml --cad model.toml --urdf arm.urdf -o new.urdf
     """

@@ -1,4 +1,4 @@
-"""The rows of the motors and of the momentum beside those of the energy, and their weights (docs/theory.md)."""
+"""The rows of the motors and of the momentum, their weights, and their use with the energy rows (docs/theory.md)."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ _SPRING = ("link_encoder", "stiffness", "damping")
 """Keys that a rigid joint does not have."""
 JOINT = ("node", "gear_ratio", *_ENCODERS, "torque_sigma", "latch_us", "flexible", *_DRIVE)
 TOP = ("base", "period_s", "torque_law", "gravity", "imu", "smoother", "arc")
-_OPTIONAL = "# beside these, where wanted: rotor_mass, torque_sigma, flexible, latch_us, and what else an encoder has"
+_OPTIONAL = "# optional, too: rotor_mass, torque_sigma, flexible, latch_us, and the other keys of an encoder"
 _ON_EARTH = (0.0, 0.0, -9.81)
 
 

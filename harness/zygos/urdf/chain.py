@@ -422,8 +422,7 @@ class _Tree:
         if lossy:
             yield (
                 f"<dynamics> is not used: {', '.join(lossy)}; in zygos damping is a property of the spring, and "
-                "friction an "
-                "[[effect]] of model.toml"
+                "friction an [[effect]] of model.toml"
             )
         if limited := [name for name in self.limited if name in hinges]:
             yield f"<limit> is not used, because arm.toml has no limits: {', '.join(limited)}"
