@@ -1,9 +1,35 @@
 #include "zygos/effects.h"
 
+/* No switch over the kinds has a default, so that the compiler names each one that lacks a kind. */
+
 /* Whether the column is energy of the spring: a state without a history, of either sign. */
 static bool stored(const zygos_effect_config_t *effect)
 {
-    return (effect->kind == ZYGOS_CUBIC_STIFFNESS) || (effect->kind == ZYGOS_SPRING_OFFSET);
+    switch ((enum zygos_effect_kind)effect->kind) {
+    case ZYGOS_CUBIC_STIFFNESS:
+    case ZYGOS_SPRING_OFFSET:
+        return true;
+    case ZYGOS_MOTOR_COULOMB:
+    case ZYGOS_MOTOR_VISCOUS:
+    case ZYGOS_LINK_COULOMB:
+    case ZYGOS_TORQUE_LAG:
+        break;
+    }
+    return false;
+}
+
+static bool known(const zygos_effect_config_t *effect)
+{
+    switch ((enum zygos_effect_kind)effect->kind) {
+    case ZYGOS_MOTOR_COULOMB:
+    case ZYGOS_MOTOR_VISCOUS:
+    case ZYGOS_LINK_COULOMB:
+    case ZYGOS_CUBIC_STIFFNESS:
+    case ZYGOS_TORQUE_LAG:
+    case ZYGOS_SPRING_OFFSET:
+        return true;
+    }
+    return false;
 }
 
 int zygos_effects_check(const zygos_config_t *config)
@@ -13,7 +39,7 @@ int zygos_effects_check(const zygos_config_t *config)
     }
     for (uint32_t e = 0; e < config->effects; e++) {
         const zygos_effect_config_t *effect = &config->effect[e];
-        if ((effect->kind > ZYGOS_SPRING_OFFSET) || (effect->joint >= config->joints)) {
+        if (!known(effect) || (effect->joint >= config->joints)) {
             return ZYGOS_E_EFFECT;
         }
         if (stored(effect) && (config->joint[effect->joint].rigid != 0)) {
@@ -50,7 +76,7 @@ static double newest(const zygos_effect_config_t *effect, double ratio, const zy
     const double motor = state->theta_rate[effect->joint];
     const double link = state->q_rate[effect->joint];
     const double deflection = state->theta[effect->joint] - state->q[effect->joint];
-    switch (effect->kind) {
+    switch ((enum zygos_effect_kind)effect->kind) {
     case ZYGOS_MOTOR_COULOMB:
         return ratio * zygos_effects_saturated(motor) * motor;
     case ZYGOS_MOTOR_VISCOUS:
@@ -61,9 +87,10 @@ static double newest(const zygos_effect_config_t *effect, double ratio, const zy
         return 0.25 * deflection * deflection * deflection * deflection;
     case ZYGOS_SPRING_OFFSET:
         return deflection;
-    default:
+    case ZYGOS_TORQUE_LAG:
         return ratio * torque_step * motor;
     }
+    return 0.0;
 }
 
 void zygos_effects_advance(zygos_effects_t *self, const zygos_config_t *config, const zygos_arm_state_t *state,
@@ -111,7 +138,7 @@ void zygos_effects_motor_slopes(const zygos_config_t *config, uint32_t e, const 
     const double ratio = config->joint[i].gear_ratio;
     *by_angle = 0.0;
     *by_rate = 0.0;
-    switch (config->effect[e].kind) {
+    switch ((enum zygos_effect_kind)config->effect[e].kind) {
     case ZYGOS_MOTOR_COULOMB:
         *by_angle = ratio * zygos_effects_saturated(state->theta_rate[i]);
         break;
@@ -127,7 +154,7 @@ void zygos_effects_motor_slopes(const zygos_config_t *config, uint32_t e, const 
     case ZYGOS_TORQUE_LAG:
         *by_rate = 0.5 * ratio * torque_step;
         break;
-    default:
+    case ZYGOS_LINK_COULOMB:
         break;
     }
 }
@@ -135,16 +162,19 @@ void zygos_effects_motor_slopes(const zygos_config_t *config, uint32_t e, const 
 double zygos_effects_link_slope(const zygos_config_t *config, uint32_t e, const zygos_arm_state_t *state)
 {
     const uint32_t i = config->effect[e].joint;
-    switch (config->effect[e].kind) {
+    switch ((enum zygos_effect_kind)config->effect[e].kind) {
     case ZYGOS_LINK_COULOMB:
         return zygos_effects_saturated(state->q_rate[i]);
     case ZYGOS_CUBIC_STIFFNESS:
         return -cube(state, i);
     case ZYGOS_SPRING_OFFSET:
         return -1.0;
-    default:
-        return 0.0;
+    case ZYGOS_MOTOR_COULOMB:
+    case ZYGOS_MOTOR_VISCOUS:
+    case ZYGOS_TORQUE_LAG:
+        break;
     }
+    return 0.0;
 }
 
 void zygos_effects_columns(const zygos_effects_t *self, const zygos_config_t *config, double *column)

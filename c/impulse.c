@@ -44,7 +44,7 @@ static double effect_column(uint32_t kind, double ratio, double theta, double th
                             double tau_mean, double *integrand)
 {
     *integrand = 0.0;
-    switch (kind) {
+    switch ((enum zygos_effect_kind)kind) {
     case ZYGOS_MOTOR_COULOMB:
         *integrand = ratio * zygos_effects_saturated(theta_rate);
         return 0.0;
@@ -56,9 +56,12 @@ static double effect_column(uint32_t kind, double ratio, double theta, double th
     case ZYGOS_SPRING_OFFSET:
         *integrand = 1.0;
         return 0.0;
-    default:
+    case ZYGOS_TORQUE_LAG:
         return ratio * tau_mean;
+    case ZYGOS_LINK_COULOMB: /* acts on no rotor, and has no column here */
+        break;
     }
+    return 0.0;
 }
 
 int zygos_impulse_row(zygos_impulse_t *self, const zygos_config_t *config, const zygos_impulse_column_map_t *column_map,

@@ -6,13 +6,15 @@ import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+import tomlkit
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from zygos.errors import ZygosError
+from zygos.files.output import write_text
 from zygos.files.toml import Table
 
 Base = Literal["free", "fixed"]
@@ -30,12 +32,12 @@ _TORQUE_ATS: tuple[TorqueAt, ...] = ("rotor",)
 _RESOLUTIONS: tuple[Resolution, ...] = ("fine", "coarse")
 _TORQUE_LAWS: tuple[TorqueLaw, ...] = ("applied_from_sync", "applied_previous_cycle", "sampled")
 WIRE_STEP_RAD = 2.0 * math.pi / 2**20
-"""An angle's step on the wire."""
+"""Step of an angle in a CAN frame, rad."""
 MOMENTUM_ARC_S = 10.0
-"""Arcs of momentum rows where an arm has them by default."""
-_LATCH_MAX_US = 65_535  # the wire carries the latch delay as u16
+"""Longest arc of the momentum rows of an arm that has them by default, s."""
+_LATCH_MAX_US = 65_535  # the CAN frame carries the latch delay as u16
 _SHORTEST_MEMORY = 2
-"""Arcs."""
+"""Shortest memory, as a number of arcs."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,7 @@ class Encoder:
     sign: int = 1
     zero_rad: float = 0.0
     zero_sigma_rad: float = 0.0
-    """How well `zero_rad` is known, rad. Above 0 the joint's spring is estimated with an offset."""
+    """Standard deviation of `zero_rad`, rad. Above 0 the joint's spring is estimated with an offset."""
     latch_us: int = 0
     """Delay of this encoder's latch after SYNC in µs, on top of the joint's."""
 
@@ -62,14 +64,15 @@ class Encoder:
 
     @property
     def over_the_wire(self) -> Encoder:
-        """The same encoder with the error that its readings have once the wire has rounded them (docs/wire.md).
+        """The same encoder with the error that its readings have after rounding to the steps of the CAN frame
+        (docs/wire.md).
 
-        One without a quantum stays exact, so that nothing is held against its noise.
+        An encoder without a quantum stays exact, so that its declared noise remains zero.
         """
         if self.quantum_rad == 0.0:
             return self
         steps = self.quantum_rad / WIRE_STEP_RAD
-        # readings that lie on the wire's own grid are not rounded again
+        # readings that lie on the steps of the CAN frame are not rounded again
         aligned = steps > 0.5 and abs(steps - round(steps)) < 1e-6
         return self if aligned else replace(self, quantum_rad=math.hypot(self.quantum_rad, WIRE_STEP_RAD))
 
@@ -87,18 +90,20 @@ class Joint:
     """Attitude of the joint frame in the carrying body, rad, as URDF's <origin rpy>."""
     gear_ratio: float
     link_encoder: Encoder
-    """Of a rigid joint: the motor's, which then speaks for both sides."""
+    """Encoder of the link angle. A rigid joint has the motor's encoder here as well, which then measures both
+    angles."""
     motor_encoder: Encoder
     torque_sigma: float = 0.0
     """Standard deviation of the reported rotor torque, Nm."""
     latch_us: int = 0
-    """Delay of both encoders' latch after SYNC in µs, as stated on the wire."""
+    """Delay of both encoders' latch after SYNC in µs, as stated in the CAN frame."""
     flexible: bool = True
     """Whether the joint has a spring; a rigid one has theta = q, and neither stiffness nor damping."""
 
     @property
     def unsure_zero(self) -> bool:
-        """Whether the encoders may disagree about where theta = q: the zero of one has a deviation."""
+        """Whether the encoders may disagree about where theta = q: one of their zeros has a standard deviation above
+        0."""
         return self.flexible and max(self.link_encoder.zero_sigma_rad, self.motor_encoder.zero_sigma_rad) > 0.0
 
 
@@ -107,7 +112,7 @@ class Imu:
     """The base's rate gyro."""
 
     node: int
-    """CAN node number, 1..31; 0: there is none, as on a fixed base."""
+    """CAN node number, 1..31; 0 where there is no gyro, as on a fixed base."""
     mount_xyzw: tuple[float, float, float, float]
     """Rotation from the sensor's frame to the base's, scalar last."""
     rate_sigma: float
@@ -119,7 +124,7 @@ class Imu:
 
 
 NO_IMU = Imu(node=0, mount_xyzw=(0.0, 0.0, 0.0, 1.0), rate_sigma=0.0, bias_walk=0.0)
-"""What a fixed base has: its rate is zero, and nobody reports it."""
+"""The gyro entry of an arm with a fixed base: the rate of the base is zero, and no node sends it."""
 
 
 @dataclass(frozen=True)
@@ -147,16 +152,16 @@ class Arm:
     smoother: Smoother = Smoother()
     arc_max_s: float = 60.0
     impulse_arc_s: float = 10.0
-    """Longest arc of the motor impulse rows, s; 0: none of them. Their noise sums up over an arc."""
+    """Longest arc of the motor impulse rows, s; 0 switches these rows off. Their noise accumulates over an arc."""
     memory_s: float | None = None
-    """Time in which what closed arcs left fades to 1/e, s; None: it does not."""
+    """Time in which the contribution of a closed arc to the estimate fades to 1/e, s; None: it does not fade."""
     compensate_every: int | None = None
-    """What sensor noise adds to the normal equations is taken off, each sensor's share in every that many cycles; 0: it
-    is not. None: `compensation`."""
+    """Interval of the noise compensation in cycles: the contribution of sensor noise to the normal equations is
+    subtracted, for each sensor once in that many cycles. 0: it is not subtracted. None: `compensation` applies."""
     momentum_max_s: float | None = None
-    """Longest arc of the momentum rows of a floating base, s; 0: none of them. None: `momentum_arc_s`."""
+    """Longest arc of the momentum rows of a floating base, s; 0 switches these rows off. None: `momentum_arc_s`."""
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """m/s^2 in the base frame, of a fixed base; a free-floating arm falls with its orbit and feels none."""
+    """Gravity in the base frame, m/s^2, for a fixed base; a free-floating arm falls with its orbit and feels none."""
 
     @property
     def free(self) -> bool:
@@ -165,13 +170,14 @@ class Arm:
 
     @property
     def compensation(self) -> int:
-        """Cycles from one turn of a sensor's compensation to the next: by default one sensor has its turn a cycle."""
+        """Cycles between two compensations of the same sensor; by default one sensor is compensated in each cycle."""
         return 2 * self.n + 1 if self.compensate_every is None else self.compensate_every
 
     @property
     def momentum_arc_s(self) -> float:
-        """Longest arc of the momentum rows, s, 0 for none: by default 10 s for an arm that floats in space, whose
-        inertias they tell apart. The attitude of the base is integrated over an arc, with the gyro's bias."""
+        """Longest arc of the momentum rows, s; 0 switches these rows off. The default is 10 s for an arm that floats in
+        space, where these rows separate the inertias. The base's attitude is integrated over an arc, with the gyro's
+        bias."""
         default = MOMENTUM_ARC_S if self.free and self.spatial else 0.0
         return default if self.momentum_max_s is None else self.momentum_max_s
 
@@ -192,10 +198,11 @@ class Arm:
 
     @cached_property
     def body_parameters(self) -> tuple[tuple[str, str], ...]:
-        """Name and unit of the parameters that bodies have, before those of the joints.
+        """Name and unit of the body parameters, which come before those of the joints.
 
-        In space N[ia,jb], the upper triangle over 0x 0y 0z 1u 1v .. Nu Nv; in a plane a_ij, then b_ij; on a fixed base
-        without those of body 0, and with the first moments G[iu], G[iv] that gravity can move (docs/theory.md).
+        In space these are N[ia,jb], the upper triangle over 0x 0y 0z 1u 1v .. Nu Nv; in a plane a_ij, then b_ij. On a
+        fixed base those of body 0 are absent, and the first moments G[iu], G[iv] that gravity can move are added
+        (docs/theory.md).
         """
         first = 0 if self.free else 1
         bodies = range(first, self.n + 1)
@@ -204,7 +211,7 @@ class Arm:
                 f"{i}{p}" for i in range(1, self.n + 1) for p in "uv"
             ]
             names = [f"N[{a},{b}]" for k, a in enumerate(vectors) for b in vectors[k:]]
-            # with the base fixed, the first body turns about its axis only: two of its three entries are no parameters
+            # with the base fixed, the first body turns about its axis only: two of its three entries have no effect
             names = [name for name in names if self.free or name not in ("N[1u,1v]", "N[1v,1v]")]
         else:
             names = [f"a{i}{j}" for i in bodies for j in bodies if i <= j]
@@ -215,9 +222,10 @@ class Arm:
 
     @cached_property
     def joint_parameters(self) -> tuple[tuple[str, int, str], ...]:
-        """Kind, joint from 0 and unit of the parameters of the joints: Im, and k and b of a flexible one.
+        """Kind, joint (from 0) and unit of the joint parameters: Im, and for a flexible joint also k and b.
 
-        The rotor of a rigid first joint on a fixed base turns with its link alone, and is counted there.
+        The rotor of a rigid first joint on a fixed base turns with its link alone, so its inertia is part of the
+        link's.
         """
         listed: list[tuple[str, int, str]] = []
         for i, joint in enumerate(self.joints):
@@ -240,8 +248,8 @@ class Arm:
 
     @cached_property
     def feels_gravity(self) -> tuple[bool, ...]:
-        """(N,) whether gravity does work on the first moment of the body behind each joint as the joints move: not
-        while every axis up to it is vertical."""
+        """(N,) whether gravity does work on the first moment of the body behind each joint as the joints move. It does
+        not while every axis up to that joint is vertical."""
         gravity = np.array(self.gravity)
         weight = float(np.linalg.norm(gravity))
         if self.free or weight == 0.0:
@@ -289,13 +297,13 @@ class Arm:
     @cached_property
     def axis(self) -> NDArray[np.float64]:
         """(3,) the planar arm's common joint axis in the base frame. Errors: ZygosError if the axes are not parallel
-        and alike in sense."""
+        with the same sense."""
         axes = self.axes
         if np.max(np.abs(axes - axes[0])) > 1e-9:
             raise ZygosError(
-                f"arm {self.name}: the joint axes are not parallel and alike in sense, but kinetic is "
-                f'"{self.kinetic}"; remedy: kinetic = "spatial", or correct axis or frame_rpy (a reversed encoder is '
-                "sign = -1)"
+                f"arm {self.name}: the joint axes are not parallel with the same sense, but kinetic is "
+                f'"{self.kinetic}"; remedy: write kinetic = "spatial", or correct axis or frame_rpy (a reversed '
+                "encoder has sign = -1)"
             )
         common: NDArray[np.float64] = axes[0]
         return common
@@ -325,7 +333,7 @@ def read_arm(top: Table) -> Arm:
     if base == "fixed" and arc.has("momentum_max_s"):
         raise arc.error("momentum_max_s", "a fixed base takes up momentum", 'remove it, or write base = "free"')
     if base == "free" and top.has("gravity"):
-        raise top.error("gravity", "a free-floating arm feels none", 'remove it, or write base = "fixed"')
+        raise top.error("gravity", "a free-floating arm feels no gravity", 'remove it, or write base = "fixed"')
     imu = NO_IMU
     if base == "free":
         imu = _imu(
@@ -439,7 +447,7 @@ def read_joint(table: Table) -> Joint:
     flexible = table.boolean("flexible", "Whether the joint has a spring. A rigid joint has none.", True)
     if not flexible and table.has("link_encoder"):
         raise table.error(
-            "link_encoder", "a rigid joint has one angle, its motor encoder's", "remove it, or write flexible = true"
+            "link_encoder", "a rigid joint has only its motor's encoder", "remove it, or write flexible = true"
         )
     motor_encoder = _encoder(table.table("motor_encoder", "The encoder of the motor."), gear_ratio)
     joint = Joint(
@@ -479,14 +487,14 @@ def _link_encoder(table: Table) -> Encoder:
 
 
 def _encoder(table: Table, gear_ratio: float | None) -> Encoder:
-    """The link's encoder has no side (gear_ratio None); the motor's sits at the output or on the rotor."""
+    """Read an encoder. The link's has no side (gear_ratio None); the motor's is at the output or on the rotor."""
     side: Side = "output"
     if gear_ratio is not None:
         side = table.choice("side", "The side of the gear at which the encoder of the motor sits.", _SIDES)
     counts: int | None = None
     if table.has("quantum_rad"):
         if table.has("counts"):
-            raise table.error("quantum_rad", "stands beside counts", "state one of the two")
+            raise table.error("quantum_rad", "is given together with counts", "state one of the two")
         quantum = table.number(
             "quantum_rad",
             "Step of the encoder's reading, as an angle of its own disc. It may be given in place of counts.",
@@ -591,7 +599,7 @@ def _imu(table: Table) -> Imu:
 def _smoother(table: Table) -> Smoother:
     points = table.integer("points", "Number of cycles in the filter's window, an odd number.", 7, low=5, high=31)
     if points % 2 == 0:
-        raise table.error("points", f"{points} is even", "write an odd number: the filter is centred on its instant")
+        raise table.error("points", f"{points} is even", "write an odd number: the filter needs a middle sample")
     order = table.integer(
         "order",
         "Order of the polynomial that is fitted to the window, at most points - 3.",
@@ -617,7 +625,7 @@ def _smoother(table: Table) -> Smoother:
     if lag != points // 2:
         raise table.error(
             "lag",
-            f"{lag} makes end-point filters, whose errors are 30 times larger",
+            f"{lag} would need end-point filters, whose errors are 30 times larger",
             f"write lag = {points // 2} (points // 2) or leave it out",
         )
     table.finish()
@@ -625,7 +633,7 @@ def _smoother(table: Table) -> Smoother:
 
 
 def _within(latch_us: int, period_s: float) -> bool:
-    """Whether a latch comes before the next SYNC; half a microsecond settles rounding of the period."""
+    """Whether a latch comes before the next SYNC, with half a microsecond of tolerance for a rounded period."""
     return latch_us + 0.5 < period_s * 1e6
 
 
@@ -641,7 +649,7 @@ def _check_whole(arm: Arm, top: Table) -> None:
     if arm.memory_s is not None and arm.memory_s < _SHORTEST_MEMORY * arm.arc_max_s:
         raise top.error(
             "arc.memory_min",
-            f"{arm.memory_s / 60.0:g} min are less than {_SHORTEST_MEMORY} arcs: too little to know a change by",
+            f"{arm.memory_s / 60.0:g} min are less than {_SHORTEST_MEMORY} arcs: too short to detect a change",
             f"give at least {_SHORTEST_MEMORY * arm.arc_max_s / 60.0:g} min, or shorter arcs (max_s)",
         )
     for index, joint in enumerate(arm.joints):
@@ -666,3 +674,53 @@ def _check_whole(arm: Arm, top: Table) -> None:
         _ = arm.axis
     except ZygosError as error:
         raise ZygosError(f"{top.file}: joint: {error}") from None
+
+
+def save_arm(arm: Arm, path: str | Path) -> None:
+    """Write `arm.toml` so that a reader sees the old file or the whole new one. Errors: ZygosError if it cannot be
+    written."""
+    document = tomlkit.document()
+    document.update({"name": arm.name, "base": arm.base, "kinetic": arm.kinetic, "period_s": arm.period_s})
+    document.update({"torque_law": arm.torque_law, "torque_at": arm.torque_at})
+    if not arm.free:
+        document["gravity"] = list(arm.gravity)
+    joints = tomlkit.aot()
+    for joint in arm.joints:
+        entry = tomlkit.table()
+        entry.update({"name": joint.name, "node": joint.node, "axis": list(joint.axis)})
+        entry.update({"frame_rpy": list(joint.frame_rpy), "gear_ratio": joint.gear_ratio})
+        entry.update({"torque_sigma": joint.torque_sigma, "latch_us": joint.latch_us, "flexible": joint.flexible})
+        if joint.flexible:
+            entry["link_encoder"] = _encoder_entry(joint.link_encoder)
+        entry["motor_encoder"] = _encoder_entry(joint.motor_encoder, joint.gear_ratio)
+        joints.append(entry)
+    document["joint"] = joints
+    if arm.free:
+        imu = {"node": arm.imu.node, "mount_xyzw": list(arm.imu.mount_xyzw), "rate_sigma": arm.imu.rate_sigma}
+        others = {"bias_walk": arm.imu.bias_walk, "latch_us": arm.imu.latch_us, "resolution": arm.imu.resolution}
+        document["imu"] = imu | others
+    document["smoother"] = {"points": arm.smoother.points, "order": arm.smoother.order}
+    arc = {"max_s": arm.arc_max_s, "impulse_max_s": arm.impulse_arc_s}
+    if arm.momentum_max_s is not None:
+        arc["momentum_max_s"] = arm.momentum_max_s
+    if arm.memory_s is not None:
+        arc["memory_min"] = arm.memory_s / 60.0
+    document["arc"] = arc
+    if arm.compensate_every is not None:
+        document["compensation"] = {"every": arm.compensate_every}
+    write_text(Path(path), tomlkit.dumps(document))
+
+
+def _encoder_entry(encoder: Encoder, gear_ratio: float | None = None) -> Any:
+    """An encoder as `_encoder` reads it. gear_ratio: of the motor's encoder, which also says its side."""
+    entry = tomlkit.inline_table()
+    if encoder.counts is not None:
+        entry["counts"] = encoder.counts
+    else:
+        on_rotor = gear_ratio is not None and encoder.side == "rotor"
+        entry["quantum_rad"] = encoder.quantum_rad * (gear_ratio or 1.0) if on_rotor else encoder.quantum_rad
+    if gear_ratio is not None:
+        entry["side"] = encoder.side
+    entry.update({"sign": encoder.sign, "zero_rad": encoder.zero_rad, "zero_sigma_rad": encoder.zero_sigma_rad})
+    entry["latch_us"] = encoder.latch_us
+    return entry

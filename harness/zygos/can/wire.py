@@ -1,4 +1,4 @@
-"""What the frames of the wire mean: the shipped DBC, the identifiers of an arm, the steps of the codes."""
+"""The meaning of the CAN frames: the shipped DBC, the identifiers of an arm, the resolution of the coded values."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ EXTENDED, REMOTE, ERROR, FD = 1, 2, 4, 8
 
 
 BUS_OFF = 0x40
-"""Class of an error frame, a bit of its identifier: the controller has left the bus."""
+"""Class of an error frame, a bit of its identifier: the controller is bus-off."""
 
 
 UNWANTED = "unwanted"
-"""Part of a cycle that forbids its use: of a fine gyro, where the arm says that it is coarse."""
+"""Part of a cycle that makes it unusable: a frame of the fine gyro, where the arm declares a coarse one."""
 
 
 class Frame(NamedTuple):
-    """A CAN frame: identifier, data, and EXTENDED, REMOTE, ERROR, FD as flags."""
+    """A CAN frame: identifier, data, and the flags EXTENDED, REMOTE, ERROR, FD."""
 
     id: int
     data: bytes
@@ -43,7 +43,7 @@ class Frame(NamedTuple):
 
 
 class Kind(NamedTuple):
-    """What an identifier means for an arm: its message in the DBC, its E2E family and node, the joint it belongs to.
+    """Meaning of an identifier for an arm: its message in the DBC, its E2E family and node, the joint it belongs to.
 
     part: what the frame contributes to a cycle, None for SYNC and FTIME.
     """
@@ -57,7 +57,7 @@ class Kind(NamedTuple):
 
 @cache
 def database(coarse_gyro: bool = False) -> Database:
-    """The wire's DBC, with the messages of the coarse gyro in place of the fine one's."""
+    """The shipped DBC; with `coarse_gyro` the messages of the coarse gyro replace those of the fine one."""
     loaded = cantools.database.load_file(DBC_FOLDER / ("zygos-coarse-gyro.dbc" if coarse_gyro else "zygos.dbc"))
     assert isinstance(loaded, Database)
     return loaded
@@ -91,15 +91,16 @@ def data_ids(family: int, node: int) -> bytes:
 
 
 ANGLE_STEP, TORQUE_STEP = 2.0 * np.pi / 2**20, 1e-4
-"""Of the wire, rad and Nm."""
+"""Resolution of angles (rad) and torques (Nm) in the CAN frames."""
 
 
 RATE_STEP, COARSE_RATE_STEP = 2.0**-21, 2.0**-13
-"""Of the wire, rad/s."""
+"""Resolution of the rates of a fine and of a coarse gyro in the CAN frames, rad/s."""
 
 
 def over_the_wire(arm: Arm) -> Arm:
-    """The arm with the errors that its sensors have once the wire has rounded their readings (docs/wire.md)."""
+    """The arm with the errors that its sensors have after their readings are rounded in the CAN frames
+    (docs/wire.md)."""
 
     joints = tuple(
         replace(

@@ -1,4 +1,4 @@
-"""Strict reading of TOML tables: every refusal names the file, the key and the remedy.
+"""Strict reading of TOML tables: every error message names the file, the key and the remedy.
 
 Readers state the meaning of each key where they read it; `tools/reference.py` makes the reference pages of these.
 """
@@ -42,10 +42,10 @@ class Entry:
 
 
 class Table:
-    """One TOML table whose keys are taken out one by one; `finish` refuses what is left over."""
+    """One TOML table whose keys are read one by one; `finish` refuses the keys that were not read."""
 
     def __init__(self, data: Mapping[str, Any], file: Path, where: str = "") -> None:
-        """Hold a parsed table of `file` found at the dotted path `where`."""
+        """Store a parsed table of `file` found at the dotted path `where`."""
         self._data = dict(data)
         self._known: list[str] = []
         self.file = file
@@ -70,11 +70,11 @@ class Table:
             raise ZygosError(f"{file}: is not valid TOML ({error}); remedy: correct that line") from None
 
     def error(self, key: str, wrong: str, remedy: str) -> ZygosError:
-        """The refusal for one key of this table."""
+        """The error for one key of this table."""
         return ZygosError(f"{self.file}: {self._name(key)}: {wrong}; remedy: {remedy}")
 
     def has(self, key: str) -> bool:
-        """Whether the key is present and not yet taken."""
+        """Whether the key is present and has not been read yet."""
         return key in self._data
 
     def number(
@@ -118,7 +118,7 @@ class Table:
         return value
 
     def boolean(self, key: str, meaning: str, default: bool | None = None) -> bool:
-        """true or false."""
+        """Either true or false."""
         value = self._take(Entry(key, meaning, "true or false", default))
         if not isinstance(value, bool):
             raise self.error(key, f"{value!r} is neither true nor false", "write true or false, without quotes")
@@ -161,14 +161,14 @@ class Table:
         return tuple(self._checked(key, item, unit, low=-limit, high=limit) for item in value)
 
     def table(self, key: str, meaning: str, *, optional: bool = False, otherwise: str = "") -> Self:
-        """A sub-table; an absent optional one is empty."""
+        """A sub-table; a missing optional one is empty."""
         value = self._take(Entry(key, meaning, "a table", {} if optional else None, otherwise))
         if not isinstance(value, dict):
             raise self.error(key, f"{value!r} is not a table", f"write [{self._name(key)}] or {key} = {{ … }}")
         return self._within(value, self._name(key))
 
     def tables(self, key: str, meaning: str, *, optional: bool = False, otherwise: str = "") -> list[Self]:
-        """An array of tables ([[key]]), not empty unless optional."""
+        """An array of tables ([[key]]); it may be empty only if it is optional."""
         kind = f"at least one [[{self._name(key)}]]"
         value = self._take(Entry(key, meaning, kind, [] if optional else None, otherwise))
         if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
@@ -178,15 +178,15 @@ class Table:
         return [self._within(item, f"{self._name(key)}[{index}]") for index, item in enumerate(value)]
 
     def names(self) -> list[str]:
-        """The keys not yet taken, in file order."""
+        """The keys that have not been read yet, in file order."""
         return list(self._data)
 
     def peek(self, key: str) -> Any:
-        """The value of a present key as TOML gave it, without taking it."""
+        """The value of a present key as parsed from TOML; it still counts as not read."""
         return self._data[key]
 
     def finish(self) -> None:
-        """Refuse whatever key was not asked for. Errors: ZygosError naming the first of them."""
+        """Refuse keys that were not read. Errors: ZygosError naming the first of them."""
         for key in self._data:
             close = difflib.get_close_matches(key, self._known, n=1)
             remedy = f'did you mean "{close[0]}"?' if close else f"remove it; known here: {', '.join(self._known)}"

@@ -1,4 +1,4 @@
-"""What someone believes of an arm: masses, lengths, inertias, stiffness (`model.toml`).
+"""The assumed physical parameters of an arm: masses, lengths, inertias, stiffness (`model.toml`).
 
 A model is given either by its bodies and joints, or by base parameters (docs/theory.md). Both give `base_parameters`.
 """
@@ -23,7 +23,7 @@ from zygos.model import gram
 
 SOURCES = ("CAD", "test", "zygos")
 _LARGEST = 1e12
-"""Of masses, inertias, stiffnesses, dampings and sigmas, in SI units. A station has 1e9 kg m^2."""
+"""Largest accepted mass, inertia, stiffness, damping or sigma, in SI units. A space station has about 1e9 kg m^2."""
 _FARTHEST_M = 1e6
 INERTIA_KEYS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _SOURCE_MEANING = "Where the value comes from."
@@ -33,7 +33,7 @@ _JOINT_UNITS = {"rotor_mass": "kg", "rotor_inertia": "kg m^2", "stiffness": "Nm/
 
 @dataclass(frozen=True)
 class Quantity:
-    """A value with its standard deviation (0: taken as exact), where it comes from, and its unit."""
+    """A value with its standard deviation (0: assumed exact), its source, and its unit."""
 
     value: float
     sigma: float = 0.0
@@ -63,13 +63,13 @@ class Body:
 
 @dataclass(frozen=True)
 class JointModel:
-    """What the drive of one joint adds: its rotor, fixed in place to the carrying body, and its flexibility."""
+    """The drive of one joint: its rotor, which is mounted on the carrying body, and its flexibility."""
 
     name: str
     rotor_mass: Quantity
-    """kg, at the joint."""
+    """Mass in kg, located at the joint."""
     rotor_inertia: Quantity
-    """kg m^2, about the joint axis, before the gear; counted on the carrying body as well."""
+    """Inertia about the joint axis before the gear, kg m^2; the carrying body's inertia includes it as well."""
     stiffness: Quantity
     """Nm/rad, after the gear; infinite for a model whose joint is rigid."""
     damping: Quantity
@@ -90,7 +90,7 @@ class Model:
         """Base parameters by name, in the order of `arm.parameter_names`.
 
         Sigmas of a model given by bodies are propagated to first order. Errors: ZygosError if the model does not fit
-        the arm: other joints, missing or unknown parameters, b_ij where the arm says planar-symmetric.
+        the arm: different joints, missing or unknown parameters, b_ij for a planar-symmetric arm.
         """
         names = arm.parameter_names
         if not self.bodies:
@@ -101,7 +101,7 @@ class Model:
         quantities = self._quantities()
         inertial = quantities[: 7 * len(self.bodies)] + [joint.rotor_inertia for joint in self.joints]
         found = {quantity.source for quantity in inertial}
-        # a mixture is worth no more than its least certain part
+        # a mixture is only as certain as its least certain part
         sources = [next(source for source in SOURCES if source in found)] * len(arm.body_parameters)
         keys = {"Im": "rotor_inertia", "k": "stiffness", "b": "damping"}
         sources += [getattr(self.joints[i], keys[kind]).source for kind, i, _ in arm.joint_parameters]
@@ -126,12 +126,13 @@ class Model:
             sigma = np.array([quantity.sigma for quantity in self._named_parameters(arm).values()])
             return np.diag(sigma**2)
         self.check_fits(arm)
-        # an infinite stiffness is exact; its place only has to hold a number
+        # an infinite stiffness is exact; any finite number may stand in its place here
         scalars = np.nan_to_num(self._scalars(), posinf=1.0)
         sigmas = np.array([quantity.sigma for quantity in self._quantities()])
         columns = np.zeros((len(arm.parameter_names), len(scalars)))
         for index in np.flatnonzero(sigmas):
-            # central difference; the step is large against rounding, the third derivative negligible
+            # central difference; the step is large compared with rounding errors, and the third derivative is
+            # negligible
             step = 1e-4 * max(abs(scalars[index]), 1e-3)
             shift = np.zeros_like(scalars)
             shift[index] = step
@@ -151,23 +152,23 @@ class Model:
         return {name: self.parameters[name] for name in arm.parameter_names}
 
     def check_fits(self, arm: Arm) -> None:
-        """Refuse, with ZygosError, an arm whose joints are not those of this model by bodies."""
+        """Raise ZygosError if the joints of this model by bodies are not those of the arm."""
         names = [joint.name for joint in arm.joints]
         if [joint.name for joint in self.joints] != names:
             raise ZygosError(
                 f"model {self.name} has joints {[joint.name for joint in self.joints]}, arm {arm.name} "
-                f"has {names}; remedy: name the joints alike, from the base outwards"
+                f"has {names}; remedy: use the same joint names, in order from the base outwards"
             )
         if arm.free and self.bodies[0].mass.value == 0.0:
             raise ZygosError(
-                f"model {self.name}: the base {self.bodies[0].name} has no mass, but in arm {arm.name} it floats; "
+                f"model {self.name}: the base {self.bodies[0].name} has no mass, but it floats in arm {arm.name}; "
                 'remedy: give it mass and inertia, or write base = "fixed" in the arm file'
             )
         for ours, theirs in zip(self.joints, arm.joints, strict=True):
             if not theirs.flexible and np.isfinite(ours.stiffness.value):
                 raise ZygosError(
                     f"model {self.name}: joint {ours.name} has a stiffness, but in arm {arm.name} it is rigid; remedy: "
-                    "stiffness = inf in the model, or flexible = true in the arm file"
+                    "write stiffness = inf in the model, or flexible = true in the arm file"
                 )
 
     def _quantities(self) -> list[Quantity]:
@@ -224,7 +225,7 @@ class Model:
         second: NDArray[np.float64],
         reach: NDArray[np.float64],
     ) -> NDArray[np.float64]:
-        """a_ij, and b_ij where the arm has them, of bodies as in `gram.of_bodies`."""
+        """a_ij, and b_ij if the arm has them, of bodies given as in `gram.of_bodies`."""
         axis = arm.axis
         across = np.einsum("ab,ibc->iac", np.eye(3) - np.outer(axis, axis), arm.frames)
         first = np.einsum("iac,ic->ia", across, first)
@@ -252,13 +253,13 @@ class Model:
         elif skew and np.max(np.abs(skew)) > 1e-9 * np.max(np.abs(values)):
             raise ZygosError(
                 f"model {self.name}: mass centres lie off the joint-to-joint lines (b_ij = {skew}), but "
-                f'arm {arm.name} says kinetic = "planar-symmetric"; remedy: kinetic = "planar"'
+                f'arm {arm.name} says kinetic = "planar-symmetric"; remedy: write kinetic = "planar"'
             )
         return np.array(values)
 
 
 def load_model(path: str | Path) -> Model:
-    """Read `model.toml`. Errors: ZygosError naming file, key and remedy, also for a body that cannot exist."""
+    """Read `model.toml`. Errors: ZygosError naming file, key and remedy, also for a physically impossible body."""
     return read_model(Table.load(path))
 
 
@@ -268,7 +269,7 @@ def read_model(top: Table) -> Model:
     source = top.choice("source", "Where the values come from that state no source of their own.", SOURCES, "CAD")
     if top.has("parameters"):
         if top.has("body") or top.has("joint"):
-            raise top.error("parameters", "stands beside [[body]] or [[joint]]", "keep one of the two")
+            raise top.error("parameters", "is given together with [[body]] or [[joint]]", "keep one of the two")
         table = top.table(
             "parameters",
             "The base parameters by their names (docs/theory.md). A model has either this table, or [[body]] and "
@@ -317,8 +318,8 @@ def read_model(top: Table) -> Model:
 
 
 def save_model(model: Model, path: str | Path) -> None:
-    """Write `model.toml` so that a reader sees the old file or the whole new one. Errors: ZygosError if it cannot be
-    written."""
+    """Write `model.toml` so that a reader sees either the old file or the complete new one. Errors: ZygosError if it
+    cannot be written."""
     document = tomlkit.document()
     document["name"] = model.name
     if model.parameters:
@@ -392,7 +393,7 @@ def _effects(top: Table, source: str) -> tuple[Effect, ...]:
             raise table.error("unit", f"{unit!r} is not the unit of {key}", f'convert the value to "{kind.unit}"')
         table.finish()
         if any((other.kind, other.joint) == (effect.kind, effect.joint) for other in effects):
-            raise table.error("kind", f"{key} at {effect.joint or 'the base'} stands twice", "keep one of the entries")
+            raise table.error("kind", f"{key} at {effect.joint or 'the base'} appears twice", "keep one of the entries")
         effects.append(effect)
     return tuple(effects)
 
@@ -469,7 +470,7 @@ def is_possible(tensor: NDArray[np.float64]) -> bool:
 
 
 def _body(table: Table, source: str, *, first: bool, last: bool) -> Body:
-    """The first body, the base, may be without mass: a fixed one's plays no part."""
+    """Read a body. The first one, the base, may have no mass: that of a fixed base has no effect."""
     name = table.text("name", "Name of the body.")
     mass = _quantity(
         table,
@@ -510,14 +511,14 @@ def _body(table: Table, source: str, *, first: bool, last: bool) -> Body:
     if not is_possible(body.tensor) and (mass.value > 0.0 or body.tensor.any()):
         raise table.error(
             "ixx",
-            f"no body has the principal moments {np.linalg.eigvalsh(body.tensor).tolist()} kg m^2",
-            "correct the inertia: all positive, none above the sum of the other two",
+            f"no body can have the principal moments {np.linalg.eigvalsh(body.tensor).tolist()} kg m^2",
+            "correct the inertia: all must be positive, and none larger than the sum of the other two",
         )
     return body
 
 
 def read_joint(table: Table, source: str) -> JointModel:
-    """One [[joint]] of a model file; values without a source have `source`. Errors: as `load_model`."""
+    """Read one [[joint]] of a model file; values without a source get `source`. Errors: as `load_model`."""
     joint = JointModel(
         table.text("name", "Name of the joint."),
         _quantity(

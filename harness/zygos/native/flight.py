@@ -282,7 +282,13 @@ def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
         )
     config.effects = len(columns)
     for k, effect in enumerate(columns):
-        config.effect[k].kind = getattr(lib, f"ZYGOS_{effect.kind.key.upper()}")
+        kind = getattr(lib, f"ZYGOS_{effect.kind.key.upper()}", None)
+        if kind is None:
+            raise ZygosError(
+                f"effect {effect.kind.key} at {effect.joint}: the C library has no column for it; remedy: remove the "
+                "entry from the model that names the effects to estimate"
+            )
+        config.effect[k].kind = kind
         config.effect[k].joint = effect.index(arm)
     return config
 

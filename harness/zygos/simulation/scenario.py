@@ -1,4 +1,4 @@
-"""What is done with an arm: manoeuvre, controller, duration and seed (`scenario.toml`)."""
+"""The run to simulate: manoeuvre, controller, duration and seed (`scenario.toml`)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _MOMENTUM = (
 
 @dataclass(frozen=True)
 class Sine:
-    """amplitude * sin(omega t + phase)."""
+    """The function amplitude * sin(omega t + phase)."""
 
     amplitude: float
     """rad."""
@@ -82,12 +82,12 @@ class Controller:
     """Nms/rad, after the gear; one for all joints, or (N,)."""
     gain: float = 1.0
     angle: FeedbackAngle = "motor"
-    """The encoder that is fed back."""
+    """The encoder whose angle is fed back."""
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """One run: what the arm is asked to do, and under which conditions."""
+    """One run: the motion that the arm has to perform, and the conditions."""
 
     name: str
     arm: Path
@@ -100,19 +100,20 @@ class Scenario:
     controller: Controller = Controller()
     seed: int = 0
     noise: bool = True
-    """False: sensors, and the encoder that is fed back, are exact."""
+    """False: sensors are exact, including the encoder that is fed back."""
     encoder_noise: EncoderNoise = "gaussian"
     """"gaussian": sigma = quantum/sqrt(12) (Nanos & Papadopoulos eq. (28)); "quantised": readings are rounded."""
     angular_momentum_nms: float | tuple[float, float, float] = 1.0
-    """At the start: about the joint axis of a planar arm, or a vector in base axes; a number is then about z."""
+    """Angular momentum at the start, Nms: about the joint axis of a planar arm, else a vector in base axes, where a
+    single number is about z."""
     initial_angles_rad: tuple[float, ...] = ()
-    """(N,) link and motor angles at the start, springs relaxed, all joints at rest; empty: zeros."""
+    """(N,) link and motor angles at the start, with springs relaxed and all joints at rest; empty: zeros."""
 
     def motions(self, names: Sequence[str]) -> list[Motion]:
         """Desired motion of each named joint. Errors: ZygosError if the manoeuvre names other joints."""
         if sorted(names) != sorted(self.manoeuvre):
             raise ZygosError(
-                f"scenario {self.name}: the manoeuvre is for joints {sorted(self.manoeuvre)}, the arm has "
+                f"scenario {self.name}: the manoeuvre has joints {sorted(self.manoeuvre)}, the arm has "
                 f"{list(names)}; remedy: give each joint of the arm at least one [[manoeuvre]]"
             )
         return [self.manoeuvre[name] for name in names]
@@ -205,7 +206,7 @@ def _file(top: Table, key: str, meaning: str, default: str) -> Path:
 
 
 def _manoeuvre(tables: list[Table]) -> dict[str, Motion]:
-    """Entries for the same joint add up."""
+    """Desired motion by joint name; several entries for the same joint are added."""
     motions: dict[str, Motion] = {}
     for table in tables:
         joint = table.text("joint", "Name of the joint.")

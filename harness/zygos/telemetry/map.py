@@ -1,7 +1,8 @@
-"""Telemetry of others: which signal of a foreign log or table is what of the arm, in which unit (`map.toml`).
+"""Telemetry of other systems: which signal of a foreign log or table is which reading of the arm, in which unit
+(`map.toml`).
 
-A CAN log is decoded by cantools with the DBC files of its owner, a table is read by its column names. Either way the
-result is a `Recording`: each signal's values in SI, and when they were taken.
+A CAN log is decoded by cantools with the owner's DBC files, a table is read by its column names. In both cases the
+result is a `Recording`: each signal's values in SI units with their times.
 """
 
 from __future__ import annotations
@@ -46,7 +47,8 @@ UNITS: dict[Quantity, dict[str, float]] = {
     },
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
 }
-"""SI per unit; NaN where another key of the map says it: counts_per_turn of counts, torque_constant of A and mA."""
+"""SI units per unit; NaN where another key of the map states it: counts_per_turn for counts, torque_constant for A,
+mA."""
 SI_UNIT: dict[Quantity, str] = {"angle": "rad", "torque": "Nm", "rate": "rad/s", "time": "s"}
 
 _INTERPOLATIONS: tuple[Interpolation, ...] = ("linear", "cubic")
@@ -55,51 +57,52 @@ _SPELLINGS = {
     "N·m": "Nm", "N m": "Nm", "N.m": "Nm", "N*m": "Nm", "mN·m": "mNm", "mN.m": "mNm", "Amps": "A", "1/min": "rpm",
     "r/min": "rpm", "RPM": "rpm", "°/s": "deg/s", "dps": "deg/s", "µs": "us", "sec": "s",
 }  # fmt: skip
-"""How DBC files also write these units."""
+"""Other spellings of these units in DBC files."""
 
 
 @dataclass(frozen=True)
 class Channel:
-    """One reading of the arm: where it comes from, and SI = gain * value + offset."""
+    """One reading of the arm: its source, and SI = gain * value + offset."""
 
     label: str
-    """As people read it: shoulder.motor, gyro.x."""
+    """Name for people: shoulder.motor, gyro.x."""
     field: Field
-    """Member of `Cycles` that it belongs to."""
+    """Field of `Cycles` to which it belongs."""
     index: int
-    """Its column there."""
+    """Its column in that field."""
     quantity: Quantity
     source: str
-    """message.signal, or the name of a column."""
+    """The source: message.signal, or the name of a column."""
     unit: str
     gain: float
     offset: float
     bare: bool
-    """Whether the map names neither scale nor offset: the source's own unit must then be the map's."""
+    """Whether the map states neither scale nor offset: then the source's own unit must be the map's."""
     where: str
-    """File and key in the map, for refusals."""
+    """File and key in the map, for error messages."""
 
 
 @dataclass(frozen=True)
 class Clock:
-    """What says when: the log's stamps (`receive`), a time (`signal`, `column`) or a counter of cycles (`sync`)."""
+    """The source of times: the log's stamps (`receive`), a time (`signal`, `column`) or a counter of cycles
+    (`sync`)."""
 
     kind: Source
     source: str = ""
-    """message.signal, or the name of a column; none for `receive`."""
+    """The source: message.signal, or the name of a column; empty for `receive`."""
     unit: str = "s"
     unit_s: float = 1.0
-    """Seconds of one count or unit."""
+    """Duration of one count or unit, s."""
     modulo: float | None = None
-    """The value starts anew at this many counts or units."""
+    """Number of counts or units after which the value starts again."""
     interpolation: Interpolation | None = None
-    """None where the counter is the cycle."""
+    """Interpolation of the signals; None where the counter numbers the cycles."""
     where: str = ""
 
 
 @dataclass(frozen=True)
 class Map:
-    """What `map.toml` says about the telemetry of an arm."""
+    """The content of `map.toml` about the telemetry of an arm."""
 
     clock: Clock
     channels: tuple[Channel, ...]
@@ -107,31 +110,31 @@ class Map:
 
 @dataclass(frozen=True)
 class Samples:
-    """n values of one source, in its own unit, in the order of the recording."""
+    """The n values of one source, in its own unit, in the order of the recording."""
 
     value: Floats
     """(n,)"""
     group: NDArray[np.int64]
-    """(n,) how many values of the clock came before or with each, less one; zeros where there is no clock."""
+    """(n,) index of the clock's latest value before or with each value; zeros where there is no clock."""
     stamp: Floats
-    """(n,) receive stamp, s after the first of the recording; NaN in a table."""
+    """(n,) receive time after the first frame of the recording, s; NaN in a table."""
 
 
 @dataclass(frozen=True)
 class Recording:
-    """Telemetry as it was recorded; m values of the clock."""
+    """Telemetry as it was recorded, with m values of the clock."""
 
     sources: dict[str, Samples]
     clock: Floats
-    """(m,) values of the clock less the first one, in its own unit; empty for `receive`."""
+    """(m,) values of the clock minus the first one, in its own unit; empty for `receive`."""
     clock_stamp: Floats
     """(m,) receive stamps of the clock, s; NaN in a table."""
     modulo: float | None
-    """At how many of its units the clock starts anew."""
+    """Number of its units after which the clock starts again."""
     damaged: int = 0
-    """Frames that the DBC could not decode."""
+    """Number of frames that the DBC could not decode."""
     missing: tuple[str, ...] = ()
-    """What is missing of a damaged log, in words that begin with its name."""
+    """Sentences about what is missing in a damaged log, each beginning with its name."""
 
 
 def closest(name: str, known: Iterable[str], noun: str) -> str:
@@ -140,7 +143,7 @@ def closest(name: str, known: Iterable[str], noun: str) -> str:
     close = difflib.get_close_matches(name, listed, n=1, cutoff=0.5)
     if close:
         return f'did you mean "{close[0]}"?'
-    return f"the {noun} there are {', '.join(listed[:12])}{' …' if len(listed) > 12 else ''}"
+    return f"the {noun} are {', '.join(listed[:12])}{' …' if len(listed) > 12 else ''}"
 
 
 def load_map(path: str | Path, arm: Arm, *, tabular: bool) -> Map:
@@ -160,7 +163,7 @@ def read_map(top: Table, arm: Arm, *, tabular: bool) -> Map:
         if name not in names:
             raise table.error("name", f'"{name}" is no joint of arm {arm.name}', closest(name, names, "joints"))
         if name in entries:
-            raise table.error("name", f'"{name}" stands twice', "keep one [[joint]] a joint")
+            raise table.error("name", f'"{name}" appears twice', "keep one [[joint]] per joint")
         entries[name] = table
     missing = [name for name in names if name not in entries]
     if missing:
@@ -171,7 +174,7 @@ def read_map(top: Table, arm: Arm, *, tabular: bool) -> Map:
     for i, joint in enumerate(arm.joints):
         table = entries[joint.name]
         if not joint.flexible and table.has("link"):
-            raise table.error("link", "a rigid joint has one angle, its motor's", "remove it")
+            raise table.error("link", "a rigid joint has only its motor's angle", "remove it")
         kinds: list[tuple[str, str, str, Field, Quantity]] = [
             ("motor", "The angle of the motor.", "", "theta", "angle"),
             ("torque", "The torque of the motor.", "", "tau", "torque"),
@@ -193,7 +196,7 @@ def read_map(top: Table, arm: Arm, *, tabular: bool) -> Map:
             channels.append(_channel(entry, f"gyro.{axis}", "omega", i, "rate", 1.0, tabular=tabular))
         gyro.finish()
     elif top.has("gyro"):
-        raise top.error("gyro", f"the base of arm {arm.name} is fixed, it has no gyro", "remove [gyro]")
+        raise top.error("gyro", f"the base of arm {arm.name} is fixed and has no gyro", "remove [gyro]")
     clock = _clock(top.table("time", "What says when a value was measured."), arm, tabular=tabular)
     top.finish()
     return Map(clock, tuple(channels))
@@ -203,7 +206,7 @@ def _source(table: Table, also: str = "", *, tabular: bool) -> str:
     """also: a further condition of the map under which the source is named."""
     key, other = ("column", "signal") if tabular else ("signal", "column")
     if table.has(other):
-        kind = "a table, it has columns" if tabular else "a CAN log, it has signals of messages"
+        kind = "a table, which has columns" if tabular else "a CAN log, which has signals of messages"
         raise table.error(other, f"the input is {kind}", f"name a {key}")
     meaning, input_kind = (
         ("Name of the column.", "table") if tabular else ("Message.Signal, as the DBC names them.", "CAN log")
@@ -219,7 +222,7 @@ def _unit(table: Table, quantity: Quantity, otherwise: str = "") -> str:
     known = UNITS[quantity]
     if unit not in known:
         listed = ", ".join(f'"{name}"' for name in known)
-        raise table.error("unit", f'"{unit}" is no unit of {quantity}', f"write one of {listed}")
+        raise table.error("unit", f'"{unit}" is not a unit of {quantity}', f"write one of {listed}")
     return unit
 
 
@@ -259,7 +262,7 @@ def _channel(
         raise table.error("scale", "is 0", "write the units per value of the source")
     if sign == 0:
         raise table.error("sign", "is 0", "write 1 or -1")
-    # angles and torques of either side of the gear; `Cycles` has angles after it and torques before it
+    # angles and torques may be given on either side of the gear; `Cycles` has angles after it and torques before it
     if quantity == "torque":
         geared = (
             table.choice("at", "The side of the gear at which the torque is stated.", ("rotor", "output"), "rotor")
@@ -309,7 +312,8 @@ def _clock(table: Table, arm: Arm, *, tabular: bool) -> Clock:
         if cycle < 0.5 or abs(cycle - round(cycle)) > 1e-6 * cycle:
             raise table.error(
                 "period_s",
-                f"a count lasts {unit_s:g} s, a period of arm {arm.name} {arm.period_s:g} s, which is no multiple",
+                f"a count lasts {unit_s:g} s, and {arm.period_s:g} s, a period of arm {arm.name}, is not a multiple "
+                "of it",
                 "correct this period_s, or that of the arm file",
             )
     else:
@@ -327,7 +331,7 @@ def _clock(table: Table, arm: Arm, *, tabular: bool) -> Clock:
 
 
 def read_table(path: Path, mapping: Map) -> Recording:
-    """Read the columns that a map names. Errors: ZygosError for a column that is missing or holds no numbers."""
+    """Read the columns that a map names. Errors: ZygosError for a column that is missing or not numeric."""
     columns = read_columns(path)
     nowhere = np.full(len(next(iter(columns.values()))), np.nan)
     rows = np.arange(len(nowhere))
@@ -342,7 +346,7 @@ def read_table(path: Path, mapping: Map) -> Recording:
     raw = _column(path, columns, mapping.clock.source, mapping.clock.where)
     if raw.dtype.kind == "u":
         raw = raw.astype(np.int64)
-    clock = (raw - raw[0]).astype(np.float64)  # nanoseconds since 1970 have more digits than a float
+    clock = (raw - raw[0]).astype(np.float64)  # nanoseconds since 1970 have more digits than a float can store
     if not np.all(np.isfinite(clock)):
         at = int(np.flatnonzero(~np.isfinite(clock))[0])
         raise ZygosError(
@@ -357,8 +361,8 @@ def _column(path: Path, columns: Columns, name: str, where: str) -> NDArray[Any]
     values = columns[name]
     if values.dtype.kind not in "iuf":
         raise ZygosError(
-            f'{where}: column "{name}" of {path.name} holds something else than numbers ({values.dtype}); '
-            "remedy: export numbers, a time as seconds"
+            f'{where}: column "{name}" of {path.name} has values that are not numbers ({values.dtype}); '
+            "remedy: export numbers, and a time in seconds"
         )
     return values
 
@@ -381,13 +385,13 @@ class Dictionary:
                 )
             except FileNotFoundError:
                 raise ZygosError(f"{file}: no such file; remedy: check the path") from None
-            except Exception as error:  # cantools raises errors of its own for each format
+            except Exception as error:  # cantools raises different errors for each format
                 first = (str(error).strip().splitlines() or [""])[0]
                 raise ZygosError(f"{file}: not a readable DBC ({first}); remedy: correct that file") from error
             for message in getattr(database, "messages", ()):
                 if message.name in messages:
                     raise ZygosError(
-                        f"{file}: message {message.name} is defined in another DBC, too; remedy: leave one of them out"
+                        f"{file}: message {message.name} is also defined in another DBC; remedy: leave one of them out"
                     )
                 messages[message.name] = message
         return cls(tuple(files), messages)
@@ -406,13 +410,13 @@ class Dictionary:
 
 
 def _check_unit(channel: Channel, signal: Any) -> None:
-    """Refuse a unit that contradicts the DBC's."""
-    said = _SPELLINGS.get(signal.unit or "", signal.unit or "")
+    """Refuse a unit that contradicts that in the DBC."""
+    spelled = _SPELLINGS.get(signal.unit or "", signal.unit or "")
     known = {unit for units in UNITS.values() for unit in units}
-    if channel.bare and said in known and said != channel.unit:
+    if channel.bare and spelled in known and spelled != channel.unit:
         raise ZygosError(
-            f'{channel.where}.unit: the map says "{channel.unit}", the DBC says "{signal.unit}" of {channel.source}; '
-            "remedy: write the DBC's unit, or, where the DBC is wrong, scale = 1.0 beside yours"
+            f'{channel.where}.unit: the map says "{channel.unit}", the DBC says "{signal.unit}" for {channel.source}; '
+            "remedy: write the DBC's unit, or, if the DBC is wrong, add scale = 1.0 to yours"
         )
 
 
@@ -421,7 +425,7 @@ def read_can(
 ) -> Recording:
     """Read the signals that a map names from a CAN log.
 
-    Errors: ZygosError for a signal that the DBC does not have or the log does not hold, or a log that cannot be read.
+    Errors: ZygosError for a signal that is missing in the DBC or in the log, or a log that cannot be read.
     """
     clock = mapping.clock
     wanted: dict[tuple[int, bool], tuple[Message, set[str]]] = {}
@@ -463,14 +467,14 @@ def read_can(
                 values[source].append((float(decoded[name]), max(len(ticks) - 1, 0), stamp))
     if clock.source and not ticks:
         raise ZygosError(
-            f"{clock.where}: {path.name} holds no {clock.source}; remedy: check the DBC's identifiers against the log"
+            f"{clock.where}: {path.name} has no {clock.source}; remedy: compare the DBC's identifiers with the log"
         )
     for channel in mapping.channels:
         if not values[channel.source]:
             raise ZygosError(
-                f"{channel.where}: {path.name} holds no {channel.source}"
+                f"{channel.where}: {path.name} has no {channel.source}"
                 + (f" ({damaged} frames could not be decoded)" if damaged else "")
-                + "; remedy: check the DBC's identifiers against the log"
+                + "; remedy: compare the DBC's identifiers with the log"
             )
     sources = {
         source: Samples(
@@ -490,9 +494,9 @@ def read_can(
 
 
 def _decode(message: Message, frame: can.Message) -> dict[str, Any] | None:
-    """Values by signal, or None for a frame that is not as the DBC says."""
+    """Values by signal, or None for a frame that does not match the DBC."""
     try:
         decoded = message.decode(bytes(frame.data), decode_choices=False)
-    except Exception:  # cantools and bitstruct raise errors of their own
+    except Exception:  # cantools and bitstruct raise different errors
         return None
     return decoded if isinstance(decoded, dict) else None
