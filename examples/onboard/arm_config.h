@@ -52,7 +52,7 @@ static const zygos_config_t arm_config = {
     .period_s = 0.05,
     .imu_to_base = { 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0 },
     .imu_latch_s = 0.0,
-    .imu_sigma = 1.4142e-06,
+    .imu_sigma = 1.4208833331019601e-06,
     .gravity = { 0.0, 0.0, 0.0 },
     .joint = {
         {

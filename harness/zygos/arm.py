@@ -31,13 +31,22 @@ _SIDES: tuple[Side, ...] = ("output", "rotor")
 _TORQUE_ATS: tuple[TorqueAt, ...] = ("rotor",)
 _RESOLUTIONS: tuple[Resolution, ...] = ("fine", "coarse")
 _TORQUE_LAWS: tuple[TorqueLaw, ...] = ("applied_from_sync", "applied_previous_cycle", "sampled")
-WIRE_STEP_RAD = 2.0 * math.pi / 2**20
-"""Step of an angle in a CAN frame, rad."""
+ANGLE_STEP = 2.0 * math.pi / 2**20
+"""Step of an angle on the wire, rad (docs/wire.md)."""
+TORQUE_STEP = 1e-4
+"""Step of a torque on the wire, Nm."""
+RATE_STEPS: dict[Resolution, float] = {"fine": 2.0**-21, "coarse": 2.0**-13}
+"""Step of a rate on the wire, rad/s, by the resolution of the gyro."""
 MOMENTUM_ARC_S = 10.0
 """Longest arc of the momentum rows of an arm that has them by default, s."""
 _LATCH_MAX_US = 65_535  # the CAN frame carries the latch delay as u16
 _SHORTEST_MEMORY = 2
 """Shortest memory, as a number of arcs."""
+
+
+def rounded(sigma: float, step: float) -> float:
+    """Standard deviation of the error of readings that are then rounded to a step: theirs, and one uniform over it."""
+    return math.hypot(sigma, step / math.sqrt(12.0))
 
 
 @dataclass(frozen=True)
@@ -67,14 +76,14 @@ class Encoder:
         """The same encoder with the error that its readings have after rounding to the steps of the CAN frame
         (docs/wire.md).
 
-        An encoder without a quantum stays exact, so that its declared noise remains zero.
+        An encoder without a quantum stays exact: the bandwidth test then accepts every instant.
         """
         if self.quantum_rad == 0.0:
             return self
-        steps = self.quantum_rad / WIRE_STEP_RAD
+        steps = self.quantum_rad / ANGLE_STEP
         # readings that lie on the steps of the CAN frame are not rounded again
         aligned = steps > 0.5 and abs(steps - round(steps)) < 1e-6
-        return self if aligned else replace(self, quantum_rad=math.hypot(self.quantum_rad, WIRE_STEP_RAD))
+        return self if aligned else replace(self, quantum_rad=math.hypot(self.quantum_rad, ANGLE_STEP))
 
 
 @dataclass(frozen=True)
@@ -106,6 +115,16 @@ class Joint:
         0."""
         return self.flexible and max(self.link_encoder.zero_sigma_rad, self.motor_encoder.zero_sigma_rad) > 0.0
 
+    @property
+    def over_the_wire(self) -> Joint:
+        """The same joint with the errors that its readings have once the wire has rounded them."""
+        return replace(
+            self,
+            link_encoder=self.link_encoder.over_the_wire,
+            motor_encoder=self.motor_encoder.over_the_wire,
+            torque_sigma=rounded(self.torque_sigma, TORQUE_STEP),
+        )
+
 
 @dataclass(frozen=True)
 class Imu:
@@ -121,6 +140,18 @@ class Imu:
     """Random walk of the bias, rad/s^1.5: one step is bias_walk * sqrt(period)."""
     latch_us: int = 0
     resolution: Resolution = "fine"
+
+    @property
+    def step(self) -> float:
+        """Step of its rates on the wire, rad/s."""
+        return RATE_STEPS[self.resolution]
+
+    @property
+    def over_the_wire(self) -> Imu:
+        """The same gyro with the error that its readings have once the wire has rounded them; node 0 sends none."""
+        if self.node == 0:
+            return self
+        return replace(self, rate_sigma=rounded(self.rate_sigma, self.step))
 
 
 NO_IMU = Imu(node=0, mount_xyzw=(0.0, 0.0, 0.0, 1.0), rate_sigma=0.0, bias_walk=0.0)
@@ -167,6 +198,12 @@ class Arm:
     def free(self) -> bool:
         """Whether the base floats."""
         return self.base == "free"
+
+    @cached_property
+    def over_the_wire(self) -> Arm:
+        """The same arm with the errors that the readings of its sensors have once the wire has rounded them: a
+        variance of step^2/12 is added, but not to encoder readings that lie on the wire's own grid (docs/wire.md)."""
+        return replace(self, joints=tuple(joint.over_the_wire for joint in self.joints), imu=self.imu.over_the_wire)
 
     @property
     def compensation(self) -> int:

@@ -7,7 +7,7 @@ columns that it has in the balances. A torque law f with coefficient c acts
     at the link:    link torque  -c f(qd)                          int f qd dt                           none
     in the spring:  link torque  +c f(theta - q)                   int f d(theta - q)                    1/n int f dt
 
-with all angles after the gear. An effect that is not a torque law has its columns in `zygos.gap.balances`.
+with all angles after the gear. The columns are made in `zygos.balances.effects`.
 """
 
 from __future__ import annotations
@@ -48,6 +48,8 @@ class Kind:
     rad)."""
     potential: Callable[[Array], Array] | None = None
     """Stored energy per unit coefficient as a function of the deflection, where f is conservative."""
+    impulse: Callable[[Array], Array] | None = None
+    """Integral of f over time a unit coefficient, of the angle (motor; rad), where the angle alone tells it."""
     positive: bool = True
     """Whether the coefficient must not be negative: a negative one would create energy, so the model would be wrong."""
     twins: tuple[str, ...] = ()
@@ -97,6 +99,7 @@ CATALOGUE = {
             "Nms/rad",
             "motor",
             _same,
+            impulse=_same,
             twins=("motor_coulomb", "torque_lag"),
         ),
         Kind("link_coulomb", "Coulomb friction at the link", "Nm", "link", smooth_sign, twins=("motor_coulomb",)),

@@ -22,7 +22,7 @@ from bench import callgrind
 from bench.configurations import CONFIGURATIONS, Configuration
 from conftest import ROOT
 from zygos.balances.energy import energy_columns
-from zygos.balances.kinematics import State
+from zygos.balances.state import State
 from zygos.model.model import load_model
 from zygos.native.flight import config_of, ffi
 

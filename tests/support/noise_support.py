@@ -12,7 +12,7 @@ from scipy.signal import savgol_coeffs
 
 from zygos.arm import Arm, Encoder
 from zygos.balances.energy import energy_columns
-from zygos.balances.kinematics import State
+from zygos.balances.state import State
 from zygos.native.flight import config_of, ffi, lib
 
 Floats = NDArray[np.float64]

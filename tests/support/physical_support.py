@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from zygos.arm import Arm
 from zygos.balances.energy import energy_columns
-from zygos.balances.kinematics import State
+from zygos.balances.state import State
 from zygos.model.model import Body, Model, Quantity
 
 Floats = NDArray[np.float64]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from zygos.arm import Arm, load_arm
-from zygos.balances.kinematics import State
+from zygos.balances.state import State
 from zygos.paper.methods import Record, de
 from zygos.runs.cycles import Cycles
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from zygos.arm import Arm, Encoder, load_arm
 from zygos.balances.energy import energy_columns
-from zygos.balances.kinematics import State
+from zygos.balances.state import State
 from zygos.model.model import load_model
 from zygos.native.flight import Flight, config_of, encode, ffi, lib
 from zygos.reference import chain

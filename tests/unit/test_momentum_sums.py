@@ -25,7 +25,7 @@ from zygos.arm import Arm, Encoder, Kinetic, load_arm
 from zygos.balances import momentum
 from zygos.balances.arcs import MIN_ARC_INSTANTS
 from zygos.balances.energy import energy_columns
-from zygos.balances.kinematics import State
+from zygos.balances.state import State
 from zygos.dynamics.engines import engine
 from zygos.errors import ZygosError
 from zygos.native import flight as flight_module
@@ -121,10 +121,10 @@ def test_turns_miss_nothing() -> None:
     _, instants, arc = smoothed(arm, cycles, 150)
     found, noise, _ = closed(replace(arm, compensate_every=0), cycles)[0][0], closed(arm, cycles)[1], None
     inside = arc == 0
-    rows = momentum.rows(arm, instants, arc)[inside]
+    rows = momentum.momentum_rows(arm, instants, arc)[inside]
     rows = rows - rows.mean(axis=0)
     whole = np.einsum("mkp,mkq->pq", rows, rows)
-    owed = momentum.noise(arm, instants)[inside].sum(axis=0)
+    owed = momentum.momentum_noise(arm, instants)[inside].sum(axis=0)
     for a, b in ((found, whole), (noise, owed)):
         scale = np.sqrt(np.diag(b))
         assert np.abs((3.0 * a - b) / np.outer(scale, scale)).max() < 0.1

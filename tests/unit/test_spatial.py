@@ -13,7 +13,8 @@ from arm_support import random_arm, random_state
 
 from zygos.arm import Arm
 from zygos.balances.energy import energy_columns
-from zygos.balances.kinematics import State, across, body_columns
+from zygos.balances.kinematics import across, body_columns
+from zygos.balances.state import State
 from zygos.dynamics.engines import engine
 from zygos.dynamics.serial import SpatialDynamics
 from zygos.errors import ZygosError

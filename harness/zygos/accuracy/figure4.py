@@ -19,11 +19,12 @@ from threadpoolctl import threadpool_limits
 from zygos.accuracy.cases import Case
 from zygos.accuracy.cell import sensed
 from zygos.accuracy.estimators import ESTIMATORS, Prior
+from zygos.balances.state import State
 from zygos.dynamics.planar import PlanarDynamics
-from zygos.dynamics.replay import States, replay, substeps
+from zygos.dynamics.replay import replay, substeps
 from zygos.errors import ZygosError
 from zygos.paper import printed
-from zygos.paper.response import HAIR_RAD, apart_percent, instants, respond
+from zygos.paper.response import HAIR_RAD, apart_percent, respond, sync_instants
 from zygos.simulation.plant import Trajectory, simulate
 from zygos.simulation.scenario import Scenario
 
@@ -70,7 +71,7 @@ class Figure4:
             momentum = case.scenario.angular_momentum_nms
             assert not isinstance(momentum, tuple)
             exact = simulate(case.plant, case.model, case.scenario, seeds=[self.seed], noise=False)
-            states = States(exact.omega0, exact.q, exact.theta, exact.qd, exact.thetad).packed()[0]
+            states = State(exact.q, exact.theta, exact.qd, exact.thetad, exact.omega0).packed()[0]
             free, servoed, arcs, missing = {}, {}, {}, {}
             for name, values in sets.items():
                 try:
@@ -89,7 +90,7 @@ class Figure4:
             "seed": self.seed,
             "joints": [joint.name for joint in arm.joints],
             "duration_s": case.scenario.duration_s,
-            "time_s": instants(arm).tolist(),
+            "time_s": sync_instants(arm).tolist(),
             "free": {name: np.round(q, 5).T.tolist() for name, q in free.items()},
             "free_rms_rad": {name: _rms(q - free["true"]) for name, q in free.items()},
             "free_rms_percent": {name: _rms(apart_percent(q, free["true"])) for name, q in free.items()},
@@ -117,7 +118,7 @@ def _servoed(dynamics: PlanarDynamics, scenario: Scenario, exact: Trajectory, st
     desired, desired_rate = scenario.desired([joint.name for joint in arm.joints], exact.t)
     before: list[Floats] = []
 
-    def torque(k: int, states: States) -> Floats:
+    def torque(k: int, states: State) -> Floats:
         angle = states.theta if servo.angle == "motor" else states.q
         rate = (angle - before[-1]) / arm.period_s if before else np.zeros_like(angle)
         before.append(angle)
@@ -126,7 +127,7 @@ def _servoed(dynamics: PlanarDynamics, scenario: Scenario, exact: Trajectory, st
 
     steps = substeps(dynamics, exact.q[0], arm.period_s)
     moved, _ = replay(dynamics, arm.period_s, start, torque, np.zeros((1, arm.n)), len(exact.t), steps)
-    return States.of(moved[0]).q
+    return State.unpacked(moved[0]).q
 
 
 def _free(dynamics: PlanarDynamics, exact: Trajectory, starts: Floats, at: NDArray[np.int64], cycles: int) -> Floats:
@@ -137,7 +138,7 @@ def _free(dynamics: PlanarDynamics, exact: Trajectory, starts: Floats, at: NDArr
     torques = exact.tau[0][at[:, None] + np.arange(cycles)]
     before = np.zeros((len(at), arm.n))
     moved, _ = replay(dynamics, arm.period_s, starts, lambda k, _: torques[:, k], before, cycles, steps)
-    return States.of(moved).q
+    return State.unpacked(moved).q
 
 
 def _apart(dynamics: PlanarDynamics, exact: Trajectory, states: Floats) -> list[float]:

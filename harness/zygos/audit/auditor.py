@@ -9,14 +9,13 @@ from functools import cached_property
 
 import numpy as np
 
-from zygos.arm import Arm, Encoder, Joint
+from zygos.arm import ANGLE_STEP, Arm, Encoder, Joint, rounded
 from zygos.audit.balance import KINDS, Balance, WholeFault
 from zygos.audit.encoders import pair, unskewed
-from zygos.audit.findings import Audit, Finding, Pair, Signal, Traffic, signal_names
+from zygos.audit.findings import Audit, Pair, Signal, SignalFault, Traffic, signal_names
 from zygos.audit.means import FLAT_QUANTA, Array, Means
 from zygos.audit.motors import NOTHING, Change, Motors, changed
 from zygos.audit.readings import grid_step, noise_beside, noise_level, runs_of_equal
-from zygos.can.wire import ANGLE_STEP, COARSE_RATE_STEP, RATE_STEP, TORQUE_STEP
 from zygos.errors import ZygosError
 from zygos.runs.cycles import Cycles
 from zygos.runs.samples import segments
@@ -83,7 +82,7 @@ class _Auditor:
     def __init__(self, arm: Arm, cycles: Cycles, traffic: Traffic, progress: Callable[[float], None]) -> None:
         self.arm, self.cycles, self.traffic, self.progress = arm, cycles, traffic, progress
         self.names = signal_names(arm)
-        self.findings: list[Finding] = []
+        self.findings: list[SignalFault] = []
         self.notes: list[str] = []
         self.undecided: set[str] = set()
         self.unfit: list[int] = []
@@ -107,7 +106,7 @@ class _Auditor:
         return next((n for n, k, i in self.names if (k, i) == (kind, index)), f"{self.arm.joints[index].name} {kind}")
 
     def find(self, signal: str, fault: str, evidence: str, remedy: str) -> None:
-        self.findings.append(Finding(signal, fault, evidence, remedy))
+        self.findings.append(SignalFault(signal, fault, evidence, remedy))
 
     def audit(self) -> Audit:
         self._traffic()
@@ -324,7 +323,7 @@ class _Auditor:
     def _torque_noise(self, name: str, i: int) -> None:
         sigma, readings = self.arm.joints[i].torque_sigma, self.cycles.tau[:, i]
         own, whole = self._noise("tau", i), noise_level(readings, self.ranges)
-        declared = math.hypot(sigma, TORQUE_STEP / math.sqrt(12.0))
+        declared = self.arm.over_the_wire.joints[i].torque_sigma
         valid = np.concatenate([readings[a:b] for a, b in self.ranges] or [np.zeros(1)])
         if not own > max(NOISE_FACTOR * declared, TORQUE_NOISE_SHARE * float(np.std(valid))):
             return
@@ -349,9 +348,9 @@ class _Auditor:
         if kind == "tau":
             return self.arm.joints[i].torque_sigma
         if kind == "omega":
-            step = COARSE_RATE_STEP if self.arm.imu.resolution == "coarse" else RATE_STEP
-            return math.hypot(self.arm.imu.rate_sigma, step / math.sqrt(12.0))
-        return math.hypot(self._encoder(kind, i).sigma_rad, ANGLE_STEP / math.sqrt(12.0))
+            return self.arm.over_the_wire.imu.rate_sigma
+        # readings need not lie on the grid that the arm file declares
+        return rounded(self._encoder(kind, i).sigma_rad, ANGLE_STEP)
 
     def _used_axis(self, axis: int) -> bool:
         """Whether the arm turns about this axis of the gyro."""

@@ -1,14 +1,12 @@
-"""The meaning of the CAN frames: the shipped DBC, the identifiers of an arm, the resolution of the coded values."""
+"""What the frames of the wire mean: the shipped DBC, the identifiers of an arm."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 import cantools
-import numpy as np
 from cantools.database.can import Database, Message
 
 from zygos.arm import Arm
@@ -42,7 +40,7 @@ class Frame(NamedTuple):
     flags: int = 0
 
 
-class Kind(NamedTuple):
+class MessageKind(NamedTuple):
     """Meaning of an identifier for an arm: its message in the DBC, its E2E family and node, the joint it belongs to.
 
     part: what the frame contributes to a cycle, None for SYNC and FTIME.
@@ -63,54 +61,28 @@ def database(coarse_gyro: bool = False) -> Database:
     return loaded
 
 
-def identifiers(arm: Arm) -> dict[int, Kind]:
+def identifiers(arm: Arm) -> dict[int, MessageKind]:
     """Identifiers of the arm's messages. The DBC names joints by node 1 to 7; other nodes have the same layout."""
     messages = {message.name: message for message in database().messages}
     kinds = {
-        0x080: Kind(messages["SYNC"], None, COMPUTER_NODE),
-        0x380 + COMPUTER_NODE: Kind(messages["FTIME"], 2, COMPUTER_NODE),
+        0x080: MessageKind(messages["SYNC"], None, COMPUTER_NODE),
+        0x380 + COMPUTER_NODE: MessageKind(messages["FTIME"], 2, COMPUTER_NODE),
     }
     for i, joint in enumerate(arm.joints):
-        kinds[0x180 + joint.node] = Kind(messages["JOINT1_ANGLES"], 0, joint.node, i, f"angles{i}")
-        kinds[0x280 + joint.node] = Kind(messages["JOINT1_TORQUE"], 1, joint.node, i, f"torque{i}")
+        kinds[0x180 + joint.node] = MessageKind(messages["JOINT1_ANGLES"], 0, joint.node, i, f"angles{i}")
+        kinds[0x280 + joint.node] = MessageKind(messages["JOINT1_TORQUE"], 1, joint.node, i, f"torque{i}")
     node = arm.imu.node
     if node == 0:
         return kinds
     if arm.imu.resolution == "coarse":
-        kinds[0x180 + node] = Kind(database(coarse_gyro=True).get_message_by_frame_id(0x190), 0, node, 0, "rate")
-        kinds[0x380 + node] = Kind(messages["IMU_RATE_Z"], 2, node, 0, UNWANTED)
+        kinds[0x180 + node] = MessageKind(database(coarse_gyro=True).get_message_by_frame_id(0x190), 0, node, 0, "rate")
+        kinds[0x380 + node] = MessageKind(messages["IMU_RATE_Z"], 2, node, 0, UNWANTED)
     else:
-        kinds[0x180 + node] = Kind(messages["IMU_RATE_XY"], 0, node, 0, "rate_xy")
-        kinds[0x380 + node] = Kind(messages["IMU_RATE_Z"], 2, node, 0, "rate_z")
+        kinds[0x180 + node] = MessageKind(messages["IMU_RATE_XY"], 0, node, 0, "rate_xy")
+        kinds[0x380 + node] = MessageKind(messages["IMU_RATE_Z"], 2, node, 0, "rate_z")
     return kinds
 
 
 def data_ids(family: int, node: int) -> bytes:
     """DataIDList of E2E profile 2: one identifier for each of the sixteen counters."""
     return bytes((32 * family + node + 17 * counter) % 251 for counter in range(16))
-
-
-ANGLE_STEP, TORQUE_STEP = 2.0 * np.pi / 2**20, 1e-4
-"""Resolution of angles (rad) and torques (Nm) in the CAN frames."""
-
-
-RATE_STEP, COARSE_RATE_STEP = 2.0**-21, 2.0**-13
-"""Resolution of the rates of a fine and of a coarse gyro in the CAN frames, rad/s."""
-
-
-def over_the_wire(arm: Arm) -> Arm:
-    """The arm with the errors that its sensors have after their readings are rounded in the CAN frames
-    (docs/wire.md)."""
-
-    joints = tuple(
-        replace(
-            joint,
-            link_encoder=joint.link_encoder.over_the_wire,
-            motor_encoder=joint.motor_encoder.over_the_wire,
-            torque_sigma=float(np.hypot(joint.torque_sigma, TORQUE_STEP / np.sqrt(12.0))),
-        )
-        for joint in arm.joints
-    )
-    step = RATE_STEP if arm.imu.resolution == "fine" else COARSE_RATE_STEP
-    imu = replace(arm.imu, rate_sigma=float(np.hypot(arm.imu.rate_sigma, step / np.sqrt(12.0))))
-    return replace(arm, joints=joints, imu=imu)

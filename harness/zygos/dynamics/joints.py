@@ -6,10 +6,11 @@ lag, which delays the torque, only the length is stored here.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,13 +18,14 @@ from numpy.typing import ArrayLike, NDArray
 from zygos.arm import Arm
 from zygos.effects import SLOWEST_RATE, Effect, Kind, Place
 from zygos.errors import ZygosError
+from zygos.model.model import Model
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Drives:
-    """The N drives of an arm."""
+class Drives(ABC):
+    """The N drives of an arm, whose bodies are those of a subclass."""
 
     rotor_inertia: Array
     """(N,) Im, kg m^2, about the rotor's own axis, before the gear."""
@@ -41,6 +43,16 @@ class Drives:
     """(N,) delay of each motor behind its reported torque, s; None: no delay."""
     angular_momentum: float | None = None
     """Angular momentum that the model assumes, Nms; None: no assumption."""
+
+    @classmethod
+    def from_model(cls, arm: Arm, model: Model) -> Self:
+        """Dynamics of a model, its effects included. Errors: as `from_parameters`, and what does not fit the arm."""
+        return cls.from_parameters(arm, model.base_values(arm), model.effects)
+
+    @classmethod
+    @abstractmethod
+    def from_parameters(cls, arm: Arm, values: ArrayLike, effects: Sequence[Effect] = ()) -> Self:
+        """Dynamics from base parameters in the order of `arm.parameter_names`, shape (p,), and effects."""
 
     @property
     def n(self) -> int:

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,7 +24,6 @@ from zygos.arm import Arm
 from zygos.dynamics.joints import Drives, by_name, drives
 from zygos.effects import Effect
 from zygos.errors import ZygosError
-from zygos.model.model import Model
 
 Array = NDArray[np.float64]
 
@@ -38,13 +38,7 @@ class PlanarDynamics(Drives):
     """(N+1, N+1) antisymmetric b_ij (b[i, j] = b_ij for i < j), kg m^2; zero for a planar-symmetric arm."""
 
     @classmethod
-    def from_model(cls, arm: Arm, model: Model) -> PlanarDynamics:
-        """Dynamics of a model, including its effects. Errors: as `from_parameters`, and for a model that does not
-        fit."""
-        return cls.from_parameters(arm, model.base_values(arm), model.effects)
-
-    @classmethod
-    def from_parameters(cls, arm: Arm, values: ArrayLike, effects: Sequence[Effect] = ()) -> PlanarDynamics:
+    def from_parameters(cls, arm: Arm, values: ArrayLike, effects: Sequence[Effect] = ()) -> Self:
         """Dynamics from base parameters in the order of `arm.parameter_names`, shape (p,), and effects.
 
         Errors: ZygosError if the number of values is not p or if some posture would have negative kinetic energy.

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,7 +22,6 @@ from zygos.dynamics.joints import Drives, by_name, drives
 from zygos.effects import Effect
 from zygos.errors import ZygosError
 from zygos.model import gram
-from zygos.model.model import Model
 
 Array = NDArray[np.float64]
 
@@ -40,13 +40,7 @@ class SpatialDynamics(Drives):
     """(V,) first moments on which gravity acts, kg m."""
 
     @classmethod
-    def from_model(cls, arm: Arm, model: Model) -> SpatialDynamics:
-        """Dynamics of a model, including its effects. Errors: as `from_parameters`, and for a model that does not
-        fit."""
-        return cls.from_parameters(arm, model.base_values(arm), model.effects)
-
-    @classmethod
-    def from_parameters(cls, arm: Arm, values: ArrayLike, effects: Sequence[Effect] = ()) -> SpatialDynamics:
+    def from_parameters(cls, arm: Arm, values: ArrayLike, effects: Sequence[Effect] = ()) -> Self:
         """Dynamics from base parameters in the order of `arm.parameter_names`, shape (p,), and effects.
 
         Errors: ZygosError if the number of values is not p, or if no arm has this N minus the rotors' contribution.

@@ -9,7 +9,7 @@ import numpy as np
 
 from zygos.arm import Arm
 from zygos.balances.energy import energy_columns
-from zygos.balances.kinematics import State
+from zygos.balances.state import State
 from zygos.files.output import counted, number
 from zygos.native.flight import GATE, REASONS, Estimate, Flight
 

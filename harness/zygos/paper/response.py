@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from zygos.arm import Arm
+from zygos.balances.state import State
 from zygos.dynamics.planar import PlanarDynamics
-from zygos.dynamics.replay import States
 
 Floats = NDArray[np.float64]
 
@@ -22,7 +22,7 @@ PARTING = 10.0
 """A motion whose copies diverge by more than this multiple of their initial distance is not compared point by point."""
 
 
-def instants(arm: Arm) -> Floats:
+def sync_instants(arm: Arm) -> Floats:
     """(n,) SYNC instants of a response, s."""
     return np.asarray(arm.period_s * np.arange(round(DURATION_S / arm.period_s) + 1), dtype=np.float64)
 
@@ -40,13 +40,15 @@ def respond(arm: Arm, values: Floats, momentum_nms: float, off_rad: float = 0.0)
     start[0] = momentum_nms / float(np.sum(dynamics.inertia(start[1 : 1 + arm.n])[0]))
 
     def rate(t: float, x: Floats) -> Floats:
-        s = States.of(x)
+        s = State.unpacked(x)
         tau = np.array(AMPLITUDES_NM) * np.cos(np.array(RATES) * t)
-        base, link, motor = dynamics.accelerations(s.q, s.theta, s.omega0, s.qd, s.thetad, tau)
-        return States(base, s.qd, s.thetad, link, motor).packed()
+        base, link, motor = dynamics.accelerations(s.q, s.theta, s.base, s.qd, s.thetad, tau)
+        return State(s.qd, s.thetad, link, motor, base).packed()
 
-    found = solve_ivp(rate, (0.0, DURATION_S), start, method="DOP853", t_eval=instants(arm), rtol=1e-10, atol=1e-12)
-    return np.asarray(States.of(found.y.T).q, dtype=np.float64)
+    found = solve_ivp(
+        rate, (0.0, DURATION_S), start, method="DOP853", t_eval=sync_instants(arm), rtol=1e-10, atol=1e-12
+    )
+    return np.asarray(State.unpacked(found.y.T).q, dtype=np.float64)
 
 
 def apart_percent(response: Floats, true: Floats) -> Floats:

@@ -12,9 +12,8 @@ import numpy as np
 import tomlkit
 from numpy.typing import NDArray
 
-from zygos.arm import Arm
+from zygos.arm import ANGLE_STEP, TORQUE_STEP, Arm
 from zygos.can import bus
-from zygos.can.wire import ANGLE_STEP, COARSE_RATE_STEP, RATE_STEP, TORQUE_STEP
 from zygos.errors import ZygosError
 from zygos.files.inputs import local
 from zygos.files.output import counted, write_text
@@ -79,7 +78,7 @@ def check_noise(arm: Arm, mapping: Map, added: Sequence[float]) -> None:
             )
 
 
-def arm_text(file: Path, arm: Arm, whence: str) -> str:
+def noisier_arm_text(file: Path, arm: Arm, whence: str) -> str:
     """Text of the arm file with the noise of `arm`."""
     document = tomlkit.parse(local(file).read_text(encoding="utf-8"))
     for entry, joint in zip(document["joint"], arm.joints, strict=True):
@@ -148,7 +147,7 @@ def refused_share(arm: Arm, cycles: Cycles, frames: NDArray[Any] | None) -> floa
 def _wire_step(channel: Channel, arm: Arm) -> float:
     """Resolution of the channel in a CAN frame, SI units."""
     if channel.field == "omega":
-        return RATE_STEP if arm.imu.resolution == "fine" else COARSE_RATE_STEP
+        return arm.imu.step
     return TORQUE_STEP if channel.field == "tau" else ANGLE_STEP
 
 

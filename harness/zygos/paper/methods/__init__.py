@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
-from zygos.balances.kinematics import State
+from zygos.balances.state import State
 from zygos.errors import ZygosError
 from zygos.runs.samples import Samples
 from zygos.simulation.plant import Trajectory
