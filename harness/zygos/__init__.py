@@ -11,7 +11,7 @@
 Files       load_arm save_arm load_model save_model load_run save_run load_scenario example write_example
 Runs        Run make_run simulate simulate_with_truth
 Questions   estimate check check_arm explain predict
-Answers     Estimation Check Audit Explanation Prediction write_report
+Answers     Estimation Check ArmCheck Explanation Prediction write_report
 Errors      ZygosError Undecided
 
 docs/python.md has each of them with an example. Quantities are in SI units; arrays are numpy's. What is listed here is
@@ -23,8 +23,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from zygos.arm import Arm, load_arm, save_arm
-    from zygos.audit.check import check_arm
-    from zygos.audit.findings import Audit
+    from zygos.audit.check import ArmCheck, check_arm
     from zygos.can.run import Run, load_run, make_run, save_run
     from zygos.effects import Effect, effect
     from zygos.errors import Undecided, ZygosError
@@ -44,7 +43,7 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "Arm": "arm",
-    "Audit": "audit.findings",
+    "ArmCheck": "audit.check",
     "Check": "reference.check",
     "Cycles": "runs.cycles",
     "Effect": "effects",
@@ -82,7 +81,7 @@ _HOMES = {
 
 __all__ = [
     "Arm",
-    "Audit",
+    "ArmCheck",
     "Check",
     "Cycles",
     "Effect",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -13,11 +13,16 @@ from zygos.gap.page import write_gap_report
 from zygos.gap.provenance import Provenance
 
 
+def _provenance(function: str, runs: Sequence[Path | None]) -> Provenance:
+    """The function that gave a result, and the digests of the runs that were read from files."""
+    files = [run for run in runs if run is not None and run.is_file()]
+    listed = tuple(("run", str(file), hashlib.sha256(file.read_bytes()).hexdigest()) for file in files)
+    return Provenance(f"zygos.{function}, called from Python", version("zygos"), listed)
+
+
 def _explanation(result: Explanation, path: Path) -> None:
-    """Of an explained gap; the runs that came from files are named with their digests."""
-    files = [record.path for record in result.refit.records if record.path.is_file()]
-    listed = tuple(("measured", str(file), hashlib.sha256(file.read_bytes()).hexdigest()) for file in files)
-    write_gap_report(path, result, Provenance("zygos.explain, called from Python", version("zygos"), listed))
+    """Write the page of an explained gap."""
+    write_gap_report(path, result, _provenance("explain", [record.path for record in result.refit.records]))
 
 
 WRITERS: dict[type[Any], Callable[[Any, Path], None]] = {

@@ -1,21 +1,62 @@
-"""A run held against its own arm."""
+"""A run compared with the description of its own arm."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any
 
 from zygos.audit.auditor import audit
-from zygos.audit.findings import Audit
+from zygos.audit.findings import Audit, Signal, SignalFault
 from zygos.audit.traffic import traffic_of
 from zygos.can.run import Run
 
 
-def check_arm(run: Run, *, progress: Callable[[float], None] | None = None) -> Audit:
-    """Say whether a run agrees with the description of its arm: signals that are swapped, inverted, scaled, stuck or
-    skewed, and the numbers that show it.
+@dataclass(frozen=True, eq=False, repr=False)
+class ArmCheck:
+    """Whether a run agrees with the description of its arm."""
 
-    `Audit.ok` is true where nothing is wrong and every signal is confirmed. progress is called now and then with the
-    share that is done. Errors: ZygosError where the run has another number of joints than its arm.
+    run: Run
+    audit: Audit
+    """Everything that was found, with the measured properties of each signal."""
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing is wrong, and the sign and the place of every signal are confirmed."""
+        return self.audit.ok
+
+    @property
+    def findings(self) -> tuple[SignalFault, ...]:
+        """What is wrong: signal, fault, evidence and remedy of each finding."""
+        return self.audit.findings
+
+    @property
+    def signals(self) -> tuple[Signal, ...]:
+        """Range, step, noise and verdict of each signal."""
+        return self.audit.signals
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What could not be decided, and why."""
+        return self.audit.notes
+
+    def as_dict(self) -> dict[str, Any]:
+        """The result in numbers, texts, lists and dictionaries, as `zygos check-arm --json` writes it."""
+        return {"arm": self.run.arm.name, "ok": self.ok, "faults": self.run.faults, **asdict(self.audit)}
+
+    def __repr__(self) -> str:
+        """A line for each signal and for each finding."""
+        lines = [f"{signal.name:<26}{signal.verdict}" for signal in self.signals]
+        lines += [f"{f.signal}: {f.fault} ({f.evidence}); remedy: {f.remedy}" for f in self.findings]
+        return "\n".join(lines)
+
+
+def check_arm(run: Run, *, progress: Callable[[float], None] | None = None) -> ArmCheck:
+    """Check whether a run agrees with the description of its arm: finds signals that are swapped, inverted, scaled,
+    stuck or skewed, and gives the numbers that show it. No model is needed.
+
+    progress is called now and then with the share that is done. Errors: ZygosError if the run has another number of
+    joints than its arm.
     """
     traffic = None if run.frames is None else traffic_of(run.arm, run.frames)
-    return audit(run.arm, run.cycles, traffic, progress)
+    return ArmCheck(run, audit(run.arm, run.cycles, traffic, progress))

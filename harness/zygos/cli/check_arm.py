@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -27,10 +26,9 @@ def check_arm_run(arm_file: Path, run: Path, json: str | None) -> None:
         task = bar.add_task("comparing", total=1.0)
         found = check_arm(recorded, progress=lambda share: bar.update(task, completed=share))
     if json:
-        heading = {**origin(recorded), "arm": arm.name, "ok": found.ok, "faults": recorded.faults}
-        write_json(json, {**heading, **asdict(found)})
+        write_json(json, {**origin(recorded), **found.as_dict()})
     if json != "-":
-        show_audit(found)
+        show_audit(found.audit)
         seen = [f"{name} {count:,}" for name, count in recorded.faults.items() if count]
         say(f"arm {arm.name} · {counted(len(recorded), 'cycle')}" + (f" · faults: {', '.join(seen)}" if seen else ""))
     if found.findings:
@@ -41,7 +39,7 @@ def check_arm_run(arm_file: Path, run: Path, json: str | None) -> None:
         )
     if not found.ok:
         names = ", ".join(signal.name for signal in found.signals if not signal.decided)
-        raise Undecided(f"no fault was found, but nothing confirms {names}; remedy: {_what_decides(found)}")
+        raise Undecided(f"no fault was found, but nothing confirms {names}; remedy: {_what_decides(found.audit)}")
     not_whole(recorded.damage)
 
 

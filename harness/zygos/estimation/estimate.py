@@ -32,6 +32,8 @@ class Estimation:
     """The solver's answer in full."""
     drift: Drift | None
     """The look that shows a change of the arm most plainly; None where there was none."""
+    run: Run | None = None
+    """The run; None for an estimate of frames that were never recorded."""
     prior: Model | None = None
     """The model that was given."""
     asked: tuple[Effect, ...] = ()
@@ -137,10 +139,12 @@ class Estimation:
         return "\n".join(lines)
 
 
-def conclude(watch: Watch, prior: Model | None = None, asked: Sequence[Effect] = ()) -> Estimation:
+def conclude(
+    watch: Watch, run: Run | None = None, prior: Model | None = None, asked: Sequence[Effect] = ()
+) -> Estimation:
     """The estimate of a flight that was fed, and a last look for a change."""
     result = watch.flight.estimate()
-    return Estimation(watch, result, watch.look(), prior, tuple(asked))
+    return Estimation(watch, result, watch.look(), run, prior, tuple(asked))
 
 
 def estimate(
@@ -167,4 +171,4 @@ def estimate(
         watch.frames(run.frames, progress)
     else:
         watch.cycles(run.cycles, progress)
-    return conclude(watch, model, effects)
+    return conclude(watch, run, model, effects)

@@ -17,6 +17,7 @@ from zygos.reference.compare import Room, check_cycles, check_frames
 class Check:
     """The comparison of all stages, from the wire to the solution."""
 
+    run: Run
     flight: Flight
     """The C library after the run."""
     stages: tuple[Room, ...]
@@ -63,5 +64,5 @@ def check(run: Run, *, effects: Sequence[Effect] = ()) -> Check:
     """
     flight = Flight(run.arm, effects)
     if run.frames is None:
-        return Check(flight, tuple(check_cycles(run.arm, run.cycles, flight)))
-    return Check(flight, tuple(check_frames(run.arm, run.frames, flight)))
+        return Check(run, flight, tuple(check_cycles(run.arm, run.cycles, flight)))
+    return Check(run, flight, tuple(check_frames(run.arm, run.frames, flight)))
