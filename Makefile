@@ -31,7 +31,7 @@ $(error CAPACITIES holds $(filter-out -DZYGOS_%,$(CAPACITIES)), which is no capa
 endif
 
 .DEFAULT_GOAL := demo
-.PHONY: demo build library install uninstall FORCE node test test-all coverage times kernels hil pil gap bench accuracy mission demo-log lint format warnings clean help
+.PHONY: demo build library install uninstall FORCE node test test-all coverage times kernels hil pil gap bench accuracy mission demo-log reference lint format warnings clean help
 
 demo: build ## set up, run the paper's example over CAN, show the result (out/demo/report.html)
 	$(BIN)/python -m zygos.demo
@@ -146,6 +146,9 @@ mission: build $(VENV)/.test ## intervals over missions of up to 30 days of fres
 
 demo-log: build $(VENV)/.test ## write the logs of examples/gap/demo again
 	PYTHONPATH=tests:tests/support $(BIN)/python -m oracles.demo_log
+
+reference: build $(VENV)/.test ## the pages in docs/reference/: keys of the files, codes of the C library, JSON outputs
+	$(BIN)/python tools/reference.py
 
 lint: build $(VENV)/.test ## ruff, mypy, the order of sub-packages, clang-format
 	$(BIN)/ruff check .

@@ -149,7 +149,7 @@ def test_a_run_at_rest_confirms_nothing(
     content = answer(tmp_path, ARM, logged(tmp_path / "run.blf", arm, still), 3)
     assert content["findings"] == []
     assert not content["ok"]
-    assert "nothing wrong was found, but nothing confirms" in capsys.readouterr().err
+    assert "no fault was found, but nothing confirms" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -239,7 +239,7 @@ def test_a_scheduler_that_does_not_answer_is_refused(
 
 
 def test_a_worker_with_other_code_is_refused() -> None:
-    with pytest.raises(ZygosError, match="another zygos"):
+    with pytest.raises(ZygosError, match="a different version of zygos"):
         Cell(CASES["paper-30"], (0,), 1, "other").run()
 
 

@@ -192,7 +192,9 @@ def test_noise_above_the_declared_is_named(runs: dict[str, tuple[Arm, list[Cycle
     arm, clean = runs["b"]
     sigma = arm.joints[0].link_encoder.sigma_rad
     for cycles in clean:
-        assert named(audit(arm, noisy("theta", 1, 12 * sigma)(cycles)))[M2].startswith("noisier than declared by 8")
+        assert named(audit(arm, noisy("theta", 1, 12 * sigma)(cycles)))[M2].startswith(
+            "noisier than declared by a factor of 8"
+        )
         assert audit(arm, noisy("theta", 1, 1.5 * sigma)(cycles)).ok
 
 

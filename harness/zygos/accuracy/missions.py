@@ -1,4 +1,5 @@
-"""`python -m zygos.accuracy.missions`, behind `make mission`: how honest intervals stay, from a minute to a month."""
+"""`python -m zygos.accuracy.missions`, used by `make mission`: coverage of intervals in runs from a minute to a
+month."""
 
 from __future__ import annotations
 
@@ -48,7 +49,7 @@ def case_of(name: str, folder: Path = Path("examples")) -> Case:
 
 
 def summarised(case: Case, lines: Sequence[Line]) -> list[Line]:
-    """One entry for each length: truth meets the answers."""
+    """One entry for each length, which compares the estimates with the true values."""
     true = case.model.base_values(case.arm)
     out = []
     for length in LENGTHS:
@@ -92,7 +93,7 @@ def summarised(case: Case, lines: Sequence[Line]) -> list[Line]:
 
 def page(entries: Sequence[Line]) -> str:
     """The numbers as Markdown."""
-    said = [
+    lines = [
         "# Coverage of the intervals, from a minute to a month",
         "",
         f"`make mission` writes this page. A mission repeats up to {REPEATED} of {MOTIONS} stored motions of "
@@ -106,7 +107,7 @@ def page(entries: Sequence[Line]) -> str:
     ]
     for entry in entries:
         off = entry["coverage95_error"]
-        said += [
+        lines += [
             "",
             f"## {entry['case']}, {entry['length']}",
             "",
@@ -121,11 +122,11 @@ def page(entries: Sequence[Line]) -> str:
         ]
         for name, own in entry["parameters"].items():
             share = own["coverage95"]
-            said.append(
+            lines.append(
                 f"| {name} | {number(own['bias_percent'], 3)} | {number(own['spread_percent'], 3)} | "
                 f"{number(own['half95_percent'], 3)} | {number(100 * share if share is not None else None, 3)} |"
             )
-    return "\n".join(said) + "\n"
+    return "\n".join(lines) + "\n"
 
 
 def mission(
@@ -138,23 +139,27 @@ def mission(
     draws: Annotated[
         int | None, typer.Option(min=1, help="Missions of each length; default: 200, 200, 60, 12.")
     ] = None,
-    door: Annotated[str | None, typer.Option(help="frames or cycles; default: frames but for 30d.")] = None,
+    door: Annotated[
+        str | None, typer.Option(help="Input of the library: frames or cycles; default: frames, but cycles for 30d.")
+    ] = None,
     workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
-    folder: Annotated[Path, typer.Option(metavar="FOLDER", help="Stored motions and finished missions.")] = FOLDER,
+    folder: Annotated[
+        Path, typer.Option(metavar="FOLDER", help="Folder of stored motions and finished missions.")
+    ] = FOLDER,
     json: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="The numbers; default: docs/mission.json, if all lengths run.")
+        Path | None, typer.Option(metavar="FILE", help="Results; default: docs/mission.json, if all lengths run.")
     ] = None,
 ) -> None:
-    """Repeat stored motions with fresh sensor errors, for up to a month, and count how often the intervals hold.
+    """Repeat stored motions with new sensor errors, for up to a month, and count how often the intervals hold.
 
     Example: python -m zygos.accuracy.missions 300s --draws 20
     """
     known = {length.name: length for length in LENGTHS}
     for name in lengths or []:
         if name not in known:
-            raise ZygosError(f"there is no length {name!r}; remedy: one of {', '.join(known)}")
+            raise ZygosError(f"there is no length {name!r}; remedy: use one of {', '.join(known)}")
     if door not in (None, "frames", "cycles"):
-        raise ZygosError(f"there is no door {door!r}; remedy: frames or cycles")
+        raise ZygosError(f"{door!r} is not a value of --door; remedy: write frames or cycles")
     chosen_lengths = [
         replace(length, door=door or length.door, draws=draws or length.draws)
         for length in LENGTHS
@@ -196,7 +201,7 @@ def _row(entry: Line) -> tuple[str, ...]:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run with the arguments of the command line, or these."""
+    """Run with the arguments of the command line, or with the given ones."""
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
     app.command()(mission)
     with errors_end_the_program():

@@ -1,4 +1,4 @@
-"""What the frames of the wire mean: the shipped DBC, the identifiers of an arm."""
+"""The meaning of the CAN frames: the shipped DBC and the identifiers of an arm."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ EXTENDED, REMOTE, ERROR, FD = 1, 2, 4, 8
 
 
 BUS_OFF = 0x40
-"""Class of an error frame, a bit of its identifier: the controller has left the bus."""
+"""Class of an error frame, a bit of its identifier: the controller is bus-off."""
 
 
 UNWANTED = "unwanted"
-"""Part of a cycle that forbids its use: of a fine gyro, where the arm says that it is coarse."""
+"""Part of a cycle that makes it unusable: a frame of the fine gyro, where the arm declares a coarse one."""
 
 
 class Frame(NamedTuple):
-    """A CAN frame: identifier, data, and EXTENDED, REMOTE, ERROR, FD as flags."""
+    """A CAN frame: identifier, data, and the flags EXTENDED, REMOTE, ERROR, FD."""
 
     id: int
     data: bytes
@@ -41,7 +41,7 @@ class Frame(NamedTuple):
 
 
 class Kind(NamedTuple):
-    """What an identifier means for an arm: its message in the DBC, its E2E family and node, the joint it belongs to.
+    """Meaning of an identifier for an arm: its message in the DBC, its E2E family and node, the joint it belongs to.
 
     part: what the frame contributes to a cycle, None for SYNC and FTIME.
     """
@@ -55,7 +55,7 @@ class Kind(NamedTuple):
 
 @cache
 def database(coarse_gyro: bool = False) -> Database:
-    """The wire's DBC, with the messages of the coarse gyro in place of the fine one's."""
+    """The shipped DBC; with `coarse_gyro` the messages of the coarse gyro replace those of the fine one."""
     loaded = cantools.database.load_file(DBC_FOLDER / ("zygos-coarse-gyro.dbc" if coarse_gyro else "zygos.dbc"))
     assert isinstance(loaded, Database)
     return loaded

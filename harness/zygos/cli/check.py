@@ -1,4 +1,4 @@
-"""`zygos check`: the C library beside numpy on a run."""
+"""`zygos check`: compares the C library with numpy on a run."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ import typer
 
 from zygos.arm import load_arm
 from zygos.cli.options import ArmFile, Json, Run
-from zygos.cli.shared import damage_of, find_arm, not_whole, origin, read_run
+from zygos.cli.shared import find_arm, not_whole, origin, read_run
 from zygos.errors import Undecided
-from zygos.estimation.remedies import remedy
 from zygos.files.output import (
     bad,
     check_outputs,
@@ -21,11 +20,8 @@ from zygos.files.output import (
     table,
     write_json,
 )
-from zygos.files.tables import is_table
 from zygos.model.model import load_model
-from zygos.native.flight import Flight
-from zygos.reference.compare import check_cycles, check_frames
-from zygos.runs.tables import read_cycles
+from zygos.reference.check import check
 
 
 def check_run(run: Path, arm_file: Path | None, model_file: Path | None, json: str | None) -> None:
@@ -33,14 +29,14 @@ def check_run(run: Path, arm_file: Path | None, model_file: Path | None, json: s
     chosen = find_arm(run, arm_file)
     check_outputs([json], [run, chosen, run.parent / "arm.toml", model_file])
     arm = load_arm(chosen)
-    flight = Flight(arm, load_model(model_file).effects if model_file else ())
-    log = None if is_table(run) else read_run(run)
-    rooms = check_cycles(arm, read_cycles(run, arm), flight) if log is None else check_frames(arm, log.frames, flight)
+    effects = load_model(model_file).effects if model_file else ()
+    recorded = read_run(run, arm)
+    found = check(recorded, effects=effects)
     if json:
-        write_json(json, {**origin(run, log), "arm": arm.name, "rooms": [room.as_json() for room in rooms]})
+        write_json(json, {**origin(recorded), **found.as_dict()})
     if json != "-":
         table(
-            ("room", "compared", "largest difference", "at cycle", "tolerance", ""),
+            ("stage", "compared", "largest difference", "at cycle", "tolerance", ""),
             [
                 (
                     room.name,
@@ -50,18 +46,17 @@ def check_run(run: Path, arm_file: Path | None, model_file: Path | None, json: s
                     number(room.tolerance, 2),
                     good("equal") if room.equal else bad("differs"),
                 )
-                for room in rooms
+                for room in found.stages
             ],
         )
-        if is_table(run):
-            say("door: cycle")
-    failed = [room.name for room in rooms if not room.equal]
+        if recorded.frames is None:
+            say("input: table of cycles")
+    failed = [room.name for room in found.stages if not room.equal]
     if failed:
-        raise Undecided(f"C and numpy differ in: {', '.join(failed)}; remedy: report the run, it is worth a look")
-    if rooms[-1].name != "solution":
-        result = flight.estimate()
-        raise Undecided(f"no solution to compare, {result.validity}: {result.reason}; remedy: {remedy(result, flight)}")
-    not_whole(damage_of(log))
+        raise Undecided(f"C and numpy differ in: {', '.join(failed)}; remedy: report this run as a defect of zygos")
+    if not found.solved:
+        raise Undecided(found.unsolved)
+    not_whole(recorded.damage)
 
 
 def command(
@@ -73,13 +68,13 @@ def command(
     ] = None,
     json: Json = None,
 ) -> None:
-    """Compare the C library with numpy on a run, room by room.
+    """Compare the C library with numpy on a run, stage by stage.
 
-    The rooms are wire and cycles, smoother, rows, normal equations and solution. For each the table has the largest
-    difference, the cycle where it is found, and the tolerance. The two sides share no code: on numpy's side cantools
+    The stages are wire and cycles, smoother, rows, normal equations and solution. For each the table has the largest
+    difference, the cycle in which it occurs, and the tolerance. The two sides share no code: on numpy's side cantools
     and autosar-e2e decode, a convolution of the whole record smooths, and lstsq solves.
 
-    Exit code 3 when a room differs by more than its tolerance, or the run does not determine the parameters.
+    Exit code 3 when a stage differs by more than its tolerance, or the run does not determine the parameters.
 
     Example: zygos check out/run.blf
     """

@@ -1,50 +1,38 @@
-"""`zygos check-arm`: what a run says of its arm file, as a table."""
+"""`zygos check-arm`: compares a run with its arm file, and prints the result as a table."""
 
 from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
-import numpy as np
 import typer
-from numpy.typing import NDArray
 
-from zygos.arm import Arm, load_arm
-from zygos.audit import Audit, Traffic, audit, signal_names
-from zygos.can.wire import identifiers
+from zygos.arm import load_arm
+from zygos.audit import Audit
+from zygos.audit.check import check_arm
 from zygos.cli.options import Json, Run
-from zygos.cli.shared import damage_of, not_whole, origin, read_run
+from zygos.cli.shared import not_whole, origin, read_run
 from zygos.errors import Undecided
 from zygos.files.output import check_outputs, counted, good, number, say, table, write_json
 from zygos.files.progress import progress
-from zygos.files.tables import is_table
-from zygos.native.flight import Flight, ffi, lib
-from zygos.runs.cycles import Cycles
-from zygos.runs.tables import read_cycles
-
-_SYNC, _FTIME = 0x080, 0x3A0
-_ACCEPTED = 1
 
 
 def check_arm_run(arm_file: Path, run: Path, json: str | None) -> None:
     """Audit a run against an arm file; see `zygos check-arm --help`."""
     check_outputs([json], [run, arm_file])
     arm = load_arm(arm_file)
-    log = None if is_table(run) else read_run(run)
-    if log is None:
-        cycles, traffic, faults = read_cycles(run, arm), Traffic(), dict[str, int]()
-    else:
-        cycles, traffic, faults = listen_to(arm, log.frames)
+    recorded = read_run(run, arm)
     with progress() as bar:
         task = bar.add_task("comparing", total=1.0)
-        found = audit(arm, cycles, traffic, lambda share: bar.update(task, completed=share))
+        found = check_arm(recorded, progress=lambda share: bar.update(task, completed=share))
     if json:
-        write_json(json, {**origin(run, log), "arm": arm.name, "ok": found.ok, "faults": faults, **asdict(found)})
+        heading = {**origin(recorded), "arm": arm.name, "ok": found.ok, "faults": recorded.faults}
+        write_json(json, {**heading, **asdict(found)})
     if json != "-":
         show(found)
-        seen = [f"{name} {count:,}" for name, count in faults.items() if count]
-        say(f"arm {arm.name} · {counted(len(cycles), 'cycle')}" + (f" · faults: {', '.join(seen)}" if seen else ""))
+        seen = [f"{name} {count:,}" for name, count in recorded.faults.items() if count]
+        say(f"arm {arm.name} · {counted(len(recorded), 'cycle')}" + (f" · faults: {', '.join(seen)}" if seen else ""))
     if found.findings:
         first = found.findings[0]
         raise Undecided(
@@ -53,22 +41,22 @@ def check_arm_run(arm_file: Path, run: Path, json: str | None) -> None:
         )
     if not found.ok:
         names = ", ".join(signal.name for signal in found.signals if not signal.decided)
-        raise Undecided(f"nothing wrong was found, but nothing confirms {names}; remedy: {_what_decides(found)}")
-    not_whole(damage_of(log))
+        raise Undecided(f"no fault was found, but nothing confirms {names}; remedy: {_what_decides(found)}")
+    not_whole(recorded.damage)
 
 
 def _what_decides(found: Audit) -> str:
-    """What would confirm the signals that nothing confirms, by what stood in the way."""
+    """A run that would confirm the signals that are not confirmed yet, by the reasons that the notes give."""
     still = [note.partition(":")[0] for note in found.notes if "does not move" in note]
     if still:
         return f"a run in which {', '.join(still)} moves"
     if any("too few accepted instants" in note or "is long enough" in note for note in found.notes):
         return "a longer run without gaps"
-    return 'a run that moves every joint faster and at different speeds; the lines that begin with "open" say why'
+    return 'a run that moves every joint faster and at different speeds; the lines with "open" give the reasons'
 
 
 def show(found: Audit) -> None:
-    """Print what was found."""
+    """Print the results."""
     table(
         ("signal", "unit", "rate %", "low", "high", "steps", "declared", "noise", "declared", "verdict"),
         [
@@ -109,69 +97,16 @@ def show(found: Audit) -> None:
         say(f"open: {text}")
 
 
-def listen_to(arm: Arm, frames: NDArray[Any]) -> tuple[Cycles, Traffic, dict[str, int]]:
-    """What the C receiver makes of a log: its cycles, what only the frames show, and its fault counters."""
-    frames = np.ascontiguousarray(frames)
-    judge = Flight(arm)
-    verdicts = np.zeros(len(frames), dtype=np.uint8)
-    lib.zygos_batch_frames(
-        judge.native,
-        ffi.cast("zygos_frame_t *", frames.ctypes.data),
-        len(frames),
-        ffi.cast("uint8_t *", verdicts.ctypes.data),
-        ffi.NULL,
-    )
-    trace = Flight(arm).frames(frames, trace=True)
-    assert trace is not None
-    return trace.cycles, _traffic(arm, frames, verdicts == _ACCEPTED), judge.faults
-
-
-def _traffic(arm: Arm, frames: NDArray[Any], accepted: NDArray[np.bool_]) -> Traffic:
-    syncs = (frames["id"] == _SYNC) & accepted
-    counters = frames["data"][syncs, 0].astype(np.int64)
-    if len(counters) < 2:
-        return Traffic(share={name: 0.0 for name, _, _ in signal_names(arm)})
-    numbers = np.concatenate([[0], np.cumsum(np.diff(counters) % 240)])
-    expected = int(numbers[-1])  # the last SYNC opens a cycle that nothing closes
-    number_at = np.concatenate([[0], numbers])[np.cumsum(syncs)]
-    share, saturated = {}, {}
-    parts = {kind.part: identifier for identifier, kind in identifiers(arm).items()}
-    coarse = arm.imu.resolution == "coarse"
-    for name, kind, i in signal_names(arm):
-        if kind == "omega":
-            part, first, width = (
-                ("rate", 2 + 2 * i, 2) if coarse else (("rate_xy", "rate_xy", "rate_z")[i], (2, 5, 2)[i], 3)
-            )
-        else:
-            part, first, width = f"{'torque' if kind == 'tau' else 'angles'}{i}", 2, 3
-        ours = frames["id"] == parts[part]
-        share[name] = min(1.0, float(np.sum(ours & accepted)) / expected)
-        if kind in ("tau", "omega"):
-            data = frames["data"][ours & ~accepted, first : first + width].astype(np.int64)
-            codes = (data << (8 * np.arange(width))).sum(axis=1)
-            half = 1 << (8 * width - 1)
-            saturated[name] = int(np.sum((codes == half) | (codes == half - 1)))
-    times = (frames["id"] == _FTIME) & accepted
-    micros = (frames["data"][times, 3:7].astype(np.int64) << (8 * np.arange(4))).sum(axis=1)
-    period = float("nan")
-    if len(micros) > 2:
-        steps = (np.diff(micros) + 2**31) % 2**32 - 2**31
-        cycles = np.diff(number_at[times])
-        # the median keeps a clock that started anew out of it
-        period = float(np.median(1e-6 * steps[cycles > 0] / cycles[cycles > 0])) if np.any(cycles > 0) else period
-    return Traffic(share, saturated, period)
-
-
 def command(
     arm: Annotated[Path, typer.Argument(metavar="ARM.toml", help="The arm file.")],
     run: Run,
     json: Json = None,
 ) -> None:
-    """Hold a run against its arm file: rate, range, steps and noise of each signal, and whether the signals agree.
+    """Check a run against its arm file: rate, range, steps and noise of each signal, and whether the signals agree.
 
-    Names signals that are swapped, inverted, scaled by the gear ratio, stuck or saturated, a skew in time between the
-    two encoders of a joint, zeros that are off, and a wrong torque law; each with the number that says how sure it is,
-    and the remedy. No model is needed.
+    Reports signals that are swapped, inverted, scaled by the gear ratio, stuck or saturated, a skew in time between the
+    two encoders of a joint, zeros that are off, and a wrong torque law; each with the evidence in numbers and the
+    remedy. No model is needed.
 
     Exit code 3 when something is found, or the run does not confirm every signal.
 

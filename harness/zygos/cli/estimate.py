@@ -1,4 +1,4 @@
-"""`zygos estimate`: the parameters from a recorded run."""
+"""`zygos estimate`: estimates the parameters from a recorded run."""
 
 from __future__ import annotations
 
@@ -10,16 +10,13 @@ import typer
 from zygos.arm import load_arm
 from zygos.cli.answer import finish_estimate
 from zygos.cli.options import ArmFile, Json, Run
-from zygos.cli.shared import check_model_name, damage_of, find_arm, not_whole, origin, read_run
-from zygos.estimation.watch import Watch
+from zygos.cli.shared import check_model_name, find_arm, not_whole, origin, read_run
+from zygos.estimation.estimate import estimate
 from zygos.files.output import (
     check_outputs,
 )
 from zygos.files.progress import progress
-from zygos.files.tables import is_table
 from zygos.model.model import load_model
-from zygos.native.flight import Flight
-from zygos.runs.tables import read_cycles
 
 
 def estimate_run(run: Path, arm_file: Path | None, out: Path, model_file: Path | None, json: str | None) -> None:
@@ -29,23 +26,12 @@ def estimate_run(run: Path, arm_file: Path | None, out: Path, model_file: Path |
     check_outputs([out, json], [run, chosen, run.parent / "arm.toml", model_file])
     arm = load_arm(chosen)
     prior = load_model(model_file) if model_file else None
-    if prior is not None:
-        prior.base_parameters(arm)
-    watch = Watch(Flight(arm, prior.effects if prior else ()))
-    log = None if is_table(run) else read_run(run)
+    recorded = read_run(run, arm)
     with progress() as bar:
         task = bar.add_task("learning", total=1.0)
-
-        def show(share: float) -> None:
-            bar.update(task, completed=share)
-
-        if log is None:
-            watch.cycles(read_cycles(run, arm), show)
-        else:
-            watch.frames(log.frames, show)
-        result = watch.flight.estimate()
-    finish_estimate(result, watch, out, prior, json, origin(run, log))
-    not_whole(damage_of(log))
+        found = estimate(recorded, model=prior, progress=lambda share: bar.update(task, completed=share))
+    finish_estimate(found, out, json, origin(recorded))
+    not_whole(recorded.damage)
 
 
 def command(
@@ -57,18 +43,18 @@ def command(
         typer.Option(
             "--model",
             metavar="PRIOR.toml",
-            help="Also learn the effects of this model, and keep its values where the run determines none.",
+            help="Also estimate the effects of this model, and use its values where the run determines none.",
         ),
     ] = None,
     json: Json = None,
 ) -> None:
-    """Learn the parameters from a run, with the C library that flies.
+    """Estimate the parameters from a run, with the C library for flight.
 
     Writes a model.toml with value and sigma of each parameter. A parameter that the motion does not determine is left
-    out, or taken from --model. The [[effect]] entries of --model (friction, cubic stiffness, torque lag) are learned as
-    well, whatever their values; so is a spring_offset of each joint whose zeros the arm file does not vouch for
-    (zero_sigma_rad above 0). Exit code 3 when something is undecided; the reason is on stderr and in the JSON. Where
-    the arm changed during the run, a warning on stderr and the JSON say when, and in which parameters.
+    out, or taken from --model. The [[effect]] entries of --model (friction, cubic stiffness, torque lag) are estimated
+    as well, whatever their values; so is a spring_offset of each joint whose encoder zeros are uncertain by the arm
+    file (zero_sigma_rad above 0). Exit code 3 when something is undecided; the reason is on stderr and in the JSON. If
+    the arm changed during the run, a warning on stderr and the JSON state when, and in which parameters.
 
     Example: zygos estimate out/run.blf -o out/estimate.toml
     """

@@ -1,4 +1,4 @@
-"""`zygos listen`: estimate while frames arrive."""
+"""`zygos listen`: estimates while frames arrive."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from zygos.cli.answer import finish_estimate
 from zygos.cli.options import Bitrate, Channel, Interface, Json
 from zygos.cli.shared import check_model_name
 from zygos.errors import Undecided, ZygosError
+from zygos.estimation.estimate import conclude
 from zygos.estimation.watch import Watch
 from zygos.estimation.words import losses
 from zygos.files.output import (
@@ -90,19 +91,19 @@ def listen_bus(
         except can.CanError as error:
             fail(
                 Undecided(
-                    f"{where} failed while listening ({error}), what was learned until then is kept; remedy: see "
-                    "whether the interface is up, and listen again"
+                    f"{where} failed while listening ({error}), the estimate so far is written; remedy: check "
+                    "that the interface is up, and listen again"
                 )
             )
         if stopped():
-            note("stopped; keeping what was learned")
+            note("stopped; the estimate so far is written")
         work_off()
     if recording is not None:
         try:
             recording.finish()
         except ZygosError as error:
             fail(error)
-    finish_estimate(flight.estimate(), watch, out, None, json, {"bus": where, "door": "frames"})
+    finish_estimate(conclude(watch), out, json, {"bus": where, "door": "frames"})
     if failures:
         sys.exit(failures[0].exit_code)
 
@@ -128,9 +129,9 @@ def command(
     ] = 2.0,
     json: Json = None,
 ) -> None:
-    """Listen to a bus and learn while the frames arrive. Ctrl-C or SIGTERM ends it and keeps what was learned.
+    """Listen to a bus and estimate while the frames arrive. Ctrl-C or SIGTERM ends it and writes the estimate so far.
 
-    Exit code 3 when something is undecided, or the bus failed; what was learned until then is kept.
+    Exit code 3 when something is undecided, or the bus failed; the estimate so far is written nevertheless.
 
     Example: zygos listen -i socketcan -c vcan0 --arm examples/paper/arm.toml -o out/live.toml
     """

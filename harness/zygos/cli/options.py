@@ -9,7 +9,7 @@ import typer
 
 Json = Annotated[str | None, typer.Option("--json", metavar="FILE", help="Also write the result as JSON to this file.")]
 ArmFile = Annotated[
-    Path | None, typer.Option("--arm", metavar="ARM.toml", help="The arm file. Default: arm.toml beside the run.")
+    Path | None, typer.Option("--arm", metavar="ARM.toml", help="The arm file. Default: arm.toml next to the run.")
 ]
 Run = Annotated[
     Path,

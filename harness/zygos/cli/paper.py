@@ -1,4 +1,4 @@
-"""`zygos paper`: the paper's Tables III and IV and Fig. 4(b), reproduced beside what is printed."""
+"""`zygos paper`: reproduces the paper's Tables III and IV and Fig. 4(b), next to the printed values."""
 
 from __future__ import annotations
 
@@ -43,42 +43,42 @@ def run_paper(seeds: int, folder: Path | None, json: str | None) -> None:
         write_json(json, found.as_json())
     if json == "-":
         return
-    say(f"Noise, as read here: {NOISE}.")
+    say(f"Noise, as interpreted here: {NOISE}.")
     say(f"{seeds} seeds, {example.scenario.duration_s:g} s at {1 / example.arm.period_s:g} Hz\n")
-    _table_3(example.arm, example.true, found.estimates, found.told)
-    _table_4(example.arm, found.scores, found.told)
+    _table_3(example.arm, example.true, found.estimates, found.described)
+    _table_4(example.arm, found.scores, found.described)
     if found.figure is not None:
         _table_figure(found.figure, example.arm)
 
 
-def _order(arm: Arm, told: bool) -> list[int]:
-    """Rows of a table: the paper's order where it is the paper's arm."""
+def _order(arm: Arm, described: bool) -> list[int]:
+    """Rows of a table: in the paper's order for the paper's arm."""
     names = list(arm.parameter_names)
-    return [names.index(n) for n in printed.PARAMETERS] if told else list(range(len(names)))
+    return [names.index(n) for n in printed.PARAMETERS] if described else list(range(len(names)))
 
 
-def _table_3(arm: Arm, true: Floats, estimates: dict[str, Floats], told: bool) -> None:
+def _table_3(arm: Arm, true: Floats, estimates: dict[str, Floats], described: bool) -> None:
     rows = []
-    for k in _order(arm, told):
+    for k in _order(arm, described):
         n = arm.parameter_names[k]
         row = [n, number(float(true[k]), 9)]
         for name in ("DE", "EB", "EB (32)", "flight"):
-            if told and name in printed.ESTIMATES:
+            if described and name in printed.ESTIMATES:
                 row.append(number(printed.ESTIMATES[name][n], 6))
             row.append(number(float(estimates[name][:, k].mean()), 5))
         rows.append(row)
-    paired = ("DE printed", "DE", "EB printed", "EB") if told else ("DE", "EB")
+    paired = ("DE printed", "DE", "EB printed", "EB") if described else ("DE", "EB")
     title = "Table III: estimates in SI units, mean over the seeds"
     table(["", "true", *paired, "EB (32)", "flight"], rows, title=title)
-    if told:
+    if described:
         say(
-            "\nThe DE estimates are printed with the sign of their error turned round: a00 is 47320, which\n"
-            "is 99 % too high, and Table IV says -99 %. Table IV is right: noise attenuates.\n"
+            "\nThe DE estimates are printed with the opposite sign of their error: a00 is printed as 47320, which\n"
+            "is 99 % too high, but Table IV says -99 %. Table IV is right, because noise attenuates the estimates.\n"
         )
 
 
-def _table_4(arm: Arm, scores: dict[str, Score], told: bool) -> None:
-    if told:
+def _table_4(arm: Arm, scores: dict[str, Score], described: bool) -> None:
+    if described:
         for left, right, title in (
             ("DE, exact data", "EB, exact data", "Table IV, exact data: error, %"),
             ("DE", "EB", "Table IV, noise: error, %, mean over the seeds"),
@@ -86,7 +86,7 @@ def _table_4(arm: Arm, scores: dict[str, Score], told: bool) -> None:
             heads = ["", "DE printed", "here", "agree in", "EB printed", "here", "agree in"]
             means = {name: mean_error(scores[name]) for name in (left, right)}
             rows = []
-            for k in _order(arm, told):
+            for k in _order(arm, described):
                 n = arm.parameter_names[k]
                 cells = [n]
                 for name in (left, right):
@@ -94,24 +94,26 @@ def _table_4(arm: Arm, scores: dict[str, Score], told: bool) -> None:
                     cells += [number(printed.ERRORS[name][n], 3), number(ours, 3)]
                     cells.append(printed.agreement(ours, printed.ERRORS[name][n]))
                 rows.append(cells)
-            said = ["in all"]
+            total = ["in all"]
             for name in (left, right):
                 words = list(agreements(name, scores[name], arm).values())
                 sizes = [np.mean([abs(x) for x in column]) for column in (printed.ERRORS[name].values(), means[name])]
-                said += [*(number(float(size), 3) for size in sizes), _counted(words)]
-            table(heads, [*rows, said], title=title)
+                total += [*(number(float(size), 3) for size in sizes), _counted(words)]
+            table(heads, [*rows, total], title=title)
             say("")
         say(
-            f"Sizes agree within a factor of {printed.SIZE:g}. In all: mean size of the errors; how many signs + sizes "
-            "agree.\nWhat DE leaves on exact data is rounding, here as there.\n"
+            f"Sizes agree within a factor of {printed.SIZE:g}. In all: mean size of the errors; number of signs + "
+            "sizes that agree.\nThe errors of DE on exact data are rounding errors, here and in the paper.\n"
         )
     names = (*NOISY, *EXACT[1:])
-    rows = [[arm.parameter_names[k], *(number(float(scores[n].rms[k]), 3) for n in names)] for k in _order(arm, told)]
+    rows = [
+        [arm.parameter_names[k], *(number(float(scores[n].rms[k]), 3) for n in names)] for k in _order(arm, described)
+    ]
     rows.append(["mean", *(number(float(np.nanmean(scores[n].rms)), 3) for n in names)])
     rows.append(["largest", *(number(float(np.nanmax(scores[n].rms)), 3) for n in names)])
     heads = ["", *NOISY, *(name.replace(", ", "\n") for name in EXACT[1:])]
     table(heads, rows, title="Table IV, in size: root mean square error over the seeds, %")
-    say(f"\nEB (32): {SAID['EB (32)']}. The flight chain reads CAN frames; the last two columns have no noise.")
+    say(f"\nEB (32): {SAID['EB (32)']}. flight reads CAN frames; the last two columns are without noise.")
 
 
 def _counted(words: Sequence[str]) -> str:
@@ -137,16 +139,16 @@ def _table_figure(figure: dict[str, Any], arm: Arm) -> None:
     for name, why in figure["missing"].items():
         say(f"{name} has no response: {why}")
     say(
-        f"\nEB and flight: from seed 0. The motion is not chaotic: a start {1e3 * HAIR_RAD:g} mrad aside gets at most "
-        f"{figure['parting']:.1f} times as far apart."
+        f"\nEB and flight: from seed 0. The motion is not chaotic: a change of the start by {1e3 * HAIR_RAD:g} mrad "
+        f"grows by a factor of at most {figure['parting']:.1f}."
         if figure["parting"] < PARTING
-        else f"\nEB and flight: from seed 0. The motion is chaotic: a start {1e3 * HAIR_RAD:g} mrad aside gets "
-        f"{figure['parting']:.0f} times as far apart."
+        else f"\nEB and flight: from seed 0. The motion is chaotic: a change of the start by {1e3 * HAIR_RAD:g} mrad "
+        f"grows by a factor of {figure['parting']:.0f}."
     )
 
 
 def run_readings(seeds: int, folder: Path | None, json: str | None) -> None:
-    """Print how close each reading comes to Table IV; see `zygos paper --help`."""
+    """Print how close each interpretation of the paper comes to Table IV; see `zygos paper --help`."""
     example, _ = paper_example(folder)
     check_outputs([json], example.files)
     with progress() as bar:
@@ -169,11 +171,11 @@ def run_readings(seeds: int, folder: Path | None, json: str | None) -> None:
         )
     table(["", *(head for name in COLUMNS for head in (name, "agree"))], rows, title=f"Table IV, noise, {seeds} seeds")
     say(
-        "\nMean size of the twelve errors in %; how many of them agree with the printed ones in sign + in size "
+        "\nMean size of the twelve errors in %; number of errors that agree with the printed ones in sign + in size "
         f"(a factor of {printed.SIZE:g})."
     )
-    for name, said in COLUMNS.items():
-        say(f"{name}: {said}.")
+    for name, description in COLUMNS.items():
+        say(f"{name}: {description}.")
 
 
 def command(
@@ -182,14 +184,14 @@ def command(
         Path | None, typer.Option("--example", metavar="FOLDER", help="Folder with arm, model and scenario.toml.")
     ] = None,
     readings: Annotated[
-        bool, typer.Option("--readings", help="Instead: how close other readings of the paper come to Table IV.")
+        bool, typer.Option("--readings", help="Instead: compare other interpretations of the paper with Table IV.")
     ] = False,
     json: Json = None,
 ) -> None:
-    """Reproduce the paper's Tables III and IV and the numbers of Fig. 4(b), with the printed ones beside them.
+    """Reproduce the paper's Tables III and IV and the numbers of Fig. 4(b), next to the printed ones.
 
-    AMC, DE and EB, with the paper's sensors and without, and the flight chain. --readings varies what the paper leaves
-    open: duration, start, the servo's angle, noise and differences.
+    AMC, DE and EB, with the paper's sensors and without noise, and the C library for flight. --readings varies what the
+    paper leaves open: duration, start, the servo's angle, noise and differences.
 
     Example: zygos paper --seeds 50
     """

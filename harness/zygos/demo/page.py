@@ -1,6 +1,6 @@
-"""The demo's report: one self-contained page.
+"""The report of the demonstration: one self-contained page.
 
-Python selects and scales the numbers; `demo.html` says them, and the script in `charts.html` draws them.
+Python selects and scales the numbers; `demo.html` contains the text, and the script in `charts.html` draws the charts.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from zygos.report.page import UNITS, Entry, joint_colour, numbers, render, serie
 
 Floats = NDArray[np.float64]
 
-_SETTLED = 0.5  # of the run: what comes before does not set the scale of the convergence charts
+_SETTLED = 0.5  # share of the run whose estimates are ignored for the scale of the convergence charts
 
 
 @dataclass(frozen=True)
 class Convergence:
-    """Estimates while a run goes on, at m times; NaN where a parameter is not identifiable yet."""
+    """Estimates during a run, at m times; NaN where a parameter is not identifiable yet."""
 
     time_s: Floats
     """(m,)"""
     value: Floats
-    """(m, p)"""
+    """(m, p) values."""
     half95: Floats
     """(m, p) half width of the 95 % interval."""
 
@@ -48,18 +48,18 @@ class Ledger:
     elastic: Floats
     """(n,)"""
     dissipated: Floats
-    """(n,) since the origin of the arc."""
+    """(n,) energy dissipated since the origin of the arc."""
     supplied: Floats
-    """(n,) work of the motors since the origin of the arc, plus the energy that was there: the arc's constant."""
+    """(n,) work of the motors since the origin of the arc, plus the energy at the origin: the arc's constant."""
     residual: Floats
     """(n,)"""
     arcs: int
 
 
 def balance(arm: Arm, trace: Trace, value: Floats) -> Ledger:
-    """Split each row by what its parameters, value (p,), stand for.
+    """Split each row into the kinds of energy of its parameters, value (p,).
 
-    The constant of an arc is the mean of W - row . value over its accepted instants, as least squares has it.
+    The constant of an arc is the mean of W - row . value over its accepted instants, as in least squares.
     """
     row = np.where(trace.instant[:, None], trace.row, np.nan)
     terms, work = row[:, :-1] * value, row[:, -1]
@@ -92,8 +92,8 @@ def write_report(
 ) -> None:
     """Write the page: parameter table, trajectories, energy ledger, convergence, residual.
 
-    numpy_value (p,) is the reference's estimate, true (p,) the plant's; content has `bus`, `cycles` and `faults`, and
-    may have `gap`, what `zygos.demo.demonstration.explain_gap` found.
+    numpy_value (p,) is the reference's estimate, true (p,) the plant's values; content has `bus`, `cycles` and
+    `faults`, and may have `gap`, the result of `zygos.demo.demonstration.explain_gap`.
     """
     ledger = balance(arm, trace, estimate.value)
     complete = bool(np.all(np.isfinite(estimate.value)))
@@ -133,7 +133,7 @@ def write_report(
 
 
 def _meaning(arm: Arm, index: int) -> tuple[str, int | None]:
-    """What a parameter is, and the joint it belongs to, if to one."""
+    """The meaning of a parameter, and the joint to which it belongs, or None."""
     inertial = len(arm.parameter_names) - 3 * arm.n
     if index >= inertial:
         joint, kind = divmod(index - inertial, 3)
@@ -151,7 +151,7 @@ def _grouped(value: float) -> str:
 
 
 def _parameters(arm: Arm, estimate: Estimate, numpy_value: Floats, true: Floats) -> Entry:
-    """The table's rows, and the few numbers of the headline."""
+    """The table's rows, and the main numbers for the headline."""
     with np.errstate(divide="ignore", invalid="ignore"):
         error = 100.0 * (estimate.value / true - 1.0)
         half95 = 100.0 * np.abs(estimate.half95 / true)
@@ -202,7 +202,7 @@ def _parameters(arm: Arm, estimate: Estimate, numpy_value: Floats, true: Floats)
 
 
 def _trajectories(arm: Arm, trace: Trace) -> list[Entry]:
-    """What the estimator saw: smoothed and calibrated, except the torque."""
+    """The input of the estimator: smoothed and calibrated, except the torque."""
     n = arm.n
     state = np.where(trace.instant[:, None], trace.state, np.nan)
     q, theta, omega = state[:, :n], state[:, n : 2 * n], state[:, 4 * n :] @ arm.axis
@@ -240,7 +240,7 @@ def _energy(ledger: Ledger) -> list[Entry]:
     return [
         {
             "id": "energy",
-            "title": "Work of the motors, and where the energy is",
+            "title": "Work of the motors, and the energies",
             "unit": "J",
             "time": "state",
             "height": 300,
@@ -269,7 +269,7 @@ def _residual(ledger: Ledger, estimate: Estimate) -> list[Entry]:
 
 
 def _sheet(ledger: Ledger, time: Floats) -> Entry | None:
-    """The ledger at the last instant."""
+    """The energies at the last instant."""
     at = np.flatnonzero(np.isfinite(ledger.residual))
     if not at.size:
         return None
@@ -279,7 +279,7 @@ def _sheet(ledger: Ledger, time: Floats) -> Entry | None:
 
 
 def _convergence(arm: Arm, true: Floats, convergence: Convergence) -> list[Entry]:
-    """One chart a parameter: deviation from the true value in per cent, and the 95 % interval as a band."""
+    """One chart per parameter: deviation from the true value in per cent, and the 95 % interval as a band."""
     with np.errstate(divide="ignore", invalid="ignore"):
         deviation = 100.0 * (convergence.value / true - 1.0)
         spread = 100.0 * np.abs(convergence.half95 / true)

@@ -1,7 +1,7 @@
-"""Many short stretches of motion at once under torques that are held from SYNC to SYNC.
+"""Integrates many short pieces of motion at once, with torques that are constant from SYNC to SYNC.
 
-A twin of a run, or a prediction of its next half second, is a batch of stretches that begin at known states. They share
-their steps, so a fixed-step RK4 does; `zygos.simulation.plant` is the simulator for what must be exact.
+The pieces, for instance of a simulated run or of predictions of the next half second, begin at known states. They share
+their steps, so a fixed-step RK4 is used; `zygos.simulation.plant` is the simulator for exact results.
 """
 
 from __future__ import annotations
@@ -19,15 +19,16 @@ from zygos.dynamics.planar import PlanarDynamics
 Array = NDArray[np.float64]
 
 STEP_OF_MODE = 0.15
-"""Longest step in units of the fastest mode's 1/omega: RK4 then errs by 1e-6 of the mode's motion in a cycle of it."""
+"""Longest step in units of 1/omega of the fastest mode: RK4 then has an error of 1e-6 of the mode's motion per
+cycle."""
 
 
 def substeps(dynamics: PlanarDynamics, q: Array, period_s: float) -> int:
-    """RK4 steps a SYNC period that follow the arm's fastest mode at the postures q (..., N)."""
+    """RK4 steps per SYNC period that resolve the arm's fastest mode at the postures q (..., N)."""
     links, rotors = mobility(dynamics, q), np.diag(1.0 / (dynamics.rotor_inertia * dynamics.gear_ratio**2))
     stiff = np.where(dynamics.rigid, 0.0, dynamics.stiffness)
     damped = np.where(dynamics.rigid, 0.0, dynamics.damping)
-    # a spring turns its link against the carrier, and its rotor against both; friction turns one of them
+    # a spring turns its link against the carrying body, and its rotor against both; friction turns one of them
     fastest = np.sqrt(_largest((links + rotors) * stiff))
     rub = dynamics.friction_slope("motor")
     own = np.where(dynamics.rigid, links, rotors) * rub
@@ -40,7 +41,7 @@ def _largest(matrices: Array) -> float:
 
 
 def mobility(dynamics: PlanarDynamics, q: Array) -> Array:
-    """(..., N, N) accelerations of the joints a unit torque at each, 1/(kg m^2), at the postures q (..., N)."""
+    """(..., N, N) accelerations of the joints per unit torque at each, 1/(kg m^2), at the postures q (..., N)."""
     n = dynamics.n
     joints = np.eye(n, n + 1, 1) - np.eye(n, n + 1)
     inertia = dynamics.inertia(q)[0] + dynamics.rotor_mass
@@ -56,9 +57,9 @@ def replay(
     cycles: int,
     steps: int,
 ) -> tuple[Array, Array]:
-    """Move B stretches on from their states `start` (B, 4N+1) at the first SYNC (layout of `State.packed`).
+    """Integrate B pieces of motion from their states `start` (B, 4N+1) at the first SYNC (layout of `State.packed`).
 
-    torque(k, states) gives the torques (B, N) of period k, Nm before the gear, `before` (B, N) those of the period
+    torque(k, states) gives the torques (B, N) of period k, Nm before the gear; `before` (B, N) are those of the period
     before the first. Returns the states (B, cycles, 4N+1) at each SYNC and the torques (B, cycles, N).
     """
     lag = dynamics.torque_lag
@@ -82,10 +83,10 @@ def replay(
 
 
 def read(dynamics: PlanarDynamics, arm: Arm, states: Array, torques: Array) -> tuple[Array, Array, Array]:
-    """What exact sensors read of stretches (B, n+1, 4N+1) under torques (B, n+1, N) in their first n cycles.
+    """Readings of exact sensors for states (B, n+1, 4N+1) under torques (B, n+1, N), in the first n cycles.
 
-    q, theta (B, n, N), omega0 (B, n): each where it latches, which may be after SYNC. Between two SYNCs an angle is the
-    cubic, a rate the parabola through what is known at both.
+    Returns q, theta (B, n, N) and omega0 (B, n), each at the instant of its latch, which may be after SYNC. Between two
+    SYNCs an angle is a cubic polynomial and a rate a parabola through the known values at both.
     """
     now, then, h = State.unpacked(states[:, :-1]), State.unpacked(states[:, 1:]), arm.period_s
 

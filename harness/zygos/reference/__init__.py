@@ -1,7 +1,7 @@
-"""The numpy reference: one room for each room of the flight library, whole-record and in matrix form.
+"""The numpy reference: one stage for each stage of the flight library, for whole records and in matrix form.
 
-It computes what the C library computes by other means (convolution for rings, design matrices for accumulators,
-orthogonal least squares for normal equations), so that an agreement of the two means something.
+It computes the same results as the C library by different methods (convolution instead of ring buffers, design matrices
+instead of accumulators, orthogonal least squares instead of normal equations), so that their agreement is evidence.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Chain:
-    """What every room makes of a record, for a comparison room by room."""
+    """The results of every stage for a record, for a comparison stage by stage."""
 
     samples: Samples
     smoothed: Smoothed
@@ -47,9 +47,10 @@ class Chain:
 
 
 def chain(arm: Arm, cycles: Cycles, effects: Sequence[Effect] = ()) -> Chain:
-    """Take a record through all rooms, with columns for those of a model's effects that have one in the balance.
+    """Apply all stages to a record, with a column for each of a model's effects that has one in the balance.
 
-    Raises ZygosError for what does not fit the arm, Undecided for a record that does not determine the parameters.
+    Raises ZygosError for input that does not fit the arm, Undecided for a record that does not determine the
+    parameters.
     """
     samples = calibrate(arm, cycles)
     smoothed = smooth(arm, samples)

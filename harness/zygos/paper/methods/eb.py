@@ -1,8 +1,8 @@
 """Energy balance in batch, Nanos & Papadopoulos eqs. (37)-(39) with the errata of docs/paper.md.
 
 Rows are cumulative from a known start: the work of the motors since the start equals the change of kinetic and elastic
-energy plus the energy dissipated. The dissipation is added (eqs. (38) and (39) subtract it) and the gear ratio stands
-in the work (eq. (37) omits it).
+energy plus the energy dissipated. The dissipation is added (eqs. (38) and (39) subtract it), and the gear ratio is part
+of the work (eq. (37) omits it).
 """
 
 from __future__ import annotations
@@ -39,13 +39,15 @@ def rows(arm: Arm, record: Record, rates: Rates = "backward", start: Start = "re
     record's own rates and dissipation.
     start: "rest", the arm starts at rest and undeflected, so that nothing is subtracted, as in the paper; "first", the
     row of the first instant with a row is subtracted.
-    Raises ZygosError where the record lacks exact rates that are asked for, or is shorter than the smoother.
+    Raises ZygosError if exact rates are requested but missing in the record, or if it is shorter than the smoother.
     """
     h = arm.period_s
     total = work(arm, record)
     if rates == "exact":
         if record.qd is None or record.thetad is None or record.slip2 is None:
-            raise ZygosError("what is wrong: the record has no exact rates; remedy: a simulated record, or other rates")
+            raise ZygosError(
+                "what is wrong: the record has no exact rates; remedy: give a simulated record, or other rates"
+            )
         z = energy_columns(arm, State(record.q, record.theta, record.qd, record.thetad, record.f0), record.slip2)
         w = total
     elif rates == "backward":
@@ -62,16 +64,17 @@ def rows(arm: Arm, record: Record, rates: Rates = "backward", start: Start = "re
     elif rates == "savgol":
         z, w = _smoothed_rows(arm, record)
     else:
-        raise ZygosError(f"what is wrong: no rate estimate '{rates}'; remedy: backward, midpoint, savgol or exact")
+        raise ZygosError(f"what is wrong: no rate estimate '{rates}'; remedy: use backward, midpoint, savgol or exact")
     if start == "first":
         z, w = z[:, 1:] - z[:, :1], w[:, 1:] - w[:, :1]
     elif start != "rest":
-        raise ZygosError(f"what is wrong: no start '{start}'; remedy: rest or first")
+        raise ZygosError(f"what is wrong: no start '{start}'; remedy: use rest or first")
     return z, w
 
 
 def estimate(arm: Arm, record: Record, *, rates: Rates = "backward", start: Start = "rest") -> Floats:
-    """Estimates of all parameters, (B, p). See rows() for the options. Raises Undecided where a record is too poor."""
+    """Estimates of all parameters, (B, p). See rows() for the options. Raises Undecided if a record does not determine
+    them."""
     z, w = rows(arm, record, rates, start)
     return np.stack([solve(Rows.exact(zb, wb)).x for zb, wb in zip(z, w, strict=True)])
 
@@ -81,7 +84,8 @@ def _middle(x: Floats) -> Floats:
 
 
 def _smoothed_rows(arm: Arm, record: Record) -> tuple[Floats, Floats]:
-    """Rows at the instants the smoother reaches. The first window's polynomial bridges the way from the start."""
+    """Rows at the instants the smoother reaches. The first window's polynomial covers the time from the start to
+    them."""
     points, order, h = arm.smoother.points, arm.smoother.order, arm.period_s
     half = points // 2
     if record.q.shape[1] < points + 1:
