@@ -664,7 +664,7 @@ def test_a_bus_that_takes_no_frames(
 
 def test_the_demo_says_when_frames_were_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
-    monkeypatch.setattr(bus, "transfer", lambda frames, *_: np.delete(frames, 500))
+    monkeypatch.setattr(bus, "transferred", lambda frames, *_: np.delete(frames, 500))
     with pytest.raises(ZygosError, match=r"lost or damaged.*incomplete 1.*remedy"):
         demo.run_demo(tmp_path / "demo")
     assert not (tmp_path / "demo.json").exists()

@@ -43,7 +43,7 @@ FLAGS = {
 
 
 def recorded(path: Path, *messages: can.Message) -> bus.Log:
-    recording = bus.Recording(path)
+    recording = bus.LogWriter(path)
     recording.append(messages)
     recording.finish()
     return bus.read_log(path)

@@ -14,7 +14,7 @@ from conftest import EXAMPLE, need
 from zygos.effects import CATALOGUE, Effect
 from zygos.errors import ZygosError
 from zygos.gap.explain import Explanation
-from zygos.gap.record import read_record
+from zygos.gap.record import read_measured_run
 from zygos.model.model import Model, Quantity, load_model, save_model
 from zygos.native.flight import Flight, encode
 
@@ -212,11 +212,11 @@ def test_a_run_without_a_whole_stretch_is_refused() -> None:
     bench = lively()
     seen = frames(bench, _case(bench, "null as drawn"), 0)[0]
     with pytest.raises(ZygosError, match="no stretch of 2 s"):
-        read_record(bench.arm, Path("short.blf"), seen[:200])
+        read_measured_run(bench.arm, Path("short.blf"), seen[:200])
     # every twentieth SYNC is lost, and with it its cycle
     syncs = np.flatnonzero(seen["id"] == 0x080)
     with pytest.raises(ZygosError, match="no stretch of 2 s"):
-        read_record(bench.arm, Path("holes.blf"), np.delete(seen, syncs[::20]))
+        read_measured_run(bench.arm, Path("holes.blf"), np.delete(seen, syncs[::20]))
 
 
 def _explained(

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from conftest import ROOT
 from zygos.accuracy import missions as command
-from zygos.accuracy.mission import LENGTHS, LOST, MISSING, Length, Mission, flown, sensed, simulated
+from zygos.accuracy.mission import LENGTHS, LOST, MISSING, Length, Mission, flown_mission, sensed_motions, simulated
 from zygos.accuracy.missions import case_of, summarised
 from zygos.balances.arcs import arc_cycles
 from zygos.native.flight import ffi, lib
@@ -45,7 +45,7 @@ def held(length: Length, draws: int) -> Floats:
     """(p,) share of the intervals that hold the true value, of missions that end valid, which nearly all do."""
     holds = []
     for number in range(draws):
-        flight, _, _ = flown(*numbered(length, number))
+        flight, _, _ = flown_mission(*numbered(length, number))
         found = flight.estimate()
         if found.validity == "valid":
             holds.append(np.abs(found.value - TRUE) <= found.half95)
@@ -74,7 +74,7 @@ def test_intervals_hold_after_three_hours() -> None:
 def test_what_stays_grows_with_the_arcs_beside_a_scatter_that_falls_with_them() -> None:
     """Sums that are all ten thousand times as large have the same scatter, and count as many more arcs."""
     mission, motions = numbered(MINUTES, 0)
-    flight, _, _ = flown(mission, motions)
+    flight, _, _ = flown_mission(mission, motions)
     state = flight.native
     sums, joints = ffi.addressof(state, "accumulator"), ffi.addressof(state, "joint_sums")
     lib.zygos_accumulator_end_arc(sums, state.cycle)
@@ -95,7 +95,7 @@ def test_what_stays_grows_with_the_arcs_beside_a_scatter_that_falls_with_them() 
 
 def test_sensor_errors_are_those_declared_and_new_each_time() -> None:
     mission, motions = numbered(HOURS, 3)
-    parts = list(sensed(replace(mission, length=replace(HOURS, duration_s=1300.0)), motions))
+    parts = list(sensed_motions(replace(mission, length=replace(HOURS, duration_s=1300.0)), motions))
     assert [len(part) for part in parts] == [6000] * 4 + [2000]
     assert [int(part.sync[0]) for part in parts] == [k * (6000 + MISSING) for k in range(5)]
     errors = [part.q - motions[k % REPEATED].q[: len(part)] for k, part in enumerate(parts)]
@@ -108,7 +108,7 @@ def test_sensor_errors_are_those_declared_and_new_each_time() -> None:
 @pytest.mark.parametrize("door", ["frames", "cycles"])
 def test_a_mission_goes_on_from_snapshots_and_loses_little(door: str) -> None:
     mission, motions = numbered(replace(HOURS, door=door), 5)
-    flight, sent, resumed = flown(mission, motions)
+    flight, sent, resumed = flown_mission(mission, motions)
     assert (sent, resumed) == (216_000, 2)
     assert flight.estimate().validity == "valid"
     missing = sent - flight.counts["cycles"]

@@ -39,11 +39,11 @@ def bits(arm: Arm, frames: NDArray[np.void]) -> bytes:
 
 def test_same_bits_from_vcan_from_logs_and_in_process(arm: Arm, frames: NDArray[np.void], tmp_path: Path) -> None:
     before = vcan.kernel_counts(CHANNEL)
-    arrived = bus.transfer(frames, arm.period_s, "socketcan", CHANNEL)
+    arrived = bus.transferred(frames, arm.period_s, "socketcan", CHANNEL)
     assert vcan.kernel_counts(CHANNEL) - before == vcan.KernelCounts(len(frames), len(frames), 0)
     expected = bits(arm, frames)
     assert bits(arm, arrived) == expected
-    assert bits(arm, bus.transfer(frames, arm.period_s, "virtual", "hil")) == expected
+    assert bits(arm, bus.transferred(frames, arm.period_s, "virtual", "hil")) == expected
     for name in ("run.blf", "run.log"):
         bus.write_log(tmp_path / name, arrived, arm.period_s)
         assert bits(arm, bus.read_log(tmp_path / name).frames) == expected

@@ -21,9 +21,9 @@ from zygos.arm import TORQUE_STEP, Arm, Joint
 from zygos.dynamics.planar import PlanarDynamics
 from zygos.effects import Effect
 from zygos.errors import Undecided
-from zygos.gap.balances import Layout, Sums, accumulate, rows
+from zygos.gap.balances import Layout, Sums, accumulate, balance_rows
 from zygos.gap.fit import Fit, fit
-from zygos.gap.record import Readings, Record, read_record, smooth
+from zygos.gap.record import MeasuredRun, Readings, read_measured_run, smoothed_states
 from zygos.gap.search import candidates
 from zygos.gap.study import DRAWS, Study, base_values, begin, coefficient, read_hypothesis
 from zygos.gap.twin import Twin, draws, follow, measure, observed
@@ -77,7 +77,7 @@ def displaced(arm: Arm, seed: int) -> Arm:
 
 
 @cache
-def record(run: str, seed: int = 0, noise: EncoderNoise = "quantised") -> Record:
+def record(run: str, seed: int = 0, noise: EncoderNoise = "quantised") -> MeasuredRun:
     """Sensors of a seed along the run. What is quantised passes the wire, whose steps are the encoders'; Gaussian
     readings do not, for the wire would round them once more."""
     moved = trajectory(run)
@@ -85,7 +85,7 @@ def record(run: str, seed: int = 0, noise: EncoderNoise = "quantised") -> Record
     arm = displaced(moved.arm, stream) if noise == "quantised" else moved.arm
     seen = replace(moved, arm=arm, noise=draw_noise(arm, len(moved.t), [stream], noise)).cycles()
     if noise == "quantised":
-        return read_record(arm, Path(run), encode(arm, seen))
+        return read_measured_run(arm, Path(run), encode(arm, seen))
     samples = calibrate(arm, seen)
     return replace(record(run), arm=arm, samples=samples, omega0=samples.omega @ arm.axis)
 
@@ -103,7 +103,7 @@ def true_dynamics(*effects: Effect) -> PlanarDynamics:
     return PlanarDynamics.from_model(arm, replace(model, effects=(*model.effects, *effects)))
 
 
-def records() -> list[Record]:
+def records() -> list[MeasuredRun]:
     return [record(run) for run in RUNS]
 
 
@@ -142,7 +142,7 @@ def ensemble(noise: EncoderNoise) -> Ensemble:
     for seed in range(SEEDS):
         runs = tuple(record(run, seed, noise) for run in RUNS)
         seen = tuple(
-            replace(accumulate(rows(one.arm, one.readings(), values), kept, uncentred), noise=twin.noise)
+            replace(accumulate(balance_rows(one.arm, one.readings(), values), kept, uncentred), noise=twin.noise)
             for one, kept, twin in zip(runs, first.accepted, first.twin_sums, strict=True)
         )
         one = replace(first, records=runs, sums=seen, fit=fit(first.hypothesis, seen, first.weight))
@@ -243,7 +243,7 @@ def everything(twin: Twin) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
 def exact_sums(twin: Twin, values: Floats) -> Sums:
     """Of a twin's readings before any noise; H without a constant."""
     arm = twin.arm
-    return accumulate(rows(arm, twin.exact, values), everything(twin), (Layout(arm).balances.index("H"),))
+    return accumulate(balance_rows(arm, twin.exact, values), everything(twin), (Layout(arm).balances.index("H"),))
 
 
 def test_a_twin_is_an_exact_solution() -> None:
@@ -251,7 +251,7 @@ def test_a_twin_is_an_exact_solution() -> None:
     arm, model, _ = example()
     base = model.base_values(arm)
     for twin, noise in zip(twins(), study().noise, strict=True):
-        table = rows(arm, twin.exact, base)
+        table = balance_rows(arm, twin.exact, base)
         terms = table.left * true_columns(arm, base)
         scale = rms(centred(np.moveaxis(np.concatenate([terms, table.right[..., None]], axis=-1), -1, 0))).max(axis=0)
         rest = table.left @ true_columns(arm, base) - table.right
@@ -294,7 +294,7 @@ def test_friction_does_not_leave_the_path_either() -> None:
     arm, model, scenario = example("b")
     friction = effect(arm, "motor_coulomb", 0, 0.5)
     moved = simulate(arm, replace(model, effects=(friction,)), scenario, duration_s=8.0, rtol=1e-9, atol=1e-11)
-    one = read_record(arm, Path("b"), encode(arm, moved.cycles()))
+    one = read_measured_run(arm, Path("b"), encode(arm, moved.cycles()))
     (twin,) = follow(true_dynamics(), [one])
     away = np.abs(twin.exact.q - one.readings().q).max(axis=(0, 1)) / np.ptp(one.readings().q, axis=(0, 1))
     print(away)
@@ -327,7 +327,7 @@ def test_draws_of_a_twin_scatter_about_what_it_was_made_with() -> None:
     assert found.value.shape == (DRAWS, len(truth))
     values, h = base_values(one.model, one.layout), one.layout.balances.index("H")
     exact = [
-        accumulate(rows(twin.arm, twin.exact, values), kept, (h,))
+        accumulate(balance_rows(twin.arm, twin.exact, values), kept, (h,))
         for twin, kept in zip(one.twins, one.accepted, strict=True)
     ]
     still = fit(one.hypothesis, exact, one.weight).value - truth
@@ -353,7 +353,7 @@ def test_momentum_of_a_twin_is_the_models() -> None:
     dynamics = replace(true_dynamics(), angular_momentum=7.0)
     for assumed, made in ((0.0, twins()), (7.0, follow(dynamics, records()))):
         for twin in made:
-            state = smooth(arm, twin.exact)
+            state = smoothed_states(arm, twin.exact)
             h = dynamics.momentum(state.q, state.base, state.qd, state.thetad)
             print(np.abs(h - assumed).max())
             assert np.abs(h - assumed).max() < 0.5
@@ -427,13 +427,14 @@ def test_sums_do_not_depend_on_how_draws_are_split() -> None:
     stacked = Readings(
         *(np.stack([getattr(one, name) for one in readings]) for name in ("q", "theta", "omega0", "tau"))
     )
-    batch = accumulate(rows(arm, stacked, base), accepted, (h,))
+    batch = accumulate(balance_rows(arm, stacked, base), accepted, (h,))
     scale = np.sqrt(np.einsum("...ii->...i", whole.gram))
     size = scale[..., :, None] * scale[..., None, :]
     assert np.all(np.abs(batch.gram - whole.gram) <= 1e-12 * size)
 
     arcs = [
-        accumulate(rows(arm, parts(readings[0], slice(k, k + 1)), base), accepted[k : k + 1], (h,)) for k in range(2)
+        accumulate(balance_rows(arm, parts(readings[0], slice(k, k + 1)), base), accepted[k : k + 1], (h,))
+        for k in range(2)
     ]
     assert np.all(np.abs(arcs[0].gram + arcs[1].gram - whole.gram[0]) <= 1e-12 * size[0])
     np.testing.assert_array_equal(arcs[0].count + arcs[1].count, whole.count)
@@ -444,7 +445,7 @@ def test_instants_that_are_refused_do_not_count() -> None:
     """Whatever stands there; constants of the arcs are those of the rest, and an arc may be refused as a whole."""
     arm, model, _ = example()
     twin = twins()[0]
-    table = rows(arm, twin.exact, model.base_values(arm))
+    table = balance_rows(arm, twin.exact, model.base_values(arm))
     accepted = everything(twin)
     accepted[1] = False
     accepted[0, :50] = False
@@ -476,7 +477,7 @@ def test_the_fit_is_least_squares() -> None:
     zeros, names = len(known.zeros), hypothesis.names
     stacked, right, sums = [], [], []
     for run, twin in enumerate(twins()):
-        table = rows(arm, measure(twin, 7), base)
+        table = balance_rows(arm, measure(twin, 7), base)
         accepted = everything(twin)
         accepted[0, 300:700] = False
         sums.append(accumulate(table, accepted, (h,)))
@@ -527,7 +528,7 @@ def test_zeros_of_the_encoders_are_found() -> None:
     sums = []
     for twin, zero in zip(twins(), off, strict=True):
         seen = replace(twin.exact, q=twin.exact.q + zero[::2], theta=twin.exact.theta + zero[1::2])
-        sums.append(accumulate(rows(arm, seen, base), everything(twin), (Layout(arm).balances.index("H"),)))
+        sums.append(accumulate(balance_rows(arm, seen, base), everything(twin), (Layout(arm).balances.index("H"),)))
     found = fit(hypothesis, sums, study().weight)
     error = np.abs(found.value / base - 1.0)
     encoders = found.zeros[..., : off.shape[-1]]
@@ -563,6 +564,6 @@ def test_a_fit_of_too_little_is_undecided() -> None:
     still = Readings(
         np.zeros_like(twin.exact.q), np.zeros_like(twin.exact.q), np.zeros_like(twin.exact.omega0), twin.exact.tau
     )
-    sums = accumulate(rows(arm, still, model.base_values(arm)), everything(twin))
+    sums = accumulate(balance_rows(arm, still, model.base_values(arm)), everything(twin))
     with pytest.raises(Undecided, match="a00 moves nothing"):
         fit(study().hypothesis, [sums], np.ones(4))

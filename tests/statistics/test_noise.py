@@ -198,7 +198,7 @@ def test_library_and_twin(seed: int, joints: int, base: str, kinetic: str, kind:
     assert trace is not None
     samples = reference.calibrate(arm, cycles)
     smoothed = reference.smooth(arm, samples)
-    raw = reference.rows(arm, samples, smoothed, effects)
+    raw = reference.energy_rows(arm, samples, smoothed, effects)
     added = reference.noise_of(arm, samples, smoothed, raw, effects)
     rows = np.column_stack([raw.z - added.mean, raw.w])
     assert 4 <= np.sum(~raw.accepted) < 0.1 * len(raw.w)

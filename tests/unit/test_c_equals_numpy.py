@@ -16,7 +16,7 @@ from zygos.arm import Arm
 from zygos.balances.arcs import arc_cycles
 from zygos.native.flight import Flight, Trace, ffi, lib
 from zygos.reference.compare import Room, Rounding, check_cycles, rounding, tables
-from zygos.reference.noise import instants, moments, spread
+from zygos.reference.noise import moments, row_instants, spread
 from zygos.reference.solver import Rows, explained, scatter, that_stays
 from zygos.runs.cycles import Cycles
 from zygos.runs.samples import usable
@@ -35,7 +35,7 @@ class Both:
     cycles: Cycles
     flight: Flight
     trace: Trace
-    chain: reference.Chain
+    chain: reference.ReferenceStages
     rounds: Rounding
     """At least 1e-12 of each column's largest entry, at the most 1e-9."""
 
@@ -150,7 +150,7 @@ def overlapping(both: Both) -> tuple[Floats, Floats]:
     design, balance = chain.design, chain.balance
     arc_cycles, second = round(arm.arc_max_s / arm.period_s), round(1.0 / arm.period_s)
     longest = max(arc_cycles // 48, min(second, arc_cycles // 4)) // STEP * STEP
-    here, known = instants(arm, chain.samples, chain.smoothed, balance), spread(arm)
+    here, known = row_instants(arm, chain.samples, chain.smoothed, balance), spread(arm)
     since_origin = np.arange(len(balance.arc)) - np.searchsorted(balance.arc, balance.arc)
     weights: list[Floats] = []
     noise: list[Floats] = []

@@ -18,7 +18,7 @@ from zygos.gap.experiment import Experiment
 from zygos.gap.explain import Deflection, Explanation, explain
 from zygos.gap.page import figure, write_gap_report
 from zygos.gap.provenance import Provenance
-from zygos.gap.record import read_record
+from zygos.gap.record import read_measured_run
 from zygos.model.model import load_model
 from zygos.native.flight import encode
 from zygos.simulation.plant import simulate
@@ -43,7 +43,7 @@ def friction() -> Explanation:
     for k, name in enumerate("abc"):
         scenario = load_scenario(GAP / f"{name}.toml")
         run = simulate(arm, plant, scenario, seeds=[k], noise=True, duration_s=5.0, rtol=1e-9, atol=1e-11)
-        runs.append(read_record(arm, Path(f"run-{name}.blf"), encode(arm, run.cycles())))
+        runs.append(read_measured_run(arm, Path(f"run-{name}.blf"), encode(arm, run.cycles())))
     found = explain(arm, model, runs[:2], runs[2])
     assert found.answer == "named"
     return found

@@ -121,10 +121,10 @@ def test_turns_miss_nothing() -> None:
     _, instants, arc = smoothed(arm, cycles, 150)
     found, noise, _ = closed(replace(arm, compensate_every=0), cycles)[0][0], closed(arm, cycles)[1], None
     inside = arc == 0
-    rows = momentum.rows(arm, instants, arc)[inside]
+    rows = momentum.momentum_rows(arm, instants, arc)[inside]
     rows = rows - rows.mean(axis=0)
     whole = np.einsum("mkp,mkq->pq", rows, rows)
-    owed = momentum.noise(arm, instants)[inside].sum(axis=0)
+    owed = momentum.momentum_noise(arm, instants)[inside].sum(axis=0)
     for a, b in ((found, whole), (noise, owed)):
         scale = np.sqrt(np.diag(b))
         assert np.abs((3.0 * a - b) / np.outer(scale, scale)).max() < 0.1

@@ -24,7 +24,7 @@ from zygos.dynamics.serial import SpatialDynamics
 from zygos.errors import Undecided, ZygosError
 from zygos.model import gram
 from zygos.model.model import Model, Quantity, load_model
-from zygos.model.physical import Fit, Observed, fit_bodies, nearest_matrix, observe
+from zygos.model.physical import Observed, PhysicalFit, fit_bodies, nearest_matrix, observe
 
 Floats = NDArray[np.float64]
 SPATIAL = ROOT / "examples" / "spatial"
@@ -36,12 +36,12 @@ def spatial() -> tuple[Arm, Model]:
     return load_arm(SPATIAL / "arm.toml"), load_model(SPATIAL / "model.toml")
 
 
-def fitted(arm: Arm, drawing: Model, report: dict[str, Any], length: float = LENGTH) -> Fit:
+def fitted(arm: Arm, drawing: Model, report: dict[str, Any], length: float = LENGTH) -> PhysicalFit:
     return fit_bodies(arm, drawing, observe(arm.parameter_names, report), length)
 
 
 @pytest.fixture(scope="module")
-def campaign(spatial: tuple[Arm, Model]) -> list[tuple[Floats, Fit]]:
+def campaign(spatial: tuple[Arm, Model]) -> list[tuple[Floats, PhysicalFit]]:
     """Six estimates with noise, each fitted from another drawing: the raw values and the fit."""
     arm, built = spatial
     runs = []
@@ -53,7 +53,7 @@ def campaign(spatial: tuple[Arm, Model]) -> list[tuple[Floats, Fit]]:
 
 @pytest.mark.slow
 def test_bodies_predict_better_than_the_estimate(
-    spatial: tuple[Arm, Model], campaign: list[tuple[Floats, Fit]]
+    spatial: tuple[Arm, Model], campaign: list[tuple[Floats, PhysicalFit]]
 ) -> None:
     """The inertia matrix over 200 postures, by Pinocchio from bodies; that of the raw estimate from energies."""
     arm, built = spatial
@@ -69,7 +69,7 @@ def test_bodies_predict_better_than_the_estimate(
 
 
 def test_chi_squared_and_sigmas_are_what_they_say(
-    spatial: tuple[Arm, Model], campaign: list[tuple[Floats, Fit]]
+    spatial: tuple[Arm, Model], campaign: list[tuple[Floats, PhysicalFit]]
 ) -> None:
     arm, built = spatial
     true = built.base_values(arm)

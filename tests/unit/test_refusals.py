@@ -26,7 +26,7 @@ from zygos.estimation.words import about_change, about_noise
 from zygos.files.tables import write_columns
 from zygos.gap.balances import Layout
 from zygos.gap.explain import Finding, whereabouts
-from zygos.gap.record import read_record
+from zygos.gap.record import read_measured_run
 from zygos.native.flight import REASONS, Estimate, Flight, lib
 from zygos.runs.cycles import Cycles
 from zygos.runs.tables import read_cycles
@@ -214,7 +214,7 @@ def test_a_log_of_another_machine_has_no_frames_of_the_arm(tmp_path: Path, capsy
     assert "times as large" not in said.out + said.err
     assert not (tmp_path / "m.toml").exists()
     with pytest.raises(ZygosError, match=r"not one whole cycle of arm \w+.*no frame of this arm.*node numbers"):
-        read_record(load_arm(EXAMPLE / "arm.toml"), VEHICLE, bus.read_log(VEHICLE).frames)
+        read_measured_run(load_arm(EXAMPLE / "arm.toml"), VEHICLE, bus.read_log(VEHICLE).frames)
 
 
 # ------------------------------------------------------------------------------------------ timing

@@ -13,7 +13,7 @@ from gap_support import Floats, effect, example, moved
 from zygos.arm import Arm
 from zygos.balances.state import State
 from zygos.dynamics.planar import PlanarDynamics
-from zygos.dynamics.replay import STEP_OF_MODE, read, replay, substeps
+from zygos.dynamics.replay import STEP_OF_MODE, exact_readings, replay, substeps
 from zygos.effects import Effect
 from zygos.model.model import Model, Quantity
 from zygos.simulation.plant import Trajectory, simulate
@@ -189,7 +189,7 @@ def test_late_latches_are_read_as_the_simulator_reads_them(late: tuple[int, int,
     )
     arm = replace(arm, joints=joints, imu=replace(arm.imu, latch_us=late[2]))
     run = simulate(arm, model, scenario, noise=False, duration_s=1.0, rtol=1e-10, atol=1e-12)
-    q, theta, omega0 = read(run.dynamics, arm, packed(run)[None], run.tau)
+    q, theta, omega0 = exact_readings(run.dynamics, arm, packed(run)[None], run.tau)
     # of what a sensor reads; each is far below its noise (1.7e-6 rad, 1e-5 rad/s)
     for got, want, tolerance in (
         (q, run.q_latched[:, :-1], 1e-10),

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from zygos.accuracy.cases import BLOCK, Case
-from zygos.accuracy.estimators import ESTIMATORS, Answer, Prior
+from zygos.accuracy.estimators import ESTIMATORS, EstimatorResult, Prior
 from zygos.arm import Arm
 from zygos.errors import ZygosError
 from zygos.native.flight import encode
@@ -200,9 +200,9 @@ class _Column:
     def __init__(self) -> None:
         self.seeds: list[int] = []
         self.draws: list[int] = []
-        self.answers: list[Answer] = []
+        self.answers: list[EstimatorResult] = []
 
-    def add(self, seed: int, draw: int, answer: Answer) -> None:
+    def add(self, seed: int, draw: int, answer: EstimatorResult) -> None:
         self.seeds.append(seed)
         self.draws.append(draw)
         self.answers.append(answer)

@@ -32,7 +32,7 @@ class Prior:
 
 
 @dataclass(frozen=True)
-class Answer:
+class EstimatorResult:
     """The answer of an estimator for one run; p parameters."""
 
     validity: str
@@ -47,7 +47,7 @@ class Answer:
     """(p,) solution for all parameters, which is meaningful only as a whole; None if there is none."""
 
 
-Estimate = Callable[[Arm, NDArray[Any], Prior], Answer]
+EstimateFunction = Callable[[Arm, NDArray[Any], Prior], EstimatorResult]
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Estimator:
 
     name: str
     description: str
-    estimate: Estimate
+    estimate: EstimateFunction
     ours: bool
     """Whether it works for every arm and gives intervals; the paper's methods are planar and give none."""
     redrawn: bool = False
@@ -67,36 +67,36 @@ class Estimator:
         return self.ours or (arm.free and not arm.spatial)
 
 
-def flight(arm: Arm, frames: NDArray[Any], _: Prior) -> Answer:
+def flight(arm: Arm, frames: NDArray[Any], _: Prior) -> EstimatorResult:
     """The C library, fed with CAN frames."""
     chain = Flight(arm)
     chain.frames(frames)
     found = chain.estimate()
     if found.validity == "refused":
-        return Answer(found.validity, found.reason)
+        return EstimatorResult(found.validity, found.reason)
     own = len(arm.parameter_names)  # the effects come after these
-    return Answer(
+    return EstimatorResult(
         found.validity, found.reason, found.value[:own], found.half95[:own], found.sigma[:own], found.solution[:own]
     )
 
 
-def _with(**settings: Any) -> Estimate:
+def _with(**settings: Any) -> EstimateFunction:
     """The C library with other settings of the arm file."""
     return lambda arm, frames, prior: flight(replace(arm, **settings), frames, prior)
 
 
-def _batch(method: Callable[[Arm, Record, Prior], Floats]) -> Estimate:
+def _batch(method: Callable[[Arm, Record, Prior], Floats]) -> EstimateFunction:
     """A method of the paper, applied to the cycles that the receiver completed before the first missing one."""
 
-    def estimate(arm: Arm, frames: NDArray[Any], prior: Prior) -> Answer:
+    def estimate(arm: Arm, frames: NDArray[Any], prior: Prior) -> EstimatorResult:
         trace = Flight(arm).frames(frames, trace=True)
         assert trace is not None
         try:
-            return Answer("valid", value=method(arm, record_of(arm, calibrate(arm, trace.cycles)), prior)[0])
+            return EstimatorResult("valid", value=method(arm, record_of(arm, calibrate(arm, trace.cycles)), prior)[0])
         except Undecided:
-            return Answer("refused", "the unbroken record does not determine the parameters")
+            return EstimatorResult("refused", "the unbroken record does not determine the parameters")
         except ZygosError as error:
-            return Answer("refused", str(error))
+            return EstimatorResult("refused", str(error))
 
     return estimate
 

@@ -24,7 +24,7 @@ from zygos.dynamics.planar import PlanarDynamics
 from zygos.dynamics.replay import replay, substeps
 from zygos.errors import ZygosError
 from zygos.paper import printed
-from zygos.paper.response import HAIR_RAD, apart_percent, instants, respond
+from zygos.paper.response import HAIR_RAD, apart_percent, respond, sync_instants
 from zygos.simulation.plant import Trajectory, simulate
 from zygos.simulation.scenario import Scenario
 
@@ -90,7 +90,7 @@ class Figure4:
             "seed": self.seed,
             "joints": [joint.name for joint in arm.joints],
             "duration_s": case.scenario.duration_s,
-            "time_s": instants(arm).tolist(),
+            "time_s": sync_instants(arm).tolist(),
             "free": {name: np.round(q, 5).T.tolist() for name, q in free.items()},
             "free_rms_rad": {name: _rms(q - free["true"]) for name, q in free.items()},
             "free_rms_percent": {name: _rms(apart_percent(q, free["true"])) for name, q in free.items()},

@@ -92,7 +92,7 @@ class Mission:
             every = stored(self.case, self.folder)
             motions = [every[k] for k in self.motions()]
             begin = time.perf_counter()
-            flight, cycles, resumed = flown(self, motions)
+            flight, cycles, resumed = flown_mission(self, motions)
             found = flight.estimate()
         return {
             "case": self.case.name,
@@ -167,14 +167,14 @@ def _read(path: Path) -> list[Cycles]:
     return [Cycles(**{name: column[k] for name, column in held.items()}) for k in range(MOTIONS)]
 
 
-def flown(mission: Mission, motions: Sequence[Cycles]) -> tuple[Flight, int, int]:
+def flown_mission(mission: Mission, motions: Sequence[Cycles]) -> tuple[Flight, int, int]:
     """The library after a mission, the number of cycles sent, and how often it was resumed from a snapshot."""
     arm, length = mission.case.arm, mission.length
     flight = Flight(arm)
     every = RESUMED_S if length.duration_s > RESUMED_S else 3600.0
     resumed, sent = 0, 0
     with tempfile.TemporaryDirectory() as scratch:
-        for cycles in sensed(mission, motions):
+        for cycles in sensed_motions(mission, motions):
             if cycles.sync[0] * arm.period_s >= (resumed + 1) * every:
                 snapshot.write(Path(scratch) / "state", "state", flight.native)
                 flight = Flight(arm)
@@ -190,7 +190,7 @@ def flown(mission: Mission, motions: Sequence[Cycles]) -> tuple[Flight, int, int
     return flight, sent, resumed
 
 
-def sensed(mission: Mission, motions: Sequence[Cycles]) -> Iterator[Cycles]:
+def sensed_motions(mission: Mission, motions: Sequence[Cycles]) -> Iterator[Cycles]:
     """The motions in turn with sensor errors, until the mission ends."""
     arm = mission.case.arm
     left, sync = round(mission.length.duration_s / arm.period_s), 0

@@ -91,7 +91,7 @@ def summarised(case: Case, lines: Sequence[Line]) -> list[Line]:
     return out
 
 
-def page(entries: Sequence[Line]) -> str:
+def missions_page(entries: Sequence[Line]) -> str:
     """The numbers as Markdown."""
     lines = [
         "# Coverage of the intervals, from a minute to a month",
@@ -178,7 +178,7 @@ def mission(
     found = campaign.run(jobs, folder / "lines.jsonl", lambda: campaign.executor(None, workers))
     entries = [entry for one in cases for entry in summarised(one, found)]
     write_json(target, {"missions": entries})
-    write_text(target.with_suffix(".md"), page(entries))
+    write_text(target.with_suffix(".md"), missions_page(entries))
     table(
         ("case", "length", "missions", "valid", "cycles", "coverage 95 %, %", "worst parameter"),
         [_row(entry) for entry in entries],

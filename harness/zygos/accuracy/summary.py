@@ -33,7 +33,7 @@ POSTURES = 200
 
 
 @dataclass(frozen=True)
-class Answers:
+class EstimatorResults:
     """All answers of one estimator in one case; A answers, p parameters."""
 
     first: NDArray[np.bool_]
@@ -51,7 +51,7 @@ class Answers:
     """(A, p) solutions, NaN likewise; all NaN if they are not stored."""
 
     @classmethod
-    def of(cls, columns: Sequence[Line], parameters: int) -> Answers:
+    def of(cls, columns: Sequence[Line], parameters: int) -> EstimatorResults:
         """Answers from the columns of a case's lines."""
 
         def joined(key: str) -> list[Any]:
@@ -84,12 +84,12 @@ def summarise(cases: Sequence[Case], lines: Sequence[Line]) -> list[dict[str, An
         true = case.model.base_values(case.arm)
         for estimator in ESTIMATORS:
             if estimator.fits(case.arm):
-                answers = Answers.of([line["answers"][estimator.name] for line in own], len(true))
+                answers = EstimatorResults.of([line["answers"][estimator.name] for line in own], len(true))
                 out.append(_entry(case, estimator, answers, true))
     return out
 
 
-def _entry(case: Case, estimator: Estimator, answers: Answers, true: Floats) -> dict[str, Any]:
+def _entry(case: Case, estimator: Estimator, answers: EstimatorResults, true: Floats) -> dict[str, Any]:
     names = case.arm.parameter_names
     relied = np.isin(answers.validity, RELIED_ON)
     seeds = answers.first
@@ -130,7 +130,7 @@ def _entry(case: Case, estimator: Estimator, answers: Answers, true: Floats) -> 
     return entry
 
 
-def _coverage(names: Sequence[str], answers: Answers, true: Floats) -> dict[str, float | None]:
+def _coverage(names: Sequence[str], answers: EstimatorResults, true: Floats) -> dict[str, float | None]:
     """Share of the published intervals that contain the true value, by parameter."""
     published = np.isfinite(answers.value) & np.isfinite(answers.half95)
     with np.errstate(invalid="ignore"):
@@ -141,7 +141,7 @@ def _coverage(names: Sequence[str], answers: Answers, true: Floats) -> dict[str,
     }
 
 
-def _wild(answers: Answers, true: Floats, error: Floats) -> int:
+def _wild(answers: EstimatorResults, true: Floats, error: Floats) -> int:
     with np.errstate(invalid="ignore"):
         far = np.abs(answers.value - true) > WILD_SIGMAS * answers.sigma
         return int(np.sum(far & (np.abs(error) > WILD_PERCENT)))

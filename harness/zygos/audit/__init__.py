@@ -14,6 +14,6 @@ Each fault is a change of the readings; the fault under which the equations hold
 """
 
 from zygos.audit.auditor import audit
-from zygos.audit.findings import Audit, Finding, Pair, Signal, Traffic, signal_names
+from zygos.audit.findings import Audit, Pair, Signal, SignalFault, Traffic, signal_names
 
-__all__ = ["Audit", "Finding", "Pair", "Signal", "Traffic", "audit", "signal_names"]
+__all__ = ["Audit", "Pair", "Signal", "SignalFault", "Traffic", "audit", "signal_names"]

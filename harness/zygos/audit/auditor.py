@@ -12,7 +12,7 @@ import numpy as np
 from zygos.arm import ANGLE_STEP, Arm, Encoder, Joint, rounded
 from zygos.audit.balance import KINDS, Balance, WholeFault
 from zygos.audit.encoders import pair, unskewed
-from zygos.audit.findings import Audit, Finding, Pair, Signal, Traffic, signal_names
+from zygos.audit.findings import Audit, Pair, Signal, SignalFault, Traffic, signal_names
 from zygos.audit.means import FLAT_QUANTA, Array, Means
 from zygos.audit.motors import NOTHING, Change, Motors, changed
 from zygos.audit.readings import grid_step, noise_beside, noise_level, runs_of_equal
@@ -82,7 +82,7 @@ class _Auditor:
     def __init__(self, arm: Arm, cycles: Cycles, traffic: Traffic, progress: Callable[[float], None]) -> None:
         self.arm, self.cycles, self.traffic, self.progress = arm, cycles, traffic, progress
         self.names = signal_names(arm)
-        self.findings: list[Finding] = []
+        self.findings: list[SignalFault] = []
         self.notes: list[str] = []
         self.undecided: set[str] = set()
         self.unfit: list[int] = []
@@ -106,7 +106,7 @@ class _Auditor:
         return next((n for n, k, i in self.names if (k, i) == (kind, index)), f"{self.arm.joints[index].name} {kind}")
 
     def find(self, signal: str, fault: str, evidence: str, remedy: str) -> None:
-        self.findings.append(Finding(signal, fault, evidence, remedy))
+        self.findings.append(SignalFault(signal, fault, evidence, remedy))
 
     def audit(self) -> Audit:
         self._traffic()

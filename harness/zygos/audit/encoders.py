@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from zygos.arm import Arm, Encoder
 from zygos.audit.findings import Pair
-from zygos.audit.means import Array, Means, direction, jackknifed
+from zygos.audit.means import Array, Means, jackknifed, smooth_direction
 
 
 def pair(means: Means, joint: int, stiff: bool) -> Pair:
@@ -23,7 +23,7 @@ def pair(means: Means, joint: int, stiff: bool) -> Pair:
     difference, slip = theta[0] - q[0], theta[1] - q[1]
     loads = [other[2] for other in m.q]
     # the torque may be early or late itself, and the rotor also reacts to the rotation of the body that carries it
-    motor = [torque, torque_rate, theta[2], slip, direction(theta[1])]
+    motor = [torque, torque_rate, theta[2], slip, smooth_direction(theta[1])]
     rest = loads if stiff else [*motor, *loads, *m.spin]
     value, sigma = jackknifed([m.one, q[1], *rest], difference)
     carried = [torque, theta[2]] if stiff else motor

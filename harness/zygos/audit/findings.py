@@ -9,7 +9,7 @@ from zygos.arm import Arm
 
 
 @dataclass(frozen=True)
-class Finding:
+class SignalFault:
     """A fault of a signal."""
 
     signal: str
@@ -68,7 +68,7 @@ class Audit:
     """All results for a run."""
 
     signals: tuple[Signal, ...]
-    findings: tuple[Finding, ...]
+    findings: tuple[SignalFault, ...]
     pairs: tuple[Pair, ...]
     laws: dict[str, float] = field(default_factory=dict)
     """rms residual of the energy balance in J under each torque law; empty where the C library has no columns."""

@@ -119,7 +119,7 @@ def jackknifed(columns: Sequence[Array], y: Array) -> tuple[Array, Array]:
     return whole / back, spread / back
 
 
-def direction(rate: Array) -> Array:
+def smooth_direction(rate: Array) -> Array:
     """Sign of a rate, with a smooth transition through zero like the window's means."""
     out: Array = np.tanh(rate / max(0.05 * float(np.std(rate)), 1e-300))
     return out

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import linear_sum_assignment, nnls
 
-from zygos.audit.means import Array, Means, direction
+from zygos.audit.means import Array, Means, smooth_direction
 from zygos.runs.cycles import Cycles
 
 STIFF = 0.99
@@ -79,7 +79,7 @@ def _unexplained(y: Array, positive: Sequence[Array], free: Sequence[Array]) -> 
 def _law(means: Means, joint: int, q: list[Array], theta: list[Array], tau: Array) -> float:
     """Unexplained share of a torque under the motor's law (module docstring). Friction may have any value."""
     rate = theta[1]
-    sense = direction(rate)
+    sense = smooth_direction(rate)
     if means.arm.joints[joint].flexible:
         return _unexplained(tau, [theta[2], theta[0] - q[0], theta[1] - q[1]], [means.one, rate, sense])
     free = [means.one]

@@ -26,7 +26,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Balance:
+class EnergyRows:
     """Rows at every instant from the first arc's origin of each segment on; m instants, p parameters.
 
     index: (m,) position of the instant in the record of samples. sync: (m,) cycle number. arc: (m,) arc number from 0.
@@ -48,7 +48,8 @@ class Balance:
 
 @dataclass(frozen=True)
 class DriveColumns:
-    """Columns of the N drives in the energy balance, (..., N) each."""
+    """Columns of drives in a balance: of all N (..., N) in that of the energy, of one (..., m) in that of its motor's
+    impulse."""
 
     rotor: Floats
     """Of the rotor's inertia, as far as the rotor alone turns."""
@@ -58,7 +59,7 @@ class DriveColumns:
     damper: Floats
 
 
-def drive_columns(arm: Arm, state: State, carried: Floats, dissipated: Floats) -> DriveColumns:
+def drive_energy_columns(arm: Arm, state: State, carried: Floats, dissipated: Floats) -> DriveColumns:
     """Columns of rotors, springs and dampers (Nanos & Papadopoulos eqs. (11), (37)).
 
     carried: (..., N) rate of the carrying body about each joint's axis [rad/s]. dissipated: as of `energy_columns`.
@@ -93,13 +94,13 @@ def energy_columns(arm: Arm, state: State, dissipated: Floats) -> Floats:
     eq. (11).
     """
     bodies, carried = body_columns(arm, state)
-    own = drive_columns(arm, state, carried, dissipated)
+    own = drive_energy_columns(arm, state, carried, dissipated)
     of_joint = {"Im": own.rotor + own.coupling, "k": own.spring, "b": own.damper}
     joints = [of_joint[kind][..., i] for kind, i, _ in arm.joint_parameters]
     return np.concatenate([bodies, np.stack(joints, axis=-1)] if joints else [bodies], axis=-1)
 
 
-def rows(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Effect] = ()) -> Balance:
+def energy_rows(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Effect] = ()) -> EnergyRows:
     """Rows of a whole record, with a column for each of the effects that `zygos.effects.estimated` names.
 
     Work of a step: n tau_k-1 (theta_k - theta_k-1), exact for a torque held over the step. Dissipation of a step:
@@ -142,7 +143,7 @@ def rows(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Effec
         ]
     )
     kept = arc >= 0
-    return Balance(
+    return EnergyRows(
         index=smoothed.index[kept],
         sync=smoothed.sync[kept],
         arc=arc[kept],

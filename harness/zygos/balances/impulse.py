@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from zygos.arm import Arm
 from zygos.balances.effects import Signals, impulse_column
-from zygos.balances.energy import held_torque
+from zygos.balances.energy import DriveColumns, held_torque
 from zygos.balances.kinematics import body_columns
 from zygos.balances.quadrature import FromOrigin
 from zygos.balances.state import State
@@ -26,7 +26,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Impulse:
+class ImpulseRows:
     """Rows of one joint at m smoothed instants, c columns; what stands where there is no arc means nothing."""
 
     joint: int
@@ -47,15 +47,15 @@ def joint_effects(arm: Arm, joint: int, effects: Sequence[Effect]) -> tuple[Effe
     )
 
 
-def joint_names(arm: Arm, joint: int, effects: Sequence[Effect] = ()) -> tuple[str, ...]:
+def impulse_names(arm: Arm, joint: int, effects: Sequence[Effect] = ()) -> tuple[str, ...]:
     """Names of the columns in the row of a joint (from 0). Errors: as `estimated`."""
     acting = joint_effects(arm, joint, effects)
     return (*(f"{kind}{joint + 1}" for kind in ("Im", "k", "b")), *(effect.column(arm) for effect in acting))
 
 
-def rows(
+def impulse_rows(
     arm: Arm, samples: Samples, smoothed: Smoothed, arc: NDArray[np.int64], effects: Sequence[Effect] = ()
-) -> tuple[Impulse, ...]:
+) -> tuple[ImpulseRows, ...]:
     """Rows of every flexible joint. arc: (m,) number of the arc of each instant, -1 for none.
 
     The smoothed rate is h/12 times the jump of the acceleration above the true one where a held torque steps (as in
@@ -69,28 +69,19 @@ def rows(
         if not joint.flexible:
             continue
         signals = Signals.of(arm, state, before, after, i, totals)
-        own = drive_columns(signals, carried[:, i])
+        own = drive_impulse_columns(signals, carried[:, i])
         columns = [own.rotor + own.coupling, own.spring, own.damper]
         columns += [impulse_column(effect.kind, signals) for effect in joint_effects(arm, i, effects)]
         z, w = np.stack(columns, axis=1), motor_impulse(arm, signals)
-        out.append(Impulse(i, joint_names(arm, i, effects), joint.gear_ratio * z, joint.gear_ratio * w))
+        out.append(ImpulseRows(i, impulse_names(arm, i, effects), joint.gear_ratio * z, joint.gear_ratio * w))
     return tuple(out)
 
 
-@dataclass(frozen=True)
-class DriveColumns:
-    """Columns of a joint's drive in the balance of its motor's impulse, before the gear; (..., m) each."""
+def drive_impulse_columns(signals: Signals, carried: Floats) -> DriveColumns:
+    """Columns of rotor, spring and damper, before the gear.
 
-    rotor: Floats
-    """Of the rotor's inertia, as far as the rotor alone turns."""
-    coupling: Floats
-    """Of the rotor's inertia, for the rotation of the body that carries it."""
-    spring: Floats
-    damper: Floats
-
-
-def drive_columns(signals: Signals, carried: Floats) -> DriveColumns:
-    """Columns of rotor, spring and damper. carried: (..., m) rate of the carrying body about the joint's axis."""
+    carried: (..., m) rate of the carrying body about the joint's axis [rad/s].
+    """
     s = signals
     spring = s.totals.integral(s.deflection) / s.gear_ratio
     return DriveColumns(s.gear_ratio * s.motor_rate, carried, spring, s.deflection / s.gear_ratio)
@@ -103,7 +94,7 @@ def motor_impulse(arm: Arm, signals: Signals) -> Floats:
     return arm.period_s * s.totals.sum_before(s.after) + held_torque(arm) * (s.after - s.before)
 
 
-def noise(arm: Arm, joint: int, effects: Sequence[Effect] = ()) -> Floats:
+def impulse_noise(arm: Arm, joint: int, effects: Sequence[Effect] = ()) -> Floats:
     """What the noise of the samples adds to z' z of one row of a flexible joint on average, (c, c).
 
     The declared noise of encoders and gyro, over the wire, passes through the smoother. Integrals average it

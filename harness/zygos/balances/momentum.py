@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Rates:
+class RateVariances:
     """Variances of the smoothed rates [rad^2/s^2].
 
     link: (N,). base: about each axis. rotor: (N,) of the motors, 0 where a joint is rigid and its rotor turns with the
@@ -50,7 +50,7 @@ class Turns:
     noise: Floats
 
 
-def columns(arm: Arm, state: State) -> Floats:
+def momentum_columns(arm: Arm, state: State) -> Floats:
     """Columns (..., r, K + N) of the K kinetic parameters and of Im_1 .. Im_N in base axes; r is 3 in space, else 1.
 
     Of N_ab: rho_a x v_b, and rho_b x v_a where a and b differ; of Im_i: n thetad times the axis. In a plane the first
@@ -67,7 +67,7 @@ def columns(arm: Arm, state: State) -> Floats:
     return np.swapaxes(np.concatenate([share, spin[..., None] * places.axis], axis=-2), -1, -2)
 
 
-def attitudes(arm: Arm, smoothed: Smoothed, arc: NDArray[np.int64]) -> Floats:
+def base_attitudes(arm: Arm, smoothed: Smoothed, arc: NDArray[np.int64]) -> Floats:
     """(m, 3, 3) rotation from base axes to those that the base had at the origin of the arc; identity where there is no
     arc.
 
@@ -83,13 +83,13 @@ def attitudes(arm: Arm, smoothed: Smoothed, arc: NDArray[np.int64]) -> Floats:
     return out
 
 
-def rows(arm: Arm, smoothed: Smoothed, arc: NDArray[np.int64]) -> Floats:
+def momentum_rows(arm: Arm, smoothed: Smoothed, arc: NDArray[np.int64]) -> Floats:
     """Rows (m, r, K + N) at m smoothed instants. arc: (m,) number of the arc of each, -1 for none."""
-    z = columns(arm, State.smoothed(arm, smoothed))
-    return attitudes(arm, smoothed, arc) @ z if arm.spatial else z
+    z = momentum_columns(arm, State.smoothed(arm, smoothed))
+    return base_attitudes(arm, smoothed, arc) @ z if arm.spatial else z
 
 
-def variances(arm: Arm) -> Rates:
+def variances(arm: Arm) -> RateVariances:
     """The declared noise of encoders and gyro, over the wire, through the smoother."""
     points, order, h = arm.smoother.points, arm.smoother.order, arm.period_s
 
@@ -104,10 +104,10 @@ def variances(arm: Arm) -> Rates:
         own = motor.over_the_wire.sigma_rad**2 * size(joint.latch_us + motor.latch_us, 1)
         rotor.append(own if joint.flexible else 0.0)
     gyro = arm.imu.over_the_wire.rate_sigma**2 * size(arm.imu.latch_us, 0)
-    return Rates(np.array(link), gyro, np.array(rotor))
+    return RateVariances(np.array(link), gyro, np.array(rotor))
 
 
-def noise(arm: Arm, smoothed: Smoothed) -> Floats:
+def momentum_noise(arm: Arm, smoothed: Smoothed) -> Floats:
     """What the noise of the rates adds to z' z of the rows of each of m instants on average, (m, K + N, K + N).
 
     That of the angles and of the attitude is left out.
@@ -130,7 +130,7 @@ def turns(arm: Arm, samples: Samples, smoothed: Smoothed) -> Turns | None:
     longest = max(1, round(arm.momentum_arc_s / arm.period_s))
     arc = numbered(smoothed, longest)
     void = unused(arm, samples, smoothed, arc, longest, "momentum")
-    every, turn = rows(arm, smoothed, arc), attitudes(arm, smoothed, arc)
+    every, turn = momentum_rows(arm, smoothed, arc), base_attitudes(arm, smoothed, arc)
     count = every.shape[1]
     z, numbers, noise = [every[:0, 0]], [arc[:0]], [np.zeros((0, every.shape[2], every.shape[2]))]
     for number in range(int(arc.max(initial=-1)) + 1):
@@ -179,9 +179,9 @@ def _derivatives(arm: Arm, smoothed: Smoothed) -> tuple[Floats, Floats, Floats]:
     for i, joint in enumerate(arm.joints):
         unit = np.zeros_like(state.qd)
         unit[..., i] = 1.0
-        links.append(columns(arm, replace(still, qd=unit, thetad=unit * (not joint.flexible))))
-        rotors.append(np.sqrt(variance.rotor[i]) * columns(arm, replace(still, thetad=unit)))
+        links.append(momentum_columns(arm, replace(still, qd=unit, thetad=unit * (not joint.flexible))))
+        rotors.append(np.sqrt(variance.rotor[i]) * momentum_columns(arm, replace(still, thetad=unit)))
     axes = np.eye(3) if arm.spatial else np.ones(1)
-    bases = [columns(arm, replace(still, base=np.broadcast_to(axis, state.base.shape))) for axis in axes]
+    bases = [momentum_columns(arm, replace(still, base=np.broadcast_to(axis, state.base.shape))) for axis in axes]
     size = np.concatenate([variance.link, np.full(len(bases), variance.base)])
     return size, np.stack([*links, *bases], axis=-3), np.stack(rotors, axis=-3)

@@ -105,7 +105,7 @@ def check_log(path: Path) -> None:
         raise ZygosError(f"{path}: no such file; remedy: give a CAN log, for instance one that `zygos simulate` wrote")
 
 
-class Recording:
+class LogWriter:
     """A log, in the format of the suffix, to which messages are added. It gets its name when it is finished.
 
     Every method raises ZygosError, naming the log, when it cannot be written; the incomplete file is then removed.
@@ -166,7 +166,7 @@ def write_log(path: Path, frames: NDArray[Any], period_s: float) -> None:
             write_log(log, frames, period_s)
             write_bytes(path, log.read_bytes())
         return
-    recording = Recording(path)
+    recording = LogWriter(path)
     recording.append(to_messages(frames, period_s))
     recording.finish()
 
@@ -243,7 +243,9 @@ def open_bus(interface: str | None, channel: str | None, bitrate: int | None = N
         ) from error
 
 
-def receive(bus: can.BusABC, idle_s: float, stop: Callable[[], bool] = lambda: False) -> Iterator[can.Message]:
+def received_messages(
+    bus: can.BusABC, idle_s: float, stop: Callable[[], bool] = lambda: False
+) -> Iterator[can.Message]:
     """Messages of a bus until no SYNC came for idle_s, or for ten times idle_s before the first one, or stop() is true.
 
     Only SYNC counts, because other nodes may send heartbeats for ever. Raises can.CanError when the bus fails.
@@ -261,7 +263,9 @@ def receive(bus: can.BusABC, idle_s: float, stop: Callable[[], bool] = lambda: F
             yield message
 
 
-def transfer(frames: NDArray[Any], period_s: float, interface: str = "virtual", channel: str = "zygos") -> NDArray[Any]:
+def transferred(
+    frames: NDArray[Any], period_s: float, interface: str = "virtual", channel: str = "zygos"
+) -> NDArray[Any]:
     """Send frames from one end of a bus to another, and return what arrived.
 
     Foreign frames on that bus are left out. On SocketCAN the sender waits for the receiver, whose buffer would

@@ -40,7 +40,7 @@ class Frame(NamedTuple):
     flags: int = 0
 
 
-class Kind(NamedTuple):
+class MessageKind(NamedTuple):
     """Meaning of an identifier for an arm: its message in the DBC, its E2E family and node, the joint it belongs to.
 
     part: what the frame contributes to a cycle, None for SYNC and FTIME.
@@ -61,25 +61,25 @@ def database(coarse_gyro: bool = False) -> Database:
     return loaded
 
 
-def identifiers(arm: Arm) -> dict[int, Kind]:
+def identifiers(arm: Arm) -> dict[int, MessageKind]:
     """Identifiers of the arm's messages. The DBC names joints by node 1 to 7; other nodes have the same layout."""
     messages = {message.name: message for message in database().messages}
     kinds = {
-        0x080: Kind(messages["SYNC"], None, COMPUTER_NODE),
-        0x380 + COMPUTER_NODE: Kind(messages["FTIME"], 2, COMPUTER_NODE),
+        0x080: MessageKind(messages["SYNC"], None, COMPUTER_NODE),
+        0x380 + COMPUTER_NODE: MessageKind(messages["FTIME"], 2, COMPUTER_NODE),
     }
     for i, joint in enumerate(arm.joints):
-        kinds[0x180 + joint.node] = Kind(messages["JOINT1_ANGLES"], 0, joint.node, i, f"angles{i}")
-        kinds[0x280 + joint.node] = Kind(messages["JOINT1_TORQUE"], 1, joint.node, i, f"torque{i}")
+        kinds[0x180 + joint.node] = MessageKind(messages["JOINT1_ANGLES"], 0, joint.node, i, f"angles{i}")
+        kinds[0x280 + joint.node] = MessageKind(messages["JOINT1_TORQUE"], 1, joint.node, i, f"torque{i}")
     node = arm.imu.node
     if node == 0:
         return kinds
     if arm.imu.resolution == "coarse":
-        kinds[0x180 + node] = Kind(database(coarse_gyro=True).get_message_by_frame_id(0x190), 0, node, 0, "rate")
-        kinds[0x380 + node] = Kind(messages["IMU_RATE_Z"], 2, node, 0, UNWANTED)
+        kinds[0x180 + node] = MessageKind(database(coarse_gyro=True).get_message_by_frame_id(0x190), 0, node, 0, "rate")
+        kinds[0x380 + node] = MessageKind(messages["IMU_RATE_Z"], 2, node, 0, UNWANTED)
     else:
-        kinds[0x180 + node] = Kind(messages["IMU_RATE_XY"], 0, node, 0, "rate_xy")
-        kinds[0x380 + node] = Kind(messages["IMU_RATE_Z"], 2, node, 0, "rate_z")
+        kinds[0x180 + node] = MessageKind(messages["IMU_RATE_XY"], 0, node, 0, "rate_xy")
+        kinds[0x380 + node] = MessageKind(messages["IMU_RATE_Z"], 2, node, 0, "rate_z")
     return kinds
 
 

@@ -30,7 +30,7 @@ def check_arm_run(arm_file: Path, run: Path, json: str | None) -> None:
         heading = {**origin(recorded), "arm": arm.name, "ok": found.ok, "faults": recorded.faults}
         write_json(json, {**heading, **asdict(found)})
     if json != "-":
-        show(found)
+        show_audit(found)
         seen = [f"{name} {count:,}" for name, count in recorded.faults.items() if count]
         say(f"arm {arm.name} · {counted(len(recorded), 'cycle')}" + (f" · faults: {', '.join(seen)}" if seen else ""))
     if found.findings:
@@ -55,7 +55,7 @@ def _what_decides(found: Audit) -> str:
     return 'a run that moves every joint faster and at different speeds; the lines with "open" give the reasons'
 
 
-def show(found: Audit) -> None:
+def show_audit(found: Audit) -> None:
     """Print the results."""
     table(
         ("signal", "unit", "rate %", "low", "high", "steps", "declared", "noise", "declared", "verdict"),

@@ -21,9 +21,9 @@ from zygos.files.tables import check_table, is_table
 from zygos.native.flight import Flight, encode
 from zygos.telemetry.convert import (
     added_noise,
-    arm_text,
     check_noise,
     cycles_of,
+    noisier_arm_text,
     refused_share,
     signal_rows,
     stamps_sigma,
@@ -71,7 +71,7 @@ def convert_run(
             described, text = arm, local(chosen).read_text(encoding="utf-8")
         else:
             described = noisier(arm, mapping.channels, added)
-            text = arm_text(chosen, described, f"{source.name} by {map_file.name}")
+            text = noisier_arm_text(chosen, described, f"{source.name} by {map_file.name}")
         check_noise(described, mapping, added)
         rate, needed = needed_rate(found, arm, mapping)
         # if the motion passes the test with even stamps, it is not too fast

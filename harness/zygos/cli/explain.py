@@ -25,7 +25,7 @@ from zygos.files.progress import progress
 from zygos.gap.explain import INTERVAL, Explanation, Gap, explain
 from zygos.gap.forecast import Forecast
 from zygos.gap.provenance import Provenance
-from zygos.gap.record import Record, read_record
+from zygos.gap.record import MeasuredRun, read_measured_run
 from zygos.gap.runs import check_arm_of_gap
 from zygos.model.model import load_model, save_model
 from zygos.native.flight import Flight
@@ -70,14 +70,14 @@ def explain_run(
     model.base_parameters(arm)
     with progress() as bar:
         task = bar.add_task("reading", total=1.0)
-        records: list[Record] = []
+        records: list[MeasuredRun] = []
         logs: list[bus.Log] = []
         for k, run in enumerate(runs):
             bar.update(task, description=f"reading {run.name}", completed=0.2 * k / len(runs))
             logs.append(bus.read_log(run))
             warn(logs[-1].damage)
             _check_distinct(runs, logs)
-            records.append(read_record(arm, run, logs[-1].frames))
+            records.append(read_measured_run(arm, run, logs[-1].frames))
         found = explain(
             arm,
             model,
@@ -132,7 +132,7 @@ def _check_distinct(runs: Sequence[Path], logs: Sequence[bus.Log]) -> None:
 
 def finish(
     found: Explanation,
-    records: Sequence[Record],
+    records: Sequence[MeasuredRun],
     logs: Sequence[bus.Log],
     inputs: Inputs,
     source: Provenance,
@@ -241,7 +241,7 @@ def _predictions(gap: Gap) -> list[tuple[str, Forecast]]:
     return listed + ([(f"with {gap.wrong_name} instead", gap.wrong)] if gap.wrong is not None else [])
 
 
-def as_json(found: Explanation, records: Sequence[Record], source: Provenance) -> dict[str, Any]:
+def as_json(found: Explanation, records: Sequence[MeasuredRun], source: Provenance) -> dict[str, Any]:
     """The content of the JSON of a verdict."""
     layout = found.refit.layout
     gap = found.gap

@@ -20,7 +20,7 @@ from zygos.files.inputs import local
 from zygos.files.output import check_outputs, number, quiet, say, table, write_json
 from zygos.files.progress import progress
 from zygos.model.model import Model, Quantity, load_model, save_model
-from zygos.model.physical import CHANCE, Fit, entries_of_model, fit_bodies, observe
+from zygos.model.physical import CHANCE, PhysicalFit, entries_of_model, fit_bodies, observe
 
 _KEYS = ("arm", "parameters", "solution", "normal", "validity", "reason", "blocks")
 
@@ -108,7 +108,7 @@ def _effects(arm: Arm, drawing: Model, report: dict[str, Any]) -> tuple[Effect, 
     return tuple(learned(effect, found.get(effect.column(arm))) for effect in drawing.effects)
 
 
-def _tables(arm: Arm, drawing: Model, found: Fit) -> None:
+def _tables(arm: Arm, drawing: Model, found: PhysicalFit) -> None:
     drawn = entries_of_model(arm, drawing)
     rows = [
         (
@@ -131,7 +131,7 @@ def _tables(arm: Arm, drawing: Model, found: Fit) -> None:
     )
 
 
-def _report(arm: Arm, found: Fit, out: Path) -> dict[str, Any]:
+def _report(arm: Arm, found: PhysicalFit, out: Path) -> dict[str, Any]:
     return {
         "model": str(out) if found.explained else None,
         "arm": arm.name,

@@ -14,7 +14,7 @@ import typer
 from zygos.arm import load_arm
 from zygos.can import bus
 from zygos.cli.answer import finish_estimate
-from zygos.cli.options import Bitrate, Channel, Interface, Json
+from zygos.cli.options import Bitrate, ChannelOption, Interface, Json
 from zygos.cli.shared import check_model_name
 from zygos.errors import Undecided, ZygosError
 from zygos.estimation.estimate import conclude
@@ -57,7 +57,7 @@ def listen_bus(
         failures.append(error)
 
     with bus.open_bus(interface, channel, bitrate) as source, stop_signals() as stopped:
-        recording = bus.Recording(log) if log is not None else None
+        recording = bus.LogWriter(log) if log is not None else None
 
         def work_off() -> None:
             nonlocal recording
@@ -73,7 +73,7 @@ def listen_bus(
         note(f"listening to {where}; Ctrl-C ends")
         begin = shown = time.monotonic()
         try:
-            for message in bus.receive(
+            for message in bus.received_messages(
                 source, idle, lambda: stopped() or (duration > 0.0 and time.monotonic() - begin > duration)
             ):
                 batch.append(message)
@@ -112,7 +112,7 @@ def command(
     arm: Annotated[Path, typer.Option("--arm", metavar="ARM.toml", help="The arm file.")],
     out: Annotated[Path, typer.Option("-o", "--out", metavar="MODEL.toml", help="The model to write at the end.")],
     interface: Interface = None,
-    channel: Channel = None,
+    channel: ChannelOption = None,
     bitrate: Bitrate = None,
     log: Annotated[
         Path | None,

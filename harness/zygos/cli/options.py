@@ -21,7 +21,7 @@ Interface = Annotated[
     str | None,
     typer.Option("-i", "--interface", metavar="NAME", help="The interface of python-can, for instance socketcan."),
 ]
-Channel = Annotated[
+ChannelOption = Annotated[
     str | None, typer.Option("-c", "--channel", metavar="NAME", help="The channel of that interface, such as vcan0.")
 ]
 Bitrate = Annotated[

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from zygos.arm import Arm, load_arm
 from zygos.can import bus
-from zygos.cli.options import Bitrate, Channel, Interface, Json
+from zygos.cli.options import Bitrate, ChannelOption, Interface, Json
 from zygos.dynamics.equations import ENGINES
 from zygos.errors import ZygosError
 from zygos.files.output import (
@@ -151,7 +151,7 @@ def command(
         typer.Option(metavar="ENGINE", help="The source of the equations of motion: zygos, pinocchio or mujoco."),
     ] = "zygos",
     interface: Interface = None,
-    channel: Channel = None,
+    channel: ChannelOption = None,
     bitrate: Bitrate = None,
     json: Json = None,
 ) -> None:

@@ -28,7 +28,7 @@ from zygos.files.output import (
 )
 from zygos.files.progress import progress
 from zygos.model.model import load_model
-from zygos.view.scene import FRAMES_PER_S, MOST_FRAMES, STILLS, film, instants, page, png, serve
+from zygos.view.scene import FRAMES_PER_S, MOST_FRAMES, STILLS, film, frame_instants, page, png, serve
 
 
 def view_run(
@@ -56,13 +56,13 @@ def view_run(
         raise ZygosError(f"--at {at:g}: the run lasts from 0 to {last:g} s; remedy: give a time in this range")
     content = ""
     if html_file is not None or png_file is None:
-        frames = instants(run, max(2, min(MOST_FRAMES, round(last * FRAMES_PER_S))))
+        frames = frame_instants(run, max(2, min(MOST_FRAMES, round(last * FRAMES_PER_S))))
         with progress() as bar:
             task = bar.add_task("drawing", total=len(frames))
             shown = film(arm, lengths, run, frames, exaggerate)
             content = page(shown, lambda done: bar.update(task, completed=done))
     if png_file is not None:
-        stills = instants(run, STILLS) if at is None else np.array([np.argmin(np.abs(run.time - at))])
+        stills = frame_instants(run, STILLS) if at is None else np.array([np.argmin(np.abs(run.time - at))])
         write_bytes(png_file, png(film(arm, lengths, run, stills, exaggerate)))
     if html_file is not None:
         write_text(html_file, content)

@@ -154,7 +154,7 @@ def learn(folder: Path) -> Learned:
     interface, channel = choose_bus()
     name = f"{interface} {channel}" + ("" if interface == "socketcan" else " (in-process: this machine has no vcan0)")
     note(f"sending its frames over {name} …")
-    frames = bus.transfer(bus.read_log(sent).frames, arm.period_s, interface, channel)
+    frames = bus.transferred(bus.read_log(sent).frames, arm.period_s, interface, channel)
     bus.write_log(run, frames, arm.period_s)
 
     flight = Flight(arm)

@@ -18,7 +18,7 @@ EngineName = Literal["zygos", "pinocchio", "mujoco"]
 ENGINES: tuple[EngineName, ...] = ("zygos", "pinocchio", "mujoco")
 
 
-class Motion(Protocol):
+class Dynamics(Protocol):
     """Equations of motion of an arm, with any leading batch axes; omega0 is (...,) in a plane, else (..., 3)."""
 
     @property
@@ -60,7 +60,7 @@ class _Engine:
         return np.stack([np.linalg.solve(one, np.asarray(momentum)) for one in inertia])
 
 
-def equations(arm: Arm, model: Model, name: EngineName = "zygos") -> Motion:
+def equations(arm: Arm, model: Model, name: EngineName = "zygos") -> Dynamics:
     """The equations of motion of a model. Errors: ZygosError if it does not fit the arm or the engine."""
     if name != "zygos":
         return _Engine(engine(name, arm, model))

@@ -49,7 +49,7 @@ class Poses:
 
 
 @dataclass(frozen=True)
-class Motion:
+class RecordedMotion:
     """Motion of the arm in a run, at n cycles."""
 
     time: Floats
@@ -126,7 +126,7 @@ def place(arm: Arm, lengths: Skeleton, q: Floats, base: Floats) -> Poses:
     return Poses(poses.attitude, poses.position - mass_centre(lengths, poses)[:, None])
 
 
-def attitudes(time: Floats, rate: Floats) -> Floats:
+def integrated_attitudes(time: Floats, rate: Floats) -> Floats:
     """(n, 3, 3) attitude of a body that turns at rate (n, 3) in its own axes, rad/s; the identity at the first instant.
 
     R_{k+1} = R_k exp((rate_k + rate_{k+1}) / 2 * dt), second order in dt.
@@ -139,7 +139,7 @@ def attitudes(time: Floats, rate: Floats) -> Floats:
     return attitude
 
 
-def motion(arm: Arm, cycles: Cycles) -> Motion:
+def motion(arm: Arm, cycles: Cycles) -> RecordedMotion:
     """Motion of the arm in a run: signs, zeros and the gyro's mount are applied, and unusable cycles are left out.
 
     Errors: ZygosError if no cycle is usable, or the record has a different number of joints.
@@ -156,5 +156,5 @@ def motion(arm: Arm, cycles: Cycles) -> Motion:
     q, deflection = samples.q[use], samples.theta[use] - samples.q[use]
     # after an encoder has passed the end of its range it is wrong by whole turns
     deflection -= 2.0 * np.pi * np.round(deflection / (2.0 * np.pi))
-    base = attitudes(time, samples.omega[use]) if arm.free else np.tile(np.eye(3), (len(time), 1, 1))
-    return Motion(time, q, deflection, base, gaps=int(np.count_nonzero(np.diff(sync) > 1)))
+    base = integrated_attitudes(time, samples.omega[use]) if arm.free else np.tile(np.eye(3), (len(time), 1, 1))
+    return RecordedMotion(time, q, deflection, base, gaps=int(np.count_nonzero(np.diff(sync) > 1)))

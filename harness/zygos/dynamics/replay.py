@@ -82,7 +82,7 @@ def replay(
     return states, torques
 
 
-def read(dynamics: PlanarDynamics, arm: Arm, states: Array, torques: Array) -> tuple[Array, Array, Array]:
+def exact_readings(dynamics: PlanarDynamics, arm: Arm, states: Array, torques: Array) -> tuple[Array, Array, Array]:
     """Readings of exact sensors for states (B, n+1, 4N+1) under torques (B, n+1, N), in the first n cycles.
 
     Returns q, theta (B, n, N) and omega0 (B, n), each at the instant of its latch, which may be after SYNC. Between two

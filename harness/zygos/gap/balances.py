@@ -27,7 +27,7 @@ from zygos.balances.kinematics import body_columns
 from zygos.balances.quadrature import FromOrigin, from_first, integral
 from zygos.balances.state import State
 from zygos.effects import CATALOGUE, OFFSET, Kind, column_name
-from zygos.gap.record import Readings, smooth
+from zygos.gap.record import Readings, smoothed_states
 
 Array = NDArray[np.float64]
 
@@ -78,7 +78,7 @@ class Layout:
 
 
 @dataclass(frozen=True)
-class Rows:
+class BalanceRows:
     """All balances at every instant."""
 
     left: Array
@@ -87,19 +87,19 @@ class Rows:
     """(..., balances, A, instants)"""
 
 
-def rows(arm: Arm, readings: Readings, values: Array) -> Rows:
+def balance_rows(arm: Arm, readings: Readings, values: Array) -> BalanceRows:
     """Balances of arcs of readings, in the units of energy (J), impulse before the gear (Nms) and momentum (Nms).
 
     values: base parameters (p,), about right: what an encoder's zero does to the balances depends on them.
     """
-    state = smooth(arm, readings)
+    state = smoothed_states(arm, readings)
     half = arm.smoother.points // 2
     cycles = readings.tau.shape[-2]
     after = readings.tau[..., half : cycles - half, :]
     before = readings.tau[..., half - 1 : cycles - half - 1, :]
     layout = Layout(arm)
     shape = (*state.base.shape[:-2], len(layout.balances), *state.base.shape[-2:])
-    out = Rows(np.zeros((*shape, len(layout.columns))), np.zeros(shape))
+    out = BalanceRows(np.zeros((*shape, len(layout.columns))), np.zeros(shape))
     put = _Put(layout, out)
     bodies, carried = body_columns(arm, state)
     _energy(arm, state, bodies, carried, put)
@@ -121,7 +121,7 @@ def rows(arm: Arm, readings: Readings, values: Array) -> Rows:
 @dataclass(frozen=True)
 class _Put:
     layout: Layout
-    rows: Rows
+    rows: BalanceRows
 
     def __call__(self, balance: str, column: str, values: Array | float) -> None:
         self.rows.left[..., self.layout.balances.index(balance), :, :, self.layout.columns.index(column)] = values
@@ -134,7 +134,7 @@ def _energy(arm: Arm, state: State, bodies: Array, carried: Array, put: _Put) ->
     for k, (name, _) in enumerate(arm.body_parameters):
         put("E", name, bodies[..., k])
     slip = state.thetad - state.qd
-    own = energy.drive_columns(arm, state, carried, integral(slip**2, arm.period_s, axis=-2))
+    own = energy.drive_energy_columns(arm, state, carried, integral(slip**2, arm.period_s, axis=-2))
     columns = {"Im": own.rotor, "rotor_coupling": own.coupling, "k": own.spring, "b": own.damper}
     for key, column in columns.items():
         for i in range(arm.n):
@@ -142,7 +142,7 @@ def _energy(arm: Arm, state: State, bodies: Array, carried: Array, put: _Put) ->
 
 
 def _impulse(arm: Arm, signals: Signals, i: int, carried: Array, put: _Put) -> None:
-    own = impulse.drive_columns(signals, carried)
+    own = impulse.drive_impulse_columns(signals, carried)
     columns = {"Im": own.rotor, "rotor_coupling": own.coupling, "k": own.spring, "b": own.damper}
     for key, column in columns.items():
         put(f"M{i + 1}", f"{key}{i + 1}", column)
@@ -150,7 +150,7 @@ def _impulse(arm: Arm, signals: Signals, i: int, carried: Array, put: _Put) -> N
 
 
 def _momentum(arm: Arm, state: State, put: _Put) -> None:
-    columns = momentum.columns(arm, state)[..., 0, :]
+    columns = momentum.momentum_columns(arm, state)[..., 0, :]
     names = [name for name, _ in arm.body_parameters] + [f"rotor_coupling{i + 1}" for i in range(arm.n)]
     for k, name in enumerate(names):
         put("H", name, columns[..., k])
@@ -196,7 +196,7 @@ class Sums:
     """(balances, columns + 1, columns + 1) what the sensors' noise is expected to add to `gram`."""
 
 
-def accumulate(rows: Rows, accepted: NDArray[np.bool_], uncentred: Sequence[int] = ()) -> Sums:
+def accumulate(rows: BalanceRows, accepted: NDArray[np.bool_], uncentred: Sequence[int] = ()) -> Sums:
     """Sum a run. accepted: (A, instants). The balances listed in `uncentred` keep no constant for each arc."""
     z = np.concatenate([rows.left, rows.right[..., None]], axis=-1)
     weight = accepted.astype(np.float64)[..., None]

@@ -21,7 +21,7 @@ from zygos.files.output import ratio
 from zygos.gap.explain import INTERVAL, Explanation, Finding, Gap, Value
 from zygos.gap.forecast import HORIZON_S, Forecast
 from zygos.gap.provenance import Provenance
-from zygos.gap.record import Record
+from zygos.gap.record import MeasuredRun
 from zygos.gap.search import EXCESS, Candidate
 from zygos.gap.study import Study, coefficient, residuals
 from zygos.report.page import UNITS, Entry, joint_colour, numbers, render, series
@@ -142,7 +142,7 @@ def _percent(share: float) -> str:
     return f"{100.0 * share:+.2f}".replace("-", "−")
 
 
-def _length(record: Record) -> str:
+def _length(record: MeasuredRun) -> str:
     return f"{len(record.starts) * record.instants * record.arm.period_s:.0f} s"
 
 

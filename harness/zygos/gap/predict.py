@@ -11,7 +11,7 @@ from zygos.arm import Arm
 from zygos.can.run import Run
 from zygos.dynamics.planar import PlanarDynamics
 from zygos.errors import ZygosError
-from zygos.gap.forecast import Forecast, Segments, cut, forecast
+from zygos.gap.forecast import Forecast, Stretches, cut, forecast
 from zygos.gap.runs import record_of
 from zygos.model.model import Model
 
@@ -26,7 +26,7 @@ class Prediction:
     state before each stretch is fitted, with the model, to the half second of readings before it.
     """
 
-    segments: Segments
+    segments: Stretches
     forecast: Forecast
 
     @property

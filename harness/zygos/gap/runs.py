@@ -12,7 +12,7 @@ from zygos.arm import Arm
 from zygos.can.run import Run
 from zygos.errors import ZygosError
 from zygos.gap.explain import Explanation, explain
-from zygos.gap.record import Record, read_record
+from zygos.gap.record import MeasuredRun, read_measured_run
 from zygos.model.model import Model
 
 
@@ -25,7 +25,7 @@ def check_arm_of_gap(arm: Arm, named: str) -> None:
         )
 
 
-def record_of(run: Run, number: int = 1) -> Record:
+def record_of(run: Run, number: int = 1) -> MeasuredRun:
     """A run cut into arcs. number: which run it is, for messages. Errors: ZygosError where it has no frames, or no
     unbroken stretch of 2 s."""
     name = run.path or Path(f"run {number}")
@@ -33,7 +33,7 @@ def record_of(run: Run, number: int = 1) -> Record:
         raise ZygosError(
             f"{name}: a table of cycles has no frames, which are needed here; remedy: save it as .blf and load that"
         )
-    return read_record(run.arm, name, run.frames)
+    return read_measured_run(run.arm, name, run.frames)
 
 
 def explain_runs(

@@ -299,7 +299,7 @@ def read_model(top: Table) -> Model:
         _body(table, source, first=index == 0, last=index == len(tables) - 1) for index, table in enumerate(tables)
     )
     joints = tuple(
-        read_joint(table, source)
+        read_joint_model(table, source)
         for table in top.tables(
             "joint",
             "The joints' drives, in the order of the joints.",
@@ -517,7 +517,7 @@ def _body(table: Table, source: str, *, first: bool, last: bool) -> Body:
     return body
 
 
-def read_joint(table: Table, source: str) -> JointModel:
+def read_joint_model(table: Table, source: str) -> JointModel:
     """Read one [[joint]] of a model file; values without a source get `source`. Errors: as `load_model`."""
     joint = JointModel(
         table.text("name", "Name of the joint."),

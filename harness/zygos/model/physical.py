@@ -63,7 +63,7 @@ class Observed:
 
 
 @dataclass(frozen=True)
-class Fit:
+class PhysicalFit:
     """The arm that explains an estimate best."""
 
     model: Model
@@ -249,7 +249,7 @@ def fit_bodies(
     observed: Observed,
     length_sigma: float,
     progress: Callable[[float], None] = lambda share: None,
-) -> Fit:
+) -> PhysicalFit:
     """The arm near `drawing` (given by bodies) that explains an estimate best.
 
     Minimises chi^2 + |y|^2 over the `Coordinates` y. First the estimate is moved to the nearest N that is positive
@@ -276,7 +276,7 @@ def fit_bodies(
     tested = np.vstack([rows[: -where.size], rows[-where.size :][where.of_lengths]])
     dof = float(len(tested) - np.sum((tested @ spread) ** 2))
     model, known = _with_sigmas(where, y, spread)
-    return Fit(
+    return PhysicalFit(
         model=model,
         value=value,
         covariance=(slope_of_base @ spread) @ (slope_of_base @ spread).T,

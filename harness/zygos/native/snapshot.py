@@ -9,8 +9,8 @@ from zygos.errors import ZygosError
 from zygos.files.output import write_bytes
 from zygos.native.flight import Flight, ffi, lib, text_of
 
-Kind = Literal["configuration", "state"]
-_KINDS: dict[Kind, tuple[int, str]] = {
+SnapshotKind = Literal["configuration", "state"]
+_KINDS: dict[SnapshotKind, tuple[int, str]] = {
     "configuration": (lib.ZYGOS_SNAPSHOT_CONFIG, "zygos_config_t"),
     "state": (lib.ZYGOS_SNAPSHOT_STATE, "zygos_t"),
 }
@@ -29,7 +29,7 @@ _REMEDIES = {
 }
 
 
-def refusal(path: str | Path, kind: Kind, code: int) -> ZygosError:
+def refusal(path: str | Path, kind: SnapshotKind, code: int) -> ZygosError:
     """The error for what `zygos_snapshot_check` or `zygos_resume` answers."""
     wrong = text_of(lib.zygos_text, code) if code in _REMEDIES else f"is refused with code {code}"
     if code == lib.ZYGOS_E_KIND:
@@ -37,7 +37,7 @@ def refusal(path: str | Path, kind: Kind, code: int) -> ZygosError:
     return ZygosError(f"{path}: {wrong}; remedy: {_REMEDIES.get(code, 'write it again')}")
 
 
-def seal(kind: Kind, native: Any) -> bytes:
+def seal(kind: SnapshotKind, native: Any) -> bytes:
     """Head and memory of a ``zygos_config_t *`` or ``zygos_t *``."""
     number, _ = _KINDS[kind]
     head = ffi.new("uint8_t[]", _HEAD)
@@ -45,7 +45,7 @@ def seal(kind: Kind, native: Any) -> bytes:
     return bytes(head) + bytes(ffi.buffer(native))
 
 
-def read(path: str | Path, kind: Kind) -> Any:
+def read(path: str | Path, kind: SnapshotKind) -> Any:
     """The ``zygos_config_t *`` or ``zygos_t *`` of a file.
 
     Errors: ZygosError if there is none, or it is not exactly what this build of the library would have sealed.
@@ -64,7 +64,7 @@ def read(path: str | Path, kind: Kind) -> Any:
     return native
 
 
-def write(path: Path, kind: Kind, native: Any) -> None:
+def write(path: Path, kind: SnapshotKind, native: Any) -> None:
     """Seal into a file, which is written whole or not at all. Errors: ZygosError if it cannot be written."""
     write_bytes(path, seal(kind, native))
 

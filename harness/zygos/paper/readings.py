@@ -120,10 +120,10 @@ def compare(
         exact = exact_record(simulate(arm, model, scenario, seeds=[0], noise=False))
         record, states = noisy_record(arm, noisy), noisy_states(arm, exact, range(seeds))
         estimates = {
-            "DE": de.rows(arm, record),
-            "DE (32)": de.rows(arm, states, exact=True),
-            "EB": eb.rows(arm, record, reading.rates),
-            "EB (32)": eb.rows(arm, states, "exact"),
+            "DE": de.regressor(arm, record),
+            "DE (32)": de.regressor(arm, states, exact=True),
+            "EB": eb.regressor(arm, record, reading.rates),
+            "EB (32)": eb.regressor(arm, states, "exact"),
         }
         close: dict[str, Any] = {"reading": reading.description}
         for name, (z, w) in estimates.items():

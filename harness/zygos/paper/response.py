@@ -22,7 +22,7 @@ PARTING = 10.0
 """A motion whose copies diverge by more than this multiple of their initial distance is not compared point by point."""
 
 
-def instants(arm: Arm) -> Floats:
+def sync_instants(arm: Arm) -> Floats:
     """(n,) SYNC instants of a response, s."""
     return np.asarray(arm.period_s * np.arange(round(DURATION_S / arm.period_s) + 1), dtype=np.float64)
 
@@ -45,7 +45,9 @@ def respond(arm: Arm, values: Floats, momentum_nms: float, off_rad: float = 0.0)
         base, link, motor = dynamics.accelerations(s.q, s.theta, s.base, s.qd, s.thetad, tau)
         return State(s.qd, s.thetad, link, motor, base).packed()
 
-    found = solve_ivp(rate, (0.0, DURATION_S), start, method="DOP853", t_eval=instants(arm), rtol=1e-10, atol=1e-12)
+    found = solve_ivp(
+        rate, (0.0, DURATION_S), start, method="DOP853", t_eval=sync_instants(arm), rtol=1e-10, atol=1e-12
+    )
     return np.asarray(State.unpacked(found.y.T).q, dtype=np.float64)
 
 

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from zygos.arm import Arm
-from zygos.balances.energy import Balance, rows
+from zygos.balances.energy import EnergyRows, energy_rows
 from zygos.balances.momentum import turns
 from zygos.effects import Effect
 from zygos.reference.accumulator import Design, design
@@ -22,13 +22,13 @@ from zygos.runs.samples import Samples, calibrate
 from zygos.runs.smoother import Smoothed, smooth
 
 __all__ = [
-    "Chain",
+    "ReferenceStages",
     "calibrate",
     "chain",
     "design",
+    "energy_rows",
     "motors",
     "noise_of",
-    "rows",
     "smooth",
     "solve_with_others",
     "turns",
@@ -36,17 +36,17 @@ __all__ = [
 
 
 @dataclass(frozen=True)
-class Chain:
+class ReferenceStages:
     """The results of every stage for a record, for a comparison stage by stage."""
 
     samples: Samples
     smoothed: Smoothed
-    balance: Balance
+    balance: EnergyRows
     design: Design
     solution: Solution
 
 
-def chain(arm: Arm, cycles: Cycles, effects: Sequence[Effect] = ()) -> Chain:
+def chain(arm: Arm, cycles: Cycles, effects: Sequence[Effect] = ()) -> ReferenceStages:
     """Apply all stages to a record, with a column for each of a model's effects that has one in the balance.
 
     Raises ZygosError for input that does not fit the arm, Undecided for a record that does not determine the
@@ -54,10 +54,10 @@ def chain(arm: Arm, cycles: Cycles, effects: Sequence[Effect] = ()) -> Chain:
     """
     samples = calibrate(arm, cycles)
     smoothed = smooth(arm, samples)
-    raw = rows(arm, samples, smoothed, effects)
+    raw = energy_rows(arm, samples, smoothed, effects)
     added = noise_of(arm, samples, smoothed, raw, effects)
     balance = replace(raw, z=raw.z - added.mean)
     accumulated = design(balance, added.moment)
     of_motors, momentum = motors(arm, samples, smoothed, effects), turns(arm, samples, smoothed)
     solution = solve_with_others(arm, accumulated, of_motors, momentum, effects)
-    return Chain(samples, smoothed, balance, accumulated, solution)
+    return ReferenceStages(samples, smoothed, balance, accumulated, solution)

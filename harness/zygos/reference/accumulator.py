@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.balances.arcs import MIN_ARC_INSTANTS
-from zygos.balances.energy import Balance
+from zygos.balances.energy import EnergyRows
 
 Floats = NDArray[np.float64]
 
@@ -39,7 +39,7 @@ class Design:
         return self.z.T @ self.z - self.noise[:-1, :-1], self.z.T @ self.w - self.noise[-1, :-1]
 
 
-def design(balance: Balance, moment: Floats | None = None) -> Design:
+def design(balance: EnergyRows, moment: Floats | None = None) -> Design:
     """Collect the accepted rows of a record, arc by arc, and subtract each arc's mean.
 
     moment: (arcs, p+1, p+1) mean contribution of noise to the sums of each arc; None: none.

@@ -32,7 +32,7 @@ not."""
 
 
 @dataclass(frozen=True)
-class Motors:
+class JointRows:
     """Accepted rows of one joint in its turn, minus each arc's mean; m rows, p parameters of the arm.
 
     joint: from 0. rows: z (m, p), zero outside the joint's own columns, w (m,) [Nms], and their noise (p+1, p+1).
@@ -44,7 +44,7 @@ class Motors:
     arcs: int
 
 
-def motors(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Effect] = ()) -> tuple[Motors, ...]:
+def motors(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Effect] = ()) -> tuple[JointRows, ...]:
     """Rows of every flexible joint over a whole record; none if the arm switches them off. Errors: as `estimated`."""
     if arm.impulse_arc_s == 0.0:
         return ()
@@ -55,7 +55,7 @@ def motors(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Eff
     void = unused(arm, samples, smoothed, arc, longest, "motor")
     names = [*arm.parameter_names, *(effect.column(arm) for effect in estimated(arm, effects))]
     out = []
-    for one in impulse.rows(arm, samples, smoothed, arc, effects):
+    for one in impulse.impulse_rows(arm, samples, smoothed, arc, effects):
         places = [names.index(name) for name in one.names]
         z, w, count = [np.zeros((0, len(names)))], [np.zeros(0)], 0
         for number in range(int(arc.max(initial=-1)) + 1):
@@ -70,12 +70,12 @@ def motors(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Eff
             count += 1
         noise = np.zeros((len(names) + 1, len(names) + 1))
         if arm.compensation:
-            noise[np.ix_(places, places)] = sum(map(len, w)) * impulse.noise(arm, one.joint, effects)
-        out.append(Motors(one.joint, Rows(np.concatenate(z), np.concatenate(w), noise), count))
+            noise[np.ix_(places, places)] = sum(map(len, w)) * impulse.impulse_noise(arm, one.joint, effects)
+        out.append(JointRows(one.joint, Rows(np.concatenate(z), np.concatenate(w), noise), count))
     return tuple(out)
 
 
-def weight(arm: Arm, own: Motors, energy: Floats, x: Floats) -> float:
+def weight(arm: Arm, own: JointRows, energy: Floats, x: Floats) -> float:
     """Weight of a joint's rows relative to those of the energy: the ratio of their noise.
 
     energy: (p+1, p+1) noise of one energy row. x: (p,) the parameters estimated from the energy rows only.
@@ -121,7 +121,7 @@ class Combined:
 
 
 def combine(
-    arm: Arm, design: Design, motors: Sequence[Motors], momentum: Turns | None, effects: Sequence[Effect] = ()
+    arm: Arm, design: Design, motors: Sequence[JointRows], momentum: Turns | None, effects: Sequence[Effect] = ()
 ) -> Combined:
     """Combine energy, motor and momentum rows, each weighted by its noise. Raises Undecided as `solve`."""
     energy = Rows(design.z, design.w, design.noise)
@@ -140,7 +140,7 @@ def combine(
 
 
 def solve_with_others(
-    arm: Arm, design: Design, motors: Sequence[Motors], momentum: Turns | None, effects: Sequence[Effect] = ()
+    arm: Arm, design: Design, motors: Sequence[JointRows], momentum: Turns | None, effects: Sequence[Effect] = ()
 ) -> Solution:
     """The estimate of `combine`. Raises Undecided as `solve`."""
     return combine(arm, design, motors, momentum, effects).solution

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from zygos.arm import Arm
 from zygos.balances.arcs import arc_cycles
-from zygos.balances.energy import Balance, rows
-from zygos.balances.impulse import joint_names as impulse_names
+from zygos.balances.energy import EnergyRows, energy_rows
+from zygos.balances.impulse import impulse_names
 from zygos.balances.momentum import Turns, turns
 from zygos.can.wire import Frame
 from zygos.effects import Effect
@@ -20,10 +20,10 @@ from zygos.errors import Undecided
 from zygos.estimation.watch import Watch
 from zygos.native.flight import GATE, ROWS, Estimate, Flight, LeftOut, Trace
 from zygos.reference.accumulator import Design, design
-from zygos.reference.combination import Combined, Motors, combine, motors
+from zygos.reference.combination import Combined, JointRows, combine, motors
 from zygos.reference.noise import noise_of
 from zygos.reference.sigmas import Block, intervals
-from zygos.reference.wire import Reception, receive
+from zygos.reference.wire import Reception, receive_log
 from zygos.runs.cycles import Cycles
 from zygos.runs.samples import Samples, calibrate
 from zygos.runs.smoother import Smoothed, smooth
@@ -87,7 +87,7 @@ class Room:
 class Tables:
     """The numpy results that are compared with C; n smoothed instants, m rows, p columns."""
 
-    balance: Balance
+    balance: EnergyRows
     used: Design
     state: Floats
     """(n, 4N+3) smoothed states."""
@@ -111,7 +111,7 @@ class Tables:
 
 def tables(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Effect] = ()) -> Tables:
     """Apply numpy's remaining stages to a calibrated and smoothed record."""
-    raw = rows(arm, samples, smoothed, effects)
+    raw = energy_rows(arm, samples, smoothed, effects)
     added = noise_of(arm, samples, smoothed, raw, effects)
     balance = replace(raw, z=raw.z - added.mean)
     state = np.hstack([smoothed.q, smoothed.theta, smoothed.qd, smoothed.thetad, smoothed.omega])
@@ -312,7 +312,7 @@ def _compare_sigmas(
     flight: Flight,
     estimate: Estimate,
     used: Design,
-    of_motors: Sequence[Motors],
+    of_motors: Sequence[JointRows],
     momentum: Turns | None,
     combined: Combined,
     tolerance: float,
@@ -353,7 +353,7 @@ def _compare_sigmas(
 
 def decode(arm: Arm, frames: NDArray[Any]) -> Reception:
     """`FRAME` records as numpy's side receives them."""
-    return receive(arm, [_frame(f) for f in frames])
+    return receive_log(arm, [_frame(f) for f in frames])
 
 
 def _frame(record: Any) -> Frame:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
-from zygos.balances.energy import Balance, energy_columns
+from zygos.balances.energy import EnergyRows, energy_columns
 from zygos.balances.kinematics import body_columns
 from zygos.balances.state import State
 from zygos.effects import Effect, estimated
@@ -63,7 +63,7 @@ class Instants:
 
 
 @dataclass(frozen=True)
-class Noise:
+class RowNoise:
     """Mean contribution of noise to a record's rows; m rows, p columns.
 
     mean: (m, p) to each column. moment: (arcs, p+1, p+1) to the sum of the squares of [columns, work] over the accepted
@@ -91,14 +91,16 @@ def spread(arm: Arm) -> Spread:
     return Spread(link, motor, gyro if gyro >= GYRO_SHARE * link[:, 1, 1].min() else 0.0)
 
 
-def noise_of(arm: Arm, samples: Samples, smoothed: Smoothed, balance: Balance, effects: Sequence[Effect] = ()) -> Noise:
+def noise_of(
+    arm: Arm, samples: Samples, smoothed: Smoothed, balance: EnergyRows, effects: Sequence[Effect] = ()
+) -> RowNoise:
     """Mean contribution of noise to the rows of a balance; zeros if the arm switches the compensation off."""
     m, p = balance.z.shape
     arcs = int(balance.arc.max(initial=-1)) + 1
     mean, moment = np.zeros((m, p)), np.zeros((arcs, p + 1, p + 1))
     if arm.compensation == 0:
-        return Noise(mean, moment)
-    here = instants(arm, samples, smoothed, balance)
+        return RowNoise(mean, moment)
+    here = row_instants(arm, samples, smoothed, balance)
     known = spread(arm)
     since_origin = np.arange(m) - np.searchsorted(balance.arc, balance.arc)
     bodies = means(arm, known, here.state)
@@ -107,10 +109,10 @@ def noise_of(arm: Arm, samples: Samples, smoothed: Smoothed, balance: Balance, e
     for arc in range(arcs):
         used = np.flatnonzero(balance.accepted & (balance.arc == arc))
         moment[arc] = moments(arm, known, here.at(used), since_origin[used], effects)
-    return Noise(mean, moment)
+    return RowNoise(mean, moment)
 
 
-def instants(arm: Arm, samples: Samples, smoothed: Smoothed, balance: Balance) -> Instants:
+def row_instants(arm: Arm, samples: Samples, smoothed: Smoothed, balance: EnergyRows) -> Instants:
     """The instants of a balance's rows."""
     of = np.searchsorted(smoothed.index, balance.index)
     whole = Instants(State.smoothed(arm, smoothed), samples.tau[smoothed.index - 1], samples.tau[smoothed.index])

@@ -17,7 +17,7 @@ from cantools.database.can import Message
 from e2e.p02 import e2e_p02_check
 
 from zygos.arm import Arm
-from zygos.can.wire import BUS_OFF, ERROR, SYNC_MODULUS, UNWANTED, Frame, Kind, data_ids, identifiers
+from zygos.can.wire import BUS_OFF, ERROR, SYNC_MODULUS, UNWANTED, Frame, MessageKind, data_ids, identifiers
 from zygos.runs.cycles import BREAK_BEFORE, VOID_BEFORE, VOID_SHIFT, Cycles
 
 MAX_CYCLES_WITHOUT_TIME = 120
@@ -47,7 +47,7 @@ class _Seen(NamedTuple):
     """A frame that is well formed on its own. raw: codes of its signals. value: their physical values."""
 
     at: int
-    kind: Kind
+    kind: MessageKind
     raw: dict[str, int]
     value: dict[str, float]
 
@@ -67,7 +67,7 @@ class _Log:
         self.faults[fault] += 1
 
 
-def receive(arm: Arm, frames: Iterable[Frame]) -> Reception:
+def receive_log(arm: Arm, frames: Iterable[Frame]) -> Reception:
     """Evaluate a whole log in the order of the bus. The last cycle, which no SYNC closes, is left out.
 
     A cycle is used if each of its frames came exactly once, valid and with the counter of its SYNC. The cycle number

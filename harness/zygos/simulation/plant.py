@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.integrate import DOP853
 
 from zygos.arm import Arm
-from zygos.dynamics.equations import EngineName, Motion, equations
+from zygos.dynamics.equations import Dynamics, EngineName, equations
 from zygos.dynamics.planar import PlanarDynamics
 from zygos.errors import ZygosError
 from zygos.model.model import Model
@@ -44,7 +44,7 @@ class Trajectory:
 
     arm: Arm
     """The arm, at the period that was simulated."""
-    dynamics: Motion
+    dynamics: Dynamics
     seeds: tuple[int, ...]
     t: Array
     """(n,) time, s."""
@@ -118,7 +118,7 @@ def simulate(
     scenario: Scenario,
     *,
     engine: EngineName = "zygos",
-    dynamics: Motion | None = None,
+    dynamics: Dynamics | None = None,
     seeds: Sequence[int] | None = None,
     noise: bool | None = None,
     period_s: float | None = None,
@@ -165,7 +165,7 @@ class _Run:
     def __init__(
         self,
         arm: Arm,
-        dynamics: Motion,
+        dynamics: Dynamics,
         scenario: Scenario,
         *,
         planar: bool,

@@ -16,11 +16,11 @@ from zygos.files.toml import Table
 Array = NDArray[np.float64]
 EncoderNoise = Literal["gaussian", "quantised"]
 FeedbackAngle = Literal["motor", "link"]
-Kind = Literal["constant", "sines", "ramp"]
+ManoeuvreKind = Literal["constant", "sines", "ramp"]
 
 _ENCODER_NOISES: tuple[EncoderNoise, ...] = ("gaussian", "quantised")
 _FEEDBACK_ANGLES: tuple[FeedbackAngle, ...] = ("motor", "link")
-_KINDS: tuple[Kind, ...] = ("constant", "sines", "ramp")
+_KINDS: tuple[ManoeuvreKind, ...] = ("constant", "sines", "ramp")
 _MOMENTUM = (
     "Angular momentum of the whole arm at the start, for a free base: a number about the joint axis of a planar arm, "
     "or a vector in the axes of the base. For an arm in space a number is about the z axis."
@@ -180,11 +180,11 @@ def read_scenario(top: Table) -> Scenario:
     return scenario
 
 
-def _only(kind: Kind) -> str:
+def _only(kind: ManoeuvreKind) -> str:
     return f"required where {_allowed(kind)}"
 
 
-def _allowed(kind: Kind) -> str:
+def _allowed(kind: ManoeuvreKind) -> str:
     return f'kind is "{kind}", refused elsewhere'
 
 

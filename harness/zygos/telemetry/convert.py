@@ -78,7 +78,7 @@ def check_noise(arm: Arm, mapping: Map, added: Sequence[float]) -> None:
             )
 
 
-def arm_text(file: Path, arm: Arm, whence: str) -> str:
+def noisier_arm_text(file: Path, arm: Arm, whence: str) -> str:
     """Text of the arm file with the noise of `arm`."""
     document = tomlkit.parse(local(file).read_text(encoding="utf-8"))
     for entry, joint in zip(document["joint"], arm.joints, strict=True):

@@ -26,7 +26,7 @@ from zygos.runs.smoother import smooth
 from zygos.telemetry.map import Channel, Field, Map, Recording
 
 Floats = NDArray[np.float64]
-Kind = Literal["hold", "linear", "cubic", "quintic"]
+InterpolationMethod = Literal["hold", "linear", "cubic", "quintic"]
 
 HOLE = 2.5
 """A pause of a signal that is longer than that many of its usual intervals is a hole."""
@@ -38,11 +38,11 @@ REFUSED_MAX = 0.05
 """Share of instants that the bandwidth test may refuse (the flight library's own limit)."""
 DOUBLINGS = 6
 
-_ORDER: dict[Kind, int] = {"hold": 1, "linear": 2, "cubic": 4}
+_ORDER: dict[InterpolationMethod, int] = {"hold": 1, "linear": 2, "cubic": 4}
 """Order in which the interpolation's error grows with the spacing of the samples."""
-_PASSED: dict[Kind, float] = {"hold": 1.0, "linear": 0.5, "cubic": 0.75}
+_PASSED: dict[InterpolationMethod, float] = {"hold": 1.0, "linear": 0.5, "cubic": 0.75}
 """Share of the variance of white noise that the interpolation passes halfway between two samples."""
-_DEGREE: dict[Kind, int] = {"linear": 1, "cubic": 3, "quintic": 5}
+_DEGREE: dict[InterpolationMethod, int] = {"linear": 1, "cubic": 3, "quintic": 5}
 
 
 @dataclass(frozen=True)
@@ -270,7 +270,7 @@ def _forwards(source: str, where: str, falls: NDArray[np.bool_]) -> None:
         )
 
 
-def kind_of(channel: Channel, mapping: Map, arm: Arm) -> Kind:
+def kind_of(channel: Channel, mapping: Map, arm: Arm) -> InterpolationMethod:
     """Interpolation of a channel: a torque is held between its messages, unless the arm's drives sample it."""
     if channel.field == "tau":
         return "linear" if arm.torque_law == "sampled" else "hold"
@@ -278,7 +278,7 @@ def kind_of(channel: Channel, mapping: Map, arm: Arm) -> Kind:
     return mapping.clock.interpolation
 
 
-def interpolate(track: Track, at: Floats, kind: Kind) -> Floats:
+def interpolate(track: Track, at: Floats, kind: InterpolationMethod) -> Floats:
     """Values (m,) of a track at times (m,); NaN in holes, outside the track, and where it is too short for the
     spline."""
     out = np.full(len(at), np.nan)
@@ -307,7 +307,7 @@ def held_mean(track: Track, begin: Floats, period_s: float) -> Floats:
     return out
 
 
-def regrid(found: Sequence[Track], arm: Arm, mapping: Map, *, kind: Kind | None = None) -> Cycles:
+def regrid(found: Sequence[Track], arm: Arm, mapping: Map, *, kind: InterpolationMethod | None = None) -> Cycles:
     """Tracks on the grid of the arm's period, which begins with the first instant at which all of them have a value.
 
     Readings without a track are zero. kind: an interpolation that replaces the map's. Errors: ZygosError if there is no
@@ -345,7 +345,7 @@ def regrid(found: Sequence[Track], arm: Arm, mapping: Map, *, kind: Kind | None 
 # -- the error of the grid ------------------------------------------------------------------------------------------
 
 
-def interpolation_sigma(track: Track, kind: Kind, sigma: float) -> float:
+def interpolation_sigma(track: Track, kind: InterpolationMethod, sigma: float) -> float:
     """Standard deviation of a value on the grid in addition to the declared sigma of its sensor, SI units.
 
     Samples are left out and predicted from the others, once from every second and once from every fourth. The part that
@@ -361,7 +361,7 @@ def interpolation_sigma(track: Track, kind: Kind, sigma: float) -> float:
     return math.sqrt(own / growth + max(0.0, noise - sigma**2))
 
 
-def _left_out(track: Track, kind: Kind, step: int) -> float:
+def _left_out(track: Track, kind: InterpolationMethod, step: int) -> float:
     """Mean square difference of the samples halfway between every step-th one from their predictions by those."""
     errors = []
     for run in track.runs:

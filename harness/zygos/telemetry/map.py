@@ -109,7 +109,7 @@ class Map:
 
 
 @dataclass(frozen=True)
-class Samples:
+class SourceSamples:
     """The n values of one source, in its own unit, in the order of the recording."""
 
     value: Floats
@@ -124,7 +124,7 @@ class Samples:
 class Recording:
     """Telemetry as it was recorded, with m values of the clock."""
 
-    sources: dict[str, Samples]
+    sources: dict[str, SourceSamples]
     clock: Floats
     """(m,) values of the clock minus the first one, in its own unit; empty for `receive`."""
     clock_stamp: Floats
@@ -336,7 +336,7 @@ def read_table(path: Path, mapping: Map) -> Recording:
     nowhere = np.full(len(next(iter(columns.values()))), np.nan)
     rows = np.arange(len(nowhere))
     sources = {
-        channel.source: Samples(
+        channel.source: SourceSamples(
             _column(path, columns, channel.source, channel.where).astype(np.float64),
             rows,
             nowhere,
@@ -477,7 +477,7 @@ def read_can(
                 + "; remedy: compare the DBC's identifiers with the log"
             )
     sources = {
-        source: Samples(
+        source: SourceSamples(
             np.array([v for v, _, _ in rows]), np.array([g for _, g, _ in rows]), np.array([s for _, _, s in rows])
         )
         for source, rows in values.items()

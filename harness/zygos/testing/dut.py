@@ -27,7 +27,7 @@ from zygos.errors import ZygosError
 from zygos.files.names import ascii_name
 from zygos.native import snapshot
 from zygos.native.flight import Estimate, Flight, ffi, lib
-from zygos.testing.oracle import counted, disagreement
+from zygos.testing.oracle import disagreement, fault_counts
 from zygos.testing.stream import SYNC, Stream
 
 EXTERNAL = "external"
@@ -260,7 +260,8 @@ class Dut:
             assert found == wanted, f"the device counts {dict(found)}, not {dict(wanted)}"
             assert self.state.read_bytes() == snapshot.seal("state", self.twin.native), "the state is not the library's"
         if len(streams) == 1:
-            assert counted(streams[0]) == wanted, f"the reference counts {counted(streams[0])}, not {dict(wanted)}"
+            reference = fault_counts(streams[0])
+            assert reference == wanted, f"the reference counts {reference}, not {dict(wanted)}"
         for name, value, sigma in zip(estimate.names, estimate.value, estimate.sigma, strict=True):
             for item, x in ((ascii_name(name), value), (f"{ascii_name(name)}_sigma", sigma)):
                 same = abs(answer.get(item, math.nan) - x) <= 1e-6 * abs(x)

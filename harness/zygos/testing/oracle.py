@@ -16,7 +16,7 @@ from zygos.testing.stream import Stream
 _FIELDS = tuple(Cycles.__dataclass_fields__)
 
 
-def counted(stream: Stream) -> dict[str, int]:
+def fault_counts(stream: Stream) -> dict[str, int]:
     """Number of faults by name, without those that did not occur."""
     return {name: count for name, count in decode(stream.arm, stream.frames).faults.items() if count}
 

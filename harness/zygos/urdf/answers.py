@@ -237,7 +237,7 @@ class Answers:
                     if table.has(key):
                         raise table.error(key, "a rigid joint has no spring", "remove it, or write flexible = true")
                 table = Table(drive | {"stiffness": math.inf, "damping": 0.0}, self.file, f"joint.{joint}")
-            found.append(beliefs.read_joint(table, "CAD"))
+            found.append(beliefs.read_joint_model(table, "CAD"))
         return tuple(found)
 
     def _of(self, joint: str) -> dict[str, Any]:

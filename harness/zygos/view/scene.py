@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from zygos.arm import Arm
-from zygos.dynamics.pose import Floats, Motion, Poses, Skeleton, forward, place
+from zygos.dynamics.pose import Floats, Poses, RecordedMotion, Skeleton, forward, place
 from zygos.errors import ZygosError
 from zygos.files.output import (
     note,
@@ -175,7 +175,7 @@ def up(arm: Arm) -> Floats:
     return np.array([0.0, 0.0, 1.0]) if arm.spatial else arm.axis
 
 
-def film(arm: Arm, lengths: Skeleton, run: Motion, cycles: NDArray[np.int64], exaggerate: float) -> Film:
+def film(arm: Arm, lengths: Skeleton, run: RecordedMotion, cycles: NDArray[np.int64], exaggerate: float) -> Film:
     """The arm at chosen cycles (m,), with the deflections of the motors enlarged by a factor."""
     upright = Rotation.align_vectors([[0.0, 0.0, 1.0]], [up(arm)])[0].as_matrix()
     q, base = run.q[cycles], upright @ run.base[cycles]
@@ -191,7 +191,7 @@ def film(arm: Arm, lengths: Skeleton, run: Motion, cycles: NDArray[np.int64], ex
     return Film(arm, parts(arm, lengths), run.time[cycles], links, motors, " · ".join(caption))
 
 
-def direction(arm: Arm) -> Floats:
+def view_direction(arm: Arm) -> Floats:
     """(3,) direction from the arm to the eye, with z up: perpendicular to a planar arm's plane, else from the side."""
     if arm.spatial:
         return np.array([0.75, -0.55, 0.37])
@@ -210,7 +210,7 @@ def png(shown: Film) -> bytes:
     figure = Figure(figsize=(width / 100, height / 100), dpi=100)
     middle, half = shown.bounds
     half = np.maximum(half, 0.3 * half.max())
-    eye = direction(shown.arm)
+    eye = view_direction(shown.arm)
     elevation, azimuth = np.degrees(np.arcsin(eye[2])), np.degrees(np.arctan2(eye[1], eye[0]))
     right = np.cross([0.0, 0.0, 1.0], eye) / np.hypot(eye[0], eye[1])
     beside = 0.07 * half.max() * (right + np.cross(eye, right))  # up and to the right as seen from the eye
@@ -291,7 +291,7 @@ def _record(shown: Film, server: viser.ViserServer, progress: Callable[[int], No
     middle, half = shown.bounds
     extent = float(np.linalg.norm(half))
     camera, scene = server.initial_camera, server.scene
-    camera.look_at, camera.position = middle, middle + 2.6 * extent * direction(shown.arm)
+    camera.look_at, camera.position = middle, middle + 2.6 * extent * view_direction(shown.arm)
     camera.fov, camera.near, camera.far = np.radians(45.0), 0.01 * extent, 100.0 * extent
     scene.add_line_segments(
         "/grid", points=_grid(shown), colors=(200, 200, 200), thickness=1.0, thickness_units="screen"
@@ -320,7 +320,7 @@ def _record(shown: Film, server: viser.ViserServer, progress: Callable[[int], No
     return str(recording.as_html())
 
 
-def instants(run: Motion, most: int) -> NDArray[np.intp]:
+def frame_instants(run: RecordedMotion, most: int) -> NDArray[np.intp]:
     """(m,) at most `most` cycles, evenly distributed over the time of a run, including the first and the last."""
     even = np.linspace(0.0, run.time[-1], most)
     return np.unique(np.searchsorted(run.time, even - 1e-9))

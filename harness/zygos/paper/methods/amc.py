@@ -32,7 +32,7 @@ def columns(arm: Arm, state: State) -> Floats:
     return np.concatenate([*parts, arm.gear_ratios * state.thetad], axis=-1)
 
 
-def rows(arm: Arm, record: Record, exact: bool = False) -> Floats:
+def regressor(arm: Arm, record: Record, exact: bool = False) -> Floats:
     """Design (B, m, columns). Rates by backward difference as in the paper, or the record's own.
 
     Raises ZygosError if exact rates are requested but missing in the record.
@@ -59,7 +59,7 @@ def estimate(arm: Arm, record: Record, *, momentum_nms: float = 1.0, exact: bool
     """
     if momentum_nms == 0.0:
         raise ZygosError("what is wrong: momentum 0 fits any scale of the parameters; remedy: give a known one, not 0")
-    z = rows(arm, record, exact)
+    z = regressor(arm, record, exact)
     out = np.full((z.shape[0], len(arm.parameter_names)), np.nan)
     target = np.full(z.shape[1], momentum_nms)
     visible = seen(arm)

@@ -59,7 +59,7 @@ def columns(arm: Arm, state: State, qdd: Floats, thetadd: Floats, f0d: Floats) -
     return z
 
 
-def rows(arm: Arm, record: Record, exact: bool = False) -> tuple[Floats, Floats]:
+def regressor(arm: Arm, record: Record, exact: bool = False) -> tuple[Floats, Floats]:
     """Design (B, m, p) and right side (B, m) [Nm] at the inner instants, equations of one instant together.
 
     exact: rates and accelerations are the record's own, at all instants but the last, whose torque is unknown.
@@ -95,8 +95,8 @@ def _flat(arm: Arm, z: Floats, tau: Floats) -> tuple[Floats, Floats]:
 
 
 def estimate(arm: Arm, record: Record, *, exact: bool = False) -> Floats:
-    """Estimates of all parameters, (B, p); see rows(). Raises Undecided if a record does not determine them."""
-    z, w = rows(arm, record, exact)
+    """Estimates of all parameters, (B, p); see regressor(). Raises Undecided if a record does not determine them."""
+    z, w = regressor(arm, record, exact)
     return np.stack([solve(Rows.exact(zb, wb)).x for zb, wb in zip(z, w, strict=True)])
 
 

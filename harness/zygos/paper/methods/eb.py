@@ -31,7 +31,7 @@ def work(arm: Arm, record: Record) -> Floats:
     return from_first(step_work(arm, record.theta, record.tau))
 
 
-def rows(arm: Arm, record: Record, rates: Rates = "backward", start: Start = "rest") -> tuple[Floats, Floats]:
+def regressor(arm: Arm, record: Record, rates: Rates = "backward", start: Start = "rest") -> tuple[Floats, Floats]:
     """Design (B, m, p) and work (B, m) [J].
 
     rates: "backward" differences as in the paper, the angles of the newer instant; "midpoint", the same differences
@@ -73,9 +73,9 @@ def rows(arm: Arm, record: Record, rates: Rates = "backward", start: Start = "re
 
 
 def estimate(arm: Arm, record: Record, *, rates: Rates = "backward", start: Start = "rest") -> Floats:
-    """Estimates of all parameters, (B, p). See rows() for the options. Raises Undecided if a record does not determine
-    them."""
-    z, w = rows(arm, record, rates, start)
+    """Estimates of all parameters, (B, p). See regressor() for the options. Raises Undecided if a record does not
+    determine them."""
+    z, w = regressor(arm, record, rates, start)
     return np.stack([solve(Rows.exact(zb, wb)).x for zb, wb in zip(z, w, strict=True)])
 
 
@@ -85,7 +85,7 @@ def _middle(x: Floats) -> Floats:
 
 def _smoothed_rows(arm: Arm, record: Record) -> tuple[Floats, Floats]:
     """Rows at the instants the smoother reaches. The first window's polynomial covers the time from the start to
-    them."""
+    determine them."""
     points, order, h = arm.smoother.points, arm.smoother.order, arm.period_s
     half = points // 2
     if record.q.shape[1] < points + 1:
