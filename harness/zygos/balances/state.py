@@ -29,18 +29,19 @@ class State:
 
     @classmethod
     def smoothed(cls, arm: Arm, smoothed: Smoothed) -> State:
-        """At the m smoothed instants of a record."""
+        """The states at the m smoothed instants of a record."""
         base = smoothed.omega if arm.spatial else smoothed.omega @ arm.axis
         return cls(smoothed.q, smoothed.theta, smoothed.qd, smoothed.thetad, base)
 
     @classmethod
     def unpacked(cls, packed: Floats) -> State:
-        """Of a planar arm, from arrays (..., 4N+1): base, q, theta, qd, thetad."""
+        """The state of a planar arm from arrays (..., 4N+1): base, q, theta, qd, thetad."""
         n = (packed.shape[-1] - 1) // 4
-        return cls(*(packed[..., 1 + i * n : 1 + (i + 1) * n] for i in range(4)), base=packed[..., 0])
+        q, theta, qd, thetad = (packed[..., 1 + i * n : 1 + (i + 1) * n] for i in range(4))
+        return cls(q, theta, qd, thetad, packed[..., 0])
 
     def packed(self) -> Floats:
-        """Of a planar arm, (..., 4N+1) base, q, theta, qd, thetad."""
+        """The state of a planar arm as arrays (..., 4N+1): base, q, theta, qd, thetad."""
         return np.concatenate([self.base[..., None], self.q, self.theta, self.qd, self.thetad], axis=-1)
 
     @property

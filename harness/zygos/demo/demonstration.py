@@ -44,7 +44,7 @@ def choose_bus() -> tuple[str, str]:
     return "virtual", "zygos"
 
 
-def zygos(*arguments: str | Path) -> None:
+def run_zygos(*arguments: str | Path) -> None:
     """Run a zygos command in a separate process."""
     command = [sys.executable, "-m", "zygos.cli", *map(str, arguments)]
     if subprocess.run(command, check=False, stdout=subprocess.DEVNULL).returncode != 0:
@@ -94,7 +94,7 @@ def explain_gap(folder: Path) -> dict[str, Any]:
         "--json",
         verdict_file,
     ]
-    zygos("explain", *arguments)
+    run_zygos("explain", *arguments)
 
     # Scoring starts here: the verdict has been written, and nothing below changes it.
     verdict = json.loads(verdict_file.read_text())
@@ -147,7 +147,7 @@ def learn(folder: Path) -> Learned:
     estimate_file.unlink(missing_ok=True)
 
     note("simulating the paper's arm …")
-    zygos("simulate", EXAMPLE / "scenario.toml", "-o", sent)
+    run_zygos("simulate", EXAMPLE / "scenario.toml", "-o", sent)
     arm_file = folder / "arm.toml"
     arm = load_arm(arm_file)
 
@@ -168,7 +168,7 @@ def learn(folder: Path) -> Learned:
         )
 
     note("estimating …")
-    zygos("estimate", run, "--arm", arm_file, "-o", estimate_file, "--json", estimate_json)
+    run_zygos("estimate", run, "--arm", arm_file, "-o", estimate_file, "--json", estimate_json)
     estimate = flight.estimate()
     numpy_value = reference.chain(arm, decode(arm, frames).cycles).solution.x
     convergence = converge(arm, frames)

@@ -26,18 +26,18 @@ class Prediction:
     state before each stretch is fitted, with the model, to the half second of readings before it.
     """
 
-    segments: Stretches
+    stretches: Stretches
     forecast: Forecast
 
     @property
     def t(self) -> Array:
         """(S, n) time of the predicted instants since the run's first cycle, s."""
-        return self.segments.time_s[:, -self.forecast.predicted.shape[1] :]
+        return self.stretches.time_s[:, -self.forecast.predicted.shape[1] :]
 
     @property
     def signals(self) -> tuple[str, ...]:
         """Names of the 2N + 1 signals."""
-        names = [joint.name for joint in self.segments.arm.joints]
+        names = [joint.name for joint in self.stretches.arm.joints]
         return (*(f"{name} link angle" for name in names), *(f"{name} motor angle" for name in names), "base rate")
 
     @property
@@ -48,12 +48,12 @@ class Prediction:
     @property
     def measured(self) -> Array:
         """(S, n, 2N + 1) the signals as they were measured, rad and rad/s."""
-        return self.segments.readings[:, -self.forecast.predicted.shape[1] :]
+        return self.stretches.readings[:, -self.forecast.predicted.shape[1] :]
 
     @property
     def sigma(self) -> Array:
         """(2N + 1,) declared standard deviation of one reading of each signal, rad and rad/s."""
-        return self.segments.sigma
+        return self.stretches.sigma
 
     @property
     def gap(self) -> float:
@@ -94,5 +94,5 @@ def predict(model: Model, run: Run) -> Prediction:
     """
     check_arm_of_forecast(run.arm)
     dynamics = PlanarDynamics.from_model(run.arm, model)
-    segments = cut(record_of(run))
-    return Prediction(segments, forecast(dynamics, segments))
+    stretches = cut(record_of(run))
+    return Prediction(stretches, forecast(dynamics, stretches))
