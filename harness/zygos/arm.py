@@ -32,14 +32,16 @@ _TORQUE_ATS: tuple[TorqueAt, ...] = ("rotor",)
 _RESOLUTIONS: tuple[Resolution, ...] = ("fine", "coarse")
 _TORQUE_LAWS: tuple[TorqueLaw, ...] = ("applied_from_sync", "applied_previous_cycle", "sampled")
 ANGLE_STEP = 2.0 * math.pi / 2**20
-"""Step of an angle on the wire, rad (docs/wire.md)."""
+"""Step of an angle in a CAN frame, rad (docs/wire.md)."""
 TORQUE_STEP = 1e-4
-"""Step of a torque on the wire, Nm."""
+"""Step of a torque in a CAN frame, Nm."""
 RATE_STEPS: dict[Resolution, float] = {"fine": 2.0**-21, "coarse": 2.0**-13}
-"""Step of a rate on the wire, rad/s, by the resolution of the gyro."""
+"""Step of a rate in a CAN frame, rad/s, by the resolution of the gyro."""
 MOMENTUM_ARC_S = 10.0
 """Longest arc of the momentum rows of an arm that has them by default, s."""
 _LATCH_MAX_US = 65_535  # the CAN frame carries the latch delay as u16
+MOST_JOINTS = 31
+"""Number of CAN nodes that joints can have."""
 _SHORTEST_MEMORY = 2
 """Shortest memory, as a number of arcs."""
 
@@ -76,7 +78,7 @@ class Encoder:
         """The same encoder with the error that its readings have after rounding to the steps of the CAN frame
         (docs/wire.md).
 
-        An encoder without a quantum stays exact: the bandwidth test then accepts every instant.
+        An encoder without a quantum stays exact, so that its declared noise remains zero.
         """
         if self.quantum_rad == 0.0:
             return self
@@ -117,7 +119,7 @@ class Joint:
 
     @property
     def over_the_wire(self) -> Joint:
-        """The same joint with the errors that its readings have once the wire has rounded them."""
+        """The same joint with the errors that its readings have after rounding to the steps of the CAN frames."""
         return replace(
             self,
             link_encoder=self.link_encoder.over_the_wire,
@@ -148,7 +150,10 @@ class Imu:
 
     @property
     def over_the_wire(self) -> Imu:
-        """The same gyro with the error that its readings have once the wire has rounded them; node 0 sends none."""
+        """The same gyro with the error that its readings have after rounding to the steps of the CAN frames.
+
+        Node 0 is no gyro, and stays as it is.
+        """
         if self.node == 0:
             return self
         return replace(self, rate_sigma=rounded(self.rate_sigma, self.step))
@@ -165,6 +170,29 @@ class Smoother:
     points: int = 7
     order: int = 4
     lag: int = 3
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """An identified parameter (docs/theory.md)."""
+
+    symbol: Literal["N", "a", "b", "G", "Im", "k"]
+    """b is a damping where it belongs to a joint."""
+    unit: str
+    ends: tuple[str, ...] = ()
+    """Of a parameter of bodies: the two bodies of a and b, such as "0" and "1"; the two directions of N, such as "0x"
+    and "1u"; the direction of G."""
+    joint: int | None = None
+    """From 0; None: it is a parameter of bodies."""
+
+    @property
+    def name(self) -> str:
+        """As files and tables have it: N[0x,1u], a01, G[1u], Im1."""
+        if self.joint is not None:
+            return f"{self.symbol}{self.joint + 1}"
+        return (
+            f"{self.symbol}[{','.join(self.ends)}]" if self.symbol in ("N", "G") else self.symbol + "".join(self.ends)
+        )
 
 
 @dataclass(frozen=True)
@@ -201,8 +229,8 @@ class Arm:
 
     @cached_property
     def over_the_wire(self) -> Arm:
-        """The same arm with the errors that the readings of its sensors have once the wire has rounded them: a
-        variance of step^2/12 is added, but not to encoder readings that lie on the wire's own grid (docs/wire.md)."""
+        """The same arm with the errors that the readings of its sensors have after rounding to the steps of the CAN
+        frames: a variance of step^2/12 is added, except to encoder readings that lie on these steps (docs/wire.md)."""
         return replace(self, joints=tuple(joint.over_the_wire for joint in self.joints), imu=self.imu.over_the_wire)
 
     @property
@@ -234,54 +262,59 @@ class Arm:
         return np.array([joint.gear_ratio for joint in self.joints])
 
     @cached_property
-    def body_parameters(self) -> tuple[tuple[str, str], ...]:
-        """Name and unit of the body parameters, which come before those of the joints.
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The identified parameters in the order of every row and output: those of bodies, then those of joints.
 
         In space these are N[ia,jb], the upper triangle over 0x 0y 0z 1u 1v .. Nu Nv; in a plane a_ij, then b_ij. On a
         fixed base those of body 0 are absent, and the first moments G[iu], G[iv] that gravity can move are added
-        (docs/theory.md).
+        (docs/theory.md). Every joint has Im, and a flexible one also k and b; the rotor of a rigid first joint on a
+        fixed base turns with its link alone, so its inertia is part of the link's.
         """
         first = 0 if self.free else 1
-        bodies = range(first, self.n + 1)
+        bodies = [str(i) for i in range(first, self.n + 1)]
+        listed: list[Parameter] = []
         if self.spatial:
             vectors = [f"0{axis}" for axis in "xyz" if self.free] + [
                 f"{i}{p}" for i in range(1, self.n + 1) for p in "uv"
             ]
-            names = [f"N[{a},{b}]" for k, a in enumerate(vectors) for b in vectors[k:]]
+            pairs = [(a, b) for k, a in enumerate(vectors) for b in vectors[k:]]
             # with the base fixed, the first body turns about its axis only: two of its three entries have no effect
-            names = [name for name in names if self.free or name not in ("N[1u,1v]", "N[1v,1v]")]
+            pairs = [pair for pair in pairs if self.free or pair not in (("1u", "1v"), ("1v", "1v"))]
+            listed += [Parameter("N", "kg m^2", pair) for pair in pairs]
         else:
-            names = [f"a{i}{j}" for i in bodies for j in bodies if i <= j]
+            pairs = [(a, b) for k, a in enumerate(bodies) for b in bodies[k:]]
+            listed += [Parameter("a", "kg m^2", pair) for pair in pairs]
             if self.kinetic == "planar":
-                names += [f"b{i}{j}" for i in bodies for j in bodies if i < j]
-        moments = [f"G[{i + 1}{p}]" for i in range(self.n) if self.feels_gravity[i] for p in "uv"]
-        return tuple((name, "kg m^2") for name in names) + tuple((name, "kg m") for name in moments)
+                listed += [Parameter("b", "kg m^2", (a, b)) for a, b in pairs if a != b]
+        for i in range(self.n):
+            if self.feels_gravity[i]:
+                listed += [Parameter("G", "kg m", (f"{i + 1}{p}",)) for p in "uv"]
+        for i, joint in enumerate(self.joints):
+            if joint.flexible or self.free or i > 0:
+                listed.append(Parameter("Im", "kg m^2", joint=i))
+            if joint.flexible:
+                listed += [Parameter("k", "Nm/rad", joint=i), Parameter("b", "Nms/rad", joint=i)]
+        return tuple(listed)
+
+    @cached_property
+    def body_parameters(self) -> tuple[tuple[str, str], ...]:
+        """Name and unit of the parameters that bodies have, before those of the joints."""
+        return tuple((one.name, one.unit) for one in self.parameters if one.joint is None)
 
     @cached_property
     def joint_parameters(self) -> tuple[tuple[str, int, str], ...]:
-        """Kind, joint (from 0) and unit of the joint parameters: Im, and for a flexible joint also k and b.
+        """Symbol, joint (from 0) and unit of the joint parameters."""
+        return tuple((one.symbol, one.joint, one.unit) for one in self.parameters if one.joint is not None)
 
-        The rotor of a rigid first joint on a fixed base turns with its link alone, so its inertia is part of the
-        link's.
-        """
-        listed: list[tuple[str, int, str]] = []
-        for i, joint in enumerate(self.joints):
-            if joint.flexible or self.free or i > 0:
-                listed.append(("Im", i, "kg m^2"))
-            if joint.flexible:
-                listed += [("k", i, "Nm/rad"), ("b", i, "Nms/rad")]
-        return tuple(listed)
-
-    @property
+    @cached_property
     def parameter_names(self) -> tuple[str, ...]:
-        """The identified parameters in the order of every row and output: `body_parameters`, `joint_parameters`."""
-        of_joints = (f"{kind}{i + 1}" for kind, i, _ in self.joint_parameters)
-        return (*(name for name, _ in self.body_parameters), *of_joints)
+        """Name of each of `parameters`."""
+        return tuple(one.name for one in self.parameters)
 
     @property
     def parameter_units(self) -> tuple[str, ...]:
-        """Unit of each of `parameter_names`."""
-        return (*(unit for _, unit in self.body_parameters), *(unit for _, _, unit in self.joint_parameters))
+        """Unit of each of `parameters`."""
+        return tuple(one.unit for one in self.parameters)
 
     @cached_property
     def feels_gravity(self) -> tuple[bool, ...]:
@@ -490,7 +523,7 @@ def read_joint(table: Table) -> Joint:
     joint = Joint(
         name=table.text("name", "Name of the joint. Every joint has its own."),
         node=table.integer(
-            "node", "Number of the joint's node on the CAN bus. Every node has its own.", low=1, high=31
+            "node", "Number of the joint's node on the CAN bus. Every node has its own.", low=1, high=MOST_JOINTS
         ),
         axis=(float(axis[0]), float(axis[1]), float(axis[2])),
         frame_rpy=(rpy[0], rpy[1], rpy[2]),
@@ -603,7 +636,7 @@ def _imu(table: Table) -> Imu:
         raise table.error("mount_xyzw", f"has length {np.linalg.norm(mount):g}", "give a unit quaternion, scalar last")
     mount /= np.linalg.norm(mount)
     imu = Imu(
-        node=table.integer("node", "Number of the gyro's node on the CAN bus.", low=1, high=31),
+        node=table.integer("node", "Number of the gyro's node on the CAN bus.", low=1, high=MOST_JOINTS),
         mount_xyzw=(float(mount[0]), float(mount[1]), float(mount[2]), float(mount[3])),
         rate_sigma=table.number("rate_sigma", "Standard deviation of the noise of one sample.", low=0.0, unit="rad/s"),
         bias_walk=table.number(

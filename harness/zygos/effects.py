@@ -7,19 +7,19 @@ columns that it has in the balances. A torque law f with coefficient c acts
     at the link:    link torque  -c f(qd)                          int f qd dt                           none
     in the spring:  link torque  +c f(theta - q)                   int f d(theta - q)                    1/n int f dt
 
-with all angles after the gear. The columns are made in `zygos.balances.effects`.
+with all angles after the gear. The columns are computed in `zygos.balances.effects`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from zygos.arm import Arm
+from zygos.arm import MOST_JOINTS, Arm
 from zygos.errors import ZygosError
 
 Array = NDArray[np.float64]
@@ -49,7 +49,8 @@ class Kind:
     potential: Callable[[Array], Array] | None = None
     """Stored energy per unit coefficient as a function of the deflection, where f is conservative."""
     impulse: Callable[[Array], Array] | None = None
-    """Integral of f over time a unit coefficient, of the angle (motor; rad), where the angle alone tells it."""
+    """Integral of f over time per unit coefficient as a function of the angle (motor; rad), where the angle alone
+    determines it."""
     positive: bool = True
     """Whether the coefficient must not be negative: a negative one would create energy, so the model would be wrong."""
     twins: tuple[str, ...] = ()
@@ -189,21 +190,43 @@ def effect(kind: str, joint: str | None = None, value: float = 0.0, sigma: float
     return Effect(entry, joint, value, sigma)
 
 
+class EffectColumn(NamedTuple):
+    """The column of an entry of the catalogue at a joint."""
+
+    key: str
+    joint: int
+    """From 0; -1 for the base."""
+
+    @property
+    def name(self) -> str:
+        """The entry's key, and the number from 1 of the joint."""
+        return self.key if self.joint < 0 else f"{self.key}{self.joint + 1}"
+
+
 def column_name(kind: Kind, joint: int) -> str:
-    """Name of a column: the key of its kind, and the number of its joint from 1 (`joint` counts from 0; < 0: the
-    base)."""
-    return kind.key if joint < 0 else f"{kind.key}{joint + 1}"
+    """Name of the column of an entry at a joint (from 0; -1 for the base)."""
+    return EffectColumn(kind.key, joint).name
 
 
-def of_column(name: str) -> tuple[str, int]:
-    """The inverse of `column_name`: the key of the kind, and the joint from 0, -1 for the base."""
-    key = name.rstrip("0123456789")
-    return key, int(name[len(key) :] or 0) - 1
+def column_named(name: str) -> EffectColumn:
+    """The column of that name. Errors: KeyError where the catalogue has none."""
+    return _columns()[name]
+
+
+def is_column(name: str) -> bool:
+    """Whether an entry of the catalogue has a column of that name."""
+    return name in _columns()
+
+
+def _columns() -> dict[str, EffectColumn]:
+    """Every column of the catalogue by name, for as many joints as a bus has nodes."""
+    places = [(kind, joint) for kind in CATALOGUE.values() for joint in (range(MOST_JOINTS) if kind.at_joint else [-1])]
+    return {column.name: column for column in (EffectColumn(kind.key, joint) for kind, joint in places)}
 
 
 def spoken(arm: Arm, column: str) -> str:
     """Name of a column in sentences: title and joint of its effect."""
-    key, joint = of_column(column)
+    key, joint = column_named(column)
     title = CATALOGUE[key].title
     return title if joint < 0 else f"{title} ({arm.joints[joint].name})"
 

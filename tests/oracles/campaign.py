@@ -24,7 +24,7 @@ from oracles.demo_log import EXAMPLE, built
 from oracles.laws import Law
 from oracles.simulate import run
 from zygos.arm import Arm, Smoother, load_arm
-from zygos.effects import CATALOGUE, Effect, of_column
+from zygos.effects import CATALOGUE, Effect, column_named
 from zygos.errors import Undecided
 from zygos.files.output import number, say, table, write_json
 from zygos.files.progress import progress
@@ -234,7 +234,7 @@ def _column(case: Case) -> str:
 
 
 def _parse(column: str) -> tuple[str, str | None]:
-    key, joint = of_column(column)
+    key, joint = column_named(column)
     return key, None if joint < 0 else PLACES[joint]
 
 

@@ -138,7 +138,7 @@ def noises(rng: np.random.Generator, arm: Arm, cycles: Cycles) -> tuple[Floats, 
     """Of link angles, motor angles and gyro of a record."""
     links = np.array([joint.link_encoder.over_the_wire.sigma_rad for joint in arm.joints])
     motors = np.array([joint.motor_encoder.over_the_wire.sigma_rad for joint in arm.joints])
-    gyro = arm.imu.rate_sigma if arm.free else 0.0
+    gyro = arm.imu.over_the_wire.rate_sigma if arm.free else 0.0
     return (
         links * rng.normal(size=cycles.q.shape),
         motors * rng.normal(size=cycles.theta.shape),

@@ -109,7 +109,7 @@ def noisy_rows(rng: np.random.Generator, arm: Arm, sample: Sample, tau_next: Flo
         q = smoothed(joint.link_encoder.over_the_wire.sigma_rad, late) if joint.flexible else theta
         errors["q"][:, i], errors["qd"][:, i] = q
         errors["theta"][:, i], errors["thetad"][:, i] = theta
-    base = [smoothed(arm.imu.rate_sigma, arm.imu.latch_us)[0] for _ in range(3 if arm.free else 0)]
+    base = [smoothed(arm.imu.over_the_wire.rate_sigma, arm.imu.latch_us)[0] for _ in range(3 if arm.free else 0)]
     omega = np.stack(base, axis=1) if base else np.zeros((draws, 3))
     held = 0.0 if arm.torque_law == "sampled" else h / 12.0
 

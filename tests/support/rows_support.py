@@ -122,7 +122,9 @@ def c_rooms(arm: Arm, cycles: Cycles, longest: int, effects: Sequence[Effect] = 
     rows = lib.zygos_momentum_count(config)
     line = ffi.new("double[]", width)
     variance, rotor = ffi.new("double[]", arm.n + 3), ffi.new("double[]", arm.n)
-    lib.zygos_momentum_variance(config, ffi.addressof(native, "smoother"), arm.imu.rate_sigma, variance, rotor)
+    lib.zygos_momentum_variance(
+        config, ffi.addressof(native, "smoother"), arm.imu.over_the_wire.rate_sigma, variance, rotor
+    )
     found: list[tuple[int, Floats, Floats, Floats]] = []
     arc, inside = -1, longest
     for k in range(len(cycles)):

@@ -93,7 +93,7 @@ def c_noise(arm: Arm, joint: int, effects: tuple[Effect, ...]) -> Floats:
     lib.zygos_smoother_init(smoother, config)
     width = column_map.count[joint]
     packed = ffi.new("double[]", width * (width + 1) // 2)
-    lib.zygos_impulse_noise(config, column_map, smoother, arm.imu.rate_sigma, joint, packed)
+    lib.zygos_impulse_noise(config, column_map, smoother, arm.imu.over_the_wire.rate_sigma, joint, packed)
     out = np.zeros((width, width))
     out[np.tril_indices(width)] = list(packed)
     return out + np.tril(out, -1).T
@@ -119,7 +119,7 @@ def test_noise_entry_by_entry(joint: int, latch_us: int) -> None:
         rng.standard_normal(zero.shape) * [one.link_encoder.over_the_wire.sigma_rad for one in arm.joints],
         rng.standard_normal(zero.shape) * [one.motor_encoder.over_the_wire.sigma_rad for one in arm.joints],
         zero,
-        rng.standard_normal((count, 3)) * arm.imu.rate_sigma,
+        rng.standard_normal((count, 3)) * arm.imu.over_the_wire.rate_sigma,
         np.zeros(count, dtype=np.uint32),
     )
     samples, instants, arc = smoothed(arm, cycles, count)

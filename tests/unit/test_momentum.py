@@ -124,7 +124,9 @@ def test_noise_entry_by_entry(kinetic: str, flexible: tuple[bool, ...]) -> None:
     qd = np.stack([rng.standard_normal((draws, points)) @ slope * s for s in link], axis=1)
     thetad = np.stack([rng.standard_normal((draws, points)) @ slope * s for s in motor], axis=1)
     thetad = np.where([joint.flexible for joint in arm.joints], thetad, qd)
-    base = np.stack([rng.standard_normal((draws, points)) @ fit[0] * arm.imu.rate_sigma for _ in range(3)], axis=1)
+    base = np.stack(
+        [rng.standard_normal((draws, points)) @ fit[0] * arm.imu.over_the_wire.rate_sigma for _ in range(3)], axis=1
+    )
     angles = np.broadcast_to(instants.q[20], (draws, n))
     state = State(
         angles,

@@ -6,6 +6,7 @@ import re
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
+from dataclasses import replace
 from typing import Any
 
 from cantools.database.can import Database, Message, Node, Signal
@@ -186,14 +187,14 @@ def _kind(signal: Signal) -> int | None:
 
 def _parameters(arm: Arm, effects: Sequence[Effect], likes: Mapping[str, Signal]) -> Iterator[tuple[str, str, str]]:
     """Name, unit and comment of each parameter that is estimated."""
-    titles = {f"{kind}{i + 1}": _title(i, arm.joints[i]) for kind, i, _ in arm.joint_parameters}
-    for name, unit in zip(arm.parameter_names, arm.parameter_units, strict=True):
-        if name in titles:
-            yield name, unit, f"{likes[name.rstrip('0123456789') + '1'].comment} Of {titles[name]}."
-        elif unit == likes["a00"].unit:
-            yield name, unit, str(likes["a00"].comment)
+    for one in arm.parameters:
+        if one.joint is not None:
+            like = likes[replace(one, joint=0).name]
+            yield one.name, one.unit, f"{like.comment} Of {_title(one.joint, arm.joints[one.joint])}."
+        elif one.symbol != "G":
+            yield one.name, one.unit, str(likes["a00"].comment)
         else:
-            yield name, unit, "Base parameter of the potential energy."
+            yield one.name, one.unit, "Base parameter of the potential energy."
     for effect in effects:
         title, joint = effect.kind.title, effect.index(arm)
         yield effect.column(arm), effect.kind.unit, f"{title.capitalize()}, {_title(joint, arm.joints[joint])}."

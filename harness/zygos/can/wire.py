@@ -1,4 +1,4 @@
-"""What the frames of the wire mean: the shipped DBC, the identifiers of an arm."""
+"""The meaning of the CAN frames: the shipped DBC and the identifiers of an arm."""
 
 from __future__ import annotations
 
@@ -43,14 +43,25 @@ class Frame(NamedTuple):
 class MessageKind(NamedTuple):
     """Meaning of an identifier for an arm: its message in the DBC, its E2E family and node, the joint it belongs to.
 
-    part: what the frame contributes to a cycle, None for SYNC and FTIME.
+    content: what the frame contributes to a cycle, "angles" or "torque" of the joint, or of the gyro; None for SYNC and
+    FTIME.
     """
 
     message: Message
     family: int | None
     node: int
     joint: int = 0
-    part: str | None = None
+    content: str | None = None
+
+    @property
+    def of_joint(self) -> bool:
+        """Whether the frame comes from the drive of a joint."""
+        return self.content in ("angles", "torque")
+
+    @property
+    def part(self) -> str | None:
+        """The part of a cycle that the frame contributes; None for SYNC and FTIME."""
+        return f"{self.content}{self.joint}" if self.of_joint else self.content
 
 
 @cache
@@ -69,8 +80,8 @@ def identifiers(arm: Arm) -> dict[int, MessageKind]:
         0x380 + COMPUTER_NODE: MessageKind(messages["FTIME"], 2, COMPUTER_NODE),
     }
     for i, joint in enumerate(arm.joints):
-        kinds[0x180 + joint.node] = MessageKind(messages["JOINT1_ANGLES"], 0, joint.node, i, f"angles{i}")
-        kinds[0x280 + joint.node] = MessageKind(messages["JOINT1_TORQUE"], 1, joint.node, i, f"torque{i}")
+        kinds[0x180 + joint.node] = MessageKind(messages["JOINT1_ANGLES"], 0, joint.node, i, "angles")
+        kinds[0x280 + joint.node] = MessageKind(messages["JOINT1_TORQUE"], 1, joint.node, i, "torque")
     node = arm.imu.node
     if node == 0:
         return kinds

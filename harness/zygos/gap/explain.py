@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from zygos.arm import Arm
 from zygos.dynamics.planar import PlanarDynamics
-from zygos.effects import CATALOGUE, OFFSET, Effect, of_column, spoken
+from zygos.effects import CATALOGUE, OFFSET, Effect, is_column, spoken
 from zygos.errors import Undecided, ZygosError
 from zygos.gap.balances import Layout
 from zygos.gap.experiment import Experiment, propose
@@ -65,7 +65,7 @@ class Value:
     @property
     def absent(self) -> bool:
         """Whether it is an effect of which the runs show nothing."""
-        return of_column(self.name)[0] in CATALOGUE and abs(self.found) < DIFFERS * self.sigma
+        return is_column(self.name) and abs(self.found) < DIFFERS * self.sigma
 
     @property
     def differs(self) -> bool:

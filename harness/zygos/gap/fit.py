@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos.arm import Parameter
+from zygos.effects import CATALOGUE, column_name
 from zygos.errors import Undecided
 from zygos.gap.balances import Layout, Sums
 
@@ -35,8 +37,16 @@ class Hypothesis:
     @property
     def names(self) -> tuple[str, ...]:
         """The coefficients that all runs share: base parameters in the arm's order, then effects."""
-        gone = {f"{key}{i + 1}" for i, rigid in enumerate(self.rigid) if rigid for key in "kb"}
-        return (*(name for name in self.layout.arm.parameter_names if name not in gone), *self.effects)
+        return (*(one.name for one in self.parameters), *self.effects)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The base parameters in the arm's order; a rigid joint has neither stiffness nor damping."""
+        return tuple(
+            one
+            for one in self.layout.arm.parameters
+            if one.joint is None or one.symbol == "Im" or not self.rigid[one.joint]
+        )
 
     @property
     def balances(self) -> tuple[int, ...]:
@@ -52,8 +62,9 @@ class Hypothesis:
         out = np.zeros((len(columns) + 1, len(zeros) + len(self.names) + 1))
         for k, name in enumerate((*zeros, *self.names)):
             out[columns.index(name), k] = 1.0
-            if name.startswith("Im") and not self.uncoupled[int(name[2:]) - 1]:
-                out[columns.index(f"rotor_coupling{name[2:]}"), k] = 1.0
+        for k, one in enumerate(self.parameters, start=len(zeros)):
+            if one.symbol == "Im" and one.joint is not None and not self.uncoupled[one.joint]:
+                out[columns.index(column_name(CATALOGUE["rotor_coupling"], one.joint)), k] = 1.0
         if target:
             out[columns.index(target), -1] = 1.0
             return out

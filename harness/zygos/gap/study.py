@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos.arm import Parameter
 from zygos.balances.state import State
 from zygos.dynamics.planar import PlanarDynamics
-from zygos.effects import CATALOGUE, Effect, column_name, of_column
+from zygos.effects import CATALOGUE, Effect, column_name, column_named
 from zygos.errors import Undecided, ZygosError
 from zygos.gap.balances import Layout, Sums, accumulate, balance_rows
 from zygos.gap.fit import Fit, Hypothesis, fit
@@ -157,7 +158,9 @@ def realise(hypothesis: Hypothesis, value: Array) -> PlanarDynamics:
     """The model of a hypothesis with these coefficients. Errors: ZygosError where it is not physical."""
     arm = hypothesis.layout.arm
     base, effects = split(hypothesis, value)
-    unphysical = [name for name, x in zip(arm.parameter_names, base, strict=True) if name[0] in "Ik" and not x > 0.0]
+    unphysical = [
+        one.name for one, x in zip(arm.parameters, base, strict=True) if one.symbol in ("Im", "k") and not x > 0.0
+    ]
     if unphysical:
         raise ZygosError(f"{', '.join(unphysical)} came out negative; remedy: see the verdict")
     return PlanarDynamics.from_parameters(arm, base, effects)
@@ -168,7 +171,7 @@ def split(hypothesis: Hypothesis, value: Array) -> tuple[Array, list[Effect]]:
     arm = hypothesis.layout.arm
     found = dict(zip(hypothesis.names, value.tolist(), strict=True))
     base = np.array(
-        [found.get(name, np.inf if name.startswith("k") else 0.0) for name in arm.parameter_names], dtype=np.float64
+        [found.get(one.name, np.inf if one.symbol == "k" else 0.0) for one in arm.parameters], dtype=np.float64
     )
     effects: list[Effect] = []
     names = [joint.name for joint in arm.joints]
@@ -290,24 +293,27 @@ def _size(sums: Sums) -> Array:
 
 def base_values(dynamics: PlanarDynamics, layout: Layout) -> Array:
     """(p,) base parameters of a model in the arm's order; 0 for what a rigid joint has not."""
-    values = [_parameter(dynamics, name) for name in layout.arm.parameter_names]
+    values = [_parameter(dynamics, one) for one in layout.arm.parameters]
     return np.where(np.isfinite(values), values, 0.0)
 
 
-def _parameter(dynamics: PlanarDynamics, name: str) -> float:
-    if name[0] == "a":
-        return float(dynamics.a[int(name[1]), int(name[2])])
-    part = {"I": dynamics.rotor_inertia, "k": dynamics.stiffness, "b": dynamics.damping}[name[0]]
-    return float(part[int(name.lstrip("Imkb")) - 1])
+def _parameter(dynamics: PlanarDynamics, one: Parameter) -> float:
+    if one.joint is None:
+        table = {"a": dynamics.a, "b": dynamics.b}[one.symbol]
+        first, second = one.ends
+        return float(table[int(first), int(second)])
+    part = {"Im": dynamics.rotor_inertia, "k": dynamics.stiffness, "b": dynamics.damping}[one.symbol]
+    return float(part[one.joint])
 
 
 def coefficient(dynamics: PlanarDynamics, hypothesis: Hypothesis, name: str) -> float:
     """What a model has for a coefficient of a hypothesis."""
-    if name in hypothesis.layout.arm.parameter_names:
-        return _parameter(dynamics, name)
+    known = {one.name: one for one in hypothesis.layout.arm.parameters}
+    if name in known:
+        return _parameter(dynamics, known[name])
     if name == "angular_momentum":
         return dynamics.angular_momentum or 0.0
-    key, i = of_column(name)
+    key, i = column_named(name)
     if key == "torque_lag":
         return 0.0 if dynamics.torque_lag is None else float(dynamics.torque_lag[i])
     if key == "rotor_coupling":

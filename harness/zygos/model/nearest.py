@@ -74,7 +74,7 @@ def nearest_bodies(
     if arm.kinetic == "planar-symmetric":
         # during the iteration, mass centres may leave the lines between the joints
         arm = replace(arm, kinetic="planar")
-        target |= {name: 0.0 for name, _ in arm.body_parameters if name.startswith("b")}
+        target |= {one.name: 0.0 for one in arm.parameters if one.symbol == "b" and one.joint is None}
     rows = [arm.parameter_names.index(name) for name in target]
     wanted = np.array(list(target.values()))
     drives = tuple(_drive(arm, index, joint, given) for index, joint in enumerate(drawing.joints))

@@ -230,17 +230,17 @@ def sizes(arm: Arm, x: Floats) -> Floats:
     two diagonal ones that it couples; for a first moment the largest of them.
     """
     out: Floats = np.abs(x)
-    value: dict[str, float] = dict(zip(arm.parameter_names, out.tolist(), strict=False))
-    largest = max((value[name] for name, unit in arm.body_parameters if unit == "kg m"), default=0.0)
+    listed = list(zip(arm.parameters, out.tolist(), strict=False))
+    diagonal = {one.ends[0]: value for one, value in listed if one.symbol in ("N", "a") and len(set(one.ends)) == 1}
+    largest = max((value for one, value in listed if one.symbol == "G"), default=0.0)
 
     def own(end: str) -> float:
         # on a fixed base one parameter serves both directions of the first body
-        name = f"N[{end},{end}]" if arm.spatial else f"a{end}{end}"
-        return value[name] if name in value else value["N[1u,1u]"]
+        return diagonal[end] if end in diagonal else diagonal["1u"]
 
-    for k, (name, unit) in enumerate(arm.body_parameters):
-        first, second = name[2:-1].split(",") if unit != "kg m" and arm.spatial else (name[1], name[2])
-        out[k] = largest if unit == "kg m" else max(out[k], float(np.sqrt(own(first) * own(second))))
+    for k, (one, value) in enumerate(listed):
+        if one.joint is None:
+            out[k] = largest if one.symbol == "G" else max(value, float(np.sqrt(own(one.ends[0]) * own(one.ends[1]))))
     return out
 
 

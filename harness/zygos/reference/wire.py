@@ -201,19 +201,19 @@ def _judge(arm: Arm, frames: Sequence[_Seen], counter: int, log: _Log) -> tuple[
 
 def _fault(arm: Arm, s: _Seen) -> str | None:
     """The reason why a frame of the right cycle has no value, or None."""
-    part, raw, status = s.kind.part or "", s.raw, s.raw["Status"]
+    raw, status = s.raw, s.raw["Status"]
     invalid = -(2**23)
-    if part.startswith("rate"):
+    if not s.kind.of_joint:
         rates = [name for name in raw if name.startswith("Rate")]
         saturated = any(_outermost(s.kind.message, name, raw[name]) for name in rates)
         checks = [("gyro_invalid", not status & 1), ("saturated", saturated)]
     else:
         rigid = not arm.joints[s.kind.joint].flexible  # its link encoder is not used
         checks = [(fault, not status & bit) for fault, bit in STATUS_FAULTS if not (rigid and fault == "link_invalid")]
-    if part.startswith("angles"):
+    if s.kind.content == "angles":
         checks.append(("link_invalid", raw["LinkAngle"] == invalid and not rigid))
         checks.append(("motor_invalid", raw["MotorAngle"] == invalid))
-    elif part.startswith("torque"):
+    elif s.kind.content == "torque":
         late = raw["Latch"] - arm.joints[s.kind.joint].latch_us
         checks.append(("saturated", _outermost(s.kind.message, "Torque", raw["Torque"])))
         checks.append(("latch", abs(late) > LATCH_TOLERANCE_US))

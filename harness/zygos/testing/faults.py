@@ -207,10 +207,9 @@ def _identifiers(stream: Stream, joint: int | None, message: MessageName | None)
         raise ZygosError(f"there is no joint {joint}; remedy: joints are counted from 1 to {stream.arm.n}")
     chosen = []
     for identifier, kind in identifiers(stream.arm).items():
-        part = kind.part or ("sync" if identifier == SYNC else "time")
-        name = "rates" if part.startswith("rate") else part.rstrip("0123456789")
-        of_joint = name in ("angles", "torque")
-        if (message is None or name == message) and (joint is None or (of_joint and kind.joint == joint - 1)):
+        content = kind.content or ("sync" if identifier == SYNC else "time")
+        name = "rates" if content.startswith("rate") else content
+        if (message is None or name == message) and (joint is None or (kind.of_joint and kind.joint == joint - 1)):
             chosen.append(identifier)
     return chosen
 

@@ -73,7 +73,8 @@ def regressor(arm: Arm, record: Record, rates: Rates = "backward", start: Start 
 
 
 def estimate(arm: Arm, record: Record, *, rates: Rates = "backward", start: Start = "rest") -> Floats:
-    """Estimates of all parameters, (B, p). See regressor() for the options. Raises Undecided if too poor."""
+    """Estimates of all parameters, (B, p). See regressor() for the options. Raises Undecided if a record does not
+    determine them."""
     z, w = regressor(arm, record, rates, start)
     return np.stack([solve(Rows.exact(zb, wb)).x for zb, wb in zip(z, w, strict=True)])
 
@@ -84,7 +85,7 @@ def _middle(x: Floats) -> Floats:
 
 def _smoothed_rows(arm: Arm, record: Record) -> tuple[Floats, Floats]:
     """Rows at the instants the smoother reaches. The first window's polynomial covers the time from the start to
-    them."""
+    determine them."""
     points, order, h = arm.smoother.points, arm.smoother.order, arm.period_s
     half = points // 2
     if record.q.shape[1] < points + 1:
