@@ -230,7 +230,8 @@ def sizes(arm: Arm, x: Floats) -> Floats:
     two diagonal ones that it couples; for a first moment the largest of them.
     """
     out: Floats = np.abs(x)
-    listed = list(zip(arm.parameters, out.tolist(), strict=False))
+    values: list[float] = out.tolist()
+    listed = list(zip(arm.parameters, values, strict=False))
     diagonal = {one.ends[0]: value for one, value in listed if one.symbol in ("N", "a") and len(set(one.ends)) == 1}
     largest = max((value for one, value in listed if one.symbol == "G"), default=0.0)
 
