@@ -147,7 +147,7 @@ REFUSED_MAPS = [
     ('interpolation = "cubic"\n', "", r"time.interpolation: is missing"),
     ('"column"', '"receive"', r"time.source: 'receive' is not known; remedy: write \"sync\" or \"column\""),
     ('unit = "s"', 'unit = "min"', r'time.unit: "min" is not a unit of time'),
-    (GRID, SYNC + "period_s = 0.03\n", r"time.period_s: a count lasts 0.03 s, and 0.05 s, a period of arm lively, is not a multiple"),
+    (GRID, SYNC + "period_s = 0.03\n", "a count lasts 0.03 s, and 0.05 s, a period of arm lively, is not a multiple"),
     ('column = "l1"', 'colum = "l1"', r"link.column: is missing"),
     ('unit = "rad/s"', 'unit = "rad/s", sing = -1', r'gyro.x.sing: unknown key; remedy: did you mean "sign"'),
     ('unit = "rad/s"', 'unit = "rad/s", scale = 0', r"gyro.x.scale: is 0"),
