@@ -272,10 +272,7 @@ def test_an_arm_that_is_described_wrongly_is_seen(run: zygos.Run) -> None:
         (lambda run, model: zygos.explain(model, [run, run]), "run 1 and run 2 are the same recording"),
         (lambda run, model: zygos.explain(model, [table(run), run]), "a table of cycles has no frames"),
         (lambda run, model: zygos.explain(model, [run, seven()]), "of different arms"),
-        (
-            lambda run, model: zygos.explain(model, [seven(), seven()]),
-            "can be explained only for a free-floating, planar-symmetric arm",
-        ),
+        (lambda run, model: zygos.explain(model, [seven(), seven()]), "only for a free-floating, planar-symmetric arm"),
         (lambda run, model: zygos.predict(model, seven()), "free-floating arms with flexible joints"),
         (lambda run, model: zygos.simulate(run.arm, model, scenario(), engine="ode"), "no engine 'ode'"),
         (lambda run, model: zygos.simulate(run.arm, model, scenario(), seed=-1), "seed -1 is negative"),
@@ -319,7 +316,7 @@ def test_the_examples_of_the_page_run(
     monkeypatch.chdir(tmp_path)
     blocks = re.findall(r"```python\n(.*?)```", PAGE, re.S)
     used = set(re.findall(r"zygos\.(\w+)", "".join(blocks)))
-    named = {"Arm", "ArmCheck", "Check", "Cycles", "Effect", "Estimation", "Explanation", "Model", "Prediction", "Run"}
+    named = {"Arm", "Audit", "Check", "Cycles", "Effect", "Estimation", "Explanation", "Model", "Prediction", "Run"}
     assert set(zygos.__all__) - used == named | {"Scenario", "Simulation", "Undecided"}, "each function has an example"
     names: dict[str, object] = {}
     for k, block in enumerate(blocks):
