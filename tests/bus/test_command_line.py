@@ -29,7 +29,6 @@ from zygos.native.flight import Flight
 from zygos.runs.tables import write_cycles
 
 
-
 def run(*arguments: object) -> int:
     with pytest.raises(SystemExit) as end:
         main([str(argument) for argument in arguments])
