@@ -29,6 +29,7 @@ from zygos.native.flight import Flight
 from zygos.runs.tables import write_cycles
 
 
+
 def run(*arguments: object) -> int:
     with pytest.raises(SystemExit) as end:
         main([str(argument) for argument in arguments])
