@@ -19,7 +19,7 @@ from zygos.gap.explain import explain
 from zygos.gap.explanation import Explanation
 from zygos.gap.findings import Deflection
 from zygos.gap.page import write_gap_report
-from zygos.gap.provenance import Provenance
+from zygos.report.provenance import Provenance
 from zygos.gap.record import read_record
 from zygos.gap.sentences import motion
 from zygos.gap.verdicts import (

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
-import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,18 +16,17 @@ from zygos.cli.options import ArmFile, Json
 from zygos.cli.shared import check_model_name, find_arm, not_whole, warn
 from zygos.effects import estimated
 from zygos.errors import Undecided, ZygosError
-from zygos.files.inputs import local
 from zygos.files.output import check_outputs, named, number, quiet, say, table, write_json
 from zygos.files.progress import progress
 from zygos.gap.answer import as_json, predictions
 from zygos.gap.explain import explain
 from zygos.gap.explanation import Explanation
 from zygos.gap.findings import INTERVAL
-from zygos.gap.provenance import Provenance
 from zygos.gap.record import Record, read_record
 from zygos.gap.sentences import against
 from zygos.model.model import load_model, save_model
 from zygos.native.flight import Flight
+from zygos.report.provenance import Provenance, provenance
 
 
 @dataclass(frozen=True)
@@ -91,11 +87,7 @@ def explain_run(
             records[2] if validate else None,
             lambda share, what: bar.update(task, description=what, completed=0.2 + 0.8 * share),
         )
-    source = Provenance(
-        shlex.join(["zygos", *command]),
-        version("zygos"),
-        tuple((role, str(path), hashlib.sha256(local(path).read_bytes()).hexdigest()) for role, path in inputs.files),
-    )
+    source = provenance(command, inputs.files)
     finish(found, records, logs, inputs, source, out, report, json)
     not_whole(*(log.damage for log in logs))
 

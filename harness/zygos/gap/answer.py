@@ -8,9 +8,9 @@ from typing import Any
 from zygos.gap.explanation import Explanation
 from zygos.gap.findings import Gap
 from zygos.gap.forecast import Forecast
-from zygos.gap.provenance import Provenance
 from zygos.gap.record import Record
 from zygos.gap.sentences import against, evidence, title
+from zygos.report.provenance import Provenance
 
 
 def predictions(gap: Gap) -> list[tuple[str, Forecast]]:

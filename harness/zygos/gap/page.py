@@ -16,13 +16,13 @@ from zygos.gap.charts import Charts
 from zygos.gap.explanation import Explanation
 from zygos.gap.findings import INTERVAL, Deflection, Finding, Gap, Value
 from zygos.gap.forecast import HORIZON_S, Forecast
-from zygos.gap.provenance import Provenance
 from zygos.gap.record import Record
 from zygos.gap.residuals import Stage, failing, steps
 from zygos.gap.search import EXCESS, Candidate
 from zygos.gap.sentences import against, balance_title, evidence, motion, predicted, title
 from zygos.report.figures import LogScale, down_to, figure, percent, unit_of, within
 from zygos.report.page import Entry, joint_colour, render
+from zygos.report.provenance import Provenance
 
 RUNS = "ABCDEFGH"
 _LEAST = 1e-3

@@ -53,6 +53,16 @@ def percent(share: float) -> str:
     return f"{100.0 * share:+.2f}".replace("-", "−")
 
 
+def signed(value: float, digits: int = 2) -> str:
+    """A number with its sign and so many decimals; a dash where it is none."""
+    return f"{value:+.{digits}f}".replace("-", "−") if math.isfinite(value) else "–"
+
+
+def grouped(value: float) -> str:
+    """A number of seven digits with its thousands apart; a dash where it is none."""
+    return f"{value:,.7g}".replace("-", "−") if math.isfinite(value) else "–"
+
+
 @dataclass(frozen=True)
 class LogScale:
     """A scale of powers of ten, in per cent of a cell's width."""
