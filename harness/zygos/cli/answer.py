@@ -26,12 +26,22 @@ from zygos.files.output import (
 )
 from zygos.model.model import Model, Quantity, save_model
 from zygos.native.flight import Estimate
+from zygos.report.provenance import Provenance
 
 
 def finish_estimate(
-    result: Estimate, watch: Watch, out: Path, prior: Model | None, json: str | None, heading: Mapping[str, Any]
+    result: Estimate,
+    watch: Watch,
+    out: Path,
+    prior: Model | None,
+    json: str | None,
+    heading: Mapping[str, Any],
+    report: tuple[Path, Provenance] | None = None,
 ) -> None:
-    """Print the table, write the model, say that the arm changed and what is undecided."""
+    """Print the table, write the model, say that the arm changed and what is undecided.
+
+    report: the page to write, and what the answer was made from; the watch must have kept its trace then.
+    """
     flight, drift = watch.flight, watch.look()
     found = {
         name: Quantity(float(value), float(sigma), "zygos", unit)
@@ -44,7 +54,7 @@ def finish_estimate(
     # an offset that only the arm file asked for, and the run is silent on, is none
     asked = (one for one in flight.effects if one not in given and one.column(flight.arm) in found)
     effects = tuple(learned(effect, found.get(effect.column(flight.arm))) for effect in (*given, *asked))
-    if not quiet(out, json):
+    if not quiet(out, json, report[0] if report else None):
         rows = [
             (name, unit, number(value), number(float(f"{half95:.2g}")), number(100 * ratio(half95, abs(value)), 2))
             for name, unit, value, half95 in zip(result.names, result.units, result.value, result.half95, strict=True)
@@ -67,17 +77,25 @@ def finish_estimate(
             say(noise)
     if drift and drift.contradicting:
         warn([about_change(result, drift, flight.arm)])
+    where = "nothing written" if result.validity == "refused" else f"{named(out)} written"
+    number_of = advice = ""
+    if result.validity != "valid":
+        number_of = measured(result, flight)
+        changed = "see the warning: the arm changed" if drift and drift.changed else ""
+        advice = changed or remedy(result, flight, watch.known)
     try:
         if result.validity != "refused":
             save_model(Model(name=flight.arm.name, parameters=quantities, effects=effects), out)
+        if report is not None:
+            from zygos.estimation.page import Outcome, write_estimate_report  # noqa: PLC0415  (only a report needs charts)
+
+            page, source = report
+            outcome = Outcome(number_of, advice, where)
+            write_estimate_report(page, result, watch, drift, outcome, heading.get("damage") or (), source)
     finally:
         if json:
             write_json(json, report_estimate(result, watch, drift, heading))
     if result.validity != "valid":
-        where = "nothing written" if result.validity == "refused" else f"{named(out)} written"
-        changed = "see the warning: the arm changed" if drift and drift.changed else ""
-        number_of = measured(result, flight)
         raise Undecided(
-            f"{result.validity}: {result.reason}{f': {number_of}' if number_of else ''} ({where}); remedy: "
-            f"{changed or remedy(result, flight, watch.known)}"
+            f"{result.validity}: {result.reason}{f': {number_of}' if number_of else ''} ({where}); remedy: {advice}"
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -18,15 +18,28 @@ LOOKS = 2
 """In an arc: the arc behind a change stands out only until the next one takes it for known."""
 
 
+NOTES = 24
+"""Estimates that are noted of what is fed at once, evenly spaced."""
 STRETCH = 100
 """Cycles that are fed at once: no more arcs end in them than the library remembers the place of."""
+
+
+@dataclass(frozen=True)
+class Note:
+    """What was estimated at some time of a run; p parameters."""
+
+    cycles: int
+    value: NDArray[np.float64]
+    """(p,) NaN where a parameter is not identifiable yet."""
+    half95: NDArray[np.float64]
+    """(p,) half width of the 95 % interval."""
 
 
 class Watch:
     """Feeds a flight, has it leave out arcs that contradict what it knows, and looks for a change of its arm."""
 
     def __init__(self, flight: Flight, *, trace: bool = False) -> None:
-        """Nothing has come yet. trace: keep what each room makes of each cycle."""
+        """Nothing has come yet. trace: keep what each room makes of each cycle, and `NOTES` estimates on the way."""
         self.flight = flight
         self.plainest: Drift | None = None
         """The look with the largest deviation, those that prove a change before others; None where there was none.
@@ -37,6 +50,8 @@ class Watch:
         """What was known while the run grew, each entry at twice the cycles of the one before."""
         self.left_out: list[LeftOut] = []
         """Arcs that were left out when they ended."""
+        self.notes: list[Note] = []
+        """Estimates on the way, if the trace is kept."""
         self._traces: list[Trace] | None = [] if trace else None
         self._left_out = 0
         self._settled: Drift | None = None
@@ -75,7 +90,7 @@ class Watch:
         progress: Callable[[float], None] | None,
     ) -> None:
         """starts: where cycles begin in what is fed, of n entries."""
-        first = 0
+        first = noted = 0
         ends = [*starts[1:].tolist(), n]
         for count, last in enumerate(ends, start=self._since + min(1, len(starts))):
             due = count % self._every == 0
@@ -86,6 +101,9 @@ class Watch:
             if self._traces is not None and trace is not None:
                 self._traces.append(trace)
             self._note_arcs()
+            if self._traces is not None and last * NOTES // n > noted:
+                noted = last * NOTES // n
+                self._note_estimate()
             if due and last < n:
                 self.look()
                 if progress:
@@ -117,6 +135,11 @@ class Watch:
             self._settled = self.plainest
         self.flight.adopt()
         return self.plainest
+
+    def _note_estimate(self) -> None:
+        """Note what is estimated now."""
+        estimate = self.flight.estimate()
+        self.notes.append(Note(self.flight.counts["cycles"], estimate.value, estimate.half95))
 
     def _note_arcs(self) -> None:
         """Note arcs that were left out since the last time."""
