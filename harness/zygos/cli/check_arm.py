@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,14 +12,16 @@ from numpy.typing import NDArray
 
 from zygos.arm import Arm, load_arm
 from zygos.audit import Audit, Traffic, audit, signal_names
+from zygos.audit.answer import advice, as_json, summary
 from zygos.can.wire import identifiers
-from zygos.cli.options import Json, Run
+from zygos.cli.options import Json, Report, Run
 from zygos.cli.shared import damage_of, not_whole, origin, read_run
 from zygos.errors import Undecided
-from zygos.files.output import check_outputs, counted, good, number, say, table, write_json
+from zygos.files.output import check_outputs, counted, good, number, quiet, say, table, write_json
 from zygos.files.progress import progress
 from zygos.files.tables import is_table
 from zygos.native.flight import Flight, ffi, lib
+from zygos.report.provenance import provenance
 from zygos.runs.cycles import Cycles
 from zygos.runs.tables import read_cycles
 
@@ -27,9 +29,9 @@ _SYNC, _FTIME = 0x080, 0x3A0
 _ACCEPTED = 1
 
 
-def check_arm_run(arm_file: Path, run: Path, json: str | None) -> None:
+def check_arm_run(arm_file: Path, run: Path, json: str | None, report: Path | None, command: Sequence[str]) -> None:
     """Audit a run against an arm file; see `zygos check-arm --help`."""
-    check_outputs([json], [run, arm_file])
+    check_outputs([json, report], [run, arm_file])
     arm = load_arm(arm_file)
     log = None if is_table(run) else read_run(run)
     if log is None:
@@ -40,31 +42,19 @@ def check_arm_run(arm_file: Path, run: Path, json: str | None) -> None:
         task = bar.add_task("comparing", total=1.0)
         found = audit(arm, cycles, traffic, lambda share: bar.update(task, completed=share))
     if json:
-        write_json(json, {**origin(run, log), "arm": arm.name, "ok": found.ok, "faults": faults, **asdict(found)})
-    if json != "-":
+        write_json(json, {**origin(run, log), "arm": arm.name, "ok": found.ok, "faults": faults, **as_json(found)})
+    if report is not None:
+        from zygos.audit.page import write_audit_report  # noqa: PLC0415  (only a report needs charts)
+
+        source = provenance(command, [("arm", arm_file), ("run", run)])
+        write_audit_report(report, arm, cycles, found, faults, damage_of(log), source)
+    if not quiet(json, report):
         show(found)
         seen = [f"{name} {count:,}" for name, count in faults.items() if count]
         say(f"arm {arm.name} · {counted(len(cycles), 'cycle')}" + (f" · faults: {', '.join(seen)}" if seen else ""))
-    if found.findings:
-        first = found.findings[0]
-        raise Undecided(
-            f"{counted(len(found.findings), 'finding')}, the first: {first.signal} {first.fault}; "
-            f"remedy: {first.remedy}"
-        )
     if not found.ok:
-        names = ", ".join(signal.name for signal in found.signals if not signal.decided)
-        raise Undecided(f"nothing wrong was found, but nothing confirms {names}; remedy: {_what_decides(found)}")
+        raise Undecided(f"{summary(found)}; remedy: {advice(found)}")
     not_whole(damage_of(log))
-
-
-def _what_decides(found: Audit) -> str:
-    """What would confirm the signals that nothing confirms, by what stood in the way."""
-    still = [note.partition(":")[0] for note in found.notes if "does not move" in note]
-    if still:
-        return f"a run in which {', '.join(still)} moves"
-    if any("too few accepted instants" in note or "is long enough" in note for note in found.notes):
-        return "a longer run without gaps"
-    return 'a run that moves every joint faster and at different speeds; the lines that begin with "open" say why'
 
 
 def show(found: Audit) -> None:
@@ -163,18 +153,20 @@ def _traffic(arm: Arm, frames: NDArray[Any], accepted: NDArray[np.bool_]) -> Tra
 
 
 def command(
+    context: typer.Context,
     arm: Annotated[Path, typer.Argument(metavar="ARM.toml", help="The arm file.")],
     run: Run,
     json: Json = None,
+    report: Report = None,
 ) -> None:
     """Hold a run against its arm file: rate, range, steps and noise of each signal, and whether the signals agree.
 
     Names signals that are swapped, inverted, scaled by the gear ratio, stuck or saturated, a skew in time between the
     two encoders of a joint, zeros that are off, and a wrong torque law; each with the number that says how sure it is,
-    and the remedy. No model is needed.
+    and the remedy. No model is needed. The page of --report has all of it, with the readings as charts.
 
     Exit code 3 when something is found, or the run does not confirm every signal.
 
     Example: zygos check-arm out/arm.toml out/run.blf
     """
-    check_arm_run(arm, run, json)
+    check_arm_run(arm, run, json, report, context.obj or ["check-arm"])
