@@ -29,7 +29,6 @@ from zygos.native.flight import Flight
 from zygos.runs.tables import write_cycles
 
 
-
 def run(*arguments: object) -> int:
     with pytest.raises(SystemExit) as end:
         main([str(argument) for argument in arguments])
@@ -254,7 +253,10 @@ OUTPUTS: list[tuple[tuple[object, ...], str, str]] = [
     (("simulate", EXAMPLE / "scenario.toml", "-o", "{out}/x.blf"), "--json", ".json"),
     (("estimate", "{run}"), "-o", ".toml"),
     (("estimate", "{run}", "-o", "{out}/x.toml"), "--json", ".json"),
+    (("estimate", "{run}", "-o", "{out}/x.toml"), "--report", ".html"),
     (("check", "{run}"), "--json", ".json"),
+    (("check", "{run}"), "--report", ".html"),
+    (("check-arm", EXAMPLE / "arm.toml", "{run}"), "--report", ".html"),
     (("check-arm", EXAMPLE / "arm.toml", "{run}"), "--json", ".json"),
     (("convert", ROOT / "examples/telemetry/run.blf", "--dbc", ROOT / "examples/telemetry/arm.dbc", "--map",
       ROOT / "examples/telemetry/map.toml"), "-o", ".blf"),

@@ -19,7 +19,6 @@ from zygos.gap.explain import explain
 from zygos.gap.explanation import Explanation
 from zygos.gap.findings import Deflection
 from zygos.gap.page import write_gap_report
-from zygos.report.provenance import Provenance
 from zygos.gap.record import read_record
 from zygos.gap.sentences import motion
 from zygos.gap.verdicts import (
@@ -36,6 +35,7 @@ from zygos.gap.verdicts import (
 from zygos.model.model import load_model
 from zygos.native.flight import encode
 from zygos.report.figures import figure
+from zygos.report.provenance import Provenance
 from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import load_scenario
 

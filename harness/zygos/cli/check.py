@@ -47,13 +47,13 @@ def check_run(
     log = None if is_table(run) else read_run(run)
     rooms = check_cycles(arm, read_cycles(run, arm), flight) if log is None else check_frames(arm, log.frames, flight)
     undecided = _undecided(rooms, flight)
+    if json:
+        write_json(json, {**origin(run, log), "arm": arm.name, "rooms": [room.as_json() for room in rooms]})
     if report is not None:
         from zygos.reference.page import write_check_report  # noqa: PLC0415  (only a report needs charts)
 
         files = [("run", run), ("arm", chosen), *([("model", model_file)] if model_file else [])]
         write_check_report(report, arm, rooms, undecided, damage_of(log), provenance(command, files))
-    if json:
-        write_json(json, {**origin(run, log), "arm": arm.name, "rooms": [room.as_json() for room in rooms]})
     if not quiet(json, report):
         table(
             ("room", "compared", "largest difference", "at cycle", "tolerance", ""),

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
+from zygos.balances.arcs import FILL_INSTANTS, arc_cycles, spans
 from zygos.effects import Effect
 from zygos.native.flight import Trace
 
@@ -49,16 +50,14 @@ def balance(arm: Arm, trace: Trace, value: Floats, effects: Sequence[Effect] = (
     elastic = terms[:, stored].sum(axis=1)
     dissipated = terms[:, lost].sum(axis=1)
     left = work - kinetic - elastic - dissipated
-    # work and losses are exactly zero at the origin of an arc
-    origin = trace.instant & (work == 0.0) & np.all(row[:, :-1][:, lost] == 0.0, axis=1)
-    arc = np.cumsum(origin)
-    arcs = int(arc[-1]) + 1 if len(arc) else 0
-    of_arc = np.bincount(arc[trace.instant], minlength=arcs)
-    used = trace.instant & trace.accepted
-    in_use = np.bincount(arc[used], minlength=arcs)
-    every = np.bincount(arc[trace.instant], left[trace.instant], minlength=arcs)
-    accepted = np.bincount(arc[used], left[used], minlength=arcs)
-    # an arc of which no instant was accepted has the mean of all of them
-    mean = np.where(in_use > 0, accepted, every) / np.maximum(np.where(in_use > 0, in_use, of_arc), 1)
-    constant = np.where(trace.instant, mean[arc] if arcs else 0.0, np.nan)
-    return Ledger(kinetic, elastic, dissipated, work - constant, left - constant, int(origin.sum()))
+    constant, arcs = np.full(len(work), np.nan), 0
+    edges = np.flatnonzero(np.diff(trace.instant, prepend=False, append=False))
+    for first, last in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        # the instants that only fill the integrals of a segment have no row
+        accepted = np.concatenate([np.ones(FILL_INSTANTS, np.bool_), trace.accepted[first:last]])
+        for begin, end, _ in spans(accepted, arc_cycles(arm)):
+            of_arc = slice(first + begin - FILL_INSTANTS, first + end - FILL_INSTANTS)
+            used = accepted[begin:end]
+            constant[of_arc] = left[of_arc][used if used.any() else ~used].mean()
+            arcs += 1
+    return Ledger(kinetic, elastic, dissipated, work - constant, left - constant, arcs)

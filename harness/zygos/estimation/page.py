@@ -71,7 +71,7 @@ def write_estimate_report(
     ledger = balance(arm, trace, result.solution, flight.effects) if predicts else None
     names["estimate"] = numbers(np.array([note.cycles * arm.period_s for note in watch.notes]))
     groups = {
-        "motion": trajectories(arm, trace, at) + rates(arm, trace, at),
+        "motion": trajectories(arm, trace, at) + rates(arm, trace, at) if len(trace.cycles) else [],
         "energy": energy(ledger, at) if ledger else [],
         "residual": residual(ledger, result, at) if ledger else [],
         "way": _way(arm, result, watch.notes),

@@ -89,7 +89,7 @@ def _chart(index: int, room: Room, curve: Curve, times: Entry) -> Entry:
         "unit": "of the column's largest entry",
         "time": name,
         "domain": "cycles",
-        "axis": "",
+        "axis": "cycle",
         "height": 200,
         "log": True,
         "lines": [room.tolerance] if room.tolerance > 0.0 else [],
