@@ -7,7 +7,7 @@ import html
 import json
 import re
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from html.parser import HTMLParser
 from importlib.metadata import version
 from pathlib import Path
@@ -127,6 +127,18 @@ def test_a_page_is_whole_and_says_where_it_comes_from(name: str, simulated: Path
     assert verdict in page.text
     assert "Remedy" not in page.text
     assert page.data["charts"]
+
+
+@pytest.mark.parametrize("name", ["estimate", "check", "check-arm"])
+def test_a_table_of_cycles_has_a_page(name: str, simulated: Path, tmp_path: Path) -> None:
+    """Its cycles are numbered as they are in the table."""
+    cycles = watched(load_arm(ARM), bus.read_log(simulated / "run.blf").frames).trace().cycles
+    np.savez(tmp_path / "run.npz", **asdict(replace(cycles, sync=cycles.sync + np.uint64(100_000))))
+    file = tmp_path / "page.html"
+    assert run(*command_of(name, tmp_path / "run.npz", tmp_path), "--report", file) == 0
+    page = sound(Page(file.read_text(encoding="utf-8")))
+    assert page.data["charts"]
+    assert all(min(x for x in times if x is not None) > 100_000 * 0.049 for times in page.data["times"].values())
 
 
 def test_an_estimate_is_the_same_with_a_page(simulated: Path, tmp_path: Path) -> None:

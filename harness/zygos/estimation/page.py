@@ -69,7 +69,8 @@ def write_estimate_report(
     names, refused = times(arm, trace, at)
     predicts = bool(np.all(np.isfinite(result.solution)))
     ledger = balance(arm, trace, result.solution, flight.effects) if predicts else None
-    names["estimate"] = numbers(np.array([note.cycles * arm.period_s for note in watch.notes]))
+    noted = trace.cycles.sync[[max(note.cycles, 1) - 1 for note in watch.notes]] if len(trace.cycles) else np.zeros(0)
+    names["estimate"] = numbers(noted.astype(np.float64) * arm.period_s)
     groups = {
         "motion": trajectories(arm, trace, at) + rates(arm, trace, at) if len(trace.cycles) else [],
         "energy": energy(ledger, at) if ledger else [],
