@@ -31,7 +31,7 @@ $(error CAPACITIES holds $(filter-out -DZYGOS_%,$(CAPACITIES)), which is no capa
 endif
 
 .DEFAULT_GOAL := demo
-.PHONY: demo build library install uninstall FORCE node test kernels hil pil gap bench accuracy mission demo-log lint format warnings clean help
+.PHONY: demo build library install uninstall FORCE node test test-all coverage times kernels hil pil gap bench accuracy mission demo-log reference lint format warnings clean help
 
 demo: build ## set up, run the paper's example over CAN, show the result (out/demo/report.html)
 	$(BIN)/python -m zygos.demo
@@ -94,11 +94,32 @@ $(NODE): $(LIBRARY) $(wildcard c/ports/linux/*.[ch] c/ports/telemetry/* include/
 	$(COMPILE) -D_GNU_SOURCE -Ic/ports/telemetry $(filter %.c,$^) $(LIBRARY) -lm -o $@.partial
 	mv $@.partial $@
 
-test: build node $(VENV)/.test ## unit, bus, fuzz and bench tests, a process for each core
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile tests/unit tests/bus tests/fuzz tests/bench
+# Folders of tests that need no bus of the kernel's and no emulator of a board; docs/testing.md has the tiers.
+TESTS := $(addprefix tests/,unit bus fuzz bench builds statistics campaigns soak)
+PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile
+test: build node $(VENV)/.test ## the quick tests, a process for each core (5 minutes on two cores)
+	$(PYTEST) -m "not slow" $(TESTS)
+
+test-all: build node $(VENV)/.test ## the quick and the slow tests, without hil and pil (20 minutes; out/tests.json)
+	$(PYTEST) --times $${ZYGOS_OUT:-out}/tests.json $(TESTS)
+
+# The package as links to its files, so that the library beside them can be another one.
+COVERED := $(BUILD)/coverage
+coverage: build node $(VENV)/.test ## the quick tests, counting lines and branches; fails below the floors in pyproject.toml
+	rm -rf $(COVERED)
+	mkdir -p $(COVERED)/harness
+	cp -rs $(CURDIR)/harness/zygos $(COVERED)/harness
+	rm -r $(COVERED)/harness/zygos/_native
+	CFLAGS="$(CFLAGS) --coverage" $(BIN)/python tools/build_native.py $(COVERED)/harness/zygos/_native
+	PYTHONPATH=$(abspath $(COVERED))/harness $(PYTEST) -m "not slow" -o quick_limit_s=0 --cov --cov-report= $(TESTS)
+	$(BIN)/gcovr --json-summary $(COVERED)/c.json
+	$(BIN)/coverage report
+
+times: ## write the table of docs/testing.md from the last `make test-all`
+	$(BIN)/python tools/test_times.py $${ZYGOS_OUT:-out}/tests.json docs/testing.md
 
 KERNEL_TESTS := tests/unit/test_c_equals_numpy.py tests/unit/test_effects.py tests/unit/test_any_arm.py tests/unit/test_motors.py \
-    tests/unit/test_momentum_sums.py tests/unit/test_noise.py tests/unit/test_honesty.py tests/bus/test_cli.py
+    tests/unit/test_momentum_sums.py tests/statistics/test_noise.py tests/statistics/test_honesty.py tests/bus/test_cli.py
 kernels: build node $(VENV)/.test ## C against numpy under two more sets of BLAS and numpy kernels (other processors' rounding)
 	$(BIN)/python tools/with_kernels.py $(BIN)/python -m pytest -n auto --dist loadfile $(KERNEL_TESTS)
 
@@ -109,13 +130,13 @@ hil: build node $(VENV)/.test ## fault drills across a real vcan (the kernel's, 
 	    --zygos-dut $(or $(DUT),$(NODE)) --zygos-scenario examples/lively/scenario.toml --zygos-json $${ZYGOS_OUT:-out}/hil.json
 
 pil: build $(VENV)/.test ## the library as firmware on an emulated Cortex-M7 and Cortex-M4F: the host's bits (QEMU)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile tests/pil
+	$(PYTEST) tests/pil
 
 gap: build $(VENV)/.test ## hide effects in a MuJoCo plant, explain them, score the verdicts (out/gap.json; 20 minutes)
-	PYTHONPATH=tests $(BIN)/python -m oracles.campaign
+	PYTHONPATH=tests:tests/support $(BIN)/python -m oracles.campaign
 
 bench: build $(VENV)/.test ## what it costs, beside its peers (out/bench.json, README.md, docs/cost.md; 6 minutes)
-	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tests $(BIN)/python -m bench out/bench.json
+	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tests:tests/support $(BIN)/python -m bench out/bench.json
 
 accuracy: build $(VENV)/.test ## errors, coverage and refusals of all estimators (docs/accuracy.html; 15 minutes; SEEDS= DRAWS= SCHEDULER= CASES=)
 	$(BIN)/python -m zygos.accuracy $(CASES) $(if $(SEEDS),--seeds $(SEEDS)) $(if $(DRAWS),--draws $(DRAWS)) $(if $(SCHEDULER),--scheduler $(SCHEDULER))
@@ -124,7 +145,10 @@ mission: build $(VENV)/.test ## intervals over missions of up to 30 days of fres
 	$(BIN)/python -m zygos.accuracy.missions $(LENGTHS) $(if $(DRAWS),--draws $(DRAWS))
 
 demo-log: build $(VENV)/.test ## write the logs of examples/gap/demo again
-	PYTHONPATH=tests $(BIN)/python -m oracles.demo_log
+	PYTHONPATH=tests:tests/support $(BIN)/python -m oracles.demo_log
+
+reference: build $(VENV)/.test ## the pages in docs/reference/: keys of the files, codes of the C library, JSON outputs
+	$(BIN)/python tools/reference.py
 
 lint: build $(VENV)/.test ## ruff, mypy, the order of sub-packages, clang-format
 	$(BIN)/ruff check .

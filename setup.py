@@ -1,8 +1,10 @@
-"""Builds the C library into the package: one shared object and its declarations, loaded through cffi in ABI mode.
+"""Builds the C library into the package, one shared object and its declarations, loaded through cffi in ABI mode; and
+puts the examples beside it.
 
 No Python.h is needed, and one wheel serves every Python 3.
 """
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -12,16 +14,28 @@ from setuptools.command.bdist_wheel import bdist_wheel
 from setuptools.command.build_py import build_py
 
 ROOT = Path(__file__).parent
+PACKAGED = ("paper", "lively", "spatial", "seven", "gap", "telemetry", "notebook", "urdf")
+"""The folders of examples/ that a wheel has: those of `zygos example` (harness/zygos/files/examples.py)."""
 
 
 class BuildWithLibrary(build_py):
-    """Compiles the library before the package is collected."""
+    """Compiles the library and collects the examples with the package."""
 
     def run(self) -> None:
-        """Run tools/build_native.py into the source package, then collect."""
-        script = ROOT / "tools" / "build_native.py"
-        subprocess.run([sys.executable, str(script), str(ROOT / "harness" / "zygos" / "_native")], check=True)
+        """Collect the package, and run tools/build_native.py into it; in an editable install, into the sources.
+
+        An editable install finds the examples where they are. A wheel is built in an empty folder: modules that were
+        deleted must not come back from the build before.
+        """
+        package = ROOT / "harness" / "zygos" if self.editable_mode else Path(self.build_lib) / "zygos"
+        if not self.editable_mode:
+            shutil.rmtree(package, ignore_errors=True)
         super().run()
+        script = ROOT / "tools" / "build_native.py"
+        subprocess.run([sys.executable, str(script), str(package / "_native")], check=True)
+        if not self.editable_mode:
+            for name in PACKAGED:
+                shutil.copytree(ROOT / "examples" / name, package / "_examples" / name)
 
 
 class PlatformWheel(bdist_wheel):

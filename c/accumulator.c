@@ -4,16 +4,16 @@
 
 #include <string.h>
 
-/* Segments of the longest arc at first: many, but none shorter than a second unless the arc would have but a few. What
-   the noise of rates leaves at the edges of blocks falls with the time in which they fade. */
+/* Initial number of segments of the longest arc: many, but none shorter than a second unless the arc would have only a
+   few. The error by the noise of rates at the ends of a block decreases with the time in which its weight changes. */
 #define SEGMENTS 48u
 #define SEGMENT_S 1.0
 #define FEWEST 4u
-#define MOST 1024u /* instants of a segment at first, whatever the arc */
-#define LEAST_STEPS 3u
-#define ROOM (3u * ZYGOS_MAX_BLOCKS / 4u) /* blocks that may be left where room is made */
+#define MOST 1024u /* largest initial length of a segment in instants */
+#define MIN_BUFFERS 3u
+#define MERGED_BLOCKS (3u * ZYGOS_MAX_BLOCKS / 4u) /* largest number of blocks after merging */
 
-_Static_assert((ZYGOS_LEAST_BLOCKS + 2u <= ZYGOS_MAX_BLOCKS) && (ROOM + 2u <= ZYGOS_MAX_BLOCKS),
+_Static_assert((ZYGOS_MIN_BLOCKS + 2u <= ZYGOS_MAX_BLOCKS) && (MERGED_BLOCKS + 2u <= ZYGOS_MAX_BLOCKS),
                "an arc that begins needs two blocks");
 
 /* What rounding may make of a sum of so many weights, relative to it. A flipped bit that changes less does no harm. */
@@ -22,34 +22,34 @@ static double rounded(double instants)
     return 1e-9 + 2.220446049250313e-16 * instants;
 }
 
-static uint64_t seal_of(const zygos_accumulator_t *self)
+static uint64_t checksum_of(const zygos_accumulator_t *self)
 {
     const double lengths[2] = { self->enough, self->target };
     const uint32_t places[6] = { self->width, self->count, self->open, self->newest, self->window, self->arcs };
-    uint64_t seal = zygos_seal_doubles(1u, lengths, 2);
+    uint64_t checksum = zygos_checksum_doubles(1u, lengths, 2);
     for (uint32_t i = 0; i < 6; i++) {
-        seal = zygos_seal_number(seal, places[i]);
+        checksum = zygos_checksum_number(checksum, places[i]);
     }
-    return seal;
+    return checksum;
 }
 
-/* Before anything under the seal is changed. */
+/* Verifies the checksum, before anything that it protects is changed. */
 static void judge(zygos_accumulator_t *self)
 {
-    self->corrupt |= (self->seal == seal_of(self)) ? 0u : 1u;
+    self->corrupt |= (self->checksum == checksum_of(self)) ? 0u : 1u;
 }
 
-static uint64_t seal_of_block(const zygos_block_t *block, uint32_t width)
+static uint64_t checksum_of_block(const zygos_block_t *block, uint32_t width)
 {
     const double weights[3] = { block->instants, block->square, block->overlap };
-    return zygos_seal_number(zygos_seal_doubles(zygos_seal_doubles(1u, block->deviation, width), weights, 3),
-                             block->end);
+    return zygos_checksum_number(
+        zygos_checksum_doubles(zygos_checksum_doubles(1u, block->deviation, width), weights, 3), block->end);
 }
 
-/* Whether a block is that of a closed arc as it was sealed, or one of the open arc. */
+/* Whether a block belongs to the open arc, or to a closed arc and has the right checksum. */
 static bool is_whole(const zygos_block_t *block, uint32_t width)
 {
-    return (block->seal == 0) || (block->seal == seal_of_block(block, width));
+    return (block->checksum == 0) || (block->checksum == checksum_of_block(block, width));
 }
 
 void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint64_t arc_cycles, double period_s)
@@ -58,15 +58,15 @@ void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint
     const uint64_t slow = (uint64_t)(SEGMENT_S / period_s);
     const uint64_t least = (slow < most) ? slow : most;
     const uint64_t many = (arc_cycles / SEGMENTS < MOST) ? arc_cycles / SEGMENTS : MOST;
-    const uint64_t steps = ((many > least) ? many : least) / ZYGOS_STEP;
+    const uint64_t steps = ((many > least) ? many : least) / ZYGOS_BUFFER_ROWS;
     memset(self, 0, sizeof *self);
     self->width = parameters + 2u;
-    self->target = (double)(ZYGOS_STEP * ((steps > LEAST_STEPS) ? steps : LEAST_STEPS));
+    self->target = (double)(ZYGOS_BUFFER_ROWS * ((steps > MIN_BUFFERS) ? steps : MIN_BUFFERS));
     self->enough = 0.5 * (double)arc_cycles;
-    self->seal = seal_of(self);
+    self->checksum = checksum_of(self);
 }
 
-static void add_share(zygos_share_t *to, const zygos_share_t *from, double factor, uint32_t width)
+static void add_share(zygos_noise_sums_t *to, const zygos_noise_sums_t *from, double factor, uint32_t width)
 {
     const uint32_t size = zygos_gram_entries(width);
     for (uint32_t k = 0; k < size; k++) {
@@ -77,7 +77,7 @@ static void add_share(zygos_share_t *to, const zygos_share_t *from, double facto
     }
 }
 
-static void clear_share(zygos_share_t *share, uint32_t width)
+static void clear_share(zygos_noise_sums_t *share, uint32_t width)
 {
     memset(share->gram, 0, zygos_gram_entries(width) * sizeof share->gram[0]);
     memset(share->sum, 0, width * sizeof share->sum[0]);
@@ -97,7 +97,7 @@ static void add_block(zygos_block_t *to, const zygos_block_t *from, uint32_t wid
     to->square += from->square + 2.0 * to->overlap;
     to->overlap = from->overlap;
     to->end = from->end;
-    to->seal = (to->seal == 0) ? 0u : seal_of_block(to, width);
+    to->checksum = (to->checksum == 0) ? 0u : checksum_of_block(to, width);
 }
 
 /* Merges neighbours in [first, end) that fit into one block, as long as blocks are to spare, and puts the results at
@@ -123,14 +123,15 @@ static uint32_t merge(zygos_accumulator_t *self, uint32_t first, uint32_t end, u
 }
 
 /* Blocks of closed arcs never merge with those of the open one, whose constant is still in them; nor do those of the
-   newest closed arc with older ones, from which it may differ; nor does the newest block, which has yet to fade out.
+   newest closed arc with older ones, from which it may differ; nor does the newest block, whose weight has yet to
+   decrease.
    The target doubles only when merging up to it is not enough; once it holds all instants there are, each group is one
    block: the loop ends. */
-static void make_room(zygos_accumulator_t *self)
+static void free_blocks(zygos_accumulator_t *self)
 {
     for (uint32_t tries = 0; tries < 64u; tries++) {
         const uint32_t fading = (self->count > self->open) ? 1u : 0u;
-        uint32_t spare = (self->count > ZYGOS_LEAST_BLOCKS) ? self->count - ZYGOS_LEAST_BLOCKS : 0u;
+        uint32_t spare = (self->count > ZYGOS_MIN_BLOCKS) ? self->count - ZYGOS_MIN_BLOCKS : 0u;
         const uint32_t newest = merge(self, 0, self->newest, 0, &spare);
         const uint32_t window = merge(self, self->newest, self->window, newest, &spare);
         const uint32_t open = merge(self, self->window, self->open, window, &spare);
@@ -142,7 +143,7 @@ static void make_room(zygos_accumulator_t *self)
         self->window = window;
         self->open = open;
         self->count = rest + fading;
-        if (self->count <= ((ROOM > ZYGOS_LEAST_BLOCKS) ? ROOM : ZYGOS_LEAST_BLOCKS)) {
+        if (self->count <= ((MERGED_BLOCKS > ZYGOS_MIN_BLOCKS) ? MERGED_BLOCKS : ZYGOS_MIN_BLOCKS)) {
             return;
         }
         self->target *= 2.0;
@@ -159,7 +160,7 @@ static void append_block(zygos_accumulator_t *self)
     block->square = 0.0;
     block->overlap = 0.0;
     block->end = 0;
-    block->seal = 0;
+    block->checksum = 0;
     self->count++;
 }
 
@@ -205,63 +206,63 @@ static void next_segment(zygos_accumulator_t *self)
     judge(self);
     end_segment(self);
     if (self->count + 2u > ZYGOS_MAX_BLOCKS) {
-        make_room(self);
+        free_blocks(self);
     }
     append_block(self);
     if (first) {
         append_block(self);
     }
-    self->seal = seal_of(self);
+    self->checksum = checksum_of(self);
 }
 
 /* Of so many entries, those of a slice: an even number. The last slice reaches beyond the entries, where all is 0. */
 static uint32_t slice_of(uint32_t entries)
 {
-    return 2u * ((entries + 2u * ZYGOS_STEP - 1u) / (2u * ZYGOS_STEP));
+    return 2u * ((entries + 2u * ZYGOS_BUFFER_ROWS - 1u) / (2u * ZYGOS_BUFFER_ROWS));
 }
 
-/* Moves an even number of entries of a step to its two blocks, by their shares. */
-static void move(double *restrict step, double *restrict falling, double *restrict rising, double early, double late,
+/* Moves an even number of entries of a buffer to its two blocks, by their weights. */
+static void move(double *restrict buffer, double *restrict falling, double *restrict rising, double early, double late,
                  uint32_t count)
 {
-    for (const double *end = step + count; step != end; step += 2) {
-        falling[0] += early * step[0];
-        falling[1] += early * step[1];
-        rising[0] += late * step[0];
-        rising[1] += late * step[1];
-        step[0] = 0.0;
-        step[1] = 0.0;
+    for (const double *end = buffer + count; buffer != end; buffer += 2) {
+        falling[0] += early * buffer[0];
+        falling[1] += early * buffer[1];
+        rising[0] += late * buffer[0];
+        rising[1] += late * buffer[1];
+        buffer[0] = 0.0;
+        buffer[1] = 0.0;
         falling += 2;
         rising += 2;
     }
 }
 
-/* Shares out the next slices of the older step. */
-static void share_out(zygos_accumulator_t *self, uint32_t slices)
+/* Adds the next slices of the older buffer to the blocks. */
+static void add_slices(zygos_accumulator_t *self, uint32_t slices)
 {
-    zygos_step_t *step = &self->step[1u - self->filling];
+    zygos_row_buffer_t *buffer = &self->buffer[1u - self->filling];
     zygos_block_t *falling = &self->block[self->count - 2u];
     zygos_block_t *rising = &self->block[self->count - 1u];
     const uint32_t entries = slice_of(zygos_gram_entries(self->width));
     const uint32_t sums = slice_of(self->width);
     const uint32_t entry = self->shared * entries;
     const uint32_t row = self->shared * sums;
-    move(&step->gram[entry], &falling->gram[entry], &rising->gram[entry], self->early, self->late, slices * entries);
-    move(&step->sum[row], &falling->sum[row], &rising->sum[row], self->early, self->late, slices * sums);
+    move(&buffer->gram[entry], &falling->gram[entry], &rising->gram[entry], self->early, self->late, slices * entries);
+    move(&buffer->sum[row], &falling->sum[row], &rising->sum[row], self->early, self->late, slices * sums);
     self->shared += slices;
 }
 
-/* When the step is full (1, else 0), it is shared out from here on; the other one is empty, and fills. Factors instead
-   of a branch: all cycles cost the same. */
-static void next_step(zygos_accumulator_t *self, uint32_t full)
+/* When the buffer is full (1, else 0), its slices are added from here on; the other one is empty, and is filled.
+   Factors are used instead of a branch, so that all cycles cost the same. */
+static void next_buffer(zygos_accumulator_t *self, uint32_t full)
 {
     if (full * self->segment >= self->target) {
         next_segment(self);
     }
-    zygos_step_t *step = &self->step[self->filling];
+    zygos_row_buffer_t *buffer = &self->buffer[self->filling];
     zygos_block_t *falling = &self->block[self->count - 2u];
     zygos_block_t *rising = &self->block[self->count - 1u];
-    const double n = full * step->instants;
+    const double n = full * buffer->instants;
     const double reached = (self->segment + 0.5 * n) / self->target;
     const double end[2] = { 1.0, reached };
     const double late = end[reached < 1.0];
@@ -275,7 +276,7 @@ static void next_step(zygos_accumulator_t *self, uint32_t full)
     self->segment += n;
     self->early = share[full][0];
     self->late = share[full][1];
-    step->instants -= n;
+    buffer->instants -= n;
     self->filling ^= full;
     self->filled *= 1u - full;
     self->shared *= 1u - full;
@@ -284,9 +285,9 @@ static void next_step(zygos_accumulator_t *self, uint32_t full)
 void zygos_accumulator_flush(zygos_accumulator_t *self)
 {
     for (uint32_t round = 0; (round < 2u) && (self->count > self->open); round++) {
-        share_out(self, ZYGOS_STEP - self->shared);
+        add_slices(self, ZYGOS_BUFFER_ROWS - self->shared);
         if ((round == 0) && (self->filled > 0)) {
-            next_step(self, 1u);
+            next_buffer(self, 1u);
         }
     }
 }
@@ -298,7 +299,7 @@ void zygos_accumulator_add(zygos_accumulator_t *self, const zygos_row_t *row, do
     if (self->count == self->open) {
         next_segment(self);
     }
-    zygos_step_t *step = &self->step[self->filling];
+    zygos_row_buffer_t *buffer = &self->buffer[self->filling];
     double z[ZYGOS_MAX_ROW];
     for (uint32_t i = 0; i < p / 2u; i++) { /* two at a time, and the last where p is odd */
         z[2u * i] = weight * row->column[2u * i];
@@ -307,11 +308,11 @@ void zygos_accumulator_add(zygos_accumulator_t *self, const zygos_row_t *row, do
     z[p - 1u] = weight * row->column[p - 1u];
     z[p] = weight * row->work;
     z[p + 1u] = weight;
-    zygos_gram_add(step->gram, step->sum, width, z);
-    step->instants += weight;
+    zygos_gram_add(buffer->gram, buffer->sum, width, z);
+    buffer->instants += weight;
     self->filled++;
-    share_out(self, 1u);
-    next_step(self, self->filled / ZYGOS_STEP);
+    add_slices(self, 1u);
+    next_buffer(self, self->filled / ZYGOS_BUFFER_ROWS);
     const uint32_t one = (uint32_t)(weight > 0.0);
     self->arc_instants += one;
     self->accepted += one;
@@ -344,7 +345,7 @@ static bool weighs_what_it_should(const zygos_block_t *block, uint32_t width, do
     const double off = block->gram[zygos_gram_entries(width) - 1u] - block->instants;
     const double shared = block->instants - block->square - block->overlap - before;
     const double few = rounded(block->instants) * (1.0 + block->instants);
-    return (block->seal == 0) && (off >= -few) && (off <= few) && (shared >= -few) && (shared <= few);
+    return (block->checksum == 0) && (off >= -few) && (off <= few) && (shared >= -few) && (shared <= few);
 }
 
 static void forget_open_arc(zygos_accumulator_t *self)
@@ -352,9 +353,9 @@ static void forget_open_arc(zygos_accumulator_t *self)
     clear_share(&self->noise, self->width - 1u);
     clear_share(&self->noise_open, self->width - 1u);
     for (uint32_t k = 0; k < 2u; k++) {
-        memset(self->step[k].gram, 0, zygos_gram_entries(self->width) * sizeof self->step[k].gram[0]);
-        memset(self->step[k].sum, 0, self->width * sizeof self->step[k].sum[0]);
-        self->step[k].instants = 0.0;
+        memset(self->buffer[k].gram, 0, zygos_gram_entries(self->width) * sizeof self->buffer[k].gram[0]);
+        memset(self->buffer[k].sum, 0, self->width * sizeof self->buffer[k].sum[0]);
+        self->buffer[k].instants = 0.0;
     }
     self->arc_instants = 0;
     self->segment = 0.0;
@@ -369,7 +370,7 @@ void zygos_accumulator_leave_out(zygos_accumulator_t *self)
     judge(self);
     self->accepted -= self->arc_instants;
     self->count = self->open;
-    self->seal = seal_of(self);
+    self->checksum = checksum_of(self);
     forget_open_arc(self);
 }
 
@@ -404,11 +405,11 @@ void zygos_accumulator_drop_after(zygos_accumulator_t *self, uint64_t cycle)
         zygos_block_t *last = &self->block[self->open - 1u];
         self->corrupt |= is_whole(last, self->width) ? 0u : 1u;
         last->overlap = 0.0; /* the block behind is gone, or another arc's */
-        last->seal = seal_of_block(last, self->width);
+        last->checksum = checksum_of_block(last, self->width);
     }
     self->newest = (self->newest < self->open) ? self->newest : self->open;
     self->window = (self->window < self->open) ? self->window : self->open;
-    self->seal = seal_of(self);
+    self->checksum = checksum_of(self);
     const double kept = closed_instants(self);
     if (kept < before) {
         self->accepted = (uint64_t)((double)self->accepted * kept / before + 0.5);
@@ -441,18 +442,18 @@ uint32_t zygos_accumulator_drop_until(zygos_accumulator_t *self, uint64_t cycle)
         self->accepted = self->arc_instants + (uint64_t)((double)closed * kept / before + 0.5);
         add_share(&self->noise_closed, &self->noise_closed, kept / before - 1.0, self->width - 1u);
     }
-    self->seal = seal_of(self);
+    self->checksum = checksum_of(self);
     return dropped;
 }
 
-void zygos_accumulator_fade(zygos_accumulator_t *self, double factor)
+void zygos_accumulator_forget(zygos_accumulator_t *self, double factor)
 {
     const uint32_t size = zygos_gram_entries(self->width);
     double left = 0.0;
     for (uint32_t b = 0; b < self->open; b++) {
         zygos_block_t *block = &self->block[b];
         self->corrupt |= is_whole(block, self->width) ? 0u : 1u;
-        const double kept = (factor * block->instants >= ZYGOS_FAINT) ? factor : 0.0;
+        const double kept = (factor * block->instants >= ZYGOS_NEGLIGIBLE_INSTANTS) ? factor : 0.0;
         for (uint32_t k = 0; k < size; k++) {
             block->gram[k] *= kept;
         }
@@ -463,7 +464,7 @@ void zygos_accumulator_fade(zygos_accumulator_t *self, double factor)
         block->instants *= kept;
         block->square *= kept;
         block->overlap *= kept;
-        block->seal = seal_of_block(block, self->width);
+        block->checksum = checksum_of_block(block, self->width);
         left += block->instants;
     }
     add_share(&self->noise_closed, &self->noise_closed, ((left > 0.0) ? factor : 0.0) - 1.0, self->width - 1u);
@@ -511,7 +512,7 @@ void zygos_accumulator_admit(zygos_accumulator_t *self, uint64_t cycle)
 {
     for (uint32_t b = self->open; b < self->count; b++) {
         self->block[b].end = cycle;
-        self->block[b].seal = seal_of_block(&self->block[b], self->width);
+        self->block[b].checksum = checksum_of_block(&self->block[b], self->width);
     }
     add_share(&self->noise_closed, &self->noise_open, 1.0, self->width - 1u);
     if ((double)self->arc_instants >= self->enough) {
@@ -527,7 +528,7 @@ void zygos_accumulator_admit(zygos_accumulator_t *self, uint64_t cycle)
         self->window = self->open;
     }
     self->arcs++;
-    self->seal = seal_of(self);
+    self->checksum = checksum_of(self);
     forget_open_arc(self);
 }
 
@@ -540,21 +541,21 @@ void zygos_accumulator_end_arc(zygos_accumulator_t *self, uint64_t cycle)
 
 static bool is_count(double instants)
 {
-    return (instants >= 0.0) && (instants <= ZYGOS_MOST_INSTANTS);
+    return (instants >= 0.0) && (instants <= ZYGOS_MAX_INSTANTS);
 }
 
 /* An open arc has two blocks at least, and without blocks there is no segment. Instants and target decide whether
-   blocks merge, and so whether there is room. */
+   blocks merge, and so whether blocks are free. */
 bool zygos_accumulator_intact(const zygos_accumulator_t *self, uint32_t parameters)
 {
     const bool is_open = (self->count > self->open);
     bool good = (parameters <= (uint32_t)ZYGOS_MAX_PARAMETERS) && (self->width == parameters + 2u) &&
                 (self->count <= (uint32_t)ZYGOS_MAX_BLOCKS) && (self->open <= self->count) &&
                 (self->count != self->open + 1u) && (self->window <= self->open) && (self->newest <= self->window) &&
-                (self->filling <= 1u) && (self->filled < (uint32_t)ZYGOS_STEP) &&
-                (self->shared < (uint32_t)ZYGOS_STEP) && is_count(self->segment) &&
-                (is_open || !(self->segment > 0.0)) && is_count(self->step[0].instants) &&
-                is_count(self->step[1].instants) && (self->target >= 1.0) && is_count(self->target);
+                (self->filling <= 1u) && (self->filled < (uint32_t)ZYGOS_BUFFER_ROWS) &&
+                (self->shared < (uint32_t)ZYGOS_BUFFER_ROWS) && is_count(self->segment) &&
+                (is_open || !(self->segment > 0.0)) && is_count(self->buffer[0].instants) &&
+                is_count(self->buffer[1].instants) && (self->target >= 1.0) && is_count(self->target);
     for (uint32_t b = 0; good && (b < self->count); b++) {
         good = is_count(self->block[b].instants);
     }
@@ -574,8 +575,8 @@ void zygos_accumulator_total(const zygos_accumulator_t *self, double *gram)
 
 double zygos_accumulator_check(const zygos_accumulator_t *self)
 {
-    double worst = ((self->corrupt != 0) || (self->seal != seal_of(self))) ? 2.0 : 0.0;
-    const zygos_share_t *shares[3] = { &self->noise, &self->noise_open, &self->noise_closed };
+    double worst = ((self->corrupt != 0) || (self->checksum != checksum_of(self))) ? 2.0 : 0.0;
+    const zygos_noise_sums_t *shares[3] = { &self->noise, &self->noise_open, &self->noise_closed };
     for (uint32_t s = 0; s < 3; s++) {
         const double here = zygos_gram_check(shares[s]->gram, self->width - 1u, shares[s]->sum, (double)self->accepted);
         worst = (here > worst) ? here : worst;
@@ -584,7 +585,7 @@ double zygos_accumulator_check(const zygos_accumulator_t *self)
         const double here =
             zygos_gram_check(self->block[b].gram, self->width, self->block[b].sum, self->block[b].instants);
         worst = (here > worst) ? here : worst;
-        const bool closed = (self->block[b].seal != 0);
+        const bool closed = (self->block[b].checksum != 0);
         worst = ((closed == (b < self->open)) && is_whole(&self->block[b], self->width)) ? worst : 2.0;
     }
     return worst;

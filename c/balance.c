@@ -2,7 +2,7 @@
 
 #include <string.h>
 
-void zygos_balance_layout(const zygos_config_t *config, zygos_layout_t *out)
+void zygos_balance_column_map(const zygos_config_t *config, zygos_column_map_t *out)
 {
     memset(out, 0, sizeof *out);
     out->kinetic = zygos_kinetic_parameters(config);
@@ -18,7 +18,7 @@ void zygos_balance_layout(const zygos_config_t *config, zygos_layout_t *out)
     out->count = k + config->effects;
 }
 
-void zygos_balance_gap(zygos_balance_t *self)
+void zygos_balance_reset(zygos_balance_t *self)
 {
     memset(self, 0, sizeof *self);
     self->origin = 1;
@@ -54,10 +54,9 @@ const double *zygos_balance_torque_after(const zygos_balance_t *self, const zygo
     return self->torque[behind(self->torque_at, config)];
 }
 
-/* W, D and the effects at this instant, from those at the one before. Returns what torque steps add to the work of the
- * row. */
-static double carry_on(zygos_balance_t *self, const zygos_config_t *config, const zygos_drift_t *drift,
-                       const zygos_state_t *state)
+/* Advances W, D and the effects to this instant. Returns the term of torque steps in the work of the row. */
+static double advance(zygos_balance_t *self, const zygos_config_t *config, const zygos_integral_bias_t *bias,
+                      const zygos_arm_state_t *state)
 {
     const double *tau = zygos_balance_torque_before(self);
     const double *tau_next = zygos_balance_torque_after(self, config);
@@ -68,28 +67,28 @@ static double carry_on(zygos_balance_t *self, const zygos_config_t *config, cons
         self->work += ratio * tau[i] * (state->theta[i] - self->theta[i]);
         step_work += ratio * (tau_next[i] - tau[i]) * state->theta_rate[i];
         self->theta[i] = state->theta[i];
-        const double slip_rate = state->theta_rate[i] - state->q_rate[i];
-        const double g = slip_rate * slip_rate;
-        double *past_0 = &self->slip_rate[0][i];
-        double *past_1 = &self->slip_rate[1][i];
-        double *past_2 = &self->slip_rate[2][i];
-        self->slip[i] += h24 * (9.0 * g + 19.0 * *past_0 - 5.0 * *past_1 + *past_2) - drift->slip[i];
+        const double dissipation_rate = state->theta_rate[i] - state->q_rate[i];
+        const double g = dissipation_rate * dissipation_rate;
+        double *past_0 = &self->dissipation_rate[0][i];
+        double *past_1 = &self->dissipation_rate[1][i];
+        double *past_2 = &self->dissipation_rate[2][i];
+        self->dissipation[i] += h24 * (9.0 * g + 19.0 * *past_0 - 5.0 * *past_1 + *past_2) - bias->dissipation[i];
         *past_2 = *past_1;
         *past_1 = *past_0;
         *past_0 = g;
     }
-    zygos_effects_carry_on(&self->effects, config, state, tau, tau_next, drift->effect);
+    zygos_effects_advance(&self->effects, config, state, tau, tau_next, bias->effect);
     const double held = (config->torque_law == ZYGOS_TORQUE_SAMPLED) ? 0.0 : 1.0;
     return held * step_work * config->period_s / 12.0;
 }
 
-static void form_row(const zygos_balance_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
-                     const zygos_state_t *state, const zygos_motion_t *motion, zygos_row_t *out)
+static void form_row(const zygos_balance_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+                     const zygos_arm_state_t *state, const zygos_motion_t *motion, zygos_row_t *out)
 {
-    memcpy(out->column, motion->column, layout->body * sizeof out->column[0]);
+    memcpy(out->column, motion->column, column_map->body * sizeof out->column[0]);
     for (uint32_t i = 0; i < config->joints; i++) {
-        double *column = &out->column[layout->joint[i]];
-        if (layout->rotor[i]) {
+        double *column = &out->column[column_map->joint[i]];
+        if (column_map->rotor[i]) {
             const double rotor = config->joint[i].gear_ratio * state->theta_rate[i];
             *column = rotor * (0.5 * rotor + motion->carrier_rate[i]);
             column++;
@@ -97,30 +96,30 @@ static void form_row(const zygos_balance_t *self, const zygos_config_t *config, 
         if (config->joint[i].rigid == 0) {
             const double deflection = state->theta[i] - state->q[i];
             column[0] = 0.5 * deflection * deflection;
-            column[1] = self->slip[i];
+            column[1] = self->dissipation[i];
         }
     }
-    zygos_effects_columns(&self->effects, config, &out->column[layout->effects]);
+    zygos_effects_columns(&self->effects, config, &out->column[column_map->effects]);
     out->work = self->work;
 }
 
-int zygos_balance_row(zygos_balance_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
-                      const zygos_drift_t *drift, const zygos_state_t *state, const zygos_motion_t *motion,
+int zygos_balance_row(zygos_balance_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+                      const zygos_integral_bias_t *bias, const zygos_arm_state_t *state, const zygos_motion_t *motion,
                       zygos_row_t *out)
 {
-    const double step_work = carry_on(self, config, drift, state);
+    const double step_work = advance(self, config, bias, state);
     self->instants += (self->instants < 4u) ? 1u : 0u;
     if (self->instants < 4u) {
         return 0;
     }
-    const double keep = self->origin ? 0.0 : 1.0;
+    const double factor = self->origin ? 0.0 : 1.0;
     self->origin = 0;
-    self->work *= keep;
+    self->work *= factor;
     for (uint32_t i = 0; i < config->joints; i++) {
-        self->slip[i] *= keep;
+        self->dissipation[i] *= factor;
     }
-    zygos_effects_keep(&self->effects, config, keep);
-    form_row(self, config, layout, state, motion, out);
+    zygos_effects_scale(&self->effects, config, factor);
+    form_row(self, config, column_map, state, motion, out);
     out->work += step_work;
     return 1;
 }

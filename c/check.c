@@ -15,8 +15,8 @@ bool zygos_work_intact(zygos_work_t *work)
         (work->config.base > (uint32_t)ZYGOS_BASE_FIXED)) {
         return false;
     }
-    zygos_balance_layout(&work->config, &work->layout);
-    if (!zygos_accumulator_intact(sums, work->layout.count) ||
+    zygos_balance_column_map(&work->config, &work->column_map);
+    if (!zygos_accumulator_intact(sums, work->column_map.count) ||
         !zygos_joint_sums_intact(&work->joint_sums, &work->config) ||
         !zygos_momentum_sums_intact(&work->momentum_sums, &work->config)) {
         return false;
@@ -26,10 +26,10 @@ bool zygos_work_intact(zygos_work_t *work)
         !(zygos_momentum_sums_check(&work->momentum_sums) <= 1.0)) {
         return false;
     }
-    zygos_guard_end_momentum(&work->guard, &work->config, &work->layout, &work->momentum_sums, work->cycle);
+    zygos_guard_end_momentum(&work->guard, &work->config, &work->column_map, &work->momentum_sums, work->cycle);
     zygos_guard_end_energy(&work->guard, &work->config, sums, work->cycle, work->arc);
     if (work->config.impulse_arc_cycles > 0) {
-        zygos_guard_end_motors(&work->guard, &work->config, &work->layout, &work->joint_sums, work->cycle);
+        zygos_guard_end_motors(&work->guard, &work->config, &work->column_map, &work->joint_sums, work->cycle);
     }
     return (sums->corrupt == 0) && (work->joint_sums.corrupt == 0) && (work->momentum_sums.corrupt == 0);
 }

@@ -427,12 +427,13 @@ int zygos_receiver_frame(zygos_receiver_t *self, const zygos_config_t *config, c
     return take(self, config, message, joint, frame);
 }
 
-int zygos_cycle_wrapped(const zygos_hold_t *hold, const zygos_config_t *config, const zygos_cycle_t *cycle)
+int zygos_cycle_wrapped(const zygos_previous_cycle_t *previous, const zygos_config_t *config,
+                        const zygos_cycle_t *cycle)
 {
     double farthest = 0.0;
     for (uint32_t i = 0; i < config->joints; i++) {
-        const double link = __builtin_fabs(cycle->q[i] - hold->q[i]);
-        const double motor = __builtin_fabs(cycle->theta[i] - hold->theta[i]);
+        const double link = __builtin_fabs(cycle->q[i] - previous->q[i]);
+        const double motor = __builtin_fabs(cycle->theta[i] - previous->theta[i]);
         const double moved = config->joint[i].rigid ? motor : link;
         farthest = (moved > farthest) ? moved : farthest;
         farthest = (motor > farthest) ? motor : farthest;
@@ -453,8 +454,8 @@ int zygos_cycle_apart(const zygos_config_t *config, const zygos_cycle_t *cycle)
     return (widest > HALF_RANGE_RAD) ? 1 : 0;
 }
 
-void zygos_cycle_calibrate(zygos_hold_t *hold, const zygos_config_t *config, const zygos_cycle_t *cycle, double *signal,
-                           double *tau)
+void zygos_cycle_calibrate(zygos_previous_cycle_t *previous, const zygos_config_t *config, const zygos_cycle_t *cycle,
+                           double *signal, double *tau)
 {
     const uint32_t n = config->joints;
     /* Shares of the torque reported before and of the one reported with this SYNC. */
@@ -463,10 +464,10 @@ void zygos_cycle_calibrate(zygos_hold_t *hold, const zygos_config_t *config, con
         const zygos_joint_config_t *joint = &config->joint[i];
         signal[n + i] = joint->motor_sign * (cycle->theta[i] - joint->motor_zero_rad);
         signal[i] = joint->rigid ? signal[n + i] : joint->link_sign * (cycle->q[i] - joint->link_zero_rad);
-        tau[i] = share[config->torque_law][0] * hold->reported[i] + share[config->torque_law][1] * cycle->tau[i];
-        hold->reported[i] = cycle->tau[i];
-        hold->q[i] = cycle->q[i];
-        hold->theta[i] = cycle->theta[i];
+        tau[i] = share[config->torque_law][0] * previous->reported[i] + share[config->torque_law][1] * cycle->tau[i];
+        previous->reported[i] = cycle->tau[i];
+        previous->q[i] = cycle->q[i];
+        previous->theta[i] = cycle->theta[i];
     }
     for (uint32_t i = 0; i < 3; i++) {
         const double *row = &config->imu_to_base[3 * i];

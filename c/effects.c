@@ -1,9 +1,35 @@
 #include "zygos/effects.h"
 
+/* No switch over the kinds has a default, so that the compiler names each one that lacks a kind. */
+
 /* Whether the column is energy of the spring: a state without a history, of either sign. */
 static bool stored(const zygos_effect_config_t *effect)
 {
-    return (effect->kind == ZYGOS_CUBIC_STIFFNESS) || (effect->kind == ZYGOS_SPRING_OFFSET);
+    switch ((enum zygos_effect_kind)effect->kind) {
+    case ZYGOS_CUBIC_STIFFNESS:
+    case ZYGOS_SPRING_OFFSET:
+        return true;
+    case ZYGOS_MOTOR_COULOMB:
+    case ZYGOS_MOTOR_VISCOUS:
+    case ZYGOS_LINK_COULOMB:
+    case ZYGOS_TORQUE_LAG:
+        break;
+    }
+    return false;
+}
+
+static bool known(const zygos_effect_config_t *effect)
+{
+    switch ((enum zygos_effect_kind)effect->kind) {
+    case ZYGOS_MOTOR_COULOMB:
+    case ZYGOS_MOTOR_VISCOUS:
+    case ZYGOS_LINK_COULOMB:
+    case ZYGOS_CUBIC_STIFFNESS:
+    case ZYGOS_TORQUE_LAG:
+    case ZYGOS_SPRING_OFFSET:
+        return true;
+    }
+    return false;
 }
 
 int zygos_effects_check(const zygos_config_t *config)
@@ -13,7 +39,7 @@ int zygos_effects_check(const zygos_config_t *config)
     }
     for (uint32_t e = 0; e < config->effects; e++) {
         const zygos_effect_config_t *effect = &config->effect[e];
-        if ((effect->kind > ZYGOS_SPRING_OFFSET) || (effect->joint >= config->joints)) {
+        if (!known(effect) || (effect->joint >= config->joints)) {
             return ZYGOS_E_EFFECT;
         }
         if (stored(effect) && (config->joint[effect->joint].rigid != 0)) {
@@ -39,17 +65,18 @@ uint32_t zygos_effects_positive(const zygos_config_t *config)
 
 double zygos_effects_saturated(double rate)
 {
-    const double share = rate / ZYGOS_SLOWEST_RATE;
+    const double share = rate / ZYGOS_COULOMB_FULL_RATE;
     return 0.5 * (__builtin_fabs(share + 1.0) - __builtin_fabs(share - 1.0));
 }
 
 /* What an effect integrates, adds up or is. Only the configuration chooses. */
-static double newest(const zygos_effect_config_t *effect, double ratio, const zygos_state_t *state, double torque_step)
+static double newest(const zygos_effect_config_t *effect, double ratio, const zygos_arm_state_t *state,
+                     double torque_step)
 {
     const double motor = state->theta_rate[effect->joint];
     const double link = state->q_rate[effect->joint];
     const double deflection = state->theta[effect->joint] - state->q[effect->joint];
-    switch (effect->kind) {
+    switch ((enum zygos_effect_kind)effect->kind) {
     case ZYGOS_MOTOR_COULOMB:
         return ratio * zygos_effects_saturated(motor) * motor;
     case ZYGOS_MOTOR_VISCOUS:
@@ -60,13 +87,14 @@ static double newest(const zygos_effect_config_t *effect, double ratio, const zy
         return 0.25 * deflection * deflection * deflection * deflection;
     case ZYGOS_SPRING_OFFSET:
         return deflection;
-    default:
+    case ZYGOS_TORQUE_LAG:
         return ratio * torque_step * motor;
     }
+    return 0.0;
 }
 
-void zygos_effects_carry_on(zygos_effects_t *self, const zygos_config_t *config, const zygos_state_t *state,
-                            const double *tau_before, const double *tau, const double *drift)
+void zygos_effects_advance(zygos_effects_t *self, const zygos_config_t *config, const zygos_arm_state_t *state,
+                           const double *tau_before, const double *tau, const double *bias)
 {
     const double h24 = config->period_s / 24.0;
     for (uint32_t e = 0; e < config->effects; e++) {
@@ -82,7 +110,7 @@ void zygos_effects_carry_on(zygos_effects_t *self, const zygos_config_t *config,
             self->total[e] += *past_0;
             self->instant[e] = 0.5 * g;
         } else {
-            self->total[e] += h24 * (9.0 * g + 19.0 * *past_0 - 5.0 * *past_1 + *past_2) - drift[e];
+            self->total[e] += h24 * (9.0 * g + 19.0 * *past_0 - 5.0 * *past_1 + *past_2) - bias[e];
         }
         *past_2 = *past_1;
         *past_1 = *past_0;
@@ -90,27 +118,27 @@ void zygos_effects_carry_on(zygos_effects_t *self, const zygos_config_t *config,
     }
 }
 
-void zygos_effects_keep(zygos_effects_t *self, const zygos_config_t *config, double keep)
+void zygos_effects_scale(zygos_effects_t *self, const zygos_config_t *config, double factor)
 {
     for (uint32_t e = 0; e < config->effects; e++) {
-        self->total[e] *= keep;
+        self->total[e] *= factor;
     }
 }
 
-static double cube(const zygos_state_t *state, uint32_t joint)
+static double cube(const zygos_arm_state_t *state, uint32_t joint)
 {
     const double deflection = state->theta[joint] - state->q[joint];
     return deflection * deflection * deflection;
 }
 
-void zygos_effects_motor_slopes(const zygos_config_t *config, uint32_t e, const zygos_state_t *state,
+void zygos_effects_motor_slopes(const zygos_config_t *config, uint32_t e, const zygos_arm_state_t *state,
                                 double torque_step, double *by_angle, double *by_rate)
 {
     const uint32_t i = config->effect[e].joint;
     const double ratio = config->joint[i].gear_ratio;
     *by_angle = 0.0;
     *by_rate = 0.0;
-    switch (config->effect[e].kind) {
+    switch ((enum zygos_effect_kind)config->effect[e].kind) {
     case ZYGOS_MOTOR_COULOMB:
         *by_angle = ratio * zygos_effects_saturated(state->theta_rate[i]);
         break;
@@ -126,24 +154,27 @@ void zygos_effects_motor_slopes(const zygos_config_t *config, uint32_t e, const 
     case ZYGOS_TORQUE_LAG:
         *by_rate = 0.5 * ratio * torque_step;
         break;
-    default:
+    case ZYGOS_LINK_COULOMB:
         break;
     }
 }
 
-double zygos_effects_link_slope(const zygos_config_t *config, uint32_t e, const zygos_state_t *state)
+double zygos_effects_link_slope(const zygos_config_t *config, uint32_t e, const zygos_arm_state_t *state)
 {
     const uint32_t i = config->effect[e].joint;
-    switch (config->effect[e].kind) {
+    switch ((enum zygos_effect_kind)config->effect[e].kind) {
     case ZYGOS_LINK_COULOMB:
         return zygos_effects_saturated(state->q_rate[i]);
     case ZYGOS_CUBIC_STIFFNESS:
         return -cube(state, i);
     case ZYGOS_SPRING_OFFSET:
         return -1.0;
-    default:
-        return 0.0;
+    case ZYGOS_MOTOR_COULOMB:
+    case ZYGOS_MOTOR_VISCOUS:
+    case ZYGOS_TORQUE_LAG:
+        break;
     }
+    return 0.0;
 }
 
 void zygos_effects_columns(const zygos_effects_t *self, const zygos_config_t *config, double *column)

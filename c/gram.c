@@ -95,18 +95,18 @@ double zygos_gram_check(const double *gram, uint32_t width, const double *sum, d
     return worst;
 }
 
-/* Odd, so that no two seals become one. */
-uint64_t zygos_seal_number(uint64_t seal, uint64_t number)
+/* The factor is odd, so that two checksums never become equal. */
+uint64_t zygos_checksum_number(uint64_t checksum, uint64_t number)
 {
-    return (seal ^ number) * 0x100000001B3u;
+    return (checksum ^ number) * 0x100000001B3u;
 }
 
-uint64_t zygos_seal_doubles(uint64_t seal, const double *x, uint32_t n)
+uint64_t zygos_checksum_doubles(uint64_t checksum, const double *x, uint32_t n)
 {
     for (uint32_t i = 0; i < n; i++) {
         uint64_t bits;
         memcpy(&bits, &x[i], sizeof bits);
-        seal = zygos_seal_number(seal, bits);
+        checksum = zygos_checksum_number(checksum, bits);
     }
-    return seal;
+    return checksum;
 }

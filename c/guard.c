@@ -5,12 +5,12 @@
 #include <stddef.h>
 #include <string.h>
 
-/* Standard deviations that are no accident: those of ZYGOS_DRIFT_ALARM. */
+/* Number of standard deviations of a contradiction, as ZYGOS_CHANGE_ALARM. */
 #define SIGMAS 6.0
-/* Of a random walk's mean square about its own mean, as the solver has it. */
+/* Divisor of the mean square of a random walk about its own mean, as in the solver. */
 #define WALK 10.0
-/* An arc can say that it agrees when this share of its spread would have contradicted. */
-#define TELLING 0.1
+/* An arc counts as agreeing when a residual of this share of its spread would have contradicted. */
+#define INFORMATIVE 0.1
 
 void zygos_guard_clear(zygos_guard_t *self, bool counters, uint64_t cycle)
 {
@@ -28,8 +28,8 @@ void zygos_guard_clear(zygos_guard_t *self, bool counters, uint64_t cycle)
     self->since = cycle;
 }
 
-/* Each step is a bijection, so no flipped bit goes unnoticed. */
-static uint64_t check_of(const zygos_guard_t *self)
+/* Each iteration is a bijection, so that every flipped bit changes the result. */
+static uint64_t checksum_of(const zygos_guard_t *self)
 {
     const unsigned char *from = (const unsigned char *)&self->noise_ratio;
     const size_t words = (sizeof *self - offsetof(zygos_guard_t, noise_ratio)) / sizeof(uint64_t);
@@ -46,18 +46,18 @@ bool zygos_guard_intact(const zygos_guard_t *self)
 {
     bool good = (self->known <= 1u) && (self->changed <= 1u);
     for (uint32_t k = 0; k < (uint32_t)ZYGOS_KINDS_OF_ROWS; k++) {
-        good = good && (self->instants[k] >= 0.0) && (self->instants[k] <= ZYGOS_MOST_INSTANTS);
+        good = good && (self->instants[k] >= 0.0) && (self->instants[k] <= ZYGOS_MAX_INSTANTS);
     }
     return good;
 }
 
-/* Whether there is a running solution that can be trusted; one that was spoilt is forgotten. */
-static bool knows(zygos_guard_t *self, uint32_t parameters)
+/* Whether there is a running solution with the right checksum; otherwise it is discarded. */
+static bool has_running_solution(zygos_guard_t *self, uint32_t parameters)
 {
     if (self->known == 0) {
         return false;
     }
-    if ((self->parameters != parameters) || (self->check != check_of(self))) {
+    if ((self->parameters != parameters) || (self->checksum != checksum_of(self))) {
         self->known = 0;
         self->lost++;
         return false;
@@ -65,34 +65,34 @@ static bool knows(zygos_guard_t *self, uint32_t parameters)
     return true;
 }
 
-/* Entry of a symmetric matrix that is kept as its lower triangle. */
+/* Entry of a symmetric matrix that is stored as its lower triangle. */
 static double entry(const double *packed, uint32_t i, uint32_t j)
 {
     return (i >= j) ? packed[zygos_gram_entries(i) + j] : packed[zygos_gram_entries(j) + i];
 }
 
-/* What the rows of an arc say of the running solution. */
+/* Comparison of the rows of an arc with the running solution. */
 typedef struct {
-    double residual; /* Sum of the residuals' squares, noise included. */
-    double usual;    /* What of it is usual. */
-    double off;      /* Its expectation when the solution is off by one standard deviation. */
-    double spread;   /* Sum of the squares of the right side. */
+    double residual;    /* Sum of the squared residuals, including noise. */
+    double expected;    /* Its expected value by the declared noise. */
+    double uncertainty; /* Its expectation for an error of the solution of one standard deviation. */
+    double spread;      /* Sum of the squares of the right side. */
 } finding_t;
 
-/* Adds x~' G x~ of columns that stand at place[] of all, the right side behind them, and tr(G C). */
-static void look(const zygos_guard_t *self, const double *gram, const uint32_t *place, uint32_t columns, bool sides,
-                 finding_t *out)
+/* Adds x~' G x~ and tr(G C) of the columns at place[], followed by the right side. */
+static void add_residuals(const zygos_guard_t *self, const double *gram, const uint32_t *place, uint32_t columns,
+                          bool sides, finding_t *out)
 {
     for (uint32_t a = 0; a < columns; a++) {
         const uint32_t i = place ? place[a] : a;
         for (uint32_t b = 0; b < a; b++) {
             const uint32_t j = place ? place[b] : b;
             out->residual += 2.0 * *gram * self->solution[i] * self->solution[j];
-            out->off += 2.0 * *gram * entry(self->covariance, i, j);
+            out->uncertainty += 2.0 * *gram * entry(self->covariance, i, j);
             gram++;
         }
         out->residual += *gram * self->solution[i] * self->solution[i];
-        out->off += *gram * entry(self->covariance, i, i);
+        out->uncertainty += *gram * entry(self->covariance, i, i);
         gram++;
     }
     for (uint32_t a = 0; sides && (a < columns); a++) {
@@ -102,7 +102,7 @@ static void look(const zygos_guard_t *self, const double *gram, const uint32_t *
     out->spread += sides ? gram[columns] : 0.0;
 }
 
-double zygos_guard_most(double freedom)
+double zygos_guard_chi_square_limit(double freedom)
 {
     const double u = 2.0 / (9.0 * ((freedom > 1.0) ? freedom : 1.0));
     const double third = 1.0 - u + SIGMAS * __builtin_sqrt(u);
@@ -114,14 +114,14 @@ static double larger(double a, double b)
     return (a > b) ? a : b;
 }
 
-/* The limit of a finding: usual is what n instants of the run leave, by number and by spread, and what noise says. */
-static double limit_of(const finding_t *found, const zygos_usual_t *usual, double n, double freedom)
+/* The limit of the residuals: what n instants of the run leave on average, by number and by spread, or what the
+   declared noise leaves. */
+static double limit_of(const finding_t *found, const zygos_mean_squares_t *run, double n, double freedom)
 {
-    const double spread = larger(found->spread, n * usual->spread);
-    const double alike =
-        larger(n * usual->residual, (usual->spread > 0.0) ? usual->residual / usual->spread * spread : 0.0);
-    return zygos_guard_most(freedom) * larger(found->usual, alike) + SIGMAS * SIGMAS * larger(found->off, 0.0) +
-           ZYGOS_GUARD_SHARE * ZYGOS_GUARD_SHARE * spread;
+    const double spread = larger(found->spread, n * run->spread);
+    const double alike = larger(n * run->residual, (run->spread > 0.0) ? run->residual / run->spread * spread : 0.0);
+    return zygos_guard_chi_square_limit(freedom) * larger(found->expected, alike) +
+           SIGMAS * SIGMAS * larger(found->uncertainty, 0.0) + ZYGOS_GUARD_SHARE * ZYGOS_GUARD_SHARE * spread;
 }
 
 static uint32_t longest(const zygos_config_t *config, uint32_t rows)
@@ -132,45 +132,47 @@ static uint32_t longest(const zygos_config_t *config, uint32_t rows)
     return (rows == (uint32_t)ZYGOS_MOTOR_ROWS) ? config->impulse_arc_cycles : config->momentum_arc_cycles;
 }
 
-/* Arcs in a row that are no accident. */
-static uint32_t several(const zygos_config_t *config, uint32_t rows)
+/* Number of consecutive arcs that mean a change of the arm. */
+static uint32_t consecutive_limit(const zygos_config_t *config, uint32_t rows)
 {
     const uint32_t own = longest(config, rows);
-    return ZYGOS_IN_A_ROW * (((own > 0) && (own < config->arc_cycles)) ? (config->arc_cycles + own - 1u) / own : 1u);
+    return ZYGOS_CONSECUTIVE_ARCS *
+           (((own > 0) && (own < config->arc_cycles)) ? (config->arc_cycles + own - 1u) / own : 1u);
 }
 
-/* Counts an arc that was judged. telling: it could have contradicted. there: instants in the sums. */
-static void count(zygos_guard_t *self, const zygos_config_t *config, uint32_t rows, bool contradicts, bool telling,
+/* Counts an arc that was compared. informative: it could have contradicted. there: instants in the sums. */
+static void count(zygos_guard_t *self, const zygos_config_t *config, uint32_t rows, bool contradicts, bool informative,
                   double n, double there, uint64_t cycle, uint32_t cycles)
 {
     if (contradicts) {
         const uint32_t place = (self->left_out[0] + self->left_out[1] + self->left_out[2]) % ZYGOS_GUARD_ARCS;
         self->newest[place] = (zygos_left_out_t){ cycle, cycles, rows };
         self->left_out[rows]++;
-        self->in_a_row[rows]++;
+        self->consecutive[rows]++;
         self->instants[rows] += n;
-        self->agreed[rows] = 0.0;
+        self->agreeing_instants[rows] = 0.0;
     } else {
-        self->agreed[rows] += telling ? n : 0.0;
+        self->agreeing_instants[rows] += informative ? n : 0.0;
     }
-    if (self->agreed[rows] >= 0.5 * (double)longest(config, rows)) {
-        self->in_a_row[rows] = 0;
+    if (self->agreeing_instants[rows] >= 0.5 * (double)longest(config, rows)) {
+        self->consecutive[rows] = 0;
         self->instants[rows] = 0.0;
-        self->agreed[rows] = 0.0;
+        self->agreeing_instants[rows] = 0.0;
     }
     self->changed = 0;
     for (uint32_t k = 0; k < (uint32_t)ZYGOS_KINDS_OF_ROWS; k++) {
-        self->changed |= (self->in_a_row[k] >= several(config, k)) ? 1u : 0u;
+        self->changed |= (self->consecutive[k] >= consecutive_limit(config, k)) ? 1u : 0u;
     }
     if ((self->changed != 0) && (self->instants[rows] > there)) {
-        /* What is known is the smaller part, and is not taken up again before half an arc has been admitted. */
+        /* The sums hold fewer instants than the arcs that contradict; they are not adopted again before half an arc has
+           been admitted. */
         self->known = 0;
         self->since = cycle + config->arc_cycles / 2u;
     }
 }
 
 static bool energy_contradicts(zygos_guard_t *self, const zygos_config_t *config, const zygos_accumulator_t *sums,
-                               bool *telling)
+                               bool *informative)
 {
     const uint32_t p = sums->width - 2u;
     const double n = (double)sums->arc_instants;
@@ -178,41 +180,42 @@ static bool energy_contradicts(zygos_guard_t *self, const zygos_config_t *config
     finding_t rows = { 0.0, 0.0, 0.0, 0.0 };
     finding_t noise = { 0.0, 0.0, 0.0, 0.0 };
     finding_t blocks = { 0.0, 0.0, 0.0, 0.0 };
-    look(self, sums->noise_open.gram, NULL, p, true, &noise);
-    rows.usual = self->noise_ratio * noise.residual;
+    add_residuals(self, sums->noise_open.gram, NULL, p, true, &noise);
+    rows.expected = self->noise_ratio * noise.residual;
     double share = 0.0;
     double count_of_blocks = 0.0;
     for (uint32_t b = sums->open; b < sums->count; b++) {
         const zygos_block_t *block = &sums->block[b];
-        look(self, block->gram, NULL, p, true, &rows);
+        add_residuals(self, block->gram, NULL, p, true, &rows);
         if (!(block->square > 0.0)) {
             continue;
         }
         double sum = block->deviation[p];
-        double off = 0.0;
+        double uncertainty = 0.0;
         for (uint32_t i = 0; i < p; i++) {
             sum -= self->solution[i] * block->deviation[i];
             for (uint32_t j = 0; j < i; j++) {
-                off += 2.0 * block->deviation[i] * block->deviation[j] * entry(self->covariance, i, j);
+                uncertainty += 2.0 * block->deviation[i] * block->deviation[j] * entry(self->covariance, i, j);
             }
-            off += block->deviation[i] * block->deviation[i] * entry(self->covariance, i, i);
+            uncertainty += block->deviation[i] * block->deviation[i] * entry(self->covariance, i, i);
         }
         blocks.residual += sum * sum / block->square;
-        blocks.off += off / block->square;
+        blocks.uncertainty += uncertainty / block->square;
         share += block->instants * block->instants / block->square;
         count_of_blocks += 1.0;
     }
     rows.residual += noise.residual;
     const double limit = limit_of(&rows, &self->energy, n, n / window);
-    /* What adds up in a block: as the run has it, of a mean square that is usual. */
-    const double usual = larger(rows.usual / n, self->energy.residual);
-    const double most = zygos_guard_most(0.5 * count_of_blocks) * self->cluster * usual * count_of_blocks +
-                        SIGMAS * SIGMAS * larger(blocks.off, 0.0) +
-                        ZYGOS_GUARD_SHARE * ZYGOS_GUARD_SHARE * self->energy.spread * share;
+    /* The squared sums of residuals in blocks: by the cluster statistic of the run and the expected mean square. */
+    const double expected = larger(rows.expected / n, self->energy.residual);
+    const double most =
+        zygos_guard_chi_square_limit(0.5 * count_of_blocks) * self->cluster * expected * count_of_blocks +
+        SIGMAS * SIGMAS * larger(blocks.uncertainty, 0.0) +
+        ZYGOS_GUARD_SHARE * ZYGOS_GUARD_SHARE * self->energy.spread * share;
     const double first = (limit > 0.0) ? rows.residual / limit : 0.0;
     const double second = (most > 0.0) ? blocks.residual / most : 0.0;
     self->contradiction[ZYGOS_ENERGY_ROWS] = larger(first, second);
-    *telling = limit < TELLING * rows.spread;
+    *informative = limit < INFORMATIVE * rows.spread;
     return self->contradiction[ZYGOS_ENERGY_ROWS] > 1.0;
 }
 
@@ -222,17 +225,17 @@ void zygos_guard_end_energy(zygos_guard_t *self, const zygos_config_t *config, z
     if (!zygos_accumulator_close(sums)) {
         return;
     }
-    if (!knows(self, sums->width - 2u) || !(self->energy.residual > 0.0)) {
+    if (!has_running_solution(self, sums->width - 2u) || !(self->energy.residual > 0.0)) {
         zygos_accumulator_admit(sums, cycle);
         return;
     }
-    bool telling = false;
-    const bool contradicts = energy_contradicts(self, config, sums, &telling);
+    bool informative = false;
+    const bool contradicts = energy_contradicts(self, config, sums, &informative);
     double there = 0.0;
     for (uint32_t b = 0; b < sums->open; b++) {
         there += sums->block[b].instants;
     }
-    count(self, config, (uint32_t)ZYGOS_ENERGY_ROWS, contradicts, telling, (double)sums->arc_instants, there, cycle,
+    count(self, config, (uint32_t)ZYGOS_ENERGY_ROWS, contradicts, informative, (double)sums->arc_instants, there, cycle,
           cycles);
     if (contradicts) {
         zygos_accumulator_leave_out(sums);
@@ -242,56 +245,57 @@ void zygos_guard_end_energy(zygos_guard_t *self, const zygos_config_t *config, z
 }
 
 /* Places of the columns of the motor rows of a joint. Returns their number. */
-static uint32_t motor_places(const zygos_layout_t *layout, const zygos_impulse_layout_t *columns, uint32_t i,
-                             uint32_t *place)
+static uint32_t motor_places(const zygos_column_map_t *column_map, const zygos_impulse_column_map_t *columns,
+                             uint32_t i, uint32_t *place)
 {
     for (uint32_t c = 0; c < columns->count[i]; c++) {
-        place[c] = (c < 3u) ? layout->joint[i] + c : layout->effects + columns->effect[i][c - 3u];
+        place[c] = (c < 3u) ? column_map->joint[i] + c : column_map->effects + columns->effect[i][c - 3u];
     }
     return columns->count[i];
 }
 
-/* What a joint's rows in a block leave; usual is what the declared noise makes of it. */
-static void look_at_motor(const zygos_guard_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
-                          const zygos_joint_sums_t *sums, const zygos_joint_block_t *block, uint32_t i, finding_t *out)
+/* The residuals of a joint's rows in a block, and their expected value by the declared noise. */
+static void add_motor_residuals(const zygos_guard_t *self, const zygos_config_t *config,
+                                const zygos_column_map_t *column_map, const zygos_joint_sums_t *sums,
+                                const zygos_joint_block_t *block, uint32_t i, finding_t *out)
 {
     uint32_t place[ZYGOS_MAX_IMPULSE] = { 0 };
-    const uint32_t columns = motor_places(layout, &sums->layout, i, place);
+    const uint32_t columns = motor_places(column_map, &sums->column_map, i, place);
     const zygos_joint_config_t *joint = &config->joint[i];
     finding_t noise = { 0.0, 0.0, 0.0, 0.0 };
-    look(self, sums->noise[i], place, columns, false, &noise);
-    look(self, block->joint[i].gram, place, columns, true, out);
+    add_residuals(self, sums->noise[i], place, columns, false, &noise);
+    add_residuals(self, block->joint[i].gram, place, columns, true, out);
     const double n = block->instants[i];
     const double stiffness = self->solution[place[1]];
     const double reading =
         joint->link_sigma_rad * joint->link_sigma_rad + joint->motor_sigma_rad * joint->motor_sigma_rad;
     const double arc_s = config->period_s * (double)config->impulse_arc_cycles;
     out->residual += n * noise.residual;
-    out->usual += n * (noise.residual + stiffness * stiffness * reading * arc_s * arc_s / WALK);
+    out->expected += n * (noise.residual + stiffness * stiffness * reading * arc_s * arc_s / WALK);
 }
 
-void zygos_guard_end_motors(zygos_guard_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
+void zygos_guard_end_motors(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
                             zygos_joint_sums_t *sums, uint64_t cycle)
 {
     const uint32_t cycles = sums->cycles;
     if (!zygos_joint_sums_close(sums, config)) {
         return;
     }
-    if (!knows(self, layout->count)) {
+    if (!has_running_solution(self, column_map->count)) {
         zygos_joint_sums_admit(sums, cycle);
         return;
     }
     double worst = 0.0;
-    bool telling = false;
+    bool informative = false;
     for (uint32_t i = 0; i < config->joints; i++) {
         const double n = sums->open.instants[i];
-        if ((sums->layout.count[i] == 0) || !(n > 0.0) || !(self->motor[i].residual > 0.0)) {
+        if ((sums->column_map.count[i] == 0) || !(n > 0.0) || !(self->motor[i].residual > 0.0)) {
             continue;
         }
         finding_t found = { 0.0, 0.0, 0.0, 0.0 };
-        look_at_motor(self, config, layout, sums, &sums->open, i, &found);
+        add_motor_residuals(self, config, column_map, sums, &sums->open, i, &found);
         const double limit = limit_of(&found, &self->motor[i], n, 1.0);
-        telling = telling || (limit < TELLING * found.spread);
+        informative = informative || (limit < INFORMATIVE * found.spread);
         worst = (limit > 0.0) ? larger(worst, found.residual / limit) : worst;
     }
     double there = 0.0;
@@ -299,7 +303,8 @@ void zygos_guard_end_motors(zygos_guard_t *self, const zygos_config_t *config, c
         there += sums->block[b].total;
     }
     self->contradiction[ZYGOS_MOTOR_ROWS] = worst;
-    count(self, config, (uint32_t)ZYGOS_MOTOR_ROWS, worst > 1.0, telling, (double)sums->instants, there, cycle, cycles);
+    count(self, config, (uint32_t)ZYGOS_MOTOR_ROWS, worst > 1.0, informative, (double)sums->instants, there, cycle,
+          cycles);
     if (worst > 1.0) {
         zygos_joint_sums_leave_out(sums);
     } else {
@@ -307,37 +312,37 @@ void zygos_guard_end_motors(zygos_guard_t *self, const zygos_config_t *config, c
     }
 }
 
-/* What momentum rows leave. Their right side is zero: the parts that must cancel stand for its spread. */
-static void look_at_momentum(const zygos_guard_t *self, const zygos_layout_t *layout, const zygos_momentum_sums_t *sums,
-                             const zygos_momentum_gram_t *rows, finding_t *out)
+/* The residuals of momentum rows. Their right side is zero: the terms that must cancel are used as its spread. */
+static void add_momentum_residuals(const zygos_guard_t *self, const zygos_column_map_t *column_map,
+                                   const zygos_momentum_sums_t *sums, const zygos_momentum_gram_t *rows, finding_t *out)
 {
     uint32_t place[ZYGOS_MAX_MOMENTUM];
     for (uint32_t c = 0; c < sums->columns; c++) {
-        place[c] = (c < layout->kinetic) ? c : layout->joint[c - layout->kinetic];
+        place[c] = (c < column_map->kinetic) ? c : column_map->joint[c - column_map->kinetic];
         const double x = self->solution[place[c]];
         out->spread += x * x * rows->gram[zygos_gram_entries(c + 1u) - 1u];
     }
-    look(self, rows->gram, place, sums->columns, false, out);
+    add_residuals(self, rows->gram, place, sums->columns, false, out);
 }
 
-void zygos_guard_end_momentum(zygos_guard_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
+void zygos_guard_end_momentum(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
                               zygos_momentum_sums_t *sums, uint64_t cycle)
 {
     const uint32_t cycles = sums->cycles;
     if (!zygos_momentum_sums_close(sums, config)) {
         return;
     }
-    if (!knows(self, layout->count) || !(self->momentum.residual > 0.0)) {
+    if (!has_running_solution(self, column_map->count) || !(self->momentum.residual > 0.0)) {
         zygos_momentum_sums_admit(sums, cycle);
         return;
     }
     const double n = sums->open.instants;
     finding_t found = { 0.0, 0.0, 0.0, 0.0 };
     finding_t noise = { 0.0, 0.0, 0.0, 0.0 };
-    look_at_momentum(self, layout, sums, &sums->noise_open, &noise);
-    look_at_momentum(self, layout, sums, &sums->open.rows, &found);
+    add_momentum_residuals(self, column_map, sums, &sums->noise_open, &noise);
+    add_momentum_residuals(self, column_map, sums, &sums->open.rows, &found);
     found.residual += noise.residual;
-    found.usual = noise.residual;
+    found.expected = noise.residual;
     const double limit = limit_of(&found, &self->momentum, n, 1.0);
     const bool contradicts = (limit > 0.0) && (found.residual > limit);
     double there = 0.0;
@@ -345,7 +350,7 @@ void zygos_guard_end_momentum(zygos_guard_t *self, const zygos_config_t *config,
         there += sums->block[b].instants;
     }
     self->contradiction[ZYGOS_MOMENTUM_ROWS] = (limit > 0.0) ? found.residual / limit : 0.0;
-    count(self, config, (uint32_t)ZYGOS_MOMENTUM_ROWS, contradicts, limit < TELLING * found.spread, n, there, cycle,
+    count(self, config, (uint32_t)ZYGOS_MOMENTUM_ROWS, contradicts, limit < INFORMATIVE * found.spread, n, there, cycle,
           cycles);
     if (contradicts) {
         zygos_momentum_sums_leave_out(sums);
@@ -363,9 +368,9 @@ void zygos_guard_drop(zygos_guard_t *self, zygos_accumulator_t *energy, zygos_jo
     self->dropped = cycle;
 }
 
-static zygos_usual_t usual_of(const finding_t *found, double n)
+static zygos_mean_squares_t mean_squares_of(const finding_t *found, double n)
 {
-    zygos_usual_t out = { 0.0, 0.0 };
+    zygos_mean_squares_t out = { 0.0, 0.0 };
     if ((n > 0.0) && (found->residual > 0.0)) {
         out.residual = found->residual / n;
         out.spread = larger(found->spread, 0.0) / n;
@@ -373,11 +378,11 @@ static zygos_usual_t usual_of(const finding_t *found, double n)
     return out;
 }
 
-void zygos_guard_begin(zygos_guard_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
+void zygos_guard_begin(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
                        const zygos_accumulator_t *energy, const zygos_joint_sums_t *motors,
                        const zygos_momentum_sums_t *momentum)
 {
-    const uint32_t p = layout->count;
+    const uint32_t p = column_map->count;
     double spread = 0.0;
     double n = 0.0;
     for (uint32_t b = 0; b < energy->open; b++) {
@@ -389,29 +394,29 @@ void zygos_guard_begin(zygos_guard_t *self, const zygos_config_t *config, const 
     for (uint32_t i = 0; i < config->joints; i++) {
         finding_t found = { 0.0, 0.0, 0.0, 0.0 };
         n = 0.0;
-        for (uint32_t b = 0; (b < motors->count) && (motors->layout.count[i] > 0); b++) {
-            look_at_motor(self, config, layout, motors, &motors->block[b], i, &found);
+        for (uint32_t b = 0; (b < motors->count) && (motors->column_map.count[i] > 0); b++) {
+            add_motor_residuals(self, config, column_map, motors, &motors->block[b], i, &found);
             n += motors->block[b].instants[i];
         }
-        self->motor[i] = usual_of(&found, n);
+        self->motor[i] = mean_squares_of(&found, n);
     }
     finding_t found = { 0.0, 0.0, 0.0, 0.0 };
     n = 0.0;
     for (uint32_t b = 0; b < momentum->count; b++) {
-        look_at_momentum(self, layout, momentum, &momentum->block[b].rows, &found);
+        add_momentum_residuals(self, column_map, momentum, &momentum->block[b].rows, &found);
         n += momentum->block[b].instants;
     }
     if (n > 0.0) {
-        look_at_momentum(self, layout, momentum, &momentum->noise_closed, &found);
+        add_momentum_residuals(self, column_map, momentum, &momentum->noise_closed, &found);
     }
-    self->momentum = usual_of(&found, n);
+    self->momentum = mean_squares_of(&found, n);
     if (self->known == 0) { /* the first, or that of another arm */
-        memset(self->in_a_row, 0, sizeof self->in_a_row);
+        memset(self->consecutive, 0, sizeof self->consecutive);
         memset(self->instants, 0, sizeof self->instants);
-        memset(self->agreed, 0, sizeof self->agreed);
+        memset(self->agreeing_instants, 0, sizeof self->agreeing_instants);
         self->changed = 0;
     }
     self->known = 1;
     self->parameters = p;
-    self->check = check_of(self);
+    self->checksum = checksum_of(self);
 }

@@ -2,7 +2,7 @@
 
 #include <string.h>
 
-void zygos_impulse_layout(const zygos_config_t *config, zygos_impulse_layout_t *out)
+void zygos_impulse_column_map(const zygos_config_t *config, zygos_impulse_column_map_t *out)
 {
     memset(out, 0, sizeof *out);
     for (uint32_t i = 0; i < config->joints; i++) {
@@ -17,7 +17,7 @@ void zygos_impulse_layout(const zygos_config_t *config, zygos_impulse_layout_t *
     }
 }
 
-void zygos_impulse_gap(zygos_impulse_t *self)
+void zygos_impulse_reset(zygos_impulse_t *self)
 {
     memset(self, 0, sizeof *self);
     self->origin = 1;
@@ -44,7 +44,7 @@ static double effect_column(uint32_t kind, double ratio, double theta, double th
                             double tau_mean, double *integrand)
 {
     *integrand = 0.0;
-    switch (kind) {
+    switch ((enum zygos_effect_kind)kind) {
     case ZYGOS_MOTOR_COULOMB:
         *integrand = ratio * zygos_effects_saturated(theta_rate);
         return 0.0;
@@ -56,41 +56,45 @@ static double effect_column(uint32_t kind, double ratio, double theta, double th
     case ZYGOS_SPRING_OFFSET:
         *integrand = 1.0;
         return 0.0;
-    default:
+    case ZYGOS_TORQUE_LAG:
         return ratio * tau_mean;
+    case ZYGOS_LINK_COULOMB: /* acts on no rotor, and has no column here */
+        break;
     }
+    return 0.0;
 }
 
-int zygos_impulse_row(zygos_impulse_t *self, const zygos_config_t *config, const zygos_impulse_layout_t *layout,
-                      const zygos_state_t *state, const zygos_motion_t *motion, const double *tau_before,
+int zygos_impulse_row(zygos_impulse_t *self, const zygos_config_t *config, const zygos_impulse_column_map_t *column_map,
+                      const zygos_arm_state_t *state, const zygos_motion_t *motion, const double *tau_before,
                       const double *tau, zygos_impulse_rows_t *out)
 {
     const double h = config->period_s;
     const double h24 = h / 24.0;
     const double h12 = (config->torque_law == ZYGOS_TORQUE_SAMPLED) ? 0.0 : h / 12.0;
     self->instants += (self->instants < 4u) ? 1u : 0u;
-    const double keep = self->origin ? 0.0 : 1.0;
+    const double factor = self->origin ? 0.0 : 1.0;
     for (uint32_t i = 0; i < config->joints; i++) {
-        if (layout->count[i] == 0) {
+        if (column_map->count[i] == 0) {
             continue;
         }
         const double ratio = config->joint[i].gear_ratio;
         const double deflection = state->theta[i] - state->q[i];
         double *column = out->column[i];
-        self->impulse[i] = keep * (self->impulse[i] + ratio * h * tau_before[i]);
-        self->wound[i] = keep * (self->wound[i] + step_integral(h24, deflection, &self->past[0][i], &self->past[1][i],
-                                                                &self->past[2][i]));
+        self->impulse[i] = factor * (self->impulse[i] + ratio * h * tau_before[i]);
+        self->deflection_integral[i] =
+            factor * (self->deflection_integral[i] +
+                      step_integral(h24, deflection, &self->past[0][i], &self->past[1][i], &self->past[2][i]));
         column[0] = ratio * (ratio * state->theta_rate[i] + motion->carrier_rate[i]);
-        column[1] = self->wound[i];
+        column[1] = self->deflection_integral[i];
         column[2] = deflection;
         out->impulse[i] = self->impulse[i] + ratio * h12 * (tau[i] - tau_before[i]);
-        for (uint32_t c = 3; c < layout->count[i]; c++) {
-            const uint32_t e = layout->effect[i][c - 3u];
+        for (uint32_t c = 3; c < column_map->count[i]; c++) {
+            const uint32_t e = column_map->effect[i][c - 3u];
             double integrand;
             const double value = effect_column(config->effect[e].kind, ratio, state->theta[i], state->theta_rate[i],
                                                deflection, 0.5 * (tau_before[i] + tau[i]), &integrand);
-            self->total[e] = keep * (self->total[e] + step_integral(h24, integrand, &self->before[0][e],
-                                                                    &self->before[1][e], &self->before[2][e]));
+            self->total[e] = factor * (self->total[e] + step_integral(h24, integrand, &self->before[0][e],
+                                                                      &self->before[1][e], &self->before[2][e]));
             column[c] = self->total[e] + value;
         }
     }
@@ -101,7 +105,7 @@ int zygos_impulse_row(zygos_impulse_t *self, const zygos_config_t *config, const
     return 1;
 }
 
-void zygos_impulse_noise(const zygos_config_t *config, const zygos_impulse_layout_t *layout,
+void zygos_impulse_noise(const zygos_config_t *config, const zygos_impulse_column_map_t *column_map,
                          const zygos_smoother_t *smoother, double imu_sigma, uint32_t joint, double *out)
 {
     const uint32_t n = config->joints;
@@ -130,14 +134,14 @@ void zygos_impulse_noise(const zygos_config_t *config, const zygos_impulse_layou
     const double rate = motor_variance * motor[2];
     const double both = motor_variance * motor[1];
     /* How each column depends on the motor's rate and value; the others' noise is in it alone. */
-    for (uint32_t a = 0; a < layout->count[joint]; a++) {
+    for (uint32_t a = 0; a < column_map->count[joint]; a++) {
         for (uint32_t b = 0; b <= a; b++) {
             double by_rate[2] = { 0.0, 0.0 };
             double by_value[2] = { 0.0, 0.0 };
             const uint32_t at[2] = { a, b };
             for (uint32_t k = 0; k < 2; k++) {
                 const bool effect = (at[k] > 2u);
-                const uint32_t kind = effect ? config->effect[layout->effect[joint][at[k] - 3u]].kind : 0u;
+                const uint32_t kind = effect ? config->effect[column_map->effect[joint][at[k] - 3u]].kind : 0u;
                 by_rate[k] = (at[k] == 0) ? ratio * ratio : 0.0;
                 by_value[k] = (at[k] == 2u) ? 1.0 : ((effect && (kind == ZYGOS_MOTOR_VISCOUS)) ? ratio : 0.0);
             }

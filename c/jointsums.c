@@ -4,30 +4,30 @@
 
 #include <string.h>
 
-_Static_assert(ZYGOS_LEAST_ARCS < ZYGOS_MAX_JOINT_BLOCKS, "an arc that closes needs a block");
+_Static_assert(ZYGOS_MIN_ARCS < ZYGOS_MAX_JOINT_BLOCKS, "an arc that closes needs a block");
 
 #define COUNTED 1e-9 /* counts add up exactly */
 
-static uint64_t seal_of(const zygos_joint_sums_t *self)
+static uint64_t checksum_of(const zygos_joint_sums_t *self)
 {
-    return zygos_seal_number(zygos_seal_doubles(0u, &self->target, 1), self->count);
+    return zygos_checksum_number(zygos_checksum_doubles(0u, &self->target, 1), self->count);
 }
 
-static uint64_t seal_of_block(const zygos_joint_block_t *block)
+static uint64_t checksum_of_block(const zygos_joint_block_t *block)
 {
-    const uint64_t instants = zygos_seal_doubles(1u, block->instants, ZYGOS_MAX_JOINTS);
-    return zygos_seal_number(zygos_seal_doubles(instants, &block->total, 1), block->end);
+    const uint64_t instants = zygos_checksum_doubles(1u, block->instants, ZYGOS_MAX_JOINTS);
+    return zygos_checksum_number(zygos_checksum_doubles(instants, &block->total, 1), block->end);
 }
 
-/* Before anything under the seal is changed. */
+/* Verifies the checksum, before anything that it protects is changed. */
 static void judge(zygos_joint_sums_t *self)
 {
-    self->corrupt |= (self->seal == seal_of(self)) ? 0u : 1u;
+    self->corrupt |= (self->checksum == checksum_of(self)) ? 0u : 1u;
 }
 
 static void judge_block(zygos_joint_sums_t *self, const zygos_joint_block_t *block)
 {
-    self->corrupt |= (block->seal == seal_of_block(block)) ? 0u : 1u;
+    self->corrupt |= (block->checksum == checksum_of_block(block)) ? 0u : 1u;
 }
 
 void zygos_joint_sums_clear(zygos_joint_sums_t *self, const zygos_config_t *config)
@@ -38,43 +38,43 @@ void zygos_joint_sums_clear(zygos_joint_sums_t *self, const zygos_config_t *conf
     self->instants = 0;
     self->cycles = 0;
     memset(&self->open, 0, sizeof self->open);
-    self->seal = seal_of(self);
+    self->checksum = checksum_of(self);
 }
 
 void zygos_joint_sums_tables(zygos_joint_sums_t *self, const zygos_config_t *config, const zygos_smoother_t *smoother)
 {
-    zygos_impulse_layout(config, &self->layout);
+    zygos_impulse_column_map(config, &self->column_map);
     memset(self->noise, 0, sizeof self->noise);
     for (uint32_t i = 0; (i < config->joints) && (config->compensation != 0); i++) {
-        if (self->layout.count[i] > 0) {
-            zygos_impulse_noise(config, &self->layout, smoother, config->imu_sigma, i, self->noise[i]);
+        if (self->column_map.count[i] > 0) {
+            zygos_impulse_noise(config, &self->column_map, smoother, config->imu_sigma, i, self->noise[i]);
         }
     }
 }
 
-static bool same_layout(const zygos_impulse_layout_t *layout, const zygos_config_t *config)
+static bool same_layout(const zygos_impulse_column_map_t *column_map, const zygos_config_t *config)
 {
-    zygos_impulse_layout_t own;
+    zygos_impulse_column_map_t own;
     bool same = true;
-    zygos_impulse_layout(config, &own);
+    zygos_impulse_column_map(config, &own);
     for (uint32_t i = 0; i < config->joints; i++) {
-        same = same && (layout->count[i] == own.count[i]);
+        same = same && (column_map->count[i] == own.count[i]);
         for (uint32_t e = 0; e < ZYGOS_EFFECT_PLACES; e++) {
-            same = same && (layout->effect[i][e] == own.effect[i][e]);
+            same = same && (column_map->effect[i][e] == own.effect[i][e]);
         }
     }
     return same;
 }
 
-/* Instants and target decide whether blocks merge, and so whether there is room. */
+/* Instants and target decide whether blocks merge, and so whether blocks are free. */
 bool zygos_joint_sums_intact(const zygos_joint_sums_t *self, const zygos_config_t *config)
 {
     const bool none = (config->impulse_arc_cycles == 0);
-    bool good = same_layout(&self->layout, config) && (self->count <= ZYGOS_MAX_JOINT_BLOCKS) &&
+    bool good = same_layout(&self->column_map, config) && (self->count <= ZYGOS_MAX_JOINT_BLOCKS) &&
                 (none ? (self->count == 0) && (self->instants == 0)
-                      : (self->target >= 1.0) && (self->target <= ZYGOS_MOST_INSTANTS));
+                      : (self->target >= 1.0) && (self->target <= ZYGOS_MAX_INSTANTS));
     for (uint32_t b = 0; good && (b < self->count); b++) {
-        good = (self->block[b].total >= 0.0) && (self->block[b].total <= ZYGOS_MOST_INSTANTS);
+        good = (self->block[b].total >= 0.0) && (self->block[b].total <= ZYGOS_MAX_INSTANTS);
     }
     return good;
 }
@@ -83,7 +83,7 @@ void zygos_joint_sums_add(zygos_joint_sums_t *self, const zygos_config_t *config
                           double weight)
 {
     const uint32_t i = self->cycles % config->joints;
-    const uint32_t p = self->layout.count[i];
+    const uint32_t p = self->column_map.count[i];
     if (p > 0) {
         double z[ZYGOS_MAX_JOINT_ROW];
         for (uint32_t k = 0; k < p; k++) {
@@ -132,7 +132,7 @@ static void add_block(zygos_joint_block_t *to, const zygos_joint_block_t *from)
     }
     to->total += from->total;
     to->end = from->end;
-    to->seal = seal_of_block(to);
+    to->checksum = checksum_of_block(to);
 }
 
 /* The target doubles only when merging up to it is not enough; once it holds all instants, one block is left. */
@@ -142,7 +142,7 @@ static void make_room(zygos_joint_sums_t *self)
         uint32_t to = 0;
         for (uint32_t from = 0; from < self->count; from++) {
             const uint32_t left = to + (self->count - from);
-            if ((to > 0) && (left > ZYGOS_LEAST_ARCS) &&
+            if ((to > 0) && (left > ZYGOS_MIN_ARCS) &&
                 (self->block[to - 1u].total + self->block[from].total <= self->target)) {
                 judge_block(self, &self->block[to - 1u]);
                 judge_block(self, &self->block[from]);
@@ -178,7 +178,7 @@ bool zygos_joint_sums_close(zygos_joint_sums_t *self, const zygos_config_t *conf
     double turns = -(double)self->instants;
     judge(self);
     for (uint32_t i = 0; i < config->joints; i++) {
-        const uint32_t p = self->layout.count[i];
+        const uint32_t p = self->column_map.count[i];
         turns += self->open.instants[i];
         if ((p > 0) && (self->open.instants[i] > 0.0)) {
             const double n = self->open.instants[i];
@@ -200,10 +200,10 @@ void zygos_joint_sums_admit(zygos_joint_sums_t *self, uint64_t cycle)
     }
     self->open.total = (double)self->instants;
     self->open.end = cycle;
-    self->open.seal = seal_of_block(&self->open);
+    self->open.checksum = checksum_of_block(&self->open);
     self->block[self->count] = self->open;
     self->count++;
-    self->seal = seal_of(self);
+    self->checksum = checksum_of(self);
     zygos_joint_sums_leave_out(self);
 }
 
@@ -214,12 +214,12 @@ void zygos_joint_sums_end_arc(zygos_joint_sums_t *self, const zygos_config_t *co
     }
 }
 
-void zygos_joint_sums_fade(zygos_joint_sums_t *self, double factor)
+void zygos_joint_sums_forget(zygos_joint_sums_t *self, double factor)
 {
     for (uint32_t b = 0; b < self->count; b++) {
         zygos_joint_block_t *block = &self->block[b];
         judge_block(self, block);
-        const double kept = (factor * block->total >= ZYGOS_FAINT) ? factor : 0.0;
+        const double kept = (factor * block->total >= ZYGOS_NEGLIGIBLE_INSTANTS) ? factor : 0.0;
         for (uint32_t i = 0; i < ZYGOS_MAX_JOINTS; i++) {
             for (uint32_t k = 0; k < ZYGOS_MAX_PACKED_JOINT; k++) {
                 block->joint[i].gram[k] *= kept;
@@ -230,7 +230,7 @@ void zygos_joint_sums_fade(zygos_joint_sums_t *self, double factor)
             block->instants[i] *= kept;
         }
         block->total *= kept;
-        block->seal = seal_of_block(block);
+        block->checksum = checksum_of_block(block);
     }
 }
 
@@ -241,7 +241,7 @@ void zygos_joint_sums_drop_after(zygos_joint_sums_t *self, uint64_t cycle)
     while ((self->count > 0) && (self->block[self->count - 1u].end > cycle)) {
         self->count--;
     }
-    self->seal = seal_of(self);
+    self->checksum = checksum_of(self);
 }
 
 uint32_t zygos_joint_sums_drop_until(zygos_joint_sums_t *self, uint64_t cycle)
@@ -255,18 +255,18 @@ uint32_t zygos_joint_sums_drop_until(zygos_joint_sums_t *self, uint64_t cycle)
         self->block[b - drop] = self->block[b];
     }
     self->count -= drop;
-    self->seal = seal_of(self);
+    self->checksum = checksum_of(self);
     return drop;
 }
 
 double zygos_joint_sums_check(const zygos_joint_sums_t *self, const zygos_config_t *config)
 {
-    bool good = (self->corrupt == 0) && (self->seal == seal_of(self));
+    bool good = (self->corrupt == 0) && (self->checksum == checksum_of(self));
     for (uint32_t b = 0; good && (b < self->count); b++) {
-        good = (self->block[b].seal == seal_of_block(&self->block[b]));
+        good = (self->block[b].checksum == checksum_of_block(&self->block[b]));
     }
     for (uint32_t i = 0; i < config->joints; i++) {
-        const uint32_t width = self->layout.count[i] + 2u;
+        const uint32_t width = self->column_map.count[i] + 2u;
         good = good && matches(&self->open.joint[i], width, self->open.instants[i]);
         for (uint32_t b = 0; good && (b < self->count); b++) {
             good = matches(&self->block[b].joint[i], width, self->block[b].instants[i]);

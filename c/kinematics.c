@@ -72,7 +72,7 @@ static double magnitude(double x)
     return (x < 0.0) ? -x : x;
 }
 
-void zygos_across(const double *axis, double *u, double *v)
+void zygos_perpendicular(const double *axis, double *u, double *v)
 {
     uint32_t largest = 0;
     for (uint32_t k = 1; k < 3; k++) {
@@ -100,30 +100,30 @@ static void product33(const double *a, const double *b, double *out)
     }
 }
 
-void zygos_skeleton_init(zygos_skeleton_t *self, const zygos_config_t *config)
+void zygos_geometry_init(zygos_geometry_t *self, const zygos_config_t *config)
 {
     double before[9] = { 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0 }; /* frame of the body before, transposed */
     double attitude[9] = { 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0 };
     static const double aligned[9] = { 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0 };
     const double *g = config->gravity;
-    uint32_t heavy = 0;
+    uint32_t has_gravity = 0;
     memset(self, 0, sizeof *self);
     for (uint32_t i = 0; i < config->joints; i++) {
         const double *mount = (config->kinetic == ZYGOS_SPATIAL_ARM) ? config->joint[i].frame : aligned;
         const double *axis = config->joint[(config->kinetic == ZYGOS_SPATIAL_ARM) ? i : 0u].axis;
         double frame[3][3]; /* rows: u, v, axis */
         double normal[3];
-        zygos_across(axis, frame[0], frame[1]);
+        zygos_perpendicular(axis, frame[0], frame[1]);
         memcpy(frame[2], axis, sizeof frame[2]);
         cross3(frame[0], frame[1], normal);
-        self->hand[i] = (dot3(normal, axis) < 0.0) ? -1.0 : 1.0;
+        self->handedness[i] = (dot3(normal, axis) < 0.0) ? -1.0 : 1.0;
         double columns[9];
         double mounted[9];
         for (uint32_t k = 0; k < 9; k++) {
             columns[k] = frame[k % 3u][k / 3u];
         }
         product33(mount, columns, mounted);
-        product33(before, mounted, self->turn[i]);
+        product33(before, mounted, self->rotation[i]);
         memcpy(before, frame, sizeof before);
 
         double turned[9];
@@ -132,14 +132,14 @@ void zygos_skeleton_init(zygos_skeleton_t *self, const zygos_config_t *config)
         memcpy(attitude, turned, sizeof attitude);
         const double z[3] = { dot3(&turned[0], axis), dot3(&turned[3], axis), dot3(&turned[6], axis) };
         cross3(z, g, moment);
-        heavy |= (dot3(moment, moment) > 1e-18 * dot3(g, g)) ? 1u : 0u;
-        self->heavy[i] = heavy;
+        has_gravity |= (dot3(moment, moment) > 1e-18 * dot3(g, g)) ? 1u : 0u;
+        self->has_gravity[i] = has_gravity;
     }
     double u[3];
     double v[3];
-    zygos_across(config->joint[0].axis, u, v);
-    self->pull[0] = -dot3(g, u);
-    self->pull[1] = -self->hand[0] * dot3(g, v);
+    zygos_perpendicular(config->joint[0].axis, u, v);
+    self->plane_gravity[0] = -dot3(g, u);
+    self->plane_gravity[1] = -self->handedness[0] * dot3(g, v);
 }
 
 uint32_t zygos_kinetic_parameters(const zygos_config_t *config)
@@ -155,11 +155,11 @@ uint32_t zygos_kinetic_parameters(const zygos_config_t *config)
 
 uint32_t zygos_gravity_parameters(const zygos_config_t *config)
 {
-    zygos_skeleton_t skeleton;
-    zygos_skeleton_init(&skeleton, config);
+    zygos_geometry_t geometry;
+    zygos_geometry_init(&geometry, config);
     uint32_t count = 0;
     for (uint32_t i = 0; i < config->joints; i++) {
-        count += 2u * skeleton.heavy[i];
+        count += 2u * geometry.has_gravity[i];
     }
     return count;
 }
@@ -226,22 +226,22 @@ double *zygos_kinetic_products(const zygos_config_t *config, const double (*x)[3
 }
 
 /* pull[2i], pull[2i + 1] of the joints that feel gravity. */
-static void gravity_columns(const zygos_skeleton_t *self, uint32_t joints, const double *pull, double *column)
+static void gravity_columns(const zygos_geometry_t *self, uint32_t joints, const double *gravity, double *column)
 {
     for (uint32_t i = 0; i < joints; i++) {
-        if (self->heavy[i]) {
-            column[0] = pull[2u * i];
-            column[1] = pull[2u * i + 1u];
+        if (self->has_gravity[i]) {
+            column[0] = gravity[2u * i];
+            column[1] = gravity[2u * i + 1u];
             column += 2;
         }
     }
 }
 
-static void planar(const zygos_skeleton_t *self, const zygos_config_t *config, const zygos_state_t *state,
+static void planar(const zygos_geometry_t *self, const zygos_config_t *config, const zygos_arm_state_t *state,
                    zygos_motion_t *out)
 {
     const uint32_t n = config->joints;
-    double pull[2 * ZYGOS_MAX_JOINTS];
+    double gravity[2 * ZYGOS_MAX_JOINTS];
     double rate = (config->base == ZYGOS_BASE_FREE) ? dot3(config->joint[0].axis, state->omega) : 0.0;
     double angle = 0.0;
     out->direction[0][0] = 1.0;
@@ -259,19 +259,19 @@ static void planar(const zygos_skeleton_t *self, const zygos_config_t *config, c
         out->direction[i + 1][1] = s;
         out->rate[i + 1][0] = rate * c;
         out->rate[i + 1][1] = rate * s;
-        pull[2u * i] = c * self->pull[0] + s * self->pull[1];
-        pull[2u * i + 1u] = self->hand[0] * (c * self->pull[1] - s * self->pull[0]);
+        gravity[2u * i] = c * self->plane_gravity[0] + s * self->plane_gravity[1];
+        gravity[2u * i + 1u] = self->handedness[0] * (c * self->plane_gravity[1] - s * self->plane_gravity[0]);
     }
     memset(out->column, 0, zygos_kinetic_parameters(config) * sizeof out->column[0]);
     double *column = planar_products(config, (const double(*)[3])out->rate, (const double(*)[3])out->rate, out->column);
-    gravity_columns(self, n, pull, column);
+    gravity_columns(self, n, gravity, column);
 }
 
-static void spatial(const zygos_skeleton_t *self, const zygos_config_t *config, const zygos_state_t *state,
+static void spatial(const zygos_geometry_t *self, const zygos_config_t *config, const zygos_arm_state_t *state,
                     zygos_motion_t *out)
 {
     const uint32_t n = config->joints;
-    double pull[2 * ZYGOS_MAX_JOINTS];
+    double gravity[2 * ZYGOS_MAX_JOINTS];
     double omega[3] = { 0.0, 0.0, 0.0 };
     uint32_t count = 0;
     if (config->base == ZYGOS_BASE_FREE) {
@@ -287,10 +287,10 @@ static void spatial(const zygos_skeleton_t *self, const zygos_config_t *config, 
     double frame[9] = { 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0 }; /* columns: u, v, axis of the body before */
     for (uint32_t i = 0; i < n; i++) {
         double turned[9];
-        product33(frame, self->turn[i], turned);
+        product33(frame, self->rotation[i], turned);
         double s;
         double c;
-        zygos_sincos(self->hand[i] * state->q[i], &s, &c);
+        zygos_sincos(self->handedness[i] * state->q[i], &s, &c);
         double *u = out->direction[count];
         double *v = out->direction[count + 1u];
         double *axis = out->axis[i];
@@ -310,16 +310,16 @@ static void spatial(const zygos_skeleton_t *self, const zygos_config_t *config, 
         cross3(omega, u, out->rate[count]);
         cross3(omega, v, out->rate[count + 1u]);
         count += 2u;
-        pull[2u * i] = -dot3(config->gravity, u);
-        pull[2u * i + 1u] = -dot3(config->gravity, v);
+        gravity[2u * i] = -dot3(config->gravity, u);
+        gravity[2u * i + 1u] = -dot3(config->gravity, v);
     }
     memset(out->column, 0, zygos_kinetic_parameters(config) * sizeof out->column[0]);
     double *column =
         spatial_products(config, (const double(*)[3])out->rate, (const double(*)[3])out->rate, out->column);
-    gravity_columns(self, n, pull, column);
+    gravity_columns(self, n, gravity, column);
 }
 
-void zygos_kinematics(const zygos_skeleton_t *self, const zygos_config_t *config, const zygos_state_t *state,
+void zygos_kinematics(const zygos_geometry_t *self, const zygos_config_t *config, const zygos_arm_state_t *state,
                       zygos_motion_t *out)
 {
     if ((ZYGOS_SPATIAL != 0) && (config->kinetic == ZYGOS_SPATIAL_ARM)) {
@@ -389,30 +389,31 @@ static double *spatial_slopes(const zygos_config_t *config, const zygos_motion_t
     return by_angle + kinetic;
 }
 
-void zygos_kinematics_slopes(const zygos_skeleton_t *self, const zygos_config_t *config, const zygos_motion_t *motion,
+void zygos_kinematics_slopes(const zygos_geometry_t *self, const zygos_config_t *config, const zygos_motion_t *motion,
                              uint32_t i, double *by_angle, double *by_rate)
 {
     const uint32_t n = config->joints;
-    double pull[2 * ZYGOS_MAX_JOINTS] = { 0.0 };
-    double *heavy = NULL;
+    double gravity[2 * ZYGOS_MAX_JOINTS] = { 0.0 };
+    double *gravity_place = NULL;
     if ((ZYGOS_SPATIAL != 0) && (config->kinetic == ZYGOS_SPATIAL_ARM)) {
         double moved[ZYGOS_MAX_DIRECTIONS][3] = { { 0.0 } };
-        heavy = spatial_slopes(config, motion, i, by_angle, by_rate, moved);
+        gravity_place = spatial_slopes(config, motion, i, by_angle, by_rate, moved);
         const uint32_t base = (config->base == ZYGOS_BASE_FREE) ? 3u : 0u;
-        for (uint32_t b = 2u * i; (b < 2u * n) && self->heavy[n - 1u]; b++) {
-            pull[b] = -dot3(config->gravity, moved[base + b]);
+        for (uint32_t b = 2u * i; (b < 2u * n) && self->has_gravity[n - 1u]; b++) {
+            gravity[b] = -dot3(config->gravity, moved[base + b]);
         }
     } else {
-        heavy = planar_slopes(config, motion, i, by_angle, by_rate);
-        for (uint32_t b = i; (b < n) && self->heavy[n - 1u]; b++) {
+        gravity_place = planar_slopes(config, motion, i, by_angle, by_rate);
+        for (uint32_t b = i; (b < n) && self->has_gravity[n - 1u]; b++) {
             const double *d = motion->direction[b + 1u];
-            pull[2u * b] = d[0] * self->pull[1] - d[1] * self->pull[0];
-            pull[2u * b + 1u] = -self->hand[0] * (d[0] * self->pull[0] + d[1] * self->pull[1]);
+            gravity[2u * b] = d[0] * self->plane_gravity[1] - d[1] * self->plane_gravity[0];
+            gravity[2u * b + 1u] =
+                -self->handedness[0] * (d[0] * self->plane_gravity[0] + d[1] * self->plane_gravity[1]);
         }
     }
-    if (self->heavy[n - 1u]) {
+    if (self->has_gravity[n - 1u]) {
         const double none[2 * ZYGOS_MAX_JOINTS] = { 0.0 };
-        gravity_columns(self, n, pull, heavy);
-        gravity_columns(self, n, none, &by_rate[heavy - by_angle]);
+        gravity_columns(self, n, gravity, gravity_place);
+        gravity_columns(self, n, none, &by_rate[gravity_place - by_angle]);
     }
 }

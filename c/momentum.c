@@ -17,7 +17,7 @@ uint32_t zygos_momentum_count(const zygos_config_t *config)
     return (config->kinetic == ZYGOS_SPATIAL_ARM) ? 3u : 1u;
 }
 
-void zygos_momentum_gap(zygos_momentum_t *self)
+void zygos_momentum_reset(zygos_momentum_t *self)
 {
     memset(self, 0, sizeof *self);
     self->origin = 1;
@@ -29,7 +29,7 @@ void zygos_momentum_new_arc(zygos_momentum_t *self)
 }
 
 /* Turns the attitude by one step of the base rate; at the origin of an arc it is that of the base. */
-static void turn(zygos_momentum_t *self, double h, const double *omega, double keep)
+static void rotate_attitude(zygos_momentum_t *self, double h, const double *omega, double factor)
 {
     double angle[3];
     cross3(self->past[0], omega, angle);
@@ -57,18 +57,18 @@ static void turn(zygos_momentum_t *self, double h, const double *omega, double k
         square += turned[k] * turned[k];
     }
     /* Where there is no attitude yet, 1 stands in for its length. */
-    const double scale = keep / __builtin_sqrt(square + (1.0 - keep));
+    const double scale = factor / __builtin_sqrt(square + (1.0 - factor));
     for (uint32_t k = 0; k < 4; k++) {
         self->attitude[k] = scale * turned[k];
     }
-    self->attitude[3] += 1.0 - keep;
+    self->attitude[3] += 1.0 - factor;
 }
 
-int zygos_momentum_step(zygos_momentum_t *self, const zygos_config_t *config, const zygos_state_t *state)
+int zygos_momentum_advance(zygos_momentum_t *self, const zygos_config_t *config, const zygos_arm_state_t *state)
 {
     self->instants += (self->instants < 4u) ? 1u : 0u;
     if ((ZYGOS_SPATIAL != 0) && (config->kinetic == ZYGOS_SPATIAL_ARM)) {
-        turn(self, config->period_s, state->omega, self->origin ? 0.0 : 1.0);
+        rotate_attitude(self, config->period_s, state->omega, self->origin ? 0.0 : 1.0);
     }
     if (self->instants < 4u) {
         return 0;
@@ -126,7 +126,7 @@ static void columns(const zygos_config_t *config, const zygos_motion_t *motion, 
     }
 }
 
-void zygos_momentum_row(const zygos_momentum_t *self, const zygos_config_t *config, const zygos_state_t *state,
+void zygos_momentum_row(const zygos_momentum_t *self, const zygos_config_t *config, const zygos_arm_state_t *state,
                         const zygos_motion_t *motion, uint32_t component, double *out)
 {
     double axis[3];

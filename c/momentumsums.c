@@ -4,7 +4,7 @@
 
 #include <string.h>
 
-_Static_assert((ZYGOS_MOMENTUM == 0) || (ZYGOS_LEAST_ARCS < ZYGOS_MAX_MOMENTUM_BLOCKS),
+_Static_assert((ZYGOS_MOMENTUM == 0) || (ZYGOS_MIN_ARCS < ZYGOS_MAX_MOMENTUM_BLOCKS),
                "an arc that closes needs a block");
 
 #define COUNTED 1e-9 /* counts add up exactly */
@@ -14,25 +14,25 @@ static uint32_t width_of(const zygos_momentum_sums_t *self)
     return self->columns + self->components;
 }
 
-static uint64_t seal_of(const zygos_momentum_sums_t *self)
+static uint64_t checksum_of(const zygos_momentum_sums_t *self)
 {
-    return zygos_seal_number(zygos_seal_doubles(0u, &self->target, 1), self->count);
+    return zygos_checksum_number(zygos_checksum_doubles(0u, &self->target, 1), self->count);
 }
 
-static uint64_t seal_of_block(const zygos_momentum_block_t *block)
+static uint64_t checksum_of_block(const zygos_momentum_block_t *block)
 {
-    return zygos_seal_number(zygos_seal_doubles(1u, &block->instants, 1), block->end);
+    return zygos_checksum_number(zygos_checksum_doubles(1u, &block->instants, 1), block->end);
 }
 
-/* Before anything under the seal is changed. */
+/* Verifies the checksum, before anything that it protects is changed. */
 static void judge(zygos_momentum_sums_t *self)
 {
-    self->corrupt |= (self->seal == seal_of(self)) ? 0u : 1u;
+    self->corrupt |= (self->checksum == checksum_of(self)) ? 0u : 1u;
 }
 
 static void judge_block(zygos_momentum_sums_t *self, const zygos_momentum_block_t *block)
 {
-    self->corrupt |= (block->seal == seal_of_block(block)) ? 0u : 1u;
+    self->corrupt |= (block->checksum == checksum_of_block(block)) ? 0u : 1u;
 }
 
 static void clear_gram(zygos_momentum_gram_t *gram, uint32_t width)
@@ -65,7 +65,7 @@ void zygos_momentum_sums_clear(zygos_momentum_sums_t *self, const zygos_config_t
     self->target = 2.0 * (double)config->momentum_arc_cycles;
     self->count = 0;
     self->corrupt = 0;
-    self->seal = seal_of(self);
+    self->checksum = checksum_of(self);
     clear_gram(&self->noise_closed, self->columns);
     zygos_momentum_sums_leave_out(self);
 }
@@ -105,10 +105,10 @@ void zygos_momentum_sums_tables(zygos_momentum_sums_t *self, const zygos_config_
 
 static bool is_count(double instants)
 {
-    return (instants >= 0.0) && (instants <= ZYGOS_MOST_INSTANTS);
+    return (instants >= 0.0) && (instants <= ZYGOS_MAX_INSTANTS);
 }
 
-/* Instants and target decide whether blocks merge, and so whether there is room. */
+/* Instants and target decide whether blocks merge, and so whether blocks are free. */
 bool zygos_momentum_sums_intact(const zygos_momentum_sums_t *self, const zygos_config_t *config)
 {
     const bool none = (config->momentum_arc_cycles == 0);
@@ -124,8 +124,8 @@ bool zygos_momentum_sums_intact(const zygos_momentum_sums_t *self, const zygos_c
 }
 
 void zygos_momentum_sums_add(zygos_momentum_sums_t *self, const zygos_config_t *config,
-                             const zygos_momentum_t *momentum, const zygos_state_t *state, const zygos_motion_t *motion,
-                             double weight)
+                             const zygos_momentum_t *momentum, const zygos_arm_state_t *state,
+                             const zygos_motion_t *motion, double weight)
 {
     const uint32_t component = self->cycles % self->components;
     double z[ZYGOS_MAX_MOMENTUM + 3];
@@ -184,13 +184,13 @@ static void make_room(zygos_momentum_sums_t *self)
             const zygos_momentum_block_t *next = &self->block[from];
             zygos_momentum_block_t *last = &self->block[(to > 0) ? to - 1u : 0u];
             const uint32_t left = to + (self->count - from);
-            if ((to > 0) && (left > ZYGOS_LEAST_ARCS) && (last->instants + next->instants <= self->target)) {
+            if ((to > 0) && (left > ZYGOS_MIN_ARCS) && (last->instants + next->instants <= self->target)) {
                 judge_block(self, last);
                 judge_block(self, next);
                 add_gram(&last->rows, &next->rows, 1.0, self->columns);
                 last->instants += next->instants;
                 last->end = next->end;
-                last->seal = seal_of_block(last);
+                last->checksum = checksum_of_block(last);
                 continue;
             }
             if (to != from) {
@@ -238,10 +238,10 @@ void zygos_momentum_sums_admit(zygos_momentum_sums_t *self, uint64_t cycle)
         make_room(self);
     }
     self->open.end = cycle;
-    self->open.seal = seal_of_block(&self->open);
+    self->open.checksum = checksum_of_block(&self->open);
     self->block[self->count] = self->open;
     self->count++;
-    self->seal = seal_of(self);
+    self->checksum = checksum_of(self);
     zygos_momentum_sums_leave_out(self);
 }
 
@@ -252,15 +252,15 @@ void zygos_momentum_sums_end_arc(zygos_momentum_sums_t *self, const zygos_config
     }
 }
 
-void zygos_momentum_sums_fade(zygos_momentum_sums_t *self, double factor)
+void zygos_momentum_sums_forget(zygos_momentum_sums_t *self, double factor)
 {
     double left = 0.0;
     for (uint32_t b = 0; b < self->count; b++) {
         judge_block(self, &self->block[b]);
-        const double kept = (factor * self->block[b].instants >= ZYGOS_FAINT) ? factor : 0.0;
+        const double kept = (factor * self->block[b].instants >= ZYGOS_NEGLIGIBLE_INSTANTS) ? factor : 0.0;
         add_gram(&self->block[b].rows, &self->block[b].rows, kept - 1.0, self->columns);
         self->block[b].instants *= kept;
-        self->block[b].seal = seal_of_block(&self->block[b]);
+        self->block[b].checksum = checksum_of_block(&self->block[b]);
         left += self->block[b].instants;
     }
     add_gram(&self->noise_closed, &self->noise_closed, ((left > 0.0) ? factor : 0.0) - 1.0, self->columns);
@@ -283,7 +283,7 @@ void zygos_momentum_sums_drop_after(zygos_momentum_sums_t *self, uint64_t cycle)
     while ((self->count > 0) && (self->block[self->count - 1u].end > cycle)) {
         self->count--;
     }
-    self->seal = seal_of(self);
+    self->checksum = checksum_of(self);
     const double kept = closed_instants(self);
     if (kept < before) {
         add_gram(&self->noise_closed, &self->noise_closed, kept / before - 1.0, self->columns);
@@ -306,16 +306,16 @@ uint32_t zygos_momentum_sums_drop_until(zygos_momentum_sums_t *self, uint64_t cy
     if (kept < before) {
         add_gram(&self->noise_closed, &self->noise_closed, kept / before - 1.0, self->columns);
     }
-    self->seal = seal_of(self);
+    self->checksum = checksum_of(self);
     return drop;
 }
 
 double zygos_momentum_sums_check(const zygos_momentum_sums_t *self)
 {
     const uint32_t width = width_of(self);
-    bool whole = (self->corrupt == 0) && (self->seal == seal_of(self));
+    bool whole = (self->corrupt == 0) && (self->checksum == checksum_of(self));
     for (uint32_t b = 0; whole && (b < self->count); b++) {
-        whole = (self->block[b].seal == seal_of_block(&self->block[b]));
+        whole = (self->block[b].checksum == checksum_of_block(&self->block[b]));
     }
     if (!whole) {
         return 2.0;

@@ -17,18 +17,18 @@ static double product(const double *a, const double *b, uint32_t n)
     return sum;
 }
 
-static void put(zygos_places_t *list, uint32_t place)
+static void put(zygos_column_list_t *list, uint32_t place)
 {
     list->place[list->count] = place;
     list->count++;
 }
 
 /* Kinetic columns that are not zero. */
-static void put_products(zygos_places_t *list, const zygos_config_t *config, const zygos_layout_t *layout,
+static void put_products(zygos_column_list_t *list, const zygos_config_t *config, const zygos_column_map_t *column_map,
                          const double (*x)[3], const double (*y)[3], double *column)
 {
     (void)zygos_kinetic_products(config, x, y, column);
-    for (uint32_t k = 0; k < layout->kinetic; k++) {
+    for (uint32_t k = 0; k < column_map->kinetic; k++) {
         if (column[k] > 0.0 || column[k] < 0.0) {
             put(list, k);
         }
@@ -37,8 +37,8 @@ static void put_products(zygos_places_t *list, const zygos_config_t *config, con
 
 /* Kinetic columns that the rate of joint i is in, or that of the base for i = N, and of those the ones that its angle
    is in. They are found at a motion that has nothing special. */
-static void put_bodies(zygos_places_t *angle, zygos_places_t *rate, const zygos_config_t *config,
-                       const zygos_layout_t *layout, uint32_t i)
+static void put_bodies(zygos_column_list_t *angle, zygos_column_list_t *rate, const zygos_config_t *config,
+                       const zygos_column_map_t *column_map, uint32_t i)
 {
     const bool space = (ZYGOS_SPATIAL != 0) && (config->kinetic == ZYGOS_SPATIAL_ARM);
     const bool free = (config->base == ZYGOS_BASE_FREE);
@@ -54,58 +54,60 @@ static void put_bodies(zygos_places_t *angle, zygos_places_t *rate, const zygos_
             carried[a][k] = ((a >= begin) && (a < size)) ? 1.0 : 0.0;
         }
     }
-    put_products(rate, config, layout, (const double(*)[3])others, (const double(*)[3])carried, column);
+    put_products(rate, config, column_map, (const double(*)[3])others, (const double(*)[3])carried, column);
     /* In a plane, what joint i carries turns together. */
     for (uint32_t a = begin; (a < ZYGOS_MAX_DIRECTIONS) && !space; a++) {
         memset(others[a], 0, sizeof others[a]);
     }
     memset(column, 0, sizeof column);
-    put_products(angle, config, layout, (const double(*)[3])others, (const double(*)[3])carried, column);
-    for (uint32_t k = layout->kinetic; (k < layout->body) && (i < config->joints); k++) {
+    put_products(angle, config, column_map, (const double(*)[3])others, (const double(*)[3])carried, column);
+    for (uint32_t k = column_map->kinetic; (k < column_map->body) && (i < config->joints); k++) {
         put(angle, k);
     }
 }
 
 /* Rotors that the bodies behind joint i carry, as far as they notice. */
-static void put_rotors(zygos_places_t *list, const zygos_layout_t *layout, uint32_t joints, uint32_t from)
+static void put_rotors(zygos_column_list_t *list, const zygos_column_map_t *column_map, uint32_t joints, uint32_t from)
 {
     for (uint32_t i = from; (i < joints) && (i < (uint32_t)ZYGOS_MAX_JOINTS); i++) {
-        if (layout->rotor[i]) {
-            put(list, layout->joint[i]);
+        if (column_map->rotor[i]) {
+            put(list, column_map->joint[i]);
         }
     }
 }
 
 /* Spring and damper, and the effects of the joint that an angle is in. */
-static void put_spring(zygos_places_t *list, const zygos_config_t *config, const zygos_layout_t *layout, uint32_t i)
+static void put_spring(zygos_column_list_t *list, const zygos_config_t *config, const zygos_column_map_t *column_map,
+                       uint32_t i)
 {
     if (config->joint[i].rigid == 0) {
-        put(list, layout->joint[i] + layout->rotor[i]);
-        put(list, layout->joint[i] + layout->rotor[i] + 1u);
+        put(list, column_map->joint[i] + column_map->rotor[i]);
+        put(list, column_map->joint[i] + column_map->rotor[i] + 1u);
     }
     for (uint32_t e = 0; e < config->effects; e++) {
         if (config->effect[e].joint == i) {
-            put(list, layout->effects + e);
+            put(list, column_map->effects + e);
         }
     }
 }
 
 /* What a motor's rate is in. */
-static void put_motor(zygos_places_t *list, const zygos_config_t *config, const zygos_layout_t *layout, uint32_t i)
+static void put_motor(zygos_column_list_t *list, const zygos_config_t *config, const zygos_column_map_t *column_map,
+                      uint32_t i)
 {
-    if (layout->rotor[i]) {
-        put(list, layout->joint[i]);
+    if (column_map->rotor[i]) {
+        put(list, column_map->joint[i]);
     }
     for (uint32_t e = 0; e < config->effects; e++) {
         if ((config->effect[e].joint == i) && (config->effect[e].kind == ZYGOS_TORQUE_LAG)) {
-            put(list, layout->effects + e);
+            put(list, column_map->effects + e);
         }
     }
-    put(list, layout->count);
+    put(list, column_map->count);
 }
 
 /* Sorts, and drops what stands there twice. */
-static void sort(zygos_places_t *list)
+static void sort(zygos_column_list_t *list)
 {
     uint32_t count = 0;
     for (uint32_t i = 0; i < list->count; i++) {
@@ -126,24 +128,24 @@ static void sort(zygos_places_t *list)
     list->count = count;
 }
 
-static void find_places(zygos_noise_t *self, const zygos_config_t *config, const zygos_layout_t *layout)
+static void find_places(zygos_noise_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map)
 {
     const uint32_t n = config->joints;
     const bool space = (config->kinetic == ZYGOS_SPATIAL_ARM);
     for (uint32_t i = 0; i < n; i++) {
-        zygos_places_t *angle[2] = { &self->angle[i], &self->angle[n + i] };
-        zygos_places_t *rate[2] = { &self->rate[i], &self->rate[n + i] };
-        put_bodies(angle[0], rate[0], config, layout, i);
-        put_rotors(rate[0], layout, n, i + 1u);
-        put_rotors(angle[0], layout, n, space ? i + 1u : n);
-        put_spring(angle[0], config, layout, i);
+        zygos_column_list_t *angle[2] = { &self->angle[i], &self->angle[n + i] };
+        zygos_column_list_t *rate[2] = { &self->rate[i], &self->rate[n + i] };
+        put_bodies(angle[0], rate[0], config, column_map, i);
+        put_rotors(rate[0], column_map, n, i + 1u);
+        put_rotors(angle[0], column_map, n, space ? i + 1u : n);
+        put_spring(angle[0], config, column_map, i);
         /* One sensor speaks for both sides of a rigid joint. */
         const uint32_t motor = (config->joint[i].rigid == 0) ? 1u : 0u;
         if (motor == 1u) {
-            put_spring(angle[1], config, layout, i);
+            put_spring(angle[1], config, column_map, i);
         }
-        put(angle[motor], layout->count);
-        put_motor(rate[motor], config, layout, i);
+        put(angle[motor], column_map->count);
+        put_motor(rate[motor], config, column_map, i);
     }
     for (uint32_t s = 0; s < 2u * n; s++) {
         sort(&self->rate[s]);
@@ -156,13 +158,13 @@ static void find_places(zygos_noise_t *self, const zygos_config_t *config, const
         }
         sort(&self->angle[s]);
     }
-    zygos_places_t none = { 0 };
-    put_bodies(&none, &self->gyro, config, layout, n);
-    put_rotors(&self->gyro, layout, n, 0);
+    zygos_column_list_t none = { 0 };
+    put_bodies(&none, &self->gyro, config, column_map, n);
+    put_rotors(&self->gyro, column_map, n, 0);
     sort(&self->gyro);
 }
 
-void zygos_noise_init(zygos_noise_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
+void zygos_noise_init(zygos_noise_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
                       const zygos_smoother_t *smoother)
 {
     const uint32_t n = config->joints;
@@ -188,14 +190,14 @@ void zygos_noise_init(zygos_noise_t *self, const zygos_config_t *config, const z
         least = (self->rate_variance[i] < least) ? self->rate_variance[i] : least;
     }
     self->gyro_variance = (gyro_variance >= ZYGOS_GYRO_SHARE * least) ? gyro_variance : 0.0;
-    find_places(self, config, layout);
+    find_places(self, config, column_map);
     for (uint32_t i = 0; (i < n) && (config->compensation != 0); i++) {
-        self->drift.slip[i] = config->period_s * (self->rate_variance[i] + self->rate_variance[n + i]);
+        self->integral_bias.dissipation[i] = config->period_s * (self->rate_variance[i] + self->rate_variance[n + i]);
     }
     for (uint32_t e = 0; (e < config->effects) && (config->compensation != 0); e++) {
         const uint32_t i = config->effect[e].joint;
         const bool square = (config->effect[e].kind == ZYGOS_MOTOR_VISCOUS);
-        self->drift.effect[e] =
+        self->integral_bias.effect[e] =
             square ? config->period_s * config->joint[i].gear_ratio * self->rate_variance[n + i] : 0.0;
     }
 }
@@ -275,7 +277,8 @@ static double *line_of(double *packed, uint32_t place)
 }
 
 /* packed += x x^T at the places of the list, two lines at a time. */
-static void add(const zygos_places_t *list, const double *restrict x, double *restrict packed, double *restrict sum)
+static void add(const zygos_column_list_t *list, const double *restrict x, double *restrict packed,
+                double *restrict sum)
 {
     const uint32_t *place = list->place;
     double total = 0.0;
@@ -308,8 +311,8 @@ static void add_signal(const zygos_noise_t *self, uint32_t signal, double weight
                        double *packed, double *sum)
 {
     const double *factor = self->factor[signal];
-    const zygos_places_t *of_angle = &self->angle[signal];
-    const zygos_places_t *of_rate = &self->rate[signal];
+    const zygos_column_list_t *of_angle = &self->angle[signal];
+    const zygos_column_list_t *of_rate = &self->rate[signal];
     const bool late = (factor[1] > 0.0) || (factor[1] < 0.0);
     for (uint32_t i = 0; i < of_angle->count; i++) {
         const uint32_t place = of_angle->place[i];
@@ -326,14 +329,14 @@ static void add_signal(const zygos_noise_t *self, uint32_t signal, double weight
 }
 
 /* Of a motion about joint i: bodies, and the rotors that they carry. */
-static void link_slopes(const zygos_config_t *config, const zygos_layout_t *layout, const zygos_skeleton_t *skeleton,
-                        const zygos_state_t *state, const zygos_motion_t *motion, uint32_t i, double *by_angle,
-                        double *by_rate)
+static void link_slopes(const zygos_config_t *config, const zygos_column_map_t *column_map,
+                        const zygos_geometry_t *geometry, const zygos_arm_state_t *state, const zygos_motion_t *motion,
+                        uint32_t i, double *by_angle, double *by_rate)
 {
-    zygos_kinematics_slopes(skeleton, config, motion, i, by_angle, by_rate);
+    zygos_kinematics_slopes(geometry, config, motion, i, by_angle, by_rate);
     const bool space = (ZYGOS_SPATIAL != 0) && (config->kinetic == ZYGOS_SPATIAL_ARM);
     for (uint32_t r = i + 1u; r < config->joints; r++) {
-        if (!layout->rotor[r]) {
+        if (!column_map->rotor[r]) {
             continue;
         }
         const double rotor = config->joint[r].gear_ratio * state->theta_rate[r];
@@ -348,64 +351,64 @@ static void link_slopes(const zygos_config_t *config, const zygos_layout_t *layo
                      axis[2] * (z[0] * w[1] - z[1] * w[0]);
             along = product(axis, z, 3);
         }
-        by_angle[layout->joint[r]] = rotor * turned;
-        by_rate[layout->joint[r]] = rotor * along;
+        by_angle[column_map->joint[r]] = rotor * turned;
+        by_rate[column_map->joint[r]] = rotor * along;
     }
 }
 
 /* What spring, damper, effects and work of joint i change with when its motor turns. The dissipation since the arc
    began changes with the newest angle by 2 (theta' - q'), as the work does by the torque before. */
-static void motor_slopes(const zygos_config_t *config, const zygos_layout_t *layout, const zygos_state_t *state,
-                         const zygos_motion_t *motion, const double *tau, const double *tau_next, uint32_t i,
-                         double *by_angle, double *by_rate)
+static void motor_slopes(const zygos_config_t *config, const zygos_column_map_t *column_map,
+                         const zygos_arm_state_t *state, const zygos_motion_t *motion, const double *tau,
+                         const double *tau_next, uint32_t i, double *by_angle, double *by_rate)
 {
     const double ratio = config->joint[i].gear_ratio;
-    const uint32_t place = layout->joint[i];
-    if (layout->rotor[i]) {
+    const uint32_t place = column_map->joint[i];
+    if (column_map->rotor[i]) {
         by_angle[place] = 0.0;
         by_rate[place] = ratio * (ratio * state->theta_rate[i] + motion->carrier_rate[i]);
     }
     if (config->joint[i].rigid == 0) {
-        by_angle[place + layout->rotor[i]] = state->theta[i] - state->q[i];
-        by_angle[place + layout->rotor[i] + 1u] = 2.0 * (state->theta_rate[i] - state->q_rate[i]);
-        by_rate[place + layout->rotor[i]] = 0.0;
-        by_rate[place + layout->rotor[i] + 1u] = 0.0;
+        by_angle[place + column_map->rotor[i]] = state->theta[i] - state->q[i];
+        by_angle[place + column_map->rotor[i] + 1u] = 2.0 * (state->theta_rate[i] - state->q_rate[i]);
+        by_rate[place + column_map->rotor[i]] = 0.0;
+        by_rate[place + column_map->rotor[i] + 1u] = 0.0;
     }
     const double held = (config->torque_law == ZYGOS_TORQUE_SAMPLED) ? 0.0 : config->period_s / 12.0;
-    by_angle[layout->count] = ratio * tau[i];
-    by_rate[layout->count] = held * ratio * (tau_next[i] - tau[i]);
+    by_angle[column_map->count] = ratio * tau[i];
+    by_rate[column_map->count] = held * ratio * (tau_next[i] - tau[i]);
     for (uint32_t e = 0; e < config->effects; e++) {
         if (config->effect[e].joint == i) {
-            zygos_effects_motor_slopes(config, e, state, tau_next[i] - tau[i], &by_angle[layout->effects + e],
-                                       &by_rate[layout->effects + e]);
+            zygos_effects_motor_slopes(config, e, state, tau_next[i] - tau[i], &by_angle[column_map->effects + e],
+                                       &by_rate[column_map->effects + e]);
         }
     }
 }
 
 /* The same when its link does: the deflection has it the other way round. */
-static void against(const zygos_config_t *config, const zygos_layout_t *layout, const zygos_state_t *state, uint32_t i,
-                    double *by_angle, double *by_rate)
+static void opposing_slopes(const zygos_config_t *config, const zygos_column_map_t *column_map,
+                            const zygos_arm_state_t *state, uint32_t i, double *by_angle, double *by_rate)
 {
-    const uint32_t place = layout->joint[i] + layout->rotor[i];
+    const uint32_t place = column_map->joint[i] + column_map->rotor[i];
     by_angle[place] = state->q[i] - state->theta[i];
     by_angle[place + 1u] = 2.0 * (state->q_rate[i] - state->theta_rate[i]);
     by_rate[place] = 0.0;
     by_rate[place + 1u] = 0.0;
     for (uint32_t e = 0; e < config->effects; e++) {
         if (config->effect[e].joint == i) {
-            by_angle[layout->effects + e] = zygos_effects_link_slope(config, e, state);
-            by_rate[layout->effects + e] = 0.0;
+            by_angle[column_map->effects + e] = zygos_effects_link_slope(config, e, state);
+            by_rate[column_map->effects + e] = 0.0;
         }
     }
 }
 
 /* The axes that the gyro's noise acts about: x, y and z; z here, and the base, in a plane. */
-static void gyro_slopes(const zygos_config_t *config, const zygos_layout_t *layout, const zygos_state_t *state,
-                        const zygos_motion_t *motion, uint32_t axis, double *by_rate)
+static void gyro_slopes(const zygos_config_t *config, const zygos_column_map_t *column_map,
+                        const zygos_arm_state_t *state, const zygos_motion_t *motion, uint32_t axis, double *by_rate)
 {
     const uint32_t n = config->joints;
     const bool space = (ZYGOS_SPATIAL != 0) && (config->kinetic == ZYGOS_SPATIAL_ARM);
-    memset(by_rate, 0, layout->kinetic * sizeof by_rate[0]);
+    memset(by_rate, 0, column_map->kinetic * sizeof by_rate[0]);
     if (space) {
         double moved[ZYGOS_MAX_DIRECTIONS][3];
         for (uint32_t a = 0; a < 2u * n + 3u; a++) {
@@ -421,23 +424,23 @@ static void gyro_slopes(const zygos_config_t *config, const zygos_layout_t *layo
         (void)zygos_kinetic_products(config, motion->direction, motion->rate, by_rate);
     }
     for (uint32_t r = 0; r < n; r++) {
-        if (layout->rotor[r]) {
+        if (column_map->rotor[r]) {
             const double rotor = config->joint[r].gear_ratio * state->theta_rate[r];
-            by_rate[layout->joint[r]] = rotor * (space ? motion->axis[r][axis] : 1.0);
+            by_rate[column_map->joint[r]] = rotor * (space ? motion->axis[r][axis] : 1.0);
         }
     }
 }
 
 /* The share of the gyro. */
-static void add_gyro(const zygos_noise_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
-                     const zygos_state_t *state, const zygos_motion_t *motion, double weight, double *packed,
+static void add_gyro(const zygos_noise_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+                     const zygos_arm_state_t *state, const zygos_motion_t *motion, double weight, double *packed,
                      double *sum)
 {
     const double deviation = weight * root(self->gyro_variance);
     const bool space = (ZYGOS_SPATIAL != 0) && (config->kinetic == ZYGOS_SPATIAL_ARM);
     double rate[ZYGOS_MAX_PARAMETERS + 1];
     for (uint32_t axis = 0; axis < (space ? 3u : 1u); axis++) {
-        gyro_slopes(config, layout, state, motion, axis, rate);
+        gyro_slopes(config, column_map, state, motion, axis, rate);
         for (uint32_t k = 0; k < self->gyro.count; k++) {
             rate[k] = deviation * rate[self->gyro.place[k]];
         }
@@ -446,8 +449,8 @@ static void add_gyro(const zygos_noise_t *self, const zygos_config_t *config, co
 }
 
 /* The share of one encoder: those of the links first, then those of the motors. */
-static void add_encoder(const zygos_noise_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
-                        const zygos_skeleton_t *skeleton, const zygos_state_t *state, const zygos_motion_t *motion,
+static void add_encoder(const zygos_noise_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+                        const zygos_geometry_t *geometry, const zygos_arm_state_t *state, const zygos_motion_t *motion,
                         const double *tau, const double *tau_next, uint32_t sensor, double weight, double *packed,
                         double *sum)
 {
@@ -460,18 +463,18 @@ static void add_encoder(const zygos_noise_t *self, const zygos_config_t *config,
         return; /* it spoke for both sides */
     }
     if (sensor < n) {
-        link_slopes(config, layout, skeleton, state, motion, i, angle, rate);
+        link_slopes(config, column_map, geometry, state, motion, i, angle, rate);
     }
     if ((sensor < n) && !rigid) {
-        against(config, layout, state, i, angle, rate);
+        opposing_slopes(config, column_map, state, i, angle, rate);
     } else {
-        motor_slopes(config, layout, state, motion, tau, tau_next, i, angle, rate);
+        motor_slopes(config, column_map, state, motion, tau, tau_next, i, angle, rate);
     }
     add_signal(self, sensor, weight, angle, rate, packed, sum);
 }
 
-void zygos_noise_add(const zygos_noise_t *self, const zygos_config_t *config, const zygos_layout_t *layout,
-                     const zygos_skeleton_t *skeleton, const zygos_state_t *state, const zygos_motion_t *motion,
+void zygos_noise_add(const zygos_noise_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+                     const zygos_geometry_t *geometry, const zygos_arm_state_t *state, const zygos_motion_t *motion,
                      const double *tau, const double *tau_next, uint32_t turn, double weight, double *packed,
                      double *sum)
 {
@@ -484,9 +487,9 @@ void zygos_noise_add(const zygos_noise_t *self, const zygos_config_t *config, co
     const double share = weight * root((double)stride);
     for (uint32_t sensor = turn % stride; sensor < sensors; sensor += stride) {
         if (sensor == 2u * config->joints) {
-            add_gyro(self, config, layout, state, motion, share, packed, sum);
+            add_gyro(self, config, column_map, state, motion, share, packed, sum);
         } else {
-            add_encoder(self, config, layout, skeleton, state, motion, tau, tau_next, sensor, share, packed, sum);
+            add_encoder(self, config, column_map, geometry, state, motion, tau, tau_next, sensor, share, packed, sum);
         }
     }
 }

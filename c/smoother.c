@@ -66,8 +66,8 @@ static void init_taps(zygos_smoother_t *self, const zygos_config_t *config, uint
         zygos_taps_t *taps = &self->taps[joint][j];
         taps->value[side] = value[j];
         taps->slope[side] = slope[j] / config->period_s;
-        taps->probe[side] = taps->slope[side] - second[j] / config->period_s;
-        square += taps->probe[side] * taps->probe[side];
+        taps->slope_difference[side] = taps->slope[side] - second[j] / config->period_s;
+        square += taps->slope_difference[side] * taps->slope_difference[side];
     }
     /* |probe . x| <= limit is tested as a square, which needs no square root. */
     const double bound = BANDWIDTH_SIGMAS * BANDWIDTH_SIGMAS * sigma * sigma * square;
@@ -91,7 +91,7 @@ void zygos_smoother_init(zygos_smoother_t *self, const zygos_config_t *config)
     }
 }
 
-void zygos_smoother_gap(zygos_smoother_t *self)
+void zygos_smoother_reset(zygos_smoother_t *self)
 {
     self->filled = 0;
 }
@@ -149,26 +149,26 @@ static void smooth_joint(const zygos_taps_t *taps, uint32_t window, const zygos_
 {
     double value[2] = { 0.0, 0.0 };
     double slope[2] = { 0.0, 0.0 };
-    double probe[2] = { 0.0, 0.0 };
+    double slope_difference[2] = { 0.0, 0.0 };
     for (const zygos_taps_t *end = taps + window; taps < end; taps++) {
         const double *angle = x->angle[joint];
         value[0] += taps->value[0] * angle[0];
         value[1] += taps->value[1] * angle[1];
         slope[0] += taps->slope[0] * angle[0];
         slope[1] += taps->slope[1] * angle[1];
-        probe[0] += taps->probe[0] * angle[0];
-        probe[1] += taps->probe[1] * angle[1];
+        slope_difference[0] += taps->slope_difference[0] * angle[0];
+        slope_difference[1] += taps->slope_difference[1] * angle[1];
         x++;
     }
     out[0] = value[0];
     out[1] = value[1];
     out[2] = slope[0];
     out[3] = slope[1];
-    out[4] = probe[0] * probe[0];
-    out[5] = probe[1] * probe[1];
+    out[4] = slope_difference[0] * slope_difference[0];
+    out[5] = slope_difference[1] * slope_difference[1];
 }
 
-int zygos_smoother_push(zygos_smoother_t *self, const double *signal, zygos_state_t *out)
+int zygos_smoother_push(zygos_smoother_t *self, const double *signal, zygos_arm_state_t *out)
 {
     const uint32_t w = self->window;
     const uint32_t at = self->position;

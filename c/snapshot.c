@@ -56,7 +56,7 @@ static uint32_t crc32c(uint32_t crc, const uint8_t *data, uint32_t length)
     return crc;
 }
 
-static uint32_t seal_of(const uint8_t *head, const uint8_t *image, uint32_t size)
+static uint32_t checksum_of(const uint8_t *head, const uint8_t *image, uint32_t size)
 {
     return ~crc32c(crc32c(0xFFFFFFFFu, head, CRC), image, size);
 }
@@ -94,7 +94,7 @@ int zygos_snapshot_seal(uint32_t kind, const void *image, uint8_t *head)
     head[BYTE_ORDER_OF_IMAGE] = byte_order();
     put(head + LAYOUT, ZYGOS_ABI, 4);
     put(head + LENGTH, size, 4);
-    put(head + CRC, seal_of(head, (const uint8_t *)image, size), 4);
+    put(head + CRC, checksum_of(head, (const uint8_t *)image, size), 4);
     return 1;
 }
 
@@ -122,5 +122,5 @@ int zygos_snapshot_check(uint32_t kind, const uint8_t *head, const void *image, 
     if ((get(head + LENGTH, 4) != size) || (length - ZYGOS_SNAPSHOT_HEAD != size)) {
         return ZYGOS_E_LENGTH;
     }
-    return (get(head + CRC, 4) == seal_of(head, (const uint8_t *)image, size)) ? 1 : ZYGOS_E_CRC;
+    return (get(head + CRC, 4) == checksum_of(head, (const uint8_t *)image, size)) ? 1 : ZYGOS_E_CRC;
 }

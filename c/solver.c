@@ -5,14 +5,14 @@
 #define MAX_REFUSED_SHARE 0.05
 #define INSTANTS_PER_PARAMETER 3u
 #define POWER_ROUNDS 40u
-/* Of a random walk's mean square about its own mean: between 6, and 15 where its trend drops out. */
+/* Divisor of the mean square of a random walk about its own mean: between 6, and 15 without its trend. */
 #define WALK 10.0
-/* More than what noise leaves, by the square: an arc may have spoilt the sums before there was a running solution. */
-#define SPOILT 2.0
+/* Ratio of squared residuals to noise above which a bad arc may be in the sums, from before the first running solution.
+ */
+#define CORRUPTED_RATIO 2.0
 #define TWO_SIGMAS 1.959964 /* 95 % of a normal distribution */
-/* The noise of neighbouring momentum rows is alike, that of energy rows forgets at once: so much less their square
-   says. */
-#define MOMENTUM_CAUTION 5.0
+/* Factor by which the variance of momentum rows is increased, because the noise of neighbouring rows is correlated. */
+#define MOMENTUM_CORRELATION 5.0
 
 /* Place of entry (i, j), j <= i, in a packed lower triangle. */
 static uint32_t at(uint32_t i, uint32_t j)
@@ -121,7 +121,7 @@ static double form(const double *packed, const double *x, uint32_t p)
 }
 
 /* The scaled matrix and right side of all blocks, less those of one unless it is null. noise: share of the declared
-   noise that is taken off. */
+   noise that is subtracted. */
 static void scaled_equations(zygos_work_t *work, uint32_t p, const zygos_block_t *without, double noise)
 {
     const double *total = work->total;
@@ -135,7 +135,7 @@ static void scaled_equations(zygos_work_t *work, uint32_t p, const zygos_block_t
             if (i < p) {
                 work->matrix[k] = value * (work->scale[i] * work->scale[j]);
             } else {
-                work->right[j] = value * work->scale[j];
+                work->right_side[j] = value * work->scale[j];
             }
         }
     }
@@ -144,17 +144,18 @@ static void scaled_equations(zygos_work_t *work, uint32_t p, const zygos_block_t
 /* Where column c of the motor row of joint i stands; behind the last of them the right side. */
 static uint32_t place_of(const zygos_work_t *work, uint32_t i, uint32_t c)
 {
-    const zygos_impulse_layout_t *layout = &work->joint_sums.layout;
+    const zygos_impulse_column_map_t *column_map = &work->joint_sums.column_map;
     if (c < 3u) {
-        return work->layout.joint[i] + c;
+        return work->column_map.joint[i] + c;
     }
-    return (c < layout->count[i]) ? work->layout.effects + layout->effect[i][c - 3u] : work->layout.count;
+    return (c < column_map->count[i]) ? work->column_map.effects + column_map->effect[i][c - 3u]
+                                      : work->column_map.count;
 }
 
 /* out += factor times a packed matrix of joint i; sides: its right side as well. */
 static void embed(const zygos_work_t *work, uint32_t i, const double *local, double factor, bool sides, double *out)
 {
-    const uint32_t count = work->joint_sums.layout.count[i];
+    const uint32_t count = work->joint_sums.column_map.count[i];
     for (uint32_t a = 0; a < count + (sides ? 1u : 0u); a++) {
         const uint32_t place_a = place_of(work, i, a);
         for (uint32_t b = 0; b <= a; b++) {
@@ -168,16 +169,16 @@ static void embed(const zygos_work_t *work, uint32_t i, const double *local, dou
 /* The scaled equations without an arc of the motor rows. */
 static void scaled_without_arc(zygos_work_t *work, uint32_t p, const zygos_joint_block_t *arc)
 {
-    scaled_equations(work, p, NULL, work->believed);
+    scaled_equations(work, p, NULL, work->noise_scale);
     for (uint32_t i = 0; i < work->config.joints; i++) {
-        const uint32_t count = work->joint_sums.layout.count[i];
+        const uint32_t count = work->joint_sums.column_map.count[i];
         for (uint32_t a = 0; (a <= count) && (count > 0); a++) {
             const uint32_t place_a = place_of(work, i, a);
             for (uint32_t b = 0; (b <= a) && (b < count); b++) {
                 const uint32_t place_b = place_of(work, i, b);
                 const double value = work->weight[i] * arc->joint[i].gram[at(a, b)] * work->scale[place_b];
                 if (a == count) {
-                    work->right[place_b] -= value;
+                    work->right_side[place_b] -= value;
                 } else {
                     const uint32_t k = (place_a >= place_b) ? at(place_a, place_b) : at(place_b, place_a);
                     work->matrix[k] -= value * work->scale[place_a];
@@ -190,7 +191,7 @@ static void scaled_without_arc(zygos_work_t *work, uint32_t p, const zygos_joint
 /* Where column c of the momentum rows stands. Places ascend. */
 static uint32_t momentum_place(const zygos_work_t *work, uint32_t c)
 {
-    return (c < work->layout.kinetic) ? c : work->layout.joint[c - work->layout.kinetic];
+    return (c < work->column_map.kinetic) ? c : work->column_map.joint[c - work->column_map.kinetic];
 }
 
 /* out += factor times a matrix of the momentum rows, scaled where there is a scale. */
@@ -210,7 +211,7 @@ static void embed_momentum(const zygos_work_t *work, const double *local, double
 /* The scaled equations without an arc of the momentum rows. */
 static void scaled_without_momentum(zygos_work_t *work, uint32_t p, const zygos_momentum_block_t *arc)
 {
-    scaled_equations(work, p, NULL, work->believed);
+    scaled_equations(work, p, NULL, work->noise_scale);
     embed_momentum(work, arc->rows.gram, -work->momentum_weight, work->scale, work->matrix);
 }
 
@@ -218,7 +219,7 @@ static void scaled_without_momentum(zygos_work_t *work, uint32_t p, const zygos_
 static void solve_once(zygos_work_t *work, uint32_t p, uint32_t rank, double *x)
 {
     for (uint32_t i = 0; i < rank; i++) {
-        work->score[i] = work->right[work->pivot[i]];
+        work->score[i] = work->right_side[work->pivot[i]];
     }
     substitute(work->factor, rank, work->score);
     memset(x, 0, p * sizeof x[0]);
@@ -290,17 +291,17 @@ static void inverse_diagonal(zygos_work_t *work, uint32_t p, uint32_t rank, doub
 }
 
 /* Student's factor for 95 %, by its expansion in 1 / freedom: within 1 % from 3 degrees of freedom on. */
-static double student(double freedom)
+static double student(double degrees_of_freedom)
 {
-    const double u = 1.0 / freedom;
+    const double u = 1.0 / degrees_of_freedom;
     return TWO_SIGMAS + u * (2.372272 + u * (2.822499 + u * (2.555852 + u * 1.589536)));
 }
 
-/* What a block alone leaves of the equations: right side less matrix times solution, scaled. */
+/* The score of a block: its right side less its matrix times the solution, scaled. */
 static void score(const zygos_work_t *work, uint32_t p, const zygos_block_t *block, double *out)
 {
     const double *declared = work->accumulator.noise_closed.gram;
-    const double back = (1.0 - work->believed) * work->noise_part * block->instants / work->instants;
+    const double back = (1.0 - work->noise_scale) * work->noise_fraction * block->instants / work->instants;
     for (uint32_t i = 0; i < p; i++) {
         double sum = block->gram[at(p, i)] + back * declared[at(p, i)];
         for (uint32_t j = 0; j < p; j++) {
@@ -315,7 +316,7 @@ static void score_of_arc(const zygos_work_t *work, uint32_t p, const zygos_joint
 {
     memset(out, 0, p * sizeof out[0]);
     for (uint32_t i = 0; i < work->config.joints; i++) {
-        const uint32_t count = work->joint_sums.layout.count[i];
+        const uint32_t count = work->joint_sums.column_map.count[i];
         const double *gram = arc->joint[i].gram;
         for (uint32_t a = 0; a < count; a++) {
             const uint32_t place = place_of(work, i, a);
@@ -355,10 +356,10 @@ static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, double *cov
     double instants = 0.0;
     double square = 0.0;
     bool once = false;
-    memset(work->shares, 0, sizeof work->shares);
+    memset(work->information, 0, sizeof work->information);
     for (uint32_t b = 0; (b < blocks) && !once; b++) {
         if (b < energy_blocks) {
-            scaled_equations(work, p, &energy_block[b], work->believed);
+            scaled_equations(work, p, &energy_block[b], work->noise_scale);
             instants += energy_block[b].instants;
             square += energy_block[b].square;
         } else if (b >= energy_and_motors) {
@@ -367,46 +368,47 @@ static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, double *cov
             scaled_without_arc(work, p, &arc[b - energy_blocks]);
         }
         once = (factorise(work, p, rank) < rank);
-        solve_once(work, p, rank, work->left_out[b]);
-        inverse_diagonal(work, p, rank, work->right);
+        solve_once(work, p, rank, work->leave_one_out[b]);
+        inverse_diagonal(work, p, rank, work->right_side);
         for (uint32_t i = 0; i < p; i++) {
-            const double gain = work->right[i] - work->inverse[i];
+            const double gain = work->right_side[i] - work->inverse[i];
             const double share = (gain > 0.0) ? gain : 0.0;
-            work->left_out[b][i] = work->solution[i] - work->left_out[b][i];
-            work->shares[0][i] += share;
-            work->shares[1][i] += share * share;
+            work->leave_one_out[b][i] = work->solution[i] - work->leave_one_out[b][i];
+            work->information[0][i] += share;
+            work->information[1][i] += share * share;
         }
     }
     memset(covariance, 0, at(p, 0) * sizeof covariance[0]);
-    memset(work->plain, 0, sizeof work->plain);
-    scaled_equations(work, p, NULL, work->believed);
+    memset(work->linearised_variance, 0, sizeof work->linearised_variance);
+    scaled_equations(work, p, NULL, work->noise_scale);
     (void)factorise(work, p, rank);
     for (uint32_t b = 0; (b < blocks) && !once; b++) {
         const bool energy = (b < energy_blocks);
         if (energy) {
-            score(work, p, &energy_block[b], work->right);
+            score(work, p, &energy_block[b], work->right_side);
         } else if (b >= energy_and_motors) {
-            score_of_momentum(work, p, &momenta[b - energy_and_motors], work->right);
+            score_of_momentum(work, p, &momenta[b - energy_and_motors], work->right_side);
         } else {
-            score_of_arc(work, p, &arc[b - energy_blocks], work->right);
+            score_of_arc(work, p, &arc[b - energy_blocks], work->right_side);
         }
         const double factor = 0.5 * (energy ? instants / square : 1.0);
-        solve_once(work, p, rank, work->direct);
+        solve_once(work, p, rank, work->linearised);
         for (uint32_t i = 0; i < p; i++) {
-            work->plain[i] += 2.0 * factor * work->direct[i] * work->direct[i];
+            work->linearised_variance[i] += 2.0 * factor * work->linearised[i] * work->linearised[i];
             for (uint32_t j = 0; j <= i; j++) {
-                covariance[at(i, j)] +=
-                    factor * (work->left_out[b][i] * work->direct[j] + work->left_out[b][j] * work->direct[i]);
+                covariance[at(i, j)] += factor * (work->leave_one_out[b][i] * work->linearised[j] +
+                                                  work->leave_one_out[b][j] * work->linearised[i]);
             }
         }
     }
     for (uint32_t i = 0; i < p; i++) {
-        const double several = work->shares[0][i] * work->shares[0][i];
-        const double freedom = (work->shares[1][i] > 0.0) ? several / work->shares[1][i] : 1.0;
+        const double several = work->information[0][i] * work->information[0][i];
+        const double degrees_of_freedom = (work->information[1][i] > 0.0) ? several / work->information[1][i] : 1.0;
         const double variance = covariance[at(i, i)];
         /* By an accident of few blocks the product may be too small, even negative; the square of the one is not. */
-        covariance[at(i, i)] = once ? infinity() : ((variance > work->plain[i]) ? variance : work->plain[i]);
-        work->freedom[i] = (freedom > 2.0) ? freedom : 2.0;
+        covariance[at(i, i)] =
+            once ? infinity() : ((variance > work->linearised_variance[i]) ? variance : work->linearised_variance[i]);
+        work->degrees_of_freedom[i] = (degrees_of_freedom > 2.0) ? degrees_of_freedom : 2.0;
     }
 }
 
@@ -442,8 +444,8 @@ static void measure(zygos_work_t *work)
     double moment = 0.0;
     uint32_t a = 0;
     uint32_t b = 0;
-    for (uint32_t k = 0; k < work->layout.body; k++) {
-        if (k >= work->layout.kinetic) {
+    for (uint32_t k = 0; k < work->column_map.body; k++) {
+        if (k >= work->column_map.kinetic) {
             moment = (magnitude(x[k]) > moment) ? magnitude(x[k]) : moment;
         } else if (!pair_of(&work->config, k, &a, &b) && (a == b)) {
             diagonal[a] = magnitude(x[k]);
@@ -452,9 +454,9 @@ static void measure(zygos_work_t *work)
     if ((work->config.kinetic == ZYGOS_SPATIAL_ARM) && (work->config.base == ZYGOS_BASE_FIXED)) {
         diagonal[1] = diagonal[0];
     }
-    for (uint32_t k = 0; k < work->layout.count; k++) {
-        double size = (k < work->layout.body) ? moment : 0.0;
-        if (k < work->layout.kinetic) {
+    for (uint32_t k = 0; k < work->column_map.count; k++) {
+        double size = (k < work->column_map.body) ? moment : 0.0;
+        if (k < work->column_map.kinetic) {
             (void)pair_of(&work->config, k, &a, &b);
             size = root(diagonal[a] * diagonal[b]);
         }
@@ -465,27 +467,27 @@ static void measure(zygos_work_t *work)
 /* m := m - Im y y^T of each rotor i and each direction y of it: a thin disk on the body before its joint, with half of
    Im along both directions across the axis. What lies along a body's own joint axis is carried on to the body before.
  */
-static void take_rotors(const zygos_work_t *work, double *m, uint32_t size)
+static void subtract_rotors(const zygos_work_t *work, double *m, uint32_t size)
 {
     const zygos_config_t *config = &work->config;
     const bool space = (config->kinetic == ZYGOS_SPATIAL_ARM);
     const uint32_t base = (config->base == ZYGOS_BASE_FREE) ? (space ? 3u : 2u) : 0u;
-    zygos_skeleton_t skeleton;
-    zygos_skeleton_init(&skeleton, config);
+    zygos_geometry_t geometry;
+    zygos_geometry_init(&geometry, config);
     for (uint32_t i = (base > 0) ? 0u : 1u; i < config->joints; i++) {
-        const double rotor = work->solution[work->layout.joint[i]];
+        const double rotor = work->solution[work->column_map.joint[i]];
         for (uint32_t d = 0; d < 2; d++) {
             double y[ZYGOS_MAX_DIRECTIONS] = { 0.0 };
             /* Direction d of body i + 1 in the frame (u, v, axis) of the body before. */
-            double c[3] = { skeleton.turn[i][d], skeleton.turn[i][3u + d], skeleton.turn[i][6u + d] };
+            double c[3] = { geometry.rotation[i][d], geometry.rotation[i][3u + d], geometry.rotation[i][6u + d] };
             for (uint32_t body = i; body > 0; body--) {
-                const double *turn = skeleton.turn[body - 1u];
+                const double *rotation = geometry.rotation[body - 1u];
                 const double along = c[2];
                 y[base + 2u * body - 2u] = c[0];
                 y[base + 2u * body - 1u] = c[1];
-                c[0] = turn[2] * along;
-                c[1] = turn[5] * along;
-                c[2] = turn[8] * along;
+                c[0] = rotation[2] * along;
+                c[1] = rotation[5] * along;
+                c[2] = rotation[8] * along;
             }
             if (space) {
                 memcpy(y, c, base * sizeof y[0]);
@@ -515,7 +517,7 @@ static bool positive_definite(zygos_work_t *work, const double *sigma)
     const uint32_t split = (space && !free) ? size - 2u : size;
     double *m = work->matrix;
     memset(m, 0, at(size, 0) * sizeof m[0]);
-    for (uint32_t k = 0; k < work->layout.kinetic; k++) {
+    for (uint32_t k = 0; k < work->column_map.kinetic; k++) {
         uint32_t a = 0;
         uint32_t b = 0;
         const bool cross = pair_of(config, k, &a, &b);
@@ -530,7 +532,7 @@ static bool positive_definite(zygos_work_t *work, const double *sigma)
             m[at(size - 2u - 2u * a, size - 2u - 2u * b)] = value;
         }
     }
-    take_rotors(work, m, size);
+    subtract_rotors(work, m, size);
     double rest = 0.0;
     for (uint32_t i = 0; i < size; i++) {
         for (uint32_t j = 0; j <= i; j++) {
@@ -556,25 +558,25 @@ static bool positive_definite(zygos_work_t *work, const double *sigma)
    effect that cannot be negative may come out so by its noise. */
 static bool physical(zygos_work_t *work, const zygos_estimate_t *out)
 {
-    const zygos_layout_t *layout = &work->layout;
+    const zygos_column_map_t *column_map = &work->column_map;
     const uint32_t positive = zygos_effects_positive(&work->config);
     bool all = true;
     bool good = true;
-    for (uint32_t k = 0; k < layout->kinetic; k++) {
+    for (uint32_t k = 0; k < column_map->kinetic; k++) {
         uint32_t a = 0;
         uint32_t b = 0;
         const bool cross = pair_of(&work->config, k, &a, &b);
         all = all && out->identifiable[k];
         good = good && (cross || (a != b) || !out->identifiable[k] || (out->value[k] > 0.0));
     }
-    for (uint32_t k = layout->body; k < layout->effects; k++) {
+    for (uint32_t k = column_map->body; k < column_map->effects; k++) {
         good = good && (!out->identifiable[k] || (out->value[k] > 0.0));
     }
     for (uint32_t i = 0; i < work->config.joints; i++) {
-        all = all && (!layout->rotor[i] || out->identifiable[layout->joint[i]]);
+        all = all && (!column_map->rotor[i] || out->identifiable[column_map->joint[i]]);
     }
-    for (uint32_t k = layout->effects; k < layout->count; k++) {
-        const bool bounded = ((positive >> (k - layout->effects)) & 1u) != 0;
+    for (uint32_t k = column_map->effects; k < column_map->count; k++) {
+        const bool bounded = ((positive >> (k - column_map->effects)) & 1u) != 0;
         const double least = -ZYGOS_NEGATIVE_SIGMAS * out->sigma[k];
         good = good && (!bounded || !out->identifiable[k] || (out->value[k] >= least));
     }
@@ -592,8 +594,8 @@ static void withhold(zygos_estimate_t *out, uint32_t i, uint32_t p)
     }
 }
 
-/* The noise in the rows takes from each value what it puts into the squares of the columns: the mean square noise per
-   scaled column, if the residuals are its work alone and all columns have the same. */
+/* The mean square of the undeclared noise for each scaled column, if it alone causes the residuals and is the same in
+   all columns. It biases the values by its contribution to the squares of the columns. */
 static double noise_square(const zygos_work_t *work, uint32_t p, double unexplained)
 {
     double length = 0.0;
@@ -603,16 +605,16 @@ static double noise_square(const zygos_work_t *work, uint32_t p, double unexplai
     return (unexplained > 0.0) ? unexplained / length : 0.0;
 }
 
-/* So as much again is put in: what this changes is what the noise may hide. */
-static void put_in_again(zygos_work_t *work, uint32_t p, double noise)
+/* Adds the same amount of noise again: the change of the solution is the error that the noise may hide. */
+static void shift_by_noise(zygos_work_t *work, uint32_t p, double noise)
 {
-    scaled_equations(work, p, NULL, work->believed);
+    scaled_equations(work, p, NULL, work->noise_scale);
     for (uint32_t i = 0; i < p; i++) {
         work->matrix[at(i, i)] += noise;
     }
-    solve_once(work, p, factorise(work, p, p), work->hidden);
+    solve_once(work, p, factorise(work, p, p), work->noise_shift);
     for (uint32_t i = 0; i < p; i++) {
-        work->hidden[i] -= work->solution[i];
+        work->noise_shift[i] -= work->solution[i];
     }
 }
 
@@ -622,7 +624,7 @@ static double noise_share(zygos_work_t *work, uint32_t rank)
 {
     const double *declared = work->noise;
     double *v = work->score;
-    double *u = work->right;
+    double *u = work->right_side;
     double ratio = 0.0;
     for (uint32_t i = 0; i < rank; i++) {
         v[i] = 1.0 + 0.1 * (double)(i % 7u);
@@ -655,7 +657,7 @@ static double noise_share(zygos_work_t *work, uint32_t rank)
     return ratio;
 }
 
-/* Factorises with the given share of the declared noise taken off, and solves. */
+/* Factorises without the given share of the declared noise, and solves. */
 static uint32_t solve_with(zygos_work_t *work, uint32_t p, uint32_t most, double noise, double *x)
 {
     scaled_equations(work, p, NULL, noise);
@@ -674,12 +676,12 @@ static double momentum_form(const zygos_work_t *work, const zygos_momentum_gram_
     return form(rows->gram, local, work->momentum_sums.columns);
 }
 
-/* What x leaves of the energy rows, noise included, and what of it the declared noise makes: sums of squares [J^2]. */
+/* The squared residuals of the energy rows for x, including noise, and the part of the declared noise in them [J^2]. */
 static double energy_left(const zygos_work_t *work, uint32_t p, const double *x, double *explained)
 {
     double left = form(work->total, x, p);
     for (uint32_t i = 0; i < work->config.joints; i++) {
-        const uint32_t count = work->joint_sums.layout.count[i];
+        const uint32_t count = work->joint_sums.column_map.count[i];
         double local[ZYGOS_MAX_IMPULSE + 1] = { 0.0 };
         for (uint32_t a = 0; a < count; a++) {
             local[a] = x[place_of(work, i, a)];
@@ -691,29 +693,29 @@ static double energy_left(const zygos_work_t *work, uint32_t p, const double *x,
     for (uint32_t b = work->momenta.first; (b < work->momenta.end) && (work->momentum_weight > 0.0); b++) {
         left -= work->momentum_weight * momentum_form(work, &work->momentum_sums.block[b].rows, x);
     }
-    *explained = work->noise_part * form(work->accumulator.noise_closed.gram, x, p);
+    *explained = work->noise_fraction * form(work->accumulator.noise_closed.gram, x, p);
     left += *explained;
     return (left > 0.0) ? left : 0.0;
 }
 
-/* How much of the declared noise is taken off: as much as the residuals show when that is clearly less, and no more
-   than half of any combination. Needs the factor of the sums with their noise. */
-static void believe(zygos_work_t *work, uint32_t p, uint32_t rank, zygos_estimate_t *out)
+/* Chooses the share of the declared noise that is subtracted: as much as the residuals show if that is clearly less,
+   and not more than half of any combination. Needs the factor of the sums with their noise. */
+static void choose_noise_scale(zygos_work_t *work, uint32_t p, uint32_t rank, zygos_estimate_t *out)
 {
     const double share = noise_share(work, rank);
     double seen = 1.0;
-    work->believed = 1.0;
-    out->gate = infinity();
+    work->noise_scale = 1.0;
+    out->signal_to_noise = infinity();
     for (uint32_t round = 0; (round < 3) && (share > 0.0); round++) {
-        const double most = 1.0 / (ZYGOS_GATE * share);
+        const double most = 1.0 / (ZYGOS_MIN_SIGNAL_TO_NOISE * share);
         if (round > 0) {
             double explained = 0.0;
-            (void)solve_with(work, p, rank, work->believed, work->solution);
+            (void)solve_with(work, p, rank, work->noise_scale, work->solution);
             const double left = energy_left(work, p, work->solution, &explained);
             seen = (left < ZYGOS_OVERDECLARED * explained) ? left / explained : 1.0;
         }
-        work->believed = (seen < most) ? seen : most;
-        out->gate = 1.0 / (share * seen);
+        work->noise_scale = (seen < most) ? seen : most;
+        out->signal_to_noise = 1.0 / (share * seen);
     }
 }
 
@@ -727,15 +729,15 @@ static uint32_t begin(zygos_work_t *work, uint32_t p)
     return solve_with(work, p, p, 0.0, work->solution);
 }
 
-/* Mean square of the noise in a motor row of joint i: what the signals of the instant put into it, and what the
-   integral of the deflection has summed up by then, the mean over an arc of a random walk about its own mean. */
+/* Mean square of the noise in a motor row of joint i: that of the signals of the instant, and that of the integral of
+   the deflection, the mean over an arc of a random walk about its own mean. */
 static double joint_variance(const zygos_work_t *work, uint32_t i)
 {
     const zygos_joint_sums_t *sums = &work->joint_sums;
     const zygos_joint_config_t *joint = &work->config.joint[i];
     double local[ZYGOS_MAX_IMPULSE] = { 0.0 };
     double sum = 0.0;
-    for (uint32_t a = 0; a < sums->layout.count[i]; a++) {
+    for (uint32_t a = 0; a < sums->column_map.count[i]; a++) {
         local[a] = work->solution[place_of(work, i, a)];
         for (uint32_t b = 0; b <= a; b++) {
             sum += ((a == b) ? 1.0 : 2.0) * local[a] * local[b] * sums->noise[i][at(a, b)];
@@ -752,9 +754,9 @@ static double joint_variance(const zygos_work_t *work, uint32_t i)
 static void add_motors(zygos_work_t *work, double energy)
 {
     const zygos_joint_sums_t *sums = &work->joint_sums;
-    const bool enough = (work->arcs.end - work->arcs.first >= ZYGOS_LEAST_ARCS);
+    const bool enough = (work->arcs.end - work->arcs.first >= ZYGOS_MIN_ARCS);
     for (uint32_t i = 0; i < work->config.joints; i++) {
-        if ((sums->layout.count[i] > 0) && !(work->weight[i] > 0.0)) {
+        if ((sums->column_map.count[i] > 0) && !(work->weight[i] > 0.0)) {
             const double joint = joint_variance(work, i);
             work->weight[i] = ((joint > 0.0) && enough) ? energy / joint : 0.0;
         }
@@ -765,19 +767,19 @@ static void add_motors(zygos_work_t *work, double energy)
     }
 }
 
-/* What may be hidden is added to the sigmas. */
+/* Adds the error that noise may hide to the sigmas. */
 static void widen(const zygos_work_t *work, uint32_t p, zygos_estimate_t *out)
 {
     for (uint32_t i = 0; i < p; i++) {
-        out->covariance[at(i, i)] += work->hidden[i] * work->hidden[i];
+        out->covariance[at(i, i)] += work->noise_shift[i] * work->noise_shift[i];
         out->sigma[i] = root(out->covariance[at(i, i)]);
     }
 }
 
-/* Leaving out a block tells of what blocks do not have in common. Two parts of the residuals may be the same in all of
-   them, and then no number of blocks averages them out: what adds up within a block, and what the declared noise does
-   not explain, of which as much is left as it does in one arc of the longest kind. */
-static void allow_for_likeness(const zygos_work_t *work, uint32_t p, double systematic, zygos_estimate_t *out)
+/* The jackknife shows only errors that differ between blocks. Two parts of the residuals may be the same in all blocks
+   and do not average out: the part that adds up within a block, and the part that the declared noise does not explain.
+   Of the latter, the error of one arc of the longest kind is kept. */
+static void add_common_error(const zygos_work_t *work, uint32_t p, double systematic, zygos_estimate_t *out)
 {
     const double blocks = (double)(work->blocks.end - work->blocks.first);
     const double arcs = work->instants / (double)work->config.arc_cycles;
@@ -789,34 +791,34 @@ static void allow_for_likeness(const zygos_work_t *work, uint32_t p, double syst
     }
 }
 
-static bool sharp(const zygos_work_t *work, const zygos_estimate_t *out, uint32_t i, double limit)
+static bool is_precise(const zygos_work_t *work, const zygos_estimate_t *out, uint32_t i, double limit)
 {
     return out->sigma[i] <= limit * work->size[i];
 }
 
-/* A value that is not sharp lends its error to others, because noise in the rows acts on them through it: where nothing
-   but noise makes the rank full, every value is made of noise. So the equations are solved again without those values,
-   and what this changes goes into the others' sigmas. Columns that left the factorisation lend nothing. An effect may
-   be zero, so its sigma has no size to be compared with. */
-static void withhold_blurred(zygos_work_t *work, bool full, zygos_estimate_t *out)
+/* The error of an imprecise value is also in the others: where the rank is full only because of noise, every value is
+   determined by noise. Therefore the equations are solved again without the imprecise values, and the change is added
+   to the sigmas of the others. Columns that were removed from the factorisation have no such influence. An effect may
+   be zero, so that its sigma cannot be compared with a size. */
+static void withhold_imprecise(zygos_work_t *work, bool full, zygos_estimate_t *out)
 {
-    const uint32_t p = work->layout.count;
-    const uint32_t effects = work->layout.effects;
-    bool blurred = false;
+    const uint32_t p = work->column_map.count;
+    const uint32_t effects = work->column_map.effects;
+    bool imprecise = false;
     for (uint32_t i = 0; i < effects; i++) {
-        blurred = blurred || !sharp(work, out, i, ZYGOS_SIGMA_LIMIT);
+        imprecise = imprecise || !is_precise(work, out, i, ZYGOS_SIGMA_LIMIT);
     }
-    if (blurred && full) {
-        double *without = work->left_out[0];
-        scaled_equations(work, p, NULL, work->believed);
+    if (imprecise && full) {
+        double *without = work->leave_one_out[0];
+        scaled_equations(work, p, NULL, work->noise_scale);
         for (uint32_t i = 0; i < effects; i++) {
-            if (sharp(work, out, i, ZYGOS_SIGMA_LIMIT)) {
+            if (is_precise(work, out, i, ZYGOS_SIGMA_LIMIT)) {
                 continue;
             }
             for (uint32_t j = 0; j < p; j++) {
                 work->matrix[(i >= j) ? at(i, j) : at(j, i)] = (i == j) ? 1.0 : 0.0;
             }
-            work->right[i] = 0.0;
+            work->right_side[i] = 0.0;
         }
         solve_once(work, p, factorise(work, p, p), without);
         for (uint32_t i = 0; i < p; i++) {
@@ -825,9 +827,9 @@ static void withhold_blurred(zygos_work_t *work, bool full, zygos_estimate_t *ou
             out->covariance[at(i, i)] += shift * shift;
         }
     }
-    const double limit = (blurred && full) ? ZYGOS_SIGMA_LIMIT_BESIDE : ZYGOS_SIGMA_LIMIT;
+    const double limit = (imprecise && full) ? ZYGOS_SIGMA_LIMIT_BESIDE : ZYGOS_SIGMA_LIMIT;
     for (uint32_t i = 0; i < effects; i++) {
-        if (!out->identifiable[i] || !sharp(work, out, i, limit)) {
+        if (!out->identifiable[i] || !is_precise(work, out, i, limit)) {
             withhold(out, i, p);
         }
     }
@@ -879,7 +881,7 @@ static void choose_momenta(zygos_work_t *work, uint64_t after, uint64_t until)
     }
 }
 
-/* Chooses the blocks that are looked at, and sums them: first those of the energy, then those of the motors. */
+/* Chooses the blocks that are used, and sums them: first those of the energy, then those of the motors. */
 static void choose(zygos_work_t *work, uint32_t p, uint32_t first, uint32_t end)
 {
     const zygos_accumulator_t *sums = &work->accumulator;
@@ -908,9 +910,9 @@ static void choose(zygos_work_t *work, uint32_t p, uint32_t first, uint32_t end)
         work->instants += ((b >= first) && (b < end)) ? sums->block[b].instants : 0.0;
     }
     work->spread = work->total[at(p, p)];
-    work->noise_part = (all > 0.0) ? work->instants / all : 0.0;
+    work->noise_fraction = (all > 0.0) ? work->instants / all : 0.0;
     for (uint32_t k = 0; k < at(p + 1u, 0); k++) {
-        work->noise[k] = work->noise_part * sums->noise_closed.gram[k];
+        work->noise[k] = work->noise_fraction * sums->noise_closed.gram[k];
     }
 }
 
@@ -925,8 +927,8 @@ static uint32_t with_motors(zygos_work_t *work, uint32_t p, zygos_estimate_t *ou
     double weight[ZYGOS_MAX_JOINTS];
     memcpy(weight, work->weight, sizeof weight);
     memset(work->weight, 0, sizeof work->weight);
-    believe(work, p, rank, out);
-    (void)solve_with(work, p, rank, work->believed, work->solution);
+    choose_noise_scale(work, p, rank, out);
+    (void)solve_with(work, p, rank, work->noise_scale, work->solution);
     double explained = 0.0;
     (void)energy_left(work, p, work->solution, &explained);
     memcpy(work->weight, weight, sizeof weight);
@@ -940,7 +942,7 @@ static uint32_t with_motors(zygos_work_t *work, uint32_t p, zygos_estimate_t *ou
 static uint32_t with_momentum(zygos_work_t *work, uint32_t p, uint32_t rank, zygos_estimate_t *out)
 {
     const zygos_momentum_sums_t *sums = &work->momentum_sums;
-    if ((rank == 0) || (work->momenta.end < work->momenta.first + ZYGOS_LEAST_ARCS)) {
+    if ((rank == 0) || (work->momenta.end < work->momenta.first + ZYGOS_MIN_ARCS)) {
         work->momenta.end = work->momenta.first;
         return rank;
     }
@@ -954,11 +956,11 @@ static uint32_t with_momentum(zygos_work_t *work, uint32_t p, uint32_t rank, zyg
     work->momentum_weight = 0.0;
     if (!(weight > 0.0)) {
         double energy = 0.0;
-        believe(work, p, rank, out);
-        (void)solve_with(work, p, rank, work->believed, work->solution);
+        choose_noise_scale(work, p, rank, out);
+        (void)solve_with(work, p, rank, work->noise_scale, work->solution);
         (void)energy_left(work, p, work->solution, &energy);
         const double noise = momentum_form(work, &sums->noise_closed, work->solution) / all;
-        weight = (noise > 0.0) ? energy / work->instants / (MOMENTUM_CAUTION * noise) : 0.0;
+        weight = (noise > 0.0) ? energy / work->instants / (MOMENTUM_CORRELATION * noise) : 0.0;
     }
     if (!(weight > 0.0)) {
         work->momenta.end = work->momenta.first;
@@ -977,8 +979,8 @@ static uint32_t combine(zygos_work_t *work, uint32_t p, zygos_estimate_t *out)
     return with_momentum(work, p, with_motors(work, p, out), out);
 }
 
-/* Whether what the solution leaves of the chosen energy rows is noise: see ZYGOS_CLUSTER_LIMIT. Fills in what is left
-   over and how far it adds up. */
+/* Whether the residuals of the chosen energy rows are noise: see ZYGOS_CLUSTER_LIMIT. Writes residual, noise_ratio and
+   cluster. */
 static bool closes(const zygos_work_t *work, uint32_t p, zygos_estimate_t *out)
 {
     double explained = 0.0;
@@ -994,8 +996,8 @@ static bool closes(const zygos_work_t *work, uint32_t p, zygos_estimate_t *out)
 static int solve_from(zygos_work_t *work, zygos_estimate_t *out, uint32_t first)
 {
     const zygos_accumulator_t *sums = &work->accumulator;
-    const uint32_t p = work->layout.count;
-    const uint32_t effects = work->layout.effects;
+    const uint32_t p = work->column_map.count;
+    const uint32_t effects = work->column_map.effects;
     double before = 0.0;
     memset(out, 0, sizeof *out);
     memcpy(out->left_out, work->guard.left_out, sizeof out->left_out);
@@ -1010,8 +1012,8 @@ static int solve_from(zygos_work_t *work, zygos_estimate_t *out, uint32_t first)
     out->arcs = sums->arcs - (out->left_out[ZYGOS_ENERGY_ROWS] - work->guard.left_out[ZYGOS_ENERGY_ROWS]);
     out->blocks = sums->open - first;
     out->since = (first > 0) ? sums->block[first - 1u].end : 0u;
-    out->in_a_row = work->guard.in_a_row[ZYGOS_ENERGY_ROWS];
-    if ((out->accepted < (uint64_t)INSTANTS_PER_PARAMETER * p) || (out->blocks < ZYGOS_LEAST_BLOCKS)) {
+    out->consecutive = work->guard.consecutive[ZYGOS_ENERGY_ROWS];
+    if ((out->accepted < (uint64_t)INSTANTS_PER_PARAMETER * p) || (out->blocks < ZYGOS_MIN_BLOCKS)) {
         return refuse(out, p, ZYGOS_REASON_NO_DATA);
     }
     choose(work, p, first, sums->open);
@@ -1027,9 +1029,9 @@ static int solve_from(zygos_work_t *work, zygos_estimate_t *out, uint32_t first)
     for (uint32_t d = rank; d < p; d++) {
         full = full && (work->pivot[d] >= effects);
     }
-    believe(work, p, rank, out);
+    choose_noise_scale(work, p, rank, out);
     double inverse = 0.0;
-    if (solve_with(work, p, rank, work->believed, work->solution) < rank) {
+    if (solve_with(work, p, rank, work->noise_scale, work->solution) < rank) {
         return refuse(out, p, ZYGOS_REASON_NOISE);
     }
     out->condition = condition(work, rank, &inverse);
@@ -1039,41 +1041,41 @@ static int solve_from(zygos_work_t *work, zygos_estimate_t *out, uint32_t first)
     double explained = 0.0;
     const double unexplained = energy_left(work, p, work->solution, &explained);
     if (!(unexplained < ZYGOS_UNEXPLAINED_LIMIT * work->spread)) {
-        /* What adds up is no noise, so something moved. */
+        /* The residuals are no noise, so the arm moved. */
         return refuse(out, p, closed ? ZYGOS_REASON_NOT_IDENTIFIABLE : ZYGOS_REASON_UNEXPLAINED);
     }
-    const bool loud = !(out->gate >= ZYGOS_GATE);
-    const uint32_t blind = loud ? ZYGOS_REASON_NOISE : ZYGOS_REASON_NOT_IDENTIFIABLE;
-    const double excess = unexplained - work->believed * explained;
+    const bool noisy = !(out->signal_to_noise >= ZYGOS_MIN_SIGNAL_TO_NOISE);
+    const uint32_t unidentified = noisy ? ZYGOS_REASON_NOISE : ZYGOS_REASON_NOT_IDENTIFIABLE;
+    const double excess = unexplained - work->noise_scale * explained;
     const double noise = noise_square(work, p, (excess > 0.0) ? excess : 0.0);
     if (!(noise * inverse <= ZYGOS_NOISE_LIMIT)) {
-        return refuse(out, p, closed ? blind : ZYGOS_REASON_UNCLOSED);
+        return refuse(out, p, closed ? unidentified : ZYGOS_REASON_UNCLOSED);
     }
     inverse_diagonal(work, p, rank, work->inverse);
     jackknife(work, p, rank, out->covariance);
-    allow_for_likeness(work, p, (excess > 0.0) ? excess / unexplained : 0.0, out);
-    put_in_again(work, p, noise);
-    if (loud) {
-        /* What is left of the noise where it could not be taken off in whole. */
-        (void)solve_with(work, p, rank, 0.0, work->left_out[0]);
+    add_common_error(work, p, (excess > 0.0) ? excess / unexplained : 0.0, out);
+    shift_by_noise(work, p, noise);
+    if (noisy) {
+        /* The error by the noise that could not be subtracted. */
+        (void)solve_with(work, p, rank, 0.0, work->leave_one_out[0]);
         for (uint32_t i = 0; i < p; i++) {
-            const double shift = work->left_out[0][i] - work->solution[i];
-            work->hidden[i] = root(work->hidden[i] * work->hidden[i] + shift * shift);
+            const double shift = work->leave_one_out[0][i] - work->solution[i];
+            work->noise_shift[i] = root(work->noise_shift[i] * work->noise_shift[i] + shift * shift);
         }
     }
     widen(work, p, out);
     measure(work);
 
-    withhold_blurred(work, full, out);
+    withhold_imprecise(work, full, out);
     uint32_t known = 0;
     for (uint32_t i = 0; i < effects; i++) {
         known += out->identifiable[i];
     }
     if (4u * known < effects) {
-        return refuse(out, p, closed ? blind : ZYGOS_REASON_UNCLOSED);
+        return refuse(out, p, closed ? unidentified : ZYGOS_REASON_UNCLOSED);
     }
     for (uint32_t i = 0; i < p; i++) {
-        out->half95[i] = student(work->freedom[i]) * out->sigma[i];
+        out->half95[i] = student(work->degrees_of_freedom[i]) * out->sigma[i];
     }
     for (uint32_t i = effects; i < p; i++) {
         if (!out->identifiable[i] || !(out->sigma[i] < infinity())) {
@@ -1095,10 +1097,10 @@ static int solve_from(zygos_work_t *work, zygos_estimate_t *out, uint32_t first)
     } else if (work->guard.changed != 0) {
         out->validity = ZYGOS_DOUBTFUL;
         out->reason = ZYGOS_REASON_CHANGED;
-    } else if (out->noise_ratio < ZYGOS_NOT_THERE) {
+    } else if (out->noise_ratio < ZYGOS_NOISE_ABSENT) {
         out->validity = ZYGOS_DOUBTFUL;
         out->reason = ZYGOS_REASON_DECLARED;
-    } else if (loud) {
+    } else if (noisy) {
         out->validity = (known < p) ? ZYGOS_PARTIAL : ZYGOS_DOUBTFUL;
         out->reason = ZYGOS_REASON_NOISE;
     } else if (known < p) {
@@ -1108,13 +1110,13 @@ static int solve_from(zygos_work_t *work, zygos_estimate_t *out, uint32_t first)
     return 1;
 }
 
-/* Whether what is wrong may be in old arcs: more is left over than noise leaves. */
-static bool is_spoilt(const zygos_estimate_t *out)
+/* Whether the cause of an invalid estimate may be in old arcs: the residuals are larger than noise. */
+static bool may_hold_bad_arcs(const zygos_estimate_t *out)
 {
     return (out->validity != (uint32_t)ZYGOS_VALID) && (out->reason != (uint32_t)ZYGOS_REASON_NO_DATA) &&
            (out->reason != (uint32_t)ZYGOS_REASON_CHANGED) &&
            ((out->reason == (uint32_t)ZYGOS_REASON_UNCLOSED) || (out->reason == (uint32_t)ZYGOS_REASON_UNEXPLAINED) ||
-            (out->noise_ratio > SPOILT));
+            (out->noise_ratio > CORRUPTED_RATIO));
 }
 
 /* First block of an arc, from the given one on. */
@@ -1127,8 +1129,8 @@ static uint32_t next_arc(const zygos_accumulator_t *sums, uint32_t from)
     return b;
 }
 
-/* Whether the blocks from the given one on are at least half of all, and of several arcs: a short piece closes where
-   the whole does not, whatever is wrong with it. */
+/* Whether the blocks from the given one on are at least half of all, and of several arcs: the balance of a short piece
+   closes even if that of the whole does not. */
 static bool several_behind(const zygos_accumulator_t *sums, uint32_t first)
 {
     double before = 0.0;
@@ -1140,7 +1142,7 @@ static bool several_behind(const zygos_accumulator_t *sums, uint32_t first)
         behind += (b < first) ? 0.0 : sums->block[b].instants;
         arcs += ((b >= first) && last_of_arc) ? 1u : 0u;
     }
-    return (first + ZYGOS_LEAST_BLOCKS <= sums->open) && (behind >= before) && (arcs >= ZYGOS_IN_A_ROW);
+    return (first + ZYGOS_MIN_BLOCKS <= sums->open) && (behind >= before) && (arcs >= ZYGOS_CONSECUTIVE_ARCS);
 }
 
 int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
@@ -1154,7 +1156,7 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
         return refuse(out, ZYGOS_MAX_PARAMETERS, ZYGOS_REASON_CORRUPT);
     }
     int answer = solve_from(work, out, 0);
-    if ((work->guard.asked == 0) || !is_spoilt(out)) {
+    if ((work->guard.adopting == 0) || !may_hold_bad_arcs(out)) {
         return answer;
     }
     const double ratio = out->noise_ratio;
@@ -1167,7 +1169,7 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
             first = next;
             answer = solve_from(work, out, first);
             better = ((out->validity == (uint32_t)ZYGOS_VALID) || (out->reason == (uint32_t)ZYGOS_REASON_CHANGED)) &&
-                     ((SPOILT * out->noise_ratio < ratio) || (ZYGOS_CLUSTER_LIMIT * out->cluster < clustered));
+                     ((CORRUPTED_RATIO * out->noise_ratio < ratio) || (ZYGOS_CLUSTER_LIMIT * out->cluster < clustered));
         }
     }
     if ((first > 0) && !better) {
@@ -1176,44 +1178,47 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
     return answer;
 }
 
-/* What the chosen blocks say; false where they do not say anything. */
-static bool say(zygos_work_t *work, uint32_t p, zygos_estimate_t *scratch, uint32_t *rank)
+/* Solves the chosen blocks by themselves. Returns false where they determine no solution. */
+static bool solve_chosen(zygos_work_t *work, uint32_t p, zygos_estimate_t *scratch, uint32_t *rank)
 {
     *rank = combine(work, p, scratch);
     if (*rank == 0) {
         return false;
     }
-    believe(work, p, *rank, scratch);
-    return (scratch->gate >= ZYGOS_GATE) && (solve_with(work, p, *rank, work->believed, work->solution) == *rank);
+    choose_noise_scale(work, p, *rank, scratch);
+    return (scratch->signal_to_noise >= ZYGOS_MIN_SIGNAL_TO_NOISE) &&
+           (solve_with(work, p, *rank, work->noise_scale, work->solution) == *rank);
 }
 
-/* What the solution of the chosen blocks leaves of the energy rows: mean square, and ratio to the declared noise. */
+/* The residuals of the energy rows of the chosen blocks: mean square, and ratio to the declared noise. */
 typedef struct {
     double residual;
     double ratio;
-} usual_t;
+} reference_t;
 
-static usual_t usual_of(const zygos_work_t *work, uint32_t p)
+static reference_t reference_of(const zygos_work_t *work, uint32_t p)
 {
     double explained = 0.0;
     const double left = energy_left(work, p, work->solution, &explained);
-    const usual_t out = { left / work->instants, (explained > 0.0) ? left / explained : 0.0 };
+    const reference_t out = { left / work->instants, (explained > 0.0) ? left / explained : 0.0 };
     return out;
 }
 
-/* Whether the chosen blocks' own solution leaves no more of them than is usual: otherwise they are no other arm's. */
-static bool explains(const zygos_work_t *work, uint32_t p, const usual_t *usual)
+/* Whether the residuals of the chosen blocks with their own solution are no larger than those of the reference.
+   Otherwise another arm does not explain these blocks either. */
+static bool explains(const zygos_work_t *work, uint32_t p, const reference_t *reference)
 {
     double explained = 0.0;
     const double left = energy_left(work, p, work->solution, &explained);
-    const double by_noise = usual->ratio * explained;
-    const double by_number = usual->residual * work->instants;
+    const double by_noise = reference->ratio * explained;
+    const double by_number = reference->residual * work->instants;
     const double window = 2.0 * (double)work->config.smoother_half_width + 1.0;
-    const double most = zygos_guard_most(work->instants / window) * ((by_noise > by_number) ? by_noise : by_number);
+    const double most =
+        zygos_guard_chi_square_limit(work->instants / window) * ((by_noise > by_number) ? by_noise : by_number);
     return left <= most + ZYGOS_GUARD_SHARE * ZYGOS_GUARD_SHARE * work->spread;
 }
 
-int zygos_drift(zygos_work_t *work, zygos_estimate_t *out, double *deviation)
+int zygos_detect_change(zygos_work_t *work, zygos_estimate_t *out, double *deviation)
 {
     if ((work == NULL) || (out == NULL) || (deviation == NULL)) {
         return ZYGOS_E_NULL;
@@ -1223,16 +1228,16 @@ int zygos_drift(zygos_work_t *work, zygos_estimate_t *out, double *deviation)
     for (uint32_t i = 0; i < (uint32_t)ZYGOS_MAX_PARAMETERS; i++) {
         deviation[i] = not_a_number();
     }
-    /* The newest arc is what it is about, unless it is too short to speak for itself. */
+    /* The newest arc is compared even if it contradicts, unless it is too short to be compared by itself. */
     const bool guarded = (work->guard.known != 0);
     work->guard.known = (guarded && ((double)sums->arc_instants < sums->enough)) ? 1u : 0u;
     if (!zygos_work_intact(work)) {
         return refuse(out, ZYGOS_MAX_PARAMETERS, ZYGOS_REASON_CORRUPT);
     }
-    const uint32_t p = work->layout.count;
+    const uint32_t p = work->column_map.count;
     out->parameters = p;
     out->blocks = sums->newest;
-    if ((sums->newest < ZYGOS_DRIFT_BLOCKS) || (sums->newest == sums->open)) {
+    if ((sums->newest < ZYGOS_CHANGE_MIN_BLOCKS) || (sums->newest == sums->open)) {
         return refuse(out, p, ZYGOS_REASON_NO_DATA);
     }
     out->cycle = sums->block[sums->newest - 1u].end;
@@ -1240,18 +1245,18 @@ int zygos_drift(zygos_work_t *work, zygos_estimate_t *out, double *deviation)
     choose(work, p, 0, sums->newest);
     memset(work->weight, 0, sizeof work->weight);
     work->momentum_weight = 0.0;
-    if (!say(work, p, out, &rank) || (rank < p)) {
+    if (!solve_chosen(work, p, out, &rank) || (rank < p)) {
         return refuse(out, p, ZYGOS_REASON_NOT_IDENTIFIABLE);
     }
     inverse_diagonal(work, p, rank, work->inverse);
     jackknife(work, p, rank, out->covariance);
     memcpy(out->value, work->solution, p * sizeof out->value[0]);
     memcpy(out->solution, work->solution, p * sizeof out->solution[0]);
-    const usual_t usual = usual_of(work, p);
+    const reference_t reference = reference_of(work, p);
     double scaled[ZYGOS_MAX_PARAMETERS];
     for (uint32_t i = 0; i < p; i++) {
         out->sigma[i] = root(out->covariance[at(i, i)]);
-        out->half95[i] = student(work->freedom[i]) * out->sigma[i];
+        out->half95[i] = student(work->degrees_of_freedom[i]) * out->sigma[i];
         out->identifiable[i] = 1;
         scaled[i] = work->inverse[i] * work->scale[i] * work->scale[i];
     }
@@ -1260,18 +1265,18 @@ int zygos_drift(zygos_work_t *work, zygos_estimate_t *out, double *deviation)
     out->validity = before ? ZYGOS_VALID : ZYGOS_DOUBTFUL;
     out->reason = before ? ZYGOS_REASON_NONE : ZYGOS_REASON_UNCLOSED;
     choose(work, p, sums->newest, sums->open);
-    const double known[4] = { out->gate, out->cluster, out->residual, out->noise_ratio };
-    const bool said = say(work, p, out, &rank) && (rank == p) && (!guarded || explains(work, p, &usual));
-    if (said && !closes(work, p, out)) {
+    const double known[4] = { out->signal_to_noise, out->cluster, out->residual, out->noise_ratio };
+    const bool solved = solve_chosen(work, p, out, &rank) && (rank == p) && (!guarded || explains(work, p, &reference));
+    if (solved && !closes(work, p, out)) {
         out->validity = ZYGOS_DOUBTFUL;
         out->reason = ZYGOS_REASON_UNCLOSED;
     }
     const double newest = out->cluster;
-    out->gate = known[0];
-    out->cluster = (said && (newest > known[1])) ? newest : known[1];
+    out->signal_to_noise = known[0];
+    out->cluster = (solved && (newest > known[1])) ? newest : known[1];
     out->residual = known[2];
     out->noise_ratio = known[3];
-    if (!said || (guarded && !explains(work, p, &usual))) {
+    if (!solved || (guarded && !explains(work, p, &reference))) {
         return 0;
     }
     inverse_diagonal(work, p, rank, work->inverse);

@@ -71,7 +71,7 @@ typedef struct {
     uint8_t f;
 } layout_t;
 
-static layout_t layout(uint32_t message)
+static layout_t column_map(uint32_t message)
 {
     static const layout_t known[] = {
         [ZYGOS_MSG_SYNC] = { ZYGOS_ID_SYNC, 1, 0 },    [ZYGOS_MSG_ANGLES] = { ZYGOS_ID_TPDO1, 8, 0 },
@@ -90,7 +90,7 @@ static bool is_counter(uint32_t sync)
 int zygos_wire_check(const zygos_frame_t *frame, uint32_t message, uint32_t node)
 {
     const uint8_t *d = frame->data;
-    const layout_t own = layout(message);
+    const layout_t own = column_map(message);
     if (own.length == 0) {
         return ZYGOS_WIRE_RANGE;
     }
@@ -156,7 +156,7 @@ int zygos_wire_encode(const zygos_record_t *record, uint32_t message, uint32_t n
         out->data[0] = record->sync;
         return 1;
     }
-    const layout_t own = layout(message);
+    const layout_t own = column_map(message);
     if (own.length == 0) {
         return 0;
     }

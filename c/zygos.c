@@ -3,12 +3,12 @@
 #include <stddef.h>
 #include <string.h>
 
-#define MARK 0x7A79676Fu /* "zygo" */
+#define MAGIC 0x7A79676Fu /* "zygo" */
 #define LARGEST_ANGLE 1e4
 #define LARGEST_VALUE 1e6
 #define LARGEST_SUM 1e150
 #define TWO_SIGMAS 1.959964 /* 95 % of a normal distribution */
-#define SHORTEST 8u         /* share of the longest arc that a snap leaves together */
+#define SHORTEST 8u         /* an instant that fails the bandwidth test ends an arc from this part of the longest on */
 
 uint32_t zygos_abi(void)
 {
@@ -123,7 +123,7 @@ static int check_config(const zygos_config_t *config)
     }
     if ((config->imu_fine > 1u) || !is_rotation(config->imu_to_base) ||
         !within(config->imu_latch_s, 0.0, config->period_s) || !within(config->imu_sigma, 0.0, 1.0) ||
-        !within(config->keep, 0.9, 1.0) || (config->compensation > 2u * ZYGOS_MAX_JOINTS + 1u)) {
+        !within(config->forgetting_factor, 0.9, 1.0) || (config->compensation > 2u * ZYGOS_MAX_JOINTS + 1u)) {
         return ZYGOS_E_VALUE;
     }
     for (uint32_t i = 0; i < config->joints; i++) {
@@ -139,10 +139,10 @@ static int check_config(const zygos_config_t *config)
 static void make_tables(zygos_t *self)
 {
     const zygos_config_t *own = &self->config;
-    zygos_balance_layout(own, &self->layout);
-    zygos_skeleton_init(&self->skeleton, own);
+    zygos_balance_column_map(own, &self->column_map);
+    zygos_geometry_init(&self->geometry, own);
     zygos_smoother_init(&self->smoother, own);
-    zygos_noise_init(&self->noise, own, &self->layout, &self->smoother);
+    zygos_noise_init(&self->noise, own, &self->column_map, &self->smoother);
     zygos_joint_sums_tables(&self->joint_sums, own, &self->smoother);
     zygos_momentum_sums_tables(&self->momentum_sums, own, &self->smoother);
 }
@@ -163,16 +163,16 @@ int zygos_init(zygos_t *self, const zygos_config_t *config)
     memset(behind, 0, sizeof *self - offsetof(zygos_t, config) - sizeof self->config);
     make_tables(self);
     zygos_receiver_init(&self->receiver);
-    zygos_balance_gap(&self->balance);
-    zygos_accumulator_init(&self->accumulator, self->layout.count, own->arc_cycles, own->period_s);
-    zygos_impulse_gap(&self->impulse);
+    zygos_balance_reset(&self->balance);
+    zygos_accumulator_init(&self->accumulator, self->column_map.count, own->arc_cycles, own->period_s);
+    zygos_impulse_reset(&self->impulse);
     zygos_joint_sums_clear(&self->joint_sums, own);
-    zygos_momentum_gap(&self->momentum);
+    zygos_momentum_reset(&self->momentum);
     zygos_momentum_sums_clear(&self->momentum_sums, own);
-    self->faded = 1.0;
-    self->joints_faded = 1.0;
-    self->momentum_faded = 1.0;
-    self->mark = MARK;
+    self->forgetting = 1.0;
+    self->joints_forgetting = 1.0;
+    self->momentum_forgetting = 1.0;
+    self->magic = MAGIC;
     return 1;
 }
 
@@ -181,7 +181,7 @@ int zygos_frame(zygos_t *self, const zygos_frame_t *frame)
     if ((self == NULL) || (frame == NULL)) {
         return ZYGOS_E_NULL;
     }
-    if (self->mark != MARK) {
+    if (self->magic != MAGIC) {
         return ZYGOS_E_ORDER;
     }
     return zygos_receiver_frame(&self->receiver, &self->config, frame);
@@ -189,40 +189,40 @@ int zygos_frame(zygos_t *self, const zygos_frame_t *frame)
 
 static void end_arc(zygos_t *self)
 {
-    if (self->faded < 1.0) {
-        zygos_accumulator_fade(&self->accumulator, self->faded);
+    if (self->forgetting < 1.0) {
+        zygos_accumulator_forget(&self->accumulator, self->forgetting);
     }
-    self->faded = 1.0;
+    self->forgetting = 1.0;
     zygos_guard_end_energy(&self->guard, &self->config, &self->accumulator, self->cycle, self->arc);
     self->arc = 0;
 }
 
 static void end_joint_arc(zygos_t *self)
 {
-    if (self->joints_faded < 1.0) {
-        zygos_joint_sums_fade(&self->joint_sums, self->joints_faded);
+    if (self->joints_forgetting < 1.0) {
+        zygos_joint_sums_forget(&self->joint_sums, self->joints_forgetting);
     }
-    self->joints_faded = 1.0;
-    zygos_guard_end_motors(&self->guard, &self->config, &self->layout, &self->joint_sums, self->cycle);
+    self->joints_forgetting = 1.0;
+    zygos_guard_end_motors(&self->guard, &self->config, &self->column_map, &self->joint_sums, self->cycle);
 }
 
 static void end_momentum_arc(zygos_t *self)
 {
-    if (self->momentum_faded < 1.0) {
-        zygos_momentum_sums_fade(&self->momentum_sums, self->momentum_faded);
+    if (self->momentum_forgetting < 1.0) {
+        zygos_momentum_sums_forget(&self->momentum_sums, self->momentum_forgetting);
     }
-    self->momentum_faded = 1.0;
-    zygos_guard_end_momentum(&self->guard, &self->config, &self->layout, &self->momentum_sums, self->cycle);
+    self->momentum_forgetting = 1.0;
+    zygos_guard_end_momentum(&self->guard, &self->config, &self->column_map, &self->momentum_sums, self->cycle);
 }
 
 static void gap(zygos_t *self)
 {
     self->gaps += (self->smoother.filled > 0) ? 1u : 0u;
-    zygos_smoother_gap(&self->smoother);
-    zygos_balance_gap(&self->balance);
-    zygos_impulse_gap(&self->impulse);
+    zygos_smoother_reset(&self->smoother);
+    zygos_balance_reset(&self->balance);
+    zygos_impulse_reset(&self->impulse);
     end_joint_arc(self);
-    zygos_momentum_gap(&self->momentum);
+    zygos_momentum_reset(&self->momentum);
     end_momentum_arc(self);
     end_arc(self);
 }
@@ -249,12 +249,12 @@ static void add_impulses(zygos_t *self)
     if (config->impulse_arc_cycles == 0) {
         return;
     }
-    if (zygos_impulse_row(&self->impulse, config, &self->joint_sums.layout, &self->state, &self->motion,
+    if (zygos_impulse_row(&self->impulse, config, &self->joint_sums.column_map, &self->arm_state, &self->motion,
                           zygos_balance_torque_before(&self->balance),
                           zygos_balance_torque_after(&self->balance, config), &self->impulse_rows) == 0) {
         return;
     }
-    zygos_joint_sums_add(&self->joint_sums, config, &self->impulse_rows, self->state.accepted);
+    zygos_joint_sums_add(&self->joint_sums, config, &self->impulse_rows, self->arm_state.accepted);
     if (self->joint_sums.cycles >= config->impulse_arc_cycles) {
         end_joint_arc(self);
         zygos_impulse_new_arc(&self->impulse);
@@ -266,22 +266,22 @@ static void add_momentum(zygos_t *self)
 {
     const zygos_config_t *config = &self->config;
     if ((ZYGOS_MOMENTUM == 0) || (config->momentum_arc_cycles == 0) ||
-        (zygos_momentum_step(&self->momentum, config, &self->state) == 0)) {
+        (zygos_momentum_advance(&self->momentum, config, &self->arm_state) == 0)) {
         return;
     }
-    zygos_momentum_sums_add(&self->momentum_sums, config, &self->momentum, &self->state, &self->motion,
-                            self->state.accepted);
+    zygos_momentum_sums_add(&self->momentum_sums, config, &self->momentum, &self->arm_state, &self->motion,
+                            self->arm_state.accepted);
     if (self->momentum_sums.cycles >= config->momentum_arc_cycles) {
         end_momentum_arc(self);
         zygos_momentum_new_arc(&self->momentum);
     }
 }
 
-static void work_off(zygos_t *self, const zygos_cycle_t *cycle)
+static void process_cycle(zygos_t *self, const zygos_cycle_t *cycle)
 {
     const uint32_t broken = (uint32_t)ZYGOS_CYCLE_BREAK | (uint32_t)ZYGOS_CYCLE_VOID;
     const bool follows = (self->cycles > 0) && (cycle->sync == self->cycle + 1u) && !(cycle->flags & broken);
-    const bool wrapped = follows && (zygos_cycle_wrapped(&self->hold, &self->config, cycle) == 1);
+    const bool wrapped = follows && (zygos_cycle_wrapped(&self->previous, &self->config, cycle) == 1);
     const bool apart = (zygos_cycle_apart(&self->config, cycle) == 1);
     self->wraps += wrapped ? 1u : 0u;
     self->apart += apart ? 1u : 0u;
@@ -291,41 +291,41 @@ static void work_off(zygos_t *self, const zygos_cycle_t *cycle)
     }
     self->cycle = cycle->sync;
     self->cycles++;
-    self->faded *= self->config.keep;
-    self->joints_faded *= self->config.keep;
-    self->momentum_faded *= self->config.keep;
+    self->forgetting *= self->config.forgetting_factor;
+    self->joints_forgetting *= self->config.forgetting_factor;
+    self->momentum_forgetting *= self->config.forgetting_factor;
     self->instant = 0;
     double signal[ZYGOS_MAX_SIGNALS];
     double tau[ZYGOS_MAX_JOINTS];
-    zygos_cycle_calibrate(&self->hold, &self->config, cycle, signal, tau);
+    zygos_cycle_calibrate(&self->previous, &self->config, cycle, signal, tau);
     if (apart) {
         return;
     }
     zygos_balance_torque(&self->balance, &self->config, tau);
-    if (zygos_smoother_push(&self->smoother, signal, &self->state) == 0) {
+    if (zygos_smoother_push(&self->smoother, signal, &self->arm_state) == 0) {
         return;
     }
-    zygos_kinematics(&self->skeleton, &self->config, &self->state, &self->motion);
+    zygos_kinematics(&self->geometry, &self->config, &self->arm_state, &self->motion);
     add_impulses(self);
     add_momentum(self);
-    if (zygos_balance_row(&self->balance, &self->config, &self->layout, &self->noise.drift, &self->state, &self->motion,
-                          &self->row) == 0) {
+    if (zygos_balance_row(&self->balance, &self->config, &self->column_map, &self->noise.integral_bias,
+                          &self->arm_state, &self->motion, &self->row) == 0) {
         return;
     }
     self->instant = 1;
-    self->accepted = self->state.accepted;
+    self->accepted = self->arm_state.accepted;
     zygos_noise_means(&self->noise, &self->config, &self->motion, &self->row);
-    zygos_accumulator_add(&self->accumulator, &self->row, self->state.accepted);
-    zygos_noise_add(&self->noise, &self->config, &self->layout, &self->skeleton, &self->state, &self->motion,
+    zygos_accumulator_add(&self->accumulator, &self->row, self->arm_state.accepted);
+    zygos_noise_add(&self->noise, &self->config, &self->column_map, &self->geometry, &self->arm_state, &self->motion,
                     zygos_balance_torque_before(&self->balance),
-                    zygos_balance_torque_after(&self->balance, &self->config), self->arc, self->state.accepted,
+                    zygos_balance_torque_after(&self->balance, &self->config), self->arc, self->arm_state.accepted,
                     self->accumulator.noise.gram, self->accumulator.noise.sum);
     self->arc++;
-    /* What the integrals get wrong in a snap is a constant of the arc behind it. A factor instead of a branch: the work
-       of a cycle does not depend on its data. */
+    /* Where the motion is too fast for the smoother, the error of the integrals is a constant of the following arc. A
+       factor is used instead of a branch, so that the instructions of a cycle do not depend on its data. */
     const double shortest = (double)(self->config.arc_cycles / SHORTEST);
     const double longest = (double)self->config.arc_cycles;
-    if ((double)self->arc >= shortest + self->state.accepted * (longest - shortest)) {
+    if ((double)self->arc >= shortest + self->arm_state.accepted * (longest - shortest)) {
         end_arc(self);
         zygos_balance_new_arc(&self->balance);
     }
@@ -346,9 +346,9 @@ static bool is_same(const zygos_config_t *a, const zygos_config_t *b)
 /* Whether what is used as a place, a count or a length can be. What follows from the configuration is computed anew. */
 static bool is_intact(const zygos_t *self)
 {
-    zygos_layout_t layout;
-    zygos_balance_layout(&self->config, &layout);
-    return zygos_receiver_intact(&self->receiver) && zygos_accumulator_intact(&self->accumulator, layout.count) &&
+    zygos_column_map_t column_map;
+    zygos_balance_column_map(&self->config, &column_map);
+    return zygos_receiver_intact(&self->receiver) && zygos_accumulator_intact(&self->accumulator, column_map.count) &&
            zygos_joint_sums_intact(&self->joint_sums, &self->config) &&
            zygos_momentum_sums_intact(&self->momentum_sums, &self->config) && zygos_guard_intact(&self->guard);
 }
@@ -358,7 +358,7 @@ int zygos_resume(zygos_t *self, const zygos_config_t *config)
     if ((self == NULL) || (config == NULL)) {
         return ZYGOS_E_NULL;
     }
-    if (self->mark != MARK) {
+    if (self->magic != MAGIC) {
         return ZYGOS_E_ORDER;
     }
     const int verdict = check_config(config);
@@ -384,14 +384,14 @@ int zygos_step(zygos_t *self)
     if (self == NULL) {
         return ZYGOS_E_NULL;
     }
-    if (self->mark != MARK) {
+    if (self->magic != MAGIC) {
         return ZYGOS_E_ORDER;
     }
     const zygos_cycle_t *cycle = zygos_receiver_front(&self->receiver);
     if (cycle == NULL) {
         return 0;
     }
-    work_off(self, cycle);
+    process_cycle(self, cycle);
     zygos_receiver_pop(&self->receiver);
     return 1;
 }
@@ -415,7 +415,7 @@ int zygos_cycle(zygos_t *self, const zygos_cycle_t *cycle)
     if ((self == NULL) || (cycle == NULL)) {
         return ZYGOS_E_NULL;
     }
-    if (self->mark != MARK) {
+    if (self->magic != MAGIC) {
         return ZYGOS_E_ORDER;
     }
     if (!usable(&self->config, cycle)) {
@@ -425,7 +425,7 @@ int zygos_cycle(zygos_t *self, const zygos_cycle_t *cycle)
         gap(self);
         return 0;
     }
-    work_off(self, cycle);
+    process_cycle(self, cycle);
     return 1;
 }
 
@@ -449,11 +449,11 @@ int zygos_adopt(zygos_t *self, const zygos_estimate_t *estimate)
     if ((self == NULL) || (estimate == NULL)) {
         return ZYGOS_E_NULL;
     }
-    if (self->mark != MARK) {
+    if (self->magic != MAGIC) {
         return ZYGOS_E_ORDER;
     }
     zygos_guard_t *guard = &self->guard;
-    const uint32_t p = self->layout.count;
+    const uint32_t p = self->column_map.count;
     const bool after_change = (estimate->validity == (uint32_t)ZYGOS_DOUBTFUL) &&
                               (estimate->reason == (uint32_t)ZYGOS_REASON_CHANGED) && (guard->known == 0);
     bool good = ((estimate->validity == (uint32_t)ZYGOS_VALID) || after_change) && (estimate->parameters == p) &&
@@ -463,7 +463,7 @@ int zygos_adopt(zygos_t *self, const zygos_estimate_t *estimate)
         wider[i] = (estimate->sigma[i] > 0.0) ? estimate->half95[i] / (TWO_SIGMAS * estimate->sigma[i]) : 1.0;
         good = within(estimate->solution[i], -LARGEST_SUM, LARGEST_SUM) && within(wider[i], 0.0, LARGEST_SUM);
     }
-    guard->asked = 1;
+    guard->adopting = 1;
     if (!good) {
         return 0;
     }
@@ -480,7 +480,8 @@ int zygos_adopt(zygos_t *self, const zygos_estimate_t *estimate)
             guard->covariance[k] = wider[i] * wider[j] * estimate->covariance[k];
         }
     }
-    zygos_guard_begin(guard, &self->config, &self->layout, &self->accumulator, &self->joint_sums, &self->momentum_sums);
+    zygos_guard_begin(guard, &self->config, &self->column_map, &self->accumulator, &self->joint_sums,
+                      &self->momentum_sums);
     return 1;
 }
 
@@ -489,7 +490,7 @@ int zygos_check(const zygos_t *self, const zygos_config_t *config, zygos_work_t 
     if ((self == NULL) || (config == NULL) || (work == NULL)) {
         return ZYGOS_E_NULL;
     }
-    if (self->mark != MARK) {
+    if (self->magic != MAGIC) {
         return ZYGOS_E_ORDER;
     }
     if (!is_same(&self->config, config)) {
@@ -507,7 +508,7 @@ int zygos_restart(zygos_t *self, uint32_t keep)
     if (self == NULL) {
         return ZYGOS_E_NULL;
     }
-    if (self->mark != MARK) {
+    if (self->magic != MAGIC) {
         return ZYGOS_E_ORDER;
     }
     const int verdict = check_config(&self->config);
@@ -530,19 +531,19 @@ int zygos_restart(zygos_t *self, uint32_t keep)
         zygos_receiver_pop(&self->receiver);
     }
     make_tables(self); /* memory may have been changed there */
-    zygos_balance_gap(&self->balance);
-    zygos_impulse_gap(&self->impulse);
+    zygos_balance_reset(&self->balance);
+    zygos_impulse_reset(&self->impulse);
     if (joints) {
         end_joint_arc(self);
     } else {
         zygos_joint_sums_clear(&self->joint_sums, &self->config);
-        self->joints_faded = 1.0;
+        self->joints_forgetting = 1.0;
     }
-    zygos_momentum_gap(&self->momentum);
+    zygos_momentum_reset(&self->momentum);
     zygos_momentum_sums_clear(&self->momentum_sums, &self->config);
-    self->momentum_faded = 1.0;
-    self->faded = 1.0;
-    zygos_accumulator_init(&self->accumulator, self->layout.count, self->config.arc_cycles, self->config.period_s);
+    self->momentum_forgetting = 1.0;
+    self->forgetting = 1.0;
+    zygos_accumulator_init(&self->accumulator, self->column_map.count, self->config.arc_cycles, self->config.period_s);
     zygos_guard_clear(&self->guard, (keep & ZYGOS_KEEP_FAULTS) == 0, self->cycle);
     self->arc = 0;
     self->instant = 0;

@@ -46,13 +46,13 @@ static const zygos_config_t arm_config = {
     .smoother_order = 6u,
     .smoother_lag = 5u,
     .arc_cycles = 1200u,
-    .keep = 1.0,
+    .forgetting_factor = 1.0,
     .imu_node = 16u,
     .imu_fine = 1u,
     .period_s = 0.05,
     .imu_to_base = { 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0 },
     .imu_latch_s = 0.0,
-    .imu_sigma = 1.4142e-06,
+    .imu_sigma = 1.4208833331019601e-06,
     .gravity = { 0.0, 0.0, 0.0 },
     .joint = {
         {

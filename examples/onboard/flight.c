@@ -132,7 +132,7 @@ static void tell(uint32_t index, enum kind kind, double value)
 static void forget_bodies(void)
 {
     const uint32_t now = atomic_load_explicit(&payload, memory_order_acquire);
-    for (uint32_t i = 0; (now != payload_of_learned) && (i < arm.layout.body); i++) { /* the layout never changes */
+    for (uint32_t i = 0; (now != payload_of_learned) && (i < arm.column_map.body); i++) { /* the columns never change */
         learned.known[i] = 0u;
     }
     payload_of_learned = now;

@@ -1,1 +1,139 @@
-"""The dynamics of a flexible-joint space arm, learned from its CAN frames: the ground harness of the C library."""
+"""The dynamics of a flexible-joint space arm, learned from its CAN frames: the Python interface.
+
+    import zygos
+
+    folder = zygos.example("paper")
+    arm, model = zygos.load_arm(folder / "arm.toml"), zygos.load_model(folder / "model.toml")
+    run = zygos.simulate(arm, model, zygos.load_scenario(folder / "scenario.toml"), seed=1)
+    found = zygos.estimate(run)
+    print(found)
+
+Files       load_arm save_arm load_model save_model load_run save_run load_scenario example write_example
+Runs        Run make_run simulate simulate_with_truth
+Questions   estimate check check_arm explain predict
+Answers     Estimation Check Audit Explanation Prediction write_report
+Errors      ZygosError Undecided
+
+docs/python.md has each of them with an example. Quantities are in SI units; arrays are numpy's. What is listed here is
+the interface; the sub-packages behind it may change from version to version.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from zygos.arm import Arm, load_arm, save_arm
+    from zygos.audit.check import check_arm
+    from zygos.audit.findings import Audit
+    from zygos.can.run import Run, load_run, make_run, save_run
+    from zygos.effects import Effect, effect
+    from zygos.errors import Undecided, ZygosError
+    from zygos.estimation.estimate import Estimation, estimate
+    from zygos.files.examples import example, write_example
+    from zygos.gap.explanation import Explanation
+    from zygos.gap.predict import Prediction, predict
+    from zygos.gap.runs import explain_runs as explain
+    from zygos.model.model import Model, Quantity, load_model, save_model
+    from zygos.reference.check import Check, check
+    from zygos.reports import write_report
+    from zygos.runs.cycles import Cycles
+    from zygos.simulation.run import Simulation, simulate, simulate_with_truth
+    from zygos.simulation.scenario import Scenario, load_scenario
+
+    __version__: str
+
+_HOMES = {
+    "Arm": "arm",
+    "Audit": "audit.findings",
+    "Check": "reference.check",
+    "Cycles": "runs.cycles",
+    "Effect": "effects",
+    "Estimation": "estimation.estimate",
+    "Explanation": "gap.explain",
+    "Model": "model.model",
+    "Prediction": "gap.predict",
+    "Quantity": "model.model",
+    "Run": "can.run",
+    "Scenario": "simulation.scenario",
+    "Simulation": "simulation.run",
+    "Undecided": "errors",
+    "ZygosError": "errors",
+    "check": "reference.check",
+    "check_arm": "audit.check",
+    "effect": "effects",
+    "estimate": "estimation.estimate",
+    "example": "files.examples",
+    "explain": "gap.runs:explain_runs",
+    "load_arm": "arm",
+    "load_model": "model.model",
+    "load_run": "can.run",
+    "load_scenario": "simulation.scenario",
+    "make_run": "can.run",
+    "predict": "gap.predict",
+    "save_arm": "arm",
+    "save_model": "model.model",
+    "save_run": "can.run",
+    "simulate": "simulation.run",
+    "simulate_with_truth": "simulation.run",
+    "write_example": "files.examples",
+    "write_report": "reports",
+}
+"""Where each name is written. It is loaded when it is first used: the command line must not wait for scipy."""
+
+__all__ = [
+    "Arm",
+    "Audit",
+    "Check",
+    "Cycles",
+    "Effect",
+    "Estimation",
+    "Explanation",
+    "Model",
+    "Prediction",
+    "Quantity",
+    "Run",
+    "Scenario",
+    "Simulation",
+    "Undecided",
+    "ZygosError",
+    "__version__",
+    "check",
+    "check_arm",
+    "effect",
+    "estimate",
+    "example",
+    "explain",
+    "load_arm",
+    "load_model",
+    "load_run",
+    "load_scenario",
+    "make_run",
+    "predict",
+    "save_arm",
+    "save_model",
+    "save_run",
+    "simulate",
+    "simulate_with_truth",
+    "write_example",
+    "write_report",
+]
+
+
+if not TYPE_CHECKING:  # else every misspelled name would have a type
+
+    def __getattr__(name: str) -> object:
+        """A name of the interface, loaded when it is first used."""
+        if name == "__version__":
+            found = import_module("importlib.metadata").version("zygos")
+        elif name in _HOMES:
+            home, _, inside = _HOMES[name].partition(":")
+            found = getattr(import_module(f"zygos.{home}"), inside or name)
+        else:
+            raise AttributeError(f"module 'zygos' has no attribute {name!r}")
+        globals()[name] = found
+        return found
+
+
+def __dir__() -> list[str]:
+    """The interface."""
+    return list(__all__)

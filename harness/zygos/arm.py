@@ -6,13 +6,15 @@ import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+import tomlkit
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from zygos.errors import ZygosError
+from zygos.files.output import write_text
 from zygos.files.toml import Table
 
 Base = Literal["free", "fixed"]
@@ -29,13 +31,22 @@ _SIDES: tuple[Side, ...] = ("output", "rotor")
 _TORQUE_ATS: tuple[TorqueAt, ...] = ("rotor",)
 _RESOLUTIONS: tuple[Resolution, ...] = ("fine", "coarse")
 _TORQUE_LAWS: tuple[TorqueLaw, ...] = ("applied_from_sync", "applied_previous_cycle", "sampled")
-WIRE_STEP_RAD = 2.0 * math.pi / 2**20
-"""An angle's step on the wire."""
+ANGLE_STEP = 2.0 * math.pi / 2**20
+"""Step of an angle on the wire, rad (docs/wire.md)."""
+TORQUE_STEP = 1e-4
+"""Step of a torque on the wire, Nm."""
+RATE_STEPS: dict[Resolution, float] = {"fine": 2.0**-21, "coarse": 2.0**-13}
+"""Step of a rate on the wire, rad/s, by the resolution of the gyro."""
 MOMENTUM_ARC_S = 10.0
-"""Arcs of momentum rows where an arm has them by default."""
-_LATCH_MAX_US = 65_535  # the wire carries the latch delay as u16
+"""Longest arc of the momentum rows of an arm that has them by default, s."""
+_LATCH_MAX_US = 65_535  # the CAN frame carries the latch delay as u16
 _SHORTEST_MEMORY = 2
-"""Arcs."""
+"""Shortest memory, as a number of arcs."""
+
+
+def rounded(sigma: float, step: float) -> float:
+    """Standard deviation of the error of readings that are then rounded to a step: theirs, and one uniform over it."""
+    return math.hypot(sigma, step / math.sqrt(12.0))
 
 
 @dataclass(frozen=True)
@@ -50,7 +61,7 @@ class Encoder:
     sign: int = 1
     zero_rad: float = 0.0
     zero_sigma_rad: float = 0.0
-    """How well `zero_rad` is known, rad. Above 0 the joint's spring is estimated with an offset."""
+    """Standard deviation of `zero_rad`, rad. Above 0 the joint's spring is estimated with an offset."""
     latch_us: int = 0
     """Delay of this encoder's latch after SYNC in µs, on top of the joint's."""
 
@@ -62,16 +73,17 @@ class Encoder:
 
     @property
     def over_the_wire(self) -> Encoder:
-        """The same encoder with the error that its readings have once the wire has rounded them (docs/wire.md).
+        """The same encoder with the error that its readings have after rounding to the steps of the CAN frame
+        (docs/wire.md).
 
-        One without a quantum stays exact, so that nothing is held against its noise.
+        An encoder without a quantum stays exact: the bandwidth test then accepts every instant.
         """
         if self.quantum_rad == 0.0:
             return self
-        steps = self.quantum_rad / WIRE_STEP_RAD
-        # readings that lie on the wire's own grid are not rounded again
+        steps = self.quantum_rad / ANGLE_STEP
+        # readings that lie on the steps of the CAN frame are not rounded again
         aligned = steps > 0.5 and abs(steps - round(steps)) < 1e-6
-        return self if aligned else replace(self, quantum_rad=math.hypot(self.quantum_rad, WIRE_STEP_RAD))
+        return self if aligned else replace(self, quantum_rad=math.hypot(self.quantum_rad, ANGLE_STEP))
 
 
 @dataclass(frozen=True)
@@ -87,19 +99,31 @@ class Joint:
     """Attitude of the joint frame in the carrying body, rad, as URDF's <origin rpy>."""
     gear_ratio: float
     link_encoder: Encoder
-    """Of a rigid joint: the motor's, which then speaks for both sides."""
+    """Encoder of the link angle. A rigid joint has the motor's encoder here as well, which then measures both
+    angles."""
     motor_encoder: Encoder
     torque_sigma: float = 0.0
     """Standard deviation of the reported rotor torque, Nm."""
     latch_us: int = 0
-    """Delay of both encoders' latch after SYNC in µs, as stated on the wire."""
+    """Delay of both encoders' latch after SYNC in µs, as stated in the CAN frame."""
     flexible: bool = True
     """Whether the joint has a spring; a rigid one has theta = q, and neither stiffness nor damping."""
 
     @property
     def unsure_zero(self) -> bool:
-        """Whether the encoders may disagree about where theta = q: the zero of one has a deviation."""
+        """Whether the encoders may disagree about where theta = q: one of their zeros has a standard deviation above
+        0."""
         return self.flexible and max(self.link_encoder.zero_sigma_rad, self.motor_encoder.zero_sigma_rad) > 0.0
+
+    @property
+    def over_the_wire(self) -> Joint:
+        """The same joint with the errors that its readings have once the wire has rounded them."""
+        return replace(
+            self,
+            link_encoder=self.link_encoder.over_the_wire,
+            motor_encoder=self.motor_encoder.over_the_wire,
+            torque_sigma=rounded(self.torque_sigma, TORQUE_STEP),
+        )
 
 
 @dataclass(frozen=True)
@@ -107,7 +131,7 @@ class Imu:
     """The base's rate gyro."""
 
     node: int
-    """CAN node number, 1..31; 0: there is none, as on a fixed base."""
+    """CAN node number, 1..31; 0 where there is no gyro, as on a fixed base."""
     mount_xyzw: tuple[float, float, float, float]
     """Rotation from the sensor's frame to the base's, scalar last."""
     rate_sigma: float
@@ -117,9 +141,21 @@ class Imu:
     latch_us: int = 0
     resolution: Resolution = "fine"
 
+    @property
+    def step(self) -> float:
+        """Step of its rates on the wire, rad/s."""
+        return RATE_STEPS[self.resolution]
+
+    @property
+    def over_the_wire(self) -> Imu:
+        """The same gyro with the error that its readings have once the wire has rounded them; node 0 sends none."""
+        if self.node == 0:
+            return self
+        return replace(self, rate_sigma=rounded(self.rate_sigma, self.step))
+
 
 NO_IMU = Imu(node=0, mount_xyzw=(0.0, 0.0, 0.0, 1.0), rate_sigma=0.0, bias_walk=0.0)
-"""What a fixed base has: its rate is zero, and nobody reports it."""
+"""The gyro entry of an arm with a fixed base: the rate of the base is zero, and no node sends it."""
 
 
 @dataclass(frozen=True)
@@ -147,31 +183,38 @@ class Arm:
     smoother: Smoother = Smoother()
     arc_max_s: float = 60.0
     impulse_arc_s: float = 10.0
-    """Longest arc of the motor impulse rows, s; 0: none of them. Their noise sums up over an arc."""
+    """Longest arc of the motor impulse rows, s; 0 switches these rows off. Their noise accumulates over an arc."""
     memory_s: float | None = None
-    """Time in which what closed arcs left fades to 1/e, s; None: it does not."""
+    """Time in which the contribution of a closed arc to the estimate fades to 1/e, s; None: it does not fade."""
     compensate_every: int | None = None
-    """What sensor noise adds to the normal equations is taken off, each sensor's share in every that many cycles; 0: it
-    is not. None: `compensation`."""
+    """Interval of the noise compensation in cycles: the contribution of sensor noise to the normal equations is
+    subtracted, for each sensor once in that many cycles. 0: it is not subtracted. None: `compensation` applies."""
     momentum_max_s: float | None = None
-    """Longest arc of the momentum rows of a floating base, s; 0: none of them. None: `momentum_arc_s`."""
+    """Longest arc of the momentum rows of a floating base, s; 0 switches these rows off. None: `momentum_arc_s`."""
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """m/s^2 in the base frame, of a fixed base; a free-floating arm falls with its orbit and feels none."""
+    """Gravity in the base frame, m/s^2, for a fixed base; a free-floating arm falls with its orbit and feels none."""
 
     @property
     def free(self) -> bool:
         """Whether the base floats."""
         return self.base == "free"
 
+    @cached_property
+    def over_the_wire(self) -> Arm:
+        """The same arm with the errors that the readings of its sensors have once the wire has rounded them: a
+        variance of step^2/12 is added, but not to encoder readings that lie on the wire's own grid (docs/wire.md)."""
+        return replace(self, joints=tuple(joint.over_the_wire for joint in self.joints), imu=self.imu.over_the_wire)
+
     @property
     def compensation(self) -> int:
-        """Cycles from one turn of a sensor's compensation to the next: by default one sensor has its turn a cycle."""
+        """Cycles between two compensations of the same sensor; by default one sensor is compensated in each cycle."""
         return 2 * self.n + 1 if self.compensate_every is None else self.compensate_every
 
     @property
     def momentum_arc_s(self) -> float:
-        """Longest arc of the momentum rows, s, 0 for none: by default 10 s for an arm that floats in space, whose
-        inertias they tell apart. The attitude of the base is integrated over an arc, with the gyro's bias."""
+        """Longest arc of the momentum rows, s; 0 switches these rows off. The default is 10 s for an arm that floats in
+        space, where these rows separate the inertias. The base's attitude is integrated over an arc, with the gyro's
+        bias."""
         default = MOMENTUM_ARC_S if self.free and self.spatial else 0.0
         return default if self.momentum_max_s is None else self.momentum_max_s
 
@@ -192,10 +235,11 @@ class Arm:
 
     @cached_property
     def body_parameters(self) -> tuple[tuple[str, str], ...]:
-        """Name and unit of the parameters that bodies have, before those of the joints.
+        """Name and unit of the body parameters, which come before those of the joints.
 
-        In space N[ia,jb], the upper triangle over 0x 0y 0z 1u 1v .. Nu Nv; in a plane a_ij, then b_ij; on a fixed base
-        without those of body 0, and with the first moments G[iu], G[iv] that gravity can move (docs/theory.md).
+        In space these are N[ia,jb], the upper triangle over 0x 0y 0z 1u 1v .. Nu Nv; in a plane a_ij, then b_ij. On a
+        fixed base those of body 0 are absent, and the first moments G[iu], G[iv] that gravity can move are added
+        (docs/theory.md).
         """
         first = 0 if self.free else 1
         bodies = range(first, self.n + 1)
@@ -204,7 +248,7 @@ class Arm:
                 f"{i}{p}" for i in range(1, self.n + 1) for p in "uv"
             ]
             names = [f"N[{a},{b}]" for k, a in enumerate(vectors) for b in vectors[k:]]
-            # with the base fixed, the first body turns about its axis only: two of its three entries are no parameters
+            # with the base fixed, the first body turns about its axis only: two of its three entries have no effect
             names = [name for name in names if self.free or name not in ("N[1u,1v]", "N[1v,1v]")]
         else:
             names = [f"a{i}{j}" for i in bodies for j in bodies if i <= j]
@@ -215,9 +259,10 @@ class Arm:
 
     @cached_property
     def joint_parameters(self) -> tuple[tuple[str, int, str], ...]:
-        """Kind, joint from 0 and unit of the parameters of the joints: Im, and k and b of a flexible one.
+        """Kind, joint (from 0) and unit of the joint parameters: Im, and for a flexible joint also k and b.
 
-        The rotor of a rigid first joint on a fixed base turns with its link alone, and is counted there.
+        The rotor of a rigid first joint on a fixed base turns with its link alone, so its inertia is part of the
+        link's.
         """
         listed: list[tuple[str, int, str]] = []
         for i, joint in enumerate(self.joints):
@@ -240,8 +285,8 @@ class Arm:
 
     @cached_property
     def feels_gravity(self) -> tuple[bool, ...]:
-        """(N,) whether gravity does work on the first moment of the body behind each joint as the joints move: not
-        while every axis up to it is vertical."""
+        """(N,) whether gravity does work on the first moment of the body behind each joint as the joints move. It does
+        not while every axis up to that joint is vertical."""
         gravity = np.array(self.gravity)
         weight = float(np.linalg.norm(gravity))
         if self.free or weight == 0.0:
@@ -289,13 +334,13 @@ class Arm:
     @cached_property
     def axis(self) -> NDArray[np.float64]:
         """(3,) the planar arm's common joint axis in the base frame. Errors: ZygosError if the axes are not parallel
-        and alike in sense."""
+        with the same sense."""
         axes = self.axes
         if np.max(np.abs(axes - axes[0])) > 1e-9:
             raise ZygosError(
-                f"arm {self.name}: the joint axes are not parallel and alike in sense, but kinetic is "
-                f'"{self.kinetic}"; remedy: kinetic = "spatial", or correct axis or frame_rpy (a reversed encoder is '
-                "sign = -1)"
+                f"arm {self.name}: the joint axes are not parallel with the same sense, but kinetic is "
+                f'"{self.kinetic}"; remedy: write kinetic = "spatial", or correct axis or frame_rpy (a reversed '
+                "encoder has sign = -1)"
             )
         common: NDArray[np.float64] = axes[0]
         return common
@@ -315,34 +360,68 @@ def load_arm(path: str | Path) -> Arm:
 
 def read_arm(top: Table) -> Arm:
     """The arm of a table with the keys of `arm.toml`. Errors: as `load_arm`."""
-    joints = tuple(read_joint(table) for table in top.tables("joint"))
-    base = top.choice("base", _BASES)
+    joints = tuple(
+        read_joint(table) for table in top.tables("joint", "The joints, in the order from the base to the tip.")
+    )
+    base = top.choice("base", "Whether the base floats freely or stands on the ground.", _BASES)
     if base == "fixed" and top.has("imu"):
         raise top.error("imu", "a fixed base has no rate to measure", 'remove [imu], or write base = "free"')
-    arc = top.table("arc", optional=True)
+    arc = top.table("arc", "How long the arcs are over which the estimator balances energy.", optional=True)
     if base == "fixed" and arc.has("momentum_max_s"):
         raise arc.error("momentum_max_s", "a fixed base takes up momentum", 'remove it, or write base = "free"')
     if base == "free" and top.has("gravity"):
-        raise top.error("gravity", "a free-floating arm feels none", 'remove it, or write base = "fixed"')
-    imu = _imu(top.table("imu")) if base == "free" else NO_IMU
-    gravity = (0.0, 0.0, 0.0) if base == "free" else top.vector("gravity", 3, limit=1e3, unit="m/s^2")
+        raise top.error("gravity", "a free-floating arm feels no gravity", 'remove it, or write base = "fixed"')
+    imu = NO_IMU
+    if base == "free":
+        imu = _imu(
+            top.table("imu", "The rate gyro of the base.", otherwise='required where base is "free", refused elsewhere')
+        )
+    gravity: tuple[float, ...] = (0.0, 0.0, 0.0)
+    if base == "fixed":
+        gravity = top.vector(
+            "gravity",
+            "Acceleration of gravity in the frame of the base.",
+            3,
+            limit=1e3,
+            unit="m/s^2",
+            otherwise='required where base is "fixed", refused elsewhere',
+        )
     arm = Arm(
-        name=top.text("name"),
+        name=top.text("name", "Name of the arm, for tables and messages."),
         base=base,
-        kinetic=top.choice("kinetic", _KINETICS),
+        kinetic=top.choice(
+            "kinetic",
+            'How the arm moves. "spatial": the axes have any direction. "planar": all axes are parallel. '
+            '"planar-symmetric": as "planar", and the mass centre of each body lies on the line between its joints.',
+            _KINETICS,
+        ),
         # the wire's drop-out rules and the latch delay (u16 µs) hold up to a SYNC period of 65 ms
-        period_s=top.number("period_s", above=0.0, high=0.065, unit="s"),
-        torque_law=top.choice("torque_law", _TORQUE_LAWS),
-        torque_at=top.choice("torque_at", _TORQUE_ATS),
+        period_s=top.number("period_s", "Period of the SYNC message.", above=0.0, high=0.065, unit="s"),
+        torque_law=top.choice(
+            "torque_law",
+            'When a reported torque acts. "applied_from_sync": from the SYNC of its cycle to the next SYNC. '
+            '"applied_previous_cycle": during the cycle before. "sampled": the torque varies continuously, and this '
+            "is its value at the SYNC.",
+            _TORQUE_LAWS,
+        ),
+        torque_at=top.choice("torque_at", "The side of the gear at which torques are reported.", _TORQUE_ATS),
         joints=joints,
         imu=imu,
-        smoother=_smoother(top.table("smoother", optional=True)),
-        arc_max_s=arc.number("max_s", 60.0, above=0.0, unit="s"),
+        smoother=_smoother(top.table("smoother", "The Savitzky-Golay filter of the estimator.", optional=True)),
+        arc_max_s=arc.number("max_s", "Longest arc of the energy balance.", 60.0, above=0.0, unit="s"),
         gravity=(gravity[0], gravity[1], gravity[2]),
-        impulse_arc_s=arc.number("impulse_max_s", 10.0, low=0.0, unit="s"),
-        momentum_max_s=arc.number("momentum_max_s", low=0.0, unit="s") if arc.has("momentum_max_s") else None,
-        memory_s=60.0 * arc.number("memory_min", above=0.0, unit="min") if arc.has("memory_min") else None,
-        compensate_every=_compensation(top.table("compensation", optional=True)),
+        impulse_arc_s=arc.number(
+            "impulse_max_s",
+            "Longest arc of the impulse balance of each motor. 0 switches this balance off.",
+            10.0,
+            low=0.0,
+            unit="s",
+        ),
+        momentum_max_s=_momentum(arc),
+        memory_s=_memory(arc),
+        compensate_every=_compensation(
+            top.table("compensation", "How often the bias that sensor noise causes is removed.", optional=True)
+        ),
     )
     arc.finish()
     top.finish()
@@ -350,56 +429,131 @@ def read_arm(top: Table) -> Arm:
     return arm
 
 
+def _momentum(arc: Table) -> float | None:
+    if not arc.has("momentum_max_s"):
+        return None
+    return arc.number(
+        "momentum_max_s",
+        "Longest arc of the balance of angular momentum, for a free base only. 0 switches this balance off.",
+        low=0.0,
+        unit="s",
+        otherwise=f'{MOMENTUM_ARC_S:g} where base is "free" and kinetic is "spatial", else 0',
+    )
+
+
+def _memory(arc: Table) -> float | None:
+    if not arc.has("memory_min"):
+        return None
+    return 60.0 * arc.number(
+        "memory_min",
+        f"Time in which the weight of past data falls to 1/e. It is at least {_SHORTEST_MEMORY} times max_s.",
+        above=0.0,
+        unit="min",
+        otherwise="past data keeps its weight",
+    )
+
+
 def _compensation(table: Table) -> int | None:
-    every = table.integer("every", low=0, high=15) if table.has("every") else None
+    every: int | None = None
+    if table.has("every"):
+        every = table.integer(
+            "every",
+            "The noise of each sensor is compensated once in this many cycles. 1: in every cycle; 0: never.",
+            low=0,
+            high=15,
+            otherwise="twice the number of joints, plus 1",
+        )
     table.finish()
     return every
 
 
 def read_joint(table: Table) -> Joint:
     """One [[joint]] of an arm file. Errors: as `load_arm`."""
-    gear_ratio = table.number("gear_ratio", above=0.0)
-    axis = np.array(table.vector("axis", 3))
+    gear_ratio = table.number("gear_ratio", "Turns of the motor for one turn of the joint.", above=0.0)
+    axis = np.array(table.vector("axis", "Unit vector along the joint axis, in the frame of the joint.", 3))
     if abs(float(np.linalg.norm(axis)) - 1.0) > 1e-6:
         raise table.error("axis", f"has length {np.linalg.norm(axis):g}", "give a unit vector")
     axis /= np.linalg.norm(axis)
-    rpy = table.vector("frame_rpy", 3, (0.0, 0.0, 0.0), unit="rad")
-    flexible = table.boolean("flexible", True)
+    rpy = table.vector(
+        "frame_rpy",
+        "Roll, pitch and yaw of the joint frame in the frame of the body that carries the joint, as in URDF.",
+        3,
+        (0.0, 0.0, 0.0),
+        unit="rad",
+    )
+    flexible = table.boolean("flexible", "Whether the joint has a spring. A rigid joint has none.", True)
     if not flexible and table.has("link_encoder"):
         raise table.error(
-            "link_encoder", "a rigid joint has one angle, its motor encoder's", "remove it, or write flexible = true"
+            "link_encoder", "a rigid joint has only its motor's encoder", "remove it, or write flexible = true"
         )
-    motor_encoder = _encoder(table.table("motor_encoder"), gear_ratio)
+    motor_encoder = _encoder(table.table("motor_encoder", "The encoder of the motor."), gear_ratio)
     joint = Joint(
-        name=table.text("name"),
-        node=table.integer("node", low=1, high=31),
+        name=table.text("name", "Name of the joint. Every joint has its own."),
+        node=table.integer(
+            "node", "Number of the joint's node on the CAN bus. Every node has its own.", low=1, high=31
+        ),
         axis=(float(axis[0]), float(axis[1]), float(axis[2])),
         frame_rpy=(rpy[0], rpy[1], rpy[2]),
         gear_ratio=gear_ratio,
-        link_encoder=_encoder(table.table("link_encoder"), None) if flexible else motor_encoder,
+        link_encoder=_link_encoder(table) if flexible else motor_encoder,
         motor_encoder=motor_encoder,
-        torque_sigma=table.number("torque_sigma", 0.0, low=0.0, unit="Nm"),
-        latch_us=table.integer("latch_us", 0, low=0, high=_LATCH_MAX_US),
+        torque_sigma=table.number(
+            "torque_sigma", "Standard deviation of the reported torque, before the gear.", 0.0, low=0.0, unit="Nm"
+        ),
+        latch_us=table.integer(
+            "latch_us",
+            "Delay from SYNC to the instant at which both encoders are read.",
+            0,
+            low=0,
+            high=_LATCH_MAX_US,
+            unit="µs",
+        ),
         flexible=flexible,
     )
     table.finish()
     return joint
 
 
+def _link_encoder(table: Table) -> Encoder:
+    entry = table.table(
+        "link_encoder",
+        "The encoder of the link, behind the gear and the spring.",
+        otherwise="required where flexible is true, refused elsewhere",
+    )
+    return _encoder(entry, None)
+
+
 def _encoder(table: Table, gear_ratio: float | None) -> Encoder:
-    """The link's encoder has no side (gear_ratio None); the motor's sits at the output or on the rotor."""
-    side: Side = "output" if gear_ratio is None else table.choice("side", _SIDES)
+    """Read an encoder. The link's has no side (gear_ratio None); the motor's is at the output or on the rotor."""
+    side: Side = "output"
+    if gear_ratio is not None:
+        side = table.choice("side", "The side of the gear at which the encoder of the motor sits.", _SIDES)
     counts: int | None = None
     if table.has("quantum_rad"):
         if table.has("counts"):
-            raise table.error("quantum_rad", "stands beside counts", "state one of the two")
-        quantum = table.number("quantum_rad", above=0.0, high=1.0, unit="rad")
+            raise table.error("quantum_rad", "is given together with counts", "state one of the two")
+        quantum = table.number(
+            "quantum_rad",
+            "Step of the encoder's reading, as an angle of its own disc. It may be given in place of counts.",
+            above=0.0,
+            high=1.0,
+            unit="rad",
+            otherwise="required where counts is absent, refused beside it",
+        )
     else:
-        counts = table.integer("counts", low=4, high=2**32)
+        counts = table.integer(
+            "counts",
+            "Steps of the encoder in one turn of its disc.",
+            low=4,
+            high=2**32,
+            otherwise="required where quantum_rad is absent, refused beside it",
+        )
         quantum = 2.0 * math.pi / counts
     if side == "rotor" and gear_ratio is not None:
         quantum /= gear_ratio
-    sign = table.integer("sign", 1, low=-1, high=1)
+    sign = table.integer(
+        "sign", "1, or -1 where the reading falls while the joint turns about its axis.", 1, low=-1, high=1
+    )
     if sign == 0:
         raise table.error("sign", "is 0", "write 1 or -1")
     encoder = Encoder(
@@ -407,47 +561,108 @@ def _encoder(table: Table, gear_ratio: float | None) -> Encoder:
         counts=counts,
         side=side,
         sign=sign,
-        zero_rad=table.number("zero_rad", 0.0, low=-16 * math.pi, high=16 * math.pi, unit="rad"),
-        zero_sigma_rad=table.number("zero_sigma_rad", 0.0, low=0.0, unit="rad"),
-        latch_us=table.integer("latch_us", 0, low=0, high=_LATCH_MAX_US),
+        zero_rad=table.number(
+            "zero_rad",
+            "Reading, after the gear, at which the angle is 0.",
+            0.0,
+            low=-16 * math.pi,
+            high=16 * math.pi,
+            unit="rad",
+        ),
+        zero_sigma_rad=table.number(
+            "zero_sigma_rad",
+            "Standard deviation of zero_rad. Where it is above 0, the estimator also finds an offset of the joint's "
+            "spring.",
+            0.0,
+            low=0.0,
+            unit="rad",
+        ),
+        latch_us=table.integer(
+            "latch_us",
+            "Delay of this encoder alone, which is added to the latch_us of the joint.",
+            0,
+            low=0,
+            high=_LATCH_MAX_US,
+            unit="µs",
+        ),
     )
     table.finish()
     return encoder
 
 
 def _imu(table: Table) -> Imu:
-    mount = np.array(table.vector("mount_xyzw", 4, (0.0, 0.0, 0.0, 1.0)))
+    mount = np.array(
+        table.vector(
+            "mount_xyzw",
+            "Unit quaternion, scalar last, that rotates a rate from the gyro's axes to the axes of the base.",
+            4,
+            (0.0, 0.0, 0.0, 1.0),
+        )
+    )
     if abs(float(np.linalg.norm(mount)) - 1.0) > 1e-6:
         raise table.error("mount_xyzw", f"has length {np.linalg.norm(mount):g}", "give a unit quaternion, scalar last")
     mount /= np.linalg.norm(mount)
     imu = Imu(
-        node=table.integer("node", low=1, high=31),
+        node=table.integer("node", "Number of the gyro's node on the CAN bus.", low=1, high=31),
         mount_xyzw=(float(mount[0]), float(mount[1]), float(mount[2]), float(mount[3])),
-        rate_sigma=table.number("rate_sigma", low=0.0, unit="rad/s"),
-        bias_walk=table.number("bias_walk", low=0.0, unit="rad/s^1.5"),
-        latch_us=table.integer("latch_us", 0, low=0, high=_LATCH_MAX_US),
-        resolution=table.choice("resolution", _RESOLUTIONS, "fine"),
+        rate_sigma=table.number("rate_sigma", "Standard deviation of the noise of one sample.", low=0.0, unit="rad/s"),
+        bias_walk=table.number(
+            "bias_walk",
+            "Random walk of the bias. Over one period its standard deviation grows by this times the square root of "
+            "period_s.",
+            low=0.0,
+            unit="rad/s^1.5",
+        ),
+        latch_us=table.integer(
+            "latch_us",
+            "Delay from SYNC to the instant at which the gyro is read.",
+            0,
+            low=0,
+            high=_LATCH_MAX_US,
+            unit="µs",
+        ),
+        resolution=table.choice(
+            "resolution",
+            'Format of the gyro\'s frames (docs/wire.md). "fine": two frames with 24-bit rates; "coarse": one frame '
+            "with 16-bit rates.",
+            _RESOLUTIONS,
+            "fine",
+        ),
     )
     table.finish()
     return imu
 
 
 def _smoother(table: Table) -> Smoother:
-    points = table.integer("points", 7, low=5, high=31)
+    points = table.integer("points", "Number of cycles in the filter's window, an odd number.", 7, low=5, high=31)
     if points % 2 == 0:
-        raise table.error("points", f"{points} is even", "write an odd number: the filter is centred on its instant")
-    order = table.integer("order", min(4, points - 3), low=2, high=8)
+        raise table.error("points", f"{points} is even", "write an odd number: the filter needs a middle sample")
+    order = table.integer(
+        "order",
+        "Order of the polynomial that is fitted to the window, at most points - 3.",
+        min(4, points - 3),
+        low=2,
+        high=8,
+        otherwise="the lesser of 4 and points - 3",
+    )
     if order > points - 3:
         raise table.error(
             "order",
             f"{order} needs at least {order + 3} points: the bandwidth test fits two fewer",
             "lower order or raise points",
         )
-    lag = table.integer("lag", points // 2, low=0, high=63)
+    lag = table.integer(
+        "lag",
+        "Cycles by which the filter's output is behind its newest input. Only the default is accepted.",
+        points // 2,
+        low=0,
+        high=63,
+        otherwise="half of points, rounded down",
+    )
     if lag != points // 2:
         raise table.error(
             "lag",
-            f"{lag} makes end-point filters, whose errors are 30 times larger",
+            f"{lag} would need end-point filters, whose errors are 30 times larger",
             f"write lag = {points // 2} (points // 2) or leave it out",
         )
     table.finish()
@@ -455,7 +670,7 @@ def _smoother(table: Table) -> Smoother:
 
 
 def _within(latch_us: int, period_s: float) -> bool:
-    """Whether a latch comes before the next SYNC; half a microsecond settles rounding of the period."""
+    """Whether a latch comes before the next SYNC, with half a microsecond of tolerance for a rounded period."""
     return latch_us + 0.5 < period_s * 1e6
 
 
@@ -471,7 +686,7 @@ def _check_whole(arm: Arm, top: Table) -> None:
     if arm.memory_s is not None and arm.memory_s < _SHORTEST_MEMORY * arm.arc_max_s:
         raise top.error(
             "arc.memory_min",
-            f"{arm.memory_s / 60.0:g} min are less than {_SHORTEST_MEMORY} arcs: too little to know a change by",
+            f"{arm.memory_s / 60.0:g} min are less than {_SHORTEST_MEMORY} arcs: too short to detect a change",
             f"give at least {_SHORTEST_MEMORY * arm.arc_max_s / 60.0:g} min, or shorter arcs (max_s)",
         )
     for index, joint in enumerate(arm.joints):
@@ -496,3 +711,53 @@ def _check_whole(arm: Arm, top: Table) -> None:
         _ = arm.axis
     except ZygosError as error:
         raise ZygosError(f"{top.file}: joint: {error}") from None
+
+
+def save_arm(arm: Arm, path: str | Path) -> None:
+    """Write `arm.toml` so that a reader sees the old file or the whole new one. Errors: ZygosError if it cannot be
+    written."""
+    document = tomlkit.document()
+    document.update({"name": arm.name, "base": arm.base, "kinetic": arm.kinetic, "period_s": arm.period_s})
+    document.update({"torque_law": arm.torque_law, "torque_at": arm.torque_at})
+    if not arm.free:
+        document["gravity"] = list(arm.gravity)
+    joints = tomlkit.aot()
+    for joint in arm.joints:
+        entry = tomlkit.table()
+        entry.update({"name": joint.name, "node": joint.node, "axis": list(joint.axis)})
+        entry.update({"frame_rpy": list(joint.frame_rpy), "gear_ratio": joint.gear_ratio})
+        entry.update({"torque_sigma": joint.torque_sigma, "latch_us": joint.latch_us, "flexible": joint.flexible})
+        if joint.flexible:
+            entry["link_encoder"] = _encoder_entry(joint.link_encoder)
+        entry["motor_encoder"] = _encoder_entry(joint.motor_encoder, joint.gear_ratio)
+        joints.append(entry)
+    document["joint"] = joints
+    if arm.free:
+        imu = {"node": arm.imu.node, "mount_xyzw": list(arm.imu.mount_xyzw), "rate_sigma": arm.imu.rate_sigma}
+        others = {"bias_walk": arm.imu.bias_walk, "latch_us": arm.imu.latch_us, "resolution": arm.imu.resolution}
+        document["imu"] = imu | others
+    document["smoother"] = {"points": arm.smoother.points, "order": arm.smoother.order}
+    arc = {"max_s": arm.arc_max_s, "impulse_max_s": arm.impulse_arc_s}
+    if arm.momentum_max_s is not None:
+        arc["momentum_max_s"] = arm.momentum_max_s
+    if arm.memory_s is not None:
+        arc["memory_min"] = arm.memory_s / 60.0
+    document["arc"] = arc
+    if arm.compensate_every is not None:
+        document["compensation"] = {"every": arm.compensate_every}
+    write_text(Path(path), tomlkit.dumps(document))
+
+
+def _encoder_entry(encoder: Encoder, gear_ratio: float | None = None) -> Any:
+    """An encoder as `_encoder` reads it. gear_ratio: of the motor's encoder, which also says its side."""
+    entry = tomlkit.inline_table()
+    if encoder.counts is not None:
+        entry["counts"] = encoder.counts
+    else:
+        on_rotor = gear_ratio is not None and encoder.side == "rotor"
+        entry["quantum_rad"] = encoder.quantum_rad * (gear_ratio or 1.0) if on_rotor else encoder.quantum_rad
+    if gear_ratio is not None:
+        entry["side"] = encoder.side
+    entry.update({"sign": encoder.sign, "zero_rad": encoder.zero_rad, "zero_sigma_rad": encoder.zero_sigma_rad})
+    entry["latch_us"] = encoder.latch_us
+    return entry

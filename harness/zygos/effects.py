@@ -1,13 +1,13 @@
 """The catalogue of effects that a model may carry beyond rigid bodies, rotors and linear springs.
 
-One entry is all there is of an effect: its name in the model file, the torque that the simulator applies, and the
-columns it has in the balances follow from it. A torque law f acts with coefficient c
+An entry here defines an effect completely: its name in the model file, the torque that the simulator applies, and the
+columns that it has in the balances. A torque law f with coefficient c acts
 
     at the motor:   rotor torque -c f(thetad)       energy column  n int f thetad dt     impulse column  int f dt
     at the link:    link torque  -c f(qd)                          int f qd dt                           none
     in the spring:  link torque  +c f(theta - q)                   int f d(theta - q)                    1/n int f dt
 
-with all angles after the gear. What is no torque law has its columns in `zygos.gap.balances`.
+with all angles after the gear. The columns are made in `zygos.balances.effects`.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ Array = NDArray[np.float64]
 Place = Literal["motor", "link", "spring", "torque", "rotor", "base"]
 
 OFFSET = "spring_offset"
-"""The entry by which an estimator takes encoders whose zeros are off."""
+"""Key of the effect with which an estimator accounts for encoders whose zeros are wrong."""
 
 SLOWEST_RATE = 1e-3
-"""Below this rate, rad/s after the gear, Coulomb friction fades to zero: a sign cannot be integrated, nor be read from
-a noisy rate."""
+"""Rate below which Coulomb friction fades linearly to zero, rad/s after the gear: a sign function cannot be integrated,
+and a noisy rate does not show its sign."""
 
 
 @dataclass(frozen=True)
@@ -38,19 +38,22 @@ class Kind:
     """One entry of the catalogue."""
 
     key: str
-    """Its name in files; with the joint's number, that of its column."""
+    """Name of the effect in files; followed by the joint's number it is the name of the column."""
     title: str
-    """As a sentence names it."""
+    """Name of the effect in sentences."""
     unit: str
     place: Place
     torque: Callable[[Array], Array] | None = None
-    """f: of the rate (motor, link; rad/s) or the deflection (spring; rad), torque a unit coefficient."""
+    """f: torque per unit coefficient, as a function of the rate (motor, link; rad/s) or the deflection (spring;
+    rad)."""
     potential: Callable[[Array], Array] | None = None
-    """Energy stored a unit coefficient, of the deflection, where f is conservative."""
+    """Stored energy per unit coefficient as a function of the deflection, where f is conservative."""
+    impulse: Callable[[Array], Array] | None = None
+    """Integral of f over time a unit coefficient, of the angle (motor; rad), where the angle alone tells it."""
     positive: bool = True
-    """Whether a negative coefficient would create energy, and so means that the model is wrong."""
+    """Whether the coefficient must not be negative: a negative one would create energy, so the model would be wrong."""
     twins: tuple[str, ...] = ()
-    """Entries that some motions cannot tell from this one."""
+    """Keys of the effects that look the same as this one in some motions."""
 
     @property
     def at_joint(self) -> bool:
@@ -96,6 +99,7 @@ CATALOGUE = {
             "Nms/rad",
             "motor",
             _same,
+            impulse=_same,
             twins=("motor_coulomb", "torque_lag"),
         ),
         Kind("link_coulomb", "Coulomb friction at the link", "Nm", "link", smooth_sign, twins=("motor_coulomb",)),
@@ -108,19 +112,19 @@ CATALOGUE = {
 }
 """Entries by key. Units are those of the coefficient: torques at a motor in Nm before the gear, rates after it.
 
-spring_offset: the spring's torque where theta = q reads 0. Encoders whose zeros are off, so that theta - q reads too
-much by x, make a spring of stiffness k look as if it had one of -k x.
-torque_lag: the motor follows the reported torque later by that time, less than a SYNC period.
-rotor_coupling: the share of the rotor's inertia that the carrying body's rotation acts on, 1 in nature and 0 in
+spring_offset: the spring's torque where theta = q reads 0. If wrong encoder zeros make theta - q read too large by x, a
+spring of stiffness k looks as if it had an offset of -k x.
+torque_lag: the time by which the motor follows the reported torque later, less than a SYNC period.
+rotor_coupling: the share of the rotor's inertia that the carrying body's rotation acts on. It is 1 in nature and 0 in
 simulators whose `armature` adds to the joint's inertia alone. A model that does not mention it has 1.
-angular_momentum: that of the whole arm about its mass centre. A model that does not mention it assumes none in
-particular.
+angular_momentum: the angular momentum of the whole arm about its mass centre. A model that does not mention it makes no
+assumption about it.
 """
 
 
 @dataclass(frozen=True)
 class Effect:
-    """An effect in a model."""
+    """An effect in a model, with its value."""
 
     kind: Kind
     joint: str | None
@@ -129,20 +133,21 @@ class Effect:
     sigma: float = 0.0
     source: str = "CAD"
     evidence: str = ""
-    """Why it is in the model, in words."""
+    """Why the effect is in the model, in words."""
 
     def index(self, arm: Arm) -> int:
-        """Number of its joint from 0; -1 for the base.
+        """Number of the effect's joint from 0; -1 for the base.
 
-        Errors: ZygosError if the arm has no such joint, or not what the effect acts on: a spring, a carrying body that
-        turns, a momentum of the whole arm that one number is.
+        Errors: ZygosError if the arm has no such joint, or if what the effect acts on does not exist in this arm: a
+        spring, a carrying body that turns, or an angular momentum that is a single number.
         """
         names = [joint.name for joint in arm.joints]
         if self.joint is None:
             if not arm.free or arm.spatial:
-                lacks = "its base is fixed" if not arm.free else "it moves in space, where that is a vector"
+                lacks = "the base is fixed" if not arm.free else "the arm moves in space, where it is a vector"
                 raise ZygosError(
-                    f"effect {self.kind.key}: is one of free-floating arms in a plane, but of arm {arm.name} {lacks}; "
+                    f"effect {self.kind.key}: exists only for free-floating planar arms, but for arm {arm.name} "
+                    f"{lacks}; "
                     "remedy: remove the entry"
                     + (", and state angular_momentum_nms in the scenario" if arm.free else "")
                 )
@@ -165,23 +170,39 @@ class Effect:
         return joint
 
     def column(self, arm: Arm) -> str:
-        """Name of its column: the entry's, and the number of its joint from 1."""
+        """Name of the effect's column: the key of its kind, and the number of its joint from 1."""
         return column_name(self.kind, self.index(arm))
 
 
+def effect(kind: str, joint: str | None = None, value: float = 0.0, sigma: float = 0.0) -> Effect:
+    """An effect of the catalogue: `kind` is its key there, joint the name of its joint, None for one of the base.
+
+    value, sigma: in the unit of its entry. Errors: ZygosError for a key that is not in the catalogue, and for a joint
+    where none belongs, or none where one does.
+    """
+    if kind not in CATALOGUE:
+        raise ZygosError(f"there is no effect {kind!r}; remedy: one of {', '.join(CATALOGUE)}")
+    entry = CATALOGUE[kind]
+    if entry.at_joint != (joint is not None):
+        remedy = "name its joint" if entry.at_joint else "leave the joint out"
+        raise ZygosError(f"effect {kind}: belongs to {'a joint' if entry.at_joint else 'the base'}; remedy: {remedy}")
+    return Effect(entry, joint, value, sigma)
+
+
 def column_name(kind: Kind, joint: int) -> str:
-    """Name of a column: the entry's, and the number from 1 of its joint (from 0; below 0: the base)."""
+    """Name of a column: the key of its kind, and the number of its joint from 1 (`joint` counts from 0; < 0: the
+    base)."""
     return kind.key if joint < 0 else f"{kind.key}{joint + 1}"
 
 
 def of_column(name: str) -> tuple[str, int]:
-    """The inverse of `column_name`: the entry's key, and its joint from 0, -1 for the base."""
+    """The inverse of `column_name`: the key of the kind, and the joint from 0, -1 for the base."""
     key = name.rstrip("0123456789")
     return key, int(name[len(key) :] or 0) - 1
 
 
 def spoken(arm: Arm, column: str) -> str:
-    """A column as a sentence names it: title and joint of its effect."""
+    """Name of a column in sentences: title and joint of its effect."""
     key, joint = of_column(column)
     title = CATALOGUE[key].title
     return title if joint < 0 else f"{title} ({arm.joints[joint].name})"
@@ -190,16 +211,16 @@ def spoken(arm: Arm, column: str) -> str:
 def estimated(arm: Arm, effects: Sequence[Effect]) -> tuple[Effect, ...]:
     """The effects that have a column in the energy balance, so that an estimator finds their values.
 
-    Those of a model, and, where it does not name them, the offset of each spring between encoders whose zeros the arm
-    file does not vouch for (`zero_sigma_rad` above 0). Rotor coupling as in nature is in the columns of every arm, and
-    an angular momentum does no work: both are passed over. Errors: ZygosError for any other rotor coupling, and for an
-    effect that the arm cannot have.
+    These are the effects of a model. Where it does not name the offset of a spring, the offset is added if the zero of
+    one of the encoders is uncertain (`zero_sigma_rad` above 0). Rotor coupling as in nature is part of the columns of
+    every arm, and an angular momentum does no work: both are omitted. Errors: ZygosError for any other rotor coupling,
+    and for an effect that the arm cannot have.
     """
     for effect in effects:
         effect.index(arm)
         if effect.kind.key == "rotor_coupling" and effect.value != 1.0:
             raise ZygosError(
-                f"effect rotor_coupling at {effect.joint}: the estimator has no columns for a rotor that couples by "
+                f"effect rotor_coupling at {effect.joint}: the estimator has no columns for a rotor coupling of "
                 f"{effect.value:g}; remedy: leave the entry out, in nature it is 1"
             )
     offset = CATALOGUE[OFFSET]

@@ -10,12 +10,12 @@ class ZygosError(Exception):
 
 
 class Undecided(ZygosError):
-    """The question was understood, but the data do not answer it."""
+    """The question is valid, but the data do not answer it."""
 
     exit_code = 3
 
 
 class Damaged(ZygosError):
-    """The question was answered, but from a log of which a part is missing."""
+    """The question was answered, but from a log that is incomplete."""
 
     exit_code = 4

@@ -1,6 +1,6 @@
-/// zygos/gram.h: packed sums of outer products, lower triangle row by row, that carry their row sums.
+/// zygos/gram.h: sums of outer products, packed as lower triangle by rows, with their row sums.
 ///
-/// G 1 = sum holds to rounding, unless memory was changed from outside. What stands beside the sums has a seal.
+/// G 1 = sum holds up to rounding, unless memory was changed from outside. Other data are protected by a checksum.
 
 #ifndef ZYGOS_GRAM_H
 #define ZYGOS_GRAM_H
@@ -11,25 +11,26 @@
 extern "C" {
 #endif
 
-/// Entries of a triangle that wide.
+/// Returns the number of entries of a triangle of that width.
 uint32_t zygos_gram_entries(uint32_t width);
 
-/// Adds z z^T, and its row sums to sum; the three do not overlap. Cost: a product and a sum for each entry.
+/// Adds z z^T to gram, and its row sums to sum. The three arrays must not overlap. Cost: a product and a sum for each
+/// entry.
 void zygos_gram_add(double *gram, double *sum, uint32_t width, const double *z);
 
-/// Writes the row sums.
+/// Writes the row sums of gram into sum.
 void zygos_gram_row_sums(const double *gram, uint32_t width, double *sum);
 
-/// Largest violation of G 1 = sum in units of a row's tolerance, at the most 2; above 1 means corrupt. That is
-/// (64 width + adds) eps times the largest entry that the row has, or by its diagonal could have: columns differ
-/// in size by orders of magnitude, and every addition rounds, of like numbers always the same way. adds: how many there
-/// were, or more. width is at the most ZYGOS_MAX_ROW.
+/// Returns the largest violation of G 1 = sum in units of a row's tolerance, at most 2; above 1 means corrupt. The
+/// tolerance is (64 width + adds) eps times the largest entry that the row has or could have by its diagonal, because
+/// columns differ in size by orders of magnitude and every addition rounds. adds: the number of additions, or more.
+/// width: at most ZYGOS_MAX_ROW.
 double zygos_gram_check(const double *gram, uint32_t width, const double *sum, double adds);
 
-/// A seal of what changes seldom and has no row sums: goes on with another number, or with n doubles. One flipped bit
-/// in any of them always changes it. Cost: a multiplication a word.
-uint64_t zygos_seal_number(uint64_t seal, uint64_t number);
-uint64_t zygos_seal_doubles(uint64_t seal, const double *x, uint32_t n);
+/// Return a checksum that is continued with another number, or with n doubles. It protects data that change seldom and
+/// have no row sums. One flipped bit in any of them always changes it. Cost: one multiplication for each word.
+uint64_t zygos_checksum_number(uint64_t checksum, uint64_t number);
+uint64_t zygos_checksum_doubles(uint64_t checksum, const double *x, uint32_t n);
 
 #ifdef __cplusplus
 }

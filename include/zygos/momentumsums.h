@@ -1,10 +1,10 @@
-/// zygos/momentumsums.h: the normal equations of the momentum rows.
+/// zygos/momentumsums.h: accumulates the normal equations of the momentum rows.
 ///
-/// The rows know the kinetic parameters and the rotors only, and their right-hand side is zero: their sums stay apart
-/// from those of the energy until the solver adds both. Neighbouring instants say much the same, so one component has
-/// its turn a cycle; what noise adds on average is summed beside, one sensor's share in that component a cycle, with as
-/// much more weight, and is taken off when an arc ends. Each component has a constant of its own in each arc. Blocks
-/// are whole arcs; when all are in use, neighbours merge.
+/// The rows contain only the kinetic parameters and the rotors, and their right-hand side is zero; their sums are
+/// separate from those of the energy rows until the solver adds both. Neighbouring instants give nearly the same
+/// information, therefore one component is added in each cycle. The expected products of noise are summed separately,
+/// those of one sensor in each cycle with a larger weight, and are subtracted when an arc ends. Each component has a
+/// constant of its own in each arc. Blocks consist of whole arcs; when all are in use, neighbours are merged.
 
 #ifndef ZYGOS_MOMENTUMSUMS_H
 #define ZYGOS_MOMENTUMSUMS_H
@@ -16,7 +16,8 @@
 extern "C" {
 #endif
 
-/// A row, augmented by the constants of the components. At ZYGOS_MOMENTUM = 0 there is room for none.
+/// The length of a row that is augmented by the constants of the components. With ZYGOS_MOMENTUM = 0 there is no memory
+/// for rows.
 #if ZYGOS_MOMENTUM
 #define ZYGOS_MAX_MOMENTUM_ROW (ZYGOS_MAX_MOMENTUM + 3)
 #define ZYGOS_MOMENTUM_PLACES ZYGOS_MAX_MOMENTUM_BLOCKS
@@ -26,77 +27,79 @@ extern "C" {
 #endif
 #define ZYGOS_MAX_PACKED_MOMENTUM (ZYGOS_MAX_MOMENTUM_ROW * (ZYGOS_MAX_MOMENTUM_ROW + 1) / 2)
 
-/// Sum of z z^T of z = [columns, 1 at the component's constant], lower triangle row by row, and its row sums.
+/// Sum of z z^T with z = [columns, 1 at the constant of the component], lower triangle by rows, and its row sums.
 typedef struct {
     double gram[ZYGOS_MAX_PACKED_MOMENTUM];
     double sum[ZYGOS_MAX_MOMENTUM_ROW];
 } zygos_momentum_gram_t;
 
+/// One block of the sums.
 typedef struct {
-    zygos_momentum_gram_t rows; ///< Closed: the constants eliminated, the noise taken off.
-    double instants;            ///< Accepted ones.
+    zygos_momentum_gram_t rows; ///< Closed arcs: without the constants and the noise.
+    double instants;            ///< Accepted instants.
     uint64_t end;               ///< Number of the newest cycle.
-    uint64_t seal;              ///< Of instants and end, when the arc has closed.
+    uint64_t checksum;          ///< Closed arcs: of instants and end.
 } zygos_momentum_block_t;
 
+/// The normal equations of the momentum rows.
 typedef struct {
-    uint32_t columns;                       ///< 0 where the configuration asks for no such rows.
-    uint32_t components;                    ///< 3 in space, 1 in a plane.
-    uint32_t count;                         ///< Blocks of closed arcs.
+    uint32_t columns;                       ///< Number of columns; 0 where the configuration has no such rows.
+    uint32_t components;                    ///< Number of components: 3 in space, 1 in a plane.
+    uint32_t count;                         ///< Number of blocks of closed arcs.
     uint32_t corrupt;                       ///< 1: the row sums of an arc did not match when it closed.
     uint32_t cycles;                        ///< Instants of the open arc, accepted or not.
-    uint32_t signals;                       ///< Sensors whose noise is taken off; 0 where none is.
-    double target;                          ///< Instants up to which blocks merge.
-    uint64_t seal;                          ///< Of count and target.
-    double deviation[ZYGOS_MAX_JOINTS + 3]; ///< Of each signal, for its turn (momentum.h).
-    double rotor[ZYGOS_MAX_JOINTS];         ///< What the rotors' rates owe in an instant.
-    zygos_momentum_gram_t noise_open;       ///< Of the open arc, not yet taken off, without the rotors' share.
-    zygos_momentum_gram_t noise_closed;     ///< Of closed arcs. When one of them is dropped, it shrinks in proportion.
+    uint32_t signals;                       ///< Sensors whose noise is subtracted; 0 where none is.
+    double target;                          ///< Instants up to which blocks are merged.
+    uint64_t checksum;                      ///< Of count and target.
+    double deviation[ZYGOS_MAX_JOINTS + 3]; ///< Of each signal, with the weight of its turn (momentum.h).
+    double rotor[ZYGOS_MAX_JOINTS];         ///< Contribution of the rotors' rates in one instant.
+    zygos_momentum_gram_t noise_open;       ///< Noise of the open arc, not yet subtracted, without the rotors.
+    zygos_momentum_gram_t noise_closed;     ///< Noise of closed arcs; reduced in proportion when one is dropped.
     zygos_momentum_block_t open;
     zygos_momentum_block_t block[ZYGOS_MOMENTUM_PLACES];
 } zygos_momentum_sums_t;
 
-/// What follows from the configuration: columns, components, and what noise adds in an instant. The sums stay.
-/// Needs a checked configuration.
+/// Computes what follows from the configuration: columns, components, and the noise of an instant. The sums are not
+/// changed. Needs a checked configuration.
 void zygos_momentum_sums_tables(zygos_momentum_sums_t *self, const zygos_config_t *config,
                                 const zygos_smoother_t *smoother);
 
-/// Whether every place and count exists for a checked configuration: the other calls rely on that, and do not look.
-/// Cost: a comparison a block.
+/// Returns whether every index and count is possible for a checked configuration. The other functions rely on that and
+/// do not check it. Cost: a comparison for each block.
 bool zygos_momentum_sums_intact(const zygos_momentum_sums_t *self, const zygos_config_t *config);
 
-/// Empties the sums. Needs the tables.
+/// Clears the sums. Needs the tables.
 void zygos_momentum_sums_clear(zygos_momentum_sums_t *self, const zygos_config_t *config);
 
-/// Adds the row of the component whose turn it is with weight 1 or 0, and what the sensor whose turn it is adds to it.
-/// Needs a configuration that asks for such rows, and an instant that belongs to an arc. Cost: one row, one derivative,
-/// and a rank-1 update of (columns + 3)(columns + 4)/2 entries for each.
+/// Adds the row of the component whose turn it is with weight 1 or 0, and the noise of the sensor whose turn it is.
+/// Needs a configuration with such rows, and an instant that belongs to an arc. Cost: one row, one derivative, and a
+/// rank-1 update of (columns + 3)(columns + 4)/2 entries for each of them.
 void zygos_momentum_sums_add(zygos_momentum_sums_t *self, const zygos_config_t *config,
-                             const zygos_momentum_t *momentum, const zygos_state_t *state, const zygos_motion_t *motion,
-                             double weight);
+                             const zygos_momentum_t *momentum, const zygos_arm_state_t *state,
+                             const zygos_motion_t *motion, double weight);
 
-/// Ends the open arc, whose newest cycle is the given one: eliminates its constants and takes its noise off, or drops
-/// it when it is too short. Cost: the sums of an arc a few times; at the worst one merge of all blocks.
+/// Ends the open arc, whose newest cycle is given: eliminates its constants and subtracts its noise, or drops it when
+/// it is too short. Cost: a few passes over the sums of an arc; in the worst case one merge of all blocks.
 void zygos_momentum_sums_end_arc(zygos_momentum_sums_t *self, const zygos_config_t *config, uint64_t cycle);
 
-/// The same in two steps. Closing eliminates the constants, takes the noise off and returns true, or drops an arc that
-/// is too short and returns false. A closed arc is in self->open until the next call admits it to the blocks, or leaves
-/// it out.
+/// The same in two calls. The first eliminates the constants, subtracts the noise and returns true, or drops an arc
+/// that is too short and returns false. The closed arc is then in self->open. The second call either admits it to the
+/// blocks or leaves it out.
 bool zygos_momentum_sums_close(zygos_momentum_sums_t *self, const zygos_config_t *config);
 void zygos_momentum_sums_admit(zygos_momentum_sums_t *self, uint64_t cycle);
 void zygos_momentum_sums_leave_out(zygos_momentum_sums_t *self);
 
-/// Multiplies all that closed arcs left by a factor. Cost: their blocks once.
-void zygos_momentum_sums_fade(zygos_momentum_sums_t *self, double factor);
+/// Multiplies the sums of closed arcs by a factor (exponential forgetting). Cost: one pass over their blocks.
+void zygos_momentum_sums_forget(zygos_momentum_sums_t *self, double factor);
 
-/// Drops the open arc, and the blocks that reach beyond the given cycle. Cost: one pass over the noise of closed arcs.
+/// Drops the open arc, and the blocks with cycles after the given one. Cost: one pass over the noise of closed arcs.
 void zygos_momentum_sums_drop_after(zygos_momentum_sums_t *self, uint64_t cycle);
 
-/// Drops the blocks up to the given cycle and their share of the noise, and returns how many.
+/// Drops the blocks up to the given cycle and their share of the noise, and returns their number.
 uint32_t zygos_momentum_sums_drop_until(zygos_momentum_sums_t *self, uint64_t cycle);
 
-/// Largest violation of the row sums in units of their tolerance, or 2 when an arc that closed was corrupt, or a seal
-/// does not match. Above 1 means corrupt. Needs sums that are intact.
+/// Returns the largest violation of the row sums in units of their tolerance, or 2 when an arc was corrupt when it
+/// closed or a checksum does not match. Above 1 means corrupt. Needs zygos_momentum_sums_intact().
 double zygos_momentum_sums_check(const zygos_momentum_sums_t *self);
 
 #ifdef __cplusplus

@@ -17,10 +17,10 @@ static zygos_estimate_t estimate;
 static struct {
     uint32_t parameters, cycle, smoother, kinematics, balance, impulse, momentum, noise, accumulator, whole, solver;
 } sizes = {
-    .cycle = (uint32_t)(sizeof(zygos_receiver_t) + sizeof(zygos_hold_t)),
-    .smoother = (uint32_t)(sizeof(zygos_smoother_t) + sizeof(zygos_state_t)),
-    .kinematics = (uint32_t)(sizeof(zygos_skeleton_t) + sizeof(zygos_motion_t)),
-    .balance = (uint32_t)(sizeof(zygos_layout_t) + sizeof(zygos_balance_t) + sizeof(zygos_row_t)),
+    .cycle = (uint32_t)(sizeof(zygos_receiver_t) + sizeof(zygos_previous_cycle_t)),
+    .smoother = (uint32_t)(sizeof(zygos_smoother_t) + sizeof(zygos_arm_state_t)),
+    .kinematics = (uint32_t)(sizeof(zygos_geometry_t) + sizeof(zygos_motion_t)),
+    .balance = (uint32_t)(sizeof(zygos_column_map_t) + sizeof(zygos_balance_t) + sizeof(zygos_row_t)),
     .impulse = (uint32_t)(sizeof(zygos_impulse_t) + sizeof(zygos_impulse_rows_t) + sizeof(zygos_joint_sums_t)),
     .momentum = (uint32_t)(sizeof(zygos_momentum_t) + sizeof(zygos_momentum_sums_t)),
     .noise = (uint32_t)sizeof(zygos_noise_t),
@@ -60,7 +60,7 @@ static place_t step(uint32_t frames)
     const bool others = ((config->impulse_arc_cycles > 0) && (arm.joint_sums.cycles <= 1)) ||
                         ((config->momentum_arc_cycles > 0) && (arm.momentum_sums.cycles <= 1));
     const bool edge = (sums->arcs + sums->arcs_dropped != arcs) || (arm.arc <= 1) || others;
-    const bool first = (arm.arc <= (uint32_t)ZYGOS_STEP); /* nothing is shared out yet */
+    const bool first = (arm.arc <= (uint32_t)ZYGOS_BUFFER_ROWS); /* nothing is shared out yet */
     const bool opened = (sums->segment < segment) || (sums->count != blocks) || (first && (sums->filled == 0));
     const uint32_t row = edge ? KIND_ARC : (opened ? KIND_BLOCK : KIND_CYCLE);
     const uint32_t sensors = (config->compensation > 0) ? config->compensation : 1u;
@@ -101,7 +101,7 @@ int main(void)
     if (zygos_init(&arm, &config) < 0) {
         return refuse("the configuration is refused");
     }
-    sizes.parameters = arm.layout.count;
+    sizes.parameters = arm.column_map.count;
     bool written = (semihosting_write(places, &sizes, sizeof sizes) == sizeof sizes);
     uint32_t frames = 0;
     for (uint32_t k = 0; k < head[2]; k++) {

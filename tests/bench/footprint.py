@@ -7,10 +7,11 @@ import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
+from calls_support import Calls
+
 from bench import callgrind
 from bench.cortex import firmware
 from bench.counting import FOLDED, ROOMS, WHOLE
-from calls_support import Calls
 from conftest import ROOT
 
 ENTRIES = ("zygos_init", "zygos_frame", "zygos_step", "zygos_take", "zygos_solve")

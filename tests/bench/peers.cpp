@@ -37,7 +37,7 @@ using Model = pinocchio::ModelTpl<double, 0, Joints>;
 using Data = pinocchio::DataTpl<double, 0, Joints>;
 
 zygos_t arm;
-std::vector<zygos_state_t> states;
+std::vector<zygos_arm_state_t> states;
 Model model;
 std::vector<Eigen::VectorXd> positions, velocities;
 
@@ -91,14 +91,15 @@ pinocchio::JointIndex add_joint(pinocchio::JointIndex parent, const Eigen::Vecto
 // Counted by name.
 extern "C" {
 
-__attribute__((noinline)) void peer_zygos_columns(const zygos_state_t *state)
+__attribute__((noinline)) void peer_zygos_columns(const zygos_arm_state_t *state)
 {
-    zygos_kinematics(&arm.skeleton, &arm.config, state, &arm.motion);
+    zygos_kinematics(&arm.geometry, &arm.config, state, &arm.motion);
 }
 
-__attribute__((noinline)) void peer_zygos_sums(const zygos_state_t *state)
+__attribute__((noinline)) void peer_zygos_sums(const zygos_arm_state_t *state)
 {
-    if (zygos_balance_row(&arm.balance, &arm.config, &arm.layout, &arm.noise.drift, state, &arm.motion, &arm.row)) {
+    if (zygos_balance_row(&arm.balance, &arm.config, &arm.column_map, &arm.noise.integral_bias, state, &arm.motion,
+                          &arm.row)) {
         zygos_accumulator_add(&arm.accumulator, &arm.row, 1.0);
     }
 }
@@ -156,7 +157,7 @@ int main(int count, char **argument)
         carrier = add_joint(carrier, axis, pinocchio::SE3(columns.transpose(), origin));
     }
     for (int k = 0; k < samples; k++) {
-        zygos_state_t state{};
+        zygos_arm_state_t state{};
         Eigen::VectorXd position(7 + joints), velocity(6 + joints);
         const Eigen::VectorXd q = read_vector(in, joints), theta = read_vector(in, joints);
         const Eigen::VectorXd q_rate = read_vector(in, joints), theta_rate = read_vector(in, joints);
@@ -196,6 +197,6 @@ int main(int count, char **argument)
         }
     }
     std::printf("%.17g %.17g %.17g\n", ours, theirs,
-                sums.gram.trace() + own.gram.trace() + arm.accumulator.step[0].gram[0]);
+                sums.gram.trace() + own.gram.trace() + arm.accumulator.buffer[0].gram[0]);
     return 0;
 }

@@ -2,7 +2,7 @@
 
 All get the same states of the same arm and add one row to sums of the same width. Pinocchio gets its own part for
 nothing: the velocity of the base, which nobody measures, the columns of rotors, springs and dampers, and the reduction
-of its ten parameters a body to those that can be told apart.
+of its ten parameters a body to those that can be identified.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from bench import callgrind
 from bench.configurations import CONFIGURATIONS, Configuration
 from conftest import ROOT
 from zygos.balances.energy import energy_columns
-from zygos.balances.kinematics import State
+from zygos.balances.state import State
 from zygos.model.model import load_model
 from zygos.native.flight import config_of, ffi
 

@@ -1,6 +1,6 @@
 """What an arm in space costs to simulate: with the compiled equations of motion beside numpy's, and what it errs by.
 
-    PYTHONPATH=tests python -m bench.simulator [out/simulator.json]
+    PYTHONPATH=tests:tests/support python -m bench.simulator [out/simulator.json]
 
 Both ways follow the same scenario with the same integrator, tolerance and servo, in turns, in one process; of each the
 least CPU time counts. The error is the largest difference from numpy's equations at a tenth of the tolerance, of the

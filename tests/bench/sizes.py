@@ -1,6 +1,6 @@
 """Write the bytes of the three structs into docs/integrate.md, and their sums into README.md and docs/cost.md.
 
-PYTHONPATH=tests python -m bench.sizes
+PYTHONPATH=tests:tests/support python -m bench.sizes
 """
 
 from __future__ import annotations

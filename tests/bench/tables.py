@@ -109,8 +109,8 @@ def _summary(content: dict[str, Any]) -> str:
         + _table(("instructions of a full cycle", *TITLES.values()), cycles)
         + "\n"
         + _table(("code and deepest stack", *TITLES.values(), "state + work + estimate"), sizes)
-        + "\nKinematics, balance and accumulator for each instruction of Pinocchio's C++ regressor with Eigen's rank-1 "
-        f"update, same p, -O2: {compared}.\n\n"
+        + "\nInstructions of kinematics, balance and accumulator, divided by those of Pinocchio's C++ regressor with "
+        f"Eigen's rank-1 update, for the same p at -O2: {compared}.\n\n"
     )
 
 
@@ -148,7 +148,10 @@ def _details(content: dict[str, Any]) -> str:
             _ratio(peer["nanoseconds"], base["nanoseconds"]),
         ]
         lines.append([f"{arm}: {peer['name']}", _number(peer["instructions"]), *cells])
-    out.append("\n### Peers\n\n" + _table(("one sample", "instructions", "to zygos'", "time to zygos'"), lines))
+    out.append(
+        "\n### Comparison with other software\n\n"
+        + _table(("one sample", "instructions", "instructions relative to zygos", "time relative to zygos"), lines)
+    )
     frames = content["frames_per_second"]
     fastest = max(frames.values())
     out.append(
@@ -174,13 +177,20 @@ def _budgets(content: dict[str, Any], of: dict[tuple[str, str, str], dict[str, A
             shown = [
                 [function, _number(own), f"{100 * own / row['instructions']:.0f} %"] for function, own in functions
             ]
-            missed.append(f"\n{title}, which misses it:\n\n" + _table(("function", "instructions", "share"), shown))
+            missed.append(
+                f"\n{title} exceeds its budget. Its most expensive functions are:\n\n"
+                + _table(("function", "instructions", "share"), shown)
+            )
     found = ratios(content, "paper, bare")
-    title = "balance + accumulator, p = 12, to Pinocchio C++ + Eigen"
-    lines.append([f"{title}, ten parameters a body as they come", f"{found['sums to its own']:.3f}", f"{QUARTER}"])
-    lines.append([f"{title}, reduced to the same p for nothing", f"{found['sums']:.3f}", "–"])
+    title = "balance + accumulator, p = 12, relative to Pinocchio C++ + Eigen"
+    lines.append(
+        [f"{title}, ten parameters per body, without reduction", f"{found['sums to its own']:.3f}", f"{QUARTER}"]
+    )
+    lines.append([f"{title}, reduced to the same p (reduction not counted)", f"{found['sums']:.3f}", "–"])
     return (
-        "\n### Budgets\n\n" + _table(("full cycle", "instructions, or their ratio", "budget"), lines) + "".join(missed)
+        "\n### Budgets\n\n"
+        + _table(("full cycle", "instructions, or ratio of instructions", "budget"), lines)
+        + "".join(missed)
     )
 
 

@@ -50,6 +50,7 @@ def measured(target: str, one: Configuration, inputs: int, folder: Path) -> Coun
     return cortex.count(target, folder)
 
 
+@pytest.mark.slow(but=["x86-64-paper, bare"])
 @pytest.mark.parametrize(("target", "name"), tables.HELD)
 def test_a_full_cycle_stays_within_what_is_held(counted: Counter, target: str, name: str) -> None:
     """All frames in, the row accumulated; the mean of ordinary cycles, wherever they stand."""
@@ -62,6 +63,7 @@ def test_a_full_cycle_stays_within_what_is_held(counted: Counter, target: str, n
     assert mean > entries
 
 
+@pytest.mark.slow(but=["x86-64-paper"])
 @pytest.mark.parametrize(
     ("target", "name"),
     [
@@ -106,6 +108,7 @@ def test_a_count_repeats_exactly(counted: Counter, tmp_path: Path) -> None:
     np.testing.assert_array_equal(first.stage(TOGETHER), sums)
 
 
+@pytest.mark.slow
 def test_a_run_for_another_build_is_refused(tmp_path: Path) -> None:
     for program in cortex.firmware.TOOLS:
         need(shutil.which(program), f"{program}: the instructions of a cycle stay uncounted")
@@ -124,6 +127,7 @@ def test_the_driver_and_the_library_agree_on_state(counted: Counter) -> None:
     assert 0.95 < rooms / host["whole"] < 1.0
 
 
+@pytest.mark.slow(but=["x86-64"])
 @pytest.mark.parametrize("target", TARGETS)
 def test_bytes_of_code_add_up(target: str, tmp_path: Path) -> None:
     """What frame, step and solve reach is in the library, which is little more than all rooms together."""

@@ -374,9 +374,9 @@ def many() -> str:
         (None, "arm.dbc", "no such file"),
         ("name = ", "arm.dbc", "not valid TOML"),
         (arm_text(("a", "b"), (4, 4)), "arm.dbc", "node numbers repeat"),
-        (many(), "arm.dbc", "parameters, but the telemetry's index names 256"),
-        (arm_text(("a", "b"), (4, 5)), "arm.txt", "let it end in .dbc"),
-        (arm_text(("a", "b"), (4, 5)), "folder.dbc", "no ordinary file"),
+        (many(), "arm.dbc", "parameters, but the telemetry can report at most 256"),
+        (arm_text(("a", "b"), (4, 5)), "arm.txt", "give it the suffix .dbc"),
+        (arm_text(("a", "b"), (4, 5)), "folder.dbc", "not a regular file"),
     ],
 )
 def test_refusals(tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str | None, out: str, said: str) -> None:

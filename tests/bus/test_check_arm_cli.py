@@ -149,7 +149,7 @@ def test_a_run_at_rest_confirms_nothing(
     content = answer(tmp_path, ARM, logged(tmp_path / "run.blf", arm, still), 3)
     assert content["findings"] == []
     assert not content["ok"]
-    assert "nothing wrong was found, but nothing confirms" in capsys.readouterr().err
+    assert "no fault was found, but nothing confirms" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -230,6 +230,7 @@ def test_other_bad_input_is_refused(
     assert log.read_bytes() == before
 
 
+@pytest.mark.slow
 def test_the_manual_runs_from_a_fresh_clone(tmp_path: Path) -> None:
     """Every command of docs/check-arm.md, with nothing beside the checkout; the last one finds what was done to it."""
     text = (ROOT / "docs" / "check-arm.md").read_text()

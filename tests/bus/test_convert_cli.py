@@ -12,11 +12,11 @@ from typing import Any
 import can
 import numpy as np
 import pytest
+import telemetry_support as foreign
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.io import loadmat
 
-import telemetry_support as foreign
 from conftest import EXAMPLE, PAPER, ROOT, need
 from zygos.arm import NO_IMU, Arm, load_arm
 from zygos.can import bus
@@ -337,7 +337,7 @@ def test_a_wrong_unit(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[s
         FOLDER / "map.toml", tmp_path / "flip.toml", (link, link.replace('"deg"', '"deg", sign = -1'))
     )
     assert convert(log, tmp_path / "x" / "run.npz", map_file=flipped) == 0
-    assert "against each other" in capsys.readouterr().out
+    assert "in opposite directions" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".npz"])
@@ -362,15 +362,15 @@ def test_a_foreign_table_and_the_cycle_door(
     map_file.write_text(f'[time]\nsource = "sync"\ncolumn = "n"\n{joints}{gyro}')
     out = tmp_path / "out" / f"run{suffix}"
     assert convert(tmp_path / f"my{suffix}", out, map_file=map_file) == 0
-    assert "door: cycle" in capsys.readouterr().out
+    assert "output: table of cycles" in capsys.readouterr().out
     assert run("estimate", out, "-o", tmp_path / "m.toml", "--json", tmp_path / "m.json") == 0
-    assert "valid · door: cycle" in capsys.readouterr().out
+    assert "valid · input: table of cycles" in capsys.readouterr().out
     content = json.loads((tmp_path / "m.json").read_text())
     assert content["door"] == "cycle"
     values = np.array([parameter["value"] for parameter in content["parameters"]])
     assert np.allclose(values, native(arm, cycles).value, rtol=1e-9)
     assert run("check", out, "--json", tmp_path / "check.json") == 0
-    assert "door: cycle" in capsys.readouterr().out
+    assert "input: table of cycles" in capsys.readouterr().out
     report = json.loads((tmp_path / "check.json").read_text())
     assert report["door"] == "cycle"
     assert report["rooms"][0]["room"] == "smoother"
@@ -480,12 +480,12 @@ REFUSALS: list[tuple[str, Callable[[Path], list[object]], str]] = [
     (
         "no arm file",
         lambda f: ["--dbc", FOLDER / "arm.dbc", "--map", f / "map.toml", "-o", f / "r.blf"],
-        "no such arm file; remedy: give it with --arm, or put arm.toml beside the map",
+        "no such arm file; remedy: give it with --arm, or put arm.toml next to the map",
     ),
     (
         "unknown output",
         lambda f: ["--dbc", FOLDER / "arm.dbc", "--map", FOLDER / "map.toml", "-o", f / "r.dat"],
-        "no CAN log of a known kind",
+        "not a known kind of CAN log",
     ),
     (
         "output that is the input",

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from physical_support import estimate_of
 
 from conftest import EXAMPLE, ROOT
-from physical_support import estimate_of
 from zygos.arm import load_arm
 from zygos.cli import main
 from zygos.model.model import Model, Quantity, load_model, save_model
@@ -110,12 +110,12 @@ def test_bad_input_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) 
     good = (folder / "estimate.json").read_text()
     report = json.loads(good)
     for content, code, words in (
-        ("{", 2, "is no JSON"),
+        ("{", 2, "is not JSON"),
         ("[]", 2, "has no arm, parameters"),
         (json.dumps({key: value for key, value in report.items() if key != "normal"}), 2, "has no normal"),
-        (json.dumps(report | {"normal": [[1.0]]}), 2, "are not of 12 parameters"),
-        (json.dumps(report | {"normal": [[1.0], [1.0, 2.0]]}), 2, "are not of 12 parameters"),
-        (json.dumps(report | {"normal": [[None] * 12] * 12}), 2, "are not of 12 parameters"),
+        (json.dumps(report | {"normal": [[1.0]]}), 2, "do not have 12 parameters"),
+        (json.dumps(report | {"normal": [[1.0], [1.0, 2.0]]}), 2, "do not have 12 parameters"),
+        (json.dumps(report | {"normal": [[None] * 12] * 12}), 2, "do not have 12 parameters"),
         (json.dumps(report | {"validity": "refused", "reason": "too few accepted instants"}), 3, "was refused"),
     ):
         (folder / "estimate.json").write_text(content)
@@ -124,7 +124,7 @@ def test_bad_input_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) 
     refused(2, "would replace", "--json", folder / "cad.toml")
     arm, built = load_arm(EXAMPLE / "arm.toml"), load_model(EXAMPLE / "model.toml")
     save_model(Model("base", parameters=built.base_parameters(arm)), folder / "cad.toml")
-    refused(2, "holds base parameters")
+    refused(2, "contains base parameters")
     save_model(load_model(SPATIAL / "model.toml"), folder / "cad.toml")
     refused(2, "has joints")
     (folder / "estimate.json").unlink()

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from log_support import run as zygos
 from numpy.typing import NDArray
 
-from bus.log_support import run as zygos
 from conftest import EXAMPLE, ROOT, need
 from zygos.arm import Arm
 from zygos.can import bus

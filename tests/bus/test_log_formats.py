@@ -9,8 +9,8 @@ from pathlib import Path
 import can
 import numpy as np
 import pytest
+from log_support import run
 
-from bus.log_support import run
 from conftest import EXAMPLE
 from zygos.arm import Arm
 from zygos.can import bus
@@ -43,12 +43,13 @@ FLAGS = {
 
 
 def recorded(path: Path, *messages: can.Message) -> bus.Log:
-    recording = bus.Recording(path)
+    recording = bus.LogWriter(path)
     recording.append(messages)
     recording.finish()
     return bus.read_log(path)
 
 
+@pytest.mark.slow(but=[".log-*", ".blf-*", ".asc-*", ".trc-*", ".mf4-classical", ".mf4-fd, long"])
 @pytest.mark.parametrize("what", MESSAGES)
 @pytest.mark.parametrize("suffix", bus.LOG_SUFFIXES)
 def test_what_a_format_keeps(suffix: str, what: str, tmp_path: Path) -> None:

@@ -16,9 +16,9 @@ import pytest
 from cantools.database.can import Database
 from node_support import ERROR, EXTENDED, FD, REMOTE, Node, build, frame_of, hear, packet
 from numpy.typing import NDArray
+from round_support import round_of, told
 
 from conftest import EXAMPLE, ROOT
-from round_support import round_of, told
 from zygos.arm import Arm
 from zygos.can.dbc import arm_database
 from zygos.cli import main
@@ -298,6 +298,7 @@ def test_a_damaged_configuration_is_refused_with_a_reason(config: Path, tmp_path
         assert path.read_bytes() == content
 
 
+@pytest.mark.slow
 def test_a_damaged_state_is_put_aside_with_a_reason(arm: Arm, config: Path, tmp_path: Path) -> None:
     """It ends no start, and is not lost: the complaint names the file and what to do about it."""
     path, aside = tmp_path / "damaged.zyg", tmp_path / "damaged.zyg.unusable"

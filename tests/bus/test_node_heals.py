@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 from node_support import Node, hear
 from numpy.typing import NDArray
+from round_support import told
 
 from conftest import EXAMPLE, ROOT, need
-from round_support import told
 from zygos.arm import Arm
 from zygos.can.dbc import arm_database
 from zygos.cli import main
@@ -170,18 +170,18 @@ def test_corrupt_memory_is_not_saved_at_the_end(
     [
         (place_of("zygos_t", "config", "joint", 1, "gear_ratio") + 6, 5, "the configuration is not what was compiled"),
         (place_of("zygos_t", "config", "joints"), 0, "the configuration is not what was compiled"),
-        (place_of("zygos_t", "mark") + 3, 2, "sums or counts"),
-        (place_of("zygos_t", "joint_sums", "layout", "count", 0), 1, "sums or counts"),
+        (place_of("zygos_t", "magic") + 3, 2, "sums or counts"),
+        (place_of("zygos_t", "joint_sums", "column_map", "count", 0), 1, "sums or counts"),
         (place_of("zygos_t", "accumulator", "target") + 7, 7, "sums or counts"),
         (place_of("zygos_t", "receiver", "queue", "head") + 2, 4, "sums or counts"),
     ],
-    ids=["gear ratio", "joints", "mark", "layout of the motor rows", "target", "place in the queue"],
+    ids=["gear ratio", "joints", "magic", "columns of the motor rows", "target", "place in the queue"],
 )
 def test_other_memory_heals_too(
     where: int, bit: int, word: str, arm: Arm, config: Path, frames: Log, syncs: Log
 ) -> None:
-    """A configuration that was changed makes every value wrong and no check of sums notices; a mark that is lost stops
-    the library; tables that follow from the configuration are computed anew."""
+    """A configuration that was changed makes every value wrong and no check of sums notices; a magic number that is
+    lost stops the library; tables that follow from the configuration are computed anew."""
     with Node("--config", config, "--every", 50) as node:
         node.send(frames[: syncs[220] + 1])
         node.worked_off(221)
@@ -298,6 +298,7 @@ def power_cut(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return library
 
 
+@pytest.mark.slow(but=["both good-True"])
 @pytest.mark.parametrize(
     ("how", "links"), [("both good", True), ("both good", False), ("gone", True), ("sealed corrupt", True)]
 )

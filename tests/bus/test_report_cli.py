@@ -18,17 +18,20 @@ import pytest
 
 from conftest import EXAMPLE
 from zygos.arm import load_arm
-from zygos.audit.findings import Audit, Finding
+from zygos.audit.findings import Audit, SignalFault
 from zygos.audit.page import write_audit_report
 from zygos.can import bus
+from zygos.can.run import Run
 from zygos.cli import main
 from zygos.effects import CATALOGUE, Effect
+from zygos.estimation.estimate import Estimation
 from zygos.estimation.ledger import balance
-from zygos.estimation.page import Outcome, write_estimate_report
+from zygos.estimation.page import write_estimate_report
 from zygos.estimation.watch import Watch
 from zygos.model.model import load_model
 from zygos.native.flight import Drift, Flight, LeftOut
 from zygos.reference import compare
+from zygos.reference.check import Check
 from zygos.reference.compare import Room
 from zygos.reference.page import write_check_report
 from zygos.report.provenance import Provenance
@@ -261,10 +264,11 @@ def test_a_change_and_arcs_that_were_left_out_are_told(simulated: Path, tmp_path
     watch.left_out.append(LeftOut("energy", 100, 310))
     result = replace(watch.flight.estimate(), left_out=(1, 0, 0), validity="doubtful", reason="the arm changed")
     file = tmp_path / "page.html"
-    outcome = Outcome("", "see the warning: the arm changed", "nothing written")
-    write_estimate_report(file, result, watch, drift, outcome, ("a frame is missing",), NOWHERE)
+    found = Estimation(watch, result, drift)
+    write_estimate_report(file, found, NOWHERE, written="nothing", damage=("a frame is missing",))
     page = sound(Page(file.read_text(encoding="utf-8")))
     assert "the arm changed after 32 s, in standard deviations: k2 by 9" in page.text
+    assert "Remedy: read the warning: the arm changed" in page.text
     assert "k2 stiffness, elbow 9" in page.text
     assert "energy 5.0 15.5" in page.text
     assert "Warning: a frame is missing" in page.text
@@ -277,11 +281,11 @@ def test_names_cannot_break_the_pages(simulated: Path, tmp_path: Path) -> None:
     source = Provenance(HOSTILE, "1", ((HOSTILE, HOSTILE, "0"),))
     watch = watched(arm, bus.read_log(simulated / "run.blf").frames)
     files = [tmp_path / f"{k}.html" for k in range(3)]
-    outcome = Outcome(HOSTILE, HOSTILE, HOSTILE)
-    write_estimate_report(files[0], watch.flight.estimate(), watch, None, outcome, (HOSTILE,), source)
-    write_check_report(files[1], arm, [Room(HOSTILE, 1, 0.0, None, 0.0)], (HOSTILE, HOSTILE), (HOSTILE,), source)
-    audit = Audit((), (Finding(HOSTILE, HOSTILE, HOSTILE, HOSTILE),), (), {HOSTILE: 1.0}, (HOSTILE,))
-    write_audit_report(files[2], arm, watch.trace().cycles, audit, {HOSTILE: 1}, (HOSTILE,), source)
+    result = replace(watch.flight.estimate(), validity="doubtful", reason=HOSTILE)
+    write_estimate_report(files[0], Estimation(watch, result, None), source, written=HOSTILE, damage=(HOSTILE,))
+    write_check_report(files[1], Check(watch.flight, (Room(HOSTILE, 1, 1.0, None, 0.0),)), source, (HOSTILE,))
+    audit = Audit((), (SignalFault(HOSTILE, HOSTILE, HOSTILE, HOSTILE),), (), {HOSTILE: 1.0}, (HOSTILE,))
+    write_audit_report(files[2], Run(arm, table=watch.trace().cycles, damage=(HOSTILE,)), audit, source)
     for file in files:
         page = sound(Page(file.read_text(encoding="utf-8")))
         assert HOSTILE not in page.source

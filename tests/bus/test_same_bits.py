@@ -46,7 +46,7 @@ def test_logs(arm: Arm, frames: NDArray[np.void], tmp_path: Path, suffix: str) -
 
 
 def test_in_process_bus(arm: Arm, frames: NDArray[np.void]) -> None:
-    arrived = bus.transfer(frames, arm.period_s, "virtual", "test_same_bits")
+    arrived = bus.transferred(frames, arm.period_s, "virtual", "test_same_bits")
     assert bits(arm, arrived) == bits(arm, frames)
 
 
@@ -68,7 +68,7 @@ def test_frames_of_others_do_not_count_as_ours(arm: Arm, frames: NDArray[np.void
     talker = threading.Thread(target=chatter)
     talker.start()
     try:
-        arrived = bus.transfer(frames, arm.period_s, "virtual", "test_others")
+        arrived = bus.transferred(frames, arm.period_s, "virtual", "test_others")
     finally:
         over.set()
         talker.join()
@@ -108,10 +108,10 @@ def test_frames_of_others_on_socketcan(
     monkeypatch.setattr(vcan.can, "Bus", Sender)
     monkeypatch.setattr(vcan, "PATIENCE_S", 0.5)
     if lost is None:
-        assert bus.transfer(frames, arm.period_s, "socketcan", "vcan0").tobytes() == frames.tobytes()
+        assert bus.transferred(frames, arm.period_s, "socketcan", "vcan0").tobytes() == frames.tobytes()
     else:
         with pytest.raises(ZygosError, match=f"{lost} of {len(frames)} frames came"):
-            bus.transfer(frames, arm.period_s, "socketcan", "vcan0")
+            bus.transferred(frames, arm.period_s, "socketcan", "vcan0")
 
 
 def test_order_within_a_cycle_is_free(arm: Arm, frames: NDArray[np.void]) -> None:

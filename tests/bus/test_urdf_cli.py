@@ -64,7 +64,7 @@ def test_import_and_export_and_back(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert (tmp_path / "again" / "model.toml").read_text() == (out / "model.toml").read_text()
     # a file that is there is never replaced
     assert import_into(out, "--answers", ANSWERS) == 2
-    assert "exists; remedy" in capsys.readouterr().err
+    assert "exists already; remedy" in capsys.readouterr().err
 
 
 def test_what_is_missing_is_listed_with_a_template(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -108,7 +108,7 @@ def test_what_is_missing_is_listed_with_a_template(tmp_path: Path, capsys: pytes
         ("counts = 16384", "counts = 2", "motor_encoder.counts: 2 is out of range"),
         ('side = "rotor"', 'side = "left"', "motor_encoder.side"),
         ('base = "free"', 'base = "fixed"', "a fixed base has no rate to measure"),
-        ('base = "free"', 'base = "free"\ngravity = [0, 0, -9.81]', "a free-floating arm feels none"),
+        ('base = "free"', 'base = "free"\ngravity = [0, 0, -9.81]', "a free-floating arm feels no gravity"),
         ("[joint.wrist_roll_joint]", "[joint.wrist]", "joint.wrist: the chain has no such joint"),
         ("gear_ratio = 100", "axis = [0, 0, 1]", "axis: unknown key"),
         ("gear_ratio = 100", "flexible = false\nstiffness = 3", "stiffness: a rigid joint has no spring"),
@@ -247,7 +247,7 @@ def test_export_refuses(planar: Path, capsys: pytest.CaptureFixture[str]) -> Non
 
     refused(2, "--cad", "--model", learned)
     refused(2, "leave out --cad", "--model", cad, "--cad", cad)
-    refused(2, "holds base parameters", "--model", learned, "--cad", learned)
+    refused(2, "contains base parameters", "--model", learned, "--cad", learned)
     refused(2, "would replace", "--model", cad, "--json", planar / "in.urdf")
     refused(2, "has no link bus", "--model", cad, "--base", "bus")
     model = load_model(learned)

@@ -211,7 +211,7 @@ def test_a_spatial_arm_is_drawn(tmp_path: Path, joints: int) -> None:
     arm = spatial(joints)
     angles = np.linspace(0.0, 1.0, 40)[:, None] * np.resize([1.0, -0.8, 0.6], joints)
     moved = motion(arm, cycles(angles, deflection=0.05, rate=0.5))
-    shown = view.film(arm, skeleton(arm, None), moved, view.instants(moved, 2), 1.0)
+    shown = view.film(arm, skeleton(arm, None), moved, view.frame_instants(moved, 2), 1.0)
     assert [part.kind for part in shown.parts].count("joint") == joints
     (tmp_path / "arm.png").write_bytes(view.png(shown))
     sheet = blue(pixels(tmp_path / "arm.png"))
@@ -229,7 +229,7 @@ def test_gravity_points_down(tmp_path: Path) -> None:
     for angle in (np.pi / 2, -np.pi / 2):
         moved = motion(arm, cycles(np.array([[angle, 0.0]])))
         (tmp_path / "arm.png").write_bytes(
-            view.png(view.film(arm, skeleton(arm, None), moved, view.instants(moved, 1), 1.0))
+            view.png(view.film(arm, skeleton(arm, None), moved, view.frame_instants(moved, 1), 1.0))
         )
         picture = pixels(tmp_path / "arm.png")
         grey = np.ptp(picture, axis=2) < 0.05
@@ -289,7 +289,7 @@ def test_refusals(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert "lasts from 0 to 5 s" in refused(capsys, log, "--png", png, "--at", -1)
     assert "--at" in refused(capsys, log, "--html", tmp_path / "arm.html", "--at", 1)
     assert "would replace" in refused(capsys, log, "--png", log)
-    assert "no ordinary file" in refused(capsys, log, "--png", tmp_path)
+    assert "not a regular file" in refused(capsys, log, "--png", tmp_path)
     (tmp_path / "file").write_text("")
     assert "cannot be written" in refused(capsys, log, "--png", tmp_path / "file" / "arm.png")
     assert not png.exists()

@@ -93,11 +93,11 @@ static uint32_t regions_of_sums(region_t *out, size_t accumulator, size_t joints
     out[n++] = (region_t){ accumulator, scalars[0].size };
     out[n++] = (region_t){ joints + scalars[1].offset, scalars[1].size };
     out[n++] = (region_t){ momenta, scalars[2].size };
-    out[n++] = (region_t){ joints, sizeof(zygos_impulse_layout_t) };
+    out[n++] = (region_t){ joints, sizeof(zygos_impulse_column_map_t) };
     out[n++] = (region_t){ momenta + offsetof(zygos_momentum_sums_t, open.instants), 16 };
     for (uint32_t s = 0; s < 2; s++) {
-        out[n++] = (region_t){ accumulator + offsetof(zygos_accumulator_t, step) + s * sizeof(zygos_step_t) +
-                                   offsetof(zygos_step_t, instants),
+        out[n++] = (region_t){ accumulator + offsetof(zygos_accumulator_t, step) + s * sizeof(zygos_row_buffer_t) +
+                                   offsetof(zygos_row_buffer_t, instants),
                                8 };
     }
     for (uint32_t b = 0; b < ZYGOS_MAX_BLOCKS; b++) {
@@ -123,9 +123,9 @@ static uint32_t regions_of_state(region_t *out)
     uint32_t n = regions_of_sums(out, offsetof(zygos_t, accumulator), offsetof(zygos_t, joint_sums),
                                  offsetof(zygos_t, momentum_sums));
     out[n++] = (region_t){ 0, offsetof(zygos_t, config) };
-    out[n++] = (region_t){ offsetof(zygos_t, layout), sizeof(zygos_layout_t) };
+    out[n++] = (region_t){ offsetof(zygos_t, column_map), sizeof(zygos_column_map_t) };
     out[n++] = (region_t){ offsetof(zygos_t, receiver), offsetof(zygos_receiver_t, queue.slot) };
-    out[n++] = (region_t){ offsetof(zygos_t, hold), sizeof(zygos_hold_t) };
+    out[n++] = (region_t){ offsetof(zygos_t, hold), sizeof(zygos_previous_cycle_t) };
     out[n++] = (region_t){ offsetof(zygos_t, smoother), 16 };
     out[n++] = (region_t){ offsetof(zygos_t, noise), sizeof(zygos_noise_t) };
     out[n++] = (region_t){ offsetof(zygos_t, balance), 16 };
@@ -182,26 +182,27 @@ static void forge(zygos_accumulator_t *sums, zygos_joint_sums_t *joints, zygos_m
     const double lengths[2] = { sums->enough, sums->target };
     const uint32_t places[6] = { sums->width, sums->count, sums->open, sums->newest, sums->window, sums->arcs };
     const uint32_t width = (sums->width < (uint32_t)ZYGOS_MAX_ROW) ? sums->width : (uint32_t)ZYGOS_MAX_ROW;
-    sums->seal = zygos_seal_doubles(1u, lengths, 2);
+    sums->checksum = zygos_checksum_doubles(1u, lengths, 2);
     for (uint32_t i = 0; i < 6; i++) {
-        sums->seal = zygos_seal_number(sums->seal, places[i]);
+        sums->checksum = zygos_checksum_number(sums->checksum, places[i]);
     }
     for (uint32_t b = 0; b < ZYGOS_MAX_BLOCKS; b++) {
         zygos_block_t *block = &sums->block[b];
         const double weights[3] = { block->instants, block->square, block->overlap };
-        const uint64_t seal = zygos_seal_doubles(zygos_seal_doubles(1u, block->deviation, width), weights, 3);
-        block->seal = (block->seal == 0) ? 0u : zygos_seal_number(seal, block->end);
+        const uint64_t checksum =
+            zygos_checksum_doubles(zygos_checksum_doubles(1u, block->deviation, width), weights, 3);
+        block->checksum = (block->checksum == 0) ? 0u : zygos_checksum_number(checksum, block->end);
     }
-    joints->seal = zygos_seal_number(zygos_seal_doubles(0u, &joints->target, 1), joints->count);
+    joints->checksum = zygos_checksum_number(zygos_checksum_doubles(0u, &joints->target, 1), joints->count);
     for (uint32_t b = 0; b < ZYGOS_MAX_JOINT_BLOCKS; b++) {
         zygos_joint_block_t *block = &joints->block[b];
-        const uint64_t seal = zygos_seal_doubles(1u, block->instants, ZYGOS_MAX_JOINTS);
-        block->seal = zygos_seal_number(zygos_seal_doubles(seal, &block->total, 1), block->end);
+        const uint64_t checksum = zygos_checksum_doubles(1u, block->instants, ZYGOS_MAX_JOINTS);
+        block->checksum = zygos_checksum_number(zygos_checksum_doubles(checksum, &block->total, 1), block->end);
     }
-    momenta->seal = zygos_seal_number(zygos_seal_doubles(0u, &momenta->target, 1), momenta->count);
+    momenta->checksum = zygos_checksum_number(zygos_checksum_doubles(0u, &momenta->target, 1), momenta->count);
     for (uint32_t b = 0; b < ZYGOS_MOMENTUM_PLACES; b++) {
         zygos_momentum_block_t *block = &momenta->block[b];
-        block->seal = zygos_seal_number(zygos_seal_doubles(1u, &block->instants, 1), block->end);
+        block->checksum = zygos_checksum_number(zygos_checksum_doubles(1u, &block->instants, 1), block->end);
     }
 }
 
@@ -221,7 +222,7 @@ static int solve(void)
 {
     static double deviation[ZYGOS_MAX_PARAMETERS];
     zygos_take(&arm, &work);
-    (void)zygos_drift(&work, &estimate, deviation);
+    (void)zygos_detect_change(&work, &estimate, deviation);
     zygos_take(&arm, &work);
     return zygos_solve(&work, &estimate);
 }

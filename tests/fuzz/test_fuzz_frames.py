@@ -10,6 +10,7 @@ from fuzz_support import build, counts
 FRAMES = 1_000_000
 
 
+@pytest.mark.slow(but=["fine-gyro"])
 @pytest.mark.parametrize(
     ("seed", "joints", "fine"), [(1, 2, 1), (2, 2, 0), (3, 7, 1)], ids=["fine-gyro", "coarse-gyro", "seven-joints"]
 )

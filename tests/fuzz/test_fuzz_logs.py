@@ -12,8 +12,8 @@ from pathlib import Path
 import can.logconvert
 import numpy as np
 import pytest
+from log_support import KINDS, run, write
 
-from bus.log_support import KINDS, run, write
 from conftest import EXAMPLE
 from zygos.arm import Arm
 from zygos.can import bus
@@ -40,6 +40,7 @@ def forked(source: Path, target: Path) -> str:
     return "" if os.waitpid(child, 0)[1] == 0 else "died"
 
 
+@pytest.mark.slow(but=[".log-cut"])
 @pytest.mark.parametrize("damage", ["cut", "flipped"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_damage_anywhere(

@@ -40,7 +40,7 @@ static zygos_config_t config_of(uint32_t joints, uint32_t fine)
     config.impulse_arc_cycles = 100;
     config.momentum_arc_cycles = 100;
     config.compensation = 2u * joints + 1u;
-    config.keep = 0.9999;
+    config.forgetting_factor = 0.9999;
     config.imu_sigma = 1e-4;
     config.imu_node = 16;
     config.imu_fine = fine;

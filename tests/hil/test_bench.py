@@ -10,6 +10,7 @@ from typing import Any
 
 import can
 import pytest
+from schema_support import hold
 
 from conftest import PAPER, ROOT
 from zygos.can.bus import from_messages
@@ -26,7 +27,9 @@ def run(config: pytest.Config, device: str, out: Path, *tests: str) -> tuple[int
     outer = sys.modules["conftest"]
     status = pytest.main(["-rs", *(str(ROOT / test) for test in tests), *bench])
     sys.modules["conftest"] = outer
-    return int(status), {row["drill"]: row for row in json.loads(out.read_text())["drills"]}
+    content = json.loads(out.read_text())
+    hold("hil", content)
+    return int(status), {row["drill"]: row for row in content["drills"]}
 
 
 def test_the_example_of_the_manual(pytestconfig: pytest.Config, dut: Dut, tmp_path: Path) -> None:
@@ -61,7 +64,7 @@ def test_drills_on_whatever_answers(
         "test_drill[error frames]": skipped,
         "test_killed_and_resumed": skipped,
     }
-    reason = "an external device is not ours to end"
+    reason = "an external device cannot be ended by the bench"
     assert rows["test_killed_and_resumed"]["reason"] == reason
     assert f"not evaluated: {reason}" in capsys.readouterr().out
     # The run of "lost" ends with an open cycle, 50 behind its last FTIME; that of "clean" begins 80 counters on, with
@@ -94,7 +97,7 @@ def test_what_does_not_answer_is_named(plant: Plant, dut: Dut) -> None:
         replace(plant, patience_s=0.5).send(stream)
     with pytest.raises(ZygosError, match=r"nothere0: .*No such device; remedy"):
         replace(plant, channel="nothere0").send(stream)
-    with pytest.raises(ZygosError, match="does not run"):
+    with pytest.raises(ZygosError, match="is not running"):
         dut.stop()
     with pytest.raises(ZygosError, match="scenario lively has 1200 cycles; remedy"):
         plant.run(1201)

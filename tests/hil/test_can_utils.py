@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-from test_vcan import listeners, wait_for_listeners
+from vcan_support import listeners, wait_for_listeners
 
 from zygos.can import bus
 from zygos.can.vcan import kernel_counts
@@ -47,7 +47,7 @@ def heard(plant: Plant, log: Path) -> Stream:
 def test_canplayer_replays_a_log_and_candump_records_the_answers(plant: Plant, dut: Dut, tmp_path: Path) -> None:
     """Ten times as fast as life: nobody waits for the node."""
     stream = plant.run(400)
-    recording = bus.Recording(tmp_path / "run.log")
+    recording = bus.LogWriter(tmp_path / "run.log")
     messages = stream.messages()
     for message in messages:
         message.timestamp /= 10.0

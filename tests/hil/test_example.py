@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from test_vcan import listeners, wait_for_listeners
+from vcan_support import CHANNEL, listeners, wait_for_listeners
 
 from conftest import PAPER, ROOT
 from zygos.arm import Arm
@@ -21,8 +21,6 @@ from zygos.model.model import Model, load_model
 from zygos.native.flight import Flight, encode
 from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import Scenario
-
-CHANNEL = os.environ.get("ZYGOS_VCAN_IFS", "vcan0").split()[0]
 
 
 @pytest.fixture(scope="module")
@@ -41,11 +39,11 @@ def bits(arm: Arm, frames: NDArray[np.void]) -> bytes:
 
 def test_same_bits_from_vcan_from_logs_and_in_process(arm: Arm, frames: NDArray[np.void], tmp_path: Path) -> None:
     before = vcan.kernel_counts(CHANNEL)
-    arrived = bus.transfer(frames, arm.period_s, "socketcan", CHANNEL)
+    arrived = bus.transferred(frames, arm.period_s, "socketcan", CHANNEL)
     assert vcan.kernel_counts(CHANNEL) - before == vcan.KernelCounts(len(frames), len(frames), 0)
     expected = bits(arm, frames)
     assert bits(arm, arrived) == expected
-    assert bits(arm, bus.transfer(frames, arm.period_s, "virtual", "hil")) == expected
+    assert bits(arm, bus.transferred(frames, arm.period_s, "virtual", "hil")) == expected
     for name in ("run.blf", "run.log"):
         bus.write_log(tmp_path / name, arrived, arm.period_s)
         assert bits(arm, bus.read_log(tmp_path / name).frames) == expected

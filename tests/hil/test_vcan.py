@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import socket
 import subprocess
 import time
@@ -11,12 +10,11 @@ from pathlib import Path
 import can
 import numpy as np
 import pytest
+from vcan_support import CHANNEL, listeners, wait_for_listeners
 
 from zygos.can import vcan
 from zygos.can.vcan import KernelCounts, kernel_counts, transfer
 from zygos.errors import ZygosError
-
-CHANNEL = os.environ.get("ZYGOS_VCAN_IFS", "vcan0").split()[0]
 
 
 def random_frames(count: int, seed: int) -> list[can.Message]:
@@ -70,18 +68,6 @@ def test_candump_saw_the_same(tmp_path: Path) -> None:
     assert (kernel_counts(CHANNEL) - before).sent == len(sent)
     with can.CanutilsLogReader(log) as reader:
         assert_same(list(reader), sent)
-
-
-def listeners() -> int:
-    """Sockets that hear every frame on the channel."""
-    return Path("/proc/net/can/rcvlist_all").read_text(encoding="ascii").count(f"\n   {CHANNEL} ")
-
-
-def wait_for_listeners(count: int) -> None:
-    deadline = time.monotonic() + 60.0  # a guest in emulation takes long to start a process
-    while listeners() < count:
-        assert time.monotonic() < deadline, "nobody listens"
-        time.sleep(0.05)
 
 
 def test_a_lost_frame_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -30,7 +30,7 @@ from zygos.files.output import number, say, table, write_json
 from zygos.files.progress import progress
 from zygos.gap.explain import explain
 from zygos.gap.explanation import Explanation
-from zygos.gap.record import read_record
+from zygos.gap.record import read_measured_run
 from zygos.model.model import Model, Quantity, load_model
 from zygos.native.flight import encode
 from zygos.simulation.scenario import Motion, Scenario, Sine, load_scenario
@@ -168,7 +168,7 @@ def frames(bench: Bench, case: Case, seed: int) -> list[np.ndarray[Any, Any]]:
 
 def verdict(bench: Bench, drawn: Model, seen: Sequence[np.ndarray[Any, Any]]) -> Explanation:
     """What is said of the frames; nothing else goes in."""
-    records = [read_record(bench.arm, Path(f"run {k}"), one) for k, one in enumerate(seen)]
+    records = [read_measured_run(bench.arm, Path(f"run {k}"), one) for k, one in enumerate(seen)]
     return explain(bench.arm, drawn, records[:2], records[2])
 
 

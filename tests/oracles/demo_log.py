@@ -1,4 +1,4 @@
-"""Write the logs of examples/gap/demo: PYTHONPATH=tests python -m oracles.demo_log [folder]
+"""Write the logs of examples/gap/demo: PYTHONPATH=tests:tests/support python -m oracles.demo_log [folder]
 
 The arm that is recorded is not quite the one drawn in cad.toml, and its elbow's motor has friction. What is hidden is
 in sealed.json. The same machine writes the same bytes each time.

@@ -138,7 +138,7 @@ def on_host(config: Any, sections: Sequence[Section]) -> list[Record]:
         head = struct.pack("<QII", arm.cycle, arm.instant, int(arm.accepted > 0.0))
         add("instant", head + b"".join(bytes(ffi.buffer(x)) for x in parts))
 
-    parts = [ffi.addressof(arm, name) for name in ("state", "motion", "row")]
+    parts = [ffi.addressof(arm, name) for name in ("arm_state", "motion", "row")]
     verdict = lib.zygos_init(arm, config)
     add("init", struct.pack("<i", verdict))
     for section in sections if verdict == 1 else ():
@@ -243,7 +243,7 @@ def where(record: Record, offset: int) -> str:
         return "zygos_estimate_t" + place(flight.ffi.typeof("zygos_estimate_t"), offset)
     if record.kind == "instant":
         offset -= 16
-        for name in ("state", "motion", "row"):
+        for name in ("arm_state", "motion", "row"):
             kind = flight.ffi.typeof(f"zygos_{name}_t")
             if 0 <= offset < flight.ffi.sizeof(kind):
                 return f"zygos_{name}_t" + place(kind, offset)

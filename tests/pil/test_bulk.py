@@ -248,7 +248,12 @@ def refused(change: Callable[[Any], None]) -> Any:
 
 @pytest.mark.parametrize("target", TARGETS)
 def test_a_configuration_is_refused_for_the_same_reason(target: str, builds: Path, tmp_path: Path) -> None:
-    changes: list[tuple[str, Any]] = [("joints", 3), ("period_s", 0.1), ("smoother_lag", 1), ("keep", float("nan"))]
+    changes: list[tuple[str, Any]] = [
+        ("joints", 3),
+        ("period_s", 0.1),
+        ("smoother_lag", 1),
+        ("forgetting_factor", float("nan")),
+    ]
     with capacities(builds, PAPER):
         for field, value in changes:
             config = refused(lambda c, f=field, v=value: setattr(c, f, v))
@@ -263,4 +268,4 @@ def test_the_place_of_a_byte(builds: Path) -> None:
         kind = flight.ffi.typeof("zygos_t")
         offset = flight.ffi.offsetof("zygos_t", "accumulator", "block", 3, "gram", 5)
         assert place(kind, offset + 7) == ".accumulator.block[3].gram[5]"
-        assert place(kind, 0) == ".mark"
+        assert place(kind, 0) == ".magic"

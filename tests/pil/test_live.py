@@ -17,11 +17,11 @@ import numpy as np
 import pytest
 from cantools.database.can import Database
 from numpy.typing import NDArray
+from round_support import round_of, told
 
 from pil.conftest import Agree
 from pil.live_support import PATIENCE_S, Live, lines_of, running
 from pil.pil_support import END, PAPER, PATIENT, TARGETS, Record, capacities, compare, frames_section, on_host, recorded
-from round_support import round_of, told
 from zygos.arm import Arm
 from zygos.can import bus
 from zygos.can.dbc import arm_database

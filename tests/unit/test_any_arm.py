@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from zygos.arm import Arm, Encoder, load_arm
 from zygos.balances.energy import energy_columns
-from zygos.balances.kinematics import State
+from zygos.balances.state import State
 from zygos.model.model import load_model
 from zygos.native.flight import Flight, config_of, encode, ffi, lib
 from zygos.reference import chain
@@ -48,6 +48,7 @@ def sines(arm: Arm, n: int) -> Cycles:
     )
 
 
+@pytest.mark.slow(but=["1-*", "2-*", "3-*", "7-*-mixed"])
 @pytest.mark.parametrize(("joints", "base", "kinetic", "kind"), KINDS)
 def test_every_room_is_numpys(joints: int, base: str, kinetic: str, kind: str) -> None:
     """From the frames on, with cantools and autosar-e2e on the other side."""
@@ -93,6 +94,7 @@ def test_a_rigid_joint_needs_no_link_encoder() -> None:
     assert lost.counts["invalid"] == len(cycles)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("example", "learn_s", "known"), [("spatial", 30.0, 54), ("seven", 30.0, 120)], ids=["three joints", "seven joints"]
 )

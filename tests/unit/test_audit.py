@@ -136,6 +136,7 @@ FAULTS: list[tuple[str, Fault, dict[str, str]]] = [
 ]  # fmt: skip
 
 
+@pytest.mark.slow(but=["b-*", "lively-* inverted"])
 @pytest.mark.parametrize(("fault", "expected"), [f[1:] for f in FAULTS], ids=[f[0] for f in FAULTS])
 @pytest.mark.parametrize("name", ["lively", "b"])
 def test_a_fault_is_named_and_nothing_else(
@@ -191,10 +192,13 @@ def test_noise_above_the_declared_is_named(runs: dict[str, tuple[Arm, list[Cycle
     arm, clean = runs["b"]
     sigma = arm.joints[0].link_encoder.sigma_rad
     for cycles in clean:
-        assert named(audit(arm, noisy("theta", 1, 12 * sigma)(cycles)))[M2].startswith("noisier than declared by 8")
+        assert named(audit(arm, noisy("theta", 1, 12 * sigma)(cycles)))[M2].startswith(
+            "noisier than declared by a factor of 8"
+        )
         assert audit(arm, noisy("theta", 1, 1.5 * sigma)(cycles)).ok
 
 
+@pytest.mark.slow(but=["lively-20000-4-0-link", "lively-20000-4-1-motor"])
 @pytest.mark.parametrize("side", ["link", "motor"])
 @pytest.mark.parametrize("i", [0, 1])
 @pytest.mark.parametrize(("name", "latch_us", "seeds"), [("lively", 20_000, 4), ("b", 3000, 2)])
@@ -219,6 +223,7 @@ FRICTION = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effects", FRICTION.values(), ids=FRICTION.keys())
 def test_what_an_arm_may_do_is_no_fault_of_a_signal(effects: list[tuple[str, str, float]]) -> None:
     """Viscous friction of a motor looks like a newer link encoder; the balance of the whole arm tells."""
@@ -230,6 +235,7 @@ def test_what_an_arm_may_do_is_no_fault_of_a_signal(effects: list[tuple[str, str
         assert named(audit(arm_of(name), inverted("tau", 1)(cycles))) == {T2: "inverted"}
 
 
+@pytest.mark.slow(but=["lively-10"])
 @pytest.mark.parametrize(("name", "seeds"), [("lively", LIVELY_SEEDS), ("a", 1), ("b", 1)])
 def test_another_torque_law_is_named(name: str, seeds: int) -> None:
     arm = arm_of(name)

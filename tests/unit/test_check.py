@@ -97,15 +97,15 @@ def changed(path: str, change: Callable[[Any], Any]) -> Callable[[Any], None]:
 
 
 CHANGES: dict[str, tuple[Callable[[Any], None], int]] = {
-    "mark": (changed("mark", lambda x: x ^ 4), lib.ZYGOS_E_ORDER),
+    "magic": (changed("magic", lambda x: x ^ 4), lib.ZYGOS_E_ORDER),
     "gear ratio": (changed("config.joint[1].gear_ratio", lambda x: 2 * x), lib.ZYGOS_E_CONFIG),
     "joints": (changed("config.joints", lambda x: x ^ 1 << 20), lib.ZYGOS_E_CONFIG),
     "place in the queue": (changed("receiver.queue.head", lambda x: x ^ 1 << 20), lib.ZYGOS_E_STATE),
     "blocks": (changed("accumulator.count", lambda x: x ^ 1 << 10), lib.ZYGOS_E_STATE),
-    "layout of motor rows": (changed("joint_sums.layout.count[0]", lambda x: x + 1), lib.ZYGOS_E_STATE),
+    "columns of motor rows": (changed("joint_sums.column_map.count[0]", lambda x: x + 1), lib.ZYGOS_E_STATE),
     "columns of momentum rows": (changed("momentum_sums.columns", lambda x: x + 1), lib.ZYGOS_E_STATE),
     "closed block": (changed("accumulator.block[0].gram[0]", lambda x: 2 * x), lib.ZYGOS_E_SUMS),
-    "step that waits": (changed("accumulator.step[0].gram[0]", lambda x: 2 * x + 1), lib.ZYGOS_E_SUMS),
+    "buffer that waits": (changed("accumulator.buffer[0].gram[0]", lambda x: 2 * x + 1), lib.ZYGOS_E_SUMS),
     "noise": (changed("accumulator.noise_closed.gram[0]", lambda x: x + 1.0), lib.ZYGOS_E_SUMS),
     "instants of the arc": (changed("accumulator.arc_instants", lambda x: x ^ 8), lib.ZYGOS_E_SUMS),
     "motor rows": (changed("joint_sums.block[0].joint[1].sum[0]", lambda x: 2 * x), lib.ZYGOS_E_SUMS),

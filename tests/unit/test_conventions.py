@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from conftest import ROOT, need
 from zygos.arm import NO_IMU, Arm, Base, Encoder, Imu, Joint, read_joint
-from zygos.dynamics.pose import attitudes, forward
+from zygos.dynamics.pose import forward, integrated_attitudes
 from zygos.dynamics.serial import SpatialDynamics
 from zygos.effects import CATALOGUE, Effect
 from zygos.errors import ZygosError
@@ -920,7 +920,7 @@ def test_quaternion_order() -> None:
 def test_attitude_sense() -> None:
     """From the base's axes to the world's, as a body that turns at a rate in its own axes tells."""
     duration = 1.7
-    wanted = attitudes(np.array([0.0, duration]), np.tile(OMEGA, (2, 1)))[-1]
+    wanted = integrated_attitudes(np.array([0.0, duration]), np.tile(OMEGA, (2, 1)))[-1]
     tree, engine = pinocchio("free"), mjcf("free")
     first = pin.neutral(tree)
     first[3:7] = Rotation.from_matrix(TURNED).as_quat()

@@ -127,21 +127,21 @@ def test_a_target_that_has_grown_for_years_is_no_reason_to_refuse(arm: Arm, moti
 
 
 def sealed_like_a_library(flight: Flight, kind: str) -> None:
-    """The seal of a head, once more and in Python."""
+    """The checksum of a head, once more and in Python."""
     sums = getattr(flight.native, kind)
     lengths = [sums.enough, sums.target] if kind == "accumulator" else [sums.target]
     names = ["width", "count", "open", "newest", "window", "arcs"] if kind == "accumulator" else ["count"]
-    seal = 1 if kind == "accumulator" else 0
+    checksum = 1 if kind == "accumulator" else 0
     for word in [*np.array(lengths).view(np.uint64).tolist(), *(getattr(sums, name) for name in names)]:
-        seal = (seal ^ int(word)) * 0x100000001B3 % WORD
-    sums.seal = seal
+        checksum = (checksum ^ int(word)) * 0x100000001B3 % WORD
+    sums.checksum = checksum
 
 
 @pytest.mark.parametrize("keep", [0.9, 0.99, 0.9999])
 def test_what_was_forgotten_long_ago_is_nothing_and_not_corrupt(arm: Arm, motion: Cycles, keep: float) -> None:
     """Hours of arcs that are too short to count: all that was known fades, below what doubles can hold."""
     flight, rng = Flight(with_all_rows(arm)), np.random.default_rng(0)
-    flight.native.config.keep = keep
+    flight.native.config.forgetting_factor = keep
     fly(flight, motion, 2, rng)
     short = part(again(flight.arm, motion, 1, rng), 0, 25)
     seen = set()

@@ -691,7 +691,7 @@ def test_calibration(tmp_path: Path, law: str, share: float) -> None:
     half = np.sqrt(0.5)
     arm = make_arm(tmp_path, law=law, imu=f"mount_xyzw = [{half}, 0, 0, {half}]", encoder="sign = -1, zero_rad = 0.25")
     rng = np.random.default_rng(7)
-    hold = ffi.new("zygos_hold_t *")
+    previous = ffi.new("zygos_previous_cycle_t *")
     signal, tau, cycle = ffi.new("double[]", 17), ffi.new("double[]", 7), ffi.new("zygos_cycle_t *")
     past = np.zeros(2)
     for _ in range(3):
@@ -699,7 +699,7 @@ def test_calibration(tmp_path: Path, law: str, share: float) -> None:
         omega = rng.normal(size=3)
         cycle.q[0:2], cycle.theta[0:2] = q.tolist(), theta.tolist()
         cycle.tau[0:2], cycle.omega = reported.tolist(), omega.tolist()
-        lib.zygos_cycle_calibrate(hold, config_of(arm), cycle, signal, tau)
+        lib.zygos_cycle_calibrate(previous, config_of(arm), cycle, signal, tau)
         expected = [*(0.25 - q), *(0.25 - theta), omega[0], -omega[2], omega[1]]
         np.testing.assert_allclose(list(signal[0:7]), expected, rtol=0, atol=1e-15)
         np.testing.assert_allclose(list(tau[0:2]), (1.0 - share) * past + share * reported, rtol=1e-15)

@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cases_support import CASES, arm_of, record_of
 from flight_support import CHOSEN, balanced, bytes_of, chosen, sines
 from numpy.typing import NDArray
 from plant_support import LIVELY, lively, random_arm
 from reference_support import make_arm
 from scipy import stats
-from test_c_equals_numpy import CASES, arm_of, record_of
 
 from conftest import ROOT
 from zygos import reference
@@ -60,7 +60,7 @@ def test_every_column_has_its_kind_in_the_flight_library() -> None:
 
 def test_catalogue_and_flight_library_agree_on_what_they_share() -> None:
     header = (ROOT / "include" / "zygos" / "effects.h").read_text()
-    found = re.search(r"#define ZYGOS_SLOWEST_RATE (\S+)", header)
+    found = re.search(r"#define ZYGOS_COULOMB_FULL_RATE (\S+)", header)
     assert found is not None
     assert float(found[1]) == SLOWEST_RATE
     arm, *_ = lively()
@@ -241,6 +241,7 @@ SIZES = {
 }
 
 
+@pytest.mark.slow(but=["*-shoulder"])
 @pytest.mark.parametrize("joint", ["shoulder", "elbow"])
 @pytest.mark.parametrize("key", SIZES)
 def test_column_is_what_the_effect_does_to_the_balance(key: str, joint: str) -> None:
@@ -289,6 +290,7 @@ def test_c_equals_numpy_with_effects(name: str) -> None:
     same(arm, cycles, every[::-1][: lib.ZYGOS_MAX_EFFECTS_VALUE])
 
 
+@pytest.mark.slow
 def test_c_equals_numpy_with_every_effect_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In a build that has room for them."""
     script = [sys.executable, str(ROOT / "tools" / "build_native.py"), str(tmp_path)]
@@ -358,6 +360,7 @@ def test_friction_at_the_elbow_is_found() -> None:
         assert np.abs(found.value[:-1] / model.base_values(arm) - 1.0).mean() <= 0.02
 
 
+@pytest.mark.slow(but=["motor_coulomb", "cubic_stiffness"])
 @pytest.mark.parametrize("key", COLUMNS)
 def test_every_coefficient_is_found_without_noise(key: str) -> None:
     """From a run of 10 ms; the lag is 3 ms, whose square the column leaves out."""
@@ -507,7 +510,7 @@ def answer(columns: Floats, work_done: Floats, joints: int = 2, positive: int = 
     for e in range(count - 12):
         work.config.effect[e].kind = (cannot if positive >> e & 1 else can)[e // 2]
         work.config.effect[e].joint = e % 2
-    lib.zygos_impulse_layout(ffi.addressof(work, "config"), ffi.addressof(work.joint_sums, "layout"))
+    lib.zygos_impulse_column_map(ffi.addressof(work, "config"), ffi.addressof(work.joint_sums, "column_map"))
     lib.zygos_joint_sums_clear(ffi.addressof(work, "joint_sums"), ffi.addressof(work, "config"))
     lib.zygos_momentum_sums_clear(ffi.addressof(work, "momentum_sums"), ffi.addressof(work, "config"))
     for column, done in zip(columns, work_done, strict=True):

@@ -8,13 +8,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from dynamics_support import Oracle, random_state
 from gap_support import effect, example
 from plant_support import Floats, lively, random_arm
-from test_dynamics import Oracle, random_state
 
 from zygos.arm import Arm
+from zygos.balances.state import State
 from zygos.dynamics.planar import PlanarDynamics
-from zygos.dynamics.replay import States, replay
+from zygos.dynamics.replay import replay
 from zygos.effects import CATALOGUE, SLOWEST_RATE, Effect
 from zygos.errors import ZygosError
 from zygos.model.model import Model, Quantity
@@ -141,12 +142,12 @@ def stiffened(model: Model, stiffness: float, joints: Sequence[int]) -> Model:
     )
 
 
-def tied(state: tuple[Floats, Floats, float, Floats, Floats, Floats], rigid: Sequence[int]) -> States:
+def tied(state: tuple[Floats, Floats, float, Floats, Floats, Floats], rigid: Sequence[int]) -> State:
     """A random state whose rigid joints have theta = q, without rates in the band where friction fades."""
     q, theta, omega0, qd, thetad, _ = state
     theta[list(rigid)], thetad[list(rigid)] = q[list(rigid)], qd[list(rigid)]
     assert np.abs([qd, thetad]).min() > SLOWEST_RATE
-    return States(np.float64(omega0), q, theta, qd, thetad)  # type: ignore[arg-type]
+    return State(q, theta, qd, thetad, np.float64(omega0))  # type: ignore[arg-type]
 
 
 SPRING = {"cubic_stiffness", "spring_offset"}
@@ -180,19 +181,19 @@ def test_accelerations_are_lagranges(kinetic: str, case: str, rigid: tuple[int, 
             drawn = random_state(rng, arm.n)
             s, tau = tied(drawn, rigid), 20.0 * drawn[-1]
             assert (dynamics.spring(s.q, s.theta, s.qd, s.thetad)[list(rigid)] == 0.0).all()
-            base, link, motor = dynamics.accelerations(s.q, s.theta, s.omega0, s.qd, s.thetad, tau)
-            y, rate = np.hstack([0.3, s.q, s.theta]), np.hstack([s.omega0, s.qd, s.thetad])
+            base, link, motor = dynamics.accelerations(s.q, s.theta, s.base, s.qd, s.thetad, tau)
+            y, rate = np.hstack([0.3, s.q, s.theta]), np.hstack([s.base, s.qd, s.thetad])
             want = oracle.accelerations(y, rate, tau)
             # central differences of the kinetic energy leave 1e-8 or so
             np.testing.assert_allclose(np.hstack([base, link, motor]), want, rtol=0, atol=1e-6 * np.abs(want).max())
 
 
-def rates_of(dynamics: PlanarDynamics, s: States, tau: Floats, of: Callable[[States], Floats]) -> Floats:
+def rates_of(dynamics: PlanarDynamics, s: State, tau: Floats, of: Callable[[State], Floats]) -> Floats:
     """Time derivative of a function of the state along the motion."""
-    base, link, motor = dynamics.accelerations(s.q, s.theta, s.omega0, s.qd, s.thetad, tau)
-    flow = States(base, s.qd, s.thetad, link, motor).packed()
+    base, link, motor = dynamics.accelerations(s.q, s.theta, s.base, s.qd, s.thetad, tau)
+    flow = State(s.qd, s.thetad, link, motor, base).packed()
     step = 1e-5 / np.abs(flow).max()
-    ahead, behind = (of(States.of(s.packed() + sign * step * flow)) for sign in (1.0, -1.0))
+    ahead, behind = (of(State.unpacked(s.packed() + sign * step * flow)) for sign in (1.0, -1.0))
     return np.asarray((ahead - behind) / (2.0 * step), dtype=np.float64)
 
 
@@ -213,12 +214,12 @@ def test_power_balance_and_momentum(key: str, value: float, joint: int, rigid: b
         drawn = random_state(rng, 2)
         s, tau = tied(drawn, (joint,) if rigid else ()), 20.0 * drawn[-1]
 
-        def energy(at: States) -> Floats:
-            kinetic = dynamics.kinetic_energy(at.q, at.omega0, at.qd, at.thetad)
+        def energy(at: State) -> Floats:
+            kinetic = dynamics.kinetic_energy(at.q, at.base, at.qd, at.thetad)
             return np.asarray(kinetic + dynamics.elastic_energy(at.q, at.theta), dtype=np.float64)
 
-        def momentum(at: States) -> Floats:
-            return dynamics.momentum(at.q, at.omega0, at.qd, at.thetad)
+        def momentum(at: State) -> Floats:
+            return dynamics.momentum(at.q, at.base, at.qd, at.thetad)
 
         lost = float(damping @ (s.thetad - s.qd) ** 2)
         if key in LAWS:
@@ -227,7 +228,7 @@ def test_power_balance_and_momentum(key: str, value: float, joint: int, rigid: b
         scale = abs(power) + lost
         assert rates_of(dynamics, s, tau, energy) == pytest.approx(power - lost, abs=1e-5 * scale)
         # inertias of 1e5 kg m^2 times accelerations of some rad/s^2
-        turned = np.abs(dynamics.accelerations(s.q, s.theta, s.omega0, s.qd, s.thetad, tau)[0])
+        turned = np.abs(dynamics.accelerations(s.q, s.theta, s.base, s.qd, s.thetad, tau)[0])
         assert abs(rates_of(dynamics, s, tau, momentum)) <= 1e-6 * dynamics.a.max() * (1.0 + turned)
 
 
@@ -242,9 +243,9 @@ def test_a_run_without_losses_keeps_energy_and_momentum(rigid: tuple[int, ...]) 
     rng = np.random.default_rng(4)
     start = np.stack([tied(random_state(rng, 2), rigid).packed() for _ in range(5)])
     states, _ = replay(dynamics, 0.01, start, lambda k, _: np.zeros((5, 2)), np.zeros((5, 2)), 51, 40)
-    s = States.of(states)
-    energy = dynamics.kinetic_energy(s.q, s.omega0, s.qd, s.thetad) + dynamics.elastic_energy(s.q, s.theta)
-    momentum = dynamics.momentum(s.q, s.omega0, s.qd, s.thetad)
+    s = State.unpacked(states)
+    energy = dynamics.kinetic_energy(s.q, s.base, s.qd, s.thetad) + dynamics.elastic_energy(s.q, s.theta)
+    momentum = dynamics.momentum(s.q, s.base, s.qd, s.thetad)
     for kept in (energy, momentum):
         drift = np.abs(kept - kept[:, :1]).max() / np.abs(kept).max()
         print(f"{drift:.1e}")
@@ -281,7 +282,7 @@ def test_rigid_joints_equal_pinocchio(rigid: tuple[int, ...]) -> None:
     for _ in range(10):
         drawn = random_state(rng, 2)
         s, tau = tied(drawn, rigid), drawn[-1]
-        position, velocity = oracle.place(s.q, s.theta, float(s.omega0), s.qd, s.thetad)
+        position, velocity = oracle.place(s.q, s.theta, float(s.base), s.qd, s.thetad)
         effort, tie = np.zeros(oracle.model.nv), np.eye(oracle.model.nv)
         spring = np.where(np.isin([0, 1], rigid), 0.0, dynamics.spring(s.q, s.theta, s.qd, s.thetad))
         for i in range(2):
@@ -294,7 +295,7 @@ def test_rigid_joints_equal_pinocchio(rigid: tuple[int, ...]) -> None:
         mass = upper + np.triu(upper, 1).T
         bias = pin.nonLinearEffects(oracle.model, oracle.data, position, velocity)
         want = free @ np.linalg.solve(free.T @ mass @ free, free.T @ (effort - bias))
-        base, link, motor = dynamics.accelerations(s.q, s.theta, s.omega0, s.qd, s.thetad, tau)
+        base, link, motor = dynamics.accelerations(s.q, s.theta, s.base, s.qd, s.thetad, tau)
         scale = np.abs(want).max()
         np.testing.assert_allclose(base * arm.axis, want[3:6], rtol=0, atol=1e-10 * scale)
         np.testing.assert_allclose(link, want[oracle.links], rtol=0, atol=1e-10 * scale)
@@ -318,8 +319,8 @@ def test_torque_lag_is_a_later_torque() -> None:
     plain = PlanarDynamics.from_model(arm, model)
     cycles = parts * (len(run.t) - 1) + 1
     states, _ = replay(plain, 1e-3, start, lambda k, _: fine[None, k], np.zeros((1, 2)), cycles, 2)
-    s = States.of(states[0, ::parts])
-    for got, want in ((s.q, run.q[0]), (s.thetad, run.thetad[0]), (s.omega0, run.omega0[0])):
+    s = State.unpacked(states[0, ::parts])
+    for got, want in ((s.q, run.q[0]), (s.thetad, run.thetad[0]), (s.base, run.omega0[0])):
         error = np.abs(got - want).max() / np.abs(want - want[0]).max()
         print(f"{error:.1e}")
         assert error < 1e-8

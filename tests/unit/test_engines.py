@@ -284,7 +284,7 @@ def test_what_an_engine_refuses(name: str) -> None:
         engine(name, arm, load_model(ROOT / "examples" / "gap" / "cad.toml"))
     with pytest.raises(ZygosError, match=r"base parameters.*remedy: .*engine \"zygos\""):
         engine(name, arm, Model("table", parameters=model.base_parameters(arm)))
-    with pytest.raises(ZygosError, match=r"has joints .*remedy: name the joints alike"):
+    with pytest.raises(ZygosError, match=r"has joints .*remedy: use the same joint names"):
         engine(name, *(random_arm(0, 2, "free")[0], model))
 
 

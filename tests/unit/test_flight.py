@@ -104,7 +104,7 @@ REFUSALS = [
     (lib.ZYGOS_E_VALUE, "imu_to_base", [[0.0] * 9, [0, 1, 0, 1, 0, 0, 0, 0, 1], [0.6, 0.8, 0, 0.8, 0.6, 0, 0, 0, 1]]),
     (lib.ZYGOS_E_VALUE, "imu_fine", [2, 2**32 - 1]),
     (lib.ZYGOS_E_VALUE, "imu_sigma", [-1e-9, 1.1, NAN, INF]),
-    (lib.ZYGOS_E_VALUE, "keep", [0.0, 0.89, 1.0 + 1e-15, NAN]),
+    (lib.ZYGOS_E_VALUE, "forgetting_factor", [0.0, 0.89, 1.0 + 1e-15, NAN]),
     (lib.ZYGOS_E_VALUE, "compensation", [16, 2**32 - 1]),
     (lib.ZYGOS_E_ARC, "arc_cycles", [0, MIN_ARC - 1]),
     (lib.ZYGOS_E_ARC, "impulse_arc_cycles", [1, MIN_ARC - 1]),
@@ -150,7 +150,7 @@ def vars_of_enum(name: str) -> dict[str, int]:
         ("joint[1].link_sigma_rad", 0.0),
         ("imu_latch_s", 0.02),
         ("imu_sigma", 0.0),
-        ("keep", 0.9),
+        ("forgetting_factor", 0.9),
         ("compensation", 15),
         ("impulse_arc_cycles", MIN_ARC),
         ("momentum_arc_cycles", MIN_ARC),
@@ -667,7 +667,7 @@ def test_columns_that_are_a_sum_of_others(seed: int) -> None:
     sums = ffi.addressof(work, "accumulator")
     lib.zygos_accumulator_init(sums, 12, MIN_ARC, 0.02)
     work.config.joints, work.config.arc_cycles = 2, 20 * MIN_ARC
-    lib.zygos_impulse_layout(ffi.addressof(work, "config"), ffi.addressof(work.joint_sums, "layout"))
+    lib.zygos_impulse_column_map(ffi.addressof(work, "config"), ffi.addressof(work.joint_sums, "column_map"))
     lib.zygos_joint_sums_clear(ffi.addressof(work, "joint_sums"), ffi.addressof(work, "config"))
     lib.zygos_momentum_sums_clear(ffi.addressof(work, "momentum_sums"), ffi.addressof(work, "config"))
     columns = rng.normal(size=(MIN_ARC, 12))
@@ -736,8 +736,8 @@ SUMS: dict[str, Callable[[Any], Any]] = {
     "last closed block": lambda native: native.accumulator.block[native.accumulator.open - 1],
     "first open block": lambda native: native.accumulator.block[native.accumulator.open],
     "newest block": lambda native: native.accumulator.block[native.accumulator.count - 1],
-    "step that fills": lambda native: native.accumulator.step[native.accumulator.filling],
-    "step that is shared out": lambda native: native.accumulator.step[1 - native.accumulator.filling],
+    "buffer that fills": lambda native: native.accumulator.buffer[native.accumulator.filling],
+    "buffer that is shared out": lambda native: native.accumulator.buffer[1 - native.accumulator.filling],
     "noise of the segment": lambda native: native.accumulator.noise,
     "noise of the arc": lambda native: native.accumulator.noise_open,
     "noise of closed arcs": lambda native: native.accumulator.noise_closed,
@@ -774,7 +774,7 @@ def test_a_flipped_bit_in_the_sums_is_refused(place: str, entries: str, bit: int
             f"accumulator.{name}"
             for name in ("width", "count", "open", "newest", "window", "filling", "filled", "shared")
         ),
-        *("joint_sums.count", "joint_sums.layout.count[0]", "joint_sums.layout.effect[1][0]"),
+        *("joint_sums.count", "joint_sums.column_map.count[0]", "joint_sums.column_map.effect[1][0]"),
         *(f"momentum_sums.{name}" for name in ("columns", "components", "count")),
     ],
 )

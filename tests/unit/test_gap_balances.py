@@ -17,9 +17,10 @@ import numpy as np
 import pytest
 from gap_support import Floats, centred, effect, exact, example, moved, rms, true_columns
 
+from zygos.balances.quadrature import integral
 from zygos.effects import CATALOGUE, Effect, column_name
 from zygos.gap import balances
-from zygos.gap.balances import Layout, Rows, integral, rows
+from zygos.gap.balances import BalanceRows, Layout, balance_rows
 from zygos.gap.record import Readings
 
 DURATION_S = 4.0
@@ -56,14 +57,14 @@ def sees(balance: str, key: str, joint: int) -> bool:
     return balance[0] in SEEN[key].split() and (balance[0] != "M" or balance == f"M{joint + 1}")
 
 
-def left_over(table: Rows, *, constant: bool = True) -> Floats:
+def left_over(table: BalanceRows, *, constant: bool = True) -> Floats:
     """(balances, A, instants) with the true base parameters; about each arc's mean where it has a constant."""
     arm, model, _ = example()
     rest = table.left @ true_columns(arm, model.base_values(arm)) - table.right
     return centred(rest) if constant else rest
 
 
-def scale(table: Rows) -> Floats:
+def scale(table: BalanceRows) -> Floats:
     """(balances,) spread of the largest term of each balance."""
     arm, model, _ = example()
     terms = table.left * true_columns(arm, model.base_values(arm))
@@ -71,10 +72,10 @@ def scale(table: Rows) -> Floats:
     return np.asarray(rms(centred(np.moveaxis(each, -1, 0))).max(axis=0), dtype=np.float64)
 
 
-def table(run: str, *effects: Effect) -> Rows:
+def table(run: str, *effects: Effect) -> BalanceRows:
     """Balances of a run of the plant with effects."""
     arm, model, _ = example()
-    return rows(arm, exact(moved(run, DURATION_S, *effects)), model.base_values(arm))
+    return balance_rows(arm, exact(moved(run, DURATION_S, *effects)), model.base_values(arm))
 
 
 def errors(key: str, joint: int) -> dict[str, float]:
@@ -129,6 +130,7 @@ def test_every_entry_is_listed() -> None:
     assert [(kind.key, i) for kind, i in Layout(arm).effects] == PLACES
 
 
+@pytest.mark.slow(but=["*-0", "*--1"])
 @pytest.mark.parametrize(("key", "joint"), PLACES)
 def test_column_is_what_the_effect_does(key: str, joint: int) -> None:
     assert proved(key, joint)
@@ -175,9 +177,9 @@ def test_column_of_an_encoders_zero(side: str, joint: int) -> None:
         step = by * np.eye(arm.n)[joint]
         return replace(plain, q=plain.q + step) if side == "link" else replace(plain, theta=plain.theta + step)
 
-    ahead, behind = (rows(arm, shifted(by), base) for by in (shift, -shift))
+    ahead, behind = (balance_rows(arm, shifted(by), base) for by in (shift, -shift))
     did = (left_over(ahead) - left_over(behind)) / (2.0 * shift)
-    column = centred(rows(arm, plain, base).left[..., Layout(arm).columns.index(f"{side}_zero{joint + 1}")])
+    column = centred(balance_rows(arm, plain, base).left[..., Layout(arm).columns.index(f"{side}_zero{joint + 1}")])
     for k, balance in enumerate(BALANCES):
         seen = balance in {"E", f"M{joint + 1}"} or (balance == "H" and side == "link")
         assert (rms(column[k]) > 0.0) == seen
@@ -205,7 +207,7 @@ def test_a_lag_of_a_period_is_the_torque_of_the_cycle_before() -> None:
     arm, model, _ = example()
     plain, base = exact(moved("b", DURATION_S)), model.base_values(arm)
     late = replace(plain, tau=np.concatenate([0.0 * plain.tau[:, :1], plain.tau[:, :-1]], axis=1))
-    seen, delayed = rows(arm, plain, base), rows(arm, late, base)
+    seen, delayed = balance_rows(arm, plain, base), balance_rows(arm, late, base)
     for i in range(arm.n):
         column = Layout(arm).columns.index(f"torque_lag{i + 1}")
         lost = centred(delayed.right[1 + i] - seen.right[1 + i])

@@ -19,7 +19,7 @@ from zygos.gap.explain import explain
 from zygos.gap.explanation import Explanation
 from zygos.gap.findings import Deflection
 from zygos.gap.page import write_gap_report
-from zygos.gap.record import read_record
+from zygos.gap.record import read_measured_run
 from zygos.gap.sentences import motion
 from zygos.gap.verdicts import (
     BrokenRun,
@@ -58,7 +58,7 @@ def friction() -> Explanation:
     for k, name in enumerate("abc"):
         scenario = load_scenario(GAP / f"{name}.toml")
         run = simulate(arm, plant, scenario, seeds=[k], noise=True, duration_s=5.0, rtol=1e-9, atol=1e-11)
-        runs.append(read_record(arm, Path(f"run-{name}.blf"), encode(arm, run.cycles())))
+        runs.append(read_measured_run(arm, Path(f"run-{name}.blf"), encode(arm, run.cycles())))
     found = explain(arm, model, runs[:2], runs[2])
     assert found.answer == "named"
     return found

@@ -164,6 +164,7 @@ def test_an_estimate_in_the_middle_of_a_bad_arc_does_not_flip(motion: Trajectory
 # ---------------------------------------------------------------- good arcs
 
 
+@pytest.mark.slow
 def test_good_arcs_are_never_left_out() -> None:
     """Over 500 judged arcs: lively ones, and very different ones, resting ones among them."""
     judged, largest = 0, np.zeros(3)

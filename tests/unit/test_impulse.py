@@ -30,7 +30,7 @@ def left_over(name: str, *, corrected: bool = True) -> list[tuple[float, dict[st
     value = dict(zip((*arm.parameter_names, *(one.column(arm) for one in effects)), values.tolist(), strict=True))
     inside = arc >= 0
     out = []
-    for rows in impulse.rows(arm, samples, instants, arc, effects):
+    for rows in impulse.impulse_rows(arm, samples, instants, arc, effects):
         true = np.array([value[name] for name in rows.names])
         w = rows.w
         if not corrected:
@@ -63,7 +63,7 @@ def compare(arm: Arm, cycles: Cycles, longest: int, effects: tuple[Effect, ...])
     inside = arc >= 0
     np.testing.assert_array_equal(found.arc, arc[inside])
     assert found.arc.max() >= 2
-    joints = impulse.rows(arm, samples, instants, arc, effects)
+    joints = impulse.impulse_rows(arm, samples, instants, arc, effects)
     assert [rows.joint for rows in joints] == [i for i, joint in enumerate(arm.joints) if joint.flexible]
     for rows in joints:
         expected = np.column_stack([rows.z, rows.w])[inside]
@@ -88,12 +88,12 @@ def test_c_is_numpy_across_gaps(law: str, kinetic: str, flexible: tuple[bool, ..
 
 def c_noise(arm: Arm, joint: int, effects: tuple[Effect, ...]) -> Floats:
     config, smoother = config_of(arm, effects), ffi.new("zygos_smoother_t *")
-    layout = ffi.new("zygos_impulse_layout_t *")
-    lib.zygos_impulse_layout(config, layout)
+    column_map = ffi.new("zygos_impulse_column_map_t *")
+    lib.zygos_impulse_column_map(config, column_map)
     lib.zygos_smoother_init(smoother, config)
-    width = layout.count[joint]
+    width = column_map.count[joint]
     packed = ffi.new("double[]", width * (width + 1) // 2)
-    lib.zygos_impulse_noise(config, layout, smoother, arm.imu.rate_sigma, joint, packed)
+    lib.zygos_impulse_noise(config, column_map, smoother, arm.imu.rate_sigma, joint, packed)
     out = np.zeros((width, width))
     out[np.tril_indices(width)] = list(packed)
     return out + np.tril(out, -1).T
@@ -105,7 +105,7 @@ def test_noise_entry_by_entry(joint: int, latch_us: int) -> None:
     """Of 1e5 independent draws of one window; the columns that integrate are not counted."""
     arm = awkward(5, 3, "planar", (False, True, True), latch_us)
     effects = (effect("motor_viscous", "joint3"), effect("torque_lag", "joint2"), effect("motor_viscous", "joint2"))
-    owed = impulse.noise(arm, joint, effects)
+    owed = impulse.impulse_noise(arm, joint, effects)
     mine = c_noise(arm, joint, effects)
     np.testing.assert_allclose(mine, owed, rtol=0, atol=1e-12 * np.sqrt(np.outer(np.diag(owed), np.diag(owed))).max())
 
@@ -123,7 +123,7 @@ def test_noise_entry_by_entry(joint: int, latch_us: int) -> None:
         np.zeros(count, dtype=np.uint32),
     )
     samples, instants, arc = smoothed(arm, cycles, count)
-    found = next(one for one in impulse.rows(arm, samples, instants, arc, effects) if one.joint == joint)
+    found = next(one for one in impulse.impulse_rows(arm, samples, instants, arc, effects) if one.joint == joint)
     z = found.z[points : points + draws * points : points]
     z[:, 1] = 0.0
     assert len(z) == draws
@@ -142,7 +142,7 @@ def test_noise_with_a_planar_arm() -> None:
     value = np.array([5.0, -30.0, 75.0, 131.0, 75.0, -30.0, 5.0]) / 231.0
     slope = np.array([22.0, -67.0, -58.0, 0.0, 58.0, 67.0, -22.0]) / 252.0 / arm.period_s
     sigma = arm.joints[0].link_encoder.over_the_wire.sigma_rad
-    owed = impulse.noise(arm, 0, effects)
+    owed = impulse.impulse_noise(arm, 0, effects)
     assert owed[0, 0] == pytest.approx(50.0**4 * sigma**2 * slope @ slope, rel=1e-9)
     assert owed[2, 2] == pytest.approx(2.0 * sigma**2 * value @ value, rel=1e-12)
     assert impulse.joint_effects(arm, 1, LIVELY_EFFECTS) == LIVELY_EFFECTS[1:]

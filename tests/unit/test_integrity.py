@@ -105,9 +105,9 @@ def blocks(flight: Flight, kind: str) -> list[tuple[str, Any]]:
 
 
 SMALL = {
-    "accumulator": ("instants", "square", "overlap", "end", "seal"),
-    "joint_sums": ("instants", "total", "end", "seal"),
-    "momentum_sums": ("instants", "end", "seal"),
+    "accumulator": ("instants", "square", "overlap", "end", "checksum"),
+    "joint_sums": ("instants", "total", "end", "checksum"),
+    "momentum_sums": ("instants", "end", "checksum"),
 }
 
 
@@ -118,7 +118,7 @@ def test_what_stands_beside_the_sums_of_a_block(flight: Flight, kind: str) -> No
 
 
 def test_the_deviations_of_a_block(flight: Flight) -> None:
-    p = flight.native.layout.count
+    p = flight.native.column_map.count
     listed = []
     for name, block in blocks(flight, "accumulator"):
         listed += list(words(flight, name, block, ["deviation"]))[: p + 2]
@@ -128,7 +128,7 @@ def test_the_deviations_of_a_block(flight: Flight) -> None:
 @pytest.mark.parametrize("kind", SMALL)
 def test_the_sums_of_a_block(flight: Flight, kind: str) -> None:
     """Every fifth entry, and every row sum."""
-    p = flight.native.layout.count
+    p = flight.native.column_map.count
     listed: list[Word] = []
     for name, block in (blocks(flight, kind)[0], blocks(flight, kind)[-1]):
         if kind == "joint_sums":
@@ -150,24 +150,24 @@ def test_what_says_which_blocks_there_are(flight: Flight) -> None:
         *words(
             flight, "accumulator", energy, ["corrupt", "filled", "filling", "shared", "enough", "target", "segment"]
         ),
-        *words(flight, "accumulator", energy, ["early", "late", "accepted", "refused", "seal"]),
-        *words(flight, "accumulator", energy.step[0], ["instants"]),
-        *words(flight, "accumulator", energy.step[1], ["instants"]),
-        *words(flight, "joint_sums", motors, ["count", "corrupt", "instants", "cycles", "target", "seal"]),
+        *words(flight, "accumulator", energy, ["early", "late", "accepted", "refused", "checksum"]),
+        *words(flight, "accumulator", energy.buffer[0], ["instants"]),
+        *words(flight, "accumulator", energy.buffer[1], ["instants"]),
+        *words(flight, "joint_sums", motors, ["count", "corrupt", "instants", "cycles", "target", "checksum"]),
         *words(flight, "momentum_sums", momentum, ["columns", "components", "signals", "count", "corrupt"]),
-        *words(flight, "momentum_sums", momentum, ["cycles", "target", "seal"]),
+        *words(flight, "momentum_sums", momentum, ["cycles", "target", "checksum"]),
     ]
     flip(flight, listed, (0, 1, 2, 5, 9, 20, 31, 40, 51, 52, 55, 62, 63), silent=True)
 
 
 @pytest.mark.parametrize("keep", [1.0, 1.0 - 1e-5])
 def test_a_flip_is_remembered_when_its_block_changes(flight: Flight, motion: Cycles, keep: float) -> None:
-    """Blocks that merge or fade, and an arc that closes, do not seal what was changed before."""
+    """Blocks that merge or fade, and an arc that closes, do not hide what was changed before."""
 
     def other() -> Flight:
         out = Flight(flight.arm)
         ffi.memmove(out.native, flight.native, ffi.sizeof("zygos_t"))
-        out.native.config.keep = keep
+        out.native.config.forgetting_factor = keep
         return out
 
     def refused(changed: Flight) -> bool:

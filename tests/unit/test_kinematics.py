@@ -92,14 +92,14 @@ def test_gram_table_is_that_of_the_plane_vectors(tmp_path: Path, joints: int, ax
     config = config_of(arm)
     for i in range(joints):
         config.joint[i].axis = axis
-    state = ffi.new("zygos_state_t *")
+    state = ffi.new("zygos_arm_state_t *")
     q, rate, omega = rng.uniform(-8.0, 8.0, joints), rng.normal(size=joints), rng.normal(size=3)
     state.q[0:joints] = q.tolist()
     state.q_rate[0:joints] = rate.tolist()
     state.omega = omega.tolist()
-    motion, skeleton = ffi.new("zygos_motion_t *"), ffi.new("zygos_skeleton_t *")
-    lib.zygos_skeleton_init(skeleton, config)
-    lib.zygos_kinematics(skeleton, config, state, motion)
+    motion, geometry = ffi.new("zygos_motion_t *"), ffi.new("zygos_geometry_t *")
+    lib.zygos_geometry_init(geometry, config)
+    lib.zygos_kinematics(geometry, config, state, motion)
 
     f = np.concatenate([[0.0], np.cumsum(rate)]) + omega @ np.array(axis)
     vector = f * np.exp(1j * np.concatenate([[0.0], np.cumsum(q)]))

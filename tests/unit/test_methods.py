@@ -49,9 +49,9 @@ def noisy(record: Record, sigma: float, seeds: int) -> Record:
 
 def test_momentum_and_energy_of_the_equations_of_motion_are_conserved(arm: Arm, motion: Motion) -> None:
     """The motion integrates the columns of `de`; `amc` and `eb` share no term with them."""
-    momentum = amc.rows(arm, motion.record(), exact=True)[0] @ true_parameters(arm)[amc.seen(arm)]
+    momentum = amc.regressor(arm, motion.record(), exact=True)[0] @ true_parameters(arm)[amc.seen(arm)]
     np.testing.assert_allclose(momentum, motion.momentum, atol=1e-11)
-    z, w = eb.rows(arm, motion.record(), "exact", "first")
+    z, w = eb.regressor(arm, motion.record(), "exact", "first")
     assert np.max(np.abs(z[0] @ true_parameters(arm) - w[0])) < 1e-10 * np.max(np.abs(w))
 
 
@@ -111,7 +111,7 @@ def test_the_smoothed_rows_are_those_of_the_reference(tmp_path: Path) -> None:
 
     arm = replace(make_arm(tmp_path, period=0.005), compensate_every=0)
     motion = move(arm, 2.0)
-    z, w = eb.rows(arm, motion.record(exact=False), "savgol")
+    z, w = eb.regressor(arm, motion.record(exact=False), "savgol")
     chain = reference.chain(arm, motion.cycles()).balance
     first = chain.index[0] - 3
     for x, y in ((z[0], chain.z), (w[0], chain.w)):
@@ -126,7 +126,7 @@ def test_work_and_dissipation_count_from_the_start(tmp_path: Path, rates: eb.Rat
     motion = move(arm, 0.6)
     full = motion.record(exact=False)
     record = Record(full.q[:, 100:], full.theta[:, 100:], full.tau[:, 100:], full.f0[:, 100:])
-    z, w = eb.rows(arm, record, rates)
+    z, w = eb.regressor(arm, record, rates)
     instants = first + np.arange(len(w[0]))
     for ours, exact in ((z[0, :, 8], motion.slip2[100:, 0]), (w[0], eb.work(arm, record)[0])):
         expected = np.interp(instants, np.arange(len(exact)), exact - exact[0])

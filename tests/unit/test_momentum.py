@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from zygos.arm import Arm
 from zygos.balances import momentum
-from zygos.balances.kinematics import State
+from zygos.balances.state import State
 from zygos.dynamics.engines import engine
 from zygos.native.flight import config_of, lib
 
@@ -37,7 +37,7 @@ def test_columns_give_the_momentum_of_bodies(kinetic: str, flexible: tuple[bool,
         sample = random_state(rng, arm)
         base = sample.omega0 if arm.spatial else sample.omega0 @ arm.axis
         h = oracle.momentum(sample.q, sample.omega0, sample.qd, sample.thetad)
-        found = momentum.columns(arm, State(sample.q, sample.theta, sample.qd, sample.thetad, base)) @ values
+        found = momentum.momentum_columns(arm, State(sample.q, sample.theta, sample.qd, sample.thetad, base)) @ values
         expected = h if arm.spatial else [h @ arm.axis]
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * np.linalg.norm(h))
 
@@ -48,14 +48,14 @@ def test_rows_close_on_simulated_motion(name: str, share: float) -> None:
     arm, cycles, values, _ = run(name)
     _, instants, arc = smoothed(arm, cycles, round(2.0 / arm.period_s))
     inside = arc >= 0
-    z = momentum.rows(arm, instants, arc)[inside]
+    z = momentum.momentum_rows(arm, instants, arc)[inside]
     true = kinetic_values(arm, values[: len(arm.parameter_names)])
     terms = less_means(z * true, arc[inside])
     rest = np.sqrt(np.mean(terms.sum(axis=-1) ** 2))
     assert rest <= share * np.sqrt(np.mean(terms**2, axis=(0, 1))).max()
     if arm.spatial:
         # in axes that turn with the base it does not keep its direction
-        still = less_means(momentum.rows(arm, instants, np.arange(len(arc)))[inside] * true, arc[inside])
+        still = less_means(momentum.momentum_rows(arm, instants, np.arange(len(arc)))[inside] * true, arc[inside])
         assert np.sqrt(np.mean(still.sum(axis=-1) ** 2)) > 100.0 * rest
 
 
@@ -68,7 +68,7 @@ def test_the_attitude_is_the_simulated_one() -> None:
     cone = np.stack([rate * np.cos(2.0 * t), rate * np.sin(2.0 * t), np.full(400, 0.4)], axis=1)
     cycles = replace(cycles, omega=cone @ arm.mount)
     _, instants, arc = smoothed(arm, cycles, 1000)
-    found = momentum.attitudes(arm, instants, arc)
+    found = momentum.base_attitudes(arm, instants, arc)
     # seen from a frame that turns at 2 about z, the rate is constant: R(t) = exp(A t) exp(-2 t z)
     origin = int(np.argmax(arc >= 0))
     start = t[instants.index[origin]]
@@ -90,11 +90,11 @@ def test_c_is_numpy(kinetic: str, flexible: tuple[bool, ...]) -> None:
     inside = arc >= 0
     found = c_rooms(arm, cycles, 50, noise=True)
     np.testing.assert_array_equal(found.arc, arc[inside])
-    expected = momentum.rows(arm, instants, arc)[inside]
+    expected = momentum.momentum_rows(arm, instants, arc)[inside]
     size = np.abs(expected).max(axis=(0, 1))
     assert (size > 0.0).all()
     np.testing.assert_allclose(found.momentum / size, expected / size, rtol=0, atol=1e-12)
-    owed = momentum.noise(arm, instants)[inside]
+    owed = momentum.momentum_noise(arm, instants)[inside]
     scale = np.sqrt(np.einsum("mii->mi", owed).max(axis=0))
     size = np.outer(scale, scale)
     np.testing.assert_allclose(found.noise / size, owed / size, rtol=0, atol=1e-12)
@@ -112,7 +112,7 @@ def test_noise_entry_by_entry(kinetic: str, flexible: tuple[bool, ...]) -> None:
     arm = awkward(6, len(flexible), kinetic, flexible)
     cycles = wandering(arm, 60)
     _, instants, _ = smoothed(arm, cycles, 1000)
-    owed = momentum.noise(arm, instants)[20]
+    owed = momentum.momentum_noise(arm, instants)[20]
     draws, points, n = 100_000, arm.smoother.points, arm.n
     rng = np.random.default_rng(1)
     at = np.arange(points) - points // 2
@@ -133,7 +133,7 @@ def test_noise_entry_by_entry(kinetic: str, flexible: tuple[bool, ...]) -> None:
         thetad + instants.thetad[20],
         base + instants.omega[20] if arm.spatial else (base + instants.omega[20]) @ arm.axis,
     )
-    z = momentum.columns(arm, state)
+    z = momentum.momentum_columns(arm, state)
     z = z - z.mean(axis=0)
     drawn, square = np.zeros_like(owed), np.zeros_like(owed)
     for some in np.array_split(z, 50):

@@ -25,7 +25,7 @@ from zygos.arm import Arm, Encoder, Kinetic, load_arm
 from zygos.balances import momentum
 from zygos.balances.arcs import MIN_ARC_INSTANTS
 from zygos.balances.energy import energy_columns
-from zygos.balances.kinematics import State
+from zygos.balances.state import State
 from zygos.dynamics.engines import engine
 from zygos.errors import ZygosError
 from zygos.native import flight as flight_module
@@ -121,10 +121,10 @@ def test_turns_miss_nothing() -> None:
     _, instants, arc = smoothed(arm, cycles, 150)
     found, noise, _ = closed(replace(arm, compensate_every=0), cycles)[0][0], closed(arm, cycles)[1], None
     inside = arc == 0
-    rows = momentum.rows(arm, instants, arc)[inside]
+    rows = momentum.momentum_rows(arm, instants, arc)[inside]
     rows = rows - rows.mean(axis=0)
     whole = np.einsum("mkp,mkq->pq", rows, rows)
-    owed = momentum.noise(arm, instants)[inside].sum(axis=0)
+    owed = momentum.momentum_noise(arm, instants)[inside].sum(axis=0)
     for a, b in ((found, whole), (noise, owed)):
         scale = np.sqrt(np.diag(b))
         assert np.abs((3.0 * a - b) / np.outer(scale, scale)).max() < 0.1
@@ -235,7 +235,7 @@ def test_sums_fade_with_the_arcs() -> None:
     )
     assert lib.zygos_momentum_sums_check(sums) <= 1.0
     assert np.trace(noise) < np.trace(matrix(kept.noise_closed.gram, kept.columns))
-    assert flight.native.momentum_faded < 1.0
+    assert flight.native.momentum_forgetting < 1.0
 
 
 def test_a_fixed_base_is_refused(tmp_path: Path) -> None:
@@ -268,6 +268,7 @@ def test_which_arms_have_momentum_rows() -> None:
         Flight(replace(arm, period_s=0.02, momentum_max_s=0.3))
 
 
+@pytest.mark.slow
 def test_a_build_without_room_refuses_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     need(shutil.which(os.environ.get("CC", "cc").split()[0]), "a C compiler")
     script = [sys.executable, str(ROOT / "tools" / "build_native.py"), str(tmp_path)]

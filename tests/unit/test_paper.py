@@ -248,7 +248,7 @@ def test_paper_prints_what_the_paper_prints(tmp_path: Path, capsys: pytest.Captu
     rows = [line for line in said.splitlines() if line.partition(" ")[0] in heads]
     assert len(rows) == 4 * 12 + 2 * 7
     assert max(map(len, rows)) <= 80
-    assert "sign of their error turned round" in said
+    assert "opposite sign of their error" in said
     content = json.loads((tmp_path / "paper.json").read_text())
     assert content["printed"]["errors_percent"]["EB"]["b2"] == -5.4391
     assert content["printed"]["agreement"]["DE"]["b1"] == "sign, size"
@@ -268,7 +268,7 @@ def test_readings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytes
     said = capsys.readouterr().out
     assert "one row in ten" in said
     assert max(len(line) for line in said.splitlines() if line.startswith((" ", "printed", "one row"))) <= 80
-    assert max(len(reading.said) for reading in every) <= len("servo: tau, not n tau")
+    assert max(len(reading.description) for reading in every) <= len("servo: tau, not n tau")
     (found,) = json.loads(out.read_text())["readings"]
     assert found["DE"]["signs"] == 12
     assert found["EB"]["error_percent"]["a00"] < -30.0

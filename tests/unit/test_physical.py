@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 from arm_support import random_arm
 from numpy.typing import NDArray
-
-from conftest import ROOT
 from physical_support import (
     BLOCKS,
     directional_errors,
@@ -19,12 +17,14 @@ from physical_support import (
     inertia_matrices,
     inertia_matrices_of,
 )
+
+from conftest import ROOT
 from zygos.arm import Arm, load_arm
 from zygos.dynamics.serial import SpatialDynamics
 from zygos.errors import Undecided, ZygosError
 from zygos.model import gram
 from zygos.model.model import Model, Quantity, load_model
-from zygos.model.physical import Fit, Observed, fit_bodies, nearest_matrix, observe
+from zygos.model.physical import Observed, PhysicalFit, fit_bodies, nearest_matrix, observe
 
 Floats = NDArray[np.float64]
 SPATIAL = ROOT / "examples" / "spatial"
@@ -36,12 +36,12 @@ def spatial() -> tuple[Arm, Model]:
     return load_arm(SPATIAL / "arm.toml"), load_model(SPATIAL / "model.toml")
 
 
-def fitted(arm: Arm, drawing: Model, report: dict[str, Any], length: float = LENGTH) -> Fit:
+def fitted(arm: Arm, drawing: Model, report: dict[str, Any], length: float = LENGTH) -> PhysicalFit:
     return fit_bodies(arm, drawing, observe(arm.parameter_names, report), length)
 
 
 @pytest.fixture(scope="module")
-def campaign(spatial: tuple[Arm, Model]) -> list[tuple[Floats, Fit]]:
+def campaign(spatial: tuple[Arm, Model]) -> list[tuple[Floats, PhysicalFit]]:
     """Six estimates with noise, each fitted from another drawing: the raw values and the fit."""
     arm, built = spatial
     runs = []
@@ -51,8 +51,9 @@ def campaign(spatial: tuple[Arm, Model]) -> list[tuple[Floats, Fit]]:
     return runs
 
 
+@pytest.mark.slow
 def test_bodies_predict_better_than_the_estimate(
-    spatial: tuple[Arm, Model], campaign: list[tuple[Floats, Fit]]
+    spatial: tuple[Arm, Model], campaign: list[tuple[Floats, PhysicalFit]]
 ) -> None:
     """The inertia matrix over 200 postures, by Pinocchio from bodies; that of the raw estimate from energies."""
     arm, built = spatial
@@ -68,7 +69,7 @@ def test_bodies_predict_better_than_the_estimate(
 
 
 def test_chi_squared_and_sigmas_are_what_they_say(
-    spatial: tuple[Arm, Model], campaign: list[tuple[Floats, Fit]]
+    spatial: tuple[Arm, Model], campaign: list[tuple[Floats, PhysicalFit]]
 ) -> None:
     arm, built = spatial
     true = built.base_values(arm)
@@ -97,6 +98,7 @@ def test_an_indefinite_estimate_becomes_an_arm(spatial: tuple[Arm, Model]) -> No
     assert 0.0 < fit.least < fit.chi2
 
 
+@pytest.mark.slow
 def test_without_noise_any_drawing_leads_to_the_arm(spatial: tuple[Arm, Model]) -> None:
     arm, built = spatial
     true = built.base_values(arm)
@@ -169,6 +171,7 @@ def test_the_nearest_matrix_is_the_clipped_one(spatial: tuple[Arm, Model]) -> No
     assert least == pytest.approx(np.sum(np.minimum(eigen, 0.0) ** 2), rel=1e-3)
 
 
+@pytest.mark.slow(but=["axis"])
 @pytest.mark.parametrize("what", ["frame_rpy", "axis", "length"])
 def test_an_estimate_of_another_arm_is_not_explained(spatial: tuple[Arm, Model], what: str) -> None:
     arm, built = spatial

@@ -26,6 +26,7 @@ def energy_terms(trajectory: Trajectory) -> tuple[Floats, Floats]:
     return stored - stored[:, :1] + spent, work
 
 
+@pytest.mark.slow(but=["60.05-None-seeds0", "20.0-0.01-seeds2"])
 @pytest.mark.parametrize(
     ("duration", "period", "seeds"), [(60.05, None, range(3)), (300.0, None, [0]), (20.0, 0.01, [0])]
 )
@@ -219,8 +220,8 @@ def test_start() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"duration_s": 0.05}, "nothing to simulate"),
-        ({"seeds": []}, "nothing to simulate"),
+        ({"duration_s": 0.05}, "cannot be simulated"),
+        ({"seeds": []}, "cannot be simulated"),
         ({"period_s": -1.0}, "period"),
     ],
 )
@@ -242,7 +243,7 @@ def test_a_model_too_stiff_to_integrate_is_refused() -> None:
 def test_unfit_scenarios_are_refused() -> None:
     arm, model, scenario = lively()
     unfit: list[tuple[Scenario, str]] = [
-        (replace(scenario, manoeuvre={"shoulder": Motion()}), "manoeuvre is for joints"),
+        (replace(scenario, manoeuvre={"shoulder": Motion()}), "manoeuvre has joints"),
         (replace(scenario, initial_angles_rad=(0.0,)), "1 initial angles for 2 joints"),
         (replace(scenario, controller=replace(scenario.controller, angle="link", gain=50.0)), "diverges"),
     ]

@@ -156,7 +156,7 @@ def test_reduced_equations_hold_on_a_spatial_arm() -> None:
 
 def test_what_is_refused() -> None:
     arm, model, scenario = example()
-    with pytest.raises(ZygosError, match=r"2 kp for 3 joints; remedy: one number, or one for each joint"):
+    with pytest.raises(ZygosError, match=r"2 kp for 3 joints; remedy: give one number, or one for each joint"):
         run(arm, model, replace(scenario, controller=replace(scenario.controller, kp=(1.0, 2.0))))
     planar = load_arm(LIVELY / "arm.toml"), load_model(LIVELY / "model.toml"), load_scenario(LIVELY / "scenario.toml")
     with pytest.raises(ZygosError, match=r"angular_momentum_nms is a vector, but arm lively moves in a plane"):
@@ -177,4 +177,4 @@ def test_engines_and_arms_that_commands_refuse(tmp_path: Path, capsys: pytest.Ca
     assert "there is no engine 'ode'; remedy: one of zygos, pinocchio, mujoco" in capsys.readouterr().err
     assert not out.exists()
     assert run_command("paper", "--seeds", 2, "--example", SPATIAL) == 2
-    assert "the paper's methods are those of a free-floating arm that moves in a plane" in capsys.readouterr().err
+    assert "the paper's methods need a free-floating arm that moves in a plane" in capsys.readouterr().err

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from conftest import need
 from zygos.arm import Arm, Encoder, Imu
-from zygos.dynamics.pose import attitudes, forward, mass_centre, motion, place, skeleton
+from zygos.dynamics.pose import forward, integrated_attitudes, mass_centre, motion, place, skeleton
 from zygos.errors import ZygosError
 from zygos.model.model import Model, Quantity
 from zygos.runs.cycles import INVALID, Cycles
@@ -140,7 +140,7 @@ def test_attitude_of_a_body_that_tumbles() -> None:
         rate = np.stack(
             [spin * sine * own + nod * own_cosine, spin * sine * own_cosine - nod * own, spin * cosine + wobble], axis=1
         )
-        found = Rotation.from_matrix(attitudes(t, rate))
+        found = Rotation.from_matrix(integrated_attitudes(t, rate))
         return float((exact[0] * found * exact.inv()).magnitude().max())
 
     coarse, fine = error(101), error(201)

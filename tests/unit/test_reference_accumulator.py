@@ -9,12 +9,12 @@ import pytest
 from reference_support import Floats
 
 from zygos.balances.arcs import MIN_ARC_INSTANTS
-from zygos.balances.energy import Balance
+from zygos.balances.energy import EnergyRows
 from zygos.reference.accumulator import design
 from zygos.reference.solver import Rows, solve
 
 
-def balance(lengths: list[int], p: int = 4, seed: int = 0, noise: float = 0.1) -> tuple[Balance, Floats]:
+def balance(lengths: list[int], p: int = 4, seed: int = 0, noise: float = 0.1) -> tuple[EnergyRows, Floats]:
     """Random rows with another constant in each arc, and the parameters behind them."""
     rng = np.random.default_rng(seed)
     arc = np.repeat(np.arange(len(lengths)), lengths)
@@ -22,7 +22,7 @@ def balance(lengths: list[int], p: int = 4, seed: int = 0, noise: float = 0.1) -
     x = rng.normal(size=p)
     z = rng.normal(size=(m, p)) + 3.0
     w = z @ x + rng.normal(scale=100.0, size=len(lengths))[arc] + noise * rng.normal(size=m)
-    made = Balance(np.arange(m), np.arange(m, dtype=np.uint64), arc, np.ones(m, dtype=np.bool_), z, w)
+    made = EnergyRows(np.arange(m), np.arange(m, dtype=np.uint64), arc, np.ones(m, dtype=np.bool_), z, w)
     return made, x
 
 

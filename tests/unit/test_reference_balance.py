@@ -11,7 +11,7 @@ from reference_support import Motion, make_arm, move, true_parameters
 
 from zygos.arm import Arm
 from zygos.balances.arcs import arc_cycles
-from zygos.balances.energy import Balance, rows
+from zygos.balances.energy import EnergyRows, energy_rows
 from zygos.runs.cycles import Cycles
 from zygos.runs.samples import calibrate
 from zygos.runs.smoother import smooth
@@ -29,9 +29,9 @@ def motion(arm: Arm) -> Motion:
     return move(arm, 5.0)
 
 
-def balance_of(arm: Arm, cycles: Cycles) -> Balance:
+def balance_of(arm: Arm, cycles: Cycles) -> EnergyRows:
     samples = calibrate(arm, cycles)
-    return rows(arm, samples, smooth(arm, samples))
+    return energy_rows(arm, samples, smooth(arm, samples))
 
 
 def test_rows_balance_with_the_true_parameters(arm: Arm, motion: Motion) -> None:
@@ -109,7 +109,7 @@ def test_an_arc_ends_at_a_snap_from_an_eighth_of_the_longest_on(tmp_path: Path, 
     assert smoothed.accepted.all()
 
     def spans(*refused: int) -> list[tuple[int, int]]:
-        balance = rows(arm, samples, replace(smoothed, accepted=~np.isin(smoothed.index, refused)))
+        balance = energy_rows(arm, samples, replace(smoothed, accepted=~np.isin(smoothed.index, refused)))
         np.testing.assert_array_equal(balance.index[~balance.accepted], [at for at in refused if at >= 6])
         found = []
         for number in range(balance.arc.max() + 1):
@@ -137,8 +137,8 @@ def test_an_arc_that_a_snap_ended_is_not_void(tmp_path: Path, motion: Motion, re
     cycles.flags[500] = 5
     samples = calibrate(arm, cycles)
     smoothed = smooth(arm, samples)
-    assert rows(arm, samples, smoothed).void == {1}
-    assert rows(arm, samples, replace(smoothed, accepted=smoothed.index != refused)).void == void
+    assert energy_rows(arm, samples, smoothed).void == {1}
+    assert energy_rows(arm, samples, replace(smoothed, accepted=smoothed.index != refused)).void == void
 
 
 def test_work_and_dissipation_of_an_arc_do_not_depend_on_where_it_starts(tmp_path: Path, motion: Motion) -> None:
@@ -231,7 +231,7 @@ def test_a_torque_staircase_balances_exactly(tmp_path: Path, law: str) -> None:
     samples = calibrate(arm, cycles)
     smoothed = smooth(arm, samples)
     np.testing.assert_allclose(smoothed.thetad[:, 0] - rate[smoothed.index], h / 12.0 * 0.03 / (inertia * ratio))
-    balance = rows(arm, samples, smoothed)
+    balance = energy_rows(arm, samples, smoothed)
     energy = balance.z[:, list(arm.parameter_names).index("Im1")] * inertia
     assert np.ptp(energy - balance.w) < 1e-12 * np.ptp(energy)
 

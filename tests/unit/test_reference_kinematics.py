@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,8 @@ import pytest
 from reference_support import Floats, make_arm
 
 from zygos.balances.energy import energy_columns
-from zygos.balances.kinematics import State, cross, gram
+from zygos.balances.kinematics import planar_columns
+from zygos.balances.state import State
 
 
 def point_mass_energy(rng: np.random.Generator, on_line: bool, q: Floats, f: Floats) -> Floats:
@@ -106,10 +108,14 @@ def test_columns_of_the_paper(tmp_path: Path) -> None:
         np.testing.assert_allclose(z[:, column], expected[name], rtol=1e-12, atol=1e-12 * np.abs(expected[name]).max())
 
 
-def test_cross_is_antisymmetric_and_gram_symmetric() -> None:
+def test_columns_of_cosines_are_even_and_those_of_sines_odd_in_the_posture(tmp_path: Path) -> None:
+    arm = make_arm(tmp_path, joints=3, kinetic="planar")
     rng = np.random.default_rng(4)
-    f, phi = rng.normal(size=(2, 5, 4))
-    np.testing.assert_allclose(gram(f, phi), np.swapaxes(gram(f, phi), 1, 2), rtol=1e-14)
-    np.testing.assert_allclose(cross(f, phi), -np.swapaxes(cross(f, phi), 1, 2), rtol=1e-14, atol=1e-16)
-    pair = f[:, 1] * f[:, 3] * np.sin(phi[:, 3] - phi[:, 1])
-    np.testing.assert_allclose(cross(f, phi)[:, 1, 3], pair, rtol=1e-12, atol=1e-14)
+    q, qd = rng.normal(size=(2, 5, 3))
+    state = State(q, q, qd, qd, rng.normal(size=5))
+    names = [name for name, _ in arm.body_parameters]
+    there, mirrored = (planar_columns(arm, replace(state, q=x), np.multiply) for x in (q, -q))
+    np.testing.assert_allclose(there[:, :10], mirrored[:, :10], rtol=1e-14)
+    np.testing.assert_allclose(there[:, 10:], -mirrored[:, 10:], rtol=1e-14, atol=1e-16)
+    pair = state.f[:, 1] * state.f[:, 3] * np.sin(state.phi[:, 3] - state.phi[:, 1])
+    np.testing.assert_allclose(there[:, names.index("b13")], pair, rtol=1e-12, atol=1e-14)

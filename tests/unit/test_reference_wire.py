@@ -12,7 +12,7 @@ from reference_support import make_arm
 
 from zygos.arm import Arm
 from zygos.can.wire import ERROR, EXTENDED, FD, REMOTE, Frame, data_ids, database, identifiers
-from zygos.reference.wire import receive
+from zygos.reference.wire import receive_log
 
 PER_CYCLE = 7
 """Frames of a cycle: SYNC, four of the joints, two of the gyro; every 50th cycle has an FTIME behind the SYNC."""
@@ -77,7 +77,7 @@ def recode(arm: Arm, frame: Frame, **codes: int) -> Frame:
 
 def test_a_good_log(arm: Arm) -> None:
     log = log_of(arm, 60)
-    reception = receive(arm, flat(log))
+    reception = receive_log(arm, flat(log))
     cycles = reception.cycles
     assert reception.faults == {}
     assert set(reception.verdicts) == {"accepted"}
@@ -98,7 +98,7 @@ def test_a_coarse_gyro_and_other_nodes(tmp_path: Path) -> None:
     from zygos.arm import load_arm
 
     arm = load_arm(tmp_path / "arm.toml")
-    reception = receive(arm, flat(log_of(arm, 20)))
+    reception = receive_log(arm, flat(log_of(arm, 20)))
     assert reception.faults == {}
     np.testing.assert_allclose(reception.cycles.omega, (np.arange(19)[:, None] + np.arange(3)) / 2**13)
 
@@ -107,7 +107,7 @@ def test_order_within_a_cycle_does_not_matter(arm: Arm) -> None:
     log = log_of(arm, 30)
     rng = np.random.default_rng(0)
     mixed = [[cycle[0], *(cycle[1 + i] for i in rng.permutation(len(cycle) - 1))] for cycle in log]
-    one, other = receive(arm, flat(log)).cycles, receive(arm, flat(mixed)).cycles
+    one, other = receive_log(arm, flat(log)).cycles, receive_log(arm, flat(mixed)).cycles
     for name in ("sync", "q", "theta", "tau", "omega", "flags"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
 
@@ -121,7 +121,7 @@ def test_foreign_frames_have_no_effect(arm: Arm) -> None:
         log[4][2]._replace(flags=REMOTE),
         log[4][2]._replace(flags=FD),
     ]
-    reception = receive(arm, flat(log))
+    reception = receive_log(arm, flat(log))
     assert reception.faults == {}
     assert reception.verdicts.count("foreign") == 5
     assert len(reception.cycles) == 9
@@ -178,7 +178,7 @@ def test_a_fault_drops_its_cycle_and_no_other(arm: Arm, name: str) -> None:
     damage, faults = DROPPING[name]
     log = log_of(arm, 20)
     log[11] = damage(arm, log[11])
-    reception = receive(arm, flat(log))
+    reception = receive_log(arm, flat(log))
     assert reception.faults == {**faults, "dropped": 1}
     np.testing.assert_array_equal(reception.cycles.sync, [i for i in range(19) if i != 11])
     np.testing.assert_array_equal(reception.cycles.flags, [1] + 17 * [0])
@@ -193,14 +193,14 @@ def test_values_next_to_the_refused_ones_pass(arm: Arm, name: str) -> None:
     }
     log = log_of(arm, 20)
     log[11] = near[name](arm, log[11])
-    assert receive(arm, flat(log)).faults == {}
+    assert receive_log(arm, flat(log)).faults == {}
 
 
 def test_a_lost_sync_is_a_jump(arm: Arm) -> None:
     """Frames of the cycle whose SYNC is lost carry another counter than the cycle that is open."""
     log = log_of(arm, 20)
     log[12] = log[12][1:]
-    reception = receive(arm, flat(log))
+    reception = receive_log(arm, flat(log))
     assert reception.faults == {"counter": 6, "sync_jumped": 1}
     np.testing.assert_array_equal(reception.cycles.sync, [i for i in range(19) if i != 12])
     assert [int(s) for s in reception.cycles.sync[reception.cycles.flags == 1]] == [0, 13]
@@ -209,7 +209,7 @@ def test_a_lost_sync_is_a_jump(arm: Arm) -> None:
 def test_a_late_frame_does_not_harm_the_cycle_it_falls_into(arm: Arm) -> None:
     log = log_of(arm, 20)
     log[8].insert(3, log[7].pop(4))
-    reception = receive(arm, flat(log))
+    reception = receive_log(arm, flat(log))
     assert reception.faults == {"late": 1, "incomplete": 1, "dropped": 1}
     np.testing.assert_array_equal(reception.cycles.sync, [i for i in range(19) if i != 7])
 
@@ -217,7 +217,7 @@ def test_a_late_frame_does_not_harm_the_cycle_it_falls_into(arm: Arm) -> None:
 def test_frames_before_the_first_sync(arm: Arm) -> None:
     log = log_of(arm, 5)
     log[0] = log[0][1:]
-    reception = receive(arm, flat(log))
+    reception = receive_log(arm, flat(log))
     assert reception.faults == {"unsynced": 7}
     np.testing.assert_array_equal(reception.cycles.sync, [0, 1, 2])
 
@@ -225,14 +225,14 @@ def test_frames_before_the_first_sync(arm: Arm) -> None:
 def test_an_outage_of_240_cycles_is_not_bridged(arm: Arm) -> None:
     """The SYNC counter goes on as if nothing had happened; FTIME knows better."""
     log = log_of(arm, 320)
-    reception = receive(arm, flat(log[:50] + log[290:]))
+    reception = receive_log(arm, flat(log[:50] + log[290:]))
     assert reception.faults == {"time_jumped": 1}
     np.testing.assert_array_equal(reception.cycles.flags, [1] + 59 * [0] + [5 | 60 << 8] + 18 * [0])
 
 
 def test_a_void_in_a_dropped_cycle_waits_for_the_next_one(arm: Arm) -> None:
     log = log_of(arm, 320)
-    reception = receive(arm, flat([*log[:50], *log[290:300], log[300][:-1], *log[301:]]))
+    reception = receive_log(arm, flat([*log[:50], *log[290:300], log[300][:-1], *log[301:]]))
     assert reception.faults == {"time_jumped": 1, "incomplete": 1, "dropped": 1}
     assert {int(s): int(f) for s, f in zip(reception.cycles.sync, reception.cycles.flags, strict=True) if f} == {
         0: 1,
@@ -242,7 +242,7 @@ def test_a_void_in_a_dropped_cycle_waits_for_the_next_one(arm: Arm) -> None:
 
 def test_silence_of_the_fine_time_leaves_every_cycle_alone(arm: Arm) -> None:
     log = [[f for f in cycle if f.id != 0x3A0 or i in (0, 200)] for i, cycle in enumerate(log_of(arm, 220))]
-    reception = receive(arm, flat(log))
+    reception = receive_log(arm, flat(log))
     assert reception.faults == {"time_lost": 1}
     broken = [int(s) for s in np.flatnonzero(reception.cycles.flags)]
     assert broken == [0, *range(121, 201)]
@@ -252,7 +252,7 @@ def test_silence_of_the_fine_time_leaves_every_cycle_alone(arm: Arm) -> None:
 def test_a_silence_does_not_forget_the_last_fine_time(arm: Arm) -> None:
     """An outage of 240 cycles within a silence is found by the FTIME that ends it."""
     log = [[f for f in cycle if f.id != 0x3A0 or i in (0, 400)] for i, cycle in enumerate(log_of(arm, 450))]
-    reception = receive(arm, flat(log[:60] + log[300:]))
+    reception = receive_log(arm, flat(log[:60] + log[300:]))
     assert reception.faults == {"time_lost": 1, "time_jumped": 1}
     assert [int(s) for s in np.flatnonzero(reception.cycles.flags & 4)] == [160]
     assert [int(s) for s in np.flatnonzero(reception.cycles.flags & 1)] == [0, *range(121, 161)]
@@ -261,14 +261,14 @@ def test_a_silence_does_not_forget_the_last_fine_time(arm: Arm) -> None:
 def test_a_false_fine_time_is_refused(arm: Arm) -> None:
     log = log_of(arm, 60)
     log[50][1] = recode(arm, log[50][1], Sync=40)
-    assert receive(arm, flat(log)).faults == {"counter": 1}
+    assert receive_log(arm, flat(log)).faults == {"counter": 1}
 
 
 @pytest.mark.parametrize("counter", [0, 241, 255])
 def test_a_sync_out_of_range_is_refused(arm: Arm, counter: int) -> None:
     log = log_of(arm, 6)
     log[3].append(Frame(0x080, bytes([counter])))
-    reception = receive(arm, flat(log))
+    reception = receive_log(arm, flat(log))
     assert reception.faults == {"range": 1}
     assert len(reception.cycles) == 5
 
@@ -277,7 +277,7 @@ def test_a_sync_out_of_range_is_refused(arm: Arm, counter: int) -> None:
 def test_an_error_frame_is_counted_and_bus_off_ends_the_arc(arm: Arm, identifier: int, broken: list[int]) -> None:
     log = log_of(arm, 10)
     log[6].insert(2, Frame(identifier, bytes(8), ERROR))
-    reception = receive(arm, flat(log))
+    reception = receive_log(arm, flat(log))
     assert reception.faults == {"bus_error": 1}
     assert set(reception.verdicts) == {"accepted"}
     np.testing.assert_array_equal(np.flatnonzero(reception.cycles.flags), broken)
@@ -286,13 +286,13 @@ def test_an_error_frame_is_counted_and_bus_off_ends_the_arc(arm: Arm, identifier
 def test_a_break_in_a_dropped_cycle_waits_for_the_next_one(arm: Arm) -> None:
     log = log_of(arm, 10)
     log[6] = [*log[6][:4], Frame(0x040, bytes(8), ERROR)]
-    cycles = receive(arm, flat(log)).cycles
+    cycles = receive_log(arm, flat(log)).cycles
     assert [int(s) for s in cycles.sync[cycles.flags == 1]] == [0, 7]
 
 
 def test_no_frame_and_no_sync(arm: Arm) -> None:
     for log in ([], log_of(arm, 1)[0][1:]):
-        reception = receive(arm, log)
+        reception = receive_log(arm, log)
         assert reception.cycles.q.shape == (0, 2)
         assert reception.cycles.omega.shape == (0, 3)
 

@@ -27,7 +27,7 @@ from zygos.files.tables import write_columns
 from zygos.gap import sentences
 from zygos.gap.balances import Layout
 from zygos.gap.findings import Finding, Significance
-from zygos.gap.record import read_record
+from zygos.gap.record import read_measured_run
 from zygos.gap.whereabouts import whereabouts
 from zygos.native.flight import REASONS, Estimate, Flight, lib
 from zygos.runs.cycles import Cycles
@@ -211,12 +211,12 @@ def test_a_log_of_another_machine_has_no_frames_of_the_arm(tmp_path: Path, capsy
         )
     assert end.value.code == 3
     said = capsys.readouterr()
-    assert "not one whole cycle of this arm came" in said.err
+    assert "no complete cycle of this arm was received" in said.err
     assert "no frame of this arm came: compare the node numbers" in said.err
     assert "times as large" not in said.out + said.err
     assert not (tmp_path / "m.toml").exists()
     with pytest.raises(ZygosError, match=r"not one whole cycle of arm \w+.*no frame of this arm.*node numbers"):
-        read_record(load_arm(EXAMPLE / "arm.toml"), VEHICLE, bus.read_log(VEHICLE).frames)
+        read_measured_run(load_arm(EXAMPLE / "arm.toml"), VEHICLE, bus.read_log(VEHICLE).frames)
 
 
 # ------------------------------------------------------------------------------------------ timing
@@ -353,7 +353,7 @@ def test_coupled_joints_are_not_accused_where_the_law_of_one_motor_does_not_fit(
     arm, cycles = pendulum(number)
     found = audit(arm, cycles)
     assert found.findings == ()
-    assert any("the law of one motor by itself does not fit" in note for note in found.notes)
+    assert any("the law of a single motor does not fit" in note for note in found.notes)
     # where the whole arm has a balance it confirms them; a run of 6 s has too few blocks for one
     assert found.ok == (number != "11"), found.notes
     undone = audit(arm, swapped("tau", 0, 1)(cycles))

@@ -11,8 +11,9 @@ import pytest
 from gap_support import Floats, effect, example, moved
 
 from zygos.arm import Arm
+from zygos.balances.state import State
 from zygos.dynamics.planar import PlanarDynamics
-from zygos.dynamics.replay import STEP_OF_MODE, States, read, replay, substeps
+from zygos.dynamics.replay import STEP_OF_MODE, exact_readings, replay, substeps
 from zygos.effects import Effect
 from zygos.model.model import Model, Quantity
 from zygos.simulation.plant import Trajectory, simulate
@@ -25,7 +26,7 @@ CYCLES = 151
 def packed(trajectory: Trajectory) -> Floats:
     """(n, 4N+1) states of a run of one seed."""
     t = trajectory
-    return States(t.omega0[0], t.q[0], t.theta[0], t.qd[0], t.thetad[0]).packed()
+    return State(t.q[0], t.theta[0], t.qd[0], t.thetad[0], t.omega0[0]).packed()
 
 
 def with_drives(model: Model, **values: float) -> Model:
@@ -167,8 +168,8 @@ def test_stiff_joints_do_not_blow_up(stiffness: float) -> None:
     start = np.array([[0.01, 0.3, -1.0, 0.3, -1.0, 0.1, -0.2, 0.1, -0.2]])
     steps = substeps(dynamics, start[:, 1:3], 0.005)
     states, _ = replay(dynamics, 0.005, start, lambda k, _: np.zeros((1, 2)), np.zeros((1, 2)), 100, steps)
-    s = States.of(states[0])
-    energy = dynamics.kinetic_energy(s.q, s.omega0, s.qd, s.thetad) + dynamics.elastic_energy(s.q, s.theta)
+    s = State.unpacked(states[0])
+    energy = dynamics.kinetic_energy(s.q, s.base, s.qd, s.thetad) + dynamics.elastic_energy(s.q, s.theta)
     assert energy[-1] <= energy[0] * (1.0 + 1e-9)
     assert energy[-1] >= 0.99 * energy[0]
 
@@ -188,7 +189,7 @@ def test_late_latches_are_read_as_the_simulator_reads_them(late: tuple[int, int,
     )
     arm = replace(arm, joints=joints, imu=replace(arm.imu, latch_us=late[2]))
     run = simulate(arm, model, scenario, noise=False, duration_s=1.0, rtol=1e-10, atol=1e-12)
-    q, theta, omega0 = read(run.dynamics, arm, packed(run)[None], run.tau)
+    q, theta, omega0 = exact_readings(run.dynamics, arm, packed(run)[None], run.tau)
     # of what a sensor reads; each is far below its noise (1.7e-6 rad, 1e-5 rad/s)
     for got, want, tolerance in (
         (q, run.q_latched[:, :-1], 1e-10),
@@ -202,8 +203,8 @@ def test_late_latches_are_read_as_the_simulator_reads_them(late: tuple[int, int,
 
 def test_states_pack_and_unpack() -> None:
     packed_ = np.arange(2 * 3 * 9, dtype=np.float64).reshape(2, 3, 9)
-    s = States.of(packed_)
-    assert s.omega0.shape == (2, 3)
+    s = State.unpacked(packed_)
+    assert s.base.shape == (2, 3)
     assert s.q.shape == s.theta.shape == s.qd.shape == s.thetad.shape == (2, 3, 2)
     np.testing.assert_array_equal(s.packed(), packed_)
     np.testing.assert_array_equal(s.thetad, packed_[..., -2:])

@@ -31,7 +31,7 @@ class Smoother:
     def __init__(self, arm: Arm) -> None:
         self.native = ffi.new("zygos_smoother_t *")
         lib.zygos_smoother_init(self.native, config_of(arm))
-        self.state = ffi.new("zygos_state_t *")
+        self.state = ffi.new("zygos_arm_state_t *")
 
     def push(self, signal: Floats) -> Any:
         full = lib.zygos_smoother_push(
@@ -133,7 +133,7 @@ def test_a_gap_empties_the_window(tmp_path: Path) -> None:
     for _ in range(window):
         state = smoother.push(np.full(7, 1e9))
     assert state is not None
-    lib.zygos_smoother_gap(smoother.native)
+    lib.zygos_smoother_reset(smoother.native)
     for c in range(window):
         state = smoother.push(np.full(7, 0.5))
         assert (state is not None) == (c == window - 1)
@@ -164,7 +164,7 @@ def test_the_gyro_and_encoders_without_declared_noise_are_not_tested(tmp_path: P
     config = config_of(arm)
     for i in range(arm.n):
         config.joint[i].link_sigma_rad = 0.0
-    native, state = ffi.new("zygos_smoother_t *"), ffi.new("zygos_state_t *")
+    native, state = ffi.new("zygos_smoother_t *"), ffi.new("zygos_arm_state_t *")
     lib.zygos_smoother_init(native, config)
     for j in range(arm.smoother.points):
         wild = [100.0 * (-1) ** j] * 2 + [0.0] * 2 + [-50.0 * (-1) ** j] * 3

@@ -208,7 +208,7 @@ def test_resume_refuses_what_it_was_not_made_for(arm: Arm, tmp_path: Path) -> No
         ("accumulator.target", float("nan")),
         ("accumulator.segment", -1.0),
         ("joint_sums.count", 33),
-        ("joint_sums.layout.count", 12),
+        ("joint_sums.column_map.count", 12),
         ("momentum_sums.count", 17),
         ("momentum_sums.columns", 200),
     ],
@@ -220,7 +220,7 @@ def test_a_count_that_cannot_be_is_refused(member: str, value: float, arm: Arm, 
     *folders, name = member.split(".")
     for folder in folders:
         part = getattr(part, folder)
-    if member == "joint_sums.layout.count":
+    if member == "joint_sums.column_map.count":
         part.count[0] = value
     else:
         setattr(part, name, value)
@@ -330,7 +330,7 @@ def test_tables_are_computed_anew(arm: Arm, frames: NDArray[Any]) -> None:
     config = ffi.addressof(flight.native, "config")
     assert lib.zygos_resume(flight.native, config) == 1
     good = image_of(flight)
-    for damaged in ("smoother", "noise", "layout", "skeleton"):
+    for damaged in ("smoother", "noise", "column_map", "geometry"):
         part = ffi.addressof(flight.native, damaged)
         ffi.memmove(part, b"\x55" * ffi.sizeof(part[0]), ffi.sizeof(part[0]))
     for numbers in (

@@ -230,7 +230,7 @@ def test_what_survives_of_two_lives(stream: Stream) -> None:
     assert np.flatnonzero(cycles.flags & 1).tolist() == [0, 58]
     assert np.diff(cycles.sync.astype(int))[[18, 19, 20, 57]].tolist() == [1, 2, 1, 1000]
     np.testing.assert_allclose(cycles.q[58:], sines(stream.arm, CYCLES, first=0).q[80:], atol=4e-6)
-    assert oracle.counted(first) == {"incomplete": 1, "dropped": 1}
+    assert oracle.fault_counts(first) == {"incomplete": 1, "dropped": 1}
 
 
 def test_an_estimate_is_held_against_numpy(arm: Arm, clean: Callable[[float], Trajectory]) -> None:

@@ -1,4 +1,4 @@
-/* Firmware that works off recorded vectors: reads run.bin through semihosting, runs the library on it, writes out.bin.
+/* Firmware that processes recorded vectors: reads run.bin through semihosting, runs the library on it, writes out.bin.
    A computer of the other kind that does the same must come to the same bytes.
 
    run.bin: ZYGOS_ABI and a zygos_config_t; then sections, each of two uint32 (kind, count) and what follows:
@@ -7,9 +7,9 @@
        image     nothing: zygos_t as it lies in memory
        estimate  nothing: zygos_take() and zygos_solve()
    out.bin: records, each of two uint32 (kind, bytes) and what follows:
-       init      int32: what zygos_init() said; when it refused, no section is worked off
+       init      int32: what zygos_init() returned; when it refused, no section is processed
        verdicts  int8 for each frame or cycle of a section: what the call returned
-       instant   for each cycle that was worked off: its number, whether it has a row and was accepted, motion and row
+       instant   for each cycle that was processed: its number, whether it has a row and was accepted, motion and row
        image, estimate
        sizes     four uint32, at the end: bytes of zygos_t, zygos_work_t, zygos_estimate_t, and of stack used */
 
@@ -27,7 +27,7 @@ typedef struct {
     uint64_t cycle;
     uint32_t instant;
     uint32_t accepted;
-    zygos_state_t state;
+    zygos_arm_state_t state;
     zygos_motion_t motion;
     zygos_row_t row;
 } instant_t;
@@ -58,7 +58,7 @@ static void put_instant(void)
     instant.cycle = arm.cycle;
     instant.instant = arm.instant;
     instant.accepted = (arm.accepted > 0.0) ? 1u : 0u;
-    memcpy(&instant.state, &arm.state, sizeof arm.state);
+    memcpy(&instant.state, &arm.arm_state, sizeof arm.arm_state);
     memcpy(&instant.motion, &arm.motion, sizeof arm.motion);
     memcpy(&instant.row, &arm.row, sizeof arm.row);
     put(INSTANT, &instant, sizeof instant);

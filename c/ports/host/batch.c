@@ -25,7 +25,7 @@ static void record(const zygos_t *self, const zygos_cycle_t *cycle, zygos_trace_
         return;
     }
     const uint64_t n = self->config.joints;
-    const uint64_t p = self->layout.count;
+    const uint64_t p = self->column_map.count;
     const uint64_t at = trace->count++;
     if (trace->sync) {
         trace->sync[at] = cycle->sync;
@@ -48,11 +48,11 @@ static void record(const zygos_t *self, const zygos_cycle_t *cycle, zygos_trace_
     }
     if (trace->state) {
         uint64_t k = at * (4 * n + 3);
-        copy(trace->state, &k, self->state.q, n);
-        copy(trace->state, &k, self->state.theta, n);
-        copy(trace->state, &k, self->state.q_rate, n);
-        copy(trace->state, &k, self->state.theta_rate, n);
-        copy(trace->state, &k, self->state.omega, 3);
+        copy(trace->state, &k, self->arm_state.q, n);
+        copy(trace->state, &k, self->arm_state.theta, n);
+        copy(trace->state, &k, self->arm_state.q_rate, n);
+        copy(trace->state, &k, self->arm_state.theta_rate, n);
+        copy(trace->state, &k, self->arm_state.omega, 3);
     }
     if (trace->row) {
         uint64_t k = at * (p + 1);

@@ -5,25 +5,25 @@
 
 #include "zygos/zygos.h"
 
-/// Where a run leaves what each room made of each cycle. Any pointer may be null. Arrays are row-major.
+/// The results of each module for each cycle. Any pointer may be null. Arrays are row-major.
 typedef struct {
-    uint64_t capacity; ///< Cycles that fit.
-    uint64_t count;    ///< Cycles written.
+    uint64_t capacity; ///< Number of cycles for which there is memory.
+    uint64_t count;    ///< Number of cycles written.
     uint64_t *sync;    ///< capacity: SYNC number.
     uint32_t *flags;   ///< capacity: flags of the cycle.
     uint8_t *instant;  ///< capacity: 1 when the cycle completed an instant with a row.
     uint8_t *accepted; ///< capacity: 1 when the row was accumulated.
-    double *measured;  ///< capacity x (3N+3): q, theta, tau, omega as they came in.
-    double *state;     ///< capacity x (4N+3): q, theta, q rate, theta rate, omega, smoothed.
+    double *measured;  ///< capacity x (3N+3): readings q, theta, tau, omega.
+    double *state;     ///< capacity x (4N+3): smoothed q, theta, q rate, theta rate, omega.
     double *row;       ///< capacity x (p+1): the columns and the work.
 } zygos_trace_t;
 
-/// Feeds frames and works off cycles as they complete. verdict[n] (may be null) takes enum zygos_reception of each
-/// frame. Returns the number of cycles worked off, or an enum zygos_error.
+/// Receives frames and processes the cycles that they complete. Writes enum zygos_reception of each frame into
+/// verdict[n], which may be null. Returns the number of cycles that were processed, or an enum zygos_error.
 int64_t zygos_batch_frames(zygos_t *self, const zygos_frame_t *frame, uint64_t n, uint8_t *verdict,
                            zygos_trace_t *trace);
 
-/// Feeds cycles in SI. Returns the number of cycles used, or an enum zygos_error.
+/// Processes cycles in SI units. Returns the number of cycles used, or an enum zygos_error.
 int64_t zygos_batch_cycles(zygos_t *self, const zygos_cycle_t *cycle, uint64_t n, zygos_trace_t *trace);
 
 /// Encodes cycles as the traffic of a bus: per cycle SYNC, FTIME (every 50th cycle), the angles and torques of each

@@ -10,7 +10,7 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
-#include "say.h"
+#include "log.h"
 
 /* A second of a full bus at 1 Mbit/s, 9,000 frames, at what the kernel accounts for each. */
 #define RECEIVE_BUFFER (8 * 1024 * 1024)
@@ -91,20 +91,20 @@ int node_bus_open(node_bus_t *self, const node_options_t *options, const zygos_c
     if (self->interface != NULL) {
         self->fd = socket(PF_CAN, SOCK_RAW | SOCK_CLOEXEC, CAN_RAW);
         if (self->fd < 0) {
-            return node_say("no CAN socket here (%s); remedy: modprobe can_raw", strerror(errno));
+            return node_log("no CAN socket here (%s); remedy: modprobe can_raw", strerror(errno));
         }
     }
     const int type = option_of(self->fd, SO_TYPE);
     const bool can = (option_of(self->fd, SO_DOMAIN) == AF_CAN);
     if ((type != SOCK_SEQPACKET) && (type != SOCK_DGRAM) && !(can && (type == SOCK_RAW))) {
-        return node_say("--fd %d: no socket of packets; remedy: CAN_RAW, SOCK_SEQPACKET or SOCK_DGRAM", self->fd);
+        return node_log("--fd %d: no socket of packets; remedy: CAN_RAW, SOCK_SEQPACKET or SOCK_DGRAM", self->fd);
     }
     self->stream_ends = (type == SOCK_SEQPACKET);
     if (!prepare(self->fd, can, config)) {
-        return node_say("the socket takes no options (%s); remedy: use a newer kernel", strerror(errno));
+        return node_log("the socket takes no options (%s); remedy: use a newer kernel", strerror(errno));
     }
     if ((self->interface != NULL) && !bind_to(self->fd, self->interface)) {
-        return node_say("%s: cannot be opened (%s); remedy: see `ip link`, and set it up", self->interface,
+        return node_log("%s: cannot be opened (%s); remedy: see `ip link`, and set it up", self->interface,
                         strerror(errno));
     }
     return 1;
@@ -119,7 +119,7 @@ void node_bus_again(node_bus_t *self, const zygos_config_t *config)
     if ((fd >= 0) && prepare(fd, true, config) && bind_to(fd, self->interface)) {
         self->fd = fd;
         self->drops = 0; /* the kernel counts from 0 for this socket */
-        node_say("%s: is back", self->interface);
+        node_log("%s: is back", self->interface);
     } else if (fd >= 0) {
         (void)close(fd);
     }
@@ -173,7 +173,7 @@ static int read_failed(node_bus_t *self)
     case ENODEV: /* the interface was removed, as an adapter that is unplugged */
     case ENXIO:
         if (self->interface != NULL) {
-            node_say("%s: was removed (%s), waits for it; remedy: see `ip link`, and set it up again", self->interface,
+            node_log("%s: was removed (%s), waits for it; remedy: see `ip link`, and set it up again", self->interface,
                      strerror(errno));
             (void)close(self->fd);
             self->fd = -1;
@@ -182,7 +182,7 @@ static int read_failed(node_bus_t *self)
         }
         /* fall through */
     default:
-        node_say("cannot receive any more (%s); remedy: see `ip link`, and start again", strerror(errno));
+        node_log("cannot receive any more (%s); remedy: see `ip link`, and start again", strerror(errno));
         return NODE_FAILED;
     }
 }

@@ -27,17 +27,17 @@ enum node_reading {
     NODE_READ = 1,   ///< There may be more.
     NODE_EMPTY = 0,  ///< Nothing was waiting.
     NODE_ENDED = -1, ///< The other end is closed.
-    NODE_FAILED = -2 ///< The reason was said.
+    NODE_FAILED = -2 ///< The reason was logged.
 };
 
 /// Opens the interface, or takes over the descriptor, and asks for the frames of this arm and for error frames.
-/// Returns 1, or -1 after saying why not.
+/// Returns 1, or -1 after logging the reason.
 int node_bus_open(node_bus_t *self, const node_options_t *options, const zygos_config_t *config);
 
 /// Opens an interface anew that was removed, if it is there again. Where nothing is missing it does nothing.
 void node_bus_again(node_bus_t *self, const zygos_config_t *config);
 
-/// Reads what is waiting, without blocking, into frame[NODE_BATCH]; *count says how many. Returns enum node_reading.
+/// Reads what is waiting, without blocking, into frame[NODE_BATCH]; *count is their number. Returns enum node_reading.
 int node_bus_read(node_bus_t *self, zygos_frame_t *frame, uint32_t *count);
 
 /// Sends a frame without blocking. One that is not taken is counted and forgotten.

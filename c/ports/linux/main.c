@@ -7,14 +7,14 @@
 #include <time.h>
 
 #include "bus.h"
+#include "log.h"
 #include "options.h"
-#include "say.h"
 #include "store.h"
 #include "telemetry.h"
 
 #define REFUSED 2
 #define HEARTBEAT_S 1.0
-/* Longest time to work off what had been received when the end was asked for. */
+/* Longest time to process the frames that had been received when the node was asked to stop. */
 #define PATIENCE_S 10.0
 
 static node_options_t options;
@@ -23,12 +23,12 @@ static zygos_t arm;
 static node_bus_t bus;
 static node_telemetry_t telemetry;
 static node_store_t store;
-static volatile sig_atomic_t told_to_end;
+static volatile sig_atomic_t stop_requested;
 
-static void end(int signal_number)
+static void request_stop(int signal_number)
 {
     (void)signal_number;
-    told_to_end = 1;
+    stop_requested = 1;
 }
 
 static double now_s(void)
@@ -39,7 +39,7 @@ static double now_s(void)
 }
 
 /* A reader of stderr who has gone, and a limit to the size of files, are answered by the calls that meet them. */
-static void outlive(void)
+static void ignore_signals(void)
 {
     struct sigaction action;
     memset(&action, 0, sizeof action);
@@ -54,7 +54,7 @@ static sigset_t catch_signals(void)
 {
     struct sigaction action;
     memset(&action, 0, sizeof action);
-    action.sa_handler = end;
+    action.sa_handler = request_stop;
     (void)sigaction(SIGTERM, &action, NULL);
     (void)sigaction(SIGINT, &action, NULL);
     sigset_t both;
@@ -68,11 +68,11 @@ static sigset_t catch_signals(void)
     return while_waiting;
 }
 
-static bool is_told_to_end(void)
+static bool is_stop_requested(void)
 {
     sigset_t pending;
     (void)sigpending(&pending);
-    return (told_to_end != 0) || (sigismember(&pending, SIGTERM) == 1) || (sigismember(&pending, SIGINT) == 1);
+    return (stop_requested != 0) || (sigismember(&pending, SIGTERM) == 1) || (sigismember(&pending, SIGINT) == 1);
 }
 
 /* Waits for a frame, a signal or the time. */
@@ -87,7 +87,7 @@ static void wait_until(double deadline_s, const sigset_t *mask)
 }
 
 /* From what is stored; otherwise, unless files were tried and *arm is spoiled, from what memory still has; otherwise
-   from nothing. Returns 1, or -1 after saying why not. */
+   from nothing. Returns 1, or -1 after logging the reason. */
 static int begin(bool initialised)
 {
     const int loaded = node_store_load(&store, &config, &arm, &telemetry.work);
@@ -98,7 +98,7 @@ static int begin(bool initialised)
     const int verdict = zygos_init(&arm, &config);
     return (verdict == 1)
                ? 1
-               : node_say("%s: the library refuses the configuration with code %d; remedy: compile the model again",
+               : node_log("%s: the library refuses the configuration with code %d; remedy: compile the model again",
                           options.config, verdict);
 }
 
@@ -108,13 +108,13 @@ static bool configuration_changed(void)
 }
 
 /* Memory was changed from outside. Which of the two configurations it was in, the file tells. Returns 1, or -1 after
-   saying why the estimate cannot start. */
+   logging why the estimate cannot start. */
 static int start_over(void)
 {
     static zygos_config_t again;
     const bool configured = !configuration_changed();
     bus.losses.corrupt++;
-    node_say("memory was changed: %s; the estimate starts over; remedy: none if it is rare, otherwise test the memory",
+    node_log("memory was changed: %s; the estimate starts over; remedy: none if it is rare, otherwise test the memory",
              configured ? "sums or counts are corrupt" : "the configuration is not what was compiled");
     if (!configured && (node_store_config(options.config, &again) == 1)) {
         config = again;
@@ -122,12 +122,12 @@ static int start_over(void)
     if (begin(true) < 1) {
         return -1;
     }
-    node_say("%s cycle %llu", (arm.accumulator.accepted > 0u) ? "goes on behind" : "starts at",
+    node_log("%s cycle %llu", (arm.accumulator.accepted > 0u) ? "goes on behind" : "starts at",
              (unsigned long long)arm.cycle);
     return 1;
 }
 
-/* Nothing corrupt is sealed. If it fails it has said so. Returns 1, or -1. */
+/* A corrupt state is not saved. A failure has been logged. Returns 1, or -1. */
 static int save(void)
 {
     if (store.path == NULL) {
@@ -142,8 +142,8 @@ static int save(void)
     return saved;
 }
 
-/* Reads one batch and works it off. *frames and *syncs count. Returns enum node_reading. */
-static int work(uint64_t *frames, uint64_t *syncs)
+/* Reads one batch and processes it. *frames and *syncs count. Returns enum node_reading. */
+static int process_batch(uint64_t *frames, uint64_t *syncs)
 {
     zygos_frame_t frame[NODE_BATCH];
     uint32_t count = 0;
@@ -156,7 +156,7 @@ static int work(uint64_t *frames, uint64_t *syncs)
         const int verdict = zygos_frame(&arm, &frame[i]);
         while (zygos_step(&arm) == 1) {
         }
-        if ((verdict < 0) && (start_over() < 1)) { /* the mark of a struct that was initialised is gone */
+        if ((verdict < 0) && (start_over() < 1)) { /* the magic number of a struct that was initialised is gone */
             return NODE_FAILED;
         }
         if ((verdict == ZYGOS_ACCEPTED) && (frame[i].flags == 0u) && (frame[i].id == ZYGOS_ID_SYNC)) {
@@ -177,7 +177,7 @@ static int work(uint64_t *frames, uint64_t *syncs)
     return reading;
 }
 
-static void say_state(enum node_heartbeat state)
+static void send_heartbeat(enum node_heartbeat state)
 {
     zygos_frame_t frame;
     node_telemetry_heartbeat(state, &frame);
@@ -195,16 +195,16 @@ static int run(const sigset_t *mask)
     double heartbeat_s = now_s() + HEARTBEAT_S;
     double last_frame_s = now_s();
     int reading = NODE_EMPTY;
-    say_state(NODE_BOOT);
-    while (!is_told_to_end() && (reading >= NODE_EMPTY)) {
+    send_heartbeat(NODE_BOOT);
+    while (!is_stop_requested() && (reading >= NODE_EMPTY)) {
         const double idle_end_s = (idle_s > 0.0) ? last_frame_s + idle_s : heartbeat_s;
         wait_until((idle_end_s < heartbeat_s) ? idle_end_s : heartbeat_s, mask);
-        reading = work(&frames, &syncs);
+        reading = process_batch(&frames, &syncs);
         const double now = now_s();
         last_frame_s = (frames != frames_before) ? now : last_frame_s;
         frames_before = frames;
         if (now >= heartbeat_s) {
-            say_state((syncs != syncs_before) ? NODE_OPERATIONAL : NODE_WAITING);
+            send_heartbeat((syncs != syncs_before) ? NODE_OPERATIONAL : NODE_WAITING);
             node_bus_again(&bus, &config);
             syncs_before = syncs;
             heartbeat_s = now + HEARTBEAT_S;
@@ -215,12 +215,12 @@ static int run(const sigset_t *mask)
     }
     const double latest_s = now_s() + PATIENCE_S;
     while ((reading >= NODE_EMPTY) && (now_s() < latest_s)) {
-        reading = work(&frames, &syncs);
+        reading = process_batch(&frames, &syncs);
         if (reading == NODE_EMPTY) {
             break;
         }
     }
-    say_state(NODE_STOPPED);
+    send_heartbeat(NODE_STOPPED);
     return reading;
 }
 
@@ -230,7 +230,7 @@ int main(int argc, char **argv)
     if (understood < 1) {
         return (understood == 0) ? 0 : REFUSED;
     }
-    outlive();
+    ignore_signals();
     if ((node_store_config(options.config, &config) < 1) ||
         (node_store_open(&store, options.state, options.config) < 1) || (node_bus_open(&bus, &options, &config) < 1) ||
         (begin(false) < 1)) {
@@ -238,11 +238,11 @@ int main(int argc, char **argv)
     }
     node_telemetry_init(&telemetry, options.every);
     const sigset_t mask = catch_signals();
-    node_say("listening on %s, %u joints, %u parameters, %s cycle %llu", options.interface ? options.interface : "--fd",
-             config.joints, arm.layout.count, (arm.cycles > 0u) ? "goes on behind" : "starts at",
+    node_log("listening on %s, %u joints, %u parameters, %s cycle %llu", options.interface ? options.interface : "--fd",
+             config.joints, arm.column_map.count, (arm.cycles > 0u) ? "goes on behind" : "starts at",
              (unsigned long long)arm.cycle);
     const int reading = run(&mask);
-    store.failure = 0; /* a failure of the last save is said, whatever was said before */
+    store.failure = 0; /* a failure of the last save is logged in any case */
     const int saved = save();
     uint64_t counter[NODE_COUNTERS];
     node_counters(&arm, &bus.losses, counter);

@@ -8,7 +8,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 
-#include "say.h"
+#include "log.h"
 
 static const char help[] =
     "usage: zygos-node --config arm.zyg (-i CAN | --fd N) [--state FILE [--save-every SYNCS]]\n"
@@ -28,14 +28,14 @@ static const char help[] =
     "\n"
     "Exit codes: 0 ended as told; 2 an option or the configuration was refused, or the state could not be saved.\n";
 
-/* The value of an option, within limits. Returns false after saying why not. */
+/* The value of an option, within limits. Returns false after logging the reason. */
 static bool number(const char *option, const char *text, double low, double high, double *out)
 {
     char *end = NULL;
     errno = 0;
     *out = strtod(text, &end);
     if ((end == text) || (*end != '\0') || (errno != 0) || !((*out >= low) && (*out <= high))) {
-        node_say("--%s %s: no number from %g to %g; remedy: see --help", option, text, low, high);
+        node_log("--%s %s: no number from %g to %g; remedy: see --help", option, text, low, high);
         return false;
     }
     return true;
@@ -47,7 +47,7 @@ static bool whole(const char *option, const char *text, double low, double high,
         return false;
     }
     if (floor(*out) < *out) {
-        node_say("--%s %s: no whole number; remedy: see --help", option, text);
+        node_log("--%s %s: no whole number; remedy: see --help", option, text);
         return false;
     }
     return true;
@@ -106,21 +106,21 @@ int node_options_read(int argc, char **argv, node_options_t *out)
         case 'h':
             fputs(help, stdout);
             return 0;
-        default: /* getopt has said what is wrong */
-            return node_say("remedy: see --help");
+        default: /* getopt has printed what is wrong */
+            return node_log("remedy: see --help");
         }
     }
     if (optind < argc) {
-        return node_say("%s: not an option; remedy: see --help", argv[optind]);
+        return node_log("%s: not an option; remedy: see --help", argv[optind]);
     }
     if (out->config == NULL) {
-        return node_say("no configuration; remedy: --config arm.zyg, written by `zygos compile-model`");
+        return node_log("no configuration; remedy: --config arm.zyg, written by `zygos compile-model`");
     }
     if ((out->save_every > 0u) && (out->state == NULL)) {
-        return node_say("--save-every without a file to save into; remedy: --state FILE");
+        return node_log("--save-every without a file to save into; remedy: --state FILE");
     }
     if ((out->interface == NULL) == (out->fd < 0)) {
-        return node_say("either an interface or a descriptor is needed; remedy: -i can0, or --fd N");
+        return node_log("either an interface or a descriptor is needed; remedy: -i can0, or --fd N");
     }
     return 1;
 }

@@ -1,4 +1,4 @@
-/// What the command line of zygos-node says.
+/// The command line of zygos-node.
 
 #ifndef ZYGOS_NODE_OPTIONS_H
 #define ZYGOS_NODE_OPTIONS_H
@@ -16,7 +16,7 @@ typedef struct {
 } node_options_t;
 
 /// Reads the command line. Returns 1; 0 when help was asked for and printed; -1 when it was refused and the reason
-/// said.
+/// logged.
 int node_options_read(int argc, char **argv, node_options_t *out);
 
 #endif

@@ -11,8 +11,9 @@
 #include <sys/uio.h>
 #include <unistd.h>
 
-#include "say.h"
+#include "log.h"
 #include "zygos/snapshot.h"
+#include "zygos/text.h"
 
 #define AS_PREVIOUS ".previous"
 #define AS_PARTIAL ".partial"
@@ -22,37 +23,42 @@
 /* Below it, codes hold the errno of a file that could not be read. */
 #define NOT_READ (-1000)
 
-/* Why a file is not used. config: what to do about a configuration; state: about a state, before the file's name. */
+/* What to do about a file that is not used. config: about a configuration; state: about a state, before the file's
+   name. */
 typedef struct {
     int code;
-    const char *reason;
     const char *config;
     const char *state;
-} refusal_t;
+} remedy_t;
 
-static const refusal_t refusals[] = {
-    { ZYGOS_E_SNAPSHOT, "is no snapshot of zygos", "check the path", "see what wrote" },
-    { ZYGOS_E_FORMAT, "is a snapshot of a format that this node does not read", "use the version that wrote it",
-      "use the version that wrote" },
-    { ZYGOS_E_KIND, "is a snapshot of the other kind", "--config is what `zygos compile-model` wrote, --state is not",
+static const remedy_t remedies[] = {
+    { ZYGOS_E_SNAPSHOT, "check the path", "see what wrote" },
+    { ZYGOS_E_FORMAT, "use the version that wrote it", "use the version that wrote" },
+    { ZYGOS_E_KIND, "--config is what `zygos compile-model` wrote, --state is not",
       "give --state a file of its own, and rename" },
-    { ZYGOS_E_BYTE_ORDER, "was written by a machine of the other byte order", "write it for this one", "delete" },
-    { ZYGOS_E_LAYOUT, "was written by a build with other capacities, structs or version",
-      "compile the model again with the same version", "use the build that wrote it, or delete" },
-    { ZYGOS_E_LENGTH, "is cut off, or has more bytes than its head says", "copy it again",
-      "restore it from a copy, or delete" },
-    { ZYGOS_E_CRC, "is damaged: its CRC does not fit its bytes", "copy it again", "restore it from a copy, or delete" },
-    { ZYGOS_E_CONFIG, "is the state of another configuration", "", "give --config the arm that it is of, or delete" },
-    { ZYGOS_E_STATE, "was damaged before it was sealed: it holds a count that cannot be", "", "delete" },
-    { ZYGOS_E_SUMS, "was damaged before it was sealed: its sums are corrupt", "", "delete" },
+    { ZYGOS_E_BYTE_ORDER, "write it for this one", "delete" },
+    { ZYGOS_E_LAYOUT, "compile the model again with the same version", "use the build that wrote it, or delete" },
+    { ZYGOS_E_LENGTH, "copy it again", "restore it from a copy, or delete" },
+    { ZYGOS_E_CRC, "copy it again", "restore it from a copy, or delete" },
+    { ZYGOS_E_CONFIG, "", "give --config the arm that it is of, or delete" },
+    { ZYGOS_E_STATE, "", "delete" },
+    { ZYGOS_E_SUMS, "", "delete" },
 };
 
-static const refusal_t *refusal_of(int code)
+/* What is wrong with a file, behind its name. */
+static const char *reason_of(int code)
 {
-    static const refusal_t other = { 0, "is refused by the library", "compile the model again", "delete" };
-    for (uint32_t i = 0; i < sizeof refusals / sizeof refusals[0]; i++) {
-        if (refusals[i].code == code) {
-            return &refusals[i];
+    return (code == ZYGOS_E_FORMAT)    ? "is a snapshot of a format that this node does not read"
+           : (code > ZYGOS_E_SNAPSHOT) ? "is refused by the library"
+                                       : zygos_text(code);
+}
+
+static const remedy_t *remedy_of(int code)
+{
+    static const remedy_t other = { 0, "compile the model again", "delete" };
+    for (uint32_t i = 0; i < sizeof remedies / sizeof remedies[0]; i++) {
+        if (remedies[i].code == code) {
+            return &remedies[i];
         }
     }
     return &other;
@@ -108,13 +114,13 @@ int node_store_config(const char *path, zygos_config_t *config)
         return 1;
     }
     if (verdict == 0) {
-        return node_say("%s: no such file; remedy: write it with `zygos compile-model`", path);
+        return node_log("%s: no such file; remedy: write it with `zygos compile-model`", path);
     }
     if (verdict <= NOT_READ) {
-        return node_say("%s: cannot be read (%s); remedy: check the path and its permissions", path,
+        return node_log("%s: cannot be read (%s); remedy: check the path and its permissions", path,
                         strerror(NOT_READ - verdict));
     }
-    return node_say("%s: %s; remedy: %s", path, refusal_of(verdict)->reason, refusal_of(verdict)->config);
+    return node_log("%s: %s; remedy: %s", path, reason_of(verdict), remedy_of(verdict)->config);
 }
 
 /* The folder of a path, in a buffer of the caller's. */
@@ -132,18 +138,18 @@ int node_store_open(node_store_t *self, const char *path, const char *config)
     }
     char buffer[PATH_MAX];
     if (strlen(path) + LONGEST_SUFFIX > PATH_MAX) {
-        return node_say("%s: could not be saved (%s); remedy: a shorter name for --state", path,
+        return node_log("%s: could not be saved (%s); remedy: a shorter name for --state", path,
                         strerror(ENAMETOOLONG));
     }
     struct stat entry;
     const char *folder = folder_of(path, buffer, sizeof buffer);
     const bool reached = (stat(folder, &entry) == 0);
     if (!reached || !S_ISDIR(entry.st_mode)) {
-        return node_say("%s: could not be saved (%s); remedy: name a file in a folder that is there", path,
+        return node_log("%s: could not be saved (%s); remedy: name a file in a folder that is there", path,
                         strerror(reached ? ENOTDIR : errno));
     }
     if (access(folder, W_OK | X_OK) != 0) {
-        node_say("%s: cannot be saved (%s); remedy: open the folder %s to this user; until then states are lost", path,
+        node_log("%s: cannot be saved (%s); remedy: open the folder %s to this user; until then states are lost", path,
                  strerror(errno), folder);
     }
     struct stat other;
@@ -151,10 +157,10 @@ int node_store_open(node_store_t *self, const char *path, const char *config)
         return 1;
     }
     if ((stat(config, &other) == 0) && (entry.st_dev == other.st_dev) && (entry.st_ino == other.st_ino)) {
-        return node_say("%s: %s; remedy: %s", path, refusal_of(ZYGOS_E_KIND)->reason, refusal_of(ZYGOS_E_KIND)->config);
+        return node_log("%s: %s; remedy: %s", path, reason_of(ZYGOS_E_KIND), remedy_of(ZYGOS_E_KIND)->config);
     }
     if (!S_ISREG(entry.st_mode)) {
-        return node_say("%s: cannot be read (%s); remedy: name a file with --state", path,
+        return node_log("%s: cannot be read (%s); remedy: name a file with --state", path,
                         S_ISDIR(entry.st_mode) ? strerror(EISDIR) : "Not a regular file");
     }
     return 1;
@@ -176,18 +182,17 @@ static int take_up(const char *path, const zygos_config_t *config, zygos_t *arm,
 }
 
 /* path: the file that is not used. aside: what it is called from here on, or null where it stays. */
-static void say_why(const char *path, int verdict, const char *aside)
+static void log_refusal(const char *path, int verdict, const char *aside)
 {
     const char *what = (aside != NULL) ? "kept as " : "a later save replaces it";
     const char *where = (aside != NULL) ? aside : "";
     const char *kept = (aside != NULL) ? aside : path;
     if (verdict <= NOT_READ) {
-        node_say("%s: cannot be read (%s); %s%s; remedy: check the disk and the permissions of %s", path,
+        node_log("%s: cannot be read (%s); %s%s; remedy: check the disk and the permissions of %s", path,
                  strerror(NOT_READ - verdict), what, where, kept);
         return;
     }
-    const refusal_t *refusal = refusal_of(verdict);
-    node_say("%s: %s; %s%s; remedy: %s %s", path, refusal->reason, what, where, refusal->state, kept);
+    node_log("%s: %s; %s%s; remedy: %s %s", path, reason_of(verdict), what, where, remedy_of(verdict)->state, kept);
 }
 
 /* Gives a FILE that cannot be used another name, so that nothing is lost. The first one stays: it may be the long work
@@ -199,7 +204,7 @@ static void put_aside(node_store_t *self, int verdict)
     (void)name_of(self, AS_UNUSABLE, aside);
     const bool vacant = (lstat(aside, &entry) != 0) && (errno == ENOENT);
     self->good = vacant && (rename(self->path, aside) == 0);
-    say_why(self->path, verdict, self->good ? aside : NULL);
+    log_refusal(self->path, verdict, self->good ? aside : NULL);
 }
 
 int node_store_load(node_store_t *self, const zygos_config_t *config, zygos_t *arm, zygos_work_t *work)
@@ -218,17 +223,17 @@ int node_store_load(node_store_t *self, const zygos_config_t *config, zygos_t *a
     char previous[PATH_MAX];
     const int older = take_up(name_of(self, AS_PREVIOUS, previous), config, arm, work);
     if (older == 1) {
-        node_say("%s: %s; goes on from %s, the state before it", self->path, (newest < 0) ? "not used" : "is not there",
+        node_log("%s: %s; goes on from %s, the state before it", self->path, (newest < 0) ? "not used" : "is not there",
                  previous);
         return 1;
     }
     if (older < 0) {
-        say_why(previous, older, NULL);
+        log_refusal(previous, older, NULL);
     }
     if ((newest == 0) && (older == 0)) {
         return 0;
     }
-    return node_say(
+    return node_log(
         "%s: no state can be used, starts from nothing; remedy: to go on from a copy, end this node, put the "
         "copy there, and start again",
         self->path);
@@ -294,7 +299,7 @@ static bool replace(node_store_t *self, const char *partial)
     (void)name_of(self, AS_PREVIOUS, previous);
     const bool kept = !self->good || keep(self->path, previous);
     if (!kept && !self->alone) {
-        node_say("%s: cannot be kept as %s (%s); remedy: remove what stands there", self->path, previous,
+        node_log("%s: cannot be kept as %s (%s); remedy: remove what stands there", self->path, previous,
                  strerror(errno));
     }
     self->alone = !kept;
@@ -317,13 +322,13 @@ int node_store_save(node_store_t *self, const zygos_t *arm)
         (void)unlink(partial);
         self->failed++;
         if (self->failure != why) {
-            node_say("%s: cannot be saved (%s); remedy: check the folder and its space", self->path, strerror(why));
+            node_log("%s: cannot be saved (%s); remedy: check the folder and its space", self->path, strerror(why));
         }
         self->failure = why;
         return -1;
     }
     if (self->failed > 0u) {
-        node_say("%s: saved again, after %u times that it could not be", self->path, self->failed);
+        node_log("%s: saved again, after %u times that it could not be", self->path, self->failed);
     }
     self->failed = 0;
     self->failure = 0;

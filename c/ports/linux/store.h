@@ -16,24 +16,25 @@ typedef struct {
     const char *path; ///< FILE, or null where no state is kept.
     bool alone;       ///< The generation before could not be kept.
     bool good;        ///< FILE, if it is there, can be used.
-    int failure;      ///< errno of the last save, 0 when it succeeded: what stays the same is said once.
+    int failure;      ///< errno of the last save, 0 when it succeeded: the same failure is logged once.
     uint32_t failed;  ///< Saves that failed since the last that did not.
 } node_store_t;
 
-/// Reads and checks a configuration. Returns 1, or -1 after saying why not.
+/// Reads and checks a configuration. Returns 1, or -1 after logging the reason.
 int node_store_config(const char *path, zygos_config_t *config);
 
-/// Chooses the file of the state, or none (null). Returns 1, or -1 after saying why there can be no such file: its name
-/// is too long, its folder is not there, or it is a folder, a device, or the configuration. A folder that is not open
-/// for writing is complained of and accepted.
+/// Chooses the file of the state, or none (null). Returns 1, or -1 after logging why there can be no such file: its
+/// name is too long, its folder is not there, or it is a folder, a device, or the configuration. A folder that is not
+/// open for writing is complained of and accepted.
 int node_store_open(node_store_t *self, const char *path, const char *config);
 
-/// Goes on from the newest generation that is whole, says what is wrong with the others, and puts FILE aside when it
+/// Goes on from the newest generation that is whole, logs what is wrong with the others, and puts FILE aside when it
 /// cannot be used. Returns 1; 0 when there are no files, or no path, and *arm is as it was; -1 when none of them can be
 /// used: *arm must be initialised. Changes *work, which is scratch.
 int node_store_load(node_store_t *self, const zygos_config_t *config, zygos_t *arm, zygos_work_t *work);
 
-/// Saves a state that zygos_check() found whole. Does nothing without a path. Returns 1, or -1 after saying why not.
+/// Saves a state that zygos_check() found whole. Does nothing without a path. Returns 1, or -1 after logging the
+/// reason.
 int node_store_save(node_store_t *self, const zygos_t *arm);
 
 #endif

@@ -4,10 +4,9 @@
 #include <string.h>
 
 #define HEARTBEAT 0x700u
-#define FAULTS (sizeof(zygos_faults_t) / sizeof(uint32_t))
 #define MODULUS 0x1000000u
 
-_Static_assert(FAULTS + 15u == NODE_COUNTERS, "a counter without a name");
+_Static_assert(ZYGOS_FAULT_COUNTERS + 15u == NODE_COUNTERS, "a counter without a name");
 
 const char *const node_counter_name[NODE_COUNTERS] = {
     "fault_length",         "fault_crc",           "fault_range",        "fault_late",         "fault_counter",
@@ -22,12 +21,12 @@ const char *const node_counter_name[NODE_COUNTERS] = {
 
 void node_counters(const zygos_t *arm, const node_losses_t *losses, uint64_t *out)
 {
-    uint32_t fault[FAULTS];
+    uint32_t fault[ZYGOS_FAULT_COUNTERS];
     memcpy(fault, &arm->receiver.faults, sizeof fault);
-    for (uint32_t i = 0; i < FAULTS; i++) {
+    for (uint32_t i = 0; i < ZYGOS_FAULT_COUNTERS; i++) {
         out[i] = fault[i];
     }
-    const uint64_t other[NODE_COUNTERS - FAULTS] = {
+    const uint64_t other[NODE_COUNTERS - ZYGOS_FAULT_COUNTERS] = {
         arm->cycles,
         arm->gaps,
         arm->invalid,
@@ -44,7 +43,7 @@ void node_counters(const zygos_t *arm, const node_losses_t *losses, uint64_t *ou
         losses->unsaved,
         arm->apart,
     };
-    memcpy(&out[FAULTS], other, sizeof other);
+    memcpy(&out[ZYGOS_FAULT_COUNTERS], other, sizeof other);
 }
 
 void node_telemetry_init(node_telemetry_t *self, uint32_t every)
@@ -81,7 +80,7 @@ static void solve(node_telemetry_t *self, zygos_t *arm, const node_losses_t *los
                                             out->cluster,
                                             out->residual,
                                             out->noise_ratio,
-                                            out->gate,
+                                            out->signal_to_noise,
                                             (double)out->left_out[ZYGOS_ENERGY_ROWS] };
     for (uint32_t i = 0; i < NODE_VERDICTS; i++) {
         put(self, NODE_VERDICT, i, verdict[i]);
@@ -91,7 +90,7 @@ static void solve(node_telemetry_t *self, zygos_t *arm, const node_losses_t *los
     for (uint32_t i = 0; i < NODE_COUNTERS; i++) {
         put(self, NODE_COUNTER, i, (double)(counter[i] % MODULUS));
     }
-    for (uint32_t i = 0; i < arm->layout.count; i++) {
+    for (uint32_t i = 0; i < arm->column_map.count; i++) {
         put(self, NODE_ESTIMATE, i, out->value[i]);
         put(self, NODE_SIGMA, i, out->sigma[i]);
         put(self, NODE_HALF95, i, out->half95[i]);

@@ -1,5 +1,5 @@
-/// What a flight computer says on the bus: the estimate, its intervals, every counter, and a heartbeat. zygos.dbc has
-/// it all. The same for every port.
+/// The messages of a flight computer on the bus: the estimate, its intervals, every counter, and a heartbeat. zygos.dbc
+/// defines them. They are the same for every port.
 
 #ifndef ZYGOS_NODE_TELEMETRY_H
 #define ZYGOS_NODE_TELEMETRY_H

@@ -1,6 +1,6 @@
-"""How accurate every estimator is, how honest its intervals are, and when it refuses: `make accuracy`.
+"""Accuracy of every estimator, coverage of its intervals, and cases in which it refuses: `make accuracy`.
 
-A case is a plant, its sensors and what the estimator is told of them. A cell simulates some seeds of a case, hands
-their CAN frames to every estimator and writes the answers down as one line of a file. Truth meets the answers in
-`summary`, which reads those lines.
+A case is a plant with its sensors and the information that the estimators get. A cell simulates some seeds of a case,
+gives their CAN frames to every estimator and writes the answers to a file, one line per cell. Only `summary`, which
+reads those lines, compares the answers with the true values.
 """

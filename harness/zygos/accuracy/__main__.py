@@ -1,4 +1,4 @@
-"""`python -m zygos.accuracy`, behind `make accuracy`."""
+"""`python -m zygos.accuracy`, used by `make accuracy`."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ def accuracy(
     scheduler: Annotated[
         str | None, typer.Option(metavar="tcp://HOST:PORT", help="A Dask cluster instead of processes here.")
     ] = None,
-    workers: Annotated[int | None, typer.Option(min=1, help="Processes here; default: one a core.")] = None,
-    lines: Annotated[Path, typer.Option(metavar="FILE", help="Where each finished cell is kept.")] = CELLS,
-    json: Annotated[Path, typer.Option(metavar="FILE", help="The numbers.")] = Path("out/accuracy.json"),
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes here; default: one per core.")] = None,
+    lines: Annotated[Path, typer.Option(metavar="FILE", help="File in which finished cells are stored.")] = CELLS,
+    json: Annotated[Path, typer.Option(metavar="FILE", help="File of the results.")] = Path("out/accuracy.json"),
     page: Annotated[
         Path | None, typer.Option(metavar="FILE", help="The page; default: docs/accuracy.html, if all cases run.")
     ] = None,
 ) -> None:
-    """Measure errors, coverage and refusals of all estimators. What an earlier start has finished is not done again.
+    """Measure errors, coverage and refusals of all estimators. Finished cells of an earlier start are used again.
 
     Example: python -m zygos.accuracy paper-60 --seeds 10
     """
@@ -82,7 +82,7 @@ def _span(shares: list[float]) -> str:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run with the arguments of the command line, or these."""
+    """Run with the arguments of the command line, or with the given ones."""
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
     app.command()(accuracy)
     with errors_end_the_program():

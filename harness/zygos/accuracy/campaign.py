@@ -1,4 +1,4 @@
-"""Runs the cells of a campaign on one machine or on a cluster, and keeps a line of every one that is finished."""
+"""Runs the cells of a campaign on one machine or on a cluster; every finished cell is stored as a line of a file."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ _CONNECT_S = 10
 
 
 class Job(Protocol):
-    """Work for one process, and the name of what it computes."""
+    """A job for one process, with a key for its result."""
 
     @property
     def code(self) -> str:
-        """Fingerprint of the code that does it."""
+        """Fingerprint of the code that computes the result."""
 
     @property
     def key(self) -> str:
-        """Differs with whatever the result can differ with."""
+        """Key that differs if the result can differ."""
 
     def run(self) -> Line:
-        """Do it."""
+        """Compute the result."""
 
 
 @contextmanager
@@ -61,9 +61,9 @@ def executor(scheduler: str | None, workers: int | None) -> Iterator[Executor]:
 
 
 def run(jobs: Sequence[Job], file: Path, open_executor: Callable[[], Any]) -> list[Line]:
-    """The lines of all jobs, in their order; those that `file` has from before are not computed again.
+    """The lines of all jobs, in their order; jobs whose lines `file` already contains are not computed again.
 
-    Each finished job adds a line to the file at once. Lines of other code are taken out of it.
+    Each finished job adds a line to the file at once. Lines of other versions of the code are removed from it.
     """
     done = _known(file, jobs[0].code)
     missing = [job for job in jobs if job.key not in done]
@@ -81,8 +81,8 @@ def run(jobs: Sequence[Job], file: Path, open_executor: Callable[[], Any]) -> li
                     bar.advance(task)
             except BrokenExecutor as error:
                 raise ZygosError(
-                    f"a worker ended before its time ({error}); remedy: look for what ended it, and start again: "
-                    f"{len(done)} of {len(jobs)} cells are kept"
+                    f"a worker ended unexpectedly ({error}); remedy: find the cause, and start again: "
+                    f"{len(done)} of {len(jobs)} finished cells are stored"
                 ) from None
             finally:
                 for future in futures:
@@ -95,12 +95,12 @@ def _work(job: Job) -> Line:
 
 
 def _end_on_interrupt() -> None:
-    """A worker ends at once and without a word when the user interrupts."""
+    """Let a worker end at once and silently when the user interrupts."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def _known(file: Path, code: str) -> dict[str, Line]:
-    """Lines of this code by key. A line that was cut short by the end of its writer is none."""
+    """Lines of this version of the code by key. An incomplete line, left by an interruption, is ignored."""
     kept: dict[str, Line] = {}
     texts = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
     for text in texts:

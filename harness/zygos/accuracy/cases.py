@@ -1,4 +1,4 @@
-"""What is simulated, and what the estimator is told of it."""
+"""The cases: what is simulated, and what the estimators know of it."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from zygos.model.model import Model, load_model
 from zygos.simulation.scenario import Motion, Ramp, Scenario, load_scenario
 
 BLOCK = 25
-"""Seeds that one cell simulates together."""
+"""Number of seeds that one cell simulates together."""
 REST_S = 1.0
-"""How long the arm of the case "rest" holds still."""
+"""Time for which the arm of the case "rest" is at rest, s."""
 ZERO_RAD = 1e-3
 LOST = 0.01
 
@@ -27,25 +27,25 @@ class Case:
     """One plant with its sensors and motion, and the arm file that the estimators are given."""
 
     name: str
-    said: str
-    """What it is, for the page."""
+    description: str
+    """Description of the case, for the page."""
     arm: Arm
-    """What the estimators are told."""
+    """The arm file that the estimators get."""
     plant: Arm
-    """What the hardware is."""
+    """The actual hardware."""
     model: Model
-    """What moves."""
+    """The model that is simulated."""
     scenario: Scenario
     benign: bool = True
-    """Whether nothing is wrong that should make an estimator refuse."""
+    """Whether nothing is wrong, so that no estimator should refuse."""
     zeros_rad: float = 0.0
-    """Size of every encoder's unknown zero; its sign is drawn."""
+    """Size of every encoder's unknown zero error, rad; its sign is drawn."""
     lost: float = 0.0
     """Share of the cycles in which the frames of one joint are lost."""
     rest_s: float = 0.0
-    """How long the arm is known to rest at the start."""
+    """Time for which the arm is known to be at rest at the start, s."""
     share: int = 1
-    """Seeds that share one motion, each with sensor errors of its own."""
+    """Number of seeds that share one motion, each with its own sensor errors."""
     engine: EngineName = "zygos"
 
 
@@ -57,16 +57,16 @@ def all_cases(folder: Path = Path("examples")) -> tuple[Case, ...]:
     arm, model = load_arm(paper / "arm.toml"), load_model(paper / "model.toml")
     scenario = load_scenario(paper / "scenario.toml")
 
-    def at(name: str, said: str, duration_s: float = 60.0) -> Case:
-        """The paper's own run, or a piece or a continuation of it."""
-        return Case(name, said, arm, arm, model, replace(scenario, duration_s=duration_s))
+    def at(name: str, description: str, duration_s: float = 60.0) -> Case:
+        """The paper's own run, or a shorter or longer version of it."""
+        return Case(name, description, arm, arm, model, replace(scenario, duration_s=duration_s))
 
     def modern(rate_hz: int) -> Case:
-        # gyro and arcs of the arm that examples/gap has at 200 Hz
+        # gyro and arcs are those of the arm that examples/gap has at 200 Hz
         hardware = replace(load_arm(gap / "arm.toml").at_period(1.0 / rate_hz), smoother=Smoother(25, 6, 12))
         moves = replace(scenario, encoder_noise="quantised")
-        said = f"20-bit encoders on both sides, {rate_hz} Hz, T = 60 s"
-        return Case(f"modern-{rate_hz}", said, hardware, hardware, model, moves, share=BLOCK)
+        description = f"20-bit encoders on both sides, {rate_hz} Hz, T = 60 s"
+        return Case(f"modern-{rate_hz}", description, hardware, hardware, model, moves, share=BLOCK)
 
     usual = at("paper-60", "the paper's run, T = 60 s")
     moving = load_arm(lively / "arm.toml")
@@ -80,7 +80,7 @@ def all_cases(folder: Path = Path("examples")) -> tuple[Case, ...]:
     )
     space = load_arm(spatial / "arm.toml")
     return (
-        # little more than one turn of the slower sine
+        # little more than one period of the slower sine
         replace(at("paper-30", "the paper's run, T = 30 s, too short for most seeds", 30.0), benign=False),
         usual,
         at("paper-120", "the paper's run, T = 120 s", 120.0),
@@ -89,7 +89,7 @@ def all_cases(folder: Path = Path("examples")) -> tuple[Case, ...]:
         replace(
             usual,
             name="gain-50",
-            said="stiff servo, gain 50: torque steps",
+            description="stiff servo, gain 50: torque steps",
             scenario=replace(scenario, controller=replace(scenario.controller, gain=50.0)),
             benign=False,
         ),
@@ -98,35 +98,37 @@ def all_cases(folder: Path = Path("examples")) -> tuple[Case, ...]:
         replace(
             usual,
             name="quantised",
-            said="readings rounded to the quantum instead of Gaussian noise",
+            description="readings rounded to the quantum instead of Gaussian noise",
             scenario=replace(scenario, encoder_noise="quantised"),
         ),
         replace(
             usual,
             name="sigma-half",
-            said="declared σ half of the true one",
+            description="declared σ half of the true one",
             plant=_coarser(arm, 2.0),
             benign=False,
         ),
         replace(
             usual,
             name="sigma-double",
-            said="declared σ twice the true one",
+            description="declared σ twice the true one",
             plant=_coarser(arm, 0.5),
             benign=False,
         ),
-        replace(usual, name="lost", said="1 % of the cycles lack the frames of one joint", lost=LOST),
+        replace(usual, name="lost", description="1 % of the cycles lack the frames of one joint", lost=LOST),
         replace(
             usual,
             name="zeros",
-            said="encoder zeros off by 1 mrad, signs at random; the arm file says that they are uncertain by as much",
+            description="encoder zeros off by 1 mrad, signs at random; "
+            "the arm file says that they are uncertain by as much",
             arm=_uncertain(arm),
             zeros_rad=ZERO_RAD,
         ),
         replace(
             larger,
             name="rest",
-            said=f"the arm of lively from a turning point, T = 60 s, the first {REST_S:g} s of it known to be at rest",
+            description="the arm of lively from a turning point, T = 60 s, "
+            f"the first {REST_S:g} s of it known to be at rest",
             scenario=_from_rest(larger.scenario, [joint.name for joint in moving.joints]),
             rest_s=REST_S,
         ),
@@ -144,11 +146,11 @@ def all_cases(folder: Path = Path("examples")) -> tuple[Case, ...]:
 
 
 def chosen(cases: Sequence[Case], names: Sequence[str]) -> tuple[Case, ...]:
-    """Those of the cases that are named, or all. Errors: ZygosError for a name that no case has."""
+    """The named cases, or all. Errors: ZygosError for a name that no case has."""
     known = {case.name: case for case in cases}
     for name in names:
         if name not in known:
-            raise ZygosError(f"there is no case {name!r}; remedy: one of {', '.join(known)}")
+            raise ZygosError(f"there is no case {name!r}; remedy: use one of {', '.join(known)}")
     return tuple(case for case in cases if not names or case.name in names)
 
 
@@ -166,7 +168,7 @@ def _coarser(arm: Arm, factor: float) -> Arm:
 
 
 def _uncertain(arm: Arm) -> Arm:
-    """The arm with zeros that it does not trust."""
+    """The arm with a standard deviation for the encoders' zeros."""
     joints = tuple(
         replace(joint, motor_encoder=replace(joint.motor_encoder, zero_sigma_rad=ZERO_RAD)) for joint in arm.joints
     )
@@ -174,9 +176,9 @@ def _uncertain(arm: Arm) -> Arm:
 
 
 def _from_rest(scenario: Scenario, names: Sequence[str]) -> Scenario:
-    """The same sines, begun in a turning point after the arm has held still there.
+    """The same sines, started from a turning point at which the arm is at rest first.
 
-    Ramps of half a period each, up and down in turn, are a sine.
+    Ramps of half a period each, alternately up and down, form a sine.
     """
     manoeuvre, start = {}, []
     for name in names:

@@ -1,7 +1,7 @@
-"""A cell: some seeds of one case, simulated, sent as CAN frames and put to every estimator.
+"""A cell: some seeds of one case, simulated, sent as CAN frames and given to every estimator.
 
-A seed numbers the errors of its sensors. Intervals are tried on further draws of those errors over the stored motion;
-draw d of a seed has the number seed + d * 1,000,000, and draw 0 is what the servo saw, too.
+A seed is the number of a set of sensor errors. The coverage of intervals is measured with further draws of those errors
+on the stored motion; draw d of a seed has the number seed + d * 1,000,000. The servo also reads the sensors of draw 0.
 """
 
 from __future__ import annotations
@@ -18,9 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-import zygos
 from zygos.accuracy.cases import BLOCK, Case
-from zygos.accuracy.estimators import ESTIMATORS, Answer, Told
+from zygos.accuracy.estimators import ESTIMATORS, EstimatorResult, Prior
 from zygos.arm import Arm
 from zygos.errors import ZygosError
 from zygos.native.flight import encode
@@ -32,14 +31,14 @@ Floats = NDArray[np.float64]
 STREAM = 1_000_000
 _SYNC = 0x080
 _FACES = ("cli", "demo", "report", "view")
-"""Sub-packages that no answer depends on."""
+"""Sub-packages on which no answer depends."""
 _MAKERS = ("cases.py", "cell.py", "estimators.py", "figure4.py", "mission.py")
 
 
 @cache
 def fingerprint() -> str:
-    """Digest of all code that a cell's answers can depend on."""
-    package = Path(zygos.__file__).parent
+    """Digest of all code on which a cell's answers can depend."""
+    package = Path(__file__).parents[1]
     here = Path(__file__).parent
     digest = hashlib.sha256()
     for path in sorted(package.rglob("*")):
@@ -53,25 +52,25 @@ def fingerprint() -> str:
 
 @dataclass(frozen=True)
 class Cell:
-    """Work for one process."""
+    """Job for one process."""
 
     case: Case
     seeds: tuple[int, ...]
     draws: int
-    """Of each seed's sensor errors."""
+    """Number of draws of sensor errors for each seed."""
     code: str
-    """Fingerprint of whoever ordered it."""
+    """Fingerprint of the code that created the job."""
 
     @property
     def key(self) -> str:
-        """Names what is computed, down to the code that does it."""
+        """Key of the result: it depends on everything that is computed, including the code."""
         return hashlib.sha256(repr(self).encode()).hexdigest()[:16]
 
     def run(self) -> dict[str, Any]:
-        """Simulate, encode, estimate. Errors: ZygosError where the code here is not that of whoever asks."""
+        """Simulate, encode, estimate. Errors: ZygosError if the code here differs from that which created the job."""
         if fingerprint() != self.code:
             raise ZygosError(
-                "a worker runs another zygos; remedy: install the same build on every machine of the cluster"
+                "a worker runs a different version of zygos; remedy: install the same build on every machine"
             )
         case = self.case
         with threadpool_limits(1):
@@ -79,14 +78,14 @@ class Cell:
             motions = _motions(case, self.seeds[:: case.share])
             simulated = time.perf_counter()
             answers = {one.name: _Column() for one in ESTIMATORS if one.fits(case.arm)}
-            told = Told(case.scenario.angular_momentum_nms, case.rest_s)
+            prior = Prior(case.scenario.angular_momentum_nms, case.rest_s)
             for place, seed in enumerate(self.seeds):
                 trajectory, index = motions[place // case.share]
                 for draw in range(self.draws):
                     arm, frames = sensed(case, trajectory, index, seed + draw * STREAM)
                     for estimator in ESTIMATORS:
                         if estimator.name in answers and (draw == 0 or estimator.redrawn):
-                            answers[estimator.name].add(seed, draw, estimator.estimate(arm, frames, told))
+                            answers[estimator.name].add(seed, draw, estimator.estimate(arm, frames, prior))
         return {
             "case": case.name,
             "seeds": list(self.seeds),
@@ -97,7 +96,7 @@ class Cell:
 
 
 def cells(cases: Sequence[Case], seeds: int, draws: int) -> list[Cell]:
-    """The work of a campaign with so many seeds and, of each case, at least so many draws."""
+    """The cells of a campaign with that many seeds and at least that many draws for each case."""
     each = max(1, -(-draws // seeds))
     return [
         Cell(case, tuple(range(first, min(first + BLOCK, seeds))), each, fingerprint())
@@ -107,11 +106,11 @@ def cells(cases: Sequence[Case], seeds: int, draws: int) -> list[Cell]:
 
 
 def _motions(case: Case, seeds: Sequence[int]) -> list[tuple[Trajectory, int]]:
-    """A trajectory for each seed, and its place therein."""
+    """A trajectory for each seed, and the seed's index in it."""
     if case.scenario.encoder_noise == "gaussian":
         together = simulate(case.plant, case.model, case.scenario, seeds=seeds, engine=case.engine, noise=True)
         return [(together, index) for index in range(len(seeds))]
-    # encoders that round err by where their codes begin
+    # the error of an encoder that rounds depends on where its codes begin
     alone = [
         simulate(
             _with_zeros(case.plant, _codes(case, seed)), case.model, case.scenario, seeds=[seed], engine=case.engine
@@ -122,7 +121,8 @@ def _motions(case: Case, seeds: Sequence[int]) -> list[tuple[Trajectory, int]]:
 
 
 def _codes(case: Case, number: int) -> Floats:
-    """(2, N) where the codes of link and motor encoders begin, rad: anywhere within a quantum, and known."""
+    """(2, N) start of the codes of link and motor encoders, rad: drawn within a quantum, and known to the
+    estimators."""
     quanta = [
         [j.link_encoder.quantum_rad for j in case.plant.joints],
         [j.motor_encoder.quantum_rad for j in case.plant.joints],
@@ -132,7 +132,7 @@ def _codes(case: Case, number: int) -> Floats:
 
 
 def _with_zeros(arm: Arm, zeros: Floats) -> Arm:
-    """The arm with zeros (2, N), rad, added to those of link and motor encoders."""
+    """The arm with `zeros` (2, N), rad, added to the zeros of link and motor encoders."""
     joints = tuple(
         replace(
             joint,
@@ -145,23 +145,23 @@ def _with_zeros(arm: Arm, zeros: Floats) -> Arm:
 
 
 def sensed(case: Case, trajectory: Trajectory, index: int, number: int) -> tuple[Arm, NDArray[Any]]:
-    """The arm file and the CAN frames of one motion, read by sensors whose errors have that number."""
-    told, plant = case.arm, case.plant
+    """The arm file and the CAN frames of one motion; `number` selects the sensor errors."""
+    stated, plant = case.arm, case.plant
     cycles = len(trajectory.t)
     if case.scenario.encoder_noise == "quantised":
         codes = _codes(case, number)
-        told, plant = _with_zeros(told, codes), _with_zeros(plant, codes)
+        stated, plant = _with_zeros(stated, codes), _with_zeros(plant, codes)
     if case.zeros_rad:
         signs = np.random.default_rng([number, 2]).choice([-1.0, 1.0], (2, plant.n))
         plant = _with_zeros(plant, case.zeros_rad * signs)
     noise = draw_noise(plant, cycles, [number], case.scenario.encoder_noise)
     alone = _one(trajectory, index)
-    frames = encode(told, record(replace(alone, arm=plant, noise=noise)))
-    return told, _lose(case, frames, number) if case.lost else frames
+    frames = encode(stated, record(replace(alone, arm=plant, noise=noise)))
+    return stated, _lose(case, frames, number) if case.lost else frames
 
 
 def _one(trajectory: Trajectory, index: int) -> Trajectory:
-    """The run of one seed by itself."""
+    """The run of one seed."""
     of_seeds = (
         "attitude",
         "omega0",
@@ -184,7 +184,7 @@ def _one(trajectory: Trajectory, index: int) -> Trajectory:
 
 
 def _lose(case: Case, frames: NDArray[Any], number: int) -> NDArray[Any]:
-    """The frames without those of one joint, any, in some of the cycles."""
+    """The frames without those of one randomly chosen joint in some of the cycles."""
     rng = np.random.default_rng([number, 3])
     cycle = np.cumsum(frames["id"] == _SYNC)
     node = np.array([joint.node for joint in case.arm.joints])[rng.integers(case.arm.n, size=cycle[-1] + 1)]
@@ -200,15 +200,15 @@ class _Column:
     def __init__(self) -> None:
         self.seeds: list[int] = []
         self.draws: list[int] = []
-        self.answers: list[Answer] = []
+        self.answers: list[EstimatorResult] = []
 
-    def add(self, seed: int, draw: int, answer: Answer) -> None:
+    def add(self, seed: int, draw: int, answer: EstimatorResult) -> None:
         self.seeds.append(seed)
         self.draws.append(draw)
         self.answers.append(answer)
 
     def content(self, spatial: bool) -> dict[str, Any]:
-        """As a line holds it; solutions only where something is made of them."""
+        """Content of a line of the file; solutions are included only if they are evaluated later."""
         out: dict[str, Any] = {
             "seed": self.seeds,
             "draw": self.draws,
@@ -227,7 +227,7 @@ class _Column:
 
 
 def _digits(values: Floats | None) -> list[float | None] | None:
-    """More digits than an estimate has."""
+    """Values rounded to more digits than are significant in an estimate."""
     if values is None:
         return None
     return [float(f"{x:.9g}") if np.isfinite(x) else None for x in values.tolist()]

@@ -1,6 +1,6 @@
-"""The estimators that are compared: one table, one entry each.
+"""The estimators that are compared, in a table with one entry each.
 
-Every estimator is given the arm file and the CAN frames of a run, and what else it is told; none sees a true value.
+Every estimator gets the arm file, the CAN frames of a run, and the prior knowledge; none gets a true parameter value.
 """
 
 from __future__ import annotations
@@ -22,32 +22,32 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Told:
-    """What an estimator knows beside arm file and frames."""
+class Prior:
+    """Knowledge of an estimator besides arm file and frames."""
 
     momentum_nms: float | tuple[float, float, float]
     """Angular momentum of the arm, as the scenario sets it."""
     rest_s: float = 0.0
-    """How long the arm rests at the start."""
+    """Time for which the arm is at rest at the start, s."""
 
 
 @dataclass(frozen=True)
-class Answer:
-    """What an estimator says of one run; p parameters."""
+class EstimatorResult:
+    """The answer of an estimator for one run; p parameters."""
 
     validity: str
     reason: str = ""
     value: Floats | None = None
-    """(p,) NaN where nothing is published; None where the whole is refused."""
+    """(p,) values, NaN where a parameter has none; None if the whole estimate is refused."""
     half95: Floats | None = None
-    """(p,) half widths of the 95 % intervals; None of an estimator that gives none."""
+    """(p,) half widths of the 95 % intervals; None for an estimator that gives none."""
     sigma: Floats | None = None
-    """(p,) likewise."""
+    """(p,) standard deviations; None for an estimator that gives none."""
     solution: Floats | None = None
-    """(p,) numbers for all parameters, of which only the whole means something; None where there are none."""
+    """(p,) solution for all parameters, which is meaningful only as a whole; None if there is none."""
 
 
-Estimate = Callable[[Arm, NDArray[Any], Told], Answer]
+EstimateFunction = Callable[[Arm, NDArray[Any], Prior], EstimatorResult]
 
 
 @dataclass(frozen=True)
@@ -55,55 +55,55 @@ class Estimator:
     """An entry of the table."""
 
     name: str
-    said: str
-    estimate: Estimate
+    description: str
+    estimate: EstimateFunction
     ours: bool
-    """Works for every arm and gives intervals; the paper's methods are for the plane and give none."""
+    """Whether it works for every arm and gives intervals; the paper's methods are planar and give none."""
     redrawn: bool = False
-    """Whether it is asked about every draw of sensor noise, so that the coverage of its intervals is known."""
+    """Whether it is applied to every draw of sensor noise, which gives the coverage of its intervals."""
 
     def fits(self, arm: Arm) -> bool:
-        """Whether it can be asked about this arm."""
+        """Whether it can be applied to this arm."""
         return self.ours or (arm.free and not arm.spatial)
 
 
-def flight(arm: Arm, frames: NDArray[Any], _: Told) -> Answer:
-    """The C library over its CAN door."""
+def flight(arm: Arm, frames: NDArray[Any], _: Prior) -> EstimatorResult:
+    """The C library, fed with CAN frames."""
     chain = Flight(arm)
     chain.frames(frames)
     found = chain.estimate()
     if found.validity == "refused":
-        return Answer(found.validity, found.reason)
-    own = len(arm.parameter_names)  # effects follow
-    return Answer(
+        return EstimatorResult(found.validity, found.reason)
+    own = len(arm.parameter_names)  # the effects come after these
+    return EstimatorResult(
         found.validity, found.reason, found.value[:own], found.half95[:own], found.sigma[:own], found.solution[:own]
     )
 
 
-def _with(**settings: Any) -> Estimate:
+def _with(**settings: Any) -> EstimateFunction:
     """The C library with other settings of the arm file."""
-    return lambda arm, frames, told: flight(replace(arm, **settings), frames, told)
+    return lambda arm, frames, prior: flight(replace(arm, **settings), frames, prior)
 
 
-def _batch(method: Callable[[Arm, Record, Told], Floats]) -> Estimate:
-    """A method of the paper on the cycles that the receiver completed, up to the first that is missing."""
+def _batch(method: Callable[[Arm, Record, Prior], Floats]) -> EstimateFunction:
+    """A method of the paper, applied to the cycles that the receiver completed before the first missing one."""
 
-    def estimate(arm: Arm, frames: NDArray[Any], told: Told) -> Answer:
+    def estimate(arm: Arm, frames: NDArray[Any], prior: Prior) -> EstimatorResult:
         trace = Flight(arm).frames(frames, trace=True)
         assert trace is not None
         try:
-            return Answer("valid", value=method(arm, record_of(arm, calibrate(arm, trace.cycles)), told)[0])
+            return EstimatorResult("valid", value=method(arm, record_of(arm, calibrate(arm, trace.cycles)), prior)[0])
         except Undecided:
-            return Answer("refused", "the unbroken record does not determine the parameters")
+            return EstimatorResult("refused", "the unbroken record does not determine the parameters")
         except ZygosError as error:
-            return Answer("refused", str(error))
+            return EstimatorResult("refused", str(error))
 
     return estimate
 
 
-def _amc(arm: Arm, record: Record, told: Told) -> Floats:
-    assert isinstance(told.momentum_nms, float)
-    return amc.estimate(arm, record, momentum_nms=told.momentum_nms)
+def _amc(arm: Arm, record: Record, prior: Prior) -> Floats:
+    assert isinstance(prior.momentum_nms, float)
+    return amc.estimate(arm, record, momentum_nms=prior.momentum_nms)
 
 
 ESTIMATORS: tuple[Estimator, ...] = (
@@ -116,15 +116,15 @@ ESTIMATORS: tuple[Estimator, ...] = (
     ),
     Estimator(
         "flight, plain",
-        "the C library, from CAN frames: energy rows, the noise in them left as it is",
+        "the C library, from CAN frames: energy rows, without noise compensation",
         _with(compensate_every=0, impulse_arc_s=0.0),
         True,
     ),
     Estimator(
         "flight, energy",
-        "the C library, from CAN frames: energy rows, the noise taken off",
+        "the C library, from CAN frames: energy rows, with noise compensation",
         _with(impulse_arc_s=0.0),
         True,
     ),
-    Estimator("flight", "the C library, from CAN frames, as it comes", flight, True, True),
+    Estimator("flight", "the C library, from CAN frames, with default settings", flight, True, True),
 )

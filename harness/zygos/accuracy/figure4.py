@@ -1,9 +1,9 @@
 """Figure 4 of the paper: motions predicted with true and with estimated parameters (docs/paper.md, erratum 10).
 
-All parameters, the paper's own EB estimates among them, move the arm freely under the torques (50). Whether copies of
-one arm part in such a motion is measured with a start that is off by a hair, and with parameters that are off by
-0.1 %. Two more comparisons stand beside it, on a run of the true arm without noise: the motion under the servo, which
-holds the motors to their desired angles; and short arcs under the run's torques that begin in true states.
+Each parameter set, the paper's own EB estimates among them, predicts a free motion under the torques (50). Two further
+predictions show whether such a motion is chaotic: one with a slightly different start, and one with parameters changed
+by 0.1 %. Two more comparisons use a run of the true arm without noise: the motion under the servo, which holds the
+motors at their desired angles, and short arcs under the run's torques that begin in true states.
 """
 
 from __future__ import annotations
@@ -18,12 +18,13 @@ from threadpoolctl import threadpool_limits
 
 from zygos.accuracy.cases import Case
 from zygos.accuracy.cell import sensed
-from zygos.accuracy.estimators import ESTIMATORS, Told
+from zygos.accuracy.estimators import ESTIMATORS, Prior
+from zygos.balances.state import State
 from zygos.dynamics.planar import PlanarDynamics
-from zygos.dynamics.replay import States, replay, substeps
+from zygos.dynamics.replay import replay, substeps
 from zygos.errors import ZygosError
 from zygos.paper import printed
-from zygos.paper.response import HAIR_RAD, apart_percent, instants, respond
+from zygos.paper.response import HAIR_RAD, apart_percent, respond, sync_instants
 from zygos.simulation.plant import Trajectory, simulate
 from zygos.simulation.scenario import Scenario
 
@@ -33,14 +34,14 @@ SCALES = {"+10 %": 1.1, "−10 %": 0.9, "+0.1 %": 1.001}
 HAIR = f"true, {1e3 * HAIR_RAD:g} mrad off"
 ARC_S = 5.0
 EVERY_S = 1.0
-"""Short arcs begin so far apart."""
+"""Time between the starts of short arcs, s."""
 _PAPER = "EB"
 PRINTED = "EB, printed"
 
 
 @dataclass(frozen=True)
 class Figure4:
-    """Work for one process."""
+    """Job for one process."""
 
     case: Case
     seed: int
@@ -48,27 +49,29 @@ class Figure4:
 
     @property
     def key(self) -> str:
-        """As of a cell."""
+        """Key of the job, as for a cell."""
         return hashlib.sha256(repr(self).encode()).hexdigest()[:16]
 
     def run(self) -> dict[str, Any]:
-        """Estimate from one run, then predict with all parameters. What has no motion is named with the reason."""
+        """Estimate from one run, then predict with all parameters. A failed prediction is listed with its reason."""
         with threadpool_limits(1):
             case, arm = self.case, self.case.arm
             noisy = simulate(case.plant, case.model, case.scenario, seeds=[self.seed], noise=True)
-            told_arm, frames = sensed(case, noisy, 0, self.seed)
-            told = Told(case.scenario.angular_momentum_nms, case.rest_s)
+            stated_arm, frames = sensed(case, noisy, 0, self.seed)
+            prior = Prior(case.scenario.angular_momentum_nms, case.rest_s)
             asked = [one for one in ESTIMATORS if one.ours or one.name == _PAPER]
-            answers = {one.name: one.estimate(told_arm, frames, told).value for one in asked}
+            answers = {one.name: one.estimate(stated_arm, frames, prior).value for one in asked}
 
             true = case.model.base_values(arm)
             scaled = {name: scale * true for name, scale in SCALES.items()}
-            told_by = {PRINTED: printed.eb_values(true, arm.parameter_names)} if printed.describes(arm, true) else {}
-            sets: dict[str, Floats | None] = {"true": true, **told_by, **answers, **scaled, HAIR: true}
+            printed_sets = (
+                {PRINTED: printed.eb_values(true, arm.parameter_names)} if printed.describes(arm, true) else {}
+            )
+            sets: dict[str, Floats | None] = {"true": true, **printed_sets, **answers, **scaled, HAIR: true}
             momentum = case.scenario.angular_momentum_nms
             assert not isinstance(momentum, tuple)
             exact = simulate(case.plant, case.model, case.scenario, seeds=[self.seed], noise=False)
-            states = States(exact.omega0, exact.q, exact.theta, exact.qd, exact.thetad).packed()[0]
+            states = State(exact.q, exact.theta, exact.qd, exact.thetad, exact.omega0).packed()[0]
             free, servoed, arcs, missing = {}, {}, {}, {}
             for name, values in sets.items():
                 try:
@@ -87,7 +90,7 @@ class Figure4:
             "seed": self.seed,
             "joints": [joint.name for joint in arm.joints],
             "duration_s": case.scenario.duration_s,
-            "time_s": instants(arm).tolist(),
+            "time_s": sync_instants(arm).tolist(),
             "free": {name: np.round(q, 5).T.tolist() for name, q in free.items()},
             "free_rms_rad": {name: _rms(q - free["true"]) for name, q in free.items()},
             "free_rms_percent": {name: _rms(apart_percent(q, free["true"])) for name, q in free.items()},
@@ -115,7 +118,7 @@ def _servoed(dynamics: PlanarDynamics, scenario: Scenario, exact: Trajectory, st
     desired, desired_rate = scenario.desired([joint.name for joint in arm.joints], exact.t)
     before: list[Floats] = []
 
-    def torque(k: int, states: States) -> Floats:
+    def torque(k: int, states: State) -> Floats:
         angle = states.theta if servo.angle == "motor" else states.q
         rate = (angle - before[-1]) / arm.period_s if before else np.zeros_like(angle)
         before.append(angle)
@@ -124,7 +127,7 @@ def _servoed(dynamics: PlanarDynamics, scenario: Scenario, exact: Trajectory, st
 
     steps = substeps(dynamics, exact.q[0], arm.period_s)
     moved, _ = replay(dynamics, arm.period_s, start, torque, np.zeros((1, arm.n)), len(exact.t), steps)
-    return States.of(moved[0]).q
+    return State.unpacked(moved[0]).q
 
 
 def _free(dynamics: PlanarDynamics, exact: Trajectory, starts: Floats, at: NDArray[np.int64], cycles: int) -> Floats:
@@ -135,11 +138,11 @@ def _free(dynamics: PlanarDynamics, exact: Trajectory, starts: Floats, at: NDArr
     torques = exact.tau[0][at[:, None] + np.arange(cycles)]
     before = np.zeros((len(at), arm.n))
     moved, _ = replay(dynamics, arm.period_s, starts, lambda k, _: torques[:, k], before, cycles, steps)
-    return States.of(moved).q
+    return State.unpacked(moved).q
 
 
 def _apart(dynamics: PlanarDynamics, exact: Trajectory, states: Floats) -> list[float]:
-    """By how much short arcs are off after 1, 2, … cycles: median over the arcs of the joints' rms [rad]."""
+    """Errors of short arcs after 1, 2, … cycles: median over the arcs of the joints' rms [rad]."""
     period = exact.arm.period_s
     cycles = round(ARC_S / period) + 1
     at = np.arange(0, len(exact.t) - cycles + 1, round(EVERY_S / period))

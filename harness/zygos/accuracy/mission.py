@@ -1,8 +1,8 @@
-"""A mission: up to a month of one arm, and what the flight library says in the end.
+"""A mission: up to a month of one arm, and the estimate of the flight library at its end.
 
-A mission repeats a few stored motions that no sensor touched, and draws the errors of all sensors anew each time. Where
-one motion ends and the next begins some cycles are missing. A share of the traffic is lost, and now and then the state
-is sealed into a snapshot and resumed from it.
+A mission repeats a few stored motions without sensor errors, and draws the errors of all sensors anew each time.
+Between two motions some cycles are missing. A share of the traffic is lost, and at regular intervals the state is
+sealed into a snapshot and resumed from it.
 """
 
 from __future__ import annotations
@@ -34,24 +34,25 @@ Line = dict[str, Any]
 
 MOTION_S = 300.0
 MOTIONS, REPEATED = 24, 4
-"""Stored motions, each with encoder errors of its own in the servo, and how many of them one mission repeats."""
+"""Number of stored motions, each with its own encoder errors in the servo, and how many of them one mission repeats."""
 MISSING = 5
-"""Cycles that are missing between two motions."""
+"""Number of cycles that are missing between two motions."""
 LOST = 1e-4
-"""Of the frames, or of the cycles where they come through the other door."""
+"""Share of the lost frames, or of the lost cycles if the library is fed with cycles."""
 RESUMED_S = 86_400.0
-"""How often the state is sealed and resumed, at the most; an hour where a mission is shorter than a day."""
+"""Time between two snapshots, s; one hour in missions shorter than a day."""
 
 
 @dataclass(frozen=True)
 class Length:
-    """How long missions last, how many there are, and through which door they come."""
+    """Duration and number of missions, and the input of the library."""
 
     name: str
     duration_s: float
     draws: int
     door: str
-    """"frames": the CAN frames of a bus; "cycles": cycles in SI, five times as fast."""
+    """Input of the library: "frames" are the CAN frames of a bus; "cycles" are cycles in SI units, five times as
+    fast."""
 
 
 LENGTHS = (
@@ -64,34 +65,34 @@ LENGTHS = (
 
 @dataclass(frozen=True)
 class Mission:
-    """Work for one process."""
+    """Job for one process."""
 
     case: Case
     length: Length
     number: int
     folder: Path
-    """Where motions are stored."""
+    """Folder of the stored motions."""
     code: str
-    """Fingerprint of whoever ordered it."""
+    """Fingerprint of the code that created the job."""
 
     @property
     def key(self) -> str:
-        """Names what is computed, down to the code that does it."""
+        """Key of the result: it depends on everything that is computed, including the code."""
         return hashlib.sha256(repr(replace(self, folder=Path())).encode()).hexdigest()[:16]
 
     def motions(self) -> list[int]:
-        """Which of the stored motions are repeated, in their order: one for each motion's time, four at the most."""
+        """Numbers of the stored motions that are repeated, in order: one per motion's time, four at most."""
         count = min(REPEATED, max(1, round(self.length.duration_s / MOTION_S)))
         order = np.random.default_rng([self.number, 4]).permutation(MOTIONS)
         return [int(k) for k in order[:count]]
 
     def run(self) -> Line:
-        """Simulate or read the motions, feed the library, and write down what it says in the end."""
+        """Simulate or read the motions, feed the library, and return its estimate at the end."""
         with threadpool_limits(1):
             every = stored(self.case, self.folder)
             motions = [every[k] for k in self.motions()]
             begin = time.perf_counter()
-            flight, cycles, resumed = flown(self, motions)
+            flight, cycles, resumed = flown_mission(self, motions)
             found = flight.estimate()
         return {
             "case": self.case.name,
@@ -105,7 +106,7 @@ class Mission:
 
 
 def _answer(found: Estimate, own: int) -> Line:
-    """An estimate as a line holds it, without the effects."""
+    """An estimate as stored in a line of the file, without the effects."""
 
     def digits(values: Floats) -> list[float | None]:
         return [float(f"{x:.9g}") if np.isfinite(x) else None for x in values[:own].tolist()]
@@ -126,7 +127,7 @@ def _answer(found: Estimate, own: int) -> Line:
 
 
 def stored(case: Case, folder: Path) -> list[Cycles]:
-    """The motions of a case as perfect sensors see them, from the folder, or simulated and put there."""
+    """The motions of a case without sensor errors: read from the folder, or simulated and stored there."""
     described = repr((case.plant, case.model, case.scenario, case.engine, MOTIONS, MOTION_S))
     path = folder / f"{case.name}-{hashlib.sha256(described.encode()).hexdigest()[:12]}.npz"
     if not path.exists():
@@ -135,7 +136,7 @@ def stored(case: Case, folder: Path) -> list[Cycles]:
 
 
 def simulated(case: Case, count: int = MOTIONS) -> list[Cycles]:
-    """The motions of seeds 0 .. count-1, which differ by what the encoder errors do to the servo."""
+    """The motions of seeds 0 .. count-1, which differ because the servo reads encoders with different errors."""
     run = simulate(
         case.plant,
         case.model,
@@ -166,14 +167,14 @@ def _read(path: Path) -> list[Cycles]:
     return [Cycles(**{name: column[k] for name, column in held.items()}) for k in range(MOTIONS)]
 
 
-def flown(mission: Mission, motions: Sequence[Cycles]) -> tuple[Flight, int, int]:
-    """The library after a mission, how many cycles were sent, and how often it was resumed from a snapshot."""
+def flown_mission(mission: Mission, motions: Sequence[Cycles]) -> tuple[Flight, int, int]:
+    """The library after a mission, the number of cycles sent, and how often it was resumed from a snapshot."""
     arm, length = mission.case.arm, mission.length
     flight = Flight(arm)
     every = RESUMED_S if length.duration_s > RESUMED_S else 3600.0
     resumed, sent = 0, 0
     with tempfile.TemporaryDirectory() as scratch:
-        for cycles in sensed(mission, motions):
+        for cycles in sensed_motions(mission, motions):
             if cycles.sync[0] * arm.period_s >= (resumed + 1) * every:
                 snapshot.write(Path(scratch) / "state", "state", flight.native)
                 flight = Flight(arm)
@@ -189,8 +190,8 @@ def flown(mission: Mission, motions: Sequence[Cycles]) -> tuple[Flight, int, int
     return flight, sent, resumed
 
 
-def sensed(mission: Mission, motions: Sequence[Cycles]) -> Iterator[Cycles]:
-    """The motions in turn as the sensors see them, until the mission ends."""
+def sensed_motions(mission: Mission, motions: Sequence[Cycles]) -> Iterator[Cycles]:
+    """The motions in turn with sensor errors, until the mission ends."""
     arm = mission.case.arm
     left, sync = round(mission.length.duration_s / arm.period_s), 0
     bias = np.zeros(3)
@@ -214,5 +215,5 @@ def sensed(mission: Mission, motions: Sequence[Cycles]) -> Iterator[Cycles]:
 
 
 def taken(cycles: Cycles, places: NDArray[np.int64]) -> Cycles:
-    """Some of the cycles."""
+    """The cycles at the given places."""
     return Cycles(**{name: column[places] for name, column in vars(cycles).items()})

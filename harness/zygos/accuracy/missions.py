@@ -1,4 +1,5 @@
-"""`python -m zygos.accuracy.missions`, behind `make mission`: how honest intervals stay, from a minute to a month."""
+"""`python -m zygos.accuracy.missions`, used by `make mission`: coverage of intervals in runs from a minute to a
+month."""
 
 from __future__ import annotations
 
@@ -48,7 +49,7 @@ def case_of(name: str, folder: Path = Path("examples")) -> Case:
 
 
 def summarised(case: Case, lines: Sequence[Line]) -> list[Line]:
-    """One entry for each length: truth meets the answers."""
+    """One entry for each length, which compares the estimates with the true values."""
     true = case.model.base_values(case.arm)
     out = []
     for length in LENGTHS:
@@ -90,27 +91,29 @@ def summarised(case: Case, lines: Sequence[Line]) -> list[Line]:
     return out
 
 
-def page(entries: Sequence[Line]) -> str:
+def missions_page(entries: Sequence[Line]) -> str:
     """The numbers as Markdown."""
-    said = [
-        "# How honest intervals stay, from a minute to a month",
+    lines = [
+        "# Coverage of the intervals, from a minute to a month",
         "",
-        f"Written by `make mission`. A mission repeats up to {REPEATED} of {MOTIONS} stored motions of {MOTION_S:g} s, "
-        "which differ by what encoder errors do to the servo, and draws the errors of all sensors anew each time. "
-        f"{MISSING} cycles are missing between two motions, a share of {LOST:g} of the traffic is lost, and the state "
-        "is sealed and resumed once a day, or once an hour in missions that are shorter. Bias and spread are mean and "
-        "standard deviation of the errors over the missions, the half width of the 95 % interval is the median, all in "
-        "percent of the true value.",
+        f"`make mission` writes this page. A mission repeats up to {REPEATED} of {MOTIONS} stored motions of "
+        f"{MOTION_S:g} s. The motions differ because the errors of the encoders act on the servo. "
+        "Every repetition draws new errors of all sensors. "
+        f"Between two motions, {MISSING} cycles are missing, and a share of {LOST:g} of the CAN traffic is lost. "
+        "The state is saved and resumed once per day of the mission, or once per hour in missions of up to a day. "
+        "In the tables, *bias* and *spread* are the mean and the standard deviation of the errors over the missions, "
+        "and *half width* is the median half width of the 95 % interval. All three are in percent of the true value. "
+        "*Coverage* is the share of intervals that contain the true value.",
     ]
     for entry in entries:
         off = entry["coverage95_error"]
-        said += [
+        lines += [
             "",
             f"## {entry['case']}, {entry['length']}",
             "",
             f"{counted(entry['missions'], 'mission')} of {entry['cycles']:,} cycles, sent as {entry['door']}, "
-            f"{entry['valid']} of them valid, resumed {counted(entry['resumed'], 'time')}. "
-            f"The intervals hold the true value in {100 * (entry['coverage95'] or 0.0):.1f} %"
+            f"{entry['valid']} of them valid, each resumed {counted(entry['resumed'], 'time')}. "
+            f"The intervals contain the true value in {100 * (entry['coverage95'] or 0.0):.1f} %"
             + (f" ± {100 * off:.1f} %" if off is not None else "")
             + " of all cases.",
             "",
@@ -119,11 +122,11 @@ def page(entries: Sequence[Line]) -> str:
         ]
         for name, own in entry["parameters"].items():
             share = own["coverage95"]
-            said.append(
+            lines.append(
                 f"| {name} | {number(own['bias_percent'], 3)} | {number(own['spread_percent'], 3)} | "
                 f"{number(own['half95_percent'], 3)} | {number(100 * share if share is not None else None, 3)} |"
             )
-    return "\n".join(said) + "\n"
+    return "\n".join(lines) + "\n"
 
 
 def mission(
@@ -136,23 +139,27 @@ def mission(
     draws: Annotated[
         int | None, typer.Option(min=1, help="Missions of each length; default: 200, 200, 60, 12.")
     ] = None,
-    door: Annotated[str | None, typer.Option(help="frames or cycles; default: frames but for 30d.")] = None,
+    door: Annotated[
+        str | None, typer.Option(help="Input of the library: frames or cycles; default: frames, but cycles for 30d.")
+    ] = None,
     workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
-    folder: Annotated[Path, typer.Option(metavar="FOLDER", help="Stored motions and finished missions.")] = FOLDER,
+    folder: Annotated[
+        Path, typer.Option(metavar="FOLDER", help="Folder of stored motions and finished missions.")
+    ] = FOLDER,
     json: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="The numbers; default: docs/mission.json, if all lengths run.")
+        Path | None, typer.Option(metavar="FILE", help="Results; default: docs/mission.json, if all lengths run.")
     ] = None,
 ) -> None:
-    """Repeat stored motions with fresh sensor errors, for up to a month, and count how often the intervals hold.
+    """Repeat stored motions with new sensor errors, for up to a month, and count how often the intervals hold.
 
     Example: python -m zygos.accuracy.missions 300s --draws 20
     """
     known = {length.name: length for length in LENGTHS}
     for name in lengths or []:
         if name not in known:
-            raise ZygosError(f"there is no length {name!r}; remedy: one of {', '.join(known)}")
+            raise ZygosError(f"there is no length {name!r}; remedy: use one of {', '.join(known)}")
     if door not in (None, "frames", "cycles"):
-        raise ZygosError(f"there is no door {door!r}; remedy: frames or cycles")
+        raise ZygosError(f"{door!r} is not a value of --door; remedy: write frames or cycles")
     chosen_lengths = [
         replace(length, door=door or length.door, draws=draws or length.draws)
         for length in LENGTHS
@@ -171,7 +178,7 @@ def mission(
     found = campaign.run(jobs, folder / "lines.jsonl", lambda: campaign.executor(None, workers))
     entries = [entry for one in cases for entry in summarised(one, found)]
     write_json(target, {"missions": entries})
-    write_text(target.with_suffix(".md"), page(entries))
+    write_text(target.with_suffix(".md"), missions_page(entries))
     table(
         ("case", "length", "missions", "valid", "cycles", "coverage 95 %, %", "worst parameter"),
         [_row(entry) for entry in entries],
@@ -194,7 +201,7 @@ def _row(entry: Line) -> tuple[str, ...]:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run with the arguments of the command line, or these."""
+    """Run with the arguments of the command line, or with the given ones."""
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
     app.command()(mission)
     with errors_end_the_program():

@@ -1,6 +1,6 @@
 """The page of a campaign: errors, coverage and refusals of every estimator, and the paper's Figure 4.
 
-Python selects and scales the numbers; `accuracy.html` says and draws them.
+Python selects and scales the numbers; the template `accuracy.html` contains the text and draws the charts.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from zygos.paper.response import PARTING
 from zygos.report.page import Entry, render, series
 
 BAND = (0.92, 0.97)
-"""Coverage that a 95 % interval should have."""
+"""Accepted range of the coverage of a 95 % interval."""
 REFUSALS = 0.1
-"""Share of the seeds that an estimator may refuse where nothing is wrong."""
+"""Largest share of the seeds that an estimator may refuse in a case without a fault."""
 _COLOURS = {"DE": "joint5", "AMC": "joint3", "EB": "joint1"}
 _OURS = ("joint0", "joint2", "joint6", "joint4")
 _LOW, _HIGH = 1e-6, 1e4
-"""Of the scales of errors, percent."""
+"""Limits of the scales of errors, percent."""
 _TOP, _HEIGHT, _LEFT = 12.0, 190.0, 46.0
 _CROWDED = 16
-"""Parameters from which on their names stand upright."""
+"""Number of parameters from which their names are written vertically."""
 _EVERY = 6
-"""Points of a long motion that are drawn: one of so many."""
+"""Every that many points of a long motion are drawn."""
 
 
 def write_accuracy_report(
@@ -49,7 +49,7 @@ def write_accuracy_report(
         groups.append(
             {
                 "name": case.name,
-                "said": case.said,
+                "said": case.description,
                 "benign": case.benign,
                 "rows": [_row(entry) for entry in entries],
                 "errors": _errors(case, entries),
@@ -71,7 +71,7 @@ def write_accuracy_report(
         "accuracy/page.html",
         _charts(figure) if figure else {"times": {}, "charts": {}, "refused": []},
         groups=groups,
-        estimators=[(one.name, one.said, colour(one.name)) for one in ESTIMATORS],
+        estimators=[(one.name, one.description, colour(one.name)) for one in ESTIMATORS],
         seeds=max(entry["seeds"] for entry in summary),
         draws=draws,
         figure=None if figure is None else _figure(figure),
@@ -83,7 +83,7 @@ def write_accuracy_report(
 
 
 def colour(estimator: str) -> str:
-    """Of an estimator's marks and lines: a custom property of the style."""
+    """Colour of an estimator's marks and lines: a custom property of the style."""
     ours = [one.name for one in ESTIMATORS if one.ours]
     return _COLOURS[estimator] if estimator in _COLOURS else _OURS[ours.index(estimator) % len(_OURS)]
 
@@ -129,13 +129,13 @@ def _panel(case: Case, ticks: Sequence[Entry]) -> Entry:
 def _mark(
     panel: Entry, entry: Mapping[str, Any], index: int, count: int, of: Mapping[str, Mapping[int, float]]
 ) -> None:
-    """Add the marks of one of `count` estimators, side by side in the columns: `of` kind "dots" or "bars", ordinates by
-    parameter."""
+    """Add the marks of one of `count` estimators, side by side in the columns; `of` maps the kind, "dots" or "bars", to
+    ordinates by parameter."""
     aside = panel["step"] * 0.8 * ((index + 0.5) / count - 0.5)
     columns = panel["names"]
 
     def path(kind: str, half: float) -> str:
-        """A stroke of that half width at each place."""
+        """Horizontal strokes of the given half width at each mark."""
         marks = of.get(kind, {}).items()
         return "".join(f"M{columns[k]['x'] + aside - half:.1f} {y:.1f}h{2 * half:g}" for k, y in marks)
 
@@ -150,7 +150,7 @@ def _mark(
 
 
 def _errors(case: Case, entries: Sequence[Mapping[str, Any]]) -> Entry | None:
-    """Size of bias and spread over a scale of powers of ten."""
+    """Bias and spread on a logarithmic scale."""
 
     def sizes(entry: Mapping[str, Any], key: str) -> dict[int, float]:
         own = (parameter[key] for parameter in entry["per_parameter"].values())
@@ -235,7 +235,7 @@ def _charts(figure: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _most(figure: Mapping[str, Any], name: str) -> str:
-    """How far a free motion gets from the true one, rad."""
+    """Largest distance of a free motion from the true one, rad."""
     return number(float(np.max(np.abs(np.array(figure["free"][name]) - np.array(figure["free"]["true"])))), 2)
 
 

@@ -1,8 +1,7 @@
-"""Truth meets the answers: here only, after they are written.
+"""Compares answers with true values; this happens only here, after the answers are written.
 
-Errors are in percent of the true values. Whatever an estimator calls refused or doubtful is not to be relied on: it
-counts as a refusal and enters no error. Errors are those of the seeds' own sensor errors (draw 0); coverage and wild
-values count all draws.
+Errors are in percent of the true values. An answer that an estimator calls refused or doubtful counts as a refusal and
+is in no error. Errors are those of the seeds' own sensor errors (draw 0); coverage and wild values count all draws.
 """
 
 from __future__ import annotations
@@ -19,7 +18,8 @@ from scipy.linalg import eigh
 from zygos.accuracy.cases import Case
 from zygos.accuracy.estimators import ESTIMATORS, Estimator
 from zygos.arm import Arm
-from zygos.balances.kinematics import State, body_columns
+from zygos.balances.kinematics import body_columns
+from zygos.balances.state import State
 from zygos.simulation.score import score
 
 Floats = NDArray[np.float64]
@@ -27,32 +27,32 @@ Line = dict[str, Any]
 
 RELIED_ON = ("valid", "partial")
 WILD_SIGMAS, WILD_PERCENT = 5.0, 2.0
-"""A published value is wild if its error is above both."""
+"""A published value is called wild if its error is above both limits."""
 POSTURES = 200
-"""At which the inertia matrix of an arm in space is compared."""
+"""Number of postures at which the inertia matrix of a spatial arm is compared."""
 
 
 @dataclass(frozen=True)
-class Answers:
+class EstimatorResults:
     """All answers of one estimator in one case; A answers, p parameters."""
 
     first: NDArray[np.bool_]
-    """(A,) whether it is a seed's own draw."""
+    """(A,) whether the answer belongs to draw 0 of a seed."""
     validity: NDArray[np.str_]
     """(A,)"""
     reason: list[str]
     value: Floats
-    """(A, p) NaN where nothing is published, or nothing that is to be relied on."""
+    """(A, p) values; NaN where there is none, or where the answer is refused or doubtful."""
     half95: Floats
-    """(A, p) likewise."""
+    """(A, p) half widths of the 95 % intervals, NaN likewise."""
     sigma: Floats
-    """(A, p) likewise."""
+    """(A, p) standard deviations, NaN likewise."""
     solution: Floats
-    """(A, p) likewise; all NaN where it is not kept."""
+    """(A, p) solutions, NaN likewise; all NaN if they are not stored."""
 
     @classmethod
-    def of(cls, columns: Sequence[Line], parameters: int) -> Answers:
-        """From the columns of a case's lines."""
+    def of(cls, columns: Sequence[Line], parameters: int) -> EstimatorResults:
+        """Answers from the columns of a case's lines."""
 
         def joined(key: str) -> list[Any]:
             return [entry for column in columns for entry in column[key]]
@@ -84,12 +84,12 @@ def summarise(cases: Sequence[Case], lines: Sequence[Line]) -> list[dict[str, An
         true = case.model.base_values(case.arm)
         for estimator in ESTIMATORS:
             if estimator.fits(case.arm):
-                answers = Answers.of([line["answers"][estimator.name] for line in own], len(true))
+                answers = EstimatorResults.of([line["answers"][estimator.name] for line in own], len(true))
                 out.append(_entry(case, estimator, answers, true))
     return out
 
 
-def _entry(case: Case, estimator: Estimator, answers: Answers, true: Floats) -> dict[str, Any]:
+def _entry(case: Case, estimator: Estimator, answers: EstimatorResults, true: Floats) -> dict[str, Any]:
     names = case.arm.parameter_names
     relied = np.isin(answers.validity, RELIED_ON)
     seeds = answers.first
@@ -110,7 +110,7 @@ def _entry(case: Case, estimator: Estimator, answers: Answers, true: Floats) -> 
     rms = [entry["rms_percent"] for entry in per_parameter.values() if entry["rms_percent"] is not None]
     entry = {
         "case": case.name,
-        "said": case.said,
+        "said": case.description,
         "estimator": estimator.name,
         "benign": case.benign,
         "seeds": int(seeds.sum()),
@@ -130,8 +130,8 @@ def _entry(case: Case, estimator: Estimator, answers: Answers, true: Floats) -> 
     return entry
 
 
-def _coverage(names: Sequence[str], answers: Answers, true: Floats) -> dict[str, float | None]:
-    """Share of the published intervals that hold the true value, by parameter."""
+def _coverage(names: Sequence[str], answers: EstimatorResults, true: Floats) -> dict[str, float | None]:
+    """Share of the published intervals that contain the true value, by parameter."""
     published = np.isfinite(answers.value) & np.isfinite(answers.half95)
     with np.errstate(invalid="ignore"):
         holds = published & (np.abs(answers.value - true) <= answers.half95)
@@ -141,7 +141,7 @@ def _coverage(names: Sequence[str], answers: Answers, true: Floats) -> dict[str,
     }
 
 
-def _wild(answers: Answers, true: Floats, error: Floats) -> int:
+def _wild(answers: EstimatorResults, true: Floats, error: Floats) -> int:
     with np.errstate(invalid="ignore"):
         far = np.abs(answers.value - true) > WILD_SIGMAS * answers.sigma
         return int(np.sum(far & (np.abs(error) > WILD_PERCENT)))
@@ -150,7 +150,7 @@ def _wild(answers: Answers, true: Floats, error: Floats) -> int:
 def inertia(arm: Arm, q: Floats, values: Floats) -> Floats:
     """(P, 3+N, 3+N) inertia matrices H of base and joints, rotors locked, at postures q (P, N) [rad], kg m^2.
 
-    The energy of the bodies is 1/2 u' H u, so that three energies make an entry.
+    The energy of the bodies is 1/2 u' H u, so that each entry follows from three energies.
     """
     size = 3 + arm.n
     kinetic = values[: len(arm.body_parameters)]

@@ -21,7 +21,7 @@ def summary(found: Audit) -> str:
         return f"{counted(len(found.findings), 'finding')}, the first: {first.signal} {first.fault}"
     if not found.ok:
         names = ", ".join(signal.name for signal in found.signals if not signal.decided)
-        return f"nothing wrong was found, but nothing confirms {names}"
+        return f"no fault was found, but nothing confirms {names}"
     return "the run confirms every signal of the arm file"
 
 
@@ -35,4 +35,4 @@ def advice(found: Audit) -> str:
         return f"a run in which {', '.join(found.still)} moves"
     if found.short:
         return "a longer run without gaps"
-    return 'a run that moves every joint faster and at different speeds; the lines that begin with "open" say why'
+    return 'a run that moves every joint faster and at different speeds; the lines with "open" give the reasons'

@@ -1,4 +1,4 @@
-"""The audit: each signal alone, signals against each other, the whole arm."""
+"""The audit: each signal alone, signals compared with each other, and the whole arm."""
 
 from __future__ import annotations
 
@@ -9,66 +9,66 @@ from functools import cached_property
 
 import numpy as np
 
-from zygos.arm import Arm, Encoder, Joint
+from zygos.arm import ANGLE_STEP, Arm, Encoder, Joint, rounded
 from zygos.audit.balance import KINDS, Balance, WholeFault
 from zygos.audit.encoders import pair, unskewed
-from zygos.audit.findings import Audit, Finding, Pair, Signal, Traffic, signal_names
+from zygos.audit.findings import Audit, Pair, Signal, SignalFault, Traffic, signal_names
 from zygos.audit.means import FLAT_QUANTA, Array, Means
 from zygos.audit.motors import NOTHING, Change, Motors, changed
 from zygos.audit.readings import grid_step, noise_beside, noise_level, runs_of_equal
-from zygos.can.wire import ANGLE_STEP, COARSE_RATE_STEP, RATE_STEP, TORQUE_STEP
 from zygos.errors import ZygosError
 from zygos.runs.cycles import Cycles
 from zygos.runs.samples import segments
 
 SURE = 1.5
-"""What the equations leave unexplained must shrink by this factor before a fault is named. Trials: wrong readings of
-the examples leave 1.9 times as much or more; changes to right ones win nothing (tests/unit/test_audit.py)."""
+"""Factor by which the unexplained part of the equations must shrink before a fault is reported. In trials with the
+examples, wrong readings left 1.9 times as much or more, and changes to correct readings did not shrink it
+(tests/unit/test_audit.py)."""
 SURE_LAW, LIKELY_LAW = 1.15, 1.03
-"""The same for the torque law, whose error is small: a false one left 1.2 times as much or more in the trials, and the
-best one at most 0.97 of the next. Where the declared one wins by less than that, it is not decided."""
+"""The same for the torque law, whose effect is small: in the trials a wrong law left 1.2 times as much or more, and the
+best one at most 0.97 of the next. If the declared law is better by less than that, it is not decided."""
 EXPLAINED = 0.9
-"""Share of a torque that may stay unexplained before nothing is said of its sign."""
+"""Largest unexplained share of a torque at which its sign is still decided."""
 FITS, FITS_WELL = 0.5, 0.1
-"""Share of a torque that may stay unexplained by the law of its motor alone before that law is said not to fit, and
-nothing is named by it; and up to which it needs no second witness. Simulated joints leave 0.04 at the most, those of a
-KUKA KR300 0.44, a real pendulum of two coupled rigid joints 0.4 to 0.9."""
+"""Limits of the share of a torque that its motor's law alone leaves unexplained. Above the first, the law does not fit
+and no fault is reported from it; below the second, it needs no confirmation by the balance. Simulated joints leave at
+most 0.04, those of a KUKA KR300 0.44, and a real pendulum of two coupled rigid joints 0.4 to 0.9."""
 SKEW_SIGMAS, SKEW_SHARE = 4.0, 0.1
-"""A skew is named from so many standard errors on, and from this share of the period on."""
+"""A skew is reported if it exceeds that many standard errors and that share of the period."""
 ZERO_SIGMAS = 6.0
 NOISE_FACTOR = 4.0
-"""Noise above so many times the declared one is named: the steps of a held torque make it 1.1 in the trials."""
+"""Noise above that multiple of the declared one is reported; the steps of a held torque cause 1.1 in the trials."""
 TORQUE_NOISE_SHARE = 1e-3
-"""Noise of a torque is named from this share of its deviation on: below that it is the command's own curvature. The
-examples' torques reach 4e-5, measured ones 6e-3 or more."""
+"""Noise of a torque is reported if it exceeds this share of its standard deviation; below, it is the curvature of the
+command. The examples' torques reach 4e-5, measured ones 6e-3 or more."""
 FOLLOWS, ALONE = 0.3, 0.95
-"""Of a torque's noise, what may be left beside what goes with the other readings where a controller makes it of them;
-and from which share on it has nothing to do with them. Between the two nothing is said."""
+"""Limits of the share of a torque's noise that is not correlated with other readings. Below the first, a controller
+produces the noise from those readings; above the second, it is independent of them. In between nothing is decided."""
 FLAT_CYCLES, FLAT_SHARE = 20, 0.02
-"""A reading that keeps its code so long, while its partner moves so far (share of its range), is stuck."""
+"""A reading is stuck if its code is constant that long while its partner moves by more than this share of its range."""
 FLAT_TOPS, FLAT_TOP_CYCLES = 3, 3
-"""So many stretches of so many equal codes at an end of the range are a limit, not chance."""
+"""That many runs of that many equal codes at an end of the range indicate saturation rather than chance."""
 LOST = 0.02
-"""Share of the cycles whose loss is worth a word."""
+"""Share of lost cycles above which the loss is reported."""
 
 
 def audit(
     arm: Arm, cycles: Cycles, traffic: Traffic | None = None, progress: Callable[[float], None] | None = None
 ) -> Audit:
-    """Audit a run against its arm file. progress is called with the share that is done.
+    """Audit a run against its arm file. progress is called with the share that is finished.
 
-    Errors: ZygosError where the run has another number of joints than the arm.
+    Errors: ZygosError if the run has a different number of joints than the arm.
     """
     if cycles.q.shape[1] != arm.n:
         raise ZygosError(
-            f"the run has {cycles.q.shape[1]} joints, arm {arm.name} has {arm.n}; remedy: give the arm file the run "
-            "was made with"
+            f"the run has {cycles.q.shape[1]} joints, arm {arm.name} has {arm.n}; remedy: give the arm file with "
+            "which the run was made"
         )
     return _Auditor(arm, cycles, traffic or Traffic(), progress or (lambda _: None)).audit()
 
 
 def _torque_changes(unfit: list[int], use: list[int]) -> Iterator[Change]:
-    """The torque of one of the unfit joints turned round, or exchanged with another's in use."""
+    """The torque of one of the unfit joints inverted, or exchanged with that of another joint in use."""
     for i in unfit:
         yield Change("inverted", "tau", (i,), (i,), -1.0)
     for i, j in itertools.combinations(use, 2):
@@ -77,18 +77,18 @@ def _torque_changes(unfit: list[int], use: list[int]) -> Iterator[Change]:
 
 
 class _Auditor:
-    """One audit: the findings grow as the signals are looked at, alone, in pairs and all together."""
+    """One audit: it collects findings on the signals alone, in pairs, and all together."""
 
     def __init__(self, arm: Arm, cycles: Cycles, traffic: Traffic, progress: Callable[[float], None]) -> None:
         self.arm, self.cycles, self.traffic, self.progress = arm, cycles, traffic, progress
         self.names = signal_names(arm)
-        self.findings: list[Finding] = []
+        self.findings: list[SignalFault] = []
         self.notes: list[str] = []
         self.still: list[str] = []
         self.short = False
         self.undecided: set[str] = set()
         self.unfit: list[int] = []
-        """Rigid joints whose torque the law of one motor does not explain."""
+        """Rigid joints whose torque is not explained by the law of a single motor."""
         self.laws: dict[str, float] = {}
         self.pairs: list[Pair] = []
         self._grid: dict[tuple[str, int], float] = {}
@@ -108,7 +108,7 @@ class _Auditor:
         return next((n for n, k, i in self.names if (k, i) == (kind, index)), f"{self.arm.joints[index].name} {kind}")
 
     def find(self, signal: str, fault: str, evidence: str, remedy: str) -> None:
-        self.findings.append(Finding(signal, fault, evidence, remedy))
+        self.findings.append(SignalFault(signal, fault, evidence, remedy))
 
     def audit(self) -> Audit:
         self._traffic()
@@ -118,11 +118,11 @@ class _Auditor:
         if means.count:
             self._together(means, broken)
         elif len(self.cycles) == 0:
-            self.notes.append(f"not one whole cycle of arm {self.arm.name} came: nothing can be compared")
+            self.notes.append(f"no complete cycle of arm {self.arm.name} was received, so nothing can be compared")
             self.undecided |= {name for name, _, _ in self.names}
         else:
             self.notes.append(
-                "no stretch without a gap is long enough to compare signals with each other "
+                "the run has no part without a gap that is long enough to compare signals with each other "
                 f"({4 * self.arm.smoother.points + 4} cycles)"
             )
             self.short = True
@@ -147,7 +147,7 @@ class _Auditor:
         repaired, motors, clean = self._motors(use, means, broken)
         self.progress(0.4)
         if not use:
-            self._no_balance("no joint moves whose signals are alive")
+            self._no_balance("no joint with working signals moves")
             return
         balance = self._balance(repaired, broken)
         balance = self._coupled(balance, motors)
@@ -158,7 +158,7 @@ class _Auditor:
         if balance is not None:
             self._torque_law(balance, skewed)
 
-    # -- each signal by itself
+    # -- each signal alone
 
     def _traffic(self) -> None:
         measured = self.traffic.period_s
@@ -166,7 +166,7 @@ class _Auditor:
             self.find(
                 "SYNC",
                 f"every {1e3 * measured:.4g} ms, not {1e3 * self.arm.period_s:.4g} ms",
-                "FTIME against the count of SYNCs",
+                "FTIME compared with the count of SYNCs",
                 f"period_s = {measured:.6g}",
             )
         for name, _, _ in self.names:
@@ -183,7 +183,10 @@ class _Auditor:
             count = self.traffic.saturated.get(name, 0)
             if count:
                 self.find(
-                    name, "saturated", f"{count} frames at the end of the wire's range", "a sensor with a larger range"
+                    name,
+                    "saturated",
+                    f"{count} frames at the end of the CAN signal's range",
+                    "use a sensor with a larger range",
                 )
 
     def _share(self, name: str) -> float:
@@ -196,7 +199,7 @@ class _Auditor:
         return used / max(last - first + 1, 1)
 
     def _flat(self) -> set[int]:
-        """Name what is stuck or saturated; returns the joints that are spoilt by it (-1: the gyro)."""
+        """Report stuck or saturated signals; returns the joints that cannot be used because of them (-1: the gyro)."""
         broken = set()
         for name, kind, i in self.names:
             if kind == "omega" and not self._used_axis(i):
@@ -208,7 +211,7 @@ class _Auditor:
                     remedy = "repair the sensor or its telemetry"
                     if fault == "saturated":
                         remedy = (
-                            "a sensor with a larger range, or a slower motion; nothing if the drive itself stops there"
+                            "use a sensor with a larger range, or a slower motion; nothing if the drive stops there"
                         )
                     self.find(name, fault, evidence, remedy)
                 broken.add(-1 if kind == "omega" else i)
@@ -225,22 +228,22 @@ class _Auditor:
         if ends[0] < ends[1]:
             for end in ends:
                 tops = [(a, b) for a, b in flat if readings[a] == end]
-                # at a turning point an encoder keeps its code: there the partner must go on
+                # at a turning point the code of an encoder is constant; there the partner must continue to move
                 tops = tops if kind in ("tau", "omega") else [t for t in tops if t in moving]
                 length = sum(b - a for a, b in tops)
                 if len(tops) >= FLAT_TOPS and length > 0.002 * len(valid):
-                    return "saturated", f"{length} cycles at {end:.6g}, in {len(tops)} stretches"
+                    return "saturated", f"{length} cycles at {end:.6g}, in {len(tops)} runs"
         stuck = [(a, b) for a, b in moving if b - a >= FLAT_CYCLES and not (kind == "tau" and readings[a] == 0.0)]
         if ends[0] == ends[1]:
             stuck = moving
         if stuck:
             a, b = max(stuck, key=lambda r: r[1] - r[0])
             fault = "saturated" if ends[0] < ends[1] and readings[a] in ends else "stuck"
-            return fault, f"{b - a} cycles at {readings[a]:.6g} from cycle {int(self.cycles.sync[a])} on"
+            return fault, f"{b - a} cycles at {readings[a]:.6g}, starting at cycle {int(self.cycles.sync[a])}"
         return None
 
     def _partner_moves(self, kind: str, i: int, a: int, b: int) -> bool:
-        """Whether what goes with a signal moves from a to b, far enough that the signal should."""
+        """Whether the partner of a signal moves between a and b, far enough that the signal should move as well."""
         joints = range(self.arm.n) if kind == "omega" else (i,)
         for j in joints:
             joint = self.arm.joints[j]
@@ -260,7 +263,7 @@ class _Auditor:
         return joint.link_encoder if kind == "q" else joint.motor_encoder
 
     def _step(self, kind: str, i: int) -> float:
-        """The larger of an encoder's declared step and the one that is seen, rad."""
+        """The larger one of an encoder's declared step and its observed step, rad."""
         seen = self._seen_step(kind, i)
         return max(self._encoder(kind, i).quantum_rad, seen if math.isfinite(seen) else 0.0)
 
@@ -282,7 +285,7 @@ class _Auditor:
                 self.find(
                     name,
                     f"moves in steps of 2π/{2 * math.pi / step:.0f}, not 2π/{2 * math.pi / quantum:.0f}",
-                    f"{step:.4g} rad against {quantum:.4g} rad",
+                    f"{step:.4g} rad, declared {quantum:.4g} rad",
                     f"quantum_rad = {step:.6g}",
                 )
                 continue
@@ -291,16 +294,16 @@ class _Auditor:
             if noise > NOISE_FACTOR * declared:
                 self.find(
                     name,
-                    f"noisier than declared by {noise / declared:.1f}",
-                    f"{noise:.2g} rad against {declared:.2g} rad",
-                    "repair the sensor, or state counts (quantum_rad) as they are",
+                    f"noisier than declared by a factor of {noise / declared:.1f}",
+                    f"{noise:.2g} rad, declared {declared:.2g} rad",
+                    "repair the sensor, or state its actual counts (quantum_rad)",
                 )
-        # what a controller makes of an encoder's noise cannot be told from a torque's own where the readings are others
-        # than the controller's
+        # a torque's own noise cannot be separated from the encoder noise that a controller passes on, if the controller
+        # reads different values
         spoilt = ("moves in steps", "noisier", "stuck", "saturated")
         if any(f.fault.startswith(spoilt) and f.signal.endswith("angle") for f in self.findings):
             return
-        # nor where an encoder is read at another time than SYNC, at which the controller reads it
+        # nor can it if an encoder is not read at SYNC, at which the controller reads it
         skewed = {f.signal for f in self.findings if f.fault.startswith("skewed")}
         late = {i for name, _, i in self.names if name in skewed}
         late |= {
@@ -314,7 +317,8 @@ class _Auditor:
                 self._torque_noise(name, i)
 
     def _noise(self, kind: str, i: int) -> float:
-        """Of a torque: beside what a controller makes of the noise of encoders and gyro."""
+        """Noise of a signal; for a torque without the part that a controller derives from the noise of encoders and
+        gyro."""
         readings: Array = getattr(self.cycles, kind)[:, i]
         if kind != "tau":
             return noise_level(readings, self.ranges)
@@ -324,44 +328,46 @@ class _Auditor:
     def _torque_noise(self, name: str, i: int) -> None:
         sigma, readings = self.arm.joints[i].torque_sigma, self.cycles.tau[:, i]
         own, whole = self._noise("tau", i), noise_level(readings, self.ranges)
-        declared = math.hypot(sigma, TORQUE_STEP / math.sqrt(12.0))
+        declared = self.arm.over_the_wire.joints[i].torque_sigma
         valid = np.concatenate([readings[a:b] for a, b in self.ranges] or [np.zeros(1)])
         if not own > max(NOISE_FACTOR * declared, TORQUE_NOISE_SHARE * float(np.std(valid))):
             return
         if FOLLOWS < own / whole < ALONE:
             self.notes.append(
-                f"{name}: changes from cycle to cycle by {whole:.2g} Nm, {100 * (1 - (own / whole) ** 2):.0f} % of the "
-                "square goes with the readings of encoders and gyro: a controller that sees other readings than these "
-                f"applies so much, or the torque is noisier than declared ({sigma:.2g} Nm)"
+                f"{name}: changes from cycle to cycle by {whole:.2g} Nm, and {100 * (1 - (own / whole) ** 2):.0f} % of "
+                "the variance is correlated with the readings of encoders and gyro: either a controller that reads "
+                f"different values applies this torque, or the torque is noisier than declared ({sigma:.2g} Nm)"
             )
             return
         self.find(
             name,
-            f"noisier than declared by {own / sigma:.1f}" if sigma > 0.0 else "noisy, and no noise is declared",
-            f"{own:.2g} Nm against {sigma:.2g} Nm, beside what follows the noise of encoders and gyro",
-            f"torque_sigma = {own:.2g} of the joint; nothing if the drive really applies what changes so from cycle to "
-            "cycle",
+            f"noisier than declared by a factor of {own / sigma:.1f}"
+            if sigma > 0.0
+            else "noisy, and no noise is declared",
+            f"{own:.2g} Nm, declared {sigma:.2g} Nm, without the part that follows the noise of encoders and gyro",
+            f"torque_sigma = {own:.2g} of the joint; nothing if the drive really applies torques that change so much "
+            "from cycle to cycle",
         )
 
     def _declared_noise(self, kind: str, i: int) -> float:
         if kind == "tau":
             return self.arm.joints[i].torque_sigma
         if kind == "omega":
-            step = COARSE_RATE_STEP if self.arm.imu.resolution == "coarse" else RATE_STEP
-            return math.hypot(self.arm.imu.rate_sigma, step / math.sqrt(12.0))
-        return math.hypot(self._encoder(kind, i).sigma_rad, ANGLE_STEP / math.sqrt(12.0))
+            return self.arm.over_the_wire.imu.rate_sigma
+        # readings need not lie on the grid that the arm file declares
+        return rounded(self._encoder(kind, i).sigma_rad, ANGLE_STEP)
 
     def _used_axis(self, axis: int) -> bool:
-        """Whether the arm turns about that axis of the gyro."""
+        """Whether the arm turns about this axis of the gyro."""
         if not self.arm.free:
             return False
         return self.arm.spatial or abs(float((self.arm.mount.T @ self.arm.axis)[axis])) > 1e-6
 
-    # -- signals against each other
+    # -- signals compared with each other
 
     def _motors(self, use: list[int], means: Means, broken: set[int]) -> tuple[Cycles, Motors, list[int]]:
-        """Name faults of angles and torques, one after the other, each undone before the next is looked for. Returns
-        the run without them and the joints in which nothing was wrong."""
+        """Report faults of angles and torques one after the other; each is corrected before the next is searched.
+        Returns the corrected run and the joints in which nothing was wrong."""
         cycles, touched = self.cycles, set()
         motors = Motors(means, use)
         for _ in range(3 * len(use)):
@@ -377,7 +383,8 @@ class _Auditor:
                 r[2] for r in ranked[1:] if r[0] - total < math.log(SURE) and set(r[2].joints) & set(change.joints)
             ]
             if change.what == "scaled":
-                # a motor's law has no scale of its own: the angle whose noise is off is the one
+                # the scale of a motor's law is unknown: the wrong angle is the one whose noise differs from the
+                # declared
                 alike = sorted(
                     (self._noise_off(c), k, c) for k, c in enumerate([change, *rivals]) if c.what == "scaled"
                 )
@@ -401,17 +408,17 @@ class _Auditor:
                 self.undecided.add(self.name("tau", i))
                 self.notes.append(
                     f"{joint.name}: the sign of the torque is not decided "
-                    f"(turned round it explains {math.exp(here - turned):.2f} times as well)"
+                    f"(inverted, it is explained {math.exp(here - turned):.2f} times as well)"
                 )
             if joint.flexible and motors.stiff[i]:
-                self.notes.append(f"{joint.name}: too stiff to tell whether motor and link encoder are exchanged")
+                self.notes.append(f"{joint.name}: too stiff to decide whether motor and link encoder are exchanged")
         return cycles, motors, [i for i in use if i not in touched]
 
     def _holds(self, motors: Motors, change: Change, cycles: Cycles, broken: set[int]) -> bool:
-        """Whether a change that wins is to be believed: the motors' laws fit after it, and where they do not fit well,
-        the balance of the whole arm, where there is one, does not contradict."""
+        """Whether the best change is accepted: the motors' laws must fit after it, and where they do not fit well, the
+        balance of the whole arm, if there is one, must not contradict."""
         if change.kind != "tau" and all(motors.stiff[i] for i in change.joints):
-            return True  # the two rates tell
+            return True  # the two rates are sufficient evidence
         left = max(motors.left(i, change) for i in change.joints)
         if left > FITS:
             return False
@@ -421,31 +428,32 @@ class _Auditor:
             balance = Balance(self.arm, cycles)
         except ZygosError:
             return True
-        # where nothing comes out of either, the comparison is false, and the law is all there is
+        # if both residuals are infinite, the comparison is False, and the law alone decides
         return not balance.residual(self.arm, changed(balance.cycles, change, self.zeros)) > SURE * balance.residual_j
 
     def _doubt(self, motors: Motors, change: Change) -> None:
-        """Say that a change of flexible joints would explain the run better, and that this is no proof."""
+        """Note that a change of flexible joints would explain the run better, but is not proven."""
         for i in change.joints:
             if self.arm.joints[i].flexible:
                 self.undecided.add(self.name(change.kind or "theta", i))
                 self.notes.append(
-                    f"{self.arm.joints[i].name}: {self._called(change)} would explain the run better, but the law of "
-                    f"the motor leaves {100 * motors.left(i, change):.0f} % of the torque even so, or the energy "
-                    "balance contradicts: not named"
+                    f"{self.arm.joints[i].name}: {self._called(change)} would explain the run better, but even then "
+                    f"the law of the motor leaves {100 * motors.left(i, change):.0f} % of the torque unexplained, or "
+                    "the energy balance contradicts; it is therefore not reported as a fault"
                 )
 
     def _noise_off(self, change: Change) -> float:
-        """How far the noise of an angle, with its scale put right, is from the declared: logarithm of the ratio."""
+        """Distance of an angle's noise, after correction of its scale, from the declared one: logarithm of the
+        ratio."""
         i = change.joints[0]
         noise = change.factor * noise_level(getattr(self.cycles, change.kind)[:, i], self.ranges)
         return abs(math.log(max(noise, 1e-300) / self._declared_noise(change.kind, i)))
 
     def _name(self, change: Change, ratio: float, rival: Change | None, *, whole: bool = False) -> None:
-        """whole: it is the balance of the whole arm that tells."""
+        """whole: the evidence is the balance of the whole arm."""
         evidence = f"{'the energy balance closes' if whole else 'explains the run'} {ratio:.3g} times better"
         if rival is not None:
-            evidence += f"; {self._called(rival)} would do as well"
+            evidence += f"; {self._called(rival)} would explain it equally well"
         if change.what == "exchanged":
             i = change.joints[0]
             for kind, other in (("q", "theta"), ("theta", "q")):
@@ -464,7 +472,7 @@ class _Auditor:
                     "exchange the names (or nodes) of the two where the log is written",
                 )
         elif change.what == "inverted":
-            remedy = "turn its sign where the log is written"
+            remedy = "change its sign where the log is written"
             if change.kind != "tau":
                 encoder = self._encoder(change.kind, change.joints[0])
                 remedy = f"sign = {-encoder.sign} of the {'link' if change.kind == 'q' else 'motor'}_encoder"
@@ -482,7 +490,7 @@ class _Auditor:
         return f"{who} {change.what}"
 
     def _pairs(self, motors: Motors, clean: list[int], balance: Balance | None) -> dict[int, float]:
-        """Audit the encoder pairs; returns the skews that were named, s."""
+        """Audit the encoder pairs; returns the skews that were reported, s."""
         named: dict[int, float] = {}
         found = {i: pair(motors.means, i, motors.stiff[i]) for i in clean if self.arm.joints[i].flexible}
         self.pairs = list(found.values())
@@ -496,9 +504,9 @@ class _Auditor:
             if i in wanted:
                 if self._is_friction(i, one, wanted, balance):
                     late = f"{1e3 * abs(one.skew_s):.3g} ms ± {1e3 * one.skew_sigma_s:.1g}"
-                    why = "viscous friction of the motor, no skew: with a latch the energy balance closes worse"
+                    why = "viscous friction of the motor and not a skew: with a latch the energy balance closes worse"
                     if balance is None:
-                        why = "a newer link encoder, or viscous friction of the motor: not decidable without a balance"
+                        why = "a newer link encoder or viscous friction of the motor, which only a balance could decide"
                     self.notes.append(f"{joint.name}: {late} between the encoders are {why}")
                 else:
                     named[i] = one.skew_s
@@ -511,16 +519,17 @@ class _Auditor:
                     self.name("q", i),
                     f"zero off by {1e3 * -one.zero_rad:.3g} mrad ± {1e3 * one.zero_sigma_rad:.1g}",
                     f"{abs(one.zero_rad) / max(one.zero_sigma_rad, 1e-300):.1f} standard errors",
-                    f"zero_rad = {first.zero_rad - first.sign * one.zero_rad:.6g} of the link_encoder, or as much "
-                    "the other way of the motor_encoder; a bias of the torque looks alike",
+                    f"zero_rad = {first.zero_rad - first.sign * one.zero_rad:.6g} of the link_encoder, or the same "
+                    "change in the opposite direction of the motor_encoder; a bias of the torque looks the same",
                 )
         return named
 
     def _is_friction(self, i: int, one: Pair, wanted: dict[int, float], balance: Balance | None) -> bool:
-        """Whether what looks like a link encoder that is newer is the motor's viscous friction.
+        """Whether the apparent skew of a newer link encoder is viscous friction of the motor.
 
-        Where a joint is soft, s = n tau - Im n^2 thetadd - friction: what grows with the rate takes from theta - q as a
-        newer link encoder does. The balance of the whole arm knows friction, and closes worse with a latch that is not.
+        For a soft joint, s = n tau - Im n^2 thetadd - friction: friction that grows with the rate reduces theta - q as
+        a newer link encoder does. The balance of the whole arm includes friction, and closes worse with a latch that is
+        not real.
         """
         if one.stiff or one.skew_s > 0.0:
             return False
@@ -538,23 +547,23 @@ class _Auditor:
             f"{joint.name} {newer} angle",
             f"skewed {1e3 * abs(found.skew_s):.3g} ms ± {1e3 * found.skew_sigma_s:.1g}",
             f"newer than the {older} angle, {abs(found.skew_s) / found.skew_sigma_s:.0f} standard errors",
-            f"latch_us = {latch:.0f} of the {newer}_encoder; if it is the {older} angle that comes from the past, "
-            "torque and gyro are newer as well",
+            f"latch_us = {latch:.0f} of the {newer}_encoder; if instead the {older} angle is old, torque and gyro are "
+            "newer as well",
         )
 
     # -- the whole arm
 
     def _coupled(self, balance: Balance | None, motors: Motors) -> Balance | None:
-        """Signs and places of torques that no motor's law explains, told by the balance of the whole arm, which holds
-        the coupling of the joints; returns the balance with what was named undone."""
+        """Decide signs and places of torques that no motor's law explains, by the balance of the whole arm, which
+        includes the coupling of the joints; returns the balance after correction of the reported fault."""
         if not self.unfit:
             return balance
         left = ", ".join(f"{self.arm.joints[i].name} {100 * motors.left(i, NOTHING):.0f} %" for i in self.unfit)
-        said = f"the law of one motor by itself does not fit, it leaves of the torque: {left}"
+        problem = f"the law of a single motor does not fit, it leaves unexplained: {left} of the torque"
         names = {self.name("tau", i) for i in self.unfit}
         if balance is None:
             self.undecided |= names
-            self.notes.append(f"{said}; signs and places of these torques are not decided")
+            self.notes.append(f"{problem}; signs and places of these torques are not decided")
             return None
         now = balance.residual_j
         trials = sorted(
@@ -566,20 +575,21 @@ class _Auditor:
         )
         best, _, change = trials[0]
         if now / best >= SURE:
-            # turning all torques round leaves the balance as it is: which of two is the wrong one, it does not tell
+            # with all torques inverted the balance is the same, so it cannot decide which one of two is wrong
             rival = next((c for value, _, c in trials[1:] if value / best < SURE_LAW), None)
             self._name(change, now / best, rival, whole=True)
             return Balance(self.arm, changed(balance.cycles, change, self.zeros))
         if best / now < SURE:
             self.undecided |= names
             self.notes.append(
-                f"{said}; signs and places of these torques are not decided ({self._called(change)}, the energy "
+                f"{problem}; signs and places of these torques are not decided ({self._called(change)}, the energy "
                 f"balance of the whole arm closes {now / best:.2f} times as well)"
             )
         else:
             self.notes.append(
-                f"{said}; the energy balance of the whole arm, which holds their coupling, confirms signs and places "
-                f"(any change closes it worse by {best / now:.2g} or more), but for all of them turned round at once"
+                f"{problem}; the energy balance of the whole arm, which includes their coupling, confirms signs and "
+                f"places (any change closes it worse by {best / now:.2g} or more), except for an inversion of all "
+                "torques together"
             )
         return balance
 
@@ -589,7 +599,7 @@ class _Auditor:
 
     def _balance(self, cycles: Cycles, broken: set[int]) -> Balance | None:
         if broken:
-            self._no_balance("what is stuck or saturated spoils the balance of the whole arm")
+            self._no_balance("stuck or saturated signals make the balance of the whole arm useless")
             return None
         try:
             balance = Balance(self.arm, cycles)
@@ -603,7 +613,7 @@ class _Auditor:
         return balance
 
     def _whole(self, balance: Balance) -> Balance:
-        """Name a fault of the gyro or of a joint as a whole; returns the balance without it."""
+        """Report a fault of the gyro or of a whole joint; returns the balance after its correction."""
         now = balance.residual_j
         trials = list(balance.trials(self.zeros))
         residual, best = min(trials, key=lambda trial: trial[0])
@@ -614,8 +624,8 @@ class _Auditor:
         if against / now < SURE:
             self.undecided |= {name for name, kind, i in self.names if kind == "omega" and self._used_axis(i)}
             self.notes.append(
-                f"gyro: signs and axes are not decided (changed, the energy balance closes {now / against:.2f} times "
-                "as well)"
+                f"gyro: signs and axes are not decided (after a change, the energy balance closes "
+                f"{now / against:.2f} times as well)"
             )
         return balance
 
@@ -628,38 +638,38 @@ class _Auditor:
                     continue
                 if not (self._used_axis(i) or self._used_axis(source)):
                     continue
-                said = "inverted" if source == i else f"swapped with gyro {'xyz'[source]}"
-                said += " and inverted" if source != i and sign < 0 else ""
+                fault_text = "inverted" if source == i else f"swapped with gyro {'xyz'[source]}"
+                fault_text += " and inverted" if source != i and sign < 0 else ""
                 self.find(
                     f"gyro {'xyz'[i]}",
-                    said,
+                    fault_text,
                     evidence,
-                    "mount_xyzw of the arm file, or the signs where the log is written",
+                    "correct mount_xyzw of the arm file, or the signs where the log is written",
                 )
             return
         for i in fault.joints:
-            said, remedy = "inverted, as all signals of the joint", "turn axis of the joint round"
+            fault_text, remedy = "inverted, as all signals of the joint", "reverse axis of the joint"
             if fault.what == "swapped":
                 other = self.arm.joints[sum(fault.joints) - i].name
-                said, remedy = (
+                fault_text, remedy = (
                     f"swapped with {other}'s, as all signals of the joint",
                     "exchange the nodes of the two joints",
                 )
             for kind in KINDS if self.arm.joints[i].flexible else KINDS[1:]:
-                self.find(self.name(kind, i), said, evidence, remedy)
+                self.find(self.name(kind, i), fault_text, evidence, remedy)
 
     def _torque_law(self, balance: Balance, skewed: dict[int, float]) -> None:
         self.laws = balance.laws(unskewed(self.arm, skewed))
         first, second, _ = sorted(self.laws, key=lambda law: self.laws[law])
         declared, best, next_best = (self.laws[law] for law in (self.arm.torque_law, first, second))
         if skewed:
-            self.notes.append("torque_law: decided only when the encoders are no longer skewed")
+            self.notes.append("torque_law: can be decided only after the skew of the encoders is corrected")
         elif declared / best >= SURE_LAW:
             self.find(
                 "torques",
                 f"not {self.arm.torque_law}",
                 f"the energy balance closes {declared / best:.3g} times better",
-                f'torque_law = "{first}", unless the drives are late by as much',
+                f'torque_law = "{first}", unless the drives have a delay of that size',
             )
         elif first != self.arm.torque_law or next_best / best < LIKELY_LAW:
             self.notes.append(

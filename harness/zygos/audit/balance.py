@@ -1,4 +1,4 @@
-"""Faults that only the arm as a whole shows, told by the C library's energy balance."""
+"""Faults that only the arm as a whole shows, detected by the C library's energy balance."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from zygos.native.flight import REASONS, Flight, lib
 from zygos.runs.cycles import Cycles
 
 MOST_CYCLES = 20_000
-"""The balance is tried on so many cycles at the most: it is repeated for every fault."""
+"""Largest number of cycles in the balance, which is computed again for every possible fault."""
 LAWS: tuple[TorqueLaw, ...] = ("applied_from_sync", "applied_previous_cycle", "sampled")
 KINDS = ("q", "theta", "tau")
 
 
 @dataclass(frozen=True)
 class WholeFault:
-    """A fault of the gyro, or of all signals of a joint, and the run without it."""
+    """A fault of the gyro, or of all signals of a joint, and the run after correction."""
 
     what: str
-    """"gyro", "inverted", "swapped"."""
+    """Kind of fault: "gyro", "inverted", "swapped"."""
     joints: tuple[int, ...]
     turn: Array
     """(3, 3) true gyro reading = turn @ reading; the identity for a fault of joints."""
@@ -36,23 +36,23 @@ class WholeFault:
 
 
 class Balance:
-    """The energy balance of a run under any arm file. Friction in the motors is in it: real ones have some."""
+    """The energy balance of a run under any arm file. It includes friction in the motors, which real motors have."""
 
     def __init__(self, arm: Arm, cycles: Cycles) -> None:
-        """Take the first `MOST_CYCLES` cycles. Errors: ZygosError where the C library has no columns for the arm."""
+        """Take the first `MOST_CYCLES` cycles. Errors: ZygosError if the C library has no columns for the arm."""
         self.arm = arm
         self.cycles = Cycles(*(getattr(cycles, name)[:MOST_CYCLES] for name in Cycles.__dataclass_fields__))
-        room = lib.ZYGOS_MAX_EFFECTS_VALUE - len(estimated(arm, ()))
+        unused = lib.ZYGOS_MAX_EFFECTS_VALUE - len(estimated(arm, ()))
         friction = [(kind, joint.name) for kind in ("motor_coulomb", "motor_viscous") for joint in arm.joints]
-        self.friction = [Effect(CATALOGUE[kind], joint, 0.0) for kind, joint in friction[: max(room, 0)]]
+        self.friction = [Effect(CATALOGUE[kind], joint, 0.0) for kind, joint in friction[: max(unused, 0)]]
         self.reason = ""
-        """Why the last residual that was asked for is infinite."""
+        """The reason why the last computed residual is infinite."""
         self.few = False
-        """Whether that is because there are too few instants."""
+        """Whether the reason is that there are too few instants."""
         self.residual_j = self.residual(arm, self.cycles)
 
     def residual(self, arm: Arm, cycles: Cycles) -> float:
-        """rms residual, J; infinite where nothing comes out."""
+        """rms residual, J; infinite if there is no estimate."""
         flight = Flight(arm, self.friction)
         flight.cycles(cycles)
         estimate = flight.estimate()
@@ -71,7 +71,7 @@ class Balance:
         return {law: self.residual(replace(arm, torque_law=law), self.cycles) for law in LAWS}
 
     def trials(self, zeros: dict[str, Array]) -> Iterator[tuple[float, WholeFault]]:
-        """Residual without each fault, J. zeros: as of `zygos.audit.motors.changed`."""
+        """Residual after correction of each fault, J. zeros: as in `zygos.audit.motors.changed`."""
         for turn in self._turns():
             moved = replace(self.cycles, omega=self.cycles.omega @ turn.T)
             yield self.residual(self.arm, moved), WholeFault("gyro", (), turn, moved)
@@ -89,8 +89,8 @@ class Balance:
             yield self.residual(self.arm, moved), WholeFault("swapped", (a, b), np.eye(3), moved)
 
     def _turns(self) -> Iterator[Array]:
-        """Exchanges and inversions of the gyro's axes, the simplest first; of those that a planar arm does not tell
-        apart, one."""
+        """Exchanges and inversions of the gyro's axes, the simplest first; where several are equivalent on a planar
+        arm, only one of them."""
         identity = np.eye(3)
         turns = [
             np.diag(signs) @ identity[list(order)]

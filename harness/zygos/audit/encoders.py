@@ -1,4 +1,4 @@
-"""The two encoders of a joint: skew in time, zero, and what stiffness their difference suggests."""
+"""The two encoders of a joint: skew in time, zero, and the stiffness that their difference implies."""
 
 from __future__ import annotations
 
@@ -7,23 +7,23 @@ from dataclasses import replace
 
 from zygos.arm import Arm, Encoder
 from zygos.audit.findings import Pair
-from zygos.audit.means import Array, Means, direction, jackknifed
+from zygos.audit.means import Array, Means, jackknifed, smooth_direction
 
 
 def pair(means: Means, joint: int, stiff: bool) -> Pair:
     """Skew, zero and apparent stiffness of a joint's two encoders.
 
-    theta - q = s/k - (b/k)(thetad - qd) + skew * qd + zero, with s the torque that the spring carries. Where the joint
-    is stiff, s is what accelerates the links, so that friction in the motor has no part in it; friction behind the
-    spring that grows with the rate has, and looks like a skew. Where it is soft, the links' motion is no linear
-    function of their accelerations, and s = n tau - Im n^2 thetadd.
+    theta - q = s/k - (b/k)(thetad - qd) + skew * qd + zero, with s the torque in the spring. For a stiff joint, s is
+    the torque that accelerates the links, so that friction in the motor is not part of it; friction on the link side
+    that grows with the rate is, and looks like a skew. For a soft joint, the links' motion is not a linear function of
+    their accelerations, and s = n tau - Im n^2 thetadd.
     """
     m, ratio = means, float(means.arm.gear_ratios[joint])
     q, theta, (torque, torque_rate) = m.q[joint], m.theta[joint], (ratio * x for x in m.tau[joint])
     difference, slip = theta[0] - q[0], theta[1] - q[1]
     loads = [other[2] for other in m.q]
-    # the torque may be early or late by itself, and the rotor feels the spin of the body that carries it
-    motor = [torque, torque_rate, theta[2], slip, direction(theta[1])]
+    # the torque may be early or late itself, and the rotor also reacts to the rotation of the body that carries it
+    motor = [torque, torque_rate, theta[2], slip, smooth_direction(theta[1])]
     rest = loads if stiff else [*motor, *loads, *m.spin]
     value, sigma = jackknifed([m.one, q[1], *rest], difference)
     carried = [torque, theta[2]] if stiff else motor
@@ -46,7 +46,7 @@ def pair(means: Means, joint: int, stiff: bool) -> Pair:
 
 
 def unskewed(arm: Arm, skews: dict[int, float]) -> Arm:
-    """The arm with later latches for the encoders that are newer: skews in s by joint, as `Pair.skew_s`."""
+    """The arm with later latches for the newer encoders: skews in s by joint, as `Pair.skew_s`."""
     joints = list(arm.joints)
     for i, skew in skews.items():
         side = "motor_encoder" if skew > 0.0 else "link_encoder"

@@ -1,4 +1,4 @@
-"""What an audit says."""
+"""The results of an audit."""
 
 from __future__ import annotations
 
@@ -9,70 +9,71 @@ from zygos.arm import Arm
 
 
 @dataclass(frozen=True)
-class Finding:
-    """Something that is wrong with a signal."""
+class SignalFault:
+    """A fault of a signal."""
 
     signal: str
     fault: str
     """For instance "inverted", "swapped with elbow link angle", "stuck", "skewed 3.0 ms ± 0.1"."""
     evidence: str
-    """The number that says how sure it is."""
+    """The number on which the finding is based."""
     remedy: str
 
 
 @dataclass(frozen=True)
 class Signal:
-    """What a signal is like. Numbers are NaN where there are none."""
+    """Properties of a signal. Numbers are NaN where they are unknown."""
 
     name: str
     unit: str
     share: float
-    """Cycles received of those expected."""
+    """Cycles received, as a share of those expected."""
     low: float
     high: float
     step: float
-    """Smallest step of the readings where they lie on a grid."""
+    """Smallest step of the readings, if they lie on a grid."""
     quantum: float
-    """The declared step."""
+    """The declared step of the readings."""
     noise: float
-    """Standard deviation of what changes from cycle to cycle without rhyme."""
+    """Standard deviation of the random changes from cycle to cycle."""
     declared: float
-    """Its declared value."""
+    """The declared value of the noise."""
     decided: bool
-    """Whether its sign and its place were confirmed."""
+    """Whether the signal's sign and place are confirmed."""
     verdict: str
 
 
 @dataclass(frozen=True)
 class Pair:
-    """The two encoders of a flexible joint."""
+    """Results for the two encoders of a flexible joint."""
 
     joint: str
     skew_s: float
-    """By how much the motor encoder's reading is newer than the link encoder's, after the latches of the arm file."""
+    """Time by which the motor encoder's reading is newer than the link encoder's, s, after the latches of the arm
+    file."""
     skew_sigma_s: float
     zero_rad: float
-    """theta - q where the spring carries nothing."""
+    """theta - q without torque in the spring, rad."""
     zero_sigma_rad: float
     stiffness: float
-    """Nm/rad, of the difference as it is read; NaN where it is not determined."""
+    """Stiffness, Nm/rad, from the encoders' difference as it is read; NaN where it is not determined."""
     stiffness_unskewed: float
-    """Nm/rad, with the skew taken out."""
+    """Stiffness, Nm/rad, after correction of the skew."""
     stiff: bool
-    """Whether the deflection is a small difference, whose skew is told from the load's accelerations."""
+    """Whether the deflection is so small that its skew is determined from the load's accelerations."""
 
 
 @dataclass(frozen=True)
 class Audit:
-    """All that is found in a run."""
+    """All results for a run."""
 
     signals: tuple[Signal, ...]
-    findings: tuple[Finding, ...]
+    findings: tuple[SignalFault, ...]
     pairs: tuple[Pair, ...]
     laws: dict[str, float] = field(default_factory=dict)
     """rms residual of the energy balance in J under each torque law; empty where the C library has no columns."""
     notes: tuple[str, ...] = ()
-    """What could not be decided, and why."""
+    """What could not be decided, and the reasons."""
     still: tuple[str, ...] = ()
     """Joints that do not move."""
     short: bool = False
@@ -80,23 +81,23 @@ class Audit:
 
     @property
     def ok(self) -> bool:
-        """Whether nothing is wrong and every signal's sign and place is confirmed."""
+        """Whether there is no fault and every signal's sign and place is confirmed."""
         return not self.findings and all(signal.decided for signal in self.signals)
 
 
 @dataclass(frozen=True)
 class Traffic:
-    """What only the frames show. The keys are signal names as in `signal_names`."""
+    """Information that only the frames contain. The keys are signal names as in `signal_names`."""
 
     share: dict[str, float] = field(default_factory=dict)
     saturated: dict[str, int] = field(default_factory=dict)
-    """Frames with the outermost code of the wire."""
+    """Number of frames with the largest or smallest code that the protocol can carry."""
     period_s: float = math.nan
-    """Of the SYNC producer's own clock (FTIME)."""
+    """SYNC period by the SYNC producer's own clock (FTIME), s."""
 
 
 def signal_names(arm: Arm) -> list[tuple[str, str, int]]:
-    """Name, field of `Cycles` and column of each signal. A rigid joint has one angle."""
+    """Name, field of `Cycles` and column of each signal. A rigid joint has only one angle."""
     out = []
     for i, joint in enumerate(arm.joints):
         if joint.flexible:

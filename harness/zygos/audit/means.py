@@ -1,4 +1,4 @@
-"""Means of readings and of their derivatives, by a window that slides over the run."""
+"""Means of readings and of their derivatives over a window that slides along the run."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from zygos.runs.samples import segments
 Array = NDArray[np.float64]
 
 FLAT_QUANTA = 20.0
-"""A joint that moves by less than so many quanta does not move."""
+"""A joint that moves by less than that many quanta counts as not moving."""
 BLOCKS = 8
-"""Blocks of the jackknife: rows close to each other err alike."""
+"""Number of blocks of the jackknife, since the errors of neighbouring rows are correlated."""
 
 _BELL = (1.0 - Polynomial([0.0, 1.0]) ** 2) ** 6
 
 
 class Window:
-    """The sliding window, as wide on either side as two windows of the arm's smoother."""
+    """The sliding window; each half is as wide as two windows of the arm's smoother."""
 
     def __init__(self, arm: Arm, cycles: Cycles) -> None:
-        """Errors: ZygosError where no stretch of the run is long enough for it to slide."""
+        """Errors: ZygosError if no uninterrupted part of the run is longer than the window."""
         self.h = arm.period_s
         self.width = 2 * arm.smoother.points * self.h
         self.reach = math.ceil(self.width / self.h) + 1
@@ -71,14 +71,14 @@ def calibrated(arm: Arm, cycles: Cycles) -> tuple[Array, Array]:
 
 
 _TORQUE_LATE = {"applied_from_sync": 0.5, "applied_previous_cycle": -0.5, "sampled": 0.0}
-"""Middle of the time that a torque record stands for, in periods after SYNC."""
+"""Middle of the time for which a torque record is valid, in periods after SYNC."""
 
 
 class Means:
-    """Windowed means of all signals of an arm: lists by joint, then by derivative."""
+    """Windowed means of all signals of an arm: lists by joint, then by order of the derivative."""
 
     def __init__(self, arm: Arm, cycles: Cycles) -> None:
-        """Slide the window over a run. Errors: ZygosError as `Window`."""
+        """Compute the means of a run. Errors: ZygosError as `Window`."""
         window = Window(arm, cycles)
         self.arm, self.count = arm, window.count
         if not self.count:
@@ -97,7 +97,7 @@ class Means:
         self.one = np.ones(self.count)
 
     def moves(self, joint: int) -> bool:
-        """Whether an encoder of the joint sees it move."""
+        """Whether an encoder of the joint shows that it moves."""
         pair = self.arm.joints[joint]
         return bool(
             np.ptp(self.q[joint][0]) > FLAT_QUANTA * pair.link_encoder.quantum_rad
@@ -119,7 +119,7 @@ def jackknifed(columns: Sequence[Array], y: Array) -> tuple[Array, Array]:
     return whole / back, spread / back
 
 
-def direction(rate: Array) -> Array:
-    """Sign of a rate, which passes through zero smoothly as the window's means do."""
+def smooth_direction(rate: Array) -> Array:
+    """Sign of a rate, with a smooth transition through zero like the window's means."""
     out: Array = np.tanh(rate / max(0.05 * float(np.std(rate)), 1e-300))
     return out

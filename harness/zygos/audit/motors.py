@@ -1,4 +1,4 @@
-"""Faults of angles and torques, told by the laws of the motors."""
+"""Faults of angles and torques, detected by the laws of the motors."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from typing import Any
 import numpy as np
 from scipy.optimize import linear_sum_assignment, nnls
 
-from zygos.audit.means import Array, Means, direction
+from zygos.audit.means import Array, Means, smooth_direction
 from zygos.runs.cycles import Cycles
 
 STIFF = 0.99
-"""Correlation of the two encoders' rates from which on the deflection is a small difference."""
+"""Correlation of the two encoders' rates from which the deflection counts as a small difference."""
 
 
 @dataclass(frozen=True)
 class Change:
-    """A fault as a change that undoes it: link angle, motor angle and torque of joint i are `sign * scale` times those
-    of the joints `source[kind][i]`; the two encoders of the joints in `exchanged` change places."""
+    """A fault, as the change that corrects it: link angle, motor angle and torque of joint i are `sign * scale` times
+    those of the joints `source[kind][i]`; the two encoders of the joints in `exchanged` are exchanged."""
 
     what: str
-    """"inverted", "swapped", "exchanged", "scaled"."""
+    """Kind of fault: "inverted", "swapped", "exchanged", "scaled"."""
     kind: str = ""
     """Field of `Cycles`."""
     joints: tuple[int, ...] = ()
@@ -36,7 +36,7 @@ NOTHING = Change("nothing")
 
 
 def changed(cycles: Cycles, change: Change, zeros: dict[str, Array]) -> Cycles:
-    """The run as it would be without the fault. zeros: (N,) of each kind of reading, about which signs turn."""
+    """The run without the fault. zeros: (N,) for each kind of reading, the angles about which signs are inverted."""
     if change.what == "nothing":
         return cycles
     if change.what == "exchanged":
@@ -53,7 +53,7 @@ def changed(cycles: Cycles, change: Change, zeros: dict[str, Array]) -> Cycles:
 
 
 def _unexplained(y: Array, positive: Sequence[Array], free: Sequence[Array]) -> float:
-    """Share of y, beside what the free columns take, that non-negative amounts of the positive columns do not give."""
+    """Share of y, outside the span of the free columns, that no non-negative combination of `positive` explains."""
     basis, _ = np.linalg.qr(np.column_stack([c / max(float(np.linalg.norm(c)), 1e-300) for c in free]))
 
     def beside(x: Array) -> Array:
@@ -77,9 +77,9 @@ def _unexplained(y: Array, positive: Sequence[Array], free: Sequence[Array]) -> 
 
 
 def _law(means: Means, joint: int, q: list[Array], theta: list[Array], tau: Array) -> float:
-    """Unexplained share of a torque under the motor's law (module docstring). Friction may have any size."""
+    """Unexplained share of a torque under the motor's law (module docstring). Friction may have any value."""
     rate = theta[1]
-    sense = direction(rate)
+    sense = smooth_direction(rate)
     if means.arm.joints[joint].flexible:
         return _unexplained(tau, [theta[2], theta[0] - q[0], theta[1] - q[1]], [means.one, rate, sense])
     free = [means.one]
@@ -89,10 +89,10 @@ def _law(means: Means, joint: int, q: list[Array], theta: list[Array], tau: Arra
 
 
 class Motors:
-    """How well every fault that is confined to angles and torques of joints explains the run."""
+    """How well each fault of angles and torques of the joints explains the run."""
 
     def __init__(self, means: Means, use: Sequence[int]) -> None:
-        """Take the joints in `use`, which move and whose signals are alive."""
+        """Take the joints in `use`, which move and whose signals work."""
         self.means, self.use = means, list(use)
         self.arm = means.arm
         rates = [
@@ -108,12 +108,12 @@ class Motors:
         return float(np.mean((x - x.mean()) * (y - y.mean()))) / spread if spread > 0.0 else 0.0
 
     def score(self, joint: int, change: Change) -> float:
-        """Logarithm of what stays unexplained at a joint: of its torque, and of a stiff joint's one rate by the
-        other, whose scale is 1 as well."""
+        """Logarithm of the unexplained part at a joint: of its torque, and for a stiff joint also of one rate by the
+        other, which have the same scale."""
         return sum(math.log(max(share, 1e-6)) for share in self._shares(joint, change))
 
     def left(self, joint: int, change: Change) -> float:
-        """Share of a joint's torque that the law of its motor leaves unexplained."""
+        """Share of a joint's torque that the law of its motor does not explain."""
         return self._shares(joint, change)[0]
 
     def _shares(self, joint: int, change: Change) -> tuple[float, ...]:
@@ -134,7 +134,7 @@ class Motors:
                 q, theta = theta, q
             shares = [_law(m, joint, q, theta, factor["tau"] * m.tau[source["tau"]][0])]
             if self.stiff[joint]:
-                # as the slope of a stiff joint is 1, a scale or a sign leaves the difference of the rates
+                # the rates of a stiff joint are equal, so a wrong scale or sign shows as their difference
                 left = np.std(theta[1] - q[1]) / max(float(np.std(theta[1])), float(np.std(q[1])), 1e-300)
                 shares.append(float(left))
             self._known[key] = tuple(shares)
@@ -145,7 +145,7 @@ class Motors:
         return sum(self.score(i, change) for i in self.use)
 
     def changes(self) -> Iterator[Change]:
-        """The faults that are told apart."""
+        """The faults that are distinguished."""
         for i in self.use:
             flexible = self.arm.joints[i].flexible
             ratio = float(self.arm.gear_ratios[i])
@@ -173,7 +173,7 @@ class Motors:
         rows, columns = linear_sum_assignment(costs)
         moved = [(joints[r], joints[c]) for r, c in zip(rows, columns, strict=True) if r != c]
         if not moved:
-            # the second best is wanted as a rival
+            # the second best is reported as an alternative
             best = min(
                 itertools.combinations(range(len(joints)), 2),
                 key=lambda p: costs[p[0], p[1]] + costs[p[1], p[0]] - costs[p[0], p[0]] - costs[p[1], p[1]],

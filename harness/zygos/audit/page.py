@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 from zygos.arm import Arm
 from zygos.audit.answer import advice, summary
 from zygos.audit.findings import Audit, Pair, Signal
+from zygos.can.run import Run
 from zygos.files.output import number
 from zygos.report.page import Entry, joint_colour, numbers, render, series, thinned
 from zygos.report.provenance import Provenance
@@ -24,14 +24,12 @@ _POINTS = 6000
 
 def write_audit_report(
     path: Path,
-    arm: Arm,
-    cycles: Cycles,
+    run: Run,
     found: Audit,
-    faults: Mapping[str, int],
-    damage: Sequence[str],
     provenance: Provenance,
 ) -> None:
-    """Write the page. Errors: ZygosError if it cannot be written."""
+    """Write the page of what is found in a run. Errors: ZygosError if it cannot be written."""
+    arm, cycles = run.arm, run.cycles
     at = thinned(len(cycles), _POINTS // (arm.n + 2))
     time = cycles.sync.astype(np.float64) * arm.period_s
     charts = _charts(arm, cycles, at) if len(cycles) else []
@@ -52,9 +50,9 @@ def write_audit_report(
             {"name": name, "residual": number(left, 4), "chosen": name == arm.torque_law}
             for name, left in found.laws.items()
         ],
-        faults=dict(faults),
+        faults=dict(run.faults),
         charts=charts,
-        damage=list(damage),
+        damage=list(run.damage),
         provenance=provenance,
     )
 

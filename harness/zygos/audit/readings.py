@@ -1,4 +1,4 @@
-"""What a signal shows by itself."""
+"""Properties of a single signal."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ def runs_of_equal(readings: Array, ranges: Sequence[tuple[int, int]], at_least: 
 
 
 def grid_step(readings: Array, ranges: Sequence[tuple[int, int]], finest: float) -> float:
-    """Step of the grid that readings lie on, within rounding to steps of `finest`; NaN where they lie on none that is
-    at least four times coarser."""
+    """Step of the grid on which readings lie, apart from rounding to steps of `finest`; NaN if there is no grid at
+    least four times coarser."""
     steps = np.abs(np.concatenate([np.diff(readings[a:b]) for a, b in ranges] or [np.zeros(0)]))
     steps = steps[steps > max(0.5 * finest, 1e-12)]
     if len(steps) < 20:
@@ -41,7 +41,7 @@ def grid_step(readings: Array, ranges: Sequence[tuple[int, int]], finest: float)
 
 
 def noise_level(readings: Array, ranges: Sequence[tuple[int, int]]) -> float:
-    """Standard deviation of what changes from cycle to cycle without rhyme: median of the fourth differences."""
+    """Standard deviation of the random changes from cycle to cycle, from the median of the fourth differences."""
     fourth = [np.diff(readings[a:b], 4) for a, b in ranges if b - a > 8]
     if not fourth:
         return math.nan
@@ -49,17 +49,18 @@ def noise_level(readings: Array, ranges: Sequence[tuple[int, int]]) -> float:
 
 
 _LAGS = 4
-"""Cycles back to which a controller's torque may follow the readings."""
+"""Number of past cycles whose readings may influence a controller's torque."""
 _ROUNDS, _OUTLIER = 3, 5.0
-"""Fits without what lies so many deviations off: a command that jumps is no noise."""
+"""Outliers beyond that many deviations are excluded from fits, because a jump of the command is not noise."""
 
 
 def noise_beside(readings: Array, others: Array, ranges: Sequence[tuple[int, int]]) -> float:
-    """`noise_level` of readings (n,) without what goes with the noise of other readings (n, m) of the last cycles.
+    """`noise_level` of readings (n,) without the part correlated with the noise of other readings (n, m) of past
+    cycles.
 
-    A torque that a controller makes of encoders and gyro carries their noise, and is really applied. Fourth
-    differences of the readings are fitted by those of the others; what is left over is the readings' own. NaN where the
-    run is too short to tell.
+    A torque that a controller computes from encoders and gyro contains their noise, and is really applied. Fourth
+    differences of the readings are fitted by those of the others; the remainder is the readings' own noise. NaN if the
+    run is too short.
     """
     target, columns = [], []
     for a, b in ranges:

@@ -1,21 +1,90 @@
-"""Columns of the catalogue's effects in the energy balance, over whole records (docs/theory.md, "Effects")."""
+"""Columns of the catalogue's effects in the balances of energy and of motor impulse (docs/theory.md, "Effects").
+
+A balance is linear in the coefficients of effects; the column of an effect is what a unit of its coefficient adds.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
-from zygos.effects import Effect, estimated
+from zygos.balances.quadrature import FromOrigin
+from zygos.balances.state import State
+from zygos.effects import Effect, Kind, estimated
 from zygos.runs.samples import Samples
 from zygos.runs.smoother import Smoothed
 
 Floats = NDArray[np.float64]
 
-STEP_RULE = np.array([9.0, 19.0, -5.0, 1.0]) / 24.0
-"""Weights, newest first, of the integral over the newest step of the cubic through four values."""
+
+@dataclass(frozen=True)
+class Signals:
+    """What the columns of a joint's effects are made of, at m instants with any leading axes."""
+
+    deflection: Floats
+    """(..., m) theta - q, rad."""
+    link_rate: Floats
+    """(..., m) rad/s."""
+    motor_angle: Floats
+    """(..., m) after the gear, rad."""
+    motor_rate: Floats
+    """(..., m) after the gear, rad/s."""
+    before: Floats
+    """(..., m) rotor torque of the cycle before the instant, Nm."""
+    after: Floats
+    """(..., m) rotor torque from the instant on, Nm."""
+    gear_ratio: float
+    totals: FromOrigin
+
+    @classmethod
+    def of(cls, arm: Arm, state: State, before: Floats, after: Floats, joint: int, totals: FromOrigin) -> Signals:
+        """Of a joint (from 0); states and torques (..., m, N)."""
+        return cls(
+            state.theta[..., joint] - state.q[..., joint],
+            state.qd[..., joint],
+            state.theta[..., joint],
+            state.thetad[..., joint],
+            before[..., joint],
+            after[..., joint],
+            arm.joints[joint].gear_ratio,
+            totals,
+        )
+
+
+def energy_column(kind: Kind, signals: Signals) -> Floats:
+    """Column (..., m) in the energy balance, J per unit: what the effect stored or took away since the arc's origin."""
+    s = signals
+    if kind.place == "torque":
+        step = s.gear_ratio * (s.after - s.before) * s.motor_rate
+        # a motor that is late by T misses step T of each torque step; of the one at the instant half of it shows
+        return s.totals.sum_before(step) + 0.5 * step
+    assert kind.torque is not None
+    if kind.place == "spring":
+        if kind.potential is not None:
+            return kind.potential(s.deflection)
+        return s.totals.integral(kind.torque(s.deflection) * (s.motor_rate - s.link_rate))
+    rate, factor = (s.motor_rate, s.gear_ratio) if kind.place == "motor" else (s.link_rate, 1.0)
+    return s.totals.integral(factor * kind.torque(rate) * rate)
+
+
+def impulse_column(kind: Kind, signals: Signals) -> Floats:
+    """Column (..., m) in the balance of the motor's impulse, before the gear, Nms per unit, up to a constant in each
+    arc; 0 of what acts on the link alone."""
+    s = signals
+    if kind.impulse is not None:
+        return kind.impulse(s.motor_angle)
+    if kind.place == "torque":
+        return np.asarray(0.5 * (s.before + s.after), dtype=np.float64)
+    assert kind.torque is not None
+    if kind.place == "spring":
+        return s.totals.integral(kind.torque(s.deflection)) / s.gear_ratio
+    if kind.place == "motor":
+        return s.totals.integral(kind.torque(s.motor_rate))
+    return np.zeros_like(s.link_rate)
 
 
 def effect_columns(
@@ -26,28 +95,10 @@ def effect_columns(
     arc: (m,) number of the arc that an instant belongs to, -1 for none. Integrals and sums begin with their arc; what
     stands where there is no arc means nothing. Errors: as `estimated`, and ZygosError for an effect at no joint.
     """
-    columns = [_column(arm, samples, smoothed, arc, effect) for effect in estimated(arm, effects)]
+    state, totals = State.smoothed(arm, smoothed), FromOrigin(arm.period_s, arc)
+    before, after = samples.tau[smoothed.index - 1], samples.tau[smoothed.index]
+    columns = [
+        energy_column(effect.kind, Signals.of(arm, state, before, after, effect.index(arm), totals))
+        for effect in estimated(arm, effects)
+    ]
     return np.stack(columns, axis=1) if columns else np.zeros((len(arc), 0))
-
-
-def _column(arm: Arm, samples: Samples, smoothed: Smoothed, arc: NDArray[np.int64], effect: Effect) -> Floats:
-    kind, i = effect.kind, effect.index(arm)
-    ratio, motor_rate, link_rate = arm.joints[i].gear_ratio, smoothed.thetad[:, i], smoothed.qd[:, i]
-    if kind.potential is not None:
-        return kind.potential(smoothed.theta[:, i] - smoothed.q[:, i])
-    if kind.place == "torque":
-        tau, at = samples.tau[:, i], smoothed.index
-        step = ratio * (tau[at] - tau[at - 1]) * motor_rate
-        # a motor that is late by T misses step T of each torque step; of the one at the instant half of it shows
-        return since_origin(np.cumsum(step) - step, arc) + 0.5 * step
-    assert kind.torque is not None
-    rate, factor = (motor_rate, ratio) if kind.place == "motor" else (link_rate, 1.0)
-    power = factor * kind.torque(rate) * rate
-    return since_origin(arm.period_s * np.cumsum(np.convolve(power, STEP_RULE)[: len(power)]), arc)
-
-
-def since_origin(total: Floats, arc: NDArray[np.int64]) -> Floats:
-    """A running total (m,) less its value at the first instant of the arc (m,)."""
-    position = np.arange(len(arc))
-    opens = np.diff(arc, prepend=-2) != 0
-    return total - total[np.maximum.accumulate(np.where(opens, position, 0))]

@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 from zygos.arm import Arm
 from zygos.balances.arcs import FILL_INSTANTS, End, arc_cycles, left_out_arcs, spans, void_arcs
 from zygos.balances.effects import effect_columns
-from zygos.balances.kinematics import State, body_columns
+from zygos.balances.kinematics import body_columns
+from zygos.balances.quadrature import step_integrals
+from zygos.balances.state import State
 from zygos.effects import Effect
 from zygos.runs.samples import Samples
 from zygos.runs.smoother import Smoothed
@@ -24,7 +26,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Balance:
+class EnergyRows:
     """Rows at every instant from the first arc's origin of each segment on; m instants, p parameters.
 
     index: (m,) position of the instant in the record of samples. sync: (m,) cycle number. arc: (m,) arc number from 0.
@@ -44,6 +46,47 @@ class Balance:
     left_out: frozenset[int] = frozenset()
 
 
+@dataclass(frozen=True)
+class DriveColumns:
+    """Columns of drives in a balance: of all N (..., N) in that of the energy, of one (..., m) in that of its motor's
+    impulse."""
+
+    rotor: Floats
+    """Of the rotor's inertia, as far as the rotor alone turns."""
+    coupling: Floats
+    """Of the rotor's inertia, for what its spin shares with the rotation of the body that carries it."""
+    spring: Floats
+    damper: Floats
+
+
+def drive_energy_columns(arm: Arm, state: State, carried: Floats, dissipated: Floats) -> DriveColumns:
+    """Columns of rotors, springs and dampers (Nanos & Papadopoulos eqs. (11), (37)).
+
+    carried: (..., N) rate of the carrying body about each joint's axis [rad/s]. dissipated: as of `energy_columns`.
+    """
+    spin = arm.gear_ratios * state.thetad
+    return DriveColumns(0.5 * spin**2, spin * carried, 0.5 * (state.theta - state.q) ** 2, dissipated)
+
+
+def step_work(arm: Arm, theta: Floats, tau: Floats) -> Floats:
+    """Work of all motors over each step [J], (..., m-1), of torques (..., m, N) that are held: n tau_k-1 (theta_k -
+    theta_k-1)."""
+    total: Floats = np.sum(arm.gear_ratios * tau[..., :-1, :] * np.diff(theta, axis=-2), axis=-1)
+    return total
+
+
+def held_torque(arm: Arm) -> float:
+    """h/12 where torques are held between SYNCs, else 0 [s]: a smooth curve through samples of a held torque's motion
+    has rates that are so many times the jump of the acceleration too high (docs/theory.md)."""
+    return 0.0 if arm.torque_law == "sampled" else arm.period_s / 12.0
+
+
+def torque_jump_energy(arm: Arm, thetad: Floats, before: Floats, after: Floats) -> Floats:
+    """What a torque that jumps adds to the kinetic energy as it is read [J], (...), from torques (..., N) [Nm]."""
+    total: Floats = held_torque(arm) * np.sum(arm.gear_ratios * (after - before) * thetad, axis=-1)
+    return total
+
+
 def energy_columns(arm: Arm, state: State, dissipated: Floats) -> Floats:
     """Columns of the energy balance, shape (..., p), in `arm.parameter_names` order.
 
@@ -51,21 +94,17 @@ def energy_columns(arm: Arm, state: State, dissipated: Floats) -> Floats:
     eq. (11).
     """
     bodies, carried = body_columns(arm, state)
-    rotor_rate = arm.gear_ratios * state.thetad
-    of_joint = {
-        "Im": 0.5 * rotor_rate**2 + rotor_rate * carried,
-        "k": 0.5 * (state.theta - state.q) ** 2,
-        "b": dissipated,
-    }
+    own = drive_energy_columns(arm, state, carried, dissipated)
+    of_joint = {"Im": own.rotor + own.coupling, "k": own.spring, "b": own.damper}
     joints = [of_joint[kind][..., i] for kind, i, _ in arm.joint_parameters]
     return np.concatenate([bodies, np.stack(joints, axis=-1)] if joints else [bodies], axis=-1)
 
 
-def rows(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Effect] = ()) -> Balance:
+def energy_rows(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Effect] = ()) -> EnergyRows:
     """Rows of a whole record, with a column for each of the effects that `zygos.effects.estimated` names.
 
     Work of a step: n tau_k-1 (theta_k - theta_k-1), exact for a torque held over the step. Dissipation of a step:
-    (h/24)(9 g_k + 19 g_k-1 - 5 g_k-2 + g_k-3), the cubic through the four newest values of g = (thetad - qd)^2.
+    that of the cubic through the four newest values of (thetad - qd)^2.
 
     Under a held torque the slope of a smooth curve through the samples is h^2/12 da/dt above the true rate, so the
     kinetic energy reads h/12 n (tau_k - tau_k-1) thetad_k too high; the work of the row is raised by as much.
@@ -74,7 +113,6 @@ def rows(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Effec
     it ends where that cycle is not known.
     """
     h = arm.period_s
-    held = 0.0 if arm.torque_law == "sampled" else h / 12.0
     longest = arc_cycles(arm)
     work = np.zeros(len(smoothed.index))
     dissipated = np.zeros_like(smoothed.q)
@@ -88,21 +126,24 @@ def rows(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Effec
         theta = smoothed.theta[of]
         tau = samples.tau[smoothed.index[of]]
         g = (smoothed.thetad[of] - smoothed.qd[of]) ** 2
-        step_work = np.sum(arm.gear_ratios * tau[:-1] * np.diff(theta, axis=0), axis=1)
-        hold_correction = held * np.sum(arm.gear_ratios * np.diff(tau, axis=0) * smoothed.thetad[of[1:]], axis=1)
-        step_loss = (h / 24.0) * (9.0 * g[3:] + 19.0 * g[2:-1] - 5.0 * g[1:-2] + g[:-3])
+        done = step_work(arm, theta, tau)
+        jumps = torque_jump_energy(arm, smoothed.thetad[of[1:]], tau[:-1], tau[1:])
+        step_loss = step_integrals(g, h, axis=0)
         for origin, stop, ended in spans(smoothed.accepted[of], longest):
-            work[of[origin + 1 : stop]] = np.cumsum(step_work[origin : stop - 1])
-            work[of[origin:stop]] += hold_correction[origin - 1 : stop - 1]
-            dissipated[of[origin + 1 : stop]] = np.cumsum(step_loss[origin - 2 : stop - 3], axis=0)
+            work[of[origin + 1 : stop]] = np.cumsum(done[origin : stop - 1])
+            work[of[origin:stop]] += jumps[origin - 1 : stop - 1]
+            dissipated[of[origin + 1 : stop]] = np.cumsum(step_loss[origin : stop - 1], axis=0)
             arc[of[origin:stop]] = arcs
             ends.append(End(int(smoothed.index[of[stop - 1]]) + arm.smoother.lag, ended))
             arcs += 1
-    base = smoothed.omega if arm.spatial else smoothed.omega @ arm.axis
-    state = State(smoothed.q, smoothed.theta, smoothed.qd, smoothed.thetad, base)
-    z = np.hstack([energy_columns(arm, state, dissipated), effect_columns(arm, samples, smoothed, arc, effects)])
+    z = np.hstack(
+        [
+            energy_columns(arm, State.smoothed(arm, smoothed), dissipated),
+            effect_columns(arm, samples, smoothed, arc, effects),
+        ]
+    )
     kept = arc >= 0
-    return Balance(
+    return EnergyRows(
         index=smoothed.index[kept],
         sync=smoothed.sync[kept],
         arc=arc[kept],

@@ -13,8 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
-from zygos.balances.effects import STEP_RULE, since_origin
-from zygos.balances.kinematics import State, body_columns
+from zygos.balances.effects import Signals, impulse_column
+from zygos.balances.energy import DriveColumns, held_torque
+from zygos.balances.kinematics import body_columns
+from zygos.balances.quadrature import FromOrigin
+from zygos.balances.state import State
 from zygos.effects import Effect, estimated
 from zygos.runs.samples import Samples
 from zygos.runs.smoother import Smoothed, coefficients
@@ -23,7 +26,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Impulse:
+class ImpulseRows:
     """Rows of one joint at m smoothed instants, c columns; what stands where there is no arc means nothing."""
 
     joint: int
@@ -44,57 +47,57 @@ def joint_effects(arm: Arm, joint: int, effects: Sequence[Effect]) -> tuple[Effe
     )
 
 
-def joint_names(arm: Arm, joint: int, effects: Sequence[Effect] = ()) -> tuple[str, ...]:
+def impulse_names(arm: Arm, joint: int, effects: Sequence[Effect] = ()) -> tuple[str, ...]:
     """Names of the columns in the row of a joint (from 0). Errors: as `estimated`."""
     acting = joint_effects(arm, joint, effects)
     return (*(f"{kind}{joint + 1}" for kind in ("Im", "k", "b")), *(effect.column(arm) for effect in acting))
 
 
-def rows(
+def impulse_rows(
     arm: Arm, samples: Samples, smoothed: Smoothed, arc: NDArray[np.int64], effects: Sequence[Effect] = ()
-) -> tuple[Impulse, ...]:
+) -> tuple[ImpulseRows, ...]:
     """Rows of every flexible joint. arc: (m,) number of the arc of each instant, -1 for none.
 
     The smoothed rate is h/12 times the jump of the acceleration above the true one where a held torque steps (as in
     the energy balance), and Im n^2 times that jump is n (tau_k - tau_k-1). Errors: as `estimated`.
     """
-    h = arm.period_s
-    base = smoothed.omega if arm.spatial else smoothed.omega @ arm.axis
-    carried = body_columns(arm, State(smoothed.q, smoothed.theta, smoothed.qd, smoothed.thetad, base))[1]
-    held = 0.0 if arm.torque_law == "sampled" else h / 12.0
-
-    def integral(g: Floats) -> Floats:
-        return since_origin(h * np.cumsum(np.convolve(g, STEP_RULE)[: len(g)]), arc)
-
+    state, totals = State.smoothed(arm, smoothed), FromOrigin(arm.period_s, arc)
+    carried = body_columns(arm, state)[1]
+    before, after = samples.tau[smoothed.index - 1], samples.tau[smoothed.index]
     out = []
     for i, joint in enumerate(arm.joints):
         if not joint.flexible:
             continue
-        n, theta, thetad = joint.gear_ratio, smoothed.theta[:, i], smoothed.thetad[:, i]
-        deflection = theta - smoothed.q[:, i]
-        before, after = samples.tau[smoothed.index - 1, i], samples.tau[smoothed.index, i]
-        columns = [n**2 * thetad + n * carried[:, i], integral(deflection), deflection]
-        acting = joint_effects(arm, i, effects)
-        for effect in acting:
-            if effect.kind.place == "torque":
-                columns.append(0.5 * n * (before + after))
-            elif effect.kind.key == "motor_viscous":
-                columns.append(n * theta)  # the integral of the rate
-            else:
-                assert effect.kind.torque is not None
-                spring = effect.kind.place == "spring"
-                torque = effect.kind.torque(deflection if spring else thetad)
-                columns.append(integral(torque if spring else n * torque))
-        names = joint_names(arm, i, effects)
-        w = n * (h * since_origin(np.cumsum(before), arc) + held * (after - before))
-        out.append(Impulse(i, names, np.stack(columns, axis=1), w))
+        signals = Signals.of(arm, state, before, after, i, totals)
+        own = drive_impulse_columns(signals, carried[:, i])
+        columns = [own.rotor + own.coupling, own.spring, own.damper]
+        columns += [impulse_column(effect.kind, signals) for effect in joint_effects(arm, i, effects)]
+        z, w = np.stack(columns, axis=1), motor_impulse(arm, signals)
+        out.append(ImpulseRows(i, impulse_names(arm, i, effects), joint.gear_ratio * z, joint.gear_ratio * w))
     return tuple(out)
 
 
-def noise(arm: Arm, joint: int, effects: Sequence[Effect] = ()) -> Floats:
+def drive_impulse_columns(signals: Signals, carried: Floats) -> DriveColumns:
+    """Columns of rotor, spring and damper, before the gear.
+
+    carried: (..., m) rate of the carrying body about the joint's axis [rad/s].
+    """
+    s = signals
+    spring = s.totals.integral(s.deflection) / s.gear_ratio
+    return DriveColumns(s.gear_ratio * s.motor_rate, carried, spring, s.deflection / s.gear_ratio)
+
+
+def motor_impulse(arm: Arm, signals: Signals) -> Floats:
+    """Impulse of the motor since the arc's origin, before the gear, (..., m) [Nms], raised by what a torque step adds
+    to the rate that is read."""
+    s = signals
+    return arm.period_s * s.totals.sum_before(s.after) + held_torque(arm) * (s.after - s.before)
+
+
+def impulse_noise(arm: Arm, joint: int, effects: Sequence[Effect] = ()) -> Floats:
     """What the noise of the samples adds to z' z of one row of a flexible joint on average, (c, c).
 
-    The declared noise of the encoders, over the wire, and of the gyro passes through the smoother. Integrals average it
+    The declared noise of encoders and gyro, over the wire, passes through the smoother. Integrals average it
     out: they have none here. The carrying body's rate is taken as if all axes were parallel. Errors: as `estimated`.
     """
     points, order, h = arm.smoother.points, arm.smoother.order, arm.period_s
@@ -125,6 +128,6 @@ def noise(arm: Arm, joint: int, effects: Sequence[Effect] = ()) -> Floats:
         link = before.link_encoder  # of a rigid joint the motor's
         shares.append((link.over_the_wire.sigma_rad, column((0, n, weights(before.latch_us + link.latch_us, 1)))))
     if arm.free:
-        shares.append((arm.imu.rate_sigma, column((0, n, weights(arm.imu.latch_us, 0)))))
+        shares.append((arm.imu.over_the_wire.rate_sigma, column((0, n, weights(arm.imu.latch_us, 0)))))
     total: Floats = np.sum([sigma**2 * share @ share.T for sigma, share in shares], axis=0)
     return total

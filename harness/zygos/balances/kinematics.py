@@ -11,6 +11,7 @@ whose centres of mass lie off the joint-to-joint lines also sum_i<j b_ij v_i x v
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,56 +19,32 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from zygos.arm import Arm
+from zygos.balances.state import State, absolute
 
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class State:
-    """An arm at any number of instants.
+def planar_columns(arm: Arm, state: State, of_rates: Callable[[Floats, Floats], Floats]) -> Floats:
+    """Columns (..., K) of a_ij, then of b_ij where the arm has them: of_rates(f_i, f_j) times the cosine, or the sine,
+    of phi_j - phi_i; half of it where i = j.
 
-    q, theta: (..., N) link and motor angles [rad]. qd, thetad: (..., N) their rates [rad/s].
-    base: base rate [rad/s]: (...) about the common axis of a planar arm, (..., 3) in base axes of a spatial one.
+    With np.multiply those of the kinetic energy. With np.add those of the angular momentum, which is the derivative of
+    the kinetic energy with respect to all rates together.
     """
-
-    q: Floats
-    theta: Floats
-    qd: Floats
-    thetad: Floats
-    base: Floats
-
-    @property
-    def f(self) -> Floats:
-        """Absolute rates of a planar arm's bodies, shape (..., N+1) [rad/s]."""
-        return absolute(self.base, self.qd)
-
-    @property
-    def phi(self) -> Floats:
-        """Attitude of a planar arm's bodies relative to the base, shape (..., N+1) [rad]; phi_0 = 0."""
-        return absolute(np.zeros(self.q.shape[:-1]), self.q)
+    first = 0 if arm.free else 1
+    f, phi = planar_rates(arm, state), state.phi
+    i, j = np.triu_indices(arm.n + 1 - first)
+    i, j = i + first, j + first
+    rates, angle = of_rates(f[..., i], f[..., j]) * np.where(i == j, 0.5, 1.0), phi[..., j] - phi[..., i]
+    columns: Floats = rates * np.cos(angle)
+    if arm.kinetic == "planar":
+        columns = np.concatenate([columns, (rates * np.sin(angle))[..., i < j]], axis=-1)
+    return columns
 
 
-def absolute(base: Floats, joints: Floats) -> Floats:
-    """base (...) plus the sum of the first i of joints (..., N), for i = 0 .. N: shape (..., N+1)."""
-    return np.concatenate([base[..., None], base[..., None] + np.cumsum(joints, axis=-1)], axis=-1)
-
-
-def rate_vectors(f: Floats, phi: Floats) -> Floats:
-    """v, shape (..., N+1, 2) [rad/s]. f, phi: (..., N+1)."""
-    return np.asarray(f[..., None] * np.stack([np.cos(phi), np.sin(phi)], axis=-1), dtype=np.float64)
-
-
-def gram(f: Floats, phi: Floats) -> Floats:
-    """v_i . v_j of the planar rate vectors, shape (..., N+1, N+1) [rad^2/s^2]. f, phi: (..., N+1)."""
-    vectors = rate_vectors(f, phi)
-    return np.asarray(vectors @ np.swapaxes(vectors, -1, -2), dtype=np.float64)
-
-
-def cross(f: Floats, phi: Floats) -> Floats:
-    """v_i x v_j of the planar rate vectors, shape (..., N+1, N+1) [rad^2/s^2]. f, phi: (..., N+1)."""
-    vectors = rate_vectors(f, phi)
-    x, y = vectors[..., 0], vectors[..., 1]
-    return np.asarray(x[..., :, None] * y[..., None, :] - y[..., :, None] * x[..., None, :], dtype=np.float64)
+def planar_rates(arm: Arm, state: State) -> Floats:
+    """Absolute rates f (..., N+1) of a planar arm's bodies, rad/s; that of a fixed base is 0."""
+    return state.f if arm.free else absolute(np.zeros(state.q.shape[:-1]), state.qd)
 
 
 def across(axis: Floats) -> Floats:
@@ -131,15 +108,8 @@ def body_columns(arm: Arm, state: State) -> tuple[Floats, Floats]:
         kinetic = spatial_columns(arm, np.cross(omega[..., places.body, :], places.direction))
         carried = np.sum(places.axis * omega[..., :-1, :], axis=-1)
     else:
-        f, phi, first = state.f, state.phi, 0 if arm.free else 1
-        if not arm.free:
-            f = absolute(np.zeros(state.q.shape[:-1]), state.qd)
-        pairs = np.triu_indices(arm.n + 1 - first)
-        kinetic = gram(f, phi)[..., first:, first:][..., *pairs] * np.where(pairs[0] == pairs[1], 0.5, 1.0)
-        if arm.kinetic == "planar":
-            pairs = np.triu_indices(arm.n + 1 - first, 1)
-            kinetic = np.concatenate([kinetic, cross(f, phi)[..., first:, first:][..., *pairs]], axis=-1)
-        carried = f[..., :-1]
+        kinetic = planar_columns(arm, state, np.multiply)
+        carried = planar_rates(arm, state)[..., :-1]
     if any(arm.feels_gravity):
         pull = -(posture(arm, state.q).direction @ np.array(arm.gravity))
         kinetic = np.concatenate([kinetic, pull[..., np.repeat(arm.feels_gravity, 2)]], axis=-1)

@@ -14,8 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from zygos.arm import Arm
 from zygos.balances.arcs import MIN_ARC_INSTANTS, numbered, unused
-from zygos.balances.effects import STEP_RULE
-from zygos.balances.kinematics import State, body_rates, cross, gram, posture
+from zygos.balances.kinematics import body_rates, planar_columns, posture
+from zygos.balances.quadrature import step_integrals
+from zygos.balances.state import State
 from zygos.runs.samples import Samples
 from zygos.runs.smoother import Smoothed, coefficients
 
@@ -23,7 +24,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Rates:
+class RateVariances:
     """Variances of the smoothed rates [rad^2/s^2].
 
     link: (N,). base: about each axis. rotor: (N,) of the motors, 0 where a joint is rigid and its rotor turns with the
@@ -49,22 +50,15 @@ class Turns:
     noise: Floats
 
 
-def columns(arm: Arm, state: State) -> Floats:
+def momentum_columns(arm: Arm, state: State) -> Floats:
     """Columns (..., r, K + N) of the K kinetic parameters and of Im_1 .. Im_N in base axes; r is 3 in space, else 1.
 
     Of N_ab: rho_a x v_b, and rho_b x v_a where a and b differ; of Im_i: n thetad times the axis. In a plane the first
-    is the derivative of the kinetic energy with respect to all rates f together.
+    are `planar_columns` of the sums of two rates.
     """
     spin = arm.gear_ratios * state.thetad
     if not arm.spatial:
-        one, f, phi = np.ones_like(state.f), state.f, state.phi
-        # d/de of the Gram table at rates f + e
-        tables = [gram] if arm.kinetic == "planar-symmetric" else [gram, cross]
-        slopes = [0.5 * (table(f + one, phi) - table(f - one, phi)) for table in tables]
-        pairs = np.triu_indices(arm.n + 1)
-        parts = [slopes[0][..., *pairs] * np.where(pairs[0] == pairs[1], 0.5, 1.0)]
-        parts += [slope[..., *np.triu_indices(arm.n + 1, 1)] for slope in slopes[1:]]
-        return np.concatenate([*parts, spin], axis=-1)[..., None, :]
+        return np.concatenate([planar_columns(arm, state, np.add), spin], axis=-1)[..., None, :]
     places = posture(arm, state.q)
     rate = np.cross(body_rates(state.base, places.axis, state.qd)[..., places.body, :], places.direction)
     products = np.cross(places.direction[..., :, None, :], rate[..., None, :, :])
@@ -73,7 +67,7 @@ def columns(arm: Arm, state: State) -> Floats:
     return np.swapaxes(np.concatenate([share, spin[..., None] * places.axis], axis=-2), -1, -2)
 
 
-def attitudes(arm: Arm, smoothed: Smoothed, arc: NDArray[np.int64]) -> Floats:
+def base_attitudes(arm: Arm, smoothed: Smoothed, arc: NDArray[np.int64]) -> Floats:
     """(m, 3, 3) rotation from base axes to those that the base had at the origin of the arc; identity where there is no
     arc.
 
@@ -81,23 +75,22 @@ def attitudes(arm: Arm, smoothed: Smoothed, arc: NDArray[np.int64]) -> Floats:
     add: h^2/12 omega_k-1 x omega_k (Bortz 1971, to second order).
     """
     h, omega = arm.period_s, smoothed.omega
-    step = h * np.apply_along_axis(lambda rate: np.convolve(rate, STEP_RULE)[: len(rate)], 0, omega)
-    step[1:] += h * h / 12.0 * np.cross(omega[:-1], omega[1:])
+    step = step_integrals(omega, h, axis=0) + h * h / 12.0 * np.cross(omega[:-1], omega[1:])
     turn = Rotation.from_rotvec(step).as_matrix() if len(step) else np.zeros((0, 3, 3))
     out = np.tile(np.eye(3), (len(arc), 1, 1))
     for k in np.flatnonzero((arc[1:] >= 0) & (arc[1:] == arc[:-1])) + 1:
-        out[k] = out[k - 1] @ turn[k]
+        out[k] = out[k - 1] @ turn[k - 1]
     return out
 
 
-def rows(arm: Arm, smoothed: Smoothed, arc: NDArray[np.int64]) -> Floats:
+def momentum_rows(arm: Arm, smoothed: Smoothed, arc: NDArray[np.int64]) -> Floats:
     """Rows (m, r, K + N) at m smoothed instants. arc: (m,) number of the arc of each, -1 for none."""
-    z = columns(arm, _state(arm, smoothed))
-    return attitudes(arm, smoothed, arc) @ z if arm.spatial else z
+    z = momentum_columns(arm, State.smoothed(arm, smoothed))
+    return base_attitudes(arm, smoothed, arc) @ z if arm.spatial else z
 
 
-def variances(arm: Arm) -> Rates:
-    """The declared noise of encoders, over the wire, and gyro through the smoother."""
+def variances(arm: Arm) -> RateVariances:
+    """The declared noise of encoders and gyro, over the wire, through the smoother."""
     points, order, h = arm.smoother.points, arm.smoother.order, arm.period_s
 
     def size(latch_us: float, derivative: int) -> float:
@@ -110,10 +103,11 @@ def variances(arm: Arm) -> Rates:
         link.append(encoder.over_the_wire.sigma_rad**2 * size(joint.latch_us + encoder.latch_us, 1))
         own = motor.over_the_wire.sigma_rad**2 * size(joint.latch_us + motor.latch_us, 1)
         rotor.append(own if joint.flexible else 0.0)
-    return Rates(np.array(link), arm.imu.rate_sigma**2 * size(arm.imu.latch_us, 0), np.array(rotor))
+    gyro = arm.imu.over_the_wire.rate_sigma**2 * size(arm.imu.latch_us, 0)
+    return RateVariances(np.array(link), gyro, np.array(rotor))
 
 
-def noise(arm: Arm, smoothed: Smoothed) -> Floats:
+def momentum_noise(arm: Arm, smoothed: Smoothed) -> Floats:
     """What the noise of the rates adds to z' z of the rows of each of m instants on average, (m, K + N, K + N).
 
     That of the angles and of the attitude is left out.
@@ -136,7 +130,7 @@ def turns(arm: Arm, samples: Samples, smoothed: Smoothed) -> Turns | None:
     longest = max(1, round(arm.momentum_arc_s / arm.period_s))
     arc = numbered(smoothed, longest)
     void = unused(arm, samples, smoothed, arc, longest, "momentum")
-    every, turn = rows(arm, smoothed, arc), attitudes(arm, smoothed, arc)
+    every, turn = momentum_rows(arm, smoothed, arc), base_attitudes(arm, smoothed, arc)
     count = every.shape[1]
     z, numbers, noise = [every[:0, 0]], [arc[:0]], [np.zeros((0, every.shape[2], every.shape[2]))]
     for number in range(int(arc.max(initial=-1)) + 1):
@@ -179,20 +173,15 @@ def _derivatives(arm: Arm, smoothed: Smoothed) -> tuple[Floats, Floats, Floats]:
 
     The columns are linear in the rates, so those of a unit rate are their derivatives.
     """
-    state, variance = _state(arm, smoothed), variances(arm)
+    state, variance = State.smoothed(arm, smoothed), variances(arm)
     still = replace(state, **{name: np.zeros_like(getattr(state, name)) for name in ("qd", "thetad", "base")})
     links, rotors = [], []
     for i, joint in enumerate(arm.joints):
         unit = np.zeros_like(state.qd)
         unit[..., i] = 1.0
-        links.append(columns(arm, replace(still, qd=unit, thetad=unit * (not joint.flexible))))
-        rotors.append(np.sqrt(variance.rotor[i]) * columns(arm, replace(still, thetad=unit)))
+        links.append(momentum_columns(arm, replace(still, qd=unit, thetad=unit * (not joint.flexible))))
+        rotors.append(np.sqrt(variance.rotor[i]) * momentum_columns(arm, replace(still, thetad=unit)))
     axes = np.eye(3) if arm.spatial else np.ones(1)
-    bases = [columns(arm, replace(still, base=np.broadcast_to(axis, state.base.shape))) for axis in axes]
+    bases = [momentum_columns(arm, replace(still, base=np.broadcast_to(axis, state.base.shape))) for axis in axes]
     size = np.concatenate([variance.link, np.full(len(bases), variance.base)])
     return size, np.stack([*links, *bases], axis=-3), np.stack(rotors, axis=-3)
-
-
-def _state(arm: Arm, smoothed: Smoothed) -> State:
-    base = smoothed.omega if arm.spatial else smoothed.omega @ arm.axis
-    return State(smoothed.q, smoothed.theta, smoothed.qd, smoothed.thetad, base)

@@ -1,1 +1,1 @@
-"""The CAN side: buses, logs and their repair, the DBC of the wire, bus load."""
+"""The CAN side: buses, logs and the reading of damaged ones, the DBC of the protocol, bus load."""

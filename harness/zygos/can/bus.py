@@ -1,4 +1,4 @@
-"""Frames on buses and in logs: `FRAME` records on our side, python-can on the other."""
+"""Frames on buses and in logs: converts between `FRAME` records and python-can's messages."""
 
 from __future__ import annotations
 
@@ -26,17 +26,18 @@ from zygos.files.output import cannot_be_written, is_dash, write_bytes
 from zygos.native.flight import FRAME
 
 LOG_SUFFIXES = (".log", ".blf", ".asc", ".trc", ".mf4")
-"""Formats of python-can that keep classical frames whole."""
+"""Formats in which python-can stores classical frames without loss."""
 _EXTENDED, _REMOTE, _ERROR, _FD = 1, 2, 4, 8
 _SYNC = 0x080
 _POLL_S = 0.2
-"""A listener notices that it is to stop within that time."""
+"""Longest time until a listener notices that it is to stop, s."""
 _SLOT_S = 150e-6
-"""Spacing of the frames of a cycle in the stamps of a log: a little more than a frame lasts at 1 Mbit/s."""
+"""Spacing of the time stamps of a cycle's frames in a log, s: slightly more than a frame takes at 1 Mbit/s."""
 
 
 def to_messages(frames: NDArray[Any], period_s: float) -> list[can.Message]:
-    """`FRAME` records (n,) as messages; the k-th SYNC is stamped k * period_s. The stamps are for people only."""
+    """`FRAME` records (n,) as messages; the k-th SYNC has the time stamp k * period_s. No command reads these
+    stamps."""
     cycle = np.maximum(np.cumsum(frames["id"] == _SYNC) - 1, 0)
     first = np.maximum.accumulate(np.where(frames["id"] == _SYNC, np.arange(len(frames)), 0))
     stamps = cycle * period_s + (np.arange(len(frames)) - first) * min(_SLOT_S, period_s / 20)
@@ -55,7 +56,7 @@ def to_messages(frames: NDArray[Any], period_s: float) -> list[can.Message]:
 
 
 def from_messages(messages: Iterable[can.Message]) -> NDArray[Any]:
-    """Messages as `FRAME` records (n,), foreign and error frames included."""
+    """Messages as `FRAME` records (n,), including foreign frames and error frames."""
     ids, lengths, flags, data = [], [], [], []
     for message in messages:
         ids.append(message.arbitration_id)
@@ -75,7 +76,7 @@ def from_messages(messages: Iterable[can.Message]) -> NDArray[Any]:
 
 
 def check_log_name(path: Path) -> None:
-    """Refuse a file name whose suffix is none of `LOG_SUFFIXES`, or stands for a format that is not installed."""
+    """Refuse a file name whose suffix is not in `LOG_SUFFIXES`, or whose format is not installed."""
     _check_suffix(path, path.suffix.lower())
 
 
@@ -86,13 +87,13 @@ def _check_suffix(path: Path, suffix: str) -> None:
             "`can_player`, into a .blf"
         )
     if suffix not in LOG_SUFFIXES:
-        raise ZygosError(f"{path}: no CAN log of a known kind; remedy: use one of {' '.join(LOG_SUFFIXES)}")
+        raise ZygosError(f"{path}: not a known kind of CAN log; remedy: use one of {' '.join(LOG_SUFFIXES)}")
     if suffix == ".mf4" and importlib.util.find_spec("asammdf") is None:
         raise ZygosError(f"{path}: .mf4 needs asammdf; remedy: pip install 'zygos[mf4]', or use a .blf")
 
 
 def check_log(path: Path) -> None:
-    """Refuse a log that is missing or of no known kind."""
+    """Refuse a log that does not exist or is of no known kind."""
     suffix = inputs.suffix(path)
     if is_dash(path) and suffix not in LOG_SUFFIXES:
         raise ZygosError(
@@ -104,26 +105,26 @@ def check_log(path: Path) -> None:
         raise ZygosError(f"{path}: no such file; remedy: give a CAN log, for instance one that `zygos simulate` wrote")
 
 
-class Recording:
-    """A log in the format of the suffix that grows as messages come. It has its name once it is finished.
+class LogWriter:
+    """A log, in the format of the suffix, to which messages are added. It gets its name when it is finished.
 
-    Every method raises ZygosError, naming the log, when it cannot be written; what was written is then removed.
+    Every method raises ZygosError, naming the log, when it cannot be written; the incomplete file is then removed.
     """
 
     def __init__(self, path: Path) -> None:
-        """Begin an empty log beside `path`."""
+        """Begin an empty log in the folder of `path`."""
         check_log_name(path)
         self.path = path
         self.count = 0
         self._partial = path.with_name(f".{os.getpid()}.partial{path.suffix}")
-        self._classical_only = path.suffix.lower() == ".trc"  # python-can would leave the others out
+        self._classical_only = path.suffix.lower() == ".trc"  # python-can would omit the other frames
         self._channel = "can0" if path.suffix.lower() == ".log" else 0
         with self._refusing():
             path.parent.mkdir(parents=True, exist_ok=True)
             self._logger = can.Logger(str(self._partial))
 
     def append(self, messages: Iterable[can.Message]) -> None:
-        """Write messages behind those that are there."""
+        """Add messages at the end."""
         with self._refusing():
             for message in messages:
                 if self._classical_only and (message.is_fd or message.is_remote_frame or message.is_error_frame):
@@ -134,7 +135,7 @@ class Recording:
                 self.count += 1
 
     def finish(self) -> None:
-        """Give the log its name; one without a message is removed."""
+        """Give the log its name; a log without messages is removed."""
         with self._refusing():
             self._logger.stop()
             if self.count:
@@ -149,13 +150,13 @@ class Recording:
             self._partial.unlink(missing_ok=True)
             if isinstance(error, Exception) and not isinstance(
                 error, ZygosError
-            ):  # each writer of python-can raises errors of its own
+            ):  # each writer of python-can raises different errors
                 raise cannot_be_written(self.path, error) from error
             raise
 
 
 def write_log(path: Path, frames: NDArray[Any], period_s: float) -> None:
-    """Write a log in the format of the suffix: whole, or not at all; - is standard output and gets candump's format.
+    """Write a log in the format of the suffix, completely or not at all; "-" is standard output in candump's format.
 
     Errors: ZygosError if it cannot be written.
     """
@@ -165,7 +166,7 @@ def write_log(path: Path, frames: NDArray[Any], period_s: float) -> None:
             write_log(log, frames, period_s)
             write_bytes(path, log.read_bytes())
         return
-    recording = Recording(path)
+    recording = LogWriter(path)
     recording.append(to_messages(frames, period_s))
     recording.finish()
 
@@ -179,28 +180,28 @@ def _counted(messages: Iterable[can.Message], progress: Callable[[int], None] | 
 
 @dataclass(frozen=True)
 class Log:
-    """What a log holds."""
+    """The content of a log."""
 
     frames: NDArray[Any]
     """`FRAME` records (n,) in file order."""
     damage: tuple[str, ...]
-    """What is missing, in words that begin with the log's name; empty for a log that looks whole."""
+    """Sentences about what is missing, each beginning with the log's name; empty for a log that looks complete."""
 
 
 def read_log(path: Path, progress: Callable[[int], None] | None = None) -> Log:
-    """Read all frames of a log, and of a damaged one what can be read.
+    """Read all frames of a log; of a damaged log all readable ones.
 
-    progress is called now and then with the number read so far. Raises ZygosError when the file is missing, of no
-    known kind, unreadable, or holds no frame.
+    progress is called from time to time with the number of frames read so far. Raises ZygosError when the file is
+    missing, of no known kind, unreadable, or holds no frame.
     """
     damage: list[str] = []
     frames = from_messages(read_messages(path, damage, progress))
     if len(frames) == 0:
         if not damage:
-            raise ZygosError(f"{path}: the log holds no frame; remedy: record with the bus running")
+            raise ZygosError(f"{path}: the log holds no frame; remedy: record while the bus is running")
         kind = inputs.suffix(path)
         raise ZygosError(
-            f"{path}: nothing can be read, the log {damage[0]}; remedy: see whether it is a {kind} log, and record it "
+            f"{path}: nothing can be read, the log {damage[0]}; remedy: check that it is a {kind} log, and record it "
             "again"
         )
     return Log(frames, tuple(f"{path} {text}" for text in damage))
@@ -209,15 +210,15 @@ def read_log(path: Path, progress: Callable[[int], None] | None = None) -> Log:
 def read_messages(
     path: Path, damage: list[str], progress: Callable[[int], None] | None = None
 ) -> Iterator[can.Message]:
-    """Messages of a log of anybody's, as python-can reads them; progress as in `read_log`.
+    """The messages of any log that python-can can read; progress as in `read_log`.
 
-    What is missing of it goes into damage, in words that follow "the log". Raises ZygosError when the file is missing,
-    of no known kind, or unreadable.
+    Descriptions of missing parts are appended to damage; each continues a sentence that begins with "the log". Raises
+    ZygosError when the file is missing, of no known kind, or unreadable.
     """
     check_log(path)
     try:
         yield from _counted(salvage.messages(inputs.local(path), damage), progress)
-    except Exception as error:  # of the file, or what a reader makes of damage that nobody has thought of
+    except Exception as error:  # of the file, or of a reader at some unexpected kind of damage
         raise ZygosError(
             f"{path}: not a readable {inputs.suffix(path)} log ({type(error).__name__}: {error}); remedy: record it "
             "again, or convert it with python-can's `can_logconvert`"
@@ -225,7 +226,7 @@ def read_messages(
 
 
 def open_bus(interface: str | None, channel: str | None, bitrate: int | None = None) -> can.BusABC:
-    """Open a bus as python-can does (`can.conf` honoured).
+    """Open a bus in the way of python-can (a `can.conf` is used).
 
     Raises ZygosError when it cannot be opened.
     """
@@ -242,10 +243,12 @@ def open_bus(interface: str | None, channel: str | None, bitrate: int | None = N
         ) from error
 
 
-def receive(bus: can.BusABC, idle_s: float, stop: Callable[[], bool] = lambda: False) -> Iterator[can.Message]:
-    """Messages of a bus until no SYNC came for idle_s, ten times as long before the first one, or stop() is true.
+def received_messages(
+    bus: can.BusABC, idle_s: float, stop: Callable[[], bool] = lambda: False
+) -> Iterator[can.Message]:
+    """Messages of a bus until no SYNC came for idle_s, or for ten times idle_s before the first one, or stop() is true.
 
-    Others on the bus have heartbeats that never end. Raises can.CanError when the bus fails.
+    Only SYNC counts, because other nodes may send heartbeats for ever. Raises can.CanError when the bus fails.
     """
     patience = 10 * idle_s
     newest = time.monotonic()
@@ -260,11 +263,14 @@ def receive(bus: can.BusABC, idle_s: float, stop: Callable[[], bool] = lambda: F
             yield message
 
 
-def transfer(frames: NDArray[Any], period_s: float, interface: str = "virtual", channel: str = "zygos") -> NDArray[Any]:
+def transferred(
+    frames: NDArray[Any], period_s: float, interface: str = "virtual", channel: str = "zygos"
+) -> NDArray[Any]:
     """Send frames from one end of a bus to another, and return what arrived.
 
-    Frames of others on that bus are left out. On SocketCAN the sender waits for the receiver, whose buffer would
-    overflow without a word (zygos.can.vcan). Raises ZygosError when the bus cannot be opened or lost a frame.
+    Foreign frames on that bus are left out. On SocketCAN the sender waits for the receiver, whose buffer would
+    otherwise overflow without an error (zygos.can.vcan). Raises ZygosError when the bus cannot be opened or lost a
+    frame.
     """
     sent = to_messages(frames, period_s)
     if interface == "socketcan":

@@ -1,4 +1,4 @@
-"""What can be read of a log, whole or damaged: python-can decodes the sound parts, the others are skipped and named."""
+"""Reads logs that may be damaged: python-can decodes the intact parts, damaged parts are skipped and reported."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ import can
 from zygos.files.output import counted
 
 _NO_IDENTIFIER = 1 << 29
-"""The first number that is too large for one."""
+"""The smallest number that is too large for a CAN identifier."""
 _CANDUMP_ERROR = re.compile(r"\s*\S+\s+\S+\s+([23][0-9a-f]{7})#", re.IGNORECASE)
-"""candump marks error frames by bit 29 of the identifier; python-can's reader knows only those of one class."""
+"""candump marks error frames by bit 29 of the identifier; python-can's reader recognises only one class of them."""
 
 
 @dataclass(frozen=True)
 class _Text:
-    """A text format."""
+    """A text format of logs."""
 
     reader: Any
-    """Of python-can."""
+    """The reader of python-can."""
     silent: re.Pattern[str]
-    """Sound lines that hold no frame."""
+    """Pattern of intact lines that hold no frame."""
 
 
 _TEXTS = {
     ".log": _Text(can.CanutilsLogReader, re.compile(r"\s*$")),
     ".asc": _Text(
         can.ASCReader,
-        # Behind a time stamp there are events of many kinds. What looks like a frame has to be one.
+        # Many kinds of events begin with a time stamp. A line that looks like a frame has to be one.
         re.compile(
             r"\s*($|//|(date|base|((no\s+)?internal)|previous|begin|end)\b"
             r"|\d+\.\d+\s+(.*J1939|(?!\d+\s+[0-9a-f]+x?\s)(?!.*\s[RT]x\s+[dr]\s)))",
@@ -52,35 +52,36 @@ _TEXTS = {
 
 
 class _Lines:
-    """The lines of a text log on their way into a reader of python-can, which takes this for a file."""
+    """The lines of a text log as a file object, from which a reader of python-can reads."""
 
     def __init__(self, stream: Iterator[str], silent: re.Pattern[str]) -> None:
         self._stream = stream
         self._silent = silent
         self._offered = 0
-        """How often the present line was given out and not answered; 0: it is done with."""
+        """How often the reader got the current line without returning a frame for it; 0: the line is finished."""
         self.line = ""
         self.number = 0
         self.bad: list[int] = []
-        """Numbers of the lines that should hold a frame, and do not."""
+        """Numbers of the lines that should hold a frame but do not."""
         self.cut = False
-        """Whether the last line has no end."""
+        """Whether the last line lacks its line end."""
         self.begun = False
-        """Whether a block that .asc writers begin and end has not ended."""
+        """Whether a Begin TriggerBlock of an .asc file has no End TriggerBlock yet."""
         self.over = False
 
     def __iter__(self) -> Iterator[str]:
         return self
 
     def __next__(self) -> str:
-        """The next line. One that gave no frame comes twice: the .asc reader swallows the one behind a header."""
+        """The next line. A line that gave no frame is given twice, because the .asc reader skips the one after a
+        header."""
         if self._offered == 2:
             self.refuse()
         if self._offered:
             self._offered += 1
             return self.line
         self._advance()
-        while "\0" in self.line:  # what a disk gives for a sector that it lost: lines run together there
+        while "\0" in self.line:  # a disk returns zeros for a lost sector, which joins the lines on both sides
             self.bad.append(self.number)
             self._advance()
         silent = self._silent.match(self.line) is not None
@@ -99,21 +100,21 @@ class _Lines:
         self.number += 1
 
     def answer(self) -> None:
-        """The line gave a frame."""
+        """Record that the line gave a frame."""
         self._offered = 0
 
     def refuse(self) -> None:
-        """The line gives none, though it should."""
+        """Record that the line gave no frame although it should."""
         if not self.over:
             self.bad.append(self.number)
         self._offered = 0
 
     def close(self) -> None:
-        """Readers close their file."""
+        """Do nothing; readers of python-can close their file."""
 
 
 def _text(path: Path, damage: list[str]) -> Iterator[can.Message]:
-    """Line by line. A reader that stumbles over a line begins anew behind it and keeps what the header told it."""
+    """Read line by line. After a line that it cannot read, the reader continues with the next and keeps the header."""
     kind = _TEXTS[path.suffix.lower()]
     with path.open(encoding="utf-8-sig", errors="replace") as stream:
         lines = _Lines(stream, kind.silent)
@@ -130,10 +131,10 @@ def _text(path: Path, damage: list[str]) -> Iterator[can.Message]:
                         message.is_error_frame = True
                         message.arbitration_id = int(error[1], 16) % _NO_IDENTIFIER
                     yield message
-            except Exception:  # each reader raises errors of its own
+            except Exception:  # each reader raises different errors
                 lines.refuse()
     if lines.bad:
-        others = f" nor in {counted(len(lines.bad) - 1, 'line')} behind it" if len(lines.bad) > 1 else ""
+        others = f" nor in {counted(len(lines.bad) - 1, 'line')} after it" if len(lines.bad) > 1 else ""
         damage.append(f"has no frame in line {lines.bad[0]:,}{others}")
     if lines.cut:
         damage.append(f"ends in the middle of line {lines.number:,}, which is left out")
@@ -143,35 +144,35 @@ def _text(path: Path, damage: list[str]) -> Iterator[can.Message]:
 
 _MARK = b"LOBJ"
 _CONTAINER, _FRAMES = 10, frozenset({1, 73, 86, 100, 101})
-"""Types of objects: a container, and what python-can makes messages of."""
+"""Types of objects: a container, and the objects that python-can converts to messages."""
 _SLACK = 8
 """Objects are padded; the next one begins within that many bytes."""
 _HEADER = struct.Struct("<4sL8xQ8xL")
-"""Of the file: mark, size of the header, size of the file, number of objects."""
+"""Header of the file: mark, size of the header, size of the file, number of objects."""
 _OBJECT = struct.Struct("<4sHHLL")
 """Header of every object: mark, size of the header, its version, size of the object, type."""
 _METHOD = struct.Struct("<H6xL4x")
-"""Behind the header of a container: compression (0: stored, 2: zlib), size of what it holds."""
+"""Fields after the header of a container: compression (0: stored, 2: zlib), size of the content."""
 _HEADER_SIZE = 144
 _STORED = 0
 _BATCH = 100_000
-"""Objects decoded at a time: the size of a container is a 32-bit number."""
+"""Number of objects decoded at once; the size of a container is limited to a 32-bit number."""
 
 
 @dataclass(frozen=True)
 class _Object:
-    """Where something that bears the mark of an object lies in a .blf, or in what its containers hold."""
+    """Position of an object, recognised by its mark, in a .blf or in the content of its containers."""
 
     begin: int
     end: int
-    """Where it ends; if it is not whole, where the next mark stands or the data end."""
+    """End of the object; for an incomplete one the position of the next mark, or the end of the data."""
     kind: int
     whole: bool
-    """Whether the next one begins where it ends."""
+    """Whether the next object begins where this one ends."""
 
 
 def _objects(data: bytes | bytearray) -> Iterator[_Object]:
-    """All objects. Behind a damaged one the next mark is looked for."""
+    """All objects. After a damaged object the search continues at the next mark."""
     begin = data.find(_MARK)
     while 0 <= begin <= len(data) - _OBJECT.size:
         *_, size, kind = _OBJECT.unpack_from(data, begin)
@@ -186,14 +187,15 @@ def _objects(data: bytes | bytearray) -> Iterator[_Object]:
 
 
 def _unpack(data: bytes, container: _Object) -> tuple[bytes, bool]:
-    """What a container holds, and whether that is all of it."""
+    """The content of a container, and whether it is complete."""
     inside = container.begin + _OBJECT.size
     if container.end < inside + _METHOD.size:
         return b"", False
     method, size = _METHOD.unpack_from(data, inside)
     content = data[inside + _METHOD.size : container.end]
     if method == _STORED:
-        # of a damaged one this is what comes before the first mark within: each object behind it is found by its own
+        # for a damaged container this is the part before the first mark in it; the objects after it are found by their
+        # marks
         return (content, container.whole) if not container.whole or len(content) >= size else (b"", False)
     stream = zlib.decompressobj()
     try:
@@ -201,11 +203,11 @@ def _unpack(data: bytes, container: _Object) -> tuple[bytes, bool]:
     except zlib.error:
         return b"", False
     cut = not container.whole and container.end == len(data)
-    return (content, stream.eof) if stream.eof or cut else (b"", False)  # a checksum stands at the end
+    return (content, stream.eof) if stream.eof or cut else (b"", False)  # the checksum stands at the end
 
 
 def _decode(objects: Sequence[bytes]) -> Iterator[can.Message]:
-    """Objects as messages, by python-can: it is given a file in which nothing is compressed or damaged."""
+    """Decode objects to messages with python-can, from a file in memory that is neither compressed nor damaged."""
     for first in range(0, len(objects), _BATCH):
         content = b"".join(objects[first : first + _BATCH])
         container = _OBJECT.pack(_MARK, _OBJECT.size, 1, _OBJECT.size + _METHOD.size + len(content), _CONTAINER)
@@ -214,13 +216,13 @@ def _decode(objects: Sequence[bytes]) -> Iterator[can.Message]:
 
 
 def _blf(path: Path, damage: list[str]) -> Iterator[can.Message]:
-    """Container by container and object by object: damaged ones are skipped, and those behind them are read."""
+    """Read container by container and object by object; damaged ones are skipped, and the following ones are read."""
     data = path.read_bytes()
     mark, start, length, count = _HEADER.unpack(data[: _HEADER.size].ljust(_HEADER.size, b"\0"))
     if mark != b"LOGG":
         damage.append("does not begin with the header of a .blf")
         start = length = count = 0
-    pieces = [bytearray()]  # of the content; within a piece objects may reach from one container into the next
+    pieces = [bytearray()]  # of the content; within a piece objects may extend from one container into the next
     bad: list[int] = []
     containers = 0
     entries = list(_objects(data))
@@ -243,31 +245,29 @@ def _blf(path: Path, damage: list[str]) -> Iterator[can.Message]:
         read += 1
         yield message
     if bad:
-        others = f" and in {counted(len(bad) - 1, 'place')} behind it" if len(bad) > 1 else ""
+        others = f" and in {counted(len(bad) - 1, 'place')} after it" if len(bad) > 1 else ""
         damage.append(f"is damaged in the object at byte {bad[0]:,}{others}")
     torn = sum(not entry.whole for _, entry in found) + frames - read
     if torn and not bad:
         damage.append(f"holds only a part of {counted(torn, 'object')}")
     if count > len(found) + containers:  # some writers count the containers as well
-        damage.append(f"counts {count:,} objects in its header, {len(sound):,} can be read")
+        damage.append(f"counts {count:,} objects in its header, but {len(sound):,} can be read")
     if length > len(data):
-        damage.append(f"is {len(data):,} bytes long, and says {length:,} in its header")
+        damage.append(f"is {len(data):,} bytes long, but its header states {length:,}")
     elif 0 < length <= start < len(data):
-        damage.append(
-            "has a header that was never completed: its recorder was stopped by force, and the end may be missing"
-        )
+        damage.append("has a header that was never completed: its recorder was killed, and the end may be missing")
 
 
 def _convert(source: Path, target: Path) -> str:
-    """python-can's converter, in a process of its own. Returns what it died of, or nothing."""
+    """Run python-can's converter in a separate process. Returns its error, or "" if it succeeded."""
     command = [sys.executable, "-m", "can.logconvert", str(source.absolute()), str(target)]
     done = subprocess.run(command, capture_output=True, encoding="utf-8", errors="replace", check=False)
-    said = re.search(r"^[\w.]+(Error|Exception): .*", done.stderr, re.MULTILINE)
-    return "" if done.returncode == 0 else said[0] if said else f"exit code {done.returncode}"
+    reported = re.search(r"^[\w.]+(Error|Exception): .*", done.stderr, re.MULTILINE)
+    return "" if done.returncode == 0 else reported[0] if reported else f"exit code {done.returncode}"
 
 
 def _mf4(path: Path, damage: list[str]) -> Iterator[can.Message]:
-    """As far as asammdf gets. Damaged files can crash it, so it works in a process of its own, and into a .blf."""
+    """Read as far as asammdf can. Damaged files may crash it, so it runs in a separate process and writes a .blf."""
     read = 0
     with TemporaryDirectory() as folder:
         target = Path(folder, "run.blf")
@@ -282,7 +282,7 @@ def _mf4(path: Path, damage: list[str]) -> Iterator[can.Message]:
 
 @contextmanager
 def _silence() -> Iterator[None]:
-    """What readers print of lines they stumble over is said in other words."""
+    """Suppress what readers log about lines they cannot read; the damage is reported by this module."""
     level = logging.root.manager.disable
     logging.disable(logging.CRITICAL)
     try:
@@ -292,9 +292,9 @@ def _silence() -> Iterator[None]:
 
 
 def messages(path: Path, damage: list[str]) -> Iterator[can.Message]:
-    """What can be read of a log, in file order. When it is through, `damage` says what is missing: "ends in …".
+    """The readable messages of a log, in file order. After the last, `damage` lists what is missing: "ends in …".
 
-    Only compressed parts have a checksum. What is wrong within a frame elsewhere is left to the receiver.
+    Only compressed parts have a checksum. Errors inside a frame elsewhere are left for the receiver to detect.
     """
     suffix = path.suffix.lower()
     with _silence():

@@ -1,4 +1,4 @@
-"""The DBC of one arm: the shipped one, with this arm's nodes, names, times and parameters."""
+"""The DBC of one arm: the shipped file with this arm's nodes, names, times and parameters."""
 
 from __future__ import annotations
 
@@ -22,30 +22,32 @@ COMPUTER, IMU = "COMPUTER", "IMU"
 
 
 _RESERVED = {word.casefold() for word in (COMPUTER, IMU, "VERSION", "FILTER", "INT", "HEX", "FLOAT", "STRING", "ENUM")}
-"""Nodes of the file, and words of the format that a joint's name could be; the others have an underscore at an end."""
+"""Names that a joint may not have: nodes of the file and keywords of the format. The format's other keywords begin or
+end with an underscore."""
 
 
 _LONGEST = 20
-"""Of a joint's name: with the longest signal, _Temperature, it makes the 32 characters that every CAN tool reads."""
+"""Longest name of a joint; with the longest signal suffix, _Temperature, it has the 32 characters that all tools
+read."""
 
 
 _HEADER = ("Crc", "Counter", "Status")
-"""Signals that bear the same name in each frame."""
+"""Signals that have the same name in each frame."""
 
 
 _MOST_PARAMETERS = 256
-"""The telemetry's index is a byte."""
+"""Largest number of parameters: their index in the telemetry is a byte."""
 
 
 _OF_PARAMETERS = {"": 0, "_sigma": 1, "_half95": 4}
-"""What the telemetry tells of a parameter: end of the signal's name, and its kind, the upper byte of Item."""
+"""What the telemetry reports of a parameter: suffix of the signal's name, and its kind, the upper byte of Item."""
 
 
 def joint_names(arm: Arm) -> tuple[str, ...]:
-    """The joints' names in the DBC, unlike each other in any case of letters, at most 20 characters.
+    """The joints' names in the DBC, which differ even when case is ignored, with at most 20 characters.
 
-    A name without a letter or digit of ASCII becomes JOINT and the node number; one that begins with a digit is
-    preceded by J. Where two names would be alike, or one is reserved, all of them end in their node numbers.
+    A name without a letter or digit of ASCII becomes JOINT and the node number; one that begins with a digit gets a J
+    in front. If two names would be equal, or one is reserved, every name ends in its node number.
     """
     names = []
     for joint in arm.joints:
@@ -54,22 +56,24 @@ def joint_names(arm: Arm) -> tuple[str, ...]:
     folded = [name.casefold() for name in names]
     if len(set(folded)) == len(folded) and _RESERVED.isdisjoint(folded):
         return tuple(names)
-    # node numbers differ, and so do the names behind whose last underscore they stand
+    # the parts after the last underscore are the node numbers, which differ
     return tuple(
         f"{name[: _LONGEST - 3].rstrip('_')}_{joint.node}" for name, joint in zip(names, arm.joints, strict=True)
     )
 
 
 def arm_database(arm: Arm, effects: Sequence[Effect] = ()) -> Database:
-    """The DBC of an arm, derived from zygos.dbc and zygos-coarse-gyro.dbc: layouts, scales and ranges are theirs.
+    """The DBC of an arm, derived from zygos.dbc and zygos-coarse-gyro.dbc, from which layouts, scales and ranges are
+    taken.
 
-    effects: those whose values are learned. Errors: ZygosError if the telemetry cannot name that many parameters.
+    effects: those whose values are estimated. Errors: ZygosError if the telemetry has no index for that many
+    parameters.
     """
     learned = estimated(arm, effects)
     count = len(arm.parameter_names) + len(learned)
     if count > _MOST_PARAMETERS:
         raise ZygosError(
-            f"arm {arm.name}: {count} parameters, but the telemetry's index names "
+            f"arm {arm.name}: {count} parameters, but the telemetry can report at most "
             f"{_MOST_PARAMETERS}; remedy: describe fewer joints"
         )
     shipped = database()
@@ -107,7 +111,7 @@ def arm_database(arm: Arm, effects: Sequence[Effect] = ()) -> Database:
 
 
 def cycles_between(message: Message) -> float:
-    """SYNC cycles from one frame of a message of the shipped DBC to the next."""
+    """Number of SYNC cycles between two frames of a message of the shipped DBC."""
     period = database().get_message_by_name("SYNC").cycle_time
     assert message.cycle_time is not None and period is not None
     return message.cycle_time / period
@@ -119,12 +123,12 @@ def _attributes(message: Message) -> Mapping[str, Any]:
 
 
 def _title(i: int, joint: Joint) -> str:
-    """What comments call joint i, from 0."""
+    """Name of joint i (from 0) in comments."""
     return f"joint {i + 1}, {printable(joint.name)}"
 
 
 def _at_node(message: Message, node: int) -> Message:
-    """A message of the shipped DBC as another node sends it."""
+    """A message of the shipped DBC as sent by another node."""
     clone = deepcopy(message)
     attribute = _attributes(clone)["E2ENode"]
     clone.frame_id += node - attribute.value
@@ -142,7 +146,7 @@ def _of_joint(shipped: Database, kind: str, joint: Joint, name: str, title: str)
             continue
         if signal.name in ("LinkAngle", "MotorAngle"):
             encoder = joint.link_encoder if signal.name == "LinkAngle" else joint.motor_encoder
-            rigid = "" if joint.flexible else " The joint is rigid: its motor encoder speaks for both sides."
+            rigid = "" if joint.flexible else " The joint is rigid: its motor encoder measures both angles."
             angle = f"The joint's angle is {encoder.sign:+d} * (reading - {encoder.zero_rad:.9g} rad)."
             signal.comment = f"{signal.comment}{rigid} {angle}"
         elif signal.name == "Latch":
@@ -152,7 +156,7 @@ def _of_joint(shipped: Database, kind: str, joint: Joint, name: str, title: str)
 
 
 def _telemetry(shipped: Database, arm: Arm, effects: Sequence[Effect]) -> Message:
-    """Frame 0x1A0, with signals for each parameter of the arm in the place of the shipped ones."""
+    """Frame 0x1A0, with signals for each parameter of the arm in place of the shipped ones."""
     message = deepcopy(shipped.get_message_by_name("TELEMETRY"))
     item = message.get_signal_by_name("Item")
     likes = {signal.name: signal for signal in message.signals}
@@ -176,12 +180,12 @@ def _telemetry(shipped: Database, arm: Arm, effects: Sequence[Effect]) -> Messag
 
 
 def _kind(signal: Signal) -> int | None:
-    """The kind of telemetry that a signal is; None for the header of all."""
+    """The kind of telemetry that a signal carries; None for signals of the header."""
     return next(iter(signal.multiplexer_ids)) >> 8 if signal.multiplexer_ids else None
 
 
 def _parameters(arm: Arm, effects: Sequence[Effect], likes: Mapping[str, Signal]) -> Iterator[tuple[str, str, str]]:
-    """Name, unit and comment of each parameter that is learned."""
+    """Name, unit and comment of each parameter that is estimated."""
     titles = {f"{kind}{i + 1}": _title(i, arm.joints[i]) for kind, i, _ in arm.joint_parameters}
     for name, unit in zip(arm.parameter_names, arm.parameter_units, strict=True):
         if name in titles:

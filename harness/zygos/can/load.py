@@ -1,4 +1,4 @@
-"""How much of a classical CAN bus an arm's frames take: at worst, and in a log."""
+"""Share of a classical CAN bus that an arm's frames take: in the worst case, and in a log."""
 
 from __future__ import annotations
 
@@ -14,31 +14,32 @@ from zygos.can.wire import ERROR, EXTENDED, FD, REMOTE, SYNC_MODULUS, database
 from zygos.errors import ZygosError
 
 LIMIT = 0.7
-"""Share of the bus that planned traffic may take: the rest is for repetitions and for others."""
+"""Share of the bus that planned traffic may take; the rest is for repetitions and other traffic."""
 
 
 OTHERS = "others"
-"""Name of all frames that are none of the arm's."""
+"""Name under which all foreign frames are counted."""
 
 
 _CRC15 = 0x4599
 
 
 _UNSTUFFED = 13
-"""CRC delimiter, acknowledge and its delimiter, end of frame, and the space before the next frame."""
+"""Bits of CRC delimiter, acknowledge slot and its delimiter, end of frame, and the space before the next frame."""
 
 
 def worst_bits(length: int) -> int:
-    """Bits of a data frame with 11-bit identifier and `length` bytes where stuffing is at its worst, with the space
-    behind it: Davis et al., Real-Time Systems 35 (2007) 239, eq. (1), and 3 bits of space."""
+    """Bits of a data frame with 11-bit identifier and `length` bytes in the worst case of bit stuffing, with the space
+    after it: Davis et al., Real-Time Systems 35 (2007) 239, eq. (1), and 3 bits of space."""
     stuffed = 34 + 8 * length
     return stuffed + (stuffed - 1) // 4 + _UNSTUFFED
 
 
 def exact_bits(frames: NDArray[Any]) -> NDArray[np.int64]:
-    """(n,) bits that `FRAME` records take on the bus, stuff bits and the space behind each frame included.
+    """(n,) bits that `FRAME` records take on the bus, stuff bits and the space after each frame included.
 
-    Error and CAN FD frames, whose bits a record does not tell, count 0. A remote frame is taken as asking for 0 bytes.
+    Error and CAN FD frames count 0, because a record does not contain their bits. A remote frame is assumed to request
+    0 bytes.
     """
     bits = np.zeros(len(frames), dtype=np.int64)
     classical = (frames["flags"] & (ERROR | FD)) == 0
@@ -52,7 +53,7 @@ def exact_bits(frames: NDArray[Any]) -> NDArray[np.int64]:
 
 
 def _columns(frames: NDArray[Any], extended: bool, length: int) -> list[NDArray[np.int64]]:
-    """Frames of one layout, bit by bit from the start of frame to the last of the CRC; each (n,)."""
+    """Bits of frames with one layout, from the start of frame to the last bit of the CRC; each array is (n,)."""
 
     def split(value: NDArray[np.int64], width: int) -> list[NDArray[np.int64]]:
         return [(value >> k) & 1 for k in reversed(range(width))]
@@ -74,7 +75,7 @@ def _columns(frames: NDArray[Any], extended: bool, length: int) -> list[NDArray[
 
 
 def _with_stuffing(columns: list[NDArray[np.int64]]) -> NDArray[np.int64]:
-    """(n,) number of these bits and of those that stuffing adds: after five alike, one of the other kind."""
+    """(n,) number of these bits plus the stuff bits: after five equal bits, one of opposite value is inserted."""
     last, run = np.full_like(columns[0], -1), np.zeros_like(columns[0])
     added = np.zeros_like(run)
     for bit in columns:
@@ -87,16 +88,16 @@ def _with_stuffing(columns: list[NDArray[np.int64]]) -> NDArray[np.int64]:
 
 @dataclass(frozen=True)
 class Share:
-    """What one message takes of a bus at worst."""
+    """Share of a bus that one message takes in the worst case."""
 
     name: str
     id: int
     bytes: int
     bits: int
-    """Worst length of a frame on the bus."""
+    """Longest frame on the bus, in bits."""
     rate_hz: float
     load: float
-    """1 is all of the bus."""
+    """Load of the bus by this message; 1 is the whole bus."""
 
 
 @dataclass(frozen=True)
@@ -106,21 +107,21 @@ class Plan:
     shares: tuple[Share, ...]
     load: float
     largest_sync_hz: float
-    """The SYNC rate that loads the bus to LIMIT; 0 where attitude and telemetry alone load it more."""
+    """The SYNC rate that loads the bus to LIMIT, Hz; 0 if attitude and telemetry alone exceed it."""
 
 
 def plan(arm: Arm, bitrate: int, attitude_hz: float | None = None, telemetry_hz: float = 100.0) -> Plan:
     """The worst-case load of an arm's frames on a bus of `bitrate` bit/s.
 
-    SYNC, joints and gyro once a cycle, FTIME as often as zygos.dbc says, attitude (None: 100 where there is a gyro)
-    and telemetry at rates of their own. Errors: ZygosError for an attitude without a gyro.
+    SYNC, joints and gyro are sent once a cycle, FTIME as often as zygos.dbc states, attitude (None: 100 Hz where there
+    is a gyro, otherwise none) and telemetry at the given rates. Errors: ZygosError for an attitude without a gyro.
     """
     if attitude_hz and not arm.free:
         raise ZygosError(
             f"arm {arm.name}: a fixed base has no gyro to send an attitude; remedy: leave --attitude-hz out"
         )
     own = {"IMU_ATTITUDE": 100.0 if attitude_hz is None else attitude_hz, "TELEMETRY": telemetry_hz, "HEARTBEAT": 1.0}
-    # how often FTIME comes is exact in the shipped file; the arm's own is rounded to milliseconds
+    # the shipped file states the interval of FTIME exactly; in the arm's own file it is rounded to milliseconds
     per_cycle = {"FTIME": 1.0 / cycles_between(database().get_message_by_name("FTIME"))}
     shares = []
     bits_per_cycle = bits_per_second = 0.0
@@ -139,31 +140,31 @@ def plan(arm: Arm, bitrate: int, attitude_hz: float | None = None, telemetry_hz:
 
 @dataclass(frozen=True)
 class Usage:
-    """What a log took of a bus, from its first SYNC to its last."""
+    """What the frames of a log took of a bus, from the first SYNC to the last."""
 
     duration_s: float
-    """The cycles that the SYNC counters count, times the arm's period."""
+    """Number of cycles according to the SYNC counters, times the arm's period, s."""
     frames: dict[str, int]
-    """By name of the arm's message, and OTHERS."""
+    """Number of frames by name of the arm's message, and of OTHERS."""
     bits: dict[str, int]
     load: float
     busiest: float
-    """Load of the fullest cycle."""
+    """Load of the cycle with the most bits."""
     uncounted: int
-    """Error and CAN FD frames."""
+    """Number of error and CAN FD frames, whose bits are unknown."""
 
 
 def usage(arm: Arm, bitrate: int, frames: NDArray[Any], bits: NDArray[np.int64]) -> Usage:
-    """What `FRAME` records (n,) and their bits (n,) took of a bus of `bitrate` bit/s.
+    """Load of a bus of `bitrate` bit/s by `FRAME` records (n,) that take `bits` (n,).
 
-    Times are those of the SYNC counters: the stamps of a log decide nothing. Errors: ZygosError where no cycle passes.
+    Times are those of the SYNC counters; the time stamps of a log are not used. Errors: ZygosError if no cycle passes.
     """
     names = {message.frame_id: message.name for message in arm_database(arm).messages}
     plain = frames["flags"] == 0
     syncs = np.flatnonzero(plain & (frames["id"] == 0x080) & (frames["length"] == 1))
     steps = np.diff(frames["data"][syncs, 0].astype(np.int64)) % SYNC_MODULUS
     if not steps.any():
-        raise ZygosError("the log holds no two SYNCs (0x080) that differ; remedy: record a bus whose SYNC runs")
+        raise ZygosError("the log holds no two different SYNCs (0x080); remedy: record a bus whose SYNC is running")
     inside = slice(syncs[0], syncs[-1])
     frames, plain, bits = frames[inside], plain[inside], bits[inside]
     per_cycle = np.add.reduceat(bits, syncs[:-1] - syncs[0])
@@ -177,12 +178,12 @@ def usage(arm: Arm, bitrate: int, frames: NDArray[Any], bits: NDArray[np.int64])
     uncounted = (frames["flags"] & (ERROR | FD)) > 0
     others &= ~uncounted
     found[OTHERS], taken[OTHERS] = int(others.sum()), int(bits[others].sum())
-    room = bitrate * arm.period_s
+    capacity = bitrate * arm.period_s
     return Usage(
         float(steps.sum() * arm.period_s),
         found,
         taken,
-        float(bits.sum() / (steps.sum() * room)),
-        float((per_cycle[steps > 0] / (steps[steps > 0] * room)).max()),
+        float(bits.sum() / (steps.sum() * capacity)),
+        float((per_cycle[steps > 0] / (steps[steps > 0] * capacity)).max()),
         int(uncounted.sum()),
     )

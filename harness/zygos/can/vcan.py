@@ -1,7 +1,7 @@
 """Frames through a real SocketCAN interface: kernel counts, and a transfer from one socket to another.
 
-python-can sends; a plain AF_CAN socket receives, so that no code is shared between the two ends. Classical frames only.
-Linux only; `tools/with-vcan` runs a command where vcan0 exists.
+python-can sends and a plain AF_CAN socket receives, so that the two ends share no code. Only classical frames are
+supported. Linux only; `tools/with-vcan` runs a command where vcan0 exists.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ import can
 
 from zygos.errors import ZygosError
 
-# Frames under way at most. A socket buffer of default size holds 278 and then drops without a word.
+# Frames that are sent but not received yet, at most. A socket buffer of default size holds 278, then drops silently.
 WINDOW = 128
-# Without a frame for that long, the rest is lost [s].
+# The remaining frames count as lost after that time without a frame [s].
 PATIENCE_S = 5.0
 
-# Bytes of a larger buffer; a frame takes 768 of them, and the kernel doubles what it is asked for.
+# Bytes of the enlarged buffer; a frame takes 768 of them, and the kernel doubles the requested size.
 _ROOM = 8_000_000
 _SO_RCVBUFFORCE = 33
 
@@ -34,7 +34,7 @@ _FRAME = struct.Struct("=IB3x8s")
 
 @dataclass(frozen=True)
 class KernelCounts:
-    """Frames that the kernel has counted on an interface since it was made. Unit: frames."""
+    """Number of frames that the kernel has counted on an interface since it was created."""
 
     sent: int
     received: int
@@ -59,11 +59,11 @@ def kernel_counts(ifname: str) -> KernelCounts:
 
 
 def open_receiver(channel: str) -> socket.socket:
-    """A raw CAN socket that hears every frame on `channel`. Raises ZygosError when there is no such interface."""
+    """A raw CAN socket that receives every frame on `channel`. Raises ZygosError when there is no such interface."""
     try:
         receiver = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
     except OSError as error:
-        raise ZygosError("this kernel has no CAN; remedy: tools/with-vcan COMMAND") from error
+        raise ZygosError("this kernel has no CAN support; remedy: tools/with-vcan COMMAND") from error
     try:
         receiver.bind((channel,))
     except OSError as error:
@@ -74,7 +74,7 @@ def open_receiver(channel: str) -> socket.socket:
 
 
 def make_room(receiver: socket.socket) -> None:
-    """Let a socket hold thousands of frames that were not read yet, as far as this user may."""
+    """Enlarge a socket's buffer to thousands of unread frames, as far as this user's rights allow."""
     try:
         receiver.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _ROOM)
     except PermissionError:
@@ -100,14 +100,14 @@ def read_frame(receiver: socket.socket) -> can.Message:
 
 
 def same(one: can.Message, other: can.Message) -> bool:
-    """Whether two messages are the same frame, whenever and wherever they were seen."""
+    """Whether two messages are the same frame, regardless of their time and channel."""
     return one.equals(other, timestamp_delta=None, check_channel=False, check_direction=False)
 
 
 def transfer(frames: Sequence[can.Message], channel: str) -> list[can.Message]:
-    """Sends frames from one thread as fast as they go, receives them in another, and returns what came, in order.
+    """Sends frames from one thread as fast as possible, receives them in another, and returns them in order of arrival.
 
-    Timestamps do not travel: those returned are 0. Frames of others on the channel are left out. Raises ZygosError when
+    Time stamps are not transferred: those returned are 0. Foreign frames on the channel are left out. Raises ZygosError
     a frame is missing at the end.
     """
     credit = Semaphore(WINDOW)
@@ -138,7 +138,7 @@ def transfer(frames: Sequence[can.Message], channel: str) -> list[can.Message]:
             receiving.result()
         except TimeoutError as error:
             raise ZygosError(
-                f"{len(came)} of {len(frames)} frames came through {channel}; remedy: see whether it is up, "
+                f"{len(came)} of {len(frames)} frames came through {channel}; remedy: check that it is up, "
                 f"and its counts (ip -s link show {channel})"
             ) from error
     return came

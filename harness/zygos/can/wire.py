@@ -1,14 +1,12 @@
-"""What the frames of the wire mean: the shipped DBC, the identifiers of an arm, the steps of the codes."""
+"""What the frames of the wire mean: the shipped DBC, the identifiers of an arm."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 import cantools
-import numpy as np
 from cantools.database.can import Database, Message
 
 from zygos.arm import Arm
@@ -27,23 +25,23 @@ EXTENDED, REMOTE, ERROR, FD = 1, 2, 4, 8
 
 
 BUS_OFF = 0x40
-"""Class of an error frame, a bit of its identifier: the controller has left the bus."""
+"""Class of an error frame, a bit of its identifier: the controller is bus-off."""
 
 
 UNWANTED = "unwanted"
-"""Part of a cycle that forbids its use: of a fine gyro, where the arm says that it is coarse."""
+"""Part of a cycle that makes it unusable: a frame of the fine gyro, where the arm declares a coarse one."""
 
 
 class Frame(NamedTuple):
-    """A CAN frame: identifier, data, and EXTENDED, REMOTE, ERROR, FD as flags."""
+    """A CAN frame: identifier, data, and the flags EXTENDED, REMOTE, ERROR, FD."""
 
     id: int
     data: bytes
     flags: int = 0
 
 
-class Kind(NamedTuple):
-    """What an identifier means for an arm: its message in the DBC, its E2E family and node, the joint it belongs to.
+class MessageKind(NamedTuple):
+    """Meaning of an identifier for an arm: its message in the DBC, its E2E family and node, the joint it belongs to.
 
     part: what the frame contributes to a cycle, None for SYNC and FTIME.
     """
@@ -57,59 +55,34 @@ class Kind(NamedTuple):
 
 @cache
 def database(coarse_gyro: bool = False) -> Database:
-    """The wire's DBC, with the messages of the coarse gyro in place of the fine one's."""
+    """The shipped DBC; with `coarse_gyro` the messages of the coarse gyro replace those of the fine one."""
     loaded = cantools.database.load_file(DBC_FOLDER / ("zygos-coarse-gyro.dbc" if coarse_gyro else "zygos.dbc"))
     assert isinstance(loaded, Database)
     return loaded
 
 
-def identifiers(arm: Arm) -> dict[int, Kind]:
+def identifiers(arm: Arm) -> dict[int, MessageKind]:
     """Identifiers of the arm's messages. The DBC names joints by node 1 to 7; other nodes have the same layout."""
     messages = {message.name: message for message in database().messages}
     kinds = {
-        0x080: Kind(messages["SYNC"], None, COMPUTER_NODE),
-        0x380 + COMPUTER_NODE: Kind(messages["FTIME"], 2, COMPUTER_NODE),
+        0x080: MessageKind(messages["SYNC"], None, COMPUTER_NODE),
+        0x380 + COMPUTER_NODE: MessageKind(messages["FTIME"], 2, COMPUTER_NODE),
     }
     for i, joint in enumerate(arm.joints):
-        kinds[0x180 + joint.node] = Kind(messages["JOINT1_ANGLES"], 0, joint.node, i, f"angles{i}")
-        kinds[0x280 + joint.node] = Kind(messages["JOINT1_TORQUE"], 1, joint.node, i, f"torque{i}")
+        kinds[0x180 + joint.node] = MessageKind(messages["JOINT1_ANGLES"], 0, joint.node, i, f"angles{i}")
+        kinds[0x280 + joint.node] = MessageKind(messages["JOINT1_TORQUE"], 1, joint.node, i, f"torque{i}")
     node = arm.imu.node
     if node == 0:
         return kinds
     if arm.imu.resolution == "coarse":
-        kinds[0x180 + node] = Kind(database(coarse_gyro=True).get_message_by_frame_id(0x190), 0, node, 0, "rate")
-        kinds[0x380 + node] = Kind(messages["IMU_RATE_Z"], 2, node, 0, UNWANTED)
+        kinds[0x180 + node] = MessageKind(database(coarse_gyro=True).get_message_by_frame_id(0x190), 0, node, 0, "rate")
+        kinds[0x380 + node] = MessageKind(messages["IMU_RATE_Z"], 2, node, 0, UNWANTED)
     else:
-        kinds[0x180 + node] = Kind(messages["IMU_RATE_XY"], 0, node, 0, "rate_xy")
-        kinds[0x380 + node] = Kind(messages["IMU_RATE_Z"], 2, node, 0, "rate_z")
+        kinds[0x180 + node] = MessageKind(messages["IMU_RATE_XY"], 0, node, 0, "rate_xy")
+        kinds[0x380 + node] = MessageKind(messages["IMU_RATE_Z"], 2, node, 0, "rate_z")
     return kinds
 
 
 def data_ids(family: int, node: int) -> bytes:
     """DataIDList of E2E profile 2: one identifier for each of the sixteen counters."""
     return bytes((32 * family + node + 17 * counter) % 251 for counter in range(16))
-
-
-ANGLE_STEP, TORQUE_STEP = 2.0 * np.pi / 2**20, 1e-4
-"""Of the wire, rad and Nm."""
-
-
-RATE_STEP, COARSE_RATE_STEP = 2.0**-21, 2.0**-13
-"""Of the wire, rad/s."""
-
-
-def over_the_wire(arm: Arm) -> Arm:
-    """The arm with the errors that its sensors have once the wire has rounded their readings (docs/wire.md)."""
-
-    joints = tuple(
-        replace(
-            joint,
-            link_encoder=joint.link_encoder.over_the_wire,
-            motor_encoder=joint.motor_encoder.over_the_wire,
-            torque_sigma=float(np.hypot(joint.torque_sigma, TORQUE_STEP / np.sqrt(12.0))),
-        )
-        for joint in arm.joints
-    )
-    step = RATE_STEP if arm.imu.resolution == "fine" else COARSE_RATE_STEP
-    imu = replace(arm.imu, rate_sigma=float(np.hypot(arm.imu.rate_sigma, step / np.sqrt(12.0))))
-    return replace(arm, joints=joints, imu=imu)

@@ -1,4 +1,4 @@
-"""`zygos bus-load`: how much of a classical CAN bus an arm's frames take, as a table."""
+"""`zygos bus-load`: computes how much of a classical CAN bus an arm's frames take, and prints a table."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ from zygos.arm import Arm, load_arm
 from zygos.can.bus import check_log
 from zygos.can.load import LIMIT, OTHERS, Plan, Usage, exact_bits, plan, usage
 from zygos.cli.options import Json
-from zygos.cli.shared import damage_of, not_whole, read_run
+from zygos.cli.shared import not_whole, read_log
 from zygos.errors import Undecided
 from zygos.files.output import check_outputs, counted, note, number, say, table, write_json
 from zygos.files.progress import progress
 
 _FASTEST = 1_000_000
-"""Bits per second of classical CAN."""
+"""Largest bit rate of classical CAN, bit/s."""
 
 
 _LONGEST_S = 0.065
-"""SYNC period above which no arm file may go (docs/wire.md)."""
+"""Largest SYNC period of an arm file, s (docs/wire.md)."""
 
 
 _AT_ONCE = 65_536
-"""Frames whose bits are counted together."""
+"""Number of frames whose bits are counted together."""
 
 
 def report_bus_load(
     arm_file: Path, bitrate: int, attitude_hz: float | None, telemetry_hz: float, run: Path | None, json: str | None
 ) -> None:
-    """Tell the load of an arm's frames; see `zygos bus-load --help`."""
+    """Print the load of an arm's frames; see `zygos bus-load --help`."""
     if run is not None:
         check_log(run)
     check_outputs([json], [arm_file, run])
@@ -42,7 +42,7 @@ def report_bus_load(
     planned = plan(arm, bitrate, attitude_hz, telemetry_hz)
     used, log = None, None
     if run is not None:
-        log = read_run(run)
+        log = read_log(run)
         frames = log.frames
         parts = [frames[k : k + _AT_ONCE] for k in range(0, len(frames), _AT_ONCE)]
         with progress() as bar:
@@ -66,16 +66,16 @@ def report_bus_load(
     if json != "-":
         _print(arm, bitrate, planned, used)
     if used is not None and used.uncounted:
-        note(f"{counted(used.uncounted, 'error or CAN FD frame')} of {run}: what they take is not counted")
+        note(f"{counted(used.uncounted, 'error or CAN FD frame')} of {run}: their bits are not counted")
     if planned.load > LIMIT:
-        much = "cannot be carried" if planned.load > 1.0 else f"is above {100 * LIMIT:g} %"
+        much = "exceeds the bus" if planned.load > 1.0 else f"is above {100 * LIMIT:g} %"
         raise Undecided(f"a load of {100 * planned.load:.1f} % {much}; remedy: {_remedy(planned, bitrate)}")
     if used is not None and used.load > LIMIT:
         raise Undecided(
             f"{run}: a load of {100 * used.load:.1f} % is above {100 * LIMIT:g} %, {OTHERS} included; remedy: a higher "
-            "bit rate, or fewer frames of others"
+            "bit rate, or fewer foreign frames"
         )
-    not_whole(damage_of(log))
+    not_whole(log.damage if log else ())
 
 
 def _print(arm: Arm, bitrate: int, planned: Plan, used: Usage | None) -> None:
@@ -95,14 +95,14 @@ def _print(arm: Arm, bitrate: int, planned: Plan, used: Usage | None) -> None:
     if used is not None:
         columns += ["frames in the log", "bits, mean", "load %"]
         rows.append([OTHERS, *[""] * 5])
-        room = bitrate * used.duration_s
+        capacity = bitrate * used.duration_s
         for row in rows:
             frames, bits = used.frames[row[0]], used.bits[row[0]]
-            row += [f"{frames:,}", number(bits / frames, 4) if frames else "–", _percent(bits / room)]
+            row += [f"{frames:,}", number(bits / frames, 4) if frames else "–", _percent(bits / capacity)]
         total += [f"{sum(used.frames.values()):,}", "", _percent(used.load)]
     table(columns, [*rows, total])
     if used is not None:
-        say(f"the log: {used.duration_s:,.1f} s, fullest cycle {_percent(used.busiest)} %")
+        say(f"the log: {used.duration_s:,.1f} s, cycle with the largest load {_percent(used.busiest)} %")
     say(
         f"arm {arm.name} · {bitrate:,} bit/s · SYNC {1 / arm.period_s:.6g} Hz · load {_percent(planned.load)} %, "
         f"margin to {100 * LIMIT:g} % {_percent(LIMIT - planned.load)} % · largest SYNC rate "
@@ -142,12 +142,12 @@ def command(
     ] = None,
     json: Json = None,
 ) -> None:
-    """Say how much of the bus this arm's frames take, and how fast its SYNC may be.
+    """Compute how much of the bus this arm's frames take, and its largest SYNC rate.
 
-    The load is that at the arm file's period_s if bit stuffing makes every frame as long as it can be. The largest SYNC
+    The load is that at the arm file's period_s if bit stuffing makes every frame as long as possible. The largest SYNC
     rate is the one that fills 70 % of the bus.
 
-    Exit code 3 when the load is above 70 %, or that of RUN with all frames of others in it.
+    Exit code 3 when the load is above 70 %, or that of RUN including all foreign frames.
 
     Example: zygos bus-load --arm examples/paper/arm.toml --bitrate 500000
     """

@@ -1,4 +1,4 @@
-"""`zygos check`: the C library beside numpy on a run."""
+"""`zygos check`: compares the C library with numpy on a run."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ import typer
 
 from zygos.arm import load_arm
 from zygos.cli.options import ArmFile, Json, Report, Run
-from zygos.cli.shared import damage_of, find_arm, not_whole, origin, read_run
+from zygos.cli.shared import find_arm, not_whole, origin, read_run
 from zygos.errors import Undecided
-from zygos.estimation.remedies import remedy
 from zygos.files.output import (
     bad,
     check_outputs,
@@ -23,12 +22,9 @@ from zygos.files.output import (
     table,
     write_json,
 )
-from zygos.files.tables import is_table
 from zygos.model.model import load_model
-from zygos.native.flight import Flight
-from zygos.reference.compare import Room, check_cycles, check_frames
+from zygos.reference.check import check
 from zygos.report.provenance import provenance
-from zygos.runs.tables import read_cycles
 
 
 def check_run(
@@ -43,20 +39,19 @@ def check_run(
     chosen = find_arm(run, arm_file)
     check_outputs([json, report], [run, chosen, run.parent / "arm.toml", model_file])
     arm = load_arm(chosen)
-    flight = Flight(arm, load_model(model_file).effects if model_file else ())
-    log = None if is_table(run) else read_run(run)
-    rooms = check_cycles(arm, read_cycles(run, arm), flight) if log is None else check_frames(arm, log.frames, flight)
-    undecided = _undecided(rooms, flight)
+    effects = load_model(model_file).effects if model_file else ()
+    recorded = read_run(run, arm)
+    found = check(recorded, effects=effects)
     if json:
-        write_json(json, {**origin(run, log), "arm": arm.name, "rooms": [room.as_json() for room in rooms]})
+        write_json(json, {**origin(recorded), **found.as_dict()})
     if report is not None:
         from zygos.reference.page import write_check_report  # noqa: PLC0415  (only a report needs charts)
 
         files = [("run", run), ("arm", chosen), *([("model", model_file)] if model_file else [])]
-        write_check_report(report, arm, rooms, undecided, damage_of(log), provenance(command, files))
+        write_check_report(report, found, provenance(command, files), damage=recorded.damage)
     if not quiet(json, report):
         table(
-            ("room", "compared", "largest difference", "at cycle", "tolerance", ""),
+            ("stage", "compared", "largest difference", "at cycle", "tolerance", ""),
             [
                 (
                     room.name,
@@ -66,26 +61,14 @@ def check_run(
                     number(room.tolerance, 2),
                     good("equal") if room.equal else bad("differs"),
                 )
-                for room in rooms
+                for room in found.stages
             ],
         )
-        if is_table(run):
-            say("door: cycle")
-    if undecided:
-        what, advice = undecided
-        raise Undecided(f"{what}; remedy: {advice}")
-    not_whole(damage_of(log))
-
-
-def _undecided(rooms: Sequence[Room], flight: Flight) -> tuple[str, str] | None:
-    """What differs or is missing, and the remedy; None where all is equal."""
-    failed = [room.name for room in rooms if not room.equal]
-    if failed:
-        return f"C and numpy differ in: {', '.join(failed)}", "report the run, it is worth a look"
-    if rooms[-1].name != "solution":
-        result = flight.estimate()
-        return f"no solution to compare, {result.validity}: {result.reason}", remedy(result, flight)
-    return None
+        if recorded.frames is None:
+            say("input: table of cycles")
+    if found.undecided is not None:
+        raise Undecided("; remedy: ".join(found.undecided))
+    not_whole(recorded.damage)
 
 
 def command(
@@ -99,14 +82,14 @@ def command(
     json: Json = None,
     report: Report = None,
 ) -> None:
-    """Compare the C library with numpy on a run, room by room.
+    """Compare the C library with numpy on a run, stage by stage.
 
-    The rooms are wire and cycles, smoother, rows, normal equations and solution. For each the table has the largest
-    difference, the cycle where it is found, and the tolerance. The two sides share no code: on numpy's side cantools
+    The stages are wire and cycles, smoother, rows, normal equations and solution. For each the table has the largest
+    difference, the cycle in which it occurs, and the tolerance. The two sides share no code: on numpy's side cantools
     and autosar-e2e decode, a convolution of the whole record smooths, and lstsq solves. The page of --report also draws
     the differences over the cycles of the run.
 
-    Exit code 3 when a room differs by more than its tolerance, or the run does not determine the parameters.
+    Exit code 3 when a stage differs by more than its tolerance, or the run does not determine the parameters.
 
     Example: zygos check out/run.blf
     """

@@ -1,4 +1,4 @@
-"""`zygos compile-model`: an arm file as the constant that onboard software links, and as bytes that it loads."""
+"""`zygos compile-model`: an arm file as a constant for onboard software, and as bytes that it can load."""
 
 from __future__ import annotations
 
@@ -57,16 +57,14 @@ def command(
         typer.Option("-o", "--out", metavar="FOLDER", help="The folder where arm_config.h and arm.zyg are written."),
     ] = Path(),
     model: Annotated[
-        Path | None, typer.Option("--model", metavar="PRIOR.toml", help="Also learn the effects of this model.")
+        Path | None, typer.Option("--model", metavar="PRIOR.toml", help="Also estimate the effects of this model.")
     ] = None,
     json: Json = None,
 ) -> None:
-    """Compile an arm file into the constant that onboard software links, and into bytes that it loads.
+    """Compile an arm file into a constant that onboard software links, and into bytes that it loads.
 
-    Writes arm_config.h, for C11 and C++17, with the configuration and the places of the parameters (ARM_k1), and
-    arm.zyg, the bytes of the same configuration in this build behind a head with layout and CRC (docs/snapshot.md),
+    Writes arm_config.h, for C11 and C++17, with the configuration and the indices of the parameters (ARM_k1), and
+    arm.zyg, the bytes of the same configuration in this build after a header with layout and CRC (docs/snapshot.md),
     which `zygos-node` loads. A configuration that the flight library would refuse is not written.
-
-    Example: zygos compile-model examples/paper/arm.toml -o out/onboard
     """
     compile_model(arm, out, model, json)

@@ -1,4 +1,4 @@
-"""`zygos convert`: telemetry of others becomes a run, with a table of what became of each signal."""
+"""`zygos convert`: converts telemetry of other systems to a run, with a report on each signal."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from zygos.files.tables import check_table, is_table
 from zygos.native.flight import Flight, encode
 from zygos.telemetry.convert import (
     added_noise,
-    arm_text,
     check_noise,
     cycles_of,
+    noisier_arm_text,
     refused_share,
     signal_rows,
     stamps_sigma,
@@ -47,11 +47,11 @@ def convert_run(
     _check_names(source, dbc, out, tabular=tabular)
     chosen = arm_file or map_file.parent / "arm.toml"
     if not local(chosen).is_file():
-        raise ZygosError(f"{chosen}: no such arm file; remedy: give it with --arm, or put arm.toml beside the map")
+        raise ZygosError(f"{chosen}: no such arm file; remedy: give it with --arm, or put arm.toml next to the map")
     beside = out.parent / "arm.toml"
     check_outputs([out, json], [source, *dbc, map_file, chosen, beside])
     arm = load_arm(chosen)
-    Flight(arm)  # an arm that the library refuses is refused before anything is read
+    Flight(arm)  # raises an error for an arm that the library refuses, before anything is read
     mapping = load_map(map_file, arm, tabular=tabular)
     with progress() as bar:
         task = bar.add_task(f"reading {source.name}", total=None)
@@ -71,10 +71,10 @@ def convert_run(
             described, text = arm, local(chosen).read_text(encoding="utf-8")
         else:
             described = noisier(arm, mapping.channels, added)
-            text = arm_text(chosen, described, f"{source.name} by {map_file.name}")
+            text = noisier_arm_text(chosen, described, f"{source.name} by {map_file.name}")
         check_noise(described, mapping, added)
         rate, needed = needed_rate(found, arm, mapping)
-        # where the motion passes with even stamps, it is not the motion that is too fast
+        # if the motion passes the test with even stamps, it is not too fast
         _, even = needed_rate([track.evened for track in found], arm, mapping) if needed != rate else (rate, needed)
         frames = None if is_table(out) else encode(described, with_time(cycles))
         write_run(out, cycles, frames, arm.period_s, beside, text)
@@ -124,7 +124,7 @@ def _check_names(source: Path, dbc: Sequence[Path], out: Path, *, tabular: bool)
         if not dbc:
             raise ZygosError(f"{source}: a CAN log needs the DBC of its bus; remedy: give it with --dbc")
     if is_dash(out):
-        raise ZygosError("- cannot be the run, which has its arm file beside it; remedy: give -o a file's name")
+        raise ZygosError("- cannot be the run, which needs its arm file next to it; remedy: give -o a file name")
     if not is_table(out):
         bus.check_log_name(out)
 
@@ -152,10 +152,11 @@ def _print(content: dict[str, Any]) -> None:
     left = ", ".join(f"{count:,} {reason}" for reason, count in content["left_out"].items() if count)
     say(
         f"{content['run']}: {counted(content['cycles'], 'cycle')} at {1 / content['period_s']:g} Hz {how}, "
-        f"{counted(content['breaks'], 'break')}, left out: {left or 'nothing'} · door: {content['door']}"
+        f"{counted(content['breaks'], 'break')}, left out: {left or 'nothing'} · output: "
+        + ("table of cycles" if content["door"] == "cycle" else "CAN frames")
     )
     for line in content["warnings"]:
-        say(f"look: {line}")
+        say(f"check: {line}")
 
 
 def _judge(
@@ -167,28 +168,29 @@ def _judge(
     mapping: Map,
     out: Path,
 ) -> None:
-    """Undecided where the motion is faster than the recording, or the stamps make it look so."""
-    lie = f"the time stamps jitter by {1e3 * stamps_s:.3g} ms ({100 * stamps_s * rate:.0f} % of the interval)"
+    """Raise Undecided if the motion is faster than the recording, or seems so because of its time stamps."""
+    jitter = f"the time stamps jitter by {1e3 * stamps_s:.3g} ms ({100 * stamps_s * rate:.0f} % of the interval)"
     if needed is None or needed > rate * 1.001:
         if even is not None and even <= rate * 1.001:
             raise Undecided(
-                f"{lie}, and the bandwidth test takes that for motion; with even stamps the same samples pass at "
-                f'{rate:.4g} Hz ({out} written); remedy: a cycle counter (source = "sync"), or a time that is taken '
+                f"{jitter}, which looks like motion in the bandwidth test; with even stamps the same samples pass at "
+                f'{rate:.4g} Hz ({out} written); remedy: use a cycle counter (source = "sync"), or a time that is '
+                "taken "
                 "with the sample; recording faster does not help"
             )
-        # a number that even stamps lower is not all the motion's
+        # a number that even stamps reduce is not due to the motion alone
         known = [one for one in (needed, even) if one is not None]
-        wanted = f">= {min(known):.4g} Hz" if known else "more than the search holds"
+        wanted = f">= {min(known):.4g} Hz" if known else "more than the searched range"
         raise Undecided(
-            f"{rate:.4g} Hz; this motion needs {wanted} ({out} written); remedy: record faster, where the recording is "
-            "faster shorten period_s of the arm file, or move more slowly"
+            f"{rate:.4g} Hz; this motion needs {wanted} ({out} written); remedy: record faster, or, if the recording "
+            "is faster, shorten period_s of the arm file, or move more slowly"
         )
     if refused is not None and refused > REFUSED_MAX:
         raise Undecided(
             f"{refused:.0%} of the instants fail the bandwidth test on the grid, though the telemetry is fast enough "
-            f"({out} written; {lie}); remedy: "
+            f"({out} written; {jitter}); remedy: "
             + ('interpolation = "cubic", ' if mapping.clock.interpolation == "linear" else "")
-            + 'honest quanta in the arm file, or a cycle counter (source = "sync")'
+            + 'correct quanta in the arm file, or a cycle counter (source = "sync")'
         )
 
 
@@ -198,7 +200,7 @@ def command(
         typer.Argument(metavar="LOG", help="A CAN log (.log .blf .asc .trc .mf4), or a table (.csv .parquet .npz)."),
     ],
     map_file: Annotated[
-        Path, typer.Option("--map", metavar="MAP.toml", help="Says which signal is what of the arm, in which unit.")
+        Path, typer.Option("--map", metavar="MAP.toml", help="Assigns signals to readings of the arm, with units.")
     ],
     out: Annotated[
         Path, typer.Option("-o", "--out", metavar="RUN", help="The run to write: a CAN log or a table of cycles.")
@@ -208,18 +210,18 @@ def command(
         typer.Option("--dbc", metavar="MY.dbc", help="The DBC of a CAN log; may be given several times."),
     ] = None,
     arm: Annotated[
-        Path | None, typer.Option("--arm", metavar="ARM.toml", help="The arm file. Default: arm.toml beside the map.")
+        Path | None, typer.Option("--arm", metavar="ARM.toml", help="The arm file. Default: arm.toml next to the map.")
     ] = None,
     json: Json = None,
 ) -> None:
-    """Make a run of somebody else's telemetry.
+    """Convert telemetry of another system to a run.
 
-    Decodes LOG with its own DBC, turns signals into SI by scale, sign and unit, and writes RUN with arm.toml beside it.
-    A cycle counter in the telemetry gives one record a cycle. Without one, signals are interpolated on the grid of the
-    arm's period, and the error of that is added to the noise that the arm.toml beside RUN declares. The table shows the
-    range of every signal: see whether it is plausible.
+    Decodes LOG with its own DBC, converts signals to SI units by scale, sign and unit, and writes RUN with arm.toml
+    next to it. A cycle counter in the telemetry gives one record per cycle. Without one, signals are interpolated on
+    the grid of the arm's period, and the error of that is added to the noise that the arm.toml next to RUN declares.
+    The table shows the range of every signal: check whether it is plausible.
 
-    Exit code 3 when the motion is faster than the recording; RUN is written all the same.
+    Exit code 3 when the motion is faster than the recording; RUN is written nevertheless.
 
     Example: zygos convert MY.blf --dbc MY.dbc --map map.toml -o out/run.blf
     """

@@ -1,4 +1,4 @@
-"""`zygos dbc`: the DBC of one arm."""
+"""`zygos dbc`: writes the DBC of one arm."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from zygos.model.model import load_model
 def write_dbc(arm_file: Path, model_file: Path | None, out: Path, json: str | None) -> None:
     """Write the DBC of an arm; see `zygos dbc --help`."""
     if not is_dash(out) and out.suffix.lower() != ".dbc":
-        raise ZygosError(f"{out}: no name for a DBC; remedy: let it end in .dbc")
+        raise ZygosError(f"{out}: not a name for a DBC; remedy: give it the suffix .dbc")
     check_outputs([out, json], [arm_file, model_file])
     arm = load_arm(arm_file)
     content = arm_database(arm, load_model(model_file).effects if model_file else ())
@@ -60,13 +60,13 @@ def command(
     arm: Annotated[Path, typer.Option("--arm", metavar="ARM.toml", help="The arm file.")],
     out: Annotated[Path, typer.Option("-o", "--out", metavar="ARM.dbc", help="The DBC to write.")],
     model: Annotated[
-        Path | None, typer.Option("--model", metavar="PRIOR.toml", help="Also name the effects of this model.")
+        Path | None, typer.Option("--model", metavar="PRIOR.toml", help="Also include the effects of this model.")
     ] = None,
     json: Json = None,
 ) -> None:
     """Write the DBC of this arm, for any CAN tool: its frames, with the joints' and parameters' names.
 
-    A joint's name becomes an identifier of at most 20 letters, digits and underscores. Where two joints would have the
+    A joint's name becomes an identifier of at most 20 letters, digits and underscores. If two joints would have the
     same identifier, all of them end in their node numbers.
 
     Example: zygos dbc --arm examples/paper/arm.toml -o out/arm.dbc

@@ -1,4 +1,4 @@
-"""`zygos explain`: read runs and simulation, say what is missing, write model, report and JSON."""
+"""`zygos explain`: compares runs with a simulation, names what is missing, and writes model, report and JSON."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ from zygos.gap.answer import as_json, predictions
 from zygos.gap.explain import explain
 from zygos.gap.explanation import Explanation
 from zygos.gap.findings import INTERVAL
-from zygos.gap.record import Record, read_record
+from zygos.gap.record import MeasuredRun, read_measured_run
+from zygos.gap.runs import check_arm_of_gap
 from zygos.gap.sentences import against
 from zygos.model.model import load_model, save_model
 from zygos.native.flight import Flight
@@ -31,7 +32,7 @@ from zygos.report.provenance import Provenance, provenance
 
 @dataclass(frozen=True)
 class Inputs:
-    """Files that are read."""
+    """The files that are read."""
 
     simulation: Path
     arm: Path
@@ -64,22 +65,18 @@ def explain_run(
     check_model_name(out)
     check_outputs([out, report, json], [path for _, path in inputs.files])
     arm, model = load_arm(inputs.arm), load_model(simulation)
-    if arm.kinetic != "planar-symmetric" or not arm.free or not all(joint.flexible for joint in arm.joints):
-        raise ZygosError(
-            f"{inputs.arm}: the balances of a gap are those of a free-floating, planar-symmetric arm with flexible "
-            "joints; remedy: `zygos estimate` and `zygos check` take any arm"
-        )
+    check_arm_of_gap(arm, str(inputs.arm))
     model.base_parameters(arm)
     with progress() as bar:
         task = bar.add_task("reading", total=1.0)
-        records: list[Record] = []
+        records: list[MeasuredRun] = []
         logs: list[bus.Log] = []
         for k, run in enumerate(runs):
             bar.update(task, description=f"reading {run.name}", completed=0.2 * k / len(runs))
             logs.append(bus.read_log(run))
             warn(logs[-1].damage)
             _check_distinct(runs, logs)
-            records.append(read_record(arm, run, logs[-1].frames))
+            records.append(read_measured_run(arm, run, logs[-1].frames))
         found = explain(
             arm,
             model,
@@ -93,7 +90,7 @@ def explain_run(
 
 
 def flown(found: Explanation, logs: Sequence[bus.Log]) -> list[dict[str, Any]]:
-    """What the flight library makes of the same runs, with the findings' columns switched on."""
+    """Estimates of the flight library from the same runs, with the columns of the findings switched on."""
     columns = [] if found.model is None else list(estimated(found.arm, found.model.effects))
     names = {effect.column(found.arm) for effect in columns if effect.source == "zygos"}
     if not names:
@@ -119,18 +116,18 @@ def flown(found: Explanation, logs: Sequence[bus.Log]) -> list[dict[str, Any]]:
 
 
 def _check_distinct(runs: Sequence[Path], logs: Sequence[bus.Log]) -> None:
-    """Refuse a newest log that holds the same frames as an earlier one, in whatever format."""
+    """Refuse a log that contains the same frames as an earlier one, in whatever format."""
     for other, log in zip(runs, logs[:-1], strict=False):
         if np.array_equal(log.frames, logs[-1].frames):
             raise ZygosError(
-                f"{other} and {runs[len(logs) - 1]} are the same recording; remedy: two runs to learn from, and with "
-                "--validate a third, for what one run says must hold on another"
+                f"{other} and {runs[len(logs) - 1]} are the same recording; remedy: give two different runs, and with "
+                "--validate a third, because a result from one run must hold on another"
             )
 
 
 def finish(
     found: Explanation,
-    records: Sequence[Record],
+    records: Sequence[MeasuredRun],
     logs: Sequence[bus.Log],
     inputs: Inputs,
     source: Provenance,
@@ -138,7 +135,7 @@ def finish(
     report: Path | None,
     json: str | None,
 ) -> None:
-    """Print the tables, write what was asked for, and say what is undecided."""
+    """Print the tables, write the requested files, and raise Undecided if nothing is named."""
     flight = flown(found, logs[:2])
     if not quiet(out, report, json):
         show(found)
@@ -148,7 +145,7 @@ def finish(
                 for e in flight
                 if e["column"] == column
             ]
-            say(f"the flight library by itself: {column} = {', '.join(each)}")
+            say(f"estimate of the flight library: {column} = {', '.join(each)}")
         say(f"{found.answer}: {found.sentence}")
     try:
         if found.model is not None:
@@ -166,7 +163,7 @@ def finish(
 
 
 def show(found: Explanation) -> None:
-    """The tables of a verdict."""
+    """Print the tables of a verdict."""
     if found.search is not None:
         listed = found.search.rounds[0][:6]
         table(
@@ -221,15 +218,13 @@ def command(
     ],
     measured: Annotated[
         tuple[Path, Path],
-        typer.Option(
-            "--measured", metavar="RUN_A RUN_B", help="Two runs; what is learned from one must hold on the other."
-        ),
+        typer.Option("--measured", metavar="RUN_A RUN_B", help="Two runs; a result from one must hold on the other."),
     ],
     out: Annotated[Path, typer.Option("-o", "--out", metavar="NEW.toml", help="The model to write.")],
     validate: Annotated[
         Path | None,
         typer.Option(
-            "--validate", metavar="RUN_C", help="A third run, from which nothing is learned; the gap is measured on it."
+            "--validate", metavar="RUN_C", help="A third run, not used for estimation; the gap is measured on it."
         ),
     ] = None,
     arm: ArmFile = None,
@@ -238,13 +233,13 @@ def command(
     ] = None,
     json: Json = None,
 ) -> None:
-    """Say where simulation and measurement disagree, name the missing effect, add it, and show the gap shrink.
+    """Find where simulation and measurement disagree, name the missing effect, add it, and show how the gap shrinks.
 
-    Balances of energy, motor impulse and momentum are drawn up on cycles that the C library decoded, and compared with
-    those of a simulated twin of the run. The answer is one of: values differ, named, cannot tell these apart, nothing
-    missing above the detection limits, unknown. What is named enters NEW.toml with value, interval and evidence. The
-    gap is the error of predictions half a second ahead on RUN_C, in units of the sensors' noise: with the model as
-    delivered, refit, closed (with what was named), and the floor that noise leaves.
+    Balances of energy, motor impulse and momentum are computed on cycles that the C library decoded, and compared with
+    those of a simulation of the same run. The answer is one of: values differ, named, cannot tell these apart, nothing
+    missing above the detection limits, unknown. A named effect is added to NEW.toml with value, interval and evidence.
+    The gap is the error of predictions half a second ahead on RUN_C, in units of the sensors' noise: with the model as
+    delivered, refit, closed (with the named effects), and the floor, which is caused by noise alone.
 
     Exit code 3 when the answer is unknown or cannot tell; then NEW.toml is not written.
 

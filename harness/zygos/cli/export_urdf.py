@@ -1,4 +1,4 @@
-"""`zygos export`: a URDF with the inertials of a model."""
+"""`zygos export`: writes a URDF with the inertials of a model."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ def export_urdf(
     remark = comment(found, model, bodies) if found else f" Inertials by `zygos export`: those of model {model.name}. "
     write_text(out, with_inertials(urdf, chain.segments, result.bodies, remark))
     notes = [
-        f"link {segment.link} holds the inertia of {', '.join(segment.merged)} as well, which have none"
+        f"link {segment.link} also contains the inertia of {', '.join(segment.merged)}, which have none"
         for segment in chain.segments
         if segment.merged
     ]
     if model.effects:
-        notes.append("a URDF has no place for what [[effect]] says")
+        notes.append("a URDF cannot contain the [[effect]] entries")
     for line in notes:
         note(f"note: {line}")
     if not quiet(out, json):
@@ -58,7 +58,7 @@ def export_urdf(
 
 
 def _entries(found: Nearest, cad: Model) -> list[list[dict[str, Any]]]:
-    """For each link, what is known of each entry of its inertial."""
+    """For each link, the result for each entry of its inertial."""
     return [
         [
             {
@@ -91,8 +91,8 @@ def _table_of_entries(found: Nearest, cad: Model) -> None:
     ]
     table(("entry", "unit", "CAD", "nearest", "moved", "known", "determined"), rows)
     say(
-        "moved: in units of the drawing's sigma · known: how much of it the base parameters take away · "
-        f"determined: no change of more than {DETERMINED:g} units leaves them the same"
+        "moved: in units of the drawing's sigma · known: share of it that the base parameters remove · "
+        f"determined: no change of more than {DETERMINED:g} units leaves the base parameters the same"
     )
 
 
@@ -106,21 +106,20 @@ def command(
     cad: Annotated[
         Path | None,
         typer.Option(
-            "--cad", metavar="CAD.toml", help="For base parameters: the model by bodies that decides the rest."
+            "--cad", metavar="CAD.toml", help="For base parameters: the model by bodies that determines the rest."
         ),
     ] = None,
     base: Annotated[
         str | None,
-        typer.Option(metavar="LINK", help="The link that the arm begins at. Default: that of the model's first body."),
+        typer.Option(metavar="LINK", help="The link at which the arm begins. Default: that of the model's first body."),
     ] = None,
     json: Json = None,
 ) -> None:
-    """Write a URDF with the inertials of a model; all else of the URDF stays as it is.
+    """Write a URDF with the inertials of a model; everything else in the URDF is unchanged.
 
-    Base parameters, as `zygos estimate` writes them, do not determine every inertial. Of all bodies that have them, the
-    nearest to those of --cad are written, and a table says which entries are determined.
-
-    Exit code 3 when no bodies that can exist have these base parameters.
+    Base parameters, as `zygos estimate` writes them, do not determine every inertial. Of all bodies that have them,
+    those nearest to the bodies of --cad are written, and a table shows which entries are determined. Exit code 3 when
+    no physically possible bodies have these base parameters.
 
     Example: zygos export --arm arm.toml --model estimate.toml --cad model.toml --urdf arm.urdf -o new.urdf
     """

@@ -1,4 +1,4 @@
-"""The command `zygos fit`: from an estimate to the arm behind it."""
+"""The command `zygos fit`: from an estimate to the physical arm that explains it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from zygos.files.inputs import local
 from zygos.files.output import check_outputs, number, quiet, say, table, write_json
 from zygos.files.progress import progress
 from zygos.model.model import Model, Quantity, load_model, save_model
-from zygos.model.physical import CHANCE, Fit, entries_of_model, fit_bodies, observe
+from zygos.model.physical import CHANCE, PhysicalFit, entries_of_model, fit_bodies, observe
 
 _KEYS = ("arm", "parameters", "solution", "normal", "validity", "reason", "blocks")
 
@@ -33,7 +33,7 @@ def fit_estimate(
     check_outputs([out, json], [estimate, arm_file, drawing_file])
     arm, drawing = load_arm(arm_file), load_model(drawing_file)
     if not drawing.bodies:
-        raise ZygosError(f"{drawing_file}: holds base parameters; remedy: give a model with [[body]] and [[joint]]")
+        raise ZygosError(f"{drawing_file}: contains base parameters; remedy: give a model with [[body]] and [[joint]]")
     report = read_estimate(estimate)
     observed = observe(arm.parameter_names, report)
     effects = _effects(arm, drawing, report)
@@ -52,30 +52,34 @@ def fit_estimate(
     if not found.explained:
         raise Undecided(
             f"no arm like {arm.name} explains the estimate: chi^2/dof is {number(found.chi2 / found.dof, 3)}, above "
-            f"{number(found.limit, 3)} (nothing written)"
+            f"the limit {number(found.limit, 3)} (nothing written)"
             + (
-                ", and no positive definite N is near it either"
+                ", and no positive definite N near it does either"
                 if found.least > found.limit * found.dof
-                else ", though some positive definite N does"
+                else ", although some positive definite N does"
             )
             + f"; remedy: compare axes, frame_rpy, ratios and zeros of {arm_file} and the lengths of {drawing_file} "
-            "with the arm, and see whether the estimate is its"
+            "with the arm, and check that the estimate belongs to it"
         )
 
 
 def read_estimate(path: Path) -> dict[str, Any]:
-    """The JSON of `zygos estimate`. Errors: ZygosError if it is missing, or something else."""
+    """The JSON of `zygos estimate`. Errors: ZygosError if it is missing or not such a file."""
     try:
         content = reader.loads(local(path).read_text(encoding="utf-8"))
     except OSError as error:
         raise ZygosError(
-            f"{path}: cannot be read ({error.strerror}); remedy: give what `zygos estimate --json` wrote"
+            f"{path}: cannot be read ({error.strerror}); remedy: give the file that `zygos estimate --json` wrote"
         ) from error
     except ValueError as error:
-        raise ZygosError(f"{path}: is no JSON ({error}); remedy: give what `zygos estimate --json` wrote") from error
+        raise ZygosError(
+            f"{path}: is not JSON ({error}); remedy: give the file that `zygos estimate --json` wrote"
+        ) from error
     missing = [key for key in _KEYS if not isinstance(content, dict) or key not in content]
     if missing:
-        raise ZygosError(f"{path}: has no {', '.join(missing)}; remedy: give what `zygos estimate --json` wrote")
+        raise ZygosError(
+            f"{path}: has no {', '.join(missing)}; remedy: give the file that `zygos estimate --json` wrote"
+        )
     count = len(content["parameters"])
     # a refused estimate has no solution
     given = [content["normal"]] + ([content["solution"]] if content["validity"] != "refused" else [])
@@ -87,14 +91,15 @@ def read_estimate(path: Path) -> dict[str, Any]:
         good = False
     if not good:
         raise ZygosError(
-            f"{path}: solution and normal are not of {count} parameters; remedy: give it as `zygos estimate` wrote it"
+            f"{path}: solution and normal do not have {count} parameters; remedy: give the file that `zygos estimate` "
+            "wrote"
         )
     report: dict[str, Any] = content
     return report
 
 
 def _effects(arm: Arm, drawing: Model, report: dict[str, Any]) -> tuple[Effect, ...]:
-    """The drawing's effects with what the estimate found of them."""
+    """The drawing's effects with their estimated values."""
     found = {
         entry["name"]: Quantity(float(entry["value"]), float(entry["sigma"]), "zygos", entry["unit"])
         for entry in report["parameters"]
@@ -103,7 +108,7 @@ def _effects(arm: Arm, drawing: Model, report: dict[str, Any]) -> tuple[Effect, 
     return tuple(learned(effect, found.get(effect.column(arm))) for effect in drawing.effects)
 
 
-def _tables(arm: Arm, drawing: Model, found: Fit) -> None:
+def _tables(arm: Arm, drawing: Model, found: PhysicalFit) -> None:
     drawn = entries_of_model(arm, drawing)
     rows = [
         (
@@ -117,16 +122,16 @@ def _tables(arm: Arm, drawing: Model, found: Fit) -> None:
         for name, entry in entries_of_model(arm, found.model).items()
     ]
     table(("entry", "unit", "drawing", "fit", "sigma", "known"), rows)
-    say("sigma: of the entry by itself · known: how much of the drawing's uncertainty, a factor of e, is gone")
+    say("sigma: of this entry alone · known: share of the drawing's uncertainty, a factor of e, that is removed")
     farthest = 1e3 * float(np.abs(found.lengths).max(initial=0.0))
-    quality = f"limit {number(found.limit, 3)}" if np.isfinite(found.limit) else "no alarm: bodies can follow anything"
+    quality = f"limit {number(found.limit, 3)}" if np.isfinite(found.limit) else "no limit: bodies can fit any estimate"
     say(
-        f"chi^2 {number(found.chi2, 3)} · dof {number(found.dof, 3)} · {quality} · lengths moved by up to "
+        f"chi^2 {number(found.chi2, 3)} · dof {number(found.dof, 3)} · {quality} · lengths changed by up to "
         f"{number(farthest, 2)} mm"
     )
 
 
-def _report(arm: Arm, found: Fit, out: Path) -> dict[str, Any]:
+def _report(arm: Arm, found: PhysicalFit, out: Path) -> dict[str, Any]:
     return {
         "model": str(out) if found.explained else None,
         "arm": arm.name,
@@ -157,23 +162,23 @@ def _report(arm: Arm, found: Fit, out: Path) -> dict[str, Any]:
 
 def command(
     estimate: Annotated[
-        Path, typer.Argument(metavar="ESTIMATE.json", help="What `zygos estimate --json` has written.")
+        Path, typer.Argument(metavar="ESTIMATE.json", help="The file that `zygos estimate --json` wrote.")
     ],
     arm: Annotated[Path, typer.Option("--arm", metavar="ARM.toml", help="The arm file.")],
-    model: Annotated[Path, typer.Option("--model", metavar="CAD.toml", help="The model by bodies from the drawing.")],
+    model: Annotated[Path, typer.Option("--model", metavar="CAD.toml", help="The model by bodies, from the drawing.")],
     out: Annotated[Path, typer.Option("-o", "--out", metavar="MODEL.toml", help="The model by bodies to write.")],
     lengths: Annotated[
         float,
-        typer.Option(metavar="MM", min=0.0, help="One sigma of the lengths of CAD.toml in mm; 0 takes them as exact."),
+        typer.Option(metavar="MM", min=0.0, help="Standard deviation of CAD.toml's lengths in mm; 0: exact."),
     ] = 1.0,
     json: Json = None,
 ) -> None:
-    """Find the arm behind an estimate: bodies that can exist, lengths and drives that explain it.
+    """Find the physical arm that explains an estimate: possible bodies, lengths and drives.
 
-    An estimate has noise, and in general no bodies have exactly its values. The bodies found here can exist: their
-    matrix N is positive definite, and predicts inertias better than the estimate itself. What the estimate does not
-    determine stays as in CAD.toml. chi^2/dof says how well the arm explains the estimate. This command needs an extra:
-    pip install 'zygos[fit]'.
+    An estimate contains noise, and in general no bodies have exactly its values. The bodies found here are physically
+    possible: their matrix N is positive definite, and predicts inertias better than the estimate itself. What the
+    estimate does not determine stays as in CAD.toml. chi^2/dof measures how well the arm explains the estimate. This
+    command needs an extra: pip install 'zygos[fit]'.
 
     Exit code 3 when no arm with these axes, and lengths near the drawing's, explains it; then nothing is written.
 

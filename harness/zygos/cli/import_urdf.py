@@ -1,4 +1,4 @@
-"""`zygos import`: arm.toml and model.toml from a URDF."""
+"""`zygos import`: makes arm.toml and model.toml from a URDF."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ def import_urdf(
 ) -> None:
     """Write arm.toml and model.toml from a URDF; see `zygos import --help`."""
     if (folder is None) == (template is None):
-        raise ZygosError("what is to be written?; remedy: give either -o FOLDER or --template ANSWERS.toml")
+        raise ZygosError("nothing to write; remedy: give either -o FOLDER or --template ANSWERS.toml")
     files = [template] if template else [folder / "arm.toml", folder / "model.toml"] if folder else []
     check_outputs([*files, json], [urdf, answers_file])
     for file in files:
         if file and file.exists():
-            raise ZygosError(f"{file}: exists; remedy: remove it, or name another place")
+            raise ZygosError(f"{file}: exists already; remedy: remove it, or name another place")
     chain, inertials = read_chain(urdf, base, tip)
     answers = Answers(answers_file, [hinge.name for hinge in chain.hinges])
     if template:
@@ -46,7 +46,7 @@ def import_urdf(
     arm = answers.arm(chain)
     model = model_of(chain, inertials, answers)
     assert folder is not None
-    origin = f"From {urdf.name} by `zygos import`, and from answers to what a URDF does not say."
+    origin = f"From {urdf.name} by `zygos import`, and from answers for what a URDF does not contain."
     try:
         save_model(model, folder / "model.toml")
         write_text(folder / "arm.toml", arm_text(arm, origin))
@@ -78,7 +78,7 @@ def import_urdf(
 
 
 def _write_template(template: Path, answers: Answers, chain: Chain, json: str | None) -> None:
-    """Write the questions that are open, instead of the arm."""
+    """Write the open questions instead of the arm."""
     write_text(template, answers.template(chain))
     missing = answers.missing()
     if not quiet(template, json):
@@ -95,23 +95,23 @@ def command(
         typer.Option("-o", "--out", metavar="FOLDER", help="The folder where arm.toml and model.toml are written."),
     ] = None,
     base: Annotated[
-        str | None, typer.Option(metavar="LINK", help="The link that the arm begins at. Default: the root.")
+        str | None, typer.Option(metavar="LINK", help="The link at which the arm begins. Default: the root.")
     ] = None,
     tip: Annotated[
         str | None, typer.Option(metavar="LINK", help="The last link of the arm. Default: the only end.")
     ] = None,
     answers: Annotated[
-        Path | None, typer.Option(metavar="ANSWERS.toml", help="Says what a URDF does not: motors, sensors, bus.")
+        Path | None, typer.Option(metavar="ANSWERS.toml", help="Values that a URDF lacks: motors, sensors, bus.")
     ] = None,
     template: Annotated[
-        Path | None, typer.Option(metavar="ANSWERS.toml", help="Write only this file of questions, to be filled in.")
+        Path | None, typer.Option(metavar="ANSWERS.toml", help="Write only a file of questions, to be filled in.")
     ] = None,
     json: Json = None,
 ) -> None:
     """Make arm.toml and model.toml from a URDF.
 
-    Links behind fixed joints, and branches off the chain, are merged into the link that carries them. Gears, rotors,
-    springs, encoders, gyro and bus are in no URDF: they come from --answers, or are asked for at a terminal.
+    Links at fixed joints, and branches outside the chain, are merged into the link that carries them. A URDF contains
+    no gears, rotors, springs, encoders, gyro and bus: these come from --answers, or are asked for at a terminal.
 
     Example: zygos import examples/urdf/arm.urdf --answers examples/urdf/answers.toml -o out/arm
     """

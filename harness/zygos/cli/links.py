@@ -22,7 +22,7 @@ def table_of_bodies(chain: Chain, model: Model) -> None:
 
 
 def links_as_json(chain: Chain, model: Model) -> list[dict[str, Any]]:
-    """Name, mass, mass centre and inertia of each link of a chain, as the JSON of import and export has them."""
+    """Name, mass, mass centre and inertia of each link of a chain, for the JSON of import and export."""
     return [
         {
             "link": segment.link,

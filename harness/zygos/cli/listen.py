@@ -1,4 +1,4 @@
-"""`zygos listen`: estimate while frames arrive."""
+"""`zygos listen`: estimates while frames arrive."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ import typer
 from zygos.arm import load_arm
 from zygos.can import bus
 from zygos.cli.answer import finish_estimate
-from zygos.cli.options import Bitrate, Channel, Interface, Json
+from zygos.cli.options import Bitrate, ChannelOption, Interface, Json
 from zygos.cli.shared import check_model_name
 from zygos.errors import Undecided, ZygosError
+from zygos.estimation.estimate import conclude
 from zygos.estimation.watch import Watch
 from zygos.estimation.words import losses
 from zygos.files.output import (
@@ -56,7 +57,7 @@ def listen_bus(
         failures.append(error)
 
     with bus.open_bus(interface, channel, bitrate) as source, stop_signals() as stopped:
-        recording = bus.Recording(log) if log is not None else None
+        recording = bus.LogWriter(log) if log is not None else None
 
         def work_off() -> None:
             nonlocal recording
@@ -72,7 +73,7 @@ def listen_bus(
         note(f"listening to {where}; Ctrl-C ends")
         begin = shown = time.monotonic()
         try:
-            for message in bus.receive(
+            for message in bus.received_messages(
                 source, idle, lambda: stopped() or (duration > 0.0 and time.monotonic() - begin > duration)
             ):
                 batch.append(message)
@@ -90,19 +91,19 @@ def listen_bus(
         except can.CanError as error:
             fail(
                 Undecided(
-                    f"{where} failed while listening ({error}), what was learned until then is kept; remedy: see "
-                    "whether the interface is up, and listen again"
+                    f"{where} failed while listening ({error}), the estimate so far is written; remedy: check "
+                    "that the interface is up, and listen again"
                 )
             )
         if stopped():
-            note("stopped; keeping what was learned")
+            note("stopped; the estimate so far is written")
         work_off()
     if recording is not None:
         try:
             recording.finish()
         except ZygosError as error:
             fail(error)
-    finish_estimate(flight.estimate(), watch, out, None, json, {"bus": where, "door": "frames"})
+    finish_estimate(conclude(watch), out, json, {"bus": where, "door": "frames"})
     if failures:
         sys.exit(failures[0].exit_code)
 
@@ -111,7 +112,7 @@ def command(
     arm: Annotated[Path, typer.Option("--arm", metavar="ARM.toml", help="The arm file.")],
     out: Annotated[Path, typer.Option("-o", "--out", metavar="MODEL.toml", help="The model to write at the end.")],
     interface: Interface = None,
-    channel: Channel = None,
+    channel: ChannelOption = None,
     bitrate: Bitrate = None,
     log: Annotated[
         Path | None,
@@ -128,9 +129,9 @@ def command(
     ] = 2.0,
     json: Json = None,
 ) -> None:
-    """Listen to a bus and learn while the frames arrive. Ctrl-C or SIGTERM ends it and keeps what was learned.
+    """Listen to a bus and estimate while the frames arrive. Ctrl-C or SIGTERM ends it and writes the estimate so far.
 
-    Exit code 3 when something is undecided, or the bus failed; what was learned until then is kept.
+    Exit code 3 when something is undecided, or the bus failed; the estimate so far is written nevertheless.
 
     Example: zygos listen -i socketcan -c vcan0 --arm examples/paper/arm.toml -o out/live.toml
     """

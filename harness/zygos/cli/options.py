@@ -13,7 +13,7 @@ Report = Annotated[
     typer.Option("--report", metavar="FILE.html", help="Also write a report, one HTML page."),
 ]
 ArmFile = Annotated[
-    Path | None, typer.Option("--arm", metavar="ARM.toml", help="The arm file. Default: arm.toml beside the run.")
+    Path | None, typer.Option("--arm", metavar="ARM.toml", help="The arm file. Default: arm.toml next to the run.")
 ]
 Run = Annotated[
     Path,
@@ -25,7 +25,7 @@ Interface = Annotated[
     str | None,
     typer.Option("-i", "--interface", metavar="NAME", help="The interface of python-can, for instance socketcan."),
 ]
-Channel = Annotated[
+ChannelOption = Annotated[
     str | None, typer.Option("-c", "--channel", metavar="NAME", help="The channel of that interface, such as vcan0.")
 ]
 Bitrate = Annotated[

@@ -1,4 +1,4 @@
-"""`zygos simulate`: a scenario becomes a recorded run."""
+"""`zygos simulate`: simulates a scenario and records the run."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from zygos.arm import Arm, load_arm
 from zygos.can import bus
-from zygos.cli.options import Bitrate, Channel, Interface, Json
+from zygos.cli.options import Bitrate, ChannelOption, Interface, Json
 from zygos.dynamics.equations import ENGINES
 from zygos.errors import ZygosError
 from zygos.files.output import (
@@ -54,7 +54,7 @@ def simulate_run(
         bus.check_log_name(out)
     chosen = next((name for name in ENGINES if name == engine), None)
     if chosen is None:
-        raise ZygosError(f"there is no engine {engine!r}; remedy: one of {', '.join(ENGINES)}")
+        raise ZygosError(f"there is no engine {engine!r}; remedy: use one of {', '.join(ENGINES)}")
     scenario = load_scenario(scenario_file)
     arm_file = scenario.arm
     arm = load_arm(arm_file)
@@ -62,7 +62,7 @@ def simulate_run(
     check_outputs([out, json], [scenario_file, arm_file, scenario.plant, model_file, beside])
     if beside and beside.exists() and beside.read_bytes() != arm_file.read_bytes():
         raise ZygosError(
-            f"{beside} describes another arm than {arm_file}; remedy: write the run into another folder, or "
+            f"{beside} describes a different arm than {arm_file}; remedy: write the run into another folder, or "
             "remove that file"
         )
     if seed is not None:
@@ -124,8 +124,8 @@ def send(wire: can.BusABC, frames: NDArray[Any], arm: Arm, run: Path) -> None:
                 wire.send(message, timeout=2.0)
             except (can.CanError, OSError) as error:
                 raise ZygosError(
-                    f"the bus took no more frames ({error}); {named(run)} is written; remedy: see whether the bus is "
-                    "up and another node acknowledges, then send the run with python-can's `can_player`"
+                    f"the bus accepted no more frames ({error}); {named(run)} is written; remedy: check that the bus "
+                    "is up and another node acknowledges, then send the run with python-can's `can_player`"
                 ) from error
             bar.advance(task)
 
@@ -148,20 +148,18 @@ def command(
     ] = None,
     engine: Annotated[
         str,
-        typer.Option(
-            metavar="ENGINE", help="Whose equations of motion are integrated: those of zygos, pinocchio or mujoco."
-        ),
+        typer.Option(metavar="ENGINE", help="The source of the equations of motion: zygos, pinocchio or mujoco."),
     ] = "zygos",
     interface: Interface = None,
-    channel: Channel = None,
+    channel: ChannelOption = None,
     bitrate: Bitrate = None,
     json: Json = None,
 ) -> None:
-    """Simulate a run: plant, servo and sensors, recorded as the CAN traffic they would cause.
+    """Simulate a run: plant, servo and sensors, recorded as CAN traffic.
 
-    Writes RUN, and a copy of the arm file beside it as arm.toml. The plant's true values are written nowhere. With
-    -i and -c the frames are also sent on that bus, at the pace of the SYNCs. With --engine, Pinocchio or MuJoCo move
-    the same bodies by their own equations; those know no effects.
+    Writes RUN, and a copy of the arm file next to it as arm.toml. The plant's true values are not written anywhere.
+    With -i and -c the frames are also sent on that bus, at the rate of the SYNCs. With --engine, Pinocchio or MuJoCo
+    move the same bodies by their own equations, which support no effects.
 
     Example: zygos simulate examples/paper/scenario.toml -o out/run.blf
     """

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from zygos.arm import load_arm
 from zygos.cli.options import ArmFile, Json, Run
-from zygos.cli.shared import damage_of, find_arm, not_whole, read_run
+from zygos.cli.shared import find_arm, not_whole, read_run
 from zygos.dynamics.pose import motion, skeleton
 from zygos.errors import ZygosError
 from zygos.files.output import (
@@ -27,11 +27,8 @@ from zygos.files.output import (
     write_text,
 )
 from zygos.files.progress import progress
-from zygos.files.tables import is_table
 from zygos.model.model import load_model
-from zygos.native.flight import Flight
-from zygos.runs.tables import read_cycles
-from zygos.view.scene import FRAMES_PER_S, MOST_FRAMES, STILLS, film, instants, page, png, serve
+from zygos.view.scene import FRAMES_PER_S, MOST_FRAMES, STILLS, film, frame_instants, page, png, serve
 
 
 def view_run(
@@ -49,29 +46,23 @@ def view_run(
     chosen = find_arm(run_file, arm_file)
     check_outputs([png_file, html_file, json], [run_file, chosen, run_file.parent / "arm.toml", model_file])
     if at is not None and png_file is None:
-        raise ZygosError("--at says which instant the still of --png shows; remedy: add --png FILE")
+        raise ZygosError("--at selects the instant of the still in --png; remedy: add --png FILE")
     arm = load_arm(chosen)
     lengths = skeleton(arm, load_model(model_file) if model_file else None)
-    log = None if is_table(run_file) else read_run(run_file)
-    if log is None:
-        cycles = read_cycles(run_file, arm)
-    else:
-        trace = Flight(arm).frames(log.frames, trace=True)
-        assert trace is not None
-        cycles = trace.cycles
-    run = motion(arm, cycles)
+    recorded = read_run(run_file, arm)
+    run = motion(arm, recorded.cycles)
     last = float(run.time[-1])
     if at is not None and not 0.0 <= at <= last:
-        raise ZygosError(f"--at {at:g}: the run lasts from 0 to {last:g} s; remedy: name a second within")
+        raise ZygosError(f"--at {at:g}: the run lasts from 0 to {last:g} s; remedy: give a time in this range")
     content = ""
     if html_file is not None or png_file is None:
-        frames = instants(run, max(2, min(MOST_FRAMES, round(last * FRAMES_PER_S))))
+        frames = frame_instants(run, max(2, min(MOST_FRAMES, round(last * FRAMES_PER_S))))
         with progress() as bar:
             task = bar.add_task("drawing", total=len(frames))
             shown = film(arm, lengths, run, frames, exaggerate)
             content = page(shown, lambda done: bar.update(task, completed=done))
     if png_file is not None:
-        stills = instants(run, STILLS) if at is None else np.array([np.argmin(np.abs(run.time - at))])
+        stills = frame_instants(run, STILLS) if at is None else np.array([np.argmin(np.abs(run.time - at))])
         write_bytes(png_file, png(film(arm, lengths, run, stills, exaggerate)))
     if html_file is not None:
         write_text(html_file, content)
@@ -104,12 +95,12 @@ def view_run(
         base = f"the base turned up to {number(turned, 3)} rad" if arm.free else "the base is fixed"
         say(f"{drawn}: {counted(len(run.time), 'cycle')}, {number(last, 4)} s, {base}")
     if lengths.mass is None:
-        note("drawn schematically, every length 1 m: no lengths are known; remedy: --model with a model by bodies")
+        note("drawn schematically with lengths of 1 m, since none are known; remedy: --model with a model by bodies")
     if run.gaps:
-        note(f"cycles are missing in {counted(run.gaps, 'place')}; the base's attitude behind them is a guess")
+        note(f"cycles are missing in {counted(run.gaps, 'place')}; after them the base's attitude is approximate")
     if png_file is None and html_file is None:
         serve(content, port)
-    not_whole(damage_of(log))
+    not_whole(recorded.damage)
 
 
 def command(
@@ -124,20 +115,20 @@ def command(
     ] = None,
     at: Annotated[float | None, typer.Option("--at", metavar="SECONDS", help="The instant of the one still.")] = None,
     html: Annotated[
-        Path | None, typer.Option("--html", metavar="FILE", help="Write a page that a browser plays, offline too.")
+        Path | None, typer.Option("--html", metavar="FILE", help="Write a page that a browser plays, also offline.")
     ] = None,
     exaggerate: Annotated[
-        float, typer.Option(metavar="FACTOR", min=0.0, help="Draw theta - q larger by this factor.")
+        float, typer.Option(metavar="FACTOR", min=0.0, help="Enlarge theta - q by this factor.")
     ] = 1.0,
     port: Annotated[
-        int, typer.Option(metavar="N", min=0, max=65535, help="Port of the browser's page; 0 takes a free one.")
+        int, typer.Option(metavar="N", min=0, max=65535, help="Port of the browser's page; 0 selects a free one.")
     ] = 0,
     json: Json = None,
 ) -> None:
-    """Show the arm of a run moving in 3-D: in the browser, as a page to keep, or as stills.
+    """Show the arm of a run moving in 3-D: in the browser, as a page in a file, or as still pictures.
 
     Joint angles and the gyro move it; a free-floating arm is drawn about its mass centre. The translucent arm shows
-    where the motors are (theta). Without --png and --html a page opens in the browser until Ctrl-C. --png needs no
+    the motor angles (theta). Without --png and --html a page opens in the browser until Ctrl-C. --png needs no
     screen. This command needs an extra: pip install 'zygos[view]'.
 
     Example: zygos view out/run.blf --model examples/paper/model.toml --png out/arm.png

@@ -1,4 +1,4 @@
-"""`python -m zygos.demo`, the main job of `make`."""
+"""`python -m zygos.demo`, which `make` runs."""
 
 from zygos.demo.demonstration import run_demo
 from zygos.files.output import errors_end_the_program

@@ -1,8 +1,8 @@
-"""The main job: the paper's example from CAN frames to parameters, a gap explained, and their report.
+"""The demonstration that `make` runs: the paper's example from CAN frames to parameters, a gap explained, and a report.
 
-Each step is a process of its own, and the one that estimates is given no file with true values: `zygos simulate` writes
-a log, its frames cross a bus, `zygos estimate` and numpy read what arrived, and only then does the scorer open the
-plant's model.
+Each step runs as a separate process, and the one that estimates gets no file with true values: `zygos simulate` writes
+a log, its frames are sent over a bus, `zygos estimate` and numpy read what arrived, and only then the scoring step
+reads the plant's model.
 """
 
 from __future__ import annotations
@@ -37,22 +37,22 @@ SNAPSHOT_CYCLES = 20
 
 
 def choose_bus() -> tuple[str, str]:
-    """python-can's interface and channel: vcan0 if the machine has one and it is up, else the in-process bus."""
+    """python-can's interface and channel: vcan0 if it exists and is up, otherwise the in-process bus."""
     flags = Path("/sys/class/net/vcan0/flags")
     if flags.exists() and int(flags.read_text(), 16) & 1:
         return "socketcan", "vcan0"
     return "virtual", "zygos"
 
 
-def zygos(*arguments: str | Path) -> None:
-    """Run a zygos command in a process of its own."""
+def run_zygos(*arguments: str | Path) -> None:
+    """Run a zygos command in a separate process."""
     command = [sys.executable, "-m", "zygos.cli", *map(str, arguments)]
     if subprocess.run(command, check=False, stdout=subprocess.DEVNULL).returncode != 0:
-        raise ZygosError(f"`zygos {' '.join(map(str, arguments))}` failed; remedy: see its message above")
+        raise ZygosError(f"`zygos {' '.join(map(str, arguments))}` failed; remedy: read its message above")
 
 
 def converge(arm: Arm, frames: NDArray[Any]) -> Convergence:
-    """Estimates of the C library while the run goes on, one every second of the run."""
+    """Estimates of the C library during the run, one for every second of it."""
     flight = Flight(arm)
     starts = np.flatnonzero(frames["id"] == 0x080)
     time_s, values, halves = [], [], []
@@ -68,10 +68,10 @@ def converge(arm: Arm, frames: NDArray[Any]) -> Convergence:
 
 
 def explain_gap(folder: Path) -> dict[str, Any]:
-    """Explain the logs of examples/gap/demo, in which an effect is hidden, and compare with what was sealed.
+    """Explain the logs of examples/gap/demo, which contain a hidden effect, and compare with the sealed solution.
 
     Writes folder/gap.html, folder/gap.json and folder/explained.toml. Errors: ZygosError if a log is not the one that
-    was sealed, or if nothing could be named.
+    was sealed, or if no effect could be named.
     """
     logs = [GAP / "demo" / f"{name}.blf" for name in "abc"]
     verdict_file, report = folder / "gap.json", folder / "gap.html"
@@ -94,16 +94,16 @@ def explain_gap(folder: Path) -> dict[str, Any]:
         "--json",
         verdict_file,
     ]
-    zygos("explain", *arguments)
+    run_zygos("explain", *arguments)
 
-    # The scorer: the verdict is on disk, and nothing below changes it.
+    # Scoring starts here: the verdict has been written, and nothing below changes it.
     verdict = json.loads(verdict_file.read_text())
     sealed = json.loads((GAP / "demo" / "sealed.json").read_text())
     for log in logs:
         if hashlib.sha256(log.read_bytes()).hexdigest() != sealed["sha256"][log.name]:
             raise ZygosError(f"{log} is not the log that was sealed; remedy: `make demo-log`, or restore it from git")
     if not verdict["findings"]:
-        raise ZygosError(f"nothing was named: {verdict['sentence']}; remedy: see {report}")
+        raise ZygosError(f"no effect was named: {verdict['sentence']}; remedy: read {report}")
     found, gap = verdict["findings"][0], verdict["gap"]
     return {
         "hidden": sealed["hidden"],
@@ -123,23 +123,23 @@ def explain_gap(folder: Path) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Learned:
-    """What came of the paper's example."""
+    """The results for the paper's example."""
 
     arm: Arm
     trace: Trace
     estimate: Estimate
     numpy_value: NDArray[np.float64]
-    """(p,) by the batch reference."""
+    """(p,) estimate of the batch reference."""
     true: NDArray[np.float64]
-    """(p,) opened after the estimate was written."""
+    """(p,) true values, read only after the estimate was written."""
     convergence: Convergence
     losses: str
     content: dict[str, Any]
-    """The part of demo.json."""
+    """Their part of demo.json."""
 
 
 def learn(folder: Path) -> Learned:
-    """Simulate the paper's example, send its frames across a bus, estimate, score. Writes run, arm and estimate."""
+    """Simulate the paper's example, send its frames over a bus, estimate, score. Writes run, arm and estimate."""
     folder.mkdir(parents=True, exist_ok=True)
     sent, run = folder / "sent.blf", folder / "run.blf"
     estimate_file, estimate_json = folder / "estimate.toml", folder / "estimate.json"
@@ -147,14 +147,14 @@ def learn(folder: Path) -> Learned:
     estimate_file.unlink(missing_ok=True)
 
     note("simulating the paper's arm …")
-    zygos("simulate", EXAMPLE / "scenario.toml", "-o", sent)
+    run_zygos("simulate", EXAMPLE / "scenario.toml", "-o", sent)
     arm_file = folder / "arm.toml"
     arm = load_arm(arm_file)
 
     interface, channel = choose_bus()
     name = f"{interface} {channel}" + ("" if interface == "socketcan" else " (in-process: this machine has no vcan0)")
     note(f"sending its frames over {name} …")
-    frames = bus.transfer(bus.read_log(sent).frames, arm.period_s, interface, channel)
+    frames = bus.transferred(bus.read_log(sent).frames, arm.period_s, interface, channel)
     bus.write_log(run, frames, arm.period_s)
 
     flight = Flight(arm)
@@ -163,17 +163,17 @@ def learn(folder: Path) -> Learned:
     if any(flight.faults.values()):
         seen = ", ".join(f"{fault} {count}" for fault, count in flight.faults.items() if count)
         raise ZygosError(
-            f"frames were lost or damaged on {interface} {channel} ({seen}); remedy: see that nothing else sends on "
+            f"frames were lost or damaged on {interface} {channel} ({seen}); remedy: check that nothing else sends on "
             "that bus, and run again"
         )
 
-    note("learning …")
-    zygos("estimate", run, "--arm", arm_file, "-o", estimate_file, "--json", estimate_json)
+    note("estimating …")
+    run_zygos("estimate", run, "--arm", arm_file, "-o", estimate_file, "--json", estimate_json)
     estimate = flight.estimate()
     numpy_value = reference.chain(arm, decode(arm, frames).cycles).solution.x
     convergence = converge(arm, frames)
 
-    # The scorer: the estimate is on disk, and nothing below changes it.
+    # Scoring starts here: the estimate has been written, and nothing below changes it.
     written = load_model(estimate_file).base_values(arm)
     scenario = load_scenario(EXAMPLE / "scenario.toml")
     true = load_model(scenario.plant).base_values(arm)
@@ -203,12 +203,12 @@ def learn(folder: Path) -> Learned:
 
 
 def run_demo(folder: Path = Path("out/demo")) -> None:
-    """Learn the paper's arm; explain a gap; report. Writes folder/report.html and folder.json."""
+    """Estimate the paper's arm, explain a gap, and write a report: folder/report.html and folder.json."""
     begin = time.monotonic()
     check_outputs([folder / "report.html", folder.with_suffix(".json")], [])
     learned = learn(folder)
     content = learned.content
-    note("explaining a gap in which an effect is hidden …")
+    note("explaining a gap with a hidden effect …")
     gap = content["gap"] = explain_gap(folder)
     write_json(folder.with_suffix(".json"), content)
     write_report(

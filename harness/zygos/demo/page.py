@@ -1,6 +1,6 @@
-"""The demo's report: one self-contained page.
+"""The report of the demonstration: one self-contained page.
 
-Python selects and scales the numbers; `demo.html` says them, and the script in `charts.html` draws them.
+Python selects and scales the numbers; `demo.html` contains the text, and the script in `charts.html` draws the charts.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from zygos.report.page import UNITS, Entry, joint_colour, numbers, render, serie
 
 Floats = NDArray[np.float64]
 
-_SETTLED = 0.5  # of the run: what comes before does not set the scale of the convergence charts
+_SETTLED = 0.5  # share of the run whose estimates are ignored for the scale of the convergence charts
 
 
 @dataclass(frozen=True)
 class Convergence:
-    """Estimates while a run goes on, at m times; NaN where a parameter is not identifiable yet."""
+    """Estimates during a run, at m times; NaN where a parameter is not identifiable yet."""
 
     time_s: Floats
     """(m,)"""
     value: Floats
-    """(m, p)"""
+    """(m, p) values."""
     half95: Floats
     """(m, p) half width of the 95 % interval."""
 
@@ -51,8 +51,8 @@ def write_report(
 ) -> None:
     """Write the page: parameter table, trajectories, energy ledger, convergence, residual.
 
-    numpy_value (p,) is the reference's estimate, true (p,) the plant's; content has `bus`, `cycles` and `faults`, and
-    may have `gap`, what `zygos.demo.demonstration.explain_gap` found.
+    numpy_value (p,) is the reference's estimate, true (p,) the plant's values; content has `bus`, `cycles` and
+    `faults`, and may have `gap`, the result of `zygos.demo.demonstration.explain_gap`.
     """
     ledger = balance(arm, trace, estimate.value)
     every = drawn(trace)
@@ -93,7 +93,7 @@ def write_report(
 
 
 def _parameters(arm: Arm, estimate: Estimate, numpy_value: Floats, true: Floats) -> Entry:
-    """The table's rows, and the few numbers of the headline."""
+    """The table's rows, and the main numbers for the headline."""
     with np.errstate(divide="ignore", invalid="ignore"):
         error = 100.0 * (estimate.value / true - 1.0)
         half95 = 100.0 * np.abs(estimate.half95 / true)
@@ -144,7 +144,7 @@ def _parameters(arm: Arm, estimate: Estimate, numpy_value: Floats, true: Floats)
 
 
 def _convergence(arm: Arm, true: Floats, convergence: Convergence) -> list[Entry]:
-    """One chart a parameter: deviation from the true value in per cent, and the 95 % interval as a band."""
+    """One chart per parameter: deviation from the true value in per cent, and the 95 % interval as a band."""
     with np.errstate(divide="ignore", invalid="ignore"):
         deviation = 100.0 * (convergence.value / true - 1.0)
         spread = 100.0 * np.abs(convergence.half95 / true)

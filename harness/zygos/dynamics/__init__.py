@@ -1,1 +1,1 @@
-"""Equations of motion of an arm, planar and spatial, ours and those of independent engines."""
+"""Equations of motion of an arm, planar and spatial: our own, and those of independent engines."""

@@ -1,7 +1,7 @@
 """The equations of motion of `zygos.dynamics.serial`, compiled (c/ports/host/multibody.c).
 
-Only the bodies are: what springs, friction and other effects do remains what their laws in Python say. The compiled
-code sums the same matrix in another order of work, and shares nothing with the library that estimates.
+Only the bodies are compiled; springs, friction and other effects follow their laws in Python. The compiled code
+computes the same matrix in a different order, and shares no code with the library that estimates.
 """
 
 from __future__ import annotations
@@ -23,15 +23,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Multibody(SpatialDynamics):
-    """Any arm of `SpatialDynamics`, whose accelerations it has from one call of compiled code for all states."""
+    """Any arm of `SpatialDynamics`, with the accelerations of all states computed by one call of compiled code."""
 
     @cached_property
     def _compiled(self) -> tuple[Any, int, list[Any]]:
-        """The arm for the compiled code, the doubles that it works in, and the memory that must outlive it."""
+        """The arm for the compiled code, the number of doubles it needs as work space, and memory that must stay
+        allocated."""
         axes = np.array([joint.axis for joint in self.arm.joints])
         mounts = np.stack([Rotation.from_euler("xyz", joint.frame_rpy).as_matrix() for joint in self.arm.joints])
         along = axes[:, :, None] * axes[:, None, :]
-        # Rodrigues: what of a turn about the axis is constant, what goes with its cosine and what with its sine
+        # Rodrigues' formula: the constant part of a rotation about the axis, and the parts of its cosine and sine
         turning = np.stack([along, np.eye(3) - along, np.cross(np.eye(3), axes[:, None, :])], axis=1)
         fields: dict[str, Array] = {
             "turn": mounts[:, None] @ turning,
@@ -54,7 +55,7 @@ class Multibody(SpatialDynamics):
         return native, int(lib.zygos_multibody_scratch(self.n)), kept
 
     def __getstate__(self) -> dict[str, Any]:
-        """All but what points into this process: a copy makes its own."""
+        """The state without pointers into this process; a copy creates its own."""
         return {name: value for name, value in self.__dict__.items() if name != "_compiled"}
 
     def accelerations(
@@ -67,13 +68,13 @@ class Multibody(SpatialDynamics):
         state[..., :3] = omega0
         for k, part in enumerate((q, qd, thetad, spring, tau - motor_loss, -link_loss)):
             state[..., 3 + k * n : 3 + (k + 1) * n] = part
-        native, room, _ = self._compiled
+        native, size, _ = self._compiled
         result = np.empty((*batch, 3 + 2 * n))
         lib.zygos_multibody_accelerations(
             native,
             result.size // (3 + 2 * n),
             ffi.from_buffer("double[]", state),
             ffi.from_buffer("double[]", result),
-            ffi.from_buffer("double[]", np.empty(room)),
+            ffi.from_buffer("double[]", np.empty(size)),
         )
         return result[..., :3], result[..., 3 : 3 + n], result[..., 3 + n :]

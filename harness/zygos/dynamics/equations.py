@@ -1,4 +1,4 @@
-"""The equations of motion that a simulation follows: ours, or those of an engine by others."""
+"""The equations of motion for a simulation: our own, or those of an independent engine."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ EngineName = Literal["zygos", "pinocchio", "mujoco"]
 ENGINES: tuple[EngineName, ...] = ("zygos", "pinocchio", "mujoco")
 
 
-class Motion(Protocol):
+class Dynamics(Protocol):
     """Equations of motion of an arm, with any leading batch axes; omega0 is (...,) in a plane, else (..., 3)."""
 
     @property
     def torque_lag(self) -> Array | None:
-        """(N,) delay of each motor behind its reported torque, s; None: none."""
+        """(N,) delay of each motor behind its reported torque, s; None: no delay."""
 
     @property
     def angular_momentum(self) -> float | None:
-        """What the model assumes, Nms; None: none in particular."""
+        """Angular momentum that the model assumes, Nms; None: no assumption."""
 
     def accelerations(
         self, q: Array, theta: Array, omega0: Array, qd: Array, thetad: Array, tau: Array
@@ -35,11 +35,11 @@ class Motion(Protocol):
         """Accelerations of base, joints (..., N) and motors after the gear (..., N), rad/s^2."""
 
     def base_rate(self, q: Array, momentum: float | Array) -> Array:
-        """Base rate with all joints at rest, rad/s, at which the arm has that angular momentum, Nms."""
+        """Base rate, rad/s, at which the arm with all joints at rest has that angular momentum, Nms."""
 
 
 class _Engine:
-    """An engine, one state after the other; every arm is spatial to it."""
+    """An engine applied to one state after the other; it treats every arm as spatial."""
 
     torque_lag: Array | None = None
     angular_momentum: float | None = None
@@ -60,8 +60,8 @@ class _Engine:
         return np.stack([np.linalg.solve(one, np.asarray(momentum)) for one in inertia])
 
 
-def equations(arm: Arm, model: Model, name: EngineName = "zygos") -> Motion:
-    """The equations of motion of a model. Errors: ZygosError for what does not fit the arm or the engine."""
+def equations(arm: Arm, model: Model, name: EngineName = "zygos") -> Dynamics:
+    """The equations of motion of a model. Errors: ZygosError if it does not fit the arm or the engine."""
     if name != "zygos":
         return _Engine(engine(name, arm, model))
     return (PlanarDynamics if arm.free and not arm.spatial else Multibody).from_model(arm, model)

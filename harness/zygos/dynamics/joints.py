@@ -1,15 +1,16 @@
-"""What joints do: rotors, springs, dampers and the effects of the catalogue, whatever arm they drive.
+"""The joints' dynamics: rotors, springs, dampers and the effects of the catalogue, for any arm.
 
-A joint of infinite stiffness is rigid, theta = q. Effects act as their entries in the catalogue say; of torque lag,
-which is a matter of when a torque begins to act, only the size is kept here.
+A joint of infinite stiffness is rigid, theta = q. Effects act as their entries in the catalogue define. For a torque
+lag, which delays the torque, only the length is stored here.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,13 +18,14 @@ from numpy.typing import ArrayLike, NDArray
 from zygos.arm import Arm
 from zygos.effects import SLOWEST_RATE, Effect, Kind, Place
 from zygos.errors import ZygosError
+from zygos.model.model import Model
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Drives:
-    """The N drives of an arm."""
+class Drives(ABC):
+    """The N drives of an arm, whose bodies are those of a subclass."""
 
     rotor_inertia: Array
     """(N,) Im, kg m^2, about the rotor's own axis, before the gear."""
@@ -38,9 +40,19 @@ class Drives:
     laws: tuple[tuple[Kind, int, float], ...] = ()
     """Torque laws with the index of their joint and their coefficient."""
     torque_lag: Array | None = None
-    """(N,) delay of each motor behind its reported torque, s; None: none."""
+    """(N,) delay of each motor behind its reported torque, s; None: no delay."""
     angular_momentum: float | None = None
-    """h that the model assumes, Nms; None: none in particular."""
+    """Angular momentum that the model assumes, Nms; None: no assumption."""
+
+    @classmethod
+    def from_model(cls, arm: Arm, model: Model) -> Self:
+        """Dynamics of a model, its effects included. Errors: as `from_parameters`, and what does not fit the arm."""
+        return cls.from_parameters(arm, model.base_values(arm), model.effects)
+
+    @classmethod
+    @abstractmethod
+    def from_parameters(cls, arm: Arm, values: ArrayLike, effects: Sequence[Effect] = ()) -> Self:
+        """Dynamics from base parameters in the order of `arm.parameter_names`, shape (p,), and effects."""
 
     @property
     def n(self) -> int:
@@ -54,7 +66,7 @@ class Drives:
 
     @cached_property
     def _soft(self) -> Array:
-        """(N,) stiffness; 0 at a rigid joint, whose torque is a constraint."""
+        """(N,) stiffness; 0 at a rigid joint, whose torque is a constraint torque."""
         return np.where(self.rigid, 0.0, self.stiffness)
 
     @cached_property
@@ -62,7 +74,7 @@ class Drives:
         return np.zeros(self.n)
 
     def friction_slope(self, place: Place) -> Array:
-        """(N,) damping that friction at motors or links amounts to around standstill, Nms/rad after the gear."""
+        """(N,) damping equivalent to the friction at motors or links near standstill, Nms/rad after the gear."""
         slope = np.zeros(self.n)
         for kind, i, value in self.laws:
             if kind.place == place and kind.torque is not None:
@@ -71,7 +83,7 @@ class Drives:
         return slope
 
     def _forces(self, q: Array, theta: Array, qd: Array, thetad: Array) -> tuple[Array, Array, Array]:
-        """(..., N) torques: of the springs on the links, of friction at motors (before the gear) and at links."""
+        """Torques (..., N): of the springs on the links, of friction at motors (before the gear) and at links."""
         deflection = theta - q
         spring = self._soft * deflection + self.damping * (thetad - qd)
         if not self.laws:
@@ -80,7 +92,7 @@ class Drives:
         for kind, i, value in self.laws:
             assert kind.torque is not None
             if kind.place == "spring":
-                # what a rigid joint exerts is a constraint
+                # the torque of a rigid joint is a constraint torque
                 spring[..., i] += 0.0 if self.rigid[i] else value * kind.torque(deflection[..., i])
             elif kind.place == "motor":
                 motor[..., i] += value * kind.torque(thetad[..., i])
@@ -89,9 +101,10 @@ class Drives:
         return spring, motor, link
 
     def spring(self, q: Array, theta: Array, qd: Array, thetad: Array) -> Array:
-        """(..., N) torque of spring and damper on the link, Nm: k (theta - q) + b (thetad - qd), and what effects add.
+        """(..., N) torque of spring and damper on the link, Nm: k (theta - q) + b (thetad - qd), plus the effects
+        there.
 
-        Zero for a rigid joint, whose torque is a constraint.
+        Zero for a rigid joint, whose torque is a constraint torque.
         """
         return self._forces(q, theta, qd, thetad)[0]
 
@@ -106,12 +119,13 @@ class Drives:
 
 
 def by_name(arm: Arm, values: ArrayLike) -> dict[str, float]:
-    """Base parameters (p,) by name, in the order of `arm.parameter_names`. Errors: ZygosError if they are not p."""
+    """Base parameters (p,) by name, in the order of `arm.parameter_names`. Errors: ZygosError if there are not p
+    values."""
     vector = np.asarray(values, dtype=np.float64)
     names = arm.parameter_names
     if vector.shape != (len(names),):
         raise ZygosError(
-            f"arm {arm.name} has {len(names)} parameters, {vector.shape} values were given; "
+            f"arm {arm.name} has {len(names)} parameters, but values of shape {vector.shape} were given; "
             f"remedy: give one value for each of {', '.join(names)}"
         )
     return dict(zip(names, vector.tolist(), strict=True))
@@ -121,7 +135,7 @@ def drives(arm: Arm, value: Mapping[str, float], effects: Sequence[Effect]) -> d
     """The fields of `Drives` from parameters by name and effects.
 
     Errors: ZygosError for a torque lag that is not less than a SYNC period, for an effect that the arm cannot have, and
-    for one of a spring where the stiffness is infinite.
+    for a spring effect where the stiffness is infinite.
     """
     joints = range(1, arm.n + 1)
     coupling, lag = np.ones(arm.n), np.zeros(arm.n)
@@ -145,10 +159,10 @@ def drives(arm: Arm, value: Mapping[str, float], effects: Sequence[Effect]) -> d
     if not (np.all(lag >= 0.0) and np.all(lag < arm.period_s)):
         raise ZygosError(
             f"arm {arm.name}: torque lags of {lag.tolist()} s are not within a SYNC period ({arm.period_s} s); "
-            "remedy: a lag of whole periods belongs into torque_law of the arm file"
+            "remedy: describe a lag of whole periods by torque_law in the arm file"
         )
     return {
-        # a rotor that turns with its link alone is counted there
+        # the inertia of a rotor that turns with its link alone is part of the link's
         "rotor_inertia": np.array([value.get(f"Im{i}", 0.0) for i in joints]),
         "stiffness": np.array([value.get(f"k{i}", np.inf) for i in joints]),
         "damping": np.array([value.get(f"b{i}", 0.0) for i in joints]),

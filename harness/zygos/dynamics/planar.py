@@ -1,4 +1,4 @@
-"""Equations of motion of the planar free-floating arm, from its base parameters and effects alone (docs/theory.md).
+"""Equations of motion of the planar free-floating arm, from its base parameters and effects only (docs/theory.md).
 
 Body i (0 = base) turns at the absolute rate f_i; f_0 = omega_0, f_i = f_{i-1} + qd_i; phi_i is its absolute angle. With
 c = phi_j - phi_i the kinetic energy of Nanos & Papadopoulos eq. (11) is
@@ -7,7 +7,7 @@ c = phi_j - phi_i the kinetic energy of Nanos & Papadopoulos eq. (11) is
         + sum_i [1/2 Im_i n_i^2 thetad_i^2 + Im_i n_i thetad_i f_{i-1}]
 
 and its Lagrange equations in (phi_0 .. phi_N, theta_1 .. theta_N) are solved here for the accelerations. Nothing else
-of the arm is needed: neither masses nor lengths, and no state of the base beyond its rate.
+is needed: neither masses nor lengths, and of the base only its rate.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,7 +24,6 @@ from zygos.arm import Arm
 from zygos.dynamics.joints import Drives, by_name, drives
 from zygos.effects import Effect
 from zygos.errors import ZygosError
-from zygos.model.model import Model
 
 Array = NDArray[np.float64]
 
@@ -38,12 +38,7 @@ class PlanarDynamics(Drives):
     """(N+1, N+1) antisymmetric b_ij (b[i, j] = b_ij for i < j), kg m^2; zero for a planar-symmetric arm."""
 
     @classmethod
-    def from_model(cls, arm: Arm, model: Model) -> PlanarDynamics:
-        """Dynamics of a model, its effects included. Errors: as `from_parameters`, and what does not fit the arm."""
-        return cls.from_parameters(arm, model.base_values(arm), model.effects)
-
-    @classmethod
-    def from_parameters(cls, arm: Arm, values: ArrayLike, effects: Sequence[Effect] = ()) -> PlanarDynamics:
+    def from_parameters(cls, arm: Arm, values: ArrayLike, effects: Sequence[Effect] = ()) -> Self:
         """Dynamics from base parameters in the order of `arm.parameter_names`, shape (p,), and effects.
 
         Errors: ZygosError if the number of values is not p or if some posture would have negative kinetic energy.
@@ -71,7 +66,7 @@ class PlanarDynamics(Drives):
     def margin(self) -> float:
         """Smallest eigenvalue of the inertia matrix over all postures, rotors free, kg m^2.
 
-        f_i exp(i phi_i) ranges over all complex vectors, so the Hermitian matrix a + ib less the rotors decides.
+        f_i exp(i phi_i) covers all complex vectors, so the Hermitian matrix a + ib minus the rotors' share decides.
         """
         carried = np.append(self.coupling**2 * self.rotor_inertia, 0.0)
         return float(np.linalg.eigvalsh(self.a - np.diag(carried) + 1j * self.b)[0])
@@ -92,7 +87,7 @@ class PlanarDynamics(Drives):
 
     @cached_property
     def rotor_mass(self) -> Array:
-        """(N+1, N+1) what the rotors add to the inertia matrix once their own accelerations are eliminated."""
+        """(N+1, N+1) contribution of the rotors to the inertia matrix after their own accelerations are eliminated."""
         mass = -np.diag(np.append(np.where(self.rigid, 0.0, self.coupling**2 * self.rotor_inertia), 0.0))
         for i in np.flatnonzero(self.rigid):
             turn, carrier = np.zeros(self.n + 1), np.zeros(self.n + 1)
@@ -115,12 +110,12 @@ class PlanarDynamics(Drives):
         spring, motor_loss, link_loss = self._forces(q, theta, qd, thetad)
         ratio = self.gear_ratio
         drive = tau - motor_loss
-        # a rigid gear hands on what drives the rotor, a spring what it holds
+        # a rigid gear transmits the torque that drives the rotor, a spring transmits its own torque
         rigid = self.rigid.any()
         force = (np.where(self.rigid, ratio * drive, spring) if rigid else spring) - link_loss
         right = -(slope @ (f * f)[..., None])[..., 0]
         right[..., 1:] += force
-        # rotor i pushes off the body that carries it, with what its motor and the reaction of its gear leave over
+        # the reaction on the body that carries rotor i is the difference of motor torque and gear reaction
         pushed = self.coupling * (drive - spring / ratio)
         right[..., :-1] -= force + (np.where(self.rigid, 0.0, pushed) if rigid else pushed)
         absolute = np.asarray(np.linalg.solve(inertia + self.rotor_mass, right[..., None])[..., 0], dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Where the bodies of an arm stand: frames of all bodies at many instants, and how a recorded run moved them.
+"""Positions and attitudes of the bodies of an arm: their frames at many instants, and the motion in a recorded run.
 
 R_i = R_{i-1} Rpy(frame_rpy_i) Rot(axis_i, q_i) and p_i = p_{i-1} + R_{i-1} joint_xyz_{i-1}: body i's frame is that of
 joint i, with its origin on the joint (URDF's convention).
@@ -21,7 +21,7 @@ from zygos.runs.samples import calibrate, usable
 Floats = NDArray[np.float64]
 
 _UNIT_M = 1.0
-"""Length of every body of which nothing is known."""
+"""Length of every body of unknown dimensions, m."""
 
 
 @dataclass(frozen=True)
@@ -31,11 +31,11 @@ class Skeleton:
     joint_xyz: Floats
     """(N, 3) origin of the joint that body i carries, i = 0 .. N-1."""
     end_xyz: Floats
-    """(3,) end of the last body: twice its mass centre, so that the mass centre is its middle."""
+    """(3,) end of the last body: twice its mass centre, so that the mass centre is in the middle."""
     centre_xyz: Floats
     """(N+1, 3) mass centre of each body with the rotor it carries."""
     mass: Floats | None
-    """(N+1,) kg, with the rotor; None: nothing is known, lengths are schematic."""
+    """(N+1,) mass with the rotor, kg; None: the model is unknown and the lengths are schematic."""
 
 
 @dataclass(frozen=True)
@@ -49,30 +49,30 @@ class Poses:
 
 
 @dataclass(frozen=True)
-class Motion:
-    """What a run says of the arm's posture, at n cycles."""
+class RecordedMotion:
+    """Motion of the arm in a run, at n cycles."""
 
     time: Floats
-    """(n,) since the first cycle, s."""
+    """(n,) time since the first cycle, s."""
     q: Floats
     """(n, N) link angles, rad."""
     deflection: Floats
     """(n, N) motor angle after the gear minus link angle, rad, within half a turn."""
     base: Floats
-    """(n, 3, 3) attitude of the base; at the first cycle it is one."""
+    """(n, 3, 3) attitude of the base; the identity at the first cycle."""
     gaps: int
-    """How often cycles are missing; there the base is taken to have turned at the mean of the rates on both sides."""
+    """Number of gaps in the cycles; within a gap the base is assumed to turn at the mean of the rates on both sides."""
 
 
 def skeleton(arm: Arm, model: Model | None) -> Skeleton:
-    """The lengths that a model by bodies states; without one, unit lengths across the joint axes.
+    """The lengths given by a model with bodies; without one, unit lengths perpendicular to the joint axes.
 
     Errors: ZygosError if the model does not fit the arm.
     """
     if model is None or not model.bodies:
         if model is not None:
-            model.base_parameters(arm)  # refuses a model of another arm
-        # the base has no axis of its own, and reaches for its joint across that one's
+            model.base_parameters(arm)  # raises an error if the model belongs to another arm
+        # the base has no axis of its own; its length is perpendicular to the first joint's axis
         lengths = np.array([_across(axis) for axis in (arm.axes[0], *(np.array(joint.axis) for joint in arm.joints))])
         return Skeleton(lengths[:-1], lengths[-1], np.zeros((arm.n + 1, 3)), None)
     model.check_fits(arm)
@@ -87,14 +87,15 @@ def skeleton(arm: Arm, model: Model | None) -> Skeleton:
 
 
 def _across(axis: Floats) -> Floats:
-    """(3,) of unit length, across a joint axis: x where it can be, so that an arm is stretched at zero angles."""
+    """(3,) unit vector perpendicular to a joint axis: x where possible, so that an arm is stretched at zero angles."""
     start = np.eye(3)[0] if abs(axis[0]) < 0.9 else np.eye(3)[1]
     direction = start - axis * (axis @ start)
     return np.asarray(_UNIT_M * direction / np.linalg.norm(direction), dtype=np.float64)
 
 
 def forward(arm: Arm, joint_xyz: Floats, q: Floats, base: Floats, origin: Floats) -> Poses:
-    """Frames of all bodies: q (n, N) link angles, base (n, 3, 3) attitude and origin (n, 3) position of the base's."""
+    """Frames of all bodies: q (n, N) link angles; attitude `base` (n, 3, 3) and position `origin` (n, 3) of the
+    base."""
     n = len(q)
     attitude = np.empty((n, arm.n + 1, 3, 3))
     position = np.empty((n, arm.n + 1, 3))
@@ -115,9 +116,9 @@ def mass_centre(lengths: Skeleton, poses: Poses) -> Floats:
 
 
 def place(arm: Arm, lengths: Skeleton, q: Floats, base: Floats) -> Poses:
-    """Frames of all bodies in a world in which a free-floating arm's mass centre rests at the origin.
+    """Frames of all bodies in a world in which a free-floating arm's mass centre is at rest in the origin.
 
-    Of an arm on the ground, or of unknown masses, the base's origin is there instead. q (n, N), base (n, 3, 3).
+    For an arm on the ground or with unknown masses, the base's origin is there instead. q (n, N), base (n, 3, 3).
     """
     poses = forward(arm, lengths.joint_xyz, q, base, np.zeros((len(q), 3)))
     if not arm.free or lengths.mass is None:
@@ -125,8 +126,8 @@ def place(arm: Arm, lengths: Skeleton, q: Floats, base: Floats) -> Poses:
     return Poses(poses.attitude, poses.position - mass_centre(lengths, poses)[:, None])
 
 
-def attitudes(time: Floats, rate: Floats) -> Floats:
-    """(n, 3, 3) attitude of a body that turns at rate (n, 3) in its own axes, rad/s, from one at the first instant.
+def integrated_attitudes(time: Floats, rate: Floats) -> Floats:
+    """(n, 3, 3) attitude of a body that turns at rate (n, 3) in its own axes, rad/s; the identity at the first instant.
 
     R_{k+1} = R_k exp((rate_k + rate_{k+1}) / 2 * dt), second order in dt.
     """
@@ -138,22 +139,22 @@ def attitudes(time: Floats, rate: Floats) -> Floats:
     return attitude
 
 
-def motion(arm: Arm, cycles: Cycles) -> Motion:
-    """How a run moved the arm: signs, zeros and the gyro's mount applied, cycles of no use left out.
+def motion(arm: Arm, cycles: Cycles) -> RecordedMotion:
+    """Motion of the arm in a run: signs, zeros and the gyro's mount are applied, and unusable cycles are left out.
 
-    Errors: ZygosError if no cycle is of use, or the record is of another number of joints.
+    Errors: ZygosError if no cycle is usable, or the record has a different number of joints.
     """
     samples = calibrate(arm, cycles)
     use = usable(cycles)
     if not use.any():
         raise ZygosError(
-            f"the run has no complete cycle of arm {arm.name}: nothing to see; remedy: give the arm file the run was "
-            "recorded with, or record with every node of the arm on the bus"
+            f"the run has no complete cycle of arm {arm.name}, so there is nothing to show; remedy: give the arm file "
+            "with which the run was recorded, or record with every node of the arm on the bus"
         )
     sync = samples.sync[use]
     time = (sync - sync[0]).astype(np.float64) * arm.period_s
     q, deflection = samples.q[use], samples.theta[use] - samples.q[use]
-    # an encoder that went over the end of its range is off by whole turns
+    # after an encoder has passed the end of its range it is wrong by whole turns
     deflection -= 2.0 * np.pi * np.round(deflection / (2.0 * np.pi))
-    base = attitudes(time, samples.omega[use]) if arm.free else np.tile(np.eye(3), (len(time), 1, 1))
-    return Motion(time, q, deflection, base, gaps=int(np.count_nonzero(np.diff(sync) > 1)))
+    base = integrated_attitudes(time, samples.omega[use]) if arm.free else np.tile(np.eye(3), (len(time), 1, 1))
+    return RecordedMotion(time, q, deflection, base, gaps=int(np.count_nonzero(np.diff(sync) > 1)))

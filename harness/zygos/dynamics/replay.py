@@ -1,57 +1,34 @@
-"""Many short stretches of motion at once under torques that are held from SYNC to SYNC.
+"""Integrates many short pieces of motion at once, with torques that are constant from SYNC to SYNC.
 
-A twin of a run, or a prediction of its next half second, is a batch of stretches that begin at known states. They share
-their steps, so a fixed-step RK4 does; `zygos.simulation.plant` is the simulator for what must be exact.
+The pieces, for instance of a simulated run or of predictions of the next half second, begin at known states. They share
+their steps, so a fixed-step RK4 is used; `zygos.simulation.plant` is the simulator for exact results.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
+from zygos.balances.state import State
 from zygos.dynamics.planar import PlanarDynamics
 
 Array = NDArray[np.float64]
 
 STEP_OF_MODE = 0.15
-"""Longest step in units of the fastest mode's 1/omega: RK4 then errs by 1e-6 of the mode's motion in a cycle of it."""
-
-
-@dataclass(frozen=True)
-class States:
-    """States of any number of stretches; N joints. Angles in rad, rates in rad/s, after the gear."""
-
-    omega0: Array
-    """(...,)"""
-    q: Array
-    """(..., N), as theta, qd, thetad."""
-    theta: Array
-    qd: Array
-    thetad: Array
-
-    @classmethod
-    def of(cls, packed: Array) -> States:
-        """From arrays (..., 4N+1): omega0, q, theta, qd, thetad."""
-        n = (packed.shape[-1] - 1) // 4
-        parts = [packed[..., 1 + i * n : 1 + (i + 1) * n] for i in range(4)]
-        return cls(packed[..., 0], *parts)
-
-    def packed(self) -> Array:
-        """(..., 4N+1) omega0, q, theta, qd, thetad."""
-        return np.concatenate([self.omega0[..., None], self.q, self.theta, self.qd, self.thetad], axis=-1)
+"""Longest step in units of 1/omega of the fastest mode: RK4 then has an error of 1e-6 of the mode's motion per
+cycle."""
 
 
 def substeps(dynamics: PlanarDynamics, q: Array, period_s: float) -> int:
-    """RK4 steps a SYNC period that follow the arm's fastest mode at the postures q (..., N)."""
+    """RK4 steps per SYNC period that resolve the arm's fastest mode at the postures q (..., N)."""
     links, rotors = mobility(dynamics, q), np.diag(1.0 / (dynamics.rotor_inertia * dynamics.gear_ratio**2))
     stiff = np.where(dynamics.rigid, 0.0, dynamics.stiffness)
     damped = np.where(dynamics.rigid, 0.0, dynamics.damping)
-    # a spring turns its link against the carrier, and its rotor against both; friction turns one of them
+    # a spring turns its link against the carrying body, and its rotor against both; friction turns one of them
     fastest = np.sqrt(_largest((links + rotors) * stiff))
     rub = dynamics.friction_slope("motor")
     own = np.where(dynamics.rigid, links, rotors) * rub
@@ -64,7 +41,7 @@ def _largest(matrices: Array) -> float:
 
 
 def mobility(dynamics: PlanarDynamics, q: Array) -> Array:
-    """(..., N, N) accelerations of the joints a unit torque at each, 1/(kg m^2), at the postures q (..., N)."""
+    """(..., N, N) accelerations of the joints per unit torque at each, 1/(kg m^2), at the postures q (..., N)."""
     n = dynamics.n
     joints = np.eye(n, n + 1, 1) - np.eye(n, n + 1)
     inertia = dynamics.inertia(q)[0] + dynamics.rotor_mass
@@ -75,14 +52,14 @@ def replay(
     dynamics: PlanarDynamics,
     period_s: float,
     start: Array,
-    torque: Callable[[int, States], Array],
+    torque: Callable[[int, State], Array],
     before: Array,
     cycles: int,
     steps: int,
 ) -> tuple[Array, Array]:
-    """Move B stretches on from their states `start` (B, 4N+1) at the first SYNC (layout of `States.packed`).
+    """Integrate B pieces of motion from their states `start` (B, 4N+1) at the first SYNC (layout of `State.packed`).
 
-    torque(k, states) gives the torques (B, N) of period k, Nm before the gear, `before` (B, N) those of the period
+    torque(k, states) gives the torques (B, N) of period k, Nm before the gear; `before` (B, N) are those of the period
     before the first. Returns the states (B, cycles, 4N+1) at each SYNC and the torques (B, cycles, N).
     """
     lag = dynamics.torque_lag
@@ -92,7 +69,7 @@ def replay(
     torques = np.empty((len(start), cycles, dynamics.n))
     for k in range(cycles):
         states[:, k] = state
-        command = torque(k, States.of(state))
+        command = torque(k, State.unpacked(state))
         torques[:, k] = command
         if k == cycles - 1:
             break
@@ -105,13 +82,13 @@ def replay(
     return states, torques
 
 
-def read(dynamics: PlanarDynamics, arm: Arm, states: Array, torques: Array) -> tuple[Array, Array, Array]:
-    """What exact sensors read of stretches (B, n+1, 4N+1) under torques (B, n+1, N) in their first n cycles.
+def exact_readings(dynamics: PlanarDynamics, arm: Arm, states: Array, torques: Array) -> tuple[Array, Array, Array]:
+    """Readings of exact sensors for states (B, n+1, 4N+1) under torques (B, n+1, N), in the first n cycles.
 
-    q, theta (B, n, N), omega0 (B, n): each where it latches, which may be after SYNC. Between two SYNCs an angle is the
-    cubic, a rate the parabola through what is known at both.
+    Returns q, theta (B, n, N) and omega0 (B, n), each at the instant of its latch, which may be after SYNC. Between two
+    SYNCs an angle is a cubic polynomial and a rate a parabola through the known values at both.
     """
-    now, then, h = States.of(states[:, :-1]), States.of(states[:, 1:]), arm.period_s
+    now, then, h = State.unpacked(states[:, :-1]), State.unpacked(states[:, 1:]), arm.period_s
 
     def angle(x: Array, y: Array, xd: Array, yd: Array, late_us: list[int]) -> Array:
         s = 1e-6 * np.array(late_us) / h
@@ -122,11 +99,11 @@ def read(dynamics: PlanarDynamics, arm: Arm, states: Array, torques: Array) -> t
     late = [j.latch_us + j.motor_encoder.latch_us for j in arm.joints]
     theta = angle(now.theta, then.theta, now.thetad, then.thetad, late)
     if arm.imu.latch_us == 0:
-        return q, theta, now.omega0
+        return q, theta, now.base
     share = 1e-6 * arm.imu.latch_us / h
-    rise = h * dynamics.accelerations(now.q, now.theta, now.omega0, now.qd, now.thetad, torques[:, :-1])[0]
-    bend = then.omega0 - now.omega0 - rise
-    return q, theta, np.asarray(now.omega0 + share * rise + share**2 * bend, dtype=np.float64)
+    rise = h * dynamics.accelerations(now.q, now.theta, now.base, now.qd, now.thetad, torques[:, :-1])[0]
+    bend = then.base - now.base - rise
+    return q, theta, np.asarray(now.base + share * rise + share**2 * bend, dtype=np.float64)
 
 
 def _step(dynamics: PlanarDynamics, x: Array, tau: Array, h: float) -> Array:
@@ -138,6 +115,6 @@ def _step(dynamics: PlanarDynamics, x: Array, tau: Array, h: float) -> Array:
 
 
 def _rate(dynamics: PlanarDynamics, x: Array, tau: Array) -> Array:
-    s = States.of(x)
-    base, link, motor = dynamics.accelerations(s.q, s.theta, s.omega0, s.qd, s.thetad, tau)
-    return States(base, s.qd, s.thetad, link, motor).packed()
+    s = State.unpacked(x)
+    base, link, motor = dynamics.accelerations(s.q, s.theta, s.base, s.qd, s.thetad, tau)
+    return State(s.qd, s.thetad, link, motor, base).packed()

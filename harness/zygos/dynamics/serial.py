@@ -1,9 +1,9 @@
 """Equations of motion of any serial arm, by projection of its constant matrix N (docs/theory.md, "Equations …").
 
 With the directions rho_a of all bodies, their Jacobians J_a with respect to u = (omega_0, qd) and the matrix N_ab of
-the kinetic energy, the inertia matrix is sum N_ab J_a' J_b, and what velocities cause is sum N_ab J_a' of the
-accelerations that the directions have while u stands still. No Christoffel symbols, and nothing of the base but its
-rate. A fixed base has no omega_0 and may stand in gravity.
+the kinetic energy, the inertia matrix is sum N_ab J_a' J_b, and the velocity terms are sum N_ab J_a' times the
+accelerations that the directions have at constant u. No Christoffel symbols are needed, and only the rate of the base.
+A fixed base has no omega_0 and may stand in gravity.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,7 +22,6 @@ from zygos.dynamics.joints import Drives, by_name, drives
 from zygos.effects import Effect
 from zygos.errors import ZygosError
 from zygos.model import gram
-from zygos.model.model import Model
 
 Array = NDArray[np.float64]
 
@@ -37,18 +37,13 @@ class SpatialDynamics(Drives):
     matrix: Array
     """(V, V) N, kg m^2."""
     moments: Array
-    """(V,) first moments that gravity pulls at, kg m."""
+    """(V,) first moments on which gravity acts, kg m."""
 
     @classmethod
-    def from_model(cls, arm: Arm, model: Model) -> SpatialDynamics:
-        """Dynamics of a model, its effects included. Errors: as `from_parameters`, and what does not fit the arm."""
-        return cls.from_parameters(arm, model.base_values(arm), model.effects)
-
-    @classmethod
-    def from_parameters(cls, arm: Arm, values: ArrayLike, effects: Sequence[Effect] = ()) -> SpatialDynamics:
+    def from_parameters(cls, arm: Arm, values: ArrayLike, effects: Sequence[Effect] = ()) -> Self:
         """Dynamics from base parameters in the order of `arm.parameter_names`, shape (p,), and effects.
 
-        Errors: ZygosError if the number of values is not p, or if N less the rotors' share is not that of any arm.
+        Errors: ZygosError if the number of values is not p, or if no arm has this N minus the rotors' contribution.
         """
         value = by_name(arm, values)
         kinetic = np.array(list(value.values()))[: len(gram.pairs(arm)[0])]
@@ -59,7 +54,7 @@ class SpatialDynamics(Drives):
         dynamics = cls(arm=arm, matrix=matrix, moments=moments, **drives(arm, value, effects))
         if dynamics.angular_momentum is not None:
             raise ZygosError(
-                f"arm {arm.name}: angular_momentum is an effect of planar arms; remedy: take it out of the model, and "
+                f"arm {arm.name}: angular_momentum is an effect of planar arms; remedy: remove it from the model, and "
                 "state angular_momentum_nms in the scenario"
             )
         size = float(np.abs(matrix).max())
@@ -81,7 +76,7 @@ class SpatialDynamics(Drives):
 
     @property
     def _first(self) -> int:
-        """Coordinates of the base in u."""
+        """Number of coordinates of the base in u."""
         return 3 if self.arm.free else 0
 
     def _turns(self, places: Posture) -> Array:
@@ -95,7 +90,7 @@ class SpatialDynamics(Drives):
         return turns
 
     def _inertia(self, places: Posture, turns: Array) -> tuple[Array, Array]:
-        """(..., V, 3, U) Jacobians of the directions, and N times them."""
+        """Jacobians of the directions, and N times them; both (..., V, 3, U)."""
         jacobian = -np.cross(places.direction[..., :, :, None], turns[..., self._bodies, :, :], axis=-2)
         return jacobian, np.einsum("ab,...bcu->...acu", self.matrix, jacobian)
 
@@ -112,7 +107,7 @@ class SpatialDynamics(Drives):
         mass = np.einsum("...acu,...acw->...uw", jacobian, weighed)
         axis, rho = places.axis, places.direction
         omega = body_rates(omega0, axis, qd)
-        # what the bodies and directions accelerate by while u stands still
+        # accelerations of bodies and directions at constant u
         slip = np.cross(omega[..., :-1, :], axis) * qd[..., None]
         alpha = np.concatenate([np.zeros_like(omega[..., :1, :]), np.cumsum(slip, axis=-2)], axis=-2)
         of = self._bodies
@@ -191,9 +186,10 @@ class SpatialDynamics(Drives):
 
 
 def _lifted(arm: Arm, value: dict[str, float]) -> Array:
-    """N (V, V) of a planar arm on a fixed base: with all rates along one axis, v_iu . v_ju = f_i f_j cos."""
+    """N (V, V) of a planar arm on a fixed base: as all rates are along one axis, v_iu . v_ju = f_i f_j cos."""
     matrix = np.zeros((2 * arm.n, 2 * arm.n))
-    # R_i P_i turns by +phi_i or -phi_i in the order (u, v), as the axis points along u x v or against it
+    # R_i P_i turns by +phi_i or -phi_i in the order (u, v), depending on whether the axis points along u x v or against
+    # it
     hand = np.sign(np.linalg.det(np.column_stack([posture(arm, np.zeros(arm.n)).direction[:2].T, arm.axis])))
     for i in range(1, arm.n + 1):
         for j in range(i, arm.n + 1):

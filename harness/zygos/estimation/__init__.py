@@ -1,1 +1,1 @@
-"""What surrounds the flight library in an estimate on the ground: watching a run, verdicts and remedies in words."""
+"""Estimation on the ground with the flight library: monitoring a run, verdicts and remedies in words."""

@@ -1,4 +1,4 @@
-"""What an estimate becomes: the content of its JSON, and the effects of a model with their values."""
+"""The results of an estimate: the content of its JSON, and the effects of a model with their estimated values."""
 
 from __future__ import annotations
 
@@ -50,13 +50,13 @@ def report_estimate(result: Estimate, watch: Watch, drift: Drift | None, heading
         ],
         "solution": result.solution.tolist(),
         "covariance": result.covariance.tolist(),
-        # of the normal equations: how the columns lie to each other in the motion, which `zygos fit` weighs with
+        # the normal equations contain the correlations of the columns in this motion, which `zygos fit` uses as weights
         "normal": flight.normal_equations()[0].tolist(),
     }
 
 
 def learned(effect: Effect, found: Quantity | None) -> Effect:
-    """The entry of a model for what was found of an effect. A friction or lag that noise makes negative is none."""
+    """An effect with its estimated value. Negative friction or lag, which only noise can cause, is set to zero."""
     if found is None:
         return effect
     value = max(found.value, 0.0) if effect.kind.positive else found.value

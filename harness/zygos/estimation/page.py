@@ -6,7 +6,6 @@ It knows what the estimator knows, and no true value.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +13,10 @@ from numpy.typing import NDArray
 
 from zygos.arm import Arm
 from zygos.estimation.charts import Drawn, drawn, energy, meaning, rates, residual, sheet, times, trajectories
+from zygos.estimation.estimate import Estimation
 from zygos.estimation.ledger import Ledger, balance
 from zygos.estimation.watch import Note, Watch
-from zygos.estimation.words import about_change, about_left_out, about_noise, losses
+from zygos.estimation.words import about_left_out, about_noise, losses
 from zygos.files.output import number, ratio
 from zygos.native.flight import Drift, Estimate, Trace
 from zygos.report.figures import LogScale, down_to, unit_of
@@ -43,27 +43,19 @@ _MEANS = {
 }
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What the command says of an estimate that is not valid; empty where it is."""
-
-    measured: str = ""
-    """The number behind the reason."""
-    remedy: str = ""
-    written: str = ""
-    """What became of the model file."""
-
-
 def write_estimate_report(
     path: Path,
-    result: Estimate,
-    watch: Watch,
-    drift: Drift | None,
-    outcome: Outcome,
-    damage: Sequence[str],
+    found: Estimation,
     provenance: Provenance,
+    *,
+    written: str = "",
+    damage: Sequence[str] = (),
 ) -> None:
-    """Write the page of an estimate, of a watch that kept its trace. Errors: ZygosError if it cannot be written."""
+    """Write the page of an estimate that kept its trace.
+
+    written: what became of the model, in words. damage: of the run's log. Errors: ZygosError if it cannot be written.
+    """
+    result, watch, drift = found.result, found.watch, found.drift
     arm, flight, trace = watch.flight.arm, watch.flight, watch.trace()
     at = drawn(trace, _POINTS // (arm.n + 2))
     names, refused = times(arm, trace, at)
@@ -89,7 +81,9 @@ def write_estimate_report(
         arm=arm,
         result=result,
         means=_MEANS.get(result.validity, ""),
-        outcome=outcome,
+        measured="" if found.validity == "valid" else found.measured,
+        remedy=found.remedy,
+        written=written,
         learned=len(result.names) - len(missing),
         missing=missing,
         cycles=len(trace.cycles),
@@ -99,7 +93,7 @@ def write_estimate_report(
         lost=losses(flight),
         left_out=_left_out(arm, watch),
         said_left_out=about_left_out(result, watch),
-        change=about_change(result, drift, arm) if drift is not None and drift.contradicting else "",
+        change=found.change,
         drift=_drift(arm, drift),
         noise=about_noise(result),
         damage=list(damage),

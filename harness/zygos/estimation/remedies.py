@@ -1,4 +1,4 @@
-"""What was measured behind the reason of an estimate that is not valid, and what helps against it."""
+"""The measured values that explain why an estimate is not valid, and the remedy."""
 
 from __future__ import annotations
 
@@ -9,36 +9,36 @@ import numpy as np
 
 from zygos.arm import Arm
 from zygos.balances.energy import energy_columns
-from zygos.balances.kinematics import State
+from zygos.balances.state import State
 from zygos.files.output import counted, number
 from zygos.native.flight import GATE, REASONS, Estimate, Flight
 
 NO_FRAMES = frozenset({"incomplete", "dropped", "sync_jumped", "time_lost", "time_jumped", "overrun", "bus_error"})
-"""Fault counters that count something else than rejected frames."""
+"""Fault counters that do not count rejected frames."""
 MANY_DROPPED = 0.02
-"""Share of the cycles whose loss is worth a word before anything else."""
+"""Share of dropped cycles above which the loss is reported before any other cause."""
 LEAST_BLOCKS, INSTANTS_PER_PARAMETER = 8, 3
-"""What a solution needs at the least, as in the C library."""
+"""Minimum numbers of blocks and of instants per parameter for a solution, as in the C library."""
 NO_DATA, NOT_IDENTIFIABLE, TOO_FAST, NOT_PHYSICAL, _, UNCLOSED, NOISE, DECLARED, CHANGED, UNEXPLAINED = REASONS[1:]
 _NEGATIVE_SIGMAS = 3.0
 _LISTED = 6
-"""Names in a sentence."""
+"""Largest number of names in a sentence."""
 
 
 @dataclass(frozen=True)
 class Known:
-    """How much was known at some time of a run."""
+    """Number of determined parameters at some time of a run."""
 
     cycles: int
     parameters: int
-    """Those with a value."""
+    """Number of parameters with a value."""
 
 
 def structural_rank(arm: Arm) -> int:
-    """How many combinations of the arm's parameters (effects apart) any motion can determine.
+    """How many combinations of the arm's parameters (without effects) can be determined by any motion.
 
-    The rank of the energy columns at random states: what is missing to `len(arm.parameter_names)` is a matter of the
-    arm's geometry, parallel or perpendicular axes for instance, and no motion changes it.
+    This is the rank of the energy columns at random states. The difference from `len(arm.parameter_names)` is due to
+    the arm's geometry, for instance parallel or perpendicular axes, and no motion changes it.
     """
     rng = np.random.default_rng(0)
     p = len(arm.parameter_names)
@@ -57,27 +57,27 @@ def structural_rank(arm: Arm) -> int:
 
 
 def measured(result: Estimate, flight: Flight) -> str:
-    """The number behind the reason; empty where it has none."""
+    """The measured value that explains the reason; empty if the reason has none."""
     if flight.counts["cycles"] == 0:
-        return "not one whole cycle of this arm came"
+        return "no complete cycle of this arm was received"
     share = flight.unexplained(result)
-    said = {
+    explained = {
         NOT_IDENTIFIABLE: f"rank {result.rank} of {len(result.names)}",
-        UNEXPLAINED: f"{100 * share:.3g} % of the work's variance is left over, rank {result.rank} of "
+        UNEXPLAINED: f"{100 * share:.3g} % of the variance of the work is unexplained, rank {result.rank} of "
         f"{len(result.names)}",
-        UNCLOSED: f"{100 * share:.3g} % of the work's variance is left over and adds up {number(result.cluster, 3)} "
-        "times in a block, where noise does once",
+        UNCLOSED: f"{100 * share:.3g} % of the variance of the work is unexplained, and residuals add up "
+        f"{number(result.cluster, 3)} times in a block, where noise would once",
         NOISE: f"in some combination the motion's square is {number(result.gate, 2)} times that of the noise, "
-        f"{GATE:g} is the least",
-        DECLARED: f"the residuals' square is {number(result.noise_ratio, 2)} of the declared noise's",
+        f"at least {GATE:g} is needed",
+        DECLARED: f"the sum of squared residuals is {number(result.noise_ratio, 2)} of that of the declared noise",
     }
-    return said.get(result.reason, "") if result.rank else ""
+    return explained.get(result.reason, "") if result.rank else ""
 
 
 def remedy(result: Estimate, flight: Flight, known: Sequence[Known] = ()) -> str:
-    """What helps: what the bus did wrong comes first, for it spoils everything behind it.
+    """The remedy. Faults of the bus come first, because they affect everything that follows.
 
-    known: what was known at earlier times of the run, which tells whether a longer one helps.
+    known: number of determined parameters earlier in the run, which shows whether a longer run helps.
     """
     of_the_bus = _bus(flight)
     if of_the_bus:
@@ -91,17 +91,18 @@ def remedy(result: Estimate, flight: Flight, known: Sequence[Known] = ()) -> str
 
 _CHECK = "check signs, gear ratios, zeros and the torque_law of the arm file (`zygos check-arm`)"
 _CLOSE = (
-    f"{_CHECK}; friction, cubic springs and torque lag are in the balance only where --model names them, noise of the "
-    "torques and torques on the base never"
+    f"{_CHECK}; friction, cubic springs and torque lag are part of the balance only if --model names them, noise of "
+    "the torques and torques on the base are never part of it"
 )
 _FIXED = {
     TOO_FAST: "a higher SYNC rate, a shorter smoother window, or a slower motion",
     UNCLOSED: _CLOSE,
     UNEXPLAINED: _CLOSE,
-    NOISE: "a larger or faster motion of every joint, or sensors declared as they are (quanta, rate_sigma); more of "
-    "the same motion does not change that ratio",
+    NOISE: "a larger or faster motion of every joint, or sensors declared as they are (quanta, rate_sigma); a longer "
+    "run with the same motion does not change that ratio",
     DECLARED: "state the sensors of the arm file as they are: counts or quantum_rad, rate_sigma",
-    CHANGED: "split the log where the arm changed, or let old arcs fade ([arc] memory_min); on board zygos_restart()",
+    CHANGED: "split the log where the arm changed, or let old arcs fade ([arc] memory_min); on board call "
+    "zygos_restart()",
 }
 
 
@@ -111,12 +112,12 @@ def _bus(flight: Flight) -> str:
     seen = ", ".join(f"{name} {count:,}" for count, name in largest[:3])
     if cycles == 0:
         if flight.counts["invalid"]:
-            seen = f"{counted(flight.counts['invalid'], 'cycle')} invalid, not finite or beyond all reason"
-        came = f"the fault counters say {seen}" if seen else "no frame of this arm came"
+            seen = f"{counted(flight.counts['invalid'], 'cycle')} invalid, not finite or implausibly large"
+        came = f"the fault counters show {seen}" if seen else "no frame of this arm came"
         return f"no cycle was complete and {came}: compare the node numbers and the gyro of the arm file with the bus"
     found = []
     if faults["dropped"] > MANY_DROPPED * (cycles + faults["dropped"]):
-        found.append(f"the bus loses or damages frames, or some are not as the arm file says ({seen}): repair that")
+        found.append(f"the bus loses or damages frames, or some do not match the arm file ({seen}): repair that")
     if flight.counts["apart"] > MANY_DROPPED * cycles:
         found.append("link and motor angle of a joint read more than 8 turns apart: check unit, side, sign and zeros")
     if faults["time_lost"]:
@@ -127,13 +128,13 @@ def _bus(flight: Flight) -> str:
 
 
 def _more(result: Estimate, flight: Flight) -> str:
-    """Against too few instants."""
+    """Remedy for too few instants."""
     cycles, needed = flight.counts["cycles"], INSTANTS_PER_PARAMETER * len(result.names)
     if result.accepted + result.refused == 0:
         return (
             f"longer unbroken stretches: {counted(cycles, 'cycle')} in {counted(flight.counts['gaps'] + 1, 'piece')} "
-            f"gave no instant, the smoother needs {flight.arm.smoother.points} cycles at a stretch, the balance three "
-            "more"
+            f"gave no instant; the smoother needs {flight.arm.smoother.points} cycles without interruption, the "
+            "balance three more"
         )
     if result.refused > result.accepted:
         return (
@@ -144,7 +145,7 @@ def _more(result: Estimate, flight: Flight) -> str:
         return f"a longer run: {counted(result.accepted, 'instant')} were accepted, {needed} are needed"
     return (
         f"a longer run, or shorter arcs ([arc] max_s): its {counted(result.accepted, 'instant')} make "
-        f"{counted(result.blocks, 'block')}, {LEAST_BLOCKS} are needed to say how sure the values are"
+        f"{counted(result.blocks, 'block')}, {LEAST_BLOCKS} are needed to estimate the standard deviations"
     )
 
 
@@ -155,10 +156,10 @@ def _unphysical(result: Estimate, flight: Flight) -> str:
     ]
     below = {name: found[name] for name in never_negative if name in found and found[name][0] <= 0.0}
     if not below:
-        return f"{_CHECK}; it is the matrix of the inertias that no body can have"
+        return f"{_CHECK}; no body can have the estimated matrix of the inertias"
     listed = ", ".join(f"{name} = {value:.3g} ± {sigma:.2g}" for name, (value, sigma) in list(below.items())[:_LISTED])
     if all(value > -_NEGATIVE_SIGMAS * sigma for value, sigma in below.values()):
-        return f"a longer run, or a motion that tells it better: {listed} is negative within its deviation"
+        return f"a longer run, or a motion that determines it better: {listed} is negative within its deviation"
     return f"{_CHECK}; {listed} is negative by more than its deviation"
 
 
@@ -167,7 +168,7 @@ def _joint_names(arm: Arm) -> list[tuple[str, int, str]]:
 
 
 def _motion(result: Estimate, flight: Flight, known: Sequence[Known]) -> str:
-    """Against parameters that the motion does not determine."""
+    """Remedy for parameters that the motion does not determine."""
     arm = flight.arm
     own = len(arm.parameter_names)
     missing = [name for name, there in zip(result.names, np.isfinite(result.value), strict=True) if not there]
@@ -176,13 +177,13 @@ def _motion(result: Estimate, flight: Flight, known: Sequence[Known]) -> str:
     every = "a motion that moves every joint, at different speeds and together"
     if possible < own and result.rank >= possible:
         return (
-            f"none of the motion: by its geometry (the directions of its axes) {possible} of the {own} parameters of "
-            "this arm can be told apart; a run of whatever length has no value for the others, and the solution as a "
-            "whole predicts (`solution` of --json)"
+            f"no motion helps: with this geometry (the directions of its axes) {possible} of the {own} parameters of "
+            "this arm can be determined; a longer run gives no value for the others, but the solution as a whole can "
+            "be used for predictions (`solution` of --json)"
         )
     if result.rank < len(result.names):
         geometry = f"; the arm's geometry allows {possible} of {own}" if possible < own else ""
-        return f"{every}, for this one leaves {listed or 'some'} undetermined{geometry}; more of the same adds nothing"
+        return f"{every}, because this one leaves {listed or 'some'} undetermined{geometry}; a longer run does not help"
     now = int(np.count_nonzero(np.isfinite(result.value)))
     cycles = flight.counts["cycles"]
     before = [one for one in known if one.cycles <= 0.6 * cycles]
@@ -191,5 +192,5 @@ def _motion(result: Estimate, flight: Flight, known: Sequence[Known]) -> str:
         grew = f"{then.parameters} parameters had a value after {h * then.cycles:.0f} s, {now} after {h * cycles:.0f} s"
         if now > then.parameters:
             return f"a longer run: {grew}"
-        return f"{every}, larger than this one; more of the same adds little ({grew})"
-    return f"{every}: {listed or 'some'} is known to no better than a quarter of its size"
+        return f"{every}, larger than this one; a longer run of the same motion adds little ({grew})"
+    return f"{every}: {listed or 'some'} has a standard deviation above a quarter of its size"

@@ -1,4 +1,4 @@
-"""A flight that is watched: twice an arc it adopts what it knows, and says whether the arm changed."""
+"""Monitors a flight: it adopts valid estimates twice per arc and detects whether the arm changed."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from zygos.runs.cycles import Cycles
 
 SYNC = 0x080
 LOOKS = 2
-"""In an arc: the arc behind a change stands out only until the next one takes it for known."""
+"""Comparisons per arc: the arc after a change stands out only until the next adoption includes it."""
 
 
 NOTES = 24
 """Estimates that are noted of what is fed at once, evenly spaced."""
 STRETCH = 100
-"""Cycles that are fed at once: no more arcs end in them than the library remembers the place of."""
+"""Cycles that are fed at once: so few that the library can list all arcs that end in them."""
 
 
 @dataclass(frozen=True)
@@ -36,18 +36,20 @@ class Note:
 
 
 class Watch:
-    """Feeds a flight, has it leave out arcs that contradict what it knows, and looks for a change of its arm."""
+    """Feeds a flight, lets it leave out arcs that contradict the estimate so far, and detects a change of the arm."""
 
     def __init__(self, flight: Flight, *, trace: bool = False) -> None:
-        """Nothing has come yet. trace: keep what each room makes of each cycle, and `NOTES` estimates on the way."""
+        """Start with no data. trace: store the intermediate results of each stage for each cycle, and `NOTES`
+        estimates on the way."""
         self.flight = flight
         self.plainest: Drift | None = None
-        """The look with the largest deviation, those that prove a change before others; None where there was none.
+        """The comparison with the largest deviation, where those that prove a change come first; None if there was
+        none.
 
-        Looks into arcs that were left out do not count, once an arc behind them agrees with what was known before.
+        Comparisons with arcs that were left out do not count once a later arc agrees with the estimate before them.
         """
         self.known: list[Known] = []
-        """What was known while the run grew, each entry at twice the cycles of the one before."""
+        """The number of determined parameters during the run, each entry at twice the cycles of the previous one."""
         self.left_out: list[LeftOut] = []
         """Arcs that were left out when they ended."""
         self.notes: list[Note] = []
@@ -56,14 +58,14 @@ class Watch:
         self._left_out = 0
         self._settled: Drift | None = None
         self._open = Flight(flight.arm, flight.effects)
-        """What the flight would be if it had admitted the arcs that contradict: only they can tell of another arm."""
+        """A second flight that admits the arcs that contradict: only these can show that the arm changed."""
         self._every = max(1, round(flight.arm.arc_max_s / flight.arm.period_s) // LOOKS)
         self._since = 0
         others = max(flight.arm.impulse_arc_s, flight.arm.momentum_arc_s)
         self._reach = round(others / flight.arm.period_s)
 
     def frames(self, frames: NDArray[Any], progress: Callable[[float], None] | None = None) -> None:
-        """Feed frames as `Flight.frames`. progress is called now and then with the share that is done."""
+        """Feed frames as `Flight.frames`. progress is called from time to time with the share that is finished."""
         starts = np.flatnonzero(frames["id"] == SYNC)
 
         def feed(first: int, last: int) -> Trace | None:
@@ -89,7 +91,7 @@ class Watch:
         feed: Callable[[int, int], Trace | None],
         progress: Callable[[float], None] | None,
     ) -> None:
-        """starts: where cycles begin in what is fed, of n entries."""
+        """Feed n entries piece by piece with `feed`; starts: positions in them at which cycles begin."""
         first = noted = 0
         ends = [*starts[1:].tolist(), n]
         for count, last in enumerate(ends, start=self._since + min(1, len(starts))):
@@ -110,22 +112,28 @@ class Watch:
                     progress(first / n)
         self._since = (self._since + len(starts)) % self._every
 
+    @property
+    def traced(self) -> bool:
+        """Whether the trace is kept."""
+        return self._traces is not None
+
     def trace(self) -> Trace:
-        """What each room made of each cycle so far. Needs a watch that was told to keep it, and was fed."""
+        """The intermediate results of each stage for each cycle so far. Needs a watch with `trace` that was fed."""
         assert self._traces
         return Trace.joined(self._traces)
 
     def look(self) -> Drift | None:
-        """Compare the newest arc with all before it, and adopt a valid estimate. Returns the plainest look so far."""
+        """Compare the newest arc with all before it, and adopt a valid estimate. Returns the clearest comparison so
+        far."""
         self._note_arcs()
         estimate, cycles = self.flight.estimate(), self.flight.counts["cycles"]
         if not estimate.in_a_row:
             ffi.memmove(self._open.native, self.flight.native, ffi.sizeof("zygos_t"))
             self._open.native.guard.known = 0
-            self.plainest = self._settled  # what stood out in arcs that were left out was no change
+            self.plainest = self._settled  # the deviation in arcs that were left out was not a change
         drift = self._open.drift()
         best = (bool(self.plainest.changed), self.plainest.largest) if self.plainest else (False, 0.0)
-        # motor rows of the time of an arc that was left out say nothing of one that agrees
+        # motor rows from the time of an arc that was left out are no evidence about an arc that agrees
         spoilt = not estimate.in_a_row and any(arc.last + self._reach > drift.until for arc in self.left_out)
         if not spoilt and (bool(drift.changed), drift.largest) > best:
             self.plainest = drift
@@ -142,7 +150,7 @@ class Watch:
         self.notes.append(Note(self.flight.counts["cycles"], estimate.value, estimate.half95))
 
     def _note_arcs(self) -> None:
-        """Note arcs that were left out since the last time."""
+        """Add the arcs that were left out since the last call."""
         count, newest = self.flight.left_out
         fresh = count - self._left_out
         self._left_out = count

@@ -1,4 +1,4 @@
-"""What an estimate tells a person besides its values, in sentences."""
+"""What an estimate reports to a person besides its values, in sentences."""
 
 from __future__ import annotations
 
@@ -14,40 +14,40 @@ from zygos.files.output import (
 from zygos.native.flight import GATE, OVERDECLARED, ROWS, Drift, Estimate, Flight
 
 LEFT_OUT_SHOWN = 6
-"""Arcs of a kind whose times are said."""
+"""Number of arcs of each kind of rows whose times are listed."""
 
 
 def losses(flight: Flight) -> str:
-    """What the receiver lost, in words."""
+    """The cycles and frames that the receiver lost, in words."""
     rejected = sum(count for name, count in flight.faults.items() if name not in NO_FRAMES)
     return f"{counted(flight.faults['dropped'], 'cycle')} dropped, {counted(rejected, 'frame')} rejected"
 
 
 def about_noise(result: Estimate) -> str:
-    """What the noise did to an estimate, where that is worth a word."""
+    """How noise affects an estimate; empty where the effect is small."""
     if result.rank == 0:
-        return ""  # nothing was solved, so nothing was weighed against the noise
+        return ""  # nothing was solved, so nothing was compared with the noise
     if result.gate < GATE:
         return (
             f"noise: in some combination of parameters the motion is {number(result.gate, 2)} times as large as the "
-            "sensors' noise" + ("; the intervals hold what that may hide" if np.isfinite(result.half95).any() else "")
+            "sensors' noise" + ("; the intervals cover the bias of that" if np.isfinite(result.half95).any() else "")
         )
     if result.noise_ratio < OVERDECLARED:
         return (
-            f"noise: the residuals' square is {number(result.noise_ratio, 2)} of what the arm file's sigmas make of it;"
-            " they were believed to that extent"
+            f"noise: the sum of squared residuals is {number(result.noise_ratio, 2)} of what the arm file's sigmas "
+            "predict; the declared noise was scaled down accordingly"
         )
     if result.noise_ratio > 1.0 / OVERDECLARED:
         return (
-            f"noise: the residuals' square is {number(result.noise_ratio, 2)} times what the arm file's sigmas make of "
-            "it: sensors are noisier, or something is not in the balance"
-            + ("; the intervals hold what that may hide" if np.isfinite(result.half95).any() else "")
+            f"noise: the sum of squared residuals is {number(result.noise_ratio, 2)} times what the arm file's sigmas "
+            "predict: the sensors have more noise, or an effect is missing in the balance"
+            + ("; the intervals cover the bias of that" if np.isfinite(result.half95).any() else "")
         )
     return ""
 
 
 def about_left_out(result: Estimate, watch: Watch) -> str:
-    """How many arcs contradicted the others, and when; empty where none did."""
+    """Number and times of the arcs that contradicted the others; empty if there are none."""
     if not any(result.left_out):
         return ""
     period, found = watch.flight.arm.period_s, []
@@ -56,12 +56,12 @@ def about_left_out(result: Estimate, watch: Watch) -> str:
         opened = ["the newest, still open"] if count > watch.flight.native.guard.left_out[ROWS.index(rows)] else []
         shown = [*spans[:LEFT_OUT_SHOWN], *(["…"] if len(spans) > LEFT_OUT_SHOWN else []), *opened]
         found += [f"{counted(count, 'arc')} of the {rows} rows ({', '.join(shown)})"] if count else []
-    return f"left out, for they contradict the others: {'; '.join(found)}"
+    return f"arcs left out because they contradict the others: {'; '.join(found)}"
 
 
 def about_change(result: Estimate, drift: Drift, arm: Arm) -> str:
-    """That the arm changed, or what else may have made an arc contradict those before it, and what to do."""
-    values = "are those of the arm before" if result.in_a_row else "mix what it was and is"
+    """A message that the arm changed, or another reason why an arc contradicts those before it, with the remedy."""
+    values = "are those before the change" if result.in_a_row else "are a mixture of before and after"
     names = ", ".join(
         f"{name} by {abs(far):.0f}"
         for name, far in zip(drift.names, drift.deviation, strict=True)
@@ -71,12 +71,12 @@ def about_change(result: Estimate, drift: Drift, arm: Arm) -> str:
     if drift.changed:
         return (
             f"the arm changed {at}, in standard deviations: {names}; the values {values}; remedy: split "
-            "the log there, or let old arcs fade ([arc] memory_min); on board zygos_restart()"
+            "the log there, or let old arcs fade ([arc] memory_min); on board call zygos_restart()"
         )
     return (
-        f"what comes {at} contradicts what came before, in standard deviations: {names}; but the balance does not "
-        f"close on both sides (residuals add up {drift.cluster:.0f} times in a block, noise once), so this is an "
-        "effect without a column, friction for instance, in a motion that was another, or a change of the arm; remedy: "
-        "name friction with --model, and estimate both parts of the log by themselves: where each closes, the arm "
+        f"the data {at} contradict the data before, in standard deviations: {names}; but the balance does not "
+        f"close on both sides (residuals add up {drift.cluster:.0f} times in a block; noise would once), so the cause "
+        "is an effect without a column, for instance friction, in a different motion, or a change of the arm; remedy: "
+        "name friction with --model, and estimate both parts of the log separately: if each balance closes, the arm "
         "changed"
     )

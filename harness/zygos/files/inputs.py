@@ -1,4 +1,4 @@
-"""What a command reads: a file, or standard input where the name is -."""
+"""Input of commands: a file, or standard input if the name is "-"."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ _KINDS = (
     (".trc", re.compile(rb"\s*;")),
     (".csv", re.compile(rb"(\xef\xbb\xbf)?[^\n\0]*[,;\t][^\n\0]*\n")),
 )
-"""How each kind of log and table begins, and the suffix that its files have."""
+"""First bytes of each kind of log and table, and the suffix of its files."""
 _HEAD = 4096
-"""Bytes in which that is seen."""
+"""Number of bytes that are examined to recognise the kind."""
 
 
 class _Spool:
@@ -37,7 +37,7 @@ class _Spool:
 
     @cached_property
     def file(self) -> Path:
-        """The file; it is read when it is first asked for, and its suffix is that of what it begins like."""
+        """The file; standard input is read at the first call, and the suffix follows from its first bytes."""
         if sys.stdin.isatty():
             note("reading standard input; Ctrl-D ends it")
         raw = Path(self._cleanup.enter_context(TemporaryDirectory(prefix="zygos-")), "input")
@@ -54,7 +54,7 @@ _SPOOL: ContextVar[_Spool | None] = ContextVar("spool", default=None)
 
 @contextmanager
 def standard_input() -> Iterator[None]:
-    """Within, the name - of an input means standard input, which is read at most once."""
+    """Context in which the input name "-" means standard input, which is read at most once."""
     with ExitStack() as cleanup:
         token = _SPOOL.set(_Spool(cleanup))
         try:
@@ -64,11 +64,11 @@ def standard_input() -> Iterator[None]:
 
 
 def local(path: Path) -> Path:
-    """The file to open for an input: itself, or the copy of standard input that - stands for."""
+    """The file to open for an input: the file itself, or the copy of standard input if the name is "-"."""
     spool = _SPOOL.get()
     return path if spool is None or not is_dash(path) else spool.file
 
 
 def suffix(path: Path) -> str:
-    """The suffix of an input in small letters; of standard input that of what it begins like, "" if like nothing."""
+    """Suffix of an input in small letters; for standard input the one that its first bytes suggest, or ""."""
     return local(path).suffix.lower()

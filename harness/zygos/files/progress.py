@@ -1,4 +1,4 @@
-"""How far a long command is, where nothing can be redrawn: a line on stderr now and then, for pipes, files and CI."""
+"""Progress of a long command where no bar can be drawn (pipe, file, CI): a line on stderr from time to time."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ FIRST_S = 2.0
 
 
 EVERY_S = 10.0
-"""Between two lines, s."""
+"""Time between two lines, s."""
 
 
 class LineProgress(Progress):
-    """Rich's tasks, and a thread that prints where those stand that are not finished; nothing else is printed."""
+    """Rich's tasks, and a thread that prints the state of the unfinished ones; nothing else is printed."""
 
     def __init__(self) -> None:
-        """Take the tasks' times and speeds from Rich, which may be updated once in many minutes."""
+        """Keep Rich's times and speeds for tasks that are updated only once in many minutes."""
         super().__init__(console=errors, auto_refresh=False, speed_estimate_period=math.inf)
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._watch, daemon=True)
 
     def start(self) -> None:
-        """Begin to watch."""
+        """Start the thread."""
         self._thread.start()
 
     def stop(self) -> None:
-        """Print nothing more."""
+        """Stop printing."""
         self._ended.set()
         self._thread.join()
 
@@ -49,7 +49,7 @@ class LineProgress(Progress):
 
 
 def line(task: Task) -> str:
-    """Where a task stands: its share, where its end is known, and times."""
+    """State of a task: its percentage, if the total is known, and times."""
     parts = [task.description]
     if task.total is not None:
         parts.append(f"{task.percentage:.0f} %")
@@ -64,7 +64,7 @@ def _clock(seconds: float) -> str:
 
 
 def progress() -> Progress:
-    """A progress bar on stderr; where that is no terminal, a line now and then."""
+    """A progress bar on stderr; if stderr is not a terminal, a line from time to time."""
     if not errors.is_interactive:
         return LineProgress()
     return Progress(

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM, as a wish to end."""
+"""Ctrl-C and SIGTERM as a request to end."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from typing import Any
 
 @contextmanager
 def stop_signals() -> Iterator[Callable[[], bool]]:
-    """Gives a function that says whether Ctrl-C or SIGTERM came: the first one is a wish, a second one ends at once."""
+    """Gives a function that tells whether Ctrl-C or SIGTERM came. The first signal is a request, a second ends at
+    once."""
     came: list[int] = []
     before = {which: signal.getsignal(which) for which in (signal.SIGINT, signal.SIGTERM)}
 

@@ -20,36 +20,36 @@ TABLE_SUFFIXES = (".csv", ".parquet", ".npz")
 Columns = dict[str, NDArray[Any]]
 
 _SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "vertical bars"}
-"""What stands between the columns of a CSV, in words; only the first is read."""
+"""Column separators of a CSV and their names; only the comma is read."""
 _DECIMAL_COMMA = re.compile(r'(?:^|[;|\t"])\s*[+-]?\d+,\d')
-"""In a row of numbers."""
+"""A decimal comma in a row of numbers."""
 _LINE = 1_000_000
-"""Longest line that is looked at."""
+"""Length of a line that is examined, in characters."""
 
 
 def is_table(path: Path) -> bool:
-    """Whether the suffix is that of a table; of standard input, whether it begins like one."""
+    """Whether an input is a table: by its suffix, or for standard input by its first bytes."""
     return suffix(path) in TABLE_SUFFIXES
 
 
 def check_table(path: Path) -> None:
-    """Refuse a table that is missing."""
+    """Refuse a table that does not exist."""
     if not local(path).is_file():
         raise ZygosError(f"{path}: no such file; remedy: give a table ({' '.join(TABLE_SUFFIXES)}) that exists")
 
 
 def read_columns(path: Path) -> Columns:
-    """Read a table whose columns have equal length; a value that is absent is NaN.
+    """Read a table whose columns have equal length; a missing value is NaN.
 
-    A column of text stays text. Of an NPZ with a member of two axes, column k is ``name[k]``. Raises ZygosError when
-    the file is missing, unreadable, or holds no row.
+    A column of text remains text. Column k of a two-dimensional member of an NPZ is ``name[k]``. Raises ZygosError when
+    the file is missing, unreadable, or has no row.
     """
     check_table(path)
     try:
         columns = _read_npz(local(path)) if suffix(path) == ".npz" else _read_polars(path)
     except ZygosError:
         raise
-    except Exception as error:  # polars and numpy raise errors of their own for each kind of damage
+    except Exception as error:  # polars and numpy raise different errors for each kind of damage
         first = (str(error).strip().splitlines() or [""])[0]
         raise ZygosError(
             f"{path}: not a readable {suffix(path)} table ({type(error).__name__}: {first}); remedy: write it again "
@@ -57,14 +57,15 @@ def read_columns(path: Path) -> Columns:
         ) from error
     lengths = {len(values) for values in columns.values()}
     if len(lengths) > 1:
-        raise ZygosError(f"{path}: columns of {sorted(lengths)} rows; remedy: give every column the same rows")
+        raise ZygosError(f"{path}: columns of {sorted(lengths)} rows; remedy: give every column as many rows")
     if not columns or lengths == {0}:
-        raise ZygosError(f"{path}: the table holds no row; remedy: export it again")
+        raise ZygosError(f"{path}: the table has no row; remedy: export it again")
     return columns
 
 
 def write_columns(path: Path, columns: Mapping[str, NDArray[Any]]) -> None:
-    """Write a table in the format of the suffix: whole, or not at all. Errors: ZygosError if it cannot be written."""
+    """Write a table in the format of the suffix, completely or not at all. Errors: ZygosError if it cannot be
+    written."""
     partial = path.with_name(f".{os.getpid()}.partial{path.suffix}")
     kind = path.suffix.lower()
     frame = None if kind == ".npz" else _polars(path).DataFrame(dict(columns))
@@ -121,7 +122,7 @@ def _check_separator(path: Path) -> None:
             f"polars.read_csv(FILE, separator={found!r}{option}).write_csv(NEW)"
         )
     if '"' in row and decimal:
-        raise ZygosError(f"{path}: numbers have a decimal comma; remedy: export it with a point in numbers")
+        raise ZygosError(f"{path}: numbers have a decimal comma; remedy: export it with a decimal point")
 
 
 def _read_npz(path: Path) -> Columns:

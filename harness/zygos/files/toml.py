@@ -1,4 +1,7 @@
-"""Strict reading of TOML tables: every refusal names the file, the key and the remedy."""
+"""Strict reading of TOML tables: every error message names the file, the key and the remedy.
+
+Readers state the meaning of each key where they read it; `tools/reference.py` makes the reference pages of these.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +9,9 @@ import difflib
 import math
 import tomllib
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 from zygos.errors import ZygosError
 from zygos.files.inputs import local
@@ -15,18 +19,40 @@ from zygos.files.inputs import local
 Word = TypeVar("Word", bound=str)
 
 
+@dataclass(frozen=True)
+class Entry:
+    """What a reader states of one key."""
+
+    key: str
+    meaning: str
+    kind: str
+    """What may be written, in words: a number, true or false, …"""
+    default: Any
+    """None: the key is required, unless `otherwise` says something else."""
+    otherwise: str = ""
+    """What holds where the key is absent, in words, if that is no constant."""
+    unit: str = ""
+    bounds: tuple[str, ...] = ()
+    """Of a number, or of each in an array: > 0, <= 1."""
+
+    @property
+    def expected(self) -> str:
+        """Kind and unit, as a refusal says them."""
+        return self.kind + (f" in {self.unit}" if self.unit else "")
+
+
 class Table:
-    """One TOML table whose keys are taken out one by one; `finish` refuses what is left over."""
+    """One TOML table whose keys are read one by one; `finish` refuses the keys that were not read."""
 
     def __init__(self, data: Mapping[str, Any], file: Path, where: str = "") -> None:
-        """Hold a parsed table of `file` found at the dotted path `where`."""
+        """Store a parsed table of `file` found at the dotted path `where`."""
         self._data = dict(data)
         self._known: list[str] = []
         self.file = file
         self.where = where
 
     @classmethod
-    def load(cls, path: str | Path) -> Table:
+    def load(cls, path: str | Path) -> Self:
         """Read a TOML file. Errors: ZygosError if it is missing, unreadable or not TOML."""
         file = Path(path)
         try:
@@ -44,16 +70,17 @@ class Table:
             raise ZygosError(f"{file}: is not valid TOML ({error}); remedy: correct that line") from None
 
     def error(self, key: str, wrong: str, remedy: str) -> ZygosError:
-        """The refusal for one key of this table."""
+        """The error for one key of this table."""
         return ZygosError(f"{self.file}: {self._name(key)}: {wrong}; remedy: {remedy}")
 
     def has(self, key: str) -> bool:
-        """Whether the key is present and not yet taken."""
+        """Whether the key is present and has not been read yet."""
         return key in self._data
 
     def number(
         self,
         key: str,
+        meaning: str,
         default: float | None = None,
         *,
         low: float = -math.inf,
@@ -61,40 +88,55 @@ class Table:
         above: float = -math.inf,
         unit: str = "",
         infinite: bool = False,
+        otherwise: str = "",
     ) -> float:
         """A finite number with low <= value <= high and value > above, as float; with `infinite` also inf."""
-        value = self._take(key, default, "a number" + (f" in {unit}" if unit else ""))
+        bounds = _bounds(low, high, above)
+        value = self._take(Entry(key, meaning, "a number", default, otherwise, unit, (*bounds, *["or inf"] * infinite)))
         if infinite and value == math.inf:
             return math.inf
         return self._checked(key, value, unit, low=low, high=high, above=above)
 
-    def integer(self, key: str, default: int | None = None, *, low: int, high: int) -> int:
+    def integer(
+        self,
+        key: str,
+        meaning: str,
+        default: int | None = None,
+        *,
+        low: int,
+        high: int,
+        unit: str = "",
+        otherwise: str = "",
+    ) -> int:
         """A whole number with low <= value <= high."""
-        value = self._take(key, default, "a whole number")
+        bounds = (f">= {low}", f"<= {high}")
+        value = self._take(Entry(key, meaning, "a whole number", default, otherwise, unit, bounds))
         if isinstance(value, bool) or not isinstance(value, int):
             raise self.error(key, f"{value!r} is not a whole number", f"write an integer from {low} to {high}")
         if not low <= value <= high:
             raise self.error(key, f"{value} is out of range", f"write an integer from {low} to {high}")
         return value
 
-    def boolean(self, key: str, default: bool | None = None) -> bool:
-        """true or false."""
-        value = self._take(key, default, "true or false")
+    def boolean(self, key: str, meaning: str, default: bool | None = None) -> bool:
+        """Either true or false."""
+        value = self._take(Entry(key, meaning, "true or false", default))
         if not isinstance(value, bool):
             raise self.error(key, f"{value!r} is neither true nor false", "write true or false, without quotes")
         return value
 
-    def text(self, key: str, default: str | None = None) -> str:
+    def text(self, key: str, meaning: str, default: str | None = None, *, otherwise: str = "") -> str:
         """A non-empty string."""
-        value = self._take(key, default, "a string in quotes")
+        value = self._take(Entry(key, meaning, "a string in quotes", default, otherwise))
         if not isinstance(value, str) or not value:
             raise self.error(key, f"{value!r} is not a string", "write a non-empty string in quotes")
         return value
 
-    def choice(self, key: str, choices: Sequence[Word], default: Word | None = None) -> Word:
+    def choice(
+        self, key: str, meaning: str, choices: Sequence[Word], default: Word | None = None, *, otherwise: str = ""
+    ) -> Word:
         """One of the given strings."""
         listed = " or ".join(f'"{choice}"' for choice in choices)
-        value = self._take(key, default, listed)
+        value = self._take(Entry(key, meaning, listed, default, otherwise))
         for choice in choices:
             if value == choice:
                 return choice
@@ -103,44 +145,48 @@ class Table:
     def vector(
         self,
         key: str,
+        meaning: str,
         length: int,
         default: Sequence[float] | None = None,
         *,
         limit: float = math.inf,
         unit: str = "",
+        otherwise: str = "",
     ) -> tuple[float, ...]:
         """An array of `length` finite numbers between -limit and limit."""
-        value = self._take(key, default, f"an array of {length} numbers" + (f" in {unit}" if unit else ""))
+        bounds = _bounds(-limit, limit)
+        value = self._take(Entry(key, meaning, f"an array of {length} numbers", default, otherwise, unit, bounds))
         if not isinstance(value, list | tuple) or len(value) != length:
             raise self.error(key, f"{value!r} is not an array of {length} numbers", f"write {length} numbers in [ ]")
         return tuple(self._checked(key, item, unit, low=-limit, high=limit) for item in value)
 
-    def table(self, key: str, *, optional: bool = False) -> Table:
-        """A sub-table; an absent optional one is empty."""
-        value = self._take(key, {} if optional else None, "a table")
+    def table(self, key: str, meaning: str, *, optional: bool = False, otherwise: str = "") -> Self:
+        """A sub-table; a missing optional one is empty."""
+        value = self._take(Entry(key, meaning, "a table", {} if optional else None, otherwise))
         if not isinstance(value, dict):
             raise self.error(key, f"{value!r} is not a table", f"write [{self._name(key)}] or {key} = {{ … }}")
-        return Table(value, self.file, self._name(key))
+        return self._within(value, self._name(key))
 
-    def tables(self, key: str, *, optional: bool = False) -> list[Table]:
-        """An array of tables ([[key]]), not empty unless optional."""
-        value = self._take(key, [] if optional else None, f"at least one [[{self._name(key)}]]")
+    def tables(self, key: str, meaning: str, *, optional: bool = False, otherwise: str = "") -> list[Self]:
+        """An array of tables ([[key]]); it may be empty only if it is optional."""
+        kind = f"at least one [[{self._name(key)}]]"
+        value = self._take(Entry(key, meaning, kind, [] if optional else None, otherwise))
         if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
             raise self.error(key, "is not an array of tables", f"write [[{self._name(key)}]] before each entry")
         if not value and not optional:
             raise self.error(key, "is empty", f"write at least one [[{self._name(key)}]]")
-        return [Table(item, self.file, f"{self._name(key)}[{index}]") for index, item in enumerate(value)]
+        return [self._within(item, f"{self._name(key)}[{index}]") for index, item in enumerate(value)]
 
     def names(self) -> list[str]:
-        """The keys not yet taken, in file order."""
+        """The keys that have not been read yet, in file order."""
         return list(self._data)
 
     def peek(self, key: str) -> Any:
-        """The value of a present key as TOML gave it, without taking it."""
+        """The value of a present key as parsed from TOML; it still counts as not read."""
         return self._data[key]
 
     def finish(self) -> None:
-        """Refuse whatever key was not asked for. Errors: ZygosError naming the first of them."""
+        """Refuse keys that were not read. Errors: ZygosError naming the first of them."""
         for key in self._data:
             close = difflib.get_close_matches(key, self._known, n=1)
             remedy = f'did you mean "{close[0]}"?' if close else f"remove it; known here: {', '.join(self._known)}"
@@ -149,13 +195,16 @@ class Table:
     def _name(self, key: str) -> str:
         return f"{self.where}.{key}" if self.where else key
 
-    def _take(self, key: str, default: Any, expected: str) -> Any:
-        self._known.append(key)
-        if key in self._data:
-            return self._data.pop(key)
-        if default is None:
-            raise self.error(key, "is missing", f"add {key} = {expected}")
-        return default
+    def _within(self, data: Mapping[str, Any], where: str) -> Self:
+        return type(self)(data, self.file, where)
+
+    def _take(self, entry: Entry) -> Any:
+        self._known.append(entry.key)
+        if entry.key in self._data:
+            return self._data.pop(entry.key)
+        if entry.default is None:
+            raise self.error(entry.key, "is missing", f"add {entry.key} = {entry.expected}")
+        return entry.default
 
     def _checked(
         self,
@@ -172,11 +221,15 @@ class Table:
         # an integer may be too long for a float
         number = value if isinstance(value, float) else float(value) if abs(value) < 2**1023 else math.inf
         if not (math.isfinite(number) and low <= number <= high and number > above):
-            bounds = (
-                [f"> {above:g}"] * (above > -math.inf)
-                + [f">= {low:g}"] * (low > above)
-                + [f"<= {high:g}"] * (high < math.inf)
-            )
-            wanted = " and ".join(bounds) or "finite"
+            wanted = " and ".join(_bounds(low, high, above)) or "finite"
             raise self.error(key, f"{number:g} is out of range", f"write a number {wanted}{' ' + unit if unit else ''}")
         return number
+
+
+def _bounds(low: float, high: float, above: float = -math.inf) -> tuple[str, ...]:
+    """The limits of a number in signs; those at infinity are none."""
+    return (
+        *[f"> {above:g}"] * (above > -math.inf),
+        *[f">= {low:g}"] * (low > above),
+        *[f"<= {high:g}"] * (high < math.inf),
+    )

@@ -8,7 +8,7 @@ from typing import Any
 from zygos.gap.explanation import Explanation
 from zygos.gap.findings import Gap
 from zygos.gap.forecast import Forecast
-from zygos.gap.record import Record
+from zygos.gap.record import MeasuredRun
 from zygos.gap.sentences import against, evidence, title
 from zygos.report.provenance import Provenance
 
@@ -19,7 +19,7 @@ def predictions(gap: Gap) -> list[tuple[str, Forecast]]:
     return listed + ([(f"with {gap.wrong_name} instead", gap.wrong)] if gap.wrong is not None else [])
 
 
-def as_json(found: Explanation, records: Sequence[Record], source: Provenance) -> dict[str, Any]:
+def as_json(found: Explanation, records: Sequence[MeasuredRun], source: Provenance) -> dict[str, Any]:
     """The content of a verdict's JSON."""
     layout = found.refit.layout
     gap = found.gap

@@ -1,4 +1,4 @@
-"""Three kinds of balance, and what every parameter and every effect of the catalogue adds to each.
+"""The balances of a gap: what every parameter and every effect of the catalogue adds to each, for batches of arcs.
 
 Energy E of the whole arm: work of the motors = change of kinetic and spring energy + losses. Motor impulse M_i, local
 to joint i: int tau = Im (n thetad + f_(i-1)) + 1/n int spring + int friction. Momentum H of the whole arm about its
@@ -6,8 +6,9 @@ mass centre, of which a planar arm has one component, so that the base's attitud
 
     columns . coefficients = right side + constant of the arc
 
-No accelerations anywhere (docs/gap.md; Nanos & Papadopoulos eqs. (11), (37)). H has no constant where a model assumes
-an angular momentum: then its value is a column of its own.
+The columns are those of `zygos.balances`, without accelerations (docs/gap.md; Nanos & Papadopoulos eqs. (11), (37)). H
+has no constant where a model assumes an angular momentum: then its value is a column of its own. The columns of the
+sensors' zeros are derived here.
 """
 
 from __future__ import annotations
@@ -20,10 +21,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
-from zygos.balances.kinematics import State, gram
-from zygos.can.wire import over_the_wire
+from zygos.balances import energy, impulse, momentum
+from zygos.balances.effects import Signals, energy_column, impulse_column
+from zygos.balances.kinematics import body_columns
+from zygos.balances.quadrature import FromOrigin, from_first, integral
+from zygos.balances.state import State
 from zygos.effects import CATALOGUE, OFFSET, Kind, column_name
-from zygos.gap.record import Readings, smooth
+from zygos.gap.record import Readings, smoothed_states
 
 Array = NDArray[np.float64]
 
@@ -70,11 +74,11 @@ class Layout:
         """(2N+1,) how well the arm file knows them, rad and rad/s, in the order of `zeros`."""
         pairs = [(joint.link_encoder, joint.motor_encoder) for joint in self.arm.joints]
         encoders = [max(e.zero_sigma_rad, e.quantum_rad) for pair in pairs for e in pair]
-        return np.array([*encoders, over_the_wire(self.arm).imu.rate_sigma])
+        return np.array([*encoders, self.arm.over_the_wire.imu.rate_sigma])
 
 
 @dataclass(frozen=True)
-class Rows:
+class BalanceRows:
     """All balances at every instant."""
 
     left: Array
@@ -83,23 +87,33 @@ class Rows:
     """(..., balances, A, instants)"""
 
 
-def rows(arm: Arm, readings: Readings, values: Array) -> Rows:
+def balance_rows(arm: Arm, readings: Readings, values: Array) -> BalanceRows:
     """Balances of arcs of readings, in the units of energy (J), impulse before the gear (Nms) and momentum (Nms).
 
     values: base parameters (p,), about right: what an encoder's zero does to the balances depends on them.
     """
-    state = smooth(arm, readings)
+    state = smoothed_states(arm, readings)
     half = arm.smoother.points // 2
     cycles = readings.tau.shape[-2]
-    tau = readings.tau[..., half : cycles - half, :]
-    previous = readings.tau[..., half - 1 : cycles - half - 1, :]
+    after = readings.tau[..., half : cycles - half, :]
+    before = readings.tau[..., half - 1 : cycles - half - 1, :]
     layout = Layout(arm)
     shape = (*state.base.shape[:-2], len(layout.balances), *state.base.shape[-2:])
-    out = Rows(np.zeros((*shape, len(layout.columns))), np.zeros(shape))
+    out = BalanceRows(np.zeros((*shape, len(layout.columns))), np.zeros(shape))
     put = _Put(layout, out)
-    _inertial(arm, state, put)
-    _drives(arm, state, tau, previous, put)
-    _laws(arm, state, layout, put)
+    bodies, carried = body_columns(arm, state)
+    _energy(arm, state, bodies, carried, put)
+    work = from_first(energy.step_work(arm, state.theta, after))
+    put.right("E", work + energy.torque_jump_energy(arm, state.thetad, before, after))
+    _momentum(arm, state, put)
+    for i in range(arm.n):
+        signals = Signals.of(arm, state, before, after, i, FromOrigin(arm.period_s))
+        _impulse(arm, signals, i, carried[..., i], put)
+        for kind, joint in layout.effects:
+            if joint == i and kind.place in ("motor", "link", "spring", "torque"):
+                put("E", column_name(kind, i), energy_column(kind, signals))
+                if kind.place != "link":
+                    put(f"M{i + 1}", column_name(kind, i), impulse_column(kind, signals))
     _zeros(arm, state, values, put)
     return out
 
@@ -107,7 +121,7 @@ def rows(arm: Arm, readings: Readings, values: Array) -> Rows:
 @dataclass(frozen=True)
 class _Put:
     layout: Layout
-    rows: Rows
+    rows: BalanceRows
 
     def __call__(self, balance: str, column: str, values: Array | float) -> None:
         self.rows.left[..., self.layout.balances.index(balance), :, :, self.layout.columns.index(column)] = values
@@ -116,66 +130,31 @@ class _Put:
         self.rows.right[..., self.layout.balances.index(balance), :, :] = values
 
 
-def _inertial(arm: Arm, state: State, put: _Put) -> None:
-    """a_ij in energy and momentum."""
-    f = state.f
-    products = gram(f, state.phi)
-    cosine = np.cos(state.phi[..., None, :] - state.phi[..., :, None])
-    for i in range(arm.n + 1):
-        for j in range(i, arm.n + 1):
-            put("E", f"a{i}{j}", products[..., i, j] * (0.5 if i == j else 1.0))
-            put("H", f"a{i}{j}", f[..., i] if i == j else cosine[..., i, j] * (f[..., i] + f[..., j]))
+def _energy(arm: Arm, state: State, bodies: Array, carried: Array, put: _Put) -> None:
+    for k, (name, _) in enumerate(arm.body_parameters):
+        put("E", name, bodies[..., k])
+    slip = state.thetad - state.qd
+    own = energy.drive_energy_columns(arm, state, carried, integral(slip**2, arm.period_s, axis=-2))
+    columns = {"Im": own.rotor, "rotor_coupling": own.coupling, "k": own.spring, "b": own.damper}
+    for key, column in columns.items():
+        for i in range(arm.n):
+            put("E", f"{key}{i + 1}", column[..., i])
+
+
+def _impulse(arm: Arm, signals: Signals, i: int, carried: Array, put: _Put) -> None:
+    own = impulse.drive_impulse_columns(signals, carried)
+    columns = {"Im": own.rotor, "rotor_coupling": own.coupling, "k": own.spring, "b": own.damper}
+    for key, column in columns.items():
+        put(f"M{i + 1}", f"{key}{i + 1}", column)
+    put.right(f"M{i + 1}", impulse.motor_impulse(arm, signals))
+
+
+def _momentum(arm: Arm, state: State, put: _Put) -> None:
+    columns = momentum.momentum_columns(arm, state)[..., 0, :]
+    names = [name for name, _ in arm.body_parameters] + [f"rotor_coupling{i + 1}" for i in range(arm.n)]
+    for k, name in enumerate(names):
+        put("H", name, columns[..., k])
     put("H", "angular_momentum", -1.0)
-
-
-def _drives(arm: Arm, state: State, tau: Array, previous: Array, put: _Put) -> None:
-    """Rotors, springs and dampers, and the motors' work and impulse on the right side."""
-    n, h, f = arm.gear_ratios, arm.period_s, state.f
-    deflection, slip = state.theta - state.q, state.thetad - state.qd
-    rotor, jump = n * state.thetad, tau - previous
-    delayed = n * jump * state.thetad
-    # what a smooth curve makes of rates under a held torque (docs/theory.md) goes to the right side
-    held = 0.0 if arm.torque_law == "sampled" else h / 12.0
-    work = _steps(n * previous[..., 1:, :] * np.diff(state.theta, axis=-2)) + held * delayed
-    impulse = _steps(h * previous[..., 1:, :]) + held * jump
-    put.right("E", work.sum(axis=-1))
-    # a torque that begins later by T takes n (tau_k - tau_(k-1)) thetad_k T out of the work, the newest step by half
-    lag = np.cumsum(delayed, axis=-2) - 0.5 * delayed
-    for i in range(arm.n):
-        name = str(i + 1)
-        put.right("M" + name, impulse[..., i])
-        put("E", "Im" + name, 0.5 * rotor[..., i] ** 2)
-        put("E", "rotor_coupling" + name, rotor[..., i] * f[..., i])
-        put("E", "k" + name, 0.5 * deflection[..., i] ** 2)
-        put("E", "b" + name, integral(slip[..., i] ** 2, h))
-        put("E", "torque_lag" + name, lag[..., i])
-        put("M" + name, "Im" + name, rotor[..., i])
-        put("M" + name, "rotor_coupling" + name, f[..., i])
-        put("M" + name, "k" + name, integral(deflection[..., i], h) / n[i])
-        put("M" + name, "b" + name, deflection[..., i] / n[i])
-        put("M" + name, "torque_lag" + name, 0.5 * (tau + previous)[..., i])
-        put("H", "rotor_coupling" + name, rotor[..., i])
-
-
-def _laws(arm: Arm, state: State, layout: Layout, put: _Put) -> None:
-    """Torque laws of the catalogue, as `zygos.effects` says."""
-    h = arm.period_s
-    for kind, i in layout.effects:
-        if kind.torque is None:
-            continue
-        name, ratio = column_name(kind, i), arm.gear_ratios[i]
-        deflection = state.theta[..., i] - state.q[..., i]
-        if kind.place == "spring":
-            torque, rate = kind.torque(deflection), state.thetad[..., i] - state.qd[..., i]
-            stored = integral(torque * rate, h) if kind.potential is None else kind.potential(deflection)
-            put("E", name, stored)
-            put(f"M{i + 1}", name, integral(torque, h) / ratio)
-        elif kind.place == "motor":
-            torque = kind.torque(state.thetad[..., i])
-            put("E", name, ratio * integral(torque * state.thetad[..., i], h))
-            put(f"M{i + 1}", name, integral(torque, h))
-        else:
-            put("E", name, integral(kind.torque(state.qd[..., i]) * state.qd[..., i], h))
 
 
 def _zeros(arm: Arm, state: State, values: Array, put: _Put) -> None:
@@ -190,35 +169,19 @@ def _zeros(arm: Arm, state: State, values: Array, put: _Put) -> None:
     put("H", "gyro_bias", -np.asarray(locked))
     time = arm.period_s * np.arange(f.shape[-2])
     for i in range(arm.n):
-        energy, momentum = np.zeros_like(state.base), np.zeros_like(state.base)
+        gained, turning = np.zeros_like(state.base), np.zeros_like(state.base)
         for j in range(i + 1):
             for k in range(i + 1, arm.n + 1):
                 turned = -value[f"a{j}{k}"] * np.sin(phi[..., k] - phi[..., j])
-                energy += turned * f[..., j] * f[..., k]
-                momentum += turned * (f[..., j] + f[..., k])
+                gained += turned * f[..., j] * f[..., k]
+                turning += turned * (f[..., j] + f[..., k])
         spring = value[f"k{i + 1}"] * (state.theta - state.q)[..., i]
-        impulse = value[f"k{i + 1}"] / arm.gear_ratios[i] * time
-        put("E", f"link_zero{i + 1}", spring - energy)
-        put("H", f"link_zero{i + 1}", -momentum)
-        put(f"M{i + 1}", f"link_zero{i + 1}", impulse)
+        pushed = value[f"k{i + 1}"] / arm.gear_ratios[i] * time
+        put("E", f"link_zero{i + 1}", spring - gained)
+        put("H", f"link_zero{i + 1}", -turning)
+        put(f"M{i + 1}", f"link_zero{i + 1}", pushed)
         put("E", f"motor_zero{i + 1}", -spring)
-        put(f"M{i + 1}", f"motor_zero{i + 1}", -impulse)
-
-
-def _steps(x: Array) -> Array:
-    """Running sum over instants (second to last axis) that starts at zero."""
-    pad = [(0, 0)] * (x.ndim - 2) + [(1, 0), (0, 0)]
-    return np.cumsum(np.pad(x, pad), axis=-2)
-
-
-def integral(g: Array, h: float) -> Array:
-    """Integral from each arc's first instant, (..., instants). One-sided, for rates bend at every torque step: the
-    cubic through the four newest values, trapezoids where there are fewer."""
-    step = 0.5 * h * (g[..., 1:] + g[..., :-1])
-    step[..., 2:] = (h / 24.0) * (9.0 * g[..., 3:] + 19.0 * g[..., 2:-1] - 5.0 * g[..., 1:-2] + g[..., :-3])
-    out = np.zeros_like(g)
-    np.cumsum(step, axis=-1, out=out[..., 1:])
-    return out
+        put(f"M{i + 1}", f"motor_zero{i + 1}", -pushed)
 
 
 @dataclass(frozen=True)
@@ -233,7 +196,7 @@ class Sums:
     """(balances, columns + 1, columns + 1) what the sensors' noise is expected to add to `gram`."""
 
 
-def accumulate(rows: Rows, accepted: NDArray[np.bool_], uncentred: Sequence[int] = ()) -> Sums:
+def accumulate(rows: BalanceRows, accepted: NDArray[np.bool_], uncentred: Sequence[int] = ()) -> Sums:
     """Sum a run. accepted: (A, instants). The balances listed in `uncentred` keep no constant for each arc."""
     z = np.concatenate([rows.left, rows.right[..., None]], axis=-1)
     weight = accepted.astype(np.float64)[..., None]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.errors import Undecided, ZygosError
-from zygos.gap.balances import accumulate, rows
+from zygos.gap.balances import accumulate, balance_rows
 from zygos.gap.fit import fit
 from zygos.gap.record import followed
 from zygos.gap.study import Study, base_values
@@ -53,7 +53,7 @@ def propose(study: Study, name: str, other: str) -> tuple[Experiment, ...]:
     def stands_out(speed: float, amplitude: float) -> float:
         twin = retrace(dynamics, record, speed, amplitude)
         seen = [measure(twin, k) for k in range(_DRAWS)]
-        sums = [accumulate(rows(arm, one, values), followed(arm, one), uncentred) for one in seen]
+        sums = [accumulate(balance_rows(arm, one, values), followed(arm, one), uncentred) for one in seen]
         found = np.array([float(fit(both, [one], study.weight).of(name)) for one in sums])
         return size / float(found.std(ddof=1))
 

@@ -28,8 +28,8 @@ from zygos.gap.findings import (
     Value,
 )
 from zygos.gap.fit import fit
-from zygos.gap.forecast import Forecast, Segments, cut, cut_twin, forecast
-from zygos.gap.record import Record
+from zygos.gap.forecast import Forecast, Stretches, cut, cut_twin, forecast
+from zygos.gap.record import MeasuredRun
 from zygos.gap.search import CERTAIN, COMPLETE, EXCESS, PARTLY, Candidate, Search, excess, search
 from zygos.gap.sentences import entry_evidence
 from zygos.gap.study import Study, again, begin, read_hypothesis, realise, split
@@ -78,8 +78,8 @@ _SKEWED = 0.95
 def explain(
     arm: Arm,
     simulation: Model,
-    measured: Sequence[Record],
-    validate: Record | None,
+    measured: Sequence[MeasuredRun],
+    validate: MeasuredRun | None,
     step: Callable[[float, str], None] = lambda share, what: None,
 ) -> Explanation:
     """Say what a simulation lacks. step is told the share done and what is being done.
@@ -98,8 +98,8 @@ class _Explainer:
         self,
         arm: Arm,
         simulation: Model,
-        measured: tuple[Record, ...],
-        validate: Record | None,
+        measured: tuple[MeasuredRun, ...],
+        validate: MeasuredRun | None,
         step: Callable[[float, str], None],
     ) -> None:
         self.arm, self.simulation, self.measured, self.validate, self.step = arm, simulation, measured, validate, step
@@ -231,7 +231,7 @@ class _Explainer:
                 values.append(Value(name, effect.kind.unit, effect.value, effect.sigma, found[name], sigma[name]))
         return tuple(values)
 
-    def _calibrated(self, record: Record, study: Study) -> Record:
+    def _calibrated(self, record: MeasuredRun, study: Study) -> MeasuredRun:
         """A record less what its sensors' zeros are found to be off by, where that is more than is known of them."""
         layout = study.layout
         zeros = study.fit.zeros.mean(axis=0)
@@ -281,7 +281,7 @@ class _Explainer:
             wrong_name,
         )
 
-    def _struck(self, found: Search | None, segments: Segments) -> Forecast | None:
+    def _struck(self, found: Search | None, segments: Stretches) -> Forecast | None:
         """Predictions without what was named: an effect that is not there does not help them."""
         if found is None or not found.named:
             return None

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.stats import norm
 
 from zygos.effects import CATALOGUE, of_column
-from zygos.gap.forecast import Forecast, Segments
+from zygos.gap.forecast import Forecast, Stretches
 
 INTERVAL = float(norm.ppf(0.975))
 """Standard deviations of a 95 % interval."""
@@ -109,7 +109,7 @@ class Finding:
 class Gap:
     """Predictions of the untouched run; all in units of the sensors' declared noise."""
 
-    segments: Segments
+    segments: Stretches
     delivered: Forecast
     refit: Forecast
     closed: Forecast

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
-from zygos.can.wire import over_the_wire
+from zygos.balances.state import State
 from zygos.dynamics.planar import PlanarDynamics
-from zygos.dynamics.replay import States, read, replay, substeps
+from zygos.dynamics.replay import exact_readings, replay, substeps
 from zygos.errors import ZygosError
-from zygos.gap.record import Readings, Record, smooth
+from zygos.gap.record import MeasuredRun, Readings, smoothed_states
 from zygos.gap.twin import Twin, measure
 from zygos.runs.smoother import coefficients
 
@@ -33,7 +33,7 @@ _STRAY = 30.0
 
 
 @dataclass(frozen=True)
-class Segments:
+class Stretches:
     """Stretches of a run, one second each, that begin every half second; S segments of 2n cycles."""
 
     arm: Arm
@@ -44,14 +44,14 @@ class Segments:
     before: Array
     """(S, N) torque of the period before the segment, Nm."""
     guess: Array
-    """(S, 4N+1) smoothed state at the first sample, packed as `States`."""
+    """(S, 4N+1) smoothed state at the first sample, packed as `State.packed`."""
     time_s: Array
     """(S, 2n) since the run's first cycle."""
 
     @property
     def sigma(self) -> Array:
         """(2N+1,) declared deviations of one reading of q, theta, omega0 that came over the wire."""
-        arm = over_the_wire(self.arm)
+        arm = self.arm.over_the_wire
         link, motor = [j.link_encoder.sigma_rad for j in arm.joints], [j.motor_encoder.sigma_rad for j in arm.joints]
         return np.array([*link, *motor, arm.imu.rate_sigma])
 
@@ -97,7 +97,7 @@ class Forecast:
         return np.asarray(np.sqrt(np.mean(self._square, axis=(1, 2))), dtype=np.float64)
 
 
-def cut(record: Record) -> Segments:
+def cut(record: MeasuredRun) -> Stretches:
     """Segments of the arcs of a run, as those of its twin. Errors: ZygosError where an arc has no second."""
     s = record.samples
     time = (s.sync - s.sync[0]) * record.arm.period_s
@@ -105,7 +105,7 @@ def cut(record: Record) -> Segments:
     return _segments(record.arm, Readings(s.q, s.theta, record.omega0, s.tau), stretches, time, str(record.path))
 
 
-def cut_twin(twin: Twin, seed: int = 0) -> Segments:
+def cut_twin(twin: Twin, seed: int = 0) -> Stretches:
     """Segments of one reading of a twin, whose arcs are stretches."""
     seen = measure(twin, seed)
     arcs, cycles = seen.omega0.shape
@@ -114,27 +114,29 @@ def cut_twin(twin: Twin, seed: int = 0) -> Segments:
     return _segments(twin.arm, flat, stretches, twin.arm.period_s * np.arange(arcs * cycles), "the twin")
 
 
-def _segments(arm: Arm, samples: Readings, stretches: Sequence[tuple[int, int]], time: Array, name: str) -> Segments:
+def _segments(arm: Arm, samples: Readings, stretches: Sequence[tuple[int, int]], time: Array, name: str) -> Stretches:
     half, n = arm.smoother.points // 2, max(2, round(HORIZON_S / arm.period_s))
     starts = np.array([at for a, b in stretches for at in range(a + max(half, 1), b - max(2 * n, half + 1) + 1, n)])
     if not len(starts):
         raise ZygosError(f"{name}: no stretch is long enough to predict anything; remedy: a run from a better bus")
     at = starts[:, None] + np.arange(2 * n)
     around = starts[:, None] + np.arange(-half, half + 1)
-    state = smooth(arm, Readings(samples.q[around], samples.theta[around], samples.omega0[around], samples.tau[around]))
-    guess = States(state.base, state.q, state.theta, state.qd, state.thetad).packed()[:, 0]
+    state = smoothed_states(
+        arm, Readings(samples.q[around], samples.theta[around], samples.omega0[around], samples.tau[around])
+    )
+    guess = state.packed()[:, 0]
     readings = np.concatenate([samples.q[at], samples.theta[at], samples.omega0[at][..., None]], axis=-1)
-    return Segments(arm, readings, samples.tau[at], samples.tau[starts - 1], guess, time[at])
+    return Stretches(arm, readings, samples.tau[at], samples.tau[starts - 1], guess, time[at])
 
 
-def forecast(dynamics: PlanarDynamics, segments: Segments) -> Forecast:
+def forecast(dynamics: PlanarDynamics, segments: Stretches) -> Forecast:
     """Predict every segment with a model. Where it assumes an angular momentum, the base rate follows from it."""
     # a model that is far off may diverge: then the gap is infinite, and says so
     with np.errstate(over="ignore", invalid="ignore"):
         return _forecast(dynamics, segments)
 
 
-def _forecast(dynamics: PlanarDynamics, segments: Segments) -> Forecast:
+def _forecast(dynamics: PlanarDynamics, segments: Stretches) -> Forecast:
     arm, joints = segments.arm, segments.arm.n
     n = segments.readings.shape[1] // 2
     steps = substeps(dynamics, segments.readings[:, ::n, :joints], arm.period_s)
@@ -149,7 +151,7 @@ def _forecast(dynamics: PlanarDynamics, segments: Segments) -> Forecast:
         tau = np.tile(np.concatenate([segments.tau, segments.tau[:, -1:]], axis=1), (copies, 1, 1))
         before = np.tile(segments.before, (copies, 1))
         states, torques = replay(dynamics, arm.period_s, unpack(x), lambda k, _: tau[:, k], before, cycles + 1, steps)
-        q, theta, omega0 = read(dynamics, arm, states, torques)
+        q, theta, omega0 = exact_readings(dynamics, arm, states, torques)
         return np.concatenate([q, theta, omega0[..., None]], axis=-1)
 
     def misfit(seen: Array) -> Array:
@@ -177,7 +179,7 @@ def _forecast(dynamics: PlanarDynamics, segments: Segments) -> Forecast:
     return Forecast((seen - segments.readings[:, n:]) / sigma, seen)
 
 
-def _held(segments: Segments) -> Array:
+def _held(segments: Stretches) -> Array:
     """(4N+1,) how far a start may stray from the smoothed state: many deviations of it, which binds no model that is
     about right, and keeps a wrong one from absurd states."""
     arm, joints = segments.arm, segments.arm.n
@@ -199,7 +201,7 @@ def _free(dynamics: PlanarDynamics, joints: int) -> tuple[Callable[[Array], Arra
         out[:, 1 + joints + rigid] = out[:, 1 + rigid]
         out[:, 1 + 3 * joints + rigid] = out[:, 1 + 2 * joints + rigid]
         if held is not None:
-            s = States.of(out)
+            s = State.unpacked(out)
             out[:, 0] = dynamics.base_rate(s.q, held, s.qd, s.thetad)
         return out
 

@@ -16,7 +16,7 @@ from zygos.gap.charts import Charts
 from zygos.gap.explanation import Explanation
 from zygos.gap.findings import INTERVAL, Deflection, Finding, Gap, Value
 from zygos.gap.forecast import HORIZON_S, Forecast
-from zygos.gap.record import Record
+from zygos.gap.record import MeasuredRun
 from zygos.gap.residuals import Stage, failing, steps
 from zygos.gap.search import EXCESS, Candidate
 from zygos.gap.sentences import against, balance_title, evidence, motion, predicted, title
@@ -70,7 +70,7 @@ _TAGS = {
 """Class of the answer's tag."""
 
 
-def _length(record: Record) -> str:
+def _length(record: MeasuredRun) -> str:
     return f"{len(record.starts) * record.instants * record.arm.period_s:.0f} s"
 
 

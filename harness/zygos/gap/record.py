@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import correlate1d
 
 from zygos.arm import Arm
-from zygos.balances.kinematics import State
+from zygos.balances.state import State
 from zygos.errors import ZygosError
 from zygos.native.flight import Flight
 from zygos.runs.samples import Samples, calibrate
@@ -42,7 +42,7 @@ class Readings:
 
 
 @dataclass(frozen=True)
-class Record:
+class MeasuredRun:
     """A run that the C library decoded."""
 
     arm: Arm
@@ -84,7 +84,7 @@ class Record:
         return Readings(s.q[at], s.theta[at], self.omega0[at], s.tau[at])
 
 
-def read_record(arm: Arm, path: Path, frames: NDArray[Any]) -> Record:
+def read_measured_run(arm: Arm, path: Path, frames: NDArray[Any]) -> MeasuredRun:
     """Decode a log with the C library and cut it into arcs. Errors: ZygosError where no arc of 2 s is unbroken."""
     flight = Flight(arm)
     trace = flight.frames(frames, trace=True)
@@ -113,7 +113,7 @@ def read_record(arm: Arm, path: Path, frames: NDArray[Any]) -> Record:
         for i in range(max(0, length) // instants)
     ]
     omega0 = samples.omega @ arm.axis
-    return Record(arm, path, samples, omega0, flight.faults, np.array(starts), instants)
+    return MeasuredRun(arm, path, samples, omega0, flight.faults, np.array(starts), instants)
 
 
 def _arc_length(lengths: Sequence[int], period_s: float) -> int:
@@ -126,7 +126,7 @@ def _arc_length(lengths: Sequence[int], period_s: float) -> int:
     return next(size for size, found in zip(sizes, covered, strict=True) if found >= 0.8 * max(covered))
 
 
-def smooth(arm: Arm, readings: Readings) -> State:
+def smoothed_states(arm: Arm, readings: Readings) -> State:
     """Smoothed states (..., A, instants, N) of arcs (docs/theory.md, "Smoother and bandwidth test")."""
     points, order, h = arm.smoother.points, arm.smoother.order, arm.period_s
     parts: list[Array] = []
@@ -145,7 +145,7 @@ def followed(arm: Arm, readings: Readings) -> NDArray[np.bool_]:
     good: NDArray[np.bool_] | None = None
     for signals, side in ((readings.q, "link"), (readings.theta, "motor")):
         for i, offset in enumerate(_late(arm, side)):
-            joint = arm.joints[i]
+            joint = arm.over_the_wire.joints[i]
             sigma = (joint.link_encoder if side == "link" else joint.motor_encoder).sigma_rad
             weights = bandwidth_coefficients(points, order, offset)
             spread = sigma * float(np.linalg.norm(weights))

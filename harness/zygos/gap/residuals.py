@@ -9,12 +9,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from zygos.balances.kinematics import State
+from zygos.balances.state import State
 from zygos.dynamics.planar import PlanarDynamics
 from zygos.gap.explanation import Explanation
 from zygos.gap.findings import Gap
 from zygos.gap.forecast import Forecast
-from zygos.gap.record import Record
+from zygos.gap.record import MeasuredRun
 from zygos.gap.search import EXCESS
 from zygos.gap.study import Study, coefficient, residuals
 
@@ -31,7 +31,7 @@ _FEWEST = 4
 class LeftOver:
     """Residuals of one run's balances under several models; A arcs."""
 
-    record: Record
+    record: MeasuredRun
     state: State
     """Smoothed, (A, instants, ...)."""
     failing: tuple[int, ...]

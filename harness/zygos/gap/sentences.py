@@ -323,9 +323,9 @@ def remedy(
         return f"part of it looks like {listed(partial)}"
     match found:
         case SkewedEncoders() | LateTorques() | DeclaredTooNoisy():
-            return "correct the arm file; `zygos check-arm` on one of the runs tells more of its signals"
+            return "correct the arm file; `zygos check-arm` on one of the runs examines its signals"
         case RunsDisagree():
-            return "two runs of one and the same arm; `zygos estimate` says of each what it is"
+            return "give two runs of the same arm; `zygos estimate` gives the values for each run"
     said = [look_at(place)] if place.look else []
     if nearest is not None:
         share = 100 * max(0.0, nearest.complete)

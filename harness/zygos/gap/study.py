@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from zygos.balances.kinematics import State
+from zygos.balances.state import State
 from zygos.dynamics.planar import PlanarDynamics
 from zygos.effects import CATALOGUE, Effect, column_name, of_column
 from zygos.errors import Undecided, ZygosError
-from zygos.gap.balances import Layout, Sums, accumulate, rows
+from zygos.gap.balances import Layout, Sums, accumulate, balance_rows
 from zygos.gap.fit import Fit, Hypothesis, fit
-from zygos.gap.record import Record, followed, smooth
+from zygos.gap.record import MeasuredRun, followed, smoothed_states
 from zygos.gap.twin import Twin, draws, follow
 from zygos.model.model import Model
 
@@ -30,7 +30,7 @@ _FEW = 4
 class Study:
     """A hypothesis fitted to runs, beside its twin."""
 
-    records: tuple[Record, ...]
+    records: tuple[MeasuredRun, ...]
     accepted: tuple[NDArray[np.bool_], ...]
     """Per run (A, instants): where the smoother follows."""
     hypothesis: Hypothesis
@@ -116,7 +116,7 @@ def residuals(study: Study, run: int) -> tuple[Array, State]:
     smoother does not follow or the balance is not used; and the smoothed states."""
     record, kept = study.records[run], study.accepted[run]
     readings = record.readings()
-    table = rows(record.arm, readings, base_values(study.model, study.layout))
+    table = balance_rows(record.arm, readings, base_values(study.model, study.layout))
     full = np.concatenate([study.fit.zeros[run], study.fit.value, [-1.0]])
     mix = study.hypothesis.basis() @ full
     left = table.left @ mix[:-1] + table.right * mix[-1]
@@ -126,7 +126,7 @@ def residuals(study: Study, run: int) -> tuple[Array, State]:
     centred = left - _mean(left)
     if study.hypothesis.momentum is not None:
         centred[-1] = left[-1]
-    return centred, smooth(record.arm, readings)
+    return centred, smoothed_states(record.arm, readings)
 
 
 def read_hypothesis(layout: Layout, model: Model) -> Hypothesis:
@@ -186,7 +186,7 @@ def split(hypothesis: Hypothesis, value: Array) -> tuple[Array, list[Effect]]:
     return base, effects
 
 
-def begin(records: Sequence[Record], hypothesis: Hypothesis, dynamics: PlanarDynamics) -> Study:
+def begin(records: Sequence[MeasuredRun], hypothesis: Hypothesis, dynamics: PlanarDynamics) -> Study:
     """Fit a hypothesis to runs. dynamics: any model of it that is about right; it weights the balances, and the study
     is then made again with what was learned. Errors: Undecided where the runs do not tell the parameters apart."""
     accepted = tuple(followed(record.arm, record.readings()) for record in records)
@@ -239,7 +239,7 @@ def _weight(noise: Array) -> Array:
 
 
 def _study(
-    records: tuple[Record, ...],
+    records: tuple[MeasuredRun, ...],
     accepted: tuple[NDArray[np.bool_], ...],
     hypothesis: Hypothesis,
     dynamics: PlanarDynamics,
@@ -255,7 +255,7 @@ def _study(
         for k, (twin, kept) in enumerate(zip(twins, accepted, strict=True))
     )
     sums = tuple(
-        replace(accumulate(rows(arm, record.readings(), base), kept, uncentred), noise=twin.noise)
+        replace(accumulate(balance_rows(arm, record.readings(), base), kept, uncentred), noise=twin.noise)
         for record, kept, twin in zip(records, accepted, drawn, strict=True)
     )
     used = list(hypothesis.balances)

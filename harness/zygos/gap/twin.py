@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
-from zygos.can.wire import over_the_wire
+from zygos.balances.state import State
 from zygos.dynamics.planar import PlanarDynamics
-from zygos.dynamics.replay import States, mobility, read, replay, substeps
+from zygos.dynamics.replay import exact_readings, mobility, replay, substeps
 from zygos.errors import Undecided
-from zygos.gap.balances import Sums, accumulate, rows
-from zygos.gap.record import Readings, Record, followed, smooth
+from zygos.gap.balances import Sums, accumulate, balance_rows
+from zygos.gap.record import MeasuredRun, Readings, followed, smoothed_states
 from zygos.simulation.sensors import draw_noise
 
 Array = NDArray[np.float64]
@@ -42,7 +42,7 @@ class Twin:
     """What exact sensors would have read."""
 
 
-def follow(dynamics: PlanarDynamics, records: Sequence[Record]) -> list[Twin]:
+def follow(dynamics: PlanarDynamics, records: Sequence[MeasuredRun]) -> list[Twin]:
     """Twins of the records, integrated as one batch, with the model's h where it assumes one."""
     arm = records[0].arm
     h, half = arm.period_s, arm.smoother.points // 2
@@ -54,8 +54,8 @@ def follow(dynamics: PlanarDynamics, records: Sequence[Record]) -> list[Twin]:
         # the arcs with what the smoother needs before their first sample and behind their last
         at = record.starts[:, None] - half + np.arange(record.cycles + 1 + 2 * half)
         s = record.samples
-        state = smooth(arm, Readings(s.q[at], s.theta[at], record.omega0[at], s.tau[at]))
-        path = States(state.base, state.q, state.theta, state.qd, state.thetad).packed()
+        state = smoothed_states(arm, Readings(s.q[at], s.theta[at], record.omega0[at], s.tau[at]))
+        path = state.packed()
         missing = longest - 1 - record.cycles
         paths.append(np.pad(path, ((0, 0), (0, missing), (0, 0)), mode="edge"))
         tau = record.samples.tau[record.starts[:, None] - 1 + np.arange(record.cycles + 2)]
@@ -72,15 +72,15 @@ def follow(dynamics: PlanarDynamics, records: Sequence[Record]) -> list[Twin]:
     return twins
 
 
-def retrace(dynamics: PlanarDynamics, record: Record, speed: float, amplitude: float) -> Twin:
+def retrace(dynamics: PlanarDynamics, record: MeasuredRun, speed: float, amplitude: float) -> Twin:
     """What a record would have looked like at another speed and amplitude of the motors' motion, had the model been
     right; as many cycles at the most."""
     arm = record.arm
     s, half, h = record.samples, record.half, record.arm.period_s
     begin, end = int(record.starts[0]) - half, int(record.starts[-1]) + record.cycles + half
     at = np.arange(begin, end)[None]
-    state = smooth(arm, Readings(s.q[at], s.theta[at], record.omega0[at], s.tau[at]))
-    path = States(state.base, state.q, state.theta, state.qd, state.thetad).packed()[0]
+    state = smoothed_states(arm, Readings(s.q[at], s.theta[at], record.omega0[at], s.tau[at]))
+    path = state.packed()[0]
     rest = np.concatenate([[0.0], path[:, 1 : 1 + 2 * arm.n].mean(axis=0), np.zeros(2 * arm.n)])
     path = rest + amplitude * (path - rest)
     last = min(len(path) - 1, int(speed * (len(path) - 1)))
@@ -95,7 +95,7 @@ def retrace(dynamics: PlanarDynamics, record: Record, speed: float, amplitude: f
 
 
 def _twin(dynamics: PlanarDynamics, arm: Arm, moved: Array, applied: Array) -> Twin:
-    q, theta, omega0 = read(dynamics, arm, moved, applied)
+    q, theta, omega0 = exact_readings(dynamics, arm, moved, applied)
     return Twin(arm, Readings(q, theta, omega0, applied[:, :-1]))
 
 
@@ -104,11 +104,11 @@ def _servo(dynamics: PlanarDynamics, path: Array, tau: Array, h: float, rate: fl
     and a servo of the given bandwidth, rad/s. Returns states and torques at every SYNC."""
     joints = dynamics.n
     start = path[:, 0].copy()
-    reference = States.of(path)
-    states = States.of(start)
+    reference = State.unpacked(path)
+    states = State.unpacked(start)
     start[:, 1 + joints : 1 + 2 * joints] = np.where(dynamics.rigid, states.q, states.theta)
     start[:, 1 + 3 * joints :] = np.where(dynamics.rigid, states.qd, states.thetad)
-    states = States.of(start)
+    states = State.unpacked(start)
     if dynamics.angular_momentum is not None:
         start[:, 0] = dynamics.base_rate(states.q, dynamics.angular_momentum, states.qd, states.thetad)
     postures = reference.q[:, ::97]
@@ -117,7 +117,7 @@ def _servo(dynamics: PlanarDynamics, path: Array, tau: Array, h: float, rate: fl
     rotor = dynamics.rotor_inertia * dynamics.gear_ratio
     moved = np.where(dynamics.rigid, link / dynamics.gear_ratio, rotor)
 
-    def torque(k: int, now: States) -> Array:
+    def torque(k: int, now: State) -> Array:
         behind, slower = reference.theta[:, k] - now.theta, reference.thetad[:, k] - now.thetad
         return np.asarray(tau[:, k + 1] + moved * rate * (rate * behind + 2.0 * slower), dtype=np.float64)
 
@@ -134,7 +134,7 @@ def _servo(dynamics: PlanarDynamics, path: Array, tau: Array, h: float, rate: fl
 def measure(twin: Twin, seed: int) -> Readings:
     """One reading of a twin: its exact readings with the errors of the declared sensors and the wire, drawn
     for this seed."""
-    arm, exact = over_the_wire(twin.arm), twin.exact
+    arm, exact = twin.arm.over_the_wire, twin.exact
     arcs, cycles, _ = exact.q.shape
     noise = draw_noise(arm, arcs * cycles, [_STREAMS + seed])
 
@@ -157,17 +157,17 @@ def draws(
     twin: Twin, accepted: NDArray[np.bool_], count: int, uncentred: Sequence[int], values: Array, seed: int = 0
 ) -> Sums:
     """Sums (count, ...) of readings of a twin, with seeds seed .. seed + count - 1, and what noise adds to them on
-    average. values: as `rows`."""
+    average. values: as `balance_rows`."""
     arm = twin.arm
-    exact = accumulate(rows(arm, twin.exact, values), accepted, uncentred)
+    exact = accumulate(balance_rows(arm, twin.exact, values), accepted, uncentred)
     drawn = np.stack(
-        [accumulate(rows(arm, measure(twin, seed + k), values), accepted, uncentred).gram for k in range(count)]
+        [accumulate(balance_rows(arm, measure(twin, seed + k), values), accepted, uncentred).gram for k in range(count)]
     )
     return Sums(drawn, exact.count, drawn.mean(axis=0) - exact.gram)
 
 
-def observed(record: Record, uncentred: Sequence[int], values: Array) -> tuple[Sums, NDArray[np.bool_]]:
-    """Sums of the record itself, and the instants (A, instants) that were used. values: as `rows`."""
+def observed(record: MeasuredRun, uncentred: Sequence[int], values: Array) -> tuple[Sums, NDArray[np.bool_]]:
+    """Sums of the record itself, and the instants (A, instants) that were used. values: as `balance_rows`."""
     readings = record.readings()
     accepted = followed(record.arm, readings)
-    return accumulate(rows(record.arm, readings, values), accepted, uncentred), accepted
+    return accumulate(balance_rows(record.arm, readings, values), accepted, uncentred), accepted

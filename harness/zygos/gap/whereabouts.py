@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from zygos.arm import Arm
 from zygos.gap.balances import Layout
 from zygos.gap.findings import Deflection, Finding
-from zygos.gap.record import Record
+from zygos.gap.record import MeasuredRun
 from zygos.gap.search import EXCESS
 
 Array = NDArray[np.float64]
@@ -97,7 +97,7 @@ def _sides(plain: Sequence[str], failing: Sequence[str], *, bent: bool) -> tuple
     return ("link", "base") if "H" in failing else ("link",)
 
 
-def deflection(arm: Arm, records: Sequence[Record], joint: int) -> Deflection:
+def deflection(arm: Arm, records: Sequence[MeasuredRun], joint: int) -> Deflection:
     """How far link and motor part at a joint, and how much of it goes with the joint's rate."""
     h = arm.period_s
     parted, rate = [], []

@@ -1,1 +1,1 @@
-"""What is believed of an arm: bodies, base parameters, and the fit of bodies to parameters."""
+"""Models of an arm: bodies, base parameters, and the fit of bodies to base parameters."""

@@ -1,7 +1,7 @@
 """From bodies to the constant matrix of the kinetic energy of a spatial arm (docs/theory.md, "From bodies to N").
 
-Every mass point of a body lies at a sum of vectors c_j, each fixed in one body j. What of c_j lies along joint axis j
-is fixed in body j-1 as well, so it is folded into c_j-1; of each body but the base two components remain, along the
+Every mass point of a body lies at a sum of vectors c_j, each fixed in one body j. The component of c_j along joint axis
+j is fixed in body j-1 as well, so it is added to c_j-1. For each body but the base two components remain, along the
 directions of `zygos.balances.kinematics`. N_ab is the second moment of the mass over these V coordinates.
 """
 
@@ -17,12 +17,12 @@ Array = NDArray[np.float64]
 
 
 def directions(arm: Arm) -> int:
-    """V: 3 of a free base, 2 of each other body."""
+    """V: 3 directions for a free base and 2 for each other body."""
     return 2 * arm.n + (3 if arm.free else 0)
 
 
 def folds(arm: Arm) -> list[Array]:
-    """For each body 0..N the (V, 3) matrix that takes a vector in its frame to the V coordinates."""
+    """For each body 0..N the (V, 3) matrix that maps a vector in its frame to the V coordinates."""
     size = directions(arm)
     fold = np.zeros((size, 3))
     if arm.free:
@@ -67,9 +67,9 @@ def of_bodies(arm: Arm, mass: Array, first: Array, second: Array, reach: Array) 
 
 
 def of_rotors(arm: Arm, rotor_inertia: Array) -> Array:
-    """The rotors' share of N (V, V): thin disks across their axes, each on the body that carries it.
+    """The rotors' contribution to N (V, V): thin disks perpendicular to their axes, each on the body that carries it.
 
-    N less this is positive semi-definite for every arm that can exist.
+    N minus this matrix is positive semi-definite for every physically possible arm.
     """
     share = np.zeros((directions(arm),) * 2)
     for i, (joint, fold) in enumerate(zip(arm.joints, folds(arm), strict=False)):
@@ -79,7 +79,7 @@ def of_rotors(arm: Arm, rotor_inertia: Array) -> Array:
 
 
 def pairs(arm: Arm) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Places (row, column) of the kinetic `arm.body_parameters` of a spatial arm in N."""
+    """Positions (row, column) in N of the kinetic `arm.body_parameters` of a spatial arm."""
     row, column = np.triu_indices(directions(arm))
     if arm.free:
         return row, column
@@ -98,8 +98,9 @@ def to_parameters(arm: Arm, matrix: Array) -> Array:
 def from_parameters(arm: Arm, values: Array) -> Array:
     """A matrix N (V, V) with these kinetic parameters.
 
-    A fixed base leaves only the sum of the first two diagonal entries. They and the entry between them are then filled
-    in so that N is positive semi-definite if it can be: what the other directions need, and half of what is over.
+    A fixed base determines only the sum of the first two diagonal entries. These entries and the one between them are
+    chosen so that N is positive semi-definite if possible: each gets what the other directions require, and half of the
+    remainder.
     """
     row, column = pairs(arm)
     matrix = np.zeros((directions(arm),) * 2)

@@ -1,4 +1,4 @@
-"""What someone believes of an arm: masses, lengths, inertias, stiffness (`model.toml`).
+"""The assumed physical parameters of an arm: masses, lengths, inertias, stiffness (`model.toml`).
 
 A model is given either by its bodies and joints, or by base parameters (docs/theory.md). Both give `base_parameters`.
 """
@@ -23,15 +23,17 @@ from zygos.model import gram
 
 SOURCES = ("CAD", "test", "zygos")
 _LARGEST = 1e12
-"""Of masses, inertias, stiffnesses, dampings and sigmas, in SI units. A station has 1e9 kg m^2."""
+"""Largest accepted mass, inertia, stiffness, damping or sigma, in SI units. A space station has about 1e9 kg m^2."""
 _FARTHEST_M = 1e6
 INERTIA_KEYS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+_SOURCE_MEANING = "Where the value comes from."
+_SOURCE_OTHERWISE = "source of the file"
 _JOINT_UNITS = {"rotor_mass": "kg", "rotor_inertia": "kg m^2", "stiffness": "Nm/rad", "damping": "Nms/rad"}
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A value with its standard deviation (0: taken as exact), where it comes from, and its unit."""
+    """A value with its standard deviation (0: assumed exact), its source, and its unit."""
 
     value: float
     sigma: float = 0.0
@@ -61,13 +63,13 @@ class Body:
 
 @dataclass(frozen=True)
 class JointModel:
-    """What the drive of one joint adds: its rotor, fixed in place to the carrying body, and its flexibility."""
+    """The drive of one joint: its rotor, which is mounted on the carrying body, and its flexibility."""
 
     name: str
     rotor_mass: Quantity
-    """kg, at the joint."""
+    """Mass in kg, located at the joint."""
     rotor_inertia: Quantity
-    """kg m^2, about the joint axis, before the gear; counted on the carrying body as well."""
+    """Inertia about the joint axis before the gear, kg m^2; the carrying body's inertia includes it as well."""
     stiffness: Quantity
     """Nm/rad, after the gear; infinite for a model whose joint is rigid."""
     damping: Quantity
@@ -88,7 +90,7 @@ class Model:
         """Base parameters by name, in the order of `arm.parameter_names`.
 
         Sigmas of a model given by bodies are propagated to first order. Errors: ZygosError if the model does not fit
-        the arm: other joints, missing or unknown parameters, b_ij where the arm says planar-symmetric.
+        the arm: different joints, missing or unknown parameters, b_ij for a planar-symmetric arm.
         """
         names = arm.parameter_names
         if not self.bodies:
@@ -99,7 +101,7 @@ class Model:
         quantities = self._quantities()
         inertial = quantities[: 7 * len(self.bodies)] + [joint.rotor_inertia for joint in self.joints]
         found = {quantity.source for quantity in inertial}
-        # a mixture is worth no more than its least certain part
+        # a mixture is only as certain as its least certain part
         sources = [next(source for source in SOURCES if source in found)] * len(arm.body_parameters)
         keys = {"Im": "rotor_inertia", "k": "stiffness", "b": "damping"}
         sources += [getattr(self.joints[i], keys[kind]).source for kind, i, _ in arm.joint_parameters]
@@ -124,12 +126,13 @@ class Model:
             sigma = np.array([quantity.sigma for quantity in self._named_parameters(arm).values()])
             return np.diag(sigma**2)
         self.check_fits(arm)
-        # an infinite stiffness is exact; its place only has to hold a number
+        # an infinite stiffness is exact; any finite number may stand in its place here
         scalars = np.nan_to_num(self._scalars(), posinf=1.0)
         sigmas = np.array([quantity.sigma for quantity in self._quantities()])
         columns = np.zeros((len(arm.parameter_names), len(scalars)))
         for index in np.flatnonzero(sigmas):
-            # central difference; the step is large against rounding, the third derivative negligible
+            # central difference; the step is large compared with rounding errors, and the third derivative is
+            # negligible
             step = 1e-4 * max(abs(scalars[index]), 1e-3)
             shift = np.zeros_like(scalars)
             shift[index] = step
@@ -149,23 +152,23 @@ class Model:
         return {name: self.parameters[name] for name in arm.parameter_names}
 
     def check_fits(self, arm: Arm) -> None:
-        """Refuse, with ZygosError, an arm whose joints are not those of this model by bodies."""
+        """Raise ZygosError if the joints of this model by bodies are not those of the arm."""
         names = [joint.name for joint in arm.joints]
         if [joint.name for joint in self.joints] != names:
             raise ZygosError(
                 f"model {self.name} has joints {[joint.name for joint in self.joints]}, arm {arm.name} "
-                f"has {names}; remedy: name the joints alike, from the base outwards"
+                f"has {names}; remedy: use the same joint names, in order from the base outwards"
             )
         if arm.free and self.bodies[0].mass.value == 0.0:
             raise ZygosError(
-                f"model {self.name}: the base {self.bodies[0].name} has no mass, but in arm {arm.name} it floats; "
+                f"model {self.name}: the base {self.bodies[0].name} has no mass, but it floats in arm {arm.name}; "
                 'remedy: give it mass and inertia, or write base = "fixed" in the arm file'
             )
         for ours, theirs in zip(self.joints, arm.joints, strict=True):
             if not theirs.flexible and np.isfinite(ours.stiffness.value):
                 raise ZygosError(
                     f"model {self.name}: joint {ours.name} has a stiffness, but in arm {arm.name} it is rigid; remedy: "
-                    "stiffness = inf in the model, or flexible = true in the arm file"
+                    "write stiffness = inf in the model, or flexible = true in the arm file"
                 )
 
     def _quantities(self) -> list[Quantity]:
@@ -222,7 +225,7 @@ class Model:
         second: NDArray[np.float64],
         reach: NDArray[np.float64],
     ) -> NDArray[np.float64]:
-        """a_ij, and b_ij where the arm has them, of bodies as in `gram.of_bodies`."""
+        """a_ij, and b_ij if the arm has them, of bodies given as in `gram.of_bodies`."""
         axis = arm.axis
         across = np.einsum("ab,ibc->iac", np.eye(3) - np.outer(axis, axis), arm.frames)
         first = np.einsum("iac,ic->ia", across, first)
@@ -250,29 +253,59 @@ class Model:
         elif skew and np.max(np.abs(skew)) > 1e-9 * np.max(np.abs(values)):
             raise ZygosError(
                 f"model {self.name}: mass centres lie off the joint-to-joint lines (b_ij = {skew}), but "
-                f'arm {arm.name} says kinetic = "planar-symmetric"; remedy: kinetic = "planar"'
+                f'arm {arm.name} says kinetic = "planar-symmetric"; remedy: write kinetic = "planar"'
             )
         return np.array(values)
 
 
 def load_model(path: str | Path) -> Model:
-    """Read `model.toml`. Errors: ZygosError naming file, key and remedy, also for a body that cannot exist."""
-    top = Table.load(path)
-    name = top.text("name")
-    source = top.choice("source", SOURCES, "CAD")
+    """Read `model.toml`. Errors: ZygosError naming file, key and remedy, also for a physically impossible body."""
+    return read_model(Table.load(path))
+
+
+def read_model(top: Table) -> Model:
+    """The model of a table with the keys of `model.toml`. Errors: as `load_model`."""
+    name = top.text("name", "Name of the model, for messages.")
+    source = top.choice("source", "Where the values come from that state no source of their own.", SOURCES, "CAD")
     if top.has("parameters"):
         if top.has("body") or top.has("joint"):
-            raise top.error("parameters", "stands beside [[body]] or [[joint]]", "keep one of the two")
-        table = top.table("parameters")
-        parameters = {key: _quantity(table, key, None, source, infinite=key.startswith("k")) for key in table.names()}
+            raise top.error("parameters", "is given together with [[body]] or [[joint]]", "keep one of the two")
+        table = top.table(
+            "parameters",
+            "The base parameters by their names (docs/theory.md). A model has either this table, or [[body]] and "
+            "[[joint]].",
+            otherwise="required where [[body]] is absent, refused beside it",
+        )
+        parameters = {
+            key: _quantity(
+                table,
+                key,
+                "A base parameter, as `zygos estimate` names it.",
+                None,
+                source,
+                infinite=key.startswith("k"),
+            )
+            for key in table.names()
+        }
         effects = _effects(top, source)
         top.finish()
         return Model(name, parameters=parameters, effects=effects)
-    tables = top.tables("body")
+    tables = top.tables(
+        "body",
+        "The bodies from the base to the last link, each without the rotor that it carries.",
+        otherwise="required where [parameters] is absent, refused beside it",
+    )
     bodies = tuple(
         _body(table, source, first=index == 0, last=index == len(tables) - 1) for index, table in enumerate(tables)
     )
-    joints = tuple(read_joint(table, source) for table in top.tables("joint"))
+    joints = tuple(
+        read_joint_model(table, source)
+        for table in top.tables(
+            "joint",
+            "The joints' drives, in the order of the joints.",
+            otherwise="required where [parameters] is absent, refused beside it",
+        )
+    )
     if len(bodies) != len(joints) + 1:
         raise top.error(
             "body",
@@ -285,8 +318,8 @@ def load_model(path: str | Path) -> Model:
 
 
 def save_model(model: Model, path: str | Path) -> None:
-    """Write `model.toml` so that a reader sees the old file or the whole new one. Errors: ZygosError if it cannot be
-    written."""
+    """Write `model.toml` so that a reader sees either the old file or the complete new one. Errors: ZygosError if it
+    cannot be written."""
     document = tomlkit.document()
     document["name"] = model.name
     if model.parameters:
@@ -335,22 +368,32 @@ def save_model(model: Model, path: str | Path) -> None:
 
 def _effects(top: Table, source: str) -> tuple[Effect, ...]:
     effects: list[Effect] = []
-    for table in top.tables("effect", optional=True):
-        key = table.choice("kind", tuple(CATALOGUE))
+    for table in top.tables("effect", "Effects beyond rigid bodies and linear springs (docs/gap.md).", optional=True):
+        key = table.choice("kind", "The effect.", tuple(CATALOGUE))
         kind = CATALOGUE[key]
         effect = Effect(
             kind,
-            table.text("joint") if kind.at_joint else None,
-            table.number("value", low=0.0 if kind.positive else -_LARGEST, high=_LARGEST, unit=kind.unit),
-            table.number("sigma", 0.0, low=0.0, high=_LARGEST, unit=kind.unit),
-            table.choice("source", SOURCES, source),
-            table.text("evidence") if table.has("evidence") else "",
+            _at(table) if kind.at_joint else None,
+            table.number(
+                "value",
+                "Coefficient of the effect.",
+                low=0.0 if kind.positive else -_LARGEST,
+                high=_LARGEST,
+                unit=kind.unit,
+            ),
+            table.number(
+                "sigma", "Standard deviation of the value. 0: exact.", 0.0, low=0.0, high=_LARGEST, unit=kind.unit
+            ),
+            table.choice("source", _SOURCE_MEANING, SOURCES, source, otherwise=_SOURCE_OTHERWISE),
+            table.text("evidence", "Why the effect is in the model, in words.", otherwise="none")
+            if table.has("evidence")
+            else "",
         )
-        if table.has("unit") and (unit := table.text("unit")) != kind.unit:
+        if table.has("unit") and (unit := _unit(table, "the unit of the kind")) != kind.unit:
             raise table.error("unit", f"{unit!r} is not the unit of {key}", f'convert the value to "{kind.unit}"')
         table.finish()
         if any((other.kind, other.joint) == (effect.kind, effect.joint) for other in effects):
-            raise table.error("kind", f"{key} at {effect.joint or 'the base'} stands twice", "keep one of the entries")
+            raise table.error("kind", f"{key} at {effect.joint or 'the base'} appears twice", "keep one of the entries")
         effects.append(effect)
     return tuple(effects)
 
@@ -368,6 +411,7 @@ def _inline(quantity: Quantity, *, unit: bool = False) -> Any:
 def _quantity(
     table: Table,
     key: str,
+    meaning: str,
     unit: str | None,
     source: str,
     *,
@@ -379,23 +423,38 @@ def _quantity(
     """A number, or { value, sigma, source }; with unit None the file states the unit."""
     if not table.has(key) and default is not None:
         return Quantity(default, 0.0, source, unit or "")
+    otherwise = "" if default is None else f"{default:g}"
     if not table.has(key) or not isinstance(table.peek(key), dict):
-        value = table.number(key, low=low, above=above, high=_LARGEST, unit=unit or "", infinite=infinite)
+        value = table.number(
+            key, meaning, low=low, above=above, high=_LARGEST, unit=unit or "", infinite=infinite, otherwise=otherwise
+        )
         return Quantity(value, 0.0, source, unit or "")
-    entry = table.table(key)
+    entry = table.table(key, meaning, otherwise=otherwise)
     quantity = Quantity(
-        entry.number("value", low=low, above=above, high=_LARGEST, unit=unit or "", infinite=infinite),
-        entry.number("sigma", 0.0, low=0.0, high=_LARGEST, unit=unit or ""),
-        entry.choice("source", SOURCES, source),
-        entry.text("unit") if unit is None else unit,
+        entry.number("value", "The value.", low=low, above=above, high=_LARGEST, unit=unit or "", infinite=infinite),
+        entry.number(
+            "sigma", "Standard deviation of the value. 0: exact.", 0.0, low=0.0, high=_LARGEST, unit=unit or ""
+        ),
+        entry.choice("source", _SOURCE_MEANING, SOURCES, source, otherwise=_SOURCE_OTHERWISE),
+        _unit(entry) if unit is None else unit,
     )
     entry.finish()
     return quantity
 
 
-def _vector3(table: Table, key: str) -> tuple[float, float, float]:
-    x, y, z = table.vector(key, 3, limit=_FARTHEST_M, unit="m")
+def _vector3(table: Table, key: str, meaning: str, otherwise: str = "") -> tuple[float, float, float]:
+    x, y, z = table.vector(key, meaning, 3, limit=_FARTHEST_M, unit="m", otherwise=otherwise)
     return x, y, z
+
+
+def _at(table: Table) -> str:
+    return table.text(
+        "joint", "Name of the joint at which the effect acts.", otherwise="required, except for effects of the base"
+    )
+
+
+def _unit(table: Table, otherwise: str = "") -> str:
+    return table.text("unit", "Unit of value and sigma.", otherwise=otherwise)
 
 
 def _tensor(entries: Any) -> NDArray[np.float64]:
@@ -411,35 +470,79 @@ def is_possible(tensor: NDArray[np.float64]) -> bool:
 
 
 def _body(table: Table, source: str, *, first: bool, last: bool) -> Body:
-    """The first body, the base, may be without mass: a fixed one's plays no part."""
-    name = table.text("name")
-    mass = _quantity(table, "mass", "kg", source, low=0.0, above=-np.inf if first else 0.0)
-    origin = _vector3(table, "origin_xyz")
+    """Read a body. The first one, the base, may have no mass: that of a fixed base has no effect."""
+    name = table.text("name", "Name of the body.")
+    mass = _quantity(
+        table,
+        "mass",
+        "Mass of the body. Only the base may have none.",
+        "kg",
+        source,
+        low=0.0,
+        above=-np.inf if first else 0.0,
+    )
+    origin = _vector3(
+        table, "origin_xyz", "Mass centre in the frame of the body, whose origin is the joint that carries it."
+    )
     ixx, ixy, ixz, iyy, iyz, izz = (
-        _quantity(table, key, "kg m^2", source, default=None if key[1] == key[2] else 0.0) for key in INERTIA_KEYS
+        _quantity(
+            table,
+            key,
+            "Entry of the inertia about the mass centre, in the axes of the body.",
+            "kg m^2",
+            source,
+            default=None if key[1] == key[2] else 0.0,
+        )
+        for key in INERTIA_KEYS
     )
     if last and table.has("joint_xyz"):
         raise table.error("joint_xyz", "the last body carries no joint", "remove it")
-    joint = None if last else _vector3(table, "joint_xyz")
+    joint = None
+    if not last:
+        joint = _vector3(
+            table,
+            "joint_xyz",
+            "Origin of the joint that carries the next body, in the frame of this body.",
+            "required, except for the last body, where it is refused",
+        )
+
     table.finish()
     body = Body(name, mass, origin, (ixx, ixy, ixz, iyy, iyz, izz), joint)
     if not is_possible(body.tensor) and (mass.value > 0.0 or body.tensor.any()):
         raise table.error(
             "ixx",
-            f"no body has the principal moments {np.linalg.eigvalsh(body.tensor).tolist()} kg m^2",
-            "correct the inertia: all positive, none above the sum of the other two",
+            f"no body can have the principal moments {np.linalg.eigvalsh(body.tensor).tolist()} kg m^2",
+            "correct the inertia: all must be positive, and none larger than the sum of the other two",
         )
     return body
 
 
-def read_joint(table: Table, source: str) -> JointModel:
-    """One [[joint]] of a model file; values without a source have `source`. Errors: as `load_model`."""
+def read_joint_model(table: Table, source: str) -> JointModel:
+    """Read one [[joint]] of a model file; values without a source get `source`. Errors: as `load_model`."""
     joint = JointModel(
-        table.text("name"),
-        _quantity(table, "rotor_mass", "kg", source, default=0.0, low=0.0),
-        _quantity(table, "rotor_inertia", "kg m^2", source, above=0.0),
-        _quantity(table, "stiffness", "Nm/rad", source, above=0.0, infinite=True),
-        _quantity(table, "damping", "Nms/rad", source, low=0.0),
+        table.text("name", "Name of the joint."),
+        _quantity(
+            table,
+            "rotor_mass",
+            "Mass of the rotor, which the body before the joint carries.",
+            "kg",
+            source,
+            default=0.0,
+            low=0.0,
+        ),
+        _quantity(
+            table, "rotor_inertia", "Inertia of the rotor about its axis, before the gear.", "kg m^2", source, above=0.0
+        ),
+        _quantity(
+            table,
+            "stiffness",
+            "Stiffness of the joint's spring, after the gear. inf: the joint is rigid.",
+            "Nm/rad",
+            source,
+            above=0.0,
+            infinite=True,
+        ),
+        _quantity(table, "damping", "Damping of the joint's spring, after the gear.", "Nms/rad", source, low=0.0),
     )
     table.finish()
     return joint

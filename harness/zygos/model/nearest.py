@@ -1,8 +1,8 @@
-"""Bodies from base parameters: those nearest to a drawing, and which of their entries the parameters determine.
+"""Bodies from base parameters: the bodies nearest to a drawing, and which of their entries are determined.
 
-Base parameters are fewer than the entries of the bodies (docs/theory.md). Of all bodies with the given parameters,
-these differ least from the drawing, in units of its sigmas: min |y|^2 subject to base(x + D y) = given, by
-Gauss-Newton, each step of which is the shortest solution of the linearised equations.
+An arm has fewer base parameters than its bodies have entries (docs/theory.md). Of all bodies with the given parameters,
+those that differ least from the drawing are chosen, in units of its sigmas: min |y|^2 subject to base(x + D y) = given.
+The solver is Gauss-Newton; each step is the shortest solution of the linearised equations.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from zygos.model.model import Body, JointModel, Model, Quantity, is_possible
 Array = NDArray[np.float64]
 
 ENTRIES = ("mass", "x", "y", "z", "ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-"""What a URDF <inertial> says of a body; the inertia is about the mass centre."""
+"""Entries of a body, as in a URDF <inertial>; the inertia is about the mass centre."""
 UNITS = ("kg", *("m",) * 3, *("kg m^2",) * 6)
 DETERMINED = 1e-6
-"""An entry is determined if no direction in which the parameters stay the same has a larger component along it, both in
+"""An entry is determined if its component is at most this in every direction that leaves the parameters unchanged, in
 units of the drawing."""
 
 _SINGULAR = 1e-8
-"""Of the largest singular value; the Jacobian is good to 1e-11."""
+"""Smallest singular value that counts, relative to the largest; the Jacobian is accurate to 1e-11."""
 _STEP = 1e-3
-"""Of numerical differentiation, in natural sizes."""
+"""Step of the numerical differentiation, as a share of each entry's natural size."""
 _STEPS = 50
 _UNMOVED = 1e-12
-"""Units by which rounding alone moves an entry: it keeps the drawing's value."""
+"""Change of an entry, in units of the drawing, that is only rounding: the entry then keeps the drawing's value."""
 _CLOSE = 1e-10
-"""Largest difference of a base parameter, relative to its value and to what the drawing's units move it."""
+"""Largest error of a base parameter, relative to its value and to its change by one of the drawing's units."""
 
 
 @dataclass(frozen=True)
@@ -44,34 +44,35 @@ class Nearest:
     model: Model
     """The drawing with these bodies; rotor inertias, stiffness and damping as given."""
     known: Array
-    """(N+1, 10) how much of the drawing's uncertainty in each of ENTRIES the parameters take away, 0 .. 1."""
+    """(N+1, 10) share of the drawing's uncertainty in each of ENTRIES that the parameters remove, 0 .. 1."""
     determined: NDArray[np.bool_]
     """(N+1, 10) whether the parameters alone determine the entry."""
     moved: Array
-    """(N+1, 10) by how many of the drawing's units the entry differs from it."""
+    """(N+1, 10) difference of the entry from the drawing, in units of the drawing."""
 
 
 def nearest_bodies(
     arm: Arm, drawing: Model, given: Model, progress: Callable[[float], None] = lambda share: None
 ) -> Nearest:
     """The bodies nearest to `drawing` (given by bodies) whose base parameters are those of `given` (given by base
-    parameters; one that is missing constrains nothing).
+    parameters; a missing parameter is no constraint).
 
     The unit of an entry is its sigma; where that is 0, its natural size (mass, radius of gyration, mean principal
     moment) times the largest relative sigma of the body, or the size itself if the body has no sigma. Lengths are
     exact, and so are rotor masses.
-    Errors: ZygosError if the models do not fit the arm, Undecided if no possible bodies near the drawing have these
+    Errors: ZygosError if the models do not fit the arm, Undecided if no physically possible bodies near the drawing
+    have
     parameters.
     """
     unknown = [name for name in given.parameters if name not in arm.parameter_names]
     if unknown:
         raise ZygosError(
-            f"model {given.name} does not fit arm {arm.name}: unknown {unknown}; remedy: give the arm that "
-            "it was learned with"
+            f"model {given.name} does not fit arm {arm.name}: unknown {unknown}; remedy: give the arm file with which "
+            "the model was estimated"
         )
     target = {name: given.parameters[name].value for name, _ in arm.body_parameters if name in given.parameters}
     if arm.kinetic == "planar-symmetric":
-        # on the way there, mass centres leave the lines between the joints
+        # during the iteration, mass centres may leave the lines between the joints
         arm = replace(arm, kinetic="planar")
         target |= {name: 0.0 for name, _ in arm.body_parameters if name.startswith("b")}
     rows = [arm.parameter_names.index(name) for name in target]
@@ -81,14 +82,14 @@ def nearest_bodies(
 
     def base(entries: Array) -> Array:
         bodies = tuple(_body(body, row) for body, row in zip(drawing.bodies, entries.reshape(-1, 10), strict=True))
-        # the sigmas of the drives are of no use here, and would cost a covariance
+        # the sigmas of the drives are not needed here, and would make the evaluation compute a covariance
         plain = tuple(JointModel(joint.name, *(Quantity(q.value) for q in _quantities(joint))) for joint in drives)
         return Model(drawing.name, bodies, plain).base_values(arm)[rows]
 
     y = np.zeros(start.size)
     jacobian = _jacobian(base, start, sizes) * units
     weights = np.linalg.norm(jacobian, axis=1)
-    # a product of two entries that are both zero moves with neither, until one of them has moved
+    # a product of two entries that are both zero has no gradient until one of them has changed
     weights[weights == 0.0] = weights.max()
     error = _error(base(start), wanted, weights)
     for step in range(_STEPS):
@@ -108,9 +109,9 @@ def nearest_bodies(
             break
     if not error < _CLOSE:
         raise Undecided(
-            f"no bodies near model {drawing.name} have the base parameters of model {given.name}; remedy: see whether "
-            "both are of the same arm with the same lengths; with its noise, an estimate of an arm in space is that of "
-            "no bodies: fit some with `zygos fit`, and export those"
+            f"no bodies near model {drawing.name} have the base parameters of model {given.name}; remedy: check that "
+            "both belong to the same arm with the same lengths; an estimate of a spatial arm contains noise, so no "
+            "bodies have exactly its parameters: fit bodies with `zygos fit`, and export those"
         )
     y[np.abs(y) < _UNMOVED] = 0.0
     _, singular, directions = np.linalg.svd(jacobian / weights[:, None])
@@ -134,7 +135,7 @@ def nearest_bodies(
 
 
 def entries_of(body: Body) -> list[float]:
-    """The ENTRIES of a body."""
+    """The values of a body's ENTRIES."""
     return [body.mass.value, *body.origin_xyz, *(quantity.value for quantity in body.inertia)]
 
 
@@ -143,7 +144,7 @@ def _quantities(joint: JointModel) -> tuple[Quantity, ...]:
 
 
 def _drive(arm: Arm, index: int, joint: JointModel, given: Model) -> JointModel:
-    """The drive as drawn, with what is given of it."""
+    """The drive of the drawing, with the given values where there are any."""
     names = [f"{kind}{at + 1}" for kind, at, _ in arm.joint_parameters if at == index]
     known = {name: given.parameters[name] for name in names if name in given.parameters}
     return replace(
@@ -155,7 +156,7 @@ def _drive(arm: Arm, index: int, joint: JointModel, given: Model) -> JointModel:
 
 
 def _entries(drawing: Model) -> tuple[Array, Array, Array]:
-    """Values, units and natural sizes (10 (N+1),) of the drawing's entries."""
+    """Values, units and natural sizes of the drawing's entries, each (10 (N+1),)."""
     values, units, sizes = [], [], []
     for body in drawing.bodies:
         moment = float(np.trace(body.tensor)) / 3.0
@@ -169,7 +170,7 @@ def _entries(drawing: Model) -> tuple[Array, Array, Array]:
 
 
 def _body(body: Body, entries: Array) -> Body:
-    """The body with other entries; nothing is said of their sigmas."""
+    """The body with other entries, without sigmas."""
     x, y, z = (float(value) for value in entries[1:4])
     ixx, ixy, ixz, iyy, iyz, izz = (
         Quantity(float(value), 0.0, "zygos", quantity.unit)
@@ -180,7 +181,7 @@ def _body(body: Body, entries: Array) -> Body:
 
 
 def _jacobian(base: Callable[[Array], Array], at: Array, sizes: Array) -> Array:
-    """(p, 10 (N+1)) by fourth-order central differences."""
+    """(p, 10 (N+1)) Jacobian by fourth-order central differences."""
     columns = []
     for index, size in enumerate(sizes):
         step = np.zeros_like(at)
@@ -204,6 +205,6 @@ def _check_possible(body: Body, drawing: Model, given: Model) -> None:
     if wrong:
         raise Undecided(
             f"the bodies nearest to model {drawing.name} with the base parameters of model {given.name} cannot exist: "
-            f"{body.name} has {wrong}; remedy: fit bodies that can with `zygos fit`, or sigmas in the "
-            "drawing for what is least certain there"
+            f"{body.name} has {wrong}; remedy: fit possible bodies with `zygos fit`, or state sigmas in the "
+            "drawing for the entries that are least certain"
         )

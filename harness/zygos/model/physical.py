@@ -1,9 +1,11 @@
-"""The arm behind an estimate: bodies, lengths and drives whose base parameters explain it (docs/physical.md).
+"""The physical arm that explains an estimate: bodies, lengths and drives whose base parameters fit it
+(docs/physical.md).
 
-Base parameters with noise are those of no arm: their matrix N has entries to spare, 45 against 31 that bodies can
-choose in space with three joints, and nothing keeps it positive. A fit moves bodies instead of numbers. Each body is
-written so that whatever the numbers are it can exist (log-Cholesky: Rucker & Wensing, "Smooth parameterization of
-rigid-body inertia", RA-L 2022), and what the estimate does not say stays as the drawing has it.
+Estimated base parameters contain noise and usually belong to no physical arm: for a spatial arm with three joints, the
+matrix N has 45 entries, but the bodies have only 31 degrees of freedom, and N need not be positive. The fit therefore
+varies the bodies. Their coordinates describe a physically possible body for all values (log-Cholesky: Rucker & Wensing,
+"Smooth parameterization of rigid-body inertia", RA-L 2022), and what the estimate does not determine stays as in the
+drawing.
 """
 
 from __future__ import annotations
@@ -28,58 +30,61 @@ from zygos.model.model import INERTIA_KEYS, Body, JointModel, Model, Quantity
 Array = NDArray[np.float64]
 
 CHANCE = 1e-3
-"""The limit of chi^2/dof is what an estimate of the described arm exceeds this often."""
+"""Probability that an estimate of the described arm exceeds the limit of chi^2/dof."""
 THINNEST = 1e-4
-"""Of a body's largest principal second moment: what is thinner in the drawing is made so thick."""
+"""Smallest principal second moment of a body, as a share of its largest one; a thinner body in the drawing is thickened
+to this value."""
 
 _DEPENDENT = 1e-11
-"""Columns whose scaled normal matrix has a smaller eigenvalue depend on each other, as in c/solver.c."""
+"""Columns whose scaled normal matrix has a smaller relative eigenvalue are dependent, as in c/solver.c."""
 _SHARPEST = 1e-6
-"""Relative sigma of a combination of parameters, at least."""
+"""Smallest relative sigma of a combination of parameters."""
 _STEPS = 4
-"""Of the path from the drawing to the estimate."""
+"""Number of steps on the path from the drawing to the estimate."""
 _ROUGH, _CLOSE = 1e-3, 1e-10
-"""Tolerances of the steps on the way, and of the last."""
+"""Tolerances of the intermediate steps and of the last one."""
 _STEP = 1e-5
-"""Of numerical differentiation."""
+"""Step of the numerical differentiation, in coordinates of order one."""
 _UPPER = np.triu_indices(3)
 _DRIVE_KEYS = {"Im": "rotor_inertia", "k": "stiffness", "b": "damping"}
 
 
 @dataclass(frozen=True)
 class Observed:
-    """What an estimate says of the p base parameters of an arm."""
+    """The information of an estimate about the p base parameters of an arm."""
 
     value: Array
-    """(p,) least squares for all of them; NaN for none."""
+    """(p,) least-squares solution for all base parameters."""
     root: Array
-    """(r, p): |root (x - value)|^2 is chi^2 of base parameters x; what the motion did not excite has no row."""
+    """(r, p): |root (x - value)|^2 is chi^2 of base parameters x; combinations that the motion did not excite have no
+    row."""
     blocks: int
-    """Of the jackknife that chi^2 is scaled by."""
+    """Number of blocks of the jackknife that scales chi^2."""
 
 
 @dataclass(frozen=True)
-class Fit:
+class PhysicalFit:
     """The arm that explains an estimate best."""
 
     model: Model
-    """By bodies; sigmas are of each entry by itself, and those of entries nobody has determined are large."""
+    """Model given by bodies; each sigma is that of one entry alone, and is large for entries that nothing
+    determines."""
     value: Array
-    """(p,) its base parameters."""
+    """(p,) base parameters of the model."""
     covariance: Array
-    """(p, p) theirs."""
+    """(p, p) covariance of the base parameters."""
     known: dict[str, float]
-    """For each entry of `entries_of_model`, how much of the drawing's uncertainty the estimate took away, 0 .. 1."""
+    """Share of the drawing's uncertainty that the estimate removes, 0 .. 1, for each entry of `entries_of_model`."""
     lengths: Array
-    """(N, 3) by how much the lengths differ from the drawing, m."""
+    """(N, 3) differences of the lengths from the drawing, m."""
     chi2: float
-    """Of the estimate and of the lengths' prior."""
+    """chi^2 of the estimate and of the lengths relative to the drawing."""
     dof: float
-    """What these say beyond what the bodies were fitted to."""
+    """Degrees of freedom of chi2: those of the estimate and the lengths that are not used up by fitting the bodies."""
     limit: float
-    """Of chi2/dof; infinite where dof is below one, for then the bodies can follow any estimate."""
+    """Limit of chi2/dof; infinite if dof is below one, because then the bodies can follow any estimate."""
     least: float
-    """chi^2 of the nearest positive semi-definite N, by convex programming: no arm whatever has less."""
+    """chi^2 of the nearest positive semi-definite N, by convex programming: a lower bound for every arm."""
 
     @property
     def explained(self) -> bool:
@@ -88,19 +93,19 @@ class Fit:
 
 
 def observe(names: Sequence[str], report: Mapping[str, Any]) -> Observed:
-    """What the JSON of `zygos estimate` says of the parameters `names`; other columns of it are eliminated.
+    """The information about the parameters `names` in the JSON of `zygos estimate`; other columns are eliminated.
 
-    chi^2 has the shape of the normal equations, A, and the size of the jackknife: (x - value)' A (x - value) / c with c
-    the median of published variance over that of A^-1. The published covariance has the rank of its at most 32 blocks
-    and is no metric; independent variances would give away the sharpest combinations. Errors: ZygosError, Undecided if
-    the estimate was refused.
+    chi^2 has the shape of the normal equations A and the scale of the jackknife: (x - value)' A (x - value) / c, where
+    c is the median ratio of published variance to that of A^-1. The published covariance has the rank of its at most 32
+    blocks, so it is not a metric; independent variances would lose the most precise combinations. Errors: ZygosError;
+    Undecided if the estimate was refused.
     """
     listed = [str(entry["name"]) for entry in report["parameters"]]
     missing = [name for name in names if name not in listed]
     if missing:
-        raise ZygosError(f"the estimate has no {', '.join(missing[:3])}; remedy: give the arm that it was learned with")
+        raise ZygosError(f"the estimate has no {', '.join(missing[:3])}; remedy: give the arm file of the estimate")
     if report["validity"] == "refused":
-        raise Undecided(f"the estimate was refused: {report['reason']}; remedy: that of `zygos estimate`")
+        raise Undecided(f"the estimate was refused: {report['reason']}; remedy: see that of `zygos estimate`")
     solution = np.array(report["solution"], dtype=float)
     sigma = np.array([entry["sigma"] for entry in report["parameters"]], dtype=float)
     normal = np.array(report["normal"], dtype=float)
@@ -112,7 +117,7 @@ def observe(names: Sequence[str], report: Mapping[str, Any]) -> Observed:
     ratio = (sigma**2 / spread)[own]
     ratio = ratio[np.isfinite(ratio) & (ratio > 0.0)]
     if not len(ratio):
-        raise Undecided("no parameter of the estimate has a sigma; remedy: that of `zygos estimate`")
+        raise Undecided("no parameter of the estimate has a sigma; remedy: see that of `zygos estimate`")
     inner = scaled[np.ix_(own, own)]
     if others:
         cross = scaled[np.ix_(own, others)]
@@ -122,45 +127,47 @@ def observe(names: Sequence[str], report: Mapping[str, Any]) -> Observed:
     eigen, vectors = np.linalg.eigh(inner)
     kept = eigen > _DEPENDENT * eigen[-1]
     root = np.sqrt(eigen[kept, None] / np.median(ratio)) * vectors[:, kept].T / scale[own]
-    # sharper than this no estimate is, but for one without any noise, and no solver takes it
+    # only an estimate without noise is more precise than this, and no solver could handle its scale
     sharp = np.linalg.norm(root * solution[own], axis=1)[:, None] * _SHARPEST
     return Observed(solution[own], root / np.maximum(1.0, sharp), int(report["blocks"]))
 
 
 class Coordinates:
-    """Numbers y, zero at the drawing and one where it is off by a standard deviation, for arms near the drawing.
+    """Coordinates y of arms near the drawing: zero at the drawing, and one at a deviation of one standard deviation.
 
-    Of each body: log mass, the factor E (lower triangular, logarithms on the diagonal) that the Cholesky factor of its
-    second moment per mass is multiplied with, and the mass centre in radii of gyration. Then the lengths, and the
+    Each body has the logarithm of its mass, the factor E (lower triangular, logarithms on the diagonal) by which the
+    Cholesky factor of its second moment per mass is multiplied, and its mass centre in radii of gyration. They are
+    followed by the lengths and the logarithms of Im, k and b. The standard deviation of the drawing is a factor of e,
+    or a radius of gyration.
     logarithms of Im, k and b. A drawing is taken to be right to a factor of e, or a radius of gyration.
     """
 
     def __init__(self, arm: Arm, drawing: Model, length_sigma: float) -> None:
-        """length_sigma: of each component of a length, m; 0: exact. Errors: ZygosError if the drawing does not fit the
-        arm, or a value of it that can have any size is zero."""
+        """length_sigma: standard deviation of each component of a length, m; 0: exact. Errors: ZygosError if the
+        drawing does not fit the arm, or if a value that is varied by a factor is zero."""
         drawing.base_values(arm)
         for kind, i, _ in arm.joint_parameters:
             start = getattr(drawing.joints[i], _DRIVE_KEYS[kind]).value
             if not 0.0 < start < np.inf:
                 raise ZygosError(
-                    f"model {drawing.name}: {_DRIVE_KEYS[kind]} of joint {drawing.joints[i].name} is {start:g}, and no "
-                    "factor makes another value of it; remedy: state its order of magnitude"
+                    f"model {drawing.name}: {_DRIVE_KEYS[kind]} of joint {drawing.joints[i].name} is {start:g}, which "
+                    "no factor can change; remedy: state its order of magnitude"
                 )
         self.arm = arm
         self.drawing = drawing
         self.length_sigma = length_sigma
         self.bodies = range(0 if arm.free else 1, arm.n + 1)
-        """Those that move."""
+        """Numbers of the bodies that move."""
         self._directions = {i: self._movable(i) for i in self.bodies}
         self._roots = {i: _root(drawing.bodies[i]) for i in self.bodies}
         self._places = [(i, d) for i in self.bodies if i < arm.n for d in self._directions[i]] if length_sigma else []
         of_bodies = sum(7 + len(directions) for directions in self._directions.values())
         self.of_lengths = slice(of_bodies, of_bodies + len(self._places))
-        """Where the lengths stand in y."""
+        """Positions of the lengths in y."""
         self.size = self.of_lengths.stop + len(arm.joint_parameters)
 
     def model(self, y: Array) -> Model:
-        """The arm with these coordinates; sigmas 0."""
+        """The arm with these coordinates, with sigmas 0."""
         bodies = list(self.drawing.bodies)
         first = 0
         for i in self.bodies:
@@ -199,8 +206,9 @@ class Coordinates:
         )
 
     def _movable(self, i: int) -> Array:
-        """(d, 3) directions in body i's frame in which its mass centre and the next joint may be off: on a planar arm
-        across the axis, for nothing else has an effect; on a planar-symmetric one along the line of its joints."""
+        """(d, 3) directions in body i's frame in which its mass centre and the next joint may deviate. For a planar arm
+        they are perpendicular to the axis, since no other direction has an effect; for a planar-symmetric arm there is
+        one, along the line of its joints."""
         if self.arm.spatial:
             return np.eye(3)
         along = self._line()
@@ -209,8 +217,8 @@ class Coordinates:
         return directions
 
     def _line(self) -> Array:
-        """(3,) across the axis, in the base frame of the stretched arm: the longest way from a joint to the next, or
-        from the last one to the mass centre."""
+        """(3,) unit vector perpendicular to the axis, in the base frame of the stretched arm, along the longest
+        distance from a joint to the next, or from the last joint to the mass centre."""
         ways = [body.joint_xyz or body.origin_xyz for body in self.drawing.bodies[1:]]
         stretched = np.einsum("iab,ib->ia", self.arm.frames[1:], np.array(ways))
         across = stretched - np.outer(stretched @ self.arm.axis, self.arm.axis)
@@ -223,7 +231,8 @@ class Coordinates:
 
 
 def entries_of_model(arm: Arm, model: Model) -> dict[str, Quantity]:
-    """By name what a fit moves and a model file has a sigma for: mass and inertia of the bodies, Im, k, b."""
+    """The entries, by name, that a fit varies and that have a sigma in a model file: mass and inertia of the bodies,
+    Im, k, b."""
     listed: dict[str, Quantity] = {}
     for body in model.bodies[0 if arm.free else 1 :]:
         listed[f"{body.name} mass"] = body.mass
@@ -240,13 +249,14 @@ def fit_bodies(
     observed: Observed,
     length_sigma: float,
     progress: Callable[[float], None] = lambda share: None,
-) -> Fit:
+) -> PhysicalFit:
     """The arm near `drawing` (given by bodies) that explains an estimate best.
 
-    Minimises chi^2 + |y|^2 over the `Coordinates` y. The way there: the estimate is first moved to the nearest N that
-    is positive semi-definite, a convex problem with one answer; then the target goes from the drawing's base parameters
-    to it along a line, on which every N is, for these matrices form a convex set; and the fit follows in steps, each
-    starting from the one before. Errors: ZygosError if the drawing does not fit the arm.
+    Minimises chi^2 + |y|^2 over the `Coordinates` y. First the estimate is moved to the nearest N that is positive
+    semi-definite, a convex problem with one solution. Then the target moves along a straight line from the drawing's
+    base parameters to that N; every N on this line is positive semi-definite, because these matrices form a convex set.
+    The fit follows in steps, each starting from the previous one. Errors: ZygosError if the drawing does not fit the
+    arm.
     """
     where = Coordinates(arm, drawing, length_sigma)
     nearest, least = nearest_matrix(arm, drawing, observed)
@@ -261,12 +271,12 @@ def fit_bodies(
     missing = observed.root @ (value - observed.value)
     lengths = y[where.of_lengths]
     rows = np.vstack([observed.root @ slope_of_base, np.eye(where.size)])
-    # a root of the covariance of y
+    # a square root of the covariance of y
     spread = np.linalg.inv(np.linalg.qr(rows, mode="r"))
     tested = np.vstack([rows[: -where.size], rows[-where.size :][where.of_lengths]])
     dof = float(len(tested) - np.sum((tested @ spread) ** 2))
     model, known = _with_sigmas(where, y, spread)
-    return Fit(
+    return PhysicalFit(
         model=model,
         value=value,
         covariance=(slope_of_base @ spread) @ (slope_of_base @ spread).T,
@@ -285,11 +295,11 @@ def fit_bodies(
 
 
 def nearest_matrix(arm: Arm, drawing: Model, observed: Observed) -> tuple[Array, float]:
-    """The base parameters (p,) nearest to an estimate whose N less the rotors' share is positive semi-definite and
-    whose Im, k and b are not negative, and their chi^2.
+    """The base parameters (p,) nearest to an estimate with N minus the rotors' contribution positive semi-definite and
+    Im, k and b not negative, and their chi^2.
 
-    What every arm obeys, though not only arms: a semidefinite program, solved by Clarabel. The drawing gives the units
-    alone. Errors: ZygosError if cvxpy or Clarabel is missing.
+    Every physical arm satisfies these conditions, but so do some that are not physical. The semidefinite program is
+    solved by Clarabel; the drawing is used only for scaling. Errors: ZygosError if cvxpy or Clarabel is missing.
     """
     try:
         cvxpy = import_module("cvxpy")
@@ -300,7 +310,7 @@ def nearest_matrix(arm: Arm, drawing: Model, observed: Observed) -> tuple[Array,
     kinetic, rotor = _linear(arm)
     bodies = len(arm.body_parameters)
     size = int(np.sqrt(kinetic.shape[1]))
-    # a diagonal entry of N in the drawing's size makes every unknown of order one
+    # scaling by the diagonal of N in the drawing makes every unknown of order one
     diagonal = np.abs(kinetic[:, :: size + 1]).T @ np.abs(drawn[: len(kinetic)])
     unit = np.sqrt(diagonal)
     matrix = cvxpy.Variable((size, size), PSD=True)
@@ -318,14 +328,14 @@ def nearest_matrix(arm: Arm, drawing: Model, observed: Observed) -> tuple[Array,
     )
     problem = cvxpy.Problem(cvxpy.Minimize(cvxpy.sum_squares(observed.root @ x - observed.root @ observed.value)))
     with warnings.catch_warnings():
-        # of a solution that is good to fewer digits: it is a start, and a bound on a number of a few digits
+        # cvxpy warns of a solution with fewer digits; it is only a starting point, and a bound that needs few digits
         warnings.simplefilter("ignore", UserWarning)
         with suppress(cvxpy.SolverError):
             problem.solve(solver=cvxpy.CLARABEL)
     if x.value is None:
         raise Undecided(
-            f"Clarabel finds no arm near the estimate ({problem.status}); remedy: see whether the estimate is that of "
-            f"arm {arm.name}, and model {drawing.name} in SI units"
+            f"Clarabel finds no arm near the estimate ({problem.status}); remedy: check that the estimate belongs to "
+            f"arm {arm.name}, and that model {drawing.name} is in SI units"
         )
     value: Array = np.asarray(x.value, dtype=float)
     gone = observed.root @ (value - observed.value)
@@ -333,12 +343,13 @@ def nearest_matrix(arm: Arm, drawing: Model, observed: Observed) -> tuple[Array,
 
 
 def _linear(arm: Arm) -> tuple[Array, Array]:
-    """Kinetic parameters from N of the bodies without rotors, (c, V^2), and from Im, k, b, (c, at most 3 N)."""
+    """Matrices that give the kinetic parameters from N of the bodies without rotors, (c, V^2), and from Im, k, b, (c,
+    at most 3 N)."""
     kinds = arm.joint_parameters
     if arm.spatial:
         size = gram.directions(arm)
         kinetic = np.array([gram.to_parameters(arm, unit.reshape(size, size)) for unit in np.eye(size * size)]).T
-        # the upper triangle stands for both entries
+        # the upper triangle represents both symmetric entries
         both = np.array([gram.to_parameters(arm, unit.reshape(size, size).T) for unit in np.eye(size * size)]).T
         kinetic = 0.5 * (kinetic + both)
         rotor = np.zeros((len(kinetic), len(kinds)))
@@ -395,7 +406,7 @@ def _slope(function: Callable[[Array], Array], y: Array) -> Array:
 
 
 def _root(body: Body) -> Array:
-    """(3, 3) Cholesky factor of the second moment per mass about the centre, at least THINNEST thick, m."""
+    """(3, 3) Cholesky factor of the second moment per mass about the centre, m, limited from below by THINNEST."""
     second = (0.5 * np.trace(body.tensor) * np.eye(3) - body.tensor) / body.mass.value
     eigen, vectors = np.linalg.eigh(second)
     root: Array = np.linalg.cholesky((vectors * np.maximum(eigen, THINNEST * eigen[-1])) @ vectors.T)
@@ -403,13 +414,13 @@ def _root(body: Body) -> Array:
 
 
 def _reach(body: Body) -> Array:
-    """(3,) where the next joint stands, m; of the last body zero."""
+    """(3,) position of the next joint, m; zero for the last body."""
     return np.array(body.joint_xyz or (0.0, 0.0, 0.0))
 
 
 def _with_sigmas(where: Coordinates, y: Array, spread: NDArray[Any]) -> tuple[Model, dict[str, float]]:
-    """The arm at y with the sigmas that the coordinates' covariance, spread spread', gives each entry, and how much of
-    each is known."""
+    """The arm at y with a sigma for each entry, from the covariance spread spread' of the coordinates, and the share of
+    the drawing's uncertainty that is removed from each."""
 
     def entries(at: Array) -> Array:
         return np.array([entry.value for entry in entries_of_model(where.arm, where.model(at)).values()])

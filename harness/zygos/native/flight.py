@@ -29,40 +29,12 @@ FRAME = np.dtype(
 )
 """A classical CAN frame, as ``zygos_frame_t``."""
 
-VALIDITY = ("refused", "doubtful", "partial", "valid")
-REASONS = (
-    "",
-    "too few accepted instants",
-    "the motion so far does not determine every parameter",
-    "motion too fast for this sample rate: more than 5 % of the instants failed the bandwidth test",
-    "the estimate is not physical: an inertia matrix that is not positive definite, or a negative Im, k, b or friction",
-    "the accumulated sums are corrupt: memory was changed from outside",
-    "the balance does not close: what the solution leaves over is no noise",
-    "sensor noise is as large as the motion in some combination of parameters",
-    "the declared sensor noise is not in the data: the residuals are far smaller",
-    "the arm changed: its newest arcs contradict what those before them say, several in a row",
-    "the balance leaves more than a tenth of the work unexplained, and what it leaves is no noise",
-)
 DRIFT_ALARM = 6.0
-"""Deviations that are no accident, as ``ZYGOS_DRIFT_ALARM``."""
+"""Deviations that are no accident, as ``ZYGOS_CHANGE_ALARM``."""
 GATE = 2.0
-"""Ratio of sums to noise below which what noise makes of an estimate is not taken off in whole, as ``ZYGOS_GATE``."""
+"""Ratio of sums to noise below which only part of the noise is subtracted, as ``ZYGOS_MIN_SIGNAL_TO_NOISE``."""
 OVERDECLARED = 0.6
 """Share of the declared noise below which the residuals are believed instead, as ``ZYGOS_OVERDECLARED``."""
-_CONFIG_ERRORS = {
-    -2: "the library was built with other headers",
-    -3: "too many joints for this build",
-    -4: "this build has no columns of that `kinetic`",
-    -5: "period_s must be within 1e-5 .. 0.065",
-    -6: "unknown torque_law",
-    -7: "the smoother's points, order or lag are out of range (lag must be points // 2: end-point filters are refused)",
-    -8: "node numbers must be 1..31, each used once",
-    -9: "joint axes must be unit vectors, parallel where the arm is planar",
-    -10: "a ratio, sign, zero, sigma, latch delay or memory is out of range",
-    -11: "arc.max_s, arc.impulse_max_s or arc.momentum_max_s is shorter than 20 cycles",
-    -15: "base, gravity and gyro do not fit each other",
-    -14: "an effect stands twice, or has no columns in this build",
-}
 
 
 def _load() -> tuple[Any, Any]:
@@ -92,6 +64,31 @@ def _load() -> tuple[Any, Any]:
 
 
 ffi, lib = _load()
+
+
+def text_of(function: Any, value: int) -> str:
+    """What one of the library's text functions (``zygos/text.h``) says of a value."""
+    return str(ffi.string(function(value)).decode())
+
+
+def _texts(enum: str, function: Any) -> tuple[str, ...]:
+    """The texts of an enumeration whose values count up from 0."""
+    return tuple(text_of(function, value) for value in range(len(ffi.typeof(f"enum {enum}").elements)))
+
+
+VALIDITY = _texts("zygos_validity", lib.zygos_validity_text)
+"""By ``enum zygos_validity``."""
+REASONS = ("", *_texts("zygos_reason", lib.zygos_reason_text)[1:])
+"""By ``enum zygos_reason``; empty where an estimate has none."""
+ROWS = _texts("zygos_rows", lib.zygos_rows_text)[: lib.ZYGOS_KINDS_OF_ROWS]
+"""Kinds of rows, each with arcs of its own, by ``enum zygos_rows``."""
+_CONFIG_ERRORS = {
+    lib.ZYGOS_E_SMOOTHER: "the smoother's points, order or lag are out of range (lag must be points // 2: end-point "
+    "filters are refused)",
+    lib.ZYGOS_E_VALUE: "a ratio, sign, zero, sigma, latch delay or memory is out of range",
+    lib.ZYGOS_E_ARC: "arc.max_s, arc.impulse_max_s or arc.momentum_max_s is shorter than 20 cycles",
+}
+"""Where the arm file has other names than the configuration that is made of it."""
 
 
 def _field_names(struct: str) -> tuple[str, ...]:
@@ -164,10 +161,6 @@ class Estimate:
     """0, or older arcs spoilt the sums and only what came behind this cycle went in."""
     in_a_row: int = 0
     """Of those of the energy rows the newest that no arc that agrees lies between."""
-
-
-ROWS = ("energy", "motor", "momentum")
-"""Kinds of rows, each with arcs of its own, as ``zygos_rows``."""
 
 
 @dataclass(frozen=True)
@@ -256,8 +249,8 @@ def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
     for k, entry in enumerate(np.asarray(arm.mount, dtype=float).ravel()):
         config.imu_to_base[k] = entry
     config.imu_latch_s = arm.imu.latch_us * 1e-6
-    config.imu_sigma = arm.imu.rate_sigma
-    config.keep = 1.0 if arm.memory_s is None else math.exp(-arm.period_s / arm.memory_s)
+    config.imu_sigma = arm.imu.over_the_wire.rate_sigma
+    config.forgetting_factor = 1.0 if arm.memory_s is None else math.exp(-arm.period_s / arm.memory_s)
     config.compensation = arm.compensation
     config.impulse_arc_cycles = max(1, round(arm.impulse_arc_s / arm.period_s)) if arm.impulse_arc_s > 0.0 else 0
     config.momentum_arc_cycles = max(1, round(arm.momentum_arc_s / arm.period_s)) if arm.momentum_arc_s > 0.0 else 0
@@ -289,7 +282,13 @@ def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
         )
     config.effects = len(columns)
     for k, effect in enumerate(columns):
-        config.effect[k].kind = getattr(lib, f"ZYGOS_{effect.kind.key.upper()}")
+        kind = getattr(lib, f"ZYGOS_{effect.kind.key.upper()}", None)
+        if kind is None:
+            raise ZygosError(
+                f"effect {effect.kind.key} at {effect.joint}: the C library has no column for it; remedy: remove the "
+                "entry from the model that names the effects to estimate"
+            )
+        config.effect[k].kind = kind
         config.effect[k].joint = effect.index(arm)
     return config
 
@@ -344,13 +343,14 @@ class Flight:
         self.native = ffi.new("zygos_t *")
         verdict = lib.zygos_init(self.native, config_of(arm, effects))
         if verdict < 0:
+            reason = _CONFIG_ERRORS.get(verdict) or text_of(lib.zygos_text, verdict)
             raise ZygosError(
-                f"the flight library refuses arm {arm.name!r}: {_CONFIG_ERRORS.get(verdict, verdict)}; "
+                f"the flight library refuses arm {arm.name!r}: {reason}; "
                 f"remedy: correct the {'effects' if verdict == lib.ZYGOS_E_EFFECT else 'arm file'}"
             )
         self.effects = estimated(arm, effects)
         self.names = (*arm.parameter_names, *(effect.column(arm) for effect in self.effects))
-        if self.native.layout.count != len(self.names):
+        if self.native.column_map.count != len(self.names):
             raise ZygosError(
                 f"arm {arm.name!r}: gravity is within 1e-9 rad of a joint axis, which may or may not feel it; "
                 "remedy: make them parallel, or tilt them"
@@ -402,10 +402,10 @@ class Flight:
             cluster=out.cluster,
             residual=out.residual,
             noise_ratio=out.noise_ratio,
-            gate=out.gate,
+            gate=out.signal_to_noise,
             left_out=(out.left_out[0], out.left_out[1], out.left_out[2]),
             since=int(out.since),
-            in_a_row=int(out.in_a_row),
+            in_a_row=int(out.consecutive),
         )
 
     def adopt(self) -> bool:
@@ -419,7 +419,7 @@ class Flight:
         """Compare the newest arc with all before it. The accumulation is not disturbed."""
         deviation = ffi.new("double[]", lib.ZYGOS_MAX_PARAMETERS_VALUE)
         lib.zygos_take(self.native, self._work)
-        lib.zygos_drift(self._work, self._before, deviation)
+        lib.zygos_detect_change(self._work, self._before, deviation)
         out, p = self._before, len(self.names)
         far = np.frombuffer(ffi.buffer(deviation), dtype=np.float64)[:p].copy()
         return Drift(self.names, far, REASONS[out.reason], float(out.cluster), int(out.cycle))
@@ -471,7 +471,7 @@ class Flight:
             ],
             motors=[
                 [
-                    (_symmetric(block.joint[i].gram, joints.layout.count[i] + 1), block.instants[i])
+                    (_symmetric(block.joint[i].gram, joints.column_map.count[i] + 1), block.instants[i])
                     for i in range(self.arm.n)
                 ]
                 for block in joints.block[0 : joints.count]

@@ -7,38 +7,37 @@ from typing import Any, Literal
 
 from zygos.errors import ZygosError
 from zygos.files.output import write_bytes
-from zygos.native.flight import Flight, ffi, lib
+from zygos.native.flight import Flight, ffi, lib, text_of
 
-Kind = Literal["configuration", "state"]
-_KINDS: dict[Kind, tuple[int, str]] = {
+SnapshotKind = Literal["configuration", "state"]
+_KINDS: dict[SnapshotKind, tuple[int, str]] = {
     "configuration": (lib.ZYGOS_SNAPSHOT_CONFIG, "zygos_config_t"),
     "state": (lib.ZYGOS_SNAPSHOT_STATE, "zygos_t"),
 }
 _HEAD = lib.ZYGOS_SNAPSHOT_HEAD_VALUE
-_REFUSALS = {
-    lib.ZYGOS_E_SNAPSHOT: ("is no snapshot of zygos", "check the path"),
-    lib.ZYGOS_E_FORMAT: ("is a snapshot of a format that this version does not read", "use the version that wrote it"),
-    lib.ZYGOS_E_KIND: ("is a snapshot of something else, no {kind}", "check the path"),
-    lib.ZYGOS_E_BYTE_ORDER: ("was written by a machine of the other byte order", "read it on such a machine"),
-    lib.ZYGOS_E_LAYOUT: (
-        "was written by a build with other capacities, structs or version",
-        "write it again with this",
-    ),
-    lib.ZYGOS_E_LENGTH: ("is cut off, or has more bytes than its head says", "copy it again"),
-    lib.ZYGOS_E_CRC: ("is damaged: its CRC does not fit its bytes", "copy or write it again"),
-    lib.ZYGOS_E_STATE: ("was damaged before it was sealed: it holds a count that cannot be", "take an older one"),
-    lib.ZYGOS_E_SUMS: ("was damaged before it was sealed: its sums are corrupt", "take an older one"),
-    lib.ZYGOS_E_CONFIG: ("is the state of another configuration", "give the configuration that it was made with"),
+_REMEDIES = {
+    lib.ZYGOS_E_SNAPSHOT: "check the path",
+    lib.ZYGOS_E_FORMAT: "use the version that wrote it",
+    lib.ZYGOS_E_KIND: "check the path",
+    lib.ZYGOS_E_BYTE_ORDER: "read it on such a machine",
+    lib.ZYGOS_E_LAYOUT: "write it again with this",
+    lib.ZYGOS_E_LENGTH: "copy it again",
+    lib.ZYGOS_E_CRC: "copy or write it again",
+    lib.ZYGOS_E_STATE: "take an older one",
+    lib.ZYGOS_E_SUMS: "take an older one",
+    lib.ZYGOS_E_CONFIG: "give the configuration that it was made with",
 }
 
 
-def refusal(path: str | Path, kind: Kind, code: int) -> ZygosError:
+def refusal(path: str | Path, kind: SnapshotKind, code: int) -> ZygosError:
     """The error for what `zygos_snapshot_check` or `zygos_resume` answers."""
-    wrong, remedy = _REFUSALS.get(code, (f"is refused with code {code}", "write it again"))
-    return ZygosError(f"{path}: {wrong.format(kind=kind)}; remedy: {remedy}")
+    wrong = text_of(lib.zygos_text, code) if code in _REMEDIES else f"is refused with code {code}"
+    if code == lib.ZYGOS_E_KIND:
+        wrong = f"is a snapshot of something else, no {kind}"
+    return ZygosError(f"{path}: {wrong}; remedy: {_REMEDIES.get(code, 'write it again')}")
 
 
-def seal(kind: Kind, native: Any) -> bytes:
+def seal(kind: SnapshotKind, native: Any) -> bytes:
     """Head and memory of a ``zygos_config_t *`` or ``zygos_t *``."""
     number, _ = _KINDS[kind]
     head = ffi.new("uint8_t[]", _HEAD)
@@ -46,7 +45,7 @@ def seal(kind: Kind, native: Any) -> bytes:
     return bytes(head) + bytes(ffi.buffer(native))
 
 
-def read(path: str | Path, kind: Kind) -> Any:
+def read(path: str | Path, kind: SnapshotKind) -> Any:
     """The ``zygos_config_t *`` or ``zygos_t *`` of a file.
 
     Errors: ZygosError if there is none, or it is not exactly what this build of the library would have sealed.
@@ -65,7 +64,7 @@ def read(path: str | Path, kind: Kind) -> Any:
     return native
 
 
-def write(path: Path, kind: Kind, native: Any) -> None:
+def write(path: Path, kind: SnapshotKind, native: Any) -> None:
     """Seal into a file, which is written whole or not at all. Errors: ZygosError if it cannot be written."""
     write_bytes(path, seal(kind, native))
 

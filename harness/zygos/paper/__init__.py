@@ -1,1 +1,1 @@
-"""The paper's estimators and tables, beside those that are printed."""
+"""The paper's estimators and tables, compared with the printed ones."""

@@ -1,4 +1,4 @@
-"""What Tables III and IV of the paper print, by the names of `arm.toml`; the paper's a21 is a12 here."""
+"""The values printed in Tables III and IV of the paper, by the names of `arm.toml`; the paper's a21 is a12 here."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from zygos.arm import Arm
 Floats = NDArray[np.float64]
 
 PARAMETERS = ("a00", "a01", "a02", "a11", "a12", "a22", "Im1", "Im2", "k1", "k2", "b1", "b2")
-"""In the paper's order."""
+"""Parameters in the paper's order."""
 
 # Table III, in units of 10^4
 _ACTUAL = (2.3774, 4.2330, 0.9612, 8.1832, 1.9709, 0.5099, 0.0001, 0.0001, 0.1000, 0.1000, 0.0085, 0.0075)
@@ -38,18 +38,18 @@ def _column(values: tuple[float, ...], scale: float = 1.0) -> dict[str, float]:
 
 ACTUAL = _column(_ACTUAL, 1e4)
 _STEP = 0.5 * (1.0 + 1e-9)
-"""Half of the last digit of Table III, and what the rounding of a float adds."""
+"""Tolerance: half of the last digit of Table III, plus the rounding error of a float."""
 ESTIMATES = {"DE": _column(_DE, 1e4), "EB": _column(_EB, 1e4)}
-"""Table III."""
+"""Values of Table III."""
 ERRORS = {
     "DE, exact data": _column(_DE_EXACT, 1e-8),
     "EB, exact data": _column(_EB_EXACT, 1e-6),
     "DE": _column(_DE_NOISY),
     "EB": _column(_EB_NOISY),
 }
-"""Table IV, per cent."""
+"""Errors of Table IV, per cent."""
 SIZE = 2.0
-"""Two errors agree in size where neither is more than so many times the other."""
+"""Two errors agree in size if neither is larger than the other by more than this factor."""
 
 
 def describes(arm: Arm, true: Floats) -> bool:
@@ -61,11 +61,11 @@ def describes(arm: Arm, true: Floats) -> bool:
 
 
 ROUNDING = 1e-8
-"""Errors below this, per cent, are those of the arithmetic."""
+"""Errors below this, per cent, are rounding errors of the arithmetic."""
 
 
 def agreement(ours: float, printed: float) -> str:
-    """In what two errors agree: "sign, size", "sign", "size" or "–"; "rounding" where both are nothing else."""
+    """Agreement of two errors: "sign, size", "sign", "size" or "–"; "rounding" if both are only rounding errors."""
     if max(abs(ours), abs(printed)) < ROUNDING:
         return "rounding"
     words = []
@@ -77,7 +77,7 @@ def agreement(ours: float, printed: float) -> str:
 
 
 def eb_values(true: Floats, names: tuple[str, ...]) -> Floats:
-    """(p,) the EB estimates that the paper prints, with the four digits of their errors, of the parameters `names`.
+    """(p,) the EB estimates of the parameters `names` that follow from the four digits of the printed errors.
 
     Raises KeyError for a name that the paper does not have.
     """

@@ -1,4 +1,4 @@
-"""What the paper leaves open, read in several ways: how close each comes to its Table IV."""
+"""Several interpretations of what the paper leaves open, and how close each comes to its Table IV."""
 
 from __future__ import annotations
 
@@ -10,9 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
+from zygos.errors import ZygosError
+from zygos.model.model import load_model
 from zygos.paper import printed
-from zygos.paper.methods import eb
+from zygos.paper.methods import de, eb, exact_record, noisy_states
+from zygos.paper.tables import Example, noisy_record
 from zygos.reference.solver import Rows, solve
+from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import Scenario
 from zygos.simulation.score import score
 
@@ -20,7 +24,7 @@ Floats = NDArray[np.float64]
 
 
 PRINTED_VARIANCE = 0.003 / 12.0
-"""rad^2, of an angle, as (48) has it (docs/paper.md, erratum 4)."""
+"""Variance of an angle, rad^2, as in (48) (docs/paper.md, erratum 4)."""
 
 
 FINER_RAD = 0.0021
@@ -31,14 +35,14 @@ SPARSE = 10
 
 @dataclass(frozen=True)
 class Reading:
-    """One choice among those that the paper leaves open; all else is as in the example."""
+    """One interpretation of what the paper leaves open; everything else is as in the example."""
 
-    said: str
+    description: str
     scenario: Callable[[Scenario], Scenario] = lambda scenario: scenario
     arm: Callable[[Arm], Arm] = lambda arm: arm
     rates: eb.Rates = "backward"
     every: int = 1
-    """One row in so many is used."""
+    """Only every that many rows are used."""
 
 
 def _duration(duration_s: float) -> Reading:
@@ -89,14 +93,54 @@ COLUMNS = {
 }
 
 
+def compare(
+    example: Example, seeds: int, progress: Callable[[str, float], None] = lambda *_: None
+) -> list[dict[str, Any]]:
+    """How close each of `READINGS` comes to Table IV: for each its name, and by column the result of `closeness`.
+
+    progress: called with the current reading and the finished share. Errors: ZygosError for an arm that is not the
+    paper's, and for a motion that does not consist of sines.
+    """
+    if not printed.describes(example.arm, example.true):
+        raise ZygosError(
+            f"arm {example.arm.name}: its true values are not those of the paper's Table III, with which the readings "
+            "are compared; remedy: examples/paper, or a copy of it with another scenario"
+        )
+    if any(not motion.sines for motion in example.scenario.manoeuvre.values()):
+        raise ZygosError(
+            f"scenario {example.scenario.name}: a joint has no sines, as the paper's motion (47) has; remedy: "
+            'write `kind = "sines"` for each joint'
+        )
+    model = load_model(example.scenario.plant)
+    found = []
+    for index, reading in enumerate(READINGS):
+        progress(reading.description, index / len(READINGS))
+        arm, scenario = reading.arm(example.arm), reading.scenario(example.scenario)
+        noisy = simulate(arm, model, scenario, seeds=range(seeds), noise=True, rtol=1e-9, atol=1e-11)
+        exact = exact_record(simulate(arm, model, scenario, seeds=[0], noise=False))
+        record, states = noisy_record(arm, noisy), noisy_states(arm, exact, range(seeds))
+        estimates = {
+            "DE": de.regressor(arm, record),
+            "DE (32)": de.regressor(arm, states, exact=True),
+            "EB": eb.regressor(arm, record, reading.rates),
+            "EB (32)": eb.regressor(arm, states, "exact"),
+        }
+        close: dict[str, Any] = {"reading": reading.description}
+        for name, (z, w) in estimates.items():
+            value = solved(z, w, reading.every, 2 * arm.n + 1 if "DE" in name else 1)
+            close[name] = closeness(name, value, example.true, arm)
+        found.append(close)
+    return found
+
+
 def solved(z: Floats, w: Floats, every: int, equations: int) -> Floats:
-    """(B, p) least squares over one instant in `every`, each of so many equations."""
+    """(B, p) least squares over every `every`-th instant, each with the given number of equations."""
     kept = np.arange(w.shape[1]) // equations % every == 0
     return np.stack([solve(Rows.exact(a[kept], b[kept])).x for a, b in zip(z, w, strict=True)])
 
 
 def closeness(name: str, value: Floats, true: Floats, arm: Arm) -> dict[str, Any]:
-    """How close estimates (B, p) come to the printed errors: mean size, and how many signs and sizes agree."""
+    """Distance of estimates (B, p) from the printed errors: mean size, and number of signs and sizes that agree."""
     mean = dict(zip(arm.parameter_names, score(value, true).error_percent.mean(axis=0), strict=True))
     words = [printed.agreement(float(mean[n]), error) for n, error in printed.ERRORS[name[:2]].items()]
     return {

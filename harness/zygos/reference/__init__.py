@@ -1,7 +1,7 @@
-"""The numpy reference: one room for each room of the flight library, whole-record and in matrix form.
+"""The numpy reference: one stage for each stage of the flight library, for whole records and in matrix form.
 
-It computes what the C library computes by other means (convolution for rings, design matrices for accumulators,
-orthogonal least squares for normal equations), so that an agreement of the two means something.
+It computes the same results as the C library by different methods (convolution instead of ring buffers, design matrices
+instead of accumulators, orthogonal least squares instead of normal equations), so that their agreement is evidence.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from zygos.arm import Arm
-from zygos.balances.energy import Balance, rows
+from zygos.balances.energy import EnergyRows, energy_rows
 from zygos.balances.momentum import turns
 from zygos.effects import Effect
 from zygos.reference.accumulator import Design, design
@@ -22,13 +22,13 @@ from zygos.runs.samples import Samples, calibrate
 from zygos.runs.smoother import Smoothed, smooth
 
 __all__ = [
-    "Chain",
+    "ReferenceStages",
     "calibrate",
     "chain",
     "design",
+    "energy_rows",
     "motors",
     "noise_of",
-    "rows",
     "smooth",
     "solve_with_others",
     "turns",
@@ -36,27 +36,28 @@ __all__ = [
 
 
 @dataclass(frozen=True)
-class Chain:
-    """What every room makes of a record, for a comparison room by room."""
+class ReferenceStages:
+    """The results of every stage for a record, for a comparison stage by stage."""
 
     samples: Samples
     smoothed: Smoothed
-    balance: Balance
+    balance: EnergyRows
     design: Design
     solution: Solution
 
 
-def chain(arm: Arm, cycles: Cycles, effects: Sequence[Effect] = ()) -> Chain:
-    """Take a record through all rooms, with columns for those of a model's effects that have one in the balance.
+def chain(arm: Arm, cycles: Cycles, effects: Sequence[Effect] = ()) -> ReferenceStages:
+    """Apply all stages to a record, with a column for each of a model's effects that has one in the balance.
 
-    Raises ZygosError for what does not fit the arm, Undecided for a record that does not determine the parameters.
+    Raises ZygosError for input that does not fit the arm, Undecided for a record that does not determine the
+    parameters.
     """
     samples = calibrate(arm, cycles)
     smoothed = smooth(arm, samples)
-    raw = rows(arm, samples, smoothed, effects)
+    raw = energy_rows(arm, samples, smoothed, effects)
     added = noise_of(arm, samples, smoothed, raw, effects)
     balance = replace(raw, z=raw.z - added.mean)
     accumulated = design(balance, added.moment)
     of_motors, momentum = motors(arm, samples, smoothed, effects), turns(arm, samples, smoothed)
     solution = solve_with_others(arm, accumulated, of_motors, momentum, effects)
-    return Chain(samples, smoothed, balance, accumulated, solution)
+    return ReferenceStages(samples, smoothed, balance, accumulated, solution)

@@ -1,6 +1,6 @@
 """Normal equations of the arcs (docs/theory.md, "Arcs and the constant that drops out").
 
-The unknown constant of an arc is eliminated by taking the mean of its accepted rows from each of them.
+The unknown constant of an arc is eliminated by subtracting the mean of its accepted rows from each of them.
 """
 
 from __future__ import annotations
@@ -11,19 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.balances.arcs import MIN_ARC_INSTANTS
-from zygos.balances.energy import Balance
+from zygos.balances.energy import EnergyRows
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Design:
-    """Accepted rows of all arcs that count, less each arc's mean; m rows, p parameters.
+    """Accepted rows of all arcs in use, minus each arc's mean; m rows, p parameters.
 
     z: (m, p). w: (m,) [J]. arc: (m,) arc number. sync: (m,) cycle number.
-    noise: (p+1, p+1) what noise adds on average to the squares of [z, w].
-    arcs: arcs that count. dropped_arcs: arcs too short to count, void, or left out. refused: instants the bandwidth
-    test refused.
+    noise: (p+1, p+1) mean contribution of noise to the squares of [z, w]. arcs: number of arcs in use. dropped_arcs:
+    arcs that are too short, void, or left out. refused: number of instants that failed the bandwidth test.
     """
 
     z: Floats
@@ -36,14 +35,14 @@ class Design:
     noise: Floats
 
     def normal(self) -> tuple[Floats, Floats]:
-        """A = Z' Z, shape (p, p), and b = Z' w, shape (p,), less what noise adds on average."""
+        """A = Z' Z, shape (p, p), and b = Z' w, shape (p,), minus the mean contribution of noise."""
         return self.z.T @ self.z - self.noise[:-1, :-1], self.z.T @ self.w - self.noise[-1, :-1]
 
 
-def design(balance: Balance, moment: Floats | None = None) -> Design:
-    """Collect the accepted rows of a record, arc by arc, and take each arc's mean away.
+def design(balance: EnergyRows, moment: Floats | None = None) -> Design:
+    """Collect the accepted rows of a record, arc by arc, and subtract each arc's mean.
 
-    moment: (arcs, p+1, p+1) what noise adds on average to the sums of each arc; none without it.
+    moment: (arcs, p+1, p+1) mean contribution of noise to the sums of each arc; None: none.
     """
     width = balance.z.shape[1] + 1
     noise = np.zeros((width, width))

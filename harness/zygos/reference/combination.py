@@ -1,4 +1,4 @@
-"""The rows that count beside those of the energy, and their weights (docs/theory.md, "Motor impulse", "Momentum")."""
+"""The rows of the motors and of the momentum beside those of the energy, and their weights (docs/theory.md)."""
 
 from __future__ import annotations
 
@@ -21,21 +21,22 @@ from zygos.runs.smoother import Smoothed
 Floats = NDArray[np.float64]
 
 LEAST_ARCS = 3
-"""Of fewer arcs nothing is learned about their noise."""
+"""Smallest number of arcs from which the noise of the rows is estimated."""
 WALK = 10.0
-"""The mean square of a random walk about its own mean is sigma^2 T^2 over this, between 6 and 15."""
+"""The mean square of a random walk about its own mean is sigma^2 T^2 divided by this, which is between 6 and 15."""
 
 
 MOMENTUM_CAUTION = 5.0
-"""The noise of neighbouring momentum rows is alike, that of energy rows forgets at once."""
+"""Factor by which the noise of the momentum rows is increased: neighbouring rows are correlated, energy rows are
+not."""
 
 
 @dataclass(frozen=True)
-class Motors:
-    """Accepted rows of one joint whose turn it was, less each arc's mean; m rows, p parameters of the arm.
+class JointRows:
+    """Accepted rows of one joint in its turn, minus each arc's mean; m rows, p parameters of the arm.
 
-    joint: from 0. rows: z (m, p) with zeros but for the joint's own, w (m,) [Nms], noise (p+1, p+1) that they hold.
-    arcs: arcs that count.
+    joint: from 0. rows: z (m, p), zero outside the joint's own columns, w (m,) [Nms], and their noise (p+1, p+1).
+    arcs: number of arcs in use.
     """
 
     joint: int
@@ -43,7 +44,7 @@ class Motors:
     arcs: int
 
 
-def motors(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Effect] = ()) -> tuple[Motors, ...]:
+def motors(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Effect] = ()) -> tuple[JointRows, ...]:
     """Rows of every flexible joint over a whole record; none if the arm switches them off. Errors: as `estimated`."""
     if arm.impulse_arc_s == 0.0:
         return ()
@@ -54,7 +55,7 @@ def motors(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Eff
     void = unused(arm, samples, smoothed, arc, longest, "motor")
     names = [*arm.parameter_names, *(effect.column(arm) for effect in estimated(arm, effects))]
     out = []
-    for one in impulse.rows(arm, samples, smoothed, arc, effects):
+    for one in impulse.impulse_rows(arm, samples, smoothed, arc, effects):
         places = [names.index(name) for name in one.names]
         z, w, count = [np.zeros((0, len(names)))], [np.zeros(0)], 0
         for number in range(int(arc.max(initial=-1)) + 1):
@@ -69,15 +70,15 @@ def motors(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Eff
             count += 1
         noise = np.zeros((len(names) + 1, len(names) + 1))
         if arm.compensation:
-            noise[np.ix_(places, places)] = sum(map(len, w)) * impulse.noise(arm, one.joint, effects)
-        out.append(Motors(one.joint, Rows(np.concatenate(z), np.concatenate(w), noise), count))
+            noise[np.ix_(places, places)] = sum(map(len, w)) * impulse.impulse_noise(arm, one.joint, effects)
+        out.append(JointRows(one.joint, Rows(np.concatenate(z), np.concatenate(w), noise), count))
     return tuple(out)
 
 
-def weight(arm: Arm, own: Motors, energy: Floats, x: Floats) -> float:
-    """Of a joint's rows beside those of the energy: the ratio of the noise in them.
+def weight(arm: Arm, own: JointRows, energy: Floats, x: Floats) -> float:
+    """Weight of a joint's rows relative to those of the energy: the ratio of their noise.
 
-    energy: (p+1, p+1) noise of one energy row. x: (p,) the parameters, by the energy rows alone.
+    energy: (p+1, p+1) noise of one energy row. x: (p,) the parameters estimated from the energy rows only.
     """
     joint = arm.joints[own.joint]
     stiffness = x[arm.parameter_names.index(f"k{own.joint + 1}")]
@@ -90,7 +91,7 @@ def weight(arm: Arm, own: Motors, energy: Floats, x: Floats) -> float:
 
 
 def placed(names: Sequence[str], own: Turns) -> Rows:
-    """The momentum rows of p parameters, unweighed."""
+    """The momentum rows with p parameters, without a weight."""
     places = [names.index(name) for name in own.names]
     z, noise = np.zeros((len(own.z), len(names))), np.zeros((len(names) + 1, len(names) + 1))
     z[:, places] = own.z
@@ -99,9 +100,9 @@ def placed(names: Sequence[str], own: Turns) -> Rows:
 
 
 def momentum_weight(own: Turns, rows: Rows, energy: Floats, x: Floats) -> float:
-    """Of the momentum rows; 0 where fewer than LEAST_ARCS arcs or no noise tell it.
+    """Weight of the momentum rows; 0 if fewer than LEAST_ARCS arcs, or no noise, determine it.
 
-    energy: (p+1, p+1) noise of one energy row. x: (p,) the parameters, by the other rows.
+    energy: (p+1, p+1) noise of one energy row. x: (p,) the parameters estimated from the other rows.
     """
     mean = explained(rows.noise, x) / max(len(rows.z), 1)
     if len(own.noise) < LEAST_ARCS or not mean > 0.0:
@@ -111,7 +112,8 @@ def momentum_weight(own: Turns, rows: Rows, energy: Floats, x: Floats) -> float:
 
 @dataclass(frozen=True)
 class Combined:
-    """The estimate from all rows. weights: of each joint's motor rows. momentum_weight: of the momentum rows."""
+    """The estimate from all rows. weights: those of each joint's motor rows. momentum_weight: that of the momentum
+    rows."""
 
     solution: Solution
     weights: tuple[float, ...]
@@ -119,9 +121,9 @@ class Combined:
 
 
 def combine(
-    arm: Arm, design: Design, motors: Sequence[Motors], momentum: Turns | None, effects: Sequence[Effect] = ()
+    arm: Arm, design: Design, motors: Sequence[JointRows], momentum: Turns | None, effects: Sequence[Effect] = ()
 ) -> Combined:
-    """The energy rows, the motor rows and the momentum rows, each weighed by its noise. Raises Undecided as `solve`."""
+    """Combine energy, motor and momentum rows, each weighted by its noise. Raises Undecided as `solve`."""
     energy = Rows(design.z, design.w, design.noise)
     alone = solve(energy)
     noise = design.noise / max(len(design.w), 1)
@@ -138,7 +140,7 @@ def combine(
 
 
 def solve_with_others(
-    arm: Arm, design: Design, motors: Sequence[Motors], momentum: Turns | None, effects: Sequence[Effect] = ()
+    arm: Arm, design: Design, motors: Sequence[JointRows], momentum: Turns | None, effects: Sequence[Effect] = ()
 ) -> Solution:
     """The estimate of `combine`. Raises Undecided as `solve`."""
     return combine(arm, design, motors, momentum, effects).solution

@@ -1,4 +1,4 @@
-"""C against numpy on one log, room by room."""
+"""Compares C with numpy on one log, stage by stage."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from zygos.arm import Arm
 from zygos.balances.arcs import arc_cycles
-from zygos.balances.energy import Balance, rows
-from zygos.balances.impulse import joint_names as impulse_names
+from zygos.balances.energy import EnergyRows, energy_rows
+from zygos.balances.impulse import impulse_names
 from zygos.balances.momentum import Turns, turns
 from zygos.can.wire import Frame
 from zygos.effects import Effect
@@ -20,31 +20,33 @@ from zygos.errors import Undecided
 from zygos.estimation.watch import Watch
 from zygos.native.flight import GATE, ROWS, Estimate, Flight, LeftOut, Trace
 from zygos.reference.accumulator import Design, design
-from zygos.reference.combination import Combined, Motors, combine, motors
+from zygos.reference.combination import Combined, JointRows, combine, motors
 from zygos.reference.noise import noise_of
 from zygos.reference.sigmas import Block, intervals
-from zygos.reference.wire import Reception, receive
+from zygos.reference.wire import Reception, receive_log
 from zygos.runs.cycles import Cycles
 from zygos.runs.samples import Samples, calibrate
 from zygos.runs.smoother import Smoothed, smooth
 
 ROW_TOLERANCE = 1e-12
-"""Of each column's largest entry, where rounding is no larger."""
+"""Tolerance relative to each column's largest entry where rounding errors are not larger."""
 ROUNDING = 32.0
-"""Two correct programs differ by at most so many times what one rounding of every reading and of every coefficient of
-the smoother does to the results."""
+"""Largest difference of two correct programs, as a multiple of the effect of one rounding of every reading and of every
+coefficient of the smoother on the results."""
 LARGEST_TOLERANCE = 1e-9
-"""Beyond it a difference is no rounding, whatever the readings."""
+"""A larger difference is not attributed to rounding, whatever the readings are."""
 NOISE_TOLERANCE = 1e-9
-"""Of the root of the product of the two diagonal entries."""
+"""Tolerance of noise terms, relative to the square root of the product of their two diagonal entries."""
 SIGMA_TOLERANCE = 1e-5
-"""Of each sigma, where the solution is known better than that."""
+"""Tolerance relative to each sigma, where the solution is more accurate than that."""
 SIGMA_DIGITS = 0.01
-"""Where the solutions are known to no better than this share of a sigma, as in a run without noise, it is rounding."""
+"""If the solutions are only accurate to this share of a sigma, as in a run without noise, sigmas are rounding
+errors."""
 STUDENT_TOLERANCE = 0.02
-"""Of each half width, from 2 degrees of freedom on."""
+"""Tolerance relative to each half width, from 2 degrees of freedom upwards."""
 FLOOR = 0.1
-"""The least size (rad, rad/s, J per unit) that a column of states or rows is measured by: at rest it holds rounding."""
+"""Smallest scale (rad, rad/s, J per unit) of a column of states or rows; at rest a column contains only rounding
+errors."""
 
 EPSILON = float(np.finfo(np.float64).eps)
 
@@ -67,7 +69,7 @@ class Room:
 
     name: str
     compared: int
-    """Numbers compared."""
+    """Number of values compared."""
     difference: float
     """Largest difference, relative to the largest entry of its column."""
     cycle: int | None
@@ -82,7 +84,7 @@ class Room:
         return self.difference <= self.tolerance
 
     def as_json(self) -> dict[str, Any]:
-        """For the command's JSON."""
+        """The result as it appears in the command's JSON."""
         return {
             "room": self.name,
             "compared": self.compared,
@@ -95,19 +97,19 @@ class Room:
 
 @dataclass(frozen=True)
 class Tables:
-    """What numpy makes of a record, as far as C is compared with it; n smoothed instants, m rows, p columns."""
+    """The numpy results that are compared with C; n smoothed instants, m rows, p columns."""
 
-    balance: Balance
+    balance: EnergyRows
     used: Design
     state: Floats
-    """(n, 4N+3)"""
+    """(n, 4N+3) smoothed states."""
     row: Floats
     """(m, p+1) columns and work."""
 
     def lengths(self) -> Floats:
-        """(p+1,) lengths of the columns and the work of the rows in use, less the mean of each arc.
+        """(p+1,) lengths of the columns and of the work over the rows in use, minus the mean of each arc.
 
-        Above 0, also where nothing moved.
+        They are above 0 even if nothing moved.
         """
         length: Floats = np.linalg.norm(np.column_stack([self.used.z, self.used.w]), axis=0)
         return np.maximum(length, 1e-150)
@@ -120,8 +122,8 @@ class Tables:
 
 
 def tables(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Effect] = ()) -> Tables:
-    """Take a calibrated and smoothed record through the rest of numpy's rooms."""
-    raw = rows(arm, samples, smoothed, effects)
+    """Apply numpy's remaining stages to a calibrated and smoothed record."""
+    raw = energy_rows(arm, samples, smoothed, effects)
     added = noise_of(arm, samples, smoothed, raw, effects)
     balance = replace(raw, z=raw.z - added.mean)
     state = np.hstack([smoothed.q, smoothed.theta, smoothed.qd, smoothed.thetad, smoothed.omega])
@@ -131,23 +133,24 @@ def tables(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Eff
 
 @dataclass(frozen=True)
 class Rounding:
-    """Tolerances: what rounding may do to a table, as a share of each column's largest entry, and no less."""
+    """Tolerances: the effect of rounding on a table, as a share of each column's largest entry."""
 
     state: Floats
     """(4N+3,)"""
     row: Floats
     """(p+1,)"""
     equations: Floats
-    """(p, p+1), in the unit of `Tables.in_lengths`."""
+    """(p, p+1) tolerances in the unit of `Tables.in_lengths`."""
 
 
 def rounding(arm: Arm, samples: Samples, known: Tables, effects: Sequence[Effect] = ()) -> Rounding:
-    """Measure it: all is computed again from readings moved by up to one rounding of their column's largest.
+    """Measure the effect of rounding: everything is computed again from readings that are shifted by up to one rounding
+    of their column's largest value.
 
-    A rounded coefficient of the smoother errs in the same way at every instant: angles and rates are moved as a whole,
-    too. So a tolerance follows the conditioning of the readings (angles many turns from zero, rates from small
-    differences) and the length of the arcs over which integrals sum up. The library sums squares before it takes the
-    means of an arc away, which rounds the more, the larger the means are.
+    A rounded coefficient of the smoother has the same error at every instant, so angles and rates are also shifted as a
+    whole. In this way a tolerance follows the conditioning of the readings (angles many turns from zero, rates from
+    small differences) and the length of the arcs over which integrals accumulate. The library sums squares before it
+    subtracts the means of an arc, which causes larger rounding errors for larger means.
     """
     generator = np.random.default_rng(0)
 
@@ -193,7 +196,8 @@ def rounding(arm: Arm, samples: Samples, known: Tables, effects: Sequence[Effect
 
 
 def _closest(difference: Floats, tolerance: Floats | float) -> tuple[int, float, float]:
-    """Where a difference is the largest share of its tolerance: place, difference and tolerance there."""
+    """Position of the difference that is the largest share of its tolerance, with the difference and tolerance
+    there."""
     most = np.broadcast_to(tolerance, difference.shape)
     place = int(np.argmax(difference / np.maximum(most, 1e-300)))
     return place, float(difference.flat[place]), float(most.flat[place])
@@ -204,7 +208,7 @@ def _compare(
 ) -> Room:
     """Compare two tables (n, columns) whose rows belong to the cycles sync (n,).
 
-    tolerance: of each column, or of all; a share of the column's largest entry.
+    tolerance: of each column, or one for all; a share of the column's largest entry.
     """
     if c.shape != numpy.shape:
         return Room(name, 0, float("inf"), None, float(np.max(tolerance)))
@@ -218,9 +222,9 @@ def _compare(
 
 
 def _compare_noise(c: Floats, numpy: Floats, rows: Floats) -> Room:
-    """Compare what noise adds to the squares (p+1, p+1) of rows (m, p+1), with each entry's own size.
+    """Compare the noise terms in the squares (p+1, p+1) of rows (m, p+1), relative to each entry's own size.
 
-    A column without noise holds the rounding of its own derivatives.
+    A column without noise contains only rounding errors of its derivatives.
     """
     size = np.maximum(np.sqrt(np.diag(numpy)), 1e-9 * np.linalg.norm(rows, axis=0))
     difference = float(np.max(np.abs(c - numpy) / np.outer(size, size)))
@@ -232,17 +236,17 @@ def _columns(cycles: Cycles) -> Floats:
 
 
 def sizes(arm: Arm, x: Floats) -> Floats:
-    """What differences of the parameters x (p,) are measured by, (p,).
+    """(p,) sizes relative to which differences of the parameters x (p,) are measured.
 
-    The value; of a kinetic one, which may be zero, at least the root of the product of the two diagonal ones that it
-    couples; of a first moment the largest of them.
+    The size is the value; for a kinetic parameter, which may be zero, at least the square root of the product of the
+    two diagonal ones that it couples; for a first moment the largest of them.
     """
     out: Floats = np.abs(x)
     value: dict[str, float] = dict(zip(arm.parameter_names, out.tolist(), strict=False))
     largest = max((value[name] for name, unit in arm.body_parameters if unit == "kg m"), default=0.0)
 
     def own(end: str) -> float:
-        # on a fixed base the first body's two directions share a parameter
+        # on a fixed base one parameter serves both directions of the first body
         name = f"N[{end},{end}]" if arm.spatial else f"a{end}{end}"
         return value[name] if name in value else value["N[1u,1u]"]
 
@@ -253,7 +257,7 @@ def sizes(arm: Arm, x: Floats) -> Floats:
 
 
 def left_out(flight: Flight, ended: Sequence[LeftOut]) -> dict[str, frozenset[int]]:
-    """Newest cycles of the arcs that a flight left out, by kind of rows: those that ended, and open ones."""
+    """Last cycles of the arcs that a flight left out, by kind of rows: of finished arcs and of open ones."""
     estimate, guard = flight.estimate(), flight.native.guard
     out = {}
     for k, kind in enumerate(ROWS):
@@ -263,11 +267,11 @@ def left_out(flight: Flight, ended: Sequence[LeftOut]) -> dict[str, frozenset[in
 
 
 def check_chain(arm: Arm, trace: Trace, flight: Flight, ended: Sequence[LeftOut] = ()) -> list[Room]:
-    """Compare what the rooms behind the receiver made of a run with numpy's result on the same cycles.
+    """Compare the results of the stages after the receiver with numpy's on the same cycles.
 
-    The last room is "solution", unless the run determines none: too short for an instant it ends with the smoother,
-    without any parameter known with the bandwidth test. ended: arcs that the flight left out when they ended; they are
-    told to numpy, which judges none.
+    The last stage is "solution", unless the run determines none: a run too short for any instant ends with the
+    smoother, and one without any determined parameter with the bandwidth test. ended: finished arcs that the flight
+    left out; numpy leaves out the same arcs, since it does not judge them itself.
     """
     samples = replace(calibrate(arm, trace.cycles), left_out=left_out(flight, ended))
     smoothed = smooth(arm, samples)
@@ -277,7 +281,7 @@ def check_chain(arm: Arm, trace: Trace, flight: Flight, ended: Sequence[LeftOut]
     balance, used = known.balance, known.used
     rounds = rounding(arm, samples, known, flight.effects)
     half = arm.smoother.lag
-    at = smoothed.index + half  # the instant k comes out with cycle k + M
+    at = smoothed.index + half  # the result for instant k comes out with cycle k + M
     rooms = [_compare("smoother", trace.state[at], known.state, smoothed.sync, rounds.state, FLOOR)]
     instants = np.flatnonzero(trace.instant)
     sync = trace.cycles.sync[instants] - half
@@ -285,11 +289,11 @@ def check_chain(arm: Arm, trace: Trace, flight: Flight, ended: Sequence[LeftOut]
     c_accepted = trace.accepted[instants].astype(float)[:, None]
     rooms.append(_compare("bandwidth test", c_accepted, balance.accepted.astype(float)[:, None], sync, 0.0))
     estimate = flight.estimate()
-    has_value = np.isfinite(estimate.value)  # the library withholds what is not identifiable
+    has_value = np.isfinite(estimate.value)  # the library gives no value for what is not identifiable
     if not has_value.any():
         return rooms
     if not balance.void:
-        # of arcs that are dropped later the library takes the noise in proportion
+        # the library subtracts the noise of arcs that are discarded later in proportion
         rooms.append(_compare_noise(flight.noise(), used.noise, np.column_stack([used.z, used.w])))
     off = np.abs(known.in_lengths(*flight.normal_equations()) - known.in_lengths(*used.normal()))
     _, difference, tolerance = _closest(off, rounds.equations)
@@ -302,13 +306,13 @@ def check_chain(arm: Arm, trace: Trace, flight: Flight, ended: Sequence[LeftOut]
     solution = combined.solution
     tolerance = max(1e-9, 1e-14 * estimate.condition)
     size = sizes(arm, solution.x)
-    # an effect may be zero; what it could explain at the most is its size then
+    # an effect may be zero; then its size is the largest value that the data would allow
     first = len(arm.parameter_names)
     size[first:] = np.linalg.norm(used.w) / np.linalg.norm(used.z[:, first:], axis=0)
     relative = (np.abs(estimate.value - solution.x) / size)[has_value]
     worst = float(np.max(relative, initial=0.0)) if np.all(np.isfinite(relative)) else float("inf")
     if not balance.void and has_value.all() and estimate.gate >= GATE:
-        # a sigma comes from differences of solutions
+        # a sigma is computed from differences of solutions
         closest = max(SIGMA_TOLERANCE, tolerance * float(np.max(size / estimate.sigma)))
         if closest <= SIGMA_DIGITS:
             rooms.append(_compare_sigmas(arm, flight, estimate, used, of_motors, momentum, combined, closest))
@@ -320,17 +324,17 @@ def _compare_sigmas(
     flight: Flight,
     estimate: Estimate,
     used: Design,
-    of_motors: Sequence[Motors],
+    of_motors: Sequence[JointRows],
     momentum: Turns | None,
     combined: Combined,
     tolerance: float,
 ) -> Room:
-    """Compare sigmas and half widths where every parameter has them, from the library's own blocks."""
+    """Compare sigmas and half widths where every parameter has them, computed from the library's own blocks."""
     names = list(flight.names)
     blocks = flight.blocks()
 
     def spread_out(own: Sequence[str], sums: Floats, factor: float) -> Floats:
-        """(p+1, p+1) with the sums of some columns, and of their right-hand side where it has one."""
+        """(p+1, p+1) with the sums of some columns, and of their right-hand side if it has one."""
         places = [names.index(name) for name in own] + ([len(names)] if len(sums) > len(own) else [])
         out = np.zeros((len(names) + 1, len(names) + 1))
         out[np.ix_(places, places)] = factor * sums
@@ -351,17 +355,17 @@ def _compare_sigmas(
         arcs += [Block(spread_out(momentum.names, sums, factor), zero) for sums in blocks.momentum]
         noise += spread_out(momentum.names, momentum.noise.sum(axis=0), factor)
     energy = [Block(*block) for block in blocks.energy]
-    told = intervals(energy, arcs, noise, used.noise, combined.solution.believed, arc_cycles(arm))
-    sigma = np.abs(estimate.sigma / told.sigma - 1.0)
-    half = np.abs(estimate.half95 / told.half95 - 1.0)
-    # the library has Student's factor by its expansion
+    expected = intervals(energy, arcs, noise, used.noise, combined.solution.believed, arc_cycles(arm))
+    sigma = np.abs(estimate.sigma / expected.sigma - 1.0)
+    half = np.abs(estimate.half95 / expected.half95 - 1.0)
+    # the library computes Student's factor by a series expansion
     difference = float(max(sigma.max(), half.max() * tolerance / (STUDENT_TOLERANCE + tolerance)))
     return Room("sigmas", 2 * len(sigma), difference, None, tolerance)
 
 
 def decode(arm: Arm, frames: NDArray[Any]) -> Reception:
     """`FRAME` records as numpy's side receives them."""
-    return receive(arm, [_frame(f) for f in frames])
+    return receive_log(arm, [_frame(f) for f in frames])
 
 
 def _frame(record: Any) -> Frame:
@@ -370,7 +374,7 @@ def _frame(record: Any) -> Frame:
 
 
 def check_frames(arm: Arm, frames: NDArray[Any], flight: Flight | None = None) -> list[Room]:
-    """Compare all rooms on a log, beginning with the frames, which a fresh `flight` takes in."""
+    """Compare all stages on a log, beginning with its frames, which are fed to a newly created `flight`."""
     watch = Watch(flight or Flight(arm), trace=True)
     watch.frames(frames)
     flight, trace = watch.flight, watch.trace()
@@ -388,7 +392,7 @@ def check_frames(arm: Arm, frames: NDArray[Any], flight: Flight | None = None) -
 
 
 def check_cycles(arm: Arm, cycles: Cycles, flight: Flight | None = None) -> list[Room]:
-    """Compare the rooms behind the receiver on cycles that came through the other door of a fresh `flight`."""
+    """Compare the stages after the receiver on cycles that are fed directly to a newly created `flight`."""
     watch = Watch(flight or Flight(arm), trace=True)
     watch.cycles(cycles)
     return check_chain(arm, watch.trace(), watch.flight, watch.left_out)

@@ -1,9 +1,9 @@
-"""What the sensors' noise adds to rows and to their squares on average (include/zygos/noise.h).
+"""Mean contribution of the sensors' noise to rows and to their squares (include/zygos/noise.h).
 
-With S the covariance of the smoothed signals and J the derivative of the augmented row [columns, work] in them, a
-column holds 1/2 sum_s S_ss d2(column)/dx_s^2 too much, and a square J S J^T. Derivatives are differences of the columns
-themselves at states moved by hand, and all of them exact: a column is quadratic in every rate and in the motors'
-angles, and what bodies and rotors have in it is a trigonometric polynomial in every link angle.
+With S the covariance of the smoothed signals and J the derivative of the augmented row [columns, work] with respect to
+them, the mean error of a column is 1/2 sum_s S_ss d2(column)/dx_s^2, and that of a square is J S J^T. Derivatives are
+exact differences of the columns at shifted states: a column is quadratic in every rate and in the motors' angles, and
+its part from bodies and rotors is a trigonometric polynomial in every link angle.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
-from zygos.balances.energy import Balance, energy_columns
-from zygos.balances.kinematics import State, body_columns
+from zygos.balances.energy import EnergyRows, energy_columns
+from zygos.balances.kinematics import body_columns
+from zygos.balances.state import State
 from zygos.effects import Effect, estimated
 from zygos.runs.samples import Samples
 from zygos.runs.smoother import Smoothed, coefficients
@@ -26,7 +27,7 @@ Floats = NDArray[np.float64]
 Side = Literal["q", "theta"]
 
 GYRO_SHARE = 1e-4
-"""A gyro whose variance is below this share of that of every link's rate is taken to be exact."""
+"""A gyro whose variance is below this share of that of every link's rate is treated as exact."""
 
 TURNS = np.pi * np.array([0.25, 0.75, 1.25, 1.75])
 RIESZ = np.array([1.0, -1.0, 1.0, -1.0]) / (8.0 * np.sin(0.5 * TURNS) ** 2)
@@ -35,7 +36,7 @@ RIESZ = np.array([1.0, -1.0, 1.0, -1.0]) / (8.0 * np.sin(0.5 * TURNS) ** 2)
 
 @dataclass(frozen=True)
 class Spread:
-    """Covariances of the smoothed signals; sensors are independent of each other.
+    """Covariances of the smoothed signals; different sensors are independent.
 
     link, motor: (N, 2, 2) of value and rate of each joint's signal [rad, rad/s]. gyro: variance of a component of the
     smoothed base rate [rad^2/s^2]; 0 on a fixed base.
@@ -55,18 +56,18 @@ class Instants:
     tau_next: Floats
 
     def at(self, rows: NDArray[np.int64]) -> Instants:
-        """Some of them."""
+        """A selection of the instants."""
         s = self.state
         state = State(s.q[rows], s.theta[rows], s.qd[rows], s.thetad[rows], s.base[rows])
         return Instants(state, self.tau[rows], self.tau_next[rows])
 
 
 @dataclass(frozen=True)
-class Noise:
-    """What noise adds on average to a record's rows; m rows, p columns.
+class RowNoise:
+    """Mean contribution of noise to a record's rows; m rows, p columns.
 
-    mean: (m, p), to each column. moment: (arcs, p+1, p+1), to the sum of the squares of [columns, work] over the
-    accepted rows of each arc.
+    mean: (m, p) to each column. moment: (arcs, p+1, p+1) to the sum of the squares of [columns, work] over the accepted
+    rows of each arc.
     """
 
     mean: Floats
@@ -74,7 +75,7 @@ class Noise:
 
 
 def spread(arm: Arm) -> Spread:
-    """Covariances by the declared deviations and the smoother's coefficients."""
+    """Covariances from the declared deviations and the smoother's coefficients."""
     points, order, h = arm.smoother.points, arm.smoother.order, arm.period_s
 
     def of(latch_us: int, sigma: float) -> Floats:
@@ -86,18 +87,20 @@ def spread(arm: Arm) -> Spread:
     motors = [(joint.latch_us, joint.motor_encoder.over_the_wire) for joint in arm.joints]
     link = np.stack([of(own + encoder.latch_us, encoder.sigma_rad) for own, encoder in links])
     motor = np.stack([of(own + encoder.latch_us, encoder.sigma_rad) for own, encoder in motors])
-    gyro = float(of(arm.imu.latch_us, arm.imu.rate_sigma)[0, 0]) if arm.free else 0.0
+    gyro = float(of(arm.imu.latch_us, arm.imu.over_the_wire.rate_sigma)[0, 0]) if arm.free else 0.0
     return Spread(link, motor, gyro if gyro >= GYRO_SHARE * link[:, 1, 1].min() else 0.0)
 
 
-def noise_of(arm: Arm, samples: Samples, smoothed: Smoothed, balance: Balance, effects: Sequence[Effect] = ()) -> Noise:
-    """What noise adds to the rows of a balance; zeros where the arm switches the compensation off."""
+def noise_of(
+    arm: Arm, samples: Samples, smoothed: Smoothed, balance: EnergyRows, effects: Sequence[Effect] = ()
+) -> RowNoise:
+    """Mean contribution of noise to the rows of a balance; zeros if the arm switches the compensation off."""
     m, p = balance.z.shape
     arcs = int(balance.arc.max(initial=-1)) + 1
     mean, moment = np.zeros((m, p)), np.zeros((arcs, p + 1, p + 1))
     if arm.compensation == 0:
-        return Noise(mean, moment)
-    here = instants(arm, samples, smoothed, balance)
+        return RowNoise(mean, moment)
+    here = row_instants(arm, samples, smoothed, balance)
     known = spread(arm)
     since_origin = np.arange(m) - np.searchsorted(balance.arc, balance.arc)
     bodies = means(arm, known, here.state)
@@ -106,15 +109,13 @@ def noise_of(arm: Arm, samples: Samples, smoothed: Smoothed, balance: Balance, e
     for arc in range(arcs):
         used = np.flatnonzero(balance.accepted & (balance.arc == arc))
         moment[arc] = moments(arm, known, here.at(used), since_origin[used], effects)
-    return Noise(mean, moment)
+    return RowNoise(mean, moment)
 
 
-def instants(arm: Arm, samples: Samples, smoothed: Smoothed, balance: Balance) -> Instants:
+def row_instants(arm: Arm, samples: Samples, smoothed: Smoothed, balance: EnergyRows) -> Instants:
     """The instants of a balance's rows."""
     of = np.searchsorted(smoothed.index, balance.index)
-    base = smoothed.omega if arm.spatial else smoothed.omega @ arm.axis
-    state = State(smoothed.q, smoothed.theta, smoothed.qd, smoothed.thetad, base)
-    whole = Instants(state, samples.tau[smoothed.index - 1], samples.tau[smoothed.index])
+    whole = Instants(State.smoothed(arm, smoothed), samples.tau[smoothed.index - 1], samples.tau[smoothed.index])
     return whole.at(of)
 
 
@@ -134,7 +135,7 @@ def means(arm: Arm, known: Spread, state: State) -> Floats:
 
 
 def drift(arm: Arm, known: Spread, effects: Sequence[Effect] = ()) -> Floats:
-    """What noise adds in a step to the columns behind those of bodies: to integrals of squared rates."""
+    """Mean contribution of noise per step to the columns after those of bodies, which integrate squared rates."""
     h, rate = arm.period_s, known.motor[:, 1, 1]
     slip = [h * (known.link[i, 1, 1] + rate[i]) if kind == "b" else 0.0 for kind, i, _ in arm.joint_parameters]
     of_effects = [
@@ -147,8 +148,8 @@ def drift(arm: Arm, known: Spread, effects: Sequence[Effect] = ()) -> Floats:
 def moments(arm: Arm, known: Spread, here: Instants, turn: NDArray[np.int64], effects: Sequence[Effect] = ()) -> Floats:
     """Sum of J S J^T over instants, (p+1, p+1), the work last.
 
-    turn: (m,) sensor s (link encoders, motor encoders, gyro) counts where turn % `arm.compensation` is s modulo the
-    same, and then for all the others.
+    turn: (m,) sensor s (link encoders, motor encoders, gyro) is evaluated where turn % `arm.compensation` is s modulo
+    the same number, and then represents all other instants.
     """
     every, n = arm.compensation, arm.n
     p = len(arm.parameter_names) + len(estimated(arm, effects))
@@ -180,8 +181,8 @@ def moments(arm: Arm, known: Spread, here: Instants, turn: NDArray[np.int64], ef
 def slopes(arm: Arm, here: Instants, side: Side, i: int, effects: Sequence[Effect] = ()) -> tuple[Floats, Floats]:
     """Derivatives of [columns, work], (m, p+1) each, in the angle and in the rate of joint i's link or motor.
 
-    Of what has been integrated since the arc began, the part that the noise of this instant has in it is the integrand
-    over the rate, times the noise of the angle.
+    For a column that is integrated since the start of the arc, the part caused by the noise of this instant is the
+    integrand over the rate, times the noise of the angle.
     """
 
     def columns(place: str, by: float) -> Floats:
@@ -217,7 +218,7 @@ def slopes(arm: Arm, here: Instants, side: Side, i: int, effects: Sequence[Effec
         if effect.kind.potential is not None:
             by_angle[:, k] = sign * torque(deflection)
         elif place == {"q": "link", "theta": "motor"}[side]:
-            # d(f(v) v)/dv of an f in proportion to the rate, or constant above the slowest rate
+            # d(f(v) v)/dv where f is proportional to the rate, or constant above the slowest rate
             grows = 2.0 if effect.kind.key == "motor_viscous" else 1.0
             by_angle[:, k] = grows * (ratio if side == "theta" else 1.0) * torque(rate)
     if side == "theta":

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from zygos.arm import Arm
 from zygos.files.output import number
+from zygos.reference.check import Check
 from zygos.reference.compare import Curve, Room
 from zygos.report.figures import LogScale
 from zygos.report.page import Entry, numbers, render, series, thinned
@@ -30,16 +30,12 @@ _MEANS = {
 
 def write_check_report(
     path: Path,
-    arm: Arm,
-    rooms: Sequence[Room],
-    undecided: tuple[str, str] | None,
-    damage: Sequence[str],
+    found: Check,
     provenance: Provenance,
+    damage: Sequence[str] = (),
 ) -> None:
-    """Write the page. undecided: what differs or is missing, and the remedy; None where all is equal.
-
-    Errors: ZygosError if it cannot be written.
-    """
+    """Write the page. damage: of the run's log. Errors: ZygosError if it cannot be written."""
+    arm, rooms, undecided = found.flight.arm, found.stages, found.undecided
     times: Entry = {}
     charts = [_chart(k, room, room.over, times) for k, room in enumerate(rooms) if room.over is not None]
     charts = [chart for chart in charts if any(y is not None for y in chart["series"][0]["y"])]

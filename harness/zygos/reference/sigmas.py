@@ -1,6 +1,6 @@
 """Sigmas and 95 % intervals from the sums of blocks (docs/theory.md, "Sigmas and intervals").
 
-The blocks are the library's own; what is made of them is not. Matrices are inverted as they are, one for each block.
+The blocks are the library's own; their evaluation is independent. Matrices are inverted directly, one for each block.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ Floats = NDArray[np.float64]
 class Block:
     """Sums of some rows, p parameters.
 
-    sums: (p+1, p+1) squares of [z, w], weighed, the noise taken off. deviation: (p+1,) sum of [z, w] less the means of
-    their arcs. instants, square: sums of the rows' shares in the block and of their squares; 0 of motor and momentum
-    rows, whose blocks are arcs.
+    sums: (p+1, p+1) squares of [z, w], weighted, with the noise subtracted. deviation: (p+1,) sum of [z, w] minus the
+    means of their arcs. instants, square: sums of the rows' shares in the block and of their squares; 0 for motor and
+    momentum rows, whose blocks are arcs.
     """
 
     sums: Floats
@@ -49,10 +49,10 @@ class Intervals:
 def intervals(
     energy: Sequence[Block], arcs: Sequence[Block], noise: Floats, own: Floats, believed: float, longest: int
 ) -> Intervals:
-    """What the blocks of the energy rows, and the arcs of the others, tell of the estimate.
+    """Intervals of the estimate from the blocks of the energy rows and the arcs of the others.
 
-    noise: (p+1, p+1) all that was taken off. own: (p+1, p+1) of it, of the energy rows. believed: share of it that is
-    believed. longest: instants of the longest arc of the energy rows.
+    noise: (p+1, p+1) all noise that was subtracted. own: (p+1, p+1) its part in the energy rows. believed: share of the
+    declared noise that was subtracted. longest: number of instants of the longest arc of the energy rows.
     """
     p = len(noise) - 1
     total = np.sum([block.sums for block in [*energy, *arcs]], axis=0)

@@ -1,4 +1,4 @@
-"""Least squares on the centred rows, and sigmas by leaving out blocks (docs/theory.md, "Solver" and "Sigmas …")."""
+"""Least squares on the centred rows, and sigmas from blocks left out (docs/theory.md, "Solver" and "Sigmas …")."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ from zygos.errors import Undecided
 Floats = NDArray[np.float64]
 
 GATE = 2.0
-"""Of any combination of columns, at most its sums over this are taken off as noise."""
+"""For any combination of columns, at most its sum of squares divided by this is subtracted as noise."""
 OVERDECLARED = 0.6
-"""Residuals with less than this share of the declared noise's square tell how much of it there is."""
+"""If the residuals' square is below this share of the declared noise's square, it determines how much is subtracted."""
 LEAST_FREEDOM = 2.0
 SYSTEMATIC = 0.05
-"""At least this share of the residuals' square is taken for systematic: no deviation is declared more exactly."""
+"""Smallest share of the residuals' square that is treated as systematic, since no deviation is declared more
+exactly."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,7 @@ class Solution:
 
     x: (p,) estimate. condition: 1-norm condition of the solved matrix in the scale that gives Z' Z a unit diagonal.
     residual: root mean square of the rows' residuals [unit of w].
-    believed: share of the declared noise that was taken off. gate: least ratio of the rows' squares to the noise in
+    believed: share of the declared noise that was subtracted. gate: smallest ratio of the rows' squares to the noise in
     them over all combinations of columns; infinite without noise.
     """
 
@@ -41,7 +42,7 @@ class Solution:
 
 @dataclass(frozen=True)
 class _Triangle:
-    """Rows made triangular: z = Q r scale, and the noise that such rows hold, divided likewise.
+    """Rows in triangular form: z = Q r scale, and the noise of such rows, divided likewise.
 
     r: (p, p). x: (p,) plain least squares, scaled. noise: (p, p) R^-T K R^-1. work: (p,) R^-T k.
     """
@@ -63,7 +64,7 @@ class _Triangle:
         if not np.all(scale > 0.0):
             raise Undecided(
                 f"what is wrong: {np.count_nonzero(~(scale > 0.0))} of {p} columns are empty, the motion does not "
-                "reach them; remedy: a record that moves every joint"
+                "excite them; remedy: a record that moves every joint"
             )
         scaled = z / scale
         x, _, rank, _ = np.linalg.lstsq(scaled, w, rcond=None)
@@ -93,7 +94,7 @@ class _Triangle:
 
 @dataclass(frozen=True)
 class Rows:
-    """Centred rows. z: (m, p). w: (m,). noise: (p+1, p+1) what noise adds on average to the squares of [z, w]."""
+    """Centred rows. z: (m, p). w: (m,). noise: (p+1, p+1) mean contribution of noise to the squares of [z, w]."""
 
     z: Floats
     w: Floats
@@ -105,16 +106,16 @@ class Rows:
         return cls(z, w, np.zeros((z.shape[1] + 1, z.shape[1] + 1)))
 
     def times(self, weight: float) -> Rows:
-        """The same rows with a weight, which is that of their squares."""
+        """The same rows with a weight on their squares."""
         return Rows(np.sqrt(weight) * self.z, np.sqrt(weight) * self.w, weight * self.noise)
 
 
 def solve(energy: Rows, beside: Sequence[Rows] = ()) -> Solution:
     """Minimise |z x - w|^2 by an orthogonal method on the rows themselves, columns scaled to unit length.
 
-    The noise is taken off: as much as the residuals of the energy rows show where that is clearly less, and of no
-    combination of columns more than its sums over `GATE`. beside: rows that are solved with them.
-    Raises Undecided where a column is zero, or the rows are fewer than the columns or dependent.
+    The noise is subtracted: as much as the residuals of the energy rows show if that is clearly less than declared, and
+    for no combination of columns more than its sum of squares over `GATE`. beside: other rows that are solved together
+    with them. Raises Undecided if a column is zero, or the rows are fewer than the columns or dependent.
     """
     every = [energy, *beside]
     p = energy.z.shape[1]
@@ -140,16 +141,16 @@ def solve(energy: Rows, beside: Sequence[Rows] = ()) -> Solution:
 
 
 def explained(noise: Floats, x: Floats) -> float:
-    """Square of the residuals that the declared noise makes by itself."""
+    """Square of the residuals that the declared noise causes by itself."""
     ahead = np.append(x, -1.0)
     return float(ahead @ noise @ ahead)
 
 
 def that_stays(energy: Rows, solution: Solution, longest: int) -> float:
-    """By how much the blocks' scatter is too small for an error that is the same in every arc, relative to itself.
+    """Relative amount by which the blocks' scatter is too small for an error that is the same in every arc.
 
-    What the declared noise does not explain of the residuals' square does to the estimate what it does in one arc of
-    `longest` instants, and no number of arcs averages it out.
+    The part of the residuals' square that the declared noise does not explain affects the estimate as much as it does
+    in one arc of `longest` instants; more arcs do not average it out.
     """
     square = float(np.sum((energy.z @ solution.x - energy.w) ** 2))
     share = 1.0 - solution.believed * explained(energy.noise, solution.x) / square
@@ -158,9 +159,9 @@ def that_stays(energy: Rows, solution: Solution, longest: int) -> float:
 
 @dataclass(frozen=True)
 class Scatter:
-    """What the blocks' scatter tells of an estimate.
+    """Result of the blocks' scatter for an estimate.
 
-    covariance: (p, p). freedom: (p,) degrees of freedom, as many as the blocks that a parameter's information is from.
+    covariance: (p, p). freedom: (p,) degrees of freedom, the number of blocks that contribute to a parameter.
     """
 
     covariance: Floats
@@ -168,14 +169,15 @@ class Scatter:
 
 
 def scatter(z: Floats, w: Floats, weights: Floats, noise: Floats | None = None, believed: float = 1.0) -> Scatter:
-    """Covariance from blocks of rows: how the estimate changes when one is left out, times what it pulls by itself.
+    """Covariance from blocks of rows: the change of the estimate when one is left out, times the block's own influence.
 
-    Of a block b with the residuals' pull s_b = Z' W_b (w - z x), x_(-b) - x = -(A - A_b)^-1 s_b is too large by the
-    block's leverage and A^-1 s_b too small by it; the expectation of their product is neither (Kauermann & Carroll
-    2001). Blocks that overlap count by sum(w)/sum(w^2).
+    Let s_b = Z' W_b (w - z x) be the residual gradient of a block b. x_(-b) - x = -(A - A_b)^-1 s_b is too large by the
+    block's leverage and A^-1 s_b is too small by it; the expectation of their product is neither (Kauermann & Carroll
+    2001). Overlapping blocks count by sum(w)/sum(w^2).
 
-    z: (m, p) and w: (m,) centred rows. weights: (K, m) of each row in each block, adding up to 1. noise: (K, p+1, p+1)
-    what noise adds on average to each block's squares. Raises Undecided for fewer than two blocks, or where the rest of
+    z: (m, p) and w: (m,) centred rows. weights: (K, m) of each row in each block, with sum 1 over the blocks. noise:
+    (K, p+1, p+1) mean contribution of noise to each block's squares. Raises Undecided for fewer than two blocks, or if
+    the remaining rows do not determine the parameters.
     the rows does not determine the parameters.
     """
     count, p = len(weights), z.shape[1]
@@ -195,6 +197,6 @@ def scatter(z: Floats, w: Floats, weights: Floats, noise: Floats | None = None, 
         gains.append(np.diag(rest.inverse(believed)) - np.diag(inverse))
     gain = np.maximum(gains, 0.0)
     freedom = np.maximum(gain.sum(axis=0) ** 2 / (gain**2).sum(axis=0), LEAST_FREEDOM)
-    # by an accident of few blocks the product may be too small, even negative; the square of the one is not
+    # with few blocks the product may by chance be too small, even negative; the square of one factor cannot
     np.fill_diagonal(covariance, np.maximum(np.diag(covariance), plain))
     return Scatter(covariance * np.sum(weights) / np.sum(weights**2), freedom)

@@ -1,8 +1,8 @@
 """From CAN frames to cycles over a whole log (docs/wire.md, "Assembly").
 
-The layout comes from `zygos.dbc` through cantools, the check of the header from PyPI `autosar-e2e`. A log is judged
-as a whole: first each frame by itself, then the SYNCs, then the frames between two SYNCs together. Receive times play
-no part.
+The layout comes from `zygos.dbc` through cantools, the check of the header from the package `autosar-e2e` of PyPI. A
+log is evaluated as a whole: first each frame alone, then the SYNCs, then the frames between two SYNCs together. Receive
+times are not used.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from cantools.database.can import Message
 from e2e.p02 import e2e_p02_check
 
 from zygos.arm import Arm
-from zygos.can.wire import BUS_OFF, ERROR, SYNC_MODULUS, UNWANTED, Frame, Kind, data_ids, identifiers
+from zygos.can.wire import BUS_OFF, ERROR, SYNC_MODULUS, UNWANTED, Frame, MessageKind, data_ids, identifiers
 from zygos.runs.cycles import BREAK_BEFORE, VOID_BEFORE, VOID_SHIFT, Cycles
 
 MAX_CYCLES_WITHOUT_TIME = 120
@@ -27,14 +27,14 @@ LATCH_TOLERANCE_US = 50
 
 
 STATUS_FAULTS = (("disabled", 8), ("link_invalid", 1), ("motor_invalid", 2), ("torque_invalid", 4))
-"""Faults that a joint's frame states by a status bit that is 0, in the order in which one of them is counted."""
+"""Faults that a joint's frame reports by a status bit of 0, in the order of priority: only one is counted per frame."""
 
 
 @dataclass(frozen=True)
 class Reception:
-    """Complete cycles of a log, and how often each fault happened.
+    """Complete cycles of a log, and the number of occurrences of each fault.
 
-    cycles: as the sensors say. faults: count by name, the names those of `zygos_faults_t`; absent means never.
+    cycles: as reported by the sensors. faults: count by name, the names those of `zygos_faults_t`; absent means never.
     verdicts: "foreign", "accepted" or "rejected" for each frame.
     """
 
@@ -44,16 +44,16 @@ class Reception:
 
 
 class _Seen(NamedTuple):
-    """A frame that is well formed by itself. raw: codes of its signals. value: their physical values."""
+    """A frame that is well formed on its own. raw: codes of its signals. value: their physical values."""
 
     at: int
-    kind: Kind
+    kind: MessageKind
     raw: dict[str, int]
     value: dict[str, float]
 
 
 class _Log:
-    """Verdicts and faults of one log; every frame starts as foreign."""
+    """Verdicts and faults of one log; every frame is initially foreign."""
 
     def __init__(self, count: int) -> None:
         self.faults: Counter[str] = Counter()
@@ -67,12 +67,13 @@ class _Log:
         self.faults[fault] += 1
 
 
-def receive(arm: Arm, frames: Iterable[Frame]) -> Reception:
-    """Judge a whole log, in the order of the bus. The cycle that no SYNC closes is left out.
+def receive_log(arm: Arm, frames: Iterable[Frame]) -> Reception:
+    """Evaluate a whole log in the order of the bus. The last cycle, which no SYNC closes, is left out.
 
-    A cycle is used when each of its frames came exactly once, valid and with the counter of its SYNC. The cycle number
-    counts SYNCs modulo 240 from the first one, which is 0; BREAK_BEFORE marks the first cycle used after something that
-    a number cannot show, VOID_BEFORE the first one used after FTIME found cycles missing.
+    A cycle is used if each of its frames came exactly once, valid and with the counter of its SYNC. The cycle number
+    counts SYNCs modulo 240 from the first one, which is 0; BREAK_BEFORE marks the first cycle used after an
+    interruption that the numbers do not show, VOID_BEFORE the first one used after FTIME showed that cycles are
+    missing.
     """
     frames = list(frames)
     log = _Log(len(frames))
@@ -123,7 +124,7 @@ def receive(arm: Arm, frames: Iterable[Frame]) -> Reception:
 
 
 def _each_frame(arm: Arm, frames: Sequence[Frame], log: _Log) -> tuple[list[_Seen], list[int]]:
-    """Frames of the arm that are sound by themselves, and where the controller went off the bus."""
+    """The arm's frames that are valid on their own, and the positions at which the controller went bus-off."""
     kinds = identifiers(arm)
     ids = {i: data_ids(kind.family, kind.node) for i, kind in kinds.items() if kind.family is not None}
     seen: list[_Seen] = []
@@ -157,7 +158,7 @@ def _each_frame(arm: Arm, frames: Sequence[Frame], log: _Log) -> tuple[list[_See
 
 
 def _cycles_of(syncs: Sequence[_Seen], log: _Log) -> tuple[list[int], list[int], set[int]]:
-    """Cycle number and position of each SYNC that opens a cycle, and the cycles a repeated SYNC fell into."""
+    """Cycle number and position of each SYNC that opens a cycle, and the cycles in which a SYNC was repeated."""
     counters = np.array([s.raw["Counter"] for s in syncs], dtype=np.int64)
     steps = np.diff(counters, prepend=counters[:1]) % SYNC_MODULUS
     numbers = np.cumsum(steps)
@@ -175,7 +176,7 @@ def _cycles_of(syncs: Sequence[_Seen], log: _Log) -> tuple[list[int], list[int],
 
 
 def _judge(arm: Arm, frames: Sequence[_Seen], counter: int, log: _Log) -> tuple[dict[str, _Seen], bool]:
-    """Valid frames of one cycle by part, and whether nothing in it forbids its use."""
+    """Valid frames of one cycle by part, and whether the cycle may be used."""
     content: dict[str, _Seen] = {}
     sound = True
     for s in frames:
@@ -199,7 +200,7 @@ def _judge(arm: Arm, frames: Sequence[_Seen], counter: int, log: _Log) -> tuple[
 
 
 def _fault(arm: Arm, s: _Seen) -> str | None:
-    """Why a frame of the right cycle has no value, or None."""
+    """The reason why a frame of the right cycle has no value, or None."""
     part, raw, status = s.kind.part or "", s.raw, s.raw["Status"]
     invalid = -(2**23)
     if part.startswith("rate"):
@@ -207,7 +208,7 @@ def _fault(arm: Arm, s: _Seen) -> str | None:
         saturated = any(_outermost(s.kind.message, name, raw[name]) for name in rates)
         checks = [("gyro_invalid", not status & 1), ("saturated", saturated)]
     else:
-        rigid = not arm.joints[s.kind.joint].flexible  # nothing is asked of a link encoder
+        rigid = not arm.joints[s.kind.joint].flexible  # its link encoder is not used
         checks = [(fault, not status & bit) for fault, bit in STATUS_FAULTS if not (rigid and fault == "link_invalid")]
     if part.startswith("angles"):
         checks.append(("link_invalid", raw["LinkAngle"] == invalid and not rigid))
@@ -227,10 +228,10 @@ def _outermost(message: Message, name: str, code: int) -> bool:
 def _time_breaks(
     arm: Arm, numbers: Sequence[int], counters: Sequence[int], slots: Sequence[Sequence[_Seen]], log: _Log
 ) -> tuple[set[int], dict[int, int]]:
-    """Cycles before which the count breaks: in a silence of FTIME, and where FTIME disagrees with it. And those whose
-    FTIME says that cycles are missing, with the number of the cycle of the FTIME before.
+    """Cycles before which the count is interrupted, because FTIME was silent or disagrees with the count. The second
+    result has those whose FTIME shows that cycles are missing, with the number of the cycle of the previous FTIME.
 
-    The comparison is with the FTIME before, however long ago that was.
+    The comparison is with the previous FTIME, however long ago it came.
     """
     alone: set[int] = set()
     void: dict[int, int] = {}
@@ -251,7 +252,7 @@ def _time_breaks(
                 continue
             log.accept(s.at)
             if last is not None:
-                elapsed = ((s.raw["Time"] - last[1] + 2**31) % 2**32 - 2**31) * 1e-6  # a clock may start anew
+                elapsed = ((s.raw["Time"] - last[1] + 2**31) % 2**32 - 2**31) * 1e-6  # a clock may wrap around
                 missing = elapsed - (number - last[0]) * arm.period_s
                 if abs(missing) > 0.5 * arm.period_s:
                     log.faults["time_jumped"] += 1

@@ -1,1 +1,1 @@
-"""Pages for people: one self-contained HTML file each."""
+"""Report pages: one self-contained HTML file each."""

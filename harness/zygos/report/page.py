@@ -1,7 +1,7 @@
-"""What the pages share: one self-contained file, its style, and the charts that the script in it draws.
+"""Common parts of the pages: one self-contained file, its style, and the charts that the script in it draws.
 
 A page's data are `times`, named lists of instants or of other abscissae; `charts` by id, each over one of them; and
-`refused`, positions of refused instants in the times "state". Charts of one `domain` share zoom and cursor.
+`refused`, positions of refused instants in the times "state". Charts of the same `domain` share zoom and cursor.
 """
 
 from __future__ import annotations
@@ -23,26 +23,26 @@ Floats = NDArray[np.float64]
 Entry = dict[str, Any]
 
 UNITS = {"kg m^2": "kg m²", "Nm/rad": "N m/rad", "Nms/rad": "N m s/rad"}
-"""Units of parameters as people write them."""
+"""Units of parameters as printed for people."""
 _JOINT_COLOURS = 7
 _FOLDER = Path(__file__).parent
 
 
 def render(path: Path, template: str, data: Mapping[str, Any], **content: Any) -> None:
-    """Write a page: a template, named from the package's folder, its content, and the data of its charts."""
+    """Write a page: a template, by its name in the package's folder, its content, and the data of its charts."""
     page = Environment(
         loader=FileSystemLoader([_FOLDER, _FOLDER.parent]),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
     ).get_template(template)
-    # no "<" may end the script element early
+    # no "<" may end the script element prematurely
     text = json.dumps(data, ensure_ascii=False, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     write_text(path, page.render(**content, data=Markup(text)))
 
 
 def numbers(values: Floats) -> list[float | None]:
-    """Six digits are more than a screen shows; JSON has no NaN."""
+    """Values with six digits, more than a screen can show; NaN becomes null."""
     return [float(f"{x:.6g}") if math.isfinite(x) else None for x in values.tolist()]
 
 
@@ -57,5 +57,5 @@ def thinned(count: int, most: int = 1500) -> NDArray[np.intp]:
 
 
 def joint_colour(joint: int | None) -> str:
-    """Of a joint's lines; None: of what belongs to no joint."""
+    """Colour of a joint's lines; None: of lines that belong to no joint."""
     return "ink" if joint is None else f"joint{joint % _JOINT_COLOURS}"

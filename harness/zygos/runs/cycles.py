@@ -1,4 +1,4 @@
-"""A run as the sensors tell it: one record per SYNC cycle, in SI units."""
+"""A run as reported by the sensors: one record per SYNC cycle, in SI units."""
 
 from __future__ import annotations
 
@@ -8,13 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 BREAK_BEFORE = 1
-"""Bit of `Cycles.flags`: the run is broken between the cycle before and this one."""
+"""Bit of `Cycles.flags`: the run is interrupted between the previous cycle and this one."""
 INVALID = 2
 """Bit of `Cycles.flags`: the cycle's values are not to be used."""
 VOID_BEFORE = 4
-"""Bit of `Cycles.flags`: a break, and the cycles before it cannot be trusted: arcs that reach into them are dropped.
-
-The bits from VOID_SHIFT up say how many cycles; 0 means the open arc, however long.
+"""Bit of `Cycles.flags`: an interruption after which the previous cycles cannot be trusted; arcs that contain them are
+discarded. The bits from VOID_SHIFT up give the number of these cycles; 0 means the whole open arc.
 """
 VOID_SHIFT = 8
 
@@ -33,11 +32,11 @@ class Cycles:
     theta: NDArray[np.float64]
     """(n, N) motor encoder readings after the gear, rad."""
     tau: NDArray[np.float64]
-    """(n, N) rotor torque, Nm, recorded as the arm's `torque_law` says."""
+    """(n, N) rotor torque, Nm, at the instant or interval that the arm's `torque_law` states."""
     omega: NDArray[np.float64]
     """(n, 3) gyro reading in the sensor's frame, rad/s."""
     flags: NDArray[np.uint32]
-    """(n,) BREAK_BEFORE, INVALID, VOID_BEFORE."""
+    """(n,) bits BREAK_BEFORE, INVALID, VOID_BEFORE."""
 
     def __len__(self) -> int:
         """Number of cycles."""

@@ -1,7 +1,7 @@
-"""From what sensors say to what joints do, over whole records (docs/theory.md, "What belongs to which instant").
+"""From sensor readings to joint motion, for whole records (docs/theory.md, "What belongs to which instant").
 
-Signs, zeros and the gyro's mounting are applied, the torque record is shifted to the interval it was in force, and the
-record is cut into segments: unbroken runs of usable cycles.
+Signs, zeros and the gyro's mounting are applied, the torque record is shifted to the interval in which it acted, and
+the record is cut into segments: unbroken runs of usable cycles.
 """
 
 from __future__ import annotations
@@ -23,26 +23,25 @@ TORQUE_WEIGHTS = {
     "applied_previous_cycle": (0.0, 1.0),
     "sampled": (0.5, 0.5),
 }
-"""Weights of the torques reported in cycles k and k+1 in the torque in force on [t_k, t_k+1)."""
+"""Weights of the torques reported in cycles k and k+1 in the torque that acts on [t_k, t_k+1)."""
 
 
 HALF_RANGE_RAD = 16.0 * np.pi
-"""Half the range of a multi-turn angle, 8 turns: a reading that jumps by more has gone over the end of the range.
-
-Where link and motor angle differ by more, only one of them has.
+"""Half the range of a multi-turn angle, 8 turns, in rad. A reading that jumps by more has passed the end of the range;
+if link and motor angle differ by more, only one of them has passed it.
 """
 
 LARGEST_ANGLE_RAD, LARGEST_VALUE = 1e4, 1e6
-"""Beyond these a reading (rad; Nm and rad/s) is taken for a fault of the sensor."""
+"""Larger readings (angles in rad; torques in Nm and rates in rad/s) are treated as a fault of the sensor."""
 
 
 @dataclass(frozen=True)
 class Segments:
     """A record cut into unbroken runs.
 
-    ranges: half-open ranges of positions.
-    voids: for each void cycle its position, and the number of the last cycle before it that can be trusted; None where
-    that is not said, and the arc that it ends is void. wraps: how often an angle went over the end of its range.
+    ranges: half-open ranges of positions. voids: for each void cycle its position, and the number of the last cycle
+    before it that can be trusted; None if this is unknown, and the arc that it ends is discarded. wraps: how often an
+    angle passed the end of its range.
     """
 
     ranges: tuple[tuple[int, int], ...]
@@ -52,12 +51,13 @@ class Segments:
 
 @dataclass(frozen=True)
 class Samples:
-    """Calibrated record; n cycles, N joints. Cycles of no use stay in the arrays and lie in no segment.
+    """Calibrated record; n cycles, N joints. Unusable cycles stay in the arrays but belong to no segment.
 
-    sync: (n,) cycle number. q, theta: (n, N) [rad]. tau: (n, N) rotor torque in force on [t_k, t_k+1) [Nm], NaN where
+    sync: (n,) cycle number. q, theta: (n, N) [rad]. tau: (n, N) rotor torque that acts on [t_k, t_k+1) [Nm], NaN where
     the torque law needs a cycle that the segment does not have. omega: (n, 3) base rate in base axes [rad/s].
     segments: half-open ranges of positions in these arrays. voids, wraps: as in `Segments`.
-    left_out: newest cycles of the arcs that the library left out of its sums, by kind of rows: the reference is told.
+    left_out: by kind of rows, the last cycles of the arcs that the library left out of its sums, so that the reference
+    leaves out the same arcs.
     """
 
     sync: NDArray[np.uint64]
@@ -72,7 +72,7 @@ class Samples:
 
 
 def usable(cycles: Cycles) -> NDArray[np.bool_]:
-    """Cycles (n,) that are not flagged invalid and whose values are finite and not beyond all reason."""
+    """(n,) whether a cycle is usable: not flagged invalid, and with finite values of plausible size."""
     angles = np.hstack([cycles.q, cycles.theta])
     others = np.hstack([cycles.tau, cycles.omega])
     sane = np.all(np.abs(angles) <= LARGEST_ANGLE_RAD, axis=1) & np.all(np.abs(others) <= LARGEST_VALUE, axis=1)
@@ -83,8 +83,8 @@ def usable(cycles: Cycles) -> NDArray[np.bool_]:
 def segments(cycles: Cycles, apart: NDArray[np.bool_] | None = None) -> Segments:
     """Cut a record into runs of usable cycles whose numbers rise by one, without a break flag or a wrap of an angle.
 
-    apart: (n,) cycles in which link and motor angle stand on different sides of the end of their range. They have a
-    number, and belong to no run.
+    apart: (n,) cycles in which link and motor angle lie on different sides of the end of their range. They belong to no
+    run.
     """
     n = len(cycles)
     out = np.zeros(n, dtype=np.bool_) if apart is None else apart
@@ -122,9 +122,9 @@ def calibrate(arm: Arm, cycles: Cycles) -> Samples:
     if cycles.q.shape[1] != joints:
         raise ZygosError(
             f"what is wrong: the record has {cycles.q.shape[1]} joints, arm '{arm.name}' has {joints}; "
-            "remedy: give the arm file the record was made with"
+            "remedy: give the arm file with which the record was made"
         )
-    # the motor's encoder speaks for both sides of a rigid joint
+    # the motor's encoder measures both angles of a rigid joint
     cycles = replace(cycles, q=np.where([joint.flexible for joint in arm.joints], cycles.q, cycles.theta))
     if not arm.free:
         cycles = replace(cycles, omega=np.zeros_like(cycles.omega))

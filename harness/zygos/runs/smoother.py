@@ -1,11 +1,11 @@
 """Fixed-lag Savitzky-Golay smoother over whole records (docs/theory.md, "Smoother and bandwidth test").
 
-Every state at instant k comes from the same samples k-M .. k+M: a polynomial is fitted to them by least squares, and
-its value and its derivative are read at the instant. A sensor that latches late has its polynomial read early by as
-much, so that all signals belong to one instant.
+Every state at instant k comes from the samples k-M .. k+M: a polynomial is fitted to them by least squares, and its
+value and its derivative are evaluated at the instant. If a sensor latches late, its polynomial is evaluated earlier by
+that delay, so that all signals belong to one instant.
 
-The coefficients come from a least-squares solve on a Vandermonde matrix and are applied by convolution: nothing here
-shares a formula with the flight library.
+The coefficients come from a least-squares solve on a Vandermonde matrix and are applied by convolution; no formula is
+shared with the flight library.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from zygos.runs.samples import Samples
 Floats = NDArray[np.float64]
 
 BANDWIDTH_SIGMAS = 4.0
-"""Two derivative estimates may differ by that many standard deviations of the declared noise, not by more."""
+"""Largest accepted difference of two derivative estimates, in standard deviations by the declared noise."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def coefficients(points: int, order: int, offset: float = 0.0, derivative: int =
     """Weights c, shape (points,), oldest sample first, of a Savitzky-Golay filter.
 
     c @ x is the `derivative`-th derivative (per sample) of the polynomial of degree `order` fitted to the samples at
-    -M .. M, read at `offset` samples from the middle. Savitzky & Golay 1964.
+    -M .. M, evaluated at `offset` samples from the middle. Savitzky & Golay 1964.
 
     Raises ZygosError where the window is even or too short for the order.
     """
@@ -80,7 +80,8 @@ def coefficients(points: int, order: int, offset: float = 0.0, derivative: int =
 def bandwidth_coefficients(points: int, order: int, offset: float = 0.0) -> Floats:
     """Difference of two first-derivative estimates over the same samples, shape (points,), per sample.
 
-    The second estimate has a half width smaller by one and the same order, and follows a snap of the motion better.
+    The second estimate has a half width smaller by one and the same order, and follows fast changes of the motion
+    better.
     Raises ZygosError where the narrower window cannot carry the order: order <= 2 (half width) - 2 is needed.
     """
     half = points // 2

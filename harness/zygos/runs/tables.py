@@ -1,7 +1,8 @@
-"""A run as a table of cycles: what the `cycle` door of the flight library takes, for arms on other buses.
+"""A run as a table of cycles: the input of the flight library's function for cycles, for arms on other buses.
 
 CSV and Parquet have the columns sync, q1 .. qN, theta1 .. thetaN, tau1 .. tauN, wx, wy, wz, flags; NPZ has the fields
-of `zygos.runs.cycles.Cycles` under their names. All values in SI and before signs, zeros and mount, as there.
+of `zygos.runs.cycles.Cycles` under their names. All values are in SI units and, as there, without corrections of sign,
+zero and mount.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ def _names(joints: int) -> list[str]:
 
 
 def write_cycles(path: Path, cycles: Cycles) -> None:
-    """Write a cycle table in the format of the suffix, whole or not at all."""
+    """Write a cycle table in the format of the suffix, completely or not at all."""
     if path.suffix.lower() == ".npz":
         write_columns(path, {name: getattr(cycles, name) for name in Cycles.__dataclass_fields__})
         return
@@ -37,10 +38,10 @@ def write_cycles(path: Path, cycles: Cycles) -> None:
 
 
 def read_cycles(path: Path, arm: Arm) -> Cycles:
-    """Read a cycle table of an arm. Values may be NaN, the flight library drops such cycles.
+    """Read a cycle table of an arm. Values may be NaN; the flight library drops such cycles.
 
-    Raises ZygosError naming the column for one that is missing, unknown or no number, and for cycle numbers or flags
-    that are not whole, or numbers that do not rise.
+    Raises ZygosError naming the column if it is missing, unknown or not numeric, if cycle numbers or flags are not
+    integers, or if cycle numbers do not increase.
     """
     columns = read_columns(path)
     if suffix(path) == ".npz":
@@ -50,7 +51,7 @@ def read_cycles(path: Path, arm: Arm) -> Cycles:
         if name not in columns:
             raise ZygosError(
                 f"{path}: the cycle table of arm {arm.name} has no column {name}; remedy: it needs {' '.join(wanted)} "
-                "(docs/telemetry.md); a table of another kind goes through `zygos convert`"
+                "(docs/telemetry.md); convert other tables with `zygos convert`"
             )
     for name in columns:
         if name not in wanted:
@@ -62,8 +63,8 @@ def read_cycles(path: Path, arm: Arm) -> Cycles:
     falls = np.flatnonzero(np.diff(sync) <= 0)
     if len(falls):
         raise ZygosError(
-            f"{path}: sync does not rise after row {falls[0] + 1} ({sync[falls[0]]}, then {sync[falls[0] + 1]}); "
-            "remedy: number the cycles upwards, and leave numbers out where cycles are missing"
+            f"{path}: sync does not increase after row {falls[0] + 1} ({sync[falls[0]]}, then {sync[falls[0] + 1]}); "
+            "remedy: number the cycles upwards, and skip the numbers of missing cycles"
         )
 
     def block(names: list[str]) -> NDArray[np.float64]:
@@ -80,7 +81,7 @@ def read_cycles(path: Path, arm: Arm) -> Cycles:
 
 
 def _of_npz(name: str) -> str:
-    """The column of a CSV that a column of an NPZ is: q[0] is q1, omega[0] is wx."""
+    """Name in a CSV for a column of an NPZ: q[0] is q1, omega[0] is wx."""
     found = re.fullmatch(r"(\w+)\[(\d+)\]", name)
     if found is None:
         return name
@@ -91,12 +92,12 @@ def _of_npz(name: str) -> str:
 def _numbers(path: Path, name: str, columns: Columns) -> NDArray[np.float64]:
     values = columns[name]
     if values.dtype.kind not in "iuf":
-        raise ZygosError(f"{path}: column {name} holds something else than numbers; remedy: correct the table")
+        raise ZygosError(f"{path}: column {name} has values that are not numbers; remedy: correct the table")
     return values.astype(np.float64)
 
 
 def _whole(path: Path, name: str, columns: Columns, end: int) -> NDArray[np.int64]:
     values = columns[name]
     if values.dtype.kind not in "iuf" or not np.all((values >= 0) & (values < end) & (values == np.floor(values))):
-        raise ZygosError(f"{path}: column {name} holds something else than whole numbers from 0; remedy: correct it")
+        raise ZygosError(f"{path}: column {name} has values that are not whole numbers from 0; remedy: correct it")
     return values.astype(np.int64)

@@ -1,7 +1,8 @@
 """The simulated arm: sampled servo, torque held between SYNCs, SciPy's DOP853 in between.
 
-Between SYNCs the equations of motion are smooth and autonomous, so each period is integrated on its own, all seeds as
-one state; no step ever crosses a torque step. The servo sees the same encoder errors that the run records.
+Between SYNCs the equations of motion are smooth and autonomous, so each period is integrated separately, all seeds as
+one state; no integration step crosses a step of the torque. The servo reads the same encoder errors that the run
+records.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.integrate import DOP853
 
 from zygos.arm import Arm
-from zygos.dynamics.equations import EngineName, Motion, equations
+from zygos.dynamics.equations import Dynamics, EngineName, equations
 from zygos.dynamics.planar import PlanarDynamics
 from zygos.errors import ZygosError
 from zygos.model.model import Model
@@ -34,7 +35,7 @@ from zygos.simulation.sensors import (
 Array = NDArray[np.float64]
 
 _STEPS_MAX = 400
-"""DOP853 steps within one SYNC period; an arm that needs more is too stiff for an explicit method."""
+"""Largest number of DOP853 steps in a SYNC period; an arm that needs more is too stiff for an explicit method."""
 
 
 @dataclass(frozen=True)
@@ -43,13 +44,13 @@ class Trajectory:
 
     arm: Arm
     """The arm, at the period that was simulated."""
-    dynamics: Motion
+    dynamics: Dynamics
     seeds: tuple[int, ...]
     t: Array
-    """(n,) s."""
+    """(n,) time, s."""
     attitude: Array
-    """Of the base: (B, n) angle about the axis of a planar arm, rad; (B, n, 4) quaternion from base to inertial axes,
-    scalar last, where the base turns in space; (B, n, 0) where it is fixed."""
+    """Attitude of the base: (B, n) angle about the axis of a planar arm, rad; (B, n, 4) quaternion from base to
+    inertial axes, scalar last, where the base turns in space; (B, n, 0) where it is fixed."""
     omega0: Array
     """(B, n) base rate of a planar arm, rad/s; (B, n, 3) in base axes where it turns in space or is fixed."""
     q: Array
@@ -61,19 +62,19 @@ class Trajectory:
     thetad: Array
     """(B, n, N) motor rates after the gear, rad/s."""
     tau: Array
-    """(B, n, N) rotor torque before the gear, Nm, in force on [t_k, t_{k+1})."""
+    """(B, n, N) rotor torque before the gear, Nm, which acts on [t_k, t_{k+1})."""
     slip2: Array
     """(B, n, N) integral of (thetad - qd)^2 from 0 to t_k, rad^2/s."""
     desired: Array
     """(n, N) desired angles, rad."""
     q_latched: Array
-    """(B, n, N) link angles when the link encoders latch, rad; q itself where no latch is late."""
+    """(B, n, N) link angles when the link encoders latch, rad; equal to q where no latch is late."""
     theta_latched: Array
     """(B, n, N) motor angles when the motor encoders latch, rad."""
     omega0_latched: Array
     """Base rate when the gyro latches, rad/s; shape as omega0."""
     noise: Noise
-    """The errors that the servo saw and `cycles` records."""
+    """The errors that the servo reads and `cycles` records."""
 
     def accelerations(self) -> tuple[Array, Array, Array]:
         """Exact accelerations just after each SYNC: base as omega0, links (B, n, N), motors after the gear (B, n, N),
@@ -81,12 +82,12 @@ class Trajectory:
         return self.dynamics.accelerations(self.q, self.theta, self.omega0, self.qd, self.thetad, self.tau)
 
     def cycles(self, index: int = 0) -> Cycles:
-        """What the sensors say of the run of `seeds[index]`."""
+        """Sensor readings of the run of `seeds[index]`."""
         return record(self, index)
 
 
 def record(trajectory: Trajectory, index: int = 0) -> Cycles:
-    """What the sensors say of the run of `trajectory.seeds[index]`: n cycles, numbered from 0."""
+    """Sensor readings of the run of `trajectory.seeds[index]`: n cycles, numbered from 0."""
     arm, noise = trajectory.arm, trajectory.noise
     n = len(trajectory.t)
     return Cycles(
@@ -117,7 +118,7 @@ def simulate(
     scenario: Scenario,
     *,
     engine: EngineName = "zygos",
-    dynamics: Motion | None = None,
+    dynamics: Dynamics | None = None,
     seeds: Sequence[int] | None = None,
     noise: bool | None = None,
     period_s: float | None = None,
@@ -128,14 +129,16 @@ def simulate(
 ) -> Trajectory:
     """Simulate the scenario in closed loop, with the effects of the model.
 
-    An angular momentum that the model names goes before the scenario's. engine: whose equations of motion; those of
-    others know bodies only, no effects. dynamics: other equations of motion of this arm, instead of the engine's.
+    An angular momentum in the model has priority over the scenario's. engine: the name of the equations of motion;
+    those of independent engines support bodies only, no effects. dynamics: other equations of motion of this arm,
+    instead of the engine's.
 
-    seeds (default: the scenario's) are integrated together; noise, duration_s and period_s override scenario and arm.
-    There are round(duration / period) cycles. rtol and atol are DOP853's. A trajectory depends on the other seeds of
-    its batch through the choice of steps, within the tolerances, which chaos then magnifies; its noise does not.
+    seeds (default: the scenario's) are integrated together; noise, duration_s and period_s replace the values of
+    scenario and arm. There are round(duration / period) cycles. rtol and atol are DOP853's. A trajectory depends on the
+    other seeds of its batch through the choice of steps, within the tolerances; a chaotic motion amplifies this. Its
+    noise does not depend on them.
 
-    progress is called now and then with the share that is done.
+    progress is called from time to time with the share that is finished.
 
     Errors: ZygosError if model, scenario and arm do not fit each other, or if the motion diverges.
     """
@@ -145,8 +148,8 @@ def simulate(
     n = round((scenario.duration_s if duration_s is None else duration_s) / arm.period_s)
     if n < 2 or not chosen:
         raise ZygosError(
-            f"scenario {scenario.name}: {n} cycles of {len(chosen)} seeds is nothing to simulate; remedy: "
-            "a duration of at least two SYNC periods, and one seed"
+            f"scenario {scenario.name}: {n} cycles of {len(chosen)} seeds cannot be simulated; remedy: give "
+            "a duration of at least two SYNC periods, and at least one seed"
         )
     dynamics = equations(arm, model, engine) if dynamics is None else dynamics
     noisy = scenario.noise if noise is None else noise
@@ -162,7 +165,7 @@ class _Run:
     def __init__(
         self,
         arm: Arm,
-        dynamics: Motion,
+        dynamics: Dynamics,
         scenario: Scenario,
         *,
         planar: bool,
@@ -187,12 +190,12 @@ class _Run:
         if len(angles) != joints:
             raise ZygosError(
                 f"scenario {scenario.name}: {len(angles)} initial angles for {joints} joints; remedy: "
-                "give initial_angles_rad one number a joint"
+                "give initial_angles_rad one number per joint"
             )
         for key, gain in (("kp", scenario.controller.kp), ("kd", scenario.controller.kd)):
             if isinstance(gain, tuple) and len(gain) != joints:
                 raise ZygosError(
-                    f"scenario {scenario.name}: {len(gain)} {key} for {joints} joints; remedy: one number, or one "
+                    f"scenario {scenario.name}: {len(gain)} {key} for {joints} joints; remedy: give one number, or one "
                     "for each joint"
                 )
         self.state = np.zeros((len(seeds), ends[-1]))
@@ -207,14 +210,14 @@ class _Run:
         if planar and momentum.ndim:
             raise ZygosError(
                 f"scenario {scenario.name}: angular_momentum_nms is a vector, but arm {arm.name} moves in a plane; "
-                "remedy: one number"
+                "remedy: give one number"
             )
         if not planar and not momentum.ndim:
             momentum = momentum * (arm.axis if not arm.spatial else np.array([0.0, 0.0, 1.0]))
         self._set_omega0(self.state, dynamics.base_rate(self.state[:, q], momentum))
 
     def _omega0(self, state: Array) -> Array:
-        """Base rate in a state (..., width) as the equations of motion take it."""
+        """Base rate in a state (..., width), in the form that the equations of motion need."""
         if not self.arm.free:
             return np.zeros((*state.shape[:-1], 3))
         return state[..., self.omega.start] if self.planar else state[..., self.omega]
@@ -289,7 +292,7 @@ class _Run:
         )
 
     def _measured(self, k: int) -> Array:
-        """(B, N) the angles that the servo reads at SYNC k, rad."""
+        """(B, N) angles that the servo reads at SYNC k, rad."""
         if self.scenario.controller.angle == "motor":
             encoders = [joint.motor_encoder for joint in self.arm.joints]
             angle, error = self.state[:, self.slices[2]], self.noise.motor[:, k]
@@ -319,8 +322,8 @@ class _Run:
         return rate.ravel()
 
     def _integrate(self, span: float, t: float) -> None:
-        """Advance the state by `span` s under the torque held; local time starts at zero, which keeps its roundoff
-        out of the step."""
+        """Advance the state by `span` s under the held torque; local time starts at zero, so that its rounding error
+        does not affect the step."""
         if span <= 0.0:
             return
         with np.errstate(over="ignore", invalid="ignore"):
@@ -344,20 +347,20 @@ class _Run:
                 "in the model (Nm/rad and Nms/rad after the gear, kg m^2 before it)"
             )
         turned = solver.y.reshape(self.state.shape)[:, self.slices[0]] - self.state[:, self.slices[0]]
-        # a joint that turns by more than half a turn between two samples cannot be followed by a sampled servo
+        # a sampled servo cannot follow a joint that turns by more than half a turn between two samples
         if solver.status != "finished" or not np.max(np.abs(turned)) < np.pi:
             raise ZygosError(
                 f"scenario {self.scenario.name}: the motion diverges at t = {t:.3f} s; remedy: lower the "
                 "controller's gain, feed back the motor angle, or shorten period_s"
             )
-        # the size that the step control proposes is the best first guess for the next period
+        # the size that the step control proposes is the best initial value for the next period
         self.step = min(solver.h_abs, self.arm.period_s)
         self.state = solver.y.reshape(self.state.shape)
 
 
 _TURN_OF = np.array([[3, 2, 1], [2, 3, 0], [1, 0, 3], [0, 1, 2]])
 _TURN_SIGN = 0.5 * np.array([[1, -1, 1], [1, 1, -1], [-1, 1, 1], [-1, -1, -1]])
-"""A quaternion's rate is this half of its components, times the angular velocity."""
+"""Components and factors of the matrix whose product with the angular velocity is a quaternion's rate."""
 
 
 def _quaternion_rate(attitude: Array, omega: Array) -> Array:
@@ -367,8 +370,8 @@ def _quaternion_rate(attitude: Array, omega: Array) -> Array:
 
 
 def _pauses(latches: _Latches, lag: Array | None) -> list[tuple[float, tuple[list[int], list[int]], list[int]]]:
-    """Instants after SYNC at which something happens: (s, columns that latch as in `_Latches`, motors whose torque
-    takes effect)."""
+    """Events after SYNC, in order: (time in s, columns that latch as in `_Latches`, motors whose torque takes
+    effect)."""
     happens: dict[float, tuple[tuple[list[int], list[int]], list[int]]] = {
         offset: (columns, []) for offset, columns in latches.groups
     }

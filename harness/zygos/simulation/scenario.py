@@ -1,4 +1,4 @@
-"""What is done with an arm: manoeuvre, controller, duration and seed (`scenario.toml`)."""
+"""The run to simulate: manoeuvre, controller, duration and seed (`scenario.toml`)."""
 
 from __future__ import annotations
 
@@ -16,16 +16,20 @@ from zygos.files.toml import Table
 Array = NDArray[np.float64]
 EncoderNoise = Literal["gaussian", "quantised"]
 FeedbackAngle = Literal["motor", "link"]
-Kind = Literal["constant", "sines", "ramp"]
+ManoeuvreKind = Literal["constant", "sines", "ramp"]
 
 _ENCODER_NOISES: tuple[EncoderNoise, ...] = ("gaussian", "quantised")
 _FEEDBACK_ANGLES: tuple[FeedbackAngle, ...] = ("motor", "link")
-_KINDS: tuple[Kind, ...] = ("constant", "sines", "ramp")
+_KINDS: tuple[ManoeuvreKind, ...] = ("constant", "sines", "ramp")
+_MOMENTUM = (
+    "Angular momentum of the whole arm at the start, for a free base: a number about the joint axis of a planar arm, "
+    "or a vector in the axes of the base. For an arm in space a number is about the z axis."
+)
 
 
 @dataclass(frozen=True)
 class Sine:
-    """amplitude * sin(omega t + phase)."""
+    """The function amplitude * sin(omega t + phase)."""
 
     amplitude: float
     """rad."""
@@ -78,12 +82,12 @@ class Controller:
     """Nms/rad, after the gear; one for all joints, or (N,)."""
     gain: float = 1.0
     angle: FeedbackAngle = "motor"
-    """The encoder that is fed back."""
+    """The encoder whose angle is fed back."""
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """One run: what the arm is asked to do, and under which conditions."""
+    """One run: the motion that the arm has to perform, and the conditions."""
 
     name: str
     arm: Path
@@ -96,19 +100,20 @@ class Scenario:
     controller: Controller = Controller()
     seed: int = 0
     noise: bool = True
-    """False: sensors, and the encoder that is fed back, are exact."""
+    """False: sensors are exact, including the encoder that is fed back."""
     encoder_noise: EncoderNoise = "gaussian"
     """"gaussian": sigma = quantum/sqrt(12) (Nanos & Papadopoulos eq. (28)); "quantised": readings are rounded."""
     angular_momentum_nms: float | tuple[float, float, float] = 1.0
-    """At the start: about the joint axis of a planar arm, or a vector in base axes; a number is then about z."""
+    """Angular momentum at the start, Nms: about the joint axis of a planar arm, else a vector in base axes, where a
+    single number is about z."""
     initial_angles_rad: tuple[float, ...] = ()
-    """(N,) link and motor angles at the start, springs relaxed, all joints at rest; empty: zeros."""
+    """(N,) link and motor angles at the start, with springs relaxed and all joints at rest; empty: zeros."""
 
     def motions(self, names: Sequence[str]) -> list[Motion]:
         """Desired motion of each named joint. Errors: ZygosError if the manoeuvre names other joints."""
         if sorted(names) != sorted(self.manoeuvre):
             raise ZygosError(
-                f"scenario {self.name}: the manoeuvre is for joints {sorted(self.manoeuvre)}, the arm has "
+                f"scenario {self.name}: the manoeuvre has joints {sorted(self.manoeuvre)}, the arm has "
                 f"{list(names)}; remedy: give each joint of the arm at least one [[manoeuvre]]"
             )
         return [self.manoeuvre[name] for name in names]
@@ -121,82 +126,123 @@ class Scenario:
 
 def load_scenario(path: str | Path) -> Scenario:
     """Read `scenario.toml`; paths in it are relative to the file. Errors: ZygosError naming file, key and remedy."""
-    top = Table.load(path)
-    manoeuvre = _manoeuvre(top.tables("manoeuvre"))
-    control = top.table("controller", optional=True)
+    return read_scenario(Table.load(path))
+
+
+def read_scenario(top: Table) -> Scenario:
+    """The scenario of a table with the keys of `scenario.toml`. Errors: as `load_scenario`."""
+    manoeuvre = _manoeuvre(
+        top.tables("manoeuvre", "The desired motion of each joint. Several entries for one joint add up.")
+    )
+    control = top.table("controller", "The servo of every joint.", optional=True)
     controller = Controller(
-        _gain(control, "kp", 1000.0, len(manoeuvre), "Nm/rad"),
-        _gain(control, "kd", 250.0, len(manoeuvre), "Nms/rad"),
-        control.number("gain", 1.0, low=0.0),
-        control.choice("angle", _FEEDBACK_ANGLES, "motor"),
+        _gain(control, "kp", "Gain on the error of the angle, after the gear", 1000.0, len(manoeuvre), "Nm/rad"),
+        _gain(control, "kd", "Gain on the error of the rate, after the gear", 250.0, len(manoeuvre), "Nms/rad"),
+        control.number("gain", "Factor on the torque that kp and kd give.", 1.0, low=0.0),
+        control.choice("angle", "The encoder whose angle is fed back.", _FEEDBACK_ANGLES, "motor"),
     )
     control.finish()
     momentum: float | tuple[float, float, float]
     if top.has("angular_momentum_nms") and isinstance(top.peek("angular_momentum_nms"), list):
-        x, y, z = top.vector("angular_momentum_nms", 3, unit="Nms")
+        x, y, z = top.vector("angular_momentum_nms", _MOMENTUM, 3, unit="Nms", otherwise="1.0")
         momentum = (x, y, z)
     else:
-        momentum = top.number("angular_momentum_nms", 1.0, unit="Nms")
+        momentum = top.number("angular_momentum_nms", _MOMENTUM, 1.0, unit="Nms")
     scenario = Scenario(
-        name=top.text("name"),
-        arm=_file(top, "arm", "arm.toml"),
-        plant=_file(top, "plant", "model.toml"),
-        duration_s=top.number("duration_s", above=0.0, high=1e6, unit="s"),
+        name=top.text("name", "Name of the scenario, for messages."),
+        arm=_file(top, "arm", "The arm file, as a path relative to the scenario file.", "arm.toml"),
+        plant=_file(
+            top, "plant", "The model file that is simulated, as a path relative to the scenario file.", "model.toml"
+        ),
+        duration_s=top.number("duration_s", "Duration of the run.", above=0.0, high=1e6, unit="s"),
         manoeuvre=manoeuvre,
         controller=controller,
-        seed=top.integer("seed", 0, low=0, high=2**63 - 1),
-        noise=top.boolean("noise", True),
-        encoder_noise=top.choice("encoder_noise", _ENCODER_NOISES, "gaussian"),
+        seed=top.integer("seed", "Seed of the random numbers.", 0, low=0, high=2**63 - 1),
+        noise=top.boolean("noise", "Whether the sensors have noise. Without it all readings are exact.", True),
+        encoder_noise=top.choice(
+            "encoder_noise",
+            'Error of the encoders. "gaussian": noise with the standard deviation quantum/sqrt(12); "quantised": '
+            "readings are rounded to the quantum.",
+            _ENCODER_NOISES,
+            "gaussian",
+        ),
         angular_momentum_nms=momentum,
-        initial_angles_rad=top.vector("initial_angles_rad", len(manoeuvre), (0.0,) * len(manoeuvre), unit="rad"),
+        initial_angles_rad=top.vector(
+            "initial_angles_rad",
+            "Angles of the joints at the start, one for each joint. All joints start at rest with relaxed springs.",
+            len(manoeuvre),
+            (0.0,) * len(manoeuvre),
+            unit="rad",
+            otherwise="0 for each joint",
+        ),
     )
     top.finish()
     return scenario
 
 
-def _gain(table: Table, key: str, default: float, joints: int, unit: str) -> float | tuple[float, ...]:
+def _only(kind: ManoeuvreKind) -> str:
+    return f"required where {_allowed(kind)}"
+
+
+def _allowed(kind: ManoeuvreKind) -> str:
+    return f'kind is "{kind}", refused elsewhere'
+
+
+def _gain(table: Table, key: str, meaning: str, default: float, joints: int, unit: str) -> float | tuple[float, ...]:
+    meaning = f"{meaning}: one number for all joints, or one for each joint."
     if not (table.has(key) and isinstance(table.peek(key), list)):
-        return table.number(key, default, low=0.0, unit=unit)
-    gains = table.vector(key, joints, unit=unit)
+        return table.number(key, meaning, default, low=0.0, unit=unit)
+    gains = table.vector(key, meaning, joints, unit=unit, otherwise=f"{default}")
     if min(gains) < 0.0:
         raise table.error(key, f"{min(gains):g} is negative", "write gains >= 0")
     return gains
 
 
-def _file(top: Table, key: str, default: str) -> Path:
-    file = top.file.parent / top.text(key, default)
+def _file(top: Table, key: str, meaning: str, default: str) -> Path:
+    file = top.file.parent / top.text(key, meaning, default)
     if not file.is_file():
         raise top.error(key, f"{file}: no such file", "give a path relative to the scenario file")
     return file
 
 
 def _manoeuvre(tables: list[Table]) -> dict[str, Motion]:
-    """Entries for the same joint add up."""
+    """Desired motion by joint name; several entries for the same joint are added."""
     motions: dict[str, Motion] = {}
     for table in tables:
-        joint = table.text("joint")
-        kind = table.choice("kind", _KINDS)
+        joint = table.text("joint", "Name of the joint.")
+        kind = table.choice("kind", "The form of the motion, which says what other keys there are.", _KINDS)
         before = motions.get(joint, Motion())
         offset, sines, ramps = before.offset, before.sines, before.ramps
         if kind == "constant":
-            offset += table.number("angle_rad", unit="rad")
+            offset += table.number("angle_rad", "The angle that is held.", unit="rad", otherwise=_only("constant"))
         elif kind == "sines":
-            offset += table.number("offset_rad", 0.0, unit="rad")
-            for entry in table.tables("sines"):
+            offset += table.number(
+                "offset_rad",
+                "Angle that is added to the sines.",
+                0.0,
+                unit="rad",
+                otherwise=f"0.0 where {_allowed('sines')}",
+            )
+            for entry in table.tables("sines", "Sines, which are added.", otherwise=_only("sines")):
                 sines += (
                     Sine(
-                        entry.number("amplitude_rad", unit="rad"),
-                        entry.number("omega_rad_s", unit="rad/s"),
-                        entry.number("phase_rad", 0.0, unit="rad"),
+                        entry.number("amplitude_rad", "Amplitude.", unit="rad"),
+                        entry.number("omega_rad_s", "Angular frequency.", unit="rad/s"),
+                        entry.number("phase_rad", "Phase at the start of the run.", 0.0, unit="rad"),
                     ),
                 )
                 entry.finish()
         else:
             ramps += (
                 Ramp(
-                    table.number("start_s", low=0.0, unit="s"),
-                    table.number("duration_s", above=0.0, unit="s"),
-                    table.number("change_rad", unit="rad"),
+                    table.number("start_s", "Start of the ramp.", low=0.0, unit="s", otherwise=_only("ramp")),
+                    table.number("duration_s", "Duration of the ramp.", above=0.0, unit="s", otherwise=_only("ramp")),
+                    table.number(
+                        "change_rad",
+                        "Change of the angle from start to end, along half a period of a cosine.",
+                        unit="rad",
+                        otherwise=_only("ramp"),
+                    ),
                 ),
             )
         table.finish()

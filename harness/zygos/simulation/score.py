@@ -1,4 +1,4 @@
-"""Truth meets estimate: here only, after the estimate is written."""
+"""Compares estimates with true values; this happens only here, after the estimate is written."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class Score:
     """Relative errors of estimates (..., p) against true values (p,), in percent."""
 
     error_percent: NDArray[np.float64]
-    """(..., p) signed."""
+    """(..., p) signed errors."""
 
     @property
     def rms(self) -> NDArray[np.float64]:

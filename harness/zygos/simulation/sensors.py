@@ -1,8 +1,8 @@
-"""What the sensors say of a motion (Nanos & Papadopoulos eqs. (28)-(32); docs/paper.md, errata and noise).
+"""Sensor readings of a motion (Nanos & Papadopoulos eqs. (28)-(32); docs/paper.md, errata and noise).
 
-Encoders err by a Gaussian of variance quantum^2/12, or round to the quantum. The gyro has white noise and a bias that
-walks at random. Reported torque has white noise. The errors of one seed are the same bits whether it is drawn alone or
-among others, and those of a short run are the beginning of those of a long one.
+The error of an encoder is Gaussian with variance quantum^2/12, or its reading is rounded to the quantum. The gyro has
+white noise and a bias with random walk. The reported torque has white noise. The errors of one seed are the same bits
+whether it is drawn alone or with others, and those of a short run are the beginning of those of a long one.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Noise:
-    """Errors of every reading of B seeds over n cycles."""
+    """Errors of all readings of B seeds over n cycles."""
 
     link: Array
-    """(B, n, N) of the link encoders, rad; zero if they round."""
+    """(B, n, N) errors of the link encoders, rad; zero if they round."""
     motor: Array
-    """(B, n, N) of the motor encoders after the gear, rad; zero if they round."""
+    """(B, n, N) errors of the motor encoders after the gear, rad; zero if they round."""
     torque: Array
-    """(B, n, N) of the reported rotor torque, Nm."""
+    """(B, n, N) errors of the reported rotor torque, Nm."""
     gyro: Array
-    """(B, n, 3) of the gyro in its own frame, bias included, rad/s."""
+    """(B, n, 3) errors of the gyro in its own frame, bias included, rad/s."""
     bias: Array
-    """(B, n, 3) the gyro's bias at the start of each cycle, rad/s."""
+    """(B, n, 3) bias of the gyro at the start of each cycle, rad/s."""
     rounding: bool = False
     """Whether encoder readings are rounded to the quantum."""
 
@@ -40,9 +40,9 @@ class Noise:
 def draw_noise(arm: Arm, cycles: int, seeds: Sequence[int], encoder_noise: EncoderNoise = "gaussian") -> Noise:
     """Draw the errors of all sensors, shapes as in `Noise`, at the arm's SYNC period.
 
-    Each seed has a generator of its own, `numpy.random.default_rng(seed)`, that gives 3N+6 standard normals a cycle,
+    Each seed has its own generator, `numpy.random.default_rng(seed)`, which gives 3N+6 standard normals per cycle,
     cycle after cycle: link encoders 1..N, motor encoders 1..N, torques 1..N, gyro white x y z, gyro bias step x y z.
-    All are drawn even where a deviation is zero, so that a setting never changes the other sensors' draws.
+    All are drawn even if a deviation is zero, so that a setting never changes the other sensors' draws.
     """
     joints = arm.n
     normal = np.empty((len(seeds), cycles, 3 * joints + 6))
@@ -56,7 +56,7 @@ def draw_noise(arm: Arm, cycles: int, seeds: Sequence[int], encoder_noise: Encod
     step = arm.imu.bias_walk * np.sqrt(arm.period_s)
     after = np.cumsum(step * normal[..., 3 * joints + 3 :], axis=1)
     bias = np.concatenate([np.zeros_like(after[:, :1]), after[:, :-1]], axis=1)
-    # a sample is the mean rate over its period, hence the mean bias and the walk's variance about it
+    # a sample is the mean rate over its period; its noise includes the mean bias and the variance of the walk around it
     white = np.sqrt(arm.imu.rate_sigma**2 + step**2 / 12.0)
     gyro = white * normal[..., 3 * joints : 3 * joints + 3] + 0.5 * (bias + after)
     return Noise(
@@ -88,7 +88,7 @@ def encoder_reading(encoders: Sequence[Encoder], angle: Array, error: Array, rou
 
 
 def encoder_angle(encoders: Sequence[Encoder], reading: Array) -> Array:
-    """(..., N) joint angles, rad, that readings stand for: sign * (reading - zero)."""
+    """(..., N) joint angles, rad, of the given readings: sign * (reading - zero)."""
     sign = np.array([encoder.sign for encoder in encoders])
     zero = np.array([encoder.zero_rad for encoder in encoders])
     angle: Array = sign * (reading - zero)
@@ -102,9 +102,9 @@ def gyro_reading(arm: Arm, omega0: Array, error: Array) -> Array:
 
 
 def torque_record(arm: Arm, tau: Array, error: Array) -> Array:
-    """(..., n, N) rotor torque as recorded, Nm, from the torque in force on [t_k, t_{k+1}).
+    """(..., n, N) rotor torque as recorded, Nm, from the torque that acts on [t_k, t_{k+1}).
 
-    `applied_previous_cycle` records at k what was in force on the period that ends at t_k (zero before the first).
+    `applied_previous_cycle` records at k the torque of the period that ends at t_k (zero before the first).
     """
     record = tau
     if arm.torque_law == "applied_previous_cycle":

@@ -1,1 +1,1 @@
-"""Somebody else's telemetry: map.toml, the grid of cycles, conversion."""
+"""Telemetry of other systems: map.toml, the grid of cycles, conversion."""

@@ -1,4 +1,4 @@
-"""`zygos convert`: telemetry of others becomes a run of zygos, with a table of what became of each signal."""
+"""`zygos convert`: converts telemetry of other systems to a run of zygos, with a report on each signal."""
 
 from __future__ import annotations
 
@@ -12,9 +12,8 @@ import numpy as np
 import tomlkit
 from numpy.typing import NDArray
 
-from zygos.arm import Arm
+from zygos.arm import ANGLE_STEP, TORQUE_STEP, Arm
 from zygos.can import bus
-from zygos.can.wire import ANGLE_STEP, COARSE_RATE_STEP, RATE_STEP, TORQUE_STEP
 from zygos.errors import ZygosError
 from zygos.files.inputs import local
 from zygos.files.output import counted, write_text
@@ -40,15 +39,15 @@ _FTIME_CYCLES = 50
 
 
 _ANGLE_MAX, _TORQUE_MAX, _RATE_MAX = 16 * math.pi, (2**23 - 1) * TORQUE_STEP, 4.0
-"""What the wire carries, SI (docs/wire.md)."""
+"""Largest angle, torque and rate that the CAN frames can carry, SI units (docs/wire.md)."""
 
 
 UNLIKE = 5.0
-"""Motor and link angle of a joint whose motions differ by such a factor are worth a word."""
+"""Ratio of the motions of motor and link angle of a joint from which a warning is given."""
 
 
 def cycles_of(recording: Recording, mapping: Map, arm: Arm) -> tuple[list[Track], Cycles, dict[str, int]]:
-    """Tracks, cycles, and how much was left out for which reason."""
+    """Tracks, cycles, and the number of values left out for each reason."""
     if mapping.clock.kind == "sync":
         run = synchronous(recording, mapping, arm)
         lost = {"incomplete cycles": run.incomplete, "repeated cycles": run.repeated}
@@ -60,7 +59,7 @@ def cycles_of(recording: Recording, mapping: Map, arm: Arm) -> tuple[list[Track]
 
 
 def added_noise(found: Sequence[Track], mapping: Map, arm: Arm) -> list[float]:
-    """What the interpolation adds to the noise of each channel, SI."""
+    """Noise that the interpolation adds to each channel, SI units."""
     if mapping.clock.kind == "sync":
         return [0.0] * len(found)
     return [
@@ -70,17 +69,17 @@ def added_noise(found: Sequence[Track], mapping: Map, arm: Arm) -> list[float]:
 
 
 def check_noise(arm: Arm, mapping: Map, added: Sequence[float]) -> None:
-    """Refuse samples so far apart that an angle between them is unknown by more than a radian."""
+    """Refuse samples so far apart that the angle between them is uncertain by more than a radian."""
     for channel, sigma in zip(mapping.channels, added, strict=True):
         if channel.quantity == "angle" and math.sqrt(12.0) * declared_sigma(arm, channel) > 1.0:
             raise ZygosError(
-                f"{channel.where}: between the samples of {channel.source} the angle is unknown by {sigma:.2g} rad; "
+                f"{channel.where}: between the samples of {channel.source} the angle is uncertain by {sigma:.2g} rad; "
                 "remedy: record faster, and check unit and stamps"
             )
 
 
-def arm_text(file: Path, arm: Arm, whence: str) -> str:
-    """The arm file with the noise of `arm`."""
+def noisier_arm_text(file: Path, arm: Arm, whence: str) -> str:
+    """Text of the arm file with the noise of `arm`."""
     document = tomlkit.parse(local(file).read_text(encoding="utf-8"))
     for entry, joint in zip(document["joint"], arm.joints, strict=True):
         for key, encoder in (("link_encoder", joint.link_encoder), ("motor_encoder", joint.motor_encoder)):
@@ -91,15 +90,15 @@ def arm_text(file: Path, arm: Arm, whence: str) -> str:
         entry["torque_sigma"] = joint.torque_sigma
     if arm.free:
         document["imu"]["rate_sigma"] = arm.imu.rate_sigma
-    head = f"# Quanta and sigmas contain what interpolation and stamps of {whence} err (zygos convert).\n"
+    head = f"# Quanta and sigmas include the errors of interpolation and time stamps of {whence} (zygos convert).\n"
     return head + tomlkit.dumps(document)
 
 
 def write_run(out: Path, cycles: Cycles, frames: NDArray[Any] | None, period_s: float, beside: Path, text: str) -> None:
-    """Write the run, as frames where there are any, and the arm file beside it."""
+    """Write the run, as frames if there are any, and the arm file next to it."""
     if beside.exists() and beside.read_text(encoding="utf-8") != text:
         raise ZygosError(
-            f"{beside} is not the arm file of this run, whose noise contains that of the interpolation; remedy: write "
+            f"{beside} is not the arm file of this run, whose noise includes that of the interpolation; remedy: write "
             "the run into another folder, or remove that file"
         )
     if frames is None:
@@ -111,7 +110,7 @@ def write_run(out: Path, cycles: Cycles, frames: NDArray[Any] | None, period_s: 
 
 
 def with_time(cycles: Cycles) -> Cycles:
-    """The cycles, and invalid ones where only they can carry FTIME: a receiver loses its time after 120 cycles."""
+    """The cycles, and invalid ones where no other can carry FTIME: a receiver loses its time after 120 cycles."""
     ticks = np.arange(0, int(cycles.sync[-1]), _FTIME_CYCLES, dtype=np.uint64)
     sync = np.union1d(cycles.sync, ticks)
     at = np.searchsorted(sync, cycles.sync)
@@ -135,7 +134,7 @@ def with_time(cycles: Cycles) -> Cycles:
 
 
 def refused_share(arm: Arm, cycles: Cycles, frames: NDArray[Any] | None) -> float | None:
-    """Share of the run's instants that the flight library's bandwidth test refuses; None without an instant."""
+    """Share of the run's instants that the flight library's bandwidth test refuses; None if there is no instant."""
     flight = Flight(arm)
     if frames is None:
         flight.cycles(cycles)
@@ -146,16 +145,16 @@ def refused_share(arm: Arm, cycles: Cycles, frames: NDArray[Any] | None) -> floa
 
 
 def _wire_step(channel: Channel, arm: Arm) -> float:
-    """Step of the wire's code, SI."""
+    """Resolution of the channel in a CAN frame, SI units."""
     if channel.field == "omega":
-        return RATE_STEP if arm.imu.resolution == "fine" else COARSE_RATE_STEP
+        return arm.imu.step
     return TORQUE_STEP if channel.field == "tau" else ANGLE_STEP
 
 
 def signal_rows(
     recording: Recording, found: Sequence[Track], cycles: Cycles, arm: Arm, mapping: Map, added: Sequence[float]
 ) -> list[dict[str, Any]]:
-    """What became of each signal, as the table and the JSON of a conversion have it."""
+    """The results for each signal, as in the table and the JSON of a conversion."""
     rows: list[dict[str, Any]] = []
     for track, more in zip(found, added, strict=True):
         channel = track.channel
@@ -182,23 +181,23 @@ def signal_rows(
 def warnings_of(
     arm: Arm, cycles: Cycles, described: Arm, recording: Recording, found: Sequence[Track], out: Path
 ) -> list[str]:
-    """What a person should look at."""
-    said = []
+    """Warnings that a person should check."""
+    warnings = []
     if recording.damaged:
-        said.append(f"{counted(recording.damaged, 'frame')} could not be decoded by the DBC")
+        warnings.append(f"{counted(recording.damaged, 'frame')} could not be decoded by the DBC")
     q = encoder_angle([joint.link_encoder for joint in arm.joints], cycles.q)
     theta = encoder_angle([joint.motor_encoder for joint in arm.joints], cycles.theta)
     for i, joint in enumerate(arm.joints):
         motor, link = float(np.std(theta[:, i])), float(np.std(q[:, i]))
         together = float(np.mean((theta[:, i] - theta[:, i].mean()) * (q[:, i] - q[:, i].mean())))
         if together < 0.0 or motor > UNLIKE * link or link > UNLIKE * motor:
-            said.append(
+            warnings.append(
                 f"{joint.name}: motor and link angle do not move alike (after signs and zeros {motor:.3g} and "
-                f"{link:.3g} rad rms{', against each other' if together < 0.0 else ''}): look at unit, side, sign and "
-                "counts_per_turn of both"
+                f"{link:.3g} rad rms{', in opposite directions' if together < 0.0 else ''}): check unit, side, sign "
+                "and counts_per_turn of both"
             )
     if is_table(out):
-        return said
+        return warnings
     outside = [
         ("angles beyond ±8 turns wrap", np.abs(np.hstack([cycles.q, cycles.theta])) > _ANGLE_MAX),
         ("torques beyond ±838.8606 Nm saturate", np.abs(cycles.tau) >= _TORQUE_MAX),
@@ -207,20 +206,22 @@ def warnings_of(
     for what, where in outside:
         bad = int(np.any(where, axis=1).sum())
         if bad:
-            said.append(f"{counted(bad, 'cycle')}: on the wire {what}; a cycle table (-o RUN.npz) carries them whole")
+            warnings.append(
+                f"{counted(bad, 'cycle')}: in CAN frames {what}; a cycle table (-o RUN.npz) stores them fully"
+            )
     for track in found:
         channel = track.channel
         step = _wire_step(channel, arm)
         if channel.quantity == "angle":
             own = math.sqrt(12.0) * declared_sigma(described, channel)
             if step > own * (1 + 1e-9):
-                said.append(
-                    f"{channel.label}: the wire's step of {step:.3g} rad is coarser than the quantum of {own:.3g} rad; "
-                    "a cycle table (-o RUN.npz) keeps it"
+                warnings.append(
+                    f"{channel.label}: the CAN frame's step of {step:.3g} rad is coarser than the quantum of "
+                    f"{own:.3g} rad; a cycle table (-o RUN.npz) stores it fully"
                 )
-    return said
+    return warnings
 
 
 def stamps_sigma(found: Sequence[Track]) -> float:
-    """How far the stamps of the worst signal lie off an even train, s."""
+    """Deviation of the worst signal's stamps from equal spacing, s."""
     return max(track.stamp_sigma_s for track in found)

@@ -1,8 +1,9 @@
-"""From telemetry to cycles: by its own cycle counter, or on a fixed grid, whose interpolation errs and says how much.
+"""From telemetry to cycles: by the telemetry's own cycle counter, or by interpolation on a fixed grid.
 
-Without a SYNC each signal has stamps of its own. Angles and rates are interpolated at t_k = k * period; a torque that
-is held between its messages is averaged over the period that the arm's `torque_law` speaks of. Nothing is interpolated
-over a hole. docs/telemetry.md has the method and its limits.
+Without a SYNC each signal has its own time stamps. Angles and rates are interpolated at t_k = k * period; a torque that
+is held between its messages is averaged over the period to which the arm's `torque_law` refers. No value is
+interpolated over a hole, and the error of the interpolation is estimated. docs/telemetry.md describes the method and
+its limits.
 """
 
 from __future__ import annotations
@@ -25,36 +26,36 @@ from zygos.runs.smoother import smooth
 from zygos.telemetry.map import Channel, Field, Map, Recording
 
 Floats = NDArray[np.float64]
-Kind = Literal["hold", "linear", "cubic", "quintic"]
+InterpolationMethod = Literal["hold", "linear", "cubic", "quintic"]
 
 HOLE = 2.5
-"""A signal that is silent for longer than that many of its usual intervals has a hole."""
+"""A pause of a signal that is longer than that many of its usual intervals is a hole."""
 MANY_REPEATED = 0.05
 """Share of repeated stamps above which a clock is too coarse for its signal."""
 SPAN_MAX = 50
-"""A recording may span that many times what it has samples for; a clock that jumped spans more."""
+"""Largest ratio of a recording's time span to the time of its samples; a larger one shows that a clock jumped."""
 REFUSED_MAX = 0.05
 """Share of instants that the bandwidth test may refuse (the flight library's own limit)."""
 DOUBLINGS = 6
 
-_ORDER: dict[Kind, int] = {"hold": 1, "linear": 2, "cubic": 4}
-"""Order of the interpolation's error in the spacing of the samples."""
-_PASSED: dict[Kind, float] = {"hold": 1.0, "linear": 0.5, "cubic": 0.75}
+_ORDER: dict[InterpolationMethod, int] = {"hold": 1, "linear": 2, "cubic": 4}
+"""Order in which the interpolation's error grows with the spacing of the samples."""
+_PASSED: dict[InterpolationMethod, float] = {"hold": 1.0, "linear": 0.5, "cubic": 0.75}
 """Share of the variance of white noise that the interpolation passes halfway between two samples."""
-_DEGREE: dict[Kind, int] = {"linear": 1, "cubic": 3, "quintic": 5}
+_DEGREE: dict[InterpolationMethod, int] = {"linear": 1, "cubic": 3, "quintic": 5}
 
 
 @dataclass(frozen=True)
 class Track:
-    """One reading of the arm over time: n samples in SI, stamps that rise."""
+    """One reading of the arm over time: n samples in SI units, with increasing time stamps."""
 
     channel: Channel
     t: Floats
-    """(n,) s."""
+    """(n,) time stamps, s."""
     x: Floats
     """(n,)"""
     repeated: int = 0
-    """Samples that were left out because a later one has the same stamp."""
+    """Number of samples that were left out because a later one has the same stamp."""
 
     @property
     def interval_s(self) -> float:
@@ -63,27 +64,28 @@ class Track:
 
     @property
     def holes(self) -> NDArray[np.bool_]:
-        """(n-1,) intervals that are holes."""
+        """(n-1,) whether each interval is a hole."""
         gaps = np.diff(self.t)
         out: NDArray[np.bool_] = gaps > HOLE * np.median(gaps)
         return out
 
     @property
     def runs(self) -> list[slice]:
-        """Stretches without a hole."""
+        """Index ranges of the samples between holes."""
         edges = [0, *(np.flatnonzero(self.holes) + 1).tolist(), len(self.t)]
         return [slice(a, b) for a, b in pairwise(edges)]
 
     @property
     def stamp_sigma_s(self) -> float:
-        """Standard deviation of a stamp about an even train, s: intervals of such stamps vary twice as much."""
+        """Standard deviation of the stamps from equal spacing, s; the variance of intervals between them is twice as
+        large."""
         gaps = np.diff(self.t)
         usual = gaps[~self.holes]
         return float(np.std(usual) / math.sqrt(2.0)) if len(usual) else 0.0
 
     @property
     def evened(self) -> Track:
-        """The same samples with even stamps between holes: the motion, if it is the stamps that lie."""
+        """The same samples with equally spaced stamps between holes: the true motion, if the stamps are inaccurate."""
         t = self.t.copy()
         for run in self.runs:
             if run.stop - run.start > 1:
@@ -104,19 +106,20 @@ class Track:
 
 @dataclass(frozen=True)
 class Synchronous:
-    """Cycles by their counter, and those that were left out."""
+    """Cycles found by their counter, and the numbers of those that were left out."""
 
     cycles: Cycles
     incomplete: int
-    """Cycles that lack a value."""
+    """Number of cycles that lack a value."""
     repeated: int
-    """Cycles of which a value, or the number itself, came more than once."""
+    """Number of cycles in which a value, or the number itself, came more than once."""
 
 
 def synchronous(recording: Recording, mapping: Map, arm: Arm) -> Synchronous:
-    """One record a cycle, nothing interpolated: what follows a count belongs to it.
+    """One record per cycle, without interpolation: the values after a count belong to that count.
 
-    Errors: ZygosError for a counter that does not count cycles, stamps that contradict its period, or no whole cycle.
+    Errors: ZygosError for a counter that does not count cycles, stamps that contradict its period, or no complete
+    cycle.
     """
     clock, per_cycle = mapping.clock, round(arm.period_s / mapping.clock.unit_s)
     counts = unwrap(recording.clock, recording.modulo, recording.clock_stamp / clock.unit_s)
@@ -124,8 +127,8 @@ def synchronous(recording: Recording, mapping: Map, arm: Arm) -> Synchronous:
     if np.any(steps < 0):
         at = int(np.flatnonzero(steps < 0)[0])
         raise ZygosError(
-            f"{clock.where}: counter {clock.source} falls after value {at + 1}; remedy: state its modulo, or cut the "
-            "recording there"
+            f"{clock.where}: counter {clock.source} decreases after value {at + 1}; remedy: state its modulo, or cut "
+            "the recording there"
         )
     uneven = np.flatnonzero(np.abs(steps / per_cycle - np.round(steps / per_cycle)) > 1e-6)
     if len(uneven):
@@ -139,8 +142,9 @@ def synchronous(recording: Recording, mapping: Map, arm: Arm) -> Synchronous:
     known = periods[np.isfinite(periods)]
     if len(known) >= 8 and abs(np.median(known) / arm.period_s - 1.0) > 0.05:
         raise ZygosError(
-            f"{clock.where}: by the log's stamps a cycle of {clock.source} lasts {np.median(known):.4g} s, by the arm "
-            f"file {arm.period_s:g} s; remedy: correct period_s of the arm file, or what one count lasts here"
+            f"{clock.where}: by the log's time stamps a cycle of {clock.source} lasts {np.median(known):.4g} s, by "
+            f"the arm file {arm.period_s:g} s; remedy: correct period_s of the arm file, or that of one count in the "
+            "map"
         )
     m = len(numbers)
     values = np.full((m, len(mapping.channels)), np.nan)
@@ -158,9 +162,9 @@ def synchronous(recording: Recording, mapping: Map, arm: Arm) -> Synchronous:
     if not whole.any():
         lost = [f"{c.source} {n / m:.3g}" for c, n in zip(mapping.channels, times.sum(axis=0), strict=True) if n != m]
         raise ZygosError(
-            f"{clock.where}: no cycle of {clock.source} has each signal once; values a cycle: "
-            f"{', '.join(lost) or 'each once, but not finite'}; remedy: a time source other than sync where signals "
-            "come at rates of their own"
+            f"{clock.where}: no cycle of {clock.source} has each signal once; values per cycle: "
+            f"{', '.join(lost) or 'each once, but not finite'}; remedy: use a time source other than sync for signals "
+            "with different rates"
         )
     check_span(float(numbers[-1] - numbers[0]), m, mapping)
     return Synchronous(
@@ -169,7 +173,7 @@ def synchronous(recording: Recording, mapping: Map, arm: Arm) -> Synchronous:
 
 
 def unwrap(values: Floats, modulo: float | None, stamps: Floats) -> Floats:
-    """Counts (m,) from 0 on of a counter that starts anew at modulo, whole turns lost in an outage included.
+    """Counts (m,) from 0 of a counter that starts again at modulo, including whole turns lost in an outage.
 
     stamps: (m,) receive stamps in counts, NaN where there are none.
     """
@@ -183,10 +187,10 @@ def unwrap(values: Floats, modulo: float | None, stamps: Floats) -> Floats:
 
 
 def check_span(spanned: float, held: float, mapping: Map) -> None:
-    """Refuse a recording that spans absurdly more time than it has samples for, both in the same unit."""
+    """Refuse a recording whose time span is implausibly long for its samples; both are in the same unit."""
     if spanned > SPAN_MAX * held:
         raise ZygosError(
-            f"{mapping.clock.where}: the recording spans {spanned / held:.0f} times what it has samples for; remedy: "
+            f"{mapping.clock.where}: the recording spans {spanned / held:.0f} times the time of its samples; remedy: "
             "check the unit of the time, or cut the recording where its clock jumps"
         )
 
@@ -223,14 +227,14 @@ def _cycles(arm: Arm, channels: Sequence[Channel], numbers: NDArray[np.int64], v
 def tracks(recording: Recording, mapping: Map) -> list[Track]:
     """Each channel of a map over time.
 
-    Errors: ZygosError for stamps that go backwards or repeat often, and for a channel of fewer than 8 samples.
+    Errors: ZygosError for stamps that decrease or often repeat, and for a channel of fewer than 8 samples.
     """
     clock = mapping.clock
     times = np.zeros(0)
     if clock.kind != "receive":
         counts = unwrap(recording.clock, recording.modulo, recording.clock_stamp / clock.unit_s)
         if recording.modulo is not None:
-            # a small step backwards looks like nearly a whole turn forwards
+            # a small step backwards looks like nearly a full turn forwards
             raw = np.diff(recording.clock)
             _forwards(clock.source, clock.where, (raw < 0) & (np.mod(raw, recording.modulo) > 0.5 * recording.modulo))
         times = counts * clock.unit_s
@@ -245,8 +249,8 @@ def tracks(recording: Recording, mapping: Map) -> list[Track]:
         repeated = int(len(t) - last.sum())
         if repeated > MANY_REPEATED * len(t):
             raise ZygosError(
-                f"{channel.where}: {repeated} of {len(t)} stamps of {channel.source} repeat the one before; remedy: a "
-                "time source of finer steps, or sync"
+                f"{channel.where}: {repeated} of {len(t)} time stamps of {channel.source} are repeated; remedy: use a "
+                "time source with finer steps, or sync"
             )
         if last.sum() < 8:
             raise ZygosError(
@@ -257,7 +261,7 @@ def tracks(recording: Recording, mapping: Map) -> list[Track]:
 
 
 def _forwards(source: str, where: str, falls: NDArray[np.bool_]) -> None:
-    """Refuse stamps that fall."""
+    """Refuse time stamps that decrease."""
     at = np.flatnonzero(falls)
     if len(at):
         raise ZygosError(
@@ -266,16 +270,17 @@ def _forwards(source: str, where: str, falls: NDArray[np.bool_]) -> None:
         )
 
 
-def kind_of(channel: Channel, mapping: Map, arm: Arm) -> Kind:
-    """How a channel comes to the grid: a torque is held between its messages, unless the arm's drives sample it."""
+def kind_of(channel: Channel, mapping: Map, arm: Arm) -> InterpolationMethod:
+    """Interpolation of a channel: a torque is held between its messages, unless the arm's drives sample it."""
     if channel.field == "tau":
         return "linear" if arm.torque_law == "sampled" else "hold"
     assert mapping.clock.interpolation is not None
     return mapping.clock.interpolation
 
 
-def interpolate(track: Track, at: Floats, kind: Kind) -> Floats:
-    """Values (m,) of a track at times (m,); NaN in holes, outside, and where a run is too short for the spline."""
+def interpolate(track: Track, at: Floats, kind: InterpolationMethod) -> Floats:
+    """Values (m,) of a track at times (m,); NaN in holes, outside the track, and where it is too short for the
+    spline."""
     out = np.full(len(at), np.nan)
     for run in track.runs:
         t, x = track.t[run], track.x[run]
@@ -288,11 +293,12 @@ def interpolate(track: Track, at: Floats, kind: Kind) -> Floats:
 
 
 def held_mean(track: Track, begin: Floats, period_s: float) -> Floats:
-    """Mean (m,) of a held signal over [begin, begin + period); NaN where that touches a hole or leaves the track."""
+    """Mean (m,) of a held signal over [begin, begin + period); NaN if this interval overlaps a hole or leaves the
+    track."""
     out = np.full(len(begin), np.nan)
     for run in track.runs:
         t, x = track.t[run], track.x[run]
-        ends = np.append(t, t[-1] + track.interval_s)  # the last value holds as long as the others
+        ends = np.append(t, t[-1] + track.interval_s)  # the last value is held as long as the others
         integral = np.concatenate([[0.0], np.cumsum(x * np.diff(ends))])
         slack = 1e-9 * period_s
         inside = (begin >= t[0] - slack) & (begin + period_s <= ends[-1] + slack)
@@ -301,19 +307,19 @@ def held_mean(track: Track, begin: Floats, period_s: float) -> Floats:
     return out
 
 
-def regrid(found: Sequence[Track], arm: Arm, mapping: Map, *, kind: Kind | None = None) -> Cycles:
-    """Tracks on the grid of the arm's period, which begins with the first instant that all of them know.
+def regrid(found: Sequence[Track], arm: Arm, mapping: Map, *, kind: InterpolationMethod | None = None) -> Cycles:
+    """Tracks on the grid of the arm's period, which begins with the first instant at which all of them have a value.
 
-    Readings that no track gives are zero. kind: another interpolation than the map's. Errors: ZygosError if no
-    instant is known.
+    Readings without a track are zero. kind: an interpolation that replaces the map's. Errors: ZygosError if there is no
+    such instant.
     """
     h = arm.period_s
     begin = max(track.t[0] for track in found)
     end = min(track.t[-1] for track in found)
     if end <= begin:
         raise ZygosError(
-            f"{mapping.clock.where}: no instant at which every signal is known; remedy: a recording in which all of "
-            "them come at the same time"
+            f"{mapping.clock.where}: there is no instant at which every signal has a value; remedy: use a recording "
+            "in which all of them are present at the same time"
         )
     check_span(end - begin, max(len(track.t) * track.interval_s for track in found), mapping)
     at = begin + h * np.arange(math.floor((end - begin) / h + 1e-9) + 1)
@@ -330,20 +336,21 @@ def regrid(found: Sequence[Track], arm: Arm, mapping: Map, *, kind: Kind | None 
     if not whole.any():
         worst = found[int(np.argmin(known.sum(axis=0)))].channel
         raise ZygosError(
-            f"{worst.where}: {worst.source} has holes everywhere, no instant is known; remedy: record it evenly"
+            f"{worst.where}: {worst.source} has holes everywhere, so no instant is known; remedy: record it at even "
+            "intervals"
         )
     return _cycles(arm, [track.channel for track in found], np.flatnonzero(whole), values[whole])
 
 
-# -- what the grid costs --------------------------------------------------------------------------------------------
+# -- the error of the grid ------------------------------------------------------------------------------------------
 
 
-def interpolation_sigma(track: Track, kind: Kind, sigma: float) -> float:
-    """Standard deviation that a value on the grid has beyond the declared sigma of its sensor, SI.
+def interpolation_sigma(track: Track, kind: InterpolationMethod, sigma: float) -> float:
+    """Standard deviation of a value on the grid in addition to the declared sigma of its sensor, SI units.
 
-    Samples are left out and predicted from the others, once from every second and once from every fourth. What grows
-    with the spacing as the order of the interpolation says is its own error; it is smaller by that factor where all
-    samples are used. What does not is noise of the samples and their stamps; what exceeds sigma is added.
+    Samples are left out and predicted from the others, once from every second and once from every fourth. The part that
+    grows with the spacing by the order of the interpolation is its own error; with all samples it is smaller by that
+    factor. The rest is noise of the samples and their stamps; the part that exceeds sigma is added.
     """
     order, passed = _ORDER[kind], _PASSED[kind]
     two, four = (_left_out(track, kind, step) for step in (2, 4))
@@ -354,8 +361,8 @@ def interpolation_sigma(track: Track, kind: Kind, sigma: float) -> float:
     return math.sqrt(own / growth + max(0.0, noise - sigma**2))
 
 
-def _left_out(track: Track, kind: Kind, step: int) -> float:
-    """Mean square of samples halfway between every step-th one, less what those predict."""
+def _left_out(track: Track, kind: InterpolationMethod, step: int) -> float:
+    """Mean square difference of the samples halfway between every step-th one from their predictions by those."""
     errors = []
     for run in track.runs:
         t, x = track.t[run], track.x[run]
@@ -371,7 +378,7 @@ def _left_out(track: Track, kind: Kind, step: int) -> float:
 
 
 def declared_sigma(arm: Arm, channel: Channel) -> float:
-    """The standard deviation that the arm file states of a reading, SI."""
+    """The standard deviation of a reading that the arm file states, SI units."""
     if channel.field == "omega":
         return arm.imu.rate_sigma
     joint = arm.joints[channel.index]
@@ -381,7 +388,8 @@ def declared_sigma(arm: Arm, channel: Channel) -> float:
 
 
 def noisier(arm: Arm, channels: Sequence[Channel], added: Sequence[float]) -> Arm:
-    """The arm whose sensors err by so much more, in the order of the channels; the gyro as its worst axis."""
+    """The arm with the `added` noise on its sensors, in the order of the channels; the gyro gets that of its worst
+    axis."""
     by = {(c.field, c.index): sigma for c, sigma in zip(channels, added, strict=True)}
 
     def encoder(one: Encoder, sigma: float) -> Encoder:
@@ -400,7 +408,7 @@ def noisier(arm: Arm, channels: Sequence[Channel], added: Sequence[float]) -> Ar
     return replace(arm, joints=tuple(joints), imu=imu)
 
 
-# -- whether it is fast enough --------------------------------------------------------------------------------------
+# -- whether the telemetry is fast enough ---------------------------------------------------------------------------
 
 
 def tracks_of(cycles: Cycles, arm: Arm, mapping: Map) -> list[Track]:
@@ -410,16 +418,17 @@ def tracks_of(cycles: Cycles, arm: Arm, mapping: Map) -> list[Track]:
 
 
 def needed_rate(found: Sequence[Track], arm: Arm, mapping: Map) -> tuple[float, float | None]:
-    """The rate of the telemetry on the grid, Hz, and the rate that its motion needs, Hz; None: beyond the search.
+    """The rate of the telemetry on the grid, Hz, and the rate that its motion needs, Hz; None: above the searched
+    range.
 
-    Quintic splines through the angles reconstruct the motion; sampled at the slower of grid and telemetry, and at
-    twice, four times, … that rate, it is put to the bandwidth test, until the test refuses few instants. Where the
-    telemetry is too slow to show the motion at all, that is a lower bound. The noise is the declared one and that of
-    the stamps, not what the interpolation added.
+    Quintic splines through the angles reconstruct the motion. It is sampled at the slower rate of grid and telemetry,
+    and at twice, four times, … that rate, until the bandwidth test refuses few instants. If the telemetry is too slow
+    to show the motion at all, the result is a lower bound. The noise is the declared one and that of the stamps,
+    without what the interpolation added.
     """
     angles = [track for track in found if track.channel.quantity == "angle"]
     if min(max(run.stop - run.start for run in track.runs) for track in angles) < 6:
-        return 0.0, 0.0  # too short for a spline, and for a smoother
+        return 0.0, 0.0  # too short for a spline and for a smoother
     jitter = [track.rate_rms * track.stamp_sigma_s for track in angles]
     steady = noisier(arm, [track.channel for track in angles], jitter)
     slowest = max(arm.period_s, *(track.interval_s for track in angles))

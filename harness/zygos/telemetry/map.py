@@ -1,7 +1,8 @@
-"""Telemetry of others: which signal of a foreign log or table is what of the arm, in which unit (`map.toml`).
+"""Telemetry of other systems: which signal of a foreign log or table is which reading of the arm, in which unit
+(`map.toml`).
 
-A CAN log is decoded by cantools with the DBC files of its owner, a table is read by its column names. Either way the
-result is a `Recording`: each signal's values in SI, and when they were taken.
+A CAN log is decoded by cantools with the owner's DBC files, a table is read by its column names. In both cases the
+result is a `Recording`: each signal's values in SI units with their times.
 """
 
 from __future__ import annotations
@@ -46,7 +47,8 @@ UNITS: dict[Quantity, dict[str, float]] = {
     },
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
 }
-"""SI per unit; NaN where another key of the map says it: counts_per_turn of counts, torque_constant of A and mA."""
+"""SI units per unit; NaN where another key of the map states it: counts_per_turn for counts, torque_constant for A,
+mA."""
 SI_UNIT: dict[Quantity, str] = {"angle": "rad", "torque": "Nm", "rate": "rad/s", "time": "s"}
 
 _INTERPOLATIONS: tuple[Interpolation, ...] = ("linear", "cubic")
@@ -55,83 +57,84 @@ _SPELLINGS = {
     "N·m": "Nm", "N m": "Nm", "N.m": "Nm", "N*m": "Nm", "mN·m": "mNm", "mN.m": "mNm", "Amps": "A", "1/min": "rpm",
     "r/min": "rpm", "RPM": "rpm", "°/s": "deg/s", "dps": "deg/s", "µs": "us", "sec": "s",
 }  # fmt: skip
-"""How DBC files also write these units."""
+"""Other spellings of these units in DBC files."""
 
 
 @dataclass(frozen=True)
 class Channel:
-    """One reading of the arm: where it comes from, and SI = gain * value + offset."""
+    """One reading of the arm: its source, and SI = gain * value + offset."""
 
     label: str
-    """As people read it: shoulder.motor, gyro.x."""
+    """Name for people: shoulder.motor, gyro.x."""
     field: Field
-    """Member of `Cycles` that it belongs to."""
+    """Field of `Cycles` to which it belongs."""
     index: int
-    """Its column there."""
+    """Its column in that field."""
     quantity: Quantity
     source: str
-    """message.signal, or the name of a column."""
+    """The source: message.signal, or the name of a column."""
     unit: str
     gain: float
     offset: float
     bare: bool
-    """Whether the map names neither scale nor offset: the source's own unit must then be the map's."""
+    """Whether the map states neither scale nor offset: then the source's own unit must be the map's."""
     where: str
-    """File and key in the map, for refusals."""
+    """File and key in the map, for error messages."""
 
 
 @dataclass(frozen=True)
 class Clock:
-    """What says when: the log's stamps (`receive`), a time (`signal`, `column`) or a counter of cycles (`sync`)."""
+    """The source of times: the log's stamps (`receive`), a time (`signal`, `column`) or a counter of cycles
+    (`sync`)."""
 
     kind: Source
     source: str = ""
-    """message.signal, or the name of a column; none for `receive`."""
+    """The source: message.signal, or the name of a column; empty for `receive`."""
     unit: str = "s"
     unit_s: float = 1.0
-    """Seconds of one count or unit."""
+    """Duration of one count or unit, s."""
     modulo: float | None = None
-    """The value starts anew at this many counts or units."""
+    """Number of counts or units after which the value starts again."""
     interpolation: Interpolation | None = None
-    """None where the counter is the cycle."""
+    """Interpolation of the signals; None where the counter numbers the cycles."""
     where: str = ""
 
 
 @dataclass(frozen=True)
 class Map:
-    """What `map.toml` says about the telemetry of an arm."""
+    """The content of `map.toml` about the telemetry of an arm."""
 
     clock: Clock
     channels: tuple[Channel, ...]
 
 
 @dataclass(frozen=True)
-class Samples:
-    """n values of one source, in its own unit, in the order of the recording."""
+class SourceSamples:
+    """The n values of one source, in its own unit, in the order of the recording."""
 
     value: Floats
     """(n,)"""
     group: NDArray[np.int64]
-    """(n,) how many values of the clock came before or with each, less one; zeros where there is no clock."""
+    """(n,) index of the clock's latest value before or with each value; zeros where there is no clock."""
     stamp: Floats
-    """(n,) receive stamp, s after the first of the recording; NaN in a table."""
+    """(n,) receive time after the first frame of the recording, s; NaN in a table."""
 
 
 @dataclass(frozen=True)
 class Recording:
-    """Telemetry as it was recorded; m values of the clock."""
+    """Telemetry as it was recorded, with m values of the clock."""
 
-    sources: dict[str, Samples]
+    sources: dict[str, SourceSamples]
     clock: Floats
-    """(m,) values of the clock less the first one, in its own unit; empty for `receive`."""
+    """(m,) values of the clock minus the first one, in its own unit; empty for `receive`."""
     clock_stamp: Floats
     """(m,) receive stamps of the clock, s; NaN in a table."""
     modulo: float | None
-    """At how many of its units the clock starts anew."""
+    """Number of its units after which the clock starts again."""
     damaged: int = 0
-    """Frames that the DBC could not decode."""
+    """Number of frames that the DBC could not decode."""
     missing: tuple[str, ...] = ()
-    """What is missing of a damaged log, in words that begin with its name."""
+    """Sentences about what is missing in a damaged log, each beginning with its name."""
 
 
 def closest(name: str, known: Iterable[str], noun: str) -> str:
@@ -140,7 +143,7 @@ def closest(name: str, known: Iterable[str], noun: str) -> str:
     close = difflib.get_close_matches(name, listed, n=1, cutoff=0.5)
     if close:
         return f'did you mean "{close[0]}"?'
-    return f"the {noun} there are {', '.join(listed[:12])}{' …' if len(listed) > 12 else ''}"
+    return f"the {noun} are {', '.join(listed[:12])}{' …' if len(listed) > 12 else ''}"
 
 
 def load_map(path: str | Path, arm: Arm, *, tabular: bool) -> Map:
@@ -148,15 +151,19 @@ def load_map(path: str | Path, arm: Arm, *, tabular: bool) -> Map:
 
     Errors: ZygosError naming file, key and remedy for anything unknown, missing or contradictory.
     """
-    top = Table.load(path)
+    return read_map(Table.load(path), arm, tabular=tabular)
+
+
+def read_map(top: Table, arm: Arm, *, tabular: bool) -> Map:
+    """The map of a table with the keys of `map.toml`. Errors: as `load_map`."""
     entries: dict[str, Table] = {}
     names = [joint.name for joint in arm.joints]
-    for table in top.tables("joint"):
-        name = table.text("name")
+    for table in top.tables("joint", "The signals of each joint. Every joint of the arm has an entry."):
+        name = table.text("name", "Name of the joint in the arm file.")
         if name not in names:
             raise table.error("name", f'"{name}" is no joint of arm {arm.name}', closest(name, names, "joints"))
         if name in entries:
-            raise table.error("name", f'"{name}" stands twice', "keep one [[joint]] a joint")
+            raise table.error("name", f'"{name}" appears twice', "keep one [[joint]] per joint")
         entries[name] = table
     missing = [name for name in names if name not in entries]
     if missing:
@@ -167,44 +174,55 @@ def load_map(path: str | Path, arm: Arm, *, tabular: bool) -> Map:
     for i, joint in enumerate(arm.joints):
         table = entries[joint.name]
         if not joint.flexible and table.has("link"):
-            raise table.error("link", "a rigid joint has one angle, its motor's", "remove it")
-        kinds: list[tuple[str, Field, Quantity]] = [("motor", "theta", "angle"), ("torque", "tau", "torque")]
+            raise table.error("link", "a rigid joint has only its motor's angle", "remove it")
+        kinds: list[tuple[str, str, str, Field, Quantity]] = [
+            ("motor", "The angle of the motor.", "", "theta", "angle"),
+            ("torque", "The torque of the motor.", "", "tau", "torque"),
+        ]
         if joint.flexible:
-            kinds.insert(0, ("link", "q", "angle"))
-        for key, field, quantity in kinds:
-            entry = table.table(key)
+            only = "required for a flexible joint, refused for a rigid one"
+            kinds.insert(0, ("link", "The angle of the link.", only, "q", "angle"))
+        for key, meaning, otherwise, field, quantity in kinds:
+            entry = table.table(key, meaning, otherwise=otherwise)
             label = f"{joint.name}.{key}"
             channels.append(_channel(entry, label, field, i, quantity, joint.gear_ratio, tabular=tabular))
         table.finish()
     if arm.free:
-        gyro = top.table("gyro")
+        gyro = top.table(
+            "gyro", "The rates of the base.", otherwise="required for an arm with a free base, refused for a fixed one"
+        )
         for i, axis in enumerate("xyz"):
-            channels.append(_channel(gyro.table(axis), f"gyro.{axis}", "omega", i, "rate", 1.0, tabular=tabular))
+            entry = gyro.table(axis, f"The rate about the {axis} axis of the gyro.")
+            channels.append(_channel(entry, f"gyro.{axis}", "omega", i, "rate", 1.0, tabular=tabular))
         gyro.finish()
     elif top.has("gyro"):
-        raise top.error("gyro", f"the base of arm {arm.name} is fixed, it has no gyro", "remove [gyro]")
-    clock = _clock(top.table("time"), arm, tabular=tabular)
+        raise top.error("gyro", f"the base of arm {arm.name} is fixed and has no gyro", "remove [gyro]")
+    clock = _clock(top.table("time", "What says when a value was measured."), arm, tabular=tabular)
     top.finish()
     return Map(clock, tuple(channels))
 
 
-def _source(table: Table, *, tabular: bool) -> str:
+def _source(table: Table, also: str = "", *, tabular: bool) -> str:
+    """also: a further condition of the map under which the source is named."""
     key, other = ("column", "signal") if tabular else ("signal", "column")
     if table.has(other):
-        kind = "a table, it has columns" if tabular else "a CAN log, it has signals of messages"
+        kind = "a table, which has columns" if tabular else "a CAN log, which has signals of messages"
         raise table.error(other, f"the input is {kind}", f"name a {key}")
-    name = table.text(key)
+    meaning, input_kind = (
+        ("Name of the column.", "table") if tabular else ("Message.Signal, as the DBC names them.", "CAN log")
+    )
+    name = table.text(key, meaning, otherwise=f"required where the input is a {input_kind}{also}, refused elsewhere")
     if not tabular and "." not in name:
         raise table.error(key, f'"{name}" names no signal of a message', 'write "Message.Signal"')
     return name
 
 
-def _unit(table: Table, quantity: Quantity) -> str:
-    unit = table.text("unit")
+def _unit(table: Table, quantity: Quantity, otherwise: str = "") -> str:
+    unit = table.text("unit", f"Unit of the value: {', '.join(UNITS[quantity])}.", otherwise=otherwise)
     known = UNITS[quantity]
     if unit not in known:
         listed = ", ".join(f'"{name}"' for name in known)
-        raise table.error("unit", f'"{unit}" is no unit of {quantity}', f"write one of {listed}")
+        raise table.error("unit", f'"{unit}" is not a unit of {quantity}', f"write one of {listed}")
     return unit
 
 
@@ -215,22 +233,46 @@ def _channel(
     unit = _unit(table, quantity)
     si = UNITS[quantity][unit]
     if unit == "counts":
-        si = 2 * math.pi / table.number("counts_per_turn", above=0.0)
+        si = (
+            2
+            * math.pi
+            / table.number(
+                "counts_per_turn",
+                "Counts of the encoder in one turn.",
+                above=0.0,
+                otherwise='required where unit is "counts", refused elsewhere',
+            )
+        )
     elif unit in ("A", "mA"):
-        si = table.number("torque_constant", above=0.0, unit="Nm/A") * (1e-3 if unit == "mA" else 1.0)
+        si = table.number(
+            "torque_constant",
+            "Torque of the motor for one ampere.",
+            above=0.0,
+            unit="Nm/A",
+            otherwise='required where unit is "A" or "mA", refused elsewhere',
+        )
+        si *= 1e-3 if unit == "mA" else 1.0
     bare = not (table.has("scale") or table.has("offset"))
-    scale = table.number("scale", 1.0)
-    offset = table.number("offset", 0.0, unit=unit)
-    sign = table.integer("sign", 1, low=-1, high=1)
+    scale = table.number("scale", "Units for one step of the source. Not 0.", 1.0)
+    offset = table.number("offset", "Value in units that is added after scaling, before the sign.", 0.0, unit=unit)
+    sign = table.integer(
+        "sign", "1, or -1 where the source counts against the axis of the arm file.", 1, low=-1, high=1
+    )
     if scale == 0.0:
         raise table.error("scale", "is 0", "write the units per value of the source")
     if sign == 0:
         raise table.error("sign", "is 0", "write 1 or -1")
-    # angles and torques of either side of the gear; `Cycles` has angles after it and torques before it
+    # angles and torques may be given on either side of the gear; `Cycles` has angles after it and torques before it
     if quantity == "torque":
-        geared = table.choice("at", ("rotor", "output"), "rotor") == "output"
+        geared = (
+            table.choice("at", "The side of the gear at which the torque is stated.", ("rotor", "output"), "rotor")
+            == "output"
+        )
     else:
-        geared = field == "theta" and table.choice("side", ("output", "rotor")) == "rotor"
+        sides = ("output", "rotor")
+        geared = field == "theta" and (
+            table.choice("side", "The side of the gear at which the encoder of the motor sits.", sides) == "rotor"
+        )
     factor = sign * si / (gear_ratio if geared else 1.0)
     table.finish()
     where = f"{table.file}: {table.where}"
@@ -239,38 +281,62 @@ def _channel(
 
 def _clock(table: Table, arm: Arm, *, tabular: bool) -> Clock:
     kinds: tuple[Source, ...] = ("sync", "column") if tabular else ("sync", "signal", "receive")
-    kind = table.choice("source", kinds)
+    kind = table.choice(
+        "source",
+        'The clock. "sync": a counter of cycles, nothing is interpolated. "signal" or "column": a time that is '
+        'recorded beside the values. "receive": the receive time of each frame.',
+        kinds,
+    )
     source, unit, unit_s, modulo = "", "s", 1.0, None
     if kind != "receive":
-        source = _source(table, tabular=tabular)
+        source = _source(table, "" if tabular else ' and source is not "receive"', tabular=tabular)
         if table.has("modulo"):
-            modulo = table.number("modulo", above=0.0)
+            modulo = table.number(
+                "modulo",
+                "Counts, or units of time, after which the clock starts again at 0.",
+                above=0.0,
+                otherwise="the width of the signal in the DBC; in a table the clock does not start again",
+            )
     interpolation: Interpolation | None = None
     if kind == "sync":
-        unit, unit_s = "counts", table.number("period_s", arm.period_s, above=0.0, unit="s")
+        unit = "counts"
+        unit_s = table.number(
+            "period_s",
+            "Time between two counts of the counter.",
+            arm.period_s,
+            above=0.0,
+            unit="s",
+            otherwise='period_s of the arm file; refused where source is not "sync"',
+        )
         cycle = arm.period_s / unit_s
         if cycle < 0.5 or abs(cycle - round(cycle)) > 1e-6 * cycle:
             raise table.error(
                 "period_s",
-                f"a count lasts {unit_s:g} s, a period of arm {arm.name} {arm.period_s:g} s, which is no multiple",
+                f"a count lasts {unit_s:g} s, and {arm.period_s:g} s, a period of arm {arm.name}, is not a multiple "
+                "of it",
                 "correct this period_s, or that of the arm file",
             )
     else:
         if kind != "receive":
-            unit = _unit(table, "time")
+            unit = _unit(table, "time", 'required where source is "signal" or "column", refused elsewhere')
             unit_s = UNITS["time"][unit]
-        interpolation = table.choice("interpolation", _INTERPOLATIONS)
+        interpolation = table.choice(
+            "interpolation",
+            "How values are interpolated at the instants of the cycles.",
+            _INTERPOLATIONS,
+            otherwise='required where source is not "sync", refused elsewhere',
+        )
     table.finish()
     return Clock(kind, source, unit, unit_s, modulo, interpolation, f"{table.file}: {table.where}")
 
 
 def read_table(path: Path, mapping: Map) -> Recording:
-    """Read the columns that a map names. Errors: ZygosError for a column that is missing or holds no numbers."""
+    """Read the columns that a map names. Errors: ZygosError for a column that is missing or not numeric."""
     columns = read_columns(path)
     nowhere = np.full(len(next(iter(columns.values()))), np.nan)
     rows = np.arange(len(nowhere))
     sources = {
-        channel.source: Samples(
+        channel.source: SourceSamples(
             _column(path, columns, channel.source, channel.where).astype(np.float64),
             rows,
             nowhere,
@@ -280,7 +346,7 @@ def read_table(path: Path, mapping: Map) -> Recording:
     raw = _column(path, columns, mapping.clock.source, mapping.clock.where)
     if raw.dtype.kind == "u":
         raw = raw.astype(np.int64)
-    clock = (raw - raw[0]).astype(np.float64)  # nanoseconds since 1970 have more digits than a float
+    clock = (raw - raw[0]).astype(np.float64)  # nanoseconds since 1970 have more digits than a float can store
     if not np.all(np.isfinite(clock)):
         at = int(np.flatnonzero(~np.isfinite(clock))[0])
         raise ZygosError(
@@ -295,8 +361,8 @@ def _column(path: Path, columns: Columns, name: str, where: str) -> NDArray[Any]
     values = columns[name]
     if values.dtype.kind not in "iuf":
         raise ZygosError(
-            f'{where}: column "{name}" of {path.name} holds something else than numbers ({values.dtype}); '
-            "remedy: export numbers, a time as seconds"
+            f'{where}: column "{name}" of {path.name} has values that are not numbers ({values.dtype}); '
+            "remedy: export numbers, and a time in seconds"
         )
     return values
 
@@ -319,13 +385,13 @@ class Dictionary:
                 )
             except FileNotFoundError:
                 raise ZygosError(f"{file}: no such file; remedy: check the path") from None
-            except Exception as error:  # cantools raises errors of its own for each format
+            except Exception as error:  # cantools raises different errors for each format
                 first = (str(error).strip().splitlines() or [""])[0]
                 raise ZygosError(f"{file}: not a readable DBC ({first}); remedy: correct that file") from error
             for message in getattr(database, "messages", ()):
                 if message.name in messages:
                     raise ZygosError(
-                        f"{file}: message {message.name} is defined in another DBC, too; remedy: leave one of them out"
+                        f"{file}: message {message.name} is also defined in another DBC; remedy: leave one of them out"
                     )
                 messages[message.name] = message
         return cls(tuple(files), messages)
@@ -344,13 +410,13 @@ class Dictionary:
 
 
 def _check_unit(channel: Channel, signal: Any) -> None:
-    """Refuse a unit that contradicts the DBC's."""
-    said = _SPELLINGS.get(signal.unit or "", signal.unit or "")
+    """Refuse a unit that contradicts that in the DBC."""
+    spelled = _SPELLINGS.get(signal.unit or "", signal.unit or "")
     known = {unit for units in UNITS.values() for unit in units}
-    if channel.bare and said in known and said != channel.unit:
+    if channel.bare and spelled in known and spelled != channel.unit:
         raise ZygosError(
-            f'{channel.where}.unit: the map says "{channel.unit}", the DBC says "{signal.unit}" of {channel.source}; '
-            "remedy: write the DBC's unit, or, where the DBC is wrong, scale = 1.0 beside yours"
+            f'{channel.where}.unit: the map says "{channel.unit}", the DBC says "{signal.unit}" for {channel.source}; '
+            "remedy: write the DBC's unit, or, if the DBC is wrong, add scale = 1.0 to yours"
         )
 
 
@@ -359,7 +425,7 @@ def read_can(
 ) -> Recording:
     """Read the signals that a map names from a CAN log.
 
-    Errors: ZygosError for a signal that the DBC does not have or the log does not hold, or a log that cannot be read.
+    Errors: ZygosError for a signal that is missing in the DBC or in the log, or a log that cannot be read.
     """
     clock = mapping.clock
     wanted: dict[tuple[int, bool], tuple[Message, set[str]]] = {}
@@ -401,17 +467,17 @@ def read_can(
                 values[source].append((float(decoded[name]), max(len(ticks) - 1, 0), stamp))
     if clock.source and not ticks:
         raise ZygosError(
-            f"{clock.where}: {path.name} holds no {clock.source}; remedy: check the DBC's identifiers against the log"
+            f"{clock.where}: {path.name} has no {clock.source}; remedy: compare the DBC's identifiers with the log"
         )
     for channel in mapping.channels:
         if not values[channel.source]:
             raise ZygosError(
-                f"{channel.where}: {path.name} holds no {channel.source}"
+                f"{channel.where}: {path.name} has no {channel.source}"
                 + (f" ({damaged} frames could not be decoded)" if damaged else "")
-                + "; remedy: check the DBC's identifiers against the log"
+                + "; remedy: compare the DBC's identifiers with the log"
             )
     sources = {
-        source: Samples(
+        source: SourceSamples(
             np.array([v for v, _, _ in rows]), np.array([g for _, g, _ in rows]), np.array([s for _, _, s in rows])
         )
         for source, rows in values.items()
@@ -428,9 +494,9 @@ def read_can(
 
 
 def _decode(message: Message, frame: can.Message) -> dict[str, Any] | None:
-    """Values by signal, or None for a frame that is not as the DBC says."""
+    """Values by signal, or None for a frame that does not match the DBC."""
     try:
         decoded = message.decode(bytes(frame.data), decode_choices=False)
-    except Exception:  # cantools and bitstruct raise errors of their own
+    except Exception:  # cantools and bitstruct raise different errors
         return None
     return decoded if isinstance(decoded, dict) else None

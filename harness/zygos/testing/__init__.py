@@ -1,4 +1,4 @@
-"""A bench for flight computers, as a pytest plugin: `pytest_plugins = ["zygos.testing"]` (docs/hil.md).
+"""A test bench for flight computers, as a pytest plugin: `pytest_plugins = ["zygos.testing"]` (docs/hil.md).
 
 Fixtures: `bus`, `plant`, `dut`, `faults`. Options: --zygos-channel, --zygos-dut, --zygos-scenario, --zygos-json.
 """
@@ -33,17 +33,17 @@ _VERDICTS = {"passed": "pass", "failed": "fail", "error": "fail", "skipped": "no
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Say which bench it is."""
+    """Add the options of the bench."""
     group = parser.getgroup("zygos")
     group.addoption("--zygos-channel", metavar="NAME", default="vcan0", help="SocketCAN interface (vcan0).")
     group.addoption(
         "--zygos-dut",
         metavar="COMMAND",
         default="zygos-node",
-        help=f"What starts the device under test (zygos-node), or {EXTERNAL}: whatever answers on the channel.",
+        help=f"Command that starts the device under test (zygos-node); {EXTERNAL}: a device already on the channel.",
     )
     group.addoption("--zygos-scenario", metavar="FILE", help="The plant: a scenario.toml, which names arm and model.")
-    group.addoption("--zygos-json", metavar="FILE", help="Where the table of drills is written as JSON, too.")
+    group.addoption("--zygos-json", metavar="FILE", help="Also write the table of drills to this file, as JSON.")
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -56,23 +56,23 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.fixture
 def bus(pytestconfig: pytest.Config) -> Iterator[can.BusABC]:
-    """The bench's channel as a bus of python-can, for a test's own frames."""
+    """The bench's channel as a bus of python-can, for frames that a test sends itself."""
     with open_bus("socketcan", pytestconfig.getoption("--zygos-channel")) as opened:
         yield opened
 
 
 @pytest.fixture(scope="session")
 def plant(pytestconfig: pytest.Config) -> Plant:
-    """The plant that moves as --zygos-scenario says."""
+    """The plant that moves according to --zygos-scenario."""
     scenario = pytestconfig.getoption("--zygos-scenario")
     if scenario is None:
-        pytest.fail("no plant is named; remedy: pytest --zygos-scenario SCENARIO.toml", pytrace=False)
+        pytest.fail("no plant is given; remedy: pytest --zygos-scenario SCENARIO.toml", pytrace=False)
     return Plant(load_scenario(Path(scenario)), pytestconfig.getoption("--zygos-channel"))
 
 
 @pytest.fixture(scope="session")
 def _device(plant: Plant, pytestconfig: pytest.Config, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Dut]:
-    """One device a session: an external one has heard all that was sent."""
+    """One device per session, because an external one has received everything that was sent before."""
     command = pytestconfig.getoption("--zygos-dut")
     with Dut(plant.arm, plant.channel, command, tmp_path_factory.mktemp("dut")) as device:
         yield device
@@ -80,7 +80,7 @@ def _device(plant: Plant, pytestconfig: pytest.Config, tmp_path_factory: pytest.
 
 @pytest.fixture
 def dut(_device: Dut, request: pytest.FixtureRequest) -> Dut:
-    """The device under test: one of our own is new in each test, and still to be started."""
+    """The device under test: our own one is reset in each test and not started yet."""
     _device.renew()
     request.node.user_properties.append((_DRILL, _device.record))
     return _device
@@ -88,7 +88,7 @@ def dut(_device: Dut, request: pytest.FixtureRequest) -> Dut:
 
 @pytest.fixture(name="faults")
 def faults_fixture() -> ModuleType:
-    """`zygos.testing.faults`: what can happen to a stream."""
+    """The module `zygos.testing.faults`, which changes streams."""
     return _faults
 
 
@@ -99,7 +99,7 @@ def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> Non
         for report in terminalreporter.getreports(outcome):
             record = dict(getattr(report, "user_properties", ())).get(_DRILL)  # a failed collection has none
             if record is None or (outcome == "passed" and (report.when != "call" or record["expected"] is None)):
-                continue  # no drill, or a test that judged nothing
+                continue  # not a drill, or a test that judged nothing
             reason = report.longrepr[2].partition("not evaluated: ")[2] if outcome == "skipped" else None
             name = report.nodeid.rpartition("::")[2]
             rows.append({"drill": name, **record, "verdict": verdict, "reason": reason})
@@ -124,7 +124,7 @@ def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> Non
 
 
 def _listed(counts: dict[str, int] | None) -> str:
-    """Counters in a cell."""
+    """Counters as text of a table cell."""
     if counts is None:
         return "–"
     return ", ".join(f"{name} {count}" for name, count in sorted(counts.items())) or "none"

@@ -1,4 +1,4 @@
-"""The device under test: zygos-node in a process of its own, or whatever answers on the channel."""
+"""The device under test: zygos-node in a separate process, or an external device on the channel."""
 
 from __future__ import annotations
 
@@ -27,26 +27,26 @@ from zygos.errors import ZygosError
 from zygos.files.names import ascii_name
 from zygos.native import snapshot
 from zygos.native.flight import Estimate, Flight, ffi, lib
-from zygos.testing.oracle import counted, disagreement
+from zygos.testing.oracle import disagreement, fault_counts
 from zygos.testing.stream import SYNC, Stream
 
 EXTERNAL = "external"
-"""Instead of a command: the device is there already, and is not ours to start and stop."""
+"""Value of the command for an external device: it runs already, and the bench does not start or stop it."""
 TELEMETRY, HEARTBEAT = 0x1A0, 0x720
 EVERY = 12
-"""SYNCs from one estimate of zygos-node to the next. The first of them is answered; what is not finite is not sent."""
+"""SYNCs between two estimates of zygos-node. The first SYNC is answered; values that are not finite are not sent."""
 PATIENCE_S = 30.0
-"""For a process to start or to end. A guest in emulation is slow."""
+"""Longest time for a process to start or to end, s; an emulated device is slow."""
 _MODULUS = 2**24
-"""Counters in telemetry stay whole numbers as single floats."""
+"""Counters below this are exact in telemetry, which sends single floats."""
 QUIET_S = 0.3
-"""A device that has not answered for so long has no more to say."""
+"""A device that has sent nothing for that long has finished, s."""
 
 
 def hear(flight: Flight, frames: NDArray[Any], every: int = 100, syncs: int = 0) -> Iterator[None]:
-    """Give frames to a flight as zygos-node does, which has heard so many SYNCs before; pauses behind each SYNC.
+    """Feed frames to a flight in the way of zygos-node, after `syncs` earlier SYNCs; pauses after each SYNC.
 
-    At the first SYNC and every so many behind it the node solves; its arcs are judged by the solution from there on.
+    The node solves at the first SYNC and at every `every`-th after it; its arcs are then judged by that solution.
     """
     first = 0
     for at in np.flatnonzero((frames["id"] == SYNC) & (frames["flags"] == 0)):
@@ -55,7 +55,7 @@ def hear(flight: Flight, frames: NDArray[Any], every: int = 100, syncs: int = 0)
         verdict = lib.zygos_frame(flight.native, ffi.from_buffer("zygos_frame_t[]", frames[at : at + 1].tobytes()))
         while lib.zygos_step(flight.native) == 1:
             pass
-        if verdict != lib.ZYGOS_ACCEPTED:  # a SYNC that comes twice is none
+        if verdict != lib.ZYGOS_ACCEPTED:  # a repeated SYNC does not count
             continue
         if syncs % every == 0:
             flight.estimate()
@@ -66,13 +66,13 @@ def hear(flight: Flight, frames: NDArray[Any], every: int = 100, syncs: int = 0)
 
 
 class Dut:
-    """The device, and a twin of it: the C library in this process, which is given the same frames.
+    """The device, and a model of it: the C library in this process (`twin`), which is fed with the same frames.
 
-    What a test asks for that needs a device of our own ends the test as *not evaluated* (`own`).
+    A test that requires our own device ends as *not evaluated* with an external one (`own`).
     """
 
     def __init__(self, arm: Arm, channel: str, command: str, folder: Path) -> None:
-        """Command: what starts the device, or EXTERNAL. folder: where its files are. It is not started."""
+        """command: starts the device, or EXTERNAL. folder: place of its files. The device is not started yet."""
         self.arm, self.channel, self.command, self.folder = arm, channel, command, folder
         self.twin = Flight(arm)
         self._answers: list[can.Message] = []
@@ -81,25 +81,25 @@ class Dut:
         self._database: Database = arm_database(arm)
 
     def __enter__(self) -> Dut:
-        """Begin to listen."""
+        """Start to listen."""
         self._bus = open_bus("socketcan", self.channel)
         self._bus.set_filters([{"can_id": i, "can_mask": 0x7FF, "extended": False} for i in (TELEMETRY, HEARTBEAT)])
         self._notifier = can.Notifier(self._bus, [self._answers.append], timeout=0.2)
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Listen no more, and end a device of our own."""
+        """Stop listening, and end our own device."""
         self._notifier.stop()
         self._bus.shutdown()
         self._end()
 
     def renew(self) -> None:
-        """Forget what was; a device of our own and its state as well. An external one goes on as it is."""
+        """Reset all results; also our own device and its state. An external one continues unchanged."""
         self._answers.clear()
         self.record = {"frames": 0, "expected": None, "found": None}
         if not self.external:
             self._end()
-            for path in self.folder.glob(f"{self.state.name}*"):  # the generation before, too
+            for path in self.folder.glob(f"{self.state.name}*"):  # also the previous generation
                 path.unlink()
             self.twin = Flight(self.arm)
 
@@ -111,11 +111,11 @@ class Dut:
 
     @property
     def external(self) -> bool:
-        """Whether it is somebody else's."""
+        """Whether the device is external."""
         return self.command == EXTERNAL
 
     def own(self, why: str) -> None:
-        """Say why a test needs a device of our own; with an external one the test ends here, not evaluated."""
+        """State why a test needs our own device; with an external one the test ends here, not evaluated."""
         if self.external:
             pytest.skip(f"not evaluated: {why}")
 
@@ -125,7 +125,7 @@ class Dut:
         return self.folder / "state.zyg"
 
     def start(self) -> None:
-        """Start it, from its saved state if there is one. An external one is there: nothing happens.
+        """Start the device, from its saved state if there is one. Nothing happens for an external one.
 
         Errors: ZygosError if there is no such command, or it ends at once.
         """
@@ -133,23 +133,23 @@ class Dut:
             return
         node = shutil.which(self.command)
         if node is None:
-            raise ZygosError(f"there is no {self.command}; remedy: make node, or --zygos-dut {EXTERNAL}")
-        blob, said = self.folder / "arm.zyg", self.folder / "stderr"
+            raise ZygosError(f"there is no {self.command}; remedy: run make node, or use --zygos-dut {EXTERNAL}")
+        blob, errors_file = self.folder / "arm.zyg", self.folder / "stderr"
         self.twin = Flight(self.arm)
         snapshot.write(blob, "configuration", ffi.addressof(self.twin.native, "config"))
         if self.state.exists():
-            snapshot.resume(self.twin, self.state)  # as the device will
+            snapshot.resume(self.twin, self.state)  # as the device will do
         files = ["--config", str(blob), "--state", str(self.state)]
         command = [node, "-i", self.channel, *files, "--every", str(EVERY)]
-        with said.open("wb") as errors, (self.folder / "stdout").open("wb") as out:
+        with errors_file.open("wb") as errors, (self.folder / "stdout").open("wb") as out:
             self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=out, stderr=errors)
         deadline = time.monotonic() + PATIENCE_S
-        while b"listening on" not in said.read_bytes():
+        while b"listening on" not in errors_file.read_bytes():
             if self._process.poll() is not None or time.monotonic() > deadline:
                 self.kill()
+                printed = errors_file.read_text(errors="replace").strip() or "it printed nothing"
                 raise ZygosError(
-                    f"{self.command} does not listen: {said.read_text(errors='replace').strip() or 'it says nothing'}; "
-                    f"remedy: see whether interface {self.channel} is up"
+                    f"{self.command} does not listen: {printed}; remedy: check that interface {self.channel} is up"
                 )
             time.sleep(0.002)
 
@@ -157,43 +157,43 @@ class Dut:
     def process(self) -> subprocess.Popen[bytes]:
         """The process. Errors: ZygosError if it was not started."""
         if self._process is None:
-            raise ZygosError("the device under test does not run; remedy: dut.start()")
+            raise ZygosError("the device under test is not running; remedy: call dut.start()")
         return self._process
 
     def stop(self) -> dict[str, int]:
-        """End it in order (SIGTERM): it saves its state. Returns the counters that it then says.
+        """End the device in order (SIGTERM), so that it saves its state. Returns the counters that it prints.
 
         Errors: ZygosError if it does not end, or not in order.
         """
-        self.own("an external device is not ours to end")
+        self.own("an external device cannot be ended by the bench")
         self.process.send_signal(signal.SIGTERM)
         try:
             status = self.process.wait(PATIENCE_S)
         except subprocess.TimeoutExpired:
             self.kill()
-            raise ZygosError(f"{self.command} does not end; remedy: see {self.folder}") from None
+            raise ZygosError(f"{self.command} does not end; remedy: read {self.folder}") from None
         self._process = None
         if status:
-            said = (self.folder / "stderr").read_text(errors="replace").strip()
-            raise ZygosError(f"{self.command} ended with status {status}: {said}; remedy: see {self.folder}")
+            message = (self.folder / "stderr").read_text(errors="replace").strip()
+            raise ZygosError(f"{self.command} ended with status {status}: {message}; remedy: see {self.folder}")
         return dict(_counters((self.folder / "stdout").read_text(encoding="utf-8")))
 
     def kill(self) -> None:
-        """End it at once (SIGKILL)."""
-        self.own("an external device is not ours to kill")
+        """End the device at once (SIGKILL)."""
+        self.own("an external device cannot be killed by the bench")
         self.process.kill()
         self._end()
 
     def telemetry(self) -> list[can.Message]:
-        """Its telemetry frames so far."""
+        """The device's telemetry frames so far."""
         return [message for message in self._answers if message.arbitration_id == TELEMETRY]
 
     def heartbeats(self) -> list[can.Message]:
-        """Its heartbeats so far."""
+        """The device's heartbeats so far."""
         return [message for message in self._answers if message.arbitration_id == HEARTBEAT]
 
     def settle(self) -> None:
-        """Wait until it has said nothing new for a while: it has worked off what it was sent."""
+        """Wait until the device has sent nothing for a while, so that it has processed everything."""
         known = -1
         while known < len(self.telemetry()):
             known = len(self.telemetry())
@@ -201,8 +201,8 @@ class Dut:
 
     @contextmanager
     def paused(self) -> Iterator[None]:
-        """Let it stand still (SIGSTOP) for a while, as a task does that is kept from running."""
-        self.own("an external device is not ours to hold")
+        """Stop the device temporarily (SIGSTOP), like a task that gets no processor time."""
+        self.own("an external device cannot be paused by the bench")
         os.kill(self.process.pid, signal.SIGSTOP)
         os.waitpid(self.process.pid, os.WUNTRACED)
         try:
@@ -211,10 +211,10 @@ class Dut:
             os.kill(self.process.pid, signal.SIGCONT)
 
     def rounds(self) -> list[dict[str, float]]:
-        """Its answers so far, decoded by the DBC of the arm: a round for each estimate, but for the one under way.
+        """The device's answers so far, decoded by the arm's DBC: a round for each complete estimate.
 
-        Names are those of the signals: k1, k1_sigma, fault_crc, verdict_cycle. What was not finite is not sent. A round
-        begins with verdict_validity.
+        Names are those of the signals: k1, k1_sigma, fault_crc, verdict_cycle. Values that were not finite are missing.
+        A round begins with verdict_validity.
         """
         rounds: list[dict[str, float]] = []
         for message in self.telemetry():
@@ -229,14 +229,15 @@ class Dut:
         return rounds[:-1]
 
     def judge(self, *streams: Stream, **expected: int) -> None:
-        """Hold the device against what it must be, having heard the last of the streams since its start.
+        """Compare the device with the expected results after it received the last of the streams since its start.
 
-        expected: the faults that the drill makes by its own reckoning, 0 where not named. streams: what the estimate
-        rests on, in order; those before the last one were heard by the device in earlier lives.
+        expected: the number of each fault that the drill causes, 0 where not named. streams: those on which the
+        estimate is based, in order; the device received those before the last one in earlier starts.
 
-        The library in this process must count the expected faults, for a single stream the numpy reference as well;
+        The library in this process must count the expected faults, and for a single stream the numpy reference as well;
         its estimate must be numpy's over the cycles that survived. The last answers of the device must be those
-        counters, and the library's estimate at that cycle. A device of our own is stopped, and its saved state must be
+        counters, and the library's estimate at that cycle. Our own device is stopped, and its saved state must be equal
+        to the library's in each byte. Raises AssertionError.
         the library's in each byte. Raises AssertionError.
         """
         wanted = +Counter(expected)
@@ -245,7 +246,7 @@ class Dut:
             self.stop()
         self.settle()
         rounds = self.rounds()
-        assert rounds and "verdict_cycle" in rounds[-1], "the device has not answered with a whole estimate"
+        assert rounds and "verdict_cycle" in rounds[-1], "the device has not answered with a complete estimate"
         answer = rounds[-1]
         before = Counter(self.twin.faults) if self.external else Counter()
         estimate = self._hear(streams[-1], int(answer["verdict_cycle"]))
@@ -253,13 +254,14 @@ class Dut:
         counts = {name.removeprefix(prefix): int(x) for name, x in answer.items() if name.startswith(prefix)}
         found = Counter(counts) - before
         self.record["found"] = dict(found)
-        if self.external:  # it counts, too, how the runs of two drills meet
+        if self.external:  # its counters include faults at the transition between the runs of two drills
             assert found == Counter(self.twin.faults) - before, f"the device counts {dict(found)} more than before"
         else:
             assert found == wanted, f"the device counts {dict(found)}, not {dict(wanted)}"
             assert self.state.read_bytes() == snapshot.seal("state", self.twin.native), "the state is not the library's"
         if len(streams) == 1:
-            assert counted(streams[0]) == wanted, f"the reference counts {counted(streams[0])}, not {dict(wanted)}"
+            reference = fault_counts(streams[0])
+            assert reference == wanted, f"the reference counts {reference}, not {dict(wanted)}"
         for name, value, sigma in zip(estimate.names, estimate.value, estimate.sigma, strict=True):
             for item, x in ((ascii_name(name), value), (f"{ascii_name(name)}_sigma", sigma)):
                 same = abs(answer.get(item, math.nan) - x) <= 1e-6 * abs(x)
@@ -268,7 +270,7 @@ class Dut:
         assert off <= 1.0, f"the estimate is off by {off:.3g} tolerances"
 
     def _hear(self, stream: Stream, cycle: int) -> Estimate:
-        """Tell the twin of a stream. Returns its estimate as of a cycle, by its number modulo 2^24."""
+        """Feed the twin with a stream. Returns its estimate at a cycle, given by its number modulo 2^24."""
         estimate = None
         for _ in hear(self.twin, stream.frames, EVERY):
             if estimate is None and int(self.twin.native.cycle) % _MODULUS == cycle:
@@ -287,7 +289,7 @@ class Dut:
 
 
 def _counters(text: str) -> Iterator[tuple[str, int]]:
-    """Lines that consist of a name and a number."""
+    """Names and values of lines that consist of a name and a number."""
     for line in text.splitlines():
         words = line.split()
         if len(words) == 2 and words[1].isdigit():

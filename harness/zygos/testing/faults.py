@@ -1,12 +1,12 @@
-"""What can happen to frames on their way. Each function returns a `Fault`, which makes of one stream another:
+"""Faults of frames on a bus. Each function returns a `Fault`, which changes a stream into another:
 
     stream.through(faults.drop(joint=2, cycles=range(100, 103)), faults.late(message="rates", cycles=[200]))
 
 `cycles` are counted from 0, `joint` from 1 in the order of the arm file. `message` is "sync", "time", "angles",
-"torque" or "rates"; without it all frames of the joint are meant, without a joint all frames of the cycle. Cycles are
-those that a frame tells of, whatever faults came before. Random choices come from `seed`.
+"torque" or "rates"; without it all frames of the joint are selected, without a joint all frames of the cycle. A frame
+belongs to the cycle whose data it carries, whatever faults were applied before. Random choices come from `seed`.
 
-Errors: ZygosError for a fault that picks no frame, because a drill with it would test nothing.
+Errors: ZygosError for a fault that selects no frame, because a drill with it would test nothing.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _CLASSES: dict[ErrorKind, int] = {"bus-off": 0x40, "controller": 0x04, "no-ackno
 
 
 def drop(*, cycles: Iterable[int], joint: int | None = None, message: MessageName | None = None) -> Fault:
-    """Lose the frames; without joint and message whole cycles, their SYNCs included: an outage of the bus."""
+    """Lose the frames; without joint and message whole cycles, including their SYNCs, as in an outage of the bus."""
 
     def fault(stream: Stream) -> Stream:
         kept = ~_picked(stream, cycles, joint, message)
@@ -38,7 +38,7 @@ def drop(*, cycles: Iterable[int], joint: int | None = None, message: MessageNam
 
 
 def late(*, cycles: Iterable[int], by: int = 1, joint: int | None = None, message: MessageName | None = None) -> Fault:
-    """Send the frames `by` cycles later, right behind the SYNC of that cycle."""
+    """Send the frames `by` cycles later, directly after the SYNC of that cycle."""
 
     def fault(stream: Stream) -> Stream:
         place = np.arange(len(stream), dtype=np.float64)
@@ -56,7 +56,7 @@ def late(*, cycles: Iterable[int], by: int = 1, joint: int | None = None, messag
 def repeat(
     *, cycles: Iterable[int], times: int = 1, joint: int | None = None, message: MessageName | None = None
 ) -> Fault:
-    """Send the frames `times` times more, right behind themselves."""
+    """Send the frames `times` more times, directly after themselves."""
 
     def fault(stream: Stream) -> Stream:
         count = np.where(_picked(stream, cycles, joint, message), 1 + times, 1)
@@ -66,7 +66,7 @@ def repeat(
 
 
 def reorder(*, cycles: Iterable[int], seed: int = 0) -> Fault:
-    """Send the frames of a cycle in a random order behind its SYNC. Order within a cycle is no fault."""
+    """Send the frames of a cycle in a random order after its SYNC. The order within a cycle is not a fault."""
 
     def fault(stream: Stream) -> Stream:
         rng = np.random.default_rng(seed)
@@ -105,7 +105,7 @@ def flip(
     message: MessageName | None = None,
     seed: int = 0,
 ) -> Fault:
-    """Invert as many bits of the data of each of the frames."""
+    """Invert the given number of data bits in each of the frames."""
 
     def fault(stream: Stream) -> Stream:
         rng = np.random.default_rng(seed)
@@ -119,7 +119,7 @@ def flip(
 
 
 def stick(*, cycles: Iterable[int], joint: int | None = None, message: MessageName | None = None) -> Fault:
-    """Send in all cycles what belongs to the first: a node whose data and counter stand still. Not for SYNC."""
+    """Send the frames of the first cycle in all cycles: a node whose data and counter are frozen. Not for SYNC."""
 
     def fault(stream: Stream) -> Stream:
         picked = _picked(stream, cycles, joint, message) & (stream.frames["id"] != SYNC)
@@ -133,14 +133,14 @@ def stick(*, cycles: Iterable[int], joint: int | None = None, message: MessageNa
 
 
 def outage(*, start: int, cycles: int) -> Fault:
-    """Lose all frames of so many cycles from cycle `start` on; 240 of them leave no gap in the SYNC counter."""
+    """Lose all frames of that many cycles, starting at cycle `start`; 240 of them leave no gap in the SYNC counter."""
     return drop(cycles=range(start, start + cycles))
 
 
 def babble(*, cycles: Iterable[int], per_cycle: int, seed: int = 0) -> Fault:
-    """Let a foreign node speak: in each cycle so many standard, extended and remote frames that are not the arm's.
+    """Let a foreign node send: in each cycle that many standard, extended and remote frames that are not the arm's.
 
-    Extended and remote ones may bear the arm's identifiers, and are foreign all the same.
+    Extended and remote ones may have the arm's identifiers, but are foreign frames nevertheless.
     """
 
     def fault(stream: Stream) -> Stream:
@@ -149,7 +149,7 @@ def babble(*, cycles: Iterable[int], per_cycle: int, seed: int = 0) -> Fault:
         others = np.setdiff1d(np.arange(1, 0x700), np.append(own, 0x1A0))
         starts = np.flatnonzero(_picked(stream, cycles, None, None) & (stream.frames["id"] == SYNC))
         if not len(starts):
-            raise ZygosError("the cycles to babble in have no SYNC; remedy: babble before their SYNCs are lost")
+            raise ZygosError("the cycles to babble in have no SYNC; remedy: apply babble before their SYNCs are lost")
         ends = np.append(np.flatnonzero(stream.frames["id"] == SYNC), len(stream))
         stops = ends[np.searchsorted(ends, starts, side="right")]
         place = np.concatenate([rng.integers(a + 1, b + 1, per_cycle) for a, b in zip(starts, stops, strict=True)])
@@ -167,14 +167,14 @@ def babble(*, cycles: Iterable[int], per_cycle: int, seed: int = 0) -> Fault:
 
 
 def error(*, cycles: Iterable[int], kind: ErrorKind) -> Fault:
-    """Let the controller report an error behind the SYNC of each cycle: an error frame, as SocketCAN delivers it.
+    """Let the controller report an error after the SYNC of each cycle: an error frame as delivered by SocketCAN.
 
-    vcan carries them from any sender, a real bus none: a controller makes its own.
+    vcan delivers such frames from any sender. A real bus does not, because each controller creates its own.
     """
 
     def fault(stream: Stream) -> Stream:
         if kind not in _CLASSES:
-            raise ZygosError(f"{kind!r} is no error of a controller; remedy: one of {', '.join(_CLASSES)}")
+            raise ZygosError(f"{kind!r} is not an error of a controller; remedy: use one of {', '.join(_CLASSES)}")
         starts = np.flatnonzero(_picked(stream, cycles, None, "sync"))
         added = np.zeros(len(starts), dtype=stream.frames.dtype)
         added["id"], added["length"], added["flags"] = _CLASSES[kind], 8, ERROR
@@ -184,7 +184,7 @@ def error(*, cycles: Iterable[int], kind: ErrorKind) -> Fault:
 
 
 def _picked(stream: Stream, cycles: Iterable[int], joint: int | None, message: MessageName | None) -> NDArray[np.bool_]:
-    """Which frames are meant, (n,); at least one."""
+    """Which frames are selected, (n,); at least one."""
     chosen = np.array(list(cycles), dtype=np.int64)
     picked = np.isin(stream.cycle, chosen)
     if joint is not None or message is not None:
@@ -200,9 +200,9 @@ def _picked(stream: Stream, cycles: Iterable[int], joint: int | None, message: M
 
 
 def _identifiers(stream: Stream, joint: int | None, message: MessageName | None) -> list[int]:
-    """Identifiers of a joint's or the arm's messages of that name."""
+    """Identifiers of the messages with that name, of a joint or of the arm."""
     if message is not None and message not in get_args(MessageName):
-        raise ZygosError(f"there is no message {message!r}; remedy: one of {', '.join(get_args(MessageName))}")
+        raise ZygosError(f"there is no message {message!r}; remedy: use one of {', '.join(get_args(MessageName))}")
     if joint is not None and not 1 <= joint <= stream.arm.n:
         raise ZygosError(f"there is no joint {joint}; remedy: joints are counted from 1 to {stream.arm.n}")
     chosen = []

@@ -1,4 +1,4 @@
-"""What a device must make of the frames that it was given, by the numpy reference: no code is shared with C."""
+"""The expected results of a device for given frames, by the numpy reference, which shares no code with C."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from zygos.testing.stream import Stream
 _FIELDS = tuple(Cycles.__dataclass_fields__)
 
 
-def counted(stream: Stream) -> dict[str, int]:
-    """Faults by name, those that happened."""
+def fault_counts(stream: Stream) -> dict[str, int]:
+    """Number of faults by name, without those that did not occur."""
     return {name: count for name, count in decode(stream.arm, stream.frames).faults.items() if count}
 
 
 def survived(*streams: Stream) -> Cycles:
-    """The cycles that may be used, of one stream after the other; between two of them the arc ends."""
+    """The usable cycles of one stream after the other; the arc ends between two of them."""
     parts: list[Cycles] = []
     first = 0
     for stream in streams:
@@ -34,10 +34,10 @@ def survived(*streams: Stream) -> Cycles:
 
 
 def disagreement(estimate: Estimate, *streams: Stream) -> float:
-    """How far an estimate is from numpy's over the cycles that survived, in units of its tolerance.
+    """Difference of an estimate from numpy's over the cycles that survived, in units of its tolerance.
 
-    The tolerance is 1e-9 of a parameter, or 1e-14 times the condition where that is more. Infinite if the estimate
-    knows nothing. Raises Undecided if the streams determine no parameter.
+    The tolerance is 1e-9 of a parameter, or 1e-14 times the condition where that is larger. The result is infinite if
+    the estimate has no values. Raises Undecided if the streams determine no parameter.
     """
     arm = streams[0].arm
     expected = chain(arm, survived(*streams)).solution.x

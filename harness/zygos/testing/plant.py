@@ -1,4 +1,4 @@
-"""The plant of a bench: simulates the arm, and lets a process of its own put the frames on the bus."""
+"""The plant of a test bench: simulates the arm; a separate process sends its frames on the bus."""
 
 from __future__ import annotations
 
@@ -23,32 +23,32 @@ from zygos.simulation.scenario import Scenario
 from zygos.testing.stream import Stream
 
 Pace = Literal["fast", "real", "flood"]
-"""fast: as the device under test answers. real: each cycle when it is due. flood: at once, whatever is lost."""
+"""fast: as the device under test answers. real: each cycle at its time. flood: at once, even if frames are lost."""
 
 _SENDER = Path(__file__).with_name("sender.py")
 _RECORD = struct.Struct("=dIB3x8s")
 _WORD = {EXTENDED: 1 << 31, REMOTE: 1 << 30, ERROR: 1 << 29}
-"""Flags of a frame, as SocketCAN has them in its identifier."""
+"""Flags of a frame, as in the identifiers of SocketCAN."""
 
 
 @dataclass(frozen=True)
 class Sent:
-    """How a stream went out."""
+    """How a stream was sent."""
 
     frames: int
     seconds: float
     latest_s: float
-    """At real-time pace, how late the latest frame was."""
+    """Largest delay of a frame at real-time pace, s."""
 
 
 @dataclass(frozen=True)
 class Plant:
-    """An arm that moves as its scenario says, on a SocketCAN channel."""
+    """An arm that moves according to its scenario, on a SocketCAN channel."""
 
     scenario: Scenario
     channel: str
     patience_s: float = 20.0
-    """How long the device may take for an answer. A guest in emulation is slow."""
+    """Longest time that the device may take for an answer, s; an emulated device is slow."""
 
     @cached_property
     def arm(self) -> Arm:
@@ -60,30 +60,31 @@ class Plant:
         return simulate(self.arm, load_model(self.scenario.plant), self.scenario).cycles()
 
     def run(self, cycles: int | None = None) -> Stream:
-        """The first cycles of the scenario, by default all of it; what was simulated once is kept.
+        """The first cycles of the scenario, by default all; the simulation is done only once.
 
         Errors: ZygosError if the scenario is shorter, or cannot be simulated.
         """
         longest = len(self._cycles)
         if cycles is not None and not 1 <= cycles <= longest:
-            raise ZygosError(f"scenario {self.scenario.name} has {longest} cycles; remedy: ask for no more than that")
+            raise ZygosError(f"scenario {self.scenario.name} has {longest} cycles; remedy: ask for at most that many")
         wanted = slice(0, cycles)
         return Stream.of(self.arm, Cycles(*(getattr(self._cycles, name)[wanted] for name in _FIELDS)))
 
     def send(self, stream: Stream, pace: Pace = "fast") -> Sent:
-        """Put a stream on the bus, from a process of its own, and wait for the end of it.
+        """Send a stream on the bus from a separate process, and wait for its end.
 
-        At pace "fast" that is when the device has answered the last SYNC, or says no more. An answer is a telemetry
-        frame with the counter of a SYNC; at the latest each fifteenth SYNC must have one.
+        At pace "fast" that is when the device has answered the last SYNC, or sends no more. An answer is a telemetry
+        frame with the counter of a SYNC; at least one in fifteen SYNCs must have one.
 
         Errors: ZygosError if there is no such channel, if it refuses a frame, or if no answer comes.
         """
         command = [sys.executable, "-I", str(_SENDER), self.channel, pace, str(self.patience_s)]
         done = subprocess.run(command, input=_packed(stream), capture_output=True, check=False)
         if done.returncode:
-            said = done.stderr.decode(errors="replace").strip().splitlines()
+            message = done.stderr.decode(errors="replace").strip().splitlines()
             raise ZygosError(
-                f"{self.channel}: {said[-1] if said else 'the sender ended'}; remedy: see whether the interface is up "
+                f"{self.channel}: {message[-1] if message else 'the sender ended'}; remedy: check that the interface "
+                "is up and that the device under test answers, or send at another pace"
                 "and the device under test answers, or send at another pace"
             )
         return Sent(**json.loads(done.stdout))
@@ -93,7 +94,7 @@ _FIELDS = tuple(Cycles.__dataclass_fields__)
 
 
 def _packed(stream: Stream) -> bytes:
-    """What the sender reads: when each frame is due, and the frame as SocketCAN takes it."""
+    """Input of the sender: the time of each frame, and the frame in the form of SocketCAN."""
     words = stream.frames["id"].astype(np.uint32)
     for flag, bit in _WORD.items():
         words |= np.where(stream.frames["flags"] & flag, np.uint32(bit), np.uint32(0))

@@ -1,10 +1,10 @@
-"""Puts frames on a SocketCAN interface, in a process of its own: python sender.py CHANNEL PACE PATIENCE < frames.
+"""Sends frames on a SocketCAN interface, as a separate process: python sender.py CHANNEL PACE PATIENCE < frames.
 
-Each frame on stdin is a double, when it is due in seconds, and a `struct can_frame`. Only the standard library is used,
-so that it starts at once. On stdout: what was sent and how it went, as JSON.
+Each frame on stdin is a double, its time in seconds, and a `struct can_frame`. Only the standard library is used, so
+that it starts quickly. On stdout it writes what was sent and with which delay, as JSON.
 
-PACE real: each frame when it is due. fast: as soon as the device under test has answered all but the newest SYNCs;
-without an answer for PATIENCE seconds there is none. flood: at once, whatever becomes of them.
+PACE real: each frame at its time. fast: as soon as the device under test has answered all but the newest SYNCs; after
+PATIENCE seconds without an answer it gives up. flood: at once, even if frames are lost.
 """
 
 import errno
@@ -21,14 +21,14 @@ CAN_FRAME = struct.Struct("=IB3x8s")
 SYNC = 0x080
 TELEMETRY = 0x1A0
 UNANSWERED = 15
-"""SYNCs under way at most, for the counter of an answer is that of its SYNC modulo 16. With the frames of two joints
-that is less than half of what a socket's buffer of default size holds."""
+"""Largest number of SYNCs without answer, because the counter of an answer is that of its SYNC modulo 16. With the
+frames of two joints that is less than half of what a socket's buffer of default size holds."""
 QUIET_S = 0.3
-"""In the end, a device that says nothing for so long has no more to say: not each SYNC has an answer."""
+"""At the end, a device that sends nothing for that long has finished, s: not each SYNC has an answer."""
 
 
 def main(channel: str, pace: str, patience: str) -> None:
-    """Send what stands on stdin."""
+    """Send the frames from stdin."""
     raw = sys.stdin.buffer.read()
     records = [RECORD.unpack_from(raw, at) for at in range(0, len(raw), RECORD.size)]
     with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as can:
@@ -57,7 +57,7 @@ def main(channel: str, pace: str, patience: str) -> None:
 
 
 def hear(can: socket.socket, unanswered: "deque[int]", most: int, patience_s: float) -> bool:
-    """Take answers until no more than `most` SYNCs are without one. False if none comes any more."""
+    """Receive answers until at most `most` SYNCs are without one. False if no more come."""
     while len(unanswered) > most:
         if not select.select([can], [], [], patience_s)[0]:
             return False
@@ -70,7 +70,7 @@ def hear(can: socket.socket, unanswered: "deque[int]", most: int, patience_s: fl
 
 
 def put(can: socket.socket, frame: bytes) -> None:
-    """Send a frame; wait where the interface's queue is full, as that of a controller may be."""
+    """Send a frame; wait while the queue of the interface or its controller is full."""
     while True:
         try:
             can.send(frame)

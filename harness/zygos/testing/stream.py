@@ -1,4 +1,4 @@
-"""Frames of a run, each with the cycle that it tells of: what a plant sends and what faults are made of."""
+"""Frames of a run, each with the cycle whose data it carries: a plant sends them, and faults change them."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ class Stream:
     frames: NDArray[Any]
     """(n,) `zygos.native.flight.FRAME` records."""
     cycle: NDArray[np.int64]
-    """(n,) the cycle that each frame tells of, from 0; a frame that somebody else sends has that in which it comes."""
+    """(n,) the cycle whose data each frame carries, from 0; for a foreign frame the cycle in which it is sent."""
 
     @classmethod
     def of(cls, arm: Arm, cycles: Cycles) -> Stream:
-        """Encode a run. Behind its n cycles comes the SYNC of cycle n, which closes the last one."""
+        """Encode a run. After its n cycles comes the SYNC of cycle n, which closes the last one."""
         return cls.recorded(arm, encode(arm, cycles))
 
     @classmethod
     def recorded(cls, arm: Arm, frames: NDArray[Any]) -> Stream:
-        """Frames as they were on a bus, `FRAME` records (n,): each SYNC begins a cycle, good or not."""
+        """Frames as recorded on a bus, `FRAME` records (n,): each SYNC begins a cycle, valid or not."""
         return cls(arm, frames, np.maximum(np.cumsum(frames["id"] == SYNC) - 1, 0))
 
     def __len__(self) -> int:
@@ -45,45 +45,45 @@ class Stream:
         return len(self.frames)
 
     def through(self, *faults: Fault) -> Stream:
-        """What is left of it behind these faults, one after the other."""
+        """The stream after these faults, applied one after the other."""
         stream = self
         for fault in faults:
             stream = fault(stream)
         return stream
 
     def part(self, first: int, stop: int | None = None) -> Stream:
-        """The frames that are sent from the SYNC of cycle `first` on and before that of cycle `stop`."""
+        """The frames that are sent from the SYNC of cycle `first` until before that of cycle `stop`."""
         now = self._now()
         inside = (now >= first) & (now < (len(self) if stop is None else stop))
         return Stream(self.arm, self.frames[inside], self.cycle[inside])
 
     def __add__(self, other: Stream) -> Stream:
-        """One stream behind the other."""
+        """One stream followed by the other."""
         return Stream(self.arm, np.concatenate([self.frames, other.frames]), np.concatenate([self.cycle, other.cycle]))
 
     def due_s(self) -> NDArray[np.float64]:
-        """When each frame is due at real-time pace, in seconds since cycle 0: with the SYNC before it."""
+        """Time of each frame at real-time pace, in seconds since cycle 0: that of the SYNC before it."""
         due: NDArray[np.float64] = self._now().astype(np.float64) * self.arm.period_s
         return due
 
     def ours(self) -> NDArray[np.bool_]:
-        """(n,) which frames bear an identifier of the arm."""
+        """(n,) whether each frame has an identifier of the arm."""
         ours: NDArray[np.bool_] = np.isin(self.frames["id"], list(identifiers(self.arm)))
         ours &= self.frames["flags"] == 0
         return ours
 
     def messages(self) -> list[can.Message]:
-        """The frames as python-can's messages, stamped with the time at which they are due."""
+        """The frames as python-can's messages, stamped with the time at which they are to be sent."""
         messages = bus.to_messages(self.frames, self.arm.period_s)
         for message, due in zip(messages, self.due_s(), strict=True):
             message.timestamp = float(due)
         return messages
 
     def _now(self) -> NDArray[np.int64]:
-        """(n,) the cycle in which each frame is sent: late frames tell of one before."""
+        """(n,) the cycle in which each frame is sent: late frames carry data of an earlier one."""
         now: NDArray[np.int64] = np.maximum.accumulate(self.cycle)
         return now
 
 
 Fault = Callable[[Stream], Stream]
-"""What happens to a stream. Faults are made by `zygos.testing.faults`; any function of a stream will do."""
+"""A change of a stream. `zygos.testing.faults` makes such functions; any function of a stream can be used."""

@@ -1,1 +1,1 @@
-"""URDF in and out."""
+"""URDF: import and export."""

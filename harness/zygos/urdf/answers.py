@@ -1,7 +1,7 @@
-"""What a URDF does not say of an arm: motors, gears, springs, sensors, the bus (`answers.toml`, docs/urdf.md).
+"""Properties of an arm that a URDF does not contain: motors, gears, springs, sensors, the bus (`answers.toml`).
 
-The words are those of arm.toml and model.toml, whose readers check the values: [default] holds for every joint,
-[joint.NAME] for one.
+The keys are those of arm.toml and model.toml, whose readers check the values: [default] holds for every joint,
+[joint.NAME] for one of them. See docs/urdf.md.
 """
 
 from __future__ import annotations
@@ -27,44 +27,45 @@ from zygos.urdf.chain import Chain
 _ENCODERS = ("link_encoder", "motor_encoder")
 _DRIVE = ("rotor_mass", "rotor_inertia", "stiffness", "damping")
 _SPRING = ("link_encoder", "stiffness", "damping")
-"""What a rigid joint lacks."""
-_JOINT = ("node", "gear_ratio", *_ENCODERS, "torque_sigma", "latch_us", "flexible", *_DRIVE)
-_TOP = ("base", "period_s", "torque_law", "gravity", "imu", "smoother", "arc")
+"""Keys that a rigid joint does not have."""
+JOINT = ("node", "gear_ratio", *_ENCODERS, "torque_sigma", "latch_us", "flexible", *_DRIVE)
+TOP = ("base", "period_s", "torque_law", "gravity", "imu", "smoother", "arc")
 _OPTIONAL = "# beside these, where wanted: rotor_mass, torque_sigma, flexible, latch_us, and what else an encoder has"
 _ON_EARTH = (0.0, 0.0, -9.81)
 
 
 @dataclass(frozen=True)
 class Question:
-    """One value that must be answered: its dotted key, what it is, and values that are usual."""
+    """One value that must be given: its dotted key, its meaning, and usual values."""
 
     key: str
     what: str
     usual: str
     example: str
     """A usual value, as TOML."""
-    check: Callable[[Table, str], object]
+    check: Callable[[Table, str, str], object]
+    """Reads the answer, given the table, the last part of the key and `what`."""
     instead: str = ""
-    """Another key that answers it as well."""
+    """Another key that may be given in its place."""
 
 
-def _above(limit: float, unit: str) -> Callable[[Table, str], object]:
-    return lambda table, key: table.number(key, above=limit, unit=unit)
+def _above(limit: float, unit: str) -> Callable[[Table, str, str], object]:
+    return lambda table, key, what: table.number(key, what, above=limit, unit=unit)
 
 
-def _from(limit: float, unit: str) -> Callable[[Table, str], object]:
-    return lambda table, key: table.number(key, low=limit, unit=unit)
+def _from(limit: float, unit: str) -> Callable[[Table, str, str], object]:
+    return lambda table, key, what: table.number(key, what, low=limit, unit=unit)
 
 
-def _whole(low: int, high: int) -> Callable[[Table, str], object]:
-    return lambda table, key: table.integer(key, low=low, high=high)
+def _whole(low: int, high: int) -> Callable[[Table, str, str], object]:
+    return lambda table, key, what: table.integer(key, what, low=low, high=high)
 
 
-def _one_of(*words: str) -> Callable[[Table, str], object]:
-    return lambda table, key: table.choice(key, words)
+def _one_of(*words: str) -> Callable[[Table, str, str], object]:
+    return lambda table, key, what: table.choice(key, what, words)
 
 
-_BASE = Question("base", "does the base float or stand", '"free" or "fixed"', '"free"', _one_of("free", "fixed"))
+_BASE = Question("base", "whether the base floats or is fixed", '"free" or "fixed"', '"free"', _one_of("free", "fixed"))
 _BUS = (
     Question("period_s", "SYNC period, s", "0.001 to 0.05", "0.005", _above(0.0, "s")),
     Question(
@@ -109,28 +110,32 @@ _FLEXIBLE = (
     ),
 )  # fmt: skip
 _NODE = Question("node", "CAN node", "1 to 31", "1", _whole(1, 31))
+QUESTIONS = (_BASE, *_BUS, *_GYRO, _NODE, *_MOTOR, *_FLEXIBLE)
+"""All values that must be answered for an arm with a free base and flexible joints."""
 
 
 class Answers:
-    """Answers as far as they are known; `ask` adds to them."""
+    """The answers so far; `ask` adds to them."""
 
     def __init__(self, path: Path | None, joints: Sequence[str]) -> None:
-        """Read `path` (None: nothing is known) for an arm with these joints. Errors: ZygosError for unknown keys and
+        """Read `path` (None: no answers yet) for an arm with these joints. Errors: ZygosError for unknown keys and
         joints."""
         self.file = path or Path("answers")
         self.joints = tuple(joints)
         top = Table.load(path) if path else Table({}, self.file)
-        self.default = _known(top.table("default", optional=True), _JOINT)
-        each = top.table("joint", optional=True)
+        self.default = _known(
+            top.table("default", "What holds for every joint that does not say otherwise.", optional=True), JOINT
+        )
+        each = top.table("joint", "What holds for one joint, by its name.", optional=True)
         self.own: dict[str, dict[str, Any]] = {joint: {} for joint in self.joints}
         for joint in each.names():
             if joint not in self.own:
                 raise each.error(joint, "the chain has no such joint", f"its joints are {', '.join(self.joints)}")
-            self.own[joint] = _known(each.table(joint), _JOINT)
-        self.top = _known(top, _TOP)
+            self.own[joint] = _known(each.table(joint, "One joint."), JOINT)
+        self.top = _known(top, TOP)
 
     def missing(self) -> list[tuple[str, Question]]:
-        """The questions without an answer, each with its joint ("" for those of the whole arm)."""
+        """The questions without an answer, each with its joint ("" if it concerns the whole arm)."""
         found = [("", question) for question in (_BASE, *_BUS) if not _has(self.top, question)]
         if self.top.get("base") != "fixed":
             found += [("", question) for question in _GYRO if not _has(self.top, question)]
@@ -141,20 +146,21 @@ class Answers:
         return found
 
     def ask(self) -> None:
-        """Ask the user at the terminal for what is missing. What was last said of another joint is offered again."""
-        said: dict[str, str] = {}
+        """Ask the user at the terminal for missing values. The last answer for another joint is offered as the
+        default."""
+        previous: dict[str, str] = {}
         asked: set[tuple[str, str]] = set()
         while missing := [entry for entry in self.missing() if (entry[0], entry[1].key) not in asked]:
-            joint, question = missing[0]  # an answer may spare the questions after it
+            joint, question = missing[0]  # an answer may make the questions after it unnecessary
             asked.add((joint, question.key))
             value = typer.prompt(
                 f"{f'joint {joint}: ' if joint else ''}{question.what} (usually {question.usual})",
-                default=said.get(question.key),
+                default=previous.get(question.key),
                 value_proc=partial(_checked, question),
                 err=True,
             )
-            if question is not _NODE:  # nodes never repeat
-                said[question.key] = str(value)
+            if question is not _NODE:  # node numbers are never repeated
+                previous[question.key] = str(value)
             target = self.own[joint] if joint else self.top
             *tables, key = question.key.split(".")
             for table in tables:
@@ -162,10 +168,11 @@ class Answers:
             target[key] = value
 
     def template(self, chain: Chain) -> str:
-        """An answers.toml that says what is known; what is missing stands in it as a comment with a usual value."""
+        """An answers.toml with the known values; missing ones are comments with a usual value."""
         missing = self.missing()
         lines = [
-            f"# What the URDF of {chain.name} does not say. Lines behind a # are missing: correct them, remove the #.",
+            f"# Values that the URDF of {chain.name} does not contain. Lines after a # are missing: correct them, "
+            "remove the #.",
             "# [default] holds for every joint; [joint.NAME] holds for one, and goes before [default].",
             *_open(missing, "", ("base", *(question.key for question in _BUS))),
             *_written({key: value for key, value in self.top.items() if not isinstance(value, dict)}),
@@ -174,7 +181,7 @@ class Answers:
         if any(question.key.startswith("imu.") for joint, question in missing if not joint):
             tables.setdefault("imu", {})
         for key, value in tables.items():
-            lines += ["", f"[{key}]" + ("  # of a free base; a fixed one has none" if key == "imu" else "")]
+            lines += ["", f"[{key}]" + ("  # for a free base only; a fixed one has no gyro" if key == "imu" else "")]
             lines += [line.replace(f"# {key}.", "# ") for line in _open(missing, "", (), f"{key}.")]
             lines += _written(value)
         # a value that several joints lack is stated once for all of them
@@ -191,7 +198,7 @@ class Answers:
         return "\n".join(lines) + "\n"
 
     def arm(self, chain: Chain) -> dict[str, Any]:
-        """The content of arm.toml. Errors: ZygosError for values that it does not allow."""
+        """The content of arm.toml. Errors: ZygosError for values that are not allowed there."""
         if lacking := self.missing():
             whose: dict[Question, list[str]] = {}
             for owner, question in lacking:
@@ -201,7 +208,7 @@ class Answers:
                 for question, joints in whose.items()
             )
             raise ZygosError(
-                f"{self.file}: {len(lacking)} values are missing that a URDF does not say:\n{listed}\n"
+                f"{self.file}: {len(lacking)} values are missing that a URDF does not contain:\n{listed}\n"
                 "remedy: write them into a file like this, and give it with --answers (--template FILE writes it):\n\n"
                 f"{self.template(chain)}"
             )
@@ -209,7 +216,7 @@ class Answers:
         for hinge in chain.hinges:
             values = self._of(hinge.name)
             geometry = {"name": hinge.name, "axis": list(hinge.axis), "frame_rpy": list(hinge.rpy)}
-            joint = geometry | {key: values[key] for key in _JOINT if key in values and key not in _DRIVE}
+            joint = geometry | {key: values[key] for key in JOINT if key in values and key not in _DRIVE}
             hardware.read_joint(Table(joint, self.file, f"joint.{hinge.name}"))
             joints.append(joint)
         top = {"name": chain.name, "kinetic": "spatial", "torque_at": "rotor"} | self.top | {"joint": joints}
@@ -219,7 +226,7 @@ class Answers:
         return top
 
     def drives(self) -> tuple[JointModel, ...]:
-        """(N,) the joints of model.toml. Errors: ZygosError for values that it does not allow."""
+        """(N,) the joints of model.toml. Errors: ZygosError for values that are not allowed there."""
         found: list[JointModel] = []
         for joint in self.joints:
             values = self._of(joint)
@@ -230,18 +237,18 @@ class Answers:
                     if table.has(key):
                         raise table.error(key, "a rigid joint has no spring", "remove it, or write flexible = true")
                 table = Table(drive | {"stiffness": math.inf, "damping": 0.0}, self.file, f"joint.{joint}")
-            found.append(beliefs.read_joint(table, "CAD"))
+            found.append(beliefs.read_joint_model(table, "CAD"))
         return tuple(found)
 
     def _of(self, joint: str) -> dict[str, Any]:
-        """What is known of a joint: its own answers, and the default ones beside them."""
+        """The known values of a joint: its own answers, and for other keys the default ones."""
         own, default = self.own[joint], self.default
         if own.get("flexible", default.get("flexible")) is False:
             default = {key: value for key, value in default.items() if key not in _SPRING}
         values = default | own
         for key in _ENCODERS:
             if isinstance(own.get(key), dict) and isinstance(default.get(key), dict):
-                # the quantum and the counts are two ways to say the same
+                # quantum and counts are two ways to state the same property
                 other = {"counts": "quantum_rad", "quantum_rad": "counts"}
                 hidden = {other[name] for name in own[key] if name in other}
                 values[key] = {name: entry for name, entry in default[key].items() if name not in hidden} | own[key]
@@ -255,7 +262,7 @@ def _whose(joints: Sequence[str], every: Sequence[str]) -> str:
 
 
 def _known(table: Table, keys: Sequence[str]) -> dict[str, Any]:
-    """The entries of a table, whose keys must be among `keys`, or already taken."""
+    """The entries of a table, whose keys must be in `keys` or already read."""
     values: dict[str, Any] = {}
     for key in table.names():
         if table.where == "" and key in ("default", "joint"):
@@ -274,19 +281,19 @@ def _holds(values: Mapping[str, Any], dotted: str) -> bool:
     first, _, rest = dotted.partition(".")
     if first not in values:
         return False
-    # what should be a table and is none is for the reader to refuse
+    # a value in place of a table is refused later by the reader
     return not rest or not isinstance(values[first], dict) or _holds(values[first], rest)
 
 
 def _checked(question: Question, text: str) -> Any:
-    """What the user typed, as a value that the question allows."""
+    """The user's input as a value that the question allows."""
     try:
         value = tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
         value = text.strip()
     key = question.key.rpartition(".")[2]
     try:
-        question.check(Table({key: value}, Path("answer")), key)
+        question.check(Table({key: value}, Path("answer")), key, question.what)
     except ZygosError as error:
         raise typer.BadParameter(str(error).removeprefix("answer: ")) from None
     return value
@@ -305,7 +312,7 @@ def _open(missing: Sequence[tuple[str, Question]], joint: str, keys: Sequence[st
 
 
 def _written(values: Mapping[str, Any], prefix: str = "") -> list[str]:
-    """Lines of TOML. Tables are written as dotted keys, so that a missing entry can join them."""
+    """Lines of TOML. Tables are written as dotted keys, so that a missing entry can be added to them."""
     lines: list[str] = []
     for key, value in values.items():
         if isinstance(value, dict):

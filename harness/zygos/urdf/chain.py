@@ -1,6 +1,6 @@
-"""URDF in and out: the serial chain of an arm with everything that rides on its links, and inertials put back.
+"""URDF input and output: the serial chain of an arm with all links fixed to it, and inertials written back.
 
-ROS's own library, urdf_parser_py (package urdfdom_py), parses the file; docs/urdf.md says what maps to what.
+ROS's own library, urdf_parser_py (package urdfdom_py), parses the file; docs/urdf.md describes the conversion.
 """
 
 from __future__ import annotations
@@ -35,25 +35,25 @@ Vector3 = tuple[float, float, float]
 
 _TURNING = ("revolute", "continuous")
 _LOOSE = ("floating", "planar")
-"""Joints that hold nothing in place: what hangs on one is another body."""
+"""Joint types that move: a link on such a joint belongs to another body."""
 _READ = {"link": ("inertial",), "joint": ("origin", "axis", "parent", "child", "dynamics", "mimic")}
-"""What zygos reads. Nothing else is parsed, so that no mesh, plugin or transmission can make a file unreadable."""
+"""Elements that zygos reads. Nothing else is parsed, so that no mesh, plugin or transmission can cause an error."""
 
 
 @dataclass(frozen=True)
 class Pose:
-    """Where a frame lies in another: attitude (3, 3) and origin (3,), m."""
+    """Position of a frame in another: attitude (3, 3) and origin (3,), m."""
 
     attitude: Array
     origin: Array
 
     def __matmul__(self, inner: Pose) -> Pose:
-        """The frame `inner`, given in this one, in this one's parent."""
+        """The frame `inner`, which is given in this frame, expressed in this one's parent."""
         return Pose(self.attitude @ inner.attitude, self.origin + self.attitude @ inner.origin)
 
     @property
     def inverse(self) -> Pose:
-        """The parent's frame in this one."""
+        """The parent's frame, expressed in this one."""
         return Pose(self.attitude.T, -self.attitude.T @ self.origin)
 
 
@@ -75,14 +75,14 @@ class Hinge:
 
 @dataclass(frozen=True)
 class Segment:
-    """A body of the chain: a link, and the links that ride on it with their poses in its frame."""
+    """A body of the chain: a link, and the links fixed to it with their poses in its frame."""
 
     link: str
     riders: tuple[tuple[str, Pose], ...]
 
     @property
     def merged(self) -> tuple[str, ...]:
-        """Names of the links that ride on it."""
+        """Names of the links fixed to it."""
         return tuple(name for name, _ in self.riders)
 
 
@@ -93,9 +93,9 @@ class Inertial:
     mass: float
     """kg."""
     centre: Array
-    """(3,) m."""
+    """(3,) mass centre, m."""
     tensor: Array
-    """(3, 3) about the mass centre, kg m^2."""
+    """(3, 3) inertia about the mass centre, kg m^2."""
 
 
 @dataclass(frozen=True)
@@ -106,15 +106,15 @@ class Chain:
     segments: tuple[Segment, ...]
     hinges: tuple[Hinge, ...]
     notes: tuple[str, ...]
-    """What the URDF says and zygos does not use."""
+    """Content of the URDF that zygos does not use."""
 
 
 def read_chain(path: str | Path, base: str | None = None, tip: str | None = None) -> tuple[Chain, tuple[Inertial, ...]]:
     """Read the chain from link `base` (default: the root) to link `tip` (default: the end of the only chain), and the
-    inertials (N+1) of its segments with all that rides on them.
+    inertials (N+1) of its segments with everything fixed to them.
 
-    Errors: ZygosError for a file that is no URDF or no tree, a chain with joints that do not turn, links that cannot
-    exist, and bodies without mass.
+    Errors: ZygosError for a file that is not a URDF or not a tree, a chain with joints that do not turn, physically
+    impossible links, and bodies without mass.
     """
     tree = _Tree(Path(path))
     chain = tree.chain(base, tip)
@@ -122,27 +122,27 @@ def read_chain(path: str | Path, base: str | None = None, tip: str | None = None
 
 
 def read_chain_of(path: str | Path, base: str, joints: Sequence[str]) -> Chain:
-    """Read the chain that begins at link `base` and has just these joints; its inertials do not matter.
+    """Read the chain that begins at link `base` and has exactly these joints; its inertials are not read.
 
     Errors: ZygosError as `read_chain`, and if there is no such chain.
     """
     tree = _Tree(Path(path))
     if joints[-1] not in tree.joints:
-        raise tree.error(f"has no joint {joints[-1]}", "give the URDF of this arm, and name the joints alike")
+        raise tree.error(f"has no joint {joints[-1]}", "give the URDF of this arm, with the same joint names")
     if base not in tree.links:
-        raise tree.error(f"has no link {base} to be the base", "say with --base which link the arm begins at")
+        raise tree.error(f"has no link {base} as the base", "state with --base at which link the arm begins")
     chain = tree.chain(base, tree.joints[joints[-1]].child)
     if (names := [hinge.name for hinge in chain.hinges]) != list(joints):
         raise tree.error(
             f"the joints from link {base} are {', '.join(names)}, those of the arm {', '.join(joints)}",
-            "give the URDF of this arm, or say with --base which link the arm begins at",
+            "give the URDF of this arm, or state with --base at which link the arm begins",
         )
     return chain
 
 
 def with_inertials(path: str | Path, segments: Sequence[Segment], bodies: Sequence[Body], comment: str = "") -> str:
-    """The URDF `path` with the inertials of `bodies` (N+1) on the links of `segments`, and none on those merged into
-    them; a comment on top. All else stays as it is. Errors: ZygosError if the file cannot be read."""
+    """The URDF `path` with the inertials of `bodies` (N+1) on the links of `segments`, none on the links merged into
+    them, and a comment at the top. Everything else is unchanged. Errors: ZygosError if the file cannot be read."""
     tree = _parse(Path(path))
     root = tree.getroot()
     links = {link.get("name"): link for link in root.findall("link")}
@@ -154,7 +154,7 @@ def with_inertials(path: str | Path, segments: Sequence[Segment], bodies: Sequen
         inertial = link.find("inertial")
         if inertial is None:
             inertial = etree.Element("inertial")
-            inertial.tail = link.text  # as far in as the first of its siblings
+            inertial.tail = link.text  # the same indentation as the first sibling
             link.insert(0, inertial)
         tail, inner = inertial.tail, inertial.text if len(inertial) else None
         inertial.clear()
@@ -172,14 +172,14 @@ def with_inertials(path: str | Path, segments: Sequence[Segment], bodies: Sequen
         # two hyphens would end an XML comment
         root.insert(0, etree.Comment(comment.replace("--", "- -")))
         root[0].tail = root.text
-    # lxml keeps no line ends outside the root
+    # lxml drops line ends outside the root
     parts = [*reversed(list(root.itersiblings(preceding=True))), root, *root.itersiblings()]
     lines = [etree.tostring(part, encoding="unicode", with_tail=False) for part in parts]
     return "\n".join(['<?xml version="1.0" encoding="utf-8"?>', *lines, ""])
 
 
 class _Tree:
-    """Links and joints of a file, checked to be one tree."""
+    """Links and joints of a file, which are checked to form one tree."""
 
     def __init__(self, file: Path) -> None:
         self.file = file
@@ -205,7 +205,7 @@ class _Tree:
         for joint in robot.joints:
             if (other := self.above.setdefault(joint.child, joint)) is not joint:
                 raise self.error(
-                    f"link {joint.child} hangs on two joints, {other.name} and {joint.name}",
+                    f"link {joint.child} is the child of two joints, {other.name} and {joint.name}",
                     "open the loop: a link has one parent",
                 )
         if not self.links:
@@ -213,13 +213,13 @@ class _Tree:
         roots = [link for link in self.links if link not in self.above]
         if len(roots) > 1:
             raise self.error(
-                f"the links {', '.join(roots)} hang on nothing: one root is allowed", "join them to the rest"
+                f"the links {', '.join(roots)} have no parent: only one root is allowed", "connect them to the rest"
             )
         self.root = roots[0] if roots else ""
         unreached = sorted(set(self.links) - self.beside(self.root, None)) if roots else sorted(self.links)
         if unreached:
             raise self.error(
-                f"the links {', '.join(unreached)} hang on one another in a circle",
+                f"the links {', '.join(unreached)} form a loop",
                 "give every link one parent, up to a root",
             )
 
@@ -230,7 +230,7 @@ class _Tree:
         named = {entry.name: entry for entry in listed}
         for name in named:
             if sum(entry.name == name for entry in listed) > 1:
-                raise self.error(f"two {noun}s are called {name}", f"give every {noun} a name of its own")
+                raise self.error(f"two {noun}s are called {name}", f"give every {noun} a different name")
         return named
 
     @cached_property
@@ -242,7 +242,7 @@ class _Tree:
         return found
 
     def beside(self, link: str, without: Any) -> set[str]:
-        """The links that hang together with `link`, itself included, when the joint `without` is cut."""
+        """The links connected to `link`, itself included, when the joint `without` is removed."""
         found, waiting = {link}, [link]
         while waiting:
             for joint, other in self._neighbours[waiting.pop()]:
@@ -268,9 +268,9 @@ class _Tree:
             if joint.type not in _TURNING:
                 raise self.error(
                     f"joint {joint.name} is {joint.type}: the joints of the chain must turn",
-                    'make it type="fixed" if it stands still, or choose another chain with --base and --tip',
+                    'make it type="fixed" if it does not move, or choose another chain with --base and --tip',
                 )
-            # a frame that no fixed joint lies before keeps the very numbers of the file
+            # a frame without a fixed joint before it has exactly the numbers of the file
             rpy = _rpy(pose.attitude) if between else _numbers(joint.origin.rpy if joint.origin else (0.0, 0.0, 0.0))
             hinges.append(Hinge(joint.name, self._axis(joint), _numbers(pose.origin), rpy))
             starts.append(joint.child)
@@ -290,7 +290,7 @@ class _Tree:
         while link != base:
             if link not in self.above:
                 raise self.error(
-                    f"link {tip} does not hang on link {base}",
+                    f"link {tip} is not connected to link {base}",
                     f"choose --base among {', '.join(self._ancestors(tip))}",
                 )
             joints.append(self.above[link])
@@ -304,7 +304,7 @@ class _Tree:
         return found[::-1]
 
     def _only_tip(self, base: str) -> str:
-        """The link behind the last moving joint, if there is one such joint."""
+        """The link after the last moving joint, if there is only one such joint."""
         below = [
             joint for joint in self.joints.values() if joint.type != "fixed" and base in self._ancestors(joint.parent)
         ]
@@ -318,7 +318,7 @@ class _Tree:
         return tips[0] if tips else base
 
     def _segment(self, start: str, hinges: set[str], held: list[str]) -> Segment:
-        """The link and all that rides on it; off the chain, moving joints are held at zero."""
+        """The link and everything fixed to it; moving joints outside the chain are fixed at zero."""
         riders: list[tuple[str, Pose]] = []
         waiting: list[tuple[str, Pose, Any]] = [(start, _HERE, None)]
         while waiting:
@@ -332,8 +332,8 @@ class _Tree:
                     heavy = [name for name in self.beside(other, joint) if self.links[name].inertial is not None]
                     if heavy:
                         raise self.error(
-                            f"joint {joint.name} is {joint.type}: nothing holds {', '.join(sorted(heavy))} to the arm",
-                            "leave those links out of the file, or join them otherwise",
+                            f"joint {joint.name} is {joint.type}: nothing fixes {', '.join(sorted(heavy))} to the arm",
+                            "leave those links out of the file, or connect them with another joint type",
                         )
                     continue
                 if joint.type != "fixed":
@@ -343,7 +343,7 @@ class _Tree:
         return Segment(start, tuple(riders))
 
     def weigh(self, segment: Segment, *, base: bool) -> Inertial:
-        """The inertial of a segment with all that rides on it. A base may be without mass, for it may be fixed."""
+        """The inertial of a segment with everything fixed to it. A base may have no mass, since it may be fixed."""
         parts: list[tuple[float, Array, Array]] = []
         for link, pose in ((segment.link, _HERE), *segment.riders):
             mass, centre, tensor = self._inertial(self.links[link])
@@ -358,13 +358,13 @@ class _Tree:
                 "give it an <inertial>, or make a joint at one of its ends fixed",
             )
         centre = parts[0][1] if len(parts) == 1 else np.sum([mass * place for mass, place, _ in parts], axis=0) / total
-        # parallel axes
+        # parallel axis theorem
         tensor = np.sum([part + mass * _about(place - centre) for mass, place, part in parts], axis=0)
         if not is_possible(tensor):
             raise self.error(
                 f"link {segment.link} with what is fixed to it has the principal moments "
-                f"{np.linalg.eigvalsh(tensor).tolist()} kg m^2, like no body",
-                "correct its <inertia>: all positive, none above the sum of the other two",
+                f"{np.linalg.eigvalsh(tensor).tolist()} kg m^2, which no body can have",
+                "correct its <inertia>: all must be positive, and none larger than the sum of the other two",
             )
         return Inertial(total, centre, tensor)
 
@@ -387,11 +387,12 @@ class _Tree:
             raise self.error(f"{where} has the inertia {tensor.tolist()}", "write numbers, kg m^2")
         if mass == 0.0 and np.any(tensor):
             raise self.error(f"{where} has inertia but no mass", "give it a positive mass, or no <inertial>")
-        # a point mass is possible, if something is fixed to it
+        # a point mass is allowed if something is fixed to it
         if np.any(tensor) and not is_possible(tensor):
             raise self.error(
-                f"{where} has the principal moments {np.linalg.eigvalsh(tensor).tolist()} kg m^2, like no body",
-                "correct its <inertia>: all positive, none above the sum of the other two",
+                f"{where} has the principal moments {np.linalg.eigvalsh(tensor).tolist()} kg m^2, which no body can "
+                "have",
+                "correct its <inertia>: all must be positive, and none larger than the sum of the other two",
             )
         return mass, pose.origin, pose.attitude @ tensor @ pose.attitude.T
 
@@ -412,7 +413,7 @@ class _Tree:
     def _notes(self, hinges: set[str], held: list[str]) -> Iterator[str]:
         yield from self.complaints
         if held:
-            yield f"off the chain, held at zero: joint {', '.join(held)}"
+            yield f"outside the chain and fixed at zero: joint {', '.join(held)}"
         lossy = [
             f"{joint.name} (damping {joint.dynamics.damping or 0:g}, friction {joint.dynamics.friction or 0:g})"
             for joint in self.joints.values()
@@ -420,11 +421,12 @@ class _Tree:
         ]
         if lossy:
             yield (
-                f"<dynamics> is not used: {', '.join(lossy)}; in zygos damping is that of the spring, and friction an "
+                f"<dynamics> is not used: {', '.join(lossy)}; in zygos damping is a property of the spring, and "
+                "friction an "
                 "[[effect]] of model.toml"
             )
         if limited := [name for name in self.limited if name in hinges]:
-            yield f"<limit> is not used, arm.toml has no limits: {', '.join(limited)}"
+            yield f"<limit> is not used, because arm.toml has no limits: {', '.join(limited)}"
 
 
 def _parse(file: Path) -> Any:
@@ -441,12 +443,14 @@ def _parse(file: Path) -> Any:
     ):
         raise ZygosError(f"{file}: is a xacro file; remedy: expand it first: xacro FILE.xacro > ARM.urdf")
     if root.tag != "robot":
-        raise ZygosError(f"{file}: is no URDF, its root is <{root.tag}>; remedy: give a file that begins with <robot>")
+        raise ZygosError(
+            f"{file}: is not a URDF, its root is <{root.tag}>; remedy: give a file that begins with <robot>"
+        )
     return tree
 
 
 def _read(file: Path, root: Any) -> tuple[Any, list[str]]:
-    """What the library makes of links and joints, and what it complains of."""
+    """The links and joints as parsed by the library, and its complaints."""
     pruned = etree.Element("robot", name=root.get("name") or file.stem)
     for kind, tags in _READ.items():
         for element in root.findall(kind):
@@ -465,13 +469,13 @@ def _read(file: Path, root: Any) -> tuple[Any, list[str]]:
     except core.ParseError as error:
         wrong = " ".join(str(error).removeprefix("ParseError in ").split())
         raise ZygosError(f"{file}: is not valid URDF ({wrong}); remedy: correct that element") from None
-    except Exception as error:  # the library raises what the conversion of a word raises
+    except Exception as error:  # the library passes on errors from the conversion of a word
         raise ZygosError(f"{file}: is not valid URDF ({error!r}); remedy: correct that value") from None
 
 
 @contextmanager
 def _complaints() -> Iterator[list[str]]:
-    """Collects what the library would print."""
+    """Collects messages that the library would print."""
     found: list[str] = []
     usual, core.on_error = core.on_error, found.append
     try:
@@ -497,8 +501,8 @@ def _about(arm: Array) -> Array:
 
 
 def _rpy(attitude: Array) -> Vector3:
-    """Roll, pitch and yaw of an attitude, exact also at a pitch of 90 degrees, where scipy gives up 1e-7 (R. Paul,
-    Robot Manipulators, 1981, ch. 3: the later angles are taken after the earlier ones are undone)."""
+    """Roll, pitch and yaw of an attitude, exact also at a pitch of 90 degrees, where scipy loses digits (1e-7) (R.
+    Paul, Robot Manipulators, 1981, ch. 3: each angle is computed after the previous rotations are undone)."""
     roll = math.atan2(attitude[2, 1], attitude[2, 2])
     sine, cosine = math.sin(roll), math.cos(roll)
     pitch = math.atan2(-attitude[2, 0], math.hypot(attitude[2, 1], attitude[2, 2]))

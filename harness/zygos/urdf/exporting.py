@@ -1,4 +1,4 @@
-"""What a model gives a URDF: the bodies nearest to its parameters, and the chain that they belong to."""
+"""The export of a model to a URDF: the bodies nearest to its parameters, and the chain to which they belong."""
 
 from __future__ import annotations
 
@@ -16,35 +16,33 @@ from zygos.model.nearest import ENTRIES, Nearest
 from zygos.urdf.chain import Chain, read_chain_of
 
 _SAME = 1e-9
-"""Largest difference of lengths, relative to the longest, and of attitudes between a URDF and an arm."""
+"""Largest difference of lengths (relative to the longest) and of attitudes between a URDF and an arm."""
 
 
 def bodies_of(model_file: Path, model: Model, cad: Path | None) -> Model:
-    """The model itself if it is given by bodies, else the drawing."""
+    """The model itself if it is given by bodies, otherwise the drawing."""
     if model.bodies:
         if cad is not None:
-            raise ZygosError(
-                f"{model_file}: is given by bodies, which are written as they are; remedy: leave out --cad"
-            )
+            raise ZygosError(f"{model_file}: is given by bodies, which are written unchanged; remedy: leave out --cad")
         return model
     if cad is None:
         raise ZygosError(
-            f"{model_file}: base parameters do not determine the inertials one by one; remedy: give the drawing that "
-            "decides the rest with --cad MODEL.toml"
+            f"{model_file}: base parameters do not determine each single inertial; remedy: give the drawing that "
+            "determines the rest with --cad MODEL.toml"
         )
     drawing = load_model(cad)
     if not drawing.bodies:
-        raise ZygosError(f"{cad}: holds base parameters; remedy: give a model with [[body]] and [[joint]]")
+        raise ZygosError(f"{cad}: contains base parameters; remedy: give a model with [[body]] and [[joint]]")
     return drawing
 
 
 def chain_of(urdf: Path, arm: Arm, model: Model, base: str | None) -> Chain:
-    """The chain of a URDF that is this arm's, with this model's lengths."""
+    """The chain of a URDF that has this arm's joints and this model's lengths."""
     names = [joint.name for joint in arm.joints]
     if [joint.name for joint in model.joints] != names:
         raise ZygosError(
             f"model {model.name} has joints {[joint.name for joint in model.joints]}, arm {arm.name} has {names}; "
-            "remedy: name the joints alike, from the base outwards"
+            "remedy: use the same joint names, in order from the base outwards"
         )
     chain = read_chain_of(urdf, base or model.bodies[0].name, names)
     reach = max(float(np.linalg.norm(hinge.xyz)) for hinge in chain.hinges) or 1.0
@@ -57,8 +55,8 @@ def chain_of(urdf: Path, arm: Arm, model: Model, base: str | None) -> Chain:
             if np.max(np.abs(own - other)) > _SAME * scale:
                 raise ZygosError(
                     f"{urdf}: the {what} of joint {hinge.name} is {own.tolist()}, but arm {arm.name} and model "
-                    f"{model.name} say {other.tolist()}; remedy: give the files of one and the same arm; a fit "
-                    "keeps the lengths of its drawing with `zygos fit --lengths 0`"
+                    f"{model.name} say {other.tolist()}; remedy: give files of the same arm; a fit "
+                    "with `zygos fit --lengths 0` has the lengths of its drawing"
                 )
     return chain
 
@@ -69,10 +67,10 @@ def _attitude(rpy: Sequence[float]) -> NDArray[np.float64]:
 
 
 def comment(found: Nearest, given: Model, cad: Model) -> str:
-    """What the file says of itself: where its inertials come from, and which of their entries are known."""
+    """The comment in the file: the source of its inertials, and which of their entries are determined."""
     lines = [
         f" Inertials by `zygos export`: of all bodies with the base parameters of model {given.name}, those nearest to",
-        f"     model {cad.name}. Entries that the base parameters determine, all others keep that model's share:",
+        f"     model {cad.name}. The base parameters determine these entries; all others depend on that model:",
     ]
     for body, determined in zip(found.model.bodies, found.determined, strict=True):
         names = [entry for entry, yes in zip(ENTRIES, determined, strict=True) if yes]

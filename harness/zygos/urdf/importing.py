@@ -1,4 +1,4 @@
-"""zygos' own files from a URDF chain: the model of its inertials, the text of its arm file."""
+"""zygos' own files from a URDF chain: the model of its inertials, and the text of its arm file."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def model_of(chain: Chain, inertials: Sequence[Inertial], answers: Answers) -> M
 
 
 def arm_text(arm: dict[str, Any], origin: str) -> str:
-    """The text of an arm file from its content. origin: the comment that it begins with."""
+    """The text of an arm file from its content. origin: the comment at its beginning."""
     document = tomlkit.document()
     document.add(tomlkit.comment(origin))
     for key, value in arm.items():

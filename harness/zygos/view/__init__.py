@@ -1,1 +1,1 @@
-"""The arm of a run in three dimensions."""
+"""Display of the arm of a run in three dimensions."""

@@ -1,4 +1,4 @@
-"""The arm of a recorded run moving in space: stills in a PNG, or a page that any browser plays."""
+"""The arm of a recorded run moving in space: still pictures in a PNG, or a page that any browser can play."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from zygos.arm import Arm
-from zygos.dynamics.pose import Floats, Motion, Poses, Skeleton, forward, place
+from zygos.dynamics.pose import Floats, Poses, RecordedMotion, Skeleton, forward, place
 from zygos.errors import ZygosError
 from zygos.files.output import (
     note,
@@ -34,24 +34,24 @@ try:
     from matplotlib.ticker import MaxNLocator
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 except ImportError as error:
-    raise ZygosError(f"{error.name} is missing, which draws the arm; remedy: pip install 'zygos[view]'") from error
+    raise ZygosError(f"drawing the arm needs {error.name}; remedy: pip install 'zygos[view]'") from error
 
 
 STILLS = 6
-"""Stills on a sheet, evenly over the run."""
+"""Number of stills on a sheet, evenly distributed over the run."""
 
 
 SHEET_PX, STILL_PX = (1800, 1250), (1200, 950)
-"""Width and height of a PNG with several stills, and with one."""
+"""Width and height of a PNG with several stills, and of one with a single still."""
 
 
 FRAMES_PER_S, MOST_FRAMES = 25.0, 3000
-"""Of a page; a run too long for that is played at the same speed with fewer frames."""
+"""Largest number of frames of a page; a longer run is played at the same speed with fewer frames per second."""
 
 
 @dataclass(frozen=True)
 class Paint:
-    """How a kind of part looks."""
+    """Colour and opacity of a kind of part."""
 
     colour: tuple[int, int, int]
     opacity: float
@@ -68,7 +68,7 @@ PAINTS = {
     "base": Paint((128, 134, 140), 1.0, "base"),
     "link": Paint((52, 120, 190), 1.0, "links (q)"),
     "joint": Paint((45, 48, 56), 1.0, "joints, along their axes"),
-    "motor": Paint((230, 110, 10), 0.5, "where the motors are (θ)"),
+    "motor": Paint((230, 110, 10), 0.5, "motor angles (θ)"),
 }
 
 
@@ -91,27 +91,27 @@ class Film:
     arm: Arm
     parts: tuple[Part, ...]
     time: Floats
-    """(m,) s."""
+    """(m,) time, s."""
     links: Poses
-    """Of the bodies, from the link encoders."""
+    """Poses of the bodies by the link encoders."""
     motors: Poses
-    """Of the bodies if every link stood where its motor is."""
+    """Poses that the bodies would have if every link were at its motor's angle."""
     caption: str
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """The kinds of parts there are, each once."""
+        """The kinds of parts that occur, each once."""
         return tuple(dict.fromkeys(part.kind for part in self.parts))
 
     @property
     def grid_m(self) -> float:
-        """Width of a grid's cell that suits the arm's size: 1, 2 or 5 times a power of ten, m."""
+        """Cell width of a grid that suits the arm's size: 1, 2 or 5 times a power of ten, m."""
         least = 0.2 * float(self.bounds[1].max())
         power = 10.0 ** np.floor(np.log10(least))
         return float(next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= least))
 
     def poses(self, part: Part) -> Poses:
-        """The poses that move a part."""
+        """The poses by which a part moves."""
         return self.motors if part.kind == "motor" else self.links
 
     def vertices(self, part: Part) -> Floats:
@@ -122,7 +122,7 @@ class Film:
 
     @cached_property
     def bounds(self) -> tuple[Floats, Floats]:
-        """Middle (3,) and half the extent (3,) of all that is ever seen, m."""
+        """Centre (3,) and half the extent (3,) of everything that is visible at any time, m."""
         low = np.min([self.vertices(part).min(axis=(0, 1)) for part in self.parts], axis=0)
         high = np.max([self.vertices(part).max(axis=(0, 1)) for part in self.parts], axis=0)
         return 0.5 * (low + high), 0.5 * (high - low)
@@ -131,8 +131,8 @@ class Film:
 def parts(arm: Arm, lengths: Skeleton) -> tuple[Part, ...]:
     """Base as a box, links as cylinders from joint to joint, joints as cylinders along their axes, all in proportion.
 
-    The motors' ghost is a second set of links, thinner so that it hides inside the first where both coincide. An arm
-    without a spring has none.
+    The motor angles are shown by a second set of links, thinner so that they are hidden inside the first where both
+    coincide. An arm without springs has no second set.
     """
     ends = np.vstack([lengths.joint_xyz, lengths.end_xyz])
     reach = np.linalg.norm(ends, axis=1)
@@ -151,14 +151,15 @@ def parts(arm: Arm, lengths: Skeleton) -> tuple[Part, ...]:
 
 
 def _box(kind: str, centre: Floats, corner: Floats, least: float) -> Part:
-    """The base: about its mass centre, up to its joint, nowhere thinner than 2 least; small faces, see `_cylinder`."""
+    """The base: a box about its mass centre, up to its joint, at least 2 `least` thick; small faces, see
+    `_cylinder`."""
     half = np.maximum(np.abs(corner - centre), least)
     mesh = trimesh.creation.box(extents=2.0 * half).subdivide_to_size(0.25 * half.max())
     return Part(kind, 0, mesh.vertices + centre, mesh.faces)
 
 
 def _cylinder(kind: str, body: int, start: Floats, end: Floats, radius: float) -> Part:
-    """A cylinder in rings: small faces are what matplotlib sorts rightly by depth."""
+    """A cylinder divided into rings, because matplotlib sorts only small faces correctly by depth."""
     length = float(np.linalg.norm(end - start))
     rings = [(radius, z) for z in np.linspace(0.0, length, 9)]
     mesh = trimesh.creation.revolve([(0.0, 0.0), *rings, (0.0, length)], sections=24)
@@ -167,14 +168,15 @@ def _cylinder(kind: str, body: int, start: Floats, end: Floats, radius: float) -
 
 
 def up(arm: Arm) -> Floats:
-    """(3,) what is drawn upright, in the base frame: against gravity, else along a planar arm's axis, else z."""
+    """(3,) direction that is drawn upwards, in the base frame: against gravity, else along a planar arm's axis, else
+    z."""
     if any(arm.gravity):
         return np.asarray(-np.array(arm.gravity) / np.linalg.norm(arm.gravity))
     return np.array([0.0, 0.0, 1.0]) if arm.spatial else arm.axis
 
 
-def film(arm: Arm, lengths: Skeleton, run: Motion, cycles: NDArray[np.int64], exaggerate: float) -> Film:
-    """The arm at chosen cycles (m,), the motors' deflections drawn larger by a factor."""
+def film(arm: Arm, lengths: Skeleton, run: RecordedMotion, cycles: NDArray[np.int64], exaggerate: float) -> Film:
+    """The arm at chosen cycles (m,), with the deflections of the motors enlarged by a factor."""
     upright = Rotation.align_vectors([[0.0, 0.0, 1.0]], [up(arm)])[0].as_matrix()
     q, base = run.q[cycles], upright @ run.base[cycles]
     links = place(arm, lengths, q, base)
@@ -183,14 +185,14 @@ def film(arm: Arm, lengths: Skeleton, run: Motion, cycles: NDArray[np.int64], ex
     about = "about its base" if lengths.mass is None else "about its mass centre"
     caption = [f"arm {arm.name}", about if arm.free else "on the ground"]
     if lengths.mass is None:
-        caption.append("schematic: all lengths 1")
+        caption.append("schematic: all lengths are 1")
     if exaggerate != 1.0:
-        caption.append(f"θ − q drawn {exaggerate:g} times")
+        caption.append(f"θ − q enlarged {exaggerate:g} times")
     return Film(arm, parts(arm, lengths), run.time[cycles], links, motors, " · ".join(caption))
 
 
-def direction(arm: Arm) -> Floats:
-    """(3,) from the arm towards the eye, z up: at a planar arm's plane, at a spatial arm from the side."""
+def view_direction(arm: Arm) -> Floats:
+    """(3,) direction from the arm to the eye, with z up: perpendicular to a planar arm's plane, else from the side."""
     if arm.spatial:
         return np.array([0.75, -0.55, 0.37])
     axis = Rotation.align_vectors([[0.0, 0.0, 1.0]], [up(arm)])[0].apply(arm.axis)
@@ -200,7 +202,7 @@ def direction(arm: Arm) -> Floats:
 
 
 def png(shown: Film) -> bytes:
-    """The film's instants as stills on one sheet, without a screen or a GPU."""
+    """The film's instants as stills on one sheet; needs neither a screen nor a GPU."""
     several = len(shown.time) > 1
     columns = 3 if several else 1
     rows = -(-len(shown.time) // columns)
@@ -208,13 +210,13 @@ def png(shown: Film) -> bytes:
     figure = Figure(figsize=(width / 100, height / 100), dpi=100)
     middle, half = shown.bounds
     half = np.maximum(half, 0.3 * half.max())
-    eye = direction(shown.arm)
+    eye = view_direction(shown.arm)
     elevation, azimuth = np.degrees(np.arcsin(eye[2])), np.degrees(np.arctan2(eye[1], eye[0]))
     right = np.cross([0.0, 0.0, 1.0], eye) / np.hypot(eye[0], eye[1])
-    beside = 0.07 * half.max() * (right + np.cross(eye, right))  # up and to the right, as the eye sees it
+    beside = 0.07 * half.max() * (right + np.cross(eye, right))  # up and to the right as seen from the eye
     light = LightSource(
         azdeg=90.0 - azimuth + 40.0, altdeg=50.0
-    )  # over the beholder's left shoulder; a compass's angle
+    )  # over the viewer's left shoulder; given as a compass angle
     vertices = [shown.vertices(part) for part in shown.parts]
     for at, time in enumerate(shown.time):
         axes = figure.add_subplot(rows, columns, at + 1, projection="3d", proj_type="persp")
@@ -222,7 +224,7 @@ def png(shown: Film) -> bytes:
         colours = [np.tile(PAINTS[part.kind].rgba, (len(part.faces), 1)) for part in shown.parts]
         faces = np.concatenate(colours)
         seams = faces * (1.0, 1.0, 1.0, 0.0) + np.outer(faces[:, 3] == 1.0, (0.0, 0.0, 0.0, 1.0))
-        # one collection, so that near faces hide far ones across parts; edges close the seams between opaque faces
+        # one collection, so that near faces hide far ones of other parts; edges close the gaps between opaque faces
         axes.add_collection3d(
             Poly3DCollection(
                 np.concatenate(triangles),
@@ -253,8 +255,8 @@ def png(shown: Film) -> bytes:
 
 
 def page(shown: Film, progress: Callable[[int], None]) -> str:
-    """The film as one HTML page with a player, which needs no network; progress gets the number of frames done."""
-    # viser greets and says goodbye on stdout, in the midst of what the command says
+    """The film as one HTML page with a player, which needs no network; progress gets the number of finished frames."""
+    # viser prints messages on stdout, which would mix with the output of the command
     with redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
         try:
@@ -276,7 +278,7 @@ def page(shown: Film, progress: Callable[[int], None]) -> str:
 
 
 def _grid(shown: Film) -> Floats:
-    """(k, 2, 3) ends of the lines of a grid below all that is seen, m. viser's own is slow without a GPU."""
+    """(k, 2, 3) ends of the lines of a grid below everything visible, m. viser's own grid is slow without a GPU."""
     middle, half = shown.bounds
     steps = np.arange(-10, 11) * shown.grid_m
     along = np.array([[[step, steps[0], 0.0], [step, steps[-1], 0.0]] for step in steps])
@@ -285,11 +287,11 @@ def _grid(shown: Film) -> Floats:
 
 
 def _record(shown: Film, server: viser.ViserServer, progress: Callable[[int], None]) -> str:
-    """Build the scene and move it; the page of that recording."""
+    """Build the scene and move it; returns the page of that recording."""
     middle, half = shown.bounds
     extent = float(np.linalg.norm(half))
     camera, scene = server.initial_camera, server.scene
-    camera.look_at, camera.position = middle, middle + 2.6 * extent * direction(shown.arm)
+    camera.look_at, camera.position = middle, middle + 2.6 * extent * view_direction(shown.arm)
     camera.fov, camera.near, camera.far = np.radians(45.0), 0.01 * extent, 100.0 * extent
     scene.add_line_segments(
         "/grid", points=_grid(shown), colors=(200, 200, 200), thickness=1.0, thickness_units="screen"
@@ -318,14 +320,14 @@ def _record(shown: Film, server: viser.ViserServer, progress: Callable[[int], No
     return str(recording.as_html())
 
 
-def instants(run: Motion, most: int) -> NDArray[np.intp]:
-    """(m,) at most so many cycles, evenly over the time of a run, the first and the last included."""
+def frame_instants(run: RecordedMotion, most: int) -> NDArray[np.intp]:
+    """(m,) at most `most` cycles, evenly distributed over the time of a run, including the first and the last."""
     even = np.linspace(0.0, run.time[-1], most)
     return np.unique(np.searchsorted(run.time, even - 1e-9))
 
 
 def serve(content: str, port: int) -> None:
-    """Offer a page to this machine's browser until Ctrl-C or SIGTERM. Errors: ZygosError if the port is taken."""
+    """Serve a page to this machine's browser until Ctrl-C or SIGTERM. Errors: ZygosError if the port is in use."""
     body = content.encode()
 
     class Handler(BaseHTTPRequestHandler):
@@ -337,19 +339,21 @@ def serve(content: str, port: int) -> None:
             self.wfile.write(body)
 
         def log_message(self, *_: object) -> None:
-            """Nobody wants to read of every request."""
+            """Do not log requests."""
 
     try:
         server = ThreadingHTTPServer(("127.0.0.1", port), Handler)
     except (OSError, OverflowError) as error:
-        raise ZygosError(f"port {port} cannot be opened ({error}); remedy: another --port, or --html FILE") from error
+        raise ZygosError(
+            f"port {port} cannot be opened ({error}); remedy: use another --port, or --html FILE"
+        ) from error
     with server, stop_signals() as stopped:
         url = f"http://127.0.0.1:{server.server_port}/"
-        # without a screen, a text browser would take the terminal
+        # without a screen, a text browser would occupy the terminal
         screen = sys.platform != "linux" or any(name in os.environ for name in ("DISPLAY", "WAYLAND_DISPLAY"))
         note(f"{url} shows the arm; Ctrl-C ends")
         if not (screen and webbrowser.open(url)):
-            note("no screen here; remedy: open it through `ssh -L`, or use --html FILE or --png FILE")
+            note("there is no screen here; remedy: open it through `ssh -L`, or use --html FILE or --png FILE")
         server.timeout = 0.2
         while not stopped():
             server.handle_request()

@@ -1,8 +1,8 @@
-"""Equations of motion by others: an arm's bodies in Pinocchio or in MuJoCo.
+"""Equations of motion of independent engines: an arm's bodies in Pinocchio or in MuJoCo.
 
-Both are made from the `[[body]]` and `[[joint]]` of a model file and from nothing else: no base parameters, and no
-formula of `zygos.dynamics.planar`. Rotor i is a body of its own on body i-1, a thin disc about joint i, geared to
-theta. They are plants for the simulator, and each other's check and ours.
+Both are built only from the `[[body]]` and `[[joint]]` of a model file, without base parameters and without any formula
+of `zygos.dynamics.planar`. Rotor i is a separate body on body i-1, a thin disc about joint i, geared to theta. The
+engines serve as plants for the simulator, and to verify each other and our equations.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from zygos.model.model import Model
 Array = NDArray[np.float64]
 
 ENGINES = {"pinocchio": "PinocchioEngine", "mujoco": "MujocoEngine"}
-"""Module here, which is also the one that it needs, and its class."""
+"""Name of the module here, which is also that of the required package, and its class."""
 
 
 class Engine(Protocol):
@@ -28,7 +28,7 @@ class Engine(Protocol):
 
     q: link angles, theta: motor angles after the gear, both (N,), rad. qd, thetad: their rates, rad/s. omega0: (3,)
     inertial rate of the base in base axes, rad/s; zero on a fixed base. tau: (N,) rotor torques before the gear, Nm.
-    At a rigid joint theta and thetad are not read: the rotor turns with the link. The mass centre of a free arm rests.
+    At a rigid joint theta and thetad are not used: the rotor turns with the link. A free arm's mass centre is at rest.
     """
 
     def accelerations(
@@ -40,7 +40,7 @@ class Engine(Protocol):
         """Kinetic energy of bodies and rotors, J."""
 
     def potential_energy(self, q: Array) -> float:
-        """Energy in the gravity that a fixed base feels, J, up to a constant; that of the springs is not in it."""
+        """Potential energy in the gravity that a fixed base feels, J, up to a constant; without that of the springs."""
 
     def momentum(self, q: Array, omega0: Array, qd: Array, thetad: Array) -> Array:
         """(3,) angular momentum of a free arm about its mass centre in base axes, Nms."""
@@ -49,11 +49,11 @@ class Engine(Protocol):
 def engine(name: str, arm: Arm, model: Model) -> Engine:
     """The arm in one of `ENGINES`.
 
-    Errors: ZygosError for an unknown engine or one that is not installed, a model without bodies, with effects or of
-    another arm.
+    Errors: ZygosError for an unknown engine or one that is not installed, and for a model without bodies, with effects,
+    or that does not fit the arm.
     """
     if name not in ENGINES:
-        raise ZygosError(f"there is no engine {name!r}; remedy: one of {', '.join(ENGINES)}")
+        raise ZygosError(f"there is no engine {name!r}; remedy: use one of {', '.join(ENGINES)}")
     if not model.bodies:
         raise ZygosError(
             f"model {model.name} is given by base parameters, engine {name} needs bodies; "
@@ -62,7 +62,7 @@ def engine(name: str, arm: Arm, model: Model) -> Engine:
     if model.effects:
         carried = ", ".join(sorted({effect.kind.key for effect in model.effects}))
         raise ZygosError(
-            f"model {model.name} carries effects ({carried}), engine {name} knows none; "
+            f"model {model.name} has effects ({carried}), engine {name} supports none; "
             'remedy: engine "zygos", or a model without [[effect]]'
         )
     model.check_fits(arm)

@@ -1,8 +1,9 @@
-"""The arm in MuJoCo: bodies on hinges, a tendon for each spring, a rigid gear as the force that holds it.
+"""The arm in MuJoCo: bodies on hinges, a tendon for each spring, and a constraint force for a rigid gear.
 
-A fixed tendon of length theta - q is spring and damper of a flexible joint. MuJoCo's own equality constraints give way
-a little, so the rigid gear is exact here: with the rows C of n qd - (rotor rate) = 0 and MuJoCo's accelerations a
-without them, the accelerations are a - M^-1 C' (C M^-1 C')^-1 C a (Gauss' principle of least constraint).
+A fixed tendon of length theta - q is spring and damper of a flexible joint. MuJoCo's own equality constraints are
+slightly soft, so an exact rigid gear is computed here: with the rows C of n qd - (rotor rate) = 0 and MuJoCo's
+accelerations a without them, the accelerations are a - M^-1 C' (C M^-1 C')^-1 C a (Gauss' principle of least
+constraint).
 """
 
 from __future__ import annotations
@@ -23,14 +24,14 @@ from zygos.model.model import Model
 Array = NDArray[np.float64]
 
 _LIGHTEST = 1e-14
-"""Of the body that spins, kg: MuJoCo moves none without mass."""
+"""Mass of the body that represents a rotor's rotation, kg; MuJoCo does not accept zero."""
 
 
 class MujocoEngine:
-    """An `Engine`. The base stands at the origin, unturned: base axes are MuJoCo's world axes."""
+    """An `Engine`. The base is at the origin in zero attitude: base axes are MuJoCo's world axes."""
 
     def __init__(self, arm: Arm, model: Model) -> None:
-        """Compile the arm. Errors: ZygosError for bodies that MuJoCo refuses."""
+        """Compile the arm. Errors: ZygosError for bodies that MuJoCo does not accept."""
         drives = zip(arm.joints, model.joints, strict=True)
         rigid = [i for i, (joint, drive) in enumerate(drives) if not joint.flexible or np.isinf(drive.stiffness.value)]
         try:
@@ -38,7 +39,7 @@ class MujocoEngine:
         except ValueError as error:
             reason = " ".join(str(error).split())
             raise ZygosError(
-                f"model {model.name}: MuJoCo refuses it ({reason}); remedy: correct the inertias, or another engine"
+                f"model {model.name}: MuJoCo rejects it ({reason}); remedy: correct the inertias, or use another engine"
             ) from None
         self._data: Any = mujoco.MjData(self._tree)
         self._free, self._rigid, self._ratio = arm.free, rigid, arm.gear_ratios
@@ -51,7 +52,7 @@ class MujocoEngine:
     def accelerations(
         self, q: Array, theta: Array, omega0: Array, qd: Array, thetad: Array, tau: Array
     ) -> tuple[Array, Array, Array]:
-        """As `Engine`."""
+        """Accelerations, as defined in `Engine`."""
         self._place(q, theta, omega0, qd, thetad, tau)
         change = self._data.qacc.copy()
         if self._rigid:
@@ -61,26 +62,26 @@ class MujocoEngine:
         return change[3:6] if self._free else np.zeros(3), change[self._link], change[self._rotor] / self._ratio
 
     def kinetic_energy(self, q: Array, omega0: Array, qd: Array, thetad: Array) -> float:
-        """As `Engine`."""
+        """Kinetic energy, as defined in `Engine`."""
         self._place(q, q, omega0, qd, thetad, np.zeros_like(q))
         return float(self._data.energy[1])
 
     def potential_energy(self, q: Array) -> float:
-        """As `Engine`."""
+        """Potential energy, as defined in `Engine`."""
         rest = np.zeros_like(q)
         self._place(q, q, np.zeros(3), rest, rest, rest)
         return float(self._data.energy[0])
 
     def momentum(self, q: Array, omega0: Array, qd: Array, thetad: Array) -> Array:
-        """As `Engine`."""
-        assert self._free, "what holds a fixed base takes up its momentum"
+        """Angular momentum, as defined in `Engine`."""
+        assert self._free, "the angular momentum of an arm on a fixed base is not defined"
         self._place(q, q, omega0, qd, thetad, np.zeros_like(q))
         mujoco.mj_subtreeVel(self._tree, self._data)
         return np.array(self._data.subtree_angmom[1])
 
     def _place(self, q: Array, theta: Array, omega0: Array, qd: Array, thetad: Array, tau: Array) -> None:
-        """Put the arm into a state and let MuJoCo compute everything that follows from it."""
-        data, shift = self._data, 1 if self._free else 0  # a quaternion has a number more than a rate
+        """Set the state of the arm and let MuJoCo compute everything that follows from it."""
+        data, shift = self._data, 1 if self._free else 0  # a quaternion has one number more than a rate
         theta, thetad = theta.copy(), thetad.copy()
         theta[self._rigid], thetad[self._rigid] = q[self._rigid], qd[self._rigid]
         data.qpos[self._link + shift], data.qpos[self._rotor + shift] = q, self._ratio * theta
@@ -98,7 +99,7 @@ class MujocoEngine:
 def _mjcf(arm: Arm, model: Model, rigid: list[int]) -> str:
     """The arm as MJCF."""
     root, tendons = Element("mujoco"), Element("tendon")
-    # capital letters: roll, pitch and yaw about axes that stand still, as in URDF
+    # capital letters: roll, pitch and yaw about fixed axes, as in URDF
     SubElement(root, "compiler", angle="radian", eulerseq="XYZ")
     option = SubElement(root, "option", gravity=_text(*arm.gravity))
     SubElement(option, "flag", constraint="disable", contact="disable", energy="enable")
@@ -114,8 +115,8 @@ def _mjcf(arm: Arm, model: Model, rigid: list[int]) -> str:
             continue
         joint, drive = arm.joints[i], model.joints[i]
         place, carrier = {"pos": _text(*part.joint_xyz), "euler": _text(*joint.frame_rpy)}, body
-        # A rotor's mass lies on its axis: it moves as a point of the body that carries it, and there it is put. MuJoCo
-        # shifts inertias to the arm's mass centre and back; of a rotor with mass the small moments would lose digits.
+        # A rotor's mass lies on its axis and moves as a point of the carrying body, so it is attached there. MuJoCo
+        # shifts inertias to the arm's mass centre and back; the small moments of a rotor with mass would lose digits.
         weight = SubElement(body, "body", place)
         SubElement(weight, "inertial", pos="0 0 0", mass=_text(drive.rotor_mass.value), diaginertia="0 0 0")
         rotor = SubElement(body, "body", place)
@@ -134,8 +135,8 @@ def _mjcf(arm: Arm, model: Model, rigid: list[int]) -> str:
 def _inertial(body: Element, mass: float, centre: Iterable[float], tensor: Array) -> None:
     """Give a body its mass (kg), mass centre (m) and inertia about it (3, 3), kg m^2, as principal moments.
 
-    Of a flat body the largest is the sum of the others, which rounding must not exceed: MuJoCo allows for none. It is
-    told their directions as a quaternion, as some versions read no other form here.
+    The largest moment of a flat body is the sum of the other two, and rounding must not make it larger, because MuJoCo
+    has no tolerance for it. The directions are given as a quaternion, since some versions read no other form here.
     """
     (least, middle, most), axes = np.linalg.eigh(tensor)
     if most <= (least + middle) * (1 + 1e-9):

@@ -1,7 +1,7 @@
 """The arm in Pinocchio: a free flyer or a fixed base, links and rotors as bodies on revolute joints.
 
 A gear is a constant matrix G from the rates u = (base, qd, thetad of flexible joints) to Pinocchio's v; a rigid joint
-has no thetad, its rotor takes n qd. With v = G u the equations of motion M dv/dt + bias = force become
+has no thetad, its rotor turns at n qd. With v = G u the equations of motion M dv/dt + bias = force become
 (G' M G) du/dt = G' (force - bias).
 """
 
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 
 class PinocchioEngine:
-    """An `Engine`. The base stands at the origin, unturned: base axes are Pinocchio's world axes."""
+    """An `Engine`. The base is at the origin in zero attitude: base axes are Pinocchio's world axes."""
 
     def __init__(self, arm: Arm, model: Model) -> None:
         """Build the tree of bodies from those of the model."""
@@ -61,7 +61,7 @@ class PinocchioEngine:
     def accelerations(
         self, q: Array, theta: Array, omega0: Array, qd: Array, thetad: Array, tau: Array
     ) -> tuple[Array, Array, Array]:
-        """As `Engine`."""
+        """Accelerations, as defined in `Engine`."""
         position, velocity = self._place(q, omega0, qd, thetad)
         soft, n, base = self._flexible, len(q), self._base
         spring = self._stiffness[soft] * (theta - q)[soft] + self._damping[soft] * (thetad - qd)[soft]
@@ -70,7 +70,7 @@ class PinocchioEngine:
         force[self._rotor] = tau
         force[self._rotor[soft]] -= spring / self._ratio[soft]
         bias = pin.nonLinearEffects(self._tree, self._data, position, velocity)
-        mass = np.triu(pin.crba(self._tree, self._data, position))  # Pinocchio promises no lower triangle
+        mass = np.triu(pin.crba(self._tree, self._data, position))  # Pinocchio does not guarantee the lower triangle
         mass += np.triu(mass, 1).T
         gear = self._gear
         change = np.linalg.solve(gear.T @ mass @ gear, gear.T @ (force - bias))
@@ -80,24 +80,24 @@ class PinocchioEngine:
         return change[3:6] if base else np.zeros(3), link, motor
 
     def kinetic_energy(self, q: Array, omega0: Array, qd: Array, thetad: Array) -> float:
-        """As `Engine`."""
+        """Kinetic energy, as defined in `Engine`."""
         return float(pin.computeKineticEnergy(self._tree, self._data, *self._place(q, omega0, qd, thetad)))
 
     def potential_energy(self, q: Array) -> float:
-        """As `Engine`."""
+        """Potential energy, as defined in `Engine`."""
         rest = np.zeros_like(q)
         return float(pin.computePotentialEnergy(self._tree, self._data, self._place(q, np.zeros(3), rest, rest)[0]))
 
     def momentum(self, q: Array, omega0: Array, qd: Array, thetad: Array) -> Array:
-        """As `Engine`."""
-        assert self._base, "what holds a fixed base takes up its momentum"
+        """Angular momentum, as defined in `Engine`."""
+        assert self._base, "the angular momentum of an arm on a fixed base is not defined"
         placed = self._place(q, omega0, qd, thetad)
         return np.array(pin.computeCentroidalMomentum(self._tree, self._data, *placed).angular)
 
     def _place(self, q: Array, omega0: Array, qd: Array, thetad: Array) -> tuple[Array, Array]:
-        """Pinocchio's configuration and velocity. Rotors stand at zero: a disc is the same at every angle."""
+        """Pinocchio's configuration and velocity. Rotors stand at zero, because a disc is the same at every angle."""
         position = pin.neutral(self._tree)
-        position[self._link + (1 if self._base else 0)] = q  # a quaternion has a number more than a rate
+        position[self._link + (1 if self._base else 0)] = q  # a quaternion has one number more than a rate
         rates = np.zeros(self._gear.shape[1])
         if self._base:
             rates[3:6] = omega0

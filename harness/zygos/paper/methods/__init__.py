@@ -1,7 +1,7 @@
 """The three methods of Nanos & Papadopoulos, over whole records in batch.
 
 Each module has estimate(arm, record, ...) -> (B, p) array in `arm.parameter_names` order, NaN where the method cannot
-see a parameter: `eb` energy balance, `amc` angular momentum conservation, `de` differential equations.
+determine a parameter: `eb` energy balance, `amc` angular momentum conservation, `de` differential equations.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
-from zygos.balances.kinematics import State
+from zygos.balances.state import State
 from zygos.errors import ZygosError
 from zygos.runs.samples import Samples
 from zygos.simulation.plant import Trajectory
@@ -27,11 +27,11 @@ Floats = NDArray[np.float64]
 class Record:
     """Calibrated samples of B seeds, n instants, N joints, from a known start.
 
-    q, theta: (B, n, N) [rad]. tau: (B, n, N) rotor torque in force on [t_k, t_k+1) [Nm]; the last one is not used.
+    q, theta: (B, n, N) [rad]. tau: (B, n, N) rotor torque that acts on [t_k, t_k+1) [Nm]; the last one is not used.
     f0: (B, n) base rate about the common axis [rad/s].
     qd, thetad: (B, n, N) exact rates [rad/s], or None. slip2: (B, n, N) exact integral of (thetad - qd)^2 from the
     first instant on [rad^2/s], or None. qdd, thetadd: (B, n, N) accelerations just after each instant [rad/s^2], f0d:
-    (B, n) that of the base, or None. Exact data let a method be tried without its rate estimate.
+    (B, n) that of the base, or None. Exact data allow a method to be tested without its rate estimate.
     """
 
     q: Floats
@@ -46,7 +46,7 @@ class Record:
     f0d: Floats | None = None
 
     def __post_init__(self) -> None:
-        """Raises ZygosError where the shapes do not belong together."""
+        """Raises ZygosError if the shapes are inconsistent."""
         shape = self.q.shape
         given = (self.qd, self.thetad, self.slip2, self.qdd, self.thetadd)
         joints = [self.theta, self.tau, *(x for x in given if x is not None)]
@@ -60,14 +60,14 @@ class Record:
 def record_of(arm: Arm, *samples: Samples) -> Record:
     """The first segments of calibrated records of equal length, one seed each.
 
-    Raises ZygosError where a record has no segment, or the first segments differ in length: the batch methods need
+    Raises ZygosError if a record has no segment, or the first segments differ in length: the batch methods need
     unbroken records.
     """
     if not samples or any(not record.segments for record in samples):
         raise ZygosError("what is wrong: a record has no valid cycle; remedy: check the log with `zygos check`")
     runs = [(record, slice(*record.segments[0])) for record in samples]
     if len({run.stop - run.start for _, run in runs}) > 1:
-        raise ZygosError("what is wrong: the records differ in length; remedy: give each to the method by itself")
+        raise ZygosError("what is wrong: the records differ in length; remedy: give each to the method separately")
     return Record(
         q=np.stack([record.q[run] for record, run in runs]),
         theta=np.stack([record.theta[run] for record, run in runs]),
@@ -77,7 +77,7 @@ def record_of(arm: Arm, *samples: Samples) -> Record:
 
 
 def exact_record(trajectory: Trajectory) -> Record:
-    """A simulation as perfect sensors would see it, with its exact rates, accelerations and dissipation."""
+    """A simulation as read by perfect sensors, with its exact rates, accelerations and dissipation."""
     f0d, qdd, thetadd = trajectory.accelerations()
     return Record(
         q=trajectory.q,
@@ -97,12 +97,12 @@ def noisy_states(arm: Arm, exact: Record, seeds: Sequence[int]) -> Record:
     """Exact states with white noise of the paper's variances (32) added to each, one run for each seed.
 
     exact: one run of `exact_record`. Angles get the encoders' variance s^2, rates 2 s^2 / T^2, accelerations
-    4 s^2 / T^4, all independent of one another, as nothing that differences angles can give them; the gyro its white
-    noise, and the derivative of it that of a backward difference. The dissipation is that of the noisy rates.
-    Raises ZygosError where the record is not exact.
+    4 s^2 / T^4, all independent of one another, which differences of angles cannot be; the gyro gets its white noise,
+    and its derivative that of a backward difference. The dissipation is that of the noisy rates. Raises ZygosError if
+    the record is not exact.
     """
     if exact.qd is None or exact.thetad is None or exact.qdd is None or exact.thetadd is None or exact.f0d is None:
-        raise ZygosError("what is wrong: the record has no exact rates; remedy: a simulated record")
+        raise ZygosError("what is wrong: the record has no exact rates; remedy: use a simulated record")
     h, gyro = arm.period_s, arm.imu.rate_sigma
     link = np.array([joint.link_encoder.sigma_rad for joint in arm.joints])
     motor = np.array([joint.motor_encoder.sigma_rad for joint in arm.joints])

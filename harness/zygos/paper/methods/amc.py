@@ -1,7 +1,7 @@
 """Angular momentum conservation in batch: the paper's first method (docs/theory, "The other two methods").
 
 The momentum of the free-floating arm is a known constant h and linear in the inertias. Springs and dampers are internal
-and do not appear: k and b cannot be seen.
+and do not appear: k and b cannot be determined.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
-from zygos.balances.kinematics import State
+from zygos.balances.state import State
 from zygos.errors import ZygosError
 from zygos.paper.methods import Record, by_backward_difference
 from zygos.reference.solver import Rows, solve
@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 
 
 def columns(arm: Arm, state: State) -> Floats:
-    """Momentum about the common axis per unit parameter, one column for each parameter that is seen().
+    """Momentum about the common axis per unit parameter, one column for each parameter that is `seen`.
 
     Column of a_ii: f_i; of a_ij: cos(phi_j - phi_i)(f_i + f_j), of b_ij the same with the sine; of Im_i: n thetad_i.
     """
@@ -32,15 +32,15 @@ def columns(arm: Arm, state: State) -> Floats:
     return np.concatenate([*parts, arm.gear_ratios * state.thetad], axis=-1)
 
 
-def rows(arm: Arm, record: Record, exact: bool = False) -> Floats:
+def regressor(arm: Arm, record: Record, exact: bool = False) -> Floats:
     """Design (B, m, columns). Rates by backward difference as in the paper, or the record's own.
 
-    Raises ZygosError where the record lacks exact rates that are asked for.
+    Raises ZygosError if exact rates are requested but missing in the record.
     """
     if not exact:
         return columns(arm, by_backward_difference(arm, record))
     if record.qd is None or record.thetad is None:
-        raise ZygosError("what is wrong: the record has no exact rates; remedy: a simulated record, or differences")
+        raise ZygosError("what is wrong: the record has no exact rates; remedy: use a simulated record, or differences")
     return columns(arm, State(record.q, record.theta, record.qd, record.thetad, record.f0))
 
 
@@ -53,12 +53,13 @@ def seen(arm: Arm) -> NDArray[np.bool_]:
 def estimate(arm: Arm, record: Record, *, momentum_nms: float = 1.0, exact: bool = False) -> Floats:
     """Estimates, (B, p), NaN for k and b. momentum_nms: the known momentum about the common axis [Nms], not zero.
 
-    With the paper's sensors the noise of a row is some 3,000 Nms, so that the best fit to h = 1 Nms is next to zero:
-    the method fails by -100 %. Raises Undecided where a record is too poor, ZygosError where momentum_nms is zero.
+    With the paper's sensors the noise of a row is about 3,000 Nms, so the best fit to h = 1 Nms is nearly zero, and the
+    error of the method is -100 %. Raises Undecided if a record does not determine the parameters, ZygosError if
+    momentum_nms is zero.
     """
     if momentum_nms == 0.0:
-        raise ZygosError("what is wrong: momentum 0 fits any scale of the parameters; remedy: a known momentum, not 0")
-    z = rows(arm, record, exact)
+        raise ZygosError("what is wrong: momentum 0 fits any scale of the parameters; remedy: give a known one, not 0")
+    z = regressor(arm, record, exact)
     out = np.full((z.shape[0], len(arm.parameter_names)), np.nan)
     target = np.full(z.shape[1], momentum_nms)
     visible = seen(arm)

@@ -1,7 +1,7 @@
 """Differential equations in batch: the paper's second method (docs/theory, "The other two methods").
 
-The equations of motion are linear in the parameters. They need accelerations, which second differences of the angles
-give; the noise of those attenuates every estimate by most of its size.
+The equations of motion are linear in the parameters. They need accelerations, which are computed as second differences
+of the angles; the noise of those attenuates every estimate by most of its size.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
-from zygos.balances.kinematics import State, absolute
+from zygos.balances.state import State, absolute
 from zygos.errors import ZygosError
 from zygos.paper.methods import Record
 from zygos.reference.solver import Rows, solve
@@ -59,17 +59,18 @@ def columns(arm: Arm, state: State, qdd: Floats, thetadd: Floats, f0d: Floats) -
     return z
 
 
-def rows(arm: Arm, record: Record, exact: bool = False) -> tuple[Floats, Floats]:
+def regressor(arm: Arm, record: Record, exact: bool = False) -> tuple[Floats, Floats]:
     """Design (B, m, p) and right side (B, m) [Nm] at the inner instants, equations of one instant together.
 
-    exact: rates and accelerations are the record's own, at all instants but the last, whose torque is not known. Else
-    accelerations are second differences of the angles and central differences of the gyro, rates central differences.
-    A second difference weighs the steps before and after the instant alike, so the torque is the mean of both.
+    exact: rates and accelerations are the record's own, at all instants but the last, whose torque is unknown.
+    Otherwise accelerations are second differences of the angles and central differences of the gyro, rates central
+    differences. A second difference weights the steps before and after the instant equally, so the torque is the mean
+    of both.
     """
     if exact:
         qd, thetad, qdd, thetadd, f0d = record.qd, record.thetad, record.qdd, record.thetadd, record.f0d
         if qd is None or thetad is None or qdd is None or thetadd is None or f0d is None:
-            raise ZygosError("what is wrong: the record has no exact accelerations; remedy: a simulated record")
+            raise ZygosError("what is wrong: the record has no exact accelerations; remedy: use a simulated record")
         state = State(record.q, record.theta, qd, thetad, record.f0)
         return _flat(arm, columns(arm, state, qdd, thetadd, f0d)[:, :-1], record.tau[:, :-1])
     if record.q.shape[1] < 3:
@@ -94,8 +95,8 @@ def _flat(arm: Arm, z: Floats, tau: Floats) -> tuple[Floats, Floats]:
 
 
 def estimate(arm: Arm, record: Record, *, exact: bool = False) -> Floats:
-    """Estimates of all parameters, (B, p); see rows(). Raises Undecided where a record is too poor."""
-    z, w = rows(arm, record, exact)
+    """Estimates of all parameters, (B, p); see regressor(). Raises Undecided if a record does not determine them."""
+    z, w = regressor(arm, record, exact)
     return np.stack([solve(Rows.exact(zb, wb)).x for zb, wb in zip(z, w, strict=True)])
 
 

@@ -1,8 +1,8 @@
 """Energy balance in batch, Nanos & Papadopoulos eqs. (37)-(39) with the errata of docs/paper.md.
 
 Rows are cumulative from a known start: the work of the motors since the start equals the change of kinetic and elastic
-energy plus the energy dissipated. The dissipation is added (eqs. (38) and (39) subtract it) and the gear ratio stands
-in the work (eq. (37) omits it).
+energy plus the energy dissipated. The dissipation is added (eqs. (38) and (39) subtract it), and the gear ratio is part
+of the work (eq. (37) omits it).
 """
 
 from __future__ import annotations
@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
-from zygos.balances.energy import energy_columns
-from zygos.balances.kinematics import State
+from zygos.balances.energy import energy_columns, step_work, torque_jump_energy
+from zygos.balances.quadrature import from_first, integral
+from zygos.balances.state import State
 from zygos.errors import ZygosError
 from zygos.paper.methods import Record, by_backward_difference
 from zygos.reference.solver import Rows, solve
@@ -27,11 +28,10 @@ Start = Literal["rest", "first"]
 
 def work(arm: Arm, record: Record) -> Floats:
     """W, shape (B, n) [J]: work of the motors since the first instant, exact for a torque held between samples."""
-    steps = np.sum(arm.gear_ratios * record.tau[:, :-1] * np.diff(record.theta, axis=1), axis=-1)
-    return np.pad(np.cumsum(steps, axis=1), ((0, 0), (1, 0)))
+    return from_first(step_work(arm, record.theta, record.tau))
 
 
-def rows(arm: Arm, record: Record, rates: Rates = "backward", start: Start = "rest") -> tuple[Floats, Floats]:
+def regressor(arm: Arm, record: Record, rates: Rates = "backward", start: Start = "rest") -> tuple[Floats, Floats]:
     """Design (B, m, p) and work (B, m) [J].
 
     rates: "backward" differences as in the paper, the angles of the newer instant; "midpoint", the same differences
@@ -39,13 +39,15 @@ def rows(arm: Arm, record: Record, rates: Rates = "backward", start: Start = "re
     record's own rates and dissipation.
     start: "rest", the arm starts at rest and undeflected, so that nothing is subtracted, as in the paper; "first", the
     row of the first instant with a row is subtracted.
-    Raises ZygosError where the record lacks exact rates that are asked for, or is shorter than the smoother.
+    Raises ZygosError if exact rates are requested but missing in the record, or if it is shorter than the smoother.
     """
     h = arm.period_s
     total = work(arm, record)
     if rates == "exact":
         if record.qd is None or record.thetad is None or record.slip2 is None:
-            raise ZygosError("what is wrong: the record has no exact rates; remedy: a simulated record, or other rates")
+            raise ZygosError(
+                "what is wrong: the record has no exact rates; remedy: give a simulated record, or other rates"
+            )
         z = energy_columns(arm, State(record.q, record.theta, record.qd, record.thetad, record.f0), record.slip2)
         w = total
     elif rates == "backward":
@@ -62,17 +64,17 @@ def rows(arm: Arm, record: Record, rates: Rates = "backward", start: Start = "re
     elif rates == "savgol":
         z, w = _smoothed_rows(arm, record)
     else:
-        raise ZygosError(f"what is wrong: no rate estimate '{rates}'; remedy: backward, midpoint, savgol or exact")
+        raise ZygosError(f"what is wrong: no rate estimate '{rates}'; remedy: use backward, midpoint, savgol or exact")
     if start == "first":
         z, w = z[:, 1:] - z[:, :1], w[:, 1:] - w[:, :1]
     elif start != "rest":
-        raise ZygosError(f"what is wrong: no start '{start}'; remedy: rest or first")
+        raise ZygosError(f"what is wrong: no start '{start}'; remedy: use rest or first")
     return z, w
 
 
 def estimate(arm: Arm, record: Record, *, rates: Rates = "backward", start: Start = "rest") -> Floats:
-    """Estimates of all parameters, (B, p). See rows() for the options. Raises Undecided where a record is too poor."""
-    z, w = rows(arm, record, rates, start)
+    """Estimates of all parameters, (B, p). See regressor() for the options. Raises Undecided if too poor."""
+    z, w = regressor(arm, record, rates, start)
     return np.stack([solve(Rows.exact(zb, wb)).x for zb, wb in zip(z, w, strict=True)])
 
 
@@ -81,7 +83,8 @@ def _middle(x: Floats) -> Floats:
 
 
 def _smoothed_rows(arm: Arm, record: Record) -> tuple[Floats, Floats]:
-    """Rows at the instants the smoother reaches. The first window's polynomial bridges the way from the start."""
+    """Rows at the instants the smoother reaches. The first window's polynomial covers the time from the start to
+    them."""
     points, order, h = arm.smoother.points, arm.smoother.order, arm.period_s
     half = points // 2
     if record.q.shape[1] < points + 1:
@@ -102,17 +105,8 @@ def _smoothed_rows(arm: Arm, record: Record) -> tuple[Floats, Floats]:
         thetad=run(record.theta, 1),
         base=run(record.f0, 0),
     )
-    theta = state.theta
-    steps = np.sum(arm.gear_ratios * record.tau[:, : theta.shape[1] - 1] * np.diff(theta, axis=1), axis=-1)
-    w = np.pad(np.cumsum(steps, axis=1), ((0, 0), (1, 0)))
-    if arm.torque_law != "sampled":
-        # What a held torque leaves in the slope of a smooth curve (docs/theory.md).
-        jumps = np.diff(record.tau[:, : theta.shape[1]], axis=1)
-        w[:, 1:] += h / 12.0 * np.sum(arm.gear_ratios * jumps * state.thetad[:, 1:], axis=-1)
-    g = (state.thetad - state.qd) ** 2
-    # Trapezoid over the first two steps, then the cubic through the four newest values.
-    loss = h / 2.0 * (g[:, 1:] + g[:, :-1])
-    loss[:, 2:] = h / 24.0 * (9.0 * g[:, 3:] + 19.0 * g[:, 2:-1] - 5.0 * g[:, 1:-2] + g[:, :-3])
-    slip2 = np.pad(np.cumsum(loss, axis=1), ((0, 0), (1, 0), (0, 0)))
-    z = energy_columns(arm, state, slip2)
+    tau = record.tau[:, : state.theta.shape[1]]
+    w = from_first(step_work(arm, state.theta, tau))
+    w[:, 1:] += torque_jump_energy(arm, state.thetad[:, 1:], tau[:, :-1], tau[:, 1:])
+    z = energy_columns(arm, state, integral((state.thetad - state.qd) ** 2, h, axis=1))
     return z[:, half:], w[:, half:]

@@ -1,9 +1,0 @@
-/// What zygos-node says to people, on stderr.
-
-#ifndef ZYGOS_NODE_SAY_H
-#define ZYGOS_NODE_SAY_H
-
-/// Prints "zygos-node: " and a line. Returns -1, for refusals.
-int node_say(const char *format, ...) __attribute__((format(printf, 1, 2)));
-
-#endif

@@ -1,0 +1,60 @@
+"""The report pages of results: one HTML file each, with nothing outside it."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from zygos.errors import ZygosError
+from zygos.estimation.estimate import Estimation
+from zygos.estimation.page import write_estimate_report
+from zygos.gap.explanation import Explanation
+from zygos.gap.page import write_gap_report
+from zygos.reference.check import Check
+from zygos.reference.page import write_check_report
+from zygos.report.provenance import Provenance
+
+
+def _explanation(result: Explanation, path: Path) -> None:
+    """Of an explained gap; the runs that came from files are named with their digests."""
+    files = [record.path for record in result.refit.records if record.path.is_file()]
+    listed = tuple(("measured", str(file), hashlib.sha256(file.read_bytes()).hexdigest()) for file in files)
+    write_gap_report(path, result, Provenance("zygos.explain, called from Python", version("zygos"), listed))
+
+
+def _estimation(result: Estimation, path: Path) -> None:
+    """The page of an estimate that kept its trace."""
+    if not result.watch.traced:
+        raise ZygosError("the estimate has no trace to draw; remedy: zygos.estimate(run, trace=True)")
+    write_estimate_report(path, result, Provenance("zygos.estimate, called from Python", version("zygos"), ()))
+
+
+def _check(result: Check, path: Path) -> None:
+    """The page of a comparison between C and numpy."""
+    write_check_report(path, result, Provenance("zygos.check, called from Python", version("zygos"), ()))
+
+
+WRITERS: dict[type[Any], Callable[[Any, Path], None]] = {
+    Explanation: _explanation,
+    Estimation: _estimation,
+    Check: _check,
+}
+"""The writer of each kind of result that has a page."""
+
+Reported = Explanation | Estimation | Check
+"""The kinds of results that have a page."""
+
+
+def write_report(result: Reported, path: str | Path) -> None:
+    """Write the page of a result, an `Explanation`, `Estimation` or `Check`, as one HTML file.
+
+    Errors: ZygosError if the file cannot be written or an estimate kept no trace, TypeError for results without a page.
+    """
+    writer = WRITERS.get(type(result))
+    if writer is None:
+        kinds = ", ".join(kind.__name__ for kind in WRITERS)
+        raise TypeError(f"a {type(result).__name__} has no report page; there is one of: {kinds}")
+    writer(result, Path(path))

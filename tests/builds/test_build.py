@@ -1,0 +1,251 @@
+"""How the flight library compiles: strictly, freestanding, without memory of its own, on a small and bounded stack."""
+
+from __future__ import annotations
+
+import functools
+import os
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from build_support import run, tool
+from calls_support import Calls
+
+from conftest import house_flags
+from zygos.arm import Arm, load_arm
+from zygos.model.model import load_model
+from zygos.native import flight
+from zygos.runs.cycles import Cycles
+from zygos.simulation.plant import simulate
+from zygos.simulation.scenario import load_scenario
+
+ROOT = Path(__file__).resolve().parents[2]
+SOURCES = sorted((ROOT / "c").glob("*.c"))
+HEADERS = sorted((ROOT / "include" / "zygos").glob("*.h"))
+INCLUDE = ["-I", str(ROOT / "include")]
+
+CORTEX_M7 = "arm-none-eabi-gcc -mcpu=cortex-m7 -mthumb -mfpu=fpv5-d16 -mfloat-abi=hard -ffreestanding".split()
+TARGETS = {"gcc": ["gcc"], "clang": ["clang"], "cortex-m7": CORTEX_M7}
+
+# The freestanding subset that C compilers call on their own.
+ALLOWED_SYMBOLS = {"memcpy", "memset", "memmove", "memcmp"}
+# One call frame, and the deepest chain of calls below a public function, which hold a few rows. Measured at capacity 7
+# and half width 15: 1616 and 2568 bytes in a planar build, 3056 and 4920 in a spatial one. The bounds leave room for
+# other compilers; a planar build fits a 4 KiB task stack with an interrupt frame.
+STACK = {"-DZYGOS_SPATIAL=0": (1792, 3072), "-DZYGOS_SPATIAL=1": (3072, 6144)}
+
+
+def compile_all(target: str, folder: Path, *flags: str) -> list[Path]:
+    """Compile every room of the library; no warning may come. Returns the objects."""
+    compiler = TARGETS[target]
+    tool(compiler[0])
+    folder.mkdir(parents=True, exist_ok=True)
+    command = [*compiler, *house_flags(), "-Werror", *INCLUDE, *flags, "-c", *map(str, SOURCES)]
+    run(command, folder)
+    return [folder / f"{source.stem}.o" for source in SOURCES]
+
+
+def symbols(target: str, objects: list[Path]) -> list[tuple[str, str]]:
+    """(name, nm's type letter) of every symbol."""
+    nm = tool("arm-none-eabi-nm" if target == "cortex-m7" else "nm")
+    out = run([nm, *map(str, objects)], objects[0].parent)
+    return [(m[2], m[1]) for m in re.finditer(r"^[0-9a-f ]* ([A-Za-z]) (\S+)$", out, re.M)]
+
+
+def test_the_manual_says_how_large_the_structs_are(tmp_path: Path) -> None:
+    """The table of docs/integrate.md, by the command above it."""
+    text = (ROOT / "docs" / "integrate.md").read_text()
+    rows = re.findall(r"^\| (\d) \| (\d) \| (\d+)" + r" \| ([\d,]+)" * 4 + r" \|$", text, re.M)
+    assert len(rows) >= 8
+    command = re.search(r"^    (printf .*\n.*sizes\.o)$", text, re.M)
+    assert command is not None
+    asked = "-DZYGOS_MAX_JOINTS=2 -DZYGOS_SPATIAL=0"
+    assert asked in command[1]
+    for joints, spatial, blocks, *said in rows:
+        given = (
+            f"-DZYGOS_MAX_JOINTS={joints} -DZYGOS_SPATIAL={spatial} -DZYGOS_MAX_BLOCKS={blocks} -I{ROOT / 'include'}"
+        )
+        out = run(["sh", "-c", command[1].replace(asked, given)], tmp_path)
+        found = {name: int(size) for size, name in re.findall(r"^\d+ 0*(\d+) \w (\w+)$", out, re.M)}
+        together = sum(found.values())
+        assert [f"{size:,}" for size in (found["arm"], found["work"], found["estimate"], together)] == said
+        if (joints, spatial, blocks) == ("2", "0", "64"):
+            assert f"{together / 1000:.0f} kB at {asked}" in (ROOT / "README.md").read_text()
+        if (joints, spatial, blocks) == ("7", "1", "64"):
+            for page, words in (
+                ("README.md", "structs, state, work and estimate, take"),
+                ("docs/cost.md", "joints take"),
+            ):
+                assert f"{words} {together / 1e6:.1f} MB" in (ROOT / page).read_text()
+
+
+@functools.cache
+def declared() -> dict[str, str]:
+    """Prototypes in the public headers: name and the paragraph that it stands in."""
+    out = {}
+    for header in HEADERS:
+        for paragraph in re.split(r"\n\s*\n", header.read_text()):
+            for name in re.findall(r"^(?!typedef|static|///|#)[a-z][\w *]*?\b(zygos_\w+)\(", paragraph, re.M):
+                out[name] = paragraph
+    return out
+
+
+@pytest.mark.slow(but=["gcc--O2"])
+@pytest.mark.parametrize("optimise", ["-O2", "-O0", "-Os"])
+@pytest.mark.parametrize("target", TARGETS)
+def test_compiles_without_a_warning_and_needs_no_library(target: str, optimise: str, tmp_path: Path) -> None:
+    objects = compile_all(target, tmp_path, optimise)
+    found = symbols(target, objects)
+    own = {name for name, kind in found if kind in "Tt"}
+    # The compiler's own arithmetic helpers (64-bit integers on a 32-bit core) are part of every toolchain.
+    foreign = {n for n, kind in found if kind == "U" and n not in own and not n.startswith("__aeabi_")}
+    assert foreign <= ALLOWED_SYMBOLS, f"the library calls {sorted(foreign - ALLOWED_SYMBOLS)}"
+    assert {kind for _, kind in found} <= set("TtrRUdn$") - {"d"}, "the library has writable or common symbols"
+
+
+def test_exports_exactly_what_the_headers_declare(tmp_path: Path) -> None:
+    found = symbols("gcc", compile_all("gcc", tmp_path))
+    assert {name for name, kind in found if kind == "T"} == set(declared())
+
+
+def test_every_public_function_is_described() -> None:
+    assert len(declared()) > 30
+    assert [name for name, paragraph in declared().items() if "///" not in paragraph] == []
+
+
+@pytest.mark.slow(but=["-DZYGOS_MAX_JOINTS=2"])
+@pytest.mark.parametrize(
+    "flags",
+    [
+        ["-DZYGOS_MAX_JOINTS=1"],
+        ["-DZYGOS_MAX_JOINTS=2"],
+        ["-DZYGOS_MAX_BLOCKS=8"],
+        ["-DZYGOS_MAX_HALF_WIDTH=2"],
+        ["-DZYGOS_MAX_EFFECTS=0"],
+        ["-DZYGOS_SPATIAL=0"],
+        ["-DZYGOS_MOMENTUM=0"],
+        ["-DZYGOS_MAX_MOMENTUM_BLOCKS=4", "-DZYGOS_MAX_JOINT_BLOCKS=4", "-DZYGOS_SPATIAL=0"],
+        ["-DZYGOS_SPATIAL=0", "-DZYGOS_MAX_JOINTS=1", "-DZYGOS_MAX_EFFECTS=0", "-DZYGOS_MOMENTUM=0"],
+        ["-DZYGOS_MAX_EFFECTS=16"],
+        ["-DZYGOS_MAX_HALF_WIDTH=31", "-DZYGOS_MAX_BLOCKS=256", "-DZYGOS_CYCLE_QUEUE=1024"],
+    ],
+    ids=" ".join,
+)
+def test_compiles_at_other_capacities(flags: list[str], tmp_path: Path) -> None:
+    compile_all("gcc", tmp_path, *flags)
+
+
+@pytest.mark.parametrize(
+    "flag",
+    [
+        "JOINTS=0",
+        "JOINTS=8",
+        "HALF_WIDTH=1",
+        "HALF_WIDTH=32",
+        "BLOCKS=9",
+        "BLOCKS=6",
+        "EFFECTS=-1",
+        "EFFECTS=17",
+        "MOMENTUM_BLOCKS=2",
+        "MOMENTUM_BLOCKS=5",
+        "CYCLE_QUEUE=1025",
+    ],
+)
+def test_refuses_to_compile_at_impossible_capacities(flag: str, tmp_path: Path) -> None:
+    name = f"ZYGOS_{flag}" if flag.startswith("CYCLE") else f"ZYGOS_MAX_{flag}"
+    command = [tool("gcc"), "-std=c11", *INCLUDE, f"-D{name}", "-fsyntax-only", str(SOURCES[0])]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode != 0
+    assert "#error" in done.stderr
+
+
+@pytest.mark.parametrize("header", HEADERS, ids=lambda path: path.name)
+def test_each_header_stands_alone(header: Path, tmp_path: Path) -> None:
+    warnings = ["-Wall", "-Wextra", "-pedantic", "-Werror"]
+    unit = tmp_path / "unit.c"
+    unit.write_text(f'#include "zygos/{header.name}"\n#include "zygos/{header.name}"\n')
+    run([tool("gcc"), "-std=c11", *warnings, *INCLUDE, "-fsyntax-only", str(unit)], tmp_path)
+    run([tool("g++"), "-std=c++17", "-x", "c++", *warnings, *INCLUDE, "-fsyntax-only", str(unit)], tmp_path)
+
+
+def test_a_cpp_program_links_and_agrees_on_the_abi(tmp_path: Path) -> None:
+    """sizeof of every public struct, and so ZYGOS_ABI, is the same in C++17."""
+    objects = compile_all("gcc", tmp_path)
+    program = tmp_path / "program.cpp"
+    program.write_text(
+        '#include "zygos/zygos.h"\n'
+        "static zygos_t arm;\n"
+        "int main() { return (zygos_abi() == ZYGOS_ABI && zygos_step(&arm) == ZYGOS_E_ORDER) ? 0 : 1; }\n"
+    )
+    flags = "-std=c++17 -Wall -Wextra -pedantic -Werror".split()
+    # -lm is in every C++ link anyway; that the library needs none is tested on its symbols.
+    run([tool("g++"), *flags, *INCLUDE, str(program), *map(str, objects), "-o", "program"], tmp_path)
+    run([str(tmp_path / "program")], tmp_path)
+
+
+@pytest.mark.slow(but=["cortex-m7--DZYGOS_SPATIAL=1"])
+@pytest.mark.parametrize("build", STACK)
+@pytest.mark.parametrize("target", ["gcc", "cortex-m7"])
+def test_stack_is_bounded_and_nothing_recurses(target: str, build: str, tmp_path: Path) -> None:
+    """Every frame has a fixed size, no function is called through a pointer, and no chain of calls comes back."""
+    # Arguments that x86 would push for a call become a part of the frame, as they are on the other target.
+    pushed = ["-maccumulate-outgoing-args"] if target == "gcc" else []
+    compile_all(target, tmp_path, "-fcallgraph-info=su", build, *pushed)
+    calls = Calls(tmp_path)
+    assert len(calls.frame) > 30
+    assert "__indirect_call" not in calls.calls
+    assert [name for name, bounded in calls.bounded.items() if not bounded] == []
+    largest = max(calls.frame, key=lambda name: calls.frame[name])
+    depth = {name: calls.depth(name) for name in calls.frame}
+    deepest = max(depth, key=lambda name: depth[name])
+    print(f"{target}: largest frame {calls.frame[largest]} in {largest}, deepest stack {depth[deepest]} in {deepest}")
+    assert calls.frame[largest] <= STACK[build][0]
+    assert depth[deepest] <= STACK[build][1]
+
+
+def results(arm: Arm, cycles: Cycles) -> dict[str, Any]:
+    """Everything that a run of an arm gives, through both doors."""
+    doors = {}
+    for name in ("frames", "cycles"):
+        run_of = flight.Flight(arm)
+        trace = run_of.frames(flight.encode(arm, cycles), trace=True) if name == "frames" else None
+        trace = run_of.cycles(cycles, trace=True) if trace is None else trace
+        assert trace is not None
+        gram, right = run_of.normal_equations()
+        estimate = run_of.estimate()
+        doors[name] = [trace.row[trace.instant], trace.accepted, gram, right, estimate.value, estimate.sigma]
+        doors[name] += [estimate.covariance, estimate.condition, estimate.residual]
+    return doors
+
+
+@pytest.mark.slow(but=["paper-2"])
+@pytest.mark.parametrize(("example", "joints"), [("paper", 2), ("spatial", 3)])
+def test_capacity_changes_no_bit(example: str, joints: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An arm in a build for just its joints, without room for effects, and in the largest one; rows of every kind."""
+    tool(os.environ.get("CC", "cc").split()[0])
+    folder = ROOT / "examples" / example
+    scenario, model = load_scenario(folder / "scenario.toml"), load_model(folder / "model.toml")
+    arm = replace(load_arm(folder / "arm.toml"), momentum_max_s=10.0)
+    cycles = simulate(arm, model, scenario, engine="pinocchio", noise=True, duration_s=30.0).cycles()
+    large = results(arm, cycles)
+    spatial = int(arm.spatial)
+    flags = f"-DZYGOS_MAX_JOINTS={joints} -DZYGOS_MAX_EFFECTS=0 -DZYGOS_SPATIAL={spatial}"
+    environment = {**os.environ, "CFLAGS": flags}
+    script = [sys.executable, str(ROOT / "tools" / "build_native.py"), str(tmp_path / "small")]
+    subprocess.run(script, env=environment, check=True)
+    monkeypatch.setattr(flight, "_FOLDER", tmp_path / "small")
+    ffi, lib = flight._load()
+    monkeypatch.setattr(flight, "ffi", ffi)
+    monkeypatch.setattr(flight, "lib", lib)
+    capacities = (lib.ZYGOS_MAX_JOINTS_VALUE, lib.ZYGOS_MAX_EFFECTS_VALUE, lib.ZYGOS_SPATIAL_VALUE)
+    assert capacities == (joints, 0, spatial)
+    small = results(arm, cycles)
+    for door, pieces in large.items():
+        assert np.isfinite(pieces[4]).sum() >= 12
+        for piece, other in zip(pieces, small[door], strict=True):
+            np.testing.assert_array_equal(piece, other)

@@ -1,0 +1,94 @@
+"""A build of the least capacities that the manual allows: it answers at any time, and its intervals hold."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from build_support import ROOT, tool
+from flight_support import part
+from numpy.typing import NDArray
+from soak_support import fly, instants, stored, with_all_rows
+
+from zygos.arm import Arm
+from zygos.model.model import Model
+from zygos.native import flight
+from zygos.native.flight import Flight
+from zygos.simulation.plant import Trajectory
+from zygos.simulation.scenario import Scenario
+
+Floats = NDArray[np.float64]
+
+LEAST = "-DZYGOS_MAX_BLOCKS=8 -DZYGOS_MAX_JOINT_BLOCKS=4 -DZYGOS_MAX_MOMENTUM_BLOCKS=4"
+LEAST_BLOCKS, LEAST_ARCS = 6, 3
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """The library of these capacities, in place of the one that is loaded."""
+    tool(os.environ.get("CC", "cc").split()[0])
+    folder = tmp_path_factory.mktemp("least")
+    flags = f"{LEAST} -DZYGOS_MAX_JOINTS=2 -DZYGOS_SPATIAL=0"
+    script = [sys.executable, str(ROOT / "tools" / "build_native.py"), str(folder)]
+    subprocess.run(script, env={**os.environ, "CFLAGS": flags}, check=True)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(flight, "_FOLDER", folder)
+        ffi, lib = flight._load()
+        patch.setattr(flight, "ffi", ffi)
+        patch.setattr(flight, "lib", lib)
+        assert lib.ZYGOS_MAX_BLOCKS_VALUE == 8
+        yield
+
+
+@pytest.mark.usefixtures("small")
+def test_it_answers_at_any_time(arm: Arm, noisy: Trajectory) -> None:
+    """Every second, once the first few have told enough, and with rows of all kinds."""
+    run = Flight(with_all_rows(arm))
+    cycles, looks = noisy.cycles(0), 0
+    for first in range(0, len(cycles), 20):
+        run.cycles(part(cycles, first, first + 20))
+        if first < 400:
+            continue
+        estimate, looks = run.estimate(), looks + 1
+        assert (estimate.validity, estimate.reason) == ("valid", "")
+        assert estimate.blocks >= LEAST_BLOCKS
+        assert np.isfinite(estimate.half95).all()
+    assert looks >= 30
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("small")
+def test_it_answers_for_hours(arm: Arm, model: Model, scenario: Scenario) -> None:
+    floating, rng = with_all_rows(arm), np.random.default_rng(0)
+    run, motion = Flight(floating), stored(floating, model, scenario)
+    for _ in range(40):
+        fly(run, motion, 7, rng)
+        blocks = instants(run)
+        assert (run.estimate().validity, run.estimate().reason) == ("valid", "")
+        assert len(blocks["energy"]) >= LEAST_BLOCKS
+        for kind in ("motors", "momentum"):
+            assert len(blocks[kind]) >= LEAST_ARCS
+            # of three blocks that hold whole arcs, where the next one begins
+            assert max(blocks[kind]) < 0.75 * sum(blocks[kind])
+    assert run.native.accumulator.arcs >= 280
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("small")
+def test_its_intervals_hold(arm: Arm, noisy: Trajectory, true: Floats) -> None:
+    """Seeds 0 .. 49: 95 % of all, give or take three standard errors of fifty runs, or more of them."""
+    hits = []
+    for seed in range(50):
+        run = Flight(arm)
+        run.frames(flight.encode(arm, noisy.cycles(seed)))
+        estimate = run.estimate()
+        assert estimate.validity == "valid"
+        hits.append(np.abs(estimate.value - true) <= estimate.half95)
+    covered = np.mean(hits)
+    print("covered", covered, np.mean(hits, axis=0))
+    # parameters of one run err together: a run counts once
+    assert covered >= 0.95 - 3.0 * np.sqrt(0.95 * 0.05 / 50)

@@ -1,0 +1,354 @@
+"""Each verdict where it is the right answer, on runs of a plant that shares no code with the simulator."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from conftest import EXAMPLE, need
+from zygos.effects import CATALOGUE, Effect
+from zygos.errors import ZygosError
+from zygos.gap.explanation import Explanation
+from zygos.gap.record import read_measured_run
+from zygos.model.model import Model, Quantity, load_model, save_model
+from zygos.native.flight import Flight, encode
+
+need(importlib.util.find_spec("mujoco"), "mujoco, which makes the runs")
+
+from oracles import laws  # noqa: E402
+from oracles.campaign import ELBOW, SHOULDER, Bench, Case, frames, lively, modern, plant, score, simulation, verdict  # noqa: E402
+from oracles.simulate import run  # noqa: E402
+
+Judge = Callable[[str, str], Explanation]
+
+
+def _case(bench: Bench, name: str) -> Case:
+    return next(case for case in bench.cases if case.name == name)
+
+
+@pytest.fixture(scope="module")
+def judge() -> Iterator[Judge]:
+    """The verdict on seed 0 of a case of the campaign, found once."""
+    known: dict[tuple[str, str], Explanation] = {}
+
+    def of(bench_name: str, name: str) -> Explanation:
+        if (bench_name, name) not in known:
+            bench = {"modern": modern, "lively": lively}[bench_name]()
+            case = _case(bench, name)
+            known[bench_name, name] = verdict(bench, simulation(case), frames(bench, case, 0))
+        return known[bench_name, name]
+
+    yield of
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["motor_coulomb elbow", "link_coulomb shoulder", "torque_lag shoulder", "coupling"])
+def test_names_an_effect_and_closes_the_gap(judge: Judge, name: str) -> None:
+    found = judge("modern", name)
+    result = score(_case(modern(), name), 0, found)
+    assert result["right"], found.sentence
+    assert found.gap is not None
+    assert result["refit"] >= 10.0 * result["floor"]
+    assert result["closed"] <= 1.5 * result["floor"]
+    assert found.gap.wrong is not None
+    assert found.gap.wrong.gap > 3.0 * found.gap.closed.gap
+    if not found.findings[0].kind.endswith(("coulomb", "lag")):
+        return
+    # the law differs in form from the column, so its size is no truth to the last digit
+    size = _case(modern(), name).law.size  # type: ignore[union-attr]
+    assert abs(found.findings[0].value / size - 1.0) < 0.02
+
+
+@pytest.mark.slow(but=["motor_viscous elbow"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "motor_coulomb shoulder",
+        "motor_viscous elbow",
+        "link_coulomb elbow",
+        "cubic_stiffness elbow",
+        "torque_lag elbow",
+        "flexibility",
+        "momentum",
+    ],
+)
+def test_names_an_effect_with_coarse_sensors(judge: Judge, name: str) -> None:
+    found = judge("lively", name)
+    assert score(_case(lively(), name), 0, found)["right"], found.sentence
+
+
+def test_says_nothing_missing_with_the_limits(judge: Judge) -> None:
+    found = judge("lively", "null as drawn")
+    assert found.answer == "nothing missing"
+    assert found.search is not None
+    limits = {c.name: c.limit for c in found.search.rounds[0]}
+    assert len(limits) == 11
+    assert all(np.isfinite(limit) and limit > 0.0 for limit in limits.values())
+    assert found.findings == ()
+    assert found.where == "Every balance closes as well as its twin's."
+
+
+@pytest.mark.slow
+def test_a_limit_is_a_size_from_which_an_effect_is_named(judge: Judge) -> None:
+    search = judge("lively", "null as drawn").search
+    assert search is not None
+    bench = lively()
+    limit = next(c.limit for c in search.rounds[0] if c.name == "motor_coulomb2")
+    seen = []
+    for size in (0.4 * limit, 1.5 * limit):
+        case = Case("limit", "named", (("motor_coulomb", "elbow"),), laws.MotorCoulomb(ELBOW, size), exact=True)
+        seen.append(verdict(bench, simulation(case), frames(bench, case, 0)).answer)
+    assert seen == ["nothing missing", "named"]
+
+
+def test_says_which_values_differ(judge: Judge) -> None:
+    found = judge("lively", "values")
+    assert found.answer == "values differ"
+    differing = {value.name: value.change for value in found.values if value.differs}
+    assert differing == {"k1": pytest.approx(-0.20, abs=0.002), "Im2": pytest.approx(0.10, abs=0.002)}
+    assert "k1" in found.sentence and "Im2" in found.sentence
+    assert found.findings == ()
+
+
+@pytest.mark.slow(but=["rate stiffness elbow"])
+@pytest.mark.parametrize("name", ["rate stiffness elbow", "base detent"])
+def test_does_not_name_what_is_not_in_the_catalogue(judge: Judge, name: str) -> None:
+    found = judge("lively", name)
+    assert found.answer == "unknown", found.sentence
+    assert found.findings == ()
+    assert found.model is None
+
+
+def _stiff(model: Model) -> Model:
+    """Joints that bend by less than the encoders see."""
+    joints = [replace(j, stiffness=Quantity(1e7), damping=Quantity(1e3)) for j in model.joints]
+    return replace(model, joints=tuple(joints))
+
+
+@pytest.mark.slow
+def test_cannot_tell_motor_from_link_where_they_turn_as_one() -> None:
+    bench, case = lively(), Case("stiff", "cannot tell", lacks="flexibility")
+    moved, law = _stiff(plant(case, 0)), laws.LinkCoulomb(SHOULDER, 100.0)
+    seen = [encode(bench.arm, run(bench.arm, moved, s, k, law)) for k, s in enumerate(bench.scenarios)]
+    found = verdict(bench, simulation(case), seen)
+    assert found.answer == "cannot tell", found.sentence
+    (finding,) = found.findings
+    assert {_column(finding.kind, finding.joint), *finding.instead} == {"motor_coulomb1", "link_coulomb1"}
+    assert found.model is None
+    # no motion bends a rigid joint
+    assert found.experiments
+    assert max(experiment.z for experiment in found.experiments) < 4.5
+
+
+def _column(kind: str, joint: str | None) -> str:
+    return f"{kind}{('shoulder', 'elbow').index(joint) + 1}" if joint else kind
+
+
+def test_timing_comes_before_physics() -> None:
+    """A late link encoder looks like a spring to a simulation whose joints are rigid."""
+    bench, case = lively(), Case("late", "unknown", lacks="flexibility")
+    moved = _stiff(plant(case, 0))
+    seen = []
+    for k, scenario in enumerate(bench.scenarios):
+        cycles = run(bench.arm, moved, scenario, k)
+        q = cycles.q.copy()
+        q[1:, ELBOW] = cycles.q[:-1, ELBOW]
+        seen.append(encode(bench.arm, replace(cycles, q=q)))
+    found = verdict(bench, simulation(case), seen)
+    assert found.answer == "unknown"
+    assert "Timing first" in found.sentence and "elbow" in found.sentence
+    (bent,) = [d for d in found.deflections if d.joint == "elbow"]
+    assert abs(bent.skew_s) == pytest.approx(0.05, rel=0.05)
+
+
+@pytest.mark.slow
+def test_where_is_the_side_that_fails(judge: Judge) -> None:
+    motor, link = judge("modern", "motor_coulomb elbow"), judge("modern", "link_coulomb shoulder")
+    e, m1, m2 = (motor.refit.layout.balances.index(name) for name in ("E", "M1", "M2"))
+    assert np.all(motor.local[:, m2] > 5.0) and np.all(motor.local[:, m1] < 1.1)
+    assert "motor side of the elbow" in motor.where
+    assert np.all(link.local[:, e] > 2.0) and np.all(link.local[:, [m1, m2]] < 1.1)
+    assert "link side" in link.where
+
+
+@pytest.mark.slow
+def test_simulator_and_estimator_read_the_entry_that_was_written(judge: Judge, tmp_path: Path) -> None:
+    found = judge("modern", "motor_coulomb elbow")
+    assert found.model is not None
+    save_model(found.model, tmp_path / "new.toml")
+    model = load_model(tmp_path / "new.toml")
+    entry = next(effect for effect in model.effects if effect.kind.key == "motor_coulomb")
+    assert (entry.joint, entry.source) == ("elbow", "zygos")
+    assert entry.value == found.findings[0].value
+    assert "95 % interval" in entry.evidence
+
+    bench, case = modern(), _case(modern(), "motor_coulomb elbow")
+    flight = Flight(bench.arm, model.effects)
+    flight.frames(frames(bench, case, 0)[0])
+    estimate = flight.estimate()
+    assert estimate.validity == "valid"
+    again = estimate.value[estimate.names.index("motor_coulomb2")]
+    assert again == pytest.approx(entry.value, rel=0.02)
+
+
+@pytest.mark.slow
+def test_explained_model_leaves_nothing_to_explain(judge: Judge) -> None:
+    """The model that was written, as the simulation of the same runs: the verdict is that nothing is missing."""
+    bench, case = lively(), _case(lively(), "motor_coulomb shoulder")
+    first = judge("lively", "motor_coulomb shoulder")
+    assert first.model is not None
+    second = verdict(bench, first.model, frames(bench, case, 0))
+    assert second.answer in {"nothing missing", "values differ"}, second.sentence
+    assert second.gap is not None and first.gap is not None
+    assert second.gap.delivered.gap == pytest.approx(first.gap.closed.gap, rel=0.2)
+
+
+def test_a_run_without_a_whole_stretch_is_refused() -> None:
+    bench = lively()
+    seen = frames(bench, _case(bench, "null as drawn"), 0)[0]
+    with pytest.raises(ZygosError, match="no stretch of 2 s"):
+        read_measured_run(bench.arm, Path("short.blf"), seen[:200])
+    # every twentieth SYNC is lost, and with it its cycle
+    syncs = np.flatnonzero(seen["id"] == 0x080)
+    with pytest.raises(ZygosError, match="no stretch of 2 s"):
+        read_measured_run(bench.arm, Path("holes.blf"), np.delete(seen, syncs[::20]))
+
+
+def _explained(
+    law: object, *, exact: bool = True, sim: Model | None = None, second: Model | None = None
+) -> Explanation:
+    """A verdict with the paper's sensors on an arm with these laws; `second` moves in the second run."""
+    bench, case = lively(), Case("", "", exact=True)
+    moved = plant(case, 0)
+    arms = (moved, second or moved, moved)
+    seen = [
+        encode(bench.arm, run(bench.arm, model, s, k, law))  # type: ignore[arg-type]
+        for k, (model, s) in enumerate(zip(arms, bench.scenarios, strict=True))
+    ]
+    return verdict(bench, sim or simulation(case), seen)
+
+
+def _named(found: Explanation) -> dict[tuple[str, str | None], float]:
+    return {(f.kind, f.joint): f.value for f in found.findings}
+
+
+@pytest.mark.slow
+def test_names_two_effects_of_different_size() -> None:
+    found = _explained((laws.MotorCoulomb(ELBOW, 3.0), laws.MotorCoulomb(SHOULDER, 0.6)))
+    assert found.answer == "named", found.sentence
+    assert _named(found) == {
+        ("motor_coulomb", "elbow"): pytest.approx(3.0, rel=0.05),
+        ("motor_coulomb", "shoulder"): pytest.approx(0.6, rel=0.05),
+    }
+
+
+def test_an_arm_that_changed_between_the_runs_is_not_explained() -> None:
+    drawn = plant(Case("", "", exact=True), 0)
+    last = replace(drawn.bodies[2], mass=replace(drawn.bodies[2].mass, value=1.2 * drawn.bodies[2].mass.value))
+    found = _explained(None, second=replace(drawn, bodies=(*drawn.bodies[:2], last)))
+    assert found.answer == "unknown"
+    assert "not the same in the two runs" in found.sentence and "a22" in found.sentence
+    assert found.model is None
+
+
+def _with_friction(size: float) -> Model:
+    drawn = load_model(EXAMPLE.parent / "gap" / "cad.toml")
+    return replace(drawn, effects=(*drawn.effects, Effect(CATALOGUE["motor_coulomb"], "elbow", size)))
+
+
+@pytest.mark.slow
+def test_an_effect_of_the_wrong_size_is_a_value_that_differs(tmp_path: Path) -> None:
+    found = _explained(laws.MotorCoulomb(ELBOW, 2.0), sim=_with_friction(4.0))
+    assert found.answer == "values differ", found.sentence
+    assert "motor_coulomb2" in found.sentence
+    assert found.model is not None
+    save_model(found.model, tmp_path / "new.toml")
+    effect = next(e for e in load_model(tmp_path / "new.toml").effects if e.kind.key == "motor_coulomb")
+    assert effect.value == pytest.approx(2.0, rel=0.03)
+
+
+@pytest.mark.slow
+def test_an_offset_of_a_spring_changes_no_verdict() -> None:
+    """The zeros of each run stand for it; it is not predicted with either."""
+    drawn = simulation(Case("", "", exact=True))
+    offset = Effect(CATALOGUE["spring_offset"], "shoulder", 30.0)
+    found = _explained(None, sim=replace(drawn, effects=(*drawn.effects, offset)))
+    assert found.answer == "nothing missing", found.sentence
+    assert found.model is None or offset.kind not in [effect.kind for effect in found.model.effects]
+
+
+@pytest.mark.slow
+def test_an_effect_that_the_arm_does_not_have_leaves_the_model(tmp_path: Path) -> None:
+    found = _explained(None, sim=_with_friction(3.0))
+    assert found.answer == "values differ", found.sentence
+    assert "which these runs do not show" in found.sentence
+    assert found.model is not None
+    save_model(found.model, tmp_path / "new.toml")
+    assert all(effect.kind.key != "motor_coulomb" for effect in load_model(tmp_path / "new.toml").effects)
+
+
+@pytest.mark.slow(but=["change1-Sensors first"])
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"torque_law": "applied_previous_cycle"}, "Timing first: the torques act"),
+        ({"quantum_rad": 0.006}, "Sensors first"),
+        ({"zero_rad": 0.02}, ""),
+    ],
+)
+def test_an_arm_file_that_is_wrong_is_said_first(change: dict[str, object], says: str) -> None:
+    bench, case = lively(), _case(lively(), "null as drawn")
+    joints = bench.arm.joints
+    arm = bench.arm
+    if "torque_law" in change:
+        arm = replace(arm, torque_law="applied_previous_cycle")
+    elif "quantum_rad" in change:
+        coarse = [
+            replace(
+                j,
+                link_encoder=replace(j.link_encoder, quantum_rad=0.006),
+                motor_encoder=replace(j.motor_encoder, quantum_rad=0.006),
+            )
+            for j in joints
+        ]
+        arm = replace(arm, joints=tuple(coarse))
+    else:
+        motor = replace(joints[1].motor_encoder, zero_rad=0.02)
+        arm = replace(arm, joints=(joints[0], replace(joints[1], motor_encoder=motor)))
+    found = verdict(replace(bench, arm=arm), simulation(case), frames(bench, case, 0))
+    if says:
+        assert found.answer == "unknown" and says in found.sentence, found.sentence
+        assert found.model is None
+    else:
+        assert any("zeros of the sensors are off" in note and "joint 2" in note for note in found.notes)
+
+
+@pytest.mark.slow
+def test_a_gyro_bias_is_no_angular_momentum() -> None:
+    bench, case = modern(), Case("bias", "nothing missing", exact=True)
+    moved, bias = plant(case, 0), 1e-4
+    seen = []
+    for k, scenario in enumerate(bench.scenarios):
+        cycles = run(bench.arm, moved, scenario, k)
+        seen.append(encode(bench.arm, replace(cycles, omega=cycles.omega + np.array([0.0, 0.0, bias]))))
+    found = verdict(bench, simulation(case), seen)
+    assert found.answer == "nothing missing", found.sentence
+    assert any("gyro bias +0.1 mrad/s" in note for note in found.notes)
+
+
+@pytest.mark.slow
+def test_names_a_pair_of_which_neither_passes_alone() -> None:
+    bench, case = modern(), Case("pair", "named", exact=True)
+    pair = (laws.LinkCoulomb(SHOULDER, 0.3), laws.LinkCoulomb(ELBOW, 0.36))
+    seen = [encode(bench.arm, run(bench.arm, plant(case, 0), s, k, pair)) for k, s in enumerate(bench.scenarios)]
+    found = verdict(bench, simulation(case), seen)
+    assert found.answer == "named", found.sentence
+    assert _named(found) == {
+        ("link_coulomb", "shoulder"): pytest.approx(0.3, rel=0.02),
+        ("link_coulomb", "elbow"): pytest.approx(0.36, rel=0.02),
+    }

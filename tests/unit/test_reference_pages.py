@@ -1,0 +1,108 @@
+"""The reference pages list every key that a reader asks for, state truly which are required, and are up to date."""
+
+from __future__ import annotations
+
+import ast
+import copy
+import re
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from conftest import ROOT, tool_module
+from zygos.errors import ZygosError
+
+HARNESS = ROOT / "harness" / "zygos"
+READERS = ("arm.py", "model/model.py", "simulation/scenario.py", "telemetry/map.py")
+METHODS = {"number", "integer", "boolean", "text", "choice", "vector", "table", "tables"}
+
+
+tool = tool_module("reference")
+keys = tool_module("reference_pages.keys")
+
+
+def test_the_pages_are_up_to_date() -> None:
+    written = {path.name: path.read_text() for path in tool.PAGES.glob("*.md") if path.name != "README.md"}
+    assert written == tool.pages(), "remedy: make reference"
+
+
+def calls(path: Path) -> Iterator[tuple[str, int, int]]:
+    """Where a module reads keys: file, last line and last column of each call of a table's method."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.args):
+            continue
+        if node.func.attr in METHODS:
+            assert node.end_lineno is not None and node.end_col_offset is not None
+            yield str(path), node.end_lineno, node.end_col_offset
+
+
+def test_every_call_that_reads_a_key_is_on_a_page() -> None:
+    """The samples lead the readers through all their branches."""
+    recorded = {read.place for file in keys.FILES for read in file.reads()}
+    read = {call for reader in READERS for call in calls(HARNESS / reader)}
+    assert read - recorded == set(), "remedy: a file in tools/samples/ with the key that is read there"
+
+
+def test_no_other_module_reads_files_of_keys() -> None:
+    importing = {
+        str(path.relative_to(HARNESS))
+        for path in HARNESS.rglob("*.py")
+        if "from zygos.files.toml import" in path.read_text()
+    }
+    assert importing == {*READERS, "urdf/answers.py"}, "remedy: a page of its own in tools/reference.py"
+
+
+def test_every_enumeration_of_the_headers_is_on_the_page() -> None:
+    headers = "".join(path.read_text() for path in (ROOT / "include" / "zygos").glob("*.h"))
+    page = (tool.PAGES / "codes.md").read_text()
+    assert set(re.findall(r"^enum (\w+) \{", headers, re.MULTILINE)) == set(re.findall(r"## `enum (\w+)`", page))
+
+
+def leaves(data: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """The path of each key in a document."""
+    if isinstance(data, dict):
+        for key, value in data.items():
+            yield (*path, key)
+            yield from leaves(value, (*path, key))
+    elif isinstance(data, list) and data and isinstance(data[0], dict):
+        for place, value in enumerate(data):
+            yield from leaves(value, (*path, place))
+
+
+def samples() -> Iterator[Any]:
+    for file in keys.FILES:
+        for sample in ("free", "fixed"):
+            path = keys.SAMPLES / sample / file.name
+            for leaf in leaves(tomllib.loads(path.read_text())):
+                yield pytest.param(file, path, leaf, id=f"{sample}-{file.name}-{'.'.join(map(str, leaf))}")
+
+
+@pytest.mark.parametrize(("file", "path", "leaf"), list(samples()))
+def test_the_pages_say_which_keys_are_required(file: Any, path: Path, leaf: tuple[Any, ...]) -> None:
+    """Without a key that is required the reader refuses the file; without another it does not ask for it."""
+    data = tomllib.loads(path.read_text())
+    where = ".".join(part for part in leaf[:-1] if isinstance(part, str))
+    stated = {
+        keys.default_of(read.entry)
+        for read in keys.recorded(file.read, path)
+        if read.table == where and read.entry.key == leaf[-1]
+    }
+    shortened = copy.deepcopy(data)
+    table = shortened
+    for part in leaf[:-1]:
+        table = table[part]
+    del table[leaf[-1]]
+    refusal = ""
+    try:
+        file.read(keys.Recorder(shortened, path))
+    except ZygosError as error:
+        refusal = str(error)
+    if where == "parameters":
+        assert refusal == "", "the names in this table are the user's"
+    elif any(words.startswith("required") for words in stated):
+        assert refusal
+    else:
+        assert f"{leaf[-1]}: is missing" not in refusal

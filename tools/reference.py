@@ -1,0 +1,32 @@
+"""Writes the reference pages in docs/reference/: the keys of the files, the codes of the C library, the JSON outputs.
+
+Usage: reference.py [FOLDER]
+"""
+
+import sys
+from pathlib import Path
+
+from reference_pages.codes import codes_page
+from reference_pages.keys import FILES, answers_page, keys_page
+from reference_pages.outputs import json_page
+
+from zygos.files.output import write_text
+
+PAGES = Path(__file__).resolve().parents[1] / "docs" / "reference"
+
+
+def pages() -> dict[str, str]:
+    """Every page by its name."""
+    found = {Path(file.name).stem + ".md": keys_page(file) for file in FILES}
+    return found | {"answers.md": answers_page(), "codes.md": codes_page(), "json.md": json_page()}
+
+
+def main() -> None:
+    """Write the pages."""
+    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else PAGES
+    for name, text in pages().items():
+        write_text(folder / name, text)
+
+
+if __name__ == "__main__":
+    main()
