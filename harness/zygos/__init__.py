@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from zygos.errors import Undecided, ZygosError
     from zygos.estimation.estimate import Estimation, estimate
     from zygos.files.examples import example, write_example
-    from zygos.gap.explain import Explanation
+    from zygos.gap.explanation import Explanation
     from zygos.gap.predict import Prediction, predict
     from zygos.gap.runs import explain_runs as explain
     from zygos.model.model import Model, Quantity, load_model, save_model

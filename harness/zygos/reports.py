@@ -8,9 +8,14 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from zygos.gap.explain import Explanation
+from zygos.errors import ZygosError
+from zygos.estimation.estimate import Estimation
+from zygos.estimation.page import write_estimate_report
+from zygos.gap.explanation import Explanation
 from zygos.gap.page import write_gap_report
-from zygos.gap.provenance import Provenance
+from zygos.reference.check import Check
+from zygos.reference.page import write_check_report
+from zygos.report.provenance import Provenance
 
 
 def _provenance(function: str, runs: Sequence[Path | None]) -> Provenance:
@@ -25,19 +30,33 @@ def _explanation(result: Explanation, path: Path) -> None:
     write_gap_report(path, result, _provenance("explain", [record.path for record in result.refit.records]))
 
 
+def _estimation(result: Estimation, path: Path) -> None:
+    """The page of an estimate that kept its trace."""
+    if not result.watch.traced:
+        raise ZygosError("the estimate has no trace to draw; remedy: zygos.estimate(run, trace=True)")
+    write_estimate_report(path, result, Provenance("zygos.estimate, called from Python", version("zygos"), ()))
+
+
+def _check(result: Check, path: Path) -> None:
+    """The page of a comparison between C and numpy."""
+    write_check_report(path, result, Provenance("zygos.check, called from Python", version("zygos"), ()))
+
+
 WRITERS: dict[type[Any], Callable[[Any, Path], None]] = {
     Explanation: _explanation,
+    Estimation: _estimation,
+    Check: _check,
 }
 """The writer of each kind of result that has a page."""
 
-Reported = Explanation
+Reported = Explanation | Estimation | Check
 """The kinds of results that have a page."""
 
 
 def write_report(result: Reported, path: str | Path) -> None:
-    """Write the page of a result, an `Explanation`, as one HTML file.
+    """Write the page of a result, an `Explanation`, `Estimation` or `Check`, as one HTML file.
 
-    Errors: ZygosError if the file cannot be written, TypeError for a result that has no page.
+    Errors: ZygosError if the file cannot be written or an estimate kept no trace, TypeError for results without a page.
     """
     writer = WRITERS.get(type(result))
     if writer is None:

@@ -13,7 +13,7 @@ import pytest
 from conftest import EXAMPLE, need
 from zygos.effects import CATALOGUE, Effect
 from zygos.errors import ZygosError
-from zygos.gap.explain import Explanation
+from zygos.gap.explanation import Explanation
 from zygos.gap.record import read_measured_run
 from zygos.model.model import Model, Quantity, load_model, save_model
 from zygos.native.flight import Flight, encode
@@ -325,7 +325,7 @@ def test_an_arm_file_that_is_wrong_is_said_first(change: dict[str, object], says
         assert found.answer == "unknown" and says in found.sentence, found.sentence
         assert found.model is None
     else:
-        assert any("zeros of the sensors are off" in remark and "joint 2" in remark for remark in found.remarks)
+        assert any("zeros of the sensors are off" in note and "joint 2" in note for note in found.notes)
 
 
 @pytest.mark.slow
@@ -338,7 +338,7 @@ def test_a_gyro_bias_is_no_angular_momentum() -> None:
         seen.append(encode(bench.arm, replace(cycles, omega=cycles.omega + np.array([0.0, 0.0, bias]))))
     found = verdict(bench, simulation(case), seen)
     assert found.answer == "nothing missing", found.sentence
-    assert any("gyro bias +0.1 mrad/s" in remark for remark in found.remarks)
+    assert any("gyro bias +0.1 mrad/s" in note for note in found.notes)
 
 
 @pytest.mark.slow

@@ -28,7 +28,8 @@ from zygos.effects import CATALOGUE, Effect, column_named
 from zygos.errors import Undecided
 from zygos.files.output import number, say, table, write_json
 from zygos.files.progress import progress
-from zygos.gap.explain import Explanation, explain
+from zygos.gap.explain import explain
+from zygos.gap.explanation import Explanation
 from zygos.gap.record import read_measured_run
 from zygos.model.model import Model, Quantity, load_model
 from zygos.native.flight import encode

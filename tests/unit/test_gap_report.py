@@ -15,12 +15,27 @@ import pytest
 from zygos.arm import load_arm
 from zygos.effects import CATALOGUE, Effect
 from zygos.gap.experiment import Experiment
-from zygos.gap.explain import Deflection, Explanation, explain
-from zygos.gap.page import figure, write_gap_report
-from zygos.gap.provenance import Provenance
+from zygos.gap.explain import explain
+from zygos.gap.explanation import Explanation
+from zygos.gap.findings import Deflection
+from zygos.gap.page import write_gap_report
 from zygos.gap.record import read_measured_run
+from zygos.gap.sentences import motion
+from zygos.gap.verdicts import (
+    BrokenRun,
+    Inseparable,
+    Lacking,
+    NoFloor,
+    NothingMissing,
+    NotPredicted,
+    SkewedEncoders,
+    Unexplained,
+    ValuesDiffer,
+)
 from zygos.model.model import load_model
 from zygos.native.flight import encode
+from zygos.report.figures import figure
+from zygos.report.provenance import Provenance
 from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import load_scenario
 
@@ -57,8 +72,7 @@ def nothing(found: Explanation) -> Explanation:
     gap = replace(found.gap, closed=found.gap.refit, wrong=None, wrong_name="")
     return replace(
         found,
-        answer="nothing missing",
-        sentence="Nothing is missing.",
+        verdict=NothingMissing(),
         findings=(),
         search=search,
         gap=gap,
@@ -172,7 +186,7 @@ def test_values_differ_leads_with_the_values(tmp_path: Path, friction: Explanati
     values = list(found.values)
     k = names.index("k1")
     values[k] = replace(values[k], found=0.8 * values[k].delivered)
-    page = Page(tmp_path, replace(found, answer="values differ", values=tuple(values)))
+    page = Page(tmp_path, replace(found, verdict=ValuesDiffer((values[k],)), values=tuple(values)))
     sound(page)
     assert page.text.index("Which values differ") < page.text.index("Where ρ")
     assert "−20.00 ◂" in page.text
@@ -180,10 +194,11 @@ def test_values_differ_leads_with_the_values(tmp_path: Path, friction: Explanati
 
 
 def test_unknown_adopts_nothing(tmp_path: Path, friction: Explanation) -> None:
-    found = replace(friction, answer="unknown", findings=(), partly="a guess", model=None, remarks=("a remark",))
+    verdict = Unexplained(3.0, ("motor_coulomb2",), 0.7, friction.findings)
+    found = replace(friction, verdict=verdict, findings=(), model=None, remarks=(NoFloor("a remark"),))
     page = Page(tmp_path, found)
     sound(page)
-    assert "Part of it looks like a guess" in page.text
+    assert "Part of it looks like Coulomb friction at the motor (elbow)" in page.text
     assert "a remark" in page.text
     assert "None of it is adopted" in page.source
     assert "best guess, not adopted" in page.text
@@ -195,17 +210,23 @@ def test_cannot_tell_names_the_set_and_the_experiment(tmp_path: Path, friction: 
     assert friction.search is not None
     search = replace(friction.search, sets=(("motor_coulomb2", "motor_viscous2"),))
     found = replace(
-        friction, answer="cannot tell", findings=(finding,), search=search, experiments=experiments, model=None
+        friction,
+        verdict=Inseparable((finding,)),
+        findings=(finding,),
+        search=search,
+        experiments=experiments,
+        model=None,
     )
     page = Page(tmp_path, found)
     sound(page)
     assert "cannot tell it from viscous friction at the motor (elbow)" in page.text
-    assert f"{experiments[0].said} 31.0 2.50" in page.text
+    assert f"{motion(experiments[0])} 31.0 2.50" in page.text
 
 
 def test_timing_first_and_no_untouched_run(tmp_path: Path, friction: Explanation) -> None:
     bent = Deflection("elbow", 1e-4, 1e-6, 0.003, 0.99)
-    found = replace(nothing(friction), answer="unknown", search=None, gap=None, model=None, deflections=(bent,))
+    skewed = SkewedEncoders("elbow", 0.003)
+    found = replace(nothing(friction), verdict=skewed, search=None, gap=None, model=None, deflections=(bent,))
     page = Page(tmp_path, found)
     sound(page)
     assert page.gap == []
@@ -229,13 +250,14 @@ def test_rigid_joints_and_predictions_that_run_away(tmp_path: Path, friction: Ex
     assert page.gap[0] == ("delivered", "diverges")
 
 
-def test_names_cannot_break_the_page(tmp_path: Path, friction: Explanation) -> None:
+@pytest.mark.parametrize("adopted", [True, False])
+def test_names_cannot_break_the_page(tmp_path: Path, friction: Explanation, adopted: bool) -> None:
     was = friction.simulation
     arm = replace(
         friction.arm, name=HOSTILE, joints=tuple(replace(j, name=j.name + HOSTILE) for j in friction.arm.joints)
     )
     model = replace(was, name=HOSTILE, joints=tuple(replace(j, name=j.name + HOSTILE) for j in was.joints))
-    findings = tuple(replace(f, joint=f"{f.joint}{HOSTILE}", evidence=HOSTILE) for f in friction.findings)
+    findings = tuple(replace(f, joint=f"{f.joint}{HOSTILE}") for f in friction.findings)
     records = tuple(replace(r, path=Path(f"r{HOSTILE}")) for r in friction.refit.records)
     found = replace(
         friction,
@@ -243,10 +265,9 @@ def test_names_cannot_break_the_page(tmp_path: Path, friction: Explanation) -> N
         simulation=model,
         refit=replace(friction.refit, records=records),
         findings=findings,
-        sentence=HOSTILE,
-        where=HOSTILE,
-        remarks=(HOSTILE,),
-        partly=HOSTILE,
+        verdict=Lacking(findings) if adopted else NotPredicted(findings, 2.0, 1.0),
+        whereabouts=replace(friction.whereabouts, named=findings),
+        remarks=(NoFloor(HOSTILE), BrokenRun(HOSTILE, 0.5)),
     )
     files = tuple((HOSTILE, HOSTILE, digest) for digest in HASHES)
     page = Page(tmp_path, found, replace(PROVENANCE, command=PROVENANCE.command + HOSTILE, files=files))

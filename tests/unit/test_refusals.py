@@ -24,9 +24,11 @@ from zygos.estimation.remedies import Known, measured, remedy, structural_rank
 from zygos.estimation.watch import Watch
 from zygos.estimation.words import about_change, about_noise
 from zygos.files.tables import write_columns
+from zygos.gap import sentences
 from zygos.gap.balances import Layout
-from zygos.gap.explain import Finding, whereabouts
+from zygos.gap.findings import Finding, Significance
 from zygos.gap.record import read_measured_run
+from zygos.gap.whereabouts import whereabouts
 from zygos.native.flight import REASONS, Estimate, Flight, lib
 from zygos.runs.cycles import Cycles
 from zygos.runs.tables import read_cycles
@@ -285,7 +287,11 @@ def local(layout: Layout, **rho: float) -> np.ndarray:  # type: ignore[type-arg]
 
 
 def finding(kind: str, joint: str | None) -> Finding:
-    return Finding(kind, kind, joint, 1.0, 0.01, "Nm", "")
+    return Finding(kind, joint, 1.0, 0.01, "Nm", Significance(9.0, 1.0))
+
+
+def where(arm: Arm, layout: Layout, seen: np.ndarray, found: tuple[Finding, ...] = (), *, first: bool = False) -> str:  # type: ignore[type-arg]
+    return sentences.where(arm, whereabouts(arm, layout, seen, (), found, first=first))
 
 
 def test_the_place_is_that_of_the_effect_which_is_named() -> None:
@@ -293,23 +299,23 @@ def test_the_place_is_that_of_the_effect_which_is_named() -> None:
     arm, _, _ = example()
     layout = Layout(arm)
     seen = local(layout, E=9.0, H=12.0)
-    said = whereabouts(arm, layout, seen, (), [finding("link_coulomb", "shoulder")])
+    said = where(arm, layout, seen, (finding("link_coulomb", "shoulder"),))
     assert "acts at the link side of the shoulder" in said
     assert "gyro" not in said and "base" not in said
-    assert "link side" in whereabouts(arm, layout, seen, ())
-    assert "on the base" in whereabouts(arm, layout, seen, (), [finding("angular_momentum", None)])
+    assert "link side" in where(arm, layout, seen)
+    assert "on the base" in where(arm, layout, seen, (finding("angular_momentum", None),))
     # what comes first is in the verdict's own sentence
-    assert "look at" not in whereabouts(arm, layout, seen, (), first=True)
+    assert "look at" not in where(arm, layout, seen, first=True)
 
 
 def test_a_gyro_is_not_sent_to_a_motor_that_fails_a_little() -> None:
     arm, _, _ = example()
     layout = Layout(arm)
-    said = whereabouts(arm, layout, local(layout, H=90.0, M1=3.0), ())
+    said = where(arm, layout, local(layout, H=90.0, M1=3.0))
     assert "gyro" in said and "motor side" not in said
-    said = whereabouts(arm, layout, local(layout, H=3.0, M1=90.0), ())
+    said = where(arm, layout, local(layout, H=3.0, M1=90.0))
     assert "motor side of the shoulder" in said and "gyro" not in said
-    assert "link side" in whereabouts(arm, layout, local(layout, E=9.0), ())
+    assert "link side" in where(arm, layout, local(layout, E=9.0))
 
 
 # ------------------------------------------------------------------------------------------ check-arm

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from plant_support import lively
 
 from zygos.arm import Arm
-from zygos.demo.page import Convergence, balance, write_report
+from zygos.demo.page import Convergence, write_report
+from zygos.estimation.ledger import balance
 from zygos.native.flight import Estimate, Trace
 from zygos.runs.cycles import Cycles
 

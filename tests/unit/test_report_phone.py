@@ -12,7 +12,14 @@ from conftest import ROOT
 from zygos.report.page import render
 
 REPORT = ROOT / "harness" / "zygos" / "report"
-PAGES = ("demo/page.html", "gap/page.html", "accuracy/page.html")
+PAGES = (
+    "demo/page.html",
+    "gap/page.html",
+    "accuracy/page.html",
+    "estimation/page.html",
+    "reference/page.html",
+    "audit/page.html",
+)
 
 
 class Tables(HTMLParser):

@@ -84,6 +84,8 @@ class _Auditor:
         self.names = signal_names(arm)
         self.findings: list[SignalFault] = []
         self.notes: list[str] = []
+        self.still: list[str] = []
+        self.short = False
         self.undecided: set[str] = set()
         self.unfit: list[int] = []
         """Rigid joints whose torque is not explained by the law of a single motor."""
@@ -123,11 +125,13 @@ class _Auditor:
                 "the run has no part without a gap that is long enough to compare signals with each other "
                 f"({4 * self.arm.smoother.points + 4} cycles)"
             )
+            self.short = True
             self.undecided |= {name for name, _, _ in self.names}
         self._steps()
         self.progress(1.0)
         signals = tuple(self._signal(*entry) for entry in self.names)
-        return Audit(signals, tuple(self.findings), tuple(self.pairs), self.laws, tuple(self.notes))
+        notes, still = tuple(self.notes), tuple(self.still)
+        return Audit(signals, tuple(self.findings), tuple(self.pairs), self.laws, notes, still, self.short)
 
     def _together(self, means: Means, broken: set[int]) -> None:
         use = []
@@ -138,6 +142,7 @@ class _Auditor:
                 use.append(i)
             else:
                 self.notes.append(f"{joint.name}: does not move, so nothing is decided")
+                self.still.append(joint.name)
                 self.undecided |= {self.name(kind, i) for kind in KINDS}
         repaired, motors, clean = self._motors(use, means, broken)
         self.progress(0.4)
@@ -602,6 +607,7 @@ class _Auditor:
             self._no_balance(str(error).split("; remedy")[0])
             return None
         if not math.isfinite(balance.residual_j):
+            self.short |= balance.few
             self._no_balance(f"the run has no balance of the whole arm ({balance.reason})")
             return None
         return balance

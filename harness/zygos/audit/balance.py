@@ -14,7 +14,7 @@ from zygos.arm import Arm, TorqueLaw
 from zygos.audit.means import Array
 from zygos.effects import CATALOGUE, Effect, estimated
 from zygos.files.output import counted
-from zygos.native.flight import Flight, lib
+from zygos.native.flight import REASONS, Flight, lib
 from zygos.runs.cycles import Cycles
 
 MOST_CYCLES = 20_000
@@ -47,6 +47,8 @@ class Balance:
         self.friction = [Effect(CATALOGUE[kind], joint, 0.0) for kind, joint in friction[: max(unused, 0)]]
         self.reason = ""
         """The reason why the last computed residual is infinite."""
+        self.few = False
+        """Whether the reason is that there are too few instants."""
         self.residual_j = self.residual(arm, self.cycles)
 
     def residual(self, arm: Arm, cycles: Cycles) -> float:
@@ -57,6 +59,7 @@ class Balance:
         residual = float(estimate.residual)
         if math.isfinite(residual) and residual > 0.0:
             return residual
+        self.few = estimate.reason == REASONS[1]
         self.reason = (
             f"{estimate.reason}: {counted(estimate.accepted, 'instant')} accepted, {estimate.refused:,} refused by the "
             "bandwidth test"

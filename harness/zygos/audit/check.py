@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
+from zygos.audit.answer import as_json
 from zygos.audit.auditor import audit
 from zygos.audit.findings import Audit, Signal, SignalFault
 from zygos.audit.traffic import traffic_of
@@ -42,7 +43,7 @@ class ArmCheck:
 
     def as_dict(self) -> dict[str, Any]:
         """The result in numbers, texts, lists and dictionaries, as `zygos check-arm --json` writes it."""
-        return {"arm": self.run.arm.name, "ok": self.ok, "faults": self.run.faults, **asdict(self.audit)}
+        return {"arm": self.run.arm.name, "ok": self.ok, "faults": self.run.faults, **as_json(self.audit)}
 
     def __repr__(self) -> str:
         """A line for each signal and for each finding."""

@@ -74,6 +74,10 @@ class Audit:
     """rms residual of the energy balance in J under each torque law; empty where the C library has no columns."""
     notes: tuple[str, ...] = ()
     """What could not be decided, and the reasons."""
+    still: tuple[str, ...] = ()
+    """Joints that do not move."""
+    short: bool = False
+    """Whether the run, or its longest stretch without a gap, is too short to decide."""
 
     @property
     def ok(self) -> bool:

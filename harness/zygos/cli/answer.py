@@ -23,13 +23,24 @@ from zygos.files.output import (
     write_json,
 )
 from zygos.model.model import save_model
+from zygos.report.provenance import Provenance
 
 
-def finish_estimate(found: Estimation, out: Path, json: str | None, heading: Mapping[str, Any]) -> None:
+def finish_estimate(
+    found: Estimation,
+    out: Path,
+    json: str | None,
+    heading: Mapping[str, Any],
+    report: Path | None = None,
+    source: Provenance | None = None,
+) -> None:
     """Print the table, write the model, report a change of the arm, and raise Undecided if the estimate is not
-    valid."""
+    valid.
+
+    report: a page to write, for which the estimate must have kept its trace; source: what it was made from.
+    """
     result, flight = found.result, found.watch.flight
-    if not quiet(out, json):
+    if not quiet(out, json, report):
         rows = [
             (name, unit, number(value), number(float(f"{half95:.2g}")), number(100 * ratio(half95, abs(value)), 2))
             for name, unit, value, half95 in zip(result.names, result.units, result.value, result.half95, strict=True)
@@ -50,13 +61,17 @@ def finish_estimate(found: Estimation, out: Path, json: str | None, heading: Map
             say(text)
     if found.change:
         warn([found.change])
+    where = "no model written" if found.validity == "refused" else f"{named(out)} written"
     try:
         if found.validity != "refused":
             save_model(found.to_model(), out)
+        if report is not None and source is not None:
+            from zygos.estimation.page import write_estimate_report  # noqa: PLC0415  (only a report needs charts)
+
+            write_estimate_report(report, found, source, written=where, damage=heading.get("damage") or ())
     finally:
         if json:
             write_json(json, found.as_dict(heading))
     if found.validity != "valid":
-        where = "no model written" if found.validity == "refused" else f"{named(out)} written"
         number_of = f": {found.measured}" if found.measured else ""
         raise Undecided(f"{found.validity}: {found.reason}{number_of} ({where}); remedy: {found.remedy}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -9,17 +10,19 @@ import typer
 
 from zygos.arm import load_arm
 from zygos.audit import Audit
+from zygos.audit.answer import advice, summary
 from zygos.audit.check import check_arm
-from zygos.cli.options import Json, Run
+from zygos.cli.options import Json, Report, Run
 from zygos.cli.shared import not_whole, origin, read_run
 from zygos.errors import Undecided
-from zygos.files.output import check_outputs, counted, good, number, say, table, write_json
+from zygos.files.output import check_outputs, counted, good, number, quiet, say, table, write_json
 from zygos.files.progress import progress
+from zygos.report.provenance import provenance
 
 
-def check_arm_run(arm_file: Path, run: Path, json: str | None) -> None:
+def check_arm_run(arm_file: Path, run: Path, json: str | None, report: Path | None, command: Sequence[str]) -> None:
     """Audit a run against an arm file; see `zygos check-arm --help`."""
-    check_outputs([json], [run, arm_file])
+    check_outputs([json, report], [run, arm_file])
     arm = load_arm(arm_file)
     recorded = read_run(run, arm)
     with progress() as bar:
@@ -27,30 +30,17 @@ def check_arm_run(arm_file: Path, run: Path, json: str | None) -> None:
         found = check_arm(recorded, progress=lambda share: bar.update(task, completed=share))
     if json:
         write_json(json, {**origin(recorded), **found.as_dict()})
-    if json != "-":
+    if report is not None:
+        from zygos.audit.page import write_audit_report  # noqa: PLC0415  (only a report needs charts)
+
+        write_audit_report(report, recorded, found.audit, provenance(command, [("arm", arm_file), ("run", run)]))
+    if not quiet(json, report):
         show_audit(found.audit)
         seen = [f"{name} {count:,}" for name, count in recorded.faults.items() if count]
         say(f"arm {arm.name} · {counted(len(recorded), 'cycle')}" + (f" · faults: {', '.join(seen)}" if seen else ""))
-    if found.findings:
-        first = found.findings[0]
-        raise Undecided(
-            f"{counted(len(found.findings), 'finding')}, the first: {first.signal} {first.fault}; "
-            f"remedy: {first.remedy}"
-        )
     if not found.ok:
-        names = ", ".join(signal.name for signal in found.signals if not signal.decided)
-        raise Undecided(f"no fault was found, but nothing confirms {names}; remedy: {_what_decides(found.audit)}")
+        raise Undecided(f"{summary(found.audit)}; remedy: {advice(found.audit)}")
     not_whole(recorded.damage)
-
-
-def _what_decides(found: Audit) -> str:
-    """A run that would confirm the signals that are not confirmed yet, by the reasons that the notes give."""
-    still = [note.partition(":")[0] for note in found.notes if "does not move" in note]
-    if still:
-        return f"a run in which {', '.join(still)} moves"
-    if any("too few accepted instants" in note or "is long enough" in note for note in found.notes):
-        return "a longer run without gaps"
-    return 'a run that moves every joint faster and at different speeds; the lines with "open" give the reasons'
 
 
 def show_audit(found: Audit) -> None:
@@ -96,18 +86,20 @@ def show_audit(found: Audit) -> None:
 
 
 def command(
+    context: typer.Context,
     arm: Annotated[Path, typer.Argument(metavar="ARM.toml", help="The arm file.")],
     run: Run,
     json: Json = None,
+    report: Report = None,
 ) -> None:
     """Check a run against its arm file: rate, range, steps and noise of each signal, and whether the signals agree.
 
     Reports signals that are swapped, inverted, scaled by the gear ratio, stuck or saturated, a skew in time between the
     two encoders of a joint, zeros that are off, and a wrong torque law; each with the evidence in numbers and the
-    remedy. No model is needed.
+    remedy. No model is needed. The page of --report has all of it, with charts of the readings.
 
     Exit code 3 when something is found, or the run does not confirm every signal.
 
     Example: zygos check-arm out/arm.toml out/run.blf
     """
-    check_arm_run(arm, run, json)
+    check_arm_run(arm, run, json, report, context.obj or ["check-arm"])

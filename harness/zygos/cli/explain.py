@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
-import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,18 +14,20 @@ from zygos.arm import load_arm
 from zygos.can import bus
 from zygos.cli.options import ArmFile, Json
 from zygos.cli.shared import check_model_name, find_arm, not_whole, warn
-from zygos.effects import estimated, spoken
+from zygos.effects import estimated
 from zygos.errors import Undecided, ZygosError
-from zygos.files.inputs import local
 from zygos.files.output import check_outputs, named, number, quiet, say, table, write_json
 from zygos.files.progress import progress
-from zygos.gap.explain import INTERVAL, Explanation, Gap, explain
-from zygos.gap.forecast import Forecast
-from zygos.gap.provenance import Provenance
+from zygos.gap.answer import as_json, predictions
+from zygos.gap.explain import explain
+from zygos.gap.explanation import Explanation
+from zygos.gap.findings import INTERVAL
 from zygos.gap.record import MeasuredRun, read_measured_run
 from zygos.gap.runs import check_arm_of_gap
+from zygos.gap.sentences import against
 from zygos.model.model import load_model, save_model
 from zygos.native.flight import Flight
+from zygos.report.provenance import Provenance, provenance
 
 
 @dataclass(frozen=True)
@@ -85,11 +84,7 @@ def explain_run(
             records[2] if validate else None,
             lambda share, what: bar.update(task, description=what, completed=0.2 + 0.8 * share),
         )
-    source = Provenance(
-        shlex.join(["zygos", *command]),
-        version("zygos"),
-        tuple((role, str(path), hashlib.sha256(local(path).read_bytes()).hexdigest()) for role, path in inputs.files),
-    )
+    source = provenance(command, inputs.files)
     finish(found, records, logs, inputs, source, out, report, json)
     not_whole(*(log.damage for log in logs))
 
@@ -164,27 +159,7 @@ def finish(
             damage = [text for log in logs for text in log.damage]
             write_json(json, {**as_json(found, records, source), "flight": flight, "damage": damage or None})
     if found.answer in {"unknown", "cannot tell"}:
-        raise Undecided(f"{found.answer}: {found.sentence} ({named(out)} not written); remedy: {_next(found)}")
-
-
-def _next(found: Explanation) -> str:
-    """What to do if nothing was named."""
-    if found.experiments:
-        best = found.experiments[0]
-        return f"{best.said} would tell them apart" if best.tells else "no variant of these motions tells them apart"
-    if found.partly:
-        return f"part of it looks like {found.partly}"
-    if found.search is None or " first: " in found.sentence:
-        return "correct the arm file; `zygos check-arm` on one of the runs examines its signals"
-    if "not the same in the two runs" in found.sentence:
-        return "give two runs of the same arm; `zygos estimate` gives the values for each run"
-    _, colon, look = found.where.partition(": look at ")
-    nearest = found.search.rounds[0][0]
-    return (
-        (f"look at {look.removesuffix('.')}; " if colon else "")
-        + f"the nearest in the catalogue, {spoken(found.arm, nearest.name)}, explains "
-        f"{100 * max(0.0, nearest.complete):.0f} % of it"
-    )
+        raise Undecided(f"{found.answer}: {found.sentence} ({named(out)} not written); remedy: {found.remedy}")
 
 
 def show(found: Explanation) -> None:
@@ -201,7 +176,7 @@ def show(found: Explanation) -> None:
                     *(f"{z:.1f}" for z in c.z),
                     f"{100 * max(0.0, c.complete):.1f}",
                     number(c.limit, 2),
-                    "named" if c in found.search.named else c.verdict or "explains less",
+                    "named" if c in found.search.named else against(c) or "explains less",
                 )
                 for c in listed
             ],
@@ -228,101 +203,12 @@ def show(found: Explanation) -> None:
             ("gap on the untouched run", "rms, sigma", "median", "90th percentile"),
             [
                 (name, number(one.gap, 4), number(one.median, 4), number(one.tenth, 4))
-                for name, one in _predictions(found.gap)
+                for name, one in predictions(found.gap)
             ],
         )
     say(found.where)
-    for remark in found.remarks:
-        say(f"note: {remark}")
-
-
-def _predictions(gap: Gap) -> list[tuple[str, Forecast]]:
-    listed = [("as delivered", gap.delivered), ("refit", gap.refit), ("closed", gap.closed), ("floor", gap.floor)]
-    return listed + ([(f"with {gap.wrong_name} instead", gap.wrong)] if gap.wrong is not None else [])
-
-
-def as_json(found: Explanation, records: Sequence[MeasuredRun], source: Provenance) -> dict[str, Any]:
-    """The content of the JSON of a verdict."""
-    layout = found.refit.layout
-    gap = found.gap
-    return {
-        "answer": found.answer,
-        "sentence": found.sentence,
-        "where": found.where,
-        "findings": [
-            {
-                "effect": f.kind,
-                "title": f.title,
-                "joint": f.joint,
-                "value": f.value,
-                "sigma": f.sigma,
-                "interval": list(f.interval),
-                "unit": f.unit,
-                "evidence": f.evidence,
-                "cannot_tell_from": list(f.instead),
-            }
-            for f in found.findings
-        ],
-        "partly": found.partly or None,
-        "gap": gap
-        and {
-            "unit": "sigma",
-            "as_delivered": gap.delivered.gap,
-            "refit": gap.refit.gap,
-            "closed": gap.closed.gap,
-            "floor": gap.floor.gap,
-            "shrinks": gap.refit.gap / gap.closed.gap,
-            "median": {name: one.median for name, one in _predictions(gap)[:4]},
-            "ninetieth": {name: one.tenth for name, one in _predictions(gap)[:4]},
-            "best_wrong": gap.wrong and {"candidate": gap.wrong_name, "gap": gap.wrong.gap},
-        },
-        "balances": [
-            {
-                "name": name,
-                "before": found.refit.excess[:, k].tolist(),
-                "alone": found.local[:, k].tolist(),
-                "after": found.closed.excess[:, k].tolist(),
-            }
-            for k, name in enumerate(layout.balances)
-        ],
-        "candidates": []
-        if found.search is None
-        else [
-            {
-                "name": c.name,
-                "unit": c.kind.unit,
-                "value": c.value,
-                "each": list(c.each),
-                "z": list(c.z),
-                "completeness": list(c.completeness),
-                "limit": c.limit,
-                "twins": list(c.kind.twins),
-                "against": c.verdict or None,
-            }
-            for c in found.search.rounds[0]
-        ],
-        "completeness": None if found.search is None else list(found.search.completeness),
-        "values": [
-            {
-                "name": v.name,
-                "unit": v.unit,
-                "simulation": v.delivered,
-                "simulation_sigma": v.delivered_sigma,
-                "found": v.found,
-                "sigma": v.sigma,
-                "differs": v.differs,
-            }
-            for v in found.values
-        ],
-        "experiments": [
-            {"speed": e.speed, "amplitude": e.amplitude, "z": e.z, "z_now": e.now} for e in found.experiments
-        ],
-        "remarks": list(found.remarks),
-        "runs": [{"run": str(r.path), "arcs": len(r.starts), "faults": r.faults} for r in records],
-        "command": source.command,
-        "version": source.version,
-        "files": [{"role": role, "path": path, "sha256": digest} for role, path, digest in source.files],
-    }
+    for note in found.notes:
+        say(f"note: {note}")
 
 
 def command(

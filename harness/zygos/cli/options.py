@@ -8,6 +8,10 @@ from typing import Annotated
 import typer
 
 Json = Annotated[str | None, typer.Option("--json", metavar="FILE", help="Also write the result as JSON to this file.")]
+Report = Annotated[
+    Path | None,
+    typer.Option("--report", metavar="FILE.html", help="Also write a report, one HTML page."),
+]
 ArmFile = Annotated[
     Path | None, typer.Option("--arm", metavar="ARM.toml", help="The arm file. Default: arm.toml next to the run.")
 ]

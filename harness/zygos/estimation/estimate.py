@@ -153,12 +153,13 @@ def estimate(
     model: Model | None = None,
     effects: Sequence[Effect] = (),
     progress: Callable[[float], None] | None = None,
+    trace: bool = False,
 ) -> Estimation:
     """Learn the parameters of an arm from a run, with the C library that flies.
 
     model: its effects are learned as well, whatever their values, and it keeps its values where the run determines
     none (`Estimation.to_model`). effects: further ones to be learned. progress is called now and then with the share
-    that is done.
+    that is done. trace: keep the intermediate results of each cycle, which the report page draws.
 
     An estimate that is not valid is no error: see `Estimation.validity`, `reason` and `remedy`.
 
@@ -166,7 +167,7 @@ def estimate(
     """
     if model is not None:
         model.base_parameters(run.arm)
-    watch = Watch(Flight(run.arm, (*(model.effects if model is not None else ()), *effects)))
+    watch = Watch(Flight(run.arm, (*(model.effects if model is not None else ()), *effects)), trace=trace)
     if run.frames is not None:
         watch.frames(run.frames, progress)
     else:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -18,15 +18,29 @@ LOOKS = 2
 """Comparisons per arc: the arc after a change stands out only until the next adoption includes it."""
 
 
+NOTES = 24
+"""Estimates that are noted of what is fed at once, evenly spaced."""
 STRETCH = 100
 """Cycles that are fed at once: so few that the library can list all arcs that end in them."""
+
+
+@dataclass(frozen=True)
+class Note:
+    """What was estimated at some time of a run; p parameters."""
+
+    cycles: int
+    value: NDArray[np.float64]
+    """(p,) NaN where a parameter is not identifiable yet."""
+    half95: NDArray[np.float64]
+    """(p,) half width of the 95 % interval."""
 
 
 class Watch:
     """Feeds a flight, lets it leave out arcs that contradict the estimate so far, and detects a change of the arm."""
 
     def __init__(self, flight: Flight, *, trace: bool = False) -> None:
-        """Start with no data. trace: store the intermediate results of each stage for each cycle."""
+        """Start with no data. trace: store the intermediate results of each stage for each cycle, and `NOTES`
+        estimates on the way."""
         self.flight = flight
         self.plainest: Drift | None = None
         """The comparison with the largest deviation, where those that prove a change come first; None if there was
@@ -38,6 +52,8 @@ class Watch:
         """The number of determined parameters during the run, each entry at twice the cycles of the previous one."""
         self.left_out: list[LeftOut] = []
         """Arcs that were left out when they ended."""
+        self.notes: list[Note] = []
+        """Estimates on the way, if the trace is kept."""
         self._traces: list[Trace] | None = [] if trace else None
         self._left_out = 0
         self._settled: Drift | None = None
@@ -76,7 +92,7 @@ class Watch:
         progress: Callable[[float], None] | None,
     ) -> None:
         """Feed n entries piece by piece with `feed`; starts: positions in them at which cycles begin."""
-        first = 0
+        first = noted = 0
         ends = [*starts[1:].tolist(), n]
         for count, last in enumerate(ends, start=self._since + min(1, len(starts))):
             due = count % self._every == 0
@@ -87,11 +103,19 @@ class Watch:
             if self._traces is not None and trace is not None:
                 self._traces.append(trace)
             self._note_arcs()
+            if self._traces is not None and last * NOTES // n > noted:
+                noted = last * NOTES // n
+                self._note_estimate()
             if due and last < n:
                 self.look()
                 if progress:
                     progress(first / n)
         self._since = (self._since + len(starts)) % self._every
+
+    @property
+    def traced(self) -> bool:
+        """Whether the trace is kept."""
+        return self._traces is not None
 
     def trace(self) -> Trace:
         """The intermediate results of each stage for each cycle so far. Needs a watch with `trace` that was fed."""
@@ -119,6 +143,11 @@ class Watch:
             self._settled = self.plainest
         self.flight.adopt()
         return self.plainest
+
+    def _note_estimate(self) -> None:
+        """Note what is estimated now."""
+        estimate = self.flight.estimate()
+        self.notes.append(Note(self.flight.counts["cycles"], estimate.value, estimate.half95))
 
     def _note_arcs(self) -> None:
         """Add the arcs that were left out since the last call."""

@@ -40,12 +40,6 @@ class Experiment:
         """Whether it would tell the two apart."""
         return self.z > THRESHOLD
 
-    @property
-    def said(self) -> str:
-        """In words."""
-        speed = {0.5: "at half the speed", 1.0: "at the same speed", 2.0: "at twice the speed"}[self.speed]
-        return f"the motion of the first run {speed}, with {100 * self.amplitude:.0f} % of its amplitude"
-
 
 def propose(study: Study, name: str, other: str) -> tuple[Experiment, ...]:
     """Variants of the first run's motion, best first, by how well they tell two effects of a study apart."""

@@ -11,7 +11,8 @@ import numpy as np
 from zygos.arm import Arm
 from zygos.can.run import Run
 from zygos.errors import ZygosError
-from zygos.gap.explain import Explanation, explain
+from zygos.gap.explain import explain
+from zygos.gap.explanation import Explanation
 from zygos.gap.record import MeasuredRun, read_measured_run
 from zygos.model.model import Model
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,9 @@ from zygos.gap.fit import Hypothesis, fit
 from zygos.gap.study import Study, again
 
 Array = NDArray[np.float64]
+Against = Literal["", "insignificant", "inconsistent", "negative", "not transferable", "not the rotor"]
+"""What speaks against a candidate: not beyond its twin on both runs, of another size on each run, creating energy, of
+no help on the second run, not of the size of the rotor's inertia; empty where nothing does."""
 
 AGREEMENT = 0.25
 """Share by which the two runs' coefficients may differ: a law that differs in form from its column has no one size."""
@@ -59,13 +63,12 @@ class Candidate:
     """Sum of rho^2 on the second run with what was fitted on the first, as a share of the sum without it."""
     limit: float
     """The size from which on this search would name it on these runs."""
-    verdict: str
-    """"" where nothing speaks against it, else what does."""
+    against: Against
 
     @property
     def passes(self) -> bool:
         """Whether nothing speaks against it."""
-        return not self.verdict
+        return not self.against
 
     @property
     def complete(self) -> float:
@@ -224,18 +227,18 @@ def _candidate(now: Study, before: Study, kind: Kind, joint: int) -> Candidate |
         now.of(now.hypothesis, [1], plain).rms, now.noise[1:]
     )
     share = completeness(before, whole.rms)
-    against = ""
+    against: Against = ""
     spread = max(float(draw.std(ddof=1)) for draw in null)
     if min(abs(one) for one in z) < THRESHOLD:
-        against = "not beyond its twin on both runs"
+        against = "insignificant"
     elif min(found) < 0.0 < max(found) or max(found) - min(found) > max(4.0 * spread, AGREEMENT * abs(value)):
-        against = "the runs disagree on its size"
+        against = "inconsistent"
     elif kind.positive and value < 0.0:
-        against = "it would have to create energy"
+        against = "negative"
     elif frozen >= 1.0:
-        against = "what the first run says of it does not help on the second"
+        against = "not transferable"
     elif kind.key == "rotor_coupling" and not 0.5 < value / whole.of(f"Im{joint + 1}") < 1.5:
-        against = "its size is not that of the rotor's inertia"
+        against = "not the rotor"
     return Candidate(
         name,
         kind,

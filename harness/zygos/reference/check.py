@@ -37,10 +37,19 @@ class Check:
     @property
     def unsolved(self) -> str:
         """Why there is no solution to compare, and what to do; empty where there is one."""
-        if self.solved:
-            return ""
+        return "" if self.solved else "; remedy: ".join(self._unsolved())
+
+    @property
+    def undecided(self) -> tuple[str, str] | None:
+        """What differs or is missing, and the remedy; None where all stages are equal."""
+        failed = [stage.name for stage in self.stages if not stage.equal]
+        if failed:
+            return f"C and numpy differ in: {', '.join(failed)}", "report this run as a defect of zygos"
+        return None if self.solved else self._unsolved()
+
+    def _unsolved(self) -> tuple[str, str]:
         result = self.flight.estimate()
-        return f"no solution to compare, {result.validity}: {result.reason}; remedy: {remedy(result, self.flight)}"
+        return f"no solution to compare, {result.validity}: {result.reason}", remedy(result, self.flight)
 
     def as_dict(self) -> dict[str, Any]:
         """All of it in numbers, texts, lists and dictionaries: as `zygos check --json` has it."""

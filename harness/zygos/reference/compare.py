@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -54,6 +54,16 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
+class Curve:
+    """Differences over the cycles of a run."""
+
+    sync: NDArray[np.uint64]
+    """(n,) SYNC numbers."""
+    difference: Floats
+    """(n,) largest of each cycle, relative to the largest entries of the columns."""
+
+
+@dataclass(frozen=True)
 class Room:
     """Result of one comparison."""
 
@@ -65,6 +75,8 @@ class Room:
     cycle: int | None
     """SYNC number at which it occurs."""
     tolerance: float
+    over: Curve | None = field(default=None, compare=False, repr=False)
+    """Where it has one number or more a cycle."""
 
     @property
     def equal(self) -> bool:
@@ -206,7 +218,7 @@ def _compare(
     relative = np.nan_to_num(np.abs(c - numpy) / scale, nan=np.inf)
     column, difference, most = _closest(relative.max(axis=0), tolerance)
     cycle = int(sync[np.argmax(relative[:, column])]) if difference > 0.0 else None
-    return Room(name, c.size, difference, cycle, most)
+    return Room(name, c.size, difference, cycle, most, Curve(sync, relative.max(axis=1)))
 
 
 def _compare_noise(c: Floats, numpy: Floats, rows: Floats) -> Room:

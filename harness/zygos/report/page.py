@@ -51,6 +51,11 @@ def series(label: str, colour: str, y: Floats, **style: Any) -> Entry:
     return {"label": label, "colour": colour, "y": numbers(y), **style}
 
 
+def thinned(count: int, most: int = 1500) -> NDArray[np.intp]:
+    """Positions, evenly spaced from 0, at which so many of `count` samples at most are drawn."""
+    return np.arange(0, count, max(1, math.ceil(count / most)))
+
+
 def joint_colour(joint: int | None) -> str:
     """Colour of a joint's lines; None: of lines that belong to no joint."""
     return "ink" if joint is None else f"joint{joint % _JOINT_COLOURS}"

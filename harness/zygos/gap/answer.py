@@ -1,0 +1,103 @@
+"""The content of the JSON that `zygos explain` writes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from zygos.gap.explanation import Explanation
+from zygos.gap.findings import Gap
+from zygos.gap.forecast import Forecast
+from zygos.gap.record import MeasuredRun
+from zygos.gap.sentences import against, evidence, title
+from zygos.report.provenance import Provenance
+
+
+def predictions(gap: Gap) -> list[tuple[str, Forecast]]:
+    """The gap's numbers by name: as delivered, refit, closed, floor, and, if there is one, with the best other."""
+    listed = [("as delivered", gap.delivered), ("refit", gap.refit), ("closed", gap.closed), ("floor", gap.floor)]
+    return listed + ([(f"with {gap.wrong_name} instead", gap.wrong)] if gap.wrong is not None else [])
+
+
+def as_json(found: Explanation, records: Sequence[MeasuredRun], source: Provenance) -> dict[str, Any]:
+    """The content of a verdict's JSON."""
+    layout = found.refit.layout
+    gap = found.gap
+    return {
+        "answer": found.answer,
+        "sentence": found.sentence,
+        "where": found.where,
+        "findings": [
+            {
+                "effect": f.kind,
+                "title": title(f),
+                "joint": f.joint,
+                "value": f.value,
+                "sigma": f.sigma,
+                "interval": list(f.interval),
+                "unit": f.unit,
+                "evidence": evidence(f),
+                "cannot_tell_from": list(f.instead),
+            }
+            for f in found.findings
+        ],
+        "partly": found.partly or None,
+        "gap": gap
+        and {
+            "unit": "sigma",
+            "as_delivered": gap.delivered.gap,
+            "refit": gap.refit.gap,
+            "closed": gap.closed.gap,
+            "floor": gap.floor.gap,
+            "shrinks": gap.refit.gap / gap.closed.gap,
+            "median": {name: one.median for name, one in predictions(gap)[:4]},
+            "ninetieth": {name: one.tenth for name, one in predictions(gap)[:4]},
+            "best_wrong": gap.wrong and {"candidate": gap.wrong_name, "gap": gap.wrong.gap},
+        },
+        "balances": [
+            {
+                "name": name,
+                "before": found.refit.excess[:, k].tolist(),
+                "alone": found.local[:, k].tolist(),
+                "after": found.closed.excess[:, k].tolist(),
+            }
+            for k, name in enumerate(layout.balances)
+        ],
+        "candidates": []
+        if found.search is None
+        else [
+            {
+                "name": c.name,
+                "unit": c.kind.unit,
+                "value": c.value,
+                "each": list(c.each),
+                "z": list(c.z),
+                "completeness": list(c.completeness),
+                "limit": c.limit,
+                "twins": list(c.kind.twins),
+                "against": against(c) or None,
+            }
+            for c in found.search.rounds[0]
+        ],
+        "completeness": None if found.search is None else list(found.search.completeness),
+        "values": [
+            {
+                "name": v.name,
+                "unit": v.unit,
+                "simulation": v.delivered,
+                "simulation_sigma": v.delivered_sigma,
+                "found": v.found,
+                "sigma": v.sigma,
+                "differs": v.differs,
+            }
+            for v in found.values
+        ],
+        "experiments": [
+            {"speed": e.speed, "amplitude": e.amplitude, "z": e.z, "z_now": e.now} for e in found.experiments
+        ],
+        "remarks": list(found.notes),
+        "runs": [{"run": str(r.path), "arcs": len(r.starts), "faults": r.faults} for r in records],
+        "command": source.command,
+        "version": source.version,
+        "files": [{"role": role, "path": path, "sha256": digest} for role, path, digest in source.files],
+    }

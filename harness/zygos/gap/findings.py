@@ -1,0 +1,121 @@
+"""What is found where a simulation and runs disagree, as data: values, effects, deflections, and the gap itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import norm
+
+from zygos.effects import is_column
+from zygos.gap.forecast import Forecast, Stretches
+
+INTERVAL = float(norm.ppf(0.975))
+"""Standard deviations of a 95 % interval."""
+DIFFERS = 3.0
+"""Standard deviations by which a value differs from the simulation's."""
+MATERIAL = 0.005
+"""Share below which a difference of values does not matter."""
+FLEXIBILITY = "joint_flexibility"
+"""Kind of a finding that is no entry of the catalogue: the simulation's joint is rigid."""
+
+
+@dataclass(frozen=True)
+class Value:
+    """A base parameter, or an effect that the simulation knows: what it had, and what the runs say."""
+
+    name: str
+    unit: str
+    delivered: float
+    delivered_sigma: float
+    found: float
+    sigma: float
+
+    @property
+    def change(self) -> float:
+        """Relative difference."""
+        return self.found / self.delivered - 1.0 if self.delivered and np.isfinite(self.delivered) else np.nan
+
+    @property
+    def absent(self) -> bool:
+        """Whether it is an effect of which the runs show nothing."""
+        return is_column(self.name) and abs(self.found) < DIFFERS * self.sigma
+
+    @property
+    def differs(self) -> bool:
+        """Whether the two are further apart than their deviations and their sizes allow."""
+        apart = abs(self.found - self.delivered)
+        return bool(
+            np.isfinite(apart)
+            and apart > DIFFERS * np.hypot(self.sigma, self.delivered_sigma)
+            and apart > MATERIAL * abs(self.delivered)
+        )
+
+
+@dataclass(frozen=True)
+class Disagreement:
+    """A parameter on which two runs disagree while each of them closes by itself."""
+
+    name: str
+    first: float
+    second: float
+
+
+@dataclass(frozen=True)
+class Deflection:
+    """A joint that the simulation takes as rigid."""
+
+    joint: str
+    rms_rad: float
+    noise_rad: float
+    skew_s: float
+    skew_share: float
+    """Share of the deflection's variance that a delay between the encoders would explain."""
+
+
+@dataclass(frozen=True)
+class Significance:
+    """Why an effect of the catalogue is believed."""
+
+    z: float
+    """Standard deviations of the null twin, on the run where they are fewer."""
+    completeness: float
+    """Share of the excess that all named effects explain, on the run where it is less."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """An effect that the simulation lacks."""
+
+    kind: str
+    """Name in the catalogue, or `FLEXIBILITY`."""
+    joint: str | None
+    value: float
+    sigma: float
+    unit: str
+    evidence: Significance | Deflection
+    instead: tuple[str, ...] = ()
+    """Columns that the runs cannot tell from it."""
+    assumed: float | None = None
+    """What the simulation has in its place, in the same unit; None where it has nothing."""
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 %."""
+        return self.value - INTERVAL * self.sigma, self.value + INTERVAL * self.sigma
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Predictions of the untouched run; all in units of the sensors' declared noise."""
+
+    segments: Stretches
+    delivered: Forecast
+    refit: Forecast
+    closed: Forecast
+    floor: Forecast
+    struck: Forecast | None
+    """The closed model with the named effects of the catalogue struck out; None where none was."""
+    wrong: Forecast | None
+    """With the best other candidate in place of the named effect."""
+    wrong_name: str

@@ -1,0 +1,333 @@
+"""Every sentence about an explained gap, from the data of its verdict."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from zygos.arm import Arm
+from zygos.effects import CATALOGUE, spoken
+from zygos.files.output import ratio
+from zygos.gap.experiment import Experiment
+from zygos.gap.findings import FLEXIBILITY, INTERVAL, Deflection, Disagreement, Finding, Gap, Value
+from zygos.gap.search import Against, Candidate
+from zygos.gap.verdicts import (
+    AboveFloor,
+    Answer,
+    BrokenRun,
+    DeclaredTooNoisy,
+    Disagreements,
+    DrawingPredictsBetter,
+    Impossible,
+    Inseparable,
+    Lacking,
+    LateTorques,
+    NearestArm,
+    NoFloor,
+    NothingMissing,
+    NotPredicted,
+    NoUntouchedRun,
+    Remark,
+    RunsDisagree,
+    SkewedEncoders,
+    StillLeft,
+    TorquesSampled,
+    Unexplained,
+    ValuesDiffer,
+    Verdict,
+    ZerosOff,
+    partly,
+)
+from zygos.gap.whereabouts import Failing, Whereabouts, joint_of
+from zygos.report.figures import figure
+
+_BASE = "the base, the gyro, or the momentum that is assumed"
+_VISIBLE = 10.0
+"""Refit over floor from which on a gap is plain to see."""
+_AGAINST: dict[Against, str] = {
+    "insignificant": "not beyond its twin on both runs",
+    "inconsistent": "the runs disagree on its size",
+    "negative": "it would have to create energy",
+    "not transferable": "what the first run says of it does not help on the second",
+    "not the rotor": "its size is not that of the rotor's inertia",
+}
+
+
+# verdict
+
+
+def verdict(arm: Arm, found: Verdict) -> str:  # noqa: PLR0911  (one sentence a verdict)
+    """What a verdict says."""
+    match found:
+        case NothingMissing():
+            return "Nothing is missing above the detection limits, and no value differs."
+        case ValuesDiffer():
+            return _values_differ(arm, found.changed)
+        case Lacking():
+            return f"The simulation lacks {listed(found.findings)}."
+        case Inseparable():
+            sets = "; ".join(" or ".join((_named(f), *(spoken(arm, n) for n in f.instead))) for f in found.findings)
+            return f"These runs cannot tell apart: {sets}."
+        case SkewedEncoders():
+            return (
+                f"Timing first: what parts link and motor at the {found.joint} goes with its rate, as if one encoder "
+                f"latched {abs(found.skew_s) * 1e3:.3g} ms after the other; no effect is named until latch_us is right."
+            )
+        case LateTorques():
+            return (
+                f"Timing first: the torques act {found.periods:.2f} SYNC periods later than torque_law of the arm file "
+                "says; no effect is named until it is right."
+            )
+        case DeclaredTooNoisy():
+            return (
+                f"Sensors first: the balances leave only {found.least:.2f} times what they would with the declared "
+                "noise; no value is right until quanta, rate_sigma and torque_sigma of the arm file are."
+            )
+        case RunsDisagree():
+            return (
+                f"The arm is not the same in the two runs: they disagree on {_disagreements(found.parameters)}, and "
+                "each closes by itself."
+            )
+        case Unexplained():
+            guess = ", ".join(spoken(arm, column) for column in found.guess)
+            share = f"; the best guess ({guess}) takes {100 * found.completeness:.0f} % of the excess away"
+            return (
+                f"Something is missing that the catalogue does not hold: {found.residual:.3g} times the residual of "
+                f"the null twin is left over{share if guess else ''}."
+            )
+        case NotPredicted():
+            return (
+                f"{listed(found.findings)} would explain the balances, but the untouched run is predicted better "
+                f"without (median {found.closed_median:.3g} sigma with, {found.struck_median:.3g} without): not "
+                "adopted."
+            )
+
+
+def _values_differ(arm: Arm, changed: Sequence[Value]) -> str:
+    gone = [spoken(arm, v.name) for v in changed if v.absent]
+    others = ", ".join(
+        f"{v.name} {sized(v.found, v.sigma, v.unit)} (simulation {v.delivered:.5g}: {100 * v.change:+.3g} %)"
+        for v in changed
+        if not v.absent
+    )
+    parts = [f"The simulation has {' and '.join(gone)}, which these runs do not show."] if gone else []
+    parts += [f"The equations are right, values differ: {others}."] if others else []
+    return " ".join(parts)
+
+
+def _disagreements(parameters: Sequence[Disagreement]) -> str:
+    return ", ".join(f"{p.name} ({p.first:.5g} on the first, {p.second:.5g} on the second)" for p in parameters)
+
+
+# findings
+
+
+def title(finding: Finding) -> str:
+    """An effect as a sentence names it."""
+    if finding.kind == FLEXIBILITY:
+        return "joint flexibility"
+    plain = CATALOGUE[finding.kind].title
+    return f"the right {plain} (it assumes {finding.assumed:g} Nms)" if finding.assumed else plain
+
+
+def evidence(finding: Finding) -> str:
+    """Why it is believed."""
+    match finding.evidence:
+        case Deflection() as bent:
+            return f"link and motor part by {bent.rms_rad:.3g} rad rms, {_parted(bent)} their noise"
+        case proof:
+            return (
+                f"{proof.z:.0f} standard deviations of the null twin on either run, {100 * proof.completeness:.1f} % "
+                "of the excess explained by all that is named"
+            )
+
+
+def entry_evidence(finding: Finding) -> str:
+    """The evidence of its entry in a model file."""
+    low, high = finding.interval
+    return f"95 % interval {low:.4g} .. {high:.4g} {finding.unit}; {evidence(finding)}"
+
+
+def listed(findings: Sequence[Finding]) -> str:
+    """Effects with their places and sizes."""
+    return " and ".join(f"{_named(f)}, {sized(f.value, f.sigma, f.unit)}" for f in findings)
+
+
+def _named(finding: Finding) -> str:
+    at = "of the arm" if finding.joint is None else f"({finding.joint})"
+    return f"{title(finding)} {at}"
+
+
+def sized(value: float, sigma: float, unit: str) -> str:
+    """A value and its 95 % interval to two digits of the latter, in words."""
+    half = INTERVAL * sigma
+    digits = int(np.clip(1 - np.floor(np.log10(half)), 0, 9)) if 0.0 < half < np.inf else 4
+    return f"{value:,.{digits}f} ± {half:.{digits}f}" + ("" if unit == "1" else f" {unit}")
+
+
+def against(candidate: Candidate) -> str:
+    """What speaks against a candidate; empty where nothing does."""
+    return _AGAINST[candidate.against] if candidate.against else ""
+
+
+# where
+
+
+def where(arm: Arm, found: Whereabouts) -> str:
+    """One sentence on which balance fails, from each balance by itself, and on where to look."""
+    parts = [f"link and motor of the {bent.joint} part by {_parted(bent)} their noise" for bent in found.bent]
+    parts += [f"{_balance(arm, one)} leaves {_times(one.rho)} what its twin does" for one in found.failing]
+    if not parts:
+        return "Every balance closes as well as its twin's."
+    tail = ""
+    if found.named:
+        places = dict.fromkeys(_place(finding) for finding in found.named)
+        tail = f": what explains it acts {' and '.join(places)}"
+    elif found.look:
+        only = [one.balance for one in found.failing] == ["E"] and found.look == ("link",)
+        tail = f"{' while every motor balance closes' if only else ''}: {look_at(found)}"
+    whole = "; ".join(parts) + tail + "."
+    return whole[0].upper() + whole[1:]
+
+
+def look_at(found: Whereabouts) -> str:
+    """Where to look; empty where there is no need to."""
+    match found.look:
+        case ():
+            return ""
+        case ("motors", *others):
+            motors = f"look at the motor side of the {' and the '.join(found.motors)}"
+            return motors + (f", and at {_BASE}" if others else "")
+        case ("joints",):
+            return "look at the joints' flexibility first"
+        case ("base", *others):
+            return f"look at {_BASE}" + (", and at the link side" if others else "")
+        case (_, *others):
+            return "look at the link side" + (f", then at {_BASE}" if others else "")
+    raise AssertionError(found.look)
+
+
+def balance_title(arm: Arm, balance: str) -> str:
+    """A balance, E, M1 .. MN or H, as the head of a row or a chart."""
+    joint = joint_of(balance)
+    if joint is not None:
+        return f"motor balance, {arm.joints[joint].name}"
+    return {"E": "energy of the whole arm", "H": "angular momentum of the whole arm"}[balance]
+
+
+def _balance(arm: Arm, failing: Failing) -> str:
+    if failing.joint is not None:
+        return f"the motor balance of the {arm.joints[failing.joint].name}"
+    return {"E": "the energy balance", "H": "the momentum"}[failing.balance]
+
+
+def _place(finding: Finding) -> str:
+    """Where a finding acts."""
+    if finding.joint is None:
+        return "on the base"
+    side = {"motor": "at the motor side", "torque": "at the motor side", "link": "at the link side"}
+    kind = CATALOGUE.get(finding.kind)
+    return f"{side.get(kind.place if kind else '', 'at the joint')} of the {finding.joint}"
+
+
+def _parted(bent: Deflection) -> str:
+    return _times(bent.rms_rad / bent.noise_rad)
+
+
+def _times(ratio: float) -> str:
+    return f"{ratio:,.0f} times" if ratio >= 10.0 else f"{ratio:.1f} times"
+
+
+def predicted(answer: Answer, gap: Gap, *, added: bool) -> list[str]:
+    """What the errors of predictions mean. added: whether the closed model has more than the refit."""
+    delivered, refit, closed, floor = (one.gap for one in (gap.delivered, gap.refit, gap.closed, gap.floor))
+    out: list[str] = []
+    if answer == "named" and closed < delivered:
+        out.append(f"Against the simulation as delivered it shrinks {figure(ratio(delivered, closed))} ×.")
+    if refit > 1.1 * delivered:
+        out.append("The refit predicts worse than what was delivered: its values bend to fit what they cannot express.")
+    if math.isfinite(ratio(refit, floor)) and answer not in {"nothing missing", "values differ"}:
+        seen = "plain to see" if refit >= _VISIBLE * floor else "above the floor" if refit > 1.5 * floor else "faint"
+        out.append(f"The refit's is {figure(ratio(refit, floor))} × the floor: {seen}.")
+    if math.isfinite(ratio(closed, floor)) and (added or answer != "unknown"):
+        out.append(f"What is closed is left with {figure(ratio(closed, floor))} × the floor.")
+    return out
+
+
+# remarks
+
+
+def remark(found: Remark) -> str:  # noqa: PLR0911  (one sentence a remark)
+    """What a remark says."""
+    match found:
+        case TorquesSampled():
+            return (
+                'torques are taken as constant at their mean over a SYNC period: with torque_law = "sampled" twins '
+                "err by the square of period_s"
+            )
+        case BrokenRun():
+            return f"{found.run}: {100 * found.share:.0f} % of the run lies in unbroken stretches and is used"
+        case DrawingPredictsBetter():
+            return (
+                "the drawing's values predict better than the fitted ones: these runs do not determine all values well"
+            )
+        case ZerosOff():
+            zeros = ", ".join(_zero(column, by) for column, by in found.zeros)
+            return f"zeros of the sensors are off: {zeros}; predictions are made with that taken off"
+        case NoUntouchedRun():
+            return "no run was kept apart (--validate): the gap is not known"
+        case NearestArm():
+            return "no arm has the values that fit these runs; predictions are made with the nearest that has"
+        case Impossible():
+            return f"{found.column}, the best other candidate, has no size that an arm could have"
+        case NoFloor():
+            return f"the untouched run has no twin, so the gap has no floor: {found.reason}"
+        case StillLeft():
+            return (
+                f"a balance still leaves {found.residual:.2g} times what its twin does: the law is not exactly this, "
+                "or something smaller is missing beside it"
+            )
+        case AboveFloor():
+            return (
+                f"predictions err by {found.ratio:.2g} times the floor: the values are not known as well as these "
+                "sensors would show, or the arm is another in the untouched run"
+            )
+        case Disagreements():
+            return f"the two runs disagree on {_disagreements(found.parameters)}"
+
+
+def _zero(column: str, off: float) -> str:
+    sensor = column.replace("_zero", " encoder of joint ").replace("_", " ")
+    return f"{sensor} {1e3 * off:+.2g} mrad" + ("/s" if column == "gyro_bias" else "")
+
+
+# what to do
+
+
+def motion(experiment: Experiment) -> str:
+    """The motion of an experiment."""
+    speed = {0.5: "at half the speed", 1.0: "at the same speed", 2.0: "at twice the speed"}[experiment.speed]
+    return f"the motion of the first run {speed}, with {100 * experiment.amplitude:.0f} % of its amplitude"
+
+
+def remedy(
+    arm: Arm, found: Verdict, place: Whereabouts, experiments: Sequence[Experiment], nearest: Candidate | None
+) -> str:
+    """What to do where nothing is adopted. experiments: best first; nearest: the candidate that leaves least over."""
+    if experiments:
+        best = experiments[0]
+        return f"{motion(best)} would tell them apart" if best.tells else "no variant of these motions tells them apart"
+    if partial := partly(found):
+        return f"part of it looks like {listed(partial)}"
+    match found:
+        case SkewedEncoders() | LateTorques() | DeclaredTooNoisy():
+            return "correct the arm file; `zygos check-arm` on one of the runs examines its signals"
+        case RunsDisagree():
+            return "give two runs of the same arm; `zygos estimate` gives the values for each run"
+    said = [look_at(place)] if place.look else []
+    if nearest is not None:
+        share = 100 * max(0.0, nearest.complete)
+        said.append(f"the nearest in the catalogue, {spoken(arm, nearest.name)}, explains {share:.0f} % of it")
+    return "; ".join(said)

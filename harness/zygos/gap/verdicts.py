@@ -1,0 +1,207 @@
+"""The verdicts on a simulation and what must be added to them, as data; `zygos.gap.sentences` says them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+from zygos.gap.findings import Disagreement, Finding, Value
+
+Answer = Literal["nothing missing", "values differ", "named", "cannot tell", "unknown"]
+
+
+@dataclass(frozen=True)
+class NothingMissing:
+    """Every balance closes, and no value differs."""
+
+    answer: ClassVar[Answer] = "nothing missing"
+
+
+@dataclass(frozen=True)
+class ValuesDiffer:
+    """The equations are right, and some values are not."""
+
+    answer: ClassVar[Answer] = "values differ"
+    changed: tuple[Value, ...]
+
+
+@dataclass(frozen=True)
+class Lacking:
+    """The simulation lacks effects that were named."""
+
+    answer: ClassVar[Answer] = "named"
+    findings: tuple[Finding, ...]
+
+
+@dataclass(frozen=True)
+class Inseparable:
+    """Effects would explain the runs that these do not tell from others."""
+
+    answer: ClassVar[Answer] = "cannot tell"
+    findings: tuple[Finding, ...]
+
+
+@dataclass(frozen=True)
+class SkewedEncoders:
+    """What parts link and motor of a joint goes with its rate, as if one encoder latched later than the other."""
+
+    answer: ClassVar[Answer] = "unknown"
+    joint: str
+    skew_s: float
+
+
+@dataclass(frozen=True)
+class LateTorques:
+    """The torques act later than the arm file says."""
+
+    answer: ClassVar[Answer] = "unknown"
+    periods: float
+    """SYNC periods."""
+
+
+@dataclass(frozen=True)
+class DeclaredTooNoisy:
+    """The balances close better than the declared noise of the sensors allows."""
+
+    answer: ClassVar[Answer] = "unknown"
+    least: float
+    """The smallest residual, in units of the null twin's."""
+
+
+@dataclass(frozen=True)
+class RunsDisagree:
+    """Each run closes by itself, with values that are not those of the other."""
+
+    answer: ClassVar[Answer] = "unknown"
+    parameters: tuple[Disagreement, ...]
+
+
+@dataclass(frozen=True)
+class Unexplained:
+    """The catalogue does not hold what is missing."""
+
+    answer: ClassVar[Answer] = "unknown"
+    residual: float
+    """The largest that is left over, in units of the null twin's."""
+    guess: tuple[str, ...]
+    """Columns of the best guess; empty where none passed."""
+    completeness: float
+    """Share of the excess that the guess takes away."""
+    partly: tuple[Finding, ...]
+    """What a part of it looks like; empty where the guess explains too little."""
+
+
+@dataclass(frozen=True)
+class NotPredicted:
+    """Effects would explain the balances, but predict the untouched run no better."""
+
+    answer: ClassVar[Answer] = "unknown"
+    findings: tuple[Finding, ...]
+    closed_median: float
+    """Of the errors of predictions with the effects, sigma."""
+    struck_median: float
+    """The same without them."""
+
+
+ArmFileFirst = SkewedEncoders | LateTorques | DeclaredTooNoisy
+"""The arm file has to be put right before anything can be said."""
+Verdict = (
+    NothingMissing | ValuesDiffer | Lacking | Inseparable | ArmFileFirst | RunsDisagree | Unexplained | NotPredicted
+)
+
+
+def partly(verdict: Verdict) -> tuple[Finding, ...]:
+    """What a part of something unknown looks like."""
+    match verdict:
+        case Unexplained():
+            return verdict.partly
+        case NotPredicted():
+            return verdict.findings
+    return ()
+
+
+@dataclass(frozen=True)
+class TorquesSampled:
+    """The torque law of the arm file is one that the twins follow only to second order in the period."""
+
+
+@dataclass(frozen=True)
+class BrokenRun:
+    """A good part of a run does not lie in unbroken stretches."""
+
+    run: str
+    share: float
+
+
+@dataclass(frozen=True)
+class DrawingPredictsBetter:
+    """The model as delivered predicts the untouched run better than the fitted one."""
+
+
+@dataclass(frozen=True)
+class ZerosOff:
+    """Zeros of the sensors that are off by more than the arm file admits."""
+
+    zeros: tuple[tuple[str, float], ...]
+    """Columns, and by how much: rad, of the gyro rad/s."""
+
+
+@dataclass(frozen=True)
+class NoUntouchedRun:
+    """No run was kept apart."""
+
+
+@dataclass(frozen=True)
+class NearestArm:
+    """No arm can have the values that were fitted; the nearest is used."""
+
+
+@dataclass(frozen=True)
+class Impossible:
+    """The best other candidate has no size that an arm could have."""
+
+    column: str
+
+
+@dataclass(frozen=True)
+class NoFloor:
+    """The untouched run has no twin."""
+
+    reason: str
+
+
+@dataclass(frozen=True)
+class StillLeft:
+    """A balance leaves something over after everything was named."""
+
+    residual: float
+    """In units of the null twin's."""
+
+
+@dataclass(frozen=True)
+class AboveFloor:
+    """Predictions err by much more than noise makes them."""
+
+    ratio: float
+
+
+@dataclass(frozen=True)
+class Disagreements:
+    """Parameters on which the two runs disagree beside what was named."""
+
+    parameters: tuple[Disagreement, ...]
+
+
+Remark = (
+    TorquesSampled
+    | BrokenRun
+    | DrawingPredictsBetter
+    | ZerosOff
+    | NoUntouchedRun
+    | NearestArm
+    | Impossible
+    | NoFloor
+    | StillLeft
+    | AboveFloor
+    | Disagreements
+)

@@ -1,0 +1,28 @@
+"""What an answer was made from."""
+
+from __future__ import annotations
+
+import hashlib
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+from zygos.files.inputs import local
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Command, version and inputs of an answer."""
+
+    command: str
+    version: str
+    files: tuple[tuple[str, str, str], ...]
+    """Role, path and SHA-256 of each file that was read."""
+
+
+def provenance(command: Sequence[str], files: Sequence[tuple[str, Path]]) -> Provenance:
+    """That of a command, its arguments without `zygos`, and of the files that it reads: role and path."""
+    hashed = ((role, str(path), hashlib.sha256(local(path).read_bytes()).hexdigest()) for role, path in files)
+    return Provenance(shlex.join(["zygos", *command]), version("zygos"), tuple(hashed))
