@@ -59,15 +59,16 @@ def meaning(arm: Arm, name: str) -> tuple[str, int | None]:
     if is_column(name):
         joint = column_named(name).joint
         return spoken(arm, name), joint if joint >= 0 else None
-    for kind, i, _ in arm.joint_parameters:
-        if name == f"{kind}{i + 1}":
-            return f"{_JOINT_KINDS[kind]}, {arm.joints[i].name}", i
-    if name[0] == "G":
-        return f"first moment behind {arm.joints[int(name[2:-2]) - 1].name}, direction {name[-2]}", None
-    if arm.spatial:
-        return f"inertia of {name[2:-1].replace(',', ' with ')}", None
-    first, second = ("base" if c == "0" else f"link {c}" for c in name[1:])
-    crossed = ", crossed" if name[0] == "b" else ""
+    parameter = next(one for one in arm.parameters if one.name == name)
+    if parameter.joint is not None:
+        return f"{_JOINT_KINDS[parameter.symbol]}, {arm.joints[parameter.joint].name}", parameter.joint
+    if parameter.symbol == "G":
+        (end,) = parameter.ends
+        return f"first moment behind {arm.joints[int(end[:-1]) - 1].name}, direction {end[-1]}", None
+    if parameter.symbol == "N":
+        return f"inertia of {' with '.join(parameter.ends)}", None
+    first, second = ("base" if end == "0" else f"link {end}" for end in parameter.ends)
+    crossed = ", crossed" if parameter.symbol == "b" else ""
     return (f"inertia, {first}" if first == second else f"inertia, {first} with {second}{crossed}"), None
 
 
