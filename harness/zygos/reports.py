@@ -8,6 +8,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from zygos.audit.check import ArmCheck
+from zygos.audit.page import write_audit_report
 from zygos.errors import ZygosError
 from zygos.estimation.estimate import Estimation
 from zygos.estimation.page import write_estimate_report
@@ -31,30 +33,36 @@ def _explanation(result: Explanation, path: Path) -> None:
 
 
 def _estimation(result: Estimation, path: Path) -> None:
-    """The page of an estimate that kept its trace."""
+    """Write the page of an estimate that kept its trace."""
     if not result.watch.traced:
         raise ZygosError("the estimate has no trace to draw; remedy: zygos.estimate(run, trace=True)")
-    write_estimate_report(path, result, Provenance("zygos.estimate, called from Python", version("zygos"), ()))
+    write_estimate_report(path, result, _provenance("estimate", [result.run.path if result.run else None]))
 
 
 def _check(result: Check, path: Path) -> None:
-    """The page of a comparison between C and numpy."""
-    write_check_report(path, result, Provenance("zygos.check, called from Python", version("zygos"), ()))
+    """Write the page of a comparison of C with numpy."""
+    write_check_report(path, result, _provenance("check", [result.run.path]))
+
+
+def _arm_check(result: ArmCheck, path: Path) -> None:
+    """Write the page of a run that was compared with its arm file."""
+    write_audit_report(path, result.run, result.audit, _provenance("check_arm", [result.run.path]))
 
 
 WRITERS: dict[type[Any], Callable[[Any, Path], None]] = {
     Explanation: _explanation,
     Estimation: _estimation,
     Check: _check,
+    ArmCheck: _arm_check,
 }
 """The writer of each kind of result that has a page."""
 
-Reported = Explanation | Estimation | Check
+Reported = Explanation | Estimation | Check | ArmCheck
 """The kinds of results that have a page."""
 
 
 def write_report(result: Reported, path: str | Path) -> None:
-    """Write the page of a result, an `Explanation`, `Estimation` or `Check`, as one HTML file.
+    """Write the page of a result, an `Explanation`, `Estimation`, `Check` or `ArmCheck`, as one HTML file.
 
     Errors: ZygosError if the file cannot be written or an estimate kept no trace, TypeError for results without a page.
     """
