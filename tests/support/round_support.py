@@ -33,7 +33,7 @@ def round_of(flight: Flight) -> dict[str, float]:
             for name in ("cycle", "accepted", "refused", "arcs", "blocks", "rank", "condition", "cluster", "residual")
         },
         "verdict_noise_ratio": estimate.noise_ratio,
-        "verdict_gate": estimate.gate,
+        "verdict_gate": estimate.signal_to_noise,
         "verdict_left_out": estimate.left_out[0],
         **{f"fault_{name}": n for name, n in flight.faults.items()},
         **{f"count_{name}": n for name, n in flight.counts.items()},

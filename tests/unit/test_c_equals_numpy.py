@@ -131,7 +131,10 @@ def test_solution(both: Both) -> None:
     known = explained(both.flight.noise(), solution.x) - explained(both.chain.design.noise, solution.x)
     square = solution.residual**2 + known / len(both.chain.design.w)
     assert estimate.residual == pytest.approx(np.sqrt(square), rel=1e-6)
-    assert (estimate.gate, solution.believed) == (pytest.approx(solution.gate, rel=0.05 if known else 1e-6), 1.0)
+    assert (estimate.signal_to_noise, solution.noise_scale) == (
+        pytest.approx(solution.signal_to_noise, rel=0.05 if known else 1e-6),
+        1.0,
+    )
 
 
 def test_the_record_is_one_from_which_the_parameters_come_back(both: Both) -> None:

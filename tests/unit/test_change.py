@@ -17,7 +17,18 @@ from zygos.arm import Arm, load_arm
 from zygos.errors import ZygosError
 from zygos.estimation.watch import Watch
 from zygos.model.model import Model, Quantity
-from zygos.native.flight import DRIFT_ALARM, GATE, OVERDECLARED, Drift, Estimate, Flight, config_of, encode, ffi, lib
+from zygos.native.flight import (
+    CHANGE_ALARM,
+    MIN_SIGNAL_TO_NOISE,
+    OVERDECLARED,
+    Drift,
+    Estimate,
+    Flight,
+    config_of,
+    encode,
+    ffi,
+    lib,
+)
 from zygos.runs.cycles import Cycles
 from zygos.simulation.plant import simulate
 
@@ -196,7 +207,11 @@ def test_the_deviation_in_closed_form(seed: int) -> None:
 
 def test_the_limits_are_those_of_the_library() -> None:
     header = (Path(__file__).parents[2] / "include" / "zygos" / "solver.h").read_text()
-    for name, value in (("CHANGE_ALARM", DRIFT_ALARM), ("MIN_SIGNAL_TO_NOISE", GATE), ("OVERDECLARED", OVERDECLARED)):
+    for name, value in (
+        ("CHANGE_ALARM", CHANGE_ALARM),
+        ("MIN_SIGNAL_TO_NOISE", MIN_SIGNAL_TO_NOISE),
+        ("OVERDECLARED", OVERDECLARED),
+    ):
         found = re.search(rf"#define ZYGOS_{name} ([\d.]+)", header)
         assert found and float(found[1]) == value
 

@@ -35,7 +35,17 @@ def same(found: Estimate, expected: Estimate) -> bool:
     """All that does not count."""
     return all(
         np.array_equal(getattr(found, name), getattr(expected, name), equal_nan=True)
-        for name in ("value", "sigma", "half95", "covariance", "condition", "residual", "gate", "blocks", "rank")
+        for name in (
+            "value",
+            "sigma",
+            "half95",
+            "covariance",
+            "condition",
+            "residual",
+            "signal_to_noise",
+            "blocks",
+            "rank",
+        )
     )
 
 

@@ -17,11 +17,13 @@ import numpy as np
 import pytest
 from gap_support import Floats, centred, effect, exact, example, moved, rms, true_columns
 
+from zygos.arm import ANGLE_STEP, Encoder
 from zygos.balances.quadrature import integral
 from zygos.effects import CATALOGUE, Effect, column_name
 from zygos.gap import balances
 from zygos.gap.balances import BalanceRows, Layout, balance_rows
-from zygos.gap.record import Readings
+from zygos.gap.record import Readings, followed
+from zygos.native.flight import config_of
 
 DURATION_S = 4.0
 BALANCES = ("E", "M1", "M2", "H")
@@ -225,3 +227,19 @@ def test_integral_is_exact_for_cubics() -> None:
     cubic = 4.0 * t**3 - 3.0 * t**2 + 1.0
     got, want = integral(cubic, h), t**4 - t**3 + t
     np.testing.assert_allclose(np.diff(got)[2:], np.diff(want)[2:], rtol=0, atol=1e-11)
+
+
+def test_rounding_in_the_frames_counts_for_every_sensor() -> None:
+    """In the gap as in flight: of encoders and a gyro finer than the frames, rounding is all the noise there is."""
+    arm, _, _ = example()
+    fine = tuple(
+        replace(joint, link_encoder=Encoder(2.0 * np.pi / 2**24), motor_encoder=Encoder(2.0 * np.pi / 2**24))
+        for joint in arm.joints
+    )
+    arm = replace(arm, joints=fine, imu=replace(arm.imu, rate_sigma=0.0))
+    config = config_of(arm)
+    assert config.imu_sigma == pytest.approx(2.0**-21 / np.sqrt(12.0), rel=1e-12)
+    assert config.joint[0].link_sigma_rad == pytest.approx(ANGLE_STEP / np.sqrt(12.0), rel=0.01)
+    angles = ANGLE_STEP * np.random.default_rng(0).uniform(-0.5, 0.5, (1, 500, arm.n))
+    readings = Readings(angles, angles, np.zeros((1, 500)), np.zeros_like(angles))
+    assert followed(arm, readings).all()

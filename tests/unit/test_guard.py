@@ -155,7 +155,7 @@ def test_an_estimate_in_the_middle_of_a_bad_arc_does_not_flip(motion: Trajectory
     watch = Watch(Flight(arm))
     watch.cycles(part(faulty, 0, SOON + 50))
     estimate = watch.flight.estimate()
-    assert (estimate.validity, estimate.left_out[0], estimate.in_a_row) == ("valid", 1, 1)
+    assert (estimate.validity, estimate.left_out[0], estimate.consecutive) == ("valid", 1, 1)
     # the arc is still open: nothing was left out yet but in the copy
     assert watch.flight.native.guard.left_out[0] == 0
     assert "the newest, still open" in about_left_out(estimate, watch)
@@ -208,7 +208,7 @@ def test_several_in_a_row_are_a_change_of_the_arm(motion: Trajectory) -> None:
     cycles = behind(seen(motion, 0), part(heavy, 0, 1500))
     watch = watched(arm, cycles)
     estimate = watch.flight.estimate()
-    assert estimate.validity == "doubtful" and estimate.in_a_row >= 3
+    assert estimate.validity == "doubtful" and estimate.consecutive >= 3
     assert "the arm changed" in estimate.reason
     # the values are still those of the arm before
     assert np.mean(far(estimate, motion) > 1.0) < 0.3
@@ -220,7 +220,7 @@ def test_several_in_a_row_are_a_change_of_the_arm(motion: Trajectory) -> None:
     assert watch.flight.native.guard.known == 0
     watch.cycles(replace(heavy, sync=heavy.sync + cycles.sync[-1] + np.uint64(9)))
     estimate = watch.flight.estimate()
-    assert (estimate.validity, estimate.in_a_row) == ("valid", 0)
+    assert (estimate.validity, estimate.consecutive) == ("valid", 0)
     assert np.mean(np.abs(estimate.value - model.base_values(arm)) > estimate.half95) < 0.3
 
 
@@ -230,10 +230,10 @@ def test_a_fault_of_several_arcs_is_over_when_an_arc_agrees(motion: Trajectory) 
     watch = Watch(Flight(arm))
     watch.cycles(part(faulty, 0, 3450))
     estimate = watch.flight.estimate()
-    assert "the arm changed" in estimate.reason and estimate.in_a_row >= 3
+    assert "the arm changed" in estimate.reason and estimate.consecutive >= 3
     watch.cycles(part(faulty, 3450, len(faulty)))
     estimate = watch.flight.estimate()
-    assert (estimate.validity, estimate.in_a_row) == ("valid", 0)
+    assert (estimate.validity, estimate.consecutive) == ("valid", 0)
     assert estimate.left_out[0] >= 3
 
 

@@ -352,7 +352,7 @@ def test_the_solver_is_numpys(floating: tuple[Arm, Floats, Cycles]) -> None:
     expected = reference.chain(replace(arm, momentum_max_s=5.0), cycles).solution
     np.testing.assert_allclose(found.solution, expected.x, rtol=1e-9)
     assert found.residual == pytest.approx(expected.residual, rel=1e-6)
-    assert found.gate == pytest.approx(expected.gate, rel=1e-6)
+    assert found.signal_to_noise == pytest.approx(expected.signal_to_noise, rel=1e-6)
     assert found.condition == pytest.approx(expected.condition, rel=1e-6)
 
 

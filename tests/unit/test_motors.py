@@ -202,6 +202,6 @@ def test_the_estimate_is_that_of_all_rows_by_their_weights(tmp_path: Path) -> No
         a += factor * (own.rows.z.T @ own.rows.z - own.rows.noise[:p, :p])
         b += factor * own.rows.z.T @ own.rows.w
     solution = solve_with_others(arm, design, (first, second, few), None)
-    assert solution.believed == 1.0
+    assert solution.noise_scale == 1.0
     np.testing.assert_allclose(solution.x, np.linalg.solve(a, b), rtol=1e-10)
     assert np.abs(solution.x - alone).max() > 1e-2

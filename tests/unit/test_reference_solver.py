@@ -61,7 +61,7 @@ def test_rows_beside_count_by_their_weight_and_leave_the_residual_alone() -> Non
     solution = solve(Rows(z, w, noise), [Rows(other, own, of_others).times(7.0)])
     a = z.T @ z - noise[:3, :3] + 7.0 * (other.T @ other - of_others[:3, :3])
     np.testing.assert_allclose(solution.x, np.linalg.solve(a, z.T @ w + 7.0 * other.T @ own), rtol=1e-11)
-    assert solution.believed == 1.0
+    assert solution.noise_scale == 1.0
     assert solution.residual == pytest.approx(np.sqrt(np.mean((z @ solution.x - w) ** 2)), rel=1e-12)
 
 
@@ -132,8 +132,8 @@ def test_declared_noise_is_taken_off() -> None:
     np.testing.assert_allclose(solution.x, plain, rtol=1e-11)
     np.testing.assert_allclose(solution.x, x, rtol=0.01)
     assert np.all(np.abs(solve(Rows.exact(z, w)).x) < 0.98 * np.abs(x))
-    assert solution.believed == 1.0
-    assert solution.gate == pytest.approx((1.0 + 0.3**2) / 0.3**2, rel=0.02)
+    assert solution.noise_scale == 1.0
+    assert solution.signal_to_noise == pytest.approx((1.0 + 0.3**2) / 0.3**2, rel=0.02)
     a = (z.T @ z - noise[:3, :3]) / np.outer(*[np.linalg.norm(z, axis=0)] * 2)
     assert solution.condition == pytest.approx(np.linalg.cond(a, 1), rel=1e-9)
 
@@ -141,13 +141,13 @@ def test_declared_noise_is_taken_off() -> None:
 def test_noise_that_the_residuals_do_not_show_is_not_believed() -> None:
     z, w, noise, x = noisy(np.random.default_rng(7), 100_000, np.array([0.2, 0.2, 0.1, 0.1]))
     solution = solve(Rows(z, w, 4.0 * noise))
-    assert solution.believed == pytest.approx(0.25, rel=0.05)
+    assert solution.noise_scale == pytest.approx(0.25, rel=0.05)
     np.testing.assert_allclose(solution.x, x, rtol=0.01)
-    assert solve(Rows(z, w, 1.5 * noise)).believed == 1.0
+    assert solve(Rows(z, w, 1.5 * noise)).noise_scale == 1.0
 
 
 def test_of_noise_as_large_as_the_motion_half_is_taken_off() -> None:
     z, w, noise, _ = noisy(np.random.default_rng(8), 100_000, np.array([0.5, 0.5, 2.0, 0.1]))
     solution = solve(Rows(z, w, noise))
-    assert solution.gate == pytest.approx(5.0 / 4.0, rel=0.02)
-    assert solution.believed == pytest.approx(solution.gate / 2.0, rel=1e-12)
+    assert solution.signal_to_noise == pytest.approx(5.0 / 4.0, rel=0.02)
+    assert solution.noise_scale == pytest.approx(solution.signal_to_noise / 2.0, rel=1e-12)

@@ -70,7 +70,7 @@ def make_estimate(arm: Arm, value: NDArray[np.float64], **changes: Any) -> Estim
         cluster=0.3,
         residual=20.0,
         noise_ratio=1.0,
-        gate=50.0,
+        signal_to_noise=50.0,
     )
     return replace(estimate, **changes)
 

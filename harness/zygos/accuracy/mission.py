@@ -120,7 +120,7 @@ def _answer(found: Estimate, own: int) -> Line:
         "refused": found.refused,
         "arcs": found.arcs,
         "blocks": found.blocks,
-        "gate": float(f"{found.gate:.6g}") if np.isfinite(found.gate) else None,
+        "gate": float(f"{found.signal_to_noise:.6g}") if np.isfinite(found.signal_to_noise) else None,
         "noise_ratio": float(f"{found.noise_ratio:.6g}") if np.isfinite(found.noise_ratio) else None,
         "cluster": float(f"{found.cluster:.6g}"),
     }

@@ -35,7 +35,7 @@ def report_estimate(result: Estimate, watch: Watch, drift: Drift | None, heading
         "residual_j": result.residual,
         "cluster": result.cluster,
         "noise_ratio": result.noise_ratio,
-        "gate": result.gate,
+        "gate": result.signal_to_noise,
         "drift": dict(zip(drift.names, drift.deviation.tolist(), strict=True)) if drift else None,
         "changed": drift.changed if drift else (),
         "contradicting": drift.contradicting if drift else (),

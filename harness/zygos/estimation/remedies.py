@@ -11,7 +11,7 @@ from zygos.arm import Arm
 from zygos.balances.energy import energy_columns
 from zygos.balances.state import State
 from zygos.files.output import counted, number
-from zygos.native.flight import GATE, REASONS, Estimate, Flight
+from zygos.native.flight import MIN_SIGNAL_TO_NOISE, REASONS, Estimate, Flight
 
 NO_FRAMES = frozenset({"incomplete", "dropped", "sync_jumped", "time_lost", "time_jumped", "overrun", "bus_error"})
 """Fault counters that do not count rejected frames."""
@@ -67,8 +67,9 @@ def measured(result: Estimate, flight: Flight) -> str:
         f"{len(result.names)}",
         UNCLOSED: f"{100 * share:.3g} % of the variance of the work is unexplained, and residuals add up "
         f"{number(result.cluster, 3)} times in a block, where noise would once",
-        NOISE: f"in some combination the motion's square is {number(result.gate, 2)} times that of the noise, "
-        f"at least {GATE:g} is needed",
+        NOISE: f"in some combination the motion's square is {number(result.signal_to_noise, 2)} times that of the "
+        "noise, "
+        f"at least {MIN_SIGNAL_TO_NOISE:g} is needed",
         DECLARED: f"the sum of squared residuals is {number(result.noise_ratio, 2)} of that of the declared noise",
     }
     return explained.get(result.reason, "") if result.rank else ""

@@ -127,19 +127,19 @@ class Watch:
         far."""
         self._note_arcs()
         estimate, cycles = self.flight.estimate(), self.flight.counts["cycles"]
-        if not estimate.in_a_row:
+        if not estimate.consecutive:
             ffi.memmove(self._open.native, self.flight.native, ffi.sizeof("zygos_t"))
             self._open.native.guard.known = 0
             self.plainest = self._settled  # the deviation in arcs that were left out was not a change
         drift = self._open.drift()
         best = (bool(self.plainest.changed), self.plainest.largest) if self.plainest else (False, 0.0)
         # motor rows from the time of an arc that was left out are no evidence about an arc that agrees
-        spoilt = not estimate.in_a_row and any(arc.last + self._reach > drift.until for arc in self.left_out)
+        spoilt = not estimate.consecutive and any(arc.last + self._reach > drift.until for arc in self.left_out)
         if not spoilt and (bool(drift.changed), drift.largest) > best:
             self.plainest = drift
         if cycles > 2 * (self.known[-1].cycles if self.known else 0):
             self.known.append(Known(cycles, int(np.count_nonzero(np.isfinite(estimate.value)))))
-        if not estimate.in_a_row:
+        if not estimate.consecutive:
             self._settled = self.plainest
         self.flight.adopt()
         return self.plainest

@@ -11,7 +11,7 @@ from zygos.files.output import (
     counted,
     number,
 )
-from zygos.native.flight import GATE, OVERDECLARED, ROWS, Drift, Estimate, Flight
+from zygos.native.flight import MIN_SIGNAL_TO_NOISE, OVERDECLARED, ROWS, Drift, Estimate, Flight
 
 LEFT_OUT_SHOWN = 6
 """Number of arcs of each kind of rows whose times are listed."""
@@ -27,10 +27,11 @@ def about_noise(result: Estimate) -> str:
     """How noise affects an estimate; empty where the effect is small."""
     if result.rank == 0:
         return ""  # nothing was solved, so nothing was compared with the noise
-    if result.gate < GATE:
+    if result.signal_to_noise < MIN_SIGNAL_TO_NOISE:
         return (
-            f"noise: in some combination of parameters the motion is {number(result.gate, 2)} times as large as the "
-            "sensors' noise" + ("; the intervals cover the bias of that" if np.isfinite(result.half95).any() else "")
+            f"noise: in some combination of parameters the motion is {number(result.signal_to_noise, 2)} times as "
+            "large as the sensors' noise"
+            + ("; the intervals cover the bias of that" if np.isfinite(result.half95).any() else "")
         )
     if result.noise_ratio < OVERDECLARED:
         return (
@@ -61,7 +62,7 @@ def about_left_out(result: Estimate, watch: Watch) -> str:
 
 def about_change(result: Estimate, drift: Drift, arm: Arm) -> str:
     """A message that the arm changed, or another reason why an arc contradicts those before it, with the remedy."""
-    values = "are those before the change" if result.in_a_row else "are a mixture of before and after"
+    values = "are those before the change" if result.consecutive else "are a mixture of before and after"
     names = ", ".join(
         f"{name} by {abs(far):.0f}"
         for name, far in zip(drift.names, drift.deviation, strict=True)

@@ -75,7 +75,7 @@ class Deflection:
 
 @dataclass(frozen=True)
 class Significance:
-    """Why an effect of the catalogue is believed."""
+    """The evidence for an effect of the catalogue."""
 
     z: float
     """Standard deviations of the null twin, on the run where they are fewer."""

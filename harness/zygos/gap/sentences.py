@@ -133,7 +133,7 @@ def title(finding: Finding) -> str:
 
 
 def evidence(finding: Finding) -> str:
-    """Why it is believed."""
+    """The evidence for it."""
     match finding.evidence:
         case Deflection() as bent:
             return f"link and motor part by {bent.rms_rad:.3g} rad rms, {_parted(bent)} their noise"

@@ -29,12 +29,12 @@ FRAME = np.dtype(
 )
 """A classical CAN frame, as ``zygos_frame_t``."""
 
-DRIFT_ALARM = 6.0
+CHANGE_ALARM = 6.0
 """Deviations that are no accident, as ``ZYGOS_CHANGE_ALARM``."""
-GATE = 2.0
+MIN_SIGNAL_TO_NOISE = 2.0
 """Ratio of sums to noise below which only part of the noise is subtracted, as ``ZYGOS_MIN_SIGNAL_TO_NOISE``."""
 OVERDECLARED = 0.6
-"""Share of the declared noise below which the residuals are believed instead, as ``ZYGOS_OVERDECLARED``."""
+"""Share of the declared noise below which the residuals determine the noise instead, as ``ZYGOS_OVERDECLARED``."""
 
 
 def _load() -> tuple[Any, Any]:
@@ -152,14 +152,14 @@ class Estimate:
     """rms of the rows' residuals, J."""
     noise_ratio: float
     """Its square over what the declared noise makes of it; NaN where none is declared."""
-    gate: float
+    signal_to_noise: float
     """Smallest ratio of sums to noise over all combinations of parameters; infinite where none is declared."""
     left_out: tuple[int, int, int] = (0, 0, 0)
     """Arcs that contradicted the running solution, of the energy, the motor and the momentum rows, the open ones
     included."""
     since: int = 0
     """0, or older arcs spoilt the sums and only what came behind this cycle went in."""
-    in_a_row: int = 0
+    consecutive: int = 0
     """Of those of the energy rows the newest that no arc that agrees lies between."""
 
 
@@ -216,7 +216,7 @@ class Drift:
     @property
     def contradicting(self) -> tuple[str, ...]:
         """Parameters whose value in the newest arc contradicts what was known before, whatever the cause."""
-        far = np.abs(np.nan_to_num(self.deviation)) >= DRIFT_ALARM
+        far = np.abs(np.nan_to_num(self.deviation)) >= CHANGE_ALARM
         return tuple(name for name, there in zip(self.names, far, strict=True) if there)
 
 
@@ -402,10 +402,10 @@ class Flight:
             cluster=out.cluster,
             residual=out.residual,
             noise_ratio=out.noise_ratio,
-            gate=out.signal_to_noise,
+            signal_to_noise=out.signal_to_noise,
             left_out=(out.left_out[0], out.left_out[1], out.left_out[2]),
             since=int(out.since),
-            in_a_row=int(out.consecutive),
+            consecutive=int(out.consecutive),
         )
 
     def adopt(self) -> bool:

@@ -18,7 +18,7 @@ from zygos.can.wire import Frame
 from zygos.effects import Effect
 from zygos.errors import Undecided
 from zygos.estimation.watch import Watch
-from zygos.native.flight import GATE, ROWS, Estimate, Flight, LeftOut, Trace
+from zygos.native.flight import MIN_SIGNAL_TO_NOISE, ROWS, Estimate, Flight, LeftOut, Trace
 from zygos.reference.accumulator import Design, design
 from zygos.reference.combination import Combined, JointRows, combine, motors
 from zygos.reference.noise import noise_of
@@ -312,7 +312,7 @@ def check_chain(arm: Arm, trace: Trace, flight: Flight, ended: Sequence[LeftOut]
     size[first:] = np.linalg.norm(used.w) / np.linalg.norm(used.z[:, first:], axis=0)
     relative = (np.abs(estimate.value - solution.x) / size)[has_value]
     worst = float(np.max(relative, initial=0.0)) if np.all(np.isfinite(relative)) else float("inf")
-    if not balance.void and has_value.all() and estimate.gate >= GATE:
+    if not balance.void and has_value.all() and estimate.signal_to_noise >= MIN_SIGNAL_TO_NOISE:
         # a sigma is computed from differences of solutions
         closest = max(SIGMA_TOLERANCE, tolerance * float(np.max(size / estimate.sigma)))
         if closest <= SIGMA_DIGITS:
@@ -356,7 +356,7 @@ def _compare_sigmas(
         arcs += [Block(spread_out(momentum.names, sums, factor), zero) for sums in blocks.momentum]
         noise += spread_out(momentum.names, momentum.noise.sum(axis=0), factor)
     energy = [Block(*block) for block in blocks.energy]
-    expected = intervals(energy, arcs, noise, used.noise, combined.solution.believed, arc_cycles(arm))
+    expected = intervals(energy, arcs, noise, used.noise, combined.solution.noise_scale, arc_cycles(arm))
     sigma = np.abs(estimate.sigma / expected.sigma - 1.0)
     half = np.abs(estimate.half95 / expected.half95 - 1.0)
     # the library computes Student's factor by a series expansion

@@ -47,17 +47,17 @@ class Intervals:
 
 
 def intervals(
-    energy: Sequence[Block], arcs: Sequence[Block], noise: Floats, own: Floats, believed: float, longest: int
+    energy: Sequence[Block], arcs: Sequence[Block], noise: Floats, own: Floats, noise_scale: float, longest: int
 ) -> Intervals:
     """Intervals of the estimate from the blocks of the energy rows and the arcs of the others.
 
-    noise: (p+1, p+1) all noise that was subtracted. own: (p+1, p+1) its part in the energy rows. believed: share of the
-    declared noise that was subtracted. longest: number of instants of the longest arc of the energy rows.
+    noise: (p+1, p+1) all noise that was subtracted. own: (p+1, p+1) its part in the energy rows. noise_scale: share of
+    the declared noise that was subtracted. longest: number of instants of the longest arc of the energy rows.
     """
     p = len(noise) - 1
     total = np.sum([block.sums for block in [*energy, *arcs]], axis=0)
     instants, square = sum(block.instants for block in energy), sum(block.square for block in energy)
-    back = (1.0 - believed) * noise
+    back = (1.0 - noise_scale) * noise
     scale = 1.0 / np.sqrt(np.diag(total + noise)[:p])
 
     def solved(sums: Floats, added: float = 0.0) -> tuple[Floats, Floats]:
@@ -72,7 +72,7 @@ def intervals(
     for block in [*energy, *arcs]:
         share = block.instants / instants
         without, rest = solved(total - block.sums + (1.0 - share) * back)
-        mine = block.sums + (1.0 - believed) * share * own
+        mine = block.sums + (1.0 - noise_scale) * share * own
         alone = scale * (inverse @ (scale * (mine[p, :p] - mine[:p, :p] @ x)))
         factor = instants / square if block.instants > 0.0 else 1.0
         covariance += 0.5 * factor * (np.outer(x - without, alone) + np.outer(alone, x - without))
@@ -81,7 +81,7 @@ def intervals(
     np.fill_diagonal(covariance, np.maximum(np.diag(covariance), plain))
     adds_up = float(np.mean([float(block.deviation @ ahead) ** 2 / block.square for block in energy]))
     alike = max(0.0, 1.0 - square_left / instants / adds_up)
-    excess = max(0.0, square_left - believed * explained(own, x))
+    excess = max(0.0, square_left - noise_scale * explained(own, x))
     stays = instants / longest * max(SYSTEMATIC, excess / square_left)
     covariance *= 1.0 + max(stays, (len(energy) - 1) * alike)
     hidden, _ = solved(total + back, excess / float(x**2 @ np.diag(total)[:p]))

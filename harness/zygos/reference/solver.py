@@ -13,7 +13,7 @@ from zygos.errors import Undecided
 
 Floats = NDArray[np.float64]
 
-GATE = 2.0
+MIN_SIGNAL_TO_NOISE = 2.0
 """For any combination of columns, at most its sum of squares divided by this is subtracted as noise."""
 OVERDECLARED = 0.6
 """If the residuals' square is below this share of the declared noise's square, it determines how much is subtracted."""
@@ -29,15 +29,15 @@ class Solution:
 
     x: (p,) estimate. condition: 1-norm condition of the solved matrix in the scale that gives Z' Z a unit diagonal.
     residual: root mean square of the rows' residuals [unit of w].
-    believed: share of the declared noise that was subtracted. gate: smallest ratio of the rows' squares to the noise in
-    them over all combinations of columns; infinite without noise.
+    noise_scale: share of the declared noise that was subtracted. signal_to_noise: smallest ratio of the rows'
+    squares to the noise in them over all combinations of columns; infinite without noise.
     """
 
     x: Floats
     condition: float
     residual: float
-    believed: float = 1.0
-    gate: float = float("inf")
+    noise_scale: float = 1.0
+    signal_to_noise: float = float("inf")
 
 
 @dataclass(frozen=True)
@@ -79,16 +79,16 @@ class _Triangle:
         work = solve_triangular(r, noise[p, :p] / scale, trans="T")
         return cls(scale, r, x, 0.5 * (share + share.T), work)
 
-    def solve(self, believed: float) -> Floats:
-        """x of (Z'Z - believed K) x = Z'w - believed k."""
-        left = np.eye(len(self.x)) - believed * self.noise
-        y = np.linalg.solve(left, self.r @ self.x - believed * self.work)
+    def solve(self, noise_scale: float) -> Floats:
+        """x of (Z'Z - noise_scale K) x = Z'w - noise_scale k."""
+        left = np.eye(len(self.x)) - noise_scale * self.noise
+        y = np.linalg.solve(left, self.r @ self.x - noise_scale * self.work)
         return np.asarray(solve_triangular(self.r, y) / self.scale, dtype=np.float64)
 
-    def inverse(self, believed: float) -> Floats:
-        """(Z'Z - believed K)^-1."""
+    def inverse(self, noise_scale: float) -> Floats:
+        """(Z'Z - noise_scale K)^-1."""
         half = solve_triangular(self.r, np.eye(len(self.x))) / self.scale[:, None]
-        middle = np.linalg.inv(np.eye(len(self.x)) - believed * self.noise)
+        middle = np.linalg.inv(np.eye(len(self.x)) - noise_scale * self.noise)
         return np.asarray(half @ middle @ half.T, dtype=np.float64)
 
 
@@ -114,29 +114,29 @@ def solve(energy: Rows, beside: Sequence[Rows] = ()) -> Solution:
     """Minimise |z x - w|^2 by an orthogonal method on the rows themselves, columns scaled to unit length.
 
     The noise is subtracted: as much as the residuals of the energy rows show if that is clearly less than declared, and
-    for no combination of columns more than its sum of squares over `GATE`. beside: other rows that are solved together
-    with them. Raises Undecided if a column is zero, or the rows are fewer than the columns or dependent.
+    for no combination of columns more than its sum of squares over `MIN_SIGNAL_TO_NOISE`. beside: other rows that are
+    solved together with them. Raises Undecided if a column is zero, or the rows are fewer than the columns or dependent.
     """
     every = [energy, *beside]
     p = energy.z.shape[1]
     noise = np.sum([rows.noise for rows in every], axis=0)
     rows = _Triangle.of(np.concatenate([r.z for r in every]), np.concatenate([r.w for r in every]), noise)
     share = float(np.linalg.eigvalsh(rows.noise)[-1]) if noise.any() else 0.0
-    believed, seen, gate = 1.0, 1.0, float("inf")
+    noise_scale, seen, signal_to_noise = 1.0, 1.0, float("inf")
     for repeat in range(3 if share > 0.0 else 0):
         if repeat > 0:
-            x = rows.solve(believed)
+            x = rows.solve(noise_scale)
             ratio = np.sum((energy.z @ x - energy.w) ** 2) / explained(energy.noise, x)
             seen = float(ratio) if ratio < OVERDECLARED else 1.0
-        believed, gate = min(seen, 1.0 / (GATE * share)), 1.0 / (share * seen)
-    x = rows.solve(believed) if share > 0.0 else rows.x / rows.scale
-    scaled = rows.r.T @ (np.eye(p) - believed * rows.noise) @ rows.r
+        noise_scale, signal_to_noise = min(seen, 1.0 / (MIN_SIGNAL_TO_NOISE * share)), 1.0 / (share * seen)
+    x = rows.solve(noise_scale) if share > 0.0 else rows.x / rows.scale
+    scaled = rows.r.T @ (np.eye(p) - noise_scale * rows.noise) @ rows.r
     return Solution(
         x=x,
         condition=float(np.linalg.cond(scaled, 1)),
         residual=float(np.sqrt(np.mean((energy.z @ x - energy.w) ** 2))),
-        believed=believed,
-        gate=gate,
+        noise_scale=noise_scale,
+        signal_to_noise=signal_to_noise,
     )
 
 
@@ -153,7 +153,7 @@ def that_stays(energy: Rows, solution: Solution, longest: int) -> float:
     in one arc of `longest` instants; more arcs do not average it out.
     """
     square = float(np.sum((energy.z @ solution.x - energy.w) ** 2))
-    share = 1.0 - solution.believed * explained(energy.noise, solution.x) / square
+    share = 1.0 - solution.noise_scale * explained(energy.noise, solution.x) / square
     return max(SYSTEMATIC, share) * len(energy.w) / longest
 
 
@@ -168,7 +168,7 @@ class Scatter:
     freedom: Floats
 
 
-def scatter(z: Floats, w: Floats, weights: Floats, noise: Floats | None = None, believed: float = 1.0) -> Scatter:
+def scatter(z: Floats, w: Floats, weights: Floats, noise: Floats | None = None, noise_scale: float = 1.0) -> Scatter:
     """Covariance from blocks of rows: the change of the estimate when one is left out, times the block's own influence.
 
     Let s_b = Z' W_b (w - z x) be the residual gradient of a block b. x_(-b) - x = -(A - A_b)^-1 s_b is too large by the
@@ -185,16 +185,16 @@ def scatter(z: Floats, w: Floats, weights: Floats, noise: Floats | None = None, 
         raise Undecided(f"what is wrong: {count} blocks have no spread; remedy: a longer record")
     parts = np.zeros((count, p + 1, p + 1)) if noise is None else noise
     whole = _Triangle.of(z, w, parts.sum(axis=0))
-    x, inverse = whole.solve(believed), whole.inverse(believed)
+    x, inverse = whole.solve(noise_scale), whole.inverse(noise_scale)
     covariance, plain, gains = np.zeros((p, p)), np.zeros(p), []
     for weight, part in zip(weights, parts, strict=True):
         root = np.sqrt(1.0 - weight)
         rest = _Triangle.of(root[:, None] * z, root * w, parts.sum(axis=0) - part)
-        pull = z.T @ (weight * (w - z @ x)) + believed * (part[:p, :p] @ x - part[p, :p])
-        left_out, alone = x - rest.solve(believed), inverse @ pull
+        pull = z.T @ (weight * (w - z @ x)) + noise_scale * (part[:p, :p] @ x - part[p, :p])
+        left_out, alone = x - rest.solve(noise_scale), inverse @ pull
         covariance += 0.5 * (np.outer(left_out, alone) + np.outer(alone, left_out))
         plain += alone**2
-        gains.append(np.diag(rest.inverse(believed)) - np.diag(inverse))
+        gains.append(np.diag(rest.inverse(noise_scale)) - np.diag(inverse))
     gain = np.maximum(gains, 0.0)
     freedom = np.maximum(gain.sum(axis=0) ** 2 / (gain**2).sum(axis=0), LEAST_FREEDOM)
     # with few blocks the product may by chance be too small, even negative; the square of one factor cannot
