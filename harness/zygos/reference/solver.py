@@ -115,7 +115,8 @@ def solve(energy: Rows, beside: Sequence[Rows] = ()) -> Solution:
 
     The noise is subtracted: as much as the residuals of the energy rows show if that is clearly less than declared, and
     for no combination of columns more than its sum of squares over `MIN_SIGNAL_TO_NOISE`. beside: other rows that are
-    solved together with them. Raises Undecided if a column is zero, or the rows are fewer than the columns or dependent.
+    solved together with them. Raises Undecided if a column is zero, or the rows are fewer than the columns or
+    dependent.
     """
     every = [energy, *beside]
     p = energy.z.shape[1]
