@@ -281,9 +281,10 @@ def test_names_cannot_break_the_pages(simulated: Path, tmp_path: Path) -> None:
     source = Provenance(HOSTILE, "1", ((HOSTILE, HOSTILE, "0"),))
     watch = watched(arm, bus.read_log(simulated / "run.blf").frames)
     files = [tmp_path / f"{k}.html" for k in range(3)]
+    recorded = Run(arm, table=watch.trace().cycles, damage=(HOSTILE,))
     result = replace(watch.flight.estimate(), validity="doubtful", reason=HOSTILE)
     write_estimate_report(files[0], Estimation(watch, result, None), source, written=HOSTILE, damage=(HOSTILE,))
-    write_check_report(files[1], Check(watch.flight, (Room(HOSTILE, 1, 1.0, None, 0.0),)), source, (HOSTILE,))
+    write_check_report(files[1], Check(recorded, watch.flight, (Room(HOSTILE, 1, 1.0, None, 0.0),)), source, (HOSTILE,))
     audit = Audit((), (SignalFault(HOSTILE, HOSTILE, HOSTILE, HOSTILE),), (), {HOSTILE: 1.0}, (HOSTILE,))
     write_audit_report(files[2], Run(arm, table=watch.trace().cycles, damage=(HOSTILE,)), audit, source)
     for file in files:

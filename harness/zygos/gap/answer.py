@@ -9,7 +9,7 @@ from zygos.gap.explanation import Explanation
 from zygos.gap.findings import Gap
 from zygos.gap.forecast import Forecast
 from zygos.gap.record import MeasuredRun
-from zygos.gap.sentences import against, evidence, title
+from zygos.gap.sentences import against, evidence
 from zygos.report.provenance import Provenance
 
 
@@ -30,7 +30,7 @@ def as_json(found: Explanation, records: Sequence[MeasuredRun], source: Provenan
         "findings": [
             {
                 "effect": f.kind,
-                "title": title(f),
+                "title": f.title,
                 "joint": f.joint,
                 "value": f.value,
                 "sigma": f.sigma,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import norm
 
-from zygos.effects import is_column
+from zygos.effects import CATALOGUE, is_column
 from zygos.gap.forecast import Forecast, Stretches
 
 INTERVAL = float(norm.ppf(0.975))
@@ -98,6 +98,14 @@ class Finding:
     """Columns that the runs cannot tell from it."""
     assumed: float | None = None
     """What the simulation has in its place, in the same unit; None where it has nothing."""
+
+    @property
+    def title(self) -> str:
+        """The effect as a sentence names it."""
+        if self.kind == FLEXIBILITY:
+            return "joint flexibility"
+        plain = CATALOGUE[self.kind].title
+        return f"the right {plain} (it assumes {self.assumed:g} Nms)" if self.assumed else plain
 
     @property
     def interval(self) -> tuple[float, float]:

@@ -19,7 +19,7 @@ from zygos.gap.forecast import HORIZON_S, Forecast
 from zygos.gap.record import MeasuredRun
 from zygos.gap.residuals import Stage, failing, steps
 from zygos.gap.search import EXCESS, Candidate
-from zygos.gap.sentences import against, balance_title, evidence, motion, predicted, title
+from zygos.gap.sentences import against, balance_title, evidence, motion, predicted
 from zygos.report.figures import LogScale, down_to, figure, percent, unit_of, within
 from zygos.report.page import Entry, joint_colour, render
 from zygos.report.provenance import Provenance
@@ -80,7 +80,7 @@ def _length(record: MeasuredRun) -> str:
 def _finding(arm: Arm, finding: Finding) -> Entry:
     low, high = finding.interval
     return {
-        "title": title(finding),
+        "title": finding.title,
         "place": finding.joint or "the base",
         "value": down_to(finding.value, finding.sigma),
         "interval": f"{down_to(low, finding.sigma)} … {down_to(high, finding.sigma)}",

@@ -11,7 +11,7 @@ from zygos.arm import Arm
 from zygos.effects import CATALOGUE, spoken
 from zygos.files.output import ratio
 from zygos.gap.experiment import Experiment
-from zygos.gap.findings import FLEXIBILITY, INTERVAL, Deflection, Disagreement, Finding, Gap, Value
+from zygos.gap.findings import INTERVAL, Deflection, Disagreement, Finding, Gap, Value
 from zygos.gap.search import Against, Candidate
 from zygos.gap.verdicts import (
     AboveFloor,
@@ -124,14 +124,6 @@ def _disagreements(parameters: Sequence[Disagreement]) -> str:
 # findings
 
 
-def title(finding: Finding) -> str:
-    """An effect as a sentence names it."""
-    if finding.kind == FLEXIBILITY:
-        return "joint flexibility"
-    plain = CATALOGUE[finding.kind].title
-    return f"the right {plain} (it assumes {finding.assumed:g} Nms)" if finding.assumed else plain
-
-
 def evidence(finding: Finding) -> str:
     """The evidence for it."""
     match finding.evidence:
@@ -157,7 +149,7 @@ def listed(findings: Sequence[Finding]) -> str:
 
 def _named(finding: Finding) -> str:
     at = "of the arm" if finding.joint is None else f"({finding.joint})"
-    return f"{title(finding)} {at}"
+    return f"{finding.title} {at}"
 
 
 def sized(value: float, sigma: float, unit: str) -> str:
