@@ -88,6 +88,7 @@ def test_a_cycle_costs_the_same_whatever_its_data(counted: Counter, target: str,
         assert not relevant or 5 * len(np.unique(places, axis=0)) < len(places), stage
 
 
+@pytest.mark.slow
 def test_compensation_and_motor_rows_cost_little(counted: Counter) -> None:
     """1,500 instructions of a mean cycle, at the most; effects cost something."""
     mean = {

@@ -232,6 +232,7 @@ def test_killed_while_it_saves(seed: int, arm: Arm, config: Path, frames: Log, t
         node.end()
 
 
+@pytest.mark.slow
 def test_told_to_end_where_frames_always_wait(config: Path) -> None:
     """Each of these SYNCs is answered by a solution, so that there is never nothing to read."""
     with Node("--config", config, "--every", 1) as node:

@@ -22,7 +22,7 @@ LINE = re.compile(r"simulating · (\d+) % · (\d+):(\d\d):(\d\d) elapsed( · abo
 
 IMPATIENT = """
 import sys
-from zygos import lines
+from zygos.files import progress as lines
 from zygos.cli import main
 lines.FIRST_S, lines.EVERY_S = 0.1, 0.2
 main(sys.argv[1:])

@@ -86,7 +86,7 @@ typedef struct {
 
 static uint32_t regions_of_sums(region_t *out, size_t accumulator, size_t joints, size_t momenta)
 {
-    static const region_t scalars[3] = { BETWEEN(zygos_accumulator_t, width, step),
+    static const region_t scalars[3] = { BETWEEN(zygos_accumulator_t, width, buffer),
                                          BETWEEN(zygos_joint_sums_t, count, open),
                                          BETWEEN(zygos_momentum_sums_t, columns, noise_open) };
     uint32_t n = 0;
@@ -96,7 +96,7 @@ static uint32_t regions_of_sums(region_t *out, size_t accumulator, size_t joints
     out[n++] = (region_t){ joints, sizeof(zygos_impulse_column_map_t) };
     out[n++] = (region_t){ momenta + offsetof(zygos_momentum_sums_t, open.instants), 16 };
     for (uint32_t s = 0; s < 2; s++) {
-        out[n++] = (region_t){ accumulator + offsetof(zygos_accumulator_t, step) + s * sizeof(zygos_row_buffer_t) +
+        out[n++] = (region_t){ accumulator + offsetof(zygos_accumulator_t, buffer) + s * sizeof(zygos_row_buffer_t) +
                                    offsetof(zygos_row_buffer_t, instants),
                                8 };
     }
@@ -125,7 +125,7 @@ static uint32_t regions_of_state(region_t *out)
     out[n++] = (region_t){ 0, offsetof(zygos_t, config) };
     out[n++] = (region_t){ offsetof(zygos_t, column_map), sizeof(zygos_column_map_t) };
     out[n++] = (region_t){ offsetof(zygos_t, receiver), offsetof(zygos_receiver_t, queue.slot) };
-    out[n++] = (region_t){ offsetof(zygos_t, hold), sizeof(zygos_previous_cycle_t) };
+    out[n++] = (region_t){ offsetof(zygos_t, previous), sizeof(zygos_previous_cycle_t) };
     out[n++] = (region_t){ offsetof(zygos_t, smoother), 16 };
     out[n++] = (region_t){ offsetof(zygos_t, noise), sizeof(zygos_noise_t) };
     out[n++] = (region_t){ offsetof(zygos_t, balance), 16 };

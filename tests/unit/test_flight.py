@@ -442,8 +442,8 @@ import sys
 from dataclasses import replace
 import numpy as np
 from zygos.arm import load_arm
-from zygos.cycles import Cycles
-from zygos.flight import Flight, ffi, lib
+from zygos.runs.cycles import Cycles
+from zygos.native.flight import Flight, ffi, lib
 
 flight = Flight(replace(load_arm(sys.argv[1]), arc_max_s=float(sys.argv[2])))
 work, n = ffi.new("zygos_work_t *"), 100_000

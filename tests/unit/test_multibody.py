@@ -166,6 +166,7 @@ def test_nothing_is_shared_with_the_library_that_estimates() -> None:
 SHIPPED = {"spatial": (0.01, 0.3, 4.0), "seven": (0.004, 0.032, 0.4)}
 
 
+@pytest.mark.slow(but=["spatial"])
 @pytest.mark.parametrize("name", SHIPPED)
 def test_a_simulation_errs_by_less_than_it_may(name: str) -> None:
     """Against DOP853 on numpy's equations at a tighter tolerance; and longer against itself at that tolerance.

@@ -179,12 +179,13 @@ def _motion(result: Estimate, flight: Flight, known: Sequence[Known]) -> str:
     if possible < own and result.rank >= possible:
         return (
             f"no motion helps: with this geometry (the directions of its axes) {possible} of the {own} parameters of "
-            "this arm can be determined; a longer run gives no value for the others, but the solution as a whole can "
+            "this arm can be determined; more data gives no value for the others, but the solution as a whole can "
             "be used for predictions (`solution` of --json)"
         )
     if result.rank < len(result.names):
         geometry = f"; the arm's geometry allows {possible} of {own}" if possible < own else ""
-        return f"{every}, because this one leaves {listed or 'some'} undetermined{geometry}; a longer run does not help"
+        left = listed or "some"
+        return f"{every}, because this one leaves {left} undetermined{geometry}; more of the same data does not help"
     now = int(np.count_nonzero(np.isfinite(result.value)))
     cycles = flight.counts["cycles"]
     before = [one for one in known if one.cycles <= 0.6 * cycles]
@@ -193,5 +194,5 @@ def _motion(result: Estimate, flight: Flight, known: Sequence[Known]) -> str:
         grew = f"{then.parameters} parameters had a value after {h * then.cycles:.0f} s, {now} after {h * cycles:.0f} s"
         if now > then.parameters:
             return f"a longer run: {grew}"
-        return f"{every}, larger than this one; a longer run of the same motion adds little ({grew})"
+        return f"{every}, larger than this one; more of the same motion adds little ({grew})"
     return f"{every}: {listed or 'some'} has a standard deviation above a quarter of its size"
