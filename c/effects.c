@@ -54,6 +54,36 @@ int zygos_effects_check(const zygos_config_t *config)
     return 1;
 }
 
+bool zygos_effects_at_link(const zygos_effect_config_t *effect)
+{
+    switch ((enum zygos_effect_kind)effect->kind) {
+    case ZYGOS_LINK_COULOMB:
+        return true;
+    case ZYGOS_MOTOR_COULOMB:
+    case ZYGOS_MOTOR_VISCOUS:
+    case ZYGOS_CUBIC_STIFFNESS:
+    case ZYGOS_TORQUE_LAG:
+    case ZYGOS_SPRING_OFFSET:
+        break;
+    }
+    return false;
+}
+
+bool zygos_effects_viscous(const zygos_effect_config_t *effect)
+{
+    switch ((enum zygos_effect_kind)effect->kind) {
+    case ZYGOS_MOTOR_VISCOUS:
+        return true;
+    case ZYGOS_MOTOR_COULOMB:
+    case ZYGOS_LINK_COULOMB:
+    case ZYGOS_CUBIC_STIFFNESS:
+    case ZYGOS_TORQUE_LAG:
+    case ZYGOS_SPRING_OFFSET:
+        break;
+    }
+    return false;
+}
+
 uint32_t zygos_effects_positive(const zygos_config_t *config)
 {
     uint32_t bits = 0;

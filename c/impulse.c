@@ -10,7 +10,7 @@ void zygos_impulse_column_map(const zygos_config_t *config, zygos_impulse_column
     }
     for (uint32_t e = 0; e < config->effects; e++) {
         const uint32_t i = config->effect[e].joint;
-        if ((config->effect[e].kind != ZYGOS_LINK_COULOMB) && (out->count[i] > 0)) {
+        if (!zygos_effects_at_link(&config->effect[e]) && (out->count[i] > 0)) {
             out->effect[i][out->count[i] - 3u] = e;
             out->count[i]++;
         }
@@ -140,10 +140,10 @@ void zygos_impulse_noise(const zygos_config_t *config, const zygos_impulse_colum
             double by_value[2] = { 0.0, 0.0 };
             const uint32_t at[2] = { a, b };
             for (uint32_t k = 0; k < 2; k++) {
-                const bool effect = (at[k] > 2u);
-                const uint32_t kind = effect ? config->effect[column_map->effect[joint][at[k] - 3u]].kind : 0u;
+                const bool viscous =
+                    (at[k] > 2u) && zygos_effects_viscous(&config->effect[column_map->effect[joint][at[k] - 3u]]);
                 by_rate[k] = (at[k] == 0) ? ratio * ratio : 0.0;
-                by_value[k] = (at[k] == 2u) ? 1.0 : ((effect && (kind == ZYGOS_MOTOR_VISCOUS)) ? ratio : 0.0);
+                by_value[k] = (at[k] == 2u) ? 1.0 : (viscous ? ratio : 0.0);
             }
             double sum = by_rate[0] * by_rate[1] * rate + by_value[0] * by_value[1] * value +
                          (by_rate[0] * by_value[1] + by_value[0] * by_rate[1]) * both;

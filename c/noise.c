@@ -196,9 +196,10 @@ void zygos_noise_init(zygos_noise_t *self, const zygos_config_t *config, const z
     }
     for (uint32_t e = 0; (e < config->effects) && (config->compensation != 0); e++) {
         const uint32_t i = config->effect[e].joint;
-        const bool square = (config->effect[e].kind == ZYGOS_MOTOR_VISCOUS);
-        self->integral_bias.effect[e] =
-            square ? config->period_s * config->joint[i].gear_ratio * self->rate_variance[n + i] : 0.0;
+        const double variance = zygos_effects_at_link(&config->effect[e])
+                                    ? self->rate_variance[i]
+                                    : config->joint[i].gear_ratio * self->rate_variance[n + i];
+        self->integral_bias.effect[e] = zygos_effects_viscous(&config->effect[e]) ? config->period_s * variance : 0.0;
     }
 }
 

@@ -51,6 +51,8 @@ class Kind:
     impulse: Callable[[Array], Array] | None = None
     """Integral of f over time per unit coefficient as a function of the angle (motor; rad), where the angle alone
     determines it."""
+    viscous: bool = False
+    """Whether f is proportional to a rate. Its power is then a square, in which noise leaves a mean value."""
     positive: bool = True
     """Whether the coefficient must not be negative: a negative one would create energy, so the model would be wrong."""
     twins: tuple[str, ...] = ()
@@ -101,6 +103,7 @@ CATALOGUE = {
             "motor",
             _same,
             impulse=_same,
+            viscous=True,
             twins=("motor_coulomb", "torque_lag"),
         ),
         Kind("link_coulomb", "Coulomb friction at the link", "Nm", "link", smooth_sign, twins=("motor_coulomb",)),

@@ -42,6 +42,14 @@ double zygos_effects_saturated(double rate);
 /// Checks the effects of a configuration whose joints are checked. Returns 1 or ZYGOS_E_EFFECT.
 int zygos_effects_check(const zygos_config_t *config);
 
+/// Returns whether the effect acts between a link and the body that carries it, and so on no rotor. Needs a checked
+/// effect.
+bool zygos_effects_at_link(const zygos_effect_config_t *effect);
+
+/// Returns whether the torque of the effect is proportional to a rate, so that noise biases its integral. Needs a
+/// checked effect.
+bool zygos_effects_viscous(const zygos_effect_config_t *effect);
+
 /// Returns a bit mask: bit e is set when a negative coefficient of effect e is not physical. Needs a checked
 /// configuration.
 uint32_t zygos_effects_positive(const zygos_config_t *config);

@@ -100,6 +100,7 @@ def test_compensation_and_motor_rows_cost_little(counted: Counter) -> None:
     assert min(mean["motor_coulomb"], mean["spring_offset"]) > mean["paper"]
 
 
+@pytest.mark.slow
 def test_a_count_repeats_exactly(counted: Counter, tmp_path: Path) -> None:
     first = counted("m7", "paper, bare", 750)
     again = measured("m7", CONFIGURATIONS["paper, bare"](), 750, tmp_path)

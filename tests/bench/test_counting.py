@@ -7,6 +7,7 @@ import subprocess
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from bench import callgrind, cortex
 from bench.counting import PLACES, ROOMS, STAGES, Count, Tally, spread_by_data
@@ -99,6 +100,7 @@ calls=1 1
 """
 
 
+@pytest.mark.slow
 def test_the_plugin_counts_what_a_processor_executes(tmp_path: Path) -> None:
     """A loop of assembly, called twice a part; each function on its own, and the stage with all that it calls."""
     for program in (*cortex.firmware.TOOLS, "arm-none-eabi-nm"):

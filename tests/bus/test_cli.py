@@ -174,6 +174,7 @@ def test_a_rotor_that_does_not_couple_is_refused(
     assert re.search("rotor_coupling at elbow.*remedy", capsys.readouterr().err, re.S)
 
 
+@pytest.mark.slow
 def test_a_rigid_prior_is_kept_where_the_run_is_silent(tmp_path: Path) -> None:
     """An elbow that is rigid, and seen to be: neither stiffness nor damping has a value. Its deflection is noise, or
     nothing where there is none and none is declared."""

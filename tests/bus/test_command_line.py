@@ -162,6 +162,7 @@ def test_standard_input_that_is_no_run(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_every_kind_of_file_comes_on_standard_input(
     simulated: Path,
     tmp_path: Path,

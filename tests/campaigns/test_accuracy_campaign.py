@@ -461,6 +461,7 @@ def test_figure_4_has_the_torques_of_the_paper(arm: Arm, model: Model) -> None:
     assert off["flight"] < 0.1 * min(off[PRINTED], off["+10 %"], off["−10 %"])
 
 
+@pytest.mark.slow
 def test_figure_4_says_what_it_cannot_draw(scenario: Scenario) -> None:
     """In ten seconds the arm does not show all its parameters."""
     short = replace(CASES["paper-60"], scenario=replace(scenario, duration_s=10.0))

@@ -71,6 +71,7 @@ def test_intervals_hold_after_three_hours() -> None:
     assert (held(HOURS, 16) >= least(0.9 * 16)).all()
 
 
+@pytest.mark.slow
 def test_what_stays_grows_with_the_arcs_beside_a_scatter_that_falls_with_them() -> None:
     """Sums that are all ten thousand times as large have the same scatter, and count as many more arcs."""
     mission, motions = numbered(MINUTES, 0)

@@ -10,7 +10,7 @@ from fuzz_support import build, counts
 TRIES = 4000
 
 
-@pytest.mark.slow(but=["planar"])
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "spatial"), [(1, 0), (2, 1)], ids=["planar", "with-room-for-spatial"])
 def test_no_state_takes_the_library_out_of_its_memory(tmp_path: Path, seed: int, spatial: int) -> None:
     program = build(

@@ -246,6 +246,7 @@ def exact_sums(twin: Twin, values: Floats) -> Sums:
     return accumulate(balance_rows(arm, twin.exact, values), everything(twin), (Layout(arm).balances.index("H"),))
 
 
+@pytest.mark.slow
 def test_a_twin_is_an_exact_solution() -> None:
     """Its balances close as those of a simulated run do, though it does not begin where the run did."""
     arm, model, _ = example()

@@ -123,6 +123,7 @@ def sums_of(flight: Flight) -> list[tuple[int, int]]:
     return out + [(place + i * own, 8 * 15) for place in places for i in range(arm.n)]
 
 
+@pytest.mark.slow
 def test_no_bit_of_the_sums_moves_an_estimate_unnoticed() -> None:
     """Columns differ in size by orders of magnitude: a bit that is small beside the work is not small for a spring."""
     run, _ = lively()
@@ -159,6 +160,7 @@ def test_a_wrong_count_of_an_arc_is_noticed(bit: int) -> None:
     assert flight.estimate().reason == CORRUPT
 
 
+@pytest.mark.slow
 def test_a_long_arc_is_not_corrupt() -> None:
     """Like numbers added 130 000 times round always the same way, and rows of noise are alike at rest."""
     run, _ = modern()

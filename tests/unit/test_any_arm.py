@@ -48,7 +48,7 @@ def sines(arm: Arm, n: int) -> Cycles:
     )
 
 
-@pytest.mark.slow(but=["1-*", "2-*", "3-*", "7-*-mixed"])
+@pytest.mark.slow(but=["2-*"])
 @pytest.mark.parametrize(("joints", "base", "kinetic", "kind"), KINDS)
 def test_every_room_is_numpys(joints: int, base: str, kinetic: str, kind: str) -> None:
     """From the frames on, with cantools and autosar-e2e on the other side."""

@@ -198,7 +198,7 @@ def test_noise_above_the_declared_is_named(runs: dict[str, tuple[Arm, list[Cycle
         assert audit(arm, noisy("theta", 1, 1.5 * sigma)(cycles)).ok
 
 
-@pytest.mark.slow(but=["lively-20000-4-0-link", "lively-20000-4-1-motor"])
+@pytest.mark.slow
 @pytest.mark.parametrize("side", ["link", "motor"])
 @pytest.mark.parametrize("i", [0, 1])
 @pytest.mark.parametrize(("name", "latch_us", "seeds"), [("lively", 20_000, 4), ("b", 3000, 2)])
@@ -235,7 +235,7 @@ def test_what_an_arm_may_do_is_no_fault_of_a_signal(effects: list[tuple[str, str
         assert named(audit(arm_of(name), inverted("tau", 1)(cycles))) == {T2: "inverted"}
 
 
-@pytest.mark.slow(but=["lively-10"])
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "seeds"), [("lively", LIVELY_SEEDS), ("a", 1), ("b", 1)])
 def test_another_torque_law_is_named(name: str, seeds: int) -> None:
     arm = arm_of(name)

@@ -241,7 +241,7 @@ SIZES = {
 }
 
 
-@pytest.mark.slow(but=["*-shoulder"])
+@pytest.mark.slow(but=["motor_coulomb-*"])
 @pytest.mark.parametrize("joint", ["shoulder", "elbow"])
 @pytest.mark.parametrize("key", SIZES)
 def test_column_is_what_the_effect_does_to_the_balance(key: str, joint: str) -> None:
@@ -343,6 +343,7 @@ def estimate_of(arm: Arm, cycles: Cycles, effects: Sequence[Effect]) -> flight.E
     return run.estimate()
 
 
+@pytest.mark.slow
 def test_friction_at_the_elbow_is_found() -> None:
     """With the paper's noise, through frames; without the column the balance does not close."""
     arm, model, scenario = lively()
@@ -445,6 +446,7 @@ def modern() -> Trajectory:
     return simulate(load_arm(LIVELY.parent / "gap" / "arm.toml"), model, scenario, noise=True, duration_s=30.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joint", [0, 1])
 def test_a_motor_encoders_zero_that_is_off_by_a_milliradian(modern: Trajectory, joint: int) -> None:
     """Without the offset it ruins the estimate, what of it is not withheld by a hundred sigmas and more, and the

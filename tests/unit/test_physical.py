@@ -68,6 +68,7 @@ def test_bodies_predict_better_than_the_estimate(
         np.testing.assert_allclose(inertia_matrices_of(arm, fit.value), inertia_matrices(arm, fit.model), atol=1e-8)
 
 
+@pytest.mark.slow
 def test_chi_squared_and_sigmas_are_what_they_say(
     spatial: tuple[Arm, Model], campaign: list[tuple[Floats, PhysicalFit]]
 ) -> None:

@@ -78,6 +78,7 @@ def test_scatter_of_a_mean_is_its_standard_error() -> None:
     assert told.freedom[0] == pytest.approx(40.0)
 
 
+@pytest.mark.slow
 def test_scatter_is_unbiased_where_few_blocks_have_the_information() -> None:
     """Leaving out alone overstates it, the pull alone understates it; the product does neither."""
     rng = np.random.default_rng(5)

@@ -382,6 +382,7 @@ def test_the_examples_arm_is_read_by_pinocchio_alike(tmp_path: Path, capsys: pyt
     assert numbers(arm.joints[0].frame_rpy) == "0.0 0.5235987755982988 0.0"
 
 
+@pytest.mark.slow
 def test_bodies_of_an_arm_in_space_come_back_from_its_base_parameters() -> None:
     """Of three joints, one body heavier and turned about: bodies near the drawing have the same matrix N."""
     arm, cad = load_arm(SPATIAL / "arm.toml"), load_model(SPATIAL / "model.toml")

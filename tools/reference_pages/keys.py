@@ -130,7 +130,7 @@ FILES = (
     ),
     File(
         "model.toml",
-        "what is noise_scale of the dynamics",
+        "what is believed of the dynamics",
         "A model file has one of two forms: bodies and joints, or base parameters. "
         "A value whose type is number or table is taken as exact where it is written as a number.",
         read_model,

@@ -116,7 +116,7 @@ def impulse_noise(arm: Arm, joint: int, effects: Sequence[Effect] = ()) -> Float
 
     late = own.latch_us + own.motor_encoder.latch_us
     angle = weights(late, 0)
-    viscous = [(3 + c, n, angle) for c, effect in enumerate(acting) if effect.kind.key == "motor_viscous"]
+    viscous = [(3 + c, n, angle) for c, effect in enumerate(acting) if effect.kind.impulse is not None]
     shares = [
         (own.motor_encoder.over_the_wire.sigma_rad, column((0, n**2, weights(late, 1)), (2, 1.0, angle), *viscous)),
         (

@@ -99,8 +99,8 @@ _FIXED = {
     TOO_FAST: "a higher SYNC rate, a shorter smoother window, or a slower motion",
     UNCLOSED: _CLOSE,
     UNEXPLAINED: _CLOSE,
-    NOISE: "a larger or faster motion of every joint, or sensors declared as they are (quanta, rate_sigma); a longer "
-    "run with the same motion does not change that ratio",
+    NOISE: "a larger or faster motion of every joint, or sensors declared as they are (quanta, rate_sigma); more of "
+    "the same motion does not change that ratio",
     DECLARED: "state the sensors of the arm file as they are: counts or quantum_rad, rate_sigma",
     CHANGED: "split the log where the arm changed, or let old arcs fade ([arc] memory_min); on board call "
     "zygos_restart()",

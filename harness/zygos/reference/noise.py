@@ -138,10 +138,14 @@ def drift(arm: Arm, known: Spread, effects: Sequence[Effect] = ()) -> Floats:
     """Mean contribution of noise per step to the columns after those of bodies, which integrate squared rates."""
     h, rate = arm.period_s, known.motor[:, 1, 1]
     slip = [h * (known.link[i, 1, 1] + rate[i]) if kind == "b" else 0.0 for kind, i, _ in arm.joint_parameters]
-    of_effects = [
-        h * arm.gear_ratios[effect.index(arm)] * rate[effect.index(arm)] if effect.kind.key == "motor_viscous" else 0.0
-        for effect in estimated(arm, effects)
-    ]
+
+    def square(effect: Effect) -> float:
+        i = effect.index(arm)
+        if not effect.kind.viscous:
+            return 0.0
+        return float(arm.gear_ratios[i] * rate[i] if effect.kind.place == "motor" else known.link[i, 1, 1])
+
+    of_effects = [h * square(effect) for effect in estimated(arm, effects)]
     return np.array([*slip, *of_effects])
 
 
@@ -219,7 +223,7 @@ def slopes(arm: Arm, here: Instants, side: Side, i: int, effects: Sequence[Effec
             by_angle[:, k] = sign * torque(deflection)
         elif place == {"q": "link", "theta": "motor"}[side]:
             # d(f(v) v)/dv where f is proportional to the rate, or constant above the slowest rate
-            grows = 2.0 if effect.kind.key == "motor_viscous" else 1.0
+            grows = 2.0 if effect.kind.viscous else 1.0
             by_angle[:, k] = grows * (ratio if side == "theta" else 1.0) * torque(rate)
     if side == "theta":
         by_angle[:, -1] = ratio * here.tau[:, i]
