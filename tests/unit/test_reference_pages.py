@@ -36,7 +36,7 @@ def calls(path: Path) -> Iterator[tuple[str, int, int]]:
             continue
         if node.func.attr in METHODS:
             assert node.end_lineno is not None and node.end_col_offset is not None
-            yield str(path), node.end_lineno, node.end_col_offset
+            yield str(path.resolve()), node.end_lineno, node.end_col_offset
 
 
 def test_every_call_that_reads_a_key_is_on_a_page() -> None:

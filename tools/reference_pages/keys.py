@@ -63,7 +63,7 @@ def _caller() -> tuple[str, int, int]:
         frame = frame.f_back
     _, line, _, column = list(frame.f_code.co_positions())[frame.f_lasti // 2]
     assert line is not None and column is not None
-    return frame.f_code.co_filename, line, column
+    return str(Path(frame.f_code.co_filename).resolve()), line, column
 
 
 def recorded(read: Callable[[Recorder], object], file: Path) -> list[Read]:
