@@ -31,7 +31,7 @@ $(error CAPACITIES holds $(filter-out -DZYGOS_%,$(CAPACITIES)), which is no capa
 endif
 
 .DEFAULT_GOAL := demo
-.PHONY: lock demo build library install uninstall FORCE node test test-all coverage times kernels hil pil gap bench accuracy mission demo-log reference lint format warnings clean help
+.PHONY: lock demo build library install uninstall FORCE node test test-slow test-all coverage times kernels hil pil gap bench accuracy mission demo-log reference lint format warnings clean help
 
 demo: build ## set up, run the paper's example over CAN, show the result (out/demo/report.html)
 	$(BIN)/python -m zygos.demo
@@ -100,7 +100,10 @@ PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile
 test: build node $(VENV)/.test ## the quick tests, a process for each core (5 minutes on two cores)
 	$(PYTEST) -m "not slow" $(TESTS)
 
-test-all: build node $(VENV)/.test ## the quick and the slow tests, without hil and pil (20 minutes; out/tests.json)
+test-slow: build node $(VENV)/.test ## the slow tests alone (12 minutes)
+	$(PYTEST) -m slow $(TESTS)
+
+test-all: build node $(VENV)/.test ## the quick and the slow tests, without hil and pil (17 minutes; out/tests.json)
 	$(PYTEST) --times $${ZYGOS_OUT:-out}/tests.json $(TESTS)
 
 # The package as links to its files, so that the library beside them can be another one.
