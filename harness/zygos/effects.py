@@ -263,10 +263,10 @@ def spoken(arm: Arm, column: str) -> str:
 def estimated(arm: Arm, effects: Sequence[Effect]) -> tuple[Effect, ...]:
     """The effects that have a column in the energy balance, so that an estimator finds their values.
 
-    These are the effects of a model, without those that exist only in an estimate on the ground. Where it does not name the offset of a spring, the offset is added if the zero of
-    one of the encoders is uncertain (`zero_sigma_rad` above 0). Rotor coupling as in nature is part of the columns of
-    every arm, and an angular momentum does no work: both are omitted. Errors: ZygosError for any other rotor coupling,
-    and for an effect that the arm cannot have.
+    These are the effects of a model, without those that exist only in an estimate on the ground. Where it does not name
+    the offset of a spring, the offset is added if the zero of one of the encoders is uncertain (`zero_sigma_rad` above
+    0). Rotor coupling as in nature is part of the columns of every arm, and an angular momentum does no work: both are
+    omitted. Errors: ZygosError for any other rotor coupling, and for an effect that the arm cannot have.
     """
     for effect in effects:
         effect.index(arm)

@@ -150,8 +150,8 @@ def drives(arm: Arm, value: Mapping[str, float], effects: Sequence[Effect]) -> d
             )
         if effect.kind.on_ground:
             raise ZygosError(
-                f"effect {effect.kind.key} at {effect.joint}: the simulator has no law for it; remedy: remove the entry "
-                "from the model that is simulated"
+                f"effect {effect.kind.key} at {effect.joint}: the simulator has no law for it; remedy: remove "
+                "the entry from the model that is simulated"
             )
         if effect.kind.torque is not None:
             laws.append((effect.kind, joint, effect.value))
