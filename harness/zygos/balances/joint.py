@@ -34,7 +34,7 @@ Floats = NDArray[np.float64]
 @dataclass(frozen=True)
 class JointColumns:
     """Columns of the bodies, and the shares of the rotors, in momentum and force of each joint; N joints, B parameters
-    of bodies (`arm.body_parameters`)."""
+    of bodies (`arm.full_body_names`)."""
 
     momentum: Floats
     """(..., N, B) those of dT/dq'_j."""
@@ -212,8 +212,8 @@ def _running(arm: Arm, state: State, columns: JointColumns, segment: NDArray[np.
     wound = _integrals(arm, deflection, segment)
     single = np.eye(arm.n)
     of_joint = {"Im": rotors, "k": -wound[..., None] * single, "b": -deflection[..., None] * single}
-    joints = [of_joint[kind][..., i] for kind, i, _ in arm.joint_parameters]
-    return np.concatenate([bodies, np.stack(joints, axis=-1)] if joints else [bodies], axis=-1)
+    joints = [of_joint[kind][..., i] for kind, i in arm.full_joint_parameters]
+    return arm.structure.reduced(np.concatenate([bodies, np.stack(joints, axis=-1)] if joints else [bodies], axis=-1))
 
 
 def _integrals(arm: Arm, g: Floats, segment: NDArray[np.int64]) -> Floats:

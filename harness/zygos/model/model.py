@@ -25,6 +25,8 @@ SOURCES = ("CAD", "test", "zygos")
 _LARGEST = 1e12
 """Largest accepted mass, inertia, stiffness, damping or sigma, in SI units. A space station has about 1e9 kg m^2."""
 _FARTHEST_M = 1e6
+_SAME_PLACE_M = 1e-6
+"""Largest difference between a joint's place in a model and in the arm file, m."""
 INERTIA_KEYS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _SOURCE_MEANING = "Where the value comes from."
 _SOURCE_OTHERWISE = "source of the file"
@@ -164,6 +166,15 @@ class Model:
                 f"model {self.name}: the base {self.bodies[0].name} has no mass, but it floats in arm {arm.name}; "
                 'remedy: give it mass and inertia, or write base = "fixed" in the arm file'
             )
+        for body, theirs in zip(self.bodies[:-1], arm.joints, strict=True):
+            if theirs.position_m is None or body.joint_xyz is None or (theirs is arm.joints[0] and not arm.free):
+                continue  # where a fixed base carries the arm has no effect
+            if np.max(np.abs(np.subtract(body.joint_xyz, theirs.position_m))) > _SAME_PLACE_M:
+                raise ZygosError(
+                    f"model {self.name}: body {body.name} carries joint {theirs.name} at {list(body.joint_xyz)} m, arm "
+                    f"{arm.name} has it at {list(theirs.position_m)} m; remedy: correct joint_xyz in the model or "
+                    "position_m in the arm file"
+                )
         for ours, theirs in zip(self.joints, arm.joints, strict=True):
             if not theirs.flexible and np.isfinite(ours.stiffness.value):
                 raise ZygosError(
@@ -204,6 +215,13 @@ class Model:
                 first[i] += rotor_mass * reach[i]
                 second[i] += rotor_mass * np.outer(reach[i], reach[i])
                 second[i] += 0.5 * rotor_inertia * (np.eye(3) - np.outer(axis, axis))
+        own = {"Im": drive[:, 1], "k": drive[:, 2], "b": drive[:, 3]}
+        if not arm.structure.candidates_are_full:
+            if not arm.spatial:
+                self._planar(arm, mass, first, second, reach)  # raises an error where the bodies are not symmetric
+            tensor = np.trace(second, axis1=1, axis2=2)[:, None, None] * np.eye(3) - second
+            table = np.column_stack([mass, first, tensor[:, *np.triu_indices(3)]])
+            return _grouped(arm, np.ravel(table[1:]), own)
         if arm.spatial:
             matrix, moments = gram.of_bodies(arm, mass, first, second, reach)
             kinetic = gram.to_parameters(arm, matrix)
@@ -211,11 +229,9 @@ class Model:
             kinetic = self._planar(arm, mass, first, second, reach)
             moments = gram.of_bodies(arm, mass, first, second, reach)[1]
         heavy = np.repeat(np.array(arm.feels_gravity), 2)
-        if not arm.free and not arm.joints[0].flexible:
+        if not arm.free and not arm.joints[0].flexible and arm.torque_at == "rotor":
             kinetic[0] += arm.joints[0].gear_ratio ** 2 * drive[0, 1]
-        columns = {"Im": 1, "k": 2, "b": 3}
-        joints = [drive[i, columns[kind]] for kind, i, _ in arm.joint_parameters]
-        return np.concatenate([kinetic, moments[-len(heavy) :][heavy], joints])
+        return _grouped(arm, np.concatenate([kinetic, moments[-len(heavy) :][heavy]]), own)
 
     def _planar(
         self,
@@ -256,6 +272,21 @@ class Model:
                 f'arm {arm.name} says kinetic = "planar-symmetric"; remedy: write kinetic = "planar"'
             )
         return np.array(values)
+
+
+def _grouped(arm: Arm, bodies: NDArray[np.float64], joints: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
+    """The independent parameters (p,) of candidates: those of bodies, and those of joints (N,) by their symbol."""
+    structure = arm.structure
+    of_joints = [joints[one.symbol][one.joint] for one in structure.candidates if one.joint is not None]
+    values = np.concatenate([bodies, of_joints])
+    if not structure.reduces:
+        return values
+    # an infinite stiffness has no part in other parameters
+    found: NDArray[np.float64] = structure.groups @ np.where(np.isfinite(values), values, 0.0)
+    same = {one.name: value for one, value in zip(structure.candidates, values.tolist(), strict=True)}
+    infinite = [k for k, one in enumerate(structure.parameters) if one.symbol == "k"]
+    found[infinite] = [same[structure.parameters[k].name] for k in infinite]
+    return found
 
 
 def load_model(path: str | Path) -> Model:
