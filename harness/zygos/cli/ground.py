@@ -120,6 +120,7 @@ def _print_across(found: GroundEstimate) -> None:
 
 def print_score(score: Score, before: str = "") -> None:
     """Table of a prediction."""
+    flexible = any(np.isfinite(one.spring_nm) for one in score.joints)
     rows = [
         (
             one.joint,
@@ -131,11 +132,14 @@ def print_score(score: Score, before: str = "") -> None:
             number(one.energy_error_j, 3),
             number(100 * one.energy_share, 3),
             number(one.sigmas, 3),
+            *((number(one.spring_nm, 3),) if flexible else ()),
         )
         for one in score.joints
     ]
     heads = ("joint", "torque, Nm", "error, Nm", "in %", "offset, Nm", "with offset, %", "work in 1 s, J", "in %", "σ")
-    table(heads, rows, title=f"{before}{score.run.path or 'the run'} at {score.cutoff_hz:.1f} Hz")
+    how = f"at {score.cutoff_hz:.1f} Hz" if score.cutoff_hz else f"over increments of {score.increment_s:g} s"
+    table((*heads, *(("spring, Nm",) if flexible else ())), rows, title=f"{before}{score.run.path or 'the run'} {how}")
+    say(f"work of all motors in 1 s: {100 * score.arm_energy_share:.3g} % are left by the energy of the arm")
 
 
 def scores_table(scores: Sequence[Score]) -> None:
