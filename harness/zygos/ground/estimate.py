@@ -456,10 +456,17 @@ def _predicted(motion: Motion, solution: Solution | None) -> Floats | None:
 
 def _noise_share(sums: Sequence[Sums], solution: Solution) -> float:
     """Share of the squared residuals that the declared noise of the angles causes, over all joints by their weight."""
-    noise = np.sum([one.noise.sum(axis=0) for one in sums], axis=0)
-    caused = np.einsum("p,jpq,q->j", solution.value, noise, solution.value)
+    caused = _by_angles(sums, solution)
     rows = float(sum(one.count.sum() for one in sums))
     return float(np.mean(caused / (rows * solution.sigma_w**2)))
+
+
+def _by_angles(sums: Sequence[Sums], solution: Solution) -> Floats:
+    """(N,) squared residuals that the declared noise of the angles causes."""
+    noise = np.sum([one.noise.sum(axis=0) for one in sums], axis=0)
+    moved = np.array([[bool(one[k, :-1].any() and not one[k, -1]) for k in range(len(one) - 2)] for one in noise])
+    value = np.where(moved, solution.value, 0.0)
+    return np.asarray(np.einsum("jp,jpq,jq->j", value, noise[:, :-2, :-2], value), dtype=np.float64)
 
 
 def _with_other_cutoffs(
@@ -494,8 +501,7 @@ def _across(sums: Sequence[Sums]) -> Floats:
 
 def _left(sums: Sums, value: Floats) -> tuple[Floats, Floats]:
     """(N,) squared residuals of a run with its own offset, and its squared impulse less that offset."""
-    gram = sums.gram.sum(axis=0)
-    gram[:, :-2, :-2] += sums.noise.sum(axis=0)
+    gram = sums.gram.sum(axis=0) + sums.noise.sum(axis=0)
     x = np.append(value, 0.0)
     left, whole = np.zeros(len(gram)), np.zeros(len(gram))
     for j, own in enumerate(gram):
@@ -510,9 +516,7 @@ def _excess(arm: Arm, motions: Sequence[Motion], sums: Sequence[Sums], solution:
     """(N,) standard deviation of the residuals of an increment, in units of what noise causes."""
     steps = span / arm.period_s
     rows = float(sum(one.count.sum() for one in sums))
-    reading = np.array([torque_noise(arm, motion.samples) for motion in motions])
+    # a deviation that is declared too small is no reason to look for another law
+    reading = np.array([np.maximum(torque_noise(motion), torque_noise(motion, False)) for motion in motions])
     of_torque = arm.gear_ratios**2 * np.mean(reading**2, axis=0) * arm.period_s**2 * steps
-    of_angles = np.einsum(
-        "p,jpq,q->j", solution.value, np.sum([one.noise.sum(axis=0) for one in sums], 0), solution.value
-    )
-    return np.asarray(solution.sigma_w / np.sqrt(of_torque + of_angles / rows), dtype=np.float64)
+    return np.asarray(solution.sigma_w / np.sqrt(of_torque + _by_angles(sums, solution) / rows), dtype=np.float64)

@@ -130,8 +130,7 @@ def solve(runs: Sequence[Sums], prior_weight: Floats | None = None) -> Solution:
 
 
 def _embedded(run: Sums, number: int, runs: int) -> tuple[Floats, Floats, Floats]:
-    """Sums of a run in the columns of all: shared ones, then N offsets of each run, then the impulse. The noise has the
-    shared columns alone."""
+    """Sums of a run in the columns of all: shared ones, then N offsets of each run, then the impulse."""
     joints, p = run.gram.shape[1], run.gram.shape[-1] - 2
     wide = p + runs * joints + 1
     gram, noise = np.zeros((run.blocks, joints, wide, wide)), np.zeros((run.blocks, joints, wide, wide))
@@ -139,7 +138,7 @@ def _embedded(run: Sums, number: int, runs: int) -> tuple[Floats, Floats, Floats
     for j in range(joints):
         places = np.array([*range(p), p + number * joints + j, wide - 1])
         gram[:, j, places[:, None], places] = run.gram[:, j]
-        noise[:, j, :p, :p] = run.noise[:, j]
+        noise[:, j, places[:, None], places] = run.noise[:, j]
         total[:, j, places] = run.total[:, j]
     return gram, noise, total
 

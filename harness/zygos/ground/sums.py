@@ -24,7 +24,7 @@ class Sums:
     gram: Floats
     """(K, N, c, c) sums of products of the columns, with the expected products of the sensors' noise subtracted."""
     noise: Floats
-    """(K, N, p, p) what was subtracted."""
+    """(K, N, c, c) what was subtracted."""
     total: Floats
     """(K, N, c) sums of the columns over every second increment, which do not overlap."""
     count: NDArray[np.int64]
@@ -48,7 +48,7 @@ def sums_of(run: RunRows, blocks: int) -> Sums:
         z, every = wide[part], wide[part[::2]]
         noise = run.noise(part)
         gram = np.einsum("mjp,mjq->jpq", z, z, optimize=True)
-        gram[:, :-2, :-2] -= noise
+        gram -= noise
         grams.append(gram)
         noises.append(noise)
         totals.append(every.sum(axis=0))
