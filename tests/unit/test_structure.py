@@ -330,7 +330,7 @@ def test_the_choice_is_that_of_no_random_number(name: str, monkeypatch: pytest.M
 
 @pytest.mark.parametrize("digits", [5, 6, 7, 8, 9])
 def test_angles_of_few_digits_are_taken_as_meant(digits: int) -> None:
-    exact = frames_of("UR10e")
+    exact = frames_of("Panda")
     rounded = [one | {"rpy": [round(angle, digits) for angle in one["rpy"]]} for one in exact]
     for lengths in (True, False):
         found, known = (arm_of(joints, lengths=lengths).structure for joints in (rounded, exact))
