@@ -20,6 +20,8 @@ from zygos.simulation.scenario import Controller, Scenario
 
 Floats = NDArray[np.float64]
 
+_NOTHING = 1e-12
+"""A value that is smaller, relative to the median of all values, is the rounding of 0."""
 _FINE = 4
 """Instants in half an increment at which the columns of a motion are computed."""
 _BANDWIDTH_RAD_S = 6.0
@@ -36,7 +38,7 @@ class Expectation:
     sigma: Floats
     """(c,) standard deviations, SI units; NaN where the estimator is not expected to give a value."""
     measure: float
-    """Mean logarithm of the relative sigmas: by it motions are ranked, the lowest first; infinite if a value is missing."""
+    """Mean logarithm of relative sigmas: motions are ranked by it, the lowest first."""
     angle: Floats
     """(m, N) rad, of one run."""
     rate: Floats
@@ -45,12 +47,15 @@ class Expectation:
     """(m, N) as the frames report it, Nm."""
     step_s: float
     """Time between two of the m instants, s."""
+    excess: str | None
+    """The limit that the motion exceeds most, in words; None if it keeps all."""
 
     @property
     def percent(self) -> Floats:
         """(c,) standard deviations in per cent of the values; infinite where the value is 0."""
         value = np.abs([column.value for column in self.columns])
-        return np.where(value > 0.0, 100.0 * self.sigma / np.where(value > 0.0, value, 1.0), math.inf)
+        some = value > _NOTHING * np.median(value[value > 0.0])
+        return np.where(some, 100.0 * self.sigma / np.where(some, value, 1.0), math.inf)
 
     @property
     def worst(self) -> Column:
@@ -58,7 +63,7 @@ class Expectation:
         percent = [
             (math.inf if math.isnan(p) else p, -k)
             for k, p in enumerate(self.percent)
-            if self.columns[k].structural and (self.columns[k].value != 0.0)
+            if self.columns[k].structural and not math.isinf(p)
         ]
         return self.columns[-max(percent)[1]]
 
@@ -75,12 +80,12 @@ def expected_on_ground(
     """What a run of a scenario with an arm on the ground tells: the desired motion where the drive has a feedforward
     torque, the simulated one otherwise.
 
-    Errors: ZygosError if the motion exceeds a limit, does not determine every parameter, or does not fit the arm.
+    Errors: ZygosError if the motion does not determine every parameter, is too short, or does not fit the arm.
     """
     arm = grounded.arm
     half = 0.5 * grounded.increment_s
     step = half / _FINE
-    t = step * np.arange(math.floor(scenario.duration_s / step + 1e-9) + 1)
+    t: Floats = step * np.arange(math.floor(scenario.duration_s / step + 1e-9) + 1, dtype=np.float64)
     if scenario.controller.feedforward:
         angle, rate, acceleration = desired_by(arm, scenario, t)
         torque = grounded.torque(angle, rate, acceleration)
@@ -96,12 +101,6 @@ def expected_on_ground(
             f"scenario {scenario.name}: {scenario.duration_s:g} s are too short for increments of "
             f"{grounded.increment_s:g} s; remedy: a longer duration_s"
         )
-    excess = limits.violation(arm, angle, rate, torque)
-    if excess:
-        raise ZygosError(
-            f"scenario {scenario.name}: {excess}; remedy: a smaller motion, or the right limits (--angle, --rate, "
-            "--torque)"
-        )
     rows = grounded.reduced(grounded.rows(*grounded.at(angle, rate), step, _FINE))
     spread = grounded.covariance(rows)
     p = grounded.structural
@@ -109,7 +108,15 @@ def expected_on_ground(
     scale = np.where(scale > 0.0, scale, np.median(scale[scale > 0.0]))
     measure = np.linalg.slogdet(spread[:p, :p] / np.outer(scale, scale))[1] / (2 * p)
     return Expectation(
-        scenario.name, grounded.columns, np.sqrt(np.diag(spread)), float(measure), angle, rate, torque, step
+        scenario.name,
+        grounded.columns,
+        np.sqrt(np.diag(spread)),
+        float(measure),
+        angle,
+        rate,
+        torque,
+        step,
+        limits.violation(arm, angle, rate, torque),
     )
 
 

@@ -1,9 +1,9 @@
 """The search for the motion of an arm on the ground that tells most about its parameters.
 
-The measure is the mean of the logarithm of the sigmas of the parameters' independent combinations: the logarithm of the
-determinant of their covariance, of which offsets and friction have been eliminated, over twice their number. It does not
-depend on units, nor on which parameters stand for a dependent set, and it has derivatives (D-optimal design: Swevers et
-al., IEEE Trans. Robotics and Automation 13, 1997).
+The measure is the mean logarithm of the sigmas of the parameters' independent combinations: the logarithm of the
+determinant of their covariance, from which offsets and friction have been eliminated, over twice their number. The best
+motion depends neither on units nor on which parameters stand for a dependent set, and the measure has derivatives
+(D-optimal design: Swevers et al., IEEE Transactions on Robotics and Automation 13, 1997).
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class _Goal:
         self.arm, self.space = arm, space
         self.nodes = 2 * max(2, round(space.period_s / arm.increment_s)) + 1
         self.step = space.period_s / (self.nodes - 1)
-        self.t = self.step * np.arange(self.nodes)
+        self.t: Floats = self.step * np.arange(self.nodes, dtype=np.float64)
         self.limit = arm.arm.gear_ratios * limits.torque * _MARGIN
         self.evaluations = 0
         unit = np.abs([column.value for column in arm.columns])
@@ -131,7 +131,7 @@ def search(
         drawn.append((goal.value(x), x))
         progress(0.1 * k / starts)
     started, x = min(drawn, key=lambda one: one[0])
-    dense = period_s * np.arange(8 * goal.nodes) / (8 * goal.nodes)
+    dense: Floats = period_s * np.arange(8 * goal.nodes, dtype=np.float64) / (8 * goal.nodes)
     steps = 0
 
     def count(_: Floats) -> None:
@@ -154,6 +154,6 @@ def search(
         over = np.abs(torque).max(axis=0) / limits.torque
         goal.limit = np.where(over > 1.0, goal.limit * _MARGIN / over, goal.limit)
     raise ZygosError(
-        f"no motion within the limits was found: {excess}; remedy: raise the limit, or restrict the angles to postures in "
-        "which gravity asks for less torque"
+        f"no motion within the limits was found: {excess}; remedy: raise the limit, or restrict the angles to postures "
+        "in which gravity asks for less torque"
     )
