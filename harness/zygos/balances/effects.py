@@ -88,8 +88,10 @@ def impulse_column(kind: Kind, signals: Signals) -> Floats:
 
 
 def joint_column(kind: Kind, signals: Signals, flexible: bool) -> Floats:
-    """Column (..., m) in the row of the joint, Nms per unit, up to a constant in each arc. The motor of a flexible joint
-    does not act on the link."""
+    """Column (..., m) in the row of the joint, Nms per unit, up to a constant in each arc.
+
+    The motor of a flexible joint does not act on the link.
+    """
     s = signals
     if kind.place == "spring":
         assert kind.torque is not None
