@@ -101,7 +101,7 @@ def expected_on_ground(
             f"scenario {scenario.name}: {scenario.duration_s:g} s are too short for increments of "
             f"{grounded.increment_s:g} s; remedy: a longer duration_s"
         )
-    rows = grounded.reduced(grounded.rows(*grounded.at(angle, rate), step, _FINE))
+    rows = grounded.rows(*grounded.at(angle, rate), step, _FINE)
     spread = grounded.covariance(rows)
     p = grounded.structural
     scale = np.abs([column.value for column in grounded.columns[:p]])
