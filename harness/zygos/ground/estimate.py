@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import t as student
 
 from zygos.arm import Arm, Smoother
 from zygos.balances.joint import in_order, joint_columns
@@ -33,6 +34,8 @@ DEFAULT_FRICTION = ("motor_coulomb", "motor_viscous")
 """Effects at every joint that are estimated unless others are asked for."""
 CLUSTER_LIMIT = 4.0
 """Largest mean square of a block's summed residuals, in units of that of independent ones, that passes as noise."""
+EXCESS_LIMIT = 2.0
+"""Largest residual, in units of the noise of torques and angles, that passes as noise."""
 _LOAD_ROUNDS = 3
 _DOUBTFUL_SHARE = 0.5
 _TOTAL_BLOCKS = 40
@@ -52,6 +55,8 @@ class GroundEstimate:
     increments: int
     noise_share: float
     """Share of the squared residuals that the declared noise of the angles causes."""
+    excess: Floats
+    """(N,) residuals in units of what the noise of torques and angles causes."""
     without_run: Floats
     """(R, p) the values without each of the runs; empty for a single run."""
     across: Floats
@@ -82,7 +87,7 @@ class GroundEstimate:
         and count as determined where the motion shows them.
         """
         own = np.arange(len(self.names)) < len(self.arm.parameter_names)
-        narrow = self.solution.half(0.95) <= _sizes(self.names, self.units, self.solution.value)
+        narrow = self._half(0.95) <= _sizes(self.names, self.units, self.solution.value)
         return np.asarray(self.solution.seen & (narrow | ~own), dtype=np.bool_)
 
     @property
@@ -92,14 +97,32 @@ class GroundEstimate:
         return np.where(shown, self.solution.value, np.nan)
 
     @property
+    def _sigma(self) -> Floats:
+        """(p,) standard deviations from the scatter over blocks of time.
+
+        From three runs on they are at least those from leaving out a run. Where the residuals are not noise, half of
+        what another cut-off of the smoother changes is added, because what the rows lack differs from one to another.
+        """
+        sigma = self.solution.sigma
+        if len(self.without_run) > 2:
+            sigma = np.maximum(sigma, self.spread)
+        if self.excess.max() > EXCESS_LIMIT:
+            moved = np.nan_to_num(np.abs(self.smoothing - self.solution.value)).max(axis=0)
+            sigma = np.hypot(sigma, 0.5 * moved)
+        return np.asarray(sigma, dtype=np.float64)
+
+    def _half(self, confidence: float) -> Floats:
+        return np.asarray(student.ppf(0.5 + 0.5 * confidence, self.solution.freedom) * self._sigma, dtype=np.float64)
+
+    @property
     def sigma(self) -> Floats:
         """(p,) standard deviations; NaN as `value`."""
-        return np.where(np.isfinite(self.value), self.solution.sigma, np.nan)
+        return np.where(np.isfinite(self.value), self._sigma, np.nan)
 
     @property
     def half95(self) -> Floats:
         """(p,) half widths of the 95 % intervals; NaN as `value`."""
-        return np.where(np.isfinite(self.value), self.solution.half(0.95), np.nan)
+        return np.where(np.isfinite(self.value), self._half(0.95), np.nan)
 
     @property
     def spread(self) -> Floats:
@@ -167,13 +190,21 @@ class GroundEstimate:
             listed = ", ".join(unsure[:6]) + (", …" if len(unsure) > 6 else "")
             texts.append(f"the motion does not determine {len(unsure)} of {len(self.names)} parameters ({listed})")
             remedies.append("a motion that excites them (`zygos plan`)")
-        loud = int(np.argmax(self.solution.cluster))
-        if self.solution.cluster[loud] > CLUSTER_LIMIT:
+        loud, far = int(np.argmax(self.solution.cluster)), int(np.argmax(self.excess))
+        if self.excess[far] > EXCESS_LIMIT:
             texts.append(
-                f"what is left is not noise: at {joints[loud].name} residuals add up {self.solution.cluster[loud]:.0f} "
-                f"times as noise would ({100 * share[loud]:.1f} % of the torque)"
+                f"what is left is not noise: {100 * share[far]:.1f} % of the torque at {joints[far].name}, "
+                f"{self.excess[far]:.1f} times the noise of its readings"
             )
-            remedies.append("a further law (--friction), or take the intervals, which contain this")
+        elif self.solution.cluster[loud] > CLUSTER_LIMIT:
+            texts.append(
+                f"what is left is not noise: at {joints[loud].name} squared sums of residuals are "
+                f"{self.solution.cluster[loud]:.0f} times those of noise ({100 * share[loud]:.1f} % of the torque)"
+            )
+        if self.excess[far] > EXCESS_LIMIT or self.solution.cluster[loud] > CLUSTER_LIMIT:
+            remedies.append(
+                "another law of friction (--friction); the intervals contain what is left, if runs are alike"
+            )
         return ("partial", "; ".join(texts), "; ".join(remedies)) if texts else ("valid", "", "")
 
     def _impossible(self) -> str:
@@ -186,7 +217,7 @@ class GroundEstimate:
             *(effect.kind.positive for effect in self.effects),
         ]
         for name, value, half, must, good in zip(
-            self.names, self.solution.value, self.solution.half(0.997), positive, self.determined, strict=True
+            self.names, self.solution.value, self._half(0.997), positive, self.determined, strict=True
         ):
             if must and good and value < -half:
                 return f"{name} is {value:.3g}, negative beyond its interval of {half:.2g}"
@@ -255,6 +286,7 @@ class GroundEstimate:
                     "held_out_share": float(s.share[j]),
                     "residual_share": float(np.sqrt(np.mean(s.residual[:, j] ** 2) / np.mean(s.measured[:, j] ** 2))),
                     "torque_sigma_nm": float(self.torque_sigma[j]),
+                    "noise_ratio": float(self.excess[j]),
                     "cluster": float(s.cluster[j]),
                     "offset_nm": s.offset[:, j].tolist(),
                 }
@@ -342,7 +374,7 @@ def estimate_ground(
     if len(runs) > 1:
         without = [solve([*sums[:k], *sums[k + 1 :]], solution.sigma_w).value for k in range(len(sums))]
     told(0.6)
-    smoothing = _with_other_cutoffs(arm, runs, wanted, span, len(solution.value))
+    smoothing = _with_other_cutoffs(arm, runs, motions, wanted, span, len(solution.value))
     told(0.9)
     found = GroundEstimate(
         arm=arm,
@@ -352,6 +384,7 @@ def estimate_ground(
         solution=solution,
         increments=int(sum(one.count.sum() for one in sums)),
         noise_share=_noise_share(sums, solution),
+        excess=_excess(arm, motions, sums, solution, span),
         without_run=np.array(without),
         across=_across(sums) if len(runs) > 1 else np.zeros((0, 0)),
         smoothing=smoothing,
@@ -429,15 +462,17 @@ def _noise_share(sums: Sequence[Sums], solution: Solution) -> float:
     return float(np.mean(caused / (rows * solution.sigma_w**2)))
 
 
-def _with_other_cutoffs(arm: Arm, runs: Sequence[Run], effects: Sequence[Effect], span: float, p: int) -> Floats:
+def _with_other_cutoffs(
+    arm: Arm, runs: Sequence[Run], motions: Sequence[Motion], effects: Sequence[Effect], span: float, p: int
+) -> Floats:
     """(2, p) the values with windows of the smoother that are longer and shorter."""
     out = []
+    own = motions[0].arm.smoother
     for factor in (1.0 / 0.7, 1.0 / 1.4):
-        half = max(arm.smoother.order // 2 + 1, round(factor * (arm.smoother.points // 2)))
-        other = replace(arm, smoother=Smoother(2 * half + 1, arm.smoother.order, half))
+        half = max(own.order // 2 + 1, round(factor * (own.points // 2)))
+        other = replace(arm, smoother=Smoother(2 * half + 1, own.order, half))
         try:
-            motions = [Motion.of(run, other) for run in runs]
-            out.append(_solved(motions, span, effects)[1].value)
+            out.append(_solved([Motion.of(run, other) for run in runs], span, effects)[1].value)
         except (ZygosError, Undecided):
             out.append(np.full(p, np.nan))
     return np.array(out)
@@ -471,7 +506,13 @@ def _left(sums: Sums, value: Floats) -> tuple[Floats, Floats]:
     return left, whole
 
 
-def noise_floor(arm: Arm, motion: Motion, span_s: float) -> Floats:
-    """(N,) standard deviation of an increment by the noise of its torques alone, Nms."""
-    steps = span_s / arm.period_s
-    return np.asarray(torque_noise(arm, motion.samples) * arm.gear_ratios * arm.period_s * np.sqrt(steps))
+def _excess(arm: Arm, motions: Sequence[Motion], sums: Sequence[Sums], solution: Solution, span: float) -> Floats:
+    """(N,) standard deviation of the residuals of an increment, in units of what noise causes."""
+    steps = span / arm.period_s
+    rows = float(sum(one.count.sum() for one in sums))
+    reading = np.array([torque_noise(arm, motion.samples) for motion in motions])
+    of_torque = arm.gear_ratios**2 * np.mean(reading**2, axis=0) * arm.period_s**2 * steps
+    of_angles = np.einsum(
+        "p,jpq,q->j", solution.value, np.sum([one.noise.sum(axis=0) for one in sums], 0), solution.value
+    )
+    return np.asarray(solution.sigma_w / np.sqrt(of_torque + of_angles / rows), dtype=np.float64)
