@@ -106,8 +106,8 @@ def _tables(expected: Sequence[Expectation]) -> None:
             (
                 one.name,
                 f"{math.exp(one.measure - best.measure):.2f}",
-                one.worst.name,
-                number(float(one.percent[one.columns.index(one.worst)]), 3),
+                one.columns[one.worst].name,
+                number(float(one.percent[one.worst]), 3),
                 number(float(np.abs(one.rate).max()), 3),
                 number(float(np.abs(one.torque).max()), 3),
                 "exceeded" if one.excess else "kept",
@@ -118,7 +118,8 @@ def _tables(expected: Sequence[Expectation]) -> None:
     for one in expected:
         if one.excess:
             say(f"{one.name}: {one.excess}")
-    say("σ: expected after one run · mean σ: of the arm's parameters, relative to the best motion")
+    say("σ: expected after one run, in % of the largest value with the same unit of the same body")
+    say("mean σ: of the arm's parameters, relative to the best motion")
 
 
 def _answer(arm: str, expected: Sequence[Expectation], out: Path | None, planner: Planner) -> dict[str, Any]:
@@ -138,7 +139,7 @@ def _answer(arm: str, expected: Sequence[Expectation], out: Path | None, planner
             {
                 "name": one.name,
                 "measure": one.measure,
-                "worst": one.worst.name,
+                "worst": one.columns[one.worst].name,
                 "excess": one.excess,
                 "largest_rate_rad_s": np.abs(one.rate).max(axis=0).tolist(),
                 "largest_torque_nm": np.abs(one.torque).max(axis=0).tolist(),
@@ -218,11 +219,11 @@ def command(
 ) -> None:
     """Plan a motion that excites every parameter, or rank given motions by what they tell.
 
-    The table has the standard deviation that is expected of each parameter after one run, in % of its value in the
-    model, for each given scenario and for the planned one. For an arm on the ground with rigid joints it follows from
-    the joint rows of the motion and from the noise of the torques, and the planned scenario has a drive that follows
-    the motion. An arm that floats or has springs is simulated, and its first scenario gives servo, angular momentum
-    and duration.
+    The table has the standard deviation that is expected of each parameter after one run, in % of the largest value
+    with the same unit of the same body, for each given scenario and for the planned one. For an arm on the ground with
+    rigid joints it follows from the joint rows of the motion and from the noise of the torques, and the planned
+    scenario has a drive that follows the motion. An arm that floats or has springs is simulated, and its first scenario
+    gives servo, angular momentum and duration.
 
     A planned motion keeps all limits. A given one that exceeds a limit is ranked last; if all do, they are refused.
 

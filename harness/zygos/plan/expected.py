@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from zygos.arm import Arm
 from zygos.errors import ZygosError
+from zygos.ground.estimate import sizes
 from zygos.plan.limits import Limits
 from zygos.plan.rows import Column, Grounded
 from zygos.plan.series import FourierMotion
@@ -20,8 +21,6 @@ from zygos.simulation.scenario import Controller, Scenario
 
 Floats = NDArray[np.float64]
 
-_NOTHING = 1e-12
-"""A value that is smaller, relative to the median of all values, is the rounding of 0."""
 _FINE = 4
 """Instants in half an increment at which the columns of a motion are computed."""
 _BANDWIDTH_RAD_S = 6.0
@@ -52,20 +51,21 @@ class Expectation:
 
     @property
     def percent(self) -> Floats:
-        """(c,) standard deviations in per cent of the values; infinite where the value is 0."""
-        value = np.abs([column.value for column in self.columns])
-        some = value > _NOTHING * np.median(value[value > 0.0])
-        return np.where(some, 100.0 * self.sigma / np.where(some, value, 1.0), math.inf)
+        """(c,) standard deviations in per cent of the largest value with the same unit of the same body, as an estimate
+        on the ground judges them; infinite where all these values are 0."""
+        size = sizes(
+            [one.name for one in self.columns],
+            [one.unit for one in self.columns],
+            np.array([one.value for one in self.columns]),
+        )
+        return np.where(size > 0.0, 100.0 * self.sigma / np.where(size > 0.0, size, 1.0), math.inf)
 
     @property
-    def worst(self) -> Column:
-        """The parameter of the arm with the largest relative deviation."""
-        percent = [
-            (math.inf if math.isnan(p) else p, -k)
-            for k, p in enumerate(self.percent)
-            if self.columns[k].structural and not math.isinf(p)
-        ]
-        return self.columns[-max(percent)[1]]
+    def worst(self) -> int:
+        """Position of the parameter of the arm with the largest relative deviation, or of one without a value."""
+        own = np.array([column.structural for column in self.columns])
+        percent = np.where(np.isnan(self.percent), np.inf, self.percent)
+        return int(np.argmax(np.where(own, percent, -1.0)))
 
 
 def desired_by(arm: Arm, scenario: Scenario, t: Floats) -> tuple[Floats, Floats, Floats]:

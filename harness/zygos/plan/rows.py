@@ -6,7 +6,7 @@ smoothed readings, with the columns of friction and of a constant offset of each
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,10 @@ from zygos.arm import Arm
 from zygos.balances.joint import in_order, joint_columns
 from zygos.balances.state import State
 from zygos.dynamics.equations import Dynamics, equations
-from zygos.effects import Effect
+from zygos.effects import CATALOGUE, Effect
 from zygos.errors import ZygosError
+from zygos.ground.estimate import DEFAULT_FRICTION
+from zygos.ground.rows import friction
 from zygos.model.model import Model
 from zygos.simulation.plant import needed_torque
 
@@ -56,6 +58,9 @@ class Grounded:
                 f"arm {arm.name}: the noise of the torque of {', '.join(without)} is not known; remedy: declare "
                 "torque_sigma in the arm file, or give --torque-noise"
             )
+        if not model.effects:
+            # an estimate assumes friction where the model says nothing
+            model = replace(model, effects=friction(arm, [CATALOGUE[key] for key in DEFAULT_FRICTION]))
         self.arm, self.model = arm, model
         self.dynamics: Dynamics = equations(arm, model)
         self.friction: tuple[Effect, ...] = tuple(

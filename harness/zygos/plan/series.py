@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import null_space
+from scipy.special import expit
 
 from zygos.plan.limits import Limits
 from zygos.simulation.scenario import Motion, Sine
@@ -93,8 +94,8 @@ class Space:
         largest = 0.999 * np.minimum(
             self.limits.rate / np.maximum(np.abs(rate).max(axis=0), 1e-300), room / np.maximum(high - low, 1e-300)
         )
-        scale = largest / (1.0 + np.exp(-x[:, -2]))
-        share = 1.0 / (1.0 + np.exp(-x[:, -1]))
+        scale = largest * expit(x[:, -2])
+        share = expit(x[:, -1])
         offset = self.limits.low - scale * low + share * (room - scale * (high - low))
         return FourierMotion(self.period_s, offset, scale[:, None] * sine, scale[:, None] * cosine)
 
