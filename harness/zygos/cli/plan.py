@@ -166,7 +166,7 @@ def command(
     model: Annotated[Path, typer.Option("--model", metavar="MODEL.toml", help="The model that is assumed.")],
     scenarios: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="[SCENARIO.toml]...", help="Motions to rank, and to compare the planned one with."),
+        typer.Argument(metavar="SCENARIO...", help="Motions to rank, and to compare the planned one with."),
     ] = None,
     out: Annotated[
         Path | None, typer.Option("-o", "--out", metavar="SCENARIO.toml", help="Search a motion, and write it here.")
@@ -178,7 +178,7 @@ def command(
         str | None,
         typer.Option(
             metavar="RAD",
-            help="Range of the angles: A for -A to A, or LOW:HIGH; NAME=LOW:HIGH,... for single joints. A search "
+            help="Range of the angles: A for -A to A, or LOW:HIGH; with NAME= before it of one joint. A search "
             f"assumes {ANGLE_RAD:.2f} where there is none.",
         ),
     ] = None,
@@ -186,18 +186,18 @@ def command(
         str | None,
         typer.Option(
             metavar="RAD/S",
-            help=f"Largest rate; NAME=RATE,... for single joints. A search assumes {RATE_RAD_S:g} where there is none.",
+            help=f"Largest rate; with NAME= before it of one joint. A search assumes {RATE_RAD_S:g} where there is none.",
         ),
     ] = None,
     torque: Annotated[
         str | None,
-        typer.Option(metavar="NM", help="Largest torque as the frames report it; NAME=TORQUE,... for single joints."),
+        typer.Option(metavar="NM", help="Largest torque as the frames report it; with NAME= before it of one joint."),
     ] = None,
     torque_noise: Annotated[
         str | None,
         typer.Option(
             metavar="NM",
-            help="Standard deviation of the torques; NAME=SIGMA,... for single joints. Default: torque_sigma.",
+            help="Standard deviation of the torques; with NAME= before it of one joint. Default: torque_sigma.",
         ),
     ] = None,
     period: Annotated[float, typer.Option(metavar="S", min=0.5, help="Period of the motion.")] = 10.0,
