@@ -186,7 +186,8 @@ def command(
         str | None,
         typer.Option(
             metavar="RAD/S",
-            help=f"Largest rate; with NAME= before it of one joint. A search assumes {RATE_RAD_S:g} where there is none.",
+            help="Largest rate; with NAME= before it of one joint. A search assumes "
+            f"{RATE_RAD_S:g} where there is none.",
         ),
     ] = None,
     torque: Annotated[
