@@ -87,7 +87,7 @@ class GroundEstimate:
         and count as determined where the motion shows them.
         """
         own = np.arange(len(self.names)) < len(self.arm.parameter_names)
-        narrow = self._half(0.95) <= _sizes(self.names, self.units, self.solution.value)
+        narrow = self._half(0.95) <= sizes(self.names, self.units, self.solution.value)
         return np.asarray(self.solution.seen & (narrow | ~own), dtype=np.bool_)
 
     @property
@@ -328,7 +328,7 @@ class GroundEstimate:
         return "\n".join(lines)
 
 
-def _sizes(names: Sequence[str], units: Sequence[str], values: Floats) -> Floats:
+def sizes(names: Sequence[str], units: Sequence[str], values: Floats) -> Floats:
     """(p,) the largest value in the same unit of the same body; the body of a parameter is the highest number in its
     name."""
     keys = [(unit, max(map(int, re.findall(r"\d+", name)), default=0)) for name, unit in zip(names, units, strict=True)]
