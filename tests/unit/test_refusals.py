@@ -260,7 +260,7 @@ def converted(folder: Path, run: Path, mapping: Path) -> int:
 def test_stamps_that_jitter_are_not_taken_for_a_fast_motion(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run, mapping = jittering(tmp_path, 0.49, 1.0)
     arm = load_arm(tmp_path / "arm.toml")
-    chosen = load_map(mapping, arm, tabular=True)
+    chosen = load_map(mapping, arm, "table")
     found = tracks(read_table(run, chosen), chosen)
     rate, needed = needed_rate(found, arm, chosen)
     assert needed is None or needed >= 2.0 * rate  # what would be taken for the motion's
