@@ -24,12 +24,14 @@ TorqueLaw = Literal["applied_from_sync", "applied_previous_cycle", "sampled"]
 
 Side = Literal["output", "rotor"]
 TorqueAt = Literal["rotor"]
+TorqueUnit = Literal["Nm", "A"]
 Resolution = Literal["fine", "coarse"]
 
 _BASES: tuple[Base, ...] = ("free", "fixed")
 _KINETICS: tuple[Kinetic, ...] = ("planar-symmetric", "planar", "spatial")
 _SIDES: tuple[Side, ...] = ("output", "rotor")
 _TORQUE_ATS: tuple[TorqueAt, ...] = ("rotor",)
+_TORQUE_UNITS: tuple[TorqueUnit, ...] = ("Nm", "A")
 _RESOLUTIONS: tuple[Resolution, ...] = ("fine", "coarse")
 _TORQUE_LAWS: tuple[TorqueLaw, ...] = ("applied_from_sync", "applied_previous_cycle", "sampled")
 ANGLE_STEP = 2.0 * math.pi / 2**20
@@ -227,6 +229,8 @@ class Arm:
     """Longest arc of the momentum rows of a floating base, s; 0 switches these rows off. None: `momentum_arc_s`."""
     joint_increment_s: float | None = None
     """Length of the increments of the joint rows, s; 0 switches these rows off. None: `joint_row_s`."""
+    torque_unit: TorqueUnit = "Nm"
+    """Unit of the reported torques. "A": they are motor currents, whose torque constants nobody knows."""
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Gravity in the base frame, m/s^2, for a fixed base; a free-floating arm falls with its orbit and feels none."""
 
@@ -462,6 +466,13 @@ def read_arm(top: Table) -> Arm:
             _TORQUE_LAWS,
         ),
         torque_at=top.choice("torque_at", "The side of the gear at which torques are reported.", _TORQUE_ATS),
+        torque_unit=top.choice(
+            "torque_unit",
+            'Unit of the reported torques. "A": the values are motor currents with unknown torque constants; estimates '
+            "are then relative to the first joint.",
+            _TORQUE_UNITS,
+            "Nm",
+        ),
         joints=joints,
         imu=imu,
         smoother=_smoother(
@@ -830,6 +841,8 @@ def save_arm(arm: Arm, path: str | Path) -> None:
     document = tomlkit.document()
     document.update({"name": arm.name, "base": arm.base, "kinetic": arm.kinetic, "period_s": arm.period_s})
     document.update({"torque_law": arm.torque_law, "torque_at": arm.torque_at})
+    if arm.torque_unit != "Nm":
+        document["torque_unit"] = arm.torque_unit
     if not arm.free:
         document["gravity"] = list(arm.gravity)
     joints = tomlkit.aot()
