@@ -353,19 +353,18 @@ def test_coupled_joints_are_not_accused_where_the_law_of_one_motor_does_not_fit(
     arm, cycles = pendulum(number)
     found = audit(arm, cycles)
     assert found.findings == ()
-    assert any("the law of a single motor does not fit" in note for note in found.notes)
-    # where the whole arm has a balance it confirms them; a run of 6 s has too few blocks for one
+    # at the rates of 11 with this smoother's window of 30 ms, the law leaves most of the first torque
     assert found.ok == (number != "11"), found.notes
     undone = audit(arm, swapped("tau", 0, 1)(cycles))
     if number == "11":
         assert undone.findings == () and not undone.ok
-        assert any("6" in note and "accepted" in note for note in undone.notes)
-    else:
-        assert accused(undone) == {
-            "joint 1 torque": "swapped with joint 2 torque",
-            "joint 2 torque": "swapped with joint 1 torque",
-        }
-        assert set(accused(audit(arm, inverted("tau", 0)(cycles))).values()) == {"inverted"}
+        return
+    assert accused(undone) == {
+        "joint 1 torque": "swapped with joint 2 torque",
+        "joint 2 torque": "swapped with joint 1 torque",
+    }
+    for i in (0, 1):
+        assert accused(audit(arm, inverted("tau", i)(cycles))) == {f"joint {i + 1} torque": "inverted"}
 
 
 def test_noise_of_a_torque_is_tested_as_that_of_an_encoder() -> None:

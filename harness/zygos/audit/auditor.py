@@ -34,9 +34,9 @@ SURE_SCALE = 4.0
 another scale of one torque fitted up to 1.9 times better (tests/unit/test_rigid_audit.py)."""
 SCALE_OFF = 1.2
 """A scale is reported if it is off by more than that factor."""
-CLOSES = 0.3
-"""Largest share of each torque that the law of the whole rigid arm leaves unexplained after a reported change. Real
-arms leave 0.02 to 0.26."""
+CLOSES = 0.4
+"""Largest share of each torque that the law of the whole rigid arm leaves unexplained after a reported change. A
+simulated arm of seven joints leaves 0.003 to 0.09, a real pendulum of two joints 0.05 to 0.31."""
 EXPLAINED = 0.9
 """Largest unexplained share of a torque at which its sign is still decided."""
 FITS, FITS_WELL = 0.5, 0.1
@@ -347,8 +347,6 @@ class _Auditor:
         own, whole = self._noise("tau", i), noise_level(readings, self.ranges)
         declared = self.arm.over_the_wire.joints[i].torque_sigma
         valid = np.concatenate([readings[a:b] for a, b in self.ranges] or [np.zeros(1)])
-        if sigma == 0.0 and self.arm.grounded:
-            return  # an estimate on the ground finds it
         if not own > max(NOISE_FACTOR * declared, TORQUE_NOISE_SHARE * float(np.std(valid))):
             return
         if FOLLOWS < own / whole < ALONE:

@@ -9,9 +9,10 @@ from typing import Annotated
 import typer
 
 from zygos.arm import load_arm
+from zygos.can.run import find_arm
 from zygos.cli.answer import finish_estimate
 from zygos.cli.options import ArmFile, Json, Report, Run
-from zygos.cli.shared import check_model_name, find_arm, not_whole, origin, read_run
+from zygos.cli.shared import check_model_name, not_whole, origin, read_run
 from zygos.estimation.estimate import estimate
 from zygos.files.output import (
     check_outputs,
