@@ -11,11 +11,11 @@ import typer
 
 from zygos.arm import load_arm
 from zygos.can.run import Run as RecordedRun
-from zygos.can.run import joined
+from zygos.can.run import find_arm, joined
 from zygos.cli.answer import finish_estimate
 from zygos.cli.ground import finish_ground, finish_payload
 from zygos.cli.options import ArmFile, Json, Report
-from zygos.cli.shared import check_model_name, find_arm, not_whole, origin, read_run
+from zygos.cli.shared import check_model_name, not_whole, origin, read_run
 from zygos.effects import CATALOGUE, Effect
 from zygos.errors import ZygosError
 from zygos.estimation.estimate import estimate
