@@ -149,8 +149,8 @@ def _payload(
     given = [name for name, value in beside.items() if value]
     if given:
         raise ZygosError(
-            f"{', '.join(given)} with --since: everything but the payload comes from the model of --since; remedy: leave "
-            f"{'it' if len(given) == 1 else 'them'} out"
+            f"{', '.join(given)} with --since: everything but the payload comes from the model of --since; remedy: "
+            f"leave {'it' if len(given) == 1 else 'them'} out"
         )
     assert ground.since is not None
     finish_payload(payload(runs, load_model(ground.since)), out, json)

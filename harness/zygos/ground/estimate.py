@@ -330,8 +330,11 @@ class GroundEstimate:
 
 def sizes(names: Sequence[str], units: Sequence[str], values: Floats) -> Floats:
     """(p,) the largest value in the same unit of the same body; the body of a parameter is the highest number in its
-    name."""
-    keys = [(unit, max(map(int, re.findall(r"\d+", name)), default=0)) for name, unit in zip(names, units, strict=True)]
+    name. The inertia of a rotor has its own size, because it is before the gear."""
+    keys = [
+        ("rotor" if name.startswith("Im") else unit, max(map(int, re.findall(r"\d+", name)), default=0))
+        for name, unit in zip(names, units, strict=True)
+    ]
     largest: dict[tuple[str, int], float] = {}
     for key, value in zip(keys, values, strict=True):
         largest[key] = max(largest.get(key, 0.0), abs(float(value)))
@@ -382,7 +385,7 @@ def estimate_ground(
         effects=wanted,
         span_s=span,
         solution=solution,
-        increments=int(sum(one.count.sum() for one in sums)),
+        increments=int(sum(one.count.sum(axis=0).max() for one in sums)),
         noise_share=_noise_share(sums, solution),
         excess=_excess(arm, motions, sums, solution, span),
         without_run=np.array(without),
@@ -457,8 +460,12 @@ def _predicted(motion: Motion, solution: Solution | None) -> Floats | None:
 def _noise_share(sums: Sequence[Sums], solution: Solution) -> float:
     """Share of the squared residuals that the declared noise of the angles causes, over all joints by their weight."""
     caused = _by_angles(sums, solution)
-    rows = float(sum(one.count.sum() for one in sums))
-    return float(np.mean(caused / (rows * solution.sigma_w**2)))
+    return float(np.nanmean(caused / (_rows(sums) * solution.sigma_w**2)))
+
+
+def _rows(sums: Sequence[Sums]) -> Floats:
+    """(N,) number of rows of each joint, at least 1."""
+    return np.maximum(np.sum([one.count.sum(axis=0) for one in sums], axis=0), 1).astype(np.float64)
 
 
 def _by_angles(sums: Sequence[Sums], solution: Solution) -> Floats:
@@ -515,8 +522,9 @@ def _left(sums: Sums, value: Floats) -> tuple[Floats, Floats]:
 def _excess(arm: Arm, motions: Sequence[Motion], sums: Sequence[Sums], solution: Solution, span: float) -> Floats:
     """(N,) standard deviation of the residuals of an increment, in units of what noise causes."""
     steps = span / arm.period_s
-    rows = float(sum(one.count.sum() for one in sums))
     # a deviation that is declared too small is no reason to look for another law
     reading = np.array([np.maximum(torque_noise(motion), torque_noise(motion, False)) for motion in motions])
     of_torque = arm.gear_ratios**2 * np.mean(reading**2, axis=0) * arm.period_s**2 * steps
-    return np.asarray(solution.sigma_w / np.sqrt(of_torque + _by_angles(sums, solution) / rows), dtype=np.float64)
+    return np.asarray(
+        solution.sigma_w / np.sqrt(of_torque + _by_angles(sums, solution) / _rows(sums)), dtype=np.float64
+    )

@@ -12,11 +12,16 @@ from zygos.arm import Arm
 from zygos.balances.joint import JointRows, joint_rows, momentum_of_rates
 from zygos.balances.momentum import variances
 from zygos.balances.state import State
-from zygos.effects import Effect, EffectColumn, Kind
+from zygos.effects import SLOWEST_RATE, Effect, EffectColumn, Kind
 from zygos.ground.motion import Motion, TorqueRows, torque_noise
 
 Floats = NDArray[np.float64]
 
+_SIGNED = ("motor_coulomb", "link_coulomb", "load_friction")
+_SLOW_SIGMAS = 4.0
+"""Rate, in standard deviations of its noise, below which its sign is not known."""
+_LINGERING = 0.3
+"""Share of an increment at such rates from which on its row is left out."""
 _NOISE_SAMPLES = 6
 """Increments of a block at which the expected products of noise are computed."""
 
@@ -36,6 +41,8 @@ class RunRows:
     """(N,) what an offset of 1 Nm (as reported) adds to an increment, Nms."""
     span_s: float
     """Length of the increments, s."""
+    lingers: NDArray[np.bool_]
+    """(m, N) increments in which a joint with friction hardly moves: nobody knows the friction of a joint at rest."""
     gains: tuple[tuple[int, int], ...] = ()
     """Joint and column of each torque sensor whose gain is estimated."""
 
@@ -104,8 +111,17 @@ def run_rows(motion: Motion, span_s: float, effects: Sequence[Effect], predicted
         w=rows.w,
         offset=arm.gear_ratios * float(steps) * arm.period_s,
         span_s=float(steps) * arm.period_s,
+        lingers=_lingers(arm, state, rows, effects),
         gains=tuple((one.index(arm), p + k) for k, one in enumerate(effects) if one.kind.place == "sensor"),
     )
+
+
+def _lingers(arm: Arm, state: State, rows: JointRows, effects: Sequence[Effect]) -> NDArray[np.bool_]:
+    slow = np.maximum(_SLOW_SIGMAS * np.sqrt(variances(arm).link), SLOWEST_RATE)
+    still = np.vstack([np.zeros(arm.n), np.cumsum(np.abs(state.qd) < slow, axis=0)])
+    share = (still[rows.end] - still[rows.begin]) / np.maximum(rows.end - rows.begin, 1)[:, None]
+    signed = {effect.index(arm) for effect in effects if effect.kind.key in _SIGNED}
+    return np.asarray((share > _LINGERING) & [j in signed for j in range(arm.n)], dtype=np.bool_)
 
 
 def _sensed(

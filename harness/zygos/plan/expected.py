@@ -55,8 +55,7 @@ class Expectation:
         on the ground judges them; infinite where all these values are 0."""
         size = sizes(
             [one.name for one in self.columns],
-            # the inertia of a rotor is not compared with those of bodies
-            ["rotor" if one.name.startswith("Im") else one.unit for one in self.columns],
+            [one.unit for one in self.columns],
             np.array([one.value for one in self.columns]),
         )
         return np.where(size > 0.0, 100.0 * self.sigma / np.where(size > 0.0, size, 1.0), math.inf)
