@@ -465,7 +465,7 @@ def _noise_share(sums: Sequence[Sums], solution: Solution) -> float:
 
 def _rows(sums: Sequence[Sums]) -> Floats:
     """(N,) number of rows of each joint, at least 1."""
-    return np.maximum(np.sum([one.count.sum(axis=0) for one in sums], axis=0), 1).astype(np.float64)
+    return np.asarray(np.maximum(np.sum([one.count.sum(axis=0) for one in sums], axis=0), 1), dtype=np.float64)
 
 
 def _by_angles(sums: Sequence[Sums], solution: Solution) -> Floats:
