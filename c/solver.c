@@ -144,7 +144,7 @@ static void scaled_equations(zygos_work_t *work, uint32_t p, const zygos_block_t
 /* Where column c of the motor row of joint i stands; behind the last of them the right side. */
 static uint32_t place_of(const zygos_work_t *work, uint32_t i, uint32_t c)
 {
-    const zygos_impulse_column_map_t *column_map = &work->joint_sums.column_map;
+    const zygos_impulse_column_map_t *column_map = &work->motor_sums.column_map;
     if (c < 3u) {
         return work->column_map.joint[i] + c;
     }
@@ -155,7 +155,7 @@ static uint32_t place_of(const zygos_work_t *work, uint32_t i, uint32_t c)
 /* out += factor times a packed matrix of joint i; sides: its right side as well. */
 static void embed(const zygos_work_t *work, uint32_t i, const double *local, double factor, bool sides, double *out)
 {
-    const uint32_t count = work->joint_sums.column_map.count[i];
+    const uint32_t count = work->motor_sums.column_map.count[i];
     for (uint32_t a = 0; a < count + (sides ? 1u : 0u); a++) {
         const uint32_t place_a = place_of(work, i, a);
         for (uint32_t b = 0; b <= a; b++) {
@@ -167,11 +167,11 @@ static void embed(const zygos_work_t *work, uint32_t i, const double *local, dou
 }
 
 /* The scaled equations without an arc of the motor rows. */
-static void scaled_without_arc(zygos_work_t *work, uint32_t p, const zygos_joint_block_t *arc)
+static void scaled_without_arc(zygos_work_t *work, uint32_t p, const zygos_motor_block_t *arc)
 {
     scaled_equations(work, p, NULL, work->noise_scale);
     for (uint32_t i = 0; i < work->config.joints; i++) {
-        const uint32_t count = work->joint_sums.column_map.count[i];
+        const uint32_t count = work->motor_sums.column_map.count[i];
         for (uint32_t a = 0; (a <= count) && (count > 0); a++) {
             const uint32_t place_a = place_of(work, i, a);
             for (uint32_t b = 0; (b <= a) && (b < count); b++) {
@@ -312,11 +312,11 @@ static void score(const zygos_work_t *work, uint32_t p, const zygos_block_t *blo
 }
 
 /* The same of an arc of the motor rows. */
-static void score_of_arc(const zygos_work_t *work, uint32_t p, const zygos_joint_block_t *arc, double *out)
+static void score_of_arc(const zygos_work_t *work, uint32_t p, const zygos_motor_block_t *arc, double *out)
 {
     memset(out, 0, p * sizeof out[0]);
     for (uint32_t i = 0; i < work->config.joints; i++) {
-        const uint32_t count = work->joint_sums.column_map.count[i];
+        const uint32_t count = work->motor_sums.column_map.count[i];
         const double *gram = arc->joint[i].gram;
         for (uint32_t a = 0; a < count; a++) {
             const uint32_t place = place_of(work, i, a);
@@ -348,7 +348,7 @@ static void score_of_momentum(const zygos_work_t *work, uint32_t p, const zygos_
 static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, double *covariance)
 {
     const zygos_block_t *energy_block = &work->accumulator.block[work->blocks.first];
-    const zygos_joint_block_t *arc = &work->joint_sums.block[work->arcs.first];
+    const zygos_motor_block_t *arc = &work->motor_sums.block[work->arcs.first];
     const uint32_t energy_blocks = work->blocks.end - work->blocks.first;
     const zygos_momentum_block_t *momenta = &work->momentum_sums.block[work->momenta.first];
     const uint32_t energy_and_motors = energy_blocks + (work->arcs.end - work->arcs.first);
@@ -681,13 +681,13 @@ static double energy_left(const zygos_work_t *work, uint32_t p, const double *x,
 {
     double left = form(work->total, x, p);
     for (uint32_t i = 0; i < work->config.joints; i++) {
-        const uint32_t count = work->joint_sums.column_map.count[i];
+        const uint32_t count = work->motor_sums.column_map.count[i];
         double local[ZYGOS_MAX_IMPULSE + 1] = { 0.0 };
         for (uint32_t a = 0; a < count; a++) {
             local[a] = x[place_of(work, i, a)];
         }
         for (uint32_t b = work->arcs.first; (b < work->arcs.end) && (count > 0); b++) {
-            left -= work->weight[i] * form(work->joint_sums.block[b].joint[i].gram, local, count);
+            left -= work->weight[i] * form(work->motor_sums.block[b].joint[i].gram, local, count);
         }
     }
     for (uint32_t b = work->momenta.first; (b < work->momenta.end) && (work->momentum_weight > 0.0); b++) {
@@ -733,7 +733,7 @@ static uint32_t begin(zygos_work_t *work, uint32_t p)
    the deflection, the mean over an arc of a random walk about its own mean. */
 static double joint_variance(const zygos_work_t *work, uint32_t i)
 {
-    const zygos_joint_sums_t *sums = &work->joint_sums;
+    const zygos_motor_sums_t *sums = &work->motor_sums;
     const zygos_joint_config_t *joint = &work->config.joint[i];
     double local[ZYGOS_MAX_IMPULSE] = { 0.0 };
     double sum = 0.0;
@@ -753,7 +753,7 @@ static double joint_variance(const zygos_work_t *work, uint32_t i)
    energy: mean square of the noise in an energy row. */
 static void add_motors(zygos_work_t *work, double energy)
 {
-    const zygos_joint_sums_t *sums = &work->joint_sums;
+    const zygos_motor_sums_t *sums = &work->motor_sums;
     const bool enough = (work->arcs.end - work->arcs.first >= ZYGOS_MIN_ARCS);
     for (uint32_t i = 0; i < work->config.joints; i++) {
         if ((sums->column_map.count[i] > 0) && !(work->weight[i] > 0.0)) {
@@ -885,7 +885,7 @@ static void choose_momenta(zygos_work_t *work, uint64_t after, uint64_t until)
 static void choose(zygos_work_t *work, uint32_t p, uint32_t first, uint32_t end)
 {
     const zygos_accumulator_t *sums = &work->accumulator;
-    const zygos_joint_sums_t *joints = &work->joint_sums;
+    const zygos_motor_sums_t *joints = &work->motor_sums;
     const uint64_t after = (first > 0) ? sums->block[first - 1u].end : 0u;
     const uint64_t until = (end > 0) ? sums->block[end - 1u].end : 0u;
     double all = 0.0;

@@ -143,7 +143,7 @@ static void make_tables(zygos_t *self)
     zygos_geometry_init(&self->geometry, own);
     zygos_smoother_init(&self->smoother, own);
     zygos_noise_init(&self->noise, own, &self->column_map, &self->smoother);
-    zygos_joint_sums_tables(&self->joint_sums, own, &self->smoother);
+    zygos_motor_sums_tables(&self->motor_sums, own, &self->smoother);
     zygos_momentum_sums_tables(&self->momentum_sums, own, &self->smoother);
 }
 
@@ -166,11 +166,11 @@ int zygos_init(zygos_t *self, const zygos_config_t *config)
     zygos_balance_reset(&self->balance);
     zygos_accumulator_init(&self->accumulator, self->column_map.count, own->arc_cycles, own->period_s);
     zygos_impulse_reset(&self->impulse);
-    zygos_joint_sums_clear(&self->joint_sums, own);
+    zygos_motor_sums_clear(&self->motor_sums, own);
     zygos_momentum_reset(&self->momentum);
     zygos_momentum_sums_clear(&self->momentum_sums, own);
     self->forgetting = 1.0;
-    self->joints_forgetting = 1.0;
+    self->motors_forgetting = 1.0;
     self->momentum_forgetting = 1.0;
     self->magic = MAGIC;
     return 1;
@@ -199,11 +199,11 @@ static void end_arc(zygos_t *self)
 
 static void end_joint_arc(zygos_t *self)
 {
-    if (self->joints_forgetting < 1.0) {
-        zygos_joint_sums_forget(&self->joint_sums, self->joints_forgetting);
+    if (self->motors_forgetting < 1.0) {
+        zygos_motor_sums_forget(&self->motor_sums, self->motors_forgetting);
     }
-    self->joints_forgetting = 1.0;
-    zygos_guard_end_motors(&self->guard, &self->config, &self->column_map, &self->joint_sums, self->cycle);
+    self->motors_forgetting = 1.0;
+    zygos_guard_end_motors(&self->guard, &self->config, &self->column_map, &self->motor_sums, self->cycle);
 }
 
 static void end_momentum_arc(zygos_t *self)
@@ -237,7 +237,7 @@ static void void_arcs(zygos_t *self, const zygos_cycle_t *cycle)
     const uint64_t trusted = (doubtful < cycle->sync) ? cycle->sync - doubtful : 0u;
     if ((doubtful == 0) || (self->cycle > trusted)) {
         zygos_accumulator_drop_after(&self->accumulator, trusted);
-        zygos_joint_sums_drop_after(&self->joint_sums, trusted);
+        zygos_motor_sums_drop_after(&self->motor_sums, trusted);
         zygos_momentum_sums_drop_after(&self->momentum_sums, trusted);
     }
 }
@@ -249,13 +249,13 @@ static void add_impulses(zygos_t *self)
     if (config->impulse_arc_cycles == 0) {
         return;
     }
-    if (zygos_impulse_row(&self->impulse, config, &self->joint_sums.column_map, &self->arm_state, &self->motion,
+    if (zygos_impulse_row(&self->impulse, config, &self->motor_sums.column_map, &self->arm_state, &self->motion,
                           zygos_balance_torque_before(&self->balance),
                           zygos_balance_torque_after(&self->balance, config), &self->impulse_rows) == 0) {
         return;
     }
-    zygos_joint_sums_add(&self->joint_sums, config, &self->impulse_rows, self->arm_state.accepted);
-    if (self->joint_sums.cycles >= config->impulse_arc_cycles) {
+    zygos_motor_sums_add(&self->motor_sums, config, &self->impulse_rows, self->arm_state.accepted);
+    if (self->motor_sums.cycles >= config->impulse_arc_cycles) {
         end_joint_arc(self);
         zygos_impulse_new_arc(&self->impulse);
     }
@@ -292,7 +292,7 @@ static void process_cycle(zygos_t *self, const zygos_cycle_t *cycle)
     self->cycle = cycle->sync;
     self->cycles++;
     self->forgetting *= self->config.forgetting_factor;
-    self->joints_forgetting *= self->config.forgetting_factor;
+    self->motors_forgetting *= self->config.forgetting_factor;
     self->momentum_forgetting *= self->config.forgetting_factor;
     self->instant = 0;
     double signal[ZYGOS_MAX_SIGNALS];
@@ -349,7 +349,7 @@ static bool is_intact(const zygos_t *self)
     zygos_column_map_t column_map;
     zygos_balance_column_map(&self->config, &column_map);
     return zygos_receiver_intact(&self->receiver) && zygos_accumulator_intact(&self->accumulator, column_map.count) &&
-           zygos_joint_sums_intact(&self->joint_sums, &self->config) &&
+           zygos_motor_sums_intact(&self->motor_sums, &self->config) &&
            zygos_momentum_sums_intact(&self->momentum_sums, &self->config) && zygos_guard_intact(&self->guard);
 }
 
@@ -435,7 +435,7 @@ void zygos_take(const zygos_t *self, zygos_work_t *work)
         return;
     }
     work->accumulator = self->accumulator;
-    work->joint_sums = self->joint_sums;
+    work->motor_sums = self->motor_sums;
     work->momentum_sums = self->momentum_sums;
     work->guard = self->guard;
     work->cycle = self->cycle;
@@ -468,7 +468,7 @@ int zygos_adopt(zygos_t *self, const zygos_estimate_t *estimate)
         return 0;
     }
     if (estimate->since > 0) {
-        zygos_guard_drop(guard, &self->accumulator, &self->joint_sums, &self->momentum_sums, estimate->since);
+        zygos_guard_drop(guard, &self->accumulator, &self->motor_sums, &self->momentum_sums, estimate->since);
     }
     const double ratio = estimate->noise_ratio;
     guard->noise_ratio = within(ratio, 0.0, LARGEST_SUM) ? ratio : 0.0;
@@ -480,7 +480,7 @@ int zygos_adopt(zygos_t *self, const zygos_estimate_t *estimate)
             guard->covariance[k] = wider[i] * wider[j] * estimate->covariance[k];
         }
     }
-    zygos_guard_begin(guard, &self->config, &self->column_map, &self->accumulator, &self->joint_sums,
+    zygos_guard_begin(guard, &self->config, &self->column_map, &self->accumulator, &self->motor_sums,
                       &self->momentum_sums);
     return 1;
 }
@@ -536,8 +536,8 @@ int zygos_restart(zygos_t *self, uint32_t keep)
     if (joints) {
         end_joint_arc(self);
     } else {
-        zygos_joint_sums_clear(&self->joint_sums, &self->config);
-        self->joints_forgetting = 1.0;
+        zygos_motor_sums_clear(&self->motor_sums, &self->config);
+        self->motors_forgetting = 1.0;
     }
     zygos_momentum_reset(&self->momentum);
     zygos_momentum_sums_clear(&self->momentum_sums, &self->config);

@@ -13,8 +13,8 @@
 
 #include "accumulator.h"
 #include "guard.h"
-#include "jointsums.h"
 #include "momentumsums.h"
+#include "motorsums.h"
 #include "types.h"
 
 #ifdef __cplusplus
@@ -131,7 +131,7 @@ typedef struct {
 /// belongs to the task that solves; its members are not for reading.
 typedef struct {
     zygos_accumulator_t accumulator;
-    zygos_joint_sums_t joint_sums;
+    zygos_motor_sums_t motor_sums;
     zygos_momentum_sums_t momentum_sums;
     zygos_guard_t guard;
     uint64_t cycle;
@@ -149,7 +149,7 @@ typedef struct {
     double size[ZYGOS_MAX_PARAMETERS];
     double noise_shift[ZYGOS_MAX_PARAMETERS];
     double score[ZYGOS_MAX_PARAMETERS];
-    double leave_one_out[ZYGOS_MAX_BLOCKS + ZYGOS_MAX_JOINT_BLOCKS + ZYGOS_MOMENTUM_PLACES][ZYGOS_MAX_PARAMETERS];
+    double leave_one_out[ZYGOS_MAX_BLOCKS + ZYGOS_MAX_MOTOR_BLOCKS + ZYGOS_MOMENTUM_PLACES][ZYGOS_MAX_PARAMETERS];
     double weight[ZYGOS_MAX_JOINTS];      ///< Weight of each joint's motor rows, that of the energy rows being 1.
     double momentum_weight;               ///< Weight of the momentum rows.
     double inverse[ZYGOS_MAX_PARAMETERS]; ///< Diagonal of the inverse of the scaled matrix.

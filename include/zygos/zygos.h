@@ -28,10 +28,10 @@
 #include "gram.h"
 #include "guard.h"
 #include "impulse.h"
-#include "jointsums.h"
 #include "kinematics.h"
 #include "momentum.h"
 #include "momentumsums.h"
+#include "motorsums.h"
 #include "noise.h"
 #include "smoother.h"
 #include "snapshot.h"
@@ -58,7 +58,7 @@ typedef struct {
     uint32_t arc;             ///< Number of instants of the open arc, accepted or not.
     uint32_t instant;         ///< 1: arm_state, row and accepted below belong to the newest cycle.
     double forgetting;        ///< Product of the forgetting factors of the cycles in the open arc.
-    double joints_forgetting; ///< The same for the motor rows.
+    double motors_forgetting; ///< The same for the motor rows.
     double momentum_forgetting; ///< The same for the momentum rows.
     double accepted;            ///< 1 when the newest row was accumulated, 0 when the bandwidth test refused it.
     zygos_config_t config;
@@ -74,7 +74,7 @@ typedef struct {
     zygos_row_t row;
     zygos_impulse_t impulse;
     zygos_impulse_rows_t impulse_rows;
-    zygos_joint_sums_t joint_sums;
+    zygos_motor_sums_t motor_sums;
     zygos_momentum_t momentum;
     zygos_momentum_sums_t momentum_sums;
     zygos_accumulator_t accumulator;
@@ -83,7 +83,7 @@ typedef struct {
 
 /// Digest of the text of all structs in these headers, without comments. It changes when a field is moved, renamed or
 /// given another type. A test of tests/unit/test_snapshot.py computes its value.
-#define ZYGOS_LAYOUT 0xB4DBF2D6u
+#define ZYGOS_LAYOUT 0x3BFEC66Au
 
 #define ZYGOS_MIX(hash, value) (((uint32_t)(hash) ^ (uint32_t)(value)) * 16777619u)
 

@@ -512,8 +512,8 @@ def answer(columns: Floats, work_done: Floats, joints: int = 2, positive: int = 
     for e in range(count - 12):
         work.config.effect[e].kind = (cannot if positive >> e & 1 else can)[e // 2]
         work.config.effect[e].joint = e % 2
-    lib.zygos_impulse_column_map(ffi.addressof(work, "config"), ffi.addressof(work.joint_sums, "column_map"))
-    lib.zygos_joint_sums_clear(ffi.addressof(work, "joint_sums"), ffi.addressof(work, "config"))
+    lib.zygos_impulse_column_map(ffi.addressof(work, "config"), ffi.addressof(work.motor_sums, "column_map"))
+    lib.zygos_motor_sums_clear(ffi.addressof(work, "motor_sums"), ffi.addressof(work, "config"))
     lib.zygos_momentum_sums_clear(ffi.addressof(work, "momentum_sums"), ffi.addressof(work, "config"))
     for column, done in zip(columns, work_done, strict=True):
         row.column[0:count] = column.tolist()

@@ -457,7 +457,7 @@ class Flight:
         """The blocks behind the sigmas, the open arcs ended; not weighed."""
         lib.zygos_take(self.native, self._work)
         lib.zygos_solve(self._work, self._estimate)  # ends the open arcs of the copy
-        sums, joints, momenta = self._work.accumulator, self._work.joint_sums, self._work.momentum_sums
+        sums, joints, momenta = self._work.accumulator, self._work.motor_sums, self._work.momentum_sums
         width = len(self.names) + 1
         return Blocks(
             energy=[

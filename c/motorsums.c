@@ -1,36 +1,36 @@
-#include "zygos/jointsums.h"
+#include "zygos/motorsums.h"
 
 #include "zygos/gram.h"
 
 #include <string.h>
 
-_Static_assert(ZYGOS_MIN_ARCS < ZYGOS_MAX_JOINT_BLOCKS, "an arc that closes needs a block");
+_Static_assert(ZYGOS_MIN_ARCS < ZYGOS_MAX_MOTOR_BLOCKS, "an arc that closes needs a block");
 
 #define COUNTED 1e-9 /* counts add up exactly */
 
-static uint64_t checksum_of(const zygos_joint_sums_t *self)
+static uint64_t checksum_of(const zygos_motor_sums_t *self)
 {
     return zygos_checksum_number(zygos_checksum_doubles(0u, &self->target, 1), self->count);
 }
 
-static uint64_t checksum_of_block(const zygos_joint_block_t *block)
+static uint64_t checksum_of_block(const zygos_motor_block_t *block)
 {
     const uint64_t instants = zygos_checksum_doubles(1u, block->instants, ZYGOS_MAX_JOINTS);
     return zygos_checksum_number(zygos_checksum_doubles(instants, &block->total, 1), block->end);
 }
 
 /* Verifies the checksum, before anything that it protects is changed. */
-static void judge(zygos_joint_sums_t *self)
+static void judge(zygos_motor_sums_t *self)
 {
     self->corrupt |= (self->checksum == checksum_of(self)) ? 0u : 1u;
 }
 
-static void judge_block(zygos_joint_sums_t *self, const zygos_joint_block_t *block)
+static void judge_block(zygos_motor_sums_t *self, const zygos_motor_block_t *block)
 {
     self->corrupt |= (block->checksum == checksum_of_block(block)) ? 0u : 1u;
 }
 
-void zygos_joint_sums_clear(zygos_joint_sums_t *self, const zygos_config_t *config)
+void zygos_motor_sums_clear(zygos_motor_sums_t *self, const zygos_config_t *config)
 {
     self->target = 2.0 * (double)config->impulse_arc_cycles;
     self->count = 0;
@@ -41,7 +41,7 @@ void zygos_joint_sums_clear(zygos_joint_sums_t *self, const zygos_config_t *conf
     self->checksum = checksum_of(self);
 }
 
-void zygos_joint_sums_tables(zygos_joint_sums_t *self, const zygos_config_t *config, const zygos_smoother_t *smoother)
+void zygos_motor_sums_tables(zygos_motor_sums_t *self, const zygos_config_t *config, const zygos_smoother_t *smoother)
 {
     zygos_impulse_column_map(config, &self->column_map);
     memset(self->noise, 0, sizeof self->noise);
@@ -67,10 +67,10 @@ static bool same_layout(const zygos_impulse_column_map_t *column_map, const zygo
 }
 
 /* Instants and target decide whether blocks merge, and so whether blocks are free. */
-bool zygos_joint_sums_intact(const zygos_joint_sums_t *self, const zygos_config_t *config)
+bool zygos_motor_sums_intact(const zygos_motor_sums_t *self, const zygos_config_t *config)
 {
     const bool none = (config->impulse_arc_cycles == 0);
-    bool good = same_layout(&self->column_map, config) && (self->count <= ZYGOS_MAX_JOINT_BLOCKS) &&
+    bool good = same_layout(&self->column_map, config) && (self->count <= ZYGOS_MAX_MOTOR_BLOCKS) &&
                 (none ? (self->count == 0) && (self->instants == 0)
                       : (self->target >= 1.0) && (self->target <= ZYGOS_MAX_INSTANTS));
     for (uint32_t b = 0; good && (b < self->count); b++) {
@@ -79,13 +79,13 @@ bool zygos_joint_sums_intact(const zygos_joint_sums_t *self, const zygos_config_
     return good;
 }
 
-void zygos_joint_sums_add(zygos_joint_sums_t *self, const zygos_config_t *config, const zygos_impulse_rows_t *rows,
+void zygos_motor_sums_add(zygos_motor_sums_t *self, const zygos_config_t *config, const zygos_impulse_rows_t *rows,
                           double weight)
 {
     const uint32_t i = self->cycles % config->joints;
     const uint32_t p = self->column_map.count[i];
     if (p > 0) {
-        double z[ZYGOS_MAX_JOINT_ROW];
+        double z[ZYGOS_MAX_MOTOR_ROW];
         for (uint32_t k = 0; k < p; k++) {
             z[k] = weight * rows->column[i][k];
         }
@@ -98,15 +98,15 @@ void zygos_joint_sums_add(zygos_joint_sums_t *self, const zygos_config_t *config
     self->cycles++;
 }
 
-static bool matches(const zygos_joint_gram_t *joint, uint32_t width, double adds)
+static bool matches(const zygos_motor_gram_t *joint, uint32_t width, double adds)
 {
     return zygos_gram_check(joint->gram, width, joint->sum, adds) <= 1.0;
 }
 
 /* G - s s^T / n without its last row, less n times the noise. */
-static void close_gram(zygos_joint_gram_t *joint, uint32_t p, double n, const double *noise)
+static void close_gram(zygos_motor_gram_t *joint, uint32_t p, double n, const double *noise)
 {
-    double s[ZYGOS_MAX_JOINT_ROW];
+    double s[ZYGOS_MAX_MOTOR_ROW];
     memcpy(s, &joint->gram[zygos_gram_entries(p + 1u)], (p + 1u) * sizeof s[0]);
     uint32_t k = 0;
     for (uint32_t a = 0; a <= p; a++) {
@@ -119,13 +119,13 @@ static void close_gram(zygos_joint_gram_t *joint, uint32_t p, double n, const do
     zygos_gram_row_sums(joint->gram, p + 2u, joint->sum);
 }
 
-static void add_block(zygos_joint_block_t *to, const zygos_joint_block_t *from)
+static void add_block(zygos_motor_block_t *to, const zygos_motor_block_t *from)
 {
     for (uint32_t i = 0; i < ZYGOS_MAX_JOINTS; i++) {
-        for (uint32_t k = 0; k < ZYGOS_MAX_PACKED_JOINT; k++) {
+        for (uint32_t k = 0; k < ZYGOS_MAX_PACKED_MOTOR; k++) {
             to->joint[i].gram[k] += from->joint[i].gram[k];
         }
-        for (uint32_t k = 0; k < ZYGOS_MAX_JOINT_ROW; k++) {
+        for (uint32_t k = 0; k < ZYGOS_MAX_MOTOR_ROW; k++) {
             to->joint[i].sum[k] += from->joint[i].sum[k];
         }
         to->instants[i] += from->instants[i];
@@ -136,7 +136,7 @@ static void add_block(zygos_joint_block_t *to, const zygos_joint_block_t *from)
 }
 
 /* The target doubles only when merging up to it is not enough; once it holds all instants, one block is left. */
-static void make_room(zygos_joint_sums_t *self)
+static void make_room(zygos_motor_sums_t *self)
 {
     for (uint32_t tries = 0; tries < 64u; tries++) {
         uint32_t to = 0;
@@ -155,24 +155,24 @@ static void make_room(zygos_joint_sums_t *self)
             to++;
         }
         self->count = to;
-        if (self->count <= 3u * ZYGOS_MAX_JOINT_BLOCKS / 4u) {
+        if (self->count <= 3u * ZYGOS_MAX_MOTOR_BLOCKS / 4u) {
             return;
         }
         self->target *= 2.0;
     }
 }
 
-void zygos_joint_sums_leave_out(zygos_joint_sums_t *self)
+void zygos_motor_sums_leave_out(zygos_motor_sums_t *self)
 {
     memset(&self->open, 0, sizeof self->open);
     self->instants = 0;
     self->cycles = 0;
 }
 
-bool zygos_joint_sums_close(zygos_joint_sums_t *self, const zygos_config_t *config)
+bool zygos_motor_sums_close(zygos_motor_sums_t *self, const zygos_config_t *config)
 {
     if (self->instants < ZYGOS_MIN_ARC_INSTANTS) {
-        zygos_joint_sums_leave_out(self);
+        zygos_motor_sums_leave_out(self);
         return false;
     }
     double turns = -(double)self->instants;
@@ -193,9 +193,9 @@ bool zygos_joint_sums_close(zygos_joint_sums_t *self, const zygos_config_t *conf
     return true;
 }
 
-void zygos_joint_sums_admit(zygos_joint_sums_t *self, uint64_t cycle)
+void zygos_motor_sums_admit(zygos_motor_sums_t *self, uint64_t cycle)
 {
-    if (self->count == ZYGOS_MAX_JOINT_BLOCKS) {
+    if (self->count == ZYGOS_MAX_MOTOR_BLOCKS) {
         make_room(self);
     }
     self->open.total = (double)self->instants;
@@ -204,27 +204,27 @@ void zygos_joint_sums_admit(zygos_joint_sums_t *self, uint64_t cycle)
     self->block[self->count] = self->open;
     self->count++;
     self->checksum = checksum_of(self);
-    zygos_joint_sums_leave_out(self);
+    zygos_motor_sums_leave_out(self);
 }
 
-void zygos_joint_sums_end_arc(zygos_joint_sums_t *self, const zygos_config_t *config, uint64_t cycle)
+void zygos_motor_sums_end_arc(zygos_motor_sums_t *self, const zygos_config_t *config, uint64_t cycle)
 {
-    if (zygos_joint_sums_close(self, config)) {
-        zygos_joint_sums_admit(self, cycle);
+    if (zygos_motor_sums_close(self, config)) {
+        zygos_motor_sums_admit(self, cycle);
     }
 }
 
-void zygos_joint_sums_forget(zygos_joint_sums_t *self, double factor)
+void zygos_motor_sums_forget(zygos_motor_sums_t *self, double factor)
 {
     for (uint32_t b = 0; b < self->count; b++) {
-        zygos_joint_block_t *block = &self->block[b];
+        zygos_motor_block_t *block = &self->block[b];
         judge_block(self, block);
         const double kept = (factor * block->total >= ZYGOS_NEGLIGIBLE_INSTANTS) ? factor : 0.0;
         for (uint32_t i = 0; i < ZYGOS_MAX_JOINTS; i++) {
-            for (uint32_t k = 0; k < ZYGOS_MAX_PACKED_JOINT; k++) {
+            for (uint32_t k = 0; k < ZYGOS_MAX_PACKED_MOTOR; k++) {
                 block->joint[i].gram[k] *= kept;
             }
-            for (uint32_t k = 0; k < ZYGOS_MAX_JOINT_ROW; k++) {
+            for (uint32_t k = 0; k < ZYGOS_MAX_MOTOR_ROW; k++) {
                 block->joint[i].sum[k] *= kept;
             }
             block->instants[i] *= kept;
@@ -234,9 +234,9 @@ void zygos_joint_sums_forget(zygos_joint_sums_t *self, double factor)
     }
 }
 
-void zygos_joint_sums_drop_after(zygos_joint_sums_t *self, uint64_t cycle)
+void zygos_motor_sums_drop_after(zygos_motor_sums_t *self, uint64_t cycle)
 {
-    zygos_joint_sums_leave_out(self);
+    zygos_motor_sums_leave_out(self);
     judge(self);
     while ((self->count > 0) && (self->block[self->count - 1u].end > cycle)) {
         self->count--;
@@ -244,7 +244,7 @@ void zygos_joint_sums_drop_after(zygos_joint_sums_t *self, uint64_t cycle)
     self->checksum = checksum_of(self);
 }
 
-uint32_t zygos_joint_sums_drop_until(zygos_joint_sums_t *self, uint64_t cycle)
+uint32_t zygos_motor_sums_drop_until(zygos_motor_sums_t *self, uint64_t cycle)
 {
     judge(self);
     uint32_t drop = 0;
@@ -259,7 +259,7 @@ uint32_t zygos_joint_sums_drop_until(zygos_joint_sums_t *self, uint64_t cycle)
     return drop;
 }
 
-double zygos_joint_sums_check(const zygos_joint_sums_t *self, const zygos_config_t *config)
+double zygos_motor_sums_check(const zygos_motor_sums_t *self, const zygos_config_t *config)
 {
     bool good = (self->corrupt == 0) && (self->checksum == checksum_of(self));
     for (uint32_t b = 0; good && (b < self->count); b++) {
