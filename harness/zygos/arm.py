@@ -40,6 +40,8 @@ RATE_STEPS: dict[Resolution, float] = {"fine": 2.0**-21, "coarse": 2.0**-13}
 MOMENTUM_ARC_S = 10.0
 """Longest arc of the momentum rows of an arm that has them by default, s."""
 _LATCH_MAX_US = 65_535  # the CAN frame carries the latch delay as u16
+JOINT_ROW_S = 0.2
+"""Length of the increments of the joint rows of an arm that has them by default, s."""
 MOST_JOINTS = 31
 """Number of CAN nodes that joints can have."""
 _SHORTEST_MEMORY = 2
@@ -219,6 +221,8 @@ class Arm:
     subtracted, for each sensor once in that many cycles. 0: it is not subtracted. None: `compensation` applies."""
     momentum_max_s: float | None = None
     """Longest arc of the momentum rows of a floating base, s; 0 switches these rows off. None: `momentum_arc_s`."""
+    joint_increment_s: float | None = None
+    """Length of the increments of the joint rows, s; 0 switches these rows off. None: `joint_row_s`."""
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Gravity in the base frame, m/s^2, for a fixed base; a free-floating arm falls with its orbit and feels none."""
 
@@ -245,6 +249,18 @@ class Arm:
         bias."""
         default = MOMENTUM_ARC_S if self.free and self.spatial else 0.0
         return default if self.momentum_max_s is None else self.momentum_max_s
+
+    @property
+    def grounded(self) -> bool:
+        """Whether the base is fixed and no joint has a spring: the joint rows alone then determine all parameters."""
+        return not self.free and not any(joint.flexible for joint in self.joints)
+
+    @property
+    def joint_row_s(self) -> float:
+        """Length of the increments of the joint rows, s; 0 switches these rows off. By default only an arm with a fixed
+        base and rigid joints has them."""
+        default = JOINT_ROW_S if self.grounded else 0.0
+        return default if self.joint_increment_s is None else self.joint_increment_s
 
     @property
     def spatial(self) -> bool:
@@ -451,6 +467,9 @@ def read_arm(top: Table) -> Arm:
             unit="s",
         ),
         momentum_max_s=_momentum(arc),
+        joint_increment_s=_joint_rows(
+            top.table("joint_rows", "The balance of each joint's momentum, over short increments.", optional=True)
+        ),
         memory_s=_memory(arc),
         compensate_every=_compensation(
             top.table("compensation", "How often the bias that sensor noise causes is removed.", optional=True)
@@ -472,6 +491,21 @@ def _momentum(arc: Table) -> float | None:
         unit="s",
         otherwise=f'{MOMENTUM_ARC_S:g} where base is "free" and kinetic is "spatial", else 0',
     )
+
+
+def _joint_rows(table: Table) -> float | None:
+    increment_s: float | None = None
+    if table.has("increment_s"):
+        increment_s = table.number(
+            "increment_s",
+            "Length of the increments. Neighbouring ones share half of their time. 0 switches this balance off.",
+            low=0.0,
+            high=5.0,
+            unit="s",
+            otherwise=f'{JOINT_ROW_S:g} where base is "fixed" and no joint is flexible, else 0',
+        )
+    table.finish()
+    return increment_s
 
 
 def _memory(arc: Table) -> float | None:
@@ -776,6 +810,8 @@ def save_arm(arm: Arm, path: str | Path) -> None:
     if arm.memory_s is not None:
         arc["memory_min"] = arm.memory_s / 60.0
     document["arc"] = arc
+    if arm.joint_increment_s is not None:
+        document["joint_rows"] = {"increment_s": arm.joint_increment_s}
     if arm.compensate_every is not None:
         document["compensation"] = {"every": arm.compensate_every}
     write_text(Path(path), tomlkit.dumps(document))

@@ -87,6 +87,21 @@ def impulse_column(kind: Kind, signals: Signals) -> Floats:
     return np.zeros_like(s.link_rate)
 
 
+def joint_column(kind: Kind, signals: Signals, flexible: bool) -> Floats:
+    """Column (..., m) in the row of the joint, Nms per unit, up to a constant in each arc.
+
+    The motor of a flexible joint does not act on the link.
+    """
+    s = signals
+    if kind.place == "spring":
+        assert kind.torque is not None
+        return -s.totals.integral(kind.torque(s.deflection))
+    if kind.place == "link":
+        assert kind.torque is not None
+        return s.totals.integral(kind.torque(s.link_rate))
+    return np.zeros_like(s.link_rate) if flexible else s.gear_ratio * impulse_column(kind, s)
+
+
 def effect_columns(
     arm: Arm, samples: Samples, smoothed: Smoothed, arc: NDArray[np.int64], effects: Sequence[Effect]
 ) -> Floats:

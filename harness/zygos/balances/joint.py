@@ -1,0 +1,247 @@
+"""Rows of the joints' momentum over whole records (docs/theory.md, "Joint rows").
+
+For the link angle q_j the generalised momentum is p_j = dT/dq'_j, and from t_a to t_b
+
+    p_j(t_b) - p_j(t_a) - int (dT/dq_j - dV/dq_j) dt - (torque of the spring, integrated) + (losses, integrated)
+        = n_j int tau_j dt where the joint is rigid, 0 where it is flexible: the motor's torque acts on its rotor there.
+
+It is linear in the same parameters as the energy, and needs no acceleration. There is a row for each joint where the
+energy has one. The rotor of a rigid joint turns with its link, so that its impulse balance is part of this row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zygos.arm import Arm
+from zygos.balances.arcs import FILL_INSTANTS
+from zygos.balances.effects import Signals, joint_column
+from zygos.balances.energy import held_torque
+from zygos.balances.kinematics import body_rates, planar_rates, posture
+from zygos.balances.quadrature import FromOrigin, integral
+from zygos.balances.state import State
+from zygos.effects import Effect, estimated
+from zygos.runs.samples import Samples
+from zygos.runs.smoother import Smoothed
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class JointColumns:
+    """Columns of the bodies, and the shares of the rotors, in momentum and force of each joint; N joints, B parameters
+    of bodies (`arm.body_parameters`)."""
+
+    momentum: Floats
+    """(..., N, B) those of dT/dq'_j."""
+    force: Floats
+    """(..., N, B) those of dT/dq_j - dV/dq_j."""
+    rotor_momentum: Floats
+    """(..., N, N) of joint j (first) per unit of the inertia of rotor i (second)."""
+    rotor_force: Floats
+    """(..., N, N) likewise."""
+
+
+def joint_columns(arm: Arm, state: State) -> JointColumns:
+    """Columns of momentum and force at states with any leading axes."""
+    momentum, force = (_spatial if arm.spatial else _planar)(arm, state)
+    if any(arm.feels_gravity):
+        places = posture(arm, state.q)
+        turned = _turned(places.axis, places.direction, places.body)
+        pull = turned @ np.array(arm.gravity)
+        force = np.concatenate([force, pull[..., np.repeat(arm.feels_gravity, 2)]], axis=-1)
+        momentum = np.concatenate([momentum, np.zeros_like(force[..., momentum.shape[-1] :])], axis=-1)
+    rotor_momentum, rotor_force = _rotors(arm, state)
+    return JointColumns(momentum, force, rotor_momentum, rotor_force)
+
+
+def _turned(axis: Floats, direction: Floats, body: NDArray[np.int64]) -> Floats:
+    """(..., N, V, 3): z_j x d for every direction of a body that joint j carries, otherwise 0."""
+    carried = body[None, :] > np.arange(axis.shape[-2])[:, None]
+    return np.cross(axis[..., :, None, :], direction[..., None, :, :]) * carried[..., None]
+
+
+def _spatial(arm: Arm, state: State) -> tuple[Floats, Floats]:
+    """Kinetic columns (..., N, K) of a spatial arm: where joint j turns by a small angle, everything beyond it turns
+    with it, and its rate vectors change by z_j x v - (z_j x w_j) x d."""
+    places = posture(arm, state.q)
+    omega0 = state.base if arm.free else np.zeros((*state.q.shape[:-1], 3))
+    omega = body_rates(omega0, places.axis, state.qd)
+    rate = np.cross(omega[..., places.body, :], places.direction)
+    by_rate = _turned(places.axis, places.direction, places.body)
+    swung = np.cross(places.axis, omega[..., 1:, :])[..., :, None, :]
+    carried = places.body[None, :] > np.arange(arm.n)[:, None]
+    by_angle = np.cross(places.axis[..., :, None, :], rate[..., None, :, :]) - np.cross(
+        swung, places.direction[..., None, :, :]
+    )
+    by_angle = by_angle * carried[..., None]
+    return _products(arm, by_rate, rate), _products(arm, by_angle, rate)
+
+
+def _products(arm: Arm, change: Floats, rate: Floats) -> Floats:
+    """What changes (..., N, V, 3) of the rate vectors (..., V, 3) make of the kinetic columns, (..., N, K)."""
+    first, second = np.triu_indices(rate.shape[-2])
+    fixed = rate[..., None, :, :]
+    both = np.sum(
+        change[..., first, :] * fixed[..., second, :] + fixed[..., first, :] * change[..., second, :], axis=-1
+    )
+    both = both * np.where(first == second, 0.5, 1.0)
+    kept = np.ones(len(first), dtype=np.bool_) if arm.free else (first != second) | (first > 1)
+    if not arm.free:
+        # as in `spatial_columns`: the first body turns about its axis only
+        kept &= (first > 0) | (second != 1)
+        kept[0] = True
+    return np.asarray(both[..., kept], dtype=np.float64)
+
+
+def _planar(arm: Arm, state: State) -> tuple[Floats, Floats]:
+    """Kinetic columns (..., N, K) of a planar arm, where joint j adds its rate and angle to those of all bodies beyond
+    it."""
+    begin = 0 if arm.free else 1
+    f, phi = planar_rates(arm, state), state.phi
+    a, b = np.triu_indices(arm.n + 1 - begin)
+    a, b = a + begin, b + begin
+    joint = np.arange(arm.n)[:, None]
+    has_a, has_b = 1.0 * (a > joint), 1.0 * (b > joint)  # (N, K): body i is carried by the joints before it
+    half = np.where(a == b, 0.5, 1.0)
+    angle = phi[..., b] - phi[..., a]
+    cosine, sine = np.cos(angle)[..., None, :], np.sin(angle)[..., None, :]
+    rates = (has_a * f[..., None, b] + has_b * f[..., None, a]) * half
+    swings = (has_b - has_a) * (f[..., a] * f[..., b])[..., None, :] * half
+    momentum, force = rates * cosine, -swings * sine
+    if arm.kinetic == "planar":
+        momentum = np.concatenate([momentum, (rates * sine)[..., a < b]], axis=-1)
+        force = np.concatenate([force, (swings * cosine)[..., a < b]], axis=-1)
+    return momentum, force
+
+
+def _rotors(arm: Arm, state: State) -> tuple[Floats, Floats]:
+    """Shares of rotors (..., N, N): of the energy n theta'_i a_i . w_(i-1) of each, and of all the energy of the rotor
+    of a rigid joint, which turns with its link."""
+    spin = arm.gear_ratios * state.thetad
+    rigid = np.array([not joint.flexible for joint in arm.joints])
+    before = np.arange(arm.n)[:, None] < np.arange(arm.n)[None, :]
+    if arm.spatial:
+        axis = posture(arm, state.q).axis
+        omega0 = state.base if arm.free else np.zeros((*state.q.shape[:-1], 3))
+        omega = body_rates(omega0, axis, state.qd)
+        carried = np.sum(axis * omega[..., :-1, :], axis=-1)
+        along = np.einsum("...jk,...ik->...ji", axis, axis)
+        turned = np.cross(axis[..., :, None, :], axis[..., None, :, :])
+        swung = np.einsum("...jik,...jk->...ji", turned, omega[..., 1:, :])
+    else:
+        carried = planar_rates(arm, state)[..., :-1]
+        along = np.ones((*spin.shape[:-1], arm.n, arm.n))
+        swung = np.zeros_like(along)
+    momentum = along * spin[..., None, :] * before
+    own = arm.gear_ratios * (spin + carried) * rigid
+    momentum = momentum + own[..., None, :] * np.eye(arm.n)
+    return momentum, swung * spin[..., None, :] * before
+
+
+@dataclass(frozen=True)
+class JointRows:
+    """Rows of m increments of N joints with p columns: those of `arm.parameter_names`, then those of the effects.
+
+    z . parameters = w up to noise. Neighbouring increments share half of their time.
+    """
+
+    z: Floats
+    """(m, N, p)"""
+    w: Floats
+    """(m, N) impulse of the motor, after the gear [Nms]; 0 where the joint is flexible."""
+    begin: NDArray[np.int64]
+    """(m,) position of the first instant of each increment among the smoothed instants."""
+    end: NDArray[np.int64]
+    """(m,) position of its last instant."""
+    accepted: NDArray[np.bool_]
+    """(m,) False where the smoother refuses an instant of the increment."""
+    segment: NDArray[np.int64]
+    """(m,) number of the unbroken segment of the record."""
+
+    @property
+    def count(self) -> int:
+        """Number of increments."""
+        return len(self.begin)
+
+
+def increment_instants(arm: Arm, increment_s: float) -> int:
+    """Steps of an increment, even and at least 2."""
+    return 2 * max(1, round(0.5 * increment_s / arm.period_s))
+
+
+def joint_rows(
+    arm: Arm, samples: Samples, smoothed: Smoothed, increment_s: float, effects: Sequence[Effect] = ()
+) -> JointRows:
+    """Rows of a whole record over increments of that length, half overlapping. Errors: as `estimated`."""
+    steps = increment_instants(arm, increment_s)
+    state = State.smoothed(arm, smoothed)
+    columns = joint_columns(arm, state)
+    acting = estimated(arm, effects)
+    before, after = samples.tau[smoothed.index - 1], samples.tau[smoothed.index]
+    z = _running(arm, state, columns, smoothed.segment)
+    own = [[_effect(arm, state, before, after, e, j, smoothed.segment) for e in acting] for j in range(arm.n)]
+    z = np.concatenate([z, np.moveaxis(np.array(own).reshape(arm.n, len(acting), len(before)), -1, 0)], axis=-1)
+    w = _impulse(arm, before, after, smoothed.segment)
+    begins: list[NDArray[np.int64]] = []
+    for number in np.unique(smoothed.segment):
+        of = np.flatnonzero(smoothed.segment == number)[FILL_INSTANTS:]
+        begins.append(of[: max(0, len(of) - steps) : steps // 2])
+    begin = np.concatenate(begins) if begins else np.zeros(0, dtype=np.int64)
+    end = begin + steps
+    refused = np.concatenate([[0], np.cumsum(~smoothed.accepted)])
+    return JointRows(
+        z=z[end] - z[begin],
+        w=w[end] - w[begin],
+        begin=begin,
+        end=end,
+        accepted=refused[end + 1] == refused[begin],
+        segment=smoothed.segment[begin],
+    )
+
+
+def _running(arm: Arm, state: State, columns: JointColumns, segment: NDArray[np.int64]) -> Floats:
+    """(m, N, p) momentum less the integral of the force, from some constant on in each segment."""
+    bodies = columns.momentum - _integrals(arm, columns.force, segment)
+    rotors = columns.rotor_momentum - _integrals(arm, columns.rotor_force, segment)
+    deflection = state.theta - state.q
+    wound = _integrals(arm, deflection, segment)
+    single = np.eye(arm.n)
+    of_joint = {"Im": rotors, "k": -wound[..., None] * single, "b": -deflection[..., None] * single}
+    joints = [of_joint[kind][..., i] for kind, i, _ in arm.joint_parameters]
+    return np.concatenate([bodies, np.stack(joints, axis=-1)] if joints else [bodies], axis=-1)
+
+
+def _integrals(arm: Arm, g: Floats, segment: NDArray[np.int64]) -> Floats:
+    """Running integral along the first axis, which begins at 0 with each segment."""
+    out = np.zeros_like(g)
+    for number in np.unique(segment):
+        of = segment == number
+        out[of] = integral(g[of], arm.period_s, axis=0) if np.count_nonzero(of) > FILL_INSTANTS else 0.0
+    return out
+
+
+def _impulse(arm: Arm, before: Floats, after: Floats, segment: NDArray[np.int64]) -> Floats:
+    """(m, N) impulse of the motors of rigid joints, after the gear, raised by what a torque step adds to the rate that
+    is read (as in the balance of a motor's impulse)."""
+    rigid = np.array([not joint.flexible for joint in arm.joints])
+    total = np.zeros_like(after)
+    for number in np.unique(segment):
+        of = np.flatnonzero(segment == number)
+        total[of[1:]] = np.cumsum(after[of[:-1]], axis=0)
+    jump = np.where(np.isfinite(before), after - before, 0.0)
+    return np.asarray(rigid * arm.gear_ratios * (arm.period_s * total + held_torque(arm) * jump), dtype=np.float64)
+
+
+def _effect(
+    arm: Arm, state: State, before: Floats, after: Floats, effect: Effect, joint: int, segment: NDArray[np.int64]
+) -> Floats:
+    """(m,) running column of an effect in the rows of a joint; 0 of an effect at another joint."""
+    if effect.index(arm) != joint:
+        return np.zeros(len(before))
+    signals = Signals.of(arm, state, before, after, joint, FromOrigin(arm.period_s, segment))
+    return joint_column(effect.kind, signals, arm.joints[joint].flexible)
