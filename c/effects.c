@@ -13,6 +13,7 @@ static bool stored(const zygos_effect_config_t *effect)
     case ZYGOS_MOTOR_VISCOUS:
     case ZYGOS_LINK_COULOMB:
     case ZYGOS_TORQUE_LAG:
+    case ZYGOS_TORQUE_OFFSET:
         break;
     }
     return false;
@@ -27,6 +28,7 @@ static bool known(const zygos_effect_config_t *effect)
     case ZYGOS_CUBIC_STIFFNESS:
     case ZYGOS_TORQUE_LAG:
     case ZYGOS_SPRING_OFFSET:
+    case ZYGOS_TORQUE_OFFSET:
         return true;
     }
     return false;
@@ -64,6 +66,7 @@ bool zygos_effects_at_link(const zygos_effect_config_t *effect)
     case ZYGOS_CUBIC_STIFFNESS:
     case ZYGOS_TORQUE_LAG:
     case ZYGOS_SPRING_OFFSET:
+    case ZYGOS_TORQUE_OFFSET:
         break;
     }
     return false;
@@ -79,6 +82,7 @@ bool zygos_effects_viscous(const zygos_effect_config_t *effect)
     case ZYGOS_CUBIC_STIFFNESS:
     case ZYGOS_TORQUE_LAG:
     case ZYGOS_SPRING_OFFSET:
+    case ZYGOS_TORQUE_OFFSET:
         break;
     }
     return false;
@@ -88,7 +92,8 @@ uint32_t zygos_effects_positive(const zygos_config_t *config)
 {
     uint32_t bits = 0;
     for (uint32_t e = 0; e < config->effects; e++) {
-        bits |= stored(&config->effect[e]) ? 0u : 1u << e;
+        const bool either = stored(&config->effect[e]) || (config->effect[e].kind == ZYGOS_TORQUE_OFFSET);
+        bits |= either ? 0u : 1u << e;
     }
     return bits;
 }
@@ -119,6 +124,8 @@ static double newest(const zygos_effect_config_t *effect, double ratio, const zy
         return deflection;
     case ZYGOS_TORQUE_LAG:
         return ratio * torque_step * motor;
+    case ZYGOS_TORQUE_OFFSET:
+        return ratio * motor;
     }
     return 0.0;
 }
@@ -181,6 +188,9 @@ void zygos_effects_motor_slopes(const zygos_config_t *config, uint32_t e, const 
     case ZYGOS_SPRING_OFFSET:
         *by_angle = 1.0;
         break;
+    case ZYGOS_TORQUE_OFFSET:
+        *by_angle = ratio;
+        break;
     case ZYGOS_TORQUE_LAG:
         *by_rate = 0.5 * ratio * torque_step;
         break;
@@ -202,6 +212,7 @@ double zygos_effects_link_slope(const zygos_config_t *config, uint32_t e, const 
     case ZYGOS_MOTOR_COULOMB:
     case ZYGOS_MOTOR_VISCOUS:
     case ZYGOS_TORQUE_LAG:
+    case ZYGOS_TORQUE_OFFSET:
         break;
     }
     return 0.0;

@@ -13,6 +13,7 @@
 
 #include "accumulator.h"
 #include "guard.h"
+#include "jointsums.h"
 #include "momentumsums.h"
 #include "motorsums.h"
 #include "types.h"
@@ -133,7 +134,9 @@ typedef struct {
     zygos_accumulator_t accumulator;
     zygos_motor_sums_t motor_sums;
     zygos_momentum_sums_t momentum_sums;
+    zygos_joint_sums_t joint_sums;
     zygos_guard_t guard;
+    double joints_forgetting;
     uint64_t cycle;
     uint32_t arc; ///< Number of instants in the open arc of the energy rows.
     uint32_t reserved;
@@ -149,9 +152,11 @@ typedef struct {
     double size[ZYGOS_MAX_PARAMETERS];
     double noise_shift[ZYGOS_MAX_PARAMETERS];
     double score[ZYGOS_MAX_PARAMETERS];
-    double leave_one_out[ZYGOS_MAX_BLOCKS + ZYGOS_MAX_MOTOR_BLOCKS + ZYGOS_MOMENTUM_PLACES][ZYGOS_MAX_PARAMETERS];
+    double leave_one_out[ZYGOS_MAX_BLOCKS + ZYGOS_MAX_MOTOR_BLOCKS + ZYGOS_MOMENTUM_PLACES + ZYGOS_GROUP_PLACES]
+                        [ZYGOS_MAX_PARAMETERS];
     double weight[ZYGOS_MAX_JOINTS];      ///< Weight of each joint's motor rows, that of the energy rows being 1.
     double momentum_weight;               ///< Weight of the momentum rows.
+    double joints_weight;                 ///< Weight of the joint rows.
     double inverse[ZYGOS_MAX_PARAMETERS]; ///< Diagonal of the inverse of the scaled matrix.
     double information[2][ZYGOS_MAX_PARAMETERS];
     double degrees_of_freedom[ZYGOS_MAX_PARAMETERS];

@@ -86,7 +86,8 @@ _CONFIG_ERRORS = {
     lib.ZYGOS_E_SMOOTHER: "the smoother's points, order or lag are out of range (lag must be points // 2: end-point "
     "filters are refused)",
     lib.ZYGOS_E_VALUE: "a ratio, sign, zero, sigma, latch delay or memory is out of range",
-    lib.ZYGOS_E_ARC: "arc.max_s, arc.impulse_max_s or arc.momentum_max_s is shorter than 20 cycles",
+    lib.ZYGOS_E_ARC: "arc.max_s, arc.impulse_max_s or arc.momentum_max_s is shorter than 20 cycles, or "
+    "joint_rows.increment_s is shorter than 8 cycles, or than twice the joints and 4 more",
 }
 """Where the arm file has other names than the configuration that is made of it."""
 
@@ -254,6 +255,12 @@ def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
     config.compensation = arm.compensation
     config.impulse_arc_cycles = max(1, round(arm.impulse_arc_s / arm.period_s)) if arm.impulse_arc_s > 0.0 else 0
     config.momentum_arc_cycles = max(1, round(arm.momentum_arc_s / arm.period_s)) if arm.momentum_arc_s > 0.0 else 0
+    config.joint_row_cycles = 2 * max(1, round(0.5 * arm.joint_row_s / arm.period_s)) if arm.joint_row_s > 0.0 else 0
+    if config.joint_row_cycles > 0 and not lib.ZYGOS_JOINT_ROWS_VALUE:
+        raise ZygosError(
+            f"arm {arm.name!r} wants joint rows, this build has no room for them; "
+            "remedy: increment_s = 0 in [joint_rows], or rebuild with -DZYGOS_JOINT_ROWS=1"
+        )
     if config.momentum_arc_cycles > 0 and not lib.ZYGOS_MOMENTUM_VALUE:
         raise ZygosError(
             f"arm {arm.name!r} wants momentum rows, this build has no room for them; "
@@ -269,6 +276,8 @@ def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
         if arm.spatial:
             out.frame = (arm.frames[i].T @ arm.frames[i + 1]).ravel().tolist()
         out.gear_ratio = joint.gear_ratio
+        declared = joint.torque_sigma > 0.0
+        out.torque_sigma = joint.gear_ratio * joint.over_the_wire.torque_sigma if declared else 0.0
         link, motor = joint.link_encoder.over_the_wire, joint.motor_encoder.over_the_wire
         out.link_sign, out.link_zero_rad, out.link_sigma_rad = link.sign, link.zero_rad, link.sigma_rad
         out.motor_sign, out.motor_zero_rad, out.motor_sigma_rad = motor.sign, motor.zero_rad, motor.sigma_rad
