@@ -88,6 +88,8 @@ enum zygos_reason {
 /// solution without it, and the second, smaller limit holds for them.
 #define ZYGOS_SIGMA_LIMIT 0.25
 #define ZYGOS_SIGMA_LIMIT_BESIDE 0.025
+/// The least number of groups of joint rows from which standard deviations are computed.
+#define ZYGOS_MIN_GROUPS 4u
 /// Deviation of the newest arc from all arcs before it, in standard deviations, from which on it is a change.
 #define ZYGOS_CHANGE_ALARM 6.0
 /// The least number of blocks before the newest arc: the scatter of fewer blocks causes false alarms.
@@ -157,6 +159,8 @@ typedef struct {
     double weight[ZYGOS_MAX_JOINTS];      ///< Weight of each joint's motor rows, that of the energy rows being 1.
     double momentum_weight;               ///< Weight of the momentum rows.
     double joints_weight;                 ///< Weight of the joint rows.
+    uint32_t joints_alone;                ///< 1: they alone are solved.
+    uint32_t joints_used;                 ///< 1: they take part.
     double inverse[ZYGOS_MAX_PARAMETERS]; ///< Diagonal of the inverse of the scaled matrix.
     double information[2][ZYGOS_MAX_PARAMETERS];
     double degrees_of_freedom[ZYGOS_MAX_PARAMETERS];
