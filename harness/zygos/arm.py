@@ -13,6 +13,7 @@ import tomlkit
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from zygos.cutoff import HALF_WIDTH_MAX, periods, window
 from zygos.errors import ZygosError
 from zygos.files.output import write_text
 from zygos.files.toml import Table
@@ -23,12 +24,14 @@ TorqueLaw = Literal["applied_from_sync", "applied_previous_cycle", "sampled"]
 
 Side = Literal["output", "rotor"]
 TorqueAt = Literal["rotor"]
+TorqueUnit = Literal["Nm", "A"]
 Resolution = Literal["fine", "coarse"]
 
 _BASES: tuple[Base, ...] = ("free", "fixed")
 _KINETICS: tuple[Kinetic, ...] = ("planar-symmetric", "planar", "spatial")
 _SIDES: tuple[Side, ...] = ("output", "rotor")
 _TORQUE_ATS: tuple[TorqueAt, ...] = ("rotor",)
+_TORQUE_UNITS: tuple[TorqueUnit, ...] = ("Nm", "A")
 _RESOLUTIONS: tuple[Resolution, ...] = ("fine", "coarse")
 _TORQUE_LAWS: tuple[TorqueLaw, ...] = ("applied_from_sync", "applied_previous_cycle", "sampled")
 ANGLE_STEP = 2.0 * math.pi / 2**20
@@ -172,6 +175,9 @@ class Smoother:
     points: int = 7
     order: int = 4
     lag: int = 3
+    cutoff_hz: float | None = None
+    """Frequency at which its rates are 3 dB below the true ones, Hz, from which points and order were found; None: the
+    arm file states points and order."""
 
 
 @dataclass(frozen=True)
@@ -223,6 +229,8 @@ class Arm:
     """Longest arc of the momentum rows of a floating base, s; 0 switches these rows off. None: `momentum_arc_s`."""
     joint_increment_s: float | None = None
     """Length of the increments of the joint rows, s; 0 switches these rows off. None: `joint_row_s`."""
+    torque_unit: TorqueUnit = "Nm"
+    """Unit of the reported torques. "A": they are motor currents, whose torque constants nobody knows."""
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Gravity in the base frame, m/s^2, for a fixed base; a free-floating arm falls with its orbit and feels none."""
 
@@ -346,8 +354,8 @@ class Arm:
 
     def at_period(self, period_s: float) -> Arm:
         """The same hardware at another SYNC period (s). The gyro's white noise keeps its density, so that the
-        deviation of one sample grows as the period shrinks. Errors: ZygosError if the period is not positive or a
-        latch would fall into the following period."""
+        deviation of one sample grows as the period shrinks, and a declared cut-off is kept. Errors: ZygosError if the
+        period is not positive, does not allow that cut-off, or if a latch would fall into the following period."""
         latest = max(
             [self.imu.latch_us]
             + [
@@ -362,7 +370,10 @@ class Arm:
                 f"({latest} µs); remedy: choose a longer period_s"
             )
         sigma = self.imu.rate_sigma * math.sqrt(self.period_s / period_s)
-        return replace(self, period_s=period_s, imu=replace(self.imu, rate_sigma=sigma))
+        smoother = self.smoother
+        if smoother.cutoff_hz is not None:
+            smoother = smoother_at(smoother.cutoff_hz, period_s)
+        return replace(self, period_s=period_s, imu=replace(self.imu, rate_sigma=sigma), smoother=smoother)
 
     @cached_property
     def frames(self) -> NDArray[np.float64]:
@@ -435,6 +446,8 @@ def read_arm(top: Table) -> Arm:
             unit="m/s^2",
             otherwise='required where base is "fixed", refused elsewhere',
         )
+    # the wire's drop-out rules and the latch delay (u16 µs) hold up to a SYNC period of 65 ms
+    period_s = top.number("period_s", "Period of the SYNC message.", above=0.0, high=0.065, unit="s")
     arm = Arm(
         name=top.text("name", "Name of the arm, for tables and messages."),
         base=base,
@@ -444,8 +457,7 @@ def read_arm(top: Table) -> Arm:
             '"planar-symmetric": as "planar", and the mass centre of each body lies on the line between its joints.',
             _KINETICS,
         ),
-        # the wire's drop-out rules and the latch delay (u16 µs) hold up to a SYNC period of 65 ms
-        period_s=top.number("period_s", "Period of the SYNC message.", above=0.0, high=0.065, unit="s"),
+        period_s=period_s,
         torque_law=top.choice(
             "torque_law",
             'When a reported torque acts. "applied_from_sync": from the SYNC of its cycle to the next SYNC. '
@@ -454,9 +466,18 @@ def read_arm(top: Table) -> Arm:
             _TORQUE_LAWS,
         ),
         torque_at=top.choice("torque_at", "The side of the gear at which torques are reported.", _TORQUE_ATS),
+        torque_unit=top.choice(
+            "torque_unit",
+            'Unit of the reported torques. "A": the values are motor currents with unknown torque constants; estimates '
+            "are then relative to the first joint.",
+            _TORQUE_UNITS,
+            "Nm",
+        ),
         joints=joints,
         imu=imu,
-        smoother=_smoother(top.table("smoother", "The Savitzky-Golay filter of the estimator.", optional=True)),
+        smoother=_smoother(
+            top.table("smoother", "The Savitzky-Golay filter of the estimator.", optional=True), period_s
+        ),
         arc_max_s=arc.number("max_s", "Longest arc of the energy balance.", 60.0, above=0.0, unit="s"),
         gravity=(gravity[0], gravity[1], gravity[2]),
         impulse_arc_s=arc.number(
@@ -700,7 +721,41 @@ def _imu(table: Table) -> Imu:
     return imu
 
 
-def _smoother(table: Table) -> Smoother:
+def smoother_at(cutoff_hz: float, period_s: float) -> Smoother:
+    """The filter whose rates have a cut-off (Hz) at a SYNC period (s): of order 4, and of order 2 where order 4 needs
+    more than 63 points. Errors: ZygosError with the periods at which there is one."""
+    found = window(cutoff_hz, period_s)
+    if found is None:
+        shortest, longest = periods(cutoff_hz)
+        too_short = period_s < shortest
+        raise ZygosError(
+            f"cut-off {cutoff_hz:g} Hz needs a period of at {'least' if too_short else 'most'} "
+            f"{1e3 * (shortest if too_short else longest):.3g} ms with {2 * HALF_WIDTH_MAX + 1 if too_short else 7} "
+            f"points, not {1e3 * period_s:g} ms; remedy: change period_s of the arm file (`zygos convert` resamples a "
+            f"recording to it), or write a {'higher' if too_short else 'lower'} cutoff_hz"
+        )
+    points, order = found
+    return Smoother(points, order, points // 2, cutoff_hz)
+
+
+def _smoother(table: Table, period_s: float) -> Smoother:
+    if table.has("cutoff_hz"):
+        cutoff = table.number(
+            "cutoff_hz",
+            "Frequency at which the rates that the filter finds are 3 dB below the true ones. It decides points and "
+            "order: order 4, or 2 where order 4 needs more than 63 points.",
+            above=0.0,
+            unit="Hz",
+            otherwise="points and order apply; refused beside them",
+        )
+        for key in ("points", "order", "lag"):
+            if table.has(key):
+                raise table.error(key, "is given with cutoff_hz, which decides it", "state one of the two")
+        table.finish()
+        try:
+            return smoother_at(cutoff, period_s)
+        except ZygosError as error:
+            raise ZygosError(f"{table.file}: {table.where}.cutoff_hz: {error}") from None
     points = table.integer("points", "Number of cycles in the filter's window, an odd number.", 7, low=5, high=31)
     if points % 2 == 0:
         raise table.error("points", f"{points} is even", "write an odd number: the filter needs a middle sample")
@@ -786,6 +841,8 @@ def save_arm(arm: Arm, path: str | Path) -> None:
     document = tomlkit.document()
     document.update({"name": arm.name, "base": arm.base, "kinetic": arm.kinetic, "period_s": arm.period_s})
     document.update({"torque_law": arm.torque_law, "torque_at": arm.torque_at})
+    if arm.torque_unit != "Nm":
+        document["torque_unit"] = arm.torque_unit
     if not arm.free:
         document["gravity"] = list(arm.gravity)
     joints = tomlkit.aot()
@@ -803,7 +860,11 @@ def save_arm(arm: Arm, path: str | Path) -> None:
         imu = {"node": arm.imu.node, "mount_xyzw": list(arm.imu.mount_xyzw), "rate_sigma": arm.imu.rate_sigma}
         others = {"bias_walk": arm.imu.bias_walk, "latch_us": arm.imu.latch_us, "resolution": arm.imu.resolution}
         document["imu"] = imu | others
-    document["smoother"] = {"points": arm.smoother.points, "order": arm.smoother.order}
+    document["smoother"] = (
+        {"points": arm.smoother.points, "order": arm.smoother.order}
+        if arm.smoother.cutoff_hz is None
+        else {"cutoff_hz": arm.smoother.cutoff_hz}
+    )
     arc = {"max_s": arm.arc_max_s, "impulse_max_s": arm.impulse_arc_s}
     if arm.momentum_max_s is not None:
         arc["momentum_max_s"] = arm.momentum_max_s

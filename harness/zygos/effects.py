@@ -23,7 +23,7 @@ from zygos.arm import MOST_JOINTS, Arm
 from zygos.errors import ZygosError
 
 Array = NDArray[np.float64]
-Place = Literal["motor", "link", "spring", "torque", "rotor", "base"]
+Place = Literal["motor", "link", "spring", "torque", "rotor", "base", "load", "sensor"]
 
 OFFSET = "spring_offset"
 """Key of the effect with which an estimator accounts for encoders whose zeros are wrong."""
@@ -57,6 +57,14 @@ class Kind:
     """Whether the coefficient must not be negative: a negative one would create energy, so the model would be wrong."""
     twins: tuple[str, ...] = ()
     """Keys of the effects that look the same as this one in some motions."""
+    searched: bool = True
+    """Whether `zygos explain` tries this effect."""
+
+    @property
+    def on_ground(self) -> bool:
+        """Whether only estimates on the ground have a column for it: it needs the predicted torque, or multiplies the
+        reported one."""
+        return self.place in ("load", "sensor")
 
     @property
     def at_joint(self) -> bool:
@@ -106,6 +114,18 @@ CATALOGUE = {
             viscous=True,
             twins=("motor_coulomb", "torque_lag"),
         ),
+        Kind("torque_offset", "constant offset of the torque", "Nm", "motor", _one, positive=False, searched=False),
+        Kind(
+            "viscous_asymmetry",
+            "difference of viscous friction between the directions",
+            "Nms/rad",
+            "motor",
+            np.abs,
+            positive=False,
+            searched=False,
+        ),
+        Kind("load_friction", "friction in proportion to the load", "1", "load", searched=False),
+        Kind("torque_gain", "error of the torque sensor's gain", "1", "sensor", positive=False, searched=False),
         Kind("link_coulomb", "Coulomb friction at the link", "Nm", "link", smooth_sign, twins=("motor_coulomb",)),
         Kind("cubic_stiffness", "cubic joint stiffness", "Nm/rad^3", "spring", _cube, _quarter_fourth, positive=False),
         Kind(OFFSET, "offset of the spring", "Nm", "spring", _one, _same, positive=False),
@@ -116,6 +136,12 @@ CATALOGUE = {
 }
 """Entries by key. Units are those of the coefficient: torques at a motor in Nm before the gear, rates after it.
 
+torque_offset: the constant by which the reported torque exceeds the one that acts. A friction of different size in both
+directions looks the same except at rest, so that one entry stands for both.
+viscous_asymmetry: half of the difference of the viscous coefficients in positive and negative direction.
+load_friction: share of the torque through the gear, as the model predicts it, that friction opposes the motion with.
+torque_gain: share by which the torque that acts exceeds the reported one. The gain of one joint must be left out:
+without a torque that is known, all gains, masses and frictions can grow together.
 spring_offset: the spring's torque where theta = q reads 0. If wrong encoder zeros make theta - q read too large by x, a
 spring of stiffness k looks as if it had an offset of -k x.
 torque_lag: the time by which the motor follows the reported torque later, less than a SYNC period.
@@ -237,10 +263,10 @@ def spoken(arm: Arm, column: str) -> str:
 def estimated(arm: Arm, effects: Sequence[Effect]) -> tuple[Effect, ...]:
     """The effects that have a column in the energy balance, so that an estimator finds their values.
 
-    These are the effects of a model. Where it does not name the offset of a spring, the offset is added if the zero of
-    one of the encoders is uncertain (`zero_sigma_rad` above 0). Rotor coupling as in nature is part of the columns of
-    every arm, and an angular momentum does no work: both are omitted. Errors: ZygosError for any other rotor coupling,
-    and for an effect that the arm cannot have.
+    These are the effects of a model, without those that exist only in an estimate on the ground. Where it does not name
+    the offset of a spring, the offset is added if the zero of one of the encoders is uncertain (`zero_sigma_rad` above
+    0). Rotor coupling as in nature is part of the columns of every arm, and an angular momentum does no work: both are
+    omitted. Errors: ZygosError for any other rotor coupling, and for an effect that the arm cannot have.
     """
     for effect in effects:
         effect.index(arm)
@@ -252,6 +278,6 @@ def estimated(arm: Arm, effects: Sequence[Effect]) -> tuple[Effect, ...]:
     offset = CATALOGUE[OFFSET]
     named = {effect.joint for effect in effects if effect.kind == offset}
     return (
-        *(effect for effect in effects if effect.kind.place not in ("rotor", "base")),
+        *(effect for effect in effects if effect.kind.place not in ("rotor", "base", "load", "sensor")),
         *(Effect(offset, joint.name, 0.0) for joint in arm.joints if joint.unsure_zero and joint.name not in named),
     )

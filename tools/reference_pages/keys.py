@@ -112,6 +112,8 @@ PLACES = {
     "torque": "the torque of a joint's motor",
     "rotor": "the rotor of a joint",
     "base": "the whole arm; there is no key joint",
+    "load": "the gear of a joint, in estimates on the ground",
+    "sensor": "the torque sensor of a joint, in estimates on the ground",
 }
 EFFECTS = "## The kinds of effects\n\n" + table(
     ("Kind", "Effect", "Unit", "Acts at", "Value"),

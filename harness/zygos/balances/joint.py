@@ -46,6 +46,15 @@ class JointColumns:
     """(..., N, N) likewise."""
 
 
+def in_order(arm: Arm, bodies: Floats, rotors: Floats, joints: dict[str, Floats] | None = None) -> Floats:
+    """(..., N, p) columns in the order of `arm.parameter_names`, from those of bodies (..., N, B) and of rotors
+    (..., N, N). joints: those of springs "k" and dampers "b", (..., N, N); without them 0."""
+    of_joint = {"Im": rotors} | (joints or {})
+    none = np.zeros_like(rotors[..., 0])
+    listed = [of_joint[kind][..., i] if kind in of_joint else none for kind, i, _ in arm.joint_parameters]
+    return np.concatenate([bodies, np.stack(listed, axis=-1)] if listed else [bodies], axis=-1)
+
+
 def joint_columns(arm: Arm, state: State) -> JointColumns:
     """Columns of momentum and force at states with any leading axes."""
     momentum, force = (_spatial if arm.spatial else _planar)(arm, state)
@@ -211,9 +220,7 @@ def _running(arm: Arm, state: State, columns: JointColumns, segment: NDArray[np.
     deflection = state.theta - state.q
     wound = _integrals(arm, deflection, segment)
     single = np.eye(arm.n)
-    of_joint = {"Im": rotors, "k": -wound[..., None] * single, "b": -deflection[..., None] * single}
-    joints = [of_joint[kind][..., i] for kind, i, _ in arm.joint_parameters]
-    return np.concatenate([bodies, np.stack(joints, axis=-1)] if joints else [bodies], axis=-1)
+    return in_order(arm, bodies, rotors, {"k": -wound[..., None] * single, "b": -deflection[..., None] * single})
 
 
 def _integrals(arm: Arm, g: Floats, segment: NDArray[np.int64]) -> Floats:

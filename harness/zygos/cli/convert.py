@@ -20,9 +20,9 @@ from zygos.files.progress import progress
 from zygos.files.tables import check_table, is_table
 from zygos.native.flight import Flight, encode
 from zygos.telemetry.convert import (
-    added_noise,
     check_noise,
     cycles_of,
+    noise_of,
     noisier_arm_text,
     refused_share,
     signal_rows,
@@ -33,6 +33,7 @@ from zygos.telemetry.convert import (
 )
 from zygos.telemetry.grid import (
     REFUSED_MAX,
+    Noise,
     needed_rate,
     noisier,
 )
@@ -66,13 +67,13 @@ def convert_run(
             )
         bar.update(task, description="converting")
         found, cycles, lost = cycles_of(recording, mapping, arm)
-        added = added_noise(found, mapping, arm)
-        if not any(added):
+        noise = noise_of(found, mapping, arm)
+        if all(one == Noise() for one in noise):
             described, text = arm, local(chosen).read_text(encoding="utf-8")
         else:
-            described = noisier(arm, mapping.channels, added)
+            described = noisier(arm, mapping.channels, noise)
             text = noisier_arm_text(chosen, described, f"{source.name} by {map_file.name}")
-        check_noise(described, mapping, added)
+        check_noise(described, mapping, noise)
         rate, needed = needed_rate(found, arm, mapping)
         # if the motion passes the test with even stamps, it is not too fast
         _, even = needed_rate([track.evened for track in found], arm, mapping) if needed != rate else (rate, needed)
@@ -80,8 +81,8 @@ def convert_run(
         write_run(out, cycles, frames, arm.period_s, beside, text)
         refused = refused_share(described, cycles, frames)
     warn(recording.missing)
-    rows = signal_rows(recording, found, cycles, described, mapping, added)
-    warnings = warnings_of(arm, cycles, described, recording, found, out)
+    rows = signal_rows(recording, found, cycles, described, mapping, noise)
+    warnings = warnings_of(arm, cycles, described, recording, found, out, refused)
     content: dict[str, Any] = {
         "input": str(source),
         "map": str(map_file),
@@ -110,7 +111,7 @@ def convert_run(
         _print(content)
     if json:
         write_json(json, content)
-    _judge(rate, needed, even, stamps_sigma(found), refused, mapping, out)
+    _judge(rate, needed, even, stamps_sigma(found), refused, mapping, out, arm.smoother.cutoff_hz)
     not_whole(recording.missing)
 
 
@@ -167,9 +168,15 @@ def _judge(
     refused: float | None,
     mapping: Map,
     out: Path,
+    cutoff_hz: float | None,
 ) -> None:
     """Raise Undecided if the motion is faster than the recording, or seems so because of its time stamps."""
     jitter = f"the time stamps jitter by {1e3 * stamps_s:.3g} ms ({100 * stamps_s * rate:.0f} % of the interval)"
+    if cutoff_hz is not None and needed is not None and needed > rate * 1.001:
+        raise Undecided(
+            f"{rate:.4g} Hz; a cut-off of {cutoff_hz:g} Hz needs >= {needed:.4g} Hz ({out} written); remedy: record "
+            "faster, or lower cutoff_hz of the arm file"
+        )
     if needed is None or needed > rate * 1.001:
         if even is not None and even <= rate * 1.001:
             raise Undecided(
@@ -184,7 +191,7 @@ def _judge(
             f"{rate:.4g} Hz; this motion needs {wanted} ({out} written); remedy: record faster, or, if the recording "
             "is faster, shorten period_s of the arm file, or move more slowly"
         )
-    if refused is not None and refused > REFUSED_MAX:
+    if cutoff_hz is None and refused is not None and refused > REFUSED_MAX:
         raise Undecided(
             f"{refused:.0%} of the instants fail the bandwidth test on the grid, though the telemetry is fast enough "
             f"({out} written; {jitter}); remedy: "

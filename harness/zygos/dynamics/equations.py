@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal, Protocol
 
 import numpy as np
@@ -11,6 +13,7 @@ from zygos.arm import Arm
 from zygos.dynamics.compiled import Multibody
 from zygos.dynamics.engines import Engine, engine
 from zygos.dynamics.planar import PlanarDynamics
+from zygos.effects import Effect, Kind
 from zygos.model.model import Model
 
 Array = NDArray[np.float64]
@@ -39,20 +42,33 @@ class Dynamics(Protocol):
 
 
 class _Engine:
-    """An engine applied to one state after the other; it treats every arm as spatial."""
+    """An engine applied to one state after the other; it treats every arm as spatial. Friction at motors, and at the
+    links of rigid joints, is subtracted from the torques that the engine receives."""
 
     torque_lag: Array | None = None
     angular_momentum: float | None = None
 
-    def __init__(self, inner: Engine) -> None:
-        self.inner = inner
+    def __init__(self, arm: Arm, inner: Engine, laws: Sequence[tuple[Kind, int, float]]) -> None:
+        self.ratio, self.inner, self.laws = arm.gear_ratios, inner, laws
 
     def accelerations(
         self, q: Array, theta: Array, omega0: Array, qd: Array, thetad: Array, tau: Array
     ) -> tuple[Array, Array, Array]:
+        tau = self._driving(qd, thetad, tau)
         rows = [self.inner.accelerations(*one) for one in zip(q, theta, omega0, qd, thetad, tau, strict=True)]
         base, joint, motor = (np.stack(part) for part in zip(*rows, strict=True))
         return base, joint, motor
+
+    def _driving(self, qd: Array, thetad: Array, tau: Array) -> Array:
+        """(..., N) torques before the gear less friction."""
+        tau = tau.copy()
+        for kind, i, value in self.laws:
+            assert kind.torque is not None
+            if kind.place == "motor":
+                tau[..., i] -= value * kind.torque(thetad[..., i])
+            else:
+                tau[..., i] -= value * kind.torque(qd[..., i]) / self.ratio[i]
+        return tau
 
     def base_rate(self, q: Array, momentum: float | Array) -> Array:
         still = np.zeros(q.shape[-1])
@@ -63,5 +79,14 @@ class _Engine:
 def equations(arm: Arm, model: Model, name: EngineName = "zygos") -> Dynamics:
     """The equations of motion of a model. Errors: ZygosError if it does not fit the arm or the engine."""
     if name != "zygos":
-        return _Engine(engine(name, arm, model))
+        outside = [effect for effect in model.effects if _acts_as_torque(arm, effect)]
+        inside = tuple(effect for effect in model.effects if effect not in outside)
+        laws = [(effect.kind, effect.index(arm), effect.value) for effect in outside]
+        return _Engine(arm, engine(name, arm, replace(model, effects=inside)), laws)
     return (PlanarDynamics if arm.free and not arm.spatial else Multibody).from_model(arm, model)
+
+
+def _acts_as_torque(arm: Arm, effect: Effect) -> bool:
+    """Whether an effect is a torque on a rotor: at its motor, or at the link of a rigid joint."""
+    place, joint = effect.kind.place, effect.index(arm)
+    return place == "motor" or (place == "link" and not arm.joints[joint].flexible)

@@ -148,6 +148,11 @@ def drives(arm: Arm, value: Mapping[str, float], effects: Sequence[Effect]) -> d
                 f"effect {effect.kind.key} at {effect.joint}: the joint's stiffness is infinite, so it has no spring; "
                 "remedy: remove the entry, or give a finite stiffness"
             )
+        if effect.kind.on_ground:
+            raise ZygosError(
+                f"effect {effect.kind.key} at {effect.joint}: the simulator has no law for it; remedy: remove "
+                "the entry from the model that is simulated"
+            )
         if effect.kind.torque is not None:
             laws.append((effect.kind, joint, effect.value))
         elif effect.kind.key == "rotor_coupling":

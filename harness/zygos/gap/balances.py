@@ -49,7 +49,7 @@ class Layout:
 
         The offset of a spring is none of them: the zeros of its encoders stand for it.
         """
-        joints, kinds = range(self.arm.n), [kind for kind in CATALOGUE.values() if kind.key != OFFSET]
+        joints, kinds = range(self.arm.n), [kind for kind in CATALOGUE.values() if kind.searched and kind.key != OFFSET]
         return tuple((kind, i) for kind in kinds for i in (joints if kind.at_joint else (-1,)))
 
     @cached_property

@@ -186,6 +186,9 @@ class _Run:
         self.ratio = arm.gear_ratios
         self.step = arm.period_s
         self.tau = np.zeros((len(seeds), joints))
+        self.tau_rate = np.zeros((len(seeds), joints))
+        # of a continuous torque that is sampled, the drive commands the value at the end of the period
+        self.ramps = scenario.controller.feedforward and arm.torque_law == "sampled"
         angles = scenario.initial_angles_rad or (0.0,) * joints
         if len(angles) != joints:
             raise ZygosError(
@@ -233,6 +236,8 @@ class _Run:
         desired, desired_rate = self.scenario.desired([joint.name for joint in arm.joints], t)
         states = np.empty((*shape, self.state.shape[1]))
         taus = np.empty((*shape, joints))
+        needed = self._feedforward()
+        command = np.broadcast_to(needed[0], self.tau.shape)
         latches = _Latches(arm, self.slices, self.omega)
         pauses = _pauses(latches, self.dynamics.torque_lag)
         latched = np.empty((*shape, latches.width)) if latches.late else None
@@ -248,18 +253,24 @@ class _Run:
             rate = np.zeros_like(angle) if before is None else (angle - before) / arm.period_s
             before = angle
             servo = self.scenario.controller
-            command = (
-                servo.gain
-                * (np.array(servo.kp) * (desired[k] - angle) + np.array(servo.kd) * (desired_rate[k] - rate))
-                / self.ratio
+            previous, command = (
+                command,
+                needed[k + 1 if self.ramps else k]
+                + (
+                    servo.gain
+                    * (np.array(servo.kp) * (desired[k] - angle) + np.array(servo.kd) * (desired_rate[k] - rate))
+                    / self.ratio
+                ),
             )
-            taus[:, k] = command
+            begin = previous if self.ramps else command
+            taus[:, k] = begin
             self.state[:, slip] = 0.0
             reached = 0.0
             for offset, columns, motors in pauses:
                 self._integrate(offset - reached, t[k])
                 reached = offset
-                self.tau[:, motors] = command[:, motors]
+                self.tau[:, motors] = begin[:, motors]
+                self.tau_rate[:, motors] = (command - begin)[:, motors] / arm.period_s
                 if latched is not None:
                     latched[:, k, columns[0]] = self.state[:, columns[1]]
             self._integrate(arm.period_s - reached, t[k])
@@ -301,12 +312,12 @@ class _Run:
             angle, error = self.state[:, self.slices[0]], self.noise.link[:, k]
         return encoder_angle(encoders, encoder_reading(encoders, angle, error, self.noise.rounding))
 
-    def _derivative(self, _: float, flat: Array) -> Array:
+    def _derivative(self, since: float, flat: Array) -> Array:
         state = flat.reshape(self.state.shape)
         q, qd, theta, thetad, slip = self.slices
         omega0 = self._omega0(state)
         base, link, motor = self.dynamics.accelerations(
-            state[:, q], state[:, theta], omega0, state[:, qd], state[:, thetad], self.tau
+            state[:, q], state[:, theta], omega0, state[:, qd], state[:, thetad], self.tau + since * self.tau_rate
         )
         rate = np.empty_like(state)
         if self.planar:
@@ -322,8 +333,8 @@ class _Run:
         return rate.ravel()
 
     def _integrate(self, span: float, t: float) -> None:
-        """Advance the state by `span` s under the held torque; local time starts at zero, so that its rounding error
-        does not affect the step."""
+        """Advance the state by `span` s under a torque that is held or ramps; local time starts at zero, so that its
+        rounding error does not affect the step."""
         if span <= 0.0:
             return
         with np.errstate(over="ignore", invalid="ignore"):
@@ -356,6 +367,45 @@ class _Run:
         # the size that the step control proposes is the best initial value for the next period
         self.step = min(solver.h_abs, self.arm.period_s)
         self.state = solver.y.reshape(self.state.shape)
+        self.tau += span * self.tau_rate
+
+    def _feedforward(self) -> Array:
+        """(n + 1, N) torques before the gear that the desired motion needs, Nm; zeros without feedforward.
+
+        Of a torque that is held, those in the middle of each period; of one that ramps, those at the SYNCs.
+        """
+        arm, joints = self.arm, self.arm.n
+        if not self.scenario.controller.feedforward:
+            return np.zeros((self.n + 1, joints))
+        t = arm.period_s * (np.arange(self.n + 1, dtype=np.float64) + (0.0 if self.ramps else 0.5))
+        names = [joint.name for joint in arm.joints]
+        angle, rate = self.scenario.desired(names, t)
+        return needed_torque(arm, self.dynamics, angle, rate, self.scenario.accelerations(names, t))
+
+
+def needed_torque(arm: Arm, dynamics: Dynamics, angle: Array, rate: Array, acceleration: Array) -> Array:
+    """(m, N) rotor torques before the gear, Nm, at which a grounded arm has these accelerations (m, N), rad/s^2, at
+    angles (m, N), rad, and rates (m, N), rad/s.
+
+    Accelerations are affine in the torques, so that those of N + 1 torques determine them, whatever equations of motion
+    there are. Errors: ZygosError if the arm floats or has a flexible joint.
+    """
+    if not arm.grounded:
+        raise ZygosError(
+            f"arm {arm.name}: the torque of a desired motion is computed only where the base is fixed and all joints are "
+            "rigid; remedy: leave feedforward out of the scenario"
+        )
+    base = np.zeros((len(angle), 3))
+
+    def reached(tau: Array) -> Array:
+        torque = np.broadcast_to(tau, angle.shape)
+        return dynamics.accelerations(angle, angle, base, rate, rate, torque)[1]
+
+    # a unit that turns the link noticeably, so that no digits are lost in the difference
+    unit = 1.0 / arm.gear_ratios
+    rest = reached(np.zeros(arm.n))
+    gain = np.stack([(reached(unit * row) - rest) for row in np.eye(arm.n)], axis=-1)
+    return np.asarray(unit * np.linalg.solve(gain, (acceleration - rest)[..., None])[..., 0], dtype=np.float64)
 
 
 _TURN_OF = np.array([[3, 2, 1], [2, 3, 0], [1, 0, 3], [0, 1, 2]])

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
+import tomlkit
 from numpy.typing import ArrayLike, NDArray
 
 from zygos.errors import ZygosError
+from zygos.files.output import write_text
 from zygos.files.toml import Table
 
 Array = NDArray[np.float64]
@@ -71,10 +74,23 @@ class Motion:
             rate += 0.5 * ramp.change * np.pi / ramp.duration_s * np.sin(turn)
         return angle, rate
 
+    def acceleration(self, t: ArrayLike) -> Array:
+        """Desired acceleration, rad/s^2, of the shape of the times t, s; 0 before and after a ramp."""
+        time = np.asarray(t, dtype=np.float64)
+        total = np.zeros_like(time)
+        for sine in self.sines:
+            total -= sine.amplitude * sine.omega**2 * np.sin(sine.omega * time + sine.phase)
+        for ramp in self.ramps:
+            turn = np.pi * (time - ramp.start_s) / ramp.duration_s
+            inside = (turn >= 0.0) & (turn <= np.pi)
+            total += inside * 0.5 * ramp.change * (np.pi / ramp.duration_s) ** 2 * np.cos(turn)
+        return total
+
 
 @dataclass(frozen=True)
 class Controller:
-    """The sampled servo of every joint: n tau = gain * [kp (q_d - angle) + kd (qd_d - rate)]."""
+    """The sampled servo of every joint: n tau = gain * [kp (q_d - angle) + kd (qd_d - rate)], plus n times the
+    feedforward torque."""
 
     kp: float | tuple[float, ...] = 1000.0
     """Nm/rad, after the gear; one for all joints, or (N,)."""
@@ -83,6 +99,8 @@ class Controller:
     gain: float = 1.0
     angle: FeedbackAngle = "motor"
     """The encoder whose angle is fed back."""
+    feedforward: bool = False
+    """Whether the torque that the desired motion needs, computed with the simulated equations of motion, is added."""
 
 
 @dataclass(frozen=True)
@@ -123,10 +141,55 @@ class Scenario:
         pairs = [motion.desired(t) for motion in self.motions(names)]
         return np.stack([angle for angle, _ in pairs], axis=-1), np.stack([rate for _, rate in pairs], axis=-1)
 
+    def accelerations(self, names: Sequence[str], t: ArrayLike) -> Array:
+        """Desired accelerations of the named joints at the times t (n,), s: (n, N) rad/s^2. Errors: as `motions`."""
+        return np.stack([motion.acceleration(t) for motion in self.motions(names)], axis=-1)
+
 
 def load_scenario(path: str | Path) -> Scenario:
     """Read `scenario.toml`; paths in it are relative to the file. Errors: ZygosError naming file, key and remedy."""
     return read_scenario(Table.load(path))
+
+
+def save_scenario(scenario: Scenario, path: str | Path) -> None:
+    """Write `scenario.toml` so that a reader sees the old file or the whole new one; paths in it are relative to it.
+
+    Errors: ZygosError if it cannot be written.
+    """
+    folder = Path(path).absolute().parent
+    document = tomlkit.document()
+    document.update({"name": scenario.name, "duration_s": scenario.duration_s})
+    document["arm"] = Path(os.path.relpath(scenario.arm.absolute(), folder)).as_posix()
+    document["plant"] = Path(os.path.relpath(scenario.plant.absolute(), folder)).as_posix()
+    document.update({"seed": scenario.seed, "noise": scenario.noise, "encoder_noise": scenario.encoder_noise})
+    momentum = scenario.angular_momentum_nms
+    document["angular_momentum_nms"] = list(momentum) if isinstance(momentum, tuple) else momentum
+    if scenario.initial_angles_rad:
+        document["initial_angles_rad"] = list(scenario.initial_angles_rad)
+    servo = scenario.controller
+    control = tomlkit.table()
+    control["kp"] = list(servo.kp) if isinstance(servo.kp, tuple) else servo.kp
+    control["kd"] = list(servo.kd) if isinstance(servo.kd, tuple) else servo.kd
+    control.update({"gain": servo.gain, "angle": servo.angle, "feedforward": servo.feedforward})
+    document["controller"] = control
+    manoeuvre = tomlkit.aot()
+    for joint, motion in scenario.manoeuvre.items():
+        entry = tomlkit.table()
+        entry.update({"joint": joint, "kind": "sines", "offset_rad": motion.offset})
+        sines = tomlkit.array()
+        for sine in motion.sines:
+            line = tomlkit.inline_table()
+            line.update({"amplitude_rad": sine.amplitude, "omega_rad_s": sine.omega, "phase_rad": sine.phase})
+            sines.append(line)
+        entry["sines"] = sines.multiline(True)
+        manoeuvre.append(entry)
+        for ramp in motion.ramps:
+            entry = tomlkit.table()
+            entry.update({"joint": joint, "kind": "ramp", "start_s": ramp.start_s, "duration_s": ramp.duration_s})
+            entry["change_rad"] = ramp.change
+            manoeuvre.append(entry)
+    document["manoeuvre"] = manoeuvre
+    write_text(Path(path), tomlkit.dumps(document))
 
 
 def read_scenario(top: Table) -> Scenario:
@@ -140,6 +203,12 @@ def read_scenario(top: Table) -> Scenario:
         _gain(control, "kd", "Gain on the error of the rate, after the gear", 250.0, len(manoeuvre), "Nms/rad"),
         control.number("gain", "Factor on the torque that kp and kd give.", 1.0, low=0.0),
         control.choice("angle", "The encoder whose angle is fed back.", _FEEDBACK_ANGLES, "motor"),
+        control.boolean(
+            "feedforward",
+            "Whether the torque that the desired motion needs is added to that of the servo, so that the arm follows the "
+            "motion. It is computed with the simulated plant, and needs a fixed base and rigid joints.",
+            False,
+        ),
     )
     control.finish()
     momentum: float | tuple[float, float, float]

@@ -23,10 +23,11 @@ from zygos.runs.cycles import INVALID, Cycles
 from zygos.runs.tables import write_cycles
 from zygos.simulation.sensors import encoder_angle
 from zygos.telemetry.grid import (
+    REFUSED_MAX,
+    Noise,
     Track,
     declared_sigma,
-    interpolation_sigma,
-    kind_of,
+    grid_noise,
     regrid,
     synchronous,
     tracks,
@@ -58,19 +59,16 @@ def cycles_of(recording: Recording, mapping: Map, arm: Arm) -> tuple[list[Track]
     return found, cycles, {"instants in holes": missing, "repeated stamps": sum(track.repeated for track in found)}
 
 
-def added_noise(found: Sequence[Track], mapping: Map, arm: Arm) -> list[float]:
-    """Noise that the interpolation adds to each channel, SI units."""
+def noise_of(found: Sequence[Track], mapping: Map, arm: Arm) -> list[Noise]:
+    """What becomes of the noise of each channel."""
     if mapping.clock.kind == "sync":
-        return [0.0] * len(found)
-    return [
-        interpolation_sigma(track, kind_of(track.channel, mapping, arm), declared_sigma(arm, track.channel))
-        for track in found
-    ]
+        return [Noise()] * len(found)
+    return [grid_noise(track, arm, mapping) for track in found]
 
 
-def check_noise(arm: Arm, mapping: Map, added: Sequence[float]) -> None:
+def check_noise(arm: Arm, mapping: Map, noise: Sequence[Noise]) -> None:
     """Refuse samples so far apart that the angle between them is uncertain by more than a radian."""
-    for channel, sigma in zip(mapping.channels, added, strict=True):
+    for channel, sigma in zip(mapping.channels, (one.added for one in noise), strict=True):
         if channel.quantity == "angle" and math.sqrt(12.0) * declared_sigma(arm, channel) > 1.0:
             raise ZygosError(
                 f"{channel.where}: between the samples of {channel.source} the angle is uncertain by {sigma:.2g} rad; "
@@ -90,7 +88,7 @@ def noisier_arm_text(file: Path, arm: Arm, whence: str) -> str:
         entry["torque_sigma"] = joint.torque_sigma
     if arm.free:
         document["imu"]["rate_sigma"] = arm.imu.rate_sigma
-    head = f"# Quanta and sigmas include the errors of interpolation and time stamps of {whence} (zygos convert).\n"
+    head = f"# Quanta and sigmas are those of the values that zygos convert made of {whence}.\n"
     return head + tomlkit.dumps(document)
 
 
@@ -152,11 +150,11 @@ def _wire_step(channel: Channel, arm: Arm) -> float:
 
 
 def signal_rows(
-    recording: Recording, found: Sequence[Track], cycles: Cycles, arm: Arm, mapping: Map, added: Sequence[float]
+    recording: Recording, found: Sequence[Track], cycles: Cycles, arm: Arm, mapping: Map, noise: Sequence[Noise]
 ) -> list[dict[str, Any]]:
     """The results for each signal, as in the table and the JSON of a conversion."""
     rows: list[dict[str, Any]] = []
-    for track, more in zip(found, added, strict=True):
+    for track, change in zip(found, noise, strict=True):
         channel = track.channel
         values = getattr(cycles, channel.field)[:, channel.index]
         rows.append(
@@ -171,7 +169,7 @@ def signal_rows(
                 "smallest": float(values.min()),
                 "largest": float(values.max()),
                 "sigma": declared_sigma(arm, channel),
-                "added_by_interpolation": more,
+                "added_by_interpolation": change.added,
                 "wire_step": _wire_step(channel, arm),
             }
         )
@@ -179,10 +177,22 @@ def signal_rows(
 
 
 def warnings_of(
-    arm: Arm, cycles: Cycles, described: Arm, recording: Recording, found: Sequence[Track], out: Path
+    arm: Arm,
+    cycles: Cycles,
+    described: Arm,
+    recording: Recording,
+    found: Sequence[Track],
+    out: Path,
+    refused: float | None,
 ) -> list[str]:
     """Warnings that a person should check."""
     warnings = []
+    cutoff = arm.smoother.cutoff_hz
+    if cutoff is not None and refused is not None and refused > REFUSED_MAX:
+        warnings.append(
+            f"{refused:.0%} of the instants have motion above the cut-off of {cutoff:g} Hz (bandwidth test); what they "
+            "add depends on the cut-off"
+        )
     if recording.damaged:
         warnings.append(f"{counted(recording.damaged, 'frame')} could not be decoded by the DBC")
     q = encoder_angle([joint.link_encoder for joint in arm.joints], cycles.q)

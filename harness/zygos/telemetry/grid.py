@@ -1,9 +1,10 @@
 """From telemetry to cycles: by the telemetry's own cycle counter, or by interpolation on a fixed grid.
 
 Without a SYNC each signal has its own time stamps. Angles and rates are interpolated at t_k = k * period; a torque that
-is held between its messages is averaged over the period to which the arm's `torque_law` refers. No value is
-interpolated over a hole, and the error of the interpolation is estimated. docs/telemetry.md describes the method and
-its limits.
+is held between its messages is averaged over the period to which the arm's `torque_law` refers. Of a signal that is
+recorded several times in a period, the values are averages, so that what is faster than the grid does not appear as
+slow motion. No value is taken over a hole, and its error is estimated. docs/telemetry.md describes the method and its
+limits.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
 from zygos.arm import Arm, Encoder
+from zygos.cutoff import periods
 from zygos.errors import ZygosError
 from zygos.runs.cycles import BREAK_BEFORE, Cycles
 from zygos.runs.samples import calibrate
@@ -37,6 +39,14 @@ SPAN_MAX = 50
 REFUSED_MAX = 0.05
 """Share of instants that the bandwidth test may refuse (the flight library's own limit)."""
 DOUBLINGS = 6
+DECIMATED = 3.0
+"""Number of samples in a period from which a signal is averaged."""
+_REACH = 2.0
+"""Half width of an average of angles or rates, in periods."""
+_FEWEST = 6
+"""Fewest samples in an average."""
+_CHUNK = 20_000
+"""Number of averages that are computed together."""
 
 _ORDER: dict[InterpolationMethod, int] = {"hold": 1, "linear": 2, "cubic": 4}
 """Order in which the interpolation's error grows with the spacing of the samples."""
@@ -92,6 +102,8 @@ class Track:
                 at = np.arange(run.stop - run.start)
                 slope, start = np.polyfit(at, self.t[run], 1)
                 t[run] = start + slope * at
+                if run.start:  # a short pause may vanish with its stamps, but samples keep their order
+                    t[run] += max(0.0, t[run.start - 1] + slope - t[run.start])
         return replace(self, t=t)
 
     @property
@@ -307,6 +319,68 @@ def held_mean(track: Track, begin: Floats, period_s: float) -> Floats:
     return out
 
 
+def decimated(track: Track, period_s: float) -> bool:
+    """Whether a signal is recorded so often in a period that it is averaged."""
+    return track.interval_s * DECIMATED <= period_s * (1.0 + 1e-6)
+
+
+@dataclass(frozen=True)
+class Averages:
+    """Averages of a track at m instants."""
+
+    value: Floats
+    """(m,) NaN where holes or the ends of the track leave too few samples."""
+    variance: Floats
+    """(m,) of the samples about the polynomial; NaN likewise."""
+
+
+def averaged(track: Track, at: Floats, period_s: float) -> Averages:
+    """Averages of a track at times (m,): the values of cubic polynomials that are fitted to the samples within two
+    periods, weighted by (1 - (t / 2 periods)^2)^2.
+
+    Motion up to a tenth of the grid's rate keeps its size to 0.3 %; what is near a multiple of that rate, and would
+    appear as slow motion, is reduced to less than 4 %. The stamps may be uneven.
+    """
+    out = Averages(np.full(len(at), np.nan), np.full(len(at), np.nan))
+    reach = _REACH * period_s
+    for run in track.runs:
+        t, x = track.t[run], track.x[run]
+        inside = np.flatnonzero((at >= t[0] + reach) & (at <= t[-1] - reach))
+        for begin in range(0, len(inside), _CHUNK):
+            chosen = inside[begin : begin + _CHUNK]
+            low = np.searchsorted(t, at[chosen] - reach, side="left")
+            high = np.searchsorted(t, at[chosen] + reach, side="right")
+            chosen, low, high = (values[high - low >= _FEWEST] for values in (chosen, low, high))
+            if len(chosen) == 0:
+                continue
+            index = low[:, None] + np.arange(int((high - low).max()))
+            of = np.minimum(index, len(t) - 1)
+            s = (t[of] - at[chosen][:, None]) / reach
+            weight = np.where(index < high[:, None], np.maximum(1.0 - s**2, 0.0) ** 2, 0.0)
+            powers = s[..., None] ** np.arange(4)
+            normal = np.einsum("ni,nij,nik->njk", weight, powers, powers)
+            fit = np.linalg.solve(normal, np.einsum("ni,nij,ni->nj", weight, powers, x[of])[..., None])[..., 0]
+            rest = x[of] - np.einsum("nij,nj->ni", powers, fit)
+            taken = np.linalg.solve(normal, np.einsum("ni,nij,nik->njk", weight**2, powers, powers))
+            freedom = weight.sum(axis=1) - np.trace(taken, axis1=1, axis2=2)
+            out.value[chosen] = fit[:, 0]
+            out.variance[chosen] = np.sum(weight * rest**2, axis=1) / freedom
+    return out
+
+
+def linear_mean(track: Track, at: Floats, period_s: float) -> Floats:
+    """Mean (m,) over a period about each of the times (m,) of a signal that varies linearly between its samples; NaN if
+    the period overlaps a hole or leaves the track."""
+    out = np.full(len(at), np.nan)
+    for run in track.runs:
+        t, x = track.t[run], track.x[run]
+        inside = (at - 0.5 * period_s >= t[0]) & (at + 0.5 * period_s <= t[-1])
+        if len(t) > 1 and inside.any():
+            integral = make_interp_spline(t, x, k=1).antiderivative()
+            out[inside] = (integral(at[inside] + 0.5 * period_s) - integral(at[inside] - 0.5 * period_s)) / period_s
+    return out
+
+
 def regrid(found: Sequence[Track], arm: Arm, mapping: Map, *, kind: InterpolationMethod | None = None) -> Cycles:
     """Tracks on the grid of the arm's period, which begins with the first instant at which all of them have a value.
 
@@ -329,6 +403,9 @@ def regrid(found: Sequence[Track], arm: Arm, mapping: Map, *, kind: Interpolatio
         if chosen == "hold":
             shift = h if arm.torque_law == "applied_previous_cycle" else 0.0
             values[:, column] = held_mean(track, at - shift, h)
+        elif kind is None and decimated(track, h):
+            torque = track.channel.field == "tau"
+            values[:, column] = linear_mean(track, at, h) if torque else averaged(track, at, h).value
         else:
             values[:, column] = interpolate(track, at, chosen)
     known = np.isfinite(values)
@@ -343,6 +420,35 @@ def regrid(found: Sequence[Track], arm: Arm, mapping: Map, *, kind: Interpolatio
 
 
 # -- the error of the grid ------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What becomes of the noise of a channel on the grid."""
+
+    kept: float = 1.0
+    """Factor of the declared standard deviation."""
+    added: float = 0.0
+    """Standard deviation in addition to that, SI units."""
+
+
+def grid_noise(track: Track, arm: Arm, mapping: Map) -> Noise:
+    """The noise of a track's values on the grid of the arm's period.
+
+    An average keeps the density of the noise, so that its standard deviation is multiplied by sqrt(interval / period).
+    If the samples scatter more than the arm file says about the polynomials through them, the excess is added. The
+    average of a torque has its integral, to which nothing is added.
+    """
+    channel, sigma = track.channel, declared_sigma(arm, track.channel)
+    if not decimated(track, arm.period_s):
+        return Noise(1.0, interpolation_sigma(track, kind_of(channel, mapping, arm), sigma))
+    kept = math.sqrt(track.interval_s / arm.period_s)
+    if channel.field == "tau":
+        return Noise(kept)
+    at = np.arange(track.t[0], track.t[-1], arm.period_s)
+    variance = averaged(track, at, arm.period_s).variance
+    known = variance[np.isfinite(variance)]
+    return Noise(kept, kept * math.sqrt(max(0.0, float(np.mean(known)) - sigma**2)) if len(known) else 0.0)
 
 
 def interpolation_sigma(track: Track, kind: InterpolationMethod, sigma: float) -> float:
@@ -387,24 +493,27 @@ def declared_sigma(arm: Arm, channel: Channel) -> float:
     return (joint.link_encoder if channel.field == "q" else joint.motor_encoder).sigma_rad
 
 
-def noisier(arm: Arm, channels: Sequence[Channel], added: Sequence[float]) -> Arm:
-    """The arm with the `added` noise on its sensors, in the order of the channels; the gyro gets that of its worst
-    axis."""
-    by = {(c.field, c.index): sigma for c, sigma in zip(channels, added, strict=True)}
+def noisier(arm: Arm, channels: Sequence[Channel], noise: Sequence[Noise]) -> Arm:
+    """The arm with the noise that its sensors have on the grid, in the order of the channels; the gyro gets that of its
+    worst axis."""
+    by = {(c.field, c.index): one for c, one in zip(channels, noise, strict=True)}
+    same = Noise()
 
-    def encoder(one: Encoder, sigma: float) -> Encoder:
-        if sigma == 0.0:
+    def encoder(one: Encoder, change: Noise) -> Encoder:
+        if change == same:
             return one
-        return replace(one, quantum_rad=math.sqrt(12.0) * math.hypot(one.sigma_rad, sigma), counts=None)
+        sigma = math.hypot(change.kept * one.sigma_rad, change.added)
+        return replace(one, quantum_rad=math.sqrt(12.0) * sigma, counts=None)
 
     joints = []
     for i, joint in enumerate(arm.joints):
-        motor = encoder(joint.motor_encoder, by.get(("theta", i), 0.0))
-        link = encoder(joint.link_encoder, by.get(("q", i), 0.0)) if joint.flexible else motor
-        torque = math.hypot(joint.torque_sigma, by.get(("tau", i), 0.0))
+        motor = encoder(joint.motor_encoder, by.get(("theta", i), same))
+        link = encoder(joint.link_encoder, by.get(("q", i), same)) if joint.flexible else motor
+        change = by.get(("tau", i), same)
+        torque = math.hypot(change.kept * joint.torque_sigma, change.added)
         joints.append(replace(joint, motor_encoder=motor, link_encoder=link, torque_sigma=torque))
-    gyro = max((by.get(("omega", i), 0.0) for i in range(3)), default=0.0)
-    imu = replace(arm.imu, rate_sigma=math.hypot(arm.imu.rate_sigma, gyro)) if gyro else arm.imu
+    rates = [math.hypot(one.kept * arm.imu.rate_sigma, one.added) for (field, _), one in by.items() if field == "omega"]
+    imu = replace(arm.imu, rate_sigma=max(rates)) if rates else arm.imu
     return replace(arm, joints=tuple(joints), imu=imu)
 
 
@@ -424,14 +533,17 @@ def needed_rate(found: Sequence[Track], arm: Arm, mapping: Map) -> tuple[float, 
     Quintic splines through the angles reconstruct the motion. It is sampled at the slower rate of grid and telemetry,
     and at twice, four times, … that rate, until the bandwidth test refuses few instants. If the telemetry is too slow
     to show the motion at all, the result is a lower bound. The noise is the declared one and that of the stamps,
-    without what the interpolation added.
+    without what the interpolation added. An arm file with a cut-off decides what is motion: then the rate is needed at
+    which a smoother has that cut-off.
     """
     angles = [track for track in found if track.channel.quantity == "angle"]
     if min(max(run.stop - run.start for run in track.runs) for track in angles) < 6:
         return 0.0, 0.0  # too short for a spline and for a smoother
-    jitter = [track.rate_rms * track.stamp_sigma_s for track in angles]
-    steady = noisier(arm, [track.channel for track in angles], jitter)
     slowest = max(arm.period_s, *(track.interval_s for track in angles))
+    if arm.smoother.cutoff_hz is not None:
+        return 1.0 / slowest, 1.0 / periods(arm.smoother.cutoff_hz)[1]
+    jitter = [Noise(1.0, track.rate_rms * track.stamp_sigma_s) for track in angles]
+    steady = noisier(arm, [track.channel for track in angles], jitter)
     for k in range(DOUBLINGS + 1):
         at_rate = replace(steady, period_s=slowest / 2**k)
         smoothed = smooth(at_rate, calibrate(at_rate, regrid(angles, at_rate, mapping, kind="quintic")))

@@ -62,7 +62,7 @@ def engine(name: str, arm: Arm, model: Model) -> Engine:
     if model.effects:
         carried = ", ".join(sorted({effect.kind.key for effect in model.effects}))
         raise ZygosError(
-            f"model {model.name} has effects ({carried}), engine {name} supports none; "
+            f"model {model.name} has effects ({carried}), engine {name} supports none of them; "
             'remedy: engine "zygos", or a model without [[effect]]'
         )
     model.check_fits(arm)

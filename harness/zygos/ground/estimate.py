@@ -1,0 +1,477 @@
+"""An estimate on the ground: an arm with a fixed base and rigid joints, learned from one or several runs."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zygos.arm import Arm, Smoother
+from zygos.balances.joint import in_order, joint_columns
+from zygos.balances.state import State
+from zygos.can.run import Run
+from zygos.effects import CATALOGUE, Effect
+from zygos.errors import Undecided, ZygosError
+from zygos.ground.motion import Motion, cutoff_hz, torque_noise
+from zygos.ground.rows import RunRows, columns_of, friction, run_rows
+from zygos.ground.score import Score, score
+from zygos.ground.solution import Solution, solve
+from zygos.ground.sums import MOST_BLOCKS, Sums, sums_of
+from zygos.model.model import Model, Quantity
+
+Floats = NDArray[np.float64]
+
+SPANS_S = (0.1, 0.2, 0.3, 0.5)
+"""Lengths of increments from which one is chosen, s: the shortest at which the angles' noise is small."""
+NOISE_SHARE = 0.3
+"""Share of the squared residuals that the declared noise of the angles may cause at the chosen length."""
+DEFAULT_FRICTION = ("motor_coulomb", "motor_viscous")
+"""Effects at every joint that are estimated unless others are asked for."""
+CLUSTER_LIMIT = 4.0
+"""Largest mean square of a block's summed residuals, in units of that of independent ones, that passes as noise."""
+_LOAD_ROUNDS = 3
+_DOUBTFUL_SHARE = 0.5
+_TOTAL_BLOCKS = 40
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class GroundEstimate:
+    """What joint rows say of an arm: p parameters, those of the arm first, then the effects; N joints, R runs."""
+
+    arm: Arm
+    runs: tuple[Run, ...]
+    effects: tuple[Effect, ...]
+    """Those that were estimated, without their values."""
+    span_s: float
+    """Length of the increments, s."""
+    solution: Solution
+    increments: int
+    noise_share: float
+    """Share of the squared residuals that the declared noise of the angles causes."""
+    without_run: Floats
+    """(R, p) the values without each of the runs; empty for a single run."""
+    across: Floats
+    """(R, R) share of the impulse of each run (second) that the values of one run alone (first) leave. NaN where that
+    run determines too little; empty for a single run."""
+    smoothing: Floats
+    """(2, p) the values with a cut-off of the smoother 0.7 and 1.4 times as high; NaN where there is none."""
+    validated: tuple[Score, ...] = ()
+    doubtful: bool = False
+    """Whether values are given that the runs do not determine."""
+    prior: Model | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """(p,)"""
+        return columns_of(self.arm, self.effects)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """(p,)"""
+        return (*self.arm.parameter_units, *(effect.kind.unit for effect in self.effects))
+
+    @property
+    def determined(self) -> NDArray[np.bool_]:
+        """(p,) whether the 95 % interval is narrower than the size of the parameter.
+
+        The size of a parameter of a body is the largest value in the same unit of the same body. Effects may be zero,
+        and count as determined where the motion shows them.
+        """
+        own = np.arange(len(self.names)) < len(self.arm.parameter_names)
+        narrow = self.solution.half(0.95) <= _sizes(self.names, self.units, self.solution.value)
+        return np.asarray(self.solution.seen & (narrow | ~own), dtype=np.bool_)
+
+    @property
+    def value(self) -> Floats:
+        """(p,) NaN for what the runs do not determine, unless `doubtful`."""
+        shown = self.solution.seen if self.doubtful else self.determined
+        return np.where(shown, self.solution.value, np.nan)
+
+    @property
+    def sigma(self) -> Floats:
+        """(p,) standard deviations; NaN as `value`."""
+        return np.where(np.isfinite(self.value), self.solution.sigma, np.nan)
+
+    @property
+    def half95(self) -> Floats:
+        """(p,) half widths of the 95 % intervals; NaN as `value`."""
+        return np.where(np.isfinite(self.value), self.solution.half(0.95), np.nan)
+
+    @property
+    def spread(self) -> Floats:
+        """(p,) standard deviation of the values from leaving out one run at a time; NaN for a single run."""
+        runs = len(self.without_run)
+        if runs < 2:
+            return np.full(len(self.names), np.nan)
+        far = self.without_run - self.without_run.mean(axis=0)
+        return np.asarray(np.sqrt((runs - 1) / runs * np.sum(far**2, axis=0)), dtype=np.float64)
+
+    @property
+    def relative(self) -> bool:
+        """Whether torques are known up to a factor only, so that only ratios of values are."""
+        return self.arm.torque_unit == "A"
+
+    @property
+    def torque_sigma(self) -> Floats:
+        """(N,) standard deviation of one torque reading that the residuals show, before the gear where torques are
+        reported there, Nm."""
+        steps = self.span_s / self.arm.period_s
+        return np.asarray(self.solution.sigma_w / (self.arm.period_s * np.sqrt(steps) * self.arm.gear_ratios))
+
+    @property
+    def validity(self) -> str:
+        """One of "valid", "partial", "doubtful" and "refused"."""
+        return self._verdict[0]
+
+    @property
+    def reason(self) -> str:
+        """Why it is not valid, with the number that was measured; empty where it is valid."""
+        return self._verdict[1]
+
+    @property
+    def remedy(self) -> str:
+        """What to do about it; empty where it is valid."""
+        return self._verdict[2]
+
+    @property
+    def _verdict(self) -> tuple[str, str, str]:
+        share, joints = self.solution.share, self.arm.joints
+        worst = int(np.argmax(share))
+        if share.min() >= 1.0:
+            return (
+                "refused",
+                f"the model predicts held-out torques worse than none would: {100 * share[worst]:.0f} % are left at "
+                f"{joints[worst].name}",
+                "check signs, zeros, gear ratios and torque_law with `zygos check-arm`",
+            )
+        negative = self._impossible()
+        if negative:
+            return (
+                "doubtful",
+                f"not physical: {negative}",
+                "check the arm file with `zygos check-arm`, or estimate another law with --friction",
+            )
+        if np.sqrt(np.mean(share**2)) > _DOUBTFUL_SHARE:
+            return (
+                "doubtful",
+                f"{100 * share[worst]:.0f} % of the held-out torque at {joints[worst].name} are not predicted",
+                "check the arm file with `zygos check-arm`, or lower the cut-off of the smoother",
+            )
+        texts, remedies = [], []
+        unsure = [name for name, good in zip(self.names, self.determined, strict=True) if not good]
+        if unsure:
+            listed = ", ".join(unsure[:6]) + (", …" if len(unsure) > 6 else "")
+            texts.append(f"the motion does not determine {len(unsure)} of {len(self.names)} parameters ({listed})")
+            remedies.append("a motion that excites them (`zygos plan`)")
+        loud = int(np.argmax(self.solution.cluster))
+        if self.solution.cluster[loud] > CLUSTER_LIMIT:
+            texts.append(
+                f"what is left is not noise: at {joints[loud].name} residuals add up {self.solution.cluster[loud]:.0f} "
+                f"times as noise would ({100 * share[loud]:.1f} % of the torque)"
+            )
+            remedies.append("a further law (--friction), or take the intervals, which contain this")
+        return ("partial", "; ".join(texts), "; ".join(remedies)) if texts else ("valid", "", "")
+
+    def _impossible(self) -> str:
+        """A value that is negative by more than three of its deviations, but cannot be; empty where there is none."""
+        positive = [
+            *(
+                one.symbol == "Im" or (one.symbol in ("N", "a") and one.ends[0] == one.ends[1])
+                for one in self.arm.parameters
+            ),
+            *(effect.kind.positive for effect in self.effects),
+        ]
+        for name, value, half, must, good in zip(
+            self.names, self.solution.value, self.solution.half(0.997), positive, self.determined, strict=True
+        ):
+            if must and good and value < -half:
+                return f"{name} is {value:.3g}, negative beyond its interval of {half:.2g}"
+        return ""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a reader should know beside the values, in sentences."""
+        said = []
+        if self.relative:
+            said.append(
+                "the torques are motor currents with unknown torque constants: values are relative to that of joint "
+                f"{self.arm.joints[0].name}"
+            )
+        with np.errstate(invalid="ignore", divide="ignore"):
+            moved = np.abs(self.smoothing - self.solution.value) / self.solution.half(0.95)
+        moved = np.where(self.determined, moved, np.nan)
+        if np.isfinite(moved).any() and np.nanmax(moved) > 1.0:
+            worst = int(np.unravel_index(np.nanargmax(moved), moved.shape)[1])
+            said.append(
+                f"the values depend on the smoother's cut-off of {cutoff_hz(self.arm):.1f} Hz: between 0.7 and 1.4 "
+                f"times it {self.names[worst]} moves by {np.nanmax(moved):.1f} half widths of its interval; if the arm "
+                "is not rigid up to there, lower cutoff_hz"
+            )
+        return tuple(said)
+
+    def to_model(self) -> Model:
+        """The model with what was learned; what the runs do not determine comes from the model that was given. Errors:
+        Undecided where the estimate is refused."""
+        if self.validity == "refused":
+            raise Undecided(f"refused: {self.reason}; remedy: {self.remedy}")
+        found = {
+            name: Quantity(float(value), float(sigma), "zygos", unit)
+            for name, unit, value, sigma in zip(self.names, self.units, self.value, self.sigma, strict=True)
+            if np.isfinite(value)
+        }
+        known = (self.prior.base_parameters(self.arm) if self.prior is not None else {}) | found
+        quantities = {name: known[name] for name in self.arm.parameter_names if name in known}
+        effects = []
+        for effect in self.effects:
+            one = found.get(effect.column(self.arm))
+            if one is not None:
+                effects.append(replace(effect, value=one.value, sigma=one.sigma, source="zygos"))
+        return Model(name=self.arm.name, parameters=quantities, effects=tuple(effects))
+
+    def as_dict(self, heading: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """What `zygos estimate --json` writes of an estimate on the ground."""
+        s = self.solution
+        return {
+            **(heading or {}),
+            "arm": self.arm.name,
+            "estimator": "ground",
+            "validity": self.validity,
+            "reason": self.reason or None,
+            "remedy": self.remedy or None,
+            "notes": self.notes,
+            "relative": self.relative,
+            "runs": [str(run.path) if run.path else None for run in self.runs],
+            "increment_s": self.span_s,
+            "increments": self.increments,
+            "cutoff_hz": cutoff_hz(self.arm),
+            "noise_share": self.noise_share,
+            "joints": [
+                {
+                    "joint": joint.name,
+                    "held_out_share": float(s.share[j]),
+                    "residual_share": float(np.sqrt(np.mean(s.residual[:, j] ** 2) / np.mean(s.measured[:, j] ** 2))),
+                    "torque_sigma_nm": float(self.torque_sigma[j]),
+                    "cluster": float(s.cluster[j]),
+                    "offset_nm": s.offset[:, j].tolist(),
+                }
+                for j, joint in enumerate(self.arm.joints)
+            ],
+            "parameters": [
+                {
+                    "name": name,
+                    "unit": unit,
+                    "value": float(value),
+                    "sigma": float(sigma),
+                    "half95": float(half),
+                    "freedom": float(freedom),
+                    "determined": bool(good),
+                    "spread": float(spread),
+                }
+                for name, unit, value, sigma, half, freedom, good, spread in zip(
+                    self.names,
+                    self.units,
+                    self.value,
+                    self.sigma,
+                    self.half95,
+                    s.freedom,
+                    self.determined,
+                    self.spread,
+                    strict=True,
+                )
+            ],
+            "covariance": s.covariance.tolist(),
+            "across": self.across.tolist(),
+            "validated": [one.as_dict() for one in self.validated],
+        }
+
+    def __repr__(self) -> str:
+        """Validity, and a line for each parameter."""
+        lines = [f"{self.validity}{f': {self.reason}' if self.reason else ''}"]
+        for name, unit, value, half in zip(self.names, self.units, self.value, self.half95, strict=True):
+            lines.append(f"{name:<18}{value:>14.7g} ± {half:<10.2g} {unit}")
+        return "\n".join(lines)
+
+
+def _sizes(names: Sequence[str], units: Sequence[str], values: Floats) -> Floats:
+    """(p,) the largest value in the same unit of the same body; the body of a parameter is the highest number in its
+    name."""
+    keys = [(unit, max(map(int, re.findall(r"\d+", name)), default=0)) for name, unit in zip(names, units, strict=True)]
+    largest: dict[tuple[str, int], float] = {}
+    for key, value in zip(keys, values, strict=True):
+        largest[key] = max(largest.get(key, 0.0), abs(float(value)))
+    return np.array([largest[key] for key in keys])
+
+
+def estimate_ground(
+    runs: Sequence[Run],
+    *,
+    model: Model | None = None,
+    effects: Sequence[Effect] | None = None,
+    validate: Sequence[Run] = (),
+    doubtful: bool = False,
+    progress: Callable[[float], None] | None = None,
+) -> GroundEstimate:
+    """Learn an arm with a fixed base and rigid joints from one or several runs, by least squares of joint rows.
+
+    Shared by all runs: the arm's parameters and the effects; by default Coulomb and viscous friction at every motor, or
+    those of the model. A constant offset of each torque belongs to a run. validate: runs that are only predicted.
+    doubtful: give values that the runs do not determine, too.
+
+    An estimate that is not valid is no error: see `GroundEstimate.validity`, `reason` and `remedy`.
+
+    Errors: ZygosError for an arm with a free base or a flexible joint, runs of different arms, or a run that is too
+    short. Undecided where there are fewer rows than unknowns.
+    """
+    arm = runs[0].arm
+    for run in (*runs, *validate):
+        if run.arm.parameter_names != arm.parameter_names or run.arm.gear_ratios.tolist() != arm.gear_ratios.tolist():
+            raise ZygosError(
+                f"{run.path or 'a run'}: it is of another arm ({run.arm.name}) than the first run ({arm.name}); "
+                "remedy: give runs of one arm"
+            )
+    wanted = tuple(effects) if effects is not None else _default_effects(arm, model)
+    told = progress or (lambda share: None)
+    motions = [Motion.of(run) for run in runs]
+    span, sums, solution = _at_best_span(arm, motions, wanted)
+    told(0.4)
+    without: list[Floats] = []
+    if len(runs) > 1:
+        without = [solve([*sums[:k], *sums[k + 1 :]], solution.sigma_w).value for k in range(len(sums))]
+    told(0.6)
+    smoothing = _with_other_cutoffs(arm, runs, wanted, span, len(solution.value))
+    told(0.9)
+    found = GroundEstimate(
+        arm=arm,
+        runs=tuple(runs),
+        effects=wanted,
+        span_s=span,
+        solution=solution,
+        increments=int(sum(one.count.sum() for one in sums)),
+        noise_share=_noise_share(sums, solution),
+        without_run=np.array(without),
+        across=_across(sums) if len(runs) > 1 else np.zeros((0, 0)),
+        smoothing=smoothing,
+        doubtful=doubtful,
+        prior=model,
+    )
+    if validate and found.validity != "refused":
+        whole = replace(found, doubtful=True).to_model()
+        found = replace(found, validated=tuple(score(run, _complete(whole, arm)) for run in validate))
+    told(1.0)
+    return found
+
+
+def _complete(model: Model, arm: Arm) -> Model:
+    """The model with zeros for parameters that no motion of the runs moved."""
+    missing = {name: Quantity(0.0) for name in arm.parameter_names if name not in model.parameters}
+    return replace(model, parameters={**model.parameters, **missing})
+
+
+def _default_effects(arm: Arm, model: Model | None) -> tuple[Effect, ...]:
+    """The effects of the model; without one, friction at every motor; where torques are currents, also the gains."""
+    given = model.effects if model is not None else ()
+    if not given:
+        given = friction(arm, [CATALOGUE[key] for key in DEFAULT_FRICTION])
+    if arm.torque_unit == "A" and not any(effect.kind.key == "torque_gain" for effect in given):
+        given = (*given, *friction(arm, [CATALOGUE["torque_gain"]])[1:])
+    return given
+
+
+def _at_best_span(arm: Arm, motions: Sequence[Motion], effects: Sequence[Effect]) -> tuple[float, list[Sums], Solution]:
+    """The shortest increments at which the declared noise of the angles is a small part of the residuals; those of the
+    arm file, if it says."""
+    spans = (arm.joint_increment_s,) if arm.joint_increment_s else SPANS_S
+    for last, span in enumerate(spans, 1):
+        sums, solution, rows = _solved(motions, span, effects)
+        if last == len(spans) or _noise_share(sums, solution) <= NOISE_SHARE:
+            break
+    return rows[0].span_s, sums, solution
+
+
+def _solved(
+    motions: Sequence[Motion], span: float, effects: Sequence[Effect]
+) -> tuple[list[Sums], Solution, list[RunRows]]:
+    """Sums and solution; friction with the load is found in rounds, with the torque that the round before predicts."""
+    rounds = _LOAD_ROUNDS if any(effect.kind.place == "load" for effect in effects) else 1
+    solution: Solution | None = None
+    for _ in range(rounds):
+        rows = [run_rows(motion, span, effects, _predicted(motion, solution)) for motion in motions]
+        sums = [sums_of(run, max(4, min(MOST_BLOCKS, _TOTAL_BLOCKS // len(motions)))) for run in rows]
+        solution = solve(sums, solution.sigma_w if solution is not None else None)
+    assert solution is not None
+    return sums, solution, rows
+
+
+def _predicted(motion: Motion, solution: Solution | None) -> Floats | None:
+    """(instants, N) torque of bodies and rotors after the gear, from the smoothed motion."""
+    if solution is None:
+        return None
+    arm, h = motion.arm, motion.arm.period_s
+    state = State.smoothed(arm, motion.smoothed)
+    columns = joint_columns(arm, state)
+    z = in_order(
+        arm,
+        np.gradient(columns.momentum, h, axis=0) - columns.force,
+        np.gradient(columns.rotor_momentum, h, axis=0) - columns.rotor_force,
+    )
+    return np.asarray(z @ solution.value[: z.shape[-1]], dtype=np.float64)
+
+
+def _noise_share(sums: Sequence[Sums], solution: Solution) -> float:
+    """Share of the squared residuals that the declared noise of the angles causes, over all joints by their weight."""
+    noise = np.sum([one.noise.sum(axis=0) for one in sums], axis=0)
+    caused = np.einsum("p,jpq,q->j", solution.value, noise, solution.value)
+    rows = float(sum(one.count.sum() for one in sums))
+    return float(np.mean(caused / (rows * solution.sigma_w**2)))
+
+
+def _with_other_cutoffs(arm: Arm, runs: Sequence[Run], effects: Sequence[Effect], span: float, p: int) -> Floats:
+    """(2, p) the values with windows of the smoother that are longer and shorter."""
+    out = []
+    for factor in (1.0 / 0.7, 1.0 / 1.4):
+        half = max(arm.smoother.order // 2 + 1, round(factor * (arm.smoother.points // 2)))
+        other = replace(arm, smoother=Smoother(2 * half + 1, arm.smoother.order, half))
+        try:
+            motions = [Motion.of(run, other) for run in runs]
+            out.append(_solved(motions, span, effects)[1].value)
+        except (ZygosError, Undecided):
+            out.append(np.full(p, np.nan))
+    return np.array(out)
+
+
+def _across(sums: Sequence[Sums]) -> Floats:
+    """(R, R) what the values of each run alone leave of the impulse of every run, by the weight of the joints."""
+    table = np.full((len(sums), len(sums)), np.nan)
+    for a, own in enumerate(sums):
+        try:
+            alone = solve([own])
+        except Undecided:
+            continue
+        for b, other in enumerate(sums):
+            left, whole = _left(other, alone.value)
+            table[a, b] = float(np.sqrt(np.mean(left / np.maximum(whole, 1e-300))))
+    return table
+
+
+def _left(sums: Sums, value: Floats) -> tuple[Floats, Floats]:
+    """(N,) squared residuals of a run with its own offset, and its squared impulse less that offset."""
+    gram = sums.gram.sum(axis=0)
+    gram[:, :-2, :-2] += sums.noise.sum(axis=0)
+    x = np.append(value, 0.0)
+    left, whole = np.zeros(len(gram)), np.zeros(len(gram))
+    for j, own in enumerate(gram):
+        x[-1] = (own[-2, -1] - own[-2, :-2] @ value) / own[-2, -2]
+        full = np.append(-x, 1.0)
+        bare = np.append(np.zeros(len(value)), [-x[-1], 1.0])
+        left[j], whole[j] = full @ own @ full, bare @ own @ bare
+    return left, whole
+
+
+def noise_floor(arm: Arm, motion: Motion, span_s: float) -> Floats:
+    """(N,) standard deviation of an increment by the noise of its torques alone, Nms."""
+    steps = span_s / arm.period_s
+    return np.asarray(torque_noise(arm, motion.samples) * arm.gear_ratios * arm.period_s * np.sqrt(steps))

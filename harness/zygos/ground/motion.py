@@ -1,0 +1,175 @@
+"""What a run says about the motion of an arm with rigid joints: smoothed states, and the torques that acted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import butter, filtfilt
+
+from zygos.arm import Arm
+from zygos.balances.joint import in_order, joint_columns
+from zygos.balances.state import State
+from zygos.can.run import Run
+from zygos.errors import ZygosError
+from zygos.runs.samples import Samples, calibrate
+from zygos.runs.smoother import Smoothed, coefficients, smooth
+
+Floats = NDArray[np.float64]
+
+HIGHEST_CUTOFF_HZ = 10.0
+"""Cut-off above which torques are not compared: accelerations from encoders are noise there."""
+_ORDER = 4
+_SHORTEST = 64
+_SETTLING = 1.5
+"""Periods of the cut-off over which the filter settles."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A run in the form that the rows need."""
+
+    run: Run
+    samples: Samples
+    smoothed: Smoothed
+
+    @property
+    def arm(self) -> Arm:
+        """The arm of the run."""
+        return self.run.arm
+
+    @classmethod
+    def of(cls, run: Run, arm: Arm | None = None) -> Motion:
+        """Calibrate and smooth a run; arm: with another smoother.
+
+        The bandwidth test is not applied: the smoother's cut-off is a choice there, and what an estimate owes to it is
+        measured by other cut-offs. Errors: ZygosError for a run without an unbroken piece that fills the smoother's
+        window.
+        """
+        own = arm or run.arm
+        if not own.grounded:
+            raise ZygosError(
+                f"arm {own.name}: joint rows alone determine only an arm with a fixed base and rigid joints; remedy: "
+                "estimate it with the flight library (without --validate, --since, --friction)"
+            )
+        samples = calibrate(own, run.cycles)
+        smoothed = smooth(own, samples)
+        smoothed = replace(smoothed, accepted=np.ones_like(smoothed.accepted))
+        if len(smoothed.index) == 0:
+            raise ZygosError(
+                f"{run.path or 'the run'}: no unbroken piece is longer than the smoother's window of "
+                f"{own.smoother.points} cycles; remedy: record without interruptions"
+            )
+        return cls(replace(run, arm=own), samples, smoothed)
+
+    @property
+    def duration_s(self) -> float:
+        """Time that the smoothed instants cover, s."""
+        return len(self.smoothed.index) * self.arm.period_s
+
+
+def cutoff_hz(arm: Arm) -> float:
+    """Frequency at which the smoother passes 1/sqrt(2) of a rate, Hz."""
+    points, order = arm.smoother.points, arm.smoother.order
+    weights = coefficients(points, order, 0.0, 1)
+    place = np.arange(points) - points // 2
+    turn = np.linspace(1e-3, np.pi, 4096)
+    passed = np.abs(np.exp(1j * turn[:, None] * place) @ weights) / turn
+    below = np.flatnonzero(passed < np.sqrt(0.5))
+    return float(turn[below[0]] if len(below) else np.pi) / (2.0 * np.pi * arm.period_s)
+
+
+def torque_noise(arm: Arm, samples: Samples) -> Floats:
+    """(N,) standard deviation of the noise of one torque reading, Nm: the declared one; where none is declared, what
+    neighbouring readings show.
+
+    The motion is slow compared with a period, so that second differences contain little else; their median is taken
+    because a torque that steps would count otherwise.
+    """
+    found = np.zeros(arm.n)
+    for j, joint in enumerate(arm.joints):
+        if joint.torque_sigma > 0.0:
+            found[j] = joint.over_the_wire.torque_sigma
+            continue
+        second = [np.diff(samples.tau[start:stop, j], n=2) for start, stop in samples.segments]
+        whole = np.concatenate(second) if second else np.zeros(0)
+        whole = whole[np.isfinite(whole)]
+        found[j] = np.median(np.abs(whole)) / 0.6745 / np.sqrt(6.0) if len(whole) else 0.0
+    return np.maximum(found, 1e-12)
+
+
+@dataclass(frozen=True)
+class TorqueRows:
+    """Rows of the torque itself, at m instants of N joints, with accelerations: for scores, never for an estimate.
+
+    Angles and torques have passed the same filter without delay.
+    """
+
+    state: State
+    z: Floats
+    """(m, N, p) columns in the order of `arm.parameter_names`."""
+    tau: Floats
+    """(m, N) measured torque after the gear, Nm."""
+    period_s: float
+    cutoff_hz: float
+    taps: tuple[Floats, Floats]
+    """Of the filter, one direction."""
+    segment: NDArray[np.int64]
+    """(m,) number of the unbroken segment."""
+    kept: NDArray[np.bool_]
+    """(m,) False at the ends of a segment, where the filter settles."""
+
+    def filtered(self, column: Floats) -> Floats:
+        """A column (m, ...) of an effect, through the filter of the torques."""
+        out = np.zeros_like(column)
+        for number in np.unique(self.segment):
+            of = self.segment == number
+            out[of] = filtfilt(*self.taps, column[of], axis=0)
+        return out
+
+
+def torque_rows(arm: Arm, samples: Samples, cutoff: float) -> TorqueRows:
+    """Rows of the torque through a Butterworth filter of fourth order in both directions.
+
+    cutoff: Hz. Errors: ZygosError for a run that is too short for the filter.
+    """
+    h = arm.period_s
+    cutoff = min(cutoff, 0.4 / h)
+    taps = butter(_ORDER, cutoff, fs=1.0 / h)
+    settle = max(1, round(_SETTLING / (cutoff * h)))
+    parts: list[tuple[NDArray[Any], ...]] = []
+    for number, (start, stop) in enumerate(samples.segments):
+        good = np.flatnonzero(np.all(np.isfinite(samples.tau[start:stop]), axis=1))
+        if len(good) < max(_SHORTEST, 3 * settle):
+            continue
+        of = slice(start + int(good[0]), start + int(good[-1]) + 1)
+        q = filtfilt(*taps, samples.theta[of], axis=0)
+        qd = np.gradient(q, h, axis=0)
+        columns = joint_columns(arm, _resting_base(arm, q, qd))
+        z = in_order(
+            arm,
+            np.gradient(columns.momentum, h, axis=0) - columns.force,
+            np.gradient(columns.rotor_momentum, h, axis=0) - columns.rotor_force,
+        )
+        # a torque is held for a period, so that the filter sees the mean of those before and after an instant
+        tau = samples.tau[of]
+        held = 0.5 * (tau + np.vstack([tau[:1], tau[:-1]]))
+        measured = filtfilt(*taps, held * arm.gear_ratios, axis=0)
+        place = np.arange(len(q))
+        kept = (place >= settle) & (place < len(q) - settle)
+        parts.append((q, qd, z, measured, np.full(len(q), number), kept))
+    if not parts:
+        raise ZygosError(
+            f"arm {arm.name}: no unbroken piece of the run is long enough for torques at {cutoff:g} Hz; remedy: record "
+            f"at least {max(_SHORTEST, 3 * settle) * h:.1f} s without interruptions"
+        )
+    q, qd, z, measured, segment, kept = (np.concatenate([part[k] for part in parts]) for k in range(6))
+    state = _resting_base(arm, q, qd)
+    return TorqueRows(state, z, measured, h, cutoff, taps, segment.astype(np.int64), kept.astype(np.bool_))
+
+
+def _resting_base(arm: Arm, q: Floats, qd: Floats) -> State:
+    """Rigid joints on a base that does not move."""
+    return State(q, q, qd, qd, np.zeros((len(q), 3)) if arm.spatial else np.zeros(len(q)))

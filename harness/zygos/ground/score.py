@@ -1,0 +1,192 @@
+"""How well a model predicts the torques of a run, joint by joint."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import filtfilt
+
+from zygos.arm import Arm
+from zygos.can.run import Run
+from zygos.effects import Effect
+from zygos.errors import ZygosError
+from zygos.ground.motion import HIGHEST_CUTOFF_HZ, Motion, TorqueRows, cutoff_hz, torque_noise, torque_rows
+from zygos.ground.rows import torque_columns
+from zygos.model.model import Model
+
+Floats = NDArray[np.float64]
+
+WINDOW_S = 1.0
+"""Time over which energies are compared, s."""
+
+
+@dataclass(frozen=True)
+class JointScore:
+    """Measured and predicted torque of one joint, after the gear."""
+
+    joint: str
+    measured_nm: float
+    """Root mean square of the measured torque less its offset, Nm."""
+    error_nm: float
+    """Root mean square of the measured torque less the predicted one and the offset, Nm."""
+    share: float
+    """error_nm / measured_nm."""
+    offset_nm: float
+    """Mean of the measured less the predicted torque, which is taken as the offset of this run's torque, Nm."""
+    raw_share: float
+    """Error with the offset in it, as share of the measured torque with the offset in it."""
+    energy_error_j: float
+    """Root mean square, over windows of one second, of the work of error_nm, J."""
+    energy_share: float
+    """The same as share of the work that was measured."""
+    sigmas: float
+    """error_nm in standard deviations of the torque's noise through the same filter."""
+    floor: float
+    """Root mean square of the unfiltered measured torque less the prediction, in standard deviations of the torque's
+    noise: 1 where only noise is left."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Score:
+    """The prediction of a run by a model; m instants, N joints."""
+
+    run: Run
+    model: str
+    cutoff_hz: float
+    joints: tuple[JointScore, ...]
+    t: Floats
+    """(m,) s."""
+    measured: Floats
+    """(m, N) torque after the gear less its offset, Nm."""
+    predicted: Floats
+    """(m, N) Nm."""
+
+    @property
+    def share(self) -> float:
+        """Root mean square over the joints of their shares."""
+        return float(np.sqrt(np.mean([joint.share**2 for joint in self.joints])))
+
+    def as_dict(self, heading: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """What `zygos predict --json` writes of a run."""
+        return {
+            **(heading or {}),
+            "run": str(self.run.path) if self.run.path else None,
+            "arm": self.run.arm.name,
+            "model": self.model,
+            "cutoff_hz": self.cutoff_hz,
+            "share": self.share,
+            "joints": [asdict(joint) for joint in self.joints],
+        }
+
+    def __repr__(self) -> str:
+        """A line for each joint."""
+        lines = [f"{one.joint:<16}{one.error_nm:>12.4g} Nm {100 * one.share:>7.2f} %" for one in self.joints]
+        return "\n".join(lines)
+
+
+def score(run: Run, model: Model, *, cutoff: float | None = None) -> Score:
+    """Compare the torques of a run with those that a model predicts from its motion.
+
+    Angles and torques pass a filter without delay at `cutoff` Hz, by default that of the arm's smoother and at most
+    10 Hz. The accelerations are derivatives of the filtered angles. Each torque's constant offset in this run is a
+    nuisance: it is taken out of `share`, and `raw_share` has it.
+
+    Errors: ZygosError where the model lacks a parameter of the arm, or the run is too short.
+    """
+    arm = run.arm
+    motion = Motion.of(run)
+    wanted = min(cutoff_hz(arm), HIGHEST_CUTOFF_HZ) if cutoff is None else cutoff
+    if not 0.0 < wanted < 0.5 / arm.period_s:
+        raise ZygosError(
+            f"a cut-off of {wanted:g} Hz is not below half the rate of the cycles, {0.5 / arm.period_s:g} Hz; remedy: "
+            "a lower cut-off"
+        )
+    rows = torque_rows(arm, motion.samples, wanted)
+    values = model.base_values(arm)
+    return scored(run, model.name, rows, values, model.effects, motion)
+
+
+def scored(run: Run, name: str, rows: TorqueRows, values: Floats, effects: Sequence[Effect], motion: Motion) -> Score:
+    """The score of parameters in the order of the arm, and of effects, on torque rows."""
+    arm = run.arm
+    predicted = predict_torques(arm, rows, values, effects)
+    kept, h = rows.kept, rows.period_s
+    error = rows.tau - predicted
+    offset = error[kept].mean(axis=0)
+    noise = torque_noise(arm, motion.samples) * arm.gear_ratios
+    through = _noise_gain(rows)
+    raw = _unfiltered(arm, motion, rows)
+    window = max(2, round(WINDOW_S / h))
+    scores = []
+    for j, joint in enumerate(arm.joints):
+        left, own = (error - offset)[kept, j], (rows.tau - offset)[kept, j]
+        rate = rows.state.qd[kept, j]
+        lost, done = _work(left * rate, window, h), _work(own * rate, window, h)
+        scores.append(
+            JointScore(
+                joint=joint.name,
+                measured_nm=_rms(own),
+                error_nm=_rms(left),
+                share=_ratio(_rms(left), _rms(own)),
+                offset_nm=float(offset[j]),
+                raw_share=_ratio(_rms(error[kept, j]), _rms(rows.tau[kept, j])),
+                energy_error_j=_rms(lost),
+                energy_share=_ratio(_rms(lost), _rms(done)),
+                sigmas=_ratio(_rms(left), noise[j] * through),
+                floor=_ratio(_rms((raw - predicted - offset)[kept, j]), noise[j]),
+            )
+        )
+    return Score(
+        run=run,
+        model=name,
+        cutoff_hz=rows.cutoff_hz,
+        joints=tuple(scores),
+        t=np.asarray(np.flatnonzero(kept) * h, dtype=np.float64),
+        measured=(rows.tau - offset)[kept],
+        predicted=predicted[kept],
+    )
+
+
+def predict_torques(arm: Arm, rows: TorqueRows, values: Floats, effects: Sequence[Effect]) -> Floats:
+    """(m, N) predicted torque after the gear, Nm: what a drive without offset would report."""
+    bodies = np.asarray(rows.z @ values, dtype=np.float64)
+    columns = torque_columns(arm, rows, effects, bodies)[..., len(values) :]
+    extra = np.array([effect.value for effect in effects])
+    return bodies + columns @ extra if len(extra) else bodies
+
+
+def _unfiltered(arm: Arm, motion: Motion, rows: TorqueRows) -> Floats:
+    """(m, N) the measured torque at the instants of the rows, the mean of those held before and after."""
+    out = []
+    for number, (start, stop) in enumerate(motion.samples.segments):
+        if number not in rows.segment:
+            continue
+        tau = motion.samples.tau[start:stop]
+        good = np.flatnonzero(np.all(np.isfinite(tau), axis=1))
+        out.append(tau[good[0] : good[-1] + 1])
+    return np.asarray(np.concatenate(out) * arm.gear_ratios, dtype=np.float64)
+
+
+def _noise_gain(rows: TorqueRows) -> float:
+    """What the filter leaves of the standard deviation of white noise."""
+    pulse = np.zeros(4001)
+    pulse[2000] = 1.0
+    return float(np.linalg.norm(filtfilt(*rows.taps, pulse)))
+
+
+def _work(power: Floats, window: int, h: float) -> Floats:
+    """(windows,) integral of a power over windows."""
+    whole = len(power) // window * window
+    return np.asarray(power[:whole].reshape(-1, window).sum(axis=1) * h) if whole else np.array([power.sum() * h])
+
+
+def _rms(x: Floats) -> float:
+    return float(np.sqrt(np.mean(x**2)))
+
+
+def _ratio(part: float, whole: float) -> float:
+    return part / whole if whole > 0.0 else float("nan")

@@ -1,0 +1,1 @@
+"""Motions that excite: what a motion will tell about each parameter, and the search for one that tells most."""
