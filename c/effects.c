@@ -2,7 +2,7 @@
 
 /* No switch over the kinds has a default, so that the compiler names each one that lacks a kind. */
 
-/* Whether the column is energy of the spring: a state without a history, of either sign. */
+/* Whether the column is energy of the spring: a state without a history. */
 static bool stored(const zygos_effect_config_t *effect)
 {
     switch ((enum zygos_effect_kind)effect->kind) {
@@ -14,6 +14,25 @@ static bool stored(const zygos_effect_config_t *effect)
     case ZYGOS_LINK_COULOMB:
     case ZYGOS_TORQUE_LAG:
     case ZYGOS_TORQUE_OFFSET:
+    case ZYGOS_VISCOUS_ASYMMETRY:
+        break;
+    }
+    return false;
+}
+
+/* Whether a negative coefficient is as physical as a positive one. */
+static bool signed_either_way(const zygos_effect_config_t *effect)
+{
+    switch ((enum zygos_effect_kind)effect->kind) {
+    case ZYGOS_CUBIC_STIFFNESS:
+    case ZYGOS_SPRING_OFFSET:
+    case ZYGOS_TORQUE_OFFSET:
+    case ZYGOS_VISCOUS_ASYMMETRY:
+        return true;
+    case ZYGOS_MOTOR_COULOMB:
+    case ZYGOS_MOTOR_VISCOUS:
+    case ZYGOS_LINK_COULOMB:
+    case ZYGOS_TORQUE_LAG:
         break;
     }
     return false;
@@ -29,6 +48,7 @@ static bool known(const zygos_effect_config_t *effect)
     case ZYGOS_TORQUE_LAG:
     case ZYGOS_SPRING_OFFSET:
     case ZYGOS_TORQUE_OFFSET:
+    case ZYGOS_VISCOUS_ASYMMETRY:
         return true;
     }
     return false;
@@ -67,6 +87,7 @@ bool zygos_effects_at_link(const zygos_effect_config_t *effect)
     case ZYGOS_TORQUE_LAG:
     case ZYGOS_SPRING_OFFSET:
     case ZYGOS_TORQUE_OFFSET:
+    case ZYGOS_VISCOUS_ASYMMETRY:
         break;
     }
     return false;
@@ -83,6 +104,7 @@ bool zygos_effects_viscous(const zygos_effect_config_t *effect)
     case ZYGOS_TORQUE_LAG:
     case ZYGOS_SPRING_OFFSET:
     case ZYGOS_TORQUE_OFFSET:
+    case ZYGOS_VISCOUS_ASYMMETRY:
         break;
     }
     return false;
@@ -92,8 +114,7 @@ uint32_t zygos_effects_positive(const zygos_config_t *config)
 {
     uint32_t bits = 0;
     for (uint32_t e = 0; e < config->effects; e++) {
-        const bool either = stored(&config->effect[e]) || (config->effect[e].kind == ZYGOS_TORQUE_OFFSET);
-        bits |= either ? 0u : 1u << e;
+        bits |= signed_either_way(&config->effect[e]) ? 0u : 1u << e;
     }
     return bits;
 }
@@ -126,6 +147,8 @@ static double newest(const zygos_effect_config_t *effect, double ratio, const zy
         return ratio * torque_step * motor;
     case ZYGOS_TORQUE_OFFSET:
         return ratio * motor;
+    case ZYGOS_VISCOUS_ASYMMETRY:
+        return ratio * __builtin_fabs(motor) * motor;
     }
     return 0.0;
 }
@@ -191,6 +214,9 @@ void zygos_effects_motor_slopes(const zygos_config_t *config, uint32_t e, const 
     case ZYGOS_TORQUE_OFFSET:
         *by_angle = ratio;
         break;
+    case ZYGOS_VISCOUS_ASYMMETRY:
+        *by_angle = 2.0 * ratio * __builtin_fabs(state->theta_rate[i]);
+        break;
     case ZYGOS_TORQUE_LAG:
         *by_rate = 0.5 * ratio * torque_step;
         break;
@@ -213,6 +239,7 @@ double zygos_effects_link_slope(const zygos_config_t *config, uint32_t e, const 
     case ZYGOS_MOTOR_VISCOUS:
     case ZYGOS_TORQUE_LAG:
     case ZYGOS_TORQUE_OFFSET:
+    case ZYGOS_VISCOUS_ASYMMETRY:
         break;
     }
     return 0.0;

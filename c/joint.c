@@ -79,6 +79,8 @@ static double effect_integrand(const zygos_config_t *config, uint32_t e, const z
         return -1.0;
     case ZYGOS_TORQUE_OFFSET:
         return rigid;
+    case ZYGOS_VISCOUS_ASYMMETRY:
+        return rigid * __builtin_fabs(state->theta_rate[i]);
     case ZYGOS_MOTOR_VISCOUS:
     case ZYGOS_TORQUE_LAG:
         break;
@@ -101,6 +103,7 @@ static double effect_at_end(const zygos_joint_t *self, const zygos_config_t *con
     case ZYGOS_CUBIC_STIFFNESS:
     case ZYGOS_SPRING_OFFSET:
     case ZYGOS_TORQUE_OFFSET:
+    case ZYGOS_VISCOUS_ASYMMETRY:
         break;
     }
     return 0.0;

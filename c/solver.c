@@ -1225,7 +1225,8 @@ static bool closes(const zygos_work_t *work, uint32_t p, zygos_estimate_t *out)
     if (out->residual > 0.0) {
         out->cluster = work->joints_alone ? cluster_of_joints(work, p, out, &share) : cluster(work, p, out, &share);
     }
-    return (out->cluster <= ZYGOS_CLUSTER_LIMIT) || (share <= ZYGOS_CLUSTER_SHARE);
+    const double least = work->joints_alone ? ZYGOS_JOINT_CLUSTER_SHARE : ZYGOS_CLUSTER_SHARE;
+    return (out->cluster <= ZYGOS_CLUSTER_LIMIT) || (share <= least);
 }
 
 /* Solves the blocks from the given one on, with which an arc begins. */

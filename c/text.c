@@ -296,7 +296,9 @@ const char *zygos_effect_text(uint32_t kind)
     case ZYGOS_SPRING_OFFSET:
         return "offset of the spring";
     case ZYGOS_TORQUE_OFFSET:
-        return "offset of the torque";
+        return "constant offset of the torque";
+    case ZYGOS_VISCOUS_ASYMMETRY:
+        return "difference of viscous friction between the directions";
     }
     return UNKNOWN;
 }

@@ -16,8 +16,7 @@
 ///     ZYGOS_LINK_COULOMB      integral of sat(q')
 ///     ZYGOS_CUBIC_STIFFNESS   - integral of d^3
 ///     ZYGOS_SPRING_OFFSET     - time
-///     of a rigid joint        ZYGOS_MOTOR_COULOMB, ZYGOS_MOTOR_VISCOUS, ZYGOS_TORQUE_LAG, ZYGOS_TORQUE_OFFSET as in
-///                             the rows of a motor's impulse
+///     others                  as in the rows of a motor's impulse, of a rigid joint
 ///
 /// An increment is joint_row_cycles long, and neighbouring ones share half of their time: integrals are kept for each
 /// half, and a row is formed of two. They are computed by the rule of the dissipation (balance.h); summed over a half,

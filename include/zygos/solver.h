@@ -72,6 +72,9 @@ enum zygos_reason {
 /// ratio, zero, sign or torque law, an effect that is not configured, noise of the torques, or a torque on the base.
 #define ZYGOS_CLUSTER_LIMIT 5.0
 #define ZYGOS_CLUSTER_SHARE 5e-3
+/// The same share where joint rows alone are solved: a small constant torque is all that is wrong with many arms, and
+/// the errors of smoothing do not persist in these rows.
+#define ZYGOS_JOINT_CLUSTER_SHARE 1e-3
 /// Where the balance closes only because of that share, the sigmas allow for a residual that all blocks have in common:
 /// for the part of the cluster statistic above this value, which noise does not reach.
 #define ZYGOS_CLUSTER_NOISE 1.0

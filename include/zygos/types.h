@@ -244,7 +244,8 @@ enum zygos_effect_kind {
     ZYGOS_CUBIC_STIFFNESS = 3, ///< Spring torque proportional to the cube of the deflection [Nm/rad^3].
     ZYGOS_TORQUE_LAG = 4,      ///< Delay of the motor torque behind the torque of the law [s], less than a period.
     ZYGOS_SPRING_OFFSET = 5,   ///< Spring torque at theta = q [Nm]: -k times the error of the reading theta - q.
-    ZYGOS_TORQUE_OFFSET = 6    ///< Constant by which the reported rotor torque exceeds the true one [Nm], before the gear.
+    ZYGOS_TORQUE_OFFSET = 6, ///< Constant by which the reported rotor torque exceeds the true one [Nm], before the gear.
+    ZYGOS_VISCOUS_ASYMMETRY = 7 ///< Half of the difference of a rotor's viscous friction between the directions [Nms/rad].
 };
 
 /// One effect to identify.
