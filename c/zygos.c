@@ -316,22 +316,21 @@ static void add_joints(zygos_t *self)
 static void add_energy(zygos_t *self)
 {
     const zygos_config_t *config = &self->config;
+    zygos_row_t columns; /* before they are reduced, where they are */
+    zygos_row_t *row = (config->reduced > 0) ? &columns : &self->row;
     if ((config->arc_cycles == 0) ||
         (zygos_balance_row(&self->balance, config, &self->column_map, &self->noise.integral_bias, &self->arm_state,
-                           &self->motion, &self->row) == 0)) {
+                           &self->motion, row) == 0)) {
         return;
     }
     self->instant = 1;
     self->accepted = self->arm_state.accepted;
-    zygos_noise_means(&self->noise, config, &self->motion, &self->row);
+    zygos_noise_means(&self->noise, config, &self->motion, row);
     if (config->reduced > 0) {
-        zygos_row_t reduced;
-        zygos_reduce(config, &self->column_map, self->row.column, reduced.column);
-        reduced.work = self->row.work;
-        zygos_accumulator_add(&self->accumulator, &reduced, self->arm_state.accepted);
-    } else {
-        zygos_accumulator_add(&self->accumulator, &self->row, self->arm_state.accepted);
+        zygos_reduce(config, &self->column_map, columns.column, self->row.column);
+        self->row.work = columns.work;
     }
+    zygos_accumulator_add(&self->accumulator, &self->row, self->arm_state.accepted);
     zygos_noise_add(&self->noise, config, &self->column_map, &self->geometry, &self->arm_state, &self->motion,
                     zygos_balance_torque_before(&self->balance), zygos_balance_torque_after(&self->balance, config),
                     self->arc, self->arm_state.accepted, self->accumulator.noise.gram, self->accumulator.noise.sum);

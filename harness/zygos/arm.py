@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import tomlkit
@@ -18,19 +18,27 @@ from zygos.errors import ZygosError
 from zygos.files.output import write_text
 from zygos.files.toml import Table
 
+if TYPE_CHECKING:
+    from zygos.structure import Structure
+
 Base = Literal["free", "fixed"]
 Kinetic = Literal["planar-symmetric", "planar", "spatial"]
 TorqueLaw = Literal["applied_from_sync", "applied_previous_cycle", "sampled"]
 
 Side = Literal["output", "rotor"]
-TorqueAt = Literal["rotor"]
+TorqueAt = Literal["rotor", "joint"]
 TorqueUnit = Literal["Nm", "A"]
+Symbol = Literal[
+    "N", "a", "b", "G", "m", "mx", "my", "mz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz", "Im", "k"
+]  # fmt: skip
 Resolution = Literal["fine", "coarse"]
+
+Floats = NDArray[np.float64]
 
 _BASES: tuple[Base, ...] = ("free", "fixed")
 _KINETICS: tuple[Kinetic, ...] = ("planar-symmetric", "planar", "spatial")
 _SIDES: tuple[Side, ...] = ("output", "rotor")
-_TORQUE_ATS: tuple[TorqueAt, ...] = ("rotor",)
+_TORQUE_ATS: tuple[TorqueAt, ...] = ("rotor", "joint")
 _TORQUE_UNITS: tuple[TorqueUnit, ...] = ("Nm", "A")
 _RESOLUTIONS: tuple[Resolution, ...] = ("fine", "coarse")
 _TORQUE_LAWS: tuple[TorqueLaw, ...] = ("applied_from_sync", "applied_previous_cycle", "sampled")
@@ -45,6 +53,7 @@ MOMENTUM_ARC_S = 10.0
 _LATCH_MAX_US = 65_535  # the CAN frame carries the latch delay as u16
 JOINT_ROW_S = 0.2
 """Length of the increments of the joint rows of an arm that has them by default, s."""
+_FARTHEST_M = 1e6
 MOST_JOINTS = 31
 """Number of CAN nodes that joints can have."""
 _SHORTEST_MEMORY = 2
@@ -110,11 +119,13 @@ class Joint:
     angles."""
     motor_encoder: Encoder
     torque_sigma: float = 0.0
-    """Standard deviation of the reported rotor torque, Nm."""
+    """Standard deviation of the reported torque, Nm, on its side of the gear."""
     latch_us: int = 0
     """Delay of both encoders' latch after SYNC in µs, as stated in the CAN frame."""
     flexible: bool = True
     """Whether the joint has a spring; a rigid one has theta = q, and neither stiffness nor damping."""
+    position_m: tuple[float, float, float] | None = None
+    """Origin of the joint's frame in the frame of the joint before, m, as URDF's <origin xyz>; None: not known."""
 
     @property
     def unsure_zero(self) -> bool:
@@ -184,18 +195,18 @@ class Smoother:
 class Parameter:
     """An identified parameter (docs/theory.md)."""
 
-    symbol: Literal["N", "a", "b", "G", "Im", "k"]
+    symbol: Symbol
     """b is a damping where it belongs to a joint."""
     unit: str
     ends: tuple[str, ...] = ()
     """Of a parameter of bodies: the two bodies of a and b, such as "0" and "1"; the two directions of N, such as "0x"
-    and "1u"; the direction of G."""
+    and "1u"; the direction of G; the body of mass, first moments and inertias."""
     joint: int | None = None
     """From 0; None: it is a parameter of bodies."""
 
     @property
     def name(self) -> str:
-        """As files and tables have it: N[0x,1u], a01, G[1u], Im1."""
+        """As files and tables have it: N[0x,1u], a01, G[1u], mx2, Izz2, Im1."""
         if self.joint is not None:
             return f"{self.symbol}{self.joint + 1}"
         return (
@@ -282,12 +293,32 @@ class Arm:
 
     @property
     def gear_ratios(self) -> NDArray[np.float64]:
-        """(N,) gear ratios."""
+        """(N,) ratios between the torques that are reported and those at the joints: 1 where they are measured behind
+        the gear, and the gear ratios elsewhere."""
+        if self.torque_at == "joint":
+            return np.ones(self.n)
         return np.array([joint.gear_ratio for joint in self.joints])
+
+    @cached_property
+    def structure(self) -> Structure:
+        """Which parameters are independent of each other. Errors: ZygosError if the geometry leaves that open."""
+        from zygos.structure import structure_of  # noqa: PLC0415  (a structure has parameters of an arm)
+
+        return structure_of(self)
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """The identified parameters in the order of every row and output: those of bodies, then those of joints.
+
+        They are independent of each other: some motion determines each of them, and no motion determines more
+        (docs/theory.md, "Structural base parameters"). Errors: as `structure`.
+        """
+        return self.structure.parameters
+
+    @cached_property
+    def full_parameters(self) -> tuple[Parameter, ...]:
+        """The parameters of an arm whose axes are in general position and whose lengths are not known: those of bodies,
+        then those of joints.
 
         In space these are N[ia,jb], the upper triangle over 0x 0y 0z 1u 1v .. Nu Nv; in a plane a_ij, then b_ij. On a
         fixed base those of body 0 are absent, and the first moments G[iu], G[iv] that gravity can move are added
@@ -329,6 +360,21 @@ class Arm:
     def joint_parameters(self) -> tuple[tuple[str, int, str], ...]:
         """Symbol, joint (from 0) and unit of the joint parameters."""
         return tuple((one.symbol, one.joint, one.unit) for one in self.parameters if one.joint is not None)
+
+    @cached_property
+    def full_names(self) -> tuple[str, ...]:
+        """Name of each of `full_parameters`."""
+        return tuple(one.name for one in self.full_parameters)
+
+    @cached_property
+    def full_body_names(self) -> tuple[str, ...]:
+        """Names of those of `full_parameters` that bodies have."""
+        return tuple(one.name for one in self.full_parameters if one.joint is None)
+
+    @cached_property
+    def full_joint_parameters(self) -> tuple[tuple[str, int], ...]:
+        """Symbol and joint (from 0) of those of `full_parameters` that joints have."""
+        return tuple((one.symbol, one.joint) for one in self.full_parameters if one.joint is not None)
 
     @cached_property
     def parameter_names(self) -> tuple[str, ...]:
@@ -392,6 +438,11 @@ class Arm:
         return directions
 
     @cached_property
+    def across(self) -> NDArray[np.float64]:
+        """(N, 3, 2) two directions across the axis of each joint, in the joint's frame."""
+        return np.array([across(np.array(joint.axis)) for joint in self.joints])
+
+    @cached_property
     def axis(self) -> NDArray[np.float64]:
         """(3,) the planar arm's common joint axis in the base frame. Errors: ZygosError if the axes are not parallel
         with the same sense."""
@@ -410,6 +461,18 @@ class Arm:
         """(3, 3) rotation matrix of the gyro's mount: base rate = mount @ sensor rate."""
         matrix: NDArray[np.float64] = Rotation.from_quat(self.imu.mount_xyzw).as_matrix()
         return matrix
+
+
+def across(axis: Floats) -> Floats:
+    """P, shape (3, 2): two unit vectors across a unit vector axis (3,).
+
+    The reflection that takes the axis to its largest component k takes e_k+1 and e_k+2 (cyclically) to these; an axis
+    along x, y or z has the next two axes.
+    """
+    largest = int(np.argmax(np.abs(axis)))
+    mirror = axis + np.copysign(1.0, axis[largest]) * np.eye(3)[largest]
+    reflection = np.eye(3) - 2.0 * np.outer(mirror, mirror) / (mirror @ mirror)
+    return np.asarray(reflection[:, [(largest + 1) % 3, (largest + 2) % 3]], dtype=np.float64)
 
 
 def load_arm(path: str | Path) -> Arm:
@@ -465,7 +528,12 @@ def read_arm(top: Table) -> Arm:
             "is its value at the SYNC.",
             _TORQUE_LAWS,
         ),
-        torque_at=top.choice("torque_at", "The side of the gear at which torques are reported.", _TORQUE_ATS),
+        torque_at=top.choice(
+            "torque_at",
+            'Where torques are reported. "rotor": before the gear. "joint": by a sensor behind the gear, for arms of '
+            "rigid joints; such a torque holds neither the rotor's inertia nor the gear ratio.",
+            _TORQUE_ATS,
+        ),
         torque_unit=top.choice(
             "torque_unit",
             'Unit of the reported torques. "A": the values are motor currents with unknown torque constants; estimates '
@@ -569,6 +637,17 @@ def read_joint(table: Table) -> Joint:
         (0.0, 0.0, 0.0),
         unit="rad",
     )
+    position: tuple[float, ...] | None = None
+    if table.has("position_m"):
+        position = table.vector(
+            "position_m",
+            "Origin of the joint's frame in the frame of the joint before, as in URDF. All joints have it, or none; "
+            "with it, an arm on a fixed base has fewer parameters (docs/theory.md).",
+            3,
+            limit=_FARTHEST_M,
+            unit="m",
+            otherwise="not known",
+        )
     flexible = table.boolean("flexible", "Whether the joint has a spring. A rigid joint has none.", True)
     if not flexible and table.has("link_encoder"):
         raise table.error(
@@ -586,7 +665,7 @@ def read_joint(table: Table) -> Joint:
         link_encoder=_link_encoder(table) if flexible else motor_encoder,
         motor_encoder=motor_encoder,
         torque_sigma=table.number(
-            "torque_sigma", "Standard deviation of the reported torque, before the gear.", 0.0, low=0.0, unit="Nm"
+            "torque_sigma", "Standard deviation of the reported torque, where it is reported.", 0.0, low=0.0, unit="Nm"
         ),
         latch_us=table.integer(
             "latch_us",
@@ -597,6 +676,7 @@ def read_joint(table: Table) -> Joint:
             unit="µs",
         ),
         flexible=flexible,
+        position_m=None if position is None else (position[0], position[1], position[2]),
     )
     table.finish()
     return joint
@@ -821,6 +901,23 @@ def _check_whole(arm: Arm, top: Table) -> None:
                 )
     if not _within(arm.imu.latch_us, arm.period_s):
         raise top.error("imu.latch_us", "the latch falls into the following SYNC period", "keep it below period_s")
+    _check_geometry(arm, top)
+
+
+def _check_geometry(arm: Arm, top: Table) -> None:
+    if arm.torque_at == "joint" and any(joint.flexible for joint in arm.joints):
+        raise top.error(
+            "torque_at",
+            "a joint is flexible, and a torque behind its gear is that of its spring",
+            'write flexible = false for every joint, or torque_at = "rotor" with the torques of the motors',
+        )
+    known = [joint.position_m is not None for joint in arm.joints]
+    if any(known) and not all(known):
+        raise top.error(
+            f"joint[{known.index(False)}].position_m",
+            "is absent, but other joints have it",
+            "give it for every joint, or for none",
+        )
     if arm.spatial:
         return
     if np.max(np.abs(arm.frames - np.eye(3))) > 1e-9:
@@ -833,6 +930,16 @@ def _check_whole(arm: Arm, top: Table) -> None:
         _ = arm.axis
     except ZygosError as error:
         raise ZygosError(f"{top.file}: joint: {error}") from None
+    if arm.kinetic == "planar-symmetric" and all(known):
+        reaches = np.array([joint.position_m for joint in arm.joints[1:]]).reshape(-1, 3)
+        reaches = reaches - np.outer(reaches @ arm.axis, arm.axis)
+        spread = np.linalg.svd(reaches, compute_uv=False) if len(reaches) > 1 else np.zeros(2)
+        if spread[1] > 1e-9 * spread[0]:
+            raise top.error(
+                "joint.position_m",
+                'the joints of the stretched arm lie on no line, but kinetic is "planar-symmetric"',
+                'write kinetic = "planar", or count the link angles from the stretched posture',
+            )
 
 
 def save_arm(arm: Arm, path: str | Path) -> None:
@@ -850,6 +957,8 @@ def save_arm(arm: Arm, path: str | Path) -> None:
         entry = tomlkit.table()
         entry.update({"name": joint.name, "node": joint.node, "axis": list(joint.axis)})
         entry.update({"frame_rpy": list(joint.frame_rpy), "gear_ratio": joint.gear_ratio})
+        if joint.position_m is not None:
+            entry["position_m"] = list(joint.position_m)
         entry.update({"torque_sigma": joint.torque_sigma, "latch_us": joint.latch_us, "flexible": joint.flexible})
         if joint.flexible:
             entry["link_encoder"] = _encoder_entry(joint.link_encoder)

@@ -101,7 +101,7 @@ int main(void)
     if (zygos_init(&arm, &config) < 0) {
         return refuse("the configuration is refused");
     }
-    sizes.parameters = arm.column_map.count;
+    sizes.parameters = arm.column_map.parameters;
     bool written = (semihosting_write(places, &sizes, sizeof sizes) == sizeof sizes);
     uint32_t frames = 0;
     for (uint32_t k = 0; k < head[2]; k++) {

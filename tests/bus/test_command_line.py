@@ -271,6 +271,7 @@ OUTPUTS: list[tuple[tuple[object, ...], str, str]] = [
      ".html"),
     (("import", ROOT / "examples/urdf/arm.urdf"), "--template", ".toml"),
     (("dbc", "--arm", EXAMPLE / "arm.toml"), "-o", ".dbc"),
+    (("parameters", EXAMPLE / "arm.toml"), "--json", ".json"),
     (("compile-model", EXAMPLE / "arm.toml", "-o", "{out}/x"), "--json", ".json"),
     (("bus-load", "--arm", EXAMPLE / "arm.toml"), "--json", ".json"),
     (("paper",), "--json", ".json"),

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from arm_support import random_arm
 from audit_support import inverted, swapped
 from gap_support import example
 from scipy.io import loadmat
@@ -20,7 +18,7 @@ from zygos.audit import Audit, audit
 from zygos.can import bus
 from zygos.cli import main
 from zygos.errors import ZygosError
-from zygos.estimation.remedies import Known, measured, remedy, structural_rank
+from zygos.estimation.remedies import Known, measured, remedy
 from zygos.estimation.watch import Watch
 from zygos.estimation.words import about_change, about_noise
 from zygos.files.tables import write_columns
@@ -155,48 +153,6 @@ def test_a_longer_run_is_advised_where_its_length_was_seen_to_help(lever: Arm) -
         assert "longer run" not in remedy(replace(found, reason=REASONS[code]), watch.flight, watch.known), code
     few = replace(found, reason=REASONS[lib.ZYGOS_REASON_NO_DATA], accepted=2)
     assert remedy(few, watch.flight) == "a longer run: 2 instants were accepted, 3 are needed"
-
-
-# ------------------------------------------------------------------------------------------ structural rank
-
-
-@pytest.mark.parametrize("kinetic", ["planar-symmetric", "planar", "spatial"])
-def test_axes_in_general_position_lack_no_rank(kinetic: str) -> None:
-    arm, _ = random_arm(0, 2, "free", kinetic)  # type: ignore[arg-type]
-    assert structural_rank(arm) == len(arm.parameter_names)
-
-
-def test_what_no_motion_can_tell_is_said_to_be_geometry() -> None:
-    """A UR10e on the ground, whose axes are parallel and perpendicular, lacks one of its parameters."""
-    file = DATA / "geometry" / "arms.toml"
-    need(file.is_file(), f"the geometry of known arms, {file.name}")
-    frames = tomllib.loads(file.read_text())
-    arm = ground_arm(frames)
-    possible = structural_rank(arm)
-    assert (possible, len(arm.parameter_names)) == (90, 91)
-    flight = Flight(arm)
-    run = np.zeros((30, arm.n))
-    flight.cycles(table(arm, run, run))
-    p = len(flight.names)
-    unknown = np.full(p, np.nan)
-    found = replace(flight.estimate(), reason=NOT_IDENTIFIABLE, rank=possible, value=unknown, names=flight.names)
-    said = remedy(found, flight)
-    assert f"{possible} of the {p} parameters" in said and "geometry" in said
-    assert "longer run" not in said
-    said = remedy(replace(found, rank=possible - 3), flight)
-    assert "moves every joint" in said and f"allows {possible} of {p}" in said
-
-
-def ground_arm(frames: dict[str, dict[str, list[dict[str, list[float]]]]]) -> Arm:
-    """The UR10e of the geometry file with rigid joints."""
-    encoder = Encoder(1e-5)
-    joints = tuple(
-        Joint(f"j{i + 1}", i + 1, tuple(j["axis"]), tuple(j["rpy"]), 100.0, encoder, encoder, flexible=False)  # type: ignore[arg-type]
-        for i, j in enumerate(frames["UR10e"]["joints"])
-    )
-    return Arm(
-        "ur10e", "fixed", "spatial", 0.004, "sampled", "rotor", joints, NO_IMU, gravity=(0.0, 0.0, -9.81)
-    )  # fmt: skip
 
 
 # ------------------------------------------------------------------------------------------ no frames at all

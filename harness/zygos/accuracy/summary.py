@@ -153,7 +153,7 @@ def inertia(arm: Arm, q: Floats, values: Floats) -> Floats:
     The energy of the bodies is 1/2 u' H u, so that each entry follows from three energies.
     """
     size = 3 + arm.n
-    kinetic = values[: len(arm.body_parameters)]
+    kinetic = arm.structure.expanded(values[: len(arm.parameter_names)])[: len(arm.full_body_names)]
 
     def energy(u: Floats) -> Floats:
         """(P,) [J] with the rates u (size,)."""

@@ -50,7 +50,7 @@ class Signals:
             state.thetad[..., joint],
             before[..., joint],
             after[..., joint],
-            arm.joints[joint].gear_ratio,
+            float(arm.gear_ratios[joint]),
             totals,
         )
 

@@ -93,10 +93,15 @@ def energy_columns(arm: Arm, state: State, dissipated: Floats) -> Floats:
     dissipated: (..., N) integral of (thetad - qd)^2 [rad^2/s]. Nanos & Papadopoulos eq. (37), with the ratio of
     eq. (11).
     """
+    return arm.structure.reduced(full_energy_columns(arm, state, dissipated))
+
+
+def full_energy_columns(arm: Arm, state: State, dissipated: Floats) -> Floats:
+    """The same of all `arm.full_parameters`, shape (..., p_full)."""
     bodies, carried = body_columns(arm, state)
     own = drive_energy_columns(arm, state, carried, dissipated)
     of_joint = {"Im": own.rotor + own.coupling, "k": own.spring, "b": own.damper}
-    joints = [of_joint[kind][..., i] for kind, i, _ in arm.joint_parameters]
+    joints = [of_joint[kind][..., i] for kind, i in arm.full_joint_parameters]
     return np.concatenate([bodies, np.stack(joints, axis=-1)] if joints else [bodies], axis=-1)
 
 

@@ -73,7 +73,7 @@ def impulse_rows(
         columns = [own.rotor + own.coupling, own.spring, own.damper]
         columns += [impulse_column(effect.kind, signals) for effect in joint_effects(arm, i, effects)]
         z, w = np.stack(columns, axis=1), motor_impulse(arm, signals)
-        out.append(ImpulseRows(i, impulse_names(arm, i, effects), joint.gear_ratio * z, joint.gear_ratio * w))
+        out.append(ImpulseRows(i, impulse_names(arm, i, effects), signals.gear_ratio * z, signals.gear_ratio * w))
     return tuple(out)
 
 
@@ -101,7 +101,7 @@ def impulse_noise(arm: Arm, joint: int, effects: Sequence[Effect] = ()) -> Float
     out: they have none here. The carrying body's rate is taken as if all axes were parallel. Errors: as `estimated`.
     """
     points, order, h = arm.smoother.points, arm.smoother.order, arm.period_s
-    own, n = arm.joints[joint], arm.joints[joint].gear_ratio
+    own, n = arm.joints[joint], float(arm.gear_ratios[joint])
     acting = joint_effects(arm, joint, effects)
 
     def weights(latch_us: float, derivative: int) -> Floats:

@@ -34,7 +34,7 @@ Floats = NDArray[np.float64]
 @dataclass(frozen=True)
 class JointColumns:
     """Columns of the bodies, and the shares of the rotors, in momentum and force of each joint; N joints, B parameters
-    of bodies (`arm.body_parameters`)."""
+    of bodies (`arm.full_body_names`)."""
 
     momentum: Floats
     """(..., N, B) those of dT/dq'_j."""
@@ -51,8 +51,8 @@ def in_order(arm: Arm, bodies: Floats, rotors: Floats, joints: dict[str, Floats]
     (..., N, N). joints: those of springs "k" and dampers "b", (..., N, N); without them 0."""
     of_joint = {"Im": rotors} | (joints or {})
     none = np.zeros_like(rotors[..., 0])
-    listed = [of_joint[kind][..., i] if kind in of_joint else none for kind, i, _ in arm.joint_parameters]
-    return np.concatenate([bodies, np.stack(listed, axis=-1)] if listed else [bodies], axis=-1)
+    listed = [of_joint[kind][..., i] if kind in of_joint else none for kind, i in arm.full_joint_parameters]
+    return arm.structure.reduced(np.concatenate([bodies, np.stack(listed, axis=-1)] if listed else [bodies], axis=-1))
 
 
 def joint_columns(arm: Arm, state: State) -> JointColumns:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from zygos.arm import Arm
+from zygos.arm import Arm, across
 from zygos.balances.state import State, absolute
 
 Floats = NDArray[np.float64]
@@ -45,18 +45,6 @@ def planar_columns(arm: Arm, state: State, of_rates: Callable[[Floats, Floats], 
 def planar_rates(arm: Arm, state: State) -> Floats:
     """Absolute rates f (..., N+1) of a planar arm's bodies, rad/s; that of a fixed base is 0."""
     return state.f if arm.free else absolute(np.zeros(state.q.shape[:-1]), state.qd)
-
-
-def across(axis: Floats) -> Floats:
-    """P, shape (3, 2): two unit vectors across a unit vector axis (3,).
-
-    The reflection that takes the axis to its largest component k takes e_k+1 and e_k+2 (cyclically) to these; an axis
-    along x, y or z has the next two axes.
-    """
-    largest = int(np.argmax(np.abs(axis)))
-    mirror = axis + np.copysign(1.0, axis[largest]) * np.eye(3)[largest]
-    reflection = np.eye(3) - 2.0 * np.outer(mirror, mirror) / (mirror @ mirror)
-    return np.asarray(reflection[:, [(largest + 1) % 3, (largest + 2) % 3]], dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -97,7 +85,7 @@ def body_rates(omega0: Floats, axis: Floats, qd: Floats) -> Floats:
 
 
 def body_columns(arm: Arm, state: State) -> tuple[Floats, Floats]:
-    """Columns (..., B) of `arm.body_parameters`, and the rates (..., N) of the carrying bodies about the joint axes.
+    """Columns (..., B) of `arm.full_body_names`, and the rates (..., N) of the carrying bodies about the joint axes.
 
     A column of a first moment is -g . (R_i P_i), the potential energy it has.
     """

@@ -144,7 +144,7 @@ def turns(arm: Arm, samples: Samples, smoothed: Smoothed) -> Turns | None:
         z.append(own)
         numbers.append(np.full(len(own), number))
         noise.append(_noise_in_turns(arm, _at(smoothed, of[place]), turn[of[place]], place)[None])
-    names = tuple(name for name, _ in arm.body_parameters) + tuple(f"Im{i + 1}" for i in range(arm.n))
+    names = arm.full_body_names + tuple(f"Im{i + 1}" for i in range(arm.n))
     return Turns(names, np.concatenate(z), np.concatenate(numbers), np.concatenate(noise))
 
 

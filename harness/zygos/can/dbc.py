@@ -191,10 +191,12 @@ def _parameters(arm: Arm, effects: Sequence[Effect], likes: Mapping[str, Signal]
         if one.joint is not None:
             like = likes[replace(one, joint=0).name]
             yield one.name, one.unit, f"{like.comment} Of {_title(one.joint, arm.joints[one.joint])}."
-        elif one.symbol != "G":
+        elif one.symbol == "G":
+            yield one.name, one.unit, "Base parameter of the potential energy."
+        elif one.symbol in ("N", "a", "b"):
             yield one.name, one.unit, str(likes["a00"].comment)
         else:
-            yield one.name, one.unit, "Base parameter of the potential energy."
+            yield one.name, one.unit, f"Base parameter of body {one.ends[0]} and of what moves with it."
     for effect in effects:
         title, joint = effect.kind.title, effect.index(arm)
         yield effect.column(arm), effect.kind.unit, f"{title.capitalize()}, {_title(joint, arm.joints[joint])}."

@@ -38,6 +38,7 @@ COMMANDS = {
     "export": ("export_urdf", "Write a URDF with the inertials of a model; everything else in the URDF is unchanged."),
     "fit": ("fit", "Find the physical arm that explains an estimate: possible bodies, lengths and drives."),
     "dbc": ("dbc", "Write the DBC of this arm, for any CAN tool: its frames, with the joints' and parameters' names."),
+    "parameters": ("parameters", "List the base parameters of an arm, and what each of them stands for."),
     "compile-model": (
         "compile_model",
         "Compile an arm file into a constant that onboard software links, and into bytes that it loads.",

@@ -35,6 +35,8 @@ def compile_model(arm_file: Path, folder: Path, model_file: Path | None, json: s
         "header": str(source),
         "blob": str(blob),
         "layout": lib.zygos_abi(),
+        "full": len(arm.full_parameters),
+        "base": len(arm.parameters),
         "parameters": list(flight.names),
         "units": list(flight.units),
         "capacities": needs,
@@ -46,7 +48,8 @@ def compile_model(arm_file: Path, folder: Path, model_file: Path | None, json: s
         table(("capacity", "needed", f"{BLOB} has"), rows)
         say(
             f"{source}, {blob}: arm {arm.name}, {counted(arm.n, 'joint')}, "
-            f"{counted(len(flight.names), 'parameter')}, layout 0x{lib.zygos_abi():08X}"
+            f"{counted(len(arm.parameters), 'base parameter')} of {len(arm.full_parameters)}, "
+            f"{counted(len(flight.effects), 'effect')}, layout 0x{lib.zygos_abi():08X}"
         )
 
 

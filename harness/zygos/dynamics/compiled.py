@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from zygos.balances.kinematics import across
+from zygos.arm import across
 from zygos.dynamics.serial import SpatialDynamics
 from zygos.native.flight import ffi, lib
 

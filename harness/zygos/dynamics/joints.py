@@ -119,8 +119,8 @@ class Drives(ABC):
 
 
 def by_name(arm: Arm, values: ArrayLike) -> dict[str, float]:
-    """Base parameters (p,) by name, in the order of `arm.parameter_names`. Errors: ZygosError if there are not p
-    values."""
+    """Full parameters by name, in the order of `arm.full_names`, with the rows of base parameters (p,) in the order of
+    `arm.parameter_names`. Errors: ZygosError if there are not p values."""
     vector = np.asarray(values, dtype=np.float64)
     names = arm.parameter_names
     if vector.shape != (len(names),):
@@ -128,7 +128,7 @@ def by_name(arm: Arm, values: ArrayLike) -> dict[str, float]:
             f"arm {arm.name} has {len(names)} parameters, but values of shape {vector.shape} were given; "
             f"remedy: give one value for each of {', '.join(names)}"
         )
-    return dict(zip(names, vector.tolist(), strict=True))
+    return dict(zip(arm.full_names, arm.structure.expanded(vector).tolist(), strict=True))
 
 
 def drives(arm: Arm, value: Mapping[str, float], effects: Sequence[Effect]) -> dict[str, Any]:

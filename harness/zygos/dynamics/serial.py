@@ -57,6 +57,14 @@ class SpatialDynamics(Drives):
                 f"arm {arm.name}: angular_momentum is an effect of planar arms; remedy: remove it from the model, and "
                 "state angular_momentum_nms in the scenario"
             )
+        if arm.structure.reduces:
+            # such N is one of many with the same rows, and need not be that of bodies
+            if dynamics.least_energy() < 0.0:
+                raise ZygosError(
+                    f"arm {arm.name}: these parameters give negative kinetic energy in some posture; remedy: take all "
+                    "of them from one set of bodies, they cannot be varied independently"
+                )
+            return dynamics
         size = float(np.abs(matrix).max())
         share = gram.of_rotors(arm, dynamics.coupling**2 * np.where(dynamics.rigid, 0.0, dynamics.rotor_inertia))
         bodies = gram.from_parameters(arm, kinetic - gram.to_parameters(arm, share)) if arm.spatial else matrix
@@ -67,6 +75,32 @@ class SpatialDynamics(Drives):
                 "from one set of bodies, they cannot be varied independently"
             )
         return dynamics
+
+    def least_energy(self) -> float:
+        """Smallest eigenvalue of the inertia matrix, scaled to a unit diagonal, over 64 postures; -1 if an entry of the
+        diagonal is not positive."""
+        q = np.random.default_rng(0).uniform(-np.pi, np.pi, (64, self.n))
+        soft = np.flatnonzero(~self.rigid)
+        count = self._first + self.n + len(soft)
+        rates = np.eye(count)
+
+        def energy(u: Array) -> Array:
+            qd = np.broadcast_to(u[self._first : self._first + self.n], q.shape)
+            thetad = qd.copy()
+            thetad[:, soft] = u[self._first + self.n :]
+            base = np.broadcast_to(u[:3] if self._first else np.zeros(3), (len(q), 3))
+            return self.kinetic_energy(q, base, qd, thetad)
+
+        own = np.array([energy(unit) for unit in rates])
+        matrix = np.empty((len(q), count, count))
+        for i in range(count):
+            for j in range(i, count):
+                matrix[:, i, j] = matrix[:, j, i] = energy(rates[i] + rates[j]) - own[i] - own[j]
+        scale = np.einsum("mii->mi", matrix)
+        if not np.all(scale > 0.0):
+            return -1.0
+        size = np.sqrt(scale)
+        return float(np.linalg.eigvalsh(matrix / (size[:, :, None] * size[:, None, :]))[:, 0].min())
 
     @cached_property
     def _bodies(self) -> NDArray[np.int64]:

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from zygos.arm import Arm
+from zygos.arm import Arm, Parameter
 from zygos.effects import column_named, is_column, spoken
 from zygos.estimation.ledger import Ledger
 from zygos.native.flight import Estimate, Trace
 from zygos.report.figures import signed
 from zygos.report.page import Entry, joint_colour, numbers, series, thinned
+from zygos.structure import SECOND, STANDARD
 
 Floats = NDArray[np.float64]
 Places = NDArray[np.intp]
@@ -62,14 +63,24 @@ def meaning(arm: Arm, name: str) -> tuple[str, int | None]:
     parameter = next(one for one in arm.parameters if one.name == name)
     if parameter.joint is not None:
         return f"{_JOINT_KINDS[parameter.symbol]}, {arm.joints[parameter.joint].name}", parameter.joint
+    return _of_bodies(arm, parameter), None
+
+
+def _of_bodies(arm: Arm, parameter: Parameter) -> str:
+    """What a parameter of bodies is."""
+    if parameter.symbol in STANDARD:
+        link, along = f"link {parameter.ends[0]}", parameter.symbol[1:]
+        if parameter.symbol in SECOND:
+            return f"inertia of {link} about its joint, {along}"
+        return f"first moment of {link}, {along}" if along else f"mass of {link}"
     if parameter.symbol == "G":
         (end,) = parameter.ends
-        return f"first moment behind {arm.joints[int(end[:-1]) - 1].name}, direction {end[-1]}", None
+        return f"first moment behind {arm.joints[int(end[:-1]) - 1].name}, direction {end[-1]}"
     if parameter.symbol == "N":
-        return f"inertia of {' with '.join(parameter.ends)}", None
+        return f"inertia of {' with '.join(parameter.ends)}"
     first, second = ("base" if end == "0" else f"link {end}" for end in parameter.ends)
     crossed = ", crossed" if parameter.symbol == "b" else ""
-    return (f"inertia, {first}" if first == second else f"inertia, {first} with {second}{crossed}"), None
+    return f"inertia, {first}" if first == second else f"inertia, {first} with {second}{crossed}"
 
 
 def trajectories(arm: Arm, trace: Trace, at: Drawn) -> list[Entry]:

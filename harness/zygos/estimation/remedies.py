@@ -8,8 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from zygos.arm import Arm
-from zygos.balances.energy import energy_columns
-from zygos.balances.state import State
 from zygos.files.output import counted, number
 from zygos.native.flight import MIN_SIGNAL_TO_NOISE, REASONS, Estimate, Flight
 
@@ -32,28 +30,6 @@ class Known:
     cycles: int
     parameters: int
     """Number of parameters with a value."""
-
-
-def structural_rank(arm: Arm) -> int:
-    """How many combinations of the arm's parameters (without effects) can be determined by any motion.
-
-    This is the rank of the energy columns at random states. The difference from `len(arm.parameter_names)` is due to
-    the arm's geometry, for instance parallel or perpendicular axes, and no motion changes it.
-    """
-    rng = np.random.default_rng(0)
-    p = len(arm.parameter_names)
-    shape = (4 * p + 8, arm.n)
-    rigid = np.array([not joint.flexible for joint in arm.joints])
-    q, qd = rng.uniform(-np.pi, np.pi, shape), rng.normal(size=shape)
-    theta = np.where(rigid, q, q + rng.normal(size=shape))
-    thetad = np.where(rigid, qd, qd + rng.normal(size=shape))
-    spin = rng.normal(size=(shape[0], 3)) * (1.0 if arm.free else 0.0)
-    state = State(q, theta, qd, thetad, spin if arm.spatial else spin @ arm.axis)
-    columns = energy_columns(arm, state, rng.uniform(size=shape))
-    columns = columns - columns.mean(axis=0)
-    length = np.linalg.norm(columns, axis=0)
-    size = np.linalg.svd(columns / np.where(length > 0.0, length, 1.0), compute_uv=False)
-    return int(np.count_nonzero(size > 1e-9 * size[0]))
 
 
 def measured(result: Estimate, flight: Flight) -> str:
@@ -171,21 +147,12 @@ def _joint_names(arm: Arm) -> list[tuple[str, int, str]]:
 def _motion(result: Estimate, flight: Flight, known: Sequence[Known]) -> str:
     """Remedy for parameters that the motion does not determine."""
     arm = flight.arm
-    own = len(arm.parameter_names)
     missing = [name for name, there in zip(result.names, np.isfinite(result.value), strict=True) if not there]
     listed = ", ".join(missing[:_LISTED]) + (" …" if len(missing) > _LISTED else "")
-    possible = structural_rank(arm)
     every = "a motion that moves every joint, at different speeds and together"
-    if possible < own and result.rank >= possible:
-        return (
-            f"no motion helps: with this geometry (the directions of its axes) {possible} of the {own} parameters of "
-            "this arm can be determined; more data gives no value for the others, but the solution as a whole can "
-            "be used for predictions (`solution` of --json)"
-        )
     if result.rank < len(result.names):
-        geometry = f"; the arm's geometry allows {possible} of {own}" if possible < own else ""
         left = listed or "some"
-        return f"{every}, because this one leaves {left} undetermined{geometry}; more of the same data does not help"
+        return f"{every}, because this one leaves {left} undetermined; more of the same data does not help"
     now = int(np.count_nonzero(np.isfinite(result.value)))
     cycles = flight.counts["cycles"]
     before = [one for one in known if one.cycles <= 0.6 * cycles]

@@ -10,8 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from zygos.arm import Arm
-from zygos.balances.kinematics import across
+from zygos.arm import Arm, across
 
 Array = NDArray[np.float64]
 

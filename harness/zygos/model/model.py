@@ -25,6 +25,8 @@ SOURCES = ("CAD", "test", "zygos")
 _LARGEST = 1e12
 """Largest accepted mass, inertia, stiffness, damping or sigma, in SI units. A space station has about 1e9 kg m^2."""
 _FARTHEST_M = 1e6
+_SAME_PLACE_M = 1e-6
+"""Largest difference between a joint's place in a model and in the arm file, m."""
 INERTIA_KEYS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _SOURCE_MEANING = "Where the value comes from."
 _SOURCE_OTHERWISE = "source of the file"
@@ -96,7 +98,7 @@ class Model:
         if not self.bodies:
             return self._named_parameters(arm)
         self.check_fits(arm)
-        values = self._convert(arm, self._scalars())
+        values = self.unchecked_values(arm)
         sigmas = np.sqrt(np.diag(self.base_covariance(arm)))
         quantities = self._quantities()
         inertial = quantities[: 7 * len(self.bodies)] + [joint.rotor_inertia for joint in self.joints]
@@ -115,6 +117,11 @@ class Model:
     def base_values(self, arm: Arm) -> NDArray[np.float64]:
         """(p,) base parameters in the order of `arm.parameter_names`, SI units. Errors as `base_parameters`."""
         return np.array([quantity.value for quantity in self.base_parameters(arm).values()])
+
+    def unchecked_values(self, arm: Arm) -> NDArray[np.float64]:
+        """The same of a model given by bodies, whether it fits the arm or not: mass centres may lie off the line of a
+        planar-symmetric arm, and joints elsewhere than in the arm file."""
+        return _grouped(arm, self._candidates(arm, self._scalars()))
 
     def base_covariance(self, arm: Arm) -> NDArray[np.float64]:
         """(p, p) covariance of the base parameters.
@@ -136,7 +143,8 @@ class Model:
             step = 1e-4 * max(abs(scalars[index]), 1e-3)
             shift = np.zeros_like(scalars)
             shift[index] = step
-            columns[:, index] = (self._convert(arm, scalars + shift) - self._convert(arm, scalars - shift)) / (2 * step)
+            above, below = (_grouped(arm, self._candidates(arm, moved)) for moved in (scalars + shift, scalars - shift))
+            columns[:, index] = (above - below) / (2 * step)
         scaled = columns * sigmas
         covariance: NDArray[np.float64] = scaled @ scaled.T
         return covariance
@@ -152,7 +160,8 @@ class Model:
         return {name: self.parameters[name] for name in arm.parameter_names}
 
     def check_fits(self, arm: Arm) -> None:
-        """Raise ZygosError if the joints of this model by bodies are not those of the arm."""
+        """Raise ZygosError if the joints of this model by bodies are not those of the arm, or its bodies do not lie as
+        the arm file says."""
         names = [joint.name for joint in arm.joints]
         if [joint.name for joint in self.joints] != names:
             raise ZygosError(
@@ -164,6 +173,22 @@ class Model:
                 f"model {self.name}: the base {self.bodies[0].name} has no mass, but it floats in arm {arm.name}; "
                 'remedy: give it mass and inertia, or write base = "fixed" in the arm file'
             )
+        for body, theirs in zip(self.bodies[:-1], arm.joints, strict=True):
+            if theirs.position_m is None or body.joint_xyz is None or (theirs is arm.joints[0] and not arm.free):
+                continue  # where a fixed base carries the arm has no effect
+            if np.max(np.abs(np.subtract(body.joint_xyz, theirs.position_m))) > _SAME_PLACE_M:
+                raise ZygosError(
+                    f"model {self.name}: body {body.name} carries joint {theirs.name} at {list(body.joint_xyz)} m, arm "
+                    f"{arm.name} has it at {list(theirs.position_m)} m; remedy: correct joint_xyz in the model or "
+                    "position_m in the arm file"
+                )
+        if arm.kinetic == "planar-symmetric":
+            values, skew = self._planar(arm, *self._moments(arm, self._scalars()))
+            if np.max(np.abs(skew), initial=0.0) > 1e-9 * np.max(np.abs(values)):
+                raise ZygosError(
+                    f"model {self.name}: mass centres lie off the joint-to-joint lines (b_ij = {skew.tolist()}), but "
+                    f'arm {arm.name} says kinetic = "planar-symmetric"; remedy: write kinetic = "planar"'
+                )
         for ours, theirs in zip(self.joints, arm.joints, strict=True):
             if not theirs.flexible and np.isfinite(ours.stiffness.value):
                 raise ZygosError(
@@ -182,8 +207,37 @@ class Model:
     def _scalars(self) -> NDArray[np.float64]:
         return np.array([quantity.value for quantity in self._quantities()])
 
-    def _convert(self, arm: Arm, scalars: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Base parameters (p,) from the scalars in the order of `_quantities` (docs/theory.md, "From bodies …")."""
+    def candidate_values(self, arm: Arm) -> NDArray[np.float64]:
+        """(c,) values of `arm.structure.candidates` of a model given by bodies, SI units. Errors: as `check_fits`."""
+        self.check_fits(arm)
+        return self._candidates(arm, self._scalars())
+
+    def _candidates(self, arm: Arm, scalars: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(c,) from the scalars in the order of `_quantities` (docs/theory.md, "From bodies …")."""
+        mass, first, second, reach = self._moments(arm, scalars)
+        drive = scalars[7 * len(mass) :].reshape(len(mass) - 1, 4)
+        own = {"Im": drive[:, 1], "k": drive[:, 2], "b": drive[:, 3]}
+        if not arm.structure.candidates_are_full:
+            tensor = np.trace(second, axis1=1, axis2=2)[:, None, None] * np.eye(3) - second
+            table = np.column_stack([mass, first, tensor[:, *np.triu_indices(3)]])
+            return np.concatenate([np.ravel(table[1:]), _of_joints(arm, own)])
+        if arm.spatial:
+            matrix, moments = gram.of_bodies(arm, mass, first, second, reach)
+            kinetic = gram.to_parameters(arm, matrix)
+        else:
+            symmetric, skew = self._planar(arm, mass, first, second, reach)
+            kinetic = symmetric if arm.kinetic == "planar-symmetric" else np.concatenate([symmetric, skew])
+            moments = gram.of_bodies(arm, mass, first, second, reach)[1]
+        heavy = np.repeat(np.array(arm.feels_gravity), 2)
+        if not arm.free and not arm.joints[0].flexible and arm.torque_at == "rotor":
+            kinetic[0] += arm.joints[0].gear_ratio ** 2 * drive[0, 1]
+        return np.concatenate([kinetic, moments[-len(heavy) :][heavy], _of_joints(arm, own)])
+
+    def _moments(
+        self, arm: Arm, scalars: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Mass, first and second moments and reach of the bodies with the rotors that they carry, as
+        `gram.of_bodies` has them."""
         bodies = len(self.bodies)
         body = scalars[: 7 * bodies].reshape(bodies, 7)
         drive = scalars[7 * bodies :].reshape(bodies - 1, 4)
@@ -204,18 +258,7 @@ class Model:
                 first[i] += rotor_mass * reach[i]
                 second[i] += rotor_mass * np.outer(reach[i], reach[i])
                 second[i] += 0.5 * rotor_inertia * (np.eye(3) - np.outer(axis, axis))
-        if arm.spatial:
-            matrix, moments = gram.of_bodies(arm, mass, first, second, reach)
-            kinetic = gram.to_parameters(arm, matrix)
-        else:
-            kinetic = self._planar(arm, mass, first, second, reach)
-            moments = gram.of_bodies(arm, mass, first, second, reach)[1]
-        heavy = np.repeat(np.array(arm.feels_gravity), 2)
-        if not arm.free and not arm.joints[0].flexible:
-            kinetic[0] += arm.joints[0].gear_ratio ** 2 * drive[0, 1]
-        columns = {"Im": 1, "k": 2, "b": 3}
-        joints = [drive[i, columns[kind]] for kind, i, _ in arm.joint_parameters]
-        return np.concatenate([kinetic, moments[-len(heavy) :][heavy], joints])
+        return mass, first, second, reach
 
     def _planar(
         self,
@@ -224,8 +267,8 @@ class Model:
         first: NDArray[np.float64],
         second: NDArray[np.float64],
         reach: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
-        """a_ij, and b_ij if the arm has them, of bodies given as in `gram.of_bodies`."""
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """a_ij and b_ij of bodies given as in `gram.of_bodies`."""
         axis = arm.axis
         across = np.einsum("ab,ibc->iac", np.eye(3) - np.outer(axis, axis), arm.frames)
         first = np.einsum("iac,ic->ia", across, first)
@@ -248,14 +291,26 @@ class Model:
                 values.append(float(a[i] if i == j else far[i] @ pull[j]))
                 if i < j:
                     skew.append(float(axis @ np.cross(pull[j], far[i])))
-        if arm.kinetic == "planar":
-            values += skew
-        elif skew and np.max(np.abs(skew)) > 1e-9 * np.max(np.abs(values)):
-            raise ZygosError(
-                f"model {self.name}: mass centres lie off the joint-to-joint lines (b_ij = {skew}), but "
-                f'arm {arm.name} says kinetic = "planar-symmetric"; remedy: write kinetic = "planar"'
-            )
-        return np.array(values)
+        return np.array(values), np.array(skew)
+
+
+def _of_joints(arm: Arm, joints: Mapping[str, NDArray[np.float64]]) -> list[float]:
+    """Those of `arm.structure.candidates` that joints have, from the values (N,) of each symbol."""
+    return [float(joints[one.symbol][one.joint]) for one in arm.structure.candidates if one.joint is not None]
+
+
+def _grouped(arm: Arm, candidates: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The independent parameters (p,) of candidates (c,)."""
+    structure = arm.structure
+    if not structure.reduces:
+        return candidates
+    # an infinite stiffness has no part in other parameters
+    found: NDArray[np.float64] = structure.groups @ np.where(np.isfinite(candidates), candidates, 0.0)
+    of_candidate = {one.name: value for one, value in zip(structure.candidates, candidates.tolist(), strict=True)}
+    for k, one in enumerate(structure.parameters):
+        if one.symbol == "k":
+            found[k] = of_candidate[one.name]
+    return found
 
 
 def load_model(path: str | Path) -> Model:

@@ -71,20 +71,24 @@ def nearest_bodies(
             "the model was estimated"
         )
     target = {name: given.parameters[name].value for name, _ in arm.body_parameters if name in given.parameters}
-    if arm.kinetic == "planar-symmetric":
-        # during the iteration, mass centres may leave the lines between the joints
-        arm = replace(arm, kinetic="planar")
-        target |= {one.name: 0.0 for one in arm.parameters if one.symbol == "b" and one.joint is None}
     rows = [arm.parameter_names.index(name) for name in target]
-    wanted = np.array(list(target.values()))
+    # during the iteration, mass centres may leave the lines between the joints of a planar-symmetric arm
+    crooked = replace(arm, kinetic="planar") if arm.kinetic == "planar-symmetric" else None
+    off_line = [one.symbol == "b" and one.joint is None for one in crooked.full_parameters] if crooked else []
+    wanted = np.array([*target.values(), *[0.0] * sum(off_line)])
     drives = tuple(_drive(arm, index, joint, given) for index, joint in enumerate(drawing.joints))
     start, units, sizes = _entries(drawing)
+    drawing.check_fits(arm if crooked is None else crooked)
 
     def base(entries: Array) -> Array:
         bodies = tuple(_body(body, row) for body, row in zip(drawing.bodies, entries.reshape(-1, 10), strict=True))
         # the sigmas of the drives are not needed here, and would make the evaluation compute a covariance
         plain = tuple(JointModel(joint.name, *(Quantity(q.value) for q in _quantities(joint))) for joint in drives)
-        return Model(drawing.name, bodies, plain).base_values(arm)[rows]
+        model = Model(drawing.name, bodies, plain)
+        values = model.unchecked_values(arm)[rows]
+        if crooked is None:
+            return values
+        return np.concatenate([values, crooked.structure.expanded(model.unchecked_values(crooked))[off_line]])
 
     y = np.zeros(start.size)
     jacobian = _jacobian(base, start, sizes) * units

@@ -160,7 +160,9 @@ class Coordinates:
         """Numbers of the bodies that move."""
         self._directions = {i: self._movable(i) for i in self.bodies}
         self._roots = {i: _root(drawing.bodies[i]) for i in self.bodies}
-        self._places = [(i, d) for i in self.bodies if i < arm.n for d in self._directions[i]] if length_sigma else []
+        # an arm file that states where the joints are leaves no length open
+        varied = length_sigma > 0.0 and arm.structure.candidates_are_full
+        self._places = [(i, d) for i in self.bodies if i < arm.n for d in self._directions[i]] if varied else []
         of_bodies = sum(7 + len(directions) for directions in self._directions.values())
         self.of_lengths = slice(of_bodies, of_bodies + len(self._places))
         """Positions of the lengths in y."""
@@ -296,7 +298,7 @@ def fit_bodies(
 
 def nearest_matrix(arm: Arm, drawing: Model, observed: Observed) -> tuple[Array, float]:
     """The base parameters (p,) nearest to an estimate with N minus the rotors' contribution positive semi-definite and
-    Im, k and b not negative, and their chi^2.
+    Im, k and b not negative, and their chi^2. Where the lengths are known, possible bodies take the place of N.
 
     Every physical arm satisfies these conditions, but so do some that are not physical. The semidefinite program is
     solved by Clarabel; the drawing is used only for scaling. Errors: ZygosError if cvxpy or Clarabel is missing.
@@ -306,26 +308,9 @@ def nearest_matrix(arm: Arm, drawing: Model, observed: Observed) -> tuple[Array,
         import_module("clarabel")
     except ImportError:
         raise ZygosError("fitting needs cvxpy and Clarabel; remedy: pip install 'zygos[fit]'") from None
-    drawn = drawing.base_values(arm)
-    kinetic, rotor = _linear(arm)
-    bodies = len(arm.body_parameters)
-    size = int(np.sqrt(kinetic.shape[1]))
-    # scaling by the diagonal of N in the drawing makes every unknown of order one
-    diagonal = np.abs(kinetic[:, :: size + 1]).T @ np.abs(drawn[: len(kinetic)])
-    unit = np.sqrt(diagonal)
-    matrix = cvxpy.Variable((size, size), PSD=True)
-    moments = cvxpy.Variable(bodies - len(kinetic))
-    drives = cvxpy.Variable(len(drawn) - bodies, nonneg=True)
-    drive_units = drawn[bodies:]
-    weight = float(np.abs(drawn[len(kinetic) : bodies]).max(initial=0.0)) or 1.0
-    scaled = kinetic * np.outer(unit, unit).ravel()
-    x = cvxpy.hstack(
-        [
-            scaled @ cvxpy.vec(matrix, order="C") + (rotor * drive_units) @ drives,
-            weight * moments,
-            cvxpy.multiply(drive_units, drives),
-        ]
-    )
+    drawn = drawing.candidate_values(arm)
+    candidates = (_by_matrix if arm.structure.candidates_are_full else _by_bodies)(cvxpy, arm, drawn)
+    x = arm.structure.groups @ candidates
     problem = cvxpy.Problem(cvxpy.Minimize(cvxpy.sum_squares(observed.root @ x - observed.root @ observed.value)))
     with warnings.catch_warnings():
         # cvxpy warns of a solution with fewer digits; it is only a starting point, and a bound that needs few digits
@@ -342,10 +327,62 @@ def nearest_matrix(arm: Arm, drawing: Model, observed: Observed) -> tuple[Array,
     return value, float(gone @ gone)
 
 
+def _by_bodies(cvxpy: Any, arm: Arm, drawn: Array) -> Any:
+    """The candidates (c,) as an expression of possible bodies: their matrices [[S, s], [s', m]] of second moment, first
+    moment and mass, less the rotors that they carry, are positive semi-definite."""
+    bodies, drives = drawn[: 10 * arm.n].reshape(arm.n, 10), drawn[10 * arm.n :]
+    factors = cvxpy.Variable(len(drives), nonneg=True)
+    units = np.where(drives > 0.0, drives, 1.0)
+    of_joint = {
+        (one.symbol, one.joint): k
+        for k, one in enumerate(one for one in arm.structure.candidates if one.joint is not None)
+    }
+    parts: list[Any] = []
+    for i, own in enumerate(bodies):
+        # scaling by the drawing makes every unknown of order one
+        second = 0.5 * own[[4, 7, 9]].sum() - own[[4, 7, 9]]
+        unit = np.sqrt(np.append(np.maximum(second, THINNEST * second.max()), own[0]))
+        matrix = cvxpy.multiply(cvxpy.Variable((4, 4), PSD=True), np.outer(unit, unit))
+        square = matrix[:3, :3]
+        if i + 1 < arm.n:
+            axis = arm.frames[i + 1].T @ arm.axes[i + 1]
+            carried = of_joint["Im", i + 1]
+            share = 0.5 * units[carried] * (np.eye(3) - np.outer(axis, axis))
+            square = square + factors[carried] * share
+        inertia = cvxpy.trace(square) * np.eye(3) - square
+        parts += [matrix[3, 3], matrix[0, 3], matrix[1, 3], matrix[2, 3]]
+        parts += [inertia[row, column] for row, column in zip(*_UPPER, strict=True)]
+    return cvxpy.hstack([*parts, cvxpy.multiply(units, factors)])
+
+
+def _by_matrix(cvxpy: Any, arm: Arm, drawn: Array) -> Any:
+    """The candidates (c,) as an expression of N without rotors, which is positive semi-definite, of first moments, and
+    of drives, which are not negative."""
+    kinetic, rotor = _linear(arm)
+    bodies = len(arm.full_body_names)
+    size = int(np.sqrt(kinetic.shape[1]))
+    # scaling by the diagonal of N in the drawing makes every unknown of order one
+    diagonal = np.abs(kinetic[:, :: size + 1]).T @ np.abs(drawn[: len(kinetic)])
+    unit = np.sqrt(diagonal)
+    matrix = cvxpy.Variable((size, size), PSD=True)
+    moments = cvxpy.Variable(bodies - len(kinetic))
+    drives = cvxpy.Variable(len(drawn) - bodies, nonneg=True)
+    drive_units = drawn[bodies:]
+    weight = float(np.abs(drawn[len(kinetic) : bodies]).max(initial=0.0)) or 1.0
+    scaled = kinetic * np.outer(unit, unit).ravel()
+    return cvxpy.hstack(
+        [
+            scaled @ cvxpy.vec(matrix, order="C") + (rotor * drive_units) @ drives,
+            weight * moments,
+            cvxpy.multiply(drive_units, drives),
+        ]
+    )
+
+
 def _linear(arm: Arm) -> tuple[Array, Array]:
-    """Matrices that give the kinetic parameters from N of the bodies without rotors, (c, V^2), and from Im, k, b, (c,
-    at most 3 N)."""
-    kinds = arm.joint_parameters
+    """Matrices that give the full kinetic parameters from N of the bodies without rotors, (c, V^2), and from Im, k, b,
+    (c, at most 3 N)."""
+    kinds = arm.full_joint_parameters
     if arm.spatial:
         size = gram.directions(arm)
         kinetic = np.array([gram.to_parameters(arm, unit.reshape(size, size)) for unit in np.eye(size * size)]).T
@@ -353,7 +390,7 @@ def _linear(arm: Arm) -> tuple[Array, Array]:
         both = np.array([gram.to_parameters(arm, unit.reshape(size, size).T) for unit in np.eye(size * size)]).T
         kinetic = 0.5 * (kinetic + both)
         rotor = np.zeros((len(kinetic), len(kinds)))
-        for column, (kind, i, _) in enumerate(kinds):
+        for column, (kind, i) in enumerate(kinds):
             if kind == "Im":
                 rotor[:, column] = gram.to_parameters(arm, gram.of_rotors(arm, np.eye(arm.n)[i]))
         return kinetic, rotor
@@ -371,7 +408,7 @@ def _linear(arm: Arm) -> tuple[Array, Array]:
             row[2 * i + 1, 2 * j], row[2 * i, 2 * j + 1] = 1.0, -1.0
             rows.append(0.5 * (row + row.T))
     rotor = np.zeros((len(rows), len(kinds)))
-    for column, (kind, i, _) in enumerate(kinds):
+    for column, (kind, i) in enumerate(kinds):
         if kind == "Im" and i >= first:
             rotor[pairs.index((i - first, i - first)), column] = 1.0
     return np.array([row.ravel() for row in rows]), rotor

@@ -275,13 +275,14 @@ def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
         out.axis = list(joint.axis if arm.spatial else arm.axis)
         if arm.spatial:
             out.frame = (arm.frames[i].T @ arm.frames[i + 1]).ravel().tolist()
-        out.gear_ratio = joint.gear_ratio
+        out.gear_ratio = arm.gear_ratios[i]
         declared = joint.torque_sigma > 0.0
-        out.torque_sigma = joint.gear_ratio * joint.over_the_wire.torque_sigma if declared else 0.0
+        out.torque_sigma = out.gear_ratio * joint.over_the_wire.torque_sigma if declared else 0.0
         link, motor = joint.link_encoder.over_the_wire, joint.motor_encoder.over_the_wire
         out.link_sign, out.link_zero_rad, out.link_sigma_rad = link.sign, link.zero_rad, link.sigma_rad
         out.motor_sign, out.motor_zero_rad, out.motor_sigma_rad = motor.sign, motor.zero_rad, motor.sigma_rad
         out.link_latch_s, out.motor_latch_s = link.latch_us * 1e-6, motor.latch_us * 1e-6
+    _fill_reduction(config, arm)
     columns = estimated(arm, effects)
     if len(columns) > lib.ZYGOS_MAX_EFFECTS_VALUE:
         raise ZygosError(
@@ -300,6 +301,23 @@ def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
         config.effect[k].kind = kind
         config.effect[k].joint = effect.index(arm)
     return config
+
+
+def _fill_reduction(config: Any, arm: Arm) -> None:
+    """Write the basis of the arm's structure into the configuration. Errors: ZygosError if the build has no room."""
+    structure = arm.structure
+    if not structure.reduces:
+        return
+    columns, parameters = np.nonzero(structure.basis)
+    if len(columns) > len(config.reduction):
+        raise ZygosError(
+            f"arm {arm.name!r}: the reduction to its {structure.size} independent parameters has {len(columns)} "
+            f"entries, this build holds {len(config.reduction)}; remedy: rebuild with "
+            f"-DZYGOS_MAX_REDUCTION={len(columns)}, or leave position_m out of the arm file"
+        )
+    config.reduced, config.reductions = structure.size, len(columns)
+    for entry, column, parameter in zip(config.reduction, columns.tolist(), parameters.tolist(), strict=False):
+        entry.column, entry.parameter, entry.factor = column, parameter, structure.basis[column, parameter]
 
 
 def cycles_to_native(cycles: Cycles) -> Any:
@@ -358,13 +376,14 @@ class Flight:
                 f"remedy: correct the {'effects' if verdict == lib.ZYGOS_E_EFFECT else 'arm file'}"
             )
         self.effects = estimated(arm, effects)
-        self.names = (*arm.parameter_names, *(effect.column(arm) for effect in self.effects))
-        if self.native.column_map.count != len(self.names):
+        own = arm.parameters
+        self.names = (*(one.name for one in own), *(effect.column(arm) for effect in self.effects))
+        if self.native.column_map.parameters != len(self.names):
             raise ZygosError(
                 f"arm {arm.name!r}: gravity is within 1e-9 rad of a joint axis, which may or may not feel it; "
                 "remedy: make them parallel, or tilt them"
             )
-        self.units = (*arm.parameter_units, *(effect.kind.unit for effect in self.effects))
+        self.units = (*(one.unit for one in own), *(effect.kind.unit for effect in self.effects))
         self._work = ffi.new("zygos_work_t *")
         self._estimate = ffi.new("zygos_estimate_t *")
         self._before = ffi.new("zygos_estimate_t *")

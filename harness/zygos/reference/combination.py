@@ -91,11 +91,12 @@ def weight(arm: Arm, own: JointRows, energy: Floats, x: Floats) -> float:
 
 
 def placed(names: Sequence[str], own: Turns) -> Rows:
-    """The momentum rows with p parameters, without a weight."""
-    places = [names.index(name) for name in own.names]
+    """The momentum rows with p parameters, without a weight. A floating arm's parameters are some of the full ones."""
+    kept = [k for k, name in enumerate(own.names) if name in names]
+    places = [names.index(own.names[k]) for k in kept]
     z, noise = np.zeros((len(own.z), len(names))), np.zeros((len(names) + 1, len(names) + 1))
-    z[:, places] = own.z
-    noise[np.ix_(places, places)] = own.noise.sum(axis=0)
+    z[:, places] = own.z[:, kept]
+    noise[np.ix_(places, places)] = own.noise.sum(axis=0)[np.ix_(kept, kept)]
     return Rows(z, np.zeros(len(z)), noise)
 
 

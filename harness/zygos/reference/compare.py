@@ -241,9 +241,22 @@ def sizes(arm: Arm, x: Floats) -> Floats:
     The size is the value; for a kinetic parameter, which may be zero, at least the square root of the product of the
     two diagonal ones that it couples; for a first moment the largest of them.
     """
+    own = len(arm.parameter_names)
+    if arm.structure.reduces:
+        # an error of a parameter is one of all full parameters that contain it
+        basis = np.abs(arm.structure.basis)
+        full = _full_sizes(arm, arm.structure.expanded(x[:own]))
+        with np.errstate(divide="ignore"):
+            least = np.min(np.where(basis > 0.0, full[:, None] / basis, np.inf), axis=0)
+        return np.concatenate([np.maximum(np.abs(x[:own]), least), np.abs(x[own:])])
+    return _full_sizes(arm, x)
+
+
+def _full_sizes(arm: Arm, x: Floats) -> Floats:
+    """`sizes` of full parameters x (p_full,)."""
     out: Floats = np.abs(x)
     values: list[float] = out.tolist()
-    listed = list(zip(arm.parameters, values, strict=False))
+    listed = list(zip(arm.full_parameters, values, strict=False))
     diagonal = {one.ends[0]: value for one, value in listed if one.symbol in ("N", "a") and len(set(one.ends)) == 1}
     largest = max((value for one, value in listed if one.symbol == "G"), default=0.0)
 

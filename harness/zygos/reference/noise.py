@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
-from zygos.balances.energy import EnergyRows, energy_columns
+from zygos.balances.energy import EnergyRows, full_energy_columns
 from zygos.balances.kinematics import body_columns
 from zygos.balances.state import State
 from zygos.effects import Effect, estimated
@@ -104,8 +104,8 @@ def noise_of(
     known = spread(arm)
     since_origin = np.arange(m) - np.searchsorted(balance.arc, balance.arc)
     bodies = means(arm, known, here.state)
-    mean[:, : bodies.shape[1]] = bodies
-    mean[:, bodies.shape[1] :] = since_origin[:, None] * drift(arm, known, effects)
+    joints = since_origin[:, None] * drift(arm, known, effects)
+    mean[:] = arm.structure.reduced(np.hstack([bodies, joints]))
     for arc in range(arcs):
         used = np.flatnonzero(balance.accepted & (balance.arc == arc))
         moment[arc] = moments(arm, known, here.at(used), since_origin[used], effects)
@@ -120,13 +120,13 @@ def row_instants(arm: Arm, samples: Samples, smoothed: Smoothed, balance: Energy
 
 
 def means(arm: Arm, known: Spread, state: State) -> Floats:
-    """1/2 S d2(column)/d(rate)^2 of the bodies' columns, (m, B), summed over joints and gyro."""
+    """1/2 S d2(column)/d(rate)^2 of the bodies' full columns, (m, B), summed over joints and gyro."""
 
     def curvature(place: str, i: int) -> Floats:
         columns = [body_columns(arm, _moved(state, place, i, by))[0] for by in (-1.0, 0.0, 1.0)]
         return np.asarray(columns[0] - 2.0 * columns[1] + columns[2], dtype=np.float64)
 
-    mean = np.zeros((len(state.q), len(arm.body_parameters)))
+    mean = np.zeros((len(state.q), len(arm.full_body_names)))
     for i in range(arm.n):
         mean += 0.5 * known.link[i, 1, 1] * curvature("qd", i)
     for axis in range(_gyro_axes(arm)):
@@ -135,9 +135,9 @@ def means(arm: Arm, known: Spread, state: State) -> Floats:
 
 
 def drift(arm: Arm, known: Spread, effects: Sequence[Effect] = ()) -> Floats:
-    """Mean contribution of noise per step to the columns after those of bodies, which integrate squared rates."""
+    """Mean contribution of noise per step to the full columns after those of bodies, which integrate squared rates."""
     h, rate = arm.period_s, known.motor[:, 1, 1]
-    slip = [h * (known.link[i, 1, 1] + rate[i]) if kind == "b" else 0.0 for kind, i, _ in arm.joint_parameters]
+    slip = [h * (known.link[i, 1, 1] + rate[i]) if kind == "b" else 0.0 for kind, i in arm.full_joint_parameters]
 
     def square(effect: Effect) -> float:
         i = effect.index(arm)
@@ -177,8 +177,9 @@ def moments(arm: Arm, known: Spread, here: Instants, turn: NDArray[np.int64], ef
             add(every, known.motor[i], link[0] + motor[0], link[1] + motor[1])
     some = at(2 * n)
     for axis in range(_gyro_axes(arm)):
-        columns = [energy_columns(arm, _moved(some.state, "base", axis, by), _none(some)) for by in (-1.0, 1.0)]
-        add(every, np.array([[known.gyro]]), _row(arm, 0.5 * (columns[1] - columns[0]), effects))
+        columns = [full_energy_columns(arm, _moved(some.state, "base", axis, by), _none(some)) for by in (-1.0, 1.0)]
+        slope = _row(arm, 0.5 * (columns[1] - columns[0]), effects)
+        add(every, np.array([[known.gyro]]), arm.structure.reduced(slope))
     return total
 
 
@@ -190,13 +191,13 @@ def slopes(arm: Arm, here: Instants, side: Side, i: int, effects: Sequence[Effec
     """
 
     def columns(place: str, by: float) -> Floats:
-        return energy_columns(arm, _moved(here.state, place, i, by), _none(here))
+        return full_energy_columns(arm, _moved(here.state, place, i, by), _none(here))
 
     def central(place: str) -> Floats:
         return 0.5 * (columns(place, 1.0) - columns(place, -1.0))
 
-    of_springs = [kind == "k" for kind, _, _ in arm.joint_parameters]
-    first = len(arm.body_parameters)
+    of_springs = [kind == "k" for kind, _ in arm.full_joint_parameters]
+    first = len(arm.full_body_names)
     angle = central(side)
     if side == "q":
         turned = sum(weight * columns("q", by) for weight, by in zip(RIESZ, TURNS, strict=True))
@@ -204,14 +205,14 @@ def slopes(arm: Arm, here: Instants, side: Side, i: int, effects: Sequence[Effec
     deflection = (here.state.theta - here.state.q)[:, i]
     slip = (here.state.thetad - here.state.qd)[:, i]
     sign = 1.0 if side == "theta" else -1.0
-    for k, (kind, joint, _) in enumerate(arm.joint_parameters):
+    for k, (kind, joint) in enumerate(arm.full_joint_parameters):
         if kind == "b" and joint == i:
             angle[:, first + k] = 2.0 * sign * slip
     by_angle = _row(arm, angle, effects)
     by_rate = _row(arm, central(side + "d"), effects)
     ratio, jump = arm.gear_ratios[i], here.tau_next[:, i] - here.tau[:, i]
     rate = (here.state.thetad if side == "theta" else here.state.qd)[:, i]
-    for k, effect in enumerate(estimated(arm, effects), start=len(arm.parameter_names)):
+    for k, effect in enumerate(estimated(arm, effects), start=len(arm.full_names)):
         torque, place = effect.kind.torque, effect.kind.place
         if effect.index(arm) != i:
             continue
@@ -228,7 +229,7 @@ def slopes(arm: Arm, here: Instants, side: Side, i: int, effects: Sequence[Effec
     if side == "theta":
         by_angle[:, -1] = ratio * here.tau[:, i]
         by_rate[:, -1] = 0.0 if arm.torque_law == "sampled" else arm.period_s / 12.0 * ratio * jump
-    return by_angle, by_rate
+    return arm.structure.reduced(by_angle), arm.structure.reduced(by_rate)
 
 
 def _gyro_axes(arm: Arm) -> int:
@@ -240,7 +241,7 @@ def _none(here: Instants) -> Floats:
 
 
 def _row(arm: Arm, columns: Floats, effects: Sequence[Effect]) -> Floats:
-    """Columns (m, p) of the arm, with zeros for those of effects and for the work."""
+    """Full columns (m, p_full) of the arm, with zeros for those of effects and for the work."""
     return np.pad(columns, ((0, 0), (0, len(estimated(arm, effects)) + 1)))
 
 

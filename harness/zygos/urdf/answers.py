@@ -216,6 +216,7 @@ class Answers:
         for hinge in chain.hinges:
             values = self._of(hinge.name)
             geometry = {"name": hinge.name, "axis": list(hinge.axis), "frame_rpy": list(hinge.rpy)}
+            geometry["position_m"] = list(hinge.xyz)
             joint = geometry | {key: values[key] for key in JOINT if key in values and key not in _DRIVE}
             hardware.read_joint(Table(joint, self.file, f"joint.{hinge.name}"))
             joints.append(joint)

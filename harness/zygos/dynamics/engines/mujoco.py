@@ -42,9 +42,13 @@ class MujocoEngine:
                 f"model {model.name}: MuJoCo rejects it ({reason}); remedy: correct the inertias, or use another engine"
             ) from None
         self._data: Any = mujoco.MjData(self._tree)
-        self._free, self._rigid, self._ratio = arm.free, rigid, arm.gear_ratios
+        self._free, self._rigid = arm.free, rigid
+        # a torque behind the gear acts on the link, and the rotor's rotation is none of its causes
+        sees_rotor = arm.torque_at == "rotor"
+        self._ratio = arm.gear_ratios * sees_rotor
         self._rotor = np.array([self._tree.joint(f"rotor{i}").dofadr[0] for i in range(arm.n)])
         self._link = np.array([self._tree.joint(f"link{i}").dofadr[0] for i in range(arm.n)])
+        self._driven = self._rotor if sees_rotor else self._link
         self._held = np.zeros((len(rigid), self._tree.nv))
         for row, i in enumerate(rigid):
             self._held[row, self._link[i]], self._held[row, self._rotor[i]] = self._ratio[i], -1.0
@@ -59,7 +63,9 @@ class MujocoEngine:
             yielding = np.empty_like(self._held)  # M^-1 C', transposed
             mujoco.mj_solveM(self._tree, self._data, yielding, self._held)
             change -= yielding.T @ np.linalg.solve(self._held @ yielding.T, self._held @ change)
-        return change[3:6] if self._free else np.zeros(3), change[self._link], change[self._rotor] / self._ratio
+        link = change[self._link]
+        motor = change[self._rotor] / self._ratio if self._driven is self._rotor else link
+        return change[3:6] if self._free else np.zeros(3), link, motor
 
     def kinetic_energy(self, q: Array, omega0: Array, qd: Array, thetad: Array) -> float:
         """Kinetic energy, as defined in `Engine`."""
@@ -86,7 +92,7 @@ class MujocoEngine:
         theta[self._rigid], thetad[self._rigid] = q[self._rigid], qd[self._rigid]
         data.qpos[self._link + shift], data.qpos[self._rotor + shift] = q, self._ratio * theta
         data.qvel[self._link], data.qvel[self._rotor] = qd, self._ratio * thetad
-        data.qfrc_applied[self._rotor] = tau
+        data.qfrc_applied[self._driven] = tau
         if self._free:
             data.qvel[:3], data.qvel[3:6] = 0.0, omega0
             mujoco.mj_fwdPosition(self._tree, data)

@@ -56,7 +56,10 @@ class PinocchioEngine:
         self._gear[self._link, base + np.arange(n)] = 1.0
         turned_by = base + np.arange(n)
         turned_by[self._flexible] = base + n + np.arange(len(self._flexible))
-        self._gear[self._rotor, turned_by] = self._ratio
+        if arm.torque_at == "rotor":
+            self._gear[self._rotor, turned_by] = self._ratio
+        # a torque behind the gear acts on the link, and the rotor's rotation is none of its causes
+        self._driven = self._rotor if arm.torque_at == "rotor" else self._link
 
     def accelerations(
         self, q: Array, theta: Array, omega0: Array, qd: Array, thetad: Array, tau: Array
@@ -67,7 +70,7 @@ class PinocchioEngine:
         spring = self._stiffness[soft] * (theta - q)[soft] + self._damping[soft] * (thetad - qd)[soft]
         force = np.zeros(self._tree.nv)
         force[self._link[soft]] = spring
-        force[self._rotor] = tau
+        force[self._driven] = tau
         force[self._rotor[soft]] -= spring / self._ratio[soft]
         bias = pin.nonLinearEffects(self._tree, self._data, position, velocity)
         mass = np.triu(pin.crba(self._tree, self._data, position))  # Pinocchio does not guarantee the lower triangle
