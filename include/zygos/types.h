@@ -126,7 +126,7 @@ extern "C" {
 /// The largest number of entries, other than 0, of the matrix of the reduction. 0: the build has no room for one.
 #ifndef ZYGOS_MAX_REDUCTION
 #if ZYGOS_SPATIAL
-#define ZYGOS_MAX_REDUCTION (8 * ZYGOS_MAX_COLUMNS)
+#define ZYGOS_MAX_REDUCTION (12 * ZYGOS_MAX_COLUMNS)
 #else
 #define ZYGOS_MAX_REDUCTION ZYGOS_MAX_COLUMNS
 #endif

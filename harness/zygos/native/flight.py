@@ -187,6 +187,8 @@ class Blocks:
     """Of each block and joint the squares of its c columns and the impulse (c+1, c+1), and the instants."""
     momentum: list[NDArray[np.float64]]
     """Of each block the squares of the columns (K+N, K+N)."""
+    joints: list[tuple[NDArray[np.float64], float]]
+    """Of each group of joint rows the squares of columns and impulse (p+1, p+1), and the number of rows."""
 
 
 @dataclass(frozen=True)
@@ -505,6 +507,11 @@ class Flight:
                 for block in joints.block[0 : joints.count]
             ],
             momentum=[_symmetric(block.rows.gram, momenta.columns) for block in momenta.block[0 : momenta.count]],
+            joints=[
+                (group.fade * _symmetric(group.rows.gram, width), group.fade * group.count)
+                for group in self._work.joint_sums.group
+                if self._work.joint_sums.width > 0
+            ],
         )
 
     def _closed(self) -> Any:
