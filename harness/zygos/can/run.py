@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,9 @@ from zygos.runs.samples import usable
 from zygos.runs.tables import read_cycles, write_cycles
 
 Array = NDArray[np.float64]
+
+_GAP_CYCLES = 3
+"""Number of the first cycle of a run less that of the last cycle of the run before, where runs are joined."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -130,6 +134,32 @@ def load_run(path: str | Path, arm: Arm | str | Path | None = None) -> Run:
     for text in log.damage:
         warnings.warn(text, stacklevel=2)
     return Run(known, log.frames, path=file, damage=log.damage)
+
+
+def joined(runs: Sequence[Run]) -> Run:
+    """Runs of one arm as one: their cycles one after the other, with a gap between. A single run stays as it is.
+
+    Errors: ZygosError for runs of different arms.
+    """
+    first = runs[0]
+    if len(runs) == 1:
+        return first
+    begin, parts = 0, []
+    for run in runs:
+        if run.arm != first.arm:
+            raise ZygosError(
+                f"{run.path or 'a run'} is of another arm than the first run; remedy: give runs of one arm"
+            )
+        cycles = run.cycles
+        if not len(cycles):
+            continue
+        # a number that is left out is a gap, over which nothing is integrated
+        sync = cycles.sync - cycles.sync[0] + np.uint64(begin)
+        parts.append(replace(cycles, sync=sync))
+        begin = int(sync[-1]) + _GAP_CYCLES
+    whole = Cycles(*(np.concatenate([getattr(one, f.name) for one in parts]) for f in fields(Cycles)))
+    damage = tuple(text for run in runs for text in run.damage)
+    return Run(first.arm, table=whole, path=first.path, damage=damage)
 
 
 def save_run(run: Run, path: str | Path) -> None:

@@ -16,7 +16,8 @@ from zygos.files.output import errors_end_the_program
 COMMANDS = {
     "simulate": ("simulate", "Simulate a run: plant, servo and sensors, recorded as CAN traffic."),
     "plan": ("plan", "Plan a motion that excites every parameter, or rank given motions by what they tell."),
-    "estimate": ("estimate", "Estimate the parameters from a run, with the C library for flight."),
+    "estimate": ("estimate", "Estimate the parameters from one or several runs of an arm."),
+    "predict": ("predict", "Compare the torques of runs with those that a model predicts, joint by joint."),
     "check": ("check", "Compare the C library with numpy on a run, stage by stage."),
     "check-arm": (
         "check_arm",

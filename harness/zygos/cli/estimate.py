@@ -1,60 +1,144 @@
-"""`zygos estimate`: estimates the parameters from a recorded run."""
+"""`zygos estimate`: estimates the parameters from one or several recorded runs."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from zygos.arm import load_arm
+from zygos.can.run import Run as RecordedRun
+from zygos.can.run import joined
 from zygos.cli.answer import finish_estimate
-from zygos.cli.options import ArmFile, Json, Report, Run
+from zygos.cli.ground import finish_ground
+from zygos.cli.options import ArmFile, Json, Report
 from zygos.cli.shared import check_model_name, find_arm, not_whole, origin, read_run
+from zygos.effects import CATALOGUE, Effect
+from zygos.errors import ZygosError
 from zygos.estimation.estimate import estimate
-from zygos.files.output import (
-    check_outputs,
-)
+from zygos.files.output import check_outputs
 from zygos.files.progress import progress
+from zygos.ground.estimate import estimate_ground
+from zygos.ground.rows import friction
 from zygos.model.model import load_model
 from zygos.report.provenance import provenance
 
+FRICTIONS = {
+    "coulomb": ("motor_coulomb",),
+    "viscous": ("motor_viscous",),
+    "asymmetric": ("viscous_asymmetry",),
+    "load": ("load_friction",),
+    "gain": ("torque_gain",),
+    "none": (),
+}
+"""What --friction can name, and the effects it stands for."""
 
-def estimate_run(
-    run: Path,
+
+@dataclass(frozen=True)
+class GroundOptions:
+    """Options that only an estimate on the ground has."""
+
+    validate: Sequence[Path] = ()
+    friction: str | None = None
+    doubtful: bool = False
+
+    @property
+    def given(self) -> list[str]:
+        """The names of those that were given."""
+        names = {"--validate": self.validate, "--friction": self.friction, "--doubtful": self.doubtful}
+        return [name for name, value in names.items() if value]
+
+
+def estimate_runs(
+    runs: Sequence[Path],
     arm_file: Path | None,
     out: Path,
     model_file: Path | None,
     json: str | None,
     report: Path | None,
     command: Sequence[str],
+    flight: bool,
+    ground: GroundOptions,
 ) -> None:
-    """Estimate from a recorded run; see `zygos estimate --help`."""
-    chosen = find_arm(run, arm_file)
+    """Estimate from recorded runs; see `zygos estimate --help`."""
+    chosen = find_arm(runs[0], arm_file)
     check_model_name(out)
-    check_outputs([out, json, report], [run, chosen, run.parent / "arm.toml", model_file])
+    others = [*runs[1:], *ground.validate]
+    check_outputs([out, json, report], [*runs, chosen, runs[0].parent / "arm.toml", model_file, *ground.validate])
     arm = load_arm(chosen)
     prior = load_model(model_file) if model_file else None
-    recorded = read_run(run, arm)
+    recorded = [read_run(runs[0], arm)]
+    for path in others:
+        find_arm(path, chosen)
+        recorded.append(read_run(path, arm))
+    learned, checked = recorded[: len(runs)], recorded[len(runs) :]
+    if arm.grounded and not flight:
+        effects = None if ground.friction is None else _friction(learned[0], ground.friction)
+        with progress() as bar:
+            task = bar.add_task("learning", total=1.0)
+            found = estimate_ground(
+                learned,
+                model=prior,
+                effects=effects,
+                validate=checked,
+                doubtful=ground.doubtful,
+                progress=lambda share: bar.update(task, completed=share),
+            )
+        source = None
+        if report is not None:
+            files = [
+                *(("run", path) for path in runs),
+                ("arm", chosen),
+                *(("validated", path) for path in ground.validate),
+            ]
+            source = provenance(command, [*files, *([("prior", model_file)] if model_file else [])])
+        finish_ground(found, out, json, report, source)
+        not_whole(*(run.damage for run in recorded))
+        return
+    if ground.given:
+        raise ZygosError(
+            f"{', '.join(ground.given)}: only an estimate on the ground has this, for arms with a fixed base and rigid "
+            f"joints, but arm {arm.name} {'is estimated by --flight' if arm.grounded else 'is another one'}; remedy: "
+            "leave it out; `zygos predict` compares a model with another run"
+        )
+    run = joined(learned)
     with progress() as bar:
         task = bar.add_task("learning", total=1.0)
-        found = estimate(
-            recorded,
-            model=prior,
-            progress=lambda share: bar.update(task, completed=share),
-            trace=report is not None,
+        answer = estimate(
+            run, model=prior, progress=lambda share: bar.update(task, completed=share), trace=report is not None
         )
     source = None
     if report is not None:
-        source = provenance(command, [("run", run), ("arm", chosen), *([("prior", model_file)] if model_file else [])])
-    finish_estimate(found, out, json, origin(recorded), report, source)
-    not_whole(recorded.damage)
+        inputs = [*(("run", path) for path in runs), ("arm", chosen), *([("prior", model_file)] if model_file else [])]
+        source = provenance(command, inputs)
+    finish_estimate(answer, out, json, origin(run), report, source)
+    not_whole(*(one.damage for one in learned))
+
+
+def _friction(run: RecordedRun, text: str) -> tuple[Effect, ...]:
+    """The effects that --friction names. Errors: ZygosError for an unknown name."""
+    found: list[Effect] = []
+    for name in (part.strip() for part in text.split(",")):
+        if name not in FRICTIONS:
+            raise ZygosError(f"--friction {text}: there is no {name!r}; remedy: name some of {', '.join(FRICTIONS)}")
+        for key in FRICTIONS[name]:
+            every = friction(run.arm, [CATALOGUE[key]])
+            # the gain of one joint is the unit of all others
+            found += every[1:] if key == "torque_gain" else every
+    return tuple(found)
 
 
 def command(
     context: typer.Context,
-    run: Run,
+    run: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="RUN...", help="CAN logs (.log .blf .asc .trc .mf4), or tables of cycles (.npz .csv .parquet)."
+        ),
+    ],
     out: Annotated[Path, typer.Option("-o", "--out", metavar="MODEL.toml", help="The model to write.")],
     arm: ArmFile = None,
     model: Annotated[
@@ -65,10 +149,36 @@ def command(
             help="Also estimate the effects of this model, and use its values where the run determines none.",
         ),
     ] = None,
+    validate: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--validate", metavar="RUN", help="Also predict this run with the estimate. May be given several times."
+        ),
+    ] = None,
+    friction: Annotated[
+        str | None,
+        typer.Option(
+            "--friction",
+            metavar="LAWS",
+            help="Laws to estimate at every joint on the ground, with commas between: coulomb, viscous, asymmetric "
+            "(different in the two directions), load (in proportion to the torque), gain (of the torque sensors), "
+            "none. Default: coulomb,viscous.",
+        ),
+    ] = None,
+    doubtful: Annotated[
+        bool, typer.Option("--doubtful", help="Also give values that the runs hardly determine, with their intervals.")
+    ] = False,
+    flight: Annotated[
+        bool, typer.Option("--flight", help="Use the C library for flight also where the arm stands on the ground.")
+    ] = False,
     json: Json = None,
     report: Report = None,
 ) -> None:
-    """Estimate the parameters from a run, with the C library for flight.
+    """Estimate the parameters from one or several runs of an arm.
+
+    An arm that floats or has flexible joints is estimated with the C library for flight; the runs are fed to it one
+    after the other. An arm on a fixed base with rigid joints is estimated on the ground, by least squares of joint
+    rows, with a constant offset of each torque in each run; --flight uses the C library for it as well.
 
     Writes a model.toml with value and sigma of each parameter. A parameter that the motion does not determine is left
     out, or taken from --model. The [[effect]] entries of --model (friction, cubic stiffness, torque lag) are estimated
@@ -77,8 +187,20 @@ def command(
     the arm changed during the run, a warning on stderr and the JSON state when, and in which parameters.
 
     The page of --report has the verdict with reason and remedy, the parameters with their intervals, the data that were
-    lost or left out, and charts of the motion and of the energy balance.
+    lost or left out, and charts of the motion and of the balance.
 
     Example: zygos estimate out/run.blf -o out/estimate.toml
+
+    Example: zygos estimate a/run.npz b/run.npz --validate c/run.npz -o learned.toml
     """
-    estimate_run(run, arm, out, model, json, report, context.obj or ["estimate"])
+    estimate_runs(
+        run,
+        arm,
+        out,
+        model,
+        json,
+        report,
+        context.obj or ["estimate"],
+        flight,
+        GroundOptions(validate or (), friction, doubtful),
+    )

@@ -49,9 +49,7 @@ def _report(arm: Arm, grouped: list[str], unseen: list[str]) -> dict[str, Any]:
                 "unit": one.unit,
                 "stands_for": said,
                 "terms": {
-                    part.name: float(size)
-                    for part, size in zip(structure.candidates, row, strict=True)
-                    if size != 0.0
+                    part.name: float(size) for part, size in zip(structure.candidates, row, strict=True) if size != 0.0
                 },
             }
             for one, said, row in zip(structure.parameters, structure.grouping, structure.groups, strict=True)

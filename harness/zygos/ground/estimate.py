@@ -33,6 +33,8 @@ DEFAULT_FRICTION = ("motor_coulomb", "motor_viscous")
 """Effects at every joint that are estimated unless others are asked for."""
 CLUSTER_LIMIT = 4.0
 """Largest mean square of a block's summed residuals, in units of that of independent ones, that passes as noise."""
+EXCESS_LIMIT = 2.0
+"""Largest residual, in units of the noise of torques and angles, that passes as noise."""
 _LOAD_ROUNDS = 3
 _DOUBTFUL_SHARE = 0.5
 _TOTAL_BLOCKS = 40
@@ -52,6 +54,8 @@ class GroundEstimate:
     increments: int
     noise_share: float
     """Share of the squared residuals that the declared noise of the angles causes."""
+    excess: Floats
+    """(N,) residuals in units of what the noise of torques and angles causes."""
     without_run: Floats
     """(R, p) the values without each of the runs; empty for a single run."""
     across: Floats
@@ -167,13 +171,21 @@ class GroundEstimate:
             listed = ", ".join(unsure[:6]) + (", …" if len(unsure) > 6 else "")
             texts.append(f"the motion does not determine {len(unsure)} of {len(self.names)} parameters ({listed})")
             remedies.append("a motion that excites them (`zygos plan`)")
-        loud = int(np.argmax(self.solution.cluster))
-        if self.solution.cluster[loud] > CLUSTER_LIMIT:
+        loud, far = int(np.argmax(self.solution.cluster)), int(np.argmax(self.excess))
+        if self.excess[far] > EXCESS_LIMIT:
             texts.append(
-                f"what is left is not noise: at {joints[loud].name} residuals add up {self.solution.cluster[loud]:.0f} "
-                f"times as noise would ({100 * share[loud]:.1f} % of the torque)"
+                f"what is left is not noise: {100 * share[far]:.1f} % of the torque at {joints[far].name}, "
+                f"{self.excess[far]:.1f} times the noise of its readings"
             )
-            remedies.append("a further law (--friction), or take the intervals, which contain this")
+        elif self.solution.cluster[loud] > CLUSTER_LIMIT:
+            texts.append(
+                f"what is left is not noise: at {joints[loud].name} squared sums of residuals are "
+                f"{self.solution.cluster[loud]:.0f} times those of noise ({100 * share[loud]:.1f} % of the torque)"
+            )
+        if self.excess[far] > EXCESS_LIMIT or self.solution.cluster[loud] > CLUSTER_LIMIT:
+            remedies.append(
+                "another law of friction (--friction); the intervals contain what is left, if runs are alike"
+            )
         return ("partial", "; ".join(texts), "; ".join(remedies)) if texts else ("valid", "", "")
 
     def _impossible(self) -> str:
@@ -255,6 +267,7 @@ class GroundEstimate:
                     "held_out_share": float(s.share[j]),
                     "residual_share": float(np.sqrt(np.mean(s.residual[:, j] ** 2) / np.mean(s.measured[:, j] ** 2))),
                     "torque_sigma_nm": float(self.torque_sigma[j]),
+                    "noise_ratio": float(self.excess[j]),
                     "cluster": float(s.cluster[j]),
                     "offset_nm": s.offset[:, j].tolist(),
                 }
@@ -352,6 +365,7 @@ def estimate_ground(
         solution=solution,
         increments=int(sum(one.count.sum() for one in sums)),
         noise_share=_noise_share(sums, solution),
+        excess=_excess(arm, motions, sums, solution, span),
         without_run=np.array(without),
         across=_across(sums) if len(runs) > 1 else np.zeros((0, 0)),
         smoothing=smoothing,
@@ -471,7 +485,13 @@ def _left(sums: Sums, value: Floats) -> tuple[Floats, Floats]:
     return left, whole
 
 
-def noise_floor(arm: Arm, motion: Motion, span_s: float) -> Floats:
-    """(N,) standard deviation of an increment by the noise of its torques alone, Nms."""
-    steps = span_s / arm.period_s
-    return np.asarray(torque_noise(arm, motion.samples) * arm.gear_ratios * arm.period_s * np.sqrt(steps))
+def _excess(arm: Arm, motions: Sequence[Motion], sums: Sequence[Sums], solution: Solution, span: float) -> Floats:
+    """(N,) standard deviation of the residuals of an increment, in units of what noise causes."""
+    steps = span / arm.period_s
+    rows = float(sum(one.count.sum() for one in sums))
+    reading = np.array([torque_noise(arm, motion.samples) for motion in motions])
+    of_torque = arm.gear_ratios**2 * np.mean(reading**2, axis=0) * arm.period_s**2 * steps
+    of_angles = np.einsum(
+        "p,jpq,q->j", solution.value, np.sum([one.noise.sum(axis=0) for one in sums], 0), solution.value
+    )
+    return np.asarray(solution.sigma_w / np.sqrt(of_torque + of_angles / rows), dtype=np.float64)

@@ -1,0 +1,122 @@
+"""The end of `zygos estimate` for an arm on the ground: tables, model file, JSON, and messages."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from zygos.errors import Undecided
+from zygos.files.output import counted, named, number, quiet, ratio, say, table, write_json
+from zygos.ground.estimate import GroundEstimate
+from zygos.ground.score import Score
+from zygos.model.model import save_model
+from zygos.report.provenance import Provenance
+
+
+def finish_ground(
+    found: GroundEstimate, out: Path, json: str | None, report: Path | None, source: Provenance | None
+) -> None:
+    """Print the tables, write the model, and raise Undecided if the estimate is not valid.
+
+    report: a page to write; source: what it was made from.
+    """
+    if not quiet(out, json, report):
+        _print_parameters(found)
+        _print_joints(found)
+        if len(found.runs) > 1:
+            _print_across(found)
+        for one in found.validated:
+            print_score(one, "validated on ")
+        shares = ", ".join(f"{100 * share:.1f}" for share in found.solution.share)
+        say(
+            f"arm {found.arm.name} · {counted(len(found.runs), 'run')} · {counted(found.increments, 'increment')} of "
+            f"{found.span_s:g} s · held-out torque left: {shares} % · "
+            f"{int(found.determined.sum())} of {counted(len(found.names), 'parameter')} · {found.validity}"
+        )
+        for text in found.notes:
+            say(text)
+    where = "no model written" if found.validity == "refused" else f"{named(out)} written"
+    try:
+        if found.validity != "refused":
+            save_model(found.to_model(), out)
+        if report is not None and source is not None:
+            from zygos.ground.page import write_ground_report  # noqa: PLC0415  (only a report needs charts)
+
+            write_ground_report(report, found, source, written=where)
+    finally:
+        if json:
+            write_json(json, found.as_dict())
+    if found.validity != "valid":
+        raise Undecided(f"{found.validity}: {found.reason} ({where}); remedy: {found.remedy}")
+
+
+def _print_parameters(found: GroundEstimate) -> None:
+    several = np.isfinite(found.spread).any()
+    rows = [
+        (
+            name,
+            unit,
+            number(value),
+            number(float(f"{half:.2g}")),
+            number(100 * ratio(half, abs(value)), 2),
+            *((number(float(f"{spread:.2g}")),) if several else ()),
+        )
+        for name, unit, value, half, spread in zip(
+            found.names, found.units, found.value, found.half95, found.spread, strict=True
+        )
+    ]
+    table(("name", "unit", "estimate", "±95 %", "in %", *(("without a run",) if several else ())), rows)
+
+
+def _print_joints(found: GroundEstimate) -> None:
+    s = found.solution
+    rows = [
+        (
+            joint.name,
+            number(100 * float(s.share[j]), 3),
+            number(float(found.torque_sigma[j]), 3),
+            number(float(found.excess[j]), 3),
+            " ".join(number(float(one), 2) for one in s.offset[:, j]),
+        )
+        for j, joint in enumerate(found.arm.joints)
+    ]
+    unit = found.arm.torque_unit
+    table(("joint", "held-out left, %", f"residual as noise, {unit}", "in noise", f"offset by run, {unit}"), rows)
+
+
+def _print_across(found: GroundEstimate) -> None:
+    """What each run alone leaves of the others."""
+    names = [run.path.parent.name + "/" + run.path.name if run.path else str(k) for k, run in enumerate(found.runs)]
+    rows = [
+        (f"from {name}", *(number(100 * float(cell), 3) for cell in line))
+        for name, line in zip(names, found.across, strict=True)
+    ]
+    table(("torque left, %", *(f"in {name}" for name in names)), rows)
+
+
+def print_score(score: Score, before: str = "") -> None:
+    """Table of a prediction."""
+    rows = [
+        (
+            one.joint,
+            number(one.measured_nm, 4),
+            number(one.error_nm, 3),
+            number(100 * one.share, 3),
+            number(one.offset_nm, 2),
+            number(100 * one.raw_share, 3),
+            number(one.energy_error_j, 3),
+            number(100 * one.energy_share, 3),
+            number(one.sigmas, 3),
+        )
+        for one in score.joints
+    ]
+    heads = ("joint", "torque, Nm", "error, Nm", "in %", "offset, Nm", "with offset, %", "work in 1 s, J", "in %", "σ")
+    table(heads, rows, title=f"{before}{score.run.path or 'the run'} at {score.cutoff_hz:.1f} Hz")
+
+
+def scores_table(scores: Sequence[Score]) -> None:
+    """Tables of several predictions."""
+    for one in scores:
+        print_score(one)
