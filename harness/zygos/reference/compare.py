@@ -248,7 +248,7 @@ def sizes(arm: Arm, x: Floats) -> Floats:
         # an error of a parameter is one of all full parameters that contain it
         basis = np.abs(arm.structure.basis)
         full = _full_sizes(arm, arm.structure.expanded(x[:own]))
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore"):
             least = np.min(np.where(basis > 0.0, full[:, None] / basis, np.inf), axis=0)
         return np.concatenate([np.maximum(np.abs(x[:own]), least), np.abs(x[own:])])
     return _full_sizes(arm, x)
