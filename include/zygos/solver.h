@@ -15,6 +15,7 @@
 #include "guard.h"
 #include "jointsums.h"
 #include "momentumsums.h"
+#include "motorsums.h"
 #include "types.h"
 
 #ifdef __cplusplus
@@ -71,6 +72,9 @@ enum zygos_reason {
 /// ratio, zero, sign or torque law, an effect that is not configured, noise of the torques, or a torque on the base.
 #define ZYGOS_CLUSTER_LIMIT 5.0
 #define ZYGOS_CLUSTER_SHARE 5e-3
+/// The same share where joint rows alone are solved: a small constant torque is all that is wrong with many arms, and
+/// the errors of smoothing do not persist in these rows.
+#define ZYGOS_JOINT_CLUSTER_SHARE 1e-3
 /// Where the balance closes only because of that share, the sigmas allow for a residual that all blocks have in common:
 /// for the part of the cluster statistic above this value, which noise does not reach.
 #define ZYGOS_CLUSTER_NOISE 1.0
@@ -87,6 +91,8 @@ enum zygos_reason {
 /// solution without it, and the second, smaller limit holds for them.
 #define ZYGOS_SIGMA_LIMIT 0.25
 #define ZYGOS_SIGMA_LIMIT_BESIDE 0.025
+/// The least number of groups of joint rows from which standard deviations are computed.
+#define ZYGOS_MIN_GROUPS 4u
 /// Deviation of the newest arc from all arcs before it, in standard deviations, from which on it is a change.
 #define ZYGOS_CHANGE_ALARM 6.0
 /// The least number of blocks before the newest arc: the scatter of fewer blocks causes false alarms.
@@ -131,9 +137,11 @@ typedef struct {
 /// belongs to the task that solves; its members are not for reading.
 typedef struct {
     zygos_accumulator_t accumulator;
-    zygos_joint_sums_t joint_sums;
+    zygos_motor_sums_t motor_sums;
     zygos_momentum_sums_t momentum_sums;
+    zygos_joint_sums_t joint_sums;
     zygos_guard_t guard;
+    double joints_forgetting;
     uint64_t cycle;
     uint32_t arc; ///< Number of instants in the open arc of the energy rows.
     uint32_t reserved;
@@ -149,9 +157,13 @@ typedef struct {
     double size[ZYGOS_MAX_PARAMETERS];
     double noise_shift[ZYGOS_MAX_PARAMETERS];
     double score[ZYGOS_MAX_PARAMETERS];
-    double leave_one_out[ZYGOS_MAX_BLOCKS + ZYGOS_MAX_JOINT_BLOCKS + ZYGOS_MOMENTUM_PLACES][ZYGOS_MAX_PARAMETERS];
+    double leave_one_out[ZYGOS_MAX_BLOCKS + ZYGOS_MAX_MOTOR_BLOCKS + ZYGOS_MOMENTUM_PLACES + ZYGOS_GROUP_PLACES]
+                        [ZYGOS_MAX_PARAMETERS];
     double weight[ZYGOS_MAX_JOINTS];      ///< Weight of each joint's motor rows, that of the energy rows being 1.
     double momentum_weight;               ///< Weight of the momentum rows.
+    double joints_weight;                 ///< Weight of the joint rows.
+    uint32_t joints_alone;                ///< 1: they alone are solved.
+    uint32_t joints_used;                 ///< 1: they take part.
     double inverse[ZYGOS_MAX_PARAMETERS]; ///< Diagonal of the inverse of the scaled matrix.
     double information[2][ZYGOS_MAX_PARAMETERS];
     double degrees_of_freedom[ZYGOS_MAX_PARAMETERS];
