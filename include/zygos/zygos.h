@@ -134,8 +134,8 @@ int zygos_resume(zygos_t *self, const zygos_config_t *config);
 /// run in the receive interrupt while zygos_step() runs in a task. Returns enum zygos_reception or an enum zygos_error.
 int zygos_frame(zygos_t *self, const zygos_frame_t *frame);
 
-/// Processes at most one complete cycle: smooths the signals, forms the rows and accumulates them. Returns 1, or 0 when no
-/// cycle was waiting. Cost: the same for every valid cycle of a configuration, except where a block or an arc ends.
+/// Processes at most one complete cycle: smooths the signals, forms the rows and accumulates them. Returns 1, or 0 when
+/// no cycle was waiting. Cost: the same for every valid cycle of a configuration, except where a block or an arc ends.
 int zygos_step(zygos_t *self);
 
 /// Processes one cycle in SI units, instead of zygos_frame() and zygos_step(); do not use both for one arm. Call it in
