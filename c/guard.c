@@ -327,8 +327,7 @@ static void add_momentum_residuals(const zygos_guard_t *self, const zygos_column
 {
     uint32_t place[ZYGOS_MAX_MOMENTUM];
     for (uint32_t c = 0; c < sums->columns; c++) {
-        place[c] =
-            column_map->place[(c < column_map->kinetic) ? c : column_map->joint[c - column_map->kinetic]];
+        place[c] = column_map->place[(c < column_map->kinetic) ? c : column_map->joint[c - column_map->kinetic]];
         const double x = (place[c] != ZYGOS_NO_PLACE) ? self->solution[place[c]] : 0.0;
         out->spread += x * x * rows->gram[zygos_gram_entries(c + 1u) - 1u];
     }

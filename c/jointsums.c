@@ -11,7 +11,7 @@
 #define ENTRIES 1u
 #define APART 2u
 
-_Static_assert(ZYGOS_SEGMENT_INCREMENTS * ZYGOS_MIN_INCREMENT / 4u > ZYGOS_MAX_JOINTS + 1,
+_Static_assert(ZYGOS_SEGMENT_INCREMENTS *ZYGOS_MIN_INCREMENT / 4u > ZYGOS_MAX_JOINTS + 1,
                "a segment must be added before the next one is complete");
 
 static uint64_t checksum_of(const zygos_joint_sums_t *self)
@@ -95,7 +95,8 @@ void zygos_joint_sums_tables(zygos_joint_sums_t *self, const zygos_config_t *con
         zygos_smoother_variance(smoother, (s < n) ? s : 2u * n, variance);
         const zygos_joint_config_t *joint = &config->joint[(s < n) ? s : 0u];
         const double reading = (joint->rigid != 0) ? joint->motor_sigma_rad : joint->link_sigma_rad;
-        const double square = (s < n) ? reading * reading * variance[2] : config->imu_sigma * config->imu_sigma * variance[0];
+        const double square =
+            (s < n) ? reading * reading * variance[2] : config->imu_sigma * config->imu_sigma * variance[0];
         self->deviation[s] = __builtin_sqrt(both_ends * (double)signals * square);
     }
     for (uint32_t i = 0; i < n; i++) {
@@ -177,7 +178,6 @@ void zygos_joint_sums_clear(zygos_joint_sums_t *self)
     self->checksum = checksum_of(self);
 }
 
-
 /* The group of the newest complete segment. */
 static uint32_t group_of(const zygos_joint_sums_t *self)
 {
@@ -238,8 +238,7 @@ static void add_entries(zygos_joint_sums_t *self, uint32_t most)
          count);
     self->cursor += count;
     if (self->cursor == entries) {
-        move(self,
-             (entries_t){ segment->rows.sum, segment->noise.sum, group->sum, self->noise.sum, self->apart.sum },
+        move(self, (entries_t){ segment->rows.sum, segment->noise.sum, group->sum, self->noise.sum, self->apart.sum },
              self->width);
         self->adding = APART;
     }
@@ -316,8 +315,7 @@ static void add_noise(zygos_joint_sums_t *self, const zygos_config_t *config, co
 }
 
 void zygos_joint_sums_add(zygos_joint_sums_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
-                          const zygos_joint_t *joint, const zygos_joint_row_t *row, uint64_t cycle,
-                          double *forgetting)
+                          const zygos_joint_t *joint, const zygos_joint_row_t *row, uint64_t cycle, double *forgetting)
 {
     zygos_joint_segment_t *segment = &self->segment[self->filling];
     const double weight = row->accepted * self->weight[row->joint];

@@ -14,9 +14,9 @@ static bool in_range(const zygos_config_t *config, const zygos_column_map_t *col
     const zygos_reduction_t *entry = config->reduction;
     bool good = (config->reductions <= (uint32_t)ZYGOS_MAX_REDUCTION);
     for (uint32_t k = 0; good && (k < config->reductions); k++) {
-        const bool follows = (k == 0) || (entry[k].column > entry[k - 1u].column) ||
-                             ((entry[k].column == entry[k - 1u].column) &&
-                              (entry[k].parameter > entry[k - 1u].parameter));
+        const bool follows =
+            (k == 0) || (entry[k].column > entry[k - 1u].column) ||
+            ((entry[k].column == entry[k - 1u].column) && (entry[k].parameter > entry[k - 1u].parameter));
         const double size = __builtin_fabs(entry[k].factor);
         good = follows && (entry[k].column < column_map->effects) && (entry[k].parameter < config->reduced) &&
                (size > 0.0) && (size <= LARGEST_FACTOR);
@@ -126,8 +126,8 @@ void zygos_reduce(const zygos_config_t *config, const zygos_column_map_t *column
     }
 }
 
-void zygos_expand(const zygos_config_t *config, const zygos_column_map_t *column_map,
-                  const double *restrict parameters, double *restrict out)
+void zygos_expand(const zygos_config_t *config, const zygos_column_map_t *column_map, const double *restrict parameters,
+                  double *restrict out)
 {
     const zygos_reduction_t *entry = config->reduction;
     if (config->reduced == 0) {

@@ -245,7 +245,8 @@ static void scaled_without_group(zygos_work_t *work, uint32_t p, uint32_t g)
     const double *gram = work->joint_sums.group[g].rows.gram;
     const double factor = group_factor(work, g);
     const double rows = work->joints_alone ? work->instants : 1.0;
-    const double part = work->joints_alone ? work->joint_sums.group[g].fade * work->joint_sums.group[g].count / rows : 0.0;
+    const double part =
+        work->joints_alone ? work->joint_sums.group[g].fade * work->joint_sums.group[g].count / rows : 0.0;
     scaled_equations(work, p, NULL, work->noise_scale);
     for (uint32_t i = 0; i <= p; i++) {
         for (uint32_t j = 0; j <= ((i < p) ? i : p - 1u); j++) {
@@ -915,8 +916,8 @@ static void add_common_error(const zygos_work_t *work, uint32_t p, double system
 {
     const double half_s = 0.5 * work->config.period_s * (double)work->config.joint_row_cycles;
     const double joints = (double)work->config.joints;
-    const double blocks = work->joints_alone ? work->joint_sums.apart_sums / joints
-                                             : (double)(work->blocks.end - work->blocks.first);
+    const double blocks =
+        work->joints_alone ? work->joint_sums.apart_sums / joints : (double)(work->blocks.end - work->blocks.first);
     const double arcs = work->joints_alone ? work->instants / joints * half_s / SYSTEMATIC_S
                                            : work->instants / (double)work->config.arc_cycles;
     /* The noise of torques adds up from row to row, as far as any noise does. */

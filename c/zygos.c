@@ -9,7 +9,7 @@
 #define LARGEST_SUM 1e150
 #define TWO_SIGMAS 1.959964 /* 95 % of a normal distribution */
 #define LONGEST_INCREMENT 1000000u
-#define SHORTEST 8u         /* an instant that fails the bandwidth test ends an arc from this part of the longest on */
+#define SHORTEST 8u /* an instant that fails the bandwidth test ends an arc from this part of the longest on */
 
 uint32_t zygos_abi(void)
 {
@@ -305,10 +305,10 @@ static void add_joints(zygos_t *self)
     }
     zygos_joint_sums_step(&self->joint_sums, config, self->arm_state.accepted);
     if (zygos_joint_row(&self->joint, config, &self->column_map, &self->geometry, &self->arm_state, &self->motion,
-                        zygos_balance_torque_before(&self->balance),
-                        zygos_balance_torque_after(&self->balance, config), &self->joint_row) == 1) {
-        zygos_joint_sums_add(&self->joint_sums, config, &self->column_map, &self->joint, &self->joint_row,
-                             self->cycle, &self->joints_forgetting);
+                        zygos_balance_torque_before(&self->balance), zygos_balance_torque_after(&self->balance, config),
+                        &self->joint_row) == 1) {
+        zygos_joint_sums_add(&self->joint_sums, config, &self->column_map, &self->joint, &self->joint_row, self->cycle,
+                             &self->joints_forgetting);
     }
 }
 

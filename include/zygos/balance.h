@@ -46,7 +46,7 @@ typedef struct {
 /// One row of the balance.
 typedef struct {
     double column[ZYGOS_MAX_COLUMNS]; ///< In the order above.
-    double work;                         ///< Work of the motors [J].
+    double work;                      ///< Work of the motors [J].
 } zygos_row_t;
 
 /// The bias of the integrals of squared rates by noise in one period, which is subtracted (noise.h).
@@ -61,14 +61,14 @@ typedef struct {
 /// The column index of each joint's first parameter, and the numbers of columns and parameters. Where the configuration
 /// has no reduction, the parameters are the columns.
 typedef struct {
-    uint32_t kinetic;                 ///< Number of kinetic parameters of the bodies, which are the first columns.
-    uint32_t body;                    ///< Number of all parameters of the bodies.
-    uint32_t joint[ZYGOS_MAX_JOINTS]; ///< Column of Im_i, or of k_i where there is no Im_i.
-    uint32_t rotor[ZYGOS_MAX_JOINTS]; ///< 1 where there is an Im_i.
-    uint32_t effects;                 ///< Column of the first effect.
-    uint32_t count;                   ///< Number of columns.
-    uint32_t reduced;                 ///< Parameter of the first effect, the number of all others.
-    uint32_t parameters;              ///< p, the number of parameters.
+    uint32_t kinetic;                  ///< Number of kinetic parameters of the bodies, which are the first columns.
+    uint32_t body;                     ///< Number of all parameters of the bodies.
+    uint32_t joint[ZYGOS_MAX_JOINTS];  ///< Column of Im_i, or of k_i where there is no Im_i.
+    uint32_t rotor[ZYGOS_MAX_JOINTS];  ///< 1 where there is an Im_i.
+    uint32_t effects;                  ///< Column of the first effect.
+    uint32_t count;                    ///< Number of columns.
+    uint32_t reduced;                  ///< Parameter of the first effect, the number of all others.
+    uint32_t parameters;               ///< p, the number of parameters.
     uint32_t place[ZYGOS_MAX_COLUMNS]; ///< The parameter that stands for a column, and for no other; or ZYGOS_NO_PLACE.
 } zygos_column_map_t;
 

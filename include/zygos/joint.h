@@ -6,8 +6,8 @@
 ///         = n_j times the integral of tau_j where joint j is rigid, 0 where it is flexible
 ///
 /// This is linear in the columns' parameters (balance.h), needs no acceleration, and there is a row for each joint. The
-/// motor of a flexible joint acts on its rotor, which has a row of its own (impulse.h); the rotor of a rigid joint turns
-/// with its link, and its balance is part of this row. The columns are the derivatives of those of the energy; in
+/// motor of a flexible joint acts on its rotor, which has a row of its own (impulse.h); the rotor of a rigid joint
+/// turns with its link, and its balance is part of this row. The columns are the derivatives of those of the energy; in
 /// addition
 ///
 ///     Im_i                    n_i theta'_i a_i . w_(i-1), differentiated by q'_j and by q_j, for i > j;
@@ -78,9 +78,9 @@ typedef struct {
     uint32_t newest;   ///< Index in ends[] of the older end, which the newest replaces.
     uint32_t turn;     ///< The joint whose row comes next; N when all rows of the increment were formed.
     uint32_t reserved;
-    double jump[ZYGOS_MAX_JOINTS];       ///< At the newest end: step of each rotor's torque [Nm].
+    double jump[ZYGOS_MAX_JOINTS];        ///< At the newest end: step of each rotor's torque [Nm].
     double torque_mean[ZYGOS_MAX_JOINTS]; ///< And its mean before and behind [Nm].
-    zygos_arm_state_t state;             ///< At the newest end.
+    zygos_arm_state_t state;              ///< At the newest end.
     zygos_motion_t motion;
     zygos_joint_integrals_t half[3]; ///< Older, newer, and the one that is being filled, from oldest on.
     zygos_joint_end_t ends[2][ZYGOS_JOINT_PLACES];
@@ -103,8 +103,8 @@ bool zygos_joint_intact(const zygos_joint_t *self, const zygos_config_t *config)
 
 /// Advances the integrals to this instant, and forms the row of a joint if one is due. tau_before[N] and tau[N] are the
 /// torques that act until the instant and from it on. Needs a configuration with joint rows. Returns 1 when there is a
-/// row, otherwise 0. Cost: the derivatives by N angles; in the cycles in which a row is formed also one momentum, and at
-/// the ends of a half one copy of the motion and up to twice the sums.
+/// row, otherwise 0. Cost: the derivatives by N angles; in the cycles in which a row is formed also one momentum, and
+/// at the ends of a half one copy of the motion and up to twice the sums.
 int zygos_joint_row(zygos_joint_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
                     const zygos_geometry_t *geometry, const zygos_arm_state_t *state, const zygos_motion_t *motion,
                     const double *tau_before, const double *tau, zygos_joint_row_t *out);

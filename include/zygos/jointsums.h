@@ -1,20 +1,20 @@
 /// zygos/jointsums.h: accumulates the normal equations of the joint rows in interleaved groups.
 ///
 /// The rows of all joints are added to one matrix. Each is divided by the standard deviation of its joint's torque
-/// noise, if that is declared for every joint; otherwise all have the same weight. Joint rows have no constants: nothing
-/// is centred. Consecutive increments fill a segment; a segment that is complete is added to group s % R, s being its
-/// number, and the standard deviations come from the scatter of the R groups. Groups of interleaved segments have seen
-/// the same motions, which neighbouring blocks have not.
+/// noise, if that is declared for every joint; otherwise all have the same weight. Joint rows have no constants:
+/// nothing is centred. Consecutive increments fill a segment; a segment that is complete is added to group s % R, s
+/// being its number, and the standard deviations come from the scatter of the R groups. Groups of interleaved segments
+/// have seen the same motions, which neighbouring blocks have not.
 ///
 /// There are two buffers for segments. While one is filled, the other one is added to its group and cleared, the same
 /// number of entries in every cycle, so that it is empty when the first one is complete. The bias by the noise of the
 /// rates (joint.h) is summed beside the rows, one signal for each increment in turn with a weight that is larger in
 /// proportion, and subtracted from the segment when it is added.
 ///
-/// Whether the residuals are noise is seen by how they add up: of each joint the sum of the rows of a segment, s, is kept
-/// as the matrix sum of s s^T / (2 rows). Rows that share halves, of torque noise without correlation, give the same
-/// mean square there as in the rows themselves; an error that persists gives one that is larger in proportion to the
-/// length of a segment.
+/// Whether the residuals are noise is seen by how they add up: of each joint the sum of the rows of a segment, s, is
+/// kept as the matrix sum of s s^T / (2 rows). Rows that share halves, of torque noise without correlation, give the
+/// same mean square there as in the rows themselves; an error that persists gives one that is larger in proportion to
+/// the length of a segment.
 ///
 /// Forgetting multiplies a group when the next segment is added to it, and the solver does the rest. A void cycle
 /// (cycle.h) drops the segments that are not being added yet; those that are, stay and are counted.
@@ -41,7 +41,8 @@ extern "C" {
 #define ZYGOS_SEGMENT_INCREMENTS 16u
 #define ZYGOS_SEGMENT_S 2.0
 
-/// The length of a joint row that is augmented by the right side. With ZYGOS_JOINT_ROWS = 0 there is no memory for rows.
+/// The length of a joint row that is augmented by the right side. With ZYGOS_JOINT_ROWS = 0 there is no memory for
+/// rows.
 #if ZYGOS_JOINT_ROWS
 #define ZYGOS_MAX_JOINT_ROW (ZYGOS_MAX_PARAMETERS + 1)
 #define ZYGOS_GROUP_PLACES ZYGOS_JOINT_GROUPS
@@ -60,7 +61,7 @@ typedef struct {
 /// A segment that is being filled, or added to its group.
 typedef struct {
     zygos_joint_gram_t rows;
-    zygos_joint_gram_t noise; ///< Expected products of noise.
+    zygos_joint_gram_t noise;                              ///< Expected products of noise.
     double apart[ZYGOS_JOINT_PLACES][ZYGOS_MAX_JOINT_ROW]; ///< Sums of each joint's rows.
     double count[ZYGOS_JOINT_PLACES];                      ///< Number of accepted rows of each joint.
 } zygos_joint_segment_t;
@@ -74,37 +75,37 @@ typedef struct {
 
 /// The normal equations of the joint rows.
 typedef struct {
-    uint32_t width;      ///< Length of a row, p + 1; 0 where the configuration has no such rows.
-    uint32_t increments; ///< Number of increments in a segment.
-    uint32_t slice;      ///< Number of entries that are added to the group in each cycle.
-    uint32_t corrupt;    ///< 1: the checksum did not match when a segment was complete.
-    uint32_t filling;    ///< Index of the buffer that is filled.
-    uint32_t adding;     ///< 1: entries of the other one are added to its group; 2: the sums of its joints' rows.
-    uint32_t cursor;     ///< Number of its entries that were added.
-    uint32_t filled;     ///< Number of increments in the segment that is filled.
-    uint32_t turn;       ///< The signal whose noise is added to the rows of this increment.
-    uint32_t dropped;    ///< Number of segments that were dropped because of void cycles.
-    uint32_t doubtful;   ///< Number of segments that contain void cycles and could not be dropped.
+    uint32_t width;       ///< Length of a row, p + 1; 0 where the configuration has no such rows.
+    uint32_t increments;  ///< Number of increments in a segment.
+    uint32_t slice;       ///< Number of entries that are added to the group in each cycle.
+    uint32_t corrupt;     ///< 1: the checksum did not match when a segment was complete.
+    uint32_t filling;     ///< Index of the buffer that is filled.
+    uint32_t adding;      ///< 1: entries of the other one are added to its group; 2: the sums of its joints' rows.
+    uint32_t cursor;      ///< Number of its entries that were added.
+    uint32_t filled;      ///< Number of increments in the segment that is filled.
+    uint32_t turn;        ///< The signal whose noise is added to the rows of this increment.
+    uint32_t dropped;     ///< Number of segments that were dropped because of void cycles.
+    uint32_t doubtful;    ///< Number of segments that contain void cycles and could not be dropped.
     uint32_t apart_count; ///< Number of its joints whose sums were added.
-    uint64_t segments;   ///< Number of segments that were complete.
-    uint64_t accepted;   ///< Number of accepted instants.
-    uint64_t refused;    ///< Number of instants that the bandwidth test refused.
-    uint64_t end;        ///< Number of the newest cycle in a complete segment.
-    uint64_t checksum;   ///< Of the counts and factors.
-    double keep;         ///< Factor by which noise and apart are multiplied when the segment is added.
-    double keep_group;   ///< And its group.
-    double apart_sums;   ///< Number of sums in apart, weighted as they are.
-    double weight[ZYGOS_MAX_JOINTS];             ///< Factor of each joint's rows [1/Nm, or 1].
-    double deviation[ZYGOS_MAX_JOINTS + 3];      ///< Of each signal, times the root of 2 and of their number [rad/s].
-    double rotor_variance[ZYGOS_MAX_JOINTS];     ///< Of the rate of each rotor with a spring, times 2 [rad^2/s^2].
-    zygos_joint_gram_t noise; ///< Noise that was subtracted.
-    zygos_joint_gram_t apart; ///< Sum of s s^T / (2 rows).
+    uint64_t segments;    ///< Number of segments that were complete.
+    uint64_t accepted;    ///< Number of accepted instants.
+    uint64_t refused;     ///< Number of instants that the bandwidth test refused.
+    uint64_t end;         ///< Number of the newest cycle in a complete segment.
+    uint64_t checksum;    ///< Of the counts and factors.
+    double keep;          ///< Factor by which noise and apart are multiplied when the segment is added.
+    double keep_group;    ///< And its group.
+    double apart_sums;    ///< Number of sums in apart, weighted as they are.
+    double weight[ZYGOS_MAX_JOINTS];         ///< Factor of each joint's rows [1/Nm, or 1].
+    double deviation[ZYGOS_MAX_JOINTS + 3];  ///< Of each signal, times the root of 2 and of their number [rad/s].
+    double rotor_variance[ZYGOS_MAX_JOINTS]; ///< Of the rate of each rotor with a spring, times 2 [rad^2/s^2].
+    zygos_joint_gram_t noise;                ///< Noise that was subtracted.
+    zygos_joint_gram_t apart;                ///< Sum of s s^T / (2 rows).
     zygos_joint_segment_t segment[2];
     zygos_joint_group_t group[ZYGOS_GROUP_PLACES];
 } zygos_joint_sums_t;
 
-/// Returns whether the joint rows alone determine the estimate: the base is fixed and no joint has a spring. The noise of
-/// torques adds up in the work of the motors, so that energy rows would contradict good estimates there.
+/// Returns whether the joint rows alone determine the estimate: the base is fixed and no joint has a spring. The noise
+/// of torques adds up in the work of the motors, so that energy rows would contradict good estimates there.
 bool zygos_joint_sums_suffice(const zygos_config_t *config);
 
 /// Computes what follows from the configuration: width, segments, weights and noise. The sums are not changed. Needs a
@@ -129,8 +130,7 @@ void zygos_joint_sums_step(zygos_joint_sums_t *self, const zygos_config_t *confi
 /// the forgetting factors since the last segment; it is set to 1 when a segment is complete. Cost: the reduction of two
 /// rows and one update of p + 1 columns for each.
 void zygos_joint_sums_add(zygos_joint_sums_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
-                          const zygos_joint_t *joint, const zygos_joint_row_t *row, uint64_t cycle,
-                          double *forgetting);
+                          const zygos_joint_t *joint, const zygos_joint_row_t *row, uint64_t cycle, double *forgetting);
 
 /// Adds both segments to their groups at once. The segment that is filled counts as complete. Cost: two passes over the
 /// sums of a segment.

@@ -33,7 +33,7 @@ extern "C" {
 
 /// The columns that contain the noise of one sensor, in ascending order.
 typedef struct {
-    uint32_t count;                           ///< Number of columns.
+    uint32_t count;                        ///< Number of columns.
     uint32_t place[ZYGOS_MAX_COLUMNS + 1]; ///< Their indices.
 } zygos_column_list_t;
 

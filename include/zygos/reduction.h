@@ -2,8 +2,8 @@
 ///
 /// Some columns are linear combinations of others in every motion, because of the arm's geometry: axes that are
 /// parallel or perpendicular, a base that does not move. A row over all columns, z, is then formed as before, and
-/// z E is accumulated in its place, with a constant matrix E of full column rank: columns . (E parameters) = right side.
-/// What is estimated are the parameters that E leaves, followed by the coefficients of the effects, which are not
+/// z E is accumulated in its place, with a constant matrix E of full column rank: columns . (E parameters) = right
+/// side. What is estimated are the parameters that E leaves, followed by the coefficients of the effects, which are not
 /// reduced. Without a reduction E is the unit matrix.
 ///
 /// On a free base E must be a selection, one entry of 1 for each parameter, in ascending order; on a fixed base it is

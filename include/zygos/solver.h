@@ -109,14 +109,15 @@ typedef struct {
     uint32_t parameters; ///< p.
     uint32_t validity;   ///< enum zygos_validity.
     uint32_t reason;     ///< enum zygos_reason.
-    uint32_t arcs;       ///< Number of arcs in the sums, including the open one.
-    uint32_t blocks;     ///< Number of blocks from which the sigmas are computed.
+    uint32_t arcs;       ///< Number of arcs in the sums, including the open one; segments, of joint rows alone.
+    uint32_t blocks;     ///< Number of blocks from which the sigmas are computed; groups, of joint rows alone.
     uint32_t rank;       ///< Number of independent columns.
     uint32_t left_out[ZYGOS_KINDS_OF_ROWS]; ///< Number of excluded arcs, by enum zygos_rows, including open ones.
     uint32_t consecutive;                   ///< Number of consecutive newest arcs of energy rows that were excluded.
     double condition;   ///< 1-norm condition of the scaled normal matrix of the independent columns.
     double cluster;     ///< The statistic of ZYGOS_CLUSTER_LIMIT: around 1 for noise, at most the instants of a block.
-    double residual;    ///< Root mean square of W - row . x without the constants of the arcs [J].
+    double residual;    ///< Root mean square of W - row . x without the constants of the arcs [J]; where joint rows
+                        ///< alone are solved, of these [Nms], divided by the torque's deviation if all are declared.
     double noise_ratio; ///< Square of residual over the share of the declared noise in it; NaN where none is declared.
     double signal_to_noise; ///< The ratio of ZYGOS_MIN_SIGNAL_TO_NOISE; infinite where no noise is declared.
     uint32_t identifiable[ZYGOS_MAX_PARAMETERS]; ///< 1; or 0, and value and sigma are NaN.
@@ -208,6 +209,9 @@ bool zygos_work_intact(zygos_work_t *work);
 /// parameters may deviate than have changed. Call it twice in an arc, because the changed arc is on the side before as
 /// soon as the next arc is compared. The open arc is compared even if it contradicts the running solution (guard.h). If
 /// there is a running solution, a newest arc that its own solution does not explain is not a change.
+///
+/// Joint rows take no part: the groups belong to the whole run. Where they alone determine the estimate, there is no
+/// comparison (ZYGOS_REASON_NO_DATA).
 ///
 /// The function changes *work, as zygos_solve() does: call zygos_take() before each of them. Returns 1; 0 when all
 /// deviations are NaN, because something is not identifiable or not explained, either before (validity is then

@@ -206,9 +206,9 @@ enum zygos_error {
     ZYGOS_E_LENGTH = -21,     ///< The snapshot is cut off, or more bytes follow it.
     ZYGOS_E_CRC = -22,        ///< Bytes of the snapshot were changed.
     ZYGOS_E_CONFIG = -23,     ///< The state was made with another configuration.
-    ZYGOS_E_STATE = -24, ///< The state contains an impossible index, count or length: memory was changed before the
-                         ///< state was sealed.
-    ZYGOS_E_SUMS = -25,  ///< The sums of the state do not match their row sums: memory was changed, as above.
+    ZYGOS_E_STATE = -24,    ///< The state contains an impossible index, count or length: memory was changed before the
+                            ///< state was sealed.
+    ZYGOS_E_SUMS = -25,     ///< The sums of the state do not match their row sums: memory was changed, as above.
     ZYGOS_E_REDUCTION = -26 ///< The reduction is out of order or out of range, leaves a parameter without a column, is
                             ///< no selection on a free base, or does not select Im, k and b of a flexible joint.
 };
@@ -244,8 +244,10 @@ enum zygos_effect_kind {
     ZYGOS_CUBIC_STIFFNESS = 3, ///< Spring torque proportional to the cube of the deflection [Nm/rad^3].
     ZYGOS_TORQUE_LAG = 4,      ///< Delay of the motor torque behind the torque of the law [s], less than a period.
     ZYGOS_SPRING_OFFSET = 5,   ///< Spring torque at theta = q [Nm]: -k times the error of the reading theta - q.
-    ZYGOS_TORQUE_OFFSET = 6, ///< Constant by which the reported rotor torque exceeds the true one [Nm], before the gear.
-    ZYGOS_VISCOUS_ASYMMETRY = 7 ///< Half of the difference of a rotor's viscous friction between the directions [Nms/rad].
+    ZYGOS_TORQUE_OFFSET =
+        6, ///< Constant by which the reported rotor torque exceeds the true one [Nm], before the gear.
+    ZYGOS_VISCOUS_ASYMMETRY =
+        7 ///< Half of the difference of a rotor's viscous friction between the directions [Nms/rad].
 };
 
 /// One effect to identify.

@@ -134,8 +134,8 @@ int zygos_resume(zygos_t *self, const zygos_config_t *config);
 /// run in the receive interrupt while zygos_step() runs in a task. Returns enum zygos_reception or an enum zygos_error.
 int zygos_frame(zygos_t *self, const zygos_frame_t *frame);
 
-/// Processes at most one complete cycle: smooths the signals, forms the rows and accumulates them. Returns 1, or 0 when no
-/// cycle was waiting. Cost: the same for every valid cycle of a configuration, except where a block or an arc ends.
+/// Processes at most one complete cycle: smooths the signals, forms the rows and accumulates them. Returns 1, or 0 when
+/// no cycle was waiting. Cost: the same for every valid cycle of a configuration, except where a block or an arc ends.
 int zygos_step(zygos_t *self);
 
 /// Processes one cycle in SI units, instead of zygos_frame() and zygos_step(); do not use both for one arm. Call it in
@@ -152,8 +152,8 @@ void zygos_take(const zygos_t *self, zygos_work_t *work);
 /// an arc that contradicts it is excluded from the sums and counted. Sums that the estimate excluded (its member since)
 /// are dropped. Call it once or twice in an arc, with the result of zygos_solve() on the newest zygos_take(). Without
 /// this call no arc is excluded. Call it in the task of zygos_step(). Returns 1 when the estimate was adopted; 0, with
-/// sums and running solution unchanged, when the estimate is not valid or is older than zygos_restart(); or an enum
-/// zygos_error. After the running solution was given up, an estimate that is doubtful only because of
+/// sums and running solution unchanged, when the estimate is not valid or is older than zygos_restart(), or where joint rows alone determine it
+/// (jointsums.h); or an enum zygos_error. After the running solution was given up, an estimate that is doubtful only because of
 /// ZYGOS_REASON_CHANGED is adopted as well. Cost: one pass over the sums of the motor and momentum rows and two over
 /// the covariance; where sums are dropped, the others are moved once.
 int zygos_adopt(zygos_t *self, const zygos_estimate_t *estimate);

@@ -6,7 +6,7 @@ The rows' columns are derived in numpy from the energy (test_joint_rows.py); mot
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import product
+from itertools import pairwise, product
 from pathlib import Path
 
 import numpy as np
@@ -76,7 +76,9 @@ def test_rows_are_numpys(joints: int, base: str, kinetic: str, kind: str) -> Non
     np.testing.assert_array_equal(accepted > 0.0, expected.accepted[:m])
 
 
-@pytest.mark.parametrize(("joints", "kinetic"), [(1, "planar"), (2, "planar-symmetric"), (3, "spatial"), (7, "spatial")])
+@pytest.mark.parametrize(
+    ("joints", "kinetic"), [(1, "planar"), (2, "planar-symmetric"), (3, "spatial"), (7, "spatial")]
+)
 def test_rows_balance_for_the_bodies_that_moved(joints: int, kinetic: str) -> None:
     """A fixed base, rigid joints, Pinocchio's torques: nothing is left but the trapezoid of the sampled torques."""
     known = random_ground(joints, kinetic, 1500)
@@ -155,7 +157,9 @@ def test_noise_of_the_rates_is_what_a_sample_of_it_shows() -> None:
     """Squares of noisy rows less those of exact ones, on average over draws, for every pair of columns."""
     known = random_ground(3, "spatial", 1000)
     arm = replace(known.arm, compensate_every=1)
-    sigma = arm.joints[0].motor_encoder.sigma_rad * 40.0  # 40 times the noise, so that products with the signal are small
+    sigma = (
+        arm.joints[0].motor_encoder.sigma_rad * 40.0
+    )  # 40 times the noise, so that products with the signal are small
     encoder = replace(arm.joints[0].motor_encoder, quantum_rad=sigma * np.sqrt(12.0))
     arm = replace(arm, joints=tuple(replace(j, link_encoder=encoder, motor_encoder=encoder) for j in arm.joints))
     draws, p = 60, len(arm.parameter_names)
@@ -201,7 +205,7 @@ def test_a_run_in_pieces_of_any_length_gives_the_same_sums() -> None:
         if len(z):
             table = np.concatenate([z, w[..., None]], axis=-1).reshape(-1, z.shape[-1] + 1)
             assert len(table) <= count < len(table) + known.arm.n
-    grown = [np.linalg.eigvalsh(b - a)[0] / np.trace(b) for a, b in zip(totals, totals[1:], strict=False)]
+    grown = [np.linalg.eigvalsh(b - a)[0] / np.trace(b) for a, b in pairwise(totals)]
     assert min(grown) >= -1e-9  # rows are added, none is lost
 
 
@@ -266,7 +270,7 @@ def test_forgetting_fades_the_groups() -> None:
     assert abs(count / expected - 1.0) <= 0.25  # a segment of 2 s counts as a whole
     assert all_rows >= 3.0 * count
     # weight falls to 1/e in 5 s: the energy of the right side agrees with a sum of the rows with these weights
-    z, w, _ = rows_of(known.arm, known.cycles())
+    _, w, _ = rows_of(known.arm, known.cycles())
     age = half_s * np.arange(len(w))[::-1]
     weighed = float(np.sum(np.exp(-age / 5.0)[:, None] * w**2))
     total = float(sum(sums[-1, -1] for sums, _ in flight.blocks().joints))
@@ -328,7 +332,8 @@ def test_which_reductions_are_refused() -> None:
     mixed, _ = random_arm(1, 3, "fixed", "spatial", [True, False, False])
     free, _ = random_arm(1, 3, "free", "spatial", True)
     unit = np.eye(len(fixed.full_parameters))
-    assert reduced(fixed, unit) == reduced(fixed, unit[:, :-4]) == reduced(fixed, unit + np.diag(unit[1:, 1:].sum(0), 1)) == 1
+    for matrix in (unit, unit[:, :-4], unit + np.eye(len(unit), k=1)):
+        assert reduced(fixed, matrix) == 1
     assert reduced(fixed, np.column_stack([unit, unit[:, 0]])) == lib.ZYGOS_E_REDUCTION  # more parameters than columns
     assert reduced(fixed, unit * np.where(np.arange(len(unit)) == 3, 0.0, 1.0)) == lib.ZYGOS_E_REDUCTION  # an empty one
     assert reduced(fixed, np.nan * unit) == reduced(fixed, 1e12 * unit) == lib.ZYGOS_E_REDUCTION

@@ -268,22 +268,7 @@ def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
             f"arm {arm.name!r} wants momentum rows, this build has no room for them; "
             "remedy: momentum_max_s = 0 in [arc], or rebuild with -DZYGOS_MOMENTUM=1"
         )
-    for i, joint in enumerate(arm.joints):
-        out = config.joint[i]
-        out.node = joint.node
-        out.latch_us = joint.latch_us
-        out.rigid = int(not joint.flexible)
-        # the bodies of a planar arm have the base's frame in its stretched posture
-        out.axis = list(joint.axis if arm.spatial else arm.axis)
-        if arm.spatial:
-            out.frame = (arm.frames[i].T @ arm.frames[i + 1]).ravel().tolist()
-        out.gear_ratio = arm.gear_ratios[i]
-        declared = joint.torque_sigma > 0.0
-        out.torque_sigma = out.gear_ratio * joint.over_the_wire.torque_sigma if declared else 0.0
-        link, motor = joint.link_encoder.over_the_wire, joint.motor_encoder.over_the_wire
-        out.link_sign, out.link_zero_rad, out.link_sigma_rad = link.sign, link.zero_rad, link.sigma_rad
-        out.motor_sign, out.motor_zero_rad, out.motor_sigma_rad = motor.sign, motor.zero_rad, motor.sigma_rad
-        out.link_latch_s, out.motor_latch_s = link.latch_us * 1e-6, motor.latch_us * 1e-6
+    _fill_joints(config, arm)
     _fill_reduction(config, arm)
     columns = estimated(arm, effects)
     if len(columns) > lib.ZYGOS_MAX_EFFECTS_VALUE:
@@ -303,6 +288,26 @@ def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
         config.effect[k].kind = kind
         config.effect[k].joint = effect.index(arm)
     return config
+
+
+def _fill_joints(config: Any, arm: Arm) -> None:
+    """Write what the arm file says of the joints into the configuration."""
+    for i, joint in enumerate(arm.joints):
+        out = config.joint[i]
+        out.node = joint.node
+        out.latch_us = joint.latch_us
+        out.rigid = int(not joint.flexible)
+        # the bodies of a planar arm have the base's frame in its stretched posture
+        out.axis = list(joint.axis if arm.spatial else arm.axis)
+        if arm.spatial:
+            out.frame = (arm.frames[i].T @ arm.frames[i + 1]).ravel().tolist()
+        out.gear_ratio = arm.gear_ratios[i]
+        declared = joint.torque_sigma > 0.0
+        out.torque_sigma = out.gear_ratio * joint.over_the_wire.torque_sigma if declared else 0.0
+        link, motor = joint.link_encoder.over_the_wire, joint.motor_encoder.over_the_wire
+        out.link_sign, out.link_zero_rad, out.link_sigma_rad = link.sign, link.zero_rad, link.sigma_rad
+        out.motor_sign, out.motor_zero_rad, out.motor_sigma_rad = motor.sign, motor.zero_rad, motor.sigma_rad
+        out.link_latch_s, out.motor_latch_s = link.latch_us * 1e-6, motor.latch_us * 1e-6
 
 
 def _fill_reduction(config: Any, arm: Arm) -> None:

@@ -128,10 +128,8 @@ def joints_weight(own: Groups, energy: Floats, x: Floats, *, measured: bool) -> 
 
     energy: (p+1, p+1) noise of one energy row.
     """
-    if measured:
-        square = float(np.sum((own.rows.z @ x - own.rows.w) ** 2))
-    else:
-        square = float(x @ own.rows.noise[:-1, :-1] @ x)
+    left = own.rows.z @ x - own.rows.w
+    square = float(left @ left if measured else x @ own.rows.noise[:-1, :-1] @ x)
     return float(explained(energy, x) * len(own.rows.z) / (CAUTION * square)) if square > 0.0 else 0.0
 
 

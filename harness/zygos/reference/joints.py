@@ -18,6 +18,7 @@ from zygos.runs.samples import Samples
 from zygos.runs.smoother import Smoothed
 
 Floats = NDArray[np.float64]
+Places = NDArray[np.int64]
 
 GROUPS = 8
 """Number of groups."""
@@ -40,9 +41,9 @@ class Groups:
     """
 
     rows: Rows
-    group: NDArray[np.int64]
-    segment: NDArray[np.int64]
-    joint: NDArray[np.int64]
+    group: Places
+    segment: Places
+    joint: Places
     shares: Floats
 
     @property
@@ -65,7 +66,7 @@ class Groups:
             for joint in np.unique(self.joint):
                 of = (self.segment == number) & (self.joint == joint)
                 added = table[of].sum(axis=0)
-                total += np.outer(added, added) / (2.0 * max(1, np.count_nonzero(of)))
+                total += np.outer(added, added) / (2.0 * max(1, int(np.count_nonzero(of))))
                 count += int(of.any())
         return total, count
 
@@ -91,7 +92,8 @@ def _torque_sigma(arm: Arm) -> Floats:
 def torque_noise(arm: Arm) -> float:
     """Mean square of the declared noise of torques in a row: that of each period is independent."""
     steps = increment_instants(arm, arm.joint_row_s)
-    return float(np.mean((weights(arm) * _torque_sigma(arm) * arm.period_s) ** 2) * steps)
+    square: Floats = (weights(arm) * _torque_sigma(arm) * arm.period_s) ** 2
+    return float(square.mean()) * steps
 
 
 def groups(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Effect] = ()) -> Groups | None:
@@ -104,8 +106,8 @@ def groups(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Eff
     length = max(SEGMENT_INCREMENTS, int(SEGMENT_S / half_s))
     complete = formed[:, -1]
     # an increment counts for a segment with the row of its last joint
-    counted = np.cumsum(rows.accepted & complete) - (rows.accepted & complete)
-    segment = counted // length
+    counts: Places = 1 * (rows.accepted & complete)
+    segment: Places = (np.cumsum(counts) - counts) // length
     used = formed & rows.accepted[:, None]
     factor = weights(arm)
     increment, joint = np.nonzero(used)
@@ -114,7 +116,7 @@ def groups(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Eff
     number = segment[increment]
     shares = np.zeros((GROUPS, p, p))
     if arm.compensation:
-        turn = np.cumsum(complete) - complete
+        turn: Places = np.cumsum(complete) - complete
         lines, rotors = _noise(arm, smoothed, rows, turn)
         own = lines[increment, joint] * factor[joint, None]
         own = np.concatenate([own, np.zeros((len(own), effects_count))], axis=1)
@@ -139,7 +141,7 @@ def _formed(arm: Arm, smoothed: Smoothed, rows: JointRows) -> NDArray[np.bool_]:
     return np.asarray(rows.end[:, None] + 1 + np.arange(arm.n) <= last[rows.segment][:, None], dtype=np.bool_)
 
 
-def _noise(arm: Arm, smoothed: Smoothed, rows: JointRows, turn: NDArray[np.int64]) -> tuple[Floats, Floats]:
+def _noise(arm: Arm, smoothed: Smoothed, rows: JointRows, turn: Places) -> tuple[Floats, Floats]:
     """Lines (m, N, p) whose squares are the noise of the signal whose turn it is, times the number of signals; and the
     noise (m, N, N) of the rates of rotors behind springs, on the diagonal at their inertia.
 

@@ -96,7 +96,12 @@ def intervals(
 
 
 def joint_intervals(
-    groups: Sequence[Floats], counts: Floats, noise: Floats, apart: tuple[Floats, int], segments: float, elapsed_s: float
+    groups: Sequence[Floats],
+    counts: Floats,
+    noise: Floats,
+    apart: tuple[Floats, int],
+    segments: float,
+    elapsed_s: float,
 ) -> Intervals:
     """Intervals of the estimate from the groups of joint rows alone, all of whose declared noise was subtracted.
 
