@@ -65,7 +65,7 @@ def laboratory_arm(
     bodies = [
         Body("base_link", Quantity(0.0), (0.0, 0.0, 0.0), tuple([Quantity(0.0)] * 6), geometry[0][1])  # type: ignore[arg-type]
     ]
-    for i, (rpy, _, axis) in enumerate(geometry):
+    for i, (rpy, xyz, axis) in enumerate(geometry):
         onward = np.array(geometry[i + 1][1] if i + 1 < count else (0.0, 0.0, 0.08))
         centre = 0.5 * onward + rng.normal(scale=0.02, size=3)
         size = np.array([0.06, 0.06, 0.06]) + 0.5 * np.abs(onward)
@@ -97,6 +97,7 @@ def laboratory_arm(
                 encoder,
                 torque_sigma=torque_noise * beyond / ratio,
                 flexible=False,
+                position_m=xyz,
             )
         )
         drives.append(
