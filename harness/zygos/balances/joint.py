@@ -74,30 +74,38 @@ def _turned(axis: Floats, direction: Floats, body: NDArray[np.int64]) -> Floats:
     return np.cross(axis[..., :, None, :], direction[..., None, :, :]) * carried[..., None]
 
 
-def _spatial(arm: Arm, state: State) -> tuple[Floats, Floats]:
+def momentum_of_rates(arm: Arm, q: Floats, rates: Floats) -> Floats:
+    """(..., N, p) columns of the joints' momentum at angles q (..., N) and link rates (..., N), of an arm with rigid
+    joints on a fixed base. They are linear in the rates."""
+    state = State(q, q, rates, rates, np.zeros((*q.shape[:-1], 3)) if arm.spatial else np.zeros(q.shape[:-1]))
+    momentum = _spatial(arm, state, forces=False)[0] if arm.spatial else _planar(arm, state)[0]
+    still = np.zeros((*momentum.shape[:-1], 2 * sum(arm.feels_gravity)))
+    return in_order(arm, np.concatenate([momentum, still], axis=-1), _rotors(arm, state)[0])
+
+
+def _spatial(arm: Arm, state: State, forces: bool = True) -> tuple[Floats, Floats]:
     """Kinetic columns (..., N, K) of a spatial arm: where joint j turns by a small angle, everything beyond it turns
-    with it, and its rate vectors change by z_j x v - (z_j x w_j) x d."""
+    with it, and its rate vectors change by z_j x v - (z_j x w_j) x d. Without forces the second are empty."""
     places = posture(arm, state.q)
     omega0 = state.base if arm.free else np.zeros((*state.q.shape[:-1], 3))
     omega = body_rates(omega0, places.axis, state.qd)
     rate = np.cross(omega[..., places.body, :], places.direction)
-    by_rate = _turned(places.axis, places.direction, places.body)
+    momentum = _products(arm, _turned(places.axis, places.direction, places.body), rate)
+    if not forces:
+        return momentum, np.zeros(0)
     swung = np.cross(places.axis, omega[..., 1:, :])[..., :, None, :]
     carried = places.body[None, :] > np.arange(arm.n)[:, None]
     by_angle = np.cross(places.axis[..., :, None, :], rate[..., None, :, :]) - np.cross(
         swung, places.direction[..., None, :, :]
     )
-    by_angle = by_angle * carried[..., None]
-    return _products(arm, by_rate, rate), _products(arm, by_angle, rate)
+    return momentum, _products(arm, by_angle * carried[..., None], rate)
 
 
 def _products(arm: Arm, change: Floats, rate: Floats) -> Floats:
     """What changes (..., N, V, 3) of the rate vectors (..., V, 3) make of the kinetic columns, (..., N, K)."""
     first, second = np.triu_indices(rate.shape[-2])
-    fixed = rate[..., None, :, :]
-    both = np.sum(
-        change[..., first, :] * fixed[..., second, :] + fixed[..., first, :] * change[..., second, :], axis=-1
-    )
+    dots = change @ np.swapaxes(rate, -1, -2)[..., None, :, :]
+    both = dots[..., first, second] + dots[..., second, first]
     both = both * np.where(first == second, 0.5, 1.0)
     kept = np.ones(len(first), dtype=np.bool_) if arm.free else (first != second) | (first > 1)
     if not arm.free:

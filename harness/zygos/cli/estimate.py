@@ -13,7 +13,7 @@ from zygos.arm import load_arm
 from zygos.can.run import Run as RecordedRun
 from zygos.can.run import joined
 from zygos.cli.answer import finish_estimate
-from zygos.cli.ground import finish_ground
+from zygos.cli.ground import finish_ground, finish_payload
 from zygos.cli.options import ArmFile, Json, Report
 from zygos.cli.shared import check_model_name, find_arm, not_whole, origin, read_run
 from zygos.effects import CATALOGUE, Effect
@@ -22,6 +22,7 @@ from zygos.estimation.estimate import estimate
 from zygos.files.output import check_outputs
 from zygos.files.progress import progress
 from zygos.ground.estimate import estimate_ground
+from zygos.ground.payload import payload
 from zygos.ground.rows import friction
 from zygos.model.model import load_model
 from zygos.report.provenance import provenance
@@ -44,11 +45,17 @@ class GroundOptions:
     validate: Sequence[Path] = ()
     friction: str | None = None
     doubtful: bool = False
+    since: Path | None = None
 
     @property
     def given(self) -> list[str]:
         """The names of those that were given."""
-        names = {"--validate": self.validate, "--friction": self.friction, "--doubtful": self.doubtful}
+        names = {
+            "--validate": self.validate,
+            "--friction": self.friction,
+            "--doubtful": self.doubtful,
+            "--since": self.since,
+        }
         return [name for name, value in names.items() if value]
 
 
@@ -67,7 +74,8 @@ def estimate_runs(
     chosen = find_arm(runs[0], arm_file)
     check_model_name(out)
     others = [*runs[1:], *ground.validate]
-    check_outputs([out, json, report], [*runs, chosen, runs[0].parent / "arm.toml", model_file, *ground.validate])
+    inputs = [*runs, chosen, runs[0].parent / "arm.toml", model_file, *ground.validate, ground.since]
+    check_outputs([out, json, report], inputs)
     arm = load_arm(chosen)
     prior = load_model(model_file) if model_file else None
     recorded = [read_run(runs[0], arm)]
@@ -75,6 +83,10 @@ def estimate_runs(
         find_arm(path, chosen)
         recorded.append(read_run(path, arm))
     learned, checked = recorded[: len(runs)], recorded[len(runs) :]
+    if arm.grounded and not flight and ground.since is not None:
+        _payload(learned, ground, out, model_file, json, report)
+        not_whole(*(run.damage for run in learned))
+        return
     if arm.grounded and not flight:
         effects = None if ground.friction is None else _friction(learned[0], ground.friction)
         with progress() as bar:
@@ -112,10 +124,36 @@ def estimate_runs(
         )
     source = None
     if report is not None:
-        inputs = [*(("run", path) for path in runs), ("arm", chosen), *([("prior", model_file)] if model_file else [])]
-        source = provenance(command, inputs)
+        files = [*(("run", path) for path in runs), ("arm", chosen), *([("prior", model_file)] if model_file else [])]
+        source = provenance(command, files)
     finish_estimate(answer, out, json, origin(run), report, source)
     not_whole(*(one.damage for one in learned))
+
+
+def _payload(
+    runs: Sequence[RecordedRun],
+    ground: GroundOptions,
+    out: Path,
+    model_file: Path | None,
+    json: str | None,
+    report: Path | None,
+) -> None:
+    """Estimate the payload since a model was made."""
+    beside = {
+        "--validate": ground.validate,
+        "--friction": ground.friction,
+        "--doubtful": ground.doubtful,
+        "--model": model_file,
+        "--report": report,
+    }
+    given = [name for name, value in beside.items() if value]
+    if given:
+        raise ZygosError(
+            f"{', '.join(given)} with --since: everything but the payload comes from the model of --since; remedy: leave "
+            f"{'it' if len(given) == 1 else 'them'} out"
+        )
+    assert ground.since is not None
+    finish_payload(payload(runs, load_model(ground.since)), out, json)
 
 
 def _friction(run: RecordedRun, text: str) -> tuple[Effect, ...]:
@@ -168,6 +206,15 @@ def command(
     doubtful: Annotated[
         bool, typer.Option("--doubtful", help="Also give values that the runs hardly determine, with their intervals.")
     ] = False,
+    since: Annotated[
+        Path | None,
+        typer.Option(
+            "--since",
+            metavar="MODEL.toml",
+            help="Estimate only what the last body took on since this model was made, such as a payload: its mass, "
+            "first moments and inertia. Needs position_m of every joint in the arm file.",
+        ),
+    ] = None,
     flight: Annotated[
         bool, typer.Option("--flight", help="Use the C library for flight also where the arm stands on the ground.")
     ] = False,
@@ -192,6 +239,8 @@ def command(
     Example: zygos estimate out/run.blf -o out/estimate.toml
 
     Example: zygos estimate a/run.npz b/run.npz --validate c/run.npz -o learned.toml
+
+    Example: zygos estimate loaded/run.npz --since learned.toml -o loaded.toml
     """
     estimate_runs(
         run,
@@ -202,5 +251,5 @@ def command(
         report,
         context.obj or ["estimate"],
         flight,
-        GroundOptions(validate or (), friction, doubtful),
+        GroundOptions(validate or (), friction, doubtful, since),
     )

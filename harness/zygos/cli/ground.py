@@ -10,6 +10,7 @@ import numpy as np
 from zygos.errors import Undecided
 from zygos.files.output import counted, named, number, quiet, ratio, say, table, write_json
 from zygos.ground.estimate import GroundEstimate
+from zygos.ground.payload import Payload, check_found
 from zygos.ground.score import Score
 from zygos.model.model import save_model
 from zygos.report.provenance import Provenance
@@ -50,6 +51,27 @@ def finish_ground(
             write_json(json, found.as_dict())
     if found.validity != "valid":
         raise Undecided(f"{found.validity}: {found.reason} ({where}); remedy: {found.remedy}")
+
+
+def finish_payload(found: Payload, out: Path, json: str | None) -> None:
+    """Print the tables, write the model with the payload, and raise Undecided where there is none."""
+    if not quiet(out, json):
+        rows = [
+            (one.name, one.unit, number(value), number(float(f"{half:.2g}")), group)
+            for one, value, half, group in zip(found.parameters, found.value, found.half95, found.groups, strict=True)
+        ]
+        table(("change of the last body", "unit", "estimate", "±95 %", "stands for"), rows)
+        shares = [
+            (joint.name, number(100 * float(before), 3), number(100 * float(after), 3))
+            for joint, before, after in zip(found.arm.joints, found.before, found.after, strict=True)
+        ]
+        table(("joint", "torque left before, %", "held-out left with it, %"), shares)
+        if found.relative:
+            say("the torques are motor currents: the values are relative to the torque constants of the model")
+    if json:
+        write_json(json, found.as_dict())
+    check_found(found)
+    save_model(found.to_model(), out)
 
 
 def _print_parameters(found: GroundEstimate) -> None:
@@ -98,6 +120,7 @@ def _print_across(found: GroundEstimate) -> None:
 
 def print_score(score: Score, before: str = "") -> None:
     """Table of a prediction."""
+    flexible = any(np.isfinite(one.spring_nm) for one in score.joints)
     rows = [
         (
             one.joint,
@@ -109,11 +132,14 @@ def print_score(score: Score, before: str = "") -> None:
             number(one.energy_error_j, 3),
             number(100 * one.energy_share, 3),
             number(one.sigmas, 3),
+            *((number(one.spring_nm, 3),) if flexible else ()),
         )
         for one in score.joints
     ]
     heads = ("joint", "torque, Nm", "error, Nm", "in %", "offset, Nm", "with offset, %", "work in 1 s, J", "in %", "σ")
-    table(heads, rows, title=f"{before}{score.run.path or 'the run'} at {score.cutoff_hz:.1f} Hz")
+    how = f"at {score.cutoff_hz:.1f} Hz" if score.cutoff_hz else f"over increments of {score.increment_s:g} s"
+    table((*heads, *(("spring, Nm",) if flexible else ())), rows, title=f"{before}{score.run.path or 'the run'} {how}")
+    say(f"work of all motors in 1 s: {100 * score.arm_energy_share:.3g} % are left by the energy of the arm")
 
 
 def scores_table(scores: Sequence[Score]) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import t as student
 
 from zygos.arm import Arm, Smoother
 from zygos.balances.joint import in_order, joint_columns
@@ -86,7 +87,7 @@ class GroundEstimate:
         and count as determined where the motion shows them.
         """
         own = np.arange(len(self.names)) < len(self.arm.parameter_names)
-        narrow = self.solution.half(0.95) <= _sizes(self.names, self.units, self.solution.value)
+        narrow = self._half(0.95) <= _sizes(self.names, self.units, self.solution.value)
         return np.asarray(self.solution.seen & (narrow | ~own), dtype=np.bool_)
 
     @property
@@ -96,14 +97,32 @@ class GroundEstimate:
         return np.where(shown, self.solution.value, np.nan)
 
     @property
+    def _sigma(self) -> Floats:
+        """(p,) standard deviations from the scatter over blocks of time.
+
+        From three runs on they are at least those from leaving out a run. Where the residuals are not noise, half of
+        what another cut-off of the smoother changes is added, because what the rows lack differs from one to another.
+        """
+        sigma = self.solution.sigma
+        if len(self.without_run) > 2:
+            sigma = np.maximum(sigma, self.spread)
+        if self.excess.max() > EXCESS_LIMIT:
+            moved = np.nan_to_num(np.abs(self.smoothing - self.solution.value)).max(axis=0)
+            sigma = np.hypot(sigma, 0.5 * moved)
+        return np.asarray(sigma, dtype=np.float64)
+
+    def _half(self, confidence: float) -> Floats:
+        return np.asarray(student.ppf(0.5 + 0.5 * confidence, self.solution.freedom) * self._sigma, dtype=np.float64)
+
+    @property
     def sigma(self) -> Floats:
         """(p,) standard deviations; NaN as `value`."""
-        return np.where(np.isfinite(self.value), self.solution.sigma, np.nan)
+        return np.where(np.isfinite(self.value), self._sigma, np.nan)
 
     @property
     def half95(self) -> Floats:
         """(p,) half widths of the 95 % intervals; NaN as `value`."""
-        return np.where(np.isfinite(self.value), self.solution.half(0.95), np.nan)
+        return np.where(np.isfinite(self.value), self._half(0.95), np.nan)
 
     @property
     def spread(self) -> Floats:
@@ -198,7 +217,7 @@ class GroundEstimate:
             *(effect.kind.positive for effect in self.effects),
         ]
         for name, value, half, must, good in zip(
-            self.names, self.solution.value, self.solution.half(0.997), positive, self.determined, strict=True
+            self.names, self.solution.value, self._half(0.997), positive, self.determined, strict=True
         ):
             if must and good and value < -half:
                 return f"{name} is {value:.3g}, negative beyond its interval of {half:.2g}"
@@ -355,7 +374,7 @@ def estimate_ground(
     if len(runs) > 1:
         without = [solve([*sums[:k], *sums[k + 1 :]], solution.sigma_w).value for k in range(len(sums))]
     told(0.6)
-    smoothing = _with_other_cutoffs(arm, runs, wanted, span, len(solution.value))
+    smoothing = _with_other_cutoffs(arm, runs, motions, wanted, span, len(solution.value))
     told(0.9)
     found = GroundEstimate(
         arm=arm,
@@ -443,15 +462,17 @@ def _noise_share(sums: Sequence[Sums], solution: Solution) -> float:
     return float(np.mean(caused / (rows * solution.sigma_w**2)))
 
 
-def _with_other_cutoffs(arm: Arm, runs: Sequence[Run], effects: Sequence[Effect], span: float, p: int) -> Floats:
+def _with_other_cutoffs(
+    arm: Arm, runs: Sequence[Run], motions: Sequence[Motion], effects: Sequence[Effect], span: float, p: int
+) -> Floats:
     """(2, p) the values with windows of the smoother that are longer and shorter."""
     out = []
+    own = motions[0].arm.smoother
     for factor in (1.0 / 0.7, 1.0 / 1.4):
-        half = max(arm.smoother.order // 2 + 1, round(factor * (arm.smoother.points // 2)))
-        other = replace(arm, smoother=Smoother(2 * half + 1, arm.smoother.order, half))
+        half = max(own.order // 2 + 1, round(factor * (own.points // 2)))
+        other = replace(arm, smoother=Smoother(2 * half + 1, own.order, half))
         try:
-            motions = [Motion.of(run, other) for run in runs]
-            out.append(_solved(motions, span, effects)[1].value)
+            out.append(_solved([Motion.of(run, other) for run in runs], span, effects)[1].value)
         except (ZygosError, Undecided):
             out.append(np.full(p, np.nan))
     return np.array(out)

@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import butter, filtfilt
 
-from zygos.arm import Arm
+from zygos.arm import Arm, Smoother
 from zygos.balances.joint import in_order, joint_columns
 from zygos.balances.state import State
 from zygos.can.run import Run
+from zygos.cutoff import HALF_WIDTH_MAX, rate_cutoff
 from zygos.errors import ZygosError
 from zygos.runs.samples import Samples, calibrate
-from zygos.runs.smoother import Smoothed, coefficients, smooth
+from zygos.runs.smoother import Smoothed, smooth
 
 Floats = NDArray[np.float64]
 
@@ -25,6 +26,19 @@ _ORDER = 4
 _SHORTEST = 64
 _SETTLING = 1.5
 """Periods of the cut-off over which the filter settles."""
+
+
+def _smoothed_widely(arm: Arm) -> Arm:
+    """The arm with a smoother of about 10 Hz where its file does not choose one: the default one is for arms whose
+    motion is as fast as their cycles permit."""
+    if arm.smoother != Smoother():
+        return arm
+    half = next(h for h in range(3, HALF_WIDTH_MAX + 1) if h == HALF_WIDTH_MAX or _is_low(h, arm.period_s))
+    return replace(arm, smoother=Smoother(2 * half + 1, 4, half))
+
+
+def _is_low(half_width: int, period_s: float) -> bool:
+    return rate_cutoff(half_width, 4) <= HIGHEST_CUTOFF_HZ * period_s
 
 
 @dataclass(frozen=True)
@@ -48,7 +62,7 @@ class Motion:
         measured by other cut-offs. Errors: ZygosError for a run without an unbroken piece that fills the smoother's
         window.
         """
-        own = arm or run.arm
+        own = _smoothed_widely(arm or run.arm)
         if not own.grounded:
             raise ZygosError(
                 f"arm {own.name}: joint rows alone determine only an arm with a fixed base and rigid joints; remedy: "
@@ -72,13 +86,8 @@ class Motion:
 
 def cutoff_hz(arm: Arm) -> float:
     """Frequency at which the smoother passes 1/sqrt(2) of a rate, Hz."""
-    points, order = arm.smoother.points, arm.smoother.order
-    weights = coefficients(points, order, 0.0, 1)
-    place = np.arange(points) - points // 2
-    turn = np.linspace(1e-3, np.pi, 4096)
-    passed = np.abs(np.exp(1j * turn[:, None] * place) @ weights) / turn
-    below = np.flatnonzero(passed < np.sqrt(0.5))
-    return float(turn[below[0]] if len(below) else np.pi) / (2.0 * np.pi * arm.period_s)
+    smoother = _smoothed_widely(arm).smoother
+    return rate_cutoff(smoother.points // 2, smoother.order) / arm.period_s
 
 
 def torque_noise(arm: Arm, samples: Samples) -> Floats:

@@ -9,13 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
-from zygos.balances.joint import JointRows, in_order, joint_columns, joint_rows
+from zygos.balances.joint import JointRows, joint_rows, momentum_of_rates
 from zygos.balances.momentum import variances
 from zygos.balances.state import State
 from zygos.effects import Effect, EffectColumn, Kind
 from zygos.ground.motion import Motion, TorqueRows
 
 Floats = NDArray[np.float64]
+
+_NOISE_SAMPLES = 6
+"""Increments of a block at which the expected products of noise are computed."""
 
 
 @dataclass(frozen=True)
@@ -43,23 +46,19 @@ class RunRows:
     def noise(self, increments: NDArray[np.int64]) -> Floats:
         """(N, p, p) expected products of the sensors' noise in the columns, summed over increments.
 
-        The momentum at both ends is linear in the rates, so that its columns at a unit rate are its derivatives. The
-        noise of angles is of second order here, and integrals average it out.
+        A few increments stand for their neighbours, in which the arm has nearly the same posture. The momentum at both
+        ends is linear in the rates, so that its columns at a unit rate are its derivatives. The noise of angles is of
+        second order here, and integrals average it out.
         """
-        arm, state = self.motion.arm, State.smoothed(self.motion.arm, self.motion.smoothed)
+        arm, every = self.motion.arm, increments[:: max(1, len(increments) // _NOISE_SAMPLES)]
         sigma = np.sqrt(variances(arm).link)
         p, own = self.z.shape[-1], len(arm.parameter_names)
         out = np.zeros((arm.n, p, p))
-        for at in (self.rows.begin[increments], self.rows.end[increments]):
-            q = state.q[at]
-            base = np.zeros((len(at), 3)) if arm.spatial else np.zeros(len(at))
-            for i in range(arm.n):
-                unit = np.zeros((len(at), arm.n))
-                unit[:, i] = sigma[i]
-                columns = joint_columns(arm, State(q, q, unit, unit, base))
-                slope = in_order(arm, columns.momentum, columns.rotor_momentum)
-                out[:, :own, :own] += np.einsum("mjp,mjq->jpq", slope, slope)
-        return out
+        q = self.motion.smoothed.q[np.concatenate([self.rows.begin[every], self.rows.end[every]])]
+        for i in range(arm.n):
+            slope = momentum_of_rates(arm, q, np.broadcast_to(sigma[i] * np.eye(arm.n)[i], q.shape))
+            out[:, :own, :own] += np.einsum("mjp,mjq->jpq", slope, slope, optimize=True)
+        return out * len(increments) / max(len(every), 1)
 
 
 def columns_of(arm: Arm, effects: Sequence[Effect]) -> tuple[str, ...]:

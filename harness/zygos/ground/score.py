@@ -14,6 +14,7 @@ from zygos.arm import Arm
 from zygos.can.run import Run
 from zygos.effects import Effect
 from zygos.errors import ZygosError
+from zygos.ground.increments import increments
 from zygos.ground.motion import HIGHEST_CUTOFF_HZ, Motion, TorqueRows, cutoff_hz, torque_noise, torque_rows
 from zygos.ground.rows import torque_columns
 from zygos.model.model import Model
@@ -47,7 +48,9 @@ class JointScore:
     """error_nm in standard deviations of the torque's noise through the same filter."""
     floor: float
     """Root mean square of the unfiltered measured torque less the prediction, in standard deviations of the torque's
-    noise: 1 where only noise is left."""
+    noise: 1 where only noise is left. NaN where increments are compared."""
+    spring_nm: float = float("nan")
+    """Root mean square of the torque at the link that neither spring nor bodies explain, Nm; NaN at a rigid joint."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -56,7 +59,12 @@ class Score:
 
     run: Run
     model: str
-    cutoff_hz: float
+    cutoff_hz: float | None
+    """Of the filter of angles and torques; None where mean torques over increments are compared."""
+    increment_s: float | None
+    """Length of the increments; None where filtered torques are compared."""
+    arm_energy_share: float
+    """Root mean square of what the energy of the whole arm leaves of the work in one second, as share of that work."""
     joints: tuple[JointScore, ...]
     t: Floats
     """(m,) s."""
@@ -78,6 +86,8 @@ class Score:
             "arm": self.run.arm.name,
             "model": self.model,
             "cutoff_hz": self.cutoff_hz,
+            "increment_s": self.increment_s,
+            "arm_energy_share": self.arm_energy_share,
             "share": self.share,
             "joints": [asdict(joint) for joint in self.joints],
         }
@@ -91,13 +101,21 @@ class Score:
 def score(run: Run, model: Model, *, cutoff: float | None = None) -> Score:
     """Compare the torques of a run with those that a model predicts from its motion.
 
-    Angles and torques pass a filter without delay at `cutoff` Hz, by default that of the arm's smoother and at most
-    10 Hz. The accelerations are derivatives of the filtered angles. Each torque's constant offset in this run is a
-    nuisance: it is taken out of `share`, and `raw_share` has it.
+    For an arm with a fixed base and rigid joints, angles and torques pass a filter without delay at `cutoff` Hz, by
+    default that of the arm's smoother and at most 10 Hz; the accelerations are derivatives of the filtered angles. For
+    another arm mean torques over short increments are compared, for which momenta are enough. Each torque's constant
+    offset in this run is a nuisance: it is taken out of `share`, and `raw_share` has it.
 
     Errors: ZygosError where the model lacks a parameter of the arm, or the run is too short.
     """
     arm = run.arm
+    if not arm.grounded:
+        if cutoff is not None:
+            raise ZygosError(
+                f"--cutoff: arm {arm.name} floats or has flexible joints, so that mean torques over increments are "
+                "compared; remedy: leave it out"
+            )
+        return _by_increments(run, model)
     motion = Motion.of(run)
     wanted = min(cutoff_hz(arm), HIGHEST_CUTOFF_HZ) if cutoff is None else cutoff
     if not 0.0 < wanted < 0.5 / arm.period_s:
@@ -140,14 +158,58 @@ def scored(run: Run, name: str, rows: TorqueRows, values: Floats, effects: Seque
                 floor=_ratio(_rms((raw - predicted - offset)[kept, j]), noise[j]),
             )
         )
+    whole = ((rows.tau - offset) * rows.state.qd).sum(axis=1)[kept]
+    lost = ((error - offset) * rows.state.qd).sum(axis=1)[kept]
     return Score(
         run=run,
         model=name,
         cutoff_hz=rows.cutoff_hz,
+        increment_s=None,
+        arm_energy_share=_ratio(_rms(_work(lost, window, h)), _rms(_work(whole, window, h))),
         joints=tuple(scores),
         t=np.asarray(np.flatnonzero(kept) * h, dtype=np.float64),
         measured=(rows.tau - offset)[kept],
         predicted=predicted[kept],
+    )
+
+
+def _by_increments(run: Run, model: Model) -> Score:
+    """The score of an arm that floats or has flexible joints."""
+    arm = run.arm
+    own = increments(run, model.base_values(arm), model.effects, WINDOW_S)
+    offset = (own.measured - own.predicted).mean(axis=0)
+    window = max(1, round(2.0 * WINDOW_S / own.span_s))
+    scores = []
+    for j, joint in enumerate(arm.joints):
+        measured = own.measured[:, j] - offset[j]
+        left = measured - own.predicted[:, j]
+        # neighbouring increments overlap by half
+        lost, done = (_work(x * own.rate[:, j], window, 0.5 * own.span_s) for x in (left, measured))
+        scores.append(
+            JointScore(
+                joint=joint.name,
+                measured_nm=_rms(measured),
+                error_nm=_rms(left),
+                share=_ratio(_rms(left), _rms(measured)),
+                offset_nm=float(offset[j]),
+                raw_share=_ratio(_rms(left + offset[j]), _rms(own.measured[:, j])),
+                energy_error_j=_rms(lost),
+                energy_share=_ratio(_rms(lost), _rms(done)),
+                sigmas=_ratio(_rms(left), float(own.noise[j])),
+                floor=float("nan"),
+                spring_nm=_rms(own.spring[:, j]) if joint.flexible else float("nan"),
+            )
+        )
+    return Score(
+        run=run,
+        model=model.name,
+        cutoff_hz=None,
+        increment_s=own.span_s,
+        arm_energy_share=_ratio(_rms(own.work_left), _rms(own.work)) if len(own.work) else float("nan"),
+        joints=tuple(scores),
+        t=np.asarray(own.at * arm.period_s, dtype=np.float64),
+        measured=own.measured - offset,
+        predicted=own.predicted,
     )
 
 

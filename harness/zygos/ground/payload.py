@@ -1,0 +1,228 @@
+"""What the last body of an arm took on since a model was made: mass, first moments and inertia of a payload."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student
+
+from zygos.arm import Arm, Parameter
+from zygos.can.run import Run
+from zygos.errors import Undecided, ZygosError
+from zygos.ground.estimate import SPANS_S
+from zygos.ground.motion import Motion
+from zygos.ground.rows import run_rows
+from zygos.ground.solution import Solution, solve
+from zygos.ground.sums import MOST_BLOCKS, Sums, sums_of
+from zygos.model.model import Model, Quantity
+from zygos.structure import STANDARD
+
+Floats = NDArray[np.float64]
+
+_INDEPENDENT = 1e-9
+SURE = 3.0
+"""Deviations beyond which a mass is a payload."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Payload:
+    """The change of the last body's inertial parameters, about the origin of its joint's frame and in its axes."""
+
+    arm: Arm
+    runs: tuple[Run, ...]
+    since: Model
+    parameters: tuple[Parameter, ...]
+    """The r that the motion can tell from each other; others of the ten have the same effect as some of these."""
+    groups: tuple[str, ...]
+    """(r,) what each stands for."""
+    solution: Solution
+    before: Floats
+    """(N,) share of the torque that the model leaves without a payload."""
+    base: Floats
+    """(p, r) change of the arm's base parameters per unit of each."""
+    span_s: float
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """(r,) such as m6, mx6, Ixx6."""
+        return tuple(one.name for one in self.parameters)
+
+    @property
+    def value(self) -> Floats:
+        """(r,) kg, kg m and kg m^2."""
+        return self.solution.value
+
+    @property
+    def sigma(self) -> Floats:
+        """(r,) standard deviations."""
+        return self.solution.sigma
+
+    @property
+    def half95(self) -> Floats:
+        """(r,) half widths of the 95 % intervals."""
+        return self.solution.half(0.95)
+
+    @property
+    def after(self) -> Floats:
+        """(N,) held-out share of the torque that is left with the payload."""
+        return self.solution.share
+
+    @property
+    def found(self) -> bool:
+        """Whether the arm carries more or less than in the model: some value differs from 0 beyond chance."""
+        limit = float(student.ppf(1.0 - 0.00135 / len(self.names), max(2.0, float(self.solution.freedom.min()))))
+        return bool(np.any(np.abs(self.value) > limit * self.sigma))
+
+    @property
+    def relative(self) -> bool:
+        """Whether torques are currents, so that the values are relative to the model's."""
+        return self.arm.torque_unit == "A"
+
+    def to_model(self) -> Model:
+        """The model with the payload in its base parameters."""
+        own = self.since.base_parameters(self.arm)
+        change, spread = self.base @ self.value, np.sqrt(np.diag(self.base @ self.solution.covariance @ self.base.T))
+        quantities = {
+            name: Quantity(one.value + float(more), float(np.hypot(one.sigma, wide)), "zygos", one.unit)
+            for (name, one), more, wide in zip(own.items(), change, spread, strict=True)
+        }
+        return Model(name=self.since.name, parameters=quantities, effects=self.since.effects)
+
+    def as_dict(self, heading: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """What `zygos estimate --since --json` writes."""
+        return {
+            **(heading or {}),
+            "arm": self.arm.name,
+            "estimator": "payload",
+            "found": self.found,
+            "relative": self.relative,
+            "runs": [str(run.path) if run.path else None for run in self.runs],
+            "increment_s": self.span_s,
+            "parameters": [
+                {
+                    "name": one.name,
+                    "unit": one.unit,
+                    "value": float(value),
+                    "sigma": float(sigma),
+                    "half95": float(half),
+                    "stands_for": group,
+                }
+                for one, value, sigma, half, group in zip(
+                    self.parameters, self.value, self.sigma, self.half95, self.groups, strict=True
+                )
+            ],
+            "joints": [
+                {"joint": joint.name, "share_before": float(before), "held_out_share": float(after)}
+                for joint, before, after in zip(self.arm.joints, self.before, self.after, strict=True)
+            ],
+        }
+
+
+def payload(runs: Sequence[Run], since: Model) -> Payload:
+    """Estimate what the last body took on or lost since a model was made, from runs with it.
+
+    Everything else is taken from the model, but for a constant offset of each torque in each run. The reference point
+    is the origin of the last joint's frame.
+
+    Errors: ZygosError where the lengths of the arm are not known, or the model does not fit it.
+    """
+    arm = runs[0].arm
+    structure = arm.structure
+    if structure.candidates_are_full:
+        raise ZygosError(
+            f"arm {arm.name}: without the lengths between its joints a payload has no mass of its own; remedy: write "
+            "position_m into every [[joint]] of the arm file"
+        )
+    motions = [Motion.of(run) for run in runs]
+    # what lies along the axis, and turns with it only, comes last: gravity shows the rest better
+    own = [k for k, one in enumerate(structure.candidates) if one.symbol in STANDARD and one.ends == (str(arm.n),)]
+    kept = _independent(structure.groups, own)
+    base = structure.groups[:, kept]
+    groups = tuple(_group(structure.groups, kept, k, own, structure.candidates) for k in kept)
+    effects = [effect for effect in since.effects if not effect.kind.on_ground]
+    values = np.concatenate([since.base_values(arm), [effect.value for effect in effects]])
+    span = arm.joint_increment_s or SPANS_S[1]
+    sums = []
+    for motion in motions:
+        rows = run_rows(motion, span, effects)
+        blocks = max(4, MOST_BLOCKS // len(motions))
+        sums.append(_changed(sums_of(rows, blocks), values, base))
+    solution = solve(sums)
+    return Payload(
+        arm=arm,
+        runs=tuple(runs),
+        since=since,
+        parameters=tuple(structure.candidates[k] for k in kept),
+        groups=groups,
+        solution=solution,
+        before=_without(sums, [_scale(run_rows(m, span, effects).w) for m in motions]),
+        base=base,
+        span_s=span,
+    )
+
+
+def _changed(sums: Sums, values: Floats, base: Floats) -> Sums:
+    """The sums with the columns of the payload in place of those of the arm, and what the model leaves in place of the
+    impulse."""
+    p, extra = len(base), len(values) - len(base)
+    turn = np.zeros((p + extra + 2, base.shape[1] + 2))
+    turn[:p, : base.shape[1]] = base
+    turn[-2, -2] = 1.0
+    turn[-1, -1] = 1.0
+    turn[: p + extra, -1] = -values
+    wide = np.zeros((p + extra, base.shape[1]))
+    wide[:p] = base
+    return replace(
+        sums,
+        gram=turn.T @ sums.gram @ turn,
+        noise=wide.T @ sums.noise @ wide,
+        total=sums.total @ turn,
+    )
+
+
+def _independent(groups: Floats, own: Sequence[int]) -> list[int]:
+    """Those of the columns that are no combination of the ones before."""
+    kept: list[int] = []
+    for k in own:
+        tried = groups[:, [*kept, k]]
+        size = np.linalg.norm(tried, axis=0)
+        if size[-1] > 0.0 and np.linalg.svd(tried / size, compute_uv=False)[-1] > _INDEPENDENT:
+            kept.append(k)
+    return kept
+
+
+def _group(groups: Floats, kept: Sequence[int], one: int, own: Sequence[int], candidates: Sequence[Parameter]) -> str:
+    """The sum of the body's parameters that a kept one stands for."""
+    parts = np.linalg.lstsq(groups[:, kept], groups[:, own], rcond=None)[0][list(kept).index(one)]
+    said = candidates[one].name
+    for k, size in zip(own, parts.tolist(), strict=True):
+        if k != one and abs(size) > 1e-9:
+            said += f" {'-' if size < 0.0 else '+'} {abs(size):.6g} {candidates[k].name}"
+    return said
+
+
+def _scale(impulse: Floats) -> Floats:
+    """(N,) sums of squares about the mean."""
+    return np.asarray(((impulse - impulse.mean(axis=0)) ** 2).sum(axis=0), dtype=np.float64)
+
+
+def _without(sums: Sequence[Sums], whole: Sequence[Floats]) -> Floats:
+    """(N,) share of the impulse that is left with the offset of each run alone."""
+    left = np.zeros_like(whole[0])
+    for one in sums:
+        gram = one.gram.sum(axis=0)
+        left += gram[:, -1, -1] - gram[:, -1, -2] ** 2 / gram[:, -2, -2]
+    return np.asarray(np.sqrt(left / np.maximum(np.sum(whole, axis=0), 1e-300)), dtype=np.float64)
+
+
+def check_found(found: Payload) -> None:
+    """Errors: Undecided where no value differs from 0 beyond chance."""
+    if not found.found:
+        raise Undecided(
+            "no payload: nothing differs from the model beyond its interval; remedy: a motion that turns the last body "
+            "against gravity and accelerates it"
+        )
