@@ -33,8 +33,13 @@ STANDARD = ("m", *FIRST, *SECOND)
 """Symbols of the ten inertial parameters of a body, in the order of the columns."""
 STANDARD_UNITS = ("kg", *("kg m",) * 3, *("kg m^2",) * 6)
 
-_NOTHING, _CLEAR = 1e-9, 1e-6
-"""Relative singular values below the first are zero; between the two it is not clear whether they are."""
+_NOTHING = 1e-6
+"""Relative singular values up to this are zero: exact geometries have 1e-15, arms in general position 1e-4 and more. A
+deviation of a calibrated axis by a milliradian makes 1e-7, far less than any motion shows."""
+_NO_EFFECT = 1e-9
+"""Columns shorter than this, relative to the longest of a body's, belong to parameters without any effect."""
+_GAP = 10.0
+"""Smallest ratio of a singular value that is not zero to one that is."""
 _RIGHT_RAD = np.pi / 12.0
 _RIGHT_TOLERANCE = 1e-5
 """Angles this close [rad] to a multiple of 15 degrees are taken for it, as pi has few digits in many descriptions."""
@@ -62,7 +67,7 @@ class Structure:
     @property
     def reduces(self) -> bool:
         """Whether the independent parameters are other ones than the full ones."""
-        return not np.array_equal(self.basis, np.eye(*self.basis.shape))
+        return not np.array_equal(self.basis, np.eye(len(self.basis)))
 
     @property
     def selects(self) -> bool:
@@ -125,25 +130,22 @@ def structure_of(arm: Arm) -> Structure:
     columns = _full_columns(arm) @ to_full[:, sought]
     columns = columns - columns.mean(axis=0)
     length = np.linalg.norm(columns, axis=0)
-    seen = length > _NOTHING * length.max(initial=0.0)
+    # the columns of rotors are larger by the square of the gear ratio
+    of_links = length[[candidates[k].symbol != "Im" for k in sought]]
+    seen = length > _NO_EFFECT * of_links.max(initial=0.0)
     scaled = columns[:, seen] / length[seen]
     singular = np.linalg.svd(scaled, compute_uv=False)
-    unclear = singular[(singular > _NOTHING * singular[0]) & (singular < _CLEAR * singular[0])]
-    if len(unclear):
-        raise ZygosError(
-            f"arm {arm.name}: some of its axes are nearly, but not exactly parallel or perpendicular, so that it is "
-            f"not clear how many parameters it has (singular values down to {unclear[-1] / singular[0]:.1g} of the "
-            "largest); remedy: write the angles of the drawing into frame_rpy and axis; deviations of the real arm "
-            "this small show in no motion"
-        )
     rank = int(np.count_nonzero(singular > _NOTHING * singular[0]))
+    order_of_zero = singular[rank] if rank < len(singular) else 0.0
     listed = sought[seen]
     order = sorted(range(len(listed)), key=lambda k: _preference(arm, candidates[listed[k]]))
     kept = np.sort(_independent(scaled, order, rank))
-    if len(kept) != rank:
+    if singular[rank - 1] < _GAP * order_of_zero or len(kept) < rank:
         raise ZygosError(
-            f"arm {arm.name}: {len(kept)} of its parameters are independent one after the other, {rank} together; "
-            "remedy: write the angles of the drawing into frame_rpy and axis"
+            f"arm {arm.name}: it is not clear how many parameters it has, because some axes are nearly, but not "
+            "exactly parallel or perpendicular, or some gear ratios nearly 1 (singular values of "
+            f"{singular[rank - 1] / singular[0]:.1g} and {order_of_zero / singular[0]:.1g} of the largest); remedy: "
+            "write the angles of the drawing into frame_rpy and axis; deviations this small show in no motion"
         )
     parts = np.linalg.lstsq(scaled[:, kept], scaled, rcond=None)[0]
     parts[np.abs(parts) < 1e-10] = 0.0
@@ -172,7 +174,7 @@ def _independent(scaled: Floats, order: Sequence[int], rank: int) -> list[int]:
         for _ in range(2):
             rest = rest - base @ (base.T @ rest)
         size = float(np.linalg.norm(rest))
-        if size > _CLEAR:
+        if size > _NOTHING:
             found.append(k)
             base = np.column_stack([base, rest / size])
     return found
@@ -209,7 +211,8 @@ def _sum(one: Parameter, row: Floats, candidates: Sequence[Parameter]) -> str:
     said = one.name
     for name, size in zip(names, row.tolist(), strict=True):
         if size and name != one.name:
-            number = f"{abs(size):.6g}"
+            # rounded twice, so that a digit 5 behind the sixth is not left to the last bit
+            number = f"{float(f'{abs(size):.12g}'):.6g}"
             said += (" - " if size < 0.0 else " + ") + ("" if number == "1" else f"{number} ") + name
     return said
 

@@ -89,7 +89,9 @@ def log(cycles: Cycles, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_log_with_a_counter_gives_the_native_estimate(arm: Arm, cycles: Cycles, log: Path, tmp_path: Path) -> None:
     """Within what the two roundings explain: that of the foreign codes, and that of zygos' own wire."""
     assert convert(log, tmp_path / "run.blf", "--json", tmp_path / "c.json") == 0
-    assert (tmp_path / "arm.toml").read_bytes() == (EXAMPLE / "arm.toml").read_bytes()
+    head, _, body = (tmp_path / "arm.toml").read_text().partition("\n")
+    assert head == "# zygos convert wrote this arm file for run.blf; its noise is that of their values."
+    assert body == (EXAMPLE / "arm.toml").read_text()
     assert run("estimate", tmp_path / "run.blf", "-o", tmp_path / "m.toml", "--json", tmp_path / "m.json") == 0
     content = json.loads((tmp_path / "m.json").read_text())
     assert (content["door"], content["cycles"]) == ("frames", 1200)
@@ -569,6 +571,71 @@ def test_refusals(
     assert source.read_bytes() == log.read_bytes()
 
 
+def test_a_run_is_replaced_with_its_arm_file(arm: Arm, cycles: Cycles, log: Path, tmp_path: Path) -> None:
+    """Also where the noise of the second conversion is another one, and nothing but the two files is left."""
+    out = tmp_path / "out" / "run.npz"
+    map_file = foreign.edited(FOLDER / "map.toml", tmp_path / "map.toml", RECEIVE, NO_SIGNAL)
+    assert convert(log, out) == 0
+    exact = read_cycles(out, arm)
+    assert convert(log, out, map_file=map_file) == 0
+    noisy = load_arm(out.parent / "arm.toml")
+    assert noisy.joints[0].torque_sigma > arm.joints[0].torque_sigma
+    assert convert(log, out) == 0
+    assert load_arm(out.parent / "arm.toml") == arm
+    np.testing.assert_array_equal(read_cycles(out, arm).q, exact.q)
+    assert sorted(path.name for path in out.parent.iterdir()) == ["arm.toml", "run.npz"]
+
+
+def test_runs_beside_each_other_need_the_same_noise(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    map_file = foreign.edited(FOLDER / "map.toml", tmp_path / "map.toml", RECEIVE, NO_SIGNAL)
+    assert convert(log, out / "a.npz") == 0
+    assert convert(log, out / "b.blf") == 0
+    assert "for a.npz, b.blf;" in (out / "arm.toml").read_text()
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    assert convert(log, out / "b.blf", map_file=map_file) == 2
+    said = capsys.readouterr().err.replace("\n", " ")
+    assert "is the arm file of a.npz, whose noise is not that of this run; remedy: write each run into a folder" in said
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+    (out / "a.npz").unlink()
+    assert convert(log, out / "b.blf", map_file=map_file) == 0
+    assert "for b.blf;" in (out / "arm.toml").read_text()
+
+
+def test_an_arm_file_of_the_user_is_not_replaced(log: Path, tmp_path: Path) -> None:
+    """Not where it says what the run needs, and not where it is the input."""
+    out = tmp_path / "out"
+    out.mkdir()
+    text = (EXAMPLE / "arm.toml").read_text()
+    (out / "arm.toml").write_text(text)
+    map_file = foreign.edited(FOLDER / "map.toml", tmp_path / "map.toml", RECEIVE, NO_SIGNAL)
+    assert convert(log, out / "run.blf") == 0
+    assert convert(log, out / "run.blf", "--arm", out / "arm.toml") == 0
+    assert convert(log, out / "other.blf", "--arm", out / "arm.toml", map_file=map_file) == 2
+    assert (out / "arm.toml").read_text() == text
+    assert sorted(path.name for path in out.iterdir()) == ["arm.toml", "run.blf"]
+
+
+@pytest.mark.parametrize("fails", ["write_cycles", "write_text"])
+def test_a_conversion_that_cannot_be_written_changes_nothing(
+    fails: str, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out" / "run.npz"
+    assert convert(log, out) == 0
+    before = {path.name: path.read_bytes() for path in out.parent.iterdir()}
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(f"zygos.telemetry.convert.{fails}", full)
+    map_file = foreign.edited(FOLDER / "map.toml", tmp_path / "map.toml", RECEIVE, NO_SIGNAL)
+    assert convert(log, out, map_file=map_file) == 2
+    assert "cannot be written (No space left on device)" in capsys.readouterr().err
+    assert {path.name: path.read_bytes() for path in out.parent.iterdir()} == before
+
+
 def test_a_table_takes_no_dbc(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "x.csv").write_text("a\n1\n")
     options = ("--dbc", FOLDER / "arm.dbc", "--map", FOLDER / "map.toml", "-o", tmp_path / "r.npz")
@@ -612,7 +679,7 @@ def test_a_matlab_file_by_the_snippet_of_the_documentation(arm: Arm, tmp_path: P
     joint = replace(arm.joints[0], name="axis 1", gear_ratio=256.8571)
     robot = replace(arm, name="kr300", base="fixed", period_s=0.004, joints=(joint,), imu=NO_IMU)
     (tmp_path / "map.toml").write_text(entry)
-    mapping = load_map(tmp_path / "map.toml", robot, tabular=True)
+    mapping = load_map(tmp_path / "map.toml", robot, "table")
     cycles = regrid(tracks(read_table(tmp_path / "run_a.npz", mapping), mapping), robot, mapping)
     raw = loadmat(data, squeeze_me=True, struct_as_record=False)["rec"]
     assert len(cycles) >= 2500

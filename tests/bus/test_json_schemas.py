@@ -66,6 +66,7 @@ CASES: dict[str, tuple[object, ...]] = {
     "fit": ("fit", "{in}/m.json", "--arm", ARM, "--model", MODEL, "-o", "{out}/fit.toml"),
     "dbc": ("dbc", "--arm", ARM, "-o", "{out}/arm.dbc"),
     "parameters": ("parameters", ARM),
+    "plan": ("plan", ARM, "--model", MODEL, "--candidates", SCENARIO),
     "compile-model": ("compile-model", ARM, "-o", "{out}"),
     "bus-load": ("bus-load", "--arm", ARM),
     "bus-load, log": ("bus-load", "--arm", ARM, "--run", "{in}/run.blf"),

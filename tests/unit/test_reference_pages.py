@@ -74,8 +74,8 @@ def leaves(data: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
 
 def samples() -> Iterator[Any]:
     for file in keys.FILES:
-        for sample in ("free", "fixed"):
-            path = keys.SAMPLES / sample / file.name
+        for path in file.samples:
+            sample = path.parent.name
             for leaf in leaves(tomllib.loads(path.read_text())):
                 yield pytest.param(file, path, leaf, id=f"{sample}-{file.name}-{'.'.join(map(str, leaf))}")
 

@@ -216,7 +216,7 @@ def converted(folder: Path, run: Path, mapping: Path) -> int:
 def test_stamps_that_jitter_are_not_taken_for_a_fast_motion(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run, mapping = jittering(tmp_path, 0.49, 1.0)
     arm = load_arm(tmp_path / "arm.toml")
-    chosen = load_map(mapping, arm, tabular=True)
+    chosen = load_map(mapping, arm, "table")
     found = tracks(read_table(run, chosen), chosen)
     rate, needed = needed_rate(found, arm, chosen)
     assert needed is None or needed >= 2.0 * rate  # what would be taken for the motion's
@@ -309,19 +309,18 @@ def test_coupled_joints_are_not_accused_where_the_law_of_one_motor_does_not_fit(
     arm, cycles = pendulum(number)
     found = audit(arm, cycles)
     assert found.findings == ()
-    assert any("the law of a single motor does not fit" in note for note in found.notes)
-    # where the whole arm has a balance it confirms them; a run of 6 s has too few blocks for one
+    # at the rates of 11 with this smoother's window of 30 ms, the law leaves most of the first torque
     assert found.ok == (number != "11"), found.notes
     undone = audit(arm, swapped("tau", 0, 1)(cycles))
     if number == "11":
         assert undone.findings == () and not undone.ok
-        assert any("6" in note and "accepted" in note for note in undone.notes)
-    else:
-        assert accused(undone) == {
-            "joint 1 torque": "swapped with joint 2 torque",
-            "joint 2 torque": "swapped with joint 1 torque",
-        }
-        assert set(accused(audit(arm, inverted("tau", 0)(cycles))).values()) == {"inverted"}
+        return
+    assert accused(undone) == {
+        "joint 1 torque": "swapped with joint 2 torque",
+        "joint 2 torque": "swapped with joint 1 torque",
+    }
+    for i in (0, 1):
+        assert accused(audit(arm, inverted("tau", i)(cycles))) == {f"joint {i + 1} torque": "inverted"}
 
 
 def test_noise_of_a_torque_is_tested_as_that_of_an_encoder() -> None:

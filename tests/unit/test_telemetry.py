@@ -53,7 +53,7 @@ JOINTS = JOINT.format(name="shoulder", i=1) + JOINT.format(name="elbow", i=2)
 def mapping(tmp_path: Path, arm: Arm, text: str = GRID + JOINTS + GYRO) -> Map:
     file = tmp_path / "map.toml"
     file.write_text(text)
-    return load_map(file, arm, tabular=True)
+    return load_map(file, arm, "table")
 
 
 def row(cycles: Cycles) -> dict[str, NDArray[np.float64]]:
@@ -486,30 +486,51 @@ def european(text: str, separator: str, decimal: str) -> str:
     return text.replace(",", separator).replace(".", decimal)
 
 
-@pytest.mark.parametrize(
-    ("separator", "decimal", "said"),
-    [
-        (";", ",", r"separated by semicolons, and decimals by a comma; remedy: .*separator=';', decimal_comma=True\)"),
-        (";", ".", r"separated by semicolons; remedy: .*separator=';'\)"),
-        ("\t", ".", r"separated by tabs; remedy: .*separator='\\t'\)"),
-        ("\t", ",", "separated by tabs, and decimals by a comma; remedy: "),
-        ("|", ".", "separated by vertical bars; remedy: "),
-    ],
-)
+FORMS = [(";", ","), (";", "."), ("\t", "."), ("\t", ","), ("|", "."), (",", ".")]
+
+
+@pytest.mark.parametrize(("separator", "decimal"), FORMS)
 @pytest.mark.parametrize("mark", ["", "\ufeff"])
-def test_a_csv_with_another_separator_says_so(
-    mark: str, separator: str, decimal: str, said: str, tmp_path: Path
-) -> None:
-    write_cycles(tmp_path / "x.csv", some_cycles(2))
+@pytest.mark.parametrize("names", [True, False])
+def test_a_csv_in_another_form(mark: str, separator: str, decimal: str, names: bool, tmp_path: Path) -> None:
+    """With and without the names of the columns, against the same numbers in an ordinary CSV."""
+    write_cycles(tmp_path / "x.csv", some_cycles(3))
     text = european((tmp_path / "x.csv").read_text(), separator, decimal)
-    (tmp_path / "y.csv").write_text(mark + text, encoding="utf-8")
-    with pytest.raises(ZygosError, match=rf"y\.csv: columns are {said}"):
-        read_columns(tmp_path / "y.csv")
+    (tmp_path / "y.csv").write_text(mark + (text if names else text.partition("\n")[2]), encoding="utf-8")
+    expected, got = (read_columns(tmp_path / name) for name in ("x.csv", "y.csv"))
+    assert list(got) == (list(expected) if names else [str(k) for k in range(1, len(expected) + 1)])
+    for one, other in zip(expected.values(), got.values(), strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
-def test_a_csv_with_quoted_decimal_commas_says_so(tmp_path: Path) -> None:
+def test_whole_numbers_before_the_first_decimal_comma(tmp_path: Path) -> None:
+    (tmp_path / "x.csv").write_text("1;2\n" * 30 + "0,5;-1,25e1\n")
+    columns = read_columns(tmp_path / "x.csv")
+    assert (columns["1"][-1], columns["2"][-1]) == (0.5, -12.5)
+
+
+def test_columns_of_a_table_without_names_are_named_by_their_numbers(arm: Arm, tmp_path: Path) -> None:
+    sent = some_cycles(60)
+    columns = row(sent) | {"t": 0.05 * np.arange(60)}
+    (tmp_path / "x.csv").write_text(
+        "\n".join(
+            ";".join(f"{value}".replace(".", ",") for value in line) for line in zip(*columns.values(), strict=True)
+        )
+    )
+    text = GRID + JOINTS + GYRO
+    for number, name in enumerate(columns, start=1):
+        text = text.replace(f'column = "{name}"', f'column = "{number}"')
+    chosen = mapping(tmp_path, arm, text)
+    got = regrid(tracks(read_table(tmp_path / "x.csv", chosen), chosen), arm, chosen)
+    np.testing.assert_allclose(got.q, sent.q[: len(got)], atol=1e-12)
+    wrong = mapping(tmp_path, arm, text.replace('column = "2"', 'column = "21"'))
+    with pytest.raises(ZygosError, match=r'x\.csv has no column "21"; remedy: '):
+        read_table(tmp_path / "x.csv", wrong)
+
+
+def test_a_csv_with_commas_for_both_says_so(tmp_path: Path) -> None:
     (tmp_path / "x.csv").write_text('t,q\n"0,05","1,25"\n')
-    with pytest.raises(ZygosError, match=r"x\.csv: numbers have a decimal comma; remedy: "):
+    with pytest.raises(ZygosError, match=r"x\.csv: numbers have a decimal comma, and columns are .* remedy: "):
         read_columns(tmp_path / "x.csv")
 
 

@@ -18,7 +18,7 @@ from zygos.files import toml
 from zygos.files.toml import Entry, Table
 from zygos.model.model import read_model
 from zygos.simulation.scenario import read_scenario
-from zygos.telemetry.map import read_map
+from zygos.telemetry.map import Input, read_map
 from zygos.urdf import answers
 
 SAMPLES = Path(__file__).resolve().parents[1] / "samples"
@@ -86,10 +86,14 @@ class File:
     named: str = ""
     """A table whose keys are names of the user's, and so stand in the page as NAME."""
 
+    @property
+    def samples(self) -> list[Path]:
+        """The files of this kind in tools/samples/."""
+        return [path for folder in ("free", "fixed", "ros") if (path := SAMPLES / folder / self.name).is_file()]
+
     def reads(self) -> list[Read]:
         """What the reader asks of the samples."""
-        found = [one for sample in ("free", "fixed") for one in recorded(self.read, SAMPLES / sample / self.name)]
-        return [self._renamed(one) for one in found]
+        return [self._renamed(one) for sample in self.samples for one in recorded(self.read, sample)]
 
     def _renamed(self, one: Read) -> Read:
         first, _, rest = one.table.partition(".")
@@ -100,9 +104,14 @@ class File:
         return replace(one, entry=replace(one.entry, key="NAME"))
 
 
+RECORDINGS: dict[str, Input] = {"free": "log", "fixed": "table", "ros": "mcap"}
+"""Which kind of recording the map of a sample is for."""
+
+
 def _read_map(top: Table) -> object:
-    arm = load_arm(top.file.parent / "arm.toml")
-    return read_map(top, arm, tabular=top.file.parent.name == "fixed")
+    folder = top.file.parent.name
+    arm = load_arm(SAMPLES / ("free" if folder == "free" else "fixed") / "arm.toml")
+    return read_map(top, arm, RECORDINGS[folder])
 
 
 PLACES = {
@@ -148,8 +157,8 @@ FILES = (
     File(
         "map.toml",
         "which foreign signal is which quantity of the arm",
-        "A map tells `zygos convert` where the readings of the arm are in a foreign CAN log or table, and in which "
-        "units ([telemetry](../telemetry.md)).",
+        "A map tells `zygos convert` where the readings of the arm are in a foreign CAN log, table or MCAP, and in "
+        "which units ([telemetry](../telemetry.md)).",
         _read_map,
     ),
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from zygos.arm import Arm, load_arm
 from zygos.can import bus
 from zygos.errors import ZygosError
+from zygos.files.inputs import local
 from zygos.files.tables import check_table, is_table
 from zygos.native.flight import Flight, encode
 from zygos.runs.cycles import Cycles
@@ -106,16 +107,28 @@ class Run:
         return f"<Run of arm {self.arm.name}: {len(self):,} cycles, {kind}{name}>"
 
 
-def find_arm(run: Path) -> Path:
-    """The arm file beside a run. Errors: ZygosError if the run or the file is not there."""
+def find_arm(run: Path, arm: Path | None = None) -> Path:
+    """The arm file of a run: the given one, or arm.toml beside it. Errors: ZygosError if the run or the file is not
+    there."""
     if is_table(run):
         check_table(run)
     else:
         bus.check_log(run)
-    beside = run.parent / "arm.toml"
-    if not beside.is_file():
-        raise ZygosError(f"{beside}: no such arm file; remedy: give the arm, or put arm.toml beside the run")
-    return beside
+    chosen = arm or run.parent / "arm.toml"
+    if not local(chosen).is_file():
+        raise ZygosError(f"{chosen}: no such arm file; remedy: give the arm (--arm), or put arm.toml beside the run")
+    return chosen
+
+
+def read_run(path: Path, arm: Arm, progress: Callable[[int], None] | None = None) -> Run:
+    """Read a log or a table of cycles; `Run.damage` says what is missing of a log. progress: as in `read_log`.
+
+    Errors: as `load_run`.
+    """
+    if is_table(path):
+        return Run(arm, table=read_cycles(path, arm), path=path)
+    log = bus.read_log(path, progress)
+    return Run(arm, log.frames, path=path, damage=log.damage)
 
 
 def load_run(path: str | Path, arm: Arm | str | Path | None = None) -> Run:
@@ -128,12 +141,10 @@ def load_run(path: str | Path, arm: Arm | str | Path | None = None) -> Run:
     """
     file = Path(path)
     known = arm if isinstance(arm, Arm) else load_arm(find_arm(file) if arm is None else arm)
-    if is_table(file):
-        return Run(known, table=read_cycles(file, known), path=file)
-    log = bus.read_log(file)
-    for text in log.damage:
+    run = read_run(file, known)
+    for text in run.damage:
         warnings.warn(text, stacklevel=2)
-    return Run(known, log.frames, path=file, damage=log.damage)
+    return run
 
 
 def joined(runs: Sequence[Run]) -> Run:

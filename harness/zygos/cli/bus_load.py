@@ -14,10 +14,11 @@ from zygos.arm import Arm, load_arm
 from zygos.can.bus import check_log
 from zygos.can.load import LIMIT, OTHERS, Plan, Usage, exact_bits, plan, usage
 from zygos.cli.options import Json
-from zygos.cli.shared import not_whole, read_log
-from zygos.errors import Undecided
+from zygos.cli.shared import not_whole, read_run
+from zygos.errors import Undecided, ZygosError
 from zygos.files.output import check_outputs, counted, note, number, say, table, write_json
 from zygos.files.progress import progress
+from zygos.files.tables import is_table
 
 _FASTEST = 1_000_000
 """Largest bit rate of classical CAN, bit/s."""
@@ -36,14 +37,19 @@ def report_bus_load(
 ) -> None:
     """Print the load of an arm's frames; see `zygos bus-load --help`."""
     if run is not None:
+        if is_table(run):
+            raise ZygosError(
+                f"{run}: a table of cycles has no frames whose bits could be counted; remedy: give the CAN log"
+            )
         check_log(run)
     check_outputs([json], [arm_file, run])
     arm = load_arm(arm_file)
     planned = plan(arm, bitrate, attitude_hz, telemetry_hz)
     used, log = None, None
     if run is not None:
-        log = read_log(run)
+        log = read_run(run, arm)
         frames = log.frames
+        assert frames is not None
         parts = [frames[k : k + _AT_ONCE] for k in range(0, len(frames), _AT_ONCE)]
         with progress() as bar:
             bits = np.concatenate([exact_bits(part) for part in bar.track(parts, description="counting bits")])

@@ -9,8 +9,9 @@ from typing import Annotated
 import typer
 
 from zygos.arm import load_arm
+from zygos.can.run import find_arm
 from zygos.cli.options import ArmFile, Json, Report, Run
-from zygos.cli.shared import find_arm, not_whole, origin, read_run
+from zygos.cli.shared import not_whole, origin, read_run
 from zygos.errors import Undecided
 from zygos.files.output import (
     bad,

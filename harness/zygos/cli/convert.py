@@ -37,15 +37,16 @@ from zygos.telemetry.grid import (
     needed_rate,
     noisier,
 )
-from zygos.telemetry.map import Dictionary, Map, load_map, read_can, read_table
+from zygos.telemetry.map import Dictionary, Input, Map, load_map, read_can, read_table
+from zygos.telemetry.ros import check_mcap, is_mcap, read_mcap
 
 
 def convert_run(
     source: Path, dbc: Sequence[Path], map_file: Path, arm_file: Path | None, out: Path, json: str | None
 ) -> None:
     """Convert foreign telemetry; see `zygos convert --help`."""
-    tabular = is_table(source)
-    _check_names(source, dbc, out, tabular=tabular)
+    kind: Input = "mcap" if is_mcap(source) else "table" if is_table(source) else "log"
+    _check_names(source, dbc, out, kind)
     chosen = arm_file or map_file.parent / "arm.toml"
     if not local(chosen).is_file():
         raise ZygosError(f"{chosen}: no such arm file; remedy: give it with --arm, or put arm.toml next to the map")
@@ -53,18 +54,20 @@ def convert_run(
     check_outputs([out, json], [source, *dbc, map_file, chosen, beside])
     arm = load_arm(chosen)
     Flight(arm)  # raises an error for an arm that the library refuses, before anything is read
-    mapping = load_map(map_file, arm, tabular=tabular)
+    mapping = load_map(map_file, arm, kind)
     with progress() as bar:
         task = bar.add_task(f"reading {source.name}", total=None)
-        if tabular:
+
+        def reading(count: int) -> None:
+            noun = "messages" if kind == "mcap" else "frames"
+            bar.update(task, description=f"reading {source.name}: {count:,} {noun}")
+
+        if kind == "table":
             recording = read_table(source, mapping)
+        elif kind == "mcap":
+            recording = read_mcap(source, mapping, reading)
         else:
-            recording = read_can(
-                source,
-                Dictionary.load(dbc),
-                mapping,
-                lambda count: bar.update(task, description=f"reading {source.name}: {count:,} frames"),
-            )
+            recording = read_can(source, Dictionary.load(dbc), mapping, reading)
         bar.update(task, description="converting")
         found, cycles, lost = cycles_of(recording, mapping, arm)
         noise = noise_of(found, mapping, arm)
@@ -72,13 +75,13 @@ def convert_run(
             described, text = arm, local(chosen).read_text(encoding="utf-8")
         else:
             described = noisier(arm, mapping.channels, noise)
-            text = noisier_arm_text(chosen, described, f"{source.name} by {map_file.name}")
+            text = noisier_arm_text(chosen, described)
         check_noise(described, mapping, noise)
         rate, needed = needed_rate(found, arm, mapping)
         # if the motion passes the test with even stamps, it is not too fast
         _, even = needed_rate([track.evened for track in found], arm, mapping) if needed != rate else (rate, needed)
         frames = None if is_table(out) else encode(described, with_time(cycles))
-        write_run(out, cycles, frames, arm.period_s, beside, text)
+        write_run(out, cycles, frames, arm.period_s, text, chosen)
         refused = refused_share(described, cycles, frames)
     warn(recording.missing)
     rows = signal_rows(recording, found, cycles, described, mapping, noise)
@@ -115,11 +118,13 @@ def convert_run(
     not_whole(recording.missing)
 
 
-def _check_names(source: Path, dbc: Sequence[Path], out: Path, *, tabular: bool) -> None:
-    if tabular:
-        check_table(source)
+def _check_names(source: Path, dbc: Sequence[Path], out: Path, kind: Input) -> None:
+    if kind != "log":
+        check = check_mcap if kind == "mcap" else check_table
+        check(source)
         if dbc:
-            raise ZygosError(f"{source}: a table needs no --dbc; remedy: leave it out")
+            called = "an MCAP" if kind == "mcap" else "a table"
+            raise ZygosError(f"{source}: {called} needs no --dbc; remedy: leave it out")
     else:
         bus.check_log(source)
         if not dbc:
@@ -203,7 +208,10 @@ def _judge(
 def command(
     source: Annotated[
         Path,
-        typer.Argument(metavar="LOG", help="A CAN log (.log .blf .asc .trc .mf4), or a table (.csv .parquet .npz)."),
+        typer.Argument(
+            metavar="RECORDING",
+            help="A CAN log (.log .blf .asc .trc .mf4), a table (.csv .parquet .npz), or an MCAP (.mcap).",
+        ),
     ],
     map_file: Annotated[
         Path, typer.Option("--map", metavar="MAP.toml", help="Assigns signals to readings of the arm, with units.")
@@ -222,10 +230,13 @@ def command(
 ) -> None:
     """Convert telemetry of another system to a run.
 
-    Decodes LOG with its own DBC, converts signals to SI units by scale, sign and unit, and writes RUN with arm.toml
-    next to it. A cycle counter in the telemetry gives one record per cycle. Without one, signals are interpolated on
-    the grid of the arm's period, and the error of that is added to the noise that the arm.toml next to RUN declares.
-    The table shows the range of every signal: check whether it is plausible.
+    Decodes a CAN log with its own DBC, a table by its columns, or an MCAP with JointState and Imu messages of ROS 2 by
+    its topics, converts signals to SI units by scale, sign and unit, and writes RUN with arm.toml next to it. A cycle
+    counter in the telemetry gives one record per cycle. Without one, signals are interpolated on the grid of the arm's
+    period, or averaged if they are recorded at 2.5 times its rate or more, and the arm.toml next to RUN declares the
+    noise that they then have. The table shows the range of every signal: check whether it is plausible.
+
+    An earlier RUN and its arm.toml are replaced.
 
     Exit code 3 when the motion is faster than the recording; RUN is written nevertheless.
 

@@ -11,11 +11,11 @@ import typer
 
 from zygos.arm import load_arm
 from zygos.can.run import Run as RecordedRun
-from zygos.can.run import joined
+from zygos.can.run import find_arm, joined
 from zygos.cli.answer import finish_estimate
 from zygos.cli.ground import finish_ground, finish_payload
 from zygos.cli.options import ArmFile, Json, Report
-from zygos.cli.shared import check_model_name, find_arm, not_whole, origin, read_run
+from zygos.cli.shared import check_model_name, not_whole, origin, read_run
 from zygos.effects import CATALOGUE, Effect
 from zygos.errors import ZygosError
 from zygos.estimation.estimate import estimate
@@ -149,8 +149,8 @@ def _payload(
     given = [name for name, value in beside.items() if value]
     if given:
         raise ZygosError(
-            f"{', '.join(given)} with --since: everything but the payload comes from the model of --since; remedy: leave "
-            f"{'it' if len(given) == 1 else 'them'} out"
+            f"{', '.join(given)} with --since: everything but the payload comes from the model of --since; remedy: "
+            f"leave {'it' if len(given) == 1 else 'them'} out"
         )
     assert ground.since is not None
     finish_payload(payload(runs, load_model(ground.since)), out, json)

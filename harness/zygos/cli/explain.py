@@ -11,9 +11,9 @@ import numpy as np
 import typer
 
 from zygos.arm import load_arm
-from zygos.can import bus
+from zygos.can.run import Run, find_arm, read_run
 from zygos.cli.options import ArmFile, Json
-from zygos.cli.shared import check_model_name, find_arm, not_whole, warn
+from zygos.cli.shared import check_model_name, not_whole, warn
 from zygos.effects import estimated
 from zygos.errors import Undecided, ZygosError
 from zygos.files.output import check_outputs, named, number, quiet, say, table, write_json
@@ -22,8 +22,8 @@ from zygos.gap.answer import as_json, predictions
 from zygos.gap.explain import explain
 from zygos.gap.explanation import Explanation
 from zygos.gap.findings import INTERVAL
-from zygos.gap.record import MeasuredRun, read_measured_run
-from zygos.gap.runs import check_arm_of_gap
+from zygos.gap.record import MeasuredRun, measured_run
+from zygos.gap.runs import check_arm_of_gap, same_recording
 from zygos.gap.sentences import against
 from zygos.model.model import load_model, save_model
 from zygos.native.flight import Flight
@@ -61,7 +61,7 @@ def explain_run(
     inputs = Inputs(simulation, find_arm(measured[0], arm_file), measured, validate)
     runs = [run for role, run in inputs.files if role in {"measured", "validate"}]
     for run in runs:
-        bus.check_log(run)
+        find_arm(run, inputs.arm)
     check_model_name(out)
     check_outputs([out, report, json], [path for _, path in inputs.files])
     arm, model = load_arm(inputs.arm), load_model(simulation)
@@ -70,13 +70,13 @@ def explain_run(
     with progress() as bar:
         task = bar.add_task("reading", total=1.0)
         records: list[MeasuredRun] = []
-        logs: list[bus.Log] = []
+        logs: list[Run] = []
         for k, run in enumerate(runs):
             bar.update(task, description=f"reading {run.name}", completed=0.2 * k / len(runs))
-            logs.append(bus.read_log(run))
+            logs.append(read_run(run, arm))
             warn(logs[-1].damage)
             _check_distinct(runs, logs)
-            records.append(read_measured_run(arm, run, logs[-1].frames))
+            records.append(measured_run(logs[-1], run))
         found = explain(
             arm,
             model,
@@ -89,7 +89,7 @@ def explain_run(
     not_whole(*(log.damage for log in logs))
 
 
-def flown(found: Explanation, logs: Sequence[bus.Log]) -> list[dict[str, Any]]:
+def flown(found: Explanation, logs: Sequence[Run]) -> list[dict[str, Any]]:
     """Estimates of the flight library from the same runs, with the columns of the findings switched on."""
     columns = [] if found.model is None else list(estimated(found.arm, found.model.effects))
     names = {effect.column(found.arm) for effect in columns if effect.source == "zygos"}
@@ -98,7 +98,10 @@ def flown(found: Explanation, logs: Sequence[bus.Log]) -> list[dict[str, Any]]:
     out = []
     for run, log in enumerate(logs):
         flight = Flight(found.arm, columns)
-        flight.frames(log.frames)
+        if log.frames is None:
+            flight.cycles(log.cycles)
+        else:
+            flight.frames(log.frames)
         result = flight.estimate()
         out += [
             {
@@ -115,10 +118,10 @@ def flown(found: Explanation, logs: Sequence[bus.Log]) -> list[dict[str, Any]]:
     return out
 
 
-def _check_distinct(runs: Sequence[Path], logs: Sequence[bus.Log]) -> None:
-    """Refuse a log that contains the same frames as an earlier one, in whatever format."""
+def _check_distinct(runs: Sequence[Path], logs: Sequence[Run]) -> None:
+    """Refuse a run with the same cycles as an earlier one, in whatever format."""
     for other, log in zip(runs, logs[:-1], strict=False):
-        if np.array_equal(log.frames, logs[-1].frames):
+        if same_recording(log, logs[-1]):
             raise ZygosError(
                 f"{other} and {runs[len(logs) - 1]} are the same recording; remedy: give two different runs, and with "
                 "--validate a third, because a result from one run must hold on another"
@@ -128,7 +131,7 @@ def _check_distinct(runs: Sequence[Path], logs: Sequence[bus.Log]) -> None:
 def finish(
     found: Explanation,
     records: Sequence[MeasuredRun],
-    logs: Sequence[bus.Log],
+    logs: Sequence[Run],
     inputs: Inputs,
     source: Provenance,
     out: Path,

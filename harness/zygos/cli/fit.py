@@ -59,7 +59,7 @@ def fit_estimate(
                 else ", although some positive definite N does"
             )
             + f"; remedy: compare axes, frame_rpy, ratios and zeros of {arm_file} and the lengths of {drawing_file} "
-            "with the arm, and check that the estimate belongs to it"
+            "with the arm, check that the estimate belongs to it, and give a drawing that is nearer to the arm"
         )
 
 

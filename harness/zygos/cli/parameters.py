@@ -65,11 +65,12 @@ def command(
 ) -> None:
     """List the base parameters of an arm, and what each of them stands for.
 
-    Base parameters are those that some motion determines. Parallel and perpendicular axes, a fixed base and rotors that turn with their links make parameters inseparable.
-    They are found from the geometry alone. With position_m for every joint, an arm on a fixed base has the inertial
-    parameters of its bodies: mass m, first moments mx my mz and inertias Ixx .. Izz about the origin of the joint's
-    frame; elsewhere the parameters are products of inertia (docs/theory.md). `Izz2 - Iyy2` as what Izz2 stands for
-    means that an estimate of Izz2 is one of this difference. Coefficients are in SI units, with 6 digits.
+    Base parameters are those that some motion determines. Parallel and perpendicular axes, a fixed base and rotors
+    that turn with their links make others inseparable, which follows from the geometry alone. With position_m for
+    every joint, an arm on a fixed base has the inertial parameters of its bodies: mass m, first moments mx my mz, and
+    inertias Ixx .. Izz about the origin of the joint's frame. Elsewhere the parameters are products of inertia
+    (docs/theory.md). Where Izz2 stands for `Izz2 - Ixx2`, an estimate of Izz2 is one of this difference. Coefficients
+    are in SI units, with 6 digits.
 
     Example: zygos parameters examples/paper/arm.toml
     """

@@ -4,23 +4,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import typer
+from numpy.typing import NDArray
+from rich.progress import Progress, TaskID
 
-from zygos.arm import load_arm
-from zygos.cli.options import Json
+from zygos.arm import Arm, load_arm
+from zygos.cli.options import Json, Report
 from zygos.cli.shared import check_model_name
 from zygos.errors import ZygosError
 from zygos.files.output import check_outputs, number, quiet, say, table, write_json
 from zygos.files.progress import progress
 from zygos.model.model import load_model
-from zygos.plan.expected import Expectation, expected_on_ground, scenario_of
-from zygos.plan.limits import Limits, as_number, limits_of, per_joint
-from zygos.plan.rows import Grounded
-from zygos.plan.search import search
+from zygos.plan.expected import Expectation
+from zygos.plan.limits import ANGLE_RAD, RATE_RAD_S, as_number, limits_of, per_joint
+from zygos.plan.planning import Motion, Planner, ranked
+from zygos.report.provenance import provenance
 from zygos.simulation.scenario import load_scenario, save_scenario
 
 
@@ -29,115 +32,103 @@ def plan_motion(
     model_file: Path,
     scenario_files: Sequence[Path],
     out: Path | None,
-    angle: str | None,
-    rate: str | None,
-    torque: str | None,
+    limits: tuple[str | None, str | None, str | None],
     torque_noise: str | None,
-    period_s: float,
-    harmonics: int,
-    duration_s: float,
-    seed: int,
+    sought: Motion,
     json: str | None,
+    report: Path | None,
+    called: Sequence[str],
 ) -> None:
     """Rank motions and plan one; see `zygos plan --help`."""
     if out is not None:
         check_model_name(out)
-    check_outputs([out, json], [arm_file, model_file, *scenario_files])
+    check_outputs([out, json, report], [arm_file, model_file, *scenario_files])
     if out is None and not scenario_files:
         raise ZygosError(
-            "there is nothing to plan; remedy: name the scenario to write with -o, or scenarios whose motions are ranked"
+            "there is nothing to do; remedy: name the scenario to write with -o, or scenarios whose motions are ranked"
         )
     arm, model = load_arm(arm_file), load_model(model_file)
-    limits = limits_of(arm, angle, rate, torque)
-    sigma = np.array([joint.torque_sigma for joint in arm.joints])
-    if torque_noise is not None:
-        texts = per_joint([joint.name for joint in arm.joints], "torque noise", torque_noise, "nan")
-        sigma = np.array([as_number("torque noise", text) for text in texts.values()])
-    grounded = Grounded(arm, model, sigma)
-    given: list[Expectation] = []
-    planned: Expectation | None = None
+    planner = Planner(arm, model, limits_of(arm, *limits), _torque_sigma(arm, torque_noise))
+    scenarios = [load_scenario(file) for file in scenario_files]
+    expected: list[Expectation] = []
     with progress() as bar:
-        for file in scenario_files:
+        for file, scenario in zip(scenario_files, scenarios, strict=True):
             task = bar.add_task(f"computing {file.name}", total=1.0)
-            scenario = load_scenario(file)
-            given.append(
-                expected_on_ground(grounded, scenario, limits, lambda share, k=task: bar.update(k, completed=share))
-            )
+            expected.append(planner.expected(scenario, partial(_update, bar, task)))
             bar.update(task, completed=1.0)
         if out is not None:
-            repeats = duration_s / period_s
-            if abs(repeats - round(repeats)) > 1e-9 or round(repeats) < 1:
-                raise ZygosError(
-                    f"{duration_s:g} s are not a whole number of periods of {period_s:g} s, so that the motion would not "
-                    "end at rest; remedy: a multiple of --period as --duration"
-                )
             task = bar.add_task("searching a motion", total=1.0)
-            found = search(
-                grounded,
-                limits,
-                period_s,
-                harmonics,
-                seed=seed,
-                progress=lambda share: bar.update(task, completed=share),
+            template = scenarios[0] if scenarios else None
+            planned, expectation = planner.plan(
+                out.stem, sought, arm_file, model_file, template, partial(_update, bar, task)
             )
-            bar.update(task, completed=1.0)
-            scenario = scenario_of(grounded, found.motion, out.stem, arm_file, model_file, duration_s, seed)
-            planned = expected_on_ground(grounded, scenario, limits)
-            save_scenario(scenario, out)
-    best = min([*given, *([planned] if planned else [])], key=lambda one: one.measure)
-    if not quiet(out, json):
-        _tables(given, planned)
+            expected.append(expectation)
+    ranked(expected)  # refuses motions of which none keeps the limits
+    if out is not None:
+        save_scenario(planned, out)
+    if not quiet(out, json, report):
+        _tables(expected)
+        if out is not None:
+            say(f"{out}: written, {planned.duration_s:g} s; zygos simulate {out} -o RUN")
+    if report is not None:
+        from zygos.plan.page import write_plan_report  # noqa: PLC0415  (only a report needs charts)
+
+        files = [("arm", arm_file), ("model", model_file), *(("scenario", file) for file in scenario_files)]
+        write_plan_report(report, arm, expected, planner.limits, provenance(called, files))
     if json:
-        write_json(json, _answer(arm.name, given, planned, best, out, limits))
+        write_json(json, _answer(arm.name, expected, out, planner))
 
 
-def _tables(given: Sequence[Expectation], planned: Expectation | None) -> None:
-    every = [*given, *([planned] if planned else [])]
+def _update(bar: Progress, task: TaskID, share: float) -> None:
+    bar.update(task, completed=share)
+
+
+def _torque_sigma(arm: Arm, given: str | None) -> NDArray[np.float64]:
+    declared = [joint.torque_sigma for joint in arm.joints]
+    if given is None:
+        return np.array(declared)
+    texts = per_joint([joint.name for joint in arm.joints], "torque noise", given, "")
+    return np.array(
+        [as_number("torque noise", text) if text else own for text, own in zip(texts.values(), declared, strict=True)]
+    )
+
+
+def _tables(expected: Sequence[Expectation]) -> None:
     rows = [
-        (
-            column.name,
-            column.unit,
-            number(column.value, 4),
-            *(number(float(one.percent[k]), 3) for one in every),
-        )
-        for k, column in enumerate(every[0].columns)
+        (column.name, column.unit, number(column.value, 4), *(number(float(one.percent[k]), 3) for one in expected))
+        for k, column in enumerate(expected[0].columns)
     ]
-    table(("parameter", "unit", "model", *(f"{one.name} %" for one in every)), rows)
-    ranked = sorted(every, key=lambda one: one.measure)
-    if len(every) > 1:
-        table(
-            ("motion", "mean sigma, relative to the best", "worst parameter", "its sigma in %"),
-            [
-                (
-                    one.name,
-                    number(math.exp(one.measure - ranked[0].measure), 3),
-                    one.worst.name,
-                    number(float(one.percent[one.columns.index(one.worst)]), 3),
-                )
-                for one in ranked
-            ],
-        )
-    for one in every:
-        say(
-            f"{one.name}: expected of one run · worst is {one.worst.name} with "
-            f"{number(float(one.percent[one.columns.index(one.worst)]), 3)} % · largest rate "
-            f"{number(float(np.abs(one.rate).max()), 3)} rad/s · largest torque "
-            f"{number(float(np.abs(one.torque).max()), 3)} Nm"
-        )
+    table(("parameter", "unit", "model", *(f"{one.name} σ in %" for one in expected)), rows)
+    best = ranked(expected)[0]
+    table(
+        ("motion", "mean σ", "worst", "its σ in %", "largest rate, rad/s", "largest torque, Nm", "limits"),
+        [
+            (
+                one.name,
+                f"{math.exp(one.measure - best.measure):.2f}",
+                one.columns[one.worst].name,
+                number(float(one.percent[one.worst]), 3),
+                number(float(np.abs(one.rate).max()), 3),
+                number(float(np.abs(one.torque).max()), 3),
+                "exceeded" if one.excess else "kept",
+            )
+            for one in ranked(expected)
+        ],
+    )
+    for one in expected:
+        if one.excess:
+            say(f"{one.name}: {one.excess}")
+    say("σ: expected after one run, in % of the largest value with the same unit of the same body")
+    say("mean σ: of the arm's parameters, relative to the best motion")
 
 
-def _answer(
-    arm: str,
-    given: Sequence[Expectation],
-    planned: Expectation | None,
-    best: Expectation,
-    out: Path | None,
-    limits: Limits,
-) -> dict[str, Any]:
+def _answer(arm: str, expected: Sequence[Expectation], out: Path | None, planner: Planner) -> dict[str, Any]:
+    limits = planner.limits
     return {
         "arm": arm,
         "scenario": str(out) if out else None,
-        "best": best.name,
+        "rows": "joint" if planner.grounded is not None else "simulated",
+        "ranking": [one.name for one in ranked(expected)],
         "limits": {
             "low_rad": limits.low.tolist(),
             "high_rad": limits.high.tolist(),
@@ -147,9 +138,9 @@ def _answer(
         "motions": [
             {
                 "name": one.name,
-                "planned": one is planned,
                 "measure": one.measure,
-                "worst": one.worst.name,
+                "worst": one.columns[one.worst].name,
+                "excess": one.excess,
                 "largest_rate_rad_s": np.abs(one.rate).max(axis=0).tolist(),
                 "largest_torque_nm": np.abs(one.torque).max(axis=0).tolist(),
                 "parameters": [
@@ -164,17 +155,18 @@ def _answer(
                     for column, sigma, percent in zip(one.columns, one.sigma, one.percent, strict=True)
                 ],
             }
-            for one in (*given, *([planned] if planned else []))
+            for one in expected
         ],
     }
 
 
 def command(
+    context: typer.Context,
     arm: Annotated[Path, typer.Argument(metavar="ARM.toml", help="The arm file.")],
     model: Annotated[Path, typer.Option("--model", metavar="MODEL.toml", help="The model that is assumed.")],
     scenarios: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="[SCENARIO.toml]...", help="Motions to rank, and to compare the planned one with."),
+        typer.Argument(metavar="SCENARIO...", help="Motions to rank, and to compare the planned one with."),
     ] = None,
     out: Annotated[
         Path | None, typer.Option("-o", "--out", metavar="SCENARIO.toml", help="Search a motion, and write it here.")
@@ -185,31 +177,56 @@ def command(
     angle: Annotated[
         str | None,
         typer.Option(
-            metavar="RAD", help="Range of the angles: A for -A to A, or LOW:HIGH; NAME=LOW:HIGH,... for single joints."
+            metavar="RAD",
+            help="Range of the angles: A for -A to A, or LOW:HIGH; with NAME= before it of one joint. A search "
+            f"assumes {ANGLE_RAD:.2f} where there is none.",
         ),
     ] = None,
     rate: Annotated[
-        str | None, typer.Option(metavar="RAD/S", help="Largest rate; NAME=RATE,... for single joints.")
+        str | None,
+        typer.Option(
+            metavar="RAD/S",
+            help="Largest rate; with NAME= before it of one joint. A search assumes "
+            f"{RATE_RAD_S:g} where there is none.",
+        ),
     ] = None,
     torque: Annotated[
         str | None,
-        typer.Option(metavar="NM", help="Largest torque, as in the frames; NAME=TORQUE,... for single joints."),
+        typer.Option(metavar="NM", help="Largest torque as the frames report it; with NAME= before it of one joint."),
     ] = None,
     torque_noise: Annotated[
         str | None,
-        typer.Option(metavar="NM", help="Standard deviation of the torques. Default: torque_sigma of the arm file."),
+        typer.Option(
+            metavar="NM",
+            help="Standard deviation of the torques; with NAME= before it of one joint. Default: torque_sigma.",
+        ),
     ] = None,
     period: Annotated[float, typer.Option(metavar="S", min=0.5, help="Period of the motion.")] = 10.0,
     harmonics: Annotated[int, typer.Option(metavar="K", min=3, max=30, help="Harmonics of the motion.")] = 5,
     duration: Annotated[
-        float, typer.Option(metavar="S", min=0.5, help="Duration of the run, in whole periods.")
-    ] = 20.0,
+        float | None,
+        typer.Option(
+            metavar="S",
+            min=0.5,
+            help="Duration of the run. Default: two periods; that of the first scenario, if the motion is simulated.",
+        ),
+    ] = None,
+    simulations: Annotated[
+        int, typer.Option(metavar="N", min=1, help="Motions to simulate, if the arm floats or has springs.")
+    ] = 24,
     seed: Annotated[int, typer.Option(metavar="N", min=0, help="Seed of the search.")] = 0,
     json: Json = None,
+    report: Report = None,
 ) -> None:
     """Plan a motion that excites every parameter, or rank given motions by what they tell.
 
-    The table has the standard deviation that is expected of each parameter after one run.
+    The table has the standard deviation that is expected of each parameter after one run, in % of the largest value
+    with the same unit of the same body, for each given scenario and for the planned one. For an arm on the ground with
+    rigid joints it follows from the joint rows of the motion and from the noise of the torques, and the planned
+    scenario has a drive that follows the motion. An arm that floats or has springs is simulated, and its first scenario
+    gives servo, angular momentum and duration.
+
+    A planned motion keeps all limits. A given one that exceeds a limit is ranked last; if all do, they are refused.
 
     Example: zygos plan arm.toml --model model.toml --angle 2.5 --rate 1.5 -o planned.toml
     """
@@ -220,13 +237,10 @@ def command(
         model,
         scenarios or [],
         out,
-        angle,
-        rate,
-        torque,
+        (angle, rate, torque),
         torque_noise,
-        period,
-        harmonics,
-        duration,
-        seed,
+        Motion(period, harmonics, duration, seed, simulations),
         json,
+        report,
+        context.obj or ["plan"],
     )

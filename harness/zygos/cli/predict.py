@@ -8,9 +8,10 @@ from typing import Annotated
 import typer
 
 from zygos.arm import load_arm
+from zygos.can.run import find_arm
 from zygos.cli.ground import scores_table
 from zygos.cli.options import ArmFile, Json, Report
-from zygos.cli.shared import find_arm, not_whole, read_run
+from zygos.cli.shared import not_whole, read_run
 from zygos.files.output import check_outputs, quiet, write_json
 from zygos.ground.score import score
 from zygos.model.model import load_model

@@ -1,4 +1,4 @@
-"""Steps that several commands share: find the arm file, read a run, report damage, end at a signal."""
+"""Steps that several commands share: read a run, report damage, say where an answer is from."""
 
 from __future__ import annotations
 
@@ -7,29 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from zygos.arm import Arm
-from zygos.can import bus
+from zygos.can import run as recorded
 from zygos.can.run import Run
 from zygos.errors import Damaged, ZygosError
-from zygos.files.inputs import local
 from zygos.files.output import (
     is_dash,
     note,
 )
 from zygos.files.progress import progress
-from zygos.files.tables import check_table, is_table
-from zygos.runs.tables import read_cycles
-
-
-def find_arm(run: Path, arm: Path | None) -> Path:
-    """The arm file of a run: the given one, or arm.toml next to the run. The run must exist."""
-    if is_table(run):
-        check_table(run)
-    else:
-        bus.check_log(run)
-    chosen = arm or run.parent / "arm.toml"
-    if not local(chosen).is_file():
-        raise ZygosError(f"{chosen}: no such arm file; remedy: give it with --arm, or put arm.toml next to the run")
-    return chosen
 
 
 def check_model_name(path: Path) -> None:
@@ -39,20 +24,15 @@ def check_model_name(path: Path) -> None:
 
 
 def read_run(run: Path, arm: Arm) -> Run:
-    """Read a log or a table of cycles; as `read_log`."""
-    if is_table(run):
-        return Run(arm, table=read_cycles(run, arm), path=run)
-    log = read_log(run)
-    return Run(arm, log.frames, path=run, damage=log.damage)
-
-
-def read_log(run: Path) -> bus.Log:
-    """Read a log, with progress for a long one. Damage is reported at once; `not_whole` ends the command."""
+    """Read a log or a table of cycles, with progress for a long log. Damage is reported at once; `not_whole` ends the
+    command."""
     with progress() as bar:
         task = bar.add_task(f"reading {run.name}", total=None)
-        log = bus.read_log(run, lambda count: bar.update(task, description=f"reading {run.name}: {count:,} frames"))
-    warn(log.damage)
-    return log
+        read = recorded.read_run(
+            run, arm, lambda count: bar.update(task, description=f"reading {run.name}: {count:,} frames")
+        )
+    warn(read.damage)
+    return read
 
 
 def warn(texts: Sequence[str]) -> None:

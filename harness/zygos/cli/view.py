@@ -10,8 +10,9 @@ import typer
 from scipy.spatial.transform import Rotation
 
 from zygos.arm import load_arm
+from zygos.can.run import find_arm
 from zygos.cli.options import ArmFile, Json, Run
-from zygos.cli.shared import find_arm, not_whole, read_run
+from zygos.cli.shared import not_whole, read_run
 from zygos.dynamics.pose import motion, skeleton
 from zygos.errors import ZygosError
 from zygos.files.output import (

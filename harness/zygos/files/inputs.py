@@ -19,6 +19,7 @@ _KINDS = (
     (".mf4", re.compile(rb"MDF ")),
     (".npz", re.compile(rb"PK\x03\x04")),
     (".parquet", re.compile(rb"PAR1")),
+    (".mcap", re.compile(rb"\x89MCAP")),
     (".log", re.compile(rb"\s*\(\d+\.\d+\)\s+\S+\s+[0-9A-Fa-f]+#")),
     (".asc", re.compile(rb"\s*(date|base|//|\d+\.\d+\s)", re.IGNORECASE)),
     (".trc", re.compile(rb"\s*;")),

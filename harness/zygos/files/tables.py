@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import csv
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +22,12 @@ TABLE_SUFFIXES = (".csv", ".parquet", ".npz")
 
 Columns = dict[str, NDArray[Any]]
 
-_SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "vertical bars"}
-"""Column separators of a CSV and their names; only the comma is read."""
-_DECIMAL_COMMA = re.compile(r'(?:^|[;|\t"])\s*[+-]?\d+,\d')
-"""A decimal comma in a row of numbers."""
+_SEPARATORS = (";", "\t", "|", ",")
+"""Column separators of a CSV. The comma comes last, because it may also be the decimal mark."""
+_DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
+"""A number with a decimal comma."""
+_EXAMINED = 200
+"""Number of lines of a CSV from which its format is found."""
 _LINE = 1_000_000
 """Length of a line that is examined, in characters."""
 
@@ -41,8 +46,10 @@ def check_table(path: Path) -> None:
 def read_columns(path: Path) -> Columns:
     """Read a table whose columns have equal length; a missing value is NaN.
 
-    A column of text remains text. Column k of a two-dimensional member of an NPZ is ``name[k]``. Raises ZygosError when
-    the file is missing, unreadable, or has no row.
+    A column of text remains text. Column k of a two-dimensional member of an NPZ is ``name[k]``. The columns of a CSV
+    may be separated by commas, semicolons, tabs or vertical bars; with the latter three, decimals may have a comma. The
+    columns of a CSV without names are "1", "2", … Raises ZygosError when the file is missing, unreadable, or has no
+    row.
     """
     check_table(path)
     try:
@@ -53,7 +60,7 @@ def read_columns(path: Path) -> Columns:
         first = (str(error).strip().splitlines() or [""])[0]
         raise ZygosError(
             f"{path}: not a readable {suffix(path)} table ({type(error).__name__}: {first}); remedy: write it again "
-            "with one row of column names (CSV), or without objects (NPZ)"
+            "with equally many fields in each row (CSV), or without objects (NPZ)"
         ) from error
     lengths = {len(values) for values in columns.values()}
     if len(lengths) > 1:
@@ -100,29 +107,59 @@ def _polars(path: Path) -> Any:
 def _read_polars(path: Path) -> Columns:
     polars = _polars(path)
     if suffix(path) == ".csv":
-        _check_separator(path)
-        frame = polars.read_csv(local(path), infer_schema_length=None)
+        form = _csv_form(path)
+        frame = polars.read_csv(
+            local(path),
+            separator=form.separator,
+            decimal_comma=form.decimal_comma,
+            has_header=form.names,
+            infer_schema_length=None,
+        )
+        if not form.names:
+            return {str(k): series.to_numpy() for k, series in enumerate(frame.iter_columns(), start=1)}
     else:
         frame = polars.read_parquet(local(path))
     return {series.name.strip(): series.to_numpy() for series in frame.iter_columns()}
 
 
-def _check_separator(path: Path) -> None:
-    """Refuse a CSV whose columns are not separated by commas, or whose numbers have a decimal comma."""
-    with local(path).open(encoding="utf-8-sig", errors="replace") as stream:
-        head, row = stream.readline(_LINE), stream.readline(_LINE)
-    found = max(_SEPARATORS, key=head.count)
-    decimal = _DECIMAL_COMMA.search(row) is not None
-    if found != "," and head.count(found):
-        also = ", and decimals by a comma" if decimal else ""
-        option = ", decimal_comma=True" if decimal else ""
+@dataclass(frozen=True)
+class _CsvForm:
+    separator: str
+    decimal_comma: bool
+    names: bool
+    """Whether the first row has the names of the columns."""
+
+
+def _csv_form(path: Path) -> _CsvForm:
+    """How a CSV is written, from its first lines: the separator is the one that divides the first two lines into
+    equally many fields, and a first row of numbers alone has no names."""
+    with local(path).open(encoding="utf-8-sig", errors="replace", newline="") as stream:
+        lines = [line.rstrip("\r\n") for line in islice(iter(lambda: stream.readline(_LINE), ""), _EXAMINED)]
+    lines = [line for line in lines if line.strip()]
+    separator = next((one for one in _SEPARATORS if _divides(one, lines)), ",")
+    rows = list(csv.reader(lines, delimiter=separator))
+    decimal = any(_DECIMAL_COMMA.fullmatch(field.strip()) for row in rows[1:] or rows for field in row)
+    if decimal and separator == ",":
         raise ZygosError(
-            f"{path}: columns are separated by {_SEPARATORS[found]}{also}; remedy: export it with a comma between "
-            "columns and a point in numbers, or rewrite it in Python: "
-            f"polars.read_csv(FILE, separator={found!r}{option}).write_csv(NEW)"
+            f"{path}: numbers have a decimal comma, and columns are separated by commas as well; remedy: export it "
+            "with semicolons or tabs between the columns, or with a decimal point"
         )
-    if '"' in row and decimal:
-        raise ZygosError(f"{path}: numbers have a decimal comma; remedy: export it with a decimal point")
+    fields = [field.strip().replace(",", ".") if decimal else field.strip() for field in (rows[0] if rows else [])]
+    return _CsvForm(separator, decimal, not (any(fields) and all(not one or _is_number(one) for one in fields)))
+
+
+def _divides(separator: str, lines: Sequence[str]) -> bool:
+    """Whether a separator divides the first two lines into equally many fields, at least two."""
+    counts = [len(row) for row in csv.reader(lines[:2], delimiter=separator)]
+    return bool(counts) and min(counts) > 1 and len(set(counts)) == 1
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _read_npz(path: Path) -> Columns:

@@ -89,8 +89,8 @@ def predict(model: Model, run: Run) -> Prediction:
     The motion of a flexible arm is chaotic, so that longer predictions compare nothing. The fit before each stretch
     takes another half second. `Prediction.gap` near 1 is a model as good as the sensors can tell.
 
-    Errors: ZygosError for an arm that does not float freely in a plane with flexible joints, for a run without frames
-    or without unbroken stretches of some seconds, and for a model that does not fit the arm.
+    Errors: ZygosError for an arm that does not float freely in a plane with flexible joints, for a run
+    without unbroken stretches of some seconds, and for a model that does not fit the arm.
     """
     check_arm_of_forecast(run.arm)
     dynamics = PlanarDynamics.from_model(run.arm, model)

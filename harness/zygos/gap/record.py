@@ -16,8 +16,8 @@ from scipy.ndimage import correlate1d
 
 from zygos.arm import Arm
 from zygos.balances.state import State
+from zygos.can.run import Run
 from zygos.errors import ZygosError
-from zygos.native.flight import Flight
 from zygos.runs.samples import Samples, calibrate
 from zygos.runs.smoother import BANDWIDTH_SIGMAS, bandwidth_coefficients, coefficients
 
@@ -85,19 +85,23 @@ class MeasuredRun:
 
 
 def read_measured_run(arm: Arm, path: Path, frames: NDArray[Any]) -> MeasuredRun:
-    """Decode a log with the C library and cut it into arcs. Errors: ZygosError where no arc of 2 s is unbroken."""
-    flight = Flight(arm)
-    trace = flight.frames(frames, trace=True)
-    assert trace is not None
-    samples = calibrate(arm, trace.cycles)
+    """The frames of a log as `measured_run` has them. Errors: likewise."""
+    return measured_run(Run(arm, frames, path=path), path)
+
+
+def measured_run(run: Run, path: Path) -> MeasuredRun:
+    """Cut the cycles of a run, which the C library decodes where it has frames, into arcs. Errors: ZygosError where no
+    arc of 2 s is unbroken."""
+    arm, cycles = run.arm, run.cycles
+    samples = calibrate(arm, cycles)
     half = arm.smoother.points // 2
     # the smoother's windows of an arc, and of a twin's start before it and its path behind it; and a torque law that
     # looks one cycle ahead has no torque for the last sample
     lengths = [stop - start - 1 - 4 * half for start, stop in samples.segments]
     longest = max(lengths, default=0)
     instants = _arc_length(lengths, arm.period_s)
-    if len(trace.cycles) == 0:
-        seen = ", ".join(f"{name} {count:,}" for name, count in flight.faults.items() if count)
+    if len(cycles) == 0:
+        seen = ", ".join(f"{name} {count:,}" for name, count in run.faults.items() if count)
         raise ZygosError(
             f"{path}: not one whole cycle of arm {arm.name} is in it ({seen or 'no frame of this arm came'}); remedy: "
             "compare the node numbers and the gyro of the arm file with the bus"
@@ -113,7 +117,7 @@ def read_measured_run(arm: Arm, path: Path, frames: NDArray[Any]) -> MeasuredRun
         for i in range(max(0, length) // instants)
     ]
     omega0 = samples.omega @ arm.axis
-    return MeasuredRun(arm, path, samples, omega0, flight.faults, np.array(starts), instants)
+    return MeasuredRun(arm, path, samples, omega0, run.faults, np.array(starts), instants)
 
 
 def _arc_length(lengths: Sequence[int], period_s: float) -> int:

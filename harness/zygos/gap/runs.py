@@ -13,7 +13,7 @@ from zygos.can.run import Run
 from zygos.errors import ZygosError
 from zygos.gap.explain import explain
 from zygos.gap.explanation import Explanation
-from zygos.gap.record import MeasuredRun, read_measured_run
+from zygos.gap.record import MeasuredRun, measured_run
 from zygos.model.model import Model
 
 
@@ -27,14 +27,14 @@ def check_arm_of_gap(arm: Arm, named: str) -> None:
 
 
 def record_of(run: Run, number: int = 1) -> MeasuredRun:
-    """A run cut into arcs. number: which run it is, for messages. Errors: ZygosError where it has no frames, or no
-    unbroken stretch of 2 s."""
-    name = run.path or Path(f"run {number}")
-    if run.frames is None:
-        raise ZygosError(
-            f"{name}: a table of cycles has no frames, which are needed here; remedy: save it as .blf and load that"
-        )
-    return read_measured_run(run.arm, name, run.frames)
+    """A run cut into arcs. number: which run it is, for messages. Errors: ZygosError where it has no unbroken stretch
+    of 2 s."""
+    return measured_run(run, run.path or Path(f"run {number}"))
+
+
+def same_recording(one: Run, other: Run) -> bool:
+    """Whether two runs have the same cycles, in whatever format."""
+    return np.array_equal(one.cycles.tau, other.cycles.tau) and np.array_equal(one.cycles.theta, other.cycles.theta)
 
 
 def explain_runs(
@@ -54,9 +54,9 @@ def explain_runs(
     in words, `findings` has the effects with value and interval, and `model` is the model with what was learned, or
     None where nothing is to be adopted.
 
-    Errors: ZygosError for an arm that is not free-floating, planar-symmetric and flexible in all joints, for runs
-    without frames, of different arms or that are the same recording, and for a model that does not fit; Undecided
-    where the runs do not tell its parameters apart.
+    Errors: ZygosError for an arm that is not free-floating, planar-symmetric and flexible in all joints, for runs of
+    different arms or that are the same recording, and for a model that does not fit; Undecided where the runs do not
+    tell its parameters apart.
     """
     runs = [*measured, *([] if validate is None else [validate])]
     if len(measured) != 2:
@@ -68,7 +68,7 @@ def explain_runs(
     simulation.base_parameters(arm)
     records = [record_of(run, number) for number, run in enumerate(runs, start=1)]
     for (one, first), (other, second) in combinations(zip(records, runs, strict=True), 2):
-        if np.array_equal(np.asarray(first.frames), np.asarray(second.frames)):
+        if same_recording(first, second):
             raise ZygosError(
                 f"{one.path} and {other.path} are the same recording; remedy: two runs to learn from, and a third to "
                 "validate, for what one run says must hold on another"

@@ -87,7 +87,7 @@ class GroundEstimate:
         and count as determined where the motion shows them.
         """
         own = np.arange(len(self.names)) < len(self.arm.parameter_names)
-        narrow = self._half(0.95) <= _sizes(self.names, self.units, self.solution.value)
+        narrow = self._half(0.95) <= sizes(self.names, self.units, self.solution.value)
         return np.asarray(self.solution.seen & (narrow | ~own), dtype=np.bool_)
 
     @property
@@ -328,10 +328,13 @@ class GroundEstimate:
         return "\n".join(lines)
 
 
-def _sizes(names: Sequence[str], units: Sequence[str], values: Floats) -> Floats:
+def sizes(names: Sequence[str], units: Sequence[str], values: Floats) -> Floats:
     """(p,) the largest value in the same unit of the same body; the body of a parameter is the highest number in its
-    name."""
-    keys = [(unit, max(map(int, re.findall(r"\d+", name)), default=0)) for name, unit in zip(names, units, strict=True)]
+    name. The inertia of a rotor has its own size, because it is before the gear."""
+    keys = [
+        ("rotor" if name.startswith("Im") else unit, max(map(int, re.findall(r"\d+", name)), default=0))
+        for name, unit in zip(names, units, strict=True)
+    ]
     largest: dict[tuple[str, int], float] = {}
     for key, value in zip(keys, values, strict=True):
         largest[key] = max(largest.get(key, 0.0), abs(float(value)))
@@ -382,7 +385,7 @@ def estimate_ground(
         effects=wanted,
         span_s=span,
         solution=solution,
-        increments=int(sum(one.count.sum() for one in sums)),
+        increments=int(sum(one.count.sum(axis=0).max() for one in sums)),
         noise_share=_noise_share(sums, solution),
         excess=_excess(arm, motions, sums, solution, span),
         without_run=np.array(without),
@@ -456,10 +459,21 @@ def _predicted(motion: Motion, solution: Solution | None) -> Floats | None:
 
 def _noise_share(sums: Sequence[Sums], solution: Solution) -> float:
     """Share of the squared residuals that the declared noise of the angles causes, over all joints by their weight."""
+    caused = _by_angles(sums, solution)
+    return float(np.nanmean(caused / (_rows(sums) * solution.sigma_w**2)))
+
+
+def _rows(sums: Sequence[Sums]) -> Floats:
+    """(N,) number of rows of each joint, at least 1."""
+    return np.asarray(np.maximum(np.sum([one.count.sum(axis=0) for one in sums], axis=0), 1), dtype=np.float64)
+
+
+def _by_angles(sums: Sequence[Sums], solution: Solution) -> Floats:
+    """(N,) squared residuals that the declared noise of the angles causes."""
     noise = np.sum([one.noise.sum(axis=0) for one in sums], axis=0)
-    caused = np.einsum("p,jpq,q->j", solution.value, noise, solution.value)
-    rows = float(sum(one.count.sum() for one in sums))
-    return float(np.mean(caused / (rows * solution.sigma_w**2)))
+    moved = np.array([[bool(one[k, :-1].any() and not one[k, -1]) for k in range(len(one) - 2)] for one in noise])
+    value = np.where(moved, solution.value, 0.0)
+    return np.asarray(np.einsum("jp,jpq,jq->j", value, noise[:, :-2, :-2], value), dtype=np.float64)
 
 
 def _with_other_cutoffs(
@@ -494,8 +508,7 @@ def _across(sums: Sequence[Sums]) -> Floats:
 
 def _left(sums: Sums, value: Floats) -> tuple[Floats, Floats]:
     """(N,) squared residuals of a run with its own offset, and its squared impulse less that offset."""
-    gram = sums.gram.sum(axis=0)
-    gram[:, :-2, :-2] += sums.noise.sum(axis=0)
+    gram = sums.gram.sum(axis=0) + sums.noise.sum(axis=0)
     x = np.append(value, 0.0)
     left, whole = np.zeros(len(gram)), np.zeros(len(gram))
     for j, own in enumerate(gram):
@@ -509,10 +522,9 @@ def _left(sums: Sums, value: Floats) -> tuple[Floats, Floats]:
 def _excess(arm: Arm, motions: Sequence[Motion], sums: Sequence[Sums], solution: Solution, span: float) -> Floats:
     """(N,) standard deviation of the residuals of an increment, in units of what noise causes."""
     steps = span / arm.period_s
-    rows = float(sum(one.count.sum() for one in sums))
-    reading = np.array([torque_noise(arm, motion.samples) for motion in motions])
+    # a deviation that is declared too small is no reason to look for another law
+    reading = np.array([np.maximum(torque_noise(motion), torque_noise(motion, False)) for motion in motions])
     of_torque = arm.gear_ratios**2 * np.mean(reading**2, axis=0) * arm.period_s**2 * steps
-    of_angles = np.einsum(
-        "p,jpq,q->j", solution.value, np.sum([one.noise.sum(axis=0) for one in sums], 0), solution.value
+    return np.asarray(
+        solution.sigma_w / np.sqrt(of_torque + _by_angles(sums, solution) / _rows(sums)), dtype=np.float64
     )
-    return np.asarray(solution.sigma_w / np.sqrt(of_torque + of_angles / rows), dtype=np.float64)

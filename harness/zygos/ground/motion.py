@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import butter, filtfilt
 
-from zygos.arm import Arm, Smoother
+from zygos.arm import TORQUE_STEP, Arm, Smoother
 from zygos.balances.joint import in_order, joint_columns
 from zygos.balances.state import State
 from zygos.can.run import Run
@@ -90,23 +90,23 @@ def cutoff_hz(arm: Arm) -> float:
     return rate_cutoff(smoother.points // 2, smoother.order) / arm.period_s
 
 
-def torque_noise(arm: Arm, samples: Samples) -> Floats:
-    """(N,) standard deviation of the noise of one torque reading, Nm: the declared one; where none is declared, what
-    neighbouring readings show.
+def torque_noise(motion: Motion, declared: bool = True) -> Floats:
+    """(N,) standard deviation of the noise of one torque reading, Nm: the declared one; where none is declared, or
+    where the declared one does not count, what neighbouring readings show.
 
     The motion is slow compared with a period, so that second differences contain little else; their median is taken
     because a torque that steps would count otherwise.
     """
+    arm, tau = motion.arm, motion.run.cycles.tau
     found = np.zeros(arm.n)
     for j, joint in enumerate(arm.joints):
-        if joint.torque_sigma > 0.0:
+        if declared and joint.torque_sigma > 0.0:
             found[j] = joint.over_the_wire.torque_sigma
             continue
-        second = [np.diff(samples.tau[start:stop, j], n=2) for start, stop in samples.segments]
+        second = [np.diff(tau[start:stop, j], n=2) for start, stop in motion.samples.segments]
         whole = np.concatenate(second) if second else np.zeros(0)
-        whole = whole[np.isfinite(whole)]
         found[j] = np.median(np.abs(whole)) / 0.6745 / np.sqrt(6.0) if len(whole) else 0.0
-    return np.maximum(found, 1e-12)
+    return np.asarray(np.maximum(found, TORQUE_STEP / np.sqrt(12.0)), dtype=np.float64)
 
 
 @dataclass(frozen=True)

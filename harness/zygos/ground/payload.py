@@ -174,12 +174,10 @@ def _changed(sums: Sums, values: Floats, base: Floats) -> Sums:
     turn[-2, -2] = 1.0
     turn[-1, -1] = 1.0
     turn[: p + extra, -1] = -values
-    wide = np.zeros((p + extra, base.shape[1]))
-    wide[:p] = base
     return replace(
         sums,
         gram=turn.T @ sums.gram @ turn,
-        noise=wide.T @ sums.noise @ wide,
+        noise=turn.T @ sums.noise @ turn,
         total=sums.total @ turn,
     )
 

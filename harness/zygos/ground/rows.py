@@ -12,11 +12,16 @@ from zygos.arm import Arm
 from zygos.balances.joint import JointRows, joint_rows, momentum_of_rates
 from zygos.balances.momentum import variances
 from zygos.balances.state import State
-from zygos.effects import Effect, EffectColumn, Kind
-from zygos.ground.motion import Motion, TorqueRows
+from zygos.effects import SLOWEST_RATE, Effect, EffectColumn, Kind
+from zygos.ground.motion import Motion, TorqueRows, torque_noise
 
 Floats = NDArray[np.float64]
 
+_SIGNED = ("motor_coulomb", "link_coulomb", "load_friction")
+_SLOW_SIGMAS = 4.0
+"""Rate, in standard deviations of its noise, below which its sign is not known."""
+_LINGERING = 0.3
+"""Share of an increment at such rates from which on its row is left out."""
 _NOISE_SAMPLES = 6
 """Increments of a block at which the expected products of noise are computed."""
 
@@ -36,6 +41,10 @@ class RunRows:
     """(N,) what an offset of 1 Nm (as reported) adds to an increment, Nms."""
     span_s: float
     """Length of the increments, s."""
+    lingers: NDArray[np.bool_]
+    """(m, N) increments in which a joint with friction hardly moves: nobody knows the friction of a joint at rest."""
+    gains: tuple[tuple[int, int], ...] = ()
+    """Joint and column of each torque sensor whose gain is estimated."""
 
     @property
     def augmented(self) -> Floats:
@@ -44,21 +53,30 @@ class RunRows:
         return np.concatenate([self.z, own, self.w[..., None]], axis=-1)
 
     def noise(self, increments: NDArray[np.int64]) -> Floats:
-        """(N, p, p) expected products of the sensors' noise in the columns, summed over increments.
+        """(N, c, c) expected products of the sensors' noise in the columns, offset and impulse included, summed over
+        increments.
 
         A few increments stand for their neighbours, in which the arm has nearly the same posture. The momentum at both
         ends is linear in the rates, so that its columns at a unit rate are its derivatives. The noise of angles is of
-        second order here, and integrals average it out.
+        second order here, and integrals average it out. The noise of a torque has a part only where its gain is
+        estimated: the impulse is then a column itself.
         """
         arm, every = self.motion.arm, increments[:: max(1, len(increments) // _NOISE_SAMPLES)]
         sigma = np.sqrt(variances(arm).link)
         p, own = self.z.shape[-1], len(arm.parameter_names)
-        out = np.zeros((arm.n, p, p))
+        out = np.zeros((arm.n, p + 2, p + 2))
         q = self.motion.smoothed.q[np.concatenate([self.rows.begin[every], self.rows.end[every]])]
         for i in range(arm.n):
             slope = momentum_of_rates(arm, q, np.broadcast_to(sigma[i] * np.eye(arm.n)[i], q.shape))
             out[:, :own, :own] += np.einsum("mjp,mjq->jpq", slope, slope, optimize=True)
-        return out * len(increments) / max(len(every), 1)
+        out *= len(increments) / max(len(every), 1)
+        torque = torque_noise(self.motion) * arm.gear_ratios * np.sqrt(arm.period_s * self.span_s)
+        for joint, column in self.gains:
+            own = len(increments) * torque[joint] ** 2
+            out[joint, column, column] += own
+            out[joint, column, -1] -= own
+            out[joint, -1, column] -= own
+        return out
 
 
 def columns_of(arm: Arm, effects: Sequence[Effect]) -> tuple[str, ...]:
@@ -93,7 +111,17 @@ def run_rows(motion: Motion, span_s: float, effects: Sequence[Effect], predicted
         w=rows.w,
         offset=arm.gear_ratios * float(steps) * arm.period_s,
         span_s=float(steps) * arm.period_s,
+        lingers=_lingers(arm, state, rows, effects),
+        gains=tuple((one.index(arm), p + k) for k, one in enumerate(effects) if one.kind.place == "sensor"),
     )
+
+
+def _lingers(arm: Arm, state: State, rows: JointRows, effects: Sequence[Effect]) -> NDArray[np.bool_]:
+    slow = np.maximum(_SLOW_SIGMAS * np.sqrt(variances(arm).link), SLOWEST_RATE)
+    still = np.vstack([np.zeros(arm.n), np.cumsum(np.abs(state.qd) < slow, axis=0)])
+    share = (still[rows.end] - still[rows.begin]) / np.maximum(rows.end - rows.begin, 1)[:, None]
+    signed = {effect.index(arm) for effect in effects if effect.kind.key in _SIGNED}
+    return np.asarray((share > _LINGERING) & [j in signed for j in range(arm.n)], dtype=np.bool_)
 
 
 def _sensed(
@@ -117,15 +145,19 @@ def load_law(rate: Floats, torque: Floats) -> Floats:
     return np.asarray(np.tanh(rate / 0.01) * np.abs(torque), dtype=np.float64)
 
 
-def torque_columns(arm: Arm, rows: TorqueRows, effects: Sequence[Effect], predicted: Floats | None = None) -> Floats:
+def torque_columns(
+    arm: Arm, rows: TorqueRows, effects: Sequence[Effect], predicted: Floats | None = None, filtered: bool = True
+) -> Floats:
     """(m, N, p) columns of the torque after the gear at each instant, in the order of `columns_of`.
 
-    predicted: (m, N) torque that a model without friction in proportion to the load predicts, Nm.
+    predicted: (m, N) torque that a model without friction in proportion to the load predicts, Nm. filtered: whether the
+    torques of the effects, which jump where a rate changes its sign, pass the filter as well.
     """
     extra = []
     for effect in effects:
         joint, column = effect.index(arm), np.zeros_like(rows.tau)
-        column[:, joint] = rows.filtered(_law(arm, rows, effect.kind, joint, predicted))
+        law = _law(arm, rows, effect.kind, joint, predicted)
+        column[:, joint] = rows.filtered(law) if filtered else law
         extra.append(column)
     return np.concatenate([rows.z, np.stack(extra, axis=-1)], axis=-1) if extra else rows.z
 

@@ -133,9 +133,10 @@ def scored(run: Run, name: str, rows: TorqueRows, values: Floats, effects: Seque
     arm = run.arm
     predicted = predict_torques(arm, rows, values, effects)
     kept, h = rows.kept, rows.period_s
+    sharp = predict_torques(arm, rows, values, effects, filtered=False)
     error = rows.tau - predicted
     offset = error[kept].mean(axis=0)
-    noise = torque_noise(arm, motion.samples) * arm.gear_ratios
+    noise = torque_noise(motion) * arm.gear_ratios
     through = _noise_gain(rows)
     raw = _unfiltered(arm, motion, rows)
     window = max(2, round(WINDOW_S / h))
@@ -155,7 +156,7 @@ def scored(run: Run, name: str, rows: TorqueRows, values: Floats, effects: Seque
                 energy_error_j=_rms(lost),
                 energy_share=_ratio(_rms(lost), _rms(done)),
                 sigmas=_ratio(_rms(left), noise[j] * through),
-                floor=_ratio(_rms((raw - predicted - offset)[kept, j]), noise[j]),
+                floor=_ratio(_rms((raw - sharp - offset)[kept, j]), noise[j]),
             )
         )
     whole = ((rows.tau - offset) * rows.state.qd).sum(axis=1)[kept]
@@ -213,23 +214,26 @@ def _by_increments(run: Run, model: Model) -> Score:
     )
 
 
-def predict_torques(arm: Arm, rows: TorqueRows, values: Floats, effects: Sequence[Effect]) -> Floats:
-    """(m, N) predicted torque after the gear, Nm: what a drive without offset would report."""
+def predict_torques(
+    arm: Arm, rows: TorqueRows, values: Floats, effects: Sequence[Effect], filtered: bool = True
+) -> Floats:
+    """(m, N) predicted torque after the gear, Nm: what a drive without offset would report. filtered: as of
+    `torque_columns`."""
     bodies = np.asarray(rows.z @ values, dtype=np.float64)
-    columns = torque_columns(arm, rows, effects, bodies)[..., len(values) :]
+    columns = torque_columns(arm, rows, effects, bodies, filtered)[..., len(values) :]
     extra = np.array([effect.value for effect in effects])
     return bodies + columns @ extra if len(extra) else bodies
 
 
 def _unfiltered(arm: Arm, motion: Motion, rows: TorqueRows) -> Floats:
-    """(m, N) the measured torque at the instants of the rows, the mean of those held before and after."""
+    """(m, N) the torque after the gear as it was reported at the instants of the rows."""
     out = []
     for number, (start, stop) in enumerate(motion.samples.segments):
         if number not in rows.segment:
             continue
         tau = motion.samples.tau[start:stop]
         good = np.flatnonzero(np.all(np.isfinite(tau), axis=1))
-        out.append(tau[good[0] : good[-1] + 1])
+        out.append(motion.run.cycles.tau[start + good[0] : start + good[-1] + 1])
     return np.asarray(np.concatenate(out) * arm.gear_ratios, dtype=np.float64)
 
 

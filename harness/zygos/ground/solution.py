@@ -72,7 +72,7 @@ def solve(runs: Sequence[Sums], prior_weight: Floats | None = None) -> Solution:
     joints = runs[0].gram.shape[1]
     p = runs[0].gram.shape[-1] - 2
     unknown = p + len(runs) * joints
-    rows = sum(int(run.count.sum()) for run in runs) * joints
+    rows = sum(int(run.count.sum()) for run in runs)
     if rows < 2 * unknown:
         raise Undecided(f"{rows} joint rows for {unknown} unknowns are too few; remedy: a longer run, or several runs")
     parts = [_embedded(run, number, len(runs)) for number, run in enumerate(runs)]
@@ -82,14 +82,15 @@ def solve(runs: Sequence[Sums], prior_weight: Floats | None = None) -> Solution:
     owner = np.concatenate([np.full(run.blocks, number) for number, run in enumerate(runs)])
     whole = gram.sum(axis=0)
     square = whole[:, -1, -1]
-    sigma = np.sqrt(square / counts.sum()) if prior_weight is None else prior_weight
-    lost = unknown / (counts.sum() * joints)
+    of_joint = np.maximum(counts.sum(axis=0), 1.0)
+    sigma = np.sqrt(np.maximum(square, 1e-300) / of_joint) if prior_weight is None else prior_weight
+    lost = unknown / rows
     x = np.zeros(unknown)
     seen = np.ones(unknown, dtype=np.bool_)
     for _ in range(_ROUNDS):
         x, seen = _solved(np.einsum("j,jpq->pq", 1.0 / sigma**2, whole))
         left = _forms(whole + noise.sum(axis=0), x)
-        sigma = np.sqrt(np.maximum(left, 1e-30 * square + 1e-300) / (counts.sum() * max(1.0 - lost, 0.1)))
+        sigma = np.sqrt(np.maximum(left, 1e-30 * square + 1e-300) / (of_joint * max(1.0 - lost, 0.1)))
     weighted = np.einsum("j,bjpq->bpq", 1.0 / sigma**2, gram)
     total = weighted.sum(axis=0)
     others = np.stack([_solved(total - own, seen)[0] for own in weighted])
@@ -106,7 +107,7 @@ def solve(runs: Sequence[Sums], prior_weight: Floats | None = None) -> Solution:
     kept = _forms_of(gram + noise, x)
     without_offset = _without_offset(gram, x, p)
     sizes = [owner == number for number in range(len(runs))]
-    instants = np.array([counts[of].sum() for of in sizes])[:, None]
+    instants = np.maximum(np.stack([counts[of].sum(axis=0) for of in sizes]), 1.0)
 
     def per_run(values: Floats) -> Floats:
         return np.asarray(np.sqrt(np.stack([values[of].sum(axis=0) for of in sizes]) / instants), dtype=np.float64)
@@ -123,15 +124,14 @@ def solve(runs: Sequence[Sums], prior_weight: Floats | None = None) -> Solution:
         residual=per_run(kept),
         measured=per_run(without_offset),
         held_out=per_run(left_out),
-        cluster=np.asarray((mean**2 / (apart[:, None] * sigma**2)).mean(axis=0)),
+        cluster=np.asarray((mean**2 / (np.maximum(apart, 1.0) * sigma**2)).mean(axis=0)),
         seen=seen[:p],
-        size=np.asarray(np.sqrt(np.maximum(np.diag(total)[:p], 0.0) / (counts.sum() * joints))),
+        size=np.asarray(np.sqrt(np.maximum(np.diag(total)[:p], 0.0) / rows)),
     )
 
 
 def _embedded(run: Sums, number: int, runs: int) -> tuple[Floats, Floats, Floats]:
-    """Sums of a run in the columns of all: shared ones, then N offsets of each run, then the impulse. The noise has the
-    shared columns alone."""
+    """Sums of a run in the columns of all: shared ones, then N offsets of each run, then the impulse."""
     joints, p = run.gram.shape[1], run.gram.shape[-1] - 2
     wide = p + runs * joints + 1
     gram, noise = np.zeros((run.blocks, joints, wide, wide)), np.zeros((run.blocks, joints, wide, wide))
@@ -139,7 +139,7 @@ def _embedded(run: Sums, number: int, runs: int) -> tuple[Floats, Floats, Floats
     for j in range(joints):
         places = np.array([*range(p), p + number * joints + j, wide - 1])
         gram[:, j, places[:, None], places] = run.gram[:, j]
-        noise[:, j, :p, :p] = run.noise[:, j]
+        noise[:, j, places[:, None], places] = run.noise[:, j]
         total[:, j, places] = run.total[:, j]
     return gram, noise, total
 

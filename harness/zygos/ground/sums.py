@@ -24,13 +24,13 @@ class Sums:
     gram: Floats
     """(K, N, c, c) sums of products of the columns, with the expected products of the sensors' noise subtracted."""
     noise: Floats
-    """(K, N, p, p) what was subtracted."""
+    """(K, N, c, c) what was subtracted."""
     total: Floats
     """(K, N, c) sums of the columns over every second increment, which do not overlap."""
     count: NDArray[np.int64]
-    """(K,) increments."""
+    """(K, N) rows."""
     apart: NDArray[np.int64]
-    """(K,) increments that do not overlap."""
+    """(K, N) rows that do not overlap."""
 
     @property
     def blocks(self) -> int:
@@ -39,19 +39,20 @@ class Sums:
 
 
 def sums_of(run: RunRows, blocks: int) -> Sums:
-    """The sums of the accepted increments of a run, in at most that many blocks of equal length."""
-    used = np.flatnonzero(run.rows.accepted)
-    wide = run.augmented
+    """The sums of a run's rows, in at most that many blocks of equal length."""
+    rows = run.rows.accepted[:, None] & ~run.lingers
+    used = np.flatnonzero(rows.any(axis=1))
+    wide = run.augmented * rows[..., None]
     k = int(max(1, min(blocks, MOST_BLOCKS, len(used) // BLOCK_INCREMENTS)))
     grams, noises, totals, counts, aparts = [], [], [], [], []
     for part in np.array_split(used, k):
         z, every = wide[part], wide[part[::2]]
-        noise = run.noise(part)
+        noise = run.noise(part) * (rows[part].sum(axis=0) / max(len(part), 1))[:, None, None]
         gram = np.einsum("mjp,mjq->jpq", z, z, optimize=True)
-        gram[:, :-2, :-2] -= noise
+        gram -= noise
         grams.append(gram)
         noises.append(noise)
         totals.append(every.sum(axis=0))
-        counts.append(len(part))
-        aparts.append(len(every))
+        counts.append(rows[part].sum(axis=0))
+        aparts.append(rows[part[::2]].sum(axis=0))
     return Sums(np.stack(grams), np.stack(noises), np.stack(totals), np.array(counts), np.array(aparts))

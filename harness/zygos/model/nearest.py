@@ -128,7 +128,7 @@ def nearest_bodies(
         joints=drives,
         effects=given.effects,
     )
-    for body in model.bodies:
+    for body in model.bodies[0 if arm.free else 1 :]:
         _check_possible(body, drawing, given)
     return Nearest(
         model,
@@ -164,7 +164,10 @@ def _entries(drawing: Model) -> tuple[Array, Array, Array]:
     values, units, sizes = [], [], []
     for body in drawing.bodies:
         moment = float(np.trace(body.tensor)) / 3.0
-        size = np.array([body.mass.value] + [np.sqrt(moment / body.mass.value)] * 3 + [moment] * 6)
+        # a base that is fixed may have no mass; its entries have no effect, and any size does
+        mass = body.mass.value or 1.0
+        moment = moment or 1.0
+        size = np.array([mass] + [np.sqrt(moment / mass)] * 3 + [moment] * 6)
         sigma = np.array([body.mass.sigma, 0.0, 0.0, 0.0, *(quantity.sigma for quantity in body.inertia)])
         relative = float((sigma / size).max()) or 1.0
         values.append(entries_of(body))

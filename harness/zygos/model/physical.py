@@ -39,10 +39,12 @@ _DEPENDENT = 1e-11
 """Columns whose scaled normal matrix has a smaller relative eigenvalue are dependent, as in c/solver.c."""
 _SHARPEST = 1e-6
 """Smallest relative sigma of a combination of parameters."""
-_STEPS = 4
-"""Number of steps on the path from the drawing to the estimate."""
+_PRECISIONS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 0.0)
+"""Smallest relative sigma of a combination of parameters in each step of a fit; the last one takes all as they are."""
 _ROUGH, _CLOSE = 1e-3, 1e-10
 """Tolerances of the intermediate steps and of the last one."""
+_EVALUATIONS = 100
+"""Largest number of evaluations in a step."""
 _STEP = 1e-5
 """Step of the numerical differentiation, in coordinates of order one."""
 _UPPER = np.triu_indices(3)
@@ -188,7 +190,7 @@ class Coordinates:
 
     def base(self, y: Array) -> Array:
         """(p,) base parameters of the arm at y."""
-        return self.model(y).base_values(self.arm)
+        return self.model(y).unchecked_values(self.arm)
 
     def _body(self, i: int, y: Array) -> Body:
         drawn = self.drawing.bodies[i]
@@ -254,20 +256,22 @@ def fit_bodies(
 ) -> PhysicalFit:
     """The arm near `drawing` (given by bodies) that explains an estimate best.
 
-    Minimises chi^2 + |y|^2 over the `Coordinates` y. First the estimate is moved to the nearest N that is positive
-    semi-definite, a convex problem with one solution. Then the target moves along a straight line from the drawing's
-    base parameters to that N; every N on this line is positive semi-definite, because these matrices form a convex set.
-    The fit follows in steps, each starting from the previous one. Errors: ZygosError if the drawing does not fit the
-    arm.
+    Minimises chi^2 + |y|^2 over the `Coordinates` y. A precise estimate of an arm that is far from the drawing makes a
+    narrow curved valley, in which steps are short. The fit therefore begins with sigmas of a tenth of the parameters,
+    and follows the solution as they shrink to those of the estimate. progress is called with the share that is
+    finished. Errors: ZygosError if the drawing does not fit the arm.
     """
     where = Coordinates(arm, drawing, length_sigma)
-    nearest, least = nearest_matrix(arm, drawing, observed)
+    least = nearest_matrix(arm, drawing, observed)[1]
     y = np.zeros(where.size)
-    start = where.base(y)
-    targets = [*(start + step / _STEPS * (nearest - start) for step in range(1, _STEPS + 1)), observed.value]
-    for step, target in enumerate(targets):
-        progress(step / len(targets))
-        y = _least_squares(where, observed.root, target, y, _CLOSE if step == _STEPS else _ROUGH)
+    size = np.linalg.norm(observed.root * where.base(y), axis=1)
+    for step, precision in enumerate(_PRECISIONS):
+
+        def told(share: float, step: int = step) -> None:
+            progress((step + share) / len(_PRECISIONS))
+
+        root = observed.root / np.maximum(1.0, precision * size)[:, None]
+        y = _least_squares(where, root, observed.value, y, _ROUGH if precision else _CLOSE, told)
     value = where.base(y)
     slope_of_base = _slope(where.base, y)
     missing = observed.root @ (value - observed.value)
@@ -414,16 +418,24 @@ def _linear(arm: Arm) -> tuple[Array, Array]:
     return np.array([row.ravel() for row in rows]), rotor
 
 
-def _least_squares(where: Coordinates, root: Array, target: Array, start: Array, tolerance: float) -> Array:
-    """The y that minimises |root (base(y) - target)|^2 + |y|^2."""
+def _least_squares(
+    where: Coordinates, root: Array, target: Array, start: Array, tolerance: float, progress: Callable[[float], None]
+) -> Array:
+    """The y that minimises |root (base(y) - target)|^2 + |y|^2, or the best one after _EVALUATIONS."""
+    evaluations = 0
 
     def residual(y: Array) -> Array:
+        nonlocal evaluations
+        evaluations += 1
+        progress(min(1.0, evaluations / _EVALUATIONS))
         return np.concatenate([root @ (where.base(y) - target), y])
 
     def slope(y: Array) -> Array:
         return np.vstack([root @ _slope(where.base, y), np.eye(where.size)])
 
-    found: Array = least_squares(residual, start, slope, method="lm", xtol=tolerance, ftol=tolerance, max_nfev=100).x
+    found: Array = least_squares(
+        residual, start, slope, method="lm", xtol=tolerance, ftol=tolerance, max_nfev=_EVALUATIONS
+    ).x
     return found
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from zygos.arm import Arm
 from zygos.errors import ZygosError
+from zygos.ground.estimate import sizes
 from zygos.plan.limits import Limits
 from zygos.plan.rows import Column, Grounded
 from zygos.plan.series import FourierMotion
@@ -36,7 +37,7 @@ class Expectation:
     sigma: Floats
     """(c,) standard deviations, SI units; NaN where the estimator is not expected to give a value."""
     measure: float
-    """Mean logarithm of the relative sigmas: by it motions are ranked, the lowest first; infinite if a value is missing."""
+    """Mean logarithm of relative sigmas: motions are ranked by it, the lowest first."""
     angle: Floats
     """(m, N) rad, of one run."""
     rate: Floats
@@ -45,22 +46,26 @@ class Expectation:
     """(m, N) as the frames report it, Nm."""
     step_s: float
     """Time between two of the m instants, s."""
+    excess: str | None
+    """The limit that the motion exceeds most, in words; None if it keeps all."""
 
     @property
     def percent(self) -> Floats:
-        """(c,) standard deviations in per cent of the values; infinite where the value is 0."""
-        value = np.abs([column.value for column in self.columns])
-        return np.where(value > 0.0, 100.0 * self.sigma / np.where(value > 0.0, value, 1.0), math.inf)
+        """(c,) standard deviations in per cent of the largest value with the same unit of the same body, as an estimate
+        on the ground judges them; infinite where all these values are 0."""
+        size = sizes(
+            [one.name for one in self.columns],
+            [one.unit for one in self.columns],
+            np.array([one.value for one in self.columns]),
+        )
+        return np.where(size > 0.0, 100.0 * self.sigma / np.where(size > 0.0, size, 1.0), math.inf)
 
     @property
-    def worst(self) -> Column:
-        """The parameter of the arm with the largest relative deviation."""
-        percent = [
-            (math.inf if math.isnan(p) else p, -k)
-            for k, p in enumerate(self.percent)
-            if self.columns[k].structural and (self.columns[k].value != 0.0)
-        ]
-        return self.columns[-max(percent)[1]]
+    def worst(self) -> int:
+        """Position of the parameter of the arm with the largest relative deviation, or of one without a value."""
+        own = np.array([column.structural for column in self.columns])
+        percent = np.where(np.isnan(self.percent), np.inf, self.percent)
+        return int(np.argmax(np.where(own, percent, -1.0)))
 
 
 def desired_by(arm: Arm, scenario: Scenario, t: Floats) -> tuple[Floats, Floats, Floats]:
@@ -75,12 +80,12 @@ def expected_on_ground(
     """What a run of a scenario with an arm on the ground tells: the desired motion where the drive has a feedforward
     torque, the simulated one otherwise.
 
-    Errors: ZygosError if the motion exceeds a limit, does not determine every parameter, or does not fit the arm.
+    Errors: ZygosError if the motion does not determine every parameter, is too short, or does not fit the arm.
     """
     arm = grounded.arm
     half = 0.5 * grounded.increment_s
     step = half / _FINE
-    t = step * np.arange(math.floor(scenario.duration_s / step + 1e-9) + 1)
+    t: Floats = step * np.arange(math.floor(scenario.duration_s / step + 1e-9) + 1, dtype=np.float64)
     if scenario.controller.feedforward:
         angle, rate, acceleration = desired_by(arm, scenario, t)
         torque = grounded.torque(angle, rate, acceleration)
@@ -96,20 +101,22 @@ def expected_on_ground(
             f"scenario {scenario.name}: {scenario.duration_s:g} s are too short for increments of "
             f"{grounded.increment_s:g} s; remedy: a longer duration_s"
         )
-    excess = limits.violation(arm, angle, rate, torque)
-    if excess:
-        raise ZygosError(
-            f"scenario {scenario.name}: {excess}; remedy: a smaller motion, or the right limits (--angle, --rate, "
-            "--torque)"
-        )
-    rows = grounded.reduced(grounded.rows(*grounded.at(angle, rate), step, _FINE))
+    rows = grounded.rows(*grounded.at(angle, rate), step, _FINE)
     spread = grounded.covariance(rows)
     p = grounded.structural
     scale = np.abs([column.value for column in grounded.columns[:p]])
     scale = np.where(scale > 0.0, scale, np.median(scale[scale > 0.0]))
     measure = np.linalg.slogdet(spread[:p, :p] / np.outer(scale, scale))[1] / (2 * p)
     return Expectation(
-        scenario.name, grounded.columns, np.sqrt(np.diag(spread)), float(measure), angle, rate, torque, step
+        scenario.name,
+        grounded.columns,
+        np.sqrt(np.diag(spread)),
+        float(measure),
+        angle,
+        rate,
+        torque,
+        step,
+        limits.violation(arm, angle, rate, torque),
     )
 
 

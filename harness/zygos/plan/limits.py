@@ -25,13 +25,23 @@ class Limits:
     """Limits of N joints."""
 
     low: Floats
-    """(N,) smallest angle, rad."""
+    """(N,) smallest angle, rad; -inf where there is no limit."""
     high: Floats
-    """(N,) largest angle, rad."""
+    """(N,) largest angle, rad; inf where there is no limit."""
     rate: Floats
-    """(N,) largest rate, rad/s."""
+    """(N,) largest rate, rad/s; inf where there is no limit."""
     torque: Floats
-    """(N,) largest torque as the frames report it, Nm; infinite where there is no limit."""
+    """(N,) largest torque as the frames report it, Nm; inf where there is no limit."""
+
+    @property
+    def assumed(self) -> Limits:
+        """The same limits, with `ANGLE_RAD` and `RATE_RAD_S` where there is none: a search needs them."""
+        return Limits(
+            np.where(np.isfinite(self.low), self.low, -ANGLE_RAD),
+            np.where(np.isfinite(self.high), self.high, ANGLE_RAD),
+            np.where(np.isfinite(self.rate), self.rate, RATE_RAD_S),
+            self.torque,
+        )
 
     def violation(self, arm: Arm, angle: Floats, rate: Floats, torque: Floats | None = None) -> str | None:
         """The limit that a motion exceeds most, in words; None if it keeps all.
@@ -64,17 +74,17 @@ def limits_of(arm: Arm, angle: str | None, rate: str | None, torque: str | None)
     """Limits from texts such as "1.5", "-2:1", or "shoulder=-2:1,elbow=0:2.4,1.5": entries with a comma between them,
     of which one without a name is for all joints that have none of their own.
 
-    angle: largest angle to both sides, or lowest and highest with a colon, rad; None: `ANGLE_RAD`. rate, rad/s; None:
-    `RATE_RAD_S`. torque as the frames report it, Nm; None: no limit. Errors: ZygosError for an unknown joint, for what
-    is no number, and for a limit that leaves no room.
+    angle: largest angle to both sides, or lowest and highest with a colon, rad. rate: rad/s. torque: as the frames
+    report it, Nm. What is not given has no limit. Errors: ZygosError for an unknown joint, for what is no number, and
+    for a limit that leaves no room.
     """
     names = [joint.name for joint in arm.joints]
-    ranges = [_range(text, name) for name, text in per_joint(names, "angle", angle, str(ANGLE_RAD)).items()]
+    ranges = [_range(text, name) for name, text in per_joint(names, "angle", angle, "inf").items()]
     low, high = (np.array(side) for side in zip(*ranges, strict=True))
     return Limits(
         low,
         high,
-        _largest("rate", per_joint(names, "rate", rate, str(RATE_RAD_S))),
+        _largest("rate", per_joint(names, "rate", rate, "inf")),
         _largest("torque", per_joint(names, "torque", torque, "inf")),
     )
 
@@ -108,10 +118,10 @@ def _range(text: str, joint: str) -> tuple[float, float]:
     first, colon, second = text.partition(":")
     low, high = as_number("angle", first), as_number("angle", second if colon else first)
     low = low if colon else -low
-    if not low < high or not math.isfinite(high - low):
+    if not low < high:
         raise ZygosError(
-            f"angle {text!r} of joint {joint} is no range; remedy: give the largest angle, or LOW:HIGH in rad, LOW below "
-            "HIGH"
+            f"angle {text!r} of joint {joint} is no range; remedy: give the largest angle, or LOW:HIGH in rad with LOW "
+            "below HIGH"
         )
     return low, high
 

@@ -6,21 +6,27 @@ smoothed readings, with the columns of friction and of a constant offset of each
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
-from zygos.balances.joint import joint_columns
+from zygos.balances.joint import in_order, joint_columns
 from zygos.balances.state import State
 from zygos.dynamics.equations import Dynamics, equations
-from zygos.effects import Effect
+from zygos.effects import CATALOGUE, Effect
 from zygos.errors import ZygosError
+from zygos.ground.estimate import DEFAULT_FRICTION
+from zygos.ground.rows import friction
 from zygos.model.model import Model
 from zygos.simulation.plant import needed_torque
 
 Floats = NDArray[np.float64]
+
+
+OFFSET = "torque_offset"
+"""Key of the constant offset that every estimate on the ground has for each torque."""
 
 
 @dataclass(frozen=True)
@@ -52,25 +58,25 @@ class Grounded:
                 f"arm {arm.name}: the noise of the torque of {', '.join(without)} is not known; remedy: declare "
                 "torque_sigma in the arm file, or give --torque-noise"
             )
+        if not model.effects:
+            # an estimate assumes friction where the model says nothing
+            model = replace(model, effects=friction(arm, [CATALOGUE[key] for key in DEFAULT_FRICTION]))
         self.arm, self.model = arm, model
         self.dynamics: Dynamics = equations(arm, model)
         self.friction: tuple[Effect, ...] = tuple(
-            effect for effect in model.effects if effect.kind.torque is not None and effect.kind.place != "spring"
+            effect
+            for effect in model.effects
+            if effect.kind.torque is not None and effect.kind.place in ("motor", "link") and effect.kind.key != OFFSET
         )
         self.increment_s = arm.joint_row_s
         self.impulse_sigma = arm.gear_ratios * torque_sigma * np.sqrt(arm.period_s * self.increment_s)
         """(N,) standard deviation of the impulse of a motor over an increment, after the gear, Nms."""
-        self.basis = _basis(arm)
-        listed = model.base_parameters(arm)
-        kept = self.basis.T @ np.arange(len(listed))
-        names = list(listed)
+        known = {effect.joint: effect.value for effect in model.effects if effect.kind.key == OFFSET}
+        offsets = [known.get(joint.name, 0.0) for joint in arm.joints]
         self.columns = (
-            *(Column(names[int(k)], listed[names[int(k)]].unit, listed[names[int(k)]].value, True) for k in kept),
+            *(Column(name, one.unit, one.value, True) for name, one in model.base_parameters(arm).items()),
             *(Column(one.column(arm), one.kind.unit, one.value, False) for one in self.friction),
-            *(Column(f"torque_offset{i + 1}", "Nm", 0.0, False) for i in range(arm.n)),
-        )
-        self._full = np.array(
-            [quantity.value for quantity in listed.values()] + [one.value for one in self.friction] + [0.0] * arm.n
+            *(Column(f"{OFFSET}{i + 1}", "Nm", value, False) for i, value in enumerate(offsets)),
         )
 
     @property
@@ -79,15 +85,10 @@ class Grounded:
         return sum(column.structural for column in self.columns)
 
     def at(self, angle: Floats, rate: Floats) -> tuple[Floats, Floats]:
-        """Momentum and force of each joint (m, N, c) per unit of all c full columns, at angles and rates (m, N)."""
+        """Momentum and force of each joint (m, N, c) per unit of all c columns, at angles and rates (m, N)."""
         arm = self.arm
-        still = np.zeros((len(angle), 3)) if arm.spatial else np.zeros(len(angle))
-        parts = joint_columns(arm, State(angle, angle, rate, rate, still))
-        rotors = [i for kind, i, _ in arm.joint_parameters if kind == "Im"]
+        momentum, force = _columns(arm, angle, rate)
         beside = len(self.friction) + arm.n
-        momentum = np.concatenate(
-            [parts.momentum, parts.rotor_momentum[..., rotors], np.zeros((*angle.shape, beside))], axis=-1
-        )
         losses = np.zeros((*angle.shape, beside))
         for k, effect in enumerate(self.friction):
             joint = effect.index(arm)
@@ -96,22 +97,13 @@ class Grounded:
             losses[:, joint, k] = -lever * effect.kind.torque(rate[:, joint])
         for joint in range(arm.n):
             losses[:, joint, len(self.friction) + joint] = -arm.gear_ratios[joint]
-        return momentum, np.concatenate([parts.force, parts.rotor_force[..., rotors], losses], axis=-1)
-
-    def reduced(self, full: Floats) -> Floats:
-        """Columns (..., len(columns)) of what full columns (..., c) span."""
-        p = len(self.basis)
-        return np.concatenate([full[..., :p] @ self.basis, full[..., p:]], axis=-1)
-
-    def lifted(self, gradient: Floats) -> Floats:
-        """Derivatives with respect to full columns (..., c), from those with respect to reduced ones."""
-        p = self.basis.shape[1]
-        return np.concatenate([gradient[..., :p] @ self.basis.T, gradient[..., p:]], axis=-1)
+        none = np.zeros_like(losses)
+        return np.concatenate([momentum, none], axis=-1), np.concatenate([force, losses], axis=-1)
 
     @property
     def coefficients(self) -> Floats:
-        """(c,) values of the full columns in the model."""
-        return self._full
+        """(c,) values of the columns in the model."""
+        return np.array([column.value for column in self.columns])
 
     def torque(self, angle: Floats, rate: Floats, acceleration: Floats) -> Floats:
         """(m, N) torques as the frames report them, Nm, that a motion (m, N) needs, by the equations of motion."""
@@ -149,24 +141,8 @@ class Grounded:
         return np.asarray(momentum[begins + 2 * steps] - momentum[begins] - impulse)
 
 
-def _basis(arm: Arm) -> Floats:
-    """(p_full, p) selection of columns that are independent in every motion."""
-    rng = np.random.default_rng(0)
-    angle, rate, other = rng.normal(size=(3, 4 * len(arm.parameters), arm.n))
+def _columns(arm: Arm, angle: Floats, rate: Floats) -> tuple[Floats, Floats]:
+    """Columns (m, N, p) of momentum and force at angles and rates (m, N)."""
     still = np.zeros((len(angle), 3)) if arm.spatial else np.zeros(len(angle))
     parts = joint_columns(arm, State(angle, angle, rate, rate, still))
-    more = joint_columns(arm, State(angle, angle, other, other, still))
-    rotors = [i for kind, i, _ in arm.joint_parameters if kind == "Im"]
-    momentum = np.concatenate([parts.momentum, parts.rotor_momentum[..., rotors]], axis=-1)
-    force = np.concatenate([more.force, more.rotor_force[..., rotors]], axis=-1)
-    every = np.concatenate([momentum, force], axis=1).reshape(-1, momentum.shape[-1])
-    every = every / np.where((size := np.linalg.norm(every, axis=0)) > 0.0, size, 1.0)
-    kept: list[int] = []
-    taken = np.zeros((len(every), 0))
-    for k in range(every.shape[1]):
-        left = every[:, k] - taken @ (taken.T @ every[:, k])
-        left -= taken @ (taken.T @ left)
-        if np.linalg.norm(left) > 1e-7:
-            kept.append(k)
-            taken = np.column_stack([taken, left / np.linalg.norm(left)])
-    return np.eye(every.shape[1])[:, kept]
+    return in_order(arm, parts.momentum, parts.rotor_momentum), in_order(arm, parts.force, parts.rotor_force)

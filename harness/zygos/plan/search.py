@@ -1,9 +1,10 @@
 """The search for the motion of an arm on the ground that tells most about its parameters.
 
-The measure is the mean of the logarithm of the sigmas of the parameters' independent combinations: the logarithm of the
-determinant of their covariance, of which offsets and friction have been eliminated, over twice their number. It does not
-depend on units, nor on which parameters stand for a dependent set, and it has derivatives (D-optimal design: Swevers et
-al., IEEE Trans. Robotics and Automation 13, 1997).
+The measure is the mean logarithm of the sigmas of the parameters' independent combinations: the logarithm of the
+determinant of their covariance, from which offsets and friction have been eliminated, over twice their number. The best
+motion depends neither on units nor on which parameters stand for a dependent set, and the measure has derivatives
+(D-optimal design: Swevers et al., IEEE Transactions on Robotics and Automation 13, 1997). A joint that lingers near
+standstill costs a little, because the sign of its friction is not certain there.
 """
 
 from __future__ import annotations
@@ -28,6 +29,10 @@ _MARGIN = 0.97
 """Share of the limit of a torque within which the search stays; between its instants there may be a bit more."""
 _STEP = 1e-6
 """Step of the numerical differentiation, rad or rad/s."""
+_SLOW_RAD_S = 0.02
+"""A joint that is slower than about this stands, for friction: its sign, and more of its law, are not certain there."""
+_SLOW_COST = 0.03
+"""What one instant costs at which a joint stands."""
 _WEIGHT = 1e3
 """Weight of the square of a torque's excess, as a share of its limit, at one instant."""
 
@@ -51,7 +56,7 @@ class _Goal:
         self.arm, self.space = arm, space
         self.nodes = 2 * max(2, round(space.period_s / arm.increment_s)) + 1
         self.step = space.period_s / (self.nodes - 1)
-        self.t = self.step * np.arange(self.nodes)
+        self.t: Floats = self.step * np.arange(self.nodes, dtype=np.float64)
         self.limit = arm.arm.gear_ratios * limits.torque * _MARGIN
         self.evaluations = 0
         unit = np.abs([column.value for column in arm.columns])
@@ -60,7 +65,7 @@ class _Goal:
     def value(self, x: Floats) -> float:
         """The measure, plus what excessive torques cost; large where the motion does not determine all parameters."""
         angle, rate, _ = self.space.motion(x).at(self.t)
-        return self._of(*self.arm.at(angle, rate))[0]
+        return self._of(*self.arm.at(angle, rate))[0] + float(_standing(rate)[0].sum())
 
     def value_and_slope(self, x: Floats) -> tuple[float, Floats]:
         """As `value`, and its derivatives (size,)."""
@@ -76,13 +81,17 @@ class _Goal:
                 moved = self.arm.at(*of)
                 slope[:, j] = np.einsum("tjc,tjc->t", by_momentum, moved[0] - momentum) / _STEP
                 slope[:, j] += np.einsum("tjc,tjc->t", by_force, moved[1] - force) / _STEP
+        standing, slope_of_standing = _standing(rate)
+        by_rate += slope_of_standing
         angles, rates = self.space.derivatives(x, self.t)
-        return value, np.einsum("xtj,tj->x", angles, by_angle) + np.einsum("xtj,tj->x", rates, by_rate)
+        return value + float(standing.sum()), np.einsum("xtj,tj->x", angles, by_angle) + np.einsum(
+            "xtj,tj->x", rates, by_rate
+        )
 
     def _of(self, momentum: Floats, force: Floats) -> tuple[float, Floats, Floats]:
-        """Value, and its derivatives with respect to the full columns of momentum and force (m, N, c)."""
+        """Value, and its derivatives with respect to the columns of momentum and force (m, N, c)."""
         arm, step = self.arm, self.step
-        rows = arm.reduced(arm.rows(momentum, force, step, 1)) * self.unit / arm.impulse_sigma[:, None]
+        rows = arm.rows(momentum, force, step, 1) * self.unit / arm.impulse_sigma[:, None]
         p = arm.structural
         normal = np.einsum("kjc,kjd->cd", rows, rows)
         normal += 1e-12 * np.trace(normal) / len(normal) * np.eye(len(normal))
@@ -90,7 +99,7 @@ class _Goal:
         inverse = np.linalg.inv(normal)
         inverse[p:, p:] -= np.linalg.inv(normal[p:, p:])
         value = -(whole - beside) / (2 * p)
-        by_rows = arm.lifted(-(rows @ inverse) / p * self.unit / arm.impulse_sigma[:, None])
+        by_rows = -(rows @ inverse) / p * self.unit / arm.impulse_sigma[:, None]
         by_momentum, by_force = np.zeros_like(momentum), np.zeros_like(force)
         by_momentum[2:] += by_rows
         by_momentum[:-2] -= by_rows
@@ -104,6 +113,13 @@ class _Goal:
         by_momentum[:-2] -= cost / (2.0 * step)
         by_force[1:-1] -= cost
         return float(value + _WEIGHT * np.sum(over**2)), by_momentum, by_force
+
+
+def _standing(rate: Floats) -> tuple[Floats, Floats]:
+    """Cost of the instants at which a joint stands, and its derivatives with respect to the rates; both (m, N)."""
+    share = rate / _SLOW_RAD_S
+    cost = _SLOW_COST * np.exp(-(share**2))
+    return cost, -2.0 * share / _SLOW_RAD_S * cost
 
 
 def search(
@@ -131,7 +147,7 @@ def search(
         drawn.append((goal.value(x), x))
         progress(0.1 * k / starts)
     started, x = min(drawn, key=lambda one: one[0])
-    dense = period_s * np.arange(8 * goal.nodes) / (8 * goal.nodes)
+    dense: Floats = period_s * np.arange(8 * goal.nodes, dtype=np.float64) / (8 * goal.nodes)
     steps = 0
 
     def count(_: Floats) -> None:
@@ -154,6 +170,6 @@ def search(
         over = np.abs(torque).max(axis=0) / limits.torque
         goal.limit = np.where(over > 1.0, goal.limit * _MARGIN / over, goal.limit)
     raise ZygosError(
-        f"no motion within the limits was found: {excess}; remedy: raise the limit, or restrict the angles to postures in "
-        "which gravity asks for less torque"
+        f"no motion within the limits was found: {excess}; remedy: raise the limit, or restrict the angles to postures "
+        "in which gravity asks for less torque"
     )

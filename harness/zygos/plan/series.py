@@ -1,4 +1,4 @@
-"""Periodic motions that begin and end at rest within limits of angle and rate: the space in which a motion is sought."""
+"""Periodic motions within limits of angle and rate that begin and end at rest: among these, a motion is sought."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import null_space
+from scipy.special import expit
 
 from zygos.plan.limits import Limits
 from zygos.simulation.scenario import Motion, Sine
@@ -51,8 +52,8 @@ class FourierMotion:
 class Space:
     """Coordinates of all Fourier motions that are at rest at the start, with no acceleration, within the limits.
 
-    For each joint there are the shape (2K - 2), the size as a share of the largest that the limits permit, and the place
-    within what is left of the range of angles. The limits hold for all values of the coordinates.
+    For each joint there are the shape (2K - 2), the size as a share of the largest that the limits permit, and the
+    place within what is left of the range of angles. The limits hold for all values of the coordinates.
     """
 
     def __init__(self, limits: Limits, period_s: float, harmonics: int) -> None:
@@ -72,7 +73,7 @@ class Space:
     @property
     def size(self) -> int:
         """Number of coordinates."""
-        return self.joints * self.per_joint
+        return int(self.joints * self.per_joint)
 
     def draw(self, rng: np.random.Generator) -> Floats:
         """Coordinates of a random motion that uses most of the range."""
@@ -93,8 +94,8 @@ class Space:
         largest = 0.999 * np.minimum(
             self.limits.rate / np.maximum(np.abs(rate).max(axis=0), 1e-300), room / np.maximum(high - low, 1e-300)
         )
-        scale = largest / (1.0 + np.exp(-x[:, -2]))
-        share = 1.0 / (1.0 + np.exp(-x[:, -1]))
+        scale = largest * expit(x[:, -2])
+        share = expit(x[:, -1])
         offset = self.limits.low - scale * low + share * (room - scale * (high - low))
         return FourierMotion(self.period_s, offset, scale[:, None] * sine, scale[:, None] * cosine)
 

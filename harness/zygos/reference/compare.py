@@ -246,8 +246,8 @@ def sizes(arm: Arm, x: Floats) -> Floats:
         # an error of a parameter is one of all full parameters that contain it
         basis = np.abs(arm.structure.basis)
         full = _full_sizes(arm, arm.structure.expanded(x[:own]))
-        with np.errstate(divide="ignore"):
-            least = np.min(np.where(basis > 0.0, full[:, None] / basis, np.inf), axis=0)
+        shares = np.divide(full[:, None], basis, out=np.full_like(basis, np.inf), where=basis > 0.0)
+        least = np.min(shares, axis=0)
         return np.concatenate([np.maximum(np.abs(x[:own]), least), np.abs(x[own:])])
     return _full_sizes(arm, x)
 

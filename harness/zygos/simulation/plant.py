@@ -392,8 +392,8 @@ def needed_torque(arm: Arm, dynamics: Dynamics, angle: Array, rate: Array, accel
     """
     if not arm.grounded:
         raise ZygosError(
-            f"arm {arm.name}: the torque of a desired motion is computed only where the base is fixed and all joints are "
-            "rigid; remedy: leave feedforward out of the scenario"
+            f"arm {arm.name}: the torque of a desired motion is computed only where the base is fixed and all joints "
+            "are rigid; remedy: leave feedforward out of the scenario"
         )
     base = np.zeros((len(angle), 3))
 

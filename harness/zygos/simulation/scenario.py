@@ -205,8 +205,8 @@ def read_scenario(top: Table) -> Scenario:
         control.choice("angle", "The encoder whose angle is fed back.", _FEEDBACK_ANGLES, "motor"),
         control.boolean(
             "feedforward",
-            "Whether the torque that the desired motion needs is added to that of the servo, so that the arm follows the "
-            "motion. It is computed with the simulated plant, and needs a fixed base and rigid joints.",
+            "Whether the torque that the desired motion needs is added to that of the servo, so that the arm follows "
+            "the motion. It is computed with the simulated plant, and needs a fixed base and rigid joints.",
             False,
         ),
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +17,7 @@ from zygos.arm import ANGLE_STEP, TORQUE_STEP, Arm
 from zygos.can import bus
 from zygos.errors import ZygosError
 from zygos.files.inputs import local
-from zygos.files.output import counted, write_text
+from zygos.files.output import cannot_be_written, counted, write_text
 from zygos.files.tables import is_table
 from zygos.native.flight import Flight
 from zygos.runs.cycles import INVALID, Cycles
@@ -76,7 +77,7 @@ def check_noise(arm: Arm, mapping: Map, noise: Sequence[Noise]) -> None:
             )
 
 
-def noisier_arm_text(file: Path, arm: Arm, whence: str) -> str:
+def noisier_arm_text(file: Path, arm: Arm) -> str:
     """Text of the arm file with the noise of `arm`."""
     document = tomlkit.parse(local(file).read_text(encoding="utf-8"))
     for entry, joint in zip(document["joint"], arm.joints, strict=True):
@@ -88,23 +89,63 @@ def noisier_arm_text(file: Path, arm: Arm, whence: str) -> str:
         entry["torque_sigma"] = joint.torque_sigma
     if arm.free:
         document["imu"]["rate_sigma"] = arm.imu.rate_sigma
-    head = f"# Quanta and sigmas are those of the values that zygos convert made of {whence}.\n"
-    return head + tomlkit.dumps(document)
+    return tomlkit.dumps(document)
 
 
-def write_run(out: Path, cycles: Cycles, frames: NDArray[Any] | None, period_s: float, beside: Path, text: str) -> None:
-    """Write the run, as frames if there are any, and the arm file next to it."""
-    if beside.exists() and beside.read_text(encoding="utf-8") != text:
-        raise ZygosError(
-            f"{beside} is not the arm file of this run, whose noise includes that of the interpolation; remedy: write "
-            "the run into another folder, or remove that file"
-        )
-    if frames is None:
-        write_cycles(out, cycles)
-    else:
-        bus.write_log(out, frames, period_s)
+_MARK = "# zygos convert wrote this arm file for "
+"""Begin of the first line of the arm file beside a converted run; the names of the runs follow."""
+_TO = "; its noise is that of their values."
+
+
+def _beside(out: Path, text: str, source: Path) -> tuple[Path, str | None]:
+    """The arm file beside a run, and what it is to hold; None: it stays as it is.
+
+    The file of an earlier conversion is replaced, unless another run beside it needs the noise that it declares.
+    Errors: ZygosError for that, and for a file that `convert` did not write.
+    """
+    beside = out.parent / "arm.toml"
     if not beside.exists():
-        write_text(beside, text)
+        return beside, f"{_MARK}{out.name}{_TO}\n{text}"
+    present = beside.read_text(encoding="utf-8")
+    head, _, body = present.partition("\n")
+    if not (head.startswith(_MARK) and head.endswith(_TO)) or beside.samefile(source):
+        if text == present:
+            return beside, None
+        raise ZygosError(
+            f"{beside} is not the arm file of this run, and `zygos convert` did not write it; remedy: write the run "
+            "into another folder"
+        )
+    others = [name for name in head[len(_MARK) : -len(_TO)].split(", ") if name != out.name]
+    others = [name for name in others if (out.parent / name).exists()]
+    if others and body != text:
+        raise ZygosError(
+            f"{beside} is the arm file of {', '.join(others)}, whose noise is not that of this run; remedy: write each "
+            "run into a folder of its own"
+        )
+    return beside, f"{_MARK}{', '.join([*others, out.name])}{_TO}\n{text}"
+
+
+def write_run(out: Path, cycles: Cycles, frames: NDArray[Any] | None, period_s: float, text: str, source: Path) -> None:
+    """Write the run, as frames if there are any, and the arm file next to it; both or none.
+
+    text: of the arm file. source: the file from which it comes, which is not replaced. Errors: ZygosError if the arm
+    file that is already there belongs to something else, or if a file cannot be written.
+    """
+    beside, content = _beside(out, text, source)
+    staged = beside.with_name(f".{os.getpid()}.staged.toml")
+    try:
+        if content is not None:
+            write_text(staged, content)
+        if frames is None:
+            write_cycles(out, cycles)
+        else:
+            bus.write_log(out, frames, period_s)
+        if content is not None:
+            staged.replace(beside)
+    except OSError as error:
+        raise cannot_be_written(beside, error) from error
+    finally:
+        staged.unlink(missing_ok=True)
 
 
 def with_time(cycles: Cycles) -> Cycles:

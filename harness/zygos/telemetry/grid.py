@@ -39,7 +39,7 @@ SPAN_MAX = 50
 REFUSED_MAX = 0.05
 """Share of instants that the bandwidth test may refuse (the flight library's own limit)."""
 DOUBLINGS = 6
-DECIMATED = 3.0
+DECIMATED = 2.5
 """Number of samples in a period from which a signal is averaged."""
 _REACH = 2.0
 """Half width of an average of angles or rates, in periods."""
@@ -243,7 +243,7 @@ def tracks(recording: Recording, mapping: Map) -> list[Track]:
     """
     clock = mapping.clock
     times = np.zeros(0)
-    if clock.kind != "receive":
+    if not clock.stamped:
         counts = unwrap(recording.clock, recording.modulo, recording.clock_stamp / clock.unit_s)
         if recording.modulo is not None:
             # a small step backwards looks like nearly a full turn forwards
@@ -253,7 +253,7 @@ def tracks(recording: Recording, mapping: Map) -> list[Track]:
     out = []
     for channel in mapping.channels:
         samples = recording.sources[channel.source]
-        t = samples.stamp if clock.kind == "receive" else times[samples.group]
+        t = samples.stamp if clock.stamped else times[samples.group]
         x = channel.gain * samples.value + channel.offset
         t, x = t[np.isfinite(x)], x[np.isfinite(x)]
         _forwards(channel.source, channel.where, np.diff(t) < 0)

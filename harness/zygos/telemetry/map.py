@@ -1,8 +1,8 @@
 """Telemetry of other systems: which signal of a foreign log or table is which reading of the arm, in which unit
 (`map.toml`).
 
-A CAN log is decoded by cantools with the owner's DBC files, a table is read by its column names. In both cases the
-result is a `Recording`: each signal's values in SI units with their times.
+A CAN log is decoded by cantools with the owner's DBC files, a table is read by its column names, an MCAP by its topics
+(`zygos.telemetry.ros`). In each case the result is a `Recording`: each signal's values with their times.
 """
 
 from __future__ import annotations
@@ -31,7 +31,9 @@ from zygos.files.toml import Table
 Floats = NDArray[np.float64]
 Quantity = Literal["angle", "torque", "rate", "time"]
 Field = Literal["q", "theta", "tau", "omega"]
-Source = Literal["sync", "signal", "column", "receive"]
+Source = Literal["sync", "signal", "column", "receive", "header"]
+Input = Literal["log", "table", "mcap"]
+"""Kind of a recording: a CAN log, a table, or an MCAP with messages of ROS 2."""
 Interpolation = Literal["linear", "cubic"]
 
 UNITS: dict[Quantity, dict[str, float]] = {
@@ -61,6 +63,23 @@ _SPELLINGS = {
 
 
 @dataclass(frozen=True)
+class Place:
+    """Where a value is in messages of ROS 2."""
+
+    topic: str
+    field: str
+    """position, effort, x, y or z."""
+    joint: str = ""
+    """Its name in a JointState; empty for an Imu."""
+
+    def __str__(self) -> str:
+        """As in tables and messages."""
+        return (
+            f"{self.topic}:{self.joint}.{self.field}" if self.joint else f"{self.topic}:angular_velocity.{self.field}"
+        )
+
+
+@dataclass(frozen=True)
 class Channel:
     """One reading of the arm: its source, and SI = gain * value + offset."""
 
@@ -72,7 +91,7 @@ class Channel:
     """Its column in that field."""
     quantity: Quantity
     source: str
-    """The source: message.signal, or the name of a column."""
+    """The source: message.signal, the name of a column, or the text of `place`."""
     unit: str
     gain: float
     offset: float
@@ -80,16 +99,18 @@ class Channel:
     """Whether the map states neither scale nor offset: then the source's own unit must be the map's."""
     where: str
     """File and key in the map, for error messages."""
+    place: Place | None = None
+    """Of a channel in an MCAP."""
 
 
 @dataclass(frozen=True)
 class Clock:
-    """The source of times: the log's stamps (`receive`), a time (`signal`, `column`) or a counter of cycles
-    (`sync`)."""
+    """The source of times: the recording's stamps (`receive`), those of the messages (`header`), a time (`signal`,
+    `column`) or a counter of cycles (`sync`)."""
 
     kind: Source
     source: str = ""
-    """The source: message.signal, or the name of a column; empty for `receive`."""
+    """The source: message.signal, or the name of a column; empty for `receive` and `header`."""
     unit: str = "s"
     unit_s: float = 1.0
     """Duration of one count or unit, s."""
@@ -98,6 +119,11 @@ class Clock:
     interpolation: Interpolation | None = None
     """Interpolation of the signals; None where the counter numbers the cycles."""
     where: str = ""
+
+    @property
+    def stamped(self) -> bool:
+        """Whether each value has a stamp of its own."""
+        return self.kind in ("receive", "header")
 
 
 @dataclass(frozen=True)
@@ -117,7 +143,8 @@ class SourceSamples:
     group: NDArray[np.int64]
     """(n,) index of the clock's latest value before or with each value; zeros where there is no clock."""
     stamp: Floats
-    """(n,) receive time after the first frame of the recording, s; NaN in a table."""
+    """(n,) time after the first value of the recording, s: when it was received, or as its message says; NaN in a
+    table."""
 
 
 @dataclass(frozen=True)
@@ -126,7 +153,7 @@ class Recording:
 
     sources: dict[str, SourceSamples]
     clock: Floats
-    """(m,) values of the clock minus the first one, in its own unit; empty for `receive`."""
+    """(m,) values of the clock minus the first one, in its own unit; empty where values have stamps of their own."""
     clock_stamp: Floats
     """(m,) receive stamps of the clock, s; NaN in a table."""
     modulo: float | None
@@ -146,15 +173,15 @@ def closest(name: str, known: Iterable[str], noun: str) -> str:
     return f"the {noun} are {', '.join(listed[:12])}{' …' if len(listed) > 12 else ''}"
 
 
-def load_map(path: str | Path, arm: Arm, *, tabular: bool) -> Map:
-    """Read `map.toml` for an arm and a kind of input (a table or a CAN log).
+def load_map(path: str | Path, arm: Arm, kind: Input) -> Map:
+    """Read `map.toml` for an arm and a kind of recording.
 
     Errors: ZygosError naming file, key and remedy for anything unknown, missing or contradictory.
     """
-    return read_map(Table.load(path), arm, tabular=tabular)
+    return read_map(Table.load(path), arm, kind)
 
 
-def read_map(top: Table, arm: Arm, *, tabular: bool) -> Map:
+def read_map(top: Table, arm: Arm, kind: Input) -> Map:
     """The map of a table with the keys of `map.toml`. Errors: as `load_map`."""
     entries: dict[str, Table] = {}
     names = [joint.name for joint in arm.joints]
@@ -185,7 +212,7 @@ def read_map(top: Table, arm: Arm, *, tabular: bool) -> Map:
         for key, meaning, otherwise, field, quantity in kinds:
             entry = table.table(key, meaning, otherwise=otherwise)
             label = f"{joint.name}.{key}"
-            channels.append(_channel(entry, label, field, i, quantity, joint.gear_ratio, tabular=tabular))
+            channels.append(_channel(entry, label, field, i, quantity, joint.gear_ratio, kind, joint.name))
         table.finish()
     if arm.free:
         gyro = top.table(
@@ -193,28 +220,61 @@ def read_map(top: Table, arm: Arm, *, tabular: bool) -> Map:
         )
         for i, axis in enumerate("xyz"):
             entry = gyro.table(axis, f"The rate about the {axis} axis of the gyro.")
-            channels.append(_channel(entry, f"gyro.{axis}", "omega", i, "rate", 1.0, tabular=tabular))
+            channels.append(_channel(entry, f"gyro.{axis}", "omega", i, "rate", 1.0, kind, axis))
         gyro.finish()
     elif top.has("gyro"):
         raise top.error("gyro", f"the base of arm {arm.name} is fixed and has no gyro", "remove [gyro]")
-    clock = _clock(top.table("time", "What says when a value was measured."), arm, tabular=tabular)
+    clock = _clock(top.table("time", "What says when a value was measured."), arm, kind)
     top.finish()
     return Map(clock, tuple(channels))
 
 
-def _source(table: Table, also: str = "", *, tabular: bool) -> str:
+_NAMED: dict[Input, tuple[str, str]] = {
+    "log": ("signal", "a CAN log, which has signals of messages"),
+    "table": ("column", "a table, which has columns"),
+    "mcap": ("topic", "an MCAP, which has topics"),
+}
+"""Key that names a source in each kind of recording, and what it is called there."""
+
+
+def _check_named(table: Table, kind: Input) -> None:
+    """Refuse the key that names a source of another kind of recording."""
+    key, called = _NAMED[kind]
+    for other, _ in _NAMED.values():
+        if other != key and table.has(other):
+            raise table.error(other, f"the input is {called}", f"name a {key}")
+
+
+def _source(table: Table, kind: Input, also: str = "") -> str:
     """also: a further condition of the map under which the source is named."""
-    key, other = ("column", "signal") if tabular else ("signal", "column")
-    if table.has(other):
-        kind = "a table, which has columns" if tabular else "a CAN log, which has signals of messages"
-        raise table.error(other, f"the input is {kind}", f"name a {key}")
-    meaning, input_kind = (
-        ("Name of the column.", "table") if tabular else ("Message.Signal, as the DBC names them.", "CAN log")
-    )
-    name = table.text(key, meaning, otherwise=f"required where the input is a {input_kind}{also}, refused elsewhere")
-    if not tabular and "." not in name:
-        raise table.error(key, f'"{name}" names no signal of a message', 'write "Message.Signal"')
+    _check_named(table, kind)
+    if kind == "table":
+        meaning = 'Name of the column. The columns of a CSV without names are "1", "2", …'
+        return table.text("column", meaning, otherwise=f"required where the input is a table{also}, refused elsewhere")
+    meaning = "Message.Signal, as the DBC names them."
+    name = table.text("signal", meaning, otherwise=f"required where the input is a CAN log{also}, refused elsewhere")
+    if "." not in name:
+        raise table.error("signal", f'"{name}" names no signal of a message', 'write "Message.Signal"')
     return name
+
+
+_ROS_FIELDS: dict[Quantity, str] = {"angle": "position", "torque": "effort"}
+"""Field of a JointState that has a quantity."""
+
+
+def _place(table: Table, quantity: Quantity, name: str) -> Place:
+    """name: of the joint in the arm file, or the axis of the gyro."""
+    _check_named(table, "mcap")
+    topic = table.text(
+        "topic",
+        "Topic of the messages: sensor_msgs/msg/JointState for a joint (position is the angle, effort the torque), "
+        "sensor_msgs/msg/Imu for the gyro.",
+        otherwise="required where the input is an MCAP, refused elsewhere",
+    )
+    if quantity == "rate":
+        return Place(topic, name)
+    joint = table.text("joint", "Name of the joint in the messages.", name, otherwise="its name in the arm file")
+    return Place(topic, _ROS_FIELDS[quantity], joint)
 
 
 def _unit(table: Table, quantity: Quantity, otherwise: str = "") -> str:
@@ -227,9 +287,18 @@ def _unit(table: Table, quantity: Quantity, otherwise: str = "") -> str:
 
 
 def _channel(
-    table: Table, label: str, field: Field, index: int, quantity: Quantity, gear_ratio: float, *, tabular: bool
+    table: Table,
+    label: str,
+    field: Field,
+    index: int,
+    quantity: Quantity,
+    gear_ratio: float,
+    kind: Input,
+    name: str,
 ) -> Channel:
-    source = _source(table, tabular=tabular)
+    """name: of the joint in the arm file, or the axis of the gyro."""
+    place = _place(table, quantity, name) if kind == "mcap" else None
+    source = _source(table, kind) if place is None else str(place)
     unit = _unit(table, quantity)
     si = UNITS[quantity][unit]
     if unit == "counts":
@@ -276,20 +345,29 @@ def _channel(
     factor = sign * si / (gear_ratio if geared else 1.0)
     table.finish()
     where = f"{table.file}: {table.where}"
-    return Channel(label, field, index, quantity, source, unit, factor * scale, factor * offset, bare, where)
+    return Channel(label, field, index, quantity, source, unit, factor * scale, factor * offset, bare, where, place)
 
 
-def _clock(table: Table, arm: Arm, *, tabular: bool) -> Clock:
-    kinds: tuple[Source, ...] = ("sync", "column") if tabular else ("sync", "signal", "receive")
+_CLOCKS: dict[Input, tuple[Source, ...]] = {
+    "log": ("sync", "signal", "receive"),
+    "table": ("sync", "column"),
+    "mcap": ("header", "receive"),
+}
+"""Clocks of each kind of recording."""
+
+
+def _clock(table: Table, arm: Arm, recorded: Input) -> Clock:
     kind = table.choice(
         "source",
         'The clock. "sync": a counter of cycles, nothing is interpolated. "signal" or "column": a time that is '
-        'recorded beside the values. "receive": the receive time of each frame.',
-        kinds,
+        'recorded beside the values. "header": the stamp in the header of each message. "receive": the time at which '
+        "each frame or message was received.",
+        _CLOCKS[recorded],
     )
     source, unit, unit_s, modulo = "", "s", 1.0, None
-    if kind != "receive":
-        source = _source(table, "" if tabular else ' and source is not "receive"', tabular=tabular)
+    stamped = kind in ("receive", "header")
+    if not stamped:
+        source = _source(table, recorded, ' and source is not "receive"' if recorded == "log" else "")
         if table.has("modulo"):
             modulo = table.number(
                 "modulo",
@@ -317,7 +395,7 @@ def _clock(table: Table, arm: Arm, *, tabular: bool) -> Clock:
                 "correct this period_s, or that of the arm file",
             )
     else:
-        if kind != "receive":
+        if not stamped:
             unit = _unit(table, "time", 'required where source is "signal" or "column", refused elsewhere')
             unit_s = UNITS["time"][unit]
         interpolation = table.choice(

@@ -1,0 +1,243 @@
+"""`zygos convert` of MCAP files with messages of ROS 2, which are encoded here byte by byte (CDR, little endian)."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.writer import Writer
+
+from conftest import EXAMPLE
+from zygos.arm import Arm, load_arm
+from zygos.cli import main
+from zygos.model.model import Model
+from zygos.runs.cycles import Cycles
+from zygos.runs.tables import read_cycles
+from zygos.simulation.plant import simulate
+from zygos.simulation.scenario import Scenario
+
+HEADER = "std_msgs/Header header\n"
+STD = """
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+JOINT_STATE = HEADER + "string[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n" + STD
+IMU = (
+    HEADER
+    + "geometry_msgs/Quaternion orientation\nfloat64[9] orientation_covariance\n"
+    + "geometry_msgs/Vector3 angular_velocity\nfloat64[9] angular_velocity_covariance\n"
+    + "geometry_msgs/Vector3 linear_acceleration\nfloat64[9] linear_acceleration_covariance\n"
+    + STD
+    + "=" * 80
+    + "\nMSG: geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w\n"
+    + "=" * 80
+    + "\nMSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n"
+)
+BEGIN_NS = 1_700_000_000_123_456_789
+MAP = """
+[time]
+source = "header"
+interpolation = "cubic"
+
+[[joint]]
+name = "shoulder"
+motor  = { topic = "/motor_states", unit = "rad", side = "output" }
+link   = { topic = "/joint_states", unit = "rad" }
+torque = { topic = "/motor_states", unit = "Nm" }
+
+[[joint]]
+name = "elbow"
+motor  = { topic = "/motor_states", joint = "elbow_joint", unit = "rad", side = "output" }
+link   = { topic = "/joint_states", joint = "elbow_joint", unit = "rad" }
+torque = { topic = "/motor_states", joint = "elbow_joint", unit = "Nm" }
+
+[gyro]
+x = { topic = "/imu", unit = "rad/s" }
+y = { topic = "/imu", unit = "rad/s" }
+z = { topic = "/imu", unit = "rad/s" }
+"""
+
+
+class Cdr:
+    """Bytes of a message; numbers are aligned to their size after the four bytes of the encapsulation."""
+
+    def __init__(self) -> None:
+        self.bytes = bytearray()
+
+    def put(self, form: str, *values: float) -> Cdr:
+        for value in values:
+            self.bytes += b"\0" * (-len(self.bytes) % struct.calcsize(form))
+            self.bytes += struct.pack(f"<{form}", value)
+        return self
+
+    def text(self, text: str) -> Cdr:
+        self.put("I", len(text) + 1)
+        self.bytes += text.encode() + b"\0"
+        return self
+
+    def head(self, stamp_ns: int) -> Cdr:
+        return self.put("i", stamp_ns // 10**9).put("I", stamp_ns % 10**9).text("base")
+
+    def all(self) -> bytes:
+        return b"\0\1\0\0" + bytes(self.bytes)
+
+
+def joint_state(
+    stamp_ns: int, names: Sequence[str], position: Sequence[float], effort: Sequence[float] | None = None
+) -> bytes:
+    out = Cdr().head(stamp_ns).put("I", len(names))
+    for name in names:
+        out.text(name)
+    for values in (position, [0.0] * len(names), position if effort is None else effort):
+        out.put("I", len(values)).put("d", *values)
+    return out.all()
+
+
+def imu(stamp_ns: int, rate: Sequence[float]) -> bytes:
+    return Cdr().head(stamp_ns).put("d", 0, 0, 0, 1, *[0] * 9, *rate, *[0] * 9, *[0] * 12).all()
+
+
+def stamped(k: int) -> int:
+    return BEGIN_NS + 25_000_000 * k
+
+
+def write(path: Path, run: Cycles, stamp: Callable[[int], int] = stamped, effort: bool = True) -> Path:
+    """The cycles as messages; the joints are listed from the elbow to the shoulder."""
+    names, elbow_first = ("elbow_joint", "shoulder"), slice(None, None, -1)
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2")
+        schema = {
+            name: writer.register_schema(f"sensor_msgs/msg/{name}", "ros2msg", text.encode())
+            for name, text in (("JointState", JOINT_STATE), ("Imu", IMU))
+        }
+        channel = {
+            topic: writer.register_channel(topic, "cdr", schema[kind])
+            for topic, kind in (("/joint_states", "JointState"), ("/motor_states", "JointState"), ("/imu", "Imu"))
+        }
+        other = writer.register_channel("/rosout", "json", 0)
+        writer.add_message(other, BEGIN_NS, b"{}", BEGIN_NS)
+        for k in range(len(run)):
+            at = stamped(k) + 3_000_000 + 1_000_000 * (k % 3)  # received late, and not evenly
+            tau = run.tau[k, elbow_first] if effort else []
+            said = stamp(k)
+            for topic, data in (
+                ("/joint_states", joint_state(said, names, run.q[k, elbow_first])),
+                ("/motor_states", joint_state(said, names, run.theta[k, elbow_first], tau)),
+                ("/imu", imu(said, run.omega[k])),
+            ):
+                writer.add_message(channel[topic], at, data, at)
+        writer.finish()
+    return path
+
+
+def run(*arguments: object) -> int:
+    with pytest.raises(SystemExit) as end:
+        main([str(argument) for argument in arguments])
+    return int(end.value.code or 0)
+
+
+def convert(source: Path, out: Path, *more: object, text: str = MAP) -> int:
+    map_file = source.parent / "map.toml"
+    map_file.write_text(text)
+    return run("convert", source, "--map", map_file, "--arm", EXAMPLE / "arm.toml", "-o", out, *more)
+
+
+@pytest.fixture(scope="module")
+def recorded(arm: Arm, model: Model, scenario: Scenario) -> Cycles:
+    cycles = simulate(arm, model, scenario, seeds=[3], noise=True, period_s=0.025).cycles()
+    return replace(
+        cycles, **{name: getattr(cycles, name)[:1200] for name in ("sync", "q", "theta", "tau", "omega", "flags")}
+    )
+
+
+def test_every_value_comes_to_its_place(recorded: Cycles, tmp_path: Path) -> None:
+    """Recorded twice in a period: a grid instant is a message, and a held torque the mean of two."""
+    source = write(tmp_path / "my.mcap", recorded)
+    out = tmp_path / "out" / "run.npz"
+    assert convert(source, out, "--json", tmp_path / "c.json") == 0
+    content = json.loads((tmp_path / "c.json").read_text())
+    assert (content["time"], content["interpolation"], content["breaks"]) == ("header", "cubic", 0)
+    assert content["signals"][4]["from"] == "/motor_states:elbow_joint.position"
+    got = read_cycles(out, load_arm(out.parent / "arm.toml"))
+    assert len(got) == 600
+    np.testing.assert_allclose(got.q, recorded.q[::2], atol=1e-8)
+    np.testing.assert_allclose(got.theta, recorded.theta[::2], atol=1e-8)
+    np.testing.assert_allclose(got.omega, recorded.omega[::2], atol=1e-8)
+    np.testing.assert_allclose(got.tau, 0.5 * (recorded.tau[::2] + recorded.tau[1::2]), atol=1e-8)
+
+
+def test_the_time_of_reception_jitters(recorded: Cycles, tmp_path: Path) -> None:
+    """The other clock: its stamps are 1 ms apart from even ones, and the noise says so."""
+    source = write(tmp_path / "my.mcap", recorded)
+    for clock in ("header", "receive"):
+        text = MAP.replace('"header"', f'"{clock}"')
+        assert convert(source, tmp_path / clock / "run.npz", "--json", tmp_path / f"{clock}.json", text=text) == 0
+    even, jittered = (json.loads((tmp_path / f"{clock}.json").read_text()) for clock in ("header", "receive"))
+    assert even["bandwidth"]["stamps_sigma_s"] < 1e-8
+    assert 0.5e-3 < jittered["bandwidth"]["stamps_sigma_s"] < 1.5e-3
+    assert jittered["signals"][0]["added_by_interpolation"] > even["signals"][0]["added_by_interpolation"]
+
+
+REFUSED = [
+    (
+        "topic",
+        ('"/imu", unit = "rad/s" }\ny', '"/imo", unit = "rad/s" }\ny'),
+        'gyro.x.topic: there is no "/imo" in my.mcap; remedy: did you mean "/imu"?',
+    ),
+    (
+        "joint",
+        ('joint = "elbow_joint", unit = "rad" }', 'joint = "elbow_joynt", unit = "rad" }'),
+        'remedy: did you mean "elbow_joint"?',
+    ),
+    (
+        "type",
+        ('link   = { topic = "/joint_states", unit', 'link   = { topic = "/imu", unit'),
+        "/imu has messages of type sensor_msgs/msg/Imu, not sensor_msgs/msg/JointState",
+    ),
+    (
+        "column",
+        ('topic = "/imu", unit = "rad/s" }\ny', 'column = "x", unit = "rad/s" }\ny'),
+        "the input is an MCAP, which has topics; remedy: name a topic",
+    ),
+    ("clock", ('"header"', '"sync"'), 'time.source: \'sync\' is not known; remedy: write "header" or "receive"'),
+]
+
+
+@pytest.mark.parametrize(("change", "message"), [one[1:] for one in REFUSED], ids=[one[0] for one in REFUSED])
+def test_maps_that_do_not_fit(
+    recorded: Cycles, tmp_path: Path, change: tuple[str, str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = write(tmp_path / "my.mcap", recorded)
+    assert change[0] in MAP
+    assert convert(source, tmp_path / "out" / "run.npz", text=MAP.replace(*change, 1)) == 2
+    assert message in capsys.readouterr().err.replace("\n", " ")
+    assert not (tmp_path / "out").exists()
+
+
+def test_recordings_that_are_refused(recorded: Cycles, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    whole = write(tmp_path / "my.mcap", recorded)
+    cases = {
+        "has no time; remedy: write source = \"receive\"": write(tmp_path / "a.mcap", recorded, stamp=lambda _: 0),
+        "have 2 joints and 0 values of effort": write(tmp_path / "b.mcap", recorded, effort=False),
+        "not a readable MCAP": tmp_path / "c.mcap",
+        "no such file": tmp_path / "d.mcap",
+    }  # fmt: skip
+    (tmp_path / "c.mcap").write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
+    for message, source in cases.items():
+        assert convert(source, tmp_path / "out" / "run.npz") == 2
+        assert message in capsys.readouterr().err.replace("\n", " ")
+    assert convert(whole, tmp_path / "out" / "run.npz", "--dbc", tmp_path / "my.dbc") == 2
+    assert "an MCAP needs no --dbc" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,104 @@
+"""`zygos plan` as a user types it: a motion that simulate runs and estimate reads, a ranking, and refusals."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from arm_support import random_arm
+
+from conftest import EXAMPLE
+from zygos.arm import load_arm, save_arm
+from zygos.cli import main
+from zygos.model.model import save_model
+from zygos.simulation.scenario import load_scenario, save_scenario
+
+
+def run(*arguments: object) -> int:
+    with pytest.raises(SystemExit) as end:
+        main([str(argument) for argument in arguments])
+    return int(end.value.code or 0)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two rigid joints in a plane on the ground, and their planned motion."""
+    folder = tmp_path_factory.mktemp("plan")
+    arm, model = random_arm(3, 2, "fixed", "planar", False)
+    save_arm(replace(arm, period_s=0.01), folder / "arm.toml")
+    save_model(model, folder / "model.toml")
+    assert plan(folder, "--rate", "1.5", "-o", folder / "planned.toml", "--json", folder / "plan.json",
+                "--report", folder / "plan.html") == 0  # fmt: skip
+    return folder
+
+
+def plan(folder: Path, *more: object) -> int:
+    return run("plan", folder / "arm.toml", "--model", folder / "model.toml", "--torque-noise", "0.05", *more)
+
+
+def test_a_planned_scenario_is_simulated_and_ranked(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    content = json.loads((folder / "plan.json").read_text())
+    arm = load_arm(folder / "arm.toml")
+    (motion,) = content["motions"]
+    own = [entry["name"] for entry in motion["parameters"] if entry["of_the_arm"]]
+    assert own == list(arm.parameter_names)
+    assert max(motion["largest_rate_rad_s"]) <= 1.5 and motion["excess"] is None
+    assert motion["worst"] in own and "kg m²" in (folder / "plan.html").read_text()
+    assert run("simulate", folder / "planned.toml", "-o", folder / "run.blf") == 0
+    planned = load_scenario(folder / "planned.toml")
+    slow = {
+        name: replace(one, sines=tuple(replace(sine, omega=0.5 * sine.omega) for sine in one.sines))
+        for name, one in planned.manoeuvre.items()
+    }
+    save_scenario(replace(planned, name="slow", manoeuvre=slow), folder / "slow.toml")
+    capsys.readouterr()
+    assert plan(folder, "--candidates", folder / "slow.toml", folder / "planned.toml", "--json", "-") == 0
+    ranking = json.loads(capsys.readouterr().out)
+    assert ranking["ranking"] == ["planned", "slow"] and ranking["scenario"] is None
+    assert [one["name"] for one in ranking["motions"]] == ["slow", "planned"]
+
+
+def test_a_saved_scenario_is_read_as_it_was(folder: Path) -> None:
+    planned = load_scenario(folder / "planned.toml")
+    save_scenario(planned, folder / "again" / "same.toml")
+    same = load_scenario(folder / "again" / "same.toml")
+    assert same.arm.resolve() == planned.arm.resolve()
+    assert replace(same, arm=planned.arm, plant=planned.plant) == planned
+    example = load_scenario(EXAMPLE / "scenario.toml")
+    save_scenario(example, folder / "example.toml")
+    again = load_scenario(folder / "example.toml")
+    t = np.linspace(0.0, example.duration_s, 50)
+    names = list(example.manoeuvre)
+    np.testing.assert_allclose(again.desired(names, t), example.desired(names, t), atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        (("-o", "{out}/p.toml", "--rate", "wrist=1"), "no joint 'wrist'"),
+        (("-o", "{out}/p.toml", "--torque", "0.001"), "no motion within the limits was found"),
+        (("-o", "{out}/p.toml", "--duration", "15"), "not a whole number of periods"),
+        (("-o", "{out}/p.toml", "--candidates"), "only ranks"),
+        (
+            (
+                "-o",
+                "{out}/p.txt",
+            ),
+            "not a name for a model",
+        ),
+        (("{in}/planned.toml", "--rate", "0.5"), "beyond its limit of 0.5 rad/s"),
+        ((), "there is nothing to do"),
+        ((EXAMPLE / "scenario.toml",), "the manoeuvre has joints"),
+    ],
+)
+def test_what_cannot_be_planned_is_refused(
+    folder: Path, tmp_path: Path, more: tuple[object, ...], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = [str(part).format(out=tmp_path, **{"in": folder}) for part in more]
+    assert plan(folder, *given) == 2
+    said = capsys.readouterr().err
+    assert words in said and "remedy: " in said
+    assert not list(tmp_path.iterdir())

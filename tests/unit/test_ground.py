@@ -1,0 +1,210 @@
+"""Estimates of arms on the ground from CAN frames, whose torques come from Pinocchio."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ground_support import heavier, recorded, short_arm
+
+from zygos.arm import Arm, load_arm
+from zygos.can.run import Run, joined
+from zygos.effects import CATALOGUE
+from zygos.errors import Undecided, ZygosError
+from zygos.ground.estimate import GroundEstimate, estimate_ground
+from zygos.ground.payload import check_found, payload
+from zygos.ground.rows import friction
+from zygos.ground.score import score
+from zygos.model.model import Model
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+@cache
+def _setup() -> tuple[Arm, Model, Run, Run]:
+    arm, model = short_arm()
+    first = recorded(arm, model, path=0, seed=0, offset=[0.01, -0.02, 0.005])
+    second = recorded(arm, model, path=1, seed=1, offset=[-0.01, 0.01, 0.02])
+    return arm, model, first, second
+
+
+def _truth(found: GroundEstimate, model: Model) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    known = {one.column(found.arm): one.value for one in model.effects}
+    effects = [known.get(one.column(found.arm), 0.0) for one in found.effects]
+    return np.concatenate([model.base_values(found.arm), effects])
+
+
+def _within(found: GroundEstimate, truth: np.ndarray[tuple[int], np.dtype[np.float64]]) -> float:
+    """Share of the values whose 95 % interval misses the truth."""
+    return float(np.mean(np.abs(found.solution.value - truth) > found.solution.half(0.95)))
+
+
+def test_two_runs_with_different_offsets_give_one_arm() -> None:
+    arm, model, first, second = _setup()
+    found = estimate_ground([first, second])
+    assert found.validity == "valid", found.reason
+    assert np.abs(found.solution.offset - [[0.01, -0.02, 0.005], [-0.01, 0.01, 0.02]]).max() < 1e-3
+    assert _within(found, _truth(found, model)) <= 0.2
+    declared = np.array([joint.torque_sigma for joint in arm.joints])
+    assert np.all(found.torque_sigma < 2.5 * declared)
+    assert np.all(found.excess < 1.3)
+
+
+@pytest.mark.slow
+def test_intervals_hold_over_seeds() -> None:
+    arm, model = short_arm()
+    missed, beyond = [], []
+    for seed in range(16):
+        run = recorded(arm, model, path=2, seed=seed, seconds=16.0, offset=0.01)
+        found = estimate_ground([run])
+        truth = _truth(found, model)
+        missed.append(_within(found, truth))
+        beyond.append(float(np.mean(np.abs(found.solution.value - truth) > found.solution.half(0.999))))
+    error = 3.0 * np.std(missed, ddof=1) / np.sqrt(len(missed))
+    assert np.mean(missed) <= 0.05 + max(error, 0.01)
+    assert np.mean(missed) >= 0.05 - max(error, 0.05)
+    assert np.mean(beyond) <= 0.001 + 3.0 * np.sqrt(0.001 / (16 * 20))
+
+
+@pytest.mark.parametrize(("offset", "noise"), [(0.05, 1.0), (0.0, 5.0)])
+def test_an_offset_or_loud_torques_leave_good_parameters_good(offset: float, noise: float) -> None:
+    arm, model, *_ = _setup()
+    quiet = replace(arm, joints=tuple(replace(joint, torque_sigma=0.0) for joint in arm.joints))
+    run = recorded(arm, model, path=0, seed=3, seconds=16.0, offset=offset, noise=noise)
+    found = estimate_ground([replace(run, arm=quiet)])
+    assert found.validity in ("valid", "partial"), found.reason
+    assert found.determined.mean() > 0.85
+    assert "not noise" not in found.reason
+    assert _within(found, _truth(found, model)) <= 0.2
+
+
+def test_a_model_predicts_a_run_that_it_never_saw() -> None:
+    _, model, first, second = _setup()
+    learned = estimate_ground([first]).to_model()
+    true, own = score(second, model), score(second, learned)
+    for one, two in zip(true.joints, own.joints, strict=True):
+        # at the accelerations' frequencies the encoders add to the noise of the torques, at the readings' they do not
+        assert one.sigmas < 2.5, one
+        assert two.error_nm < 1.05 * one.error_nm
+        assert 0.95 < one.floor < 1.1
+        assert two.floor < 1.05 * one.floor
+        assert one.energy_share < 0.01
+    assert abs(true.joints[1].offset_nm - 100.0 * 0.01) < 0.1
+
+
+def test_a_wrong_model_is_seen_at_its_joint() -> None:
+    _, model, first, _ = _setup()
+    wrong = heavier(model, 1.0, (0.0, 0.0, 0.1))
+    assert score(first, wrong).joints[2].share > 5.0 * score(first, model).joints[2].share
+
+
+@pytest.mark.parametrize(
+    ("more", "key", "place", "size"),
+    [
+        ({"asymmetry": 0.004}, "viscous_asymmetry", slice(None), 0.004),
+        ({"load": 0.06}, "load_friction", slice(1, None), 0.06),
+        ({"gain": 0.05}, "torque_gain", slice(0, 1), 0.05),
+    ],
+)
+def test_nuisances_of_real_drives_are_found(more: dict[str, float], key: str, place: slice, size: float) -> None:
+    arm, model, *_ = _setup()
+    run = recorded(arm, model, path=3, seed=0, seconds=20.0, offset=0.01, more=more)
+    kinds = [CATALOGUE[one] for one in ("motor_coulomb", "motor_viscous")]
+    asked = friction(arm, [CATALOGUE[key]])
+    effects = (*friction(arm, kinds), *(asked[1:] if key == "torque_gain" else asked))
+    found = estimate_ground([run], effects=effects)
+    at = [found.names.index(one.column(arm)) for one in effects if one.kind.key == key][place]
+    without = estimate_ground([run])
+    assert np.allclose(found.solution.value[at], size, atol=0.1 * size + 3.0 * found.solution.sigma[at].max())
+    assert np.all(found.solution.value[at] > 5.0 * found.solution.sigma[at])
+    assert without.excess.max() > 1.2 * found.excess.max()
+
+
+def test_currents_give_ratios_only_and_say_so() -> None:
+    arm, model, *_ = _setup()
+    amperes = replace(arm, torque_unit="A")
+    run = recorded(arm, model, path=3, seed=0, seconds=20.0, more={"gain": 0.2})
+    found = estimate_ground([replace(run, arm=amperes)])
+    assert found.relative
+    assert "relative" in " ".join(found.notes)
+    gain = found.solution.value[found.names.index("torque_gain2")]
+    assert gain == pytest.approx(0.2, rel=0.1)
+
+
+def test_a_payload_is_weighed() -> None:
+    arm, model, *_ = _setup()
+    place = (0.05, -0.02, 0.2)
+    run = recorded(arm, heavier(model, 2.8, place), path=1, seed=5, offset=0.01)
+    found = payload([run], model)
+    assert found.found
+    truth = {"m3": 2.8, "mx3": 2.8 * place[0], "my3": 2.8 * place[1], "mz3": 2.8 * place[2]}
+    assert {"m3", "mx3"} <= set(found.names)
+    for name, value, sigma in zip(found.names, found.value, found.sigma, strict=True):
+        if name in truth and "+" not in found.groups[found.names.index(name)]:
+            assert abs(value - truth[name]) < 4.0 * sigma, (name, value, sigma)
+    assert np.all(found.after < 0.3 * found.before[1])
+    after = score(run, found.to_model())
+    assert all(one.floor < 1.1 for one in after.joints)
+
+
+def test_no_payload_is_no_payload() -> None:
+    arm, model, first, _ = _setup()
+    found = payload([first], model)
+    assert not found.found
+    with pytest.raises(Undecided, match="no payload"):
+        check_found(found)
+    blind = replace(arm, joints=tuple(replace(joint, position_m=None) for joint in arm.joints))
+    with pytest.raises(ZygosError, match="position_m"):
+        payload([replace(first, arm=blind)], model)
+
+
+def test_what_is_no_noise_is_named() -> None:
+    arm, model, *_ = _setup()
+    run = recorded(arm, model, path=3, seed=0, seconds=16.0, more={"load": 0.3})
+    found = estimate_ground([run])
+    assert found.validity == "partial"
+    assert "not noise" in found.reason
+    assert found.remedy
+
+
+def test_a_motion_at_rest_determines_little() -> None:
+    arm, model, *_ = _setup()
+    run = recorded(arm, model, path=0, seed=0, seconds=4.0)
+    cycles = run.cycles
+    still = Run.of_cycles(arm, replace(cycles, q=0.0 * cycles.q, theta=0.0 * cycles.theta))
+    try:
+        found = estimate_ground([still])
+    except Undecided:
+        return
+    assert found.validity != "valid"
+
+
+def test_refusals() -> None:
+    arm, model, first, _ = _setup()
+    floating = load_arm(EXAMPLES / "spatial" / "arm.toml")
+    with pytest.raises(ZygosError, match="fixed base and rigid joints"):
+        estimate_ground([replace(first, arm=floating)])
+    cycles = first.cycles
+    brief = Run(
+        arm,
+        table=replace(cycles, **{k: getattr(cycles, k)[:200] for k in ("sync", "q", "theta", "tau", "omega", "flags")}),
+    )
+    with pytest.raises(Undecided, match="too few"):
+        estimate_ground([brief])
+    other, other_model = short_arm(2)
+    second = recorded(other, other_model, seconds=4.0)
+    with pytest.raises(ZygosError, match="another arm"):
+        estimate_ground([first, second])
+    with pytest.raises(ZygosError, match="cut-off"):
+        score(first, model, cutoff=1e4)
+
+
+def test_joined_runs_have_a_gap_between() -> None:
+    _, _, first, second = _setup()
+    whole = joined([first, second])
+    assert len(whole) == len(first) + len(second)
+    assert np.count_nonzero(np.diff(whole.cycles.sync.astype(np.int64)) != 1) == 1
+    assert joined([first]) is first
