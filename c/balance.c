@@ -1,5 +1,7 @@
 #include "zygos/balance.h"
 
+#include "zygos/reduction.h"
+
 #include <string.h>
 
 void zygos_balance_column_map(const zygos_config_t *config, zygos_column_map_t *out)
@@ -16,6 +18,7 @@ void zygos_balance_column_map(const zygos_config_t *config, zygos_column_map_t *
     }
     out->effects = k;
     out->count = k + config->effects;
+    zygos_reduction_places(config, out);
 }
 
 void zygos_balance_reset(zygos_balance_t *self)

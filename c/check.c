@@ -1,5 +1,7 @@
 #include "zygos/solver.h"
 
+#include "zygos/reduction.h"
+
 #include <stddef.h>
 
 /* Whether the work was taken, and from memory that nobody changed; closes the open arcs. Apart from the solver, so that
@@ -15,21 +17,27 @@ bool zygos_work_intact(zygos_work_t *work)
         (work->config.base > (uint32_t)ZYGOS_BASE_FIXED)) {
         return false;
     }
+    if (zygos_reduction_check(&work->config) < 0) {
+        return false;
+    }
     zygos_balance_column_map(&work->config, &work->column_map);
-    if (!zygos_accumulator_intact(sums, work->column_map.count) ||
-        !zygos_joint_sums_intact(&work->joint_sums, &work->config) ||
+    if (!zygos_accumulator_intact(sums, work->column_map.parameters) ||
+        !zygos_joint_sums_intact(&work->joint_sums, &work->config, &work->column_map) ||
+        !zygos_motor_sums_intact(&work->motor_sums, &work->config) ||
         !zygos_momentum_sums_intact(&work->momentum_sums, &work->config)) {
         return false;
     }
     zygos_accumulator_flush(sums);
-    if (!(zygos_accumulator_check(sums) <= 1.0) || !(zygos_joint_sums_check(&work->joint_sums, &work->config) <= 1.0) ||
-        !(zygos_momentum_sums_check(&work->momentum_sums) <= 1.0)) {
+    zygos_joint_sums_flush(&work->joint_sums, &work->config, work->cycle, work->joints_forgetting);
+    if (!(zygos_accumulator_check(sums) <= 1.0) || !(zygos_motor_sums_check(&work->motor_sums, &work->config) <= 1.0) ||
+        !(zygos_momentum_sums_check(&work->momentum_sums) <= 1.0) ||
+        !(zygos_joint_sums_check(&work->joint_sums) <= 1.0)) {
         return false;
     }
     zygos_guard_end_momentum(&work->guard, &work->config, &work->column_map, &work->momentum_sums, work->cycle);
     zygos_guard_end_energy(&work->guard, &work->config, sums, work->cycle, work->arc);
     if (work->config.impulse_arc_cycles > 0) {
-        zygos_guard_end_motors(&work->guard, &work->config, &work->column_map, &work->joint_sums, work->cycle);
+        zygos_guard_end_motors(&work->guard, &work->config, &work->column_map, &work->motor_sums, work->cycle);
     }
-    return (sums->corrupt == 0) && (work->joint_sums.corrupt == 0) && (work->momentum_sums.corrupt == 0);
+    return (sums->corrupt == 0) && (work->motor_sums.corrupt == 0) && (work->momentum_sums.corrupt == 0);
 }

@@ -2,12 +2,32 @@
 
 /* No switch over the kinds has a default, so that the compiler names each one that lacks a kind. */
 
-/* Whether the column is energy of the spring: a state without a history, of either sign. */
+/* Whether the column is energy of the spring: a state without a history. */
 static bool stored(const zygos_effect_config_t *effect)
 {
     switch ((enum zygos_effect_kind)effect->kind) {
     case ZYGOS_CUBIC_STIFFNESS:
     case ZYGOS_SPRING_OFFSET:
+        return true;
+    case ZYGOS_MOTOR_COULOMB:
+    case ZYGOS_MOTOR_VISCOUS:
+    case ZYGOS_LINK_COULOMB:
+    case ZYGOS_TORQUE_LAG:
+    case ZYGOS_TORQUE_OFFSET:
+    case ZYGOS_VISCOUS_ASYMMETRY:
+        break;
+    }
+    return false;
+}
+
+/* Whether a negative coefficient is as physical as a positive one. */
+static bool signed_either_way(const zygos_effect_config_t *effect)
+{
+    switch ((enum zygos_effect_kind)effect->kind) {
+    case ZYGOS_CUBIC_STIFFNESS:
+    case ZYGOS_SPRING_OFFSET:
+    case ZYGOS_TORQUE_OFFSET:
+    case ZYGOS_VISCOUS_ASYMMETRY:
         return true;
     case ZYGOS_MOTOR_COULOMB:
     case ZYGOS_MOTOR_VISCOUS:
@@ -27,6 +47,8 @@ static bool known(const zygos_effect_config_t *effect)
     case ZYGOS_CUBIC_STIFFNESS:
     case ZYGOS_TORQUE_LAG:
     case ZYGOS_SPRING_OFFSET:
+    case ZYGOS_TORQUE_OFFSET:
+    case ZYGOS_VISCOUS_ASYMMETRY:
         return true;
     }
     return false;
@@ -64,6 +86,8 @@ bool zygos_effects_at_link(const zygos_effect_config_t *effect)
     case ZYGOS_CUBIC_STIFFNESS:
     case ZYGOS_TORQUE_LAG:
     case ZYGOS_SPRING_OFFSET:
+    case ZYGOS_TORQUE_OFFSET:
+    case ZYGOS_VISCOUS_ASYMMETRY:
         break;
     }
     return false;
@@ -79,6 +103,8 @@ bool zygos_effects_viscous(const zygos_effect_config_t *effect)
     case ZYGOS_CUBIC_STIFFNESS:
     case ZYGOS_TORQUE_LAG:
     case ZYGOS_SPRING_OFFSET:
+    case ZYGOS_TORQUE_OFFSET:
+    case ZYGOS_VISCOUS_ASYMMETRY:
         break;
     }
     return false;
@@ -88,7 +114,7 @@ uint32_t zygos_effects_positive(const zygos_config_t *config)
 {
     uint32_t bits = 0;
     for (uint32_t e = 0; e < config->effects; e++) {
-        bits |= stored(&config->effect[e]) ? 0u : 1u << e;
+        bits |= signed_either_way(&config->effect[e]) ? 0u : 1u << e;
     }
     return bits;
 }
@@ -119,6 +145,10 @@ static double newest(const zygos_effect_config_t *effect, double ratio, const zy
         return deflection;
     case ZYGOS_TORQUE_LAG:
         return ratio * torque_step * motor;
+    case ZYGOS_TORQUE_OFFSET:
+        return ratio * motor;
+    case ZYGOS_VISCOUS_ASYMMETRY:
+        return ratio * __builtin_fabs(motor) * motor;
     }
     return 0.0;
 }
@@ -181,6 +211,12 @@ void zygos_effects_motor_slopes(const zygos_config_t *config, uint32_t e, const 
     case ZYGOS_SPRING_OFFSET:
         *by_angle = 1.0;
         break;
+    case ZYGOS_TORQUE_OFFSET:
+        *by_angle = ratio;
+        break;
+    case ZYGOS_VISCOUS_ASYMMETRY:
+        *by_angle = 2.0 * ratio * __builtin_fabs(state->theta_rate[i]);
+        break;
     case ZYGOS_TORQUE_LAG:
         *by_rate = 0.5 * ratio * torque_step;
         break;
@@ -202,6 +238,8 @@ double zygos_effects_link_slope(const zygos_config_t *config, uint32_t e, const 
     case ZYGOS_MOTOR_COULOMB:
     case ZYGOS_MOTOR_VISCOUS:
     case ZYGOS_TORQUE_LAG:
+    case ZYGOS_TORQUE_OFFSET:
+    case ZYGOS_VISCOUS_ASYMMETRY:
         break;
     }
     return 0.0;

@@ -85,8 +85,16 @@ static void add_residuals(const zygos_guard_t *self, const double *gram, const u
 {
     for (uint32_t a = 0; a < columns; a++) {
         const uint32_t i = place ? place[a] : a;
+        if (i == ZYGOS_NO_PLACE) {
+            gram += a + 1u;
+            continue;
+        }
         for (uint32_t b = 0; b < a; b++) {
             const uint32_t j = place ? place[b] : b;
+            if (j == ZYGOS_NO_PLACE) {
+                gram++;
+                continue;
+            }
             out->residual += 2.0 * *gram * self->solution[i] * self->solution[j];
             out->uncertainty += 2.0 * *gram * entry(self->covariance, i, j);
             gram++;
@@ -249,15 +257,16 @@ static uint32_t motor_places(const zygos_column_map_t *column_map, const zygos_i
                              uint32_t i, uint32_t *place)
 {
     for (uint32_t c = 0; c < columns->count[i]; c++) {
-        place[c] = (c < 3u) ? column_map->joint[i] + c : column_map->effects + columns->effect[i][c - 3u];
+        const uint32_t column = (c < 3u) ? column_map->joint[i] + c : column_map->effects + columns->effect[i][c - 3u];
+        place[c] = column_map->place[column];
     }
     return columns->count[i];
 }
 
 /* The residuals of a joint's rows in a block, and their expected value by the declared noise. */
 static void add_motor_residuals(const zygos_guard_t *self, const zygos_config_t *config,
-                                const zygos_column_map_t *column_map, const zygos_joint_sums_t *sums,
-                                const zygos_joint_block_t *block, uint32_t i, finding_t *out)
+                                const zygos_column_map_t *column_map, const zygos_motor_sums_t *sums,
+                                const zygos_motor_block_t *block, uint32_t i, finding_t *out)
 {
     uint32_t place[ZYGOS_MAX_IMPULSE] = { 0 };
     const uint32_t columns = motor_places(column_map, &sums->column_map, i, place);
@@ -275,14 +284,14 @@ static void add_motor_residuals(const zygos_guard_t *self, const zygos_config_t 
 }
 
 void zygos_guard_end_motors(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
-                            zygos_joint_sums_t *sums, uint64_t cycle)
+                            zygos_motor_sums_t *sums, uint64_t cycle)
 {
     const uint32_t cycles = sums->cycles;
-    if (!zygos_joint_sums_close(sums, config)) {
+    if (!zygos_motor_sums_close(sums, config)) {
         return;
     }
-    if (!has_running_solution(self, column_map->count)) {
-        zygos_joint_sums_admit(sums, cycle);
+    if (!has_running_solution(self, column_map->parameters)) {
+        zygos_motor_sums_admit(sums, cycle);
         return;
     }
     double worst = 0.0;
@@ -306,9 +315,9 @@ void zygos_guard_end_motors(zygos_guard_t *self, const zygos_config_t *config, c
     count(self, config, (uint32_t)ZYGOS_MOTOR_ROWS, worst > 1.0, informative, (double)sums->instants, there, cycle,
           cycles);
     if (worst > 1.0) {
-        zygos_joint_sums_leave_out(sums);
+        zygos_motor_sums_leave_out(sums);
     } else {
-        zygos_joint_sums_admit(sums, cycle);
+        zygos_motor_sums_admit(sums, cycle);
     }
 }
 
@@ -318,8 +327,8 @@ static void add_momentum_residuals(const zygos_guard_t *self, const zygos_column
 {
     uint32_t place[ZYGOS_MAX_MOMENTUM];
     for (uint32_t c = 0; c < sums->columns; c++) {
-        place[c] = (c < column_map->kinetic) ? c : column_map->joint[c - column_map->kinetic];
-        const double x = self->solution[place[c]];
+        place[c] = column_map->place[(c < column_map->kinetic) ? c : column_map->joint[c - column_map->kinetic]];
+        const double x = (place[c] != ZYGOS_NO_PLACE) ? self->solution[place[c]] : 0.0;
         out->spread += x * x * rows->gram[zygos_gram_entries(c + 1u) - 1u];
     }
     add_residuals(self, rows->gram, place, sums->columns, false, out);
@@ -332,7 +341,7 @@ void zygos_guard_end_momentum(zygos_guard_t *self, const zygos_config_t *config,
     if (!zygos_momentum_sums_close(sums, config)) {
         return;
     }
-    if (!has_running_solution(self, column_map->count) || !(self->momentum.residual > 0.0)) {
+    if (!has_running_solution(self, column_map->parameters) || !(self->momentum.residual > 0.0)) {
         zygos_momentum_sums_admit(sums, cycle);
         return;
     }
@@ -359,11 +368,11 @@ void zygos_guard_end_momentum(zygos_guard_t *self, const zygos_config_t *config,
     }
 }
 
-void zygos_guard_drop(zygos_guard_t *self, zygos_accumulator_t *energy, zygos_joint_sums_t *motors,
+void zygos_guard_drop(zygos_guard_t *self, zygos_accumulator_t *energy, zygos_motor_sums_t *motors,
                       zygos_momentum_sums_t *momentum, uint64_t cycle)
 {
     self->left_out[ZYGOS_ENERGY_ROWS] += zygos_accumulator_drop_until(energy, cycle);
-    self->left_out[ZYGOS_MOTOR_ROWS] += zygos_joint_sums_drop_until(motors, cycle);
+    self->left_out[ZYGOS_MOTOR_ROWS] += zygos_motor_sums_drop_until(motors, cycle);
     self->left_out[ZYGOS_MOMENTUM_ROWS] += zygos_momentum_sums_drop_until(momentum, cycle);
     self->dropped = cycle;
 }
@@ -379,10 +388,10 @@ static zygos_mean_squares_t mean_squares_of(const finding_t *found, double n)
 }
 
 void zygos_guard_begin(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
-                       const zygos_accumulator_t *energy, const zygos_joint_sums_t *motors,
+                       const zygos_accumulator_t *energy, const zygos_motor_sums_t *motors,
                        const zygos_momentum_sums_t *momentum)
 {
-    const uint32_t p = column_map->count;
+    const uint32_t p = column_map->parameters;
     double spread = 0.0;
     double n = 0.0;
     for (uint32_t b = 0; b < energy->open; b++) {

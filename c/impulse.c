@@ -56,6 +56,12 @@ static double effect_column(uint32_t kind, double ratio, double theta, double th
     case ZYGOS_SPRING_OFFSET:
         *integrand = 1.0;
         return 0.0;
+    case ZYGOS_TORQUE_OFFSET:
+        *integrand = ratio;
+        return 0.0;
+    case ZYGOS_VISCOUS_ASYMMETRY:
+        *integrand = ratio * __builtin_fabs(theta_rate);
+        return 0.0;
     case ZYGOS_TORQUE_LAG:
         return ratio * tau_mean;
     case ZYGOS_LINK_COULOMB: /* acts on no rotor, and has no column here */

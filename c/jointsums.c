@@ -1,22 +1,32 @@
 #include "zygos/jointsums.h"
 
 #include "zygos/gram.h"
+#include "zygos/reduction.h"
 
 #include <string.h>
 
-_Static_assert(ZYGOS_MIN_ARCS < ZYGOS_MAX_JOINT_BLOCKS, "an arc that closes needs a block");
+/* What happens to the segment that is complete: its entries are added to the group, then the sums of each joint's rows
+   to the matrix of such sums. */
+#define IDLE 0u
+#define ENTRIES 1u
+#define APART 2u
 
-#define COUNTED 1e-9 /* counts add up exactly */
+_Static_assert(ZYGOS_SEGMENT_INCREMENTS *ZYGOS_MIN_INCREMENT / 4u > ZYGOS_MAX_JOINTS + 1,
+               "a segment must be added before the next one is complete");
 
 static uint64_t checksum_of(const zygos_joint_sums_t *self)
 {
-    return zygos_checksum_number(zygos_checksum_doubles(0u, &self->target, 1), self->count);
-}
-
-static uint64_t checksum_of_block(const zygos_joint_block_t *block)
-{
-    const uint64_t instants = zygos_checksum_doubles(1u, block->instants, ZYGOS_MAX_JOINTS);
-    return zygos_checksum_number(zygos_checksum_doubles(instants, &block->total, 1), block->end);
+    uint64_t checksum = zygos_checksum_number(1u, self->segments);
+    checksum = zygos_checksum_number(checksum, self->end);
+    checksum = zygos_checksum_number(checksum, self->filling);
+    checksum = zygos_checksum_doubles(checksum, &self->apart_sums, 1);
+    checksum = zygos_checksum_doubles(checksum, &self->keep, 1);
+    checksum = zygos_checksum_doubles(checksum, &self->keep_group, 1);
+    for (uint32_t g = 0; g < (uint32_t)ZYGOS_GROUP_PLACES; g++) {
+        checksum = zygos_checksum_doubles(checksum, &self->group[g].count, 1);
+        checksum = zygos_checksum_doubles(checksum, &self->group[g].fade, 1);
+    }
+    return checksum;
 }
 
 /* Verifies the checksum, before anything that it protects is changed. */
@@ -25,252 +35,344 @@ static void judge(zygos_joint_sums_t *self)
     self->corrupt |= (self->checksum == checksum_of(self)) ? 0u : 1u;
 }
 
-static void judge_block(zygos_joint_sums_t *self, const zygos_joint_block_t *block)
+bool zygos_joint_sums_suffice(const zygos_config_t *config)
 {
-    self->corrupt |= (block->checksum == checksum_of_block(block)) ? 0u : 1u;
-}
-
-void zygos_joint_sums_clear(zygos_joint_sums_t *self, const zygos_config_t *config)
-{
-    self->target = 2.0 * (double)config->impulse_arc_cycles;
-    self->count = 0;
-    self->corrupt = 0;
-    self->instants = 0;
-    self->cycles = 0;
-    memset(&self->open, 0, sizeof self->open);
-    self->checksum = checksum_of(self);
-}
-
-void zygos_joint_sums_tables(zygos_joint_sums_t *self, const zygos_config_t *config, const zygos_smoother_t *smoother)
-{
-    zygos_impulse_column_map(config, &self->column_map);
-    memset(self->noise, 0, sizeof self->noise);
-    for (uint32_t i = 0; (i < config->joints) && (config->compensation != 0); i++) {
-        if (self->column_map.count[i] > 0) {
-            zygos_impulse_noise(config, &self->column_map, smoother, config->imu_sigma, i, self->noise[i]);
-        }
-    }
-}
-
-static bool same_layout(const zygos_impulse_column_map_t *column_map, const zygos_config_t *config)
-{
-    zygos_impulse_column_map_t own;
-    bool same = true;
-    zygos_impulse_column_map(config, &own);
+    bool rigid = (ZYGOS_JOINT_ROWS != 0) && (config->joint_row_cycles > 0) && (config->base == ZYGOS_BASE_FIXED);
     for (uint32_t i = 0; i < config->joints; i++) {
-        same = same && (column_map->count[i] == own.count[i]);
-        for (uint32_t e = 0; e < ZYGOS_EFFECT_PLACES; e++) {
-            same = same && (column_map->effect[i][e] == own.effect[i][e]);
-        }
+        rigid = rigid && (config->joint[i].rigid != 0);
     }
-    return same;
+    return rigid;
 }
 
-/* Instants and target decide whether blocks merge, and so whether blocks are free. */
-bool zygos_joint_sums_intact(const zygos_joint_sums_t *self, const zygos_config_t *config)
+static uint32_t width_of(const zygos_config_t *config, const zygos_column_map_t *column_map)
 {
-    const bool none = (config->impulse_arc_cycles == 0);
-    bool good = same_layout(&self->column_map, config) && (self->count <= ZYGOS_MAX_JOINT_BLOCKS) &&
-                (none ? (self->count == 0) && (self->instants == 0)
-                      : (self->target >= 1.0) && (self->target <= ZYGOS_MAX_INSTANTS));
-    for (uint32_t b = 0; good && (b < self->count); b++) {
-        good = (self->block[b].total >= 0.0) && (self->block[b].total <= ZYGOS_MAX_INSTANTS);
+    return (config->joint_row_cycles > 0) ? column_map->parameters + 1u : 0u;
+}
+
+static uint32_t increments_of(const zygos_config_t *config)
+{
+    if (config->joint_row_cycles == 0) {
+        return 0;
+    }
+    const double least = ZYGOS_SEGMENT_S / (0.5 * (double)config->joint_row_cycles * config->period_s);
+    const double most = 1e6;
+    const uint32_t long_enough = (uint32_t)((least < most) ? least : most);
+    return (long_enough > ZYGOS_SEGMENT_INCREMENTS) ? long_enough : ZYGOS_SEGMENT_INCREMENTS;
+}
+
+/* The cursor has half of the shortest time that a segment takes. */
+static uint32_t slice_of(const zygos_config_t *config, uint32_t width, uint32_t increments)
+{
+    const uint64_t cycles = (uint64_t)increments * config->joint_row_cycles / 4u;
+    const uint64_t entries = zygos_gram_entries(width);
+    return (cycles > 0) ? (uint32_t)((entries + cycles - 1u) / cycles) : 0u;
+}
+
+void zygos_joint_sums_tables(zygos_joint_sums_t *self, const zygos_config_t *config,
+                             const zygos_column_map_t *column_map, const zygos_smoother_t *smoother)
+{
+    const uint32_t n = config->joints;
+    const uint32_t signals = zygos_joint_signals(config);
+    self->width = width_of(config, column_map);
+    self->increments = increments_of(config);
+    self->slice = slice_of(config, self->width, self->increments);
+    memset(self->weight, 0, sizeof self->weight);
+    memset(self->deviation, 0, sizeof self->deviation);
+    memset(self->rotor_variance, 0, sizeof self->rotor_variance);
+    bool declared = true;
+    for (uint32_t i = 0; i < n; i++) {
+        declared = declared && (config->joint[i].torque_sigma > 0.0);
+    }
+    for (uint32_t i = 0; i < n; i++) {
+        self->weight[i] = declared ? 1.0 / config->joint[i].torque_sigma : 1.0;
+    }
+    if (config->compensation == 0) {
+        return;
+    }
+    const double both_ends = 2.0;
+    for (uint32_t s = 0; s < signals; s++) {
+        double variance[3];
+        zygos_smoother_variance(smoother, (s < n) ? s : 2u * n, variance);
+        const zygos_joint_config_t *joint = &config->joint[(s < n) ? s : 0u];
+        const double reading = (joint->rigid != 0) ? joint->motor_sigma_rad : joint->link_sigma_rad;
+        const double square =
+            (s < n) ? reading * reading * variance[2] : config->imu_sigma * config->imu_sigma * variance[0];
+        self->deviation[s] = __builtin_sqrt(both_ends * (double)signals * square);
+    }
+    for (uint32_t i = 0; i < n; i++) {
+        double variance[3];
+        zygos_smoother_variance(smoother, n + i, variance);
+        const double reading = (config->joint[i].rigid != 0) ? 0.0 : config->joint[i].motor_sigma_rad;
+        self->rotor_variance[i] = both_ends * reading * reading * variance[2];
+    }
+}
+
+static bool is_count(double count)
+{
+    return (count >= 0.0) && (count <= ZYGOS_MAX_INSTANTS);
+}
+
+bool zygos_joint_sums_intact(const zygos_joint_sums_t *self, const zygos_config_t *config,
+                             const zygos_column_map_t *column_map)
+{
+    const uint32_t width = width_of(config, column_map);
+    const uint32_t increments = increments_of(config);
+    bool good = (self->width == width) && (width <= (uint32_t)ZYGOS_MAX_JOINT_ROW) &&
+                (self->increments == increments) && (self->slice == slice_of(config, width, increments)) &&
+                (self->filling < 2u) && (self->adding <= APART) && (self->cursor <= zygos_gram_entries(width)) &&
+                (self->filled <= increments) && (self->turn < zygos_joint_signals(config)) &&
+                (self->apart_count <= config->joints) && is_count(self->apart_sums);
+    for (uint32_t g = 0; g < (uint32_t)ZYGOS_GROUP_PLACES; g++) {
+        good = good && is_count(self->group[g].count) && (self->group[g].fade >= 0.0) && (self->group[g].fade <= 1.0);
+    }
+    for (uint32_t s = 0; s < 2u; s++) {
+        for (uint32_t j = 0; j < (uint32_t)ZYGOS_JOINT_PLACES; j++) {
+            good = good && is_count(self->segment[s].count[j]);
+        }
     }
     return good;
 }
 
-void zygos_joint_sums_add(zygos_joint_sums_t *self, const zygos_config_t *config, const zygos_impulse_rows_t *rows,
-                          double weight)
+static void clear_gram(zygos_joint_gram_t *gram, uint32_t width)
 {
-    const uint32_t i = self->cycles % config->joints;
-    const uint32_t p = self->column_map.count[i];
-    if (p > 0) {
-        double z[ZYGOS_MAX_JOINT_ROW];
-        for (uint32_t k = 0; k < p; k++) {
-            z[k] = weight * rows->column[i][k];
-        }
-        z[p] = weight * rows->impulse[i];
-        z[p + 1u] = weight;
-        zygos_gram_add(self->open.joint[i].gram, self->open.joint[i].sum, p + 2u, z);
-    }
-    self->open.instants[i] += weight;
-    self->instants += (weight > 0.0) ? 1u : 0u;
-    self->cycles++;
+    memset(gram->gram, 0, zygos_gram_entries(width) * sizeof gram->gram[0]);
+    memset(gram->sum, 0, width * sizeof gram->sum[0]);
 }
 
-static bool matches(const zygos_joint_gram_t *joint, uint32_t width, double adds)
+static void clear_segment(zygos_joint_segment_t *segment, uint32_t width)
 {
-    return zygos_gram_check(joint->gram, width, joint->sum, adds) <= 1.0;
+    clear_gram(&segment->rows, width);
+    clear_gram(&segment->noise, width);
+    memset(segment->apart, 0, sizeof segment->apart);
+    memset(segment->count, 0, sizeof segment->count);
 }
 
-/* G - s s^T / n without its last row, less n times the noise. */
-static void close_gram(zygos_joint_gram_t *joint, uint32_t p, double n, const double *noise)
+void zygos_joint_sums_clear(zygos_joint_sums_t *self)
 {
-    double s[ZYGOS_MAX_JOINT_ROW];
-    memcpy(s, &joint->gram[zygos_gram_entries(p + 1u)], (p + 1u) * sizeof s[0]);
-    uint32_t k = 0;
-    for (uint32_t a = 0; a <= p; a++) {
-        for (uint32_t b = 0; b <= a; b++) {
-            joint->gram[k] -= s[a] * s[b] / n + ((a < p) ? n * noise[k] : 0.0);
-            k++;
-        }
+    self->corrupt = 0;
+    self->filling = 0;
+    self->adding = 0;
+    self->cursor = 0;
+    self->filled = 0;
+    self->turn = 0;
+    self->dropped = 0;
+    self->doubtful = 0;
+    self->apart_count = 0;
+    self->segments = 0;
+    self->accepted = 0;
+    self->refused = 0;
+    self->end = 0;
+    self->keep = 1.0;
+    self->keep_group = 1.0;
+    self->apart_sums = 0.0;
+    clear_gram(&self->noise, self->width);
+    clear_gram(&self->apart, self->width);
+    for (uint32_t s = 0; s < 2u; s++) {
+        clear_segment(&self->segment[s], self->width);
     }
-    memset(&joint->gram[k], 0, (p + 2u) * sizeof joint->gram[0]);
-    zygos_gram_row_sums(joint->gram, p + 2u, joint->sum);
-}
-
-static void add_block(zygos_joint_block_t *to, const zygos_joint_block_t *from)
-{
-    for (uint32_t i = 0; i < ZYGOS_MAX_JOINTS; i++) {
-        for (uint32_t k = 0; k < ZYGOS_MAX_PACKED_JOINT; k++) {
-            to->joint[i].gram[k] += from->joint[i].gram[k];
-        }
-        for (uint32_t k = 0; k < ZYGOS_MAX_JOINT_ROW; k++) {
-            to->joint[i].sum[k] += from->joint[i].sum[k];
-        }
-        to->instants[i] += from->instants[i];
+    for (uint32_t g = 0; g < (uint32_t)ZYGOS_GROUP_PLACES; g++) {
+        clear_gram(&self->group[g].rows, self->width);
+        self->group[g].count = 0.0;
+        self->group[g].fade = 1.0;
     }
-    to->total += from->total;
-    to->end = from->end;
-    to->checksum = checksum_of_block(to);
-}
-
-/* The target doubles only when merging up to it is not enough; once it holds all instants, one block is left. */
-static void make_room(zygos_joint_sums_t *self)
-{
-    for (uint32_t tries = 0; tries < 64u; tries++) {
-        uint32_t to = 0;
-        for (uint32_t from = 0; from < self->count; from++) {
-            const uint32_t left = to + (self->count - from);
-            if ((to > 0) && (left > ZYGOS_MIN_ARCS) &&
-                (self->block[to - 1u].total + self->block[from].total <= self->target)) {
-                judge_block(self, &self->block[to - 1u]);
-                judge_block(self, &self->block[from]);
-                add_block(&self->block[to - 1u], &self->block[from]);
-                continue;
-            }
-            if (to != from) {
-                self->block[to] = self->block[from];
-            }
-            to++;
-        }
-        self->count = to;
-        if (self->count <= 3u * ZYGOS_MAX_JOINT_BLOCKS / 4u) {
-            return;
-        }
-        self->target *= 2.0;
-    }
-}
-
-void zygos_joint_sums_leave_out(zygos_joint_sums_t *self)
-{
-    memset(&self->open, 0, sizeof self->open);
-    self->instants = 0;
-    self->cycles = 0;
-}
-
-bool zygos_joint_sums_close(zygos_joint_sums_t *self, const zygos_config_t *config)
-{
-    if (self->instants < ZYGOS_MIN_ARC_INSTANTS) {
-        zygos_joint_sums_leave_out(self);
-        return false;
-    }
-    double turns = -(double)self->instants;
-    judge(self);
-    for (uint32_t i = 0; i < config->joints; i++) {
-        const uint32_t p = self->column_map.count[i];
-        turns += self->open.instants[i];
-        if ((p > 0) && (self->open.instants[i] > 0.0)) {
-            const double n = self->open.instants[i];
-            /* The last entry counts instants as well. */
-            const double off = n - self->open.joint[i].gram[zygos_gram_entries(p + 2u) - 1u];
-            const bool counted = (off > -COUNTED) && (off < COUNTED);
-            self->corrupt |= (counted && matches(&self->open.joint[i], p + 2u, n)) ? 0u : 1u;
-            close_gram(&self->open.joint[i], p, n, self->noise[i]);
-        }
-    }
-    self->corrupt |= ((turns > -COUNTED) && (turns < COUNTED)) ? 0u : 1u;
-    return true;
-}
-
-void zygos_joint_sums_admit(zygos_joint_sums_t *self, uint64_t cycle)
-{
-    if (self->count == ZYGOS_MAX_JOINT_BLOCKS) {
-        make_room(self);
-    }
-    self->open.total = (double)self->instants;
-    self->open.end = cycle;
-    self->open.checksum = checksum_of_block(&self->open);
-    self->block[self->count] = self->open;
-    self->count++;
     self->checksum = checksum_of(self);
-    zygos_joint_sums_leave_out(self);
 }
 
-void zygos_joint_sums_end_arc(zygos_joint_sums_t *self, const zygos_config_t *config, uint64_t cycle)
+/* The group of the newest complete segment. */
+static uint32_t group_of(const zygos_joint_sums_t *self)
 {
-    if (zygos_joint_sums_close(self, config)) {
-        zygos_joint_sums_admit(self, cycle);
+    return (uint32_t)((self->segments + (uint64_t)ZYGOS_GROUP_PLACES - 1u) % (uint64_t)ZYGOS_GROUP_PLACES);
+}
+
+/* Adds the sums of one joint's rows in the complete segment to the matrix of such sums. */
+static void add_apart(zygos_joint_sums_t *self, uint32_t joints)
+{
+    zygos_joint_segment_t *segment = &self->segment[1u - self->filling];
+    const uint32_t j = self->apart_count;
+    const double n = segment->count[j];
+    const double share = 1.0 / __builtin_sqrt((n > 0.0) ? 2.0 * n : 1.0);
+    for (uint32_t k = 0; k < self->width; k++) {
+        segment->apart[j][k] *= share;
+    }
+    zygos_gram_add(self->apart.gram, self->apart.sum, self->width, segment->apart[j]);
+    memset(segment->apart[j], 0, self->width * sizeof segment->apart[j][0]);
+    segment->count[j] = 0.0;
+    self->apart_count++;
+    self->adding = (self->apart_count < joints) ? APART : IDLE;
+}
+
+typedef struct {
+    double *restrict rows;
+    double *restrict noise;
+    double *restrict group;
+    double *restrict total;
+    double *restrict apart;
+} entries_t;
+
+/* Moves some entries of a segment to its group and to the total of the noise. What is there fades, apart too. */
+static void move(const zygos_joint_sums_t *self, entries_t from, uint32_t count)
+{
+    const double keep = self->keep;
+    const double keep_group = self->keep_group;
+    for (uint32_t k = 0; k < count; k++) {
+        from.group[k] = keep_group * from.group[k] + (from.rows[k] - from.noise[k]);
+        from.total[k] = keep * from.total[k] + from.noise[k];
+        from.apart[k] = keep * from.apart[k];
+        from.rows[k] = 0.0;
+        from.noise[k] = 0.0;
     }
 }
 
-void zygos_joint_sums_forget(zygos_joint_sums_t *self, double factor)
+/* Adds entries of the complete segment to its group, and the row sums with the last of them. */
+static void add_entries(zygos_joint_sums_t *self, uint32_t most)
 {
-    for (uint32_t b = 0; b < self->count; b++) {
-        zygos_joint_block_t *block = &self->block[b];
-        judge_block(self, block);
-        const double kept = (factor * block->total >= ZYGOS_NEGLIGIBLE_INSTANTS) ? factor : 0.0;
-        for (uint32_t i = 0; i < ZYGOS_MAX_JOINTS; i++) {
-            for (uint32_t k = 0; k < ZYGOS_MAX_PACKED_JOINT; k++) {
-                block->joint[i].gram[k] *= kept;
-            }
-            for (uint32_t k = 0; k < ZYGOS_MAX_JOINT_ROW; k++) {
-                block->joint[i].sum[k] *= kept;
-            }
-            block->instants[i] *= kept;
+    zygos_joint_segment_t *segment = &self->segment[1u - self->filling];
+    zygos_joint_gram_t *group = &self->group[group_of(self)].rows;
+    const uint32_t entries = zygos_gram_entries(self->width);
+    const uint32_t left = entries - self->cursor;
+    const uint32_t count = (most < left) ? most : left;
+    const uint32_t at = self->cursor;
+    move(self,
+         (entries_t){ &segment->rows.gram[at], &segment->noise.gram[at], &group->gram[at], &self->noise.gram[at],
+                      &self->apart.gram[at] },
+         count);
+    self->cursor += count;
+    if (self->cursor == entries) {
+        move(self, (entries_t){ segment->rows.sum, segment->noise.sum, group->sum, self->noise.sum, self->apart.sum },
+             self->width);
+        self->adding = APART;
+    }
+}
+
+static void advance(zygos_joint_sums_t *self, uint32_t joints, uint32_t entries)
+{
+    if (self->adding == ENTRIES) {
+        add_entries(self, entries);
+    } else if (self->adding == APART) {
+        add_apart(self, joints);
+    }
+}
+
+void zygos_joint_sums_step(zygos_joint_sums_t *self, const zygos_config_t *config, double accepted)
+{
+    const uint64_t one = (uint64_t)(accepted > 0.0);
+    self->accepted += one;
+    self->refused += 1u - one;
+    advance(self, config->joints, self->slice);
+}
+
+/* Completes the segment that is filled: it is added from here on, and the other one, which is empty, is filled. */
+static void complete(zygos_joint_sums_t *self, const zygos_config_t *config, uint64_t cycle, double forgetting)
+{
+    const zygos_joint_segment_t *segment = &self->segment[self->filling];
+    judge(self);
+    self->segments++;
+    self->filling = 1u - self->filling;
+    self->filled = 0;
+    self->adding = ENTRIES;
+    self->cursor = 0;
+    self->apart_count = 0;
+    self->end = cycle;
+    for (uint32_t g = 0; g < (uint32_t)ZYGOS_GROUP_PLACES; g++) {
+        self->group[g].fade *= forgetting;
+    }
+    zygos_joint_group_t *group = &self->group[group_of(self)];
+    self->keep = forgetting;
+    self->keep_group = group->fade;
+    group->fade = 1.0;
+    group->count *= self->keep_group;
+    self->apart_sums *= forgetting;
+    for (uint32_t j = 0; j < config->joints; j++) {
+        group->count += segment->count[j];
+        self->apart_sums += (segment->count[j] > 0.0) ? 1.0 : 0.0;
+    }
+    self->checksum = checksum_of(self);
+}
+
+/* The noise of one signal in a row, and of the rotors behind springs. */
+static void add_noise(zygos_joint_sums_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+                      const zygos_joint_t *joint, const zygos_joint_row_t *row, double weight)
+{
+    zygos_joint_gram_t *noise = &self->segment[self->filling].noise;
+    double columns[ZYGOS_MAX_COLUMNS];
+    double rotor[ZYGOS_MAX_JOINTS];
+    double z[ZYGOS_MAX_PARAMETERS + 1];
+    zygos_joint_derivative(joint, config, column_map, row->joint, self->turn, columns, rotor);
+    for (uint32_t k = 0; k < column_map->count; k++) {
+        columns[k] *= weight * self->deviation[self->turn];
+    }
+    zygos_reduce(config, column_map, columns, z);
+    z[self->width - 1u] = 0.0;
+    zygos_gram_add(noise->gram, noise->sum, self->width, z);
+    for (uint32_t i = row->joint + 1u; i < config->joints; i++) {
+        if (config->joint[i].rigid == 0) {
+            const uint32_t place = column_map->place[column_map->joint[i]];
+            const double square = weight * weight * self->rotor_variance[i] * rotor[i] * rotor[i];
+            noise->gram[zygos_gram_entries(place + 1u) - 1u] += square;
+            noise->sum[place] += square;
         }
-        block->total *= kept;
-        block->checksum = checksum_of_block(block);
+    }
+}
+
+void zygos_joint_sums_add(zygos_joint_sums_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+                          const zygos_joint_t *joint, const zygos_joint_row_t *row, uint64_t cycle, double *forgetting)
+{
+    zygos_joint_segment_t *segment = &self->segment[self->filling];
+    const double weight = row->accepted * self->weight[row->joint];
+    double columns[ZYGOS_MAX_COLUMNS];
+    double z[ZYGOS_MAX_PARAMETERS + 1];
+    for (uint32_t k = 0; k < column_map->count; k++) {
+        columns[k] = weight * row->column[k];
+    }
+    zygos_reduce(config, column_map, columns, z);
+    z[self->width - 1u] = weight * row->impulse;
+    zygos_gram_add(segment->rows.gram, segment->rows.sum, self->width, z);
+    for (uint32_t k = 0; k < self->width; k++) {
+        segment->apart[row->joint][k] += z[k];
+    }
+    segment->count[row->joint] += row->accepted;
+    if (config->compensation > 0) {
+        add_noise(self, config, column_map, joint, row, weight);
+        self->turn = (self->turn + row->last) % zygos_joint_signals(config);
+    }
+    self->filled += row->last * (uint32_t)(row->accepted > 0.0);
+    if (self->filled >= self->increments) {
+        complete(self, config, cycle, *forgetting);
+        *forgetting = 1.0;
+    }
+}
+
+void zygos_joint_sums_flush(zygos_joint_sums_t *self, const zygos_config_t *config, uint64_t cycle, double forgetting)
+{
+    const uint32_t entries = zygos_gram_entries(self->width);
+    for (uint32_t round = 0; (round < 2u) && (self->width > 0); round++) {
+        for (uint32_t step = 0; (step <= config->joints) && (self->adding != IDLE); step++) {
+            advance(self, config->joints, entries);
+        }
+        if ((round == 0) && (self->segment[self->filling].count[0] > 0.0)) {
+            complete(self, config, cycle, forgetting);
+        }
     }
 }
 
 void zygos_joint_sums_drop_after(zygos_joint_sums_t *self, uint64_t cycle)
 {
-    zygos_joint_sums_leave_out(self);
-    judge(self);
-    while ((self->count > 0) && (self->block[self->count - 1u].end > cycle)) {
-        self->count--;
-    }
-    self->checksum = checksum_of(self);
+    self->dropped += (self->segment[self->filling].count[0] > 0.0) ? 1u : 0u;
+    self->doubtful += ((self->segments > 0) && (self->end > cycle)) ? 1u : 0u;
+    clear_segment(&self->segment[self->filling], self->width);
+    self->filled = 0;
 }
 
-uint32_t zygos_joint_sums_drop_until(zygos_joint_sums_t *self, uint64_t cycle)
+double zygos_joint_sums_check(const zygos_joint_sums_t *self)
 {
-    judge(self);
-    uint32_t drop = 0;
-    while ((drop < self->count) && (self->block[drop].end <= cycle)) {
-        drop++;
+    bool good = (self->corrupt == 0) && ((self->width == 0) || (self->checksum == checksum_of(self)));
+    double adds = self->apart_sums;
+    for (uint32_t g = 0; g < (uint32_t)ZYGOS_GROUP_PLACES; g++) {
+        const zygos_joint_group_t *group = &self->group[g];
+        adds += group->count;
+        good = good && (zygos_gram_check(group->rows.gram, self->width, group->rows.sum, group->count) <= 1.0);
     }
-    for (uint32_t b = drop; (drop > 0) && (b < self->count); b++) {
-        self->block[b - drop] = self->block[b];
-    }
-    self->count -= drop;
-    self->checksum = checksum_of(self);
-    return drop;
-}
-
-double zygos_joint_sums_check(const zygos_joint_sums_t *self, const zygos_config_t *config)
-{
-    bool good = (self->corrupt == 0) && (self->checksum == checksum_of(self));
-    for (uint32_t b = 0; good && (b < self->count); b++) {
-        good = (self->block[b].checksum == checksum_of_block(&self->block[b]));
-    }
-    for (uint32_t i = 0; i < config->joints; i++) {
-        const uint32_t width = self->column_map.count[i] + 2u;
-        good = good && matches(&self->open.joint[i], width, self->open.instants[i]);
-        for (uint32_t b = 0; good && (b < self->count); b++) {
-            good = matches(&self->block[b].joint[i], width, self->block[b].instants[i]);
-        }
-    }
+    good = good && (zygos_gram_check(self->noise.gram, self->width, self->noise.sum, adds) <= 1.0) &&
+           (zygos_gram_check(self->apart.gram, self->width, self->apart.sum, adds) <= 1.0);
     return good ? 0.0 : 2.0;
 }

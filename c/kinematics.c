@@ -333,6 +333,8 @@ void zygos_kinematics(const zygos_geometry_t *self, const zygos_config_t *config
 static double *planar_slopes(const zygos_config_t *config, const zygos_motion_t *motion, uint32_t i, double *by_angle,
                              double *by_rate)
 {
+    double unused[ZYGOS_MAX_BODY];
+    by_rate = (by_rate != NULL) ? by_rate : unused;
     const uint32_t n = config->joints;
     const uint32_t first = (config->base == ZYGOS_BASE_FREE) ? 0u : 1u;
     for (uint32_t skew = 0; skew < ((config->kinetic == ZYGOS_PLANAR) ? 2u : 1u); skew++) {
@@ -358,6 +360,38 @@ static double *planar_slopes(const zygos_config_t *config, const zygos_motion_t 
     return by_angle;
 }
 
+/* out_ab = v_a . t_b + t_a . v_b for b from the given one on, halved for a = b, where t is 0 for the directions before
+   begin. Returns the place behind them. */
+static double *carried_products(const double (*v)[3], const double (*t)[3], uint32_t begin, uint32_t a, uint32_t b,
+                                uint32_t count, double *out)
+{
+    for (; (b < count) && (b < begin); b++) {
+        *out = 0.0;
+        out++;
+    }
+    for (; b < count; b++) {
+        const double later = dot3(v[a], t[b]);
+        *out = (a == b) ? later : later + ((a >= begin) ? dot3(t[a], v[b]) : 0.0);
+        out++;
+    }
+    return out;
+}
+
+/* The same for all pairs, in the order of spatial_products(). */
+static void turned_products(const zygos_config_t *config, const double (*v)[3], const double (*t)[3], uint32_t begin,
+                            double *out)
+{
+    const bool free = (config->base == ZYGOS_BASE_FREE);
+    const uint32_t count = 2u * config->joints + (free ? 3u : 0u);
+    if (!free) {
+        *out = (begin == 0) ? dot3(v[0], t[0]) : 0.0;
+        out++;
+    }
+    for (uint32_t a = 0; a < count; a++) {
+        out = carried_products(v, t, begin, a, (!free && (a < 2u)) ? 2u : a, count, out);
+    }
+}
+
 /* The directions of the bodies that joint i carries follow its axis by the right hand; the axes of the joints behind it
    do, too, so that a body's rate vector w x d turns as a whole, but for the share of w that joint i does not carry. */
 static double *spatial_slopes(const zygos_config_t *config, const zygos_motion_t *motion, uint32_t i, double *by_angle,
@@ -380,13 +414,31 @@ static double *spatial_slopes(const zygos_config_t *config, const zygos_motion_t
         }
         cross3(axis, motion->direction[b], moved[b]);
     }
-    memset(by_angle, 0, kinetic * sizeof by_angle[0]);
+    turned_products(config, v, (const double(*)[3])turned, base + 2u * i, by_angle);
+    if (by_rate == NULL) {
+        return by_angle + kinetic;
+    }
     memset(by_rate, 0, kinetic * sizeof by_rate[0]);
-    (void)spatial_products(config, v, (const double(*)[3])turned, by_angle);
-    (void)spatial_products(config, (const double(*)[3])turned, v, by_angle);
     (void)spatial_products(config, v, (const double(*)[3])moved, by_rate);
     (void)spatial_products(config, (const double(*)[3])moved, v, by_rate);
     return by_angle + kinetic;
+}
+
+void zygos_kinematics_swing(const zygos_config_t *config, const zygos_motion_t *motion, const double *axis,
+                            uint32_t body, double (*out)[3])
+{
+    const bool space = (ZYGOS_SPATIAL != 0) && (config->kinetic == ZYGOS_SPATIAL_ARM);
+    const uint32_t base = (config->base == ZYGOS_BASE_FREE) ? 3u : 0u;
+    const uint32_t first = (space && (body > 0)) ? base + 2u * body - 2u : body;
+    for (uint32_t a = 0; a < (space ? base + 2u * config->joints : config->joints + 1u); a++) {
+        const double moves = (a < first) ? 0.0 : 1.0;
+        if (space) {
+            cross3(axis, motion->direction[a], out[a]);
+        }
+        for (uint32_t k = 0; k < 3; k++) {
+            out[a][k] = moves * (space ? out[a][k] : ((k < 2u) ? motion->direction[a][k] : 0.0));
+        }
+    }
 }
 
 void zygos_kinematics_slopes(const zygos_geometry_t *self, const zygos_config_t *config, const zygos_motion_t *motion,
@@ -414,6 +466,8 @@ void zygos_kinematics_slopes(const zygos_geometry_t *self, const zygos_config_t 
     if (self->has_gravity[n - 1u]) {
         const double none[2 * ZYGOS_MAX_JOINTS] = { 0.0 };
         gravity_columns(self, n, gravity, gravity_place);
-        gravity_columns(self, n, none, &by_rate[gravity_place - by_angle]);
+        if (by_rate != NULL) {
+            gravity_columns(self, n, none, &by_rate[gravity_place - by_angle]);
+        }
     }
 }

@@ -91,23 +91,6 @@ static void origin_axis(const zygos_momentum_t *self, uint32_t k, double *out)
     }
 }
 
-/* How fast the directions move when the bodies from the given one on turn about an axis, or about that of the plane. */
-static void swing(const zygos_config_t *config, const zygos_motion_t *motion, const double *axis, uint32_t body,
-                  double (*out)[3])
-{
-    const bool space = (ZYGOS_SPATIAL != 0) && (config->kinetic == ZYGOS_SPATIAL_ARM);
-    const uint32_t first = (space && (body > 0)) ? 2u * body + 1u : body;
-    for (uint32_t a = 0; a < (space ? 2u * config->joints + 3u : config->joints + 1u); a++) {
-        const double moves = (a < first) ? 0.0 : 1.0;
-        if (space) {
-            cross3(axis, motion->direction[a], out[a]);
-        }
-        for (uint32_t k = 0; k < 3; k++) {
-            out[a][k] = moves * (space ? out[a][k] : motion->direction[a][k]);
-        }
-    }
-}
-
 /* The momentum along an axis is what the energy changes by when all turns faster about it. */
 static void columns(const zygos_config_t *config, const zygos_motion_t *motion, const double *axis,
                     const double (*rate)[3], const double *spin, double *out)
@@ -115,7 +98,7 @@ static void columns(const zygos_config_t *config, const zygos_motion_t *motion, 
     const bool space = (ZYGOS_SPATIAL != 0) && (config->kinetic == ZYGOS_SPATIAL_ARM);
     const uint32_t kinetic = zygos_kinetic_parameters(config);
     double whole[ZYGOS_MAX_DIRECTIONS][3];
-    swing(config, motion, axis, 0, whole);
+    zygos_kinematics_swing(config, motion, axis, 0, whole);
     memset(out, 0, kinetic * sizeof out[0]);
     (void)zygos_kinetic_products(config, (const double(*)[3])whole, rate, out);
     (void)zygos_kinetic_products(config, rate, (const double(*)[3])whole, out);
@@ -150,7 +133,7 @@ void zygos_momentum_derivative(const zygos_momentum_t *self, const zygos_config_
         about[signal - n] = 1.0;
     }
     origin_axis(self, component, axis);
-    swing(config, motion, about, of_link ? signal + 1u : 0u, rate);
+    zygos_kinematics_swing(config, motion, about, of_link ? signal + 1u : 0u, rate);
     columns(config, motion, axis, (const double(*)[3])rate, spin, out);
 }
 

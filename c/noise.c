@@ -1,5 +1,8 @@
 #include "zygos/noise.h"
 
+#include "zygos/gram.h"
+#include "zygos/reduction.h"
+
 #include <string.h>
 
 static double root(double x)
@@ -151,7 +154,7 @@ static void find_places(zygos_noise_t *self, const zygos_config_t *config, const
         sort(&self->rate[s]);
         const bool late = (self->factor[s][1] > 0.0) || (self->factor[s][1] < 0.0);
         for (uint32_t k = 0; late && (k < self->rate[s].count); k++) {
-            if (self->angle[s].count <= (uint32_t)ZYGOS_MAX_PARAMETERS) {
+            if (self->angle[s].count <= (uint32_t)ZYGOS_MAX_COLUMNS) {
                 put(&self->angle[s], self->rate[s].place[k]);
                 sort(&self->angle[s]);
             }
@@ -277,10 +280,28 @@ static double *line_of(double *packed, uint32_t place)
     return &packed[place * (place + 1u) / 2u];
 }
 
-/* packed += x x^T at the places of the list, two lines at a time. */
-static void add(const zygos_column_list_t *list, const double *restrict x, double *restrict packed,
-                double *restrict sum)
+/* The same of the parameters: where a column may count for several, all of them change. */
+static void add_reduced(const zygos_config_t *config, const zygos_column_map_t *column_map,
+                        const zygos_column_list_t *list, const double *x, double *packed, double *sum)
 {
+    double columns[ZYGOS_MAX_COLUMNS + 1] = { 0.0 };
+    double z[ZYGOS_MAX_PARAMETERS + 1];
+    for (uint32_t i = 0; i < list->count; i++) {
+        columns[list->place[i]] = x[i];
+    }
+    zygos_reduce(config, column_map, columns, z);
+    z[column_map->parameters] = columns[column_map->count];
+    zygos_gram_add(packed, sum, column_map->parameters + 1u, z);
+}
+
+/* packed += x x^T at the places of the list, two lines at a time. */
+static void add(const zygos_config_t *config, const zygos_column_map_t *column_map, const zygos_column_list_t *list,
+                const double *restrict x, double *restrict packed, double *restrict sum)
+{
+    if (config->reduced > 0) {
+        add_reduced(config, column_map, list, x, packed, sum);
+        return;
+    }
     const uint32_t *place = list->place;
     double total = 0.0;
     for (uint32_t i = 0; i < list->count; i++) {
@@ -308,8 +329,8 @@ static void add(const zygos_column_list_t *list, const double *restrict x, doubl
 
 /* The same of the noise of an angle and of its rate, which are correlated where the signal latches late. Places
    ascend, so what stands there can move to the front of its own array. */
-static void add_signal(const zygos_noise_t *self, uint32_t signal, double weight, double *angle, double *rate,
-                       double *packed, double *sum)
+static void add_signal(const zygos_noise_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+                       uint32_t signal, double weight, double *angle, double *rate, double *packed, double *sum)
 {
     const double *factor = self->factor[signal];
     const zygos_column_list_t *of_angle = &self->angle[signal];
@@ -322,11 +343,11 @@ static void add_signal(const zygos_noise_t *self, uint32_t signal, double weight
             angle[i] += weight * factor[1] * rate[place];
         }
     }
-    add(of_angle, angle, packed, sum);
+    add(config, column_map, of_angle, angle, packed, sum);
     for (uint32_t i = 0; i < of_rate->count; i++) {
         rate[i] = weight * factor[2] * rate[of_rate->place[i]];
     }
-    add(of_rate, rate, packed, sum);
+    add(config, column_map, of_rate, rate, packed, sum);
 }
 
 /* Of a motion about joint i: bodies, and the rotors that they carry. */
@@ -439,13 +460,13 @@ static void add_gyro(const zygos_noise_t *self, const zygos_config_t *config, co
 {
     const double deviation = weight * root(self->gyro_variance);
     const bool space = (ZYGOS_SPATIAL != 0) && (config->kinetic == ZYGOS_SPATIAL_ARM);
-    double rate[ZYGOS_MAX_PARAMETERS + 1];
+    double rate[ZYGOS_MAX_COLUMNS + 1];
     for (uint32_t axis = 0; axis < (space ? 3u : 1u); axis++) {
         gyro_slopes(config, column_map, state, motion, axis, rate);
         for (uint32_t k = 0; k < self->gyro.count; k++) {
             rate[k] = deviation * rate[self->gyro.place[k]];
         }
-        add(&self->gyro, rate, packed, sum);
+        add(config, column_map, &self->gyro, rate, packed, sum);
     }
 }
 
@@ -458,8 +479,8 @@ static void add_encoder(const zygos_noise_t *self, const zygos_config_t *config,
     const uint32_t n = config->joints;
     const uint32_t i = sensor % n;
     const bool rigid = (config->joint[i].rigid != 0);
-    double angle[ZYGOS_MAX_PARAMETERS + 1];
-    double rate[ZYGOS_MAX_PARAMETERS + 1];
+    double angle[ZYGOS_MAX_COLUMNS + 1];
+    double rate[ZYGOS_MAX_COLUMNS + 1];
     if (rigid && (sensor >= n)) {
         return; /* it spoke for both sides */
     }
@@ -471,7 +492,7 @@ static void add_encoder(const zygos_noise_t *self, const zygos_config_t *config,
     } else {
         motor_slopes(config, column_map, state, motion, tau, tau_next, i, angle, rate);
     }
-    add_signal(self, sensor, weight, angle, rate, packed, sum);
+    add_signal(self, config, column_map, sensor, weight, angle, rate, packed, sum);
 }
 
 void zygos_noise_add(const zygos_noise_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,

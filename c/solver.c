@@ -1,5 +1,7 @@
 #include "zygos/solver.h"
 
+#include "zygos/reduction.h"
+
 #include <string.h>
 
 #define MAX_REFUSED_SHARE 0.05
@@ -13,6 +15,10 @@
 #define TWO_SIGMAS 1.959964 /* 95 % of a normal distribution */
 /* Factor by which the variance of momentum rows is increased, because the noise of neighbouring rows is correlated. */
 #define MOMENTUM_CORRELATION 5.0
+/* The same of joint rows, whose increments share halves. */
+#define JOINT_CORRELATION 2.0
+/* Time in which the systematic part of joint rows counts once. */
+#define SYSTEMATIC_S 60.0
 
 /* Place of entry (i, j), j <= i, in a packed lower triangle. */
 static uint32_t at(uint32_t i, uint32_t j)
@@ -144,18 +150,18 @@ static void scaled_equations(zygos_work_t *work, uint32_t p, const zygos_block_t
 /* Where column c of the motor row of joint i stands; behind the last of them the right side. */
 static uint32_t place_of(const zygos_work_t *work, uint32_t i, uint32_t c)
 {
-    const zygos_impulse_column_map_t *column_map = &work->joint_sums.column_map;
+    const zygos_impulse_column_map_t *motor = &work->motor_sums.column_map;
+    const zygos_column_map_t *column_map = &work->column_map;
     if (c < 3u) {
-        return work->column_map.joint[i] + c;
+        return column_map->place[column_map->joint[i] + c];
     }
-    return (c < column_map->count[i]) ? work->column_map.effects + column_map->effect[i][c - 3u]
-                                      : work->column_map.count;
+    return (c < motor->count[i]) ? column_map->reduced + motor->effect[i][c - 3u] : column_map->parameters;
 }
 
 /* out += factor times a packed matrix of joint i; sides: its right side as well. */
 static void embed(const zygos_work_t *work, uint32_t i, const double *local, double factor, bool sides, double *out)
 {
-    const uint32_t count = work->joint_sums.column_map.count[i];
+    const uint32_t count = work->motor_sums.column_map.count[i];
     for (uint32_t a = 0; a < count + (sides ? 1u : 0u); a++) {
         const uint32_t place_a = place_of(work, i, a);
         for (uint32_t b = 0; b <= a; b++) {
@@ -167,11 +173,11 @@ static void embed(const zygos_work_t *work, uint32_t i, const double *local, dou
 }
 
 /* The scaled equations without an arc of the motor rows. */
-static void scaled_without_arc(zygos_work_t *work, uint32_t p, const zygos_joint_block_t *arc)
+static void scaled_without_arc(zygos_work_t *work, uint32_t p, const zygos_motor_block_t *arc)
 {
     scaled_equations(work, p, NULL, work->noise_scale);
     for (uint32_t i = 0; i < work->config.joints; i++) {
-        const uint32_t count = work->joint_sums.column_map.count[i];
+        const uint32_t count = work->motor_sums.column_map.count[i];
         for (uint32_t a = 0; (a <= count) && (count > 0); a++) {
             const uint32_t place_a = place_of(work, i, a);
             for (uint32_t b = 0; (b <= a) && (b < count); b++) {
@@ -188,10 +194,11 @@ static void scaled_without_arc(zygos_work_t *work, uint32_t p, const zygos_joint
     }
 }
 
-/* Where column c of the momentum rows stands. Places ascend. */
+/* Where column c of the momentum rows stands, if it does. Places ascend. */
 static uint32_t momentum_place(const zygos_work_t *work, uint32_t c)
 {
-    return (c < work->column_map.kinetic) ? c : work->column_map.joint[c - work->column_map.kinetic];
+    const zygos_column_map_t *column_map = &work->column_map;
+    return column_map->place[(c < column_map->kinetic) ? c : column_map->joint[c - column_map->kinetic]];
 }
 
 /* out += factor times a matrix of the momentum rows, scaled where there is a scale. */
@@ -200,8 +207,11 @@ static void embed_momentum(const zygos_work_t *work, const double *local, double
 {
     for (uint32_t a = 0; a < work->momentum_sums.columns; a++) {
         const uint32_t place_a = momentum_place(work, a);
-        for (uint32_t b = 0; b <= a; b++) {
+        for (uint32_t b = 0; (b <= a) && (place_a != ZYGOS_NO_PLACE); b++) {
             const uint32_t place_b = momentum_place(work, b);
+            if (place_b == ZYGOS_NO_PLACE) {
+                continue;
+            }
             const double both = scale ? scale[place_a] * scale[place_b] : 1.0;
             out[at(place_a, place_b)] += factor * local[at(a, b)] * both;
         }
@@ -213,6 +223,42 @@ static void scaled_without_momentum(zygos_work_t *work, uint32_t p, const zygos_
 {
     scaled_equations(work, p, NULL, work->noise_scale);
     embed_momentum(work, arc->rows.gram, -work->momentum_weight, work->scale, work->matrix);
+}
+
+/* The factor of a group of joint rows in the total. */
+static double group_factor(const zygos_work_t *work, uint32_t g)
+{
+    return work->joints_weight * work->joint_sums.group[g].fade;
+}
+
+/* out += factor times the matrix of a group of joint rows and its right side. */
+static void embed_joints(const double *local, double factor, uint32_t p, double *out)
+{
+    for (uint32_t k = 0; k < at(p + 1u, 0); k++) {
+        out[k] += factor * local[k];
+    }
+}
+
+/* The scaled equations without a group of the joint rows. */
+static void scaled_without_group(zygos_work_t *work, uint32_t p, uint32_t g)
+{
+    const double *gram = work->joint_sums.group[g].rows.gram;
+    const double factor = group_factor(work, g);
+    const double rows = work->joints_alone ? work->instants : 1.0;
+    const double part =
+        work->joints_alone ? work->joint_sums.group[g].fade * work->joint_sums.group[g].count / rows : 0.0;
+    scaled_equations(work, p, NULL, work->noise_scale);
+    for (uint32_t i = 0; i <= p; i++) {
+        for (uint32_t j = 0; j <= ((i < p) ? i : p - 1u); j++) {
+            const uint32_t k = at(i, j);
+            const double value = factor * gram[k] + part * (1.0 - work->noise_scale) * work->noise[k];
+            if (i < p) {
+                work->matrix[k] -= value * (work->scale[i] * work->scale[j]);
+            } else {
+                work->right_side[j] -= value * work->scale[j];
+            }
+        }
+    }
 }
 
 /* Solves the scaled equations of the rank independent columns; dependent ones become 0. Unscaled solution in x. */
@@ -312,11 +358,11 @@ static void score(const zygos_work_t *work, uint32_t p, const zygos_block_t *blo
 }
 
 /* The same of an arc of the motor rows. */
-static void score_of_arc(const zygos_work_t *work, uint32_t p, const zygos_joint_block_t *arc, double *out)
+static void score_of_arc(const zygos_work_t *work, uint32_t p, const zygos_motor_block_t *arc, double *out)
 {
     memset(out, 0, p * sizeof out[0]);
     for (uint32_t i = 0; i < work->config.joints; i++) {
-        const uint32_t count = work->joint_sums.column_map.count[i];
+        const uint32_t count = work->motor_sums.column_map.count[i];
         const double *gram = arc->joint[i].gram;
         for (uint32_t a = 0; a < count; a++) {
             const uint32_t place = place_of(work, i, a);
@@ -335,10 +381,27 @@ static void score_of_momentum(const zygos_work_t *work, uint32_t p, const zygos_
     memset(out, 0, p * sizeof out[0]);
     for (uint32_t a = 0; a < count; a++) {
         const uint32_t place = momentum_place(work, a);
+        if (place == ZYGOS_NO_PLACE) {
+            continue;
+        }
         for (uint32_t b = 0; b < count; b++) {
-            out[place] -= entry(arc->rows.gram, a, b) * work->solution[momentum_place(work, b)];
+            const uint32_t other = momentum_place(work, b);
+            out[place] -= (other != ZYGOS_NO_PLACE) ? entry(arc->rows.gram, a, b) * work->solution[other] : 0.0;
         }
         out[place] *= work->momentum_weight * work->scale[place];
+    }
+}
+
+/* The same of a group of joint rows. */
+static void score_of_group(const zygos_work_t *work, uint32_t p, uint32_t g, double *out)
+{
+    const double *gram = work->joint_sums.group[g].rows.gram;
+    for (uint32_t i = 0; i < p; i++) {
+        double sum = gram[at(p, i)];
+        for (uint32_t j = 0; j < p; j++) {
+            sum -= entry(gram, i, j) * work->solution[j];
+        }
+        out[i] = group_factor(work, g) * sum * work->scale[i];
     }
 }
 
@@ -348,11 +411,12 @@ static void score_of_momentum(const zygos_work_t *work, uint32_t p, const zygos_
 static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, double *covariance)
 {
     const zygos_block_t *energy_block = &work->accumulator.block[work->blocks.first];
-    const zygos_joint_block_t *arc = &work->joint_sums.block[work->arcs.first];
+    const zygos_motor_block_t *arc = &work->motor_sums.block[work->arcs.first];
     const uint32_t energy_blocks = work->blocks.end - work->blocks.first;
     const zygos_momentum_block_t *momenta = &work->momentum_sums.block[work->momenta.first];
     const uint32_t energy_and_motors = energy_blocks + (work->arcs.end - work->arcs.first);
-    const uint32_t blocks = energy_and_motors + (work->momenta.end - work->momenta.first);
+    const uint32_t arcs = energy_and_motors + (work->momenta.end - work->momenta.first);
+    const uint32_t blocks = arcs + ((work->joints_weight > 0.0) ? (uint32_t)ZYGOS_GROUP_PLACES : 0u);
     double instants = 0.0;
     double square = 0.0;
     bool once = false;
@@ -362,6 +426,8 @@ static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, double *cov
             scaled_equations(work, p, &energy_block[b], work->noise_scale);
             instants += energy_block[b].instants;
             square += energy_block[b].square;
+        } else if (b >= arcs) {
+            scaled_without_group(work, p, b - arcs);
         } else if (b >= energy_and_motors) {
             scaled_without_momentum(work, p, &momenta[b - energy_and_motors]);
         } else {
@@ -386,6 +452,8 @@ static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, double *cov
         const bool energy = (b < energy_blocks);
         if (energy) {
             score(work, p, &energy_block[b], work->right_side);
+        } else if (b >= arcs) {
+            score_of_group(work, p, b - arcs, work->right_side);
         } else if (b >= energy_and_motors) {
             score_of_momentum(work, p, &momenta[b - energy_and_motors], work->right_side);
         } else {
@@ -403,11 +471,12 @@ static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, double *cov
     }
     for (uint32_t i = 0; i < p; i++) {
         const double several = work->information[0][i] * work->information[0][i];
-        const double degrees_of_freedom = (work->information[1][i] > 0.0) ? several / work->information[1][i] : 1.0;
+        double degrees_of_freedom = (work->information[1][i] > 0.0) ? several / work->information[1][i] : 1.0;
         const double variance = covariance[at(i, i)];
         /* By an accident of few blocks the product may be too small, even negative; the square of the one is not. */
         covariance[at(i, i)] =
             once ? infinity() : ((variance > work->linearised_variance[i]) ? variance : work->linearised_variance[i]);
+        degrees_of_freedom -= work->joints_alone ? 1.0 : 0.0;
         work->degrees_of_freedom[i] = (degrees_of_freedom > 2.0) ? degrees_of_freedom : 2.0;
     }
 }
@@ -436,16 +505,16 @@ static bool pair_of(const zygos_config_t *config, uint32_t k, uint32_t *a, uint3
     return cross;
 }
 
-/* What a parameter's sigma is compared with: see ZYGOS_SIGMA_LIMIT. */
-static void measure(zygos_work_t *work)
+/* What the sigma of a column's coefficient is compared with: see ZYGOS_SIGMA_LIMIT. */
+static void measure_columns(const zygos_work_t *work, const double *x, double *size)
 {
-    const double *x = work->solution;
+    const zygos_column_map_t *column_map = &work->column_map;
     double diagonal[ZYGOS_MAX_DIRECTIONS] = { 0.0 };
     double moment = 0.0;
     uint32_t a = 0;
     uint32_t b = 0;
-    for (uint32_t k = 0; k < work->column_map.body; k++) {
-        if (k >= work->column_map.kinetic) {
+    for (uint32_t k = 0; k < column_map->body; k++) {
+        if (k >= column_map->kinetic) {
             moment = (magnitude(x[k]) > moment) ? magnitude(x[k]) : moment;
         } else if (!pair_of(&work->config, k, &a, &b) && (a == b)) {
             diagonal[a] = magnitude(x[k]);
@@ -454,13 +523,40 @@ static void measure(zygos_work_t *work)
     if ((work->config.kinetic == ZYGOS_SPATIAL_ARM) && (work->config.base == ZYGOS_BASE_FIXED)) {
         diagonal[1] = diagonal[0];
     }
-    for (uint32_t k = 0; k < work->column_map.count; k++) {
-        double size = (k < work->column_map.body) ? moment : 0.0;
-        if (k < work->column_map.kinetic) {
+    for (uint32_t k = 0; k < column_map->count; k++) {
+        size[k] = (k < column_map->body) ? moment : 0.0;
+        if (k < column_map->kinetic) {
             (void)pair_of(&work->config, k, &a, &b);
-            size = root(diagonal[a] * diagonal[b]);
+            size[k] = root(diagonal[a] * diagonal[b]);
         }
-        work->size[k] = (size > magnitude(x[k])) ? size : magnitude(x[k]);
+        size[k] = (size[k] > magnitude(x[k])) ? size[k] : magnitude(x[k]);
+    }
+}
+
+/* The same for the parameters: one that counts for several columns by factors changes none of them by more than its
+   size. It is at least the parameter itself. */
+static void measure(zygos_work_t *work)
+{
+    const zygos_config_t *config = &work->config;
+    double columns[ZYGOS_MAX_COLUMNS];
+    double size[ZYGOS_MAX_COLUMNS];
+    zygos_expand(config, &work->column_map, work->solution, columns);
+    measure_columns(work, columns, size);
+    if (config->reduced == 0) {
+        memcpy(work->size, size, work->column_map.parameters * sizeof size[0]);
+        return;
+    }
+    for (uint32_t r = 0; r < work->column_map.parameters; r++) {
+        work->size[r] = infinity();
+    }
+    for (uint32_t k = 0; k < config->reductions; k++) {
+        const zygos_reduction_t *entry_k = &config->reduction[k];
+        const double own = size[entry_k->column] / magnitude(entry_k->factor);
+        work->size[entry_k->parameter] = (own < work->size[entry_k->parameter]) ? own : work->size[entry_k->parameter];
+    }
+    for (uint32_t r = 0; r < work->column_map.parameters; r++) {
+        const double own = magnitude(work->solution[r]);
+        work->size[r] = ((work->size[r] > own) && (work->size[r] < infinity())) ? work->size[r] : own;
     }
 }
 
@@ -554,12 +650,11 @@ static bool positive_definite(zygos_work_t *work, const double *sigma)
     return (split == size) || (rest > 0.0);
 }
 
-/* Each kinetic diagonal, Im, k and b that has a value must be positive; the matrix is judged when all of it has. An
-   effect that cannot be negative may come out so by its noise. */
-static bool physical(zygos_work_t *work, const zygos_estimate_t *out)
+/* Whether each kinetic diagonal and each Im that has a value is positive, and, when all have, the matrix of the bodies.
+   Needs a parameter for each column. */
+static bool bodies_physical(zygos_work_t *work, const zygos_estimate_t *out)
 {
     const zygos_column_map_t *column_map = &work->column_map;
-    const uint32_t positive = zygos_effects_positive(&work->config);
     bool all = true;
     bool good = true;
     for (uint32_t k = 0; k < column_map->kinetic; k++) {
@@ -569,18 +664,33 @@ static bool physical(zygos_work_t *work, const zygos_estimate_t *out)
         all = all && out->identifiable[k];
         good = good && (cross || (a != b) || !out->identifiable[k] || (out->value[k] > 0.0));
     }
-    for (uint32_t k = column_map->body; k < column_map->effects; k++) {
-        good = good && (!out->identifiable[k] || (out->value[k] > 0.0));
-    }
     for (uint32_t i = 0; i < work->config.joints; i++) {
-        all = all && (!column_map->rotor[i] || out->identifiable[column_map->joint[i]]);
+        const uint32_t k = column_map->joint[i];
+        all = all && (!column_map->rotor[i] || out->identifiable[k]);
+        good = good && (!column_map->rotor[i] || !out->identifiable[k] || (out->value[k] > 0.0));
     }
-    for (uint32_t k = column_map->effects; k < column_map->count; k++) {
-        const bool bounded = ((positive >> (k - column_map->effects)) & 1u) != 0;
+    return good && (!all || positive_definite(work, out->sigma));
+}
+
+/* Im, k and b of flexible joints that have a value must be positive; the bodies are judged where every column has a
+   parameter of its own. An effect that cannot be negative may come out so by its noise. */
+static bool physical(zygos_work_t *work, const zygos_estimate_t *out)
+{
+    const zygos_column_map_t *column_map = &work->column_map;
+    const uint32_t positive = zygos_effects_positive(&work->config);
+    bool good = true;
+    for (uint32_t i = 0; i < work->config.joints; i++) {
+        for (uint32_t c = 0; (c < 3u) && (work->config.joint[i].rigid == 0); c++) {
+            const uint32_t k = column_map->place[column_map->joint[i] + c];
+            good = good && (!out->identifiable[k] || (out->value[k] > 0.0));
+        }
+    }
+    for (uint32_t k = column_map->reduced; k < column_map->parameters; k++) {
+        const bool bounded = ((positive >> (k - column_map->reduced)) & 1u) != 0;
         const double least = -ZYGOS_NEGATIVE_SIGMAS * out->sigma[k];
         good = good && (!bounded || !out->identifiable[k] || (out->value[k] >= least));
     }
-    return good && (!all || positive_definite(work, out->sigma));
+    return good && (!zygos_reduction_selects_all(column_map) || bodies_physical(work, out));
 }
 
 static void withhold(zygos_estimate_t *out, uint32_t i, uint32_t p)
@@ -671,23 +781,46 @@ static double momentum_form(const zygos_work_t *work, const zygos_momentum_gram_
 {
     double local[ZYGOS_MAX_MOMENTUM];
     for (uint32_t a = 0; a < work->momentum_sums.columns; a++) {
-        local[a] = x[momentum_place(work, a)];
+        const uint32_t place = momentum_place(work, a);
+        local[a] = (place != ZYGOS_NO_PLACE) ? x[place] : 0.0;
     }
     return form(rows->gram, local, work->momentum_sums.columns);
 }
 
-/* The squared residuals of the energy rows for x, including noise, and the part of the declared noise in them [J^2]. */
+/* Mean square of the declared noise of torques in a joint row: independent in each period. */
+static double torque_noise(const zygos_work_t *work)
+{
+    const zygos_config_t *config = &work->config;
+    double sum = 0.0;
+    for (uint32_t i = 0; i < config->joints; i++) {
+        const double row = work->joint_sums.weight[i] * config->joint[i].torque_sigma * config->period_s;
+        sum += row * row * (double)config->joint_row_cycles;
+    }
+    return sum / (double)config->joints;
+}
+
+/* The squared residuals of the energy rows for x, including noise, and the part of the declared noise in them [J^2]; or
+   of the joint rows where they alone are solved. */
 static double energy_left(const zygos_work_t *work, uint32_t p, const double *x, double *explained)
 {
     double left = form(work->total, x, p);
+    if (work->joints_alone) {
+        *explained = form(work->noise, x, p);
+        left += *explained;
+        *explained += work->instants * torque_noise(work);
+        return (left > 0.0) ? left : 0.0;
+    }
+    for (uint32_t g = 0; (g < (uint32_t)ZYGOS_GROUP_PLACES) && (work->joints_weight > 0.0); g++) {
+        left -= group_factor(work, g) * form(work->joint_sums.group[g].rows.gram, x, p);
+    }
     for (uint32_t i = 0; i < work->config.joints; i++) {
-        const uint32_t count = work->joint_sums.column_map.count[i];
+        const uint32_t count = work->motor_sums.column_map.count[i];
         double local[ZYGOS_MAX_IMPULSE + 1] = { 0.0 };
         for (uint32_t a = 0; a < count; a++) {
             local[a] = x[place_of(work, i, a)];
         }
         for (uint32_t b = work->arcs.first; (b < work->arcs.end) && (count > 0); b++) {
-            left -= work->weight[i] * form(work->joint_sums.block[b].joint[i].gram, local, count);
+            left -= work->weight[i] * form(work->motor_sums.block[b].joint[i].gram, local, count);
         }
     }
     for (uint32_t b = work->momenta.first; (b < work->momenta.end) && (work->momentum_weight > 0.0); b++) {
@@ -733,7 +866,7 @@ static uint32_t begin(zygos_work_t *work, uint32_t p)
    the deflection, the mean over an arc of a random walk about its own mean. */
 static double joint_variance(const zygos_work_t *work, uint32_t i)
 {
-    const zygos_joint_sums_t *sums = &work->joint_sums;
+    const zygos_motor_sums_t *sums = &work->motor_sums;
     const zygos_joint_config_t *joint = &work->config.joint[i];
     double local[ZYGOS_MAX_IMPULSE] = { 0.0 };
     double sum = 0.0;
@@ -753,7 +886,7 @@ static double joint_variance(const zygos_work_t *work, uint32_t i)
    energy: mean square of the noise in an energy row. */
 static void add_motors(zygos_work_t *work, double energy)
 {
-    const zygos_joint_sums_t *sums = &work->joint_sums;
+    const zygos_motor_sums_t *sums = &work->motor_sums;
     const bool enough = (work->arcs.end - work->arcs.first >= ZYGOS_MIN_ARCS);
     for (uint32_t i = 0; i < work->config.joints; i++) {
         if ((sums->column_map.count[i] > 0) && !(work->weight[i] > 0.0)) {
@@ -781,9 +914,15 @@ static void widen(const zygos_work_t *work, uint32_t p, zygos_estimate_t *out)
    Of the latter, the error of one arc of the longest kind is kept. */
 static void add_common_error(const zygos_work_t *work, uint32_t p, double systematic, zygos_estimate_t *out)
 {
-    const double blocks = (double)(work->blocks.end - work->blocks.first);
-    const double arcs = work->instants / (double)work->config.arc_cycles;
-    const double alike = (out->cluster > ZYGOS_CLUSTER_NOISE) ? 1.0 - ZYGOS_CLUSTER_NOISE / out->cluster : 0.0;
+    const double half_s = 0.5 * work->config.period_s * (double)work->config.joint_row_cycles;
+    const double joints = (double)work->config.joints;
+    const double blocks =
+        work->joints_alone ? work->joint_sums.apart_sums / joints : (double)(work->blocks.end - work->blocks.first);
+    const double arcs = work->joints_alone ? work->instants / joints * half_s / SYSTEMATIC_S
+                                           : work->instants / (double)work->config.arc_cycles;
+    /* The noise of torques adds up from row to row, as far as any noise does. */
+    const double noise = work->joints_alone ? ZYGOS_CLUSTER_LIMIT : ZYGOS_CLUSTER_NOISE;
+    const double alike = (out->cluster > noise) ? 1.0 - noise / out->cluster : 0.0;
     const double adds = (blocks - 1.0) * alike;
     const double stays = arcs * ((systematic > ZYGOS_SYSTEMATIC) ? systematic : ZYGOS_SYSTEMATIC);
     for (uint32_t k = 0; k < at(p, 0); k++) {
@@ -802,8 +941,8 @@ static bool is_precise(const zygos_work_t *work, const zygos_estimate_t *out, ui
    be zero, so that its sigma cannot be compared with a size. */
 static void withhold_imprecise(zygos_work_t *work, bool full, zygos_estimate_t *out)
 {
-    const uint32_t p = work->column_map.count;
-    const uint32_t effects = work->column_map.effects;
+    const uint32_t p = work->column_map.parameters;
+    const uint32_t effects = work->column_map.reduced;
     bool imprecise = false;
     for (uint32_t i = 0; i < effects; i++) {
         imprecise = imprecise || !is_precise(work, out, i, ZYGOS_SIGMA_LIMIT);
@@ -885,7 +1024,7 @@ static void choose_momenta(zygos_work_t *work, uint64_t after, uint64_t until)
 static void choose(zygos_work_t *work, uint32_t p, uint32_t first, uint32_t end)
 {
     const zygos_accumulator_t *sums = &work->accumulator;
-    const zygos_joint_sums_t *joints = &work->joint_sums;
+    const zygos_motor_sums_t *joints = &work->motor_sums;
     const uint64_t after = (first > 0) ? sums->block[first - 1u].end : 0u;
     const uint64_t until = (end > 0) ? sums->block[end - 1u].end : 0u;
     double all = 0.0;
@@ -902,6 +1041,9 @@ static void choose(zygos_work_t *work, uint32_t p, uint32_t first, uint32_t end)
     choose_momenta(work, after, (end == sums->open) ? work->cycle : until);
     memset(work->total, 0, at(p + 2u, 0) * sizeof work->total[0]);
     work->instants = 0.0;
+    work->joints_alone = 0;
+    work->joints_weight = 0.0;
+    work->joints_used = ((first == 0) && (end == sums->open)) ? 1u : 0u;
     for (uint32_t b = 0; b < sums->open; b++) {
         all += sums->block[b].instants;
         for (uint32_t k = 0; (k < at(p + 2u, 0)) && (b >= first) && (b < end); k++) {
@@ -914,6 +1056,41 @@ static void choose(zygos_work_t *work, uint32_t p, uint32_t first, uint32_t end)
     for (uint32_t k = 0; k < at(p + 1u, 0); k++) {
         work->noise[k] = work->noise_fraction * sums->noise_closed.gram[k];
     }
+}
+
+/* Chooses the joint rows alone. */
+static void choose_joints(zygos_work_t *work, uint32_t p)
+{
+    const zygos_joint_sums_t *sums = &work->joint_sums;
+    work->blocks.first = 0;
+    work->blocks.end = 0;
+    work->arcs.first = 0;
+    work->arcs.end = 0;
+    work->momenta.first = 0;
+    work->momenta.end = 0;
+    memset(work->total, 0, at(p + 2u, 0) * sizeof work->total[0]);
+    memset(work->noise, 0, at(p + 1u, 0) * sizeof work->noise[0]);
+    work->instants = 0.0;
+    work->joints_alone = 1;
+    work->joints_used = 1;
+    work->joints_weight = 1.0;
+    for (uint32_t g = 0; g < (uint32_t)ZYGOS_GROUP_PLACES; g++) {
+        embed_joints(sums->group[g].rows.gram, group_factor(work, g), p, work->total);
+        work->instants += sums->group[g].fade * sums->group[g].count;
+    }
+    embed_joints(sums->noise.gram, 1.0, p, work->noise);
+    work->spread = work->total[at(p, p)];
+    work->noise_fraction = 1.0;
+}
+
+/* Number of groups with rows. */
+static uint32_t groups_of(const zygos_joint_sums_t *sums)
+{
+    uint32_t groups = 0;
+    for (uint32_t g = 0; g < (uint32_t)ZYGOS_GROUP_PLACES; g++) {
+        groups += (sums->group[g].count > 0.0) ? 1u : 0u;
+    }
+    return groups;
 }
 
 /* Solves the energy rows of the chosen blocks, weighs the motor rows beside them unless they have weights, and scales
@@ -973,10 +1150,67 @@ static uint32_t with_momentum(zygos_work_t *work, uint32_t p, uint32_t rank, zyg
     return begin(work, p);
 }
 
+/* Weighs the joint rows beside the others, by what the declared noise makes of an energy row, and by the mean square
+   residual of the joint rows: first as declared at the solution so far, then as it is at the solution with them. Scales
+   the sums of all rows. Returns their rank. Where parts of the arcs are chosen they are left out, for the groups belong
+   to the whole run. */
+static uint32_t with_joints(zygos_work_t *work, uint32_t p, uint32_t rank, zygos_estimate_t *out)
+{
+    const zygos_joint_sums_t *sums = &work->joint_sums;
+    if ((rank == 0) || (work->joints_used == 0) || (sums->width == 0) || (groups_of(sums) < ZYGOS_MIN_GROUPS)) {
+        return rank;
+    }
+    uint32_t now = rank;
+    double rows = 0.0;
+    double weighed = 0.0;
+    for (uint32_t g = 0; g < (uint32_t)ZYGOS_GROUP_PLACES; g++) {
+        rows += sums->group[g].fade * sums->group[g].count;
+    }
+    for (uint32_t round = 0; round < 2u; round++) {
+        double explained = 0.0;
+        choose_noise_scale(work, p, now, out);
+        (void)solve_with(work, p, now, work->noise_scale, work->solution);
+        (void)energy_left(work, p, work->solution, &explained);
+        double square = form(sums->noise.gram, work->solution, p);
+        for (uint32_t g = 0; (g < (uint32_t)ZYGOS_GROUP_PLACES) && (round > 0); g++) {
+            square += sums->group[g].fade * form(sums->group[g].rows.gram, work->solution, p);
+        }
+        const double energy = explained / work->instants;
+        const double weight = (square > 0.0) ? energy * rows / (JOINT_CORRELATION * square) : 0.0;
+        if (!(weight > 0.0)) {
+            break;
+        }
+        const double more = weight - weighed;
+        for (uint32_t g = 0; g < (uint32_t)ZYGOS_GROUP_PLACES; g++) {
+            embed_joints(sums->group[g].rows.gram, more * sums->group[g].fade, p, work->total);
+        }
+        embed_joints(sums->noise.gram, more, p, work->noise);
+        weighed = weight;
+        work->joints_weight = weight;
+        now = begin(work, p);
+    }
+    return now;
+}
+
 /* Weighs all rows of the chosen blocks, and scales their sums. Returns their rank. */
 static uint32_t combine(zygos_work_t *work, uint32_t p, zygos_estimate_t *out)
 {
-    return with_momentum(work, p, with_motors(work, p, out), out);
+    if (work->joints_alone) {
+        return begin(work, p);
+    }
+    return with_joints(work, p, with_momentum(work, p, with_motors(work, p, out), out), out);
+}
+
+/* The same of the joint rows: by the sums of each joint's residuals in a segment. */
+static double cluster_of_joints(const zygos_work_t *work, uint32_t p, const zygos_estimate_t *out, double *share)
+{
+    const zygos_joint_sums_t *sums = &work->joint_sums;
+    const double apart = form(sums->apart.gram, work->solution, p);
+    const double squares = (sums->apart_sums > 0.0) ? apart / sums->apart_sums : 0.0;
+    /* Each sum is divided by the root of twice its number of rows. */
+    const double rows = (sums->apart_sums > 0.0) ? work->instants / sums->apart_sums : 1.0;
+    *share = (work->spread > 0.0) ? root(2.0 * squares / rows * work->instants / work->spread) : 0.0;
+    return squares / (out->residual * out->residual);
 }
 
 /* Whether the residuals of the chosen energy rows are noise: see ZYGOS_CLUSTER_LIMIT. Writes residual, noise_ratio and
@@ -988,16 +1222,20 @@ static bool closes(const zygos_work_t *work, uint32_t p, zygos_estimate_t *out)
     const double unexplained = energy_left(work, p, work->solution, &explained);
     out->residual = root(unexplained / work->instants);
     out->noise_ratio = (explained > 0.0) ? unexplained / explained : not_a_number();
-    out->cluster = (out->residual > 0.0) ? cluster(work, p, out, &share) : 0.0;
-    return (out->cluster <= ZYGOS_CLUSTER_LIMIT) || (share <= ZYGOS_CLUSTER_SHARE);
+    out->cluster = 0.0;
+    if (out->residual > 0.0) {
+        out->cluster = work->joints_alone ? cluster_of_joints(work, p, out, &share) : cluster(work, p, out, &share);
+    }
+    const double least = work->joints_alone ? ZYGOS_JOINT_CLUSTER_SHARE : ZYGOS_CLUSTER_SHARE;
+    return (out->cluster <= ZYGOS_CLUSTER_LIMIT) || (share <= least);
 }
 
 /* Solves the blocks from the given one on, with which an arc begins. */
 static int solve_from(zygos_work_t *work, zygos_estimate_t *out, uint32_t first)
 {
     const zygos_accumulator_t *sums = &work->accumulator;
-    const uint32_t p = work->column_map.count;
-    const uint32_t effects = work->column_map.effects;
+    const uint32_t p = work->column_map.parameters;
+    const uint32_t effects = work->column_map.reduced;
     double before = 0.0;
     memset(out, 0, sizeof *out);
     memcpy(out->left_out, work->guard.left_out, sizeof out->left_out);
@@ -1011,12 +1249,25 @@ static int solve_from(zygos_work_t *work, zygos_estimate_t *out, uint32_t first)
     out->accepted = sums->accepted - (uint64_t)(before + 0.5);
     out->arcs = sums->arcs - (out->left_out[ZYGOS_ENERGY_ROWS] - work->guard.left_out[ZYGOS_ENERGY_ROWS]);
     out->blocks = sums->open - first;
+    if (zygos_joint_sums_suffice(&work->config)) {
+        out->accepted = work->joint_sums.accepted;
+        out->refused = work->joint_sums.refused;
+        out->arcs = (uint32_t)work->joint_sums.segments;
+        out->blocks = groups_of(&work->joint_sums);
+    }
     out->since = (first > 0) ? sums->block[first - 1u].end : 0u;
     out->consecutive = work->guard.consecutive[ZYGOS_ENERGY_ROWS];
-    if ((out->accepted < (uint64_t)INSTANTS_PER_PARAMETER * p) || (out->blocks < ZYGOS_MIN_BLOCKS)) {
+    const bool joints = zygos_joint_sums_suffice(&work->config);
+    if (joints) {
+        choose_joints(work, p);
+    } else {
+        choose(work, p, first, sums->open);
+    }
+    const double rows = joints ? work->instants : (double)out->accepted;
+    if ((rows < (double)(INSTANTS_PER_PARAMETER * p)) ||
+        (out->blocks < (joints ? ZYGOS_MIN_GROUPS : (uint32_t)ZYGOS_MIN_BLOCKS))) {
         return refuse(out, p, ZYGOS_REASON_NO_DATA);
     }
-    choose(work, p, first, sums->open);
     memset(work->weight, 0, sizeof work->weight);
     work->momentum_weight = 0.0;
     const uint32_t rank = combine(work, p, out);
@@ -1046,7 +1297,8 @@ static int solve_from(zygos_work_t *work, zygos_estimate_t *out, uint32_t first)
     }
     const bool noisy = !(out->signal_to_noise >= ZYGOS_MIN_SIGNAL_TO_NOISE);
     const uint32_t unidentified = noisy ? ZYGOS_REASON_NOISE : ZYGOS_REASON_NOT_IDENTIFIABLE;
-    const double excess = unexplained - work->noise_scale * explained;
+    /* What joint rows leave over is in their right side, as the noise of torques is. */
+    const double excess = unexplained - (joints ? unexplained : work->noise_scale * explained);
     const double noise = noise_square(work, p, (excess > 0.0) ? excess : 0.0);
     if (!(noise * inverse <= ZYGOS_NOISE_LIMIT)) {
         return refuse(out, p, closed ? unidentified : ZYGOS_REASON_UNCLOSED);
@@ -1156,7 +1408,7 @@ int zygos_solve(zygos_work_t *work, zygos_estimate_t *out)
         return refuse(out, ZYGOS_MAX_PARAMETERS, ZYGOS_REASON_CORRUPT);
     }
     int answer = solve_from(work, out, 0);
-    if ((work->guard.adopting == 0) || !may_hold_bad_arcs(out)) {
+    if ((work->guard.adopting == 0) || (work->joints_alone != 0) || !may_hold_bad_arcs(out)) {
         return answer;
     }
     const double ratio = out->noise_ratio;
@@ -1234,9 +1486,12 @@ int zygos_detect_change(zygos_work_t *work, zygos_estimate_t *out, double *devia
     if (!zygos_work_intact(work)) {
         return refuse(out, ZYGOS_MAX_PARAMETERS, ZYGOS_REASON_CORRUPT);
     }
-    const uint32_t p = work->column_map.count;
+    const uint32_t p = work->column_map.parameters;
     out->parameters = p;
     out->blocks = sums->newest;
+    if (zygos_joint_sums_suffice(&work->config)) {
+        return refuse(out, p, ZYGOS_REASON_NO_DATA);
+    }
     if ((sums->newest < ZYGOS_CHANGE_MIN_BLOCKS) || (sums->newest == sums->open)) {
         return refuse(out, p, ZYGOS_REASON_NO_DATA);
     }

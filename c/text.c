@@ -71,6 +71,8 @@ const char *zygos_text(int code)
         return "was damaged before it was sealed: it holds a count that cannot be";
     case ZYGOS_E_SUMS:
         return "was damaged before it was sealed: its sums are corrupt";
+    case ZYGOS_E_REDUCTION:
+        return "the reduction to independent columns does not fit the arm or this build";
     }
     return UNKNOWN;
 }
@@ -293,6 +295,10 @@ const char *zygos_effect_text(uint32_t kind)
         return "torque lag";
     case ZYGOS_SPRING_OFFSET:
         return "offset of the spring";
+    case ZYGOS_TORQUE_OFFSET:
+        return "constant offset of the torque";
+    case ZYGOS_VISCOUS_ASYMMETRY:
+        return "difference of viscous friction between the directions";
     }
     return UNKNOWN;
 }

@@ -8,7 +8,8 @@
 #define LARGEST_VALUE 1e6
 #define LARGEST_SUM 1e150
 #define TWO_SIGMAS 1.959964 /* 95 % of a normal distribution */
-#define SHORTEST 8u         /* an instant that fails the bandwidth test ends an arc from this part of the longest on */
+#define LONGEST_INCREMENT 1000000u
+#define SHORTEST 8u /* an instant that fails the bandwidth test ends an arc from this part of the longest on */
 
 uint32_t zygos_abi(void)
 {
@@ -68,7 +69,8 @@ static int check_joint(const zygos_config_t *config, uint32_t i)
                        within(joint->motor_latch_s + latch, 0.0, period);
     const bool link = is_sign(joint->link_sign) && within(joint->link_zero_rad, -1e3, 1e3) &&
                       within(joint->link_sigma_rad, 0.0, 1.0) && within(joint->link_latch_s + latch, 0.0, period);
-    return (motor && (link || (joint->rigid != 0)) && (joint->rigid <= 1u)) ? 1 : ZYGOS_E_VALUE;
+    const bool torque = within(joint->torque_sigma, 0.0, LARGEST_VALUE);
+    return (motor && torque && (link || (joint->rigid != 0)) && (joint->rigid <= 1u)) ? 1 : ZYGOS_E_VALUE;
 }
 
 static bool base_fits(const zygos_config_t *config)
@@ -81,11 +83,21 @@ static bool base_fits(const zygos_config_t *config)
            within(dot3(g, g), 0.0, 1e6);
 }
 
+/* Whether an increment is even, has enough steps, and leaves a cycle for the row of each joint before the last three
+   instants of a half. */
+static bool increments_fit(const zygos_config_t *config)
+{
+    const uint32_t length = config->joint_row_cycles;
+    return (length == 0) || ((ZYGOS_JOINT_ROWS != 0) && (length % 2u == 0) && (length >= ZYGOS_MIN_INCREMENT) &&
+                             (length >= 2u * config->joints + 4u) && (length <= LONGEST_INCREMENT));
+}
+
 static bool arcs_fit(const zygos_config_t *config)
 {
     const uint32_t least = ZYGOS_MIN_ARC_INSTANTS;
     const uint32_t momentum = config->momentum_arc_cycles;
-    return (config->arc_cycles >= least) &&
+    const bool none = (config->arc_cycles == 0) && zygos_joint_sums_suffice(config);
+    return increments_fit(config) && (none || (config->arc_cycles >= least)) &&
            ((config->impulse_arc_cycles == 0) || (config->impulse_arc_cycles >= least)) &&
            ((momentum == 0) || ((ZYGOS_MOMENTUM != 0) && (momentum >= least)));
 }
@@ -132,7 +144,8 @@ static int check_config(const zygos_config_t *config)
             return verdict;
         }
     }
-    return zygos_effects_check(config);
+    const int effects = zygos_effects_check(config);
+    return (effects < 0) ? effects : zygos_reduction_check(config);
 }
 
 /* What follows from the configuration alone. */
@@ -143,8 +156,9 @@ static void make_tables(zygos_t *self)
     zygos_geometry_init(&self->geometry, own);
     zygos_smoother_init(&self->smoother, own);
     zygos_noise_init(&self->noise, own, &self->column_map, &self->smoother);
-    zygos_joint_sums_tables(&self->joint_sums, own, &self->smoother);
+    zygos_motor_sums_tables(&self->motor_sums, own, &self->smoother);
     zygos_momentum_sums_tables(&self->momentum_sums, own, &self->smoother);
+    zygos_joint_sums_tables(&self->joint_sums, own, &self->column_map, &self->smoother);
 }
 
 int zygos_init(zygos_t *self, const zygos_config_t *config)
@@ -164,13 +178,16 @@ int zygos_init(zygos_t *self, const zygos_config_t *config)
     make_tables(self);
     zygos_receiver_init(&self->receiver);
     zygos_balance_reset(&self->balance);
-    zygos_accumulator_init(&self->accumulator, self->column_map.count, own->arc_cycles, own->period_s);
+    zygos_accumulator_init(&self->accumulator, self->column_map.parameters, own->arc_cycles, own->period_s);
     zygos_impulse_reset(&self->impulse);
-    zygos_joint_sums_clear(&self->joint_sums, own);
+    zygos_motor_sums_clear(&self->motor_sums, own);
     zygos_momentum_reset(&self->momentum);
     zygos_momentum_sums_clear(&self->momentum_sums, own);
-    self->forgetting = 1.0;
+    zygos_joint_reset(&self->joint, own);
+    zygos_joint_sums_clear(&self->joint_sums);
     self->joints_forgetting = 1.0;
+    self->forgetting = 1.0;
+    self->motors_forgetting = 1.0;
     self->momentum_forgetting = 1.0;
     self->magic = MAGIC;
     return 1;
@@ -199,11 +216,11 @@ static void end_arc(zygos_t *self)
 
 static void end_joint_arc(zygos_t *self)
 {
-    if (self->joints_forgetting < 1.0) {
-        zygos_joint_sums_forget(&self->joint_sums, self->joints_forgetting);
+    if (self->motors_forgetting < 1.0) {
+        zygos_motor_sums_forget(&self->motor_sums, self->motors_forgetting);
     }
-    self->joints_forgetting = 1.0;
-    zygos_guard_end_motors(&self->guard, &self->config, &self->column_map, &self->joint_sums, self->cycle);
+    self->motors_forgetting = 1.0;
+    zygos_guard_end_motors(&self->guard, &self->config, &self->column_map, &self->motor_sums, self->cycle);
 }
 
 static void end_momentum_arc(zygos_t *self)
@@ -224,6 +241,7 @@ static void gap(zygos_t *self)
     end_joint_arc(self);
     zygos_momentum_reset(&self->momentum);
     end_momentum_arc(self);
+    zygos_joint_reset(&self->joint, &self->config);
     end_arc(self);
 }
 
@@ -237,8 +255,9 @@ static void void_arcs(zygos_t *self, const zygos_cycle_t *cycle)
     const uint64_t trusted = (doubtful < cycle->sync) ? cycle->sync - doubtful : 0u;
     if ((doubtful == 0) || (self->cycle > trusted)) {
         zygos_accumulator_drop_after(&self->accumulator, trusted);
-        zygos_joint_sums_drop_after(&self->joint_sums, trusted);
+        zygos_motor_sums_drop_after(&self->motor_sums, trusted);
         zygos_momentum_sums_drop_after(&self->momentum_sums, trusted);
+        zygos_joint_sums_drop_after(&self->joint_sums, trusted);
     }
 }
 
@@ -249,13 +268,13 @@ static void add_impulses(zygos_t *self)
     if (config->impulse_arc_cycles == 0) {
         return;
     }
-    if (zygos_impulse_row(&self->impulse, config, &self->joint_sums.column_map, &self->arm_state, &self->motion,
+    if (zygos_impulse_row(&self->impulse, config, &self->motor_sums.column_map, &self->arm_state, &self->motion,
                           zygos_balance_torque_before(&self->balance),
                           zygos_balance_torque_after(&self->balance, config), &self->impulse_rows) == 0) {
         return;
     }
-    zygos_joint_sums_add(&self->joint_sums, config, &self->impulse_rows, self->arm_state.accepted);
-    if (self->joint_sums.cycles >= config->impulse_arc_cycles) {
+    zygos_motor_sums_add(&self->motor_sums, config, &self->impulse_rows, self->arm_state.accepted);
+    if (self->motor_sums.cycles >= config->impulse_arc_cycles) {
         end_joint_arc(self);
         zygos_impulse_new_arc(&self->impulse);
     }
@@ -277,6 +296,55 @@ static void add_momentum(zygos_t *self)
     }
 }
 
+/* The joint rows: integrals of the newest instant, the row that is due, and the next part of a complete segment. */
+static void add_joints(zygos_t *self)
+{
+    const zygos_config_t *config = &self->config;
+    if ((ZYGOS_JOINT_ROWS == 0) || (config->joint_row_cycles == 0)) {
+        return;
+    }
+    zygos_joint_sums_step(&self->joint_sums, config, self->arm_state.accepted);
+    if (zygos_joint_row(&self->joint, config, &self->column_map, &self->geometry, &self->arm_state, &self->motion,
+                        zygos_balance_torque_before(&self->balance), zygos_balance_torque_after(&self->balance, config),
+                        &self->joint_row) == 1) {
+        zygos_joint_sums_add(&self->joint_sums, config, &self->column_map, &self->joint, &self->joint_row, self->cycle,
+                             &self->joints_forgetting);
+    }
+}
+
+/* The energy row of the newest instant. */
+static void add_energy(zygos_t *self)
+{
+    const zygos_config_t *config = &self->config;
+    zygos_row_t columns; /* before they are reduced, where they are */
+    zygos_row_t *row = (config->reduced > 0) ? &columns : &self->row;
+    if ((config->arc_cycles == 0) ||
+        (zygos_balance_row(&self->balance, config, &self->column_map, &self->noise.integral_bias, &self->arm_state,
+                           &self->motion, row) == 0)) {
+        return;
+    }
+    self->instant = 1;
+    self->accepted = self->arm_state.accepted;
+    zygos_noise_means(&self->noise, config, &self->motion, row);
+    if (config->reduced > 0) {
+        zygos_reduce(config, &self->column_map, columns.column, self->row.column);
+        self->row.work = columns.work;
+    }
+    zygos_accumulator_add(&self->accumulator, &self->row, self->arm_state.accepted);
+    zygos_noise_add(&self->noise, config, &self->column_map, &self->geometry, &self->arm_state, &self->motion,
+                    zygos_balance_torque_before(&self->balance), zygos_balance_torque_after(&self->balance, config),
+                    self->arc, self->arm_state.accepted, self->accumulator.noise.gram, self->accumulator.noise.sum);
+    self->arc++;
+    /* Where the motion is too fast for the smoother, the error of the integrals is a constant of the following arc. A
+       factor is used instead of a branch, so that the instructions of a cycle do not depend on its data. */
+    const double shortest = (double)(config->arc_cycles / SHORTEST);
+    const double longest = (double)config->arc_cycles;
+    if ((double)self->arc >= shortest + self->arm_state.accepted * (longest - shortest)) {
+        end_arc(self);
+        zygos_balance_new_arc(&self->balance);
+    }
+}
+
 static void process_cycle(zygos_t *self, const zygos_cycle_t *cycle)
 {
     const uint32_t broken = (uint32_t)ZYGOS_CYCLE_BREAK | (uint32_t)ZYGOS_CYCLE_VOID;
@@ -292,8 +360,9 @@ static void process_cycle(zygos_t *self, const zygos_cycle_t *cycle)
     self->cycle = cycle->sync;
     self->cycles++;
     self->forgetting *= self->config.forgetting_factor;
-    self->joints_forgetting *= self->config.forgetting_factor;
+    self->motors_forgetting *= self->config.forgetting_factor;
     self->momentum_forgetting *= self->config.forgetting_factor;
+    self->joints_forgetting *= self->config.forgetting_factor;
     self->instant = 0;
     double signal[ZYGOS_MAX_SIGNALS];
     double tau[ZYGOS_MAX_JOINTS];
@@ -308,27 +377,8 @@ static void process_cycle(zygos_t *self, const zygos_cycle_t *cycle)
     zygos_kinematics(&self->geometry, &self->config, &self->arm_state, &self->motion);
     add_impulses(self);
     add_momentum(self);
-    if (zygos_balance_row(&self->balance, &self->config, &self->column_map, &self->noise.integral_bias,
-                          &self->arm_state, &self->motion, &self->row) == 0) {
-        return;
-    }
-    self->instant = 1;
-    self->accepted = self->arm_state.accepted;
-    zygos_noise_means(&self->noise, &self->config, &self->motion, &self->row);
-    zygos_accumulator_add(&self->accumulator, &self->row, self->arm_state.accepted);
-    zygos_noise_add(&self->noise, &self->config, &self->column_map, &self->geometry, &self->arm_state, &self->motion,
-                    zygos_balance_torque_before(&self->balance),
-                    zygos_balance_torque_after(&self->balance, &self->config), self->arc, self->arm_state.accepted,
-                    self->accumulator.noise.gram, self->accumulator.noise.sum);
-    self->arc++;
-    /* Where the motion is too fast for the smoother, the error of the integrals is a constant of the following arc. A
-       factor is used instead of a branch, so that the instructions of a cycle do not depend on its data. */
-    const double shortest = (double)(self->config.arc_cycles / SHORTEST);
-    const double longest = (double)self->config.arc_cycles;
-    if ((double)self->arc >= shortest + self->arm_state.accepted * (longest - shortest)) {
-        end_arc(self);
-        zygos_balance_new_arc(&self->balance);
-    }
+    add_joints(self);
+    add_energy(self);
 }
 
 /* Not memcmp(): compilers make a call of bcmp() of it. A configuration has no padding. */
@@ -348,8 +398,11 @@ static bool is_intact(const zygos_t *self)
 {
     zygos_column_map_t column_map;
     zygos_balance_column_map(&self->config, &column_map);
-    return zygos_receiver_intact(&self->receiver) && zygos_accumulator_intact(&self->accumulator, column_map.count) &&
-           zygos_joint_sums_intact(&self->joint_sums, &self->config) &&
+    return zygos_receiver_intact(&self->receiver) &&
+           zygos_accumulator_intact(&self->accumulator, column_map.parameters) &&
+           zygos_joint_intact(&self->joint, &self->config) &&
+           zygos_joint_sums_intact(&self->joint_sums, &self->config, &column_map) &&
+           zygos_motor_sums_intact(&self->motor_sums, &self->config) &&
            zygos_momentum_sums_intact(&self->momentum_sums, &self->config) && zygos_guard_intact(&self->guard);
 }
 
@@ -435,8 +488,10 @@ void zygos_take(const zygos_t *self, zygos_work_t *work)
         return;
     }
     work->accumulator = self->accumulator;
-    work->joint_sums = self->joint_sums;
+    work->motor_sums = self->motor_sums;
     work->momentum_sums = self->momentum_sums;
+    work->joint_sums = self->joint_sums;
+    work->joints_forgetting = self->joints_forgetting;
     work->guard = self->guard;
     work->cycle = self->cycle;
     work->arc = self->arc;
@@ -452,8 +507,11 @@ int zygos_adopt(zygos_t *self, const zygos_estimate_t *estimate)
     if (self->magic != MAGIC) {
         return ZYGOS_E_ORDER;
     }
+    if (zygos_joint_sums_suffice(&self->config)) {
+        return 0;
+    }
     zygos_guard_t *guard = &self->guard;
-    const uint32_t p = self->column_map.count;
+    const uint32_t p = self->column_map.parameters;
     const bool after_change = (estimate->validity == (uint32_t)ZYGOS_DOUBTFUL) &&
                               (estimate->reason == (uint32_t)ZYGOS_REASON_CHANGED) && (guard->known == 0);
     bool good = ((estimate->validity == (uint32_t)ZYGOS_VALID) || after_change) && (estimate->parameters == p) &&
@@ -468,7 +526,7 @@ int zygos_adopt(zygos_t *self, const zygos_estimate_t *estimate)
         return 0;
     }
     if (estimate->since > 0) {
-        zygos_guard_drop(guard, &self->accumulator, &self->joint_sums, &self->momentum_sums, estimate->since);
+        zygos_guard_drop(guard, &self->accumulator, &self->motor_sums, &self->momentum_sums, estimate->since);
     }
     const double ratio = estimate->noise_ratio;
     guard->noise_ratio = within(ratio, 0.0, LARGEST_SUM) ? ratio : 0.0;
@@ -480,7 +538,7 @@ int zygos_adopt(zygos_t *self, const zygos_estimate_t *estimate)
             guard->covariance[k] = wider[i] * wider[j] * estimate->covariance[k];
         }
     }
-    zygos_guard_begin(guard, &self->config, &self->column_map, &self->accumulator, &self->joint_sums,
+    zygos_guard_begin(guard, &self->config, &self->column_map, &self->accumulator, &self->motor_sums,
                       &self->momentum_sums);
     return 1;
 }
@@ -536,14 +594,18 @@ int zygos_restart(zygos_t *self, uint32_t keep)
     if (joints) {
         end_joint_arc(self);
     } else {
-        zygos_joint_sums_clear(&self->joint_sums, &self->config);
-        self->joints_forgetting = 1.0;
+        zygos_motor_sums_clear(&self->motor_sums, &self->config);
+        self->motors_forgetting = 1.0;
     }
     zygos_momentum_reset(&self->momentum);
     zygos_momentum_sums_clear(&self->momentum_sums, &self->config);
     self->momentum_forgetting = 1.0;
+    zygos_joint_reset(&self->joint, &self->config);
+    zygos_joint_sums_clear(&self->joint_sums);
+    self->joints_forgetting = 1.0;
     self->forgetting = 1.0;
-    zygos_accumulator_init(&self->accumulator, self->column_map.count, self->config.arc_cycles, self->config.period_s);
+    zygos_accumulator_init(&self->accumulator, self->column_map.parameters, self->config.arc_cycles,
+                           self->config.period_s);
     zygos_guard_clear(&self->guard, (keep & ZYGOS_KEEP_FAULTS) == 0, self->cycle);
     self->arc = 0;
     self->instant = 0;

@@ -45,8 +45,8 @@ typedef struct {
 
 /// One row of the balance.
 typedef struct {
-    double column[ZYGOS_MAX_PARAMETERS]; ///< In the order of the parameters.
-    double work;                         ///< Work of the motors [J].
+    double column[ZYGOS_MAX_COLUMNS]; ///< In the order above.
+    double work;                      ///< Work of the motors [J].
 } zygos_row_t;
 
 /// The bias of the integrals of squared rates by noise in one period, which is subtracted (noise.h).
@@ -55,17 +55,24 @@ typedef struct {
     double effect[ZYGOS_EFFECT_PLACES];   ///< Of the column of an effect, in its unit.
 } zygos_integral_bias_t;
 
-/// The column index of each joint's first parameter, and the number of parameters p.
+/// What place[] has where no parameter stands for a column alone.
+#define ZYGOS_NO_PLACE 0xFFFFFFFFu
+
+/// The column index of each joint's first parameter, and the numbers of columns and parameters. Where the configuration
+/// has no reduction, the parameters are the columns.
 typedef struct {
-    uint32_t kinetic;                 ///< Number of kinetic parameters of the bodies, which are the first columns.
-    uint32_t body;                    ///< Number of all parameters of the bodies.
-    uint32_t joint[ZYGOS_MAX_JOINTS]; ///< Column of Im_i, or of k_i where there is no Im_i.
-    uint32_t rotor[ZYGOS_MAX_JOINTS]; ///< 1 where there is an Im_i.
-    uint32_t effects;                 ///< Column of the first effect.
-    uint32_t count;                   ///< p.
+    uint32_t kinetic;                  ///< Number of kinetic parameters of the bodies, which are the first columns.
+    uint32_t body;                     ///< Number of all parameters of the bodies.
+    uint32_t joint[ZYGOS_MAX_JOINTS];  ///< Column of Im_i, or of k_i where there is no Im_i.
+    uint32_t rotor[ZYGOS_MAX_JOINTS];  ///< 1 where there is an Im_i.
+    uint32_t effects;                  ///< Column of the first effect.
+    uint32_t count;                    ///< Number of columns.
+    uint32_t reduced;                  ///< Parameter of the first effect, the number of all others.
+    uint32_t parameters;               ///< p, the number of parameters.
+    uint32_t place[ZYGOS_MAX_COLUMNS]; ///< The parameter that stands for a column, and for no other; or ZYGOS_NO_PLACE.
 } zygos_column_map_t;
 
-/// Computes the column indices. Needs a checked configuration.
+/// Computes the column indices and the places. Needs a checked configuration. Cost: a few passes over the reduction.
 void zygos_balance_column_map(const zygos_config_t *config, zygos_column_map_t *out);
 
 /// Resets the integrals and their history. Called at init and at every gap.

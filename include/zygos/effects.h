@@ -10,6 +10,8 @@
 ///     ZYGOS_TORQUE_LAG         sum over j < k of s_j, and s_k / 2    work that torque steps lose by the delay,
 ///                                                                    s_j = n (tau_j - tau_(j-1)) theta'_j
 ///     ZYGOS_SPRING_OFFSET      d                                     energy of the spring
+///     ZYGOS_TORQUE_OFFSET      integral of n theta'                  work that the reported torque has too much
+///     ZYGOS_VISCOUS_ASYMMETRY  integral of n |theta'| theta'         work of the friction
 ///
 /// tau_j is the torque that acts on [t_j, t_(j+1)). The integrals are computed by the rule of the dissipation
 /// (balance.h); integrals and sums begin with the arc. The torque step at the instant itself counts by half, because it

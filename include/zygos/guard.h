@@ -28,8 +28,8 @@
 #define ZYGOS_GUARD_H
 
 #include "accumulator.h"
-#include "jointsums.h"
 #include "momentumsums.h"
+#include "motorsums.h"
 #include "types.h"
 
 #ifdef __cplusplus
@@ -99,14 +99,14 @@ void zygos_guard_clear(zygos_guard_t *self, bool counters, uint64_t cycle);
 bool zygos_guard_intact(const zygos_guard_t *self);
 
 /// Drops the sums up to a cycle in which an arc ended, and counts their arcs as excluded. Cost: one move of the sums.
-void zygos_guard_drop(zygos_guard_t *self, zygos_accumulator_t *energy, zygos_joint_sums_t *motors,
+void zygos_guard_drop(zygos_guard_t *self, zygos_accumulator_t *energy, zygos_motor_sums_t *motors,
                       zygos_momentum_sums_t *momentum, uint64_t cycle);
 
 /// Activates the running solution that the caller has written (parameters, noise_ratio, cluster, energy.residual,
 /// solution, covariance): computes the mean squares of the run for it, and the checksum. Cost: one pass over the sums
 /// of the motor and momentum rows, and one over the solution.
 void zygos_guard_begin(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
-                       const zygos_accumulator_t *energy, const zygos_joint_sums_t *motors,
+                       const zygos_accumulator_t *energy, const zygos_motor_sums_t *motors,
                        const zygos_momentum_sums_t *momentum);
 
 /// Returns the 6-sigma quantile of chi-square over its degrees of freedom, by the approximation of Wilson and Hilferty,
@@ -119,7 +119,7 @@ double zygos_guard_chi_square_limit(double freedom);
 void zygos_guard_end_energy(zygos_guard_t *self, const zygos_config_t *config, zygos_accumulator_t *sums,
                             uint64_t cycle, uint32_t cycles);
 void zygos_guard_end_motors(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
-                            zygos_joint_sums_t *sums, uint64_t cycle);
+                            zygos_motor_sums_t *sums, uint64_t cycle);
 void zygos_guard_end_momentum(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
                               zygos_momentum_sums_t *sums, uint64_t cycle);
 

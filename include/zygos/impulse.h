@@ -13,6 +13,8 @@
 ///     ZYGOS_CUBIC_STIFFNESS   integral of d^3
 ///     ZYGOS_SPRING_OFFSET     time since the arc began
 ///     ZYGOS_TORQUE_LAG        n (tau_(k-1) + tau_k) / 2
+///     ZYGOS_TORQUE_OFFSET     n times the time since the arc began
+///     ZYGOS_VISCOUS_ASYMMETRY integral of n |theta'|
 ///
 /// in the order of the configuration; friction of a link has no column. The integrals are computed by the rule of the
 /// dissipation (balance.h) and begin with the arc. The row does not contain the inertia of any link: it is local to its

@@ -1,100 +1,148 @@
-/// zygos/jointsums.h: accumulates the normal equations of the motor impulse rows, a small set for each joint.
+/// zygos/jointsums.h: accumulates the normal equations of the joint rows in interleaved groups.
 ///
-/// The rows of a joint contain only its own parameters. Their sums are therefore separate from those of the energy rows
-/// until the solver adds both, each with a weight by its noise. The bias by the noise of the sensors is the same at
-/// every instant, and is subtracted when an arc ends. The noise that the integral of the deflection accumulates is
-/// correlated over a whole arc; therefore blocks consist of whole arcs. When all blocks are in use, neighbours are
-/// merged.
+/// The rows of all joints are added to one matrix. Each is divided by the standard deviation of its joint's torque
+/// noise, if that is declared for every joint; otherwise all have the same weight. Joint rows have no constants:
+/// nothing is centred. Consecutive increments fill a segment; a segment that is complete is added to group s % R, s
+/// being its number, and the standard deviations come from the scatter of the R groups. Groups of interleaved segments
+/// have seen the same motions, which neighbouring blocks have not.
+///
+/// There are two buffers for segments. While one is filled, the other one is added to its group and cleared, the same
+/// number of entries in every cycle, so that it is empty when the first one is complete. The bias by the noise of the
+/// rates (joint.h) is summed beside the rows, one signal for each increment in turn with a weight that is larger in
+/// proportion, and subtracted from the segment when it is added.
+///
+/// Whether the residuals are noise is seen by how they add up: of each joint the sum of the rows of a segment, s, is
+/// kept as the matrix sum of s s^T / (2 rows). Rows that share halves, of torque noise without correlation, give the
+/// same mean square there as in the rows themselves; an error that persists gives one that is larger in proportion to
+/// the length of a segment.
+///
+/// Forgetting multiplies a group when the next segment is added to it, and the solver does the rest. A void cycle
+/// (cycle.h) drops the segments that are not being added yet; those that are, stay and are counted.
 
 #ifndef ZYGOS_JOINTSUMS_H
 #define ZYGOS_JOINTSUMS_H
 
-#include "impulse.h"
+#include "joint.h"
+#include "smoother.h"
 #include "types.h"
 
 #ifdef __cplusplus
 extern "C" {
 #endif
 
-/// The number of blocks of whole arcs. It must be even.
-#ifndef ZYGOS_MAX_JOINT_BLOCKS
-#define ZYGOS_MAX_JOINT_BLOCKS 32
+/// The number of groups.
+#ifndef ZYGOS_JOINT_GROUPS
+#define ZYGOS_JOINT_GROUPS 8
 #endif
-#if (ZYGOS_MAX_JOINT_BLOCKS < 4) || (ZYGOS_MAX_JOINT_BLOCKS > 256) || (ZYGOS_MAX_JOINT_BLOCKS % 2 != 0)
-#error "ZYGOS_MAX_JOINT_BLOCKS must be even, 4..256"
+#if (ZYGOS_JOINT_GROUPS < 4) || (ZYGOS_JOINT_GROUPS > 64)
+#error "ZYGOS_JOINT_GROUPS must be 4..64"
 #endif
+/// The least number of increments in a segment, and its least length.
+#define ZYGOS_SEGMENT_INCREMENTS 16u
+#define ZYGOS_SEGMENT_S 2.0
 
-/// The length of a joint's row that is augmented by the impulse and by 1.
-#define ZYGOS_MAX_JOINT_ROW (ZYGOS_MAX_IMPULSE + 2)
+/// The length of a joint row that is augmented by the right side. With ZYGOS_JOINT_ROWS = 0 there is no memory for
+/// rows.
+#if ZYGOS_JOINT_ROWS
+#define ZYGOS_MAX_JOINT_ROW (ZYGOS_MAX_PARAMETERS + 1)
+#define ZYGOS_GROUP_PLACES ZYGOS_JOINT_GROUPS
+#else
+#define ZYGOS_MAX_JOINT_ROW 1
+#define ZYGOS_GROUP_PLACES 1
+#endif
 #define ZYGOS_MAX_PACKED_JOINT (ZYGOS_MAX_JOINT_ROW * (ZYGOS_MAX_JOINT_ROW + 1) / 2)
 
-/// Sum of z z^T with z = [columns, impulse, 1], lower triangle by rows, and its row sums.
+/// Sum of z z^T with z = [columns, impulse], lower triangle by rows, and its row sums.
 typedef struct {
     double gram[ZYGOS_MAX_PACKED_JOINT];
     double sum[ZYGOS_MAX_JOINT_ROW];
 } zygos_joint_gram_t;
 
-/// One block of the sums.
+/// A segment that is being filled, or added to its group.
 typedef struct {
-    zygos_joint_gram_t joint[ZYGOS_MAX_JOINTS]; ///< Closed arcs: without the constants and the noise.
-    double instants[ZYGOS_MAX_JOINTS];          ///< Accepted instants whose row of that joint was added.
-    double total;                               ///< All accepted instants.
-    uint64_t end;                               ///< Number of the newest cycle.
-    uint64_t checksum;                          ///< Closed arcs: of instants, total and end.
-} zygos_joint_block_t;
+    zygos_joint_gram_t rows;
+    zygos_joint_gram_t noise;                              ///< Expected products of noise.
+    double apart[ZYGOS_JOINT_PLACES][ZYGOS_MAX_JOINT_ROW]; ///< Sums of each joint's rows.
+    double count[ZYGOS_JOINT_PLACES];                      ///< Number of accepted rows of each joint.
+} zygos_joint_segment_t;
 
-/// The normal equations of the motor rows.
+/// The segments that were added to a group, without their noise.
 typedef struct {
-    zygos_impulse_column_map_t column_map;
-    double noise[ZYGOS_MAX_JOINTS][ZYGOS_MAX_PACKED_IMPULSE]; ///< Expected products of noise in one instant.
-    uint32_t count;                                           ///< Number of blocks of closed arcs.
-    uint32_t corrupt;  ///< 1: the row sums of an arc did not match when it closed.
-    uint32_t instants; ///< Accepted instants of the open arc.
-    uint32_t cycles;   ///< Instants of the open arc, accepted or not.
-    double target;     ///< Instants up to which blocks are merged.
-    uint64_t checksum; ///< Of count and target.
-    zygos_joint_block_t open;
-    zygos_joint_block_t block[ZYGOS_MAX_JOINT_BLOCKS];
+    zygos_joint_gram_t rows;
+    double count; ///< Number of rows, weighted as the rows are.
+    double fade;  ///< Factor by which the group is multiplied when it is used or added to.
+} zygos_joint_group_t;
+
+/// The normal equations of the joint rows.
+typedef struct {
+    uint32_t width;       ///< Length of a row, p + 1; 0 where the configuration has no such rows.
+    uint32_t increments;  ///< Number of increments in a segment.
+    uint32_t slice;       ///< Number of entries that are added to the group in each cycle.
+    uint32_t corrupt;     ///< 1: the checksum did not match when a segment was complete.
+    uint32_t filling;     ///< Index of the buffer that is filled.
+    uint32_t adding;      ///< 1: entries of the other one are added to its group; 2: the sums of its joints' rows.
+    uint32_t cursor;      ///< Number of its entries that were added.
+    uint32_t filled;      ///< Number of increments in the segment that is filled.
+    uint32_t turn;        ///< The signal whose noise is added to the rows of this increment.
+    uint32_t dropped;     ///< Number of segments that were dropped because of void cycles.
+    uint32_t doubtful;    ///< Number of segments that contain void cycles and could not be dropped.
+    uint32_t apart_count; ///< Number of its joints whose sums were added.
+    uint64_t segments;    ///< Number of segments that were complete.
+    uint64_t accepted;    ///< Number of accepted instants.
+    uint64_t refused;     ///< Number of instants that the bandwidth test refused.
+    uint64_t end;         ///< Number of the newest cycle in a complete segment.
+    uint64_t checksum;    ///< Of the counts and factors.
+    double keep;          ///< Factor by which noise and apart are multiplied when the segment is added.
+    double keep_group;    ///< And its group.
+    double apart_sums;    ///< Number of sums in apart, weighted as they are.
+    double weight[ZYGOS_MAX_JOINTS];         ///< Factor of each joint's rows [1/Nm, or 1].
+    double deviation[ZYGOS_MAX_JOINTS + 3];  ///< Of each signal, times the root of 2 and of their number [rad/s].
+    double rotor_variance[ZYGOS_MAX_JOINTS]; ///< Of the rate of each rotor with a spring, times 2 [rad^2/s^2].
+    zygos_joint_gram_t noise;                ///< Noise that was subtracted.
+    zygos_joint_gram_t apart;                ///< Sum of s s^T / (2 rows).
+    zygos_joint_segment_t segment[2];
+    zygos_joint_group_t group[ZYGOS_GROUP_PLACES];
 } zygos_joint_sums_t;
 
-/// Computes what follows from the configuration: the columns, and the noise of an instant. The sums are not changed.
-/// Needs a checked configuration.
-void zygos_joint_sums_tables(zygos_joint_sums_t *self, const zygos_config_t *config, const zygos_smoother_t *smoother);
+/// Returns whether the joint rows alone determine the estimate: the base is fixed and no joint has a spring. The noise
+/// of torques adds up in the work of the motors, so that energy rows would contradict good estimates there.
+bool zygos_joint_sums_suffice(const zygos_config_t *config);
+
+/// Computes what follows from the configuration: width, segments, weights and noise. The sums are not changed. Needs a
+/// checked configuration.
+void zygos_joint_sums_tables(zygos_joint_sums_t *self, const zygos_config_t *config,
+                             const zygos_column_map_t *column_map, const zygos_smoother_t *smoother);
 
 /// Returns whether every index and count is possible for a checked configuration. The other functions rely on that and
-/// do not check it. Cost: a comparison for each block and each column.
-bool zygos_joint_sums_intact(const zygos_joint_sums_t *self, const zygos_config_t *config);
+/// do not check it. Cost: a few comparisons for each group.
+bool zygos_joint_sums_intact(const zygos_joint_sums_t *self, const zygos_config_t *config,
+                             const zygos_column_map_t *column_map);
 
-/// Clears the sums. The tables are kept.
-void zygos_joint_sums_clear(zygos_joint_sums_t *self, const zygos_config_t *config);
+/// Clears the sums. Needs the tables.
+void zygos_joint_sums_clear(zygos_joint_sums_t *self);
 
-/// Adds the row of one joint with weight 1 or 0. The joints take turns, one in each instant, because the noise of
-/// neighbouring instants is nearly the same. Cost: one small rank-1 update.
-void zygos_joint_sums_add(zygos_joint_sums_t *self, const zygos_config_t *config, const zygos_impulse_rows_t *rows,
-                          double weight);
+/// Counts an instant, accepted (1) or not (0), and adds the next entries of a complete segment to its group. Call it in
+/// each cycle with an instant. Cost: slice entries, or one update of p + 1 columns, for at most the time that the next
+/// segment takes.
+void zygos_joint_sums_step(zygos_joint_sums_t *self, const zygos_config_t *config, double accepted);
 
-/// Ends the open arc, whose newest cycle is given: eliminates its constants and subtracts its noise, or drops it when
-/// it is too short. Cost: one pass over the sums of all joints; in the worst case one merge of all blocks.
-void zygos_joint_sums_end_arc(zygos_joint_sums_t *self, const zygos_config_t *config, uint64_t cycle);
+/// Adds a row and the noise of the signal whose turn it is. cycle: number of the newest cycle. *forgetting: product of
+/// the forgetting factors since the last segment; it is set to 1 when a segment is complete. Cost: the reduction of two
+/// rows and one update of p + 1 columns for each.
+void zygos_joint_sums_add(zygos_joint_sums_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+                          const zygos_joint_t *joint, const zygos_joint_row_t *row, uint64_t cycle, double *forgetting);
 
-/// The same in two calls. The first eliminates the constants and returns true, or drops an arc that is too short and
-/// returns false. The closed arc is then in self->open. The second call either admits it to the blocks or leaves it
-/// out.
-bool zygos_joint_sums_close(zygos_joint_sums_t *self, const zygos_config_t *config);
-void zygos_joint_sums_admit(zygos_joint_sums_t *self, uint64_t cycle);
-void zygos_joint_sums_leave_out(zygos_joint_sums_t *self);
+/// Adds both segments to their groups at once. The segment that is filled counts as complete. Cost: two passes over the
+/// sums of a segment.
+void zygos_joint_sums_flush(zygos_joint_sums_t *self, const zygos_config_t *config, uint64_t cycle, double forgetting);
 
-/// Multiplies the sums of closed arcs by a factor (exponential forgetting).
-void zygos_joint_sums_forget(zygos_joint_sums_t *self, double factor);
-
-/// Drops the open arc, and the blocks with cycles after the given one.
+/// Drops the segment that is filled, because it contains cycles after the given one. Cost: one pass over it.
 void zygos_joint_sums_drop_after(zygos_joint_sums_t *self, uint64_t cycle);
 
-/// Drops the blocks up to the given cycle, and returns their number.
-uint32_t zygos_joint_sums_drop_until(zygos_joint_sums_t *self, uint64_t cycle);
-
-/// Returns 2 when row sums or a checksum do not match, otherwise at most 1. Needs zygos_joint_sums_intact().
-double zygos_joint_sums_check(const zygos_joint_sums_t *self, const zygos_config_t *config);
+/// Returns the largest violation of the row sums in units of their tolerance, or 2 when
+/// the checksum does not match. Above 1 means corrupt. Needs zygos_joint_sums_intact() and
+/// zygos_joint_sums_flush().
+double zygos_joint_sums_check(const zygos_joint_sums_t *self);
 
 #ifdef __cplusplus
 }

@@ -70,8 +70,14 @@ void zygos_geometry_init(zygos_geometry_t *self, const zygos_config_t *config);
 /// This is the bilinear form of the quadratic columns. Returns the address after the kinetic columns.
 double *zygos_kinetic_products(const zygos_config_t *config, const double (*x)[3], const double (*y)[3], double *out);
 
-/// Computes the derivatives of the bodies' columns with respect to the angle and the rate of link i. Needs a motion
-/// that zygos_kinematics() has computed. Cost: four products for each pair of directions.
+/// Writes how the rate vectors change when the bodies from the given one on turn faster about an axis by 1 rad/s; in a
+/// plane the axis is that of the plane. Needs a motion that zygos_kinematics() has computed.
+void zygos_kinematics_swing(const zygos_config_t *config, const zygos_motion_t *motion, const double *axis,
+                            uint32_t body, double (*out)[3]);
+
+/// Computes the derivatives of the bodies' columns with respect to the angle and the rate of link i; the latter are
+/// left out where by_rate is null. Needs a motion that zygos_kinematics() has computed. Cost: four products for each
+/// pair of directions, or two.
 void zygos_kinematics_slopes(const zygos_geometry_t *self, const zygos_config_t *config, const zygos_motion_t *motion,
                              uint32_t i, double *by_angle, double *by_rate);
 

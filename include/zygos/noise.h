@@ -33,8 +33,8 @@ extern "C" {
 
 /// The columns that contain the noise of one sensor, in ascending order.
 typedef struct {
-    uint32_t count;                           ///< Number of columns.
-    uint32_t place[ZYGOS_MAX_PARAMETERS + 1]; ///< Their indices.
+    uint32_t count;                        ///< Number of columns.
+    uint32_t place[ZYGOS_MAX_COLUMNS + 1]; ///< Their indices.
 } zygos_column_list_t;
 
 /// The covariances of the smoothed signals: of the link encoder and the motor encoder of each joint, and of the gyro.

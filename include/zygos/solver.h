@@ -15,6 +15,7 @@
 #include "guard.h"
 #include "jointsums.h"
 #include "momentumsums.h"
+#include "motorsums.h"
 #include "types.h"
 
 #ifdef __cplusplus
@@ -71,6 +72,9 @@ enum zygos_reason {
 /// ratio, zero, sign or torque law, an effect that is not configured, noise of the torques, or a torque on the base.
 #define ZYGOS_CLUSTER_LIMIT 5.0
 #define ZYGOS_CLUSTER_SHARE 5e-3
+/// The same share where joint rows alone are solved: a small constant torque is all that is wrong with many arms, and
+/// the errors of smoothing do not persist in these rows.
+#define ZYGOS_JOINT_CLUSTER_SHARE 1e-3
 /// Where the balance closes only because of that share, the sigmas allow for a residual that all blocks have in common:
 /// for the part of the cluster statistic above this value, which noise does not reach.
 #define ZYGOS_CLUSTER_NOISE 1.0
@@ -87,6 +91,8 @@ enum zygos_reason {
 /// solution without it, and the second, smaller limit holds for them.
 #define ZYGOS_SIGMA_LIMIT 0.25
 #define ZYGOS_SIGMA_LIMIT_BESIDE 0.025
+/// The least number of groups of joint rows from which standard deviations are computed.
+#define ZYGOS_MIN_GROUPS 4u
 /// Deviation of the newest arc from all arcs before it, in standard deviations, from which on it is a change.
 #define ZYGOS_CHANGE_ALARM 6.0
 /// The least number of blocks before the newest arc: the scatter of fewer blocks causes false alarms.
@@ -103,14 +109,15 @@ typedef struct {
     uint32_t parameters; ///< p.
     uint32_t validity;   ///< enum zygos_validity.
     uint32_t reason;     ///< enum zygos_reason.
-    uint32_t arcs;       ///< Number of arcs in the sums, including the open one.
-    uint32_t blocks;     ///< Number of blocks from which the sigmas are computed.
+    uint32_t arcs;       ///< Number of arcs in the sums, including the open one; segments, of joint rows alone.
+    uint32_t blocks;     ///< Number of blocks from which the sigmas are computed; groups, of joint rows alone.
     uint32_t rank;       ///< Number of independent columns.
     uint32_t left_out[ZYGOS_KINDS_OF_ROWS]; ///< Number of excluded arcs, by enum zygos_rows, including open ones.
     uint32_t consecutive;                   ///< Number of consecutive newest arcs of energy rows that were excluded.
     double condition;   ///< 1-norm condition of the scaled normal matrix of the independent columns.
     double cluster;     ///< The statistic of ZYGOS_CLUSTER_LIMIT: around 1 for noise, at most the instants of a block.
-    double residual;    ///< Root mean square of W - row . x without the constants of the arcs [J].
+    double residual;    ///< Root mean square of W - row . x without the constants of the arcs [J]; where joint rows
+                        ///< alone are solved, of these [Nms], divided by the torque's deviation if all are declared.
     double noise_ratio; ///< Square of residual over the share of the declared noise in it; NaN where none is declared.
     double signal_to_noise; ///< The ratio of ZYGOS_MIN_SIGNAL_TO_NOISE; infinite where no noise is declared.
     uint32_t identifiable[ZYGOS_MAX_PARAMETERS]; ///< 1; or 0, and value and sigma are NaN.
@@ -131,9 +138,11 @@ typedef struct {
 /// belongs to the task that solves; its members are not for reading.
 typedef struct {
     zygos_accumulator_t accumulator;
-    zygos_joint_sums_t joint_sums;
+    zygos_motor_sums_t motor_sums;
     zygos_momentum_sums_t momentum_sums;
+    zygos_joint_sums_t joint_sums;
     zygos_guard_t guard;
+    double joints_forgetting;
     uint64_t cycle;
     uint32_t arc; ///< Number of instants in the open arc of the energy rows.
     uint32_t reserved;
@@ -149,9 +158,13 @@ typedef struct {
     double size[ZYGOS_MAX_PARAMETERS];
     double noise_shift[ZYGOS_MAX_PARAMETERS];
     double score[ZYGOS_MAX_PARAMETERS];
-    double leave_one_out[ZYGOS_MAX_BLOCKS + ZYGOS_MAX_JOINT_BLOCKS + ZYGOS_MOMENTUM_PLACES][ZYGOS_MAX_PARAMETERS];
+    double leave_one_out[ZYGOS_MAX_BLOCKS + ZYGOS_MAX_MOTOR_BLOCKS + ZYGOS_MOMENTUM_PLACES + ZYGOS_GROUP_PLACES]
+                        [ZYGOS_MAX_PARAMETERS];
     double weight[ZYGOS_MAX_JOINTS];      ///< Weight of each joint's motor rows, that of the energy rows being 1.
     double momentum_weight;               ///< Weight of the momentum rows.
+    double joints_weight;                 ///< Weight of the joint rows.
+    uint32_t joints_alone;                ///< 1: they alone are solved.
+    uint32_t joints_used;                 ///< 1: they take part.
     double inverse[ZYGOS_MAX_PARAMETERS]; ///< Diagonal of the inverse of the scaled matrix.
     double information[2][ZYGOS_MAX_PARAMETERS];
     double degrees_of_freedom[ZYGOS_MAX_PARAMETERS];
@@ -196,6 +209,9 @@ bool zygos_work_intact(zygos_work_t *work);
 /// parameters may deviate than have changed. Call it twice in an arc, because the changed arc is on the side before as
 /// soon as the next arc is compared. The open arc is compared even if it contradicts the running solution (guard.h). If
 /// there is a running solution, a newest arc that its own solution does not explain is not a change.
+///
+/// Joint rows take no part: the groups belong to the whole run. Where they alone determine the estimate, there is no
+/// comparison (ZYGOS_REASON_NO_DATA).
 ///
 /// The function changes *work, as zygos_solve() does: call zygos_take() before each of them. Returns 1; 0 when all
 /// deviations are NaN, because something is not identifiable or not explained, either before (validity is then

@@ -53,20 +53,25 @@ extern "C" {
 #error "ZYGOS_CYCLE_QUEUE must be 2..1024"
 #endif
 
-/// The largest number of effects that a configuration can identify. With 0 there is no memory for any.
-#ifndef ZYGOS_MAX_EFFECTS
-#define ZYGOS_MAX_EFFECTS 8
-#endif
-#if (ZYGOS_MAX_EFFECTS < 0) || (ZYGOS_MAX_EFFECTS > 16)
-#error "ZYGOS_MAX_EFFECTS must be 0..16"
-#endif
-
 /// 1: the build supports arms that move in space. 0: it supports planar arms only, which makes every struct smaller.
 #ifndef ZYGOS_SPATIAL
 #define ZYGOS_SPATIAL 1
 #endif
 #if (ZYGOS_SPATIAL != 0) && (ZYGOS_SPATIAL != 1)
 #error "ZYGOS_SPATIAL must be 0 or 1"
+#endif
+
+/// The largest number of effects that a configuration can identify. With 0 there is no memory for any. The default has
+/// room for the offset of the torque, Coulomb and viscous friction at every joint of an arm that moves in space.
+#ifndef ZYGOS_MAX_EFFECTS
+#if ZYGOS_SPATIAL && (3 * ZYGOS_MAX_JOINTS > 8)
+#define ZYGOS_MAX_EFFECTS (3 * ZYGOS_MAX_JOINTS)
+#else
+#define ZYGOS_MAX_EFFECTS 8
+#endif
+#endif
+#if (ZYGOS_MAX_EFFECTS < 0) || (ZYGOS_MAX_EFFECTS > 32)
+#error "ZYGOS_MAX_EFFECTS must be 0..32"
 #endif
 
 /// 1: the build has memory for the normal equations of momentum rows. 0: it has none, which makes every struct smaller.
@@ -85,6 +90,14 @@ extern "C" {
 #error "ZYGOS_MAX_MOMENTUM_BLOCKS must be even, 4..256"
 #endif
 
+/// 1: the build has memory for joint rows. 0: it has none, which makes every struct smaller.
+#ifndef ZYGOS_JOINT_ROWS
+#define ZYGOS_JOINT_ROWS 1
+#endif
+#if (ZYGOS_JOINT_ROWS != 0) && (ZYGOS_JOINT_ROWS != 1)
+#error "ZYGOS_JOINT_ROWS must be 0 or 1"
+#endif
+
 #define ZYGOS_MAX_WINDOW (2 * ZYGOS_MAX_HALF_WIDTH + 1)
 /// The signals that the smoother filters: q_1 .. q_N, theta_1 .. theta_N, and the base rate about three axes.
 #define ZYGOS_MAX_SIGNALS (2 * ZYGOS_MAX_JOINTS + 3)
@@ -96,9 +109,37 @@ extern "C" {
 #else
 #define ZYGOS_MAX_BODY ((ZYGOS_MAX_JOINTS + 1) * (ZYGOS_MAX_JOINTS + 1))
 #endif
-/// All parameters: those of the bodies, then rotor inertia, stiffness and damping of each joint, then the coefficients
-/// of the effects.
-#define ZYGOS_MAX_PARAMETERS (ZYGOS_MAX_BODY + 3 * ZYGOS_MAX_JOINTS + ZYGOS_MAX_EFFECTS)
+/// The columns of a row as it is formed: those of the bodies, then rotor inertia, stiffness and damping of each joint,
+/// then the coefficients of the effects.
+#define ZYGOS_MAX_COLUMNS (ZYGOS_MAX_BODY + 3 * ZYGOS_MAX_JOINTS + ZYGOS_MAX_EFFECTS)
+/// The largest number of parameters that are estimated: as many as columns, or fewer where the configuration reduces
+/// the columns to the structurally independent ones (reduction.h). A smaller value makes every struct smaller.
+#ifndef ZYGOS_MAX_PARAMETERS
+#define ZYGOS_MAX_PARAMETERS ZYGOS_MAX_COLUMNS
+#endif
+#if (ZYGOS_MAX_PARAMETERS < 2 * ZYGOS_MAX_JOINTS + 3) && (ZYGOS_MAX_PARAMETERS < ZYGOS_MAX_COLUMNS)
+#error "ZYGOS_MAX_PARAMETERS must be at least 2 ZYGOS_MAX_JOINTS + 3"
+#endif
+#if ZYGOS_MAX_PARAMETERS > ZYGOS_MAX_COLUMNS
+#error "ZYGOS_MAX_PARAMETERS must be at most the number of columns"
+#endif
+/// The largest number of entries, other than 0, of the matrix of the reduction. 0: the build has no room for one.
+#ifndef ZYGOS_MAX_REDUCTION
+#if ZYGOS_SPATIAL
+#define ZYGOS_MAX_REDUCTION (12 * ZYGOS_MAX_COLUMNS)
+#else
+#define ZYGOS_MAX_REDUCTION ZYGOS_MAX_COLUMNS
+#endif
+#endif
+#if (ZYGOS_MAX_REDUCTION < 0) || (ZYGOS_MAX_REDUCTION > 65535)
+#error "ZYGOS_MAX_REDUCTION must be 0..65535"
+#endif
+/// The length of the array of these entries. C requires at least 1.
+#if ZYGOS_MAX_REDUCTION > 0
+#define ZYGOS_REDUCTION_PLACES ZYGOS_MAX_REDUCTION
+#else
+#define ZYGOS_REDUCTION_PLACES 1
+#endif
 /// The length of an array of effects. C requires at least 1.
 #if ZYGOS_MAX_EFFECTS > 0
 #define ZYGOS_EFFECT_PLACES ZYGOS_MAX_EFFECTS
@@ -150,8 +191,8 @@ enum zygos_error {
                           ///< planar arm is not parallel to the first one.
     ZYGOS_E_VALUE = -10,  ///< A ratio, sign, zero, sigma, latch delay, keep, compensation, imu_fine or imu_to_base is
                           ///< not in its range.
-    ZYGOS_E_ARC = -11,    ///< arc_cycles, impulse_arc_cycles or momentum_arc_cycles is below ZYGOS_MIN_ARC_INSTANTS, or
-                          ///< this build has no room for momentum rows.
+    ZYGOS_E_ARC = -11,    ///< arc_cycles, impulse_arc_cycles or momentum_arc_cycles is below ZYGOS_MIN_ARC_INSTANTS,
+                          ///< joint_row_cycles is odd or too short, or this build has no room for such rows.
     ZYGOS_E_ORDER = -12,  ///< zygos_init() has not succeeded on this struct.
     ZYGOS_E_KEEP = -13,   ///< zygos_restart() was given an unknown bit, or there are no motor rows to keep.
     ZYGOS_E_EFFECT = -14, ///< There are too many effects, an effect has an unknown kind or joint or is listed twice, or
@@ -165,9 +206,11 @@ enum zygos_error {
     ZYGOS_E_LENGTH = -21,     ///< The snapshot is cut off, or more bytes follow it.
     ZYGOS_E_CRC = -22,        ///< Bytes of the snapshot were changed.
     ZYGOS_E_CONFIG = -23,     ///< The state was made with another configuration.
-    ZYGOS_E_STATE = -24, ///< The state contains an impossible index, count or length: memory was changed before the
-                         ///< state was sealed.
-    ZYGOS_E_SUMS = -25   ///< The sums of the state do not match their row sums: memory was changed, as above.
+    ZYGOS_E_STATE = -24,    ///< The state contains an impossible index, count or length: memory was changed before the
+                            ///< state was sealed.
+    ZYGOS_E_SUMS = -25,     ///< The sums of the state do not match their row sums: memory was changed, as above.
+    ZYGOS_E_REDUCTION = -26 ///< The reduction is out of order or out of range, leaves a parameter without a column, is
+                            ///< no selection on a free base, or does not select Im, k and b of a flexible joint.
 };
 
 /// How the arm can move. This decides which columns its bodies have; the numbers are those of a free base.
@@ -200,7 +243,11 @@ enum zygos_effect_kind {
     ZYGOS_LINK_COULOMB = 2,  ///< Coulomb friction between a link and the body that carries it [Nm].
     ZYGOS_CUBIC_STIFFNESS = 3, ///< Spring torque proportional to the cube of the deflection [Nm/rad^3].
     ZYGOS_TORQUE_LAG = 4,      ///< Delay of the motor torque behind the torque of the law [s], less than a period.
-    ZYGOS_SPRING_OFFSET = 5    ///< Spring torque at theta = q [Nm]: -k times the error of the reading theta - q.
+    ZYGOS_SPRING_OFFSET = 5,   ///< Spring torque at theta = q [Nm]: -k times the error of the reading theta - q.
+    ZYGOS_TORQUE_OFFSET =
+        6, ///< Constant by which the reported rotor torque exceeds the true one [Nm], before the gear.
+    ZYGOS_VISCOUS_ASYMMETRY =
+        7 ///< Half of the difference of a rotor's viscous friction between the directions [Nms/rad].
 };
 
 /// One effect to identify.
@@ -227,7 +274,15 @@ typedef struct {
     double motor_zero_rad; ///< Reading of the motor encoder where theta = 0.
     double motor_sigma_rad; ///< The same as link_sigma_rad, for the motor encoder.
     double motor_latch_s;   ///< The same as link_latch_s, for the motor encoder.
+    double torque_sigma;    ///< Standard deviation of the torque's noise, after the gear [Nm]; 0: not declared.
 } zygos_joint_config_t;
+
+/// One entry of the matrix that reduces columns to parameters (reduction.h).
+typedef struct {
+    uint32_t column;    ///< Index of a column as it is formed, without those of the effects.
+    uint32_t parameter; ///< Index of the parameter that it counts for.
+    double factor;
+} zygos_reduction_t;
 
 /// Everything the library has to know of the hardware. It contains no mass, length or stiffness: those are estimated.
 typedef struct {
@@ -239,7 +294,8 @@ typedef struct {
     uint32_t smoother_order;      ///< Order of the local polynomial, 2 .. 2 M - 2.
     uint32_t smoother_lag;        ///< Must equal M: a filter that is evaluated at its newest sample is refused.
     uint32_t arc_cycles;          ///< The longest arc of energy rows in instants, >= ZYGOS_MIN_ARC_INSTANTS. From an
-                                  ///< eighth of it on, an instant that the bandwidth test refuses ends the arc.
+                                  ///< eighth of it on, an instant that the bandwidth test refuses ends the arc. 0: no
+                                  ///< such rows, where the joint rows alone determine the estimate (jointsums.h).
     double forgetting_factor;     ///< Factor by which the sums of closed arcs are multiplied in each cycle, 0.9 .. 1; 1
                                   ///< forgets nothing. It is applied when an arc ends.
     uint32_t imu_node;            ///< Node number of the gyro, 1..31; 0 on a fixed base, which has no gyro.
@@ -256,9 +312,13 @@ typedef struct {
     uint32_t effects;             ///< Number of effects to identify, 0..ZYGOS_MAX_EFFECTS.
     uint32_t base;                ///< enum zygos_base.
     uint32_t momentum_arc_cycles; ///< Length of the arcs of momentum rows of a free base, likewise; 0: no such rows.
-    uint32_t reserved;            ///< 0.
+    uint32_t joint_row_cycles;    ///< Length of the increments of joint rows, even, at least 8 and at least twice the
+                                  ///< number of joints plus 4; 0: no such rows.
     zygos_effect_config_t
         effect[ZYGOS_EFFECT_PLACES]; ///< In the order of their columns; each kind at most once for a joint.
+    uint32_t reduced;    ///< Number of parameters without those of effects; 0: as many as columns, no reduction.
+    uint32_t reductions; ///< Number of entries of the reduction.
+    zygos_reduction_t reduction[ZYGOS_REDUCTION_PLACES]; ///< By column, then by parameter, both ascending.
 } zygos_config_t;
 
 /// Bits of zygos_cycle_t.flags. With ZYGOS_CYCLE_VOID, the bits from ZYGOS_CYCLE_VOID_SHIFT upwards are the number of

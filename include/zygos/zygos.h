@@ -28,11 +28,14 @@
 #include "gram.h"
 #include "guard.h"
 #include "impulse.h"
+#include "joint.h"
 #include "jointsums.h"
 #include "kinematics.h"
 #include "momentum.h"
 #include "momentumsums.h"
+#include "motorsums.h"
 #include "noise.h"
+#include "reduction.h"
 #include "smoother.h"
 #include "snapshot.h"
 #include "solver.h"
@@ -58,8 +61,9 @@ typedef struct {
     uint32_t arc;             ///< Number of instants of the open arc, accepted or not.
     uint32_t instant;         ///< 1: arm_state, row and accepted below belong to the newest cycle.
     double forgetting;        ///< Product of the forgetting factors of the cycles in the open arc.
-    double joints_forgetting; ///< The same for the motor rows.
+    double motors_forgetting; ///< The same for the motor rows.
     double momentum_forgetting; ///< The same for the momentum rows.
+    double joints_forgetting;   ///< The same for the joint rows, of the cycles since the last complete segment.
     double accepted;            ///< 1 when the newest row was accumulated, 0 when the bandwidth test refused it.
     zygos_config_t config;
     zygos_column_map_t column_map;
@@ -74,16 +78,19 @@ typedef struct {
     zygos_row_t row;
     zygos_impulse_t impulse;
     zygos_impulse_rows_t impulse_rows;
-    zygos_joint_sums_t joint_sums;
+    zygos_motor_sums_t motor_sums;
     zygos_momentum_t momentum;
     zygos_momentum_sums_t momentum_sums;
+    zygos_joint_t joint;
+    zygos_joint_row_t joint_row;
+    zygos_joint_sums_t joint_sums;
     zygos_accumulator_t accumulator;
     zygos_guard_t guard;
 } zygos_t;
 
 /// Digest of the text of all structs in these headers, without comments. It changes when a field is moved, renamed or
 /// given another type. A test of tests/unit/test_snapshot.py computes its value.
-#define ZYGOS_LAYOUT 0xB4DBF2D6u
+#define ZYGOS_LAYOUT 0x89FA9AB6u
 
 #define ZYGOS_MIX(hash, value) (((uint32_t)(hash) ^ (uint32_t)(value)) * 16777619u)
 
@@ -127,8 +134,8 @@ int zygos_resume(zygos_t *self, const zygos_config_t *config);
 /// run in the receive interrupt while zygos_step() runs in a task. Returns enum zygos_reception or an enum zygos_error.
 int zygos_frame(zygos_t *self, const zygos_frame_t *frame);
 
-/// Processes at most one complete cycle: smooths the signals, forms the row and accumulates it. Returns 1, or 0 when no
-/// cycle was waiting. Cost: the same for every valid cycle of a configuration, except where a block or an arc ends.
+/// Processes at most one complete cycle: smooths the signals, forms the rows and accumulates them. Returns 1, or 0 when
+/// no cycle was waiting. Cost: the same for every valid cycle of a configuration, except where a block or an arc ends.
 int zygos_step(zygos_t *self);
 
 /// Processes one cycle in SI units, instead of zygos_frame() and zygos_step(); do not use both for one arm. Call it in
@@ -145,8 +152,8 @@ void zygos_take(const zygos_t *self, zygos_work_t *work);
 /// an arc that contradicts it is excluded from the sums and counted. Sums that the estimate excluded (its member since)
 /// are dropped. Call it once or twice in an arc, with the result of zygos_solve() on the newest zygos_take(). Without
 /// this call no arc is excluded. Call it in the task of zygos_step(). Returns 1 when the estimate was adopted; 0, with
-/// sums and running solution unchanged, when the estimate is not valid or is older than zygos_restart(); or an enum
-/// zygos_error. After the running solution was given up, an estimate that is doubtful only because of
+/// sums and running solution unchanged, when the estimate is not valid or is older than zygos_restart(), or where joint rows alone determine it
+/// (jointsums.h); or an enum zygos_error. After the running solution was given up, an estimate that is doubtful only because of
 /// ZYGOS_REASON_CHANGED is adopted as well. Cost: one pass over the sums of the motor and momentum rows and two over
 /// the covariance; where sums are dropped, the others are moved once.
 int zygos_adopt(zygos_t *self, const zygos_estimate_t *estimate);

@@ -19,7 +19,7 @@ WHOLE = ("frame", "step", "solve")
 STAGES = (*ROOMS, *WHOLE)
 TOGETHER = "frame + step"
 """A full cycle: its frames in, its row accumulated."""
-FOLDED = {"jointsums": "impulse", "momentumsums": "momentum"}
+FOLDED = {"motorsums": "impulse", "momentumsums": "momentum"}
 """Files that are part of another room."""
 KINDS = ("fills", "block", "arc", "cycle")
 """Of cycles, as bench/driver.c numbers them."""

@@ -21,7 +21,7 @@ static struct {
     .smoother = (uint32_t)(sizeof(zygos_smoother_t) + sizeof(zygos_arm_state_t)),
     .kinematics = (uint32_t)(sizeof(zygos_geometry_t) + sizeof(zygos_motion_t)),
     .balance = (uint32_t)(sizeof(zygos_column_map_t) + sizeof(zygos_balance_t) + sizeof(zygos_row_t)),
-    .impulse = (uint32_t)(sizeof(zygos_impulse_t) + sizeof(zygos_impulse_rows_t) + sizeof(zygos_joint_sums_t)),
+    .impulse = (uint32_t)(sizeof(zygos_impulse_t) + sizeof(zygos_impulse_rows_t) + sizeof(zygos_motor_sums_t)),
     .momentum = (uint32_t)(sizeof(zygos_momentum_t) + sizeof(zygos_momentum_sums_t)),
     .noise = (uint32_t)sizeof(zygos_noise_t),
     .accumulator = (uint32_t)sizeof(zygos_accumulator_t),
@@ -57,7 +57,7 @@ static place_t step(uint32_t frames)
     const uint32_t arcs = sums->arcs + sums->arcs_dropped;
     (void)zygos_step(&arm);
     driver_mark();
-    const bool others = ((config->impulse_arc_cycles > 0) && (arm.joint_sums.cycles <= 1)) ||
+    const bool others = ((config->impulse_arc_cycles > 0) && (arm.motor_sums.cycles <= 1)) ||
                         ((config->momentum_arc_cycles > 0) && (arm.momentum_sums.cycles <= 1));
     const bool edge = (sums->arcs + sums->arcs_dropped != arcs) || (arm.arc <= 1) || others;
     const bool first = (arm.arc <= (uint32_t)ZYGOS_BUFFER_ROWS); /* nothing is shared out yet */
@@ -68,7 +68,7 @@ static place_t step(uint32_t frames)
         .kind = (arm.instant == 1) ? row : KIND_FILLS,
         .frames = frames,
         .turn = (arm.arc + sensors - 1u) % sensors,
-        .joint_turn = arm.joint_sums.cycles % config->joints,
+        .joint_turn = arm.motor_sums.cycles % config->joints,
         .momentum_turn = arm.momentum_sums.cycles % (3u * (config->joints + 3u)),
         .filled = sums->filled,
         .torque_at = arm.balance.torque_at,
@@ -101,7 +101,7 @@ int main(void)
     if (zygos_init(&arm, &config) < 0) {
         return refuse("the configuration is refused");
     }
-    sizes.parameters = arm.column_map.count;
+    sizes.parameters = arm.column_map.parameters;
     bool written = (semihosting_write(places, &sizes, sizeof sizes) == sizeof sizes);
     uint32_t frames = 0;
     for (uint32_t k = 0; k < head[2]; k++) {

@@ -171,7 +171,7 @@ def test_corrupt_memory_is_not_saved_at_the_end(
         (place_of("zygos_t", "config", "joint", 1, "gear_ratio") + 6, 5, "the configuration is not what was compiled"),
         (place_of("zygos_t", "config", "joints"), 0, "the configuration is not what was compiled"),
         (place_of("zygos_t", "magic") + 3, 2, "sums or counts"),
-        (place_of("zygos_t", "joint_sums", "column_map", "count", 0), 1, "sums or counts"),
+        (place_of("zygos_t", "motor_sums", "column_map", "count", 0), 1, "sums or counts"),
         (place_of("zygos_t", "accumulator", "target") + 7, 7, "sums or counts"),
         (place_of("zygos_t", "receiver", "queue", "head") + 2, 4, "sums or counts"),
     ],

@@ -78,7 +78,7 @@ typedef struct {
     size_t size;
 } region_t;
 
-#define REGIONS (16u + ZYGOS_MAX_BLOCKS + ZYGOS_MAX_JOINT_BLOCKS + ZYGOS_MOMENTUM_PLACES)
+#define REGIONS (16u + ZYGOS_MAX_BLOCKS + ZYGOS_MAX_MOTOR_BLOCKS + ZYGOS_MOMENTUM_PLACES)
 #define BETWEEN(type, first, end)                                                                                      \
     {                                                                                                                  \
         offsetof(type, first), offsetof(type, end) - offsetof(type, first)                                             \
@@ -87,7 +87,7 @@ typedef struct {
 static uint32_t regions_of_sums(region_t *out, size_t accumulator, size_t joints, size_t momenta)
 {
     static const region_t scalars[3] = { BETWEEN(zygos_accumulator_t, width, buffer),
-                                         BETWEEN(zygos_joint_sums_t, count, open),
+                                         BETWEEN(zygos_motor_sums_t, count, open),
                                          BETWEEN(zygos_momentum_sums_t, columns, noise_open) };
     uint32_t n = 0;
     out[n++] = (region_t){ accumulator, scalars[0].size };
@@ -105,9 +105,9 @@ static uint32_t regions_of_sums(region_t *out, size_t accumulator, size_t joints
                                    offsetof(zygos_block_t, instants),
                                32 };
     }
-    for (uint32_t b = 0; b < ZYGOS_MAX_JOINT_BLOCKS; b++) {
-        out[n++] = (region_t){ joints + offsetof(zygos_joint_sums_t, block) + b * sizeof(zygos_joint_block_t) +
-                                   offsetof(zygos_joint_block_t, total),
+    for (uint32_t b = 0; b < ZYGOS_MAX_MOTOR_BLOCKS; b++) {
+        out[n++] = (region_t){ joints + offsetof(zygos_motor_sums_t, block) + b * sizeof(zygos_motor_block_t) +
+                                   offsetof(zygos_motor_block_t, total),
                                16 };
     }
     for (uint32_t b = 0; b < ZYGOS_MOMENTUM_PLACES; b++) {
@@ -120,7 +120,7 @@ static uint32_t regions_of_sums(region_t *out, size_t accumulator, size_t joints
 
 static uint32_t regions_of_state(region_t *out)
 {
-    uint32_t n = regions_of_sums(out, offsetof(zygos_t, accumulator), offsetof(zygos_t, joint_sums),
+    uint32_t n = regions_of_sums(out, offsetof(zygos_t, accumulator), offsetof(zygos_t, motor_sums),
                                  offsetof(zygos_t, momentum_sums));
     out[n++] = (region_t){ 0, offsetof(zygos_t, config) };
     out[n++] = (region_t){ offsetof(zygos_t, column_map), sizeof(zygos_column_map_t) };
@@ -134,7 +134,7 @@ static uint32_t regions_of_state(region_t *out)
 
 static uint32_t regions_of_work(region_t *out)
 {
-    uint32_t n = regions_of_sums(out, offsetof(zygos_work_t, accumulator), offsetof(zygos_work_t, joint_sums),
+    uint32_t n = regions_of_sums(out, offsetof(zygos_work_t, accumulator), offsetof(zygos_work_t, motor_sums),
                                  offsetof(zygos_work_t, momentum_sums));
     out[n++] = (region_t){ offsetof(zygos_work_t, config), sizeof(zygos_config_t) };
     out[n++] = (region_t){ offsetof(zygos_work_t, cycle), 8 };
@@ -177,7 +177,7 @@ static void change(void *memory, size_t size, const region_t *region, uint32_t r
 }
 
 /* Whoever can change a state can seal it, too: what lies behind the seals must hold by itself. */
-static void forge(zygos_accumulator_t *sums, zygos_joint_sums_t *joints, zygos_momentum_sums_t *momenta)
+static void forge(zygos_accumulator_t *sums, zygos_motor_sums_t *joints, zygos_momentum_sums_t *momenta)
 {
     const double lengths[2] = { sums->enough, sums->target };
     const uint32_t places[6] = { sums->width, sums->count, sums->open, sums->newest, sums->window, sums->arcs };
@@ -194,8 +194,8 @@ static void forge(zygos_accumulator_t *sums, zygos_joint_sums_t *joints, zygos_m
         block->checksum = (block->checksum == 0) ? 0u : zygos_checksum_number(checksum, block->end);
     }
     joints->checksum = zygos_checksum_number(zygos_checksum_doubles(0u, &joints->target, 1), joints->count);
-    for (uint32_t b = 0; b < ZYGOS_MAX_JOINT_BLOCKS; b++) {
-        zygos_joint_block_t *block = &joints->block[b];
+    for (uint32_t b = 0; b < ZYGOS_MAX_MOTOR_BLOCKS; b++) {
+        zygos_motor_block_t *block = &joints->block[b];
         const uint64_t checksum = zygos_checksum_doubles(1u, block->instants, ZYGOS_MAX_JOINTS);
         block->checksum = zygos_checksum_number(zygos_checksum_doubles(checksum, &block->total, 1), block->end);
     }
@@ -264,7 +264,7 @@ int main(int count, char **argument)
         arm = good[from];
         change(&arm, sizeof arm, of_state, state_regions);
         if (k % 4u != 0) {
-            forge(&arm.accumulator, &arm.joint_sums, &arm.momentum_sums);
+            forge(&arm.accumulator, &arm.motor_sums, &arm.momentum_sums);
         }
         check(zygos_snapshot_seal(ZYGOS_SNAPSHOT_STATE, &arm, head) == 1, "not sealed");
         check(zygos_snapshot_check(ZYGOS_SNAPSHOT_STATE, head, &arm, sizeof head + sizeof arm) == 1,
@@ -291,7 +291,7 @@ int main(int count, char **argument)
         zygos_take(&good[from], &work);
         change(&work, sizeof work, of_work, work_regions);
         if (k % 4u != 0) {
-            forge(&work.accumulator, &work.joint_sums, &work.momentum_sums);
+            forge(&work.accumulator, &work.motor_sums, &work.momentum_sums);
         }
         values += (zygos_solve(&work, &estimate) == 1) ? 1u : 0u;
         corrupt += (estimate.reason == ZYGOS_REASON_CORRUPT) ? 1u : 0u;

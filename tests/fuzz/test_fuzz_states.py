@@ -16,7 +16,7 @@ def test_no_state_takes_the_library_out_of_its_memory(tmp_path: Path, seed: int,
     program = build(
         tmp_path,
         "fuzz_states",
-        **{"MAX_JOINTS": 2, "SPATIAL": spatial, "MAX_BLOCKS": 16, "MAX_JOINT_BLOCKS": 4, "MAX_MOMENTUM_BLOCKS": 4},
+        **{"MAX_JOINTS": 2, "SPATIAL": spatial, "MAX_BLOCKS": 16, "MAX_MOTOR_BLOCKS": 4, "MAX_MOMENTUM_BLOCKS": 4},
     )
     found = counts(program, seed, TRIES, 2)
     assert found["resumed"] + found["refused_state"] + found["refused_otherwise"] == TRIES

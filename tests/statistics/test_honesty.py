@@ -115,11 +115,11 @@ def sums_of(flight: Flight) -> list[tuple[int, int]]:
     block, buffer = ffi.sizeof("zygos_block_t"), ffi.sizeof("zygos_row_buffer_t")
     out += [(at + ffi.offsetof("zygos_accumulator_t", "block") + b * block, row) for b in range(sums.count)]
     out += [(at + ffi.offsetof("zygos_accumulator_t", "buffer") + b * buffer, row) for b in range(2)]
-    at = ffi.offsetof("zygos_t", "joint_sums")
-    own, whole = ffi.sizeof("zygos_joint_gram_t"), ffi.sizeof("zygos_joint_block_t")
-    places = [at + ffi.offsetof("zygos_joint_sums_t", "open")]
-    first = at + ffi.offsetof("zygos_joint_sums_t", "block")
-    places += [first + b * whole for b in range(flight.native.joint_sums.count)]
+    at = ffi.offsetof("zygos_t", "motor_sums")
+    own, whole = ffi.sizeof("zygos_motor_gram_t"), ffi.sizeof("zygos_motor_block_t")
+    places = [at + ffi.offsetof("zygos_motor_sums_t", "open")]
+    first = at + ffi.offsetof("zygos_motor_sums_t", "block")
+    places += [first + b * whole for b in range(flight.native.motor_sums.count)]
     return out + [(place + i * own, 8 * 15) for place in places for i in range(arm.n)]
 
 

@@ -50,7 +50,7 @@ def fly(flight: Flight, motion: Cycles, times: int, rng: np.random.Generator) ->
 
 def instants(flight: Flight) -> dict[str, list[float]]:
     """Of the blocks of closed arcs."""
-    energy, motors, momentum = flight.native.accumulator, flight.native.joint_sums, flight.native.momentum_sums
+    energy, motors, momentum = flight.native.accumulator, flight.native.motor_sums, flight.native.momentum_sums
     return {
         "energy": [energy.block[b].instants for b in range(energy.open)],
         "motors": [motors.block[b].total for b in range(motors.count)],

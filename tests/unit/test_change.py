@@ -250,16 +250,16 @@ def test_a_restart_keeps_the_joints_sums_and_nothing_else() -> None:
     run = simulate(arm, model, scenario, duration_s=45.0, seeds=[0], noise=True).cycles(0)
     flight = Flight(arm)
     flight.cycles(run)
-    closed = flight.native.joint_sums.count
-    kept = bytes(ffi.buffer(flight.native.joint_sums.block[0:closed]))
+    closed = flight.native.motor_sums.count
+    kept = bytes(ffi.buffer(flight.native.motor_sums.block[0:closed]))
     flight.restart(keep_joints=True)
     # the open arc of the motor rows is closed, not lost
-    assert flight.native.joint_sums.count == closed + 1
-    assert bytes(ffi.buffer(flight.native.joint_sums.block[0:closed])) == kept
+    assert flight.native.motor_sums.count == closed + 1
+    assert bytes(ffi.buffer(flight.native.motor_sums.block[0:closed])) == kept
     assert flight.counts["accepted"] == 0
     assert flight.estimate().validity == "refused"
     flight.restart()
-    assert flight.native.joint_sums.count == 0
+    assert flight.native.motor_sums.count == 0
 
 
 # ---------------------------------------------------------------- fading
@@ -296,12 +296,12 @@ def test_motor_rows_fade_alike() -> None:
     whole, fading = Flight(arm), Flight(replace(arm, memory_s=20.0))
     whole.cycles(run)
     fading.cycles(run)
-    count = whole.native.joint_sums.count
-    assert count == fading.native.joint_sums.count == 4
+    count = whole.native.motor_sums.count
+    assert count == fading.native.motor_sums.count == 4
     for block in range(count):
         faded = math.exp(-100 * (count - 1 - block) * arm.period_s / 20.0)
         for joint in range(arm.n):
-            there = [list(f.native.joint_sums.block[block].joint[joint].gram) for f in (whole, fading)]
+            there = [list(f.native.motor_sums.block[block].joint[joint].gram) for f in (whole, fading)]
             np.testing.assert_allclose(there[1], faded * np.array(there[0]), rtol=1e-12)
 
 

@@ -102,13 +102,13 @@ CHANGES: dict[str, tuple[Callable[[Any], None], int]] = {
     "joints": (changed("config.joints", lambda x: x ^ 1 << 20), lib.ZYGOS_E_CONFIG),
     "place in the queue": (changed("receiver.queue.head", lambda x: x ^ 1 << 20), lib.ZYGOS_E_STATE),
     "blocks": (changed("accumulator.count", lambda x: x ^ 1 << 10), lib.ZYGOS_E_STATE),
-    "columns of motor rows": (changed("joint_sums.column_map.count[0]", lambda x: x + 1), lib.ZYGOS_E_STATE),
+    "columns of motor rows": (changed("motor_sums.column_map.count[0]", lambda x: x + 1), lib.ZYGOS_E_STATE),
     "columns of momentum rows": (changed("momentum_sums.columns", lambda x: x + 1), lib.ZYGOS_E_STATE),
     "closed block": (changed("accumulator.block[0].gram[0]", lambda x: 2 * x), lib.ZYGOS_E_SUMS),
     "buffer that waits": (changed("accumulator.buffer[0].gram[0]", lambda x: 2 * x + 1), lib.ZYGOS_E_SUMS),
     "noise": (changed("accumulator.noise_closed.gram[0]", lambda x: x + 1.0), lib.ZYGOS_E_SUMS),
     "instants of the arc": (changed("accumulator.arc_instants", lambda x: x ^ 8), lib.ZYGOS_E_SUMS),
-    "motor rows": (changed("joint_sums.block[0].joint[1].sum[0]", lambda x: 2 * x), lib.ZYGOS_E_SUMS),
+    "motor rows": (changed("motor_sums.block[0].joint[1].sum[0]", lambda x: 2 * x), lib.ZYGOS_E_SUMS),
     "momentum rows": (changed("momentum_sums.open.rows.gram[0]", lambda x: 2 * x), lib.ZYGOS_E_SUMS),
 }
 

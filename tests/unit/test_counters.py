@@ -121,7 +121,7 @@ def test_every_counter_goes_on(arm: Arm, noisy: Trajectory, tmp_path: Path) -> N
     assert same(old.estimate(), young.estimate())
 
 
-@pytest.mark.parametrize("kind", ["accumulator", "joint_sums", "momentum_sums"])
+@pytest.mark.parametrize("kind", ["accumulator", "motor_sums", "momentum_sums"])
 def test_a_target_that_has_grown_for_years_is_no_reason_to_refuse(arm: Arm, motion: Cycles, kind: str) -> None:
     """A length to merge up to just below the largest that is a count: all blocks merge, and it grows no further."""
     flight, rng = Flight(with_all_rows(arm)), np.random.default_rng(0)

@@ -667,8 +667,8 @@ def test_columns_that_are_a_sum_of_others(seed: int) -> None:
     sums = ffi.addressof(work, "accumulator")
     lib.zygos_accumulator_init(sums, 12, MIN_ARC, 0.02)
     work.config.joints, work.config.arc_cycles = 2, 20 * MIN_ARC
-    lib.zygos_impulse_column_map(ffi.addressof(work, "config"), ffi.addressof(work.joint_sums, "column_map"))
-    lib.zygos_joint_sums_clear(ffi.addressof(work, "joint_sums"), ffi.addressof(work, "config"))
+    lib.zygos_impulse_column_map(ffi.addressof(work, "config"), ffi.addressof(work.motor_sums, "column_map"))
+    lib.zygos_motor_sums_clear(ffi.addressof(work, "motor_sums"), ffi.addressof(work, "config"))
     lib.zygos_momentum_sums_clear(ffi.addressof(work, "momentum_sums"), ffi.addressof(work, "config"))
     columns = rng.normal(size=(MIN_ARC, 12))
     columns[:, 2] = columns[:, 0] + 0.3 * columns[:, 5]
@@ -741,8 +741,8 @@ SUMS: dict[str, Callable[[Any], Any]] = {
     "noise of the segment": lambda native: native.accumulator.noise,
     "noise of the arc": lambda native: native.accumulator.noise_open,
     "noise of closed arcs": lambda native: native.accumulator.noise_closed,
-    "motor rows of a closed arc": lambda native: native.joint_sums.block[1].joint[1],
-    "motor rows of the open arc": lambda native: native.joint_sums.open.joint[0],
+    "motor rows of a closed arc": lambda native: native.motor_sums.block[1].joint[1],
+    "motor rows of the open arc": lambda native: native.motor_sums.open.joint[0],
     "momentum rows of a closed arc": lambda native: native.momentum_sums.block[1].rows,
     "momentum rows of the open arc": lambda native: native.momentum_sums.open.rows,
     "noise of open momentum rows": lambda native: native.momentum_sums.noise_open,
@@ -774,7 +774,7 @@ def test_a_flipped_bit_in_the_sums_is_refused(place: str, entries: str, bit: int
             f"accumulator.{name}"
             for name in ("width", "count", "open", "newest", "window", "filling", "filled", "shared")
         ),
-        *("joint_sums.count", "joint_sums.column_map.count[0]", "joint_sums.column_map.effect[1][0]"),
+        *("motor_sums.count", "motor_sums.column_map.count[0]", "motor_sums.column_map.effect[1][0]"),
         *(f"momentum_sums.{name}" for name in ("columns", "components", "count")),
     ],
 )
@@ -880,12 +880,12 @@ def test_restart_keeps_what_the_motor_rows_know(keep: bool) -> None:
     """Of the arm before the restart if so asked; the rows of the energy are forgotten."""
     arm, run = sums_of_every_kind()
     flight = fed(arm, part(run, 0, 800))
-    blocks, instants = flight.native.joint_sums.count, flight.native.joint_sums.instants
-    known = bytes_of(flight.native.joint_sums.block)
+    blocks, instants = flight.native.motor_sums.count, flight.native.motor_sums.instants
+    known = bytes_of(flight.native.motor_sums.block)
     assert blocks >= 3
     assert instants >= MIN_ARC
     flight.restart(keep_joints=keep)
-    sums = flight.native.joint_sums
+    sums = flight.native.motor_sums
     assert sums.count == keep * (blocks + 1)  # the open arc is closed
     assert (sums.instants, flight.native.accumulator.count, flight.native.momentum_sums.count) == (0, 0, 0)
     assert flight.estimate().validity == "refused"

@@ -41,7 +41,7 @@ def flight(arm: Arm, motion: Cycles) -> Flight:
     out.cycles(part(again(floating, motion, int(out.native.cycle) + 1, rng), 0, 2 * len(motion) // 3 + 37))
     sums = out.native
     assert sums.accumulator.target > 24.0  # the least segment
-    assert sums.joint_sums.block[0].total > sums.config.impulse_arc_cycles
+    assert sums.motor_sums.block[0].total > sums.config.impulse_arc_cycles
     assert sums.momentum_sums.block[0].instants > sums.config.momentum_arc_cycles
     assert sums.accumulator.count >= sums.accumulator.open + 3
     return out
@@ -106,7 +106,7 @@ def blocks(flight: Flight, kind: str) -> list[tuple[str, Any]]:
 
 SMALL = {
     "accumulator": ("instants", "square", "overlap", "end", "checksum"),
-    "joint_sums": ("instants", "total", "end", "checksum"),
+    "motor_sums": ("instants", "total", "end", "checksum"),
     "momentum_sums": ("instants", "end", "checksum"),
 }
 
@@ -131,7 +131,7 @@ def test_the_sums_of_a_block(flight: Flight, kind: str) -> None:
     p = flight.native.column_map.count
     listed: list[Word] = []
     for name, block in (blocks(flight, kind)[0], blocks(flight, kind)[-1]):
-        if kind == "joint_sums":
+        if kind == "motor_sums":
             listed += list(words(flight, name, block.joint[0], ["gram"]))[:14]
             listed += list(words(flight, name, block.joint[1], ["sum"]))[:4]
             continue
@@ -153,7 +153,7 @@ def test_what_says_which_blocks_there_are(flight: Flight) -> None:
         *words(flight, "accumulator", energy, ["early", "late", "accepted", "refused", "checksum"]),
         *words(flight, "accumulator", energy.buffer[0], ["instants"]),
         *words(flight, "accumulator", energy.buffer[1], ["instants"]),
-        *words(flight, "joint_sums", motors, ["count", "corrupt", "instants", "cycles", "target", "checksum"]),
+        *words(flight, "motor_sums", motors, ["count", "corrupt", "instants", "cycles", "target", "checksum"]),
         *words(flight, "momentum_sums", momentum, ["columns", "components", "signals", "count", "corrupt"]),
         *words(flight, "momentum_sums", momentum, ["cycles", "target", "checksum"]),
     ]
@@ -183,7 +183,7 @@ def test_a_flip_is_remembered_when_its_block_changes(flight: Flight, motion: Cyc
             setattr(block, member, getattr(block, member) + 1)
         assert refused(closed)
         assert refused(opened) == (member != "end")  # which an arc gets when it closes
-    for kind, member in (("joint_sums", "total"), ("joint_sums", "end"), ("momentum_sums", "instants")):
+    for kind, member in (("motor_sums", "total"), ("motor_sums", "end"), ("momentum_sums", "instants")):
         changed = other()
         block = getattr(changed.native, kind).block[0]
         setattr(block, member, getattr(block, member) + 1)

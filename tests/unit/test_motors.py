@@ -13,7 +13,7 @@ from rows_support import awkward, effect, wandering
 from zygos.arm import Arm, Encoder
 from zygos.balances import impulse
 from zygos.reference.accumulator import Design
-from zygos.reference.combination import JointRows, motors, solve_with_others, weight
+from zygos.reference.combination import MotorRows, motors, solve_with_others, weight
 from zygos.reference.solver import Rows
 from zygos.runs.cycles import BREAK_BEFORE, VOID_BEFORE, Cycles
 from zygos.runs.samples import calibrate
@@ -37,7 +37,7 @@ def winding(h: float) -> Cycles:
     return Cycles(np.arange(120, dtype=np.uint64), zero, theta, zero + np.array(TORQUE), omega, flags)
 
 
-def beside(arm: Arm, cycles: Cycles, refused: tuple[int, ...] = ()) -> tuple[JointRows, ...]:
+def beside(arm: Arm, cycles: Cycles, refused: tuple[int, ...] = ()) -> tuple[MotorRows, ...]:
     """The motor rows of a record of which the smoother refuses the cycles named, and no other."""
     samples = calibrate(arm, cycles)
     instants = smooth(arm, samples)
@@ -151,7 +151,7 @@ def with_sigmas(arm: Arm, link: float, motor: float) -> Arm:
     return replace(arm, joints=joints)
 
 
-def made(arm: Arm, joint: int, arcs: int = 3, seed: int = 0) -> JointRows:
+def made(arm: Arm, joint: int, arcs: int = 3, seed: int = 0) -> MotorRows:
     """40 rows of a joint without meaning, and noise in its first two columns that are correlated."""
     rng = np.random.default_rng(seed)
     names, p = list(arm.parameter_names), len(arm.parameter_names)
@@ -159,7 +159,7 @@ def made(arm: Arm, joint: int, arcs: int = 3, seed: int = 0) -> JointRows:
     places = [names.index(f"{kind}{joint + 1}") for kind in ("Im", "k", "b")]
     z[:, places] = rng.normal(size=(40, 3))
     noise[np.ix_(places[:2], places[:2])] = 40.0 * np.array([[9e-6, 1e-6], [1e-6, 4e-6]])
-    return JointRows(joint, Rows(z, rng.normal(size=40), noise), arcs)
+    return MotorRows(joint, Rows(z, rng.normal(size=40), noise), arcs)
 
 
 def test_weight_is_the_ratio_of_the_noise_in_a_row(tmp_path: Path) -> None:

@@ -64,7 +64,7 @@ def test_capacities_change_the_hash(tmp_path: Path) -> None:
     found = []
     for flag in (
         *("", "MAX_JOINTS=2", "MAX_HALF_WIDTH=14", "MAX_BLOCKS=62", "CYCLE_QUEUE=16", "MAX_EFFECTS=7", "SPATIAL=0"),
-        *("MOMENTUM=0", "MAX_MOMENTUM_BLOCKS=14", "MAX_JOINT_BLOCKS=30"),
+        *("MOMENTUM=0", "MAX_MOMENTUM_BLOCKS=14", "MAX_MOTOR_BLOCKS=30"),
     ):
         define = [f"-DZYGOS_{flag}"] if flag else []
         command = ["cc", "-std=c11", "-I", str(ROOT / "include"), *define, str(tmp_path / "abi.c"), "-o"]
@@ -207,8 +207,8 @@ def test_resume_refuses_what_it_was_not_made_for(arm: Arm, tmp_path: Path) -> No
         ("accumulator.width", 9),
         ("accumulator.target", float("nan")),
         ("accumulator.segment", -1.0),
-        ("joint_sums.count", 33),
-        ("joint_sums.column_map.count", 12),
+        ("motor_sums.count", 33),
+        ("motor_sums.column_map.count", 12),
         ("momentum_sums.count", 17),
         ("momentum_sums.columns", 200),
     ],
@@ -220,7 +220,7 @@ def test_a_count_that_cannot_be_is_refused(member: str, value: float, arm: Arm, 
     *folders, name = member.split(".")
     for folder in folders:
         part = getattr(part, folder)
-    if member == "joint_sums.column_map.count":
+    if member == "motor_sums.column_map.count":
         part.count[0] = value
     else:
         setattr(part, name, value)
@@ -334,7 +334,7 @@ def test_tables_are_computed_anew(arm: Arm, frames: NDArray[Any]) -> None:
         part = ffi.addressof(flight.native, damaged)
         ffi.memmove(part, b"\x55" * ffi.sizeof(part[0]), ffi.sizeof(part[0]))
     for numbers in (
-        flight.native.joint_sums.noise[1],
+        flight.native.motor_sums.noise[1],
         flight.native.momentum_sums.deviation,
         flight.native.momentum_sums.rotor,
     ):

@@ -25,7 +25,7 @@ static void record(const zygos_t *self, const zygos_cycle_t *cycle, zygos_trace_
         return;
     }
     const uint64_t n = self->config.joints;
-    const uint64_t p = self->column_map.count;
+    const uint64_t p = self->column_map.parameters;
     const uint64_t at = trace->count++;
     if (trace->sync) {
         trace->sync[at] = cycle->sync;

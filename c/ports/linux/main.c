@@ -239,7 +239,7 @@ int main(int argc, char **argv)
     node_telemetry_init(&telemetry, options.every);
     const sigset_t mask = catch_signals();
     node_log("listening on %s, %u joints, %u parameters, %s cycle %llu", options.interface ? options.interface : "--fd",
-             config.joints, arm.column_map.count, (arm.cycles > 0u) ? "goes on behind" : "starts at",
+             config.joints, arm.column_map.parameters, (arm.cycles > 0u) ? "goes on behind" : "starts at",
              (unsigned long long)arm.cycle);
     const int reading = run(&mask);
     store.failure = 0; /* a failure of the last save is logged in any case */

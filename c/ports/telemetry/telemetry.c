@@ -90,7 +90,7 @@ static void solve(node_telemetry_t *self, zygos_t *arm, const node_losses_t *los
     for (uint32_t i = 0; i < NODE_COUNTERS; i++) {
         put(self, NODE_COUNTER, i, (double)(counter[i] % MODULUS));
     }
-    for (uint32_t i = 0; i < arm->column_map.count; i++) {
+    for (uint32_t i = 0; i < arm->column_map.parameters; i++) {
         put(self, NODE_ESTIMATE, i, out->value[i]);
         put(self, NODE_SIGMA, i, out->sigma[i]);
         put(self, NODE_HALF95, i, out->half95[i]);

@@ -86,7 +86,8 @@ _CONFIG_ERRORS = {
     lib.ZYGOS_E_SMOOTHER: "the smoother's points, order or lag are out of range (lag must be points // 2: end-point "
     "filters are refused)",
     lib.ZYGOS_E_VALUE: "a ratio, sign, zero, sigma, latch delay or memory is out of range",
-    lib.ZYGOS_E_ARC: "arc.max_s, arc.impulse_max_s or arc.momentum_max_s is shorter than 20 cycles",
+    lib.ZYGOS_E_ARC: "arc.max_s, arc.impulse_max_s or arc.momentum_max_s is shorter than 20 cycles, or "
+    "joint_rows.increment_s is shorter than 8 cycles, or than twice the joints and 4 more",
 }
 """Where the arm file has other names than the configuration that is made of it."""
 
@@ -186,6 +187,8 @@ class Blocks:
     """Of each block and joint the squares of its c columns and the impulse (c+1, c+1), and the instants."""
     momentum: list[NDArray[np.float64]]
     """Of each block the squares of the columns (K+N, K+N)."""
+    joints: list[tuple[NDArray[np.float64], float]]
+    """Of each group of joint rows the squares of columns and impulse (p+1, p+1), and the number of rows."""
 
 
 @dataclass(frozen=True)
@@ -254,25 +257,18 @@ def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
     config.compensation = arm.compensation
     config.impulse_arc_cycles = max(1, round(arm.impulse_arc_s / arm.period_s)) if arm.impulse_arc_s > 0.0 else 0
     config.momentum_arc_cycles = max(1, round(arm.momentum_arc_s / arm.period_s)) if arm.momentum_arc_s > 0.0 else 0
+    config.joint_row_cycles = 2 * max(1, round(0.5 * arm.joint_row_s / arm.period_s)) if arm.joint_row_s > 0.0 else 0
+    if config.joint_row_cycles > 0 and not lib.ZYGOS_JOINT_ROWS_VALUE:
+        raise ZygosError(
+            f"arm {arm.name!r} wants joint rows, this build has no room for them; "
+            "remedy: increment_s = 0 in [joint_rows], or rebuild with -DZYGOS_JOINT_ROWS=1"
+        )
     if config.momentum_arc_cycles > 0 and not lib.ZYGOS_MOMENTUM_VALUE:
         raise ZygosError(
             f"arm {arm.name!r} wants momentum rows, this build has no room for them; "
             "remedy: momentum_max_s = 0 in [arc], or rebuild with -DZYGOS_MOMENTUM=1"
         )
-    for i, joint in enumerate(arm.joints):
-        out = config.joint[i]
-        out.node = joint.node
-        out.latch_us = joint.latch_us
-        out.rigid = int(not joint.flexible)
-        # the bodies of a planar arm have the base's frame in its stretched posture
-        out.axis = list(joint.axis if arm.spatial else arm.axis)
-        if arm.spatial:
-            out.frame = (arm.frames[i].T @ arm.frames[i + 1]).ravel().tolist()
-        out.gear_ratio = arm.gear_ratios[i]
-        link, motor = joint.link_encoder.over_the_wire, joint.motor_encoder.over_the_wire
-        out.link_sign, out.link_zero_rad, out.link_sigma_rad = link.sign, link.zero_rad, link.sigma_rad
-        out.motor_sign, out.motor_zero_rad, out.motor_sigma_rad = motor.sign, motor.zero_rad, motor.sigma_rad
-        out.link_latch_s, out.motor_latch_s = link.latch_us * 1e-6, motor.latch_us * 1e-6
+    _fill_joints(config, arm)
     _fill_reduction(config, arm)
     columns = estimated(arm, effects)
     if len(columns) > lib.ZYGOS_MAX_EFFECTS_VALUE:
@@ -294,10 +290,30 @@ def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
     return config
 
 
+def _fill_joints(config: Any, arm: Arm) -> None:
+    """Write what the arm file says of the joints into the configuration."""
+    for i, joint in enumerate(arm.joints):
+        out = config.joint[i]
+        out.node = joint.node
+        out.latch_us = joint.latch_us
+        out.rigid = int(not joint.flexible)
+        # the bodies of a planar arm have the base's frame in its stretched posture
+        out.axis = list(joint.axis if arm.spatial else arm.axis)
+        if arm.spatial:
+            out.frame = (arm.frames[i].T @ arm.frames[i + 1]).ravel().tolist()
+        out.gear_ratio = arm.gear_ratios[i]
+        declared = joint.torque_sigma > 0.0
+        out.torque_sigma = out.gear_ratio * joint.over_the_wire.torque_sigma if declared else 0.0
+        link, motor = joint.link_encoder.over_the_wire, joint.motor_encoder.over_the_wire
+        out.link_sign, out.link_zero_rad, out.link_sigma_rad = link.sign, link.zero_rad, link.sigma_rad
+        out.motor_sign, out.motor_zero_rad, out.motor_sigma_rad = motor.sign, motor.zero_rad, motor.sigma_rad
+        out.link_latch_s, out.motor_latch_s = link.latch_us * 1e-6, motor.latch_us * 1e-6
+
+
 def _fill_reduction(config: Any, arm: Arm) -> None:
     """Write the basis of the arm's structure into the configuration. Errors: ZygosError if the build has no room."""
     structure = arm.structure
-    if not structure.reduces or not hasattr(config, "reduced"):
+    if not structure.reduces:
         return
     columns, parameters = np.nonzero(structure.basis)
     if len(columns) > len(config.reduction):
@@ -367,9 +383,9 @@ class Flight:
                 f"remedy: correct the {'effects' if verdict == lib.ZYGOS_E_EFFECT else 'arm file'}"
             )
         self.effects = estimated(arm, effects)
-        own = arm.parameters if hasattr(self.native.config, "reduced") else arm.full_parameters
+        own = arm.parameters
         self.names = (*(one.name for one in own), *(effect.column(arm) for effect in self.effects))
-        if self.native.column_map.count != len(self.names):
+        if self.native.column_map.parameters != len(self.names):
             raise ZygosError(
                 f"arm {arm.name!r}: gravity is within 1e-9 rad of a joint axis, which may or may not feel it; "
                 "remedy: make them parallel, or tilt them"
@@ -476,7 +492,7 @@ class Flight:
         """The blocks behind the sigmas, the open arcs ended; not weighed."""
         lib.zygos_take(self.native, self._work)
         lib.zygos_solve(self._work, self._estimate)  # ends the open arcs of the copy
-        sums, joints, momenta = self._work.accumulator, self._work.joint_sums, self._work.momentum_sums
+        sums, joints, momenta = self._work.accumulator, self._work.motor_sums, self._work.momentum_sums
         width = len(self.names) + 1
         return Blocks(
             energy=[
@@ -496,6 +512,11 @@ class Flight:
                 for block in joints.block[0 : joints.count]
             ],
             momentum=[_symmetric(block.rows.gram, momenta.columns) for block in momenta.block[0 : momenta.count]],
+            joints=[
+                (group.fade * _symmetric(group.rows.gram, width), group.fade * group.count)
+                for group in self._work.joint_sums.group
+                if self._work.joint_sums.width > 0
+            ],
         )
 
     def _closed(self) -> Any:

@@ -17,7 +17,7 @@ _ENUMS = {
 """Fields that hold a value of an enumeration."""
 
 
-_COUNTED = {"joint": "joints", "effect": "effects"}
+_COUNTED = {"joint": "joints", "effect": "effects", "reduction": "reductions"}
 """Arrays of which only so many entries are in use."""
 
 
@@ -27,8 +27,11 @@ def capacities(config: Any) -> dict[str, int]:
         "ZYGOS_MAX_JOINTS": max(config.joints, config.compensation // 2),
         "ZYGOS_MAX_HALF_WIDTH": config.smoother_half_width,
         "ZYGOS_MAX_EFFECTS": config.effects,
+        "ZYGOS_MAX_REDUCTION": config.reductions,
+        "ZYGOS_MAX_PARAMETERS": config.reduced + config.effects if config.reduced > 0 else 0,
         "ZYGOS_SPATIAL": int(config.kinetic == lib.ZYGOS_SPATIAL_ARM),
         "ZYGOS_MOMENTUM": int(config.momentum_arc_cycles > 0),
+        "ZYGOS_JOINT_ROWS": int(config.joint_row_cycles > 0),
     }
 
 

@@ -15,6 +15,7 @@ from zygos.balances.momentum import turns
 from zygos.effects import Effect
 from zygos.reference.accumulator import Design, design
 from zygos.reference.combination import motors, solve_with_others
+from zygos.reference.joints import groups
 from zygos.reference.noise import noise_of
 from zygos.reference.solver import Solution
 from zygos.runs.cycles import Cycles
@@ -27,6 +28,7 @@ __all__ = [
     "chain",
     "design",
     "energy_rows",
+    "groups",
     "motors",
     "noise_of",
     "smooth",
@@ -59,5 +61,6 @@ def chain(arm: Arm, cycles: Cycles, effects: Sequence[Effect] = ()) -> Reference
     balance = replace(raw, z=raw.z - added.mean)
     accumulated = design(balance, added.moment)
     of_motors, momentum = motors(arm, samples, smoothed, effects), turns(arm, samples, smoothed)
-    solution = solve_with_others(arm, accumulated, of_motors, momentum, effects)
+    joints = groups(arm, samples, smoothed, effects)
+    solution = solve_with_others(arm, accumulated, of_motors, momentum, joints, effects)
     return ReferenceStages(samples, smoothed, balance, accumulated, solution)

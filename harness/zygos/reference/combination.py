@@ -1,4 +1,4 @@
-"""The rows of the motors and of the momentum, their weights, and their use with the energy rows (docs/theory.md)."""
+"""The rows beside those of the energy, their weights, and their use together (docs/theory.md)."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from zygos.balances.arcs import MIN_ARC_INSTANTS, numbered, unused
 from zygos.balances.momentum import Turns
 from zygos.effects import Effect, estimated
 from zygos.reference.accumulator import Design
+from zygos.reference.joints import CAUTION, Groups, suffice
 from zygos.reference.solver import Rows, Solution, explained, solve
 from zygos.runs.samples import Samples
 from zygos.runs.smoother import Smoothed
@@ -32,8 +33,8 @@ not."""
 
 
 @dataclass(frozen=True)
-class JointRows:
-    """Accepted rows of one joint in its turn, minus each arc's mean; m rows, p parameters of the arm.
+class MotorRows:
+    """Accepted rows of one joint's motor in its turn, minus each arc's mean; m rows, p parameters of the arm.
 
     joint: from 0. rows: z (m, p), zero outside the joint's own columns, w (m,) [Nms], and their noise (p+1, p+1).
     arcs: number of arcs in use.
@@ -44,7 +45,7 @@ class JointRows:
     arcs: int
 
 
-def motors(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Effect] = ()) -> tuple[JointRows, ...]:
+def motors(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Effect] = ()) -> tuple[MotorRows, ...]:
     """Rows of every flexible joint over a whole record; none if the arm switches them off. Errors: as `estimated`."""
     if arm.impulse_arc_s == 0.0:
         return ()
@@ -71,11 +72,11 @@ def motors(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Eff
         noise = np.zeros((len(names) + 1, len(names) + 1))
         if arm.compensation:
             noise[np.ix_(places, places)] = sum(map(len, w)) * impulse.impulse_noise(arm, one.joint, effects)
-        out.append(JointRows(one.joint, Rows(np.concatenate(z), np.concatenate(w), noise), count))
+        out.append(MotorRows(one.joint, Rows(np.concatenate(z), np.concatenate(w), noise), count))
     return tuple(out)
 
 
-def weight(arm: Arm, own: JointRows, energy: Floats, x: Floats) -> float:
+def weight(arm: Arm, own: MotorRows, energy: Floats, x: Floats) -> float:
     """Weight of a joint's rows relative to those of the energy: the ratio of their noise.
 
     energy: (p+1, p+1) noise of one energy row. x: (p,) the parameters estimated from the energy rows only.
@@ -113,35 +114,68 @@ def momentum_weight(own: Turns, rows: Rows, energy: Floats, x: Floats) -> float:
 
 @dataclass(frozen=True)
 class Combined:
-    """The estimate from all rows. weights: those of each joint's motor rows. momentum_weight: that of the momentum
-    rows."""
+    """The estimate from all rows. weights: those of each joint's motor rows. momentum_weight, joints_weight: those of
+    the momentum rows and of the joint rows."""
 
     solution: Solution
     weights: tuple[float, ...]
     momentum_weight: float
+    joints_weight: float = 0.0
+
+
+def joints_weight(own: Groups, energy: Floats, x: Floats, *, measured: bool) -> float:
+    """Weight of the joint rows by their declared noise at the parameters x (p,), or by their residuals there.
+
+    energy: (p+1, p+1) noise of one energy row.
+    """
+    left = own.rows.z @ x - own.rows.w
+    square = float(left @ left if measured else x @ own.rows.noise[:-1, :-1] @ x)
+    return float(explained(energy, x) * len(own.rows.z) / (CAUTION * square)) if square > 0.0 else 0.0
 
 
 def combine(
-    arm: Arm, design: Design, motors: Sequence[JointRows], momentum: Turns | None, effects: Sequence[Effect] = ()
+    arm: Arm,
+    design: Design,
+    motors: Sequence[MotorRows],
+    momentum: Turns | None,
+    joints: Groups | None = None,
+    effects: Sequence[Effect] = (),
 ) -> Combined:
-    """Combine energy, motor and momentum rows, each weighted by its noise. Raises Undecided as `solve`."""
+    """Combine energy, motor, momentum and joint rows, each weighted by its noise; where the joint rows suffice, they
+    are the only ones. Raises Undecided as `solve`."""
+    if joints is not None and suffice(arm):
+        return Combined(solve(joints.rows), (), 0.0, 1.0)
     energy = Rows(design.z, design.w, design.noise)
     alone = solve(energy)
     noise = design.noise / max(len(design.w), 1)
     weights = tuple(weight(arm, own, noise, alone.x) for own in motors)
     beside = [own.rows.times(factor) for factor, own in zip(weights, motors, strict=True) if factor > 0.0]
-    both = solve(energy, beside)
-    if momentum is None:
-        return Combined(both, weights, 0.0)
-    names = [*arm.parameter_names, *(effect.column(arm) for effect in estimated(arm, effects))]
-    third = placed(names, momentum)
-    factor = momentum_weight(momentum, third, noise, both.x)
-    solution = solve(energy, [*beside, third.times(factor)]) if factor > 0.0 else both
-    return Combined(solution, weights, factor)
+    solution, factor = solve(energy, beside), 0.0
+    if momentum is not None:
+        names = [*arm.parameter_names, *(effect.column(arm) for effect in estimated(arm, effects))]
+        third = placed(names, momentum)
+        factor = momentum_weight(momentum, third, noise, solution.x)
+        if factor > 0.0:
+            beside.append(third.times(factor))
+            solution = solve(energy, beside)
+    fourth = 0.0
+    if joints is not None and joints.enough:
+        for measured in (False, True):
+            now = joints_weight(joints, noise, solution.x, measured=measured)
+            if not now > 0.0:
+                break
+            fourth = now
+            solution = solve(energy, [*beside, joints.rows.times(fourth)])
+    return Combined(solution, weights, factor, fourth)
 
 
 def solve_with_others(
-    arm: Arm, design: Design, motors: Sequence[JointRows], momentum: Turns | None, effects: Sequence[Effect] = ()
+    arm: Arm,
+    design: Design,
+    motors: Sequence[MotorRows],
+    momentum: Turns | None,
+    joints: Groups | None = None,
+    effects: Sequence[Effect] = (),
 ) -> Solution:
     """The estimate of `combine`. Raises Undecided as `solve`."""
-    return combine(arm, design, motors, momentum, effects).solution
+    return combine(arm, design, motors, momentum, joints, effects).solution

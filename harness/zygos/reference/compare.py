@@ -20,9 +20,11 @@ from zygos.errors import Undecided
 from zygos.estimation.watch import Watch
 from zygos.native.flight import MIN_SIGNAL_TO_NOISE, ROWS, Estimate, Flight, LeftOut, Trace
 from zygos.reference.accumulator import Design, design
-from zygos.reference.combination import Combined, JointRows, combine, motors
+from zygos.reference.combination import Combined, MotorRows, combine, motors
+from zygos.reference.joints import Groups, groups, suffice
 from zygos.reference.noise import noise_of
-from zygos.reference.sigmas import Block, intervals
+from zygos.reference.sigmas import Block, Intervals, intervals, joint_intervals
+from zygos.reference.solver import Rows
 from zygos.reference.wire import Reception, receive_log
 from zygos.runs.cycles import Cycles
 from zygos.runs.samples import Samples, calibrate
@@ -302,6 +304,9 @@ def check_chain(arm: Arm, trace: Trace, flight: Flight, ended: Sequence[LeftOut]
     rooms.append(_compare("balance", trace.row[instants], known.row, sync, rounds.row, FLOOR))
     c_accepted = trace.accepted[instants].astype(float)[:, None]
     rooms.append(_compare("bandwidth test", c_accepted, balance.accepted.astype(float)[:, None], sync, 0.0))
+    of_joints = groups(arm, samples, smoothed, flight.effects)
+    if of_joints is not None and len(of_joints.rows.z) and not samples.voids:
+        rooms.append(_compare_groups(flight, of_joints))
     estimate = flight.estimate()
     has_value = np.isfinite(estimate.value)  # the library gives no value for what is not identifiable
     if not has_value.any():
@@ -314,7 +319,7 @@ def check_chain(arm: Arm, trace: Trace, flight: Flight, ended: Sequence[LeftOut]
     rooms.append(Room("normal equations", off.size, difference, None, tolerance))
     try:
         of_motors, momentum = motors(arm, samples, smoothed, flight.effects), turns(arm, samples, smoothed)
-        combined = combine(arm, used, of_motors, momentum, flight.effects)
+        combined = combine(arm, used, of_motors, momentum, of_joints, flight.effects)
     except Undecided:
         return rooms
     solution = combined.solution
@@ -322,28 +327,51 @@ def check_chain(arm: Arm, trace: Trace, flight: Flight, ended: Sequence[LeftOut]
     size = sizes(arm, solution.x)
     # an effect may be zero; then its size is the largest value that the data would allow
     first = len(arm.parameter_names)
-    size[first:] = np.linalg.norm(used.w) / np.linalg.norm(used.z[:, first:], axis=0)
+    own = Rows(used.z, used.w, used.noise) if of_joints is None or not suffice(arm) else of_joints.rows
+    size[first:] = np.linalg.norm(own.w) / np.linalg.norm(own.z[:, first:], axis=0)
     relative = (np.abs(estimate.value - solution.x) / size)[has_value]
     worst = float(np.max(relative, initial=0.0)) if np.all(np.isfinite(relative)) else float("inf")
     if not balance.void and has_value.all() and estimate.signal_to_noise >= MIN_SIGNAL_TO_NOISE:
         # a sigma is computed from differences of solutions
         closest = max(SIGMA_TOLERANCE, tolerance * float(np.max(size / estimate.sigma)))
         if closest <= SIGMA_DIGITS:
-            rooms.append(_compare_sigmas(arm, flight, estimate, used, of_motors, momentum, combined, closest))
+            if of_joints is not None and suffice(arm):
+                expected = _of_groups(arm, flight, of_joints)
+            else:
+                expected = _of_blocks(arm, flight, used, of_motors, momentum, of_joints, combined)
+            rooms.append(_compare_sigmas(estimate, expected, closest))
     return [*rooms, Room("solution", len(relative), worst, None, tolerance)]
 
 
-def _compare_sigmas(
+def _compare_groups(flight: Flight, joints: Groups) -> Room:
+    """Compare the sums of each group of joint rows, relative to the lengths of the columns in all of them."""
+    table = np.column_stack([joints.rows.z, joints.rows.w])
+    length = np.maximum(np.linalg.norm(table, axis=0), 1e-150)
+    ours = [sums for sums, _ in flight.blocks().joints]
+    off = [np.max(np.abs(sums - joints.sums(g)) / np.outer(length, length)) for g, sums in enumerate(ours)]
+    return Room("joint rows", len(ours) * len(length) ** 2, float(max(off)), None, LARGEST_TOLERANCE)
+
+
+def _of_groups(arm: Arm, flight: Flight, joints: Groups) -> Intervals:
+    """Sigmas and half widths from the library's own groups of joint rows."""
+    blocks = [(sums, count) for sums, count in flight.blocks().joints if count > 0.0]
+    apart = joints.apart()
+    counts = np.array([count for _, count in blocks])
+    half_s = 0.5 * arm.period_s * float(flight.native.config.joint_row_cycles)
+    elapsed_s = float(counts.sum()) / arm.n * half_s
+    return joint_intervals([sums for sums, _ in blocks], counts, joints.rows.noise, apart, apart[1] / arm.n, elapsed_s)
+
+
+def _of_blocks(
     arm: Arm,
     flight: Flight,
-    estimate: Estimate,
     used: Design,
-    of_motors: Sequence[JointRows],
+    of_motors: Sequence[MotorRows],
     momentum: Turns | None,
+    joints: Groups | None,
     combined: Combined,
-    tolerance: float,
-) -> Room:
-    """Compare sigmas and half widths where every parameter has them, computed from the library's own blocks."""
+) -> Intervals:
+    """Sigmas and half widths from the library's own blocks."""
     names = list(flight.names)
     blocks = flight.blocks()
 
@@ -368,8 +396,15 @@ def _compare_sigmas(
         factor = combined.momentum_weight
         arcs += [Block(spread_out(momentum.names, sums, factor), zero) for sums in blocks.momentum]
         noise += spread_out(momentum.names, momentum.noise.sum(axis=0), factor)
+    if joints is not None and combined.joints_weight > 0.0:
+        arcs += [Block(combined.joints_weight * sums, zero) for sums, _ in blocks.joints]
+        noise += combined.joints_weight * joints.rows.noise
     energy = [Block(*block) for block in blocks.energy]
-    expected = intervals(energy, arcs, noise, used.noise, combined.solution.noise_scale, arc_cycles(arm))
+    return intervals(energy, arcs, noise, used.noise, combined.solution.noise_scale, arc_cycles(arm))
+
+
+def _compare_sigmas(estimate: Estimate, expected: Intervals, tolerance: float) -> Room:
+    """Compare sigmas and half widths where every parameter has them, computed from the library's own blocks."""
     sigma = np.abs(estimate.sigma / expected.sigma - 1.0)
     half = np.abs(estimate.half95 / expected.half95 - 1.0)
     # the library computes Student's factor by a series expansion

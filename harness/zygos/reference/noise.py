@@ -223,8 +223,9 @@ def slopes(arm: Arm, here: Instants, side: Side, i: int, effects: Sequence[Effec
         if effect.kind.potential is not None:
             by_angle[:, k] = sign * torque(deflection)
         elif place == {"q": "link", "theta": "motor"}[side]:
-            # d(f(v) v)/dv where f is proportional to the rate, or constant above the slowest rate
-            grows = 2.0 if effect.kind.viscous else 1.0
+            # d(f(v) v)/dv where f grows with the rate, or is constant above the slowest rate
+            one, two = torque(np.array([1.0, 2.0]))
+            grows = float(two / one)
             by_angle[:, k] = grows * (ratio if side == "theta" else 1.0) * torque(rate)
     if side == "theta":
         by_angle[:, -1] = ratio * here.tau[:, i]

@@ -16,6 +16,11 @@ from zygos.reference.solver import LEAST_FREEDOM, SYSTEMATIC, explained
 
 Floats = NDArray[np.float64]
 
+CLUSTER_LIMIT = 5.0
+"""Cluster statistic of joint rows that noise of torques does not exceed."""
+SYSTEMATIC_S = 60.0
+"""Time in which the systematic part of the residuals of joint rows counts once, s."""
+
 
 @dataclass(frozen=True)
 class Block:
@@ -88,3 +93,43 @@ def intervals(
     covariance += np.diag((hidden - x) ** 2)
     freedom = np.maximum(np.sum(gains, axis=0) ** 2 / np.sum(np.square(gains), axis=0), LEAST_FREEDOM)
     return Intervals(covariance, np.sqrt(np.diag(covariance)) * student.ppf(0.975, freedom))
+
+
+def joint_intervals(
+    groups: Sequence[Floats],
+    counts: Floats,
+    noise: Floats,
+    apart: tuple[Floats, int],
+    segments: float,
+    elapsed_s: float,
+) -> Intervals:
+    """Intervals of the estimate from the groups of joint rows alone, all of whose declared noise was subtracted.
+
+    groups: (p+1, p+1) sums of each. counts: (groups,) rows of each. noise: (p+1, p+1) what was subtracted. apart:
+    squared sums of rows in segments, and their number. segments: their number for a joint. elapsed_s: their time.
+    """
+    total = np.sum(groups, axis=0)
+    p = len(total) - 1
+    scale = 1.0 / np.sqrt(np.diag(total + noise)[:p])
+
+    def solved(sums: Floats) -> tuple[Floats, Floats]:
+        inverse = np.asarray(np.linalg.inv(sums[:p, :p] * np.outer(scale, scale)), dtype=np.float64)
+        return scale * (inverse @ (scale * sums[p, :p])), inverse
+
+    x, inverse = solved(total)
+    ahead = np.append(x, -1.0)
+    covariance, plain, gains = np.zeros((p, p)), np.zeros(p), []
+    for sums in groups:
+        without, rest = solved(total - sums)
+        alone = scale * (inverse @ (scale * (sums[p, :p] - sums[:p, :p] @ x)))
+        covariance += 0.5 * (np.outer(x - without, alone) + np.outer(alone, x - without))
+        plain += alone**2
+        gains.append(np.maximum(np.diag(rest) - np.diag(inverse), 0.0))
+    np.fill_diagonal(covariance, np.maximum(np.diag(covariance), plain))
+    residual = (float(ahead @ total @ ahead) + float(x @ noise[:p, :p] @ x)) / float(np.sum(counts))
+    cluster = float(ahead @ apart[0] @ ahead) / apart[1] / residual
+    alike = max(0.0, 1.0 - CLUSTER_LIMIT / cluster)
+    covariance *= 1.0 + max(SYSTEMATIC * elapsed_s / SYSTEMATIC_S, (segments - 1.0) * alike)
+    freedom = np.sum(gains, axis=0) ** 2 / np.sum(np.square(gains), axis=0) - 1.0
+    half95 = np.sqrt(np.diag(covariance)) * student.ppf(0.975, np.maximum(freedom, LEAST_FREEDOM))
+    return Intervals(covariance, half95)

@@ -1,0 +1,276 @@
+#include "zygos/motorsums.h"
+
+#include "zygos/gram.h"
+
+#include <string.h>
+
+_Static_assert(ZYGOS_MIN_ARCS < ZYGOS_MAX_MOTOR_BLOCKS, "an arc that closes needs a block");
+
+#define COUNTED 1e-9 /* counts add up exactly */
+
+static uint64_t checksum_of(const zygos_motor_sums_t *self)
+{
+    return zygos_checksum_number(zygos_checksum_doubles(0u, &self->target, 1), self->count);
+}
+
+static uint64_t checksum_of_block(const zygos_motor_block_t *block)
+{
+    const uint64_t instants = zygos_checksum_doubles(1u, block->instants, ZYGOS_MAX_JOINTS);
+    return zygos_checksum_number(zygos_checksum_doubles(instants, &block->total, 1), block->end);
+}
+
+/* Verifies the checksum, before anything that it protects is changed. */
+static void judge(zygos_motor_sums_t *self)
+{
+    self->corrupt |= (self->checksum == checksum_of(self)) ? 0u : 1u;
+}
+
+static void judge_block(zygos_motor_sums_t *self, const zygos_motor_block_t *block)
+{
+    self->corrupt |= (block->checksum == checksum_of_block(block)) ? 0u : 1u;
+}
+
+void zygos_motor_sums_clear(zygos_motor_sums_t *self, const zygos_config_t *config)
+{
+    self->target = 2.0 * (double)config->impulse_arc_cycles;
+    self->count = 0;
+    self->corrupt = 0;
+    self->instants = 0;
+    self->cycles = 0;
+    memset(&self->open, 0, sizeof self->open);
+    self->checksum = checksum_of(self);
+}
+
+void zygos_motor_sums_tables(zygos_motor_sums_t *self, const zygos_config_t *config, const zygos_smoother_t *smoother)
+{
+    zygos_impulse_column_map(config, &self->column_map);
+    memset(self->noise, 0, sizeof self->noise);
+    for (uint32_t i = 0; (i < config->joints) && (config->compensation != 0); i++) {
+        if (self->column_map.count[i] > 0) {
+            zygos_impulse_noise(config, &self->column_map, smoother, config->imu_sigma, i, self->noise[i]);
+        }
+    }
+}
+
+static bool same_layout(const zygos_impulse_column_map_t *column_map, const zygos_config_t *config)
+{
+    zygos_impulse_column_map_t own;
+    bool same = true;
+    zygos_impulse_column_map(config, &own);
+    for (uint32_t i = 0; i < config->joints; i++) {
+        same = same && (column_map->count[i] == own.count[i]);
+        for (uint32_t e = 0; e < ZYGOS_EFFECT_PLACES; e++) {
+            same = same && (column_map->effect[i][e] == own.effect[i][e]);
+        }
+    }
+    return same;
+}
+
+/* Instants and target decide whether blocks merge, and so whether blocks are free. */
+bool zygos_motor_sums_intact(const zygos_motor_sums_t *self, const zygos_config_t *config)
+{
+    const bool none = (config->impulse_arc_cycles == 0);
+    bool good = same_layout(&self->column_map, config) && (self->count <= ZYGOS_MAX_MOTOR_BLOCKS) &&
+                (none ? (self->count == 0) && (self->instants == 0)
+                      : (self->target >= 1.0) && (self->target <= ZYGOS_MAX_INSTANTS));
+    for (uint32_t b = 0; good && (b < self->count); b++) {
+        good = (self->block[b].total >= 0.0) && (self->block[b].total <= ZYGOS_MAX_INSTANTS);
+    }
+    return good;
+}
+
+void zygos_motor_sums_add(zygos_motor_sums_t *self, const zygos_config_t *config, const zygos_impulse_rows_t *rows,
+                          double weight)
+{
+    const uint32_t i = self->cycles % config->joints;
+    const uint32_t p = self->column_map.count[i];
+    if (p > 0) {
+        double z[ZYGOS_MAX_MOTOR_ROW];
+        for (uint32_t k = 0; k < p; k++) {
+            z[k] = weight * rows->column[i][k];
+        }
+        z[p] = weight * rows->impulse[i];
+        z[p + 1u] = weight;
+        zygos_gram_add(self->open.joint[i].gram, self->open.joint[i].sum, p + 2u, z);
+    }
+    self->open.instants[i] += weight;
+    self->instants += (weight > 0.0) ? 1u : 0u;
+    self->cycles++;
+}
+
+static bool matches(const zygos_motor_gram_t *joint, uint32_t width, double adds)
+{
+    return zygos_gram_check(joint->gram, width, joint->sum, adds) <= 1.0;
+}
+
+/* G - s s^T / n without its last row, less n times the noise. */
+static void close_gram(zygos_motor_gram_t *joint, uint32_t p, double n, const double *noise)
+{
+    double s[ZYGOS_MAX_MOTOR_ROW];
+    memcpy(s, &joint->gram[zygos_gram_entries(p + 1u)], (p + 1u) * sizeof s[0]);
+    uint32_t k = 0;
+    for (uint32_t a = 0; a <= p; a++) {
+        for (uint32_t b = 0; b <= a; b++) {
+            joint->gram[k] -= s[a] * s[b] / n + ((a < p) ? n * noise[k] : 0.0);
+            k++;
+        }
+    }
+    memset(&joint->gram[k], 0, (p + 2u) * sizeof joint->gram[0]);
+    zygos_gram_row_sums(joint->gram, p + 2u, joint->sum);
+}
+
+static void add_block(zygos_motor_block_t *to, const zygos_motor_block_t *from)
+{
+    for (uint32_t i = 0; i < ZYGOS_MAX_JOINTS; i++) {
+        for (uint32_t k = 0; k < ZYGOS_MAX_PACKED_MOTOR; k++) {
+            to->joint[i].gram[k] += from->joint[i].gram[k];
+        }
+        for (uint32_t k = 0; k < ZYGOS_MAX_MOTOR_ROW; k++) {
+            to->joint[i].sum[k] += from->joint[i].sum[k];
+        }
+        to->instants[i] += from->instants[i];
+    }
+    to->total += from->total;
+    to->end = from->end;
+    to->checksum = checksum_of_block(to);
+}
+
+/* The target doubles only when merging up to it is not enough; once it holds all instants, one block is left. */
+static void make_room(zygos_motor_sums_t *self)
+{
+    for (uint32_t tries = 0; tries < 64u; tries++) {
+        uint32_t to = 0;
+        for (uint32_t from = 0; from < self->count; from++) {
+            const uint32_t left = to + (self->count - from);
+            if ((to > 0) && (left > ZYGOS_MIN_ARCS) &&
+                (self->block[to - 1u].total + self->block[from].total <= self->target)) {
+                judge_block(self, &self->block[to - 1u]);
+                judge_block(self, &self->block[from]);
+                add_block(&self->block[to - 1u], &self->block[from]);
+                continue;
+            }
+            if (to != from) {
+                self->block[to] = self->block[from];
+            }
+            to++;
+        }
+        self->count = to;
+        if (self->count <= 3u * ZYGOS_MAX_MOTOR_BLOCKS / 4u) {
+            return;
+        }
+        self->target *= 2.0;
+    }
+}
+
+void zygos_motor_sums_leave_out(zygos_motor_sums_t *self)
+{
+    memset(&self->open, 0, sizeof self->open);
+    self->instants = 0;
+    self->cycles = 0;
+}
+
+bool zygos_motor_sums_close(zygos_motor_sums_t *self, const zygos_config_t *config)
+{
+    if (self->instants < ZYGOS_MIN_ARC_INSTANTS) {
+        zygos_motor_sums_leave_out(self);
+        return false;
+    }
+    double turns = -(double)self->instants;
+    judge(self);
+    for (uint32_t i = 0; i < config->joints; i++) {
+        const uint32_t p = self->column_map.count[i];
+        turns += self->open.instants[i];
+        if ((p > 0) && (self->open.instants[i] > 0.0)) {
+            const double n = self->open.instants[i];
+            /* The last entry counts instants as well. */
+            const double off = n - self->open.joint[i].gram[zygos_gram_entries(p + 2u) - 1u];
+            const bool counted = (off > -COUNTED) && (off < COUNTED);
+            self->corrupt |= (counted && matches(&self->open.joint[i], p + 2u, n)) ? 0u : 1u;
+            close_gram(&self->open.joint[i], p, n, self->noise[i]);
+        }
+    }
+    self->corrupt |= ((turns > -COUNTED) && (turns < COUNTED)) ? 0u : 1u;
+    return true;
+}
+
+void zygos_motor_sums_admit(zygos_motor_sums_t *self, uint64_t cycle)
+{
+    if (self->count == ZYGOS_MAX_MOTOR_BLOCKS) {
+        make_room(self);
+    }
+    self->open.total = (double)self->instants;
+    self->open.end = cycle;
+    self->open.checksum = checksum_of_block(&self->open);
+    self->block[self->count] = self->open;
+    self->count++;
+    self->checksum = checksum_of(self);
+    zygos_motor_sums_leave_out(self);
+}
+
+void zygos_motor_sums_end_arc(zygos_motor_sums_t *self, const zygos_config_t *config, uint64_t cycle)
+{
+    if (zygos_motor_sums_close(self, config)) {
+        zygos_motor_sums_admit(self, cycle);
+    }
+}
+
+void zygos_motor_sums_forget(zygos_motor_sums_t *self, double factor)
+{
+    for (uint32_t b = 0; b < self->count; b++) {
+        zygos_motor_block_t *block = &self->block[b];
+        judge_block(self, block);
+        const double kept = (factor * block->total >= ZYGOS_NEGLIGIBLE_INSTANTS) ? factor : 0.0;
+        for (uint32_t i = 0; i < ZYGOS_MAX_JOINTS; i++) {
+            for (uint32_t k = 0; k < ZYGOS_MAX_PACKED_MOTOR; k++) {
+                block->joint[i].gram[k] *= kept;
+            }
+            for (uint32_t k = 0; k < ZYGOS_MAX_MOTOR_ROW; k++) {
+                block->joint[i].sum[k] *= kept;
+            }
+            block->instants[i] *= kept;
+        }
+        block->total *= kept;
+        block->checksum = checksum_of_block(block);
+    }
+}
+
+void zygos_motor_sums_drop_after(zygos_motor_sums_t *self, uint64_t cycle)
+{
+    zygos_motor_sums_leave_out(self);
+    judge(self);
+    while ((self->count > 0) && (self->block[self->count - 1u].end > cycle)) {
+        self->count--;
+    }
+    self->checksum = checksum_of(self);
+}
+
+uint32_t zygos_motor_sums_drop_until(zygos_motor_sums_t *self, uint64_t cycle)
+{
+    judge(self);
+    uint32_t drop = 0;
+    while ((drop < self->count) && (self->block[drop].end <= cycle)) {
+        drop++;
+    }
+    for (uint32_t b = drop; (drop > 0) && (b < self->count); b++) {
+        self->block[b - drop] = self->block[b];
+    }
+    self->count -= drop;
+    self->checksum = checksum_of(self);
+    return drop;
+}
+
+double zygos_motor_sums_check(const zygos_motor_sums_t *self, const zygos_config_t *config)
+{
+    bool good = (self->corrupt == 0) && (self->checksum == checksum_of(self));
+    for (uint32_t b = 0; good && (b < self->count); b++) {
+        good = (self->block[b].checksum == checksum_of_block(&self->block[b]));
+    }
+    for (uint32_t i = 0; i < config->joints; i++) {
+        const uint32_t width = self->column_map.count[i] + 2u;
+        good = good && matches(&self->open.joint[i], width, self->open.instants[i]);
+        for (uint32_t b = 0; good && (b < self->count); b++) {
+            good = matches(&self->block[b].joint[i], width, self->block[b].instants[i]);
+        }
+    }
+    return good ? 0.0 : 2.0;
+}

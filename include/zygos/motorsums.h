@@ -1,0 +1,102 @@
+/// zygos/motorsums.h: accumulates the normal equations of the motor impulse rows, a small set for each joint.
+///
+/// The rows of a joint contain only its own parameters. Their sums are therefore separate from those of the energy rows
+/// until the solver adds both, each with a weight by its noise. The bias by the noise of the sensors is the same at
+/// every instant, and is subtracted when an arc ends. The noise that the integral of the deflection accumulates is
+/// correlated over a whole arc; therefore blocks consist of whole arcs. When all blocks are in use, neighbours are
+/// merged.
+
+#ifndef ZYGOS_MOTORSUMS_H
+#define ZYGOS_MOTORSUMS_H
+
+#include "impulse.h"
+#include "types.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/// The number of blocks of whole arcs. It must be even.
+#ifndef ZYGOS_MAX_MOTOR_BLOCKS
+#define ZYGOS_MAX_MOTOR_BLOCKS 32
+#endif
+#if (ZYGOS_MAX_MOTOR_BLOCKS < 4) || (ZYGOS_MAX_MOTOR_BLOCKS > 256) || (ZYGOS_MAX_MOTOR_BLOCKS % 2 != 0)
+#error "ZYGOS_MAX_MOTOR_BLOCKS must be even, 4..256"
+#endif
+
+/// The length of a joint's row that is augmented by the impulse and by 1.
+#define ZYGOS_MAX_MOTOR_ROW (ZYGOS_MAX_IMPULSE + 2)
+#define ZYGOS_MAX_PACKED_MOTOR (ZYGOS_MAX_MOTOR_ROW * (ZYGOS_MAX_MOTOR_ROW + 1) / 2)
+
+/// Sum of z z^T with z = [columns, impulse, 1], lower triangle by rows, and its row sums.
+typedef struct {
+    double gram[ZYGOS_MAX_PACKED_MOTOR];
+    double sum[ZYGOS_MAX_MOTOR_ROW];
+} zygos_motor_gram_t;
+
+/// One block of the sums.
+typedef struct {
+    zygos_motor_gram_t joint[ZYGOS_MAX_JOINTS]; ///< Closed arcs: without the constants and the noise.
+    double instants[ZYGOS_MAX_JOINTS];          ///< Accepted instants whose row of that joint was added.
+    double total;                               ///< All accepted instants.
+    uint64_t end;                               ///< Number of the newest cycle.
+    uint64_t checksum;                          ///< Closed arcs: of instants, total and end.
+} zygos_motor_block_t;
+
+/// The normal equations of the motor rows.
+typedef struct {
+    zygos_impulse_column_map_t column_map;
+    double noise[ZYGOS_MAX_JOINTS][ZYGOS_MAX_PACKED_IMPULSE]; ///< Expected products of noise in one instant.
+    uint32_t count;                                           ///< Number of blocks of closed arcs.
+    uint32_t corrupt;  ///< 1: the row sums of an arc did not match when it closed.
+    uint32_t instants; ///< Accepted instants of the open arc.
+    uint32_t cycles;   ///< Instants of the open arc, accepted or not.
+    double target;     ///< Instants up to which blocks are merged.
+    uint64_t checksum; ///< Of count and target.
+    zygos_motor_block_t open;
+    zygos_motor_block_t block[ZYGOS_MAX_MOTOR_BLOCKS];
+} zygos_motor_sums_t;
+
+/// Computes what follows from the configuration: the columns, and the noise of an instant. The sums are not changed.
+/// Needs a checked configuration.
+void zygos_motor_sums_tables(zygos_motor_sums_t *self, const zygos_config_t *config, const zygos_smoother_t *smoother);
+
+/// Returns whether every index and count is possible for a checked configuration. The other functions rely on that and
+/// do not check it. Cost: a comparison for each block and each column.
+bool zygos_motor_sums_intact(const zygos_motor_sums_t *self, const zygos_config_t *config);
+
+/// Clears the sums. The tables are kept.
+void zygos_motor_sums_clear(zygos_motor_sums_t *self, const zygos_config_t *config);
+
+/// Adds the row of one joint with weight 1 or 0. The joints take turns, one in each instant, because the noise of
+/// neighbouring instants is nearly the same. Cost: one small rank-1 update.
+void zygos_motor_sums_add(zygos_motor_sums_t *self, const zygos_config_t *config, const zygos_impulse_rows_t *rows,
+                          double weight);
+
+/// Ends the open arc, whose newest cycle is given: eliminates its constants and subtracts its noise, or drops it when
+/// it is too short. Cost: one pass over the sums of all joints; in the worst case one merge of all blocks.
+void zygos_motor_sums_end_arc(zygos_motor_sums_t *self, const zygos_config_t *config, uint64_t cycle);
+
+/// The same in two calls. The first eliminates the constants and returns true, or drops an arc that is too short and
+/// returns false. The closed arc is then in self->open. The second call either admits it to the blocks or leaves it
+/// out.
+bool zygos_motor_sums_close(zygos_motor_sums_t *self, const zygos_config_t *config);
+void zygos_motor_sums_admit(zygos_motor_sums_t *self, uint64_t cycle);
+void zygos_motor_sums_leave_out(zygos_motor_sums_t *self);
+
+/// Multiplies the sums of closed arcs by a factor (exponential forgetting).
+void zygos_motor_sums_forget(zygos_motor_sums_t *self, double factor);
+
+/// Drops the open arc, and the blocks with cycles after the given one.
+void zygos_motor_sums_drop_after(zygos_motor_sums_t *self, uint64_t cycle);
+
+/// Drops the blocks up to the given cycle, and returns their number.
+uint32_t zygos_motor_sums_drop_until(zygos_motor_sums_t *self, uint64_t cycle);
+
+/// Returns 2 when row sums or a checksum do not match, otherwise at most 1. Needs zygos_motor_sums_intact().
+double zygos_motor_sums_check(const zygos_motor_sums_t *self, const zygos_config_t *config);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

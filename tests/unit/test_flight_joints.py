@@ -1,0 +1,386 @@
+"""Joint rows in the flight library: against numpy's rows, against the bodies that moved, and what an estimate is worth.
+
+The rows' columns are derived in numpy from the energy (test_joint_rows.py); motions and torques are Pinocchio's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise, product
+from pathlib import Path
+
+import numpy as np
+import pytest
+from arm_support import random_arm
+from flight_support import part
+from motion_support import laboratory, random_ground
+from numpy.typing import NDArray
+from test_any_arm import FLEXIBLE, sines
+
+from zygos.arm import Arm, load_arm
+from zygos.balances.joint import joint_rows
+from zygos.effects import Effect, effect
+from zygos.errors import ZygosError
+from zygos.model.model import load_model
+from zygos.native.flight import Flight, config_of, encode, ffi, lib
+from zygos.reference.compare import check_frames
+from zygos.runs.cycles import BREAK_BEFORE, VOID_BEFORE, VOID_SHIFT, Cycles
+from zygos.runs.samples import calibrate
+from zygos.runs.smoother import smooth
+from zygos.simulation.plant import simulate
+from zygos.simulation.scenario import load_scenario
+
+Floats = NDArray[np.float64]
+EXAMPLES = Path(__file__).parents[2] / "examples"
+KINDS = list(product((1, 2, 3, 7), ("free", "fixed"), ("spatial", "planar", "planar-symmetric"), FLEXIBLE))
+
+
+def rows_of(arm: Arm, cycles: Cycles, effects: tuple[Effect, ...] = ()) -> tuple[Floats, Floats, Floats]:
+    """Columns (m, N, c) before they are reduced, right sides (m, N) and whether they count (m,), cycle by cycle."""
+    flight = Flight(arm, effects)
+    native, count = flight.native, flight.native.column_map.count
+    found: list[tuple[Floats, float, float]] = []
+    for k in range(len(cycles)):
+        turn, complete = native.joint.turn, native.joint.halves == 3
+        flight.cycles(part(cycles, k, k + 1))
+        if complete and turn < arm.n and native.joint.turn == turn + 1:
+            row = native.joint_row
+            assert row.joint == turn
+            found.append((np.array(list(row.column)[:count]), row.impulse, row.accepted))
+    m = len(found) // arm.n * arm.n
+    z, w, accepted = (np.array(x) for x in zip(*found[:m], strict=True))
+    return z.reshape(-1, arm.n, count), w.reshape(-1, arm.n), accepted.reshape(-1, arm.n)[:, 0]
+
+
+@pytest.mark.slow(but=["2-*"])
+@pytest.mark.parametrize(("joints", "base", "kinetic", "kind"), KINDS)
+def test_rows_are_numpys(joints: int, base: str, kinetic: str, kind: str) -> None:
+    """Of any motion with any torques, with a gap."""
+    arm, _ = random_arm(joints, joints, base, kinetic, [FLEXIBLE[kind](i) for i in range(joints)])  # type: ignore[arg-type]
+    assert not arm.structure.reduces
+    arm = replace(arm, joint_increment_s=0.06)
+    keys = ("motor_coulomb", "link_coulomb", "torque_lag", "motor_viscous", "torque_offset", "viscous_asymmetry")
+    effects = [effect(key, joint.name) for key in keys for joint in arm.joints[-2:]]
+    springs = [joint.name for joint in arm.joints if joint.flexible][:1]
+    effects += [effect(key, name) for key in ("cubic_stiffness", "spring_offset") for name in springs]
+    cycles = sines(arm, 300)
+    cycles.sync[170:] += 3
+    z, w, accepted = rows_of(arm, cycles, tuple(effects))
+    samples = calibrate(arm, cycles)
+    expected = joint_rows(arm, samples, smooth(arm, samples), 0.06, effects)
+    m = len(z)
+    assert 10 <= expected.count - 1 <= m <= expected.count
+    scale = np.maximum(np.abs(expected.z).max(axis=(0, 1)), 1e-300)
+    np.testing.assert_allclose(z / scale, expected.z[:m] / scale, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(w, expected.w[:m], rtol=0, atol=1e-12 * np.abs(expected.w).max())
+    np.testing.assert_array_equal(accepted > 0.0, expected.accepted[:m])
+
+
+@pytest.mark.parametrize(
+    ("joints", "kinetic"), [(1, "planar"), (2, "planar-symmetric"), (3, "spatial"), (7, "spatial")]
+)
+def test_rows_balance_for_the_bodies_that_moved(joints: int, kinetic: str) -> None:
+    """A fixed base, rigid joints, Pinocchio's torques: nothing is left but the trapezoid of the sampled torques."""
+    known = random_ground(joints, kinetic, 1500)
+    z, w, _ = rows_of(known.arm, known.cycles())
+    assert len(z) >= 50
+    left = np.abs(z @ known.true - w)
+    assert (left.max(axis=0) <= 5e-4 * np.sqrt((w**2).mean(axis=0))).all()
+
+
+@pytest.mark.slow(but=["lively*"])
+@pytest.mark.parametrize(("example", "period_s"), [("lively", 0.01), ("spatial", 0.005)])
+def test_rows_balance_for_springs_that_moved(example: str, period_s: float) -> None:
+    """A free base, flexible joints, torques that are held; the right side is 0, its terms are not."""
+    folder = EXAMPLES / example
+    arm, model = load_arm(folder / "arm.toml").at_period(period_s), load_model(folder / "model.toml")
+    arm = replace(arm, joint_increment_s=0.2)
+    run = simulate(
+        arm, model, load_scenario(folder / "scenario.toml"), noise=False, duration_s=6.0, rtol=1e-10, atol=1e-12
+    )
+    z, w, accepted = rows_of(arm, run.cycles())
+    terms = z * model.base_values(arm)
+    np.testing.assert_array_equal(w, 0.0)
+    left, size = terms.sum(axis=-1)[accepted > 0.0], np.abs(terms).max(axis=-1)[accepted > 0.0]
+    assert len(left) >= 40
+    assert (np.abs(left).max(axis=0) <= 2e-3 * size.max(axis=0)).all()
+
+
+@pytest.mark.slow(but=["UR10e"])
+@pytest.mark.parametrize("name", ["UR10e", "Panda", "LWR4+"])
+def test_an_arm_on_the_ground_from_frames(name: str) -> None:
+    """Every stage is numpy's; every parameter, friction and offset has a value, and those are as right as they say."""
+    known = laboratory(name, 7500)
+    offset = 0.01 * np.arange(1, known.arm.n + 1) * (-1.0) ** np.arange(known.arm.n)
+    true = known.true + np.concatenate([np.zeros(len(known.true) - known.arm.n), offset])
+    flight = Flight(known.arm, known.effects)
+    rooms = check_frames(known.arm, encode(known.arm, known.cycles(0, offset)), flight)
+    assert [room.name for room in rooms if not room.equal] == []
+    assert {"joint rows", "sigmas", "solution"} <= {room.name for room in rooms}
+    estimate = flight.estimate()
+    assert (estimate.validity, estimate.reason) == ("valid", "")
+    assert np.isfinite(estimate.value).all()
+    assert 0.3 <= estimate.cluster <= 1.5
+    assert 0.9 <= estimate.noise_ratio <= 1.1
+    off = np.abs(estimate.value - true) / estimate.half95
+    # 58 values or more, with few degrees of freedom: chance leaves 5 % outside of their intervals
+    assert np.mean(off > 1.0) <= 0.05 + 3.0 * np.sqrt(0.05 * 0.95 / len(off))
+    assert off.max() <= 4.0
+
+
+def test_torque_noise_leaves_the_balance_closed_and_a_constant_torque_does_not() -> None:
+    known = random_ground(6, "spatial", 7500)
+    rms = np.sqrt((known.tau**2).mean(axis=0))
+    for share, declared in ((0.01, False), (0.05, False), (0.05, True), (0.5, False)):
+        sigma = [float(share * size) for size in rms]
+        noisy = replace(
+            known.arm,
+            joints=tuple(replace(j, torque_sigma=s) for j, s in zip(known.arm.joints, sigma, strict=True)),
+        )
+        cycles = replace(known, arm=noisy).cycles(0)
+        flight = Flight(noisy if declared else known.arm)
+        flight.cycles(cycles)
+        estimate = flight.estimate()
+        assert estimate.cluster <= 1.5, share
+        assert not estimate.reason.startswith("the balance"), share
+        if share <= 0.05:
+            assert np.isfinite(estimate.value).sum() >= 70
+    flight = Flight(known.arm)
+    flight.cycles(known.cycles(0, offset=0.05))
+    estimate = flight.estimate()
+    assert estimate.cluster >= 5.0
+    assert estimate.reason == "the balance does not close: what the solution leaves over is no noise"
+    assert estimate.validity == "doubtful"
+
+
+def test_noise_of_the_rates_is_what_a_sample_of_it_shows() -> None:
+    """Squares of noisy rows less those of exact ones, on average over draws, for every pair of columns."""
+    known = random_ground(3, "spatial", 1000)
+    arm = replace(known.arm, compensate_every=1)
+    sigma = (
+        arm.joints[0].motor_encoder.sigma_rad * 40.0
+    )  # 40 times the noise, so that products with the signal are small
+    encoder = replace(arm.joints[0].motor_encoder, quantum_rad=sigma * np.sqrt(12.0))
+    arm = replace(arm, joints=tuple(replace(j, link_encoder=encoder, motor_encoder=encoder) for j in arm.joints))
+    draws, p = 60, len(arm.parameter_names)
+    samples = calibrate(arm, known.cycles())
+    exact = joint_rows(arm, samples, smooth(arm, samples), arm.joint_row_s).z.reshape(-1, p)
+    excess = np.zeros((draws, p, p))
+    for seed in range(draws):
+        rng = np.random.default_rng(seed)
+        q = samples.q + sigma * rng.normal(size=samples.q.shape)
+        noisy = replace(samples, q=q, theta=q)
+        off = joint_rows(arm, noisy, smooth(arm, noisy), arm.joint_row_s).z.reshape(-1, p) - exact
+        excess[seed] = off.T @ off
+    flight = Flight(arm)
+    flight.cycles(known.cycles())
+    lib.zygos_take(flight.native, flight._work)
+    lib.zygos_solve(flight._work, flight._estimate)
+    rows, columns = np.tril_indices(p)
+    packed = np.array(list(flight._work.joint_sums.noise.gram)[: len(rows)])
+    mean, spread = excess.mean(axis=0)[rows, columns], excess.std(axis=0)[rows, columns] / np.sqrt(draws)
+    size = np.sqrt(excess.mean(axis=0).diagonal())
+    # rows are linear in the rates of kinetic columns and rotors; what angles alone are in has noise of second order
+    of_rates = np.array([not name.startswith("G") for name in arm.parameter_names])
+    compared = of_rates[rows] & of_rates[columns]
+    assert of_rates.sum() >= 20
+    # the rows of the last increment are not formed, and one signal stands for three in turn
+    pair = size[rows] * size[columns]
+    off = np.abs(packed - mean) - 3.0 * spread
+    assert (off <= 0.15 * pair)[compared].all()
+    np.testing.assert_allclose(packed[(rows == columns) & compared], mean[(rows == columns) & compared], rtol=0.2)
+
+
+def test_a_run_in_pieces_of_any_length_gives_the_same_sums() -> None:
+    """zygos_take() at any time, with a segment half added, sees the same rows."""
+    known = random_ground(3, "spatial", 3000)
+    whole = Flight(known.arm)
+    totals = []
+    for stop in range(200, 3001, 37):
+        whole.cycles(part(known.cycles(), max(0, stop - 37) if stop > 200 else 0, stop))
+        taken = whole.blocks().joints
+        totals.append(np.sum([sums for sums, _ in taken], axis=0))
+        count = sum(n for _, n in taken)
+        z, w, _ = rows_of(known.arm, part(known.cycles(), 0, stop)) if stop in (200, 1199, 2975) else ([], [], [])
+        if len(z):
+            table = np.concatenate([z, w[..., None]], axis=-1).reshape(-1, z.shape[-1] + 1)
+            assert len(table) <= count < len(table) + known.arm.n
+    grown = [np.linalg.eigvalsh(b - a)[0] / np.trace(b) for a, b in pairwise(totals)]
+    assert min(grown) >= -1e-9  # rows are added, none is lost
+
+
+def test_memory_that_changes_is_noticed() -> None:
+    known = random_ground(3, "spatial", 3000)
+    flight = Flight(known.arm)
+    flight.cycles(known.cycles(0))
+    sums = flight.native.joint_sums
+    assert sums.segments >= 4
+    lib.zygos_take(flight.native, flight._work)
+    assert lib.zygos_work_intact(flight._work)
+    places = (sums.group[1].rows.gram, sums.noise.gram, sums.apart.gram, sums.segment[sums.filling].rows.gram)
+    for gram, k in product(places, (0, 7, 33)):
+        kept = gram[k]
+        gram[k] = kept * 1.5 + 1e3
+        lib.zygos_take(flight.native, flight._work)
+        assert not lib.zygos_work_intact(flight._work)
+        gram[k] = kept
+    for owner, name in ((sums.group[2], "count"), (sums, "segments"), (sums, "keep"), (sums, "apart_sums")):
+        kept = getattr(owner, name)
+        setattr(owner, name, type(kept)(3))
+        lib.zygos_take(flight.native, flight._work)
+        assert not lib.zygos_work_intact(flight._work)
+        setattr(owner, name, kept)
+    for name, wrong in (("filling", 2), ("adding", 3), ("cursor", 10**6), ("filled", 10**6), ("turn", 99)):
+        kept = getattr(sums, name)
+        setattr(sums, name, wrong)
+        assert lib.zygos_resume(flight.native, ffi.addressof(flight.native, "config")) == lib.ZYGOS_E_STATE
+        setattr(sums, name, kept)
+    for name in ("position", "oldest", "newest", "turn", "halves"):
+        kept = getattr(flight.native.joint, name)
+        setattr(flight.native.joint, name, 10**6)
+        assert lib.zygos_resume(flight.native, ffi.addressof(flight.native, "config")) == lib.ZYGOS_E_STATE
+        setattr(flight.native.joint, name, kept)
+    assert lib.zygos_resume(flight.native, ffi.addressof(flight.native, "config")) == 1
+
+
+def test_void_cycles_drop_the_segment_that_is_filled_and_no_other() -> None:
+    known = random_ground(3, "spatial", 3000)
+    cycles = known.cycles()
+    flight = Flight(known.arm)
+    flight.cycles(part(cycles, 0, 2500))
+    before = flight.native.joint_sums.segments
+    assert flight.native.joint_sums.filled > 0
+    cycles.flags[2500] = BREAK_BEFORE | VOID_BEFORE | 5 << VOID_SHIFT
+    flight.cycles(part(cycles, 2500, 2501))
+    sums = flight.native.joint_sums
+    assert (sums.segments, sums.filled, sums.dropped) == (before, 0, 1)
+    assert sums.segment[sums.filling].count[0] == 0.0
+
+
+def test_forgetting_fades_the_groups() -> None:
+    """The same record twice: with a memory the second half counts more."""
+    known = random_ground(3, "spatial", 6000)
+    arm = replace(known.arm, memory_s=5.0, arc_max_s=2.0)
+    flight, lasting = Flight(arm), Flight(replace(arm, memory_s=None))
+    for one in (flight, lasting):
+        one.cycles(known.cycles())
+    count, all_rows = (sum(n for _, n in one.blocks().joints) for one in (flight, lasting))
+    half_s = 0.5 * arm.joint_row_s
+    expected = 3 * 5.0 / half_s * (1.0 - np.exp(-6000 * arm.period_s / 5.0))
+    assert abs(count / expected - 1.0) <= 0.25  # a segment of 2 s counts as a whole
+    assert all_rows >= 3.0 * count
+    # weight falls to 1/e in 5 s: the energy of the right side agrees with a sum of the rows with these weights
+    _, w, _ = rows_of(known.arm, known.cycles())
+    age = half_s * np.arange(len(w))[::-1]
+    weighed = float(np.sum(np.exp(-age / 5.0)[:, None] * w**2))
+    total = float(sum(sums[-1, -1] for sums, _ in flight.blocks().joints))
+    assert abs(total / weighed - 1.0) <= 0.3
+
+
+def test_a_configuration_that_does_not_fit_is_refused() -> None:
+    arm = random_ground(3, "spatial", 1500).arm
+    config = config_of(arm)
+    state = ffi.new("zygos_t *")
+    for cycles in (7, 6, 49, 2_000_000):
+        config.joint_row_cycles = cycles
+        assert lib.zygos_init(state, config) == lib.ZYGOS_E_ARC
+    config.joint_row_cycles = 0
+    config.arc_cycles = 0
+    assert lib.zygos_init(state, config) == lib.ZYGOS_E_ARC
+    config.joint_row_cycles = 50
+    assert lib.zygos_init(state, config) == 1
+    config.joint[1].torque_sigma = -1.0
+    assert lib.zygos_init(state, config) == lib.ZYGOS_E_VALUE
+    with pytest.raises(ZygosError, match=r"joint_rows\.increment_s is shorter than 8 cycles"):
+        Flight(replace(arm, joint_increment_s=0.02))
+
+
+def test_energy_rows_can_be_left_out_where_joint_rows_suffice() -> None:
+    known = random_ground(3, "spatial", 6000)
+    answers = []
+    for arc_cycles in (0, 15000):
+        state, work, out = (ffi.new(f"{name} *") for name in ("zygos_t", "zygos_work_t", "zygos_estimate_t"))
+        config = config_of(known.arm)
+        config.arc_cycles = arc_cycles
+        assert lib.zygos_init(state, config) == 1
+        flight = Flight(known.arm)
+        flight.native = state
+        flight.cycles(known.cycles(0))
+        lib.zygos_take(state, work)
+        assert lib.zygos_solve(work, out) == 1
+        answers.append(list(out.value)[: out.parameters] + list(out.sigma)[: out.parameters])
+        assert lib.zygos_adopt(state, out) == 0
+        lib.zygos_take(state, work)
+        deviation = ffi.new("double[]", lib.ZYGOS_MAX_PARAMETERS_VALUE)
+        assert lib.zygos_detect_change(work, out, deviation) == 0
+        assert np.isnan(list(deviation)).all()
+    np.testing.assert_array_equal(*answers)
+
+
+def reduced(arm: Arm, matrix: Floats) -> int:
+    """What zygos_init() says of a matrix (columns, parameters), its entries in order."""
+    config = config_of(replace(arm, joint_increment_s=None))
+    columns, parameters = np.nonzero(matrix)
+    config.reduced, config.reductions = matrix.shape[1], len(columns)
+    for entry, column, parameter in zip(config.reduction, columns.tolist(), parameters.tolist(), strict=False):
+        entry.column, entry.parameter, entry.factor = column, parameter, matrix[column, parameter]
+    return int(lib.zygos_init(ffi.new("zygos_t *"), config))
+
+
+def test_which_reductions_are_refused() -> None:
+    fixed, _ = random_arm(1, 3, "fixed", "spatial", False)
+    mixed, _ = random_arm(1, 3, "fixed", "spatial", [True, False, False])
+    free, _ = random_arm(1, 3, "free", "spatial", True)
+    unit = np.eye(len(fixed.full_parameters))
+    for matrix in (unit, unit[:, :-4], unit + np.eye(len(unit), k=1)):
+        assert reduced(fixed, matrix) == 1
+    assert reduced(fixed, np.column_stack([unit, unit[:, 0]])) == lib.ZYGOS_E_REDUCTION  # more parameters than columns
+    assert reduced(fixed, unit * np.where(np.arange(len(unit)) == 3, 0.0, 1.0)) == lib.ZYGOS_E_REDUCTION  # an empty one
+    assert reduced(fixed, np.nan * unit) == reduced(fixed, 1e12 * unit) == lib.ZYGOS_E_REDUCTION
+    names = mixed.full_names
+    stiffness, unit = names.index("k1"), np.eye(len(names))
+    assert reduced(mixed, unit) == 1
+    doubled = unit.copy()
+    doubled[stiffness, stiffness] = 2.0
+    assert reduced(mixed, doubled) == reduced(mixed, np.delete(unit, stiffness, axis=1)) == lib.ZYGOS_E_REDUCTION
+    unit = np.eye(len(free.full_parameters))
+    assert reduced(free, np.delete(unit, 5, axis=1)) == 1
+    assert reduced(free, unit[:, ::-1]) == reduced(free, 0.5 * unit) == lib.ZYGOS_E_REDUCTION
+    config = config_of(fixed)
+    config.reductions = 1
+    assert lib.zygos_init(ffi.new("zygos_t *"), config) == lib.ZYGOS_E_REDUCTION
+
+
+def test_sums_are_those_of_the_columns_times_the_matrix() -> None:
+    """Energy rows, joint rows and the noise of both, with a reduction of any factors."""
+    known = random_ground(3, "spatial", 1500)
+    rng = np.random.default_rng(0)
+    p = len(known.arm.full_parameters)
+    matrix = np.where(rng.uniform(size=(p, p - 6)) < 0.2, rng.normal(size=(p, p - 6)), 0.0) + np.eye(p, p - 6)
+    whole, state = Flight(known.arm), ffi.new("zygos_t *")
+    config = config_of(known.arm)
+    columns, parameters = np.nonzero(matrix)
+    config.reduced, config.reductions = p - 6, len(columns)
+    for entry, column, parameter in zip(config.reduction, columns.tolist(), parameters.tolist(), strict=False):
+        entry.column, entry.parameter, entry.factor = column, parameter, matrix[column, parameter]
+    assert lib.zygos_init(state, config) == 1
+    fewer = Flight(known.arm)
+    fewer.native, fewer.names = state, whole.names[: p - 6]
+    for flight in (whole, fewer):
+        flight.cycles(known.cycles(0))
+    own = np.zeros((p + 1, p - 5))
+    own[:-1, :-1], own[-1, -1] = matrix, 1.0
+
+    def close(less: Floats, more: Floats) -> None:
+        turned = own[: len(more)].T[: len(less)] @ more @ own[: len(more), : len(less)]
+        size = np.sqrt(np.abs(np.diag(turned)))
+        assert np.max(np.abs(less - turned) / np.outer(size, size)) <= 1e-9
+
+    a, b = whole.normal_equations()
+    c, d = fewer.normal_equations()
+    close(c, a)
+    np.testing.assert_allclose(d, matrix.T @ b, rtol=1e-9, atol=1e-9 * np.abs(d).max())
+    close(fewer.noise(), whole.noise())
+    for (less, _), (more, _) in zip(fewer.blocks().joints, whole.blocks().joints, strict=True):
+        if less.any():
+            close(less, more)
