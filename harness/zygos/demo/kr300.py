@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy.io import loadmat
+from scipy.io.matlab import MatReadError
 
 from zygos.audit.readings import noise_level
 from zygos.errors import ZygosError
@@ -39,11 +40,13 @@ class Skew:
 
 
 def write_kr300(source: Path, folder: Path) -> tuple[Path, Path]:
-    """Write the run as a table of cycles, and its arm file, into a folder; their paths. Errors: ZygosError if the source
-    cannot be read."""
+    """Write the run as a table of cycles, and its arm file, into a folder; their paths.
+
+    Errors: ZygosError if the source cannot be read.
+    """
     try:
         record = loadmat(source, squeeze_me=True, struct_as_record=False)["rec"]
-    except (OSError, ValueError, KeyError) as error:
+    except (OSError, ValueError, KeyError, MatReadError) as error:
         raise ZygosError(f"{source}: not the run of the KR300 ({error}); remedy: get it anew") from None
     q, theta = np.deg2rad(record.act_pos_se_deg[:3].T), np.deg2rad(record.act_pos_mot_deg[:3].T)
     n = len(q)

@@ -277,7 +277,10 @@ def _print(real: Real, kr300: Path) -> None:
         return
     table(
         ("axis of the KR300", "motor newer by ms", "±", "reported"),
-        [(one.axis, number(one.skew_ms, 3), number(one.sigma_ms, 2), "yes" if one.reported else "no") for one in real.skews],
+        [
+            (one.axis, number(one.skew_ms, 3), number(one.sigma_ms, 2), "yes" if one.reported else "no")
+            for one in real.skews
+        ],
     )
 
 

@@ -172,7 +172,7 @@ def _predictions(scores: Sequence[Score]) -> tuple[Entry, list[Entry]]:
             ]
             error = [series("measured − predicted", joint_colour(j), left)]
             for key, title, drawn, height in (("torque", "torque", lines, 180), ("error", "error", error, 130)):
-                chart = {
+                chart: Entry = {
                     "id": f"{key}-{k}-{j}",
                     "title": f"{joint.joint}, {title}",
                     "unit": "N m",
@@ -187,7 +187,9 @@ def _predictions(scores: Sequence[Score]) -> tuple[Entry, list[Entry]]:
         runs.append(
             {
                 "name": name,
-                "how": f"at {score.cutoff_hz:.1f} Hz" if score.cutoff_hz else f"over increments of {score.increment_s:g} s",
+                "how": f"at {score.cutoff_hz:.1f} Hz"
+                if score.cutoff_hz
+                else f"over increments of {score.increment_s:g} s",
                 "joints": [_scored(score, j) for j in range(len(score.joints))],
                 "flexible": any(np.isfinite(one.spring_nm) for one in score.joints),
                 "work": number(100 * score.arm_energy_share, 3),
