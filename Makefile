@@ -31,10 +31,13 @@ $(error CAPACITIES holds $(filter-out -DZYGOS_%,$(CAPACITIES)), which is no capa
 endif
 
 .DEFAULT_GOAL := demo
-.PHONY: lock demo build library install uninstall FORCE node test test-slow test-all coverage times kernels hil pil gap bench accuracy mission demo-log reference lint format warnings clean help
+.PHONY: lock demo real build library install uninstall FORCE node test test-slow test-all coverage times kernels hil pil gap bench accuracy mission ground demo-log reference lint format warnings clean help
 
 demo: build ## set up, run the paper's example over CAN, show the result (out/demo/report.html)
 	$(BIN)/python -m zygos.demo
+
+real: build ## measured runs of real arms: estimate, validate, compare (out/real/real.html; a minute)
+	$(BIN)/python -m zygos.demo.real
 
 build: $(VENV)/.core $(NATIVE) ## set up .venv and build the C library for it
 
@@ -146,6 +149,9 @@ accuracy: build $(VENV)/.test ## errors, coverage and refusals of all estimators
 
 mission: build $(VENV)/.test ## intervals over missions of up to 30 days of fresh noise (docs/mission.md; 30 minutes; LENGTHS="300s 3h" DRAWS=)
 	$(BIN)/python -m zygos.accuracy.missions $(LENGTHS) $(if $(DRAWS),--draws $(DRAWS))
+
+ground: build $(VENV)/.test ## simulated laboratory arms: do the intervals hold (docs/ground.md; 40 minutes; ARMS= DRAWS=)
+	$(BIN)/python -m zygos.accuracy.ground $(ARMS) $(if $(DRAWS),--draws $(DRAWS))
 
 demo-log: build $(VENV)/.test ## write the logs of examples/gap/demo again
 	PYTHONPATH=tests:tests/support $(BIN)/python -m oracles.demo_log

@@ -32,7 +32,7 @@ STREAM = 1_000_000
 _SYNC = 0x080
 _FACES = ("cli", "demo", "report", "view")
 """Sub-packages on which no answer depends."""
-_MAKERS = ("cases.py", "cell.py", "estimators.py", "figure4.py", "mission.py")
+_MAKERS = ("cases.py", "cell.py", "estimators.py", "figure4.py", "idim.py", "laboratory.py", "mission.py")
 
 
 @cache
