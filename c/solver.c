@@ -12,6 +12,8 @@
 /* Ratio of squared residuals to noise above which a bad arc may be in the sums, from before the first running solution.
  */
 #define CORRUPTED_RATIO 2.0
+/* Ratio of squared residuals of joint rows to declared noise above which they are something else. */
+#define NOISE_EXCEEDED 4.0
 #define TWO_SIGMAS 1.959964 /* 95 % of a normal distribution */
 /* Factor by which the variance of momentum rows is increased, because the noise of neighbouring rows is correlated. */
 #define MOMENTUM_CORRELATION 5.0
@@ -1292,8 +1294,12 @@ static int solve_from(zygos_work_t *work, zygos_estimate_t *out, uint32_t first)
     double explained = 0.0;
     const double unexplained = energy_left(work, p, work->solution, &explained);
     if (!(unexplained < ZYGOS_UNEXPLAINED_LIMIT * work->spread)) {
-        /* The residuals are no noise, so the arm moved. */
-        return refuse(out, p, closed ? ZYGOS_REASON_NOT_IDENTIFIABLE : ZYGOS_REASON_UNEXPLAINED);
+        /* The residuals are no noise, so the arm moved. A torque whose sign follows the motion adds up to nothing in a
+           segment of joint rows; it shows in that much more is left than the declared noise, of a motion that is no
+           noise. */
+        const bool louder = work->joints_alone && (out->noise_ratio > NOISE_EXCEEDED) &&
+                            (out->signal_to_noise >= ZYGOS_MIN_SIGNAL_TO_NOISE);
+        return refuse(out, p, (closed && !louder) ? ZYGOS_REASON_NOT_IDENTIFIABLE : ZYGOS_REASON_UNEXPLAINED);
     }
     const bool noisy = !(out->signal_to_noise >= ZYGOS_MIN_SIGNAL_TO_NOISE);
     const uint32_t unidentified = noisy ? ZYGOS_REASON_NOISE : ZYGOS_REASON_NOT_IDENTIFIABLE;

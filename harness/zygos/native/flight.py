@@ -476,7 +476,13 @@ class Flight:
         return full[:p, :p].copy(), full[p, :p].copy()
 
     def unexplained(self, result: Estimate) -> float:
-        """Share of the work's variance about the arc constants that an estimate leaves over; NaN without work."""
+        """Share of the work's variance about the arc constants that an estimate leaves over; where joint rows alone are
+        solved, of the impulses' mean square. NaN without work."""
+        lib.zygos_take(self.native, self._work)
+        lib.zygos_solve(self._work, self._estimate)
+        if self._work.joints_alone:
+            whole = float(self._work.spread)
+            return result.residual**2 * float(self._work.instants) / whole if whole > 0.0 else float("nan")
         sums = self._closed()
         lib.zygos_accumulator_total(sums, self._work.total)
         p = sums.width - 2
