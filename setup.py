@@ -14,7 +14,7 @@ from setuptools.command.bdist_wheel import bdist_wheel
 from setuptools.command.build_py import build_py
 
 ROOT = Path(__file__).parent
-PACKAGED = ("paper", "lively", "spatial", "seven", "gap", "telemetry", "notebook", "urdf")
+PACKAGED = ("paper", "lively", "spatial", "seven", "gap", "telemetry", "pendulum", "notebook", "urdf")
 """The folders of examples/ that a wheel has: those of `zygos example` (harness/zygos/files/examples.py)."""
 
 

@@ -10,8 +10,8 @@
 
 Files       load_arm save_arm load_model save_model load_run save_run load_scenario example write_example
 Runs        Run make_run simulate simulate_with_truth
-Questions   estimate check check_arm explain predict
-Answers     Estimation Check ArmCheck Explanation Prediction write_report
+Questions   estimate estimate_ground payload score check check_arm explain predict
+Answers     Estimation GroundEstimate Payload Score Check ArmCheck Explanation Prediction write_report
 Errors      ZygosError Undecided
 
 docs/python.md has each of them with an example. Quantities are in SI units; arrays are numpy's. What is listed here is
@@ -32,6 +32,9 @@ if TYPE_CHECKING:
     from zygos.gap.explanation import Explanation
     from zygos.gap.predict import Prediction, predict
     from zygos.gap.runs import explain_runs as explain
+    from zygos.ground.estimate import GroundEstimate, estimate_ground
+    from zygos.ground.payload import Payload, payload
+    from zygos.ground.score import Score, score
     from zygos.model.model import Model, Quantity, load_model, save_model
     from zygos.reference.check import Check, check
     from zygos.reports import write_report
@@ -49,11 +52,14 @@ _HOMES = {
     "Effect": "effects",
     "Estimation": "estimation.estimate",
     "Explanation": "gap.explain",
+    "GroundEstimate": "ground.estimate",
     "Model": "model.model",
+    "Payload": "ground.payload",
     "Prediction": "gap.predict",
     "Quantity": "model.model",
     "Run": "can.run",
     "Scenario": "simulation.scenario",
+    "Score": "ground.score",
     "Simulation": "simulation.run",
     "Undecided": "errors",
     "ZygosError": "errors",
@@ -61,6 +67,7 @@ _HOMES = {
     "check_arm": "audit.check",
     "effect": "effects",
     "estimate": "estimation.estimate",
+    "estimate_ground": "ground.estimate",
     "example": "files.examples",
     "explain": "gap.runs:explain_runs",
     "load_arm": "arm",
@@ -68,10 +75,12 @@ _HOMES = {
     "load_run": "can.run",
     "load_scenario": "simulation.scenario",
     "make_run": "can.run",
+    "payload": "ground.payload",
     "predict": "gap.predict",
     "save_arm": "arm",
     "save_model": "model.model",
     "save_run": "can.run",
+    "score": "ground.score",
     "simulate": "simulation.run",
     "simulate_with_truth": "simulation.run",
     "write_example": "files.examples",
@@ -87,11 +96,14 @@ __all__ = [
     "Effect",
     "Estimation",
     "Explanation",
+    "GroundEstimate",
     "Model",
+    "Payload",
     "Prediction",
     "Quantity",
     "Run",
     "Scenario",
+    "Score",
     "Simulation",
     "Undecided",
     "ZygosError",
@@ -100,6 +112,7 @@ __all__ = [
     "check_arm",
     "effect",
     "estimate",
+    "estimate_ground",
     "example",
     "explain",
     "load_arm",
@@ -107,10 +120,12 @@ __all__ = [
     "load_run",
     "load_scenario",
     "make_run",
+    "payload",
     "predict",
     "save_arm",
     "save_model",
     "save_run",
+    "score",
     "simulate",
     "simulate_with_truth",
     "write_example",

@@ -152,10 +152,10 @@ void zygos_take(const zygos_t *self, zygos_work_t *work);
 /// an arc that contradicts it is excluded from the sums and counted. Sums that the estimate excluded (its member since)
 /// are dropped. Call it once or twice in an arc, with the result of zygos_solve() on the newest zygos_take(). Without
 /// this call no arc is excluded. Call it in the task of zygos_step(). Returns 1 when the estimate was adopted; 0, with
-/// sums and running solution unchanged, when the estimate is not valid or is older than zygos_restart(), or where joint rows alone determine it
-/// (jointsums.h); or an enum zygos_error. After the running solution was given up, an estimate that is doubtful only because of
-/// ZYGOS_REASON_CHANGED is adopted as well. Cost: one pass over the sums of the motor and momentum rows and two over
-/// the covariance; where sums are dropped, the others are moved once.
+/// sums and running solution unchanged, when the estimate is not valid or is older than zygos_restart(), or where joint
+/// rows alone determine it (jointsums.h); or an enum zygos_error. After the running solution was given up, an estimate
+/// that is doubtful only because of ZYGOS_REASON_CHANGED is adopted as well. Cost: one pass over the sums of the motor
+/// and momentum rows and two over the covariance; where sums are dropped, the others are moved once.
 int zygos_adopt(zygos_t *self, const zygos_estimate_t *estimate);
 
 /// Checks whether memory was changed from outside. Call it before a state is sealed, and after zygos_snapshot_check()

@@ -317,6 +317,7 @@ def test_the_examples_of_the_page_run(
     blocks = re.findall(r"```python\n(.*?)```", PAGE, re.S)
     used = set(re.findall(r"zygos\.(\w+)", "".join(blocks)))
     named = {"Arm", "ArmCheck", "Check", "Cycles", "Effect", "Estimation", "Explanation", "Model", "Prediction", "Run"}
+    named |= {"GroundEstimate", "Payload", "Score"}
     assert set(zygos.__all__) - used == named | {"Scenario", "Simulation", "Undecided"}, "each function has an example"
     names: dict[str, object] = {}
     for k, block in enumerate(blocks):

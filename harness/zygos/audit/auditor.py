@@ -475,11 +475,25 @@ class _Auditor:
             best = best_of(law.angle_changes(declared, use))
             if self._clearly(law, now, best, SURE) and self._closes(law, best, use):
                 now = best
-        for i in use:
-            scaled = law.rescaled(now, i)
-            off = abs(math.log(abs(scaled.factor[i] / now.factor[i])))
-            if off > math.log(SCALE_OFF) and self._clearly(law, now, scaled, SURE_SCALE):
-                now = scaled
+        # a torque of a wrong scale may look inverted, so that scales are also tried on the arm file's own readings
+        ends = [self._with_scales(law, start, use) for start in dict.fromkeys((declared, now))]
+        return min(ends, key=lambda one: law.score(one).total)
+
+    def _with_scales(self, law: RigidLaw, reading: Reading, use: list[int]) -> Reading:
+        """The hypothesis with each scale that is clearly better, the best one first: a wrong scale of one torque lets
+        those of others seem wrong."""
+        now = reading
+        for _ in use:
+            tried = [(law.rescaled(now, i), i) for i in use if now.factor[i] == reading.factor[i]]
+            better = [
+                one
+                for one, i in tried
+                if abs(math.log(abs(one.factor[i] / now.factor[i]))) > math.log(SCALE_OFF)
+                and self._clearly(law, now, one, SURE_SCALE)
+            ]
+            if not better:
+                break
+            now = min(better, key=lambda one: law.score(one).total)
         return now
 
     @staticmethod

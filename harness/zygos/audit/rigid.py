@@ -2,7 +2,7 @@
 
 The joint rows of all bodies, with Coulomb and viscous friction and an offset of each joint, are fitted to one half of a
 run and predict the other. Every hypothesis about the torques has the same columns, so that none gains by freedom. A
-joint's weight is the inverse of its own residual: a torque in a wrong place does not spoil the others.
+joint's weight is the inverse of its own residual.
 """
 
 from __future__ import annotations

@@ -14,6 +14,7 @@ EXAMPLES = {
     "seven": "Seven flexible joints on a free-floating base, in space.",
     "gap": "A simulation model, and three recorded runs of an arm that has an effect the model lacks.",
     "telemetry": "A run on a bus that speaks another language, with its DBC and the map that `zygos convert` needs.",
+    "pendulum": "Measured runs of a real arm with two joints on the ground, as the CAN frames of its drives.",
     "notebook": "A notebook: the paper's example simulated and estimated, then a gap explained.",
     "urdf": "A URDF, and the answers to what it does not say, for `zygos import`.",
 }
