@@ -23,6 +23,8 @@ Floats = NDArray[np.float64]
 HIGHEST_CUTOFF_HZ = 10.0
 """Cut-off above which torques are not compared: accelerations from encoders are noise there."""
 _ORDER = 4
+_TWICE = float((np.sqrt(2.0) - 1.0) ** (-1.0 / (2 * _ORDER)))
+"""Cut-off of a filter that is applied twice, in units of that of both together."""
 _SHORTEST = 64
 _SETTLING = 1.5
 """Periods of the cut-off over which the filter settles."""
@@ -142,11 +144,12 @@ class TorqueRows:
 def torque_rows(arm: Arm, samples: Samples, cutoff: float) -> TorqueRows:
     """Rows of the torque through a Butterworth filter of fourth order in both directions.
 
-    cutoff: Hz. Errors: ZygosError for a run that is too short for the filter.
+    cutoff: Hz, at which both directions together pass 1/sqrt(2), as the smoother does. Errors: ZygosError for a run
+    that is too short for the filter.
     """
     h = arm.period_s
     cutoff = min(cutoff, 0.4 / h)
-    taps = butter(_ORDER, cutoff, fs=1.0 / h)
+    taps = butter(_ORDER, min(cutoff * _TWICE, 0.45 / h), fs=1.0 / h)
     settle = max(1, round(_SETTLING / (cutoff * h)))
     parts: list[tuple[NDArray[Any], ...]] = []
     for number, (start, stop) in enumerate(samples.segments):

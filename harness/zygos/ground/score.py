@@ -112,8 +112,8 @@ def score(run: Run, model: Model, *, cutoff: float | None = None) -> Score:
     lacking = [name for name in arm.parameter_names if name not in model.parameters] if not model.bodies else []
     if lacking:
         raise ZygosError(
-            f"model {model.name} has no value of {', '.join(lacking)}, so that it predicts no torque; remedy: estimate it "
-            "with --doubtful, or with --model for values that the runs do not determine"
+            f"model {model.name} has no value of {', '.join(lacking)}, so that it predicts no torque; remedy: estimate "
+            "it with --doubtful, or with --model for values that the runs do not determine"
         )
     if not arm.grounded:
         if cutoff is not None:
