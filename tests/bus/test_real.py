@@ -59,7 +59,7 @@ def test_held_out_torques_are_predicted(
             marks=[
                 pytest.mark.xfail(
                     strict=True,
-                    reason="1.051: runs 00 to 02 tell my1 hardly from the offset of the shoulder, and 11 goes to 3.1 rad",
+                    reason="1.051: 00 to 02 hardly tell my1 from the offset of the shoulder, and 11 goes to 3.1 rad",
                 )
             ]
             if case[:2] == ("11", "shoulder")

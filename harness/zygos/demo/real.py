@@ -29,6 +29,7 @@ from zygos.ground.estimate import GroundEstimate, estimate_ground
 from zygos.ground.page import ground_content
 from zygos.ground.score import Score, score
 from zygos.model.model import load_model, save_model
+from zygos.report.figures import unit_of
 from zygos.report.page import Entry, joint_colour, render
 from zygos.report.provenance import Provenance, provenance
 from zygos.runs.tables import read_cycles
@@ -186,7 +187,7 @@ def write_real_report(path: Path, real: Real, source: Provenance) -> None:
             "good": one.good,
             **{key: number(100 * getattr(one, key), 3) for key in ("zygos", "batch", "published", "with_offset")},
             "limit": number(100 * one.limit, 3),
-            "ratio": number(one.zygos / one.batch, 3),
+            "ratio": number(one.zygos / one.batch, 4),
         }
         for one in real.held_out
     ]
@@ -194,7 +195,7 @@ def write_real_report(path: Path, real: Real, source: Provenance) -> None:
         {
             "name": one.name,
             "stands_for": one.stands_for if one.stands_for != one.name else "",
-            "unit": one.unit,
+            "unit": unit_of(one.unit),
             **{key: number(getattr(one, key), 4) for key in ("value", "batch", "published")},
             "half95": number(one.half95, 2),
             "away": number((one.value - one.published) / one.half95, 2) if np.isfinite(one.published) else "–",
@@ -251,7 +252,7 @@ def _print(real: Real, kr300: Path) -> None:
                 number(100 * one.batch, 3),
                 number(100 * one.published, 3),
                 number(100 * one.limit, 3),
-                number(one.zygos / one.batch, 3),
+                number(one.zygos / one.batch, 4),
                 number(100 * one.with_offset, 3),
             )
             for one in real.held_out
