@@ -71,6 +71,7 @@ static const zygos_config_t arm_config = {
             .motor_zero_rad = 0.0,
             .motor_sigma_rad = 0.000866027131282639,
             .motor_latch_s = 0.0,
+            .torque_sigma = 0.0,
         },
         {
             .node = 2u,
@@ -88,6 +89,7 @@ static const zygos_config_t arm_config = {
             .motor_zero_rad = 0.0,
             .motor_sigma_rad = 0.000866027131282639,
             .motor_latch_s = 0.0,
+            .torque_sigma = 0.0,
         },
     },
     .compensation = 5u,
@@ -95,11 +97,20 @@ static const zygos_config_t arm_config = {
     .effects = 0u,
     .base = ZYGOS_BASE_FREE,
     .momentum_arc_cycles = 0u,
-    .reserved = 0u,
+    .joint_row_cycles = 0u,
     .effect = {
         {
             .kind = ZYGOS_MOTOR_COULOMB,
             .joint = 0u,
+        },
+    },
+    .reduced = 0u,
+    .reductions = 0u,
+    .reduction = {
+        {
+            .column = 0u,
+            .parameter = 0u,
+            .factor = 0.0,
         },
     },
 };

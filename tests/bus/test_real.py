@@ -51,23 +51,7 @@ def test_held_out_torques_are_predicted(
     assert one["zygos"] <= limit
 
 
-@pytest.mark.parametrize(
-    ("recording", "joint"),
-    [
-        pytest.param(
-            *case[:2],
-            marks=[
-                pytest.mark.xfail(
-                    strict=True,
-                    reason="1.051: 00 to 02 hardly tell my1 from the offset of the shoulder, and 11 goes to 3.1 rad",
-                )
-            ]
-            if case[:2] == ("11", "shoulder")
-            else [],
-        )
-        for case in CASES
-    ],
-)
+@pytest.mark.parametrize(("recording", "joint"), [case[:2] for case in CASES])
 def test_held_out_torques_are_predicted_as_by_batch_least_squares(
     made: tuple[Path, Content, int], recording: str, joint: str
 ) -> None:
