@@ -50,6 +50,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 CASES: dict[str, tuple[object, ...]] = {
     "simulate": ("simulate", SCENARIO, "-o", "{out}/run.blf"),
     "estimate": ("estimate", "{in}/run.blf", "-o", "{out}/m.toml"),
+    "predict": ("predict", "{in}/run.blf", "--model", MODEL),
     "check": ("check", "{in}/run.blf"),
     "check-arm": ("check-arm", ARM, "{in}/run.blf"),
     "convert": (

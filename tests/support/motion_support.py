@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -17,6 +18,13 @@ from zygos.model.model import Model
 from zygos.runs.cycles import Cycles
 
 Floats = NDArray[np.float64]
+
+FLEXIBLE: dict[str, Callable[[int], bool]] = {
+    "flexible": lambda _: True,
+    "rigid": lambda _: False,
+    "mixed": lambda i: i % 2 == 1,
+}
+"""Which joints of an arm are flexible, by the name of the kind."""
 
 
 @dataclass(frozen=True)
@@ -92,3 +100,17 @@ def laboratory(name: str, n: int = 15000) -> Ground:
     effects = (*model.effects, *(effect("torque_offset", joint.name) for joint in arm.joints))
     true = np.concatenate([model.base_values(arm), [one.value for one in effects]])
     return Ground(arm, q, tau, true, effects)
+
+
+def sines(arm: Arm, n: int) -> Cycles:
+    """Any motion and any torques: what the rooms make of them is compared, not whether they belong together."""
+    rng = np.random.default_rng(arm.n)
+    t = 0.3 * arm.period_s * np.arange(n)[:, None]
+    i = np.arange(arm.n)
+    q = 0.9 * np.sin((9.1 - 0.7 * i) * t + i) + 0.5 * np.cos((17.3 + 1.1 * i) * t)
+    theta = q + 0.05 * np.sin((23.0 + 1.7 * i) * t)
+    theta = np.where([joint.flexible for joint in arm.joints], theta, q)
+    omega = 0.4 * np.sin(t * [5.7, 7.1, 3.3] + [0.0, 1.0, 2.0])
+    return Cycles(
+        np.arange(n, dtype=np.uint64), q, theta, rng.normal(size=q.shape), omega, np.zeros(n, dtype=np.uint32)
+    )

@@ -18,6 +18,8 @@ SCHEMAS = {
     path.stem: json.loads(path.read_text())
     for path in (Path(__file__).resolve().parents[2] / "docs" / "reference" / "schemas").glob("*.json")
 }
+OF_ESTIMATOR = {schema["estimator"]: name for name, schema in SCHEMAS.items() if "estimator" in schema}
+"""Schemas of a command with several kinds of answers, by the estimator that an answer names."""
 OF_COMMAND = {command: name for name, schema in SCHEMAS.items() for command in schema["commands"]}
 
 
@@ -53,7 +55,8 @@ def json_matches_schema() -> Iterator[set[str]]:
     def dumps(content: Any, **options: Any) -> str:
         text = module.dumps(content, **options)
         if running[-1]:
-            hold(OF_COMMAND[running[-1]], json.loads(text))
+            written = json.loads(text)
+            hold(OF_ESTIMATOR.get(written.get("estimator"), OF_COMMAND[running[-1]]), written)
             held.add(running[-1])
         return text
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -10,9 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from arm_support import random_arm
+from motion_support import FLEXIBLE, sines
 from numpy.typing import NDArray
 
-from zygos.arm import Arm, Encoder, load_arm
+from zygos.arm import Encoder, load_arm
 from zygos.balances.energy import energy_columns
 from zygos.balances.state import State
 from zygos.model.model import load_model
@@ -26,26 +26,7 @@ from zygos.simulation.scenario import load_scenario
 Floats = NDArray[np.float64]
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
-FLEXIBLE: dict[str, Callable[[int], bool]] = {
-    "flexible": lambda _: True,
-    "rigid": lambda _: False,
-    "mixed": lambda i: i % 2 == 1,
-}
 KINDS = list(product((1, 2, 3, 7), ("free", "fixed"), ("spatial", "planar", "planar-symmetric"), FLEXIBLE))
-
-
-def sines(arm: Arm, n: int) -> Cycles:
-    """Any motion and any torques: what the rooms make of them is compared, not whether they belong together."""
-    rng = np.random.default_rng(arm.n)
-    t = 0.3 * arm.period_s * np.arange(n)[:, None]
-    i = np.arange(arm.n)
-    q = 0.9 * np.sin((9.1 - 0.7 * i) * t + i) + 0.5 * np.cos((17.3 + 1.1 * i) * t)
-    theta = q + 0.05 * np.sin((23.0 + 1.7 * i) * t)
-    theta = np.where([joint.flexible for joint in arm.joints], theta, q)
-    omega = 0.4 * np.sin(t * [5.7, 7.1, 3.3] + [0.0, 1.0, 2.0])
-    return Cycles(
-        np.arange(n, dtype=np.uint64), q, theta, rng.normal(size=q.shape), omega, np.zeros(n, dtype=np.uint32)
-    )
 
 
 @pytest.mark.slow(but=["2-*"])

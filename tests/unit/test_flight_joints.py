@@ -13,9 +13,8 @@ import numpy as np
 import pytest
 from arm_support import random_arm
 from flight_support import part
-from motion_support import laboratory, random_ground
+from motion_support import FLEXIBLE, laboratory, random_ground, sines
 from numpy.typing import NDArray
-from test_any_arm import FLEXIBLE, sines
 
 from zygos.arm import Arm, load_arm
 from zygos.balances.joint import joint_rows

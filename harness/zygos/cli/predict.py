@@ -39,7 +39,7 @@ def command(
     json: Json = None,
     report: Report = None,
 ) -> None:
-    """Compare the torques of runs with those that a model predicts from the motion.
+    """Compare the torques of runs with those that a model predicts, joint by joint.
 
     For each joint: root mean square of the measured torque and of the error, in Nm behind the gear and in per cent, and
     of the work over one second that the error makes; the error in standard deviations of the torque's noise (σ). The
