@@ -432,10 +432,9 @@ int zygos_cycle_wrapped(const zygos_previous_cycle_t *previous, const zygos_conf
 {
     double farthest = 0.0;
     for (uint32_t i = 0; i < config->joints; i++) {
-        const double link = __builtin_fabs(cycle->q[i] - previous->q[i]);
+        const double link = config->joint[i].rigid ? 0.0 : __builtin_fabs(cycle->q[i] - previous->q[i]);
         const double motor = __builtin_fabs(cycle->theta[i] - previous->theta[i]);
-        const double moved = config->joint[i].rigid ? motor : link;
-        farthest = (moved > farthest) ? moved : farthest;
+        farthest = (link > farthest) ? link : farthest;
         farthest = (motor > farthest) ? motor : farthest;
     }
     return (farthest > HALF_RANGE_RAD) ? 1 : 0;

@@ -1,8 +1,9 @@
 """Measures what the flight library costs, here and on Cortex-M, beside its peers (`make bench`).
 
-    python -m bench [out/bench.json]
+    python -m bench [out/bench.json [CONFIGURATION ...]]
 
-Writes the file, a copy to docs/bench.json, and the tables of README.md and docs/cost.md from it.
+Writes the file, a copy to docs/bench.json, and the tables of README.md and docs/cost.md from it. If configurations are
+named, only their instructions and bytes are measured, and the rest is taken from docs/bench.json.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 from bench import cortex, peers, tables
 from bench.configurations import BARE, CONFIGURATIONS
@@ -51,6 +53,34 @@ def versions() -> dict[str, str]:
     named = ("gcc", "arm-none-eabi-gcc", "valgrind", "qemu-system-arm")
     said = {one: subprocess.run([one, "--version"], capture_output=True, text=True, check=True).stdout for one in named}
     return {one: text.splitlines()[0] for one, text in said.items()}
+
+
+def chosen(path: Path, names: list[str]) -> None:
+    """Measure the named configurations, and put them in place of what docs/bench.json has of them."""
+    unknown = [name for name in names if name not in CONFIGURATIONS]
+    if unknown:
+        raise ZygosError(f"no configuration {unknown[0]!r}; remedy: use some of {' · '.join(CONFIGURATIONS)}")
+    content = json.loads(tables.COMMITTED.read_text())
+    known = {(row["target"], row["configuration"], row["stage"]): row for row in content["rows"]}
+    with ProcessPoolExecutor(os.cpu_count(), get_context("spawn")) as pool:
+        jobs = {(target, name): pool.submit(measure, target, name) for target in TARGETS for name in names}
+        for (target, name), job in jobs.items():
+            rows, found = job.result()
+            known |= {(target, name, row["stage"]): row for row in rows}
+            if name in PROFILED:
+                content["profiles"][target][name] = found
+    order = [(target, name) for target in TARGETS for name in CONFIGURATIONS]
+    content["rows"] = sorted(known.values(), key=lambda row: order.index((row["target"], row["configuration"])))
+    store(path, content)
+
+
+def store(path: Path, content: dict[str, Any]) -> None:
+    """Write what was found, and the tables; print these."""
+    for place in (path, tables.COMMITTED):
+        write_json(place, content)
+    for block in tables.blocks(content):
+        block.write()
+        say(block.text + "\n")
 
 
 def main(path: Path) -> None:
@@ -96,13 +126,10 @@ def main(path: Path) -> None:
         "frames_per_second": frames,
         "profiles": {target: {name: results[target, name][1] for name in PROFILED} for target in TARGETS},
     }
-    for place in (path, tables.COMMITTED):
-        write_json(place, content)
-    for block in tables.blocks(content):
-        block.write()
-        say(block.text + "\n")
+    store(path, content)
 
 
 if __name__ == "__main__":
     with errors_end_the_program():
-        main(Path(sys.argv[1] if len(sys.argv) > 1 else "out/bench.json"))
+        out = Path(sys.argv[1] if len(sys.argv) > 1 else "out/bench.json")
+        chosen(out, sys.argv[2:]) if len(sys.argv) > 2 else main(out)

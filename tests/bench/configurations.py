@@ -12,9 +12,10 @@ from unittest.mock import patch
 
 import numpy as np
 from cffi import FFI
+from laboratory_support import laboratory_arm
 
 from conftest import ROOT, tool_module
-from zygos.arm import Arm, load_arm
+from zygos.arm import JOINT_ROW_S, Arm, Smoother, load_arm
 from zygos.effects import CATALOGUE, Effect
 from zygos.native import flight
 from zygos.runs.cycles import Cycles
@@ -28,9 +29,12 @@ class Configuration:
     """An arm, what is switched on at it, and the capacities of the build that holds it."""
 
     example: str
+    """Folder in examples/; empty for an arm that has none."""
     arm: Arm
     capacities: tuple[str, ...]
     effects: tuple[Effect, ...] = ()
+    energy: bool = True
+    """Whether there are energy rows; on a fixed base with rigid joints they can be left out."""
 
 
 def _bare(arm: Arm) -> Arm:
@@ -48,7 +52,20 @@ def _example(name: str, capacities: str, *changes: Callable[[Arm], Arm]) -> Conf
     return Configuration(name, arm, tuple(f"-DZYGOS_{one}" for one in capacities.split()))
 
 
-BARE = ", bare"
+def _joint_rows(arm: Arm) -> Arm:
+    return replace(arm, joint_increment_s=JOINT_ROW_S)
+
+
+def _ground(energy: bool) -> Configuration:
+    """A UR10e's geometry at 250 Hz: rigid joints, known lengths, and an offset and friction of each motor."""
+    arm, model = laboratory_arm("UR10e", period_s=0.004)
+    offsets = tuple(Effect(CATALOGUE["torque_offset"], joint.name, 0.0) for joint in arm.joints)
+    capacities = tuple(f"-DZYGOS_{one}" for one in _GROUND.split())
+    return Configuration("", replace(arm, smoother=Smoother(21, 4, 10)), capacities, (*model.effects, *offsets), energy)
+
+
+BARE, JOINT_ROWS = ", bare", ", joint rows"
+_GROUND = "MAX_JOINTS=6 MAX_PARAMETERS=58 MAX_BLOCKS=8 MOMENTUM=0"
 _PAPER, _SPATIAL, _SEVEN = "MAX_JOINTS=2 SPATIAL=0 MOMENTUM=0", "MAX_JOINTS=3", "MAX_JOINTS=7 MAX_BLOCKS=8"
 
 CONFIGURATIONS: dict[str, Callable[[], Configuration]] = {
@@ -58,9 +75,12 @@ CONFIGURATIONS: dict[str, Callable[[], Configuration]] = {
     "spatial": lambda: _example("spatial", _SPATIAL, _short),
     "seven, bare": lambda: _example("seven", _SEVEN, _short, _bare),
     "seven": lambda: _example("seven", _SEVEN, _short),
+    "ground, joint rows": lambda: _ground(False),
+    "ground": lambda: _ground(True),
+    "spatial, joint rows": lambda: _example("spatial", _SPATIAL, _short, _joint_rows),
 }
 """By name. BARE: the energy rows alone, neither compensated nor with rows of motors or momentum. The arms in space have
-arcs of 300 cycles, so that some end."""
+arcs of 300 cycles, so that some end. JOINT_ROWS: on the ground joint rows alone, in space beside all others."""
 
 
 def with_effects(key: str) -> Configuration:
@@ -97,6 +117,8 @@ def write_run(one: Configuration, cycles: Cycles, path: Path) -> None:
     """Write what bench/driver.c reads: a configuration and the frames of the cycles."""
     frames = flight.encode(one.arm, cycles)
     with build_of(one.capacities) as ffi:
-        config = bytes(ffi.buffer(flight.config_of(one.arm, one.effects)))
+        native = flight.config_of(one.arm, one.effects)
+        native.arc_cycles *= int(one.energy)
+        config = bytes(ffi.buffer(native))
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(struct.pack("=3I", len(config), flight.FRAME.itemsize, len(frames)) + config + frames.tobytes())

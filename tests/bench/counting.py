@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +12,19 @@ from numpy.typing import NDArray
 from conftest import ROOT
 from zygos.errors import ZygosError
 
-ROOMS = ("wire", "cycle", "smoother", "kinematics", "balance", "impulse", "momentum", "noise", "accumulator", "solver")
+ROOMS = (
+    "wire",
+    "cycle",
+    "smoother",
+    "kinematics",
+    "balance",
+    "impulse",
+    "momentum",
+    "joint",
+    "noise",
+    "accumulator",
+    "solver",
+)
 """In the order in which a sample walks through them. What one costs is counted from c/zygos.c calling a function of its
 file until that returns; of `cycle`, which calls it, `wire` is taken off. Rooms and c/zygos.c itself add up to all."""
 WHOLE = ("frame", "step", "solve")
@@ -19,22 +32,28 @@ WHOLE = ("frame", "step", "solve")
 STAGES = (*ROOMS, *WHOLE)
 TOGETHER = "frame + step"
 """A full cycle: its frames in, its row accumulated."""
-FOLDED = {"motorsums": "impulse", "momentumsums": "momentum"}
+FOLDED = {"motorsums": "impulse", "momentumsums": "momentum", "jointsums": "joint", "reduction": "balance"}
 """Files that are part of another room."""
 KINDS = ("fills", "block", "arc", "cycle")
 """Of cycles, as bench/driver.c numbers them."""
 SIZES = (
-    "parameters", "cycle", "smoother", "kinematics", "balance", "impulse", "momentum", "noise", "accumulator", "whole",
-    "solver",
+    "parameters", "cycle", "smoother", "kinematics", "balance", "impulse", "momentum", "joint", "noise", "accumulator",
+    "whole", "solver",
 )  # fmt: skip
-PLACES = ("frames", "turn", "joint_turn", "momentum_turn", "filled", "torque_at", "position", "first")
+PLACES = (
+    "frames", "turn", "joint_turn", "momentum_turn", "filled", "torque_at", "position", "first",
+    "row_turn", "row_step", "row_signal", "row_moved",
+)  # fmt: skip
 """Where a cycle stands, as bench/driver.c has it."""
 RELEVANT: dict[str, tuple[str, ...]] = {
     "wire": ("frames",), "cycle": ("frames",), "smoother": ("position",), "kinematics": (), "balance": ("torque_at",),
-    "impulse": ("joint_turn", "torque_at"), "momentum": ("momentum_turn",), "noise": ("turn", "torque_at"),
+    "impulse": ("joint_turn", "torque_at"), "momentum": ("momentum_turn",),
+    "joint": ("row_turn", "row_step", "row_signal", "row_moved"), "noise": ("turn", "torque_at"),
     "accumulator": ("filled", "first"), "frame": ("frames",),
 }  # fmt: skip
 """On which of them the cost of a stage may depend."""
+REST = ("row_turn",)
+"""On which of them the rest of a step may depend, which is c/zygos.c itself."""
 DRIVER = ROOT / "tests" / "bench" / "driver.c"
 
 
@@ -75,9 +94,9 @@ class Count:
 
 
 def read_places(path: Path) -> tuple[dict[str, int], NDArray[np.int64], int]:
-    """What bench/driver.c wrote: sizes, (n, 9) a kind and a place for each cycle, and the rank."""
+    """What bench/driver.c wrote: sizes, (n, 13) a kind and a place for each cycle, and the rank."""
     words = np.fromfile(path, dtype="<u4").astype(np.int64)
-    body, rank = words[len(SIZES) : -1].reshape(-1, 9), int(words[-1])
+    body, rank = words[len(SIZES) : -1].reshape(-1, 1 + len(PLACES)), int(words[-1])
     return dict(zip(SIZES, words[: len(SIZES)].tolist(), strict=True)), body, rank
 
 
@@ -110,6 +129,11 @@ def spread_by_data(count: Count, stage: str) -> int:
     if stage == "step":
         rooms = [room for room in ROOMS if room not in ("wire", "cycle", "solver")]
         rest = count.stage("step") - count.stage(" + ".join(rooms))
-        return sum(spread_by_data(count, room) for room in rooms) + int(np.ptp(rest[chosen]))
-    relevant = count.places[chosen][:, [PLACES.index(one) for one in RELEVANT[stage]]]
-    return _spread(count.stage(stage)[chosen], np.column_stack([np.zeros(len(relevant), np.int64), relevant]))
+        return sum(spread_by_data(count, room) for room in rooms) + _spread(rest[chosen], _at(count, REST))
+    return _spread(count.stage(stage)[chosen], _at(count, RELEVANT[stage]))
+
+
+def _at(count: Count, relevant: Sequence[str]) -> NDArray[np.int64]:
+    """(n, 1 + k) places of the ordinary cycles."""
+    places = count.places[count.ordinary()][:, [PLACES.index(one) for one in relevant]]
+    return np.column_stack([np.zeros(len(places), np.int64), places])

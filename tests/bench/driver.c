@@ -4,6 +4,7 @@
    end the estimate is solved once. */
 
 #include "semihosting.h"
+#include "zygos/gram.h"
 #include "zygos/zygos.h"
 
 int main(void);
@@ -15,7 +16,8 @@ static zygos_estimate_t estimate;
 
 /* Bytes of state in this build. */
 static struct {
-    uint32_t parameters, cycle, smoother, kinematics, balance, impulse, momentum, noise, accumulator, whole, solver;
+    uint32_t parameters, cycle, smoother, kinematics, balance, impulse, momentum, joint, noise, accumulator, whole,
+        solver;
 } sizes = {
     .cycle = (uint32_t)(sizeof(zygos_receiver_t) + sizeof(zygos_previous_cycle_t)),
     .smoother = (uint32_t)(sizeof(zygos_smoother_t) + sizeof(zygos_arm_state_t)),
@@ -23,6 +25,7 @@ static struct {
     .balance = (uint32_t)(sizeof(zygos_column_map_t) + sizeof(zygos_balance_t) + sizeof(zygos_row_t)),
     .impulse = (uint32_t)(sizeof(zygos_impulse_t) + sizeof(zygos_impulse_rows_t) + sizeof(zygos_motor_sums_t)),
     .momentum = (uint32_t)(sizeof(zygos_momentum_t) + sizeof(zygos_momentum_sums_t)),
+    .joint = (uint32_t)(sizeof(zygos_joint_t) + sizeof(zygos_joint_row_t) + sizeof(zygos_joint_sums_t)),
     .noise = (uint32_t)sizeof(zygos_noise_t),
     .accumulator = (uint32_t)sizeof(zygos_accumulator_t),
     .whole = (uint32_t)sizeof(zygos_t),
@@ -31,15 +34,18 @@ static struct {
 
 enum kind {
     KIND_FILLS, /* the windows are not full yet: no row */
-    KIND_BLOCK, /* the row opens a segment, and so a block of the normal equations */
+    KIND_BLOCK, /* the row opens a segment, and so a block of the normal equations; or a segment of joint rows is
+                   complete */
     KIND_ARC,   /* the row begins or ends its arc, or that of the motor or momentum rows */
     KIND_CYCLE  /* any other row */
 };
 
 /* What a cycle was, and all on which its cost may depend beside its data: its frames, whose turn it is, and where rings
-   and steps stand. */
+   and steps stand. Of the joint rows: which one is formed, the step in the half of an increment, the signal whose noise
+   is added, and what is moved of a complete segment. */
 typedef struct {
     uint32_t kind, frames, turn, joint_turn, momentum_turn, filled, torque_at, position, first;
+    uint32_t row_turn, row_step, row_signal, row_moved;
 } place_t;
 
 /* What counts instructions sees this call behind each cycle. */
@@ -55,17 +61,29 @@ static place_t step(uint32_t frames)
     const double segment = sums->segment;
     const uint32_t blocks = sums->count;
     const uint32_t arcs = sums->arcs + sums->arcs_dropped;
+    const zygos_joint_sums_t *joints = &arm.joint_sums;
+    const uint64_t segments = joints->segments;
+    const uint64_t instants = joints->accepted + joints->refused;
+    const uint32_t row = (arm.joint.turn < config->joints) ? 1u + arm.joint.turn : 0u;
+    const uint32_t complete = (arm.joint.halves == 3u) ? 1u : 0u; /* else the row is formed but not added */
+    const uint32_t signal = joints->turn;
+    const uint32_t cursor = joints->cursor;
+    const uint32_t adding = joints->adding;
     (void)zygos_step(&arm);
     driver_mark();
+    const bool energy = (config->arc_cycles > 0);
+    const bool instant = energy ? (arm.instant == 1) : (joints->accepted + joints->refused != instants);
+    const uint32_t left = config->joint_row_cycles / 2u - arm.joint.position;
     const bool others = ((config->impulse_arc_cycles > 0) && (arm.motor_sums.cycles <= 1)) ||
                         ((config->momentum_arc_cycles > 0) && (arm.momentum_sums.cycles <= 1));
-    const bool edge = (sums->arcs + sums->arcs_dropped != arcs) || (arm.arc <= 1) || others;
+    const bool edge = others || (energy && ((sums->arcs + sums->arcs_dropped != arcs) || (arm.arc <= 1)));
     const bool first = (arm.arc <= (uint32_t)ZYGOS_BUFFER_ROWS); /* nothing is shared out yet */
     const bool opened = (sums->segment < segment) || (sums->count != blocks) || (first && (sums->filled == 0));
-    const uint32_t row = edge ? KIND_ARC : (opened ? KIND_BLOCK : KIND_CYCLE);
+    const bool block = (energy && opened) || (joints->segments != segments);
+    const uint32_t kind = edge ? KIND_ARC : (block ? KIND_BLOCK : KIND_CYCLE);
     const uint32_t sensors = (config->compensation > 0) ? config->compensation : 1u;
     return (place_t){
-        .kind = (arm.instant == 1) ? row : KIND_FILLS,
+        .kind = instant ? kind : KIND_FILLS,
         .frames = frames,
         .turn = (arm.arc + sensors - 1u) % sensors,
         .joint_turn = arm.motor_sums.cycles % config->joints,
@@ -74,6 +92,11 @@ static place_t step(uint32_t frames)
         .torque_at = arm.balance.torque_at,
         .position = arm.smoother.position,
         .first = first ? 1u : 0u,
+        .row_turn = 2u * row + complete,
+        .row_step = (left < 3u) ? left : ((arm.joint.position == 0) ? 0u : 4u), /* 0: at the end of a half */
+        .row_signal = (row > 0) ? signal : 0u,
+        .row_moved =
+            adding + (((adding == 1u) && (cursor + joints->slice >= zygos_gram_entries(joints->width))) ? 2u : 0u),
     };
 }
 

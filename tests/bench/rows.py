@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from bench import callgrind, cortex
-from bench.configurations import CONFIGURATIONS, random_cycles, write_run
+from bench.configurations import CONFIGURATIONS, JOINT_ROWS, random_cycles, write_run
 from bench.counting import STAGES, TOGETHER, Count, spread_by_data
 from bench.footprint import LIBRARY, footprints
 from bench.profile import profile
@@ -16,8 +16,8 @@ TARGETS = ("x86-64", "m7", "m4f")
 
 
 def inputs(target: str, name: str) -> int:
-    """Random cycles that are fed: 10,000 but where counting them takes minutes."""
-    return 1000 if target == "m4f" else 2000 if name == "seven" else 10_000
+    """Random cycles that are fed: 10,000 but where counting them takes minutes. Joint rows need 2 s for a segment."""
+    return (2000 if name.endswith(JOINT_ROWS) else 1000) if target == "m4f" else 2000 if name == "seven" else 10_000
 
 
 def measure(target: str, name: str) -> tuple[list[dict[str, Any]], dict[str, float]]:

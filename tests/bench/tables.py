@@ -8,14 +8,17 @@ from pathlib import Path
 from typing import Any
 
 from bench import peers
-from bench.configurations import BARE, CONFIGURATIONS
+from bench.configurations import BARE, CONFIGURATIONS, JOINT_ROWS
 from bench.counting import ROOMS, TOGETHER
 from conftest import ROOT
 from zygos.files.output import write_text
 
 COMMITTED = ROOT / "docs" / "bench.json"
 TITLES = {"x86-64": "x86-64", "m7": "Cortex-M7", "m4f": "Cortex-M4F"}
-ARMS = {"paper": "planar, 2 joints", "spatial": "space, 3 joints", "seven": "space, 7 joints"}
+ARMS = {"paper": "planar, 2 joints", "spatial": "space, 3 joints", "seven": "space, 7 joints",
+        "ground": "fixed base, 6 rigid joints"}  # fmt: skip
+SIZED = [name for name in CONFIGURATIONS if name.endswith(BARE) or name == "ground" + JOINT_ROWS]
+"""Configurations of which the tables have bytes: one of each build."""
 
 
 BUDGETS = {("x86-64", "paper, bare"): 3000, ("m7", "paper, bare"): 4500, ("m7", "seven, bare"): 150_000}
@@ -66,9 +69,17 @@ def _number(value: float | None) -> str:
     return "–" if value is None else f"{value:,.0f}"
 
 
+def _arm(name: str) -> str:
+    return ARMS[name.partition(", ")[0]]
+
+
 def _title(name: str, parameters: int) -> str:
-    arm = ARMS[name.removesuffix(BARE)]
-    return f"{arm}, p = {parameters}" + ("" if name.endswith(BARE) else ", everything on")
+    rows = name.partition(", ")[2]
+    said = {
+        "": ", everything on", "bare": "", "joint rows": ", everything and joint rows on",
+        "ground": ", joint rows and energy rows", "ground, joint rows": ", joint rows alone",
+    }  # fmt: skip
+    return f"{_arm(name)}, p = {parameters}{said.get(name, said[rows])}"
 
 
 def ratios(content: dict[str, Any], name: str) -> dict[str, float]:
@@ -94,14 +105,13 @@ def _summary(content: dict[str, Any]) -> str:
     for name in CONFIGURATIONS:
         here = [rows[target, name, TOGETHER] for target in TITLES]
         cycles.append([_title(name, here[0]["parameters"]), *(_number(row["instructions"]) for row in here)])
-    for name in CONFIGURATIONS:
-        if name.endswith(BARE):
-            here = [rows[target, name, "library"] for target in TITLES]
-            structs = rows["x86-64", name, "library"]["bytes_state"]
-            cells = (f"{row['bytes_code'] / 1000:.0f} kB, {_number(row['bytes_stack'])} B" for row in here)
-            sizes.append([ARMS[name.removesuffix(BARE)], *cells, f"{structs / 1000:,.0f} kB"])
+    for name in SIZED:
+        here = [rows[target, name, "library"] for target in TITLES]
+        structs = rows["x86-64", name, "library"]["bytes_state"]
+        cells = (f"{row['bytes_code'] / 1000:.0f} kB, {_number(row['bytes_stack'])} B" for row in here)
+        sizes.append([_arm(name), *cells, f"{structs / 1000:,.0f} kB"])
     compared = " · ".join(
-        f"{ARMS[name.removesuffix(BARE)]} {ratios(content, name)['instructions']:.2f}"
+        f"{_arm(name)} {ratios(content, name)['instructions']:.2f}"
         for name in CONFIGURATIONS if name.endswith(BARE)
     )  # fmt: skip
     return (
@@ -126,19 +136,17 @@ def _details(content: dict[str, Any]) -> str:
             lines.append([stage, *(_number(row[key]) for row in here for key in ("instructions", "spread", "most"))])
         title = _title(name, of["x86-64", name, "step"]["parameters"])
         out.append(f"\n### Instructions: {title}\n\n" + _table(("stage", *head), lines))
-    for name in CONFIGURATIONS:
-        if not name.endswith(BARE):
-            continue
+    for name in SIZED:
         head = [f"{title}, {what}" for title in TITLES.values() for what in ("code", "stack")]
         lines = []
         for stage in (*ROOMS, "frame", "step", "solve", "library"):
             here = [of[target, name, stage] for target in TITLES]
             cells = [_number(row[key]) for row in here for key in ("bytes_code", "bytes_stack")]
             lines.append([stage, *cells, _number(here[0]["bytes_state"])])
-        out.append(f"\n### Bytes: {ARMS[name.removesuffix(BARE)]}\n\n" + _table(("stage", *head, "state"), lines))
+        out.append(f"\n### Bytes: {_arm(name)}\n\n" + _table(("stage", *head, "state"), lines))
     lines = []
     for peer in content["peers"]:
-        arm = ARMS[peer["configuration"].removesuffix(BARE)]
+        arm = _arm(peer["configuration"])
         base = next(
             other for other in content["peers"]
             if (other["configuration"], other["name"]) == (peer["configuration"], peers.ZYGOS)

@@ -26,7 +26,7 @@ from zygos.accuracy.cell import Cell, cells, sensed
 from zygos.accuracy.estimators import ESTIMATORS
 from zygos.accuracy.figure4 import PRINTED, Figure4
 from zygos.accuracy.page import write_accuracy_report
-from zygos.accuracy.summary import inertia, summarise
+from zygos.accuracy.summary import compare, inertia, summarise
 from zygos.arm import Arm
 from zygos.dynamics.engines import engine
 from zygos.errors import ZygosError
@@ -295,11 +295,42 @@ def test_what_is_counted(arm: Arm, true: Floats) -> None:
     assert entries["EB"]["wild"] is None
 
 
+def test_cases_with_the_same_runs_are_compared_where_both_publish(tmp_path: Path) -> None:
+    """Errors of 1 % and 3 % beside half of them; a draw that one refuses and a parameter that one leaves out count
+    nowhere. The intervals of 2 % hold one of two there, both here."""
+    one = CASES["paper-60"]
+    case = replace(one, name="other", beside=one.name)
+    true = one.model.base_values(one.arm)
+
+    def line(name: str, errors: list[float], validity: list[str], missing: int | None) -> dict[str, Any]:
+        values = [(true * (1.0 + error)).tolist() for error in errors]
+        for value in values if missing is not None else []:
+            value[missing] = None
+        sizes = {"half95": 0.02, "sigma": 0.01 if name == one.name else 0.008}
+        column = {"seed": [0, 1, 2], "draw": [0] * 3, "validity": validity, "reason": [""] * 3, "value": values}
+        column |= {key: [(size * np.abs(true)).tolist()] * 3 for key, size in sizes.items()}
+        return {"case": name, "answers": {each.name: column for each in ESTIMATORS}}
+
+    lines = [
+        line(one.name, [0.01, 0.03, 0.5], ["valid"] * 3, None),
+        line("other", [0.005, 0.015, 0.0], ["valid", "partial", "refused"], 2),
+    ]
+    (found,) = compare([one, case], lines)
+    assert (found["case"], found["beside"], found["seeds"], found["parameters"]) == ("other", one.name, 3, len(true) - 1)
+    assert found["error_ratio"] == pytest.approx(0.5)
+    assert found["sigma_ratio"] == pytest.approx(0.8)
+    assert (found["coverage95_beside"], found["coverage95"]) == (pytest.approx(0.5), pytest.approx(1.0))
+    assert compare([case], lines) == []
+    page = tmp_path / "a.html"
+    write_accuracy_report(page, [one, case], summarise([one, case], lines), [found], None, 3)
+    assert "the median ratio of the errors of a parameter that both publish is 0.5," in page.read_text()
+
+
 def test_the_page_of_refusals_only(tmp_path: Path) -> None:
     case = CASES["paper-30"]
     column = {key: [None] for key in ("value", "half95")} | {"seed": [0], "draw": [0], "validity": ["refused"]}
     line = {"case": case.name, "answers": {one.name: column | {"reason": ["why <not>"]} for one in ESTIMATORS}}
-    write_accuracy_report(tmp_path / "a.html", [case], summarise([case], [line]), None, 1)
+    write_accuracy_report(tmp_path / "a.html", [case], summarise([case], [line]), [], None, 1)
     assert "why &lt;not&gt;" in (tmp_path / "a.html").read_text()
 
 
@@ -401,7 +432,7 @@ def test_the_arm_rests_and_then_moves_along_a_sine() -> None:
 
 
 def test_every_case_of_the_issue_is_there() -> None:
-    assert len(CASES) == 15
+    assert len(CASES) == 18
     assert [name for name, case in CASES.items() if not case.benign] == [
         *("paper-30", "gain-50", "sigma-half", "sigma-double"),
     ]

@@ -64,12 +64,15 @@ DURATION_S = {"paper": 60.0, "spatial": 1.2, "seven": 1.6}
 
 
 @functools.cache
-def recorded(example: str) -> tuple[Arm, Cycles]:
-    """The motion of an example, with noise; bits need no accurate plant."""
+def recorded(example: str, period_s: float | None = None, duration_s: float | None = None) -> tuple[Arm, Cycles]:
+    """The motion of an example, with noise; bits need no accurate plant. By default with the period of the example and
+    as long as DURATION_S says."""
     folder = ROOT / "examples" / example
     arm, scenario = load_arm(folder / "arm.toml"), load_scenario(folder / "scenario.toml")
     model = load_model(folder / "model.toml")
-    run = simulate(arm, model, scenario, noise=True, duration_s=DURATION_S[example], rtol=1e-6, atol=1e-8)
+    arm = arm if period_s is None else arm.at_period(period_s)
+    seconds = DURATION_S[example] if duration_s is None else duration_s
+    run = simulate(arm, model, scenario, noise=True, duration_s=seconds, rtol=1e-6, atol=1e-8)
     return arm, run.cycles()
 
 

@@ -48,9 +48,11 @@ class Case:
     options: Sequence[tuple[str, Any]] = ()
     kinds: Sequence[str] = ()
     """Effects, each at every joint."""
+    motion: tuple[float, float] | None = None
+    """Period and duration of the run, s, where they are not those of the example."""
 
     def of(self) -> tuple[Arm, tuple[Effect, ...], Cycles]:
-        arm, cycles = recorded(self.example)
+        arm, cycles = recorded(self.example, *(self.motion or ()))
         effects = tuple(Effect(CATALOGUE[kind], joint.name, 0.0) for kind in self.kinds for joint in arm.joints)
         return replace(arm, **dict(self.options)), effects, cycles
 
@@ -65,6 +67,8 @@ CASES = {
     "three in space": Case("spatial"),
     "three in space, not compensated": Case("spatial", [("compensate_every", 0)]),
     "three in space, momentum rows": Case("spatial", [("momentum_max_s", 0.4), ("arc_max_s", 0.5)]),
+    # 100 Hz, so that few cycles have more segments of joint rows than there are groups
+    "three in space, joint rows": Case("spatial", [("joint_increment_s", 0.2)], motion=(0.01, 24.0)),
     "seven in space": Case("seven"),
     "seven in space, not compensated": Case("seven", [("compensate_every", 0)]),
 }
@@ -107,6 +111,8 @@ def test_from_frames_to_the_estimate(
             measured(target, build.name, sizes)
             estimate = flight.ffi.from_buffer("zygos_estimate_t *", host[-2].data)
             assert estimate.validity >= (2 if case.example == "paper" else 0)
+        joints = flight.ffi.from_buffer("zygos_t *", host[-1].data).joint_sums
+        assert not case.motion or joints.segments > flight.lib.ZYGOS_JOINT_GROUPS_VALUE
 
 
 @pytest.mark.parametrize("target", TARGETS)

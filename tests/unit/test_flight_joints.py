@@ -383,3 +383,55 @@ def test_sums_are_those_of_the_columns_times_the_matrix() -> None:
     for (less, _), (more, _) in zip(fewer.blocks().joints, whole.blocks().joints, strict=True):
         if less.any():
             close(less, more)
+
+
+def test_an_increment_with_a_refused_instant_does_not_count() -> None:
+    """Jitter of a few cycles, which the bandwidth test refuses."""
+    arm = replace(random_arm(2, 2, "fixed", "spatial", False)[0], joint_increment_s=0.06)
+    cycles = sines(arm, 400)
+    for first in (100, 233):
+        cycles.q[first : first + 4] += 1e-2 * np.random.default_rng(first).normal(size=(4, arm.n))
+    cycles.theta[:] = cycles.q
+    z, _, accepted = rows_of(arm, cycles)
+    samples = calibrate(arm, cycles)
+    expected = joint_rows(arm, samples, smooth(arm, samples), 0.06)
+    assert 4 <= np.count_nonzero(~expected.accepted) <= expected.count - 4
+    np.testing.assert_array_equal(accepted > 0.0, expected.accepted[: len(z)])
+
+
+def sensed_apart(kinetic: str) -> Arm:
+    """An arm on a free base with springs, each sensor of which has a noise of its own."""
+    arm, _ = random_arm(2, 3, "free", kinetic, [True, False, True])  # type: ignore[arg-type]
+    joints = []
+    for i, joint in enumerate(arm.joints):
+        motor = replace(joint.motor_encoder, quantum_rad=(7 + 2 * i) * 1e-4)
+        link = replace(joint.link_encoder, quantum_rad=(3 + i) * 1e-4) if joint.flexible else motor
+        joints.append(replace(joint, link_encoder=link, motor_encoder=motor))
+    gyro = replace(arm.imu, rate_sigma=5e-3)
+    return replace(arm, joints=tuple(joints), imu=gyro, joint_increment_s=0.06, compensate_every=1)
+
+
+@pytest.mark.slow(but=["spatial"])
+@pytest.mark.parametrize("kinetic", ["spatial", "planar"])
+def test_sums_of_an_arm_with_springs_on_a_free_base(kinetic: str) -> None:
+    """Rows and noise, also that of the gyro and of the rotors behind springs."""
+    arm = sensed_apart(kinetic)
+    flight = Flight(arm)
+    rooms = {room.name: room for room in check_frames(arm, encode(arm, sines(arm, 1300)), flight)}
+    assert flight.native.joint_sums.accepted >= 1200
+    assert rooms["joint rows"].equal
+
+
+def test_noise_of_a_rigid_joint_is_that_of_its_motors_encoder() -> None:
+    """It has no other, whatever a configuration says of one."""
+    arm = sensed_apart("spatial")
+    found = []
+    for factor in (1.0, 100.0):
+        flight, config = Flight(arm), config_of(arm)
+        config.joint[1].link_sigma_rad *= factor
+        assert lib.zygos_init(flight.native, config) == 1
+        flight.cycles(sines(arm, 400))
+        sums = flight.native.joint_sums
+        found.append(np.array(list(sums.segment[sums.filling].noise.gram)))
+    assert found[0].any()
+    np.testing.assert_array_equal(*found)

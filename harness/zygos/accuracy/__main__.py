@@ -13,7 +13,7 @@ from zygos.accuracy.cases import all_cases, chosen
 from zygos.accuracy.cell import cells, fingerprint
 from zygos.accuracy.figure4 import Figure4
 from zygos.accuracy.page import write_accuracy_report
-from zygos.accuracy.summary import summarise
+from zygos.accuracy.summary import compare, summarise
 from zygos.files.output import check_outputs, counted, errors_end_the_program, number, quiet, say, table, write_json
 
 FIGURE_CASE = "paper-60"
@@ -45,7 +45,7 @@ def accuracy(
     work: list[campaign.Job] = [*cells(wanted, seeds, draws)]
     work += [Figure4(case, 0, fingerprint()) for case in wanted if case.name == FIGURE_CASE]
     found = campaign.run(work, lines, lambda: campaign.executor(scheduler, workers))
-    summary = summarise(wanted, found)
+    summary, compared = summarise(wanted, found), compare(wanted, found)
     figure = next((line for line in found if line.get("figure")), None)
     short = figure and {
         key: figure[key]
@@ -54,8 +54,8 @@ def accuracy(
             *("servo_rms_rad", "horizon_s", "arcs_rad", "missing"),
         )
     }
-    write_json(json, {"seeds": seeds, "draws": draws, "cases": summary, "figure4": short})
-    write_accuracy_report(target, wanted, summary, figure, draws)
+    write_json(json, {"seeds": seeds, "draws": draws, "cases": summary, "compared": compared, "figure4": short})
+    write_accuracy_report(target, wanted, summary, compared, figure, draws)
     if quiet(json, target):
         return
     table(
@@ -74,6 +74,23 @@ def accuracy(
             for entry in summary
         ],
     )
+    if compared:
+        table(
+            ("case", "beside", "seeds", "draws", "error, ratio", "sigma, ratio", "coverage beside, %", "coverage, %"),
+            [
+                (
+                    entry["case"],
+                    entry["beside"],
+                    str(entry["seeds"]),
+                    str(entry["draws"]),
+                    number(entry["error_ratio"], 3),
+                    number(entry["sigma_ratio"], 3),
+                    number(100.0 * entry["coverage95_beside"], 3),
+                    number(100.0 * entry["coverage95"], 3),
+                )
+                for entry in compared
+            ],
+        )
     say(f"{counted(len(work), 'cell')} in {time.monotonic() - begin:.0f} s · {json} · {target}")
 
 

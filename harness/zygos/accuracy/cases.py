@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from zygos.arm import Arm, Smoother, load_arm
+from zygos.arm import JOINT_ROW_S, Arm, Smoother, load_arm
 from zygos.dynamics.equations import EngineName
 from zygos.errors import ZygosError
 from zygos.model.model import Model, load_model
@@ -47,6 +47,8 @@ class Case:
     share: int = 1
     """Number of seeds that share one motion, each with its own sensor errors."""
     engine: EngineName = "zygos"
+    beside: str = ""
+    """Name of the case with the same runs and another arm file, with which this one is compared."""
 
 
 def all_cases(folder: Path = Path("examples")) -> tuple[Case, ...]:
@@ -79,6 +81,32 @@ def all_cases(folder: Path = Path("examples")) -> tuple[Case, ...]:
         load_scenario(lively / "scenario.toml"),
     )
     space = load_arm(spatial / "arm.toml")
+    floating = Case(
+        "spatial",
+        "three joints in space, 20-bit and geared 14-bit encoders, 500 Hz, T = 60 s; motion by Pinocchio",
+        space,
+        space,
+        load_model(spatial / "model.toml"),
+        load_scenario(spatial / "scenario.toml"),
+        share=BLOCK,
+        engine="pinocchio",
+    )
+    shorter = replace(
+        floating,
+        name="spatial-20",
+        description="the run of spatial, T = 20 s",
+        scenario=replace(floating.scenario, duration_s=20.0),
+    )
+
+    def with_joint_rows(case: Case) -> Case:
+        return replace(
+            case,
+            name=f"{case.name}-joints",
+            description=f"the runs of {case.name}, with joint rows of {JOINT_ROW_S:g} s",
+            arm=replace(case.arm, joint_increment_s=JOINT_ROW_S),
+            beside=case.name,
+        )
+
     return (
         # little more than one period of the slower sine
         replace(at("paper-30", "the paper's run, T = 30 s, too short for most seeds", 30.0), benign=False),
@@ -132,16 +160,10 @@ def all_cases(folder: Path = Path("examples")) -> tuple[Case, ...]:
             scenario=_from_rest(larger.scenario, [joint.name for joint in moving.joints]),
             rest_s=REST_S,
         ),
-        Case(
-            "spatial",
-            "three joints in space, 20-bit and geared 14-bit encoders, 500 Hz, T = 60 s; motion by Pinocchio",
-            space,
-            space,
-            load_model(spatial / "model.toml"),
-            load_scenario(spatial / "scenario.toml"),
-            share=BLOCK,
-            engine="pinocchio",
-        ),
+        floating,
+        with_joint_rows(floating),
+        shorter,
+        with_joint_rows(shorter),
     )
 
 

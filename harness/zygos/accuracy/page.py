@@ -39,6 +39,7 @@ def write_accuracy_report(
     path: Path,
     cases: Sequence[Case],
     summary: Sequence[Mapping[str, Any]],
+    compared: Sequence[Mapping[str, Any]],
     figure: Mapping[str, Any] | None,
     draws: int,
 ) -> None:
@@ -58,6 +59,12 @@ def write_accuracy_report(
                     (entry["estimator"], reason, count)
                     for entry in entries
                     for reason, count in entry["reasons"].items()
+                ],
+                "compared": [
+                    {key: _number(one[key]) if isinstance(one[key], float) else one[key] for key in one}
+                    | {key: _number(100.0 * one[key]) for key in ("coverage95", "coverage95_beside")}
+                    for one in compared
+                    if one["case"] == case.name
                 ],
                 "inertia": [
                     (e["estimator"], _number(e["inertia"]["worst_percent"]), _number(e["inertia"]["median_percent"]))

@@ -80,13 +80,52 @@ def summarise(cases: Sequence[Case], lines: Sequence[Line]) -> list[dict[str, An
     """One entry for each case and estimator."""
     out = []
     for case in cases:
-        own = [line for line in lines if line.get("case") == case.name]
         true = case.model.base_values(case.arm)
         for estimator in ESTIMATORS:
             if estimator.fits(case.arm):
-                answers = EstimatorResults.of([line["answers"][estimator.name] for line in own], len(true))
-                out.append(_entry(case, estimator, answers, true))
+                out.append(_entry(case, estimator, _answers(case.name, estimator, lines, len(true)), true))
     return out
+
+
+def compare(cases: Sequence[Case], lines: Sequence[Line]) -> list[dict[str, Any]]:
+    """One entry for each case with a partner `beside` it among them that has the same runs, of the estimator that is
+    given every draw. Each ratio is that of a parameter's rms over the draws in which both publish it, and the entry has
+    the median over the parameters; the coverage is that of the same intervals, on average."""
+    out = []
+    for case in cases:
+        if case.beside not in (one.name for one in cases):
+            continue
+        (estimator,) = (one for one in ESTIMATORS if one.redrawn)
+        true = case.model.base_values(case.arm)
+        own, other = (_answers(name, estimator, lines, len(true)) for name in (case.name, case.beside))
+        both = np.isfinite(own.value) & np.isfinite(other.value)
+        shared = both.any(axis=0)
+
+        def rms(values: Floats, both: NDArray[np.bool_] = both, shared: NDArray[np.bool_] = shared) -> Floats:
+            return np.asarray(np.sqrt(np.nanmean(np.where(both, values, np.nan)[:, shared] ** 2, axis=0)))
+
+        holds = [np.abs(answers.value - true) <= answers.half95 for answers in (other, own)]
+        out.append(
+            {
+                "case": case.name,
+                "beside": case.beside,
+                "seeds": int(own.first.sum()),
+                "draws": len(own.first),
+                "parameters": int(shared.sum()),
+                "error_ratio": float(np.median(rms(own.value - true) / rms(other.value - true))),
+                "sigma_ratio": float(np.median(rms(own.sigma) / rms(other.sigma))),
+                "coverage95_beside": float(holds[0][both].mean()),
+                "coverage95": float(holds[1][both].mean()),
+                "published_beside": int(np.isfinite(other.value).sum()),
+                "published": int(np.isfinite(own.value).sum()),
+            }
+        )
+    return out
+
+
+def _answers(case: str, estimator: Estimator, lines: Sequence[Line], parameters: int) -> EstimatorResults:
+    own = [line["answers"][estimator.name] for line in lines if line.get("case") == case]
+    return EstimatorResults.of(own, parameters)
 
 
 def _entry(case: Case, estimator: Estimator, answers: EstimatorResults, true: Floats) -> dict[str, Any]:
