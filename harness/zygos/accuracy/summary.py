@@ -99,7 +99,7 @@ def compare(cases: Sequence[Case], lines: Sequence[Line]) -> list[dict[str, Any]
         true = case.model.base_values(case.arm)
         own, other = (_answers(name, estimator, lines, len(true)) for name in (case.name, case.beside))
         both = np.isfinite(own.value) & np.isfinite(other.value)
-        shared = both.any(axis=0)
+        shared = np.asarray(both.any(axis=0), dtype=np.bool_)
 
         def rms(values: Floats, both: NDArray[np.bool_] = both, shared: NDArray[np.bool_] = shared) -> Floats:
             return np.asarray(np.sqrt(np.nanmean(np.where(both, values, np.nan)[:, shared] ** 2, axis=0)))
