@@ -316,12 +316,8 @@ def test_cases_with_the_same_runs_are_compared_where_both_publish(tmp_path: Path
         line("other", [0.005, 0.015, 0.0], ["valid", "partial", "refused"], 2),
     ]
     (found,) = compare([one, case], lines)
-    assert (found["case"], found["beside"], found["seeds"], found["parameters"]) == (
-        "other",
-        one.name,
-        3,
-        len(true) - 1,
-    )
+    assert (found["case"], found["beside"], found["seeds"]) == ("other", one.name, 3)
+    assert found["parameters"] == len(true) - 1
     assert found["error_ratio"] == pytest.approx(0.5)
     assert found["sigma_ratio"] == pytest.approx(0.8)
     assert (found["coverage95_beside"], found["coverage95"]) == (pytest.approx(0.5), pytest.approx(1.0))

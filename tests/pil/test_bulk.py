@@ -68,7 +68,7 @@ CASES = {
     "three in space, not compensated": Case("spatial", [("compensate_every", 0)]),
     "three in space, momentum rows": Case("spatial", [("momentum_max_s", 0.4), ("arc_max_s", 0.5)]),
     # 100 Hz, so that few cycles have more segments of joint rows than there are groups
-    "three in space, joint rows": Case("spatial", [("joint_increment_s", 0.2)], motion=(0.01, 24.0)),
+    "three in space, joint rows": Case("spatial", [("joint_increment_s", 0.2)], motion=(0.01, 30.0)),
     "seven in space": Case("seven"),
     "seven in space, not compensated": Case("seven", [("compensate_every", 0)]),
 }

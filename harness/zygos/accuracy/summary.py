@@ -99,11 +99,6 @@ def compare(cases: Sequence[Case], lines: Sequence[Line]) -> list[dict[str, Any]
         true = case.model.base_values(case.arm)
         own, other = (_answers(name, estimator, lines, len(true)) for name in (case.name, case.beside))
         both = np.isfinite(own.value) & np.isfinite(other.value)
-        shared = np.asarray(both.any(axis=0), dtype=np.bool_)
-
-        def rms(values: Floats, both: NDArray[np.bool_] = both, shared: NDArray[np.bool_] = shared) -> Floats:
-            return np.asarray(np.sqrt(np.nanmean(np.where(both, values, np.nan)[:, shared] ** 2, axis=0)))
-
         holds = [np.abs(answers.value - true) <= answers.half95 for answers in (other, own)]
         out.append(
             {
@@ -111,9 +106,9 @@ def compare(cases: Sequence[Case], lines: Sequence[Line]) -> list[dict[str, Any]
                 "beside": case.beside,
                 "seeds": int(own.first.sum()),
                 "draws": len(own.first),
-                "parameters": int(shared.sum()),
-                "error_ratio": float(np.median(rms(own.value - true) / rms(other.value - true))),
-                "sigma_ratio": float(np.median(rms(own.sigma) / rms(other.sigma))),
+                "parameters": int(both.any(axis=0).sum()),
+                "error_ratio": float(np.median(_rms(own.value - true, both) / _rms(other.value - true, both))),
+                "sigma_ratio": float(np.median(_rms(own.sigma, both) / _rms(other.sigma, both))),
                 "coverage95_beside": float(holds[0][both].mean()),
                 "coverage95": float(holds[1][both].mean()),
                 "published_beside": int(np.isfinite(other.value).sum()),
@@ -121,6 +116,12 @@ def compare(cases: Sequence[Case], lines: Sequence[Line]) -> list[dict[str, Any]
             }
         )
     return out
+
+
+def _rms(values: Floats, chosen: NDArray[np.bool_]) -> Floats:
+    """Of each column that has any entry chosen, over those entries."""
+    squares = np.where(chosen, values, np.nan)[:, chosen.any(axis=0)] ** 2
+    return np.asarray(np.sqrt(np.nanmean(squares, axis=0)), dtype=np.float64)
 
 
 def _answers(case: str, estimator: Estimator, lines: Sequence[Line], parameters: int) -> EstimatorResults:
