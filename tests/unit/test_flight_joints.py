@@ -5,9 +5,11 @@ The rows' columns are derived in numpy from the energy (test_joint_rows.py); mot
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise, product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -435,3 +437,38 @@ def test_noise_of_a_rigid_joint_is_that_of_its_motors_encoder() -> None:
         found.append(np.array(list(sums.segment[sums.filling].noise.gram)))
     assert found[0].any()
     np.testing.assert_array_equal(*found)
+
+
+def test_which_configurations_of_joint_rows_are_refused() -> None:
+    fixed, _ = random_arm(1, 3, "fixed", "spatial", False)
+    unit = np.eye(len(fixed.full_parameters))
+
+    def verdict(change: Callable[[Any], None]) -> int:
+        config = config_of(replace(fixed, joint_increment_s=None))
+        columns, parameters = np.nonzero(unit)
+        config.reduced, config.reductions = len(unit), len(columns)
+        for entry, column, parameter in zip(config.reduction, columns.tolist(), parameters.tolist(), strict=False):
+            entry.column, entry.parameter, entry.factor = column, parameter, 1.0
+        change(config)
+        return int(lib.zygos_init(ffi.new("zygos_t *"), config))
+
+    def setting(name: str, value: float) -> Callable[[Any], None]:
+        return lambda config: setattr(config, name, value)
+
+    assert verdict(lambda config: None) == 1
+    for cycles in (7, 2, 8, 2**20):  # odd, too few steps, no room for three rows, too long
+        assert verdict(setting("joint_row_cycles", cycles)) == lib.ZYGOS_E_ARC, cycles
+    assert verdict(setting("arc_cycles", 3)) == lib.ZYGOS_E_ARC
+    assert verdict(setting("momentum_arc_cycles", 100)) == lib.ZYGOS_E_BASE
+    for value in (-1.0, np.nan, 1e12):
+        assert verdict(lambda config, v=value: setattr(config.joint[1], "torque_sigma", v)) == lib.ZYGOS_E_VALUE  # type: ignore[misc]
+    assert verdict(setting("reductions", 10**6)) == lib.ZYGOS_E_REDUCTION
+    for name, value in (
+        ("column", 10**6),
+        ("parameter", 10**6),
+        ("column", 0),
+        ("parameter", len(unit)),
+        ("factor", 0.0),
+    ):
+        change = lambda config, n=name, v=value: setattr(config.reduction[2], n, v)  # noqa: E731
+        assert verdict(change) == lib.ZYGOS_E_REDUCTION, (name, value)
