@@ -15,11 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
+from zygos.balances.readings import Readings
 from zygos.balances.state import State
 from zygos.dynamics.planar import PlanarDynamics
 from zygos.dynamics.replay import exact_readings, replay, substeps
 from zygos.errors import ZygosError
-from zygos.gap.record import MeasuredRun, Readings, smoothed_states
+from zygos.gap.record import MeasuredRun, smoothed_states
 from zygos.gap.twin import Twin, measure
 from zygos.runs.smoother import coefficients
 

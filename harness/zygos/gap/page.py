@@ -62,6 +62,7 @@ def write_gap_report(path: Path, explanation: Explanation, provenance: Provenanc
 
 _TAGS = {
     "named": "named",
+    "part named": "named",
     "values differ": "differ",
     "nothing missing": "nothing",
     "cannot tell": "open",
