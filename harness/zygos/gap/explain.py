@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from zygos.arm import Arm
-from zygos.dynamics.planar import PlanarDynamics
+from zygos.dynamics.equations import from_model, from_parameters
+from zygos.dynamics.joints import Drives
 from zygos.effects import OFFSET, Effect
 from zygos.errors import Undecided, ZygosError
 from zygos.gap.balances import Layout
@@ -114,7 +115,7 @@ class _Explainer:
         for record in (*self.measured, *([] if self.validate is None else [self.validate])):
             if record.share < _USED:
                 self.remarks.append(BrokenRun(record.path.name, record.share))
-        delivered = PlanarDynamics.from_model(arm, self.simulation)
+        delivered = from_model(arm, self.simulation)
         hypothesis = read_hypothesis(layout, self.simulation)
         refit = begin(self.measured, hypothesis, delivered)
         deflections = tuple(deflection(arm, self.measured, i) for i, rigid in enumerate(hypothesis.rigid) if rigid)
@@ -243,7 +244,7 @@ class _Explainer:
         q, theta = record.samples.q - off[:-1:2], record.samples.theta - off[1::2]
         return replace(record, samples=replace(record.samples, q=q, theta=theta), omega0=record.omega0 - off[-1])
 
-    def _gap(self, delivered: PlanarDynamics, refit: Study, after: Study, found: Search | None) -> Gap | None:
+    def _gap(self, delivered: Drives, refit: Study, after: Study, found: Search | None) -> Gap | None:
         if self.validate is None:
             self.remarks.append(NoUntouchedRun())
             return None
