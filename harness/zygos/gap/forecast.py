@@ -49,6 +49,18 @@ class Stretches:
     time_s: Array
     """(S, 2n) since the run's first cycle."""
 
+    @classmethod
+    def joined(cls, parts: Sequence[Stretches]) -> Stretches:
+        """Stretches of several runs of one arm, one run after the other."""
+        return cls(
+            parts[0].arm,
+            np.concatenate([one.readings for one in parts]),
+            np.concatenate([one.tau for one in parts]),
+            np.concatenate([one.before for one in parts]),
+            np.concatenate([one.guess for one in parts]),
+            np.concatenate([one.time_s for one in parts]),
+        )
+
     @property
     def sigma(self) -> Array:
         """(2N+1,) declared deviations of one reading of q, theta, omega0 that came over the wire."""
