@@ -38,8 +38,9 @@ _LENGTH = 16
 
 @dataclass(frozen=True)
 class Stretches:
-    """Stretches of a run, one second each, that begin every half second or, in a long run, are evenly spread; S segments
-    of 2n cycles. W: 1 in a plane, 3 in space, 0 on a fixed base."""
+    """Stretches of a run, one second each, that begin every half second or, in a long run, are evenly spread.
+
+    S segments of 2n cycles. W: 1 in a plane, 3 in space, 0 on a fixed base."""
 
     arm: Arm
     readings: Array
@@ -53,6 +54,18 @@ class Stretches:
     time_s: Array
     """(S, 2n) since the run's first cycle."""
 
+    @classmethod
+    def joined(cls, parts: Sequence[Stretches]) -> Stretches:
+        """Stretches of several runs of one arm, one run after the other."""
+        return cls(
+            parts[0].arm,
+            np.concatenate([one.readings for one in parts]),
+            np.concatenate([one.tau for one in parts]),
+            np.concatenate([one.before for one in parts]),
+            np.concatenate([one.guess for one in parts]),
+            np.concatenate([one.time_s for one in parts]),
+        )
+
     @property
     def sigma(self) -> Array:
         """(2N+W,) declared deviations of one reading of q, theta, omega0 that came over the wire."""
@@ -63,7 +76,7 @@ class Stretches:
     @property
     def width(self) -> int:
         """W, signals of the base."""
-        return self.guess.shape[-1] - 4 * self.arm.n
+        return int(self.guess.shape[-1]) - 4 * self.arm.n
 
 
 @dataclass(frozen=True)
