@@ -14,9 +14,10 @@ from threadpoolctl import threadpool_limits
 from zygos.arm import Arm
 from zygos.dynamics.equations import from_model
 from zygos.dynamics.joints import Drives
-from zygos.effects import OFFSET, Effect
+from zygos.effects import OFFSET, Effect, column_name
 from zygos.errors import Undecided, ZygosError
 from zygos.gap.balances import Layout
+from zygos.gap.changes import find_change
 from zygos.gap.experiment import Experiment, propose
 from zygos.gap.explanation import Explanation
 from zygos.gap.findings import (
@@ -34,7 +35,7 @@ from zygos.gap.fit import fit
 from zygos.gap.forecast import Forecast, Stretches, cut, cut_twin, forecast
 from zygos.gap.record import MeasuredRun
 from zygos.gap.remainder import closes, remainders
-from zygos.gap.search import CERTAIN, COMPLETE, EXCESS, PARTLY, Candidate, Search, excess, search
+from zygos.gap.search import CERTAIN, COMPLETE, EXCESS, PARTLY, Candidate, Search, excess, possible, search
 from zygos.gap.sentences import entry_evidence
 from zygos.gap.study import Study, again, begin, read_hypothesis, realise, split
 from zygos.gap.twin import follow
@@ -42,6 +43,7 @@ from zygos.gap.verdicts import (
     AboveFloor,
     ArmFileFirst,
     BrokenRun,
+    Changed,
     DeclaredTooNoisy,
     Disagreements,
     DrawingPredictsBetter,
@@ -150,6 +152,9 @@ class _Explainer:
         self.step(0.9, "verdict")
         values = self._values(after)
         verdict = self._sensors_first(after, findings, skewed) or self._judge(found, tuple(findings), values, gap)
+        if isinstance(verdict, RunsDisagree | Unexplained) and found is not None:
+            self.step(0.92, "changes with time")
+            verdict = self._changed(refit if isinstance(verdict, Unexplained) else found.after) or verdict
         local = refit.local()
         experiments: tuple[Experiment, ...] = ()
         if isinstance(verdict, Inseparable) and found is not None:
@@ -343,6 +348,12 @@ class _Explainer:
             return Inseparable(findings)
         whole = share >= COMPLETE and (closes(gap) if gap is not None else bool(np.nanmax(found.after.excess) <= SMALL))
         return Lacking(findings) if whole else PartNamed(findings, remainders(self.arm, found.after, gap))
+
+    def _changed(self, study: Study) -> Changed | None:
+        """A change with time that explains what the runs disagree on, or what nothing else explains."""
+        listed = [column_name(kind, i) for kind, i in study.layout.effects if possible(study.hypothesis, kind, i)]
+        change = find_change(study, listed)
+        return None if change is None else Changed(change, tuple(record.path.name for record in study.records))
 
     def _same_equations(self, study: Study, values: tuple[Value, ...]) -> Verdict:
         apart = self._apart(study)
