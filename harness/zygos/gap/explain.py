@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from zygos.arm import Arm
-from zygos.dynamics.equations import from_model
+from zygos.dynamics.equations import from_model, from_parameters, parameters
 from zygos.dynamics.joints import Drives
 from zygos.effects import OFFSET, Effect, column_name
 from zygos.errors import Undecided, ZygosError
-from zygos.gap.balances import Layout
+from zygos.gap.balances import Layout, corrected
 from zygos.gap.changes import find_change
 from zygos.gap.experiment import Experiment, propose
 from zygos.gap.explanation import Explanation
@@ -191,19 +191,21 @@ class _Explainer:
         freed = [names.index(joint) for joint in joints]
         rigid = tuple(was and i not in freed for i, was in enumerate(refit.hypothesis.rigid))
         free = replace(refit.hypothesis, rigid=rigid)
-        dynamics = refit.model
-        inertia, stiffness, damping = (x.copy() for x in (dynamics.rotor_inertia, dynamics.stiffness, dynamics.damping))
+        values = parameters(self.arm, refit.model)
+        at = self.arm.parameter_names
         for i in freed:
             balance = refit.layout.balances.index(f"M{i + 1}")
             own = fit(free, refit.sums, np.ones(len(refit.layout.balances)), alone=balance)
-            inertia[i], stiffness[i], damping[i] = (float(own.of(f"{key}{i + 1}")) for key in ("Im", "k", "b"))
-            damping[i] = max(damping[i], 0.0)
-            if not (inertia[i] > 0.0 and stiffness[i] > 0.0):
+            inertia, stiffness, damping = (float(own.of(f"{key}{i + 1}")) for key in ("Im", "k", "b"))
+            if not (inertia > 0.0 and stiffness > 0.0):
                 raise Undecided(
-                    f"link and motor part at the {names[i]}, but not like a spring (k = {stiffness[i]:.4g} Nm/rad, "
-                    f"Im = {inertia[i]:.4g} kg m^2); remedy: check its signs, zeros and gear ratio in the arm file"
+                    f"link and motor part at the {names[i]}, but not like a spring (k = {stiffness:.4g} Nm/rad, "
+                    f"Im = {inertia:.4g} kg m^2); remedy: check its signs, zeros and gear ratio in the arm file"
                 )
-        guess = replace(dynamics, rotor_inertia=inertia, stiffness=stiffness, damping=damping)
+            for key, value in (("Im", inertia), ("k", stiffness), ("b", max(damping, 0.0))):
+                values[at.index(f"{key}{i + 1}")] = value
+        effects = split(refit.hypothesis, refit.value)[1]
+        guess = from_parameters(self.arm, values, effects)
         return begin(self.measured, free, guess)
 
     def _flexibility(self, study: Study, bent: Deflection) -> Finding:
@@ -256,12 +258,7 @@ class _Explainer:
         if not off.any():
             return list(records)
         self.remarks.append(ZerosOff(tuple((n, float(x)) for n, x in zip(layout.zeros, off, strict=True) if x)))
-        out = []
-        for record in records:
-            q, theta = record.samples.q - off[:-1:2], record.samples.theta - off[1::2]
-            samples = replace(record.samples, q=q, theta=theta)
-            out.append(replace(record, samples=samples, omega0=record.omega0 - off[-1]))
-        return out
+        return [corrected(record, layout, off) for record in records]
 
     def _gap(self, delivered: Drives, refit: Study, after: Study, found: Search | None) -> Gap | None:
         if not self.validate:
