@@ -18,6 +18,9 @@ MATERIAL = 0.005
 """Share below which a difference of values does not matter."""
 FLEXIBILITY = "joint_flexibility"
 """Kind of a finding that is no entry of the catalogue: the simulation's joint is rigid."""
+ROTOR_INERTIA = "rotor_inertia"
+"""Likewise: the simulation's rotor has no inertia."""
+_TITLES = {FLEXIBILITY: "joint flexibility", ROTOR_INERTIA: "inertia of the rotor"}
 
 
 @dataclass(frozen=True)
@@ -102,8 +105,8 @@ class Finding:
     @property
     def title(self) -> str:
         """The effect as a sentence names it."""
-        if self.kind == FLEXIBILITY:
-            return "joint flexibility"
+        if self.kind in _TITLES:
+            return _TITLES[self.kind]
         plain = CATALOGUE[self.kind].title
         return f"the right {plain} (it assumes {self.assumed:g} Nms)" if self.assumed else plain
 
