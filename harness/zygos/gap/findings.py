@@ -87,6 +87,18 @@ class Significance:
 
 
 @dataclass(frozen=True)
+class Repeated:
+    """The evidence for an effect of an arm on the ground, which every run shows."""
+
+    z: float
+    """Standard deviations by which the coefficient differs from 0, from the scatter over blocks of time."""
+    completeness: float
+    """Share of the squared residual beyond noise that it explains at its joint, at the value of the other runs."""
+    each: tuple[float, ...]
+    """The coefficient on each run by itself; NaN on a run that does not show it."""
+
+
+@dataclass(frozen=True)
 class Finding:
     """An effect that the simulation lacks."""
 
@@ -96,7 +108,7 @@ class Finding:
     value: float
     sigma: float
     unit: str
-    evidence: Significance | Deflection
+    evidence: Significance | Deflection | Repeated
     instead: tuple[str, ...] = ()
     """Columns that the runs cannot tell from it."""
     assumed: float | None = None
