@@ -40,7 +40,9 @@ def candidates_of(arm: Arm, simulation: Model) -> tuple[Candidate, ...]:
     """Everything that the simulation may lack: entries of the catalogue, and inertias of rotors where it has none."""
     had = {(effect.kind.key, effect.joint) for effect in simulation.effects}
     out = [
-        Candidate(column_name(kind, j), kind.key, kind.title, kind.unit, j, kind.positive, Effect(kind, joint.name, 0.0))
+        Candidate(
+            column_name(kind, j), kind.key, kind.title, kind.unit, j, kind.positive, Effect(kind, joint.name, 0.0)
+        )
         for kind in CATALOGUE.values()
         if _is_tried(kind)
         for j, joint in enumerate(arm.joints)

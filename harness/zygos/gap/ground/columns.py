@@ -44,9 +44,7 @@ class Layout:
         own = tuple(e for e in simulation.effects if e.kind.place not in ("rotor", "base"))
         own = tuple(e for e in own if e.kind.key not in ("torque_gain", "torque_offset"))
         extra = [one.effect for one in candidates if one.effect is not None]
-        start = np.concatenate(
-            [simulation.base_values(arm), [e.value for e in own], np.zeros(len(extra))]
-        )
+        start = np.concatenate([simulation.base_values(arm), [e.value for e in own], np.zeros(len(extra))])
         names = (*arm.parameter_names, *(e.column(arm) for e in own))
         units = (*arm.parameter_units, *(e.kind.unit for e in (*own, *extra)))
         names = (*names, *(one.name for one in candidates if one.effect is not None))
@@ -160,9 +158,7 @@ def table_of(layout: Layout, motions: Sequence[Motion], span_s: float, predicted
     """The sums of runs. predicted: torque after the gear at the smoothed instants of each (m, N), for friction in
     proportion to the load."""
     arm, joints = layout.arm, layout.arm.n
-    runs = [
-        run_rows(motion, span_s, layout.effects, load) for motion, load in zip(motions, predicted, strict=True)
-    ]
+    runs = [run_rows(motion, span_s, layout.effects, load) for motion, load in zip(motions, predicted, strict=True)]
     runs = [replace(rows, gains=()) for rows in runs]
     turn = np.eye(layout.shared + 2)
     turn[: layout.shared, -1] = -layout.start

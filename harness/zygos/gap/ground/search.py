@@ -62,6 +62,11 @@ class Tried:
         return self.candidate.name
 
     @property
+    def twins(self) -> tuple[str, ...]:
+        """Keys of effects that look alike in some motions."""
+        return () if self.candidate.effect is None else self.candidate.effect.kind.twins
+
+    @property
     def passes(self) -> bool:
         """Whether it passes all tests."""
         return self.against is None
