@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from zygos.arm import Arm
-from zygos.dynamics.planar import PlanarDynamics
+from zygos.dynamics.equations import from_model
+from zygos.dynamics.joints import Drives
 from zygos.effects import OFFSET, Effect
 from zygos.errors import Undecided, ZygosError
 from zygos.gap.balances import Layout
@@ -124,7 +125,7 @@ class _Explainer:
         for record in (*self.measured, *self.validate):
             used[record.path.name] = used.get(record.path.name, 0.0) + record.share
         self.remarks += [BrokenRun(name, share) for name, share in used.items() if share < _USED]
-        delivered = PlanarDynamics.from_model(arm, self.simulation)
+        delivered = from_model(arm, self.simulation)
         hypothesis = read_hypothesis(layout, self.simulation)
         refit = begin(self.measured, hypothesis, delivered)
         deflections = tuple(deflection(arm, self.measured, i) for i, rigid in enumerate(hypothesis.rigid) if rigid)
@@ -257,7 +258,7 @@ class _Explainer:
             out.append(replace(record, samples=samples, omega0=record.omega0 - off[-1]))
         return out
 
-    def _gap(self, delivered: PlanarDynamics, refit: Study, after: Study, found: Search | None) -> Gap | None:
+    def _gap(self, delivered: Drives, refit: Study, after: Study, found: Search | None) -> Gap | None:
         if not self.validate:
             self.remarks.append(NoUntouchedRun())
             return None
@@ -409,7 +410,7 @@ class _Explainer:
         return Model(f"{self.simulation.name}, explained", parameters=parameters, effects=tuple(kept))
 
 
-def _redrawn(study: Study) -> list[PlanarDynamics]:
+def _redrawn(study: Study) -> list[Drives]:
     """Models whose values err as those of fits to the twins' draws."""
     drawn = study.of_twin(study.hypothesis).value
     out = []
