@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from zygos.arm import Arm
 from zygos.dynamics.compiled import Multibody
 from zygos.dynamics.engines import Engine, engine
-from zygos.dynamics.planar import PlanarDynamics
 from zygos.dynamics.joints import Drives
+from zygos.dynamics.planar import PlanarDynamics
 from zygos.effects import Effect, Kind
 from zygos.model.model import Model
 

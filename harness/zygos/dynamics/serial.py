@@ -155,9 +155,7 @@ class SpatialDynamics(Drives):
         """Add what the rotors do to the inertia matrix after their own accelerations are eliminated. along: (..., N, U)
         rates of the carrying bodies about the axes."""
         ratio, rotor, coupling = self.gear_ratio, self.rotor_inertia, self.coupling
-        mass -= np.einsum(
-            "i,...iu,...iw->...uw", np.where(self.rigid, 0.0, coupling**2 * rotor), along, along
-        )
+        mass -= np.einsum("i,...iu,...iw->...uw", np.where(self.rigid, 0.0, coupling**2 * rotor), along, along)
         for i in np.flatnonzero(self.rigid):
             turn = np.zeros(mass.shape[-1])
             turn[self._first + i] = 1.0

@@ -15,7 +15,7 @@ constant. The columns of errors of the sensors are differences of the balances o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -141,7 +141,9 @@ class Layout:
         if arm.free:
             sigma = arm.over_the_wire.imu.rate_sigma
             if arm.spatial:
-                out |= {f"gyro_bias{a}": SensorError(sigma, ("omega0",), e) for a, e in zip("xyz", np.eye(3), strict=True)}
+                out |= {
+                    f"gyro_bias{a}": SensorError(sigma, ("omega0",), e) for a, e in zip("xyz", np.eye(3), strict=True)
+                }
             else:
                 out["gyro_bias"] = SensorError(sigma, ("omega0",), np.array(1.0))
         return out
@@ -329,9 +331,7 @@ class _Moving:
     def signals(self) -> list[Signals]:
         """Of each joint."""
         totals = FromOrigin(self.arm.period_s)
-        return [
-            Signals.of(self.arm, self.state, self.before, self.after, i, totals) for i in range(self.arm.n)
-        ]
+        return [Signals.of(self.arm, self.state, self.before, self.after, i, totals) for i in range(self.arm.n)]
 
     def increments(self, running: Array) -> Array:
         """What grows over each increment, (..., A, m) of a running total (..., A, instants)."""
