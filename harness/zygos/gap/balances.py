@@ -41,10 +41,10 @@ _SHIFT = 1e-4
 """Error of a sensor with which the columns of such errors are computed: rad, rad/s, Nm."""
 _ACTING = ("motor", "link", "spring", "torque")
 """Places of effects that act at a joint."""
-_FREE_OFFSET = 0.1
-_FREE_GAIN = 0.1
-"""Deviations of what nobody declares of torque sensors: of a constant error, as a share of the torques of the run, and of
-the gain of one against the others."""
+_OFFSET = 1e4
+"""Deviation of the constant error of a torque sensor that has noise, in units of this noise: nobody declares it."""
+_GAIN = 0.1
+"""Deviation of the gain of such a sensor against that of the first one."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,11 @@ class Layout:
         """
         kinds = [kind for kind in CATALOGUE.values() if kind.searched and kind.key != OFFSET and not kind.on_ground]
         places = [(kind, i) for kind in kinds for i in (range(self.arm.n) if kind.at_joint else (-1,))]
-        return tuple((kind, i) for kind, i in places if _exists(self.arm, kind, i))
+        # a torque sensor that has noise has errors of its own, which look the same
+        own = {f"{key}{name[-1]}" for key in ("torque_offset",) for name in self.errors if name.startswith("torque_zero")}
+        return tuple(
+            (kind, i) for kind, i in places if _exists(self.arm, kind, i) and column_name(kind, i) not in own
+        )
 
     @cached_property
     def columns(self) -> tuple[str, ...]:
@@ -146,6 +150,12 @@ class Layout:
                 }
             else:
                 out["gyro_bias"] = SensorError(sigma, ("omega0",), np.array(1.0))
+        for i, one in enumerate(arm.joints):
+            if one.torque_sigma > 0.0:
+                out[f"torque_zero{i + 1}"] = SensorError(_OFFSET * one.torque_sigma, ("tau",), unit[i])
+                if i > 0:
+                    # all gains, masses and frictions can grow together: one gain is taken as known
+                    out[f"torque_scale{i + 1}"] = SensorError(_GAIN, ("tau",), unit[i], gain=True)
         return out
 
     @cached_property
@@ -264,7 +274,13 @@ def zero_columns(layout: Layout, readings: Readings, values: Array, every: int =
         rows = zip(_bodies(layout, moving), known, _right(layout, moving), strict=True)
         return [own @ x - right for own, x, right in rows]
 
+    still = _Moving.of(layout.arm, readings, every)
+
     def taken(error: SensorError) -> list[Array]:
+        if error.signals == ("tau",):
+            # the right sides are linear in the torques, and nothing else depends on them
+            wrong = _Moving.of(layout.arm, error.added(readings, 1.0), every, still.state)
+            return [b - a for a, b in zip(_right(layout, still), _right(layout, wrong), strict=True)]
         ahead, behind = (left_over(error.added(readings, size)) for size in (_SHIFT, -_SHIFT))
         return [(b - a) / (2.0 * _SHIFT) for a, b in zip(ahead, behind, strict=True)]
 
@@ -285,12 +301,12 @@ class _Moving:
     every: int
 
     @classmethod
-    def of(cls, arm: Arm, readings: Readings, every: int) -> _Moving:
+    def of(cls, arm: Arm, readings: Readings, every: int, state: State | None = None) -> _Moving:
         half = arm.smoother.points // 2
         cycles = readings.tau.shape[-2]
         after = readings.tau[..., half : cycles - half, :]
         before = readings.tau[..., half - 1 : cycles - half - 1, :]
-        return cls(arm, smoothed_states(arm, readings), before, after, every)
+        return cls(arm, smoothed_states(arm, readings) if state is None else state, before, after, every)
 
     @cached_property
     def thin(self) -> State:
@@ -504,11 +520,20 @@ class Sums:
     """(balances,) rows."""
     noise: tuple[Array, ...] | None = None
     """By balance (columns + 1, columns + 1): what the sensors' noise is expected to add to `gram`."""
+    scores: tuple[Array, ...] | None = None
+    """By balance (..., A, columns + 1): products of all columns and of what known coefficients leave over, by arc."""
+    applied: Array | None = None
+    """(zeros,) errors of the sensors that have been taken off the readings before."""
 
 
-def accumulate(rows: BalanceRows, accepted: NDArray[np.bool_], uncentred: Sequence[int] = ()) -> Sums:
-    """Sum a run. accepted: (A, instants). The balances listed in `uncentred` keep no constant for each arc."""
-    grams, counts = [], []
+def accumulate(
+    rows: BalanceRows, accepted: NDArray[np.bool_], uncentred: Sequence[int] = (), known: Array | None = None
+) -> Sums:
+    """Sum a run. accepted: (A, instants). The balances listed in `uncentred` keep no constant for each arc.
+
+    known: (columns + 1,) coefficients of all columns and of the right side, for `Sums.scores`.
+    """
+    grams, counts, scores = [], [], []
     for balance, own in enumerate(rows.balances):
         kept = kept_rows(own, accepted)
         z = np.concatenate([own.left, own.right[..., None]], axis=-1)
@@ -521,7 +546,10 @@ def accumulate(rows: BalanceRows, accepted: NDArray[np.bool_], uncentred: Sequen
         flat = z.reshape((*z.shape[:-3], -1, z.shape[-1]))
         grams.append(np.asarray(np.swapaxes(flat, -1, -2) @ flat, dtype=np.float64))
         counts.append(float(kept.sum()))
-    return Sums(tuple(grams), np.array(counts))
+        if known is not None:
+            left = z @ known[np.append(rows.layout.used[balance], -1)]
+            scores.append(np.asarray((left[..., None, :] @ z)[..., 0, :], dtype=np.float64))
+    return Sums(tuple(grams), np.array(counts), scores=tuple(scores) or None)
 
 
 def kept_rows(rows: Rows, accepted: NDArray[np.bool_]) -> NDArray[np.bool_]:

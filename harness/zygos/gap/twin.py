@@ -196,15 +196,17 @@ def draws(
     zeros: tuple[Array, ...],
     seed: int = 0,
     every: int = 1,
+    known: Array | None = None,
 ) -> Sums:
     """Sums (count, ...) of readings of a twin, with seeds seed .. seed + count - 1, and what noise adds to them on
-    average. zeros, every: as of `balance_rows`."""
+    average. zeros, every: as of `balance_rows`; known: the twin's own coefficients, as of `accumulate`."""
 
     def sums(readings: Readings) -> Sums:
-        return accumulate(balance_rows(twin.arm, readings, zeros=zeros, every=every), accepted, uncentred)
+        return accumulate(balance_rows(twin.arm, readings, zeros=zeros, every=every), accepted, uncentred, known)
 
     exact = sums(twin.exact)
-    drawn = [sums(measure(twin, seed + k)).gram for k in range(count)]
-    grams = tuple(np.stack(each) for each in zip(*drawn, strict=True))
+    drawn = [sums(measure(twin, seed + k)) for k in range(count)]
+    grams = tuple(np.stack(each) for each in zip(*(one.gram for one in drawn), strict=True))
     noise = tuple(gram.mean(axis=0) - still for gram, still in zip(grams, exact.gram, strict=True))
-    return Sums(grams, exact.count, noise)
+    scores = tuple(np.stack(each) for each in zip(*(one.scores or () for one in drawn), strict=True))
+    return Sums(grams, exact.count, noise, scores or None)
