@@ -86,7 +86,7 @@ def test_entries_make_sense(key: str) -> None:
         np.testing.assert_allclose(law, -law[::-1], atol=1e-12)
         assert (law * x >= 0.0).all()
     if kind.potential is not None:
-        np.testing.assert_allclose(np.gradient(kind.potential(x), x)[1:-1], law[1:-1], atol=1e-5)
+        np.testing.assert_allclose(np.gradient(kind.potential(x, np.nan), x)[1:-1], law[1:-1], atol=1e-5)
 
 
 def test_what_has_no_column_is_passed_over_or_refused() -> None:
@@ -310,7 +310,7 @@ def test_c_equals_numpy_with_every_effect_at_once(tmp_path: Path, monkeypatch: p
     trajectory = simulate(arm, model, scenario, noise=False, period_s=0.02, duration_s=30.0)
     effects = [effect(key, joint) for key in COLUMNS for joint in ("shoulder", "elbow")]
     rooms = same(silent(trajectory.arm), trajectory.cycles(), effects)
-    assert (rooms[-1].name, rooms[-1].compared) == ("solution", 24)
+    assert (rooms[-1].name, rooms[-1].compared) == ("solution", 28)
 
 
 def test_no_effects_no_difference(tmp_path: Path) -> None:
@@ -376,7 +376,7 @@ def test_every_coefficient_is_found_without_noise(key: str) -> None:
     arm, model, scenario = lively()
     value = {
         "motor_coulomb": 0.5, "motor_viscous": 1.0, "link_coulomb": 20.0, "cubic_stiffness": 5e4, "spring_offset": -1.0,
-        "torque_lag": 3e-3,
+        "torque_lag": 3e-3, "torque_offset": 0.3, "viscous_asymmetry": 0.5,
     }[key]  # fmt: skip
     plant = replace(model, effects=(effect(key, "elbow", value),))
     trajectory = simulate(arm, plant, scenario, noise=False, period_s=0.01, duration_s=25.0)

@@ -18,7 +18,7 @@ from zygos.dynamics.compiled import Multibody
 from zygos.dynamics.engines import engine
 from zygos.dynamics.equations import equations
 from zygos.dynamics.serial import SpatialDynamics
-from zygos.effects import CATALOGUE, Effect, Kind
+from zygos.effects import CATALOGUE, Effect, Kind, Motion
 from zygos.errors import ZygosError
 from zygos.model.model import Model, load_model
 from zygos.native.flight import ffi, lib
@@ -69,11 +69,12 @@ def test_accelerations_are_those_of_engines(name: str, joints: int, base: str, k
             np.testing.assert_allclose(got, wanted, rtol=0, atol=1e-10 * np.abs(wanted).max())
 
 
-def _stribeck(rate: np.ndarray) -> np.ndarray:
+def _stribeck(motion: Motion, _shape: float) -> np.ndarray:
+    rate = motion.rate
     return np.tanh(rate / 0.01) * (1.0 + 0.5 * np.exp(-((rate / 0.05) ** 2)))
 
 
-OWN = Kind("stribeck", "Stribeck friction", "Nm", "link", _stribeck)
+OWN = Kind("own_stribeck", "Stribeck friction", "Nm", "link", _stribeck)
 """A law of somebody's own: any callable."""
 
 
