@@ -13,12 +13,13 @@ from arm_support import random_arm, random_state
 
 from bench.simulator import far
 from conftest import ROOT
+from zygos import effects
 from zygos.arm import Arm, load_arm
 from zygos.dynamics.compiled import Multibody
 from zygos.dynamics.engines import engine
 from zygos.dynamics.equations import equations
 from zygos.dynamics.serial import SpatialDynamics
-from zygos.effects import CATALOGUE, Effect, Kind, Motion
+from zygos.effects import CATALOGUE, Effect, Kind
 from zygos.errors import ZygosError
 from zygos.model.model import Model, load_model
 from zygos.native.flight import ffi, lib
@@ -69,7 +70,7 @@ def test_accelerations_are_those_of_engines(name: str, joints: int, base: str, k
             np.testing.assert_allclose(got, wanted, rtol=0, atol=1e-10 * np.abs(wanted).max())
 
 
-def _stribeck(motion: Motion, _shape: float) -> np.ndarray:
+def _stribeck(motion: effects.Motion, _shape: float) -> np.ndarray:
     rate = motion.rate
     return np.tanh(rate / 0.01) * (1.0 + 0.5 * np.exp(-((rate / 0.05) ** 2)))
 
@@ -196,13 +197,13 @@ def test_a_simulation_errs_by_less_than_it_may(name: str) -> None:
 def test_laws_in_python_move_an_arm_in_space() -> None:
     arm, model, scenario = example("spatial")
     arm = arm.at_period(0.01)
-    effects = (
+    acting = (
         Effect(CATALOGUE["cubic_stiffness"], "elbow", 2e5),
         Effect(CATALOGUE["motor_viscous"], "yaw", 1e-3),
         Effect(CATALOGUE["torque_lag"], "shoulder", 0.004),
         Effect(OWN, "shoulder", 0.5),
     )
-    drawn = replace(model, effects=effects)
+    drawn = replace(model, effects=acting)
 
     def run(law: type[SpatialDynamics], model: Model) -> Trajectory:
         dynamics = law.from_model(arm, model)

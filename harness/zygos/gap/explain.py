@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from zygos.arm import Arm
-from zygos.dynamics.planar import PlanarDynamics
-from zygos.effects import OFFSET, Effect
+from zygos.dynamics.equations import from_model, from_parameters, parameters
+from zygos.dynamics.joints import Drives
+from zygos.effects import OFFSET, Effect, column_name
 from zygos.errors import Undecided, ZygosError
-from zygos.gap.balances import Layout
+from zygos.gap.balances import Layout, corrected
+from zygos.gap.changes import find_change
 from zygos.gap.experiment import Experiment, propose
 from zygos.gap.explanation import Explanation
 from zygos.gap.findings import (
@@ -30,7 +34,8 @@ from zygos.gap.findings import (
 from zygos.gap.fit import fit
 from zygos.gap.forecast import Forecast, Stretches, cut, cut_twin, forecast
 from zygos.gap.record import MeasuredRun
-from zygos.gap.search import CERTAIN, COMPLETE, EXCESS, PARTLY, Candidate, Search, excess, search
+from zygos.gap.remainder import closes, remainders
+from zygos.gap.search import CERTAIN, COMPLETE, EXCESS, PARTLY, Candidate, Search, excess, possible, search
 from zygos.gap.sentences import entry_evidence
 from zygos.gap.study import Study, again, begin, read_hypothesis, realise, split
 from zygos.gap.twin import follow
@@ -38,6 +43,7 @@ from zygos.gap.verdicts import (
     AboveFloor,
     ArmFileFirst,
     BrokenRun,
+    Changed,
     DeclaredTooNoisy,
     Disagreements,
     DrawingPredictsBetter,
@@ -50,6 +56,7 @@ from zygos.gap.verdicts import (
     NothingMissing,
     NotPredicted,
     NoUntouchedRun,
+    PartNamed,
     Remark,
     RunsDisagree,
     SkewedEncoders,
@@ -69,6 +76,10 @@ DISAGREE = 4.5
 """Standard deviations by which the runs may not disagree on a value."""
 _USED = 0.9
 """Share of a run below which its losses are worth a word."""
+SMALL = 1.5
+"""Residual of a balance over its twin's up to which effects are named without an untouched run."""
+_REDRAWN = 2
+"""Models with redrawn values that predict the floor's twin."""
 _DEFLECTED = 3.0
 """Deviations of the encoders beyond which a joint that is said to be rigid is not."""
 _SKEWED = 0.95
@@ -79,10 +90,11 @@ def explain(
     arm: Arm,
     simulation: Model,
     measured: Sequence[MeasuredRun],
-    validate: MeasuredRun | None,
+    validate: Sequence[MeasuredRun],
     step: Callable[[float, str], None] = lambda share, what: None,
 ) -> Explanation:
-    """Say what a simulation lacks. step is told the share done and what is being done.
+    """Say what a simulation lacks. measured: two runs at least. validate: runs that are kept apart. step is told the
+    share done and what is being done.
 
     What the simulation says of springs' offsets is passed over: each run has its own zeros.
     Errors: ZygosError where the model does not fit the arm; Undecided where the runs do not tell its parameters apart.
@@ -90,7 +102,7 @@ def explain(
     simulation = replace(simulation, effects=tuple(e for e in simulation.effects if e.kind.key != OFFSET))
     # the matrices are narrow: threads only get in each other's way
     with threadpool_limits(limits=1):
-        return _Explainer(arm, simulation, tuple(measured), validate, step).explain()
+        return _Explainer(arm, simulation, tuple(measured), tuple(validate), step).explain()
 
 
 class _Explainer:
@@ -99,7 +111,7 @@ class _Explainer:
         arm: Arm,
         simulation: Model,
         measured: tuple[MeasuredRun, ...],
-        validate: MeasuredRun | None,
+        validate: tuple[MeasuredRun, ...],
         step: Callable[[float, str], None],
     ) -> None:
         self.arm, self.simulation, self.measured, self.validate, self.step = arm, simulation, measured, validate, step
@@ -111,10 +123,11 @@ class _Explainer:
         self.step(0.05, "the simulation's own equations")
         if arm.torque_law == "sampled":
             self.remarks.append(TorquesSampled())
-        for record in (*self.measured, *([] if self.validate is None else [self.validate])):
-            if record.share < _USED:
-                self.remarks.append(BrokenRun(record.path.name, record.share))
-        delivered = PlanarDynamics.from_model(arm, self.simulation)
+        used: dict[str, float] = {}
+        for record in (*self.measured, *self.validate):
+            used[record.path.name] = used.get(record.path.name, 0.0) + record.share
+        self.remarks += [BrokenRun(name, share) for name, share in used.items() if share < _USED]
+        delivered = from_model(arm, self.simulation)
         hypothesis = read_hypothesis(layout, self.simulation)
         refit = begin(self.measured, hypothesis, delivered)
         deflections = tuple(deflection(arm, self.measured, i) for i, rigid in enumerate(hypothesis.rigid) if rigid)
@@ -139,13 +152,16 @@ class _Explainer:
         self.step(0.9, "verdict")
         values = self._values(after)
         verdict = self._sensors_first(after, findings, skewed) or self._judge(found, tuple(findings), values, gap)
+        if isinstance(verdict, RunsDisagree | Unexplained) and found is not None:
+            self.step(0.92, "changes with time")
+            verdict = self._changed(refit if isinstance(verdict, Unexplained) else found.after) or verdict
         local = refit.local()
         experiments: tuple[Experiment, ...] = ()
         if isinstance(verdict, Inseparable) and found is not None:
             pair = next(names for names in found.sets if len(names) > 1)
             experiments = propose(found.after, pair[0], pair[1])
-        kept = verdict.findings if isinstance(verdict, Lacking | Inseparable) else ()
-        adopted = isinstance(verdict, Lacking | ValuesDiffer | NothingMissing)
+        kept = verdict.findings if isinstance(verdict, Lacking | PartNamed | Inseparable) else ()
+        adopted = isinstance(verdict, Lacking | PartNamed | ValuesDiffer | NothingMissing)
         if adopted:
             self._remark_rest(after, kept, gap)
         return Explanation(
@@ -163,6 +179,7 @@ class _Explainer:
             local,
             self._adopt(after, values, kept) if adopted else None,
             tuple(self.remarks),
+            self.validate,
         )
 
     def _flexible(self, refit: Study, joints: list[str]) -> Study:
@@ -174,19 +191,21 @@ class _Explainer:
         freed = [names.index(joint) for joint in joints]
         rigid = tuple(was and i not in freed for i, was in enumerate(refit.hypothesis.rigid))
         free = replace(refit.hypothesis, rigid=rigid)
-        dynamics = refit.model
-        inertia, stiffness, damping = (x.copy() for x in (dynamics.rotor_inertia, dynamics.stiffness, dynamics.damping))
+        values = parameters(self.arm, refit.model)
+        at = self.arm.parameter_names
         for i in freed:
             balance = refit.layout.balances.index(f"M{i + 1}")
             own = fit(free, refit.sums, np.ones(len(refit.layout.balances)), alone=balance)
-            inertia[i], stiffness[i], damping[i] = (float(own.of(f"{key}{i + 1}")) for key in ("Im", "k", "b"))
-            damping[i] = max(damping[i], 0.0)
-            if not (inertia[i] > 0.0 and stiffness[i] > 0.0):
+            inertia, stiffness, damping = (float(own.of(f"{key}{i + 1}")) for key in ("Im", "k", "b"))
+            if not (inertia > 0.0 and stiffness > 0.0):
                 raise Undecided(
-                    f"link and motor part at the {names[i]}, but not like a spring (k = {stiffness[i]:.4g} Nm/rad, "
-                    f"Im = {inertia[i]:.4g} kg m^2); remedy: check its signs, zeros and gear ratio in the arm file"
+                    f"link and motor part at the {names[i]}, but not like a spring (k = {stiffness:.4g} Nm/rad, "
+                    f"Im = {inertia:.4g} kg m^2); remedy: check its signs, zeros and gear ratio in the arm file"
                 )
-        guess = replace(dynamics, rotor_inertia=inertia, stiffness=stiffness, damping=damping)
+            for key, value in (("Im", inertia), ("k", stiffness), ("b", max(damping, 0.0))):
+                values[at.index(f"{key}{i + 1}")] = value
+        effects = split(refit.hypothesis, refit.value)[1]
+        guess = from_parameters(self.arm, values, effects)
         return begin(self.measured, free, guess)
 
     def _flexibility(self, study: Study, bent: Deflection) -> Finding:
@@ -231,23 +250,21 @@ class _Explainer:
                 values.append(Value(name, effect.kind.unit, effect.value, effect.sigma, found[name], sigma[name]))
         return tuple(values)
 
-    def _calibrated(self, record: MeasuredRun, study: Study) -> MeasuredRun:
-        """A record less what its sensors' zeros are found to be off by, where that is more than is known of them."""
+    def _calibrated(self, records: Sequence[MeasuredRun], study: Study) -> list[MeasuredRun]:
+        """Records less what their sensors' zeros are found to be off by, where that is more than is known of them."""
         layout = study.layout
         zeros = study.fit.zeros.mean(axis=0)
         off = np.where(np.abs(zeros) > _DEFLECTED * layout.zero_sigma, zeros, 0.0)
         if not off.any():
-            return record
-        listed = tuple((name, float(x)) for name, x in zip(layout.zeros, off, strict=True) if x)
-        self.remarks.append(ZerosOff(listed))
-        q, theta = record.samples.q - off[:-1:2], record.samples.theta - off[1::2]
-        return replace(record, samples=replace(record.samples, q=q, theta=theta), omega0=record.omega0 - off[-1])
+            return list(records)
+        self.remarks.append(ZerosOff(tuple((n, float(x)) for n, x in zip(layout.zeros, off, strict=True) if x)))
+        return [corrected(record, layout, off) for record in records]
 
-    def _gap(self, delivered: PlanarDynamics, refit: Study, after: Study, found: Search | None) -> Gap | None:
-        if self.validate is None:
+    def _gap(self, delivered: Drives, refit: Study, after: Study, found: Search | None) -> Gap | None:
+        if not self.validate:
             self.remarks.append(NoUntouchedRun())
             return None
-        segments = cut(self._calibrated(self.validate, after))
+        segments = Stretches.joined([cut(record) for record in self._calibrated(self.validate, after)])
         closed = after.dynamics()
         before = closed if after is refit else refit.dynamics()
         if not after.physical:
@@ -266,7 +283,7 @@ class _Explainer:
                 self.remarks.append(Impossible(other.name))
         self.step(0.85, "the floor")
         try:
-            floor = forecast(closed, cut_twin(follow(closed, [self.validate])[0]))
+            twin = Stretches.joined([cut_twin(one) for one in follow(closed, self.validate)])
         except Undecided as error:
             self.remarks.append(NoFloor(str(error)))
             return None
@@ -275,10 +292,11 @@ class _Explainer:
             forecast(delivered, segments),
             last if before is closed else forecast(before, segments),
             last,
-            floor,
+            forecast(closed, twin),
             self._struck(found, segments),
             wrong,
             wrong_name,
+            tuple(forecast(one, twin) for one in _redrawn(after)),
         )
 
     def _struck(self, found: Search | None, segments: Stretches) -> Forecast | None:
@@ -317,18 +335,22 @@ class _Explainer:
         if not found.named and not excess(found.before):
             if not findings:
                 return self._same_equations(found.after, values)
-        elif not found.named or share < COMPLETE:
+        elif not found.named or share < PARTLY:
             return Unexplained(
-                float(np.nanmax(found.after.excess)),
-                tuple(candidate.name for candidate in found.named),
-                share,
-                findings if found.named and share >= PARTLY else (),
+                float(np.nanmax(found.after.excess)), tuple(candidate.name for candidate in found.named), share, ()
             )
         if gap is not None and gap.struck is not None and gap.closed.median > gap.struck.median:
             return NotPredicted(findings, gap.closed.median, gap.struck.median)
         if any(finding.instead for finding in findings):
             return Inseparable(findings)
-        return Lacking(findings)
+        whole = share >= COMPLETE and (closes(gap) if gap is not None else bool(np.nanmax(found.after.excess) <= SMALL))
+        return Lacking(findings) if whole else PartNamed(findings, remainders(self.arm, found.after, gap))
+
+    def _changed(self, study: Study) -> Changed | None:
+        """A change with time that explains what the runs disagree on, or what nothing else explains."""
+        listed = [column_name(kind, i) for kind, i in study.layout.effects if possible(study.hypothesis, kind, i)]
+        change = find_change(study, listed)
+        return None if change is None else Changed(change, tuple(record.path.name for record in study.records))
 
     def _same_equations(self, study: Study, values: tuple[Value, ...]) -> Verdict:
         apart = self._apart(study)
@@ -349,19 +371,25 @@ class _Explainer:
             self.remarks.append(Disagreements(apart))
 
     def _apart(self, study: Study) -> tuple[Disagreement, ...]:
-        """Parameters on which the runs disagree by more than their twins' noise and by more than a trifle."""
+        """Parameters on which two runs disagree by more than their twins' noise and by more than a trifle."""
         hypothesis = study.hypothesis
-        each = [study.of(hypothesis, [k]).value for k in range(len(study.records))]
-        drawn = [study.of_twin(hypothesis, [k]).value for k in range(len(study.records))]
-        spread = np.sqrt(sum(values.var(axis=0, ddof=1) for values in drawn))
-        shift = drawn[0].mean(axis=0) - drawn[1].mean(axis=0)
+        runs = range(len(study.records))
+        each = np.stack([study.of(hypothesis, [k]).value for k in runs])
+        drawn = np.stack([study.of_twin(hypothesis, [k]).value for k in runs])
+        each, variance = each - drawn.mean(axis=1), drawn.var(axis=1, ddof=1)
         out = []
         for k, name in enumerate(hypothesis.names):
-            difference = abs(float(each[0][k] - each[1][k] - shift[k]))
-            if name in self.arm.parameter_names and difference > max(
-                DISAGREE * float(spread[k]), MATERIAL * abs(float(study.value[k]))
-            ):
-                out.append(Disagreement(name, float(each[0][k]), float(each[1][k])))
+            if name not in self.arm.parameter_names:
+                continue
+            least = MATERIAL * abs(float(study.value[k]))
+            pairs = [
+                (abs(float(each[i, k] - each[j, k])) / float(np.sqrt(variance[i, k] + variance[j, k])), i, j)
+                for i, j in combinations(runs, 2)
+                if abs(each[i, k] - each[j, k]) > least
+            ]
+            z, i, j = max(pairs, default=(0.0, 0, 0))
+            if z > DISAGREE:
+                out.append(Disagreement(name, float(each[i, k]), float(each[j, k])))
         return tuple(out)
 
     def _adopt(self, study: Study, values: tuple[Value, ...], findings: tuple[Finding, ...]) -> Model:
@@ -388,6 +416,17 @@ class _Explainer:
             else:
                 kept.append(effect)
         return Model(f"{self.simulation.name}, explained", parameters=parameters, effects=tuple(kept))
+
+
+def _redrawn(study: Study) -> list[Drives]:
+    """Models whose values err as those of fits to the twins' draws."""
+    drawn = study.of_twin(study.hypothesis).value
+    out = []
+    for value in study.value + drawn[:_REDRAWN] - drawn.mean(axis=0):
+        # values of some draws are those of no arm
+        with suppress(ZygosError):
+            out.append(realise(study.hypothesis, value))
+    return out
 
 
 def _other(found: Search) -> Candidate | None:

@@ -60,7 +60,7 @@ class Candidate:
     left: float
     """Sum of rho^2 over runs and balances with it."""
     frozen: float
-    """Sum of rho^2 on the second run with what was fitted on the first, as a share of the sum without it."""
+    """Sum of rho^2 on the last run with what was fitted on the others, as a share of the sum without it."""
     limit: float
     """The size from which on this search would name it on these runs."""
     against: Against
@@ -192,11 +192,12 @@ def _retest(named: list[Candidate], now: Study, before: Study) -> tuple[list[Can
 
 def candidates(now: Study, before: Study) -> tuple[Candidate, ...]:
     """All that could be added to a study's hypothesis, best first."""
-    out = [_candidate(now, before, kind, i) for kind, i in now.layout.effects if _possible(now.hypothesis, kind, i)]
+    out = [_candidate(now, before, kind, i) for kind, i in now.layout.effects if possible(now.hypothesis, kind, i)]
     return tuple(sorted((one for one in out if one is not None), key=lambda one: one.left))
 
 
-def _possible(hypothesis: Hypothesis, kind: Kind, joint: int) -> bool:
+def possible(hypothesis: Hypothesis, kind: Kind, joint: int) -> bool:
+    """Whether an entry of the catalogue could be added to a hypothesis at a joint."""
     if column_name(kind, joint) in hypothesis.effects:
         return False
     if kind.key == "rotor_coupling":
@@ -222,9 +223,10 @@ def _candidate(now: Study, before: Study, kind: Kind, joint: int) -> Candidate |
     found = [float(one.of(name)) for one in each]
     z = [(x - draw.mean()) / draw.std(ddof=1) for x, draw in zip(found, null, strict=True)]
     sigma = float(null_all.std(ddof=1))
-    plain, with_it = now.of(now.hypothesis, [0]).value, each[0].value
-    frozen = _total(now.of(wider, [1], with_it).rms, now.noise[1:]) / _total(
-        now.of(now.hypothesis, [1], plain).rms, now.noise[1:]
+    *first, last = runs
+    plain, with_it = now.of(now.hypothesis, first).value, now.of(wider, first).value
+    frozen = _total(now.of(wider, [last], with_it).rms, now.noise[last:]) / _total(
+        now.of(now.hypothesis, [last], plain).rms, now.noise[last:]
     )
     share = completeness(before, whole.rms)
     against: Against = ""
@@ -274,7 +276,7 @@ def _inseparable(candidate: Candidate, now: Study, before: Study) -> tuple[str, 
     together = [candidate.name]
     for kind, joint in now.layout.effects:
         other = column_name(kind, joint)
-        if not _possible(now.hypothesis, kind, joint):
+        if not possible(now.hypothesis, kind, joint):
             continue
         instead = replace(now.hypothesis, effects=(*rest, other))
         both = replace(now.hypothesis, effects=(*now.hypothesis.effects, other))

@@ -5,7 +5,7 @@ A model is given either by its bodies and joints, or by base parameters (docs/th
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
