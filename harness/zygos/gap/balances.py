@@ -100,10 +100,10 @@ class Layout:
         kinds = [kind for kind in CATALOGUE.values() if kind.searched and kind.key != OFFSET and not kind.on_ground]
         places = [(kind, i) for kind in kinds for i in (range(self.arm.n) if kind.at_joint else (-1,))]
         # a torque sensor that has noise has errors of its own, which look the same
-        own = {f"{key}{name[-1]}" for key in ("torque_offset",) for name in self.errors if name.startswith("torque_zero")}
-        return tuple(
-            (kind, i) for kind, i in places if _exists(self.arm, kind, i) and column_name(kind, i) not in own
-        )
+        own = {
+            f"{key}{name[-1]}" for key in ("torque_offset",) for name in self.errors if name.startswith("torque_zero")
+        }
+        return tuple((kind, i) for kind, i in places if _exists(self.arm, kind, i) and column_name(kind, i) not in own)
 
     @cached_property
     def columns(self) -> tuple[str, ...]:
