@@ -370,9 +370,9 @@ def coefficient(dynamics: Drives, hypothesis: Hypothesis, name: str) -> float:
         return float(parameters(arm, dynamics)[arm.parameter_names.index(name)])
     if name == "angular_momentum":
         return dynamics.angular_momentum or 0.0
-    key, i = column_named(name)
+    key, i, _ = column_named(name)
     if key == "torque_lag":
         return 0.0 if dynamics.torque_lag is None else float(dynamics.torque_lag[i])
     if key == "rotor_coupling":
         return float(dynamics.coupling[i] * dynamics.rotor_inertia[i])
-    return sum(value for kind, joint, value in dynamics.laws if (kind.key, joint) == (key, i))
+    return sum(law.value for law in dynamics.laws if (law.kind.key, law.joint) == (key, i))
