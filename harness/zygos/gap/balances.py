@@ -187,11 +187,15 @@ class Layout:
 def corrected(record: MeasuredRun, layout: Layout, errors: Array) -> MeasuredRun:
     """A record without errors (zeros,) of its sensors, in the order of `Layout.zeros`."""
     s = record.samples
-    plain = Readings(s.q, s.theta, record.omega0, s.tau)
+    seen = Readings(s.q, s.theta, record.omega0, s.tau)
+    fields = ("q", "theta", "omega0", "tau")
+    plain = {name: getattr(seen, name) for name in fields}
     for size, error in zip(errors.tolist(), layout.errors.values(), strict=True):
-        plain = error.added(plain, -size)
-    samples = replace(s, q=plain.q, theta=plain.theta, tau=plain.tau)
-    return replace(record, samples=samples, omega0=plain.omega0)
+        # a gain is a share of what was read
+        wrong = error.added(seen, size)
+        plain = {name: plain[name] - getattr(wrong, name) + getattr(seen, name) for name in fields}
+    samples = replace(s, q=plain["q"], theta=plain["theta"], tau=plain["tau"])
+    return replace(record, samples=samples, omega0=plain["omega0"])
 
 
 def thinning(arm: Arm) -> int:
