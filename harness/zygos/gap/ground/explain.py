@@ -1,4 +1,4 @@
-"""From runs of an arm on the ground and a simulation to a verdict: what is missing, where, how much, and what is left."""
+"""From runs of an arm on the ground and a simulation to a verdict: what is missing, where, and how much."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from zygos.gap.findings import INTERVAL, Finding, Repeated, Value
 from zygos.gap.ground.candidates import candidates_of
 from zygos.gap.ground.columns import Layout, Table, table_of
 from zygos.gap.ground.explanation import GroundExplanation, GroundGap, JointRest
-from zygos.gap.ground.fit import Fit, fit, jackknife, residual
+from zygos.gap.ground.fit import Fit, jackknife, residual
 from zygos.gap.ground.predictions import Prediction, Stage, predict, remainders
 from zygos.gap.ground.search import Search, is_gain, search
-from zygos.gap.ground.sentences import entry_evidence
+from zygos.gap.ground.sentences import entry_evidence, gains
 from zygos.gap.verdicts import (
     Lacking,
     NothingMissing,
@@ -44,6 +44,8 @@ Floats = NDArray[np.float64]
 
 SURE = 3.0
 """Standard deviations of a 99.7 % interval, which is what a value must differ by."""
+USUAL_GAIN = 0.05
+"""Gain by which torque sensors of an arm may differ without a word."""
 _SHORTEST_S = 2.0
 """Length of a part of a run that was cut, s, at least."""
 
@@ -101,7 +103,7 @@ class _Explainer:
             found = search(table, lambda name: self.step(0.75, f"found {name}"))
         self.step(0.8, "predictions of the untouched runs")
         sizes = _Sizes.of(table, found.after)
-        findings = tuple(self._finding(found, k, sizes) for k in range(len(found.named)))
+        findings = self._findings(found, sizes)
         gap = self._gap(table, found)
         values_found = self._values(table, sizes)
         verdict = self._judge(table, found, findings, values_found, gap)
@@ -121,6 +123,21 @@ class _Explainer:
             self._adopt(table, found, findings, values_found) if adopted else None,
             tuple(self.notes),
         )
+
+    def _findings(self, found: Search, sizes: _Sizes) -> tuple[Finding, ...]:
+        """What was named; gains of torque sensors within their usual errors are a note, because every arm has them."""
+        listed, usual = [], []
+        for k, one in enumerate(found.named):
+            finding = self._finding(found, k, sizes)
+            if not is_gain(one.candidate):
+                listed.append(finding)
+            elif abs(finding.value) > USUAL_GAIN + SURE * finding.sigma:
+                listed.append(finding)
+            else:
+                usual.append(finding)
+        if usual:
+            self.notes.append(gains(self.arm, usual))
+        return tuple(listed)
 
     def _finding(self, found: Search, index: int, sizes: _Sizes) -> Finding:
         one = found.named[index]
@@ -163,8 +180,7 @@ class _Explainer:
             self.notes.append("no run was kept apart, so that nothing says how well the result predicts another run")
             return None
         stages = self._stages(table, found)
-        extra = np.zeros(self.arm.n)
-        return GroundGap(tuple(predict(run, stages, extra) for run in self.validate))
+        return GroundGap(tuple(predict(run, stages) for run in self.validate))
 
     def _judge(
         self,
@@ -228,11 +244,15 @@ class _Explainer:
             effects.append(
                 effect if value is None else replace(effect, value=value.found, sigma=value.sigma, source="zygos")
             )
-        for one, finding in zip(found.named, findings, strict=True):
+        by_place = {(finding.kind, finding.joint): finding for finding in findings}
+        for one in found.named:
+            finding = by_place.get((one.candidate.key, self.arm.joints[one.candidate.joint].name))
+            if finding is None:
+                continue
             if one.candidate.effect is None:
                 unit = parameters[one.name].unit
                 parameters[one.name] = Quantity(finding.value, finding.sigma, "zygos", unit)
-            elif not is_gain(one):
+            else:
                 effects.append(
                     replace(
                         one.candidate.effect,

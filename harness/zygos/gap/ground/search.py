@@ -108,9 +108,10 @@ def search(table: Table, step: Callable[[str], None], *, held: Sequence[str] = (
         if not best.passes:
             break
         step(best.name)
-        sets.append((best.name, *_alike(table, fitted, best, rounds[-1])))
-        names.append(best.name)
-        free.append(layout.at(best.name))
+        added = [one.name for one in open_ones if is_gain(one)] if is_gain(best.candidate) else [best.name]
+        sets += [(name, *(_alike(table, fitted, best, rounds[-1]) if name == best.name else ())) for name in added]
+        names += added
+        free += [layout.at(name) for name in added]
         fitted = fit(table, free)
         names, sets, free = _retested(table, names, sets)
         fitted = fit(table, free)
@@ -203,7 +204,7 @@ def _retested(
     kept = list(names)
     for one in _beside_the_others(table, names):
         gone = abs(one.z) < _KEPT_Z or (one.candidate.positive and one.value < 0.0)
-        if gone and one.name != names[-1]:
+        if gone and one.name != names[-1] and not is_gain(one.candidate):
             kept.remove(one.name)
     return (
         kept,
@@ -221,6 +222,6 @@ def _beside_the_others(table: Table, names: Sequence[str]) -> list[Tried]:
     return out
 
 
-def is_gain(one: Tried) -> bool:
-    """Whether it is the error of a torque sensor's gain."""
-    return one.candidate.key == GAIN
+def is_gain(one: Candidate) -> bool:
+    """Whether it is the error of a torque sensor's gain. If one differs, all may."""
+    return one.key == GAIN

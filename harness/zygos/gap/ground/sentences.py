@@ -128,3 +128,12 @@ def offset(joint: str, size: float, sigma: float) -> str:
         f"the torque of the {joint} has a constant offset of {size:.3g} ± {sigma:.1g} Nm, the same in all runs: that of "
         "its sensor, of a cable or brake, or a Coulomb friction that differs between the directions"
     )
+
+
+def gains(arm: Arm, found: Sequence[Finding]) -> str:
+    """Gains of torque sensors within their usual errors."""
+    each = ", ".join(f"{f.joint} {-100 * f.value:+.2g} ± {196 * f.sigma:.1g} %" for f in found)
+    return (
+        f"the torque sensors read differently: against that of the {arm.joints[0].name} too much by {each}; the values "
+        "are found with these gains"
+    )
