@@ -19,13 +19,15 @@ from zygos.effects import CATALOGUE, Effect
 from zygos.errors import ZygosError
 from zygos.gap.findings import INTERVAL, Finding, Repeated, Value
 from zygos.gap.ground.candidates import candidates_of
+from zygos.gap.ground.changes import find_change
 from zygos.gap.ground.columns import Layout, Table, table_of
 from zygos.gap.ground.explanation import GroundExplanation, GroundGap, JointRest
 from zygos.gap.ground.fit import Fit, jackknife, residual
-from zygos.gap.ground.predictions import Prediction, Stage, predict, remainders
+from zygos.gap.ground.predictions import Prediction, Stage, predict, remainders, run_name
 from zygos.gap.ground.search import Search, is_gain, search
 from zygos.gap.ground.sentences import entry_evidence, gains
 from zygos.gap.verdicts import (
+    Changed,
     Lacking,
     NothingMissing,
     NotPredicted,
@@ -101,12 +103,20 @@ class _Explainer:
             values = layout.start[: len(self.arm.parameter_names)] + found.after.x[: len(self.arm.parameter_names)]
             table = table_of(layout, motions, span, [predicted_load(motion, values) for motion in motions])
             found = search(table, lambda name: self.step(0.75, f"found {name}"))
+        self.step(0.78, "changes within and between runs")
+        changed = find_change(table, found.after)
+        if changed is not None:
+            found = replace(found, after=changed[1])
         self.step(0.8, "predictions of the untouched runs")
         sizes = _Sizes.of(table, found.after)
         findings = self._findings(found, sizes)
         gap = self._gap(table, found)
         values_found = self._values(table, sizes)
-        verdict = self._judge(table, found, findings, values_found, gap)
+        verdict: Verdict
+        if changed is not None:
+            verdict = Changed(changed[0], tuple(run_name(run) for run in self.measured))
+        else:
+            verdict = self._judge(table, found, findings, values_found, gap)
         adopted = not isinstance(verdict, Unexplained | NotPredicted)
         self.step(0.95, "verdict")
         return GroundExplanation(
