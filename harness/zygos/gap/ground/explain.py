@@ -102,7 +102,7 @@ class _Explainer:
             self.step(0.7, "the load with what was found")
             values = layout.start[: len(self.arm.parameter_names)] + found.after.x[: len(self.arm.parameter_names)]
             table = table_of(layout, motions, span, [predicted_load(motion, values) for motion in motions])
-            found = search(table, lambda name: self.step(0.75, f"found {name}"))
+            found = search(table, lambda name: self.step(0.75, f"found {name}"), found)
         self.step(0.78, "changes within and between runs")
         changed = find_change(table, found.after)
         if changed is not None:

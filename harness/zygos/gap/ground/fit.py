@@ -74,7 +74,7 @@ def fit(table: Table, free: Sequence[int], sigma: Floats | None = None) -> Fit:
     x = np.zeros(table.layout.width - 1)
     of = np.array(free)
     for _ in range(_ROUNDS):
-        if table.layout.gains:
+        if any(place in free for _, place in table.layout.gains):
             table = table.with_gains(x)
             whole, noise = table.gram.sum(axis=0), table.noise.sum(axis=0)
         total = np.einsum("j,jpq->pq", 1.0 / sigma**2, whole)
@@ -87,7 +87,8 @@ def fit(table: Table, free: Sequence[int], sigma: Floats | None = None) -> Fit:
 
 def score(table: Table, fitted: Fit, columns: Sequence[int]) -> Scores:
     """Score columns, each alone beside those of a fit."""
-    table = table.with_gains(fitted.x)
+    if any(place in (*fitted.free, *columns) for _, place in table.layout.gains):
+        table = table.with_gains(fitted.x)
     of, tried = np.array(fitted.free), np.array(columns, dtype=np.int64)
     runs = table.layout.runs
     weighted = np.einsum("j,bjpq->bpq", 1.0 / fitted.sigma**2, table.gram)
@@ -122,7 +123,8 @@ def score(table: Table, fitted: Fit, columns: Sequence[int]) -> Scores:
 def jackknife(table: Table, fitted: Fit) -> tuple[Floats, Floats, Floats]:
     """(f, f) covariance of the free columns of a fit from leaving out blocks, (f,) its degrees of freedom, and (f,)
     standard deviations from leaving out a run (0 where there are fewer than three)."""
-    table = table.with_gains(fitted.x)
+    if any(place in fitted.free for _, place in table.layout.gains):
+        table = table.with_gains(fitted.x)
     of = np.array(fitted.free)
     prior = table.layout.prior()[of]
     weighted = np.einsum("j,bjpq->bpq", 1.0 / fitted.sigma**2, table.gram)
