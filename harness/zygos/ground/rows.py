@@ -117,11 +117,16 @@ def run_rows(motion: Motion, span_s: float, effects: Sequence[Effect], predicted
 
 
 def _lingers(arm: Arm, state: State, rows: JointRows, effects: Sequence[Effect]) -> NDArray[np.bool_]:
-    slow = np.maximum(_SLOW_SIGMAS * np.sqrt(variances(arm).link), SLOWEST_RATE)
-    still = np.vstack([np.zeros(arm.n), np.cumsum(np.abs(state.qd) < slow, axis=0)])
-    share = (still[rows.end] - still[rows.begin]) / np.maximum(rows.end - rows.begin, 1)[:, None]
+    share = resting_share(arm, state, rows)
     signed = {effect.index(arm) for effect in effects if effect.kind.key in _SIGNED}
     return np.asarray((share > _LINGERING) & [j in signed for j in range(arm.n)], dtype=np.bool_)
+
+
+def resting_share(arm: Arm, state: State, rows: JointRows) -> Floats:
+    """(m, N) share of each increment in which the rate of a joint does not show its sign."""
+    slow = np.maximum(_SLOW_SIGMAS * np.sqrt(variances(arm).link), SLOWEST_RATE)
+    still = np.vstack([np.zeros(arm.n), np.cumsum(np.abs(state.qd) < slow, axis=0)])
+    return np.asarray((still[rows.end] - still[rows.begin]) / np.maximum(rows.end - rows.begin, 1)[:, None])
 
 
 def _sensed(

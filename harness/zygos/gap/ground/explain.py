@@ -17,17 +17,19 @@ from zygos.balances.state import State
 from zygos.can.run import Run
 from zygos.effects import CATALOGUE, Effect
 from zygos.errors import ZygosError
-from zygos.gap.findings import INTERVAL, Finding, Repeated, Value
-from zygos.gap.ground.candidates import candidates_of
+from zygos.gap.findings import ASYMMETRY, INTERVAL, Finding, Repeated, Value
+from zygos.gap.ground.candidates import OFFSET_OF_TORQUE, candidates_of
 from zygos.gap.ground.changes import find_change
 from zygos.gap.ground.columns import Layout, Table, table_of
 from zygos.gap.ground.explanation import GroundExplanation, GroundGap, JointRest
 from zygos.gap.ground.fit import Fit, jackknife, residual
 from zygos.gap.ground.predictions import Prediction, Stage, predict, remainders, run_name
+from zygos.gap.ground.direction import one_sided
 from zygos.gap.ground.search import Search, is_gain, search
-from zygos.gap.ground.sentences import entry_evidence, gains
+from zygos.gap.ground.sentences import entry_evidence, gains, offset
 from zygos.gap.verdicts import (
     Changed,
+    Inseparable,
     Lacking,
     NothingMissing,
     NotPredicted,
@@ -48,6 +50,7 @@ SURE = 3.0
 """Standard deviations of a 99.7 % interval, which is what a value must differ by."""
 USUAL_GAIN = 0.05
 """Gain by which torque sensors of an arm may differ without a word."""
+COULOMB = "motor_coulomb"
 _SHORTEST_S = 2.0
 """Length of a part of a run that was cut, s, at least."""
 
@@ -110,11 +113,12 @@ class _Explainer:
         self.step(0.8, "predictions of the untouched runs")
         sizes = _Sizes.of(table, found.after)
         findings = self._findings(found, sizes)
+        findings = (*findings, *self._directions(table, found, findings, sizes))
         gap = self._gap(table, found)
         values_found = self._values(table, sizes)
         verdict: Verdict
         if changed is not None:
-            verdict = Changed(changed[0], tuple(run_name(run) for run in self.measured))
+            verdict = Changed(changed[0], tuple(run_name(run, k) for k, run in enumerate(self.measured, 1)))
         else:
             verdict = self._judge(table, found, findings, values_found, gap)
         adopted = not isinstance(verdict, Unexplained | NotPredicted)
@@ -130,7 +134,7 @@ class _Explainer:
             self._joints(table, found),
             gap,
             span,
-            self._adopt(table, found, findings, values_found) if adopted else None,
+            None if not adopted or verdict.answer == "cannot tell" else self._adopt(table, found, findings, values_found),
             tuple(self.notes),
         )
 
@@ -161,6 +165,24 @@ class _Explainer:
             Repeated(one.z, one.explained, one.each),
             tuple(found.sets[index][1:]),
         )
+
+    def _directions(
+        self, table: Table, found: Search, findings: Sequence[Finding], sizes: _Sizes
+    ) -> tuple[Finding, ...]:
+        """Offsets of torques that may as well be a Coulomb friction that differs between the directions."""
+        friction = {e.joint: e.value for e in self.simulation.effects if e.kind.key == COULOMB}
+        friction |= {f.joint: f.value for f in findings if f.kind == COULOMB}
+        out = []
+        for one in one_sided(table, found.after, sizes.variance, {j: friction.get(joint.name, 0.0) for j, joint in enumerate(self.arm.joints)}):
+            joint = self.arm.joints[one.joint].name
+            if one.answer == "offset":
+                self.notes.append(offset(joint, one.value, one.sigma))
+                continue
+            key = ASYMMETRY if one.answer == "friction" else OFFSET_OF_TORQUE
+            instead = (f"{ASYMMETRY}{one.joint + 1}",) if one.answer == "either" else ()
+            proof = Repeated(one.z, float("nan"), one.each)
+            out.append(Finding(key, joint, one.value, one.sigma, "Nm", proof, instead))
+        return tuple(out)
 
     def _values(self, table: Table, sizes: _Sizes) -> tuple[Value, ...]:
         layout, own = table.layout, len(self.arm.parameter_names)
@@ -210,6 +232,8 @@ class _Explainer:
             with_them, without = _left(gap.predictions, "closed"), _left(gap.predictions, "refit")
             if with_them > without:
                 return NotPredicted(findings, with_them, without)
+        if any(finding.instead for finding in findings):
+            return Inseparable(findings)
         if not closes:
             return PartNamed(findings, () if gap is None else remainders(gap.predictions))
         return Lacking(findings)
@@ -282,6 +306,11 @@ class _Sizes:
         self.layout, self.fitted = layout, fitted
         self._sigma = dict(zip(fitted.free, sigma.tolist(), strict=True))
         self._freedom = dict(zip(fitted.free, freedom.tolist(), strict=True))
+
+    @property
+    def variance(self) -> dict[int, tuple[float, float]]:
+        """Standard deviation of each free column, and its degrees of freedom."""
+        return {k: (self._sigma[k], self._freedom[k]) for k in self._sigma}
 
     @classmethod
     def of(cls, table: Table, fitted: Fit) -> _Sizes:

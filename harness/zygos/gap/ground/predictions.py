@@ -14,7 +14,7 @@ from zygos.gap.ground.twin import floor
 from zygos.gap.remainder import explained_share
 from zygos.gap.verdicts import Remainder
 from zygos.ground.motion import HIGHEST_CUTOFF_HZ, Motion, TorqueRows, cutoff_hz, torque_rows
-from zygos.ground.score import Score, predict_torques, scored
+from zygos.ground.score import Score, scored
 
 Floats = NDArray[np.float64]
 
@@ -127,15 +127,9 @@ def quantities(one: Prediction, joint: int) -> list[tuple[str, Floats]]:
     ]
 
 
-def run_name(run: Run) -> str:
-    """Short name of a run: its folder where the file's own name does not tell runs apart."""
+def run_name(run: Run, number: int = 0) -> str:
+    """Short name of a run: its folder where the file's own name does not tell runs apart. number: among the measured
+    ones, from 1."""
     if run.path is None:
-        return "the untouched run"
+        return f"run {number}" if number else "the untouched run"
     return run.path.parent.name if run.path.stem == "run" else run.path.name
-
-
-def predicted_torque(run: Run, stage: Stage) -> tuple[TorqueRows, Floats]:
-    """Rows of a run, and the torque that a model predicts (m, N), Nm."""
-    motion = Motion.of(run)
-    rows = torque_rows(motion.arm, motion.samples, min(cutoff_hz(run.arm), HIGHEST_CUTOFF_HZ))
-    return rows, predict_torques(motion.arm, rows, stage.values, stage.effects)
