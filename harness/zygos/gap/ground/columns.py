@@ -41,7 +41,7 @@ class Layout:
     @classmethod
     def of(cls, arm: Arm, simulation: Model, candidates: Sequence[Candidate], runs: int) -> Layout:
         """The columns for a simulation and what may be tried beside."""
-        own = tuple(e for e in simulation.effects if e.kind.place not in ("rotor", "base"))
+        own = tuple(e for e in simulation.effects if e.kind.place in ("motor", "link", "load", "torque"))
         own = tuple(e for e in own if e.kind.key not in ("torque_gain", "torque_offset"))
         extra = [one.effect for one in candidates if one.effect is not None]
         start = np.concatenate([simulation.base_values(arm), [e.value for e in own], np.zeros(len(extra))])

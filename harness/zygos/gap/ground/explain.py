@@ -21,10 +21,10 @@ from zygos.gap.findings import ASYMMETRY, INTERVAL, Finding, Repeated, Value
 from zygos.gap.ground.candidates import OFFSET_OF_TORQUE, candidates_of
 from zygos.gap.ground.changes import find_change
 from zygos.gap.ground.columns import Layout, Table, table_of
+from zygos.gap.ground.direction import one_sided
 from zygos.gap.ground.explanation import GroundExplanation, GroundGap, JointRest
 from zygos.gap.ground.fit import Fit, jackknife, residual
 from zygos.gap.ground.predictions import Prediction, Stage, predict, remainders, run_name
-from zygos.gap.ground.direction import one_sided
 from zygos.gap.ground.search import Search, is_gain, search
 from zygos.gap.ground.sentences import entry_evidence, gains, offset
 from zygos.gap.verdicts import (
@@ -134,7 +134,9 @@ class _Explainer:
             self._joints(table, found),
             gap,
             span,
-            None if not adopted or verdict.answer == "cannot tell" else self._adopt(table, found, findings, values_found),
+            None
+            if not adopted or verdict.answer == "cannot tell"
+            else self._adopt(table, found, findings, values_found),
             tuple(self.notes),
         )
 
@@ -143,9 +145,7 @@ class _Explainer:
         listed, usual = [], []
         for k, one in enumerate(found.named):
             finding = self._finding(found, k, sizes)
-            if not is_gain(one.candidate):
-                listed.append(finding)
-            elif abs(finding.value) > USUAL_GAIN + SURE * finding.sigma:
+            if not is_gain(one.candidate) or abs(finding.value) > USUAL_GAIN + SURE * finding.sigma:
                 listed.append(finding)
             else:
                 usual.append(finding)
@@ -173,7 +173,12 @@ class _Explainer:
         friction = {e.joint: e.value for e in self.simulation.effects if e.kind.key == COULOMB}
         friction |= {f.joint: f.value for f in findings if f.kind == COULOMB}
         out = []
-        for one in one_sided(table, found.after, sizes.variance, {j: friction.get(joint.name, 0.0) for j, joint in enumerate(self.arm.joints)}):
+        for one in one_sided(
+            table,
+            found.after,
+            sizes.variance,
+            {j: friction.get(joint.name, 0.0) for j, joint in enumerate(self.arm.joints)},
+        ):
             joint = self.arm.joints[one.joint].name
             if one.answer == "offset":
                 self.notes.append(offset(joint, one.value, one.sigma))

@@ -106,7 +106,8 @@ def search(table: Table, step: Callable[[str], None], begun: Search | None = Non
             names, free = kept, [*layout.basis, *(layout.at(name) for name in kept)]
             fitted = fit(table, free)
     for _ in range(_MOST):
-        open_ones = [one for one in layout.candidates if one.name not in names]
+        taken = {(one.key, one.joint) for one in layout.candidates if one.name in names}
+        open_ones = [one for one in layout.candidates if (one.key, one.joint) not in taken]
         if not open_ones:
             break
         tried = try_all(table, fitted, open_ones)

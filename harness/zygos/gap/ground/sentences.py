@@ -28,6 +28,7 @@ _AGAINST: dict[Against, str] = {
 
 def title(arm: Arm, column: str) -> str:
     """A column in sentences."""
+    column = column.partition("@")[0]
     if is_column(column):
         return spoken(arm, column)
     if column.startswith(ASYMMETRY):

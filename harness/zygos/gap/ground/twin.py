@@ -31,7 +31,7 @@ _STEP = 0.1
 def floor(motion: Motion, rows: TorqueRows, values: Floats, effects: Sequence[Effect], seed: int = 0) -> Score:
     """The score of a model on its own twin. rows: of the measured run."""
     rng = np.random.default_rng(seed)
-    acting = [effect for effect in effects if effect.kind.place in ("motor", "link", "load")]
+    acting = [effect for effect in effects if not (effect.kind.gain or effect.kind.lags)]
     samples, arm = motion.samples, motion.arm
     theta, tau = samples.theta.copy(), np.full_like(samples.tau, np.nan)
     noise = np.maximum(torque_noise(motion), torque_noise(motion, declared=False))
@@ -63,9 +63,7 @@ def _torques(arm: Arm, angle: Floats, rows: TorqueRows, values: Floats, effects:
     return (begin + 4.0 * middle + np.vstack([begin[1:], begin[-1:]])) / 6.0
 
 
-def _torque(
-    arm: Arm, path: BSpline, t: Floats, rows: TorqueRows, values: Floats, effects: Sequence[Effect]
-) -> Floats:
+def _torque(arm: Arm, path: BSpline, t: Floats, rows: TorqueRows, values: Floats, effects: Sequence[Effect]) -> Floats:
     """(n, N) torque after the gear at instants of a motion, Nm."""
     step = _STEP * rows.period_s
 
