@@ -60,12 +60,14 @@ static uint32_t increments_of(const zygos_config_t *config)
     return (long_enough > ZYGOS_SEGMENT_INCREMENTS) ? long_enough : ZYGOS_SEGMENT_INCREMENTS;
 }
 
-/* The cursor has half of the shortest time that a segment takes. */
+/* The cursor has half of the shortest time that a segment takes. The product is twice the length of a segment in
+   cycles, 16 of the longest increments at the most, which is far below 2^32. A division of 64 bits would need a routine
+   that 32-bit targets may lack. */
 static uint32_t slice_of(const zygos_config_t *config, uint32_t width, uint32_t increments)
 {
-    const uint64_t cycles = (uint64_t)increments * config->joint_row_cycles / 4u;
-    const uint64_t entries = zygos_gram_entries(width);
-    return (cycles > 0) ? (uint32_t)((entries + cycles - 1u) / cycles) : 0u;
+    const uint32_t cycles = increments * config->joint_row_cycles / 4u;
+    const uint32_t entries = zygos_gram_entries(width);
+    return (cycles > 0) ? (entries + cycles - 1u) / cycles : 0u;
 }
 
 void zygos_joint_sums_tables(zygos_joint_sums_t *self, const zygos_config_t *config,
@@ -178,10 +180,12 @@ void zygos_joint_sums_clear(zygos_joint_sums_t *self)
     self->checksum = checksum_of(self);
 }
 
-/* The group of the newest complete segment. */
+/* The group of the newest complete segment. 32 bits of the number suffice: groups may be filled in any order, and their
+   turn is interrupted at most once in 2^32 segments. */
 static uint32_t group_of(const zygos_joint_sums_t *self)
 {
-    return (uint32_t)((self->segments + (uint64_t)ZYGOS_GROUP_PLACES - 1u) % (uint64_t)ZYGOS_GROUP_PLACES);
+    const uint32_t places = (uint32_t)ZYGOS_GROUP_PLACES;
+    return ((uint32_t)self->segments % places + places - 1u) % places;
 }
 
 /* Adds the sums of one joint's rows in the complete segment to the matrix of such sums. */

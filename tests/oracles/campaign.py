@@ -169,7 +169,7 @@ def frames(bench: Bench, case: Case, seed: int) -> list[np.ndarray[Any, Any]]:
 def verdict(bench: Bench, drawn: Model, seen: Sequence[np.ndarray[Any, Any]]) -> Explanation:
     """What is said of the frames; nothing else goes in."""
     records = [read_measured_run(bench.arm, Path(f"run {k}"), one) for k, one in enumerate(seen)]
-    return explain(bench.arm, drawn, records[:2], records[2])
+    return explain(bench.arm, drawn, records[:2], records[2:])
 
 
 def score(case: Case, seed: int, found: Explanation) -> dict[str, Any]:

@@ -23,7 +23,8 @@ from zygos.effects import Effect
 from zygos.errors import Undecided
 from zygos.gap.balances import Layout, Sums, accumulate, balance_rows
 from zygos.gap.fit import Fit, fit
-from zygos.gap.record import MeasuredRun, Readings, read_measured_run, smoothed_states
+from zygos.balances.readings import Readings
+from zygos.gap.record import MeasuredRun, read_measured_run, smoothed_states
 from zygos.gap.search import candidates
 from zygos.gap.study import DRAWS, Study, base_values, begin, coefficient, read_hypothesis
 from zygos.gap.twin import Twin, draws, follow, measure, observed

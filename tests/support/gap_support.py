@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from zygos.arm import Arm, load_arm
 from zygos.effects import CATALOGUE, Effect
 from zygos.gap.balances import Layout
-from zygos.gap.record import Readings
+from zygos.balances.readings import Readings
 from zygos.model.model import Model, load_model
 from zygos.simulation.plant import Trajectory, simulate
 from zygos.simulation.scenario import Scenario, load_scenario

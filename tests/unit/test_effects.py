@@ -301,16 +301,17 @@ def test_c_equals_numpy_with_effects(name: str) -> None:
 @pytest.mark.slow
 def test_c_equals_numpy_with_every_effect_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In a build that has room for them."""
+    arm, model, scenario = lively()
+    effects = [effect(key, joint.name) for key in COLUMNS for joint in arm.joints]
     script = [sys.executable, str(ROOT / "tools" / "build_native.py"), str(tmp_path)]
-    subprocess.run(script, env={**os.environ, "CFLAGS": "-DZYGOS_MAX_EFFECTS=16 -DZYGOS_MAX_JOINTS=2"}, check=True)
+    capacities = f"-DZYGOS_MAX_EFFECTS={len(effects)} -DZYGOS_MAX_JOINTS={arm.n}"
+    subprocess.run(script, env={**os.environ, "CFLAGS": capacities}, check=True)
     monkeypatch.setattr(flight, "_FOLDER", tmp_path)
     for name, value in zip(("ffi", "lib"), flight._load(), strict=True):
         monkeypatch.setattr(flight, name, value)
-    arm, model, scenario = lively()
     trajectory = simulate(arm, model, scenario, noise=False, period_s=0.02, duration_s=30.0)
-    effects = [effect(key, joint) for key in COLUMNS for joint in ("shoulder", "elbow")]
     rooms = same(silent(trajectory.arm), trajectory.cycles(), effects)
-    assert (rooms[-1].name, rooms[-1].compared) == ("solution", 24)
+    assert (rooms[-1].name, rooms[-1].compared) == ("solution", len(arm.parameter_names) + len(effects))
 
 
 def test_no_effects_no_difference(tmp_path: Path) -> None:
@@ -376,7 +377,7 @@ def test_every_coefficient_is_found_without_noise(key: str) -> None:
     arm, model, scenario = lively()
     value = {
         "motor_coulomb": 0.5, "motor_viscous": 1.0, "link_coulomb": 20.0, "cubic_stiffness": 5e4, "spring_offset": -1.0,
-        "torque_lag": 3e-3,
+        "torque_lag": 3e-3, "torque_offset": 0.3, "viscous_asymmetry": 0.5,
     }[key]  # fmt: skip
     plant = replace(model, effects=(effect(key, "elbow", value),))
     trajectory = simulate(arm, plant, scenario, noise=False, period_s=0.01, duration_s=25.0)

@@ -22,7 +22,8 @@ from zygos.balances.quadrature import integral
 from zygos.effects import CATALOGUE, Effect, column_name
 from zygos.gap import balances
 from zygos.gap.balances import BalanceRows, Layout, balance_rows
-from zygos.gap.record import Readings, followed
+from zygos.balances.readings import Readings
+from zygos.gap.record import followed
 from zygos.native.flight import config_of
 
 DURATION_S = 4.0

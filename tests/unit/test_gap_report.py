@@ -59,7 +59,7 @@ def friction() -> Explanation:
         scenario = load_scenario(GAP / f"{name}.toml")
         run = simulate(arm, plant, scenario, seeds=[k], noise=True, duration_s=5.0, rtol=1e-9, atol=1e-11)
         runs.append(read_measured_run(arm, Path(f"run-{name}.blf"), encode(arm, run.cycles())))
-    found = explain(arm, model, runs[:2], runs[2])
+    found = explain(arm, model, runs[:2], runs[2:])
     assert found.answer == "named"
     return found
 

@@ -268,7 +268,7 @@ def test_an_arm_that_is_described_wrongly_is_seen(run: zygos.Run) -> None:
         (lambda run, model: zygos.effect("motor_coulomb"), "name its joint"),
         (lambda run, model: zygos.effect("angular_momentum", "elbow"), "leave the joint out"),
         (lambda run, model: zygos.estimate(run, effects=[zygos.effect("torque_lag", "wrist")]), "no joint 'wrist'"),
-        (lambda run, model: zygos.explain(model, [run]), "1 measured runs"),
+        (lambda run, model: zygos.explain(model, []), "no measured run"),
         (lambda run, model: zygos.explain(model, [run, run]), "run 1 and run 2 are the same recording"),
         (lambda run, model: zygos.explain(model, [table(run), run]), "are the same recording"),
         (lambda run, model: zygos.explain(model, [run, seven()]), "of different arms"),
@@ -327,7 +327,7 @@ def test_the_examples_of_the_page_run(
     assert "named - The simulation lacks Coulomb friction at the motor (elbow)" in said
     assert "nowhere.toml: no such file; remedy: check the path" in said
     assert {path.name for path in tmp_path.iterdir()} == {
-        "my-arm", "slower.toml", "stiffer.toml", "learned.toml", "gap.html",
+        "my-arm", "slower.toml", "stiffer.toml", "learned.toml", "gap.html", "00", "01", "02", "03",
     }  # fmt: skip
 
 

@@ -55,10 +55,32 @@ COMMANDS = {
 the list of all commands."""
 
 
+class Greedy(TyperCommand):
+    """A command whose repeatable options take all values that follow, up to the next option, where it has no
+    arguments: `--measured A B` is `--measured A --measured B`."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Repeat the option before each further value."""
+        repeatable = {name for one in self.params if getattr(one, "multiple", False) for name in one.opts}
+        if any(one.param_type_name == "argument" for one in self.params):
+            return super().parse_args(ctx, args)
+        out: list[str] = []
+        option, count = "", 0
+        for arg in args:
+            if arg.startswith("-") and arg != "-":
+                option, count = arg if arg in repeatable else "", 0
+            elif option:
+                count += 1
+                if count > 1:
+                    out.append(option)
+            out.append(arg)
+        return super().parse_args(ctx, out)
+
+
 def load(name: str) -> TyperCommand:
     """A command with its arguments and options, by its name."""
     alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="markdown")
-    alone.command(name)(import_module(f"zygos.cli.{COMMANDS[name][0]}").command)
+    alone.command(name, cls=Greedy)(import_module(f"zygos.cli.{COMMANDS[name][0]}").command)
     command = typer.main.get_command(alone)
     assert isinstance(command, TyperCommand)
     return command

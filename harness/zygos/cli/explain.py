@@ -15,15 +15,13 @@ from zygos.can.run import Run, find_arm, read_run
 from zygos.cli.options import ArmFile, Json
 from zygos.cli.shared import check_model_name, not_whole, warn
 from zygos.effects import estimated
-from zygos.errors import Undecided, ZygosError
+from zygos.errors import Undecided
 from zygos.files.output import check_outputs, named, number, quiet, say, table, write_json
 from zygos.files.progress import progress
 from zygos.gap.answer import as_json, predictions
-from zygos.gap.explain import explain
 from zygos.gap.explanation import Explanation
 from zygos.gap.findings import INTERVAL
-from zygos.gap.record import MeasuredRun, measured_run
-from zygos.gap.runs import check_arm_of_gap, same_recording
+from zygos.gap.runs import check_arm_of_gap, check_distinct, explain_runs
 from zygos.gap.sentences import against
 from zygos.model.model import load_model, save_model
 from zygos.native.flight import Flight
@@ -36,21 +34,21 @@ class Inputs:
 
     simulation: Path
     arm: Path
-    measured: tuple[Path, Path]
-    validate: Path | None
+    measured: tuple[Path, ...]
+    validate: tuple[Path, ...]
 
     @property
     def files(self) -> list[tuple[str, Path]]:
         """Their roles and paths."""
         listed = [("simulation", self.simulation), ("arm", self.arm)]
         listed += [("measured", run) for run in self.measured]
-        return listed + ([("validate", self.validate)] if self.validate else [])
+        return listed + [("validate", run) for run in self.validate]
 
 
 def explain_run(
     simulation: Path,
-    measured: tuple[Path, Path],
-    validate: Path | None,
+    measured: Sequence[Path],
+    validate: Sequence[Path],
     arm_file: Path | None,
     out: Path,
     report: Path | None,
@@ -58,7 +56,7 @@ def explain_run(
     command: Sequence[str],
 ) -> None:
     """Explain the gap between a simulation and measured runs; see `zygos explain --help`."""
-    inputs = Inputs(simulation, find_arm(measured[0], arm_file), measured, validate)
+    inputs = Inputs(simulation, find_arm(measured[0], arm_file), tuple(measured), tuple(validate))
     runs = [run for role, run in inputs.files if role in {"measured", "validate"}]
     for run in runs:
         find_arm(run, inputs.arm)
@@ -69,24 +67,26 @@ def explain_run(
     model.base_parameters(arm)
     with progress() as bar:
         task = bar.add_task("reading", total=1.0)
-        records: list[MeasuredRun] = []
         logs: list[Run] = []
         for k, run in enumerate(runs):
             bar.update(task, description=f"reading {run.name}", completed=0.2 * k / len(runs))
             logs.append(read_run(run, arm))
             warn(logs[-1].damage)
-            _check_distinct(runs, logs)
-            records.append(measured_run(logs[-1], run))
-        found = explain(
-            arm,
+            check_distinct(logs)
+        found = explain_runs(
             model,
-            records[:2],
-            records[2] if validate else None,
-            lambda share, what: bar.update(task, description=what, completed=0.2 + 0.8 * share),
+            logs[: len(measured)],
+            validate=logs[len(measured) :],
+            progress=lambda share, what: bar.update(task, description=what, completed=0.2 + 0.8 * share),
         )
     source = provenance(command, inputs.files)
-    finish(found, records, logs, inputs, source, out, report, json)
+    finish(found, logs, inputs, source, out, report, json)
     not_whole(*(log.damage for log in logs))
+
+
+def letter(run: int) -> str:
+    """Name of a measured run (from 0)."""
+    return chr(ord("A") + run % 26)
 
 
 def flown(found: Explanation, logs: Sequence[Run]) -> list[dict[str, Any]]:
@@ -105,7 +105,7 @@ def flown(found: Explanation, logs: Sequence[Run]) -> list[dict[str, Any]]:
         result = flight.estimate()
         out += [
             {
-                "run": "AB"[run],
+                "run": letter(run),
                 "column": name,
                 "unit": unit,
                 "value": float(result.value[i]),
@@ -118,19 +118,8 @@ def flown(found: Explanation, logs: Sequence[Run]) -> list[dict[str, Any]]:
     return out
 
 
-def _check_distinct(runs: Sequence[Path], logs: Sequence[Run]) -> None:
-    """Refuse a run with the same cycles as an earlier one, in whatever format."""
-    for other, log in zip(runs, logs[:-1], strict=False):
-        if same_recording(log, logs[-1]):
-            raise ZygosError(
-                f"{other} and {runs[len(logs) - 1]} are the same recording; remedy: give two different runs, and with "
-                "--validate a third, because a result from one run must hold on another"
-            )
-
-
 def finish(
     found: Explanation,
-    records: Sequence[MeasuredRun],
     logs: Sequence[Run],
     inputs: Inputs,
     source: Provenance,
@@ -139,7 +128,7 @@ def finish(
     json: str | None,
 ) -> None:
     """Print the tables, write the requested files, and raise Undecided if nothing is named."""
-    flight = flown(found, logs[:2])
+    flight = flown(found, logs[: len(inputs.measured)])
     if not quiet(out, report, json):
         show(found)
         for column in dict.fromkeys(entry["column"] for entry in flight):
@@ -160,7 +149,7 @@ def finish(
     finally:
         if json:
             damage = [text for log in logs for text in log.damage]
-            write_json(json, {**as_json(found, records, source), "flight": flight, "damage": damage or None})
+            write_json(json, {**as_json(found, source), "flight": flight, "damage": damage or None})
     if found.answer in {"unknown", "cannot tell"}:
         raise Undecided(f"{found.answer}: {found.sentence} ({named(out)} not written); remedy: {found.remedy}")
 
@@ -169,8 +158,17 @@ def show(found: Explanation) -> None:
     """Print the tables of a verdict."""
     if found.search is not None:
         listed = found.search.rounds[0][:6]
+        runs = range(len(found.refit.records))
         table(
-            ("candidate", "run A", "run B", "unit", "z A", "z B", "explains %", "seen from", ""),
+            (
+                "candidate",
+                *(f"run {letter(k)}" for k in runs),
+                "unit",
+                *(f"z {letter(k)}" for k in runs),
+                "explains %",
+                "seen from",
+                "",
+            ),
             [
                 (
                     c.name,
@@ -220,14 +218,19 @@ def command(
         Path, typer.Option("--simulation", metavar="CAD.toml", help="The model that the simulation uses.")
     ],
     measured: Annotated[
-        tuple[Path, Path],
-        typer.Option("--measured", metavar="RUN_A RUN_B", help="Two runs; a result from one must hold on the other."),
+        list[Path],
+        typer.Option(
+            "--measured",
+            metavar="RUN...",
+            help="Runs to learn from: two or more, because a result from one must hold on the others. A single run is "
+            "cut into thirds, of which the last is kept apart.",
+        ),
     ],
     out: Annotated[Path, typer.Option("-o", "--out", metavar="NEW.toml", help="The model to write.")],
     validate: Annotated[
-        Path | None,
+        list[Path] | None,
         typer.Option(
-            "--validate", metavar="RUN_C", help="A third run, not used for estimation; the gap is measured on it."
+            "--validate", metavar="RUN...", help="Runs that are not used for estimation; the gap is measured on them."
         ),
     ] = None,
     arm: ArmFile = None,
@@ -239,13 +242,14 @@ def command(
     """Find where simulation and measurement disagree, name the missing effect, add it, and show how the gap shrinks.
 
     Balances of energy, motor impulse and momentum are computed on cycles that the C library decoded, and compared with
-    those of a simulation of the same run. The answer is one of: values differ, named, cannot tell these apart, nothing
-    missing above the detection limits, unknown. A named effect is added to NEW.toml with value, interval and evidence.
-    The gap is the error of predictions half a second ahead on RUN_C, in units of the sensors' noise: with the model as
-    delivered, refit, closed (with the named effects), and the floor, which is caused by noise alone.
+    those of a simulation of the same run. The answer is one of: values differ, named, part named, cannot tell these
+    apart, nothing missing above the detection limits, unknown. A named effect is added to NEW.toml with value, interval
+    and evidence. The gap is the error of predictions half a second ahead on the runs of --validate, in units of the
+    sensors' noise: with the model as delivered, refit, closed (with the named effects), and the floor, which is caused
+    by noise alone. "part named" is the answer where the closed model still predicts much worse than that floor.
 
     Exit code 3 when the answer is unknown or cannot tell; then NEW.toml is not written.
 
     Example: zygos explain --simulation examples/gap/cad.toml --measured A.blf B.blf --validate C.blf -o out/new.toml
     """
-    explain_run(simulation, measured, validate, arm, out, report, json, context.obj or ["explain"])
+    explain_run(simulation, measured, validate or (), arm, out, report, json, context.obj or ["explain"])

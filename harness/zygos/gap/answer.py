@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 from zygos.gap.explanation import Explanation
 from zygos.gap.findings import Gap
 from zygos.gap.forecast import Forecast
-from zygos.gap.record import MeasuredRun
 from zygos.gap.sentences import against, evidence
 from zygos.report.provenance import Provenance
 
@@ -19,7 +17,7 @@ def predictions(gap: Gap) -> list[tuple[str, Forecast]]:
     return listed + ([(f"with {gap.wrong_name} instead", gap.wrong)] if gap.wrong is not None else [])
 
 
-def as_json(found: Explanation, records: Sequence[MeasuredRun], source: Provenance) -> dict[str, Any]:
+def as_json(found: Explanation, source: Provenance) -> dict[str, Any]:
     """The content of a verdict's JSON."""
     layout = found.refit.layout
     gap = found.gap
@@ -96,7 +94,7 @@ def as_json(found: Explanation, records: Sequence[MeasuredRun], source: Provenan
             {"speed": e.speed, "amplitude": e.amplitude, "z": e.z, "z_now": e.now} for e in found.experiments
         ],
         "remarks": list(found.notes),
-        "runs": [{"run": str(r.path), "arcs": len(r.starts), "faults": r.faults} for r in records],
+        "runs": [{"run": str(r.path), "arcs": len(r.starts), "faults": r.faults} for r in found.records],
         "command": source.command,
         "version": source.version,
         "files": [{"role": role, "path": path, "sha256": digest} for role, path, digest in source.files],

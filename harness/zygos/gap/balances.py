@@ -25,9 +25,10 @@ from zygos.balances import energy, impulse, momentum
 from zygos.balances.effects import Signals, energy_column, impulse_column
 from zygos.balances.kinematics import body_columns
 from zygos.balances.quadrature import FromOrigin, from_first, integral
+from zygos.balances.readings import Readings
 from zygos.balances.state import State
 from zygos.effects import CATALOGUE, OFFSET, Kind, column_name
-from zygos.gap.record import Readings, smoothed_states
+from zygos.gap.record import smoothed_states
 
 Array = NDArray[np.float64]
 

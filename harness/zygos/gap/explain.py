@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +32,7 @@ from zygos.gap.findings import (
 from zygos.gap.fit import fit
 from zygos.gap.forecast import Forecast, Stretches, cut, cut_twin, forecast
 from zygos.gap.record import MeasuredRun
+from zygos.gap.remainder import closes, remainders
 from zygos.gap.search import CERTAIN, COMPLETE, EXCESS, PARTLY, Candidate, Search, excess, search
 from zygos.gap.sentences import entry_evidence
 from zygos.gap.study import Study, again, begin, read_hypothesis, realise, split
@@ -50,6 +53,7 @@ from zygos.gap.verdicts import (
     NothingMissing,
     NotPredicted,
     NoUntouchedRun,
+    PartNamed,
     Remark,
     RunsDisagree,
     SkewedEncoders,
@@ -69,6 +73,10 @@ DISAGREE = 4.5
 """Standard deviations by which the runs may not disagree on a value."""
 _USED = 0.9
 """Share of a run below which its losses are worth a word."""
+SMALL = 1.5
+"""Residual of a balance over its twin's up to which effects are named without an untouched run."""
+_REDRAWN = 2
+"""Models with redrawn values that predict the floor's twin."""
 _DEFLECTED = 3.0
 """Deviations of the encoders beyond which a joint that is said to be rigid is not."""
 _SKEWED = 0.95
@@ -79,10 +87,11 @@ def explain(
     arm: Arm,
     simulation: Model,
     measured: Sequence[MeasuredRun],
-    validate: MeasuredRun | None,
+    validate: Sequence[MeasuredRun],
     step: Callable[[float, str], None] = lambda share, what: None,
 ) -> Explanation:
-    """Say what a simulation lacks. step is told the share done and what is being done.
+    """Say what a simulation lacks. measured: two runs at least. validate: runs that are kept apart. step is told the
+    share done and what is being done.
 
     What the simulation says of springs' offsets is passed over: each run has its own zeros.
     Errors: ZygosError where the model does not fit the arm; Undecided where the runs do not tell its parameters apart.
@@ -90,7 +99,7 @@ def explain(
     simulation = replace(simulation, effects=tuple(e for e in simulation.effects if e.kind.key != OFFSET))
     # the matrices are narrow: threads only get in each other's way
     with threadpool_limits(limits=1):
-        return _Explainer(arm, simulation, tuple(measured), validate, step).explain()
+        return _Explainer(arm, simulation, tuple(measured), tuple(validate), step).explain()
 
 
 class _Explainer:
@@ -99,7 +108,7 @@ class _Explainer:
         arm: Arm,
         simulation: Model,
         measured: tuple[MeasuredRun, ...],
-        validate: MeasuredRun | None,
+        validate: tuple[MeasuredRun, ...],
         step: Callable[[float, str], None],
     ) -> None:
         self.arm, self.simulation, self.measured, self.validate, self.step = arm, simulation, measured, validate, step
@@ -111,9 +120,10 @@ class _Explainer:
         self.step(0.05, "the simulation's own equations")
         if arm.torque_law == "sampled":
             self.remarks.append(TorquesSampled())
-        for record in (*self.measured, *([] if self.validate is None else [self.validate])):
-            if record.share < _USED:
-                self.remarks.append(BrokenRun(record.path.name, record.share))
+        used: dict[str, float] = {}
+        for record in (*self.measured, *self.validate):
+            used[record.path.name] = used.get(record.path.name, 0.0) + record.share
+        self.remarks += [BrokenRun(name, share) for name, share in used.items() if share < _USED]
         delivered = PlanarDynamics.from_model(arm, self.simulation)
         hypothesis = read_hypothesis(layout, self.simulation)
         refit = begin(self.measured, hypothesis, delivered)
@@ -144,8 +154,8 @@ class _Explainer:
         if isinstance(verdict, Inseparable) and found is not None:
             pair = next(names for names in found.sets if len(names) > 1)
             experiments = propose(found.after, pair[0], pair[1])
-        kept = verdict.findings if isinstance(verdict, Lacking | Inseparable) else ()
-        adopted = isinstance(verdict, Lacking | ValuesDiffer | NothingMissing)
+        kept = verdict.findings if isinstance(verdict, Lacking | PartNamed | Inseparable) else ()
+        adopted = isinstance(verdict, Lacking | PartNamed | ValuesDiffer | NothingMissing)
         if adopted:
             self._remark_rest(after, kept, gap)
         return Explanation(
@@ -163,6 +173,7 @@ class _Explainer:
             local,
             self._adopt(after, values, kept) if adopted else None,
             tuple(self.remarks),
+            self.validate,
         )
 
     def _flexible(self, refit: Study, joints: list[str]) -> Study:
@@ -231,23 +242,26 @@ class _Explainer:
                 values.append(Value(name, effect.kind.unit, effect.value, effect.sigma, found[name], sigma[name]))
         return tuple(values)
 
-    def _calibrated(self, record: MeasuredRun, study: Study) -> MeasuredRun:
-        """A record less what its sensors' zeros are found to be off by, where that is more than is known of them."""
+    def _calibrated(self, records: Sequence[MeasuredRun], study: Study) -> list[MeasuredRun]:
+        """Records less what their sensors' zeros are found to be off by, where that is more than is known of them."""
         layout = study.layout
         zeros = study.fit.zeros.mean(axis=0)
         off = np.where(np.abs(zeros) > _DEFLECTED * layout.zero_sigma, zeros, 0.0)
         if not off.any():
-            return record
-        listed = tuple((name, float(x)) for name, x in zip(layout.zeros, off, strict=True) if x)
-        self.remarks.append(ZerosOff(listed))
-        q, theta = record.samples.q - off[:-1:2], record.samples.theta - off[1::2]
-        return replace(record, samples=replace(record.samples, q=q, theta=theta), omega0=record.omega0 - off[-1])
+            return list(records)
+        self.remarks.append(ZerosOff(tuple((n, float(x)) for n, x in zip(layout.zeros, off, strict=True) if x)))
+        out = []
+        for record in records:
+            q, theta = record.samples.q - off[:-1:2], record.samples.theta - off[1::2]
+            samples = replace(record.samples, q=q, theta=theta)
+            out.append(replace(record, samples=samples, omega0=record.omega0 - off[-1]))
+        return out
 
     def _gap(self, delivered: PlanarDynamics, refit: Study, after: Study, found: Search | None) -> Gap | None:
-        if self.validate is None:
+        if not self.validate:
             self.remarks.append(NoUntouchedRun())
             return None
-        segments = cut(self._calibrated(self.validate, after))
+        segments = Stretches.joined([cut(record) for record in self._calibrated(self.validate, after)])
         closed = after.dynamics()
         before = closed if after is refit else refit.dynamics()
         if not after.physical:
@@ -266,7 +280,7 @@ class _Explainer:
                 self.remarks.append(Impossible(other.name))
         self.step(0.85, "the floor")
         try:
-            floor = forecast(closed, cut_twin(follow(closed, [self.validate])[0]))
+            twin = Stretches.joined([cut_twin(one) for one in follow(closed, self.validate)])
         except Undecided as error:
             self.remarks.append(NoFloor(str(error)))
             return None
@@ -275,10 +289,11 @@ class _Explainer:
             forecast(delivered, segments),
             last if before is closed else forecast(before, segments),
             last,
-            floor,
+            forecast(closed, twin),
             self._struck(found, segments),
             wrong,
             wrong_name,
+            tuple(forecast(one, twin) for one in _redrawn(after)),
         )
 
     def _struck(self, found: Search | None, segments: Stretches) -> Forecast | None:
@@ -317,18 +332,16 @@ class _Explainer:
         if not found.named and not excess(found.before):
             if not findings:
                 return self._same_equations(found.after, values)
-        elif not found.named or share < COMPLETE:
+        elif not found.named or share < PARTLY:
             return Unexplained(
-                float(np.nanmax(found.after.excess)),
-                tuple(candidate.name for candidate in found.named),
-                share,
-                findings if found.named and share >= PARTLY else (),
+                float(np.nanmax(found.after.excess)), tuple(candidate.name for candidate in found.named), share, ()
             )
         if gap is not None and gap.struck is not None and gap.closed.median > gap.struck.median:
             return NotPredicted(findings, gap.closed.median, gap.struck.median)
         if any(finding.instead for finding in findings):
             return Inseparable(findings)
-        return Lacking(findings)
+        whole = share >= COMPLETE and (closes(gap) if gap is not None else bool(np.nanmax(found.after.excess) <= SMALL))
+        return Lacking(findings) if whole else PartNamed(findings, remainders(self.arm, found.after, gap))
 
     def _same_equations(self, study: Study, values: tuple[Value, ...]) -> Verdict:
         apart = self._apart(study)
@@ -349,19 +362,25 @@ class _Explainer:
             self.remarks.append(Disagreements(apart))
 
     def _apart(self, study: Study) -> tuple[Disagreement, ...]:
-        """Parameters on which the runs disagree by more than their twins' noise and by more than a trifle."""
+        """Parameters on which two runs disagree by more than their twins' noise and by more than a trifle."""
         hypothesis = study.hypothesis
-        each = [study.of(hypothesis, [k]).value for k in range(len(study.records))]
-        drawn = [study.of_twin(hypothesis, [k]).value for k in range(len(study.records))]
-        spread = np.sqrt(sum(values.var(axis=0, ddof=1) for values in drawn))
-        shift = drawn[0].mean(axis=0) - drawn[1].mean(axis=0)
+        runs = range(len(study.records))
+        each = np.stack([study.of(hypothesis, [k]).value for k in runs])
+        drawn = np.stack([study.of_twin(hypothesis, [k]).value for k in runs])
+        each, variance = each - drawn.mean(axis=1), drawn.var(axis=1, ddof=1)
         out = []
         for k, name in enumerate(hypothesis.names):
-            difference = abs(float(each[0][k] - each[1][k] - shift[k]))
-            if name in self.arm.parameter_names and difference > max(
-                DISAGREE * float(spread[k]), MATERIAL * abs(float(study.value[k]))
-            ):
-                out.append(Disagreement(name, float(each[0][k]), float(each[1][k])))
+            if name not in self.arm.parameter_names:
+                continue
+            least = MATERIAL * abs(float(study.value[k]))
+            pairs = [
+                (abs(float(each[i, k] - each[j, k])) / float(np.sqrt(variance[i, k] + variance[j, k])), i, j)
+                for i, j in combinations(runs, 2)
+                if abs(each[i, k] - each[j, k]) > least
+            ]
+            z, i, j = max(pairs, default=(0.0, 0, 0))
+            if z > DISAGREE:
+                out.append(Disagreement(name, float(each[i, k]), float(each[j, k])))
         return tuple(out)
 
     def _adopt(self, study: Study, values: tuple[Value, ...], findings: tuple[Finding, ...]) -> Model:
@@ -388,6 +407,17 @@ class _Explainer:
             else:
                 kept.append(effect)
         return Model(f"{self.simulation.name}, explained", parameters=parameters, effects=tuple(kept))
+
+
+def _redrawn(study: Study) -> list[PlanarDynamics]:
+    """Models whose values err as those of fits to the twins' draws."""
+    drawn = study.of_twin(study.hypothesis).value
+    out = []
+    for value in study.value + drawn[:_REDRAWN] - drawn.mean(axis=0):
+        # values of some draws are those of no arm
+        with suppress(ZygosError):
+            out.append(realise(study.hypothesis, value))
+    return out
 
 
 def _other(found: Search) -> Candidate | None:

@@ -11,6 +11,7 @@ from zygos.arm import Arm
 from zygos.gap import sentences
 from zygos.gap.experiment import Experiment
 from zygos.gap.findings import Deflection, Finding, Gap, Value
+from zygos.gap.record import MeasuredRun
 from zygos.gap.search import Search
 from zygos.gap.study import Study
 from zygos.gap.verdicts import Answer, Remark, Verdict, partly
@@ -42,6 +43,13 @@ class Explanation:
     model: Model | None
     """The model with what was learned; None where nothing is to be adopted."""
     remarks: tuple[Remark, ...]
+    validated: tuple[MeasuredRun, ...] = ()
+    """The runs that were kept apart."""
+
+    @property
+    def records(self) -> tuple[MeasuredRun, ...]:
+        """All runs: those that were learned from, then those that were kept apart."""
+        return (*self.refit.records, *self.validated)
 
     @property
     def closed(self) -> Study:

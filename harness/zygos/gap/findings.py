@@ -127,3 +127,5 @@ class Gap:
     wrong: Forecast | None
     """With the best other candidate in place of the named effect."""
     wrong_name: str
+    reach: tuple[Forecast, ...] = ()
+    """Predictions of the floor's twin by models whose values err as much as noise makes a fit of these runs err."""

@@ -15,11 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
+from zygos.balances.readings import Readings
 from zygos.balances.state import State
 from zygos.dynamics.planar import PlanarDynamics
 from zygos.dynamics.replay import exact_readings, replay, substeps
 from zygos.errors import ZygosError
-from zygos.gap.record import MeasuredRun, Readings, smoothed_states
+from zygos.gap.record import MeasuredRun, smoothed_states
 from zygos.gap.twin import Twin, measure
 from zygos.runs.smoother import coefficients
 
@@ -47,6 +48,18 @@ class Stretches:
     """(S, 4N+1) smoothed state at the first sample, packed as `State.packed`."""
     time_s: Array
     """(S, 2n) since the run's first cycle."""
+
+    @classmethod
+    def joined(cls, parts: Sequence[Stretches]) -> Stretches:
+        """Stretches of several runs of one arm, one run after the other."""
+        return cls(
+            parts[0].arm,
+            np.concatenate([one.readings for one in parts]),
+            np.concatenate([one.tau for one in parts]),
+            np.concatenate([one.before for one in parts]),
+            np.concatenate([one.guess for one in parts]),
+            np.concatenate([one.time_s for one in parts]),
+        )
 
     @property
     def sigma(self) -> Array:

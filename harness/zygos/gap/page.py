@@ -62,6 +62,7 @@ def write_gap_report(path: Path, explanation: Explanation, provenance: Provenanc
 
 _TAGS = {
     "named": "named",
+    "part named": "named",
     "values differ": "differ",
     "nothing missing": "nothing",
     "cannot tell": "open",
@@ -116,7 +117,7 @@ def _gap(x: Explanation, gap: Gap) -> Entry:
     if gap.wrong is not None:
         name = f"{spoken(x.arm, gap.wrong_name)}, instead"
         what = "the best other candidate in place of the guess"
-        if x.answer == "named":
+        if x.answer in {"named", "part named"}:
             what = "the best wrong candidate in place of what was named"
         wrong.append((name, "wrong", what, gap.wrong))
     every = [v for *_, one in listed + wrong for v in (one.gap, one.median, one.tenth)]
@@ -219,7 +220,7 @@ def _search(x: Explanation) -> Entry:
     listed = search.rounds[0]
     if x.answer == "nothing missing":
         listed = tuple(sorted(listed, key=lambda c: (list(CATALOGUE).index(c.kind.key), c.joint)))
-    adopted = x.answer in {"named", "cannot tell"}
+    adopted = x.answer in {"named", "part named", "cannot tell"}
     return {
         "candidates": [_candidate(x.arm, c, named, sets, adopted=adopted) for c in listed],
         "letters": RUNS[: len(x.refit.records)],

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import correlate1d
 
 from zygos.arm import Arm
+from zygos.balances.readings import Readings
 from zygos.balances.state import State
 from zygos.can.run import Run
 from zygos.errors import ZygosError
@@ -26,19 +27,6 @@ Array = NDArray[np.float64]
 
 ARC_S = 10.0
 """Longest arc, s: W sums up the torques' noise, a constant an arc costs what the encoders' noise allows to know."""
-
-
-@dataclass(frozen=True)
-class Readings:
-    """Calibrated samples of A arcs of n cycles each; N joints. Leading axes may be added (draws of a twin)."""
-
-    q: Array
-    """(..., A, n, N) rad, as theta."""
-    theta: Array
-    omega0: Array
-    """(..., A, n) rad/s about the arm's axis."""
-    tau: Array
-    """(..., A, n, N) rotor torque in force on [t_k, t_k+1), Nm."""
 
 
 @dataclass(frozen=True)

@@ -83,7 +83,7 @@ def freed(x: Explanation) -> list[int]:
 
 def _struck(x: Explanation, run: int) -> Array | None:
     study = x.closed
-    if x.search is None or x.answer != "named":
+    if x.search is None or x.answer not in {"named", "part named"}:
         return None
     names = {candidate.name for candidate in x.search.named}
     names |= {f"{key}{i + 1}" for i in freed(x) for key in "kb"}

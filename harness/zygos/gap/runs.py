@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
@@ -41,37 +42,61 @@ def explain_runs(
     simulation: Model,
     measured: Sequence[Run],
     *,
-    validate: Run | None = None,
+    validate: Run | Sequence[Run] | None = None,
     progress: Callable[[float, str], None] | None = None,
 ) -> Explanation:
     """Say where a simulation and the measured runs of an arm disagree, and which effect the simulation lacks.
 
-    simulation: the model that the simulation uses. measured: two runs of one arm; what is learned from one must hold on
-    the other. validate: a third run, from which nothing is learned; the gap is measured on it, before and after.
-    progress is called with the share that is done and what is being done.
+    simulation: the model that the simulation uses. measured: runs of one arm; what is learned from one must hold on
+    the others. A single run is cut into thirds, of which the last is kept apart. validate: runs from which nothing is
+    learned; the gap is measured on them, before and after. progress is called with the share that is done and what is
+    being done.
 
-    `Explanation.answer` is "values differ", "named", "cannot tell", "nothing missing" or "unknown"; `sentence` says it
-    in words, `findings` has the effects with value and interval, and `model` is the model with what was learned, or
-    None where nothing is to be adopted.
+    `Explanation.answer` is "values differ", "named", "part named", "cannot tell", "nothing missing" or "unknown";
+    `sentence` says it in words, `findings` has the effects with value and interval, and `model` is the model with what
+    was learned, or None where nothing is to be adopted.
 
     Errors: ZygosError for an arm that is not free-floating, planar-symmetric and flexible in all joints, for runs of
     different arms or that are the same recording, and for a model that does not fit; Undecided where the runs do not
     tell its parameters apart.
     """
-    runs = [*measured, *([] if validate is None else [validate])]
-    if len(measured) != 2:
-        raise ZygosError(f"{len(measured)} measured runs; remedy: two runs to learn from, and a third to validate")
+    kept = (validate,) if isinstance(validate, Run) else tuple(validate or ())
+    runs = [*measured, *kept]
+    if not measured:
+        raise ZygosError("no measured run; remedy: one run, or better two to learn from and a third to validate")
     arm = runs[0].arm
     if any(run.arm != arm for run in runs):
         raise ZygosError("the runs are of different arms; remedy: runs of one arm, loaded with the same arm file")
     check_arm_of_gap(arm, f"arm {arm.name}")
     simulation.base_parameters(arm)
+    check_distinct(runs)
     records = [record_of(run, number) for number, run in enumerate(runs, start=1)]
-    for (one, first), (other, second) in combinations(zip(records, runs, strict=True), 2):
+    learned, apart = records[: len(measured)], records[len(measured) :]
+    if len(learned) == 1:
+        parts = thirds(learned[0], 2 if apart else 3)
+        learned, apart = parts[:2], apart or parts[2:]
+    return explain(arm, simulation, learned, apart, progress or (lambda share, what: None))
+
+
+def check_distinct(runs: Sequence[Run]) -> None:
+    """Refuse, with ZygosError, two runs with the same cycles."""
+    names = [str(run.path or f"run {number}") for number, run in enumerate(runs, start=1)]
+    for (one, first), (other, second) in combinations(zip(names, runs, strict=True), 2):
         if same_recording(first, second):
             raise ZygosError(
-                f"{one.path} and {other.path} are the same recording; remedy: two runs to learn from, and a third to "
-                "validate, for what one run says must hold on another"
+                f"{one} and {other} are the same recording; remedy: give different runs to learn from and to "
+                "validate, because a result from one run must hold on another"
             )
-    step = progress or (lambda share, what: None)
-    return explain(arm, simulation, records[:2], records[2] if validate is not None else None, step)
+
+
+def thirds(record: MeasuredRun, parts: int = 3) -> list[MeasuredRun]:
+    """A run cut into parts of about equal length, as if each had been recorded by itself.
+
+    Errors: ZygosError where it has fewer arcs than parts.
+    """
+    if len(record.starts) < parts:
+        raise ZygosError(
+            f"{record.path}: one run of {len(record.starts)} arcs cannot be cut into {parts} parts, of which one must "
+            "hold what another says; remedy: give two runs (--measured A B), or one of at least 30 s"
+        )
+    return [replace(record, starts=starts) for starts in np.array_split(record.starts, parts)]

@@ -60,7 +60,7 @@ class Candidate:
     left: float
     """Sum of rho^2 over runs and balances with it."""
     frozen: float
-    """Sum of rho^2 on the second run with what was fitted on the first, as a share of the sum without it."""
+    """Sum of rho^2 on the last run with what was fitted on the others, as a share of the sum without it."""
     limit: float
     """The size from which on this search would name it on these runs."""
     against: Against
@@ -222,9 +222,10 @@ def _candidate(now: Study, before: Study, kind: Kind, joint: int) -> Candidate |
     found = [float(one.of(name)) for one in each]
     z = [(x - draw.mean()) / draw.std(ddof=1) for x, draw in zip(found, null, strict=True)]
     sigma = float(null_all.std(ddof=1))
-    plain, with_it = now.of(now.hypothesis, [0]).value, each[0].value
-    frozen = _total(now.of(wider, [1], with_it).rms, now.noise[1:]) / _total(
-        now.of(now.hypothesis, [1], plain).rms, now.noise[1:]
+    *first, last = runs
+    plain, with_it = now.of(now.hypothesis, first).value, now.of(wider, first).value
+    frozen = _total(now.of(wider, [last], with_it).rms, now.noise[last:]) / _total(
+        now.of(now.hypothesis, [last], plain).rms, now.noise[last:]
     )
     share = completeness(before, whole.rms)
     against: Against = ""

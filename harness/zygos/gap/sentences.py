@@ -29,6 +29,8 @@ from zygos.gap.verdicts import (
     NothingMissing,
     NotPredicted,
     NoUntouchedRun,
+    PartNamed,
+    Remainder,
     Remark,
     RunsDisagree,
     SkewedEncoders,
@@ -67,6 +69,11 @@ def verdict(arm: Arm, found: Verdict) -> str:  # noqa: PLR0911  (one sentence a 
             return _values_differ(arm, found.changed)
         case Lacking():
             return f"The simulation lacks {listed(found.findings)}."
+        case PartNamed():
+            return (
+                f"The simulation lacks {listed(found.findings)}, but the law is not exactly this: "
+                f"{'; '.join(map(left, found.left))}."
+            )
         case Inseparable():
             sets = "; ".join(" or ".join((_named(f), *(spoken(arm, n) for n in f.instead))) for f in found.findings)
             return f"These runs cannot tell apart: {sets}."
@@ -103,6 +110,14 @@ def verdict(arm: Arm, found: Verdict) -> str:  # noqa: PLR0911  (one sentence a 
                 f"without (median {found.closed_median:.3g} sigma with, {found.struck_median:.3g} without): not "
                 "adopted."
             )
+
+
+def left(rest: Remainder) -> str:
+    """What is left over, in words."""
+    floor = f", where noise leaves {figure(rest.floor)}" if math.isfinite(rest.floor) else ""
+    unit = {"1": "times the floor", "sigma": "σ"}.get(rest.unit, rest.unit)
+    goes = f", {100 * rest.share:.0f} % of it as a function of the {rest.over}" if rest.over else ""
+    return f"{figure(rest.size)} {unit} are left over at {rest.where}{floor}{goes}"
 
 
 def _values_differ(arm: Arm, changed: Sequence[Value]) -> str:
@@ -236,7 +251,7 @@ def predicted(answer: Answer, gap: Gap, *, added: bool) -> list[str]:
     """What the errors of predictions mean. added: whether the closed model has more than the refit."""
     delivered, refit, closed, floor = (one.gap for one in (gap.delivered, gap.refit, gap.closed, gap.floor))
     out: list[str] = []
-    if answer == "named" and closed < delivered:
+    if answer in {"named", "part named"} and closed < delivered:
         out.append(f"Against the simulation as delivered it shrinks {figure(ratio(delivered, closed))} ×.")
     if refit > 1.1 * delivered:
         out.append("The refit predicts worse than what was delivered: its values bend to fit what they cannot express.")

@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
+from zygos.balances.readings import Readings
 from zygos.balances.state import State
 from zygos.dynamics.planar import PlanarDynamics
 from zygos.dynamics.replay import exact_readings, mobility, replay, substeps
 from zygos.errors import Undecided
 from zygos.gap.balances import Sums, accumulate, balance_rows
-from zygos.gap.record import MeasuredRun, Readings, followed, smoothed_states
+from zygos.gap.record import MeasuredRun, followed, smoothed_states
 from zygos.simulation.sensors import draw_noise
 
 Array = NDArray[np.float64]

@@ -7,7 +7,7 @@ from typing import ClassVar, Literal
 
 from zygos.gap.findings import Disagreement, Finding, Value
 
-Answer = Literal["nothing missing", "values differ", "named", "cannot tell", "unknown"]
+Answer = Literal["nothing missing", "values differ", "named", "part named", "cannot tell", "unknown"]
 
 
 @dataclass(frozen=True)
@@ -31,6 +31,33 @@ class Lacking:
 
     answer: ClassVar[Answer] = "named"
     findings: tuple[Finding, ...]
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """What the named effects leave over on the untouched run, or of a balance."""
+
+    where: str
+    """A joint, or a balance."""
+    size: float
+    unit: str
+    """Nm, sigma or 1 (a ratio to the floor)."""
+    floor: float
+    """What noise alone would leave over, in the same unit; NaN where it is not known."""
+    over: str
+    """What it varies with most: rate, angle, deflection, load, time; empty where it varies with none."""
+    share: float
+    """Share of its square that goes with that."""
+
+
+@dataclass(frozen=True)
+class PartNamed:
+    """The family, place and size of effects were found, but something is left over: the law is not exactly this."""
+
+    answer: ClassVar[Answer] = "part named"
+    findings: tuple[Finding, ...]
+    left: tuple[Remainder, ...]
+    """Largest first."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +133,15 @@ class NotPredicted:
 ArmFileFirst = SkewedEncoders | LateTorques | DeclaredTooNoisy
 """The arm file has to be put right before anything can be said."""
 Verdict = (
-    NothingMissing | ValuesDiffer | Lacking | Inseparable | ArmFileFirst | RunsDisagree | Unexplained | NotPredicted
+    NothingMissing
+    | ValuesDiffer
+    | Lacking
+    | PartNamed
+    | Inseparable
+    | ArmFileFirst
+    | RunsDisagree
+    | Unexplained
+    | NotPredicted
 )
 
 

@@ -1,0 +1,94 @@
+"""What is left over after the named effects, and what it varies with."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zygos.arm import Arm
+from zygos.balances.state import State
+from zygos.gap.findings import Gap
+from zygos.gap.search import CERTAIN, EXCESS
+from zygos.gap.study import Study, residuals
+from zygos.gap.verdicts import Remainder
+from zygos.gap.whereabouts import joint_of
+
+Floats = NDArray[np.float64]
+
+CLOSED = 3.0
+"""Error of predictions over the floor's from which on an untouched run does not close."""
+_WINDOW_S = 0.1
+"""Time over which the slope of a residual is taken: the torque or the power that is missing."""
+_BINS = 24
+_TELLS = 0.2
+"""Share of the slope's variance that must go with a quantity to be mentioned."""
+
+
+def closes(gap: Gap) -> bool:
+    """Whether the closed model predicts the untouched run as well as noise allows, in the middle and at the end.
+
+    Noise acts twice: on the readings of the untouched run, and on the values that were learned from the others.
+    """
+    allowed = (gap.floor, *gap.reach)
+    median, tenth = max(one.median for one in allowed), max(one.tenth for one in allowed)
+    return bool(gap.closed.median <= CLOSED * median and gap.closed.tenth <= CLOSED * tenth)
+
+
+def remainders(arm: Arm, study: Study, gap: Gap | None) -> tuple[Remainder, ...]:
+    """What is left over on the untouched run, then of the balances that do not close, worst first."""
+    out = []
+    if gap is not None:
+        out.append(Remainder("the untouched run", gap.closed.median, "sigma", gap.floor.median, "", 0.0))
+    over = study.excess**2 - 1.0
+    fails = np.isfinite(over) & (over > np.maximum(EXCESS, CERTAIN * study.wobble))
+    worst = np.where(fails, study.excess, 0.0).max(axis=0)
+    for balance in np.argsort(-worst, kind="stable"):
+        if worst[balance] > 0.0:
+            name = study.layout.balances[balance]
+            run = int(np.nanargmax(study.excess[:, balance]))
+            quantity, share = _varies_with(arm, study, run, int(balance))
+            out.append(Remainder(f"balance {name}", float(worst[balance]), "1", math.nan, quantity, share))
+    return tuple(out)
+
+
+def _varies_with(arm: Arm, study: Study, run: int, balance: int) -> tuple[str, float]:
+    """The quantity that says most about the slope of a balance's residual, and its share of the variance."""
+    left, state = residuals(study, run)
+    window = max(2, round(_WINDOW_S / arm.period_s))
+    y = (left[balance][:, window:] - left[balance][:, :-window])[:, ::window]
+    listed = [
+        (_share(over[:, window // 2 :][:, : y.shape[1] * window : window], y), name)
+        for name, over in _quantities(arm, state, study.records[run].time_s, joint_of(study.layout.balances[balance]))
+    ]
+    share, name = max(listed)
+    return (name, share) if share > _TELLS else ("", 0.0)
+
+
+def _quantities(arm: Arm, state: State, time: Floats, joint: int | None) -> Iterator[tuple[str, Floats]]:
+    """(A, instants) what a residual may vary with, of one joint or of all."""
+    for i in range(arm.n) if joint is None else [joint]:
+        at = f" of the {arm.joints[i].name}"
+        yield f"rate{at}", state.thetad[..., i]
+        yield f"angle{at}", np.mod(state.q[..., i], 2.0 * np.pi)
+        if arm.joints[i].flexible:
+            yield f"deflection{at}", state.theta[..., i] - state.q[..., i]
+    yield "time", time
+
+
+def _share(over: Floats, values: Floats) -> float:
+    """Share of the variance of values that their means in bins of a quantity take away, less what chance would."""
+    count = min(over.shape[1], values.shape[1])
+    x, y = over[:, :count].ravel(), values[:, :count].ravel()
+    known = np.isfinite(x) & np.isfinite(y)
+    x, y = x[known], y[known]
+    if len(y) < 4 * _BINS or not np.var(y) > 0.0:
+        return 0.0
+    edges = np.quantile(x, np.linspace(0.0, 1.0, _BINS + 1)[1:-1])
+    index = np.searchsorted(edges, x)
+    counts = np.maximum(np.bincount(index, minlength=_BINS), 1)
+    means = np.bincount(index, weights=y, minlength=_BINS) / counts
+    left = float(np.sum((y - means[index]) ** 2)) / (len(y) - _BINS)
+    return 1.0 - left / float(np.var(y, ddof=1))
