@@ -106,8 +106,16 @@ def _scenarios(
         motions = _sines(arm, k, centre, reach, slow, fast)
         path = Path("arm.toml")
         runs.append(
-            Scenario("abc"[k], path, path, duration, motions, controller, angular_momentum_nms=0.0,
-                     initial_angles_rad=_start(arm, motions))  # fmt: skip
+            Scenario(
+                "abc"[k],
+                path,
+                path,
+                duration,
+                motions,
+                controller,
+                angular_momentum_nms=0.0,
+                initial_angles_rad=_start(arm, motions),
+            )
         )
     return runs[0], runs[1], runs[2]
 
@@ -169,7 +177,7 @@ def six() -> Trial:
         for joint in arm.joints
     )
     arm = replace(arm, torque_at="joint", joints=joints, smoother=Smoother(21, 4, 10))
-    drives = tuple(replace(joint, rotor_inertia=Quantity(0.0)) for joint in model.joints)
+    drives = tuple(replace(joint, rotor_inertia=Quantity(1e-9)) for joint in model.joints)
     model = _loose(replace(model, joints=drives, effects=()), 0.01)
     centres = ((0.2, -0.6, 0.9, -0.3, 0.5, 0.0), (-0.4, -0.2, 0.3, 0.6, -0.5, 0.4), (0.5, 0.3, -0.6, 0.2, 0.9, -0.3))
     return Trial(arm, model, _scenarios(arm, 40.0, centres, 1.6, 0.8, 3.6, Controller()), True)

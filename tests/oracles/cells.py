@@ -282,8 +282,14 @@ def _of_arm(arm: str) -> list[Cell]:
         if key in NEAREST:
             place = PLACES[arm][-1]
             cells.append(
-                Cell(f"{arm}/without/{key}/{joints[place]}", arm, "without", (Hidden(own, place, 30.0),), without=key,
-                     near=NEAREST[key])  # fmt: skip
+                Cell(
+                    f"{arm}/without/{key}/{joints[place]}",
+                    arm,
+                    "without",
+                    (Hidden(own, place, 30.0),),
+                    without=key,
+                    near=NEAREST[key],
+                )
             )
     return cells
 
@@ -332,7 +338,9 @@ def case(cell: Cell, draw: int) -> Case:
     seed, dirty = seed_of(cell, draw), is_dirty(cell, draw)
     trial = ARMS[cell.arm]()
     random = np.random.default_rng([seed, 4711])
-    sizes = [one.size if not one.times else one.times * limit(cell.arm, dirty, one.law, one.joint) for one in cell.hidden]
+    sizes = [
+        one.size if not one.times else one.times * limit(cell.arm, dirty, one.law, one.joint) for one in cell.hidden
+    ]
     made = [one.make(max(one.joint, 0), size) for one, size in zip(cell.hidden, sizes, strict=True)]
     model = as_built(trial, seed)
     if cell.group == "values":

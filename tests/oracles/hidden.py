@@ -628,9 +628,7 @@ def _only(values: Array, joint: int, column: Array) -> Array:
 
 def link_scale(joint: int, size: float) -> SensorError:
     """A link encoder that reads too much by a share."""
-    return SensorError(
-        joint, size, "link_scale", lambda m, r, i, s: r._replace(q=_only(r.q, i, (1.0 + s) * r.q[:, i]))
-    )
+    return SensorError(joint, size, "link_scale", lambda m, r, i, s: r._replace(q=_only(r.q, i, (1.0 + s) * r.q[:, i])))
 
 
 def link_eccentricity(joint: int, size: float) -> SensorError:
@@ -651,7 +649,7 @@ def link_late(joint: int, size: float) -> SensorError:
     """A link encoder that latches late by `size` seconds: it reads a later angle."""
 
     def change(motion: Motion, readings: Readings, i: int, late: float) -> Readings:
-        q, qd = motion.q[:, i], motion.qd[:, i]
+        qd = motion.qd[:, i]
         h = motion.t[1] - motion.t[0]
         bend = np.gradient(qd, h)
         return readings._replace(q=_only(readings.q, i, readings.q[:, i] + late * qd + 0.5 * late**2 * bend))

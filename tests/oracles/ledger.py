@@ -46,6 +46,7 @@ def generator() -> str:
 @cache
 def commit() -> str:
     """Commit of the working tree, with a plus where it has changes."""
+
     def git(*words: str) -> str:
         return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False).stdout.strip()
 
@@ -66,14 +67,12 @@ def append(line: Line, path: Path | None = None) -> None:
 
 
 def last_campaign(lines: Sequence[Line]) -> list[Line]:
-    """The lines of the last product that was tried; of a run that was scored twice, the first."""
-    if not lines:
-        return []
-    of = [line for line in lines if line["product"] == lines[-1]["product"]]
-    out: dict[tuple[str, int], Line] = {}
-    for line in of:
-        out.setdefault((line["cell"], line["draw"]), line)
-    return list(out.values())
+    """The lines of the product with most runs, the later of two with as many; of a run that was scored twice, the
+    first."""
+    by_product: dict[str, dict[tuple[str, int], Line]] = {}
+    for line in lines:
+        by_product.setdefault(line["product"], {}).setdefault((line["cell"], line["draw"]), line)
+    return list(max(reversed(by_product.values()), key=len).values()) if by_product else []
 
 
 def upper(events: int, runs: int, level: float = 0.95) -> float:
@@ -104,54 +103,99 @@ def _rate(name: str, asked: float, flags: Sequence[bool], most: bool) -> Measure
     runs, events = len(flags), sum(map(bool, flags))
     value = events / runs if runs else float("nan")
     sign = "≤" if most else "≥"
-    bound = "" if not runs else f"≤ {100 * upper(events, runs):.1f} %" if most else f"≥ {100 * lower(events, runs):.1f} %"
+    bound = (
+        "" if not runs else f"≤ {100 * upper(events, runs):.1f} %" if most else f"≥ {100 * lower(events, runs):.1f} %"
+    )
     met = None if not runs else value <= asked if most else value >= asked
     return Measure(name, f"{sign} {100 * asked:g} %", runs, value, bound, met)
 
 
 def measures(lines: Sequence[Line]) -> list[Measure]:
-    """The figures that the trials are about."""
-    tried = [line for line in lines if line["answer"] != "refused"]
-    nulls = [line for line in tried if line["group"] == "null"]
-    inside = [line for line in tried if line["group"] in {"law", "pair", "structure"}]
+    """The figures that the trials are about; a refusal is an answer, and never a right one."""
+    nulls = [line for line in lines if line["group"] == "null"]
+    inside = [line for line in lines if line["group"] in {"law", "pair", "structure"}]
     large = [line for line in inside if (line["multiple"] or line["nominal"] or 30.0) >= 3.0]
-    outside = [line for line in tried if line["group"] in {"outside", "without"}]
+    outside = [line for line in lines if line["group"] in {"outside", "without"}]
     named = [line for line in inside if line["score"]["in_set"] is not None]
     sizes = [size for line in inside for size in line["score"]["sizes"] if line["answer"] in {"named", "part named"}]
     errors = [abs(size["error"]) for size in sizes]
-    held = [line["gap"]["closed"] / line["gap"]["floor"] for line in inside if line["answer"] == "named" and _floor(line)]
-    extra = [line["score"]["extra"] for line in tried if line["group"] != "outside" and line["group"] != "without"]
+    held = [
+        line["gap"]["closed"] / line["gap"]["floor"] for line in inside if line["answer"] == "named" and _floor(line)
+    ]
+    extra = [line["score"]["extra"] for line in lines if line["group"] != "outside" and line["group"] != "without"]
     median = float(np.median(errors)) if errors else float("nan")
+    own = [size["covered"] for size in sizes if size["exact"]]
     held_median = float(np.median(held)) if held else float("nan")
     extras = float(np.mean(extra)) if extra else float("nan")
     covered = [size["covered"] for size in sizes]
     share = float(np.mean(covered)) if covered else float("nan")
-    bound = f"{100 * lower(sum(covered), len(covered), 0.975):.0f}–{100 * upper(sum(covered), len(covered), 0.975):.0f} %"
+    bound = (
+        f"{100 * lower(sum(covered), len(covered), 0.975):.0f}–{100 * upper(sum(covered), len(covered), 0.975):.0f} %"
+    )
     return [
         _rate("nulls with any false name", 0.01, [line["score"]["false"] for line in nulls], True),
-        _rate("nulls answered *unknown* or refused", 0.01,
-              [not line["score"]["right"] and not line["score"]["false"] for line in nulls], True),
-        _rate("right effect and place first, from 3 detection limits on", 0.95,
-              [line["score"]["first"] for line in large], False),
-        _rate("truth in the reported set, where one is reported", 0.99,
-              [line["score"]["in_set"] for line in named], False),
+        _rate(
+            "nulls answered *unknown* or refused",
+            0.01,
+            [not line["score"]["right"] and not line["score"]["false"] for line in nulls],
+            True,
+        ),
+        _rate(
+            "right effect and place first, from 3 detection limits on",
+            0.95,
+            [line["score"]["first"] for line in large],
+            False,
+        ),
+        _rate(
+            "truth in the reported set, where one is reported", 0.99, [line["score"]["in_set"] for line in named], False
+        ),
         Measure("extra names a run", "≤ 0.05", len(extra), extras, "", extras <= 0.05 if extra else None),
         _rate("outside the catalogue: misnamed", 0.05, [line["score"]["misnamed"] for line in outside], True),
-        _rate("outside the catalogue: *unknown* or rightly *part named*", 0.9,
-              [line["score"]["right"] for line in outside], False),
+        _rate(
+            "outside the catalogue: *unknown* or rightly *part named*",
+            0.9,
+            [line["score"]["right"] for line in outside],
+            False,
+        ),
         Measure("error of the size, median", "≤ 3 %", len(errors), median, "", median <= 0.03 if errors else None),
-        Measure("sizes inside their 95 % interval", "92–97 %", len(covered), share, bound if covered else "",
-                0.92 <= share <= 0.97 if covered else None),
-        Measure("held-out error over its floor, median", "≤ 1.1", len(held), held_median, "",
-                held_median <= 1.1 if held else None),
-    ]  # fmt: skip
+        Measure(
+            "sizes inside their 95 % interval",
+            "92–97 %",
+            len(covered),
+            share,
+            bound if covered else "",
+            0.92 <= share <= 0.97 if covered else None,
+        ),
+        Measure(
+            "of these, laws that have the form of the column",
+            "92–97 %",
+            len(own),
+            float(np.mean(own)) if own else float("nan"),
+            "",
+            0.92 <= float(np.mean(own)) <= 0.97 if own else None,
+        ),
+        Measure(
+            "held-out error over its floor, median",
+            "≤ 1.1",
+            len(held),
+            held_median,
+            "",
+            held_median <= 1.1 if held else None,
+        ),
+    ]
+
+
+def verdict(measure: Measure) -> str:
+    """Whether a figure is what was asked, in words."""
+    return "not tried" if measure.met is None else "met" if measure.met else "missed"
 
 
 def _floor(line: Line) -> bool:
     return bool(line["gap"] and line["gap"].get("closed") and line["gap"].get("floor"))
 
 
-def _shown(measure: Measure) -> str:
+def shown(measure: Measure) -> str:
+    """Its value for a table."""
     if not measure.runs:
         return "–"
     return f"{measure.value:.2f}" if "%" not in measure.asked else f"{100 * measure.value:.1f} %"
@@ -172,7 +216,7 @@ def by_law(lines: Sequence[Line]) -> list[tuple[str, ...]]:
             cells.append(f"{sum(_good(line) for line in at)}/{len(at)}" if at else "–")
         if of[0]["group"] not in {"law", "pair"}:
             cells = [f"{sum(_good(line) for line in of)}/{len(of)}", "–", "–"]
-        wrong = sorted({_instead(line) for line in of if not _good(line)})
+        wrong = sorted({instead(line) for line in of if not _good(line)})
         rows.append((arm, what, *cells, "; ".join(wrong[:3])))
     return rows
 
@@ -181,7 +225,8 @@ def _good(line: Line) -> bool:
     return bool(line["score"]["right"])
 
 
-def _instead(line: Line) -> str:
+def instead(line: Line) -> str:
+    """What was answered, in short."""
     said = ", ".join(f"{effect} {joint or ''}".strip() for effect, joint, *_ in line["findings"])
     return f"{line['answer']}{': ' + said if said else ''}"
 
@@ -191,15 +236,14 @@ def markdown(lines: Sequence[Line]) -> str:
     of = last_campaign(lines)
     products = list(dict.fromkeys(line["product"] for line in lines))
     out = [
-        f"{len(of)} runs were scored with the version of the last line of the ledger (commit {of[-1]['commit']}); the "
-        f"ledger has {len(lines)} lines of {len(products)} versions.",
+        f"{len(of)} runs were scored with one version of the product (commit {of[-1]['commit']}, digest "
+        f"{of[-1]['product']}); the ledger has {len(lines)} lines of {len(products)} versions.",
         "",
         "| measure | asked | found | exact 95 % limit | runs | |",
         "|---|---|---|---|---|---|",
     ]
     for m in measures(of):
-        mark = "not tried" if m.met is None else "met" if m.met else "missed"
-        out.append(f"| {m.name} | {m.asked} | {_shown(m)} | {m.limit} | {m.runs} | {mark} |")
+        out.append(f"| {m.name} | {m.asked} | {shown(m)} | {m.limit} | {m.runs} | {verdict(m)} |")
     out += [
         "",
         "Right answers by what is hidden, at 3, 10 and 30 detection limits (cells without a size in the first column):",

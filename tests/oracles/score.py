@@ -86,8 +86,15 @@ def truth(one: Case, motions: Sequence[Motion]) -> Truth:
         near = (*law.near, *one.cell.near)
         key = "" if one.cell.group == "without" else law.key
         effects.append(
-            True_(key, None if at_base else joint.name, projected(law, motions, k), law.exact, near,
-                  not joint.flexible and not at_base, float(arm.gear_ratios[law.joint]))  # fmt: skip
+            True_(
+                key,
+                None if at_base else joint.name,
+                projected(law, motions, k),
+                law.exact,
+                near,
+                not joint.flexible and not at_base,
+                float(arm.gear_ratios[law.joint]),
+            )
         )
     for error in plant.sensors:
         name = None if error.joint < 0 else arm.joints[error.joint].name
@@ -118,7 +125,9 @@ def score(true: Truth, verdict: Json, joints: Sequence[str]) -> dict[str, Any]:
     names = answer in {"named", "part named", "cannot tell"}
     findings = list(verdict.get("findings") or []) if names else []
     said = [(f["effect"], f["joint"]) for f in findings]
-    sets = [[pair, *(_column(c, joints) for c in f["cannot_tell_from"])] for pair, f in zip(said, findings, strict=True)]
+    sets = [
+        [pair, *(_column(c, joints) for c in f["cannot_tell_from"])] for pair, f in zip(said, findings, strict=True)
+    ]
     effects = true.effects
 
     def hit(pair: tuple[str, str | None]) -> bool:

@@ -25,6 +25,7 @@ from zygos.model.model import Body, Model
 from zygos.simulation.scenario import Scenario
 
 Array = NDArray[np.float64]
+Angles = tuple[Array, Array, Array, Array]
 
 STEP_S = 2.5e-3
 """Longest integration step, s."""
@@ -67,7 +68,7 @@ class TreePlant:
         self.spring = np.array([j.stiffness.value if h.flexible else 0.0 for j, h in zip(model.joints, arm.joints)])  # noqa: B905
         self.damper = np.array([j.damping.value if h.flexible else 0.0 for j, h in zip(model.joints, arm.joints)])  # noqa: B905
 
-    def angles(self, data: mujoco.MjData) -> tuple[Array, Array, Array, Array]:
+    def angles(self, data: mujoco.MjData) -> Angles:
         """q, q', theta, theta' (N,) of a state."""
         return (
             data.qpos[self.link_at],
@@ -195,7 +196,7 @@ class TreePlant:
         directions = [self.direction(law) for law in laws]
         load = np.zeros(arm.n)
 
-        def now(law: Law, state: mujoco.MjData, tau: Array, angles: tuple[Array, ...], base: tuple[Array, float]) -> Now:
+        def now(law: Law, state: mujoco.MjData, tau: Array, angles: Angles, base: tuple[Array, float]) -> Now:
             i = law.joint
             q, qd, theta, thetad = angles
             return Now(
@@ -211,11 +212,14 @@ class TreePlant:
             if follow is not None:
                 state.qfrc_passive[self.rotor] += drive_to * tau
             if laws:
-                base = self.base(state)
+                base = of_base(state)
                 for law, along in zip(laws, directions, strict=True):
                     state.qfrc_passive += law.torque(now(law, state, tau, angles, base)) * along
 
         needs_callback = bool(laws) or follow is not None
+        outside = any(law.place == "base" for law in laws)
+        still = np.zeros(3), 0.0
+        of_base = self.base if outside else lambda _: still
         keep = {name: np.empty((n, arm.n)) for name in ("q", "qd", "theta", "thetad", "tau", "load")}
         omega, attitude, torques = np.empty((n, 3)), np.empty(n), np.empty((n, len(laws)))
         t = period * np.arange(n)
@@ -247,13 +251,13 @@ class TreePlant:
                     torques[k, j] = law.torque(now(law, data, tau, (q, qd, theta, thetad), base))
                 for _ in range(substeps):
                     if laws:
-                        angles, base = self.angles(data), self.base(data)
+                        angles, base = self.angles(data), of_base(data)
                         force = held if follow is None else follow.torque(data.time, angles[0], angles[1])
                         for law in laws:
                             law.begin(now(law, data, force, angles, base))
                     mujoco.mj_step(tree, data)
                     if laws:
-                        angles, base = self.angles(data), self.base(data)
+                        angles, base = self.angles(data), of_base(data)
                         load = self._load(data, force, angles)
                         for law in laws:
                             law.end(now(law, data, force, angles, base))
@@ -266,7 +270,7 @@ class TreePlant:
         return Motion(t, keep["q"], keep["qd"], keep["theta"], keep["thetad"], omega, np.unwrap(attitude), keep["tau"],
                       keep["load"], torques)  # fmt: skip
 
-    def _load(self, data: mujoco.MjData, tau: Array, angles: tuple[Array, ...]) -> Array:
+    def _load(self, data: mujoco.MjData, tau: Array, angles: Angles) -> Array:
         """(N,) torque that passes through each joint: that of the spring, or of the drive where it is rigid."""
         q, qd, theta, thetad = angles
         springs = self.spring * (theta - q) + self.damper * (thetad - qd)
@@ -338,7 +342,9 @@ def mjcf(arm: Arm, model: Model) -> str:
     root, tendons = Element("mujoco"), Element("tendon")
     SubElement(root, "compiler", angle="radian", eulerseq="XYZ")
     option = SubElement(root, "option", gravity=_text(arm.gravity), integrator="RK4")
-    SubElement(option, "flag", dict.fromkeys("constraint contact equality frictionloss limit warmstart".split(), "disable"))
+    SubElement(
+        option, "flag", dict.fromkeys("constraint contact equality frictionloss limit warmstart".split(), "disable")
+    )
     parent, place = SubElement(root, "worldbody"), {"pos": "0 0 0"}
     for i, part in enumerate(model.bodies):
         body = SubElement(parent, "body", place, name=f"body{i}")
@@ -359,7 +365,12 @@ def mjcf(arm: Arm, model: Model) -> str:
                 assert not arm.spatial or not carried, "rotors of rigid joints in space are not simulated"
                 hinge.set("armature", repr(inertia * (spins**2 - (spins if carried else 0.0))))
                 folded += inertia * spins if carried else 0.0
-        if part.joint_xyz is not None and not arm.joints[i].flexible and arm.torque_at == "rotor" and (arm.free or i > 0):
+        if (
+            part.joint_xyz is not None
+            and not arm.joints[i].flexible
+            and arm.torque_at == "rotor"
+            and (arm.free or i > 0)
+        ):
             folded -= model.joints[i].rotor_inertia.value * (arm.joints[i].gear_ratio - 1.0)
         _inertial(body, part, folded)
         if part.joint_xyz is None:

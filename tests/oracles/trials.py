@@ -133,7 +133,8 @@ def one_run(name: str, draw: int) -> dict[str, Any]:
 
 def _child(name: str, draw: int) -> dict[str, Any]:
     """`one_run` in a process that ends with it."""
-    code = "import json,sys; from oracles.trials import one_run; print('LINE'+json.dumps(one_run(sys.argv[1], int(sys.argv[2]))))"
+    code = "import json, sys; from oracles.trials import one_run as run; "
+    code += "print('LINE' + json.dumps(run(sys.argv[1], int(sys.argv[2]))))"
     done = subprocess.run([sys.executable, "-c", code, name, str(draw)], capture_output=True, text=True, check=False)
     found = [text for text in done.stdout.splitlines() if text.startswith("LINE")]
     if not found:
@@ -177,7 +178,7 @@ def show(lines: Sequence[dict[str, Any]]) -> int:
             ("cell", "draw", "hidden", "multiple", "answer"),
             [
                 (line["cell"], str(line["draw"]), ", ".join(f"{k} {s:.3g}" for k, _, s, _ in line["truth"]),
-                 str(line["multiple"]), ledger._instead(line) if line["answer"] != "refused" else line["sentence"][:80])
+                 str(line["multiple"]), ledger.instead(line) if line["answer"] != "refused" else line["sentence"][:80])
                 for line in wrong
             ],
             title="not right",
@@ -185,7 +186,14 @@ def show(lines: Sequence[dict[str, Any]]) -> int:
     table(
         ("measure", "asked", "found", "exact limit", "runs", ""),
         [
-            (m.name, m.asked, ledger._shown(m), m.limit, str(m.runs), "–" if m.met is None else "met" if m.met else "missed")
+            (
+                m.name,
+                m.asked,
+                ledger.shown(m),
+                m.limit,
+                str(m.runs),
+                ledger.verdict(m),
+            )
             for m in found
         ],
     )
