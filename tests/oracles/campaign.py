@@ -168,8 +168,10 @@ def score(case: Case, seed: int, found: Explanation) -> dict[str, Any]:
     """Compare a verdict with the truth."""
     named = {(f.kind, f.joint) for f in found.findings}
     sets = [{(f.kind, f.joint)} | {_parse(name) for name in f.instead} for f in found.findings]
-    wrong = found.answer == "named" and not named <= set(case.hidden)
-    right = found.answer == case.answer and (not case.hidden or named == set(case.hidden))
+    wrong = found.answer in {"named", "part named"} and not named <= set(case.hidden)
+    # a law that is not exactly its column's may leave something over on the untouched run, and then that is said
+    answers = {case.answer, "part named"} if case.law is not None and case.answer == "named" else {case.answer}
+    right = found.answer in answers and (not case.hidden or named == set(case.hidden))
     if case.changed:
         right = right and {v.name for v in found.values if v.differs} == {"k1", "Im2"}
     if case.answer == "nothing missing":

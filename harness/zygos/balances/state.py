@@ -18,7 +18,8 @@ class State:
     """An arm at any number of instants.
 
     q, theta: (..., N) link and motor angles [rad]. qd, thetad: (..., N) their rates [rad/s].
-    base: base rate [rad/s]: (...) about the common axis of a planar arm, (..., 3) in base axes of a spatial one.
+    base: base rate [rad/s]: (...) about the common axis of a planar arm, (..., 3) in base axes of a spatial one. What
+    stands there for a fixed base is not read; it may be (..., 0).
     """
 
     q: Floats
@@ -35,14 +36,16 @@ class State:
 
     @classmethod
     def unpacked(cls, packed: Floats) -> State:
-        """The state of a planar arm from arrays (..., 4N+1): base, q, theta, qd, thetad."""
-        n = (packed.shape[-1] - 1) // 4
-        q, theta, qd, thetad = (packed[..., 1 + i * n : 1 + (i + 1) * n] for i in range(4))
-        return cls(q, theta, qd, thetad, packed[..., 0])
+        """The state from arrays (..., 4N+B): base, q, theta, qd, thetad; B is 1 in a plane, 3 in space, 0 where the base
+        is fixed."""
+        n, width = divmod(packed.shape[-1], 4)
+        q, theta, qd, thetad = (packed[..., width + i * n : width + (i + 1) * n] for i in range(4))
+        return cls(q, theta, qd, thetad, packed[..., 0] if width == 1 else packed[..., :width])
 
     def packed(self) -> Floats:
-        """The state of a planar arm as arrays (..., 4N+1): base, q, theta, qd, thetad."""
-        return np.concatenate([self.base[..., None], self.q, self.theta, self.qd, self.thetad], axis=-1)
+        """The state as arrays (..., 4N+B): base, q, theta, qd, thetad, as `unpacked` takes them."""
+        base = self.base if self.base.ndim == self.q.ndim else self.base[..., None]
+        return np.concatenate([base, self.q, self.theta, self.qd, self.thetad], axis=-1)
 
     @property
     def f(self) -> Floats:

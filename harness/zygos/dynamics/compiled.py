@@ -65,7 +65,7 @@ class Multibody(SpatialDynamics):
         spring, motor_loss, link_loss = self._forces(q, theta, qd, thetad)
         n, batch = self.n, q.shape[:-1]
         state = np.empty((*batch, 3 + 6 * n))
-        state[..., :3] = omega0
+        state[..., :3] = omega0 if self.arm.free else 0.0
         for k, part in enumerate((q, qd, thetad, spring, tau - motor_loss, -link_loss)):
             state[..., 3 + k * n : 3 + (k + 1) * n] = part
         native, size, _ = self._compiled
@@ -77,4 +77,5 @@ class Multibody(SpatialDynamics):
             ffi.from_buffer("double[]", result),
             ffi.from_buffer("double[]", np.empty(size)),
         )
-        return result[..., :3], result[..., 3 : 3 + n], result[..., 3 + n :]
+        base = result[..., :3] if self.arm.free else np.zeros_like(omega0)
+        return base, result[..., 3 : 3 + n], result[..., 3 + n :]

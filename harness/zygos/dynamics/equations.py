@@ -7,11 +7,12 @@ from dataclasses import replace
 from typing import Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from zygos.arm import Arm
 from zygos.dynamics.compiled import Multibody
 from zygos.dynamics.engines import Engine, engine
+from zygos.dynamics.joints import Drives
 from zygos.dynamics.planar import PlanarDynamics
 from zygos.effects import Effect, Kind
 from zygos.model.model import Model
@@ -83,7 +84,33 @@ def equations(arm: Arm, model: Model, name: EngineName = "zygos") -> Dynamics:
         inside = tuple(effect for effect in model.effects if effect not in outside)
         laws = [(effect.kind, effect.index(arm), effect.value) for effect in outside]
         return _Engine(arm, engine(name, arm, replace(model, effects=inside)), laws)
-    return (PlanarDynamics if arm.free and not arm.spatial else Multibody).from_model(arm, model)
+    return from_model(arm, model)
+
+
+def from_model(arm: Arm, model: Model) -> Drives:
+    """Our own equations of motion of a model, its effects included. Errors: ZygosError if it does not fit the arm."""
+    return from_parameters(arm, model.base_values(arm), model.effects)
+
+
+def from_parameters(arm: Arm, values: ArrayLike, effects: Sequence[Effect] = ()) -> Drives:
+    """Our own equations of motion from base parameters (p,) in the order of `arm.parameter_names`, and effects.
+
+    The closed form of a planar arm that floats is the fast case. Errors: ZygosError where no arm has these values.
+    """
+    return (PlanarDynamics if arm.free and not arm.spatial else Multibody).from_parameters(arm, values, effects)
+
+
+def parameters(arm: Arm, dynamics: Drives) -> Array:
+    """(p,) base parameters of equations of motion, in the order of `arm.parameter_names`; infinite for the stiffness of a
+    rigid joint whose arm could bend there."""
+    of_joint = {"Im": dynamics.rotor_inertia, "k": dynamics.stiffness, "b": dynamics.damping}
+    joints = np.array([of_joint[symbol][i] for symbol, i in arm.full_joint_parameters])
+    rigid = np.isinf(joints)
+    full = np.concatenate([dynamics.body_values, np.where(rigid, 0.0, joints)])
+    basis = arm.structure.basis
+    values = np.linalg.lstsq(basis, full, rcond=None)[0] if arm.structure.reduces else full
+    stiff = {f"k{i + 1}" for (_, i), infinite in zip(arm.full_joint_parameters, rigid, strict=True) if infinite}
+    return np.array([np.inf if n in stiff else x for n, x in zip(arm.parameter_names, values.tolist(), strict=True)])
 
 
 def _acts_as_torque(arm: Arm, effect: Effect) -> bool:

@@ -54,6 +54,40 @@ class Drives(ABC):
     def from_parameters(cls, arm: Arm, values: ArrayLike, effects: Sequence[Effect] = ()) -> Self:
         """Dynamics from base parameters in the order of `arm.parameter_names`, shape (p,), and effects."""
 
+    @abstractmethod
+    def accelerations(
+        self, q: Array, theta: Array, omega0: Array, qd: Array, thetad: Array, tau: Array
+    ) -> tuple[Array, Array, Array]:
+        """Accelerations of base (as omega0), joints (..., N) and motors after the gear (..., N), rad/s^2.
+
+        q, theta rad; omega0, qd, thetad rad/s; tau the rotor torque before the gear, Nm. omega0: as `State.base`.
+        """
+
+    @abstractmethod
+    def mobility(self, q: Array) -> Array:
+        """(..., N, N) accelerations of the joints per unit torque at each, 1/(kg m^2), at the postures q (..., N)."""
+
+    @abstractmethod
+    def kinetic_energy(self, q: Array, omega0: Array, qd: Array, thetad: Array) -> Array:
+        """(...,) kinetic energy T, J; of a free-floating arm without that of the mass centre."""
+
+    @abstractmethod
+    def gravity_energy(self, q: Array) -> Array:
+        """(...,) potential energy in gravity, J, up to a constant."""
+
+    @abstractmethod
+    def momentum(self, q: Array, omega0: Array, qd: Array, thetad: Array) -> Array:
+        """Angular momentum about the mass centre of a free-floating arm, Nms, as omega0: (...) or (..., 3)."""
+
+    @abstractmethod
+    def base_rate(self, q: Array, momentum: Any, qd: Any = None, thetad: Any = None) -> Array:
+        """Base rate, rad/s, at which a free-floating arm has that angular momentum, Nms; joints at rest by default."""
+
+    @property
+    @abstractmethod
+    def body_values(self) -> Array:
+        """Values of `arm.full_body_names`."""
+
     @property
     def n(self) -> int:
         """Number of joints."""

@@ -36,6 +36,8 @@ class PlanarDynamics(Drives):
     """(N+1, N+1) symmetric a_ij, kg m^2."""
     b: Array
     """(N+1, N+1) antisymmetric b_ij (b[i, j] = b_ij for i < j), kg m^2; zero for a planar-symmetric arm."""
+    skewed: bool = False
+    """Whether the arm has parameters b_ij."""
 
     @classmethod
     def from_parameters(cls, arm: Arm, values: ArrayLike, effects: Sequence[Effect] = ()) -> Self:
@@ -53,7 +55,7 @@ class PlanarDynamics(Drives):
                 if i < j:
                     b[i, j] = value.get(f"b{i}{j}", 0.0)
                     b[j, i] = -b[i, j]
-        dynamics = cls(a=a, b=b, **drives(arm, value, effects))
+        dynamics = cls(a=a, b=b, skewed=arm.kinetic == "planar", **drives(arm, value, effects))
         if dynamics.margin <= 0.0:
             raise ZygosError(
                 f"arm {arm.name}: these a_ij give negative kinetic energy in some posture (smallest "
@@ -70,6 +72,14 @@ class PlanarDynamics(Drives):
         """
         carried = np.append(self.coupling**2 * self.rotor_inertia, 0.0)
         return float(np.linalg.eigvalsh(self.a - np.diag(carried) + 1j * self.b)[0])
+
+    @property
+    def body_values(self) -> Array:
+        """As `Drives.body_values`: a_ij, then b_ij where the arm has them."""
+        i, j = np.triu_indices(self.n + 1)
+        first, second = np.triu_indices(self.n + 1, 1)
+        skew = self.b[first, second] if self.skewed else np.zeros(0)
+        return np.concatenate([self.a[i, j], skew])
 
     def rates(self, omega0: ArrayLike, qd: Array) -> Array:
         """(..., N+1) absolute rates f from the base rate (...,) and the joint rates (..., N), rad/s."""
@@ -123,6 +133,17 @@ class PlanarDynamics(Drives):
         motor = (ratio * drive - spring) / (ratio * ratio * self.rotor_inertia)
         motor -= self.coupling * absolute[..., :-1] / ratio
         return absolute[..., 0], joint, np.where(self.rigid, joint, motor) if rigid else motor
+
+    def mobility(self, q: Array) -> Array:
+        """As `Drives.mobility`."""
+        n = self.n
+        joints = np.eye(n, n + 1, 1) - np.eye(n, n + 1)
+        inertia = self.inertia(q)[0] + self.rotor_mass
+        return np.asarray(joints @ np.linalg.solve(inertia, np.broadcast_to(joints.T, (*inertia.shape[:-1], n))))
+
+    def gravity_energy(self, q: Array) -> Array:
+        """(...,) 0: a free-floating arm falls with its orbit."""
+        return np.zeros(q.shape[:-1])
 
     def kinetic_energy(self, q: Array, omega0: ArrayLike, qd: Array, thetad: Array) -> Array:
         """(...,) kinetic energy T, J, without that of the mass centre (Nanos & Papadopoulos eq. (11))."""

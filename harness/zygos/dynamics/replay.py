@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from zygos.arm import Arm
 from zygos.balances.state import State
-from zygos.dynamics.planar import PlanarDynamics
+from zygos.dynamics.joints import Drives
 
 Array = NDArray[np.float64]
 
@@ -23,9 +23,10 @@ STEP_OF_MODE = 0.15
 cycle."""
 
 
-def substeps(dynamics: PlanarDynamics, q: Array, period_s: float) -> int:
+def substeps(dynamics: Drives, q: Array, period_s: float) -> int:
     """RK4 steps per SYNC period that resolve the arm's fastest mode at the postures q (..., N)."""
-    links, rotors = mobility(dynamics, q), np.diag(1.0 / (dynamics.rotor_inertia * dynamics.gear_ratio**2))
+    turning = np.where(dynamics.rigid, np.inf, dynamics.rotor_inertia * dynamics.gear_ratio**2)
+    links, rotors = dynamics.mobility(q), np.diag(1.0 / turning)
     stiff = np.where(dynamics.rigid, 0.0, dynamics.stiffness)
     damped = np.where(dynamics.rigid, 0.0, dynamics.damping)
     # a spring turns its link against the carrying body, and its rotor against both; friction turns one of them
@@ -40,16 +41,8 @@ def _largest(matrices: Array) -> float:
     return float(np.max(np.abs(np.linalg.eigvals(matrices)), initial=0.0))
 
 
-def mobility(dynamics: PlanarDynamics, q: Array) -> Array:
-    """(..., N, N) accelerations of the joints per unit torque at each, 1/(kg m^2), at the postures q (..., N)."""
-    n = dynamics.n
-    joints = np.eye(n, n + 1, 1) - np.eye(n, n + 1)
-    inertia = dynamics.inertia(q)[0] + dynamics.rotor_mass
-    return np.asarray(joints @ np.linalg.solve(inertia, np.broadcast_to(joints.T, (*inertia.shape[:-1], n))))
-
-
 def replay(
-    dynamics: PlanarDynamics,
+    dynamics: Drives,
     period_s: float,
     start: Array,
     torque: Callable[[int, State], Array],
@@ -57,10 +50,10 @@ def replay(
     cycles: int,
     steps: int,
 ) -> tuple[Array, Array]:
-    """Integrate B pieces of motion from their states `start` (B, 4N+1) at the first SYNC (layout of `State.packed`).
+    """Integrate B pieces of motion from their states `start` (B, 4N+W) at the first SYNC (layout of `State.packed`).
 
     torque(k, states) gives the torques (B, N) of period k, Nm before the gear; `before` (B, N) are those of the period
-    before the first. Returns the states (B, cycles, 4N+1) at each SYNC and the torques (B, cycles, N).
+    before the first. Returns the states (B, cycles, 4N+W) at each SYNC and the torques (B, cycles, N).
     """
     lag = dynamics.torque_lag
     instants = np.unique(np.concatenate([[0.0, period_s], [] if lag is None else lag]))
@@ -82,11 +75,11 @@ def replay(
     return states, torques
 
 
-def exact_readings(dynamics: PlanarDynamics, arm: Arm, states: Array, torques: Array) -> tuple[Array, Array, Array]:
-    """Readings of exact sensors for states (B, n+1, 4N+1) under torques (B, n+1, N), in the first n cycles.
+def exact_readings(dynamics: Drives, arm: Arm, states: Array, torques: Array) -> tuple[Array, Array, Array]:
+    """Readings of exact sensors for states (B, n+1, 4N+W) under torques (B, n+1, N), in the first n cycles.
 
-    Returns q, theta (B, n, N) and omega0 (B, n), each at the instant of its latch, which may be after SYNC. Between two
-    SYNCs an angle is a cubic polynomial and a rate a parabola through the known values at both.
+    Returns q, theta (B, n, N) and omega0 (B, n), (B, n, 3) in space or (B, n, 0) on a fixed base, each at the instant of
+    its latch, which may be after SYNC. Between two SYNCs an angle is a cubic polynomial and a rate a parabola through the known values at both.
     """
     now, then, h = State.unpacked(states[:, :-1]), State.unpacked(states[:, 1:]), arm.period_s
 
@@ -98,7 +91,7 @@ def exact_readings(dynamics: PlanarDynamics, arm: Arm, states: Array, torques: A
     q = angle(now.q, then.q, now.qd, then.qd, [j.latch_us + j.link_encoder.latch_us for j in arm.joints])
     late = [j.latch_us + j.motor_encoder.latch_us for j in arm.joints]
     theta = angle(now.theta, then.theta, now.thetad, then.thetad, late)
-    if arm.imu.latch_us == 0:
+    if arm.imu.latch_us == 0 or not arm.free:
         return q, theta, now.base
     share = 1e-6 * arm.imu.latch_us / h
     rise = h * dynamics.accelerations(now.q, now.theta, now.base, now.qd, now.thetad, torques[:, :-1])[0]
@@ -106,7 +99,7 @@ def exact_readings(dynamics: PlanarDynamics, arm: Arm, states: Array, torques: A
     return q, theta, np.asarray(now.base + share * rise + share**2 * bend, dtype=np.float64)
 
 
-def _step(dynamics: PlanarDynamics, x: Array, tau: Array, h: float) -> Array:
+def _step(dynamics: Drives, x: Array, tau: Array, h: float) -> Array:
     first = _rate(dynamics, x, tau)
     second = _rate(dynamics, x + 0.5 * h * first, tau)
     third = _rate(dynamics, x + 0.5 * h * second, tau)
@@ -114,7 +107,7 @@ def _step(dynamics: PlanarDynamics, x: Array, tau: Array, h: float) -> Array:
     return x + h / 6.0 * (first + 2.0 * (second + third) + fourth)
 
 
-def _rate(dynamics: PlanarDynamics, x: Array, tau: Array) -> Array:
+def _rate(dynamics: Drives, x: Array, tau: Array) -> Array:
     s = State.unpacked(x)
     base, link, motor = dynamics.accelerations(s.q, s.theta, s.base, s.qd, s.thetad, tau)
     return State(s.qd, s.thetad, link, motor, base).packed()

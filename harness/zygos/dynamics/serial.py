@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 class SpatialDynamics(Drives):
     """Any arm of N joints and V directions. Every method takes arrays with any leading batch axes.
 
-    omega0 is (..., 3) in base axes; on a fixed base it is passed and returned as zeros.
+    omega0 is (..., 3) in base axes. On a fixed base it is not read and returned as zeros; it may be (..., 0).
     """
 
     arm: Arm
@@ -123,6 +123,45 @@ class SpatialDynamics(Drives):
             turns[..., i + 1 :, :, self._first + i] = axis[..., None, i, :]
         return turns
 
+    @property
+    def body_values(self) -> Array:
+        """As `Drives.body_values`."""
+        if self.arm.spatial:
+            kinetic = gram.to_parameters(self.arm, self.matrix)
+        else:
+            i, j = np.triu_indices(self.n)
+            kinetic = self.matrix[2 * i, 2 * j]
+            if self.arm.kinetic == "planar":
+                kinetic = np.concatenate([kinetic, _hand(self.arm) * self.matrix[2 * i + 1, 2 * j][i < j]])
+        last = self.moments[-2 * self.n :]
+        return np.concatenate([kinetic, last[np.repeat(self.arm.feels_gravity, 2)]])
+
+    def _rate_of_base(self, q: Array, omega0: Array) -> Array:
+        """(..., 3) base rate; 0 where the base is fixed."""
+        return omega0 if self.arm.free else np.zeros((*q.shape[:-1], 3))
+
+    def mobility(self, q: Array) -> Array:
+        """As `Drives.mobility`."""
+        places = posture(self.arm, q)
+        turns = self._turns(places)
+        jacobian, weighed = self._inertia(places, turns)
+        mass = np.einsum("...acu,...acw->...uw", jacobian, weighed)
+        self._add_rotors(mass, np.einsum("...icu,...ic->...iu", turns[..., :-1, :, :], places.axis))
+        torque = np.eye(mass.shape[-1])[:, self._first :]
+        solved = np.linalg.solve(mass, np.broadcast_to(torque, (*mass.shape[:-2], *torque.shape)))
+        return np.asarray(solved[..., self._first :, :], dtype=np.float64)
+
+    def _add_rotors(self, mass: Array, along: Array) -> None:
+        """Add what the rotors do to the inertia matrix after their own accelerations are eliminated. along: (..., N, U)
+        rates of the carrying bodies about the axes."""
+        ratio, rotor, coupling = self.gear_ratio, self.rotor_inertia, self.coupling
+        mass -= np.einsum("i,...iu,...iw->...uw", np.where(self.rigid, 0.0, coupling**2 * rotor), along, along)
+        for i in np.flatnonzero(self.rigid):
+            turn = np.zeros(mass.shape[-1])
+            turn[self._first + i] = 1.0
+            both = coupling[i] * rotor[i] * ratio[i] * along[..., i, :, None] * turn
+            mass += rotor[i] * ratio[i] ** 2 * np.outer(turn, turn) + both + np.swapaxes(both, -1, -2)
+
     def _inertia(self, places: Posture, turns: Array) -> tuple[Array, Array]:
         """Jacobians of the directions, and N times them; both (..., V, 3, U)."""
         jacobian = -np.cross(places.direction[..., :, :, None], turns[..., self._bodies, :, :], axis=-2)
@@ -140,7 +179,7 @@ class SpatialDynamics(Drives):
         jacobian, weighed = self._inertia(places, turns)
         mass = np.einsum("...acu,...acw->...uw", jacobian, weighed)
         axis, rho = places.axis, places.direction
-        omega = body_rates(omega0, axis, qd)
+        omega = body_rates(self._rate_of_base(q, omega0), axis, qd)
         # accelerations of bodies and directions at constant u
         slip = np.cross(omega[..., :-1, :], axis) * qd[..., None]
         alpha = np.concatenate([np.zeros_like(omega[..., :1, :]), np.cumsum(slip, axis=-2)], axis=-2)
@@ -164,13 +203,8 @@ class SpatialDynamics(Drives):
         right -= np.einsum("...i,...iu->...u", spin, gyroscopic)
         pushed = coupling * (drive - spring / ratio - coupling * rotor * gained)
         right -= np.einsum("...i,...iu->...u", np.where(self.rigid, 0.0, pushed), along)
-        soft = np.where(self.rigid, 0.0, coupling**2 * rotor)
-        mass -= np.einsum("i,...iu,...iw->...uw", soft, along, along)
+        self._add_rotors(mass, along)
         for i in np.flatnonzero(self.rigid):
-            turn = np.zeros(mass.shape[-1])
-            turn[self._first + i] = 1.0
-            both = coupling[i] * rotor[i] * ratio[i] * along[..., i, :, None] * turn
-            mass += rotor[i] * ratio[i] ** 2 * np.outer(turn, turn) + both + np.swapaxes(both, -1, -2)
             right[..., self._first + i] -= coupling[i] * rotor[i] * ratio[i] * gained[..., i]
 
         solved = np.linalg.solve(mass, right[..., None])[..., 0]
@@ -184,7 +218,7 @@ class SpatialDynamics(Drives):
     def kinetic_energy(self, q: Array, omega0: Array, qd: Array, thetad: Array) -> Array:
         """(...,) kinetic energy T, J; of a free-floating arm without that of the mass centre."""
         places = posture(self.arm, q)
-        omega = body_rates(omega0, places.axis, qd)
+        omega = body_rates(self._rate_of_base(q, omega0), places.axis, qd)
         rate = np.cross(omega[..., self._bodies, :], places.direction)
         spin = self.gear_ratio * thetad
         carried = self.coupling * np.sum(places.axis * omega[..., :-1, :], axis=-1)
@@ -219,12 +253,16 @@ class SpatialDynamics(Drives):
         return rate
 
 
+def _hand(arm: Arm) -> float:
+    """1 or -1: R_i P_i turns by +phi_i or -phi_i in the order (u, v), depending on whether the axis points along u x v or
+    against it."""
+    return float(np.sign(np.linalg.det(np.column_stack([posture(arm, np.zeros(arm.n)).direction[:2].T, arm.axis]))))
+
+
 def _lifted(arm: Arm, value: dict[str, float]) -> Array:
     """N (V, V) of a planar arm on a fixed base: as all rates are along one axis, v_iu . v_ju = f_i f_j cos."""
     matrix = np.zeros((2 * arm.n, 2 * arm.n))
-    # R_i P_i turns by +phi_i or -phi_i in the order (u, v), depending on whether the axis points along u x v or against
-    # it
-    hand = np.sign(np.linalg.det(np.column_stack([posture(arm, np.zeros(arm.n)).direction[:2].T, arm.axis])))
+    hand = _hand(arm)
     for i in range(1, arm.n + 1):
         for j in range(i, arm.n + 1):
             row, column = 2 * (i - 1), 2 * (j - 1)

@@ -1,36 +1,70 @@
 """The balances of a gap: what every parameter and every effect of the catalogue adds to each, for batches of arcs.
 
-Energy E of the whole arm: work of the motors = change of kinetic and spring energy + losses. Motor impulse M_i, local
-to joint i: int tau = Im (n thetad + f_(i-1)) + 1/n int spring + int friction. Momentum H of the whole arm about its
-mass centre, of which a planar arm has one component, so that the base's attitude drops out. A balance is
+Energy E of the whole arm: work of the motors = change of kinetic and potential energy + losses. Motor impulse M_i, local
+to a flexible joint i: int tau = Im (n thetad + f_(i-1)) + 1/n int spring + int friction. Momentum L_j of the link angle
+of a rigid joint j, over short increments. Angular momentum H of a floating arm about its mass centre: one component in a
+plane, where the base's attitude drops out, and Hx, Hy, Hz in space, in the axes that the base had at the arc's origin. A
+balance is
 
     columns . coefficients = right side + constant of the arc
 
 The columns are those of `zygos.balances`, without accelerations (docs/gap.md; Nanos & Papadopoulos eqs. (11), (37)). H
-has no constant where a model assumes an angular momentum: then its value is a column of its own. The columns of the
-sensors' zeros are derived here.
+has no constant where a model assumes an angular momentum: then its value is a column of its own. An increment has no
+constant. The columns of errors of the sensors are differences of the balances of readings with and without them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from zygos.arm import Arm
-from zygos.balances import energy, impulse, momentum
-from zygos.balances.effects import Signals, energy_column, impulse_column
+from zygos.arm import JOINT_ROW_S, Arm
+from zygos.balances import energy, impulse, joint, momentum
+from zygos.balances.effects import Signals, energy_column, impulse_column, joint_column
 from zygos.balances.kinematics import body_columns
-from zygos.balances.quadrature import FromOrigin, from_first, integral
+from zygos.balances.quadrature import FromOrigin, from_first, integral, step_integrals
 from zygos.balances.readings import Readings
 from zygos.balances.state import State
-from zygos.effects import CATALOGUE, OFFSET, Kind, column_name
-from zygos.gap.record import smoothed_states
+from zygos.effects import CATALOGUE, OFFSET, Effect, Kind, column_name
+from zygos.errors import ZygosError
+from zygos.gap.record import MeasuredRun, smoothed_states
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+_SHIFT = 1e-4
+"""Error of a sensor with which the columns of such errors are computed: rad, rad/s, Nm."""
+_ACTING = ("motor", "link", "spring", "torque")
+"""Places of effects that act at a joint."""
+_FREE_OFFSET = 0.1
+_FREE_GAIN = 0.1
+"""Deviations of what nobody declares of torque sensors: of a constant error, as a share of the torques of the run, and of
+the gain of one against the others."""
+
+
+@dataclass(frozen=True)
+class SensorError:
+    """An error that a run's sensor may have: a constant one, or of its gain."""
+
+    sigma: float
+    """How well the arm file knows it: rad, rad/s, Nm, or a share."""
+    signals: tuple[str, ...]
+    """Fields of `Readings` that have it."""
+    direction: Array
+    """Which of the components of a signal."""
+    gain: bool = False
+    """Whether the error is this share of the signal."""
+
+    def added(self, readings: Readings, size: float) -> Readings:
+        """Readings with so much more of this error."""
+        old = {name: getattr(readings, name) for name in self.signals}
+        new = {name: x + size * self.direction * (x if self.gain else 1.0) for name, x in old.items()}
+        return replace(readings, **new)
 
 
 @dataclass(frozen=True)
@@ -41,171 +75,427 @@ class Layout:
 
     @cached_property
     def balances(self) -> tuple[str, ...]:
-        """E, M1 .. MN, H."""
-        return ("E", *(f"M{i + 1}" for i in range(self.arm.n)), "H")
+        """E, M of every flexible joint, L of every rigid one, H or Hx, Hy, Hz of a base that floats."""
+        joints = [f"M{i + 1}" for i, one in enumerate(self.arm.joints) if one.flexible]
+        joints += [f"L{i + 1}" for i, one in enumerate(self.arm.joints) if not one.flexible]
+        return ("E", *joints, *self.momenta)
+
+    @cached_property
+    def momenta(self) -> tuple[str, ...]:
+        """The balances of the angular momentum."""
+        return () if not self.arm.free else ("Hx", "Hy", "Hz") if self.arm.spatial else ("H",)
 
     @cached_property
     def effects(self) -> tuple[tuple[Kind, int], ...]:
-        """Entries of the catalogue and joints (from 0; -1 for the base) in the order of their columns.
+        """Entries of the catalogue and joints (from 0; -1 for the base) in the order of their columns, as far as the arm
+        can have them.
 
         The offset of a spring is none of them: the zeros of its encoders stand for it.
         """
-        joints, kinds = range(self.arm.n), [kind for kind in CATALOGUE.values() if kind.searched and kind.key != OFFSET]
-        return tuple((kind, i) for kind in kinds for i in (joints if kind.at_joint else (-1,)))
+        kinds = [kind for kind in CATALOGUE.values() if kind.searched and kind.key != OFFSET and not kind.on_ground]
+        places = [(kind, i) for kind in kinds for i in (range(self.arm.n) if kind.at_joint else (-1,))]
+        return tuple((kind, i) for kind, i in places if _exists(self.arm, kind, i))
 
     @cached_property
     def columns(self) -> tuple[str, ...]:
-        """Base parameters, effects, zeros of the sensors.
+        """Base parameters, effects, errors of the sensors.
 
-        Im_i stands for the rotor's own share alone, rotor_coupling_i for what its spin shares with the carrying body;
-        in nature both coefficients are Im_i.
+        rotor_coupling_i is what the coupling adds to the column of Im_i where it exceeds that of nature.
         """
         effects = [column_name(kind, i) for kind, i in self.effects]
-        return (*self.arm.parameter_names, *effects, *self.zeros)
+        return tuple(dict.fromkeys((*self.arm.parameter_names, *effects, *self.zeros)))
+
+    @cached_property
+    def index(self) -> dict[str, int]:
+        """Position of each column."""
+        return {name: k for k, name in enumerate(self.columns)}
 
     @cached_property
     def zeros(self) -> tuple[str, ...]:
-        """Columns of the sensors' zeros: the encoders', rad, known to a quantum at best, which is enough to look like
-        an effect; and the gyro's bias, rad/s, which looks like an angular momentum."""
-        encoders = [f"{side}_zero{i + 1}" for i in range(self.arm.n) for side in ("link", "motor")]
-        return (*encoders, "gyro_bias")
+        """Columns of the sensors' errors, which each run has for itself: the encoders' zeros, rad, known to a quantum at
+        best, which is enough to look like an effect; the gyro's bias, rad/s, which looks like an angular momentum; of
+        torques that are not perfect a constant offset, Nm, and the gain of each against the first."""
+        return tuple(self.errors)
 
     @cached_property
     def zero_sigma(self) -> Array:
-        """(2N+1,) how well the arm file knows them, rad and rad/s, in the order of `zeros`."""
-        pairs = [(joint.link_encoder, joint.motor_encoder) for joint in self.arm.joints]
-        encoders = [max(e.zero_sigma_rad, e.quantum_rad) for pair in pairs for e in pair]
-        return np.array([*encoders, self.arm.over_the_wire.imu.rate_sigma])
+        """(zeros,) how well the arm file knows them, in the order of `zeros`."""
+        return np.array([one.sigma for one in self.errors.values()])
+
+    @cached_property
+    def errors(self) -> dict[str, SensorError]:
+        """The errors of sensors that each run has for itself, by column."""
+        arm = self.arm
+        unit = np.eye(arm.n)
+        out: dict[str, SensorError] = {}
+        for i, one in enumerate(arm.joints):
+            link, motor = (max(e.zero_sigma_rad, e.quantum_rad) for e in (one.link_encoder, one.motor_encoder))
+            if one.flexible:
+                out[f"link_zero{i + 1}"] = SensorError(link, ("q",), unit[i])
+            out[f"motor_zero{i + 1}"] = SensorError(motor, ("theta",) if one.flexible else ("q", "theta"), unit[i])
+        if arm.free:
+            sigma = arm.over_the_wire.imu.rate_sigma
+            if arm.spatial:
+                out |= {
+                    f"gyro_bias{a}": SensorError(sigma, ("omega0",), e) for a, e in zip("xyz", np.eye(3), strict=True)
+                }
+            else:
+                out["gyro_bias"] = SensorError(sigma, ("omega0",), np.array(1.0))
+        return out
+
+    @cached_property
+    def used(self) -> tuple[Indices, ...]:
+        """By balance, the columns that it has."""
+        return tuple(np.array([self.index[name] for name in self._used(balance)]) for balance in self.balances)
+
+    def _used(self, balance: str) -> Iterator[str]:
+        arm = self.arm
+        own = int(balance[1:]) - 1 if balance[0] in "ML" else -1
+        if balance[0] == "M":
+            yield from (f"Im{own + 1}", f"k{own + 1}", f"b{own + 1}")
+        elif balance[0] == "H":
+            yield from (one.name for one in arm.parameters if one.joint is None or one.symbol == "Im")
+        else:
+            yield from arm.parameter_names
+        for kind, i in self.effects:
+            if kind.place in _ACTING:
+                acts = balance == "E" or (i == own and (balance[0] == "L" or kind.place != "link"))
+            elif kind.place == "rotor":
+                acts = balance[0] != "M" or i == own
+            else:
+                acts = balance[0] == "H"
+            if acts:
+                yield column_name(kind, i)
+        yield from self.zeros
+
+
+def corrected(record: MeasuredRun, layout: Layout, errors: Array) -> MeasuredRun:
+    """A record without errors (zeros,) of its sensors, in the order of `Layout.zeros`."""
+    s = record.samples
+    plain = Readings(s.q, s.theta, record.omega0, s.tau)
+    for size, error in zip(errors.tolist(), layout.errors.values(), strict=True):
+        plain = error.added(plain, -size)
+    samples = replace(s, q=plain.q, theta=plain.theta, tau=plain.tau)
+    return replace(record, samples=samples, omega0=plain.omega0)
+
+
+def thinning(arm: Arm) -> int:
+    """Rows of a sum stand at every so many instants: smoothed readings next to each other share nearly all their noise."""
+    return max(1, arm.smoother.points // 8)
+
+
+def _exists(arm: Arm, kind: Kind, i: int) -> bool:
+    try:
+        Effect(kind, None if i < 0 else arm.joints[i].name, 0.0).index(arm)
+    except ZygosError:
+        return False
+    return True
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Rows of one balance."""
+
+    left: Array
+    """(..., A, m, columns), those of `Layout.used`."""
+    right: Array
+    """(..., A, m)"""
+    end: Indices
+    """(m,) instant of each row; of an increment its last one."""
+    begin: Indices | None = None
+    """(m,) first instant of each increment."""
 
 
 @dataclass(frozen=True)
 class BalanceRows:
-    """All balances at every instant."""
+    """All balances, in the order of `Layout.balances`."""
 
-    left: Array
-    """(..., balances, A, instants, columns)"""
-    right: Array
-    """(..., balances, A, instants)"""
+    layout: Layout
+    balances: tuple[Rows, ...]
 
 
-def balance_rows(arm: Arm, readings: Readings, values: Array) -> BalanceRows:
+def balance_rows(
+    arm: Arm, readings: Readings, values: Array | None = None, *, zeros: tuple[Array, ...] | None = None, every: int = 1
+) -> BalanceRows:
     """Balances of arcs of readings, in the units of energy (J), impulse before the gear (Nms) and momentum (Nms).
 
-    values: base parameters (p,), about right: what an encoder's zero does to the balances depends on them.
+    values: base parameters (p,), about right: what an error of a sensor does to the balances depends on them. zeros: the
+    columns of these errors instead, by balance, as `zero_columns` has them. every: rows stand at every so many instants.
     """
-    state = smoothed_states(arm, readings)
-    half = arm.smoother.points // 2
-    cycles = readings.tau.shape[-2]
-    after = readings.tau[..., half : cycles - half, :]
-    before = readings.tau[..., half - 1 : cycles - half - 1, :]
     layout = Layout(arm)
-    shape = (*state.base.shape[:-2], len(layout.balances), *state.base.shape[-2:])
-    out = BalanceRows(np.zeros((*shape, len(layout.columns))), np.zeros(shape))
-    put = _Put(layout, out)
-    bodies, carried = body_columns(arm, state)
-    _energy(arm, state, bodies, carried, put)
-    work = from_first(energy.step_work(arm, state.theta, after))
-    put.right("E", work + energy.torque_jump_energy(arm, state.thetad, before, after))
-    _momentum(arm, state, put)
-    for i in range(arm.n):
-        signals = Signals.of(arm, state, before, after, i, FromOrigin(arm.period_s))
-        _impulse(arm, signals, i, carried[..., i], put)
-        for kind, joint in layout.effects:
-            if joint == i and kind.place in ("motor", "link", "spring", "torque"):
-                put("E", column_name(kind, i), energy_column(kind, signals))
-                if kind.place != "link":
-                    put(f"M{i + 1}", column_name(kind, i), impulse_column(kind, signals))
-    _zeros(arm, state, values, put)
-    return out
+    if zeros is None:
+        assert values is not None
+        zeros = zero_columns(layout, readings, values, every)
+    moving = _Moving.of(arm, readings, every)
+    bodies = [*_bodies(layout, moving)]
+    out = []
+    for k, (name, own, right) in enumerate(zip(layout.balances, bodies, _right(layout, moving), strict=True)):
+        columns = np.empty((*right.shape, len(layout.used[k])))
+        count = own.shape[-1]
+        columns[..., :count] = own
+        for at, effect in enumerate(_effects(layout, moving, name), start=count):
+            columns[..., at] = effect
+        columns[..., columns.shape[-1] - len(layout.zeros) :] = zeros[k]
+        out.append(Rows(columns, right, *moving.places(name)))
+    return BalanceRows(layout, tuple(out))
+
+
+def zero_columns(layout: Layout, readings: Readings, values: Array, every: int = 1) -> tuple[Array, ...]:
+    """By balance (..., A, m, zeros): what errors of the sensors of 1 rad, 1 rad/s or 1 Nm would take away, to first
+    order."""
+    value = np.where(np.isfinite(values), values, 0.0)
+    names = layout.arm.parameter_names
+    known = [value[[names.index(layout.columns[c]) for c in used if c < len(names)]] for used in layout.used]
+
+    def left_over(seen: Readings) -> list[Array]:
+        moving = _Moving.of(layout.arm, seen, every)
+        rows = zip(_bodies(layout, moving), known, _right(layout, moving), strict=True)
+        return [own @ x - right for own, x, right in rows]
+
+    def taken(error: SensorError) -> list[Array]:
+        ahead, behind = (left_over(error.added(readings, size)) for size in (_SHIFT, -_SHIFT))
+        return [(b - a) / (2.0 * _SHIFT) for a, b in zip(ahead, behind, strict=True)]
+
+    each = [taken(error) for error in layout.errors.values()]
+    return tuple(np.stack(columns, axis=-1) for columns in zip(*each, strict=True))
 
 
 @dataclass(frozen=True)
-class _Put:
-    layout: Layout
-    rows: BalanceRows
+class _Moving:
+    """Arcs of readings, as the balances need them."""
 
-    def __call__(self, balance: str, column: str, values: Array | float) -> None:
-        self.rows.left[..., self.layout.balances.index(balance), :, :, self.layout.columns.index(column)] = values
+    arm: Arm
+    state: State
+    """At every instant."""
+    before: Array
+    after: Array
+    """(..., A, instants, N) torques before and from each instant on, Nm."""
+    every: int
 
-    def right(self, balance: str, values: Array) -> None:
-        self.rows.right[..., self.layout.balances.index(balance), :, :] = values
+    @classmethod
+    def of(cls, arm: Arm, readings: Readings, every: int) -> _Moving:
+        half = arm.smoother.points // 2
+        cycles = readings.tau.shape[-2]
+        after = readings.tau[..., half : cycles - half, :]
+        before = readings.tau[..., half - 1 : cycles - half - 1, :]
+        return cls(arm, smoothed_states(arm, readings), before, after, every)
+
+    @cached_property
+    def thin(self) -> State:
+        """At the instants of the rows."""
+        s, step = self.state, slice(None, None, self.every)
+        base = s.base[..., step, :] if s.base.ndim == s.q.ndim else s.base[..., step]
+        return State(s.q[..., step, :], s.theta[..., step, :], s.qd[..., step, :], s.thetad[..., step, :], base)
+
+    @cached_property
+    def carried(self) -> Array:
+        """(..., A, m, N) rates of the carrying bodies about the axes at the instants of the rows."""
+        return self.bodies[1]
+
+    @cached_property
+    def bodies(self) -> tuple[Array, Array]:
+        """Columns of bodies in the energy, and `carried`."""
+        return body_columns(self.arm, self.thin)
+
+    def thinned(self, x: Array) -> Array:
+        """(..., A, m) of (..., A, instants)."""
+        return x[..., :: self.every]
+
+    @cached_property
+    def instants(self) -> int:
+        """Instants of an arc."""
+        return int(self.after.shape[-2])
+
+    def places(self, balance: str) -> tuple[Indices, Indices | None]:
+        """Instants at which the rows of a balance end, and begin."""
+        if balance[0] != "L":
+            return np.arange(0, self.instants, self.every), None
+        length = joint.increment_instants(self.arm, self.arm.joint_row_s or JOINT_ROW_S)
+        length = min(length, self.instants - 1)
+        begin = np.arange(0, self.instants - length, max(1, length // 2))
+        return begin + length, begin
+
+    @cached_property
+    def signals(self) -> list[Signals]:
+        """Of each joint."""
+        totals = FromOrigin(self.arm.period_s)
+        return [Signals.of(self.arm, self.state, self.before, self.after, i, totals) for i in range(self.arm.n)]
+
+    def increments(self, running: Array, axis: int = -1) -> Array:
+        """What grows over each increment."""
+        end, begin = self.places("L")
+        assert begin is not None
+        return np.asarray(running.take(end, axis) - running.take(begin, axis), dtype=np.float64)
+
+    @cached_property
+    def attitude(self) -> Array:
+        """(..., A, m, 3, 3) from base axes to those at the arc's origin (as `momentum.base_attitudes`)."""
+        h, omega = self.arm.period_s, self.state.base
+        step = step_integrals(omega, h, axis=-2) + h * h / 12.0 * np.cross(omega[..., :-1, :], omega[..., 1:, :])
+        turn = np.concatenate([np.zeros_like(step[..., :1, :]), step], axis=-2)
+        whole = Rotation.from_rotvec(turn.reshape(-1, 3)).as_matrix().reshape(*turn.shape, 3)
+        return _running_product(whole)[..., :: self.every, :, :]
 
 
-def _energy(arm: Arm, state: State, bodies: Array, carried: Array, put: _Put) -> None:
-    for k, (name, _) in enumerate(arm.body_parameters):
-        put("E", name, bodies[..., k])
-    slip = state.thetad - state.qd
-    own = energy.drive_energy_columns(arm, state, carried, integral(slip**2, arm.period_s, axis=-2))
-    columns = {"Im": own.rotor, "rotor_coupling": own.coupling, "k": own.spring, "b": own.damper}
-    for key, column in columns.items():
-        for i in range(arm.n):
-            put("E", f"{key}{i + 1}", column[..., i])
+def _running_product(turns: Array) -> Array:
+    """(..., m, 3, 3) products of the first k of m rotations, in blocks, so that the loops are short."""
+    count = turns.shape[-3]
+    size = max(1, round(np.sqrt(count)))
+    blocks = -(-count // size)
+    padded = np.empty((*turns.shape[:-3], blocks * size, 3, 3))
+    padded[..., :count, :, :] = turns
+    padded[..., count:, :, :] = np.eye(3)
+    cut = padded.reshape(*turns.shape[:-3], blocks, size, 3, 3)
+    for k in range(1, size):
+        cut[..., k, :, :] = cut[..., k - 1, :, :] @ cut[..., k, :, :]
+    for k in range(1, blocks):
+        cut[..., k, :, :, :] = cut[..., k - 1, -1:, :, :] @ cut[..., k, :, :, :]
+    return np.asarray(cut.reshape(padded.shape)[..., :count, :, :], dtype=np.float64)
 
 
-def _impulse(arm: Arm, signals: Signals, i: int, carried: Array, put: _Put) -> None:
-    own = impulse.drive_impulse_columns(signals, carried)
-    columns = {"Im": own.rotor, "rotor_coupling": own.coupling, "k": own.spring, "b": own.damper}
-    for key, column in columns.items():
-        put(f"M{i + 1}", f"{key}{i + 1}", column)
-    put.right(f"M{i + 1}", impulse.motor_impulse(arm, signals))
+def _bodies(layout: Layout, moving: _Moving) -> Iterator[Array]:
+    """By balance, columns (..., A, m, ·) of the base parameters that it has."""
+    arm, thin = layout.arm, moving.thin
+    flexible = [i for i, one in enumerate(arm.joints) if one.flexible]
+    rigid = [i for i, one in enumerate(arm.joints) if not one.flexible]
+    s = moving.state
+    # a rigid joint has no spring, so nothing is lost in it
+    lost = integral((s.thetad - s.qd) ** 2, arm.period_s, axis=-2)[..., :: moving.every, :] if flexible else thin.q
+    bodies, carried = moving.bodies
+    own = energy.drive_energy_columns(arm, thin, carried, lost)
+    of_joint = {"Im": own.rotor + own.coupling, "k": own.spring, "b": own.damper}
+    joints = [of_joint[symbol][..., i] for symbol, i in arm.full_joint_parameters]
+    yield arm.structure.reduced(np.concatenate([bodies, np.stack(joints, axis=-1)] if joints else [bodies], axis=-1))
+    for i in flexible:
+        signals = moving.signals[i]
+        spring = signals.totals.integral(signals.deflection) / signals.gear_ratio
+        ratio = signals.gear_ratio
+        yield np.stack(
+            [
+                ratio * thin.thetad[..., i] + carried[..., i],
+                moving.thinned(spring),
+                (thin.theta - thin.q)[..., i] / ratio,
+            ],
+            axis=-1,
+        )
+    if rigid:
+        part = joint.joint_columns(arm, s)
+        running = joint.in_order(
+            arm,
+            part.momentum[..., rigid, :] - integral(part.force[..., rigid, :], arm.period_s, axis=-3),
+            part.rotor_momentum[..., rigid, :] - integral(part.rotor_force[..., rigid, :], arm.period_s, axis=-3),
+        )
+        grown = moving.increments(running, axis=-3)
+        for k in range(len(rigid)):
+            yield grown[..., k, :]
+    if arm.free:
+        columns = momentum.momentum_columns(arm, thin)
+        kinetic = columns[..., : columns.shape[-1] - arm.n]
+        spin = columns[..., columns.shape[-1] - arm.n :]
+        none = np.zeros_like(spin[..., 0])
+        listed = [spin[..., i] if symbol == "Im" else none for symbol, i in arm.full_joint_parameters]
+        reduced = arm.structure.reduced(np.concatenate([kinetic, np.stack(listed, axis=-1)], axis=-1))
+        kept = [k for k, one in enumerate(arm.parameters) if one.joint is None or one.symbol == "Im"]
+        if arm.spatial:
+            reduced = moving.attitude @ reduced[..., kept]
+            yield from (reduced[..., k, :] for k in range(3))
+        else:
+            yield reduced[..., 0, kept]
 
 
-def _momentum(arm: Arm, state: State, put: _Put) -> None:
-    columns = momentum.momentum_columns(arm, state)[..., 0, :]
-    names = [name for name, _ in arm.body_parameters] + [f"rotor_coupling{i + 1}" for i in range(arm.n)]
-    for k, name in enumerate(names):
-        put("H", name, columns[..., k])
-    put("H", "angular_momentum", -1.0)
+def _right(layout: Layout, moving: _Moving) -> Iterator[Array]:
+    """By balance, right sides (..., A, m)."""
+    arm, s = layout.arm, moving.state
+    work = from_first(energy.step_work(arm, s.theta, moving.after))
+    yield moving.thinned(work + energy.torque_jump_energy(arm, s.thetad, moving.before, moving.after))
+    for i, one in enumerate(arm.joints):
+        if one.flexible:
+            yield moving.thinned(impulse.motor_impulse(arm, moving.signals[i]))
+    for i, one in enumerate(arm.joints):
+        if not one.flexible:
+            yield moving.increments(moving.signals[i].gear_ratio * impulse.motor_impulse(arm, moving.signals[i]))
+    for _ in layout.momenta:
+        yield np.zeros(moving.thin.q.shape[:-1])
 
 
-def _zeros(arm: Arm, state: State, values: Array, put: _Put) -> None:
-    """What zeros that are off by 1 rad, or 1 rad/s, would take away, to first order."""
-    value = dict(zip(arm.parameter_names, np.where(np.isfinite(values), values, 0.0).tolist(), strict=True))
-    f, phi = state.f, state.phi
-    bodies = range(arm.n + 1)
-    # turned as one piece, the arm has this inertia
-    locked = sum(
-        value[f"a{j}{k}"] * (1 if j == k else 2) * np.cos(phi[..., k] - phi[..., j]) for j in bodies for k in bodies[j:]
-    )
-    put("H", "gyro_bias", -np.asarray(locked))
-    time = arm.period_s * np.arange(f.shape[-2])
-    for i in range(arm.n):
-        gained, turning = np.zeros_like(state.base), np.zeros_like(state.base)
-        for j in range(i + 1):
-            for k in range(i + 1, arm.n + 1):
-                turned = -value[f"a{j}{k}"] * np.sin(phi[..., k] - phi[..., j])
-                gained += turned * f[..., j] * f[..., k]
-                turning += turned * (f[..., j] + f[..., k])
-        spring = value[f"k{i + 1}"] * (state.theta - state.q)[..., i]
-        pushed = value[f"k{i + 1}"] / arm.gear_ratios[i] * time
-        put("E", f"link_zero{i + 1}", spring - gained)
-        put("H", f"link_zero{i + 1}", -turning)
-        put(f"M{i + 1}", f"link_zero{i + 1}", pushed)
-        put("E", f"motor_zero{i + 1}", -spring)
-        put(f"M{i + 1}", f"motor_zero{i + 1}", -pushed)
+def _effects(layout: Layout, moving: _Moving, balance: str) -> Iterator[Array]:
+    """Columns (..., A, m) of the effects that a balance has, in their order."""
+    arm = layout.arm
+    own = int(balance[1:]) - 1 if balance[0] in "ML" else -1
+    for kind, i in layout.effects:
+        if kind.place in _ACTING:
+            if balance == "E":
+                yield moving.thinned(energy_column(kind, moving.signals[i]))
+            elif i == own and balance[0] == "M" and kind.place != "link":
+                yield moving.thinned(impulse_column(kind, moving.signals[i]))
+            elif i == own and balance[0] == "L":
+                yield moving.increments(joint_column(kind, moving.signals[i], flexible=False))
+        elif kind.place == "rotor":
+            yield from _coupling(arm, moving, balance, i)
+        elif balance[0] == "H":
+            yield np.full(moving.thin.q.shape[:-1], -1.0)
+
+
+def _coupling(arm: Arm, moving: _Moving, balance: str, i: int) -> Iterator[Array]:
+    """What the coupling of a rotor adds to a balance beside the rotor's own share."""
+    if balance == "E":
+        yield arm.gear_ratios[i] * moving.thin.thetad[..., i] * moving.carried[..., i]
+    elif balance[0] == "M":
+        if int(balance[1:]) - 1 == i:
+            yield moving.carried[..., i]
+    elif balance[0] == "L":
+        yield moving.increments(_coupled_momentum(arm, moving)[..., int(balance[1:]) - 1, i])
+    else:
+        columns = momentum.momentum_columns(arm, moving.thin)[..., i - arm.n]
+        if arm.spatial:
+            yield (moving.attitude @ columns[..., None])[..., "xyz".index(balance[1]), 0]
+        else:
+            yield columns[..., 0]
+
+
+def _coupled_momentum(arm: Arm, moving: _Moving) -> Array:
+    """(..., A, instants, N, N) running momentum of joints (first) by the coupling of rotors (second)."""
+    columns = joint.joint_columns(arm, moving.state)
+    running = columns.rotor_momentum - integral(columns.rotor_force, arm.period_s, axis=-3)
+    spin = arm.gear_ratios**2 * moving.state.thetad
+    rigid = np.array([not one.flexible for one in arm.joints])
+    return np.asarray(running - (spin * rigid)[..., None] * np.eye(arm.n), dtype=np.float64)
 
 
 @dataclass(frozen=True)
 class Sums:
-    """Products of all columns and the right side, summed over the accepted instants of a run."""
+    """Products of all columns and the right side, summed over the accepted rows of a run."""
 
-    gram: Array
-    """(..., balances, columns + 1, columns + 1), the right side last; arc constants eliminated."""
+    gram: tuple[Array, ...]
+    """By balance (..., columns + 1, columns + 1): columns of `Layout.used`, the right side last; arc constants
+    eliminated."""
     count: Array
-    """(balances,) instants."""
-    noise: Array | float = 0.0
-    """(balances, columns + 1, columns + 1) what the sensors' noise is expected to add to `gram`."""
+    """(balances,) rows."""
+    noise: tuple[Array, ...] | None = None
+    """By balance (columns + 1, columns + 1): what the sensors' noise is expected to add to `gram`."""
 
 
 def accumulate(rows: BalanceRows, accepted: NDArray[np.bool_], uncentred: Sequence[int] = ()) -> Sums:
     """Sum a run. accepted: (A, instants). The balances listed in `uncentred` keep no constant for each arc."""
-    z = np.concatenate([rows.left, rows.right[..., None]], axis=-1)
-    weight = accepted.astype(np.float64)[..., None]
-    count = weight.sum(axis=-2, keepdims=True)
-    mean = (z * weight).sum(axis=-2, keepdims=True) / np.maximum(count, 1.0)
-    for balance in uncentred:
-        mean[..., balance, :, :, :] = 0.0
-    z = (z - mean) * weight
-    flat = z.reshape((*z.shape[:-3], -1, z.shape[-1]))
-    total = np.asarray(np.swapaxes(flat, -1, -2) @ flat, dtype=np.float64)
-    return Sums(total, np.full(z.shape[-4], accepted.sum(), dtype=np.float64))
+    grams, counts = [], []
+    for balance, own in enumerate(rows.balances):
+        kept = kept_rows(own, accepted)
+        z = np.concatenate([own.left, own.right[..., None]], axis=-1)
+        weight = kept.astype(np.float64)[..., None]
+        if own.begin is None and balance not in uncentred:
+            count = weight.sum(axis=-2, keepdims=True)
+            z -= (z * weight).sum(axis=-2, keepdims=True) / np.maximum(count, 1.0)
+        if not kept.all():
+            z *= weight
+        flat = z.reshape((*z.shape[:-3], -1, z.shape[-1]))
+        grams.append(np.asarray(np.swapaxes(flat, -1, -2) @ flat, dtype=np.float64))
+        counts.append(float(kept.sum()))
+    return Sums(tuple(grams), np.array(counts))
+
+
+def kept_rows(rows: Rows, accepted: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(A, m) rows whose instants are accepted (A, instants), all of them."""
+    if rows.begin is None:
+        return accepted[:, rows.end]
+    refused = np.concatenate([np.zeros((len(accepted), 1), dtype=np.int64), np.cumsum(~accepted, axis=1)], axis=1)
+    return np.asarray(refused[:, rows.end + 1] == refused[:, rows.begin], dtype=np.bool_)

@@ -46,8 +46,7 @@ def propose(study: Study, name: str, other: str) -> tuple[Experiment, ...]:
     both = replace(study.hypothesis, effects=(*study.hypothesis.effects, other))
     record = study.records[0]
     arm, dynamics = record.arm, study.dynamics()
-    values = base_values(dynamics, study.layout)
-    uncentred = () if study.hypothesis.momentum is None else (study.layout.balances.index("H"),)
+    values, uncentred = base_values(dynamics, study.layout), study.hypothesis.uncentred
     size = abs(float(study.value[study.hypothesis.names.index(name)]))
 
     def stands_out(speed: float, amplitude: float) -> float:

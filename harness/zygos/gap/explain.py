@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from zygos.arm import Arm
-from zygos.dynamics.planar import PlanarDynamics
-from zygos.effects import OFFSET, Effect
+from zygos.dynamics.equations import from_model, from_parameters, parameters
+from zygos.dynamics.joints import Drives
+from zygos.effects import OFFSET, Effect, column_name
 from zygos.errors import Undecided, ZygosError
-from zygos.gap.balances import Layout
+from zygos.gap.balances import Layout, corrected
+from zygos.gap.changes import find_change
 from zygos.gap.experiment import Experiment, propose
 from zygos.gap.explanation import Explanation
 from zygos.gap.findings import (
@@ -33,7 +35,7 @@ from zygos.gap.fit import fit
 from zygos.gap.forecast import Forecast, Stretches, cut, cut_twin, forecast
 from zygos.gap.record import MeasuredRun
 from zygos.gap.remainder import closes, remainders
-from zygos.gap.search import CERTAIN, COMPLETE, EXCESS, PARTLY, Candidate, Search, excess, search
+from zygos.gap.search import CERTAIN, COMPLETE, EXCESS, PARTLY, Candidate, Search, excess, possible, search
 from zygos.gap.sentences import entry_evidence
 from zygos.gap.study import Study, again, begin, read_hypothesis, realise, split
 from zygos.gap.twin import follow
@@ -41,6 +43,7 @@ from zygos.gap.verdicts import (
     AboveFloor,
     ArmFileFirst,
     BrokenRun,
+    Changed,
     DeclaredTooNoisy,
     Disagreements,
     DrawingPredictsBetter,
@@ -124,7 +127,7 @@ class _Explainer:
         for record in (*self.measured, *self.validate):
             used[record.path.name] = used.get(record.path.name, 0.0) + record.share
         self.remarks += [BrokenRun(name, share) for name, share in used.items() if share < _USED]
-        delivered = PlanarDynamics.from_model(arm, self.simulation)
+        delivered = from_model(arm, self.simulation)
         hypothesis = read_hypothesis(layout, self.simulation)
         refit = begin(self.measured, hypothesis, delivered)
         deflections = tuple(deflection(arm, self.measured, i) for i, rigid in enumerate(hypothesis.rigid) if rigid)
@@ -149,6 +152,9 @@ class _Explainer:
         self.step(0.9, "verdict")
         values = self._values(after)
         verdict = self._sensors_first(after, findings, skewed) or self._judge(found, tuple(findings), values, gap)
+        if isinstance(verdict, RunsDisagree | Unexplained) and found is not None:
+            self.step(0.92, "changes with time")
+            verdict = self._changed(refit if isinstance(verdict, Unexplained) else found.after) or verdict
         local = refit.local()
         experiments: tuple[Experiment, ...] = ()
         if isinstance(verdict, Inseparable) and found is not None:
@@ -185,19 +191,21 @@ class _Explainer:
         freed = [names.index(joint) for joint in joints]
         rigid = tuple(was and i not in freed for i, was in enumerate(refit.hypothesis.rigid))
         free = replace(refit.hypothesis, rigid=rigid)
-        dynamics = refit.model
-        inertia, stiffness, damping = (x.copy() for x in (dynamics.rotor_inertia, dynamics.stiffness, dynamics.damping))
+        values = parameters(self.arm, refit.model)
+        at = self.arm.parameter_names
         for i in freed:
             balance = refit.layout.balances.index(f"M{i + 1}")
             own = fit(free, refit.sums, np.ones(len(refit.layout.balances)), alone=balance)
-            inertia[i], stiffness[i], damping[i] = (float(own.of(f"{key}{i + 1}")) for key in ("Im", "k", "b"))
-            damping[i] = max(damping[i], 0.0)
-            if not (inertia[i] > 0.0 and stiffness[i] > 0.0):
+            inertia, stiffness, damping = (float(own.of(f"{key}{i + 1}")) for key in ("Im", "k", "b"))
+            if not (inertia > 0.0 and stiffness > 0.0):
                 raise Undecided(
-                    f"link and motor part at the {names[i]}, but not like a spring (k = {stiffness[i]:.4g} Nm/rad, "
-                    f"Im = {inertia[i]:.4g} kg m^2); remedy: check its signs, zeros and gear ratio in the arm file"
+                    f"link and motor part at the {names[i]}, but not like a spring (k = {stiffness:.4g} Nm/rad, "
+                    f"Im = {inertia:.4g} kg m^2); remedy: check its signs, zeros and gear ratio in the arm file"
                 )
-        guess = replace(dynamics, rotor_inertia=inertia, stiffness=stiffness, damping=damping)
+            for key, value in (("Im", inertia), ("k", stiffness), ("b", max(damping, 0.0))):
+                values[at.index(f"{key}{i + 1}")] = value
+        effects = split(refit.hypothesis, refit.value)[1]
+        guess = from_parameters(self.arm, values, effects)
         return begin(self.measured, free, guess)
 
     def _flexibility(self, study: Study, bent: Deflection) -> Finding:
@@ -250,14 +258,9 @@ class _Explainer:
         if not off.any():
             return list(records)
         self.remarks.append(ZerosOff(tuple((n, float(x)) for n, x in zip(layout.zeros, off, strict=True) if x)))
-        out = []
-        for record in records:
-            q, theta = record.samples.q - off[:-1:2], record.samples.theta - off[1::2]
-            samples = replace(record.samples, q=q, theta=theta)
-            out.append(replace(record, samples=samples, omega0=record.omega0 - off[-1]))
-        return out
+        return [corrected(record, layout, off) for record in records]
 
-    def _gap(self, delivered: PlanarDynamics, refit: Study, after: Study, found: Search | None) -> Gap | None:
+    def _gap(self, delivered: Drives, refit: Study, after: Study, found: Search | None) -> Gap | None:
         if not self.validate:
             self.remarks.append(NoUntouchedRun())
             return None
@@ -343,6 +346,12 @@ class _Explainer:
         whole = share >= COMPLETE and (closes(gap) if gap is not None else bool(np.nanmax(found.after.excess) <= SMALL))
         return Lacking(findings) if whole else PartNamed(findings, remainders(self.arm, found.after, gap))
 
+    def _changed(self, study: Study) -> Changed | None:
+        """A change with time that explains what the runs disagree on, or what nothing else explains."""
+        listed = [column_name(kind, i) for kind, i in study.layout.effects if possible(study.hypothesis, kind, i)]
+        change = find_change(study, listed)
+        return None if change is None else Changed(change, tuple(record.path.name for record in study.records))
+
     def _same_equations(self, study: Study, values: tuple[Value, ...]) -> Verdict:
         apart = self._apart(study)
         if apart:
@@ -409,7 +418,7 @@ class _Explainer:
         return Model(f"{self.simulation.name}, explained", parameters=parameters, effects=tuple(kept))
 
 
-def _redrawn(study: Study) -> list[PlanarDynamics]:
+def _redrawn(study: Study) -> list[Drives]:
     """Models whose values err as those of fits to the twins' draws."""
     drawn = study.of_twin(study.hypothesis).value
     out = []

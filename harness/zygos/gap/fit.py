@@ -50,27 +50,35 @@ class Hypothesis:
 
     @property
     def balances(self) -> tuple[int, ...]:
-        """The balances that can be drawn up: none at the motor of a rigid joint."""
+        """The balances that can be drawn up: none at the motor of a joint that could bend, but is taken as rigid."""
         names = self.layout.balances
         gone = {f"M{i + 1}" for i, rigid in enumerate(self.rigid) if rigid}
         return tuple(k for k, name in enumerate(names) if name not in gone)
+
+    @property
+    def uncentred(self) -> tuple[int, ...]:
+        """The balances without a constant of each arc: those of a momentum that is taken as known."""
+        momenta = self.layout.momenta if self.momentum is not None else ()
+        return tuple(self.layout.balances.index(name) for name in momenta)
 
     def basis(self, target: str = "") -> Array:
         """(columns + 1, zeros + coefficients + 1): what each run's zeros of the sensors, each coefficient and the
         right side consist of. With `target` that column takes the right side's place."""
         columns, zeros = self.layout.columns, self.layout.zeros
         out = np.zeros((len(columns) + 1, len(zeros) + len(self.names) + 1))
+        at = self.layout.index
         for k, name in enumerate((*zeros, *self.names)):
-            out[columns.index(name), k] = 1.0
+            out[at[name], k] = 1.0
         for k, one in enumerate(self.parameters, start=len(zeros)):
-            if one.symbol == "Im" and one.joint is not None and not self.uncoupled[one.joint]:
-                out[columns.index(column_name(CATALOGUE["rotor_coupling"], one.joint)), k] = 1.0
+            if one.symbol == "Im" and one.joint is not None and self.uncoupled[one.joint]:
+                # of the rotor its own share alone
+                out[at[column_name(CATALOGUE["rotor_coupling"], one.joint)], k] = -1.0
         if target:
-            out[columns.index(target), -1] = 1.0
+            out[at[target], -1] = 1.0
             return out
         out[-1, -1] = 1.0
         if self.momentum is not None and "angular_momentum" not in self.effects:
-            out[columns.index("angular_momentum"), -1] = -self.momentum
+            out[at["angular_momentum"], -1] = -self.momentum
         return out
 
 
@@ -106,18 +114,25 @@ def fit(
     is to be explained. With `alone` one balance stands by itself, and what it does not see is 0. Leading axes of the
     sums (draws of a twin) are kept. Errors: Undecided where the motion does not tell the coefficients apart.
     """
-    basis, used = hypothesis.basis(target), list(hypothesis.balances) if alone is None else [alone]
+    used = list(hypothesis.balances) if alone is None else [alone]
+    bases = {k: _Basis.of(hypothesis, k, target) for k in used}
     zeros = len(hypothesis.layout.zeros)
+    size = zeros + len(hypothesis.names) + 1
     prior = np.diag(hypothesis.layout.zero_sigma**-2.0)
-    parts = [basis.T @ run.gram[..., used, :, :] @ basis for run in runs]
+    parts = [[bases[k].of_gram(run.gram[k]) for k in used] for run in runs]
     settled: list[Array] = []
     total = np.zeros(())
     for run, part in zip(runs, parts, strict=True):
-        # noise in the columns would pull every coefficient towards zero; what it leaves over is looked at all the same
-        noise = basis.T @ run.noise[used] @ basis if isinstance(run.noise, np.ndarray) else 0.0
-        whole = ((part - noise) * (weight[used] ** 2)[:, None, None]).sum(axis=-3)
+        whole = np.zeros((*part[0].shape[:-2], size, size))
+        for k, own in zip(used, part, strict=True):
+            # noise in the columns would pull every coefficient towards zero; what it leaves over is looked at all the
+            # same
+            clean = own if run.noise is None else own - bases[k].of_gram(run.noise[k])
+            at = bases[k].places
+            whole[..., at[:, None], at] += weight[k] ** 2 * clean
         # the run's own zeros, as functions of the coefficients and the right side
-        settled.append(np.linalg.solve(whole[..., :zeros, :zeros] + prior, whole[..., :zeros, zeros:]))
+        own = np.linalg.solve(whole[..., :zeros, :zeros] + prior, whole[..., :zeros, zeros:])
+        settled.append(np.asarray(own, dtype=np.float64))
         total = total + whole[..., zeros:, zeros:] - whole[..., zeros:, :zeros] @ settled[-1]
     if fixed is None:
         value = _solve(total, hypothesis.names, blind=alone is not None)
@@ -130,9 +145,38 @@ def fit(
     for k, (run, part, settle) in enumerate(zip(runs, parts, settled, strict=True)):
         found[..., k, :] = -(settle @ shared[..., None])[..., 0]
         full = np.concatenate([found[..., k, :], shared], axis=-1)
-        square = np.einsum("...k,...bkl,...l->...b", full, part, full)
-        rms[..., k, used] = np.sqrt(np.maximum(square, 0.0) / run.count[used])
+        for balance, one in zip(used, part, strict=True):
+            own = full[..., bases[balance].places]
+            square = (own[..., None, :] @ one @ own[..., None])[..., 0, 0]
+            rms[..., k, balance] = np.sqrt(np.maximum(square, 0.0) / run.count[balance])
     return Fit(hypothesis.names, value, found, rms)
+
+
+@dataclass(frozen=True)
+class _Basis:
+    """What the coefficients of a hypothesis are in one balance."""
+
+    places: NDArray[np.int64]
+    """Positions of the zeros, coefficients and right side that the balance has."""
+    chosen: NDArray[np.int64] | None
+    """The columns of the balance that these are; None: they are sums of columns."""
+    mix: Array
+    """(columns + 1, places) of these sums."""
+
+    @classmethod
+    def of(cls, hypothesis: Hypothesis, balance: int, target: str) -> _Basis:
+        own = np.append(hypothesis.layout.used[balance], len(hypothesis.layout.columns))
+        mix = hypothesis.basis(target)[own]
+        places = np.flatnonzero(np.any(mix != 0.0, axis=0))
+        mix = mix[:, places]
+        single = np.all(np.count_nonzero(mix, axis=0) == 1) and np.all(mix.sum(axis=0) == 1.0)
+        return cls(places, np.argmax(mix, axis=0) if single else None, mix)
+
+    def of_gram(self, gram: Array) -> Array:
+        """(..., places, places) from sums over the columns of the balance."""
+        if self.chosen is not None:
+            return np.asarray(gram[..., self.chosen[:, None], self.chosen], dtype=np.float64)
+        return np.asarray(self.mix.T @ gram @ self.mix, dtype=np.float64)
 
 
 def _solve(total: Array, names: Sequence[str], *, blind: bool) -> Array:
@@ -146,7 +190,9 @@ def _solve(total: Array, names: Sequence[str], *, blind: bool) -> Array:
     kept = np.flatnonzero(seen)
     matrix, right, scale = total[..., kept[:, None], kept], total[..., kept, -1], scale[..., kept]
     scaled = matrix / (scale[..., :, None] * scale[..., None, :])
-    if np.min(np.linalg.eigvalsh(scaled)[..., 0]) < 1e-12:
+    # draws of a twin differ little
+    one = scaled.reshape(-1, *scaled.shape[-2:])[0]
+    if len(one) and np.min(np.linalg.eigvalsh(one)[0]) < 1e-12:
         raise Undecided(
             "these runs do not tell the parameters apart (a combination of columns is empty); remedy: a motion that "
             "moves every joint, at different speeds; more of the same motion adds nothing"

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from zygos.arm import Arm
 from zygos.balances.readings import Readings
 from zygos.balances.state import State
-from zygos.dynamics.planar import PlanarDynamics
+from zygos.dynamics.joints import Drives
 from zygos.dynamics.replay import exact_readings, replay, substeps
 from zygos.errors import ZygosError
 from zygos.gap.record import MeasuredRun, smoothed_states
@@ -31,21 +31,26 @@ HORIZON_S = 0.5
 _ROUNDS = 3
 _DIVERGED = 1e200
 _STRAY = 30.0
+_MOST = 60
+"""Segments that are predicted at most; fewer of arms whose states are longer than `_LENGTH`."""
+_LENGTH = 16
 
 
 @dataclass(frozen=True)
 class Stretches:
-    """Stretches of a run, one second each, that begin every half second; S segments of 2n cycles."""
+    """Stretches of a run, one second each, that begin every half second or, in a long run, are evenly spread.
+
+    S segments of 2n cycles. W: 1 in a plane, 3 in space, 0 on a fixed base."""
 
     arm: Arm
     readings: Array
-    """(S, 2n, 2N+1) q, theta, omega0: rad, rad/s."""
+    """(S, 2n, 2N+W) q, theta, omega0: rad, rad/s."""
     tau: Array
     """(S, 2n, N) Nm."""
     before: Array
     """(S, N) torque of the period before the segment, Nm."""
     guess: Array
-    """(S, 4N+1) smoothed state at the first sample, packed as `State.packed`."""
+    """(S, 4N+W) smoothed state at the first sample, packed as `State.packed`."""
     time_s: Array
     """(S, 2n) since the run's first cycle."""
 
@@ -63,10 +68,15 @@ class Stretches:
 
     @property
     def sigma(self) -> Array:
-        """(2N+1,) declared deviations of one reading of q, theta, omega0 that came over the wire."""
+        """(2N+W,) declared deviations of one reading of q, theta, omega0 that came over the wire."""
         arm = self.arm.over_the_wire
         link, motor = [j.link_encoder.sigma_rad for j in arm.joints], [j.motor_encoder.sigma_rad for j in arm.joints]
-        return np.array([*link, *motor, arm.imu.rate_sigma])
+        return np.array([*link, *motor, *[arm.imu.rate_sigma] * self.width])
+
+    @property
+    def width(self) -> int:
+        """W, signals of the base."""
+        return int(self.guess.shape[-1]) - 4 * self.arm.n
 
 
 @dataclass(frozen=True)
@@ -74,9 +84,9 @@ class Forecast:
     """Predictions of the second half of every segment."""
 
     residual: Array
-    """(S, n, 2N+1) predicted less measured, in units of sigma."""
+    """(S, n, 2N+W) predicted less measured, in units of sigma."""
     predicted: Array
-    """(S, n, 2N+1) q, theta, omega0: rad, rad/s."""
+    """(S, n, 2N+W) q, theta, omega0: rad, rad/s."""
 
     @property
     def gap(self) -> float:
@@ -95,7 +105,7 @@ class Forecast:
 
     @property
     def signals(self) -> Array:
-        """(2N+1,) root mean square residual of each signal, sigma."""
+        """(2N+W,) root mean square residual of each signal, sigma."""
         return np.asarray(np.sqrt(np.mean(self._square, axis=(0, 1))), dtype=np.float64)
 
     @cached_property
@@ -121,7 +131,7 @@ def cut(record: MeasuredRun) -> Stretches:
 def cut_twin(twin: Twin, seed: int = 0) -> Stretches:
     """Segments of one reading of a twin, whose arcs are stretches."""
     seen = measure(twin, seed)
-    arcs, cycles = seen.omega0.shape
+    arcs, cycles, _ = seen.q.shape
     flat = Readings(*(x.reshape(arcs * cycles, *x.shape[2:]) for x in (seen.q, seen.theta, seen.omega0, seen.tau)))
     stretches = [(i * cycles, (i + 1) * cycles) for i in range(arcs)]
     return _segments(twin.arm, flat, stretches, twin.arm.period_s * np.arange(arcs * cycles), "the twin")
@@ -132,31 +142,36 @@ def _segments(arm: Arm, samples: Readings, stretches: Sequence[tuple[int, int]],
     starts = np.array([at for a, b in stretches for at in range(a + max(half, 1), b - max(2 * n, half + 1) + 1, n)])
     if not len(starts):
         raise ZygosError(f"{name}: no stretch is long enough to predict anything; remedy: a run from a better bus")
+    most = min(_MOST, _MOST * _LENGTH // (4 * arm.n + 4))
+    if len(starts) > most:
+        starts = starts[np.linspace(0, len(starts) - 1, most).round().astype(np.int64)]
     at = starts[:, None] + np.arange(2 * n)
     around = starts[:, None] + np.arange(-half, half + 1)
     state = smoothed_states(
         arm, Readings(samples.q[around], samples.theta[around], samples.omega0[around], samples.tau[around])
     )
     guess = state.packed()[:, 0]
-    readings = np.concatenate([samples.q[at], samples.theta[at], samples.omega0[at][..., None]], axis=-1)
+    base = [samples.omega0[at].reshape(*at.shape, -1)] if arm.free else []
+    readings = np.concatenate([samples.q[at], samples.theta[at], *base], axis=-1)
     return Stretches(arm, readings, samples.tau[at], samples.tau[starts - 1], guess, time[at])
 
 
-def forecast(dynamics: PlanarDynamics, segments: Stretches) -> Forecast:
+def forecast(dynamics: Drives, segments: Stretches) -> Forecast:
     """Predict every segment with a model. Where it assumes an angular momentum, the base rate follows from it."""
     # a model that is far off may diverge: then the gap is infinite, and says so
     with np.errstate(over="ignore", invalid="ignore"):
         return _forecast(dynamics, segments)
 
 
-def _forecast(dynamics: PlanarDynamics, segments: Stretches) -> Forecast:
+def _forecast(dynamics: Drives, segments: Stretches) -> Forecast:
     arm, joints = segments.arm, segments.arm.n
     n = segments.readings.shape[1] // 2
     steps = substeps(dynamics, segments.readings[:, ::n, :joints], arm.period_s)
     sigma = segments.sigma
-    unpack, free = _free(dynamics, joints)
-    scale = np.concatenate([[sigma[-1]], np.tile(sigma[: 2 * joints], 2)])
-    scale[1 + 2 * joints :] /= HORIZON_S
+    unpack, free = _free(dynamics, joints, segments.width)
+    width = segments.width
+    scale = np.concatenate([sigma[2 * joints :], np.tile(sigma[: 2 * joints], 2)])
+    scale[width + 2 * joints :] /= HORIZON_S
     scale = scale[free]
 
     def move(x: Array, copies: int, cycles: int) -> Array:
@@ -165,7 +180,7 @@ def _forecast(dynamics: PlanarDynamics, segments: Stretches) -> Forecast:
         before = np.tile(segments.before, (copies, 1))
         states, torques = replay(dynamics, arm.period_s, unpack(x), lambda k, _: tau[:, k], before, cycles + 1, steps)
         q, theta, omega0 = exact_readings(dynamics, arm, states, torques)
-        return np.concatenate([q, theta, omega0[..., None]], axis=-1)
+        return np.concatenate([q, theta, omega0.reshape(*q.shape[:-1], width)], axis=-1)
 
     def misfit(seen: Array) -> Array:
         """(copies, S, instants * signals) in sigma."""
@@ -193,26 +208,27 @@ def _forecast(dynamics: PlanarDynamics, segments: Stretches) -> Forecast:
 
 
 def _held(segments: Stretches) -> Array:
-    """(4N+1,) how far a start may stray from the smoothed state: many deviations of it, which binds no model that is
+    """(4N+W,) how far a start may stray from the smoothed state: many deviations of it, which binds no model that is
     about right, and keeps a wrong one from absurd states."""
     arm, joints = segments.arm, segments.arm.n
     rate = float(np.linalg.norm(coefficients(arm.smoother.points, arm.smoother.order, 0.0, 1))) / arm.period_s
     angles = segments.sigma[: 2 * joints]
-    return _STRAY * np.concatenate([segments.sigma[-1:], angles, rate * angles])
+    return _STRAY * np.concatenate([segments.sigma[2 * joints :], angles, rate * angles])
 
 
-def _free(dynamics: PlanarDynamics, joints: int) -> tuple[Callable[[Array], Array], NDArray[np.int64]]:
+def _free(dynamics: Drives, joints: int, width: int) -> tuple[Callable[[Array], Array], NDArray[np.int64]]:
     """How a packed state follows from its free entries, and which these are."""
     held = dynamics.angular_momentum
     rigid = np.flatnonzero(dynamics.rigid)
-    tied = {*(1 + joints + rigid).tolist(), *(1 + 3 * joints + rigid).tolist(), *([] if held is None else [0])}
-    free = np.array([k for k in range(1 + 4 * joints) if k not in tied])
+    motors = [*(width + joints + rigid).tolist(), *(width + 3 * joints + rigid).tolist()]
+    tied = {*motors, *([] if held is None else [0])}
+    free = np.array([k for k in range(width + 4 * joints) if k not in tied])
 
     def unpack(x: Array) -> Array:
-        out = np.zeros((len(x), 1 + 4 * joints))
+        out = np.zeros((len(x), width + 4 * joints))
         out[:, free] = x
-        out[:, 1 + joints + rigid] = out[:, 1 + rigid]
-        out[:, 1 + 3 * joints + rigid] = out[:, 1 + 2 * joints + rigid]
+        out[:, width + joints + rigid] = out[:, width + rigid]
+        out[:, width + 3 * joints + rigid] = out[:, width + 2 * joints + rigid]
         if held is not None:
             s = State.unpacked(out)
             out[:, 0] = dynamics.base_rate(s.q, held, s.qd, s.thetad)

@@ -63,6 +63,7 @@ def write_gap_report(path: Path, explanation: Explanation, provenance: Provenanc
 _TAGS = {
     "named": "named",
     "part named": "named",
+    "changed": "differ",
     "values differ": "differ",
     "nothing missing": "nothing",
     "cannot tell": "open",

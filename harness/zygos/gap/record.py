@@ -37,7 +37,7 @@ class MeasuredRun:
     path: Path
     samples: Samples
     omega0: Array
-    """(n,) base rate about the arm's axis, rad/s."""
+    """Base rate, rad/s: (n,) about the axis of a planar arm, (n, 3) in base axes of a spatial one."""
     faults: dict[str, int]
     starts: NDArray[np.int64]
     """(A,) position of the first sample of each arc."""
@@ -104,7 +104,7 @@ def measured_run(run: Run, path: Path) -> MeasuredRun:
         for (start, _), length in zip(samples.segments, lengths, strict=True)
         for i in range(max(0, length) // instants)
     ]
-    omega0 = samples.omega @ arm.axis
+    omega0 = samples.omega if arm.spatial else samples.omega @ arm.axis
     return MeasuredRun(arm, path, samples, omega0, run.faults, np.array(starts), instants)
 
 
@@ -119,16 +119,19 @@ def _arc_length(lengths: Sequence[int], period_s: float) -> int:
 
 
 def smoothed_states(arm: Arm, readings: Readings) -> State:
-    """Smoothed states (..., A, instants, N) of arcs (docs/theory.md, "Smoother and bandwidth test")."""
+    """Smoothed states (..., A, instants, N) of arcs (docs/theory.md, "Smoother and bandwidth test"). The base rate of a
+    fixed base is (..., A, instants, 0)."""
     points, order, h = arm.smoother.points, arm.smoother.order, arm.period_s
     parts: list[Array] = []
     for signals, offsets in ((readings.q, _late(arm, "link")), (readings.theta, _late(arm, "motor"))):
         for derivative in (0, 1):
             weights = [coefficients(points, order, offset, derivative) / h**derivative for offset in offsets]
             parts.append(np.stack([_filter(signals[..., i], w) for i, w in enumerate(weights)], axis=-1))
-    omega0 = _filter(readings.omega0, coefficients(points, order, -1e-6 / h * arm.imu.latch_us))
     q, qd, theta, thetad = parts
-    return State(q, theta, qd, thetad, omega0)
+    if not arm.free:
+        return State(q, theta, qd, thetad, q[..., :0])
+    of_gyro = coefficients(points, order, -1e-6 / h * arm.imu.latch_us)
+    return State(q, theta, qd, thetad, _filter(readings.omega0, of_gyro, -2 if arm.spatial else -1))
 
 
 def followed(arm: Arm, readings: Readings) -> NDArray[np.bool_]:
@@ -153,6 +156,7 @@ def _late(arm: Arm, side: str) -> list[float]:
     return [-1e-6 / arm.period_s * (j.latch_us + e.latch_us) for j, e in zip(arm.joints, encoders, strict=True)]
 
 
-def _filter(x: Array, weights: Array) -> Array:
+def _filter(x: Array, weights: Array, axis: int = -1) -> Array:
     half = len(weights) // 2
-    return np.asarray(correlate1d(x, weights, axis=-1)[..., half:-half], dtype=np.float64)
+    out = np.moveaxis(correlate1d(x, weights, axis=axis), axis, -1)[..., half:-half]
+    return np.asarray(np.moveaxis(out, -1, axis), dtype=np.float64)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.balances.state import State
-from zygos.dynamics.planar import PlanarDynamics
+from zygos.dynamics.equations import from_model
 from zygos.gap.explanation import Explanation
 from zygos.gap.findings import Gap
 from zygos.gap.forecast import Forecast
@@ -70,7 +70,7 @@ def failing(rho: Array) -> list[int]:
 def as_delivered(x: Explanation) -> Study:
     """The refit's study with the simulation's own values in its fit's place."""
     study = x.refit
-    dynamics = PlanarDynamics.from_model(x.arm, x.simulation)
+    dynamics = from_model(x.arm, x.simulation)
     values = [coefficient(dynamics, study.hypothesis, name) for name in study.hypothesis.names]
     return replace(study, fit=study.of(study.hypothesis, fixed=np.array(values)))
 

@@ -192,11 +192,12 @@ def _retest(named: list[Candidate], now: Study, before: Study) -> tuple[list[Can
 
 def candidates(now: Study, before: Study) -> tuple[Candidate, ...]:
     """All that could be added to a study's hypothesis, best first."""
-    out = [_candidate(now, before, kind, i) for kind, i in now.layout.effects if _possible(now.hypothesis, kind, i)]
+    out = [_candidate(now, before, kind, i) for kind, i in now.layout.effects if possible(now.hypothesis, kind, i)]
     return tuple(sorted((one for one in out if one is not None), key=lambda one: one.left))
 
 
-def _possible(hypothesis: Hypothesis, kind: Kind, joint: int) -> bool:
+def possible(hypothesis: Hypothesis, kind: Kind, joint: int) -> bool:
+    """Whether an entry of the catalogue could be added to a hypothesis at a joint."""
     if column_name(kind, joint) in hypothesis.effects:
         return False
     if kind.key == "rotor_coupling":
@@ -275,7 +276,7 @@ def _inseparable(candidate: Candidate, now: Study, before: Study) -> tuple[str, 
     together = [candidate.name]
     for kind, joint in now.layout.effects:
         other = column_name(kind, joint)
-        if not _possible(now.hypothesis, kind, joint):
+        if not possible(now.hypothesis, kind, joint):
             continue
         instead = replace(now.hypothesis, effects=(*rest, other))
         both = replace(now.hypothesis, effects=(*now.hypothesis.effects, other))

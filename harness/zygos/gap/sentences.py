@@ -8,8 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from zygos.arm import Arm
-from zygos.effects import CATALOGUE, spoken
+from zygos.effects import CATALOGUE, column_named, is_column, spoken
 from zygos.files.output import ratio
+from zygos.gap.changes import BODIES
 from zygos.gap.experiment import Experiment
 from zygos.gap.findings import INTERVAL, Deflection, Disagreement, Finding, Gap, Value
 from zygos.gap.search import Against, Candidate
@@ -17,6 +18,7 @@ from zygos.gap.verdicts import (
     AboveFloor,
     Answer,
     BrokenRun,
+    Changed,
     DeclaredTooNoisy,
     Disagreements,
     DrawingPredictsBetter,
@@ -74,6 +76,8 @@ def verdict(arm: Arm, found: Verdict) -> str:  # noqa: PLR0911  (one sentence a 
                 f"The simulation lacks {listed(found.findings)}, but the law is not exactly this: "
                 f"{'; '.join(map(left, found.left))}."
             )
+        case Changed():
+            return _changed(arm, found)
         case Inseparable():
             sets = "; ".join(" or ".join((_named(f), *(spoken(arm, n) for n in f.instead))) for f in found.findings)
             return f"These runs cannot tell apart: {sets}."
@@ -118,6 +122,32 @@ def left(rest: Remainder) -> str:
     unit = {"1": "times the floor", "sigma": "σ"}.get(rest.unit, rest.unit)
     goes = f", {100 * rest.share:.0f} % of it as a function of the {rest.over}" if rest.over else ""
     return f"{figure(rest.size)} {unit} are left over at {rest.where}{floor}{goes}"
+
+
+def _changed(arm: Arm, found: Changed) -> str:
+    change = found.change
+    now = found.runs[change.run]
+    when = (
+        f"between {found.runs[change.run - 1]} and {now}"
+        if change.between
+        else f"in {now}, between {change.before_s:.0f} and {change.after_s:.0f} s"
+    )
+    if change.what == BODIES:
+        each = zip(change.names, change.old, change.new, change.sigma, strict=True)
+        parts = [
+            f"{n} {old:.5g} → {sized(new, sigma, '1')}" for n, old, new, sigma in each if abs(new - old) > 3 * sigma
+        ]
+        return f"The bodies changed {when}, as with a payload that is taken up or left: {', '.join(parts)}."
+    old, new, sigma = float(change.old[0]), float(change.new[0]), float(change.sigma[0])
+    if not is_column(change.what):
+        return f"{change.what} changed {when}, from {old:.5g} to {sized(new, sigma, '1')}."
+    unit = CATALOGUE[column_named(change.what).key].unit
+    began = "began" if old == 0.0 else f"changed from {old:.5g}"
+    return f"{_upper(spoken(arm, change.what))} {began} {when}: {sized(new, sigma, unit)}."
+
+
+def _upper(text: str) -> str:
+    return text[0].upper() + text[1:]
 
 
 def _values_differ(arm: Arm, changed: Sequence[Value]) -> str:
@@ -196,7 +226,7 @@ def where(arm: Arm, found: Whereabouts) -> str:
         only = [one.balance for one in found.failing] == ["E"] and found.look == ("link",)
         tail = f"{' while every motor balance closes' if only else ''}: {look_at(found)}"
     whole = "; ".join(parts) + tail + "."
-    return whole[0].upper() + whole[1:]
+    return _upper(whole)
 
 
 def look_at(found: Whereabouts) -> str:

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from zygos.arm import Parameter
 from zygos.balances.state import State
-from zygos.dynamics.planar import PlanarDynamics
+from zygos.dynamics.equations import from_parameters, parameters
+from zygos.dynamics.joints import Drives
 from zygos.effects import CATALOGUE, Effect, column_name, column_named
 from zygos.errors import Undecided, ZygosError
-from zygos.gap.balances import Layout, Sums, accumulate, balance_rows
+from zygos.gap.balances import Layout, Sums, accumulate, balance_rows, kept_rows, thinning, zero_columns
 from zygos.gap.fit import Fit, Hypothesis, fit
 from zygos.gap.record import MeasuredRun, followed, smoothed_states
 from zygos.gap.twin import Twin, draws, follow
@@ -37,7 +37,7 @@ class Study:
     hypothesis: Hypothesis
     sums: tuple[Sums, ...]
     """Of the runs."""
-    model: PlanarDynamics
+    model: Drives
     """What the twins are made of."""
     twins: tuple[Twin, ...]
     twin_sums: tuple[Sums, ...]
@@ -81,7 +81,7 @@ class Study:
             return False
         return True
 
-    def dynamics(self) -> PlanarDynamics:
+    def dynamics(self) -> Drives:
         """The model that was fitted, or as much of it as an arm can be."""
         return _possible(self.hypothesis, self.value, self.model)
 
@@ -91,7 +91,9 @@ class Study:
         The momentum has no scale of its own; its rho is that of the common fit.
         """
         out = self.excess.copy()
-        for balance in self.hypothesis.balances[:-1]:
+        for balance in self.hypothesis.balances:
+            if self.layout.balances[balance] in self.layout.momenta:
+                continue
             try:
                 own = fit(self.hypothesis, self.sums, self.weight, alone=balance)
                 twin = fit(self.hypothesis, self.twin_sums, self.weight, alone=balance)
@@ -120,21 +122,23 @@ def residuals(study: Study, run: int) -> tuple[Array, State]:
     table = balance_rows(record.arm, readings, base_values(study.model, study.layout))
     full = np.concatenate([study.fit.zeros[run], study.fit.value, [-1.0]])
     mix = study.hypothesis.basis() @ full
-    left = table.left @ mix[:-1] + table.right * mix[-1]
-    left[:, ~kept] = np.nan
-    unused = [k for k in range(len(left)) if k not in study.hypothesis.balances]
-    left[unused] = np.nan
-    centred = left - _mean(left)
-    if study.hypothesis.momentum is not None:
-        centred[-1] = left[-1]
-    return centred, smoothed_states(record.arm, readings)
+    out = np.full((len(table.balances), *kept.shape), np.nan)
+    for k in study.hypothesis.balances:
+        rows, used = table.balances[k], study.layout.used[k]
+        left = rows.left @ mix[used] + rows.right * mix[-1]
+        left[~kept_rows(rows, kept)] = np.nan
+        if rows.begin is not None:
+            out[k][:, (rows.begin + rows.end) // 2] = left
+        else:
+            out[k][:, rows.end] = left if k in study.hypothesis.uncentred else left - _mean(left)
+    return out, smoothed_states(record.arm, readings)
 
 
 def read_hypothesis(layout: Layout, model: Model) -> Hypothesis:
     """The equations that a model stands for. Errors: ZygosError for a share of coupling that is neither 0 nor 1."""
     arm = layout.arm
     values = model.base_values(arm)
-    stiffness = dict(zip(arm.parameter_names, values.tolist(), strict=True))
+    known = dict(zip(arm.parameter_names, values.tolist(), strict=True))
     uncoupled = [False] * arm.n
     momentum: float | None = None
     effects: list[str] = []
@@ -150,11 +154,11 @@ def read_hypothesis(layout: Layout, model: Model) -> Hypothesis:
             momentum = effect.value
         else:
             effects.append(effect.column(arm))
-    rigid = tuple(np.isinf(stiffness[f"k{i + 1}"]) for i in range(arm.n))
-    return Hypothesis(layout, tuple(bool(x) for x in rigid), tuple(uncoupled), momentum, tuple(effects))
+    rigid = tuple(bool(known.get(f"k{i + 1}", np.inf) == np.inf) for i in range(arm.n))
+    return Hypothesis(layout, rigid, tuple(uncoupled), momentum, tuple(effects))
 
 
-def realise(hypothesis: Hypothesis, value: Array) -> PlanarDynamics:
+def realise(hypothesis: Hypothesis, value: Array) -> Drives:
     """The model of a hypothesis with these coefficients. Errors: ZygosError where it is not physical."""
     arm = hypothesis.layout.arm
     base, effects = split(hypothesis, value)
@@ -163,7 +167,7 @@ def realise(hypothesis: Hypothesis, value: Array) -> PlanarDynamics:
     ]
     if unphysical:
         raise ZygosError(f"{', '.join(unphysical)} came out negative; remedy: see the verdict")
-    return PlanarDynamics.from_parameters(arm, base, effects)
+    return from_parameters(arm, base, effects)
 
 
 def split(hypothesis: Hypothesis, value: Array) -> tuple[Array, list[Effect]]:
@@ -189,7 +193,7 @@ def split(hypothesis: Hypothesis, value: Array) -> tuple[Array, list[Effect]]:
     return base, effects
 
 
-def begin(records: Sequence[MeasuredRun], hypothesis: Hypothesis, dynamics: PlanarDynamics) -> Study:
+def begin(records: Sequence[MeasuredRun], hypothesis: Hypothesis, dynamics: Drives) -> Study:
     """Fit a hypothesis to runs. dynamics: any model of it that is about right; it weights the balances, and the study
     is then made again with what was learned. Errors: Undecided where the runs do not tell the parameters apart."""
     accepted = tuple(followed(record.arm, record.readings()) for record in records)
@@ -202,7 +206,7 @@ def again(study: Study, hypothesis: Hypothesis, count: int = DRAWS) -> Study:
     return _study(study.records, study.accepted, hypothesis, _possible(hypothesis, first.value, study.model), count)
 
 
-def _possible(hypothesis: Hypothesis, value: Array, known: PlanarDynamics) -> PlanarDynamics:
+def _possible(hypothesis: Hypothesis, value: Array, known: Drives) -> Drives:
     """The model of these coefficients, or of as much of them, beside a known model's, as some arm can have."""
     layout = hypothesis.layout
     arm = layout.arm
@@ -214,12 +218,13 @@ def _possible(hypothesis: Hypothesis, value: Array, known: PlanarDynamics) -> Pl
     share = 1.0
     while share > 1e-6:
         mixed = share * np.where(rigid, 0.0, base) + (1.0 - share) * base_values(known, layout)
-        drives = mixed[-3 * arm.n :].reshape(arm.n, 3)
-        drives[:, 2] = np.maximum(drives[:, 2], 0.0)
+        for k, one in enumerate(arm.parameters):
+            if one.symbol == "b" and one.joint is not None:
+                mixed[k] = max(mixed[k], 0.0)
         mixed[rigid] = np.inf
-        if np.all(drives[:, :2] > 0.0):
+        if all(x > 0.0 for one, x in zip(arm.parameters, mixed, strict=True) if one.symbol in ("Im", "k")):
             try:
-                return PlanarDynamics.from_parameters(arm, mixed, kept)
+                return from_parameters(arm, mixed, kept)
             except ZygosError:
                 pass
         share *= 0.5
@@ -245,21 +250,24 @@ def _study(
     records: tuple[MeasuredRun, ...],
     accepted: tuple[NDArray[np.bool_], ...],
     hypothesis: Hypothesis,
-    dynamics: PlanarDynamics,
+    dynamics: Drives,
     count: int,
 ) -> Study:
     layout = hypothesis.layout
-    arm = layout.arm
-    uncentred = () if hypothesis.momentum is None else (layout.balances.index("H"),)
+    arm, uncentred = layout.arm, hypothesis.uncentred
     base = base_values(dynamics, layout)
     twins = tuple(follow(dynamics, records))
+    every = thinning(arm)
+    zeros = [zero_columns(layout, record.readings(), base, every) for record in records]
     drawn = tuple(
-        draws(twin, kept, count, uncentred, base, count * k)
-        for k, (twin, kept) in enumerate(zip(twins, accepted, strict=True))
+        draws(twin, kept, count, uncentred, own, count * k, every)
+        for k, (twin, kept, own) in enumerate(zip(twins, accepted, zeros, strict=True))
     )
     sums = tuple(
-        replace(accumulate(balance_rows(arm, record.readings(), base), kept, uncentred), noise=twin.noise)
-        for record, kept, twin in zip(records, accepted, drawn, strict=True)
+        replace(
+            accumulate(balance_rows(arm, record.readings(), zeros=own, every=every), kept, uncentred), noise=twin.noise
+        )
+        for record, kept, twin, own in zip(records, accepted, drawn, zeros, strict=True)
     )
     used = list(hypothesis.balances)
     weight = np.zeros(len(layout.balances))
@@ -288,29 +296,21 @@ def _study(
 
 def _size(sums: Sums) -> Array:
     """(balances,) mean square of all columns together."""
-    return np.asarray(np.trace(sums.gram, axis1=-2, axis2=-1).mean(axis=0) / sums.count, dtype=np.float64)
+    trace = [np.trace(gram, axis1=-2, axis2=-1).mean(axis=0) for gram in sums.gram]
+    return np.asarray(trace / sums.count, dtype=np.float64)
 
 
-def base_values(dynamics: PlanarDynamics, layout: Layout) -> Array:
+def base_values(dynamics: Drives, layout: Layout) -> Array:
     """(p,) base parameters of a model in the arm's order; 0 for what a rigid joint has not."""
-    values = [_parameter(dynamics, one) for one in layout.arm.parameters]
+    values = parameters(layout.arm, dynamics)
     return np.where(np.isfinite(values), values, 0.0)
 
 
-def _parameter(dynamics: PlanarDynamics, one: Parameter) -> float:
-    if one.joint is None:
-        table = {"a": dynamics.a, "b": dynamics.b}[one.symbol]
-        first, second = one.ends
-        return float(table[int(first), int(second)])
-    part = {"Im": dynamics.rotor_inertia, "k": dynamics.stiffness, "b": dynamics.damping}[one.symbol]
-    return float(part[one.joint])
-
-
-def coefficient(dynamics: PlanarDynamics, hypothesis: Hypothesis, name: str) -> float:
+def coefficient(dynamics: Drives, hypothesis: Hypothesis, name: str) -> float:
     """What a model has for a coefficient of a hypothesis."""
-    known = {one.name: one for one in hypothesis.layout.arm.parameters}
-    if name in known:
-        return _parameter(dynamics, known[name])
+    arm = hypothesis.layout.arm
+    if name in arm.parameter_names:
+        return float(parameters(arm, dynamics)[arm.parameter_names.index(name)])
     if name == "angular_momentum":
         return dynamics.angular_momentum or 0.0
     key, i = column_named(name)

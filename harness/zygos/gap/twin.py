@@ -9,7 +9,7 @@ finite windows and of held torques, they make of the twin as well, and are read 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from zygos.arm import Arm
 from zygos.balances.readings import Readings
 from zygos.balances.state import State
-from zygos.dynamics.planar import PlanarDynamics
-from zygos.dynamics.replay import exact_readings, mobility, replay, substeps
+from zygos.dynamics.joints import Drives
+from zygos.dynamics.replay import exact_readings, replay, substeps
 from zygos.errors import Undecided
 from zygos.gap.balances import Sums, accumulate, balance_rows
-from zygos.gap.record import MeasuredRun, followed, smoothed_states
+from zygos.gap.record import MeasuredRun, smoothed_states
 from zygos.simulation.sensors import draw_noise
 
 Array = NDArray[np.float64]
@@ -43,7 +43,7 @@ class Twin:
     """What exact sensors would have read."""
 
 
-def follow(dynamics: PlanarDynamics, records: Sequence[MeasuredRun]) -> list[Twin]:
+def follow(dynamics: Drives, records: Sequence[MeasuredRun]) -> list[Twin]:
     """Twins of the records, integrated as one batch, with the model's h where it assumes one."""
     arm = records[0].arm
     h, half = arm.period_s, arm.smoother.points // 2
@@ -73,7 +73,7 @@ def follow(dynamics: PlanarDynamics, records: Sequence[MeasuredRun]) -> list[Twi
     return twins
 
 
-def retrace(dynamics: PlanarDynamics, record: MeasuredRun, speed: float, amplitude: float) -> Twin:
+def retrace(dynamics: Drives, record: MeasuredRun, speed: float, amplitude: float) -> Twin:
     """What a record would have looked like at another speed and amplitude of the motors' motion, had the model been
     right; as many cycles at the most."""
     arm = record.arm
@@ -82,12 +82,13 @@ def retrace(dynamics: PlanarDynamics, record: MeasuredRun, speed: float, amplitu
     at = np.arange(begin, end)[None]
     state = smoothed_states(arm, Readings(s.q[at], s.theta[at], record.omega0[at], s.tau[at]))
     path = state.packed()[0]
-    rest = np.concatenate([[0.0], path[:, 1 : 1 + 2 * arm.n].mean(axis=0), np.zeros(2 * arm.n)])
+    width = path.shape[1] - 4 * arm.n
+    rest = np.concatenate([np.zeros(width), path[:, width : width + 2 * arm.n].mean(axis=0), np.zeros(2 * arm.n)])
     path = rest + amplitude * (path - rest)
     last = min(len(path) - 1, int(speed * (len(path) - 1)))
     when = np.arange(int(last / speed)) * speed
     slow = np.stack([np.interp(when, np.arange(len(path)), column) for column in path.T], axis=1)
-    slow[:, [0, *range(1 + 2 * arm.n, slow.shape[1])]] *= speed
+    slow[:, [*range(width), *range(width + 2 * arm.n, slow.shape[1])]] *= speed
     arcs = max(1, len(slow) // record.cycles)
     cycles = min(record.cycles, len(slow))
     cut = slow[: arcs * cycles].reshape(arcs, cycles, -1)
@@ -95,26 +96,31 @@ def retrace(dynamics: PlanarDynamics, record: MeasuredRun, speed: float, amplitu
     return _twin(dynamics, arm, moved, applied)
 
 
-def _twin(dynamics: PlanarDynamics, arm: Arm, moved: Array, applied: Array) -> Twin:
+def _twin(dynamics: Drives, arm: Arm, moved: Array, applied: Array) -> Twin:
     q, theta, omega0 = exact_readings(dynamics, arm, moved, applied)
+    if not arm.free:
+        omega0 = np.zeros((*q.shape[:-1], 3) if arm.spatial else q.shape[:-1])
     return Twin(arm, Readings(q, theta, omega0, applied[:, :-1]))
 
 
-def _servo(dynamics: PlanarDynamics, path: Array, tau: Array, h: float, rate: float) -> tuple[Array, Array]:
-    """Move along a path (B, n, 4N+1) from its start under torques (B, n+1, N), the first that of the period before,
+def _servo(dynamics: Drives, path: Array, tau: Array, h: float, rate: float) -> tuple[Array, Array]:
+    """Move along a path (B, n, 4N+W) from its start under torques (B, n+1, N), the first that of the period before,
     and a servo of the given bandwidth, rad/s. Returns states and torques at every SYNC."""
     joints = dynamics.n
-    start = path[:, 0].copy()
     reference = State.unpacked(path)
-    states = State.unpacked(start)
-    start[:, 1 + joints : 1 + 2 * joints] = np.where(dynamics.rigid, states.q, states.theta)
-    start[:, 1 + 3 * joints :] = np.where(dynamics.rigid, states.qd, states.thetad)
-    states = State.unpacked(start)
+    first = State.unpacked(path[:, 0])
+    states = replace(
+        first,
+        theta=np.where(dynamics.rigid, first.q, first.theta),
+        thetad=np.where(dynamics.rigid, first.qd, first.thetad),
+    )
     if dynamics.angular_momentum is not None:
-        start[:, 0] = dynamics.base_rate(states.q, dynamics.angular_momentum, states.qd, states.thetad)
+        base = dynamics.base_rate(states.q, dynamics.angular_momentum, states.qd, states.thetad)
+        states = replace(states, base=base)
+    start = states.packed()
     postures = reference.q[:, ::97]
     # what a motor has to move: its rotor, or at a rigid joint the link as well
-    link = 1.0 / np.diagonal(mobility(dynamics, postures), axis1=-2, axis2=-1).reshape(-1, joints).max(axis=0)
+    link = 1.0 / np.diagonal(dynamics.mobility(postures), axis1=-2, axis2=-1).reshape(-1, joints).max(axis=0)
     rotor = dynamics.rotor_inertia * dynamics.gear_ratio
     moved = np.where(dynamics.rigid, link / dynamics.gear_ratio, rotor)
 
@@ -145,30 +151,34 @@ def measure(twin: Twin, seed: int) -> Readings:
     signs = [
         [e.sign for e in side] for side in zip(*((j.link_encoder, j.motor_encoder) for j in arm.joints), strict=True)
     ]
-    gyro = shaped(noise.gyro) @ (arm.mount.T @ arm.axis)
-    return Readings(
-        exact.q + np.array(signs[0]) * shaped(noise.link),
-        exact.theta + np.array(signs[1]) * shaped(noise.motor),
-        exact.omega0 + gyro,
-        exact.tau + shaped(noise.torque),
-    )
+    theta = exact.theta + np.array(signs[1]) * shaped(noise.motor)
+    q = exact.q + np.array(signs[0]) * shaped(noise.link)
+    omega0 = exact.omega0
+    if arm.free:
+        gyro = shaped(noise.gyro) @ arm.mount.T
+        omega0 = omega0 + (gyro if arm.spatial else gyro @ arm.axis)
+    # the motor's encoder measures both angles of a rigid joint
+    q = np.where([joint.flexible for joint in arm.joints], q, theta)
+    return Readings(q, theta, omega0, exact.tau + shaped(noise.torque))
 
 
 def draws(
-    twin: Twin, accepted: NDArray[np.bool_], count: int, uncentred: Sequence[int], values: Array, seed: int = 0
+    twin: Twin,
+    accepted: NDArray[np.bool_],
+    count: int,
+    uncentred: Sequence[int],
+    zeros: tuple[Array, ...],
+    seed: int = 0,
+    every: int = 1,
 ) -> Sums:
     """Sums (count, ...) of readings of a twin, with seeds seed .. seed + count - 1, and what noise adds to them on
-    average. values: as `balance_rows`."""
-    arm = twin.arm
-    exact = accumulate(balance_rows(arm, twin.exact, values), accepted, uncentred)
-    drawn = np.stack(
-        [accumulate(balance_rows(arm, measure(twin, seed + k), values), accepted, uncentred).gram for k in range(count)]
-    )
-    return Sums(drawn, exact.count, drawn.mean(axis=0) - exact.gram)
+    average. zeros, every: as of `balance_rows`."""
 
+    def sums(readings: Readings) -> Sums:
+        return accumulate(balance_rows(twin.arm, readings, zeros=zeros, every=every), accepted, uncentred)
 
-def observed(record: MeasuredRun, uncentred: Sequence[int], values: Array) -> tuple[Sums, NDArray[np.bool_]]:
-    """Sums of the record itself, and the instants (A, instants) that were used. values: as `balance_rows`."""
-    readings = record.readings()
-    accepted = followed(record.arm, readings)
-    return accumulate(balance_rows(record.arm, readings, values), accepted, uncentred), accepted
+    exact = sums(twin.exact)
+    drawn = [sums(measure(twin, seed + k)).gram for k in range(count)]
+    grams = tuple(np.stack(each) for each in zip(*drawn, strict=True))
+    noise = tuple(gram.mean(axis=0) - still for gram, still in zip(grams, exact.gram, strict=True))
+    return Sums(grams, exact.count, noise)

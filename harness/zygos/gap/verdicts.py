@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
+from zygos.gap.changes import Change
 from zygos.gap.findings import Disagreement, Finding, Value
 
-Answer = Literal["nothing missing", "values differ", "named", "part named", "cannot tell", "unknown"]
+Answer = Literal["nothing missing", "values differ", "named", "part named", "changed", "cannot tell", "unknown"]
 
 
 @dataclass(frozen=True)
@@ -104,6 +105,16 @@ class RunsDisagree:
 
 
 @dataclass(frozen=True)
+class Changed:
+    """The arm, or what acts on it, is another from an instant on."""
+
+    answer: ClassVar[Answer] = "changed"
+    change: Change
+    runs: tuple[str, ...]
+    """Names of the runs."""
+
+
+@dataclass(frozen=True)
 class Unexplained:
     """The catalogue does not hold what is missing."""
 
@@ -137,6 +148,7 @@ Verdict = (
     | ValuesDiffer
     | Lacking
     | PartNamed
+    | Changed
     | Inseparable
     | ArmFileFirst
     | RunsDisagree

@@ -1,0 +1,191 @@
+"""When something changed: a coefficient, or the bodies as a payload changes them, that is another after an instant.
+
+Rows are summed arc by arc. A change multiplies columns by a step from an arc on, so that every candidate and every
+instant between two arcs is one small solve.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zygos.gap.balances import balance_rows, kept_rows
+from zygos.gap.study import Study, base_values
+
+Array = NDArray[np.float64]
+
+BODIES = "bodies"
+"""Name of a change of all inertial parameters, as a payload makes it."""
+CERTAIN = 6.0
+"""Standard deviations that a change must reach."""
+_TAKES = 0.6
+"""Share of what is left over beyond noise that a change must take away."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """Coefficients that are others from an instant on."""
+
+    what: str
+    """A parameter, a column of the catalogue that was not there before, or `BODIES`."""
+    run: int
+    """The run (from 0) in which it is first seen."""
+    after_s: float
+    """Time in that run from which on it is certain, s; 0: since its beginning."""
+    before_s: float
+    """Time until which it is certain that it was not there, s."""
+    names: tuple[str, ...]
+    """The coefficients that changed."""
+    old: Array
+    """Their values before; 0 of an effect that was not there."""
+    new: Array
+    """Their values after it."""
+    sigma: Array
+    """Standard deviations of the differences."""
+    z: float
+    """Of the difference of one coefficient; of several the root of their chi square over their number."""
+    share: float
+    """Share of what was left over beyond noise that it takes away."""
+    values: Array
+    """(coefficients of the study's hypothesis,) after the change; an added effect is none of them."""
+
+    @property
+    def between(self) -> bool:
+        """Whether it happened between two runs."""
+        return self.after_s == 0.0
+
+
+@dataclass(frozen=True)
+class _Arc:
+    run: int
+    begin_s: float
+    end_s: float
+    gram: Array
+    """(c + 1, c + 1) of all coefficients, candidates and the right side, weighted."""
+    count: int
+
+
+def find_change(study: Study, candidates: Sequence[str]) -> Change | None:
+    """The change that explains most of what a study leaves over; None where none explains most of it.
+
+    candidates: columns of the catalogue, beside those of the hypothesis, that may have appeared.
+    """
+    names = [*study.hypothesis.names, *(c for c in candidates if c not in study.hypothesis.names)]
+    arcs = [arc for run in range(len(study.records)) for arc in _arcs(study, run, names)]
+    if len(arcs) < 2:
+        return None
+    own = len(study.hypothesis.names)
+    total = np.sum([arc.gram for arc in arcs], axis=0)
+    shared = list(range(own))
+    left = _solved(total, shared)[1]
+    naive = np.sqrt(np.diag(np.linalg.pinv(_block(total, shared), hermitian=True)))
+    # neighbouring rows share their noise; the twin's draws say by how much that widens the deviations
+    widened = float(np.median(study.spread / np.maximum(naive, 1e-300)))
+    floor = float(sum(arc.count for arc in arcs))
+    if left <= floor:
+        return None
+    inertial = [k for k, name in enumerate(names) if name in _inertial(study)]
+    groups = [(name, [k]) for k, name in enumerate(names)] + [(BODIES, inertial)]
+    best: tuple[float, Change] | None = None
+    for cut in range(1, len(arcs)):
+        after = np.sum([arc.gram for arc in arcs[cut:]], axis=0)
+        for what, columns in groups:
+            stepped = _stepped(total, after, columns)
+            free = [*shared, *range(len(total) - 1, len(total) - 1 + len(columns))]
+            found, rest = _solved(stepped, free)
+            delta = found[own:]
+            inverse = np.linalg.pinv(_block(stepped, free), hermitian=True)[own:, own:] * widened**2
+            square = float(delta @ np.linalg.pinv(inverse, hermitian=True) @ delta)
+            z = float(np.sqrt(max(square, 0.0) / len(columns)))
+            share = (left - rest) / (left - floor)
+            # each column takes away a little by chance
+            score = rest + 2.0 * len(columns) * widened**2 * np.log(max(floor / widened**2, np.e))
+            if z < CERTAIN or share < _TAKES or (best is not None and score >= best[0]):
+                continue
+            old = np.array([found[k] if k < own else 0.0 for k in columns])
+            values = found[:own].copy()
+            for k, d in zip(columns, delta, strict=True):
+                if k < own:
+                    values[k] += d
+            first, last = arcs[cut], arcs[cut - 1]
+            begin = first.begin_s if first.run == last.run else 0.0
+            change = Change(
+                what, first.run, begin, last.end_s, tuple(names[k] for k in columns), old, old + delta,
+                np.sqrt(np.diag(inverse)), z, float(share), values - study.bias,
+            )  # fmt: skip
+            best = score, change
+    return None if best is None else best[1]
+
+
+def _inertial(study: Study) -> set[str]:
+    return {one.name for one in study.layout.arm.parameters if one.joint is None}
+
+
+def _arcs(study: Study, run: int, names: Sequence[str]) -> Iterator[_Arc]:
+    """Weighted sums of each arc of a run, with the zeros of the sensors at their fitted values."""
+    record, accepted = study.records[run], study.accepted[run]
+    arm, layout = record.arm, study.layout
+    rows = balance_rows(arm, record.readings(), base_values(study.model, layout))
+    wider = replace(
+        study.hypothesis, effects=tuple(n for n in names if n not in {p.name for p in layout.arm.parameters})
+    )
+    order = [wider.names.index(name) for name in names]
+    zeros = len(layout.zeros)
+    basis = wider.basis()
+    mix = np.concatenate([basis[:, zeros:][:, order], basis[:, -1:]], axis=1)
+    fixed = basis[:, :zeros] @ study.fit.zeros[run]
+    expected = study.sums[run].noise
+    used = study.hypothesis.balances
+    grams = [np.zeros((len(names) + 1, len(names) + 1)) for _ in record.starts]
+    counts = [0] * len(grams)
+    for k in used:
+        own, columns = rows.balances[k], layout.used[k]
+        kept = kept_rows(own, accepted)
+        places = np.append(columns, len(layout.columns))
+        z = np.concatenate([own.left, own.right[..., None]], axis=-1)
+        z = np.concatenate(
+            [z @ mix[places][:, :-1], (z @ mix[places][:, -1] - own.left @ fixed[columns])[..., None]], axis=-1
+        )
+        noise = np.zeros_like(grams[0]) if expected is None else mix[places].T @ expected[k] @ mix[places]
+        for a, good in enumerate(kept):
+            part = z[a][good]
+            if own.begin is None and k not in study.hypothesis.uncentred:
+                part = part - part.mean(axis=0) if len(part) else part
+            share = float(good.sum()) / max(float(kept.sum()), 1.0)
+            scaled = study.weight[k] ** 2 * (part.T @ part)
+            clean = study.weight[k] ** 2 * share * noise
+            # what noise leaves over is looked at all the same
+            clean[-1, -1] = 0.0
+            grams[a] += scaled - clean
+            counts[a] += int(good.sum())
+    for a, start in enumerate(record.starts):
+        begin = float((record.samples.sync[start] - record.samples.sync[0]) * arm.period_s)
+        yield _Arc(run, begin, begin + record.cycles * arm.period_s, grams[a], counts[a])
+
+
+def _stepped(total: Array, after: Array, columns: Sequence[int]) -> Array:
+    """Sums with columns added (before the right side) that are those listed, from an arc on."""
+    wide, count = len(total), len(columns)
+    out = np.zeros((wide + count, wide + count))
+    old = [*range(wide - 1), wide + count - 1]
+    new = list(range(wide - 1, wide - 1 + count))
+    out[np.ix_(old, old)] = total
+    out[np.ix_(old, new)] = after[:, columns]
+    out[np.ix_(new, old)] = after[columns]
+    out[np.ix_(new, new)] = after[np.ix_(columns, columns)]
+    return out
+
+
+def _block(gram: Array, free: Sequence[int]) -> Array:
+    return np.asarray(gram[np.ix_(free, free)], dtype=np.float64)
+
+
+def _solved(gram: Array, free: Sequence[int]) -> tuple[Array, float]:
+    """Least squares of the right side by the free columns, and the sum of squares that is left over."""
+    matrix, right = _block(gram, free), gram[free, -1]
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    found = scale * (np.linalg.pinv(matrix * scale * scale[:, None], rcond=1e-13, hermitian=True) @ (scale * right))
+    return found, float(gram[-1, -1] - found @ right)
