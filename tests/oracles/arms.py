@@ -1,4 +1,4 @@
-"""The four arms of the trials: what is drawn, what was built, how they move, and what their sensors make of it."""
+"""The arms of the trials: what is drawn, what was built, how they move, and what their sensors make of it."""
 
 from __future__ import annotations
 
@@ -129,6 +129,28 @@ def planar() -> Trial:
 
 
 @cache
+def coarse() -> Trial:
+    """The same arm with the sensors of the paper, 3 mrad at 20 Hz, and large motions (examples/lively)."""
+    folder = EXAMPLES / "lively"
+    # the example's longer window shows how the laws differ in form from the columns
+    arm = replace(load_arm(folder / "arm.toml"), smoother=Smoother())
+    one = load_scenario(folder / "scenario.toml")
+    motions = ((0.9, 0.6, 0.8, 1.1), (0.8, 0.75, 0.7, 1.0), (0.9, 0.5, 0.8, 1.3))
+    runs = [
+        replace(
+            one,
+            angular_momentum_nms=0.0,
+            manoeuvre={
+                "shoulder": Desired(1.25, (Sine(first, slow),)),
+                "elbow": Desired(-2.0, (Sine(second, fast),)),
+            },
+        )
+        for first, slow, second, fast in motions
+    ]
+    return Trial(arm, load_model(EXAMPLES / "gap" / "cad.toml"), (runs[0], runs[1], runs[2]), False)
+
+
+@cache
 def spatial() -> Trial:
     """A servicing arm with three flexible joints on a satellite that floats in space (examples/spatial)."""
     folder = EXAMPLES / "spatial"
@@ -183,7 +205,13 @@ def six() -> Trial:
     return Trial(arm, model, _scenarios(arm, 40.0, centres, 1.6, 0.8, 3.6, Controller()), True)
 
 
-ARMS: dict[str, Callable[[], Trial]] = {"planar": planar, "spatial": spatial, "pendulum": pendulum, "six": six}
+ARMS: dict[str, Callable[[], Trial]] = {
+    "planar": planar,
+    "coarse": coarse,
+    "spatial": spatial,
+    "pendulum": pendulum,
+    "six": six,
+}
 
 
 @dataclass(frozen=True)

@@ -32,15 +32,16 @@ Make = Callable[[int, float], Law | SensorError]
 
 TORQUE = {
     "planar": (14.9, 12.9),
+    "coarse": (12.5, 23.2),
     "spatial": (0.56, 0.72, 0.38),
     "pendulum": (0.40, 0.095),
     "six": (25.6, 135.0, 50.0, 2.8, 0.47, 0.83),
 }
 """Root mean square of the reported torques of run A, Nm."""
-RATE = {"planar": 0.25, "spatial": 1.1, "pendulum": 1.9, "six": 1.2}
-BEND = {"planar": 0.2, "spatial": 0.008}
+RATE = {"planar": 0.25, "coarse": 0.7, "spatial": 1.1, "pendulum": 1.9, "six": 1.2}
+BEND = {"planar": 0.2, "coarse": 0.6, "spatial": 0.008}
 """Root mean square of the springs' deflections, rad."""
-SHARE = {"planar": 1e-4, "spatial": 3e-4, "pendulum": 3e-3, "six": 3e-3}
+SHARE = {"planar": 1e-4, "coarse": 0.015, "spatial": 3e-4, "pendulum": 3e-3, "six": 3e-3}
 """Limit of a torque as a share of the joint's, where nothing better is known."""
 
 
@@ -180,6 +181,7 @@ BASE = _forms(
     ("gyro_scale", h.gyro_scale, h.gyro_scale),
 )
 # a friction that the torque's own offset hides is no cell on the ground, where every torque has an unknown offset
+COARSE = ("motor_coulomb", "motor_viscous", "link_coulomb", "cubic_stiffness")
 ON: dict[str, dict[str, tuple[Make, Make]]] = {
     "planar": {**FRICTION, **LINK, **DRIVE, **SENSORS, **BASE},
     "spatial": {
@@ -189,17 +191,22 @@ ON: dict[str, dict[str, tuple[Make, Make]]] = {
         **SENSORS,
         **BASE,
     },
+    "coarse": {
+        **{k: v for k, v in {**FRICTION, **LINK}.items() if k in COARSE},
+        "torque_lag": DRIVE["torque_lag"],
+    },
     "pendulum": {**FRICTION, "torque_lag": DRIVE["torque_lag"], "ripple": DRIVE["ripple"]},
     "six": {k: v for k, v in FRICTION.items() if k != "motor_coulomb_lugre"},
 }
-PLACES = {"planar": (0, 1), "spatial": (0, 2), "pendulum": (0, 1), "six": (1, 4)}
+PLACES = {"planar": (0, 1), "coarse": (0, 1), "spatial": (0, 2), "pendulum": (0, 1), "six": (1, 4)}
 SIZES: dict[str, tuple[float, ...]] = {
     "planar": MULTIPLES,
+    "coarse": (10.0, 30.0),
     "spatial": (3.0, 30.0),
     "pendulum": MULTIPLES,
     "six": (3.0, 30.0),
 }
-NULLS = {"planar": 72, "spatial": 16, "pendulum": 48, "six": 16}
+NULLS = {"planar": 60, "coarse": 12, "spatial": 16, "pendulum": 48, "six": 16}
 
 OUTSIDE: dict[str, tuple[tuple[str, Make, int, float], ...]] = {
     "planar": (
@@ -212,6 +219,7 @@ OUTSIDE: dict[str, tuple[tuple[str, Make, int, float], ...]] = {
         ("base_detent", h.BaseDetent, 0, 1.0),
         ("base_drag", h.BaseDrag, 0, 20.0),
     ),
+    "coarse": (("rate_stiffness", h.RateStiffness, 1, 0.2), ("base_detent", h.BaseDetent, 0, 400.0)),
     "spatial": (
         ("rate_stiffness", h.RateStiffness, 2, 0.02),
         ("quadratic_drag", h.QuadraticDrag, 0, 0.005),
@@ -254,11 +262,11 @@ PAIRS: dict[str, tuple[tuple[tuple[Make, int], tuple[Make, int]], ...]] = {
         ((h.DahlLink, 0), (h.Hardening, 1)),
         ((h.LowPass, 0), (h.BentViscous, 1)),
     ),
+    "coarse": (),
     "spatial": (((h.TanhCoulomb, 0), (h.LinkViscous, 2)),),
     "pendulum": (((h.TanhCoulomb, 0), (h.TanhCoulomb, 1)), ((h.MotorCoulomb, 0), (h.AsymmetricViscous, 0))),
     "six": (((h.TanhCoulomb, 1), (h.BentViscous, 4)),),
 }
-_FLEXIBLE_ONLY = {"cubic_stiffness", "backlash"}
 
 
 def _of_arm(arm: str) -> list[Cell]:
@@ -279,7 +287,7 @@ def _of_arm(arm: str) -> list[Cell]:
     for name, make, place, size in OUTSIDE[arm]:
         cells.append(Cell(f"{arm}/outside/{name}/{joints[place]}", arm, "outside", (Hidden(make, place, size=size),)))
     for key, (own, _) in ON[arm].items():
-        if key in NEAREST:
+        if key in NEAREST and arm != "coarse":
             place = PLACES[arm][-1]
             cells.append(
                 Cell(
@@ -294,11 +302,13 @@ def _of_arm(arm: str) -> list[Cell]:
     return cells
 
 
-def _planar_structure() -> list[Cell]:
+def _others() -> list[Cell]:
     return [
         Cell("planar/lacks/flexibility", "planar", "structure", lacks="flexibility"),
         Cell("planar/lacks/coupling", "planar", "structure", lacks="coupling"),
         Cell("planar/momentum", "planar", "structure", momentum=50.0),
+        Cell("coarse/momentum", "coarse", "structure", momentum=500.0),
+        Cell("coarse/values", "coarse", "values", changed=(("stiffness", 0, 0.8), ("rotor_inertia", 1, 1.1))),
         Cell("planar/values", "planar", "values", changed=(("stiffness", 0, 0.8), ("rotor_inertia", 1, 1.1))),
         Cell("spatial/values", "spatial", "values", changed=(("stiffness", 2, 0.8), ("rotor_inertia", 1, 1.3))),
     ]
@@ -308,7 +318,7 @@ def _planar_structure() -> list[Cell]:
 def cells() -> tuple[Cell, ...]:
     """All cells, in the order in which they are tried: a campaign that is cut short has some of every kind."""
     listed = [cell for arm in ARMS for cell in _of_arm(arm)]
-    return (*listed, *_planar_structure())
+    return (*listed, *_others())
 
 
 def cell_named(name: str) -> Cell:
