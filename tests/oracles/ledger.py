@@ -124,6 +124,7 @@ def measures(lines: Sequence[Line]) -> list[Measure]:
     ]
     extra = [line["score"]["extra"] for line in lines if line["group"] != "outside" and line["group"] != "without"]
     median = float(np.median(errors)) if errors else float("nan")
+    works = [abs(size.get("error_work", size["error"])) for size in sizes]
     own = [size["covered"] for size in sizes if size["exact"]]
     held_median = float(np.median(held)) if held else float("nan")
     extras = float(np.mean(extra)) if extra else float("nan")
@@ -158,6 +159,14 @@ def measures(lines: Sequence[Line]) -> list[Measure]:
             False,
         ),
         Measure("error of the size, median", "≤ 3 %", len(errors), median, "", median <= 0.03 if errors else None),
+        Measure(
+            "the same, sizes projected by power",
+            "≤ 3 %",
+            len(works),
+            float(np.median(works)) if works else float("nan"),
+            "",
+            bool(np.median(works) <= 0.03) if works else None,
+        ),
         Measure(
             "sizes inside their 95 % interval",
             "92–97 %",

@@ -37,6 +37,8 @@ class True_:
     rigid: bool
     ratio: float
     """Gear ratio: a motor's torque is before the gear."""
+    work: float = 0.0
+    """The size by least squares of power, where rest does not count; 0: `size`."""
 
     def scale(self, effect: str, joint: str | None) -> float | None:
         """Factor from this size to that of an entry which is this effect; None where it is another."""
@@ -66,13 +68,22 @@ class Truth:
     """Names of the parameters that differ."""
 
 
-def projected(law: Law, motions: Sequence[Motion], which: int) -> float:
-    """Size of a law on its column along the motions, by least squares; its own size where it has no column."""
+def projected(law: Law, motions: Sequence[Motion], which: int, power: bool = False) -> float:
+    """Size of a law on its column along the motions, by least squares of the torque, or of its power; its own size
+    where it has no column."""
     columns = [law.column(motion) for motion in motions]
     if any(column is None for column in columns):
         return law.size
     column = np.concatenate([c for c in columns if c is not None])
     torque = np.concatenate([motion.torques[:, which] for motion in motions])
+    if power and law.place != "base":
+        rates = {
+            "motor": lambda m: m.thetad[:, law.joint],
+            "link": lambda m: m.qd[:, law.joint],
+            "spring": lambda m: (m.thetad - m.qd)[:, law.joint],
+        }[law.place]
+        rate = np.concatenate([rates(motion) for motion in motions])
+        column, torque = column * rate, torque * rate
     return float(column @ torque / (column @ column))
 
 
@@ -94,6 +105,7 @@ def truth(one: Case, motions: Sequence[Motion]) -> Truth:
                 near,
                 not joint.flexible and not at_base,
                 float(arm.gear_ratios[law.joint]),
+                projected(law, motions, k, power=True),
             )
         )
     for error in plant.sensors:
@@ -188,8 +200,15 @@ def score(true: Truth, verdict: Json, joints: Sequence[str]) -> dict[str, Any]:
                 continue
             low, high = finding["interval"]
             size = scale * e.size
+            work = scale * (e.work or e.size)
             out["sizes"].append(
-                {"error": finding["value"] / size - 1.0, "covered": bool(low <= size <= high), "exact": e.exact}
+                {
+                    "error": finding["value"] / size - 1.0,
+                    "covered": bool(low <= size <= high),
+                    "error_work": finding["value"] / work - 1.0,
+                    "covered_work": bool(low <= work <= high),
+                    "exact": e.exact,
+                }
             )
     return out
 

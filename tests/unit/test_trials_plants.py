@@ -28,7 +28,7 @@ from zygos.model.model import load_model
 NAMES = list(ARMS)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [name for name in NAMES if name != "coarse"])
 def test_accelerations_are_those_of_pinocchio(name: str) -> None:
     """Two engines: with rotors on springs, folded rotors of rigid gears, and torques behind the gear."""
     trial = ARMS[name]()
@@ -90,6 +90,9 @@ def test_a_size_is_that_of_the_column(law: Law) -> None:
     else:
         assert 0.3 < found < 1.6
         assert abs(found - 1.0) > 1e-4
+    if type(law) is hidden.TanhCoulomb:
+        # a rounded reversal does hardly any work
+        assert abs(projected(law, [motion], 0, power=True) / law.size - 1.0) < 0.3 * abs(found - 1.0)
 
 
 def test_every_law_is_felt_and_declares_how_far_it_may_be_stepped() -> None:

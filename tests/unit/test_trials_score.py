@@ -59,7 +59,9 @@ def test_the_effect_at_its_place() -> None:
     law = Truth("law", "named", (COULOMB,))
     found = judged(law, named(("motor_coulomb", "elbow")))
     assert found["right"] and found["first"] and found["in_set"] and not found["extra"] and not found["misnamed"]
-    assert found["sizes"] == [{"error": pytest.approx(0.0), "covered": True, "exact": True}]
+    (size,) = found["sizes"]
+    assert size["error"] == size["error_work"] == pytest.approx(0.0)
+    assert size["covered"] and size["covered_work"] and size["exact"]
     assert not judged(law, named(("motor_coulomb", "elbow"), value=0.0315))["sizes"][0]["covered"]
     for pair in (("motor_coulomb", "shoulder"), ("motor_viscous", "elbow"), ("link_coulomb", "elbow")):
         found = judged(law, named(pair))
