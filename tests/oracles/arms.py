@@ -247,6 +247,10 @@ class Plant:
             rms = np.sqrt(np.mean(tau**2, axis=0))
             white = random.standard_normal(tau.shape)
             tau = (1.0 + self.dirt.gain) * tau + rms * (self.dirt.offset + self.dirt.noise * white)
+        if self.trial.table:
+            # of 16 bits, over four times the largest torque
+            step = 4.0 * np.max(np.abs(motion.tau), axis=0) / 2**16
+            tau = step * np.rint(tau / step)
         angles = []
         for values, side in ((readings.q, "link_encoder"), (readings.theta, "motor_encoder")):
             encoders = [getattr(joint, side) for joint in arm.joints]

@@ -66,6 +66,18 @@ class Truth:
     effects: tuple[True_, ...] = ()
     changed: tuple[str, ...] = ()
     """Names of the parameters that differ."""
+    beside: tuple[tuple[str, str, tuple[float, ...]], ...] = ()
+    """Effects of the torque sensors, by entry, joint and possible sizes (none: any), that may be named as well, since
+    they are there, and need not be."""
+
+    def is_beside(self, effect: str, joint: str | None, value: float) -> bool:
+        """Whether an entry of that size is one of the torque sensors' errors."""
+        for key, place, sizes in self.beside:
+            if (effect, joint) == (key, place) and (
+                not sizes or any(abs(value - size) < 0.25 * abs(size) for size in sizes)
+            ):
+                return True
+        return False
 
 
 def projected(law: Law, motions: Sequence[Motion], which: int, power: bool = False) -> float:
@@ -120,7 +132,20 @@ def truth(one: Case, motions: Sequence[Motion]) -> Truth:
     symbol = {"stiffness": "k", "rotor_inertia": "Im", "damping": "b"}
     changed = tuple(f"{symbol[field]}{joint + 1}" for field, joint, _ in one.cell.changed)
     expected = {"null": "nothing missing", "values": "values differ", "outside": "unknown", "without": "unknown"}
-    return Truth(group, expected.get(group, "named"), tuple(effects), changed)
+    return Truth(group, expected.get(group, "named"), tuple(effects), changed, _beside(one))
+
+
+def _beside(one: Case) -> tuple[tuple[str, str, tuple[float, ...]], ...]:
+    """Gains and offsets of the torque sensors; a gain is one relative to that of any other joint."""
+    dirt = one.plant.dirt
+    if dirt is None:
+        return ()
+    names, gain = [joint.name for joint in one.arm.joints], 1.0 + dirt.gain
+    out = []
+    for i, name in enumerate(names):
+        sizes = tuple(float(gain[k] / gain[i] - 1.0) for k in range(len(names)) if k != i)
+        out += [("torque_gain", name, sizes), ("torque_offset", name, ())]
+    return tuple(out)
 
 
 def _column(name: str, joints: Sequence[str]) -> tuple[str, str | None]:
@@ -136,6 +161,11 @@ def score(true: Truth, verdict: Json, joints: Sequence[str]) -> dict[str, Any]:
     answer = verdict["answer"]
     names = answer in {"named", "part named", "cannot tell"}
     findings = list(verdict.get("findings") or []) if names else []
+    beside = [true.is_beside(f["effect"], f["joint"], f["value"]) for f in findings]
+    findings = [f for f, there in zip(findings, beside, strict=True) if not there]
+    if names and not findings:
+        # only what the torque sensors really have was named
+        answer = "nothing missing" if answer == "named" else "unknown"
     said = [(f["effect"], f["joint"]) for f in findings]
     sets = [
         [pair, *(_column(c, joints) for c in f["cannot_tell_from"])] for pair, f in zip(said, findings, strict=True)

@@ -133,6 +133,20 @@ def test_pairs_need_both() -> None:
     assert not one["right"] and one["first"] and one["in_set"] is False and not one["extra"]
 
 
+def test_what_the_torque_sensors_have_may_be_named_beside() -> None:
+    beside = (("torque_gain", "elbow", (-0.018,)), ("torque_offset", "elbow", ()))
+    null = Truth("null", "nothing missing", beside=beside)
+    gain = named(("torque_gain", "elbow"), value=-0.0179)
+    assert judged(null, gain)["right"] and not judged(null, gain)["false"] and judged(null, gain)["extra"] == 0
+    assert judged(null, named(("torque_gain", "elbow"), value=0.018))["false"]
+    assert judged(null, named(("torque_gain", "shoulder"), value=-0.018))["false"]
+    assert judged(Truth("null", "nothing missing"), gain)["false"]
+    law = Truth("law", "named", (COULOMB,), beside=beside)
+    both = named(("torque_offset", "elbow"), ("motor_coulomb", "elbow"))
+    assert judged(law, both)["first"] and judged(law, both)["right"]
+    assert not judged(law, gain)["right"] and judged(law, gain)["in_set"] is None
+
+
 def test_values() -> None:
     true = Truth("values", "values differ", (), ("k1", "Im2"))
     values = [{"name": "k1", "differs": True}, {"name": "Im2", "differs": True}, {"name": "k2", "differs": False}]
