@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from zygos.arm import Arm, load_arm
 from zygos.effects import CATALOGUE, Effect
-from zygos.gap.balances import Layout
+from zygos.gap.balances import BalanceRows, Layout
 from zygos.balances.readings import Readings
 from zygos.model.model import Model, load_model
 from zygos.simulation.plant import Trajectory, simulate
@@ -48,12 +48,29 @@ def exact(trajectory: Trajectory) -> Readings:
 
 def true_columns(arm: Arm, base: Floats) -> Floats:
     """(columns,) coefficients of an arm without effects, whose rotors couple as in nature; base: (p,)."""
-    layout = Layout(arm)
-    out = np.zeros(len(layout.columns))
+    out = np.zeros(len(Layout(arm).columns))
     out[: len(base)] = base
-    for i in range(1, arm.n + 1):
-        out[layout.columns.index(f"rotor_coupling{i}")] = base[arm.parameter_names.index(f"Im{i}")]
     return out
+
+
+@dataclass(frozen=True)
+class Dense:
+    """Balances with every column, at the instants of the rows: of an arm without rows over increments."""
+
+    left: Floats
+    """(balances, ..., A, m, columns)"""
+    right: Floats
+    """(balances, ..., A, m)"""
+
+
+def dense(rows: BalanceRows) -> Dense:
+    """Every balance as one array; a column that a balance has not is 0."""
+    parts = []
+    for one, used in zip(rows.balances, rows.layout.used, strict=True):
+        whole = np.zeros((*one.right.shape, len(rows.layout.columns)))
+        whole[..., used] = one.left
+        parts.append(whole)
+    return Dense(np.stack(parts), np.stack([one.right for one in rows.balances]))
 
 
 def rms(x: Floats) -> Floats:

@@ -15,7 +15,7 @@ constant. The columns of errors of the sensors are differences of the balances o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -32,7 +32,7 @@ from zygos.balances.readings import Readings
 from zygos.balances.state import State
 from zygos.effects import CATALOGUE, OFFSET, Effect, Kind, column_name
 from zygos.errors import ZygosError
-from zygos.gap.record import smoothed_states
+from zygos.gap.record import MeasuredRun, smoothed_states
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -45,6 +45,26 @@ _FREE_OFFSET = 0.1
 _FREE_GAIN = 0.1
 """Deviations of what nobody declares of torque sensors: of a constant error, as a share of the torques of the run, and of
 the gain of one against the others."""
+
+
+@dataclass(frozen=True)
+class SensorError:
+    """An error that a run's sensor may have: a constant one, or of its gain."""
+
+    sigma: float
+    """How well the arm file knows it: rad, rad/s, Nm, or a share."""
+    signals: tuple[str, ...]
+    """Fields of `Readings` that have it."""
+    direction: Array
+    """Which of the components of a signal."""
+    gain: bool = False
+    """Whether the error is this share of the signal."""
+
+    def added(self, readings: Readings, size: float) -> Readings:
+        """Readings with so much more of this error."""
+        old = {name: getattr(readings, name) for name in self.signals}
+        new = {name: x + size * self.direction * (x if self.gain else 1.0) for name, x in old.items()}
+        return replace(readings, **new)
 
 
 @dataclass(frozen=True)
@@ -95,33 +115,32 @@ class Layout:
         """Columns of the sensors' errors, which each run has for itself: the encoders' zeros, rad, known to a quantum at
         best, which is enough to look like an effect; the gyro's bias, rad/s, which looks like an angular momentum; of
         torques that are not perfect a constant offset, Nm, and the gain of each against the first."""
-        return tuple(self._sensors)
+        return tuple(self.errors)
 
     @cached_property
     def zero_sigma(self) -> Array:
         """(zeros,) how well the arm file knows them, in the order of `zeros`."""
-        return np.array([sigma for sigma, _ in self._sensors.values()])
+        return np.array([one.sigma for one in self.errors.values()])
 
     @cached_property
-    def _sensors(self) -> dict[str, tuple[float, Callable[[Readings], Readings]]]:
-        """Deviation of each error, and what an error of `_SHIFT` does to the readings."""
+    def errors(self) -> dict[str, SensorError]:
+        """The errors of sensors that each run has for itself, by column."""
         arm = self.arm
-        unit = _SHIFT * np.eye(arm.n)
-        out: dict[str, tuple[float, Callable[[Readings], Readings]]] = {}
+        unit = np.eye(arm.n)
+        out: dict[str, SensorError] = {}
         for i, one in enumerate(arm.joints):
             link, motor = (max(e.zero_sigma_rad, e.quantum_rad) for e in (one.link_encoder, one.motor_encoder))
             if one.flexible:
-                out[f"link_zero{i + 1}"] = (link, lambda r, e=unit[i]: replace(r, q=r.q + e))
-                out[f"motor_zero{i + 1}"] = (motor, lambda r, e=unit[i]: replace(r, theta=r.theta + e))
-            else:
-                out[f"motor_zero{i + 1}"] = (motor, lambda r, e=unit[i]: replace(r, q=r.q + e, theta=r.theta + e))
+                out[f"link_zero{i + 1}"] = SensorError(link, ("q",), unit[i])
+            out[f"motor_zero{i + 1}"] = SensorError(motor, ("theta",) if one.flexible else ("q", "theta"), unit[i])
         if arm.free:
             sigma = arm.over_the_wire.imu.rate_sigma
             if arm.spatial:
-                for axis, e in zip("xyz", _SHIFT * np.eye(3), strict=True):
-                    out[f"gyro_bias{axis}"] = (sigma, lambda r, e=e: replace(r, omega0=r.omega0 + e))
+                out |= {
+                    f"gyro_bias{a}": SensorError(sigma, ("omega0",), e) for a, e in zip("xyz", np.eye(3), strict=True)
+                }
             else:
-                out["gyro_bias"] = (sigma, lambda r: replace(r, omega0=r.omega0 + _SHIFT))
+                out["gyro_bias"] = SensorError(sigma, ("omega0",), np.array(1.0))
         return out
 
     @cached_property
@@ -148,6 +167,16 @@ class Layout:
             if acts:
                 yield column_name(kind, i)
         yield from self.zeros
+
+
+def corrected(record: MeasuredRun, layout: Layout, errors: Array) -> MeasuredRun:
+    """A record without errors (zeros,) of its sensors, in the order of `Layout.zeros`."""
+    s = record.samples
+    plain = Readings(s.q, s.theta, record.omega0, s.tau)
+    for size, error in zip(errors.tolist(), layout.errors.values(), strict=True):
+        plain = error.added(plain, -size)
+    samples = replace(s, q=plain.q, theta=plain.theta, tau=plain.tau)
+    return replace(record, samples=samples, omega0=plain.omega0)
 
 
 def thinning(arm: Arm) -> int:
@@ -223,16 +252,11 @@ def zero_columns(layout: Layout, readings: Readings, values: Array, every: int =
         rows = zip(_bodies(layout, moving), known, _right(layout, moving), strict=True)
         return [own @ x - right for own, x, right in rows]
 
-    def turned(change: Callable[[Readings], Readings]) -> list[Array]:
-        ahead = left_over(change(readings))
-        # the opposite error: every change is linear in its size
-        plus = change(readings)
-        behind = left_over(
-            Readings(*(2.0 * getattr(readings, f) - getattr(plus, f) for f in ("q", "theta", "omega0", "tau")))
-        )
+    def taken(error: SensorError) -> list[Array]:
+        ahead, behind = (left_over(error.added(readings, size)) for size in (_SHIFT, -_SHIFT))
         return [(b - a) / (2.0 * _SHIFT) for a, b in zip(ahead, behind, strict=True)]
 
-    each = [turned(change) for _, change in layout._sensors.values()]
+    each = [taken(error) for error in layout.errors.values()]
     return tuple(np.stack(columns, axis=-1) for columns in zip(*each, strict=True))
 
 
@@ -300,7 +324,8 @@ class _Moving:
     def increments(self, running: Array, axis: int = -1) -> Array:
         """What grows over each increment."""
         end, begin = self.places("L")
-        return np.asarray(np.take(running, end, axis) - np.take(running, begin, axis), dtype=np.float64)
+        assert begin is not None
+        return np.asarray(running.take(end, axis) - running.take(begin, axis), dtype=np.float64)
 
     @cached_property
     def attitude(self) -> Array:

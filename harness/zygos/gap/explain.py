@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from zygos.arm import Arm
-from zygos.dynamics.equations import from_model
+from zygos.dynamics.equations import from_model, from_parameters, parameters
 from zygos.dynamics.joints import Drives
 from zygos.effects import OFFSET, Effect, column_name
 from zygos.errors import Undecided, ZygosError
-from zygos.gap.balances import Layout
-from zygos.gap.changes import find_change
+from zygos.gap.balances import Layout, corrected
+from zygos.gap.changes import find_change, settled
 from zygos.gap.experiment import Experiment, propose
 from zygos.gap.explanation import Explanation
 from zygos.gap.findings import (
@@ -144,6 +144,11 @@ class _Explainer:
             self.step(0.4, "candidates")
             found = search(basis, lambda what: self.step(0.5, what))
             findings += [self._finding(found, k) for k in range(len(found.named))]
+        changed: Changed | None = None
+        if found is not None and self._unsettled(found):
+            self.step(0.6, "changes with time")
+            changed, found = self._changed(found)
+            findings = [] if changed else findings
         self.step(0.65, "predictions of the untouched run")
         after = basis if found is None else found.after
         gap = self._gap(delivered, refit, after, found)
@@ -151,17 +156,16 @@ class _Explainer:
             self.remarks.append(DrawingPredictsBetter())
         self.step(0.9, "verdict")
         values = self._values(after)
-        verdict = self._sensors_first(after, findings, skewed) or self._judge(found, tuple(findings), values, gap)
-        if isinstance(verdict, RunsDisagree | Unexplained) and found is not None:
-            self.step(0.92, "changes with time")
-            verdict = self._changed(refit if isinstance(verdict, Unexplained) else found.after) or verdict
+        verdict = (
+            changed or self._sensors_first(after, findings, skewed) or self._judge(found, tuple(findings), values, gap)
+        )
         local = refit.local()
         experiments: tuple[Experiment, ...] = ()
         if isinstance(verdict, Inseparable) and found is not None:
             pair = next(names for names in found.sets if len(names) > 1)
             experiments = propose(found.after, pair[0], pair[1])
         kept = verdict.findings if isinstance(verdict, Lacking | PartNamed | Inseparable) else ()
-        adopted = isinstance(verdict, Lacking | PartNamed | ValuesDiffer | NothingMissing)
+        adopted = isinstance(verdict, Lacking | PartNamed | Changed | ValuesDiffer | NothingMissing)
         if adopted:
             self._remark_rest(after, kept, gap)
         return Explanation(
@@ -191,19 +195,21 @@ class _Explainer:
         freed = [names.index(joint) for joint in joints]
         rigid = tuple(was and i not in freed for i, was in enumerate(refit.hypothesis.rigid))
         free = replace(refit.hypothesis, rigid=rigid)
-        dynamics = refit.model
-        inertia, stiffness, damping = (x.copy() for x in (dynamics.rotor_inertia, dynamics.stiffness, dynamics.damping))
+        values = parameters(self.arm, refit.model)
+        at = self.arm.parameter_names
         for i in freed:
             balance = refit.layout.balances.index(f"M{i + 1}")
             own = fit(free, refit.sums, np.ones(len(refit.layout.balances)), alone=balance)
-            inertia[i], stiffness[i], damping[i] = (float(own.of(f"{key}{i + 1}")) for key in ("Im", "k", "b"))
-            damping[i] = max(damping[i], 0.0)
-            if not (inertia[i] > 0.0 and stiffness[i] > 0.0):
+            inertia, stiffness, damping = (float(own.of(f"{key}{i + 1}")) for key in ("Im", "k", "b"))
+            if not (inertia > 0.0 and stiffness > 0.0):
                 raise Undecided(
-                    f"link and motor part at the {names[i]}, but not like a spring (k = {stiffness[i]:.4g} Nm/rad, "
-                    f"Im = {inertia[i]:.4g} kg m^2); remedy: check its signs, zeros and gear ratio in the arm file"
+                    f"link and motor part at the {names[i]}, but not like a spring (k = {stiffness:.4g} Nm/rad, "
+                    f"Im = {inertia:.4g} kg m^2); remedy: check its signs, zeros and gear ratio in the arm file"
                 )
-        guess = replace(dynamics, rotor_inertia=inertia, stiffness=stiffness, damping=damping)
+            for key, value in (("Im", inertia), ("k", stiffness), ("b", max(damping, 0.0))):
+                values[at.index(f"{key}{i + 1}")] = value
+        effects = split(refit.hypothesis, refit.value)[1]
+        guess = from_parameters(self.arm, values, effects)
         return begin(self.measured, free, guess)
 
     def _flexibility(self, study: Study, bent: Deflection) -> Finding:
@@ -230,6 +236,8 @@ class _Explainer:
 
     def _sigmas(self, study: Study) -> Array:
         each = np.array([study.of(study.hypothesis, [k]).value for k in range(len(study.records))])
+        if len(each) < 2:
+            return study.spread
         apart = each.std(axis=0, ddof=1) / np.sqrt(len(each))
         return np.asarray(np.maximum(study.spread, apart), dtype=np.float64)
 
@@ -256,12 +264,7 @@ class _Explainer:
         if not off.any():
             return list(records)
         self.remarks.append(ZerosOff(tuple((n, float(x)) for n, x in zip(layout.zeros, off, strict=True) if x)))
-        out = []
-        for record in records:
-            q, theta = record.samples.q - off[:-1:2], record.samples.theta - off[1::2]
-            samples = replace(record.samples, q=q, theta=theta)
-            out.append(replace(record, samples=samples, omega0=record.omega0 - off[-1]))
-        return out
+        return [corrected(record, layout, off) for record in records]
 
     def _gap(self, delivered: Drives, refit: Study, after: Study, found: Search | None) -> Gap | None:
         if not self.validate:
@@ -349,11 +352,25 @@ class _Explainer:
         whole = share >= COMPLETE and (closes(gap) if gap is not None else bool(np.nanmax(found.after.excess) <= SMALL))
         return Lacking(findings) if whole else PartNamed(findings, remainders(self.arm, found.after, gap))
 
-    def _changed(self, study: Study) -> Changed | None:
-        """A change with time that explains what the runs disagree on, or what nothing else explains."""
+    def _unsettled(self, found: Search) -> bool:
+        """Whether the runs disagree, or nothing of the catalogue explains most of what is missing."""
+        if not found.named and not excess(found.before):
+            return bool(self._apart(found.after))
+        return not found.named or min(found.completeness) < PARTLY
+
+    def _changed(self, found: Search) -> tuple[Changed | None, Search]:
+        """A change with time that explains it, and the search with the study of what was recorded after it."""
+        study = found.before
         listed = [column_name(kind, i) for kind, i in study.layout.effects if possible(study.hypothesis, kind, i)]
         change = find_change(study, listed)
-        return None if change is None else Changed(change, tuple(record.path.name for record in study.records))
+        if change is None:
+            return None, found
+        try:
+            change, now = settled(study, change)
+        except Undecided:
+            return None, found
+        names = tuple(record.path.name for record in study.records)
+        return Changed(change, names), replace(found, after=now, named=(), sets=())
 
     def _same_equations(self, study: Study, values: tuple[Value, ...]) -> Verdict:
         apart = self._apart(study)

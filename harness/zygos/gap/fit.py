@@ -131,7 +131,8 @@ def fit(
             at = bases[k].places
             whole[..., at[:, None], at] += weight[k] ** 2 * clean
         # the run's own zeros, as functions of the coefficients and the right side
-        settled.append(np.linalg.solve(whole[..., :zeros, :zeros] + prior, whole[..., :zeros, zeros:]))
+        own = np.linalg.solve(whole[..., :zeros, :zeros] + prior, whole[..., :zeros, zeros:])
+        settled.append(np.asarray(own, dtype=np.float64))
         total = total + whole[..., zeros:, zeros:] - whole[..., zeros:, :zeros] @ settled[-1]
     if fixed is None:
         value = _solve(total, hypothesis.names, blind=alone is not None)

@@ -38,8 +38,9 @@ _LENGTH = 16
 
 @dataclass(frozen=True)
 class Stretches:
-    """Stretches of a run, one second each, that begin every half second or, in a long run, are evenly spread; S segments
-    of 2n cycles. W: 1 in a plane, 3 in space, 0 on a fixed base."""
+    """Stretches of a run, one second each, that begin every half second or, in a long run, are evenly spread.
+
+    S segments of 2n cycles. W: 1 in a plane, 3 in space, 0 on a fixed base."""
 
     arm: Arm
     readings: Array
@@ -75,7 +76,7 @@ class Stretches:
     @property
     def width(self) -> int:
         """W, signals of the base."""
-        return self.guess.shape[-1] - 4 * self.arm.n
+        return int(self.guess.shape[-1]) - 4 * self.arm.n
 
 
 @dataclass(frozen=True)

@@ -130,8 +130,8 @@ def smoothed_states(arm: Arm, readings: Readings) -> State:
     q, qd, theta, thetad = parts
     if not arm.free:
         return State(q, theta, qd, thetad, q[..., :0])
-    weights = coefficients(points, order, -1e-6 / h * arm.imu.latch_us)
-    return State(q, theta, qd, thetad, _filter(readings.omega0, weights, -2 if arm.spatial else -1))
+    of_gyro = coefficients(points, order, -1e-6 / h * arm.imu.latch_us)
+    return State(q, theta, qd, thetad, _filter(readings.omega0, of_gyro, -2 if arm.spatial else -1))
 
 
 def followed(arm: Arm, readings: Readings) -> NDArray[np.bool_]:

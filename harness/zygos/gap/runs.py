@@ -20,10 +20,10 @@ from zygos.model.model import Model
 
 def check_arm_of_gap(arm: Arm, named: str) -> None:
     """Refuse, with ZygosError, an arm that the balances of a gap do not describe. named: how the message begins."""
-    if arm.kinetic != "planar-symmetric" or not arm.free or not all(joint.flexible for joint in arm.joints):
+    if arm.torque_unit != "Nm":
         raise ZygosError(
-            f"{named}: a gap can be explained only for a free-floating, planar-symmetric arm with flexible "
-            "joints; remedy: use `zygos estimate` or `zygos check`, which take any arm"
+            f"{named}: its torques are motor currents, whose torque constants nobody knows, so that no run can be "
+            "simulated; remedy: give torques in Nm, or use `zygos estimate`"
         )
 
 

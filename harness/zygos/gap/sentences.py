@@ -134,7 +134,9 @@ def _changed(arm: Arm, found: Changed) -> str:
     )
     if change.what == BODIES:
         each = zip(change.names, change.old, change.new, change.sigma, strict=True)
-        parts = [f"{n} {old:.5g} → {sized(new, sigma, '1')}" for n, old, new, sigma in each if abs(new - old) > 3 * sigma]
+        parts = [
+            f"{n} {old:.5g} → {sized(new, sigma, '1')}" for n, old, new, sigma in each if abs(new - old) > 3 * sigma
+        ]
         return f"The bodies changed {when}, as with a payload that is taken up or left: {', '.join(parts)}."
     old, new, sigma = float(change.old[0]), float(change.new[0]), float(change.sigma[0])
     if not is_column(change.what):

@@ -115,8 +115,8 @@ def _servo(dynamics: Drives, path: Array, tau: Array, h: float, rate: float) -> 
         thetad=np.where(dynamics.rigid, first.qd, first.thetad),
     )
     if dynamics.angular_momentum is not None:
-        turning = dynamics.base_rate(states.q, dynamics.angular_momentum, states.qd, states.thetad)
-        states = replace(states, base=turning)
+        base = dynamics.base_rate(states.q, dynamics.angular_momentum, states.qd, states.thetad)
+        states = replace(states, base=base)
     start = states.packed()
     postures = reference.q[:, ::97]
     # what a motor has to move: its rotor, or at a rigid joint the link as well

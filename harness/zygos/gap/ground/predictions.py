@@ -1,0 +1,143 @@
+"""The gap of an arm on the ground: how well torques and energies of untouched runs are predicted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zygos.can.run import Run
+from zygos.effects import Effect
+from zygos.gap.remainder import explained_share
+from zygos.gap.verdicts import Remainder
+from zygos.ground.motion import HIGHEST_CUTOFF_HZ, Motion, TorqueRows, cutoff_hz, torque_noise, torque_rows
+from zygos.ground.score import WINDOW_S, Score, predict_torques, scored
+
+Floats = NDArray[np.float64]
+
+CLOSED = 3.0
+"""Error of the predicted torques over what noise causes, up to which a run closes."""
+TELLS = 0.2
+"""Share of the squared error that must go with a quantity for it to be said."""
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """An untouched run, predicted by four models; m instants, N joints."""
+
+    run: Run
+    rows: TorqueRows
+    delivered: Score
+    refit: Score
+    closed: Score
+    floor_nm: Floats
+    """(N,) root mean square of the error of the torque that noise alone causes, Nm."""
+    floor_energy: float
+    """Share of the work in one second that noise alone leaves."""
+
+    @property
+    def scores(self) -> tuple[tuple[str, Score], ...]:
+        """By name."""
+        return (("as delivered", self.delivered), ("refit", self.refit), ("closed", self.closed))
+
+    @property
+    def error(self) -> Floats:
+        """(m, N) torque that the closed model leaves, less its mean, Nm."""
+        return np.asarray(self.closed.measured - self.closed.predicted, dtype=np.float64)
+
+    @property
+    def ratio(self) -> Floats:
+        """(N,) error of the closed model over the floor."""
+        errors = np.array([joint.error_nm for joint in self.closed.joints])
+        return np.asarray(errors / self.floor_nm, dtype=np.float64)
+
+    @property
+    def closes(self) -> bool:
+        """Whether noise alone is left."""
+        return bool(np.all(self.ratio <= CLOSED))
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A model: parameters in the order of the arm, and effects with their values."""
+
+    name: str
+    values: Floats
+    effects: tuple[Effect, ...]
+
+
+def predict(run: Run, stages: Sequence[Stage], extra_nm: Floats) -> Prediction:
+    """Predict a run with the model as delivered, refit and closed.
+
+    extra_nm: (N,) error that smoothing and quadrature cause. Errors: ZygosError for a run that is too short.
+    """
+    motion = Motion.of(run)
+    rows = torque_rows(motion.arm, motion.samples, min(cutoff_hz(run.arm), HIGHEST_CUTOFF_HZ))
+    scores = [scored(run, one.name, rows, one.values, one.effects, motion) for one in stages]
+    noise = np.array([joint.error_nm / max(joint.sigmas, 1e-300) for joint in scores[-1].joints])
+    return Prediction(run, rows, *scores, np.hypot(noise, extra_nm), _floor_energy(motion, rows))
+
+
+def _floor_energy(motion: Motion, rows: TorqueRows) -> float:
+    h, kept = rows.period_s, rows.kept
+    window = max(2, round(WINDOW_S / h))
+    noise = torque_noise(motion) * motion.arm.gear_ratios
+    rate, tau = rows.state.qd[kept], rows.tau[kept]
+    whole = max(1, len(rate) // window)
+    work = ((tau - tau.mean(axis=0)) * rate).sum(axis=1)[: whole * window].reshape(whole, -1).sum(axis=1) * h
+    lost = ((noise * rate) ** 2).sum(axis=1)[: whole * window].reshape(whole, -1).sum(axis=1) * h**2
+    return float(np.sqrt(lost.mean() / max(float((work**2).mean()), 1e-300)))
+
+
+def share_of_energy(predictions: Sequence[Prediction], name: str) -> float:
+    """Root mean square over runs of the share of the work in one second that a model does not predict."""
+    shares = [dict(one.scores)[name].arm_energy_share for one in predictions]
+    return float(np.sqrt(np.mean(np.square(shares))))
+
+
+def remainders(predictions: Sequence[Prediction]) -> tuple[Remainder, ...]:
+    """What the closed model leaves of the torques of untouched runs, joint by joint, the largest first."""
+    out = []
+    for one in predictions:
+        arm = one.run.arm
+        for j, joint in enumerate(arm.joints):
+            if one.ratio[j] <= CLOSED:
+                continue
+            over, share = varies_with(one, j)
+            name = f"the {joint.name} in {run_name(one.run)}"
+            out.append(Remainder(name, one.closed.joints[j].error_nm, "Nm", float(one.floor_nm[j]), over, share))
+    return tuple(sorted(out, key=lambda rest: -rest.size))
+
+
+def varies_with(one: Prediction, joint: int) -> tuple[str, float]:
+    """The quantity that says most about the error at a joint, and its share of the square; empty where none does."""
+    error = one.error[:, joint]
+    share, name = max((explained_share(x[None], error[None]), name) for name, x in quantities(one, joint))
+    return (name, share) if share > TELLS else ("", 0.0)
+
+
+def quantities(one: Prediction, joint: int) -> list[tuple[str, Floats]]:
+    """(m,) what the error at a joint may vary with."""
+    state, kept = one.rows.state, one.rows.kept
+    return [
+        ("rate", state.qd[kept, joint]),
+        ("angle", np.mod(state.q[kept, joint], 2.0 * np.pi)),
+        ("load", one.closed.predicted[:, joint]),
+        ("time", one.closed.t),
+    ]
+
+
+def run_name(run: Run) -> str:
+    """Short name of a run: its folder where the file's own name does not tell runs apart."""
+    if run.path is None:
+        return "the untouched run"
+    return run.path.parent.name if run.path.stem == "run" else run.path.name
+
+
+def predicted_torque(run: Run, stage: Stage) -> tuple[TorqueRows, Floats]:
+    """Rows of a run, and the torque that a model predicts (m, N), Nm."""
+    motion = Motion.of(run)
+    rows = torque_rows(motion.arm, motion.samples, min(cutoff_hz(run.arm), HIGHEST_CUTOFF_HZ))
+    return rows, predict_torques(motion.arm, rows, stage.values, stage.effects)
