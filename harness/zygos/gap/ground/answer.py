@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+
 from zygos.gap.ground.explanation import GroundExplanation, GroundGap
 from zygos.gap.ground.predictions import Prediction, run_name
 from zygos.gap.ground.sentences import against, evidence
@@ -15,6 +17,7 @@ from zygos.report.provenance import Provenance
 def as_json(found: GroundExplanation, source: Provenance) -> dict[str, Any]:
     """The content of a verdict's JSON."""
     return {
+        "estimator": "explain-ground",
         "answer": found.answer,
         "sentence": found.sentence,
         "where": found.where,
@@ -92,6 +95,17 @@ def as_json(found: GroundExplanation, source: Provenance) -> dict[str, Any]:
         "version": source.version,
         "files": [{"role": role, "path": path, "sha256": digest} for role, path, digest in source.files],
     }
+
+
+def predicted_errors(gap: GroundGap) -> list[tuple[str, float, list[float]]]:
+    """For each model, and for noise alone: error of the energy over one second as share, and rms error of the torque of
+    each joint over all untouched runs, Nm."""
+    rows = []
+    for name, share in (("as delivered", gap.delivered), ("refit", gap.refit), ("closed", gap.closed)):
+        each = np.array([[j.error_nm for j in dict(one.scores)[name].joints] for one in gap.predictions])
+        rows.append((name, share, np.sqrt(np.mean(each**2, axis=0)).tolist()))
+    floor = np.sqrt(np.mean([one.floor_nm**2 for one in gap.predictions], axis=0))
+    return [*rows, ("floor", gap.floor, floor.tolist())]
 
 
 def _gap(gap: GroundGap) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from zygos.gap.findings import INTERVAL, Finding, Repeated, Value
 from zygos.gap.ground.candidates import candidates_of
 from zygos.gap.ground.columns import Layout, Table, table_of
 from zygos.gap.ground.explanation import GroundExplanation, GroundGap, JointRest
-from zygos.gap.ground.fit import Fit, fit, jackknife, residual
+from zygos.gap.ground.fit import Fit, jackknife, residual
 from zygos.gap.ground.predictions import Prediction, Stage, predict, remainders
 from zygos.gap.ground.search import Search, is_gain, search
 from zygos.gap.ground.sentences import entry_evidence
