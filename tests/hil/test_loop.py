@@ -20,16 +20,16 @@ from vcan_support import candump
 from conftest import ROOT
 from zygos.arm import load_arm
 from zygos.can import bus
-from zygos.demo.loop import GAP, close_loop, errors
+from zygos.demo.loop import EVERY, GAP, close_loop, errors
 from zygos.simulation.scenario import load_scenario
 from zygos.testing import Dut, Plant
 from zygos.testing.stream import Stream
 
+CYCLES = 6000
+"""Of each run: 30 s."""
 BAND = 3.0
 """Largest ratio of the factor that was promised to that of the next run, either way: how much a wrong model mispredicts
 depends on the motion."""
-EVERY = 100
-"""SYNCs between two estimates of the node."""
 
 
 @pytest.mark.timeout(600)
@@ -70,7 +70,7 @@ def test_what_was_explained_from_the_bus_flies_on_it(
         } == set()
         flights.append((log, frames))
 
-    content = close_loop(tmp_path / "loop", fly).content
+    content = close_loop(tmp_path / "loop", fly, cycles=CYCLES).content
 
     assert len(flights) == 5
     for log, frames in flights:

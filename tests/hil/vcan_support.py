@@ -12,6 +12,8 @@ from pathlib import Path
 from zygos.can.vcan import kernel_counts
 
 CHANNEL = os.environ.get("ZYGOS_VCAN_IFS", "vcan0").split()[0]
+ROOM = "400000000"
+"""Bytes of what candump has yet to take; one processor has the sender, the device and candump to run."""
 
 
 def listeners() -> int:
@@ -31,7 +33,7 @@ def candump(channel: str, log: Path) -> Iterator[None]:
     """Record all that is on the channel meanwhile: at the end, as many frames as the kernel has counted."""
     already = listeners()
     with log.open("wb") as file:
-        recorder = subprocess.Popen(["stdbuf", "-oL", "candump", "-L", "-r", "4000000", channel], stdout=file)
+        recorder = subprocess.Popen(["stdbuf", "-oL", "candump", "-L", "-r", ROOM, channel], stdout=file)
         try:
             wait_for_listeners(already + 1)
             before = kernel_counts(channel)

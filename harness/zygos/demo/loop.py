@@ -34,8 +34,9 @@ from zygos.files.output import check_outputs, note, number, say, table, write_js
 from zygos.model.model import load_model
 
 NODE = Path("build/zygos-node")
-EVERY = 100
-"""SYNCs between two estimates of the node."""
+EVERY = 25
+"""SYNCs between two estimates of the node. At most 8 SYNCs in a row are without an answer, also while no parameter has
+a value; a sender that waits for answers needs one in 15."""
 _SYNC = 0x080
 _CAN_FRAME = struct.Struct("=IB3x8s")
 
@@ -100,6 +101,12 @@ def _heard(near: socket.socket, stamp: float, *, wait: bool) -> Iterator[can.Mes
         )
 
 
+def first(frames: NDArray[Any], cycles: int | None) -> NDArray[Any]:
+    """The first cycles of a run, with the SYNC that closes the last one; None: all of them."""
+    starts = np.flatnonzero(frames["id"] == _SYNC)
+    return frames if cycles is None or cycles >= len(starts) else frames[: starts[cycles] + 1]
+
+
 def compiled(model: Path, folder: Path) -> Path:
     """The configuration with the effects of a model, compiled into the folder by `zygos compile-model`."""
     run_zygos("compile-model", GAP / "arm.toml", "--model", model, "-o", folder)
@@ -133,14 +140,16 @@ def told(model: Path, log: Path) -> list[dict[str, float]]:
     return heard
 
 
-def close_loop(folder: Path, fly: Fly) -> Closed:
+def close_loop(folder: Path, fly: Fly, *, cycles: int | None = None) -> Closed:
     """Close the loop with a way to fly runs; all files go into the folder.
+
+    cycles: how many of each run are flown; None: all, which are 60 s of A, B and C, and 30 s of D.
 
     Errors: ZygosError where nothing could be named, or where a step fails.
     """
     folder.mkdir(parents=True, exist_ok=True)
     arm, drawn, adopted = load_arm(GAP / "arm.toml"), GAP / "cad.toml", folder / "new.toml"
-    runs = {name: bus.read_log(GAP / "demo" / f"{name}.blf").frames for name in "abcd"}
+    runs = {name: first(bus.read_log(GAP / "demo" / f"{name}.blf").frames, cycles) for name in "abcd"}
 
     note("flying runs A, B and C with the simulation's model …")
     before = compiled(drawn, folder / "before")

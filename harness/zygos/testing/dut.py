@@ -229,7 +229,6 @@ class Dut:
         its estimate must be numpy's over the cycles that survived. The last answers of the device must be those
         counters, and the library's estimate at that cycle. Our own device is stopped, and its saved state must be equal
         to the library's in each byte. Raises AssertionError.
-        the library's in each byte. Raises AssertionError.
         """
         wanted = +Counter(expected)
         self.record |= {"frames": sum(map(len, streams)), "expected": dict(wanted)}
