@@ -112,7 +112,7 @@ def run_rows(motion: Motion, span_s: float, effects: Sequence[Effect], predicted
         offset=arm.gear_ratios * float(steps) * arm.period_s,
         span_s=float(steps) * arm.period_s,
         lingers=_lingers(arm, state, rows, effects),
-        gains=tuple((one.index(arm), p + k) for k, one in enumerate(effects) if one.kind.place == "sensor"),
+        gains=tuple((one.index(arm), p + k) for k, one in enumerate(effects) if one.kind.gain),
     )
 
 
@@ -129,7 +129,7 @@ def _sensed(
 ) -> Floats:
     """(m, N) column of an effect that needs a torque: friction with the load, or the gain of a torque sensor."""
     column, joint = np.zeros_like(rows.w), effect.index(arm)
-    if effect.kind.place == "sensor":
+    if effect.kind.gain:
         column[:, joint] = -rows.w[:, joint]
     elif predicted is not None:
         total = np.concatenate([[0.0], np.cumsum(load_law(state.qd[:, joint], predicted[:, joint]))]) * arm.period_s
@@ -164,11 +164,11 @@ def torque_columns(
 
 def _law(arm: Arm, rows: TorqueRows, kind: Kind, joint: int, predicted: Floats | None) -> Floats:
     rate, ratio = rows.state.qd[:, joint], arm.gear_ratios[joint]
-    if kind.place == "sensor":
+    if kind.gain:
         return -rows.tau[:, joint]
     if kind.place == "load":
         return load_law(rate, predicted[:, joint]) if predicted is not None else np.zeros_like(rate)
-    if kind.place == "torque":
+    if kind.lags:
         after = np.gradient(rows.tau[:, joint], rows.period_s)
         return np.asarray(after, dtype=np.float64)
     assert kind.torque is not None

@@ -278,6 +278,12 @@ def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
         )
     _fill_joints(config, arm)
     _fill_reduction(config, arm)
+    for effect in effects:
+        if not effect.kind.flies:
+            raise ZygosError(
+                f"effect {effect.kind.key}{f' at {effect.joint}' if effect.joint else ''}: the flight library has no "
+                "column for it; remedy: remove the entry from the model that names the effects to estimate"
+            )
     columns = estimated(arm, effects)
     if len(columns) > lib.ZYGOS_MAX_EFFECTS_VALUE:
         raise ZygosError(
@@ -287,13 +293,7 @@ def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
         )
     config.effects = len(columns)
     for k, effect in enumerate(columns):
-        kind = getattr(lib, f"ZYGOS_{effect.kind.key.upper()}", None)
-        if kind is None:
-            raise ZygosError(
-                f"effect {effect.kind.key} at {effect.joint}: the C library has no column for it; remedy: remove the "
-                "entry from the model that names the effects to estimate"
-            )
-        config.effect[k].kind = kind
+        config.effect[k].kind = getattr(lib, f"ZYGOS_{effect.kind.key.upper()}")
         config.effect[k].joint = effect.index(arm)
     return config
 

@@ -17,6 +17,7 @@ from scipy.integrate import DOP853
 
 from zygos.arm import Arm
 from zygos.dynamics.equations import Dynamics, EngineName, equations
+from zygos.dynamics.joints import Moment
 from zygos.dynamics.planar import PlanarDynamics
 from zygos.errors import ZygosError
 from zygos.model.model import Model
@@ -79,7 +80,9 @@ class Trajectory:
     def accelerations(self) -> tuple[Array, Array, Array]:
         """Exact accelerations just after each SYNC: base as omega0, links (B, n, N), motors after the gear (B, n, N),
         rad/s^2."""
-        return self.dynamics.accelerations(self.q, self.theta, self.omega0, self.qd, self.thetad, self.tau)
+        angle = self.attitude if self.attitude.ndim == 2 else 0.0
+        moment = Moment(np.broadcast_to(self.t, self.q.shape[:-1]), angle)
+        return self.dynamics.accelerations(self.q, self.theta, self.omega0, self.qd, self.thetad, self.tau, moment)
 
     def cycles(self, index: int = 0) -> Cycles:
         """Sensor readings of the run of `seeds[index]`."""
@@ -185,6 +188,7 @@ class _Run:
         self.attitude, self.omega, *self.slices = (slice(a, b) for a, b in pairwise(ends))
         self.ratio = arm.gear_ratios
         self.step = arm.period_s
+        self.begin = 0.0
         self.tau = np.zeros((len(seeds), joints))
         self.tau_rate = np.zeros((len(seeds), joints))
         # of a continuous torque that is sampled, the drive commands the value at the end of the period
@@ -267,13 +271,13 @@ class _Run:
             self.state[:, slip] = 0.0
             reached = 0.0
             for offset, columns, motors in pauses:
-                self._integrate(offset - reached, t[k])
+                self._integrate(offset - reached, t[k], t[k] + reached)
                 reached = offset
                 self.tau[:, motors] = begin[:, motors]
                 self.tau_rate[:, motors] = (command - begin)[:, motors] / arm.period_s
                 if latched is not None:
                     latched[:, k, columns[0]] = self.state[:, columns[1]]
-            self._integrate(arm.period_s - reached, t[k])
+            self._integrate(arm.period_s - reached, t[k], t[k] + reached)
             total += self.state[:, slip]
         q, qd, theta, thetad, _ = (states[..., part] for part in self.slices)
         omega0 = omega0_latched = self._omega0(states)
@@ -317,7 +321,13 @@ class _Run:
         q, qd, theta, thetad, slip = self.slices
         omega0 = self._omega0(state)
         base, link, motor = self.dynamics.accelerations(
-            state[:, q], state[:, theta], omega0, state[:, qd], state[:, thetad], self.tau + since * self.tau_rate
+            state[:, q],
+            state[:, theta],
+            omega0,
+            state[:, qd],
+            state[:, thetad],
+            self.tau + since * self.tau_rate,
+            Moment(self.begin + since, state[:, 0] if self.planar else 0.0),
         )
         rate = np.empty_like(state)
         if self.planar:
@@ -332,11 +342,12 @@ class _Run:
         rate[:, slip] = (state[:, thetad] - state[:, qd]) ** 2
         return rate.ravel()
 
-    def _integrate(self, span: float, t: float) -> None:
-        """Advance the state by `span` s under a torque that is held or ramps; local time starts at zero, so that its
-        rounding error does not affect the step."""
+    def _integrate(self, span: float, t: float, begin: float) -> None:
+        """Advance the state by `span` s under a torque that is held or ramps, from `begin` s on; local time starts at
+        zero, so that its rounding error does not affect the step."""
         if span <= 0.0:
             return
+        self.begin = begin
         with np.errstate(over="ignore", invalid="ignore"):
             solver = DOP853(
                 self._derivative,
