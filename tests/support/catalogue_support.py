@@ -54,7 +54,11 @@ def arm_of(name: str) -> tuple[Arm, Model, Scenario]:
         return arm, model, replace(scenario, manoeuvre=manoeuvre, controller=control)
     folder = EXAMPLES / ("gap" if name.startswith("planar") else "spatial")
     files = ("cad.toml", "b.toml") if name.startswith("planar") else ("model.toml", "scenario.toml")
-    return load_arm(folder / "arm.toml"), replace(load_model(folder / files[0]), effects=()), load_scenario(folder / files[1])
+    return (
+        load_arm(folder / "arm.toml"),
+        replace(load_model(folder / files[0]), effects=()),
+        load_scenario(folder / files[1]),
+    )
 
 
 @cache
@@ -199,7 +203,9 @@ def scales(name: str, seen: Exact) -> dict[str, float]:
     }
 
 
-def columns(name: str, seen: Exact, run: Trajectory, kind: Kind, i: int, component: int, shape: float | None) -> dict[str, Floats]:
+def columns(
+    name: str, seen: Exact, run: Trajectory, kind: Kind, i: int, component: int, shape: float | None
+) -> dict[str, Floats]:
     """(m,) column of an effect in each balance; 0 where it has none."""
     arm, model, _ = arm_of(name)
     values = dict(zip(arm.parameter_names, model.base_values(arm).tolist(), strict=True))

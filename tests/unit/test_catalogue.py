@@ -77,7 +77,10 @@ def quick(case: tuple[str, str, EffectColumn]) -> bool:
 
 @pytest.mark.parametrize(
     ("name", "key", "column"),
-    [pytest.param(*case, marks=() if quick(case) else pytest.mark.slow, id=f"{case[0]}-{case[2].name}") for case in CASES],
+    [
+        pytest.param(*case, marks=() if quick(case) else pytest.mark.slow, id=f"{case[0]}-{case[2].name}")
+        for case in CASES
+    ],
 )
 def test_column_is_what_the_effect_does(name: str, key: str, column: EffectColumn) -> None:
     kind = CATALOGUE[key]
