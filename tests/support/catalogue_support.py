@@ -54,7 +54,11 @@ def arm_of(name: str) -> tuple[Arm, Model, Scenario]:
         return arm, model, replace(scenario, manoeuvre=manoeuvre, controller=control)
     folder = EXAMPLES / ("gap" if name.startswith("planar") else "spatial")
     files = ("cad.toml", "b.toml") if name.startswith("planar") else ("model.toml", "scenario.toml")
-    return load_arm(folder / "arm.toml"), replace(load_model(folder / files[0]), effects=()), load_scenario(folder / files[1])
+    return (
+        load_arm(folder / "arm.toml"),
+        replace(load_model(folder / files[0]), effects=()),
+        load_scenario(folder / files[1]),
+    )
 
 
 @cache
@@ -89,11 +93,12 @@ class Exact:
 
     @property
     def before(self) -> Floats:
-        """(m, N) torques of the cycle before; those of the first are taken as the same."""
-        return np.concatenate([self.tau[:1], self.tau[:-1]])
+        """(m, N) torques of the cycle before, 0 before the first."""
+        return np.concatenate([np.zeros_like(self.tau[:1]), self.tau[:-1]])
 
     @property
     def totals(self) -> FromOrigin:
+        """Integrals from the first instant on."""
         return FromOrigin(self.arm.period_s)
 
     def load(self, values: dict[str, float]) -> Floats:
@@ -106,15 +111,18 @@ class Exact:
         return out
 
     def signals(self, i: int, values: dict[str, float]) -> Signals:
+        """Of a joint."""
         return Signals.of(
             self.arm, self.state, self.before, self.tau, i, self.totals, time=self.time, load=self.load(values)
         )
 
     def base(self) -> BaseSignals:
+        """Of the base."""
         return BaseSignals(self.state.base, self.totals, self.time, self.angle, self.turned)
 
 
 def exact(run: Trajectory) -> Exact:
+    """The motion that the simulator knows."""
     arm = run.arm
     state = State(run.q[0], run.theta[0], run.qd[0], run.thetad[0], run.omega0[0])
     return _of(arm, run, state)
@@ -199,7 +207,9 @@ def scales(name: str, seen: Exact) -> dict[str, float]:
     }
 
 
-def columns(name: str, seen: Exact, run: Trajectory, kind: Kind, i: int, component: int, shape: float | None) -> dict[str, Floats]:
+def columns(
+    name: str, seen: Exact, run: Trajectory, kind: Kind, i: int, component: int, shape: float | None
+) -> dict[str, Floats]:
     """(m,) column of an effect in each balance; 0 where it has none."""
     arm, model, _ = arm_of(name)
     values = dict(zip(arm.parameter_names, model.base_values(arm).tolist(), strict=True))
@@ -233,7 +243,7 @@ def columns(name: str, seen: Exact, run: Trajectory, kind: Kind, i: int, compone
         if arm.joints[i].flexible:
             out[f"M{i + 1}"] = inertia * carried
         part = joint.joint_columns(arm, seen.state)
-        running = part.rotor_momentum - integral(part.rotor_force, arm.period_s, axis=0)
+        running = part.rotor_momentum - integral(part.rotor_force, seen.arm.period_s, axis=0)
         for j, one in enumerate(arm.joints):
             if not one.flexible:
                 # the rotor's own spin does not need the carrying body
