@@ -247,13 +247,13 @@ def test_names_two_effects_of_different_size() -> None:
     }
 
 
-def test_an_arm_that_changed_between_the_runs_is_not_explained() -> None:
+def test_a_payload_between_the_runs_is_a_change() -> None:
     drawn = plant(Case("", "", exact=True), 0)
     last = replace(drawn.bodies[2], mass=replace(drawn.bodies[2].mass, value=1.2 * drawn.bodies[2].mass.value))
     found = _explained(None, second=replace(drawn, bodies=(*drawn.bodies[:2], last)))
-    assert found.answer == "unknown"
-    assert "not the same in the two runs" in found.sentence and "a22" in found.sentence
-    assert found.model is None
+    assert found.answer == "changed", found.sentence
+    assert "The bodies changed between" in found.sentence and "a22" in found.sentence
+    assert found.model is not None
 
 
 def _with_friction(size: float) -> Model:

@@ -424,6 +424,26 @@ def test_sums_of_an_arm_with_springs_on_a_free_base(kinetic: str) -> None:
     assert rooms["joint rows"].equal
 
 
+@pytest.mark.slow(but=["lively"])
+@pytest.mark.parametrize("example", ["lively", "spatial"])
+def test_an_estimate_with_joint_rows_beside_energy_rows(example: str) -> None:
+    """Their weight is numpy's, and they take away neither validity nor accuracy."""
+    folder = EXAMPLES / example
+    arm, model = replace(load_arm(folder / "arm.toml"), joint_increment_s=0.4), load_model(folder / "model.toml")
+    run = simulate(arm, model, load_scenario(folder / "scenario.toml"), noise=True, duration_s=40.0)
+    flight = Flight(arm)
+    rooms = check_frames(arm, encode(arm, run.cycles()), flight)
+    assert [room.name for room in rooms if not room.equal] == []
+    assert {"joint rows", "solution"} <= {room.name for room in rooms}
+    estimate = flight.estimate()
+    assert flight._work.joints_weight > 0.0
+    assert (estimate.validity, estimate.reason) == ("valid", "")
+    off = np.abs(estimate.value - model.base_values(arm)) / estimate.half95
+    # chance leaves 5 % outside of their intervals
+    assert np.mean(off > 1.0) <= 0.05 + 3.0 * np.sqrt(0.05 * 0.95 / len(off))
+    assert off.max() <= 4.0
+
+
 def test_noise_of_a_rigid_joint_is_that_of_its_motors_encoder() -> None:
     """It has no other, whatever a configuration says of one."""
     arm = sensed_apart("spatial")

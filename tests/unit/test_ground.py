@@ -12,13 +12,15 @@ from ground_support import heavier, recorded, short_arm
 
 from zygos.arm import Arm, load_arm
 from zygos.can.run import Run, joined
-from zygos.effects import CATALOGUE
+from zygos.effects import CATALOGUE, Effect, effect
 from zygos.errors import Undecided, ZygosError
 from zygos.ground.estimate import GroundEstimate, estimate_ground
 from zygos.ground.payload import check_found, payload
 from zygos.ground.rows import friction
 from zygos.ground.score import score
-from zygos.model.model import Model
+from zygos.model.model import Model, load_model
+from zygos.simulation.run import simulate
+from zygos.simulation.scenario import load_scenario
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -200,6 +202,43 @@ def test_refusals() -> None:
         estimate_ground([first, second])
     with pytest.raises(ZygosError, match="cut-off"):
         score(first, model, cutoff=1e4)
+
+
+def test_a_floating_arm_with_springs_is_scored_by_increments() -> None:
+    """Friction that the model lacks is the torque that is left at its joint, and a wrong spring is left at the spring
+    alone: the sum of the balances of rotor and link is free of it."""
+    arm, model = load_arm(EXAMPLES / "gap" / "arm.toml"), load_model(EXAMPLES / "lively" / "model.toml")
+    friction = 0.5
+    true = replace(model, effects=(replace(effect("motor_coulomb", "elbow"), value=friction),))
+    run = simulate(arm, true, load_scenario(EXAMPLES / "lively" / "scenario.toml"), noise=True, duration_s=20.0)
+    stiff = replace(
+        true,
+        joints=tuple(
+            replace(joint, stiffness=replace(joint.stiffness, value=1.2 * joint.stiffness.value))
+            for joint in true.joints
+        ),
+    )
+    own, lacking, wrong = (score(run, one) for one in (true, model, stiff))
+    assert own.cutoff_hz is None and own.increment_s == pytest.approx(0.2)
+    assert own.arm_energy_share < 1e-3 < 1e-2 < min(lacking.arm_energy_share, wrong.arm_energy_share)
+    shoulder, elbow = own.joints
+    assert max(joint.sigmas for joint in own.joints) < 2.0 and max(joint.share for joint in own.joints) < 0.1
+    assert lacking.joints[0].error_nm == pytest.approx(shoulder.error_nm)
+    # the sign of the rate, less its mean, which is taken as an offset
+    added = lacking.joints[1].error_nm ** 2 + lacking.joints[1].offset_nm ** 2 - elbow.error_nm**2
+    assert np.sqrt(added) == pytest.approx(friction * arm.joints[1].gear_ratio, rel=0.05)
+    for one, two in zip(own.joints, wrong.joints, strict=True):
+        assert two.error_nm == pytest.approx(one.error_nm)
+        assert two.spring_nm > 5.0 * one.spring_nm
+    with pytest.raises(ZygosError, match=r"--cutoff: arm .* remedy: leave it out"):
+        score(run, model, cutoff=5.0)
+    ground_only = next(kind for kind in CATALOGUE.values() if kind.on_ground and kind.at_joint)
+    with pytest.raises(ZygosError, match=rf"effect {ground_only.key} at elbow: .* remedy: remove"):
+        score(run, replace(model, effects=(Effect(ground_only, "elbow", 1.0),)))
+    cycles = run.cycles
+    few = {name: getattr(cycles, name)[:15] for name in ("sync", "q", "theta", "tau", "omega", "flags")}
+    with pytest.raises(ZygosError, match=r"no unbroken piece of 0\.2 s; remedy: a longer run"):
+        score(Run(arm, table=replace(cycles, **few)), model)
 
 
 def test_joined_runs_have_a_gap_between() -> None:

@@ -316,6 +316,26 @@ def test_c_equals_numpy_with_arcs_left_out(motion: Trajectory) -> None:
             assert not all(room.equal for room in check_chain(arm, watch.trace(), flight))
 
 
+def test_a_bad_arc_of_momentum_rows_is_left_out(motion: Trajectory) -> None:
+    """A gyro that repeats its reading for 15 s: the angular momentum of what it shows is not constant."""
+    arm = replace(motion.arm, momentum_max_s=ARC_S)
+    for seed in range(2):
+        cycles = seen(motion, seed)
+        good = watched(arm, cycles).flight
+        assert good.estimate().validity == "valid" and good.estimate().left_out == (0, 0, 0)
+        assert good._work.momentum_weight > 0.0
+        faulty = stuck("omega", SOON, 300)(cycles)
+        watch = watched(arm, faulty)
+        estimate = watch.flight.estimate()
+        assert (estimate.validity, estimate.left_out[2]) == ("valid", 1)
+        assert [arc.rows for arc in watch.left_out].count("momentum") == 1
+        assert all(arc.first <= SOON + 300 and arc.last >= SOON for arc in watch.left_out)
+        assert len(watch.flight.blocks().momentum) == len(good.blocks().momentum) - 1
+        assert np.mean(far(estimate, motion) > 1.0) < 0.3
+    for one in (cycles, faulty):
+        assert [room.name for room in check_frames(arm, encode(arm, one)) if not room.equal] == []
+
+
 # ---------------------------------------------------------------- misuse, memory
 
 

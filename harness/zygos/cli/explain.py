@@ -20,7 +20,11 @@ from zygos.files.output import check_outputs, named, number, quiet, say, table, 
 from zygos.files.progress import progress
 from zygos.gap.answer import as_json, predictions
 from zygos.gap.explanation import Explanation
-from zygos.gap.findings import INTERVAL
+from zygos.gap.findings import INTERVAL, Value
+from zygos.gap.ground.answer import as_json as ground_json
+from zygos.gap.ground.answer import predicted_errors
+from zygos.gap.ground.explanation import GroundExplanation
+from zygos.gap.ground.sentences import against as ground_against
 from zygos.gap.runs import check_arm_of_gap, check_distinct, explain_runs
 from zygos.gap.sentences import against
 from zygos.model.model import load_model, save_model
@@ -63,7 +67,8 @@ def explain_run(
     check_model_name(out)
     check_outputs([out, report, json], [path for _, path in inputs.files])
     arm, model = load_arm(inputs.arm), load_model(simulation)
-    check_arm_of_gap(arm, str(inputs.arm))
+    if not arm.grounded:
+        check_arm_of_gap(arm, str(inputs.arm))
     model.base_parameters(arm)
     with progress() as bar:
         task = bar.add_task("reading", total=1.0)
@@ -89,8 +94,10 @@ def letter(run: int) -> str:
     return chr(ord("A") + run % 26)
 
 
-def flown(found: Explanation, logs: Sequence[Run]) -> list[dict[str, Any]]:
+def flown(found: Explanation | GroundExplanation, logs: Sequence[Run]) -> list[dict[str, Any]]:
     """Estimates of the flight library from the same runs, with the columns of the findings switched on."""
+    if isinstance(found, GroundExplanation):
+        return []
     columns = [] if found.model is None else list(estimated(found.arm, found.model.effects))
     names = {effect.column(found.arm) for effect in columns if effect.source == "zygos"}
     if not names:
@@ -119,7 +126,7 @@ def flown(found: Explanation, logs: Sequence[Run]) -> list[dict[str, Any]]:
 
 
 def finish(
-    found: Explanation,
+    found: Explanation | GroundExplanation,
     logs: Sequence[Run],
     inputs: Inputs,
     source: Provenance,
@@ -130,7 +137,10 @@ def finish(
     """Print the tables, write the requested files, and raise Undecided if nothing is named."""
     flight = flown(found, logs[: len(inputs.measured)])
     if not quiet(out, report, json):
-        show(found)
+        if isinstance(found, GroundExplanation):
+            show_ground(found)
+        else:
+            show(found)
         for column in dict.fromkeys(entry["column"] for entry in flight):
             each = [
                 f"{number(e['value'], 4)} ± {number(e['half95'], 2)} {e['unit']} on run {e['run']}"
@@ -143,13 +153,20 @@ def finish(
         if found.model is not None:
             save_model(found.model, out)
         if report is not None:
-            from zygos.gap.page import write_gap_report  # noqa: PLC0415  (only a report needs charts)
+            # only a report needs charts
+            if isinstance(found, GroundExplanation):
+                from zygos.gap.ground.page import write_ground_gap_report  # noqa: PLC0415
 
-            write_gap_report(report, found, source)
+                write_ground_gap_report(report, found, source)
+            else:
+                from zygos.gap.page import write_gap_report  # noqa: PLC0415
+
+                write_gap_report(report, found, source)
     finally:
         if json:
             damage = [text for log in logs for text in log.damage]
-            write_json(json, {**as_json(found, source), "flight": flight, "damage": damage or None})
+            content = ground_json(found, source) if isinstance(found, GroundExplanation) else as_json(found, source)
+            write_json(json, {**content, "flight": flight, "damage": damage or None})
     if found.answer in {"unknown", "cannot tell"}:
         raise Undecided(f"{found.answer}: {found.sentence} ({named(out)} not written); remedy: {found.remedy}")
 
@@ -183,7 +200,23 @@ def show(found: Explanation) -> None:
             ],
             title=f"the first {len(listed)} of {len(found.search.rounds[0])} candidates",
         )
-    changed = [v for v in found.values if v.differs]
+    show_values(found.values)
+    if found.gap is not None:
+        table(
+            ("gap on the untouched run", "rms, sigma", "median", "90th percentile"),
+            [
+                (name, number(one.gap, 4), number(one.median, 4), number(one.tenth, 4))
+                for name, one in predictions(found.gap)
+            ],
+        )
+    say(found.where)
+    for note in found.notes:
+        say(f"note: {note}")
+
+
+def show_values(values: Sequence[Value]) -> None:
+    """Print the values that differ from those of the simulation."""
+    changed = [v for v in values if v.differs]
     if changed:
         table(
             ("value", "unit", "simulation", "found", "± 95 %", "change %"),
@@ -199,17 +232,38 @@ def show(found: Explanation) -> None:
                 for v in changed
             ],
         )
-    if found.gap is not None:
+
+
+def show_ground(found: GroundExplanation) -> None:
+    """Print the tables of a verdict on an arm on the ground."""
+    if found.search.rounds:
+        listed = found.search.rounds[0][:6]
         table(
-            ("gap on the untouched run", "rms, sigma", "median", "90th percentile"),
+            ("candidate", *(f"run {letter(k)}" for k in range(len(listed[0].each))), "unit", "z", "explains %", ""),
             [
-                (name, number(one.gap, 4), number(one.median, 4), number(one.tenth, 4))
-                for name, one in predictions(found.gap)
+                (c.name, *(number(x, 4) for x in c.each), c.candidate.unit, f"{c.z:.1f}", f"{100 * c.explained:.1f}",
+                 ground_against(c))
+                for c in listed
+            ],
+            title=f"the first {len(listed)} of {len(found.search.rounds[0])} candidates",
+        )  # fmt: skip
+    show_values(found.values)
+    if found.gap is not None:
+        gap = found.gap
+        table(
+            (
+                "error of predictions, untouched runs",
+                "energy over 1 s, %",
+                *(f"{j.name}, Nm" for j in found.arm.joints),
+            ),
+            [
+                (name, number(100 * share, 3), *(number(x, 3) for x in torques))
+                for name, share, torques in predicted_errors(gap)
             ],
         )
     say(found.where)
-    for note in found.notes:
-        say(f"note: {note}")
+    for text in found.notes:
+        say(f"note: {text}")
 
 
 def command(

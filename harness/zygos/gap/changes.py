@@ -12,8 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from zygos.gap.balances import balance_rows, kept_rows
-from zygos.gap.study import Study, base_values
+from zygos.errors import Undecided
+from zygos.gap.balances import balance_rows, kept_rows, thinning
+from zygos.gap.record import MeasuredRun
+from zygos.gap.search import EXCESS
+from zygos.gap.study import Study, base_values, begin
 
 Array = NDArray[np.float64]
 
@@ -33,6 +36,8 @@ class Change:
     """A parameter, a column of the catalogue that was not there before, or `BODIES`."""
     run: int
     """The run (from 0) in which it is first seen."""
+    arc: int
+    """The arc (from 0) of that run with which it is certain; 0: it happened between two runs."""
     after_s: float
     """Time in that run from which on it is certain, s; 0: since its beginning."""
     before_s: float
@@ -49,18 +54,52 @@ class Change:
     """Of the difference of one coefficient; of several the root of their chi square over their number."""
     share: float
     """Share of what was left over beyond noise that it takes away."""
-    values: Array
-    """(coefficients of the study's hypothesis,) after the change; an added effect is none of them."""
 
     @property
     def between(self) -> bool:
         """Whether it happened between two runs."""
-        return self.after_s == 0.0
+        return self.arc == 0
+
+
+def settled(study: Study, change: Change) -> tuple[Change, Study]:
+    """The change with values from what was recorded before and after it, and the study of what was recorded after it.
+
+    Errors: Undecided where too little was recorded after it.
+    """
+    before = _part(study, change, after=False)
+    later = _part(study, change, after=True)
+    hypothesis = study.hypothesis
+    added = [name for name in change.names if name not in hypothesis.names]
+    wider = replace(hypothesis, effects=(*hypothesis.effects, *added))
+    now = begin(later, wider, study.dynamics())
+    places = [wider.names.index(name) for name in change.names]
+    old, sigma = change.old, now.spread[places]
+    try:
+        was = begin(before, hypothesis, study.dynamics())
+    except Undecided:
+        pass
+    else:
+        known = [hypothesis.names.index(n) if n in hypothesis.names else None for n in change.names]
+        old = np.array([0.0 if k is None else was.value[k] for k in known])
+        sigma = np.hypot(sigma, [0.0 if k is None else was.spread[k] for k in known])
+    return replace(change, old=old, new=now.value[places], sigma=sigma), now
+
+
+def _part(study: Study, change: Change, *, after: bool) -> list[MeasuredRun]:
+    """The records before or after a change; the arc in which it may have happened is in neither, if it is not one that
+    ends with a run."""
+    run, arc = change.run, change.arc
+    whole = study.records[run + 1 :] if after else study.records[:run]
+    own = study.records[run]
+    starts = own.starts[arc:] if after else own.starts[:arc]
+    cut = [replace(own, starts=starts)] if len(starts) else []
+    return [*cut, *whole] if after else [*whole, *cut]
 
 
 @dataclass(frozen=True)
 class _Arc:
     run: int
+    number: int
     begin_s: float
     end_s: float
     gram: Array
@@ -85,8 +124,7 @@ def find_change(study: Study, candidates: Sequence[str]) -> Change | None:
     # neighbouring rows share their noise; the twin's draws say by how much that widens the deviations
     widened = float(np.median(study.spread / np.maximum(naive, 1e-300)))
     floor = float(sum(arc.count for arc in arcs))
-    if left <= floor:
-        return None
+    excess = left - floor
     inertial = [k for k, name in enumerate(names) if name in _inertial(study)]
     groups = [(name, [k]) for k, name in enumerate(names)] + [(BODIES, inertial)]
     best: tuple[float, Change] | None = None
@@ -100,22 +138,26 @@ def find_change(study: Study, candidates: Sequence[str]) -> Change | None:
             inverse = np.linalg.pinv(_block(stepped, free), hermitian=True)[own:, own:] * widened**2
             square = float(delta @ np.linalg.pinv(inverse, hermitian=True) @ delta)
             z = float(np.sqrt(max(square, 0.0) / len(columns)))
-            share = (left - rest) / (left - floor)
+            share = (left - rest) / excess if excess > 0.0 else 1.0
             # each column takes away a little by chance
             score = rest + 2.0 * len(columns) * widened**2 * np.log(max(floor / widened**2, np.e))
-            if z < CERTAIN or share < _TAKES or (best is not None and score >= best[0]):
+            if z < CERTAIN or (excess > EXCESS * floor and share < _TAKES) or (best is not None and score >= best[0]):
                 continue
             old = np.array([found[k] if k < own else 0.0 for k in columns])
-            values = found[:own].copy()
-            for k, d in zip(columns, delta, strict=True):
-                if k < own:
-                    values[k] += d
             first, last = arcs[cut], arcs[cut - 1]
-            begin = first.begin_s if first.run == last.run else 0.0
             change = Change(
-                what, first.run, begin, last.end_s, tuple(names[k] for k in columns), old, old + delta,
-                np.sqrt(np.diag(inverse)), z, float(share), values - study.bias,
-            )  # fmt: skip
+                what,
+                first.run,
+                first.number,
+                first.begin_s,
+                last.end_s,
+                tuple(names[k] for k in columns),
+                old,
+                old + delta,
+                np.sqrt(np.diag(inverse)),
+                z,
+                float(share),
+            )
             best = score, change
     return None if best is None else best[1]
 
@@ -128,7 +170,7 @@ def _arcs(study: Study, run: int, names: Sequence[str]) -> Iterator[_Arc]:
     """Weighted sums of each arc of a run, with the zeros of the sensors at their fitted values."""
     record, accepted = study.records[run], study.accepted[run]
     arm, layout = record.arm, study.layout
-    rows = balance_rows(arm, record.readings(), base_values(study.model, layout))
+    rows = balance_rows(arm, record.readings(), base_values(study.model, layout), every=thinning(arm))
     wider = replace(
         study.hypothesis, effects=tuple(n for n in names if n not in {p.name for p in layout.arm.parameters})
     )
@@ -162,8 +204,8 @@ def _arcs(study: Study, run: int, names: Sequence[str]) -> Iterator[_Arc]:
             grams[a] += scaled - clean
             counts[a] += int(good.sum())
     for a, start in enumerate(record.starts):
-        begin = float((record.samples.sync[start] - record.samples.sync[0]) * arm.period_s)
-        yield _Arc(run, begin, begin + record.cycles * arm.period_s, grams[a], counts[a])
+        first = float((record.samples.sync[start] - record.samples.sync[0]) * arm.period_s)
+        yield _Arc(run, a, first, first + record.cycles * arm.period_s, grams[a], counts[a])
 
 
 def _stepped(total: Array, after: Array, columns: Sequence[int]) -> Array:

@@ -17,7 +17,7 @@ from zygos.dynamics.joints import Drives
 from zygos.effects import OFFSET, Effect, column_name
 from zygos.errors import Undecided, ZygosError
 from zygos.gap.balances import Layout, corrected
-from zygos.gap.changes import find_change
+from zygos.gap.changes import find_change, settled
 from zygos.gap.experiment import Experiment, propose
 from zygos.gap.explanation import Explanation
 from zygos.gap.findings import (
@@ -144,6 +144,11 @@ class _Explainer:
             self.step(0.4, "candidates")
             found = search(basis, lambda what: self.step(0.5, what))
             findings += [self._finding(found, k) for k in range(len(found.named))]
+        changed: Changed | None = None
+        if found is not None and self._unsettled(found):
+            self.step(0.6, "changes with time")
+            changed, found = self._changed(found)
+            findings = [] if changed else findings
         self.step(0.65, "predictions of the untouched run")
         after = basis if found is None else found.after
         gap = self._gap(delivered, refit, after, found)
@@ -151,17 +156,16 @@ class _Explainer:
             self.remarks.append(DrawingPredictsBetter())
         self.step(0.9, "verdict")
         values = self._values(after)
-        verdict = self._sensors_first(after, findings, skewed) or self._judge(found, tuple(findings), values, gap)
-        if isinstance(verdict, RunsDisagree | Unexplained) and found is not None:
-            self.step(0.92, "changes with time")
-            verdict = self._changed(refit if isinstance(verdict, Unexplained) else found.after) or verdict
+        verdict = (
+            changed or self._sensors_first(after, findings, skewed) or self._judge(found, tuple(findings), values, gap)
+        )
         local = refit.local()
         experiments: tuple[Experiment, ...] = ()
         if isinstance(verdict, Inseparable) and found is not None:
             pair = next(names for names in found.sets if len(names) > 1)
             experiments = propose(found.after, pair[0], pair[1])
         kept = verdict.findings if isinstance(verdict, Lacking | PartNamed | Inseparable) else ()
-        adopted = isinstance(verdict, Lacking | PartNamed | ValuesDiffer | NothingMissing)
+        adopted = isinstance(verdict, Lacking | PartNamed | Changed | ValuesDiffer | NothingMissing)
         if adopted:
             self._remark_rest(after, kept, gap)
         return Explanation(
@@ -232,6 +236,8 @@ class _Explainer:
 
     def _sigmas(self, study: Study) -> Array:
         each = np.array([study.of(study.hypothesis, [k]).value for k in range(len(study.records))])
+        if len(each) < 2:
+            return study.spread
         apart = each.std(axis=0, ddof=1) / np.sqrt(len(each))
         return np.asarray(np.maximum(study.spread, apart), dtype=np.float64)
 
@@ -253,11 +259,14 @@ class _Explainer:
     def _calibrated(self, records: Sequence[MeasuredRun], study: Study) -> list[MeasuredRun]:
         """Records less what their sensors' zeros are found to be off by, where that is more than is known of them."""
         layout = study.layout
-        zeros = study.fit.zeros.mean(axis=0)
-        off = np.where(np.abs(zeros) > _DEFLECTED * layout.zero_sigma, zeros, 0.0)
+        zeros = study.zeros.mean(axis=0)
+        torque = np.array([error.signals == ("tau",) for error in layout.errors.values()])
+        off = np.where((np.abs(zeros) > _DEFLECTED * layout.zero_sigma) | torque, zeros, 0.0)
         if not off.any():
             return list(records)
-        self.remarks.append(ZerosOff(tuple((n, float(x)) for n, x in zip(layout.zeros, off, strict=True) if x)))
+        told = np.where(torque, 0.0, off)
+        if told.any():
+            self.remarks.append(ZerosOff(tuple((n, float(x)) for n, x in zip(layout.zeros, told, strict=True) if x)))
         return [corrected(record, layout, off) for record in records]
 
     def _gap(self, delivered: Drives, refit: Study, after: Study, found: Search | None) -> Gap | None:
@@ -346,11 +355,25 @@ class _Explainer:
         whole = share >= COMPLETE and (closes(gap) if gap is not None else bool(np.nanmax(found.after.excess) <= SMALL))
         return Lacking(findings) if whole else PartNamed(findings, remainders(self.arm, found.after, gap))
 
-    def _changed(self, study: Study) -> Changed | None:
-        """A change with time that explains what the runs disagree on, or what nothing else explains."""
+    def _unsettled(self, found: Search) -> bool:
+        """Whether the runs disagree, or nothing of the catalogue explains most of what is missing."""
+        if not found.named and not excess(found.before):
+            return bool(self._apart(found.after))
+        return not found.named or min(found.completeness) < PARTLY
+
+    def _changed(self, found: Search) -> tuple[Changed | None, Search]:
+        """A change with time that explains it, and the search with the study of what was recorded after it."""
+        study = found.before
         listed = [column_name(kind, i) for kind, i in study.layout.effects if possible(study.hypothesis, kind, i)]
         change = find_change(study, listed)
-        return None if change is None else Changed(change, tuple(record.path.name for record in study.records))
+        if change is None:
+            return None, found
+        try:
+            change, now = settled(study, change)
+        except Undecided:
+            return None, found
+        names = tuple(record.path.name for record in study.records)
+        return Changed(change, names), replace(found, after=now, named=(), sets=())
 
     def _same_equations(self, study: Study, values: tuple[Value, ...]) -> Verdict:
         apart = self._apart(study)

@@ -18,6 +18,15 @@ MATERIAL = 0.005
 """Share below which a difference of values does not matter."""
 FLEXIBILITY = "joint_flexibility"
 """Kind of a finding that is no entry of the catalogue: the simulation's joint is rigid."""
+ROTOR_INERTIA = "rotor_inertia"
+"""Likewise: the simulation's rotor has no inertia."""
+ASYMMETRY = "coulomb_asymmetry"
+"""Likewise: half of the difference of the Coulomb friction in positive and negative direction."""
+_TITLES = {
+    FLEXIBILITY: "joint flexibility",
+    ROTOR_INERTIA: "inertia of the rotor",
+    ASYMMETRY: "Coulomb friction that differs between the directions",
+}
 
 
 @dataclass(frozen=True)
@@ -84,6 +93,18 @@ class Significance:
 
 
 @dataclass(frozen=True)
+class Repeated:
+    """The evidence for an effect of an arm on the ground, which every run shows."""
+
+    z: float
+    """Standard deviations by which the coefficient differs from 0, from the scatter over blocks of time."""
+    completeness: float
+    """Share of the squared residual beyond noise that it explains at its joint, at the value of the other runs."""
+    each: tuple[float, ...]
+    """The coefficient on each run by itself; NaN on a run that does not show it."""
+
+
+@dataclass(frozen=True)
 class Finding:
     """An effect that the simulation lacks."""
 
@@ -93,7 +114,7 @@ class Finding:
     value: float
     sigma: float
     unit: str
-    evidence: Significance | Deflection
+    evidence: Significance | Deflection | Repeated
     instead: tuple[str, ...] = ()
     """Columns that the runs cannot tell from it."""
     assumed: float | None = None
@@ -102,8 +123,8 @@ class Finding:
     @property
     def title(self) -> str:
         """The effect as a sentence names it."""
-        if self.kind == FLEXIBILITY:
-            return "joint flexibility"
+        if self.kind in _TITLES:
+            return _TITLES[self.kind]
         plain = CATALOGUE[self.kind].title
         return f"the right {plain} (it assumes {self.assumed:g} Nms)" if self.assumed else plain
 

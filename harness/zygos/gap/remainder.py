@@ -60,7 +60,7 @@ def _varies_with(arm: Arm, study: Study, run: int, balance: int) -> tuple[str, f
     window = max(2, round(_WINDOW_S / arm.period_s))
     y = (left[balance][:, window:] - left[balance][:, :-window])[:, ::window]
     listed = [
-        (_share(over[:, window // 2 :][:, : y.shape[1] * window : window], y), name)
+        (explained_share(over[:, window // 2 :][:, : y.shape[1] * window : window], y), name)
         for name, over in _quantities(arm, state, study.records[run].time_s, joint_of(study.layout.balances[balance]))
     ]
     share, name = max(listed)
@@ -78,7 +78,7 @@ def _quantities(arm: Arm, state: State, time: Floats, joint: int | None) -> Iter
     yield "time", time
 
 
-def _share(over: Floats, values: Floats) -> float:
+def explained_share(over: Floats, values: Floats) -> float:
     """Share of the variance of values that their means in bins of a quantity take away, less what chance would."""
     count = min(over.shape[1], values.shape[1])
     x, y = over[:, :count].ravel(), values[:, :count].ravel()

@@ -14,16 +14,18 @@ from zygos.can.run import Run
 from zygos.errors import ZygosError
 from zygos.gap.explain import explain
 from zygos.gap.explanation import Explanation
+from zygos.gap.ground.explain import explain_ground
+from zygos.gap.ground.explanation import GroundExplanation
 from zygos.gap.record import MeasuredRun, measured_run
 from zygos.model.model import Model
 
 
 def check_arm_of_gap(arm: Arm, named: str) -> None:
     """Refuse, with ZygosError, an arm that the balances of a gap do not describe. named: how the message begins."""
-    if arm.kinetic != "planar-symmetric" or not arm.free or not all(joint.flexible for joint in arm.joints):
+    if arm.torque_unit != "Nm":
         raise ZygosError(
-            f"{named}: a gap can be explained only for a free-floating, planar-symmetric arm with flexible "
-            "joints; remedy: use `zygos estimate` or `zygos check`, which take any arm"
+            f"{named}: its torques are motor currents, whose torque constants nobody knows, so that no run can be "
+            "simulated; remedy: give torques in Nm, or use `zygos estimate`"
         )
 
 
@@ -44,7 +46,7 @@ def explain_runs(
     *,
     validate: Run | Sequence[Run] | None = None,
     progress: Callable[[float, str], None] | None = None,
-) -> Explanation:
+) -> Explanation | GroundExplanation:
     """Say where a simulation and the measured runs of an arm disagree, and which effect the simulation lacks.
 
     simulation: the model that the simulation uses. measured: runs of one arm; what is learned from one must hold on
@@ -52,13 +54,16 @@ def explain_runs(
     learned; the gap is measured on them, before and after. progress is called with the share that is done and what is
     being done.
 
-    `Explanation.answer` is "values differ", "named", "part named", "cannot tell", "nothing missing" or "unknown";
-    `sentence` says it in words, `findings` has the effects with value and interval, and `model` is the model with what
-    was learned, or None where nothing is to be adopted.
+    `Explanation.answer` is "values differ", "named", "part named", "changed", "cannot tell", "nothing missing" or
+    "unknown"; `sentence` says it in words, `findings` has the effects with value and interval, and `model` is the model
+    with what was learned, or None where nothing is to be adopted.
 
-    Errors: ZygosError for an arm that is not free-floating, planar-symmetric and flexible in all joints, for runs of
-    different arms or that are the same recording, and for a model that does not fit; Undecided where the runs do not
-    tell its parameters apart.
+    An arm on a fixed base with rigid joints is explained by the momentum rows of its joints and the scatter between
+    blocks and runs, every other arm by its balances beside those of a simulated twin (docs/gap.md).
+
+    Errors: ZygosError for runs of different arms or that are the same recording, for a model that does not fit, and for
+    an arm that floats or is flexible and whose torques are currents; Undecided where the runs do not tell the
+    parameters apart.
     """
     kept = (validate,) if isinstance(validate, Run) else tuple(validate or ())
     runs = [*measured, *kept]
@@ -67,15 +72,18 @@ def explain_runs(
     arm = runs[0].arm
     if any(run.arm != arm for run in runs):
         raise ZygosError("the runs are of different arms; remedy: runs of one arm, loaded with the same arm file")
-    check_arm_of_gap(arm, f"arm {arm.name}")
     simulation.base_parameters(arm)
     check_distinct(runs)
+    step = progress or (lambda share, what: None)
+    if arm.grounded:
+        return explain_ground(arm, simulation, measured, kept, step)
+    check_arm_of_gap(arm, f"arm {arm.name}")
     records = [record_of(run, number) for number, run in enumerate(runs, start=1)]
     learned, apart = records[: len(measured)], records[len(measured) :]
     if len(learned) == 1:
         parts = thirds(learned[0], 2 if apart else 3)
         learned, apart = parts[:2], apart or parts[2:]
-    return explain(arm, simulation, learned, apart, progress or (lambda share, what: None))
+    return explain(arm, simulation, learned, apart, step)
 
 
 def check_distinct(runs: Sequence[Run]) -> None:

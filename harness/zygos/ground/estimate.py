@@ -371,7 +371,7 @@ def estimate_ground(
     wanted = tuple(effects) if effects is not None else _default_effects(arm, model)
     told = progress or (lambda share: None)
     motions = [Motion.of(run) for run in runs]
-    span, sums, solution = _at_best_span(arm, motions, wanted)
+    span, sums, solution = at_best_span(arm, motions, wanted)
     told(0.4)
     without: list[Floats] = []
     if len(runs) > 1:
@@ -417,7 +417,7 @@ def _default_effects(arm: Arm, model: Model | None) -> tuple[Effect, ...]:
     return given
 
 
-def _at_best_span(arm: Arm, motions: Sequence[Motion], effects: Sequence[Effect]) -> tuple[float, list[Sums], Solution]:
+def at_best_span(arm: Arm, motions: Sequence[Motion], effects: Sequence[Effect]) -> tuple[float, list[Sums], Solution]:
     """The shortest increments at which the declared noise of the angles is a small part of the residuals; those of the
     arm file, if it says."""
     spans = (arm.joint_increment_s,) if arm.joint_increment_s else SPANS_S

@@ -1,0 +1,401 @@
+"""From runs of an arm on the ground and a simulation to a verdict: what is missing, where, and how much."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+from scipy.stats import t as student
+from threadpoolctl import threadpool_limits
+
+from zygos.arm import Arm
+from zygos.balances.joint import in_order, joint_columns
+from zygos.balances.state import State
+from zygos.can.run import Run
+from zygos.effects import CATALOGUE, Effect
+from zygos.errors import ZygosError
+from zygos.gap.findings import ASYMMETRY, INTERVAL, Finding, Repeated, Value
+from zygos.gap.ground.candidates import OFFSET_OF_TORQUE, candidates_of
+from zygos.gap.ground.changes import find_change
+from zygos.gap.ground.columns import Layout, Table, table_of
+from zygos.gap.ground.direction import one_sided
+from zygos.gap.ground.explanation import GroundExplanation, GroundGap, JointRest
+from zygos.gap.ground.fit import Fit, jackknife, residual
+from zygos.gap.ground.predictions import Prediction, Stage, predict, remainders, run_name
+from zygos.gap.ground.search import Search, is_gain, search
+from zygos.gap.ground.sentences import entry_evidence, gains, offset
+from zygos.gap.verdicts import (
+    Changed,
+    Inseparable,
+    Lacking,
+    NothingMissing,
+    NotPredicted,
+    PartNamed,
+    Unexplained,
+    ValuesDiffer,
+    Verdict,
+)
+from zygos.ground.estimate import DEFAULT_FRICTION, at_best_span
+from zygos.ground.motion import Motion
+from zygos.ground.rows import friction
+from zygos.model.model import Model, Quantity
+from zygos.runs.cycles import Cycles
+
+Floats = NDArray[np.float64]
+
+SURE = 3.0
+"""Standard deviations of a 99.7 % interval, which is what a value must differ by."""
+USUAL_GAIN = 0.05
+"""Gain by which torque sensors of an arm may differ without a word."""
+COULOMB = "motor_coulomb"
+_SHORTEST_S = 2.0
+"""Length of a part of a run that was cut, s, at least."""
+
+
+def explain_ground(
+    arm: Arm,
+    simulation: Model,
+    measured: Sequence[Run],
+    validate: Sequence[Run] = (),
+    step: Callable[[float, str], None] = lambda share, what: None,
+) -> GroundExplanation:
+    """Say what the simulation of an arm with a fixed base and rigid joints lacks.
+
+    measured: runs that are learned from; a single one is cut into thirds, of which the last is kept apart. validate:
+    runs from which nothing is learned. step is told the share done and what is being done.
+
+    Errors: ZygosError where the model or the runs do not fit the arm, or a run is too short; Undecided where there are
+    fewer rows than unknowns.
+    """
+    if not arm.grounded:
+        raise ZygosError(f"arm {arm.name} floats or has flexible joints; remedy: `explain_runs`")
+    learned, apart = _parts(measured, validate)
+    with threadpool_limits(limits=1):
+        return _Explainer(arm, simulation, learned, apart, step).explain()
+
+
+class _Explainer:
+    def __init__(
+        self,
+        arm: Arm,
+        simulation: Model,
+        measured: Sequence[Run],
+        validate: Sequence[Run],
+        step: Callable[[float, str], None],
+    ) -> None:
+        self.arm, self.simulation, self.measured, self.validate = arm, simulation, tuple(measured), tuple(validate)
+        self.step = step
+        self.notes: list[str] = []
+
+    def explain(self) -> GroundExplanation:
+        self.step(0.05, "the motion of the runs")
+        motions = [Motion.of(run) for run in self.measured]
+        usual = friction(self.arm, [CATALOGUE[key] for key in DEFAULT_FRICTION])
+        span, _, rough = at_best_span(self.arm, motions, usual)
+        self.step(0.3, "the columns of all candidates")
+        layout = Layout.of(self.arm, self.simulation, candidates_of(self.arm, self.simulation), len(motions))
+        loads = [predicted_load(motion, rough.value[: len(self.arm.parameter_names)]) for motion in motions]
+        table = table_of(layout, motions, span, loads)
+        self.step(0.5, "candidates")
+        found = search(table, lambda name: self.step(0.6, f"found {name}"))
+        if found.named:
+            self.step(0.7, "the load with what was found")
+            values = layout.start[: len(self.arm.parameter_names)] + found.after.x[: len(self.arm.parameter_names)]
+            table = table_of(layout, motions, span, [predicted_load(motion, values) for motion in motions])
+            found = search(table, lambda name: self.step(0.75, f"found {name}"), found)
+        self.step(0.78, "changes within and between runs")
+        changed = find_change(table, found.after)
+        if changed is not None:
+            found = replace(found, after=changed[1])
+        self.step(0.8, "predictions of the untouched runs")
+        sizes = _Sizes.of(table, found.after)
+        findings = self._findings(found, sizes)
+        findings = (*findings, *self._directions(table, found, findings, sizes))
+        gap = self._gap(table, found)
+        values_found = self._values(table, sizes)
+        verdict: Verdict
+        if changed is not None:
+            verdict = Changed(changed[0], tuple(run_name(run, k) for k, run in enumerate(self.measured, 1)))
+        else:
+            verdict = self._judge(table, found, findings, values_found, gap)
+        adopted = not isinstance(verdict, Unexplained | NotPredicted)
+        self.step(0.95, "verdict")
+        return GroundExplanation(
+            self.arm,
+            self.simulation,
+            self.measured,
+            verdict,
+            findings if adopted else (),
+            values_found,
+            found,
+            self._joints(table, found),
+            gap,
+            span,
+            None
+            if not adopted or verdict.answer == "cannot tell"
+            else self._adopt(table, found, findings, values_found),
+            tuple(self.notes),
+        )
+
+    def _findings(self, found: Search, sizes: _Sizes) -> tuple[Finding, ...]:
+        """What was named; gains of torque sensors within their usual errors are a note, because every arm has them."""
+        listed, usual = [], []
+        for k, one in enumerate(found.named):
+            finding = self._finding(found, k, sizes)
+            if not is_gain(one.candidate) or abs(finding.value) > USUAL_GAIN + SURE * finding.sigma:
+                listed.append(finding)
+            else:
+                usual.append(finding)
+        if usual:
+            self.notes.append(gains(self.arm, usual))
+        return tuple(listed)
+
+    def _finding(self, found: Search, index: int, sizes: _Sizes) -> Finding:
+        one = found.named[index]
+        value, sigma = sizes.at(one.name)
+        return Finding(
+            one.candidate.key,
+            self.arm.joints[one.candidate.joint].name,
+            value,
+            sigma,
+            one.candidate.unit,
+            Repeated(one.z, one.explained, one.each),
+            tuple(found.sets[index][1:]),
+        )
+
+    def _directions(
+        self, table: Table, found: Search, findings: Sequence[Finding], sizes: _Sizes
+    ) -> tuple[Finding, ...]:
+        """Offsets of torques that may as well be a Coulomb friction that differs between the directions."""
+        friction = {e.joint: e.value for e in self.simulation.effects if e.kind.key == COULOMB}
+        friction |= {f.joint: f.value for f in findings if f.kind == COULOMB}
+        out = []
+        for one in one_sided(
+            table,
+            found.after,
+            sizes.variance,
+            {j: friction.get(joint.name, 0.0) for j, joint in enumerate(self.arm.joints)},
+        ):
+            joint = self.arm.joints[one.joint].name
+            if one.answer == "offset":
+                self.notes.append(offset(joint, one.value, one.sigma))
+                continue
+            key = ASYMMETRY if one.answer == "friction" else OFFSET_OF_TORQUE
+            instead = (f"{ASYMMETRY}{one.joint + 1}",) if one.answer == "either" else ()
+            proof = Repeated(one.z, float("nan"), one.each)
+            out.append(Finding(key, joint, one.value, one.sigma, "Nm", proof, instead))
+        return tuple(out)
+
+    def _values(self, table: Table, sizes: _Sizes) -> tuple[Value, ...]:
+        layout, own = table.layout, len(self.arm.parameter_names)
+        listed = []
+        named = set(layout.held)
+        delivered = self.simulation.base_parameters(self.arm)
+        spread = [delivered[name].sigma for name in self.arm.parameter_names] + [e.sigma for e in layout.own]
+        for k, name in enumerate(layout.names[: own + len(layout.own)]):
+            if k in named:
+                continue
+            value, sigma = sizes.at(name)
+            listed.append(
+                Value(name, layout.units[k], float(layout.start[k]), float(spread[k]), value, sigma * sizes.wide(name))
+            )
+        return tuple(listed)
+
+    def _stages(self, table: Table, found: Search) -> tuple[Stage, ...]:
+        own = tuple(self.simulation.effects)
+        return (
+            Stage("as delivered", table.layout.start[: len(self.arm.parameter_names)], own),
+            stage_of(table.layout, "refit", found.before),
+            stage_of(table.layout, "closed", found.after),
+        )
+
+    def _gap(self, table: Table, found: Search) -> GroundGap | None:
+        if not self.validate:
+            self.notes.append("no run was kept apart, so that nothing says how well the result predicts another run")
+            return None
+        stages = self._stages(table, found)
+        return GroundGap(tuple(predict(run, stages) for run in self.validate))
+
+    def _judge(
+        self,
+        table: Table,
+        found: Search,
+        findings: tuple[Finding, ...],
+        values: tuple[Value, ...],
+        gap: GroundGap | None,
+    ) -> Verdict:
+        closes = self._closes(table, found, gap)
+        if not findings:
+            if not closes:
+                return self._unexplained(table, found, gap)
+            changed = tuple(value for value in values if value.differs)
+            return ValuesDiffer(changed) if changed else NothingMissing()
+        if gap is not None:
+            with_them, without = _left(gap.predictions, "closed"), _left(gap.predictions, "refit")
+            if with_them > without:
+                return NotPredicted(findings, with_them, without)
+        if any(finding.instead for finding in findings):
+            return Inseparable(findings)
+        if not closes:
+            return PartNamed(findings, () if gap is None else remainders(gap.predictions))
+        return Lacking(findings)
+
+    def _closes(self, table: Table, found: Search, gap: GroundGap | None) -> bool:
+        if gap is not None:
+            return all(one.closes for one in gap.predictions)
+        left = np.sqrt(residual(table, found.after.x))
+        return bool(np.all(left <= 3.0 * table.floor))
+
+    def _unexplained(self, table: Table, found: Search, gap: GroundGap | None) -> Unexplained:
+        if gap is not None:
+            worst = max(float(one.ratio.max()) for one in gap.predictions)
+        else:
+            worst = float((np.sqrt(residual(table, found.after.x)) / table.floor).max())
+        near = max(found.rounds[-1], key=lambda one: one.gain) if found.rounds else None
+        if near is None or near.explained <= 0.0:
+            return Unexplained(worst, (), 0.0, ())
+        return Unexplained(worst, (near.name,), min(1.0, near.explained), ())
+
+    def _joints(self, table: Table, found: Search) -> tuple[JointRest, ...]:
+        zero = np.zeros_like(found.before.x)
+        stages = [np.sqrt(residual(table, x)) / table.span_s for x in (zero, found.before.x, found.after.x)]
+        floor = table.floor / table.span_s
+        return tuple(
+            JointRest(joint.name, *(tuple(float(x) for x in one[:, j]) for one in (*stages, floor)))
+            for j, joint in enumerate(self.arm.joints)
+        )
+
+    def _adopt(self, table: Table, found: Search, findings: tuple[Finding, ...], values: tuple[Value, ...]) -> Model:
+        by_name = {value.name: value for value in values}
+        parameters = {}
+        for name, was in self.simulation.base_parameters(self.arm).items():
+            value = by_name.get(name)
+            if value is not None:
+                parameters[name] = Quantity(value.found, value.sigma, "zygos", was.unit)
+            else:
+                parameters[name] = was
+        effects = []
+        for effect in self.simulation.effects:
+            value = by_name.get(effect.column(self.arm))
+            effects.append(
+                effect if value is None else replace(effect, value=value.found, sigma=value.sigma, source="zygos")
+            )
+        by_place = {(finding.kind, finding.joint): finding for finding in findings}
+        for one in found.named:
+            finding = by_place.get((one.candidate.key, self.arm.joints[one.candidate.joint].name))
+            if finding is None:
+                continue
+            if one.candidate.effect is None:
+                unit = parameters[one.name].unit
+                parameters[one.name] = Quantity(finding.value, finding.sigma, "zygos", unit)
+            else:
+                effects.append(
+                    replace(
+                        one.candidate.effect,
+                        value=finding.value,
+                        sigma=finding.sigma,
+                        source="zygos",
+                        evidence=entry_evidence(finding),
+                    )
+                )
+        return Model(f"{self.simulation.name}, explained", parameters=parameters, effects=tuple(effects))
+
+
+class _Sizes:
+    """Values and standard deviations of the free columns of a fit."""
+
+    def __init__(self, layout: Layout, fitted: Fit, sigma: Floats, freedom: Floats) -> None:
+        self.layout, self.fitted = layout, fitted
+        self._sigma = dict(zip(fitted.free, sigma.tolist(), strict=True))
+        self._freedom = dict(zip(fitted.free, freedom.tolist(), strict=True))
+
+    @property
+    def variance(self) -> dict[int, tuple[float, float]]:
+        """Standard deviation of each free column, and its degrees of freedom."""
+        return {k: (self._sigma[k], self._freedom[k]) for k in self._sigma}
+
+    @classmethod
+    def of(cls, table: Table, fitted: Fit) -> _Sizes:
+        covariance, freedom, spread = jackknife(table, fitted)
+        return cls(table.layout, fitted, np.maximum(np.sqrt(np.diag(covariance)), spread), freedom)
+
+    def at(self, name: str) -> tuple[float, float]:
+        """Value, and the standard deviation of a normal variable with the same 95 % interval."""
+        k = self.layout.at(name)
+        value = float(self.layout.start[k] + self.fitted.x[k])
+        freedom = self._freedom.get(k, 2.0)
+        return value, self._sigma.get(k, 0.0) * float(student.ppf(0.975, freedom)) / INTERVAL
+
+    def wide(self, name: str) -> float:
+        """Factor by which a 99.7 % interval is wider than that of a normal variable with the same 95 % interval."""
+        freedom = self._freedom.get(self.layout.at(name), 2.0)
+        own = student.isf(norm.sf(SURE), freedom) / SURE
+        return float(own / (student.ppf(0.975, freedom) / INTERVAL))
+
+
+def stage_of(layout: Layout, name: str, fitted: Fit) -> Stage:
+    """The model of a fit."""
+    p = len(layout.arm.parameter_names)
+    values = layout.start + fitted.x[: layout.shared]
+    effects = [
+        replace(effect, value=float(value))
+        for effect, value in zip(layout.effects, values[p:], strict=True)
+        if value != 0.0
+    ]
+    return Stage(name, values[:p], tuple(effects))
+
+
+def predicted_load(motion: Motion, values: Floats) -> Floats:
+    """(m, N) torque of bodies and rotors after the gear at the smoothed instants, Nm."""
+    arm, h = motion.arm, motion.arm.period_s
+    columns = joint_columns(arm, State.smoothed(arm, motion.smoothed))
+    z = in_order(
+        arm,
+        np.gradient(columns.momentum, h, axis=0) - columns.force,
+        np.gradient(columns.rotor_momentum, h, axis=0) - columns.rotor_force,
+    )
+    return np.asarray(z @ values, dtype=np.float64)
+
+
+def _left(predictions: Sequence[Prediction], name: str) -> float:
+    """Root mean square over runs of the share of the torques that a model leaves."""
+    return float(np.sqrt(np.mean([dict(one.scores)[name].share ** 2 for one in predictions])))
+
+
+def _parts(measured: Sequence[Run], validate: Sequence[Run]) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
+    """The runs; a single measured one is cut into two, and a third part is kept apart unless there is another run."""
+    if not measured:
+        raise ZygosError("no measured run; remedy: one run, or better two to learn from and a third to validate")
+    if len(measured) > 1:
+        return tuple(measured), tuple(validate)
+    parts = cut(measured[0], 2 if validate else 3)
+    return parts[:2], tuple(validate) or parts[2:]
+
+
+def cut(run: Run, parts: int) -> tuple[Run, ...]:
+    """A run cut into parts of equal length, as if each had been recorded by itself. Errors: ZygosError where it is too
+    short."""
+    length = len(run) // parts
+    if length * run.arm.period_s < _SHORTEST_S:
+        raise ZygosError(
+            f"{run.path or 'the run'}: one run of {len(run) * run.arm.period_s:.1f} s cannot be cut into {parts} parts, "
+            "of which one must hold what another says; remedy: give two runs (--measured A B), or a longer one"
+        )
+    own = run.cycles
+    return tuple(
+        Run(run.arm, table=_piece(own, k * length, (k + 1) * length), path=run.path, damage=run.damage)
+        for k in range(parts)
+    )
+
+
+def _piece(cycles: Cycles, start: int, stop: int) -> Cycles:
+    of = slice(start, stop)
+    return Cycles(cycles.sync[of], cycles.q[of], cycles.theta[of], cycles.tau[of], cycles.omega[of], cycles.flags[of])
+
+
+def of_effects(effects: Sequence[Effect]) -> dict[tuple[str, str | None], Effect]:
+    """Effects by kind and joint."""
+    return {(effect.kind.key, effect.joint): effect for effect in effects}

@@ -1,0 +1,114 @@
+"""Everything that an explained gap of an arm on the ground consists of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zygos.arm import Arm
+from zygos.can.run import Run
+from zygos.gap.findings import Finding, Value
+from zygos.gap.ground import sentences
+from zygos.gap.ground.predictions import Prediction, share_of_energy
+from zygos.gap.ground.search import Search
+from zygos.gap.verdicts import Answer, Verdict, partly
+from zygos.model.model import Model
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class GroundGap:
+    """Error of the energy predicted over one second, as share of the work, over all untouched runs."""
+
+    predictions: tuple[Prediction, ...]
+
+    @property
+    def delivered(self) -> float:
+        """By the simulation as it came."""
+        return share_of_energy(self.predictions, "as delivered")
+
+    @property
+    def refit(self) -> float:
+        """By its own equations, values fitted."""
+        return share_of_energy(self.predictions, "refit")
+
+    @property
+    def closed(self) -> float:
+        """With what was found."""
+        return share_of_energy(self.predictions, "closed")
+
+    @property
+    def floor(self) -> float:
+        """That noise alone leaves."""
+        return share_of_energy(self.predictions, "floor")
+
+
+@dataclass(frozen=True)
+class JointRest:
+    """The residual of one joint's increments on the measured runs, as mean torque; R runs."""
+
+    joint: str
+    delivered: tuple[float, ...]
+    """(R,) Nm."""
+    refit: tuple[float, ...]
+    closed: tuple[float, ...]
+    floor: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class GroundExplanation:
+    """What is known in the end of an arm with a fixed base and rigid joints."""
+
+    arm: Arm
+    simulation: Model
+    measured: tuple[Run, ...]
+    verdict: Verdict
+    findings: tuple[Finding, ...]
+    values: tuple[Value, ...]
+    search: Search
+    joints: tuple[JointRest, ...]
+    gap: GroundGap | None
+    span_s: float
+    """Length of the increments, s."""
+    model: Model | None
+    """The model with what was learned; None where nothing is to be adopted."""
+    notes: tuple[str, ...]
+    """What a reader should know beside, in sentences."""
+
+    @property
+    def answer(self) -> Answer:
+        """The kind of verdict."""
+        return self.verdict.answer
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in words."""
+        return sentences.verdict(self.arm, self.verdict)
+
+    @property
+    def where(self) -> str:
+        """At which joints the simulation fails, in words."""
+        return sentences.where([(one.joint, _rms(one.refit), _rms(one.closed), _rms(one.floor)) for one in self.joints])
+
+    @property
+    def partly(self) -> str:
+        """With an unknown effect, what part of it looks like, in words; empty where it looks like nothing."""
+        return sentences.listed(partly(self.verdict))
+
+    @property
+    def remedy(self) -> str:
+        """What to do where the answer is unknown or cannot tell, in words."""
+        return sentences.remedy(self.arm, self.verdict, self.search)
+
+    @property
+    def validated(self) -> tuple[Run, ...]:
+        """The runs that were kept apart."""
+        return () if self.gap is None else tuple(one.run for one in self.gap.predictions)
+
+
+def _rms(values: Sequence[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))

@@ -1,0 +1,242 @@
+"""Forward selection of what a simulation lacks: each candidate must be significant, repeat on every run, and matter."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+from scipy.stats import t as student
+
+from zygos.gap.findings import ROTOR_INERTIA
+from zygos.gap.ground.candidates import GAIN, Candidate
+from zygos.gap.ground.columns import Table
+from zygos.gap.ground.fit import Fit, Scores, fit, jackknife, score
+
+Floats = NDArray[np.float64]
+Against = Literal["insignificant", "inconsistent", "negative", "not transferable", "immaterial"]
+
+LEAST_Z = 4.5
+"""Standard deviations that a candidate needs at least."""
+FALSE_ALARMS = 1e-3
+"""Probability that any of the candidates of a search passes the first test by chance."""
+AGREE_Z, AGREE_SHARE = 4.0, 0.25
+"""Deviations, or share of the value, by which a run by itself may differ."""
+MATERIAL = 0.2
+"""Share of what noise does not explain that a candidate must take away. What is left over of another law looks a little
+like every column, and is significant because it repeats."""
+NOISE = 1.3
+"""Mean square of a residual, in units of that of noise, from which on there is something to explain."""
+_KEPT_Z = 3.0
+_LIKE = 0.9
+"""Share of the improvement with which a candidate may stand in for another."""
+_MOST = 24
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A candidate, with its coefficient beside the columns of a fit."""
+
+    candidate: Candidate
+    value: float
+    sigma: float
+    freedom: float
+    z: float
+    gain: float
+    """Reduction of the weighted squared residual."""
+    each: tuple[float, ...]
+    """On each run by itself; NaN where the run does not show it."""
+    explained: float
+    """Share of the squared residual beyond noise that it takes away at its joint, at the value of the other runs."""
+    limit: float
+    """Size from which on it would be significant."""
+    against: Against | None
+    """Why it is not named; None where it passes."""
+
+    @property
+    def name(self) -> str:
+        """Of its column."""
+        return self.candidate.name
+
+    @property
+    def twins(self) -> tuple[str, ...]:
+        """Keys of effects that look alike in some motions."""
+        return () if self.candidate.effect is None else self.candidate.effect.kind.twins
+
+    @property
+    def passes(self) -> bool:
+        """Whether it passes all tests."""
+        return self.against is None
+
+
+@dataclass(frozen=True)
+class Search:
+    """What was found, in the order in which it was found."""
+
+    before: Fit
+    after: Fit
+    named: tuple[Tried, ...]
+    """With their values beside all others."""
+    sets: tuple[tuple[str, ...], ...]
+    """For each that was named, its column and those that the runs cannot tell from it."""
+    rounds: tuple[tuple[Tried, ...], ...]
+    """Candidates of each round, the best first."""
+
+
+def threshold(count: int) -> float:
+    """Standard deviations that one of so many candidates needs."""
+    return max(LEAST_Z, float(norm.isf(0.5 * FALSE_ALARMS / max(count, 1))))
+
+
+def search(table: Table, step: Callable[[str], None], begun: Search | None = None) -> Search:
+    """Add one candidate after the other. begun: a search on nearly the same sums, whose names are kept."""
+    layout = table.layout
+    before = fit(table, layout.basis)
+    names = [one.name for one in begun.named] if begun is not None else []
+    sets = list(begun.sets) if begun is not None else []
+    rounds = list(begun.rounds[:-1]) if begun is not None else []
+    free = [*layout.basis, *(layout.at(name) for name in names)]
+    fitted = fit(table, free)
+    if names:
+        kept, sets = _retested(table, fitted, names, sets)
+        if kept != names:
+            names, free = kept, [*layout.basis, *(layout.at(name) for name in kept)]
+            fitted = fit(table, free)
+    for _ in range(_MOST):
+        taken = {(one.key, one.joint) for one in layout.candidates if one.name in names}
+        open_ones = [one for one in layout.candidates if (one.key, one.joint) not in taken]
+        if not open_ones:
+            break
+        tried = try_all(table, fitted, open_ones)
+        rounds.append(tuple(sorted(tried, key=lambda one: (not one.passes, -one.gain))))
+        best = rounds[-1][0]
+        if not best.passes:
+            break
+        step(best.name)
+        added = [one.name for one in open_ones if is_gain(one)] if is_gain(best.candidate) else [best.name]
+        sets += [(name, *(_alike(table, fitted, best, rounds[-1]) if name == best.name else ())) for name in added]
+        names += added
+        free += [layout.at(name) for name in added]
+        fitted = fit(table, free)
+        kept, sets = _retested(table, fitted, names, sets)
+        if kept != names:
+            names, free = kept, [*layout.basis, *(layout.at(name) for name in kept)]
+            fitted = fit(table, free)
+    named = tuple(_beside_the_others(table, names))
+    return Search(before, fitted, named, tuple(sets), tuple(rounds))
+
+
+def try_all(table: Table, fitted: Fit, candidates: Sequence[Candidate]) -> list[Tried]:
+    """Every candidate, each alone beside the columns of a fit, judged."""
+    scores = score(table, fitted, [table.layout.at(one.name) for one in candidates])
+    needed = threshold(len(candidates))
+    return [_judged(table, scores, k, one, needed) for k, one in enumerate(candidates)]
+
+
+def _judged(table: Table, scores: Scores, k: int, one: Candidate, needed: float) -> Tried:
+    value, sigma, z = float(scores.value[k]), float(scores.sigma[k]), float(scores.z[k])
+    each, each_sigma = scores.alone[:, k], scores.alone_sigma[:, k]
+    explained, worst = _explained(table, scores, k, one.joint)
+    against: Against | None = None
+    if not np.isfinite(sigma) or abs(z) < needed:
+        against = "insignificant"
+    elif one.positive and value < 0.0:
+        against = "negative"
+    elif not _agrees(table, value, sigma, each, each_sigma):
+        against = "inconsistent"
+    elif worst < 0.0 and one.key != ROTOR_INERTIA:
+        against = "not transferable"
+    elif explained < MATERIAL:
+        against = "immaterial"
+    limit = float(student.isf(norm.sf(needed), scores.freedom[k]) * sigma)
+    return Tried(
+        one,
+        value,
+        sigma,
+        float(scores.freedom[k]),
+        z,
+        float(scores.gain[k]),
+        tuple(each.tolist()),
+        explained,
+        limit,
+        against,
+    )
+
+
+def _agrees(table: Table, value: float, sigma: float, each: Floats, each_sigma: Floats) -> bool:
+    """Whether every run by itself has the same sign and size, as far as it shows the candidate."""
+    blocks = np.bincount(table.owner, minlength=len(each))
+    for own, wide, count in zip(each.tolist(), each_sigma.tolist(), blocks.tolist(), strict=True):
+        if not np.isfinite(own):
+            continue
+        # a standard deviation from few blocks is not known well itself
+        limit = student.isf(norm.sf(AGREE_Z), max(2.0, 0.5 * count)) * np.hypot(wide, sigma)
+        if abs(own - value) > max(limit, AGREE_SHARE * abs(value)):
+            return False
+        if own * value < 0.0 and abs(own) > 2.0 * wide:
+            return False
+    return True
+
+
+def _explained(table: Table, scores: Scores, k: int, joint: int) -> tuple[float, float]:
+    """Share of the squared residual beyond noise at the joint that a candidate takes away over all runs, and the least
+    change on a run that shows it, in the same units."""
+    before, after = scores.before[:, joint], scores.after[:, k, joint]
+    rest = np.maximum(before - NOISE * table.floor[:, joint] ** 2, 0.0)
+    shows = np.isfinite(scores.alone[:, k]) & (np.abs(scores.value[k]) > 2.0 * scores.alone_sigma[:, k])
+    better = before - after
+    whole = float(rest.sum())
+    share = float(better.sum()) / whole if whole > 0.0 else float(np.sign(better.sum()))
+    return share, float(np.min(better[shows], initial=0.0))
+
+
+def _alike(table: Table, fitted: Fit, best: Tried, tried: Sequence[Tried]) -> list[str]:
+    """Candidates that explain as much as the best one, and beside which it is not significant."""
+    out = []
+    for other in tried:
+        if other is best or not other.passes or other.gain < _LIKE * best.gain:
+            continue
+        if other.candidate.joint != best.candidate.joint:
+            continue
+        beside = fit(table, [*fitted.free, table.layout.at(other.name)], fitted.sigma)
+        if abs(float(score(table, beside, [table.layout.at(best.name)]).z[0])) < _KEPT_Z:
+            out.append(other.name)
+    return out
+
+
+def _retested(
+    table: Table, fitted: Fit, names: list[str], sets: list[tuple[str, ...]]
+) -> tuple[list[str], list[tuple[str, ...]]]:
+    """What was named, without what is not significant beside the others any more, or has become negative."""
+    by_name = {one.name: one for one in table.layout.candidates}
+    covariance, freedom, _ = jackknife(table, fitted)
+    kept = list(names)
+    for name in names[:-1]:
+        if is_gain(by_name[name]):
+            continue
+        place = table.layout.at(name)
+        k = fitted.free.index(place)
+        value, sigma = float(fitted.x[place]), float(np.sqrt(max(covariance[k, k], 1e-300)))
+        weak = abs(value) < student.isf(norm.sf(_KEPT_Z), freedom[k]) * sigma
+        if weak or (by_name[name].positive and value < 0.0):
+            kept.remove(name)
+    return kept, [group for group in sets if group[0] in kept]
+
+
+def _beside_the_others(table: Table, names: Sequence[str]) -> list[Tried]:
+    """What was named, each beside all others."""
+    by_name = {one.name: one for one in table.layout.candidates}
+    out, sigma = list[Tried](), None
+    for name in names:
+        others = [table.layout.at(other) for other in names if other != name]
+        fitted = fit(table, [*table.layout.basis, *others], sigma)
+        out.append(try_all(table, fitted, [by_name[name]])[0])
+    return out
+
+
+def is_gain(one: Candidate) -> bool:
+    """Whether it is the error of a torque sensor's gain. If one differs, all may."""
+    return one.key == GAIN

@@ -1,0 +1,143 @@
+"""Sentences about the gap of an arm on the ground."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from zygos.arm import Arm
+from zygos.effects import is_column, spoken
+from zygos.gap import sentences
+from zygos.gap.findings import ASYMMETRY, Deflection, Finding
+from zygos.gap.ground.search import Against, Search, Tried
+from zygos.gap.sentences import listed
+from zygos.gap.verdicts import Inseparable, LateTorques, NothingMissing, NotPredicted, Unexplained, Verdict
+from zygos.report.figures import figure
+
+__all__ = ["against", "evidence", "listed", "offset", "remedy", "title", "verdict", "where"]
+
+_FAILS = 2.0
+_AGAINST: dict[Against, str] = {
+    "insignificant": "not beyond chance",
+    "inconsistent": "the runs disagree on its size",
+    "negative": "it would have to create energy",
+    "not transferable": "what the other runs say of it does not help on each",
+    "immaterial": "it explains too little of what is left",
+}
+
+
+def title(arm: Arm, column: str) -> str:
+    """A column in sentences."""
+    column = column.partition("@")[0]
+    if is_column(column):
+        return spoken(arm, column)
+    if column.startswith(ASYMMETRY):
+        return f"Coulomb friction that differs between the directions ({arm.joints[int(column[len(ASYMMETRY) :]) - 1].name})"
+    joint = column[2:]
+    return f"inertia of the rotor ({arm.joints[int(joint) - 1].name})" if joint.isdigit() else column
+
+
+def verdict(arm: Arm, found: Verdict) -> str:
+    """What a verdict says."""
+    match found:
+        case NothingMissing():
+            return "Nothing is missing above the detection limits, and no value differs."
+        case LateTorques():
+            late = "later" if found.periods > 0 else "earlier"
+            return (
+                f"Timing first: the torques act {abs(found.periods):.2f} SYNC periods {late} than the arm file says; no "
+                "effect is named until it is right."
+            )
+        case Unexplained():
+            guess = ", ".join(title(arm, column) for column in found.guess)
+            share = f"; the best guess ({guess}) explains {100 * found.completeness:.0f} % of it" if guess else ""
+            return (
+                "Something is missing that the catalogue does not hold: the untouched run leaves "
+                f"{figure(found.residual)} times the torque that noise does{share}."
+            )
+        case NotPredicted():
+            return (
+                f"{listed(found.findings)} would explain the measured runs, but the untouched run is predicted better "
+                f"without ({100 * found.closed_median:.3g} % of the torque left with, "
+                f"{100 * found.struck_median:.3g} % without): not adopted."
+            )
+        case Inseparable():
+            certain = [f for f in found.findings if not f.instead]
+            sets = "; ".join(
+                " or ".join((listed([f]), *(title(arm, n) for n in f.instead))) for f in found.findings if f.instead
+            )
+            first = f"The simulation lacks {listed(certain)}. " if certain else ""
+            return f"{first}These runs cannot tell apart: {sets}."
+    return sentences.verdict(arm, found)
+
+
+def where(joints: Sequence[tuple[str, float, float, float]]) -> str:
+    """Which joints fail: name, torque left by the refit and by the closed model, and noise, Nm."""
+    fails = [one for one in joints if one[1] > _FAILS * one[3]]
+    if not fails:
+        return "The torques of all joints close."
+    said = "; ".join(
+        f"{name}: {figure(before)} Nm left by the simulation's own equations, {figure(after)} Nm with what was found"
+        for name, before, after, _ in fails
+    )
+    others = [one[0] for one in joints if one not in fails]
+    return f"Joints that do not close: {said}." + (f" The others do: {', '.join(others)}." if others else "")
+
+
+def remedy(arm: Arm, found: Verdict, search: Search) -> str:
+    """What to do where nothing is adopted, or where something is left to tell."""
+    match found:
+        case LateTorques():
+            return "correct torque_law or latch_us in the arm file; `zygos check-arm` examines the signals of a run"
+        case Inseparable():
+            return "record a run in which these joints also rest in several postures, or plan another motion"
+    if not search.rounds or not search.rounds[-1]:
+        return ""
+    near = max(search.rounds[-1], key=lambda one: one.gain)
+    said = "check signs, zeros, gear ratios and timing with `zygos check-arm`"
+    if near.explained > 0.0:
+        share = 100 * min(1.0, near.explained)
+        said += f"; the nearest in the catalogue, {title(arm, near.name)}, explains {share:.0f} % of what is left"
+    return said
+
+
+def evidence(finding: Finding) -> str:
+    """The evidence for it."""
+    proof = finding.evidence
+    if isinstance(proof, Deflection) or not math.isfinite(proof.z):
+        return ""
+    each = ", ".join(f"{x:.3g}" for x in getattr(proof, "each", ()) if math.isfinite(x))
+    runs = f", {each} {finding.unit} on the runs by themselves" if each else ""
+    said = f"{abs(proof.z):.0f} standard deviations from the scatter over blocks of time{runs}"
+    if math.isfinite(proof.completeness):
+        share = 100 * min(1.0, proof.completeness)
+        said += f", {share:.0f} % of the squared torque beyond noise explained at its joint"
+    return said
+
+
+def entry_evidence(finding: Finding) -> str:
+    """The evidence of its entry in a model file."""
+    low, high = finding.interval
+    return f"95 % interval {low:.4g} .. {high:.4g} {finding.unit}; {evidence(finding)}"
+
+
+def against(one: Tried) -> str:
+    """What speaks against a candidate; empty where nothing does."""
+    return _AGAINST[one.against] if one.against is not None else ""
+
+
+def offset(joint: str, size: float, sigma: float) -> str:
+    """A constant torque that is there at rest as well."""
+    return (
+        f"the torque of the {joint} has a constant offset of {size:.3g} ± {1.96 * sigma:.1g} Nm, also at rest: that of "
+        "its sensor, of a cable or of a brake"
+    )
+
+
+def gains(arm: Arm, found: Sequence[Finding]) -> str:
+    """Gains of torque sensors within their usual errors."""
+    each = ", ".join(f"{f.joint} {-100 * f.value:+.2g} ± {196 * f.sigma:.1g} %" for f in found)
+    return (
+        f"the torque sensors read differently: against that of the {arm.joints[0].name} too much by {each}; the values "
+        "are found with these gains"
+    )
