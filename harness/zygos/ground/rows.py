@@ -14,12 +14,11 @@ from zygos.balances.momentum import variances
 from zygos.balances.state import State
 from zygos.effects import SLOWEST_RATE, Effect, EffectColumn, Kind
 from zygos.effects import Motion as JointMotion
-from zygos.effects import Motion as JointMotion
 from zygos.ground.motion import Motion, TorqueRows, torque_noise
 
 Floats = NDArray[np.float64]
 
-_SIGNED = ("motor_coulomb", "link_coulomb", "motor_stribeck", "link_stribeck", "load_friction")
+_SIGNED = ("motor_coulomb", "link_coulomb", "load_friction")
 _SLOW_SIGMAS = 4.0
 """Rate, in standard deviations of its noise, below which its sign is not known."""
 _LINGERING = 0.3
