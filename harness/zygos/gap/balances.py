@@ -92,6 +92,11 @@ class Acting(NamedTuple):
         return Effect(self.kind, joint, value, sigma, source, shape=self.shape, component=self.component)
 
 
+def acting(effect: Effect, arm: Arm) -> Acting:
+    """Where an effect of a model acts. Errors: as `Effect.index`."""
+    return Acting(effect.kind, effect.index(arm), effect.component, effect.shape)
+
+
 @dataclass(frozen=True)
 class Layout:
     """Names of all balances and columns of an arm."""

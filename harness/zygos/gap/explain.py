@@ -16,7 +16,7 @@ from zygos.dynamics.equations import from_model, from_parameters, parameters
 from zygos.dynamics.joints import Drives
 from zygos.effects import OFFSET, Effect
 from zygos.errors import Undecided, ZygosError
-from zygos.gap.balances import Layout, corrected
+from zygos.gap.balances import Layout, acting, corrected
 from zygos.gap.changes import find_change, settled
 from zygos.gap.experiment import Experiment, propose
 from zygos.gap.explanation import Explanation
@@ -35,9 +35,9 @@ from zygos.gap.fit import fit
 from zygos.gap.forecast import Forecast, Stretches, cut, cut_twin, forecast
 from zygos.gap.record import MeasuredRun
 from zygos.gap.remainder import closes, remainders
-from zygos.gap.search import CERTAIN, COMPLETE, EXCESS, PARTLY, Candidate, Search, excess, possible, search
+from zygos.gap.search import CERTAIN, COMPLETE, EXCESS, PARTLY, Candidate, Search, excess, polished, possible, search
 from zygos.gap.sentences import entry_evidence
-from zygos.gap.study import Study, again, begin, read_hypothesis, realise, split
+from zygos.gap.study import Study, again, begin, read_hypothesis, realise, sensor_effects, split
 from zygos.gap.twin import follow
 from zygos.gap.verdicts import (
     AboveFloor,
@@ -140,18 +140,27 @@ class _Explainer:
             self.step(0.25, "the joints' flexibility")
             basis = self._flexible(refit, [d.joint for d in flexible])
             findings += [self._flexibility(basis, d) for d in flexible]
-        if not skewed:
-            self.step(0.4, "candidates")
-            found = search(basis, lambda what: self.step(0.5, what))
-            findings += [self._finding(found, k) for k in range(len(found.named))]
+        gap: Gap | None = None
         changed: Changed | None = None
-        if found is not None and self._unsettled(found):
-            self.step(0.6, "changes with time")
-            changed, found = self._changed(found)
-            findings = [] if changed else findings
-        self.step(0.65, "predictions of the untouched run")
+        if not skewed:
+            self.step(0.3, "candidates")
+            found = search(basis, lambda what: self.step(0.35, what))
+            gap = self._gap(delivered, refit, found.after, found)
+            if self._open(found, gap):
+                self.step(0.5, "every entry of the catalogue")
+                wide = replace(basis.hypothesis, layout=replace(basis.layout, wide=True))
+                wider = search(begin(self.measured, wide, basis.dynamics()), lambda what: self.step(0.6, what))
+                wider = polished(wider)
+                if _explains_more(wider, found):
+                    found, gap = wider, self._gap(delivered, refit, wider.after, wider)
+            if self._unsettled(found):
+                self.step(0.8, "changes with time")
+                changed, found = self._changed(found)
+                gap = self._gap(delivered, refit, found.after, found) if changed else gap
+            findings += [self._finding(found, k) for k in range(len(found.named))]
         after = basis if found is None else found.after
-        gap = self._gap(delivered, refit, after, found)
+        if skewed:
+            gap = self._gap(delivered, refit, after, found)
         if gap is not None and gap.closed.median > 1.1 * gap.delivered.median:
             self.remarks.append(DrawingPredictsBetter())
         self.step(0.9, "verdict")
@@ -227,7 +236,10 @@ class _Explainer:
         joint = None if named.joint < 0 else self.arm.joints[named.joint].name
         assumed = study.hypothesis.momentum if named.kind.key == "angular_momentum" else None
         instead = tuple(found.sets[index][1:])
-        return Finding(named.kind.key, joint, value, sigma, named.kind.unit, evidence, instead, assumed)
+        component = study.layout.find(named.name).component
+        return Finding(
+            named.kind.key, joint, value, sigma, named.kind.unit, evidence, instead, assumed, named.shape, component
+        )
 
     def _size(self, study: Study, name: str) -> tuple[float, float]:
         """A coefficient and its standard deviation: noise, or what the runs disagree by, whichever is more."""
@@ -249,9 +261,9 @@ class _Explainer:
             Value(name, q.unit, q.value, q.sigma, float(x), sigma.get(name, 0.0))
             for (name, q), x in zip(delivered.items(), base, strict=True)
         ]
-        found = {effect.column(self.arm): effect.value for effect in effects}
+        found = {acting(effect, self.arm).name: effect.value for effect in effects}
         for effect in self.simulation.effects:
-            name = effect.column(self.arm)
+            name = acting(effect, self.arm).name
             if name in sigma:
                 values.append(Value(name, effect.kind.unit, effect.value, effect.sigma, found[name], sigma[name]))
         return tuple(values)
@@ -266,20 +278,26 @@ class _Explainer:
             return list(records)
         told = np.where(torque, 0.0, off)
         if told.any():
-            self.remarks.append(ZerosOff(tuple((n, float(x)) for n, x in zip(layout.zeros, told, strict=True) if x)))
+            self._remark(ZerosOff(tuple((n, float(x)) for n, x in zip(layout.zeros, told, strict=True) if x)))
         return [corrected(record, layout, off) for record in records]
+
+    def _remark(self, one: Remark) -> None:
+        """Note it, once."""
+        if one not in self.remarks:
+            self.remarks.append(one)
 
     def _gap(self, delivered: Drives, refit: Study, after: Study, found: Search | None) -> Gap | None:
         if not self.validate:
-            self.remarks.append(NoUntouchedRun())
+            self._remark(NoUntouchedRun())
             return None
         segments = Stretches.joined([cut(record) for record in self._calibrated(self.validate, after)])
         closed = after.dynamics()
         before = closed if after is refit else refit.dynamics()
         if not after.physical:
-            self.remarks.append(NearestArm())
+            self._remark(NearestArm())
         self.step(0.7, "predictions of the untouched run")
-        last = forecast(closed, segments)
+        errors = sensor_effects(after.hypothesis, after.value)
+        last = forecast(closed, segments, errors)
         wrong, wrong_name = None, ""
         other = None if found is None or not found.named else _other(found)
         if found is not None and other is not None:
@@ -289,23 +307,23 @@ class _Explainer:
                 study = again(found.before, instead, 2)
                 wrong, wrong_name = forecast(study.dynamics(), segments), other.name
             except ZygosError:
-                self.remarks.append(Impossible(other.name))
+                self._remark(Impossible(other.name))
         self.step(0.85, "the floor")
         try:
-            twin = Stretches.joined([cut_twin(one) for one in follow(closed, self.validate)])
+            twin = Stretches.joined([cut_twin(one) for one in follow(closed, self.validate, errors)])
         except Undecided as error:
-            self.remarks.append(NoFloor(str(error)))
+            self._remark(NoFloor(str(error)))
             return None
         return Gap(
             segments,
             forecast(delivered, segments),
             last if before is closed else forecast(before, segments),
             last,
-            forecast(closed, twin),
+            forecast(closed, twin, errors),
             self._struck(found, segments),
             wrong,
             wrong_name,
-            tuple(forecast(one, twin) for one in _redrawn(after)),
+            tuple(forecast(one, twin, errors) for one in _redrawn(after)),
         )
 
     def _struck(self, found: Search | None, segments: Stretches) -> Forecast | None:
@@ -355,6 +373,10 @@ class _Explainer:
         whole = share >= COMPLETE and (closes(gap) if gap is not None else bool(np.nanmax(found.after.excess) <= SMALL))
         return Lacking(findings) if whole else PartNamed(findings, remainders(self.arm, found.after, gap))
 
+    def _open(self, found: Search, gap: Gap | None) -> bool:
+        """Whether something is left over that other entries of the catalogue may explain."""
+        return excess(found.after) or (bool(found.named) and gap is not None and not closes(gap))
+
     def _unsettled(self, found: Search) -> bool:
         """Whether the runs disagree, or nothing of the catalogue explains most of what is missing."""
         if not found.named and not excess(found.before):
@@ -370,7 +392,10 @@ class _Explainer:
             return None, found
         try:
             change, now = settled(study, change)
-        except Undecided:
+        except (Undecided, ZygosError):
+            return None, found
+        if excess(now):
+            # what is left over after it is no matter of time
             return None, found
         names = tuple(record.path.name for record in study.records)
         return Changed(change, names), replace(found, after=now, named=(), sets=())
@@ -423,22 +448,28 @@ class _Explainer:
             if v.name in self.arm.parameter_names
         }
         _, effects = split(study.hypothesis, study.value)
-        new = {(f.kind, f.joint): f for f in findings}
+        new = {(f.kind, f.joint, f.component): f for f in findings}
         kept: list[Effect] = []
         for effect in effects:
-            finding = new.get((effect.kind.key, effect.joint))
+            finding = new.get((effect.kind.key, effect.joint, effect.component))
             if finding is not None:
                 # a rotor that couples at all does so with its whole inertia
                 value = 1.0 if effect.kind.key == "rotor_coupling" else finding.value
-                kept.append(Effect(effect.kind, effect.joint, value, finding.sigma, "zygos", entry_evidence(finding)))
+                kept.append(replace(effect, value=value, sigma=finding.sigma, evidence=entry_evidence(finding)))
             elif effect.source == "zygos":
-                value, sigma = self._size(study, effect.column(self.arm))
+                value, sigma = self._size(study, acting(effect, self.arm).name)
                 # an effect of the simulation that the runs do not show leaves the model
                 if value > DIFFERS * sigma or (value < -DIFFERS * sigma and not effect.kind.positive):
                     kept.append(replace(effect, value=value, sigma=sigma))
             else:
                 kept.append(effect)
         return Model(f"{self.simulation.name}, explained", parameters=parameters, effects=tuple(kept))
+
+
+def _explains_more(wider: Search, found: Search) -> bool:
+    """Whether a search among more entries leaves less over, by more than a trifle."""
+    share, before = (min(one.completeness) if one.named else 0.0 for one in (wider, found))
+    return share > before + 0.01 or (share >= before and not excess(wider.after) and excess(found.after))
 
 
 def _redrawn(study: Study) -> list[Drives]:

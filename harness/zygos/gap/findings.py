@@ -119,6 +119,10 @@ class Finding:
     """Columns that the runs cannot tell from it."""
     assumed: float | None = None
     """What the simulation has in its place, in the same unit; None where it has nothing."""
+    shape: float | None = None
+    """Of its law, where that has one."""
+    component: str = ""
+    """Which axis it acts along, where it has several."""
 
     @property
     def title(self) -> str:

@@ -15,7 +15,7 @@ from zygos.errors import Undecided
 from zygos.gap.balances import Acting
 from zygos.gap.experiment import THRESHOLD
 from zygos.gap.fit import Hypothesis, fit
-from zygos.gap.study import Study, again
+from zygos.gap.study import Study, again, begin
 
 Array = NDArray[np.float64]
 Against = Literal["", "insignificant", "inconsistent", "negative", "not transferable", "not the rotor"]
@@ -46,6 +46,8 @@ class Candidate:
     kind: Kind
     joint: int
     """From 0; -1 for the base."""
+    shape: float | None
+    """Of its law, where that has one."""
     value: float
     """Coefficient fitted on all runs, in the entry's unit."""
     each: tuple[float, ...]
@@ -156,6 +158,54 @@ def search(study: Study, step: Callable[[str], None] = lambda _: None) -> Search
     return Search(before, now, tuple(named), tuple(rounds), share, sets)
 
 
+def polished(found: Search) -> Search:
+    """The search with the shapes of the named laws between those of the catalogue's grid: the vertex of a parabola
+    through what is left over, twice."""
+    for _ in range(2):
+        shaped = [one for one in found.named if one.shape is not None and len(one.kind.shapes) > 1]
+        for one in shaped:
+            found = _reshaped(found, one)
+    return found
+
+
+def _reshaped(found: Search, one: Candidate) -> Search:
+    after = found.after
+    shape = one.shape
+    assert shape is not None
+    layout, plain = after.layout, one.name.partition("@")[0]
+    known = sorted(dict(layout.shapes).get(plain, one.kind.shapes))
+    at = min(range(len(known)), key=lambda k: abs(np.log(known[k] / shape)))
+    low, high = known[max(at - 1, 0)], known[min(at + 1, len(known) - 1)]
+    fine = tuple(float(f"{x:.6g}") for x in np.geomspace(low, high, 7))
+    shapes = (*((name, grid) for name, grid in layout.shapes if name != plain), (plain, fine))
+    others = tuple(name for name in after.hypothesis.effects if name != one.name)
+    wide = replace(layout, shapes=shapes, own=(*layout.own, layout.find(one.name)))
+    try:
+        study = begin(after.records, replace(after.hypothesis, layout=wide, effects=(*others, one.name)), after.model)
+    except Undecided:
+        return found
+    best: tuple[float, str] | None = None
+    for shape in fine:
+        name = f"{plain}@{shape:.6g}"
+        left = _total(study.of(replace(study.hypothesis, effects=(*others, name))).rms, study.noise)
+        if best is None or left < best[0]:
+            best = left, name
+    assert best is not None
+    if best[1] == one.name:
+        return found
+    chosen = replace(study.hypothesis, effects=(*others, best[1]))
+    now = again(study, chosen)
+    acting = now.layout.find(best[1])
+    again_named = _candidate(replace(now, hypothesis=replace(chosen, effects=others)), found.before, acting)
+    if again_named is None:
+        return found
+    named = tuple(again_named if other is one else other for other in found.named)
+    return replace(
+        found, after=now, named=named, completeness=completeness(found.before, now.excess * now.noise),
+        sets=tuple((again_named.name, *names[1:]) if names[0] == one.name else names for names in found.sets),
+    )  # fmt: skip
+
+
 def _pair(now: Study, listed: Sequence[Candidate]) -> list[Candidate] | None:
     """The two candidates that explain everything together where each alone passes for nothing; the best such pair."""
     best: list[Candidate] | None = None
@@ -246,6 +296,7 @@ def _candidate(now: Study, before: Study, one: Acting) -> Candidate | None:
         name,
         kind,
         joint,
+        one.shape,
         value,
         tuple(found),
         tuple(float(one) for one in z),
@@ -275,9 +326,10 @@ def _inseparable(candidate: Candidate, now: Study, before: Study) -> tuple[str, 
     """The candidate, and what explains as much in its place while it is not significant beside it."""
     rest = tuple(name for name in now.hypothesis.effects if name != candidate.name)
     together = [candidate.name]
+    seen = {candidate.name.partition("@")[0]}
     for one in now.layout.effects:
         kind, other = one.kind, one.name
-        if not possible(now.hypothesis, one):
+        if not possible(now.hypothesis, one) or one.plain in seen:
             continue
         instead = replace(now.hypothesis, effects=(*rest, other))
         both = replace(now.hypothesis, effects=(*now.hypothesis.effects, other))
@@ -290,7 +342,9 @@ def _inseparable(candidate: Candidate, now: Study, before: Study) -> tuple[str, 
             beside, spread = now.of(both).of(candidate.name), now.of_twin(both).of(candidate.name).std(ddof=1)
         except Undecided:
             together.append(other)
+            seen.add(one.plain)
             continue
         if abs(float(beside)) < THRESHOLD * float(spread):
             together.append(other)
+            seen.add(one.plain)
     return tuple(together)

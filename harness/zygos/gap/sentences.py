@@ -194,7 +194,14 @@ def listed(findings: Sequence[Finding]) -> str:
 
 def _named(finding: Finding) -> str:
     at = "of the arm" if finding.joint is None else f"({finding.joint})"
-    return f"{finding.title} {at}"
+    along = f" along {finding.component}" if finding.component else ""
+    kind = CATALOGUE.get(finding.kind)
+    form = (
+        ""
+        if kind is None or finding.shape is None
+        else f" with {kind.shape_title} {finding.shape:.3g} {kind.shape_unit}"
+    )
+    return f"{finding.title}{along} {at}{form}"
 
 
 def sized(value: float, sigma: float, unit: str) -> str:

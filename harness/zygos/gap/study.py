@@ -19,6 +19,7 @@ from zygos.gap.balances import (
     Layout,
     Sums,
     accumulate,
+    acting,
     balance_rows,
     corrected,
     kept_rows,
@@ -188,7 +189,7 @@ def read_hypothesis(layout: Layout, model: Model) -> Hypothesis:
         elif effect.kind.key == "angular_momentum":
             momentum = effect.value
         else:
-            own.append(Acting(effect.kind, effect.index(arm), effect.component, effect.shape))
+            own.append(acting(effect, arm))
     rigid = tuple(bool(known.get(f"k{i + 1}", np.inf) == np.inf) for i in range(arm.n))
     known_ones = replace(layout, own=tuple(own))
     return Hypothesis(known_ones, rigid, tuple(uncoupled), momentum, tuple(one.name for one in own))
