@@ -25,13 +25,20 @@ from scipy.spatial.transform import Rotation
 
 from zygos.arm import JOINT_ROW_S, Arm
 from zygos.balances import energy, impulse, joint, momentum
-from zygos.balances.effects import Signals, energy_column, impulse_column, joint_column
+from zygos.balances.effects import (
+    BaseSignals,
+    Signals,
+    energy_column,
+    impulse_column,
+    joint_column,
+    momentum_column,
+)
 from zygos.balances.kinematics import body_columns
 from zygos.balances.quadrature import FromOrigin, from_first, integral, step_integrals
 from zygos.balances.readings import Readings
 from zygos.balances.state import State
-from zygos.effects import CATALOGUE, OFFSET, Effect, Kind, column_name
-from zygos.errors import ZygosError
+from zygos.effects import CATALOGUE, OFFSET, Kind
+from zygos.effects.effect import EffectColumn, column_named, columns_at
 from zygos.gap.record import MeasuredRun, smoothed_states
 
 Array = NDArray[np.float64]
@@ -41,6 +48,7 @@ _SHIFT = 1e-4
 """Error of a sensor with which the columns of such errors are computed: rad, rad/s, Nm."""
 _ACTING = ("motor", "link", "spring", "torque")
 """Places of effects that act at a joint."""
+_KNOWN = (*_ACTING, "rotor", "base", "sensor")
 _OFFSET = 1e4
 """Deviation of the constant error of a torque sensor that has noise, in units of this noise: nobody declares it."""
 _GAIN = 0.1
@@ -72,6 +80,10 @@ class Layout:
     """Names of all balances and columns of an arm."""
 
     arm: Arm
+    shapes: tuple[tuple[str, float], ...] = ()
+    """Shapes of the laws of columns, where they are not those in the middle of their grids."""
+    also: tuple[str, ...] = ()
+    """Columns of entries that are not searched, such as those of effects of the simulation."""
 
     @cached_property
     def balances(self) -> tuple[str, ...]:
@@ -91,19 +103,33 @@ class Layout:
         return () if not self.arm.free else ("Hx", "Hy", "Hz") if self.arm.spatial else ("H",)
 
     @cached_property
-    def effects(self) -> tuple[tuple[Kind, int], ...]:
-        """Entries of the catalogue and joints (from 0; -1 for the base) in the order of their columns, as far as the arm
-        can have them.
+    def acting(self) -> tuple[tuple[Kind, EffectColumn], ...]:
+        """Entries of the catalogue that are searched, with each of their columns that the arm can have, in their order.
 
-        The offset of a spring is none of them: the zeros of its encoders stand for it.
+        The offset of a spring is none of them: the zeros of its encoders stand for it. Nor are errors of sensors that
+        each run has for itself.
         """
-        kinds = [kind for kind in CATALOGUE.values() if kind.searched and kind.key != OFFSET and not kind.on_ground]
-        places = [(kind, i) for kind in kinds for i in (range(self.arm.n) if kind.at_joint else (-1,))]
-        # a torque sensor that has noise has errors of its own, which look the same
-        own = {f"{key}{name[-1]}" for key in ("torque_offset",) for name in self.errors if name.startswith("torque_zero")}
+        own = {name.replace("torque_zero", "torque_offset") for name in self.errors}
+        own |= {name.replace("torque_scale", "torque_gain") for name in self.errors}
+        kinds = [kind for kind in CATALOGUE.values() if kind.key != OFFSET and kind.place in _KNOWN]
+        # those of sensors come last, before the errors that each run has for itself
+        kinds.sort(key=lambda kind: kind.place == "sensor")
+        columns = [(kind, column) for kind in kinds for column in columns_at(self.arm, kind)]
         return tuple(
-            (kind, i) for kind, i in places if _exists(self.arm, kind, i) and column_name(kind, i) not in own
+            (kind, column)
+            for kind, column in columns
+            if column.name in self.also or (kind.searched and column.name not in own)
         )
+
+    @cached_property
+    def effects(self) -> tuple[tuple[Kind, int], ...]:
+        """Entries and joints (from 0; -1 for the base) of those of `acting` that have no components."""
+        return tuple((kind, column.joint) for kind, column in self.acting if not column.component)
+
+    def shape(self, column: str) -> float | None:
+        """Shape of the law of a column; None: it has none."""
+        kind = CATALOGUE[column_named(column).key]
+        return dict(self.shapes).get(column, kind.shape) if kind.shapes else None
 
     @cached_property
     def columns(self) -> tuple[str, ...]:
@@ -111,7 +137,7 @@ class Layout:
 
         rotor_coupling_i is what the coupling adds to the column of Im_i where it exceeds that of nature.
         """
-        effects = [column_name(kind, i) for kind, i in self.effects]
+        effects = [column.name for _, column in self.acting]
         return tuple(dict.fromkeys((*self.arm.parameter_names, *effects, *self.zeros)))
 
     @cached_property
@@ -172,15 +198,7 @@ class Layout:
             yield from (one.name for one in arm.parameters if one.joint is None or one.symbol == "Im")
         else:
             yield from arm.parameter_names
-        for kind, i in self.effects:
-            if kind.place in _ACTING:
-                acts = balance == "E" or (i == own and _acts(arm, kind, i, balance))
-            elif kind.place == "rotor":
-                acts = balance[0] != "M" or i == own
-            else:
-                acts = balance[0] == "H"
-            if acts:
-                yield column_name(kind, i)
+        yield from (column.name for kind, column in self.acting if _acts(arm, kind, column.joint, balance, own))
         yield from self.zeros
 
 
@@ -203,19 +221,17 @@ def thinning(arm: Arm) -> int:
     return max(1, arm.smoother.points // 8)
 
 
-def _acts(arm: Arm, kind: Kind, i: int, balance: str) -> bool:
-    """Whether an effect at a joint has a column in the balance of this joint's motor or link angle."""
+def _acts(arm: Arm, kind: Kind, i: int, balance: str, own: int) -> bool:
+    """Whether an effect at joint i has a column in a balance, which is that of joint `own`."""
+    if kind.place == "sensor" or (kind.place == "rotor" and balance[0] != "M"):
+        return True
+    if kind.place == "base":
+        return balance[0] == "H" or (balance == "E" and kind.law is not None)
+    if balance == "E" or i != own:
+        return balance == "E"
     if balance[0] == "M":
         return kind.place != "link"
     return kind.place in ("link", "spring") or not arm.joints[i].flexible
-
-
-def _exists(arm: Arm, kind: Kind, i: int) -> bool:
-    try:
-        Effect(kind, None if i < 0 else arm.joints[i].name, 0.0).index(arm)
-    except ZygosError:
-        return False
-    return True
 
 
 @dataclass(frozen=True)
@@ -241,34 +257,42 @@ class BalanceRows:
 
 
 def balance_rows(
-    arm: Arm, readings: Readings, values: Array | None = None, *, zeros: tuple[Array, ...] | None = None, every: int = 1
+    arm: Arm | Layout,
+    readings: Readings,
+    values: Array | None = None,
+    *,
+    zeros: tuple[Array, ...] | None = None,
+    every: int = 1,
+    clock: Clock | None = None,
 ) -> BalanceRows:
     """Balances of arcs of readings, in the units of energy (J), impulse before the gear (Nms) and momentum (Nms).
 
     values: base parameters (p,), about right: what an error of a sensor does to the balances depends on them. zeros: the
     columns of these errors instead, by balance, as `zero_columns` has them. every: rows stand at every so many instants.
+    clock: without it each arc is a run of its own.
     """
-    layout = Layout(arm)
+    layout = arm if isinstance(arm, Layout) else Layout(arm)
     if zeros is None:
         assert values is not None
         zeros = zero_columns(layout, readings, values, every)
-    moving = _Moving.of(arm, readings, every)
+    moving = _Moving.of(layout.arm, readings, every, clock)
     bodies = [*_bodies(layout, moving)]
     out = []
     for k, (name, own, right) in enumerate(zip(layout.balances, bodies, _right(layout, moving), strict=True)):
         columns = np.empty((*right.shape, len(layout.used[k])))
         count = own.shape[-1]
         columns[..., :count] = own
-        for at, effect in enumerate(_effects(layout, moving, name), start=count):
-            columns[..., at] = effect
-        columns[..., columns.shape[-1] - len(layout.zeros) :] = zeros[k]
+        for effect in _effects(layout, moving, name):
+            columns[..., count] = effect
+            count += 1
+        columns[..., count:] = zeros[k]
         out.append(Rows(columns, right, *moving.places(name)))
     return BalanceRows(layout, tuple(out))
 
 
 def zero_columns(layout: Layout, readings: Readings, values: Array, every: int = 1) -> tuple[Array, ...]:
     """By balance (..., A, m, zeros): what errors of the sensors of 1 rad, 1 rad/s or 1 Nm would take away, to first
-    order."""
+    order; of entries of the catalogue first, then those that each run has for itself."""
     value = np.where(np.isfinite(values), values, 0.0)
     names = layout.arm.parameter_names
     known = [value[[names.index(layout.columns[c]) for c in used if c < len(names)]] for used in layout.used]
@@ -283,13 +307,50 @@ def zero_columns(layout: Layout, readings: Readings, values: Array, every: int =
     def taken(error: SensorError) -> list[Array]:
         if error.signals == ("tau",):
             # the right sides are linear in the torques, and nothing else depends on them
-            wrong = _Moving.of(layout.arm, error.added(readings, 1.0), every, still.state)
+            wrong = _Moving.of(layout.arm, error.added(readings, 1.0), every, state=still.state)
             return [b - a for a, b in zip(_right(layout, still), _right(layout, wrong), strict=True)]
         ahead, behind = (left_over(error.added(readings, size)) for size in (_SHIFT, -_SHIFT))
         return [(b - a) / (2.0 * _SHIFT) for a, b in zip(ahead, behind, strict=True)]
 
-    each = [taken(error) for error in layout.errors.values()]
+    def read(kind: Kind, column: EffectColumn) -> list[Array]:
+        component = max(0, "xyz".find(column.component or "x"))
+        size = _SHIFT if kind.unit != "s" else 0.1 * layout.arm.period_s
+        ahead, behind = (
+            left_over(kind.transform(layout.arm, readings, column.joint, by, component)) for by in (size, -size)
+        )
+        return [(b - a) / (2.0 * size) for a, b in zip(ahead, behind, strict=True)]
+
+    each = [read(kind, column) for kind, column in layout.acting if kind.place == "sensor"]
+    each += [taken(error) for error in layout.errors.values()]
     return tuple(np.stack(columns, axis=-1) for columns in zip(*each, strict=True))
+
+
+@dataclass(frozen=True)
+class Clock:
+    """What has passed since the start of a run, at the smoothed instants of its arcs."""
+
+    time: Array
+    """(A, instants) s."""
+    angle: Array
+    """(A, instants) angle that the base of a planar arm has turned, rad; 0 of other arms."""
+
+    @classmethod
+    def of_record(cls, record: MeasuredRun) -> Clock:
+        """Of a record: the base rate is integrated over the whole run, across cycles that are missing."""
+        if record.arm.spatial or not record.arm.free:
+            return cls(record.time_s, np.zeros_like(record.time_s))
+        s = record.samples
+        steps = np.diff(s.sync.astype(np.float64)) * record.arm.period_s
+        rate = np.where(np.isfinite(record.omega0), record.omega0, 0.0)
+        angle = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * steps)])
+        return cls(record.time_s, angle[record.starts[:, None] + record.half + np.arange(record.instants)])
+
+    @classmethod
+    def of_arcs(cls, arm: Arm, state: State) -> Clock:
+        """Of arcs that are runs of their own."""
+        time = np.broadcast_to(arm.period_s * np.arange(state.q.shape[-2]), state.q.shape[:-1])
+        turns = arm.free and not arm.spatial
+        return cls(time, integral(state.base, arm.period_s) if turns else np.zeros_like(time))
 
 
 @dataclass(frozen=True)
@@ -303,14 +364,20 @@ class _Moving:
     after: Array
     """(..., A, instants, N) torques before and from each instant on, Nm."""
     every: int
+    clock: Clock
 
     @classmethod
-    def of(cls, arm: Arm, readings: Readings, every: int, state: State | None = None) -> _Moving:
+    def of(
+        cls, arm: Arm, readings: Readings, every: int, clock: Clock | None = None, state: State | None = None
+    ) -> _Moving:
         half = arm.smoother.points // 2
         cycles = readings.tau.shape[-2]
         after = readings.tau[..., half : cycles - half, :]
         before = readings.tau[..., half - 1 : cycles - half - 1, :]
-        return cls(arm, smoothed_states(arm, readings) if state is None else state, before, after, every)
+        state = smoothed_states(arm, readings) if state is None else state
+        if clock is None:
+            clock = Clock.of_arcs(arm, state)
+        return cls(arm, state, before, after, every, clock)
 
     @cached_property
     def thin(self) -> State:
@@ -351,7 +418,17 @@ class _Moving:
     def signals(self) -> list[Signals]:
         """Of each joint."""
         totals = FromOrigin(self.arm.period_s)
-        return [Signals.of(self.arm, self.state, self.before, self.after, i, totals) for i in range(self.arm.n)]
+        return [
+            Signals.of(self.arm, self.state, self.before, self.after, i, totals, time=self.clock.time)
+            for i in range(self.arm.n)
+        ]
+
+    @cached_property
+    def base(self) -> BaseSignals:
+        """Of a base that floats."""
+        turned = self.turned if self.arm.spatial else None
+        rate, totals = self.state.base, FromOrigin(self.arm.period_s)
+        return BaseSignals(rate, totals, self.clock.time, self.clock.angle, turned)
 
     def increments(self, running: Array) -> Array:
         """What grows over each increment, (..., A, m) of a running total (..., A, instants)."""
@@ -373,14 +450,19 @@ class _Moving:
         moved = momentum[..., last, :, :] - momentum[..., first, :, :]
         return np.asarray(moved - running[..., last, :, :] + running[..., first, :, :], dtype=np.float64)
 
-    @cached_property
+    @property
     def attitude(self) -> Array:
-        """(..., A, m, 3, 3) from base axes to those at the arc's origin (as `momentum.base_attitudes`)."""
+        """(..., A, m, 3, 3) `turned` at the instants of the rows."""
+        return self.turned[..., :: self.every, :, :]
+
+    @cached_property
+    def turned(self) -> Array:
+        """(..., A, instants, 3, 3) from base axes to those at the arc's origin (as `momentum.base_attitudes`)."""
         h, omega = self.arm.period_s, self.state.base
         step = step_integrals(omega, h, axis=-2) + h * h / 12.0 * np.cross(omega[..., :-1, :], omega[..., 1:, :])
         turn = np.concatenate([np.zeros_like(step[..., :1, :]), step], axis=-2)
         whole = Rotation.from_rotvec(turn.reshape(-1, 3)).as_matrix().reshape(*turn.shape, 3)
-        return _running_product(whole)[..., :: self.every, :, :]
+        return _running_product(whole)
 
 
 def _running_product(turns: Array) -> Array:
@@ -468,22 +550,29 @@ def _right(layout: Layout, moving: _Moving) -> Iterator[Array]:
 
 
 def _effects(layout: Layout, moving: _Moving, balance: str) -> Iterator[Array]:
-    """Columns (..., A, m) of the effects that a balance has, in their order."""
+    """Columns (..., A, m) of the effects that a balance has, in their order, but for those of sensors."""
     arm = layout.arm
     own = int(balance[1:]) - 1 if balance[0] in "ML" else -1
-    for kind, i in layout.effects:
-        if kind.place in _ACTING:
-            if balance == "E":
-                yield moving.thinned(energy_column(kind, moving.signals[i]))
-            elif i == own and _acts(arm, kind, i, balance):
-                if balance[0] == "M":
-                    yield moving.thinned(impulse_column(kind, moving.signals[i]))
-                else:
-                    yield moving.increments(joint_column(kind, moving.signals[i], flexible=arm.joints[i].flexible))
-        elif kind.place == "rotor":
+    for kind, column in layout.acting:
+        i, shape = column.joint, layout.shape(column.name)
+        if kind.place == "sensor" or not _acts(arm, kind, i, balance, own):
+            continue
+        if kind.place == "rotor":
             yield from _coupling(arm, moving, balance, i)
-        elif balance[0] == "H":
-            yield np.full(moving.thin.q.shape[:-1], -1.0)
+        elif kind.place == "base":
+            component = max(0, "xyz".find(column.component or "x"))
+            if balance == "E":
+                yield moving.thinned(energy_column(kind, moving.base, shape, component))
+            else:
+                along = layout.momenta.index(balance)
+                yield moving.thinned(momentum_column(kind, moving.base, shape, component)[..., along])
+        elif balance == "E":
+            yield moving.thinned(energy_column(kind, moving.signals[i], shape))
+        elif balance[0] == "M":
+            yield moving.thinned(impulse_column(kind, moving.signals[i], shape))
+        else:
+            flexible = arm.joints[i].flexible
+            yield moving.increments(joint_column(kind, moving.signals[i], flexible, shape))
 
 
 def _coupling(arm: Arm, moving: _Moving, balance: str, i: int) -> Iterator[Array]:

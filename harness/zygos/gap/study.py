@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from zygos.balances.state import State
 from zygos.dynamics.equations import from_parameters, parameters
 from zygos.dynamics.joints import Drives
-from zygos.effects import CATALOGUE, Effect, column_name, column_named
+from zygos.effects import CATALOGUE, Effect, column_named
 from zygos.errors import Undecided, ZygosError
 from zygos.gap.balances import (
+    Clock,
     Layout,
     Sums,
     accumulate,
@@ -153,7 +154,8 @@ def residuals(study: Study, run: int) -> tuple[Array, State]:
     smoother does not follow or the balance is not used; and the smoothed states."""
     record, kept = study.records[run], study.accepted[run]
     readings = record.readings()
-    table = balance_rows(record.arm, readings, base_values(study.model, study.layout))
+    values = base_values(study.model, study.layout)
+    table = balance_rows(study.layout, readings, values, clock=Clock.of_record(record))
     full = np.concatenate([study.fit.zeros[run], study.fit.value, [-1.0]])
     mix = study.hypothesis.basis() @ full
     out = np.full((len(table.balances), *kept.shape), np.nan)
@@ -176,6 +178,7 @@ def read_hypothesis(layout: Layout, model: Model) -> Hypothesis:
     uncoupled = [False] * arm.n
     momentum: float | None = None
     effects: list[str] = []
+    shapes: list[tuple[str, float]] = []
     for effect in model.effects:
         if effect.kind.key == "rotor_coupling":
             if effect.value not in {0.0, 1.0}:
@@ -188,6 +191,9 @@ def read_hypothesis(layout: Layout, model: Model) -> Hypothesis:
             momentum = effect.value
         else:
             effects.append(effect.column(arm))
+            if effect.shape is not None:
+                shapes.append((effect.column(arm), effect.shape))
+    layout = replace(layout, shapes=(*layout.shapes, *shapes), also=(*layout.also, *effects))
     rigid = tuple(bool(known.get(f"k{i + 1}", np.inf) == np.inf) for i in range(arm.n))
     return Hypothesis(layout, rigid, tuple(uncoupled), momentum, tuple(effects))
 
@@ -218,13 +224,20 @@ def split(hypothesis: Hypothesis, value: Array) -> tuple[Array, list[Effect]]:
             effects.append(Effect(CATALOGUE["rotor_coupling"], names[i], 0.0))
     if hypothesis.momentum is not None and "angular_momentum" not in hypothesis.effects:
         effects.append(Effect(CATALOGUE["angular_momentum"], None, hypothesis.momentum))
-    for kind, i in hypothesis.layout.effects:
-        name = column_name(kind, i)
+    for kind, column in hypothesis.layout.acting:
+        name, i = column.name, column.joint
         if name in hypothesis.effects:
             # the coupling's coefficient is a rotor inertia, its value a share of it
             scale = found[f"Im{i + 1}"] if kind.key == "rotor_coupling" else 1.0
-            effects.append(Effect(kind, names[i] if i >= 0 else None, found[name] / scale, source="zygos"))
+            place, shape = names[i] if i >= 0 else None, hypothesis.layout.shape(name)
+            value_of = found[name] / scale
+            effects.append(Effect(kind, place, value_of, source="zygos", shape=shape, component=column.component))
     return base, effects
+
+
+def sensor_errors(hypothesis: Hypothesis, value: Array) -> tuple[Effect, ...]:
+    """The errors of sensors among the effects of a hypothesis: they change what is read, and not the motion."""
+    return tuple(effect for effect in split(hypothesis, value)[1] if effect.kind.place == "sensor")
 
 
 def begin(records: Sequence[MeasuredRun], hypothesis: Hypothesis, dynamics: Drives) -> Study:
@@ -249,7 +262,8 @@ def again(study: Study, hypothesis: Hypothesis, count: int = DRAWS) -> Study:
     if not np.array_equal(off, applied):
         changed = zip(records, off - applied, strict=True)
         records = tuple(corrected(record, study.layout, change) for record, change in changed)
-    return _study(records, study.accepted, hypothesis, _possible(hypothesis, first.value, study.model), count, off)
+    model = _possible(hypothesis, first.value, study.model)
+    return _study(records, study.accepted, hypothesis, model, count, off, sensor_errors(hypothesis, first.value))
 
 
 def _off(study: Study) -> NDArray[np.bool_]:
@@ -305,26 +319,31 @@ def _study(
     dynamics: Drives,
     count: int,
     applied: Array,
+    sensors: Sequence[Effect] = (),
 ) -> Study:
     layout = hypothesis.layout
     arm, uncentred = layout.arm, hypothesis.uncentred
     base = base_values(dynamics, layout)
-    twins = tuple(follow(dynamics, records))
+    twins = tuple(follow(dynamics, records, sensors))
     every = thinning(arm)
     zeros = [zero_columns(layout, record.readings(), base, every) for record in records]
-    made = np.array([coefficient(dynamics, hypothesis, name) for name in hypothesis.names])
+    wrong = {effect.column(arm): effect.value for effect in sensors}
+    made = np.array([wrong.get(name, coefficient(dynamics, hypothesis, name)) for name in hypothesis.names])
+    clocks = [Clock.of_record(record) for record in records]
     known = hypothesis.basis() @ np.concatenate([np.zeros(len(layout.zeros)), made, [-1.0]])
     drawn = tuple(
-        draws(twin, kept, count, uncentred, own, count * k, every, known)
-        for k, (twin, kept, own) in enumerate(zip(twins, accepted, zeros, strict=True))
+        draws(twin, kept, count, layout, uncentred, own, count * k, every, known, clock)
+        for k, (twin, kept, own, clock) in enumerate(zip(twins, accepted, zeros, clocks, strict=True))
     )
     sums = tuple(
         replace(
-            accumulate(balance_rows(arm, record.readings(), zeros=own, every=every), kept, uncentred),
+            accumulate(
+                balance_rows(layout, record.readings(), zeros=own, every=every, clock=clock), kept, uncentred
+            ),
             noise=twin.noise,
             applied=off,
         )
-        for record, kept, twin, own, off in zip(records, accepted, drawn, zeros, applied, strict=True)
+        for record, kept, twin, own, off, clock in zip(records, accepted, drawn, zeros, applied, clocks, strict=True)
     )
     used = list(hypothesis.balances)
     weight = np.zeros(len(layout.balances))
@@ -370,9 +389,10 @@ def coefficient(dynamics: Drives, hypothesis: Hypothesis, name: str) -> float:
         return float(parameters(arm, dynamics)[arm.parameter_names.index(name)])
     if name == "angular_momentum":
         return dynamics.angular_momentum or 0.0
-    key, i, _ = column_named(name)
+    key, i, component = column_named(name)
     if key == "torque_lag":
         return 0.0 if dynamics.torque_lag is None else float(dynamics.torque_lag[i])
     if key == "rotor_coupling":
         return float(dynamics.coupling[i] * dynamics.rotor_inertia[i])
-    return sum(law.value for law in dynamics.laws if (law.kind.key, law.joint) == (key, i))
+    along = max(0, "xyz".find(component or "x"))
+    return sum(law.value for law in dynamics.laws if (law.kind.key, law.joint, law.component) == (key, i, along))
