@@ -337,9 +337,7 @@ def _study(
     )
     sums = tuple(
         replace(
-            accumulate(
-                balance_rows(layout, record.readings(), zeros=own, every=every, clock=clock), kept, uncentred
-            ),
+            accumulate(balance_rows(layout, record.readings(), zeros=own, every=every, clock=clock), kept, uncentred),
             noise=twin.noise,
             applied=off,
         )

@@ -19,8 +19,8 @@ from zygos.balances.readings import Readings
 from zygos.balances.state import State
 from zygos.dynamics.joints import START, Drives, Moment
 from zygos.dynamics.replay import exact_readings, replay, substeps
-from zygos.errors import Undecided
 from zygos.effects import Effect
+from zygos.errors import Undecided
 from zygos.gap.balances import Clock, Layout, Sums, accumulate, balance_rows
 from zygos.gap.record import MeasuredRun, smoothed_states
 from zygos.simulation.sensors import draw_noise
