@@ -144,9 +144,7 @@ def ensemble(noise: EncoderNoise) -> Ensemble:
         runs = tuple(record(run, seed, noise) for run in RUNS)
         seen = tuple(
             replace(
-                accumulate(
-                    balance_rows(one.arm, one.readings(), values, every=thinning(one.arm)), kept, uncentred
-                ),
+                accumulate(balance_rows(one.arm, one.readings(), values, every=thinning(one.arm)), kept, uncentred),
                 noise=twin.noise,
             )
             for one, kept, twin in zip(runs, first.accepted, first.twin_sums, strict=True)

@@ -1,10 +1,10 @@
 """The balances of a gap: what every parameter and every effect of the catalogue adds to each, for batches of arcs.
 
-Energy E of the whole arm: work of the motors = change of kinetic and potential energy + losses. Motor impulse M_i, local
-to a flexible joint i: int tau = Im (n thetad + f_(i-1)) + 1/n int spring + int friction. Momentum L_j of the link angle
-of a rigid joint j, over short increments. Angular momentum H of a floating arm about its mass centre: one component in a
-plane, where the base's attitude drops out, and Hx, Hy, Hz in space, in the axes that the base had at the arc's origin. A
-balance is
+Energy E of the whole arm: work of the motors = change of kinetic and potential energy + losses. Motor impulse M_i,
+local to a flexible joint i: int tau = Im (n thetad + f_(i-1)) + 1/n int spring + int friction. Momentum L_j of the
+link angle of a rigid joint j, over short increments. Angular momentum H of a floating arm about its mass centre: one
+component in a plane, where the base's attitude drops out, and Hx, Hy, Hz in space, in the axes that the base had at
+the arc's origin. A balance is
 
     columns . coefficients = right side + constant of the arc
 
@@ -147,9 +147,9 @@ class Layout:
 
     @cached_property
     def zeros(self) -> tuple[str, ...]:
-        """Columns of the sensors' errors, which each run has for itself: the encoders' zeros, rad, known to a quantum at
-        best, which is enough to look like an effect; the gyro's bias, rad/s, which looks like an angular momentum; of
-        torques that are not perfect a constant offset, Nm, and the gain of each against the first."""
+        """Columns of the sensors' errors, which each run has for itself: the encoders' zeros, rad, known to a quantum
+        at best, which is enough to look like an effect; the gyro's bias, rad/s, which looks like an angular momentum;
+        of torques that are not perfect a constant offset, Nm, and the gain of each against the first."""
         return tuple(self.errors)
 
     @cached_property
@@ -217,7 +217,8 @@ def corrected(record: MeasuredRun, layout: Layout, errors: Array) -> MeasuredRun
 
 
 def thinning(arm: Arm) -> int:
-    """Rows of a sum stand at every so many instants: smoothed readings next to each other share nearly all their noise."""
+    """Rows of a sum stand at every so many instants: smoothed readings next to each other share nearly all their
+    noise."""
     return max(1, arm.smoother.points // 8)
 
 
@@ -267,9 +268,9 @@ def balance_rows(
 ) -> BalanceRows:
     """Balances of arcs of readings, in the units of energy (J), impulse before the gear (Nms) and momentum (Nms).
 
-    values: base parameters (p,), about right: what an error of a sensor does to the balances depends on them. zeros: the
-    columns of these errors instead, by balance, as `zero_columns` has them. every: rows stand at every so many instants.
-    clock: without it each arc is a run of its own.
+    values: base parameters (p,), about right: what an error of a sensor does to the balances depends on them. zeros:
+    the columns of these errors instead, by balance, as `zero_columns` has them. every: rows stand at every so many
+    instants. clock: without it each arc is a run of its own.
     """
     layout = arm if isinstance(arm, Layout) else Layout(arm)
     if zeros is None:

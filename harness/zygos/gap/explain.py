@@ -104,7 +104,7 @@ def explain(
     # the matrices are narrow: threads only get in each other's way
     with threadpool_limits(limits=1):
         # what the arm file does not say of its torques' noise, the runs do
-        arm = with_torque_noise(arm, measured)
+        arm = with_torque_noise(measured[0].arm, measured)
         learned, apart = (tuple(replace(one, arm=arm) for one in records) for records in (measured, validate))
         return _Explainer(arm, simulation, learned, apart, step).explain()
 
