@@ -36,8 +36,8 @@ class State:
 
     @classmethod
     def unpacked(cls, packed: Floats) -> State:
-        """The state from arrays (..., 4N+B): base, q, theta, qd, thetad; B is 1 in a plane, 3 in space, 0 where the base
-        is fixed."""
+        """The state from arrays (..., 4N+B): base, q, theta, qd, thetad; B is 1 in a plane, 3 in space, 0 where the
+        base is fixed."""
         n, width = divmod(packed.shape[-1], 4)
         q, theta, qd, thetad = (packed[..., width + i * n : width + (i + 1) * n] for i in range(4))
         return cls(q, theta, qd, thetad, packed[..., 0] if width == 1 else packed[..., :width])

@@ -140,8 +140,8 @@ def from_parameters(arm: Arm, values: ArrayLike, effects: Sequence[Effect] = ())
 
 
 def parameters(arm: Arm, dynamics: Drives) -> Array:
-    """(p,) base parameters of equations of motion, in the order of `arm.parameter_names`; infinite for the stiffness of a
-    rigid joint whose arm could bend there."""
+    """(p,) base parameters of equations of motion, in the order of `arm.parameter_names`; infinite for the stiffness
+    of a rigid joint whose arm could bend there."""
     of_joint = {"Im": dynamics.rotor_inertia, "k": dynamics.stiffness, "b": dynamics.damping}
     joints = np.array([of_joint[symbol][i] for symbol, i in arm.full_joint_parameters])
     rigid = np.isinf(joints)

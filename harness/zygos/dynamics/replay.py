@@ -80,8 +80,9 @@ def replay(
 def exact_readings(dynamics: Drives, arm: Arm, states: Array, torques: Array) -> tuple[Array, Array, Array]:
     """Readings of exact sensors for states (B, n+1, 4N+W) under torques (B, n+1, N), in the first n cycles.
 
-    Returns q, theta (B, n, N) and omega0 (B, n), (B, n, 3) in space or (B, n, 0) on a fixed base, each at the instant of
-    its latch, which may be after SYNC. Between two SYNCs an angle is a cubic polynomial and a rate a parabola through the known values at both.
+    Returns q, theta (B, n, N) and omega0 (B, n), (B, n, 3) in space or (B, n, 0) on a fixed base, each at the instant
+    of its latch, which may be after SYNC. Between two SYNCs an angle is a cubic polynomial and a rate a parabola
+    through the known values at both.
     """
     now, then, h = State.unpacked(states[:, :-1]), State.unpacked(states[:, 1:]), arm.period_s
 

@@ -266,8 +266,8 @@ class SpatialDynamics(Drives):
 
 
 def _hand(arm: Arm) -> float:
-    """1 or -1: R_i P_i turns by +phi_i or -phi_i in the order (u, v), depending on whether the axis points along u x v or
-    against it."""
+    """1 or -1: R_i P_i turns by +phi_i or -phi_i in the order (u, v), depending on whether the axis points along u x v
+    or against it."""
     return float(np.sign(np.linalg.det(np.column_stack([posture(arm, np.zeros(arm.n)).direction[:2].T, arm.axis]))))
 
 

@@ -38,6 +38,7 @@ from zygos.gap.remainder import closes, remainders
 from zygos.gap.search import CERTAIN, COMPLETE, EXCESS, PARTLY, Candidate, Search, excess, polished, possible, search
 from zygos.gap.sentences import entry_evidence
 from zygos.gap.study import Study, again, begin, read_hypothesis, realise, sensor_effects, split
+from zygos.gap.torques import with_torque_noise
 from zygos.gap.twin import follow
 from zygos.gap.verdicts import (
     AboveFloor,
@@ -102,7 +103,10 @@ def explain(
     simulation = replace(simulation, effects=tuple(e for e in simulation.effects if e.kind.key != OFFSET))
     # the matrices are narrow: threads only get in each other's way
     with threadpool_limits(limits=1):
-        return _Explainer(arm, simulation, tuple(measured), tuple(validate), step).explain()
+        # what the arm file does not say of its torques' noise, the runs do
+        arm = with_torque_noise(measured[0].arm, measured)
+        learned, apart = (tuple(replace(one, arm=arm) for one in records) for records in (measured, validate))
+        return _Explainer(arm, simulation, learned, apart, step).explain()
 
 
 class _Explainer:

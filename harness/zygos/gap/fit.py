@@ -135,8 +135,8 @@ def fit(
             clean = own if run.noise is None else own - bases[k].of_gram(run.noise[k])
             at = bases[k].places
             whole[..., at[:, None], at] += weight[k] ** 2 * clean
-        # the run's own zeros, as functions of the coefficients and the right side; the arm file knows of the sum of these
-        # and of those that have been taken off before
+        # the run's own zeros, as functions of the coefficients and the right side; the arm file knows of the sum of
+        # these and of those that have been taken off before
         wanted = whole[..., :zeros, zeros:].copy()
         if run.applied is not None:
             wanted[..., -1] -= prior @ run.applied
@@ -162,8 +162,8 @@ def fit(
 
 
 def influence(hypothesis: Hypothesis, runs: Sequence[Sums], weight: Array, name: str) -> list[dict[int, Array]]:
-    """For each run and balance (columns + 1,): what a coefficient changes by, per unit of the products of the columns and
-    of what is left over. Of sums without leading axes. Errors: as `fit`."""
+    """For each run and balance (columns + 1,): what a coefficient changes by, per unit of the products of the columns
+    and of what is left over. Of sums without leading axes. Errors: as `fit`."""
     zeros, size = len(hypothesis.layout.zeros), len(hypothesis.layout.zeros) + len(hypothesis.names)
     prior = np.diag(hypothesis.layout.zero_sigma**-2.0)
     bases = {k: _Basis.of(hypothesis, k, "") for k in hypothesis.balances}

@@ -1,8 +1,8 @@
 """How large the scores of candidates get on runs that lack nothing: the distribution of the largest of them.
 
 What noise does to a coefficient is linear in the products of the columns and of what the twin's own coefficients leave
-over of its readings. Noise of different arcs is independent, so that a new draw of a run takes each of its arcs from any
-reading of the twin: a few readings of some arcs each are as many draws as are wanted.
+over of its readings. Noise of different arcs is independent, so that a new draw of a run takes each of its arcs from
+any reading of the twin: a few readings of some arcs each are as many draws as are wanted.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ All arcs of a run, and all draws of its twin, go through the same smoother and t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,21 @@ Array = NDArray[np.float64]
 
 ARC_S = 10.0
 """Longest arc, s: W sums up the torques' noise, a constant an arc costs what the encoders' noise allows to know."""
+
+
+@dataclass(frozen=True)
+class TableArm(Arm):
+    """An arm whose readings come from a table: no frame has rounded them."""
+
+    @property
+    def over_the_wire(self) -> Arm:
+        """The arm itself."""
+        return self
+
+    @classmethod
+    def of(cls, arm: Arm) -> TableArm:
+        """The same arm."""
+        return cls(**{one.name: getattr(arm, one.name) for one in fields(Arm)})
 
 
 @dataclass(frozen=True)
@@ -93,7 +108,7 @@ def read_measured_run(arm: Arm, path: Path, frames: NDArray[Any]) -> MeasuredRun
 def measured_run(run: Run, path: Path) -> MeasuredRun:
     """Cut the cycles of a run, which the C library decodes where it has frames, into arcs. Errors: ZygosError where no
     arc of 2 s is unbroken."""
-    arm, cycles = run.arm, run.cycles
+    arm, cycles = run.arm if run.table is None else TableArm.of(run.arm), run.cycles
     samples = calibrate(arm, cycles)
     half = arm.smoother.points // 2
     # the smoother's windows of an arc, and of a twin's start before it and its path behind it; and a torque law that

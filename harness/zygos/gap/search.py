@@ -170,8 +170,8 @@ def polished(found: Search) -> Search:
 
 def _reshaped(found: Search, one: Candidate) -> Search:
     after = found.after
-    shape = one.shape
-    assert shape is not None
+    assert one.shape is not None
+    shape: float = one.shape
     layout, plain = after.layout, one.name.partition("@")[0]
     known = sorted(dict(layout.shapes).get(plain, one.kind.shapes))
     at = min(range(len(known)), key=lambda k: abs(np.log(known[k] / shape)))

@@ -1,0 +1,183 @@
+"""The twin study of arms that are neither planar nor free: on runs of MuJoCo, which shares no code with it.
+
+A run that lacks nothing closes as its twin does, and what is hidden in the plant stands out in its own column, with its
+own size. Columns, twin and simulator of the package are tested against each other in `test_gap_balances.py`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from oracles.arms import Plant, Trial, pendulum, spatial
+from oracles.hidden import Law, LinkViscous, MotorCoulomb
+from zygos.arm import Smoother
+from zygos.can.run import Run
+from zygos.dynamics.equations import from_model, parameters
+from zygos.effects import CATALOGUE, columns_at
+from zygos.gap.balances import Layout
+from zygos.gap.forecast import cut, cut_twin, forecast
+from zygos.gap.null import FLOOR, null_scores, null_sigmas, threshold
+from zygos.gap.record import MeasuredRun
+from zygos.gap.runs import record_of
+from zygos.gap.study import Study, again, begin, read_hypothesis
+from zygos.gap.torques import torque_noise
+from zygos.gap.twin import follow
+from zygos.model.model import Quantity
+from zygos.simulation.scenario import Controller
+
+SECONDS = 16.0
+
+
+@cache
+def standing() -> Trial:
+    """Two flexible joints in a vertical plane on the ground."""
+    trial = pendulum()
+    joints = tuple(replace(joint, flexible=True, gear_ratio=50.0) for joint in trial.arm.joints)
+    arm = replace(trial.arm, joints=joints, torque_law="applied_from_sync", smoother=Smoother(13, 4, 6), arc_max_s=8.0)
+    drives = tuple(
+        replace(one, rotor_inertia=Quantity(1e-4), stiffness=Quantity(500.0), damping=Quantity(2.0))
+        for one in trial.drawn.joints
+    )
+    controller = Controller(kp=60.0, kd=12.0)
+    a, b, c = (replace(one, controller=controller) for one in trial.scenarios)
+    return Trial(arm, replace(trial.drawn, joints=drives), (a, b, c), True)
+
+
+TRIALS = {"spatial": spatial, "standing": standing}
+LAWS: dict[str, type[Law]] = {"motor_coulomb2": MotorCoulomb, "link_viscous2": LinkViscous}
+SIZE = {"motor_coulomb2": {"spatial": 0.02, "standing": 0.004}, "link_viscous2": {"spatial": 2.0, "standing": 0.05}}
+
+
+@cache
+def records(name: str, hidden: str, value: float) -> tuple[MeasuredRun, ...]:
+    """Two runs of a plant in which the second joint hides a law."""
+    trial = TRIALS[name]()
+    laws = (LAWS[hidden](1, value),) if hidden else ()
+    plant = Plant(trial, replace(trial.drawn, effects=()), laws)
+    runs = [Run(trial.arm, table=plant.run(which, 3, SECONDS)[0], path=Path("abc"[which])) for which in (0, 1)]
+    return tuple(record_of(run) for run in runs)
+
+
+@cache
+def study(name: str, hidden: str = "", value: float = 0.0) -> Study:
+    """The true model's equations, without effects, fitted to two runs."""
+    trial = TRIALS[name]()
+    layout = Layout(trial.arm, also=("link_viscous1", "link_viscous2"))
+    model = replace(trial.drawn, effects=())
+    return begin(records(name, hidden, value), read_hypothesis(layout, model), from_model(trial.arm, model))
+
+
+def scores(found: Study, name: str) -> tuple[float, float, list[float]]:
+    """Coefficient on both runs together, its deviation, and its scores on each."""
+    wider = replace(found.hypothesis, effects=(*found.hypothesis.effects, name))
+    null = [found.of_twin(wider, [run]).of(name) for run in (0, 1)]
+    each = [float(found.of(wider, [run]).of(name)) for run in (0, 1)]
+    z = [(x - draw.mean()) / draw.std(ddof=1) for x, draw in zip(each, null, strict=True)]
+    return float(found.of(wider).of(name)), float(null_sigmas(found, [name])[0]), z
+
+
+@pytest.mark.slow(but=["standing"])
+@pytest.mark.parametrize("name", ["spatial", "standing"])
+def test_a_run_that_lacks_nothing_closes_as_its_twin(name: str) -> None:
+    found = study(name)
+    print(found.layout.balances, found.excess.round(2), found.wobble.round(2))
+    wanted = ("E", "M1", "M2", "M3", "Hx", "Hy", "Hz") if name == "spatial" else ("E", "M1", "M2", "L1", "L2")
+    assert found.layout.balances == wanted
+    assert np.all(np.abs(found.excess**2 - 1.0) < np.maximum(0.3, 4.0 * found.wobble))
+    for column in ("motor_coulomb1", "link_coulomb1"):
+        _, _, z = scores(found, column)
+        print(column, z)
+        assert min(abs(x) for x in z) < FLOOR
+
+
+@pytest.mark.slow(but=["standing-motor_coulomb2"])
+@pytest.mark.parametrize("name", ["spatial", "standing"])
+@pytest.mark.parametrize("column", ["motor_coulomb2", "link_viscous2"])
+def test_what_is_hidden_stands_out_with_its_size(name: str, column: str) -> None:
+    value = SIZE[column][name]
+    found = study(name, column, value)
+    assert np.nanmax(found.excess) > 2.0
+    got, sigma, z = scores(found, column)
+    print(got, sigma, z)
+    assert min(z) > 3.0 * FLOOR
+    after = again(found, replace(found.hypothesis, effects=(column,)))
+    print(found.excess.round(1), after.excess.round(2), after.value[-1])
+    assert after.value[-1] == pytest.approx(value, rel=0.01)
+    over = after.excess**2 - 1.0
+    assert np.all(over < np.maximum(0.4, 4.0 * after.wobble))
+    wrong = "motor_coulomb1" if column == "motor_coulomb2" else "link_viscous1"
+    instead = found.of(replace(found.hypothesis, effects=(wrong,)))
+    assert np.nansum((instead.rms / found.noise) ** 2) > 2.0 * np.nansum(after.excess**2)
+
+
+def test_the_largest_score_of_runs_that_lack_nothing() -> None:
+    """Scores of single candidates are standard, the largest of all grows with their number, and so does the
+    threshold."""
+    found = study("standing")
+    names = [
+        f"{key}{i}" for key in ("motor_coulomb", "link_coulomb", "motor_viscous", "cubic_stiffness") for i in (1, 2)
+    ]
+    every = null_scores(found, names)
+    assert every.shape == (500, len(names))
+    np.testing.assert_allclose(every.std(axis=0), 1.0, atol=0.2)
+    largest = np.abs(every).max(axis=1)
+    assert np.median(largest) > np.median(np.abs(every[:, 0]))
+    assert threshold(found, names) == FLOOR
+    assert threshold(found, names, 1e-9) > threshold(found, names[:1], 1e-9) > 5.5
+    spread = np.array(
+        [found.of_twin(replace(found.hypothesis, effects=(name,))).of(name).std(ddof=1) for name in names]
+    )
+    print(null_sigmas(found, names) / spread)
+    np.testing.assert_allclose(null_sigmas(found, names) / spread, 1.0, atol=0.6)
+
+
+def test_predictions_of_an_arm_on_the_ground() -> None:
+    """Half a second ahead the true model is as good as its own twin; it has no signals of a base."""
+    (record, _), trial = records("standing", "", 0.0), standing()
+    model = from_model(trial.arm, replace(trial.drawn, effects=()))
+    seen = cut(record)
+    assert seen.width == 0
+    gap, floor = forecast(model, seen), forecast(model, cut_twin(follow(model, [record])[0]))
+    print(gap.gap, floor.gap)
+    assert gap.signals.shape == (4,)
+    # the table rounds torques to 16 bits, and every encoder has a zero of up to half a quantum
+    assert floor.median < 1.3
+    assert gap.median < 2.5 * floor.median
+
+
+@pytest.mark.parametrize("name", ["spatial", "standing"])
+def test_equations_of_motion_give_their_parameters_back(name: str) -> None:
+    trial = TRIALS[name]()
+    values = trial.drawn.base_values(trial.arm)
+    found = parameters(trial.arm, from_model(trial.arm, replace(trial.drawn, effects=())))
+    np.testing.assert_allclose(found, values, rtol=1e-9, atol=1e-12)
+
+
+def test_noise_of_torques_is_found_beside_the_jitter_of_a_servo() -> None:
+    record, _ = records("standing", "", 0.0)
+    s, sigma = record.samples, np.array([0.01, 0.02])
+    noise = sigma * np.random.default_rng(0).standard_normal(s.tau.shape)
+    found = torque_noise(replace(record, samples=replace(s, tau=s.tau + noise)))
+    print(torque_noise(record), found)
+    np.testing.assert_allclose(found, sigma, rtol=0.1)
+    assert np.all(torque_noise(record) < 0.1 * sigma)
+
+
+def test_a_column_of_every_site_can_be_fitted() -> None:
+    """All but those of loads, bodies and hidden masses: on a run without any of them, none stands out."""
+    trial = standing()
+    known = [kind for kind in CATALOGUE.values() if kind.place in ("motor", "link", "spring", "torque", "sensor")]
+    left_out = ("spring_offset", "torque_gain", "torque_offset", "link_zero", "motor_zero")
+    names = [c.name for kind in known if kind.key not in left_out for c in columns_at(trial.arm, kind)]
+    layout = Layout(trial.arm, also=tuple(names))
+    model = replace(trial.drawn, effects=())
+    found = begin(records("standing", "", 0.0), read_hypothesis(layout, model), from_model(trial.arm, model))
+    for name in names:
+        _, sigma, z = scores(found, name)
+        assert sigma > 0.0
+        assert min(abs(x) for x in z) < FLOOR, (name, z)
