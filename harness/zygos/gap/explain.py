@@ -305,8 +305,8 @@ class _Explainer:
         wrong, wrong_name = None, ""
         other = None if found is None or not found.named else _other(found)
         if found is not None and other is not None:
-            rest = after.hypothesis.effects[: -len(found.named)]
-            instead = replace(after.hypothesis, effects=(*rest, other.name))
+            plain = found.before.hypothesis
+            instead = replace(plain, effects=(*plain.effects, other.name))
             try:
                 study = again(found.before, instead, 2)
                 wrong, wrong_name = forecast(study.dynamics(), segments), other.name
