@@ -121,14 +121,15 @@ class _Explainer:
             verdict = Changed(changed[0], tuple(run_name(run, k) for k, run in enumerate(self.measured, 1)))
         else:
             verdict = self._judge(table, found, findings, values_found, gap)
-        adopted = not isinstance(verdict, Unexplained | NotPredicted)
+        known = not isinstance(verdict, Unexplained | NotPredicted)
+        adopted = known and not isinstance(verdict, Inseparable)
         self.step(0.95, "verdict")
         return GroundExplanation(
             self.arm,
             self.simulation,
             self.measured,
             verdict,
-            findings if adopted else (),
+            findings if known else (),
             values_found,
             found,
             self._joints(table, found),
@@ -381,8 +382,8 @@ def cut(run: Run, parts: int) -> tuple[Run, ...]:
     length = len(run) // parts
     if length * run.arm.period_s < _SHORTEST_S:
         raise ZygosError(
-            f"{run.path or 'the run'}: one run of {len(run) * run.arm.period_s:.1f} s cannot be cut into {parts} parts, "
-            "of which one must hold what another says; remedy: give two runs (--measured A B), or a longer one"
+            f"{run.path or 'the run'}: one run of {len(run) * run.arm.period_s:.1f} s cannot be cut into {parts} "
+            "parts, of which one must hold what another says; remedy: give two runs (--measured A B), or a longer one"
         )
     own = run.cycles
     return tuple(

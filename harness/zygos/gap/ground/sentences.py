@@ -32,9 +32,10 @@ def title(arm: Arm, column: str) -> str:
     if is_column(column):
         return spoken(arm, column)
     if column.startswith(ASYMMETRY):
-        return f"Coulomb friction that differs between the directions ({arm.joints[int(column[len(ASYMMETRY) :]) - 1].name})"
-    joint = column[2:]
-    return f"inertia of the rotor ({arm.joints[int(joint) - 1].name})" if joint.isdigit() else column
+        joint = arm.joints[int(column[len(ASYMMETRY) :]) - 1].name
+        return f"Coulomb friction that differs between the directions ({joint})"
+    number = column[2:]
+    return f"inertia of the rotor ({arm.joints[int(number) - 1].name})" if number.isdigit() else column
 
 
 def verdict(arm: Arm, found: Verdict) -> str:
@@ -45,8 +46,8 @@ def verdict(arm: Arm, found: Verdict) -> str:
         case LateTorques():
             late = "later" if found.periods > 0 else "earlier"
             return (
-                f"Timing first: the torques act {abs(found.periods):.2f} SYNC periods {late} than the arm file says; no "
-                "effect is named until it is right."
+                f"Timing first: the torques act {abs(found.periods):.2f} SYNC periods {late} than the arm file says; "
+                "no effect is named until it is right."
             )
         case Unexplained():
             guess = ", ".join(title(arm, column) for column in found.guess)
