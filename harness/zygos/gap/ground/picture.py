@@ -1,5 +1,5 @@
-"""A picture of a closed gap, as SVG: the torque of one joint of an untouched run, measured and predicted, and the energy
-that is predicted wrongly."""
+"""A picture of a closed gap, as SVG: the torque of one joint of an untouched run, measured and predicted, and the
+energy that is predicted wrongly."""
 
 from __future__ import annotations
 
