@@ -124,6 +124,30 @@ def test_a_friction_that_begins_in_the_second_run_is_a_change() -> None:
     assert change.new[0] == pytest.approx(0.1 * size(), rel=0.02)
 
 
+def test_torques_that_are_reported_late_are_timing_first() -> None:
+    runs = [
+        replace(run, frames=None, table=replace(run.cycles, tau=np.roll(run.cycles.tau, 2, axis=0)))
+        for run in measured(_coulomb(0.1))
+    ]
+    x = _explained(runs)
+    assert (x.answer, x.findings, x.model) == ("unknown", (), None)
+    assert x.sentence.startswith("Timing first")
+    assert x.verdict.periods == pytest.approx(-2.0, abs=0.1)  # type: ignore[union-attr]
+
+
+def test_motor_currents_are_turned_into_torques() -> None:
+    arm, model = axis()
+    amps = replace(arm, torque_unit="A", joints=(replace(arm.joints[0], torque_sigma=0.0),))
+    runs = [
+        replace(run, arm=amps, frames=None, table=replace(run.cycles, tau=run.cycles.tau / 7.0))
+        for run in measured(_coulomb(0.1))
+    ]
+    x = explain_ground(amps, model, runs[:2], runs[2:])
+    assert (x.answer, list(_found(x))) == ("named", ["motor_coulomb"]), x.sentence
+    assert _found(x)["motor_coulomb"] == pytest.approx(0.1 * size(), rel=0.02)
+    assert any("motor currents" in note for note in x.notes)
+
+
 def test_a_single_run_is_cut_into_thirds() -> None:
     arm, model = axis()
     run = measured(_coulomb(0.1), seconds=40.0)[0]
@@ -157,7 +181,7 @@ def test_page_and_json_say_the_verdict(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_published_pendulum_lacks_friction_and_the_inertia_of_a_rotor(tmp_path: Path) -> None:
-    from zygos.demo.real import converted  # noqa: PLC0415  (only this test converts)
+    from zygos.demo.real import converted
 
     example = ROOT / "examples/pendulum"
     runs = [converted(name, tmp_path, example) for name in ("00", "01", "02", "03", "11")]

@@ -12,8 +12,8 @@ from scipy.stats import t as student
 
 from zygos.effects import CATALOGUE
 from zygos.gap.ground.columns import Table
-from zygos.gap.ground.fit import fit, jackknife
-from zygos.gap.ground.search import AGREE_SHARE, AGREE_Z, LEAST_Z
+from zygos.gap.ground.fit import fit, jackknife, residual
+from zygos.gap.ground.search import AGREE_SHARE, AGREE_Z, LEAST_Z, NOISE
 from zygos.ground.estimate import DEFAULT_FRICTION
 from zygos.ground.motion import Motion
 from zygos.ground.rows import friction, run_rows
@@ -23,6 +23,9 @@ Floats = NDArray[np.float64]
 
 LEAST_LATE = 0.4
 """Periods by which all torques must be late or early to be a matter of the arm file."""
+
+EXPLAINS = 0.5
+"""Share of what friction and noise leave that a delay must take away on every run."""
 
 
 def lateness(table: Table) -> float | None:
@@ -45,7 +48,12 @@ def lateness(table: Table) -> float | None:
     # a run that hardly shows a lag agrees with any
     shown = np.all(np.abs(value) > 2.0 * sigma)
     periods = mean / layout.arm.period_s
-    return periods if same and sure and shown and abs(periods) > LEAST_LATE else None
+    if not (same and sure and shown and abs(periods) > LEAST_LATE):
+        return None
+    without = fit(table, [*layout.basis, *(layout.at(one.name) for one in usual)])
+    before, after = residual(table, without.x) / without.sigma**2, residual(table, fitted.x) / without.sigma**2
+    rest = np.maximum(before - NOISE * table.floor**2 / without.sigma**2, 0.0).sum(axis=1)
+    return periods if np.all((before - after).sum(axis=1) > EXPLAINS * rest) else None
 
 
 def torque_constants(motions: Sequence[Motion], simulation: Model, span_s: float) -> Floats:
