@@ -25,6 +25,11 @@ from zygos.demo.kr300 import SOURCE, Skew, audit_kr300
 from zygos.errors import Undecided, ZygosError
 from zygos.files.output import check_outputs, errors_end_the_program, number, say, table, write_json
 from zygos.files.progress import progress
+from zygos.gap.ground.explain import explain_ground
+from zygos.gap.ground.explanation import GroundExplanation
+from zygos.gap.ground.page import write_ground_gap_report
+from zygos.gap.ground.picture import write_picture
+from zygos.gap.ground.predictions import run_name
 from zygos.ground.estimate import GroundEstimate, estimate_ground
 from zygos.ground.page import ground_content
 from zygos.ground.score import Score, score
@@ -209,6 +214,23 @@ def write_real_report(path: Path, real: Real, source: Provenance) -> None:
     render(path, "demo/real.html", data, **content, held=held_out, values=values, skews=skews, limit=BATCH_LIMIT)
 
 
+def explained(
+    learned: Sequence[Run], found: GroundEstimate, folder: Path, example: Path = EXAMPLE
+) -> GroundExplanation:
+    """What the published model without friction lacks, with a page and a picture.
+
+    Errors: ZygosError if a file cannot be read or written.
+    """
+    simulation = load_model(example / "frictionless.toml")
+    runs = [one.run for one in found.validated]
+    gap = explain_ground(learned[0].arm, simulation, learned, runs)
+    files = [("simulation", example / "frictionless.toml"), ("arm", example / "arm.toml")]
+    files += [("recording", example / f"{name}.blf") for name in (*LEARNED, *LIMITS)]
+    write_ground_gap_report(folder / "gap.html", gap, provenance(["real"], files))
+    write_picture(folder / "gap.svg", gap)
+    return gap
+
+
 def run_real(
     folder: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder of everything that is written.")] = Path(
         "out/real"
@@ -225,7 +247,7 @@ def run_real(
         raise ZygosError(f"{EXAMPLE / 'arm.toml'}: no such file; remedy: run inside a checkout")
     folder.mkdir(parents=True, exist_ok=True)
     page, json = folder / "real.html", folder / "real.json"
-    check_outputs([page, json, folder / "learned.toml"], [])
+    check_outputs([page, json, folder / "learned.toml", folder / "gap.html", folder / "gap.svg"], [])
     found, learned = learn_pendulum(folder)
     beside = compared(found, learned)
     real = Real(found, beside.held_out, beside.values, audited(kr300, folder / "kr300"))
@@ -234,6 +256,18 @@ def run_real(
     write_json(json, real.as_dict())
     write_real_report(page, real, provenance(["real"], files))
     _print(real, kr300)
+    gap = explained(learned, found, folder)
+    if gap.gap is not None:
+        table(
+            ("recording", "energy over 1 s wrong, %: as delivered", "refit", "closed", "floor"),
+            [
+                (run_name(one.run), *(number(100 * score.arm_energy_share, 3) for _, score in one.scores))
+                for one in gap.gap.predictions
+            ],
+            title="the gap of the published model without friction",
+        )
+    say(f"{gap.answer}: {gap.sentence}")
+    say(f"{folder / 'gap.html'} · {folder / 'gap.svg'}")
     say(f"{found.validity}: {found.reason}" if found.reason else found.validity)
     say(f"{page} · {json}")
     if not real.good:

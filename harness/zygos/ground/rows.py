@@ -179,7 +179,7 @@ def _law(arm: Arm, rows: TorqueRows, effect: Effect, joint: int, predicted: Floa
             slip=none,
             applied=rows.tau[:, joint] / ratio,
             load=none if predicted is None else predicted[:, joint],
-            time=np.arange(len(rate)) * rows.period_s,
+            time=np.asarray(np.arange(len(rate)) * rows.period_s, dtype=np.float64),
             ratio=ratio,
         )
     )

@@ -1,7 +1,7 @@
 """Whether a constant torque is an offset of its sensor or a Coulomb friction that differs between the directions.
 
-Both are the same while a joint moves. At rest the offset stays, and the difference of friction goes; a joint that sticks
-may hold any torque up to its friction, so that several phases at rest must agree.
+Both are the same while a joint moves. At rest the offset stays, and the difference of friction goes; a joint that
+sticks may hold any torque up to its friction, so that several phases at rest must agree.
 """
 
 from __future__ import annotations

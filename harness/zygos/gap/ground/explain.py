@@ -27,10 +27,12 @@ from zygos.gap.ground.fit import Fit, jackknife, residual
 from zygos.gap.ground.predictions import Prediction, Stage, predict, remainders, run_name
 from zygos.gap.ground.search import Search, is_gain, search
 from zygos.gap.ground.sentences import entry_evidence, gains, offset
+from zygos.gap.ground.timing import lateness, torque_constants
 from zygos.gap.verdicts import (
     Changed,
     Inseparable,
     Lacking,
+    LateTorques,
     NothingMissing,
     NotPredicted,
     PartNamed,
@@ -95,6 +97,9 @@ class _Explainer:
         motions = [Motion.of(run) for run in self.measured]
         usual = friction(self.arm, [CATALOGUE[key] for key in DEFAULT_FRICTION])
         span, _, rough = at_best_span(self.arm, motions, usual)
+        if self.arm.torque_unit == "A":
+            motions = self._in_nm(motions, span)
+            span, _, rough = at_best_span(self.arm, motions, usual)
         self.step(0.3, "the columns of all candidates")
         layout = Layout.of(self.arm, self.simulation, candidates_of(self.arm, self.simulation), len(motions))
         loads = [predicted_load(motion, rough.value[: len(self.arm.parameter_names)]) for motion in motions]
@@ -117,18 +122,22 @@ class _Explainer:
         gap = self._gap(table, found)
         values_found = self._values(table, sizes)
         verdict: Verdict
-        if changed is not None:
+        late = lateness(table)
+        if late is not None:
+            verdict = LateTorques(late)
+        elif changed is not None:
             verdict = Changed(changed[0], tuple(run_name(run, k) for k, run in enumerate(self.measured, 1)))
         else:
             verdict = self._judge(table, found, findings, values_found, gap)
-        adopted = not isinstance(verdict, Unexplained | NotPredicted)
+        known = not isinstance(verdict, Unexplained | NotPredicted | LateTorques)
+        adopted = known and not isinstance(verdict, Inseparable)
         self.step(0.95, "verdict")
         return GroundExplanation(
             self.arm,
             self.simulation,
             self.measured,
             verdict,
-            findings if adopted else (),
+            findings if known else (),
             values_found,
             found,
             self._joints(table, found),
@@ -139,6 +148,20 @@ class _Explainer:
             else self._adopt(table, found, findings, values_found),
             tuple(self.notes),
         )
+
+    def _in_nm(self, motions: Sequence[Motion], span: float) -> list[Motion]:
+        """The motions with currents turned into torques; the runs as well."""
+        constants = torque_constants(motions, self.simulation, span)
+        self.measured, self.validate = (
+            tuple(replace(run, frames=None, table=replace(run.cycles, tau=run.cycles.tau * constants)) for run in runs)
+            for runs in (self.measured, self.validate)
+        )
+        each = ", ".join(f"{j.name} {k:.4g}" for j, k in zip(self.arm.joints, constants.tolist(), strict=True))
+        self.notes.append(
+            "the torques are motor currents: with the simulation's own values one ampere is "
+            f"{each} Nm; all values are relative to these constants, whose errors look like those of masses"
+        )
+        return [Motion.of(run) for run in self.measured]
 
     def _findings(self, found: Search, sizes: _Sizes) -> tuple[Finding, ...]:
         """What was named; gains of torque sensors within their usual errors are a note, because every arm has them."""
@@ -381,8 +404,8 @@ def cut(run: Run, parts: int) -> tuple[Run, ...]:
     length = len(run) // parts
     if length * run.arm.period_s < _SHORTEST_S:
         raise ZygosError(
-            f"{run.path or 'the run'}: one run of {len(run) * run.arm.period_s:.1f} s cannot be cut into {parts} parts, "
-            "of which one must hold what another says; remedy: give two runs (--measured A B), or a longer one"
+            f"{run.path or 'the run'}: one run of {len(run) * run.arm.period_s:.1f} s cannot be cut into {parts} "
+            "parts, of which one must hold what another says; remedy: give two runs (--measured A B), or a longer one"
         )
     own = run.cycles
     return tuple(

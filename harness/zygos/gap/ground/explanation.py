@@ -97,7 +97,7 @@ class GroundExplanation:
     @property
     def partly(self) -> str:
         """With an unknown effect, what part of it looks like, in words; empty where it looks like nothing."""
-        return sentences.listed(partly(self.verdict))
+        return sentences.listed(self.arm, partly(self.verdict))
 
     @property
     def remedy(self) -> str:

@@ -95,7 +95,7 @@ def score(table: Table, fitted: Fit, columns: Sequence[int]) -> Scores:
     total = weighted.sum(axis=0)
     each = np.stack([weighted[table.owner == run].sum(axis=0) for run in range(runs)])
     prior = table.layout.prior()[of]
-    value, inverse, slope, start = _beside(total[None], of, tried, prior)
+    value, inverse, *_ = _beside(total[None], of, tried, prior)
     without, inverse_without, *_ = _beside(total - weighted, of, tried, prior)
     blocks = table.blocks
     shift = without - value

@@ -6,15 +6,21 @@ import math
 from collections.abc import Sequence
 
 from zygos.arm import Arm
-from zygos.effects import is_column, spoken
+from zygos.effects import CATALOGUE, is_column, spoken
 from zygos.gap import sentences
-from zygos.gap.findings import ASYMMETRY, Deflection, Finding
+from zygos.gap.findings import ASYMMETRY, ROTOR_INERTIA, Deflection, Finding
 from zygos.gap.ground.search import Against, Search, Tried
-from zygos.gap.sentences import listed
-from zygos.gap.verdicts import Inseparable, LateTorques, NothingMissing, NotPredicted, Unexplained, Verdict
+from zygos.gap.verdicts import (
+    Inseparable,
+    Lacking,
+    LateTorques,
+    NothingMissing,
+    NotPredicted,
+    PartNamed,
+    Unexplained,
+    Verdict,
+)
 from zygos.report.figures import figure
-
-__all__ = ["against", "evidence", "listed", "offset", "remedy", "title", "verdict", "where"]
 
 _FAILS = 2.0
 _AGAINST: dict[Against, str] = {
@@ -32,21 +38,48 @@ def title(arm: Arm, column: str) -> str:
     if is_column(column):
         return spoken(arm, column)
     if column.startswith(ASYMMETRY):
-        return f"Coulomb friction that differs between the directions ({arm.joints[int(column[len(ASYMMETRY) :]) - 1].name})"
-    joint = column[2:]
-    return f"inertia of the rotor ({arm.joints[int(joint) - 1].name})" if joint.isdigit() else column
+        joint = arm.joints[int(column[len(ASYMMETRY) :]) - 1].name
+        return f"Coulomb friction that differs between the directions ({joint})"
+    number = column[2:]
+    return f"inertia of the rotor ({arm.joints[int(number) - 1].name})" if number.isdigit() else column
 
 
-def verdict(arm: Arm, found: Verdict) -> str:
+def after_gear(arm: Arm, finding: Finding) -> str:
+    """Its value after the gear, where that differs; empty otherwise."""
+    ratio = next((joint.gear_ratio for joint in arm.joints if joint.name == finding.joint), 1.0)
+    factor = {"Nm": ratio, "Nms/rad": ratio, "kg m^2": ratio**2}.get(finding.unit, 1.0)
+    before = finding.kind in (ROTOR_INERTIA, ASYMMETRY)
+    kind = CATALOGUE.get(finding.kind)
+    before = before or (kind is not None and kind.place == "motor")
+    return "" if not before or factor == 1.0 else f"{factor * finding.value:.3g} {finding.unit}"
+
+
+def listed(arm: Arm, findings: Sequence[Finding]) -> str:
+    """Effects with their places and sizes."""
+    parts = []
+    for finding in findings:
+        after = after_gear(arm, finding)
+        parts.append(sentences.listed([finding]) + (f" ({after} after the gear)" if after else ""))
+    return " and ".join(parts)
+
+
+def verdict(arm: Arm, found: Verdict) -> str:  # noqa: PLR0911  (one sentence a verdict)
     """What a verdict says."""
     match found:
+        case Lacking():
+            return f"The simulation lacks {listed(arm, found.findings)}."
+        case PartNamed():
+            left = (
+                f", but the law is not exactly this: {'; '.join(map(sentences.left, found.left))}" if found.left else ""
+            )
+            return f"The simulation lacks {listed(arm, found.findings)}{left}."
         case NothingMissing():
             return "Nothing is missing above the detection limits, and no value differs."
         case LateTorques():
             late = "later" if found.periods > 0 else "earlier"
             return (
-                f"Timing first: the torques act {abs(found.periods):.2f} SYNC periods {late} than the arm file says; no "
-                "effect is named until it is right."
+                f"Timing first: the torques act {abs(found.periods):.2f} SYNC periods {late} than the arm file says; "
+                "no effect is named until it is right."
             )
         case Unexplained():
             guess = ", ".join(title(arm, column) for column in found.guess)
@@ -57,16 +90,18 @@ def verdict(arm: Arm, found: Verdict) -> str:
             )
         case NotPredicted():
             return (
-                f"{listed(found.findings)} would explain the measured runs, but the untouched run is predicted better "
-                f"without ({100 * found.closed_median:.3g} % of the torque left with, "
+                f"{listed(arm, found.findings)} would explain the measured runs, but the untouched run is predicted "
+                f"better without ({100 * found.closed_median:.3g} % of the torque left with, "
                 f"{100 * found.struck_median:.3g} % without): not adopted."
             )
         case Inseparable():
             certain = [f for f in found.findings if not f.instead]
             sets = "; ".join(
-                " or ".join((listed([f]), *(title(arm, n) for n in f.instead))) for f in found.findings if f.instead
+                " or ".join((listed(arm, [f]), *(title(arm, n) for n in f.instead)))
+                for f in found.findings
+                if f.instead
             )
-            first = f"The simulation lacks {listed(certain)}. " if certain else ""
+            first = f"The simulation lacks {listed(arm, certain)}. " if certain else ""
             return f"{first}These runs cannot tell apart: {sets}."
     return sentences.verdict(arm, found)
 

@@ -54,7 +54,7 @@ def floor(motion: Motion, rows: TorqueRows, values: Floats, effects: Sequence[Ef
 def _torques(arm: Arm, angle: Floats, rows: TorqueRows, values: Floats, effects: Sequence[Effect]) -> Floats:
     """(n, N) mean torque after the gear in each period from an instant on, Nm."""
     h = rows.period_s
-    t = np.arange(len(angle)) * h
+    t = np.asarray(np.arange(len(angle)) * h, dtype=np.float64)
     path = make_interp_spline(t, angle, k=5, axis=0)
     begin = _torque(arm, path, t, rows, values, effects)
     if arm.torque_law == "sampled":

@@ -1,0 +1,74 @@
+"""A picture of a closed gap, as SVG: the torque of one joint of an untouched run, measured and predicted, and the
+energy that is predicted wrongly."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.sax.saxutils import escape
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zygos.files.output import write_text
+from zygos.gap.ground.explanation import GroundExplanation
+from zygos.gap.ground.predictions import run_name
+from zygos.report.page import thinned
+
+Floats = NDArray[np.float64]
+
+_WIDTH, _HEIGHT, _LEFT, _PLOT = 900, 300, 55, 560
+_COLOURS = {"measured": "#888888", "as delivered": "#c2410c", "closed": "#1d4ed8"}
+_SAID = {"measured": "measured", "as delivered": "simulation as delivered", "closed": "with what was found"}
+_POINTS = 600
+
+
+def write_picture(path: Path, found: GroundExplanation) -> None:
+    """Draw the torque of the last joint in the first untouched run. Errors: ZygosError if it cannot be written."""
+    assert found.gap is not None
+    one, joint = found.gap.predictions[0], found.arm.n - 1
+    at = thinned(len(one.closed.t), _POINTS)
+    t = one.closed.t[at]
+    lines = {
+        "measured": one.closed.measured[at, joint],
+        "as delivered": one.delivered.predicted[at, joint],
+        "closed": one.closed.predicted[at, joint],
+    }
+    most = float(max(np.abs(y).max() for y in lines.values()))
+    parts = [_text(_LEFT, 22, f"torque of the {found.arm.joints[joint].name} in {run_name(one.run)}, Nm", bold=True)]
+    for value in (-0.8 * most, 0.0, 0.8 * most):
+        y = 160.0 - 110.0 * value / most
+        parts.append(f'<path d="M{_LEFT} {y:.1f}h{_PLOT}" stroke="#cccccc" fill="none"/>')
+        parts.append(_text(8, y + 4.0, f"{value:.2g}"))
+    for name, y in lines.items():
+        points = " ".join(
+            f"{_LEFT + _PLOT * (a - t[0]) / (t[-1] - t[0]):.1f},{160.0 - 110.0 * b / most:.1f}"
+            for a, b in zip(t.tolist(), y.tolist(), strict=True)
+        )
+        wide = 3.0 if name == "measured" else 1.5
+        parts.append(f'<polyline points="{points}" fill="none" stroke="{_COLOURS[name]}" stroke-width="{wide}"/>')
+    for k, name in enumerate(lines):
+        parts.append(f'<path d="M{_LEFT + 190 * k} 288h22" stroke="{_COLOURS[name]}" stroke-width="3"/>')
+        parts.append(_text(_LEFT + 190 * k + 28, 292, _SAID[name]))
+    parts.append(_text(650, 22, "energy over 1 s predicted wrongly, %", bold=True))
+    shares = [
+        (run_name(p.run), name, 100.0 * dict(p.scores)[name].arm_energy_share)
+        for p in found.gap.predictions
+        for name in ("as delivered", "closed")
+    ]
+    largest = max(share for *_, share in shares)
+    for k, (run, name, share) in enumerate(shares):
+        y = 45 + 40 * k + 16 * (k // 2)
+        parts.append(_text(650, y + 16, run if name == "as delivered" else ""))
+        wide = 150.0 * share / largest
+        parts.append(f'<rect x="700" y="{y}" width="{wide:.1f}" height="24" fill="{_COLOURS[name]}"/>')
+        parts.append(_text(706 + wide, y + 17, f"{share:.0f}"))
+    write_text(
+        path,
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {_HEIGHT}" font-family="sans-serif" '
+        f'font-size="13"><rect width="{_WIDTH}" height="{_HEIGHT}" fill="#ffffff"/>{"".join(parts)}</svg>\n',
+    )
+
+
+def _text(x: float, y: float, said: str, *, bold: bool = False) -> str:
+    weight = ' font-weight="bold"' if bold else ""
+    return f'<text x="{x:.0f}" y="{y:.0f}" fill="#222222"{weight}>{escape(said)}</text>'

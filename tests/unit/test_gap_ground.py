@@ -1,0 +1,211 @@
+"""The gap of an arm on the ground: each verdict where it is the right one."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ground_gap_support import Array, Law, axis, measured, nothing, sign, size
+
+from zygos.arm import load_arm
+from zygos.can.run import Run
+from zygos.errors import ZygosError
+from zygos.gap.ground.answer import as_json
+from zygos.gap.ground.explain import explain_ground
+from zygos.gap.ground.explanation import GroundExplanation
+from zygos.gap.ground.page import write_ground_gap_report
+from zygos.model.model import Model, Quantity
+from zygos.report.provenance import provenance
+
+ROOT = Path(__file__).parents[2]
+
+
+def _explained(runs: list[Run], model: Model | None = None) -> GroundExplanation:
+    arm, simulation = axis()
+    return explain_ground(arm, model or simulation, runs[:2], runs[2:])
+
+
+def _found(x: GroundExplanation) -> dict[str, float]:
+    return {finding.kind: finding.value for finding in x.findings}
+
+
+def _coulomb(share: float) -> Law:
+    return lambda q, qd: share * size() * sign(qd)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+def test_nothing_is_missing_whatever_the_offset_of_the_torque(noise: float) -> None:
+    for offset in (0.0, 0.1 * size()):
+        x = _explained(measured(nothing, noise=noise, offset=offset))
+        assert (x.answer, x.findings) == ("nothing missing", ()), x.sentence
+        assert all(np.isfinite(one.limit) and one.limit > 0.0 for one in x.search.rounds[0])
+        assert x.model is not None
+
+
+@pytest.mark.slow
+def test_seeds_without_an_effect_have_no_name() -> None:
+    answers = [_explained(measured(nothing, seed=seed, offset=0.01 * seed)).answer for seed in range(20)]
+    assert set(answers) == {"nothing missing"}
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+def test_coulomb_friction_then_viscous_friction_that_differs_between_the_directions(noise: float) -> None:
+    c, forward, backward = 0.1 * size(), 0.08 * size(), 0.03 * size()
+
+    def law(q: Array, qd: Array) -> Array:
+        return c * sign(qd) + np.where(qd > 0.0, forward, backward) * qd
+
+    x = _explained(measured(law, noise=noise))
+    assert x.answer == "named", x.sentence
+    assert list(_found(x)) == ["motor_coulomb", "motor_viscous", "viscous_asymmetry"]
+    mean, half = 0.5 * (forward + backward), 0.5 * (forward - backward)
+    assert list(_found(x).values()) == pytest.approx([c, mean, half], rel=0.01)
+    assert x.gap is not None
+    assert x.gap.closed < 0.1 * x.gap.refit
+    assert x.model is not None
+    assert {effect.kind.key for effect in x.model.effects} == set(_found(x))
+
+
+def test_coulomb_friction_that_differs_between_the_directions_looks_like_an_offset() -> None:
+    def law(q: Array, qd: Array) -> Array:
+        return np.where(qd > 0.0, 0.12, 0.06) * size() * sign(qd)
+
+    moving = _explained(measured(law))
+    assert moving.answer == "cannot tell", moving.sentence
+    assert moving.model is None
+    assert [(f.kind, f.instead) for f in moving.findings] == [
+        ("motor_coulomb", ()),
+        ("torque_offset", ("coulomb_asymmetry1",)),
+    ]
+    assert "rest" in moving.remedy
+    resting = _explained(measured(law, rests=True))
+    assert _found(resting)["coulomb_asymmetry"] == pytest.approx(0.03 * size(), rel=0.1)
+    assert not any(f.instead for f in resting.findings)
+
+
+def test_an_offset_that_stays_at_rest_is_an_offset() -> None:
+    x = _explained(measured(_coulomb(0.1), offset=0.03 * size(), rests=True))
+    assert (x.answer, list(_found(x))) == ("named", ["motor_coulomb"]), x.sentence
+    assert any("also at rest" in note for note in x.notes)
+
+
+def test_a_law_that_is_not_exactly_that_of_the_catalogue_is_named_in_part() -> None:
+    x = _explained(measured(lambda q, qd: 0.1 * size() * qd**3))
+    assert x.answer == "part named", x.sentence
+    assert list(_found(x)) == ["motor_viscous"]
+    (rest,) = x.verdict.left  # type: ignore[union-attr]
+    assert rest.over == "rate"
+    assert rest.size > 3.0 * rest.floor
+
+
+def test_a_torque_of_the_angle_is_unknown() -> None:
+    x = _explained(measured(lambda q, qd: 0.05 * size() * np.sin(7.0 * q)))
+    assert (x.answer, x.model) == ("unknown", None), x.sentence
+    assert x.remedy
+
+
+def test_a_friction_of_the_simulation_that_is_too_large_and_a_wrong_body_are_values() -> None:
+    arm, model = axis()
+    base = model.base_parameters(arm)
+    base["mz1"] = Quantity(1.1 * base["mz1"].value, 0.0, "CAD", base["mz1"].unit)
+    x = _explained(measured(nothing), Model("heavier", parameters=base))
+    assert x.answer == "values differ", x.sentence
+    assert [value.name for value in x.values if value.differs] == ["mz1"]
+
+
+def test_a_friction_that_begins_in_the_second_run_is_a_change() -> None:
+    x = _explained(measured([nothing, _coulomb(0.1), _coulomb(0.1)]))
+    assert x.answer == "changed", x.sentence
+    change = x.verdict.change  # type: ignore[union-attr]
+    assert (change.what, change.run, change.between) == ("motor_coulomb1", 1, True)
+    assert change.new[0] == pytest.approx(0.1 * size(), rel=0.02)
+
+
+def test_torques_that_are_reported_late_are_timing_first() -> None:
+    runs = [
+        replace(run, frames=None, table=replace(run.cycles, tau=np.roll(run.cycles.tau, 2, axis=0)))
+        for run in measured(_coulomb(0.1))
+    ]
+    x = _explained(runs)
+    assert (x.answer, x.findings, x.model) == ("unknown", (), None)
+    assert x.sentence.startswith("Timing first")
+    assert x.verdict.periods == pytest.approx(-2.0, abs=0.1)  # type: ignore[union-attr]
+
+
+def test_motor_currents_are_turned_into_torques() -> None:
+    arm, model = axis()
+    amps = replace(arm, torque_unit="A", joints=(replace(arm.joints[0], torque_sigma=0.0),))
+    runs = [
+        replace(run, arm=amps, frames=None, table=replace(run.cycles, tau=run.cycles.tau / 7.0))
+        for run in measured(_coulomb(0.1))
+    ]
+    x = explain_ground(amps, model, runs[:2], runs[2:])
+    assert (x.answer, list(_found(x))) == ("named", ["motor_coulomb"]), x.sentence
+    assert _found(x)["motor_coulomb"] == pytest.approx(0.1 * size(), rel=0.02)
+    assert any("motor currents" in note for note in x.notes)
+
+
+def test_a_single_run_is_cut_into_thirds() -> None:
+    arm, model = axis()
+    run = measured(_coulomb(0.1), seconds=40.0)[0]
+    x = explain_ground(arm, model, [run])
+    assert (x.answer, list(_found(x))) == ("named", ["motor_coulomb"]), x.sentence
+    assert (len(x.measured), len(x.validated)) == (2, 1)
+    with pytest.raises(ZygosError, match="cannot be cut into 3 parts"):
+        explain_ground(arm, model, [measured(nothing, seconds=4.0)[0]])
+
+
+def test_what_is_no_arm_on_the_ground_is_refused() -> None:
+    arm, model = axis()
+    with pytest.raises(ZygosError, match="floats or has flexible joints"):
+        explain_ground(replace(arm, joints=(replace(arm.joints[0], flexible=True),)), model, measured(nothing))
+    with pytest.raises(ZygosError, match="no measured run"):
+        explain_ground(arm, model, [])
+
+
+def test_page_and_json_say_the_verdict(tmp_path: Path) -> None:
+    x = _explained(measured(lambda q, qd: 0.1 * size() * qd**3))
+    source = provenance(["explain"], [])
+    write_ground_gap_report(tmp_path / "gap.html", x, source)
+    page = (tmp_path / "gap.html").read_text()
+    assert "part named" in page
+    assert "median of the torque left over the rate" in page
+    written = json.loads(json.dumps(as_json(x, source), allow_nan=False))
+    assert written["answer"] == "part named"
+    assert written["findings"][0]["effect"] == "motor_viscous"
+    assert written["gap"]["closed"] < written["gap"]["refit"]
+
+
+@pytest.mark.slow
+def test_the_published_pendulum_lacks_friction_and_the_inertia_of_a_rotor(tmp_path: Path) -> None:
+    from zygos.demo.real import converted
+
+    example = ROOT / "examples/pendulum"
+    runs = [converted(name, tmp_path, example) for name in ("00", "01", "02", "03", "11")]
+    arm = load_arm(tmp_path / "00/arm.toml")
+    known = {"mz1": -0.349118, "Ixx1": 0.107862, "mz2": -0.111065, "Ixx2": 0.0239237}
+    base = {
+        name: Quantity(known.get(name, 0.0), 0.0, "test", unit)
+        for name, unit in zip(arm.parameter_names, arm.parameter_units, strict=True)
+    }
+    x = explain_ground(arm, Model("published without friction", parameters=base), runs[:3], runs[3:])
+    assert x.answer == "part named", x.sentence
+    found = {(f.kind, f.joint): f for f in x.findings}
+    assert set(found) == {
+        ("motor_coulomb", "shoulder"),
+        ("motor_coulomb", "elbow"),
+        ("rotor_inertia", "elbow"),
+    }
+    for joint in ("shoulder", "elbow"):
+        assert 6.0 * found["motor_coulomb", joint].value == pytest.approx(0.14, abs=0.015)
+    assert x.gap is not None
+    shares = [(p.delivered.arm_energy_share, p.closed.arm_energy_share) for p in x.gap.predictions]
+    assert shares[0][0] > 0.8
+    assert shares[0][1] < 0.15
+    assert shares[1][0] > 0.35
+    assert shares[1][1] < 0.18
+    left = {rest.where: rest.size for rest in x.verdict.left}  # type: ignore[union-attr]
+    assert left["the shoulder in 03"] == pytest.approx(0.1, abs=0.02)
