@@ -52,8 +52,8 @@ def test_a_node_that_is_missing_or_has_told_nothing(tmp_path: Path, monkeypatch:
     with pytest.raises(ZygosError, match=r"short\.log: the node has told no complete estimate; remedy"):
         loop.told(loop.GAP / "cad.toml", tmp_path / "short.log")
     (tmp_path / "arm.zyg").write_bytes(b"nonsense")
-    with pytest.raises(ZygosError, match="ended with status 2: .*; remedy"):
+    with pytest.raises(ZygosError, match=r"ended with status 2: .*; remedy"):
         loop.fly_beside(config, frames, tmp_path / "short.log")
     monkeypatch.setattr(loop, "NODE", tmp_path / "none")
-    with pytest.raises(ZygosError, match="there is no .*none; remedy: make node"):
+    with pytest.raises(ZygosError, match=r"there is no .*none; remedy: make node"):
         loop.fly_beside(config, frames, tmp_path / "short.log")

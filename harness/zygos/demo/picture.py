@@ -28,9 +28,9 @@ def draw_loop(path: Path, closed: Closed, period_s: float) -> None:
         from matplotlib.figure import Figure  # noqa: PLC0415
     except ImportError as error:
         raise ZygosError("the picture needs matplotlib; remedy: pip install 'zygos[view]'") from error
-    style = {"svg.hashsalt": "zygos", "font.size": 9.0, "axes.spines.top": False, "axes.spines.right": False}
+    style: Any = {"svg.hashsalt": "zygos", "font.size": 9.0, "axes.spines.top": False, "axes.spines.right": False}
     with mpl.rc_context(style):
-        figure = Figure(figsize=(10.0, 4.6), layout="constrained")
+        figure: Any = Figure(figsize=(10.0, 4.6), layout="constrained")
         figure.get_layout_engine().set(w_pad=0.12, h_pad=0.08)
         steps, panels = figure.subfigures(2, 1, height_ratios=[1.0, 2.6])
         _steps(steps, closed.content)
