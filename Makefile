@@ -138,8 +138,8 @@ hil: build node $(VENV)/.test ## fault drills across a real vcan (the kernel's, 
 pil: build $(VENV)/.test ## the library as firmware on an emulated Cortex-M7 and Cortex-M4F: the host's bits (QEMU)
 	$(PYTEST) tests/pil
 
-gap: build $(VENV)/.test ## hide effects in a MuJoCo plant, explain them, score the verdicts (out/gap.json; 20 minutes)
-	PYTHONPATH=tests:tests/support $(BIN)/python -m oracles.campaign
+gap: build $(VENV)/.test ## hide effects in MuJoCo plants, explain them, score the verdicts (docs/gap.md, out/gap.json; 90 minutes, resumes; CELLS= DRAWS= FROM=)
+	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tests:tests/support $(BIN)/python -m oracles.trials $(CELLS) $(if $(DRAWS),draws=$(DRAWS)) $(if $(FROM),from=$(FROM))
 
 bench: build $(VENV)/.test ## what it costs, beside its peers (out/bench.json, README.md, docs/cost.md; 6 minutes)
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tests:tests/support $(BIN)/python -m bench out/bench.json

@@ -1,4 +1,4 @@
-"""`make gap`: hide effects in runs of the MuJoCo plant, explain them from their CAN frames, and score the verdicts.
+"""Cases of the tests of explain: effects hidden in runs of the planar MuJoCo plant, explained from their CAN frames.
 
 Each case is a hidden effect, or none, at one place; its seeds differ in the arm that was built (every value off by up
 to its sigma) and in the sensors' noise. What is explained is frames, an arm file and the drawing's model; the truth
@@ -7,12 +7,7 @@ meets the verdict only in `score`.
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import sys
-import time
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -25,9 +20,6 @@ from oracles.laws import Law
 from oracles.simulate import run
 from zygos.arm import Arm, Smoother, load_arm
 from zygos.effects import CATALOGUE, Effect, column_named
-from zygos.errors import Undecided
-from zygos.files.output import number, say, table, write_json
-from zygos.files.progress import progress
 from zygos.gap.explain import explain
 from zygos.gap.explanation import Explanation
 from zygos.gap.record import read_measured_run
@@ -213,22 +205,6 @@ def score(case: Case, seed: int, found: Explanation) -> dict[str, Any]:
     }
 
 
-def _refused(case: Case, seed: int, why: str) -> dict[str, Any]:
-    """A run that got no verdict: no name, hence no wrong one."""
-    empty = dict.fromkeys(("rho", "rho_after", "completeness", "as_delivered", "refit", "closed", "floor"))
-    return {
-        "case": case.name,
-        "expected": case.answer,
-        "seed": seed,
-        "answer": "refused",
-        "sentence": why,
-        **dict.fromkeys(("right", "within", "wrong"), False),
-        **empty,
-        "column": _column(case),
-        "limits": {},
-    }
-
-
 def _column(case: Case) -> str:
     """Column of the one effect that a law hides."""
     if case.law is None or not case.law.key:
@@ -239,140 +215,3 @@ def _column(case: Case) -> str:
 def _parse(column: str) -> tuple[str, str | None]:
     key, joint, _ = column_named(column)
     return key, None if joint < 0 else PLACES[joint]
-
-
-def one(bench_name: str, case_name: str, seed: int) -> dict[str, Any]:
-    """Hide, explain, score."""
-    bench = {"modern": modern, "lively": lively}[bench_name]()
-    case = next(case for case in bench.cases if case.name == case_name)
-    begin = time.monotonic()
-    seen = frames(bench, case, seed)
-    moved = time.monotonic()
-    try:
-        scored = score(case, seed, verdict(bench, simulation(case), seen))
-    except Undecided as error:
-        scored = _refused(case, seed, str(error))
-    return {
-        "bench": bench_name,
-        **scored,
-        "plant_s": moved - begin,
-        "explain_s": time.monotonic() - moved,
-    }
-
-
-SEEDS = {"modern": 10, "lively": 3}
-NULLS = 20
-"""Seeds of each case that hides nothing, with the sensors of today."""
-
-
-def campaign(wanted: Sequence[tuple[str, str, int]], workers: int) -> list[dict[str, Any]]:
-    """Run cases side by side."""
-    out: list[dict[str, Any]] = []
-    os.environ["OPENBLAS_NUM_THREADS"] = "1"
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=context) as pool, progress() as bar:
-        task = bar.add_task("explaining", total=len(wanted))
-        for future in as_completed([pool.submit(one, *job) for job in wanted]):
-            out.append(future.result())
-            # a campaign that is cut short has not been for nothing
-            write_json("out/gap-runs.json", {"runs": out})
-            bar.advance(task)
-    return sorted(out, key=lambda r: (r["bench"], r["case"], r["seed"]))
-
-
-def summarise(results: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """One line a case."""
-    lines = []
-    for bench, name in dict.fromkeys((r["bench"], r["case"]) for r in results):
-        of = [r for r in results if (r["bench"], r["case"]) == (bench, name)]
-        lines.append(
-            {
-                "bench": bench,
-                "case": name,
-                "expected": of[0]["expected"],
-                "runs": len(of),
-                "right": sum(r["right"] for r in of),
-                "within": sum(r["within"] for r in of),
-                "wrong": sum(r["wrong"] for r in of),
-                "visible": float(np.median(_ratios(of, "refit"))),
-                "closed": float(np.median(_ratios(of, "closed"))),
-                "worst_closed": float(np.max(_ratios(of, "closed"))),
-                "limit": _limit(of),
-                "rho": float(np.median([r["rho"] or np.nan for r in of])),
-                "seconds": float(np.median([r["explain_s"] for r in of])),
-            }
-        )
-    return lines
-
-
-def _ratios(of: Sequence[dict[str, Any]], key: str) -> list[float]:
-    """A gap in units of its floor, where there is one."""
-    return [r[key] / r["floor"] for r in of if r["floor"]] or [np.nan]
-
-
-def _limit(of: Sequence[dict[str, Any]]) -> float | None:
-    """Median detection limit of the hidden effect, in its unit; None where it is not a candidate of the search."""
-    key = of[0]["column"]
-    found = [r["limits"][key] for r in of if key in r["limits"]]
-    return float(np.median(found)) if found else None
-
-
-def shortcomings(lines: Sequence[dict[str, Any]]) -> list[str]:
-    """What falls short of what is asked; small campaigns are judged by the same shares."""
-    out = []
-    for line in lines:
-        name, runs = f"{line['bench']}: {line['case']}", line["runs"]
-        if line["wrong"]:
-            out.append(f"{name}: a wrong name in {line['wrong']} of {runs}")
-        if line["expected"] == "named":
-            if line["within"] < 0.9 * runs or line["right"] < 0.8 * runs:
-                out.append(f"{name}: named in {line['right']} of {runs}, in a set in {line['within']}")
-            # coarse sensors leave values uncertain by more than their own predictions can bear
-            if line["bench"] == "modern" and line["worst_closed"] > 1.5:
-                out.append(f"{name}: closed to {line['worst_closed']:.2f} times the floor at the worst")
-            if line["bench"] == "modern" and line["visible"] < 10.0:
-                out.append(f"{name}: not clearly visible, refit is {line['visible']:.1f} times the floor")
-        elif line["expected"] == "values differ" and line["right"] < 0.9 * runs:
-            out.append(f"{name}: answered in {line['right']} of {runs}")
-    return out
-
-
-def main(arguments: Sequence[str]) -> int:
-    """All cases, or those whose name contains a word of the command line; `seeds=N` for fewer seeds. 1 if any of what
-    is asked is missed."""
-    seeds = next((int(word[6:]) for word in arguments if word.startswith("seeds=")), None)
-    words = [word for word in arguments if not word.startswith("seeds=")]
-    jobs = [
-        (bench.name, case.name, seed)
-        for bench in (modern(), lively())
-        for case in bench.cases
-        for seed in range(
-            seeds or (NULLS if (bench.name, case.answer) == ("modern", "nothing missing") else SEEDS[bench.name])
-        )
-        if not words or any(word in f"{bench.name} {case.name}" for word in words)
-    ]
-    begin = time.monotonic()
-    results = campaign(jobs, os.cpu_count() or 1)
-    lines = summarise(results)
-    table(
-        ("case", "runs", "right", "in set", "wrong", "refit/floor", "closed/floor", "worst", "limit", "rho", "s"),
-        [
-            (
-                f"{line['bench']}: {line['case']}",
-                *(str(line[key]) for key in ("runs", "right", "within", "wrong")),
-                *(number(line[key], 3) for key in ("visible", "closed", "worst_closed", "limit", "rho", "seconds")),
-            )
-            for line in lines
-        ],
-    )
-    failed = shortcomings(lines)
-    out = Path("out/gap.json")
-    write_json(out, {"summary": lines, "shortcomings": failed, "runs": results})
-    say(f"{len(results)} cases in {time.monotonic() - begin:.0f} s · {out}")
-    for line in failed:
-        say(f"falls short: {line}")
-    return 1 if failed else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

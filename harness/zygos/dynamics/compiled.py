@@ -70,7 +70,7 @@ class Multibody(SpatialDynamics):
         moment: Moment = START,
     ) -> tuple[Array, Array, Array]:
         """As `SpatialDynamics.accelerations`, which computes them where a torque acts on the base."""
-        if self.base_laws:
+        if self.base_laws or self.later is not None:
             return super().accelerations(q, theta, omega0, qd, thetad, tau, moment)
         spring, motor_loss, link_loss = self._forces(q, theta, qd, thetad, tau, moment)
         n, batch = self.n, q.shape[:-1]

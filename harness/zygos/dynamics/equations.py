@@ -15,6 +15,7 @@ from zygos.dynamics.engines import Engine, engine
 from zygos.dynamics.joints import START, Drives, Law, Moment
 from zygos.dynamics.planar import PlanarDynamics
 from zygos.effects import Effect, Motion
+from zygos.errors import ZygosError
 from zygos.model.model import Model
 
 Array = NDArray[np.float64]
@@ -118,7 +119,24 @@ def from_parameters(arm: Arm, values: ArrayLike, effects: Sequence[Effect] = ())
 
     The closed form of a planar arm that floats is the fast case. Errors: ZygosError where no arm has these values.
     """
-    return (PlanarDynamics if arm.free and not arm.spatial else Multibody).from_parameters(arm, values, effects)
+    form: type[Drives] = PlanarDynamics if arm.free and not arm.spatial else Multibody
+    changes = [effect for effect in effects if effect.kind.place == "body"]
+    lasting = [effect for effect in effects if effect.kind.place != "body"]
+    dynamics = form.from_parameters(arm, values, lasting)
+    if not changes:
+        return dynamics
+    changed = np.array(values, dtype=np.float64)
+    for effect in changes:
+        effect.index(arm)
+        changed[arm.parameter_names.index(effect.component)] += effect.value
+    instants = {effect.shape for effect in changes}
+    if len(instants) > 1:
+        raise ZygosError(
+            f"arm {arm.name}: changes of bodies at {len(instants)} instants cannot be simulated; remedy: give all of "
+            "them one instant"
+        )
+    later = form.from_parameters(arm, changed, lasting)
+    return replace(dynamics, later=later, change_s=float(instants.pop() or 0.0))
 
 
 def parameters(arm: Arm, dynamics: Drives) -> Array:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple, Self
 
@@ -71,6 +71,10 @@ class Drives(ABC):
     """Torque laws at joints."""
     base_laws: tuple[Law, ...] = ()
     """Torque laws at the base."""
+    later: Drives | None = None
+    """The arm from the instant `change_s` on; None: it does not change."""
+    change_s: float = np.inf
+    """Instant of a change of bodies, s since the start of the run."""
     torque_lag: Array | None = None
     """(N,) delay of each motor behind its reported torque, s; None: no delay."""
     angular_momentum: float | None = None
@@ -146,6 +150,23 @@ class Drives(ABC):
     @cached_property
     def _none(self) -> Array:
         return np.zeros(self.n)
+
+    @cached_property
+    def _unchanged(self) -> Drives:
+        """The arm before the change."""
+        return replace(self, later=None)
+
+    def _changing(
+        self, later: Drives, q: Array, theta: Array, omega0: Array, qd: Array, thetad: Array, tau: Array, moment: Moment
+    ) -> tuple[Array, Array, Array]:
+        """Accelerations of an arm whose bodies change."""
+        since = np.broadcast_to(np.asarray(moment.time) >= self.change_s, q.shape[:-1])
+        state = (q, theta, omega0, qd, thetad, tau, moment)
+        if since.all() or not since.any():
+            return (later if since.all() else self._unchanged).accelerations(*state)
+        both = zip(self._unchanged.accelerations(*state), later.accelerations(*state), strict=True)
+        base, link, motor = (np.where(since.reshape(since.shape + (1,) * (x.ndim - since.ndim)), y, x) for x, y in both)
+        return base, link, motor
 
     def friction_slope(self, place: Place) -> Array:
         """(N,) damping equivalent to the friction at motors or links near standstill, Nms/rad after the gear."""

@@ -123,6 +123,8 @@ class PlanarDynamics(Drives):
         eqs. (14)-(18) in absolute angles, docs/theory.md); moment: for effects that depend on the time or on the
         base's angle.
         """
+        if self.later is not None:
+            return self._changing(self.later, q, theta, np.asarray(omega0), qd, thetad, tau, moment)
         f = self.rates(omega0, qd)
         inertia, slope = self.inertia(q)
         spring, motor_loss, link_loss = self._forces(q, theta, qd, thetad, tau, moment)

@@ -117,7 +117,7 @@ def _step(dynamics: Drives, x: Array, tau: Array, h: float, now: Moment) -> tupl
 
 def _in_a_plane(x: Array) -> bool:
     """Whether states have a base rate that is a number."""
-    return x.shape[-1] % 4 == 1
+    return bool(x.shape[-1] % 4 == 1)
 
 
 def _rate(dynamics: Drives, x: Array, tau: Array, now: Moment) -> Array:

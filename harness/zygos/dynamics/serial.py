@@ -182,6 +182,8 @@ class SpatialDynamics(Drives):
         q, theta rad; omega0, qd, thetad rad/s; tau the rotor torque before the gear, Nm. moment: for effects that
         depend on the time.
         """
+        if self.later is not None:
+            return self._changing(self.later, q, theta, omega0, qd, thetad, tau, moment)
         places = posture(self.arm, q)
         turns = self._turns(places)
         jacobian, weighed = self._inertia(places, turns)

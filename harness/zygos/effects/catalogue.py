@@ -8,10 +8,11 @@ within `laws`.
 from __future__ import annotations
 
 import runpy
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -164,6 +165,31 @@ def _grid(low: float, high: float, count: int) -> tuple[float, ...]:
 
 _SPEEDS = _grid(0.005, 0.5, 9)
 
+_ORDERS = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0)
+_Side = Literal["link", "motor"]
+_ENCODER_ERRORS: tuple[tuple[str, str, str, tuple[str, ...], Callable[[Arm, Array, float, int], Array], str], ...] = (
+    ("zero", "zero of the {}", "rad", (), _read_shifted, "reads {} + c"),
+    ("scale", "scale error of the {}", "1", (), _read_scaled, "reads (1 + c) {}"),
+    (
+        "eccentricity_sin",
+        "eccentricity of the {} (sine)",
+        "rad",
+        ("eccentricity_cos",),
+        _read_sine,
+        "reads {0} + c sin {0}",
+    ),
+    (
+        "eccentricity_cos",
+        "eccentricity of the {} (cosine)",
+        "rad",
+        ("eccentricity_sin",),
+        _read_cosine,
+        "reads {0} + c cos {0}",
+    ),
+    ("late", "late latch of the {}", "s", (), _read_late, "reads {} of the time t + c"),
+)
+_SIDES: tuple[tuple[_Side, str], ...] = (("link", "q"), ("motor", "θ"))
+
 ENTRIES = (
     Kind(
         "motor_coulomb",
@@ -284,6 +310,246 @@ ENTRIES = (
         flies=True,
         formula="the value of H",
     ),
+    Kind(
+        "motor_stribeck",
+        "Stribeck friction at the motor",
+        "Nm",
+        "motor",
+        _stribeck,
+        twins=("motor_coulomb", "motor_viscous"),
+        searched=False,
+        shapes=_SPEEDS,
+        shape_title="Stribeck velocity v",
+        shape_unit="rad/s",
+        formula="exp(−(θ̇/v)²) sat(θ̇ / 1e-3 rad/s)",
+    ),
+    Kind(
+        "link_viscous",
+        "viscous friction at the link",
+        "Nms/rad",
+        "link",
+        _viscous,
+        viscous=True,
+        twins=("link_coulomb", "motor_viscous"),
+        searched=False,
+        formula="q̇",
+    ),
+    Kind(
+        "link_viscous_asymmetry",
+        "difference of viscous friction at the link between the directions",
+        "Nms/rad",
+        "link",
+        _viscous_size,
+        positive=False,
+        twins=("viscous_asymmetry",),
+        searched=False,
+        formula="\\|q̇\\|",
+    ),
+    Kind(
+        "link_stribeck",
+        "Stribeck friction at the link",
+        "Nm",
+        "link",
+        _stribeck,
+        twins=("link_coulomb", "link_viscous"),
+        searched=False,
+        shapes=_SPEEDS,
+        shape_title="Stribeck velocity v",
+        shape_unit="rad/s",
+        formula="exp(−(q̇/v)²) sat(q̇ / 1e-3 rad/s)",
+    ),
+    Kind(
+        "backlash",
+        "backlash",
+        "Nm/rad",
+        "spring",
+        _gap,
+        _gap_energy,
+        twins=("cubic_stiffness", "link_coulomb"),
+        searched=False,
+        shapes=_grid(1e-5, 1e-2, 10),
+        shape_title="half width g of the gap",
+        shape_unit="rad",
+        formula="−clip(θ−q, −g, g); all of the gap is free at c = k",
+    ),
+    Kind(
+        "ripple_sin",
+        "torque ripple (sine)",
+        "Nm",
+        "torque",
+        _sine,
+        _sine_integral,
+        positive=False,
+        twins=("ripple_cos",),
+        searched=False,
+        shapes=_ORDERS,
+        shape_title="order N in turns of the motor",
+        shape_unit="1",
+        formula="sin(N n θ)",
+    ),
+    Kind(
+        "ripple_cos",
+        "torque ripple (cosine)",
+        "Nm",
+        "torque",
+        _cosine,
+        _cosine_integral,
+        positive=False,
+        twins=("ripple_sin",),
+        searched=False,
+        shapes=_ORDERS,
+        shape_title="order N in turns of the motor",
+        shape_unit="1",
+        formula="cos(N n θ)",
+    ),
+    Kind(
+        "base_torque",
+        "constant torque on the base",
+        "Nm",
+        "base",
+        _always,
+        positive=False,
+        twins=("base_leak", "gyro_bias"),
+        searched=False,
+        axes=True,
+        formula="1, in base axes",
+    ),
+    Kind(
+        "base_leak",
+        "torque on the base from an instant on",
+        "Nm",
+        "base",
+        _since,
+        positive=False,
+        twins=("base_torque",),
+        searched=False,
+        shapes=_grid(1.0, 300.0, 12),
+        shape_title="onset since the start of the run",
+        shape_unit="s",
+        axes=True,
+        formula="1 from the onset on, in base axes",
+    ),
+    Kind(
+        "gravity_gradient_sin",
+        "gravity gradient torque on the base (sine)",
+        "Nm",
+        "base",
+        _double_sine,
+        positive=False,
+        twins=("gravity_gradient_cos", "detent_sin"),
+        searched=False,
+        world="plane",
+        formula="sin 2φ, φ = angle that the base has turned",
+    ),
+    Kind(
+        "gravity_gradient_cos",
+        "gravity gradient torque on the base (cosine)",
+        "Nm",
+        "base",
+        _double_cosine,
+        positive=False,
+        twins=("gravity_gradient_sin", "detent_cos"),
+        searched=False,
+        world="plane",
+        formula="cos 2φ",
+    ),
+    Kind(
+        "detent_sin",
+        "detent torque on the base (sine)",
+        "Nm",
+        "base",
+        _base_sine,
+        positive=False,
+        twins=("detent_cos", "gravity_gradient_sin"),
+        searched=False,
+        shapes=_ORDERS,
+        shape_title="order N in turns of the base",
+        shape_unit="1",
+        world="plane",
+        formula="sin Nφ",
+    ),
+    Kind(
+        "detent_cos",
+        "detent torque on the base (cosine)",
+        "Nm",
+        "base",
+        _base_cosine,
+        positive=False,
+        twins=("detent_sin", "gravity_gradient_cos"),
+        searched=False,
+        shapes=_ORDERS,
+        shape_title="order N in turns of the base",
+        shape_unit="1",
+        world="plane",
+        formula="cos Nφ",
+    ),
+    Kind(
+        "body_change",
+        "change of a body",
+        "of the parameter",
+        "body",
+        positive=False,
+        searched=False,
+        shapes=_grid(1.0, 300.0, 12),
+        shape_title="instant since the start of the run",
+        shape_unit="s",
+        formula="a base parameter is larger by c from the instant on",
+    ),
+    *(
+        Kind(
+            f"{side}_{key}",
+            title.format(f"{side} encoder"),
+            unit,
+            "sensor",
+            positive=False,
+            twins=tuple(f"{side}_{twin}" for twin in twins),
+            searched=False,
+            sensor=side,
+            reads=reads,
+            formula=formula.format(symbol),
+        )
+        for side, symbol in _SIDES
+        for key, title, unit, twins, reads, formula in _ENCODER_ERRORS
+        # a motor's encoder that is eccentric ripples with the turns of the motor, not with those of the joint
+        if side == "link" or not key.startswith("eccentricity")
+    ),
+    Kind(
+        "gyro_bias",
+        "bias of the gyro",
+        "rad/s",
+        "sensor",
+        positive=False,
+        twins=("angular_momentum", "base_torque"),
+        searched=False,
+        axes=True,
+        sensor="gyro",
+        reads=_read_biased,
+        formula="reads ω + c",
+    ),
+    Kind(
+        "gyro_scale",
+        "scale error of the gyro",
+        "1",
+        "sensor",
+        positive=False,
+        searched=False,
+        sensor="gyro",
+        reads=_read_scaled,
+        formula="reads (1 + c) ω",
+    ),
+    Kind(
+        "gyro_misalignment",
+        "misalignment of the gyro",
+        "rad",
+        "sensor",
+        positive=False,
+        searched=False,
+        axes=True,
+        world="space",
+        sensor="gyro",
+        reads=_read_turned,
+        formula="is turned about a base axis by c",
+    ),
 )
 """Units are those of the coefficient: torques at a motor in Nm before the gear, rates after it.
 
@@ -298,6 +564,16 @@ spring of stiffness k looks as if it had an offset of -k x.
 torque_lag: the time by which the motor follows the reported torque later, less than a SYNC period.
 rotor_coupling: the share of the rotor's inertia that the carrying body's rotation acts on. It is 1 in nature and 0 in
 simulators whose `armature` adds to the joint's inertia alone. A model that does not mention it has 1.
+motor_stribeck, link_stribeck: by how much friction at rest exceeds that of a moving joint. Stribeck friction has a
+Coulomb friction beside it, which is an entry of its own.
+backlash: the spring's torque is k (theta - q) less c (theta - q) within the gap, and less c g beyond it. At c = k the
+gap is free of torque; a smaller c is a gap that is stiff to some degree. The coefficient is linear, the gap a shape.
+ripple: its order counts turns of the motor, before the gear, whose angle is n theta.
+gravity_gradient, detent: of unknown phase, so that each has a sine and a cosine.
+body_change: has one component for each base parameter of the bodies. What is taken up or dropped moves with the arm at
+that instant, so that the motion goes on without a jump.
+link_late, motor_late: the encoder latches its angle later than the arm file states.
+link_..., motor_...: of a rigid joint, whose one encoder reads both angles, only those of the link exist.
 angular_momentum: the angular momentum of the whole arm about its mass centre. A model that does not mention it makes no
 assumption about it.
 """

@@ -100,10 +100,10 @@ class Layout:
         kinds = [kind for kind in CATALOGUE.values() if kind.searched and kind.key != OFFSET and not kind.on_ground]
         places = [(kind, i) for kind in kinds for i in (range(self.arm.n) if kind.at_joint else (-1,))]
         # a torque sensor that has noise has errors of its own, which look the same
-        own = {f"{key}{name[-1]}" for key in ("torque_offset",) for name in self.errors if name.startswith("torque_zero")}
-        return tuple(
-            (kind, i) for kind, i in places if _exists(self.arm, kind, i) and column_name(kind, i) not in own
-        )
+        own = {
+            f"{key}{name[-1]}" for key in ("torque_offset",) for name in self.errors if name.startswith("torque_zero")
+        }
+        return tuple((kind, i) for kind, i in places if _exists(self.arm, kind, i) and column_name(kind, i) not in own)
 
     @cached_property
     def columns(self) -> tuple[str, ...]:
@@ -187,11 +187,15 @@ class Layout:
 def corrected(record: MeasuredRun, layout: Layout, errors: Array) -> MeasuredRun:
     """A record without errors (zeros,) of its sensors, in the order of `Layout.zeros`."""
     s = record.samples
-    plain = Readings(s.q, s.theta, record.omega0, s.tau)
+    seen = Readings(s.q, s.theta, record.omega0, s.tau)
+    fields = ("q", "theta", "omega0", "tau")
+    plain = {name: getattr(seen, name) for name in fields}
     for size, error in zip(errors.tolist(), layout.errors.values(), strict=True):
-        plain = error.added(plain, -size)
-    samples = replace(s, q=plain.q, theta=plain.theta, tau=plain.tau)
-    return replace(record, samples=samples, omega0=plain.omega0)
+        # a gain is a share of what was read
+        wrong = error.added(seen, size)
+        plain = {name: plain[name] - getattr(wrong, name) + getattr(seen, name) for name in fields}
+    samples = replace(s, q=plain["q"], theta=plain["theta"], tau=plain["tau"])
+    return replace(record, samples=samples, omega0=plain["omega0"])
 
 
 def thinning(arm: Arm) -> int:

@@ -8,7 +8,7 @@ records.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -16,9 +16,11 @@ from numpy.typing import NDArray
 from scipy.integrate import DOP853
 
 from zygos.arm import Arm
+from zygos.balances.readings import Readings
 from zygos.dynamics.equations import Dynamics, EngineName, equations
 from zygos.dynamics.joints import Moment
 from zygos.dynamics.planar import PlanarDynamics
+from zygos.effects import Effect
 from zygos.errors import ZygosError
 from zygos.model.model import Model
 from zygos.runs.cycles import Cycles
@@ -76,6 +78,8 @@ class Trajectory:
     """Base rate when the gyro latches, rad/s; shape as omega0."""
     noise: Noise
     """The errors that the servo reads and `cycles` records."""
+    sensors: tuple[Effect, ...] = ()
+    """Effects of sensors, which `cycles` records. The servo does not read them."""
 
     def accelerations(self) -> tuple[Array, Array, Array]:
         """Exact accelerations just after each SYNC: base as omega0, links (B, n, N), motors after the gear (B, n, N),
@@ -93,19 +97,25 @@ def record(trajectory: Trajectory, index: int = 0) -> Cycles:
     """Sensor readings of the run of `trajectory.seeds[index]`: n cycles, numbered from 0."""
     arm, noise = trajectory.arm, trajectory.noise
     n = len(trajectory.t)
+    exact = Readings(
+        trajectory.q_latched[index],
+        trajectory.theta_latched[index],
+        trajectory.omega0_latched[index],
+        trajectory.tau[index],
+    )
+    for one in trajectory.sensors:
+        exact = one.kind.transform(arm, exact, one.index(arm), one.value, one.component_index(arm))
     return Cycles(
         sync=np.arange(n, dtype=np.uint64),
-        q=encoder_reading(
-            [joint.link_encoder for joint in arm.joints], trajectory.q_latched[index], noise.link[index], noise.rounding
-        ),
+        q=encoder_reading([joint.link_encoder for joint in arm.joints], exact.q, noise.link[index], noise.rounding),
         theta=encoder_reading(
             [joint.motor_encoder for joint in arm.joints],
-            trajectory.theta_latched[index],
+            exact.theta,
             noise.motor[index],
             noise.rounding,
         ),
         tau=torque_record(arm, trajectory.tau[index], noise.torque[index]),
-        omega=gyro_reading(arm, _vector(arm, trajectory.omega0_latched)[index], noise.gyro[index]),
+        omega=gyro_reading(arm, _vector(arm, exact.omega0[None])[0], noise.gyro[index]),
         flags=np.zeros(n, dtype=np.uint32),
     )
 
@@ -159,7 +169,8 @@ def simulate(
     errors = draw_noise(arm, n, chosen, scenario.encoder_noise) if noisy else no_noise(arm, n, chosen)
     planar = isinstance(dynamics, PlanarDynamics)
     run = _Run(arm, dynamics, scenario, planar=planar, seeds=chosen, n=n, noise=errors, rtol=rtol, atol=atol)
-    return run.trajectory(progress)
+    sensors = tuple(effect for effect in model.effects if effect.kind.place == "sensor")
+    return replace(run.trajectory(progress), sensors=sensors)
 
 
 class _Run:

@@ -1,0 +1,287 @@
+"""The ledger of the trials: a line for every run that was ever scored, and the table of docs/gap.md made from it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import subprocess
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import beta
+
+ROOT = Path(__file__).resolve().parents[2]
+LEDGER = ROOT / "tests" / "oracles" / "ledger.jsonl"
+PAGE = ROOT / "docs" / "gap.md"
+BEGIN, END = "<!-- make gap writes this -->\n", "<!-- to here -->\n"
+Line = dict[str, Any]
+
+
+def _digest(paths: Iterable[Path]) -> str:
+    found = hashlib.sha256()
+    for path in sorted(paths):
+        found.update(str(path.relative_to(ROOT)).encode())
+        found.update(path.read_bytes())
+    return found.hexdigest()[:12]
+
+
+@cache
+def product() -> str:
+    """Digest of the sources of the product."""
+    listed = [*(ROOT / "harness").rglob("*.py"), *(ROOT / "c").glob("*.[ch]"), *(ROOT / "include").rglob("*.h")]
+    return _digest(path for path in listed if "_native" not in path.parts)
+
+
+@cache
+def generator() -> str:
+    """Digest of what makes the runs, and of what scores them."""
+    folder = ROOT / "tests" / "oracles"
+    return _digest(folder / f"{name}.py" for name in ("hidden", "tree", "arms", "cells", "score"))
+
+
+@cache
+def commit() -> str:
+    """Commit of the working tree, with a plus where it has changes."""
+
+    def git(*words: str) -> str:
+        return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False).stdout.strip()
+
+    return git("rev-parse", "--short=10", "HEAD") + ("+" if git("status", "--porcelain", "harness", "c") else "")
+
+
+def read(path: Path | None = None) -> list[Line]:
+    """All lines."""
+    path = path or LEDGER
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.is_file() else []
+
+
+def append(line: Line, path: Path | None = None) -> None:
+    """Add a line; nothing is ever replaced."""
+    path = path or LEDGER
+    with path.open("a", encoding="utf-8") as file:
+        file.write(json.dumps(line, separators=(",", ":")) + "\n")
+
+
+def last_campaign(lines: Sequence[Line]) -> list[Line]:
+    """The lines of the product with most runs, the later of two with as many; of a run that was scored twice, the
+    first."""
+    by_product: dict[str, dict[tuple[str, int], Line]] = {}
+    for line in lines:
+        by_product.setdefault(line["product"], {}).setdefault((line["cell"], line["draw"]), line)
+    return list(max(reversed(by_product.values()), key=len).values()) if by_product else []
+
+
+def upper(events: int, runs: int, level: float = 0.95) -> float:
+    """Exact upper limit (Clopper and Pearson) of a rate, one-sided."""
+    return 1.0 if events >= runs else float(beta.ppf(level, events + 1, runs - events))
+
+
+def lower(events: int, runs: int, level: float = 0.95) -> float:
+    """Exact lower limit of a rate, one-sided."""
+    return 0.0 if events <= 0 else float(beta.ppf(1.0 - level, events, runs - events + 1))
+
+
+@dataclass(frozen=True)
+class Measure:
+    """One of the figures that are asked."""
+
+    name: str
+    asked: str
+    runs: int
+    value: float
+    limit: str
+    """Exact limit of a rate; empty for others."""
+    met: bool | None
+    """None where there are no runs."""
+
+
+def _rate(name: str, asked: float, flags: Sequence[bool], most: bool) -> Measure:
+    runs, events = len(flags), sum(map(bool, flags))
+    value = events / runs if runs else float("nan")
+    sign = "≤" if most else "≥"
+    bound = (
+        "" if not runs else f"≤ {100 * upper(events, runs):.1f} %" if most else f"≥ {100 * lower(events, runs):.1f} %"
+    )
+    met = None if not runs else value <= asked if most else value >= asked
+    return Measure(name, f"{sign} {100 * asked:g} %", runs, value, bound, met)
+
+
+def measures(lines: Sequence[Line]) -> list[Measure]:
+    """The figures that the trials are about; a refusal is an answer, and never a right one."""
+    nulls = [line for line in lines if line["group"] == "null"]
+    inside = [line for line in lines if line["group"] in {"law", "pair", "structure"}]
+    large = [line for line in inside if (line["multiple"] or line["nominal"] or 30.0) >= 3.0]
+    outside = [line for line in lines if line["group"] in {"outside", "without"}]
+    named = [line for line in inside if line["score"]["in_set"] is not None]
+    sizes = [size for line in inside for size in line["score"]["sizes"] if line["answer"] in {"named", "part named"}]
+    errors = [abs(size["error"]) for size in sizes]
+    held = [
+        line["gap"]["closed"] / line["gap"]["floor"] for line in inside if line["answer"] == "named" and _floor(line)
+    ]
+    extra = [line["score"]["extra"] for line in lines if line["group"] != "outside" and line["group"] != "without"]
+    median = float(np.median(errors)) if errors else float("nan")
+    works = [abs(size.get("error_work", size["error"])) for size in sizes]
+    own = [size["covered"] for size in sizes if size["exact"]]
+    held_median = float(np.median(held)) if held else float("nan")
+    extras = float(np.mean(extra)) if extra else float("nan")
+    covered = [size["covered"] for size in sizes]
+    share = float(np.mean(covered)) if covered else float("nan")
+    bound = (
+        f"{100 * lower(sum(covered), len(covered), 0.975):.0f}–{100 * upper(sum(covered), len(covered), 0.975):.0f} %"
+    )
+    return [
+        _rate("nulls with any false name", 0.01, [line["score"]["false"] for line in nulls], True),
+        _rate(
+            "nulls answered *unknown* or refused",
+            0.01,
+            [not line["score"]["right"] and not line["score"]["false"] for line in nulls],
+            True,
+        ),
+        _rate(
+            "right effect and place first, from 3 detection limits on",
+            0.95,
+            [line["score"]["first"] for line in large],
+            False,
+        ),
+        _rate(
+            "truth in the reported set, where one is reported", 0.99, [line["score"]["in_set"] for line in named], False
+        ),
+        Measure("extra names a run", "≤ 0.05", len(extra), extras, "", extras <= 0.05 if extra else None),
+        _rate("outside the catalogue: misnamed", 0.05, [line["score"]["misnamed"] for line in outside], True),
+        _rate(
+            "outside the catalogue: *unknown* or rightly *part named*",
+            0.9,
+            [line["score"]["right"] for line in outside],
+            False,
+        ),
+        Measure("error of the size, median", "≤ 3 %", len(errors), median, "", median <= 0.03 if errors else None),
+        Measure(
+            "the same, sizes projected by power",
+            "≤ 3 %",
+            len(works),
+            float(np.median(works)) if works else float("nan"),
+            "",
+            bool(np.median(works) <= 0.03) if works else None,
+        ),
+        Measure(
+            "sizes inside their 95 % interval",
+            "92–97 %",
+            len(covered),
+            share,
+            bound if covered else "",
+            0.92 <= share <= 0.97 if covered else None,
+        ),
+        Measure(
+            "of these, laws that have the form of the column",
+            "92–97 %",
+            len(own),
+            float(np.mean(own)) if own else float("nan"),
+            "",
+            0.92 <= float(np.mean(own)) <= 0.97 if own else None,
+        ),
+        Measure(
+            "held-out error over its floor, median",
+            "≤ 1.1",
+            len(held),
+            held_median,
+            "",
+            held_median <= 1.1 if held else None,
+        ),
+    ]
+
+
+def verdict(measure: Measure) -> str:
+    """Whether a figure is what was asked, in words."""
+    return "not tried" if measure.met is None else "met" if measure.met else "missed"
+
+
+def _floor(line: Line) -> bool:
+    return bool(line["gap"] and line["gap"].get("closed") and line["gap"].get("floor"))
+
+
+def shown(measure: Measure) -> str:
+    """Its value for a table."""
+    if not measure.runs:
+        return "–"
+    return f"{measure.value:.2f}" if "%" not in measure.asked else f"{100 * measure.value:.1f} %"
+
+
+def by_law(lines: Sequence[Line]) -> list[tuple[str, ...]]:
+    """Arm, what is hidden, runs, right at each size, and what was answered instead."""
+    out: dict[tuple[str, str], list[Line]] = {}
+    for line in lines:
+        parts = line["cell"].split("/")
+        what = "/".join(parts[1:2] if line["group"] in {"law", "null"} else parts[1:])
+        out.setdefault((parts[0], what), []).append(line)
+    rows = []
+    for (arm, what), of in out.items():
+        cells = []
+        for size in (3.0, 10.0, 30.0):
+            at = [line for line in of if line["nominal"] == size]
+            cells.append(f"{sum(_good(line) for line in at)}/{len(at)}" if at else "–")
+        if of[0]["group"] not in {"law", "pair"}:
+            cells = [f"{sum(_good(line) for line in of)}/{len(of)}", "–", "–"]
+        wrong = sorted({instead(line) for line in of if not _good(line)})
+        rows.append((arm, what, *cells, "; ".join(wrong[:3])))
+    return rows
+
+
+def _good(line: Line) -> bool:
+    return bool(line["score"]["right"])
+
+
+def instead(line: Line) -> str:
+    """What was answered, in short."""
+    said = ", ".join(f"{effect} {joint or ''}".strip() for effect, joint, *_ in line["findings"])
+    return f"{line['answer']}{': ' + said if said else ''}"
+
+
+def markdown(lines: Sequence[Line]) -> str:
+    """The tables of docs/gap.md."""
+    of = last_campaign(lines)
+    products = list(dict.fromkeys(line["product"] for line in lines))
+    out = [
+        f"{len(of)} runs were scored with one version of the product (commit {of[-1]['commit']}, digest "
+        f"{of[-1]['product']}); the ledger has {len(lines)} lines of {len(products)} versions.",
+        "",
+        "| measure | asked | found | exact 95 % limit | runs | |",
+        "|---|---|---|---|---|---|",
+    ]
+    for m in measures(of):
+        out.append(f"| {m.name} | {m.asked} | {shown(m)} | {m.limit} | {m.runs} | {verdict(m)} |")
+    out += [
+        "",
+        "Right answers by what is hidden, at 3, 10 and 30 detection limits (cells without a size in the first column):",
+        "",
+        "| arm | hidden | 3 | 10 | 30 | answers that are not right |",
+        "|---|---|---|---|---|---|",
+    ]
+    out += ["| " + " | ".join(row) + " |" for row in by_law(of)]
+    return "\n".join(out) + "\n"
+
+
+def write_page(path: Path | None = None) -> None:
+    """Put the tables between the markers of docs/gap.md."""
+    path = path or PAGE
+    text = path.read_text()
+    head, rest = text.split(BEGIN, 1)
+    tail = rest.split(END, 1)[1]
+    path.write_text(f"{head}{BEGIN}\n{markdown(read())}\n{END}{tail}")
+
+
+def typical_limits(lines: Sequence[Line]) -> dict[str, dict[str, float]]:
+    """Median of the limits that nulls of the last product state, by arm and condition, then by column."""
+    found: dict[str, dict[str, list[float]]] = {}
+    for line in last_campaign(lines):
+        if line["group"] == "null":
+            of = found.setdefault(f"{line['arm']}/{'dirty' if line['dirty'] else 'clean'}", {})
+            for column, value in line["limits"].items():
+                of.setdefault(column, []).append(value)
+    return {
+        arm: {column: float(f"{np.median(values):.3g}") for column, values in sorted(columns.items())}
+        for arm, columns in sorted(found.items())
+    }
