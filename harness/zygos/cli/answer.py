@@ -41,18 +41,15 @@ def finish_estimate(
     """
     result, flight = found.result, found.watch.flight
     if not quiet(out, json, report):
-        columns = ["name", "unit", "estimate", "±95 %", "in %"]
-        rows = [
-            [name, unit, number(value), number(float(f"{half95:.2g}")), number(100 * ratio(half95, abs(value)), 2)]
+        rows: list[tuple[str, ...]] = [
+            (name, unit, number(value), number(float(f"{half95:.2g}")), number(100 * ratio(half95, abs(value)), 2))
             for name, unit, value, half95 in zip(result.names, result.units, result.value, result.half95, strict=True)
         ]
+        columns: tuple[str, ...] = ("name", "unit", "estimate", "±95 %", "in %")
         if flight.effects:
-            others = len(rows) - len(flight.effects)
-            columns.append("significance")
-            for row, shown in zip(
-                rows, [""] * others + [number(one, 3) for one in result.significance[others:]], strict=True
-            ):
-                row.append(shown)
+            effects = len(rows) - len(flight.effects)
+            shown = [""] * effects + [number(one, 3) for one in result.significance[effects:]]
+            columns, rows = (*columns, "significance"), [(*row, one) for row, one in zip(rows, shown, strict=True)]
         table(columns, rows)
         say(
             f"arm {flight.arm.name} · {counted(flight.counts['cycles'], 'cycle')} · {losses(flight)} · "
