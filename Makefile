@@ -31,7 +31,7 @@ $(error CAPACITIES holds $(filter-out -DZYGOS_%,$(CAPACITIES)), which is no capa
 endif
 
 .DEFAULT_GOAL := demo
-.PHONY: lock demo real build library install uninstall FORCE node test test-slow test-all coverage times kernels hil pil gap bench accuracy mission ground demo-log reference lint format warnings clean help
+.PHONY: lock demo real build library install uninstall FORCE node test test-slow test-all coverage times kernels hil pil gap loop bench accuracy mission ground demo-log reference lint format warnings clean help
 
 demo: build ## set up, run the paper's example over CAN, show the result (out/demo/report.html)
 	$(BIN)/python -m zygos.demo
@@ -152,6 +152,10 @@ mission: build $(VENV)/.test ## intervals over missions of up to 30 days of fres
 
 ground: build $(VENV)/.test ## simulated laboratory arms: do the intervals hold (docs/ground.md; 40 minutes; ARMS= DRAWS=)
 	$(BIN)/python -m zygos.accuracy.ground $(ARMS) $(if $(DRAWS),--draws $(DRAWS))
+
+loop: build node $(VENV)/.test ## from the bus to the model and back, beside a node of this machine (out/loop.json, docs/loop.svg; a minute)
+	$(BIN)/python -m zygos.demo.loop
+	cp $${ZYGOS_OUT:-out}/loop/loop.svg docs/loop.svg
 
 demo-log: build $(VENV)/.test ## write the logs of examples/gap/demo again
 	PYTHONPATH=tests:tests/support $(BIN)/python -m oracles.demo_log

@@ -268,6 +268,33 @@ def test_listen(simulated: Path, tmp_path: Path) -> None:
     assert bus.read_log(tmp_path / "live.blf").frames.tobytes() == bus.read_log(simulated / "run.blf").frames.tobytes()
 
 
+def test_listen_estimates_the_effects_of_a_model(
+    simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As `estimate` does; table and JSON tell the significance of effects, and of nothing else."""
+    prior = tmp_path / "prior.toml"
+    entry = '\n[[effect]]\nkind = "motor_viscous"\njoint = "elbow"\nvalue = 0\n'
+    prior.write_text((EXAMPLE / "model.toml").read_text() + entry)
+    answers = []
+    with playing("test_effects", simulated / "run.blf"):
+        options = ("--idle", 1, "--model", prior, "--json", tmp_path / "live.json")
+        listen("test_effects", tmp_path, *options)
+    run("estimate", simulated / "run.blf", "--model", prior, "-o", tmp_path / "o.toml", "--json", tmp_path / "o.json")
+    for name in ("live.json", "o.json"):
+        answers.append(json.loads((tmp_path / name).read_text()))
+        hold("estimate", answers[-1])
+    assert answers[0]["parameters"] == answers[1]["parameters"]
+    *others, friction = answers[0]["parameters"]
+    assert friction["name"] == "motor_viscous2"
+    assert friction["significance"] == pytest.approx(abs(friction["value"]) / friction["sigma"])
+    assert {other["significance"] for other in others} == {None}
+    assert load_model(tmp_path / "live.toml").effects == load_model(tmp_path / "o.toml").effects
+    said = capsys.readouterr().out
+    assert said.count("significance") == 2
+    assert run("estimate", simulated / "run.blf", "-o", tmp_path / "o.toml") == 0
+    assert "significance" not in capsys.readouterr().out
+
+
 def test_paper(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("paper", "--seeds", 2, "--example", EXAMPLE, "--json", tmp_path / "paper.json") == 0
     said = capsys.readouterr().out

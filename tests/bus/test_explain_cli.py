@@ -6,12 +6,16 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from conftest import EXAMPLE, ROOT
+from zygos.arm import load_arm
 from zygos.cli import main
-from zygos.effects import CATALOGUE, Effect
+from zygos.cli.explain import flown, unflown
+from zygos.effects import CATALOGUE, Effect, effect
 from zygos.model.model import load_model, save_model
 
 FRICTION = 2.0
@@ -207,3 +211,15 @@ def test_the_shipped_logs_are_those_that_were_sealed() -> None:
     assert {path.name for path in demo.glob("*.blf")} == set(sealed["sha256"])
     for name, digest in sealed["sha256"].items():
         assert hashlib.sha256((demo / name).read_bytes()).hexdigest() == digest
+
+
+def test_the_flight_library_estimates_nothing_where_it_lacks_a_column() -> None:
+    """A model that it can only estimate in part would bias what it has columns for."""
+    arm = load_arm(ROOT / "examples/gap/arm.toml")
+    model = load_model(ROOT / "examples/gap/cad.toml")
+    adopted = replace(model, effects=(*model.effects, replace(effect("link_viscous", "elbow", 1.0), source="zygos")))
+    found: Any = SimpleNamespace(arm=arm, model=adopted)
+    assert unflown(found) == ["link_viscous2"]
+    assert flown(found, []) == []
+    found.model = None
+    assert unflown(found) == []

@@ -27,7 +27,7 @@ from zygos.testing.stream import Stream
 
 CYCLES = 6000
 """Of each run: 30 s."""
-BAND = 3.0
+BAND = 2.5
 """Largest ratio of the factor that was promised to that of the next run, either way: how much a wrong model mispredicts
 depends on the motion."""
 

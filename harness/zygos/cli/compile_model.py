@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -10,13 +9,11 @@ import typer
 
 from zygos.arm import load_arm
 from zygos.cli.options import Json
-from zygos.effects import Effect
-from zygos.errors import ZygosError
 from zygos.files.names import printable
 from zygos.files.output import check_outputs, counted, say, table, write_json, write_text
 from zygos.model.model import load_model
 from zygos.native import snapshot
-from zygos.native.flight import Flight, ffi, flies, lib
+from zygos.native.flight import Flight, ffi, lib
 from zygos.native.header import capacities, header
 
 HEADER, BLOB = "arm_config.h", "arm.zyg"
@@ -28,7 +25,6 @@ def compile_model(arm_file: Path, folder: Path, model_file: Path | None, json: s
     check_outputs([source, blob, json], [arm_file, model_file])
     arm = load_arm(arm_file)
     effects = load_model(model_file).effects if model_file else ()
-    refuse_unflown(effects, model_file)
     flight = Flight(arm, effects)
     columns = [effect.column(arm) for effect in flight.effects]
     omitted = [effect.column(arm) for effect in effects if effect not in flight.effects]
@@ -61,21 +57,6 @@ def compile_model(arm_file: Path, folder: Path, model_file: Path | None, json: s
         )
         if omitted:
             say(f"not estimated on board, because the balance does not need it: {', '.join(omitted)}")
-
-
-def refuse_unflown(effects: Sequence[Effect], model_file: Path | None) -> None:
-    """Refuse a model with effects that the flight library has no columns for, naming them all."""
-    lacking = [effect for effect in effects if not flies(effect.kind)]
-    if not lacking:
-        return
-    listed = [f"{effect.kind.key}{f' at {effect.joint}' if effect.joint else ''}" for effect in lacking]
-    one = len(lacking) == 1
-    raise ZygosError(
-        f"{model_file}: the flight library has no column for {', '.join(listed)}; remedy: remove "
-        f"{'this entry' if one else 'these entries'} from a copy of the model and compile that. The estimate on board "
-        f"then lacks {'this effect' if one else 'these effects'}, and parameters that resemble "
-        f"{'it' if one else 'them'} are biased"
-    )
 
 
 def command(

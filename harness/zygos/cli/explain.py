@@ -94,9 +94,16 @@ def letter(run: int) -> str:
     return chr(ord("A") + run % 26)
 
 
+def unflown(found: Explanation) -> list[str]:
+    """Columns of effects in the model to adopt that the flight library lacks."""
+    effects = () if found.model is None else found.model.effects
+    return [effect.column(found.arm) for effect in effects if not effect.kind.flies]
+
+
 def flown(found: Explanation | GroundExplanation, logs: Sequence[Run]) -> list[dict[str, Any]]:
-    """Estimates of the flight library from the same runs, with the columns of the findings switched on."""
-    if isinstance(found, GroundExplanation):
+    """Estimates of the flight library from the same runs, with the columns of the findings switched on. None where it
+    lacks a column, because its estimate would be biased."""
+    if isinstance(found, GroundExplanation) or unflown(found):
         return []
     columns = [] if found.model is None else list(estimated(found.arm, found.model.effects))
     names = {effect.column(found.arm) for effect in columns if effect.source == "zygos"}
@@ -141,6 +148,8 @@ def finish(
             show_ground(found)
         else:
             show(found)
+            if unflown(found):
+                say(f"the flight library has no column for {', '.join(unflown(found))}: not estimated on board")
         for column in dict.fromkeys(entry["column"] for entry in flight):
             each = [
                 f"{number(e['value'], 4)} ± {number(e['half95'], 2)} {e['unit']} on run {e['run']}"

@@ -14,7 +14,7 @@ import socket
 import struct
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -65,25 +65,34 @@ def fly_beside(config: Path, frames: NDArray[Any], log: Path) -> None:
         raise ZygosError(f"there is no {NODE}; remedy: make node")
     near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     command = [str(NODE), "--config", str(config), "--fd", str(far.fileno()), "--every", str(EVERY)]
-    with (
-        near,
-        subprocess.Popen(
-            command, pass_fds=[far.fileno()], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
-        ) as node,
-    ):
+    with subprocess.Popen(
+        command, pass_fds=[far.fileno()], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    ) as node:
         far.close()
-        writer = bus.LogWriter(log)
-        stamp = 0.0
-        for message in bus.to_messages(frames, load_arm(GAP / "arm.toml").period_s):
-            stamp = message.timestamp
-            near.send(_CAN_FRAME.pack(message.arbitration_id, message.dlc, bytes(message.data).ljust(8, b"\0")))
-            writer.append([message, *(_heard(near, stamp, wait=False) if message.arbitration_id == _SYNC else ())])
-        near.shutdown(socket.SHUT_WR)
-        writer.append(_heard(near, stamp, wait=True))
-        writer.finish()
+        with near:
+            traffic = _traffic(near, bus.to_messages(frames, load_arm(GAP / "arm.toml").period_s))
         said = node.communicate()[1]
     if node.returncode:
         raise ZygosError(f"{NODE} ended with status {node.returncode}: {said.strip()}; remedy: make node")
+    recording = bus.LogWriter(log)
+    recording.append(traffic)
+    recording.finish()
+
+
+def _traffic(near: socket.socket, messages: Sequence[can.Message]) -> list[can.Message]:
+    """Send messages to a node, and tell it that no more come. Returns them and its answers, as they passed."""
+    passed: list[can.Message] = []
+    try:
+        for message in messages:
+            near.send(_CAN_FRAME.pack(message.arbitration_id, message.dlc, bytes(message.data).ljust(8, b"\0")))
+            passed.append(message)
+            if message.arbitration_id == _SYNC:
+                passed += _heard(near, message.timestamp, wait=False)
+        near.shutdown(socket.SHUT_WR)
+        passed += _heard(near, messages[-1].timestamp, wait=True)
+    except BrokenPipeError:
+        pass  # the node has ended, and its status says why
+    return passed
 
 
 def _heard(near: socket.socket, stamp: float, *, wait: bool) -> Iterator[can.Message]:
@@ -96,9 +105,7 @@ def _heard(near: socket.socket, stamp: float, *, wait: bool) -> Iterator[can.Mes
         if not data:
             return
         identifier, length, payload = _CAN_FRAME.unpack(data)
-        yield can.Message(
-            timestamp=stamp, arbitration_id=identifier, is_extended_id=False, data=payload[:length], check=True
-        )
+        yield can.Message(timestamp=stamp, arbitration_id=identifier, is_extended_id=False, data=payload[:length])
 
 
 def first(frames: NDArray[Any], cycles: int | None) -> NDArray[Any]:

@@ -18,7 +18,7 @@ from cffi import FFI
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
-from zygos.effects import Effect, Kind, estimated
+from zygos.effects import Effect, estimated
 from zygos.errors import ZygosError
 from zygos.runs.cycles import Cycles
 
@@ -82,8 +82,6 @@ REASONS = ("", *_texts("zygos_reason", lib.zygos_reason_text)[1:])
 """By ``enum zygos_reason``; empty where an estimate has none."""
 ROWS = _texts("zygos_rows", lib.zygos_rows_text)[: lib.ZYGOS_KINDS_OF_ROWS]
 """Kinds of rows, each with arcs of its own, by ``enum zygos_rows``."""
-_WITHOUT_COLUMN = ("rotor_coupling", "angular_momentum")
-"""Effects that need no column on board: the first is in the columns of every arm, the second does no work."""
 _CONFIG_ERRORS = {
     lib.ZYGOS_E_SMOOTHER: "the smoother's points, order or lag are out of range (lag must be points // 2: end-point "
     "filters are refused)",
@@ -278,12 +276,7 @@ def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
         )
     _fill_joints(config, arm)
     _fill_reduction(config, arm)
-    for effect in effects:
-        if not effect.kind.flies:
-            raise ZygosError(
-                f"effect {effect.kind.key}{f' at {effect.joint}' if effect.joint else ''}: the flight library has no "
-                "column for it; remedy: remove the entry from the model that names the effects to estimate"
-            )
+    _refuse_unflown(effects)
     columns = estimated(arm, effects)
     if len(columns) > lib.ZYGOS_MAX_EFFECTS_VALUE:
         raise ZygosError(
@@ -298,9 +291,16 @@ def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
     return config
 
 
-def flies(kind: Kind) -> bool:
-    """Whether the library accounts for an effect: it has a column for it, or needs none."""
-    return kind.key in _WITHOUT_COLUMN or hasattr(lib, f"ZYGOS_{kind.key.upper()}")
+def _refuse_unflown(effects: Sequence[Effect]) -> None:
+    """Refuse effects that the library has no columns for, naming them all."""
+    lacking = [effect for effect in effects if not effect.kind.flies]
+    if lacking:
+        listed = [f"{effect.kind.key}{f' at {effect.joint}' if effect.joint else ''}" for effect in lacking]
+        these, them = ("this entry", "it") if len(lacking) == 1 else ("these entries", "them")
+        raise ZygosError(
+            f"the flight library has no column for {', '.join(listed)}; remedy: remove {these} from a copy of the "
+            f"model, and use that; the estimate then lacks {them}, and parameters that resemble {them} are biased"
+        )
 
 
 def _fill_joints(config: Any, arm: Arm) -> None:
