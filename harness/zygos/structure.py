@@ -367,3 +367,14 @@ def _exact_vector(vector: tuple[float, float, float]) -> Floats:
     given = np.array(vector)
     given = np.where(np.abs(given) < _RIGHT_TOLERANCE, 0.0, given)
     return np.asarray(given / np.linalg.norm(given), dtype=np.float64)
+
+
+def independent(groups: Floats, own: Sequence[int]) -> list[int]:
+    """Those of the columns that are no combination of the ones before."""
+    kept: list[int] = []
+    for k in own:
+        tried = groups[:, [*kept, k]]
+        size = np.linalg.norm(tried, axis=0)
+        if size[-1] > 0.0 and np.linalg.svd(tried / size, compute_uv=False)[-1] > _NO_EFFECT:
+            kept.append(k)
+    return kept

@@ -299,6 +299,9 @@ def test_telemetry_names_effects(tmp_path: Path) -> None:
     check_telemetry(tmp_path / "arm.dbc", list(zip(flight.names, flight.units, strict=True)))
     dbc = database(tmp_path / "arm.dbc").get_message_by_name("TELEMETRY")
     assert dbc.get_signal_by_name("torque_lag2").comment == "Torque lag, joint 2, elbow."
+    sigma = dbc.get_signal_by_name("torque_lag2_sigma").comment or ""
+    assert sigma.endswith(" |torque_lag2| divided by it is the significance of the effect.")
+    assert "significance" not in (dbc.get_signal_by_name("k1_sigma").comment or "")
 
 
 FORTY = "the second joint of the arm on the left "

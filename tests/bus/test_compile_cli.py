@@ -8,6 +8,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from schema_support import hold
 from wire_support import SEVEN_NODES, arm_text
 
 from conftest import EXAMPLE, ROOT, need
@@ -75,6 +76,29 @@ def test_effects_of_a_model_are_compiled_in(tmp_path: Path) -> None:
     names = json.loads(out.read_text())["parameters"]
     assert names == list(Flight(arm, effects).names)
     assert names[-1] == "torque_lag2"
+
+
+def test_effects_that_the_library_lacks_are_refused_by_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """All at once, and nothing is written; what needs no column is said and left out."""
+    model, text = tmp_path / "model.toml", (EXAMPLE / "model.toml").read_text()
+    entry = '\n[[effect]]\nkind = "{}"\njoint = "{}"\nvalue = 0.1\n'.format
+    model.write_text(text + entry("load_friction", "elbow") + entry("motor_viscous", "elbow"))
+    assert run("compile-model", EXAMPLE / "arm.toml", "--model", model, "-o", tmp_path / "out") == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "the flight library has no column for load_friction at elbow; remedy: remove this entry" in said
+    model.write_text(text + entry("load_friction", "elbow") + entry("torque_gain", "shoulder"))
+    assert run("compile-model", EXAMPLE / "arm.toml", "--model", model, "-o", tmp_path / "out") == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "load_friction at elbow, torque_gain at shoulder; remedy: remove these entries" in said
+    assert not (tmp_path / "out").exists()
+    model.write_text(text + '\n[[effect]]\nkind = "angular_momentum"\nvalue = 1.0\n' + entry("motor_viscous", "elbow"))
+    out = tmp_path / "answer.json"
+    assert run("compile-model", EXAMPLE / "arm.toml", "--model", model, "-o", tmp_path / "out") == 0
+    assert "not estimated on board, because the balance does not need it: angular_momentum" in capsys.readouterr().out
+    assert run("compile-model", EXAMPLE / "arm.toml", "--model", model, "-o", tmp_path / "out", "--json", out) == 0
+    answer = json.loads(out.read_text())
+    hold("compile-model", answer)
+    assert (answer["effects"], answer["omitted"]) == (["motor_viscous2"], ["angular_momentum"])
 
 
 def test_parameters_have_their_places(tmp_path: Path) -> None:

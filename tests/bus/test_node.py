@@ -7,9 +7,11 @@ import signal
 import socket
 import subprocess
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import can
 import cantools
 import numpy as np
 import pytest
@@ -21,10 +23,14 @@ from round_support import round_of, told
 from conftest import EXAMPLE, ROOT
 from zygos.arm import Arm
 from zygos.can.dbc import arm_database
+from zygos.can.rounds import rounds
 from zygos.cli import main
+from zygos.effects import effect
+from zygos.model.model import Model
 from zygos.native import snapshot
 from zygos.native.flight import Flight, encode, ffi
-from zygos.simulation.plant import Trajectory
+from zygos.simulation.plant import Trajectory, simulate
+from zygos.simulation.scenario import Scenario
 
 SYNC, TELEMETRY, HEARTBEAT = 0x080, 0x1A0, 0x720
 NODE = ("overflow", "misshapen", "down", "unsent", "corrupt", "unsaved")
@@ -138,6 +144,36 @@ def test_telemetry_is_the_estimate(every: int, arm: Arm, config: Path, frames: L
         del rounds[: len(expected)]
     assert rounds == []
     assert expected["verdict_validity"] == 3.0
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_an_effect_tells_its_significance(
+    there: bool, arm: Arm, model: Model, scenario: Scenario, frames: Log, tmp_path: Path
+) -> None:
+    """Value and sigma of the column of a compiled effect are in the telemetry. Their ratio is large where the plant has
+    the effect, and that of chance where it has not."""
+    asked = tmp_path / "model.toml"
+    asked.write_text(
+        (EXAMPLE / "model.toml").read_text() + '\n[[effect]]\nkind = "motor_viscous"\njoint = "elbow"\nvalue = 0\n'
+    )
+    with pytest.raises(SystemExit) as end:
+        main(["compile-model", str(EXAMPLE / "arm.toml"), "--model", str(asked), "-o", str(tmp_path)])
+    assert not end.value.code
+    friction = effect("motor_viscous", "elbow", 10.0)
+    if there:
+        frames = encode(arm, simulate(arm, replace(model, effects=(friction,)), scenario).cycles())
+    with Node("--config", tmp_path / "arm.zyg", "--every", 100) as node:
+        node.send(frames)
+        node.end()
+        sent = [can.Message(arbitration_id=name, data=data) for name, data in node.answers]
+    complete = rounds(arm_database(arm, [friction]), sent)
+    last, flight = complete[-1], Flight(arm, [friction])
+    hear(flight, frames[: starts(frames)[100 * (len(complete) - 1)] + 1])
+    own = flight.estimate()
+    significance = abs(last["motor_viscous2"]) / last["motor_viscous2_sigma"]
+    assert own.names[-1] == "motor_viscous2"
+    assert significance == pytest.approx(own.significance[-1], rel=1e-6)
+    assert significance > 20.0 if there else significance < 5.0
 
 
 def test_telemetry_depends_on_the_frames_alone(config: Path, frames: Log) -> None:

@@ -3,39 +3,16 @@
 from __future__ import annotations
 
 import subprocess
-import time
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-from vcan_support import listeners, wait_for_listeners
+from vcan_support import candump
 
 from zygos.can import bus
-from zygos.can.vcan import kernel_counts
 from zygos.testing import Dut, Plant
 from zygos.testing.dut import HEARTBEAT, TELEMETRY
 from zygos.testing.stream import Stream
-
-
-@contextmanager
-def candump(channel: str, log: Path) -> Iterator[None]:
-    """Record all that is on the channel meanwhile: at the end, as many frames as the kernel has counted."""
-    already = listeners()
-    with log.open("wb") as file:
-        recorder = subprocess.Popen(["stdbuf", "-oL", "candump", "-L", "-r", "4000000", channel], stdout=file)
-        try:
-            wait_for_listeners(already + 1)
-            before = kernel_counts(channel)
-            yield
-            deadline = time.monotonic() + 30.0
-            while log.read_bytes().count(b"\n") < (kernel_counts(channel) - before).sent:
-                assert time.monotonic() < deadline, "candump has not recorded every frame"
-                time.sleep(0.05)
-        finally:
-            recorder.kill()
-            recorder.wait()
 
 
 def heard(plant: Plant, log: Path) -> Stream:

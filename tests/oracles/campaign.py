@@ -213,5 +213,5 @@ def _column(case: Case) -> str:
 
 
 def _parse(column: str) -> tuple[str, str | None]:
-    key, joint = column_named(column)
+    key, joint, _ = column_named(column)
     return key, None if joint < 0 else PLACES[joint]

@@ -21,7 +21,7 @@ from zygos.model.model import Model, Quantity, load_model
 from zygos.simulation.scenario import load_scenario
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "gap"
-RUNS = ("a", "b", "c")
+RUNS = ("a", "b", "c", "d")
 ELBOW = 1
 HIDDEN = MotorCoulomb(joint=ELBOW, size=0.03)
 SEED = 20
@@ -52,7 +52,7 @@ def built(drawn: Model, seed: int) -> Model:
 
 
 def main(folder: Path) -> None:
-    """Write a.blf, b.blf, c.blf and sealed.json."""
+    """Write a.blf, b.blf, c.blf, d.blf and sealed.json."""
     arm = load_arm(EXAMPLE / "arm.toml")
     model = built(load_model(EXAMPLE / "cad.toml"), SEED)
     digests = {}

@@ -18,12 +18,12 @@ from gap_support import Floats, centred, effect, example, rms, true_columns
 from threadpoolctl import threadpool_limits
 
 from zygos.arm import TORQUE_STEP, Arm, Joint
+from zygos.balances.readings import Readings
 from zygos.dynamics.planar import PlanarDynamics
 from zygos.effects import Effect
 from zygos.errors import Undecided
 from zygos.gap.balances import Layout, Sums, accumulate, balance_rows
 from zygos.gap.fit import Fit, fit
-from zygos.balances.readings import Readings
 from zygos.gap.record import MeasuredRun, read_measured_run, smoothed_states
 from zygos.gap.search import candidates
 from zygos.gap.study import DRAWS, Study, base_values, begin, coefficient, read_hypothesis

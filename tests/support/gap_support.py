@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm, load_arm
+from zygos.balances.readings import Readings
 from zygos.effects import CATALOGUE, Effect
 from zygos.gap.balances import BalanceRows, Layout
-from zygos.balances.readings import Readings
 from zygos.model.model import Model, load_model
 from zygos.simulation.plant import Trajectory, simulate
 from zygos.simulation.scenario import Scenario, load_scenario

@@ -19,10 +19,10 @@ from gap_support import Dense, Floats, centred, dense, effect, exact, example, m
 
 from zygos.arm import ANGLE_STEP, Encoder
 from zygos.balances.quadrature import integral
+from zygos.balances.readings import Readings
 from zygos.effects import CATALOGUE, Effect, column_name
 from zygos.gap import balances
 from zygos.gap.balances import Layout, balance_rows
-from zygos.balances.readings import Readings
 from zygos.gap.record import followed, smoothed_states
 from zygos.native.flight import config_of
 
@@ -142,14 +142,14 @@ def test_column_is_what_the_effect_does(key: str, joint: int) -> None:
 @pytest.mark.parametrize("key", ["motor_coulomb", "cubic_stiffness"])
 def test_a_column_that_is_1_percent_off_is_found(key: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """The test above sees a broken column: here one of a law that differs from the plant's."""
-    law, potential = CATALOGUE[key].torque, CATALOGUE[key].potential
+    law, potential = CATALOGUE[key].law, CATALOGUE[key].potential
     assert law is not None
     broken: Any = replace(
         CATALOGUE[key],
-        torque=lambda x: 1.01 * law(x),
-        potential=None if potential is None else lambda x: 1.01 * potential(x),
+        law=lambda motion, shape: 1.01 * law(motion, shape),
+        potential=None if potential is None else lambda x, shape: 1.01 * potential(x, shape),
     )
-    monkeypatch.setattr(balances, "CATALOGUE", CATALOGUE | {key: broken})
+    monkeypatch.setattr(balances, "CATALOGUE", dict(CATALOGUE) | {key: broken})
     assert not proved(key, 1)
 
 

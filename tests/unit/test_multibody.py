@@ -13,6 +13,7 @@ from arm_support import random_arm, random_state
 
 from bench.simulator import far
 from conftest import ROOT
+from zygos import effects
 from zygos.arm import Arm, load_arm
 from zygos.dynamics.compiled import Multibody
 from zygos.dynamics.engines import engine
@@ -69,11 +70,12 @@ def test_accelerations_are_those_of_engines(name: str, joints: int, base: str, k
             np.testing.assert_allclose(got, wanted, rtol=0, atol=1e-10 * np.abs(wanted).max())
 
 
-def _stribeck(rate: np.ndarray) -> np.ndarray:
+def _stribeck(motion: effects.Motion, _shape: float) -> np.ndarray:
+    rate = motion.rate
     return np.tanh(rate / 0.01) * (1.0 + 0.5 * np.exp(-((rate / 0.05) ** 2)))
 
 
-OWN = Kind("stribeck", "Stribeck friction", "Nm", "link", _stribeck)
+OWN = Kind("own_stribeck", "Stribeck friction", "Nm", "link", _stribeck)
 """A law of somebody's own: any callable."""
 
 
@@ -195,13 +197,13 @@ def test_a_simulation_errs_by_less_than_it_may(name: str) -> None:
 def test_laws_in_python_move_an_arm_in_space() -> None:
     arm, model, scenario = example("spatial")
     arm = arm.at_period(0.01)
-    effects = (
+    acting = (
         Effect(CATALOGUE["cubic_stiffness"], "elbow", 2e5),
         Effect(CATALOGUE["motor_viscous"], "yaw", 1e-3),
         Effect(CATALOGUE["torque_lag"], "shoulder", 0.004),
         Effect(OWN, "shoulder", 0.5),
     )
-    drawn = replace(model, effects=effects)
+    drawn = replace(model, effects=acting)
 
     def run(law: type[SpatialDynamics], model: Model) -> Trajectory:
         dynamics = law.from_model(arm, model)

@@ -5,16 +5,18 @@ A balance is linear in the coefficients of effects; the column of an effect is w
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
 from zygos.balances.quadrature import FromOrigin
+from zygos.balances.readings import Readings
 from zygos.balances.state import State
-from zygos.effects import Effect, Kind, estimated
+from zygos.effects import UNKNOWN, Effect, Kind, Motion, Place, estimated
+from zygos.errors import ZygosError
 from zygos.runs.samples import Samples
 from zygos.runs.smoother import Smoothed
 
@@ -39,10 +41,25 @@ class Signals:
     """(..., m) rotor torque from the instant on, Nm."""
     gear_ratio: float
     totals: FromOrigin
+    time: Floats = UNKNOWN
+    """(..., m) or (m,) time since the start of the run, s; only laws that depend on time need it."""
+    load: Floats = UNKNOWN
+    """(..., m) torque through the gear as a model predicts it, after the gear, Nm; only laws of the load need it."""
 
     @classmethod
-    def of(cls, arm: Arm, state: State, before: Floats, after: Floats, joint: int, totals: FromOrigin) -> Signals:
-        """Of a joint (from 0); states and torques (..., m, N)."""
+    def of(
+        cls,
+        arm: Arm,
+        state: State,
+        before: Floats,
+        after: Floats,
+        joint: int,
+        totals: FromOrigin,
+        *,
+        time: Floats = UNKNOWN,
+        load: Floats = UNKNOWN,
+    ) -> Signals:
+        """Of a joint (from 0); states, torques and loads (..., m, N)."""
         return cls(
             state.theta[..., joint] - state.q[..., joint],
             state.qd[..., joint],
@@ -52,54 +69,201 @@ class Signals:
             after[..., joint],
             float(arm.gear_ratios[joint]),
             totals,
+            time,
+            load if load is UNKNOWN else load[..., joint],
+        )
+
+    @property
+    def link_angle(self) -> Floats:
+        """(..., m) rad."""
+        return self.motor_angle - self.deflection
+
+    @property
+    def slip(self) -> Floats:
+        """(..., m) rate of the deflection, rad/s."""
+        return self.motor_rate - self.link_rate
+
+    def motion(self, place: Place) -> Motion:
+        """What laws at a site depend on."""
+        rate, angle = {
+            "motor": (self.motor_rate, self.motor_angle),
+            "torque": (self.motor_rate, self.motor_angle),
+            "spring": (self.slip, self.deflection),
+        }.get(place, (self.link_rate, self.link_angle))
+        return Motion(
+            rate=rate,
+            angle=angle,
+            deflection=self.deflection,
+            slip=self.slip,
+            applied=self.after,
+            load=self.load,
+            time=np.broadcast_to(self.time, rate.shape),
+            ratio=self.gear_ratio,
         )
 
 
-def energy_column(kind: Kind, signals: Signals) -> Floats:
-    """Column (..., m) in the energy balance, J per unit: what the effect stored or took away since the arc's origin."""
+@dataclass(frozen=True)
+class BaseSignals:
+    """What the columns of the base's effects are made of, at m instants with any leading axes."""
+
+    rate: Floats
+    """(..., m) base rate about the axis of a planar arm, (..., m, 3) in base axes of a spatial one, rad/s."""
+    totals: FromOrigin
+    time: Floats = UNKNOWN
+    """(..., m) or (m,) time since the start of the run, s."""
+    angle: Floats = UNKNOWN
+    """(..., m) angle that the base of a planar arm has turned since the start of the run, rad."""
+    turned: Floats | None = None
+    """(..., m, 3, 3) rotation from base axes to those in which the momentum of a spatial arm is stated; None in a
+    plane."""
+
+    def motion(self, component: int) -> Motion:
+        """What laws depend on; the rate and the angle are those of a planar arm."""
+        rate = self.rate[..., component] if self.turned is not None else self.rate
+        return Motion(rate=rate, angle=self.angle, time=np.broadcast_to(self.time, rate.shape))
+
+
+def energy_column(kind: Kind, signals: Signals | BaseSignals, shape: float | None = None, component: int = 0) -> Floats:
+    """Column (..., m) in the energy balance, J per unit: what the effect stored or took away since the arc's origin.
+
+    shape: of the law, without it `Kind.shape`. component: of an effect of the base of a spatial arm. Errors:
+    ZygosError for a site whose columns other functions have.
+    """
+    form = kind.shape if shape is None else shape
+    if isinstance(signals, BaseSignals):
+        motion = signals.motion(component)
+        return (
+            np.zeros_like(motion.rate)
+            if kind.law is None
+            else -signals.totals.integral(kind.law(motion, form) * motion.rate)
+        )
     s = signals
-    if kind.place == "torque":
+    if kind.lags:
         step = s.gear_ratio * (s.after - s.before) * s.motor_rate
         # a motor that is late by T misses step T of each torque step; of the one at the instant half of it shows
         return s.totals.sum_before(step) + 0.5 * step
-    assert kind.torque is not None
-    if kind.place == "spring":
+    if kind.place == "torque":
         if kind.potential is not None:
-            return kind.potential(s.deflection)
-        return s.totals.integral(kind.torque(s.deflection) * (s.motor_rate - s.link_rate))
-    rate, factor = (s.motor_rate, s.gear_ratio) if kind.place == "motor" else (s.link_rate, 1.0)
-    return s.totals.integral(factor * kind.torque(rate) * rate)
+            return -kind.potential(s.gear_ratio * s.motor_angle, form)
+        return -_held(kind, s, form, s.gear_ratio * s.motor_rate)
+    if kind.potential is not None:
+        return kind.potential(s.deflection, form)
+    motion, factor = s.motion(kind.place), s.gear_ratio if kind.place == "motor" else 1.0
+    return s.totals.integral(factor * _law(kind)(motion, form) * motion.rate)
 
 
-def impulse_column(kind: Kind, signals: Signals) -> Floats:
+def impulse_column(kind: Kind, signals: Signals, shape: float | None = None) -> Floats:
     """Column (..., m) in the balance of the motor's impulse, before the gear, Nms per unit, up to a constant in each
-    arc; 0 of what acts on the link alone."""
-    s = signals
+    arc; 0 of what acts on the link alone. Errors: as `energy_column`."""
+    form, s = kind.shape if shape is None else shape, signals
     if kind.impulse is not None:
         return kind.impulse(s.motor_angle)
-    if kind.place == "torque":
+    if kind.lags:
         return np.asarray(0.5 * (s.before + s.after), dtype=np.float64)
-    assert kind.torque is not None
+    law = _law(kind)
     if kind.place == "spring":
-        return s.totals.integral(kind.torque(s.deflection)) / s.gear_ratio
+        return s.totals.integral(law(s.motion("spring"), form)) / s.gear_ratio
+    if kind.place == "torque":
+        return -_held(kind, s, form, np.ones_like(s.motor_rate))
     if kind.place == "motor":
-        return s.totals.integral(kind.torque(s.motor_rate))
+        return s.totals.integral(law(s.motion("motor"), form))
     return np.zeros_like(s.link_rate)
 
 
-def joint_column(kind: Kind, signals: Signals, flexible: bool) -> Floats:
+def joint_column(kind: Kind, signals: Signals, flexible: bool, shape: float | None = None) -> Floats:
     """Column (..., m) in the row of the joint, Nms per unit, up to a constant in each arc.
 
-    The motor of a flexible joint does not act on the link.
+    The motor of a flexible joint does not act on the link. Errors: as `energy_column`.
     """
-    s = signals
+    form, s = kind.shape if shape is None else shape, signals
     if kind.place == "spring":
-        assert kind.torque is not None
-        return -s.totals.integral(kind.torque(s.deflection))
-    if kind.place == "link":
-        assert kind.torque is not None
-        return s.totals.integral(kind.torque(s.link_rate))
-    return np.zeros_like(s.link_rate) if flexible else s.gear_ratio * impulse_column(kind, s)
+        return -s.totals.integral(_law(kind)(s.motion("spring"), form))
+    if kind.place in ("link", "load"):
+        return s.totals.integral(_law(kind)(s.motion(kind.place), form))
+    return np.zeros_like(s.link_rate) if flexible else s.gear_ratio * impulse_column(kind, s, shape)
+
+
+def momentum_column(kind: Kind, signals: BaseSignals, shape: float | None = None, component: int = 0) -> Floats:
+    """Column (..., m, r) of an effect of the base in the balance of the angular momentum, Nms per unit, up to a
+    constant in each arc; r is 3 in space, else 1.
+
+    The angular momentum itself is the constant -1. Errors: ZygosError for another site.
+    """
+    if kind.place != "base":
+        raise ZygosError(f"effect {kind.key}: has no column in the angular momentum; remedy: an effect of the base")
+    s = signals
+    if kind.law is None:
+        return np.full((*s.rate.shape, 1), -1.0)
+    torque = kind.law(s.motion(component), kind.shape if shape is None else shape)
+    if s.turned is None:
+        return -s.totals.integral(torque)[..., None]
+    along = s.turned[..., component] * torque[..., None]
+    return np.stack([-s.totals.integral(along[..., k]) for k in range(3)], axis=-1)
+
+
+def sensor_column(
+    rows: Callable[[Readings], Floats],
+    kind: Kind,
+    arm: Arm,
+    readings: Readings,
+    joint: int,
+    component: int,
+    step: float,
+) -> Floats:
+    """Column of a sensor's error in any balance: what one unit of it would take away from what is left over.
+
+    rows(readings): what a balance leaves over with the parameters that are believed, (columns . parameters - right
+    side). step: size of the differences, in the unit of the kind; errors are of its square.
+    """
+    more = rows(kind.transform(arm, readings, joint, step, component))
+    less = rows(kind.transform(arm, readings, joint, -step, component))
+    return (less - more) / (2.0 * step)
+
+
+def body_column(columns: Floats, time: Floats, instant: float) -> Floats:
+    """Column (..., m) of a base parameter that is larger by 1 from an instant on, from its own column (..., m) in any
+    balance; time: (m,) or (..., m) since the start of the run, s.
+
+    The motion goes on without a jump, as where the hand lets go of a mass, so that the column is the parameter's own
+    less its value at the instant.
+    """
+    since = np.broadcast_to(time, columns.shape) >= instant
+    # where the whole arc lies behind the instant, its constant takes what the column begins with
+    first = np.argmax(since, axis=-1)[..., None]
+    return np.where(since, columns - np.take_along_axis(columns, first, axis=-1), 0.0)
+
+
+def _law(kind: Kind) -> Callable[[Motion, float], Floats]:
+    if kind.law is None or kind.place not in ("motor", "link", "load", "spring", "torque"):
+        raise ZygosError(
+            f"effect {kind.key}: the site {kind.place} has no column at a joint; remedy: a site where a law acts"
+        )
+    return kind.law
+
+
+def _held(kind: Kind, s: Signals, form: float, factor: Floats) -> Floats:
+    """Integral of f times a factor (..., m), where f may depend on the torque, which is constant in each step."""
+    law, motion = _law(kind), s.motion("torque")
+
+    def at(shift: int) -> Floats:
+        place = np.maximum(np.arange(1, factor.shape[-1]) - shift, 0)
+
+        def then(value: Floats) -> Floats:
+            return np.broadcast_to(value, factor.shape)[..., place]
+
+        there = replace(
+            motion,
+            rate=then(motion.rate),
+            angle=then(motion.angle),
+            deflection=then(motion.deflection),
+            slip=then(motion.slip),
+            applied=s.after[..., :-1],
+            load=then(motion.load),
+            time=then(motion.time),
+        )
+        return law(there, form) * factor[..., place]
+
+    return s.totals.held(at)
 
 
 def effect_columns(
@@ -113,7 +277,7 @@ def effect_columns(
     state, totals = State.smoothed(arm, smoothed), FromOrigin(arm.period_s, arc)
     before, after = samples.tau[smoothed.index - 1], samples.tau[smoothed.index]
     columns = [
-        energy_column(effect.kind, Signals.of(arm, state, before, after, effect.index(arm), totals))
+        energy_column(effect.kind, Signals.of(arm, state, before, after, effect.index(arm), totals), effect.shape)
         for effect in estimated(arm, effects)
     ]
     return np.stack(columns, axis=1) if columns else np.zeros((len(arc), 0))

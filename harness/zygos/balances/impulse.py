@@ -71,7 +71,7 @@ def impulse_rows(
         signals = Signals.of(arm, state, before, after, i, totals)
         own = drive_impulse_columns(signals, carried[:, i])
         columns = [own.rotor + own.coupling, own.spring, own.damper]
-        columns += [impulse_column(effect.kind, signals) for effect in joint_effects(arm, i, effects)]
+        columns += [impulse_column(effect.kind, signals, effect.shape) for effect in joint_effects(arm, i, effects)]
         z, w = np.stack(columns, axis=1), motor_impulse(arm, signals)
         out.append(ImpulseRows(i, impulse_names(arm, i, effects), signals.gear_ratio * z, signals.gear_ratio * w))
     return tuple(out)

@@ -259,4 +259,4 @@ def _effect(
     if effect.index(arm) != joint:
         return np.zeros(len(before))
     signals = Signals.of(arm, state, before, after, joint, FromOrigin(arm.period_s, segment))
-    return joint_column(effect.kind, signals, arm.joints[joint].flexible)
+    return joint_column(effect.kind, signals, arm.joints[joint].flexible, effect.shape)

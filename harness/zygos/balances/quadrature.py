@@ -6,6 +6,7 @@ the four newest values, and as a trapezoid where there are fewer than four.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,6 +61,18 @@ class FromOrigin:
     def integral(self, g: Floats) -> Floats:
         """Integral of g, by `step_integrals`."""
         return self._begun(integral(g, self.period_s))
+
+    def held(self, g: Callable[[int], Floats]) -> Floats:
+        """Integral of a signal of m instants that jumps at each of them.
+
+        g(i): (..., m - 1) its value for each step i instants before the step's end, as it is within the step; for i = 2
+        and 3, the first two steps are not used.
+        """
+        h = self.period_s
+        one, two = g(0), g(1)
+        step = 0.5 * h * (one + two)
+        step[..., 2:] = (h / 24.0) * (9.0 * one + 19.0 * two - 5.0 * g(2) + g(3))[..., 2:]
+        return self._begun(from_first(step))
 
     def sum_before(self, x: Floats) -> Floats:
         """Sum of x from the arc's origin on up to the instant before."""

@@ -165,11 +165,14 @@ def _telemetry(shipped: Database, arm: Arm, effects: Sequence[Effect]) -> Messag
     choices = OrderedDict(item.conversion.choices or {})
     for place in [place for place in choices if place >> 8 in _OF_PARAMETERS.values()]:
         del choices[place]
+    columns = {effect.column(arm) for effect in effects}
     for index, (name, unit, comment) in enumerate(_parameters(arm, effects, likes)):
         for end, kind in _OF_PARAMETERS.items():
             signal = deepcopy(likes[f"a00{end}"])
             signal.name, signal.unit = f"{ascii_name(name)}{end}", unit
             signal.comment = str(signal.comment).replace("a00", name) if end else comment
+            if end == "_sigma" and name in columns:
+                signal.comment += f" |{name}| divided by it is the significance of the effect."
             place = 256 * kind + index
             signal.multiplexer_ids = [place]
             signals.append(signal)

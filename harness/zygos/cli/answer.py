@@ -45,7 +45,12 @@ def finish_estimate(
             (name, unit, number(value), number(float(f"{half95:.2g}")), number(100 * ratio(half95, abs(value)), 2))
             for name, unit, value, half95 in zip(result.names, result.units, result.value, result.half95, strict=True)
         ]
-        table(("name", "unit", "estimate", "±95 %", "in %"), rows)
+        columns: tuple[str, ...] = ("name", "unit", "estimate", "±95 %", "in %")
+        if flight.effects:
+            effects = len(rows) - len(flight.effects)
+            shown = [""] * effects + [number(one, 3) for one in result.significance[effects:]]
+            columns, rows = (*columns, "significance"), [(*row, one) for row, one in zip(rows, shown, strict=True)]
+        table(columns, rows)
         say(
             f"arm {flight.arm.name} · {counted(flight.counts['cycles'], 'cycle')} · {losses(flight)} · "
             f"{counted(result.accepted, 'instant')} accepted, {result.refused:,} refused · "

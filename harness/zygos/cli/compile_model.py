@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -9,11 +10,13 @@ import typer
 
 from zygos.arm import load_arm
 from zygos.cli.options import Json
+from zygos.effects import Effect
+from zygos.errors import ZygosError
 from zygos.files.names import printable
 from zygos.files.output import check_outputs, counted, say, table, write_json, write_text
 from zygos.model.model import load_model
 from zygos.native import snapshot
-from zygos.native.flight import Flight, ffi, lib
+from zygos.native.flight import Flight, ffi, flies, lib
 from zygos.native.header import capacities, header
 
 HEADER, BLOB = "arm_config.h", "arm.zyg"
@@ -25,7 +28,10 @@ def compile_model(arm_file: Path, folder: Path, model_file: Path | None, json: s
     check_outputs([source, blob, json], [arm_file, model_file])
     arm = load_arm(arm_file)
     effects = load_model(model_file).effects if model_file else ()
+    refuse_unflown(effects, model_file)
     flight = Flight(arm, effects)
+    columns = [effect.column(arm) for effect in flight.effects]
+    omitted = [effect.column(arm) for effect in effects if effect not in flight.effects]
     made_of = " and ".join(printable(path.name) for path in (arm_file, model_file) if path)
     write_text(source, header(flight, made_of))
     snapshot.write(blob, "configuration", ffi.addressof(flight.native, "config"))
@@ -39,6 +45,8 @@ def compile_model(arm_file: Path, folder: Path, model_file: Path | None, json: s
         "base": len(arm.parameters),
         "parameters": list(flight.names),
         "units": list(flight.units),
+        "effects": columns,
+        "omitted": omitted,
         "capacities": needs,
     }
     if json:
@@ -51,6 +59,23 @@ def compile_model(arm_file: Path, folder: Path, model_file: Path | None, json: s
             f"{counted(len(arm.parameters), 'base parameter')} of {len(arm.full_parameters)}, "
             f"{counted(len(flight.effects), 'effect')}, layout 0x{lib.zygos_abi():08X}"
         )
+        if omitted:
+            say(f"not estimated on board, because the balance does not need it: {', '.join(omitted)}")
+
+
+def refuse_unflown(effects: Sequence[Effect], model_file: Path | None) -> None:
+    """Refuse a model with effects that the flight library has no columns for, naming them all."""
+    lacking = [effect for effect in effects if not flies(effect.kind)]
+    if not lacking:
+        return
+    listed = [f"{effect.kind.key}{f' at {effect.joint}' if effect.joint else ''}" for effect in lacking]
+    one = len(lacking) == 1
+    raise ZygosError(
+        f"{model_file}: the flight library has no column for {', '.join(listed)}; remedy: remove "
+        f"{'this entry' if one else 'these entries'} from a copy of the model and compile that. The estimate on board "
+        f"then lacks {'this effect' if one else 'these effects'}, and parameters that resemble "
+        f"{'it' if one else 'them'} are biased"
+    )
 
 
 def command(
@@ -68,7 +93,8 @@ def command(
 
     Writes arm_config.h, for C11 and C++17, with the configuration and the indices of the parameters (ARM_k1), and
     arm.zyg, the bytes of the same configuration in this build after a header with layout and CRC (docs/snapshot.md),
-    which `zygos-node` loads. A configuration that the flight library would refuse is not written.
+    which `zygos-node` loads. A configuration that the flight library would refuse is not written, nor one of a model
+    with effects that the library has no columns for.
 
     Example: zygos compile-model examples/paper/arm.toml -o out/onboard
     """

@@ -11,7 +11,7 @@ import can
 import numpy as np
 import typer
 
-from zygos.arm import load_arm
+from zygos.arm import Arm, load_arm
 from zygos.can import bus
 from zygos.cli.answer import finish_estimate
 from zygos.cli.options import Bitrate, ChannelOption, Interface, Json
@@ -26,12 +26,14 @@ from zygos.files.output import (
     note,
 )
 from zygos.files.signals import stop_signals
+from zygos.model.model import Model, load_model
 from zygos.native.flight import Flight
 
 
 def listen_bus(
     arm_file: Path,
     out: Path,
+    model_file: Path | None,
     interface: str | None,
     channel: str | None,
     bitrate: int | None,
@@ -45,9 +47,9 @@ def listen_bus(
     check_model_name(out)
     if log is not None:
         bus.check_log_name(log)
-    check_outputs([out, log, json], [arm_file])
-    watch = Watch(Flight(arm))
-    flight = watch.flight
+    check_outputs([out, log, json], [arm_file, model_file])
+    prior = load_model(model_file) if model_file else None
+    flight = (watch := watched(arm, prior)).flight
     batch: list[can.Message] = []
     failures: list[ZygosError] = []
     where = f"{interface or 'can.conf'} {channel or ''}".strip()
@@ -103,14 +105,30 @@ def listen_bus(
             recording.finish()
         except ZygosError as error:
             fail(error)
-    finish_estimate(conclude(watch), out, json, {"bus": where, "door": "frames"})
+    finish_estimate(conclude(watch, prior=prior), out, json, {"bus": where, "door": "frames"})
     if failures:
         sys.exit(failures[0].exit_code)
+
+
+def watched(arm: Arm, prior: Model | None) -> Watch:
+    """The estimator of an arm, with the effects of a model. Errors: ZygosError where they do not fit."""
+    if prior is None:
+        return Watch(Flight(arm))
+    prior.base_parameters(arm)
+    return Watch(Flight(arm, prior.effects))
 
 
 def command(
     arm: Annotated[Path, typer.Option("--arm", metavar="ARM.toml", help="The arm file.")],
     out: Annotated[Path, typer.Option("-o", "--out", metavar="MODEL.toml", help="The model to write at the end.")],
+    model: Annotated[
+        Path | None,
+        typer.Option(
+            "--model",
+            metavar="PRIOR.toml",
+            help="Also estimate the effects of this model, and use its values where the run determines none.",
+        ),
+    ] = None,
     interface: Interface = None,
     channel: ChannelOption = None,
     bitrate: Bitrate = None,
@@ -131,8 +149,10 @@ def command(
 ) -> None:
     """Listen to a bus and estimate while the frames arrive. Ctrl-C or SIGTERM ends it and writes the estimate so far.
 
+    The table and the JSON give the significance of each effect of --model: its value in standard deviations.
+
     Exit code 3 when something is undecided, or the bus failed; the estimate so far is written nevertheless.
 
     Example: zygos listen -i socketcan -c vcan0 --arm examples/paper/arm.toml -o out/live.toml
     """
-    listen_bus(arm, out, interface, channel, bitrate, log, duration, idle, json)
+    listen_bus(arm, out, model, interface, channel, bitrate, log, duration, idle, json)

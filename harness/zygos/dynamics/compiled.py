@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from zygos.arm import across
+from zygos.dynamics.joints import START, Moment
 from zygos.dynamics.serial import SpatialDynamics
 from zygos.native.flight import ffi, lib
 
@@ -59,10 +60,19 @@ class Multibody(SpatialDynamics):
         return {name: value for name, value in self.__dict__.items() if name != "_compiled"}
 
     def accelerations(
-        self, q: Array, theta: Array, omega0: Array, qd: Array, thetad: Array, tau: Array
+        self,
+        q: Array,
+        theta: Array,
+        omega0: Array,
+        qd: Array,
+        thetad: Array,
+        tau: Array,
+        moment: Moment = START,
     ) -> tuple[Array, Array, Array]:
-        """As `SpatialDynamics.accelerations`."""
-        spring, motor_loss, link_loss = self._forces(q, theta, qd, thetad)
+        """As `SpatialDynamics.accelerations`, which computes them where a torque acts on the base."""
+        if self.base_laws or self.later is not None:
+            return super().accelerations(q, theta, omega0, qd, thetad, tau, moment)
+        spring, motor_loss, link_loss = self._forces(q, theta, qd, thetad, tau, moment)
         n, batch = self.n, q.shape[:-1]
         state = np.empty((*batch, 3 + 6 * n))
         state[..., :3] = omega0 if self.arm.free else 0.0

@@ -12,9 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 from zygos.arm import Arm
 from zygos.dynamics.compiled import Multibody
 from zygos.dynamics.engines import Engine, engine
-from zygos.dynamics.joints import Drives
+from zygos.dynamics.joints import START, Drives, Law, Moment
 from zygos.dynamics.planar import PlanarDynamics
-from zygos.effects import Effect, Kind
+from zygos.effects import Effect, Motion
+from zygos.errors import ZygosError
 from zygos.model.model import Model
 
 Array = NDArray[np.float64]
@@ -34,7 +35,14 @@ class Dynamics(Protocol):
         """Angular momentum that the model assumes, Nms; None: no assumption."""
 
     def accelerations(
-        self, q: Array, theta: Array, omega0: Array, qd: Array, thetad: Array, tau: Array
+        self,
+        q: Array,
+        theta: Array,
+        omega0: Array,
+        qd: Array,
+        thetad: Array,
+        tau: Array,
+        moment: Moment = START,
     ) -> tuple[Array, Array, Array]:
         """Accelerations of base, joints (..., N) and motors after the gear (..., N), rad/s^2."""
 
@@ -49,27 +57,41 @@ class _Engine:
     torque_lag: Array | None = None
     angular_momentum: float | None = None
 
-    def __init__(self, arm: Arm, inner: Engine, laws: Sequence[tuple[Kind, int, float]]) -> None:
+    def __init__(self, arm: Arm, inner: Engine, laws: Sequence[Law]) -> None:
         self.ratio, self.inner, self.laws = arm.gear_ratios, inner, laws
 
     def accelerations(
-        self, q: Array, theta: Array, omega0: Array, qd: Array, thetad: Array, tau: Array
+        self,
+        q: Array,
+        theta: Array,
+        omega0: Array,
+        qd: Array,
+        thetad: Array,
+        tau: Array,
+        moment: Moment = START,
     ) -> tuple[Array, Array, Array]:
-        tau = self._driving(qd, thetad, tau)
+        tau = self._driving(q, theta, qd, thetad, tau, moment)
         rows = [self.inner.accelerations(*one) for one in zip(q, theta, omega0, qd, thetad, tau, strict=True)]
         base, joint, motor = (np.stack(part) for part in zip(*rows, strict=True))
         return base, joint, motor
 
-    def _driving(self, qd: Array, thetad: Array, tau: Array) -> Array:
+    def _driving(self, q: Array, theta: Array, qd: Array, thetad: Array, tau: Array, moment: Moment) -> Array:
         """(..., N) torques before the gear less friction."""
-        tau = tau.copy()
-        for kind, i, value in self.laws:
-            assert kind.torque is not None
-            if kind.place == "motor":
-                tau[..., i] -= value * kind.torque(thetad[..., i])
-            else:
-                tau[..., i] -= value * kind.torque(qd[..., i]) / self.ratio[i]
-        return tau
+        driving, time = tau.copy(), np.broadcast_to(moment.time, q.shape[:-1])
+        for law in self.laws:
+            i, own = law.joint, law.kind.place != "link"
+            motion = Motion(
+                rate=(thetad if own else qd)[..., i],
+                angle=(theta if own else q)[..., i],
+                deflection=theta[..., i] - q[..., i],
+                slip=thetad[..., i] - qd[..., i],
+                applied=tau[..., i],
+                time=time,
+                ratio=float(self.ratio[i]),
+            )
+            share = {"motor": -1.0, "torque": 1.0}.get(law.kind.place, -1.0 / float(self.ratio[i]))
+            driving[..., i] += share * law.torque(motion)
+        return driving
 
     def base_rate(self, q: Array, momentum: float | Array) -> Array:
         still = np.zeros(q.shape[-1])
@@ -82,7 +104,7 @@ def equations(arm: Arm, model: Model, name: EngineName = "zygos") -> Dynamics:
     if name != "zygos":
         outside = [effect for effect in model.effects if _acts_as_torque(arm, effect)]
         inside = tuple(effect for effect in model.effects if effect not in outside)
-        laws = [(effect.kind, effect.index(arm), effect.value) for effect in outside]
+        laws = [Law(one.kind, one.index(arm), one.value, np.nan if one.shape is None else one.shape) for one in outside]
         return _Engine(arm, engine(name, arm, replace(model, effects=inside)), laws)
     return from_model(arm, model)
 
@@ -97,7 +119,24 @@ def from_parameters(arm: Arm, values: ArrayLike, effects: Sequence[Effect] = ())
 
     The closed form of a planar arm that floats is the fast case. Errors: ZygosError where no arm has these values.
     """
-    return (PlanarDynamics if arm.free and not arm.spatial else Multibody).from_parameters(arm, values, effects)
+    form: type[Drives] = PlanarDynamics if arm.free and not arm.spatial else Multibody
+    changes = [effect for effect in effects if effect.kind.place == "body"]
+    lasting = [effect for effect in effects if effect.kind.place != "body"]
+    dynamics = form.from_parameters(arm, values, lasting)
+    if not changes:
+        return dynamics
+    changed = np.array(values, dtype=np.float64)
+    for effect in changes:
+        effect.index(arm)
+        changed[arm.parameter_names.index(effect.component)] += effect.value
+    instants = {effect.shape for effect in changes}
+    if len(instants) > 1:
+        raise ZygosError(
+            f"arm {arm.name}: changes of bodies at {len(instants)} instants cannot be simulated; remedy: give all of "
+            "them one instant"
+        )
+    later = form.from_parameters(arm, changed, lasting)
+    return replace(dynamics, later=later, change_s=float(instants.pop() or 0.0))
 
 
 def parameters(arm: Arm, dynamics: Drives) -> Array:
@@ -114,6 +153,10 @@ def parameters(arm: Arm, dynamics: Drives) -> Array:
 
 
 def _acts_as_torque(arm: Arm, effect: Effect) -> bool:
-    """Whether an effect is a torque on a rotor: at its motor, or at the link of a rigid joint."""
+    """Whether an effect is a torque on a rotor: at its motor, of its drive, or at the link of a rigid joint."""
     place, joint = effect.kind.place, effect.index(arm)
-    return place == "motor" or (place == "link" and not arm.joints[joint].flexible)
+    return (
+        place == "motor"
+        or (place == "torque" and not effect.kind.lags)
+        or (place == "link" and not arm.joints[joint].flexible)
+    )

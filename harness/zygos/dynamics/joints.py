@@ -1,26 +1,56 @@
 """The joints' dynamics: rotors, springs, dampers and the effects of the catalogue, for any arm.
 
 A joint of infinite stiffness is rigid, theta = q. Effects act as their entries in the catalogue define. For a torque
-lag, which delays the torque, only the length is stored here.
+lag, which delays the torque, only the length is stored here. Effects of sensors do not act on the motion.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from zygos.arm import Arm
-from zygos.effects import SLOWEST_RATE, Effect, Kind, Place
+from zygos.effects import SLOWEST_RATE, UNKNOWN, Effect, Kind, Motion, Place
 from zygos.errors import ZygosError
 from zygos.model.model import Model
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Moment:
+    """What laws may depend on beside the state of the joints."""
+
+    time: Array | float = 0.0
+    """(...,) time since the start of the run, s."""
+    angle: Array | float = 0.0
+    """(...,) angle that the base of a planar arm has turned since then, rad."""
+
+
+START = Moment()
+
+
+class Law(NamedTuple):
+    """An effect that acts as a torque."""
+
+    kind: Kind
+    joint: int
+    """From 0; -1 of the base."""
+    value: float
+    shape: float = np.nan
+    component: int = 0
+    """Base axis along which it acts in space."""
+
+    def torque(self, motion: Motion) -> Array:
+        """The effect's torque, without the sign of its site."""
+        assert self.kind.law is not None
+        return self.value * self.kind.law(motion, self.shape)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,8 +67,14 @@ class Drives(ABC):
     """(N,) n."""
     coupling: Array
     """(N,) share of Im that the rotation of the carrying body acts on: 1 in nature."""
-    laws: tuple[tuple[Kind, int, float], ...] = ()
-    """Torque laws with the index of their joint and their coefficient."""
+    laws: tuple[Law, ...] = ()
+    """Torque laws at joints."""
+    base_laws: tuple[Law, ...] = ()
+    """Torque laws at the base."""
+    later: Drives | None = None
+    """The arm from the instant `change_s` on; None: it does not change."""
+    change_s: float = np.inf
+    """Instant of a change of bodies, s since the start of the run."""
     torque_lag: Array | None = None
     """(N,) delay of each motor behind its reported torque, s; None: no delay."""
     angular_momentum: float | None = None
@@ -56,11 +92,19 @@ class Drives(ABC):
 
     @abstractmethod
     def accelerations(
-        self, q: Array, theta: Array, omega0: Array, qd: Array, thetad: Array, tau: Array
+        self,
+        q: Array,
+        theta: Array,
+        omega0: Array,
+        qd: Array,
+        thetad: Array,
+        tau: Array,
+        moment: Moment = START,
     ) -> tuple[Array, Array, Array]:
         """Accelerations of base (as omega0), joints (..., N) and motors after the gear (..., N), rad/s^2.
 
         q, theta rad; omega0, qd, thetad rad/s; tau the rotor torque before the gear, Nm. omega0: as `State.base`.
+        moment: for effects that depend on the time or on the angle of the base.
         """
 
     @abstractmethod
@@ -107,32 +151,88 @@ class Drives(ABC):
     def _none(self) -> Array:
         return np.zeros(self.n)
 
+    @cached_property
+    def _unchanged(self) -> Drives:
+        """The arm before the change."""
+        return replace(self, later=None)
+
+    def _changing(
+        self, later: Drives, q: Array, theta: Array, omega0: Array, qd: Array, thetad: Array, tau: Array, moment: Moment
+    ) -> tuple[Array, Array, Array]:
+        """Accelerations of an arm whose bodies change."""
+        since = np.broadcast_to(np.asarray(moment.time) >= self.change_s, q.shape[:-1])
+        state = (q, theta, omega0, qd, thetad, tau, moment)
+        if since.all() or not since.any():
+            return (later if since.all() else self._unchanged).accelerations(*state)
+        both = zip(self._unchanged.accelerations(*state), later.accelerations(*state), strict=True)
+        base, link, motor = (np.where(since.reshape(since.shape + (1,) * (x.ndim - since.ndim)), y, x) for x, y in both)
+        return base, link, motor
+
     def friction_slope(self, place: Place) -> Array:
         """(N,) damping equivalent to the friction at motors or links near standstill, Nms/rad after the gear."""
-        slope = np.zeros(self.n)
-        for kind, i, value in self.laws:
-            if kind.place == place and kind.torque is not None:
-                step = kind.torque(np.array([SLOWEST_RATE]))[0] / SLOWEST_RATE
-                slope[i] += value * step * (self.gear_ratio[i] if place == "motor" else 1.0)
+        slope, speed = np.zeros(self.n), np.array([-SLOWEST_RATE, SLOWEST_RATE])
+        still = np.zeros(2)
+        for law in self.laws:
+            if law.kind.place == place:
+                ratio = float(self.gear_ratio[law.joint])
+                less, more = law.torque(Motion(speed, still, still, still, still, still, still, ratio))
+                slope[law.joint] += (more - less) / (2.0 * SLOWEST_RATE) * (ratio if place == "motor" else 1.0)
         return slope
 
-    def _forces(self, q: Array, theta: Array, qd: Array, thetad: Array) -> tuple[Array, Array, Array]:
-        """Torques (..., N): of the springs on the links, of friction at motors (before the gear) and at links."""
+    def _forces(
+        self, q: Array, theta: Array, qd: Array, thetad: Array, tau: Array | None = None, moment: Moment = START
+    ) -> tuple[Array, Array, Array]:
+        """Torques (..., N): of the springs on the links, what motors lack of their reported torque (before the gear),
+        and of friction at links. Without tau the reported torques are unknown."""
         deflection = theta - q
         spring = self._soft * deflection + self.damping * (thetad - qd)
         if not self.laws:
             return spring, self._none, self._none
         motor, link = np.zeros_like(q), np.zeros_like(q)
-        for kind, i, value in self.laws:
-            assert kind.torque is not None
+        # friction with the load needs what the others make of the torque through the gear
+        for law in sorted(self.laws, key=lambda law: law.kind.place == "load"):
+            kind, i = law.kind, law.joint
+            at_motor = kind.place in ("motor", "torque")
+            load = self.gear_ratio[i] * (tau[..., i] - motor[..., i]) if self.rigid[i] and tau is not None else None
+            motion = Motion(
+                rate=thetad[..., i]
+                if at_motor
+                else thetad[..., i] - qd[..., i]
+                if kind.place == "spring"
+                else qd[..., i],
+                angle=theta[..., i] if at_motor else deflection[..., i] if kind.place == "spring" else q[..., i],
+                deflection=deflection[..., i],
+                slip=thetad[..., i] - qd[..., i],
+                applied=tau[..., i] if tau is not None else UNKNOWN,
+                load=load if load is not None else UNKNOWN if self.rigid[i] else spring[..., i],
+                time=np.broadcast_to(moment.time, q.shape[:-1]),
+                ratio=float(self.gear_ratio[i]),
+            )
+            torque = law.torque(motion)
             if kind.place == "spring":
                 # the torque of a rigid joint is a constraint torque
-                spring[..., i] += 0.0 if self.rigid[i] else value * kind.torque(deflection[..., i])
+                spring[..., i] += 0.0 if self.rigid[i] else torque
             elif kind.place == "motor":
-                motor[..., i] += value * kind.torque(thetad[..., i])
+                motor[..., i] += torque
+            elif kind.place == "torque":
+                motor[..., i] -= torque
             else:
-                link[..., i] += value * kind.torque(qd[..., i])
+                link[..., i] += torque
         return spring, motor, link
+
+    def _base_torque(self, omega0: Array, moment: Moment) -> Array | None:
+        """Torque of effects on the base, shape of omega0, Nm in base axes; None where there is none."""
+        if not self.base_laws:
+            return None
+        total = np.zeros_like(omega0)
+        for law in self.base_laws:
+            if law.kind.axes and omega0.ndim and omega0.shape[-1:] == (3,):
+                time = np.broadcast_to(moment.time, omega0.shape[:-1])
+                total[..., law.component] += law.torque(Motion(rate=omega0[..., law.component], time=time))
+            else:
+                angle, time = (np.broadcast_to(x, omega0.shape) for x in (moment.angle, moment.time))
+                total += law.torque(Motion(rate=omega0, angle=angle, time=time))
+        return total
 
     def spring(self, q: Array, theta: Array, qd: Array, thetad: Array) -> Array:
         """(..., N) torque of spring and damper on the link, Nm: k (theta - q) + b (thetad - qd), plus the effects
@@ -146,9 +246,9 @@ class Drives(ABC):
         """(...,) energy in the joints' springs, J."""
         deflection = theta - q
         energy: Array = 0.5 * (self._soft * deflection**2).sum(axis=-1)
-        for kind, i, value in self.laws:
-            if kind.potential is not None:
-                energy = energy + value * kind.potential(deflection[..., i])
+        for law in self.laws:
+            if law.kind.place == "spring" and law.kind.potential is not None:
+                energy = energy + law.value * law.kind.potential(deflection[..., law.joint], law.shape)
         return energy
 
 
@@ -174,27 +274,31 @@ def drives(arm: Arm, value: Mapping[str, float], effects: Sequence[Effect]) -> d
     joints = range(1, arm.n + 1)
     coupling, lag = np.ones(arm.n), np.zeros(arm.n)
     momentum: float | None = None
-    laws: list[tuple[Kind, int, float]] = []
+    laws: list[Law] = []
+    base_laws: list[Law] = []
     for effect in effects:
-        joint = effect.index(arm)
-        if effect.kind.place == "spring" and value.get(f"k{joint + 1}", np.inf) == np.inf:
+        joint, place = effect.index(arm), effect.kind.place
+        if place == "spring" and value.get(f"k{joint + 1}", np.inf) == np.inf:
             raise ZygosError(
                 f"effect {effect.kind.key} at {effect.joint}: the joint's stiffness is infinite, so it has no spring; "
                 "remedy: remove the entry, or give a finite stiffness"
             )
-        if effect.kind.on_ground:
-            raise ZygosError(
-                f"effect {effect.kind.key} at {effect.joint}: the simulator has no law for it; remedy: remove "
-                "the entry from the model that is simulated"
-            )
-        if effect.kind.torque is not None:
-            laws.append((effect.kind, joint, effect.value))
-        elif effect.kind.key == "rotor_coupling":
-            coupling[joint] = effect.value
-        elif effect.kind.key == "torque_lag":
+        shape = np.nan if effect.shape is None else effect.shape
+        if effect.kind.lags:
             lag[joint] = effect.value
-        else:
+        elif place in ("motor", "link", "spring", "torque", "load"):
+            laws.append(Law(effect.kind, joint, effect.value, shape))
+        elif place == "rotor":
+            coupling[joint] = effect.value
+        elif place == "base" and effect.kind.law is not None:
+            base_laws.append(Law(effect.kind, joint, effect.value, shape, effect.component_index(arm)))
+        elif place == "base":
             momentum = effect.value
+        elif place != "sensor":
+            raise ZygosError(
+                f"effect {effect.kind.key}: the simulator has no law of the site {place}; remedy: remove the entry "
+                "from the model that is simulated"
+            )
     if not (np.all(lag >= 0.0) and np.all(lag < arm.period_s)):
         raise ZygosError(
             f"arm {arm.name}: torque lags of {lag.tolist()} s are not within a SYNC period ({arm.period_s} s); "
@@ -208,6 +312,7 @@ def drives(arm: Arm, value: Mapping[str, float], effects: Sequence[Effect]) -> d
         "gear_ratio": arm.gear_ratios,
         "coupling": coupling,
         "laws": tuple(laws),
+        "base_laws": tuple(base_laws),
         "torque_lag": lag if lag.any() else None,
         "angular_momentum": momentum,
     }

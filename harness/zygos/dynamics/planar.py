@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from zygos.arm import Arm
-from zygos.dynamics.joints import Drives, by_name, drives
+from zygos.dynamics.joints import START, Drives, Moment, by_name, drives
 from zygos.effects import Effect
 from zygos.errors import ZygosError
 
@@ -108,16 +108,26 @@ class PlanarDynamics(Drives):
         return mass
 
     def accelerations(
-        self, q: Array, theta: Array, omega0: ArrayLike, qd: Array, thetad: Array, tau: Array
+        self,
+        q: Array,
+        theta: Array,
+        omega0: ArrayLike,
+        qd: Array,
+        thetad: Array,
+        tau: Array,
+        moment: Moment = START,
     ) -> tuple[Array, Array, Array]:
         """Accelerations (base (...,), joints (..., N), motors after the gear (..., N)), rad/s^2.
 
         q, theta rad; omega0, qd, thetad rad/s; tau the rotor torque before the gear, Nm (Nanos & Papadopoulos
-        eqs. (14)-(18) in absolute angles, docs/theory.md).
+        eqs. (14)-(18) in absolute angles, docs/theory.md); moment: for effects that depend on the time or on the
+        base's angle.
         """
+        if self.later is not None:
+            return self._changing(self.later, q, theta, np.asarray(omega0), qd, thetad, tau, moment)
         f = self.rates(omega0, qd)
         inertia, slope = self.inertia(q)
-        spring, motor_loss, link_loss = self._forces(q, theta, qd, thetad)
+        spring, motor_loss, link_loss = self._forces(q, theta, qd, thetad, tau, moment)
         ratio = self.gear_ratio
         drive = tau - motor_loss
         # a rigid gear transmits the torque that drives the rotor, a spring transmits its own torque
@@ -125,6 +135,8 @@ class PlanarDynamics(Drives):
         force = (np.where(self.rigid, ratio * drive, spring) if rigid else spring) - link_loss
         right = -(slope @ (f * f)[..., None])[..., 0]
         right[..., 1:] += force
+        if (pushing := self._base_torque(np.asarray(omega0, dtype=np.float64), moment)) is not None:
+            right[..., 0] += pushing
         # the reaction on the body that carries rotor i is the difference of motor torque and gear reaction
         pushed = self.coupling * (drive - spring / ratio)
         right[..., :-1] -= force + (np.where(self.rigid, 0.0, pushed) if rigid else pushed)

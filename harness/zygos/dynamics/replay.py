@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from zygos.arm import Arm
 from zygos.balances.state import State
-from zygos.dynamics.joints import Drives
+from zygos.dynamics.joints import START, Drives, Moment
 
 Array = NDArray[np.float64]
 
@@ -49,15 +49,17 @@ def replay(
     before: Array,
     cycles: int,
     steps: int,
+    begin: Moment = START,
 ) -> tuple[Array, Array]:
     """Integrate B pieces of motion from their states `start` (B, 4N+W) at the first SYNC (layout of `State.packed`).
 
     torque(k, states) gives the torques (B, N) of period k, Nm before the gear; `before` (B, N) are those of the period
-    before the first. Returns the states (B, cycles, 4N+W) at each SYNC and the torques (B, cycles, N).
+    before the first. begin: time (B,) and angle of the base (B,) at the first SYNC, for effects that depend on them.
+    Returns the states (B, cycles, 4N+W) at each SYNC and the torques (B, cycles, N).
     """
     lag = dynamics.torque_lag
     instants = np.unique(np.concatenate([[0.0, period_s], [] if lag is None else lag]))
-    state = start.copy()
+    state, now = start.copy(), begin
     states = np.empty((len(start), cycles, start.shape[1]))
     torques = np.empty((len(start), cycles, dynamics.n))
     for k in range(cycles):
@@ -66,11 +68,11 @@ def replay(
         torques[:, k] = command
         if k == cycles - 1:
             break
-        for begin, end in pairwise(instants):
-            tau = command if lag is None else np.where(begin >= lag, command, before)
-            parts = max(1, int(np.ceil(steps * (end - begin) / period_s - 1e-9)))
+        for first, stop in pairwise(instants):
+            tau = command if lag is None else np.where(first >= lag, command, before)
+            parts = max(1, int(np.ceil(steps * (stop - first) / period_s - 1e-9)))
             for _ in range(parts):
-                state = _step(dynamics, state, tau, (end - begin) / parts)
+                state, now = _step(dynamics, state, tau, (stop - first) / parts, now)
         before = command
     return states, torques
 
@@ -99,15 +101,26 @@ def exact_readings(dynamics: Drives, arm: Arm, states: Array, torques: Array) ->
     return q, theta, np.asarray(now.base + share * rise + share**2 * bend, dtype=np.float64)
 
 
-def _step(dynamics: Drives, x: Array, tau: Array, h: float) -> Array:
-    first = _rate(dynamics, x, tau)
-    second = _rate(dynamics, x + 0.5 * h * first, tau)
-    third = _rate(dynamics, x + 0.5 * h * second, tau)
-    fourth = _rate(dynamics, x + h * third, tau)
-    return x + h / 6.0 * (first + 2.0 * (second + third) + fourth)
+def _step(dynamics: Drives, x: Array, tau: Array, h: float, now: Moment) -> tuple[Array, Moment]:
+    def later(share: float, rate: Array) -> Moment:
+        turned = rate[..., 0] if _in_a_plane(x) else 0.0
+        return Moment(now.time + share * h, now.angle + share * h * turned)
+
+    first = _rate(dynamics, x, tau, now)
+    second = _rate(dynamics, x + 0.5 * h * first, tau, later(0.5, x))
+    third = _rate(dynamics, x + 0.5 * h * second, tau, later(0.5, x + 0.5 * h * first))
+    fourth = _rate(dynamics, x + h * third, tau, later(1.0, x + 0.5 * h * second))
+    # the base's angle is the integral of its rate by the same rule
+    turning = x + h / 6.0 * (first + second + third)
+    return x + h / 6.0 * (first + 2.0 * (second + third) + fourth), later(1.0, turning)
 
 
-def _rate(dynamics: Drives, x: Array, tau: Array) -> Array:
+def _in_a_plane(x: Array) -> bool:
+    """Whether states have a base rate that is a number."""
+    return bool(x.shape[-1] % 4 == 1)
+
+
+def _rate(dynamics: Drives, x: Array, tau: Array, now: Moment) -> Array:
     s = State.unpacked(x)
-    base, link, motor = dynamics.accelerations(s.q, s.theta, s.base, s.qd, s.thetad, tau)
+    base, link, motor = dynamics.accelerations(s.q, s.theta, s.base, s.qd, s.thetad, tau, now)
     return State(s.qd, s.thetad, link, motor, base).packed()

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from zygos.arm import Arm
 from zygos.balances.kinematics import Posture, body_rates, posture
-from zygos.dynamics.joints import Drives, by_name, drives
+from zygos.dynamics.joints import START, Drives, Moment, by_name, drives
 from zygos.effects import Effect
 from zygos.errors import ZygosError
 from zygos.model import gram
@@ -168,12 +168,22 @@ class SpatialDynamics(Drives):
         return jacobian, np.einsum("ab,...bcu->...acu", self.matrix, jacobian)
 
     def accelerations(
-        self, q: Array, theta: Array, omega0: Array, qd: Array, thetad: Array, tau: Array
+        self,
+        q: Array,
+        theta: Array,
+        omega0: Array,
+        qd: Array,
+        thetad: Array,
+        tau: Array,
+        moment: Moment = START,
     ) -> tuple[Array, Array, Array]:
         """Accelerations (base (..., 3) in base axes, joints (..., N), motors after the gear (..., N)), rad/s^2.
 
-        q, theta rad; omega0, qd, thetad rad/s; tau the rotor torque before the gear, Nm.
+        q, theta rad; omega0, qd, thetad rad/s; tau the rotor torque before the gear, Nm. moment: for effects that
+        depend on the time.
         """
+        if self.later is not None:
+            return self._changing(self.later, q, theta, omega0, qd, thetad, tau, moment)
         places = posture(self.arm, q)
         turns = self._turns(places)
         jacobian, weighed = self._inertia(places, turns)
@@ -190,11 +200,13 @@ class SpatialDynamics(Drives):
             weight = self.moments[:, None] * np.array(self.arm.gravity)
             right += np.einsum("...acu,ac->...u", jacobian, weight)
 
-        spring, motor_loss, link_loss = self._forces(q, theta, qd, thetad)
+        spring, motor_loss, link_loss = self._forces(q, theta, qd, thetad, tau, moment)
         ratio, rotor, coupling = self.gear_ratio, self.rotor_inertia, self.coupling
         drive = tau - motor_loss
         force = np.where(self.rigid, ratio * drive, spring) - link_loss
         right[..., self._first :] += force
+        if (pushing := self._base_torque(omega0, moment)) is not None:
+            right[..., : self._first] += pushing
         carrier = turns[..., :-1, :, :]
         along = np.einsum("...icu,...ic->...iu", carrier, axis)  # g_i: rate of the carrier about the axis
         gained = np.sum(axis * alpha[..., :-1, :], axis=-1)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from zygos.effects import Effect
+from zygos.effects import Effect, is_column
 from zygos.estimation.watch import Watch
 from zygos.model.model import Quantity
 from zygos.native.flight import ROWS, Drift, Estimate
@@ -43,9 +43,16 @@ def report_estimate(result: Estimate, watch: Watch, drift: Drift | None, heading
         "faults": flight.faults,
         "counts": flight.counts,
         "parameters": [
-            {"name": name, "unit": unit, "value": float(value), "sigma": float(sigma), "half95": float(half95)}
-            for name, unit, value, sigma, half95 in zip(
-                result.names, result.units, result.value, result.sigma, result.half95, strict=True
+            {
+                "name": name,
+                "unit": unit,
+                "value": float(value),
+                "sigma": float(sigma),
+                "half95": float(half95),
+                "significance": float(significance) if is_column(name) else None,
+            }
+            for name, unit, value, sigma, half95, significance in zip(
+                result.names, result.units, result.value, result.sigma, result.half95, result.significance, strict=True
             )
         ],
         "solution": result.solution.tolist(),

@@ -41,10 +41,10 @@ _SHIFT = 1e-4
 """Error of a sensor with which the columns of such errors are computed: rad, rad/s, Nm."""
 _ACTING = ("motor", "link", "spring", "torque")
 """Places of effects that act at a joint."""
-_FREE_OFFSET = 0.1
-_FREE_GAIN = 0.1
-"""Deviations of what nobody declares of torque sensors: of a constant error, as a share of the torques of the run, and of
-the gain of one against the others."""
+_OFFSET = 1e4
+"""Deviation of the constant error of a torque sensor that has noise, in units of this noise: nobody declares it."""
+_GAIN = 0.1
+"""Deviation of the gain of such a sensor against that of the first one."""
 
 
 @dataclass(frozen=True)
@@ -75,10 +75,15 @@ class Layout:
 
     @cached_property
     def balances(self) -> tuple[str, ...]:
-        """E, M of every flexible joint, L of every rigid one, H or Hx, Hy, Hz of a base that floats."""
+        """E, M of every flexible joint, L of the joints of `links`, H or Hx, Hy, Hz of a base that floats."""
         joints = [f"M{i + 1}" for i, one in enumerate(self.arm.joints) if one.flexible]
-        joints += [f"L{i + 1}" for i, one in enumerate(self.arm.joints) if not one.flexible]
-        return ("E", *joints, *self.momenta)
+        return ("E", *joints, *(f"L{i + 1}" for i in self.links), *self.momenta)
+
+    @cached_property
+    def links(self) -> tuple[int, ...]:
+        """Joints with a balance of the momentum of their link angle: rigid ones, and on a fixed base, which has no
+        momentum of its own, every joint: the energy alone tells few inertias apart there."""
+        return tuple(i for i, one in enumerate(self.arm.joints) if not (one.flexible and self.arm.free))
 
     @cached_property
     def momenta(self) -> tuple[str, ...]:
@@ -94,7 +99,11 @@ class Layout:
         """
         kinds = [kind for kind in CATALOGUE.values() if kind.searched and kind.key != OFFSET and not kind.on_ground]
         places = [(kind, i) for kind in kinds for i in (range(self.arm.n) if kind.at_joint else (-1,))]
-        return tuple((kind, i) for kind, i in places if _exists(self.arm, kind, i))
+        # a torque sensor that has noise has errors of its own, which look the same
+        own = {
+            f"{key}{name[-1]}" for key in ("torque_offset",) for name in self.errors if name.startswith("torque_zero")
+        }
+        return tuple((kind, i) for kind, i in places if _exists(self.arm, kind, i) and column_name(kind, i) not in own)
 
     @cached_property
     def columns(self) -> tuple[str, ...]:
@@ -141,6 +150,12 @@ class Layout:
                 }
             else:
                 out["gyro_bias"] = SensorError(sigma, ("omega0",), np.array(1.0))
+        for i, one in enumerate(arm.joints):
+            if one.torque_sigma > 0.0:
+                out[f"torque_zero{i + 1}"] = SensorError(_OFFSET * one.torque_sigma, ("tau",), unit[i])
+                if i > 0:
+                    # all gains, masses and frictions can grow together: one gain is taken as known
+                    out[f"torque_scale{i + 1}"] = SensorError(_GAIN, ("tau",), unit[i], gain=True)
         return out
 
     @cached_property
@@ -159,7 +174,7 @@ class Layout:
             yield from arm.parameter_names
         for kind, i in self.effects:
             if kind.place in _ACTING:
-                acts = balance == "E" or (i == own and (balance[0] == "L" or kind.place != "link"))
+                acts = balance == "E" or (i == own and _acts(arm, kind, i, balance))
             elif kind.place == "rotor":
                 acts = balance[0] != "M" or i == own
             else:
@@ -172,16 +187,27 @@ class Layout:
 def corrected(record: MeasuredRun, layout: Layout, errors: Array) -> MeasuredRun:
     """A record without errors (zeros,) of its sensors, in the order of `Layout.zeros`."""
     s = record.samples
-    plain = Readings(s.q, s.theta, record.omega0, s.tau)
+    seen = Readings(s.q, s.theta, record.omega0, s.tau)
+    fields = ("q", "theta", "omega0", "tau")
+    plain = {name: getattr(seen, name) for name in fields}
     for size, error in zip(errors.tolist(), layout.errors.values(), strict=True):
-        plain = error.added(plain, -size)
-    samples = replace(s, q=plain.q, theta=plain.theta, tau=plain.tau)
-    return replace(record, samples=samples, omega0=plain.omega0)
+        # a gain is a share of what was read
+        wrong = error.added(seen, size)
+        plain = {name: plain[name] - getattr(wrong, name) + getattr(seen, name) for name in fields}
+    samples = replace(s, q=plain["q"], theta=plain["theta"], tau=plain["tau"])
+    return replace(record, samples=samples, omega0=plain["omega0"])
 
 
 def thinning(arm: Arm) -> int:
     """Rows of a sum stand at every so many instants: smoothed readings next to each other share nearly all their noise."""
     return max(1, arm.smoother.points // 8)
+
+
+def _acts(arm: Arm, kind: Kind, i: int, balance: str) -> bool:
+    """Whether an effect at a joint has a column in the balance of this joint's motor or link angle."""
+    if balance[0] == "M":
+        return kind.place != "link"
+    return kind.place in ("link", "spring") or not arm.joints[i].flexible
 
 
 def _exists(arm: Arm, kind: Kind, i: int) -> bool:
@@ -252,7 +278,13 @@ def zero_columns(layout: Layout, readings: Readings, values: Array, every: int =
         rows = zip(_bodies(layout, moving), known, _right(layout, moving), strict=True)
         return [own @ x - right for own, x, right in rows]
 
+    still = _Moving.of(layout.arm, readings, every)
+
     def taken(error: SensorError) -> list[Array]:
+        if error.signals == ("tau",):
+            # the right sides are linear in the torques, and nothing else depends on them
+            wrong = _Moving.of(layout.arm, error.added(readings, 1.0), every, still.state)
+            return [b - a for a, b in zip(_right(layout, still), _right(layout, wrong), strict=True)]
         ahead, behind = (left_over(error.added(readings, size)) for size in (_SHIFT, -_SHIFT))
         return [(b - a) / (2.0 * _SHIFT) for a, b in zip(ahead, behind, strict=True)]
 
@@ -273,12 +305,12 @@ class _Moving:
     every: int
 
     @classmethod
-    def of(cls, arm: Arm, readings: Readings, every: int) -> _Moving:
+    def of(cls, arm: Arm, readings: Readings, every: int, state: State | None = None) -> _Moving:
         half = arm.smoother.points // 2
         cycles = readings.tau.shape[-2]
         after = readings.tau[..., half : cycles - half, :]
         before = readings.tau[..., half - 1 : cycles - half - 1, :]
-        return cls(arm, smoothed_states(arm, readings), before, after, every)
+        return cls(arm, smoothed_states(arm, readings) if state is None else state, before, after, every)
 
     @cached_property
     def thin(self) -> State:
@@ -310,10 +342,10 @@ class _Moving:
         """Instants at which the rows of a balance end, and begin."""
         if balance[0] != "L":
             return np.arange(0, self.instants, self.every), None
-        length = joint.increment_instants(self.arm, self.arm.joint_row_s or JOINT_ROW_S)
-        length = min(length, self.instants - 1)
-        begin = np.arange(0, self.instants - length, max(1, length // 2))
-        return begin + length, begin
+        wanted = (self.arm.joint_row_s or JOINT_ROW_S) / (2.0 * self.arm.period_s * self.every)
+        half = max(1, round(wanted)) * self.every
+        begin = np.arange(0, self.instants - 2 * half, half)
+        return begin + 2 * half, begin
 
     @cached_property
     def signals(self) -> list[Signals]:
@@ -321,11 +353,25 @@ class _Moving:
         totals = FromOrigin(self.arm.period_s)
         return [Signals.of(self.arm, self.state, self.before, self.after, i, totals) for i in range(self.arm.n)]
 
-    def increments(self, running: Array, axis: int = -1) -> Array:
-        """What grows over each increment."""
+    def increments(self, running: Array) -> Array:
+        """What grows over each increment, (..., A, m) of a running total (..., A, instants)."""
         end, begin = self.places("L")
         assert begin is not None
-        return np.asarray(running.take(end, axis) - running.take(begin, axis), dtype=np.float64)
+        return np.asarray(running[..., end] - running[..., begin], dtype=np.float64)
+
+    @cached_property
+    def links(self) -> joint.JointColumns:
+        """Columns of the link angles' momenta, at the instants of the rows."""
+        return joint.joint_columns(self.arm, self.thin)
+
+    def grown(self, momentum: Array, force: Array) -> Array:
+        """(..., A, m, N, ·) what momenta grow by over each increment beyond forces (..., A, instants of rows, N, ·)."""
+        end, begin = self.places("L")
+        assert begin is not None
+        running = integral(force, self.every * self.arm.period_s, axis=-3)
+        first, last = begin // self.every, end // self.every
+        moved = momentum[..., last, :, :] - momentum[..., first, :, :]
+        return np.asarray(moved - running[..., last, :, :] + running[..., first, :, :], dtype=np.float64)
 
     @cached_property
     def attitude(self) -> Array:
@@ -357,8 +403,7 @@ def _bodies(layout: Layout, moving: _Moving) -> Iterator[Array]:
     """By balance, columns (..., A, m, ·) of the base parameters that it has."""
     arm, thin = layout.arm, moving.thin
     flexible = [i for i, one in enumerate(arm.joints) if one.flexible]
-    rigid = [i for i, one in enumerate(arm.joints) if not one.flexible]
-    s = moving.state
+    links, s = list(layout.links), moving.state
     # a rigid joint has no spring, so nothing is lost in it
     lost = integral((s.thetad - s.qd) ** 2, arm.period_s, axis=-2)[..., :: moving.every, :] if flexible else thin.q
     bodies, carried = moving.bodies
@@ -378,15 +423,19 @@ def _bodies(layout: Layout, moving: _Moving) -> Iterator[Array]:
             ],
             axis=-1,
         )
-    if rigid:
-        part = joint.joint_columns(arm, s)
-        running = joint.in_order(
+    if links:
+        part = moving.links
+        deflection = s.theta - s.q
+        wound = np.swapaxes(moving.increments(np.swapaxes(integral(deflection, arm.period_s, -2), -1, -2)), -1, -2)
+        damped = np.swapaxes(moving.increments(np.swapaxes(deflection, -1, -2)), -1, -2)
+        single = np.eye(arm.n)[links]
+        grown = joint.in_order(
             arm,
-            part.momentum[..., rigid, :] - integral(part.force[..., rigid, :], arm.period_s, axis=-3),
-            part.rotor_momentum[..., rigid, :] - integral(part.rotor_force[..., rigid, :], arm.period_s, axis=-3),
+            moving.grown(part.momentum[..., links, :], part.force[..., links, :]),
+            moving.grown(part.rotor_momentum[..., links, :], part.rotor_force[..., links, :]),
+            {"k": -wound[..., None, :] * single, "b": -damped[..., None, :] * single},
         )
-        grown = moving.increments(running, axis=-3)
-        for k in range(len(rigid)):
+        for k in range(len(links)):
             yield grown[..., k, :]
     if arm.free:
         columns = momentum.momentum_columns(arm, thin)
@@ -411,9 +460,9 @@ def _right(layout: Layout, moving: _Moving) -> Iterator[Array]:
     for i, one in enumerate(arm.joints):
         if one.flexible:
             yield moving.thinned(impulse.motor_impulse(arm, moving.signals[i]))
-    for i, one in enumerate(arm.joints):
-        if not one.flexible:
-            yield moving.increments(moving.signals[i].gear_ratio * impulse.motor_impulse(arm, moving.signals[i]))
+    for i in layout.links:
+        ratio = 0.0 if arm.joints[i].flexible else moving.signals[i].gear_ratio
+        yield moving.increments(ratio * impulse.motor_impulse(arm, moving.signals[i]))
     for _ in layout.momenta:
         yield np.zeros(moving.thin.q.shape[:-1])
 
@@ -426,10 +475,11 @@ def _effects(layout: Layout, moving: _Moving, balance: str) -> Iterator[Array]:
         if kind.place in _ACTING:
             if balance == "E":
                 yield moving.thinned(energy_column(kind, moving.signals[i]))
-            elif i == own and balance[0] == "M" and kind.place != "link":
-                yield moving.thinned(impulse_column(kind, moving.signals[i]))
-            elif i == own and balance[0] == "L":
-                yield moving.increments(joint_column(kind, moving.signals[i], flexible=False))
+            elif i == own and _acts(arm, kind, i, balance):
+                if balance[0] == "M":
+                    yield moving.thinned(impulse_column(kind, moving.signals[i]))
+                else:
+                    yield moving.increments(joint_column(kind, moving.signals[i], flexible=arm.joints[i].flexible))
         elif kind.place == "rotor":
             yield from _coupling(arm, moving, balance, i)
         elif balance[0] == "H":
@@ -444,7 +494,7 @@ def _coupling(arm: Arm, moving: _Moving, balance: str, i: int) -> Iterator[Array
         if int(balance[1:]) - 1 == i:
             yield moving.carried[..., i]
     elif balance[0] == "L":
-        yield moving.increments(_coupled_momentum(arm, moving)[..., int(balance[1:]) - 1, i])
+        yield _coupled_momentum(arm, moving, int(balance[1:]) - 1, i)
     else:
         columns = momentum.momentum_columns(arm, moving.thin)[..., i - arm.n]
         if arm.spatial:
@@ -453,13 +503,14 @@ def _coupling(arm: Arm, moving: _Moving, balance: str, i: int) -> Iterator[Array
             yield columns[..., 0]
 
 
-def _coupled_momentum(arm: Arm, moving: _Moving) -> Array:
-    """(..., A, instants, N, N) running momentum of joints (first) by the coupling of rotors (second)."""
-    columns = joint.joint_columns(arm, moving.state)
-    running = columns.rotor_momentum - integral(columns.rotor_force, arm.period_s, axis=-3)
-    spin = arm.gear_ratios**2 * moving.state.thetad
-    rigid = np.array([not one.flexible for one in arm.joints])
-    return np.asarray(running - (spin * rigid)[..., None] * np.eye(arm.n), dtype=np.float64)
+def _coupled_momentum(arm: Arm, moving: _Moving, at: int, rotor: int) -> Array:
+    """(..., A, m) what the coupling of a rotor adds to the balance of the link angle of a joint."""
+    part = moving.links
+    pair = (..., slice(at, at + 1), slice(rotor, rotor + 1))
+    grown = moving.grown(part.rotor_momentum[pair], part.rotor_force[pair])[..., 0, 0]
+    if at == rotor and not arm.joints[at].flexible:
+        grown = grown - moving.increments(arm.gear_ratios[at] ** 2 * moving.state.thetad[..., at])
+    return np.asarray(grown, dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -473,11 +524,20 @@ class Sums:
     """(balances,) rows."""
     noise: tuple[Array, ...] | None = None
     """By balance (columns + 1, columns + 1): what the sensors' noise is expected to add to `gram`."""
+    scores: tuple[Array, ...] | None = None
+    """By balance (..., A, columns + 1): products of all columns and of what known coefficients leave over, by arc."""
+    applied: Array | None = None
+    """(zeros,) errors of the sensors that have been taken off the readings before."""
 
 
-def accumulate(rows: BalanceRows, accepted: NDArray[np.bool_], uncentred: Sequence[int] = ()) -> Sums:
-    """Sum a run. accepted: (A, instants). The balances listed in `uncentred` keep no constant for each arc."""
-    grams, counts = [], []
+def accumulate(
+    rows: BalanceRows, accepted: NDArray[np.bool_], uncentred: Sequence[int] = (), known: Array | None = None
+) -> Sums:
+    """Sum a run. accepted: (A, instants). The balances listed in `uncentred` keep no constant for each arc.
+
+    known: (columns + 1,) coefficients of all columns and of the right side, for `Sums.scores`.
+    """
+    grams, counts, scores = [], [], []
     for balance, own in enumerate(rows.balances):
         kept = kept_rows(own, accepted)
         z = np.concatenate([own.left, own.right[..., None]], axis=-1)
@@ -490,7 +550,10 @@ def accumulate(rows: BalanceRows, accepted: NDArray[np.bool_], uncentred: Sequen
         flat = z.reshape((*z.shape[:-3], -1, z.shape[-1]))
         grams.append(np.asarray(np.swapaxes(flat, -1, -2) @ flat, dtype=np.float64))
         counts.append(float(kept.sum()))
-    return Sums(tuple(grams), np.array(counts))
+        if known is not None:
+            left = z @ known[np.append(rows.layout.used[balance], -1)]
+            scores.append(np.asarray((left[..., None, :] @ z)[..., 0, :], dtype=np.float64))
+    return Sums(tuple(grams), np.array(counts), scores=tuple(scores) or None)
 
 
 def kept_rows(rows: Rows, accepted: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.errors import Undecided
-from zygos.gap.balances import balance_rows, kept_rows
+from zygos.gap.balances import balance_rows, kept_rows, thinning
 from zygos.gap.record import MeasuredRun
 from zygos.gap.search import EXCESS
 from zygos.gap.study import Study, base_values, begin
@@ -170,7 +170,7 @@ def _arcs(study: Study, run: int, names: Sequence[str]) -> Iterator[_Arc]:
     """Weighted sums of each arc of a run, with the zeros of the sensors at their fitted values."""
     record, accepted = study.records[run], study.accepted[run]
     arm, layout = record.arm, study.layout
-    rows = balance_rows(arm, record.readings(), base_values(study.model, layout))
+    rows = balance_rows(arm, record.readings(), base_values(study.model, layout), every=thinning(arm))
     wider = replace(
         study.hypothesis, effects=tuple(n for n in names if n not in {p.name for p in layout.arm.parameters})
     )

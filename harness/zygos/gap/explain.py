@@ -259,11 +259,14 @@ class _Explainer:
     def _calibrated(self, records: Sequence[MeasuredRun], study: Study) -> list[MeasuredRun]:
         """Records less what their sensors' zeros are found to be off by, where that is more than is known of them."""
         layout = study.layout
-        zeros = study.fit.zeros.mean(axis=0)
-        off = np.where(np.abs(zeros) > _DEFLECTED * layout.zero_sigma, zeros, 0.0)
+        zeros = study.zeros.mean(axis=0)
+        torque = np.array([error.signals == ("tau",) for error in layout.errors.values()])
+        off = np.where((np.abs(zeros) > _DEFLECTED * layout.zero_sigma) | torque, zeros, 0.0)
         if not off.any():
             return list(records)
-        self.remarks.append(ZerosOff(tuple((n, float(x)) for n, x in zip(layout.zeros, off, strict=True) if x)))
+        told = np.where(torque, 0.0, off)
+        if told.any():
+            self.remarks.append(ZerosOff(tuple((n, float(x)) for n, x in zip(layout.zeros, told, strict=True) if x)))
         return [corrected(record, layout, off) for record in records]
 
     def _gap(self, delivered: Drives, refit: Study, after: Study, found: Search | None) -> Gap | None:

@@ -20,7 +20,13 @@ FLEXIBILITY = "joint_flexibility"
 """Kind of a finding that is no entry of the catalogue: the simulation's joint is rigid."""
 ROTOR_INERTIA = "rotor_inertia"
 """Likewise: the simulation's rotor has no inertia."""
-_TITLES = {FLEXIBILITY: "joint flexibility", ROTOR_INERTIA: "inertia of the rotor"}
+ASYMMETRY = "coulomb_asymmetry"
+"""Likewise: half of the difference of the Coulomb friction in positive and negative direction."""
+_TITLES = {
+    FLEXIBILITY: "joint flexibility",
+    ROTOR_INERTIA: "inertia of the rotor",
+    ASYMMETRY: "Coulomb friction that differs between the directions",
+}
 
 
 @dataclass(frozen=True)

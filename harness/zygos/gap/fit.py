@@ -19,6 +19,9 @@ from zygos.gap.balances import Layout, Sums
 
 Array = NDArray[np.float64]
 
+_EMPTY = 1e-12
+"""Smallest eigenvalue of sums, scaled to a unit diagonal, from which on the coefficients are told apart."""
+
 
 @dataclass(frozen=True)
 class Hypothesis:
@@ -130,9 +133,13 @@ def fit(
             clean = own if run.noise is None else own - bases[k].of_gram(run.noise[k])
             at = bases[k].places
             whole[..., at[:, None], at] += weight[k] ** 2 * clean
-        # the run's own zeros, as functions of the coefficients and the right side
-        own = np.linalg.solve(whole[..., :zeros, :zeros] + prior, whole[..., :zeros, zeros:])
-        settled.append(np.asarray(own, dtype=np.float64))
+        # the run's own zeros, as functions of the coefficients and the right side; the arm file knows of the sum of these
+        # and of those that have been taken off before
+        wanted = whole[..., :zeros, zeros:].copy()
+        if run.applied is not None:
+            wanted[..., -1] -= prior @ run.applied
+        solved = np.linalg.solve(whole[..., :zeros, :zeros] + prior, wanted)
+        settled.append(np.asarray(solved, dtype=np.float64))
         total = total + whole[..., zeros:, zeros:] - whole[..., zeros:, :zeros] @ settled[-1]
     if fixed is None:
         value = _solve(total, hypothesis.names, blind=alone is not None)
@@ -150,6 +157,34 @@ def fit(
             square = (own[..., None, :] @ one @ own[..., None])[..., 0, 0]
             rms[..., k, balance] = np.sqrt(np.maximum(square, 0.0) / run.count[balance])
     return Fit(hypothesis.names, value, found, rms)
+
+
+def influence(hypothesis: Hypothesis, runs: Sequence[Sums], weight: Array, name: str) -> list[dict[int, Array]]:
+    """For each run and balance (columns + 1,): what a coefficient changes by, per unit of the products of the columns and
+    of what is left over. Of sums without leading axes. Errors: as `fit`."""
+    zeros, size = len(hypothesis.layout.zeros), len(hypothesis.layout.zeros) + len(hypothesis.names)
+    prior = np.diag(hypothesis.layout.zero_sigma**-2.0)
+    bases = {k: _Basis.of(hypothesis, k, "") for k in hypothesis.balances}
+    settled, total = [], np.zeros((size - zeros, size - zeros))
+    for run in runs:
+        whole = np.zeros((size + 1, size + 1))
+        for k, basis in bases.items():
+            clean = run.gram[k] if run.noise is None else run.gram[k] - run.noise[k]
+            whole[np.ix_(basis.places, basis.places)] += weight[k] ** 2 * basis.of_gram(clean)
+        settled.append(np.linalg.solve(whole[:zeros, :zeros] + prior, whole[:zeros, zeros:size]))
+        total += whole[zeros:size, zeros:size] - whole[zeros:size, :zeros] @ settled[-1]
+    scale = np.sqrt(np.maximum(np.diagonal(total), 0.0))
+    if not np.all(scale > 0.0) or np.linalg.eigvalsh(total / np.outer(scale, scale))[0] < _EMPTY:
+        raise Undecided(f"these runs do not tell {name} from the other coefficients")
+    unit = np.zeros(size - zeros)
+    unit[hypothesis.names.index(name)] = 1.0
+    row = np.linalg.solve(total / np.outer(scale, scale), unit / scale) / scale
+    out = []
+    for own in settled:
+        # what is left over lowers the coefficient that would explain it
+        full = -np.concatenate([-(own @ row), row, [0.0]])
+        out.append({k: weight[k] ** 2 * (basis.mix @ full[basis.places]) for k, basis in bases.items()})
+    return out
 
 
 @dataclass(frozen=True)
@@ -192,7 +227,7 @@ def _solve(total: Array, names: Sequence[str], *, blind: bool) -> Array:
     scaled = matrix / (scale[..., :, None] * scale[..., None, :])
     # draws of a twin differ little
     one = scaled.reshape(-1, *scaled.shape[-2:])[0]
-    if len(one) and np.min(np.linalg.eigvalsh(one)[0]) < 1e-12:
+    if len(one) and np.min(np.linalg.eigvalsh(one)[0]) < _EMPTY:
         raise Undecided(
             "these runs do not tell the parameters apart (a combination of columns is empty); remedy: a motion that "
             "moves every joint, at different speeds; more of the same motion adds nothing"

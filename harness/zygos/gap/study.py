@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,16 @@ from zygos.dynamics.equations import from_parameters, parameters
 from zygos.dynamics.joints import Drives
 from zygos.effects import CATALOGUE, Effect, column_name, column_named
 from zygos.errors import Undecided, ZygosError
-from zygos.gap.balances import Layout, Sums, accumulate, balance_rows, kept_rows, thinning, zero_columns
+from zygos.gap.balances import (
+    Layout,
+    Sums,
+    accumulate,
+    balance_rows,
+    corrected,
+    kept_rows,
+    thinning,
+    zero_columns,
+)
 from zygos.gap.fit import Fit, Hypothesis, fit
 from zygos.gap.record import MeasuredRun, followed, smoothed_states
 from zygos.gap.twin import Twin, draws, follow
@@ -23,6 +33,8 @@ Array = NDArray[np.float64]
 
 DRAWS = 20
 """Readings of a twin: enough to know a deviation to 16 %."""
+LARGE = 3.0
+"""Deviations of what the arm file knows of a sensor beyond which its error is taken off the records."""
 _FEW = 4
 """Enough to weight the balances of a study that is made again."""
 
@@ -51,6 +63,8 @@ class Study:
     """(coefficients,) what the fit makes of the twin, less what the twin was made with."""
     spread: Array
     """(coefficients,) one standard deviation over the twin's draws."""
+    applied: Array
+    """(runs, zeros) errors of the sensors that were taken off the records."""
 
     @property
     def layout(self) -> Layout:
@@ -68,6 +82,17 @@ class Study:
         return np.asarray(self.fit.value - self.bias, dtype=np.float64)
 
     @property
+    def zeros(self) -> Array:
+        """(runs, zeros) errors of the sensors: those that were taken off the records, and what is found beside them."""
+        return np.asarray(self.applied + self.fit.zeros, dtype=np.float64)
+
+    @property
+    def pulls(self) -> Array:
+        """(runs, zeros) errors of the sensors in deviations of what the arm file knows of them: what a fit pays for
+        them."""
+        return np.asarray(self.zeros / self.layout.zero_sigma, dtype=np.float64)
+
+    @property
     def excess(self) -> Array:
         """(runs, balances) rho: what is left over of each balance, in units of what is left over of the twin's."""
         return np.asarray(self.fit.rms / self.noise, dtype=np.float64)
@@ -81,6 +106,13 @@ class Study:
             return False
         return True
 
+    @cached_property
+    def mean_sums(self) -> tuple[Sums, ...]:
+        """Of the twins, mean over the draws; with the noise taken off these are the sums of exact readings."""
+        return tuple(
+            replace(one, gram=tuple(gram.mean(axis=0) for gram in one.gram), scores=None) for one in self.twin_sums
+        )
+
     def dynamics(self) -> Drives:
         """The model that was fitted, or as much of it as an arm can be."""
         return _possible(self.hypothesis, self.value, self.model)
@@ -88,11 +120,13 @@ class Study:
     def local(self) -> Array:
         """(runs, balances) rho where each balance is fitted by itself: whatever happens elsewhere does not touch it.
 
-        The momentum has no scale of its own; its rho is that of the common fit.
+        The momentum, and that of the link of a flexible joint, have no scale of their own; their rho is that of the
+        common fit.
         """
         out = self.excess.copy()
         for balance in self.hypothesis.balances:
-            if self.layout.balances[balance] in self.layout.momenta:
+            name = self.layout.balances[balance]
+            if name in self.layout.momenta or (name[0] == "L" and self.layout.arm.joints[int(name[1:]) - 1].flexible):
                 continue
             try:
                 own = fit(self.hypothesis, self.sums, self.weight, alone=balance)
@@ -197,13 +231,31 @@ def begin(records: Sequence[MeasuredRun], hypothesis: Hypothesis, dynamics: Driv
     """Fit a hypothesis to runs. dynamics: any model of it that is about right; it weights the balances, and the study
     is then made again with what was learned. Errors: Undecided where the runs do not tell the parameters apart."""
     accepted = tuple(followed(record.arm, record.readings()) for record in records)
-    return again(_study(tuple(records), accepted, hypothesis, dynamics, _FEW), hypothesis)
+    applied = np.zeros((len(records), len(hypothesis.layout.zeros)))
+    first = _study(tuple(records), accepted, hypothesis, dynamics, _FEW, applied)
+    return again(again(first, hypothesis, _FEW) if _off(first).any() else first, hypothesis)
 
 
 def again(study: Study, hypothesis: Hypothesis, count: int = DRAWS) -> Study:
-    """The same runs under another hypothesis: its fit, and a twin of its own with `count` draws."""
+    """The same runs under another hypothesis: its fit, and a twin of its own with `count` draws.
+
+    Errors of sensors far beyond what is known of them are taken off the records, because their columns are those of
+    small errors.
+    """
     first = study.of(hypothesis)
-    return _study(study.records, study.accepted, hypothesis, _possible(hypothesis, first.value, study.model), count)
+    records, applied = study.records, study.applied
+    found = replace(study, fit=replace(study.fit, zeros=first.zeros))
+    off = np.where(_off(found), found.zeros, 0.0)
+    if not np.array_equal(off, applied):
+        changed = zip(records, off - applied, strict=True)
+        records = tuple(corrected(record, study.layout, change) for record, change in changed)
+    return _study(records, study.accepted, hypothesis, _possible(hypothesis, first.value, study.model), count, off)
+
+
+def _off(study: Study) -> NDArray[np.bool_]:
+    """(runs, zeros) which errors of encoders and gyro are large; balances are linear in those of torques."""
+    torque = np.array([error.signals == ("tau",) for error in study.layout.errors.values()])
+    return np.asarray((np.abs(study.pulls) > LARGE) & ~torque)
 
 
 def _possible(hypothesis: Hypothesis, value: Array, known: Drives) -> Drives:
@@ -252,6 +304,7 @@ def _study(
     hypothesis: Hypothesis,
     dynamics: Drives,
     count: int,
+    applied: Array,
 ) -> Study:
     layout = hypothesis.layout
     arm, uncentred = layout.arm, hypothesis.uncentred
@@ -259,15 +312,19 @@ def _study(
     twins = tuple(follow(dynamics, records))
     every = thinning(arm)
     zeros = [zero_columns(layout, record.readings(), base, every) for record in records]
+    made = np.array([coefficient(dynamics, hypothesis, name) for name in hypothesis.names])
+    known = hypothesis.basis() @ np.concatenate([np.zeros(len(layout.zeros)), made, [-1.0]])
     drawn = tuple(
-        draws(twin, kept, count, uncentred, own, count * k, every)
+        draws(twin, kept, count, uncentred, own, count * k, every, known)
         for k, (twin, kept, own) in enumerate(zip(twins, accepted, zeros, strict=True))
     )
     sums = tuple(
         replace(
-            accumulate(balance_rows(arm, record.readings(), zeros=own, every=every), kept, uncentred), noise=twin.noise
+            accumulate(balance_rows(arm, record.readings(), zeros=own, every=every), kept, uncentred),
+            noise=twin.noise,
+            applied=off,
         )
-        for record, kept, twin, own in zip(records, accepted, drawn, zeros, strict=True)
+        for record, kept, twin, own, off in zip(records, accepted, drawn, zeros, applied, strict=True)
     )
     used = list(hypothesis.balances)
     weight = np.zeros(len(layout.balances))
@@ -277,7 +334,6 @@ def _study(
         guess = fit(hypothesis, drawn, weight)
         noise = np.sqrt(np.mean(guess.rms**2, axis=0))
         weight = _weight(noise)
-    made = np.array([coefficient(dynamics, hypothesis, name) for name in hypothesis.names])
     return Study(
         records,
         accepted,
@@ -291,6 +347,7 @@ def _study(
         fit(hypothesis, sums, weight),
         guess.value.mean(axis=0) - made,
         guess.value.std(axis=0, ddof=1),
+        applied,
     )
 
 
@@ -313,9 +370,9 @@ def coefficient(dynamics: Drives, hypothesis: Hypothesis, name: str) -> float:
         return float(parameters(arm, dynamics)[arm.parameter_names.index(name)])
     if name == "angular_momentum":
         return dynamics.angular_momentum or 0.0
-    key, i = column_named(name)
+    key, i, _ = column_named(name)
     if key == "torque_lag":
         return 0.0 if dynamics.torque_lag is None else float(dynamics.torque_lag[i])
     if key == "rotor_coupling":
         return float(dynamics.coupling[i] * dynamics.rotor_inertia[i])
-    return sum(value for kind, joint, value in dynamics.laws if (kind.key, joint) == (key, i))
+    return sum(law.value for law in dynamics.laws if (law.kind.key, law.joint) == (key, i))

@@ -30,6 +30,9 @@ SERVO_RATE = 1.0
 """Bandwidth of the servo, rad/s: slow against the arm's own modes, fast against the drift of a wrong model."""
 
 
+_HOLDS = 3.0
+"""Bandwidth of the servo in units of the rate at which an arm falls."""
+
 _STREAMS = 1_000_000_000
 """Seeds of twins begin here: a simulated run with a small seed would have the same noise, some cycles earlier."""
 
@@ -119,10 +122,15 @@ def _servo(dynamics: Drives, path: Array, tau: Array, h: float, rate: float) -> 
         states = replace(states, base=base)
     start = states.packed()
     postures = reference.q[:, ::97]
-    # what a motor has to move: its rotor, or at a rigid joint the link as well
+    # what a motor has to move: its rotor, or at a rigid joint and against gravity the link as well
     link = 1.0 / np.diagonal(dynamics.mobility(postures), axis1=-2, axis2=-1).reshape(-1, joints).max(axis=0)
+    link /= dynamics.gear_ratio
     rotor = dynamics.rotor_inertia * dynamics.gear_ratio
-    moved = np.where(dynamics.rigid, link / dynamics.gear_ratio, rotor)
+    moved = np.where(dynamics.rigid, link, rotor)
+    falls = _falling(dynamics, postures)
+    if falls > 0.0:
+        moved = np.where(dynamics.rigid, link, rotor + link)
+        rate = min(max(rate, _HOLDS * falls), 0.1 / h)
 
     def torque(k: int, now: State) -> Array:
         behind, slower = reference.theta[:, k] - now.theta, reference.thetad[:, k] - now.thetad
@@ -136,6 +144,24 @@ def _servo(dynamics: Drives, path: Array, tau: Array, h: float, rate: float) -> 
             "ratios, signs, zeros and torque_law of the arm file, then the simulation's values"
         )
     return went, applied
+
+
+def _falling(dynamics: Drives, q: Array) -> float:
+    """Rate at which the arm falls away from the postures q (..., N) at the most, 1/s; 0 where nothing falls."""
+    n, step = dynamics.n, 1e-3
+    shifts = step * np.eye(n)
+    rise = np.stack([dynamics.gravity_energy(q + e) - dynamics.gravity_energy(q - e) for e in shifts], axis=-1)
+    if not rise.any():
+        return 0.0
+
+    def slope(at: Array) -> Array:
+        """(..., N)"""
+        parts = [dynamics.gravity_energy(at + e) - dynamics.gravity_energy(at - e) for e in shifts]
+        return np.stack(parts, axis=-1) / (2.0 * step)
+
+    bend = np.stack([(slope(q + e) - slope(q - e)) / (2.0 * step) for e in shifts], axis=-1)
+    growth = np.linalg.eigvals(-dynamics.mobility(q) @ bend)
+    return float(np.sqrt(max(0.0, np.max(growth.real))))
 
 
 def measure(twin: Twin, seed: int) -> Readings:
@@ -170,15 +196,17 @@ def draws(
     zeros: tuple[Array, ...],
     seed: int = 0,
     every: int = 1,
+    known: Array | None = None,
 ) -> Sums:
     """Sums (count, ...) of readings of a twin, with seeds seed .. seed + count - 1, and what noise adds to them on
-    average. zeros, every: as of `balance_rows`."""
+    average. zeros, every: as of `balance_rows`; known: the twin's own coefficients, as of `accumulate`."""
 
     def sums(readings: Readings) -> Sums:
-        return accumulate(balance_rows(twin.arm, readings, zeros=zeros, every=every), accepted, uncentred)
+        return accumulate(balance_rows(twin.arm, readings, zeros=zeros, every=every), accepted, uncentred, known)
 
     exact = sums(twin.exact)
-    drawn = [sums(measure(twin, seed + k)).gram for k in range(count)]
-    grams = tuple(np.stack(each) for each in zip(*drawn, strict=True))
+    drawn = [sums(measure(twin, seed + k)) for k in range(count)]
+    grams = tuple(np.stack(each) for each in zip(*(one.gram for one in drawn), strict=True))
     noise = tuple(gram.mean(axis=0) - still for gram, still in zip(grams, exact.gram, strict=True))
-    return Sums(grams, exact.count, noise)
+    scores = tuple(np.stack(each) for each in zip(*(one.scores or () for one in drawn), strict=True))
+    return Sums(grams, exact.count, noise, scores or None)

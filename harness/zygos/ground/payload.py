@@ -19,11 +19,10 @@ from zygos.ground.rows import run_rows
 from zygos.ground.solution import Solution, solve
 from zygos.ground.sums import MOST_BLOCKS, Sums, sums_of
 from zygos.model.model import Model, Quantity
-from zygos.structure import STANDARD
+from zygos.structure import STANDARD, independent
 
 Floats = NDArray[np.float64]
 
-_INDEPENDENT = 1e-9
 SURE = 3.0
 """Deviations beyond which a mass is a payload."""
 
@@ -140,7 +139,7 @@ def payload(runs: Sequence[Run], since: Model) -> Payload:
     motions = [Motion.of(run) for run in runs]
     # what lies along the axis, and turns with it only, comes last: gravity shows the rest better
     own = [k for k, one in enumerate(structure.candidates) if one.symbol in STANDARD and one.ends == (str(arm.n),)]
-    kept = _independent(structure.groups, own)
+    kept = independent(structure.groups, own)
     base = structure.groups[:, kept]
     groups = tuple(_group(structure.groups, kept, k, own, structure.candidates) for k in kept)
     effects = [effect for effect in since.effects if not effect.kind.on_ground]
@@ -180,17 +179,6 @@ def _changed(sums: Sums, values: Floats, base: Floats) -> Sums:
         noise=turn.T @ sums.noise @ turn,
         total=sums.total @ turn,
     )
-
-
-def _independent(groups: Floats, own: Sequence[int]) -> list[int]:
-    """Those of the columns that are no combination of the ones before."""
-    kept: list[int] = []
-    for k in own:
-        tried = groups[:, [*kept, k]]
-        size = np.linalg.norm(tried, axis=0)
-        if size[-1] > 0.0 and np.linalg.svd(tried / size, compute_uv=False)[-1] > _INDEPENDENT:
-            kept.append(k)
-    return kept
 
 
 def _group(groups: Floats, kept: Sequence[int], one: int, own: Sequence[int], candidates: Sequence[Parameter]) -> str:

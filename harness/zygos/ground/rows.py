@@ -12,7 +12,7 @@ from zygos.arm import Arm
 from zygos.balances.joint import JointRows, joint_rows, momentum_of_rates
 from zygos.balances.momentum import variances
 from zygos.balances.state import State
-from zygos.effects import SLOWEST_RATE, Effect, EffectColumn, Kind
+from zygos.effects import SLOWEST_RATE, Effect, EffectColumn, Kind, Motion
 from zygos.ground.motion import Motion, TorqueRows, torque_noise
 
 Floats = NDArray[np.float64]
@@ -112,16 +112,21 @@ def run_rows(motion: Motion, span_s: float, effects: Sequence[Effect], predicted
         offset=arm.gear_ratios * float(steps) * arm.period_s,
         span_s=float(steps) * arm.period_s,
         lingers=_lingers(arm, state, rows, effects),
-        gains=tuple((one.index(arm), p + k) for k, one in enumerate(effects) if one.kind.place == "sensor"),
+        gains=tuple((one.index(arm), p + k) for k, one in enumerate(effects) if one.kind.gain),
     )
 
 
 def _lingers(arm: Arm, state: State, rows: JointRows, effects: Sequence[Effect]) -> NDArray[np.bool_]:
-    slow = np.maximum(_SLOW_SIGMAS * np.sqrt(variances(arm).link), SLOWEST_RATE)
-    still = np.vstack([np.zeros(arm.n), np.cumsum(np.abs(state.qd) < slow, axis=0)])
-    share = (still[rows.end] - still[rows.begin]) / np.maximum(rows.end - rows.begin, 1)[:, None]
+    share = resting_share(arm, state, rows)
     signed = {effect.index(arm) for effect in effects if effect.kind.key in _SIGNED}
     return np.asarray((share > _LINGERING) & [j in signed for j in range(arm.n)], dtype=np.bool_)
+
+
+def resting_share(arm: Arm, state: State, rows: JointRows) -> Floats:
+    """(m, N) share of each increment in which the rate of a joint does not show its sign."""
+    slow = np.maximum(_SLOW_SIGMAS * np.sqrt(variances(arm).link), SLOWEST_RATE)
+    still = np.vstack([np.zeros(arm.n), np.cumsum(np.abs(state.qd) < slow, axis=0)])
+    return np.asarray((still[rows.end] - still[rows.begin]) / np.maximum(rows.end - rows.begin, 1)[:, None])
 
 
 def _sensed(
@@ -129,20 +134,13 @@ def _sensed(
 ) -> Floats:
     """(m, N) column of an effect that needs a torque: friction with the load, or the gain of a torque sensor."""
     column, joint = np.zeros_like(rows.w), effect.index(arm)
-    if effect.kind.place == "sensor":
+    if effect.kind.gain:
         column[:, joint] = -rows.w[:, joint]
     elif predicted is not None:
-        total = np.concatenate([[0.0], np.cumsum(load_law(state.qd[:, joint], predicted[:, joint]))]) * arm.period_s
+        torque = effect.law(Motion(rate=state.qd[:, joint], angle=state.q[:, joint], load=predicted[:, joint]))
+        total = np.concatenate([[0.0], np.cumsum(torque)]) * arm.period_s
         column[:, joint] = total[rows.end] - total[rows.begin]
     return column
-
-
-def load_law(rate: Floats, torque: Floats) -> Floats:
-    """Torque (...) of friction in proportion to the load per unit of its coefficient, against the motion.
-
-    The sign of the rate is blurred over 0.01 rad/s, because a small rate does not show its sign.
-    """
-    return np.asarray(np.tanh(rate / 0.01) * np.abs(torque), dtype=np.float64)
 
 
 def torque_columns(
@@ -156,23 +154,36 @@ def torque_columns(
     extra = []
     for effect in effects:
         joint, column = effect.index(arm), np.zeros_like(rows.tau)
-        law = _law(arm, rows, effect.kind, joint, predicted)
+        law = _law(arm, rows, effect, joint, predicted)
         column[:, joint] = rows.filtered(law) if filtered else law
         extra.append(column)
     return np.concatenate([rows.z, np.stack(extra, axis=-1)], axis=-1) if extra else rows.z
 
 
-def _law(arm: Arm, rows: TorqueRows, kind: Kind, joint: int, predicted: Floats | None) -> Floats:
-    rate, ratio = rows.state.qd[:, joint], arm.gear_ratios[joint]
-    if kind.place == "sensor":
+def _law(arm: Arm, rows: TorqueRows, effect: Effect, joint: int, predicted: Floats | None) -> Floats:
+    kind, rate, ratio = effect.kind, rows.state.qd[:, joint], float(arm.gear_ratios[joint])
+    if kind.gain:
         return -rows.tau[:, joint]
-    if kind.place == "load":
-        return load_law(rate, predicted[:, joint]) if predicted is not None else np.zeros_like(rate)
-    if kind.place == "torque":
+    if kind.place == "load" and predicted is None:
+        return np.zeros_like(rate)
+    if kind.lags:
         after = np.gradient(rows.tau[:, joint], rows.period_s)
         return np.asarray(after, dtype=np.float64)
-    assert kind.torque is not None
-    return np.asarray(kind.torque(rate) * (ratio if kind.place == "motor" else 1.0), dtype=np.float64)
+    none = np.zeros_like(rate)
+    own = effect.law(
+        Motion(
+            rate=rate,
+            angle=rows.state.q[:, joint],
+            deflection=none,
+            slip=none,
+            applied=rows.tau[:, joint] / ratio,
+            load=none if predicted is None else predicted[:, joint],
+            time=np.arange(len(rate)) * rows.period_s,
+            ratio=ratio,
+        )
+    )
+    factor = {"motor": ratio, "torque": -ratio}.get(kind.place, 1.0)
+    return np.asarray(own * factor, dtype=np.float64)
 
 
 def friction(arm: Arm, kinds: Sequence[Kind]) -> tuple[Effect, ...]:

@@ -5,7 +5,7 @@ A model is given either by its bodies and joints, or by base parameters (docs/th
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -404,21 +404,30 @@ def save_model(model: Model, path: str | Path) -> None:
         document["body"] = bodies
         document["joint"] = joints
     if model.effects:
-        entries = tomlkit.aot()
-        for effect in model.effects:
-            entry = tomlkit.table()
-            entry["kind"] = effect.kind.key
-            if effect.joint is not None:
-                entry["joint"] = effect.joint
-            entry["value"] = effect.value
-            entry["sigma"] = effect.sigma
-            entry["unit"] = effect.kind.unit
-            entry["source"] = effect.source
-            if effect.evidence:
-                entry["evidence"] = effect.evidence
-            entries.append(entry)
-        document["effect"] = entries
+        document["effect"] = _entries(model.effects)
     write_text(Path(path), tomlkit.dumps(document))
+
+
+def _entries(effects: Sequence[Effect]) -> tomlkit.items.AoT:
+    entries = tomlkit.aot()
+    for effect in effects:
+        entry = tomlkit.table()
+        entry["kind"] = effect.kind.key
+        if effect.joint is not None:
+            entry["joint"] = effect.joint
+        if effect.component:
+            entry["component"] = effect.component
+        entry["value"] = effect.value
+        entry["sigma"] = effect.sigma
+        entry["unit"] = effect.kind.unit
+        if effect.shape is not None:
+            entry["shape"] = effect.shape
+            entry["shape_unit"] = effect.kind.shape_unit
+        entry["source"] = effect.source
+        if effect.evidence:
+            entry["evidence"] = effect.evidence
+        entries.append(entry)
+    return entries
 
 
 def _effects(top: Table, source: str) -> tuple[Effect, ...]:
@@ -443,11 +452,36 @@ def _effects(top: Table, source: str) -> tuple[Effect, ...]:
             table.text("evidence", "Why the effect is in the model, in words.", otherwise="none")
             if table.has("evidence")
             else "",
+            table.number(
+                "shape",
+                "Shape parameter of the effect's law, in the unit that its kind has for it.",
+                low=-_LARGEST,
+                high=_LARGEST,
+                otherwise="required where the law of the kind has one",
+            )
+            if kind.shapes or table.has("shape")
+            else None,
+            table.text(
+                "component",
+                "Which component of the effect, where it has several: x, y or z of base axes, or a base parameter.",
+                otherwise="none",
+            )
+            if table.has("component")
+            else "",
         )
+        if table.has("shape") and not kind.shapes:
+            raise table.error("shape", f"{key} has no shape", "remove the key")
+        if table.has("shape_unit"):
+            unit = table.text("shape_unit", "The unit of the shape.", otherwise="that of the kind")
+            if unit != kind.shape_unit:
+                raise table.error(
+                    "shape_unit", f"{unit!r} is not the unit of the shape of {key}", f'"{kind.shape_unit}"'
+                )
         if table.has("unit") and (unit := _unit(table, "the unit of the kind")) != kind.unit:
             raise table.error("unit", f"{unit!r} is not the unit of {key}", f'convert the value to "{kind.unit}"')
         table.finish()
-        if any((other.kind, other.joint) == (effect.kind, effect.joint) for other in effects):
+        place = (effect.kind, effect.joint, effect.component)
+        if any((other.kind, other.joint, other.component) == place for other in effects):
             raise table.error("kind", f"{key} at {effect.joint or 'the base'} appears twice", "keep one of the entries")
         effects.append(effect)
     return tuple(effects)

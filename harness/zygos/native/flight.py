@@ -18,7 +18,7 @@ from cffi import FFI
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
-from zygos.effects import Effect, estimated
+from zygos.effects import Effect, Kind, estimated
 from zygos.errors import ZygosError
 from zygos.runs.cycles import Cycles
 
@@ -82,6 +82,8 @@ REASONS = ("", *_texts("zygos_reason", lib.zygos_reason_text)[1:])
 """By ``enum zygos_reason``; empty where an estimate has none."""
 ROWS = _texts("zygos_rows", lib.zygos_rows_text)[: lib.ZYGOS_KINDS_OF_ROWS]
 """Kinds of rows, each with arcs of its own, by ``enum zygos_rows``."""
+_WITHOUT_COLUMN = ("rotor_coupling", "angular_momentum")
+"""Effects that need no column on board: the first is in the columns of every arm, the second does no work."""
 _CONFIG_ERRORS = {
     lib.ZYGOS_E_SMOOTHER: "the smoother's points, order or lag are out of range (lag must be points // 2: end-point "
     "filters are refused)",
@@ -162,6 +164,12 @@ class Estimate:
     """0, or older arcs spoilt the sums and only what came behind this cycle went in."""
     consecutive: int = 0
     """Of those of the energy rows the newest that no arc that agrees lies between."""
+
+    @property
+    def significance(self) -> NDArray[np.float64]:
+        """(p,) |value| in standard deviations: how surely a parameter is not zero. NaN where it has no value."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(np.abs(self.value) / self.sigma)
 
 
 @dataclass(frozen=True)
@@ -270,6 +278,12 @@ def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
         )
     _fill_joints(config, arm)
     _fill_reduction(config, arm)
+    for effect in effects:
+        if not effect.kind.flies:
+            raise ZygosError(
+                f"effect {effect.kind.key}{f' at {effect.joint}' if effect.joint else ''}: the flight library has no "
+                "column for it; remedy: remove the entry from the model that names the effects to estimate"
+            )
     columns = estimated(arm, effects)
     if len(columns) > lib.ZYGOS_MAX_EFFECTS_VALUE:
         raise ZygosError(
@@ -279,15 +293,14 @@ def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
         )
     config.effects = len(columns)
     for k, effect in enumerate(columns):
-        kind = getattr(lib, f"ZYGOS_{effect.kind.key.upper()}", None)
-        if kind is None:
-            raise ZygosError(
-                f"effect {effect.kind.key} at {effect.joint}: the C library has no column for it; remedy: remove the "
-                "entry from the model that names the effects to estimate"
-            )
-        config.effect[k].kind = kind
+        config.effect[k].kind = getattr(lib, f"ZYGOS_{effect.kind.key.upper()}")
         config.effect[k].joint = effect.index(arm)
     return config
+
+
+def flies(kind: Kind) -> bool:
+    """Whether the library accounts for an effect: it has a column for it, or needs none."""
+    return kind.key in _WITHOUT_COLUMN or hasattr(lib, f"ZYGOS_{kind.key.upper()}")
 
 
 def _fill_joints(config: Any, arm: Arm) -> None:

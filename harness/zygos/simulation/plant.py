@@ -8,7 +8,7 @@ records.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -16,8 +16,11 @@ from numpy.typing import NDArray
 from scipy.integrate import DOP853
 
 from zygos.arm import Arm
+from zygos.balances.readings import Readings
 from zygos.dynamics.equations import Dynamics, EngineName, equations
+from zygos.dynamics.joints import Moment
 from zygos.dynamics.planar import PlanarDynamics
+from zygos.effects import Effect
 from zygos.errors import ZygosError
 from zygos.model.model import Model
 from zygos.runs.cycles import Cycles
@@ -75,11 +78,15 @@ class Trajectory:
     """Base rate when the gyro latches, rad/s; shape as omega0."""
     noise: Noise
     """The errors that the servo reads and `cycles` records."""
+    sensors: tuple[Effect, ...] = ()
+    """Effects of sensors, which `cycles` records. The servo does not read them."""
 
     def accelerations(self) -> tuple[Array, Array, Array]:
         """Exact accelerations just after each SYNC: base as omega0, links (B, n, N), motors after the gear (B, n, N),
         rad/s^2."""
-        return self.dynamics.accelerations(self.q, self.theta, self.omega0, self.qd, self.thetad, self.tau)
+        angle = self.attitude if self.attitude.ndim == 2 else 0.0
+        moment = Moment(np.broadcast_to(self.t, self.q.shape[:-1]), angle)
+        return self.dynamics.accelerations(self.q, self.theta, self.omega0, self.qd, self.thetad, self.tau, moment)
 
     def cycles(self, index: int = 0) -> Cycles:
         """Sensor readings of the run of `seeds[index]`."""
@@ -90,19 +97,25 @@ def record(trajectory: Trajectory, index: int = 0) -> Cycles:
     """Sensor readings of the run of `trajectory.seeds[index]`: n cycles, numbered from 0."""
     arm, noise = trajectory.arm, trajectory.noise
     n = len(trajectory.t)
+    exact = Readings(
+        trajectory.q_latched[index],
+        trajectory.theta_latched[index],
+        trajectory.omega0_latched[index],
+        trajectory.tau[index],
+    )
+    for one in trajectory.sensors:
+        exact = one.kind.transform(arm, exact, one.index(arm), one.value, one.component_index(arm))
     return Cycles(
         sync=np.arange(n, dtype=np.uint64),
-        q=encoder_reading(
-            [joint.link_encoder for joint in arm.joints], trajectory.q_latched[index], noise.link[index], noise.rounding
-        ),
+        q=encoder_reading([joint.link_encoder for joint in arm.joints], exact.q, noise.link[index], noise.rounding),
         theta=encoder_reading(
             [joint.motor_encoder for joint in arm.joints],
-            trajectory.theta_latched[index],
+            exact.theta,
             noise.motor[index],
             noise.rounding,
         ),
         tau=torque_record(arm, trajectory.tau[index], noise.torque[index]),
-        omega=gyro_reading(arm, _vector(arm, trajectory.omega0_latched)[index], noise.gyro[index]),
+        omega=gyro_reading(arm, _vector(arm, exact.omega0[None])[0], noise.gyro[index]),
         flags=np.zeros(n, dtype=np.uint32),
     )
 
@@ -156,7 +169,8 @@ def simulate(
     errors = draw_noise(arm, n, chosen, scenario.encoder_noise) if noisy else no_noise(arm, n, chosen)
     planar = isinstance(dynamics, PlanarDynamics)
     run = _Run(arm, dynamics, scenario, planar=planar, seeds=chosen, n=n, noise=errors, rtol=rtol, atol=atol)
-    return run.trajectory(progress)
+    sensors = tuple(effect for effect in model.effects if effect.kind.place == "sensor")
+    return replace(run.trajectory(progress), sensors=sensors)
 
 
 class _Run:
@@ -185,6 +199,7 @@ class _Run:
         self.attitude, self.omega, *self.slices = (slice(a, b) for a, b in pairwise(ends))
         self.ratio = arm.gear_ratios
         self.step = arm.period_s
+        self.begin = 0.0
         self.tau = np.zeros((len(seeds), joints))
         self.tau_rate = np.zeros((len(seeds), joints))
         # of a continuous torque that is sampled, the drive commands the value at the end of the period
@@ -267,13 +282,13 @@ class _Run:
             self.state[:, slip] = 0.0
             reached = 0.0
             for offset, columns, motors in pauses:
-                self._integrate(offset - reached, t[k])
+                self._integrate(offset - reached, t[k], t[k] + reached)
                 reached = offset
                 self.tau[:, motors] = begin[:, motors]
                 self.tau_rate[:, motors] = (command - begin)[:, motors] / arm.period_s
                 if latched is not None:
                     latched[:, k, columns[0]] = self.state[:, columns[1]]
-            self._integrate(arm.period_s - reached, t[k])
+            self._integrate(arm.period_s - reached, t[k], t[k] + reached)
             total += self.state[:, slip]
         q, qd, theta, thetad, _ = (states[..., part] for part in self.slices)
         omega0 = omega0_latched = self._omega0(states)
@@ -317,7 +332,13 @@ class _Run:
         q, qd, theta, thetad, slip = self.slices
         omega0 = self._omega0(state)
         base, link, motor = self.dynamics.accelerations(
-            state[:, q], state[:, theta], omega0, state[:, qd], state[:, thetad], self.tau + since * self.tau_rate
+            state[:, q],
+            state[:, theta],
+            omega0,
+            state[:, qd],
+            state[:, thetad],
+            self.tau + since * self.tau_rate,
+            Moment(self.begin + since, state[:, 0] if self.planar else 0.0),
         )
         rate = np.empty_like(state)
         if self.planar:
@@ -332,11 +353,12 @@ class _Run:
         rate[:, slip] = (state[:, thetad] - state[:, qd]) ** 2
         return rate.ravel()
 
-    def _integrate(self, span: float, t: float) -> None:
-        """Advance the state by `span` s under a torque that is held or ramps; local time starts at zero, so that its
-        rounding error does not affect the step."""
+    def _integrate(self, span: float, t: float, begin: float) -> None:
+        """Advance the state by `span` s under a torque that is held or ramps, from `begin` s on; local time starts at
+        zero, so that its rounding error does not affect the step."""
         if span <= 0.0:
             return
+        self.begin = begin
         with np.errstate(over="ignore", invalid="ignore"):
             solver = DOP853(
                 self._derivative,

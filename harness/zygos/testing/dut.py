@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from zygos.arm import Arm
 from zygos.can.bus import open_bus
 from zygos.can.dbc import arm_database
+from zygos.can.rounds import TELEMETRY, rounds
 from zygos.errors import ZygosError
 from zygos.files.names import ascii_name
 from zygos.native import snapshot
@@ -32,7 +33,7 @@ from zygos.testing.stream import SYNC, Stream
 
 EXTERNAL = "external"
 """Value of the command for an external device: it runs already, and the bench does not start or stop it."""
-TELEMETRY, HEARTBEAT = 0x1A0, 0x720
+HEARTBEAT = 0x720
 EVERY = 12
 """SYNCs between two estimates of zygos-node. The first SYNC is answered; values that are not finite are not sent."""
 PATIENCE_S = 30.0
@@ -216,17 +217,7 @@ class Dut:
         Names are those of the signals: k1, k1_sigma, fault_crc, verdict_cycle. Values that were not finite are missing.
         A round begins with verdict_validity.
         """
-        rounds: list[dict[str, float]] = []
-        for message in self.telemetry():
-            decoded = self._database.decode_message(TELEMETRY, bytes(message.data), decode_choices=False)
-            assert isinstance(decoded, dict)
-            name, value = next(reversed(decoded.items()))
-            assert isinstance(value, float | int)
-            if name == "verdict_validity":
-                rounds.append({})
-            if rounds:
-                rounds[-1][name] = value
-        return rounds[:-1]
+        return rounds(self._database, self.telemetry())
 
     def judge(self, *streams: Stream, **expected: int) -> None:
         """Compare the device with the expected results after it received the last of the streams since its start.
@@ -238,7 +229,6 @@ class Dut:
         its estimate must be numpy's over the cycles that survived. The last answers of the device must be those
         counters, and the library's estimate at that cycle. Our own device is stopped, and its saved state must be equal
         to the library's in each byte. Raises AssertionError.
-        the library's in each byte. Raises AssertionError.
         """
         wanted = +Counter(expected)
         self.record |= {"frames": sum(map(len, streams)), "expected": dict(wanted)}

@@ -85,7 +85,6 @@ class Plant:
             raise ZygosError(
                 f"{self.channel}: {message[-1] if message else 'the sender ended'}; remedy: check that the interface "
                 "is up and that the device under test answers, or send at another pace"
-                "and the device under test answers, or send at another pace"
             )
         return Sent(**json.loads(done.stdout))
 

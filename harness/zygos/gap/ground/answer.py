@@ -125,15 +125,13 @@ def _run(one: Prediction) -> dict[str, Any]:
     return {
         "run": run_name(one.run),
         "path": str(one.run.path) if one.run.path else None,
-        "energy": {keys.get(name, name): score.arm_energy_share for name, score in one.scores}
-        | {"floor": one.floor_energy},
+        "energy": {keys.get(name, name): score.arm_energy_share for name, score in one.scores},
         "torque": [
             {
                 "joint": joint.name,
                 "unit": "Nm",
                 "measured": one.closed.joints[j].measured_nm,
                 **{keys.get(name, name): score.joints[j].error_nm for name, score in one.scores},
-                "floor": float(one.floor_nm[j]),
             }
             for j, joint in enumerate(one.run.arm.joints)
         ],

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 
 from zygos.arm import Arm
 from zygos.effects import CATALOGUE, Effect, Kind, column_name
+from zygos.effects.catalogue import ENTRIES
 from zygos.gap.findings import ROTOR_INERTIA
 from zygos.model.model import Model
 
-_PLACES = ("motor", "load", "torque", "sensor")
-"""Sites at which the torques of a rigid joint show an effect. Its link and its motor turn together, so that what acts at
-the link is found at the motor."""
+_PLACES = ("motor", "link", "load", "torque")
+"""Sites at which the torques of a rigid joint show an effect."""
+_KNOWN = frozenset(kind.key for kind in ENTRIES)
 GAIN = "torque_gain"
 OFFSET_OF_TORQUE = "torque_offset"
 """Every fit has this one, for each run."""
@@ -37,22 +38,33 @@ class Candidate:
 
 
 def candidates_of(arm: Arm, simulation: Model) -> tuple[Candidate, ...]:
-    """Everything that the simulation may lack: entries of the catalogue, and inertias of rotors where it has none."""
+    """Everything that the simulation may lack: entries of the catalogue, and inertias of rotors where it has none. A
+    law with a shape is tried with every shape of its grid."""
     had = {(effect.kind.key, effect.joint) for effect in simulation.effects}
     out = [
         Candidate(
-            column_name(kind, j), kind.key, kind.title, kind.unit, j, kind.positive, Effect(kind, joint.name, 0.0)
+            column_name(kind, j) + ("" if shape is None else f"@{shape:g}"),
+            kind.key,
+            kind.title,
+            kind.unit,
+            j,
+            kind.positive,
+            Effect(kind, joint.name, 0.0, shape=shape),
         )
         for kind in CATALOGUE.values()
         if _is_tried(kind)
         for j, joint in enumerate(arm.joints)
         if (kind.key, joint.name) not in had and (kind.key != GAIN or j > 0)
+        for shape in (kind.shapes or (None,))
     ]
     return (*out, *_rotors(arm, simulation))
 
 
 def _is_tried(kind: Kind) -> bool:
-    return kind.place in _PLACES and kind.key != OFFSET_OF_TORQUE
+    """Whether an entry is tried: those of the catalogue that say so, the time of the torques, and a user's own. The
+    link and the motor of a rigid joint turn together, so that entries at the link are found at the motor."""
+    own = kind.searched and kind.key not in _KNOWN
+    return kind.place in _PLACES and (kind.searched_on_ground or kind.lags or own)
 
 
 def _rotors(arm: Arm, simulation: Model) -> list[Candidate]:

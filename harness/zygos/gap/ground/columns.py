@@ -41,7 +41,7 @@ class Layout:
     @classmethod
     def of(cls, arm: Arm, simulation: Model, candidates: Sequence[Candidate], runs: int) -> Layout:
         """The columns for a simulation and what may be tried beside."""
-        own = tuple(e for e in simulation.effects if e.kind.place not in ("rotor", "base"))
+        own = tuple(e for e in simulation.effects if e.kind.place in ("motor", "link", "load", "torque"))
         own = tuple(e for e in own if e.kind.key not in ("torque_gain", "torque_offset"))
         extra = [one.effect for one in candidates if one.effect is not None]
         start = np.concatenate([simulation.base_values(arm), [e.value for e in own], np.zeros(len(extra))])
@@ -119,7 +119,7 @@ class Table:
     place: Floats
     """(B, 2) begin and end of each block in its run, s."""
     floor: Floats
-    """(R, N) standard deviation of an increment's impulse that the noise of the torques causes, Nms."""
+    """(R, N) standard deviation of an increment's impulse that the noise of torques and angles causes, Nms."""
 
     @property
     def blocks(self) -> int:
@@ -179,7 +179,8 @@ def table_of(layout: Layout, motions: Sequence[Motion], span_s: float, predicted
         owners.append(np.full(sums.blocks, number))
         places.append(_places(rows, sums.blocks))
         reading = torque_noise(rows.motion) * arm.gear_ratios
-        floors.append(reading * np.sqrt(arm.period_s * rows.span_s))
+        by_angles = noise[..., -1, -1].sum(axis=0) / np.maximum(sums.count.sum(axis=0), 1)
+        floors.append(np.sqrt(reading**2 * arm.period_s * rows.span_s + np.maximum(by_angles, 0.0)))
     return Table(
         layout,
         tuple(runs),

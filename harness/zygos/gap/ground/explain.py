@@ -1,4 +1,4 @@
-"""From runs of an arm on the ground and a simulation to a verdict: what is missing, where, how much, and what is left."""
+"""From runs of an arm on the ground and a simulation to a verdict: what is missing, where, and how much."""
 
 from __future__ import annotations
 
@@ -17,15 +17,19 @@ from zygos.balances.state import State
 from zygos.can.run import Run
 from zygos.effects import CATALOGUE, Effect
 from zygos.errors import ZygosError
-from zygos.gap.findings import INTERVAL, Finding, Repeated, Value
-from zygos.gap.ground.candidates import candidates_of
+from zygos.gap.findings import ASYMMETRY, INTERVAL, Finding, Repeated, Value
+from zygos.gap.ground.candidates import OFFSET_OF_TORQUE, candidates_of
+from zygos.gap.ground.changes import find_change
 from zygos.gap.ground.columns import Layout, Table, table_of
+from zygos.gap.ground.direction import one_sided
 from zygos.gap.ground.explanation import GroundExplanation, GroundGap, JointRest
 from zygos.gap.ground.fit import Fit, jackknife, residual
-from zygos.gap.ground.predictions import Prediction, Stage, predict, remainders
+from zygos.gap.ground.predictions import Prediction, Stage, predict, remainders, run_name
 from zygos.gap.ground.search import Search, is_gain, search
-from zygos.gap.ground.sentences import entry_evidence
+from zygos.gap.ground.sentences import entry_evidence, gains, offset
 from zygos.gap.verdicts import (
+    Changed,
+    Inseparable,
     Lacking,
     NothingMissing,
     NotPredicted,
@@ -44,6 +48,9 @@ Floats = NDArray[np.float64]
 
 SURE = 3.0
 """Standard deviations of a 99.7 % interval, which is what a value must differ by."""
+USUAL_GAIN = 0.05
+"""Gain by which torque sensors of an arm may differ without a word."""
+COULOMB = "motor_coulomb"
 _SHORTEST_S = 2.0
 """Length of a part of a run that was cut, s, at least."""
 
@@ -98,13 +105,22 @@ class _Explainer:
             self.step(0.7, "the load with what was found")
             values = layout.start[: len(self.arm.parameter_names)] + found.after.x[: len(self.arm.parameter_names)]
             table = table_of(layout, motions, span, [predicted_load(motion, values) for motion in motions])
-            found = search(table, lambda name: self.step(0.75, f"found {name}"))
+            found = search(table, lambda name: self.step(0.75, f"found {name}"), found)
+        self.step(0.78, "changes within and between runs")
+        changed = find_change(table, found.after)
+        if changed is not None:
+            found = replace(found, after=changed[1])
         self.step(0.8, "predictions of the untouched runs")
         sizes = _Sizes.of(table, found.after)
-        findings = tuple(self._finding(found, k, sizes) for k in range(len(found.named)))
+        findings = self._findings(found, sizes)
+        findings = (*findings, *self._directions(table, found, findings, sizes))
         gap = self._gap(table, found)
         values_found = self._values(table, sizes)
-        verdict = self._judge(table, found, findings, values_found, gap)
+        verdict: Verdict
+        if changed is not None:
+            verdict = Changed(changed[0], tuple(run_name(run, k) for k, run in enumerate(self.measured, 1)))
+        else:
+            verdict = self._judge(table, found, findings, values_found, gap)
         adopted = not isinstance(verdict, Unexplained | NotPredicted)
         self.step(0.95, "verdict")
         return GroundExplanation(
@@ -118,9 +134,24 @@ class _Explainer:
             self._joints(table, found),
             gap,
             span,
-            self._adopt(table, found, findings, values_found) if adopted else None,
+            None
+            if not adopted or verdict.answer == "cannot tell"
+            else self._adopt(table, found, findings, values_found),
             tuple(self.notes),
         )
+
+    def _findings(self, found: Search, sizes: _Sizes) -> tuple[Finding, ...]:
+        """What was named; gains of torque sensors within their usual errors are a note, because every arm has them."""
+        listed, usual = [], []
+        for k, one in enumerate(found.named):
+            finding = self._finding(found, k, sizes)
+            if not is_gain(one.candidate) or abs(finding.value) > USUAL_GAIN + SURE * finding.sigma:
+                listed.append(finding)
+            else:
+                usual.append(finding)
+        if usual:
+            self.notes.append(gains(self.arm, usual))
+        return tuple(listed)
 
     def _finding(self, found: Search, index: int, sizes: _Sizes) -> Finding:
         one = found.named[index]
@@ -134,6 +165,29 @@ class _Explainer:
             Repeated(one.z, one.explained, one.each),
             tuple(found.sets[index][1:]),
         )
+
+    def _directions(
+        self, table: Table, found: Search, findings: Sequence[Finding], sizes: _Sizes
+    ) -> tuple[Finding, ...]:
+        """Offsets of torques that may as well be a Coulomb friction that differs between the directions."""
+        friction = {e.joint: e.value for e in self.simulation.effects if e.kind.key == COULOMB}
+        friction |= {f.joint: f.value for f in findings if f.kind == COULOMB}
+        out = []
+        for one in one_sided(
+            table,
+            found.after,
+            sizes.variance,
+            {j: friction.get(joint.name, 0.0) for j, joint in enumerate(self.arm.joints)},
+        ):
+            joint = self.arm.joints[one.joint].name
+            if one.answer == "offset":
+                self.notes.append(offset(joint, one.value, one.sigma))
+                continue
+            key = ASYMMETRY if one.answer == "friction" else OFFSET_OF_TORQUE
+            instead = (f"{ASYMMETRY}{one.joint + 1}",) if one.answer == "either" else ()
+            proof = Repeated(one.z, float("nan"), one.each)
+            out.append(Finding(key, joint, one.value, one.sigma, "Nm", proof, instead))
+        return tuple(out)
 
     def _values(self, table: Table, sizes: _Sizes) -> tuple[Value, ...]:
         layout, own = table.layout, len(self.arm.parameter_names)
@@ -163,8 +217,7 @@ class _Explainer:
             self.notes.append("no run was kept apart, so that nothing says how well the result predicts another run")
             return None
         stages = self._stages(table, found)
-        extra = np.zeros(self.arm.n)
-        return GroundGap(tuple(predict(run, stages, extra) for run in self.validate))
+        return GroundGap(tuple(predict(run, stages) for run in self.validate))
 
     def _judge(
         self,
@@ -184,6 +237,8 @@ class _Explainer:
             with_them, without = _left(gap.predictions, "closed"), _left(gap.predictions, "refit")
             if with_them > without:
                 return NotPredicted(findings, with_them, without)
+        if any(finding.instead for finding in findings):
+            return Inseparable(findings)
         if not closes:
             return PartNamed(findings, () if gap is None else remainders(gap.predictions))
         return Lacking(findings)
@@ -228,11 +283,15 @@ class _Explainer:
             effects.append(
                 effect if value is None else replace(effect, value=value.found, sigma=value.sigma, source="zygos")
             )
-        for one, finding in zip(found.named, findings, strict=True):
+        by_place = {(finding.kind, finding.joint): finding for finding in findings}
+        for one in found.named:
+            finding = by_place.get((one.candidate.key, self.arm.joints[one.candidate.joint].name))
+            if finding is None:
+                continue
             if one.candidate.effect is None:
                 unit = parameters[one.name].unit
                 parameters[one.name] = Quantity(finding.value, finding.sigma, "zygos", unit)
-            elif not is_gain(one):
+            else:
                 effects.append(
                     replace(
                         one.candidate.effect,
@@ -252,6 +311,11 @@ class _Sizes:
         self.layout, self.fitted = layout, fitted
         self._sigma = dict(zip(fitted.free, sigma.tolist(), strict=True))
         self._freedom = dict(zip(fitted.free, freedom.tolist(), strict=True))
+
+    @property
+    def variance(self) -> dict[int, tuple[float, float]]:
+        """Standard deviation of each free column, and its degrees of freedom."""
+        return {k: (self._sigma[k], self._freedom[k]) for k in self._sigma}
 
     @classmethod
     def of(cls, table: Table, fitted: Fit) -> _Sizes:

@@ -44,7 +44,7 @@ class GroundGap:
     @property
     def floor(self) -> float:
         """That noise alone leaves."""
-        return float(np.sqrt(np.mean([one.floor_energy**2 for one in self.predictions])))
+        return share_of_energy(self.predictions, "floor")
 
 
 @dataclass(frozen=True)

@@ -74,12 +74,12 @@ def fit(table: Table, free: Sequence[int], sigma: Floats | None = None) -> Fit:
     x = np.zeros(table.layout.width - 1)
     of = np.array(free)
     for _ in range(_ROUNDS):
-        if table.layout.gains:
+        if any(place in free for _, place in table.layout.gains):
             table = table.with_gains(x)
             whole, noise = table.gram.sum(axis=0), table.noise.sum(axis=0)
         total = np.einsum("j,jpq->pq", 1.0 / sigma**2, whole)
         x = np.zeros_like(x)
-        x[of] = _solve(total[np.ix_(of, of)], prior[of], total[of, -1:])[:, 0]
+        x[of] = solve(total[np.ix_(of, of)], prior[of], total[of, -1:])[:, 0]
         left = forms(whole + noise, x)
         sigma = np.sqrt(np.maximum(left, 1e-24 * square) / (rows * (1.0 - lost)))
     return Fit(tuple(int(k) for k in of), x, sigma)
@@ -87,7 +87,8 @@ def fit(table: Table, free: Sequence[int], sigma: Floats | None = None) -> Fit:
 
 def score(table: Table, fitted: Fit, columns: Sequence[int]) -> Scores:
     """Score columns, each alone beside those of a fit."""
-    table = table.with_gains(fitted.x)
+    if any(place in (*fitted.free, *columns) for _, place in table.layout.gains):
+        table = table.with_gains(fitted.x)
     of, tried = np.array(fitted.free), np.array(columns, dtype=np.int64)
     runs = table.layout.runs
     weighted = np.einsum("j,bjpq->bpq", 1.0 / fitted.sigma**2, table.gram)
@@ -122,7 +123,8 @@ def score(table: Table, fitted: Fit, columns: Sequence[int]) -> Scores:
 def jackknife(table: Table, fitted: Fit) -> tuple[Floats, Floats, Floats]:
     """(f, f) covariance of the free columns of a fit from leaving out blocks, (f,) its degrees of freedom, and (f,)
     standard deviations from leaving out a run (0 where there are fewer than three)."""
-    table = table.with_gains(fitted.x)
+    if any(place in fitted.free for _, place in table.layout.gains):
+        table = table.with_gains(fitted.x)
     of = np.array(fitted.free)
     prior = table.layout.prior()[of]
     weighted = np.einsum("j,bjpq->bpq", 1.0 / fitted.sigma**2, table.gram)
@@ -131,7 +133,7 @@ def jackknife(table: Table, fitted: Fit) -> tuple[Floats, Floats, Floats]:
     values, variances = [], []
     for own in weighted:
         matrix = (total - own)[np.ix_(of, of)]
-        values.append(_solve(matrix, prior, (total - own)[of, -1:])[:, 0])
+        values.append(solve(matrix, prior, (total - own)[of, -1:])[:, 0])
         variances.append(np.diag(_inverse(matrix, prior)))
     shift = np.array(values) - fitted.x[of]
     gains = np.maximum(np.array(variances) - np.diag(_inverse(total[np.ix_(of, of)], prior)), 0.0)
@@ -143,7 +145,7 @@ def jackknife(table: Table, fitted: Fit) -> tuple[Floats, Floats, Floats]:
         own_runs = []
         for run in range(runs):
             rest = weighted[table.owner != run].sum(axis=0)
-            own_runs.append(_solve(rest[np.ix_(of, of)], prior, rest[of, -1:])[:, 0])
+            own_runs.append(solve(rest[np.ix_(of, of)], prior, rest[of, -1:])[:, 0])
         far = np.array(own_runs) - np.mean(own_runs, axis=0)
         spread = np.sqrt((runs - 1) / runs * np.sum(far**2, axis=0))
     covariance = (blocks - 1) / blocks * shift.T @ shift
@@ -177,7 +179,7 @@ def _beside(
     for gram in grams:
         inner = gram[np.ix_(of, tried)]
         right = gram[of, -1]
-        solved = _solve(gram[np.ix_(of, of)], prior, np.column_stack([inner, right]))
+        solved = solve(gram[np.ix_(of, of)], prior, np.column_stack([inner, right]))
         slope, start = solved[:, :-1], solved[:, -1]
         own = gram[tried, tried]
         square = own - np.sum(inner * slope, axis=0)
@@ -251,7 +253,8 @@ def _scaled(matrix: Floats, prior: Floats) -> tuple[Floats, Floats]:
     return scale, scaled + _RIDGE * np.eye(len(scale)) + np.diag(1.0 * (diagonal <= 0.0))
 
 
-def _solve(matrix: Floats, prior: Floats, right: Floats) -> Floats:
+def solve(matrix: Floats, prior: Floats, right: Floats) -> Floats:
+    """Solution of normal equations (f, f) with weights of a prior on the diagonal."""
     scale, scaled = _scaled(matrix, prior)
     return np.asarray(scale[:, None] * np.linalg.solve(scaled, scale[:, None] * right), dtype=np.float64)
 

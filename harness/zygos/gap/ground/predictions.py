@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from zygos.can.run import Run
 from zygos.effects import Effect
+from zygos.gap.ground.twin import floor
 from zygos.gap.remainder import explained_share
 from zygos.gap.verdicts import Remainder
-from zygos.ground.motion import HIGHEST_CUTOFF_HZ, Motion, TorqueRows, cutoff_hz, torque_noise, torque_rows
-from zygos.ground.score import WINDOW_S, Score, predict_torques, scored
+from zygos.ground.motion import HIGHEST_CUTOFF_HZ, Motion, TorqueRows, cutoff_hz, torque_rows
+from zygos.ground.score import Score, scored
 
 Floats = NDArray[np.float64]
 
@@ -32,15 +33,23 @@ class Prediction:
     delivered: Score
     refit: Score
     closed: Score
-    floor_nm: Floats
-    """(N,) root mean square of the error of the torque that noise alone causes, Nm."""
-    floor_energy: float
-    """Share of the work in one second that noise alone leaves."""
+    floor: Score
+    """Of the closed model on its own twin: noise, quanta and filters alone."""
 
     @property
     def scores(self) -> tuple[tuple[str, Score], ...]:
         """By name."""
-        return (("as delivered", self.delivered), ("refit", self.refit), ("closed", self.closed))
+        return (
+            ("as delivered", self.delivered),
+            ("refit", self.refit),
+            ("closed", self.closed),
+            ("floor", self.floor),
+        )
+
+    @property
+    def floor_nm(self) -> Floats:
+        """(N,) root mean square of the error of the torque that noise alone causes, Nm."""
+        return np.array([joint.error_nm for joint in self.floor.joints])
 
     @property
     def error(self) -> Floats:
@@ -68,27 +77,16 @@ class Stage:
     effects: tuple[Effect, ...]
 
 
-def predict(run: Run, stages: Sequence[Stage], extra_nm: Floats) -> Prediction:
+def predict(run: Run, stages: Sequence[Stage]) -> Prediction:
     """Predict a run with the model as delivered, refit and closed.
 
-    extra_nm: (N,) error that smoothing and quadrature cause. Errors: ZygosError for a run that is too short.
+    Errors: ZygosError for a run that is too short.
     """
     motion = Motion.of(run)
     rows = torque_rows(motion.arm, motion.samples, min(cutoff_hz(run.arm), HIGHEST_CUTOFF_HZ))
     scores = [scored(run, one.name, rows, one.values, one.effects, motion) for one in stages]
-    noise = np.array([joint.error_nm / max(joint.sigmas, 1e-300) for joint in scores[-1].joints])
-    return Prediction(run, rows, *scores, np.hypot(noise, extra_nm), _floor_energy(motion, rows))
-
-
-def _floor_energy(motion: Motion, rows: TorqueRows) -> float:
-    h, kept = rows.period_s, rows.kept
-    window = max(2, round(WINDOW_S / h))
-    noise = torque_noise(motion) * motion.arm.gear_ratios
-    rate, tau = rows.state.qd[kept], rows.tau[kept]
-    whole = max(1, len(rate) // window)
-    work = ((tau - tau.mean(axis=0)) * rate).sum(axis=1)[: whole * window].reshape(whole, -1).sum(axis=1) * h
-    lost = ((noise * rate) ** 2).sum(axis=1)[: whole * window].reshape(whole, -1).sum(axis=1) * h**2
-    return float(np.sqrt(lost.mean() / max(float((work**2).mean()), 1e-300)))
+    delivered, refit, closed = scores
+    return Prediction(run, rows, delivered, refit, closed, floor(motion, rows, stages[-1].values, stages[-1].effects))
 
 
 def share_of_energy(predictions: Sequence[Prediction], name: str) -> float:
@@ -129,15 +127,9 @@ def quantities(one: Prediction, joint: int) -> list[tuple[str, Floats]]:
     ]
 
 
-def run_name(run: Run) -> str:
-    """Short name of a run: its folder where the file's own name does not tell runs apart."""
+def run_name(run: Run, number: int = 0) -> str:
+    """Short name of a run: its folder where the file's own name does not tell runs apart. number: among the measured
+    ones, from 1."""
     if run.path is None:
-        return "the untouched run"
+        return f"run {number}" if number else "the untouched run"
     return run.path.parent.name if run.path.stem == "run" else run.path.name
-
-
-def predicted_torque(run: Run, stage: Stage) -> tuple[TorqueRows, Floats]:
-    """Rows of a run, and the torque that a model predicts (m, N), Nm."""
-    motion = Motion.of(run)
-    rows = torque_rows(motion.arm, motion.samples, min(cutoff_hz(run.arm), HIGHEST_CUTOFF_HZ))
-    return rows, predict_torques(motion.arm, rows, stage.values, stage.effects)

@@ -14,7 +14,7 @@ from scipy.stats import t as student
 from zygos.gap.findings import ROTOR_INERTIA
 from zygos.gap.ground.candidates import GAIN, Candidate
 from zygos.gap.ground.columns import Table
-from zygos.gap.ground.fit import Fit, Scores, fit, score
+from zygos.gap.ground.fit import Fit, Scores, fit, jackknife, score
 
 Floats = NDArray[np.float64]
 Against = Literal["insignificant", "inconsistent", "negative", "not transferable", "immaterial"]
@@ -91,15 +91,23 @@ def threshold(count: int) -> float:
     return max(LEAST_Z, float(norm.isf(0.5 * FALSE_ALARMS / max(count, 1))))
 
 
-def search(table: Table, step: Callable[[str], None], *, held: Sequence[str] = ()) -> Search:
-    """Add one candidate after the other. held: columns that are not tried."""
+def search(table: Table, step: Callable[[str], None], begun: Search | None = None) -> Search:
+    """Add one candidate after the other. begun: a search on nearly the same sums, whose names are kept."""
     layout = table.layout
-    free = list(layout.basis)
-    before = fitted = fit(table, free)
-    names, sets = list[str](), list[tuple[str, ...]]()
-    rounds = []
+    before = fit(table, layout.basis)
+    names = [one.name for one in begun.named] if begun is not None else []
+    sets = list(begun.sets) if begun is not None else []
+    rounds = list(begun.rounds[:-1]) if begun is not None else []
+    free = [*layout.basis, *(layout.at(name) for name in names)]
+    fitted = fit(table, free)
+    if names:
+        kept, sets = _retested(table, fitted, names, sets)
+        if kept != names:
+            names, free = kept, [*layout.basis, *(layout.at(name) for name in kept)]
+            fitted = fit(table, free)
     for _ in range(_MOST):
-        open_ones = [one for one in layout.candidates if one.name not in (*names, *held)]
+        taken = {(one.key, one.joint) for one in layout.candidates if one.name in names}
+        open_ones = [one for one in layout.candidates if (one.key, one.joint) not in taken]
         if not open_ones:
             break
         tried = try_all(table, fitted, open_ones)
@@ -108,12 +116,15 @@ def search(table: Table, step: Callable[[str], None], *, held: Sequence[str] = (
         if not best.passes:
             break
         step(best.name)
-        sets.append((best.name, *_alike(table, fitted, best, rounds[-1])))
-        names.append(best.name)
-        free.append(layout.at(best.name))
+        added = [one.name for one in open_ones if is_gain(one)] if is_gain(best.candidate) else [best.name]
+        sets += [(name, *(_alike(table, fitted, best, rounds[-1]) if name == best.name else ())) for name in added]
+        names += added
+        free += [layout.at(name) for name in added]
         fitted = fit(table, free)
-        names, sets, free = _retested(table, names, sets)
-        fitted = fit(table, free)
+        kept, sets = _retested(table, fitted, names, sets)
+        if kept != names:
+            names, free = kept, [*layout.basis, *(layout.at(name) for name in kept)]
+            fitted = fit(table, free)
     named = tuple(_beside_the_others(table, names))
     return Search(before, fitted, named, tuple(sets), tuple(rounds))
 
@@ -197,30 +208,35 @@ def _alike(table: Table, fitted: Fit, best: Tried, tried: Sequence[Tried]) -> li
 
 
 def _retested(
-    table: Table, names: list[str], sets: list[tuple[str, ...]]
-) -> tuple[list[str], list[tuple[str, ...]], list[int]]:
+    table: Table, fitted: Fit, names: list[str], sets: list[tuple[str, ...]]
+) -> tuple[list[str], list[tuple[str, ...]]]:
     """What was named, without what is not significant beside the others any more, or has become negative."""
+    by_name = {one.name: one for one in table.layout.candidates}
+    covariance, freedom, _ = jackknife(table, fitted)
     kept = list(names)
-    for one in _beside_the_others(table, names):
-        gone = abs(one.z) < _KEPT_Z or (one.candidate.positive and one.value < 0.0)
-        if gone and one.name != names[-1]:
-            kept.remove(one.name)
-    return (
-        kept,
-        [group for group in sets if group[0] in kept],
-        [*table.layout.basis, *(table.layout.at(name) for name in kept)],
-    )
+    for name in names[:-1]:
+        if is_gain(by_name[name]):
+            continue
+        place = table.layout.at(name)
+        k = fitted.free.index(place)
+        value, sigma = float(fitted.x[place]), float(np.sqrt(max(covariance[k, k], 1e-300)))
+        weak = abs(value) < student.isf(norm.sf(_KEPT_Z), freedom[k]) * sigma
+        if weak or (by_name[name].positive and value < 0.0):
+            kept.remove(name)
+    return kept, [group for group in sets if group[0] in kept]
 
 
 def _beside_the_others(table: Table, names: Sequence[str]) -> list[Tried]:
+    """What was named, each beside all others."""
     by_name = {one.name: one for one in table.layout.candidates}
-    out = []
+    out, sigma = list[Tried](), None
     for name in names:
         others = [table.layout.at(other) for other in names if other != name]
-        out.append(try_all(table, fit(table, [*table.layout.basis, *others]), [by_name[name]])[0])
+        fitted = fit(table, [*table.layout.basis, *others], sigma)
+        out.append(try_all(table, fitted, [by_name[name]])[0])
     return out
 
 
-def is_gain(one: Tried) -> bool:
-    """Whether it is the error of a torque sensor's gain."""
-    return one.candidate.key == GAIN
+def is_gain(one: Candidate) -> bool:
+    """Whether it is the error of a torque sensor's gain. If one differs, all may."""
+    return one.key == GAIN

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from zygos.arm import Arm
 from zygos.effects import is_column, spoken
 from zygos.gap import sentences
-from zygos.gap.findings import Deflection, Finding
+from zygos.gap.findings import ASYMMETRY, Deflection, Finding
 from zygos.gap.ground.search import Against, Search, Tried
 from zygos.gap.sentences import listed
 from zygos.gap.verdicts import Inseparable, LateTorques, NothingMissing, NotPredicted, Unexplained, Verdict
@@ -28,8 +28,11 @@ _AGAINST: dict[Against, str] = {
 
 def title(arm: Arm, column: str) -> str:
     """A column in sentences."""
+    column = column.partition("@")[0]
     if is_column(column):
         return spoken(arm, column)
+    if column.startswith(ASYMMETRY):
+        return f"Coulomb friction that differs between the directions ({arm.joints[int(column[len(ASYMMETRY) :]) - 1].name})"
     joint = column[2:]
     return f"inertia of the rotor ({arm.joints[int(joint) - 1].name})" if joint.isdigit() else column
 
@@ -105,10 +108,11 @@ def evidence(finding: Finding) -> str:
         return ""
     each = ", ".join(f"{x:.3g}" for x in getattr(proof, "each", ()) if math.isfinite(x))
     runs = f", {each} {finding.unit} on the runs by themselves" if each else ""
-    return (
-        f"{abs(proof.z):.0f} standard deviations from the scatter over blocks of time{runs}, "
-        f"{100 * min(1.0, proof.completeness):.0f} % of the squared torque beyond noise explained at its joint"
-    )
+    said = f"{abs(proof.z):.0f} standard deviations from the scatter over blocks of time{runs}"
+    if math.isfinite(proof.completeness):
+        share = 100 * min(1.0, proof.completeness)
+        said += f", {share:.0f} % of the squared torque beyond noise explained at its joint"
+    return said
 
 
 def entry_evidence(finding: Finding) -> str:
@@ -123,8 +127,17 @@ def against(one: Tried) -> str:
 
 
 def offset(joint: str, size: float, sigma: float) -> str:
-    """A constant offset of a torque."""
+    """A constant torque that is there at rest as well."""
     return (
-        f"the torque of the {joint} has a constant offset of {size:.3g} ± {sigma:.1g} Nm, the same in all runs: that of "
-        "its sensor, of a cable or brake, or a Coulomb friction that differs between the directions"
+        f"the torque of the {joint} has a constant offset of {size:.3g} ± {1.96 * sigma:.1g} Nm, also at rest: that of "
+        "its sensor, of a cable or of a brake"
+    )
+
+
+def gains(arm: Arm, found: Sequence[Finding]) -> str:
+    """Gains of torque sensors within their usual errors."""
+    each = ", ".join(f"{f.joint} {-100 * f.value:+.2g} ± {196 * f.sigma:.1g} %" for f in found)
+    return (
+        f"the torque sensors read differently: against that of the {arm.joints[0].name} too much by {each}; the values "
+        "are found with these gains"
     )

@@ -1,0 +1,95 @@
+"""The null twin of a run of an arm with rigid joints: what a model would have reported along the same motion.
+
+The filtered angles of the run are the motion of the twin, and its torques follow from the model by inverse dynamics.
+Its sensors have the quanta of the arm file, and the torques the noise of the run. What the model leaves of them comes
+from noise, quanta, filters and differences alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline, make_interp_spline
+
+from zygos.arm import Arm
+from zygos.balances.joint import in_order, joint_columns
+from zygos.balances.state import State
+from zygos.effects import Effect
+from zygos.ground.motion import Motion, TorqueRows, torque_noise, torque_rows
+from zygos.ground.rows import torque_columns
+from zygos.ground.score import Score, scored
+
+Floats = NDArray[np.float64]
+
+_STEP = 0.1
+"""Of the differences in time of the momentum, in periods."""
+
+
+def floor(motion: Motion, rows: TorqueRows, values: Floats, effects: Sequence[Effect], seed: int = 0) -> Score:
+    """The score of a model on its own twin. rows: of the measured run."""
+    rng = np.random.default_rng(seed)
+    acting = [effect for effect in effects if not (effect.kind.gain or effect.kind.lags)]
+    samples, arm = motion.samples, motion.arm
+    theta, tau = samples.theta.copy(), np.full_like(samples.tau, np.nan)
+    noise = np.maximum(torque_noise(motion), torque_noise(motion, declared=False))
+    for number, (start, stop) in enumerate(samples.segments):
+        own = rows.segment == number
+        if not own.any():
+            continue
+        good = np.flatnonzero(np.all(np.isfinite(samples.tau[start:stop]), axis=1))
+        of = slice(start + int(good[0]), start + int(good[-1]) + 1)
+        angle = rows.state.q[own]
+        made = _torques(arm, angle, rows, values, acting)
+        white = noise * rng.standard_normal((len(made) + 1, arm.n))
+        shaken = 0.5 * (white[1:] + white[:-1]) if arm.torque_law == "sampled" else white[1:]
+        tau[of] = made / arm.gear_ratios + shaken
+        theta[of] = _read(arm, angle, rng)
+    twin = torque_rows(arm, replace(samples, q=theta, theta=theta, tau=tau), rows.cutoff_hz)
+    return scored(motion.run, "floor", twin, values, acting, motion)
+
+
+def _torques(arm: Arm, angle: Floats, rows: TorqueRows, values: Floats, effects: Sequence[Effect]) -> Floats:
+    """(n, N) mean torque after the gear in each period from an instant on, Nm."""
+    h = rows.period_s
+    t = np.arange(len(angle)) * h
+    path = make_interp_spline(t, angle, k=5, axis=0)
+    begin = _torque(arm, path, t, rows, values, effects)
+    if arm.torque_law == "sampled":
+        return 0.5 * (begin + np.vstack([begin[1:], begin[-1:]]))
+    middle = _torque(arm, path, t + 0.5 * h, rows, values, effects)
+    return (begin + 4.0 * middle + np.vstack([begin[1:], begin[-1:]])) / 6.0
+
+
+def _torque(arm: Arm, path: BSpline, t: Floats, rows: TorqueRows, values: Floats, effects: Sequence[Effect]) -> Floats:
+    """(n, N) torque after the gear at instants of a motion, Nm."""
+    step = _STEP * rows.period_s
+
+    def momentum(at: Floats) -> Floats:
+        columns = joint_columns(arm, _state(arm, path(at), path(at, 1)))
+        return np.asarray(in_order(arm, columns.momentum, columns.rotor_momentum) @ values, dtype=np.float64)
+
+    slope = (momentum(t + step) - momentum(t - step)) / (2.0 * step)
+    state = _state(arm, path(t), path(t, 1))
+    columns = joint_columns(arm, state)
+    bodies = slope - in_order(arm, columns.force, columns.rotor_force) @ values
+    if not effects:
+        return np.asarray(bodies, dtype=np.float64)
+    instants = replace(rows, state=state, z=np.zeros((*bodies.shape, 0)), tau=bodies)
+    extra = torque_columns(arm, instants, effects, bodies, filtered=False)
+    return np.asarray(bodies + extra @ np.array([effect.value for effect in effects]), dtype=np.float64)
+
+
+def _state(arm: Arm, q: Floats, qd: Floats) -> State:
+    """Rigid joints on a base that does not move."""
+    return State(q, q, qd, qd, np.zeros((len(q), 3)) if arm.spatial else np.zeros(len(q)))
+
+
+def _read(arm: Arm, angle: Floats, rng: np.random.Generator) -> Floats:
+    """(n, N) angles in the steps of the encoders, which begin anywhere."""
+    step = np.array([joint.over_the_wire.motor_encoder.quantum_rad for joint in arm.joints])
+    size = np.where(step > 0.0, step, 1.0)
+    begin = step * rng.uniform(size=arm.n)
+    return np.where(step > 0.0, size * np.rint((angle + begin) / size) - begin, angle)
