@@ -25,7 +25,7 @@ from zygos.arm import Arm
 from zygos.effects import CATALOGUE, Effect
 from zygos.model.model import Model, Quantity
 
-Group = Literal["null", "law", "pair", "outside", "without", "values", "structure"]
+Group = Literal["null", "law", "pair", "outside", "without", "values", "structure", "change"]
 LIMITS = Path(__file__).with_name("limits.json")
 MULTIPLES = (3.0, 10.0, 30.0)
 Make = Callable[[int, float], Law | SensorError]
@@ -118,11 +118,14 @@ def guessed(arm: str, key: str, joint: int) -> float:
         "link_scale": 0.5,
         "link_eccentricity_sin": 1.0,
         "link_late": 1.0,
+        "motor_scale": 0.5,
+        "motor_late": 1.0,
+        "motor_zero": 1.0,
         "gyro_bias": 1.0,
         "gyro_scale": 1.0,
         "base_torque": 0.3 * n * torque,
         "base_leak": 0.5 * n * torque,
-        "gravity_gradient": 0.5 * n * torque,
+        "gravity_gradient_sin": 0.5 * n * torque,
     }
     return share * scales[key]
 
@@ -172,6 +175,9 @@ SENSORS = _forms(
     ("link_scale", h.link_scale, h.link_scale),
     ("link_eccentricity", h.link_eccentricity, h.link_eccentricity),
     ("link_late", h.link_late, h.link_late),
+    ("motor_scale", h.motor_scale, h.motor_scale),
+    ("motor_late", h.motor_late, h.motor_late),
+    ("motor_zero", h.motor_zero, h.motor_zero),
 )
 BASE = _forms(
     ("base_torque", h.BaseTorque, h.BaseTorque),
@@ -243,15 +249,22 @@ OUTSIDE: dict[str, tuple[tuple[str, Make, int, float], ...]] = {
 """Laws that no catalogue has: name, law, joint and size."""
 
 NEAREST = {
-    "motor_coulomb": ("motor_viscous", "motor_stribeck", "link_coulomb", "motor_dahl", "load_friction", "torque_lag"),
+    "motor_coulomb": (
+        "motor_viscous",
+        "motor_stribeck",
+        "link_coulomb",
+        "link_stribeck",
+        "load_friction",
+        "torque_lag",
+    ),
     "motor_viscous": ("motor_coulomb", "link_viscous", "torque_lag", "viscous_asymmetry"),
-    "link_coulomb": ("motor_coulomb", "link_viscous", "link_dahl", "link_stribeck"),
+    "link_coulomb": ("motor_coulomb", "link_viscous", "motor_stribeck", "link_stribeck"),
     "link_viscous": ("motor_viscous", "link_coulomb"),
     "cubic_stiffness": ("backlash",),
     "backlash": ("cubic_stiffness", "motor_coulomb", "link_coulomb"),
     "torque_lag": ("motor_viscous",),
     "viscous_asymmetry": ("torque_offset", "motor_viscous"),
-    "motor_stribeck": ("motor_coulomb", "link_coulomb"),
+    "motor_stribeck": ("motor_coulomb", "link_coulomb", "link_stribeck"),
     "load_friction": ("motor_coulomb",),
 }
 """What a law that was left out of the catalogue looks like: keys that "part named" may state."""
@@ -304,6 +317,7 @@ def _of_arm(arm: str) -> list[Cell]:
 
 def _others() -> list[Cell]:
     return [
+        *(Cell(f"{arm}/payload", arm, "change", payload=0.1) for arm in ARMS if arm != "coarse"),
         Cell("planar/lacks/flexibility", "planar", "structure", lacks="flexibility"),
         Cell("planar/lacks/coupling", "planar", "structure", lacks="coupling"),
         Cell("planar/momentum", "planar", "structure", momentum=50.0),
