@@ -36,7 +36,7 @@ from zygos.simulation.scenario import Controller, Scenario, Sine, load_scenario
 
 Floats = NDArray[np.float64]
 EXAMPLES = Path(__file__).parents[2] / "examples"
-PERIOD_S = 0.002
+PERIOD_S = 0.001
 DURATION_S = 1.6
 ARMS = ("planar free flexible", "spatial free flexible", "fixed rigid")
 
@@ -54,7 +54,11 @@ def arm_of(name: str) -> tuple[Arm, Model, Scenario]:
         return arm, model, replace(scenario, manoeuvre=manoeuvre, controller=control)
     folder = EXAMPLES / ("gap" if name.startswith("planar") else "spatial")
     files = ("cad.toml", "b.toml") if name.startswith("planar") else ("model.toml", "scenario.toml")
-    return load_arm(folder / "arm.toml"), replace(load_model(folder / files[0]), effects=()), load_scenario(folder / files[1])
+    return (
+        load_arm(folder / "arm.toml"),
+        replace(load_model(folder / files[0]), effects=()),
+        load_scenario(folder / files[1]),
+    )
 
 
 @cache
@@ -199,7 +203,9 @@ def scales(name: str, seen: Exact) -> dict[str, float]:
     }
 
 
-def columns(name: str, seen: Exact, run: Trajectory, kind: Kind, i: int, component: int, shape: float | None) -> dict[str, Floats]:
+def columns(
+    name: str, seen: Exact, run: Trajectory, kind: Kind, i: int, component: int, shape: float | None
+) -> dict[str, Floats]:
     """(m,) column of an effect in each balance; 0 where it has none."""
     arm, model, _ = arm_of(name)
     values = dict(zip(arm.parameter_names, model.base_values(arm).tolist(), strict=True))
@@ -228,9 +234,18 @@ def columns(name: str, seen: Exact, run: Trajectory, kind: Kind, i: int, compone
     if kind.place == "rotor":
         carried = body_columns(arm, seen.state)[1][:, i]
         ratio, spin = arm.gear_ratios[i], seen.state.thetad[:, i]
-        inertia = values[f"Im{i + 1}"] if arm.joints[i].flexible else np.nan
+        inertia = model.joints[i].rotor_inertia.value
         out["E"] = inertia * ratio * spin * carried
-        out[f"M{i + 1}"] = inertia * carried
+        if arm.joints[i].flexible:
+            out[f"M{i + 1}"] = inertia * carried
+        part = joint.joint_columns(arm, seen.state)
+        running = part.rotor_momentum - integral(part.rotor_force, arm.period_s, axis=0)
+        for j, one in enumerate(arm.joints):
+            if not one.flexible:
+                # the rotor's own spin does not need the carrying body
+                out[f"L{j + 1}"] = inertia * (running[:, j, i] - (ratio**2 * spin if j == i else 0.0))
+        if not arm.free:
+            return out
         along = momentum.momentum_columns(arm, seen.state)[..., i - arm.n]
         along = along if seen.turned is None else (seen.turned @ along[..., None])[..., 0]
         for k in range(along.shape[-1]):

@@ -22,10 +22,13 @@ from zygos.effects import CATALOGUE, Effect, EffectColumn, Kind, Motion, columns
 from zygos.errors import ZygosError
 from zygos.native.flight import Flight
 
-SHARE = 0.02
+SHARE = 0.005
 """Size of an effect: what it does is so much of the largest term of the balance that sees it best."""
 RIGHT = 1e-2
 """Share of a column by which it may differ from what its effect does."""
+HALF_A_STEP = 5e-2
+"""The same of a lag, whose column expects a smoothed rate: half of the torque step at an instant shows in it, and nothing
+of it in an exact rate (with smoothed readings, `test_gap_balances`)."""
 SLIGHT = 0.1
 """A balance that sees less of an effect, in units of its own largest term, than this share of what the best sees, has to
 stay closed to `RIGHT` of that."""
@@ -43,7 +46,7 @@ def places(name: str) -> list[EffectColumn]:
 
 CASES = [(name, column.key, column) for name in ARMS for column in places(name)]
 SHAPE = {
-    "motor_stribeck": 0.1, "link_stribeck": 0.1, "backlash": 1e-4, "ripple_sin": 0.05, "ripple_cos": 0.05,
+    "motor_stribeck": 0.3, "link_stribeck": 0.3, "backlash": 1e-4, "ripple_sin": 0.05, "ripple_cos": 0.05,
     "base_leak": 0.701, "detent_sin": 3.0, "detent_cos": 3.0, "body_change": 0.701,
 }  # fmt: skip
 """Shapes that this motion of 1.6 s excites; any number is a shape."""
@@ -77,7 +80,10 @@ def quick(case: tuple[str, str, EffectColumn]) -> bool:
 
 @pytest.mark.parametrize(
     ("name", "key", "column"),
-    [pytest.param(*case, marks=() if quick(case) else pytest.mark.slow, id=f"{case[0]}-{case[2].name}") for case in CASES],
+    [
+        pytest.param(*case, marks=() if quick(case) else pytest.mark.slow, id=f"{case[0]}-{case[2].name}")
+        for case in CASES
+    ],
 )
 def test_column_is_what_the_effect_does(name: str, key: str, column: EffectColumn) -> None:
     kind = CATALOGUE[key]
@@ -103,10 +109,11 @@ def test_column_is_what_the_effect_does(name: str, key: str, column: EffectColum
     scale = scales(name, seen)
     if kind.place == "rotor":
         value = -1.0
+    right = HALF_A_STEP if kind.lags else RIGHT
     acting = {key: value * column for key, column in each.items()}
     most = max(float(np.std(acts)) / scale[key] for key, acts in acting.items())
     for balance, acts in acting.items():
         wrong, size = float(np.std(rest[balance] + acts)), float(np.std(acts))
         print(balance, f"{wrong / scale[balance] / most:.1e} of {size / scale[balance] / most:.1e}")
         # a balance that hardly sees the effect has to stay closed
-        assert wrong <= RIGHT * max(size, SLIGHT * most * scale[balance]), balance
+        assert wrong <= right * max(size, SLIGHT * most * scale[balance]), balance

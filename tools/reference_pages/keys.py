@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 
 from reference_pages.markdown import page, table
 from zygos.arm import load_arm, read_arm
-from zygos.effects import CATALOGUE
+from zygos.effects import CATALOGUE, Kind
 from zygos.files import toml
 from zygos.files.toml import Entry, Table
 from zygos.model.model import read_model
@@ -114,22 +114,52 @@ def _read_map(top: Table) -> object:
     return read_map(top, arm, RECORDINGS[folder])
 
 
-PLACES = {
-    "motor": "the motor of a joint, before the gear; its rate after it",
-    "link": "the link of a joint",
-    "spring": "the spring of a joint",
-    "torque": "the torque of a joint's motor",
-    "rotor": "the rotor of a joint",
-    "base": "the whole arm; there is no key joint",
-    "load": "the gear of a joint, in estimates on the ground",
-    "sensor": "the torque sensor of a joint, in estimates on the ground",
+SITES = {
+    "motor": ("the motor of a joint, before the gear; its rate after it", "rotor torque −c f"),
+    "link": ("the link of a joint", "link torque −c f"),
+    "load": ("the gear of a joint, on its link", "link torque −c f"),
+    "spring": ("the spring of a joint", "link torque +c f, rotor torque −c f / n"),
+    "torque": ("the torque of a joint's motor", "the torque that acts exceeds the reported one by c f"),
+    "rotor": ("the rotor of a joint", "as stated"),
+    "base": ("the base; there is no key joint", "torque +c f on the base"),
+    "body": ("the bodies; there is no key joint", "as stated"),
+    "sensor": ("an encoder of a joint, or the gyro, which has no key joint", "as stated"),
 }
-EFFECTS = "## The kinds of effects\n\n" + table(
-    ("Kind", "Effect", "Unit", "Acts at", "Value"),
-    [
-        (f"`{kind.key}`", kind.title, kind.unit, PLACES[kind.place], ">= 0" if kind.positive else "any")
-        for kind in CATALOGUE.values()
-    ],
+
+
+def _acts_at(kind: Kind) -> str:
+    place = f"sensor: {kind.sensor}" if kind.sensor else kind.place
+    world = {"plane": "; arms in a plane", "space": "; arms in space", "": ""}[kind.world]
+    return place + ("; x, y, z in space" if kind.axes else "") + world
+
+
+EFFECTS = "\n\n".join(
+    (
+        "## The kinds of effects",
+        "An effect has the coefficient c and a law f. What they do depends on where it acts. All angles and rates are "
+        "after the gear, n is the gear ratio, τ the reported torque before the gear, sat a sign that is linear between "
+        "−1 and 1.",
+        table(("Acts at", "What that is", "What the effect does"), [(key, *text) for key, text in SITES.items()]),
+        "A law with a shape has the key `shape` with its value, and optionally `shape_unit`. An effect with components "
+        "has the key `component`. The flight library estimates the kinds that are marked; the others are refused by "
+        "`zygos compile-model`.",
+        table(
+            ("Kind", "Effect", "Unit", "Acts at", "Law f", "Shape", "Value", "Flies"),
+            [
+                (
+                    f"`{kind.key}`",
+                    kind.title,
+                    kind.unit,
+                    _acts_at(kind),
+                    kind.formula,
+                    f"{kind.shape_title}, {kind.shape_unit}" if kind.shapes else "",
+                    ">= 0" if kind.positive else "any",
+                    "yes" if kind.flies else "",
+                )
+                for kind in CATALOGUE.values()
+            ],
+        ),
+    )
 )
 FILES = (
     File(

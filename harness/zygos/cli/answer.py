@@ -41,7 +41,7 @@ def finish_estimate(
     """
     result, flight = found.result, found.watch.flight
     if not quiet(out, json, report):
-        rows = [
+        rows: list[tuple[str, ...]] = [
             (name, unit, number(value), number(float(f"{half95:.2g}")), number(100 * ratio(half95, abs(value)), 2))
             for name, unit, value, half95 in zip(result.names, result.units, result.value, result.half95, strict=True)
         ]

@@ -236,7 +236,7 @@ ENTRIES = (
         searched=False,
         searched_on_ground=True,
         flies=True,
-        formula="\\|θ̇\\|",
+        formula="|θ̇|",
     ),
     Kind(
         "load_friction",
@@ -246,7 +246,7 @@ ENTRIES = (
         _with_load,
         searched=False,
         searched_on_ground=True,
-        formula="\\|load\\| tanh(q̇ / 0.01 rad/s)",
+        formula="|load| tanh(q̇ / 0.01 rad/s)",
     ),
     Kind(
         "torque_gain",
@@ -343,7 +343,7 @@ ENTRIES = (
         positive=False,
         twins=("viscous_asymmetry",),
         searched=False,
-        formula="\\|q̇\\|",
+        formula="|q̇|",
     ),
     Kind(
         "link_stribeck",

@@ -12,7 +12,8 @@ from zygos.arm import Arm
 from zygos.balances.joint import JointRows, joint_rows, momentum_of_rates
 from zygos.balances.momentum import variances
 from zygos.balances.state import State
-from zygos.effects import SLOWEST_RATE, Effect, EffectColumn, Kind, Motion
+from zygos.effects import SLOWEST_RATE, Effect, EffectColumn, Kind
+from zygos.effects import Motion as JointMotion
 from zygos.ground.motion import Motion, TorqueRows, torque_noise
 
 Floats = NDArray[np.float64]
@@ -137,7 +138,7 @@ def _sensed(
     if effect.kind.gain:
         column[:, joint] = -rows.w[:, joint]
     elif predicted is not None:
-        torque = effect.law(Motion(rate=state.qd[:, joint], angle=state.q[:, joint], load=predicted[:, joint]))
+        torque = effect.law(JointMotion(rate=state.qd[:, joint], angle=state.q[:, joint], load=predicted[:, joint]))
         total = np.concatenate([[0.0], np.cumsum(torque)]) * arm.period_s
         column[:, joint] = total[rows.end] - total[rows.begin]
     return column
@@ -171,7 +172,7 @@ def _law(arm: Arm, rows: TorqueRows, effect: Effect, joint: int, predicted: Floa
         return np.asarray(after, dtype=np.float64)
     none = np.zeros_like(rate)
     own = effect.law(
-        Motion(
+        JointMotion(
             rate=rate,
             angle=rows.state.q[:, joint],
             deflection=none,
