@@ -234,12 +234,14 @@ OUTSIDE: dict[str, tuple[tuple[str, Make, int, float], ...]] = {
     ),
     "pendulum": (
         ("quadratic_drag", h.QuadraticDrag, 0, 0.006),
+        ("concave_friction", h.ConcaveFriction, 0, 0.02),
         ("posture_friction", h.PostureFriction, 1, 0.008),
         ("warming_friction", h.WarmingFriction, 0, 0.02),
         ("cross_damping", h.CrossDamping, 1, 0.02),
         ("cable_spring", h.CableSpring, 0, 0.15),
     ),
     "six": (
+        ("concave_friction", h.ConcaveFriction, 4, 0.05),
         ("posture_friction", h.PostureFriction, 1, 8.0),
         ("warming_friction", h.WarmingFriction, 4, 0.05),
         ("cross_damping", h.CrossDamping, 2, 3.0),
@@ -366,6 +368,8 @@ def case(cell: Cell, draw: int) -> Case:
         one.size if not one.times else one.times * limit(cell.arm, dirty, one.law, one.joint) for one in cell.hidden
     ]
     made = [one.make(max(one.joint, 0), size) for one, size in zip(cell.hidden, sizes, strict=True)]
+    # the same share of bend on slow and fast arms
+    made = [replace(one, bend=20.0 * RATE[cell.arm]) if isinstance(one, h.BentViscous) else one for one in made]
     model = as_built(trial, seed)
     if cell.group == "values":
         model = replace(trial.drawn, effects=())

@@ -289,7 +289,7 @@ class LinkViscous(MotorViscous):
 
 @dataclass
 class BentViscous(MotorViscous):
-    """Friction that grows less than in proportion."""
+    """Friction that grows less than in proportion; a cell sets the bend to twenty times the arm's typical rate."""
 
     bend: float = 5.0
 
@@ -518,6 +518,22 @@ class RateStiffness(Law):
 
     def torque(self, now: Now) -> float:
         return self.size * now.stiffness * tanh(abs(now.qd) / 0.1) * now.deflection
+
+
+@dataclass
+class ConcaveFriction(Law):
+    """Friction that bends at rates that the arm has: between viscous and Coulomb friction, and neither."""
+
+    bend: float = 1.0
+
+    near = ("motor_viscous", "motor_coulomb", "motor_stribeck", "link_viscous", "link_coulomb")
+
+    def torque(self, now: Now) -> float:
+        rate = self._rate(now)
+        return -self.size * rate / (1.0 + abs(rate) / self.bend)
+
+    def stiffness(self) -> float:
+        return self.size
 
 
 @dataclass

@@ -274,10 +274,13 @@ def write_page(path: Path | None = None) -> None:
 
 
 def typical_limits(lines: Sequence[Line]) -> dict[str, dict[str, float]]:
-    """Median of the limits that nulls of the last product state, by arm and condition, then by column."""
+    """Median of the limits that nulls state, by arm and condition, then by column: those of the last product that
+    answered nulls of the arm."""
+    nulls = [line for line in lines if line["group"] == "null" and line["limits"]]
+    last = {line["arm"]: line["product"] for line in nulls}
     found: dict[str, dict[str, list[float]]] = {}
-    for line in last_campaign(lines):
-        if line["group"] == "null":
+    for line in nulls:
+        if line["product"] == last[line["arm"]]:
             of = found.setdefault(f"{line['arm']}/{'dirty' if line['dirty'] else 'clean'}", {})
             for column, value in line["limits"].items():
                 of.setdefault(column, []).append(value)
