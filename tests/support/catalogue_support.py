@@ -93,11 +93,12 @@ class Exact:
 
     @property
     def before(self) -> Floats:
-        """(m, N) torques of the cycle before; those of the first are taken as the same."""
-        return np.concatenate([self.tau[:1], self.tau[:-1]])
+        """(m, N) torques of the cycle before, 0 before the first."""
+        return np.concatenate([np.zeros_like(self.tau[:1]), self.tau[:-1]])
 
     @property
     def totals(self) -> FromOrigin:
+        """Integrals from the first instant on."""
         return FromOrigin(self.arm.period_s)
 
     def load(self, values: dict[str, float]) -> Floats:
@@ -110,15 +111,18 @@ class Exact:
         return out
 
     def signals(self, i: int, values: dict[str, float]) -> Signals:
+        """Of a joint."""
         return Signals.of(
             self.arm, self.state, self.before, self.tau, i, self.totals, time=self.time, load=self.load(values)
         )
 
     def base(self) -> BaseSignals:
+        """Of the base."""
         return BaseSignals(self.state.base, self.totals, self.time, self.angle, self.turned)
 
 
 def exact(run: Trajectory) -> Exact:
+    """The motion that the simulator knows."""
     arm = run.arm
     state = State(run.q[0], run.theta[0], run.qd[0], run.thetad[0], run.omega0[0])
     return _of(arm, run, state)
@@ -239,7 +243,7 @@ def columns(
         if arm.joints[i].flexible:
             out[f"M{i + 1}"] = inertia * carried
         part = joint.joint_columns(arm, seen.state)
-        running = part.rotor_momentum - integral(part.rotor_force, arm.period_s, axis=0)
+        running = part.rotor_momentum - integral(part.rotor_force, seen.arm.period_s, axis=0)
         for j, one in enumerate(arm.joints):
             if not one.flexible:
                 # the rotor's own spin does not need the carrying body

@@ -16,10 +16,13 @@ class Readings:
 
     q, theta: (..., A, n, N) link and motor angles after the gear [rad]. tau: (..., A, n, N) rotor torque in force on
     [t_k, t_k+1) [Nm]. omega0: base rate [rad/s], (..., A, n) about the axis of a planar arm, (..., A, n, 3) in base
-    axes of a spatial one; zeros on a fixed base.
+    axes of a spatial one; zeros on a fixed base. time: (A, n) since the start of the run [s]. turned: (A, n) angle that
+    the base of a planar arm has turned since then [rad]. Without the last two, no law may depend on them.
     """
 
     q: Floats
     theta: Floats
     omega0: Floats
     tau: Floats
+    time: Floats | None = None
+    turned: Floats | None = None

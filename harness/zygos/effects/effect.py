@@ -140,7 +140,9 @@ def columns_at(arm: Arm, kind: Kind) -> tuple[EffectColumn, ...]:
 
 
 def column_named(name: str) -> EffectColumn:
-    """The column of that name. Errors: KeyError where the catalogue has none."""
+    """The column of that name, with or without @ and the shape of its law. Errors: KeyError where the catalogue has
+    none."""
+    name = name.partition("@")[0]
     columns = _columns(tuple(CATALOGUE.values()))
     if name in columns:
         return columns[name]

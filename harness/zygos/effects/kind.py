@@ -113,6 +113,8 @@ class Kind:
     """Keys of the effects that look the same as this one in some motions."""
     searched: bool = True
     """Whether `zygos explain` tries this effect on an arm that floats or has a flexible joint."""
+    searched_last: bool = False
+    """Whether it tries this effect where those that are `searched` leave something over."""
     searched_on_ground: bool = False
     """Whether it tries this effect on an arm on the ground with rigid joints."""
     flies: bool = False

@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,13 +26,12 @@ from scipy.spatial.transform import Rotation
 
 from zygos.arm import JOINT_ROW_S, Arm
 from zygos.balances import energy, impulse, joint, momentum
-from zygos.balances.effects import Signals, energy_column, impulse_column, joint_column
+from zygos.balances.effects import BaseSignals, Signals, energy_column, impulse_column, joint_column, momentum_column
 from zygos.balances.kinematics import body_columns
 from zygos.balances.quadrature import FromOrigin, from_first, integral, step_integrals
 from zygos.balances.readings import Readings
 from zygos.balances.state import State
-from zygos.effects import CATALOGUE, OFFSET, Effect, Kind, column_name
-from zygos.errors import ZygosError
+from zygos.effects import CATALOGUE, OFFSET, Effect, Kind, column_name, columns_at
 from zygos.gap.record import MeasuredRun, smoothed_states
 
 Array = NDArray[np.float64]
@@ -67,11 +67,42 @@ class SensorError:
         return replace(readings, **new)
 
 
+class Acting(NamedTuple):
+    """An entry of the catalogue where it may act, with a shape of its law."""
+
+    kind: Kind
+    joint: int
+    """From 0; -1 for the base or the gyro."""
+    component: str = ""
+    shape: float | None = None
+
+    @property
+    def plain(self) -> str:
+        """Name of its column, without the shape."""
+        return column_name(self.kind, self.joint, self.component)
+
+    @property
+    def name(self) -> str:
+        """Name of its column, with @ and the shape of a law that has one."""
+        return self.plain if self.shape is None else f"{self.plain}@{self.shape:.6g}"
+
+    def effect(self, arm: Arm, value: float, sigma: float = 0.0, source: str = "zygos") -> Effect:
+        """As an effect of a model."""
+        joint = None if self.joint < 0 else arm.joints[self.joint].name
+        return Effect(self.kind, joint, value, sigma, source, shape=self.shape, component=self.component)
+
+
 @dataclass(frozen=True)
 class Layout:
     """Names of all balances and columns of an arm."""
 
     arm: Arm
+    wide: bool = False
+    """Whether it also has the entries of the catalogue that are searched last."""
+    shapes: tuple[tuple[str, tuple[float, ...]], ...] = ()
+    """Shapes that replace those of the catalogue, by the name of the column without its shape."""
+    own: tuple[Acting, ...] = ()
+    """Entries that it has in any case: those of the simulation."""
 
     @cached_property
     def balances(self) -> tuple[str, ...]:
@@ -91,19 +122,47 @@ class Layout:
         return () if not self.arm.free else ("Hx", "Hy", "Hz") if self.arm.spatial else ("H",)
 
     @cached_property
-    def effects(self) -> tuple[tuple[Kind, int], ...]:
-        """Entries of the catalogue and joints (from 0; -1 for the base) in the order of their columns, as far as the arm
-        can have them.
+    def effects(self) -> tuple[Acting, ...]:
+        """Entries of the catalogue in the order of their columns, as far as the arm can have them; those of sensors last.
 
-        The offset of a spring is none of them: the zeros of its encoders stand for it.
+        The offset of a spring is none of them: the zeros of its encoders stand for it. Nor are the errors that each run
+        has for itself.
         """
-        kinds = [kind for kind in CATALOGUE.values() if kind.searched and kind.key != OFFSET and not kind.on_ground]
-        places = [(kind, i) for kind in kinds for i in (range(self.arm.n) if kind.at_joint else (-1,))]
-        # a torque sensor that has noise has errors of its own, which look the same
-        own = {
-            f"{key}{name[-1]}" for key in ("torque_offset",) for name in self.errors if name.startswith("torque_zero")
-        }
-        return tuple((kind, i) for kind, i in places if _exists(self.arm, kind, i) and column_name(kind, i) not in own)
+        listed = [*self.own]
+        shapes = dict(self.shapes)
+        for kind in CATALOGUE.values():
+            if kind.key == OFFSET or not (kind.searched or (self.wide and kind.searched_last)) or kind.place == "load":
+                continue
+            for column in columns_at(self.arm, kind):
+                one = Acting(kind, column.joint, column.component)
+                if one.plain in self._covered or (kind.gain and column.joint == 0):
+                    continue
+                listed += [
+                    one._replace(shape=shape)
+                    for shape in shapes.get(one.plain, kind.shapes if kind.shapes else (None,))
+                ]
+        by_name = {one.name: one for one in listed}
+        return tuple(sorted(by_name.values(), key=lambda one: one.kind.place == "sensor"))
+
+    @cached_property
+    def _covered(self) -> frozenset[str]:
+        """Columns of effects for which the errors of the sensors of each run stand."""
+        covered = {name.replace("torque_zero", "torque_offset") for name in self.errors}
+        covered |= {name.replace("torque_scale", "torque_gain") for name in self.errors}
+        return frozenset(covered)
+
+    def find(self, name: str) -> Acting:
+        """The entry of a column. Errors: KeyError where there is none."""
+        return self._entries[name]
+
+    @cached_property
+    def _entries(self) -> dict[str, Acting]:
+        return {one.name: one for one in self.effects}
+
+    @cached_property
+    def sensors(self) -> tuple[Acting, ...]:
+        """The entries at sensors."""
+        return tuple(one for one in self.effects if one.kind.place == "sensor")
 
     @cached_property
     def columns(self) -> tuple[str, ...]:
@@ -111,8 +170,7 @@ class Layout:
 
         rotor_coupling_i is what the coupling adds to the column of Im_i where it exceeds that of nature.
         """
-        effects = [column_name(kind, i) for kind, i in self.effects]
-        return tuple(dict.fromkeys((*self.arm.parameter_names, *effects, *self.zeros)))
+        return (*self.arm.parameter_names, *(one.name for one in self.effects), *self.zeros)
 
     @cached_property
     def index(self) -> dict[str, int]:
@@ -172,16 +230,19 @@ class Layout:
             yield from (one.name for one in arm.parameters if one.joint is None or one.symbol == "Im")
         else:
             yield from arm.parameter_names
-        for kind, i in self.effects:
-            if kind.place in _ACTING:
-                acts = balance == "E" or (i == own and _acts(arm, kind, i, balance))
-            elif kind.place == "rotor":
-                acts = balance[0] != "M" or i == own
-            else:
-                acts = balance[0] == "H"
-            if acts:
-                yield column_name(kind, i)
+        yield from (one.name for one in self.effects if self._acts(one, balance, own))
         yield from self.zeros
+
+    def _acts(self, one: Acting, balance: str, own: int) -> bool:
+        """Whether an entry has a column in a balance; own: joint of the balance."""
+        place = one.kind.place
+        if place in _ACTING:
+            return balance == "E" or (one.joint == own and _acts(self.arm, one.kind, own, balance))
+        if place == "rotor":
+            return balance[0] != "M" or one.joint == own
+        if place == "base":
+            return balance[0] == "H" or (balance == "E" and one.kind.law is not None)
+        return place == "sensor"
 
 
 def corrected(record: MeasuredRun, layout: Layout, errors: Array) -> MeasuredRun:
@@ -210,14 +271,6 @@ def _acts(arm: Arm, kind: Kind, i: int, balance: str) -> bool:
     return kind.place in ("link", "spring") or not arm.joints[i].flexible
 
 
-def _exists(arm: Arm, kind: Kind, i: int) -> bool:
-    try:
-        Effect(kind, None if i < 0 else arm.joints[i].name, 0.0).index(arm)
-    except ZygosError:
-        return False
-    return True
-
-
 @dataclass(frozen=True)
 class Rows:
     """Rows of one balance."""
@@ -241,14 +294,19 @@ class BalanceRows:
 
 
 def balance_rows(
-    arm: Arm, readings: Readings, values: Array | None = None, *, zeros: tuple[Array, ...] | None = None, every: int = 1
+    layout: Layout,
+    readings: Readings,
+    values: Array | None = None,
+    *,
+    zeros: tuple[Array, ...] | None = None,
+    every: int = 1,
 ) -> BalanceRows:
     """Balances of arcs of readings, in the units of energy (J), impulse before the gear (Nms) and momentum (Nms).
 
     values: base parameters (p,), about right: what an error of a sensor does to the balances depends on them. zeros: the
     columns of these errors instead, by balance, as `zero_columns` has them. every: rows stand at every so many instants.
     """
-    layout = Layout(arm)
+    arm = layout.arm
     if zeros is None:
         assert values is not None
         zeros = zero_columns(layout, readings, values, every)
@@ -261,14 +319,14 @@ def balance_rows(
         columns[..., :count] = own
         for at, effect in enumerate(_effects(layout, moving, name), start=count):
             columns[..., at] = effect
-        columns[..., columns.shape[-1] - len(layout.zeros) :] = zeros[k]
+        columns[..., columns.shape[-1] - zeros[k].shape[-1] :] = zeros[k]
         out.append(Rows(columns, right, *moving.places(name)))
     return BalanceRows(layout, tuple(out))
 
 
 def zero_columns(layout: Layout, readings: Readings, values: Array, every: int = 1) -> tuple[Array, ...]:
-    """By balance (..., A, m, zeros): what errors of the sensors of 1 rad, 1 rad/s or 1 Nm would take away, to first
-    order."""
+    """By balance (..., A, m, ·): what errors of the sensors of 1 unit would take away, to first order: the entries of the
+    catalogue at sensors, then the errors that each run has for itself."""
     value = np.where(np.isfinite(values), values, 0.0)
     names = layout.arm.parameter_names
     known = [value[[names.index(layout.columns[c]) for c in used if c < len(names)]] for used in layout.used]
@@ -288,7 +346,14 @@ def zero_columns(layout: Layout, readings: Readings, values: Array, every: int =
         ahead, behind = (left_over(error.added(readings, size)) for size in (_SHIFT, -_SHIFT))
         return [(b - a) / (2.0 * _SHIFT) for a, b in zip(ahead, behind, strict=True)]
 
-    each = [taken(error) for error in layout.errors.values()]
+    def misread(one: Acting) -> list[Array]:
+        number = one.kind.components(layout.arm).index(one.component)
+        ahead, behind = (
+            left_over(one.kind.transform(layout.arm, readings, one.joint, size, number)) for size in (_SHIFT, -_SHIFT)
+        )
+        return [(b - a) / (2.0 * _SHIFT) for a, b in zip(ahead, behind, strict=True)]
+
+    each = [misread(one) for one in layout.sensors] + [taken(error) for error in layout.errors.values()]
     return tuple(np.stack(columns, axis=-1) for columns in zip(*each, strict=True))
 
 
@@ -303,6 +368,10 @@ class _Moving:
     after: Array
     """(..., A, instants, N) torques before and from each instant on, Nm."""
     every: int
+    time: Array
+    """(A, instants) s."""
+    turned: Array
+    """(A, instants) rad."""
 
     @classmethod
     def of(cls, arm: Arm, readings: Readings, every: int, state: State | None = None) -> _Moving:
@@ -310,7 +379,10 @@ class _Moving:
         cycles = readings.tau.shape[-2]
         after = readings.tau[..., half : cycles - half, :]
         before = readings.tau[..., half - 1 : cycles - half - 1, :]
-        return cls(arm, smoothed_states(arm, readings) if state is None else state, before, after, every)
+        clocks = (np.full(after.shape[-3:-1], np.nan) if x is None else x for x in (readings.time, readings.turned))
+        time, turned = (x[:, half : cycles - half] if x.shape[-1] == cycles else x for x in clocks)
+        smoothed = smoothed_states(arm, readings) if state is None else state
+        return cls(arm, smoothed, before, after, every, time, turned)
 
     @cached_property
     def thin(self) -> State:
@@ -351,7 +423,16 @@ class _Moving:
     def signals(self) -> list[Signals]:
         """Of each joint."""
         totals = FromOrigin(self.arm.period_s)
-        return [Signals.of(self.arm, self.state, self.before, self.after, i, totals) for i in range(self.arm.n)]
+        return [
+            Signals.of(self.arm, self.state, self.before, self.after, i, totals, time=self.time)
+            for i in range(self.arm.n)
+        ]
+
+    @cached_property
+    def base(self) -> BaseSignals:
+        """Of the base."""
+        turned = self._attitude if self.arm.spatial else None
+        return BaseSignals(self.state.base, FromOrigin(self.arm.period_s), self.time, self.turned, turned)
 
     def increments(self, running: Array) -> Array:
         """What grows over each increment, (..., A, m) of a running total (..., A, instants)."""
@@ -375,12 +456,17 @@ class _Moving:
 
     @cached_property
     def attitude(self) -> Array:
-        """(..., A, m, 3, 3) from base axes to those at the arc's origin (as `momentum.base_attitudes`)."""
+        """(..., A, m, 3, 3) from base axes to those at the arc's origin, at the instants of the rows."""
+        return self._attitude[..., :: self.every, :, :]
+
+    @cached_property
+    def _attitude(self) -> Array:
+        """(..., A, instants, 3, 3) as `momentum.base_attitudes`."""
         h, omega = self.arm.period_s, self.state.base
         step = step_integrals(omega, h, axis=-2) + h * h / 12.0 * np.cross(omega[..., :-1, :], omega[..., 1:, :])
         turn = np.concatenate([np.zeros_like(step[..., :1, :]), step], axis=-2)
         whole = Rotation.from_rotvec(turn.reshape(-1, 3)).as_matrix().reshape(*turn.shape, 3)
-        return _running_product(whole)[..., :: self.every, :, :]
+        return _running_product(whole)
 
 
 def _running_product(turns: Array) -> Array:
@@ -471,19 +557,27 @@ def _effects(layout: Layout, moving: _Moving, balance: str) -> Iterator[Array]:
     """Columns (..., A, m) of the effects that a balance has, in their order."""
     arm = layout.arm
     own = int(balance[1:]) - 1 if balance[0] in "ML" else -1
-    for kind, i in layout.effects:
+    for one in layout.effects:
+        kind, i = one.kind, one.joint
+        if not layout._acts(one, balance, own):
+            continue
         if kind.place in _ACTING:
             if balance == "E":
-                yield moving.thinned(energy_column(kind, moving.signals[i]))
-            elif i == own and _acts(arm, kind, i, balance):
-                if balance[0] == "M":
-                    yield moving.thinned(impulse_column(kind, moving.signals[i]))
-                else:
-                    yield moving.increments(joint_column(kind, moving.signals[i], flexible=arm.joints[i].flexible))
+                yield moving.thinned(energy_column(kind, moving.signals[i], one.shape))
+            elif balance[0] == "M":
+                yield moving.thinned(impulse_column(kind, moving.signals[i], one.shape))
+            else:
+                column = joint_column(kind, moving.signals[i], arm.joints[i].flexible, one.shape)
+                yield moving.increments(column)
         elif kind.place == "rotor":
             yield from _coupling(arm, moving, balance, i)
-        elif balance[0] == "H":
-            yield np.full(moving.thin.q.shape[:-1], -1.0)
+        elif kind.place == "base":
+            number = kind.components(arm).index(one.component)
+            if balance == "E":
+                yield moving.thinned(energy_column(kind, moving.base, one.shape, number))
+            else:
+                column = momentum_column(kind, moving.base, one.shape, number)
+                yield moving.thinned(column[..., "xyz".index(balance[1]) if arm.spatial else 0])
 
 
 def _coupling(arm: Arm, moving: _Moving, balance: str, i: int) -> Iterator[Array]:

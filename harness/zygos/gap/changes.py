@@ -170,7 +170,7 @@ def _arcs(study: Study, run: int, names: Sequence[str]) -> Iterator[_Arc]:
     """Weighted sums of each arc of a run, with the zeros of the sensors at their fitted values."""
     record, accepted = study.records[run], study.accepted[run]
     arm, layout = record.arm, study.layout
-    rows = balance_rows(arm, record.readings(), base_values(study.model, layout), every=thinning(arm))
+    rows = balance_rows(layout, record.readings(), base_values(study.model, layout), every=thinning(arm))
     wider = replace(
         study.hypothesis, effects=tuple(n for n in names if n not in {p.name for p in layout.arm.parameters})
     )

@@ -52,7 +52,7 @@ def propose(study: Study, name: str, other: str) -> tuple[Experiment, ...]:
     def stands_out(speed: float, amplitude: float) -> float:
         twin = retrace(dynamics, record, speed, amplitude)
         seen = [measure(twin, k) for k in range(_DRAWS)]
-        sums = [accumulate(balance_rows(arm, one, values), followed(arm, one), uncentred) for one in seen]
+        sums = [accumulate(balance_rows(study.layout, one, values), followed(arm, one), uncentred) for one in seen]
         found = np.array([float(fit(both, [one], study.weight).of(name)) for one in sums])
         return size / float(found.std(ddof=1))
 

@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 from zygos.arm import Arm
 from zygos.dynamics.equations import from_model, from_parameters, parameters
 from zygos.dynamics.joints import Drives
-from zygos.effects import OFFSET, Effect, column_name
+from zygos.effects import OFFSET, Effect
 from zygos.errors import Undecided, ZygosError
 from zygos.gap.balances import Layout, corrected
 from zygos.gap.changes import find_change, settled
@@ -364,7 +364,7 @@ class _Explainer:
     def _changed(self, found: Search) -> tuple[Changed | None, Search]:
         """A change with time that explains it, and the search with the study of what was recorded after it."""
         study = found.before
-        listed = [column_name(kind, i) for kind, i in study.layout.effects if possible(study.hypothesis, kind, i)]
+        listed = [one.name for one in study.layout.effects if possible(study.hypothesis, one)]
         change = find_change(study, listed)
         if change is None:
             return None, found

@@ -36,6 +36,8 @@ class Hypothesis:
     """Angular momentum taken as known, Nms; None: each arc has its own."""
     effects: tuple[str, ...] = ()
     """Columns of the catalogue that have a coefficient of their own."""
+    without: tuple[str, ...] = ()
+    """Keys of entries that are not to be added."""
 
     @property
     def names(self) -> tuple[str, ...]:

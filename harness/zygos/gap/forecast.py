@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 from zygos.arm import Arm
 from zygos.balances.readings import Readings
 from zygos.balances.state import State
-from zygos.dynamics.joints import Drives
+from zygos.dynamics.joints import Drives, Moment
 from zygos.dynamics.replay import exact_readings, replay, substeps
+from zygos.effects import Effect
 from zygos.errors import ZygosError
 from zygos.gap.record import MeasuredRun, smoothed_states
-from zygos.gap.twin import Twin, measure
+from zygos.gap.twin import Twin, measure, sensed
 from zygos.runs.smoother import coefficients
 
 Array = NDArray[np.float64]
@@ -53,6 +54,8 @@ class Stretches:
     """(S, 4N+W) smoothed state at the first sample, packed as `State.packed`."""
     time_s: Array
     """(S, 2n) since the run's first cycle."""
+    turned: Array
+    """(S,) angle that the base of a planar arm has turned since then, at the first sample, rad."""
 
     @classmethod
     def joined(cls, parts: Sequence[Stretches]) -> Stretches:
@@ -64,6 +67,7 @@ class Stretches:
             np.concatenate([one.before for one in parts]),
             np.concatenate([one.guess for one in parts]),
             np.concatenate([one.time_s for one in parts]),
+            np.concatenate([one.turned for one in parts]),
         )
 
     @property
@@ -123,21 +127,24 @@ class Forecast:
 def cut(record: MeasuredRun) -> Stretches:
     """Segments of the arcs of a run, as those of its twin. Errors: ZygosError where an arc has no second."""
     s = record.samples
-    time = (s.sync - s.sync[0]) * record.arm.period_s
+    seen = Readings(s.q, s.theta, record.omega0, s.tau, record.clock_s, record.turned)
     stretches = [(int(start), int(start) + record.cycles) for start in record.starts]
-    return _segments(record.arm, Readings(s.q, s.theta, record.omega0, s.tau), stretches, time, str(record.path))
+    return _segments(record.arm, seen, stretches, str(record.path))
 
 
 def cut_twin(twin: Twin, seed: int = 0) -> Stretches:
     """Segments of one reading of a twin, whose arcs are stretches."""
     seen = measure(twin, seed)
     arcs, cycles, _ = seen.q.shape
-    flat = Readings(*(x.reshape(arcs * cycles, *x.shape[2:]) for x in (seen.q, seen.theta, seen.omega0, seen.tau)))
+    assert seen.time is not None
+    assert seen.turned is not None
+    signals = (seen.q, seen.theta, seen.omega0, seen.tau, seen.time, seen.turned)
+    flat = Readings(*(x.reshape(arcs * cycles, *x.shape[2:]) for x in signals))
     stretches = [(i * cycles, (i + 1) * cycles) for i in range(arcs)]
-    return _segments(twin.arm, flat, stretches, twin.arm.period_s * np.arange(arcs * cycles), "the twin")
+    return _segments(twin.arm, flat, stretches, "the twin")
 
 
-def _segments(arm: Arm, samples: Readings, stretches: Sequence[tuple[int, int]], time: Array, name: str) -> Stretches:
+def _segments(arm: Arm, samples: Readings, stretches: Sequence[tuple[int, int]], name: str) -> Stretches:
     half, n = arm.smoother.points // 2, max(2, round(HORIZON_S / arm.period_s))
     starts = np.array([at for a, b in stretches for at in range(a + max(half, 1), b - max(2 * n, half + 1) + 1, n)])
     if not len(starts):
@@ -153,17 +160,21 @@ def _segments(arm: Arm, samples: Readings, stretches: Sequence[tuple[int, int]],
     guess = state.packed()[:, 0]
     base = [samples.omega0[at].reshape(*at.shape, -1)] if arm.free else []
     readings = np.concatenate([samples.q[at], samples.theta[at], *base], axis=-1)
-    return Stretches(arm, readings, samples.tau[at], samples.tau[starts - 1], guess, time[at])
+    assert samples.time is not None
+    assert samples.turned is not None
+    turned = samples.turned[starts]
+    return Stretches(arm, readings, samples.tau[at], samples.tau[starts - 1], guess, samples.time[at], turned)
 
 
-def forecast(dynamics: Drives, segments: Stretches) -> Forecast:
-    """Predict every segment with a model. Where it assumes an angular momentum, the base rate follows from it."""
+def forecast(dynamics: Drives, segments: Stretches, sensors: Sequence[Effect] = ()) -> Forecast:
+    """Predict every segment with a model, whose sensors have these errors. Where it assumes an angular momentum, the
+    base rate follows from it."""
     # a model that is far off may diverge: then the gap is infinite, and says so
     with np.errstate(over="ignore", invalid="ignore"):
-        return _forecast(dynamics, segments)
+        return _forecast(dynamics, segments, sensors)
 
 
-def _forecast(dynamics: Drives, segments: Stretches) -> Forecast:
+def _forecast(dynamics: Drives, segments: Stretches, sensors: Sequence[Effect]) -> Forecast:
     arm, joints = segments.arm, segments.arm.n
     n = segments.readings.shape[1] // 2
     steps = substeps(dynamics, segments.readings[:, ::n, :joints], arm.period_s)
@@ -178,8 +189,14 @@ def _forecast(dynamics: Drives, segments: Stretches) -> Forecast:
         """(copies * S, cycles, 2N+1) q, theta, omega0."""
         tau = np.tile(np.concatenate([segments.tau, segments.tau[:, -1:]], axis=1), (copies, 1, 1))
         before = np.tile(segments.before, (copies, 1))
-        states, torques = replay(dynamics, arm.period_s, unpack(x), lambda k, _: tau[:, k], before, cycles + 1, steps)
+        begin = Moment(np.tile(segments.time_s[:, 0], copies), np.tile(segments.turned, copies))
+        states, torques = replay(
+            dynamics, arm.period_s, unpack(x), lambda k, _: tau[:, k], before, cycles + 1, steps, begin
+        )
         q, theta, omega0 = exact_readings(dynamics, arm, states, torques)
+        if sensors:
+            seen = sensed(arm, Readings(q, theta, omega0, torques[:, :-1]), sensors)
+            q, theta, omega0 = seen.q, seen.theta, seen.omega0
         return np.concatenate([q, theta, omega0.reshape(*q.shape[:-1], width)], axis=-1)
 
     def misfit(seen: Array) -> Array:

@@ -65,11 +65,24 @@ class MeasuredRun:
         at = self.starts[:, None] + self.half + np.arange(self.instants)
         return np.asarray((self.samples.sync[at] - self.samples.sync[0]) * self.arm.period_s, dtype=np.float64)
 
+    @property
+    def clock_s(self) -> Array:
+        """(n,) time since the run's first cycle, s."""
+        return np.asarray((self.samples.sync - self.samples.sync[0]) * self.arm.period_s, dtype=np.float64)
+
+    @property
+    def turned(self) -> Array:
+        """(n,) angle that the base of a planar arm has turned since then, rad; 0 of others."""
+        if self.arm.spatial or not self.arm.free:
+            return np.zeros(len(self.samples.sync))
+        steps = 0.5 * (self.omega0[1:] + self.omega0[:-1]) * np.diff(self.clock_s)
+        return np.concatenate([[0.0], np.cumsum(steps)])
+
     def readings(self) -> Readings:
         """The samples of all arcs."""
         at = self.starts[:, None] + np.arange(self.cycles)
         s = self.samples
-        return Readings(s.q[at], s.theta[at], self.omega0[at], s.tau[at])
+        return Readings(s.q[at], s.theta[at], self.omega0[at], s.tau[at], self.clock_s[at], self.turned[at])
 
 
 def read_measured_run(arm: Arm, path: Path, frames: NDArray[Any]) -> MeasuredRun:

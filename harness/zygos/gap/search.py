@@ -10,8 +10,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from zygos.effects import Kind, column_name
+from zygos.effects import Kind
 from zygos.errors import Undecided
+from zygos.gap.balances import Acting
 from zygos.gap.experiment import THRESHOLD
 from zygos.gap.fit import Hypothesis, fit
 from zygos.gap.study import Study, again
@@ -176,7 +177,7 @@ def _pair(now: Study, listed: Sequence[Candidate]) -> list[Candidate] | None:
 def _beside(now: Study, other: Candidate, one: Candidate) -> Candidate | None:
     """A candidate judged beside another."""
     effects = (*now.hypothesis.effects, other.name)
-    return _candidate(replace(now, hypothesis=replace(now.hypothesis, effects=effects)), now, one.kind, one.joint)
+    return _candidate(replace(now, hypothesis=replace(now.hypothesis, effects=effects)), now, now.layout.find(one.name))
 
 
 def _retest(named: list[Candidate], now: Study, before: Study) -> tuple[list[Candidate], Study]:
@@ -192,24 +193,24 @@ def _retest(named: list[Candidate], now: Study, before: Study) -> tuple[list[Can
 
 def candidates(now: Study, before: Study) -> tuple[Candidate, ...]:
     """All that could be added to a study's hypothesis, best first."""
-    out = [_candidate(now, before, kind, i) for kind, i in now.layout.effects if possible(now.hypothesis, kind, i)]
+    out = [_candidate(now, before, one) for one in now.layout.effects if possible(now.hypothesis, one)]
     return tuple(sorted((one for one in out if one is not None), key=lambda one: one.left))
 
 
-def possible(hypothesis: Hypothesis, kind: Kind, joint: int) -> bool:
-    """Whether an entry of the catalogue could be added to a hypothesis at a joint."""
-    if column_name(kind, joint) in hypothesis.effects:
+def possible(hypothesis: Hypothesis, one: Acting) -> bool:
+    """Whether an entry of the catalogue could be added to a hypothesis. A law is not added with a second shape."""
+    if one.kind.key in hypothesis.without or one.plain in {name.partition("@")[0] for name in hypothesis.effects}:
         return False
-    if kind.key == "rotor_coupling":
-        return hypothesis.uncoupled[joint]
-    if kind.key == "angular_momentum":
+    if one.kind.place == "rotor":
+        return hypothesis.uncoupled[one.joint]
+    if one.kind.place == "base" and one.kind.law is None:
         return hypothesis.momentum is not None
     # nothing deflects at a rigid joint; motor and link turn as one there, and so cannot be told apart
-    return not (hypothesis.rigid[joint] and kind.place == "spring")
+    return not (one.joint >= 0 and hypothesis.rigid[one.joint] and one.kind.place == "spring")
 
 
-def _candidate(now: Study, before: Study, kind: Kind, joint: int) -> Candidate | None:
-    name = column_name(kind, joint)
+def _candidate(now: Study, before: Study, one: Acting) -> Candidate | None:
+    name, kind, joint = one.name, one.kind, one.joint
     wider = replace(now.hypothesis, effects=(*now.hypothesis.effects, name))
     runs = range(len(now.records))
     try:
@@ -274,9 +275,9 @@ def _inseparable(candidate: Candidate, now: Study, before: Study) -> tuple[str, 
     """The candidate, and what explains as much in its place while it is not significant beside it."""
     rest = tuple(name for name in now.hypothesis.effects if name != candidate.name)
     together = [candidate.name]
-    for kind, joint in now.layout.effects:
-        other = column_name(kind, joint)
-        if not possible(now.hypothesis, kind, joint):
+    for one in now.layout.effects:
+        kind, other = one.kind, one.name
+        if not possible(now.hypothesis, one):
             continue
         instead = replace(now.hypothesis, effects=(*rest, other))
         both = replace(now.hypothesis, effects=(*now.hypothesis.effects, other))

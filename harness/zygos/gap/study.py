@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from zygos.balances.state import State
 from zygos.dynamics.equations import from_parameters, parameters
 from zygos.dynamics.joints import Drives
-from zygos.effects import CATALOGUE, Effect, column_name, column_named
+from zygos.effects import CATALOGUE, Effect
 from zygos.errors import Undecided, ZygosError
 from zygos.gap.balances import (
+    Acting,
     Layout,
     Sums,
     accumulate,
@@ -153,7 +154,7 @@ def residuals(study: Study, run: int) -> tuple[Array, State]:
     smoother does not follow or the balance is not used; and the smoothed states."""
     record, kept = study.records[run], study.accepted[run]
     readings = record.readings()
-    table = balance_rows(record.arm, readings, base_values(study.model, study.layout))
+    table = balance_rows(study.layout, readings, base_values(study.model, study.layout))
     full = np.concatenate([study.fit.zeros[run], study.fit.value, [-1.0]])
     mix = study.hypothesis.basis() @ full
     out = np.full((len(table.balances), *kept.shape), np.nan)
@@ -175,7 +176,7 @@ def read_hypothesis(layout: Layout, model: Model) -> Hypothesis:
     known = dict(zip(arm.parameter_names, values.tolist(), strict=True))
     uncoupled = [False] * arm.n
     momentum: float | None = None
-    effects: list[str] = []
+    own: list[Acting] = []
     for effect in model.effects:
         if effect.kind.key == "rotor_coupling":
             if effect.value not in {0.0, 1.0}:
@@ -187,9 +188,10 @@ def read_hypothesis(layout: Layout, model: Model) -> Hypothesis:
         elif effect.kind.key == "angular_momentum":
             momentum = effect.value
         else:
-            effects.append(effect.column(arm))
+            own.append(Acting(effect.kind, effect.index(arm), effect.component, effect.shape))
     rigid = tuple(bool(known.get(f"k{i + 1}", np.inf) == np.inf) for i in range(arm.n))
-    return Hypothesis(layout, rigid, tuple(uncoupled), momentum, tuple(effects))
+    known_ones = replace(layout, own=tuple(own))
+    return Hypothesis(known_ones, rigid, tuple(uncoupled), momentum, tuple(one.name for one in own))
 
 
 def realise(hypothesis: Hypothesis, value: Array) -> Drives:
@@ -218,12 +220,11 @@ def split(hypothesis: Hypothesis, value: Array) -> tuple[Array, list[Effect]]:
             effects.append(Effect(CATALOGUE["rotor_coupling"], names[i], 0.0))
     if hypothesis.momentum is not None and "angular_momentum" not in hypothesis.effects:
         effects.append(Effect(CATALOGUE["angular_momentum"], None, hypothesis.momentum))
-    for kind, i in hypothesis.layout.effects:
-        name = column_name(kind, i)
-        if name in hypothesis.effects:
+    for one in hypothesis.layout.effects:
+        if one.name in hypothesis.effects:
             # the coupling's coefficient is a rotor inertia, its value a share of it
-            scale = found[f"Im{i + 1}"] if kind.key == "rotor_coupling" else 1.0
-            effects.append(Effect(kind, names[i] if i >= 0 else None, found[name] / scale, source="zygos"))
+            scale = found[f"Im{one.joint + 1}"] if one.kind.place == "rotor" else 1.0
+            effects.append(one.effect(arm, found[one.name] / scale))
     return base, effects
 
 
@@ -249,7 +250,9 @@ def again(study: Study, hypothesis: Hypothesis, count: int = DRAWS) -> Study:
     if not np.array_equal(off, applied):
         changed = zip(records, off - applied, strict=True)
         records = tuple(corrected(record, study.layout, change) for record, change in changed)
-    return _study(records, study.accepted, hypothesis, _possible(hypothesis, first.value, study.model), count, off)
+    return _study(
+        records, study.accepted, hypothesis, _possible(hypothesis, first.value, study.model), count, off, first.value
+    )
 
 
 def _off(study: Study) -> NDArray[np.bool_]:
@@ -305,22 +308,24 @@ def _study(
     dynamics: Drives,
     count: int,
     applied: Array,
+    value: Array | None = None,
 ) -> Study:
     layout = hypothesis.layout
     arm, uncentred = layout.arm, hypothesis.uncentred
     base = base_values(dynamics, layout)
-    twins = tuple(follow(dynamics, records))
+    sensors = sensor_effects(hypothesis, value)
+    twins = tuple(follow(dynamics, records, sensors))
     every = thinning(arm)
     zeros = [zero_columns(layout, record.readings(), base, every) for record in records]
-    made = np.array([coefficient(dynamics, hypothesis, name) for name in hypothesis.names])
+    made = np.array([coefficient(dynamics, hypothesis, name, sensors) for name in hypothesis.names])
     known = hypothesis.basis() @ np.concatenate([np.zeros(len(layout.zeros)), made, [-1.0]])
     drawn = tuple(
-        draws(twin, kept, count, uncentred, own, count * k, every, known)
+        draws(twin, kept, count, layout, uncentred, own, count * k, every, known)
         for k, (twin, kept, own) in enumerate(zip(twins, accepted, zeros, strict=True))
     )
     sums = tuple(
         replace(
-            accumulate(balance_rows(arm, record.readings(), zeros=own, every=every), kept, uncentred),
+            accumulate(balance_rows(layout, record.readings(), zeros=own, every=every), kept, uncentred),
             noise=twin.noise,
             applied=off,
         )
@@ -363,16 +368,27 @@ def base_values(dynamics: Drives, layout: Layout) -> Array:
     return np.where(np.isfinite(values), values, 0.0)
 
 
-def coefficient(dynamics: Drives, hypothesis: Hypothesis, name: str) -> float:
-    """What a model has for a coefficient of a hypothesis."""
+def sensor_effects(hypothesis: Hypothesis, value: Array | None) -> tuple[Effect, ...]:
+    """The errors of sensors in a hypothesis with these coefficients; 0 without them."""
+    found = dict.fromkeys(hypothesis.names, 0.0) if value is None else dict(zip(hypothesis.names, value, strict=True))
+    arm, sensors = hypothesis.layout.arm, hypothesis.layout.sensors
+    return tuple(one.effect(arm, float(found[one.name])) for one in sensors if one.name in hypothesis.effects)
+
+
+def coefficient(dynamics: Drives, hypothesis: Hypothesis, name: str, sensors: Sequence[Effect] = ()) -> float:
+    """What a model, whose sensors have these errors, has for a coefficient of a hypothesis."""
     arm = hypothesis.layout.arm
     if name in arm.parameter_names:
         return float(parameters(arm, dynamics)[arm.parameter_names.index(name)])
     if name == "angular_momentum":
         return dynamics.angular_momentum or 0.0
-    key, i, _ = column_named(name)
-    if key == "torque_lag":
-        return 0.0 if dynamics.torque_lag is None else float(dynamics.torque_lag[i])
-    if key == "rotor_coupling":
-        return float(dynamics.coupling[i] * dynamics.rotor_inertia[i])
-    return sum(law.value for law in dynamics.laws if (law.kind.key, law.joint) == (key, i))
+    one = hypothesis.layout.find(name)
+    if one.kind.lags:
+        return 0.0 if dynamics.torque_lag is None else float(dynamics.torque_lag[one.joint])
+    if one.kind.place == "rotor":
+        return float(dynamics.coupling[one.joint] * dynamics.rotor_inertia[one.joint])
+    if one.kind.place == "sensor":
+        return sum(effect.value for effect in sensors if effect.column(arm) == one.plain)
+    number = one.kind.components(arm).index(one.component)
+    same = (one.kind.key, one.joint, number)
+    return sum(law.value for law in dynamics.laws if (law.kind.key, law.joint, law.component) == same)

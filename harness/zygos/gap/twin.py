@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 from zygos.arm import Arm
 from zygos.balances.readings import Readings
 from zygos.balances.state import State
-from zygos.dynamics.joints import Drives
+from zygos.dynamics.joints import START, Drives, Moment
 from zygos.dynamics.replay import exact_readings, replay, substeps
+from zygos.effects import Effect
 from zygos.errors import Undecided
-from zygos.gap.balances import Sums, accumulate, balance_rows
+from zygos.gap.balances import Layout, Sums, accumulate, balance_rows
 from zygos.gap.record import MeasuredRun, smoothed_states
 from zygos.simulation.sensors import draw_noise
 
@@ -46,8 +47,15 @@ class Twin:
     """What exact sensors would have read."""
 
 
-def follow(dynamics: Drives, records: Sequence[MeasuredRun]) -> list[Twin]:
-    """Twins of the records, integrated as one batch, with the model's h where it assumes one."""
+def sensed(arm: Arm, exact: Readings, sensors: Sequence[Effect]) -> Readings:
+    """What sensors with these errors read where exact ones read `exact`."""
+    for one in sensors:
+        exact = one.kind.transform(arm, exact, one.index(arm), one.value, one.component_index(arm))
+    return exact
+
+
+def follow(dynamics: Drives, records: Sequence[MeasuredRun], sensors: Sequence[Effect] = ()) -> list[Twin]:
+    """Twins of the records, integrated as one batch, with the model's h where it assumes one. sensors: their errors."""
     arm = records[0].arm
     h, half = arm.period_s, arm.smoother.points // 2
     # one cycle more than the arcs have, for what latches after the last SYNC
@@ -67,12 +75,15 @@ def follow(dynamics: Drives, records: Sequence[MeasuredRun]) -> list[Twin]:
     path, tau = np.concatenate(paths), np.concatenate(torques)
     # a model whose joints do not bend is far from an arm whose joints do
     rate = 4.0 * SERVO_RATE if dynamics.rigid.any() else SERVO_RATE
-    moved, applied = _servo(dynamics, path, tau, h, min(rate, 0.1 / h))
+    seen = [record.readings() for record in records]
+    begin = Moment(*(np.concatenate([getattr(one, name)[:, 0] for one in seen]) for name in ("time", "turned")))
+    moved, applied = _servo(dynamics, path, tau, h, min(rate, 0.1 / h), begin)
     twins, first = [], 0
-    for record in records:
+    for record, own in zip(records, seen, strict=True):
         rows_of = slice(first, first + len(record.starts))
         first += len(record.starts)
-        twins.append(_twin(dynamics, arm, moved[rows_of, : record.cycles + 1], applied[rows_of, : record.cycles + 1]))
+        twin = _twin(dynamics, arm, moved[rows_of, : record.cycles + 1], applied[rows_of, : record.cycles + 1])
+        twins.append(replace(twin, exact=sensed(arm, replace(twin.exact, time=own.time, turned=own.turned), sensors)))
     return twins
 
 
@@ -106,7 +117,9 @@ def _twin(dynamics: Drives, arm: Arm, moved: Array, applied: Array) -> Twin:
     return Twin(arm, Readings(q, theta, omega0, applied[:, :-1]))
 
 
-def _servo(dynamics: Drives, path: Array, tau: Array, h: float, rate: float) -> tuple[Array, Array]:
+def _servo(
+    dynamics: Drives, path: Array, tau: Array, h: float, rate: float, begin: Moment = START
+) -> tuple[Array, Array]:
     """Move along a path (B, n, 4N+W) from its start under torques (B, n+1, N), the first that of the period before,
     and a servo of the given bandwidth, rad/s. Returns states and torques at every SYNC."""
     joints = dynamics.n
@@ -137,7 +150,8 @@ def _servo(dynamics: Drives, path: Array, tau: Array, h: float, rate: float) -> 
         return np.asarray(tau[:, k + 1] + moved * rate * (rate * behind + 2.0 * slower), dtype=np.float64)
 
     with np.errstate(over="ignore", invalid="ignore"):
-        went, applied = replay(dynamics, h, start, torque, tau[:, 0], path.shape[1], substeps(dynamics, postures, h))
+        steps = substeps(dynamics, postures, h)
+        went, applied = replay(dynamics, h, start, torque, tau[:, 0], path.shape[1], steps, begin)
     if not np.isfinite(went).all():
         raise Undecided(
             "the fitted model cannot be kept on the measured path, so far is it from the arm; remedy: check gear "
@@ -185,13 +199,14 @@ def measure(twin: Twin, seed: int) -> Readings:
         omega0 = omega0 + (gyro if arm.spatial else gyro @ arm.axis)
     # the motor's encoder measures both angles of a rigid joint
     q = np.where([joint.flexible for joint in arm.joints], q, theta)
-    return Readings(q, theta, omega0, exact.tau + shaped(noise.torque))
+    return replace(exact, q=q, theta=theta, omega0=omega0, tau=exact.tau + shaped(noise.torque))
 
 
 def draws(
     twin: Twin,
     accepted: NDArray[np.bool_],
     count: int,
+    layout: Layout,
     uncentred: Sequence[int],
     zeros: tuple[Array, ...],
     seed: int = 0,
@@ -202,7 +217,7 @@ def draws(
     average. zeros, every: as of `balance_rows`; known: the twin's own coefficients, as of `accumulate`."""
 
     def sums(readings: Readings) -> Sums:
-        return accumulate(balance_rows(twin.arm, readings, zeros=zeros, every=every), accepted, uncentred, known)
+        return accumulate(balance_rows(layout, readings, zeros=zeros, every=every), accepted, uncentred, known)
 
     exact = sums(twin.exact)
     drawn = [sums(measure(twin, seed + k)) for k in range(count)]

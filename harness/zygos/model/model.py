@@ -422,7 +422,8 @@ def _entries(effects: Sequence[Effect]) -> tomlkit.items.AoT:
         entry["unit"] = effect.kind.unit
         if effect.shape is not None:
             entry["shape"] = effect.shape
-            entry["shape_unit"] = effect.kind.shape_unit
+            if effect.kind.shape_unit:
+                entry["shape_unit"] = effect.kind.shape_unit
         entry["source"] = effect.source
         if effect.evidence:
             entry["evidence"] = effect.evidence
