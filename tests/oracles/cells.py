@@ -187,6 +187,7 @@ BASE = _forms(
     ("gyro_scale", h.gyro_scale, h.gyro_scale),
 )
 # a friction that the torque's own offset hides is no cell on the ground, where every torque has an unknown offset
+FEW = ("motor_coulomb", "link_viscous", "cubic_stiffness", "torque_lag")
 COARSE = ("motor_coulomb", "motor_viscous", "link_coulomb", "cubic_stiffness")
 ON: dict[str, dict[str, tuple[Make, Make]]] = {
     "planar": {**FRICTION, **LINK, **DRIVE, **SENSORS, **BASE},
@@ -212,7 +213,7 @@ SIZES: dict[str, tuple[float, ...]] = {
     "pendulum": MULTIPLES,
     "six": (3.0, 30.0),
 }
-NULLS = {"planar": 60, "coarse": 12, "spatial": 16, "pendulum": 48, "six": 16}
+NULLS = {"planar": 60, "coarse": 12, "spatial": 10, "pendulum": 48, "six": 20}
 
 OUTSIDE: dict[str, tuple[tuple[str, Make, int, float], ...]] = {
     "planar": (
@@ -293,6 +294,9 @@ def _of_arm(arm: str) -> list[Cell]:
         for place in (-1,) if at_base else PLACES[arm]:
             where = "base" if at_base else joints[place]
             for k, times in enumerate(SIZES[arm]):
+                if arm == "spatial" and not at_base and place != PLACES[arm][k]:
+                    # two minutes a verdict: each size at one place
+                    continue
                 make = own if k == 1 else other
                 cells.append(Cell(f"{arm}/{name}/{where}/x{times:g}", arm, "law", (Hidden(make, place, times),)))
     for first, second in PAIRS[arm]:
@@ -302,7 +306,7 @@ def _of_arm(arm: str) -> list[Cell]:
     for name, make, place, size in OUTSIDE[arm]:
         cells.append(Cell(f"{arm}/outside/{name}/{joints[place]}", arm, "outside", (Hidden(make, place, size=size),)))
     for key, (own, _) in ON[arm].items():
-        if key in NEAREST and arm != "coarse":
+        if key in NEAREST and arm != "coarse" and (arm != "spatial" or key in FEW):
             place = PLACES[arm][-1]
             cells.append(
                 Cell(
