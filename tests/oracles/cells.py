@@ -25,7 +25,7 @@ from zygos.arm import Arm
 from zygos.effects import CATALOGUE, Effect
 from zygos.model.model import Model, Quantity
 
-Group = Literal["null", "law", "pair", "outside", "without", "values", "structure"]
+Group = Literal["null", "law", "pair", "outside", "without", "values", "structure", "change"]
 LIMITS = Path(__file__).with_name("limits.json")
 MULTIPLES = (3.0, 10.0, 30.0)
 Make = Callable[[int, float], Law | SensorError]
@@ -118,11 +118,14 @@ def guessed(arm: str, key: str, joint: int) -> float:
         "link_scale": 0.5,
         "link_eccentricity_sin": 1.0,
         "link_late": 1.0,
+        "motor_scale": 0.5,
+        "motor_late": 1.0,
+        "motor_zero": 1.0,
         "gyro_bias": 1.0,
         "gyro_scale": 1.0,
         "base_torque": 0.3 * n * torque,
         "base_leak": 0.5 * n * torque,
-        "gravity_gradient": 0.5 * n * torque,
+        "gravity_gradient_sin": 0.5 * n * torque,
     }
     return share * scales[key]
 
@@ -172,6 +175,9 @@ SENSORS = _forms(
     ("link_scale", h.link_scale, h.link_scale),
     ("link_eccentricity", h.link_eccentricity, h.link_eccentricity),
     ("link_late", h.link_late, h.link_late),
+    ("motor_scale", h.motor_scale, h.motor_scale),
+    ("motor_late", h.motor_late, h.motor_late),
+    ("motor_zero", h.motor_zero, h.motor_zero),
 )
 BASE = _forms(
     ("base_torque", h.BaseTorque, h.BaseTorque),
@@ -181,6 +187,7 @@ BASE = _forms(
     ("gyro_scale", h.gyro_scale, h.gyro_scale),
 )
 # a friction that the torque's own offset hides is no cell on the ground, where every torque has an unknown offset
+FEW = ("motor_coulomb", "link_viscous", "cubic_stiffness", "torque_lag")
 COARSE = ("motor_coulomb", "motor_viscous", "link_coulomb", "cubic_stiffness")
 ON: dict[str, dict[str, tuple[Make, Make]]] = {
     "planar": {**FRICTION, **LINK, **DRIVE, **SENSORS, **BASE},
@@ -206,7 +213,7 @@ SIZES: dict[str, tuple[float, ...]] = {
     "pendulum": MULTIPLES,
     "six": (3.0, 30.0),
 }
-NULLS = {"planar": 60, "coarse": 12, "spatial": 16, "pendulum": 48, "six": 16}
+NULLS = {"planar": 60, "coarse": 12, "spatial": 10, "pendulum": 48, "six": 20}
 
 OUTSIDE: dict[str, tuple[tuple[str, Make, int, float], ...]] = {
     "planar": (
@@ -228,12 +235,14 @@ OUTSIDE: dict[str, tuple[tuple[str, Make, int, float], ...]] = {
     ),
     "pendulum": (
         ("quadratic_drag", h.QuadraticDrag, 0, 0.006),
+        ("concave_friction", h.ConcaveFriction, 0, 0.02),
         ("posture_friction", h.PostureFriction, 1, 0.008),
         ("warming_friction", h.WarmingFriction, 0, 0.02),
         ("cross_damping", h.CrossDamping, 1, 0.02),
         ("cable_spring", h.CableSpring, 0, 0.15),
     ),
     "six": (
+        ("concave_friction", h.ConcaveFriction, 4, 0.05),
         ("posture_friction", h.PostureFriction, 1, 8.0),
         ("warming_friction", h.WarmingFriction, 4, 0.05),
         ("cross_damping", h.CrossDamping, 2, 3.0),
@@ -243,15 +252,22 @@ OUTSIDE: dict[str, tuple[tuple[str, Make, int, float], ...]] = {
 """Laws that no catalogue has: name, law, joint and size."""
 
 NEAREST = {
-    "motor_coulomb": ("motor_viscous", "motor_stribeck", "link_coulomb", "motor_dahl", "load_friction", "torque_lag"),
+    "motor_coulomb": (
+        "motor_viscous",
+        "motor_stribeck",
+        "link_coulomb",
+        "link_stribeck",
+        "load_friction",
+        "torque_lag",
+    ),
     "motor_viscous": ("motor_coulomb", "link_viscous", "torque_lag", "viscous_asymmetry"),
-    "link_coulomb": ("motor_coulomb", "link_viscous", "link_dahl", "link_stribeck"),
+    "link_coulomb": ("motor_coulomb", "link_viscous", "motor_stribeck", "link_stribeck"),
     "link_viscous": ("motor_viscous", "link_coulomb"),
     "cubic_stiffness": ("backlash",),
     "backlash": ("cubic_stiffness", "motor_coulomb", "link_coulomb"),
     "torque_lag": ("motor_viscous",),
     "viscous_asymmetry": ("torque_offset", "motor_viscous"),
-    "motor_stribeck": ("motor_coulomb", "link_coulomb"),
+    "motor_stribeck": ("motor_coulomb", "link_coulomb", "link_stribeck"),
     "load_friction": ("motor_coulomb",),
 }
 """What a law that was left out of the catalogue looks like: keys that "part named" may state."""
@@ -278,6 +294,9 @@ def _of_arm(arm: str) -> list[Cell]:
         for place in (-1,) if at_base else PLACES[arm]:
             where = "base" if at_base else joints[place]
             for k, times in enumerate(SIZES[arm]):
+                if arm == "spatial" and not at_base and place != PLACES[arm][k]:
+                    # two minutes a verdict: each size at one place
+                    continue
                 make = own if k == 1 else other
                 cells.append(Cell(f"{arm}/{name}/{where}/x{times:g}", arm, "law", (Hidden(make, place, times),)))
     for first, second in PAIRS[arm]:
@@ -287,7 +306,7 @@ def _of_arm(arm: str) -> list[Cell]:
     for name, make, place, size in OUTSIDE[arm]:
         cells.append(Cell(f"{arm}/outside/{name}/{joints[place]}", arm, "outside", (Hidden(make, place, size=size),)))
     for key, (own, _) in ON[arm].items():
-        if key in NEAREST and arm != "coarse":
+        if key in NEAREST and arm != "coarse" and (arm != "spatial" or key in FEW):
             place = PLACES[arm][-1]
             cells.append(
                 Cell(
@@ -304,6 +323,7 @@ def _of_arm(arm: str) -> list[Cell]:
 
 def _others() -> list[Cell]:
     return [
+        *(Cell(f"{arm}/payload", arm, "change", payload=0.1) for arm in ARMS if arm != "coarse"),
         Cell("planar/lacks/flexibility", "planar", "structure", lacks="flexibility"),
         Cell("planar/lacks/coupling", "planar", "structure", lacks="coupling"),
         Cell("planar/momentum", "planar", "structure", momentum=50.0),
@@ -352,6 +372,8 @@ def case(cell: Cell, draw: int) -> Case:
         one.size if not one.times else one.times * limit(cell.arm, dirty, one.law, one.joint) for one in cell.hidden
     ]
     made = [one.make(max(one.joint, 0), size) for one, size in zip(cell.hidden, sizes, strict=True)]
+    # the same share of bend on slow and fast arms
+    made = [replace(one, bend=20.0 * RATE[cell.arm]) if isinstance(one, h.BentViscous) else one for one in made]
     model = as_built(trial, seed)
     if cell.group == "values":
         model = replace(trial.drawn, effects=())

@@ -34,6 +34,8 @@ class Now(NamedTuple):
     thetad: float
     stiffness: float
     """Of the joint's own spring; 0 where it is rigid."""
+    ratio: float
+    """Of the gear."""
     command: float
     """Torque of the drive before the gear."""
     load: float
@@ -172,7 +174,7 @@ class DahlLink(Law):
 
     key = "link_coulomb"
     place = "link"
-    near = ("link_dahl", "dahl")
+    near = ("link_stribeck",)
 
     def begin(self, now: Now) -> None:
         self.start = now.q
@@ -202,7 +204,7 @@ class LuGre(Law):
     bent: float = field(default=0.0, init=False)
 
     key = "motor_coulomb"
-    near = ("motor_stribeck", "motor_dahl")
+    near = ("motor_stribeck",)
 
     def _limit(self, rate: float) -> float:
         return 1.0 + self.extra * exp(-((rate / self.stribeck) ** 2))
@@ -287,7 +289,7 @@ class LinkViscous(MotorViscous):
 
 @dataclass
 class BentViscous(MotorViscous):
-    """Friction that grows less than in proportion."""
+    """Friction that grows less than in proportion; a cell sets the bend to twenty times the arm's typical rate."""
 
     bend: float = 5.0
 
@@ -386,7 +388,8 @@ class Hardening(Cubic):
 
 @dataclass
 class Backlash(Law):
-    """A gap: the spring's torque is missing within +-size rad. Its column is what the catalogue makes of a gap."""
+    """A gap: the spring's torque is missing within +-size rad. The entry's coefficient is the stiffness, its shape the
+    gap."""
 
     key = "backlash"
     near = ("cubic_stiffness", "motor_coulomb", "link_coulomb")
@@ -396,6 +399,9 @@ class Backlash(Law):
         d, gap = now.deflection, self.size
         linear = now.stiffness * d
         return now.stiffness * (d - gap if d > gap else d + gap if d < -gap else 0.0) - linear
+
+    def column(self, motion: Motion) -> Array:
+        return -np.clip((motion.theta - motion.q)[:, self.joint], -self.size, self.size)
 
 
 # the drive
@@ -433,15 +439,16 @@ class Offset(Law):
 
 @dataclass
 class Ripple(Law):
-    """A torque that repeats with the angle, `order` times a turn after the gear."""
+    """A torque that repeats with the angle, `order` times a turn of the motor, with a weaker third harmonic."""
 
-    order: int = 12
+    order: int = 2
 
     key = "ripple_sin"
-    near = ("ripple_cos", "torque_ripple_sin", "torque_ripple_cos")
+    near = ("ripple_cos",)
 
     def torque(self, now: Now) -> float:
-        return self.size * sin(self.order * now.theta)
+        angle = self.order * now.ratio * now.theta
+        return self.size * (sin(angle) + 0.1 * sin(3.0 * angle))
 
 
 # the base
@@ -452,7 +459,7 @@ class BaseTorque(Law):
     """A constant torque on the base, in its axes, about z."""
 
     key = "base_torque"
-    near = ("base_leak", "gravity_gradient")
+    near = ("base_leak", "gravity_gradient_sin", "gravity_gradient_cos")
     place = "base"
     exact = True
 
@@ -479,8 +486,8 @@ class Leak(Law):
 class Gradient(Law):
     """A gravity gradient: sin of twice the attitude."""
 
-    key = "gravity_gradient"
-    near = ("base_torque", "base_detent")
+    key = "gravity_gradient_sin"
+    near = ("gravity_gradient_cos", "detent_sin", "base_torque")
     place = "base"
     exact = True
 
@@ -493,7 +500,7 @@ class BaseDetent(Law):
     """Outside every catalogue: a torque on the base that repeats eight times a turn, distorted."""
 
     place = "base"
-    near = ("base_detent", "detent", "gravity_gradient", "base_torque")
+    near = ("detent_sin", "detent_cos", "gravity_gradient_sin", "gravity_gradient_cos")
 
     def torque(self, now: Now) -> float:
         return self.size * sin(8.0 * now.attitude + 0.6 * cos(5.0 * now.attitude))
@@ -511,6 +518,22 @@ class RateStiffness(Law):
 
     def torque(self, now: Now) -> float:
         return self.size * now.stiffness * tanh(abs(now.qd) / 0.1) * now.deflection
+
+
+@dataclass
+class ConcaveFriction(Law):
+    """Friction that bends at rates that the arm has: between viscous and Coulomb friction, and neither."""
+
+    bend: float = 1.0
+
+    near = ("motor_viscous", "motor_coulomb", "motor_stribeck", "link_viscous", "link_coulomb")
+
+    def torque(self, now: Now) -> float:
+        rate = self._rate(now)
+        return -self.size * rate / (1.0 + abs(rate) / self.bend)
+
+    def stiffness(self) -> float:
+        return self.size
 
 
 @dataclass
@@ -654,7 +677,35 @@ def link_late(joint: int, size: float) -> SensorError:
         bend = np.gradient(qd, h)
         return readings._replace(q=_only(readings.q, i, readings.q[:, i] + late * qd + 0.5 * late**2 * bend))
 
-    return SensorError(joint, size, "link_late", change, ("link_latch",))
+    return SensorError(joint, size, "link_late", change)
+
+
+def motor_scale(joint: int, size: float) -> SensorError:
+    """A motor encoder that reads too much by a share."""
+    return SensorError(
+        joint, size, "motor_scale", lambda m, r, i, s: r._replace(theta=_only(r.theta, i, (1.0 + s) * r.theta[:, i]))
+    )
+
+
+def motor_late(joint: int, size: float) -> SensorError:
+    """A motor encoder that latches late by `size` seconds."""
+
+    def change(motion: Motion, readings: Readings, i: int, late: float) -> Readings:
+        rate = motion.thetad[:, i]
+        bend = np.gradient(rate, motion.t[1] - motion.t[0])
+        return readings._replace(
+            theta=_only(readings.theta, i, readings.theta[:, i] + late * rate + 0.5 * late**2 * bend)
+        )
+
+    return SensorError(joint, size, "motor_late", change, ("torque_lag",))
+
+
+def motor_zero(joint: int, size: float) -> SensorError:
+    """A motor encoder that reads too much by a constant."""
+    return SensorError(
+        joint, size, "motor_zero", lambda m, r, i, s: r._replace(theta=_only(r.theta, i, r.theta[:, i] + s)),
+        ("link_zero", "spring_offset"),
+    )  # fmt: skip
 
 
 def gyro_bias(_: int, size: float) -> SensorError:

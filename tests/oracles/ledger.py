@@ -19,6 +19,8 @@ LEDGER = ROOT / "tests" / "oracles" / "ledger.jsonl"
 PAGE = ROOT / "docs" / "gap.md"
 BEGIN, END = "<!-- make gap writes this -->\n", "<!-- to here -->\n"
 Line = dict[str, Any]
+FEW = 20
+"""Runs below which a figure is shown and not judged."""
 
 
 def _digest(paths: Iterable[Path]) -> str:
@@ -67,12 +69,16 @@ def append(line: Line, path: Path | None = None) -> None:
 
 
 def last_campaign(lines: Sequence[Line]) -> list[Line]:
-    """The lines of the product with most runs, the later of two with as many; of a run that was scored twice, the
-    first."""
+    """The lines of the last product with at least half as many runs as any; of a run that was scored twice, the first.
+
+    A few runs of a later product do not take the place of a campaign.
+    """
     by_product: dict[str, dict[tuple[str, int], Line]] = {}
     for line in lines:
         by_product.setdefault(line["product"], {}).setdefault((line["cell"], line["draw"]), line)
-    return list(max(reversed(by_product.values()), key=len).values()) if by_product else []
+    most = max(map(len, by_product.values()), default=0)
+    large = [of for of in by_product.values() if 2 * len(of) >= most]
+    return list(large[-1].values()) if large else []
 
 
 def upper(events: int, runs: int, level: float = 0.95) -> float:
@@ -196,7 +202,9 @@ def measures(lines: Sequence[Line]) -> list[Measure]:
 
 def verdict(measure: Measure) -> str:
     """Whether a figure is what was asked, in words."""
-    return "not tried" if measure.met is None else "met" if measure.met else "missed"
+    if measure.met is None:
+        return "not tried"
+    return "too few runs" if measure.runs < FEW else "met" if measure.met else "missed"
 
 
 def _floor(line: Line) -> bool:
@@ -274,10 +282,13 @@ def write_page(path: Path | None = None) -> None:
 
 
 def typical_limits(lines: Sequence[Line]) -> dict[str, dict[str, float]]:
-    """Median of the limits that nulls of the last product state, by arm and condition, then by column."""
+    """Median of the limits that nulls state, by arm and condition, then by column: those of the last product that
+    answered nulls of the arm."""
+    nulls = [line for line in lines if line["group"] == "null" and line["limits"]]
+    last = {line["arm"]: line["product"] for line in nulls}
     found: dict[str, dict[str, list[float]]] = {}
-    for line in last_campaign(lines):
-        if line["group"] == "null":
+    for line in nulls:
+        if line["product"] == last[line["arm"]]:
             of = found.setdefault(f"{line['arm']}/{'dirty' if line['dirty'] else 'clean'}", {})
             for column, value in line["limits"].items():
                 of.setdefault(column, []).append(value)

@@ -19,7 +19,12 @@ from oracles.cells import Case
 from oracles.hidden import Law, Motion
 
 Json = Mapping[str, Any]
-SAME = {"motor_coulomb": "link_coulomb", "motor_viscous": "link_viscous", "motor_stribeck": "link_stribeck"}
+SAME = {
+    "motor_coulomb": "link_coulomb",
+    "motor_viscous": "link_viscous",
+    "motor_stribeck": "link_stribeck",
+    "viscous_asymmetry": "link_viscous_asymmetry",
+}
 """Entries that are one where a joint is rigid: motor and link turn as one."""
 
 
@@ -132,6 +137,7 @@ def truth(one: Case, motions: Sequence[Motion]) -> Truth:
     symbol = {"stiffness": "k", "rotor_inertia": "Im", "damping": "b"}
     changed = tuple(f"{symbol[field]}{joint + 1}" for field, joint, _ in one.cell.changed)
     expected = {"null": "nothing missing", "values": "values differ", "outside": "unknown", "without": "unknown"}
+    expected["change"] = "changed"
     return Truth(group, expected.get(group, "named"), tuple(effects), changed, _beside(one))
 
 
@@ -150,6 +156,9 @@ def _beside(one: Case) -> tuple[tuple[str, str, tuple[float, ...]], ...]:
 
 def _column(name: str, joints: Sequence[str]) -> tuple[str, str | None]:
     """Entry and joint of a column's name."""
+    component = re.fullmatch(r"(base_|gravity_|detent_|gyro_)(.*[a-z])[xyz]", name)
+    if component is not None:
+        return name[:-1], None
     found = re.fullmatch(r"(.*?)(\d+)", name)
     if found is None or int(found[2]) > len(joints):
         return name, None
@@ -197,6 +206,11 @@ def score(true: Truth, verdict: Json, joints: Sequence[str]) -> dict[str, Any]:
         differing = {v["name"] for v in verdict.get("values") or [] if v["differs"]}
         out["right"] = answer == "values differ" and differing == set(true.changed)
         out["false"] = bool(said)
+        return out
+    if true.group == "change":
+        changed = bool(said) and all(effect == "body_change" for effect, _ in said)
+        out["right"] = answer == "changed" or (answer in {"named", "part named"} and changed)
+        out["false"] = bool(said) and not changed
         return out
     if true.expected == "unknown":
         fair = bool(said) and all(near(pair) for pair in said)

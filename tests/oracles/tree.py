@@ -201,7 +201,7 @@ class TreePlant:
             q, qd, theta, thetad = angles
             return Now(
                 state.time, tree.opt.timestep, q.item(i), qd.item(i), theta.item(i), thetad.item(i),
-                self.spring.item(i), tau.item(i), load.item(i), base[0], base[1], qd,
+                self.spring.item(i), self.ratio.item(i), tau.item(i), load.item(i), base[0], base[1], qd,
             )  # fmt: skip
 
         drive_to = np.where([joint.flexible for joint in arm.joints], 1.0, self.ratio)

@@ -198,7 +198,7 @@ def show(lines: Sequence[dict[str, Any]]) -> int:
         ],
     )
     write_json("out/gap.json", {"measures": [vars(m) for m in found], "runs": list(lines)})
-    return int(any(m.met is False for m in found))
+    return int(any(ledger.verdict(m) == "missed" for m in found))
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -155,6 +155,14 @@ def test_values() -> None:
     assert judged(true, named(("motor_coulomb", "elbow")))["false"]
 
 
+def test_a_payload_that_comes() -> None:
+    true = Truth("change", "changed")
+    assert judged(true, {"answer": "changed"})["right"]
+    assert judged(true, named(("body_change", None)))["right"]
+    assert judged(true, named(("motor_coulomb", "elbow")))["false"]
+    assert not judged(true, {"answer": "unknown"})["right"]
+
+
 def test_the_multiple_is_that_of_the_limit_which_the_verdict_states() -> None:
     law = Truth("law", "named", (COULOMB,))
     verdict = {"candidates": [{"name": "motor_coulomb2", "limit": 0.01}, {"name": "motor_coulomb1", "limit": 0.001}]}
