@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from zygos.gap.explanation import Explanation
 from zygos.gap.findings import Gap
 from zygos.gap.forecast import Forecast
 from zygos.gap.sentences import against, evidence
+from zygos.gap.verdicts import Changed, PartNamed
 from zygos.report.provenance import Provenance
 
 
@@ -15,6 +17,22 @@ def predictions(gap: Gap) -> list[tuple[str, Forecast]]:
     """The gap's numbers by name: as delivered, refit, closed, floor, and, if there is one, with the best other."""
     listed = [("as delivered", gap.delivered), ("refit", gap.refit), ("closed", gap.closed), ("floor", gap.floor)]
     return listed + ([(f"with {gap.wrong_name} instead", gap.wrong)] if gap.wrong is not None else [])
+
+
+def _change(verdict: Changed) -> dict[str, Any]:
+    """What changed, and when."""
+    one = verdict.change
+    return {
+        "what": one.what,
+        "run": verdict.runs[one.run],
+        "between_runs": one.between,
+        "not_before_s": None if one.between else one.before_s,
+        "at_latest_s": None if one.between else one.after_s,
+        "values": [
+            {"name": name, "old": float(old), "new": float(new), "sigma": float(sigma)}
+            for name, old, new, sigma in zip(one.names, one.old, one.new, one.sigma, strict=True)
+        ],
+    }
 
 
 def as_json(found: Explanation, source: Provenance) -> dict[str, Any]:
@@ -40,6 +58,18 @@ def as_json(found: Explanation, source: Provenance) -> dict[str, Any]:
             for f in found.findings
         ],
         "partly": found.partly or None,
+        "left": [
+            {
+                "where": rest.where,
+                "size": rest.size,
+                "unit": rest.unit,
+                "floor": rest.floor if math.isfinite(rest.floor) else None,
+                "over": rest.over or None,
+                "share": rest.share,
+            }
+            for rest in (found.verdict.left if isinstance(found.verdict, PartNamed) else ())
+        ],
+        "change": _change(found.verdict) if isinstance(found.verdict, Changed) else None,
         "gap": gap
         and {
             "unit": "sigma",

@@ -43,6 +43,8 @@ _ACTING = ("motor", "link", "spring", "torque")
 """Places of effects that act at a joint."""
 _OFFSET = 1e4
 """Deviation of the constant error of a torque sensor that has noise, in units of this noise: nobody declares it."""
+_LOOSE = 0.1
+"""Deviation of an error of a sensor of which nothing is known, rad or rad/s."""
 _GAIN = 0.1
 """Deviation of the gain of such a sensor against that of the first one."""
 
@@ -108,6 +110,8 @@ class Layout:
     """Shapes that replace those of the catalogue, by the name of the column without its shape."""
     own: tuple[Acting, ...] = ()
     """Entries that it has in any case: those of the simulation."""
+    loose: tuple[str, ...] = ()
+    """Errors of sensors of which the arm file is not believed to know anything."""
 
     @cached_property
     def balances(self) -> tuple[str, ...]:
@@ -192,6 +196,11 @@ class Layout:
     @cached_property
     def zero_sigma(self) -> Array:
         """(zeros,) how well the arm file knows them, in the order of `zeros`."""
+        return np.array([_LOOSE if name in self.loose else one.sigma for name, one in self.errors.items()])
+
+    @cached_property
+    def declared_sigma(self) -> Array:
+        """(zeros,) what the arm file says of them, whether that is believed or not."""
         return np.array([one.sigma for one in self.errors.values()])
 
     @cached_property
@@ -582,7 +591,25 @@ def _effects(layout: Layout, moving: _Moving, balance: str) -> Iterator[Array]:
                 yield moving.thinned(energy_column(kind, moving.base, one.shape, number))
             else:
                 column = momentum_column(kind, moving.base, one.shape, number)
-                yield moving.thinned(column[..., "xyz".index(balance[1]) if arm.spatial else 0])
+                column = (
+                    column[..., "xyz".index(balance[1])] if arm.spatial else _since_start(column[..., 0], moving.time)
+                )
+                yield moving.thinned(column)
+
+
+def _since_start(column: Array, time: Array) -> Array:
+    """A running integral (..., A, m) that begins with each arc, as one that begins with the run: a momentum that a model
+    assumes has no constant in each arc. What lies between two arcs is taken as what lies at the end of the first."""
+    grown = column[..., -1] - column[..., 0]
+    if not np.isfinite(time).all() or column.shape[-1] < 2:
+        return column
+    step = time[:, 1] - time[:, 0]
+    slope = (column[..., -1] - column[..., -2]) / step
+    between = np.append(time[1:, 0] - time[:-1, -1], 0.0)
+    first = (column[..., :1, 1] - column[..., :1, 0]) / step[:1] * time[:1, 0]
+    total = np.cumsum(grown + slope * between, axis=-1)
+    start = np.concatenate([np.zeros_like(total[..., :1]), total[..., :-1]], axis=-1) + first
+    return np.asarray(column + start[..., None], dtype=np.float64)
 
 
 def _coupling(arm: Arm, moving: _Moving, balance: str, i: int) -> Iterator[Array]:

@@ -162,7 +162,8 @@ def polished(found: Search) -> Search:
     """The search with the shapes of the named laws between those of the catalogue's grid: the vertex of a parabola
     through what is left over, twice."""
     for _ in range(2):
-        shaped = [one for one in found.named if one.shape is not None and len(one.kind.shapes) > 1]
+        # an order is a whole number
+        shaped = [one for one in found.named if one.shape is not None and any(x % 1.0 for x in one.kind.shapes)]
         for one in shaped:
             found = _reshaped(found, one)
     return found
@@ -187,11 +188,13 @@ def _reshaped(found: Search, one: Candidate) -> Search:
     best: tuple[float, str] | None = None
     for shape in fine:
         name = f"{plain}@{shape:.6g}"
-        left = _total(study.of(replace(study.hypothesis, effects=(*others, name))).rms, study.noise)
+        try:
+            left = _total(study.of(replace(study.hypothesis, effects=(*others, name))).rms, study.noise)
+        except Undecided:
+            continue
         if best is None or left < best[0]:
             best = left, name
-    assert best is not None
-    if best[1] == one.name:
+    if best is None or best[1] == one.name:
         return found
     chosen = replace(study.hypothesis, effects=(*others, best[1]))
     now = again(study, chosen)
