@@ -140,7 +140,7 @@ class Drives(ABC):
     @property
     def held_momentum(self) -> float | None:
         """Angular momentum that the arm keeps, Nms; None: no assumption, or a torque acts on the base."""
-        return None if any(law.kind.place == "base" for law in self.laws) else self.angular_momentum
+        return None if self.base_laws else self.angular_momentum
 
     @cached_property
     def rigid(self) -> NDArray[np.bool_]:

@@ -257,7 +257,7 @@ def possible(hypothesis: Hypothesis, one: Acting) -> bool:
     if one.kind.place == "rotor":
         return hypothesis.uncoupled[one.joint]
     if one.kind.place == "base" and one.kind.law is None:
-        return hypothesis.momentum is not None
+        return bool(hypothesis.uncentred)
     # nothing deflects at a rigid joint; motor and link turn as one there, and so cannot be told apart
     return not (one.joint >= 0 and hypothesis.rigid[one.joint] and one.kind.place == "spring")
 
@@ -342,6 +342,9 @@ def _inseparable(candidate: Candidate, now: Study, before: Study) -> tuple[str, 
                 continue
             if kind.positive and alone.of(other) < 0.0:
                 continue
+        except Undecided:
+            continue
+        try:
             beside, spread = now.of(both).of(candidate.name), now.of_twin(both).of(candidate.name).std(ddof=1)
         except Undecided:
             together.append(other)

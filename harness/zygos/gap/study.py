@@ -429,4 +429,5 @@ def coefficient(dynamics: Drives, hypothesis: Hypothesis, name: str, sensors: Se
         return sum(effect.value for effect in sensors if effect.column(arm) == one.plain)
     number = one.kind.components(arm).index(one.component)
     same = (one.kind.key, one.joint, number)
-    return sum(law.value for law in dynamics.laws if (law.kind.key, law.joint, law.component) == same)
+    laws = (*dynamics.laws, *dynamics.base_laws)
+    return sum(law.value for law in laws if (law.kind.key, law.joint, law.component) == same)
