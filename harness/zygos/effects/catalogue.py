@@ -588,8 +588,8 @@ Coulomb friction beside it, which is an entry of its own.
 backlash: the spring's torque is k (theta - q) less c (theta - q) within the gap, and less c g beyond it. At c = k the
 gap is free of torque; a smaller c is a gap that is stiff to some degree. The coefficient is linear, the gap a shape.
 ripple: its order counts turns of the motor, before the gear, whose angle is n theta.
-gravity_gradient, detent: of unknown phase, so that each has a sine and a cosine. A detent of the second order looks like
-a gravity gradient, which stands for it.
+gravity_gradient, detent: of unknown phase, so that each has a sine and a cosine. A detent of the second order looks
+like a gravity gradient, which stands for it.
 body_change: has one component for each base parameter of the bodies. What is taken up or dropped moves with the arm at
 that instant, so that the motion goes on without a jump.
 link_late, motor_late: the encoder latches its angle later than the arm file states.

@@ -1,10 +1,11 @@
 """The balances of a gap: what every parameter and every effect of the catalogue adds to each, for batches of arcs.
 
-Energy E of the whole arm: work of the motors = change of kinetic and potential energy + losses. Motor impulse M_i, local
-to a flexible joint i: int tau = Im (n thetad + f_(i-1)) + 1/n int spring + int friction. Momentum L_j of the link angle
-of a rigid joint j, over short increments. Angular momentum H of a floating arm about its mass centre: one component in a
-plane, where the base's attitude drops out, and Hx, Hy, Hz in space, in the axes that the base had at the arc's origin. A
-balance is
+Energy E of the whole arm: work of the motors = change of kinetic and potential energy + losses. Motor impulse M_i,
+local to a flexible joint i: int tau = Im (n thetad + f_(i-1)) + 1/n int spring + int friction. Momentum L_j of the
+link angle
+of a rigid joint j, over short increments. Angular momentum H of a floating arm about its mass centre: one component
+in a plane, where the base's attitude drops out, and Hx, Hy, Hz in space, in the axes that the base had at the arc's
+origin. A balance is
 
     columns . coefficients = right side + constant of the arc
 
@@ -132,7 +133,8 @@ class Layout:
 
     @cached_property
     def effects(self) -> tuple[Acting, ...]:
-        """Entries of the catalogue in the order of their columns, as far as the arm can have them; those of sensors last.
+        """Entries of the catalogue in the order of their columns, as far as the arm can have them; those of sensors
+        last.
 
         The offset of a spring is none of them: the zeros of its encoders stand for it. Nor are the errors that each run
         has for itself.
@@ -188,9 +190,9 @@ class Layout:
 
     @cached_property
     def zeros(self) -> tuple[str, ...]:
-        """Columns of the sensors' errors, which each run has for itself: the encoders' zeros, rad, known to a quantum at
-        best, which is enough to look like an effect; the gyro's bias, rad/s, which looks like an angular momentum; of
-        torques that are not perfect a constant offset, Nm, and the gain of each against the first."""
+        """Columns of the sensors' errors, which each run has for itself: the encoders' zeros, rad, known to a quantum
+        at best, which is enough to look like an effect; the gyro's bias, rad/s, which looks like an angular momentum;
+        of torques that are not perfect a constant offset, Nm, and the gain of each against the first."""
         return tuple(self.errors)
 
     @cached_property
@@ -274,7 +276,8 @@ def corrected(record: MeasuredRun, layout: Layout, errors: Array) -> MeasuredRun
 
 
 def thinning(arm: Arm) -> int:
-    """Rows of a sum stand at every so many instants: smoothed readings next to each other share nearly all their noise."""
+    """Rows of a sum stand at every so many instants: smoothed readings next to each other share nearly all their
+    noise."""
     return max(1, arm.smoother.points // 8)
 
 
@@ -317,8 +320,9 @@ def balance_rows(
 ) -> BalanceRows:
     """Balances of arcs of readings, in the units of energy (J), impulse before the gear (Nms) and momentum (Nms).
 
-    values: base parameters (p,), about right: what an error of a sensor does to the balances depends on them. zeros: the
-    columns of these errors instead, by balance, as `zero_columns` has them. every: rows stand at every so many instants.
+    values: base parameters (p,), about right: what an error of a sensor does to the balances depends on them. zeros:
+    the columns of these errors instead, by balance, as `zero_columns` has them. every: rows stand at every so many
+    instants.
     """
     arm = layout.arm
     if zeros is None:
@@ -339,8 +343,8 @@ def balance_rows(
 
 
 def zero_columns(layout: Layout, readings: Readings, values: Array, every: int = 1) -> tuple[Array, ...]:
-    """By balance (..., A, m, ·): what errors of the sensors of 1 unit would take away, to first order: the entries of the
-    catalogue at sensors, then the errors that each run has for itself."""
+    """By balance (..., A, m, ·): what errors of the sensors of 1 unit would take away, to first order: the entries of
+    the catalogue at sensors, then the errors that each run has for itself."""
     value = np.where(np.isfinite(values), values, 0.0)
     names = layout.arm.parameter_names
     known = [value[[names.index(layout.columns[c]) for c in used if c < len(names)]] for used in layout.used]
@@ -598,9 +602,9 @@ def _effects(layout: Layout, moving: _Moving, balance: str) -> Iterator[Array]:
 
 
 def _since_start(column: Array, time: Array) -> Array:
-    """A running integral (..., A, m) that begins with each arc, as one that begins with the run: a momentum that a model
-    assumes has no constant in each arc. What lies between two arcs is taken as what lies at the end of the first."""
-    grown = column[..., -1] - column[..., 0]
+    """A running integral (..., A, m) that begins with each arc, as one that begins with the run: a momentum that a
+    model assumes has no constant in each arc. What lies between two arcs is taken as what lies at the end of the
+    first.""" grown = column[..., -1] - column[..., 0]
     if not np.isfinite(time).all() or column.shape[-1] < 2:
         return column
     step = time[:, 1] - time[:, 0]

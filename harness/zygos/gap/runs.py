@@ -53,8 +53,8 @@ def explain_runs(
 
     simulation: the model that the simulation uses. measured: runs of one arm; what is learned from one must hold on
     the others. A single run is cut into thirds, of which the last is kept apart. validate: runs from which nothing is
-    learned; the gap is measured on them, before and after. without: keys of effects that are not tried. progress is called with the share that is done and what is
-    being done.
+    learned; the gap is measured on them, before and after. without: keys of effects that are not tried. progress is
+    called with the share that is done and what is being done.
 
     `Explanation.answer` is "values differ", "named", "part named", "changed", "cannot tell", "nothing missing" or
     "unknown"; `sentence` says it in words, `findings` has the effects with value and interval, and `model` is the model

@@ -38,8 +38,8 @@ DRAWS = 20
 LARGE = 3.0
 """Deviations of what the arm file knows of a sensor beyond which its error is taken off the records."""
 _LOOSE, _TRIED, _WORTH = 4, 8, 0.5
-"""Errors of sensors that are freed at the most, those that are tried at a time, and the share of what a fit pays for all
-of them that may be left by one that is freed."""
+"""Errors of sensors that are freed at the most, those that are tried at a time, and the share of what a fit pays for
+all of them that may be left by one that is freed."""
 _FEW = 4
 """Enough to weight the balances of a study that is made again."""
 
