@@ -602,9 +602,12 @@ def _effects(layout: Layout, moving: _Moving, balance: str) -> Iterator[Array]:
 
 
 def _since_start(column: Array, time: Array) -> Array:
-    """A running integral (..., A, m) that begins with each arc, as one that begins with the run: a momentum that a
-    model assumes has no constant in each arc. What lies between two arcs is taken as what lies at the end of the
-    first.""" grown = column[..., -1] - column[..., 0]
+    """A running integral (..., A, m) that begins with each arc, as one that begins with the run.
+
+    A momentum that a model assumes has no constant in each arc. What lies between two arcs is taken as what lies at the
+    end of the first.
+    """
+    grown = column[..., -1] - column[..., 0]
     if not np.isfinite(time).all() or column.shape[-1] < 2:
         return column
     step = time[:, 1] - time[:, 0]

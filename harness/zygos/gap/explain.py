@@ -128,12 +128,7 @@ class _Explainer:
         arm = self.arm
         layout = Layout(arm)
         self.step(0.05, "the simulation's own equations")
-        if arm.torque_law == "sampled":
-            self.remarks.append(TorquesSampled())
-        used: dict[str, float] = {}
-        for record in (*self.measured, *self.validate):
-            used[record.path.name] = used.get(record.path.name, 0.0) + record.share
-        self.remarks += [BrokenRun(name, share) for name, share in used.items() if share < _USED]
+        self._remark_runs()
         delivered = from_model(arm, self.simulation)
         hypothesis = replace(read_hypothesis(layout, self.simulation), without=self.without)
         refit = zeroed(begin(self.measured, hypothesis, delivered))
@@ -154,10 +149,7 @@ class _Explainer:
             found = search(basis, lambda what: self.step(0.35, what))
             gap = self._gap(delivered, refit, found.after, found)
             if self._open(found, gap):
-                self.step(0.5, "every entry of the catalogue")
-                wide = replace(basis.hypothesis, layout=replace(basis.layout, wide=True))
-                wider = search(begin(self.measured, wide, basis.dynamics()), lambda what: self.step(0.6, what))
-                wider = polished(wider)
+                wider = self._wider(basis)
                 if _explains_more(wider, found):
                     found, gap = wider, self._gap(delivered, refit, wider.after, wider)
             if self._unsettled(found):
@@ -201,6 +193,21 @@ class _Explainer:
             tuple(self.remarks),
             self.validate,
         )
+
+    def _remark_runs(self) -> None:
+        """Note what the runs have against them."""
+        if self.arm.torque_law == "sampled":
+            self._remark(TorquesSampled())
+        used: dict[str, float] = {}
+        for record in (*self.measured, *self.validate):
+            used[record.path.name] = used.get(record.path.name, 0.0) + record.share
+        self.remarks += [BrokenRun(name, share) for name, share in used.items() if share < _USED]
+
+    def _wider(self, basis: Study) -> Search:
+        """The search among every entry of the catalogue."""
+        self.step(0.5, "every entry of the catalogue")
+        wide = replace(basis.hypothesis, layout=replace(basis.layout, wide=True))
+        return polished(search(begin(self.measured, wide, basis.dynamics()), lambda what: self.step(0.6, what)))
 
     def _flexible(self, refit: Study, joints: list[str]) -> Study:
         """The study with springs in these joints. The twin needs a first guess: each motor balance by itself has one.
