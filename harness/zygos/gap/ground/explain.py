@@ -151,7 +151,7 @@ class _Explainer:
             span,
             None
             if not adopted or verdict.answer == "cannot tell"
-            else self._adopt(table, found, findings, values_found),
+            else self._adopt(table, found, findings, values_found, verdict),
             tuple(self.notes),
         )
 
@@ -297,7 +297,9 @@ class _Explainer:
             for j, joint in enumerate(self.arm.joints)
         )
 
-    def _adopt(self, table: Table, found: Search, findings: tuple[Finding, ...], values: tuple[Value, ...]) -> Model:
+    def _adopt(
+        self, table: Table, found: Search, findings: tuple[Finding, ...], values: tuple[Value, ...], verdict: Verdict
+    ) -> Model:
         by_name = {value.name: value for value in values}
         parameters = {}
         for name, was in self.simulation.base_parameters(self.arm).items():
@@ -330,7 +332,28 @@ class _Explainer:
                         evidence=entry_evidence(finding),
                     )
                 )
+        if isinstance(verdict, Changed):
+            effects += self._begun(table, verdict, [effect.column(self.arm) for effect in effects])
         return Model(f"{self.simulation.name}, explained", parameters=parameters, effects=tuple(effects))
+
+    def _begun(self, table: Table, verdict: Changed, known: Sequence[str]) -> list[Effect]:
+        """The effects that a change brought: the model is that of the arm after it."""
+        change = verdict.change
+        sizes = dict(zip(change.names, zip(change.new.tolist(), change.sigma.tolist(), strict=True), strict=True))
+        return [
+            replace(
+                one.effect,
+                value=sizes[one.name][0],
+                sigma=sizes[one.name][1],
+                source="zygos",
+                evidence=f"not there before {verdict.runs[change.run]}",
+            )
+            for one in table.layout.candidates
+            if one.effect is not None
+            and one.name in sizes
+            and one.name not in known
+            and (sizes[one.name][0] > 0.0 or not one.positive)
+        ]
 
 
 class _Sizes:
