@@ -44,6 +44,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def coarse(folder: Path) -> Path:
+    """An arm file that declares coarser encoders than the arm has."""
+    arm = folder / "arm.toml"
+    arm.write_text((EXAMPLE / "arm.toml").read_text().replace("quantum_rad = 0.003", "quantum_rad = 0.006"))
+    return arm
+
+
 def explain(folder: Path, prefix: str, out: Path, *more: object, simulation: Path = EXAMPLE / "model.toml") -> int:
     runs = [folder / f"{prefix}{k}.blf" for k in range(3)]
     arguments = ["--simulation", simulation, "--measured", runs[0], runs[1], "--validate", runs[2], "-o", out]
@@ -91,9 +98,7 @@ def test_a_damaged_log_is_explained_with_a_warning(
     assert [found["effect"] for found in content["findings"]] == ["motor_coulomb"]
     assert content["damage"][0].startswith(f"{runs[1]} is damaged in the object at byte")
     assert load_model(out).effects
-    wrong = tmp_path / "arm.toml"
-    wrong.write_text((folder / "arm.toml").read_text().replace("gear_ratio = 50", "gear_ratio = 60", 1))
-    arguments[arguments.index(folder / "arm.toml")] = wrong
+    arguments[arguments.index(folder / "arm.toml")] = coarse(tmp_path)
     assert run("explain", *arguments) == 3
     assert "warning" in capsys.readouterr().err
 
@@ -115,10 +120,8 @@ def test_nothing_missing_is_an_answer(folder: Path, tmp_path: Path, capsys: pyte
 
 
 def test_unknown_writes_no_model_but_says_why(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """An arm file with a wrong gear ratio fits no effect of the catalogue."""
-    text = (EXAMPLE / "arm.toml").read_text()
-    arm = tmp_path / "arm.toml"
-    arm.write_text(text.replace("gear_ratio = 50", "gear_ratio = 60", 1))
+    """The balances close better than the noise that the arm file declares."""
+    arm = coarse(tmp_path)
     out, verdict, page = tmp_path / "new.toml", tmp_path / "verdict.json", tmp_path / "gap.html"
     assert explain(folder, "p", out, "--arm", arm, "--json", verdict, "--report", page) == 3
     assert not out.exists()
@@ -192,15 +195,63 @@ def test_a_model_of_another_arm_is_refused(folder: Path, tmp_path: Path, capsys:
     assert "use the same joint names" in " ".join(capsys.readouterr().err.split())
 
 
-def test_an_arm_whose_balances_it_does_not_have(
+def test_motor_currents_of_an_arm_that_floats_are_refused(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     arm = tmp_path / "arm.toml"
-    arm.write_text((EXAMPLE / "arm.toml").read_text().replace('"planar-symmetric"', '"planar"'))
+    text = (EXAMPLE / "arm.toml").read_text()
+    arm.write_text(text.replace('torque_at = "rotor"', 'torque_at = "rotor"\ntorque_unit = "A"', 1))
     out = tmp_path / "new.toml"
     assert explain(folder, "p", out, "--arm", arm) == 2
-    assert "a gap can be explained only for a free-floating, planar-symmetric arm" in capsys.readouterr().err
+    error = " ".join(capsys.readouterr().err.split())
+    assert "its torques are motor currents" in error and "remedy: give torques in Nm" in error
     assert not out.exists()
+
+
+def test_a_single_run_is_cut_into_thirds(folder: Path, tmp_path: Path) -> None:
+    verdict, arguments = tmp_path / "verdict.json", ["--simulation", EXAMPLE / "model.toml", "--measured"]
+    assert run("explain", *arguments, folder / "f0.blf", "-o", tmp_path / "new.toml", "--json", verdict) == 0
+    content = json.loads(verdict.read_text())
+    assert [(found["effect"], found["joint"]) for found in content["findings"]] == [("motor_coulomb", "elbow")]
+    assert content["findings"][0]["value"] == pytest.approx(FRICTION, rel=0.05)
+    # what is learned from one part holds on the second, and the gap is measured on the third
+    assert {len(candidate["each"]) for candidate in content["candidates"]} == {2}
+    assert content["gap"] is not None
+    arcs = [entry["arcs"] for entry in content["runs"]]
+    assert len(arcs) == 3 and max(arcs) - min(arcs) <= 1
+
+
+def test_a_single_short_run_is_refused(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    short, out = tmp_path / "short.blf", tmp_path / "new.toml"
+    for name in ("arm.toml", "model.toml"):
+        (tmp_path / name).write_text((EXAMPLE / name).read_text())
+    scenario = (EXAMPLE / "scenario.toml").read_text().replace("duration_s = 60.0", "duration_s = 12.0")
+    (tmp_path / "scenario.toml").write_text(scenario)
+    assert run("simulate", tmp_path / "scenario.toml", "-o", short) == 0
+    assert run("explain", "--simulation", EXAMPLE / "model.toml", "--measured", short, "-o", out) == 2
+    error = " ".join(capsys.readouterr().err.split())
+    assert "cannot be cut into 3 parts" in error and "remedy: give two runs (--measured A B)" in error
+    assert not out.exists()
+
+
+def test_a_single_run_is_halved_beside_two_that_are_kept_apart(folder: Path, tmp_path: Path) -> None:
+    verdict, apart = tmp_path / "verdict.json", ["--validate", folder / "f1.blf", folder / "f2.blf"]
+    arguments = ["--simulation", EXAMPLE / "model.toml", "--measured", folder / "f0.blf", *apart]
+    assert run("explain", *arguments, "-o", tmp_path / "new.toml", "--json", verdict) == 0
+    content = json.loads(verdict.read_text())
+    assert [(found["effect"], found["joint"]) for found in content["findings"]] == [("motor_coulomb", "elbow")]
+    assert [entry["role"] for entry in content["files"]] == ["simulation", "arm", "measured", "validate", "validate"]
+    assert [Path(entry["run"]).name for entry in content["runs"]] == ["f0.blf", "f0.blf", "f1.blf", "f2.blf"]
+    # values from half a run predict both runs better than without the effect
+    assert content["gap"]["median"]["closed"] < 0.5 * content["gap"]["median"]["refit"]
+
+
+@pytest.mark.slow
+def test_an_untouched_run_that_lacks_the_effect_forbids_its_name(folder: Path, tmp_path: Path) -> None:
+    verdict, arguments = tmp_path / "verdict.json", ["--simulation", EXAMPLE / "model.toml", "--measured"]
+    arguments += [folder / "f0.blf", folder / "f1.blf", "--validate", folder / "p0.blf"]
+    run("explain", *arguments, "-o", tmp_path / "new.toml", "--json", verdict)
+    assert json.loads(verdict.read_text())["answer"] in {"part named", "unknown"}
 
 
 def test_the_shipped_logs_are_those_that_were_sealed() -> None:

@@ -144,7 +144,9 @@ def ensemble(noise: EncoderNoise) -> Ensemble:
         runs = tuple(record(run, seed, noise) for run in RUNS)
         seen = tuple(
             replace(
-                accumulate(balance_rows(one.arm, one.readings(), values, every=thinning(one.arm)), kept, uncentred),
+                accumulate(
+                    balance_rows(Layout(one.arm), one.readings(), values, every=thinning(one.arm)), kept, uncentred
+                ),
                 noise=twin.noise,
             )
             for one, kept, twin in zip(runs, first.accepted, first.twin_sums, strict=True)
@@ -244,10 +246,10 @@ def everything(twin: Twin) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
     return np.ones((arcs, cycles - twin.arm.smoother.points + 1), dtype=np.bool_)
 
 
-def exact_sums(twin: Twin, values: Floats) -> Sums:
-    """Of a twin's readings before any noise; H without a constant."""
-    arm = twin.arm
-    return accumulate(balance_rows(arm, twin.exact, values), everything(twin), (Layout(arm).balances.index("H"),))
+def exact_sums(twin: Twin, values: Floats, layout: Layout | None = None) -> Sums:
+    """Of a twin's readings before any noise; H without a constant. layout: other columns than the arm's own."""
+    layout = layout or Layout(twin.arm)
+    return accumulate(balance_rows(layout, twin.exact, values), everything(twin), (layout.balances.index("H"),))
 
 
 @pytest.mark.slow
@@ -256,7 +258,7 @@ def test_a_twin_is_an_exact_solution() -> None:
     arm, model, _ = example()
     base = model.base_values(arm)
     for twin, noise in zip(twins(), study().noise, strict=True):
-        table = dense(balance_rows(arm, twin.exact, base))
+        table = dense(balance_rows(Layout(arm), twin.exact, base))
         terms = table.left * true_columns(arm, base)
         scale = rms(centred(np.moveaxis(np.concatenate([terms, table.right[..., None]], axis=-1), -1, 0))).max(axis=0)
         rest = table.left @ true_columns(arm, base) - table.right
@@ -316,7 +318,8 @@ def test_the_fit_gives_back_what_a_twin_was_made_with() -> None:
         replace(wrong(("k1", 0.9), ("Im2", 1.1)), laws=true_dynamics(*effects).laws),
     ):
         truth = np.array([coefficient(dynamics, hypothesis, name) for name in hypothesis.names])
-        sums = [exact_sums(twin, base_values(dynamics, Layout(arm))) for twin in follow(dynamics, records())]
+        layout = hypothesis.layout
+        sums = [exact_sums(twin, base_values(dynamics, layout), layout) for twin in follow(dynamics, records())]
         found = fit(hypothesis, sums, study().weight)
         off = np.abs(found.value - truth) / np.where(truth == 0.0, 1e-3, np.abs(truth))
         print({name: f"{x:.1e}" for name, x in zip(hypothesis.names, off, strict=True)})
@@ -332,7 +335,7 @@ def test_draws_of_a_twin_scatter_about_what_it_was_made_with() -> None:
     assert found.value.shape == (DRAWS, len(truth))
     values, h = base_values(one.model, one.layout), one.layout.balances.index("H")
     exact = [
-        accumulate(balance_rows(twin.arm, twin.exact, values, every=thinning(twin.arm)), kept, (h,))
+        accumulate(balance_rows(Layout(twin.arm), twin.exact, values, every=thinning(twin.arm)), kept, (h,))
         for twin, kept in zip(one.twins, one.accepted, strict=True)
     ]
     still = fit(one.hypothesis, exact, one.weight).value - truth
@@ -430,11 +433,11 @@ def test_sums_do_not_depend_on_how_draws_are_split() -> None:
     stacked = Readings(
         *(np.stack([getattr(one, name) for one in readings]) for name in ("q", "theta", "omega0", "tau"))
     )
-    batch = accumulate(balance_rows(arm, stacked, zeros=zeros), accepted, (h,))
+    batch = accumulate(balance_rows(Layout(arm), stacked, zeros=zeros), accepted, (h,))
     arcs = []
     for k in range(2):
         own = tuple(column[k : k + 1] for column in zeros)
-        rows = balance_rows(arm, parts(readings[0], slice(k, k + 1)), zeros=own)
+        rows = balance_rows(Layout(arm), parts(readings[0], slice(k, k + 1)), zeros=own)
         arcs.append(accumulate(rows, accepted[k : k + 1], (h,)))
     for k, gram in enumerate(whole.gram):
         np.testing.assert_array_equal(gram, np.concatenate([half.gram[k] for half in halves]))
@@ -451,7 +454,7 @@ def test_instants_that_are_refused_do_not_count() -> None:
     """Whatever stands there; constants of the arcs are those of the rest, and an arc may be refused as a whole."""
     arm, model, _ = example()
     twin = twins()[0]
-    table = balance_rows(arm, twin.exact, model.base_values(arm))
+    table = balance_rows(Layout(arm), twin.exact, model.base_values(arm))
     accepted = everything(twin)
     accepted[1] = False
     accepted[0, :50] = False
@@ -485,7 +488,7 @@ def test_the_fit_is_least_squares() -> None:
     zeros, names = len(known.zeros), hypothesis.names
     stacked, right, sums = [], [], []
     for run, twin in enumerate(twins()):
-        rows = balance_rows(arm, measure(twin, 7), base)
+        rows = balance_rows(Layout(arm), measure(twin, 7), base)
         table = dense(rows)
         accepted = everything(twin)
         accepted[0, 300:700] = False
@@ -530,12 +533,13 @@ def test_zeros_of_the_encoders_are_found() -> None:
     """Each run has its own; the parameters are those of encoders that are right."""
     arm, model, _ = example()
     arm = loose(arm)
-    hypothesis, base = replace(study().hypothesis, layout=Layout(arm)), model.base_values(arm)
+    layout = Layout(arm)
+    hypothesis, base = replace(study().hypothesis, layout=layout), model.base_values(arm)
     off = 1e-4 * np.array([[1.0, -2.0, 0.5, 1.5], [-1.0, 1.0, 2.0, -0.5]])
     sums = []
     for twin, zero in zip(twins(), off, strict=True):
         seen = replace(twin.exact, q=twin.exact.q + zero[::2], theta=twin.exact.theta + zero[1::2])
-        sums.append(accumulate(balance_rows(arm, seen, base), everything(twin), (Layout(arm).balances.index("H"),)))
+        sums.append(accumulate(balance_rows(layout, seen, base), everything(twin), (layout.balances.index("H"),)))
     found = fit(hypothesis, sums, study().weight)
     error = np.abs(found.value / base - 1.0)
     encoders = found.zeros[..., : off.shape[-1]]
@@ -571,6 +575,6 @@ def test_a_fit_of_too_little_is_undecided() -> None:
     still = Readings(
         np.zeros_like(twin.exact.q), np.zeros_like(twin.exact.q), np.zeros_like(twin.exact.omega0), twin.exact.tau
     )
-    sums = accumulate(balance_rows(arm, still, model.base_values(arm)), everything(twin))
+    sums = accumulate(balance_rows(Layout(arm), still, model.base_values(arm)), everything(twin))
     with pytest.raises(Undecided, match="a00 moves nothing"):
         fit(study().hypothesis, [sums], np.ones(4))

@@ -153,7 +153,7 @@ def with_noise(cycles: Cycles, errors: tuple[Floats, Floats, Floats], sign: floa
 
 def every_effect(arm: Arm) -> list[Effect]:
     """One of each kind that has a column, the joints taken in turn."""
-    kinds = [kind for kind in CATALOGUE.values() if kind.place not in ("rotor", "base")]
+    kinds = [kind for kind in CATALOGUE.values() if kind.flies and kind.place not in ("rotor", "base")]
     return [Effect(kind, arm.joints[k % arm.n].name, 0.0) for k, kind in enumerate(kinds)]
 
 

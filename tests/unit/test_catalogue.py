@@ -242,7 +242,7 @@ def test_what_the_flight_library_lacks_is_refused(key: str) -> None:
     arm, _, _ = arm_of(ARMS[0])
     kind = CATALOGUE[key]
     lacking = Effect(kind, "elbow" if kind.at_joint else None, 0.0, shape=SHAPE.get(key))
-    with pytest.raises(ZygosError, match=f"effect {key}.*the flight library has no column for it; remedy"):
+    with pytest.raises(ZygosError, match=f"the flight library has no column for {key}.*; remedy"):
         Flight(arm, (lacking,))
 
 

@@ -36,7 +36,7 @@ from zygos.simulation.plant import Trajectory, simulate
 
 Floats = NDArray[np.float64]
 
-COLUMNS = [key for key, kind in CATALOGUE.items() if kind.place not in ("rotor", "base") and not kind.on_ground]
+COLUMNS = [key for key, kind in CATALOGUE.items() if kind.flies and kind.place not in ("rotor", "base")]
 NOT_PHYSICAL, UNCLOSED = REASONS[4], REASONS[6]
 
 
@@ -55,7 +55,7 @@ def silent(arm: Arm) -> Arm:
 def test_every_column_has_its_kind_in_the_flight_library() -> None:
     kinds = {name for name in ffi.typeof("enum zygos_effect_kind").elements.values()}
     assert kinds == {f"ZYGOS_{key.upper()}" for key in COLUMNS}
-    lawful = {key for key, kind in CATALOGUE.items() if kind.torque is not None and not kind.on_ground}
+    lawful = {key for key, kind in CATALOGUE.items() if kind.torque is not None and kind.flies}
     assert lawful | {"torque_lag"} == set(COLUMNS)
 
 
@@ -80,7 +80,7 @@ def test_entries_make_sense(key: str) -> None:
         return
     x = np.linspace(-2.0, 2.0, 4001)
     law = kind.torque(x)
-    if key in ("torque_offset", "viscous_asymmetry"):
+    if key == "torque_offset" or key.endswith("viscous_asymmetry"):
         np.testing.assert_allclose(law, law[::-1], atol=1e-12)
     elif key != "spring_offset":
         np.testing.assert_allclose(law, -law[::-1], atol=1e-12)
@@ -107,7 +107,10 @@ def test_what_has_no_column_is_passed_over_or_refused() -> None:
 def test_model_file_round_trip(tmp_path: Path) -> None:
     _, model, _ = lively()
     effects = [
-        Effect(kind, "elbow" if kind.at_joint else None, 0.25, 0.01, "test", "because") for kind in CATALOGUE.values()
+        Effect(
+            kind, "elbow" if kind.at_joint else None, 0.25, 0.01, "test", "because", shape=0.5 if kind.shapes else None
+        )
+        for kind in CATALOGUE.values()
     ]
     effects += [effect("motor_coulomb", "shoulder"), effect("cubic_stiffness", "shoulder", -3.0)]
     model = replace(model, effects=tuple(effects))
@@ -198,7 +201,7 @@ def test_effects_of_a_base_that_cannot_turn() -> None:
     momentum = Effect(CATALOGUE["angular_momentum"], None, 1.0)
     fixed, space = replace(arm, base="fixed", imu=NO_IMU), replace(arm, kinetic="spatial")
     assert momentum.index(arm) == -1
-    for other, said in ((fixed, "base is fixed"), (space, "moves in space")):
+    for other, said in ((fixed, "the base of arm lively is fixed"), (space, "moves in space")):
         with pytest.raises(ZygosError, match=rf"angular_momentum: .*{said}.*remedy"):
             estimated(other, [momentum])
     assert estimated(fixed, [effect("rotor_coupling", "elbow", 1.0)]) == ()

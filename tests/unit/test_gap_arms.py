@@ -19,7 +19,7 @@ from zygos.arm import Smoother
 from zygos.can.run import Run
 from zygos.dynamics.equations import from_model, parameters
 from zygos.effects import CATALOGUE, columns_at
-from zygos.gap.balances import Layout
+from zygos.gap.balances import Acting, Layout
 from zygos.gap.forecast import cut, cut_twin, forecast
 from zygos.gap.null import FLOOR, null_scores, null_sigmas, threshold
 from zygos.gap.record import MeasuredRun
@@ -63,13 +63,20 @@ def records(name: str, hidden: str, value: float) -> tuple[MeasuredRun, ...]:
     return tuple(record_of(run) for run in runs)
 
 
+def begun(trial: Trial, runs: tuple[MeasuredRun, ...], own: tuple[Acting, ...]) -> Study:
+    """The true model's equations, without effects, fitted to runs, with columns of these entries in any case."""
+    model = replace(trial.drawn, effects=())
+    hypothesis = read_hypothesis(Layout(trial.arm), model)
+    wide = replace(hypothesis, layout=replace(hypothesis.layout, own=own))
+    return begin(runs, wide, from_model(trial.arm, model))
+
+
 @cache
 def study(name: str, hidden: str = "", value: float = 0.0) -> Study:
     """The true model's equations, without effects, fitted to two runs."""
     trial = TRIALS[name]()
-    layout = Layout(trial.arm, also=("link_viscous1", "link_viscous2"))
-    model = replace(trial.drawn, effects=())
-    return begin(records(name, hidden, value), read_hypothesis(layout, model), from_model(trial.arm, model))
+    own = tuple(Acting(CATALOGUE["link_viscous"], i) for i in (0, 1))
+    return begun(trial, records(name, hidden, value), own)
 
 
 def scores(found: Study, name: str) -> tuple[float, float, list[float]]:
@@ -173,11 +180,14 @@ def test_a_column_of_every_site_can_be_fitted() -> None:
     trial = standing()
     known = [kind for kind in CATALOGUE.values() if kind.place in ("motor", "link", "spring", "torque", "sensor")]
     left_out = ("spring_offset", "torque_gain", "torque_offset", "link_zero", "motor_zero")
-    names = [c.name for kind in known if kind.key not in left_out for c in columns_at(trial.arm, kind)]
-    layout = Layout(trial.arm, also=tuple(names))
-    model = replace(trial.drawn, effects=())
-    found = begin(records("standing", "", 0.0), read_hypothesis(layout, model), from_model(trial.arm, model))
-    for name in names:
+    own = tuple(
+        Acting(kind, c.joint, c.component, kind.shapes[len(kind.shapes) // 2] if kind.shapes else None)
+        for kind in known
+        if kind.key not in left_out
+        for c in columns_at(trial.arm, kind)
+    )
+    found = begun(trial, records("standing", "", 0.0), own)
+    for name in (one.name for one in own):
         _, sigma, z = scores(found, name)
         assert sigma > 0.0
         assert min(abs(x) for x in z) < FLOOR, (name, z)

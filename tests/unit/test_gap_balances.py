@@ -78,7 +78,7 @@ def scale(table: Dense) -> Floats:
 def table(run: str, *effects: Effect) -> Dense:
     """Balances of a run of the plant with effects."""
     arm, model, _ = example()
-    return dense(balance_rows(arm, exact(moved(run, DURATION_S, *effects)), model.base_values(arm)))
+    return dense(balance_rows(Layout(arm), exact(moved(run, DURATION_S, *effects)), model.base_values(arm)))
 
 
 def errors(key: str, joint: int) -> dict[str, float]:
@@ -130,7 +130,7 @@ def test_every_entry_is_listed() -> None:
     # the zeros of its encoders stand for a spring's offset
     assert set(SIZE) == set(SEEN) == {one.key for one in CATALOGUE.values() if one.searched} - {"spring_offset"}
     assert Layout(arm).balances == BALANCES
-    assert [(kind.key, i) for kind, i in Layout(arm).effects] == PLACES
+    assert [(one.kind.key, one.joint) for one in Layout(arm).effects] == PLACES
 
 
 @pytest.mark.slow(but=["*-0", "*--1"])
@@ -188,7 +188,7 @@ def test_columns_of_zeros_are_what_the_closed_form_says(joint: int) -> None:
                 turning += turned * (f[..., a] + f[..., b])
     spring = k * (state.theta - state.q)[..., i]
     pushed = k / arm.gear_ratios[i] * arm.period_s * np.arange(f.shape[-2]) * np.ones_like(state.base)
-    seen = dense(balance_rows(arm, plain, base)).left
+    seen = dense(balance_rows(Layout(arm), plain, base)).left
     none = np.zeros_like(locked)
     rotor = value[f"Im{i + 1}"]
     wanted = {
@@ -225,7 +225,7 @@ def test_a_lag_of_a_period_is_the_torque_of_the_cycle_before() -> None:
     arm, model, _ = example()
     plain, base = exact(moved("b", DURATION_S)), model.base_values(arm)
     late = replace(plain, tau=np.concatenate([0.0 * plain.tau[:, :1], plain.tau[:, :-1]], axis=1))
-    seen, delayed = dense(balance_rows(arm, plain, base)), dense(balance_rows(arm, late, base))
+    seen, delayed = dense(balance_rows(Layout(arm), plain, base)), dense(balance_rows(Layout(arm), late, base))
     for i in range(arm.n):
         column = Layout(arm).columns.index(f"torque_lag{i + 1}")
         lost = centred(delayed.right[1 + i] - seen.right[1 + i])

@@ -272,8 +272,11 @@ def test_an_arm_that_is_described_wrongly_is_seen(run: zygos.Run) -> None:
         (lambda run, model: zygos.explain(model, [run, run]), "run 1 and run 2 are the same recording"),
         (lambda run, model: zygos.explain(model, [table(run), run]), "are the same recording"),
         (lambda run, model: zygos.explain(model, [run, seven()]), "of different arms"),
-        (lambda run, model: zygos.explain(model, [seven(), seven()]), "only for a free-floating, planar-symmetric arm"),
-        (lambda run, model: zygos.predict(model, seven()), "free-floating arms with flexible joints"),
+        (lambda run, model: zygos.explain(model, [seven(), seven()]), "use the same joint names"),
+        (lambda run, model: zygos.explain(model, [amps(run)]), "its torques are motor currents"),
+        (lambda run, model: zygos.explain(model, [short(run)]), "cannot be cut into 3 parts"),
+        (lambda run, model: zygos.explain(model, [short(run)], validate=run), "cannot be cut into 2 parts"),
+        (lambda run, model: zygos.predict(model, seven()), "use the same joint names"),
         (lambda run, model: zygos.simulate(run.arm, model, scenario(), engine="ode"), "no engine 'ode'"),
         (lambda run, model: zygos.simulate(run.arm, model, scenario(), seed=-1), "seed -1 is negative"),
     ],
@@ -291,6 +294,17 @@ def scenario() -> zygos.Scenario:
 
 def table(run: zygos.Run) -> zygos.Run:
     return zygos.make_run(run.arm, q=run.q, theta=run.theta, tau=run.tau, omega=run.omega)
+
+
+def amps(run: zygos.Run) -> zygos.Run:
+    """The same readings of an arm whose torques are motor currents."""
+    return replace(run, arm=replace(run.arm, torque_unit="A"), frames=None, table=run.cycles)
+
+
+def short(run: zygos.Run) -> zygos.Run:
+    """The first 8 s."""
+    kept = round(8.0 / run.arm.period_s)
+    return zygos.make_run(run.arm, q=run.q[:kept], theta=run.theta[:kept], tau=run.tau[:kept], omega=run.omega[:kept])
 
 
 def seven() -> zygos.Run:

@@ -70,8 +70,9 @@ def find_change(table: Table, fitted: Fit) -> tuple[Change, Fit] | None:
         what=group[0],
         run=int(owner[cut]),
         arc=0 if between else blocks,
-        after_s=0.0 if between else float(place[cut, 0]),
-        before_s=0.0 if between else float(place[cut - 1, 1]),
+        # it may lie within either of the blocks that meet at the best cut
+        after_s=0.0 if between else float(place[cut, 1]),
+        before_s=0.0 if between else float(place[cut - 1, 0]),
         names=group[1],
         old=old,
         new=old + delta,

@@ -1,0 +1,208 @@
+"""`zygos explain` of an arm on the ground as a user types it: answers, exit codes, files, refusals."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from ground_gap_support import Array, Law, axis, measured, nothing, sign, size
+
+from zygos.arm import save_arm
+from zygos.can.run import save_run
+from zygos.cli import main
+from zygos.model.model import Model, Quantity, load_model, save_model
+
+
+def run(*arguments: object) -> int:
+    with pytest.raises(SystemExit) as end:
+        main([str(argument) for argument in arguments])
+    return int(end.value.code or 0)
+
+
+def coulomb(q: Array, qd: Array) -> Array:
+    return 0.1 * size() * sign(qd)
+
+
+def one_sided(q: Array, qd: Array) -> Array:
+    """Coulomb friction that differs between the directions, in a motion that never rests."""
+    return np.where(qd > 0.0, 0.13, 0.07) * size() * sign(qd)
+
+
+def cubic(q: Array, qd: Array) -> Array:
+    """A viscous friction of another form than the catalogue's."""
+    return 0.1 * size() * qd**3
+
+
+def of_angle(q: Array, qd: Array) -> Array:
+    """No entry of the catalogue depends on the angle of a link alone."""
+    return 0.05 * size() * np.sin(7.0 * q)
+
+
+def from_half(q: Array, qd: Array) -> Array:
+    """Coulomb friction that begins half-way."""
+    late = np.arange(len(q))[:, None] >= len(q) // 2
+    return np.where(late, coulomb(q, qd), 0.0)
+
+
+LAWS: dict[str, Law | list[Law]] = {
+    "nothing": nothing,
+    "coulomb": coulomb,
+    "one_sided": one_sided,
+    "cubic": cubic,
+    "of_angle": of_angle,
+    "inside": [nothing, from_half, coulomb],
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three runs with each law as tables, one run of twice the length, one that is too short, and the simulation."""
+    folder = tmp_path_factory.mktemp("axis")
+    arm, model = axis()
+    save_arm(arm, folder / "arm.toml")
+    save_model(model, folder / "cad.toml")
+    base = model.base_parameters(arm)
+    base["mz1"] = Quantity(1.1 * base["mz1"].value, 0.0, "CAD", base["mz1"].unit)
+    save_model(Model("heavier", parameters=base), folder / "heavier.toml")
+    for name, law in LAWS.items():
+        for k, one in enumerate(measured(law)):
+            save_run(one, folder / f"{name}{k}.npz")
+    save_run(measured(coulomb, seconds=40.0)[0], folder / "long.npz")
+    save_run(measured(coulomb, seconds=4.0)[0], folder / "short.npz")
+    return folder
+
+
+def explain(folder: Path, out: Path, runs: list[str], validate: list[str], *more: object, cad: str = "cad") -> Any:
+    """Exit code and JSON."""
+    apart = ["--validate", *(folder / f"{name}.npz" for name in validate)] if validate else []
+    code = run(
+        *("explain", "--simulation", folder / f"{cad}.toml", "--measured", *(folder / f"{name}.npz" for name in runs)),
+        *(*apart, "-o", out / "new.toml", "--json", out / "verdict.json", *more),
+    )
+    return code, json.loads((out / "verdict.json").read_text())
+
+
+ANSWERS = {
+    "nothing": ("nothing missing", 0),
+    "coulomb": ("named", 0),
+    "cubic": ("part named", 0),
+    "inside": ("changed", 0),
+    "one_sided": ("cannot tell", 3),
+    "of_angle": ("unknown", 3),
+}
+
+
+@pytest.mark.parametrize("name", ANSWERS)
+def test_every_answer_has_its_exit_code_and_its_files(
+    folder: Path, tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = tmp_path / "gap.html"
+    code, found = explain(folder, tmp_path, [f"{name}0", f"{name}1"], [f"{name}2"], "--report", page)
+    said = capsys.readouterr()
+    assert (found["answer"], code) == ANSWERS[name], found["sentence"]
+    assert found["estimator"] == "explain-ground"
+    assert found["answer"] in page.read_text()
+    assert (tmp_path / "new.toml").exists() == (code == 0)
+    assert ("remedy" in said.err and "not written" in said.err) == (code == 3)
+    assert bool(found["left"]) == (found["answer"] == "part named")
+    assert (found["change"] is not None) == (found["answer"] == "changed")
+
+
+def test_values_that_differ(folder: Path, tmp_path: Path) -> None:
+    code, found = explain(folder, tmp_path, ["nothing0", "nothing1"], ["nothing2"], cad="heavier")
+    assert (found["answer"], code) == ("values differ", 0), found["sentence"]
+    assert [one["name"] for one in found["values"] if one["differs"]] == ["mz1"]
+    arm, model = axis()
+    learned = load_model(tmp_path / "new.toml").parameters["mz1"]
+    assert learned.value == pytest.approx(model.base_parameters(arm)["mz1"].value, rel=0.01)
+
+
+def test_what_is_left_over_goes_with_the_rate(folder: Path, tmp_path: Path) -> None:
+    _, found = explain(folder, tmp_path, ["cubic0", "cubic1"], ["cubic2"])
+    (rest,) = found["left"]
+    assert (rest["unit"], rest["over"]) == ("Nm", "rate")
+    assert rest["size"] > 3.0 * rest["floor"]
+    assert 0.5 < rest["share"] <= 1.0
+    assert found["findings"][0]["effect"] == "motor_viscous"
+
+
+def test_a_friction_that_begins_within_a_run(folder: Path, tmp_path: Path) -> None:
+    _, found = explain(folder, tmp_path, ["inside0", "inside1"], ["inside2"])
+    change = found["change"]
+    assert (change["what"], change["run"], change["between_runs"]) == ("motor_coulomb1", "inside1.npz", False)
+    assert 8.0 < change["before_s"] < 10.0 < change["after_s"] < 12.0
+    (friction,) = change["coefficients"]
+    assert friction["old"] == pytest.approx(0.0, abs=0.01 * size())
+    assert friction["new"] == pytest.approx(0.1 * size(), rel=0.05)
+    # what is predicted, and what is written, is the arm as it is after the change
+    (effect,) = load_model(tmp_path / "new.toml").effects
+    assert effect.kind.key == "motor_coulomb"
+    assert effect.value == pytest.approx(0.1 * size(), rel=0.05)
+
+
+def test_a_single_run_is_cut_into_thirds(folder: Path, tmp_path: Path) -> None:
+    code, found = explain(folder, tmp_path, ["long"], [])
+    assert (found["answer"], code) == ("named", 0), found["sentence"]
+    assert len(found["runs"]) == 3
+    assert len(found["candidates"][0]["each"]) == 2
+    assert found["gap"]["closed"] < 0.5 * found["gap"]["refit"]
+    # a run that is kept apart stays whole, and the other is halved
+    _, halved = explain(folder, tmp_path, ["long"], ["coulomb2"])
+    assert halved["answer"] == "named"
+    assert [len(halved["candidates"][0]["each"]), len(halved["gap"]["runs"])] == [2, 1]
+
+
+def test_a_single_run_that_is_too_short_is_refused(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "new.toml"
+    assert run("explain", "--simulation", folder / "cad.toml", "--measured", folder / "short.npz", "-o", out) == 2
+    error = " ".join(capsys.readouterr().err.split())
+    assert "cannot be cut into 3 parts" in error and "remedy" in error
+    assert not out.exists()
+
+
+def test_values_after_an_option_are_that_option_again(folder: Path, tmp_path: Path) -> None:
+    """`--measured A B` is `--measured A --measured B`; two untouched runs are both predicted."""
+    seen = []
+    for again in (False, True):
+        out = tmp_path / f"{again}.json"
+        arguments: list[object] = ["explain", "--simulation", folder / "cad.toml"]
+        for option, names in (("--measured", ("coulomb0", "coulomb1")), ("--validate", ("coulomb2", "long"))):
+            for k, name in enumerate(names):
+                arguments += [option] if again or k == 0 else []
+                arguments.append(folder / f"{name}.npz")
+        assert run(*arguments, "-o", tmp_path / "new.toml", "--json", out) == 0
+        seen.append(json.loads(out.read_text()))
+    first, second = ({key: value for key, value in one.items() if key != "command"} for one in seen)
+    assert first == second
+    assert [one["run"] for one in first["gap"]["runs"]] == ["coulomb2.npz", "long.npz"]
+    assert [one["role"] for one in first["files"]] == [
+        "simulation",
+        "arm",
+        "measured",
+        "measured",
+        "validate",
+        "validate",
+    ]
+
+
+def test_values_before_any_option_are_refused(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = ("--simulation", folder / "cad.toml", folder / "coulomb1.npz", "--measured", folder / "coulomb0.npz")
+    assert run("explain", *files, "-o", tmp_path / "new.toml") == 2
+    assert "coulomb1.npz" in "".join(capsys.readouterr().err.split())
+    assert not list(tmp_path.iterdir())
+
+
+def test_motor_currents_are_explained(folder: Path, tmp_path: Path) -> None:
+    """On the ground one constant for each joint is fitted to the simulation's own torques."""
+    arm, _ = axis()
+    amps = replace(arm, torque_unit="A", joints=(replace(arm.joints[0], torque_sigma=0.0),))
+    save_arm(amps, tmp_path / "arm.toml")
+    code, found = explain(folder, tmp_path, ["coulomb0", "coulomb1"], ["coulomb2"], "--arm", tmp_path / "arm.toml")
+    assert (found["answer"], code) == ("named", 0), found["sentence"]
+    assert any("motor currents" in note for note in found["remarks"])
