@@ -14,7 +14,7 @@ from zygos.arm import load_arm
 from zygos.can.run import Run, find_arm, read_run
 from zygos.cli.options import ArmFile, Json
 from zygos.cli.shared import check_model_name, not_whole, warn
-from zygos.effects import estimated
+from zygos.effects import estimated, laws
 from zygos.errors import Undecided
 from zygos.files.output import check_outputs, named, number, quiet, say, table, write_json
 from zygos.files.progress import progress
@@ -25,7 +25,7 @@ from zygos.gap.ground.answer import as_json as ground_json
 from zygos.gap.ground.answer import predicted_errors
 from zygos.gap.ground.explanation import GroundExplanation
 from zygos.gap.ground.sentences import against as ground_against
-from zygos.gap.runs import check_arm_of_gap, check_distinct, explain_runs
+from zygos.gap.runs import check_arm_of_gap, check_distinct, check_keys, explain_runs
 from zygos.gap.sentences import against
 from zygos.model.model import load_model, save_model
 from zygos.native.flight import Flight
@@ -58,8 +58,26 @@ def explain_run(
     report: Path | None,
     json: str | None,
     command: Sequence[str],
+    effects: Sequence[Path] = (),
+    without: Sequence[str] = (),
 ) -> None:
     """Explain the gap between a simulation and measured runs; see `zygos explain --help`."""
+    with laws(*effects):
+        check_keys(without)
+        _explain_run(simulation, measured, validate, arm_file, out, report, json, command, without)
+
+
+def _explain_run(
+    simulation: Path,
+    measured: Sequence[Path],
+    validate: Sequence[Path],
+    arm_file: Path | None,
+    out: Path,
+    report: Path | None,
+    json: str | None,
+    command: Sequence[str],
+    without: Sequence[str],
+) -> None:
     inputs = Inputs(simulation, find_arm(measured[0], arm_file), tuple(measured), tuple(validate))
     runs = [run for role, run in inputs.files if role in {"measured", "validate"}]
     for run in runs:
@@ -82,6 +100,7 @@ def explain_run(
             model,
             logs[: len(measured)],
             validate=logs[len(measured) :],
+            without=without,
             progress=lambda share, what: bar.update(task, description=what, completed=0.2 + 0.8 * share),
         )
     source = provenance(command, inputs.files)
@@ -297,6 +316,18 @@ def command(
         ),
     ] = None,
     arm: ArmFile = None,
+    effects: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--effects",
+            metavar="LAWS.py",
+            help="Also try the effects that this Python file defines (docs/gap.md has an example of ten lines).",
+        ),
+    ] = None,
+    without: Annotated[
+        list[str] | None,
+        typer.Option("--without", metavar="KIND...", help="Do not try these entries of the catalogue."),
+    ] = None,
     report: Annotated[
         Path | None, typer.Option("--report", metavar="GAP.html", help="Also write a report, one HTML page.")
     ] = None,
@@ -315,4 +346,5 @@ def command(
 
     Example: zygos explain --simulation examples/gap/cad.toml --measured A.blf B.blf --validate C.blf -o out/new.toml
     """
-    explain_run(simulation, measured, validate or (), arm, out, report, json, context.obj or ["explain"])
+    asked = context.obj or ["explain"]
+    explain_run(simulation, measured, validate or (), arm, out, report, json, asked, effects or (), without or ())

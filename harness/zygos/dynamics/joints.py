@@ -137,6 +137,11 @@ class Drives(ABC):
         """Number of joints."""
         return len(self.rotor_inertia)
 
+    @property
+    def held_momentum(self) -> float | None:
+        """Angular momentum that the arm keeps, Nms; None: no assumption, or a torque acts on the base."""
+        return None if self.base_laws else self.angular_momentum
+
     @cached_property
     def rigid(self) -> NDArray[np.bool_]:
         """(N,) joints whose stiffness is infinite."""

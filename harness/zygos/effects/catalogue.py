@@ -166,6 +166,7 @@ def _grid(low: float, high: float, count: int) -> tuple[float, ...]:
 _SPEEDS = _grid(0.005, 0.5, 9)
 
 _ORDERS = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0)
+_ORDERS_OF_BASE = tuple(order for order in _ORDERS if order != 2.0)
 _Side = Literal["link", "motor"]
 _ENCODER_ERRORS: tuple[tuple[str, str, str, tuple[str, ...], Callable[[Arm, Array, float, int], Array], str], ...] = (
     ("zero", "zero of the {}", "rad", (), _read_shifted, "reads {} + c"),
@@ -476,7 +477,7 @@ ENTRIES = (
         twins=("detent_cos", "gravity_gradient_sin"),
         searched=False,
         searched_last=True,
-        shapes=_ORDERS,
+        shapes=_ORDERS_OF_BASE,
         shape_title="order N in turns of the base",
         shape_unit="1",
         world="plane",
@@ -492,7 +493,7 @@ ENTRIES = (
         twins=("detent_sin", "gravity_gradient_cos"),
         searched=False,
         searched_last=True,
-        shapes=_ORDERS,
+        shapes=_ORDERS_OF_BASE,
         shape_title="order N in turns of the base",
         shape_unit="1",
         world="plane",
@@ -587,7 +588,8 @@ Coulomb friction beside it, which is an entry of its own.
 backlash: the spring's torque is k (theta - q) less c (theta - q) within the gap, and less c g beyond it. At c = k the
 gap is free of torque; a smaller c is a gap that is stiff to some degree. The coefficient is linear, the gap a shape.
 ripple: its order counts turns of the motor, before the gear, whose angle is n theta.
-gravity_gradient, detent: of unknown phase, so that each has a sine and a cosine.
+gravity_gradient, detent: of unknown phase, so that each has a sine and a cosine. A detent of the second order looks
+like a gravity gradient, which stands for it.
 body_change: has one component for each base parameter of the bodies. What is taken up or dropped moves with the arm at
 that instant, so that the motion goes on without a jump.
 link_late, motor_late: the encoder latches its angle later than the arm file states.

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from zygos.gap.explanation import Explanation
 from zygos.gap.findings import Gap
 from zygos.gap.forecast import Forecast
 from zygos.gap.sentences import against, evidence
+from zygos.gap.verdicts import Changed, PartNamed, Verdict
 from zygos.report.provenance import Provenance
 
 
@@ -15,6 +17,43 @@ def predictions(gap: Gap) -> list[tuple[str, Forecast]]:
     """The gap's numbers by name: as delivered, refit, closed, floor, and, if there is one, with the best other."""
     listed = [("as delivered", gap.delivered), ("refit", gap.refit), ("closed", gap.closed), ("floor", gap.floor)]
     return listed + ([(f"with {gap.wrong_name} instead", gap.wrong)] if gap.wrong is not None else [])
+
+
+def remainders_json(verdict: Verdict) -> list[dict[str, Any]]:
+    """What the named effects leave over, largest first; empty where they are named in whole."""
+    return [
+        {
+            "where": rest.where,
+            "size": rest.size,
+            "unit": rest.unit,
+            "floor": rest.floor if math.isfinite(rest.floor) else None,
+            "over": rest.over or None,
+            "share": rest.share,
+        }
+        for rest in (verdict.left if isinstance(verdict, PartNamed) else ())
+    ]
+
+
+def change_json(verdict: Verdict) -> dict[str, Any] | None:
+    """What changed and when; None where the answer is another."""
+    if not isinstance(verdict, Changed):
+        return None
+    change = verdict.change
+    return {
+        "what": change.what,
+        "run": verdict.runs[change.run],
+        "between_runs": change.between,
+        "before_s": None if change.between else change.before_s,
+        "after_s": None if change.between else change.after_s,
+        "coefficients": [
+            {"name": name, "old": old, "new": new, "sigma": sigma}
+            for name, old, new, sigma in zip(
+                change.names, change.old.tolist(), change.new.tolist(), change.sigma.tolist(), strict=True
+            )
+        ],
+        "z": change.z,
+        "share": change.share,
+    }
 
 
 def as_json(found: Explanation, source: Provenance) -> dict[str, Any]:
@@ -40,6 +79,8 @@ def as_json(found: Explanation, source: Provenance) -> dict[str, Any]:
             for f in found.findings
         ],
         "partly": found.partly or None,
+        "left": remainders_json(found.verdict),
+        "change": change_json(found.verdict),
         "gap": gap
         and {
             "unit": "sigma",

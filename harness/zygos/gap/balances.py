@@ -1,10 +1,11 @@
 """The balances of a gap: what every parameter and every effect of the catalogue adds to each, for batches of arcs.
 
-Energy E of the whole arm: work of the motors = change of kinetic and potential energy + losses. Motor impulse M_i, local
-to a flexible joint i: int tau = Im (n thetad + f_(i-1)) + 1/n int spring + int friction. Momentum L_j of the link angle
-of a rigid joint j, over short increments. Angular momentum H of a floating arm about its mass centre: one component in a
-plane, where the base's attitude drops out, and Hx, Hy, Hz in space, in the axes that the base had at the arc's origin. A
-balance is
+Energy E of the whole arm: work of the motors = change of kinetic and potential energy + losses. Motor impulse M_i,
+local to a flexible joint i: int tau = Im (n thetad + f_(i-1)) + 1/n int spring + int friction. Momentum L_j of the
+link angle
+of a rigid joint j, over short increments. Angular momentum H of a floating arm about its mass centre: one component
+in a plane, where the base's attitude drops out, and Hx, Hy, Hz in space, in the axes that the base had at the arc's
+origin. A balance is
 
     columns . coefficients = right side + constant of the arc
 
@@ -43,6 +44,8 @@ _ACTING = ("motor", "link", "spring", "torque")
 """Places of effects that act at a joint."""
 _OFFSET = 1e4
 """Deviation of the constant error of a torque sensor that has noise, in units of this noise: nobody declares it."""
+_LOOSE = 0.1
+"""Deviation of an error of a sensor of which nothing is known, rad or rad/s."""
 _GAIN = 0.1
 """Deviation of the gain of such a sensor against that of the first one."""
 
@@ -108,6 +111,8 @@ class Layout:
     """Shapes that replace those of the catalogue, by the name of the column without its shape."""
     own: tuple[Acting, ...] = ()
     """Entries that it has in any case: those of the simulation."""
+    loose: tuple[str, ...] = ()
+    """Errors of sensors of which the arm file is not believed to know anything."""
 
     @cached_property
     def balances(self) -> tuple[str, ...]:
@@ -128,7 +133,8 @@ class Layout:
 
     @cached_property
     def effects(self) -> tuple[Acting, ...]:
-        """Entries of the catalogue in the order of their columns, as far as the arm can have them; those of sensors last.
+        """Entries of the catalogue in the order of their columns, as far as the arm can have them; those of sensors
+        last.
 
         The offset of a spring is none of them: the zeros of its encoders stand for it. Nor are the errors that each run
         has for itself.
@@ -184,14 +190,19 @@ class Layout:
 
     @cached_property
     def zeros(self) -> tuple[str, ...]:
-        """Columns of the sensors' errors, which each run has for itself: the encoders' zeros, rad, known to a quantum at
-        best, which is enough to look like an effect; the gyro's bias, rad/s, which looks like an angular momentum; of
-        torques that are not perfect a constant offset, Nm, and the gain of each against the first."""
+        """Columns of the sensors' errors, which each run has for itself: the encoders' zeros, rad, known to a quantum
+        at best, which is enough to look like an effect; the gyro's bias, rad/s, which looks like an angular momentum;
+        of torques that are not perfect a constant offset, Nm, and the gain of each against the first."""
         return tuple(self.errors)
 
     @cached_property
     def zero_sigma(self) -> Array:
         """(zeros,) how well the arm file knows them, in the order of `zeros`."""
+        return np.array([_LOOSE if name in self.loose else one.sigma for name, one in self.errors.items()])
+
+    @cached_property
+    def declared_sigma(self) -> Array:
+        """(zeros,) what the arm file says of them, whether that is believed or not."""
         return np.array([one.sigma for one in self.errors.values()])
 
     @cached_property
@@ -265,7 +276,8 @@ def corrected(record: MeasuredRun, layout: Layout, errors: Array) -> MeasuredRun
 
 
 def thinning(arm: Arm) -> int:
-    """Rows of a sum stand at every so many instants: smoothed readings next to each other share nearly all their noise."""
+    """Rows of a sum stand at every so many instants: smoothed readings next to each other share nearly all their
+    noise."""
     return max(1, arm.smoother.points // 8)
 
 
@@ -308,8 +320,9 @@ def balance_rows(
 ) -> BalanceRows:
     """Balances of arcs of readings, in the units of energy (J), impulse before the gear (Nms) and momentum (Nms).
 
-    values: base parameters (p,), about right: what an error of a sensor does to the balances depends on them. zeros: the
-    columns of these errors instead, by balance, as `zero_columns` has them. every: rows stand at every so many instants.
+    values: base parameters (p,), about right: what an error of a sensor does to the balances depends on them. zeros:
+    the columns of these errors instead, by balance, as `zero_columns` has them. every: rows stand at every so many
+    instants.
     """
     arm = layout.arm
     if zeros is None:
@@ -330,8 +343,8 @@ def balance_rows(
 
 
 def zero_columns(layout: Layout, readings: Readings, values: Array, every: int = 1) -> tuple[Array, ...]:
-    """By balance (..., A, m, ·): what errors of the sensors of 1 unit would take away, to first order: the entries of the
-    catalogue at sensors, then the errors that each run has for itself."""
+    """By balance (..., A, m, ·): what errors of the sensors of 1 unit would take away, to first order: the entries of
+    the catalogue at sensors, then the errors that each run has for itself."""
     value = np.where(np.isfinite(values), values, 0.0)
     names = layout.arm.parameter_names
     known = [value[[names.index(layout.columns[c]) for c in used if c < len(names)]] for used in layout.used]
@@ -582,7 +595,28 @@ def _effects(layout: Layout, moving: _Moving, balance: str) -> Iterator[Array]:
                 yield moving.thinned(energy_column(kind, moving.base, one.shape, number))
             else:
                 column = momentum_column(kind, moving.base, one.shape, number)
-                yield moving.thinned(column[..., "xyz".index(balance[1]) if arm.spatial else 0])
+                column = (
+                    column[..., "xyz".index(balance[1])] if arm.spatial else _since_start(column[..., 0], moving.time)
+                )
+                yield moving.thinned(column)
+
+
+def _since_start(column: Array, time: Array) -> Array:
+    """A running integral (..., A, m) that begins with each arc, as one that begins with the run.
+
+    A momentum that a model assumes has no constant in each arc. What lies between two arcs is taken as what lies at the
+    end of the first.
+    """
+    grown = column[..., -1] - column[..., 0]
+    if not np.isfinite(time).all() or column.shape[-1] < 2:
+        return column
+    step = time[:, 1] - time[:, 0]
+    slope = (column[..., -1] - column[..., -2]) / step
+    between = np.append(time[1:, 0] - time[:-1, -1], 0.0)
+    first = (column[..., :1, 1] - column[..., :1, 0]) / step[:1] * time[:1, 0]
+    total = np.cumsum(grown + slope * between, axis=-1)
+    start = np.concatenate([np.zeros_like(total[..., :1]), total[..., :-1]], axis=-1) + first
+    return np.asarray(column + start[..., None], dtype=np.float64)
 
 
 def _coupling(arm: Arm, moving: _Moving, balance: str, i: int) -> Iterator[Array]:

@@ -24,6 +24,8 @@ BODIES = "bodies"
 """Name of a change of all inertial parameters, as a payload makes it."""
 CERTAIN = 6.0
 """Standard deviations that a change must reach."""
+_STEP = 0.5
+"""Share of what an effect with a beginning takes away that the same effect without one must leave."""
 _TAKES = 0.6
 """Share of what is left over beyond noise that a change must take away."""
 
@@ -127,6 +129,8 @@ def find_change(study: Study, candidates: Sequence[str]) -> Change | None:
     excess = left - floor
     inertial = [k for k, name in enumerate(names) if name in _inertial(study)]
     groups = [(name, [k]) for k, name in enumerate(names)] + [(BODIES, inertial)]
+    # what an effect explains that was there all the time is no change
+    always = {k: _solved(total, [*shared, k])[1] for k in range(own, len(names))}
     best: tuple[float, Change] | None = None
     for cut in range(1, len(arcs)):
         after = np.sum([arc.gram for arc in arcs[cut:]], axis=0)
@@ -139,6 +143,8 @@ def find_change(study: Study, candidates: Sequence[str]) -> Change | None:
             square = float(delta @ np.linalg.pinv(inverse, hermitian=True) @ delta)
             z = float(np.sqrt(max(square, 0.0) / len(columns)))
             share = (left - rest) / excess if excess > 0.0 else 1.0
+            if len(columns) == 1 and always.get(columns[0], left) - rest < _STEP * (left - rest):
+                continue
             # each column takes away a little by chance
             score = rest + 2.0 * len(columns) * widened**2 * np.log(max(floor / widened**2, np.e))
             if z < CERTAIN or (excess > EXCESS * floor and share < _TAKES) or (best is not None and score >= best[0]):

@@ -56,8 +56,11 @@ def propose(study: Study, name: str, other: str) -> tuple[Experiment, ...]:
         found = np.array([float(fit(both, [one], study.weight).of(name)) for one in sums])
         return size / float(found.std(ddof=1))
 
-    now = stands_out(1.0, 1.0)
     out: list[Experiment] = []
+    try:
+        now = stands_out(1.0, 1.0)
+    except Undecided:
+        return ()
     for speed, amplitude in _VARIANTS:
         try:
             out.append(Experiment(speed, amplitude, stands_out(speed, amplitude), now))

@@ -37,7 +37,7 @@ from zygos.gap.record import MeasuredRun
 from zygos.gap.remainder import closes, remainders
 from zygos.gap.search import CERTAIN, COMPLETE, EXCESS, PARTLY, Candidate, Search, excess, polished, possible, search
 from zygos.gap.sentences import entry_evidence
-from zygos.gap.study import Study, again, begin, read_hypothesis, realise, sensor_effects, split
+from zygos.gap.study import Study, again, begin, read_hypothesis, realise, sensor_effects, split, zeroed
 from zygos.gap.torques import with_torque_noise
 from zygos.gap.twin import follow
 from zygos.gap.verdicts import (
@@ -93,9 +93,10 @@ def explain(
     measured: Sequence[MeasuredRun],
     validate: Sequence[MeasuredRun],
     step: Callable[[float, str], None] = lambda share, what: None,
+    without: Sequence[str] = (),
 ) -> Explanation:
     """Say what a simulation lacks. measured: two runs at least. validate: runs that are kept apart. step is told the
-    share done and what is being done.
+    share done and what is being done. without: keys of effects that are not tried.
 
     What the simulation says of springs' offsets is passed over: each run has its own zeros.
     Errors: ZygosError where the model does not fit the arm; Undecided where the runs do not tell its parameters apart.
@@ -106,7 +107,7 @@ def explain(
         # what the arm file does not say of its torques' noise, the runs do
         arm = with_torque_noise(measured[0].arm, measured)
         learned, apart = (tuple(replace(one, arm=arm) for one in records) for records in (measured, validate))
-        return _Explainer(arm, simulation, learned, apart, step).explain()
+        return _Explainer(arm, simulation, learned, apart, step, tuple(without)).explain()
 
 
 class _Explainer:
@@ -117,7 +118,9 @@ class _Explainer:
         measured: tuple[MeasuredRun, ...],
         validate: tuple[MeasuredRun, ...],
         step: Callable[[float, str], None],
+        without: tuple[str, ...],
     ) -> None:
+        self.without = without
         self.arm, self.simulation, self.measured, self.validate, self.step = arm, simulation, measured, validate, step
         self.remarks: list[Remark] = []
 
@@ -125,15 +128,10 @@ class _Explainer:
         arm = self.arm
         layout = Layout(arm)
         self.step(0.05, "the simulation's own equations")
-        if arm.torque_law == "sampled":
-            self.remarks.append(TorquesSampled())
-        used: dict[str, float] = {}
-        for record in (*self.measured, *self.validate):
-            used[record.path.name] = used.get(record.path.name, 0.0) + record.share
-        self.remarks += [BrokenRun(name, share) for name, share in used.items() if share < _USED]
+        self._remark_runs()
         delivered = from_model(arm, self.simulation)
-        hypothesis = read_hypothesis(layout, self.simulation)
-        refit = begin(self.measured, hypothesis, delivered)
+        hypothesis = replace(read_hypothesis(layout, self.simulation), without=self.without)
+        refit = zeroed(begin(self.measured, hypothesis, delivered))
         deflections = tuple(deflection(arm, self.measured, i) for i, rigid in enumerate(hypothesis.rigid) if rigid)
         flexible = [d for d in deflections if d.rms_rad > _DEFLECTED * d.noise_rad]
         skewed = [d for d in flexible if d.skew_share > _SKEWED]
@@ -151,10 +149,7 @@ class _Explainer:
             found = search(basis, lambda what: self.step(0.35, what))
             gap = self._gap(delivered, refit, found.after, found)
             if self._open(found, gap):
-                self.step(0.5, "every entry of the catalogue")
-                wide = replace(basis.hypothesis, layout=replace(basis.layout, wide=True))
-                wider = search(begin(self.measured, wide, basis.dynamics()), lambda what: self.step(0.6, what))
-                wider = polished(wider)
+                wider = self._wider(basis)
                 if _explains_more(wider, found):
                     found, gap = wider, self._gap(delivered, refit, wider.after, wider)
             if self._unsettled(found):
@@ -198,6 +193,21 @@ class _Explainer:
             tuple(self.remarks),
             self.validate,
         )
+
+    def _remark_runs(self) -> None:
+        """Note what the runs have against them."""
+        if self.arm.torque_law == "sampled":
+            self._remark(TorquesSampled())
+        used: dict[str, float] = {}
+        for record in (*self.measured, *self.validate):
+            used[record.path.name] = used.get(record.path.name, 0.0) + record.share
+        self.remarks += [BrokenRun(name, share) for name, share in used.items() if share < _USED]
+
+    def _wider(self, basis: Study) -> Search:
+        """The search among every entry of the catalogue."""
+        self.step(0.5, "every entry of the catalogue")
+        wide = replace(basis.hypothesis, layout=replace(basis.layout, wide=True))
+        return polished(search(begin(self.measured, wide, basis.dynamics()), lambda what: self.step(0.6, what)))
 
     def _flexible(self, refit: Study, joints: list[str]) -> Study:
         """The study with springs in these joints. The twin needs a first guess: each motor balance by itself has one.
@@ -277,7 +287,7 @@ class _Explainer:
         layout = study.layout
         zeros = study.zeros.mean(axis=0)
         torque = np.array([error.signals == ("tau",) for error in layout.errors.values()])
-        off = np.where((np.abs(zeros) > _DEFLECTED * layout.zero_sigma) | torque, zeros, 0.0)
+        off = np.where((np.abs(zeros) > _DEFLECTED * layout.declared_sigma) | torque, zeros, 0.0)
         if not off.any():
             return list(records)
         told = np.where(torque, 0.0, off)
@@ -379,7 +389,7 @@ class _Explainer:
 
     def _open(self, found: Search, gap: Gap | None) -> bool:
         """Whether something is left over that other entries of the catalogue may explain."""
-        return excess(found.after) or (bool(found.named) and gap is not None and not closes(gap))
+        return excess(found.after) or (gap is not None and not closes(gap))
 
     def _unsettled(self, found: Search) -> bool:
         """Whether the runs disagree, or nothing of the catalogue explains most of what is missing."""

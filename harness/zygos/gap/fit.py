@@ -62,8 +62,11 @@ class Hypothesis:
 
     @property
     def uncentred(self) -> tuple[int, ...]:
-        """The balances without a constant of each arc: those of a momentum that is taken as known."""
-        momenta = self.layout.momenta if self.momentum is not None else ()
+        """The balances without a constant of each arc: those of a momentum that is taken as known, and that no torque
+        on the base changes."""
+        acting = [self.layout.find(name).kind for name in self.effects]
+        pushed = any(kind.place == "base" and kind.law is not None for kind in acting)
+        momenta = self.layout.momenta if self.momentum is not None and not pushed else ()
         return tuple(self.layout.balances.index(name) for name in momenta)
 
     def basis(self, target: str = "") -> Array:

@@ -235,7 +235,7 @@ def _held(segments: Stretches) -> Array:
 
 def _free(dynamics: Drives, joints: int, width: int) -> tuple[Callable[[Array], Array], NDArray[np.int64]]:
     """How a packed state follows from its free entries, and which these are."""
-    held = dynamics.angular_momentum
+    held = dynamics.held_momentum
     rigid = np.flatnonzero(dynamics.rigid)
     motors = [*(width + joints + rigid).tolist(), *(width + 3 * joints + rigid).tolist()]
     tied = {*motors, *([] if held is None else [0])}

@@ -11,6 +11,7 @@ import numpy as np
 
 from zygos.arm import Arm
 from zygos.can.run import Run
+from zygos.effects import CATALOGUE
 from zygos.errors import ZygosError
 from zygos.gap.explain import explain
 from zygos.gap.explanation import Explanation
@@ -45,14 +46,15 @@ def explain_runs(
     measured: Sequence[Run],
     *,
     validate: Run | Sequence[Run] | None = None,
+    without: Sequence[str] = (),
     progress: Callable[[float, str], None] | None = None,
 ) -> Explanation | GroundExplanation:
     """Say where a simulation and the measured runs of an arm disagree, and which effect the simulation lacks.
 
     simulation: the model that the simulation uses. measured: runs of one arm; what is learned from one must hold on
     the others. A single run is cut into thirds, of which the last is kept apart. validate: runs from which nothing is
-    learned; the gap is measured on them, before and after. progress is called with the share that is done and what is
-    being done.
+    learned; the gap is measured on them, before and after. without: keys of effects that are not tried. progress is
+    called with the share that is done and what is being done.
 
     `Explanation.answer` is "values differ", "named", "part named", "changed", "cannot tell", "nothing missing" or
     "unknown"; `sentence` says it in words, `findings` has the effects with value and interval, and `model` is the model
@@ -74,16 +76,24 @@ def explain_runs(
         raise ZygosError("the runs are of different arms; remedy: runs of one arm, loaded with the same arm file")
     simulation.base_parameters(arm)
     check_distinct(runs)
+    check_keys(without)
     step = progress or (lambda share, what: None)
     if arm.grounded:
-        return explain_ground(arm, simulation, measured, kept, step)
+        return explain_ground(arm, simulation, measured, kept, step, without)
     check_arm_of_gap(arm, f"arm {arm.name}")
     records = [record_of(run, number) for number, run in enumerate(runs, start=1)]
     learned, apart = records[: len(measured)], records[len(measured) :]
     if len(learned) == 1:
         parts = thirds(learned[0], 2 if apart else 3)
         learned, apart = parts[:2], apart or parts[2:]
-    return explain(arm, simulation, learned, apart, step)
+    return explain(arm, simulation, learned, apart, step, without)
+
+
+def check_keys(without: Sequence[str]) -> None:
+    """Refuse, with ZygosError, what is no key of the catalogue."""
+    for key in without:
+        if key not in CATALOGUE:
+            raise ZygosError(f"there is no effect {key!r}; remedy: one of {', '.join(CATALOGUE)}")
 
 
 def check_distinct(runs: Sequence[Run]) -> None:

@@ -162,7 +162,8 @@ def polished(found: Search) -> Search:
     """The search with the shapes of the named laws between those of the catalogue's grid: the vertex of a parabola
     through what is left over, twice."""
     for _ in range(2):
-        shaped = [one for one in found.named if one.shape is not None and len(one.kind.shapes) > 1]
+        # an order is a whole number
+        shaped = [one for one in found.named if one.shape is not None and any(x % 1.0 for x in one.kind.shapes)]
         for one in shaped:
             found = _reshaped(found, one)
     return found
@@ -187,11 +188,13 @@ def _reshaped(found: Search, one: Candidate) -> Search:
     best: tuple[float, str] | None = None
     for shape in fine:
         name = f"{plain}@{shape:.6g}"
-        left = _total(study.of(replace(study.hypothesis, effects=(*others, name))).rms, study.noise)
+        try:
+            left = _total(study.of(replace(study.hypothesis, effects=(*others, name))).rms, study.noise)
+        except Undecided:
+            continue
         if best is None or left < best[0]:
             best = left, name
-    assert best is not None
-    if best[1] == one.name:
+    if best is None or best[1] == one.name:
         return found
     chosen = replace(study.hypothesis, effects=(*others, best[1]))
     now = again(study, chosen)
@@ -254,7 +257,7 @@ def possible(hypothesis: Hypothesis, one: Acting) -> bool:
     if one.kind.place == "rotor":
         return hypothesis.uncoupled[one.joint]
     if one.kind.place == "base" and one.kind.law is None:
-        return hypothesis.momentum is not None
+        return bool(hypothesis.uncentred)
     # nothing deflects at a rigid joint; motor and link turn as one there, and so cannot be told apart
     return not (one.joint >= 0 and hypothesis.rigid[one.joint] and one.kind.place == "spring")
 
@@ -339,6 +342,9 @@ def _inseparable(candidate: Candidate, now: Study, before: Study) -> tuple[str, 
                 continue
             if kind.positive and alone.of(other) < 0.0:
                 continue
+        except Undecided:
+            continue
+        try:
             beside, spread = now.of(both).of(candidate.name), now.of_twin(both).of(candidate.name).std(ddof=1)
         except Undecided:
             together.append(other)

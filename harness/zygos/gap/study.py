@@ -37,6 +37,9 @@ DRAWS = 20
 """Readings of a twin: enough to know a deviation to 16 %."""
 LARGE = 3.0
 """Deviations of what the arm file knows of a sensor beyond which its error is taken off the records."""
+_LOOSE, _TRIED, _WORTH = 4, 8, 0.5
+"""Errors of sensors that are freed at the most, those that are tried at a time, and the share of what a fit pays for
+all of them that may be left by one that is freed."""
 _FEW = 4
 """Enough to weight the balances of a study that is made again."""
 
@@ -92,7 +95,7 @@ class Study:
     def pulls(self) -> Array:
         """(runs, zeros) errors of the sensors in deviations of what the arm file knows of them: what a fit pays for
         them."""
-        return np.asarray(self.zeros / self.layout.zero_sigma, dtype=np.float64)
+        return np.asarray(self.zeros / self.layout.declared_sigma, dtype=np.float64)
 
     @property
     def excess(self) -> Array:
@@ -256,6 +259,40 @@ def again(study: Study, hypothesis: Hypothesis, count: int = DRAWS) -> Study:
     )
 
 
+def zeroed(study: Study) -> Study:
+    """The same runs where the few errors of sensors that explain most of what a fit pays for all of them are free.
+
+    What the arm file says of the sensors spreads a large error of one of them over several.
+    """
+    for _ in range(_LOOSE):
+        torque = np.array([error.signals == ("tau",) for error in study.layout.errors.values()])
+        believed = np.array([name not in study.layout.loose for name in study.layout.zeros])
+        pulls = np.where(torque | ~believed, 0.0, np.abs(study.pulls).max(axis=0))
+        paid = _paid(study, study.fit)
+        tried: list[tuple[float, Hypothesis]] = []
+        for k in np.argsort(-pulls)[:_TRIED]:
+            if pulls[k] <= LARGE:
+                continue
+            layout = replace(study.layout, loose=(*study.layout.loose, study.layout.zeros[k]))
+            freed = replace(study.hypothesis, layout=layout)
+            tried.append((_paid(replace(study, hypothesis=freed), study.of(freed)), freed))
+        if not tried:
+            break
+        least, hypothesis = min(tried, key=lambda one: one[0])
+        if least > _WORTH * paid:
+            break
+        study = again(study, hypothesis)
+    return study
+
+
+def _paid(study: Study, found: Fit) -> float:
+    """What a fit leaves over, and what it pays for errors of sensors."""
+    known = np.array([error.signals != ("tau",) for error in study.layout.errors.values()])
+    pulls = (study.applied + found.zeros)[:, known] / study.layout.zero_sigma[known]
+    counts = np.array([one.count for one in study.sums])
+    return float(np.nansum(counts * ((found.rms / study.noise) ** 2 - 1.0)) + np.sum(pulls**2))
+
+
 def _off(study: Study) -> NDArray[np.bool_]:
     """(runs, zeros) which errors of encoders and gyro are large; balances are linear in those of torques."""
     torque = np.array([error.signals == ("tau",) for error in study.layout.errors.values()])
@@ -392,4 +429,5 @@ def coefficient(dynamics: Drives, hypothesis: Hypothesis, name: str, sensors: Se
         return sum(effect.value for effect in sensors if effect.column(arm) == one.plain)
     number = one.kind.components(arm).index(one.component)
     same = (one.kind.key, one.joint, number)
-    return sum(law.value for law in dynamics.laws if (law.kind.key, law.joint, law.component) == same)
+    laws = (*dynamics.laws, *dynamics.base_laws)
+    return sum(law.value for law in laws if (law.kind.key, law.joint, law.component) == same)

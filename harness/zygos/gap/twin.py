@@ -107,7 +107,10 @@ def retrace(dynamics: Drives, record: MeasuredRun, speed: float, amplitude: floa
     cycles = min(record.cycles, len(slow))
     cut = slow[: arcs * cycles].reshape(arcs, cycles, -1)
     moved, applied = _servo(dynamics, cut, np.zeros((arcs, cycles + 1, arm.n)), h, min(4.0 * SERVO_RATE, 0.1 / h))
-    return _twin(dynamics, arm, moved, applied)
+    twin = _twin(dynamics, arm, moved, applied)
+    time = h * np.arange(twin.exact.q.shape[0] * twin.exact.q.shape[1]).reshape(twin.exact.q.shape[:2])
+    rate = np.zeros(time.shape) if arm.spatial or not arm.free else twin.exact.omega0
+    return replace(twin, exact=replace(twin.exact, time=time, turned=h * np.cumsum(rate).reshape(time.shape)))
 
 
 def _twin(dynamics: Drives, arm: Arm, moved: Array, applied: Array) -> Twin:
@@ -130,8 +133,8 @@ def _servo(
         theta=np.where(dynamics.rigid, first.q, first.theta),
         thetad=np.where(dynamics.rigid, first.qd, first.thetad),
     )
-    if dynamics.angular_momentum is not None:
-        base = dynamics.base_rate(states.q, dynamics.angular_momentum, states.qd, states.thetad)
+    if dynamics.held_momentum is not None:
+        base = dynamics.base_rate(states.q, dynamics.held_momentum, states.qd, states.thetad)
         states = replace(states, base=base)
     start = states.packed()
     postures = reference.q[:, ::97]

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from zygos.gap.answer import change_json, remainders_json
 from zygos.gap.ground.explanation import GroundExplanation, GroundGap
 from zygos.gap.ground.predictions import Prediction, run_name
 from zygos.gap.ground.sentences import against, evidence
-from zygos.gap.verdicts import PartNamed
 from zygos.report.provenance import Provenance
 
 
@@ -36,17 +36,8 @@ def as_json(found: GroundExplanation, source: Provenance) -> dict[str, Any]:
             for f in found.findings
         ],
         "partly": found.partly or None,
-        "left": [
-            {
-                "where": rest.where,
-                "size": rest.size,
-                "unit": rest.unit,
-                "floor": _number(rest.floor),
-                "over": rest.over or None,
-                "share": rest.share,
-            }
-            for rest in (found.verdict.left if isinstance(found.verdict, PartNamed) else ())
-        ],
+        "left": remainders_json(found.verdict),
+        "change": change_json(found.verdict),
         "gap": None if found.gap is None else _gap(found.gap),
         "joints": [
             {

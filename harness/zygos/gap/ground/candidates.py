@@ -37,7 +37,7 @@ class Candidate:
     """The entry of a model; None for a parameter of the arm."""
 
 
-def candidates_of(arm: Arm, simulation: Model) -> tuple[Candidate, ...]:
+def candidates_of(arm: Arm, simulation: Model, without: Sequence[str] = ()) -> tuple[Candidate, ...]:
     """Everything that the simulation may lack: entries of the catalogue, and inertias of rotors where it has none. A
     law with a shape is tried with every shape of its grid."""
     had = {(effect.kind.key, effect.joint) for effect in simulation.effects}
@@ -52,7 +52,7 @@ def candidates_of(arm: Arm, simulation: Model) -> tuple[Candidate, ...]:
             Effect(kind, joint.name, 0.0, shape=shape),
         )
         for kind in CATALOGUE.values()
-        if _is_tried(kind)
+        if _is_tried(kind) and kind.key not in without
         for j, joint in enumerate(arm.joints)
         if (kind.key, joint.name) not in had and (kind.key != GAIN or j > 0)
         for shape in (kind.shapes or (None,))

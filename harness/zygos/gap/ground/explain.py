@@ -63,11 +63,13 @@ def explain_ground(
     measured: Sequence[Run],
     validate: Sequence[Run] = (),
     step: Callable[[float, str], None] = lambda share, what: None,
+    without: Sequence[str] = (),
 ) -> GroundExplanation:
     """Say what the simulation of an arm with a fixed base and rigid joints lacks.
 
     measured: runs that are learned from; a single one is cut into thirds, of which the last is kept apart. validate:
-    runs from which nothing is learned. step is told the share done and what is being done.
+    runs from which nothing is learned. step is told the share done and what is being done. without: keys of effects
+    that are not tried.
 
     Errors: ZygosError where the model or the runs do not fit the arm, or a run is too short; Undecided where there are
     fewer rows than unknowns.
@@ -76,7 +78,7 @@ def explain_ground(
         raise ZygosError(f"arm {arm.name} floats or has flexible joints; remedy: `explain_runs`")
     learned, apart = _parts(measured, validate)
     with threadpool_limits(limits=1):
-        return _Explainer(arm, simulation, learned, apart, step).explain()
+        return _Explainer(arm, simulation, learned, apart, step, tuple(without)).explain()
 
 
 class _Explainer:
@@ -87,7 +89,9 @@ class _Explainer:
         measured: Sequence[Run],
         validate: Sequence[Run],
         step: Callable[[float, str], None],
+        without: tuple[str, ...],
     ) -> None:
+        self.without = without
         self.arm, self.simulation, self.measured, self.validate = arm, simulation, tuple(measured), tuple(validate)
         self.step = step
         self.notes: list[str] = []
@@ -101,7 +105,9 @@ class _Explainer:
             motions = self._in_nm(motions, span)
             span, _, rough = at_best_span(self.arm, motions, usual)
         self.step(0.3, "the columns of all candidates")
-        layout = Layout.of(self.arm, self.simulation, candidates_of(self.arm, self.simulation), len(motions))
+        layout = Layout.of(
+            self.arm, self.simulation, candidates_of(self.arm, self.simulation, self.without), len(motions)
+        )
         loads = [predicted_load(motion, rough.value[: len(self.arm.parameter_names)]) for motion in motions]
         table = table_of(layout, motions, span, loads)
         self.step(0.5, "candidates")
