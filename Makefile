@@ -36,8 +36,9 @@ endif
 demo: build ## set up, run the paper's example over CAN, show the result (out/demo/report.html)
 	$(BIN)/python -m zygos.demo
 
-real: build ## measured runs of real arms: estimate, validate, compare (out/real/real.html; a minute)
+real: build ## measured runs of real arms: estimate, validate, compare, explain (out/real/real.html, docs/pendulum-gap.svg; a minute)
 	$(BIN)/python -m zygos.demo.real
+	cp out/real/gap.svg docs/pendulum-gap.svg
 
 build: $(VENV)/.core $(NATIVE) ## set up .venv and build the C library for it
 

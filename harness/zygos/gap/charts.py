@@ -71,7 +71,7 @@ class Charts:
 
     def _over_time(self) -> None:
         """Residual of the failing balances over run A."""
-        arcs, instants = self.left.state.base.shape
+        arcs, instants = self.left.state.q.shape[:2]
         chosen = np.arange(0, instants, max(1, math.ceil(arcs * instants / _POINTS)))
         time = self.left.record.time_s
 
@@ -101,8 +101,8 @@ class Charts:
         bare = self.left.struck
         for k in subjects:
             name, lines = layout.balances[k], self._lines(k)
-            if name == "H":
-                self._momentum(lines)
+            if name[0] == "H":
+                self._momentum(name, lines)
                 continue
             motor = joint_of(name)
             if motor is not None:
@@ -135,14 +135,23 @@ class Charts:
         found = sorted({names.index(f.joint) for f in self.x.findings if f.joint is not None})
         return found or list(range(self.arm.n))
 
-    def _momentum(self, lines: Sequence[tuple[str, str, Floats]]) -> None:
-        """The momentum's residual over the base's rate, where a wrong gyro or constant shows, and its slope over the
-        angle that the base has turned, where a torque on the base does."""
+    def _momentum(self, name: str, lines: Sequence[tuple[str, str, Floats]]) -> None:
+        """The momentum's residual over the base's rate, where a wrong gyro or constant shows, and in a plane its slope
+        over the angle that the base has turned, where a torque on the base does."""
         rate = self.left.state.base
-        title = "Missing momentum over the base's rate"
-        self._scatter("base-rate", title, "N m s", "rad/s", lines, rate, 0.0)
-        title = "Missing torque on the base over the angle it has turned"
-        self._scatter("base-angle", title, "N m", "rad", lines, base_angle(self.left), _LONG_WINDOW_S)
+        along = f" along {name[1:]}" if name[1:] else ""
+        title = f"Missing momentum{along} over the base's rate"
+        own = rate if rate.ndim == 2 else rate[..., "xyz".index(name[1])]
+        self._scatter(f"base-rate{name[1:]}", title, "N m s", "rad/s", lines, own, 0.0)
+        if rate.ndim == 2:
+            title = "Missing torque on the base over the angle it has turned"
+            self._scatter("base-angle", title, "N m", "rad", lines, base_angle(self.left), _LONG_WINDOW_S)
+
+    def _rates(self) -> list[str]:
+        """The signals of the gyro that are predicted."""
+        if not self.arm.free:
+            return []
+        return [f"rate of the base, {axis}" for axis in "xyz"] if self.arm.spatial else ["rate of the base"]
 
     def _scatter(
         self,
@@ -197,7 +206,7 @@ class Charts:
         elif self.x.answer == "values differ":
             models.insert(0, ("as delivered", "delivered", gap.delivered))
         joints = [joint.name for joint in self.arm.joints]
-        signals = [*(f"link angle, {j}" for j in joints), *(f"motor angle, {j}" for j in joints), "rate of the base"]
+        signals = [*(f"link angle, {j}" for j in joints), *(f"motor angle, {j}" for j in joints), *self._rates()]
         floor = gap.floor.signals
         for k, signal in enumerate(signals):
             self.groups["signals"].append(

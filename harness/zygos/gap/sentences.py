@@ -254,17 +254,21 @@ def look_at(found: Whereabouts) -> str:
 
 
 def balance_title(arm: Arm, balance: str) -> str:
-    """A balance, E, M1 .. MN or H, as the head of a row or a chart."""
-    joint = joint_of(balance)
-    if joint is not None:
-        return f"motor balance, {arm.joints[joint].name}"
-    return {"E": "energy of the whole arm", "H": "angular momentum of the whole arm"}[balance]
+    """A balance as the head of a row or a chart: E, M or L and the number of a joint, H or Hx, Hy, Hz."""
+    if balance[0] in "ML":
+        side = "motor balance" if balance[0] == "M" else "momentum of the link angle"
+        return f"{side}, {arm.joints[int(balance[1:]) - 1].name}"
+    along = f", {balance[1:]}" if balance[1:] else ""
+    return "energy of the whole arm" if balance == "E" else f"angular momentum of the whole arm{along}"
 
 
 def _balance(arm: Arm, failing: Failing) -> str:
-    if failing.joint is not None:
-        return f"the motor balance of the {arm.joints[failing.joint].name}"
-    return {"E": "the energy balance", "H": "the momentum"}[failing.balance]
+    name = failing.balance
+    if name[0] in "ML":
+        side = "the motor balance" if name[0] == "M" else "the momentum of the link angle"
+        return f"{side} of the {arm.joints[int(name[1:]) - 1].name}"
+    along = f" along {name[1:]}" if name[1:] else ""
+    return "the energy balance" if name == "E" else f"the momentum{along}"
 
 
 def _place(finding: Finding) -> str:

@@ -28,7 +28,7 @@ class Failing:
     """A balance that does not close when it is fitted by itself."""
 
     balance: str
-    """E, M1 .. MN or H."""
+    """E, M or L and the number of a joint, H or Hx, Hy, Hz."""
     rho: float
     """Residual in units of the null twin's, on the run where it is larger."""
 
@@ -88,13 +88,13 @@ def whereabouts(
 def _sides(plain: Sequence[str], failing: Sequence[str], *, bent: bool) -> tuple[Side, ...]:
     """plain: balances that fail about as much as the worst of those that fail."""
     if any(joint_of(name) is not None for name in plain):
-        return ("motors", "base") if "H" in plain else ("motors",)
+        return ("motors", "base") if any(name[0] == "H" for name in plain) else ("motors",)
     if bent:
         return ("joints",)
-    if "H" in plain:
+    if any(name[0] == "H" for name in plain):
         # friction at a link shows in the momentum, too
         return ("base", "link") if "E" in failing else ("base",)
-    return ("link", "base") if "H" in failing else ("link",)
+    return ("link", "base") if any(name[0] == "H" for name in failing) else ("link",)
 
 
 def deflection(arm: Arm, records: Sequence[MeasuredRun], joint: int) -> Deflection:

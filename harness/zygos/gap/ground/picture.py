@@ -17,6 +17,8 @@ from zygos.report.page import thinned
 Floats = NDArray[np.float64]
 
 _WIDTH, _HEIGHT, _LEFT, _PLOT = 900, 300, 55, 560
+_MIDDLE, _HALF = 140.0, 105.0
+"""Of the torques' axis."""
 _COLOURS = {"measured": "#888888", "as delivered": "#c2410c", "closed": "#1d4ed8"}
 _SAID = {"measured": "measured", "as delivered": "simulation as delivered", "closed": "with what was found"}
 _POINTS = 600
@@ -34,22 +36,28 @@ def write_picture(path: Path, found: GroundExplanation) -> None:
         "closed": one.closed.predicted[at, joint],
     }
     most = float(max(np.abs(y).max() for y in lines.values()))
-    parts = [_text(_LEFT, 22, f"torque of the {found.arm.joints[joint].name} in {run_name(one.run)}, Nm", bold=True)]
-    for value in (-0.8 * most, 0.0, 0.8 * most):
-        y = 160.0 - 110.0 * value / most
-        parts.append(f'<path d="M{_LEFT} {y:.1f}h{_PLOT}" stroke="#cccccc" fill="none"/>')
-        parts.append(_text(8, y + 4.0, f"{value:.2g}"))
+    name = found.arm.joints[joint].name
+    parts = [_text(_LEFT, 22, f"torque of the {name} in recording {run_name(one.run)}, Nm", bold=True)]
+    for value in _ticks(-most, most):
+        y = _MIDDLE - _HALF * value / most
+        parts.append(f'<path d="M{_LEFT} {y:.1f}h{_PLOT}" stroke="#dddddd" fill="none"/>')
+        parts.append(_text(_LEFT - 8, y + 4.0, f"{value:.4g}".replace("-", "−"), anchor="end"))
+    for value in _ticks(0.0, float(t[-1] - t[0])):
+        x = _LEFT + _PLOT * value / (t[-1] - t[0])
+        parts.append(f'<path d="M{x:.1f} {_MIDDLE + _HALF:.0f}v5" stroke="#888888" fill="none"/>')
+        unit = " s" if value == 0.0 else ""
+        parts.append(_text(x, _MIDDLE + _HALF + 20, f"{value:.4g}{unit}", anchor="middle"))
     for name, y in lines.items():
         points = " ".join(
-            f"{_LEFT + _PLOT * (a - t[0]) / (t[-1] - t[0]):.1f},{160.0 - 110.0 * b / most:.1f}"
+            f"{_LEFT + _PLOT * (a - t[0]) / (t[-1] - t[0]):.1f},{_MIDDLE - _HALF * b / most:.1f}"
             for a, b in zip(t.tolist(), y.tolist(), strict=True)
         )
         wide = 3.0 if name == "measured" else 1.5
         parts.append(f'<polyline points="{points}" fill="none" stroke="{_COLOURS[name]}" stroke-width="{wide}"/>')
     for k, name in enumerate(lines):
-        parts.append(f'<path d="M{_LEFT + 190 * k} 288h22" stroke="{_COLOURS[name]}" stroke-width="3"/>')
-        parts.append(_text(_LEFT + 190 * k + 28, 292, _SAID[name]))
-    parts.append(_text(650, 22, "energy over 1 s predicted wrongly, %", bold=True))
+        parts.append(f'<path d="M{_LEFT + 190 * k} 286h22" stroke="{_COLOURS[name]}" stroke-width="3"/>')
+        parts.append(_text(_LEFT + 190 * k + 28, 290, _SAID[name]))
+    parts.append(_text(650, 22, "error of the energy over 1 s, %", bold=True))
     shares = [
         (run_name(p.run), name, 100.0 * dict(p.scores)[name].arm_energy_share)
         for p in found.gap.predictions
@@ -57,8 +65,8 @@ def write_picture(path: Path, found: GroundExplanation) -> None:
     ]
     largest = max(share for *_, share in shares)
     for k, (run, name, share) in enumerate(shares):
-        y = 45 + 40 * k + 16 * (k // 2)
-        parts.append(_text(650, y + 16, run if name == "as delivered" else ""))
+        y = 45 + 28 * k + 24 * (k // 2)
+        parts.append(_text(650, y + 17, run if name == "as delivered" else ""))
         wide = 150.0 * share / largest
         parts.append(f'<rect x="700" y="{y}" width="{wide:.1f}" height="24" fill="{_COLOURS[name]}"/>')
         parts.append(_text(706 + wide, y + 17, f"{share:.0f}"))
@@ -69,6 +77,14 @@ def write_picture(path: Path, found: GroundExplanation) -> None:
     )
 
 
-def _text(x: float, y: float, said: str, *, bold: bool = False) -> str:
+def _ticks(low: float, high: float) -> list[float]:
+    """Round numbers from low to high, about five."""
+    rough = (high - low) / 5.0
+    power = 10.0 ** np.floor(np.log10(rough))
+    step = next(k * power for k in (1.0, 2.0, 5.0, 10.0) if k * power >= rough)
+    return [float(k * step) for k in range(int(np.ceil(low / step)), int(np.floor(high / step)) + 1)]
+
+
+def _text(x: float, y: float, said: str, *, bold: bool = False, anchor: str = "start") -> str:
     weight = ' font-weight="bold"' if bold else ""
-    return f'<text x="{x:.0f}" y="{y:.0f}" fill="#222222"{weight}>{escape(said)}</text>'
+    return f'<text x="{x:.0f}" y="{y:.0f}" fill="#222222" text-anchor="{anchor}"{weight}>{escape(said)}</text>'
