@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -254,6 +254,55 @@ def test_a_payload_between_the_runs_is_a_change() -> None:
     assert found.answer == "changed", found.sentence
     assert "The bodies changed between" in found.sentence and "a22" in found.sentence
     assert found.model is not None
+
+
+def test_a_law_of_another_form_is_named_in_part() -> None:
+    """A friction that reverses within 0.3 rad/s has the place and about the size of a Coulomb friction."""
+    found = _explained(laws.MotorCoulomb(ELBOW, 3.0, v0=0.3))
+    assert found.answer == "part named", found.sentence
+    assert list(_named(found)) == [("motor_coulomb", "elbow")]
+    assert 1.5 < found.findings[0].value < 3.0
+    untouched, *balances = found.verdict.left  # type: ignore[union-attr]
+    assert (untouched.where, untouched.unit) == ("the untouched run", "sigma")
+    assert untouched.size > 3.0 * untouched.floor
+    assert {rest.where for rest in balances} >= {"balance M2"}
+    assert "the law is not exactly this" in found.sentence
+    assert found.model is not None
+
+
+@dataclass
+class _Late(laws.MotorCoulomb):
+    """Coulomb friction that begins within a run."""
+
+    from_s: float = 30.0
+    time: float = field(default=0.0, init=False)
+
+    def begin(self, now: laws.Local) -> None:
+        self.time += now.step
+
+    def torque(self, now: laws.Local) -> float:
+        return super().torque(now) if self.time >= self.from_s else 0.0
+
+
+def test_a_friction_that_begins_within_a_run_is_a_change() -> None:
+    bench, case = lively(), Case("", "changed", exact=True)
+    of_run = (None, _Late(ELBOW, 3.0), laws.MotorCoulomb(ELBOW, 3.0))
+    seen = [
+        encode(bench.arm, run(bench.arm, plant(case, 0), s, k, law))
+        for k, (s, law) in enumerate(zip(bench.scenarios, of_run, strict=True))
+    ]
+    found = verdict(bench, simulation(case), seen)
+    assert found.answer == "changed", found.sentence
+    change = found.verdict.change  # type: ignore[union-attr]
+    assert (change.what, change.run, change.between) == ("motor_coulomb2", 1, False)
+    # to an arc
+    assert change.before_s == pytest.approx(30.0, abs=10.0)
+    assert change.after_s == pytest.approx(30.0, abs=10.0)
+    assert (change.old[0], change.new[0]) == (0.0, pytest.approx(3.0, rel=0.05))
+    assert found.findings == ()
+    assert found.model is not None
+    (friction,) = [effect for effect in found.model.effects if effect.kind.key == "motor_coulomb"]
+    assert (friction.joint, friction.value) == ("elbow", pytest.approx(3.0, rel=0.05))
 
 
 def _with_friction(size: float) -> Model:
