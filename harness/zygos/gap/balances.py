@@ -44,6 +44,8 @@ _ACTING = ("motor", "link", "spring", "torque")
 """Places of effects that act at a joint."""
 _OFFSET = 1e4
 """Deviation of the constant error of a torque sensor that has noise, in units of this noise: nobody declares it."""
+_MANY = 6
+"""Shapes of a law from which on a search begins with a part of them."""
 _LOOSE = 0.1
 """Deviation of an error of a sensor of which nothing is known, rad or rad/s."""
 _GAIN = 0.1
@@ -93,6 +95,14 @@ class Acting(NamedTuple):
         """As an effect of a model."""
         joint = None if self.joint < 0 else arm.joints[self.joint].name
         return Effect(self.kind, joint, value, sigma, source, shape=self.shape, component=self.component)
+
+
+def _coarse(kind: Kind) -> tuple[float | None, ...]:
+    """The shapes that a search begins with: orders are whole numbers, what lies between others is found later."""
+    if not kind.shapes:
+        return (None,)
+    whole = all(x % 1.0 == 0.0 for x in kind.shapes)
+    return kind.shapes if whole or len(kind.shapes) < _MANY else kind.shapes[1::3]
 
 
 def acting(effect: Effect, arm: Arm) -> Acting:
@@ -148,10 +158,7 @@ class Layout:
                 one = Acting(kind, column.joint, column.component)
                 if one.plain in self._covered or (kind.gain and column.joint == 0):
                     continue
-                listed += [
-                    one._replace(shape=shape)
-                    for shape in shapes.get(one.plain, kind.shapes if kind.shapes else (None,))
-                ]
+                listed += [one._replace(shape=shape) for shape in shapes.get(one.plain, _coarse(kind))]
         by_name = {one.name: one for one in listed}
         return tuple(sorted(by_name.values(), key=lambda one: one.kind.place == "sensor"))
 

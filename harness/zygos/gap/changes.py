@@ -41,7 +41,7 @@ class Change:
     arc: int
     """The arc (from 0) of that run with which it is certain; 0: it happened between two runs."""
     after_s: float
-    """Time in that run from which on it is certain, s; 0: since its beginning."""
+    """Time in that run at which it is there at the latest, s."""
     before_s: float
     """Time until which it is certain that it was not there, s."""
     names: tuple[str, ...]
@@ -155,8 +155,8 @@ def find_change(study: Study, candidates: Sequence[str]) -> Change | None:
                 what,
                 first.run,
                 first.number,
-                first.begin_s,
-                last.end_s,
+                first.end_s,
+                last.begin_s,
                 tuple(names[k] for k in columns),
                 old,
                 old + delta,

@@ -389,7 +389,7 @@ class _Explainer:
 
     def _open(self, found: Search, gap: Gap | None) -> bool:
         """Whether something is left over that other entries of the catalogue may explain."""
-        return excess(found.after) or (gap is not None and not closes(gap))
+        return excess(found.after) or (bool(found.named) and gap is not None and not closes(gap))
 
     def _unsettled(self, found: Search) -> bool:
         """Whether the runs disagree, or nothing of the catalogue explains most of what is missing."""
@@ -408,7 +408,7 @@ class _Explainer:
             change, now = settled(study, change)
         except (Undecided, ZygosError):
             return None, found
-        if excess(now):
+        if np.nanmax(now.excess) > SMALL:
             # what is left over after it is no matter of time
             return None, found
         names = tuple(record.path.name for record in study.records)

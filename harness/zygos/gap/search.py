@@ -174,7 +174,8 @@ def _reshaped(found: Search, one: Candidate) -> Search:
     assert one.shape is not None
     shape: float = one.shape
     layout, plain = after.layout, one.name.partition("@")[0]
-    known = sorted(dict(layout.shapes).get(plain, one.kind.shapes))
+    own = [x.shape for x in layout.effects if x.plain == plain and x.shape is not None]
+    known = sorted(own)
     at = min(range(len(known)), key=lambda k: abs(np.log(known[k] / shape)))
     low, high = known[max(at - 1, 0)], known[min(at + 1, len(known) - 1)]
     fine = tuple(float(f"{x:.6g}") for x in np.geomspace(low, high, 7))

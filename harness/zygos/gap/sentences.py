@@ -44,7 +44,7 @@ from zygos.gap.verdicts import (
     ZerosOff,
     partly,
 )
-from zygos.gap.whereabouts import Failing, Whereabouts, joint_of
+from zygos.gap.whereabouts import Failing, Whereabouts
 from zygos.report.figures import figure
 
 _BASE = "the base, the gyro, or the momentum that is assumed"

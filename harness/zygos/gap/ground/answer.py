@@ -32,6 +32,8 @@ def as_json(found: GroundExplanation, source: Provenance) -> dict[str, Any]:
                 "unit": f.unit,
                 "evidence": evidence(f),
                 "cannot_tell_from": list(f.instead),
+                "shape": f.shape,
+                "component": f.component or None,
             }
             for f in found.findings
         ],
