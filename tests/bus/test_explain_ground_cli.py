@@ -206,3 +206,22 @@ def test_motor_currents_are_explained(folder: Path, tmp_path: Path) -> None:
     code, found = explain(folder, tmp_path, ["coulomb0", "coulomb1"], ["coulomb2"], "--arm", tmp_path / "arm.toml")
     assert (found["answer"], code) == ("named", 0), found["sentence"]
     assert any("motor currents" in note for note in found["remarks"])
+
+
+def test_an_entry_that_is_left_out_is_not_tried(folder: Path, tmp_path: Path) -> None:
+    _, found = explain(folder, tmp_path, ["coulomb0", "coulomb1"], ["coulomb2"], "--without", "motor_coulomb")
+    assert found["answer"] != "named", found["sentence"]
+    assert "motor_coulomb1" not in {one["name"] for one in found["candidates"]}
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "message"), [("--without", "glue", "glue"), ("--effects", "none.py", "there is no such file")]
+)
+def test_entries_and_laws_that_do_not_exist_are_refused(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], option: str, value: str, message: str
+) -> None:
+    runs = ("--measured", folder / "coulomb0.npz", folder / "coulomb1.npz")
+    assert run("explain", "--simulation", folder / "cad.toml", *runs, "-o", tmp_path / "new.toml", option, value) == 2
+    error = " ".join(capsys.readouterr().err.split())
+    assert message in error and "remedy" in error
+    assert not list(tmp_path.iterdir())
