@@ -63,8 +63,9 @@ class Change:
         return self.arc == 0
 
 
-def settled(study: Study, change: Change) -> tuple[Change, Study]:
-    """The change with values from what was recorded before and after it, and the study of what was recorded after it.
+def settled(study: Study, change: Change) -> tuple[Change, Study, Study | None]:
+    """The change with values from what was recorded before and after it, the study of what was recorded after it, and
+    that of what was recorded before it where that is enough.
 
     Errors: Undecided where too little was recorded after it.
     """
@@ -76,6 +77,7 @@ def settled(study: Study, change: Change) -> tuple[Change, Study]:
     now = begin(later, wider, study.dynamics())
     places = [wider.names.index(name) for name in change.names]
     old, sigma = change.old, now.spread[places]
+    was: Study | None = None
     try:
         was = begin(before, hypothesis, study.dynamics())
     except Undecided:
@@ -84,7 +86,7 @@ def settled(study: Study, change: Change) -> tuple[Change, Study]:
         known = [hypothesis.names.index(n) if n in hypothesis.names else None for n in change.names]
         old = np.array([0.0 if k is None else was.value[k] for k in known])
         sigma = np.hypot(sigma, [0.0 if k is None else was.spread[k] for k in known])
-    return replace(change, old=old, new=now.value[places], sigma=sigma), now
+    return replace(change, old=old, new=now.value[places], sigma=sigma), now, was
 
 
 def _part(study: Study, change: Change, *, after: bool) -> list[MeasuredRun]:

@@ -154,8 +154,13 @@ class _Explainer:
                     found, gap = wider, self._gap(delivered, refit, wider.after, wider)
             if self._unsettled(found):
                 self.step(0.8, "changes with time")
-                changed, found = self._changed(found)
-                gap = self._gap(delivered, refit, found.after, found) if changed else gap
+                changed, later, earlier = self._changed(found)
+                if changed is not None:
+                    told = self._gap(delivered, refit, later.after, later)
+                    if told is None or closes(told) or _closes_with(earlier, told):
+                        found, gap = later, told
+                    else:
+                        changed = None
             findings += [self._finding(found, k) for k in range(len(found.named))]
         after = basis if found is None else found.after
         if skewed:
@@ -397,22 +402,23 @@ class _Explainer:
             return bool(self._apart(found.after))
         return not found.named or min(found.completeness) < PARTLY
 
-    def _changed(self, found: Search) -> tuple[Changed | None, Search]:
-        """A change with time that explains it, and the search with the study of what was recorded after it."""
+    def _changed(self, found: Search) -> tuple[Changed | None, Search, Study | None]:
+        """A change with time that explains it, the search with the study of what was recorded after it, and the study
+        of what was recorded before."""
         study = found.before
         listed = [one.name for one in study.layout.effects if possible(study.hypothesis, one)]
         change = find_change(study, listed)
         if change is None:
-            return None, found
+            return None, found, None
         try:
-            change, now = settled(study, change)
+            change, now, was = settled(study, change)
         except (Undecided, ZygosError):
-            return None, found
+            return None, found, None
         if np.nanmax(now.excess) > SMALL:
             # what is left over after it is no matter of time
-            return None, found
+            return None, found, None
         names = tuple(record.path.name for record in study.records)
-        return Changed(change, names), replace(found, after=now, named=(), sets=())
+        return Changed(change, names), replace(found, after=now, named=(), sets=()), was
 
     def _same_equations(self, study: Study, values: tuple[Value, ...]) -> Verdict:
         apart = self._apart(study)
@@ -478,6 +484,13 @@ class _Explainer:
             else:
                 kept.append(effect)
         return Model(f"{self.simulation.name}, explained", parameters=parameters, effects=tuple(kept))
+
+
+def _closes_with(study: Study | None, gap: Gap) -> bool:
+    """Whether an untouched run closes with what was learned before a change: nobody says on which side of it it is."""
+    if study is None:
+        return False
+    return closes(replace(gap, closed=forecast(study.dynamics(), gap.segments)))
 
 
 def _explains_more(wider: Search, found: Search) -> bool:

@@ -139,7 +139,8 @@ class Study:
             except Undecided:
                 continue
             noise = np.sqrt(np.mean(twin.rms[..., balance] ** 2, axis=0))
-            out[:, balance] = own.rms[:, balance] / noise
+            # what closes with values that suit every balance closes with values of its own
+            out[:, balance] = np.fmin(out[:, balance], own.rms[:, balance] / noise)
         return out
 
     def of(self, hypothesis: Hypothesis, runs: Sequence[int] | None = None, fixed: Array | None = None) -> Fit:
