@@ -295,9 +295,8 @@ def test_a_friction_that_begins_within_a_run_is_a_change() -> None:
     assert found.answer == "changed", found.sentence
     change = found.verdict.change  # type: ignore[union-attr]
     assert (change.what, change.run, change.between) == ("motor_coulomb2", 1, False)
-    # to an arc
-    assert change.before_s == pytest.approx(30.0, abs=10.0)
-    assert change.after_s == pytest.approx(30.0, abs=10.0)
+    # to the arcs on either side
+    assert 19.0 < change.before_s < 30.0 < change.after_s < 41.0
     assert (change.old[0], change.new[0]) == (0.0, pytest.approx(3.0, rel=0.05))
     assert found.findings == ()
     assert found.model is not None
