@@ -79,6 +79,8 @@ _USED = 0.9
 """Share of a run below which its losses are worth a word."""
 SMALL = 1.5
 """Residual of a balance over its twin's up to which effects are named without an untouched run."""
+_HALF = 0.5
+"""Share of the error of predictions that a change may leave where the untouched run does not close."""
 _REDRAWN = 2
 """Models with redrawn values that predict the floor's twin."""
 _DEFLECTED = 3.0
@@ -145,22 +147,7 @@ class _Explainer:
         gap: Gap | None = None
         changed: Changed | None = None
         if not skewed:
-            self.step(0.3, "candidates")
-            found = search(basis, lambda what: self.step(0.35, what))
-            gap = self._gap(delivered, refit, found.after, found)
-            if self._open(found, gap):
-                wider = self._wider(basis)
-                if _explains_more(wider, found):
-                    found, gap = wider, self._gap(delivered, refit, wider.after, wider)
-            if self._unsettled(found):
-                self.step(0.8, "changes with time")
-                changed, later, earlier = self._changed(found)
-                if changed is not None:
-                    told = self._gap(delivered, refit, later.after, later)
-                    if told is None or closes(told) or _closes_with(earlier, told):
-                        found, gap = later, told
-                    else:
-                        changed = None
+            found, gap, changed = self._searched(delivered, refit, basis)
             findings += [self._finding(found, k) for k in range(len(found.named))]
         after = basis if found is None else found.after
         if skewed:
@@ -207,6 +194,27 @@ class _Explainer:
         for record in (*self.measured, *self.validate):
             used[record.path.name] = used.get(record.path.name, 0.0) + record.share
         self.remarks += [BrokenRun(name, share) for name, share in used.items() if share < _USED]
+
+    def _searched(self, delivered: Drives, refit: Study, basis: Study) -> tuple[Search, Gap | None, Changed | None]:
+        """Usual entries, then every entry, then changes with time, as long as something is left over."""
+        changed: Changed | None = None
+        self.step(0.3, "candidates")
+        found = search(basis, lambda what: self.step(0.35, what))
+        gap = self._gap(delivered, refit, found.after, found)
+        if self._open(found, gap):
+            wider = self._wider(basis)
+            if _explains_more(wider, found):
+                found, gap = wider, self._gap(delivered, refit, wider.after, wider)
+        if self._unsettled(found):
+            self.step(0.8, "changes with time")
+            changed, later, earlier = self._changed(found)
+            if changed is not None:
+                told = self._gap(delivered, refit, later.after, later)
+                if told is None or _predicts(told) or _closes_with(earlier, told):
+                    found, gap = later, told
+                else:
+                    changed = None
+        return found, gap, changed
 
     def _wider(self, basis: Study) -> Search:
         """The search among every entry of the catalogue."""
@@ -484,6 +492,11 @@ class _Explainer:
             else:
                 kept.append(effect)
         return Model(f"{self.simulation.name}, explained", parameters=parameters, effects=tuple(kept))
+
+
+def _predicts(gap: Gap) -> bool:
+    """Whether the model after a change predicts an untouched run: it closes, or errs half as much as without it."""
+    return closes(gap) or gap.closed.median < _HALF * gap.refit.median
 
 
 def _closes_with(study: Study | None, gap: Gap) -> bool:
