@@ -201,9 +201,9 @@ class _Explainer:
         self.step(0.3, "candidates")
         found = search(basis, lambda what: self.step(0.35, what))
         gap = self._gap(delivered, refit, found.after, found)
-        if self._open(found, gap):
+        if self._open(found):
             wider = self._wider(basis)
-            if _explains_more(wider, found):
+            if wider is not None and _explains_more(wider, found):
                 found, gap = wider, self._gap(delivered, refit, wider.after, wider)
         if self._unsettled(found):
             self.step(0.8, "changes with time")
@@ -216,11 +216,14 @@ class _Explainer:
                     changed = None
         return found, gap, changed
 
-    def _wider(self, basis: Study) -> Search:
-        """The search among every entry of the catalogue."""
+    def _wider(self, basis: Study) -> Search | None:
+        """The search among every entry of the catalogue; None where the runs do not tell their columns apart."""
         self.step(0.5, "every entry of the catalogue")
         wide = replace(basis.hypothesis, layout=replace(basis.layout, wide=True))
-        return polished(search(begin(self.measured, wide, basis.dynamics()), lambda what: self.step(0.6, what)))
+        try:
+            return polished(search(begin(self.measured, wide, basis.dynamics()), lambda what: self.step(0.6, what)))
+        except Undecided:
+            return None
 
     def _flexible(self, refit: Study, joints: list[str]) -> Study:
         """The study with springs in these joints. The twin needs a first guess: each motor balance by itself has one.
@@ -400,9 +403,9 @@ class _Explainer:
         whole = share >= COMPLETE and (closes(gap) if gap is not None else bool(np.nanmax(found.after.excess) <= SMALL))
         return Lacking(findings) if whole else PartNamed(findings, remainders(self.arm, found.after, gap))
 
-    def _open(self, found: Search, gap: Gap | None) -> bool:
-        """Whether something is left over that other entries of the catalogue may explain."""
-        return excess(found.after) or (bool(found.named) and gap is not None and not closes(gap))
+    def _open(self, found: Search) -> bool:
+        """Whether most of what is left over may be explained by other entries of the catalogue."""
+        return excess(found.after) and (not found.named or min(found.completeness) < COMPLETE)
 
     def _unsettled(self, found: Search) -> bool:
         """Whether the runs disagree, or nothing of the catalogue explains most of what is missing."""
