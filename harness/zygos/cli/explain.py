@@ -25,6 +25,7 @@ from zygos.gap.ground.answer import as_json as ground_json
 from zygos.gap.ground.answer import predicted_errors
 from zygos.gap.ground.explanation import GroundExplanation
 from zygos.gap.ground.sentences import against as ground_against
+from zygos.gap.record import letter
 from zygos.gap.runs import check_arm_of_gap, check_distinct, check_keys, explain_runs
 from zygos.gap.sentences import against
 from zygos.model.model import load_model, save_model
@@ -106,11 +107,6 @@ def _explain_run(
     source = provenance(command, inputs.files)
     finish(found, logs, inputs, source, out, report, json)
     not_whole(*(log.damage for log in logs))
-
-
-def letter(run: int) -> str:
-    """Name of a measured run (from 0)."""
-    return chr(ord("A") + run % 26)
 
 
 def unflown(found: Explanation) -> list[str]:

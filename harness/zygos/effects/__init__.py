@@ -10,6 +10,7 @@ from zygos.effects.effect import (
     effect,
     estimated,
     is_column,
+    sensed,
     spoken,
 )
 from zygos.effects.kind import PLACES, SLOWEST_RATE, UNKNOWN, Kind, Motion, Place, smooth_sign
@@ -35,6 +36,7 @@ __all__ = [
     "is_column",
     "laws",
     "load_laws",
+    "sensed",
     "smooth_sign",
     "spoken",
 ]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from zygos.arm import MOST_JOINTS, Arm
 from zygos.effects.catalogue import CATALOGUE, OFFSET
-from zygos.effects.kind import Kind, Motion
+from zygos.effects.kind import Kind, Motion, R
 from zygos.errors import ZygosError
 
 Array = NDArray[np.float64]
@@ -107,6 +107,13 @@ def effect(
         remedy = f"give its {entry.shape_title}" if entry.shapes else "leave the shape out"
         raise ZygosError(f"effect {kind}: its law has {'a' if entry.shapes else 'no'} shape; remedy: {remedy}")
     return Effect(entry, joint, value, sigma, shape=shape, component=component)
+
+
+def sensed(arm: Arm, exact: R, sensors: Sequence[Effect]) -> R:
+    """What sensors with these errors read where exact ones read `exact`."""
+    for one in sensors:
+        exact = one.kind.transform(arm, exact, one.index(arm), one.value, one.component_index(arm))
+    return exact
 
 
 class EffectColumn(NamedTuple):

@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from zygos.gap.explanation import Explanation
-from zygos.gap.findings import Gap
+from zygos.gap.findings import Finding, Gap, Value
 from zygos.gap.forecast import Forecast
 from zygos.gap.sentences import against, evidence
 from zygos.gap.verdicts import Changed, PartNamed, Verdict
@@ -17,6 +17,45 @@ def predictions(gap: Gap) -> list[tuple[str, Forecast]]:
     """The gap's numbers by name: as delivered, refit, closed, floor, and, if there is one, with the best other."""
     listed = [("as delivered", gap.delivered), ("refit", gap.refit), ("closed", gap.closed), ("floor", gap.floor)]
     return listed + ([(f"with {gap.wrong_name} instead", gap.wrong)] if gap.wrong is not None else [])
+
+
+def finding_json(found: Finding, proof: str) -> dict[str, Any]:
+    """An effect that was found. proof: the evidence in words."""
+    return {
+        "effect": found.kind,
+        "title": found.title,
+        "joint": found.joint,
+        "value": found.value,
+        "sigma": found.sigma,
+        "interval": list(found.interval),
+        "unit": found.unit,
+        "evidence": proof,
+        "cannot_tell_from": list(found.instead),
+        "shape": found.shape,
+        "component": found.component or None,
+    }
+
+
+def value_json(value: Value) -> dict[str, Any]:
+    """A value beside that of the simulation."""
+    return {
+        "name": value.name,
+        "unit": value.unit,
+        "simulation": value.delivered,
+        "simulation_sigma": value.delivered_sigma,
+        "found": value.found,
+        "sigma": value.sigma,
+        "differs": value.differs,
+    }
+
+
+def source_json(source: Provenance) -> dict[str, Any]:
+    """Where an answer is from."""
+    return {
+        "command": source.command,
+        "version": source.version,
+        "files": [{"role": role, "path": path, "sha256": digest} for role, path, digest in source.files],
+    }
 
 
 def remainders_json(verdict: Verdict) -> list[dict[str, Any]]:
@@ -64,22 +103,7 @@ def as_json(found: Explanation, source: Provenance) -> dict[str, Any]:
         "answer": found.answer,
         "sentence": found.sentence,
         "where": found.where,
-        "findings": [
-            {
-                "effect": f.kind,
-                "title": f.title,
-                "joint": f.joint,
-                "value": f.value,
-                "sigma": f.sigma,
-                "interval": list(f.interval),
-                "unit": f.unit,
-                "evidence": evidence(f),
-                "cannot_tell_from": list(f.instead),
-                "shape": f.shape,
-                "component": f.component or None,
-            }
-            for f in found.findings
-        ],
+        "findings": [finding_json(f, evidence(f)) for f in found.findings],
         "partly": found.partly or None,
         "left": remainders_json(found.verdict),
         "change": change_json(found.verdict),
@@ -121,24 +145,11 @@ def as_json(found: Explanation, source: Provenance) -> dict[str, Any]:
             for c in found.search.rounds[0]
         ],
         "completeness": None if found.search is None else list(found.search.completeness),
-        "values": [
-            {
-                "name": v.name,
-                "unit": v.unit,
-                "simulation": v.delivered,
-                "simulation_sigma": v.delivered_sigma,
-                "found": v.found,
-                "sigma": v.sigma,
-                "differs": v.differs,
-            }
-            for v in found.values
-        ],
+        "values": [value_json(v) for v in found.values],
         "experiments": [
             {"speed": e.speed, "amplitude": e.amplitude, "z": e.z, "z_now": e.now} for e in found.experiments
         ],
         "remarks": list(found.notes),
         "runs": [{"run": str(r.path), "arcs": len(r.starts), "faults": r.faults} for r in found.records],
-        "command": source.command,
-        "version": source.version,
-        "files": [{"role": role, "path": path, "sha256": digest} for role, path, digest in source.files],
+        **source_json(source),
     }

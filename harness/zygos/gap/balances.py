@@ -208,6 +208,11 @@ class Layout:
         return np.array([_LOOSE if name in self.loose else one.sigma for name, one in self.errors.items()])
 
     @cached_property
+    def of_torque(self) -> NDArray[np.bool_]:
+        """(zeros,) which of them are errors of torque sensors."""
+        return np.array([one.signals == ("tau",) for one in self.errors.values()])
+
+    @cached_property
     def declared_sigma(self) -> Array:
         """(zeros,) what the arm file says of them, whether that is believed or not."""
         return np.array([one.sigma for one in self.errors.values()])

@@ -302,7 +302,7 @@ class _Explainer:
         """Records less what their sensors' zeros are found to be off by, where that is more than is known of them."""
         layout = study.layout
         zeros = study.zeros.mean(axis=0)
-        torque = np.array([error.signals == ("tau",) for error in layout.errors.values()])
+        torque = layout.of_torque
         off = np.where((np.abs(zeros) > _DEFLECTED * layout.declared_sigma) | torque, zeros, 0.0)
         if not off.any():
             return list(records)

@@ -19,10 +19,10 @@ from zygos.balances.readings import Readings
 from zygos.balances.state import State
 from zygos.dynamics.joints import Drives, Moment
 from zygos.dynamics.replay import exact_readings, replay, substeps
-from zygos.effects import Effect
+from zygos.effects import Effect, sensed
 from zygos.errors import ZygosError
 from zygos.gap.record import MeasuredRun, smoothed_states
-from zygos.gap.twin import Twin, measure, sensed
+from zygos.gap.twin import Twin, measure
 from zygos.runs.smoother import coefficients
 
 Array = NDArray[np.float64]

@@ -16,7 +16,7 @@ from zygos.gap.charts import Charts
 from zygos.gap.explanation import Explanation
 from zygos.gap.findings import INTERVAL, Deflection, Finding, Gap, Value
 from zygos.gap.forecast import HORIZON_S, Forecast
-from zygos.gap.record import MeasuredRun
+from zygos.gap.record import MeasuredRun, letter
 from zygos.gap.residuals import Stage, failing, steps
 from zygos.gap.search import EXCESS, Candidate
 from zygos.gap.sentences import against, balance_title, evidence, motion, predicted
@@ -24,7 +24,6 @@ from zygos.report.figures import LogScale, down_to, figure, percent, unit_of, wi
 from zygos.report.page import Entry, joint_colour, render
 from zygos.report.provenance import Provenance
 
-RUNS = "ABCDEFGH"
 _LEAST = 1e-3
 """Excess per balance that the scale of the shares begins with; below it the twin's own draws differ more."""
 
@@ -54,7 +53,7 @@ def write_gap_report(path: Path, explanation: Explanation, provenance: Provenanc
         groups=charts.groups,
         subject=charts.subject,
         overlay=charts.overlay,
-        runs=[{"letter": RUNS[k], "path": str(r.path), "length": _length(r)} for k, r in enumerate(x.refit.records)],
+        runs=[{"letter": letter(k), "path": str(r.path), "length": _length(r)} for k, r in enumerate(x.refit.records)],
         horizon=f"{HORIZON_S:g}",
         whole="Show all of it",
     )
@@ -224,7 +223,7 @@ def _search(x: Explanation) -> Entry:
     adopted = x.answer in {"named", "part named", "cannot tell"}
     return {
         "candidates": [_candidate(x.arm, c, named, sets, adopted=adopted) for c in listed],
-        "letters": RUNS[: len(x.refit.records)],
+        "letters": [letter(k) for k in range(len(x.refit.records))],
         "rounds": len(search.rounds),
         "completeness": [f"{100.0 * share:.1f}" for share in search.completeness],
         "named": bool(named),

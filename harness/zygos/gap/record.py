@@ -44,6 +44,11 @@ class TableArm(Arm):
         return cls(**{one.name: getattr(arm, one.name) for one in fields(Arm)})
 
 
+def letter(run: int) -> str:
+    """Short name of a measured run (from 0)."""
+    return chr(ord("A") + run % 26)
+
+
 @dataclass(frozen=True)
 class MeasuredRun:
     """A run that the C library decoded."""

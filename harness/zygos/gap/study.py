@@ -266,9 +266,8 @@ def zeroed(study: Study) -> Study:
     What the arm file says of the sensors spreads a large error of one of them over several.
     """
     for _ in range(_LOOSE):
-        torque = np.array([error.signals == ("tau",) for error in study.layout.errors.values()])
-        believed = np.array([name not in study.layout.loose for name in study.layout.zeros])
-        pulls = np.where(torque | ~believed, 0.0, np.abs(study.pulls).max(axis=0))
+        loose = np.array([name in study.layout.loose for name in study.layout.zeros])
+        pulls = np.where(study.layout.of_torque | loose, 0.0, np.abs(study.pulls).max(axis=0))
         paid = _paid(study, study.fit)
         tried: list[tuple[float, Hypothesis]] = []
         for k in np.argsort(-pulls)[:_TRIED]:
@@ -288,7 +287,7 @@ def zeroed(study: Study) -> Study:
 
 def _paid(study: Study, found: Fit) -> float:
     """What a fit leaves over, and what it pays for errors of sensors."""
-    known = np.array([error.signals != ("tau",) for error in study.layout.errors.values()])
+    known = ~study.layout.of_torque
     pulls = (study.applied + found.zeros)[:, known] / study.layout.zero_sigma[known]
     counts = np.array([one.count for one in study.sums])
     return float(np.nansum(counts * ((found.rms / study.noise) ** 2 - 1.0)) + np.sum(pulls**2))
@@ -296,8 +295,7 @@ def _paid(study: Study, found: Fit) -> float:
 
 def _off(study: Study) -> NDArray[np.bool_]:
     """(runs, zeros) which errors of encoders and gyro are large; balances are linear in those of torques."""
-    torque = np.array([error.signals == ("tau",) for error in study.layout.errors.values()])
-    return np.asarray((np.abs(study.pulls) > LARGE) & ~torque)
+    return np.asarray((np.abs(study.pulls) > LARGE) & ~study.layout.of_torque)
 
 
 def _possible(hypothesis: Hypothesis, value: Array, known: Drives) -> Drives:

@@ -19,7 +19,7 @@ from zygos.balances.readings import Readings
 from zygos.balances.state import State
 from zygos.dynamics.joints import START, Drives, Moment
 from zygos.dynamics.replay import exact_readings, replay, substeps
-from zygos.effects import Effect
+from zygos.effects import Effect, sensed
 from zygos.errors import Undecided
 from zygos.gap.balances import Layout, Sums, accumulate, balance_rows
 from zygos.gap.record import MeasuredRun, smoothed_states
@@ -45,13 +45,6 @@ class Twin:
     arm: Arm
     exact: Readings
     """What exact sensors would have read."""
-
-
-def sensed(arm: Arm, exact: Readings, sensors: Sequence[Effect]) -> Readings:
-    """What sensors with these errors read where exact ones read `exact`."""
-    for one in sensors:
-        exact = one.kind.transform(arm, exact, one.index(arm), one.value, one.component_index(arm))
-    return exact
 
 
 def follow(dynamics: Drives, records: Sequence[MeasuredRun], sensors: Sequence[Effect] = ()) -> list[Twin]:

@@ -20,7 +20,7 @@ from zygos.balances.readings import Readings
 from zygos.dynamics.equations import Dynamics, EngineName, equations
 from zygos.dynamics.joints import Moment
 from zygos.dynamics.planar import PlanarDynamics
-from zygos.effects import Effect
+from zygos.effects import Effect, sensed
 from zygos.errors import ZygosError
 from zygos.model.model import Model
 from zygos.runs.cycles import Cycles
@@ -103,8 +103,7 @@ def record(trajectory: Trajectory, index: int = 0) -> Cycles:
         trajectory.omega0_latched[index],
         trajectory.tau[index],
     )
-    for one in trajectory.sensors:
-        exact = one.kind.transform(arm, exact, one.index(arm), one.value, one.component_index(arm))
+    exact = sensed(arm, exact, trajectory.sensors)
     return Cycles(
         sync=np.arange(n, dtype=np.uint64),
         q=encoder_reading([joint.link_encoder for joint in arm.joints], exact.q, noise.link[index], noise.rounding),

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from zygos.gap.answer import change_json, remainders_json
+from zygos.gap.answer import change_json, finding_json, remainders_json, source_json, value_json
 from zygos.gap.ground.explanation import GroundExplanation, GroundGap
 from zygos.gap.ground.predictions import Prediction, run_name
 from zygos.gap.ground.sentences import against, evidence
@@ -21,22 +21,7 @@ def as_json(found: GroundExplanation, source: Provenance) -> dict[str, Any]:
         "answer": found.answer,
         "sentence": found.sentence,
         "where": found.where,
-        "findings": [
-            {
-                "effect": f.kind,
-                "title": f.title,
-                "joint": f.joint,
-                "value": f.value,
-                "sigma": f.sigma,
-                "interval": list(f.interval),
-                "unit": f.unit,
-                "evidence": evidence(f),
-                "cannot_tell_from": list(f.instead),
-                "shape": f.shape,
-                "component": f.component or None,
-            }
-            for f in found.findings
-        ],
+        "findings": [finding_json(f, evidence(f)) for f in found.findings],
         "partly": found.partly or None,
         "left": remainders_json(found.verdict),
         "change": change_json(found.verdict),
@@ -66,27 +51,14 @@ def as_json(found: GroundExplanation, source: Provenance) -> dict[str, Any]:
             }
             for one in (found.search.rounds[0] if found.search.rounds else ())
         ],
-        "values": [
-            {
-                "name": v.name,
-                "unit": v.unit,
-                "simulation": v.delivered,
-                "simulation_sigma": v.delivered_sigma,
-                "found": v.found,
-                "sigma": v.sigma,
-                "differs": v.differs,
-            }
-            for v in found.values
-        ],
+        "values": [value_json(v) for v in found.values],
         "increment_s": found.span_s,
         "remarks": list(found.notes),
         "runs": [
             {"run": str(run.path) if run.path else None, "cycles": len(run), "faults": run.faults}
             for run in (*found.measured, *found.validated)
         ],
-        "command": source.command,
-        "version": source.version,
-        "files": [{"role": role, "path": path, "sha256": digest} for role, path, digest in source.files],
+        **source_json(source),
     }
 
 
