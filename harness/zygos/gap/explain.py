@@ -80,8 +80,6 @@ _USED = 0.9
 """Share of a run below which its losses are worth a word."""
 SMALL = 1.5
 """Residual of a balance over its twin's up to which effects are named without an untouched run."""
-_HALF = 0.5
-"""Share of the error of predictions that a change may leave where the untouched run does not close."""
 _WRONG_GAIN = 0.05
 """Share by which the gain of a torque sensor differs from that of the first joint from which on it is an effect."""
 _NOISY = 5.0
@@ -235,19 +233,21 @@ class _Explainer:
         self.step(0.3, "candidates")
         found = search(basis, lambda what: self.step(0.35, what))
         gap = self._gap(delivered, refit, found.after, found)
+        wider: Search | None = None
         if self._open(found):
             wider = self._wider(basis)
             if wider is not None and _explains_more(wider, found):
                 found, gap = wider, self._gap(delivered, refit, wider.after, wider)
         if self._unsettled(found):
             self.step(0.8, "changes with time")
-            changed, later, earlier = self._changed(found)
-            if changed is not None:
-                told = self._gap(delivered, refit, later.after, later)
-                if told is None or _predicts(told) or _closes_with(earlier, told):
-                    found, gap = later, told
-                else:
-                    changed = None
+            # what begins may be a usual entry, or any
+            for study in (basis, *(() if wider is None else (wider.before,))):
+                changed, later, earlier = self._changed(found, study, basis.layout)
+                if changed is not None:
+                    told = self._gap(delivered, refit, later.after, later)
+                    if told is None or closes(told) or _closes_with(earlier, told):
+                        return later, told, changed
+            changed = None
         return found, gap, changed
 
     def _wider(self, basis: Study) -> Search | None:
@@ -493,16 +493,17 @@ class _Explainer:
             return bool(self._apart(found.after))
         return not found.named or min(found.completeness) < PARTLY
 
-    def _changed(self, found: Search) -> tuple[Changed | None, Search, Study | None]:
-        """A change with time that explains it, the search with the study of what was recorded after it, and the study
-        of what was recorded before."""
-        study = found.before
+    def _changed(self, found: Search, study: Study, layout: Layout) -> tuple[Changed | None, Search, Study | None]:
+        """A change with time of what a study has, which explains it, the search with the study of what was recorded
+        after it, and the study of what was recorded before. layout: what these have beside what begins."""
         listed = [one.name for one in study.layout.effects if possible(study.hypothesis, one)]
         change = find_change(study, listed)
         if change is None:
             return None, found, None
+        begun = [study.layout.find(name) for name in change.names if name in listed]
+        kept = replace(layout, own=(*layout.own, *begun))
         try:
-            change, now, was = settled(study, change)
+            change, now, was = settled(replace(study, hypothesis=replace(study.hypothesis, layout=kept)), change)
         except (Undecided, ZygosError):
             return None, found, None
         if np.nanmax(now.excess) > SMALL:
@@ -576,11 +577,6 @@ class _Explainer:
             else:
                 kept.append(effect)
         return Model(f"{self.simulation.name}, explained", parameters=parameters, effects=tuple(kept))
-
-
-def _predicts(gap: Gap) -> bool:
-    """Whether the model after a change predicts an untouched run: it closes, or errs half as much as without it."""
-    return closes(gap) or gap.closed.median < _HALF * gap.refit.median
 
 
 def _closes_with(study: Study | None, gap: Gap) -> bool:

@@ -75,8 +75,16 @@ class Stretches:
 
     def thinned(self, every: int) -> Stretches:
         """Every so many of them."""
-        arrays = (self.readings, self.tau, self.before, self.guess, self.time_s, self.turned, self.run)
-        return Stretches(self.arm, *(x[::every] for x in arrays))
+        return Stretches(
+            self.arm,
+            self.readings[::every],
+            self.tau[::every],
+            self.before[::every],
+            self.guess[::every],
+            self.time_s[::every],
+            self.turned[::every],
+            self.run[::every],
+        )
 
     @property
     def sigma(self) -> Array:
