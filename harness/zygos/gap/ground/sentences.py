@@ -55,24 +55,49 @@ def after_gear(arm: Arm, finding: Finding) -> str:
 
 
 def listed(arm: Arm, findings: Sequence[Finding]) -> str:
-    """Effects with their places and sizes."""
-    parts = []
-    for finding in findings:
-        after = after_gear(arm, finding)
-        parts.append(sentences.listed([finding]) + (f" ({after} after the gear)" if after else ""))
-    return " and ".join(parts)
+    """Effects with their places and sizes; those of one kind together."""
+    kinds = dict.fromkeys(finding.title for finding in findings)
+    return " and ".join(_of_kind(arm, [one for one in findings if one.title == kind]) for kind in kinds)
+
+
+def _of_kind(arm: Arm, findings: Sequence[Finding]) -> str:
+    first = findings[0]
+    if len(findings) == 1:
+        after = after_gear(arm, first)
+        return sentences.listed([first]) + (f" ({after} after the gear)" if after else "")
+    return f"{first.title} ({'; '.join(f'{f.joint} {sentences.sized(f.value, f.sigma, f.unit)}' for f in findings)})"
+
+
+def sets(arm: Arm, findings: Sequence[Finding]) -> str:
+    """What the runs cannot tell apart; empty where there is nothing of the kind."""
+    groups: dict[tuple[str, ...], list[Finding]] = {}
+    for one in findings:
+        if one.instead:
+            groups.setdefault((one.kind, *(name.rstrip("0123456789") for name in one.instead)), []).append(one)
+    said = []
+    for group in groups.values():
+        names = (title(arm, name) for name in group[0].instead)
+        # of several joints, the sizes stand for the places
+        others = [name.rpartition(" (")[0] if len(group) > 1 else name for name in names]
+        said.append(" or ".join((listed(arm, group), *others)))
+    return f"These runs cannot tell apart: {'; '.join(said)}." if said else ""
+
+
+def _certain(arm: Arm, findings: Sequence[Finding]) -> str:
+    told = [finding for finding in findings if not finding.instead]
+    return f"The simulation lacks {listed(arm, told)}" if told else ""
 
 
 def verdict(arm: Arm, found: Verdict) -> str:  # noqa: PLR0911  (one sentence a verdict)
     """What a verdict says."""
     match found:
         case Lacking():
-            return f"The simulation lacks {listed(arm, found.findings)}."
+            return f"{_certain(arm, found.findings)}. {sets(arm, found.findings)}".rstrip()
         case PartNamed():
             left = (
                 f", but the law is not exactly this: {'; '.join(map(sentences.left, found.left))}" if found.left else ""
             )
-            return f"The simulation lacks {listed(arm, found.findings)}{left}."
+            return f"{_certain(arm, found.findings)}{left}. {sets(arm, found.findings)}".rstrip()
         case NothingMissing():
             return "Nothing is missing above the detection limits, and no value differs."
         case LateTorques():
@@ -95,14 +120,8 @@ def verdict(arm: Arm, found: Verdict) -> str:  # noqa: PLR0911  (one sentence a 
                 f"{100 * found.struck_median:.3g} % without): not adopted."
             )
         case Inseparable():
-            certain = [f for f in found.findings if not f.instead]
-            sets = "; ".join(
-                " or ".join((listed(arm, [f]), *(title(arm, n) for n in f.instead)))
-                for f in found.findings
-                if f.instead
-            )
-            first = f"The simulation lacks {listed(arm, certain)}. " if certain else ""
-            return f"{first}These runs cannot tell apart: {sets}."
+            first = _certain(arm, found.findings)
+            return f"{first}. {sets(arm, found.findings)}" if first else sets(arm, found.findings)
     return sentences.verdict(arm, found)
 
 
