@@ -23,6 +23,8 @@ from zygos.gap.verdicts import (
 from zygos.report.figures import figure
 
 _FAILS = 2.0
+_SIZED = 2
+"""Findings of one kind up to which a sentence says their sizes; those of more joints are in the table."""
 _AGAINST: dict[Against, str] = {
     "insignificant": "not beyond chance",
     "inconsistent": "the runs disagree on its size",
@@ -65,6 +67,8 @@ def _of_kind(arm: Arm, findings: Sequence[Finding]) -> str:
     if len(findings) == 1:
         after = after_gear(arm, first)
         return sentences.listed([first]) + (f" ({after} after the gear)" if after else "")
+    if len(findings) > _SIZED:
+        return f"{first.title} ({', '.join(sorted(str(f.joint) for f in findings))})"
     return f"{first.title} ({'; '.join(f'{f.joint} {sentences.sized(f.value, f.sigma, f.unit)}' for f in findings)})"
 
 
@@ -130,12 +134,10 @@ def where(joints: Sequence[tuple[str, float, float, float]]) -> str:
     fails = [one for one in joints if one[1] > _FAILS * one[3]]
     if not fails:
         return "The torques of all joints close."
-    said = "; ".join(
-        f"{name}: {figure(before)} Nm left by the simulation's own equations, {figure(after)} Nm with what was found"
-        for name, before, after, _ in fails
-    )
+    said = "; ".join(f"{name} {figure(before)} → {figure(after)} Nm" for name, before, after, _ in fails)
     others = [one[0] for one in joints if one not in fails]
-    return f"Joints that do not close: {said}." + (f" The others do: {', '.join(others)}." if others else "")
+    head = "Torque left over by the simulation's own equations → with what was found"
+    return f"{head}: {said}." + (f" The others close: {', '.join(others)}." if others else "")
 
 
 def remedy(arm: Arm, found: Verdict, search: Search) -> str:
