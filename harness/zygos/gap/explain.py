@@ -268,7 +268,17 @@ class _Explainer:
         instead = tuple(found.sets[index][1:])
         component = study.layout.find(named.name).component
         return Finding(
-            named.kind.key, joint, value, sigma, named.kind.unit, evidence, instead, assumed, named.shape, component
+            named.kind.key,
+            joint,
+            value,
+            sigma,
+            named.kind.unit,
+            evidence,
+            instead,
+            assumed,
+            named.shape,
+            component,
+            named.kind,
         )
 
     def _size(self, study: Study, name: str) -> tuple[float, float]:

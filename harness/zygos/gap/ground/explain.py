@@ -185,6 +185,7 @@ class _Explainer:
     def _finding(self, found: Search, index: int, sizes: _Sizes) -> Finding:
         one = found.named[index]
         value, sigma = sizes.at(one.name)
+        effect = one.candidate.effect
         return Finding(
             one.candidate.key,
             self.arm.joints[one.candidate.joint].name,
@@ -193,6 +194,8 @@ class _Explainer:
             one.candidate.unit,
             Repeated(one.z, one.explained, one.each),
             tuple(found.sets[index][1:]),
+            shape=None if effect is None else effect.shape,
+            entry=None if effect is None else effect.kind,
         )
 
     def _directions(
@@ -215,7 +218,7 @@ class _Explainer:
             key = ASYMMETRY if one.answer == "friction" else OFFSET_OF_TORQUE
             instead = (f"{ASYMMETRY}{one.joint + 1}",) if one.answer == "either" else ()
             proof = Repeated(one.z, float("nan"), one.each)
-            out.append(Finding(key, joint, one.value, one.sigma, "Nm", proof, instead))
+            out.append(Finding(key, joint, one.value, one.sigma, "Nm", proof, instead, entry=CATALOGUE.get(key)))
         return tuple(out)
 
     def _values(self, table: Table, sizes: _Sizes) -> tuple[Value, ...]:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from zygos.arm import Arm
-from zygos.effects import CATALOGUE, is_column, spoken
+from zygos.effects import is_column, spoken
 from zygos.gap import sentences
 from zygos.gap.findings import ASYMMETRY, ROTOR_INERTIA, Deflection, Finding
 from zygos.gap.ground.search import Against, Search, Tried
@@ -51,8 +51,7 @@ def after_gear(arm: Arm, finding: Finding) -> str:
     ratio = next((joint.gear_ratio for joint in arm.joints if joint.name == finding.joint), 1.0)
     factor = {"Nm": ratio, "Nms/rad": ratio, "kg m^2": ratio**2}.get(finding.unit, 1.0)
     before = finding.kind in (ROTOR_INERTIA, ASYMMETRY)
-    kind = CATALOGUE.get(finding.kind)
-    before = before or (kind is not None and kind.place == "motor")
+    before = before or (finding.entry is not None and finding.entry.place == "motor")
     return "" if not before or factor == 1.0 else f"{factor * finding.value:.3g} {finding.unit}"
 
 
