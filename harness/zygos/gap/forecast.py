@@ -91,6 +91,8 @@ class Forecast:
     """(S, n, 2N+W) predicted less measured, in units of sigma."""
     predicted: Array
     """(S, n, 2N+W) q, theta, omega0: rad, rad/s."""
+    solver: Array
+    """(S, states, readings + states) by which what is left of the first half second corrects a start."""
 
     @property
     def gap(self) -> float:
@@ -166,15 +168,18 @@ def _segments(arm: Arm, samples: Readings, stretches: Sequence[tuple[int, int]],
     return Stretches(arm, readings, samples.tau[at], samples.tau[starts - 1], guess, samples.time[at], turned)
 
 
-def forecast(dynamics: Drives, segments: Stretches, sensors: Sequence[Effect] = ()) -> Forecast:
+def forecast(
+    dynamics: Drives, segments: Stretches, sensors: Sequence[Effect] = (), near: Forecast | None = None
+) -> Forecast:
     """Predict every segment with a model, whose sensors have these errors. Where it assumes an angular momentum, the
-    base rate follows from it."""
+    base rate follows from it. near: predictions of the same segments with a model that differs little; the motion
+    depends on its start as it does there."""
     # a model that is far off may diverge: then the gap is infinite, and says so
     with np.errstate(over="ignore", invalid="ignore"):
-        return _forecast(dynamics, segments, sensors)
+        return _forecast(dynamics, segments, sensors, near)
 
 
-def _forecast(dynamics: Drives, segments: Stretches, sensors: Sequence[Effect]) -> Forecast:
+def _forecast(dynamics: Drives, segments: Stretches, sensors: Sequence[Effect], near: Forecast | None) -> Forecast:
     arm, joints = segments.arm, segments.arm.n
     n = segments.readings.shape[1] // 2
     steps = substeps(dynamics, segments.readings[:, ::n, :joints], arm.period_s)
@@ -209,19 +214,21 @@ def _forecast(dynamics: Drives, segments: Stretches, sensors: Sequence[Effect]) 
 
     x = segments.guess[:, free]
     size = len(free)
-    shifted = np.concatenate([x, *(x + scale * (np.arange(size) == k) for k in range(size))])
-    first = misfit(move(shifted, size + 1, n))
-    # in half a second the motion is all but linear in its start, so one Jacobian serves all rounds
-    jacobian = np.moveaxis(first[1:] - first[0], 0, -1)
     hold = np.broadcast_to(np.diag(scale / _held(segments)[free]), (len(x), size, size))
-    solver = np.linalg.pinv(np.concatenate([jacobian, hold], axis=1))
-    left, guess = first[0], x
+    if near is None or near.solver.shape[1] != size:
+        shifted = np.concatenate([x, *(x + scale * (np.arange(size) == k) for k in range(size))])
+        first = misfit(move(shifted, size + 1, n))
+        # in half a second the motion is all but linear in its start, so one Jacobian serves all rounds
+        jacobian = np.moveaxis(first[1:] - first[0], 0, -1)
+        solver, left, guess = np.linalg.pinv(np.concatenate([jacobian, hold], axis=1)), first[0], x
+    else:
+        solver, left, guess = near.solver, misfit(move(x, 1, n))[0], x
     for _ in range(_ROUNDS):
         strayed = (hold @ ((x - guess) / scale)[..., None])[..., 0]
         x = x - (solver @ np.concatenate([left, strayed], axis=1)[..., None])[..., 0] * scale
         left = misfit(move(x, 1, n))[0]
     seen = move(x, 1, 2 * n)[:, n:]
-    return Forecast((seen - segments.readings[:, n:]) / sigma, seen)
+    return Forecast((seen - segments.readings[:, n:]) / sigma, seen, solver)
 
 
 def _held(segments: Stretches) -> Array:

@@ -379,3 +379,11 @@ def remedy(
         share = 100 * max(0.0, nearest.complete)
         said.append(f"the nearest in the catalogue, {spoken(arm, nearest.name)}, explains {share:.0f} % of it")
     return "; ".join(said)
+
+
+def asked_of_candidates(threshold: float, false_alarms: float, runs: str) -> str:
+    """The significance that is asked of a candidate, and how often noise reaches it, in words. runs: on which."""
+    return (
+        f"A candidate needs |z| of {threshold:.2g} {runs}; where nothing is missing, noise brings one to it in at most "
+        f"{false_alarms:.1g} of the searches."
+    )
