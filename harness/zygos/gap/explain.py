@@ -34,7 +34,7 @@ from zygos.gap.findings import (
 from zygos.gap.fit import fit
 from zygos.gap.forecast import Forecast, Stretches, cut, cut_twin, forecast
 from zygos.gap.record import MeasuredRun
-from zygos.gap.remainder import closes, remainders
+from zygos.gap.remainder import closes, remainders, unclosed
 from zygos.gap.search import CERTAIN, COMPLETE, EXCESS, PARTLY, Candidate, Search, excess, polished, possible, search
 from zygos.gap.sentences import entry_evidence
 from zygos.gap.study import (
@@ -93,8 +93,8 @@ _HALF = 0.5
 """Share of the error of predictions that a change may leave where the untouched run does not close."""
 _NOISY = 5.0
 """Ratio of a residual to its twin's that unseen noise of the torques does not reach."""
-_REDRAWN = 2
-"""Models with redrawn values that predict the floor's twin."""
+_REDRAWN, _THINNED = 6, 3
+"""Models with redrawn values that predict the floor's twin, every so many of its stretches."""
 _DEFLECTED = 3.0
 """Deviations of the encoders beyond which a joint that is said to be rigid is not."""
 _SKEWED = 0.95
@@ -403,7 +403,10 @@ class _Explainer:
             self._struck(found, segments, last),
             wrong,
             wrong_name,
-            tuple(forecast(one, twin, errors, floor) for one in _redrawn(after)),
+            tuple(
+                forecast(one, twin.thinned(_THINNED), errors, floor.thinned(_THINNED)) for one in _redrawn(after)
+            ),
+            tuple(one.path.name for one in self.validate),
         )
 
     def _struck(self, found: Search | None, segments: Stretches, closed: Forecast) -> Forecast | None:
@@ -446,7 +449,7 @@ class _Explainer:
             return Unexplained(
                 float(np.nanmax(found.after.excess)), tuple(candidate.name for candidate in found.named), share, ()
             )
-        if gap is not None and gap.struck is not None and gap.closed.median > gap.struck.median:
+        if gap is not None and gap.struck is not None and gap.closed.median > gap.struck.median and not closes(gap):
             return NotPredicted(findings, gap.closed.median, gap.struck.median)
         if any(finding.instead for finding in findings):
             return Inseparable(findings)
@@ -493,8 +496,9 @@ class _Explainer:
         rho = float(np.nanmax(study.excess))
         if findings and excess(study):
             self.remarks.append(StillLeft(rho))
-        if gap is not None and gap.closed.median > 3.0 * gap.floor.median:
-            self.remarks.append(AboveFloor(gap.closed.median / gap.floor.median))
+        for run in () if gap is None else unclosed(gap):
+            assert gap is not None
+            self.remarks.append(AboveFloor(gap.runs[run], gap.closed.of_run(run).median / gap.floor.of_run(run).median))
         apart = self._apart(study)
         if findings and apart:
             self.remarks.append(Disagreements(apart))

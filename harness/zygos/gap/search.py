@@ -107,6 +107,12 @@ def excess(study: Study) -> bool:
     return bool(np.any(over > np.maximum(EXCESS, CERTAIN * study.wobble)))
 
 
+def noisy(study: Study) -> bool:
+    """Whether noise of the torques, which adds up along an arc, hides in each balance what candidates can show: then
+    their scores say whether there is something to explain."""
+    return bool(study.layout.of_torque.any() and np.nanmax(CERTAIN * study.wobble) > EXCESS)
+
+
 def completeness(before: Study, rms: Array) -> tuple[float, ...]:
     """Share of each run's excess over a study's twin that is gone when its balances leave rms (runs, balances); 1 where
     there was none. What the twin itself varies by is no excess."""
@@ -145,7 +151,7 @@ def search(study: Study, step: Callable[[str], None] = lambda _: None) -> Search
                 named += pair
                 share = completeness(before, now.excess * before.noise)
                 continue
-        over = (bool(named) and not done) or excess(now)
+        over = (bool(named) and not done) or excess(now) or noisy(now)
         if best is None or not over or len(named) >= MOST:
             break
         try:
@@ -340,9 +346,11 @@ def _total(rms: Array, noise: Array) -> float:
 
 
 def _limit(now: Study, name: str, null: list[Array], level: float) -> float:
-    """The size at which a candidate passes on these runs nineteen times in twenty: it must stand out of its twin, and
-    leave an excess behind that the other coefficients do not absorb."""
+    """The size at which a candidate passes on these runs nineteen times in twenty: it must stand out of its twin and,
+    where noise does not hide it, leave an excess behind that the other coefficients do not absorb."""
     stand_out = (level + 1.645) * max(float(draw.std(ddof=1)) for draw in null)
+    if noisy(now):
+        return stand_out
     unit = fit(now.hypothesis, now.sums, now.weight, target=name).rms / now.noise
     return max(stand_out, float(np.sqrt(EXCESS) / np.min(np.nanmax(unit, axis=1))))
 

@@ -339,8 +339,8 @@ def remark(found: Remark) -> str:  # noqa: PLR0911  (one sentence a remark)
             )
         case AboveFloor():
             return (
-                f"predictions err by {found.ratio:.2g} times the floor: the values are not known as well as these "
-                "sensors would show, or the arm is another in the untouched run"
+                f"predictions of {found.run} err by {found.ratio:.2g} times the floor: the values are not known as "
+                "well as these sensors would show, or the arm is another in this run"
             )
         case Disagreements():
             return f"the two runs disagree on {_disagreements(found.parameters)}"
