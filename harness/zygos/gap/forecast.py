@@ -74,7 +74,7 @@ class Stretches:
             np.concatenate([one.time_s for one in parts]),
             np.concatenate([one.turned for one in parts]),
             tuple(run for one in parts for run in one.runs),
-            np.concatenate([one.begin + [k, 0, 0] for k, one in enumerate(parts)]),
+            np.concatenate([one.begin + np.array([k, 0, 0]) for k, one in enumerate(parts)]),
         )
 
     def memory(self, dynamics: Drives) -> NDArray[np.complex128] | None:

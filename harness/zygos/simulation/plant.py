@@ -176,8 +176,8 @@ def simulate(
 
 
 class _Run:
-    """State of one simulation; the state vector is B rows of attitude, omega0, q, qd, theta, thetad, slip2, and real and
-    imaginary parts of what laws remember."""
+    """State of one simulation; the state vector is B rows of attitude, omega0, q, qd, theta, thetad, slip2, and of what
+    laws remember, real and imaginary parts."""
 
     def __init__(
         self,
