@@ -92,7 +92,18 @@ def sized(name: str, column: EffectColumn) -> float:
     return value
 
 
-QUICK = ("backlash", "ripple_sin", "base_torque", "detent_sin", "gyro_bias", "link_late", "body_change", "torque_gain")
+QUICK = (
+    "backlash",
+    "motor_dahl",
+    "base_oscillator",
+    "ripple_sin",
+    "base_torque",
+    "detent_sin",
+    "gyro_bias",
+    "link_late",
+    "body_change",
+    "torque_gain",
+)
 
 
 def quick(case: tuple[str, str, EffectColumn]) -> bool:
