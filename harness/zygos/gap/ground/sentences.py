@@ -19,6 +19,7 @@ from zygos.gap.verdicts import (
     PartNamed,
     Unexplained,
     Verdict,
+    WrongGravity,
 )
 from zygos.report.figures import figure
 
@@ -144,6 +145,8 @@ def remedy(arm: Arm, found: Verdict, search: Search) -> str:
     match found:
         case LateTorques():
             return "correct torque_law or latch_us in the arm file; `zygos check-arm` examines the signals of a run"
+        case WrongGravity():
+            return f"write gravity = {sentences.vector(found.found)} in the arm file"
         case Inseparable():
             return "record a run in which these joints also rest in several postures, or plan another motion"
     if not search.rounds or not search.rounds[-1]:
