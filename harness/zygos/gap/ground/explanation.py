@@ -78,6 +78,8 @@ class GroundExplanation:
     """The model with what was learned; None where nothing is to be adopted."""
     notes: tuple[str, ...]
     """What a reader should know beside, in sentences."""
+    likely: Model | None = None
+    """The model with what was found, whether it is to be adopted or not; None where nothing is known."""
 
     @property
     def answer(self) -> Answer:
