@@ -22,6 +22,7 @@ from zygos.gap.experiment import Experiment, propose
 from zygos.gap.explanation import Explanation
 from zygos.gap.findings import (
     DIFFERS,
+    DISAGREE,
     FLEXIBILITY,
     MATERIAL,
     Deflection,
@@ -73,8 +74,6 @@ from zygos.model.model import Model, Quantity
 
 Array = NDArray[np.float64]
 
-DISAGREE = 4.5
-"""Standard deviations by which the runs may not disagree on a value."""
 _USED = 0.9
 """Share of a run below which its losses are worth a word."""
 SMALL = 1.5

@@ -14,6 +14,8 @@ INTERVAL = float(norm.ppf(0.975))
 """Standard deviations of a 95 % interval."""
 DIFFERS = 3.0
 """Standard deviations by which a value differs from the simulation's."""
+DISAGREE = 4.5
+"""Standard deviations by which the runs may not disagree on a value."""
 MATERIAL = 0.005
 """Share below which a difference of values does not matter."""
 FLEXIBILITY = "joint_flexibility"
