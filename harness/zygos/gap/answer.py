@@ -10,6 +10,7 @@ from zygos.gap.findings import Finding, Gap, Value
 from zygos.gap.forecast import Forecast
 from zygos.gap.sentences import against, evidence
 from zygos.gap.verdicts import Changed, PartNamed, Verdict
+from zygos.plan.separating import Separating
 from zygos.report.provenance import Provenance
 
 
@@ -46,6 +47,19 @@ def value_json(value: Value) -> dict[str, Any]:
         "found": value.found,
         "sigma": value.sigma,
         "differs": value.differs,
+    }
+
+
+def planned_json(planned: Separating | None) -> dict[str, Any] | None:
+    """The motion that was planned; None where none was."""
+    if planned is None:
+        return None
+    return {
+        "scenario": planned.scenario.name,
+        "duration_s": planned.scenario.duration_s,
+        "motion": planned.form,
+        "z": planned.z,
+        "motions": planned.tried,
     }
 
 

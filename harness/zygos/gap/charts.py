@@ -8,14 +8,26 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos.arm import Arm
 from zygos.gap.explanation import Explanation
 from zygos.gap.findings import Gap
 from zygos.gap.forecast import HORIZON_S
-from zygos.gap.residuals import as_delivered, base_angle, freed, left_over, medians, middle, poor_segment, segment_errors, slope
+from zygos.gap.residuals import (
+    as_delivered,
+    base_angle,
+    freed,
+    left_over,
+    medians,
+    middle,
+    poor_segment,
+    segment_errors,
+    slope,
+)
 from zygos.gap.sentences import balance_title
 from zygos.gap.torque import JointTorques, joint_torques
 from zygos.gap.whereabouts import joint_of
-from zygos.report.page import Entry, numbers, series
+from zygos.plan.separating import Separating
+from zygos.report.page import Entry, joint_colour, numbers, series
 
 Floats = NDArray[np.float64]
 
@@ -36,14 +48,34 @@ _TORQUE_POINTS = 600
 """Of a line of torques, and of the dots of such a chart."""
 
 
+def planned_chart(arm: Arm, planned: Separating) -> tuple[list[float | None], Entry]:
+    """Times and the chart of the angles that a planned motion asks for; its id is `planned`."""
+    names = [joint.name for joint in arm.joints]
+    t = np.linspace(0.0, planned.scenario.duration_s, _POINTS // 2)
+    angle, _ = planned.scenario.desired(names, t)
+    lines = [series(name, joint_colour(j), angle[:, j]) for j, name in enumerate(names)]
+    title = f"Desired angles of {planned.scenario.name}"
+    return numbers(t), {
+        "id": "planned", "title": title, "unit": "rad", "time": "planned", "domain": "planned", "axis": "s",
+        "height": 200, "lines": [], "series": lines,
+    }  # fmt: skip
+
+
 class Charts:
     """The charts of a page by group, and the abscissae they share."""
 
-    def __init__(self, x: Explanation) -> None:
-        """Draw all that an explanation has."""
+    def __init__(self, x: Explanation, planned: Separating | None = None) -> None:
+        """Draw all that an explanation has. planned: the motion that tells a set apart."""
         self.x, self.arm = x, x.arm
         self.times: dict[str, list[float | None]] = {}
-        self.groups: dict[str, list[Entry]] = {"time": [], "phase": [], "signals": [], "overlay": [], "torque": []}
+        self.groups: dict[str, list[Entry]] = {
+            "time": [],
+            "phase": [],
+            "signals": [],
+            "overlay": [],
+            "torque": [],
+            "planned": [],
+        }
         self.subject = ""
         """What the charts in phase space are about."""
         self.overlay = ""
@@ -63,6 +95,9 @@ class Charts:
         if x.gap is not None:
             self._held_out(x.gap)
         self._torques()
+        if planned is not None:
+            self.times["planned"], chart = planned_chart(self.arm, planned)
+            self.groups["planned"].append(chart)
 
     @property
     def data(self) -> Entry:

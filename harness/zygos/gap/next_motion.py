@@ -56,9 +56,7 @@ def next_motion(
     values = base_values(dynamics, study.layout)
 
     def judge(scenario: Scenario) -> float:
-        moved = simulate(
-            arm, found.simulation, scenario, dynamics=dynamics, noise=False, rtol=_RTOL, atol=_ATOL
-        )
+        moved = simulate(arm, found.simulation, scenario, dynamics=dynamics, noise=False, rtol=_RTOL, atol=_ATOL)
         if excess := limits.violation(arm, moved.q[0], moved.qd[0], moved.tau[0]):
             raise ZygosError(excess)
         record = measured_run(Run.of_cycles(arm, moved.cycles()), Path(scenario.name))
@@ -121,7 +119,9 @@ def _momentum(record: MeasuredRun, study: Study) -> float | tuple[float, float, 
 
 def reached(records: Sequence[MeasuredRun]) -> Limits:
     """The ranges, rates and torques that measured runs reached."""
-    states = [smoothed_states(one.arm, one.readings()).flat() for one in records]
-    angle, rate = (np.concatenate([getattr(one, key) for one in states]) for key in ("q", "qd"))
+    states = [smoothed_states(one.arm, one.readings()) for one in records]
+    joints = records[0].arm.n
+    angle = np.concatenate([one.q.reshape(-1, joints) for one in states])
+    rate = np.concatenate([one.qd.reshape(-1, joints) for one in states])
     tau = np.concatenate([one.samples.tau for one in records])
     return Limits(angle.min(axis=0), angle.max(axis=0), np.abs(rate).max(axis=0), np.nanmax(np.abs(tau), axis=0))

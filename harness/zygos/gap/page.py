@@ -23,8 +23,9 @@ from zygos.gap.forecast import HORIZON_S, Forecast
 from zygos.gap.record import MeasuredRun, letter
 from zygos.gap.residuals import Stage, failing, steps
 from zygos.gap.search import EXCESS, Candidate
-from zygos.gap.torque import WINDOW_S
 from zygos.gap.sentences import against, balance_title, evidence, motion, predicted
+from zygos.gap.torque import WINDOW_S
+from zygos.plan.separating import Separating
 from zygos.report.figures import LogScale, down_to, figure, percent, unit_of, within
 from zygos.report.page import Entry, joint_colour, render
 from zygos.report.provenance import Provenance
@@ -33,9 +34,12 @@ _LEAST = 1e-3
 """Excess per balance that the scale of the shares begins with; below it the twin's own draws differ more."""
 
 
-def write_gap_report(path: Path, explanation: Explanation, provenance: Provenance) -> None:
-    """Write the page of an explanation. Errors: ZygosError if it cannot be written."""
-    x, charts = explanation, Charts(explanation)
+def write_gap_report(
+    path: Path, explanation: Explanation, provenance: Provenance, planned: Separating | None = None
+) -> None:
+    """Write the page of an explanation. planned: the motion that tells a set apart. Errors: ZygosError if it cannot be
+    written."""
+    x, charts = explanation, Charts(explanation, planned)
     render(
         path,
         "gap/page.html",
@@ -53,6 +57,7 @@ def write_gap_report(path: Path, explanation: Explanation, provenance: Provenanc
         experiments=[
             {"said": motion(e), "z": figure(e.z), "now": figure(e.now), "tells": e.tells} for e in x.experiments
         ],
+        planned=planned and planned_entry(planned),
         values=_values(x),
         against=_against(x),
         window=f"{WINDOW_S:g}",
@@ -64,6 +69,17 @@ def write_gap_report(path: Path, explanation: Explanation, provenance: Provenanc
         horizon=f"{HORIZON_S:g}",
         whole="Show all of it",
     )
+
+
+def planned_entry(planned: Separating) -> Entry:
+    """A planned motion as people write it."""
+    return {
+        "name": planned.scenario.name,
+        "form": planned.form,
+        "duration": f"{planned.scenario.duration_s:g}",
+        "z": figure(planned.z),
+        "tried": planned.tried,
+    }
 
 
 _TAGS = {

@@ -17,8 +17,12 @@ from zygos.gap.explain import explain
 from zygos.gap.explanation import Explanation
 from zygos.gap.ground.explain import explain_ground
 from zygos.gap.ground.explanation import GroundExplanation
+from zygos.gap.ground.next_motion import next_ground_motion, reached_on_ground
+from zygos.gap.next_motion import next_motion, reached
 from zygos.gap.record import MeasuredRun, measured_run
 from zygos.model.model import Model
+from zygos.plan.limits import Limits
+from zygos.plan.separating import Separating
 
 
 def check_arm_of_gap(arm: Arm, named: str) -> None:
@@ -87,6 +91,34 @@ def explain_runs(
         parts = thirds(learned[0], 2 if apart else 3)
         learned, apart = parts[:2], apart or parts[2:]
     return explain(arm, simulation, learned, apart, step, without)
+
+
+def plan_next(
+    found: Explanation | GroundExplanation,
+    given: Limits,
+    arm_file: Path,
+    model_file: Path,
+    *,
+    name: str = "next",
+    progress: Callable[[float], None] = lambda share: None,
+) -> Separating:
+    """The motion that tells the effects of the answer *cannot tell* apart best, as a scenario that is ready to fly.
+
+    given: limits; where there is none, the motion stays within what the measured runs reached. arm_file, model_file:
+    what the scenario refers to.
+
+    Errors: ZygosError where the answer is another; Undecided where no motion within the limits tells them apart.
+    """
+    own = reached_on_ground(found.measured) if isinstance(found, GroundExplanation) else reached(found.refit.records)
+    limits = Limits(*(
+        np.where(np.isfinite(asked), asked, seen)
+        for asked, seen in (
+            (given.low, own.low), (given.high, own.high), (given.rate, own.rate), (given.torque, own.torque)
+        )
+    ))  # fmt: skip
+    if isinstance(found, GroundExplanation):
+        return next_ground_motion(found, limits, arm_file, model_file, name=name, progress=progress)
+    return next_motion(found, limits, arm_file, model_file, name=name, progress=progress)
 
 
 def check_keys(without: Sequence[str]) -> None:

@@ -366,7 +366,10 @@ def remedy(
     """What to do where nothing is adopted. experiments: best first; nearest: the candidate that leaves least over."""
     if experiments:
         best = experiments[0]
-        return f"{motion(best)} would tell them apart" if best.tells else "no variant of these motions tells them apart"
+        variant = (
+            f"{motion(best)} would tell them apart" if best.tells else "no variant of these motions tells them apart"
+        )
+        return f"{variant}; --next-motion plans one"
     if partial := partly(found):
         return f"part of it looks like {listed(partial)}"
     match found:

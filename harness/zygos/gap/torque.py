@@ -1,5 +1,6 @@
-"""Torques that models need for the motion of a run, beside those that were measured: inverse dynamics along the smoothed
-motion, from the joints' own balances, so that no acceleration is needed.
+"""Torques that models need for the motion of a run, beside those that were measured.
+
+This is inverse dynamics along the smoothed motion, from the joints' own balances, so that no acceleration is needed.
 
 At a flexible joint the balance of the motor is taken, at a rigid one that of the link angle's momentum. Over a window
 the change of what a model leaves over of it is the torque by which the model exceeds the measured one.

@@ -121,6 +121,7 @@ def next_ground_motion(
         {},
         servo_of(arm, dynamics, middle[None]),
         encoder_noise="quantised",
+        angular_momentum_nms=0.0,
     )
     return most_separating(template, names, limits, judge, needed=LEAST_Z, progress=progress)
 
@@ -131,8 +132,8 @@ def _at(arm: Arm, one: Finding) -> int:
 
 def _size(found: GroundExplanation, column: str) -> float:
     """Coefficient that a candidate had when it was tried last."""
-    tried = (one for one in reversed(found.search.rounds) for one in one if one.name == column)
-    one = next(tried, None)
+    rounds = reversed(found.search.rounds)
+    one = next((one for tried in rounds for one in tried if one.name == column), None)
     if one is None:
         raise Undecided(f"{column} was not tried; remedy: another motion")
     return one.value
