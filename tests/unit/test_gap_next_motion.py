@@ -71,5 +71,5 @@ def test_nothing_is_planned_where_nothing_has_to_be_told_apart_or_no_motion_can(
         plan_next(named, _free(), tmp_path / "arm.toml", tmp_path / "cad.toml")
     runs = measured(one_sided)
     found = explain_ground(arm, model, runs[:2], runs[2:])
-    with pytest.raises(Undecided, match="none of [0-9]+ motions can be flown; the last one: the torque of joint"):
+    with pytest.raises(Undecided, match=r"none of [0-9]+ motions can be flown; the last one: the torque of joint"):
         plan_next(found, limits_of(arm, None, None, "0.001"), tmp_path / "arm.toml", tmp_path / "cad.toml")
