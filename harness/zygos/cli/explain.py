@@ -24,6 +24,7 @@ from zygos.gap.findings import INTERVAL, Value
 from zygos.gap.ground.answer import as_json as ground_json
 from zygos.gap.ground.answer import predicted_errors
 from zygos.gap.ground.explanation import GroundExplanation
+from zygos.gap.ground.sentences import after_gear
 from zygos.gap.ground.sentences import against as ground_against
 from zygos.gap.record import letter
 from zygos.gap.runs import check_arm_of_gap, check_distinct, check_keys, explain_runs, plan_next
@@ -324,6 +325,15 @@ def show_ground(found: GroundExplanation) -> None:
                 for c in listed
             ],
             title=f"the first {len(listed)} of {len(found.search.rounds[0])} candidates",
+        )  # fmt: skip
+    if found.findings:
+        table(
+            ("found", "joint", "value", "± 95 %", "unit", "after the gear", "not told from"),
+            [
+                (f.title, f.joint or "", number(f.value, 4), number(INTERVAL * f.sigma, 2), f.unit,
+                 after_gear(found.arm, f) or "the same", ", ".join(f.instead))
+                for f in found.findings
+            ],
         )  # fmt: skip
     show_values(found.values)
     if found.gap is not None:
