@@ -20,7 +20,7 @@ from zygos.files.output import check_outputs, named, number, quiet, say, table, 
 from zygos.files.progress import progress
 from zygos.gap.answer import as_json, planned_json, predictions
 from zygos.gap.explanation import Explanation
-from zygos.gap.findings import INTERVAL, Value
+from zygos.gap.findings import INTERVAL, Value, undecided
 from zygos.gap.ground.answer import as_json as ground_json
 from zygos.gap.ground.answer import predicted_errors
 from zygos.gap.ground.explanation import GroundExplanation
@@ -105,11 +105,18 @@ def _explain_run(
     check_outputs(
         [out, report, json, planned.file if planned is not None else None], [path for _, path in inputs.files]
     )
-    arm, model = load_arm(inputs.arm), load_model(simulation)
+    arm = load_arm(inputs.arm)
+    model = load_model(simulation) if simulation.suffix == ".toml" else None
+    if model is None and planned is not None:
+        raise ZygosError(
+            f"--next-motion: a scenario needs the file of a model, and {simulation} is a run; remedy: "
+            f"`zygos estimate {simulation} -o MODEL.toml`, and MODEL.toml as --simulation"
+        )
     limits = limits_of(arm, *(planned.limits if planned is not None else (None, None, None)))
     if not arm.grounded:
         check_arm_of_gap(arm, str(inputs.arm))
-    model.base_parameters(arm)
+    if model is not None:
+        model.base_parameters(arm)
     with progress() as bar:
         task = bar.add_task("reading", total=1.0)
         logs: list[Run] = []
@@ -119,14 +126,14 @@ def _explain_run(
             warn(logs[-1].damage)
             check_distinct(logs)
         found = explain_runs(
-            model,
+            read_run(simulation, arm) if model is None else model,
             logs[: len(measured)],
             validate=logs[len(measured) :],
             without=without,
             progress=lambda share, what: bar.update(task, description=what, completed=0.2 + 0.8 * share),
         )
         motion = None
-        if planned is not None and found.answer == "cannot tell":
+        if planned is not None and undecided(found.findings):
             bar.update(task, description="the next motion")
             motion = _next(found, planned, limits, inputs)
     if planned is not None and not quiet(out, report, json):
@@ -156,9 +163,9 @@ def _planned(found: Explanation | GroundExplanation, planned: Planned, motion: S
             f"{planned.file}: written, {motion.scenario.duration_s:g} s, {motion.form}; after one run the effects are "
             f"expected to be {motion.z:.3g} standard deviations apart"
         )
-    if found.answer == "cannot tell":
+    if undecided(found.findings):
         return f"{planned.file}: not written"
-    return f"{planned.file}: not written; the answer is {found.answer!r}, so that no effects have to be told apart"
+    return f"{planned.file}: not written; the answer is {found.answer!r}, and no effects have to be told apart"
 
 
 def unflown(found: Explanation) -> list[str]:
@@ -357,7 +364,13 @@ def show_ground(found: GroundExplanation) -> None:
 def command(
     context: typer.Context,
     simulation: Annotated[
-        Path, typer.Option("--simulation", metavar="CAD.toml", help="The model that the simulation uses.")
+        Path,
+        typer.Option(
+            "--simulation",
+            metavar="CAD.toml|RUN",
+            help="The model that the simulation uses, or a run that another simulator made from the torques of a "
+            "measured run.",
+        ),
     ],
     measured: Annotated[
         list[Path],
@@ -397,8 +410,8 @@ def command(
         typer.Option(
             "--next-motion",
             metavar="NEXT.toml",
-            help="If the answer is cannot tell, plan the motion that tells the effects apart best, and write it as a "
-            "scenario for `zygos simulate`.",
+            help="If the runs cannot tell effects apart, plan the motion that tells them apart best, and write it as "
+            "a scenario for `zygos simulate`.",
         ),
     ] = None,
     angle: Annotated[
@@ -420,7 +433,7 @@ def command(
     sensors' noise: with the model as delivered, refit, closed (with the named effects), and the floor, which is caused
     by noise alone. "part named" is the answer where the closed model still predicts much worse than that floor.
 
-    With --next-motion the answer cannot tell comes with a scenario that tells the effects apart.
+    With --next-motion a set of effects that cannot be told apart comes with a scenario that tells them apart.
 
     Exit code 3 when the answer is unknown or cannot tell; then NEW.toml is not written.
 

@@ -9,6 +9,7 @@ from zygos.gap.explanation import Explanation
 from zygos.gap.findings import Finding, Gap, Value
 from zygos.gap.forecast import Forecast
 from zygos.gap.sentences import against, evidence
+from zygos.gap.simulated import Simulated
 from zygos.gap.verdicts import Changed, PartNamed, Verdict
 from zygos.plan.separating import Separating
 from zygos.report.provenance import Provenance
@@ -61,6 +62,14 @@ def planned_json(planned: Separating | None) -> dict[str, Any] | None:
         "z": planned.z,
         "motions": planned.tried,
     }
+
+
+def simulation_json(simulated: Simulated | None) -> dict[str, Any] | None:
+    """The run that the simulation's values come from; None where they come from a model file."""
+    if simulated is None:
+        return None
+    run, torques = simulated.run, simulated.torques_of
+    return {"run": run and str(run), "torques_of": torques and str(torques)}
 
 
 def source_json(source: Provenance) -> dict[str, Any]:
@@ -163,6 +172,7 @@ def as_json(found: Explanation, source: Provenance) -> dict[str, Any]:
         "experiments": [
             {"speed": e.speed, "amplitude": e.amplitude, "z": e.z, "z_now": e.now} for e in found.experiments
         ],
+        "simulation": simulation_json(found.simulated),
         "remarks": list(found.notes),
         "runs": [{"run": str(r.path), "arcs": len(r.starts), "faults": r.faults} for r in found.records],
         **source_json(source),

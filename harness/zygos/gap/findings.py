@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -138,6 +139,11 @@ class Finding:
     def interval(self) -> tuple[float, float]:
         """95 %."""
         return self.value - INTERVAL * self.sigma, self.value + INTERVAL * self.sigma
+
+
+def undecided(findings: Sequence[Finding]) -> bool:
+    """Whether some of the findings cannot be told from other effects."""
+    return any(finding.instead for finding in findings)
 
 
 @dataclass(frozen=True)

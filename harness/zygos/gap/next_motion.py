@@ -18,6 +18,7 @@ from zygos.errors import ZygosError
 from zygos.gap.balances import accumulate, balance_rows
 from zygos.gap.experiment import THRESHOLD
 from zygos.gap.explanation import Explanation
+from zygos.gap.findings import undecided
 from zygos.gap.fit import Hypothesis, fit
 from zygos.gap.record import MeasuredRun, followed, measured_run, smoothed_states
 from zygos.gap.study import Study, base_values
@@ -43,11 +44,11 @@ def next_motion(
     name: str = "next",
     progress: Callable[[float], None] = lambda share: None,
 ) -> Separating:
-    """The motion that tells the effects of *cannot tell* apart best. limits: finite ones of angles and rates.
+    """The motion that best tells apart the effects that the runs cannot. limits: finite ones of angles and rates.
 
-    Errors: ZygosError where the answer is another; Undecided where no motion within the limits tells them apart.
+    Errors: ZygosError where nothing has to be told apart; Undecided where no motion within the limits tells them apart.
     """
-    if found.answer != "cannot tell" or found.search is None:
+    if not undecided(found.findings) or found.search is None:
         raise ZygosError(f"the answer is {found.answer!r}: no effects have to be told apart, and no motion is planned")
     study, arm = found.search.after, found.arm
     dynamics = study.dynamics()

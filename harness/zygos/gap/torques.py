@@ -72,9 +72,7 @@ class _Left:
     """kg m^2, of the rotor."""
 
 
-def _motors(
-    arm: Arm, records: Sequence[MeasuredRun], joints: Sequence[int]
-) -> Iterator[tuple[int, list[_Left]]]:
+def _motors(arm: Arm, records: Sequence[MeasuredRun], joints: Sequence[int]) -> Iterator[tuple[int, list[_Left]]]:
     """By joint, what its motor balance leaves over of each run beside every column that it has."""
     if not joints:
         return

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -27,6 +28,11 @@ _SLOTS_S = (5.0, 8.0)
 _REST = 0.4
 """Share of it at rest."""
 _BANDWIDTH_RAD_S = 6.0
+_FEWEST_STOPS = 4
+_LARGE = 2.0
+"""Coordinate of a size of 88 % of what the limits permit."""
+_SHARES = (1.0, 0.75, 0.5)
+"""Of the limits, tried one after the other until the motion keeps them."""
 _DRAWS = 2
 """Random motions of each kind."""
 
@@ -61,22 +67,26 @@ def most_separating(
     Errors: Undecided where no motion that keeps the limits separates them.
     """
     best: tuple[float, str, Scenario] | None = None
-    drawn = list(_candidates(limits, template.duration_s, np.random.default_rng(seed)))
+    drawn = list(_candidates(template.duration_s, len(names), np.random.default_rng(seed)))
     judged, reason = 0, ""
-    for k, (form, motions) in enumerate(drawn):
-        start = tuple(float(motion.desired(0.0)[0]) for motion in motions)
-        scenario = replace(
-            template, manoeuvre=dict(zip(names, motions, strict=True)), initial_angles_rad=start, seed=seed
-        )
+    for k, (form, motions_within) in enumerate(drawn):
         progress(k / len(drawn))
-        try:
-            z = judge(scenario)
-        except (ZygosError, Undecided) as error:
-            reason = str(error).partition(";")[0]
-            continue
-        judged += 1
-        if best is None or z > best[0]:
-            best = z, form, scenario
+        # a servo does not follow exactly, so that a smaller motion may keep limits that a larger one exceeds
+        for share in _SHARES:
+            motions = motions_within(_narrowed(limits, share))
+            start = tuple(float(motion.desired(0.0)[0]) for motion in motions)
+            scenario = replace(
+                template, manoeuvre=dict(zip(names, motions, strict=True)), initial_angles_rad=start, seed=seed
+            )
+            try:
+                z = judge(scenario)
+            except ZygosError as error:
+                reason = str(error).partition(";")[0]
+                continue
+            judged += 1
+            if best is None or z > best[0]:
+                best = z, form, scenario
+            break
     if best is None:
         raise Undecided(f"none of {len(drawn)} motions can be flown; the last one: {reason}; remedy: other limits")
     if best[0] < needed:
@@ -104,27 +114,42 @@ def _rounded(values: Floats) -> tuple[float, ...]:
     return tuple(float(f"{value:.3g}") for value in values.tolist())
 
 
-def _candidates(limits: Limits, duration_s: float, rng: np.random.Generator) -> Iterator[tuple[str, list[Motion]]]:
+def _narrowed(limits: Limits, share: float) -> Limits:
+    """Limits with a share of their ranges and rates."""
+    middle, half = 0.5 * (limits.low + limits.high), 0.5 * (limits.high - limits.low)
+    return replace(limits, low=middle - share * half, high=middle + share * half, rate=share * limits.rate)
+
+
+def _candidates(
+    duration_s: float, joints: int, rng: np.random.Generator
+) -> Iterator[tuple[str, Callable[[Limits], list[Motion]]]]:
+    """Forms of motions, each as a function of the limits that it keeps."""
     for slot in _SLOTS_S:
         for _ in range(_DRAWS):
-            if duration_s >= 4.0 * slot:
-                yield f"moves with a stop every {slot:g} s", _stops(limits, duration_s, slot, rng)
+            goals = rng.uniform(size=(int(duration_s // slot), joints))
+            if len(goals) >= _FEWEST_STOPS:
+                yield f"moves with a stop every {slot:g} s", partial(_stops, goals, slot)
     for period in _PERIODS_S:
-        if duration_s < 2.0 * period:
-            continue
-        space = Space(limits, period, _HARMONICS)
         for _ in range(_DRAWS):
-            yield f"sums of sines with a period of {period:g} s", space.motion(space.draw(rng)).motions()
+            shape = rng.normal(size=joints * 2 * _HARMONICS)
+            if duration_s >= 2.0 * period:
+                yield f"sums of sines with a period of {period:g} s", partial(_sines, shape, period)
 
 
-def _stops(limits: Limits, duration_s: float, slot_s: float, rng: np.random.Generator) -> list[Motion]:
-    """All joints move together from one posture to the next, and rest there."""
+def _sines(shape: Floats, period_s: float, limits: Limits) -> list[Motion]:
+    """A periodic motion that uses the limits. shape: coordinates of `Space`, of which the size is not read."""
+    x = shape.reshape(len(limits.low), -1).copy()
+    x[:, -2] = _LARGE
+    return Space(limits, period_s, _HARMONICS).motion(x.ravel()).motions()
+
+
+def _stops(goals: Floats, slot_s: float, limits: Limits) -> list[Motion]:
+    """All joints move together from one posture to the next, and rest there. goals: (stops, N) shares of the range."""
     moving = (1.0 - _REST) * slot_s
     farthest = 0.98 * 2.0 / np.pi * limits.rate * moving
-    count = int(duration_s // slot_s)
     place = [0.5 * (limits.low + limits.high)]
-    for _ in range(count):
-        goal = rng.uniform(limits.low, limits.high)
+    for share in goals:
+        goal = limits.low + share * (limits.high - limits.low)
         place.append(place[-1] + np.clip(goal - place[-1], -farthest, farthest))
     rest = _REST * slot_s
     return [

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from zygos.gap.answer import change_json, finding_json, remainders_json, source_json, value_json
+from zygos.gap.answer import change_json, finding_json, remainders_json, simulation_json, source_json, value_json
 from zygos.gap.ground.explanation import GroundExplanation, GroundGap
 from zygos.gap.ground.predictions import Prediction, run_name
 from zygos.gap.ground.sentences import against, evidence
@@ -53,6 +53,7 @@ def as_json(found: GroundExplanation, source: Provenance) -> dict[str, Any]:
         ],
         "values": [value_json(v) for v in found.values],
         "increment_s": found.span_s,
+        "simulation": simulation_json(found.simulated),
         "remarks": list(found.notes),
         "runs": [
             {"run": str(run.path) if run.path else None, "cycles": len(run), "faults": run.faults}

@@ -41,9 +41,9 @@ def next_ground_motion(
     name: str = "next",
     progress: Callable[[float], None] = lambda share: None,
 ) -> Separating:
-    """The motion that tells the effects of *cannot tell* apart best. limits: finite ones of angles and rates.
+    """The motion that best tells apart the effects that the runs cannot. limits: finite ones of angles and rates.
 
-    Errors: ZygosError where the answer is another; Undecided where no motion within the limits tells them apart.
+    Errors: ZygosError where nothing has to be told apart; Undecided where no motion within the limits tells them apart.
     """
     pairs = [(one, other) for one in found.findings for other in one.instead]
     if not pairs or found.likely is None:
