@@ -113,6 +113,11 @@ def change_json(verdict: Verdict) -> dict[str, Any] | None:
                 change.names, change.old.tolist(), change.new.tolist(), change.sigma.tolist(), strict=True
             )
         ],
+        "payload": [
+            {"name": one.name, "unit": one.unit, "value": one.value, "sigma": one.sigma, "interval": list(one.interval)}
+            for one in verdict.payload
+        ]
+        or None,
         "z": change.z,
         "share": change.share,
     }

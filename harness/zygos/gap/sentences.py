@@ -132,6 +132,10 @@ def _changed(arm: Arm, found: Changed) -> str:
         if change.between
         else f"in {now}, between {change.before_s:.0f} and {change.after_s:.0f} s"
     )
+    if change.what == BODIES and found.payload:
+        body = arm.joints[-1].name
+        elements = ", ".join(f"{one.name} {sized(one.value, one.sigma, one.unit)}" for one in found.payload)
+        return f"The body behind the {body} took on or lost a payload {when}: {elements}."
     if change.what == BODIES:
         each = zip(change.names, change.old, change.new, change.sigma, strict=True)
         parts = [
