@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 _ELEMENTS = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 _PLANE = ("m", "mx", "my", "Izz")
 _UNITS = {"m": "kg", "I": "kg m^2"}
+_SYSTEMATIC = 3e-4
+"""Share of a parameter by which fits of single runs of 20 s were found to err beyond their twins' draws."""
 _BLIND = 1e-9
 """Share of the largest scaled derivative below which the parameters do not show an element."""
 _ALIKE = 1e-10
@@ -58,7 +60,7 @@ def payload_of(arm: Arm, model: Model, names: tuple[str, ...], change: Array, dr
     except ZygosError:
         return ()
     at = [arm.parameter_names.index(name) for name in names]
-    covariance = np.atleast_2d(np.cov(drawn, rowvar=False))
+    covariance = np.atleast_2d(np.cov(drawn, rowvar=False)) + np.diag((_SYSTEMATIC * before[at]) ** 2)
     weight = 1.0 / np.sqrt(np.diag(covariance))
     own = [k for k, one in enumerate(_ELEMENTS) if arm.spatial or one in _PLANE]
 
@@ -79,13 +81,15 @@ def payload_of(arm: Arm, model: Model, names: tuple[str, ...], change: Array, dr
     size = np.linalg.norm(slope(np.zeros(len(own))), axis=0)
     seen = size > _BLIND * size.max()
     own, scale = [k for k, good in zip(own, seen, strict=True) if good], scale[seen]
+    if len(own) > len(at):
+        return ()
     found = least_squares(
         lambda y: weight * (grown(scale * y) - change), np.zeros(len(own)), jac=lambda y: slope(scale * y), method="lm"
     )
     columns = slope(scale * found.x)
     unit = np.linalg.norm(columns, axis=0)
     eigen = np.linalg.eigvalsh((columns / unit).T @ (columns / unit))
-    if len(own) > len(at) or not found.success or eigen[0] < _ALIKE:
+    if not found.success or eigen[0] < _ALIKE:
         return ()
     inverse = np.linalg.pinv(columns) * weight
     # the deviations come from few draws
