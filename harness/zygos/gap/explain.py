@@ -17,11 +17,12 @@ from zygos.dynamics.joints import Drives
 from zygos.effects import OFFSET, Effect
 from zygos.errors import Undecided, ZygosError
 from zygos.gap.balances import Layout, acting, corrected
-from zygos.gap.changes import find_change, settled
+from zygos.gap.changes import BODIES, Change, find_change, settled
 from zygos.gap.experiment import Experiment, propose
 from zygos.gap.explanation import Explanation
 from zygos.gap.findings import (
     DIFFERS,
+    DISAGREE,
     FLEXIBILITY,
     MATERIAL,
     Deflection,
@@ -33,6 +34,7 @@ from zygos.gap.findings import (
 )
 from zygos.gap.fit import fit
 from zygos.gap.forecast import Forecast, Stretches, cut, cut_twin, forecast
+from zygos.gap.payload import PayloadValue, payload_of
 from zygos.gap.record import MeasuredRun
 from zygos.gap.remainder import closes, remainders, unclosed
 from zygos.gap.search import CERTAIN, COMPLETE, EXCESS, PARTLY, Candidate, Search, excess, polished, possible, search
@@ -83,8 +85,6 @@ from zygos.model.model import Model, Quantity
 
 Array = NDArray[np.float64]
 
-DISAGREE = 4.5
-"""Standard deviations by which the runs may not disagree on a value."""
 _USED = 0.9
 """Share of a run below which its losses are worth a word."""
 SMALL = 1.5
@@ -403,9 +403,7 @@ class _Explainer:
             self._struck(found, segments, last),
             wrong,
             wrong_name,
-            tuple(
-                forecast(one, twin.thinned(_THINNED), errors, floor.thinned(_THINNED)) for one in _redrawn(after)
-            ),
+            tuple(forecast(one, twin.thinned(_THINNED), errors, floor.thinned(_THINNED)) for one in _redrawn(after)),
             tuple(one.path.name for one in self.validate),
         )
 
@@ -482,7 +480,19 @@ class _Explainer:
             # what is left over after it is no matter of time
             return None, found, None
         names = tuple(record.path.name for record in study.records)
-        return Changed(change, names), replace(found, after=now, named=(), sets=()), was
+        taken = self._payload(change, now, was) if change.what == BODIES and was is not None else ()
+        return Changed(change, names, taken), replace(found, after=now, named=(), sets=()), was
+
+    def _payload(self, change: Change, now: Study, was: Study) -> tuple[PayloadValue, ...]:
+        """What the last body took on, if that is what changed."""
+        later, before = (
+            one.of_twin(one.hypothesis).value[:, [one.hypothesis.names.index(name) for name in change.names]]
+            for one in (now, was)
+        )
+        # twins are drawn with the same seeds: two that belong together would share their noise
+        count = min(len(later), len(before))
+        drawn = later[:count] - before[::-1][:count]
+        return payload_of(self.arm, self.simulation, change.names, change.new - change.old, drawn)
 
     def _same_equations(self, study: Study, values: tuple[Value, ...]) -> Verdict:
         apart = self._apart(study)

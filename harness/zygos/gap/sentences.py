@@ -138,6 +138,10 @@ def _changed(arm: Arm, found: Changed) -> str:
         if change.between
         else f"in {now}, between {change.before_s:.0f} and {change.after_s:.0f} s"
     )
+    if change.what == BODIES and found.payload:
+        body = arm.joints[-1].name
+        elements = ", ".join(f"{one.name} {sized(one.value, one.sigma, one.unit)}" for one in found.payload)
+        return f"The body behind the {body} took on or lost a payload {when}: {elements}."
     if change.what == BODIES:
         each = zip(change.names, change.old, change.new, change.sigma, strict=True)
         parts = [
@@ -377,7 +381,10 @@ def remedy(
     """What to do where nothing is adopted. experiments: best first; nearest: the candidate that leaves least over."""
     if experiments:
         best = experiments[0]
-        return f"{motion(best)} would tell them apart" if best.tells else "no variant of these motions tells them apart"
+        variant = (
+            f"{motion(best)} would tell them apart" if best.tells else "no variant of these motions tells them apart"
+        )
+        return f"{variant}; --next-motion plans one"
     if partial := partly(found):
         return f"part of it looks like {listed(partial)}"
     match found:

@@ -7,6 +7,7 @@ from typing import ClassVar, Literal
 
 from zygos.gap.changes import Change
 from zygos.gap.findings import Disagreement, Finding, Value
+from zygos.gap.payload import PayloadValue
 
 Answer = Literal["nothing missing", "values differ", "named", "part named", "changed", "cannot tell", "unknown"]
 
@@ -123,6 +124,8 @@ class Changed:
     change: Change
     runs: tuple[str, ...]
     """Names of the runs."""
+    payload: tuple[PayloadValue, ...] = ()
+    """The change of bodies as a payload of the last one; empty where it is none, or not identified."""
 
 
 @dataclass(frozen=True)
