@@ -63,7 +63,7 @@ _AGAINST: dict[Against, str] = {
 # verdict
 
 
-def verdict(arm: Arm, found: Verdict) -> str:  # noqa: PLR0911  (one sentence a verdict)
+def verdict(arm: Arm, found: Verdict) -> str:  # noqa: PLR0911, PLR0912  (one sentence a verdict)
     """What a verdict says."""
     match found:
         case NothingMissing():
