@@ -158,7 +158,7 @@ def spatial() -> Trial:
     model = _loose(load_model(folder / "model.toml"), 0.01)
     controller = Controller((260.0, 220.0, 90.0), (45.0, 40.0, 17.0))
     centres = ((0.0, -0.3, 0.9), (0.4, -0.1, 1.3), (-0.3, 0.1, 0.7))
-    return Trial(arm, model, _scenarios(arm, 60.0, centres, 1.1, 0.9, 3.4, controller), False)
+    return Trial(arm, model, _scenarios(arm, 30.0, centres, 1.1, 0.9, 3.4, controller), False)
 
 
 @cache

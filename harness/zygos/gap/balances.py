@@ -42,13 +42,13 @@ _SHIFT = 1e-4
 """Error of a sensor with which the columns of such errors are computed: rad, rad/s, Nm."""
 _ACTING = ("motor", "link", "spring", "torque")
 """Places of effects that act at a joint."""
-_OFFSET = 1e4
-"""Deviation of the constant error of a torque sensor that has noise, in units of this noise: nobody declares it."""
+_OFFSET = 1e2
+"""Deviation of the constant error of a torque sensor that has noise, Nm: nobody declares it."""
 _MANY = 6
 """Shapes of a law from which on a search begins with a part of them."""
 _LOOSE = 0.1
 """Deviation of an error of a sensor of which nothing is known, rad or rad/s."""
-_GAIN = 0.1
+_GAIN = 0.02
 """Deviation of the gain of such a sensor against that of the first one."""
 
 
@@ -238,7 +238,7 @@ class Layout:
                 out["gyro_bias"] = SensorError(sigma, ("omega0",), np.array(1.0))
         for i, one in enumerate(arm.joints):
             if one.torque_sigma > 0.0:
-                out[f"torque_zero{i + 1}"] = SensorError(_OFFSET * one.torque_sigma, ("tau",), unit[i])
+                out[f"torque_zero{i + 1}"] = SensorError(_OFFSET, ("tau",), unit[i])
                 if i > 0:
                     # all gains, masses and frictions can grow together: one gain is taken as known
                     out[f"torque_scale{i + 1}"] = SensorError(_GAIN, ("tau",), unit[i], gain=True)
@@ -431,6 +431,17 @@ class _Moving:
         """Columns of bodies in the energy, and `carried`."""
         return body_columns(self.arm, self.thin)
 
+    @cached_property
+    def momentum(self) -> Array:
+        """Columns (..., A, m, r, K + N) as `momentum.momentum_columns`, at the instants of the rows."""
+        return momentum.momentum_columns(self.arm, self.thin)
+
+    @cached_property
+    def spin(self) -> Array:
+        """(..., A, m, r, N) momentum of unit rotors, in space in the axes of the arc's origin."""
+        spin = self.momentum[..., self.momentum.shape[-1] - self.arm.n :]
+        return np.asarray(self.attitude @ spin if self.arm.spatial else spin, dtype=np.float64)
+
     def thinned(self, x: Array) -> Array:
         """(..., A, m) of (..., A, instants)."""
         return x[..., :: self.every]
@@ -554,7 +565,7 @@ def _bodies(layout: Layout, moving: _Moving) -> Iterator[Array]:
         for k in range(len(links)):
             yield grown[..., k, :]
     if arm.free:
-        columns = momentum.momentum_columns(arm, thin)
+        columns = moving.momentum
         kinetic = columns[..., : columns.shape[-1] - arm.n]
         spin = columns[..., columns.shape[-1] - arm.n :]
         none = np.zeros_like(spin[..., 0])
@@ -641,11 +652,7 @@ def _coupling(arm: Arm, moving: _Moving, balance: str, i: int) -> Iterator[Array
     elif balance[0] == "L":
         yield _coupled_momentum(arm, moving, int(balance[1:]) - 1, i)
     else:
-        columns = momentum.momentum_columns(arm, moving.thin)[..., i - arm.n]
-        if arm.spatial:
-            yield (moving.attitude @ columns[..., None])[..., "xyz".index(balance[1]), 0]
-        else:
-            yield columns[..., 0]
+        yield moving.spin[..., "xyz".index(balance[1]) if arm.spatial else 0, i]
 
 
 def _coupled_momentum(arm: Arm, moving: _Moving, at: int, rotor: int) -> Array:

@@ -85,6 +85,16 @@ class Stretches:
         return np.stack([each[run][arc, cycle] for run, arc, cycle in self.begin.tolist()])
 
     @property
+    def run(self) -> NDArray[np.int64]:
+        """(S,) number of its run, from 0."""
+        return self.begin[:, 0]
+
+    def thinned(self, every: int) -> Stretches:
+        """Every so many of them."""
+        arrays = (self.readings, self.tau, self.before, self.guess, self.time_s, self.turned)
+        return Stretches(self.arm, *(x[::every] for x in arrays), self.runs, self.begin[::every])
+
+    @property
     def sigma(self) -> Array:
         """(2N+W,) declared deviations of one reading of q, theta, omega0 that came over the wire."""
         arm = self.arm.over_the_wire
@@ -105,6 +115,21 @@ class Forecast:
     """(S, n, 2N+W) predicted less measured, in units of sigma."""
     predicted: Array
     """(S, n, 2N+W) q, theta, omega0: rad, rad/s."""
+    solver: Array
+    """(S, states, readings + states) by which what is left of the first half second corrects a start."""
+    run: NDArray[np.int64]
+    """(S,) number of each segment's run, from 0."""
+
+    def of_run(self, run: int) -> Forecast:
+        """The predictions of one run."""
+        return self._of(self.run == run)
+
+    def thinned(self, every: int) -> Forecast:
+        """Those of every so many segments."""
+        return self._of(slice(None, None, every))
+
+    def _of(self, own: slice | NDArray[np.bool_]) -> Forecast:
+        return Forecast(self.residual[own], self.predicted[own], self.solver[own], self.run[own])
 
     @property
     def gap(self) -> float:
@@ -190,15 +215,18 @@ def _segments(arm: Arm, samples: Readings, stretches: Sequence[tuple[int, int]],
     return Stretches(arm, readings, samples.tau[at], before, guess, samples.time[at], turned, (run,), begin)
 
 
-def forecast(dynamics: Drives, segments: Stretches, sensors: Sequence[Effect] = ()) -> Forecast:
+def forecast(
+    dynamics: Drives, segments: Stretches, sensors: Sequence[Effect] = (), near: Forecast | None = None
+) -> Forecast:
     """Predict every segment with a model, whose sensors have these errors. Where it assumes an angular momentum, the
-    base rate follows from it."""
+    base rate follows from it. near: predictions of the same segments with a model that differs little; the motion
+    depends on its start as it does there."""
     # a model that is far off may diverge: then the gap is infinite, and says so
     with np.errstate(over="ignore", invalid="ignore"):
-        return _forecast(dynamics, segments, sensors)
+        return _forecast(dynamics, segments, sensors, near)
 
 
-def _forecast(dynamics: Drives, segments: Stretches, sensors: Sequence[Effect]) -> Forecast:
+def _forecast(dynamics: Drives, segments: Stretches, sensors: Sequence[Effect], near: Forecast | None) -> Forecast:
     arm, joints = segments.arm, segments.arm.n
     n = segments.readings.shape[1] // 2
     steps = substeps(dynamics, segments.readings[:, ::n, :joints], arm.period_s)
@@ -239,19 +267,21 @@ def _forecast(dynamics: Drives, segments: Stretches, sensors: Sequence[Effect]) 
 
     x = segments.guess[:, free]
     size = len(free)
-    shifted = np.concatenate([x, *(x + scale * (np.arange(size) == k) for k in range(size))])
-    first = misfit(move(shifted, size + 1, n))
-    # in half a second the motion is all but linear in its start, so one Jacobian serves all rounds
-    jacobian = np.moveaxis(first[1:] - first[0], 0, -1)
     hold = np.broadcast_to(np.diag(scale / _held(segments)[free]), (len(x), size, size))
-    solver = np.linalg.pinv(np.concatenate([jacobian, hold], axis=1))
-    left, guess = first[0], x
+    if near is None or near.solver.shape[1] != size:
+        shifted = np.concatenate([x, *(x + scale * (np.arange(size) == k) for k in range(size))])
+        first = misfit(move(shifted, size + 1, n))
+        # in half a second the motion is all but linear in its start, so one Jacobian serves all rounds
+        jacobian = np.moveaxis(first[1:] - first[0], 0, -1)
+        solver, left, guess = np.linalg.pinv(np.concatenate([jacobian, hold], axis=1)), first[0], x
+    else:
+        solver, left, guess = near.solver, misfit(move(x, 1, n))[0], x
     for _ in range(_ROUNDS):
         strayed = (hold @ ((x - guess) / scale)[..., None])[..., 0]
         x = x - (solver @ np.concatenate([left, strayed], axis=1)[..., None])[..., 0] * scale
         left = misfit(move(x, 1, n))[0]
     seen = move(x, 1, 2 * n)[:, n:]
-    return Forecast((seen - segments.readings[:, n:]) / sigma, seen)
+    return Forecast((seen - segments.readings[:, n:]) / sigma, seen, solver, segments.run)
 
 
 def _held(segments: Stretches) -> Array:

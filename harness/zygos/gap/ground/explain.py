@@ -274,7 +274,9 @@ class _Explainer:
             with_them, without = _left(gap.predictions, "closed"), _left(gap.predictions, "refit")
             if with_them > without:
                 return NotPredicted(findings, with_them, without)
-        if any(finding.instead for finding in findings):
+        # a constant torque is free in every run: what it is does not touch the other findings
+        beside = [f for f in findings if f.instead and f.kind in (ASYMMETRY, OFFSET_OF_TORQUE)]
+        if len(beside) == len(findings) or any(f.instead for f in findings if f not in beside):
             return Inseparable(findings)
         if not closes:
             return PartNamed(findings, () if gap is None else remainders(gap.predictions))

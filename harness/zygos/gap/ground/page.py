@@ -13,7 +13,9 @@ from zygos.gap.findings import INTERVAL, Finding
 from zygos.gap.ground.answer import predicted_errors
 from zygos.gap.ground.explanation import GroundExplanation
 from zygos.gap.ground.predictions import Prediction, quantities, run_name
+from zygos.gap.ground.search import false_alarms, threshold
 from zygos.gap.ground.sentences import after_gear, against, evidence, title
+from zygos.gap.sentences import asked_of_candidates
 from zygos.gap.verdicts import PartNamed
 from zygos.report.figures import down_to, unit_of
 from zygos.report.page import Entry, joint_colour, numbers, render, series, thinned
@@ -42,6 +44,7 @@ def gap_content(found: GroundExplanation, source: Provenance) -> tuple[Entry, di
         drawn = _charts(one, k, times)
         charts |= {chart["id"]: chart for chart in drawn}
         runs.append({"name": run_name(one.run), "charts": drawn, "cutoff": number(one.rows.cutoff_hz, 3)})
+    tried = len(found.search.rounds[0]) if found.search.rounds else 0
     content = {
         "x": found,
         "arm": arm,
@@ -78,6 +81,7 @@ def gap_content(found: GroundExplanation, source: Provenance) -> tuple[Entry, di
             }
             for one in (found.search.rounds[0] if found.search.rounds else ())
         ],
+        "asked": asked_of_candidates(threshold(tried), false_alarms(tried), "on all runs together"),
         "named": len(found.search.named),
         "values": [
             {
