@@ -24,11 +24,12 @@ from zygos.gap.findings import INTERVAL, Value, undecided
 from zygos.gap.ground.answer import as_json as ground_json
 from zygos.gap.ground.answer import predicted_errors
 from zygos.gap.ground.explanation import GroundExplanation
+from zygos.gap.ground.search import false_alarms, threshold
 from zygos.gap.ground.sentences import after_gear
 from zygos.gap.ground.sentences import against as ground_against
 from zygos.gap.record import letter
 from zygos.gap.runs import check_arm_of_gap, check_distinct, check_keys, explain_runs, plan_next
-from zygos.gap.sentences import against
+from zygos.gap.sentences import against, asked_of_candidates
 from zygos.model.model import load_model, save_model
 from zygos.native.flight import Flight
 from zygos.plan.limits import Limits, limits_of
@@ -124,7 +125,7 @@ def _explain_run(
             bar.update(task, description=f"reading {run.name}", completed=0.2 * k / len(runs))
             logs.append(read_run(run, arm))
             warn(logs[-1].damage)
-            check_distinct(logs)
+            check_distinct(logs[-1], logs[:-1])
         found = explain_runs(
             read_run(simulation, arm) if model is None else model,
             logs[: len(measured)],
@@ -286,6 +287,8 @@ def show(found: Explanation) -> None:
             ],
             title=f"the first {len(listed)} of {len(found.search.rounds[0])} candidates",
         )
+        luck = found.search.chance
+        say(asked_of_candidates(luck.threshold, luck.false_alarms, "on every run"))
     show_values(found.values)
     if found.gap is not None:
         table(
@@ -333,6 +336,8 @@ def show_ground(found: GroundExplanation) -> None:
             ],
             title=f"the first {len(listed)} of {len(found.search.rounds[0])} candidates",
         )  # fmt: skip
+        count = len(found.search.rounds[0])
+        say(asked_of_candidates(threshold(count), false_alarms(count), "on all runs together"))
     if found.findings:
         table(
             ("found", "joint", "value", "± 95 %", "unit", "after the gear", "not told from"),

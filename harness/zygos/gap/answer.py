@@ -172,6 +172,12 @@ def as_json(found: Explanation, source: Provenance) -> dict[str, Any]:
             }
             for c in found.search.rounds[0]
         ],
+        "threshold": found.search
+        and {
+            "deviations": found.search.chance.threshold,
+            "false_alarms": found.search.chance.false_alarms,
+            "candidates": found.search.chance.candidates,
+        },
         "completeness": None if found.search is None else list(found.search.completeness),
         "values": [value_json(v) for v in found.values],
         "experiments": [

@@ -431,6 +431,17 @@ class _Moving:
         """Columns of bodies in the energy, and `carried`."""
         return body_columns(self.arm, self.thin)
 
+    @cached_property
+    def momentum(self) -> Array:
+        """Columns (..., A, m, r, K + N) as `momentum.momentum_columns`, at the instants of the rows."""
+        return momentum.momentum_columns(self.arm, self.thin)
+
+    @cached_property
+    def spin(self) -> Array:
+        """(..., A, m, r, N) momentum of unit rotors, in space in the axes of the arc's origin."""
+        spin = self.momentum[..., self.momentum.shape[-1] - self.arm.n :]
+        return np.asarray(self.attitude @ spin if self.arm.spatial else spin, dtype=np.float64)
+
     def thinned(self, x: Array) -> Array:
         """(..., A, m) of (..., A, instants)."""
         return x[..., :: self.every]
@@ -554,7 +565,7 @@ def _bodies(layout: Layout, moving: _Moving) -> Iterator[Array]:
         for k in range(len(links)):
             yield grown[..., k, :]
     if arm.free:
-        columns = momentum.momentum_columns(arm, thin)
+        columns = moving.momentum
         kinetic = columns[..., : columns.shape[-1] - arm.n]
         spin = columns[..., columns.shape[-1] - arm.n :]
         none = np.zeros_like(spin[..., 0])
@@ -641,11 +652,7 @@ def _coupling(arm: Arm, moving: _Moving, balance: str, i: int) -> Iterator[Array
     elif balance[0] == "L":
         yield _coupled_momentum(arm, moving, int(balance[1:]) - 1, i)
     else:
-        columns = momentum.momentum_columns(arm, moving.thin)[..., i - arm.n]
-        if arm.spatial:
-            yield (moving.attitude @ columns[..., None])[..., "xyz".index(balance[1]), 0]
-        else:
-            yield columns[..., 0]
+        yield moving.spin[..., "xyz".index(balance[1]) if arm.spatial else 0, i]
 
 
 def _coupled_momentum(arm: Arm, moving: _Moving, at: int, rotor: int) -> Array:

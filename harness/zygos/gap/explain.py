@@ -36,10 +36,20 @@ from zygos.gap.fit import fit
 from zygos.gap.forecast import Forecast, Stretches, cut, cut_twin, forecast
 from zygos.gap.payload import PayloadValue, payload_of
 from zygos.gap.record import MeasuredRun
-from zygos.gap.remainder import closes, remainders
+from zygos.gap.remainder import closes, remainders, unclosed
 from zygos.gap.search import CERTAIN, COMPLETE, EXCESS, PARTLY, Candidate, Search, excess, polished, possible, search
 from zygos.gap.sentences import entry_evidence
-from zygos.gap.study import Study, again, begin, own_errors, read_hypothesis, realise, sensor_effects, split, zeroed
+from zygos.gap.study import (
+    Study,
+    begin,
+    laid_out,
+    own_errors,
+    read_hypothesis,
+    realise,
+    sensor_effects,
+    split,
+    zeroed,
+)
 from zygos.gap.torques import with_torque_noise
 from zygos.gap.twin import follow
 from zygos.gap.verdicts import (
@@ -83,8 +93,8 @@ _HALF = 0.5
 """Share of the error of predictions that a change may leave where the untouched run does not close."""
 _NOISY = 5.0
 """Ratio of a residual to its twin's that unseen noise of the torques does not reach."""
-_REDRAWN = 2
-"""Models with redrawn values that predict the floor's twin."""
+_REDRAWN, _THINNED = 6, 3
+"""Models with redrawn values that predict the floor's twin, every so many of its stretches."""
 _DEFLECTED = 3.0
 """Deviations of the encoders beyond which a joint that is said to be rigid is not."""
 _SKEWED = 0.95
@@ -223,31 +233,27 @@ class _Explainer:
 
     def _searched(self, delivered: Drives, refit: Study, basis: Study) -> tuple[Search, Gap | None, Changed | None]:
         """Usual entries, then every entry, then changes with time, as long as something is left over."""
-        changed: Changed | None = None
         self.step(0.3, "candidates")
         found = search(basis, lambda what: self.step(0.35, what))
-        gap = self._gap(delivered, refit, found.after, found)
         if self._open(found):
             wider = self._wider(basis)
             if wider is not None and _explains_more(wider, found):
-                found, gap = wider, self._gap(delivered, refit, wider.after, wider)
+                found = wider
         if self._unsettled(found):
-            self.step(0.8, "changes with time")
+            self.step(0.65, "changes with time")
             changed, later, earlier = self._changed(found)
             if changed is not None:
                 told = self._gap(delivered, refit, later.after, later)
                 if told is None or _predicts(told) or _closes_with(earlier, told):
-                    found, gap = later, told
-                else:
-                    changed = None
-        return found, gap, changed
+                    return later, told, changed
+        return found, self._gap(delivered, refit, found.after, found), None
 
     def _wider(self, basis: Study) -> Search | None:
         """The search among every entry of the catalogue; None where the runs do not tell their columns apart."""
         self.step(0.5, "every entry of the catalogue")
-        wide = replace(basis.hypothesis, layout=replace(basis.layout, wide=True))
+        wide = laid_out(basis, replace(basis.layout, wide=True))
         try:
-            return polished(search(begin(self.measured, wide, basis.dynamics()), lambda what: self.step(0.6, what)))
+            return polished(search(wide, lambda what: self.step(0.6, what)))
         except Undecided:
             return None
 
@@ -371,14 +377,14 @@ class _Explainer:
         self.step(0.7, "predictions of the untouched run")
         errors = sensor_effects(after.hypothesis, after.value)
         last = forecast(closed, segments, errors)
+        refitted = last if before is closed else forecast(before, segments)
         wrong, wrong_name = None, ""
         other = None if found is None or not found.named else _other(found)
         if found is not None and other is not None:
             plain = found.before.hypothesis
             instead = replace(plain, effects=(*plain.effects, other.name))
             try:
-                study = again(found.before, instead, 2)
-                wrong, wrong_name = forecast(study.dynamics(), segments), other.name
+                wrong, wrong_name = forecast(found.before.dynamics_of(instead), segments, (), refitted), other.name
             except ZygosError:
                 self._remark(Impossible(other.name))
         self.step(0.85, "the floor")
@@ -387,26 +393,28 @@ class _Explainer:
         except Undecided as error:
             self._remark(NoFloor(str(error)))
             return None
+        floor = forecast(closed, twin, errors)
         return Gap(
             segments,
             forecast(delivered, segments),
-            last if before is closed else forecast(before, segments),
+            refitted,
             last,
-            forecast(closed, twin, errors),
-            self._struck(found, segments),
+            floor,
+            self._struck(found, segments, last),
             wrong,
             wrong_name,
-            tuple(forecast(one, twin, errors) for one in _redrawn(after)),
+            tuple(forecast(one, twin.thinned(_THINNED), errors, floor.thinned(_THINNED)) for one in _redrawn(after)),
+            tuple(one.path.name for one in self.validate),
         )
 
-    def _struck(self, found: Search | None, segments: Stretches) -> Forecast | None:
+    def _struck(self, found: Search | None, segments: Stretches, closed: Forecast) -> Forecast | None:
         """Predictions without what was named: an effect that is not there does not help them."""
         if found is None or not found.named:
             return None
         names = found.after.hypothesis.names
         value = found.after.value.copy()
         value[[names.index(candidate.name) for candidate in found.named]] = 0.0
-        return forecast(realise(found.after.hypothesis, value), segments) if found.after.physical else None
+        return forecast(realise(found.after.hypothesis, value), segments, (), closed) if found.after.physical else None
 
     def _sensors_first(
         self, after: Study, findings: Sequence[Finding], skewed: Sequence[Deflection]
@@ -439,7 +447,7 @@ class _Explainer:
             return Unexplained(
                 float(np.nanmax(found.after.excess)), tuple(candidate.name for candidate in found.named), share, ()
             )
-        if gap is not None and gap.struck is not None and gap.closed.median > gap.struck.median:
+        if gap is not None and gap.struck is not None and gap.closed.median > gap.struck.median and not closes(gap):
             return NotPredicted(findings, gap.closed.median, gap.struck.median)
         if any(finding.instead for finding in findings):
             return Inseparable(findings)
@@ -498,8 +506,9 @@ class _Explainer:
         rho = float(np.nanmax(study.excess))
         if findings and excess(study):
             self.remarks.append(StillLeft(rho))
-        if gap is not None and gap.closed.median > 3.0 * gap.floor.median:
-            self.remarks.append(AboveFloor(gap.closed.median / gap.floor.median))
+        for run in () if gap is None else unclosed(gap):
+            assert gap is not None
+            self.remarks.append(AboveFloor(gap.runs[run], gap.closed.of_run(run).median / gap.floor.of_run(run).median))
         apart = self._apart(study)
         if findings and apart:
             self.remarks.append(Disagreements(apart))

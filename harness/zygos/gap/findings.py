@@ -162,3 +162,5 @@ class Gap:
     wrong_name: str
     reach: tuple[Forecast, ...] = ()
     """Predictions of the floor's twin by models whose values err as much as noise makes a fit of these runs err."""
+    runs: tuple[str, ...] = ()
+    """Names of the untouched runs."""

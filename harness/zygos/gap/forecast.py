@@ -56,6 +56,8 @@ class Stretches:
     """(S, 2n) since the run's first cycle."""
     turned: Array
     """(S,) angle that the base of a planar arm has turned since then, at the first sample, rad."""
+    run: NDArray[np.int64]
+    """(S,) number of its run, from 0."""
 
     @classmethod
     def joined(cls, parts: Sequence[Stretches]) -> Stretches:
@@ -68,7 +70,13 @@ class Stretches:
             np.concatenate([one.guess for one in parts]),
             np.concatenate([one.time_s for one in parts]),
             np.concatenate([one.turned for one in parts]),
+            np.concatenate([np.full(len(one.run), k) for k, one in enumerate(parts)]),
         )
+
+    def thinned(self, every: int) -> Stretches:
+        """Every so many of them."""
+        arrays = (self.readings, self.tau, self.before, self.guess, self.time_s, self.turned)
+        return Stretches(self.arm, *(x[::every] for x in arrays), self.run[::every])
 
     @property
     def sigma(self) -> Array:
@@ -91,6 +99,21 @@ class Forecast:
     """(S, n, 2N+W) predicted less measured, in units of sigma."""
     predicted: Array
     """(S, n, 2N+W) q, theta, omega0: rad, rad/s."""
+    solver: Array
+    """(S, states, readings + states) by which what is left of the first half second corrects a start."""
+    run: NDArray[np.int64]
+    """(S,) number of each segment's run, from 0."""
+
+    def of_run(self, run: int) -> Forecast:
+        """The predictions of one run."""
+        return self._of(self.run == run)
+
+    def thinned(self, every: int) -> Forecast:
+        """Those of every so many segments."""
+        return self._of(slice(None, None, every))
+
+    def _of(self, own: slice | NDArray[np.bool_]) -> Forecast:
+        return Forecast(self.residual[own], self.predicted[own], self.solver[own], self.run[own])
 
     @property
     def gap(self) -> float:
@@ -163,18 +186,22 @@ def _segments(arm: Arm, samples: Readings, stretches: Sequence[tuple[int, int]],
     assert samples.time is not None
     assert samples.turned is not None
     turned = samples.turned[starts]
-    return Stretches(arm, readings, samples.tau[at], samples.tau[starts - 1], guess, samples.time[at], turned)
+    first = np.zeros(len(starts), dtype=np.int64)
+    return Stretches(arm, readings, samples.tau[at], samples.tau[starts - 1], guess, samples.time[at], turned, first)
 
 
-def forecast(dynamics: Drives, segments: Stretches, sensors: Sequence[Effect] = ()) -> Forecast:
+def forecast(
+    dynamics: Drives, segments: Stretches, sensors: Sequence[Effect] = (), near: Forecast | None = None
+) -> Forecast:
     """Predict every segment with a model, whose sensors have these errors. Where it assumes an angular momentum, the
-    base rate follows from it."""
+    base rate follows from it. near: predictions of the same segments with a model that differs little; the motion
+    depends on its start as it does there."""
     # a model that is far off may diverge: then the gap is infinite, and says so
     with np.errstate(over="ignore", invalid="ignore"):
-        return _forecast(dynamics, segments, sensors)
+        return _forecast(dynamics, segments, sensors, near)
 
 
-def _forecast(dynamics: Drives, segments: Stretches, sensors: Sequence[Effect]) -> Forecast:
+def _forecast(dynamics: Drives, segments: Stretches, sensors: Sequence[Effect], near: Forecast | None) -> Forecast:
     arm, joints = segments.arm, segments.arm.n
     n = segments.readings.shape[1] // 2
     steps = substeps(dynamics, segments.readings[:, ::n, :joints], arm.period_s)
@@ -209,19 +236,21 @@ def _forecast(dynamics: Drives, segments: Stretches, sensors: Sequence[Effect]) 
 
     x = segments.guess[:, free]
     size = len(free)
-    shifted = np.concatenate([x, *(x + scale * (np.arange(size) == k) for k in range(size))])
-    first = misfit(move(shifted, size + 1, n))
-    # in half a second the motion is all but linear in its start, so one Jacobian serves all rounds
-    jacobian = np.moveaxis(first[1:] - first[0], 0, -1)
     hold = np.broadcast_to(np.diag(scale / _held(segments)[free]), (len(x), size, size))
-    solver = np.linalg.pinv(np.concatenate([jacobian, hold], axis=1))
-    left, guess = first[0], x
+    if near is None or near.solver.shape[1] != size:
+        shifted = np.concatenate([x, *(x + scale * (np.arange(size) == k) for k in range(size))])
+        first = misfit(move(shifted, size + 1, n))
+        # in half a second the motion is all but linear in its start, so one Jacobian serves all rounds
+        jacobian = np.moveaxis(first[1:] - first[0], 0, -1)
+        solver, left, guess = np.linalg.pinv(np.concatenate([jacobian, hold], axis=1)), first[0], x
+    else:
+        solver, left, guess = near.solver, misfit(move(x, 1, n))[0], x
     for _ in range(_ROUNDS):
         strayed = (hold @ ((x - guess) / scale)[..., None])[..., 0]
         x = x - (solver @ np.concatenate([left, strayed], axis=1)[..., None])[..., 0] * scale
         left = misfit(move(x, 1, n))[0]
     seen = move(x, 1, 2 * n)[:, n:]
-    return Forecast((seen - segments.readings[:, n:]) / sigma, seen)
+    return Forecast((seen - segments.readings[:, n:]) / sigma, seen, solver, segments.run)
 
 
 def _held(segments: Stretches) -> Array:

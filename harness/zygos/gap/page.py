@@ -23,7 +23,7 @@ from zygos.gap.forecast import HORIZON_S, Forecast
 from zygos.gap.record import MeasuredRun, letter
 from zygos.gap.residuals import Stage, failing, steps
 from zygos.gap.search import EXCESS, Candidate
-from zygos.gap.sentences import against, balance_title, evidence, motion, predicted
+from zygos.gap.sentences import against, asked_of_candidates, balance_title, evidence, motion, predicted
 from zygos.gap.torque import WINDOW_S
 from zygos.plan.separating import Separating
 from zygos.report.figures import LogScale, down_to, figure, percent, unit_of, within
@@ -250,6 +250,7 @@ def _search(x: Explanation) -> Entry:
         "rounds": len(search.rounds),
         "completeness": [f"{100.0 * share:.1f}" for share in search.completeness],
         "named": bool(named),
+        "asked": asked_of_candidates(search.chance.threshold, search.chance.false_alarms, "on every run"),
     }
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -80,13 +79,14 @@ def explain_runs(
     arm = runs[0].arm
     if any(run.arm != arm for run in runs):
         raise ZygosError("the runs are of different arms; remedy: runs of one arm, loaded with the same arm file")
-    check_distinct(runs)
+    for number, run in enumerate(runs):
+        check_distinct(run, runs[:number])
     check_keys(without)
     step = progress or (lambda share, what: None)
     if isinstance(simulation, Run):
         if simulation.arm != arm:
             raise ZygosError("the simulated run is of another arm; remedy: a run of the arm of the measured ones")
-        check_distinct([simulation, *runs])
+        check_distinct(simulation, runs)
         step(0.0, "the model of the simulator")
         model, simulated = model_of_simulator(simulation, measured)
         return replace(
@@ -139,14 +139,14 @@ def check_keys(without: Sequence[str]) -> None:
             raise ZygosError(f"there is no effect {key!r}; remedy: one of {', '.join(CATALOGUE)}")
 
 
-def check_distinct(runs: Sequence[Run]) -> None:
-    """Refuse, with ZygosError, two runs with the same cycles."""
-    names = [str(run.path or f"run {number}") for number, run in enumerate(runs, start=1)]
-    for (one, first), (other, second) in combinations(zip(names, runs, strict=True), 2):
-        if same_recording(first, second):
+def check_distinct(run: Run, others: Sequence[Run]) -> None:
+    """Refuse, with ZygosError, a run that has the same cycles as one of those before it."""
+    for number, other in enumerate(others, start=1):
+        if same_recording(run, other):
             raise ZygosError(
-                f"{one} and {other} are the same recording; remedy: give different runs to learn from and to "
-                "validate, because a result from one run must hold on another"
+                f"{other.path or f'run {number}'} and {run.path or f'run {len(others) + 1}'} are the same recording; "
+                "remedy: give different runs to learn from and to validate, because a result from one run must hold on "
+                "another"
             )
 
 

@@ -343,8 +343,8 @@ def remark(found: Remark) -> str:  # noqa: PLR0911  (one sentence a remark)
             )
         case AboveFloor():
             return (
-                f"predictions err by {found.ratio:.2g} times the floor: the values are not known as well as these "
-                "sensors would show, or the arm is another in the untouched run"
+                f"predictions of {found.run} err by {found.ratio:.2g} times the floor: the values are not known as "
+                "well as these sensors would show, or the arm is another in this run"
             )
         case Disagreements():
             return f"the two runs disagree on {_disagreements(found.parameters)}"
@@ -386,3 +386,11 @@ def remedy(
         share = 100 * max(0.0, nearest.complete)
         said.append(f"the nearest in the catalogue, {spoken(arm, nearest.name)}, explains {share:.0f} % of it")
     return "; ".join(said)
+
+
+def asked_of_candidates(threshold: float, false_alarms: float, runs: str) -> str:
+    """The significance that is asked of a candidate, and how often noise reaches it, in words. runs: on which."""
+    return (
+        f"A candidate needs |z| of {threshold:.2g} {runs}; where nothing is missing, noise brings one to it in at most "
+        f"{false_alarms:.1g} of the searches."
+    )

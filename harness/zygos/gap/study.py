@@ -70,6 +70,8 @@ class Study:
     """(coefficients,) one standard deviation over the twin's draws."""
     applied: Array
     """(runs, zeros) errors of the sensors that were taken off the records."""
+    sensors: tuple[Effect, ...]
+    """Errors of the sensors that the twins were made with."""
 
     @property
     def layout(self) -> Layout:
@@ -78,8 +80,13 @@ class Study:
 
     @property
     def weight(self) -> Array:
-        """(balances,) 1/noise; 0 for a balance that is not used."""
-        return _weight(self.noise)
+        """(balances,) 1/noise, less where the rows of a balance share their noise; 0 for one that is not used."""
+        return _weight(self.noise, self.wobble, np.array([one.count for one in self.sums]))
+
+    @property
+    def independent(self) -> Array:
+        """(runs, balances) rows that would be as many, did they not share their noise."""
+        return _independent(self.wobble, np.array([one.count for one in self.sums]))
 
     @property
     def value(self) -> Array:
@@ -126,6 +133,15 @@ class Study:
     def dynamics(self) -> Drives:
         """The model that was fitted, or as much of it as an arm can be."""
         return _possible(self.hypothesis, self.value, self.model)
+
+    def dynamics_of(self, hypothesis: Hypothesis) -> Drives:
+        """The model that another hypothesis fits, or as much of it as an arm can be; its bias is that on these twins.
+
+        Errors: Undecided as `fit`; ZygosError where no arm has such parameters.
+        """
+        made = np.array([coefficient(self.model, hypothesis, name, self.sensors) for name in hypothesis.names])
+        bias = self.of_twin(hypothesis).value.mean(axis=0) - made
+        return _possible(hypothesis, self.of(hypothesis).value - bias, self.model)
 
     def local(self) -> Array:
         """(runs, balances) rho where each balance is fitted by itself: whatever happens elsewhere does not touch it.
@@ -274,6 +290,14 @@ def again(study: Study, hypothesis: Hypothesis, count: int = DRAWS) -> Study:
     )
 
 
+def laid_out(study: Study, layout: Layout) -> Study:
+    """The same runs, hypothesis and twins with other columns to search among."""
+    hypothesis = replace(study.hypothesis, layout=layout)
+    return _fitted(
+        study.records, study.accepted, hypothesis, study.model, study.twins, study.sensors, DRAWS, study.applied
+    )
+
+
 def zeroed(study: Study) -> Study:
     """The same runs where the few errors of sensors that explain most of what a fit pays for all of them are free.
 
@@ -303,8 +327,7 @@ def _paid(study: Study, found: Fit) -> float:
     """What a fit leaves over, and what it pays for errors of sensors."""
     known = ~study.layout.of_torque
     pulls = (study.applied + found.zeros)[:, known] / study.layout.zero_sigma[known]
-    counts = np.array([one.count for one in study.sums])
-    return float(np.nansum(counts * ((found.rms / study.noise) ** 2 - 1.0)) + np.sum(pulls**2))
+    return float(np.nansum(study.independent * ((found.rms / study.noise) ** 2 - 1.0)) + np.sum(pulls**2))
 
 
 def _off(study: Study) -> NDArray[np.bool_]:
@@ -347,9 +370,17 @@ def _mean(x: Array) -> Array:
     return np.asarray(total / np.maximum(known.sum(axis=-1, keepdims=True), 1), dtype=np.float64)
 
 
-def _weight(noise: Array) -> Array:
+def _weight(noise: Array, wobble: Array, count: Array) -> Array:
+    """Torques' noise adds up along an arc, that of the gyro does not: a balance counts as many rows as are independent,
+    or it would outweigh others, and what the arm file knows of the sensors."""
     square = (noise**2).mean(axis=0)
-    return np.where(np.isfinite(square), 1.0 / np.sqrt(square), 0.0)
+    share = (_independent(wobble, count) / np.maximum(count, 1.0)).mean(axis=0)
+    return np.where(np.isfinite(square), np.sqrt(share / square), 0.0)
+
+
+def _independent(wobble: Array, count: Array) -> Array:
+    """Rows whose mean square would vary as much, all of them independent."""
+    return np.asarray(np.minimum(2.0 / np.maximum(wobble, 1e-6) ** 2, count), dtype=np.float64)
 
 
 def _study(
@@ -361,11 +392,24 @@ def _study(
     applied: Array,
     value: Array | None = None,
 ) -> Study:
+    sensors = sensor_effects(hypothesis, value)
+    twins = tuple(follow(dynamics, records, sensors))
+    return _fitted(records, accepted, hypothesis, dynamics, twins, sensors, count, applied)
+
+
+def _fitted(
+    records: tuple[MeasuredRun, ...],
+    accepted: tuple[NDArray[np.bool_], ...],
+    hypothesis: Hypothesis,
+    dynamics: Drives,
+    twins: tuple[Twin, ...],
+    sensors: tuple[Effect, ...],
+    count: int,
+    applied: Array,
+) -> Study:
     layout = hypothesis.layout
     arm, uncentred = layout.arm, hypothesis.uncentred
     base = base_values(dynamics, layout)
-    sensors = sensor_effects(hypothesis, value)
-    twins = tuple(follow(dynamics, records, sensors))
     every = thinning(arm)
     zeros = [zero_columns(layout, record.readings(), base, every) for record in records]
     made = np.array([coefficient(dynamics, hypothesis, name, sensors) for name in hypothesis.names])
@@ -389,7 +433,8 @@ def _study(
     for _ in range(3):
         guess = fit(hypothesis, drawn, weight)
         noise = np.sqrt(np.mean(guess.rms**2, axis=0))
-        weight = _weight(noise)
+        wobble = (guess.rms**2).std(axis=0, ddof=1) / noise**2
+        weight = _weight(noise, wobble, np.array([one.count for one in sums]))
     return Study(
         records,
         accepted,
@@ -399,11 +444,12 @@ def _study(
         twins,
         drawn,
         noise,
-        (guess.rms**2).std(axis=0, ddof=1) / noise**2,
+        wobble,
         fit(hypothesis, sums, weight),
         guess.value.mean(axis=0) - made,
         guess.value.std(axis=0, ddof=1),
         applied,
+        sensors,
     )
 
 

@@ -230,8 +230,9 @@ class StillLeft:
 
 @dataclass(frozen=True)
 class AboveFloor:
-    """Predictions err by much more than noise makes them."""
+    """Predictions of an untouched run err by much more than noise makes them."""
 
+    run: str
     ratio: float
 
 

@@ -14,8 +14,10 @@ from zygos.gap.findings import INTERVAL, Finding
 from zygos.gap.ground.answer import predicted_errors
 from zygos.gap.ground.explanation import GroundExplanation
 from zygos.gap.ground.predictions import Prediction, quantities, run_name
+from zygos.gap.ground.search import false_alarms, threshold
 from zygos.gap.ground.sentences import after_gear, against, evidence, title
 from zygos.gap.page import planned_entry
+from zygos.gap.sentences import asked_of_candidates
 from zygos.gap.verdicts import PartNamed
 from zygos.plan.separating import Separating
 from zygos.report.figures import down_to, unit_of
@@ -52,6 +54,7 @@ def gap_content(
         runs.append({"name": run_name(one.run), "charts": drawn, "cutoff": number(one.rows.cutoff_hz, 3)})
     if planned is not None:
         times["planned"], charts["planned"] = planned_chart(arm, planned)
+    tried = len(found.search.rounds[0]) if found.search.rounds else 0
     content = {
         "x": found,
         "planned": planned and planned_entry(planned),
@@ -89,6 +92,7 @@ def gap_content(
             }
             for one in (found.search.rounds[0] if found.search.rounds else ())
         ],
+        "asked": asked_of_candidates(threshold(tried), false_alarms(tried), "on all runs together"),
         "named": len(found.search.named),
         "values": [
             {
