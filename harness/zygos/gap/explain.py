@@ -419,12 +419,12 @@ class _Explainer:
         if change is None:
             return None, found, None
         try:
-            change, now, was = settled(study, change)
+            apart = settled(study, change, SMALL)
         except (Undecided, ZygosError):
             return None, found, None
-        if np.nanmax(now.excess) > SMALL:
-            # what is left over after it is no matter of time
+        if apart is None:
             return None, found, None
+        change, now, was = apart
         names = tuple(record.path.name for record in study.records)
         return Changed(change, names), replace(found, after=now, named=(), sets=()), was
 
