@@ -14,6 +14,7 @@ from ground_gap_support import Array, Law, axis, measured, nothing, sign, size
 from zygos.arm import save_arm
 from zygos.can.run import save_run
 from zygos.cli import main
+from zygos.effects import CATALOGUE, Effect
 from zygos.model.model import Model, Quantity, load_model, save_model
 
 
@@ -68,6 +69,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     base = model.base_parameters(arm)
     base["mz1"] = Quantity(1.1 * base["mz1"].value, 0.0, "CAD", base["mz1"].unit)
     save_model(Model("heavier", parameters=base), folder / "heavier.toml")
+    friction = Effect(CATALOGUE["motor_coulomb"], arm.joints[0].name, 0.1 * size())
+    save_model(replace(model, effects=(friction,)), folder / "rubbing.toml")
     for name, law in LAWS.items():
         for k, one in enumerate(measured(law)):
             save_run(one, folder / f"{name}{k}.npz")
@@ -101,7 +104,8 @@ def test_every_answer_has_its_exit_code_and_its_files(
     folder: Path, tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     page = tmp_path / "gap.html"
-    code, found = explain(folder, tmp_path, [f"{name}0", f"{name}1"], [f"{name}2"], "--report", page)
+    cad = "rubbing" if name == "one_sided" else "cad"
+    code, found = explain(folder, tmp_path, [f"{name}0", f"{name}1"], [f"{name}2"], "--report", page, cad=cad)
     said = capsys.readouterr()
     assert (found["answer"], code) == ANSWERS[name], found["sentence"]
     assert found["estimator"] == "explain-ground"

@@ -220,7 +220,11 @@ def score(true: Truth, verdict: Json, joints: Sequence[str]) -> dict[str, Any]:
         out["misnamed"] = answer == "named" or (answer == "part named" and not fair)
         return out
     exact = all(e.exact for e in effects)
-    found = [any(e.scale(*pair) is not None for pair in said) for e in effects]
+    # while a joint moves, a constant torque and a difference between the directions are one
+    either = [
+        pair for one in sets if len(one) > 1 and one[0][0] in ("torque_offset", "coulomb_asymmetry") for pair in one
+    ]
+    found = [any(e.scale(*pair) is not None for pair in (*said, *either)) for e in effects]
     loosely = [ok or any(e.nearly(*pair) for pair in said) for e, ok in zip(effects, found, strict=True)]
     if answer == "named":
         out["first"] = bool(said) and hit(said[0])

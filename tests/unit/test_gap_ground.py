@@ -73,14 +73,22 @@ def test_coulomb_friction_that_differs_between_the_directions_looks_like_an_offs
     def law(q: Array, qd: Array) -> Array:
         return np.where(qd > 0.0, 0.12, 0.06) * size() * sign(qd)
 
-    moving = _explained(measured(law))
-    assert moving.answer == "cannot tell", moving.sentence
-    assert moving.model is None
+    runs = measured(law)
+    moving = _explained(runs)
+    assert moving.answer == "named", moving.sentence
     assert [(f.kind, f.instead) for f in moving.findings] == [
         ("motor_coulomb", ()),
         ("torque_offset", ("coulomb_asymmetry1",)),
     ]
-    assert "rest" in moving.remedy
+    assert "cannot tell apart" in moving.sentence
+    assert moving.model is not None
+    assert [effect.kind.key for effect in moving.model.effects] == ["motor_coulomb"]
+    # nothing else is missing
+    undecided = _explained(runs, moving.model)
+    assert undecided.answer == "cannot tell", undecided.sentence
+    assert [f.instead for f in undecided.findings] == [("coulomb_asymmetry1",)]
+    assert undecided.model is None
+    assert "rest" in undecided.remedy
     resting = _explained(measured(law, rests=True))
     assert _found(resting)["coulomb_asymmetry"] == pytest.approx(0.03 * size(), rel=0.1)
     assert not any(f.instead for f in resting.findings)

@@ -25,6 +25,7 @@ from zygos.gap.ground.answer import as_json as ground_json
 from zygos.gap.ground.answer import predicted_errors
 from zygos.gap.ground.explanation import GroundExplanation
 from zygos.gap.ground.search import false_alarms, threshold
+from zygos.gap.ground.sentences import after_gear
 from zygos.gap.ground.sentences import against as ground_against
 from zygos.gap.record import letter
 from zygos.gap.runs import check_arm_of_gap, check_distinct, check_keys, explain_runs
@@ -276,6 +277,15 @@ def show_ground(found: GroundExplanation) -> None:
         )  # fmt: skip
         count = len(found.search.rounds[0])
         say(asked_of_candidates(threshold(count), false_alarms(count), "on all runs together"))
+    if found.findings:
+        table(
+            ("found", "joint", "value", "± 95 %", "unit", "after the gear", "not told from"),
+            [
+                (f.title, f.joint or "", number(f.value, 4), number(INTERVAL * f.sigma, 2), f.unit,
+                 after_gear(found.arm, f) or "the same", ", ".join(f.instead))
+                for f in found.findings
+            ],
+        )  # fmt: skip
     show_values(found.values)
     if found.gap is not None:
         gap = found.gap

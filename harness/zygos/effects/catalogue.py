@@ -130,33 +130,41 @@ def _double_cosine(motion: Motion, _shape: float) -> Array:
     return np.asarray(np.cos(2.0 * motion.angle))
 
 
-def _read_shifted(_arm: Arm, angle: Array, amount: float, _component: int) -> Array:
+def _read_shifted(_arm: Arm, angle: Array, amount: float, _number: int) -> Array:
     return angle + amount
 
 
-def _read_scaled(_arm: Arm, signal: Array, amount: float, _component: int) -> Array:
+def _read_scaled(_arm: Arm, signal: Array, amount: float, _number: int) -> Array:
     return (1.0 + amount) * signal
 
 
-def _read_sine(_arm: Arm, angle: Array, amount: float, _component: int) -> Array:
+def _read_sine(_arm: Arm, angle: Array, amount: float, _number: int) -> Array:
     return np.asarray(angle + amount * np.sin(angle))
 
 
-def _read_cosine(_arm: Arm, angle: Array, amount: float, _component: int) -> Array:
+def _read_cosine(_arm: Arm, angle: Array, amount: float, _number: int) -> Array:
     return np.asarray(angle + amount * np.cos(angle))
 
 
-def _read_late(arm: Arm, angle: Array, amount: float, _component: int) -> Array:
+def _read_motor_sine(arm: Arm, angle: Array, amount: float, joint: int) -> Array:
+    return np.asarray(angle + amount * np.sin(arm.joints[joint].gear_ratio * angle))
+
+
+def _read_motor_cosine(arm: Arm, angle: Array, amount: float, joint: int) -> Array:
+    return np.asarray(angle + amount * np.cos(arm.joints[joint].gear_ratio * angle))
+
+
+def _read_late(arm: Arm, angle: Array, amount: float, _number: int) -> Array:
     at = arm.period_s * np.arange(angle.shape[-1])
     return np.asarray(CubicSpline(at, angle, axis=-1)(at + amount))
 
 
-def _read_biased(arm: Arm, rate: Array, amount: float, component: int) -> Array:
-    return rate + (amount * np.eye(3)[component] if arm.spatial else amount)
+def _read_biased(arm: Arm, rate: Array, amount: float, number: int) -> Array:
+    return rate + (amount * np.eye(3)[number] if arm.spatial else amount)
 
 
-def _read_turned(_arm: Arm, rate: Array, amount: float, component: int) -> Array:
-    return np.asarray(rate @ Rotation.from_rotvec(amount * np.eye(3)[component]).as_matrix())
+def _read_turned(_arm: Arm, rate: Array, amount: float, number: int) -> Array:
+    return np.asarray(rate @ Rotation.from_rotvec(amount * np.eye(3)[number]).as_matrix())
 
 
 def _grid(low: float, high: float, count: int) -> tuple[float, ...]:
@@ -168,28 +176,36 @@ _SPEEDS = _grid(0.005, 0.5, 9)
 _ORDERS = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0)
 _ORDERS_OF_BASE = tuple(order for order in _ORDERS if order != 2.0)
 _Side = Literal["link", "motor"]
-_ENCODER_ERRORS: tuple[tuple[str, str, str, tuple[str, ...], Callable[[Arm, Array, float, int], Array], str], ...] = (
-    ("zero", "zero of the {}", "rad", (), _read_shifted, "reads {} + c"),
-    ("scale", "scale error of the {}", "1", (), _read_scaled, "reads (1 + c) {}"),
+_Reads = Callable[[Arm, Array, float, int], Array]
+_ENCODER_ERRORS: tuple[tuple[str, str, str, tuple[str, ...], tuple[_Reads, _Reads], tuple[str, str]], ...] = (
+    ("zero", "zero of the {}", "rad", (), (_read_shifted, _read_shifted), ("reads q + c", "reads θ + c")),
+    ("scale", "scale error of the {}", "1", (), (_read_scaled, _read_scaled), ("reads (1 + c) q", "reads (1 + c) θ")),
     (
         "eccentricity_sin",
         "eccentricity of the {} (sine)",
         "rad",
         ("eccentricity_cos",),
-        _read_sine,
-        "reads {0} + c sin {0}",
+        (_read_sine, _read_motor_sine),
+        ("reads q + c sin q", "reads θ + c sin nθ"),
     ),
     (
         "eccentricity_cos",
         "eccentricity of the {} (cosine)",
         "rad",
         ("eccentricity_sin",),
-        _read_cosine,
-        "reads {0} + c cos {0}",
+        (_read_cosine, _read_motor_cosine),
+        ("reads q + c cos q", "reads θ + c cos nθ"),
     ),
-    ("late", "late latch of the {}", "s", (), _read_late, "reads {} of the time t + c"),
+    (
+        "late",
+        "late latch of the {}",
+        "s",
+        (),
+        (_read_late, _read_late),
+        ("reads q of the time t + c", "reads θ of the time t + c"),
+    ),
 )
-_SIDES: tuple[tuple[_Side, str], ...] = (("link", "q"), ("motor", "θ"))
+_SIDES: tuple[_Side, ...] = ("link", "motor")
 
 ENTRIES = (
     Kind(
@@ -522,13 +538,11 @@ ENTRIES = (
             searched=False,
             searched_last=key != "zero",
             sensor=side,
-            reads=reads,
-            formula=formula.format(symbol),
+            reads=reads[number],
+            formula=formula[number],
         )
-        for side, symbol in _SIDES
+        for number, side in enumerate(_SIDES)
         for key, title, unit, twins, reads, formula in _ENCODER_ERRORS
-        # a motor's encoder that is eccentric ripples with the turns of the motor, not with those of the joint
-        if side == "link" or not key.startswith("eccentricity")
     ),
     Kind(
         "gyro_bias",
@@ -592,6 +606,8 @@ gravity_gradient, detent: of unknown phase, so that each has a sine and a cosine
 like a gravity gradient, which stands for it.
 body_change: has one component for each base parameter of the bodies. What is taken up or dropped moves with the arm at
 that instant, so that the motion goes on without a jump.
+motor_eccentricity: repeats with each turn of the motor; c is after the gear, as theta is. What an eccentric rotor does
+to the torque once a turn is a ripple of the first order.
 link_late, motor_late: the encoder latches its angle later than the arm file states.
 link_..., motor_...: of a rigid joint, whose one encoder reads both angles, only those of the link exist.
 angular_momentum: the angular momentum of the whole arm about its mass centre. A model that does not mention it makes no

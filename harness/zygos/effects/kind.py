@@ -132,8 +132,8 @@ class Kind:
     sensor: Literal["", "link", "motor", "gyro"] = ""
     """The sensor whose reading changes, where the site is a sensor."""
     reads: Callable[[Arm, Array, float, int], Array] | None = None
-    """reads(arm, signal, amount, component): what a sensor reads of a signal at n cycles: (..., n) of an encoder and of
-    the gyro of a planar arm, (..., n, 3) of that of a spatial one."""
+    """reads(arm, signal, amount, number): what a sensor reads of a signal at n cycles: (..., n) of an encoder and of
+    the gyro of a planar arm, (..., n, 3) of that of a spatial one. number: of the joint or of the component, from 0."""
     formula: str = ""
     """The law in `docs/gap.md`."""
 
@@ -224,7 +224,7 @@ class Kind:
         for name, side in (("q", "link"), ("theta", "motor")):
             if side == self.sensor or not arm.joints[joint].flexible:
                 angles: Array = getattr(readings, name).copy()
-                angles[..., joint] = self.reads(arm, angles[..., joint], amount, component)
+                angles[..., joint] = self.reads(arm, angles[..., joint], amount, joint)
                 changed[name] = angles
         return replace(readings, **changed)
 

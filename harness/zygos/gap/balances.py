@@ -42,13 +42,13 @@ _SHIFT = 1e-6
 """Error of a sensor with which the columns of such errors are computed: rad, rad/s, Nm."""
 _ACTING = ("motor", "link", "spring", "torque")
 """Places of effects that act at a joint."""
-_OFFSET = 1e4
-"""Deviation of the constant error of a torque sensor that has noise, in units of this noise: nobody declares it."""
+_OFFSET = 1e2
+"""Deviation of the constant error of a torque sensor that has noise, Nm: nobody declares it."""
 _MANY = 6
 """Shapes of a law from which on a search begins with a part of them."""
 _LOOSE = 0.1
 """Deviation of an error of a sensor of which nothing is known, rad or rad/s."""
-_GAIN = 0.1
+_GAIN = 0.02
 """Deviation of the gain of such a sensor against that of the first one."""
 
 
@@ -238,7 +238,7 @@ class Layout:
                 out["gyro_bias"] = SensorError(sigma, ("omega0",), np.array(1.0))
         for i, one in enumerate(arm.joints):
             if one.torque_sigma > 0.0:
-                out[f"torque_zero{i + 1}"] = SensorError(_OFFSET * one.torque_sigma, ("tau",), unit[i])
+                out[f"torque_zero{i + 1}"] = SensorError(_OFFSET, ("tau",), unit[i])
                 if i > 0:
                     # all gains, masses and frictions can grow together: one gain is taken as known
                     out[f"torque_scale{i + 1}"] = SensorError(_GAIN, ("tau",), unit[i], gain=True)

@@ -37,7 +37,17 @@ from zygos.gap.record import MeasuredRun
 from zygos.gap.remainder import closes, remainders
 from zygos.gap.search import CERTAIN, COMPLETE, EXCESS, PARTLY, Candidate, Search, excess, polished, possible, search
 from zygos.gap.sentences import entry_evidence
-from zygos.gap.study import Study, begin, laid_out, read_hypothesis, realise, sensor_effects, split, zeroed
+from zygos.gap.study import (
+    Study,
+    begin,
+    laid_out,
+    own_errors,
+    read_hypothesis,
+    realise,
+    sensor_effects,
+    split,
+    zeroed,
+)
 from zygos.gap.torques import with_torque_noise
 from zygos.gap.twin import follow
 from zygos.gap.verdicts import (
@@ -81,6 +91,8 @@ SMALL = 1.5
 """Residual of a balance over its twin's up to which effects are named without an untouched run."""
 _HALF = 0.5
 """Share of the error of predictions that a change may leave where the untouched run does not close."""
+_NOISY = 5.0
+"""Ratio of a residual to its twin's that unseen noise of the torques does not reach."""
 _REDRAWN = 2
 """Models with redrawn values that predict the floor's twin."""
 _DEFLECTED = 3.0
@@ -106,16 +118,12 @@ def explain(
     simulation = replace(simulation, effects=tuple(e for e in simulation.effects if e.kind.key != OFFSET))
     # the matrices are narrow: threads only get in each other's way
     with threadpool_limits(limits=1):
-        # what the arm file does not say of its torques' noise, the runs do
-        arm = with_torque_noise(measured[0].arm, measured)
-        learned, apart = (tuple(replace(one, arm=arm) for one in records) for records in (measured, validate))
-        return _Explainer(arm, simulation, learned, apart, step, tuple(without)).explain()
+        return _Explainer(simulation, tuple(measured), tuple(validate), step, tuple(without)).explain()
 
 
 class _Explainer:
     def __init__(
         self,
-        arm: Arm,
         simulation: Model,
         measured: tuple[MeasuredRun, ...],
         validate: tuple[MeasuredRun, ...],
@@ -123,17 +131,20 @@ class _Explainer:
         without: tuple[str, ...],
     ) -> None:
         self.without = without
-        self.arm, self.simulation, self.measured, self.validate, self.step = arm, simulation, measured, validate, step
+        self.simulation, self.measured, self.validate, self.step = simulation, measured, validate, step
         self.remarks: list[Remark] = []
 
+    @property
+    def arm(self) -> Arm:
+        """With the noise that its torques are taken to have."""
+        return self.measured[0].arm
+
     def explain(self) -> Explanation:
-        arm = self.arm
-        layout = Layout(arm)
         self.step(0.05, "the simulation's own equations")
         self._remark_runs()
+        refit = self._refit()
+        arm, layout, hypothesis = self.arm, Layout(self.arm), refit.hypothesis
         delivered = from_model(arm, self.simulation)
-        hypothesis = replace(read_hypothesis(layout, self.simulation), without=self.without)
-        refit = zeroed(begin(self.measured, hypothesis, delivered))
         deflections = tuple(deflection(arm, self.measured, i) for i, rigid in enumerate(hypothesis.rigid) if rigid)
         flexible = [d for d in deflections if d.rms_rad > _DEFLECTED * d.noise_rad]
         skewed = [d for d in flexible if d.skew_share > _SKEWED]
@@ -184,6 +195,31 @@ class _Explainer:
             self._adopt(after, values, kept) if adopted else None,
             tuple(self.remarks),
             self.validate,
+        )
+
+    def _refit(self) -> Study:
+        """The simulation's own equations, fitted. What the arm file does not say of its torques' noise, the runs do."""
+        likely, most = with_torque_noise(self.arm, self.measured)
+        self._take(likely)
+        refit = self._own_equations()
+        if likely == most or not excess(refit) or np.nanmax(refit.excess) > _NOISY:
+            return refit
+        # noise that the runs do not rule out comes before anything that is missing
+        self._take(most)
+        noisier = self._own_equations()
+        if not excess(noisier):
+            return noisier
+        self._take(likely)
+        return refit
+
+    def _own_equations(self) -> Study:
+        hypothesis = replace(read_hypothesis(Layout(self.arm), self.simulation), without=self.without)
+        return zeroed(begin(self.measured, hypothesis, from_model(self.arm, self.simulation)))
+
+    def _take(self, arm: Arm) -> None:
+        """Read the runs as those of this arm."""
+        self.measured, self.validate = (
+            tuple(replace(one, arm=arm) for one in records) for records in (self.measured, self.validate)
         )
 
     def _remark_runs(self) -> None:
@@ -264,7 +300,17 @@ class _Explainer:
         instead = tuple(found.sets[index][1:])
         component = study.layout.find(named.name).component
         return Finding(
-            named.kind.key, joint, value, sigma, named.kind.unit, evidence, instead, assumed, named.shape, component
+            named.kind.key,
+            joint,
+            value,
+            sigma,
+            named.kind.unit,
+            evidence,
+            instead,
+            assumed,
+            named.shape,
+            component,
+            named.kind,
         )
 
     def _size(self, study: Study, name: str) -> tuple[float, float]:
@@ -295,7 +341,10 @@ class _Explainer:
         return tuple(values)
 
     def _calibrated(self, records: Sequence[MeasuredRun], study: Study) -> list[MeasuredRun]:
-        """Records less what their sensors' zeros are found to be off by, where that is more than is known of them."""
+        """Records less what their sensors' zeros are found to be off by, where that is more than is known of them.
+
+        The offset of a torque is another in each run, so that it is taken from the run itself.
+        """
         layout = study.layout
         zeros = study.zeros.mean(axis=0)
         torque = layout.of_torque
@@ -305,7 +354,11 @@ class _Explainer:
         told = np.where(torque, 0.0, off)
         if told.any():
             self._remark(ZerosOff(tuple((n, float(x)) for n, x in zip(layout.zeros, told, strict=True) if x)))
-        return [corrected(record, layout, off) for record in records]
+        known = [corrected(record, layout, off) for record in records]
+        offsets = np.array([name.startswith("torque_zero") for name in layout.zeros])
+        if not offsets.any():
+            return known
+        return [corrected(one, layout, np.where(offsets, own_errors(study, one), 0.0)) for one in known]
 
     def _remark(self, one: Remark) -> None:
         """Note it, once."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import norm
 
-from zygos.effects import CATALOGUE, is_column
+from zygos.effects import Kind, is_column
 from zygos.gap.forecast import Forecast, Stretches
 
 INTERVAL = float(norm.ppf(0.975))
@@ -123,13 +123,13 @@ class Finding:
     """Of its law, where that has one."""
     component: str = ""
     """Which axis it acts along, where it has several."""
+    entry: Kind | None = None
+    """Of the catalogue; None where it is none."""
 
     @property
     def title(self) -> str:
         """The effect as a sentence names it."""
-        if self.kind in _TITLES:
-            return _TITLES[self.kind]
-        plain = CATALOGUE[self.kind].title
+        plain = self.entry.title if self.entry else _TITLES[self.kind]
         return f"the right {plain} (it assumes {self.assumed:g} Nms)" if self.assumed else plain
 
     @property

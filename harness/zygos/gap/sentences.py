@@ -195,7 +195,7 @@ def listed(findings: Sequence[Finding]) -> str:
 def _named(finding: Finding) -> str:
     at = "of the arm" if finding.joint is None else f"({finding.joint})"
     along = f" along {finding.component}" if finding.component else ""
-    kind = CATALOGUE.get(finding.kind)
+    kind = finding.entry
     form = (
         ""
         if kind is None or finding.shape is None
@@ -276,7 +276,7 @@ def _place(finding: Finding) -> str:
     if finding.joint is None:
         return "on the base"
     side = {"motor": "at the motor side", "torque": "at the motor side", "link": "at the link side"}
-    kind = CATALOGUE.get(finding.kind)
+    kind = finding.entry
     return f"{side.get(kind.place if kind else '', 'at the joint')} of the {finding.joint}"
 
 

@@ -185,6 +185,15 @@ def residuals(study: Study, run: int) -> tuple[Array, State]:
     return out, smoothed_states(record.arm, readings)
 
 
+def own_errors(study: Study, record: MeasuredRun) -> Array:
+    """(zeros,) errors of the sensors of a run that the study does not have, beside the coefficients of the study."""
+    layout, arm = study.layout, record.arm
+    every = thinning(arm)
+    rows = balance_rows(layout, record.readings(), base_values(study.model, layout), every=every)
+    sums = accumulate(rows, followed(arm, record.readings()), study.hypothesis.uncentred)
+    return np.asarray(fit(study.hypothesis, [sums], study.weight, study.value).zeros[0], dtype=np.float64)
+
+
 def read_hypothesis(layout: Layout, model: Model) -> Hypothesis:
     """The equations that a model stands for. Errors: ZygosError for a share of coupling that is neither 0 nor 1."""
     arm = layout.arm

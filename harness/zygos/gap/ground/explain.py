@@ -185,6 +185,7 @@ class _Explainer:
     def _finding(self, found: Search, index: int, sizes: _Sizes) -> Finding:
         one = found.named[index]
         value, sigma = sizes.at(one.name)
+        effect = one.candidate.effect
         return Finding(
             one.candidate.key,
             self.arm.joints[one.candidate.joint].name,
@@ -193,6 +194,8 @@ class _Explainer:
             one.candidate.unit,
             Repeated(one.z, one.explained, one.each),
             tuple(found.sets[index][1:]),
+            shape=None if effect is None else effect.shape,
+            entry=None if effect is None else effect.kind,
         )
 
     def _directions(
@@ -215,7 +218,7 @@ class _Explainer:
             key = ASYMMETRY if one.answer == "friction" else OFFSET_OF_TORQUE
             instead = (f"{ASYMMETRY}{one.joint + 1}",) if one.answer == "either" else ()
             proof = Repeated(one.z, float("nan"), one.each)
-            out.append(Finding(key, joint, one.value, one.sigma, "Nm", proof, instead))
+            out.append(Finding(key, joint, one.value, one.sigma, "Nm", proof, instead, entry=CATALOGUE.get(key)))
         return tuple(out)
 
     def _values(self, table: Table, sizes: _Sizes) -> tuple[Value, ...]:
@@ -266,7 +269,9 @@ class _Explainer:
             with_them, without = _left(gap.predictions, "closed"), _left(gap.predictions, "refit")
             if with_them > without:
                 return NotPredicted(findings, with_them, without)
-        if any(finding.instead for finding in findings):
+        # a constant torque is free in every run: what it is does not touch the other findings
+        beside = [f for f in findings if f.instead and f.kind in (ASYMMETRY, OFFSET_OF_TORQUE)]
+        if len(beside) == len(findings) or any(f.instead for f in findings if f not in beside):
             return Inseparable(findings)
         if not closes:
             return PartNamed(findings, () if gap is None else remainders(gap.predictions))
