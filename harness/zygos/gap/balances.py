@@ -38,7 +38,7 @@ from zygos.gap.record import MeasuredRun, smoothed_states
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-_SHIFT = 1e-4
+_SHIFT = 1e-6
 """Error of a sensor with which the columns of such errors are computed: rad, rad/s, Nm."""
 _ACTING = ("motor", "link", "spring", "torque")
 """Places of effects that act at a joint."""
@@ -363,27 +363,28 @@ def zero_columns(layout: Layout, readings: Readings, values: Array, every: int =
     names = layout.arm.parameter_names
     known = [value[[names.index(layout.columns[c]) for c in used if c < len(names)]] for used in layout.used]
 
-    def left_over(seen: Readings) -> list[Array]:
-        moving = _Moving.of(layout.arm, seen, every)
+    def left_over(moving: _Moving) -> list[Array]:
         rows = zip(_bodies(layout, moving), known, _right(layout, moving), strict=True)
         return [own @ x - right for own, x, right in rows]
 
     still = _Moving.of(layout.arm, readings, every)
+    without = left_over(still)
+
+    def lost(wrong: Readings) -> list[Array]:
+        # what errors of this size do in the second order is 1e-5 of it at the most
+        with_it = left_over(_Moving.of(layout.arm, wrong, every))
+        return [(a - b) / _SHIFT for a, b in zip(without, with_it, strict=True)]
 
     def taken(error: SensorError) -> list[Array]:
         if error.signals == ("tau",):
             # the right sides are linear in the torques, and nothing else depends on them
             wrong = _Moving.of(layout.arm, error.added(readings, 1.0), every, still.state)
             return [b - a for a, b in zip(_right(layout, still), _right(layout, wrong), strict=True)]
-        ahead, behind = (left_over(error.added(readings, size)) for size in (_SHIFT, -_SHIFT))
-        return [(b - a) / (2.0 * _SHIFT) for a, b in zip(ahead, behind, strict=True)]
+        return lost(error.added(readings, _SHIFT))
 
     def misread(one: Acting) -> list[Array]:
         number = one.kind.components(layout.arm).index(one.component)
-        ahead, behind = (
-            left_over(one.kind.transform(layout.arm, readings, one.joint, size, number)) for size in (_SHIFT, -_SHIFT)
-        )
-        return [(b - a) / (2.0 * _SHIFT) for a, b in zip(ahead, behind, strict=True)]
+        return lost(one.kind.transform(layout.arm, readings, one.joint, _SHIFT, number))
 
     each = [misread(one) for one in layout.sensors] + [taken(error) for error in layout.errors.values()]
     return tuple(np.stack(columns, axis=-1) for columns in zip(*each, strict=True))

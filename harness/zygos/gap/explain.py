@@ -519,12 +519,12 @@ class _Explainer:
         if change is None:
             return None, found, None
         try:
-            change, now, was = settled(study, change)
+            apart = settled(study, change, SMALL)
         except (Undecided, ZygosError):
             return None, found, None
-        if np.nanmax(now.excess) > SMALL:
-            # what is left over after it is no matter of time
+        if apart is None:
             return None, found, None
+        change, now, was = apart
         names = tuple(record.path.name for record in study.records)
         taken = self._payload(change, now, was) if change.what == BODIES and was is not None else ()
         return Changed(change, names, taken), replace(found, after=now, named=(), sets=()), was
