@@ -273,6 +273,9 @@ class _Explainer:
         all runs; what is less is an error of the sensor that each run has for itself, and a remark where it is more
         than expected."""
         found: dict[str, Acting] = {}
+        if excess(after):
+            # a gain takes up whatever is not explained
+            return basis
         drawn = after.of_twin(after.hypothesis).zeros.std(axis=0, ddof=1)
         for k, name in enumerate(after.layout.zeros):
             if not after.layout.errors[name].gain:
@@ -291,8 +294,12 @@ class _Explainer:
         hypothesis, layout = basis.hypothesis, basis.layout
         wider = replace(layout, own=(*layout.own, *found.values()))
         self.gains = tuple(found)
-        effects = (*hypothesis.effects, *found)
-        return begin(self.measured, replace(hypothesis, layout=wider, effects=effects), basis.dynamics())
+        wanted = replace(hypothesis, layout=wider, effects=(*hypothesis.effects, *found))
+        try:
+            return begin(self.measured, wanted, basis.dynamics())
+        except Undecided:
+            self.gains = ()
+            return basis
 
     def _gain(self, found: Search, name: str) -> Finding:
         study = found.after
