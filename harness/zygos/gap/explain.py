@@ -529,9 +529,11 @@ class _Explainer:
         if change is None:
             return None, found, None
         begun = [study.layout.find(name) for name in change.names if name in listed]
-        kept = replace(layout, own=(*layout.own, *begun))
+        # errors of sensors that were found without the change stood for it
+        kept = replace(layout, own=(*layout.own, *begun), loose=())
+        plain = replace(study, records=self.measured, hypothesis=replace(study.hypothesis, layout=kept))
         try:
-            apart = settled(replace(study, hypothesis=replace(study.hypothesis, layout=kept)), change, SMALL)
+            apart = settled(plain, change, SMALL)
         except (Undecided, ZygosError):
             return None, found, None
         if apart is None:
