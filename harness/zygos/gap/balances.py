@@ -48,7 +48,7 @@ _MANY = 6
 """Shapes of a law from which on a search begins with a part of them."""
 _LOOSE = 0.1
 """Deviation of an error of a sensor of which nothing is known, rad or rad/s."""
-_GAIN = 0.02
+GAIN = 0.02
 """Deviation of the gain of such a sensor against that of the first one."""
 
 
@@ -222,6 +222,8 @@ class Layout:
         """The errors of sensors that each run has for itself, by column."""
         arm = self.arm
         unit = np.eye(arm.n)
+        # a gain that is an effect is the same in all runs
+        gained = {one.joint for one in self.own if one.kind.gain}
         out: dict[str, SensorError] = {}
         for i, one in enumerate(arm.joints):
             link, motor = (max(e.zero_sigma_rad, e.quantum_rad) for e in (one.link_encoder, one.motor_encoder))
@@ -239,9 +241,9 @@ class Layout:
         for i, one in enumerate(arm.joints):
             if one.torque_sigma > 0.0:
                 out[f"torque_zero{i + 1}"] = SensorError(_OFFSET, ("tau",), unit[i])
-                if i > 0:
+                if i > 0 and i not in gained:
                     # all gains, masses and frictions can grow together: one gain is taken as known
-                    out[f"torque_scale{i + 1}"] = SensorError(_GAIN, ("tau",), unit[i], gain=True)
+                    out[f"torque_scale{i + 1}"] = SensorError(GAIN, ("tau",), unit[i], gain=True)
         return out
 
     @cached_property

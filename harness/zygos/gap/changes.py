@@ -113,7 +113,8 @@ class _Arc:
     end_s: float
     gram: Array
     """(c + 1, c + 1) of all coefficients, candidates and the right side, weighted."""
-    count: int
+    expected: float
+    """What noise adds to the sum of squares of the right side."""
 
 
 def find_change(study: Study, candidates: Sequence[str]) -> Change | None:
@@ -132,7 +133,7 @@ def find_change(study: Study, candidates: Sequence[str]) -> Change | None:
     naive = np.sqrt(np.diag(np.linalg.pinv(_block(total, shared), hermitian=True)))
     # neighbouring rows share their noise; the twin's draws say by how much that widens the deviations
     widened = float(np.median(study.spread / np.maximum(naive, 1e-300)))
-    floor = float(sum(arc.count for arc in arcs))
+    floor = float(sum(arc.expected for arc in arcs))
     excess = left - floor
     inertial = [k for k, name in enumerate(names) if name in _inertial(study)]
     groups = [(name, [k]) for k, name in enumerate(names)] + [(BODIES, inertial)]
@@ -195,7 +196,7 @@ def _arcs(study: Study, run: int, names: Sequence[str]) -> Iterator[_Arc]:
     expected = study.sums[run].noise
     used = study.hypothesis.balances
     grams = [np.zeros((len(names) + 1, len(names) + 1)) for _ in record.starts]
-    counts = [0] * len(grams)
+    expects = [0.0] * len(grams)
     for k in used:
         own, columns = rows.balances[k], layout.used[k]
         kept = kept_rows(own, accepted)
@@ -204,6 +205,7 @@ def _arcs(study: Study, run: int, names: Sequence[str]) -> Iterator[_Arc]:
         z = np.concatenate(
             [z @ mix[places][:, :-1], (z @ mix[places][:, -1] - own.left @ fixed[columns])[..., None]], axis=-1
         )
+        scale = float(study.weight[k] ** 2 * np.mean(study.noise[:, k] ** 2))
         noise = np.zeros_like(grams[0]) if expected is None else mix[places].T @ expected[k] @ mix[places]
         for a, good in enumerate(kept):
             part = z[a][good]
@@ -215,10 +217,10 @@ def _arcs(study: Study, run: int, names: Sequence[str]) -> Iterator[_Arc]:
             # what noise leaves over is looked at all the same
             clean[-1, -1] = 0.0
             grams[a] += scaled - clean
-            counts[a] += int(good.sum())
+            expects[a] += float(good.sum()) * scale
     for a, start in enumerate(record.starts):
         first = float((record.samples.sync[start] - record.samples.sync[0]) * arm.period_s)
-        yield _Arc(run, a, first, first + record.cycles * arm.period_s, grams[a], counts[a])
+        yield _Arc(run, a, first, first + record.cycles * arm.period_s, grams[a], expects[a])
 
 
 def _stepped(total: Array, after: Array, columns: Sequence[int]) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,8 @@ INTERVAL = float(norm.ppf(0.975))
 """Standard deviations of a 95 % interval."""
 DIFFERS = 3.0
 """Standard deviations by which a value differs from the simulation's."""
+DISAGREE = 4.5
+"""Standard deviations by which the runs may not disagree on a value."""
 MATERIAL = 0.005
 """Share below which a difference of values does not matter."""
 FLEXIBILITY = "joint_flexibility"
@@ -138,6 +141,11 @@ class Finding:
         return self.value - INTERVAL * self.sigma, self.value + INTERVAL * self.sigma
 
 
+def undecided(findings: Sequence[Finding]) -> bool:
+    """Whether some of the findings cannot be told from other effects."""
+    return any(finding.instead for finding in findings)
+
+
 @dataclass(frozen=True)
 class Gap:
     """Predictions of the untouched run; all in units of the sensors' declared noise."""
@@ -154,3 +162,5 @@ class Gap:
     wrong_name: str
     reach: tuple[Forecast, ...] = ()
     """Predictions of the floor's twin by models whose values err as much as noise makes a fit of these runs err."""
+    runs: tuple[str, ...] = ()
+    """Names of the untouched runs."""

@@ -28,20 +28,34 @@ _TELLS = 0.2
 
 
 def closes(gap: Gap) -> bool:
-    """Whether the closed model predicts the untouched run as well as noise allows, in the middle and at the end.
+    """Whether the closed model predicts each untouched run as well as noise allows, in the middle and at the end.
 
     Noise acts twice: on the readings of the untouched run, and on the values that were learned from the others.
     """
-    allowed = (gap.floor, *gap.reach)
+    return not unclosed(gap)
+
+
+def unclosed(gap: Gap) -> tuple[int, ...]:
+    """The untouched runs, from 0, that the closed model does not predict as well as noise allows."""
+    return tuple(k for k in sorted({*gap.closed.run.tolist()}) if not _closes(gap, k))
+
+
+def _closes(gap: Gap, run: int) -> bool:
+    found, allowed = gap.closed.of_run(run), [one.of_run(run) for one in (gap.floor, *gap.reach)]
     median, tenth = max(one.median for one in allowed), max(one.tenth for one in allowed)
-    return bool(gap.closed.median <= CLOSED * median and gap.closed.tenth <= CLOSED * tenth)
+    return bool(found.median <= CLOSED * median and found.tenth <= CLOSED * tenth)
 
 
 def remainders(arm: Arm, study: Study, gap: Gap | None) -> tuple[Remainder, ...]:
     """What is left over on the untouched run, then of the balances that do not close, worst first."""
     out = []
     if gap is not None:
-        out.append(Remainder("the untouched run", gap.closed.median, "sigma", gap.floor.median, "", 0.0))
+        runs = sorted({*gap.closed.run.tolist()})
+        # where all of them close, or there is one, its error is said; else that of those that do not close
+        for run in unclosed(gap) or runs[:1]:
+            named = f"the untouched run {gap.runs[run]}" if len(runs) > 1 else "the untouched run"
+            found, floor = gap.closed.of_run(run), gap.floor.of_run(run)
+            out.append(Remainder(named, found.median, "sigma", floor.median, "", 0.0))
     over = study.excess**2 - 1.0
     fails = np.isfinite(over) & (over > np.maximum(EXCESS, CERTAIN * study.wobble))
     worst = np.where(fails, study.excess, 0.0).max(axis=0)

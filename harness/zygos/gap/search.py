@@ -39,6 +39,8 @@ PROMISING = 0.8
 PARTLY = 0.6
 MOST = 4
 """Effects that are looked for."""
+_POLISHES_ALWAYS, _POLISHES = 2, 5
+"""Grids of shapes that are tried one after the other: in any case, and at most."""
 
 
 @dataclass(frozen=True)
@@ -107,6 +109,12 @@ def excess(study: Study) -> bool:
     return bool(np.any(over > np.maximum(EXCESS, CERTAIN * study.wobble)))
 
 
+def noisy(study: Study) -> bool:
+    """Whether noise of the torques, which adds up along an arc, hides in each balance what candidates can show: then
+    their scores say whether there is something to explain."""
+    return bool(study.layout.of_torque.any() and np.nanmax(CERTAIN * study.wobble) > EXCESS)
+
+
 def completeness(before: Study, rms: Array) -> tuple[float, ...]:
     """Share of each run's excess over a study's twin that is gone when its balances leave rms (runs, balances); 1 where
     there was none. What the twin itself varies by is no excess."""
@@ -145,7 +153,7 @@ def search(study: Study, step: Callable[[str], None] = lambda _: None) -> Search
                 named += pair
                 share = completeness(before, now.excess * before.noise)
                 continue
-        over = (bool(named) and not done) or excess(now)
+        over = (bool(named) and not done) or excess(now) or noisy(now)
         if best is None or not over or len(named) >= MOST:
             break
         try:
@@ -165,13 +173,35 @@ def search(study: Study, step: Callable[[str], None] = lambda _: None) -> Search
 
 
 def polished(found: Search) -> Search:
-    """The search with the shapes of the named laws between those of the catalogue's grid: the vertex of a parabola
-    through what is left over, twice."""
-    for _ in range(2):
+    """The search with the shapes of the named laws between those of the catalogue's grid: the best of finer and finer
+    grids, twice, and up to five times while a balance still leaves something over."""
+    for number in range(_POLISHES):
+        if number >= _POLISHES_ALWAYS and not excess(found.after):
+            break
         # an order is a whole number
         shaped = [one for one in found.named if one.shape is not None and any(x % 1.0 for x in one.kind.shapes)]
         for one in shaped:
             found = _reshaped(found, one)
+    return _needed(found)
+
+
+def _needed(found: Search) -> Search:
+    """The search without what stood in for a part of a law whose shape was not yet right."""
+    for one in reversed(found.named):
+        rest = tuple(name for name in found.after.hypothesis.effects if name != one.name)
+        hypothesis = replace(found.after.hypothesis, effects=rest)
+        if len(found.named) < 2 or min(completeness(found.before, found.after.of(hypothesis).rms)) < COMPLETE:
+            continue
+        try:
+            now = again(found.after, hypothesis)
+        except Undecided:
+            continue
+        if excess(now):
+            continue
+        kept = [k for k, other in enumerate(found.named) if other is not one]
+        share = completeness(found.before, now.excess * found.before.noise)
+        named, sets = (tuple(each[k] for k in kept) for each in (found.named, found.sets))
+        found = replace(found, after=now, named=named, sets=sets, completeness=share)
     return found
 
 
@@ -340,9 +370,11 @@ def _total(rms: Array, noise: Array) -> float:
 
 
 def _limit(now: Study, name: str, null: list[Array], level: float) -> float:
-    """The size at which a candidate passes on these runs nineteen times in twenty: it must stand out of its twin, and
-    leave an excess behind that the other coefficients do not absorb."""
+    """The size at which a candidate passes on these runs nineteen times in twenty: it must stand out of its twin and,
+    where noise does not hide it, leave an excess behind that the other coefficients do not absorb."""
     stand_out = (level + 1.645) * max(float(draw.std(ddof=1)) for draw in null)
+    if noisy(now):
+        return stand_out
     unit = fit(now.hypothesis, now.sums, now.weight, target=name).rms / now.noise
     return max(stand_out, float(np.sqrt(EXCESS) / np.min(np.nanmax(unit, axis=1))))
 

@@ -22,6 +22,7 @@ from zygos.gap.verdicts import (
     DeclaredTooNoisy,
     Disagreements,
     DrawingPredictsBetter,
+    GainOff,
     Impossible,
     Inseparable,
     Lacking,
@@ -41,6 +42,7 @@ from zygos.gap.verdicts import (
     Unexplained,
     ValuesDiffer,
     Verdict,
+    WrongGravity,
     ZerosOff,
     partly,
 )
@@ -62,7 +64,7 @@ _AGAINST: dict[Against, str] = {
 # verdict
 
 
-def verdict(arm: Arm, found: Verdict) -> str:  # noqa: PLR0911  (one sentence a verdict)
+def verdict(arm: Arm, found: Verdict) -> str:  # noqa: PLR0911, PLR0912  (one sentence a verdict)
     """What a verdict says."""
     match found:
         case NothingMissing():
@@ -90,6 +92,11 @@ def verdict(arm: Arm, found: Verdict) -> str:  # noqa: PLR0911  (one sentence a 
             return (
                 f"Timing first: the torques act {found.periods:.2f} SYNC periods later than torque_law of the arm file "
                 "says; no effect is named until it is right."
+            )
+        case WrongGravity():
+            return (
+                f"The arm file first: gravity is {vector(found.found)} m/s^2, and the arm file says "
+                f"{vector(found.stated)}; no effect is named until it is right."
             )
         case DeclaredTooNoisy():
             return (
@@ -132,6 +139,10 @@ def _changed(arm: Arm, found: Changed) -> str:
         if change.between
         else f"in {now}, between {change.before_s:.0f} and {change.after_s:.0f} s"
     )
+    if change.what == BODIES and found.payload:
+        body = arm.joints[-1].name
+        elements = ", ".join(f"{one.name} {sized(one.value, one.sigma, one.unit)}" for one in found.payload)
+        return f"The body behind the {body} took on or lost a payload {when}: {elements}."
     if change.what == BODIES:
         each = zip(change.names, change.old, change.new, change.sigma, strict=True)
         parts = [
@@ -284,6 +295,11 @@ def _parted(bent: Deflection) -> str:
     return _times(bent.rms_rad / bent.noise_rad)
 
 
+def vector(components: Sequence[float]) -> str:
+    """Components as an arm file has them."""
+    return f"[{', '.join(f'{x:.3g}' for x in np.round(components, 2))}]"
+
+
 def _times(ratio: float) -> str:
     return f"{ratio:,.0f} times" if ratio >= 10.0 else f"{ratio:.1f} times"
 
@@ -324,6 +340,11 @@ def remark(found: Remark) -> str:  # noqa: PLR0911  (one sentence a remark)
         case ZerosOff():
             zeros = ", ".join(_zero(column, by) for column, by in found.zeros)
             return f"zeros of the sensors are off: {zeros}; predictions are made with that taken off"
+        case GainOff():
+            return (
+                f"the torque of the {found.joint} reads {100.0 * found.share:+.2g} % against that of the "
+                f"{found.first}: its gain, or a gear ratio, is off"
+            )
         case NoUntouchedRun():
             return "no run was kept apart (--validate): the gap is not known"
         case NearestArm():
@@ -339,8 +360,8 @@ def remark(found: Remark) -> str:  # noqa: PLR0911  (one sentence a remark)
             )
         case AboveFloor():
             return (
-                f"predictions err by {found.ratio:.2g} times the floor: the values are not known as well as these "
-                "sensors would show, or the arm is another in the untouched run"
+                f"predictions of {found.run} err by {found.ratio:.2g} times the floor: the values are not known as "
+                "well as these sensors would show, or the arm is another in this run"
             )
         case Disagreements():
             return f"the two runs disagree on {_disagreements(found.parameters)}"
@@ -366,11 +387,14 @@ def remedy(
     """What to do where nothing is adopted. experiments: best first; nearest: the candidate that leaves least over."""
     if experiments:
         best = experiments[0]
-        return f"{motion(best)} would tell them apart" if best.tells else "no variant of these motions tells them apart"
+        variant = (
+            f"{motion(best)} would tell them apart" if best.tells else "no variant of these motions tells them apart"
+        )
+        return f"{variant}; --next-motion plans one"
     if partial := partly(found):
         return f"part of it looks like {listed(partial)}"
     match found:
-        case SkewedEncoders() | LateTorques() | DeclaredTooNoisy():
+        case SkewedEncoders() | LateTorques() | WrongGravity() | DeclaredTooNoisy():
             return "correct the arm file; `zygos check-arm` on one of the runs examines its signals"
         case RunsDisagree():
             return "give two runs of the same arm; `zygos estimate` gives the values for each run"

@@ -81,13 +81,23 @@ class Study:
 
     @property
     def weight(self) -> Array:
-        """(balances,) 1/noise; 0 for a balance that is not used."""
-        return _weight(self.noise)
+        """(balances,) 1/noise, less where the rows of a balance share their noise; 0 for one that is not used."""
+        return _weight(self.noise, self.wobble, np.array([one.count for one in self.sums]))
+
+    @property
+    def independent(self) -> Array:
+        """(runs, balances) rows that would be as many, did they not share their noise."""
+        return _independent(self.wobble, np.array([one.count for one in self.sums]))
 
     @property
     def value(self) -> Array:
         """(coefficients,) without the bias that noise in the columns causes."""
         return np.asarray(self.fit.value - self.bias, dtype=np.float64)
+
+    @property
+    def made(self) -> Array:
+        """(coefficients,) what the twins were made with."""
+        return np.asarray(self.of_twin(self.hypothesis).value.mean(axis=0) - self.bias, dtype=np.float64)
 
     @property
     def zeros(self) -> Array:
@@ -337,8 +347,7 @@ def _paid(study: Study, found: Fit) -> float:
     """What a fit leaves over, and what it pays for errors of sensors."""
     known = ~study.layout.of_torque
     pulls = (study.applied + found.zeros)[:, known] / study.layout.zero_sigma[known]
-    counts = np.array([one.count for one in study.sums])
-    return float(np.nansum(counts * ((found.rms / study.noise) ** 2 - 1.0)) + np.sum(pulls**2))
+    return float(np.nansum(study.independent * ((found.rms / study.noise) ** 2 - 1.0)) + np.sum(pulls**2))
 
 
 def _off(study: Study) -> NDArray[np.bool_]:
@@ -381,9 +390,17 @@ def _mean(x: Array) -> Array:
     return np.asarray(total / np.maximum(known.sum(axis=-1, keepdims=True), 1), dtype=np.float64)
 
 
-def _weight(noise: Array) -> Array:
+def _weight(noise: Array, wobble: Array, count: Array) -> Array:
+    """Torques' noise adds up along an arc, that of the gyro does not: a balance counts as many rows as are independent,
+    or it would outweigh others, and what the arm file knows of the sensors."""
     square = (noise**2).mean(axis=0)
-    return np.where(np.isfinite(square), 1.0 / np.sqrt(square), 0.0)
+    share = (_independent(wobble, count) / np.maximum(count, 1.0)).mean(axis=0)
+    return np.where(np.isfinite(square), np.sqrt(share / square), 0.0)
+
+
+def _independent(wobble: Array, count: Array) -> Array:
+    """Rows whose mean square would vary as much, all of them independent."""
+    return np.asarray(np.minimum(2.0 / np.maximum(wobble, 1e-6) ** 2, count), dtype=np.float64)
 
 
 def _study(
@@ -436,7 +453,8 @@ def _fitted(
     for _ in range(3):
         guess = fit(hypothesis, drawn, weight)
         noise = np.sqrt(np.mean(guess.rms**2, axis=0))
-        weight = _weight(noise)
+        wobble = (guess.rms**2).std(axis=0, ddof=1) / noise**2
+        weight = _weight(noise, wobble, np.array([one.count for one in sums]))
     return Study(
         records,
         accepted,
@@ -446,7 +464,7 @@ def _fitted(
         twins,
         drawn,
         noise,
-        (guess.rms**2).std(axis=0, ddof=1) / noise**2,
+        wobble,
         fit(hypothesis, sums, weight),
         guess.value.mean(axis=0) - made,
         guess.value.std(axis=0, ddof=1),
