@@ -219,8 +219,9 @@ def _reshaped(found: Search, one: Candidate) -> Search:
     others = tuple(name for name in after.hypothesis.effects if name != one.name)
     # what was named, and what cannot be told from it, is all that is still asked for
     kept = {*after.hypothesis.effects, *(name for names in found.sets for name in names)}
-    own_ones = tuple(x for x in layout.effects if x.name in kept)
-    study = laid_out(after, replace(layout, wide=False, shapes=shapes, own=own_ones))
+    told = tuple(x for x in layout.effects if x.name in kept)
+    finer = tuple(layout.find(one.name)._replace(shape=x) for x in fine)
+    study = laid_out(after, replace(layout, wide=False, shapes=shapes, own=(*told, *finer)))
     best: tuple[float, str] | None = None
     for shape in fine:
         name = f"{plain}@{shape:.6g}"

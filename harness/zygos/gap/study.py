@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos.balances.readings import Readings
 from zygos.balances.state import State
 from zygos.dynamics.equations import from_parameters, parameters
 from zygos.dynamics.joints import Drives
@@ -296,6 +297,25 @@ def laid_out(study: Study, layout: Layout) -> Study:
     return _fitted(
         study.records, study.accepted, hypothesis, study.model, study.twins, study.sensors, DRAWS, study.applied
     )
+
+
+def part_of(study: Study, arcs: Sequence[slice], hypothesis: Hypothesis) -> Study:
+    """Some arcs of each run under another hypothesis, beside the twins that the study has, with a few draws.
+
+    Errors: Undecided where they do not tell the parameters apart.
+    """
+    kept = [k for k, own in enumerate(arcs) if len(study.records[k].starts[own])]
+    records, twins = [], []
+    for k in kept:
+        record, exact = study.records[k], study.twins[k].exact
+        own = arcs[k]
+        records.append(replace(record, starts=record.starts[own]))
+        time, turned = (x if x is None else x[own] for x in (exact.time, exact.turned))
+        read = Readings(exact.q[own], exact.theta[own], exact.omega0[own], exact.tau[own], time, turned)
+        twins.append(replace(study.twins[k], exact=read))
+    accepted = tuple(study.accepted[k][arcs[k]] for k in kept)
+    applied = study.applied[kept]
+    return _fitted(tuple(records), accepted, hypothesis, study.model, tuple(twins), study.sensors, _FEW, applied)
 
 
 def zeroed(study: Study) -> Study:
