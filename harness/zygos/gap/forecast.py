@@ -8,7 +8,7 @@ a start from smoothed states alone would add their noise, and a fit over the sco
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -91,8 +91,8 @@ class Stretches:
 
     def thinned(self, every: int) -> Stretches:
         """Every so many of them."""
-        arrays = (self.readings, self.tau, self.before, self.guess, self.time_s, self.turned)
-        return Stretches(self.arm, *(x[::every] for x in arrays), self.runs, self.begin[::every])
+        names = ("readings", "tau", "before", "guess", "time_s", "turned", "begin")
+        return replace(self, **{name: getattr(self, name)[::every] for name in names})
 
     @property
     def sigma(self) -> Array:
