@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,8 @@ INTERVAL = float(norm.ppf(0.975))
 """Standard deviations of a 95 % interval."""
 DIFFERS = 3.0
 """Standard deviations by which a value differs from the simulation's."""
+DISAGREE = 4.5
+"""Standard deviations by which the runs may not disagree on a value."""
 MATERIAL = 0.005
 """Share below which a difference of values does not matter."""
 FLEXIBILITY = "joint_flexibility"
@@ -136,6 +139,11 @@ class Finding:
     def interval(self) -> tuple[float, float]:
         """95 %."""
         return self.value - INTERVAL * self.sigma, self.value + INTERVAL * self.sigma
+
+
+def undecided(findings: Sequence[Finding]) -> bool:
+    """Whether some of the findings cannot be told from other effects."""
+    return any(finding.instead for finding in findings)
 
 
 @dataclass(frozen=True)

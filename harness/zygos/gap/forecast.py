@@ -77,6 +77,25 @@ class Stretches:
             np.concatenate([one.begin + np.array([k, 0, 0]) for k, one in enumerate(parts)]),
         )
 
+    @property
+    def run(self) -> NDArray[np.int64]:
+        """(S,) number of each one's run, from 0."""
+        return self.begin[:, 0]
+
+    def thinned(self, every: int) -> Stretches:
+        """Every so many of them."""
+        own = slice(None, None, every)
+        return replace(
+            self,
+            readings=self.readings[own],
+            tau=self.tau[own],
+            before=self.before[own],
+            guess=self.guess[own],
+            time_s=self.time_s[own],
+            turned=self.turned[own],
+            begin=self.begin[own],
+        )
+
     def memory(self, dynamics: Drives) -> NDArray[np.complex128] | None:
         """(S, ·) internal states of a model's laws at the first samples; None where it has none."""
         each = [memory for run in self.runs if (memory := memory_along(dynamics, self.arm, run)) is not None]
@@ -88,11 +107,6 @@ class Stretches:
     def run(self) -> NDArray[np.int64]:
         """(S,) number of its run, from 0."""
         return self.begin[:, 0]
-
-    def thinned(self, every: int) -> Stretches:
-        """Every so many of them."""
-        names = ("readings", "tau", "before", "guess", "time_s", "turned", "begin")
-        return replace(self, **{name: getattr(self, name)[::every] for name in names})
 
     @property
     def sigma(self) -> Array:

@@ -22,6 +22,7 @@ from zygos.gap.verdicts import (
     DeclaredTooNoisy,
     Disagreements,
     DrawingPredictsBetter,
+    GainOff,
     Impossible,
     Inseparable,
     Lacking,
@@ -138,6 +139,10 @@ def _changed(arm: Arm, found: Changed) -> str:
         if change.between
         else f"in {now}, between {change.before_s:.0f} and {change.after_s:.0f} s"
     )
+    if change.what == BODIES and found.payload:
+        body = arm.joints[-1].name
+        elements = ", ".join(f"{one.name} {sized(one.value, one.sigma, one.unit)}" for one in found.payload)
+        return f"The body behind the {body} took on or lost a payload {when}: {elements}."
     if change.what == BODIES:
         each = zip(change.names, change.old, change.new, change.sigma, strict=True)
         parts = [
@@ -335,6 +340,11 @@ def remark(found: Remark) -> str:  # noqa: PLR0911  (one sentence a remark)
         case ZerosOff():
             zeros = ", ".join(_zero(column, by) for column, by in found.zeros)
             return f"zeros of the sensors are off: {zeros}; predictions are made with that taken off"
+        case GainOff():
+            return (
+                f"the torque of the {found.joint} reads {100.0 * found.share:+.2g} % against that of the "
+                f"{found.first}: its gain, or a gear ratio, is off"
+            )
         case NoUntouchedRun():
             return "no run was kept apart (--validate): the gap is not known"
         case NearestArm():
@@ -377,7 +387,10 @@ def remedy(
     """What to do where nothing is adopted. experiments: best first; nearest: the candidate that leaves least over."""
     if experiments:
         best = experiments[0]
-        return f"{motion(best)} would tell them apart" if best.tells else "no variant of these motions tells them apart"
+        variant = (
+            f"{motion(best)} would tell them apart" if best.tells else "no variant of these motions tells them apart"
+        )
+        return f"{variant}; --next-motion plans one"
     if partial := partly(found):
         return f"part of it looks like {listed(partial)}"
     match found:

@@ -94,6 +94,11 @@ class Study:
         return np.asarray(self.fit.value - self.bias, dtype=np.float64)
 
     @property
+    def made(self) -> Array:
+        """(coefficients,) what the twins were made with."""
+        return np.asarray(self.of_twin(self.hypothesis).value.mean(axis=0) - self.bias, dtype=np.float64)
+
+    @property
     def zeros(self) -> Array:
         """(runs, zeros) errors of the sensors: those that were taken off the records, and what is found beside them."""
         return np.asarray(self.applied + self.fit.zeros, dtype=np.float64)

@@ -7,6 +7,7 @@ from typing import ClassVar, Literal
 
 from zygos.gap.changes import Change
 from zygos.gap.findings import Disagreement, Finding, Value
+from zygos.gap.payload import PayloadValue
 
 Answer = Literal["nothing missing", "values differ", "named", "part named", "changed", "cannot tell", "unknown"]
 
@@ -123,6 +124,8 @@ class Changed:
     change: Change
     runs: tuple[str, ...]
     """Names of the runs."""
+    payload: tuple[PayloadValue, ...] = ()
+    """The change of bodies as a payload of the last one; empty where it is none, or not identified."""
 
 
 @dataclass(frozen=True)
@@ -205,6 +208,16 @@ class ZerosOff:
 
 
 @dataclass(frozen=True)
+class GainOff:
+    """The gain of a torque sensor against that of the first joint is off by more than such sensors are."""
+
+    joint: str
+    first: str
+    share: float
+    """By which the torque that is read is too large."""
+
+
+@dataclass(frozen=True)
 class NoUntouchedRun:
     """No run was kept apart."""
 
@@ -256,6 +269,7 @@ Remark = (
     | BrokenRun
     | DrawingPredictsBetter
     | ZerosOff
+    | GainOff
     | NoUntouchedRun
     | NearestArm
     | Impossible

@@ -143,6 +143,7 @@ class _Explainer:
         known = not isinstance(verdict, Unexplained | NotPredicted | LateTorques | WrongGravity)
         adopted = known and not isinstance(verdict, Inseparable)
         self.step(0.95, "verdict")
+        likely = self._adopt(table, found, findings, values_found, verdict) if known else None
         return GroundExplanation(
             self.arm,
             self.simulation,
@@ -154,10 +155,9 @@ class _Explainer:
             self._joints(table, found),
             gap,
             span,
-            None
-            if not adopted or verdict.answer == "cannot tell"
-            else self._adopt(table, found, findings, values_found, verdict),
+            likely if adopted else None,
             tuple(self.notes),
+            likely,
         )
 
     def _in_nm(self, motions: Sequence[Motion], span: float) -> list[Motion]:

@@ -9,6 +9,7 @@ from zygos.arm import Arm
 from zygos.effects import is_column, spoken
 from zygos.gap import sentences
 from zygos.gap.findings import ASYMMETRY, ROTOR_INERTIA, Deflection, Finding
+from zygos.gap.ground.candidates import OFFSET_OF_TORQUE
 from zygos.gap.ground.search import Against, Search, Tried
 from zygos.gap.verdicts import (
     Inseparable,
@@ -148,7 +149,9 @@ def remedy(arm: Arm, found: Verdict, search: Search) -> str:
         case WrongGravity():
             return f"write gravity = {sentences.vector(found.found)} in the arm file"
         case Inseparable():
-            return "record a run in which these joints also rest in several postures, or plan another motion"
+            if any(f.instead and f.kind == OFFSET_OF_TORQUE for f in found.findings):
+                return "record a run in which these joints also rest in several postures; --next-motion plans it"
+            return "record a run with another motion; --next-motion plans it"
     if not search.rounds or not search.rounds[-1]:
         return ""
     near = max(search.rounds[-1], key=lambda one: one.gain)
