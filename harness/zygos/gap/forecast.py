@@ -104,11 +104,6 @@ class Stretches:
         return np.stack([each[run][arc, cycle] for run, arc, cycle in self.begin.tolist()])
 
     @property
-    def run(self) -> NDArray[np.int64]:
-        """(S,) number of its run, from 0."""
-        return self.begin[:, 0]
-
-    @property
     def sigma(self) -> Array:
         """(2N+W,) declared deviations of one reading of q, theta, omega0 that came over the wire."""
         arm = self.arm.over_the_wire
