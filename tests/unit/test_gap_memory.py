@@ -18,15 +18,17 @@ from oracles.hidden import BoucWen, Sliders, motor_eccentricity
 from oracles.tree import Swinging
 from zygos.can.run import Run
 from zygos.dynamics.equations import from_model
-from zygos.effects import CATALOGUE, Memory, Motion
+from zygos.effects import CATALOGUE, Kind, Memory, Motion
 from zygos.effects.memory import at_rest
 from zygos.errors import ZygosError
 from zygos.gap.balances import Acting, Layout
+from zygos.gap.findings import Finding, Significance
 from zygos.gap.fit import Hypothesis
 from zygos.gap.null import FLOOR, null_sigmas
 from zygos.gap.record import MeasuredRun
 from zygos.gap.runs import record_of
 from zygos.gap.search import completeness
+from zygos.gap.sentences import listed
 from zygos.gap.study import Study, again, begin, read_hypothesis
 
 SECONDS = 16.0
@@ -144,3 +146,9 @@ def test_a_memory_at_a_site_without_one_is_refused() -> None:
     memory = Memory(lambda motion, _: (motion.rate[..., None], 0.0 * motion.rate[..., None]))
     with pytest.raises(ZygosError, match="a law at the site torque has no memory; remedy"):
         replace(CATALOGUE["torque_gain"], memory=memory)
+
+
+def test_a_finding_with_a_law_of_ones_own_is_spoken_of_anywhere() -> None:
+    own = Kind("motor_drag", "quadratic drag", "Nms^2/rad^2", "motor", lambda motion, _: motion.rate * abs(motion.rate))
+    found = Finding(own.key, "elbow", 0.3, 0.01, own.unit, Significance(9.0, 1.0), entry=own)
+    assert listed([found]) == "quadratic drag (elbow), 0.300 ± 0.020 Nms^2/rad^2"
