@@ -220,6 +220,7 @@ def _reshaped(found: Search, one: Candidate) -> Search:
     # what was named, and what cannot be told from it, is all that is still asked for
     kept = {*after.hypothesis.effects, *(name for names in found.sets for name in names)}
     own_ones = tuple(x for x in layout.effects if x.name in kept)
+    own_ones = (*own_ones, *(layout.find(one.name)._replace(shape=x) for x in fine))
     study = laid_out(after, replace(layout, wide=False, shapes=shapes, own=own_ones))
     best: tuple[float, str] | None = None
     for shape in fine:
