@@ -168,5 +168,6 @@ def test_the_shape_of_a_law_is_found_between_those_of_the_search() -> None:
     print([(one.name, one.value) for one in (*first.named, *found.named)], found.after.excess)
     (one,) = found.named
     assert one.kind.key == "motor_maxwell"
-    assert one.shape == pytest.approx(DISTANCE, rel=0.1)
+    # ten elements begin to slide earlier than four
+    assert one.shape == pytest.approx(0.88 * DISTANCE, rel=0.1)
     assert one.value == pytest.approx(SIZE, rel=0.01)
