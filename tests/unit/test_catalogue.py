@@ -23,6 +23,9 @@ from zygos.effects import (
     CATALOGUE,
     Effect,
     EffectColumn,
+    Kind,
+    Memory,
+    Motion,
     column_named,
     columns_at,
     effect,
@@ -192,6 +195,28 @@ def test_a_law_of_ones_own_is_an_entry_within_its_block(own: Path) -> None:
             pass
     assert list(CATALOGUE) == before
     assert not is_column("cogging2")
+
+
+def test_a_law_of_ones_own_may_have_a_memory() -> None:
+    def bristles(motion: Motion, distance: float) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[type-arg]
+        rate = motion.rate[..., None]
+        return rate / distance, abs(rate) / (distance * (1.0 + 0.3 * np.exp(-((rate / 0.02) ** 2))))
+
+    own = Kind(
+        "motor_lugre",
+        "LuGre friction",
+        "Nm",
+        "motor",
+        lambda motion, _: motion.memory[..., 0].real,
+        shapes=(1e-3, 1e-2),
+        memory=Memory(bristles),
+    )
+    with laws(own):
+        SHAPE[own.key] = 1e-2
+        try:
+            test_column_is_what_the_effect_does(ARMS[0], own.key, EffectColumn(own.key, 0))
+        finally:
+            del SHAPE[own.key]
 
 
 def test_a_model_with_a_law_of_ones_own_is_read_within_its_block(own: Path, tmp_path: Path) -> None:

@@ -18,15 +18,17 @@ from oracles.hidden import BoucWen, Sliders, motor_eccentricity
 from oracles.tree import Swinging
 from zygos.can.run import Run
 from zygos.dynamics.equations import from_model
-from zygos.effects import CATALOGUE, Memory, Motion
+from zygos.effects import CATALOGUE, Kind, Memory, Motion
 from zygos.effects.memory import at_rest
 from zygos.errors import ZygosError
 from zygos.gap.balances import Acting, Layout
+from zygos.gap.findings import Finding, Significance
 from zygos.gap.fit import Hypothesis
 from zygos.gap.null import FLOOR, null_sigmas
 from zygos.gap.record import MeasuredRun
 from zygos.gap.runs import record_of
-from zygos.gap.search import completeness
+from zygos.gap.search import completeness, polished, search
+from zygos.gap.sentences import listed
 from zygos.gap.study import Study, again, begin, read_hypothesis
 
 SECONDS = 16.0
@@ -144,3 +146,28 @@ def test_a_memory_at_a_site_without_one_is_refused() -> None:
     memory = Memory(lambda motion, _: (motion.rate[..., None], 0.0 * motion.rate[..., None]))
     with pytest.raises(ZygosError, match="a law at the site torque has no memory; remedy"):
         replace(CATALOGUE["torque_gain"], memory=memory)
+
+
+def test_a_finding_with_a_law_of_ones_own_is_spoken_of_anywhere() -> None:
+    own = Kind("motor_drag", "quadratic drag", "Nms^2/rad^2", "motor", lambda motion, _: motion.rate * abs(motion.rate))
+    found = Finding(own.key, "elbow", 0.3, 0.01, own.unit, Significance(9.0, 1.0), entry=own)
+    assert listed([found]) == "quadratic drag (elbow), 0.300 ± 0.020 Nms^2/rad^2"
+
+
+def test_the_shape_of_a_law_is_found_between_those_of_the_search() -> None:
+    trial = planar()
+    model = replace(trial.drawn, effects=())
+    hypothesis = read_hypothesis(Layout(trial.arm), model)
+    own = (
+        *(Acting(CATALOGUE["motor_maxwell"], 1, shape=shape) for shape in (0.00464, 0.0215)),
+        Acting(CATALOGUE["motor_dahl"], 1, shape=0.00215),
+    )
+    wide = replace(hypothesis, layout=replace(hypothesis.layout, own=own))
+    first = search(begin(records("motor_maxwell2@0.01"), wide, from_model(trial.arm, model)))
+    found = polished(first)
+    print([(one.name, one.value) for one in (*first.named, *found.named)], found.after.excess)
+    (one,) = found.named
+    assert one.kind.key == "motor_maxwell"
+    # ten elements begin to slide earlier than four
+    assert one.shape == pytest.approx(0.88 * DISTANCE, rel=0.1)
+    assert one.value == pytest.approx(SIZE, rel=0.01)

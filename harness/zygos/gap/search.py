@@ -235,11 +235,8 @@ def _reshaped(found: Search, one: Candidate) -> Search:
         return found
     chosen = replace(study.hypothesis, effects=(*others, best[1]))
     now = again(study, chosen)
-    acting = now.layout.find(best[1])
-    bare = replace(now, hypothesis=replace(chosen, effects=others))
-    again_named = _candidate(bare, found.before, acting, found.chance.threshold)
-    if again_named is None:
-        return found
+    value = float(now.value[now.hypothesis.names.index(best[1])])
+    again_named = replace(one, name=best[1], shape=now.layout.find(best[1]).shape, value=value)
     named = tuple(again_named if other is one else other for other in found.named)
     return replace(
         found, after=now, named=named, completeness=completeness(found.before, now.excess * now.noise),
