@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from oracles.demo_log import built
 from oracles.hidden import Law, Motion, Readings, SensorError
-from oracles.tree import Payload, TreePlant
+from oracles.tree import Payload, Swinging, TreePlant
 from zygos.arm import NO_IMU, Arm, Encoder, Joint, Smoother, load_arm
 from zygos.model.model import Body, JointModel, Model, Quantity, load_model
 from zygos.runs.cycles import Cycles
@@ -224,6 +224,7 @@ class Plant:
     laws: tuple[Law, ...] = ()
     sensors: tuple[SensorError, ...] = ()
     payload: Payload | None = None
+    swinging: Swinging | None = None
     momentum: float | None = None
     dirt: Dirt | None = None
 
@@ -233,7 +234,7 @@ class Plant:
         if self.momentum is not None:
             scenario = replace(scenario, angular_momentum_nms=self.momentum)
         quantum = np.array([joint.motor_encoder.quantum_rad for joint in arm.joints])
-        plant = TreePlant(arm, self.model)
+        plant = TreePlant(arm, self.model, self.swinging)
         motion = plant.run(scenario, self.laws, quantum=quantum, payload=self.payload, duration_s=duration_s)
         return self._recorded(motion, np.random.default_rng([seed, which, 1757])), motion
 

@@ -63,6 +63,8 @@ CASES = [(name, column.key, column) for name in ARMS for column in places(name)]
 SHAPE = {
     "motor_stribeck": 1.0, "link_stribeck": 1.0, "backlash": 1e-4, "ripple_sin": 0.05, "ripple_cos": 0.05,
     "base_leak": 0.701, "detent_sin": 3.0, "detent_cos": 3.0, "body_change": 0.701,
+    "motor_dahl": 0.01, "link_dahl": 0.01, "joint_dahl": 1e-3, "motor_maxwell": 0.01, "link_maxwell": 0.01,
+    "joint_maxwell": 1e-3, "base_oscillator": 1.0,
 }  # fmt: skip
 """Shapes that this motion of 1.6 s excites; any number is a shape."""
 
@@ -90,7 +92,18 @@ def sized(name: str, column: EffectColumn) -> float:
     return value
 
 
-QUICK = ("backlash", "ripple_sin", "base_torque", "detent_sin", "gyro_bias", "link_late", "body_change", "torque_gain")
+QUICK = (
+    "backlash",
+    "motor_dahl",
+    "base_oscillator",
+    "ripple_sin",
+    "base_torque",
+    "detent_sin",
+    "gyro_bias",
+    "link_late",
+    "body_change",
+    "torque_gain",
+)
 
 
 def quick(case: tuple[str, str, EffectColumn]) -> bool:

@@ -39,6 +39,8 @@ PROMISING = 0.8
 PARTLY = 0.6
 MOST = 4
 """Effects that are looked for."""
+_POLISHES_ALWAYS, _POLISHES = 2, 5
+"""Grids of shapes that are tried one after the other: in any case, and at most."""
 
 
 @dataclass(frozen=True)
@@ -171,9 +173,11 @@ def search(study: Study, step: Callable[[str], None] = lambda _: None) -> Search
 
 
 def polished(found: Search) -> Search:
-    """The search with the shapes of the named laws between those of the catalogue's grid: the vertex of a parabola
-    through what is left over, twice."""
-    for _ in range(2):
+    """The search with the shapes of the named laws between those of the catalogue's grid: the best of finer and finer
+    grids, twice, and up to five times while a balance still leaves something over."""
+    for number in range(_POLISHES):
+        if number >= _POLISHES_ALWAYS and not excess(found.after):
+            break
         # an order is a whole number
         shaped = [one for one in found.named if one.shape is not None and any(x % 1.0 for x in one.kind.shapes)]
         for one in shaped:

@@ -41,6 +41,7 @@ from zygos.gap.verdicts import (
     Unexplained,
     ValuesDiffer,
     Verdict,
+    WrongGravity,
     ZerosOff,
     partly,
 )
@@ -62,7 +63,7 @@ _AGAINST: dict[Against, str] = {
 # verdict
 
 
-def verdict(arm: Arm, found: Verdict) -> str:  # noqa: PLR0911  (one sentence a verdict)
+def verdict(arm: Arm, found: Verdict) -> str:  # noqa: PLR0911, PLR0912  (one sentence a verdict)
     """What a verdict says."""
     match found:
         case NothingMissing():
@@ -90,6 +91,11 @@ def verdict(arm: Arm, found: Verdict) -> str:  # noqa: PLR0911  (one sentence a 
             return (
                 f"Timing first: the torques act {found.periods:.2f} SYNC periods later than torque_law of the arm file "
                 "says; no effect is named until it is right."
+            )
+        case WrongGravity():
+            return (
+                f"The arm file first: gravity is {vector(found.found)} m/s^2, and the arm file says "
+                f"{vector(found.stated)}; no effect is named until it is right."
             )
         case DeclaredTooNoisy():
             return (
@@ -288,6 +294,11 @@ def _parted(bent: Deflection) -> str:
     return _times(bent.rms_rad / bent.noise_rad)
 
 
+def vector(components: Sequence[float]) -> str:
+    """Components as an arm file has them."""
+    return f"[{', '.join(f'{x:.3g}' for x in np.round(components, 2))}]"
+
+
 def _times(ratio: float) -> str:
     return f"{ratio:,.0f} times" if ratio >= 10.0 else f"{ratio:.1f} times"
 
@@ -377,7 +388,7 @@ def remedy(
     if partial := partly(found):
         return f"part of it looks like {listed(partial)}"
     match found:
-        case SkewedEncoders() | LateTorques() | DeclaredTooNoisy():
+        case SkewedEncoders() | LateTorques() | WrongGravity() | DeclaredTooNoisy():
             return "correct the arm file; `zygos check-arm` on one of the runs examines its signals"
         case RunsDisagree():
             return "give two runs of the same arm; `zygos estimate` gives the values for each run"

@@ -89,6 +89,17 @@ class LateTorques:
 
 
 @dataclass(frozen=True)
+class WrongGravity:
+    """Gravity is another than the arm file says."""
+
+    answer: ClassVar[Answer] = "unknown"
+    found: tuple[float, float, float]
+    """m/s^2, in base axes."""
+    stated: tuple[float, float, float]
+    """m/s^2, in the arm file."""
+
+
+@dataclass(frozen=True)
 class DeclaredTooNoisy:
     """The balances close better than the declared noise of the sensors allows."""
 
@@ -144,7 +155,7 @@ class NotPredicted:
     """The same without them."""
 
 
-ArmFileFirst = SkewedEncoders | LateTorques | DeclaredTooNoisy
+ArmFileFirst = SkewedEncoders | LateTorques | WrongGravity | DeclaredTooNoisy
 """The arm file has to be put right before anything can be said."""
 Verdict = (
     NothingMissing

@@ -24,6 +24,7 @@ from zygos.gap.ground.columns import Layout, Table, table_of
 from zygos.gap.ground.direction import one_sided
 from zygos.gap.ground.explanation import GroundExplanation, GroundGap, JointRest
 from zygos.gap.ground.fit import Fit, jackknife, residual
+from zygos.gap.ground.gravity import missing_gravity
 from zygos.gap.ground.predictions import Prediction, Stage, predict, remainders, run_name
 from zygos.gap.ground.search import Search, is_gain, search
 from zygos.gap.ground.sentences import entry_evidence, gains, offset
@@ -39,6 +40,7 @@ from zygos.gap.verdicts import (
     Unexplained,
     ValuesDiffer,
     Verdict,
+    WrongGravity,
 )
 from zygos.ground.estimate import DEFAULT_FRICTION, at_best_span
 from zygos.ground.motion import Motion
@@ -128,14 +130,17 @@ class _Explainer:
         gap = self._gap(table, found)
         values_found = self._values(table, sizes)
         verdict: Verdict
-        late = lateness(table)
-        if late is not None:
+        late, pull = lateness(table), missing_gravity(table, self.simulation)
+        if pull is not None:
+            x, y, z = (pull + self.arm.gravity).tolist()
+            verdict = WrongGravity((x, y, z), self.arm.gravity)
+        elif late is not None:
             verdict = LateTorques(late)
         elif changed is not None:
             verdict = Changed(changed[0], tuple(run_name(run, k) for k, run in enumerate(self.measured, 1)))
         else:
             verdict = self._judge(table, found, findings, values_found, gap)
-        known = not isinstance(verdict, Unexplained | NotPredicted | LateTorques)
+        known = not isinstance(verdict, Unexplained | NotPredicted | LateTorques | WrongGravity)
         adopted = known and not isinstance(verdict, Inseparable)
         self.step(0.95, "verdict")
         likely = self._adopt(table, found, findings, values_found, verdict) if known else None

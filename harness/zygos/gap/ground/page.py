@@ -52,9 +52,9 @@ def gap_content(
         drawn = _charts(one, k, times)
         charts |= {chart["id"]: chart for chart in drawn}
         runs.append({"name": run_name(one.run), "charts": drawn, "cutoff": number(one.rows.cutoff_hz, 3)})
+    tried = len(found.search.rounds[0]) if found.search.rounds else 0
     if planned is not None:
         times["planned"], charts["planned"] = planned_chart(arm, planned)
-    tried = len(found.search.rounds[0]) if found.search.rounds else 0
     content = {
         "x": found,
         "planned": planned and planned_entry(planned),

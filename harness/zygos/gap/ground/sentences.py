@@ -20,6 +20,7 @@ from zygos.gap.verdicts import (
     PartNamed,
     Unexplained,
     Verdict,
+    WrongGravity,
 )
 from zygos.report.figures import figure
 
@@ -145,6 +146,8 @@ def remedy(arm: Arm, found: Verdict, search: Search) -> str:
     match found:
         case LateTorques():
             return "correct torque_law or latch_us in the arm file; `zygos check-arm` examines the signals of a run"
+        case WrongGravity():
+            return f"write gravity = {sentences.vector(found.found)} in the arm file"
         case Inseparable():
             if any(f.instead and f.kind == OFFSET_OF_TORQUE for f in found.findings):
                 return "record a run in which these joints also rest in several postures; --next-motion plans it"
