@@ -1,4 +1,4 @@
-"""Gravity that the arm file does not state, or states along another direction: a matter of the arm file, and said so."""
+"""Gravity that the arm file does not state, or states along another direction, is a matter of the arm file."""
 
 from __future__ import annotations
 

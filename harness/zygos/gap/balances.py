@@ -38,7 +38,7 @@ from zygos.gap.record import MeasuredRun, smoothed_states
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-_SHIFT = 1e-4
+_SHIFT = 1e-6
 """Error of a sensor with which the columns of such errors are computed: rad, rad/s, Nm."""
 _ACTING = ("motor", "link", "spring", "torque")
 """Places of effects that act at a joint."""
@@ -48,7 +48,7 @@ _MANY = 6
 """Shapes of a law from which on a search begins with a part of them."""
 _LOOSE = 0.1
 """Deviation of an error of a sensor of which nothing is known, rad or rad/s."""
-_GAIN = 0.02
+GAIN = 0.02
 """Deviation of the gain of such a sensor against that of the first one."""
 
 
@@ -222,6 +222,8 @@ class Layout:
         """The errors of sensors that each run has for itself, by column."""
         arm = self.arm
         unit = np.eye(arm.n)
+        # a gain that is an effect is the same in all runs
+        gained = {one.joint for one in self.own if one.kind.gain}
         out: dict[str, SensorError] = {}
         for i, one in enumerate(arm.joints):
             link, motor = (max(e.zero_sigma_rad, e.quantum_rad) for e in (one.link_encoder, one.motor_encoder))
@@ -239,9 +241,9 @@ class Layout:
         for i, one in enumerate(arm.joints):
             if one.torque_sigma > 0.0:
                 out[f"torque_zero{i + 1}"] = SensorError(_OFFSET, ("tau",), unit[i])
-                if i > 0:
+                if i > 0 and i not in gained:
                     # all gains, masses and frictions can grow together: one gain is taken as known
-                    out[f"torque_scale{i + 1}"] = SensorError(_GAIN, ("tau",), unit[i], gain=True)
+                    out[f"torque_scale{i + 1}"] = SensorError(GAIN, ("tau",), unit[i], gain=True)
         return out
 
     @cached_property
@@ -361,27 +363,28 @@ def zero_columns(layout: Layout, readings: Readings, values: Array, every: int =
     names = layout.arm.parameter_names
     known = [value[[names.index(layout.columns[c]) for c in used if c < len(names)]] for used in layout.used]
 
-    def left_over(seen: Readings) -> list[Array]:
-        moving = _Moving.of(layout.arm, seen, every)
+    def left_over(moving: _Moving) -> list[Array]:
         rows = zip(_bodies(layout, moving), known, _right(layout, moving), strict=True)
         return [own @ x - right for own, x, right in rows]
 
     still = _Moving.of(layout.arm, readings, every)
+    without = left_over(still)
+
+    def lost(wrong: Readings) -> list[Array]:
+        # what errors of this size do in the second order is 1e-5 of it at the most
+        with_it = left_over(_Moving.of(layout.arm, wrong, every))
+        return [(a - b) / _SHIFT for a, b in zip(without, with_it, strict=True)]
 
     def taken(error: SensorError) -> list[Array]:
         if error.signals == ("tau",):
             # the right sides are linear in the torques, and nothing else depends on them
             wrong = _Moving.of(layout.arm, error.added(readings, 1.0), every, still.state)
             return [b - a for a, b in zip(_right(layout, still), _right(layout, wrong), strict=True)]
-        ahead, behind = (left_over(error.added(readings, size)) for size in (_SHIFT, -_SHIFT))
-        return [(b - a) / (2.0 * _SHIFT) for a, b in zip(ahead, behind, strict=True)]
+        return lost(error.added(readings, _SHIFT))
 
     def misread(one: Acting) -> list[Array]:
         number = one.kind.components(layout.arm).index(one.component)
-        ahead, behind = (
-            left_over(one.kind.transform(layout.arm, readings, one.joint, size, number)) for size in (_SHIFT, -_SHIFT)
-        )
-        return [(b - a) / (2.0 * _SHIFT) for a, b in zip(ahead, behind, strict=True)]
+        return lost(one.kind.transform(layout.arm, readings, one.joint, _SHIFT, number))
 
     each = [misread(one) for one in layout.sensors] + [taken(error) for error in layout.errors.values()]
     return tuple(np.stack(columns, axis=-1) for columns in zip(*each, strict=True))

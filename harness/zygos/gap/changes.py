@@ -63,23 +63,25 @@ class Change:
         return self.arc == 0
 
 
-def settled(study: Study, change: Change) -> tuple[Change, Study, Study | None]:
+def settled(study: Study, change: Change, allowed: float) -> tuple[Change, Study, Study | None] | None:
     """The change with values from what was recorded before and after it, the study of what was recorded after it, and
-    that of what was recorded before it where that is enough.
+    that of what was recorded before it where that is enough. None where a balance after it leaves more than `allowed`
+    times what its twin does: what is left over is no matter of time.
 
     Errors: Undecided where too little was recorded after it.
     """
-    before = _part(study, change, after=False)
     later = _part(study, change, after=True)
     hypothesis = study.hypothesis
     added = [name for name in change.names if name not in hypothesis.names]
     wider = replace(hypothesis, effects=(*hypothesis.effects, *added))
     now = begin(later, wider, study.dynamics())
+    if np.nanmax(now.excess) > allowed:
+        return None
     places = [wider.names.index(name) for name in change.names]
     old, sigma = change.old, now.spread[places]
     was: Study | None = None
     try:
-        was = begin(before, hypothesis, study.dynamics())
+        was = begin(_part(study, change, after=False), hypothesis, study.dynamics())
     except Undecided:
         pass
     else:

@@ -14,9 +14,9 @@ from threadpoolctl import threadpool_limits
 from zygos.arm import Arm
 from zygos.dynamics.equations import from_model, from_parameters, parameters
 from zygos.dynamics.joints import Drives
-from zygos.effects import OFFSET, Effect
+from zygos.effects import CATALOGUE, OFFSET, Effect
 from zygos.errors import Undecided, ZygosError
-from zygos.gap.balances import Layout, acting, corrected
+from zygos.gap.balances import GAIN, Acting, Layout, acting, corrected
 from zygos.gap.changes import BODIES, Change, find_change, settled
 from zygos.gap.experiment import Experiment, propose
 from zygos.gap.explanation import Explanation
@@ -60,6 +60,7 @@ from zygos.gap.verdicts import (
     DeclaredTooNoisy,
     Disagreements,
     DrawingPredictsBetter,
+    GainOff,
     Impossible,
     Inseparable,
     Lacking,
@@ -91,6 +92,8 @@ SMALL = 1.5
 """Residual of a balance over its twin's up to which effects are named without an untouched run."""
 _HALF = 0.5
 """Share of the error of predictions that a change may leave where the untouched run does not close."""
+_WRONG_GAIN = 0.05
+"""Share by which the gain of a torque sensor differs from that of the first joint from which on it is an effect."""
 _NOISY = 5.0
 """Ratio of a residual to its twin's that unseen noise of the torques does not reach."""
 _REDRAWN, _THINNED = 6, 3
@@ -133,6 +136,8 @@ class _Explainer:
         self.without = without
         self.simulation, self.measured, self.validate, self.step = simulation, measured, validate, step
         self.remarks: list[Remark] = []
+        self.gains: tuple[str, ...] = ()
+        """Columns of the gains of torque sensors that are effects, because no sensor errs by so much."""
 
     @property
     def arm(self) -> Arm:
@@ -155,10 +160,13 @@ class _Explainer:
             self.step(0.25, "the joints' flexibility")
             basis = self._flexible(refit, [d.joint for d in flexible])
             findings += [self._flexibility(basis, d) for d in flexible]
+        basis = self._gained(basis)
         gap: Gap | None = None
         changed: Changed | None = None
         if not skewed:
             found, gap, changed = self._searched(delivered, refit, basis)
+            if changed is None:
+                findings += [self._gain(found, name) for name in self.gains]
             findings += [self._finding(found, k) for k in range(len(found.named))]
         after = basis if found is None else found.after
         if skewed:
@@ -256,6 +264,41 @@ class _Explainer:
             return polished(search(wide, lambda what: self.step(0.6, what)))
         except Undecided:
             return None
+
+    def _gained(self, study: Study) -> Study:
+        """The study with the gains of torque sensors that are far off as effects, the same in all runs; what is less is
+        an error of the sensor that each run has for itself, and a remark where it is more than expected."""
+        found: dict[str, Acting] = {}
+        drawn = study.of_twin(study.hypothesis).zeros.std(axis=0, ddof=1)
+        for k, name in enumerate(study.layout.zeros):
+            if not study.layout.errors[name].gain:
+                continue
+            joint = int(name.removeprefix("torque_scale")) - 1
+            each, sigma = study.zeros[:, k], drawn[:, k]
+            share = float(np.mean(each))
+            if np.any(np.abs(each) < DISAGREE * sigma) or abs(share) < GAIN:
+                continue
+            gain = Acting(CATALOGUE["torque_gain"], joint)
+            if abs(share) > _WRONG_GAIN and "torque_gain" not in self.without:
+                found[gain.name] = gain
+            self._remark(GainOff(self.arm.joints[joint].name, self.arm.joints[0].name, share))
+        if not found:
+            return study
+        hypothesis, layout = study.hypothesis, study.layout
+        wider = replace(layout, own=(*layout.own, *found.values()))
+        self.gains = tuple(found)
+        effects = (*hypothesis.effects, *found)
+        return begin(self.measured, replace(hypothesis, layout=wider, effects=effects), study.dynamics())
+
+    def _gain(self, found: Search, name: str) -> Finding:
+        study = found.after
+        value, sigma = self._size(study, name)
+        index = study.hypothesis.names.index(name)
+        runs = range(len(study.records))
+        z = [float(study.of(study.hypothesis, [k]).value[index]) / float(study.spread[index]) for k in runs]
+        one = study.layout.find(name)
+        proof = Significance(min(map(abs, z)), min(found.completeness))
+        return Finding(one.kind.key, self.arm.joints[one.joint].name, value, sigma, one.kind.unit, proof)
 
     def _flexible(self, refit: Study, joints: list[str]) -> Study:
         """The study with springs in these joints. The twin needs a first guess: each motor balance by itself has one.
@@ -445,7 +488,10 @@ class _Explainer:
                 return self._same_equations(found.after, values)
         elif not found.named or share < PARTLY:
             return Unexplained(
-                float(np.nanmax(found.after.excess)), tuple(candidate.name for candidate in found.named), share, ()
+                float(np.nanmax(found.after.excess)),
+                tuple(candidate.name for candidate in found.named),
+                share,
+                tuple(finding for finding in findings if finding.kind == "torque_gain"),
             )
         if gap is not None and gap.struck is not None and gap.closed.median > gap.struck.median and not closes(gap):
             return NotPredicted(findings, gap.closed.median, gap.struck.median)
@@ -473,12 +519,12 @@ class _Explainer:
         if change is None:
             return None, found, None
         try:
-            change, now, was = settled(study, change)
+            apart = settled(study, change, SMALL)
         except (Undecided, ZygosError):
             return None, found, None
-        if np.nanmax(now.excess) > SMALL:
-            # what is left over after it is no matter of time
+        if apart is None:
             return None, found, None
+        change, now, was = apart
         names = tuple(record.path.name for record in study.records)
         taken = self._payload(change, now, was) if change.what == BODIES and was is not None else ()
         return Changed(change, names, taken), replace(found, after=now, named=(), sets=()), was

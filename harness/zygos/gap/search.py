@@ -182,6 +182,26 @@ def polished(found: Search) -> Search:
         shaped = [one for one in found.named if one.shape is not None and any(x % 1.0 for x in one.kind.shapes)]
         for one in shaped:
             found = _reshaped(found, one)
+    return _needed(found)
+
+
+def _needed(found: Search) -> Search:
+    """The search without what stood in for a part of a law whose shape was not yet right."""
+    for one in reversed(found.named):
+        rest = tuple(name for name in found.after.hypothesis.effects if name != one.name)
+        hypothesis = replace(found.after.hypothesis, effects=rest)
+        if len(found.named) < 2 or min(completeness(found.before, found.after.of(hypothesis).rms)) < COMPLETE:
+            continue
+        try:
+            now = again(found.after, hypothesis)
+        except Undecided:
+            continue
+        if excess(now):
+            continue
+        kept = [k for k, other in enumerate(found.named) if other is not one]
+        share = completeness(found.before, now.excess * found.before.noise)
+        named, sets = (tuple(each[k] for k in kept) for each in (found.named, found.sets))
+        found = replace(found, after=now, named=named, sets=sets, completeness=share)
     return found
 
 

@@ -22,6 +22,7 @@ from zygos.gap.verdicts import (
     DeclaredTooNoisy,
     Disagreements,
     DrawingPredictsBetter,
+    GainOff,
     Impossible,
     Inseparable,
     Lacking,
@@ -339,6 +340,11 @@ def remark(found: Remark) -> str:  # noqa: PLR0911  (one sentence a remark)
         case ZerosOff():
             zeros = ", ".join(_zero(column, by) for column, by in found.zeros)
             return f"zeros of the sensors are off: {zeros}; predictions are made with that taken off"
+        case GainOff():
+            return (
+                f"the torque of the {found.joint} reads {100.0 * found.share:+.2g} % against that of the "
+                f"{found.first}: its gain, or a gear ratio, is off"
+            )
         case NoUntouchedRun():
             return "no run was kept apart (--validate): the gap is not known"
         case NearestArm():

@@ -208,6 +208,16 @@ class ZerosOff:
 
 
 @dataclass(frozen=True)
+class GainOff:
+    """The gain of a torque sensor against that of the first joint is off by more than such sensors are."""
+
+    joint: str
+    first: str
+    share: float
+    """By which the torque that is read is too large."""
+
+
+@dataclass(frozen=True)
 class NoUntouchedRun:
     """No run was kept apart."""
 
@@ -259,6 +269,7 @@ Remark = (
     | BrokenRun
     | DrawingPredictsBetter
     | ZerosOff
+    | GainOff
     | NoUntouchedRun
     | NearestArm
     | Impossible

@@ -9,7 +9,7 @@ from zygos.balances.joint import gravity_forces
 from zygos.balances.quadrature import integral
 from zygos.balances.state import State
 from zygos.gap.ground.columns import Table
-from zygos.gap.ground.fit import fit, solve
+from zygos.gap.ground.fit import fit, forms, solve
 from zygos.gap.ground.search import LEAST_Z
 from zygos.ground.estimate import DEFAULT_FRICTION
 from zygos.ground.rows import RunRows
@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 LEAST = 0.5
 """Difference to the gravity of the arm file that is a matter of the arm file, m/s^2."""
 EXPLAINS = 0.9
-"""Share of the squared residual, with the usual friction, that it must take away."""
+"""Share of the squared residual of a joint, with the usual friction, that it must take away."""
 _BLOCKS = 10
 """Of each run, one of which after the other is left out."""
 
@@ -44,9 +44,9 @@ def missing_gravity(table: Table, simulation: Model) -> Floats | None:
         columns = _columns(table, rows, number, moments)[..., [*free, *range(-4, 0)]]
         columns = columns / fitted.sigma[:, None] * ~rows.lingers[..., None]
         for part in np.array_split(columns[rows.rows.accepted], _BLOCKS):
-            flat = part.reshape(-1, part.shape[-1])
-            grams.append(flat.T @ flat)
-    each, prior = np.array(grams), np.append(layout.prior()[free], np.zeros(3))
+            grams.append(np.einsum("mjp,mjq->jpq", part, part, optimize=True))
+    joints, prior = np.sum(grams, axis=0), np.append(layout.prior()[free], np.zeros(3))
+    each = np.sum(grams, axis=1)
     total = each.sum(axis=0)
     pulls = np.flatnonzero(np.diag(total)[-4:-1] > 0.0)
 
@@ -54,13 +54,13 @@ def missing_gravity(table: Table, simulation: Model) -> Floats | None:
         return solve(gram[:-1, :-1], prior, gram[:-1, -1:])[:, 0]
 
     with_it, without = value(total), solve(total[:-4, :-4], prior[:-3], total[:-4, -1:])[:, 0]
-    left = [float(total[-1, -1] - total[: len(x), -1] @ x) for x in (without, with_it)]
+    left = [forms(joints, x) for x in (np.append(without, np.zeros(3)), with_it)]
     found = with_it[-3:]
     spread = np.array([value(total - own)[-3:] for own in each]) - found
     sigma = np.sqrt((len(each) - 1) / len(each) * np.sum(spread**2, axis=0))
     size = float(np.linalg.norm(found[pulls]))
     sure = size > LEAST_Z * float(np.linalg.norm(sigma[pulls]))
-    return found if size > LEAST and sure and left[1] < (1.0 - EXPLAINS) * left[0] else None
+    return found if size > LEAST and sure and np.any(left[1] < (1.0 - EXPLAINS) * left[0]) else None
 
 
 def _columns(table: Table, rows: RunRows, number: int, moments: Floats) -> Floats:
