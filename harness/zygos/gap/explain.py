@@ -90,8 +90,6 @@ _USED = 0.9
 """Share of a run below which its losses are worth a word."""
 SMALL = 1.5
 """Residual of a balance over its twin's up to which effects are named without an untouched run."""
-_HALF = 0.5
-"""Share of the error of predictions that a change may leave where the untouched run does not close."""
 _WRONG_GAIN = 0.05
 """Share by which the gain of a torque sensor differs from that of the first joint from which on it is an effect."""
 _NOISY = 5.0
@@ -160,7 +158,6 @@ class _Explainer:
             self.step(0.25, "the joints' flexibility")
             basis = self._flexible(refit, [d.joint for d in flexible])
             findings += [self._flexibility(basis, d) for d in flexible]
-        basis = self._gained(basis)
         gap: Gap | None = None
         changed: Changed | None = None
         if not skewed:
@@ -243,17 +240,23 @@ class _Explainer:
         """Usual entries, then every entry, then changes with time, as long as something is left over."""
         self.step(0.3, "candidates")
         found = search(basis, lambda what: self.step(0.35, what))
+        gained = self._gained(basis, found.after)
+        if gained is not basis:
+            basis, found = gained, search(gained, lambda what: self.step(0.45, what))
+        wider: Search | None = None
         if self._open(found):
             wider = self._wider(basis)
             if wider is not None and _explains_more(wider, found):
                 found = wider
         if self._unsettled(found):
             self.step(0.65, "changes with time")
-            changed, later, earlier = self._changed(found)
-            if changed is not None:
-                told = self._gap(delivered, refit, later.after, later)
-                if told is None or _predicts(told) or _closes_with(earlier, told):
-                    return later, told, changed
+            # what begins may be a usual entry, or any
+            for study in (basis, *(() if wider is None else (wider.before,))):
+                changed, later, earlier = self._changed(found, study, basis.layout)
+                if changed is not None:
+                    told = self._gap(delivered, refit, later.after, later)
+                    if told is None or closes(told) or _closes_with(earlier, told):
+                        return later, told, changed
         return found, self._gap(delivered, refit, found.after, found), None
 
     def _wider(self, basis: Study) -> Search | None:
@@ -265,16 +268,17 @@ class _Explainer:
         except Undecided:
             return None
 
-    def _gained(self, study: Study) -> Study:
-        """The study with the gains of torque sensors that are far off as effects, the same in all runs; what is less is
-        an error of the sensor that each run has for itself, and a remark where it is more than expected."""
+    def _gained(self, basis: Study, after: Study) -> Study:
+        """The basis with the gains of torque sensors that are far off after all that was named as effects, the same in
+        all runs; what is less is an error of the sensor that each run has for itself, and a remark where it is more
+        than expected."""
         found: dict[str, Acting] = {}
-        drawn = study.of_twin(study.hypothesis).zeros.std(axis=0, ddof=1)
-        for k, name in enumerate(study.layout.zeros):
-            if not study.layout.errors[name].gain:
+        drawn = after.of_twin(after.hypothesis).zeros.std(axis=0, ddof=1)
+        for k, name in enumerate(after.layout.zeros):
+            if not after.layout.errors[name].gain:
                 continue
             joint = int(name.removeprefix("torque_scale")) - 1
-            each, sigma = study.zeros[:, k], drawn[:, k]
+            each, sigma = after.zeros[:, k], drawn[:, k]
             share = float(np.mean(each))
             if np.any(np.abs(each) < DISAGREE * sigma) or abs(share) < GAIN:
                 continue
@@ -283,12 +287,12 @@ class _Explainer:
                 found[gain.name] = gain
             self._remark(GainOff(self.arm.joints[joint].name, self.arm.joints[0].name, share))
         if not found:
-            return study
-        hypothesis, layout = study.hypothesis, study.layout
+            return basis
+        hypothesis, layout = basis.hypothesis, basis.layout
         wider = replace(layout, own=(*layout.own, *found.values()))
         self.gains = tuple(found)
         effects = (*hypothesis.effects, *found)
-        return begin(self.measured, replace(hypothesis, layout=wider, effects=effects), study.dynamics())
+        return begin(self.measured, replace(hypothesis, layout=wider, effects=effects), basis.dynamics())
 
     def _gain(self, found: Search, name: str) -> Finding:
         study = found.after
@@ -510,16 +514,17 @@ class _Explainer:
             return bool(self._apart(found.after))
         return not found.named or min(found.completeness) < PARTLY
 
-    def _changed(self, found: Search) -> tuple[Changed | None, Search, Study | None]:
-        """A change with time that explains it, the search with the study of what was recorded after it, and the study
-        of what was recorded before."""
-        study = found.before
+    def _changed(self, found: Search, study: Study, layout: Layout) -> tuple[Changed | None, Search, Study | None]:
+        """A change with time of what a study has, which explains it, the search with the study of what was recorded
+        after it, and the study of what was recorded before. layout: what these have beside what begins."""
         listed = [one.name for one in study.layout.effects if possible(study.hypothesis, one)]
         change = find_change(study, listed)
         if change is None:
             return None, found, None
+        begun = [study.layout.find(name) for name in change.names if name in listed]
+        kept = replace(layout, own=(*layout.own, *begun))
         try:
-            apart = settled(study, change, SMALL)
+            apart = settled(replace(study, hypothesis=replace(study.hypothesis, layout=kept)), change, SMALL)
         except (Undecided, ZygosError):
             return None, found, None
         if apart is None:
@@ -605,11 +610,6 @@ class _Explainer:
             else:
                 kept.append(effect)
         return Model(f"{self.simulation.name}, explained", parameters=parameters, effects=tuple(kept))
-
-
-def _predicts(gap: Gap) -> bool:
-    """Whether the model after a change predicts an untouched run: it closes, or errs half as much as without it."""
-    return closes(gap) or gap.closed.median < _HALF * gap.refit.median
 
 
 def _closes_with(study: Study | None, gap: Gap) -> bool:

@@ -200,7 +200,7 @@ def _needed(found: Search) -> Search:
             continue
         kept = [k for k, other in enumerate(found.named) if other is not one]
         share = completeness(found.before, now.excess * found.before.noise)
-        named, sets = (tuple(each[k] for k in kept) for each in (found.named, found.sets))
+        named, sets = tuple(found.named[k] for k in kept), tuple(found.sets[k] for k in kept)
         found = replace(found, after=now, named=named, sets=sets, completeness=share)
     return found
 
