@@ -19,6 +19,7 @@ from zygos.gap.ground.explanation import GroundExplanation
 from zygos.gap.ground.page import write_ground_gap_report
 from zygos.model.model import Model, Quantity
 from zygos.report.provenance import provenance
+from zygos.reports import write_report
 
 ROOT = Path(__file__).parents[2]
 
@@ -181,6 +182,8 @@ def test_page_and_json_say_the_verdict(tmp_path: Path) -> None:
     page = (tmp_path / "gap.html").read_text()
     assert "part named" in page
     assert "median of the torque left over the rate" in page
+    write_report(x, tmp_path / "again.html")
+    assert "zygos.explain, called from Python" in (tmp_path / "again.html").read_text()
     written = json.loads(json.dumps(as_json(x, source), allow_nan=False))
     assert written["answer"] == "part named"
     assert written["findings"][0]["effect"] == "motor_viscous"

@@ -69,7 +69,7 @@ def test_no_payload_without_bodies_or_where_the_parameters_do_not_tell_it() -> N
     plain = Model("values", parameters=model.base_parameters(arm))
     drawn = np.random.default_rng(0).normal(size=(20, len(names)))
     assert payload_of(arm, plain, names, np.ones(len(names)), drawn) == ()
-    assert payload_of(arm, model, names[2:4], np.ones(2), drawn[:, 2:4]) == ()
+    assert payload_of(arm, model, names[4:], np.ones(2), drawn[:, 4:]) == ()
 
 
 def test_a_point_mass_in_space() -> None:

@@ -126,7 +126,9 @@ def _candidates(
     """Forms of motions, each as a function of the limits that it keeps."""
     for slot in _SLOTS_S:
         for _ in range(_DRAWS):
-            goals = rng.uniform(size=(int(duration_s // slot), joints))
+            # to and fro, so that every joint moves in both directions
+            turns = np.arange(int(duration_s // slot))[:, None] + rng.integers(2, size=joints)
+            goals = 0.5 * (turns % 2) + 0.5 * rng.uniform(size=turns.shape)
             if len(goals) >= _FEWEST_STOPS:
                 yield f"moves with a stop every {slot:g} s", partial(_stops, goals, slot)
     for period in _PERIODS_S:
