@@ -1,7 +1,25 @@
 #include "zygos/zygos.h"
 
+#include <float.h>
+#include <limits.h>
 #include <stddef.h>
 #include <string.h>
+
+/* What the arithmetic and the layout of a snapshot rely on. */
+_Static_assert(CHAR_BIT == 8, "zygos needs bytes of 8 bits");
+_Static_assert((sizeof(double) == 8) && (FLT_RADIX == 2) && (DBL_MANT_DIG == 53) && (DBL_MAX_EXP == 1024),
+               "zygos needs doubles of 64 bits; remedy: compile without -fshort-double or -fsingle-precision-constant");
+_Static_assert(FLT_EVAL_METHOD == 0, "zygos needs doubles that are rounded to double after each operation; remedy: "
+                                     "compile for SSE2 instead of the x87");
+#define SIZE(member) (sizeof(((zygos_config_t *)0)->member))
+#define SIZE_OF_JOINT(member) (sizeof(((zygos_joint_config_t *)0)->member))
+_Static_assert((sizeof(zygos_joint_config_t) ==
+                4u * sizeof(uint32_t) + SIZE_OF_JOINT(frame) + SIZE_OF_JOINT(axis) + 10u * sizeof(double)) &&
+                   (sizeof(zygos_effect_config_t) == 2u * sizeof(uint32_t)) &&
+                   (sizeof(zygos_reduction_t) == 2u * sizeof(uint32_t) + sizeof(double)) &&
+                   (sizeof(zygos_config_t) == 18u * sizeof(uint32_t) + 4u * sizeof(double) + SIZE(imu_to_base) +
+                                                  SIZE(gravity) + SIZE(joint) + SIZE(effect) + SIZE(reduction)),
+               "a configuration has no padding, because it is compared byte by byte");
 
 #define MAGIC 0x7A79676Fu /* "zygo" */
 #define LARGEST_ANGLE 1e4

@@ -1,4 +1,4 @@
-"""Compiles the C library for the harness into the package: library, cffi declarations, DBC.
+"""Compiles the C library for the harness into the package: library, cffi declarations, text of the headers, DBC.
 
 Usage: build_native.py OUTPUT_FOLDER. Environment: CC (default cc), CFLAGS (added).
 
@@ -8,6 +8,7 @@ text is compiled into the library, and the binding compares the two when it load
 
 import hashlib
 import os
+import re
 import shlex
 import shutil
 import subprocess
@@ -41,8 +42,24 @@ def declarations(*defines: str) -> str:
     ).stdout
 
 
+def headers() -> str:
+    """The public headers in the order in which they include each other, without comments and includes."""
+    listed: list[str] = []
+
+    def visit(name: str) -> None:
+        text = re.sub(r"//.*|/\*.*?\*/", "", (ROOT / "include" / "zygos" / name).read_text())
+        for included in re.findall(r'^#include "(\w+\.h)"$', text, re.M):
+            visit(included)
+        text = "\n".join(line.rstrip() for line in text.splitlines() if line.strip() and "#include" not in line)
+        if text not in listed:
+            listed.append(text)
+
+    visit("zygos.h")
+    return "\n".join(listed) + "\n"
+
+
 def main(folder: Path) -> None:
-    """Write folder/libzygos.so and folder/zygos.cdef."""
+    """Write libzygos.so, zygos.cdef and zygos.headers into the folder."""
     compiler = shlex.split(os.environ.get("CC", "cc"))
     extra = shlex.split(os.environ.get("CFLAGS", ""))
     folder.mkdir(parents=True, exist_ok=True)
@@ -54,6 +71,7 @@ def main(folder: Path) -> None:
     partial = folder / "libzygos.so.partial"
     subprocess.run([*command, "-o", str(partial)], check=True)
     (folder / "zygos.cdef").write_text(text)
+    (folder / "zygos.headers").write_text(headers())
     for database in (ROOT / "include" / "zygos").glob("*.dbc"):
         shutil.copy(database, folder)
     partial.replace(folder / "libzygos.so")

@@ -14,6 +14,8 @@ from zygos.errors import ZygosError
 from zygos.estimation.estimate import Estimation
 from zygos.estimation.page import write_estimate_report
 from zygos.gap.explanation import Explanation
+from zygos.gap.ground.explanation import GroundExplanation
+from zygos.gap.ground.page import write_ground_gap_report
 from zygos.gap.page import write_gap_report
 from zygos.reference.check import Check
 from zygos.reference.page import write_check_report
@@ -30,6 +32,12 @@ def _provenance(function: str, runs: Sequence[Path | None]) -> Provenance:
 def _explanation(result: Explanation, path: Path) -> None:
     """Write the page of an explained gap."""
     write_gap_report(path, result, _provenance("explain", [record.path for record in result.refit.records]))
+
+
+def _ground_explanation(result: GroundExplanation, path: Path) -> None:
+    """Write the page of an explained gap of an arm on the ground."""
+    runs = [run.path for run in (*result.measured, *result.validated)]
+    write_ground_gap_report(path, result, _provenance("explain", runs))
 
 
 def _estimation(result: Estimation, path: Path) -> None:
@@ -51,18 +59,20 @@ def _arm_check(result: ArmCheck, path: Path) -> None:
 
 WRITERS: dict[type[Any], Callable[[Any, Path], None]] = {
     Explanation: _explanation,
+    GroundExplanation: _ground_explanation,
     Estimation: _estimation,
     Check: _check,
     ArmCheck: _arm_check,
 }
 """The writer of each kind of result that has a page."""
 
-Reported = Explanation | Estimation | Check | ArmCheck
+Reported = Explanation | GroundExplanation | Estimation | Check | ArmCheck
 """The kinds of results that have a page."""
 
 
 def write_report(result: Reported, path: str | Path) -> None:
-    """Write the page of a result, an `Explanation`, `Estimation`, `Check` or `ArmCheck`, as one HTML file.
+    """Write the page of a result as one HTML file: of an `Explanation`, `GroundExplanation`, `Estimation`, `Check` or
+    `ArmCheck`.
 
     Errors: ZygosError if the file cannot be written or an estimate kept no trace, TypeError for results without a page.
     """

@@ -30,13 +30,6 @@
 extern "C" {
 #endif
 
-/// The number of groups.
-#ifndef ZYGOS_JOINT_GROUPS
-#define ZYGOS_JOINT_GROUPS 8
-#endif
-#if (ZYGOS_JOINT_GROUPS < 4) || (ZYGOS_JOINT_GROUPS > 64)
-#error "ZYGOS_JOINT_GROUPS must be 4..64"
-#endif
 /// The least number of increments in a segment, and its least length.
 #define ZYGOS_SEGMENT_INCREMENTS 16u
 #define ZYGOS_SEGMENT_S 2.0

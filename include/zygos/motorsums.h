@@ -16,14 +16,6 @@
 extern "C" {
 #endif
 
-/// The number of blocks of whole arcs. It must be even.
-#ifndef ZYGOS_MAX_MOTOR_BLOCKS
-#define ZYGOS_MAX_MOTOR_BLOCKS 32
-#endif
-#if (ZYGOS_MAX_MOTOR_BLOCKS < 4) || (ZYGOS_MAX_MOTOR_BLOCKS > 256) || (ZYGOS_MAX_MOTOR_BLOCKS % 2 != 0)
-#error "ZYGOS_MAX_MOTOR_BLOCKS must be even, 4..256"
-#endif
-
 /// The length of a joint's row that is augmented by the impulse and by 1.
 #define ZYGOS_MAX_MOTOR_ROW (ZYGOS_MAX_IMPULSE + 2)
 #define ZYGOS_MAX_PACKED_MOTOR (ZYGOS_MAX_MOTOR_ROW * (ZYGOS_MAX_MOTOR_ROW + 1) / 2)

@@ -63,12 +63,13 @@ extern "C" {
 
 /// The largest number of effects that a configuration can identify. With 0 there is no memory for any. The default has
 /// room for the offset of the torque, Coulomb and viscous friction at every joint of an arm that moves in space.
-#ifndef ZYGOS_MAX_EFFECTS
 #if ZYGOS_SPATIAL && (3 * ZYGOS_MAX_JOINTS > 8)
-#define ZYGOS_MAX_EFFECTS (3 * ZYGOS_MAX_JOINTS)
+#define ZYGOS_USUAL_EFFECTS (3 * ZYGOS_MAX_JOINTS)
 #else
-#define ZYGOS_MAX_EFFECTS 8
+#define ZYGOS_USUAL_EFFECTS 8
 #endif
+#ifndef ZYGOS_MAX_EFFECTS
+#define ZYGOS_MAX_EFFECTS ZYGOS_USUAL_EFFECTS
 #endif
 #if (ZYGOS_MAX_EFFECTS < 0) || (ZYGOS_MAX_EFFECTS > 32)
 #error "ZYGOS_MAX_EFFECTS must be 0..32"
@@ -98,6 +99,22 @@ extern "C" {
 #error "ZYGOS_JOINT_ROWS must be 0 or 1"
 #endif
 
+/// The number of blocks of the motor rows; each block consists of whole arcs. It must be even.
+#ifndef ZYGOS_MAX_MOTOR_BLOCKS
+#define ZYGOS_MAX_MOTOR_BLOCKS 32
+#endif
+#if (ZYGOS_MAX_MOTOR_BLOCKS < 4) || (ZYGOS_MAX_MOTOR_BLOCKS > 256) || (ZYGOS_MAX_MOTOR_BLOCKS % 2 != 0)
+#error "ZYGOS_MAX_MOTOR_BLOCKS must be even, 4..256"
+#endif
+
+/// The number of groups of the joint rows.
+#ifndef ZYGOS_JOINT_GROUPS
+#define ZYGOS_JOINT_GROUPS 8
+#endif
+#if (ZYGOS_JOINT_GROUPS < 4) || (ZYGOS_JOINT_GROUPS > 64)
+#error "ZYGOS_JOINT_GROUPS must be 4..64"
+#endif
+
 #define ZYGOS_MAX_WINDOW (2 * ZYGOS_MAX_HALF_WIDTH + 1)
 /// The signals that the smoother filters: q_1 .. q_N, theta_1 .. theta_N, and the base rate about three axes.
 #define ZYGOS_MAX_SIGNALS (2 * ZYGOS_MAX_JOINTS + 3)
@@ -124,12 +141,13 @@ extern "C" {
 #error "ZYGOS_MAX_PARAMETERS must be at most the number of columns"
 #endif
 /// The largest number of entries, other than 0, of the matrix of the reduction. 0: the build has no room for one.
-#ifndef ZYGOS_MAX_REDUCTION
 #if ZYGOS_SPATIAL
-#define ZYGOS_MAX_REDUCTION (12 * ZYGOS_MAX_COLUMNS)
+#define ZYGOS_USUAL_REDUCTION (12 * ZYGOS_MAX_COLUMNS)
 #else
-#define ZYGOS_MAX_REDUCTION ZYGOS_MAX_COLUMNS
+#define ZYGOS_USUAL_REDUCTION ZYGOS_MAX_COLUMNS
 #endif
+#ifndef ZYGOS_MAX_REDUCTION
+#define ZYGOS_MAX_REDUCTION ZYGOS_USUAL_REDUCTION
 #endif
 #if (ZYGOS_MAX_REDUCTION < 0) || (ZYGOS_MAX_REDUCTION > 65535)
 #error "ZYGOS_MAX_REDUCTION must be 0..65535"
@@ -155,6 +173,50 @@ extern "C" {
 #define ZYGOS_MAX_SLICED_ROW (ZYGOS_MAX_ROW + 2 * ZYGOS_BUFFER_ROWS)
 #define ZYGOS_MAX_SLICED_GRAM (ZYGOS_MAX_PACKED_ROW + 2 * ZYGOS_BUFFER_ROWS)
 #define ZYGOS_MAX_PACKED (ZYGOS_MAX_PARAMETERS * (ZYGOS_MAX_PARAMETERS + 1) / 2)
+
+/// A symbol whose name carries the capacities. The library defines it (c/capacities.c) and every object that includes
+/// this header refers to it, so that objects of other capacities than the library's do not link; the message of the
+/// linker has the capacities of the object, and `nm libzygos.a` those of the library. Usual: the default that follows
+/// from the other capacities. A capacity that is given must be a decimal number. An object that is made for a linker
+/// that discards what nothing calls keeps the reference where the compiler knows the attribute retain.
+#ifndef ZYGOS_DECLARATIONS_ONLY
+#if ZYGOS_MAX_EFFECTS == ZYGOS_USUAL_EFFECTS
+#define ZYGOS_NAME_EFFECTS usual
+#else
+#define ZYGOS_NAME_EFFECTS ZYGOS_MAX_EFFECTS
+#endif
+#if ZYGOS_MAX_PARAMETERS == ZYGOS_MAX_COLUMNS
+#define ZYGOS_NAME_PARAMETERS usual
+#else
+#define ZYGOS_NAME_PARAMETERS ZYGOS_MAX_PARAMETERS
+#endif
+#if ZYGOS_MAX_REDUCTION == ZYGOS_USUAL_REDUCTION
+#define ZYGOS_NAME_REDUCTION usual
+#else
+#define ZYGOS_NAME_REDUCTION ZYGOS_MAX_REDUCTION
+#endif
+#define ZYGOS_NAME(joints, half_width, blocks, queue, spatial, effects, momentum, momentum_blocks, joint_rows,         \
+                   parameters, reduction, motor_blocks, groups)                                                        \
+    ZYGOS_NAMED(joints, half_width, blocks, queue, spatial, effects, momentum, momentum_blocks, joint_rows,            \
+                parameters, reduction, motor_blocks, groups)
+#define ZYGOS_NAMED(joints, half_width, blocks, queue, spatial, effects, momentum, momentum_blocks, joint_rows,        \
+                    parameters, reduction, motor_blocks, groups)                                                       \
+    zygos_capacities_joints_##joints##_half_width_##half_width##_blocks_##blocks##_queue_##queue##_spatial_##spatial##_effects_##effects##_momentum_##momentum##_momentum_blocks_##momentum_blocks##_joint_rows_##joint_rows##_parameters_##parameters##_reduction_##reduction##_motor_blocks_##motor_blocks##_groups_##groups
+#define ZYGOS_CAPACITIES                                                                                               \
+    ZYGOS_NAME(ZYGOS_MAX_JOINTS, ZYGOS_MAX_HALF_WIDTH, ZYGOS_MAX_BLOCKS, ZYGOS_CYCLE_QUEUE, ZYGOS_SPATIAL,             \
+               ZYGOS_NAME_EFFECTS, ZYGOS_MOMENTUM, ZYGOS_MAX_MOMENTUM_BLOCKS, ZYGOS_JOINT_ROWS, ZYGOS_NAME_PARAMETERS, \
+               ZYGOS_NAME_REDUCTION, ZYGOS_MAX_MOTOR_BLOCKS, ZYGOS_JOINT_GROUPS)
+#if defined(__has_attribute) && defined(__linux__)
+#if __has_attribute(retain)
+#define ZYGOS_KEPT __attribute__((used, retain))
+#endif
+#endif
+#ifndef ZYGOS_KEPT
+#define ZYGOS_KEPT __attribute__((used))
+#endif
+extern const unsigned char ZYGOS_CAPACITIES;
+static const unsigned char *const zygos_capacities_used ZYGOS_KEPT = &ZYGOS_CAPACITIES;
+#endif
 
 #ifdef __FAST_MATH__
 #error "zygos needs IEEE arithmetic; remedy: compile without -ffast-math"

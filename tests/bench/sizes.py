@@ -27,7 +27,7 @@ def sizes(joints: str, spatial: str, blocks: str) -> dict[str, int]:
         command = ["cc", "-std=c11", *flags, "-I", str(ROOT / "include"), "-x", "c", "-c", "-o", out, "-"]
         subprocess.run(command, input=source, text=True, check=True)
         listed = subprocess.run(["nm", "-S", "-t", "d", out], capture_output=True, text=True, check=True).stdout
-    return {name: int(size) for size, name in re.findall(r"^\d+ 0*(\d+) \w (\w+)$", listed, re.M)}
+    return {name: int(size) for size, name in re.findall(r"^\d+ 0*(\d+) B (\w+)$", listed, re.M)}
 
 
 def main() -> None:

@@ -44,6 +44,7 @@ def compiled(folder: Path, compiler: str, *flags: str) -> subprocess.CompletedPr
     need(shutil.which(command[0]), f"{command[0]}: this compiler stays unchecked")
     (folder / "program.c").write_text(PROGRAM)
     command = [*command, *WARNINGS, *flags, f"-I{ROOT / 'include'}", f"-I{folder}", str(folder / "program.c")]
+    command.append(str(ROOT / "c" / "capacities.c"))
     return subprocess.run([*command, "-o", str(folder / "program")], capture_output=True, text=True, check=False)
 
 
@@ -164,3 +165,27 @@ def test_outputs_do_not_replace_inputs(tmp_path: Path, capsys: pytest.CaptureFix
     assert run("compile-model", tmp_path / "arm.zyg", "-o", tmp_path) == 2
     assert "would replace" in capsys.readouterr().err
     assert not (tmp_path / "arm_config.h").exists()
+
+
+def test_memory_is_told_before_anything_is_flashed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Table, JSON and arm_config.h have the bytes that a compiler makes of the smallest build."""
+    out = tmp_path / "answer.json"
+    assert run("compile-model", EXAMPLE / "arm.toml", "-o", tmp_path, "--json", out) == 0
+    answer, said = json.loads(out.read_text()), capsys.readouterr().out
+    assert set(answer["capacities"]) - set(answer["least_build"]) == {"ZYGOS_MAX_PARAMETERS"}
+    flags = [f"-D{name}={value}" for name, value in answer["least_build"].items()]
+    program = (
+        '#include "zygos/zygos.h"\n#include <stdio.h>\n'
+        'int main(void) { printf("%d %d %d %d", (int)sizeof(zygos_config_t), '
+        "(int)sizeof(zygos_t), (int)sizeof(zygos_work_t), (int)sizeof(zygos_estimate_t)); return 0; }\n"
+    )
+    (tmp_path / "sizes.c").write_text(program)
+    command = ["gcc", "-std=c11", *flags, f"-I{ROOT / 'include'}", str(tmp_path / "sizes.c")]
+    need(shutil.which("gcc"), "gcc: the memory of a build stays unchecked")
+    subprocess.run([*command, str(ROOT / "c" / "capacities.c"), "-o", str(tmp_path / "sizes")], check=True)
+    found = [int(word) for word in subprocess.run([tmp_path / "sizes"], capture_output=True, check=True).stdout.split()]
+    assert list(answer["bytes"].values()) == found
+    text = (tmp_path / "arm_config.h").read_text()
+    assert f"// The smallest build that holds it: {' '.join(flags)}\n" in text
+    assert f"// It takes {sum(found):,} bytes: configuration {found[0]:,}, state {found[1]:,}, " in text
+    assert f"{sum(found):,}" in said

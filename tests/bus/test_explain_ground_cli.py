@@ -9,12 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ground_gap_support import Array, Law, axis, measured, nothing, sign, size
+from ground_gap_support import Array, Law, axis, measured, nothing, sign, simulated, size
 
 from zygos.arm import save_arm
 from zygos.can.run import save_run
 from zygos.cli import main
+from zygos.effects import CATALOGUE, Effect
 from zygos.model.model import Model, Quantity, load_model, save_model
+from zygos.simulation.scenario import load_scenario
 
 
 def run(*arguments: object) -> int:
@@ -68,6 +70,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     base = model.base_parameters(arm)
     base["mz1"] = Quantity(1.1 * base["mz1"].value, 0.0, "CAD", base["mz1"].unit)
     save_model(Model("heavier", parameters=base), folder / "heavier.toml")
+    friction = Effect(CATALOGUE["motor_coulomb"], arm.joints[0].name, 0.1 * size())
+    save_model(replace(model, effects=(friction,)), folder / "rubbing.toml")
     for name, law in LAWS.items():
         for k, one in enumerate(measured(law)):
             save_run(one, folder / f"{name}{k}.npz")
@@ -101,7 +105,8 @@ def test_every_answer_has_its_exit_code_and_its_files(
     folder: Path, tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     page = tmp_path / "gap.html"
-    code, found = explain(folder, tmp_path, [f"{name}0", f"{name}1"], [f"{name}2"], "--report", page)
+    cad = "rubbing" if name == "one_sided" else "cad"
+    code, found = explain(folder, tmp_path, [f"{name}0", f"{name}1"], [f"{name}2"], "--report", page, cad=cad)
     said = capsys.readouterr()
     assert (found["answer"], code) == ANSWERS[name], found["sentence"]
     assert found["estimator"] == "explain-ground"
@@ -225,3 +230,43 @@ def test_entries_and_laws_that_do_not_exist_are_refused(
     error = " ".join(capsys.readouterr().err.split())
     assert message in error and "remedy" in error
     assert not list(tmp_path.iterdir())
+
+
+def test_a_set_comes_with_a_motion_that_is_ready_to_fly(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scenario, page = tmp_path / "next.toml", tmp_path / "gap.html"
+    more = ("--next-motion", scenario, "--report", page)
+    _, found = explain(folder, tmp_path, ["one_sided0", "one_sided1"], ["one_sided2"], *more)
+    assert found["next_motion"]["z"] > 4.5
+    assert load_scenario(scenario).duration_s == found["next_motion"]["duration_s"]
+    assert "The next motion" in page.read_text()
+    assert 'data-chart="planned"' in page.read_text()
+    scenario.unlink()
+    _, found = explain(folder, tmp_path, ["coulomb0", "coulomb1"], ["coulomb2"], "--next-motion", scenario)
+    assert found["next_motion"] is None
+    assert not scenario.exists()
+    assert "no effects have to be told apart" in capsys.readouterr().out
+    code, _ = explain(folder, tmp_path, ["coulomb0", "coulomb1"], ["coulomb2"], "--rate", "1")
+    assert code == 2
+    assert "--next-motion" in capsys.readouterr().err
+
+
+def test_the_simulation_may_be_a_run_of_another_simulator(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made, out = folder / "made.npz", tmp_path / "new.toml"
+    save_run(simulated(measured(coulomb)[0]), made)
+    given = ("--measured", folder / "coulomb0.npz", folder / "coulomb1.npz", "--validate", folder / "coulomb2.npz")
+    page, json_file = tmp_path / "gap.html", tmp_path / "verdict.json"
+    assert run("explain", "--simulation", made, *given, "-o", out, "--json", json_file, "--report", page) == 0
+    found = json.loads(json_file.read_text())
+    assert (found["answer"], found["findings"][0]["effect"]) == ("named", "motor_coulomb")
+    assert found["simulation"] == {"run": str(made), "torques_of": str(folder / "coulomb0.npz")}
+    assert "the values of the simulation are estimated from made.npz" in page.read_text()
+    capsys.readouterr()
+    assert run("explain", "--simulation", made, *given, "-o", out, "--next-motion", tmp_path / "next.toml") == 2
+    assert "zygos estimate" in capsys.readouterr().err
+    other = ("--measured", folder / "nothing0.npz", folder / "nothing1.npz")
+    assert run("explain", "--simulation", made, *other, "-o", out) == 2
+    assert "none of the measured runs" in capsys.readouterr().err

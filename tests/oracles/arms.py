@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from oracles.demo_log import built
 from oracles.hidden import Law, Motion, Readings, SensorError
-from oracles.tree import Payload, TreePlant
+from oracles.tree import Payload, Swinging, TreePlant
 from zygos.arm import NO_IMU, Arm, Encoder, Joint, Smoother, load_arm
 from zygos.model.model import Body, JointModel, Model, Quantity, load_model
 from zygos.runs.cycles import Cycles
@@ -158,7 +158,7 @@ def spatial() -> Trial:
     model = _loose(load_model(folder / "model.toml"), 0.01)
     controller = Controller((260.0, 220.0, 90.0), (45.0, 40.0, 17.0))
     centres = ((0.0, -0.3, 0.9), (0.4, -0.1, 1.3), (-0.3, 0.1, 0.7))
-    return Trial(arm, model, _scenarios(arm, 60.0, centres, 1.1, 0.9, 3.4, controller), False)
+    return Trial(arm, model, _scenarios(arm, 30.0, centres, 1.1, 0.9, 3.4, controller), False)
 
 
 @cache
@@ -224,6 +224,7 @@ class Plant:
     laws: tuple[Law, ...] = ()
     sensors: tuple[SensorError, ...] = ()
     payload: Payload | None = None
+    swinging: Swinging | None = None
     momentum: float | None = None
     dirt: Dirt | None = None
 
@@ -233,7 +234,7 @@ class Plant:
         if self.momentum is not None:
             scenario = replace(scenario, angular_momentum_nms=self.momentum)
         quantum = np.array([joint.motor_encoder.quantum_rad for joint in arm.joints])
-        plant = TreePlant(arm, self.model)
+        plant = TreePlant(arm, self.model, self.swinging)
         motion = plant.run(scenario, self.laws, quantum=quantum, payload=self.payload, duration_s=duration_s)
         return self._recorded(motion, np.random.default_rng([seed, which, 1757])), motion
 

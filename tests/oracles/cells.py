@@ -295,7 +295,10 @@ def _of_arm(arm: str) -> list[Cell]:
             where = "base" if at_base else joints[place]
             for k, times in enumerate(SIZES[arm]):
                 if arm == "spatial" and not at_base and place != PLACES[arm][k]:
-                    # two minutes a verdict: each size at one place
+                    # a minute a verdict: each size at one place
+                    continue
+                if arm == "planar" and not at_base and times == 10.0 and place != PLACES[arm][len(name) % 2]:
+                    # the middle size at one place
                     continue
                 make = own if k == 1 else other
                 cells.append(Cell(f"{arm}/{name}/{where}/x{times:g}", arm, "law", (Hidden(make, place, times),)))

@@ -224,6 +224,44 @@ class LuGre(Law):
 
 
 @dataclass
+class BoucWen(Law):
+    """Hysteresis after Bouc and Wen with an exponent of 1.3, which bends over `distance` rad of the motor."""
+
+    distance: float = 0.01
+    bent: float = field(default=0.0, init=False)
+
+    key = "motor_dahl"
+    near = ("motor_maxwell", "motor_coulomb", "motor_stribeck")
+
+    def torque(self, now: Now) -> float:
+        return -self.size * self.bent
+
+    def end(self, now: Now) -> None:
+        way = self._rate(now) * now.step / 10.0
+        for _ in range(10):
+            held = abs(self.bent) ** 1.3 * (0.5 + 0.5 * np.sign(way * self.bent))
+            self.bent += way * (1.0 - held) / self.distance
+
+
+@dataclass
+class Sliders(Law):
+    """Ten springs in parallel, each of which slides from its own share of `distance` rad on."""
+
+    distance: float = 0.01
+    bent: Array = field(default_factory=lambda: np.zeros(10), init=False)
+
+    key = "motor_maxwell"
+    near = ("motor_dahl", "motor_coulomb", "motor_stribeck")
+
+    def torque(self, now: Now) -> float:
+        return -self.size * float(self.bent.mean())
+
+    def end(self, now: Now) -> None:
+        way = self._rate(now) * now.step
+        self.bent = np.clip(self.bent + way / (self.distance * np.linspace(0.1, 1.0, 10)), -1.0, 1.0)
+
+
+@dataclass
 class Stribeck(Law):
     """The excess of friction near rest, exp(-(v/vs)^2) sgn v, on top of nothing."""
 
@@ -666,6 +704,17 @@ def link_eccentricity(joint: int, size: float) -> SensorError:
         ("link_eccentricity_cos", "link_scale", "link_zero"),
         exact=False,
     )
+
+
+def motor_eccentricity(joint: int, size: float, ratio: float) -> SensorError:
+    """The disc of a motor encoder, mounted off its centre: once a turn of the motor, with a small second harmonic."""
+
+    def change(motion: Motion, readings: Readings, i: int, off: float) -> Readings:
+        angle = ratio * motion.theta[:, i]
+        wrong = off * (np.sin(angle) + 0.1 * np.sin(2.0 * angle))
+        return readings._replace(theta=_only(readings.theta, i, readings.theta[:, i] + wrong))
+
+    return SensorError(joint, size, "motor_eccentricity_sin", change, ("motor_eccentricity_cos",), exact=False)
 
 
 def link_late(joint: int, size: float) -> SensorError:

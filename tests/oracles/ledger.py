@@ -21,6 +21,8 @@ BEGIN, END = "<!-- make gap writes this -->\n", "<!-- to here -->\n"
 Line = dict[str, Any]
 FEW = 20
 """Runs below which a figure is shown and not judged."""
+IDENTICAL = 0.975
+"""Overlap from which on runs do not tell two columns apart: one takes away 95 % of what the other does, squared."""
 
 
 def _digest(paths: Iterable[Path]) -> str:
@@ -68,17 +70,17 @@ def append(line: Line, path: Path | None = None) -> None:
         file.write(json.dumps(line, separators=(",", ":")) + "\n")
 
 
-def last_campaign(lines: Sequence[Line]) -> list[Line]:
-    """The lines of the last product with at least half as many runs as any; of a run that was scored twice, the first.
+def newest(lines: Sequence[Line]) -> list[Line]:
+    """Of each cell and draw the run that was scored last, whatever version of the product it is of."""
+    return list({(line["cell"], line["draw"]): line for line in lines}.values())
 
-    A few runs of a later product do not take the place of a campaign.
-    """
-    by_product: dict[str, dict[tuple[str, int], Line]] = {}
+
+def first_scores(lines: Sequence[Line]) -> list[Line]:
+    """Of each cell and draw the run that was scored first: runs that nobody had looked at when they were made."""
+    out: dict[tuple[str, int], Line] = {}
     for line in lines:
-        by_product.setdefault(line["product"], {}).setdefault((line["cell"], line["draw"]), line)
-    most = max(map(len, by_product.values()), default=0)
-    large = [of for of in by_product.values() if 2 * len(of) >= most]
-    return list(large[-1].values()) if large else []
+        out.setdefault((line["cell"], line["draw"]), line)
+    return list(out.values())
 
 
 def upper(events: int, runs: int, level: float = 0.95) -> float:
@@ -219,9 +221,10 @@ def shown(measure: Measure) -> str:
 
 
 def by_law(lines: Sequence[Line]) -> list[tuple[str, ...]]:
-    """Arm, what is hidden, runs, right at each size, and what was answered instead."""
+    """Arm, what is hidden, and right answers at each size."""
     out: dict[tuple[str, str], list[Line]] = {}
-    for line in lines:
+    arms = list(dict.fromkeys(line["arm"] for line in lines))
+    for line in sorted(lines, key=lambda line: arms.index(line["arm"])):
         parts = line["cell"].split("/")
         what = "/".join(parts[1:2] if line["group"] in {"law", "null"} else parts[1:])
         out.setdefault((parts[0], what), []).append(line)
@@ -233,9 +236,34 @@ def by_law(lines: Sequence[Line]) -> list[tuple[str, ...]]:
             cells.append(f"{sum(_good(line) for line in at)}/{len(at)}" if at else "–")
         if of[0]["group"] not in {"law", "pair"}:
             cells = [f"{sum(_good(line) for line in of)}/{len(of)}", "–", "–"]
-        wrong = sorted({instead(line) for line in of if not _good(line)})
-        rows.append((arm, what, *cells, "; ".join(wrong[:3])))
+        rows.append((arm, what, *cells))
     return rows
+
+
+def missed(lines: Sequence[Line]) -> list[tuple[str, ...]]:
+    """Cell, draws, size in stated limits, answer and cause of the runs that are not right; draws of a cell with the
+    same answer and cause are one row."""
+    out: dict[tuple[str, str, str, str], list[int]] = {}
+    for line in lines:
+        if not _good(line):
+            times = "" if line["multiple"] is None else f"{line['multiple']:.2g}"
+            row = (line["cell"], "" if line["group"] == "null" else times, instead(line), cause(line))
+            out.setdefault(row, []).append(line["draw"])
+    return [(row[0], ", ".join(map(str, sorted(draws))), *row[1:]) for row, draws in sorted(out.items())]
+
+
+def cause(line: Line) -> str:
+    """Why an answer is not right: the runs show no difference between what was hidden and what was named, the size is
+    below three of the limits that the verdict states, or ours."""
+    if line["group"] not in {"law", "pair", "structure"}:
+        return "ours"
+    most, name = max(((x, name) for name, x in (line.get("overlap") or {}).items()), default=(0.0, ""))
+    told = f"overlap of {name} {most:.3f}"
+    if most >= IDENTICAL:
+        return f"identical on this motion: {told}"
+    if line["multiple"] is not None and line["multiple"] < 3.0:
+        return "size below three stated limits"
+    return f"ours; {told}" if name else "ours"
 
 
 def _good(line: Line) -> bool:
@@ -248,27 +276,69 @@ def instead(line: Line) -> str:
     return f"{line['answer']}{': ' + said if said else ''}"
 
 
+def behind(lines: Sequence[Line]) -> str:
+    """How many runs of which versions of the product a table is made of, in words."""
+    of = newest(lines)
+    if not of:
+        return "No run has been scored."
+    versions: dict[str, list[Line]] = {}
+    for line in of:
+        versions.setdefault(line["product"], []).append(line)
+    listed = ", ".join(f"{len(x)} of {product} (commit {x[-1]['commit']})" for product, x in versions.items())
+    before = {(line["cell"], line["draw"]): line for line in first_scores(lines)}
+    again = [(before[line["cell"], line["draw"]], line) for line in of]
+    again = [(old, line) for old, line in again if old is not line]
+    gained = sum(not _good(old) and _good(line) for old, line in again)
+    lost = sum(_good(old) and not _good(line) for old, line in again)
+    several = len(versions) != 1
+    return (
+        f"{len(of)} runs of {len({line['cell'] for line in of})} cells with {len(versions)} "
+        f"version{'s' if several else ''} of the product: {listed}. Of each cell and draw the run that was scored last "
+        f"counts; the ledger has {len(lines)} scores. {len(again)} of these runs were scored before, with an earlier "
+        f"version: {gained} were not right then and are right in the table, {lost} were right then and are not."
+    )
+
+
+def costs(lines: Sequence[Line]) -> list[tuple[str, str, str, str, str]]:
+    """Arm, runs, processor time of a plant's three runs and of an answer, s (median), and all runs together, min."""
+    rows = []
+    for arm in dict.fromkeys(line["arm"] for line in lines):
+        of = [line for line in lines if line["arm"] == arm and line.get("cpu_s") is not None]
+        # older lines have the elapsed time of the plant alone
+        plant = [line.get("plant_cpu_s", line.get("plant_s")) or 0.0 for line in of]
+        if of:
+            answer = [line["cpu_s"] for line in of]
+            whole = (sum(plant) + sum(answer)) / 60.0
+            middle, most = float(np.median(answer)), max(answer)
+            rows.append((arm, str(len(of)), f"{np.median(plant):.1f}", f"{middle:.1f} ({most:.0f})", f"{whole:.1f}"))
+    return rows
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    return [f"| {' | '.join(head)} |", "|---" * len(head) + "|", *(f"| {' | '.join(row)} |" for row in rows)]
+
+
 def markdown(lines: Sequence[Line]) -> str:
     """The tables of docs/gap.md."""
-    of = last_campaign(lines)
-    products = list(dict.fromkeys(line["product"] for line in lines))
-    out = [
-        f"{len(of)} runs were scored with one version of the product (commit {of[-1]['commit']}, digest "
-        f"{of[-1]['product']}); the ledger has {len(lines)} lines of {len(products)} versions.",
-        "",
-        "| measure | asked | found | exact 95 % limit | runs | |",
-        "|---|---|---|---|---|---|",
+    of = newest(lines)
+    before = {m.name: m for m in measures(first_scores(lines))}
+    figures = [
+        (m.name, m.asked, shown(m), m.limit, str(m.runs), verdict(m), shown(before[m.name])) for m in measures(of)
     ]
-    for m in measures(of):
-        out.append(f"| {m.name} | {m.asked} | {shown(m)} | {m.limit} | {m.runs} | {verdict(m)} |")
-    out += [
-        "",
-        "Right answers by what is hidden, at 3, 10 and 30 detection limits (cells without a size in the first column):",
-        "",
-        "| arm | hidden | 3 | 10 | 30 | answers that are not right |",
-        "|---|---|---|---|---|---|",
-    ]
-    out += ["| " + " | ".join(row) + " |" for row in by_law(of)]
+    head = ("measure", "asked", "found", "exact 95 % limit", "runs", "", "at the first score")
+    sizes = (
+        "Right answers by what is hidden, at 3, 10 and 30 detection limits (cells without a size in the first column):"
+    )
+    wrong = (
+        "Every run that is not right, with its cause. The *overlap* of a column that was named is the cosine between "
+        "what is missing and the column, beside all other coefficients, over that of the true column. From "
+        f"{IDENTICAL:g} on the two are identical on this motion. *Ours*: the method fails."
+    )
+    out = [behind(lines), "", *_table(head, figures), "", sizes, ""]
+    out += [*_table(("arm", "hidden", "3", "10", "30"), by_law(of)), "", wrong, ""]
+    out += _table(("cell", "draws", "stated limits", "answer", "cause"), missed(of))
+    out += ["", "Processor time of these runs, median and in brackets the largest:", ""]
+    out += _table(("arm", "runs", "plants, s", "answer, s", "all, min"), costs(of))
     return "\n".join(out) + "\n"
 
 

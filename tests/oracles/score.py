@@ -155,7 +155,8 @@ def _beside(one: Case) -> tuple[tuple[str, str, tuple[float, ...]], ...]:
 
 
 def _column(name: str, joints: Sequence[str]) -> tuple[str, str | None]:
-    """Entry and joint of a column's name."""
+    """Entry and joint of a column's name, whatever its shape."""
+    name = name.partition("@")[0]
     component = re.fullmatch(r"(base_|gravity_|detent_|gyro_)(.*[a-z])[xyz]", name)
     if component is not None:
         return name[:-1], None
@@ -219,7 +220,11 @@ def score(true: Truth, verdict: Json, joints: Sequence[str]) -> dict[str, Any]:
         out["misnamed"] = answer == "named" or (answer == "part named" and not fair)
         return out
     exact = all(e.exact for e in effects)
-    found = [any(e.scale(*pair) is not None for pair in said) for e in effects]
+    # while a joint moves, a constant torque and a difference between the directions are one
+    either = [
+        pair for one in sets if len(one) > 1 and one[0][0] in ("torque_offset", "coulomb_asymmetry") for pair in one
+    ]
+    found = [any(e.scale(*pair) is not None for pair in (*said, *either)) for e in effects]
     loosely = [ok or any(e.nearly(*pair) for pair in said) for e, ok in zip(effects, found, strict=True)]
     if answer == "named":
         out["first"] = bool(said) and hit(said[0])
@@ -263,9 +268,38 @@ def stated_limits(verdict: Json) -> dict[str, float]:
     return {c["name"]: float(c["limit"]) for c in listed if c.get("limit") is not None and np.isfinite(c["limit"])}
 
 
+def overlaps(true: Truth, verdict: Json, joints: Sequence[str]) -> dict[str, float]:
+    """How much columns that were named, or that cannot be told from these, look like the true ones on these runs.
+
+    A candidate by itself takes away the square of the cosine between what is missing and its column, both beside all
+    fitted coefficients; the overlap is this cosine over that of the true column. On the ground it is known at one joint
+    alone. Nothing where the verdict does not list the true column.
+    """
+    taken: dict[tuple[str, str | None], float] = {}
+    for one in verdict.get("candidates") or []:
+        share = min(one["completeness"]) if "completeness" in one else one.get("explained")
+        if share is not None:
+            # of a law with a shape the best
+            at = _column(one["name"], joints)
+            taken[at] = max(taken.get(at, 0.0), float(share))
+    local = any("explained" in one for one in verdict.get("candidates") or [])
+    real = {at: share for at, share in taken.items() if any(e.scale(*at) is not None for e in true.effects)}
+    out = {}
+    for finding in verdict.get("findings") or []:
+        said = [(finding["effect"], finding["joint"]), *(_column(c, joints) for c in finding["cannot_tell_from"])]
+        for pair in said:
+            most = max((share for at, share in real.items() if not local or at[1] == pair[1]), default=0.0)
+            if pair in taken and pair not in real and most > 0.0:
+                out[" ".join(x for x in pair if x)] = float(np.sqrt(max(0.0, taken[pair]) / most))
+    return out
+
+
 def multiple(true: Truth, verdict: Json, joints: Sequence[str]) -> float | None:
     """The smallest size of what is hidden over the limit that the verdict itself states; None where it states none."""
-    limits = {_column(name, joints): value for name, value in stated_limits(verdict).items()}
+    limits: dict[tuple[str, str | None], float] = {}
+    for name, value in stated_limits(verdict).items():
+        # of a law with a shape the smallest
+        limits[_column(name, joints)] = min(value, limits.get(_column(name, joints), np.inf))
     ratios = []
     for e in true.effects:
         if (e.key, e.joint) in limits and limits[e.key, e.joint] > 0.0:

@@ -13,6 +13,7 @@ import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 import mujoco
@@ -46,13 +47,38 @@ class Payload:
     point: tuple[float, float, float]
 
 
+@dataclass(frozen=True)
+class Swinging:
+    """A body on a spring in the base, which no sensor sees: fuel on a slide, or a panel on a hinge."""
+
+    kind: Literal["slide", "hinge"]
+    axis: tuple[float, float, float]
+    place: tuple[float, float, float]
+    """Of its mass centre, m."""
+    mass: float
+    inertia: float
+    """About each axis through its mass centre, kg m^2."""
+    frequency: float
+    """Of the body on its spring in a base that does not move, Hz."""
+    damping: float
+    """Ratio."""
+
+    def put(self, base: Element) -> None:
+        """Add it to the base."""
+        body = SubElement(base, "body", pos=_text(self.place), name="swinging")
+        size, omega = (self.mass if self.kind == "slide" else self.inertia), 2.0 * math.pi * self.frequency
+        stiffness, damping = repr(size * omega**2), repr(2.0 * self.damping * size * omega)
+        SubElement(body, "joint", type=self.kind, axis=_text(self.axis), stiffness=stiffness, damping=damping)
+        SubElement(body, "inertial", pos="0 0 0", mass=repr(self.mass), diaginertia=_text([self.inertia] * 3))
+
+
 class TreePlant:
     """An arm of the bodies and joints of a model."""
 
-    def __init__(self, arm: Arm, model: Model) -> None:
+    def __init__(self, arm: Arm, model: Model, swinging: Swinging | None = None) -> None:
         """Compile the arm."""
         self.arm, self.drawn = arm, model
-        self.model = mujoco.MjModel.from_xml_string(mjcf(arm, model))
+        self.model = mujoco.MjModel.from_xml_string(mjcf(arm, model, swinging))
         self.ratio = arm.gear_ratios
         tree = self.model
         self.link = np.array([tree.joint(f"q{i + 1}").dofadr[0] for i in range(arm.n)])
@@ -336,7 +362,7 @@ class _Servo:
         return np.asarray(wanted / self._ratio)
 
 
-def mjcf(arm: Arm, model: Model) -> str:
+def mjcf(arm: Arm, model: Model, swinging: Swinging | None = None) -> str:
     """The arm as MJCF."""
     axes = [np.array(joint.axis) for joint in arm.joints]
     root, tendons = Element("mujoco"), Element("tendon")
@@ -390,6 +416,9 @@ def mjcf(arm: Arm, model: Model) -> str:
             tendon = SubElement(tendons, "fixed", spring, springlength="0")
             SubElement(tendon, "joint", joint=f"rotor{i + 1}", coef=repr(1.0 / joint.gear_ratio))
             SubElement(tendon, "joint", joint=f"q{i + 1}", coef="-1")
+    base = root.find("worldbody/body")
+    if swinging is not None and base is not None:
+        swinging.put(base)
     if len(tendons):
         root.append(tendons)
     return tostring(root, encoding="unicode")

@@ -26,7 +26,7 @@ from typing import Any
 
 from oracles import ledger
 from oracles.cells import LIMITS, Case, case, cell_named, wanted
-from oracles.score import Truth, as_json, multiple, score, stated_limits, truth
+from oracles.score import Truth, as_json, multiple, overlaps, score, stated_limits, truth
 from oracles.simulate import write
 from zygos.arm import save_arm
 from zygos.files.output import say, table, write_json
@@ -100,6 +100,7 @@ def line_of(one: Case, true: Truth, verdict: dict[str, Any], message: str) -> di
             for f in verdict.get("findings") or []
         ],
         "multiple": _short(multiple(true, verdict, joints)),
+        "overlap": {k: _short(v) for k, v in overlaps(true, verdict, joints).items()},
         "limits": {k: _short(v) for k, v in stated_limits(verdict).items()} if cell.group == "null" else {},
         "gap": {k: _short(gap.get(k)) for k in ("as_delivered", "refit", "closed", "floor")} if gap else None,
         "score": score(true, verdict, joints),
@@ -117,7 +118,7 @@ def one_run(name: str, draw: int) -> dict[str, Any]:
     with tempfile.TemporaryDirectory(prefix="zygos-trial-") as temporary:
         folder = Path(temporary)
         true = make(one, folder)
-        made = time.monotonic()
+        made, plant = time.monotonic(), time.process_time()
         verdict, message = ask(one, folder)
         kept = os.environ.get("KEEP")
         if kept:
@@ -127,7 +128,7 @@ def one_run(name: str, draw: int) -> dict[str, Any]:
     line = line_of(one, true, verdict, message)
     spent = resource.getrusage(resource.RUSAGE_CHILDREN)
     line["plant_s"], line["explain_s"] = _short(made - begin), _short(time.monotonic() - made)
-    line["cpu_s"] = _short(spent.ru_utime + spent.ru_stime)
+    line["plant_cpu_s"], line["cpu_s"] = _short(plant), _short(spent.ru_utime + spent.ru_stime)
     return line
 
 
@@ -210,7 +211,7 @@ def main(arguments: Sequence[str]) -> int:
         return 0
     if words == ["table"]:
         ledger.write_page()
-        return show(ledger.last_campaign(ledger.read()))
+        return show(ledger.newest(ledger.read()))
     draws = int(options["draws"]) if "draws" in options else None
     jobs = spread(words, draws, int(options.get("from", 0)))
     if "again" not in arguments:
@@ -221,7 +222,7 @@ def main(arguments: Sequence[str]) -> int:
     say(f"{len(lines)} runs in {time.monotonic() - begin:.0f} s, in {ledger.LEDGER}")
     of = {(line["cell"], line["draw"]) for line in lines}
     names = {cell.name for cell in wanted(words)}
-    return show([x for x in ledger.last_campaign(ledger.read()) if x["cell"] in names or (x["cell"], x["draw"]) in of])
+    return show([x for x in ledger.newest(ledger.read()) if x["cell"] in names or (x["cell"], x["draw"]) in of])
 
 
 if __name__ == "__main__":

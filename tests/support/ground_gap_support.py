@@ -10,6 +10,7 @@ import numpy as np
 from ground_support import motion, torques
 from laboratory_support import laboratory_arm
 from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
 
 from zygos.arm import Arm
 from zygos.can.run import Run
@@ -88,6 +89,33 @@ def measured(
         )
         out.append(Run.of_cycles(arm, cycles))
     return out
+
+
+def simulated(run: Run, viscous: float = 0.0) -> Run:
+    """The motion of the axis under the torques of a run, by SciPy and Pinocchio; viscous: friction in Nms before the
+    gear."""
+    arm, model = axis()
+    h, count = arm.period_s, len(run)
+    t, tau = h * np.arange(count), run.cycles.tau[:, 0]
+    one = np.ones((1, 1))
+
+    def needed(q: float, acceleration: float) -> float:
+        return float(torques(arm, model, q * one, 0.0 * one, acceleration * one)[0, 0])
+
+    unit = needed(0.0, 1.0) - needed(0.0, 0.0)
+    grid = np.linspace(-np.pi, np.pi, 2001)
+    still = torques(arm, model, grid[:, None], 0.0 * grid[:, None], 0.0 * grid[:, None])[:, 0]
+
+    def slope(time: float, state: Array) -> Array:
+        q, qd = state
+        held = np.interp((q + np.pi) % (2.0 * np.pi) - np.pi, grid, still)
+        return np.array([qd, (np.interp(time, t, tau) - held - viscous * qd) / unit])
+
+    start = run.cycles.q[0, 0]
+    path = solve_ivp(slope, (0.0, t[-1]), [start, 0.0], t_eval=t, rtol=1e-8, atol=1e-10, max_step=h)
+    q = path.y[0][:, None]
+    own = run.cycles
+    return Run.of_cycles(arm, Cycles(own.sync, q, q, own.tau, own.omega, own.flags))
 
 
 def sign(rate: Array) -> Array:

@@ -19,6 +19,7 @@ from zygos.gap.ground.explanation import GroundExplanation
 from zygos.gap.ground.page import write_ground_gap_report
 from zygos.model.model import Model, Quantity
 from zygos.report.provenance import provenance
+from zygos.reports import write_report
 
 ROOT = Path(__file__).parents[2]
 
@@ -73,14 +74,22 @@ def test_coulomb_friction_that_differs_between_the_directions_looks_like_an_offs
     def law(q: Array, qd: Array) -> Array:
         return np.where(qd > 0.0, 0.12, 0.06) * size() * sign(qd)
 
-    moving = _explained(measured(law))
-    assert moving.answer == "cannot tell", moving.sentence
-    assert moving.model is None
+    runs = measured(law)
+    moving = _explained(runs)
+    assert moving.answer == "named", moving.sentence
     assert [(f.kind, f.instead) for f in moving.findings] == [
         ("motor_coulomb", ()),
         ("torque_offset", ("coulomb_asymmetry1",)),
     ]
-    assert "rest" in moving.remedy
+    assert "cannot tell apart" in moving.sentence
+    assert moving.model is not None
+    assert [effect.kind.key for effect in moving.model.effects] == ["motor_coulomb"]
+    # nothing else is missing
+    undecided = _explained(runs, moving.model)
+    assert undecided.answer == "cannot tell", undecided.sentence
+    assert [f.instead for f in undecided.findings] == [("coulomb_asymmetry1",)]
+    assert undecided.model is None
+    assert "rest" in undecided.remedy
     resting = _explained(measured(law, rests=True))
     assert _found(resting)["coulomb_asymmetry"] == pytest.approx(0.03 * size(), rel=0.1)
     assert not any(f.instead for f in resting.findings)
@@ -173,6 +182,8 @@ def test_page_and_json_say_the_verdict(tmp_path: Path) -> None:
     page = (tmp_path / "gap.html").read_text()
     assert "part named" in page
     assert "median of the torque left over the rate" in page
+    write_report(x, tmp_path / "again.html")
+    assert "zygos.explain, called from Python" in (tmp_path / "again.html").read_text()
     written = json.loads(json.dumps(as_json(x, source), allow_nan=False))
     assert written["answer"] == "part named"
     assert written["findings"][0]["effect"] == "motor_viscous"

@@ -20,7 +20,9 @@ from zygos.gap.explanation import Explanation
 from zygos.gap.findings import Deflection
 from zygos.gap.page import write_gap_report
 from zygos.gap.record import read_measured_run
+from zygos.gap.residuals import as_delivered
 from zygos.gap.sentences import motion
+from zygos.gap.torque import joint_torques
 from zygos.gap.verdicts import (
     BrokenRun,
     Inseparable,
@@ -168,6 +170,24 @@ def test_named(tmp_path: Path, friction: Explanation) -> None:
     rate, torque = np.array(page.data["times"]["rate-1"]), np.array([np.nan if y is None else y for y in bare["y"]])
     np.testing.assert_allclose(np.nanmedian(torque[rate < -0.02]), 0.05, rtol=0.1)
     np.testing.assert_allclose(np.nanmedian(torque[rate > 0.02]), -0.05, rtol=0.1)
+
+
+def test_torques_of_the_untouched_run_and_run_against_run(tmp_path: Path, friction: Explanation) -> None:
+    """Friction at the elbow is the torque that the delivered model lacks there, against the motion on either side."""
+    page = Page(tmp_path, friction)
+    (left,) = [*joint_torques(friction.validated[0], [as_delivered(friction), friction.closed])][1:]
+    delivered, closed = (left.measured - needed for needed in left.needed if needed is not None)
+    for side in (left.rate > 0.02, left.rate < -0.02):
+        sign = np.sign(left.rate[side][0])
+        np.testing.assert_allclose(np.nanmedian(delivered[side]), 0.05 * sign, rtol=0.15)
+        assert abs(np.nanmedian(closed[side])) < 0.01
+    # the mean of the reported torque over the windows
+    record = friction.validated[0]
+    assert np.nanstd(left.measured) == pytest.approx(np.nanstd(record.readings().tau[..., 1]), rel=0.05)
+    wanted = {"torque-1", "torque-1-left", "torque-1-rate", "torque-1-angle", "torque-1-deflection"}
+    assert wanted <= set(page.data["charts"])
+    assert "Run against run" in page.text
+    assert page.text.count("motor_coulomb2") >= 1
 
 
 def test_nothing_missing_leads_with_the_limits(tmp_path: Path, friction: Explanation) -> None:

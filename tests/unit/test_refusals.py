@@ -17,6 +17,7 @@ from zygos.arm import NO_IMU, Arm, Encoder, Joint, Smoother, load_arm
 from zygos.audit import Audit, audit
 from zygos.can import bus
 from zygos.cli import main
+from zygos.effects import CATALOGUE
 from zygos.errors import ZygosError
 from zygos.estimation.remedies import Known, measured, remedy
 from zygos.estimation.watch import Watch
@@ -245,7 +246,7 @@ def local(layout: Layout, **rho: float) -> np.ndarray:  # type: ignore[type-arg]
 
 
 def finding(kind: str, joint: str | None) -> Finding:
-    return Finding(kind, joint, 1.0, 0.01, "Nm", Significance(9.0, 1.0))
+    return Finding(kind, joint, 1.0, 0.01, "Nm", Significance(9.0, 1.0), entry=CATALOGUE.get(kind))
 
 
 def where(arm: Arm, layout: Layout, seen: np.ndarray, found: tuple[Finding, ...] = (), *, first: bool = False) -> str:  # type: ignore[type-arg]

@@ -67,8 +67,8 @@ def test_capacities_change_the_hash(tmp_path: Path) -> None:
         *("MOMENTUM=0", "MAX_MOMENTUM_BLOCKS=14", "MAX_MOTOR_BLOCKS=30"),
     ):
         define = [f"-DZYGOS_{flag}"] if flag else []
-        command = ["cc", "-std=c11", "-I", str(ROOT / "include"), *define, str(tmp_path / "abi.c"), "-o"]
-        subprocess.run([*command, str(tmp_path / "abi")], check=True)
+        command = ["cc", "-std=c11", "-I", str(ROOT / "include"), *define, str(ROOT / "c" / "capacities.c")]
+        subprocess.run([*command, str(tmp_path / "abi.c"), "-o", str(tmp_path / "abi")], check=True)
         found.append(int(subprocess.run([tmp_path / "abi"], capture_output=True, check=True).stdout))
     assert found[0] == lib.zygos_abi()
     assert len(set(found)) == len(found)

@@ -14,7 +14,7 @@ if not os.environ.get("CI"):  # there, a missing tool is a failure
     pytest.importorskip("mujoco")
 
 from oracles import ledger
-from oracles.score import True_, Truth, multiple, score
+from oracles.score import True_, Truth, multiple, overlaps, score
 
 JOINTS = ("shoulder", "elbow")
 COULOMB = True_("motor_coulomb", "elbow", 0.03, True, ("motor_stribeck",), False, 50.0)
@@ -202,36 +202,70 @@ def test_exact_limits() -> None:
 
 def test_figures_and_table_of_a_ledger(tmp_path: Path) -> None:
     null, law, outside = Truth("null", ""), Truth("law", "named", (COULOMB,)), Truth("outside", "unknown", (OUTSIDE,))
-    right = named(("motor_coulomb", "elbow"))
+    right, wrong = named(("motor_coulomb", "elbow")), named(("link_coulomb", "elbow"))
     gap = {"as_delivered": 90.0, "refit": 20.0, "closed": 1.2, "floor": 1.0}
     path = tmp_path / "ledger.jsonl"
+    cell = "planar/motor_coulomb/elbow/x"
     for one in (
         line("planar/null", "null", null, right, "old"),
         line("planar/null", "null", null, {"answer": "nothing missing"}, limits={"motor_coulomb2": 0.002}),
-        line("planar/null", "null", null, right),  # a second score of the same run does not count
         line("planar/null", "null", null, right, draw=1, limits={"motor_coulomb2": 0.004}),
-        line("planar/motor_coulomb/elbow/x30", "law", law, right, gap=gap),
-        line("planar/motor_coulomb/elbow/x30", "law", law, {"answer": "refused"}, draw=1),
-        line("planar/motor_coulomb/elbow/x3", "law", law, {"answer": "unknown"}, nominal=3.0, multiple=2.9),
-        line("planar/outside/drag/elbow", "outside", outside, right),
+        line(f"{cell}30", "law", law, right, gap=gap, cpu_s=9.0, plant_cpu_s=3.0),
+        line(f"{cell}30", "law", law, {"answer": "refused"}, draw=1),
+        line(f"{cell}30", "law", law, wrong, draw=2, overlap={"link_coulomb elbow": 0.99}),
+        line(f"{cell}30", "law", law, wrong, draw=3, overlap={"link_coulomb elbow": 0.5}),
+        line(f"{cell}3", "law", law, {"answer": "unknown"}, nominal=3.0, multiple=2.9),
+        line("planar/outside/drag/elbow", "outside", outside, right, "old"),
     ):
         ledger.append(one, path)
     lines = ledger.read(path)
-    assert len(lines) == 8
-    last = ledger.last_campaign(lines)
-    assert [(x["cell"], x["draw"]) for x in last].count(("planar/null", 0)) == 1
-    found = {m.name: m for m in ledger.measures(last)}
+    assert len(lines) == 9
+    of = ledger.newest(lines)
+    assert [x["product"] for x in of if (x["cell"], x["draw"]) == ("planar/null", 0)] == ["p"]
+    found = {m.name: m for m in ledger.measures(of)}
     assert (found["nulls with any false name"].value, found["nulls with any false name"].runs) == (0.5, 2)
+    earlier = {m.name: m for m in ledger.measures(ledger.first_scores(lines))}
+    assert earlier["nulls with any false name"].value == 1.0
     first = found["right effect and place first, from 3 detection limits on"]
-    assert (first.value, first.runs, first.met) == (0.5, 2, False)  # the refusal counts, the small one does not
+    assert (first.value, first.runs, first.met) == (0.25, 4, False)  # the refusal counts, the small one does not
     assert found["outside the catalogue: misnamed"].value == 1.0
-    assert found["extra names a run"].value == pytest.approx(0.2)
+    assert found["extra names a run"].value == pytest.approx(3.0 / 7.0)
     assert found["error of the size, median"].met
     assert found["held-out error over its floor, median"].value == pytest.approx(1.2)
     assert ledger.typical_limits(lines) == {"planar/clean": {"motor_coulomb2": 0.003}}
     text = ledger.markdown(lines)
-    assert "| planar | motor_coulomb | 0/1 | – | 1/2 | refused; unknown |" in text
-    assert "7 runs" not in text and "6 runs were scored" in text and "8 lines of 2 versions" in text
+    assert "| planar | motor_coulomb | 0/1 | – | 1/4 |" in text
+    assert "8 runs of 4 cells with 2 versions of the product: 7 of p (commit c), 1 of old (commit c)" in text
+    assert "1 of these runs were scored before, with an earlier version: 1 were not right then" in text
+    causes = {(x[0], x[1]): x[-1] for x in ledger.missed(of)}
+    assert causes == {
+        ("planar/null", "1"): "ours",
+        (f"{cell}30", "1"): "ours",
+        (f"{cell}30", "2"): "identical on this motion: overlap of link_coulomb elbow 0.990",
+        (f"{cell}30", "3"): "ours; overlap of link_coulomb elbow 0.500",
+        (f"{cell}3", "0"): "size below three stated limits",
+        ("planar/outside/drag/elbow", "0"): "ours",
+    }
+    assert ledger.costs(of) == [("planar", "1", "3.0", "9.0 (9)", "0.2")]
+
+
+def test_the_overlap_is_that_of_what_was_named_with_the_true_column() -> None:
+    law = Truth("law", "named", (COULOMB,))
+    listed = [
+        {"name": "motor_coulomb2", "completeness": [1.0, 0.96]},
+        {"name": "link_coulomb2", "completeness": [0.25, 0.24]},
+        {"name": "motor_stribeck2@0.04", "completeness": [0.5, 0.3]},
+        {"name": "motor_stribeck2@0.08", "completeness": [0.96, 0.97]},
+    ]
+    verdict = {**named(("link_coulomb", "elbow"), instead=("motor_stribeck2@0.04",)), "candidates": listed}
+    found = overlaps(law, verdict, JOINTS)
+    assert found == pytest.approx({"link_coulomb elbow": 0.5, "motor_stribeck elbow": 1.0})
+    assert overlaps(law, {**named(("motor_coulomb", "elbow")), "candidates": listed}, JOINTS) == {}
+    assert overlaps(law, {**verdict, "candidates": listed[1:]}, JOINTS) == {}
+    ground = [{"name": c["name"], "explained": c["completeness"][1]} for c in listed]
+    elsewhere = [{"name": "motor_coulomb1", "explained": 0.96}, *ground[:1]]
+    assert overlaps(law, {**verdict, "candidates": ground}, JOINTS)["link_coulomb elbow"] == pytest.approx(0.5)
+    assert overlaps(law, {**named(("motor_coulomb", "shoulder")), "candidates": elsewhere}, JOINTS) == {}
 
 
 def test_a_ledger_is_only_ever_added_to() -> None:

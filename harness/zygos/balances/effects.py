@@ -15,7 +15,7 @@ from zygos.arm import Arm
 from zygos.balances.quadrature import FromOrigin
 from zygos.balances.readings import Readings
 from zygos.balances.state import State
-from zygos.effects import UNKNOWN, Effect, Kind, Motion, Place, estimated
+from zygos.effects import UNKNOWN, Effect, Kind, Motion, estimated
 from zygos.errors import ZygosError
 from zygos.runs.samples import Samples
 from zygos.runs.smoother import Smoothed
@@ -83,14 +83,14 @@ class Signals:
         """(..., m) rate of the deflection, rad/s."""
         return self.motor_rate - self.link_rate
 
-    def motion(self, place: Place) -> Motion:
-        """What laws at a site depend on."""
+    def motion(self, kind: Kind, shape: float) -> Motion:
+        """What a law depends on."""
         rate, angle = {
             "motor": (self.motor_rate, self.motor_angle),
             "torque": (self.motor_rate, self.motor_angle),
             "spring": (self.slip, self.deflection),
-        }.get(place, (self.link_rate, self.link_angle))
-        return Motion(
+        }.get(kind.place, (self.link_rate, self.link_angle))
+        motion = Motion(
             rate=rate,
             angle=angle,
             deflection=self.deflection,
@@ -100,6 +100,7 @@ class Signals:
             time=np.broadcast_to(self.time, rate.shape),
             ratio=self.gear_ratio,
         )
+        return kind.memory.along(motion, shape, self.totals.period_s) if kind.memory else motion
 
 
 @dataclass(frozen=True)
@@ -117,10 +118,11 @@ class BaseSignals:
     """(..., m, 3, 3) rotation from base axes to those in which the momentum of a spatial arm is stated; None in a
     plane."""
 
-    def motion(self, component: int) -> Motion:
-        """What laws depend on; the rate and the angle are those of a planar arm."""
+    def motion(self, kind: Kind, shape: float, component: int) -> Motion:
+        """What a law depends on; the angle is that of a planar arm."""
         rate = self.rate[..., component] if self.turned is not None else self.rate
-        return Motion(rate=rate, angle=self.angle, time=np.broadcast_to(self.time, rate.shape))
+        motion = Motion(rate=rate, angle=self.angle, time=np.broadcast_to(self.time, rate.shape))
+        return kind.memory.along(motion, shape, self.totals.period_s) if kind.memory else motion
 
 
 def energy_column(kind: Kind, signals: Signals | BaseSignals, shape: float | None = None, component: int = 0) -> Floats:
@@ -131,7 +133,7 @@ def energy_column(kind: Kind, signals: Signals | BaseSignals, shape: float | Non
     """
     form = kind.shape if shape is None else shape
     if isinstance(signals, BaseSignals):
-        motion = signals.motion(component)
+        motion = signals.motion(kind, form, component)
         return (
             np.zeros_like(motion.rate)
             if kind.law is None
@@ -148,7 +150,7 @@ def energy_column(kind: Kind, signals: Signals | BaseSignals, shape: float | Non
         return -_held(kind, s, form, s.gear_ratio * s.motor_rate)
     if kind.potential is not None:
         return kind.potential(s.deflection, form)
-    motion, factor = s.motion(kind.place), s.gear_ratio if kind.place == "motor" else 1.0
+    motion, factor = s.motion(kind, form), s.gear_ratio if kind.place == "motor" else 1.0
     return s.totals.integral(factor * _law(kind)(motion, form) * motion.rate)
 
 
@@ -162,11 +164,11 @@ def impulse_column(kind: Kind, signals: Signals, shape: float | None = None) -> 
         return np.asarray(0.5 * (s.before + s.after), dtype=np.float64)
     law = _law(kind)
     if kind.place == "spring":
-        return s.totals.integral(law(s.motion("spring"), form)) / s.gear_ratio
+        return s.totals.integral(law(s.motion(kind, form), form)) / s.gear_ratio
     if kind.place == "torque":
         return -_held(kind, s, form, np.ones_like(s.motor_rate))
     if kind.place == "motor":
-        return s.totals.integral(law(s.motion("motor"), form))
+        return s.totals.integral(law(s.motion(kind, form), form))
     return np.zeros_like(s.link_rate)
 
 
@@ -177,9 +179,9 @@ def joint_column(kind: Kind, signals: Signals, flexible: bool, shape: float | No
     """
     form, s = kind.shape if shape is None else shape, signals
     if kind.place == "spring":
-        return -s.totals.integral(_law(kind)(s.motion("spring"), form))
+        return -s.totals.integral(_law(kind)(s.motion(kind, form), form))
     if kind.place in ("link", "load"):
-        return s.totals.integral(_law(kind)(s.motion(kind.place), form))
+        return s.totals.integral(_law(kind)(s.motion(kind, form), form))
     return np.zeros_like(s.link_rate) if flexible else s.gear_ratio * impulse_column(kind, s, shape)
 
 
@@ -194,7 +196,8 @@ def momentum_column(kind: Kind, signals: BaseSignals, shape: float | None = None
     s = signals
     if kind.law is None:
         return np.full((*s.rate.shape, 1), -1.0)
-    torque = kind.law(s.motion(component), kind.shape if shape is None else shape)
+    form = kind.shape if shape is None else shape
+    torque = kind.law(s.motion(kind, form, component), form)
     if s.turned is None:
         return -s.totals.integral(torque)[..., None]
     along = s.turned[..., component] * torque[..., None]
@@ -243,7 +246,7 @@ def _law(kind: Kind) -> Callable[[Motion, float], Floats]:
 
 def _held(kind: Kind, s: Signals, form: float, factor: Floats) -> Floats:
     """Integral of f times a factor (..., m), where f may depend on the torque, which is constant in each step."""
-    law, motion = _law(kind), s.motion("torque")
+    law, motion = _law(kind), s.motion(kind, form)
 
     def at(shift: int) -> Floats:
         place = np.maximum(np.arange(1, factor.shape[-1]) - shift, 0)

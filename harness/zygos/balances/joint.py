@@ -68,6 +68,16 @@ def joint_columns(arm: Arm, state: State) -> JointColumns:
     return JointColumns(momentum, force, rotor_momentum, rotor_force)
 
 
+def gravity_forces(arm: Arm, state: State, moments: Floats) -> Floats:
+    """(..., N, 3) forces -dV/dq_j of a gravity of 1 m/s^2 along each axis of the base, Nm, on an arm on a fixed base.
+
+    moments: (2N,) first moments of all bodies, u and v of each, kg m, whether the gravity of the arm file moves them or
+    not.
+    """
+    places = posture(arm, state.q)
+    return np.asarray(np.einsum("...jvk,v->...jk", _turned(places.axis, places.direction, places.body), moments))
+
+
 def _turned(axis: Floats, direction: Floats, body: NDArray[np.int64]) -> Floats:
     """(..., N, V, 3): z_j x d for every direction of a body that joint j carries, otherwise 0."""
     carried = body[None, :] > np.arange(axis.shape[-2])[:, None]

@@ -14,7 +14,7 @@ from zygos.files.output import check_outputs, counted, say, table, write_json, w
 from zygos.model.model import load_model
 from zygos.native import snapshot
 from zygos.native.flight import Flight, ffi, lib
-from zygos.native.header import capacities, header
+from zygos.native.header import capacities, header, least_build, least_memory
 
 HEADER, BLOB = "arm_config.h", "arm.zyg"
 
@@ -32,6 +32,7 @@ def compile_model(arm_file: Path, folder: Path, model_file: Path | None, json: s
     write_text(source, header(flight, made_of))
     snapshot.write(blob, "configuration", ffi.addressof(flight.native, "config"))
     needs = capacities(flight.native.config)
+    bytes_of = least_memory(flight.native.config)
     summary = {
         "arm": arm.name,
         "header": str(source),
@@ -44,12 +45,16 @@ def compile_model(arm_file: Path, folder: Path, model_file: Path | None, json: s
         "effects": columns,
         "omitted": omitted,
         "capacities": needs,
+        "least_build": least_build(flight.native.config),
+        "bytes": bytes_of,
     }
     if json:
         write_json(json, summary)
     if json != "-":
         rows = [(macro, str(value), str(getattr(lib, f"{macro}_VALUE"))) for macro, value in needs.items()]
         table(("capacity", "needed", f"{BLOB} has"), rows)
+        listed = [*bytes_of.items(), ("in all", sum(bytes_of.values()))]
+        table(("memory of the smallest build", "bytes"), [(what, f"{size:,}") for what, size in listed])
         say(
             f"{source}, {blob}: arm {arm.name}, {counted(arm.n, 'joint')}, "
             f"{counted(len(arm.parameters), 'base parameter')} of {len(arm.full_parameters)}, "

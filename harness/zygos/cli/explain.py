@@ -15,22 +15,27 @@ from zygos.can.run import Run, find_arm, read_run
 from zygos.cli.options import ArmFile, Json
 from zygos.cli.shared import check_model_name, not_whole, warn
 from zygos.effects import estimated, laws
-from zygos.errors import Undecided
+from zygos.errors import Undecided, ZygosError
 from zygos.files.output import check_outputs, named, number, quiet, say, table, write_json
 from zygos.files.progress import progress
-from zygos.gap.answer import as_json, predictions
+from zygos.gap.answer import as_json, planned_json, predictions
 from zygos.gap.explanation import Explanation
-from zygos.gap.findings import INTERVAL, Value
+from zygos.gap.findings import INTERVAL, Value, undecided
 from zygos.gap.ground.answer import as_json as ground_json
 from zygos.gap.ground.answer import predicted_errors
 from zygos.gap.ground.explanation import GroundExplanation
+from zygos.gap.ground.search import false_alarms, threshold
+from zygos.gap.ground.sentences import after_gear
 from zygos.gap.ground.sentences import against as ground_against
 from zygos.gap.record import letter
-from zygos.gap.runs import check_arm_of_gap, check_distinct, check_keys, explain_runs
-from zygos.gap.sentences import against
+from zygos.gap.runs import check_arm_of_gap, check_distinct, check_keys, explain_runs, plan_next
+from zygos.gap.sentences import against, asked_of_candidates
 from zygos.model.model import load_model, save_model
 from zygos.native.flight import Flight
+from zygos.plan.limits import Limits, limits_of
+from zygos.plan.separating import Separating
 from zygos.report.provenance import Provenance, provenance
+from zygos.simulation.scenario import save_scenario
 
 
 @dataclass(frozen=True)
@@ -50,6 +55,16 @@ class Inputs:
         return listed + [("validate", run) for run in self.validate]
 
 
+@dataclass(frozen=True)
+class Planned:
+    """The motion to plan where effects cannot be told apart."""
+
+    file: Path
+    """The scenario to write."""
+    limits: tuple[str | None, str | None, str | None]
+    """Of angle, rate and torque, as `zygos plan` takes them."""
+
+
 def explain_run(
     simulation: Path,
     measured: Sequence[Path],
@@ -61,11 +76,12 @@ def explain_run(
     command: Sequence[str],
     effects: Sequence[Path] = (),
     without: Sequence[str] = (),
+    planned: Planned | None = None,
 ) -> None:
     """Explain the gap between a simulation and measured runs; see `zygos explain --help`."""
     with laws(*effects):
         check_keys(without)
-        _explain_run(simulation, measured, validate, arm_file, out, report, json, command, without)
+        _explain_run(simulation, measured, validate, arm_file, out, report, json, command, without, planned)
 
 
 def _explain_run(
@@ -78,17 +94,30 @@ def _explain_run(
     json: str | None,
     command: Sequence[str],
     without: Sequence[str],
+    planned: Planned | None,
 ) -> None:
     inputs = Inputs(simulation, find_arm(measured[0], arm_file), tuple(measured), tuple(validate))
     runs = [run for role, run in inputs.files if role in {"measured", "validate"}]
     for run in runs:
         find_arm(run, inputs.arm)
     check_model_name(out)
-    check_outputs([out, report, json], [path for _, path in inputs.files])
-    arm, model = load_arm(inputs.arm), load_model(simulation)
+    if planned is not None:
+        check_model_name(planned.file)
+    check_outputs(
+        [out, report, json, planned.file if planned is not None else None], [path for _, path in inputs.files]
+    )
+    arm = load_arm(inputs.arm)
+    model = load_model(simulation) if simulation.suffix == ".toml" else None
+    if model is None and planned is not None:
+        raise ZygosError(
+            f"--next-motion: a scenario needs the file of a model, and {simulation} is a run; remedy: "
+            f"`zygos estimate {simulation} -o MODEL.toml`, and MODEL.toml as --simulation"
+        )
+    limits = limits_of(arm, *(planned.limits if planned is not None else (None, None, None)))
     if not arm.grounded:
         check_arm_of_gap(arm, str(inputs.arm))
-    model.base_parameters(arm)
+    if model is not None:
+        model.base_parameters(arm)
     with progress() as bar:
         task = bar.add_task("reading", total=1.0)
         logs: list[Run] = []
@@ -96,17 +125,48 @@ def _explain_run(
             bar.update(task, description=f"reading {run.name}", completed=0.2 * k / len(runs))
             logs.append(read_run(run, arm))
             warn(logs[-1].damage)
-            check_distinct(logs)
+            check_distinct(logs[-1], logs[:-1])
         found = explain_runs(
-            model,
+            read_run(simulation, arm) if model is None else model,
             logs[: len(measured)],
             validate=logs[len(measured) :],
             without=without,
             progress=lambda share, what: bar.update(task, description=what, completed=0.2 + 0.8 * share),
         )
+        motion = None
+        if planned is not None and undecided(found.findings):
+            bar.update(task, description="the next motion")
+            motion = _next(found, planned, limits, inputs)
+    if planned is not None and not quiet(out, report, json):
+        say(_planned(found, planned, motion))
     source = provenance(command, inputs.files)
-    finish(found, logs, inputs, source, out, report, json)
+    finish(found, logs, inputs, source, out, report, json, motion)
     not_whole(*(log.damage for log in logs))
+
+
+def _next(
+    found: Explanation | GroundExplanation, planned: Planned, limits: Limits, inputs: Inputs
+) -> Separating | None:
+    """Plan the next motion and write its scenario; None, with a warning, where no motion tells the effects apart."""
+    try:
+        motion = plan_next(found, limits, inputs.arm, inputs.simulation, name=planned.file.stem)
+    except Undecided as error:
+        warn([f"{planned.file} not written: {error}"])
+        return None
+    save_scenario(motion.scenario, planned.file)
+    return motion
+
+
+def _planned(found: Explanation | GroundExplanation, planned: Planned, motion: Separating | None) -> str:
+    """What became of the next motion."""
+    if motion is not None:
+        return (
+            f"{planned.file}: written, {motion.scenario.duration_s:g} s, {motion.form}; after one run the effects are "
+            f"expected to be {motion.z:.3g} standard deviations apart"
+        )
+    if undecided(found.findings):
+        return f"{planned.file}: not written"
+    return f"{planned.file}: not written; the answer is {found.answer!r}, and no effects have to be told apart"
 
 
 def unflown(found: Explanation) -> list[str]:
@@ -155,6 +215,7 @@ def finish(
     out: Path,
     report: Path | None,
     json: str | None,
+    motion: Separating | None = None,
 ) -> None:
     """Print the tables, write the requested files, and raise Undecided if nothing is named."""
     flight = flown(found, logs[: len(inputs.measured)])
@@ -181,16 +242,18 @@ def finish(
             if isinstance(found, GroundExplanation):
                 from zygos.gap.ground.page import write_ground_gap_report  # noqa: PLC0415
 
-                write_ground_gap_report(report, found, source)
+                write_ground_gap_report(report, found, source, motion)
             else:
                 from zygos.gap.page import write_gap_report  # noqa: PLC0415
 
-                write_gap_report(report, found, source)
+                write_gap_report(report, found, source, motion)
     finally:
         if json:
             damage = [text for log in logs for text in log.damage]
             content = ground_json(found, source) if isinstance(found, GroundExplanation) else as_json(found, source)
-            write_json(json, {**content, "flight": flight, "damage": damage or None})
+            write_json(
+                json, {**content, "next_motion": planned_json(motion), "flight": flight, "damage": damage or None}
+            )
     if found.answer in {"unknown", "cannot tell"}:
         raise Undecided(f"{found.answer}: {found.sentence} ({named(out)} not written); remedy: {found.remedy}")
 
@@ -224,6 +287,8 @@ def show(found: Explanation) -> None:
             ],
             title=f"the first {len(listed)} of {len(found.search.rounds[0])} candidates",
         )
+        luck = found.search.chance
+        say(asked_of_candidates(luck.threshold, luck.false_alarms, "on every run"))
     show_values(found.values)
     if found.gap is not None:
         table(
@@ -271,6 +336,17 @@ def show_ground(found: GroundExplanation) -> None:
             ],
             title=f"the first {len(listed)} of {len(found.search.rounds[0])} candidates",
         )  # fmt: skip
+        count = len(found.search.rounds[0])
+        say(asked_of_candidates(threshold(count), false_alarms(count), "on all runs together"))
+    if found.findings:
+        table(
+            ("found", "joint", "value", "± 95 %", "unit", "after the gear", "not told from"),
+            [
+                (f.title, f.joint or "", number(f.value, 4), number(INTERVAL * f.sigma, 2), f.unit,
+                 after_gear(found.arm, f) or "the same", ", ".join(f.instead))
+                for f in found.findings
+            ],
+        )  # fmt: skip
     show_values(found.values)
     if found.gap is not None:
         gap = found.gap
@@ -293,7 +369,13 @@ def show_ground(found: GroundExplanation) -> None:
 def command(
     context: typer.Context,
     simulation: Annotated[
-        Path, typer.Option("--simulation", metavar="CAD.toml", help="The model that the simulation uses.")
+        Path,
+        typer.Option(
+            "--simulation",
+            metavar="CAD.toml|RUN",
+            help="The model that the simulation uses, or a run that another simulator made from the torques of a "
+            "measured run.",
+        ),
     ],
     measured: Annotated[
         list[Path],
@@ -328,6 +410,24 @@ def command(
         Path | None, typer.Option("--report", metavar="GAP.html", help="Also write a report, one HTML page.")
     ] = None,
     json: Json = None,
+    next_motion: Annotated[
+        Path | None,
+        typer.Option(
+            "--next-motion",
+            metavar="NEXT.toml",
+            help="If the runs cannot tell effects apart, plan the motion that tells them apart best, and write it as "
+            "a scenario for `zygos simulate`.",
+        ),
+    ] = None,
+    angle: Annotated[
+        str | None,
+        typer.Option(
+            metavar="RAD",
+            help="Range of the angles of the next motion, as of `zygos plan`. Default: what the measured runs reached.",
+        ),
+    ] = None,
+    rate: Annotated[str | None, typer.Option(metavar="RAD/S", help="Its largest rate. Default: likewise.")] = None,
+    torque: Annotated[str | None, typer.Option(metavar="NM", help="Its largest torque. Default: likewise.")] = None,
 ) -> None:
     """Find where simulation and measurement disagree, name the missing effect, add it, and show how the gap shrinks.
 
@@ -338,9 +438,18 @@ def command(
     sensors' noise: with the model as delivered, refit, closed (with the named effects), and the floor, which is caused
     by noise alone. "part named" is the answer where the closed model still predicts much worse than that floor.
 
+    With --next-motion a set of effects that cannot be told apart comes with a scenario that tells them apart.
+
     Exit code 3 when the answer is unknown or cannot tell; then NEW.toml is not written.
 
     Example: zygos explain --simulation examples/gap/cad.toml --measured A.blf B.blf --validate C.blf -o out/new.toml
     """
-    asked = context.obj or ["explain"]
-    explain_run(simulation, measured, validate or (), arm, out, report, json, asked, effects or (), without or ())
+    asked, limits = context.obj or ["explain"], (angle, rate, torque)
+    if next_motion is None and any(limits):
+        raise ZygosError(
+            "--angle, --rate and --torque are limits of a motion that is planned; remedy: give --next-motion, too"
+        )
+    planned = None if next_motion is None else Planned(next_motion, limits)
+    explain_run(
+        simulation, measured, validate or (), arm, out, report, json, asked, effects or (), without or (), planned
+    )

@@ -103,6 +103,11 @@ def equations(arm: Arm, model: Model, name: EngineName = "zygos") -> Dynamics:
     """The equations of motion of a model. Errors: ZygosError if it does not fit the arm or the engine."""
     if name != "zygos":
         outside = [effect for effect in model.effects if _acts_as_torque(arm, effect)]
+        lasting = [effect.kind.key for effect in outside if effect.kind.memory]
+        if lasting:
+            raise ZygosError(
+                f"engine {name}: has no internal states for {', '.join(lasting)}; remedy: the engine zygos"
+            )
         inside = tuple(effect for effect in model.effects if effect not in outside)
         laws = [Law(one.kind, one.index(arm), one.value, np.nan if one.shape is None else one.shape) for one in outside]
         return _Engine(arm, engine(name, arm, replace(model, effects=inside)), laws)

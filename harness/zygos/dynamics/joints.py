@@ -10,13 +10,16 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from zygos.arm import Arm
-from zygos.effects import SLOWEST_RATE, UNKNOWN, Effect, Kind, Motion, Place
+from zygos.balances.state import State
+from zygos.effects import SLOWEST_RATE, UNKNOWN, Effect, Kind, Memory, Motion, Place
+from zygos.effects.memory import at_rest
 from zygos.errors import ZygosError
 from zygos.model.model import Model
 
@@ -31,6 +34,8 @@ class Moment:
     """(...,) time since the start of the run, s."""
     angle: Array | float = 0.0
     """(...,) angle that the base of a planar arm has turned since then, rad."""
+    memory: NDArray[np.complex128] | None = None
+    """(..., S) internal states of the laws with a memory, in the order of `Drives.remembering`; None: all are 0."""
 
 
 START = Moment()
@@ -178,11 +183,99 @@ class Drives(ABC):
         slope, speed = np.zeros(self.n), np.array([-SLOWEST_RATE, SLOWEST_RATE])
         still = np.zeros(2)
         for law in self.laws:
-            if law.kind.place == place:
+            if law.kind.place == place and law.kind.memory is None:
                 ratio = float(self.gear_ratio[law.joint])
                 less, more = law.torque(Motion(speed, still, still, still, still, still, still, ratio))
                 slope[law.joint] += (more - less) / (2.0 * SLOWEST_RATE) * (ratio if place == "motor" else 1.0)
         return slope
+
+    def presliding_stiffness(self, place: Place) -> Array:
+        """(N,) stiffness of what friction with a memory bends at motors, links or springs, Nm/rad after the gear."""
+        slope, one = np.zeros(self.n), np.ones(1)
+        for law in self.remembering:
+            memory = law.kind.memory
+            if law.kind.place == place and memory is not None:
+                motion = Motion(one, one, one, one, ratio=float(self.gear_ratio[law.joint]))
+                bent, _ = memory.rates(motion, law.shape)
+                force = law.torque(replace(motion, memory=bent)) - law.torque(replace(motion, memory=0.0 * bent))
+                ratio = float(self.gear_ratio[law.joint]) if place == "motor" else 1.0
+                slope[law.joint] += abs(float(force[0])) * ratio
+        return slope
+
+    @cached_property
+    def remembering(self) -> tuple[Law, ...]:
+        """The laws with a memory."""
+        return tuple(law for law in (*self.laws, *self.base_laws) if law.kind.memory is not None)
+
+    @cached_property
+    def _places(self) -> dict[Law, slice]:
+        """Where the internal states of each stand in `Moment.memory`."""
+        sizes = [law.kind.memory.size for law in self.remembering if law.kind.memory is not None]
+        ends = np.cumsum([0, *sizes]).tolist()
+        return {law: slice(*part) for law, part in zip(self.remembering, pairwise(ends), strict=True)}
+
+    @property
+    def states(self) -> int:
+        """S, internal states of the laws with a memory."""
+        return sum(law.kind.memory.size for law in self.remembering if law.kind.memory is not None)
+
+    def memory_rates(self, state: State) -> list[tuple[Law, Memory, slice, Any, Any]]:
+        """Of each law with a memory: itself, the memory, the place of its states, and b and a (..., s) of them."""
+        out = []
+        for law in self.remembering:
+            memory = law.kind.memory
+            assert memory is not None
+            out.append((law, memory, self._places[law], *memory.rates(self._motion(law, state), law.shape)))
+        return out
+
+    def memory_derivative(self, state: State, memory: NDArray[np.complex128]) -> NDArray[np.complex128]:
+        """(..., S) rates of internal states (..., S)."""
+        rate = np.empty_like(memory)
+        for _, kept, at, b, a in self.memory_rates(state):
+            rate[..., at] = kept.derivative(memory[..., at], b, a)
+        return rate
+
+    def remembered(self, state: State, memory: NDArray[np.complex128], span: float) -> NDArray[np.complex128]:
+        """(..., S) internal states after so many seconds at the rates of a state."""
+        after = np.empty_like(memory)
+        for _, kept, at, b, a in self.memory_rates(state):
+            after[..., at] = kept.advanced(memory[..., at], b, a, span)
+        return after
+
+    def memory_at_rest(self, state: State) -> NDArray[np.complex128]:
+        """(..., S) internal states with which a motion begins."""
+        memory = np.zeros((*state.q.shape[:-1], self.states), dtype=np.complex128)
+        for _, _, at, b, a in self.memory_rates(state):
+            memory[..., at] = at_rest(b, a)
+        return memory
+
+    def memory_along(self, state: State, time: Array, period_s: float) -> NDArray[np.complex128]:
+        """(A, m, S) internal states along A arcs of m instants, a period apart, at times (A, m)."""
+        memory = np.zeros((*time.shape, self.states), dtype=np.complex128)
+        for law, kept, at, _, _ in self.memory_rates(state):
+            motion = replace(self._motion(law, state), time=time)
+            memory[..., at] = kept.along(motion, law.shape, period_s).memory
+        return memory
+
+    def _motion(
+        self, law: Law, state: State, moment: Moment = START, applied: Array = UNKNOWN, load: Array = UNKNOWN
+    ) -> Motion:
+        """What a law depends on."""
+        i, own = law.joint, UNKNOWN
+        if law.kind.memory is not None and moment.memory is not None:
+            own = moment.memory[..., self._places[law]]
+        elif law.kind.memory is not None:
+            own = np.zeros((*state.q.shape[:-1], law.kind.memory.size))
+        if i < 0:
+            rate = state.base if state.base.ndim < state.q.ndim else state.base[..., law.component]
+            angle, time = (np.broadcast_to(x, rate.shape) for x in (moment.angle, moment.time))
+            return Motion(rate=rate, angle=angle, time=time, memory=own)
+        q, theta, qd, thetad = (x[..., i] for x in (state.q, state.theta, state.qd, state.thetad))
+        deflection, slip = theta - q, thetad - qd
+        sides = {"motor": (thetad, theta), "torque": (thetad, theta), "spring": (slip, deflection)}
+        rate, angle = sides.get(law.kind.place, (qd, q))
+        time = np.broadcast_to(moment.time, q.shape)
+        return Motion(rate, angle, deflection, slip, applied, load, time, float(self.gear_ratio[i]), own)
 
     def _forces(
         self, q: Array, theta: Array, qd: Array, thetad: Array, tau: Array | None = None, moment: Moment = START
@@ -194,26 +287,14 @@ class Drives(ABC):
         if not self.laws:
             return spring, self._none, self._none
         motor, link = np.zeros_like(q), np.zeros_like(q)
+        state = State(q, theta, qd, thetad, q[..., :0])
         # friction with the load needs what the others make of the torque through the gear
         for law in sorted(self.laws, key=lambda law: law.kind.place == "load"):
             kind, i = law.kind, law.joint
-            at_motor = kind.place in ("motor", "torque")
             load = self.gear_ratio[i] * (tau[..., i] - motor[..., i]) if self.rigid[i] and tau is not None else None
-            motion = Motion(
-                rate=thetad[..., i]
-                if at_motor
-                else thetad[..., i] - qd[..., i]
-                if kind.place == "spring"
-                else qd[..., i],
-                angle=theta[..., i] if at_motor else deflection[..., i] if kind.place == "spring" else q[..., i],
-                deflection=deflection[..., i],
-                slip=thetad[..., i] - qd[..., i],
-                applied=tau[..., i] if tau is not None else UNKNOWN,
-                load=load if load is not None else UNKNOWN if self.rigid[i] else spring[..., i],
-                time=np.broadcast_to(moment.time, q.shape[:-1]),
-                ratio=float(self.gear_ratio[i]),
-            )
-            torque = law.torque(motion)
+            applied = tau[..., i] if tau is not None else UNKNOWN
+            passed = load if load is not None else UNKNOWN if self.rigid[i] else spring[..., i]
+            torque = law.torque(self._motion(law, state, moment, applied, passed))
             if kind.place == "spring":
                 # the torque of a rigid joint is a constraint torque
                 spring[..., i] += 0.0 if self.rigid[i] else torque
@@ -225,18 +306,18 @@ class Drives(ABC):
                 link[..., i] += torque
         return spring, motor, link
 
-    def _base_torque(self, omega0: Array, moment: Moment) -> Array | None:
+    def _base_torque(self, q: Array, omega0: Array, moment: Moment) -> Array | None:
         """Torque of effects on the base, shape of omega0, Nm in base axes; None where there is none."""
         if not self.base_laws:
             return None
         total = np.zeros_like(omega0)
+        state = State(q, q, q, q, omega0)
         for law in self.base_laws:
-            if law.kind.axes and omega0.ndim and omega0.shape[-1:] == (3,):
-                time = np.broadcast_to(moment.time, omega0.shape[:-1])
-                total[..., law.component] += law.torque(Motion(rate=omega0[..., law.component], time=time))
+            torque = law.torque(self._motion(law, state, moment))
+            if omega0.ndim == q.ndim:
+                total[..., law.component] += torque
             else:
-                angle, time = (np.broadcast_to(x, omega0.shape) for x in (moment.angle, moment.time))
-                total += law.torque(Motion(rate=omega0, angle=angle, time=time))
+                total += torque
         return total
 
     def spring(self, q: Array, theta: Array, qd: Array, thetad: Array) -> Array:

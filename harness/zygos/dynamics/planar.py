@@ -135,7 +135,7 @@ class PlanarDynamics(Drives):
         force = (np.where(self.rigid, ratio * drive, spring) if rigid else spring) - link_loss
         right = -(slope @ (f * f)[..., None])[..., 0]
         right[..., 1:] += force
-        if (pushing := self._base_torque(np.asarray(omega0, dtype=np.float64), moment)) is not None:
+        if (pushing := self._base_torque(q, np.asarray(omega0, dtype=np.float64), moment)) is not None:
             right[..., 0] += pushing
         # the reaction on the body that carries rotor i is the difference of motor torque and gear reaction
         pushed = self.coupling * (drive - spring / ratio)

@@ -7,6 +7,7 @@ their steps, so a fixed-step RK4 is used; `zygos.simulation.plant` is the simula
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -30,10 +31,15 @@ def substeps(dynamics: Drives, q: Array, period_s: float) -> int:
     stiff = np.where(dynamics.rigid, 0.0, dynamics.stiffness)
     damped = np.where(dynamics.rigid, 0.0, dynamics.damping)
     # a spring turns its link against the carrying body, and its rotor against both; friction turns one of them
-    fastest = np.sqrt(_largest((links + rotors) * stiff))
+    # friction that bends is a spring of what it rubs on
+    bent = {place: dynamics.presliding_stiffness(place) for place in ("motor", "link", "spring")}
+    own = np.where(dynamics.rigid, links, rotors)
+    stiffest = _largest((links + rotors) * (stiff + bent["spring"]) + own * bent["motor"] + links * bent["link"])
+    fastest = np.sqrt(stiffest)
     rub = dynamics.friction_slope("motor")
-    own = np.where(dynamics.rigid, links, rotors) * rub
-    loss = max(_largest((links + rotors) * damped), _largest(own), _largest(links * dynamics.friction_slope("link")))
+    loss = max(
+        _largest((links + rotors) * damped), _largest(own * rub), _largest(links * dynamics.friction_slope("link"))
+    )
     return max(1, int(np.ceil(period_s * max(fastest / STEP_OF_MODE, loss))))
 
 
@@ -53,13 +59,17 @@ def replay(
 ) -> tuple[Array, Array]:
     """Integrate B pieces of motion from their states `start` (B, 4N+W) at the first SYNC (layout of `State.packed`).
 
+    Internal states of laws with a memory are held within a step, and follow in half steps before and behind it.
+
     torque(k, states) gives the torques (B, N) of period k, Nm before the gear; `before` (B, N) are those of the period
-    before the first. begin: time (B,) and angle of the base (B,) at the first SYNC, for effects that depend on them.
-    Returns the states (B, cycles, 4N+W) at each SYNC and the torques (B, cycles, N).
+    before the first. begin: time (B,), angle of the base (B,) and internal states of laws at the first SYNC, for
+    effects that depend on them. Returns the states (B, cycles, 4N+W) at each SYNC and the torques (B, cycles, N).
     """
     lag = dynamics.torque_lag
     instants = np.unique(np.concatenate([[0.0, period_s], [] if lag is None else lag]))
     state, now = start.copy(), begin
+    if dynamics.states and begin.memory is None:
+        now = replace(begin, memory=dynamics.memory_at_rest(State.unpacked(start)))
     states = np.empty((len(start), cycles, start.shape[1]))
     torques = np.empty((len(start), cycles, dynamics.n))
     for k in range(cycles):
@@ -105,15 +115,20 @@ def exact_readings(dynamics: Drives, arm: Arm, states: Array, torques: Array) ->
 def _step(dynamics: Drives, x: Array, tau: Array, h: float, now: Moment) -> tuple[Array, Moment]:
     def later(share: float, rate: Array) -> Moment:
         turned = rate[..., 0] if _in_a_plane(x) else 0.0
-        return Moment(now.time + share * h, now.angle + share * h * turned)
+        return replace(now, time=now.time + share * h, angle=now.angle + share * h * turned)
 
+    if now.memory is not None:
+        now = replace(now, memory=dynamics.remembered(State.unpacked(x), now.memory, 0.5 * h))
     first = _rate(dynamics, x, tau, now)
     second = _rate(dynamics, x + 0.5 * h * first, tau, later(0.5, x))
     third = _rate(dynamics, x + 0.5 * h * second, tau, later(0.5, x + 0.5 * h * first))
     fourth = _rate(dynamics, x + h * third, tau, later(1.0, x + 0.5 * h * second))
     # the base's angle is the integral of its rate by the same rule
     turning = x + h / 6.0 * (first + second + third)
-    return x + h / 6.0 * (first + 2.0 * (second + third) + fourth), later(1.0, turning)
+    after, then = x + h / 6.0 * (first + 2.0 * (second + third) + fourth), later(1.0, turning)
+    if then.memory is not None:
+        then = replace(then, memory=dynamics.remembered(State.unpacked(after), then.memory, 0.5 * h))
+    return after, then
 
 
 def _in_a_plane(x: Array) -> bool:

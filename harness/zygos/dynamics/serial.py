@@ -205,7 +205,7 @@ class SpatialDynamics(Drives):
         drive = tau - motor_loss
         force = np.where(self.rigid, ratio * drive, spring) - link_loss
         right[..., self._first :] += force
-        if (pushing := self._base_torque(omega0, moment)) is not None:
+        if (pushing := self._base_torque(q, omega0, moment)) is not None:
             right[..., : self._first] += pushing
         carrier = turns[..., :-1, :, :]
         along = np.einsum("...icu,...ic->...iu", carrier, axis)  # g_i: rate of the carrier about the axis

@@ -13,7 +13,9 @@ from zygos.effects.effect import (
     sensed,
     spoken,
 )
-from zygos.effects.kind import PLACES, SLOWEST_RATE, UNKNOWN, Kind, Motion, Place, smooth_sign
+from zygos.effects.kind import PLACES, SLOWEST_RATE, Kind, Place, smooth_sign
+from zygos.effects.memory import Memory
+from zygos.effects.motion import UNKNOWN, Motion
 
 __all__ = [
     "CATALOGUE",
@@ -26,6 +28,7 @@ __all__ = [
     "Effect",
     "EffectColumn",
     "Kind",
+    "Memory",
     "Motion",
     "Place",
     "column_name",

@@ -20,7 +20,9 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from zygos.arm import Arm
-from zygos.effects.kind import Kind, Motion, smooth_sign
+from zygos.effects.kind import Kind, Place, smooth_sign
+from zygos.effects.memory import Memory
+from zygos.effects.motion import Motion
 from zygos.errors import ZygosError
 
 Array = NDArray[np.float64]
@@ -130,33 +132,73 @@ def _double_cosine(motion: Motion, _shape: float) -> Array:
     return np.asarray(np.cos(2.0 * motion.angle))
 
 
-def _read_shifted(_arm: Arm, angle: Array, amount: float, _component: int) -> Array:
+def _bristle_rates(motion: Motion, distance: float) -> tuple[Array, Array]:
+    share = motion.rate[..., None] / distance
+    return share, np.abs(share)
+
+
+def _slider_rates(motion: Motion, distance: float) -> tuple[Array, Array]:
+    share = motion.rate[..., None] / (distance * _SLIDERS)
+    return share, np.zeros_like(share)
+
+
+def _bent(motion: Motion, _distance: float) -> Array:
+    """Of all states, which bend alike."""
+    return np.asarray(np.real(motion.memory).mean(axis=-1))
+
+
+def _oscillator_rates(motion: Motion, frequency: float) -> tuple[Array, NDArray[np.complex128]]:
+    rate = motion.rate[..., None]
+    return rate, np.full(rate.shape, _pole(frequency))
+
+
+def _pole(frequency: float) -> complex:
+    return complex(2.0 * np.pi * frequency * (OSCILLATOR_DAMPING + 1j * np.sqrt(1.0 - OSCILLATOR_DAMPING**2)))
+
+
+def _oscillator(motion: Motion, frequency: float) -> Array:
+    """-s (2 d w s + w^2) / (s^2 + 2 d w s + w^2) of the rate, as a constant and the residues at both poles."""
+    pole, size = _pole(frequency), 2.0 * np.pi * frequency
+    damped = 2.0 * OSCILLATOR_DAMPING * size
+    residue = (damped * pole**2 - size**2 * pole) / (-2j * pole.imag)
+    return np.asarray(-damped * motion.rate - 2.0 * np.real(residue * motion.memory[..., 0]))
+
+
+def _read_shifted(_arm: Arm, angle: Array, amount: float, _number: int) -> Array:
     return angle + amount
 
 
-def _read_scaled(_arm: Arm, signal: Array, amount: float, _component: int) -> Array:
+def _read_scaled(_arm: Arm, signal: Array, amount: float, _number: int) -> Array:
     return (1.0 + amount) * signal
 
 
-def _read_sine(_arm: Arm, angle: Array, amount: float, _component: int) -> Array:
+def _read_sine(_arm: Arm, angle: Array, amount: float, _number: int) -> Array:
     return np.asarray(angle + amount * np.sin(angle))
 
 
-def _read_cosine(_arm: Arm, angle: Array, amount: float, _component: int) -> Array:
+def _read_cosine(_arm: Arm, angle: Array, amount: float, _number: int) -> Array:
     return np.asarray(angle + amount * np.cos(angle))
 
 
-def _read_late(arm: Arm, angle: Array, amount: float, _component: int) -> Array:
+def _read_motor_sine(arm: Arm, angle: Array, amount: float, joint: int) -> Array:
+    return np.asarray(angle + amount * np.sin(arm.joints[joint].gear_ratio * angle))
+
+
+def _read_motor_cosine(arm: Arm, angle: Array, amount: float, joint: int) -> Array:
+    return np.asarray(angle + amount * np.cos(arm.joints[joint].gear_ratio * angle))
+
+
+def _read_late(arm: Arm, angle: Array, amount: float, _number: int) -> Array:
     at = arm.period_s * np.arange(angle.shape[-1])
     return np.asarray(CubicSpline(at, angle, axis=-1)(at + amount))
 
 
-def _read_biased(arm: Arm, rate: Array, amount: float, component: int) -> Array:
-    return rate + (amount * np.eye(3)[component] if arm.spatial else amount)
+def _read_biased(arm: Arm, rate: Array, amount: float, number: int) -> Array:
+    return rate + (amount * np.eye(3)[number] if arm.spatial else amount)
 
 
-def _read_turned(_arm: Arm, rate: Array, amount: float, component: int) -> Array:
-    return np.asarray(rate @ Rotation.from_rotvec(amount * np.eye(3)[component]).as_matrix())
+def _read_turned(_arm: Arm, rate: Array, amount: float, number: int) -> Array:
+    return np.asarray(rate @ Rotation.from_rotvec(amount * np.eye(3)[number]).as_matrix())
 
 
 def _grid(low: float, high: float, count: int) -> tuple[float, ...]:
@@ -165,31 +207,51 @@ def _grid(low: float, high: float, count: int) -> tuple[float, ...]:
 
 _SPEEDS = _grid(0.005, 0.5, 9)
 
+OSCILLATOR_DAMPING = 0.02
+"""Damping ratio of a hidden oscillator: fuel has about 0.01, a solar panel 0.005."""
+_FREQUENCIES = _grid(0.1, 3.0, 25)
+_DISTANCES = _grid(1e-4, 1e-2, 7)
+_SLIDERS = np.array([0.25, 0.5, 0.75, 1.0])
+"""Distances after which the elements of a Maxwell slip model slide, as shares of the largest."""
+_SITES_OF_MEMORY: tuple[tuple[str, Place, str, str], ...] = (
+    ("motor", "motor", "at the motor", "θ"),
+    ("link", "link", "at the link", "q"),
+    ("joint", "spring", "of the joint's deflection", "θ−q"),
+)
+
 _ORDERS = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0)
 _ORDERS_OF_BASE = tuple(order for order in _ORDERS if order != 2.0)
 _Side = Literal["link", "motor"]
-_ENCODER_ERRORS: tuple[tuple[str, str, str, tuple[str, ...], Callable[[Arm, Array, float, int], Array], str], ...] = (
-    ("zero", "zero of the {}", "rad", (), _read_shifted, "reads {} + c"),
-    ("scale", "scale error of the {}", "1", (), _read_scaled, "reads (1 + c) {}"),
+_Reads = Callable[[Arm, Array, float, int], Array]
+_ENCODER_ERRORS: tuple[tuple[str, str, str, tuple[str, ...], tuple[_Reads, _Reads], tuple[str, str]], ...] = (
+    ("zero", "zero of the {}", "rad", (), (_read_shifted, _read_shifted), ("reads q + c", "reads θ + c")),
+    ("scale", "scale error of the {}", "1", (), (_read_scaled, _read_scaled), ("reads (1 + c) q", "reads (1 + c) θ")),
     (
         "eccentricity_sin",
         "eccentricity of the {} (sine)",
         "rad",
         ("eccentricity_cos",),
-        _read_sine,
-        "reads {0} + c sin {0}",
+        (_read_sine, _read_motor_sine),
+        ("reads q + c sin q", "reads θ + c sin nθ"),
     ),
     (
         "eccentricity_cos",
         "eccentricity of the {} (cosine)",
         "rad",
         ("eccentricity_sin",),
-        _read_cosine,
-        "reads {0} + c cos {0}",
+        (_read_cosine, _read_motor_cosine),
+        ("reads q + c cos q", "reads θ + c cos nθ"),
     ),
-    ("late", "late latch of the {}", "s", (), _read_late, "reads {} of the time t + c"),
+    (
+        "late",
+        "late latch of the {}",
+        "s",
+        (),
+        (_read_late, _read_late),
+        ("reads q of the time t + c", "reads θ of the time t + c"),
+    ),
 )
-_SIDES: tuple[tuple[_Side, str], ...] = (("link", "q"), ("motor", "θ"))
+_SIDES: tuple[_Side, ...] = ("link", "motor")
 
 ENTRIES = (
     Kind(
@@ -499,6 +561,57 @@ ENTRIES = (
         world="plane",
         formula="cos Nφ",
     ),
+    *(
+        Kind(
+            f"{side}_dahl",
+            f"Dahl {'hysteresis' if place == 'spring' else 'friction'} {where}",
+            "Nm",
+            place,
+            _bent,
+            twins=(f"{side}_maxwell", *(() if place == "spring" else (f"{side}_coulomb", f"{side}_stribeck"))),
+            searched=False,
+            searched_last=True,
+            shapes=_DISTANCES,
+            shape_title="presliding distance d",
+            shape_unit="rad",
+            memory=Memory(_bristle_rates),
+            formula=f"z, dz = (1 − z sgn dx) dx / d, x = {symbol}",
+        )
+        for side, place, where, symbol in _SITES_OF_MEMORY
+    ),
+    *(
+        Kind(
+            f"{side}_maxwell",
+            f"Maxwell slip {where}",
+            "Nm",
+            place,
+            _bent,
+            twins=(f"{side}_dahl", *(() if place == "spring" else (f"{side}_coulomb", f"{side}_stribeck"))),
+            searched=False,
+            searched_last=True,
+            shapes=_DISTANCES,
+            shape_title="distance d after which all slides",
+            shape_unit="rad",
+            memory=Memory(_slider_rates, size=len(_SLIDERS), stops=True),
+            formula=f"mean of z at d/4, d/2, 3d/4 and d, dz = dx / d up to ±1, x = {symbol}",
+        )
+        for side, place, where, symbol in _SITES_OF_MEMORY
+    ),
+    Kind(
+        "base_oscillator",
+        "oscillator on the base",
+        "kg m^2",
+        "base",
+        _oscillator,
+        searched=False,
+        searched_last=True,
+        shapes=_FREQUENCIES,
+        shape_title="frequency",
+        shape_unit="Hz",
+        memory=Memory(_oscillator_rates),
+        axes=True,
+        formula="−dω_z/dt of an inertia on a spring with a damping ratio of 0.02, in base axes",
+    ),
     Kind(
         "body_change",
         "change of a body",
@@ -522,13 +635,11 @@ ENTRIES = (
             searched=False,
             searched_last=key != "zero",
             sensor=side,
-            reads=reads,
-            formula=formula.format(symbol),
+            reads=reads[number],
+            formula=formula[number],
         )
-        for side, symbol in _SIDES
+        for number, side in enumerate(_SIDES)
         for key, title, unit, twins, reads, formula in _ENCODER_ERRORS
-        # a motor's encoder that is eccentric ripples with the turns of the motor, not with those of the joint
-        if side == "link" or not key.startswith("eccentricity")
     ),
     Kind(
         "gyro_bias",
@@ -590,8 +701,14 @@ gap is free of torque; a smaller c is a gap that is stiff to some degree. The co
 ripple: its order counts turns of the motor, before the gear, whose angle is n theta.
 gravity_gradient, detent: of unknown phase, so that each has a sine and a cosine. A detent of the second order looks
 like a gravity gradient, which stands for it.
+..._dahl, ..._maxwell: friction whose sign follows the motion over a distance. That of a joint's deflection is the
+hysteresis of its spring.
+base_oscillator: fuel that sloshes or a panel that bends. It is driven by the turning of the base alone, and its inertia
+takes part in no other motion.
 body_change: has one component for each base parameter of the bodies. What is taken up or dropped moves with the arm at
 that instant, so that the motion goes on without a jump.
+motor_eccentricity: repeats with each turn of the motor; c is after the gear, as theta is. What an eccentric rotor does
+to the torque once a turn is a ripple of the first order.
 link_late, motor_late: the encoder latches its angle later than the arm file states.
 link_..., motor_...: of a rigid joint, whose one encoder reads both angles, only those of the link exist.
 angular_momentum: the angular momentum of the whole arm about its mass centre. A model that does not mention it makes no

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from zygos.arm import MOST_JOINTS, Arm
 from zygos.effects.catalogue import CATALOGUE, OFFSET
-from zygos.effects.kind import Kind, Motion, R
+from zygos.effects.kind import Kind, R
+from zygos.effects.motion import Motion
 from zygos.errors import ZygosError
 
 Array = NDArray[np.float64]
@@ -74,10 +75,12 @@ class Effect:
         """Number of its component from 0."""
         return self.kind.components(arm).index(self.component)
 
-    def law(self, motion: Motion) -> Array:
-        """Its torque, or what stands for it at its site, per unit of its value."""
+    def law(self, motion: Motion, period_s: float) -> Array:
+        """Its torque, or what stands for it at its site, per unit of its value, along a motion at instants a period
+        apart."""
         assert self.kind.law is not None
-        return self.kind.law(motion, np.nan if self.shape is None else self.shape)
+        shape = np.nan if self.shape is None else self.shape
+        return self.kind.law(self.kind.memory.along(motion, shape, period_s) if self.kind.memory else motion, shape)
 
     def column(self, arm: Arm) -> str:
         """Name of the effect's column: the key of its kind, and the number of its joint from 1 or its component."""

@@ -11,7 +11,6 @@ At each site the coefficient c of a law f acts in the same way for every law:
     body     a base parameter is larger by c from an instant on
     sensor   a sensor reads what `Kind.transform` makes of the exact reading
     rotor    share of the rotor's inertia that the carrying body's rotation acts on
-    hidden   a mass on the base that no sensor sees
 
 All angles are after the gear.
 """
@@ -27,42 +26,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
+from zygos.effects.memory import Memory
+from zygos.effects.motion import Motion
 from zygos.errors import ZygosError
 
 Array = NDArray[np.float64]
-Place = Literal["motor", "link", "spring", "torque", "rotor", "base", "load", "sensor", "body", "hidden"]
+Place = Literal["motor", "link", "spring", "torque", "rotor", "base", "load", "sensor", "body"]
 PLACES: tuple[Place, ...] = get_args(Place)
+REMEMBERING: tuple[Place, ...] = ("motor", "link", "spring", "base")
+"""Sites at which a law may have a memory."""
 
 SLOWEST_RATE = 1e-3
 """Rate below which Coulomb friction fades linearly to zero, rad/s after the gear: a sign function cannot be integrated,
 and a noisy rate does not show its sign."""
-
-UNKNOWN: Any = np.float64("nan")
-"""A signal that is not known; a law that needs it has no value either."""
-
-
-@dataclass(frozen=True, slots=True)
-class Motion:
-    """What a law may depend on, at instants of any shape (...). What is not known is NaN."""
-
-    rate: Array = UNKNOWN
-    """rad/s: of the motor after the gear (motor, torque), of the link (link, load), of the deflection (spring), of the
-    base about the axis of a planar arm (base)."""
-    angle: Array = UNKNOWN
-    """rad: the integral of the rate; of the base since the start of the run."""
-    deflection: Array = UNKNOWN
-    """Motor angle less link angle, rad."""
-    slip: Array = UNKNOWN
-    """Rate of the deflection, rad/s."""
-    applied: Array = UNKNOWN
-    """Reported torque of the motor, Nm before the gear."""
-    load: Array = UNKNOWN
-    """Torque through the gear, Nm after it: of the spring, or of the motor less its friction where the joint is
-    rigid."""
-    time: Array = UNKNOWN
-    """Time since the start of the run, s."""
-    ratio: float = float("nan")
-    """Gear ratio n."""
 
 
 class Sensed(Protocol):
@@ -123,6 +99,8 @@ class Kind:
     """Values of the law's shape parameter among which a search begins; empty: it has none."""
     shape_title: str = ""
     shape_unit: str = ""
+    memory: Memory | None = None
+    """The internal states of a law whose torque depends on the motion before."""
     axes: bool = False
     """Whether it has one component along each base axis on an arm that moves in space."""
     world: Literal["", "plane", "space"] = ""
@@ -132,8 +110,8 @@ class Kind:
     sensor: Literal["", "link", "motor", "gyro"] = ""
     """The sensor whose reading changes, where the site is a sensor."""
     reads: Callable[[Arm, Array, float, int], Array] | None = None
-    """reads(arm, signal, amount, component): what a sensor reads of a signal at n cycles: (..., n) of an encoder and of
-    the gyro of a planar arm, (..., n, 3) of that of a spatial one."""
+    """reads(arm, signal, amount, number): what a sensor reads of a signal at n cycles: (..., n) of an encoder and of
+    the gyro of a planar arm, (..., n, 3) of that of a spatial one. number: of the joint or of the component, from 0."""
     formula: str = ""
     """The law in `docs/gap.md`."""
 
@@ -153,15 +131,20 @@ class Kind:
             raise ZygosError(
                 f"effect {self.key}: an effect of the site {self.place} needs the function {needs}; remedy: give it"
             )
+        if self.memory and self.place not in REMEMBERING:
+            raise ZygosError(
+                f"effect {self.key}: a law at the site {self.place} has no memory; remedy: leave memory out, or one of "
+                f"{', '.join(REMEMBERING)}"
+            )
         if self.place == "sensor" and not self.sensor:
             raise ZygosError(f'effect {self.key}: which sensor is unknown; remedy: sensor = "link", "motor" or "gyro"')
 
     @property
     def torque(self) -> Callable[[Array], Array] | None:
         """f as a function of the rate (motor, link) or of the deflection (spring) alone; None where the law has a
-        shape, and at other sites."""
+        shape or a memory, and at other sites."""
         law = self.law
-        if law is None or self.shapes or self.place not in ("motor", "link", "spring"):
+        if law is None or self.shapes or self.memory or self.place not in ("motor", "link", "spring"):
             return None
         if self.place == "spring":
             return lambda deflection: law(Motion(deflection=deflection, angle=deflection), np.nan)
@@ -181,7 +164,7 @@ class Kind:
     @property
     def at_joint(self) -> bool:
         """Whether the effect belongs to a joint."""
-        return self.place not in ("base", "body", "hidden") and self.sensor != "gyro"
+        return self.place not in ("base", "body") and self.sensor != "gyro"
 
     @property
     def lags(self) -> bool:
@@ -224,7 +207,7 @@ class Kind:
         for name, side in (("q", "link"), ("theta", "motor")):
             if side == self.sensor or not arm.joints[joint].flexible:
                 angles: Array = getattr(readings, name).copy()
-                angles[..., joint] = self.reads(arm, angles[..., joint], amount, component)
+                angles[..., joint] = self.reads(arm, angles[..., joint], amount, joint)
                 changed[name] = angles
         return replace(readings, **changed)
 

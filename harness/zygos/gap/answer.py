@@ -9,7 +9,9 @@ from zygos.gap.explanation import Explanation
 from zygos.gap.findings import Finding, Gap, Value
 from zygos.gap.forecast import Forecast
 from zygos.gap.sentences import against, evidence
+from zygos.gap.simulated import Simulated
 from zygos.gap.verdicts import Changed, PartNamed, Verdict
+from zygos.plan.separating import Separating
 from zygos.report.provenance import Provenance
 
 
@@ -47,6 +49,27 @@ def value_json(value: Value) -> dict[str, Any]:
         "sigma": value.sigma,
         "differs": value.differs,
     }
+
+
+def planned_json(planned: Separating | None) -> dict[str, Any] | None:
+    """The motion that was planned; None where none was."""
+    if planned is None:
+        return None
+    return {
+        "scenario": planned.scenario.name,
+        "duration_s": planned.scenario.duration_s,
+        "motion": planned.form,
+        "z": planned.z,
+        "motions": planned.tried,
+    }
+
+
+def simulation_json(simulated: Simulated | None) -> dict[str, Any] | None:
+    """The run that the simulation's values come from; None where they come from a model file."""
+    if simulated is None:
+        return None
+    run, torques = simulated.run, simulated.torques_of
+    return {"run": run and str(run), "torques_of": torques and str(torques)}
 
 
 def source_json(source: Provenance) -> dict[str, Any]:
@@ -90,6 +113,11 @@ def change_json(verdict: Verdict) -> dict[str, Any] | None:
                 change.names, change.old.tolist(), change.new.tolist(), change.sigma.tolist(), strict=True
             )
         ],
+        "payload": [
+            {"name": one.name, "unit": one.unit, "value": one.value, "sigma": one.sigma, "interval": list(one.interval)}
+            for one in verdict.payload
+        ]
+        or None,
         "z": change.z,
         "share": change.share,
     }
@@ -144,11 +172,18 @@ def as_json(found: Explanation, source: Provenance) -> dict[str, Any]:
             }
             for c in found.search.rounds[0]
         ],
+        "threshold": found.search
+        and {
+            "deviations": found.search.chance.threshold,
+            "false_alarms": found.search.chance.false_alarms,
+            "candidates": found.search.chance.candidates,
+        },
         "completeness": None if found.search is None else list(found.search.completeness),
         "values": [value_json(v) for v in found.values],
         "experiments": [
             {"speed": e.speed, "amplitude": e.amplitude, "z": e.z, "z_now": e.now} for e in found.experiments
         ],
+        "simulation": simulation_json(found.simulated),
         "remarks": list(found.notes),
         "runs": [{"run": str(r.path), "arcs": len(r.starts), "faults": r.faults} for r in found.records],
         **source_json(source),

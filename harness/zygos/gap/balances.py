@@ -38,7 +38,7 @@ from zygos.gap.record import MeasuredRun, smoothed_states
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-_SHIFT = 1e-4
+_SHIFT = 1e-6
 """Error of a sensor with which the columns of such errors are computed: rad, rad/s, Nm."""
 _ACTING = ("motor", "link", "spring", "torque")
 """Places of effects that act at a joint."""
@@ -363,27 +363,28 @@ def zero_columns(layout: Layout, readings: Readings, values: Array, every: int =
     names = layout.arm.parameter_names
     known = [value[[names.index(layout.columns[c]) for c in used if c < len(names)]] for used in layout.used]
 
-    def left_over(seen: Readings) -> list[Array]:
-        moving = _Moving.of(layout.arm, seen, every)
+    def left_over(moving: _Moving) -> list[Array]:
         rows = zip(_bodies(layout, moving), known, _right(layout, moving), strict=True)
         return [own @ x - right for own, x, right in rows]
 
     still = _Moving.of(layout.arm, readings, every)
+    without = left_over(still)
+
+    def lost(wrong: Readings) -> list[Array]:
+        # what errors of this size do in the second order is 1e-5 of it at the most
+        with_it = left_over(_Moving.of(layout.arm, wrong, every))
+        return [(a - b) / _SHIFT for a, b in zip(without, with_it, strict=True)]
 
     def taken(error: SensorError) -> list[Array]:
         if error.signals == ("tau",):
             # the right sides are linear in the torques, and nothing else depends on them
             wrong = _Moving.of(layout.arm, error.added(readings, 1.0), every, still.state)
             return [b - a for a, b in zip(_right(layout, still), _right(layout, wrong), strict=True)]
-        ahead, behind = (left_over(error.added(readings, size)) for size in (_SHIFT, -_SHIFT))
-        return [(b - a) / (2.0 * _SHIFT) for a, b in zip(ahead, behind, strict=True)]
+        return lost(error.added(readings, _SHIFT))
 
     def misread(one: Acting) -> list[Array]:
         number = one.kind.components(layout.arm).index(one.component)
-        ahead, behind = (
-            left_over(one.kind.transform(layout.arm, readings, one.joint, size, number)) for size in (_SHIFT, -_SHIFT)
-        )
-        return [(b - a) / (2.0 * _SHIFT) for a, b in zip(ahead, behind, strict=True)]
+        return lost(one.kind.transform(layout.arm, readings, one.joint, _SHIFT, number))
 
     each = [misread(one) for one in layout.sensors] + [taken(error) for error in layout.errors.values()]
     return tuple(np.stack(columns, axis=-1) for columns in zip(*each, strict=True))
@@ -432,6 +433,17 @@ class _Moving:
     def bodies(self) -> tuple[Array, Array]:
         """Columns of bodies in the energy, and `carried`."""
         return body_columns(self.arm, self.thin)
+
+    @cached_property
+    def momentum(self) -> Array:
+        """Columns (..., A, m, r, K + N) as `momentum.momentum_columns`, at the instants of the rows."""
+        return momentum.momentum_columns(self.arm, self.thin)
+
+    @cached_property
+    def spin(self) -> Array:
+        """(..., A, m, r, N) momentum of unit rotors, in space in the axes of the arc's origin."""
+        spin = self.momentum[..., self.momentum.shape[-1] - self.arm.n :]
+        return np.asarray(self.attitude @ spin if self.arm.spatial else spin, dtype=np.float64)
 
     def thinned(self, x: Array) -> Array:
         """(..., A, m) of (..., A, instants)."""
@@ -556,7 +568,7 @@ def _bodies(layout: Layout, moving: _Moving) -> Iterator[Array]:
         for k in range(len(links)):
             yield grown[..., k, :]
     if arm.free:
-        columns = momentum.momentum_columns(arm, thin)
+        columns = moving.momentum
         kinetic = columns[..., : columns.shape[-1] - arm.n]
         spin = columns[..., columns.shape[-1] - arm.n :]
         none = np.zeros_like(spin[..., 0])
@@ -643,11 +655,7 @@ def _coupling(arm: Arm, moving: _Moving, balance: str, i: int) -> Iterator[Array
     elif balance[0] == "L":
         yield _coupled_momentum(arm, moving, int(balance[1:]) - 1, i)
     else:
-        columns = momentum.momentum_columns(arm, moving.thin)[..., i - arm.n]
-        if arm.spatial:
-            yield (moving.attitude @ columns[..., None])[..., "xyz".index(balance[1]), 0]
-        else:
-            yield columns[..., 0]
+        yield moving.spin[..., "xyz".index(balance[1]) if arm.spatial else 0, i]
 
 
 def _coupled_momentum(arm: Arm, moving: _Moving, at: int, rotor: int) -> Array:

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from zygos.errors import Undecided
 from zygos.gap.balances import balance_rows, kept_rows, thinning
-from zygos.gap.record import MeasuredRun
 from zygos.gap.search import EXCESS
-from zygos.gap.study import Study, base_values, begin
+from zygos.gap.study import Study, again, base_values, part_of
 
 Array = NDArray[np.float64]
 
@@ -26,6 +25,8 @@ CERTAIN = 6.0
 """Standard deviations that a change must reach."""
 _STEP = 0.5
 """Share of what an effect with a beginning takes away that the same effect without one must leave."""
+_FAR = 2.0
+"""Multiple of what a balance may leave over from which on no twin of its own is made."""
 _TAKES = 0.6
 """Share of what is left over beyond noise that a change must take away."""
 
@@ -63,23 +64,28 @@ class Change:
         return self.arc == 0
 
 
-def settled(study: Study, change: Change) -> tuple[Change, Study, Study | None]:
+def settled(study: Study, change: Change, allowed: float) -> tuple[Change, Study, Study | None] | None:
     """The change with values from what was recorded before and after it, the study of what was recorded after it, and
-    that of what was recorded before it where that is enough.
+    that of what was recorded before it where that is enough. None where a balance after it leaves more than `allowed`
+    times what its twin does: what is left over is no matter of time.
 
     Errors: Undecided where too little was recorded after it.
     """
-    before = _part(study, change, after=False)
-    later = _part(study, change, after=True)
     hypothesis = study.hypothesis
     added = [name for name in change.names if name not in hypothesis.names]
     wider = replace(hypothesis, effects=(*hypothesis.effects, *added))
-    now = begin(later, wider, study.dynamics())
+    now = part_of(study, _arcs_of(study, change, after=True), wider)
+    # a twin of its own changes little
+    if np.nanmax(now.excess) > _FAR * allowed:
+        return None
+    now = again(now, wider)
+    if np.nanmax(now.excess) > allowed:
+        return None
     places = [wider.names.index(name) for name in change.names]
     old, sigma = change.old, now.spread[places]
     was: Study | None = None
     try:
-        was = begin(before, hypothesis, study.dynamics())
+        was = again(part_of(study, _arcs_of(study, change, after=False), hypothesis), hypothesis)
     except Undecided:
         pass
     else:
@@ -89,15 +95,14 @@ def settled(study: Study, change: Change) -> tuple[Change, Study, Study | None]:
     return replace(change, old=old, new=now.value[places], sigma=sigma), now, was
 
 
-def _part(study: Study, change: Change, *, after: bool) -> list[MeasuredRun]:
-    """The records before or after a change; the arc in which it may have happened is in neither, if it is not one that
-    ends with a run."""
-    run, arc = change.run, change.arc
-    whole = study.records[run + 1 :] if after else study.records[:run]
-    own = study.records[run]
-    starts = own.starts[arc:] if after else own.starts[:arc]
-    cut = [replace(own, starts=starts)] if len(starts) else []
-    return [*cut, *whole] if after else [*whole, *cut]
+def _arcs_of(study: Study, change: Change, *, after: bool) -> list[slice]:
+    """The arcs of each run before or after a change; the arc in which it may have happened is in neither, if it is not
+    one that ends with a run."""
+    none, every = slice(0, 0), slice(None)
+    runs = range(len(study.records))
+    if after:
+        return [slice(change.arc, None) if k == change.run else every if k > change.run else none for k in runs]
+    return [slice(change.arc) if k == change.run else every if k < change.run else none for k in runs]
 
 
 @dataclass(frozen=True)

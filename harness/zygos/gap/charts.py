@@ -8,13 +8,26 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos.arm import Arm
 from zygos.gap.explanation import Explanation
 from zygos.gap.findings import Gap
 from zygos.gap.forecast import HORIZON_S
-from zygos.gap.residuals import base_angle, freed, left_over, medians, middle, poor_segment, segment_errors, slope
+from zygos.gap.residuals import (
+    as_delivered,
+    base_angle,
+    freed,
+    left_over,
+    medians,
+    middle,
+    poor_segment,
+    segment_errors,
+    slope,
+)
 from zygos.gap.sentences import balance_title
+from zygos.gap.torque import JointTorques, joint_torques
 from zygos.gap.whereabouts import joint_of
-from zygos.report.page import Entry, numbers, series
+from zygos.plan.separating import Separating
+from zygos.report.page import Entry, joint_colour, numbers, series
 
 Floats = NDArray[np.float64]
 
@@ -29,16 +42,40 @@ _WINDOW_S = 0.1
 _LONG_WINDOW_S = 1.0
 """The same for the momentum, which the noise of the gyro shakes."""
 _BINS = 48
+_IN_A_BIN = 10
+"""Torques in a bin, on average, at least."""
+_TORQUE_POINTS = 600
+"""Of a line of torques, and of the dots of such a chart."""
+
+
+def planned_chart(arm: Arm, planned: Separating) -> tuple[list[float | None], Entry]:
+    """Times and the chart of the angles that a planned motion asks for; its id is `planned`."""
+    names = [joint.name for joint in arm.joints]
+    t = np.linspace(0.0, planned.scenario.duration_s, _POINTS // 2)
+    angle, _ = planned.scenario.desired(names, t)
+    lines = [series(name, joint_colour(j), angle[:, j]) for j, name in enumerate(names)]
+    title = f"Desired angles of {planned.scenario.name}"
+    return numbers(t), {
+        "id": "planned", "title": title, "unit": "rad", "time": "planned", "domain": "planned", "axis": "s",
+        "height": 200, "lines": [], "series": lines,
+    }  # fmt: skip
 
 
 class Charts:
     """The charts of a page by group, and the abscissae they share."""
 
-    def __init__(self, x: Explanation) -> None:
-        """Draw all that an explanation has."""
+    def __init__(self, x: Explanation, planned: Separating | None = None) -> None:
+        """Draw all that an explanation has. planned: the motion that tells a set apart."""
         self.x, self.arm = x, x.arm
         self.times: dict[str, list[float | None]] = {}
-        self.groups: dict[str, list[Entry]] = {"time": [], "phase": [], "signals": [], "overlay": []}
+        self.groups: dict[str, list[Entry]] = {
+            "time": [],
+            "phase": [],
+            "signals": [],
+            "overlay": [],
+            "torque": [],
+            "planned": [],
+        }
         self.subject = ""
         """What the charts in phase space are about."""
         self.overlay = ""
@@ -57,6 +94,10 @@ class Charts:
         self._phase_space()
         if x.gap is not None:
             self._held_out(x.gap)
+        self._torques()
+        if planned is not None:
+            self.times["planned"], chart = planned_chart(self.arm, planned)
+            self.groups["planned"].append(chart)
 
     @property
     def data(self) -> Entry:
@@ -186,6 +227,85 @@ class Charts:
                 "domain": name,
                 "axis": axis,
                 "height": 260,
+                "lines": [0.0],
+                "series": dots + curves,
+            }
+        )
+
+    def _torques(self) -> None:
+        """Torques of the first untouched run, and what the models leave of them over time, rate, angle, deflection."""
+        if not self.x.validated:
+            return
+        studies = [("as delivered", "delivered", as_delivered(self.x)), ("refit", "refit", self.x.refit)]
+        if self.x.closed is not self.x.refit:
+            studies.append((self.closed, "closed", self.x.closed))
+        for one in joint_torques(self.x.validated[0], [study for *_, study in studies]):
+            named = zip(studies, one.needed, strict=True)
+            lines = [(label, colour, needed) for (label, colour, _), needed in named if needed is not None]
+            self._torques_of(one, lines)
+
+    def _torques_of(self, one: JointTorques, lines: Sequence[tuple[str, str, Floats]]) -> None:
+        name, joint = f"torque-{one.joint}", self.arm.joints[one.joint].name
+        step = max(1, math.ceil(one.time.size / _TORQUE_POINTS))
+
+        def flat(values: Floats) -> Floats:
+            # nothing connects two arcs
+            return np.pad(values[:, ::step], ((0, 0), (0, 1)), constant_values=np.nan).ravel()
+
+        self.times[name] = numbers(np.concatenate([one.time[:, ::step], one.time[:, -1:]], axis=1).ravel())
+        shown = [line for line in lines if line[1] != "refit"] if len(lines) > 2 else list(lines)
+        torque = [series("measured", "soft", flat(one.measured), wide=True)]
+        torque += [series(label, colour, flat(needed)) for label, colour, needed in shown]
+        left = [(label, colour, one.measured - needed) for label, colour, needed in shown]
+        charts = [("", f"Torque, {joint}", torque)]
+        charts.append(("-left", f"Torque left over, {joint}", [series(a, b, flat(values)) for a, b, values in left]))
+        for key, title, drawn in charts:
+            self.groups["torque"].append(
+                {
+                    "id": name + key,
+                    "joint": one.joint,
+                    "title": title,
+                    "unit": "N m",
+                    "time": name,
+                    "domain": name,
+                    "axis": "s",
+                    "height": 200,
+                    "lines": [0.0],
+                    "series": drawn,
+                }
+            )
+        over = [("rate", "rad/s", one.rate), ("angle", "rad", one.angle), ("deflection", "rad", one.deflection)]
+        for quantity, unit, values in over:
+            if values is not None and left:
+                title = f"Torque left over the {quantity}, {joint}"
+                self._medians_of(f"{name}-{quantity}", title, unit, left, values, one.joint)
+
+    def _medians_of(
+        self,
+        name: str,
+        title: str,
+        unit: str,
+        lines: Sequence[tuple[str, str, Floats]],
+        over: Floats,
+        joint: int,
+    ) -> None:
+        bins = int(np.clip(over.size // _IN_A_BIN, 1, _BINS))
+        edges = np.linspace(float(over.min()), float(over.max()), bins + 1)
+        step = max(1, math.ceil(over.size * len(lines) / _TORQUE_POINTS))
+        self.times[name] = numbers(0.5 * (edges[1:] + edges[:-1]))
+        at = numbers(over.ravel()[::step])
+        dots = [series(label, colour, y.ravel()[::step], x=at, dots=True) for label, colour, y in lines]
+        curves = [series(label, colour, medians(over, y, edges), wide=True) for label, colour, y in lines]
+        self.groups["torque"].append(
+            {
+                "id": name,
+                "joint": joint,
+                "title": title,
+                "unit": "N m",
+                "time": name,
+                "domain": name,
+                "axis": unit,
+                "height": 200,
                 "lines": [0.0],
                 "series": dots + curves,
             }

@@ -17,11 +17,12 @@ from zygos.dynamics.joints import Drives
 from zygos.effects import CATALOGUE, OFFSET, Effect
 from zygos.errors import Undecided, ZygosError
 from zygos.gap.balances import GAIN, Acting, Layout, acting, corrected
-from zygos.gap.changes import find_change, settled
+from zygos.gap.changes import BODIES, Change, find_change, settled
 from zygos.gap.experiment import Experiment, propose
 from zygos.gap.explanation import Explanation
 from zygos.gap.findings import (
     DIFFERS,
+    DISAGREE,
     FLEXIBILITY,
     MATERIAL,
     Deflection,
@@ -33,11 +34,22 @@ from zygos.gap.findings import (
 )
 from zygos.gap.fit import fit
 from zygos.gap.forecast import Forecast, Stretches, cut, cut_twin, forecast
+from zygos.gap.payload import PayloadValue, payload_of
 from zygos.gap.record import MeasuredRun
 from zygos.gap.remainder import closes, remainders, unclosed
 from zygos.gap.search import CERTAIN, COMPLETE, EXCESS, PARTLY, Candidate, Search, excess, polished, possible, search
 from zygos.gap.sentences import entry_evidence
-from zygos.gap.study import Study, again, begin, own_errors, read_hypothesis, realise, sensor_effects, split, zeroed
+from zygos.gap.study import (
+    Study,
+    begin,
+    laid_out,
+    own_errors,
+    read_hypothesis,
+    realise,
+    sensor_effects,
+    split,
+    zeroed,
+)
 from zygos.gap.torques import with_torque_noise
 from zygos.gap.twin import follow
 from zygos.gap.verdicts import (
@@ -74,8 +86,6 @@ from zygos.model.model import Model, Quantity
 
 Array = NDArray[np.float64]
 
-DISAGREE = 4.5
-"""Standard deviations by which the runs may not disagree on a value."""
 _USED = 0.9
 """Share of a run below which its losses are worth a word."""
 SMALL = 1.5
@@ -148,7 +158,6 @@ class _Explainer:
             self.step(0.25, "the joints' flexibility")
             basis = self._flexible(refit, [d.joint for d in flexible])
             findings += [self._flexibility(basis, d) for d in flexible]
-        basis = self._gained(basis)
         gap: Gap | None = None
         changed: Changed | None = None
         if not skewed:
@@ -229,17 +238,18 @@ class _Explainer:
 
     def _searched(self, delivered: Drives, refit: Study, basis: Study) -> tuple[Search, Gap | None, Changed | None]:
         """Usual entries, then every entry, then changes with time, as long as something is left over."""
-        changed: Changed | None = None
         self.step(0.3, "candidates")
         found = search(basis, lambda what: self.step(0.35, what))
-        gap = self._gap(delivered, refit, found.after, found)
+        gained = self._gained(basis, found.after)
+        if gained is not basis:
+            basis, found = gained, search(gained, lambda what: self.step(0.45, what))
         wider: Search | None = None
         if self._open(found):
             wider = self._wider(basis)
             if wider is not None and _explains_more(wider, found):
-                found, gap = wider, self._gap(delivered, refit, wider.after, wider)
+                found = wider
         if self._unsettled(found):
-            self.step(0.8, "changes with time")
+            self.step(0.65, "changes with time")
             # what begins may be a usual entry, or any
             for study in (basis, *(() if wider is None else (wider.before,))):
                 changed, later, earlier = self._changed(found, study, basis.layout)
@@ -247,28 +257,31 @@ class _Explainer:
                     told = self._gap(delivered, refit, later.after, later)
                     if told is None or closes(told) or _closes_with(earlier, told):
                         return later, told, changed
-            changed = None
-        return found, gap, changed
+        return found, self._gap(delivered, refit, found.after, found), None
 
     def _wider(self, basis: Study) -> Search | None:
         """The search among every entry of the catalogue; None where the runs do not tell their columns apart."""
         self.step(0.5, "every entry of the catalogue")
-        wide = replace(basis.hypothesis, layout=replace(basis.layout, wide=True))
+        wide = laid_out(basis, replace(basis.layout, wide=True))
         try:
-            return polished(search(begin(self.measured, wide, basis.dynamics()), lambda what: self.step(0.6, what)))
+            return polished(search(wide, lambda what: self.step(0.6, what)))
         except Undecided:
             return None
 
-    def _gained(self, study: Study) -> Study:
-        """The study with the gains of torque sensors that are far off as effects, the same in all runs; what is less is
-        an error of the sensor that each run has for itself, and a remark where it is more than expected."""
+    def _gained(self, basis: Study, after: Study) -> Study:
+        """The basis with the gains of torque sensors that are far off after all that was named as effects, the same in
+        all runs; what is less is an error of the sensor that each run has for itself, and a remark where it is more
+        than expected."""
         found: dict[str, Acting] = {}
-        drawn = study.of_twin(study.hypothesis).zeros.std(axis=0, ddof=1)
-        for k, name in enumerate(study.layout.zeros):
-            if not study.layout.errors[name].gain:
+        if excess(after):
+            # a gain takes up whatever is not explained
+            return basis
+        drawn = after.of_twin(after.hypothesis).zeros.std(axis=0, ddof=1)
+        for k, name in enumerate(after.layout.zeros):
+            if not after.layout.errors[name].gain:
                 continue
             joint = int(name.removeprefix("torque_scale")) - 1
-            each, sigma = study.zeros[:, k], drawn[:, k]
+            each, sigma = after.zeros[:, k], drawn[:, k]
             share = float(np.mean(each))
             if np.any(np.abs(each) < DISAGREE * sigma) or abs(share) < GAIN:
                 continue
@@ -277,12 +290,16 @@ class _Explainer:
                 found[gain.name] = gain
             self._remark(GainOff(self.arm.joints[joint].name, self.arm.joints[0].name, share))
         if not found:
-            return study
-        hypothesis, layout = study.hypothesis, study.layout
+            return basis
+        hypothesis, layout = basis.hypothesis, basis.layout
         wider = replace(layout, own=(*layout.own, *found.values()))
         self.gains = tuple(found)
-        effects = (*hypothesis.effects, *found)
-        return begin(self.measured, replace(hypothesis, layout=wider, effects=effects), study.dynamics())
+        wanted = replace(hypothesis, layout=wider, effects=(*hypothesis.effects, *found))
+        try:
+            return begin(self.measured, wanted, basis.dynamics())
+        except Undecided:
+            self.gains = ()
+            return basis
 
     def _gain(self, found: Search, name: str) -> Finding:
         study = found.after
@@ -337,7 +354,17 @@ class _Explainer:
         instead = tuple(found.sets[index][1:])
         component = study.layout.find(named.name).component
         return Finding(
-            named.kind.key, joint, value, sigma, named.kind.unit, evidence, instead, assumed, named.shape, component
+            named.kind.key,
+            joint,
+            value,
+            sigma,
+            named.kind.unit,
+            evidence,
+            instead,
+            assumed,
+            named.shape,
+            component,
+            named.kind,
         )
 
     def _size(self, study: Study, name: str) -> tuple[float, float]:
@@ -404,14 +431,14 @@ class _Explainer:
         self.step(0.7, "predictions of the untouched run")
         errors = sensor_effects(after.hypothesis, after.value)
         last = forecast(closed, segments, errors)
+        refitted = last if before is closed else forecast(before, segments)
         wrong, wrong_name = None, ""
         other = None if found is None or not found.named else _other(found)
         if found is not None and other is not None:
             plain = found.before.hypothesis
             instead = replace(plain, effects=(*plain.effects, other.name))
             try:
-                study = again(found.before, instead, 2)
-                wrong, wrong_name = forecast(study.dynamics(), segments), other.name
+                wrong, wrong_name = forecast(found.before.dynamics_of(instead), segments, (), refitted), other.name
             except ZygosError:
                 self._remark(Impossible(other.name))
         self.step(0.85, "the floor")
@@ -420,27 +447,28 @@ class _Explainer:
         except Undecided as error:
             self._remark(NoFloor(str(error)))
             return None
+        floor = forecast(closed, twin, errors)
         return Gap(
             segments,
             forecast(delivered, segments),
-            last if before is closed else forecast(before, segments),
+            refitted,
             last,
-            forecast(closed, twin, errors),
-            self._struck(found, segments),
+            floor,
+            self._struck(found, segments, last),
             wrong,
             wrong_name,
-            tuple(forecast(one, twin.thinned(_THINNED), errors) for one in _redrawn(after)),
+            tuple(forecast(one, twin.thinned(_THINNED), errors, floor.thinned(_THINNED)) for one in _redrawn(after)),
             tuple(one.path.name for one in self.validate),
         )
 
-    def _struck(self, found: Search | None, segments: Stretches) -> Forecast | None:
+    def _struck(self, found: Search | None, segments: Stretches, closed: Forecast) -> Forecast | None:
         """Predictions without what was named: an effect that is not there does not help them."""
         if found is None or not found.named:
             return None
         names = found.after.hypothesis.names
         value = found.after.value.copy()
         value[[names.index(candidate.name) for candidate in found.named]] = 0.0
-        return forecast(realise(found.after.hypothesis, value), segments) if found.after.physical else None
+        return forecast(realise(found.after.hypothesis, value), segments, (), closed) if found.after.physical else None
 
     def _sensors_first(
         self, after: Study, findings: Sequence[Finding], skewed: Sequence[Deflection]
@@ -505,14 +533,26 @@ class _Explainer:
         kept = replace(layout, own=(*layout.own, *begun), loose=())
         plain = replace(study, records=self.measured, hypothesis=replace(study.hypothesis, layout=kept))
         try:
-            change, now, was = settled(plain, change)
+            apart = settled(plain, change, SMALL)
         except (Undecided, ZygosError):
             return None, found, None
-        if np.nanmax(now.excess) > SMALL:
-            # what is left over after it is no matter of time
+        if apart is None:
             return None, found, None
+        change, now, was = apart
         names = tuple(record.path.name for record in study.records)
-        return Changed(change, names), replace(found, after=now, named=(), sets=()), was
+        taken = self._payload(change, now, was) if change.what == BODIES and was is not None else ()
+        return Changed(change, names, taken), replace(found, after=now, named=(), sets=()), was
+
+    def _payload(self, change: Change, now: Study, was: Study) -> tuple[PayloadValue, ...]:
+        """What the last body took on, if that is what changed."""
+        later, before = (
+            one.of_twin(one.hypothesis).value[:, [one.hypothesis.names.index(name) for name in change.names]]
+            for one in (now, was)
+        )
+        # twins are drawn with the same seeds: two that belong together would share their noise
+        count = min(len(later), len(before))
+        drawn = later[:count] - before[::-1][:count]
+        return payload_of(self.arm, self.simulation, change.names, change.new - change.old, drawn)
 
     def _same_equations(self, study: Study, values: tuple[Value, ...]) -> Verdict:
         apart = self._apart(study)

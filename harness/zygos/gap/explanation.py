@@ -13,6 +13,7 @@ from zygos.gap.experiment import Experiment
 from zygos.gap.findings import Deflection, Finding, Gap, Value
 from zygos.gap.record import MeasuredRun
 from zygos.gap.search import Search
+from zygos.gap.simulated import Simulated
 from zygos.gap.study import Study
 from zygos.gap.verdicts import Answer, Remark, Verdict, partly
 from zygos.gap.whereabouts import Whereabouts
@@ -45,6 +46,8 @@ class Explanation:
     remarks: tuple[Remark, ...]
     validated: tuple[MeasuredRun, ...] = ()
     """The runs that were kept apart."""
+    simulated: Simulated | None = None
+    """Where the simulation's values come from, if it is known by a run alone."""
 
     @property
     def records(self) -> tuple[MeasuredRun, ...]:
@@ -85,4 +88,5 @@ class Explanation:
     @property
     def notes(self) -> tuple[str, ...]:
         """The remarks in words."""
-        return tuple(sentences.remark(one) for one in self.remarks)
+        known = () if self.simulated is None else (self.simulated.sentence,)
+        return (*known, *(sentences.remark(one) for one in self.remarks))

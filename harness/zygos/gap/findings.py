@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import norm
 
-from zygos.effects import CATALOGUE, is_column
+from zygos.effects import Kind, is_column
 from zygos.gap.forecast import Forecast, Stretches
 
 INTERVAL = float(norm.ppf(0.975))
 """Standard deviations of a 95 % interval."""
 DIFFERS = 3.0
 """Standard deviations by which a value differs from the simulation's."""
+DISAGREE = 4.5
+"""Standard deviations by which the runs may not disagree on a value."""
 MATERIAL = 0.005
 """Share below which a difference of values does not matter."""
 FLEXIBILITY = "joint_flexibility"
@@ -123,19 +126,24 @@ class Finding:
     """Of its law, where that has one."""
     component: str = ""
     """Which axis it acts along, where it has several."""
+    entry: Kind | None = None
+    """Of the catalogue; None where it is none."""
 
     @property
     def title(self) -> str:
         """The effect as a sentence names it."""
-        if self.kind in _TITLES:
-            return _TITLES[self.kind]
-        plain = CATALOGUE[self.kind].title
+        plain = self.entry.title if self.entry else _TITLES[self.kind]
         return f"the right {plain} (it assumes {self.assumed:g} Nms)" if self.assumed else plain
 
     @property
     def interval(self) -> tuple[float, float]:
         """95 %."""
         return self.value - INTERVAL * self.sigma, self.value + INTERVAL * self.sigma
+
+
+def undecided(findings: Sequence[Finding]) -> bool:
+    """Whether some of the findings cannot be told from other effects."""
+    return any(finding.instead for finding in findings)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ runs and balances share the coefficients; each balance is weighted by its noise.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -162,6 +162,39 @@ def fit(
             square = (own[..., None, :] @ one @ own[..., None])[..., 0, 0]
             rms[..., k, balance] = np.sqrt(np.maximum(square, 0.0) / run.count[balance])
     return Fit(hypothesis.names, value, found, rms)
+
+
+def shares_of_pairs(hypothesis: Hypothesis, runs: Sequence[Sums], weight: Array, names: Sequence[str]) -> Array:
+    """(C, C) share of what a hypothesis leaves over beyond noise that each two of C columns take away together, over
+    all runs and balances; on the diagonal that of one alone."""
+    wider = replace(hypothesis, effects=(*hypothesis.effects, *names))
+    zeros, count = len(hypothesis.layout.zeros), len(hypothesis.names)
+    prior = np.diag(hypothesis.layout.zero_sigma**-2.0)
+    size = zeros + len(wider.names) + 1
+    bases = {k: _Basis.of(wider, k, "") for k in wider.balances}
+    total = np.zeros((size - zeros, size - zeros))
+    for run in runs:
+        whole = np.zeros((size, size))
+        for k, basis in bases.items():
+            clean = run.gram[k] if run.noise is None else run.gram[k] - run.noise[k]
+            whole[np.ix_(basis.places, basis.places)] += weight[k] ** 2 * basis.of_gram(clean)
+        wanted = whole[:zeros, zeros:].copy()
+        if run.applied is not None:
+            wanted[:, -1] -= prior @ run.applied
+            total[-1, -1] += run.applied @ prior @ run.applied
+        total += whole[zeros:, zeros:] - wanted.T @ np.linalg.solve(whole[:zeros, :zeros] + prior, wanted)
+    scale = np.sqrt(np.maximum(np.diagonal(total), 1e-300))
+    total = total / np.outer(scale, scale)
+    rest = total[count:, count:] - total[count:, :count] @ np.linalg.solve(total[:count, :count], total[:count, count:])
+    gram, right = rest[:-1, :-1], rest[:-1, -1]
+    own = np.diagonal(gram)
+    seen = own > _EMPTY
+    alone = np.where(seen, right**2 / np.where(seen, own, 1.0), 0.0)
+    product = np.outer(own, own)
+    apart = np.outer(seen, seen) & (product - gram**2 > _EMPTY * product)
+    both = right[:, None] ** 2 * own + right**2 * own[:, None] - 2.0 * np.outer(right, right) * gram
+    taken = np.where(apart, both / np.where(apart, product - gram**2, 1.0), np.maximum(alone[:, None], alone))
+    return np.asarray(taken / rest[-1, -1], dtype=np.float64)
 
 
 def influence(hypothesis: Hypothesis, runs: Sequence[Sums], weight: Array, name: str) -> list[dict[int, Array]]:

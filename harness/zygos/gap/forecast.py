@@ -8,7 +8,7 @@ a start from smoothed states alone would add their noise, and a fit over the sco
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -21,6 +21,7 @@ from zygos.dynamics.joints import Drives, Moment
 from zygos.dynamics.replay import exact_readings, replay, substeps
 from zygos.effects import Effect, sensed
 from zygos.errors import ZygosError
+from zygos.gap.memory import memory_along
 from zygos.gap.record import MeasuredRun, smoothed_states
 from zygos.gap.twin import Twin, measure
 from zygos.runs.smoother import coefficients
@@ -56,8 +57,10 @@ class Stretches:
     """(S, 2n) since the run's first cycle."""
     turned: Array
     """(S,) angle that the base of a planar arm has turned since then, at the first sample, rad."""
-    run: NDArray[np.int64]
-    """(S,) number of its run, from 0."""
+    runs: tuple[Readings, ...]
+    """The arcs of the runs that they are cut from."""
+    begin: NDArray[np.int64]
+    """(S, 3) run, arc and cycle of the first sample."""
 
     @classmethod
     def joined(cls, parts: Sequence[Stretches]) -> Stretches:
@@ -70,21 +73,35 @@ class Stretches:
             np.concatenate([one.guess for one in parts]),
             np.concatenate([one.time_s for one in parts]),
             np.concatenate([one.turned for one in parts]),
-            np.concatenate([np.full(len(one.run), k) for k, one in enumerate(parts)]),
+            tuple(run for one in parts for run in one.runs),
+            np.concatenate([one.begin + np.array([k, 0, 0]) for k, one in enumerate(parts)]),
         )
+
+    @property
+    def run(self) -> NDArray[np.int64]:
+        """(S,) number of each one's run, from 0."""
+        return self.begin[:, 0]
 
     def thinned(self, every: int) -> Stretches:
         """Every so many of them."""
-        return Stretches(
-            self.arm,
-            self.readings[::every],
-            self.tau[::every],
-            self.before[::every],
-            self.guess[::every],
-            self.time_s[::every],
-            self.turned[::every],
-            self.run[::every],
+        own = slice(None, None, every)
+        return replace(
+            self,
+            readings=self.readings[own],
+            tau=self.tau[own],
+            before=self.before[own],
+            guess=self.guess[own],
+            time_s=self.time_s[own],
+            turned=self.turned[own],
+            begin=self.begin[own],
         )
+
+    def memory(self, dynamics: Drives) -> NDArray[np.complex128] | None:
+        """(S, ·) internal states of a model's laws at the first samples; None where it has none."""
+        each = [memory for run in self.runs if (memory := memory_along(dynamics, self.arm, run)) is not None]
+        if not each:
+            return None
+        return np.stack([each[run][arc, cycle] for run, arc, cycle in self.begin.tolist()])
 
     @property
     def sigma(self) -> Array:
@@ -107,13 +124,21 @@ class Forecast:
     """(S, n, 2N+W) predicted less measured, in units of sigma."""
     predicted: Array
     """(S, n, 2N+W) q, theta, omega0: rad, rad/s."""
+    solver: Array
+    """(S, states, readings + states) by which what is left of the first half second corrects a start."""
     run: NDArray[np.int64]
     """(S,) number of each segment's run, from 0."""
 
     def of_run(self, run: int) -> Forecast:
         """The predictions of one run."""
-        own = self.run == run
-        return Forecast(self.residual[own], self.predicted[own], self.run[own])
+        return self._of(self.run == run)
+
+    def thinned(self, every: int) -> Forecast:
+        """Those of every so many segments."""
+        return self._of(slice(None, None, every))
+
+    def _of(self, own: slice | NDArray[np.bool_]) -> Forecast:
+        return Forecast(self.residual[own], self.predicted[own], self.solver[own], self.run[own])
 
     @property
     def gap(self) -> float:
@@ -152,7 +177,7 @@ def cut(record: MeasuredRun) -> Stretches:
     s = record.samples
     seen = Readings(s.q, s.theta, record.omega0, s.tau, record.clock_s, record.turned)
     stretches = [(int(start), int(start) + record.cycles) for start in record.starts]
-    return _segments(record.arm, seen, stretches, str(record.path))
+    return _segments(record.arm, seen, stretches, record.readings(), str(record.path))
 
 
 def cut_twin(twin: Twin, seed: int = 0) -> Stretches:
@@ -164,17 +189,24 @@ def cut_twin(twin: Twin, seed: int = 0) -> Stretches:
     signals = (seen.q, seen.theta, seen.omega0, seen.tau, seen.time, seen.turned)
     flat = Readings(*(x.reshape(arcs * cycles, *x.shape[2:]) for x in signals))
     stretches = [(i * cycles, (i + 1) * cycles) for i in range(arcs)]
-    return _segments(twin.arm, flat, stretches, "the twin")
+    return _segments(twin.arm, flat, stretches, seen, "the twin")
 
 
-def _segments(arm: Arm, samples: Readings, stretches: Sequence[tuple[int, int]], name: str) -> Stretches:
+def _segments(arm: Arm, samples: Readings, stretches: Sequence[tuple[int, int]], run: Readings, name: str) -> Stretches:
     half, n = arm.smoother.points // 2, max(2, round(HORIZON_S / arm.period_s))
-    starts = np.array([at for a, b in stretches for at in range(a + max(half, 1), b - max(2 * n, half + 1) + 1, n)])
-    if not len(starts):
+    first = max(half, 1)
+    listed = [
+        (at, k, at - a)
+        for k, (a, b) in enumerate(stretches)
+        for at in range(a + first, b - max(2 * n, half + 1) + 1, n)
+    ]
+    if not listed:
         raise ZygosError(f"{name}: no stretch is long enough to predict anything; remedy: a run from a better bus")
+    placed = np.array(listed)
     most = min(_MOST, _MOST * _LENGTH // (4 * arm.n + 4))
-    if len(starts) > most:
-        starts = starts[np.linspace(0, len(starts) - 1, most).round().astype(np.int64)]
+    if len(placed) > most:
+        placed = placed[np.linspace(0, len(placed) - 1, most).round().astype(np.int64)]
+    starts = placed[:, 0]
     at = starts[:, None] + np.arange(2 * n)
     around = starts[:, None] + np.arange(-half, half + 1)
     state = smoothed_states(
@@ -186,19 +218,24 @@ def _segments(arm: Arm, samples: Readings, stretches: Sequence[tuple[int, int]],
     assert samples.time is not None
     assert samples.turned is not None
     turned = samples.turned[starts]
-    first = np.zeros(len(starts), dtype=np.int64)
-    return Stretches(arm, readings, samples.tau[at], samples.tau[starts - 1], guess, samples.time[at], turned, first)
+    begin = placed.copy()
+    begin[:, 0] = 0
+    before = samples.tau[starts - 1]
+    return Stretches(arm, readings, samples.tau[at], before, guess, samples.time[at], turned, (run,), begin)
 
 
-def forecast(dynamics: Drives, segments: Stretches, sensors: Sequence[Effect] = ()) -> Forecast:
+def forecast(
+    dynamics: Drives, segments: Stretches, sensors: Sequence[Effect] = (), near: Forecast | None = None
+) -> Forecast:
     """Predict every segment with a model, whose sensors have these errors. Where it assumes an angular momentum, the
-    base rate follows from it."""
+    base rate follows from it. near: predictions of the same segments with a model that differs little; the motion
+    depends on its start as it does there."""
     # a model that is far off may diverge: then the gap is infinite, and says so
     with np.errstate(over="ignore", invalid="ignore"):
-        return _forecast(dynamics, segments, sensors)
+        return _forecast(dynamics, segments, sensors, near)
 
 
-def _forecast(dynamics: Drives, segments: Stretches, sensors: Sequence[Effect]) -> Forecast:
+def _forecast(dynamics: Drives, segments: Stretches, sensors: Sequence[Effect], near: Forecast | None) -> Forecast:
     arm, joints = segments.arm, segments.arm.n
     n = segments.readings.shape[1] // 2
     steps = substeps(dynamics, segments.readings[:, ::n, :joints], arm.period_s)
@@ -209,11 +246,17 @@ def _forecast(dynamics: Drives, segments: Stretches, sensors: Sequence[Effect]) 
     scale[width + 2 * joints :] /= HORIZON_S
     scale = scale[free]
 
+    memory = segments.memory(dynamics)
+
     def move(x: Array, copies: int, cycles: int) -> Array:
         """(copies * S, cycles, 2N+1) q, theta, omega0."""
         tau = np.tile(np.concatenate([segments.tau, segments.tau[:, -1:]], axis=1), (copies, 1, 1))
         before = np.tile(segments.before, (copies, 1))
-        begin = Moment(np.tile(segments.time_s[:, 0], copies), np.tile(segments.turned, copies))
+        begin = Moment(
+            np.tile(segments.time_s[:, 0], copies),
+            np.tile(segments.turned, copies),
+            None if memory is None else np.tile(memory, (copies, 1)),
+        )
         states, torques = replay(
             dynamics, arm.period_s, unpack(x), lambda k, _: tau[:, k], before, cycles + 1, steps, begin
         )
@@ -233,19 +276,21 @@ def _forecast(dynamics: Drives, segments: Stretches, sensors: Sequence[Effect]) 
 
     x = segments.guess[:, free]
     size = len(free)
-    shifted = np.concatenate([x, *(x + scale * (np.arange(size) == k) for k in range(size))])
-    first = misfit(move(shifted, size + 1, n))
-    # in half a second the motion is all but linear in its start, so one Jacobian serves all rounds
-    jacobian = np.moveaxis(first[1:] - first[0], 0, -1)
     hold = np.broadcast_to(np.diag(scale / _held(segments)[free]), (len(x), size, size))
-    solver = np.linalg.pinv(np.concatenate([jacobian, hold], axis=1))
-    left, guess = first[0], x
+    if near is None or near.solver.shape[1] != size:
+        shifted = np.concatenate([x, *(x + scale * (np.arange(size) == k) for k in range(size))])
+        first = misfit(move(shifted, size + 1, n))
+        # in half a second the motion is all but linear in its start, so one Jacobian serves all rounds
+        jacobian = np.moveaxis(first[1:] - first[0], 0, -1)
+        solver, left, guess = np.linalg.pinv(np.concatenate([jacobian, hold], axis=1)), first[0], x
+    else:
+        solver, left, guess = near.solver, misfit(move(x, 1, n))[0], x
     for _ in range(_ROUNDS):
         strayed = (hold @ ((x - guess) / scale)[..., None])[..., 0]
         x = x - (solver @ np.concatenate([left, strayed], axis=1)[..., None])[..., 0] * scale
         left = misfit(move(x, 1, n))[0]
     seen = move(x, 1, 2 * n)[:, n:]
-    return Forecast((seen - segments.readings[:, n:]) / sigma, seen, segments.run)
+    return Forecast((seen - segments.readings[:, n:]) / sigma, seen, solver, segments.run)
 
 
 def _held(segments: Stretches) -> Array:

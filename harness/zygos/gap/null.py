@@ -8,11 +8,11 @@ any reading of the twin: a few readings of some arcs each are as many draws as a
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.stats import norm, t
 
 from zygos.errors import Undecided
 from zygos.gap.fit import influence
@@ -21,8 +21,10 @@ from zygos.gap.study import Study
 Array = NDArray[np.float64]
 
 FLOOR = 4.5
-"""Deviations below which no candidate is named, whatever the twin says."""
+"""Deviations below which no candidate is named, whatever the draws say: models are not perfect."""
 DRAWS = 500
+FALSE_ALARMS = 0.001
+"""Share of searches on runs that lack nothing in which noise may name something."""
 
 
 def null_scores(
@@ -55,23 +57,55 @@ def null_sigmas(study: Study, names: Sequence[str], runs: Sequence[int] | None =
     return np.asarray(np.sqrt(sum(part.var(axis=0, ddof=1).sum(axis=0) for part in parts)), dtype=np.float64)
 
 
-def threshold(study: Study, names: Sequence[str], rate: float = 0.001) -> float:
-    """The score that the largest of all candidates exceeds on one run in a share `rate` of runs that lack nothing; not
-    below `FLOOR`.
+@dataclass(frozen=True)
+class Chance:
+    """How often noise alone names a candidate of a list, and what is asked of one so that this is rare.
 
-    As many independent normal scores are sought whose largest is distributed as that of the draws, and the tail is
-    theirs.
+    A search divides each run's coefficient by the deviation of a few readings of its twin, so that its scores have
+    Student's distribution, and a candidate must pass on every run with one sign. The candidates look alike in part:
+    together they are as good as `count` independent ones.
     """
-    found = [FLOOR]
+
+    runs: int
+    candidates: int
+    count: float
+    """Independent candidates whose largest score is distributed as that of the draws."""
+    freedom: int
+    """Degrees of freedom of a deviation."""
+    draws: int
+    """Runs without an effect that were drawn."""
+    threshold: float
+    """Deviations that a candidate must reach on every run."""
+
+    def rate(self, threshold: float) -> float:
+        """Share of searches on runs that lack nothing in which any candidate reaches it on every run."""
+        passing = 2.0 * t.sf(threshold, self.freedom) ** self.runs
+        return float(-np.expm1(self.count * np.log1p(-passing)))
+
+    def needed(self, rate: float) -> float:
+        """The deviations at which this share is `rate`."""
+        passing = -0.5 * np.expm1(np.log1p(-rate) / self.count)
+        return float(t.isf(passing ** (1.0 / self.runs), self.freedom))
+
+    @property
+    def false_alarms(self) -> float:
+        """Share of searches on runs that lack nothing in which noise alone names a candidate."""
+        return self.rate(self.threshold)
+
+
+def chance(study: Study, names: Sequence[str], rate: float = FALSE_ALARMS) -> Chance:
+    """What is asked of candidates so that on runs that lack nothing at most a share `rate` of searches names one; not
+    below `FLOOR`."""
+    most = 1.0
     for run in range(len(study.records)):
         scores = null_scores(study, names, runs=[run], seed=run)
         known = scores[:, np.isfinite(scores).all(axis=0)]
-        if not known.shape[1]:
-            continue
-        largest = np.abs(known).max(axis=1)
-        count = -len(largest) / np.sum(np.log1p(-2.0 * norm.sf(largest)))
-        found.append(float(norm.isf(-0.5 * np.expm1(np.log1p(-rate) / count))))
-    return max(found)
+        if known.shape[1]:
+            largest = np.abs(known).max(axis=1)
+            most = max(most, float(-len(largest) / np.sum(np.log1p(-2.0 * norm.sf(largest)))))
+    readings = study.twin_sums[0].gram[0].shape[0]
+    found = Chance(len(study.records), len(names), most, readings - 1, DRAWS, FLOOR)
+    return replace(found, threshold=max(FLOOR, found.needed(rate)))
 
 
 def _by_arc(study: Study, names: Sequence[str], runs: Sequence[int], run: int) -> Array:

@@ -7,19 +7,25 @@ the layout; here numbers are selected, scaled and written as people write them.
 from __future__ import annotations
 
 import math
+from itertools import combinations
 from pathlib import Path
+
+import numpy as np
 
 from zygos.arm import Arm
 from zygos.effects import CATALOGUE, Effect, spoken
+from zygos.errors import Undecided
 from zygos.files.output import ratio
 from zygos.gap.charts import Charts
 from zygos.gap.explanation import Explanation
-from zygos.gap.findings import INTERVAL, Deflection, Finding, Gap, Value
+from zygos.gap.findings import DISAGREE, INTERVAL, Deflection, Finding, Gap, Value
 from zygos.gap.forecast import HORIZON_S, Forecast
 from zygos.gap.record import MeasuredRun, letter
 from zygos.gap.residuals import Stage, failing, steps
 from zygos.gap.search import EXCESS, Candidate
-from zygos.gap.sentences import against, balance_title, evidence, motion, predicted
+from zygos.gap.sentences import against, asked_of_candidates, balance_title, evidence, motion, predicted
+from zygos.gap.torque import WINDOW_S
+from zygos.plan.separating import Separating
 from zygos.report.figures import LogScale, down_to, figure, percent, unit_of, within
 from zygos.report.page import Entry, joint_colour, render
 from zygos.report.provenance import Provenance
@@ -28,9 +34,12 @@ _LEAST = 1e-3
 """Excess per balance that the scale of the shares begins with; below it the twin's own draws differ more."""
 
 
-def write_gap_report(path: Path, explanation: Explanation, provenance: Provenance) -> None:
-    """Write the page of an explanation. Errors: ZygosError if it cannot be written."""
-    x, charts = explanation, Charts(explanation)
+def write_gap_report(
+    path: Path, explanation: Explanation, provenance: Provenance, planned: Separating | None = None
+) -> None:
+    """Write the page of an explanation. planned: the motion that tells a set apart. Errors: ZygosError if it cannot be
+    written."""
+    x, charts = explanation, Charts(explanation, planned)
     render(
         path,
         "gap/page.html",
@@ -48,7 +57,10 @@ def write_gap_report(path: Path, explanation: Explanation, provenance: Provenanc
         experiments=[
             {"said": motion(e), "z": figure(e.z), "now": figure(e.now), "tells": e.tells} for e in x.experiments
         ],
+        planned=planned and planned_entry(planned),
         values=_values(x),
+        against=_against(x),
+        window=f"{WINDOW_S:g}",
         effects=_effects(x),
         groups=charts.groups,
         subject=charts.subject,
@@ -57,6 +69,17 @@ def write_gap_report(path: Path, explanation: Explanation, provenance: Provenanc
         horizon=f"{HORIZON_S:g}",
         whole="Show all of it",
     )
+
+
+def planned_entry(planned: Separating) -> Entry:
+    """A planned motion as people write it."""
+    return {
+        "name": planned.scenario.name,
+        "form": planned.form,
+        "duration": f"{planned.scenario.duration_s:g}",
+        "z": figure(planned.z),
+        "tried": planned.tried,
+    }
 
 
 _TAGS = {
@@ -227,6 +250,7 @@ def _search(x: Explanation) -> Entry:
         "rounds": len(search.rounds),
         "completeness": [f"{100.0 * share:.1f}" for share in search.completeness],
         "named": bool(named),
+        "asked": asked_of_candidates(search.chance.threshold, search.chance.false_alarms, "on every run"),
     }
 
 
@@ -316,6 +340,44 @@ def _values(x: Explanation) -> Entry:
             }
         )
     return {"rows": rows, "scale": figure(100.0 * scale, 2), "adopted": x.model is not None}
+
+
+def _against(x: Explanation) -> Entry:
+    """What each run says by itself."""
+    study = x.closed
+    hypothesis = study.hypothesis
+    units = {value.name: value.unit for value in x.values} | {
+        one.name: one.kind.unit for one in study.layout.effects if one.name in hypothesis.effects
+    }
+    found, spread, runs = [], [], []
+    for k in range(len(study.records)):
+        runs.append(letter(k))
+        try:
+            drawn = study.of_twin(hypothesis, [k]).value
+            found.append(study.of(hypothesis, [k]).value - (drawn.mean(axis=0) - study.made))
+            spread.append(drawn.std(axis=0, ddof=1))
+        except Undecided:
+            found.append(np.full(len(hypothesis.names), np.nan))
+            spread.append(np.full(len(hypothesis.names), np.nan))
+    each, sigma = np.array(found), np.array(spread)
+    rows = []
+    for i, name in enumerate(hypothesis.names):
+        pairs = [
+            abs(each[a, i] - each[b, i]) / max(float(np.hypot(sigma[a, i], sigma[b, i])), 1e-300)
+            for a, b in combinations(range(len(runs)), 2)
+        ]
+        z = max((one for one in pairs if np.isfinite(one)), default=math.nan)
+        rows.append(
+            {
+                "name": name,
+                "unit": unit_of(units.get(name, "")),
+                "each": [within(v, s) if np.isfinite(v) else "–" for v, s in zip(each[:, i], sigma[:, i], strict=True)],
+                "all": within(float(study.value[i]), float(study.spread[i])),
+                "z": figure(z, 2),
+                "apart": z > DISAGREE,
+            }
+        )
+    return {"rows": rows if len(runs) > 1 else [], "runs": runs, "added": x.closed is not x.refit}
 
 
 def _value(name: str, value: float, sigma: float) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +16,13 @@ from zygos.gap.explain import explain
 from zygos.gap.explanation import Explanation
 from zygos.gap.ground.explain import explain_ground
 from zygos.gap.ground.explanation import GroundExplanation
+from zygos.gap.ground.next_motion import next_ground_motion, reached_on_ground
+from zygos.gap.next_motion import next_motion, reached
 from zygos.gap.record import MeasuredRun, measured_run
+from zygos.gap.simulated import model_of_simulator
 from zygos.model.model import Model
+from zygos.plan.limits import Limits
+from zygos.plan.separating import Separating
 
 
 def check_arm_of_gap(arm: Arm, named: str) -> None:
@@ -42,7 +46,7 @@ def same_recording(one: Run, other: Run) -> bool:
 
 
 def explain_runs(
-    simulation: Model,
+    simulation: Model | Run,
     measured: Sequence[Run],
     *,
     validate: Run | Sequence[Run] | None = None,
@@ -51,7 +55,8 @@ def explain_runs(
 ) -> Explanation | GroundExplanation:
     """Say where a simulation and the measured runs of an arm disagree, and which effect the simulation lacks.
 
-    simulation: the model that the simulation uses. measured: runs of one arm; what is learned from one must hold on
+    simulation: the model that the simulation uses, or a run that another simulator made from the torques of a measured
+    run, from which its model is estimated first. measured: runs of one arm; what is learned from one must hold on
     the others. A single run is cut into thirds, of which the last is kept apart. validate: runs from which nothing is
     learned; the gap is measured on them, before and after. without: keys of effects that are not tried. progress is
     called with the share that is done and what is being done.
@@ -64,8 +69,8 @@ def explain_runs(
     blocks and runs, every other arm by its balances beside those of a simulated twin (docs/gap.md).
 
     Errors: ZygosError for runs of different arms or that are the same recording, for a model that does not fit, and for
-    an arm that floats or is flexible and whose torques are currents; Undecided where the runs do not tell the
-    parameters apart.
+    an arm that floats or is flexible and whose torques are currents, and as `model_of_simulator`; Undecided where the
+    runs do not tell the parameters apart.
     """
     kept = (validate,) if isinstance(validate, Run) else tuple(validate or ())
     runs = [*measured, *kept]
@@ -74,10 +79,20 @@ def explain_runs(
     arm = runs[0].arm
     if any(run.arm != arm for run in runs):
         raise ZygosError("the runs are of different arms; remedy: runs of one arm, loaded with the same arm file")
-    simulation.base_parameters(arm)
-    check_distinct(runs)
+    for number, run in enumerate(runs):
+        check_distinct(run, runs[:number])
     check_keys(without)
     step = progress or (lambda share, what: None)
+    if isinstance(simulation, Run):
+        if simulation.arm != arm:
+            raise ZygosError("the simulated run is of another arm; remedy: a run of the arm of the measured ones")
+        check_distinct(simulation, runs)
+        step(0.0, "the model of the simulator")
+        model, simulated = model_of_simulator(simulation, measured)
+        return replace(
+            explain_runs(model, measured, validate=kept, without=without, progress=progress), simulated=simulated
+        )
+    simulation.base_parameters(arm)
     if arm.grounded:
         return explain_ground(arm, simulation, measured, kept, step, without)
     check_arm_of_gap(arm, f"arm {arm.name}")
@@ -89,6 +104,34 @@ def explain_runs(
     return explain(arm, simulation, learned, apart, step, without)
 
 
+def plan_next(
+    found: Explanation | GroundExplanation,
+    given: Limits,
+    arm_file: Path,
+    model_file: Path,
+    *,
+    name: str = "next",
+    progress: Callable[[float], None] = lambda share: None,
+) -> Separating:
+    """The motion that best tells apart the effects that the runs cannot, as a scenario that is ready to fly.
+
+    given: limits; where there is none, the motion stays within what the measured runs reached. arm_file, model_file:
+    what the scenario refers to.
+
+    Errors: ZygosError where nothing has to be told apart; Undecided where no motion within the limits tells them apart.
+    """
+    own = reached_on_ground(found.measured) if isinstance(found, GroundExplanation) else reached(found.refit.records)
+    limits = Limits(*(
+        np.where(np.isfinite(asked), asked, seen)
+        for asked, seen in (
+            (given.low, own.low), (given.high, own.high), (given.rate, own.rate), (given.torque, own.torque)
+        )
+    ))  # fmt: skip
+    if isinstance(found, GroundExplanation):
+        return next_ground_motion(found, limits, arm_file, model_file, name=name, progress=progress)
+    return next_motion(found, limits, arm_file, model_file, name=name, progress=progress)
+
+
 def check_keys(without: Sequence[str]) -> None:
     """Refuse, with ZygosError, what is no key of the catalogue."""
     for key in without:
@@ -96,14 +139,14 @@ def check_keys(without: Sequence[str]) -> None:
             raise ZygosError(f"there is no effect {key!r}; remedy: one of {', '.join(CATALOGUE)}")
 
 
-def check_distinct(runs: Sequence[Run]) -> None:
-    """Refuse, with ZygosError, two runs with the same cycles."""
-    names = [str(run.path or f"run {number}") for number, run in enumerate(runs, start=1)]
-    for (one, first), (other, second) in combinations(zip(names, runs, strict=True), 2):
-        if same_recording(first, second):
+def check_distinct(run: Run, others: Sequence[Run]) -> None:
+    """Refuse, with ZygosError, a run that has the same cycles as one of those before it."""
+    for number, other in enumerate(others, start=1):
+        if same_recording(run, other):
             raise ZygosError(
-                f"{one} and {other} are the same recording; remedy: give different runs to learn from and to "
-                "validate, because a result from one run must hold on another"
+                f"{other.path or f'run {number}'} and {run.path or f'run {len(others) + 1}'} are the same recording; "
+                "remedy: give different runs to learn from and to validate, because a result from one run must hold on "
+                "another"
             )
 
 

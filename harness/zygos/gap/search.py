@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Literal
@@ -14,8 +14,9 @@ from zygos.effects import Kind
 from zygos.errors import Undecided
 from zygos.gap.balances import Acting
 from zygos.gap.experiment import THRESHOLD
-from zygos.gap.fit import Hypothesis, fit
-from zygos.gap.study import Study, again, begin
+from zygos.gap.fit import Hypothesis, fit, shares_of_pairs
+from zygos.gap.null import Chance, chance
+from zygos.gap.study import Study, again, laid_out
 
 Array = NDArray[np.float64]
 Against = Literal["", "insignificant", "inconsistent", "negative", "not transferable", "not the rotor"]
@@ -33,9 +34,13 @@ COMPLETE = 0.95
 REST = 0.8
 """Share of what is still left over that an effect must take away to be named after the set is complete: a small effect
 beside a large one, but not a large one's law that is not quite its column's."""
+PROMISING = 0.8
+"""Share of all that is left over that two candidates must take away to be looked at run by run."""
 PARTLY = 0.6
 MOST = 4
 """Effects that are looked for."""
+_POLISHES_ALWAYS, _POLISHES = 2, 5
+"""Grids of shapes that are tried one after the other: in any case, and at most."""
 
 
 @dataclass(frozen=True)
@@ -94,6 +99,8 @@ class Search:
     """Of the named set, on each run."""
     sets: tuple[tuple[str, ...], ...]
     """For each named effect the names that the runs cannot tell from it, itself first."""
+    chance: Chance
+    """How often noise alone names one of the candidates."""
 
 
 def excess(study: Study) -> bool:
@@ -126,16 +133,17 @@ def search(study: Study, step: Callable[[str], None] = lambda _: None) -> Search
     named: list[Candidate] = []
     rounds: list[tuple[Candidate, ...]] = []
     share: tuple[float, ...] = tuple(1.0 for _ in study.records)
+    luck = chance(study, [one.name for one in study.layout.effects if possible(study.hypothesis, one)])
     while True:
         step(f"round {len(rounds) + 1}: every candidate")
-        listed = candidates(now, before)
+        listed = candidates(now, before, luck.threshold)
         rounds.append(listed)
         done = bool(named) and min(share) >= COMPLETE
         passing = (c for c in listed if c.passes and (not done or c.of_rest >= REST))
         best = next(passing, None)
         if best is None and not named and excess(now):
             step("pairs of candidates")
-            pair = _pair(now, listed)
+            pair = _pair(now, listed, luck.threshold)
             if pair is not None:
                 both = (*now.hypothesis.effects, *(candidate.name for candidate in pair))
                 try:
@@ -161,17 +169,39 @@ def search(study: Study, step: Callable[[str], None] = lambda _: None) -> Search
     named, now = _retest(named, now, before)
     share = completeness(before, now.excess * before.noise)
     sets = tuple(_inseparable(candidate, now, before) for candidate in named)
-    return Search(before, now, tuple(named), tuple(rounds), share, sets)
+    return Search(before, now, tuple(named), tuple(rounds), share, sets, luck)
 
 
 def polished(found: Search) -> Search:
-    """The search with the shapes of the named laws between those of the catalogue's grid: the vertex of a parabola
-    through what is left over, twice."""
-    for _ in range(2):
+    """The search with the shapes of the named laws between those of the catalogue's grid: the best of finer and finer
+    grids, twice, and up to five times while a balance still leaves something over."""
+    for number in range(_POLISHES):
+        if number >= _POLISHES_ALWAYS and not excess(found.after):
+            break
         # an order is a whole number
         shaped = [one for one in found.named if one.shape is not None and any(x % 1.0 for x in one.kind.shapes)]
         for one in shaped:
             found = _reshaped(found, one)
+    return _needed(found)
+
+
+def _needed(found: Search) -> Search:
+    """The search without what stood in for a part of a law whose shape was not yet right."""
+    for one in reversed(found.named):
+        rest = tuple(name for name in found.after.hypothesis.effects if name != one.name)
+        hypothesis = replace(found.after.hypothesis, effects=rest)
+        if len(found.named) < 2 or min(completeness(found.before, found.after.of(hypothesis).rms)) < COMPLETE:
+            continue
+        try:
+            now = again(found.after, hypothesis)
+        except Undecided:
+            continue
+        if excess(now):
+            continue
+        kept = [k for k, other in enumerate(found.named) if other is not one]
+        share = completeness(found.before, now.excess * found.before.noise)
+        named, sets = tuple(found.named[k] for k in kept), tuple(found.sets[k] for k in kept)
+        found = replace(found, after=now, named=named, sets=sets, completeness=share)
     return found
 
 
@@ -187,11 +217,11 @@ def _reshaped(found: Search, one: Candidate) -> Search:
     fine = tuple(float(f"{x:.6g}") for x in np.geomspace(low, high, 7))
     shapes = (*((name, grid) for name, grid in layout.shapes if name != plain), (plain, fine))
     others = tuple(name for name in after.hypothesis.effects if name != one.name)
-    wide = replace(layout, shapes=shapes, own=(*layout.own, layout.find(one.name)))
-    try:
-        study = begin(after.records, replace(after.hypothesis, layout=wide, effects=(*others, one.name)), after.model)
-    except Undecided:
-        return found
+    # what was named, and what cannot be told from it, is all that is still asked for
+    kept = {*after.hypothesis.effects, *(name for names in found.sets for name in names)}
+    told = tuple(x for x in layout.effects if x.name in kept)
+    finer = tuple(layout.find(one.name)._replace(shape=x) for x in fine)
+    study = laid_out(after, replace(layout, wide=False, shapes=shapes, own=(*told, *finer)))
     best: tuple[float, str] | None = None
     for shape in fine:
         name = f"{plain}@{shape:.6g}"
@@ -205,10 +235,8 @@ def _reshaped(found: Search, one: Candidate) -> Search:
         return found
     chosen = replace(study.hypothesis, effects=(*others, best[1]))
     now = again(study, chosen)
-    acting = now.layout.find(best[1])
-    again_named = _candidate(replace(now, hypothesis=replace(chosen, effects=others)), found.before, acting)
-    if again_named is None:
-        return found
+    value = float(now.value[now.hypothesis.names.index(best[1])])
+    again_named = replace(one, name=best[1], shape=now.layout.find(best[1]).shape, value=value)
     named = tuple(again_named if other is one else other for other in found.named)
     return replace(
         found, after=now, named=named, completeness=completeness(found.before, now.excess * now.noise),
@@ -216,16 +244,16 @@ def _reshaped(found: Search, one: Candidate) -> Search:
     )  # fmt: skip
 
 
-def _pair(now: Study, listed: Sequence[Candidate]) -> list[Candidate] | None:
+def _pair(now: Study, listed: Sequence[Candidate], level: float) -> list[Candidate] | None:
     """The two candidates that explain everything together where each alone passes for nothing; the best such pair."""
     best: list[Candidate] | None = None
-    for first, second in combinations(listed, 2):
+    for first, second in _promising(now, listed):
         wider = replace(now.hypothesis, effects=(*now.hypothesis.effects, first.name, second.name))
         try:
             share = completeness(now, now.of(wider).rms)
             if min(share) < COMPLETE:
                 continue
-            each = [_beside(now, first, second), _beside(now, second, first)]
+            each = [_beside(now, first, second, level), _beside(now, second, first, level)]
         except Undecided:
             continue
         found = [one for one in each if one is not None and one.passes]
@@ -234,10 +262,25 @@ def _pair(now: Study, listed: Sequence[Candidate]) -> list[Candidate] | None:
     return best
 
 
-def _beside(now: Study, other: Candidate, one: Candidate) -> Candidate | None:
+def _promising(now: Study, listed: Sequence[Candidate]) -> Iterator[tuple[Candidate, Candidate]]:
+    """Pairs of different laws that may explain everything, by one solve for all of them."""
+    # a momentum that is assumed is part of the right side: its column is no addition
+    plain = [one for one in listed if one.kind.key != "angular_momentum"]
+    at = {one.name: k for k, one in enumerate(plain)}
+    shares = shares_of_pairs(now.hypothesis, now.sums, now.weight, [one.name for one in plain])
+    for first, second in combinations(listed, 2):
+        if first.name.partition("@")[0] == second.name.partition("@")[0]:
+            continue
+        known = first.name in at and second.name in at
+        if not known or shares[at[first.name], at[second.name]] > PROMISING:
+            yield first, second
+
+
+def _beside(now: Study, other: Candidate, one: Candidate, level: float) -> Candidate | None:
     """A candidate judged beside another."""
     effects = (*now.hypothesis.effects, other.name)
-    return _candidate(replace(now, hypothesis=replace(now.hypothesis, effects=effects)), now, now.layout.find(one.name))
+    beside = replace(now, hypothesis=replace(now.hypothesis, effects=effects))
+    return _candidate(beside, now, now.layout.find(one.name), level)
 
 
 def _retest(named: list[Candidate], now: Study, before: Study) -> tuple[list[Candidate], Study]:
@@ -251,9 +294,9 @@ def _retest(named: list[Candidate], now: Study, before: Study) -> tuple[list[Can
     return named, now
 
 
-def candidates(now: Study, before: Study) -> tuple[Candidate, ...]:
-    """All that could be added to a study's hypothesis, best first."""
-    out = [_candidate(now, before, one) for one in now.layout.effects if possible(now.hypothesis, one)]
+def candidates(now: Study, before: Study, level: float) -> tuple[Candidate, ...]:
+    """All that could be added to a study's hypothesis, best first. level: deviations that are asked on each run."""
+    out = [_candidate(now, before, one, level) for one in now.layout.effects if possible(now.hypothesis, one)]
     return tuple(sorted((one for one in out if one is not None), key=lambda one: one.left))
 
 
@@ -269,7 +312,7 @@ def possible(hypothesis: Hypothesis, one: Acting) -> bool:
     return not (one.joint >= 0 and hypothesis.rigid[one.joint] and one.kind.place == "spring")
 
 
-def _candidate(now: Study, before: Study, one: Acting) -> Candidate | None:
+def _candidate(now: Study, before: Study, one: Acting, level: float) -> Candidate | None:
     name, kind, joint = one.name, one.kind, one.joint
     wider = replace(now.hypothesis, effects=(*now.hypothesis.effects, name))
     runs = range(len(now.records))
@@ -292,7 +335,7 @@ def _candidate(now: Study, before: Study, one: Acting) -> Candidate | None:
     share = completeness(before, whole.rms)
     against: Against = ""
     spread = max(float(draw.std(ddof=1)) for draw in null)
-    if min(abs(one) for one in z) < THRESHOLD:
+    if min(abs(one) for one in z) < level:
         against = "insignificant"
     elif min(found) < 0.0 < max(found) or max(found) - min(found) > max(4.0 * spread, AGREEMENT * abs(value)):
         against = "inconsistent"
@@ -315,7 +358,7 @@ def _candidate(now: Study, before: Study, one: Acting) -> Candidate | None:
         min(completeness(now, whole.rms)),
         _total(whole.rms, now.noise),
         frozen,
-        _limit(now, name, null),
+        _limit(now, name, null, level),
         against,
     )
 
@@ -324,10 +367,10 @@ def _total(rms: Array, noise: Array) -> float:
     return float(np.nansum((rms / noise) ** 2))
 
 
-def _limit(now: Study, name: str, null: list[Array]) -> float:
+def _limit(now: Study, name: str, null: list[Array], level: float) -> float:
     """The size at which a candidate passes on these runs nineteen times in twenty: it must stand out of its twin and,
     where noise does not hide it, leave an excess behind that the other coefficients do not absorb."""
-    stand_out = (THRESHOLD + 1.645) * max(float(draw.std(ddof=1)) for draw in null)
+    stand_out = (level + 1.645) * max(float(draw.std(ddof=1)) for draw in null)
     if noisy(now):
         return stand_out
     unit = fit(now.hypothesis, now.sums, now.weight, target=name).rms / now.noise

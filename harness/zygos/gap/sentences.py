@@ -42,6 +42,7 @@ from zygos.gap.verdicts import (
     Unexplained,
     ValuesDiffer,
     Verdict,
+    WrongGravity,
     ZerosOff,
     partly,
 )
@@ -63,7 +64,7 @@ _AGAINST: dict[Against, str] = {
 # verdict
 
 
-def verdict(arm: Arm, found: Verdict) -> str:  # noqa: PLR0911  (one sentence a verdict)
+def verdict(arm: Arm, found: Verdict) -> str:  # noqa: PLR0911, PLR0912  (one sentence a verdict)
     """What a verdict says."""
     match found:
         case NothingMissing():
@@ -91,6 +92,11 @@ def verdict(arm: Arm, found: Verdict) -> str:  # noqa: PLR0911  (one sentence a 
             return (
                 f"Timing first: the torques act {found.periods:.2f} SYNC periods later than torque_law of the arm file "
                 "says; no effect is named until it is right."
+            )
+        case WrongGravity():
+            return (
+                f"The arm file first: gravity is {vector(found.found)} m/s^2, and the arm file says "
+                f"{vector(found.stated)}; no effect is named until it is right."
             )
         case DeclaredTooNoisy():
             return (
@@ -133,6 +139,10 @@ def _changed(arm: Arm, found: Changed) -> str:
         if change.between
         else f"in {now}, between {change.before_s:.0f} and {change.after_s:.0f} s"
     )
+    if change.what == BODIES and found.payload:
+        body = arm.joints[-1].name
+        elements = ", ".join(f"{one.name} {sized(one.value, one.sigma, one.unit)}" for one in found.payload)
+        return f"The body behind the {body} took on or lost a payload {when}: {elements}."
     if change.what == BODIES:
         each = zip(change.names, change.old, change.new, change.sigma, strict=True)
         parts = [
@@ -196,7 +206,7 @@ def listed(findings: Sequence[Finding]) -> str:
 def _named(finding: Finding) -> str:
     at = "of the arm" if finding.joint is None else f"({finding.joint})"
     along = f" along {finding.component}" if finding.component else ""
-    kind = CATALOGUE.get(finding.kind)
+    kind = finding.entry
     form = (
         ""
         if kind is None or finding.shape is None
@@ -277,12 +287,17 @@ def _place(finding: Finding) -> str:
     if finding.joint is None:
         return "on the base"
     side = {"motor": "at the motor side", "torque": "at the motor side", "link": "at the link side"}
-    kind = CATALOGUE.get(finding.kind)
+    kind = finding.entry
     return f"{side.get(kind.place if kind else '', 'at the joint')} of the {finding.joint}"
 
 
 def _parted(bent: Deflection) -> str:
     return _times(bent.rms_rad / bent.noise_rad)
+
+
+def vector(components: Sequence[float]) -> str:
+    """Components as an arm file has them."""
+    return f"[{', '.join(f'{x:.3g}' for x in np.round(components, 2))}]"
 
 
 def _times(ratio: float) -> str:
@@ -372,11 +387,14 @@ def remedy(
     """What to do where nothing is adopted. experiments: best first; nearest: the candidate that leaves least over."""
     if experiments:
         best = experiments[0]
-        return f"{motion(best)} would tell them apart" if best.tells else "no variant of these motions tells them apart"
+        variant = (
+            f"{motion(best)} would tell them apart" if best.tells else "no variant of these motions tells them apart"
+        )
+        return f"{variant}; --next-motion plans one"
     if partial := partly(found):
         return f"part of it looks like {listed(partial)}"
     match found:
-        case SkewedEncoders() | LateTorques() | DeclaredTooNoisy():
+        case SkewedEncoders() | LateTorques() | WrongGravity() | DeclaredTooNoisy():
             return "correct the arm file; `zygos check-arm` on one of the runs examines its signals"
         case RunsDisagree():
             return "give two runs of the same arm; `zygos estimate` gives the values for each run"
@@ -385,3 +403,11 @@ def remedy(
         share = 100 * max(0.0, nearest.complete)
         said.append(f"the nearest in the catalogue, {spoken(arm, nearest.name)}, explains {share:.0f} % of it")
     return "; ".join(said)
+
+
+def asked_of_candidates(threshold: float, false_alarms: float, runs: str) -> str:
+    """The significance that is asked of a candidate, and how often noise reaches it, in words. runs: on which."""
+    return (
+        f"A candidate needs |z| of {threshold:.2g} {runs}; where nothing is missing, noise brings one to it in at most "
+        f"{false_alarms:.1g} of the searches."
+    )

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from zygos.balances.readings import Readings
 from zygos.balances.state import State
 from zygos.dynamics.equations import from_parameters, parameters
 from zygos.dynamics.joints import Drives
@@ -70,6 +71,8 @@ class Study:
     """(coefficients,) one standard deviation over the twin's draws."""
     applied: Array
     """(runs, zeros) errors of the sensors that were taken off the records."""
+    sensors: tuple[Effect, ...]
+    """Errors of the sensors that the twins were made with."""
 
     @property
     def layout(self) -> Layout:
@@ -90,6 +93,11 @@ class Study:
     def value(self) -> Array:
         """(coefficients,) without the bias that noise in the columns causes."""
         return np.asarray(self.fit.value - self.bias, dtype=np.float64)
+
+    @property
+    def made(self) -> Array:
+        """(coefficients,) what the twins were made with."""
+        return np.asarray(self.of_twin(self.hypothesis).value.mean(axis=0) - self.bias, dtype=np.float64)
 
     @property
     def zeros(self) -> Array:
@@ -126,6 +134,15 @@ class Study:
     def dynamics(self) -> Drives:
         """The model that was fitted, or as much of it as an arm can be."""
         return _possible(self.hypothesis, self.value, self.model)
+
+    def dynamics_of(self, hypothesis: Hypothesis) -> Drives:
+        """The model that another hypothesis fits, or as much of it as an arm can be; its bias is that on these twins.
+
+        Errors: Undecided as `fit`; ZygosError where no arm has such parameters.
+        """
+        made = np.array([coefficient(self.model, hypothesis, name, self.sensors) for name in hypothesis.names])
+        bias = self.of_twin(hypothesis).value.mean(axis=0) - made
+        return _possible(hypothesis, self.of(hypothesis).value - bias, self.model)
 
     def local(self) -> Array:
         """(runs, balances) rho where each balance is fitted by itself: whatever happens elsewhere does not touch it.
@@ -274,6 +291,33 @@ def again(study: Study, hypothesis: Hypothesis, count: int = DRAWS) -> Study:
     )
 
 
+def laid_out(study: Study, layout: Layout) -> Study:
+    """The same runs, hypothesis and twins with other columns to search among."""
+    hypothesis = replace(study.hypothesis, layout=layout)
+    return _fitted(
+        study.records, study.accepted, hypothesis, study.model, study.twins, study.sensors, DRAWS, study.applied
+    )
+
+
+def part_of(study: Study, arcs: Sequence[slice], hypothesis: Hypothesis) -> Study:
+    """Some arcs of each run under another hypothesis, beside the twins that the study has, with a few draws.
+
+    Errors: Undecided where they do not tell the parameters apart.
+    """
+    kept = [k for k, own in enumerate(arcs) if len(study.records[k].starts[own])]
+    records, twins = [], []
+    for k in kept:
+        record, exact = study.records[k], study.twins[k].exact
+        own = arcs[k]
+        records.append(replace(record, starts=record.starts[own]))
+        time, turned = (x if x is None else x[own] for x in (exact.time, exact.turned))
+        read = Readings(exact.q[own], exact.theta[own], exact.omega0[own], exact.tau[own], time, turned)
+        twins.append(replace(study.twins[k], exact=read))
+    accepted = tuple(study.accepted[k][arcs[k]] for k in kept)
+    applied = study.applied[kept]
+    return _fitted(tuple(records), accepted, hypothesis, study.model, tuple(twins), study.sensors, _FEW, applied)
+
+
 def zeroed(study: Study) -> Study:
     """The same runs where the few errors of sensors that explain most of what a fit pays for all of them are free.
 
@@ -368,11 +412,24 @@ def _study(
     applied: Array,
     value: Array | None = None,
 ) -> Study:
+    sensors = sensor_effects(hypothesis, value)
+    twins = tuple(follow(dynamics, records, sensors))
+    return _fitted(records, accepted, hypothesis, dynamics, twins, sensors, count, applied)
+
+
+def _fitted(
+    records: tuple[MeasuredRun, ...],
+    accepted: tuple[NDArray[np.bool_], ...],
+    hypothesis: Hypothesis,
+    dynamics: Drives,
+    twins: tuple[Twin, ...],
+    sensors: tuple[Effect, ...],
+    count: int,
+    applied: Array,
+) -> Study:
     layout = hypothesis.layout
     arm, uncentred = layout.arm, hypothesis.uncentred
     base = base_values(dynamics, layout)
-    sensors = sensor_effects(hypothesis, value)
-    twins = tuple(follow(dynamics, records, sensors))
     every = thinning(arm)
     zeros = [zero_columns(layout, record.readings(), base, every) for record in records]
     made = np.array([coefficient(dynamics, hypothesis, name, sensors) for name in hypothesis.names])
@@ -412,6 +469,7 @@ def _study(
         guess.value.mean(axis=0) - made,
         guess.value.std(axis=0, ddof=1),
         applied,
+        sensors,
     )
 
 

@@ -22,6 +22,7 @@ from zygos.dynamics.replay import exact_readings, replay, substeps
 from zygos.effects import Effect, sensed
 from zygos.errors import Undecided
 from zygos.gap.balances import Layout, Sums, accumulate, balance_rows
+from zygos.gap.memory import memory_along
 from zygos.gap.record import MeasuredRun, smoothed_states
 from zygos.simulation.sensors import draw_noise
 
@@ -70,6 +71,8 @@ def follow(dynamics: Drives, records: Sequence[MeasuredRun], sensors: Sequence[E
     rate = 4.0 * SERVO_RATE if dynamics.rigid.any() else SERVO_RATE
     seen = [record.readings() for record in records]
     begin = Moment(*(np.concatenate([getattr(one, name)[:, 0] for one in seen]) for name in ("time", "turned")))
+    kept = [memory[:, 0] for one in seen if (memory := memory_along(dynamics, arm, one)) is not None]
+    begin = replace(begin, memory=np.concatenate(kept)) if kept else begin
     moved, applied = _servo(dynamics, path, tau, h, min(rate, 0.1 / h), begin)
     twins, first = [], 0
     for record, own in zip(records, seen, strict=True):

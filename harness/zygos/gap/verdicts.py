@@ -7,6 +7,7 @@ from typing import ClassVar, Literal
 
 from zygos.gap.changes import Change
 from zygos.gap.findings import Disagreement, Finding, Value
+from zygos.gap.payload import PayloadValue
 
 Answer = Literal["nothing missing", "values differ", "named", "part named", "changed", "cannot tell", "unknown"]
 
@@ -88,6 +89,17 @@ class LateTorques:
 
 
 @dataclass(frozen=True)
+class WrongGravity:
+    """Gravity is another than the arm file says."""
+
+    answer: ClassVar[Answer] = "unknown"
+    found: tuple[float, float, float]
+    """m/s^2, in base axes."""
+    stated: tuple[float, float, float]
+    """m/s^2, in the arm file."""
+
+
+@dataclass(frozen=True)
 class DeclaredTooNoisy:
     """The balances close better than the declared noise of the sensors allows."""
 
@@ -112,6 +124,8 @@ class Changed:
     change: Change
     runs: tuple[str, ...]
     """Names of the runs."""
+    payload: tuple[PayloadValue, ...] = ()
+    """The change of bodies as a payload of the last one; empty where it is none, or not identified."""
 
 
 @dataclass(frozen=True)
@@ -141,7 +155,7 @@ class NotPredicted:
     """The same without them."""
 
 
-ArmFileFirst = SkewedEncoders | LateTorques | DeclaredTooNoisy
+ArmFileFirst = SkewedEncoders | LateTorques | WrongGravity | DeclaredTooNoisy
 """The arm file has to be put right before anything can be said."""
 Verdict = (
     NothingMissing

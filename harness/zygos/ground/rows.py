@@ -138,7 +138,9 @@ def _sensed(
     if effect.kind.gain:
         column[:, joint] = -rows.w[:, joint]
     elif predicted is not None:
-        torque = effect.law(JointMotion(rate=state.qd[:, joint], angle=state.q[:, joint], load=predicted[:, joint]))
+        torque = effect.law(
+            JointMotion(rate=state.qd[:, joint], angle=state.q[:, joint], load=predicted[:, joint]), arm.period_s
+        )
         total = np.concatenate([[0.0], np.cumsum(torque)]) * arm.period_s
         column[:, joint] = total[rows.end] - total[rows.begin]
     return column
@@ -181,7 +183,8 @@ def _law(arm: Arm, rows: TorqueRows, effect: Effect, joint: int, predicted: Floa
             load=none if predicted is None else predicted[:, joint],
             time=np.asarray(np.arange(len(rate)) * rows.period_s, dtype=np.float64),
             ratio=ratio,
-        )
+        ),
+        rows.period_s,
     )
     factor = {"motor": ratio, "torque": -ratio}.get(kind.place, 1.0)
     return np.asarray(own * factor, dtype=np.float64)

@@ -207,6 +207,13 @@ class Model:
     def _scalars(self) -> NDArray[np.float64]:
         return np.array([quantity.value for quantity in self._quantities()])
 
+    def first_moments(self, arm: Arm) -> NDArray[np.float64]:
+        """(2N,) first moments u and v of the body after each joint of an arm on a fixed base, kg m, of a model given by
+        bodies, whether gravity moves them or not. Errors: as `check_fits`."""
+        self.check_fits(arm)
+        moments = gram.of_bodies(arm, *self._moments(arm, self._scalars()))[1]
+        return np.asarray(moments[-2 * arm.n :], dtype=np.float64)
+
     def candidate_values(self, arm: Arm) -> NDArray[np.float64]:
         """(c,) values of `arm.structure.candidates` of a model given by bodies, SI units. Errors: as `check_fits`."""
         self.check_fits(arm)

@@ -7,6 +7,7 @@ from typing import Any
 
 from zygos.files.names import ascii_name, printable
 from zygos.native.flight import Flight, ffi, lib
+from zygos.native.sizes import memory
 
 _ENUMS = {
     "kinetic": "zygos_kinetic",
@@ -33,6 +34,20 @@ def capacities(config: Any) -> dict[str, int]:
         "ZYGOS_MOMENTUM": int(config.momentum_arc_cycles > 0),
         "ZYGOS_JOINT_ROWS": int(config.joint_row_cycles > 0),
     }
+
+
+def least_build(config: Any) -> dict[str, int]:
+    """The capacities of the smallest build that holds a ``zygos_config_t *``, by macro; the others are the defaults."""
+    needs = capacities(config)
+    parameters = needs["ZYGOS_MAX_PARAMETERS"]
+    # Without a reduction the parameters are the columns, and a build takes the default; with one, at least 2 N + 3.
+    needs["ZYGOS_MAX_PARAMETERS"] = max(parameters, 2 * needs["ZYGOS_MAX_JOINTS"] + 3)
+    return {name: value for name, value in needs.items() if parameters > 0 or name != "ZYGOS_MAX_PARAMETERS"}
+
+
+def least_memory(config: Any) -> dict[str, int]:
+    """Bytes of the structs in that build, by what they hold (`zygos.native.sizes.memory`)."""
+    return memory(least_build(config))
 
 
 def _initialiser(value: Any, field: str) -> str:
@@ -76,10 +91,17 @@ def header(flight: Flight, source: str) -> str:
         for macro, value in capacities(config).items()
         if value > 0
     ]
+    bytes_of = least_memory(config)
+    build = " ".join(f"-D{macro}={value}" for macro, value in least_build(config).items())
     version = lib.ZYGOS_VERSION_MAJOR_VALUE, lib.ZYGOS_VERSION_MINOR_VALUE
     return "\n".join(
         [
             f"// Arm {printable(flight.arm.name)}, compiled from {source} by `zygos compile-model`. Do not edit.",
+            "//",
+            f"// The smallest build that holds it: {build}",
+            f"// It takes {sum(bytes_of.values()):,} bytes: "
+            + ", ".join(f"{what} {size:,}" for what, size in bytes_of.items())
+            + ".",
             "",
             "#ifndef ARM_CONFIG_H",
             "#define ARM_CONFIG_H",

@@ -17,8 +17,9 @@ from scipy.integrate import DOP853
 
 from zygos.arm import Arm
 from zygos.balances.readings import Readings
+from zygos.balances.state import State
 from zygos.dynamics.equations import Dynamics, EngineName, equations
-from zygos.dynamics.joints import Moment
+from zygos.dynamics.joints import Drives, Moment
 from zygos.dynamics.planar import PlanarDynamics
 from zygos.effects import Effect, sensed
 from zygos.errors import ZygosError
@@ -78,6 +79,8 @@ class Trajectory:
     """Base rate when the gyro latches, rad/s; shape as omega0."""
     noise: Noise
     """The errors that the servo reads and `cycles` records."""
+    memory: NDArray[np.complex128]
+    """(B, n, S) internal states of the laws with a memory."""
     sensors: tuple[Effect, ...] = ()
     """Effects of sensors, which `cycles` records. The servo does not read them."""
 
@@ -85,7 +88,7 @@ class Trajectory:
         """Exact accelerations just after each SYNC: base as omega0, links (B, n, N), motors after the gear (B, n, N),
         rad/s^2."""
         angle = self.attitude if self.attitude.ndim == 2 else 0.0
-        moment = Moment(np.broadcast_to(self.t, self.q.shape[:-1]), angle)
+        moment = Moment(np.broadcast_to(self.t, self.q.shape[:-1]), angle, self.memory)
         return self.dynamics.accelerations(self.q, self.theta, self.omega0, self.qd, self.thetad, self.tau, moment)
 
     def cycles(self, index: int = 0) -> Cycles:
@@ -173,7 +176,8 @@ def simulate(
 
 
 class _Run:
-    """State of one simulation; the state vector is B rows of attitude, omega0, q, qd, theta, thetad, slip2."""
+    """State of one simulation; the state vector is B rows of attitude, omega0, q, qd, theta, thetad, slip2, and of what
+    laws remember, real and imaginary parts."""
 
     def __init__(
         self,
@@ -194,8 +198,10 @@ class _Run:
         joints = arm.n
         self.planar = planar
         widths = [1, 1] if planar else [4, 3] if arm.free else [0, 0]
-        ends = np.cumsum([0, *widths, *[joints] * 5]).tolist()
-        self.attitude, self.omega, *self.slices = (slice(a, b) for a, b in pairwise(ends))
+        self.drives = dynamics if isinstance(dynamics, Drives) and dynamics.states else None
+        states = self.drives.states if self.drives else 0
+        ends = np.cumsum([0, *widths, *[joints] * 5, 2 * states]).tolist()
+        self.attitude, self.omega, *self.slices, self.kept = (slice(a, b) for a, b in pairwise(ends))
         self.ratio = arm.gear_ratios
         self.step = arm.period_s
         self.begin = 0.0
@@ -218,8 +224,15 @@ class _Run:
         self.state = np.zeros((len(seeds), ends[-1]))
         q, _, theta, _, _ = self.slices
         self.state[:, q] = self.state[:, theta] = np.array(angles)
+        self._start_turning(planar)
+        if self.drives:
+            self._set_memory(self.state, self.drives.memory_at_rest(self._joints(self.state)))
+
+    def _start_turning(self, planar: bool) -> None:
+        arm, dynamics, scenario = self.arm, self.dynamics, self.scenario
         if not arm.free:
             return
+        q = self.slices[0]
         if not planar:
             self.state[:, self.attitude] = [0.0, 0.0, 0.0, 1.0]
         assumed = dynamics.angular_momentum
@@ -238,6 +251,19 @@ class _Run:
         if not self.arm.free:
             return np.zeros((*state.shape[:-1], 3))
         return state[..., self.omega.start] if self.planar else state[..., self.omega]
+
+    def _memory(self, state: Array) -> NDArray[np.complex128]:
+        """(..., S) internal states of laws in a state (..., width)."""
+        parts = state[..., self.kept]
+        return np.asarray(parts[..., 0::2] + 1j * parts[..., 1::2])
+
+    def _set_memory(self, state: Array, memory: NDArray[np.complex128]) -> None:
+        parts = state[..., self.kept]
+        parts[..., 0::2], parts[..., 1::2] = memory.real, memory.imag
+
+    def _joints(self, state: Array) -> State:
+        q, qd, theta, thetad, _ = (state[..., part] for part in self.slices)
+        return State(q, theta, qd, thetad, self._omega0(state))
 
     def _set_omega0(self, state: Array, rate: Array) -> None:
         if self.arm.free:
@@ -314,6 +340,7 @@ class _Run:
             theta_latched,
             omega0_latched,
             self.noise,
+            self._memory(states),
         )
 
     def _measured(self, k: int) -> Array:
@@ -330,6 +357,7 @@ class _Run:
         state = flat.reshape(self.state.shape)
         q, qd, theta, thetad, slip = self.slices
         omega0 = self._omega0(state)
+        memory = self._memory(state) if self.drives else None
         base, link, motor = self.dynamics.accelerations(
             state[:, q],
             state[:, theta],
@@ -337,9 +365,11 @@ class _Run:
             state[:, qd],
             state[:, thetad],
             self.tau + since * self.tau_rate,
-            Moment(self.begin + since, state[:, 0] if self.planar else 0.0),
+            Moment(self.begin + since, state[:, 0] if self.planar else 0.0, memory),
         )
         rate = np.empty_like(state)
+        if self.drives and memory is not None:
+            self._set_memory(rate, self.drives.memory_derivative(self._joints(state), memory))
         if self.planar:
             rate[:, 0] = omega0
         elif self.arm.free:
@@ -388,6 +418,11 @@ class _Run:
         # the size that the step control proposes is the best initial value for the next period
         self.step = min(solver.h_abs, self.arm.period_s)
         self.state = solver.y.reshape(self.state.shape)
+        if self.drives:
+            # what has stopped is where it stops
+            self._set_memory(
+                self.state, self.drives.remembered(self._joints(self.state), self._memory(self.state), 0.0)
+            )
         self.tau += span * self.tau_rate
 
     def _feedforward(self) -> Array:

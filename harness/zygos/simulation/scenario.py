@@ -175,13 +175,16 @@ def save_scenario(scenario: Scenario, path: str | Path) -> None:
     manoeuvre = tomlkit.aot()
     for joint, motion in scenario.manoeuvre.items():
         entry = tomlkit.table()
-        entry.update({"joint": joint, "kind": "sines", "offset_rad": motion.offset})
-        sines = tomlkit.array()
-        for sine in motion.sines:
-            line = tomlkit.inline_table()
-            line.update({"amplitude_rad": sine.amplitude, "omega_rad_s": sine.omega, "phase_rad": sine.phase})
-            sines.append(line)
-        entry["sines"] = sines.multiline(True)
+        if motion.sines:
+            entry.update({"joint": joint, "kind": "sines", "offset_rad": motion.offset})
+            sines = tomlkit.array()
+            for sine in motion.sines:
+                line = tomlkit.inline_table()
+                line.update({"amplitude_rad": sine.amplitude, "omega_rad_s": sine.omega, "phase_rad": sine.phase})
+                sines.append(line)
+            entry["sines"] = sines.multiline(True)
+        else:
+            entry.update({"joint": joint, "kind": "constant", "angle_rad": motion.offset})
         manoeuvre.append(entry)
         for ramp in motion.ramps:
             entry = tomlkit.table()

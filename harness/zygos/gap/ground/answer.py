@@ -7,15 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from zygos.gap.answer import change_json, finding_json, remainders_json, source_json, value_json
+from zygos.gap.answer import change_json, finding_json, remainders_json, simulation_json, source_json, value_json
 from zygos.gap.ground.explanation import GroundExplanation, GroundGap
 from zygos.gap.ground.predictions import Prediction, run_name
+from zygos.gap.ground.search import false_alarms, threshold
 from zygos.gap.ground.sentences import against, evidence
 from zygos.report.provenance import Provenance
 
 
 def as_json(found: GroundExplanation, source: Provenance) -> dict[str, Any]:
     """The content of a verdict's JSON."""
+    tried = len(found.search.rounds[0]) if found.search.rounds else 0
     return {
         "estimator": "explain-ground",
         "answer": found.answer,
@@ -51,8 +53,12 @@ def as_json(found: GroundExplanation, source: Provenance) -> dict[str, Any]:
             }
             for one in (found.search.rounds[0] if found.search.rounds else ())
         ],
+        "threshold": None
+        if not tried
+        else {"deviations": threshold(tried), "false_alarms": false_alarms(tried), "candidates": tried},
         "values": [value_json(v) for v in found.values],
         "increment_s": found.span_s,
+        "simulation": simulation_json(found.simulated),
         "remarks": list(found.notes),
         "runs": [
             {"run": str(run.path) if run.path else None, "cycles": len(run), "faults": run.faults}

@@ -26,7 +26,7 @@ Floats = NDArray[np.float64]
 LEAST_PART = 0.1
 """Share of the friction that a difference between the directions must have to be spoken of."""
 _RESTS = 0.99
-_PHASES = 3
+PHASES = 3
 """Phases at rest that must agree."""
 
 
@@ -71,15 +71,15 @@ def one_sided(
 
 def _at_rest(table: Table, fitted: Fit, joint: int, value: float) -> Literal["either", "offset", "friction"]:
     """What the phases say in which the joint does not move."""
-    phases = np.array([mean for rows in table.rows for mean in _phases(table, rows, fitted, joint)])
-    if len(phases) < _PHASES:
+    means = np.array([mean for rows in table.rows for mean in phases(table, rows, fitted, joint)])
+    if len(means) < PHASES:
         return "either"
-    if np.all(np.abs(phases - value) < 0.5 * abs(value)):
+    if np.all(np.abs(means - value) < 0.5 * abs(value)):
         return "offset"
-    return "friction" if np.all(np.abs(phases) < 0.5 * abs(value)) else "either"
+    return "friction" if np.all(np.abs(means) < 0.5 * abs(value)) else "either"
 
 
-def _phases(table: Table, rows: RunRows, fitted: Fit, joint: int) -> Iterator[float]:
+def phases(table: Table, rows: RunRows, fitted: Fit, joint: int) -> Iterator[float]:
     """Constant torque that is left over in each phase at rest, Nm before the gear."""
     motion, layout = rows.motion, table.layout
     state = State.smoothed(motion.arm, motion.smoothed)

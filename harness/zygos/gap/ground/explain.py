@@ -24,6 +24,7 @@ from zygos.gap.ground.columns import Layout, Table, table_of
 from zygos.gap.ground.direction import one_sided
 from zygos.gap.ground.explanation import GroundExplanation, GroundGap, JointRest
 from zygos.gap.ground.fit import Fit, jackknife, residual
+from zygos.gap.ground.gravity import missing_gravity
 from zygos.gap.ground.predictions import Prediction, Stage, predict, remainders, run_name
 from zygos.gap.ground.search import Search, is_gain, search
 from zygos.gap.ground.sentences import entry_evidence, gains, offset
@@ -39,6 +40,7 @@ from zygos.gap.verdicts import (
     Unexplained,
     ValuesDiffer,
     Verdict,
+    WrongGravity,
 )
 from zygos.ground.estimate import DEFAULT_FRICTION, at_best_span
 from zygos.ground.motion import Motion
@@ -128,16 +130,20 @@ class _Explainer:
         gap = self._gap(table, found)
         values_found = self._values(table, sizes)
         verdict: Verdict
-        late = lateness(table)
-        if late is not None:
+        late, pull = lateness(table), missing_gravity(table, self.simulation)
+        if pull is not None:
+            x, y, z = (pull + self.arm.gravity).tolist()
+            verdict = WrongGravity((x, y, z), self.arm.gravity)
+        elif late is not None:
             verdict = LateTorques(late)
         elif changed is not None:
             verdict = Changed(changed[0], tuple(run_name(run, k) for k, run in enumerate(self.measured, 1)))
         else:
             verdict = self._judge(table, found, findings, values_found, gap)
-        known = not isinstance(verdict, Unexplained | NotPredicted | LateTorques)
+        known = not isinstance(verdict, Unexplained | NotPredicted | LateTorques | WrongGravity)
         adopted = known and not isinstance(verdict, Inseparable)
         self.step(0.95, "verdict")
+        likely = self._adopt(table, found, findings, values_found, verdict) if known else None
         return GroundExplanation(
             self.arm,
             self.simulation,
@@ -149,10 +155,9 @@ class _Explainer:
             self._joints(table, found),
             gap,
             span,
-            None
-            if not adopted or verdict.answer == "cannot tell"
-            else self._adopt(table, found, findings, values_found, verdict),
+            likely if adopted else None,
             tuple(self.notes),
+            likely,
         )
 
     def _in_nm(self, motions: Sequence[Motion], span: float) -> list[Motion]:
@@ -185,6 +190,7 @@ class _Explainer:
     def _finding(self, found: Search, index: int, sizes: _Sizes) -> Finding:
         one = found.named[index]
         value, sigma = sizes.at(one.name)
+        effect = one.candidate.effect
         return Finding(
             one.candidate.key,
             self.arm.joints[one.candidate.joint].name,
@@ -193,6 +199,8 @@ class _Explainer:
             one.candidate.unit,
             Repeated(one.z, one.explained, one.each),
             tuple(found.sets[index][1:]),
+            shape=None if effect is None else effect.shape,
+            entry=None if effect is None else effect.kind,
         )
 
     def _directions(
@@ -215,7 +223,7 @@ class _Explainer:
             key = ASYMMETRY if one.answer == "friction" else OFFSET_OF_TORQUE
             instead = (f"{ASYMMETRY}{one.joint + 1}",) if one.answer == "either" else ()
             proof = Repeated(one.z, float("nan"), one.each)
-            out.append(Finding(key, joint, one.value, one.sigma, "Nm", proof, instead))
+            out.append(Finding(key, joint, one.value, one.sigma, "Nm", proof, instead, entry=CATALOGUE.get(key)))
         return tuple(out)
 
     def _values(self, table: Table, sizes: _Sizes) -> tuple[Value, ...]:
@@ -266,7 +274,9 @@ class _Explainer:
             with_them, without = _left(gap.predictions, "closed"), _left(gap.predictions, "refit")
             if with_them > without:
                 return NotPredicted(findings, with_them, without)
-        if any(finding.instead for finding in findings):
+        # a constant torque is free in every run: what it is does not touch the other findings
+        beside = [f for f in findings if f.instead and f.kind in (ASYMMETRY, OFFSET_OF_TORQUE)]
+        if len(beside) == len(findings) or any(f.instead for f in findings if f not in beside):
             return Inseparable(findings)
         if not closes:
             return PartNamed(findings, () if gap is None else remainders(gap.predictions))

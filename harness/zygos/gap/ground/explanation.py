@@ -14,6 +14,7 @@ from zygos.gap.findings import Finding, Value
 from zygos.gap.ground import sentences
 from zygos.gap.ground.predictions import Prediction, share_of_energy
 from zygos.gap.ground.search import Search
+from zygos.gap.simulated import Simulated
 from zygos.gap.verdicts import Answer, Verdict, partly
 from zygos.model.model import Model
 
@@ -76,8 +77,17 @@ class GroundExplanation:
     """Length of the increments, s."""
     model: Model | None
     """The model with what was learned; None where nothing is to be adopted."""
-    notes: tuple[str, ...]
-    """What a reader should know beside, in sentences."""
+    remarks: tuple[str, ...]
+    """What was noticed beside, in sentences."""
+    likely: Model | None = None
+    """The model with what was found, whether it is to be adopted or not; None where nothing is known."""
+    simulated: Simulated | None = None
+    """Where the simulation's values come from, if it is known by a run alone."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a reader should know beside, in sentences."""
+        return self.remarks if self.simulated is None else (self.simulated.sentence, *self.remarks)
 
     @property
     def answer(self) -> Answer:

@@ -9,12 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.files.output import number
+from zygos.gap.charts import planned_chart
 from zygos.gap.findings import INTERVAL, Finding
 from zygos.gap.ground.answer import predicted_errors
 from zygos.gap.ground.explanation import GroundExplanation
 from zygos.gap.ground.predictions import Prediction, quantities, run_name
+from zygos.gap.ground.search import false_alarms, threshold
 from zygos.gap.ground.sentences import after_gear, against, evidence, title
+from zygos.gap.page import planned_entry
+from zygos.gap.sentences import asked_of_candidates
 from zygos.gap.verdicts import PartNamed
+from zygos.plan.separating import Separating
 from zygos.report.figures import down_to, unit_of
 from zygos.report.page import Entry, joint_colour, numbers, render, series, thinned
 from zygos.report.provenance import Provenance
@@ -28,13 +33,18 @@ _UNITS = {"rate": "rad/s", "angle": "rad", "load": "N m", "time": "s"}
 _GOOD = ("named", "nothing missing", "values differ")
 
 
-def write_ground_gap_report(path: Path, found: GroundExplanation, source: Provenance) -> None:
-    """Write the page of an explanation. Errors: ZygosError if it cannot be written."""
-    data, content = gap_content(found, source)
+def write_ground_gap_report(
+    path: Path, found: GroundExplanation, source: Provenance, planned: Separating | None = None
+) -> None:
+    """Write the page of an explanation. planned: the motion that tells a set apart. Errors: ZygosError if it cannot be
+    written."""
+    data, content = gap_content(found, source, planned)
     render(path, "gap/ground/page.html", data, **content)
 
 
-def gap_content(found: GroundExplanation, source: Provenance) -> tuple[Entry, dict[str, Any]]:
+def gap_content(
+    found: GroundExplanation, source: Provenance, planned: Separating | None = None
+) -> tuple[Entry, dict[str, Any]]:
     """Data of the charts, and content of the template."""
     arm = found.arm
     times, charts, runs = dict[str, Any](), dict[str, Entry](), []
@@ -42,8 +52,12 @@ def gap_content(found: GroundExplanation, source: Provenance) -> tuple[Entry, di
         drawn = _charts(one, k, times)
         charts |= {chart["id"]: chart for chart in drawn}
         runs.append({"name": run_name(one.run), "charts": drawn, "cutoff": number(one.rows.cutoff_hz, 3)})
+    tried = len(found.search.rounds[0]) if found.search.rounds else 0
+    if planned is not None:
+        times["planned"], charts["planned"] = planned_chart(arm, planned)
     content = {
         "x": found,
+        "planned": planned and planned_entry(planned),
         "arm": arm,
         "good": found.answer in _GOOD,
         "findings": [_finding(found, one) for one in found.findings],
@@ -78,6 +92,7 @@ def gap_content(found: GroundExplanation, source: Provenance) -> tuple[Entry, di
             }
             for one in (found.search.rounds[0] if found.search.rounds else ())
         ],
+        "asked": asked_of_candidates(threshold(tried), false_alarms(tried), "on all runs together"),
         "named": len(found.search.named),
         "values": [
             {

@@ -91,6 +91,12 @@ def threshold(count: int) -> float:
     return max(LEAST_Z, float(norm.isf(0.5 * FALSE_ALARMS / max(count, 1))))
 
 
+def false_alarms(count: int) -> float:
+    """Limit of the share of searches on runs that lack nothing in which noise brings one of so many candidates to the
+    threshold."""
+    return min(1.0, 2.0 * count * float(norm.sf(threshold(count))))
+
+
 def search(table: Table, step: Callable[[str], None], begun: Search | None = None) -> Search:
     """Add one candidate after the other. begun: a search on nearly the same sums, whose names are kept."""
     layout = table.layout

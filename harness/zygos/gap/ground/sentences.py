@@ -6,9 +6,10 @@ import math
 from collections.abc import Sequence
 
 from zygos.arm import Arm
-from zygos.effects import CATALOGUE, is_column, spoken
+from zygos.effects import is_column, spoken
 from zygos.gap import sentences
 from zygos.gap.findings import ASYMMETRY, ROTOR_INERTIA, Deflection, Finding
+from zygos.gap.ground.candidates import OFFSET_OF_TORQUE
 from zygos.gap.ground.search import Against, Search, Tried
 from zygos.gap.verdicts import (
     Inseparable,
@@ -19,10 +20,13 @@ from zygos.gap.verdicts import (
     PartNamed,
     Unexplained,
     Verdict,
+    WrongGravity,
 )
 from zygos.report.figures import figure
 
 _FAILS = 2.0
+_SIZED = 2
+"""Findings of one kind up to which a sentence says their sizes; those of more joints are in the table."""
 _AGAINST: dict[Against, str] = {
     "insignificant": "not beyond chance",
     "inconsistent": "the runs disagree on its size",
@@ -49,30 +53,56 @@ def after_gear(arm: Arm, finding: Finding) -> str:
     ratio = next((joint.gear_ratio for joint in arm.joints if joint.name == finding.joint), 1.0)
     factor = {"Nm": ratio, "Nms/rad": ratio, "kg m^2": ratio**2}.get(finding.unit, 1.0)
     before = finding.kind in (ROTOR_INERTIA, ASYMMETRY)
-    kind = CATALOGUE.get(finding.kind)
-    before = before or (kind is not None and kind.place == "motor")
+    before = before or (finding.entry is not None and finding.entry.place == "motor")
     return "" if not before or factor == 1.0 else f"{factor * finding.value:.3g} {finding.unit}"
 
 
 def listed(arm: Arm, findings: Sequence[Finding]) -> str:
-    """Effects with their places and sizes."""
-    parts = []
-    for finding in findings:
-        after = after_gear(arm, finding)
-        parts.append(sentences.listed([finding]) + (f" ({after} after the gear)" if after else ""))
-    return " and ".join(parts)
+    """Effects with their places and sizes; those of one kind together."""
+    kinds = dict.fromkeys(finding.title for finding in findings)
+    return " and ".join(_of_kind(arm, [one for one in findings if one.title == kind]) for kind in kinds)
+
+
+def _of_kind(arm: Arm, findings: Sequence[Finding]) -> str:
+    first = findings[0]
+    if len(findings) == 1:
+        after = after_gear(arm, first)
+        return sentences.listed([first]) + (f" ({after} after the gear)" if after else "")
+    if len(findings) > _SIZED:
+        return f"{first.title} ({', '.join(sorted(str(f.joint) for f in findings))})"
+    return f"{first.title} ({'; '.join(f'{f.joint} {sentences.sized(f.value, f.sigma, f.unit)}' for f in findings)})"
+
+
+def sets(arm: Arm, findings: Sequence[Finding]) -> str:
+    """What the runs cannot tell apart; empty where there is nothing of the kind."""
+    groups: dict[tuple[str, ...], list[Finding]] = {}
+    for one in findings:
+        if one.instead:
+            groups.setdefault((one.kind, *(name.rstrip("0123456789") for name in one.instead)), []).append(one)
+    said = []
+    for group in groups.values():
+        names = (title(arm, name) for name in group[0].instead)
+        # of several joints, the sizes stand for the places
+        others = [name.rpartition(" (")[0] if len(group) > 1 else name for name in names]
+        said.append(" or ".join((listed(arm, group), *others)))
+    return f"These runs cannot tell apart: {'; '.join(said)}." if said else ""
+
+
+def _certain(arm: Arm, findings: Sequence[Finding]) -> str:
+    told = [finding for finding in findings if not finding.instead]
+    return f"The simulation lacks {listed(arm, told)}" if told else ""
 
 
 def verdict(arm: Arm, found: Verdict) -> str:  # noqa: PLR0911  (one sentence a verdict)
     """What a verdict says."""
     match found:
         case Lacking():
-            return f"The simulation lacks {listed(arm, found.findings)}."
+            return f"{_certain(arm, found.findings)}. {sets(arm, found.findings)}".rstrip()
         case PartNamed():
             left = (
                 f", but the law is not exactly this: {'; '.join(map(sentences.left, found.left))}" if found.left else ""
             )
-            return f"The simulation lacks {listed(arm, found.findings)}{left}."
+            return f"{_certain(arm, found.findings)}{left}. {sets(arm, found.findings)}".rstrip()
         case NothingMissing():
             return "Nothing is missing above the detection limits, and no value differs."
         case LateTorques():
@@ -95,14 +125,8 @@ def verdict(arm: Arm, found: Verdict) -> str:  # noqa: PLR0911  (one sentence a 
                 f"{100 * found.struck_median:.3g} % without): not adopted."
             )
         case Inseparable():
-            certain = [f for f in found.findings if not f.instead]
-            sets = "; ".join(
-                " or ".join((listed(arm, [f]), *(title(arm, n) for n in f.instead)))
-                for f in found.findings
-                if f.instead
-            )
-            first = f"The simulation lacks {listed(arm, certain)}. " if certain else ""
-            return f"{first}These runs cannot tell apart: {sets}."
+            first = _certain(arm, found.findings)
+            return f"{first}. {sets(arm, found.findings)}" if first else sets(arm, found.findings)
     return sentences.verdict(arm, found)
 
 
@@ -111,12 +135,10 @@ def where(joints: Sequence[tuple[str, float, float, float]]) -> str:
     fails = [one for one in joints if one[1] > _FAILS * one[3]]
     if not fails:
         return "The torques of all joints close."
-    said = "; ".join(
-        f"{name}: {figure(before)} Nm left by the simulation's own equations, {figure(after)} Nm with what was found"
-        for name, before, after, _ in fails
-    )
+    said = "; ".join(f"{name} {figure(before)} → {figure(after)} Nm" for name, before, after, _ in fails)
     others = [one[0] for one in joints if one not in fails]
-    return f"Joints that do not close: {said}." + (f" The others do: {', '.join(others)}." if others else "")
+    head = "Torque left over by the simulation's own equations → with what was found"
+    return f"{head}: {said}." + (f" The others close: {', '.join(others)}." if others else "")
 
 
 def remedy(arm: Arm, found: Verdict, search: Search) -> str:
@@ -124,8 +146,12 @@ def remedy(arm: Arm, found: Verdict, search: Search) -> str:
     match found:
         case LateTorques():
             return "correct torque_law or latch_us in the arm file; `zygos check-arm` examines the signals of a run"
+        case WrongGravity():
+            return f"write gravity = {sentences.vector(found.found)} in the arm file"
         case Inseparable():
-            return "record a run in which these joints also rest in several postures, or plan another motion"
+            if any(f.instead and f.kind == OFFSET_OF_TORQUE for f in found.findings):
+                return "record a run in which these joints also rest in several postures; --next-motion plans it"
+            return "record a run with another motion; --next-motion plans it"
     if not search.rounds or not search.rounds[-1]:
         return ""
     near = max(search.rounds[-1], key=lambda one: one.gain)
