@@ -40,15 +40,15 @@ _MEDIAN = 0.37
 
 def with_torque_noise(arm: Arm, records: Sequence[MeasuredRun]) -> tuple[Arm, Arm]:
     """The arm with the noise that its torques have in these runs, where its file declares none, and with the most that
-    they do not rule out. It is never less than that of the rounding on the bus, where there is any."""
+    they do not rule out. Noise that does not exceed the rounding on the bus is none."""
     sigma = np.sqrt((np.array([torque_noise(record) for record in records]) ** 2).mean(axis=0))
     declared = np.array([joint.torque_sigma > 0.0 for joint in arm.joints])
     likely, most = sigma.copy(), sigma.copy()
     looked_at = [i for i, joint in enumerate(arm.joints) if joint.flexible and sigma[i] > 0.0 and not declared[i]]
     for i, left in _motors(arm, records, looked_at):
         variance, deviation = _acting(arm, i, left)
-        least = variance if variance > deviation else 0.0
-        likely[i] = min(sigma[i], max(float(np.sqrt(least)), _ROUNDING))
+        least = float(np.sqrt(variance)) if variance > deviation else 0.0
+        likely[i] = min(sigma[i], least) if least > _STEPS * _ROUNDING else 0.0
         most[i] = min(sigma[i], float(np.sqrt(max(variance, 0.0) + _SURE * deviation)))
     return _with_sigmas(arm, likely), _with_sigmas(arm, most)
 
