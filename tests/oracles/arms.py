@@ -235,7 +235,11 @@ class Plant:
             scenario = replace(scenario, angular_momentum_nms=self.momentum)
         quantum = np.array([joint.motor_encoder.quantum_rad for joint in arm.joints])
         plant = TreePlant(arm, self.model, self.swinging)
-        motion = plant.run(scenario, self.laws, quantum=quantum, payload=self.payload, duration_s=duration_s)
+        # the arm takes its payload up in the second run, and keeps it
+        payload = self.payload
+        if payload is not None:
+            payload = (None, payload, replace(payload, instant=0.0))[which]
+        motion = plant.run(scenario, self.laws, quantum=quantum, payload=payload, duration_s=duration_s)
         return self._recorded(motion, np.random.default_rng([seed, which, 1757])), motion
 
     def _recorded(self, motion: Motion, random: np.random.Generator) -> Cycles:

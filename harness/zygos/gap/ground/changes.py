@@ -144,9 +144,9 @@ def _certain(
 
 
 def _share(table: Table, fitted: Fit, gain: float) -> float:
-    """Share of the squared residual beyond noise that an improvement takes away."""
+    """Share of the squared residual beyond noise that an improvement takes away; 0 where noise is all that is left."""
     rows = np.array([table.counts[table.owner == run].sum(axis=0) for run in range(table.layout.runs)])
     noise = (NOISE * rows * table.floor**2).sum(axis=0)
     left = table.counts.sum(axis=0) * fitted.sigma**2
     rest = float((np.maximum(left - noise, 0.0) / fitted.sigma**2).sum())
-    return gain / rest if rest > 0.0 else 1.0
+    return gain / rest if rest > 0.0 else 0.0
