@@ -37,9 +37,12 @@ class Candidate:
     """The entry of a model; None for a parameter of the arm."""
 
 
-def candidates_of(arm: Arm, simulation: Model, without: Sequence[str] = ()) -> tuple[Candidate, ...]:
+def candidates_of(
+    arm: Arm, simulation: Model, without: Sequence[str] = (), *, wide: bool = False
+) -> tuple[Candidate, ...]:
     """Everything that the simulation may lack: entries of the catalogue, and inertias of rotors where it has none. A
-    law with a shape is tried with every shape of its grid."""
+    law with a shape is tried with every shape of its grid. wide: entries that look like others in many motions as
+    well."""
     had = {(effect.kind.key, effect.joint) for effect in simulation.effects}
     out = [
         Candidate(
@@ -52,7 +55,7 @@ def candidates_of(arm: Arm, simulation: Model, without: Sequence[str] = ()) -> t
             Effect(kind, joint.name, 0.0, shape=shape),
         )
         for kind in CATALOGUE.values()
-        if _is_tried(kind) and kind.key not in without
+        if _is_tried(kind, wide) and kind.key not in without
         for j, joint in enumerate(arm.joints)
         if (kind.key, joint.name) not in had and (kind.key != GAIN or j > 0)
         for shape in (kind.shapes or (None,))
@@ -60,11 +63,14 @@ def candidates_of(arm: Arm, simulation: Model, without: Sequence[str] = ()) -> t
     return (*out, *_rotors(arm, simulation))
 
 
-def _is_tried(kind: Kind) -> bool:
+def _is_tried(kind: Kind, wide: bool) -> bool:
     """Whether an entry is tried: those of the catalogue that say so, the time of the torques, and a user's own. The
     link and the motor of a rigid joint turn together, so that entries at the link are found at the motor."""
     own = kind.searched and kind.key not in _KNOWN
-    return kind.place in _PLACES and (kind.searched_on_ground or kind.lags or own)
+    last = wide and kind.place in ("motor", "torque") and kind.searched_last and kind.memory is None
+    return (
+        kind.place in _PLACES and kind.key != OFFSET_OF_TORQUE and (kind.searched_on_ground or kind.lags or own or last)
+    )
 
 
 def _rotors(arm: Arm, simulation: Model) -> list[Candidate]:

@@ -55,6 +55,8 @@ SURE = 3.0
 USUAL_GAIN = 0.05
 """Gain by which torque sensors of an arm may differ without a word."""
 COULOMB = "motor_coulomb"
+_MUCH = 0.8
+"""Share of the squared residual that entries which are searched last may leave of what the usual ones do."""
 _SHORTEST_S = 2.0
 """Length of a part of a run that was cut, s, at least."""
 
@@ -107,18 +109,15 @@ class _Explainer:
             motions = self._in_nm(motions, span)
             span, _, rough = at_best_span(self.arm, motions, usual)
         self.step(0.3, "the columns of all candidates")
-        layout = Layout.of(
-            self.arm, self.simulation, candidates_of(self.arm, self.simulation, self.without), len(motions)
-        )
-        loads = [predicted_load(motion, rough.value[: len(self.arm.parameter_names)]) for motion in motions]
-        table = table_of(layout, motions, span, loads)
-        self.step(0.5, "candidates")
-        found = search(table, lambda name: self.step(0.6, f"found {name}"))
-        if found.named:
-            self.step(0.7, "the load with what was found")
-            values = layout.start[: len(self.arm.parameter_names)] + found.after.x[: len(self.arm.parameter_names)]
-            table = table_of(layout, motions, span, [predicted_load(motion, values) for motion in motions])
-            found = search(table, lambda name: self.step(0.75, f"found {name}"), found)
+        values = rough.value[: len(self.arm.parameter_names)]
+        table, found = self._searched(motions, span, values, wide=False)
+        if not self._closes(table, found, self._gap(table, found)):
+            self.step(0.7, "every entry of the catalogue")
+            wider = self._searched(motions, span, self._bodies(table, found), wide=True, begun=found)
+            if self._explains_more(wider, (table, found)):
+                table, found = wider
+            else:
+                found = replace(found, rounds=(*found.rounds, *wider[1].rounds[-1:]))
         self.step(0.78, "changes within and between runs")
         changed = find_change(table, found.after)
         if changed is not None:
@@ -159,6 +158,36 @@ class _Explainer:
             tuple(self.notes),
             likely,
         )
+
+    def _searched(
+        self, motions: Sequence[Motion], span: float, values: Floats, *, wide: bool, begun: Search | None = None
+    ) -> tuple[Table, Search]:
+        """The search among the usual entries of the catalogue, or among all. values: of the bodies and rotors, which
+        predict the load."""
+        listed = candidates_of(self.arm, self.simulation, self.without, wide=wide)
+        layout = Layout.of(self.arm, self.simulation, listed, len(motions))
+        table = table_of(layout, motions, span, [predicted_load(motion, values) for motion in motions])
+        self.step(0.5, "candidates")
+        found = search(table, lambda name: self.step(0.6, f"found {name}"), begun)
+        if found.named and begun is None:
+            self.step(0.65, "the load with what was found")
+            loads = [predicted_load(motion, self._bodies(table, found)) for motion in motions]
+            table = table_of(layout, motions, span, loads)
+            found = search(table, lambda name: self.step(0.67, f"found {name}"), found)
+        return table, found
+
+    def _bodies(self, table: Table, found: Search) -> Floats:
+        """Values of bodies and rotors with what was found."""
+        own = len(self.arm.parameter_names)
+        return np.asarray(table.layout.start[:own] + found.after.x[:own], dtype=np.float64)
+
+    def _explains_more(self, wider: tuple[Table, Search], usual: tuple[Table, Search]) -> bool:
+        """Whether a search among more entries leaves a good deal less over on every run that was learned from."""
+        names = {one.name for one in usual[1].named}
+        if all(one.name in names for one in wider[1].named):
+            return False
+        after, before = (residual(table, found.after.x) for table, found in (wider, usual))
+        return bool(np.all(after.sum(axis=1) < _MUCH * before.sum(axis=1)))
 
     def _in_nm(self, motions: Sequence[Motion], span: float) -> list[Motion]:
         """The motions with currents turned into torques; the runs as well."""
