@@ -224,9 +224,9 @@ class Plant:
     laws: tuple[Law, ...] = ()
     sensors: tuple[SensorError, ...] = ()
     payload: Payload | None = None
-    swinging: Swinging | None = None
     momentum: float | None = None
     dirt: Dirt | None = None
+    swinging: Swinging | None = None
 
     def run(self, which: int, seed: int, duration_s: float | None = None) -> tuple[Cycles, Motion]:
         """What is recorded of run 0, 1 or 2, and its exact motion. seed: of the sensors."""

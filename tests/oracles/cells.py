@@ -404,9 +404,9 @@ def case(cell: Cell, draw: int) -> Case:
         model,
         tuple(one for one in made if isinstance(one, Law)),
         tuple(one for one in made if isinstance(one, SensorError)),
-        payload,
-        cell.momentum or None,
-        dirt,
+        payload=payload,
+        momentum=cell.momentum or None,
+        dirt=dirt,
     )
     return Case(cell, draw, seed, plant, arm, _simulation(cell, trial), dirty)
 
