@@ -96,6 +96,8 @@ _NOISY = 5.0
 """Ratio of a residual to its twin's that unseen noise of the torques does not reach."""
 _REDRAWN, _THINNED = 6, 3
 """Models with redrawn values that predict the floor's twin, every so many of its stretches."""
+_HALF = 0.5
+"""Share of the error of predictions that a change may leave."""
 _CLEARLY = 1.5
 """Ratio of errors of predictions that chance does not make."""
 _DEFLECTED = 3.0
@@ -250,14 +252,14 @@ class _Explainer:
             wider = self._wider(basis)
             if wider is not None and _explains_more(wider, found):
                 found = wider
-        if self._unsettled(found):
+        if self._unsettled(found) and not _too_noisy(basis):
             self.step(0.65, "changes with time")
             # what begins may be a usual entry, or any
             for study in (basis, *(() if wider is None else (wider.before,))):
                 changed, later, earlier = self._changed(found, study, basis.layout)
                 if changed is not None:
                     told = self._gap(delivered, refit, later.after, later)
-                    if told is None or closes(told) or _closes_with(earlier, told):
+                    if told is None or _predicts(told) or _closes_with(earlier, told):
                         return later, told, changed
         return found, self._gap(delivered, refit, found.after, found), None
 
@@ -486,8 +488,7 @@ class _Explainer:
         )
         if shifted or any(lag > 0.95 for lag in lags):
             return LateTorques(float(np.mean(lags)))
-        # a refit that fits better than noise allows has had noise taken out of its sums that was never there
-        if np.nanmin((after.excess**2 - 1.0) / np.maximum(EXCESS, CERTAIN * after.wobble)) < -1.0:
+        if _too_noisy(after):
             return DeclaredTooNoisy(float(np.nanmin(after.excess)))
         return None
 
@@ -623,12 +624,23 @@ class _Explainer:
         return Model(f"{self.simulation.name}, explained", parameters=parameters, effects=tuple(kept))
 
 
+def _too_noisy(study: Study) -> bool:
+    """Whether a fit is better than noise allows: noise was taken out of its sums that was never there."""
+    return bool(np.nanmin((study.excess**2 - 1.0) / np.maximum(EXCESS, CERTAIN * study.wobble)) < -1.0)
+
+
 def _worse(gap: Gap, struck: Forecast) -> bool:
     """Whether the untouched run speaks against what was named: it is predicted better without. Where values are not
     known well, a run that closes may be predicted a little better by chance."""
     closed, floor = gap.closed.median, gap.floor.median
     clearly = closed > _CLEARLY * struck.median and closed > CLOSED * floor
     return closed > struck.median and (clearly or not closes(gap))
+
+
+def _predicts(gap: Gap) -> bool:
+    """Whether the model after a change predicts the untouched runs, and much better than without the change: values
+    that are learned from a part of the runs are not known well, and then much is allowed for."""
+    return closes(gap) and gap.closed.median < _HALF * gap.refit.median
 
 
 def _closes_with(study: Study | None, gap: Gap) -> bool:

@@ -79,6 +79,8 @@ def explain_runs(
     arm = runs[0].arm
     if any(run.arm != arm for run in runs):
         raise ZygosError("the runs are of different arms; remedy: runs of one arm, loaded with the same arm file")
+    if isinstance(simulation, Model):
+        simulation.base_parameters(arm)
     for number, run in enumerate(runs):
         check_distinct(run, runs[:number])
     check_keys(without)
@@ -92,7 +94,6 @@ def explain_runs(
         return replace(
             explain_runs(model, measured, validate=kept, without=without, progress=progress), simulated=simulated
         )
-    simulation.base_parameters(arm)
     if arm.grounded:
         return explain_ground(arm, simulation, measured, kept, step, without)
     check_arm_of_gap(arm, f"arm {arm.name}")
