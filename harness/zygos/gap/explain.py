@@ -259,7 +259,7 @@ class _Explainer:
                 changed, later, earlier = self._changed(found, study, basis.layout)
                 if changed is not None:
                     told = self._gap(delivered, refit, later.after, later)
-                    if told is None or _predicts(told) or _closes_with(earlier, told):
+                    if _closes_before(earlier) if told is None else _predicts(told) or _closes_with(earlier, told):
                         return later, told, changed
         return found, self._gap(delivered, refit, found.after, found), None
 
@@ -643,11 +643,16 @@ def _predicts(gap: Gap) -> bool:
     return closes(gap) and gap.closed.median < _HALF * gap.refit.median
 
 
+def _closes_before(study: Study | None) -> bool:
+    """Whether nothing is left over before a change either, which has to do where no run was kept apart."""
+    return study is not None and float(np.nanmax(study.excess)) <= SMALL
+
+
 def _closes_with(study: Study | None, gap: Gap) -> bool:
     """Whether an untouched run closes with what was learned before a change: nobody says on which side of it it is."""
     if study is None:
         return False
-    return closes(replace(gap, closed=forecast(study.dynamics(), gap.segments)))
+    return _predicts(replace(gap, closed=forecast(study.dynamics(), gap.segments)))
 
 
 def _explains_more(wider: Search, found: Search) -> bool:
