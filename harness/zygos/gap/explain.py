@@ -37,7 +37,7 @@ from zygos.gap.forecast import Forecast, Stretches, cut, cut_twin, forecast
 from zygos.gap.payload import PayloadValue, payload_of
 from zygos.gap.record import MeasuredRun
 from zygos.gap.remainder import CLOSED, closes, remainders, unclosed
-from zygos.gap.search import CERTAIN, COMPLETE, EXCESS, PARTLY, Candidate, Search, excess, polished, possible, search
+from zygos.gap.search import COMPLETE, PARTLY, Candidate, Search, allowed, excess, polished, possible, search
 from zygos.gap.sentences import entry_evidence
 from zygos.gap.study import (
     Study,
@@ -96,6 +96,8 @@ _NOISY = 5.0
 """Ratio of a residual to its twin's that unseen noise of the torques does not reach."""
 _REDRAWN, _THINNED = 6, 3
 """Models with redrawn values that predict the floor's twin, every so many of its stretches."""
+_TENTH = 0.1
+"""Share of the largest value in the same unit below which a value counts as that: hardly anything moves otherwise."""
 _HALF = 0.5
 """Share of the error of predictions that a change may leave."""
 _CLEARLY = 1.5
@@ -583,11 +585,16 @@ class _Explainer:
         each = np.stack([study.of(hypothesis, [k]).value for k in runs])
         drawn = np.stack([study.of_twin(hypothesis, [k]).value for k in runs])
         each, variance = each - drawn.mean(axis=1), drawn.var(axis=1, ddof=1)
+        units = dict(zip(self.arm.parameter_names, self.arm.parameter_units, strict=True))
         out = []
         for k, name in enumerate(hypothesis.names):
-            if name not in self.arm.parameter_names:
+            if name not in units:
                 continue
-            least = MATERIAL * abs(float(study.value[k]))
+            own = units[name]
+            largest = max(
+                abs(float(x)) for x, n in zip(study.value, hypothesis.names, strict=True) if units.get(n) == own
+            )
+            least = MATERIAL * max(abs(float(study.value[k])), _TENTH * largest)
             pairs = [
                 (abs(float(each[i, k] - each[j, k])) / float(np.sqrt(variance[i, k] + variance[j, k])), i, j)
                 for i, j in combinations(runs, 2)
@@ -626,7 +633,7 @@ class _Explainer:
 
 def _too_noisy(study: Study) -> bool:
     """Whether a fit is better than noise allows: noise was taken out of its sums that was never there."""
-    return bool(np.nanmin((study.excess**2 - 1.0) / np.maximum(EXCESS, CERTAIN * study.wobble)) < -1.0)
+    return bool(np.any(study.excess**2 - 1.0 < -allowed(study)[0]))
 
 
 def _worse(gap: Gap, struck: Forecast) -> bool:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from zygos.arm import Arm
 from zygos.balances.state import State
 from zygos.gap.findings import Gap
-from zygos.gap.search import CERTAIN, EXCESS
+from zygos.gap.search import allowed
 from zygos.gap.study import Study, residuals
 from zygos.gap.verdicts import Remainder
 from zygos.gap.whereabouts import joint_of
@@ -57,7 +57,7 @@ def remainders(arm: Arm, study: Study, gap: Gap | None) -> tuple[Remainder, ...]
             found, floor = gap.closed.of_run(run), gap.floor.of_run(run)
             out.append(Remainder(named, found.median, "sigma", floor.median, "", 0.0))
     over = study.excess**2 - 1.0
-    fails = np.isfinite(over) & (over > np.maximum(EXCESS, CERTAIN * study.wobble))
+    fails = np.isfinite(over) & (over > allowed(study)[1])
     worst = np.where(fails, study.excess, 0.0).max(axis=0)
     for balance in np.argsort(-worst, kind="stable"):
         if worst[balance] > 0.0:

@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2, norm
 
 from zygos.effects import Kind
 from zygos.errors import Undecided
@@ -27,6 +28,8 @@ AGREEMENT = 0.25
 """Share by which the two runs' coefficients may differ: a law that differs in form from its column has no one size."""
 EXCESS = 0.2
 """A balance has something to explain where rho^2 - 1 is above this, and above what the twin itself varies by."""
+MOMENTUM = 0.7
+"""The same for a component of the momentum in space where the torques have noise."""
 CERTAIN = 4.0
 """Standard deviations of the twin's rho^2 that an excess must exceed."""
 COMPLETE = 0.95
@@ -105,8 +108,24 @@ class Search:
 
 def excess(study: Study) -> bool:
     """Whether a balance of a study leaves something to explain."""
-    over = study.excess**2 - 1.0
-    return bool(np.any(over > np.maximum(EXCESS, CERTAIN * study.wobble)))
+    return bool(np.any(study.excess**2 - 1.0 > allowed(study)[1]))
+
+
+def allowed(study: Study) -> tuple[Array, Array]:
+    """(runs, balances) by how much less and more than 1 the squared ratio of a residual to its twin's may be.
+
+    It varies as a sum of squares does whose deviation is the twin's. Beyond that, `EXCESS` is allowed for.
+    """
+    freedom = 2.0 / np.maximum(study.wobble, 1e-6) ** 2
+    tail = norm.sf(CERTAIN)
+    least, most = 1.0 - chi2.ppf(tail, freedom) / freedom, chi2.isf(tail, freedom) / freedom - 1.0
+    trifle = np.array([_trifle(study, balance) for balance in study.layout.balances])
+    return np.maximum(least, trifle), np.maximum(most, trifle)
+
+
+def _trifle(study: Study, balance: str) -> float:
+    # with noise in its torques a twin does not move quite as the arm did, which the momentum of an arm in space shows
+    return MOMENTUM if len(balance) > 1 and balance[0] == "H" and study.layout.of_torque.any() else EXCESS
 
 
 def noisy(study: Study) -> bool:
@@ -120,8 +139,9 @@ def completeness(before: Study, rms: Array) -> tuple[float, ...]:
     there was none. What the twin itself varies by is no excess."""
     out = []
     after = (rms / before.noise) ** 2 - 1.0
+    trifle = np.array([_trifle(before, balance) for balance in before.layout.balances])
     for old, kept, wobble in zip(before.excess**2 - 1.0, after, before.wobble, strict=True):
-        counts = np.isfinite(old) & (old > EXCESS)
+        counts = np.isfinite(old) & (old > trifle)
         left = np.maximum(kept - 2.0 * wobble, 0.0)
         out.append(1.0 - float(np.sum(left[counts]) / np.sum(old[counts])) if counts.any() else 1.0)
     return tuple(out)
