@@ -29,7 +29,7 @@ VALID = re.compile(
 def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("host") / "serial_line"
     compiler = shlex.split(os.environ.get("CC", "cc"))
-    sources = [HERE / "serial_line.c", PORT / "slcan.c", PORT / "uart.c"]
+    sources = [HERE / "serial_line.c", PORT / "slcan.c", PORT / "uart.c", PORT.parent.parent / "capacities.c"]
     flags = [*build_firmware.HOUSE, *SANITIZED, *build_firmware.INCLUDES]
     subprocess.run([*compiler, *flags, *map(str, sources), "-o", str(path)], check=True)
     return path
