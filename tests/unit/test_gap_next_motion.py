@@ -101,11 +101,13 @@ def _flown(scenario: Scenario, seed: int) -> MeasuredRun:
     return read_measured_run(arm, Path(f"{scenario.name}-{seed}.blf"), encode(arm, run.cycles()))
 
 
-@pytest.mark.slow
-def test_the_planned_motion_of_a_floating_arm_tells_coulomb_from_viscous_friction(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def faint(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[MeasuredRun], Explanation]:
+    """The folder of arm and model, three runs that do not show which friction there is, and what is said of them."""
+    folder = tmp_path_factory.mktemp("faint")
     arm, model, scenario = example()
-    save_arm(arm, tmp_path / "arm.toml")
-    save_model(model, tmp_path / "cad.toml")
+    save_arm(arm, folder / "arm.toml")
+    save_model(model, folder / "cad.toml")
     records = []
     for seed, periods in enumerate(((5.0, 7.0), (6.0, 4.5), (5.5, 6.3))):
         moves = [_there_and_back(period, offset) for period, offset in zip(periods, (-0.3, -1.4), strict=True)]
@@ -119,17 +121,33 @@ def test_the_planned_motion_of_a_floating_arm_tells_coulomb_from_viscous_frictio
         records.append(_flown(slow, seed))
     found = explain(arm, model, records[:2], records[2:])
     assert isinstance(found, Explanation)
+    return folder, records, found
+
+
+def test_a_motion_is_planned_where_a_floating_arm_shows_too_little(
+    faint: tuple[Path, list[MeasuredRun], Explanation],
+) -> None:
+    folder, _, found = faint
     assert found.answer == "cannot tell", found.sentence
     (friction,) = found.findings
     assert {friction.kind, *friction.instead} == {"motor_coulomb", "motor_viscous2"}
-    limits = limits_of(arm, None, None, None)
-    planned = plan_next(found, limits, tmp_path / "arm.toml", tmp_path / "cad.toml")
+    planned = plan_next(found, limits_of(found.arm, None, None, None), folder / "arm.toml", folder / "cad.toml")
     assert planned.z > 4.5
-    save_scenario(planned.scenario, tmp_path / "next.toml")
-    flown = _flown(load_scenario(tmp_path / "next.toml"), 7)
+    save_scenario(planned.scenario, folder / "next.toml")
+    assert load_scenario(folder / "next.toml").duration_s == planned.scenario.duration_s
+
+
+@pytest.mark.slow
+def test_the_planned_motion_of_a_floating_arm_tells_coulomb_from_viscous_friction(
+    faint: tuple[Path, list[MeasuredRun], Explanation],
+) -> None:
+    folder, records, found = faint
+    arm, model, _ = example()
+    limits = limits_of(arm, None, None, None)
+    flown = _flown(plan_next(found, limits, folder / "arm.toml", folder / "cad.toml").scenario, 7)
     named = explain(arm, model, [records[0], flown], records[2:])
     assert named.answer == "named", named.sentence
     assert [(one.kind, one.joint) for one in named.findings] == [("motor_coulomb", "elbow")]
     assert named.findings[0].value == pytest.approx(0.002, rel=0.1)
     with pytest.raises(ZygosError, match="no effects have to be told apart"):
-        plan_next(named, limits, tmp_path / "arm.toml", tmp_path / "cad.toml")
+        plan_next(named, limits, folder / "arm.toml", folder / "cad.toml")
