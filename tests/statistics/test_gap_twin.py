@@ -23,6 +23,7 @@ from zygos.dynamics.planar import PlanarDynamics
 from zygos.effects import Effect
 from zygos.errors import Undecided
 from zygos.gap.balances import Layout, Sums, accumulate, balance_rows, thinning, zero_columns
+from zygos.gap.experiment import THRESHOLD
 from zygos.gap.fit import Fit, fit
 from zygos.gap.record import MeasuredRun, read_measured_run, smoothed_states
 from zygos.gap.search import candidates
@@ -154,7 +155,7 @@ def ensemble(noise: EncoderNoise) -> Ensemble:
         one = replace(first, records=runs, sums=seen, fit=fit(first.hypothesis, seen, first.weight))
         rho.append(one.excess)
         pull.append((one.value - truth) / one.spread)
-        z.append({candidate.name: candidate.z for candidate in candidates(one, one)})
+        z.append({candidate.name: candidate.z for candidate in candidates(one, one, THRESHOLD)})
     return Ensemble(np.array(rho), np.array(pull), {name: np.array([one[name] for one in z]) for name in z[0]})
 
 
