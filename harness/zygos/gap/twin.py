@@ -24,7 +24,7 @@ from zygos.errors import Undecided
 from zygos.gap.balances import Layout, Sums, accumulate, balance_rows
 from zygos.gap.memory import memory_along
 from zygos.gap.record import MeasuredRun, smoothed_states
-from zygos.simulation.sensors import draw_noise
+from zygos.simulation.sensors import draw_noise, torque_error
 
 Array = NDArray[np.float64]
 
@@ -198,7 +198,8 @@ def measure(twin: Twin, seed: int) -> Readings:
         omega0 = omega0 + (gyro if arm.spatial else gyro @ arm.axis)
     # the motor's encoder measures both angles of a rigid joint
     q = np.where([joint.flexible for joint in arm.joints], q, theta)
-    return replace(exact, q=q, theta=theta, omega0=omega0, tau=exact.tau + shaped(noise.torque))
+    tau = exact.tau + torque_error(exact.tau, shaped(noise.torque), shaped(noise.torque_share))
+    return replace(exact, q=q, theta=theta, omega0=omega0, tau=tau)
 
 
 def draws(
