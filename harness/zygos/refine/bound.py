@@ -25,6 +25,7 @@ from zygos.dynamics.equations import from_model
 from zygos.dynamics.replay import substeps
 from zygos.errors import Undecided, ZygosError
 from zygos.model.model import Model
+from zygos.refine.inertia import inertia_errors
 from zygos.refine.motion import FlexibleMotion
 from zygos.simulation.plant import Trajectory, simulate
 from zygos.simulation.scenario import Scenario
@@ -34,10 +35,11 @@ Floats = NDArray[np.float64]
 LONGEST_STEP_S = 0.01
 """Longest Runge-Kutta step of the derivatives of the motion, s."""
 _UNKNOWN_RAD, _UNKNOWN_RAD_S = 1.0, 10.0
-"""Standard deviations of what nobody knows at the start: far more than any sensor leaves, so that they do not matter."""
+"""Standard deviations of what nobody knows at the start: far more than any sensor leaves."""
 _TOGETHER = 2000
 """Cycles whose derivatives are computed together; more need more memory."""
-_SHARE_OF_MOTION = 0.9
+_DRAWS = 20
+_SHARE_OF_MOTION = 0.6
 """Share of the progress that the derivatives of the motion have; the rest is the filter's."""
 _LEAST = 1e-9
 """Singular value of the information, relative to the largest, below which a motion does not determine a combination."""
@@ -55,6 +57,9 @@ class Bound:
     """(p,) to which sigmas are compared, as `FlexibleMotion.size`."""
     covariance: Floats
     """(p, p) smallest covariance of an unbiased estimate."""
+    inertia_percent: tuple[float, float] | None
+    """Worst and median error of the inertia matrix with which such an estimate predicts (`inertia_errors`), from 20
+    draws; None except for a spatial arm that floats."""
     cycles: int
     torque_relative_sigma: tuple[float, ...]
     """(N,) noise of the torques as a share of their size."""
@@ -104,7 +109,8 @@ def bound(
     slopes, tau = _slopes(motion, model, run, lambda share: progress(half * (1.0 + share)))
     found = []
     for k, share in enumerate(relative):
-        begin, width = _SHARE_OF_MOTION + 0.1 * k / len(relative), 0.1 / len(relative)
+        width = (1.0 - _SHARE_OF_MOTION) / len(relative)
+        begin = _SHARE_OF_MOTION + k * width
 
         def moved(x: float, begin: float = begin, width: float = width) -> None:
             progress(begin + width * x)
@@ -157,12 +163,17 @@ def _bound(
             "that moves all joints, or a longer duration_s (`zygos plan` searches one)"
         )
     root = size[:, None] * solve_triangular(information, np.eye(len(size)))
+    inertia = None
+    if arm.free and arm.spatial:
+        errors = np.random.default_rng(0).normal(size=(_DRAWS, len(size))) @ root.T
+        inertia = inertia_errors(arm, motion.values + errors, motion.values)
     return Bound(
         arm.parameter_names,
         arm.parameter_units,
         motion.values,
         size,
         root @ root.T,
+        inertia,
         len(slopes) + 1,
         tuple(relative.tolist()),
     )
@@ -190,7 +201,7 @@ def _information(
         front[:m, m:] = read @ root
         front[m:, m:] = root
         front[m:, :m] = 0.0
-        lower = np.linalg.qr(front.T, mode="r").T
+        lower = _triangle(front.T).T
         # amounts by which the parameters move the innovations, in their standard deviations
         share = solve_triangular(lower[:m, :m], read @ moved, lower=True)
         rows.append(share)
@@ -203,9 +214,9 @@ def _information(
             pushed[:, :states] = across @ root
             pushed[:x, states : states + n] = slopes[k, :, x + p :] * torque[k]
             pushed[x : x + width, states + n :] = walk * np.eye(width)
-            root = np.linalg.qr(pushed.T, mode="r").T
+            root = _triangle(pushed.T).T
         if len(rows) * m > 4 * p or k == last:
-            triangle = np.linalg.qr(np.concatenate([triangle, *rows]), mode="r")
+            triangle = _triangle(np.concatenate([triangle, *rows]))
             rows = []
             progress(k / max(1, last))
     return triangle
@@ -236,3 +247,8 @@ def _readings(motion: FlexibleMotion) -> tuple[Floats, Floats, Floats]:
         read[row, column] = 1.0
         unknown[column] = encoders[row].zero_sigma_rad
     return read, noise, unknown
+
+
+def _triangle(rows: Floats) -> Floats:
+    """The upper triangular R with R' R = rows' rows."""
+    return np.asarray(np.linalg.qr(rows, mode="r"), dtype=np.float64)

@@ -207,15 +207,9 @@ class FlexibleMotion:
         load[:, :-1] += (rotor * ratio)[:, None] * reaction
 
         by_state = np.zeros((batch, moved + n, self.states))
-        self._by_angles(by_state, (axis, rho, turn, omega, lean, spin, force, load), qd, thetad, y)
+        self._by_angles(by_state, (axis, rho, turn, omega, spin, force, load), qd, thetad, y)
         self._by_rates(by_state, (axis, rho, turn, omega, lean), thetad, qd)
-        joints, motors = np.arange(n) + width, np.arange(n) + moved
-        for factor, first in ((stiffness, width), (damping, width + 2 * n)):
-            links, rotors = np.arange(n) + first, np.arange(n) + first + n
-            by_state[:, joints, links] += factor
-            by_state[:, motors, rotors] += factor
-            by_state[:, joints, rotors] -= factor
-            by_state[:, motors, links] -= factor
+        self._by_springs(by_state)
         columns = self._columns(axis, rho, turn, acceleration, reaction, y[:, moved:], spin, theta - q, thetad - qd)
         return Slopes(
             y,
@@ -240,7 +234,7 @@ class FlexibleMotion:
         """Add the derivatives of the residual by q to `out`: each angle turns all that lies beyond its joint."""
         n, width = self.arm.n, self.base_rates
         moved = width + n
-        axis, rho, turn, omega, lean, spin, force, load = seen
+        axis, rho, turn, omega, spin, force, load = seen
         matrix, _, (rotor, _, _) = self._full
         of, _ = self._directions
         geared = rotor * self.arm.gear_ratios
@@ -300,6 +294,19 @@ class FlexibleMotion:
         out[:, :moved, places] += np.einsum("ziuc,zwic->zuw", turn, torque)
         out[:, moved:, places] += np.swapaxes(geared * np.einsum("zkc,zukc->zuk", axis, later[:, :, :-1]), 1, 2)
         out[:, :moved, width + 3 * n :] += geared * np.einsum("ziuc,zic->zui", turn[:, :-1], lean)
+
+    def _by_springs(self, out: Floats) -> None:
+        """Add the derivatives of the residual by deflections and their rates to `out`."""
+        n, width = self.arm.n, self.base_rates
+        moved = width + n
+        _, stiffness, damping = self._full[2]
+        joints, motors = np.arange(n) + width, np.arange(n) + moved
+        for factor, first in ((stiffness, width), (damping, width + 2 * n)):
+            links, rotors = np.arange(n) + first, np.arange(n) + first + n
+            out[:, joints, links] += factor
+            out[:, motors, rotors] += factor
+            out[:, joints, rotors] -= factor
+            out[:, motors, links] -= factor
 
     def _columns(
         self,
