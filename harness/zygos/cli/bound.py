@@ -101,7 +101,7 @@ def command(
     scenario: Annotated[Path, typer.Argument(metavar="SCENARIO.toml", help="The scenario, which names arm and plant.")],
     model: Annotated[
         Path | None,
-        typer.Option("--model", metavar="MODEL.toml", help="The model that is assumed, instead of the scenario's plant."),
+        typer.Option("--model", metavar="MODEL.toml", help="Assume this model instead of the plant."),
     ] = None,
     torque_noise: Annotated[
         list[float] | None,

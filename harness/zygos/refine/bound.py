@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
+from threadpoolctl import threadpool_limits
 
 from zygos.arm import TORQUE_STEP, Arm
 from zygos.balances.state import State
@@ -117,7 +118,8 @@ def bound(
 
         shares = np.array([one.torque_relative_sigma if share is None else share for one in arm.joints])
         sigma = _torque_sigma(arm, tau, shares)
-        found.append(_bound(motion, slopes, sigma, shares, moved))
+        with threadpool_limits(1):  # many small matrices, for which more threads only wait for each other
+            found.append(_bound(motion, slopes, sigma, shares, moved))
     progress(1.0)
     return found
 
