@@ -92,7 +92,8 @@ class Dut:
         identifiers = (SYNC, TELEMETRY, HEARTBEAT)
         self._bus.set_filters([{"can_id": i, "can_mask": 0x7FF, "extended": False} for i in identifiers])
         with suppress(OSError):  # needs the right; otherwise the room is as large as the kernel makes it by itself
-            self._bus.socket.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _ROOM)
+            room: Any = self._bus  # of SocketCAN, whose socket python-can does not declare
+            room.socket.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _ROOM)
         self._notifier = can.Notifier(self._bus, [self._heard.append], timeout=0.2)
         return self
 

@@ -20,8 +20,9 @@ from zygos.testing.stream import SYNC
 
 EDGES_MS = tuple(0.125 * 2.0**k for k in range(12))
 """Limits of the classes of the histogram, ms; the first class begins at 0, the last one has no end."""
-KINDS = ("accumulates", "solves", "waits for a solution")
-"""What a device does between a SYNC and its answer, by the codes of `Answers.kind`."""
+KINDS = ("accumulates", "solves", "waits for one that accumulates", "waits for one that solves")
+"""What a device does between a SYNC and its answer. A cycle waits if its SYNC came before the answer to an earlier one;
+it waits for the first of them that did not wait itself."""
 _FIRST_OF_ESTIMATE = bytes([0, 3])
 """Index and kind of the telemetry frame that begins an estimate: its validity (docs/wire.md)."""
 
@@ -34,29 +35,36 @@ class Answers:
     """Time from one SYNC to the next, s: the deadline."""
     latency_s: NDArray[np.float64]
     """(n,) from the SYNC to the first telemetry frame that answers it, s; NaN where none came."""
-    kind: NDArray[np.int64]
-    """(n,) index into KINDS. A cycle waits for a solution if its SYNC came before the answer to one that solves, or
-    before that to another cycle that waits."""
+    solves: NDArray[np.bool_]
+    """(n,) whether the answer begins an estimate, which the device made between the SYNC and the answer."""
+    behind: NDArray[np.int64]
+    """(n,) the place of the SYNC whose cycle this one waits for; -1 if it does not wait."""
 
     @property
     def misses(self) -> int:
         """Number of SYNCs without an answer within the period."""
         return int(np.sum(~(self.latency_s <= self.period_s)))
 
+    @property
+    def kind(self) -> NDArray[np.int64]:
+        """(n,) index into KINDS."""
+        waits = self.behind >= 0
+        return 2 * waits + np.where(waits, self.solves[self.behind], self.solves)
+
     def as_json(self) -> dict[str, Any]:
         """The distribution of all cycles of each kind, as it stands in the file of `--zygos-json`."""
         return {
             "period_ms": 1e3 * self.period_s,
             "edges_ms": list(EDGES_MS),
-            "cycles": [self._of_kind(k) for k in range(len(KINDS))],
+            "cycles": [self._of_kind(kind, self.kind == k) for k, kind in enumerate(KINDS)],
         }
 
-    def _of_kind(self, k: int) -> dict[str, Any]:
-        latency = self.latency_s[self.kind == k]
+    def _of_kind(self, kind: str, which: NDArray[np.bool_]) -> dict[str, Any]:
+        latency = self.latency_s[which]
         answered = np.sort(1e3 * latency[np.isfinite(latency)])
         middle, late, latest = np.quantile(answered, [0.5, 0.99, 1.0]) if len(answered) else (None, None, None)
         return {
-            "kind": KINDS[k],
+            "kind": kind,
             "count": len(latency),
             "unanswered": len(latency) - len(answered),
             "misses": int(np.sum(~(latency <= self.period_s))),
@@ -82,17 +90,17 @@ def answers(messages: Iterable[can.Message], period_s: float) -> Answers:
     """
     synced: list[float] = []
     latency: list[float] = []
-    kind: list[int] = []
+    solves: list[bool] = []
+    behind: list[int] = []
     waiting: deque[tuple[int, int]] = deque()
-    newest = -1
-    held_until = -np.inf
+    newest, before, answered_s = -1, -1, -np.inf
     for message in messages:
         if message.arbitration_id == SYNC:
-            counter = message.data[0] % 16
-            waiting.append((len(synced), counter))
+            waiting.append((len(synced), message.data[0] % 16))
             synced.append(message.timestamp)
             latency.append(np.nan)
-            kind.append(0)
+            solves.append(False)
+            behind.append(-1)
         elif message.arbitration_id == TELEMETRY:
             counter = message.data[1] % 16
             if counter == newest or all(counter != own for _, own in waiting):
@@ -101,8 +109,8 @@ def answers(messages: Iterable[can.Message], period_s: float) -> Answers:
                 waiting.popleft()
             at, newest = waiting.popleft()
             latency[at] = message.timestamp - synced[at]
-            solves = message.data[2:4] == _FIRST_OF_ESTIMATE
-            kind[at] = 1 if solves else 2 if synced[at] < held_until else 0
-            if kind[at]:
-                held_until = message.timestamp
-    return Answers(period_s, np.array(latency), np.array(kind, dtype=np.int64))
+            solves[at] = message.data[2:4] == _FIRST_OF_ESTIMATE
+            if synced[at] < answered_s:
+                behind[at] = behind[before] if behind[before] >= 0 else before
+            before, answered_s = at, message.timestamp
+    return Answers(period_s, np.array(latency), np.array(solves, dtype=np.bool_), np.array(behind, dtype=np.int64))
