@@ -31,7 +31,7 @@ $(error CAPACITIES holds $(filter-out -DZYGOS_%,$(CAPACITIES)), which is no capa
 endif
 
 .DEFAULT_GOAL := demo
-.PHONY: lock demo real build library install uninstall FORCE node test test-slow test-all coverage times kernels hil pil gap loop bench accuracy mission soak ground demo-log reference lint format warnings clean help
+.PHONY: lock demo real build library install uninstall FORCE node test test-slow test-all coverage times kernels hil latency pil gap loop bench accuracy mission soak ground demo-log reference lint format warnings clean help
 
 demo: build ## set up, run the paper's example over CAN, show the result (out/demo/report.html)
 	$(BIN)/python -m zygos.demo
@@ -135,6 +135,9 @@ hil: build node $(VENV)/.test ## fault drills across a real vcan (the kernel's, 
 	$(if $(CHANNEL),ZYGOS_VCAN_IFS=$(CHANNEL) ZYGOS_OUT=$${ZYGOS_OUT:-out},ZYGOS_VCAN_TIMEOUT=$${ZYGOS_VCAN_TIMEOUT:-1500} tools/with-vcan) $(BIN)/python -m pytest \
 	    $(if $(DUT),$(DRILLS),tests/hil) --zygos-channel $(or $(CHANNEL),$(firstword $(ZYGOS_VCAN_IFS)),vcan0) \
 	    --zygos-dut $(or $(DUT),$(NODE)) --zygos-scenario examples/lively/scenario.toml --zygos-json $${ZYGOS_OUT:-out}/hil.json
+
+latency: $(VENV)/.test ## write the latencies of docs/hil.md and docs/latency.svg from the last `make hil`
+	$(BIN)/python tools/latency.py $${ZYGOS_OUT:-out}/hil.json docs/hil.md docs/latency.svg
 
 pil: build $(VENV)/.test ## the library as firmware on an emulated Cortex-M7 and Cortex-M4F: the host's bits (QEMU)
 	$(PYTEST) tests/pil

@@ -65,7 +65,7 @@ def machine() -> str:
 def timed(
     plant: Plant, dut: Dut, stream: Stream, rate_hz: float, load: str, first: int
 ) -> tuple[Answers, dict[str, Any]]:
-    """Send a stream at a rate. Returns how its SYNCs were answered, the first of them number `first`, and the record."""
+    """Send a stream at a rate. Returns how its SYNCs, the first of them number `first`, were answered, and the record."""
     if load == FIRST:
         os.sched_setscheduler(dut.process.pid, os.SCHED_FIFO, os.sched_param(PRIORITY))
     before, began = kernel_counts(plant.channel), time.monotonic()
@@ -89,7 +89,7 @@ def hold(found: Answers, cycles: int, solving: range) -> None:
 
 
 @pytest.mark.parametrize(
-    ("rate_hz", "load"), [(20, ALONE), (20, FULL), (250, ALONE), (250, FULL), (250, FIRST)], ids=lambda v: str(v)
+    ("rate_hz", "load"), [(20, ALONE), (20, FULL), (250, ALONE), (250, FULL), (250, FIRST)], ids=str
 )
 def test_every_cycle_is_answered(rate_hz: int, load: str, plant: Plant, dut: Dut) -> None:
     """At 250 Hz the same cycles are sent 12.5 times as fast as they were."""

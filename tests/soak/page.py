@@ -10,18 +10,18 @@ from zygos.files.output import counted
 INTRODUCTION = f"""\
 # Weeks of flight at an accelerated pace
 
-`make soak` writes this page and `out/soak.json`. The C library receives the CAN frames of a few stored motions, which are
-repeated, as fast as it takes them. The errors of all sensors are drawn anew in each repetition, and {MISSING} cycles are
-missing between two of them. A share of {LOST:g} of all frames is lost, SYNC and FTIME included. A share of {STALE:g} of the frames
-of drives and gyro has the content of the cycle before, as from a node that hangs for a cycle. At regular intervals the state
-is sealed into a snapshot, and another instance of the library resumes from it.
+`make soak` writes this page and `out/soak.json`. The C library receives the CAN frames of a few stored motions, which
+are repeated, as fast as it takes them. The errors of all sensors are drawn anew in each repetition, and {MISSING}
+cycles are missing between two of them. A share of {LOST:g} of all frames is lost, SYNC and FTIME included. A share of
+{STALE:g} of the frames of drives and gyro has the content of the cycle before, as from a node that hangs for a cycle.
+At regular intervals the state is sealed into a snapshot, and another instance of the library resumes from it.
 
 Three conditions are checked; the command exits with 1 if one does not hold.
 
-- The estimate is valid at each of {LOOKS} looks. Where the motion does not determine every parameter it is *partial*: the
-  parameters that are determined are published, and no other.
-- The published 95 % intervals contain the true values, in a share of at least 95 % less three standard errors at the last
-  look, and no value is off by more than {FAR_SIGMAS:g} sigmas and {FAR_SHARE:.1%} at any look.
+- The estimate is valid at each of {LOOKS} looks. Where the motion does not determine every parameter it is *partial*:
+  the parameters that are determined are published, and no other.
+- The published 95 % intervals contain the true values, in a share of at least 95 % less three standard errors at the
+  last look, and no value is off by more than {FAR_SIGMAS:g} sigmas and {FAR_SHARE:.1%} at any look.
 - All counters of the library equal those that follow from the disturbed frames by the rules of [wire](wire.md) and
   [snapshot](snapshot.md). `tests/soak/traffic.py` computes them without decoding a frame.
 
@@ -52,14 +52,14 @@ def _row(one: Outcome) -> list[str]:
 def page(found: Sequence[Outcome]) -> str:
     """The page as Markdown."""
     lines = [INTRODUCTION]
-    head = ("soak", "arm", "duration", "cycles", "frames lost / stale", "resumed", "validity", "95 % intervals that hold",
-            "counters", "verdict")  # fmt: skip
+    head = ("soak", "arm", "duration", "cycles", "frames lost / stale", "resumed", "validity")
+    head += ("95 % intervals that hold", "counters", "verdict")
     lines += _table(head, map(_row, found))
     for one in found:
         if one.share < 1.0:
             lines += [
                 "",
-                f"Of `{one.name}`, a share of {one.share:g} of the duration was flown. `make soak FULL=1` flies the whole, "
+                f"Of `{one.name}`, a share of {one.share:g} was flown. `make soak FULL=1` flies all of it, "
                 f"which takes {one.seconds / one.share / 60.0:.0f} minutes at this pace.",
             ]
     for one in found:
@@ -68,8 +68,8 @@ def page(found: Sequence[Outcome]) -> str:
             "",
             f"## {one.name}",
             "",
-            f"The run took {one.seconds:,.0f} s on a shared machine, {one.library_s:,.0f} s of them in the library: it was "
-            f"{pace:,.0f} times as fast as the arm. The library counted "
+            f"The run took {one.seconds:,.0f} s on a shared machine, {one.library_s:,.0f} s of them in the library: it "
+            f"was {pace:,.0f} times as fast as the arm. The library counted "
             + ", ".join(f"{name} {count:,}" for name, count in one.found.items())
             + ".",
             "",
