@@ -13,6 +13,8 @@ from typing import Any
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 BEGIN, END = "<!-- latency: written by make latency -->\n", "<!-- end of latency -->\n"
 HEAD = (
@@ -25,7 +27,7 @@ HEAD = (
     "latest, ms",
     "misses",
 )
-COLOURS = ("#1d4ed8", "#c2410c", "#93c5fd", "#fdba74")
+COLOURS, DEADLINE = ("#1d4ed8", "#c2410c", "#93c5fd", "#fdba74"), "#404040"
 
 Case = dict[str, Any]
 
@@ -64,7 +66,7 @@ def table(found: list[Case]) -> str:
 
 
 def picture(found: list[Case]) -> str:
-    """SVG: of each case the histogram of all cycles, by kind; the line is the deadline."""
+    """SVG: of each case the number of cycles of each kind in each class of latencies."""
     style: Any = {
         "svg.hashsalt": "zygos",
         "svg.fonttype": "none",
@@ -79,25 +81,28 @@ def picture(found: list[Case]) -> str:
             axes.set_axis_off()
         for axes, case in zip(panels.flat, found, strict=False):
             edges = case["edges_ms"]
-            below = [0.0] * (len(edges) + 1)
-            for colour, kind in zip(COLOURS, case["cycles"], strict=True):
-                counts = kind["histogram"]
-                some = [k for k, count in enumerate(counts) if count]
-                drawn = [[row[k] for k in some] for row in (counts, below)]
-                axes.bar(some, drawn[0], 0.85, bottom=drawn[1], color=colour, label=kind["kind"])
-                below = [low + count for low, count in zip(below, counts, strict=True)]
+            for place, (colour, kind) in enumerate(zip(COLOURS, case["cycles"], strict=True)):
+                some = [(k + 0.2 * (place - 1.5), count) for k, count in enumerate(kind["histogram"]) if count]
+                axes.bar([at for at, _ in some], [count for _, count in some], 0.2, color=colour)
             deadline = sum(edge <= case["period_ms"] for edge in edges)
             into = case["period_ms"] / edges[deadline - 1] - 1.0
-            axes.axvline(deadline - 0.5 + into, color="#404040", linestyle="--", linewidth=1, label="deadline")
-            axes.set_yscale("symlog", linthresh=1.0)
-            axes.set_yticks([0, 1, 10, 100, 1000], ["0", "1", "10", "100", "1000"])
+            axes.axvline(deadline - 0.5 + into, color=DEADLINE, linestyle="--", linewidth=1)
+            axes.set_yscale("log")
+            axes.minorticks_off()
+            axes.set_ylim(0.7, 2000.0)
+            axes.set_yticks([1, 10, 100, 1000], ["1", "10", "100", "1000"])
             axes.set_xlim(-0.6, len(edges) + 0.6)
             axes.set_xticks([k + 0.5 for k in range(0, len(edges), 2)], [f"{edge:g}" for edge in edges[::2]])
             axes.set_title(name(case), fontsize=8.5)
+        for axes in panels[:, 0]:
+            axes.set_ylabel("cycles")
         for axes in panels[-1]:
             axes.set_xlabel("from SYNC to the answer, ms")
-        handles, labels = panels.flat[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=5, frameon=False)
+        kinds = [
+            Patch(color=colour, label=kind["kind"]) for colour, kind in zip(COLOURS, found[0]["cycles"], strict=True)
+        ]
+        deadline = Line2D([], [], color=DEADLINE, linestyle="--", linewidth=1, label="deadline")
+        figure.legend(handles=[*kinds, deadline], loc="outside lower center", ncols=5, frameon=False)
         svg = io.StringIO()
         figure.savefig(svg, format="svg", metadata={"Date": None, "Creator": None})
     return "".join(f"{line.rstrip()}\n" for line in svg.getvalue().splitlines())

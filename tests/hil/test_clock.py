@@ -65,7 +65,7 @@ def machine() -> str:
 def timed(
     plant: Plant, dut: Dut, stream: Stream, rate_hz: float, load: str, first: int
 ) -> tuple[Answers, dict[str, Any]]:
-    """Send a stream at a rate. Returns how its SYNCs, the first of them number `first`, were answered, and the record."""
+    """Send a stream, whose first SYNC is number `first`, at a rate. Returns how it was answered, and the record."""
     if load == FIRST:
         os.sched_setscheduler(dut.process.pid, os.SCHED_FIFO, os.sched_param(PRIORITY))
     before, began = kernel_counts(plant.channel), time.monotonic()
