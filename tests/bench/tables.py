@@ -228,7 +228,7 @@ def _times(of: dict[tuple[str, str, str], dict[str, Any]]) -> str:
     low, high = CYCLES_PER_INSTRUCTION
     return (
         f"\n### Time on a Cortex-M7 at {CLOCK_MHZ:g} MHz\n\n"
-        f"The counts times {low:g} to {high:g} processor cycles per instruction. This factor is an assumption: QEMU has "
+        f"The counts times {low:g} to {high:g} processor cycles per instruction. This factor is assumed: QEMU has "
         "neither caches nor a pipeline. Measure it on the board, with the memory that holds the structs.\n\n"
         + _table(("configuration", "SYNC period, ms", "full cycle, µs", "most expensive cycle, ms", "solve, ms"), lines)
     )

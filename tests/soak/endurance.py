@@ -129,9 +129,11 @@ class Outcome:
         if self.expected != self.found:
             out.append(f"the counters are {self.found}, not {self.expected}")
         if not last.published or last.covered < least * last.published:
-            out.append(f"{last.covered} of {last.published} intervals contain the true value, not {least:.0%}")
+            out.append(
+                f"{last.covered} of {last.published} intervals contain the true value, which is below {100.0 * least:.0f} %"
+            )
         if any(look.wrong for look in self.looks):
-            out.append(f"values are off by more than {FAR_SIGMAS:g} sigmas and {FAR_SHARE:.1%}")
+            out.append(f"values are off by more than {FAR_SIGMAS:g} sigmas and {100.0 * FAR_SHARE:g} %")
         return out
 
     def as_json(self) -> dict[str, Any]:

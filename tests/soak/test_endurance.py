@@ -41,9 +41,9 @@ def test_what_does_not_hold_is_named(seven_hours: Outcome) -> None:
     (validity,) = failures(looks=[replace(last, validity="refused", reason="too few"), last])
     assert "is refused: too few" in validity
     (coverage,) = failures(looks=[replace(last, covered=8)])
-    assert coverage.startswith("8 of 12 intervals contain the true value, not 76%")
+    assert coverage.startswith("8 of 12 intervals contain the true value, which is below 76 %")
     (wrong,) = failures(looks=[replace(last, wrong=1), last])
-    assert "more than 5 sigmas and 0.5%" in wrong
+    assert "more than 5 sigmas and 0.5 %" in wrong
 
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
