@@ -87,6 +87,7 @@ class Signals:
         """What a law depends on."""
         rate, angle = {
             "motor": (self.motor_rate, self.motor_angle),
+            "load": (self.motor_rate, self.motor_angle),
             "torque": (self.motor_rate, self.motor_angle),
             "spring": (self.slip, self.deflection),
         }.get(kind.place, (self.link_rate, self.link_angle))
@@ -167,8 +168,8 @@ def impulse_column(kind: Kind, signals: Signals, shape: float | None = None) -> 
         return s.totals.integral(law(s.motion(kind, form), form)) / s.gear_ratio
     if kind.place == "torque":
         return -_held(kind, s, form, np.ones_like(s.motor_rate))
-    if kind.place == "motor":
-        return s.totals.integral(law(s.motion(kind, form), form))
+    if kind.place in ("motor", "load"):
+        return s.totals.integral(law(s.motion(kind, form), form)) / (s.gear_ratio if kind.place == "load" else 1.0)
     return np.zeros_like(s.link_rate)
 
 
@@ -180,7 +181,7 @@ def joint_column(kind: Kind, signals: Signals, flexible: bool, shape: float | No
     form, s = kind.shape if shape is None else shape, signals
     if kind.place == "spring":
         return -s.totals.integral(_law(kind)(s.motion(kind, form), form))
-    if kind.place in ("link", "load"):
+    if kind.place == "link":
         return s.totals.integral(_law(kind)(s.motion(kind, form), form))
     return np.zeros_like(s.link_rate) if flexible else s.gear_ratio * impulse_column(kind, s, shape)
 
