@@ -18,10 +18,11 @@ At regular intervals the state is sealed into a snapshot, and another instance o
 
 Three conditions are checked; the command exits with 1 if one does not hold.
 
-- The estimate is valid at each of {LOOKS} looks. Where the motion does not determine every parameter it is *partial*:
+- At each of {LOOKS} looks the estimate is valid; where the motion does not determine every parameter it is *partial*:
   the parameters that are determined are published, and no other.
-- The published 95 % intervals contain the true values, in a share of at least 95 % less three standard errors (as
-  if they were independent) at the last look, and no value is off by more than {FAR_SIGMAS:g} sigmas and {100.0 * FAR_SHARE:g} % at any look.
+- At the last look, the published 95 % intervals contain the true values in a share of at least 95 % less three standard
+  errors, as if they were independent. At no look is a value off by more than {FAR_SIGMAS:g} sigmas and
+  {100.0 * FAR_SHARE:g} %.
 - All counters of the library equal those that follow from the disturbed frames by the rules of [wire](wire.md) and
   [snapshot](snapshot.md). `tests/soak/traffic.py` computes them without decoding a frame.
 

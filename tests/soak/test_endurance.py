@@ -40,6 +40,8 @@ def test_what_does_not_hold_is_named(seven_hours: Outcome) -> None:
     assert "'late': 0" in counters
     (validity,) = failures(looks=[replace(last, validity="refused", reason="too few"), last])
     assert "is refused: too few" in validity
+    (partial,) = failures(wanted="partial", looks=[last])
+    assert "is valid" in partial
     (coverage,) = failures(looks=[replace(last, covered=8)])
     assert coverage.startswith("8 of 12 intervals contain the true value, which is below 76 %")
     (wrong,) = failures(looks=[replace(last, wrong=1), last])
