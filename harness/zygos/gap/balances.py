@@ -484,7 +484,7 @@ class _Moving:
         if self.values is None:
             return UNKNOWN
         arm, s, value = self.arm, self.state, by_name(self.arm, self.values)
-        load = arm.gear_ratios * self.after
+        load: Array = np.asarray(arm.gear_ratios * self.after, dtype=np.float64)
         for i, one in enumerate(arm.joints):
             if one.flexible:
                 spring, damper = value[f"k{i + 1}"], value[f"b{i + 1}"]
