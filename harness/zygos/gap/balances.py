@@ -33,7 +33,7 @@ from zygos.balances.quadrature import FromOrigin, from_first, integral, step_int
 from zygos.balances.readings import Readings
 from zygos.balances.state import State
 from zygos.dynamics.joints import by_name
-from zygos.effects import CATALOGUE, OFFSET, UNKNOWN, Effect, Kind, column_name, columns_at
+from zygos.effects import CATALOGUE, OFFSET, Effect, Kind, column_name, columns_at
 from zygos.gap.record import MeasuredRun, smoothed_states
 
 Array = NDArray[np.float64]
@@ -482,9 +482,9 @@ class _Moving:
         """(..., A, instants, N) torques through the gears, after them, Nm: of the springs, of which other effects are a
         trifle, and of the motors of rigid joints. NaN without values."""
         if self.values is None:
-            return UNKNOWN
+            return np.full(self.after.shape, np.nan)
         arm, s, value = self.arm, self.state, by_name(self.arm, self.values)
-        load: Array = np.asarray(arm.gear_ratios * self.after, dtype=np.float64)
+        load = arm.gear_ratios * self.after
         for i, one in enumerate(arm.joints):
             if one.flexible:
                 spring, damper = value[f"k{i + 1}"], value[f"b{i + 1}"]
