@@ -209,15 +209,16 @@ def draws(
     layout: Layout,
     uncentred: Sequence[int],
     zeros: tuple[Array, ...],
+    values: Array,
     seed: int = 0,
     every: int = 1,
     known: Array | None = None,
 ) -> Sums:
     """Sums (count, ...) of readings of a twin, with seeds seed .. seed + count - 1, and what noise adds to them on
-    average. zeros, every: as of `balance_rows`; known: the twin's own coefficients, as of `accumulate`."""
+    average. zeros, values, every: as of `balance_rows`; known: the twin's own coefficients, as of `accumulate`."""
 
     def sums(readings: Readings) -> Sums:
-        return accumulate(balance_rows(layout, readings, zeros=zeros, every=every), accepted, uncentred, known)
+        return accumulate(balance_rows(layout, readings, values, zeros=zeros, every=every), accepted, uncentred, known)
 
     exact = sums(twin.exact)
     drawn = [sums(measure(twin, seed + k)) for k in range(count)]
