@@ -317,7 +317,8 @@ class _Explainer:
         z = [float(study.of(study.hypothesis, [k]).value[index]) / float(study.spread[index]) for k in runs]
         one = study.layout.find(name)
         proof = Significance(min(map(abs, z)), min(found.completeness))
-        return Finding(one.kind.key, self.arm.joints[one.joint].name, value, sigma, one.kind.unit, proof)
+        joint = self.arm.joints[one.joint].name
+        return Finding(one.kind.key, joint, value, sigma, one.kind.unit, proof, entry=one.kind)
 
     def _flexible(self, refit: Study, joints: list[str]) -> Study:
         """The study with springs in these joints. The twin needs a first guess: each motor balance by itself has one.

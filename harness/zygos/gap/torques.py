@@ -47,9 +47,13 @@ def with_torque_noise(arm: Arm, records: Sequence[MeasuredRun]) -> tuple[Arm, Ar
     looked_at = [i for i, joint in enumerate(arm.joints) if joint.flexible and sigma[i] > 0.0 and not declared[i]]
     for i, left in _motors(arm, records, looked_at):
         variance, deviation = _acting(arm, i, left)
-        least = float(np.sqrt(variance)) if variance > deviation else 0.0
+        # the least of several estimates is too small rather than too large
+        least = float(np.sqrt(variance + deviation)) if variance > deviation else 0.0
         likely[i] = min(sigma[i], least) if least > _STEPS * _ROUNDING else 0.0
         most[i] = min(sigma[i], float(np.sqrt(max(variance, 0.0) + _SURE * deviation)))
+    if likely.any() or declared.any():
+        # the torque sensors of an arm are of a kind: where one has noise, another has what is not ruled out
+        likely = np.where((likely > 0.0) | (most <= _STEPS * _ROUNDING), likely, most)
     return _with_sigmas(arm, likely), _with_sigmas(arm, most)
 
 
