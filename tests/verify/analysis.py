@@ -17,10 +17,10 @@ from verify.result import FOLDER, Result, entries, judged, missing, sources
 from zygos.files.output import counted
 
 MORE = {
-    "gcc": "-Wcast-qual -Wcast-align=strict -Wstrict-prototypes -Wmissing-prototypes -Wwrite-strings -Wundef -Wformat=2 "
-    "-Wswitch-enum -Wvla -Walloca -Wpointer-arith -Winit-self -Wredundant-decls -Wnested-externs -Wfloat-equal "
-    "-Wnull-dereference -Wlogical-op -Wduplicated-cond -Wduplicated-branches -Warith-conversion -Wstrict-overflow=2 "
-    "-Wtrampolines",
+    "gcc": "-Wcast-qual -Wcast-align=strict -Wstrict-prototypes -Wmissing-prototypes -Wwrite-strings -Wundef "
+    "-Wformat=2 -Wswitch-enum -Wvla -Walloca -Wpointer-arith -Winit-self -Wredundant-decls -Wnested-externs "
+    "-Wfloat-equal -Wnull-dereference -Wlogical-op -Wduplicated-cond -Wduplicated-branches -Warith-conversion "
+    "-Wstrict-overflow=2 -Wtrampolines",
     # Declarations after statements are C11; padding is checked by assertions in the headers; a function's result is
     # converted on purpose.
     "clang": "-Weverything -Wno-unknown-warning-option -Wno-declaration-after-statement -Wno-padded "
@@ -54,7 +54,8 @@ class Finding:
 
 def found_in(text: str) -> list[Finding]:
     """The messages in what gcc, clang, clang-tidy or cppcheck print, each one once."""
-    pattern = r"^(\S+?):(\d+):(?:\d+:)? (?:\w+ )?(?:warning|error|style|performance|portability|information): (.*) \[([^\[\]]+)\]$"
+    kinds = "warning|error|style|performance|portability|information"
+    pattern = rf"^(\S+?):(\d+):(?:\d+:)? (?:\w+ )?(?:{kinds}): (.*) \[([^\[\]]+)\]$"
     rows = re.findall(pattern, text, re.M)
     return list(dict.fromkeys(Finding(Path(path), int(line), what, check) for path, line, what, check in rows))
 
@@ -92,7 +93,9 @@ def warnings(compiler: str, files: Sequence[Path] | None = None) -> Result:
     flags = [*shlex.split((ROOT / "c" / "flags.txt").read_text()), *shlex.split(MORE[compiler]), "-Werror", INCLUDE]
     files = sources() if files is None else files
     commands = [
-        [compiler, *flags, *capacities, "-c", str(path), "-o", os.devnull] for capacities in CAPACITIES for path in files
+        [compiler, *flags, *capacities, "-c", str(path), "-o", os.devnull]
+        for capacities in CAPACITIES
+        for path in files
     ]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         runs = list(pool.map(_run, commands))
@@ -136,5 +139,5 @@ def cppcheck(files: Sequence[Path] | None = None, tool: str = "cppcheck") -> Res
 def _accounted(found: Sequence[Finding], broken: Sequence[str], files: Sequence[Path]) -> Result:
     open_ones = left(found, ACCEPTED)
     accepted = len(found) - len(open_ones)
-    figure = f"{counted(len(open_ones), 'open finding')}, {accepted} accepted with a reason, in {counted(len(files), 'file')}"
+    figure = f"{counted(len(open_ones), 'open finding')}, {accepted} accepted with a reason, in {len(files)} files"
     return judged([*open_ones, *broken], figure, open=len(open_ones), accepted=accepted)

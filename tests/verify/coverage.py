@@ -1,4 +1,4 @@
-"""Lines and branches of the C library that the quick tests of the library run, and the reasons for those they do not."""
+"""Lines and branches of the C library that the quick tests of the library run, and reasons for the others."""
 
 from __future__ import annotations
 
@@ -82,7 +82,9 @@ def unexplained(gaps: Iterable[Gap], known: Mapping[str, str]) -> tuple[list[str
     """The gaps without a reason, and the places of reasons that no gap needs."""
     gaps = list(gaps)
     needed = {gap.place for gap in gaps}
-    open_ones = [f"{gap.file}:{gap.line} ({gap.what}) has no reason: {gap.place}" for gap in gaps if gap.place not in known]
+    open_ones = [
+        f"{gap.file}:{gap.line} ({gap.what}) has no reason: {gap.place}" for gap in gaps if gap.place not in known
+    ]
     return open_ones, [place for place in known if place not in needed]
 
 
@@ -95,7 +97,19 @@ def measured(tests: Iterable[str], jobs: str) -> dict[str, Any]:
     build = [sys.executable, str(ROOT / "tools" / "build_native.py"), str(package / "_native")]
     subprocess.run(build, check=True, env=environment, cwd=ROOT)
     environment["PYTHONPATH"] = str(PLACE / "harness")
-    command = [sys.executable, "-m", "pytest", "-n", jobs, "--dist", "loadfile", "-m", "not slow", "-o", "quick_limit_s=0"]
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-n",
+        jobs,
+        "--dist",
+        "loadfile",
+        "-m",
+        "not slow",
+        "-o",
+        "quick_limit_s=0",
+    ]
     done = subprocess.run([*command, *tests], cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise ZygosError(f"a test fails with counters: {done.stdout[-800:]}; remedy: repair it")
@@ -105,7 +119,17 @@ def measured(tests: Iterable[str], jobs: str) -> dict[str, Any]:
 def reported() -> dict[str, Any]:
     """What gcovr says of the counters of the last run."""
     out = PLACE / "report.json"
-    tool = [sys.executable, "-m", "gcovr", "--config", os.devnull, "--root", str(ROOT), "--filter", f"{ROOT}/c/[a-z]+\\.c"]
+    tool = [
+        sys.executable,
+        "-m",
+        "gcovr",
+        "--config",
+        os.devnull,
+        "--root",
+        str(ROOT),
+        "--filter",
+        f"{ROOT}/c/[a-z]+\\.c",
+    ]
     subprocess.run([*tool, "--json", str(out), str(PLACE)], cwd=ROOT, check=True, capture_output=True)
     content: dict[str, Any] = json.loads(out.read_text())
     return content

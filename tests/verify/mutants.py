@@ -141,15 +141,21 @@ class Writer:
         elif isinstance(node, c_ast.UnaryOp):
             if node.op in ("sizeof", "_Alignof"):
                 return node
-            out.expr = self.place(node.expr) if node.op in ("&", "++", "--", "p++", "p--") else self.expression(node.expr)
+            out.expr = (
+                self.place(node.expr) if node.op in ("&", "++", "--", "p++", "p--") else self.expression(node.expr)
+            )
         elif isinstance(node, c_ast.TernaryOp):
             out.cond = self.expression(node.cond, ("0", "1"))
             out.iftrue, out.iffalse = self.expression(node.iftrue), self.expression(node.iffalse)
         elif isinstance(node, c_ast.Cast):
             out.expr = self.expression(node.expr)
         elif isinstance(node, c_ast.FuncCall):
-            plain = isinstance(node.name, c_ast.ID) and not node.name.name.startswith("__") and node.name.name != "offsetof"
-            if node.args is not None and (plain or getattr(node.name, "name", "") in ("__builtin_sqrt", "__builtin_fabs")):
+            plain = (
+                isinstance(node.name, c_ast.ID) and not node.name.name.startswith("__") and node.name.name != "offsetof"
+            )
+            if node.args is not None and (
+                plain or getattr(node.name, "name", "") in ("__builtin_sqrt", "__builtin_fabs")
+            ):
                 out.args = c_ast.ExprList([self.expression(one) for one in node.args.exprs])
         elif isinstance(node, c_ast.ArrayRef | c_ast.StructRef):
             return self.place(node)
@@ -199,7 +205,9 @@ class Writer:
         elif isinstance(node, c_ast.While | c_ast.DoWhile):
             out.cond, out.stmt = self.expression(node.cond, ("0",)), self.statement(node.stmt)
         elif isinstance(node, c_ast.For):
-            out.init = self.statement(node.init) if isinstance(node.init, c_ast.DeclList) else self.expression(node.init)
+            out.init = (
+                self.statement(node.init) if isinstance(node.init, c_ast.DeclList) else self.expression(node.init)
+            )
             out.cond, out.next = self.expression(node.cond, ("0",)), self.expression(node.next)
             out.stmt = self.statement(node.stmt)
         elif isinstance(node, c_ast.Switch):
@@ -232,15 +240,24 @@ class Writer:
 
 def parsed(path: Path, defines: Sequence[str] = ()) -> c_ast.FileAST:
     """The syntax of a C file. Errors: ZygosError where it has an extension that the parser does not know."""
-    command = ["cc", "-E", "-std=c11", "-nostdinc", "-D__attribute__(x)=", f"-I{HEADERS}", f"-I{ROOT / 'include'}", *defines]
+    command = [
+        "cc",
+        "-E",
+        "-std=c11",
+        "-nostdinc",
+        "-D__attribute__(x)=",
+        f"-I{HEADERS}",
+        f"-I{ROOT / 'include'}",
+        *defines,
+    ]
     text = subprocess.run([*command, str(path)], capture_output=True, text=True, check=True).stdout
     text = re.sub(r"^#pragma.*$", "", text, flags=re.M)
     try:
         return CParser().parse(text, str(path))
     except Exception as error:
         raise ZygosError(
-            f"{path.name} has C that pycparser does not read ({error}); remedy: write it without an extension, or teach "
-            f"tests/verify/mutants.py to leave it out"
+            f"{path.name} has C that pycparser does not read ({error}); remedy: write it without an extension, or "
+            f"teach tests/verify/mutants.py to leave it out"
         ) from error
 
 
@@ -313,7 +330,12 @@ def library(folder: Path, jobs: int) -> list[Mutant]:
     build.main(native)  # what stands beside the library
     text = (native / "zygos.cdef").read_text()
     digest = int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big")
-    command = [*shlex.split("cc -shared"), *build.FLAGS.split(), f"-DZYGOS_DECLARATIONS_DIGEST={digest}u", *build.INCLUDES]
+    command = [
+        *shlex.split("cc -shared"),
+        *build.FLAGS.split(),
+        f"-DZYGOS_DECLARATIONS_DIGEST={digest}u",
+        *build.INCLUDES,
+    ]
     command += [*map(str, sorted(objects.glob("*.o"))), *map(str, sorted(build.HOST.glob("*.c")))]
     subprocess.run([*command, "-o", str(native / "libzygos.so")], check=True)
     return mutants

@@ -1,9 +1,9 @@
-"""A pytest plugin that runs the collected tests once for each mutant, in a fork of this process that has collected them.
+"""A pytest plugin that runs the collected tests for each mutant, in a fork of this process that has collected them.
 
 Environment: VERIFY_MUTANTS, a file of JSON that `mutation.py` writes: the library, the numbers, where results go.
 A first fork runs all tests with the unchanged code and notes which mutants each one reaches. The fork of a mutant runs
-the tests that reach it, the quick ones first, until one fails. This process never runs a test, so that no cache that the
-unchanged code has filled hides a mutant.
+the tests that reach it, those that kill most in their time first, until one fails. This process never runs a test, so
+that no cache that the unchanged code has filled hides a mutant.
 """
 
 from __future__ import annotations
@@ -116,11 +116,12 @@ class Loop:
             (self.folder / "failed.json").write_text(json.dumps(bad))
             session.testsfailed = len(bad)
             return True
-        order = sorted(range(len(items)), key=lambda k: rows[k]["seconds"])
         at: dict[int, list[int]] = {}
-        for k in order:
-            for number in rows[k]["reached"]:
+        for k, row in enumerate(rows):
+            for number in row["reached"]:
                 at.setdefault(number, []).append(k)
+        kills = [0.01] * len(items)
+        places = {item.nodeid: k for k, item in enumerate(items)}
         running: dict[int, tuple[int, float]] = {}
         waiting = [number for number in self.told["numbers"]][::-1]
         with Path(self.told["results"]).open("a", buffering=1) as results:
@@ -129,6 +130,8 @@ class Loop:
                 killer = self.folder / f"killed-{number}"
                 test = killer.read_text() if killer.exists() else ""
                 killer.unlink(missing_ok=True)
+                if test:
+                    kills[places[test]] += 1.0
                 results.write(json.dumps({"number": number, "verdict": verdict, "test": test}) + "\n")
 
             while waiting or running:
@@ -137,7 +140,9 @@ class Loop:
                     if number not in at:
                         note(number, "not reached")
                         continue
-                    chosen = [items[k] for k in at[number]]
+                    # first what has killed most in its time
+                    order = sorted(at[number], key=lambda k: -kills[k] / (0.02 + rows[k]["seconds"]))
+                    chosen = [items[k] for k in order]
                     seconds = sum(rows[k]["seconds"] for k in at[number])
                     limit = BASE_S + 3.0 * seconds
                     process = forked(lambda n=number, c=chosen: self._killed(n, c), limit)  # type: ignore[misc]
