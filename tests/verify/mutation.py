@@ -106,6 +106,7 @@ def run(tests: Iterable[str], mutants: Sequence[Mutant], numbers: Sequence[int],
     waiting = [number for number in numbers if number not in done]
     if waiting:
         told = {"library": str(path), "folder": str(folder), "numbers": waiting, "jobs": jobs, "results": str(results)}
+        told["unchanged"] = str(results.with_suffix(".unchanged.json"))
         (folder / "told.json").write_text(json.dumps(told))
         (folder / "failed.json").unlink(missing_ok=True)
         environment = {
@@ -119,12 +120,13 @@ def run(tests: Iterable[str], mutants: Sequence[Mutant], numbers: Sequence[int],
             "not slow",
             *"-o quick_limit_s=0 -o timeout=0".split(),
         ]
-        command = [sys.executable, "-m", "pytest", *options, *tests]
+        command = [sys.executable, "-m", "pytest", "-c", str(ROOT / "pyproject.toml"), f"--rootdir={ROOT}"]
+        command += [*options, *tests]
         ended = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
         done = read()
         if any(number not in done for number in waiting):
             failed = folder / "failed.json"
-            why = f"{', '.join(json.loads(failed.read_text())[:5])} fail" if failed.exists() else ended.stdout[-500:]
+            why = f"{', '.join(json.loads(failed.read_text())[:5])} fail" if failed.exists() else ended.stdout[-1500:]
             raise ZygosError(f"the tests do not pass with unchanged code: {why}; remedy: repair them first")
     return [Outcome(mutants[number], done[number]["verdict"], done[number]["test"]) for number in numbers]
 
@@ -133,7 +135,8 @@ def result(tests: Sequence[str], number: int, seed: int, jobs: int) -> Result:
     """Compile, try, judge. What was tried of the same sources and tests is not tried again."""
     mutants = library(PLACE, jobs)
     state = hashlib.sha256(digest().encode())
-    for path in [*(ROOT / test for test in tests), FOLDER / "mutants.py"]:
+    harness = sorted((ROOT / "harness" / "zygos").rglob("*.py"))
+    for path in [*(ROOT / test for test in tests), *harness, FOLDER / "mutants.py"]:
         state.update(path.read_bytes())
     results = PLACE / f"results-{state.hexdigest()[:12]}.jsonl"
     native = PLACE / "harness" / "zygos" / "_native" / "libzygos.so"
