@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -76,9 +76,9 @@ def block(content: Mapping[str, Any], state: str) -> str:
     return "\n\n".join(["\n".join(rows), *below]) + "\n"
 
 
-def ending(content: Mapping[str, Any]) -> tuple[int, str]:
-    """Exit status and the last sentence: what is not evaluated is said, never left out."""
-    named = {kind: [step for step in STEPS if _verdict(content, step) == kind] for kind in (PASSED, FAILED, MISSING)}
+def ending(content: Mapping[str, Any], steps: Sequence[str]) -> tuple[int, str]:
+    """Exit status and the last sentence of these steps: what is not evaluated is said, never left out."""
+    named = {kind: [step for step in steps if _verdict(content, step) == kind] for kind in (PASSED, FAILED, MISSING)}
     text = f"verify: {counted(len(named[PASSED]), 'step')} passed"
     for kind in (FAILED, MISSING):
         if named[kind]:
@@ -104,9 +104,10 @@ def main(*arguments: str) -> int:
                 f"no step or option {name!r}; remedy: steps {' · '.join(STEPS)}; options {' · '.join(DEFAULTS)}"
             )
     given = {**DEFAULTS, **{name: float(value) for name, value in pairs.items()}}
-    content: dict[str, Any] = json.loads(FILE.read_text()) if FILE.exists() else {}
+    content: dict[str, Any] = {}
     for step in steps:
         found = STEPS[step](given)
+        content = json.loads(FILE.read_text()) if FILE.exists() else {}  # another step may have ended meanwhile
         content[step] = {**asdict(found), "sources": digest()}
         say(f"{step}: {found.verdict}: {found.figure}")
         for text in found.findings:
@@ -114,7 +115,7 @@ def main(*arguments: str) -> int:
         write_json(FILE, {name: content[name] for name in STEPS if name in content})
         before, rest = PAGE.read_text().split(BEGIN)
         write_text(PAGE, before + BEGIN + block(content, digest()) + END + rest.split(END)[1])
-    status, text = ending(content)
+    status, text = ending(content, steps)
     note(text)
     return status
 
