@@ -27,8 +27,8 @@ BEGIN, END = "<!-- make verify writes this -->\n", "<!-- to here -->"
 TESTS = tuple(
     f"tests/unit/test_{name}.py"
     for name in (
-        "any_arm c_equals_numpy change check conventions counters cycle effects flight flight_joints guard impulse "
-        "integrity joint_rows kinematics momentum momentum_sums motors range_end refusals smoother "
+        "any_arm c_equals_numpy change check counters cycle effects flight flight_joints guard impulse "
+        "integrity kinematics momentum momentum_sums range_end refusals smoother "
         "snapshot spatial text"
     ).split()
 )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 import hashlib
+import json
 import re
 import shlex
 import subprocess
@@ -288,6 +289,14 @@ def _refused(text: str, source: Path) -> set[int]:
     return found
 
 
+def _state(paths: Iterable[Path]) -> str:
+    """Digest of what the mutants are made of."""
+    total = hashlib.sha256(Path(__file__).read_bytes())
+    for path in [*paths, *sorted((ROOT / "include" / "zygos").glob("*.h")), *sorted(HEADERS.iterdir())]:
+        total.update(path.read_bytes())
+    return total.hexdigest()
+
+
 def library(folder: Path, jobs: int) -> list[Mutant]:
     """Compile all mutants of c/ into folder/libzygos.so, with what the binding needs beside it.
 
@@ -300,6 +309,9 @@ def library(folder: Path, jobs: int) -> list[Mutant]:
     compiler = shlex.split("cc -std=c11 -O1 -w -fPIC -ffp-contract=off -fno-math-errno -c")
     sources, objects = folder / "source", folder / "objects"
     objects.mkdir(parents=True, exist_ok=True)
+    built, state = folder / "built.json", _state(paths)
+    if built.exists() and (known := json.loads(built.read_text()))["state"] == state:
+        return written(paths, sources, frozenset(known["skipped"]))
     for _ in range(8):
         mutants = written(paths, sources, skipped)
         numbers: set[int] = set()
@@ -338,4 +350,5 @@ def library(folder: Path, jobs: int) -> list[Mutant]:
     ]
     command += [*map(str, sorted(objects.glob("*.o"))), *map(str, sorted(build.HOST.glob("*.c")))]
     subprocess.run([*command, "-o", str(native / "libzygos.so")], check=True)
+    built.write_text(json.dumps({"state": state, "skipped": sorted(skipped)}))
     return mutants

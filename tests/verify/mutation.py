@@ -24,6 +24,8 @@ PLACE = BUILD / "mutants"
 WANTED = 0.85
 """Share of the mutants, without the equivalent ones, that the tests must kill."""
 EQUIVALENT, ACCEPTED, LACKING = "equivalent", "accepted", "needs a test"
+BUDGET_S = 20.0
+"""Processor time of the tests that are tried with one mutant, as they take it with unchanged code."""
 JUDGEMENTS = (EQUIVALENT, ACCEPTED, LACKING)
 """No input shows it; it shows in a way that no test should hold; a test is missing."""
 
@@ -106,6 +108,7 @@ def run(tests: Iterable[str], mutants: Sequence[Mutant], numbers: Sequence[int],
     waiting = [number for number in numbers if number not in done]
     if waiting:
         told = {"library": str(path), "folder": str(folder), "numbers": waiting, "jobs": jobs, "results": str(results)}
+        told["budget_s"] = BUDGET_S
         told["unchanged"] = str(results.with_suffix(".unchanged.json"))
         (folder / "told.json").write_text(json.dumps(told))
         (folder / "failed.json").unlink(missing_ok=True)

@@ -2,8 +2,8 @@
 
 Environment: VERIFY_MUTANTS, a file of JSON that `mutation.py` writes: the library, the numbers, where results go.
 A first fork runs all tests with the unchanged code and notes which mutants each one reaches. The fork of a mutant runs
-the tests that reach it, those that kill most in their time first, until one fails. This process never runs a test, so
-that no cache that the unchanged code has filled hides a mutant.
+the tests that reach it, those that kill most in their time first, until one fails or the budget of time is spent. This
+process never runs a test, so that no cache that the unchanged code has filled hides a mutant.
 """
 
 from __future__ import annotations
@@ -147,8 +147,11 @@ class Loop:
                         continue
                     # first what has killed most in its time
                     order = sorted(at[number], key=lambda k: -kills[k] / (0.02 + rows[k]["seconds"]))
-                    chosen = [items[k] for k in order]
-                    seconds = sum(rows[k]["seconds"] for k in at[number])
+                    chosen, seconds = [], 0.0
+                    for k in order:
+                        if not chosen or seconds + rows[k]["seconds"] <= self.told["budget_s"]:
+                            chosen.append(items[k])
+                            seconds += rows[k]["seconds"]
                     limit = BASE_S + 3.0 * seconds
                     process = forked(lambda n=number, c=chosen: self._killed(n, c), limit)  # type: ignore[misc]
                     running[process] = (number, time.monotonic() + 10.0 * limit)
