@@ -146,8 +146,8 @@ bench: build $(VENV)/.test ## what it costs, beside its peers (out/bench.json, R
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tests:tests/support $(BIN)/python -m bench out/bench.json
 
 VERIFY = OPENBLAS_NUM_THREADS=1 PYTHONPATH=tests:tests/support $(BIN)/python -m verify
-verify: build $(VENV)/.test ## evidence for the C library (docs/verification.md; 90 minutes; STEPS="gcc coverage" MUTANTS=400 SEED=0 MINUTES=30)
-	$(VERIFY) $(STEPS) $(if $(MUTANTS),mutants=$(MUTANTS)) $(if $(SEED),seed=$(SEED)) $(if $(MINUTES),minutes=$(MINUTES))
+verify: build $(VENV)/.test ## evidence for the C library (docs/verification.md; 90 minutes; STEPS="gcc coverage" MUTANTS=400 SEED=0 MINUTES=30 COUNTERS=.)
+	$(VERIFY) $(STEPS) $(if $(MUTANTS),mutants=$(MUTANTS)) $(if $(SEED),seed=$(SEED)) $(if $(MINUTES),minutes=$(MINUTES)) $(if $(COUNTERS),counters=$(COUNTERS))
 
 limits: build $(VENV)/.test ## make the measured stack, sizes and instructions the limits of `make verify` (tests/verify/limits.json)
 	$(VERIFY) limits

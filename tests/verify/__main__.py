@@ -1,6 +1,6 @@
 """`make verify`: evidence for the C library, written to docs/verification.json and docs/verification.md.
 
-Usage: python -m verify [STEP ...] [mutants=400] [seed=0] [minutes=30] [jobs=2]
+Usage: python -m verify [STEP ...] [mutants=400] [seed=0] [minutes=30] [jobs=2] [counters=.]
        python -m verify limits      (makes the measured figures the limits of tests/verify/limits.json)
 
 Without a STEP all are made. Results of the others stay, and the page says of which sources they are. The status is 1 if
@@ -32,24 +32,24 @@ TESTS = tuple(
         "snapshot spatial text"
     ).split()
 )
-"""The quick unit tests that call the library in their own process."""
-DEFAULTS = {"mutants": 400.0, "seed": 0.0, "minutes": 30.0, "jobs": float(os.cpu_count() or 1)}
-Options = Mapping[str, float]
+"""The quick unit tests that call the library in their own process, for the mutants."""
+DEFAULTS = {"mutants": "400", "seed": "0", "minutes": "30", "jobs": str(os.cpu_count() or 1), "counters": ""}
+Options = Mapping[str, str]
 STEPS: dict[str, Callable[[Options], Result]] = {
     "gcc": lambda _: analysis.warnings("gcc"),
     "clang": lambda _: analysis.warnings("clang"),
     "clang-tidy": lambda _: analysis.tidy(),
     "cppcheck": lambda _: analysis.cppcheck(),
-    "coverage": lambda given: coverage.result(TESTS, str(int(given["jobs"]))),
+    "coverage": lambda given: coverage.result(given["counters"]),
     "mutation": lambda given: mutation.result(TESTS, int(given["mutants"]), int(given["seed"]), int(given["jobs"])),
-    "fuzzing": lambda given: fuzzing.result(given["minutes"]),
+    "fuzzing": lambda given: fuzzing.result(float(given["minutes"])),
     "limits-x86-64": lambda _: limits.result("x86-64"),
     "limits-m7": lambda _: limits.result("m7"),
 }
 """In the order in which they are made."""
 ABOUT = {
     "gcc": "warnings of gcc", "clang": "warnings of clang", "clang-tidy": "clang-tidy", "cppcheck": "cppcheck",
-    "coverage": "lines and branches that the unit tests run", "mutation": "mutants that the unit tests kill",
+    "coverage": "lines and branches that the quick tests run", "mutation": "mutants that the unit tests kill",
     "fuzzing": "fuzzing", "limits-x86-64": "limits on x86-64", "limits-m7": "limits on Cortex-M7",
 }  # fmt: skip
 SHOWN = 20
@@ -103,7 +103,7 @@ def main(*arguments: str) -> int:
             raise ZygosError(
                 f"no step or option {name!r}; remedy: steps {' · '.join(STEPS)}; options {' · '.join(DEFAULTS)}"
             )
-    given = {**DEFAULTS, **{name: float(value) for name, value in pairs.items()}}
+    given = {**DEFAULTS, **pairs}
     content: dict[str, Any] = {}
     for step in steps:
         found = STEPS[step](given)

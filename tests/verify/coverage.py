@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -14,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from conftest import ROOT
-from verify.result import BUILD, FOLDER, Result, entries, judged, missing
+from verify.result import BUILD, FOLDER, Result, digest, entries, judged, missing
 from zygos.errors import ZygosError
 
 GAPS = FOLDER / "gaps.toml"
@@ -39,18 +40,29 @@ class Gap:
         return f"{self.file}: {self.function}: {self.source}"
 
 
+def functions_of(text: str) -> list[str]:
+    """The function in whose head or body each line is. What gcov says is that which a line was inlined into."""
+    found, current = [], "?"
+    for line in text.splitlines():
+        head = re.match(r"[a-z].*?\b(\w+)\(", line)
+        if head and not line.startswith("typedef") and not line.endswith(";"):
+            current = head[1]
+        found.append(current)
+    return found
+
+
 def gaps_of(report: Mapping[str, Any], root: Path = ROOT) -> tuple[list[Gap], dict[str, int]]:
     """The gaps in a report of gcovr (--json), and the numbers of lines and branches with those that ran."""
     gaps: list[Gap] = []
     totals: Counter[str] = Counter()
     for file in report["files"]:
         path = root / file["file"]
-        text = path.read_text().splitlines()
+        text, functions = path.read_text().splitlines(), functions_of(path.read_text())
         seen: dict[int, dict[str, Any]] = {}
         for row in file["lines"]:  # a line of a function that is inlined, or of a header, may have several rows
             if row.get("gcovr/noncode"):
                 continue
-            known = seen.setdefault(row["line_number"], {"count": 0, "function": row.get("function_name"), "taken": []})
+            known = seen.setdefault(row["line_number"], {"count": 0, "taken": []})
             known["count"] += row["count"]
             taken = [branch["count"] for branch in row["branches"]]
             old = known["taken"]
@@ -63,7 +75,7 @@ def gaps_of(report: Mapping[str, Any], root: Path = ROOT) -> tuple[list[Gap], di
             totals["branches taken"] += len(row["taken"]) - untaken
             what = "line" if row["count"] == 0 else f"{untaken} of {len(row['taken'])} branches" if untaken else ""
             if what:
-                gaps.append(Gap(path.name, row["function"] or "?", number, text[number - 1].strip(), what))
+                gaps.append(Gap(path.name, functions[number - 1], number, text[number - 1].strip(), what))
     return gaps, dict(totals)
 
 
@@ -88,58 +100,37 @@ def unexplained(gaps: Iterable[Gap], known: Mapping[str, str]) -> tuple[list[str
     return open_ones, [place for place in known if place not in needed]
 
 
-def measured(tests: Iterable[str], jobs: str) -> dict[str, Any]:
-    """Compile the library with counters, run the tests with it, and return the report of gcovr."""
-    shutil.rmtree(PLACE, ignore_errors=True)
-    package = PLACE / "harness" / "zygos"
-    shutil.copytree(ROOT / "harness" / "zygos", package, ignore=shutil.ignore_patterns("_native", "__pycache__"))
-    environment = {**os.environ, "CFLAGS": "--coverage", "OPENBLAS_NUM_THREADS": "1"}
-    build = [sys.executable, str(ROOT / "tools" / "build_native.py"), str(package / "_native")]
-    subprocess.run(build, check=True, env=environment, cwd=ROOT)
-    environment["PYTHONPATH"] = str(PLACE / "harness")
-    command = [
-        sys.executable,
-        "-m",
-        "pytest",
-        "-n",
-        jobs,
-        "--dist",
-        "loadfile",
-        "-m",
-        "not slow",
-        "-o",
-        "quick_limit_s=0",
-    ]
-    done = subprocess.run([*command, *tests], cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+def measured() -> Path:
+    """Run `make coverage`, which leaves its counters in build/coverage. Returns the checkout. Errors: ZygosError."""
+    done = subprocess.run(["make", "coverage"], cwd=ROOT, capture_output=True, text=True, check=False)
     if done.returncode != 0:
-        raise ZygosError(f"a test fails with counters: {done.stdout[-800:]}; remedy: repair it")
-    return reported()
+        raise ZygosError(f"`make coverage` fails: {(done.stdout + done.stderr)[-800:]}; remedy: see there")
+    return ROOT
 
 
-def reported() -> dict[str, Any]:
-    """What gcovr says of the counters of the last run."""
+def reported(checkout: Path) -> dict[str, Any]:
+    """What gcovr says of the counters in a checkout. Errors: ZygosError if there are none, or of other sources."""
+    native = checkout / "build" / "coverage" / "harness" / "zygos" / "_native"
+    if not any(native.glob("*.gcda")):
+        raise ZygosError(f"{checkout} has no counters of the C library; remedy: run `make coverage` there")
+    if digest(checkout) != digest():
+        raise ZygosError(f"the sources of {checkout} are not those of this checkout; remedy: leave out COUNTERS=")
+    PLACE.mkdir(parents=True, exist_ok=True)
+    for path in native.glob("*.gc??"):
+        shutil.copy(path, PLACE)
     out = PLACE / "report.json"
-    tool = [
-        sys.executable,
-        "-m",
-        "gcovr",
-        "--config",
-        os.devnull,
-        "--root",
-        str(ROOT),
-        "--filter",
-        f"{ROOT}/c/[a-z]+\\.c",
-    ]
-    subprocess.run([*tool, "--json", str(out), str(PLACE)], cwd=ROOT, check=True, capture_output=True)
+    tool = [sys.executable, "-m", "gcovr", "--config", os.devnull, "--root", str(checkout)]
+    tool += ["--filter", f"{checkout}/c/[a-z]+\\.c", "--json", str(out), str(PLACE)]
+    subprocess.run(tool, cwd=checkout, check=True, capture_output=True)
     content: dict[str, Any] = json.loads(out.read_text())
     return content
 
 
-def result(tests: Iterable[str], jobs: str = "auto") -> Result:
-    """Lines and branches, with each gap that has no reason."""
+def result(counters: str) -> Result:
+    """Lines and branches, with each gap that has no reason. counters: a checkout that has them; empty: count anew."""
     if shutil.which("gcov") is None:
         return missing("gcov", "gcc")
-    gaps, totals = gaps_of(measured(tests, jobs))
+    gaps, totals = gaps_of(reported(Path(counters).resolve() if counters else measured()))
     open_ones, unused = unexplained(gaps, reasons(GAPS))
     figure = (
         f"{totals['lines run']:,} of {totals['lines']:,} lines ({totals['lines run'] / totals['lines']:.1%}), "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import resource
 import shutil
 import subprocess
 import time
@@ -79,6 +80,7 @@ def result(minutes: float) -> Result:
     folders = {name: PLACE / name for name in ("frames", "states")}
     for folder in folders.values():
         folder.mkdir(parents=True, exist_ok=True)
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
     with ThreadPoolExecutor(workers) as pool:
         free = pool.submit(bytes_for, program, 2.0 * seconds, PLACE) if program else None
         frames = pool.submit(
@@ -92,8 +94,10 @@ def result(minutes: float) -> Result:
         tried, found = free.result() if free else (0, [])
         found = [*found, *frames.result()[1], *states.result()[1]]
         counts = {"frames": frames.result()[0] * FRAMES, "states": states.result()[0] * STATES, "inputs": tried}
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    processor = after.ru_utime + after.ru_stime - used.ru_utime - used.ru_stime
     figure = (
-        f"{minutes:g} minutes: {counts['inputs']:,} guided inputs, {counts['frames']:,} frames and "
+        f"{minutes:g} minutes, of which the fuzzers had {processor / 60.0:.0f} of processor time: {counts['inputs']:,} guided inputs, {counts['frames']:,} frames and "
         f"{counts['states']:,} damaged states under the sanitizers; {len(found)} failures"
     )
     if not program and not found:

@@ -42,15 +42,16 @@ def judged(findings: Iterable[str], figure: str, **figures: Any) -> Result:
     return Result(FAILED if listed else PASSED, figure, listed, figures)
 
 
-def sources() -> list[Path]:
+def sources(checkout: Path = ROOT) -> list[Path]:
     """The files of the library."""
-    return sorted((ROOT / "c").glob("*.c"))
+    return sorted((checkout / "c").glob("*.c"))
 
 
-def digest() -> str:
+def digest(checkout: Path = ROOT) -> str:
     """Short digest of the library and its headers, which says of which state a result is."""
     total = hashlib.sha256()
-    for path in [*sources(), *sorted((ROOT / "include" / "zygos").glob("*.h")), ROOT / "c" / "flags.txt"]:
+    headers = sorted((checkout / "include" / "zygos").glob("*.h"))
+    for path in [*sources(checkout), *headers, checkout / "c" / "flags.txt"]:
         total.update(path.name.encode() + path.read_bytes())
     return total.hexdigest()[:12]
 

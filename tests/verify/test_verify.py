@@ -236,12 +236,12 @@ def test_the_page_says_of_which_sources_a_result_is(tmp_path: Path, monkeypatch:
 
 
 def report(**rows: Any) -> dict[str, Any]:
-    line = {"line_number": 2, "count": 1, "function_name": "f", "branches": [], **rows}
+    line = {"line_number": 2, "count": 1, "function_name": "caller", "branches": [], **rows}
     return {"files": [{"file": "small.c", "lines": [line]}]}
 
 
 def test_a_gap_without_a_reason_fails(tmp_path: Path) -> None:
-    (tmp_path / "small.c").write_text("int f(void)\n    if (a || b) {\n")
+    (tmp_path / "small.c").write_text("int f(void)\n    if (a || b) {\n    g(a);\n")
     branches = [{"count": 4}, {"count": 0}, {"count": 2}, {"count": 2}]
     gaps, totals = coverage.gaps_of(report(branches=branches), tmp_path)
     assert totals == {"lines": 1, "lines run": 1, "branches": 4, "branches taken": 3}
