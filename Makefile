@@ -31,7 +31,7 @@ $(error CAPACITIES holds $(filter-out -DZYGOS_%,$(CAPACITIES)), which is no capa
 endif
 
 .DEFAULT_GOAL := demo
-.PHONY: lock demo real build library install uninstall FORCE node test test-slow test-all coverage times kernels hil pil gap loop bench verify limits accuracy mission ground demo-log reference lint format warnings clean help
+.PHONY: lock demo real build library install uninstall FORCE node test test-slow test-all coverage times kernels hil latency pil gap loop bench verify limits accuracy mission soak ground demo-log reference lint format warnings clean help
 
 demo: build ## set up, run the paper's example over CAN, show the result (out/demo/report.html)
 	$(BIN)/python -m zygos.demo
@@ -136,6 +136,9 @@ hil: build node $(VENV)/.test ## fault drills across a real vcan (the kernel's, 
 	    $(if $(DUT),$(DRILLS),tests/hil) --zygos-channel $(or $(CHANNEL),$(firstword $(ZYGOS_VCAN_IFS)),vcan0) \
 	    --zygos-dut $(or $(DUT),$(NODE)) --zygos-scenario examples/lively/scenario.toml --zygos-json $${ZYGOS_OUT:-out}/hil.json
 
+latency: $(VENV)/.test ## write the latencies of docs/hil.md and docs/latency.svg from the last `make hil`
+	$(BIN)/python tools/latency.py $${ZYGOS_OUT:-out}/hil.json docs/hil.md docs/latency.svg
+
 pil: build $(VENV)/.test ## the library as firmware on an emulated Cortex-M7 and Cortex-M4F: the host's bits (QEMU)
 	$(PYTEST) tests/pil
 
@@ -157,6 +160,9 @@ accuracy: build $(VENV)/.test ## errors, coverage and refusals of all estimators
 
 mission: build $(VENV)/.test ## intervals over missions of up to 30 days of fresh noise (docs/mission.md; 30 minutes; LENGTHS="300s 3h" DRAWS=)
 	$(BIN)/python -m zygos.accuracy.missions $(LENGTHS) $(if $(DRAWS),--draws $(DRAWS))
+
+soak: build $(VENV)/.test ## 30 days of 2 joints, 3.6 hours of 7: estimates, intervals, counters (out/soak.json, docs/soak.md; 10 minutes; NAMES= FULL=1)
+	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tests:tests/support $(BIN)/python -m soak $(NAMES) $(if $(FULL),--full)
 
 ground: build $(VENV)/.test ## simulated laboratory arms: do the intervals hold (docs/ground.md; 40 minutes; ARMS= DRAWS=)
 	$(BIN)/python -m zygos.accuracy.ground $(ARMS) $(if $(DRAWS),--draws $(DRAWS))

@@ -120,6 +120,8 @@ class Joint:
     motor_encoder: Encoder
     torque_sigma: float = 0.0
     """Standard deviation of the reported torque, Nm, on its side of the gear."""
+    torque_relative_sigma: float = 0.0
+    """Standard deviation of the reported torque as a share of its size. Both deviations add in squares."""
     latch_us: int = 0
     """Delay of both encoders' latch after SYNC in µs, as stated in the CAN frame."""
     flexible: bool = True
@@ -667,6 +669,14 @@ def read_joint(table: Table) -> Joint:
         torque_sigma=table.number(
             "torque_sigma", "Standard deviation of the reported torque, where it is reported.", 0.0, low=0.0, unit="Nm"
         ),
+        torque_relative_sigma=table.number(
+            "torque_relative_sigma",
+            "Standard deviation of the reported torque as a share of its size. It adds to torque_sigma in squares. The "
+            "simulator draws it, and `zygos bound` weighs torques by it.",
+            0.0,
+            low=0.0,
+            high=1.0,
+        ),
         latch_us=table.integer(
             "latch_us",
             "Delay from SYNC to the instant at which both encoders are read.",
@@ -959,7 +969,10 @@ def save_arm(arm: Arm, path: str | Path) -> None:
         entry.update({"frame_rpy": list(joint.frame_rpy), "gear_ratio": joint.gear_ratio})
         if joint.position_m is not None:
             entry["position_m"] = list(joint.position_m)
-        entry.update({"torque_sigma": joint.torque_sigma, "latch_us": joint.latch_us, "flexible": joint.flexible})
+        entry["torque_sigma"] = joint.torque_sigma
+        if joint.torque_relative_sigma > 0.0:
+            entry["torque_relative_sigma"] = joint.torque_relative_sigma
+        entry.update({"latch_us": joint.latch_us, "flexible": joint.flexible})
         if joint.flexible:
             entry["link_encoder"] = _encoder_entry(joint.link_encoder)
         entry["motor_encoder"] = _encoder_entry(joint.motor_encoder, joint.gear_ratio)

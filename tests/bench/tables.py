@@ -27,6 +27,9 @@ HELD = BUDGETS | {("x86-64", "paper, bare"): 4300}
 """What is held: the budgets that are met, and what stands in for the one that is not."""
 QUARTER = 0.25
 """Most that balance and accumulator take of the instructions of Pinocchio, as it comes, and Eigen; paper's arm."""
+CLOCK_MHZ, CYCLES_PER_INSTRUCTION = 216.0, (1.0, 2.0)
+"""For times on a Cortex-M7: a usual clock, and what is assumed, not measured. The processor issues up to two
+instructions a cycle; products of doubles, branches and memory beyond the caches take several."""
 SHOWN = 12
 """Functions of a profile that a table has."""
 
@@ -128,6 +131,7 @@ def _details(content: dict[str, Any]) -> str:
     out = ["\n" + " · ".join(content["tools"].values()) + "\n"]
     of = {(row["target"], row["configuration"], row["stage"]): row for row in content["rows"]}
     out.append(_budgets(content, of))
+    out.append(_times(of))
     for name in CONFIGURATIONS:
         head = [f"{title}{what}" for title in TITLES.values() for what in ("", ", spread", ", most")]
         lines = []
@@ -199,6 +203,34 @@ def _budgets(content: dict[str, Any], of: dict[tuple[str, str, str], dict[str, A
         "\n### Budgets\n\n"
         + _table(("full cycle", "instructions, or ratio of instructions", "budget"), lines)
         + "".join(missed)
+    )
+
+
+def _times(of: dict[tuple[str, str, str], dict[str, Any]]) -> str:
+    """Times on a Cortex-M7 at a stated clock, as they follow from the counts."""
+
+    def cells(instructions: float, unit_s: float) -> str:
+        times = (instructions * cycles / (CLOCK_MHZ * 1e6) / unit_s for cycles in CYCLES_PER_INSTRUCTION)
+        return " – ".join(f"{time:,.0f}" if time >= 100.0 else f"{time:.3g}" for time in times)
+
+    lines = []
+    for name, make in CONFIGURATIONS.items():
+        together, solve = of["m7", name, TOGETHER], of["m7", name, "solve"]
+        lines.append(
+            [
+                _title(name, together["parameters"]),
+                f"{1e3 * make().arm.period_s:g}",
+                cells(together["instructions"], 1e-6),
+                cells(together["most"], 1e-3),
+                cells(solve["most"], 1e-3),
+            ]
+        )
+    low, high = CYCLES_PER_INSTRUCTION
+    return (
+        f"\n### Time on a Cortex-M7 at {CLOCK_MHZ:g} MHz\n\n"
+        f"The counts times {low:g} to {high:g} processor cycles per instruction. This factor is assumed: QEMU has "
+        "neither caches nor a pipeline. Measure it on the board, with the memory that holds the structs.\n\n"
+        + _table(("configuration", "SYNC period, ms", "full cycle, µs", "most expensive cycle, ms", "solve, ms"), lines)
     )
 
 

@@ -273,6 +273,7 @@ OUTPUTS: list[tuple[tuple[object, ...], str, str]] = [
     (("dbc", "--arm", EXAMPLE / "arm.toml"), "-o", ".dbc"),
     (("parameters", EXAMPLE / "arm.toml"), "--json", ".json"),
     (("plan", EXAMPLE / "arm.toml", "--model", EXAMPLE / "model.toml", EXAMPLE / "scenario.toml"), "-o", ".toml"),
+    (("bound", EXAMPLE / "scenario.toml"), "--json", ".json"),
     (("plan", EXAMPLE / "arm.toml", "--model", EXAMPLE / "model.toml", EXAMPLE / "scenario.toml"), "--json", ".json"),
     (("plan", EXAMPLE / "arm.toml", "--model", EXAMPLE / "model.toml", EXAMPLE / "scenario.toml"), "--report", ".html"),
     (("compile-model", EXAMPLE / "arm.toml", "-o", "{out}/x"), "--json", ".json"),

@@ -68,6 +68,7 @@ CASES: dict[str, tuple[object, ...]] = {
     "dbc": ("dbc", "--arm", ARM, "-o", "{out}/arm.dbc"),
     "parameters": ("parameters", ARM),
     "plan": ("plan", ARM, "--model", MODEL, "--candidates", SCENARIO),
+    "bound": ("bound", SCENARIO, "--torque-noise", 0, "--torque-noise", 0.005),
     "compile-model": ("compile-model", ARM, "-o", "{out}"),
     "bus-load": ("bus-load", "--arm", ARM),
     "bus-load, log": ("bus-load", "--arm", ARM, "--run", "{in}/run.blf"),

@@ -26,7 +26,7 @@ from zygos.accuracy.cell import Cell, cells, sensed
 from zygos.accuracy.estimators import ESTIMATORS
 from zygos.accuracy.figure4 import PRINTED, Figure4
 from zygos.accuracy.page import write_accuracy_report
-from zygos.accuracy.summary import compare, inertia, summarise
+from zygos.accuracy.summary import compare, summarise
 from zygos.arm import Arm
 from zygos.dynamics.engines import engine
 from zygos.errors import ZygosError
@@ -35,6 +35,7 @@ from zygos.native.flight import Flight
 from zygos.paper import printed, response
 from zygos.paper.methods import eb
 from zygos.paper.tables import flight_estimates, noisy_record
+from zygos.refine.inertia import inertia
 from zygos.simulation.plant import Trajectory, simulate
 from zygos.simulation.scenario import Scenario
 

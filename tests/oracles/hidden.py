@@ -72,6 +72,8 @@ class Motion(NamedTuple):
     """(n, N) through the joints, after the gear."""
     torques: Array
     """(n, laws) of the hidden laws along their directions."""
+    ratio: Array
+    """(N,) of the gears."""
 
 
 @dataclass
@@ -377,7 +379,7 @@ class SmoothAsymmetry(AsymmetricViscous):
 
 @dataclass
 class LoadFriction(Law):
-    """Friction in proportion to the load."""
+    """Friction in proportion to the load, both after the gear."""
 
     v0: float = 0.004
 
@@ -385,10 +387,10 @@ class LoadFriction(Law):
     near = ("motor_coulomb",)
 
     def torque(self, now: Now) -> float:
-        return -self.size * abs(now.load) * tanh(self._rate(now) / self.v0)
+        return -self.size * abs(now.load) / now.ratio * tanh(self._rate(now) / self.v0)
 
     def column(self, motion: Motion) -> Array:
-        return -np.abs(motion.load[:, self.joint]) * _sign(self._rates(motion))
+        return -np.abs(motion.load[:, self.joint]) / motion.ratio[self.joint] * _sign(self._rates(motion))
 
     def stiffness(self) -> float:
         return self.size * 100.0 / self.v0

@@ -294,7 +294,7 @@ class TreePlant:
         if not all(np.isfinite(values).all() for values in keep.values()):
             raise FloatingPointError(f"scenario {scenario.name}: the motion diverges")
         return Motion(t, keep["q"], keep["qd"], keep["theta"], keep["thetad"], omega, np.unwrap(attitude), keep["tau"],
-                      keep["load"], torques)  # fmt: skip
+                      keep["load"], torques, self.ratio)  # fmt: skip
 
     def _load(self, data: mujoco.MjData, tau: Array, angles: Angles) -> Array:
         """(N,) torque that passes through each joint: that of the spring, or of the drive where it is rigid."""

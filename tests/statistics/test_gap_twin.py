@@ -428,8 +428,8 @@ def test_sums_do_not_depend_on_how_draws_are_split() -> None:
     accepted = everything(twin)
     accepted[0, 100:200] = False
     zeros = zero_columns(Layout(arm), twin.exact, base)
-    whole = draws(twin, accepted, 4, Layout(arm), (h,), zeros)
-    halves = [draws(twin, accepted, 2, Layout(arm), (h,), zeros, seed) for seed in (0, 2)]
+    whole = draws(twin, accepted, 4, Layout(arm), (h,), zeros, base)
+    halves = [draws(twin, accepted, 2, Layout(arm), (h,), zeros, base, seed) for seed in (0, 2)]
     readings = [measure(twin, seed) for seed in range(4)]
     stacked = Readings(
         *(np.stack([getattr(one, name) for one in readings]) for name in ("q", "theta", "omega0", "tau"))

@@ -161,7 +161,7 @@ def test_a_turned_gyro_reads_in_its_own_frame() -> None:
 def test_torque_laws(law: str, expected: list[float]) -> None:
     arm = replace(lively()[0], torque_law=law)  # type: ignore[arg-type]
     tau = np.array([[1.0, 1.0], [2.0, 2.0], [3.0, 3.0]])
-    np.testing.assert_array_equal(torque_record(arm, tau, np.zeros((3, 2)))[:, 1], expected)
+    np.testing.assert_array_equal(torque_record(arm, tau, np.zeros((3, 2)), np.zeros((3, 2)))[:, 1], expected)
 
 
 def test_no_noise_is_none() -> None:
@@ -169,3 +169,14 @@ def test_no_noise_is_none() -> None:
     assert noise.link.shape == noise.motor.shape == noise.torque.shape == (2, 5, 2)
     assert noise.gyro.shape == noise.bias.shape == (2, 5, 3)
     assert not any(array.any() for array in (noise.link, noise.motor, noise.torque, noise.gyro))
+
+
+def test_torque_noise_grows_with_the_torque() -> None:
+    arm = loud()
+    joints = tuple(replace(joint, torque_relative_sigma=0.05) for joint in arm.joints)
+    noise = draw_noise(replace(arm, joints=joints), 20_000, [3])
+    for size in (0.0, 0.2, 5.0):
+        tau = np.full((20_000, 2), size)
+        error = torque_record(arm, tau, noise.torque[0], noise.torque_share[0]) - tau
+        assert_gaussian(error[None, :, 0], np.hypot(0.02, 0.05 * size))
+    np.testing.assert_array_equal(noise.torque, draw_noise(arm, 20_000, [3]).torque)

@@ -183,8 +183,11 @@ def test_false_alarms_are_as_rare_as_stated() -> None:
     every = thinning(found.layout.arm)
     fresh = []
     for run, (twin, kept) in enumerate(zip(found.twins, found.accepted, strict=True)):
-        zeros = zero_columns(found.layout, found.records[run].readings(), base_values(found.model, found.layout), every)
-        drawn = draws(twin, kept, searches, found.layout, found.hypothesis.uncentred, zeros, 1000 * (run + 1), every)
+        base = base_values(found.model, found.layout)
+        zeros = zero_columns(found.layout, found.records[run].readings(), base, every)
+        drawn = draws(
+            twin, kept, searches, found.layout, found.hypothesis.uncentred, zeros, base, 1000 * (run + 1), every
+        )
         fresh.append(replace(drawn, noise=found.twin_sums[run].noise))
     z = np.empty((2, searches, len(names)))
     for k, name in enumerate(names):

@@ -27,7 +27,7 @@ from zygos.native import snapshot
 from zygos.native.flight import Estimate, Flight, encode
 from zygos.runs.cycles import Cycles
 from zygos.simulation.plant import record, simulate
-from zygos.simulation.sensors import draw_noise, no_noise
+from zygos.simulation.sensors import draw_noise, no_noise, torque_error
 
 Floats = NDArray[np.float64]
 Line = dict[str, Any]
@@ -204,7 +204,7 @@ def sensed_motions(mission: Mission, motions: Sequence[Cycles]) -> Iterator[Cycl
             sync=np.arange(sync, sync + n, dtype=np.uint64),
             q=motion.q[:n] + noise.link[0],
             theta=motion.theta[:n] + noise.motor[0],
-            tau=motion.tau[:n] + noise.torque[0],
+            tau=motion.tau[:n] + torque_error(motion.tau[:n], noise.torque[0], noise.torque_share[0]),
             omega=motion.omega[:n] + noise.gyro[0] + bias,
             flags=motion.flags[:n],
         )

@@ -13,13 +13,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import eigh
 
 from zygos.accuracy.cases import Case
 from zygos.accuracy.estimators import ESTIMATORS, Estimator
 from zygos.arm import Arm
-from zygos.balances.kinematics import body_columns
-from zygos.balances.state import State
+from zygos.refine.inertia import POSTURES, inertia_errors
 from zygos.simulation.score import score
 
 Floats = NDArray[np.float64]
@@ -28,8 +26,6 @@ Line = dict[str, Any]
 RELIED_ON = ("valid", "partial")
 WILD_SIGMAS, WILD_PERCENT = 5.0, 2.0
 """A published value is called wild if its error is above both limits."""
-POSTURES = 200
-"""Number of postures at which the inertia matrix of a spatial arm is compared."""
 
 
 @dataclass(frozen=True)
@@ -187,43 +183,8 @@ def _wild(answers: EstimatorResults, true: Floats, error: Floats) -> int:
         return int(np.sum(far & (np.abs(error) > WILD_PERCENT)))
 
 
-def inertia(arm: Arm, q: Floats, values: Floats) -> Floats:
-    """(P, 3+N, 3+N) inertia matrices H of base and joints, rotors locked, at postures q (P, N) [rad], kg m^2.
-
-    The energy of the bodies is 1/2 u' H u, so that each entry follows from three energies.
-    """
-    size = 3 + arm.n
-    kinetic = arm.structure.expanded(values[: len(arm.parameter_names)])[: len(arm.full_body_names)]
-
-    def energy(u: Floats) -> Floats:
-        """(P,) [J] with the rates u (size,)."""
-        rates = np.broadcast_to(u, (len(q), size))
-        still = np.zeros_like(q)
-        columns, _ = body_columns(arm, State(q, q, rates[:, 3:], still, rates[:, :3]))
-        return columns @ kinetic
-
-    units = np.eye(size)
-    own = np.array([energy(unit) for unit in units])
-    out = np.empty((len(q), size, size))
-    for i in range(size):
-        for j in range(size):
-            out[:, i, j] = energy(units[i] + units[j]) - own[i] - own[j]
-    return out
-
-
 def _inertia_errors(arm: Arm, solutions: Floats, true: Floats) -> dict[str, Any]:
-    """Largest deviation from 1 of the generalised eigenvalues of an estimated inertia matrix and the true one, percent:
-    worst and median over the postures, rms over the seeds of each."""
-    q = np.random.default_rng(0).uniform(-np.pi, np.pi, (POSTURES, arm.n))
-    right = inertia(arm, q, true)
-    worst, median = [], []
-    for solution in solutions[np.isfinite(solutions).all(axis=1)]:
-        found = inertia(arm, q, solution)
-        off = [100.0 * np.max(np.abs(eigh(a, b, eigvals_only=True) - 1.0)) for a, b in zip(found, right, strict=True)]
-        worst.append(max(off))
-        median.append(float(np.median(off)))
-
-    def rms(values: list[float]) -> float | None:
-        return float(np.sqrt(np.mean(np.square(values)))) if values else None
-
-    return {"postures": POSTURES, "seeds": len(worst), "worst_percent": rms(worst), "median_percent": rms(median)}
+    """Worst and median error of the inertia matrix, percent, as `inertia_errors`."""
+    kept = solutions[np.isfinite(solutions).all(axis=1)]
+    worst, median = inertia_errors(arm, kept, true) or (None, None)
+    return {"postures": POSTURES, "seeds": len(kept), "worst_percent": worst, "median_percent": median}

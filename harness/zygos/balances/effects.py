@@ -6,7 +6,7 @@ A balance is linear in the coefficients of effects; the column of an effect is w
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +45,8 @@ class Signals:
     """(..., m) or (m,) time since the start of the run, s; only laws that depend on time need it."""
     load: Floats = UNKNOWN
     """(..., m) torque through the gear as a model predicts it, after the gear, Nm; only laws of the load need it."""
+    torques: dict[tuple[str, float | None], Floats] = field(default_factory=dict, compare=False, repr=False)
+    """What `torque` has answered: a law stands in several balances, and one with a memory is dear."""
 
     @classmethod
     def of(
@@ -83,13 +85,25 @@ class Signals:
         """(..., m) rate of the deflection, rad/s."""
         return self.motor_rate - self.link_rate
 
-    def motion(self, kind: Kind, shape: float) -> Motion:
-        """What a law depends on."""
-        rate, angle = {
+    def side(self, kind: Kind) -> tuple[Floats, Floats]:
+        """(..., m) rate, rad/s, and angle, rad, of what the law of an entry acts on."""
+        return {
             "motor": (self.motor_rate, self.motor_angle),
+            "load": (self.motor_rate, self.motor_angle),
             "torque": (self.motor_rate, self.motor_angle),
             "spring": (self.slip, self.deflection),
         }.get(kind.place, (self.link_rate, self.link_angle))
+
+    def torque(self, kind: Kind, shape: float) -> Floats:
+        """(..., m) f along the motion, per unit of its coefficient. Errors: ZygosError for a site without such laws."""
+        key = kind.key, None if np.isnan(shape) else shape
+        if key not in self.torques:
+            self.torques[key] = _law(kind)(self.motion(kind, shape), shape)
+        return self.torques[key]
+
+    def motion(self, kind: Kind, shape: float) -> Motion:
+        """What a law depends on."""
+        rate, angle = self.side(kind)
         motion = Motion(
             rate=rate,
             angle=angle,
@@ -150,8 +164,8 @@ def energy_column(kind: Kind, signals: Signals | BaseSignals, shape: float | Non
         return -_held(kind, s, form, s.gear_ratio * s.motor_rate)
     if kind.potential is not None:
         return kind.potential(s.deflection, form)
-    motion, factor = s.motion(kind, form), s.gear_ratio if kind.place == "motor" else 1.0
-    return s.totals.integral(factor * _law(kind)(motion, form) * motion.rate)
+    factor = s.gear_ratio if kind.place == "motor" else 1.0
+    return s.totals.integral(factor * s.torque(kind, form) * s.side(kind)[0])
 
 
 def impulse_column(kind: Kind, signals: Signals, shape: float | None = None) -> Floats:
@@ -162,14 +176,11 @@ def impulse_column(kind: Kind, signals: Signals, shape: float | None = None) -> 
         return kind.impulse(s.motor_angle)
     if kind.lags:
         return np.asarray(0.5 * (s.before + s.after), dtype=np.float64)
-    law = _law(kind)
-    if kind.place == "spring":
-        return s.totals.integral(law(s.motion(kind, form), form)) / s.gear_ratio
+    if kind.place == "link":
+        return np.zeros_like(s.link_rate)
     if kind.place == "torque":
         return -_held(kind, s, form, np.ones_like(s.motor_rate))
-    if kind.place == "motor":
-        return s.totals.integral(law(s.motion(kind, form), form))
-    return np.zeros_like(s.link_rate)
+    return s.totals.integral(s.torque(kind, form)) / (1.0 if kind.place == "motor" else s.gear_ratio)
 
 
 def joint_column(kind: Kind, signals: Signals, flexible: bool, shape: float | None = None) -> Floats:
@@ -179,9 +190,9 @@ def joint_column(kind: Kind, signals: Signals, flexible: bool, shape: float | No
     """
     form, s = kind.shape if shape is None else shape, signals
     if kind.place == "spring":
-        return -s.totals.integral(_law(kind)(s.motion(kind, form), form))
-    if kind.place in ("link", "load"):
-        return s.totals.integral(_law(kind)(s.motion(kind, form), form))
+        return -s.totals.integral(s.torque(kind, form))
+    if kind.place == "link":
+        return s.totals.integral(s.torque(kind, form))
     return np.zeros_like(s.link_rate) if flexible else s.gear_ratio * impulse_column(kind, s, shape)
 
 

@@ -16,6 +16,7 @@ from zygos.files.output import errors_end_the_program
 COMMANDS = {
     "simulate": ("simulate", "Simulate a run: plant, servo and sensors, recorded as CAN traffic."),
     "plan": ("plan", "Plan a motion that excites every parameter, or rank given motions by what they tell."),
+    "bound": ("bound", "Compute the smallest standard deviations that any estimator can have from a motion."),
     "estimate": ("estimate", "Estimate the parameters from one or several runs of an arm."),
     "predict": ("predict", "Compare the torques of runs with those that a model predicts, joint by joint."),
     "check": ("check", "Compare the C library with numpy on a run, stage by stage."),

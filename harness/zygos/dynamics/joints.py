@@ -272,7 +272,8 @@ class Drives(ABC):
             return Motion(rate=rate, angle=angle, time=time, memory=own)
         q, theta, qd, thetad = (x[..., i] for x in (state.q, state.theta, state.qd, state.thetad))
         deflection, slip = theta - q, thetad - qd
-        sides = {"motor": (thetad, theta), "torque": (thetad, theta), "spring": (slip, deflection)}
+        own_side = (thetad, theta)
+        sides = {"motor": own_side, "torque": own_side, "load": own_side, "spring": (slip, deflection)}
         rate, angle = sides.get(law.kind.place, (qd, q))
         time = np.broadcast_to(moment.time, q.shape)
         return Motion(rate, angle, deflection, slip, applied, load, time, float(self.gear_ratio[i]), own)
@@ -300,6 +301,8 @@ class Drives(ABC):
                 spring[..., i] += 0.0 if self.rigid[i] else torque
             elif kind.place == "motor":
                 motor[..., i] += torque
+            elif kind.place == "load":
+                motor[..., i] += torque / self.gear_ratio[i]
             elif kind.place == "torque":
                 motor[..., i] -= torque
             else:

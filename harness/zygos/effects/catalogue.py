@@ -309,9 +309,11 @@ ENTRIES = (
         "1",
         "load",
         _with_load,
+        twins=("motor_coulomb",),
         searched=False,
+        searched_last=True,
         searched_on_ground=True,
-        formula="|load| tanh(q̇ / 0.01 rad/s)",
+        formula="|load| tanh(θ̇ / 0.01 rad/s)",
     ),
     Kind(
         "torque_gain",

@@ -4,7 +4,7 @@ At each site the coefficient c of a law f acts in the same way for every law:
 
     motor    rotor torque -c f                        before the gear
     link     torque -c f on the link                  after the gear
-    load     torque -c f on the link; f grows with the torque through the gear
+    load     rotor torque -c f / n; f grows with the torque through the gear, after it
     spring   torque +c f on the link, -c f / n on the rotor
     torque   the motor's torque exceeds the reported one by c f
     base     torque +c f on the base, in base axes

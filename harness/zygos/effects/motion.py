@@ -19,7 +19,7 @@ class Motion:
     """What a law may depend on, at instants of any shape (...). What is not known is NaN."""
 
     rate: Array = UNKNOWN
-    """rad/s: of the motor after the gear (motor, torque), of the link (link, load), of the deflection (spring), of the
+    """rad/s: of the motor after the gear (motor, torque, load), of the link (link), of the deflection (spring), of the
     base about the axis of a planar arm (base)."""
     angle: Array = UNKNOWN
     """rad: the integral of the rate; of the base since the start of the run."""

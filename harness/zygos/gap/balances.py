@@ -32,6 +32,7 @@ from zygos.balances.kinematics import body_columns
 from zygos.balances.quadrature import FromOrigin, from_first, integral, step_integrals
 from zygos.balances.readings import Readings
 from zygos.balances.state import State
+from zygos.dynamics.joints import by_name
 from zygos.effects import CATALOGUE, OFFSET, Effect, Kind, column_name, columns_at
 from zygos.gap.record import MeasuredRun, smoothed_states
 
@@ -40,7 +41,7 @@ Indices = NDArray[np.int64]
 
 _SHIFT = 1e-6
 """Error of a sensor with which the columns of such errors are computed: rad, rad/s, Nm."""
-_ACTING = ("motor", "link", "spring", "torque")
+_ACTING = ("motor", "link", "spring", "torque", "load")
 """Places of effects that act at a joint."""
 _OFFSET = 1e2
 """Deviation of the constant error of a torque sensor that has noise, Nm: nobody declares it."""
@@ -152,7 +153,7 @@ class Layout:
         listed = [*self.own]
         shapes = dict(self.shapes)
         for kind in CATALOGUE.values():
-            if kind.key == OFFSET or not (kind.searched or (self.wide and kind.searched_last)) or kind.place == "load":
+            if kind.key == OFFSET or not (kind.searched or (self.wide and kind.searched_last)):
                 continue
             for column in columns_at(self.arm, kind):
                 one = Acting(kind, column.joint, column.component)
@@ -334,15 +335,15 @@ def balance_rows(
 ) -> BalanceRows:
     """Balances of arcs of readings, in the units of energy (J), impulse before the gear (Nms) and momentum (Nms).
 
-    values: base parameters (p,), about right: what an error of a sensor does to the balances depends on them. zeros:
-    the columns of these errors instead, by balance, as `zero_columns` has them. every: rows stand at every so many
-    instants.
+    values: base parameters (p,), about right: what an error of a sensor does to the balances, and the torque through a
+    gear, depend on them. zeros: the columns of these errors, by balance, as `zero_columns` has them. every: rows stand
+    at every so many instants. One of values and zeros may be left out: values where no effect depends on the load.
     """
     arm = layout.arm
     if zeros is None:
         assert values is not None
         zeros = zero_columns(layout, readings, values, every)
-    moving = _Moving.of(arm, readings, every)
+    moving = _Moving.of(arm, readings, every, values=values)
     bodies = [*_bodies(layout, moving)]
     out = []
     for k, (name, own, right) in enumerate(zip(layout.balances, bodies, _right(layout, moving), strict=True)):
@@ -405,9 +406,13 @@ class _Moving:
     """(A, instants) s."""
     turned: Array
     """(A, instants) rad."""
+    values: Array | None = None
+    """(p,) base parameters."""
 
     @classmethod
-    def of(cls, arm: Arm, readings: Readings, every: int, state: State | None = None) -> _Moving:
+    def of(
+        cls, arm: Arm, readings: Readings, every: int, state: State | None = None, values: Array | None = None
+    ) -> _Moving:
         half = arm.smoother.points // 2
         cycles = readings.tau.shape[-2]
         after = readings.tau[..., half : cycles - half, :]
@@ -415,7 +420,7 @@ class _Moving:
         clocks = (np.full(after.shape[-3:-1], np.nan) if x is None else x for x in (readings.time, readings.turned))
         time, turned = (x[:, half : cycles - half] if x.shape[-1] == cycles else x for x in clocks)
         smoothed = smoothed_states(arm, readings) if state is None else state
-        return cls(arm, smoothed, before, after, every, time, turned)
+        return cls(arm, smoothed, before, after, every, time, turned, values)
 
     @cached_property
     def thin(self) -> State:
@@ -468,9 +473,23 @@ class _Moving:
         """Of each joint."""
         totals = FromOrigin(self.arm.period_s)
         return [
-            Signals.of(self.arm, self.state, self.before, self.after, i, totals, time=self.time)
+            Signals.of(self.arm, self.state, self.before, self.after, i, totals, time=self.time, load=self.load)
             for i in range(self.arm.n)
         ]
+
+    @cached_property
+    def load(self) -> Array:
+        """(..., A, instants, N) torques through the gears, after them, Nm: of the springs, of which other effects are a
+        trifle, and of the motors of rigid joints. NaN without values."""
+        if self.values is None:
+            return np.full(self.after.shape, np.nan)
+        arm, s, value = self.arm, self.state, by_name(self.arm, self.values)
+        load = arm.gear_ratios * self.after
+        for i, one in enumerate(arm.joints):
+            if one.flexible:
+                spring, damper = value[f"k{i + 1}"], value[f"b{i + 1}"]
+                load[..., i] = spring * (s.theta - s.q)[..., i] + damper * (s.thetad - s.qd)[..., i]
+        return np.asarray(load, dtype=np.float64)
 
     @cached_property
     def base(self) -> BaseSignals:

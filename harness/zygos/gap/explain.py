@@ -179,7 +179,9 @@ class _Explainer:
         self.step(0.9, "verdict")
         values = self._values(after)
         verdict = (
-            changed or self._sensors_first(after, findings, skewed) or self._judge(found, tuple(findings), values, gap)
+            changed
+            or self._sensors_first(refit, after, findings, skewed)
+            or self._judge(found, tuple(findings), values, gap)
         )
         local = refit.local()
         experiments: tuple[Experiment, ...] = ()
@@ -254,7 +256,7 @@ class _Explainer:
             wider = self._wider(basis)
             if wider is not None and _explains_more(wider, found):
                 found = wider
-        if self._unsettled(found) and not _too_noisy(basis):
+        if self._unsettled(found) and not _too_quiet(basis).any():
             self.step(0.65, "changes with time")
             # what begins may be a usual entry, or any
             for study in (basis, *(() if wider is None else (wider.before,))):
@@ -477,7 +479,7 @@ class _Explainer:
         return forecast(realise(found.after.hypothesis, value), segments, (), closed) if found.after.physical else None
 
     def _sensors_first(
-        self, after: Study, findings: Sequence[Finding], skewed: Sequence[Deflection]
+        self, refit: Study, after: Study, findings: Sequence[Finding], skewed: Sequence[Deflection]
     ) -> ArmFileFirst | None:
         """What has to be put right in the arm file before anything can be said; None where it is right."""
         h = self.arm.period_s
@@ -490,8 +492,10 @@ class _Explainer:
         )
         if shifted or any(lag > 0.95 for lag in lags):
             return LateTorques(float(np.mean(lags)))
-        if _too_noisy(after):
-            return DeclaredTooNoisy(float(np.nanmin(after.excess)))
+        # a twin that moves by a law of nearly the same form may be harder to follow than the arm itself
+        quiet = _too_quiet(after) & _too_quiet(refit)
+        if quiet.any():
+            return DeclaredTooNoisy(float(np.min(after.excess[quiet])))
         return None
 
     def _judge(
@@ -631,9 +635,10 @@ class _Explainer:
         return Model(f"{self.simulation.name}, explained", parameters=parameters, effects=tuple(kept))
 
 
-def _too_noisy(study: Study) -> bool:
-    """Whether a fit is better than noise allows: noise was taken out of its sums that was never there."""
-    return bool(np.any(study.excess**2 - 1.0 < -allowed(study)[0]))
+def _too_quiet(study: Study) -> NDArray[np.bool_]:
+    """(runs, balances) whether a fit is better than noise allows: noise was taken out of its sums that was never
+    there."""
+    return np.asarray(study.excess**2 - 1.0 < -allowed(study)[0])
 
 
 def _worse(gap: Gap, struck: Forecast) -> bool:

@@ -435,12 +435,12 @@ def _fitted(
     made = np.array([coefficient(dynamics, hypothesis, name, sensors) for name in hypothesis.names])
     known = hypothesis.basis() @ np.concatenate([np.zeros(len(layout.zeros)), made, [-1.0]])
     drawn = tuple(
-        draws(twin, kept, count, layout, uncentred, own, count * k, every, known)
+        draws(twin, kept, count, layout, uncentred, own, base, count * k, every, known)
         for k, (twin, kept, own) in enumerate(zip(twins, accepted, zeros, strict=True))
     )
     sums = tuple(
         replace(
-            accumulate(balance_rows(layout, record.readings(), zeros=own, every=every), kept, uncentred),
+            accumulate(balance_rows(layout, record.readings(), base, zeros=own, every=every), kept, uncentred),
             noise=twin.noise,
             applied=off,
         )

@@ -24,7 +24,7 @@ from zygos.errors import Undecided
 from zygos.gap.balances import Layout, Sums, accumulate, balance_rows
 from zygos.gap.memory import memory_along
 from zygos.gap.record import MeasuredRun, smoothed_states
-from zygos.simulation.sensors import draw_noise
+from zygos.simulation.sensors import draw_noise, torque_error
 
 Array = NDArray[np.float64]
 
@@ -198,7 +198,8 @@ def measure(twin: Twin, seed: int) -> Readings:
         omega0 = omega0 + (gyro if arm.spatial else gyro @ arm.axis)
     # the motor's encoder measures both angles of a rigid joint
     q = np.where([joint.flexible for joint in arm.joints], q, theta)
-    return replace(exact, q=q, theta=theta, omega0=omega0, tau=exact.tau + shaped(noise.torque))
+    tau = exact.tau + torque_error(exact.tau, shaped(noise.torque), shaped(noise.torque_share))
+    return replace(exact, q=q, theta=theta, omega0=omega0, tau=tau)
 
 
 def draws(
@@ -208,15 +209,16 @@ def draws(
     layout: Layout,
     uncentred: Sequence[int],
     zeros: tuple[Array, ...],
+    values: Array,
     seed: int = 0,
     every: int = 1,
     known: Array | None = None,
 ) -> Sums:
     """Sums (count, ...) of readings of a twin, with seeds seed .. seed + count - 1, and what noise adds to them on
-    average. zeros, every: as of `balance_rows`; known: the twin's own coefficients, as of `accumulate`."""
+    average. zeros, values, every: as of `balance_rows`; known: the twin's own coefficients, as of `accumulate`."""
 
     def sums(readings: Readings) -> Sums:
-        return accumulate(balance_rows(layout, readings, zeros=zeros, every=every), accepted, uncentred, known)
+        return accumulate(balance_rows(layout, readings, values, zeros=zeros, every=every), accepted, uncentred, known)
 
     exact = sums(twin.exact)
     drawn = [sums(measure(twin, seed + k)) for k in range(count)]

@@ -116,7 +116,7 @@ def record(trajectory: Trajectory, index: int = 0) -> Cycles:
             noise.motor[index],
             noise.rounding,
         ),
-        tau=torque_record(arm, trajectory.tau[index], noise.torque[index]),
+        tau=torque_record(arm, trajectory.tau[index], noise.torque[index], noise.torque_share[index]),
         omega=gyro_reading(arm, _vector(arm, exact.omega0[None])[0], noise.gyro[index]),
         flags=np.zeros(n, dtype=np.uint32),
     )

@@ -28,11 +28,13 @@ class Noise:
     motor: Array
     """(B, n, N) errors of the motor encoders after the gear, rad; zero if they round."""
     torque: Array
-    """(B, n, N) errors of the reported rotor torque, Nm."""
+    """(B, n, N) errors of the reported rotor torque that do not depend on its size, Nm."""
     gyro: Array
     """(B, n, 3) errors of the gyro in its own frame, bias included, rad/s."""
     bias: Array
     """(B, n, 3) bias of the gyro at the start of each cycle, rad/s."""
+    torque_share: Array
+    """(B, n, N) errors of the reported rotor torque as shares of its size."""
     rounding: bool = False
     """Whether encoder readings are rounded to the quantum."""
 
@@ -53,6 +55,7 @@ def draw_noise(arm: Arm, cycles: int, seeds: Sequence[int], encoder_noise: Encod
     link = share * np.array([joint.link_encoder.sigma_rad for joint in arm.joints])
     motor = share * np.array([joint.motor_encoder.sigma_rad for joint in arm.joints])
     torque = np.array([joint.torque_sigma for joint in arm.joints])
+    share_of_torque = np.array([joint.torque_relative_sigma for joint in arm.joints])
     step = arm.imu.bias_walk * np.sqrt(arm.period_s)
     after = np.cumsum(step * normal[..., 3 * joints + 3 :], axis=1)
     bias = np.concatenate([np.zeros_like(after[:, :1]), after[:, :-1]], axis=1)
@@ -65,6 +68,7 @@ def draw_noise(arm: Arm, cycles: int, seeds: Sequence[int], encoder_noise: Encod
         torque * normal[..., 2 * joints : 3 * joints],
         gyro,
         bias,
+        share_of_torque * normal[..., 2 * joints : 3 * joints],
         rounding,
     )
 
@@ -73,7 +77,7 @@ def no_noise(arm: Arm, cycles: int, seeds: Sequence[int]) -> Noise:
     """Exact sensors, shapes as in `Noise`."""
     angles = np.zeros((len(seeds), cycles, arm.n))
     rates = np.zeros((len(seeds), cycles, 3))
-    return Noise(angles, angles, angles, rates, rates)
+    return Noise(angles, angles, angles, rates, rates, angles)
 
 
 def encoder_reading(encoders: Sequence[Encoder], angle: Array, error: Array, rounding: bool) -> Array:
@@ -101,12 +105,20 @@ def gyro_reading(arm: Arm, omega0: Array, error: Array) -> Array:
     return reading
 
 
-def torque_record(arm: Arm, tau: Array, error: Array) -> Array:
-    """(..., n, N) rotor torque as recorded, Nm, from the torque that acts on [t_k, t_{k+1}).
+def torque_error(tau: Array, error: Array, share: Array) -> Array:
+    """(..., N) errors of reported torques tau (..., N), Nm: those that do not depend on the torque (..., N), Nm, and
+    those that are shares of it (..., N), of the same sign. Their deviations add in squares."""
+    together: Array = np.copysign(np.hypot(error, share * tau), error + share)
+    return together
+
+
+def torque_record(arm: Arm, tau: Array, error: Array, share: Array) -> Array:
+    """(..., n, N) rotor torque as recorded, Nm, from the torque that acts on [t_k, t_{k+1}); error and share as in
+    `torque_error`.
 
     `applied_previous_cycle` records at k the torque of the period that ends at t_k (zero before the first).
     """
     record = tau
     if arm.torque_law == "applied_previous_cycle":
         record = np.concatenate([np.zeros_like(tau[..., :1, :]), tau[..., :-1, :]], axis=-2)
-    return record + error
+    return record + torque_error(record, error, share)

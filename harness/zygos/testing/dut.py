@@ -6,11 +6,12 @@ import math
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ from zygos.errors import ZygosError
 from zygos.files.names import ascii_name
 from zygos.native import snapshot
 from zygos.native.flight import Estimate, Flight, ffi, lib
+from zygos.testing.latency import Answers, answers
 from zygos.testing.oracle import disagreement, fault_counts
 from zygos.testing.stream import SYNC, Stream
 
@@ -40,6 +42,8 @@ PATIENCE_S = 30.0
 """Longest time for a process to start or to end, s; an emulated device is slow."""
 _MODULUS = 2**24
 """Counters below this are exact in telemetry, which sends single floats."""
+_SO_RCVBUFFORCE, _ROOM = 33, 8 * 1024 * 1024
+"""Option of Linux, which Python does not name, and bytes of the socket: frames that wait until this process runs."""
 QUIET_S = 0.3
 """A device that has sent nothing for that long has finished, s."""
 
@@ -76,7 +80,8 @@ class Dut:
         """command: starts the device, or EXTERNAL. folder: place of its files. The device is not started yet."""
         self.arm, self.channel, self.command, self.folder = arm, channel, command, folder
         self.twin = Flight(arm)
-        self._answers: list[can.Message] = []
+        self.every = EVERY
+        self._heard: list[can.Message] = []
         self.record: dict[str, Any] = {}
         self._process: subprocess.Popen[bytes] | None = None
         self._database: Database = arm_database(arm)
@@ -84,8 +89,12 @@ class Dut:
     def __enter__(self) -> Dut:
         """Start to listen."""
         self._bus = open_bus("socketcan", self.channel)
-        self._bus.set_filters([{"can_id": i, "can_mask": 0x7FF, "extended": False} for i in (TELEMETRY, HEARTBEAT)])
-        self._notifier = can.Notifier(self._bus, [self._answers.append], timeout=0.2)
+        identifiers = (SYNC, TELEMETRY, HEARTBEAT)
+        self._bus.set_filters([{"can_id": i, "can_mask": 0x7FF, "extended": False} for i in identifiers])
+        with suppress(OSError):  # needs the right; otherwise the room is as large as the kernel makes it by itself
+            room: Any = self._bus  # of SocketCAN, whose socket python-can does not declare
+            room.socket.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _ROOM)
+        self._notifier = can.Notifier(self._bus, [self._heard.append], timeout=0.2)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -96,7 +105,7 @@ class Dut:
 
     def renew(self) -> None:
         """Reset all results; also our own device and its state. An external one continues unchanged."""
-        self._answers.clear()
+        self._heard.clear()
         self.record = {"frames": 0, "expected": None, "found": None}
         if not self.external:
             self._end()
@@ -125,13 +134,15 @@ class Dut:
         """The file of its saved state."""
         return self.folder / "state.zyg"
 
-    def start(self) -> None:
+    def start(self, every: int = EVERY) -> None:
         """Start the device, from its saved state if there is one. Nothing happens for an external one.
 
-        Errors: ZygosError if there is no such command, or it ends at once.
+        every: SYNCs from one of its estimates to the next. Errors: ZygosError if there is no such command, or it ends
+        at once.
         """
         if self.external:
             return
+        self.every = every
         node = shutil.which(self.command)
         if node is None:
             raise ZygosError(f"there is no {self.command}; remedy: run make node, or use --zygos-dut {EXTERNAL}")
@@ -141,7 +152,7 @@ class Dut:
         if self.state.exists():
             snapshot.resume(self.twin, self.state)  # as the device will do
         files = ["--config", str(blob), "--state", str(self.state)]
-        command = [node, "-i", self.channel, *files, "--every", str(EVERY)]
+        command = [node, "-i", self.channel, *files, "--every", str(every)]
         with errors_file.open("wb") as errors, (self.folder / "stdout").open("wb") as out:
             self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=out, stderr=errors)
         deadline = time.monotonic() + PATIENCE_S
@@ -187,11 +198,23 @@ class Dut:
 
     def telemetry(self) -> list[can.Message]:
         """The device's telemetry frames so far."""
-        return [message for message in self._answers if message.arbitration_id == TELEMETRY]
+        return [message for message in self._heard if message.arbitration_id == TELEMETRY]
 
     def heartbeats(self) -> list[can.Message]:
         """The device's heartbeats so far."""
-        return [message for message in self._answers if message.arbitration_id == HEARTBEAT]
+        return [message for message in self._heard if message.arbitration_id == HEARTBEAT]
+
+    def answers(self, period_s: float, first: int = 0) -> Answers:
+        """How long the device took to answer the SYNCs on the bus, from number `first` since the test began.
+
+        period_s: time from one SYNC to the next as they were sent, s. The time stamps are the kernel's.
+        """
+        syncs = 0
+        for at, message in enumerate(self._heard):
+            syncs += message.arbitration_id == SYNC
+            if syncs > first:
+                return answers(self._heard[at:], period_s)
+        return answers([], period_s)
 
     def settle(self) -> None:
         """Wait until the device has sent nothing for a while, so that it has processed everything."""
@@ -262,7 +285,7 @@ class Dut:
     def _hear(self, stream: Stream, cycle: int) -> Estimate:
         """Feed the twin with a stream. Returns its estimate at a cycle, given by its number modulo 2^24."""
         estimate = None
-        for _ in hear(self.twin, stream.frames, EVERY):
+        for _ in hear(self.twin, stream.frames, self.every):
             if estimate is None and int(self.twin.native.cycle) % _MODULUS == cycle:
                 estimate = self.twin.estimate()
         assert estimate is not None, f"the device answers with cycle {cycle}, which was not in the stream"
@@ -273,7 +296,7 @@ class Dut:
         if not self.external:
             return self.twin.estimate()
         alone = Flight(self.arm)
-        for _ in hear(alone, streams[-1].frames, EVERY):
+        for _ in hear(alone, streams[-1].frames, self.every):
             pass
         return alone.estimate()
 

@@ -70,8 +70,11 @@ class Plant:
         wanted = slice(0, cycles)
         return Stream.of(self.arm, Cycles(*(getattr(self._cycles, name)[wanted] for name in _FIELDS)))
 
-    def send(self, stream: Stream, pace: Pace = "fast") -> Sent:
+    def send(self, stream: Stream, pace: Pace = "fast", hurry: float = 1.0) -> Sent:
         """Send a stream on the bus from a separate process, and wait for its end.
+
+        hurry: how many times as fast as in reality the cycles follow each other at pace "real", which begins with the
+        first frame of the stream.
 
         At pace "fast" that is when the device has answered the last SYNC, or sends no more. An answer is a telemetry
         frame with the counter of a SYNC; at least one in fifteen SYNCs must have one.
@@ -79,7 +82,7 @@ class Plant:
         Errors: ZygosError if there is no such channel, if it refuses a frame, or if no answer comes.
         """
         command = [sys.executable, "-I", str(_SENDER), self.channel, pace, str(self.patience_s)]
-        done = subprocess.run(command, input=_packed(stream), capture_output=True, check=False)
+        done = subprocess.run(command, input=_packed(stream, hurry), capture_output=True, check=False)
         if done.returncode:
             message = done.stderr.decode(errors="replace").strip().splitlines()
             raise ZygosError(
@@ -92,12 +95,13 @@ class Plant:
 _FIELDS = tuple(Cycles.__dataclass_fields__)
 
 
-def _packed(stream: Stream) -> bytes:
-    """Input of the sender: the time of each frame, and the frame in the form of SocketCAN."""
+def _packed(stream: Stream, hurry: float) -> bytes:
+    """Input of the sender: the time of each frame since the first one, and the frame in the form of SocketCAN."""
+    due_s = (stream.due_s() - stream.due_s()[:1]) / hurry
     words = stream.frames["id"].astype(np.uint32)
     for flag, bit in _WORD.items():
         words |= np.where(stream.frames["flags"] & flag, np.uint32(bit), np.uint32(0))
     return b"".join(
         _RECORD.pack(due, word, frame["length"], bytes(frame["data"]))
-        for due, word, frame in zip(stream.due_s(), words, stream.frames, strict=True)
+        for due, word, frame in zip(due_s, words, stream.frames, strict=True)
     )

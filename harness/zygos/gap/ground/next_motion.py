@@ -84,7 +84,7 @@ def next_ground_motion(
                 np.arange(count, dtype=np.uint64),
                 q,
                 theta,
-                torque_record(noisy, tau + offsets, noise.torque[0]),
+                torque_record(noisy, tau + offsets, noise.torque[0], noise.torque_share[0]),
                 np.zeros((count, 3)),
                 np.zeros(count, dtype=np.uint32),
             ),

@@ -1,0 +1,1 @@
+"""What the frames of a motion can tell at most, from equations of motion with all their derivatives."""

@@ -1,0 +1,1 @@
+"""Weeks of flight at an accelerated pace (`make soak`, docs/soak.md)."""

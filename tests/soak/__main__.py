@@ -1,0 +1,94 @@
+"""Weeks of flight at an accelerated pace (`make soak`).
+
+    python -m soak [NAME ...] [--share SHARE | --full] [--json FILE]
+
+Writes out/soak.json and, unless the run is shorter than the committed one, docs/soak.md. The exit code is 1 if
+something does not hold.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from conftest import ROOT
+from soak.endurance import SOAKS, Outcome, fly
+from soak.page import page
+from zygos.errors import ZygosError
+from zygos.files.output import check_outputs, errors_end_the_program, say, table, write_json, write_text
+from zygos.files.progress import progress
+
+DOCUMENT = ROOT / "docs" / "soak.md"
+
+
+def row(one: Outcome) -> tuple[str, ...]:
+    """A line of the table at the end."""
+    last = one.looks[-1]
+    return (
+        one.name,
+        f"{one.cycles:,}",
+        f"{one.days:.3g} of {one.days / one.share:.3g} days",
+        last.validity,
+        f"{last.covered} of {last.published}",
+        "exact" if one.expected == one.found else "wrong",
+        f"{one.seconds:.0f} s",
+        "; ".join(one.failures) or "pass",
+    )
+
+
+def soak(
+    names: Annotated[list[str] | None, typer.Argument(metavar="[NAME]...", help="Default: all.")] = None,
+    share: Annotated[
+        float | None, typer.Option(min=1e-4, max=1.0, help="Part of each duration; default: that of the table.")
+    ] = None,
+    full: Annotated[bool, typer.Option("--full", help="The whole duration of each.")] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of all noise and losses.")] = 0,
+    json: Annotated[Path, typer.Option(metavar="FILE", help="Results.")] = Path("out/soak.json"),
+) -> None:
+    """Fly weeks of CAN frames with losses, stale frames and restarts, and check estimates, intervals and counters.
+
+    Example: python -m soak two --share 0.01
+    """
+    unknown = [name for name in names or [] if name not in SOAKS]
+    if unknown:
+        raise ZygosError(f"there is no soak {unknown[0]!r}; remedy: use some of {', '.join(SOAKS)}")
+    check_outputs([json], [])
+    chosen = [one for name, one in SOAKS.items() if not names or name in names]
+    shares = {one.name: 1.0 if full else share or one.share for one in chosen}
+    begin, found = time.monotonic(), []
+    with progress() as bar:
+        for one in chosen:
+            task = bar.add_task(one.name, total=1.0)
+            found.append(
+                fly(
+                    one,
+                    shares[one.name],
+                    json.parent / "soak",
+                    seed,
+                    lambda part, t=task: bar.update(t, completed=part),
+                )
+            )
+    write_json(json, {"soaks": [one.as_json() for one in found]})
+    if not names and all(shares[one.name] >= one.share for one in chosen):
+        write_text(DOCUMENT, page(found))
+    head = ("soak", "cycles", "duration", "validity", "95 % intervals that hold", "counters", "took", "verdict")
+    table(head, [row(one) for one in found])
+    say(f"{time.monotonic() - begin:.0f} s · {json}")
+    if any(one.failures for one in found):
+        raise typer.Exit(1)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run with the arguments of the command line, or with the given ones."""
+    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+    app.command()(soak)
+    with errors_end_the_program():
+        app(args=arguments, prog_name="python -m soak")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
