@@ -97,7 +97,8 @@ def result(minutes: float) -> Result:
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     processor = after.ru_utime + after.ru_stime - used.ru_utime - used.ru_stime
     figure = (
-        f"{minutes:g} minutes, of which the fuzzers had {processor / 60.0:.0f} of processor time: {counts['inputs']:,} guided inputs, {counts['frames']:,} frames and "
+        f"{minutes:g} minutes, of which the fuzzers had {processor / 60.0:.0f} of processor time: "
+        f"{counts['inputs']:,} guided inputs, {counts['frames']:,} frames and "
         f"{counts['states']:,} damaged states under the sanitizers; {len(found)} failures"
     )
     if not program and not found:
