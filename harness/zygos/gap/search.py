@@ -138,13 +138,17 @@ def allowed(study: Study) -> tuple[Array, Array]:
     freedom = 2.0 / np.maximum(study.wobble, 1e-6) ** 2
     tail = norm.sf(CERTAIN)
     least, most = 1.0 - chi2.ppf(tail, freedom) / freedom, chi2.isf(tail, freedom) / freedom - 1.0
-    trifle = np.array([_trifle(study, balance) for balance in study.layout.balances])
+    trifle = _trifles(study)
     return np.maximum(least, trifle), np.maximum(most, trifle)
 
 
-def _trifle(study: Study, balance: str) -> float:
+def _trifles(study: Study) -> Array:
+    """(balances,) what is no excess of the squared ratio in any case."""
     # with noise in its torques a twin does not move quite as the arm did, which the momentum of an arm in space shows
-    return MOMENTUM if len(balance) > 1 and balance[0] == "H" and study.layout.of_torque.any() else EXCESS
+    moved = study.layout.of_torque.any()
+    return np.array(
+        [MOMENTUM if moved and len(name) > 1 and name[0] == "H" else EXCESS for name in study.layout.balances]
+    )
 
 
 def noisy(study: Study) -> bool:
@@ -158,7 +162,7 @@ def completeness(before: Study, rms: Array) -> tuple[float, ...]:
     there was none. What the twin itself varies by is no excess."""
     out = []
     after = (rms / before.noise) ** 2 - 1.0
-    trifle = np.array([_trifle(before, balance) for balance in before.layout.balances])
+    trifle = _trifles(before)
     for old, kept, wobble in zip(before.excess**2 - 1.0, after, before.wobble, strict=True):
         counts = np.isfinite(old) & (old > trifle)
         left = np.maximum(kept - 2.0 * wobble, 0.0)
