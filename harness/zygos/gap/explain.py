@@ -223,15 +223,24 @@ class _Explainer:
 
     def _refit(self) -> Study:
         """The simulation's own equations, fitted. What the arm file does not say of its torques' noise, the runs do."""
-        likely, most = with_torque_noise(self.arm, self.measured)
+        declared = self.arm
+        likely, most = with_torque_noise(declared, self.measured)
         self._take(likely)
         refit = self._own_equations()
+        if likely != declared and _too_quiet(refit).any():
+            # noise that only seems to be there
+            self._take(declared)
+            plain = self._own_equations()
+            if not _too_quiet(plain).any():
+                likely, refit = declared, plain
+            self._take(likely)
         if likely == most or not excess(refit) or np.nanmax(refit.excess) > _NOISY:
             return refit
         # noise that the runs do not rule out comes before anything that is missing
         self._take(most)
         noisier = self._own_equations()
-        if not excess(noisier):
+        # a balance that would be too quiet rules such noise out
+        if not excess(noisier) and not (_too_quiet(noisier) & ~_too_quiet(refit)).any():
             return noisier
         self._take(likely)
         return refit
