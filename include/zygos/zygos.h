@@ -35,6 +35,7 @@
 #include "momentumsums.h"
 #include "motorsums.h"
 #include "noise.h"
+#include "propagation.h"
 #include "reduction.h"
 #include "smoother.h"
 #include "snapshot.h"
