@@ -37,6 +37,7 @@
 #include "noise.h"
 #include "propagation.h"
 #include "reduction.h"
+#include "refiner.h"
 #include "smoother.h"
 #include "snapshot.h"
 #include "solver.h"
