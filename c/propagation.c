@@ -1,6 +1,5 @@
 #include "zygos/propagation.h"
 
-#include <math.h>
 #include <string.h>
 
 /* A vector in each body, such as the change of its angular velocity. */
@@ -282,7 +281,7 @@ static bool inertia(const zygos_propagation_t *self, const zygos_config_t *confi
             if (u < v) {
                 work->mass[v][u] = sum / work->mass[u][u];
             } else if (sum > 0.0) {
-                work->mass[v][v] = sqrt(sum);
+                work->mass[v][v] = __builtin_sqrt(sum);
             } else {
                 return false;
             }

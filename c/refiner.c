@@ -1,6 +1,5 @@
 #include "zygos/refiner.h"
 
-#include <math.h>
 #include <string.h>
 
 /* Where column j of the root begins. */
@@ -18,29 +17,28 @@ int zygos_refiner_init(zygos_refiner_t *self, const zygos_config_t *config, cons
 {
     const uint32_t n = config->joints;
     const uint32_t flags = settings->friction | settings->offsets | settings->zeros;
-    zygos_propagation_t propagation;
-    if (zygos_propagation_init(&propagation, config, settings->steps, settings->friction) != 1) {
+    const zygos_propagation_t *propagation = &self->propagation;
+    memset(self, 0, sizeof *self);
+    self->failed = 1u;
+    if (zygos_propagation_init(&self->propagation, config, settings->steps, settings->friction) != 1) {
         return ZYGOS_E_VALUE;
     }
     bool good = (flags <= 1u) && within(settings->bias_walk, 0.0, 1e3) && within(settings->second_order, 0.0, 1e3) &&
-                ((propagation.base_rates == 0u) || within(settings->gyro_sigma, 1e-12, 1e3));
+                ((propagation->base_rates == 0u) || within(settings->gyro_sigma, 1e-12, 1e3));
     for (uint32_t i = 0; i < n; i++) {
         good = good && within(settings->link_sigma[i], 1e-12, 10.0) && within(settings->motor_sigma[i], 1e-12, 10.0) &&
                within(settings->torque_sigma[i], 0.0, 1e6) && within(settings->torque_relative_sigma[i], 0.0, 1.0);
     }
-    for (uint32_t k = 0; k < propagation.parameters; k++) {
+    for (uint32_t k = 0; k < propagation->parameters; k++) {
         good = good && within(settings->size[k], 1e-300, 1e300);
     }
     if (!good) {
         return ZYGOS_E_VALUE;
     }
-    memset(self, 0, sizeof *self);
-    self->propagation = propagation;
     self->settings = *settings;
-    self->fast = propagation.moving + propagation.base_rates;
-    self->constants = propagation.parameters + n * (settings->friction + settings->offsets + 2u * settings->zeros);
+    self->fast = propagation->moving + propagation->base_rates;
+    self->constants = propagation->parameters + n * (settings->friction + settings->offsets + 2u * settings->zeros);
     self->entries = self->fast + self->constants;
-    self->failed = 1u;
     return 1;
 }
 
@@ -62,7 +60,7 @@ static bool factorise(const zygos_refiner_t *self, const double *covariance, dou
             if (i < j) {
                 own[i - 1u] = sum / own[at];
             } else if (sum > 0.0) {
-                own[at] = sqrt(sum);
+                own[at] = __builtin_sqrt(sum);
             } else {
                 return false;
             }
@@ -107,6 +105,17 @@ typedef struct {
     double weight[3];
 } reading_t;
 
+/* Multiplies the volume by a variance, and moves powers of 2 into its exponent. */
+static void scale_volume(zygos_refiner_t *self, double variance)
+{
+    const double product = self->volume * variance;
+    uint64_t bits;
+    memcpy(&bits, &product, sizeof bits);
+    self->volume_exponent += (double)((bits >> 52) & 0x7FFu) - 1022.0;
+    bits = (bits & 0x800FFFFFFFFFFFFFu) | 0x3FE0000000000000u;
+    memcpy(&self->volume, &bits, sizeof bits);
+}
+
 /* Carlson's update of estimate and root by one reading with a variance. */
 static void update(zygos_refiner_t *self, const reading_t *reading, double value, double variance, uint32_t channel,
                    double *gain)
@@ -125,8 +134,8 @@ static void update(zygos_refiner_t *self, const reading_t *reading, double value
         }
         const double before = alpha;
         alpha += f * f;
-        const double keep = sqrt(before / alpha);
-        const double share = f / sqrt(before * alpha);
+        const double keep = __builtin_sqrt(before / alpha);
+        const double share = f / __builtin_sqrt(before * alpha);
         for (uint32_t i = 0; i <= j; i++) {
             const double entry = own[i];
             own[i] = entry * keep - gain[i] * share;
@@ -139,9 +148,7 @@ static void update(zygos_refiner_t *self, const reading_t *reading, double value
     }
     self->count[channel] += 1.0;
     self->square[channel] += innovation * step;
-    int exponent;
-    self->volume = frexp(self->volume * alpha, &exponent);
-    self->volume_exponent += (double)exponent;
+    scale_volume(self, alpha);
 }
 
 /* The sum of the variances of the link rates. */
@@ -199,7 +206,7 @@ static void triangularise(zygos_refiner_t *self, uint32_t columns, zygos_refiner
         for (uint32_t c = 0; c < columns; c++) {
             square += row[c] * row[c];
         }
-        own[at] = sqrt(square);
+        own[at] = __builtin_sqrt(square);
         const double scale = (square > 0.0) ? 1.0 / own[at] : 0.0;
         for (uint32_t c = 0; c < columns; c++) {
             row[c] *= scale;
@@ -302,7 +309,7 @@ bool zygos_refiner_advance(zygos_refiner_t *self, const zygos_config_t *config, 
         const double relative = self->settings.torque_relative_sigma[i] * tau[i];
         const double own = self->settings.torque_sigma[i];
         drive[i] = tau[i] - ((self->settings.offsets != 0u) ? constant[p + friction + i] : 0.0);
-        noise[i] = sqrt(own * own + relative * relative + lost * lost);
+        noise[i] = __builtin_sqrt(own * own + relative * relative + lost * lost);
     }
     zygos_dynamics_set(&work->dynamics, &self->propagation, config, work->constant);
     bool good =

@@ -86,7 +86,7 @@ typedef struct {
 } zygos_refiner_work_t;
 
 /// Prepares a filter; zygos_refiner_start() has to follow. Needs a configuration that zygos_init() accepts. Returns 1;
-/// ZYGOS_E_VALUE if a joint is rigid or a setting is out of range.
+/// ZYGOS_E_VALUE if a joint is rigid or a setting is out of range, then the filter cannot be used.
 int zygos_refiner_init(zygos_refiner_t *self, const zygos_config_t *config, const zygos_refiner_settings_t *settings);
 
 /// Begins at the SYNC whose readings are used next. x and sigma: n entries in SI units and their standard deviations,
