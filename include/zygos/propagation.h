@@ -20,10 +20,16 @@
 extern "C" {
 #endif
 
+/// The rates of the base.
+#if ZYGOS_SPATIAL
+#define ZYGOS_MAX_BASE_RATES 3
+#else
+#define ZYGOS_MAX_BASE_RATES 1
+#endif
 /// The accelerations of base, links and motors.
-#define ZYGOS_MAX_ACCELERATIONS (2 * ZYGOS_MAX_JOINTS + 3)
+#define ZYGOS_MAX_ACCELERATIONS (2 * ZYGOS_MAX_JOINTS + ZYGOS_MAX_BASE_RATES)
 /// The entries of a state.
-#define ZYGOS_MAX_MOVING (4 * ZYGOS_MAX_JOINTS + 3)
+#define ZYGOS_MAX_MOVING (4 * ZYGOS_MAX_JOINTS + ZYGOS_MAX_BASE_RATES)
 /// The constants on which the motion depends: parameters, and Coulomb friction of the rotors.
 #define ZYGOS_MAX_MOTION_CONSTANTS (ZYGOS_MAX_BODY + 4 * ZYGOS_MAX_JOINTS)
 /// The columns of the derivatives of a state: by the state before, by the constants, and by the torques.

@@ -27,7 +27,7 @@ extern "C" {
 #endif
 
 /// The state, and the bias of the gyro.
-#define ZYGOS_MAX_FAST (ZYGOS_MAX_MOVING + 3)
+#define ZYGOS_MAX_FAST (ZYGOS_MAX_MOVING + ZYGOS_MAX_BASE_RATES)
 /// All entries of the filter.
 #define ZYGOS_MAX_REFINED (ZYGOS_MAX_FAST + ZYGOS_MAX_MOTION_CONSTANTS + 3 * ZYGOS_MAX_JOINTS)
 /// The length of S.
@@ -79,7 +79,7 @@ typedef struct {
     zygos_propagation_work_t propagation;
     zygos_dynamics_t dynamics;
     double slope[ZYGOS_MAX_MOVING][ZYGOS_MAX_SLOPES];
-    double table[ZYGOS_MAX_FAST][ZYGOS_MAX_FAST + ZYGOS_MAX_JOINTS + 3];
+    double table[ZYGOS_MAX_FAST][ZYGOS_MAX_FAST + ZYGOS_MAX_JOINTS + ZYGOS_MAX_BASE_RATES];
     double moved[ZYGOS_MAX_MOVING];
     double constant[ZYGOS_MAX_MOTION_CONSTANTS];
     double gain[ZYGOS_MAX_REFINED];

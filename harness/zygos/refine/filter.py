@@ -69,7 +69,7 @@ class NumpyFilter:
         seen = self.root.T @ row
         front = np.zeros((len(row) + 1, len(row) + 1))
         front[0, 0], front[0, 1:], front[1:, 1:] = np.sqrt(variance), seen, self.root
-        lower = np.linalg.qr(front.T, mode="r").T
+        lower = _lower(front)
         error = (value - row @ self.x) / lower[0, 0]
         self.squares[channel] += error**2
         self.x = self.x + lower[1:, 0] * error
@@ -88,4 +88,9 @@ class NumpyFilter:
         pushed[:moving, : len(tau)] = slope[0, :, -len(tau) :] * np.hypot(self.noise.torque, self.noise.relative * tau)
         pushed[moving:fast, len(tau) :] = self.noise.walk * np.eye(width)
         self.x = np.concatenate([after[0], self.x[moving:]])
-        self.root = np.linalg.qr(np.concatenate([across @ self.root, pushed], axis=1).T, mode="r").T
+        self.root = _lower(np.concatenate([across @ self.root, pushed], axis=1))
+
+
+def _lower(table: Floats) -> Floats:
+    """The lower triangular L with L L' = table table'."""
+    return np.asarray(np.linalg.qr(table.T, mode="r"), dtype=np.float64).T
