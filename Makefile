@@ -31,7 +31,7 @@ $(error CAPACITIES holds $(filter-out -DZYGOS_%,$(CAPACITIES)), which is no capa
 endif
 
 .DEFAULT_GOAL := demo
-.PHONY: lock demo real build library install uninstall FORCE node test test-slow test-all coverage times kernels hil latency pil gap loop bench accuracy mission soak ground demo-log reference lint format warnings clean help
+.PHONY: lock demo real build library install uninstall FORCE node test test-slow test-all coverage times kernels hil latency pil gap loop bench verify limits accuracy mission soak ground demo-log reference lint format warnings clean help
 
 demo: build ## set up, run the paper's example over CAN, show the result (out/demo/report.html)
 	$(BIN)/python -m zygos.demo
@@ -99,7 +99,7 @@ $(NODE): $(LIBRARY) $(wildcard c/ports/linux/*.[ch] c/ports/telemetry/* include/
 	mv $@.partial $@
 
 # Folders of tests that need no bus of the kernel's and no emulator of a board; docs/testing.md has the tiers.
-TESTS := $(addprefix tests/,unit bus fuzz bench builds statistics campaigns soak)
+TESTS := $(addprefix tests/,unit bus fuzz bench builds statistics campaigns soak verify)
 PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile
 test: build node $(VENV)/.test ## the quick tests, a process for each core (5 minutes on two cores)
 	$(PYTEST) -m "not slow" $(TESTS)
@@ -147,6 +147,13 @@ gap: build $(VENV)/.test ## hide effects in MuJoCo plants, explain them, score t
 
 bench: build $(VENV)/.test ## what it costs, beside its peers (out/bench.json, README.md, docs/cost.md; 6 minutes)
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tests:tests/support $(BIN)/python -m bench out/bench.json
+
+VERIFY = OPENBLAS_NUM_THREADS=1 PYTHONPATH=tests:tests/support $(BIN)/python -m verify
+verify: build $(VENV)/.test ## evidence for the C library (docs/verification.md; 90 minutes; STEPS="gcc coverage" MUTANTS=400 SEED=0 MINUTES=30 COUNTERS=.)
+	$(VERIFY) $(STEPS) $(if $(MUTANTS),mutants=$(MUTANTS)) $(if $(SEED),seed=$(SEED)) $(if $(MINUTES),minutes=$(MINUTES)) $(if $(COUNTERS),counters=$(COUNTERS))
+
+limits: build $(VENV)/.test ## make the measured stack, sizes and instructions the limits of `make verify` (tests/verify/limits.json)
+	$(VERIFY) limits
 
 accuracy: build $(VENV)/.test ## errors, coverage and refusals of all estimators (docs/accuracy.html; 15 minutes; SEEDS= DRAWS= SCHEDULER= CASES=)
 	$(BIN)/python -m zygos.accuracy $(CASES) $(if $(SEEDS),--seeds $(SEEDS)) $(if $(DRAWS),--draws $(DRAWS)) $(if $(SCHEDULER),--scheduler $(SCHEDULER))

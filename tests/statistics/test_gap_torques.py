@@ -84,6 +84,7 @@ def test_a_wrong_gain_is_said(gain: float, answer: str) -> None:
     verdict = explain(runs[0].arm, load_model(GAP / "cad.toml"), runs[:2], runs[2:])
     gains = [finding for finding in verdict.findings if finding.kind == "torque_gain"]
     assert bool(gains) == (answer == "named")
+    assert ("gain" in verdict.sentence) == bool(gains)
     assert any("gain" in note for note in verdict.notes) or answer != "remark"
     if gains:
         assert verdict.answer == "named"

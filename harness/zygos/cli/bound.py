@@ -110,14 +110,15 @@ def command(
             min=0.0,
             max=1.0,
             help="Noise of the torques as a share of their size, for instance 0.005; may be repeated. Default: "
-            "torque_relative_sigma of each joint.",
+            "what the arm file declares.",
         ),
     ] = None,
     json: Json = None,
 ) -> None:
-    """Compute the smallest standard deviations that any estimator can have from a motion (Cramér-Rao bound).
+    """Compute the smallest standard deviations that any estimator can have from a motion.
 
-    The scenario is simulated, and around its motion it is computed what the frames tell about each parameter at most.
+    The scenario is simulated, and around its motion it is computed what the frames tell about each parameter at most
+    (Cramér-Rao bound).
     The noise is that which arm.toml declares, with the steps of the CAN frames. Unknown besides the parameters are the
     state of the arm at the start, the bias of the gyro, and zeros of encoders that have a zero_sigma_rad. An estimate
     whose errors are as small as these uses all that the frames hold.

@@ -103,7 +103,9 @@ def _coarse(kind: Kind) -> tuple[float | None, ...]:
     if not kind.shapes:
         return (None,)
     whole = all(x % 1.0 == 0.0 for x in kind.shapes)
-    return kind.shapes if whole or len(kind.shapes) < _MANY else kind.shapes[1::3]
+    if whole or len(kind.shapes) < _MANY:
+        return kind.shapes
+    return kind.shapes[1 :: 2 if len(kind.shapes) < 2 * _MANY else 3]
 
 
 def acting(effect: Effect, arm: Arm) -> Acting:

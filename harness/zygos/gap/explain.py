@@ -34,7 +34,7 @@ from zygos.gap.findings import (
 )
 from zygos.gap.fit import fit
 from zygos.gap.forecast import Forecast, Stretches, cut, cut_twin, forecast
-from zygos.gap.payload import PayloadValue, payload_of
+from zygos.gap.payload import SYSTEMATIC, PayloadValue, payload_of
 from zygos.gap.record import MeasuredRun
 from zygos.gap.remainder import CLOSED, closes, remainders, unclosed
 from zygos.gap.search import COMPLETE, PARTLY, Candidate, Search, allowed, excess, polished, possible, search
@@ -262,7 +262,7 @@ class _Explainer:
             for study in (basis, *(() if wider is None else (wider.before,))):
                 changed, later, earlier = self._changed(found, study, basis.layout)
                 if changed is not None:
-                    told = self._gap(delivered, refit, later.after, later)
+                    told = self._gap(delivered, refit, later.after, later, SYSTEMATIC)
                     if _closes_before(earlier) if told is None else _predicts(told) or _closes_with(earlier, told):
                         return later, told, changed
         return found, self._gap(delivered, refit, found.after, found), None
@@ -317,7 +317,8 @@ class _Explainer:
         z = [float(study.of(study.hypothesis, [k]).value[index]) / float(study.spread[index]) for k in runs]
         one = study.layout.find(name)
         proof = Significance(min(map(abs, z)), min(found.completeness))
-        return Finding(one.kind.key, self.arm.joints[one.joint].name, value, sigma, one.kind.unit, proof)
+        joint = self.arm.joints[one.joint].name
+        return Finding(one.kind.key, joint, value, sigma, one.kind.unit, proof, entry=one.kind)
 
     def _flexible(self, refit: Study, joints: list[str]) -> Study:
         """The study with springs in these joints. The twin needs a first guess: each motor balance by itself has one.
@@ -427,7 +428,10 @@ class _Explainer:
         if one not in self.remarks:
             self.remarks.append(one)
 
-    def _gap(self, delivered: Drives, refit: Study, after: Study, found: Search | None) -> Gap | None:
+    def _gap(
+        self, delivered: Drives, refit: Study, after: Study, found: Search | None, systematic: float = 0.0
+    ) -> Gap | None:
+        """Predictions of the untouched runs. systematic: share by which values may err beyond their scatter."""
         if not self.validate:
             self._remark(NoUntouchedRun())
             return None
@@ -465,7 +469,10 @@ class _Explainer:
             self._struck(found, segments, last),
             wrong,
             wrong_name,
-            tuple(forecast(one, twin.thinned(_THINNED), errors, floor.thinned(_THINNED)) for one in _redrawn(after)),
+            tuple(
+                forecast(one, twin.thinned(_THINNED), errors, floor.thinned(_THINNED))
+                for one in _redrawn(after, systematic)
+            ),
             tuple(one.path.name for one in self.validate),
         )
 
@@ -673,11 +680,12 @@ def _explains_more(wider: Search, found: Search) -> bool:
     return share > before + 0.01 or (share >= before and not excess(wider.after) and excess(found.after))
 
 
-def _redrawn(study: Study) -> list[Drives]:
-    """Models whose values err as those of fits to the twins' draws."""
+def _redrawn(study: Study, systematic: float) -> list[Drives]:
+    """Models whose values err as those of fits to the twins' draws, and by so large a share beside."""
     drawn = study.of_twin(study.hypothesis).value
+    beside = systematic * np.random.default_rng(0).standard_normal(drawn[:_REDRAWN].shape) * study.value
     out = []
-    for value in study.value + drawn[:_REDRAWN] - drawn.mean(axis=0):
+    for value in study.value + drawn[:_REDRAWN] - drawn.mean(axis=0) + beside:
         # values of some draws are those of no arm
         with suppress(ZygosError):
             out.append(realise(study.hypothesis, value))

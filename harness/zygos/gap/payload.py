@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 _ELEMENTS = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 _PLANE = ("m", "mx", "my", "Izz")
 _UNITS = {"m": "kg", "I": "kg m^2"}
-_SYSTEMATIC = 3e-4
+SYSTEMATIC = 3e-4
 """Share of a parameter by which fits of single runs of 20 s were found to err beyond their twins' draws."""
 _BLIND = 1e-9
 """Share of the largest scaled derivative below which the parameters do not show an element."""
@@ -60,7 +60,7 @@ def payload_of(arm: Arm, model: Model, names: tuple[str, ...], change: Array, dr
     except ZygosError:
         return ()
     at = [arm.parameter_names.index(name) for name in names]
-    covariance = np.atleast_2d(np.cov(drawn, rowvar=False)) + np.diag((_SYSTEMATIC * before[at]) ** 2)
+    covariance = np.atleast_2d(np.cov(drawn, rowvar=False)) + np.diag((SYSTEMATIC * before[at]) ** 2)
     weight = 1.0 / np.sqrt(np.diag(covariance))
     own = [k for k, one in enumerate(_ELEMENTS) if arm.spatial or one in _PLANE]
 

@@ -1,0 +1,1 @@
+"""`make verify`: gathers the evidence for the C library (docs/verification.md)."""

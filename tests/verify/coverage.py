@@ -1,0 +1,140 @@
+"""Lines and branches of the C library that the quick tests of the library run, and reasons for the others."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from conftest import ROOT
+from verify.result import BUILD, FOLDER, Result, digest, entries, judged, missing
+from zygos.errors import ZygosError
+
+GAPS = FOLDER / "gaps.toml"
+PLACE = BUILD / "coverage"
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Something that no test runs."""
+
+    file: str
+    function: str
+    line: int
+    source: str
+    """The line without its indentation."""
+    what: str
+    """line, or the number of branches that are never taken."""
+
+    @property
+    def place(self) -> str:
+        """What gaps.toml names it by: it stays where lines above it are added."""
+        return f"{self.file}: {self.function}: {self.source}"
+
+
+def functions_of(text: str) -> list[str]:
+    """The function in whose head or body each line is. What gcov says is that which a line was inlined into."""
+    found, current = [], "?"
+    for line in text.splitlines():
+        head = re.match(r"[a-z].*?\b(\w+)\(", line)
+        if head and not line.startswith("typedef") and not line.endswith(";"):
+            current = head[1]
+        found.append(current)
+    return found
+
+
+def gaps_of(report: Mapping[str, Any], root: Path = ROOT) -> tuple[list[Gap], dict[str, int]]:
+    """The gaps in a report of gcovr (--json), and the numbers of lines and branches with those that ran."""
+    gaps: list[Gap] = []
+    totals: Counter[str] = Counter()
+    for file in report["files"]:
+        path = root / file["file"]
+        text, functions = path.read_text().splitlines(), functions_of(path.read_text())
+        seen: dict[int, dict[str, Any]] = {}
+        for row in file["lines"]:  # a line of a function that is inlined, or of a header, may have several rows
+            if row.get("gcovr/noncode"):
+                continue
+            known = seen.setdefault(row["line_number"], {"count": 0, "taken": []})
+            known["count"] += row["count"]
+            taken = [branch["count"] for branch in row["branches"]]
+            old = known["taken"]
+            known["taken"] = [a + b for a, b in zip(old, taken, strict=True)] if len(old) == len(taken) else old + taken
+        for number, row in sorted(seen.items()):
+            untaken = sum(count == 0 for count in row["taken"])
+            totals["lines"] += 1
+            totals["lines run"] += row["count"] > 0
+            totals["branches"] += len(row["taken"])
+            totals["branches taken"] += len(row["taken"]) - untaken
+            what = "line" if row["count"] == 0 else f"{untaken} of {len(row['taken'])} branches" if untaken else ""
+            if what:
+                gaps.append(Gap(path.name, functions[number - 1], number, text[number - 1].strip(), what))
+    return gaps, dict(totals)
+
+
+def reasons(path: Path) -> dict[str, str]:
+    """Place to reason. Errors: ZygosError for a place that stands twice."""
+    found: dict[str, str] = {}
+    for entry in entries(path, "reason", "places"):
+        for place in entry["places"]:
+            if place in found:
+                raise ZygosError(f"{path.name}: {place!r} stands twice; remedy: leave one of them out")
+            found[place] = entry["reason"]
+    return found
+
+
+def unexplained(gaps: Iterable[Gap], known: Mapping[str, str]) -> tuple[list[str], list[str]]:
+    """The gaps without a reason, and the places of reasons that no gap needs."""
+    gaps = list(gaps)
+    needed = {gap.place for gap in gaps}
+    open_ones = [
+        f"{gap.file}:{gap.line} ({gap.what}) has no reason: {gap.place}" for gap in gaps if gap.place not in known
+    ]
+    return open_ones, [place for place in known if place not in needed]
+
+
+def measured() -> Path:
+    """Run `make coverage`, which leaves its counters in build/coverage. Returns the checkout. Errors: ZygosError."""
+    done = subprocess.run(["make", "coverage"], cwd=ROOT, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise ZygosError(f"`make coverage` fails: {(done.stdout + done.stderr)[-800:]}; remedy: see there")
+    return ROOT
+
+
+def reported(checkout: Path) -> dict[str, Any]:
+    """What gcovr says of the counters in a checkout. Errors: ZygosError if there are none, or of other sources."""
+    native = checkout / "build" / "coverage" / "harness" / "zygos" / "_native"
+    if not any(native.glob("*.gcda")):
+        raise ZygosError(f"{checkout} has no counters of the C library; remedy: run `make coverage` there")
+    if digest(checkout) != digest():
+        raise ZygosError(f"the sources of {checkout} are not those of this checkout; remedy: leave out COUNTERS=")
+    PLACE.mkdir(parents=True, exist_ok=True)
+    for path in native.glob("*.gc??"):
+        shutil.copy(path, PLACE)
+    out = PLACE / "report.json"
+    tool = [sys.executable, "-m", "gcovr", "--config", os.devnull, "--root", str(checkout)]
+    tool += ["--filter", f"{checkout}/c/[a-z]+\\.c", "--json", str(out), str(PLACE)]
+    subprocess.run(tool, cwd=checkout, check=True, capture_output=True)
+    content: dict[str, Any] = json.loads(out.read_text())
+    return content
+
+
+def result(counters: str) -> Result:
+    """Lines and branches, with each gap that has no reason. counters: a checkout that has them; empty: count anew."""
+    if shutil.which("gcov") is None:
+        return missing("gcov", "gcc")
+    gaps, totals = gaps_of(reported(Path(counters).resolve() if counters else measured()))
+    open_ones, unused = unexplained(gaps, reasons(GAPS))
+    figure = (
+        f"{totals['lines run']:,} of {totals['lines']:,} lines ({totals['lines run'] / totals['lines']:.1%}), "
+        f"{totals['branches taken']:,} of {totals['branches']:,} branches "
+        f"({totals['branches taken'] / totals['branches']:.1%}); {len(gaps)} gaps, {len(open_ones)} without a reason"
+    )
+    return judged(open_ones, figure, **totals, gaps=len(gaps), unused_reasons=unused)
