@@ -150,6 +150,22 @@ def test_friction_offsets_and_zeros_are_estimated() -> None:
     assert np.all(np.sqrt(np.sum(bent**2, axis=1)) < 2e-3)
 
 
+def test_the_readings_favour_the_noise_that_the_torques_have() -> None:
+    arm, model, scenario = lively()
+    read = readings(arm, model, replace(scenario, duration_s=20.0))
+    motion, x, sigma, covariance = start(arm, model, read, 0)
+    deviance = {}
+    for level in (0.002, RELATIVE, 0.0125):
+        refiner = Refiner(arm, Settings(motion.size, 5, [level] * arm.n))
+        refiner.start(x, sigma, covariance)
+        for k in range(len(read[0])):
+            if k:
+                refiner.advance(read[2][k - 1])
+            refiner.read(read[0][k], read[1][k], read[3][k])
+        deviance[level] = refiner.deviance
+    assert min(deviance, key=lambda level: deviance[level]) == RELATIVE
+
+
 def test_lost_torques_widen_the_estimate() -> None:
     arm, model, scenario = lively()
     read = readings(arm, model, replace(scenario, duration_s=1.0))
