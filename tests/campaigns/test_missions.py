@@ -96,7 +96,7 @@ def test_what_stays_grows_with_the_arcs_beside_a_scatter_that_falls_with_them() 
 
 def test_sensor_errors_are_those_declared_and_new_each_time() -> None:
     mission, motions = numbered(HOURS, 3)
-    parts = list(sensed_motions(replace(mission, length=replace(HOURS, duration_s=1300.0)), motions))
+    parts = list(sensed_motions(PAPER.arm, motions, round(1300.0 / PAPER.arm.period_s), mission.number))
     assert [len(part) for part in parts] == [6000] * 4 + [2000]
     assert [int(part.sync[0]) for part in parts] == [k * (6000 + MISSING) for k in range(5)]
     errors = [part.q - motions[k % REPEATED].q[: len(part)] for k, part in enumerate(parts)]

@@ -6,11 +6,10 @@ against `soak.traffic.Book`, and its intervals against the values that the motio
 
 from __future__ import annotations
 
-import hashlib
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -19,21 +18,18 @@ import numpy as np
 
 from conftest import ROOT
 from soak.traffic import Book, disturbed
-from zygos.accuracy.cell import STREAM
+from zygos.accuracy.mission import kept, sensed_motions
 from zygos.arm import Arm, load_arm
-from zygos.files.output import write_bytes
 from zygos.model.model import Model, load_model
 from zygos.native import snapshot
 from zygos.native.flight import Estimate, Flight, encode
 from zygos.runs.cycles import Cycles
 from zygos.simulation.plant import record, simulate
 from zygos.simulation.scenario import Scenario, load_scenario
-from zygos.simulation.sensors import draw_noise, no_noise
+from zygos.simulation.sensors import no_noise
 
 LOST, STALE = 1e-4, 1e-5
 """Shares of all frames that are lost, and of the frames of drives and gyro that are those of the cycle before."""
-MISSING = 5
-"""Cycles that are missing between two motions."""
 LOOKS = 10
 """How often the estimate is looked at, at equal distances."""
 FAR_SIGMAS, FAR_SHARE = 5.0, 0.005
@@ -149,38 +145,13 @@ def stored(soak: Soak, folder: Path) -> list[Cycles]:
     because the servo reads encoders with errors of its own."""
     arm, model, scenario = soak.arm(), soak.model(), soak.scenario()
     told = repr((arm, model, scenario, soak.motion_s, soak.motions))
-    path = folder / f"{soak.example}-{hashlib.sha256(told.encode()).hexdigest()[:12]}.npz"
-    if not path.exists():
+
+    def simulated() -> list[Cycles]:
         run = simulate(arm, model, scenario, noise=True, seeds=range(soak.motions), duration_s=soak.motion_s)
         silent = replace(run, noise=no_noise(run.arm, len(run.t), run.seeds))
-        motions = [record(silent, k) for k in range(soak.motions)]
-        with tempfile.TemporaryFile() as file:
-            columns: Any = {name: np.stack([getattr(one, name) for one in motions]) for name in vars(motions[0])}
-            np.savez(file, **columns)
-            file.seek(0)
-            write_bytes(path, file.read())
-    with np.load(path) as file:
-        held = dict(file)
-    return [Cycles(**{name: column[k] for name, column in held.items()}) for k in range(soak.motions)]
+        return [record(silent, k) for k in range(soak.motions)]
 
-
-def sensed(arm: Arm, motions: list[Cycles], total: int, seed: int) -> Iterator[Cycles]:
-    """The motions in turn with fresh errors of the sensors, MISSING cycles between them, `total` cycles in all."""
-    left, sync, turn, bias = total, 0, 0, np.zeros(3)
-    while left > 0:
-        motion = motions[turn % len(motions)]
-        n = min(left, len(motion))
-        noise = draw_noise(arm, n, [seed + turn * STREAM])
-        yield Cycles(
-            sync=np.arange(sync, sync + n, dtype=np.uint64),
-            q=motion.q[:n] + noise.link[0],
-            theta=motion.theta[:n] + noise.motor[0],
-            tau=motion.tau[:n] + noise.torque[0],
-            omega=motion.omega[:n] + noise.gyro[0] + bias,
-            flags=motion.flags[:n],
-        )
-        bias += noise.bias[0, -1]
-        sync, left, turn = sync + n + MISSING, left - n, turn + 1
+    return kept(folder, soak.example, told, simulated)
 
 
 def look_at(found: Estimate, true: np.ndarray[Any, np.dtype[np.float64]], cycles: int) -> Look:
@@ -214,7 +185,7 @@ def fly(soak: Soak, share: float, folder: Path, seed: int, passed: Callable[[flo
     begin = time.perf_counter()
     last = np.empty(0)
     with tempfile.TemporaryDirectory() as scratch:
-        for cycles in sensed(arm, motions, total, seed):
+        for cycles in sensed_motions(arm, motions, total, seed):
             first = int(cycles.sync[0])
             if first * arm.period_s >= (out.resumed + 1) * soak.resumed_s:
                 snapshot.write(Path(scratch) / "state", "state", flight.native)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from soak.endurance import FAR_SHARE, FAR_SIGMAS, LOOKS, LOST, MISSING, SOAKS, STALE, Outcome
+from soak.endurance import FAR_SHARE, FAR_SIGMAS, LOOKS, LOST, SOAKS, STALE, Outcome
+from zygos.accuracy.mission import MISSING
 from zygos.files.output import counted
 
 INTRODUCTION = f"""\

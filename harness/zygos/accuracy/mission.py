@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -22,6 +22,7 @@ from threadpoolctl import threadpool_limits
 
 from zygos.accuracy.cases import Case
 from zygos.accuracy.cell import STREAM
+from zygos.arm import Arm
 from zygos.files.output import write_bytes
 from zygos.native import snapshot
 from zygos.native.flight import Estimate, Flight, encode
@@ -129,9 +130,14 @@ def _answer(found: Estimate, own: int) -> Line:
 def stored(case: Case, folder: Path) -> list[Cycles]:
     """The motions of a case without sensor errors: read from the folder, or simulated and stored there."""
     described = repr((case.plant, case.model, case.scenario, case.engine, MOTIONS, MOTION_S))
-    path = folder / f"{case.name}-{hashlib.sha256(described.encode()).hexdigest()[:12]}.npz"
+    return kept(folder, case.name, described, lambda: simulated(case))
+
+
+def kept(folder: Path, name: str, described: str, make: Callable[[], list[Cycles]]) -> list[Cycles]:
+    """Motions of equal length from a file in the folder, which is written where there is none of that description."""
+    path = folder / f"{name}-{hashlib.sha256(described.encode()).hexdigest()[:12]}.npz"
     if not path.exists():
-        write_bytes(path, _packed(simulated(case)))
+        write_bytes(path, _packed(make()))
     return _read(path)
 
 
@@ -164,7 +170,7 @@ def _packed(motions: Sequence[Cycles]) -> bytes:
 def _read(path: Path) -> list[Cycles]:
     with np.load(path) as file:
         held = dict(file)
-    return [Cycles(**{name: column[k] for name, column in held.items()}) for k in range(MOTIONS)]
+    return [Cycles(**{name: column[k] for name, column in held.items()}) for k in range(len(held["sync"]))]
 
 
 def flown_mission(mission: Mission, motions: Sequence[Cycles]) -> tuple[Flight, int, int]:
@@ -174,7 +180,7 @@ def flown_mission(mission: Mission, motions: Sequence[Cycles]) -> tuple[Flight, 
     every = RESUMED_S if length.duration_s > RESUMED_S else 3600.0
     resumed, sent = 0, 0
     with tempfile.TemporaryDirectory() as scratch:
-        for cycles in sensed_motions(mission, motions):
+        for cycles in sensed_motions(arm, motions, round(length.duration_s / arm.period_s), mission.number):
             if cycles.sync[0] * arm.period_s >= (resumed + 1) * every:
                 snapshot.write(Path(scratch) / "state", "state", flight.native)
                 flight = Flight(arm)
@@ -190,16 +196,15 @@ def flown_mission(mission: Mission, motions: Sequence[Cycles]) -> tuple[Flight, 
     return flight, sent, resumed
 
 
-def sensed_motions(mission: Mission, motions: Sequence[Cycles]) -> Iterator[Cycles]:
-    """The motions in turn with sensor errors, until the mission ends."""
-    arm = mission.case.arm
-    left, sync = round(mission.length.duration_s / arm.period_s), 0
+def sensed_motions(arm: Arm, motions: Sequence[Cycles], total: int, seed: int) -> Iterator[Cycles]:
+    """The motions in turn with fresh errors of the sensors, `total` cycles in all, MISSING ones between two motions."""
+    left, sync = total, 0
     bias = np.zeros(3)
     turn = 0
     while left > 0:
         motion = motions[turn % len(motions)]
         n = min(left, len(motion))
-        noise = draw_noise(arm, n, [mission.number + turn * STREAM])
+        noise = draw_noise(arm, n, [seed + turn * STREAM])
         yield Cycles(
             sync=np.arange(sync, sync + n, dtype=np.uint64),
             q=motion.q[:n] + noise.link[0],

@@ -33,7 +33,7 @@ _STEPS = 3.0
 """Noise below so many deviations of the rounding on the bus is none."""
 _FEWEST = 200
 _SURE = 2.0
-"""Deviations by which what a motor balance shows of the noise is more than none, and less than what is ruled out."""
+"""Deviations beyond what a motor balance shows of the noise from which on more is ruled out."""
 _MEDIAN = 0.37
 """Efficiency of the squared median of absolute values as an estimate of a variance."""
 
@@ -48,7 +48,7 @@ def with_torque_noise(arm: Arm, records: Sequence[MeasuredRun]) -> tuple[Arm, Ar
     for i, left in _motors(arm, records, looked_at):
         variance, deviation = _acting(arm, i, left)
         # the least of several estimates is too small rather than too large
-        least = float(np.sqrt(variance + deviation)) if variance > _SURE * deviation else 0.0
+        least = float(np.sqrt(variance + deviation)) if variance > deviation else 0.0
         likely[i] = min(sigma[i], least) if least > _STEPS * _ROUNDING else 0.0
         most[i] = min(sigma[i], float(np.sqrt(max(variance, 0.0) + _SURE * deviation)))
     if likely.any() or declared.any():
