@@ -89,6 +89,19 @@ class Refiner:
                 "valid"
             )
 
+    def resume(self, x: Floats, sigma: Floats) -> None:
+        """Begin again after an interruption: state and bias x (fast,) are others, with standard deviations (fast,), and
+        everything else is kept."""
+        fast = self.fast
+        own = np.frombuffer(ffi.buffer(self._native.x), dtype=np.float64)
+        own[:fast] = x
+        root = np.frombuffer(ffi.buffer(self._native.root), dtype=np.float64)
+        for column in range(self.entries):
+            begin = column * (column + 1) // 2
+            root[begin : begin + min(column + 1, fast)] = 0.0
+            if column < fast:
+                root[begin + column] = sigma[column]
+
     def read(self, q: Floats, theta: Floats, omega: Floats) -> None:
         """Use the readings at a SYNC: angles (N,), rad, after sign and zero, and the base rate (3,), rad/s."""
         lib.zygos_refiner_read(self._native, self._config, _pointer(q), _pointer(theta), _pointer(omega), self._work)
@@ -103,6 +116,16 @@ class Refiner:
                 f"arm {self.arm.name}: the filter has left the possible arms; remedy: begin with a better estimate, or "
                 "explain the run with `zygos explain` first"
             )
+
+    @property
+    def states(self) -> int:
+        """Length of the state, without the bias of the gyro."""
+        return int(self._native.propagation.moving)
+
+    @property
+    def sums(self) -> Floats:
+        """(3,) sums of the squared innovations of each of `CHANNELS`, divided by their expected variances."""
+        return _array(self._native.square, len(CHANNELS))
 
     @property
     def x(self) -> Floats:
