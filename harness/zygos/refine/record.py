@@ -20,8 +20,8 @@ LONGEST_GAP = 20
 """Cycles that may be missing in a piece; over more, the torques are not known well enough to follow the state."""
 _SHORTEST = 20
 """Readings of the shortest piece that is used."""
-_RATES_OVER_S = 0.025
-"""Half of the time over which the rates at the start of a piece are read off the angles, s."""
+_APART_S = 0.025
+"""Time between the four angles from which the rates at the start of a piece are taken, s."""
 _SHARE = 10.0
 """Standard deviation of what is read off the first readings, as a multiple of that of their noise."""
 _BIAS_RAD_S = 1e-3
@@ -110,7 +110,7 @@ def _pieces(arm: Arm, run: int, samples: Samples, kept: NDArray[np.bool_], broke
     # between two segments whose numbers follow on each other lies an interruption that no number tells
     jump |= (np.diff(inside[at]) != 0) & (step == 1)
     cuts = np.flatnonzero(jump | broken[at[1:]] | (step > LONGEST_GAP + 1)) + 1
-    parts = [part for part in np.split(at, cuts) if len(part) >= max(_SHORTEST, 4 * _half(arm))]
+    parts = [part for part in np.split(at, cuts) if len(part) >= max(_SHORTEST, 4 * _apart(arm))]
     return [_piece(run, samples, part) for part in parts]
 
 
@@ -145,35 +145,34 @@ def _piece(run: int, samples: Samples, at: NDArray[np.int64]) -> Piece:
     )
 
 
-def _half(arm: Arm) -> int:
-    """Cycles over which a rate at the start of a piece is read off."""
-    return max(1, round(_RATES_OVER_S / arm.period_s))
+def _apart(arm: Arm) -> int:
+    """Cycles between the angles from which rates are taken."""
+    return max(1, round(_APART_S / arm.period_s))
 
 
 def start_of(arm: Arm, piece: Piece) -> tuple[Floats, Floats]:
     """State and bias at the first SYNC of a piece, and their standard deviations (W + 4N + W,) each.
 
-    Rates are differences of angles around the start; what the angles do not show of them widens their deviations.
+    Rates are those of a parabola through the first angles; what the next angle says otherwise widens their deviations.
     """
     wire = arm.over_the_wire
     width = 0 if not arm.free else 3 if arm.spatial else 1
-    part = _half(arm)
+    part = _apart(arm)
     seen = np.flatnonzero(piece.read)
-    at = np.minimum(np.searchsorted(seen, [0, part, 2 * part]), len(seen) - 1)
-    ends = seen[at]
-    span = np.diff(ends) * arm.period_s
+    at = seen[np.searchsorted(seen, part * np.arange(4))]
+    t = at * arm.period_s
+    # of the polynomials through three and through four angles, the rates at the start
+    three, four = (np.linalg.inv(np.vander(t[:k], increasing=True))[1] for k in (3, 4))
     angles, sigmas, rates, doubts = [], [], [], []
     for values, encoders in (
         (piece.q, [joint.link_encoder for joint in wire.joints]),
         (piece.theta, [joint.motor_encoder for joint in wire.joints]),
     ):
         noise = np.array([one.sigma_rad for one in encoders])
-        early = (values[ends[1]] - values[ends[0]]) / span[0]
-        late = (values[ends[2]] - values[ends[1]]) / span[1]
         angles.append(values[0])
         sigmas.append(_SHARE * np.hypot(noise, [one.zero_sigma_rad for one in encoders]))
-        rates.append(early)
-        doubts.append(np.abs(late - early) + 2.0 * noise / span[0])
+        rates.append(three @ values[at[:3]])
+        doubts.append(np.abs(four @ values[at] - rates[-1]) + float(np.linalg.norm(four)) * noise)
     base = piece.omega[0] if width == 3 else np.array([piece.omega[0] @ arm.axis])[:width]
     gyro = math.hypot(_SHARE * wire.imu.rate_sigma, _BIAS_RAD_S)
     x = np.concatenate([base, *angles, *rates, np.zeros(width)])

@@ -25,6 +25,8 @@ Floats = NDArray[np.float64]
 
 Follow = Callable[[Record, Beside], Pass]
 
+_LARGEST = 0.3
+"""Largest share by which torques are changed."""
 EXPECTED = 0.003
 """Standard deviation of friction and offsets before the first reading, as a share of the typical torque. Much more
 leads the filter out of the range in which the motion is linear."""
@@ -57,10 +59,19 @@ def rivals(
     tests: list[Callable[[], list[Rival]]] = []
 
     def changed(title: str, unit: str, factor: float, change: Callable[[Piece, float], Piece]) -> None:
+        def deviance(share: float) -> float:
+            pieces = tuple(change(piece, share) for piece in record.pieces)
+            return follow(replace(record, pieces=pieces), beside).deviance
+
         def run() -> list[Rival]:
-            pieces = [tuple(change(piece, share) for piece in record.pieces) for share in (-step, step)]
-            sides = [follow(replace(record, pieces=part), beside).deviance for part in pieces]
-            return [_between(title, unit, factor * step, sides[0], found.deviance, sides[1])]
+            share = step
+            below, above = deviance(-share), deviance(share)
+            bend = 0.5 * (below + above) - found.deviance
+            if bend < 1.0 and share < _LARGEST:
+                # the change is smaller than its standard deviation, so that a parabola through it says little
+                share = min(_LARGEST, 3.0 * share / math.sqrt(bend)) if bend > 0.01 else min(_LARGEST, 30.0 * share)
+                below, above = deviance(-share), deviance(share)
+            return [_between(title, unit, factor * share, below, found.deviance, above)]
 
         tests.append(run)
 

@@ -17,6 +17,7 @@ from zygos.refine.follow import Beside, Pass, Start, follow
 from zygos.refine.motion import FlexibleMotion
 from zygos.refine.record import Record
 from zygos.refine.rivals import Rival, rivals, typical_torque
+from zygos.refine.start import MOST, within
 
 Floats = NDArray[np.float64]
 Progress = Callable[[float], None]
@@ -27,6 +28,9 @@ REMEDY = (
 )
 FIRST_LEVEL = 0.05
 """Noise of the torques in the first pass, as a share of their size."""
+_APPROACHES = 8
+"""Largest number of passes at the first level: each begins from the result of the one before, until it moves the values
+by less than their standard deviations."""
 _FINEST = 1e-5
 """The smallest level above 0 that is tried."""
 _RATIO = 3.0
@@ -79,10 +83,8 @@ class Search:
     def run(self) -> tuple[float, float]:
         """The level that the readings favour, and the standard error of its logarithm."""
         first = max(FIRST_LEVEL, 4.0 * self.declared)
-        rough = self.follow(first)
-        self.start = Start(rough.value, _AGAIN**2 * rough.covariance)
-        self.progress(0.1)
-        level, error = self._search(first, 0.1, 0.7)
+        self._approach(first)
+        level, error = self._search(first, 0.2, 0.7)
         best = self.tried[self._best()]
         # from the start of the search, torques that are far better lead a linear filter slightly astray
         if np.trace(best.covariance) < np.trace(self.start.covariance) / _FAR**2:
@@ -90,6 +92,22 @@ class Search:
             self.earlier, self.tried = self.tried, {}
             level, error = self._search(max(_RATIO * level, _FINEST), 0.7, 1.0)
         return level, error
+
+    def _approach(self, level: float) -> None:
+        """Move the start into the range in which the motion is linear, with as many passes as that takes."""
+        scale = np.outer(self.size, self.size)
+        for k in range(_APPROACHES):
+            try:
+                rough = self.follow(level)
+            except ZygosError as left:
+                raise Undecided(f"the estimate from energy rows is too far off as a start; remedy: {REMEDY}") from left
+            moved = float(np.sqrt(np.mean((rough.value - self.start.value) ** 2 / np.diag(rough.covariance))))
+            covariance = scale * within(_AGAIN**2 * rough.covariance / scale, MOST)
+            self.start = Start(rough.value, covariance)
+            self.progress(0.2 * (k + 1) / _APPROACHES)
+            if moved < 1.0:
+                return
+        raise Undecided(f"the values do not settle from pass to pass; remedy: {REMEDY}")
 
     def _search(self, first: float, begin: float, end: float) -> tuple[float, float]:
         """As `run`, from the level `first` on, which is the largest."""

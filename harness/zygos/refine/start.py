@@ -23,8 +23,10 @@ Floats = NDArray[np.float64]
 LEARNED = ("motor_coulomb", "torque_offset")
 """Effects that are estimated as constants of the filter."""
 _ADDED = 0.005
-"""What is added to the standard deviations of the energy estimate at the start, in units of the sizes: more leads the
-filter out of the range in which the motion is linear."""
+"""What is added to the standard deviations of the energy estimate at the start, in units of the sizes."""
+MOST = 0.01
+"""Largest standard deviation of any combination of parameters before the first reading, in units of the sizes: more
+leads the filter out of the range in which the motion is linear. A start that is farther off takes several passes."""
 _WIDER = 2.0
 """Standard deviations at the start of the first pass, as a multiple of those of the energy estimate."""
 _ASSUMED = 0.01
@@ -61,8 +63,8 @@ def begin(
         covariance[missing] = covariance[:, missing] = 0.0
     size = FlexibleMotion(arm, value).size
     scaled = covariance / np.outer(size, size)
-    weights, axes = np.linalg.eigh(0.5 * (scaled + scaled.T))
-    scaled = _WIDER**2 * (axes * np.clip(weights, 0.0, None)) @ axes.T + _ADDED**2 * np.eye(p)
+    # what energy rows say of the covariance need not be positive definite
+    scaled = _WIDER**2 * within(scaled, math.inf) + _ADDED**2 * np.eye(p)
     if missing.any():
         own = np.array([one.sigma for one in given.values()]) / size
         scaled += np.diag(np.where(missing, np.where(own > 0.0, own, _ASSUMED) ** 2, 0.0))
@@ -81,4 +83,10 @@ def begin(
         expected.get("torque_offset"),
         np.stack([np.zeros_like(zeros), zeros]) if zeros.any() else None,
     )
-    return Start(value, scaled * np.outer(size, size)), beside
+    return Start(value, within(scaled, MOST) * np.outer(size, size)), beside
+
+
+def within(covariance: Floats, most: float) -> Floats:
+    """The covariance (p, p) with standard deviations from 0 to `most` along its principal axes."""
+    weights, axes = np.linalg.eigh(0.5 * (covariance + covariance.T))
+    return np.asarray((axes * np.clip(weights, 0.0, most**2)) @ axes.T, dtype=np.float64)
