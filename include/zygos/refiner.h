@@ -35,10 +35,10 @@ extern "C" {
 
 /// The kinds of readings whose innovations are counted apart.
 enum zygos_channel {
-    ZYGOS_CHANNEL_LINK = 0,  ///< Link encoders.
-    ZYGOS_CHANNEL_MOTOR = 1, ///< Motor encoders.
-    ZYGOS_CHANNEL_GYRO = 2,  ///< The gyro.
-    ZYGOS_CHANNELS = 3       ///< How many there are.
+    ZYGOS_CHANNEL_LINK = 0,    ///< Link encoders.
+    ZYGOS_CHANNEL_MOTOR = 1,   ///< Motor encoders.
+    ZYGOS_CHANNEL_GYRO = 2,    ///< The gyro.
+    ZYGOS_KINDS_OF_CHANNEL = 3 ///< How many there are.
 };
 
 /// What the filter has to know besides the configuration.
@@ -62,16 +62,16 @@ typedef struct {
 typedef struct {
     zygos_propagation_t propagation;
     zygos_refiner_settings_t settings;
-    uint32_t fast;                 ///< Entries that change: the state and the bias.
-    uint32_t entries;              ///< n, all entries.
-    uint32_t constants;            ///< n - fast.
-    uint32_t failed;               ///< 1: the estimate became impossible, and only a new start helps.
-    double x[ZYGOS_MAX_REFINED];   ///< The estimate.
-    double root[ZYGOS_MAX_ROOT];   ///< S, upper triangular: column j has its entries 0..j from j (j + 1) / 2 on.
-    double count[ZYGOS_CHANNELS];  ///< Readings since the start, or since the caller set this to 0.
-    double square[ZYGOS_CHANNELS]; ///< Sum of their squared innovations divided by the expected variances.
-    double volume;                 ///< With the next: the product of the expected variances is volume * 2^exponent.
-    double volume_exponent;        ///< Both since the start. They tell which of several settings the readings favour.
+    uint32_t fast;                        ///< Entries that change: the state and the bias.
+    uint32_t entries;                     ///< n, all entries.
+    uint32_t constants;                   ///< n - fast.
+    uint32_t failed;                      ///< 1: the estimate became impossible, and only a new start helps.
+    double x[ZYGOS_MAX_REFINED];          ///< The estimate.
+    double root[ZYGOS_MAX_ROOT];          ///< S, upper triangular: column j has its entries 0..j from j (j + 1) / 2 on.
+    double count[ZYGOS_KINDS_OF_CHANNEL]; ///< Readings since the start, or since the caller set this to 0.
+    double square[ZYGOS_KINDS_OF_CHANNEL]; ///< Sum of their squared innovations divided by the expected variances.
+    double volume;          ///< With the next: the product of the expected variances is volume * 2^exponent.
+    double volume_exponent; ///< Both since the start. They tell which of several settings the readings favour.
 } zygos_refiner_t;
 
 /// Scratch of one call; nothing in it is kept.

@@ -16,7 +16,7 @@ from zygos.errors import Undecided
 from zygos.files.output import check_outputs, counted, named, number, quiet, ratio, say, table, write_json
 from zygos.files.progress import progress
 from zygos.model.model import load_model, save_model
-from zygos.native.refiner import CHANNELS
+from zygos.native.flight import CHANNELS
 from zygos.refine.answer import as_dict
 from zygos.refine.refine import Refinement, refine_runs
 from zygos.refine.search import REMEDY

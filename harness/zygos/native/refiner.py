@@ -12,11 +12,9 @@ from numpy.typing import NDArray
 
 from zygos.arm import TORQUE_STEP, Arm
 from zygos.errors import ZygosError
-from zygos.native.flight import config_of, ffi, lib
+from zygos.native.flight import CHANNELS, config_of, ffi, lib
 
 Floats = NDArray[np.float64]
-
-CHANNELS = ("link encoders", "motor encoders", "gyro")
 
 
 @dataclass(frozen=True)

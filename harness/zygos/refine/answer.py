@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from zygos.native.refiner import CHANNELS
+from zygos.native.flight import CHANNELS
 from zygos.refine.refine import Refinement
 
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from zygos.native.refiner import CHANNELS, Refiner, Settings
+from zygos.native.flight import CHANNELS
+from zygos.native.refiner import Refiner, Settings
 from zygos.refine.record import Record, start_of
 
 Floats = NDArray[np.float64]

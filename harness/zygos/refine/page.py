@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from zygos.estimation.charts import meaning
 from zygos.files.output import number
-from zygos.native.refiner import CHANNELS
+from zygos.native.flight import CHANNELS
 from zygos.refine.refine import Refinement
 from zygos.report.figures import LogScale, down_to, figure, unit_of
 from zygos.report.page import Entry, joint_colour, numbers, render, series

@@ -25,7 +25,7 @@ from zygos.errors import Undecided, ZygosError
 from zygos.estimation.estimate import Estimation, estimate
 from zygos.files.output import number
 from zygos.model.model import Model, Quantity
-from zygos.native.refiner import CHANNELS
+from zygos.native.flight import CHANNELS
 from zygos.refine.bound import Bound, bound_along
 from zygos.refine.follow import Pass
 from zygos.refine.motion import FlexibleMotion
