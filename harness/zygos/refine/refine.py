@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import norm
 
 from zygos.arm import TORQUE_STEP, Arm
 from zygos.can.run import Run, joined
@@ -41,6 +42,8 @@ _WINDOWS = 12
 """Windows in which the innovations are counted apart."""
 SIGMAS = 3.0
 """Standard errors that a rule allows."""
+FALSE_ALARM = 1e-3
+"""Probability with which the distance of normally distributed estimates fails."""
 RIVAL_SIGMAS = 4.0
 """Standard deviations by which the readings may favour a model with one thing more: one of many that are tried."""
 _BIAS = 0.002
@@ -256,7 +259,9 @@ def _agreement(answer: Refinement) -> Rule:
     value, sigma = answer.energy.value[:p], answer.energy.sigma[:p]
     known = np.isfinite(value) & np.isfinite(sigma)
     apart = np.abs(np.where(known, value - answer.value, 0.0))
-    allowed = SIGMAS * np.hypot(np.where(known, sigma, 0.0), answer.sigma) + _BIAS * answer.size
+    # all values are looked at, and the farthest one decides
+    sigmas = float(norm.isf(0.5 * FALSE_ALARM / max(1, known.sum())))
+    allowed = sigmas * np.hypot(np.where(known, sigma, 0.0), answer.sigma) + _BIAS * answer.size
     worst = int(np.argmax(apart / allowed))
     ratio = float(apart[worst] / allowed[worst])
     text = (
