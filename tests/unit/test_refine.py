@@ -166,9 +166,9 @@ def cycles(n: int = 200) -> Cycles:
     )  # fmt: skip
 
 
-def flagged(at: int, flag: int) -> np.ndarray:  # type: ignore[type-arg]
+def flagged(at: int, *listed: int) -> np.ndarray:  # type: ignore[type-arg]
     flags = np.zeros(200, np.uint32)
-    flags[at] = flag
+    flags[at : at + len(listed)] = listed
     return flags
 
 
@@ -181,6 +181,7 @@ def flagged(at: int, flag: int) -> np.ndarray:  # type: ignore[type-arg]
         (flagged(100, VOID_BEFORE | 10 << VOID_SHIFT), [0], 191),
         (flagged(100, VOID_BEFORE), [100], 100),
         (flagged(10, BREAK_BEFORE), [10], 190),
+        (flagged(99, INVALID, BREAK_BEFORE), [0, 100], 199),
     ],
 )
 def test_pieces_are_what_can_be_followed(flags: np.ndarray, firsts: list[int], used: int) -> None:  # type: ignore[type-arg]
@@ -285,6 +286,17 @@ def test_what_disagrees_with_energy_rows_is_not_published() -> None:
     failed = refine._agreement(again)
     assert not failed.holds
     assert "energy rows say" in failed.sentence
+
+
+@pytest.mark.parametrize(("part", "times", "holds"), [(slice(100, 150), 2.0, False), (slice(0, 600), 1.05, True)])
+def test_large_innovations_of_a_while_are_noticed(part: slice, times: float, holds: bool) -> None:
+    squares = found().final.squares.copy()
+    squares[:, 1] *= 2 * 600 / squares[:, 1].sum()  # two joints, 1 on average
+    squares[part, 1] *= times
+    again = replace(found(), final=replace(found().final, squares=squares))
+    rule = refine._innovations(again)
+    assert rule.holds is holds
+    assert holds or "motor encoders are too large: the mean normalised square of readings 100 to 150" in rule.sentence
 
 
 def test_what_the_filter_does_not_know_is_refused() -> None:
