@@ -134,7 +134,8 @@ def limit(arm: str, dirty: bool, law: Law | SensorError, joint: int) -> float:
     """Detection limit of a true column on nulls of this arm."""
     column = law.key if joint < 0 else f"{law.key}{joint + 1}"
     stated = _limits().get(f"{arm}/{'dirty' if dirty else 'clean'}", {})
-    return stated.get(column, guessed(arm, law.key, joint))
+    # effects of the base of an arm in space act about z
+    return stated.get(column, stated.get(column + "z", guessed(arm, law.key, joint)))
 
 
 def is_dirty(cell: Cell, draw: int) -> bool:

@@ -91,6 +91,11 @@ class Law:
     exact: ClassVar[bool] = False
     """Whether the law has the form of the catalogue's column."""
 
+    @property
+    def shape(self) -> float | None:
+        """Of the catalogue's entry, where that has one and this law has it as well."""
+        return None
+
     def begin(self, now: Now) -> None:
         """An integration step starts."""
 
@@ -273,6 +278,10 @@ class Stribeck(Law):
     near = ("motor_coulomb",)
     exact = True
 
+    @property
+    def shape(self) -> float:
+        return self.vs
+
     def torque(self, now: Now) -> float:
         rate = self._rate(now)
         return -self.size * exp(-((rate / self.vs) ** 2)) * min(1.0, max(-1.0, rate / WIDTH))
@@ -435,6 +444,10 @@ class Backlash(Law):
     near = ("cubic_stiffness", "motor_coulomb", "link_coulomb")
     place = "spring"
 
+    @property
+    def shape(self) -> float:
+        return self.size
+
     def torque(self, now: Now) -> float:
         d, gap = now.deflection, self.size
         linear = now.stiffness * d
@@ -485,6 +498,10 @@ class Ripple(Law):
 
     key = "ripple_sin"
     near = ("ripple_cos",)
+
+    @property
+    def shape(self) -> float:
+        return float(self.order)
 
     def torque(self, now: Now) -> float:
         angle = self.order * now.ratio * now.theta

@@ -28,6 +28,10 @@ SAME = {
 """Entries that are one where a joint is rigid: motor and link turn as one."""
 
 
+OF_EACH_RUN = ("motor_zero", "link_zero", "gyro_bias")
+"""Entries that are an unknown of each run: a verdict states them as errors of sensors, and not as effects."""
+
+
 @dataclass(frozen=True)
 class True_:
     """One effect that was hidden, as the catalogue would say it."""
@@ -44,6 +48,8 @@ class True_:
     """Gear ratio: a motor's torque is before the gear."""
     work: float = 0.0
     """The size by least squares of power, where rest does not count; 0: `size`."""
+    shape: float | None = None
+    """Of the law, where the entry has one."""
 
     def scale(self, effect: str, joint: str | None) -> float | None:
         """Factor from this size to that of an entry which is this effect; None where it is another."""
@@ -123,6 +129,7 @@ def truth(one: Case, motions: Sequence[Motion]) -> Truth:
                 not joint.flexible and not at_base,
                 float(arm.gear_ratios[law.joint]),
                 projected(law, motions, k, power=True),
+                law.shape,
             )
         )
     for error in plant.sensors:
@@ -213,6 +220,12 @@ def score(true: Truth, verdict: Json, joints: Sequence[str]) -> dict[str, Any]:
         out["right"] = answer == "changed" or (answer in {"named", "part named"} and changed)
         out["false"] = bool(said) and not changed
         return out
+    own = [e for e in true.effects if e.key in OF_EACH_RUN]
+    if own and len(own) == len(true.effects):
+        seen = {_column(one["name"], joints): one["value"] for one in verdict.get("zeros") or []}
+        known = [abs(seen.get((e.key, e.joint), 0.0) - e.size) < 0.25 * abs(e.size) for e in own]
+        out["right"] = out["first"] = all(known) and not said and answer in {"nothing missing", "values differ"}
+        return out
     if true.expected == "unknown":
         fair = bool(said) and all(near(pair) for pair in said)
         out["right"] = answer == "unknown" or (answer == "part named" and fair)
@@ -264,7 +277,7 @@ def score(true: Truth, verdict: Json, joints: Sequence[str]) -> dict[str, Any]:
 
 def stated_limits(verdict: Json) -> dict[str, float]:
     """Detection limits that a verdict states, by column."""
-    listed = verdict.get("candidates") or []
+    listed = [*(verdict.get("candidates") or []), *(verdict.get("limits") or [])]
     return {c["name"]: float(c["limit"]) for c in listed if c.get("limit") is not None and np.isfinite(c["limit"])}
 
 
@@ -296,14 +309,19 @@ def overlaps(true: Truth, verdict: Json, joints: Sequence[str]) -> dict[str, flo
 
 def multiple(true: Truth, verdict: Json, joints: Sequence[str]) -> float | None:
     """The smallest size of what is hidden over the limit that the verdict itself states; None where it states none."""
-    limits: dict[tuple[str, str | None], float] = {}
+    limits: dict[tuple[str, str | None], list[tuple[float, float]]] = {}
     for name, value in stated_limits(verdict).items():
-        # of a law with a shape the smallest
-        limits[_column(name, joints)] = min(value, limits.get(_column(name, joints), np.inf))
+        limits.setdefault(_column(name, joints), []).append((float(name.partition("@")[2] or "nan"), value))
     ratios = []
     for e in true.effects:
-        if (e.key, e.joint) in limits and limits[e.key, e.joint] > 0.0:
-            ratios.append(abs(e.size) / limits[e.key, e.joint])
+        listed = limits.get((e.key, e.joint), [])
+        if e.shape is None or any(np.isnan(shape) for shape, _ in listed):
+            limit = min((value for _, value in listed), default=0.0)
+        else:
+            # the shape next to that of the law
+            limit = min(((abs(np.log(shape / e.shape)), value) for shape, value in listed), default=(0.0, 0.0))[1]
+        if limit > 0.0:
+            ratios.append(abs(e.size) / limit)
     return min(ratios) if ratios else None
 
 

@@ -89,10 +89,9 @@ class Signals:
         """(..., m) rate, rad/s, and angle, rad, of what the law of an entry acts on."""
         return {
             "motor": (self.motor_rate, self.motor_angle),
-            "load": (self.motor_rate, self.motor_angle),
-            "torque": (self.motor_rate, self.motor_angle),
+            "link": (self.link_rate, self.link_angle),
             "spring": (self.slip, self.deflection),
-        }.get(kind.place, (self.link_rate, self.link_angle))
+        }[kind.side]
 
     def torque(self, kind: Kind, shape: float) -> Floats:
         """(..., m) f along the motion, per unit of its coefficient. Errors: ZygosError for a site without such laws."""

@@ -289,6 +289,12 @@ def show(found: Explanation) -> None:
         )
         luck = found.search.chance
         say(asked_of_candidates(luck.threshold, luck.false_alarms, "on every run"))
+        if found.search.beyond:
+            places = len({(one.kind.key, one.joint) for one in found.search.beyond})
+            say(
+                f"nothing is left over, so that {places} entries of the catalogue were not searched; --report and "
+                "--json have the sizes from which on they would be"
+            )
     show_values(found.values)
     if found.gap is not None:
         table(

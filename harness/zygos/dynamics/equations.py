@@ -79,7 +79,7 @@ class _Engine:
         """(..., N) torques before the gear less friction."""
         driving, time = tau.copy(), np.broadcast_to(moment.time, q.shape[:-1])
         for law in self.laws:
-            i, own = law.joint, law.kind.place != "link"
+            i, own = law.joint, law.kind.side == "motor"
             motion = Motion(
                 rate=(thetad if own else qd)[..., i],
                 angle=(theta if own else q)[..., i],

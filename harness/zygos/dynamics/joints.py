@@ -272,9 +272,7 @@ class Drives(ABC):
             return Motion(rate=rate, angle=angle, time=time, memory=own)
         q, theta, qd, thetad = (x[..., i] for x in (state.q, state.theta, state.qd, state.thetad))
         deflection, slip = theta - q, thetad - qd
-        own_side = (thetad, theta)
-        sides = {"motor": own_side, "torque": own_side, "load": own_side, "spring": (slip, deflection)}
-        rate, angle = sides.get(law.kind.place, (qd, q))
+        rate, angle = {"motor": (thetad, theta), "link": (qd, q), "spring": (slip, deflection)}[law.kind.side]
         time = np.broadcast_to(moment.time, q.shape)
         return Motion(rate, angle, deflection, slip, applied, load, time, float(self.gear_ratio[i]), own)
 

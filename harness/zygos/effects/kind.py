@@ -140,6 +140,11 @@ class Kind:
             raise ZygosError(f'effect {self.key}: which sensor is unknown; remedy: sensor = "link", "motor" or "gyro"')
 
     @property
+    def side(self) -> Literal["motor", "link", "spring"]:
+        """What the rate and the angle of its law are those of: the motor, the link, or the deflection."""
+        return "link" if self.place == "link" else "spring" if self.place == "spring" else "motor"
+
+    @property
     def torque(self) -> Callable[[Array], Array] | None:
         """f as a function of the rate (motor, link) or of the deflection (spring) alone; None where the law has a
         shape or a memory, and at other sites."""

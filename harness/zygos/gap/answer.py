@@ -10,7 +10,7 @@ from zygos.gap.findings import Finding, Gap, Value
 from zygos.gap.forecast import Forecast
 from zygos.gap.sentences import against, evidence
 from zygos.gap.simulated import Simulated
-from zygos.gap.verdicts import Changed, PartNamed, Verdict
+from zygos.gap.verdicts import Changed, PartNamed, Verdict, ZerosOff
 from zygos.plan.separating import Separating
 from zygos.report.provenance import Provenance
 
@@ -172,6 +172,9 @@ def as_json(found: Explanation, source: Provenance) -> dict[str, Any]:
             }
             for c in found.search.rounds[0]
         ],
+        "limits": []
+        if found.search is None
+        else [{"name": one.name, "unit": one.kind.unit, "limit": one.value} for one in found.search.beyond],
         "threshold": found.search
         and {
             "deviations": found.search.chance.threshold,
@@ -184,6 +187,12 @@ def as_json(found: Explanation, source: Provenance) -> dict[str, Any]:
             {"speed": e.speed, "amplitude": e.amplitude, "z": e.z, "z_now": e.now} for e in found.experiments
         ],
         "simulation": simulation_json(found.simulated),
+        "zeros": [
+            {"name": name, "unit": "rad/s" if name.startswith("gyro") else "rad", "value": value}
+            for one in found.remarks
+            if isinstance(one, ZerosOff)
+            for name, value in one.zeros
+        ],
         "remarks": list(found.notes),
         "runs": [{"run": str(r.path), "arcs": len(r.starts), "faults": r.faults} for r in found.records],
         **source_json(source),

@@ -37,12 +37,23 @@ from zygos.gap.forecast import Forecast, Stretches, cut, cut_twin, forecast
 from zygos.gap.payload import SYSTEMATIC, PayloadValue, payload_of
 from zygos.gap.record import MeasuredRun
 from zygos.gap.remainder import CLOSED, closes, remainders, unclosed
-from zygos.gap.search import COMPLETE, PARTLY, Candidate, Search, allowed, excess, polished, possible, search
+from zygos.gap.search import (
+    COMPLETE,
+    PARTLY,
+    Candidate,
+    Search,
+    allowed,
+    excess,
+    limits_beyond,
+    polished,
+    possible,
+    search,
+    widened,
+)
 from zygos.gap.sentences import entry_evidence
 from zygos.gap.study import (
     Study,
     begin,
-    laid_out,
     own_errors,
     read_hypothesis,
     realise,
@@ -251,15 +262,19 @@ class _Explainer:
         gained = self._gained(basis, found.after)
         if gained is not basis:
             basis, found = gained, search(gained, lambda what: self.step(0.45, what))
-        wider: Search | None = None
+        every: Study | None = None
         if self._open(found):
-            wider = self._wider(basis)
+            every, wider = self._wider(basis)
             if wider is not None and _explains_more(wider, found):
                 found = wider
+        elif not found.named:
+            self.step(0.5, "detection limits of the other entries")
+            with suppress(Undecided):
+                found = replace(found, beyond=limits_beyond(found.after, widened(found.after)))
         if self._unsettled(found) and not _too_quiet(basis).any():
             self.step(0.65, "changes with time")
             # what begins may be a usual entry, or any
-            for study in (basis, *(() if wider is None else (wider.before,))):
+            for study in (basis, *(() if every is None else (every,))):
                 changed, later, earlier = self._changed(found, study, basis.layout)
                 if changed is not None:
                     told = self._gap(delivered, refit, later.after, later, SYSTEMATIC)
@@ -267,14 +282,18 @@ class _Explainer:
                         return later, told, changed
         return found, self._gap(delivered, refit, found.after, found), None
 
-    def _wider(self, basis: Study) -> Search | None:
-        """The search among every entry of the catalogue; None where the runs do not tell their columns apart."""
+    def _wider(self, basis: Study) -> tuple[Study | None, Search | None]:
+        """The basis with every entry of the catalogue, and the search among them; None where the runs do not tell their
+        columns apart."""
         self.step(0.5, "every entry of the catalogue")
-        wide = laid_out(basis, replace(basis.layout, wide=True))
         try:
-            return polished(search(wide, lambda what: self.step(0.6, what)))
+            every = widened(basis)
         except Undecided:
-            return None
+            return None, None
+        try:
+            return every, polished(search(basis, lambda what: self.step(0.6, what), every))
+        except Undecided:
+            return every, None
 
     def _gained(self, basis: Study, after: Study) -> Study:
         """The basis with the gains of torque sensors that are far off after all that was named as effects, the same in

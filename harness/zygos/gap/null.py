@@ -93,9 +93,9 @@ class Chance:
         return self.rate(self.threshold)
 
 
-def chance(study: Study, names: Sequence[str], rate: float = FALSE_ALARMS) -> Chance:
+def chance(study: Study, names: Sequence[str], rate: float = FALSE_ALARMS, *, others: int = 0) -> Chance:
     """What is asked of candidates so that on runs that lack nothing at most a share `rate` of searches names one; not
-    below `FLOOR`."""
+    below `FLOOR`. others: how many more there were from which these were chosen; they count as independent."""
     most = 1.0
     for run in range(len(study.records)):
         scores = null_scores(study, names, runs=[run], seed=run)
@@ -104,7 +104,7 @@ def chance(study: Study, names: Sequence[str], rate: float = FALSE_ALARMS) -> Ch
             largest = np.abs(known).max(axis=1)
             most = max(most, float(-len(largest) / np.sum(np.log1p(-2.0 * norm.sf(largest)))))
     readings = study.twin_sums[0].gram[0].shape[0]
-    found = Chance(len(study.records), len(names), most, readings - 1, DRAWS, FLOOR)
+    found = Chance(len(study.records), len(names) + others, most + others, readings - 1, DRAWS, FLOOR)
     return replace(found, threshold=max(FLOOR, found.needed(rate)))
 
 

@@ -7,13 +7,14 @@ the layout; here numbers are selected, scaled and written as people write them.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 
 from zygos.arm import Arm
-from zygos.effects import CATALOGUE, Effect, spoken
+from zygos.effects import CATALOGUE, Effect, Kind, spoken
 from zygos.errors import Undecided
 from zygos.files.output import ratio
 from zygos.gap.charts import Charts
@@ -251,7 +252,29 @@ def _search(x: Explanation) -> Entry:
         "completeness": [f"{100.0 * share:.1f}" for share in search.completeness],
         "named": bool(named),
         "asked": asked_of_candidates(search.chance.threshold, search.chance.false_alarms, "on every run"),
+        "beyond": limit_rows(x.arm, [(one.kind, one.joint, one.value) for one in search.beyond]),
     }
+
+
+def limit_rows(arm: Arm, limits: Sequence[tuple[Kind, int, float]]) -> list[Entry]:
+    """A row for each entry at each joint (from 0; -1 for the base), from its smallest to its largest limit over
+    components and shapes."""
+    rows: dict[tuple[str, int], list[float]] = {}
+    kinds = {kind.key: kind for kind, _, _ in limits}
+    for kind, joint, value in limits:
+        rows.setdefault((kind.key, joint), []).append(value)
+    out = []
+    for (key, joint), values in rows.items():
+        low, high = figure(min(values), 2), figure(max(values), 2)
+        out.append(
+            {
+                "title": kinds[key].title,
+                "joint": "the base" if joint < 0 else arm.joints[joint].name,
+                "limit": low if low == high else f"{low} – {high}",
+                "unit": unit_of(kinds[key].unit),
+            }
+        )
+    return out
 
 
 def _candidate(arm: Arm, c: Candidate, named: set[str], sets: dict[str, str], *, adopted: bool) -> Entry:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Literal
@@ -16,8 +17,8 @@ from zygos.errors import Undecided
 from zygos.gap.balances import Acting
 from zygos.gap.experiment import THRESHOLD
 from zygos.gap.fit import Hypothesis, fit, shares_of_pairs
-from zygos.gap.null import Chance, chance
-from zygos.gap.study import Study, again, laid_out
+from zygos.gap.null import Chance, chance, null_sigmas
+from zygos.gap.study import FEW, Study, again, laid_out
 
 Array = NDArray[np.float64]
 Against = Literal["", "insignificant", "inconsistent", "negative", "not transferable", "not the rotor"]
@@ -44,6 +45,10 @@ MOST = 4
 """Effects that are looked for."""
 _POLISHES_ALWAYS, _POLISHES = 2, 5
 """Grids of shapes that are tried one after the other: in any case, and at most."""
+_ENTRIES, _SHAPES, _PAIRS = 8, 2, 6
+"""Of the entries that are searched last, those that are judged in each round: so many that explain most by themselves,
+so many shapes of each, and so many pairs that explain most together."""
+_ONCE_IN_TWENTY = 1.645
 
 
 @dataclass(frozen=True)
@@ -88,6 +93,18 @@ class Candidate:
 
 
 @dataclass(frozen=True)
+class Limit:
+    """From which size on an entry that is searched last would make a search go on to it, and be named."""
+
+    name: str
+    kind: Kind
+    joint: int
+    """From 0; -1 for the base."""
+    shape: float | None
+    value: float
+
+
+@dataclass(frozen=True)
 class Search:
     """What came of it."""
 
@@ -104,6 +121,8 @@ class Search:
     """For each named effect the names that the runs cannot tell from it, itself first."""
     chance: Chance
     """How often noise alone names one of the candidates."""
+    beyond: tuple[Limit, ...] = ()
+    """Of the entries that were not searched, because nothing was left over."""
 
 
 def excess(study: Study) -> bool:
@@ -119,13 +138,17 @@ def allowed(study: Study) -> tuple[Array, Array]:
     freedom = 2.0 / np.maximum(study.wobble, 1e-6) ** 2
     tail = norm.sf(CERTAIN)
     least, most = 1.0 - chi2.ppf(tail, freedom) / freedom, chi2.isf(tail, freedom) / freedom - 1.0
-    trifle = np.array([_trifle(study, balance) for balance in study.layout.balances])
+    trifle = _trifles(study)
     return np.maximum(least, trifle), np.maximum(most, trifle)
 
 
-def _trifle(study: Study, balance: str) -> float:
+def _trifles(study: Study) -> Array:
+    """(balances,) what is no excess of the squared ratio in any case."""
     # with noise in its torques a twin does not move quite as the arm did, which the momentum of an arm in space shows
-    return MOMENTUM if len(balance) > 1 and balance[0] == "H" and study.layout.of_torque.any() else EXCESS
+    moved = study.layout.of_torque.any()
+    return np.array(
+        [MOMENTUM if moved and len(name) > 1 and name[0] == "H" else EXCESS for name in study.layout.balances]
+    )
 
 
 def noisy(study: Study) -> bool:
@@ -139,7 +162,7 @@ def completeness(before: Study, rms: Array) -> tuple[float, ...]:
     there was none. What the twin itself varies by is no excess."""
     out = []
     after = (rms / before.noise) ** 2 - 1.0
-    trifle = np.array([_trifle(before, balance) for balance in before.layout.balances])
+    trifle = _trifles(before)
     for old, kept, wobble in zip(before.excess**2 - 1.0, after, before.wobble, strict=True):
         counts = np.isfinite(old) & (old > trifle)
         left = np.maximum(kept - 2.0 * wobble, 0.0)
@@ -147,13 +170,18 @@ def completeness(before: Study, rms: Array) -> tuple[float, ...]:
     return tuple(out)
 
 
-def search(study: Study, step: Callable[[str], None] = lambda _: None) -> Search:
-    """Look for what the study's hypothesis lacks. step is told what is being done."""
-    before, now = study, study
+def search(study: Study, step: Callable[[str], None] = lambda _: None, every: Study | None = None) -> Search:
+    """Look for what the study's hypothesis lacks. step is told what is being done. every: the same study `widened`,
+    where every entry of the catalogue is searched, not only the usual ones."""
+    own = study.layout.own
+    now = before = study if every is None else shortlisted(study, every, own)
+    others = 0 if every is None else _possible_of(every) - _possible_of(before)
     named: list[Candidate] = []
     rounds: list[tuple[Candidate, ...]] = []
     share: tuple[float, ...] = tuple(1.0 for _ in study.records)
-    luck = chance(study, [one.name for one in study.layout.effects if possible(study.hypothesis, one)])
+    luck = chance(
+        before, [one.name for one in before.layout.effects if possible(before.hypothesis, one)], others=others
+    )
     while True:
         step(f"round {len(rounds) + 1}: every candidate")
         listed = candidates(now, before, luck.threshold)
@@ -186,10 +214,69 @@ def search(study: Study, step: Callable[[str], None] = lambda _: None) -> Search
             break
         named.append(best)
         now, share = grown, gained
+        if every is not None and (min(share) < COMPLETE or excess(now)):
+            step(f"round {len(rounds) + 1}: every entry of the catalogue")
+            now = shortlisted(now, widened(now), own)
     named, now = _retest(named, now, before)
     share = completeness(before, now.excess * before.noise)
     sets = tuple(_inseparable(candidate, now, before) for candidate in named)
     return Search(before, now, tuple(named), tuple(rounds), share, sets, luck)
+
+
+def widened(study: Study) -> Study:
+    """The same study with every entry of the catalogue, beside a few draws of its twins: enough to rank them."""
+    return laid_out(study, replace(study.layout, wide=True), FEW)
+
+
+def shortlisted(study: Study, every: Study, own: tuple[Acting, ...]) -> Study:
+    """The study with those entries of the same study `widened` that explain most, alone or two together. own: entries
+    that it has in any case."""
+    hypothesis = every.hypothesis
+    usual = {one.name for one in replace(study.layout, own=()).effects}
+    left: dict[Acting, float] = {}
+    for one in every.layout.effects:
+        if one.name not in hypothesis.effects and possible(hypothesis, one):
+            with suppress(Undecided):
+                wider = replace(hypothesis, effects=(*hypothesis.effects, one.name))
+                left[one] = _total(every.of(wider).rms, every.noise)
+    kept: list[Acting] = []
+    seen: dict[str, int] = {}
+    for one in sorted((x for x in left if x.name not in usual), key=left.__getitem__):
+        if seen.get(one.plain, 0) < _SHAPES and (one.plain in seen or len(seen) < _ENTRIES):
+            seen[one.plain] = seen.get(one.plain, 0) + 1
+            kept.append(one)
+    # a momentum that is assumed is part of the right side: its column is no addition
+    tried = [one for one in left if one.kind.key != "angular_momentum"]
+    shares = shares_of_pairs(hypothesis, every.sums, every.weight, [one.name for one in tried])
+    pairs = [(i, j) for i, j in combinations(range(len(tried)), 2) if tried[i].plain != tried[j].plain]
+    for i, j in sorted(pairs, key=lambda at: -shares[at])[:_PAIRS]:
+        kept += [tried[i], tried[j]]
+    named = [every.layout.find(name) for name in hypothesis.effects if name not in {one.name for one in own}]
+    return laid_out(study, replace(study.layout, wide=False, own=tuple(dict.fromkeys((*own, *named, *kept)))))
+
+
+def _possible_of(study: Study) -> int:
+    return sum(possible(study.hypothesis, one) for one in study.layout.effects)
+
+
+def limits_beyond(study: Study, every: Study) -> tuple[Limit, ...]:
+    """Of the entries that only the same study `widened` has, from which size on they would leave something over that
+    the usual ones do not explain, and stand out of the twin on each run, nineteen times in twenty."""
+    usual = {one.name for one in study.layout.effects}
+    listed = [one for one in every.layout.effects if one.name not in usual and possible(every.hypothesis, one)]
+    names = [one.name for one in listed]
+    sigma = np.max([null_sigmas(every, names, [run]) for run in range(len(every.records))], axis=0)
+    least = np.sqrt(allowed(study)[1] + _ONCE_IN_TWENTY * study.wobble)
+    out = []
+    for one, own in zip(listed, sigma.tolist(), strict=True):
+        with suppress(Undecided):
+            unit = fit(every.hypothesis, every.sums, every.weight, target=one.name).rms / every.noise
+            with np.errstate(divide="ignore"):
+                seen = float(np.nanmin(least / unit))
+            value = max((THRESHOLD + _ONCE_IN_TWENTY) * own, seen)
+            if np.isfinite(value):
+                out.append(Limit(one.name, one.kind, one.joint, one.shape, value))
+    return tuple(out)
 
 
 def polished(found: Search) -> Search:
@@ -231,7 +318,7 @@ def _reshaped(found: Search, one: Candidate) -> Search:
     shape: float = one.shape
     layout, plain = after.layout, one.name.partition("@")[0]
     own = [x.shape for x in layout.effects if x.plain == plain and x.shape is not None]
-    known = sorted(own)
+    known = sorted(set(dict(layout.shapes).get(plain) or (*own, *one.kind.shapes)))
     at = min(range(len(known)), key=lambda k: abs(np.log(known[k] / shape)))
     low, high = known[max(at - 1, 0)], known[min(at + 1, len(known) - 1)]
     fine = tuple(float(f"{x:.6g}") for x in np.geomspace(low, high, 7))
@@ -390,7 +477,7 @@ def _total(rms: Array, noise: Array) -> float:
 def _limit(now: Study, name: str, null: list[Array], level: float) -> float:
     """The size at which a candidate passes on these runs nineteen times in twenty: it must stand out of its twin and,
     where noise does not hide it, leave an excess behind that the other coefficients do not absorb."""
-    stand_out = (level + 1.645) * max(float(draw.std(ddof=1)) for draw in null)
+    stand_out = (level + _ONCE_IN_TWENTY) * max(float(draw.std(ddof=1)) for draw in null)
     if noisy(now):
         return stand_out
     unit = fit(now.hypothesis, now.sums, now.weight, target=name).rms / now.noise

@@ -41,8 +41,8 @@ LARGE = 3.0
 _LOOSE, _TRIED, _WORTH = 4, 8, 0.5
 """Errors of sensors that are freed at the most, those that are tried at a time, and the share of what a fit pays for
 all of them that may be left by one that is freed."""
-_FEW = 4
-"""Enough to weight the balances of a study that is made again."""
+FEW = 4
+"""Draws that are enough to weight the balances of a study that is made again, and to rank columns."""
 
 
 @dataclass(frozen=True)
@@ -269,8 +269,8 @@ def begin(records: Sequence[MeasuredRun], hypothesis: Hypothesis, dynamics: Driv
     is then made again with what was learned. Errors: Undecided where the runs do not tell the parameters apart."""
     accepted = tuple(followed(record.arm, record.readings()) for record in records)
     applied = np.zeros((len(records), len(hypothesis.layout.zeros)))
-    first = _study(tuple(records), accepted, hypothesis, dynamics, _FEW, applied)
-    return again(again(first, hypothesis, _FEW) if _off(first).any() else first, hypothesis)
+    first = _study(tuple(records), accepted, hypothesis, dynamics, FEW, applied)
+    return again(again(first, hypothesis, FEW) if _off(first).any() else first, hypothesis)
 
 
 def again(study: Study, hypothesis: Hypothesis, count: int = DRAWS) -> Study:
@@ -291,11 +291,11 @@ def again(study: Study, hypothesis: Hypothesis, count: int = DRAWS) -> Study:
     )
 
 
-def laid_out(study: Study, layout: Layout) -> Study:
-    """The same runs, hypothesis and twins with other columns to search among."""
+def laid_out(study: Study, layout: Layout, count: int = DRAWS) -> Study:
+    """The same runs, hypothesis and twins with other columns to search among, and `count` draws."""
     hypothesis = replace(study.hypothesis, layout=layout)
     return _fitted(
-        study.records, study.accepted, hypothesis, study.model, study.twins, study.sensors, DRAWS, study.applied
+        study.records, study.accepted, hypothesis, study.model, study.twins, study.sensors, count, study.applied
     )
 
 
@@ -315,7 +315,7 @@ def part_of(study: Study, arcs: Sequence[slice], hypothesis: Hypothesis) -> Stud
         twins.append(replace(study.twins[k], exact=read))
     accepted = tuple(study.accepted[k][arcs[k]] for k in kept)
     applied = study.applied[kept]
-    return _fitted(tuple(records), accepted, hypothesis, study.model, tuple(twins), study.sensors, _FEW, applied)
+    return _fitted(tuple(records), accepted, hypothesis, study.model, tuple(twins), study.sensors, FEW, applied)
 
 
 def zeroed(study: Study) -> Study:

@@ -53,6 +53,11 @@ def as_json(found: GroundExplanation, source: Provenance) -> dict[str, Any]:
             }
             for one in (found.search.rounds[0] if found.search.rounds else ())
         ],
+        "limits": [
+            {"name": one.name, "unit": one.candidate.unit, "limit": one.limit}
+            for one in found.search.beyond
+            if math.isfinite(one.limit)
+        ],
         "threshold": None
         if not tried
         else {"deviations": threshold(tried), "false_alarms": false_alarms(tried), "candidates": tried},

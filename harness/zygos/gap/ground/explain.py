@@ -111,13 +111,12 @@ class _Explainer:
         self.step(0.3, "the columns of all candidates")
         values = rough.value[: len(self.arm.parameter_names)]
         table, found = self._searched(motions, span, values, wide=False)
-        if not self._closes(table, found, self._gap(table, found)):
-            self.step(0.7, "every entry of the catalogue")
-            wider = self._searched(motions, span, self._bodies(table, found), wide=True, begun=found)
-            if self._explains_more(wider, (table, found)):
-                table, found = wider
-            else:
-                found = replace(found, rounds=(*found.rounds, *wider[1].rounds[-1:]))
+        self.step(0.7, "every entry of the catalogue")
+        wider = self._searched(motions, span, self._bodies(table, found), wide=True, begun=found)
+        if self._explains_more(wider, (table, found)):
+            table, found = wider
+        else:
+            found = replace(found, last=wider[1].rounds[-1] if wider[1].rounds else ())
         self.step(0.78, "changes within and between runs")
         changed = find_change(table, found.after)
         if changed is not None:
@@ -322,7 +321,7 @@ class _Explainer:
             worst = max(float(one.ratio.max()) for one in gap.predictions)
         else:
             worst = float((np.sqrt(residual(table, found.after.x)) / table.floor).max())
-        near = max(found.rounds[-1], key=lambda one: one.gain) if found.rounds else None
+        near = found.nearest
         if near is None or near.explained <= 0.0:
             return Unexplained(worst, (), 0.0, ())
         return Unexplained(worst, (near.name,), min(1.0, near.explained), ())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from zygos.gap.ground.explanation import GroundExplanation
 from zygos.gap.ground.predictions import Prediction, quantities, run_name
 from zygos.gap.ground.search import false_alarms, threshold
 from zygos.gap.ground.sentences import after_gear, against, evidence, title
-from zygos.gap.page import planned_entry
+from zygos.gap.page import limit_rows, planned_entry
 from zygos.gap.sentences import asked_of_candidates
 from zygos.gap.verdicts import PartNamed
 from zygos.plan.separating import Separating
@@ -94,6 +95,14 @@ def gap_content(
         ],
         "asked": asked_of_candidates(threshold(tried), false_alarms(tried), "on all runs together"),
         "named": len(found.search.named),
+        "beyond": limit_rows(
+            arm,
+            [
+                (one.candidate.effect.kind, one.candidate.joint, one.limit)
+                for one in found.search.beyond
+                if one.candidate.effect is not None and math.isfinite(one.limit)
+            ],
+        ),
         "values": [
             {
                 "name": v.name,

@@ -84,6 +84,22 @@ class Search:
     """For each that was named, its column and those that the runs cannot tell from it."""
     rounds: tuple[tuple[Tried, ...], ...]
     """Candidates of each round, the best first."""
+    last: tuple[Tried, ...] = ()
+    """Every entry of the catalogue beside what was named, the best first; empty where one of those that are searched
+    last was named."""
+
+    @property
+    def nearest(self) -> Tried | None:
+        """What would explain most of what is left over; None where nothing was tried."""
+        tried = self.last or (self.rounds[-1] if self.rounds else ())
+        return max(tried, key=lambda one: one.gain, default=None)
+
+    @property
+    def beyond(self) -> tuple[Tried, ...]:
+        """Entries that are searched last, where nothing was named: their limits hold beside the simulation's own
+        equations."""
+        usual = {one.name for one in self.rounds[0]} if self.rounds else set()
+        return () if self.named else tuple(one for one in self.last if one.name not in usual)
 
 
 def threshold(count: int) -> float:

@@ -152,9 +152,9 @@ def remedy(arm: Arm, found: Verdict, search: Search) -> str:
             if any(f.instead and f.kind == OFFSET_OF_TORQUE for f in found.findings):
                 return "record a run in which these joints also rest in several postures; --next-motion plans it"
             return "record a run with another motion; --next-motion plans it"
-    if not search.rounds or not search.rounds[-1]:
+    near = search.nearest
+    if near is None:
         return ""
-    near = max(search.rounds[-1], key=lambda one: one.gain)
     said = "check signs, zeros, gear ratios and timing with `zygos check-arm`"
     if near.explained > 0.0:
         share = 100 * min(1.0, near.explained)
