@@ -35,10 +35,8 @@ def write_refine_report(
     written: what became of the model, in words. damage: of the runs' logs. Errors: ZygosError if it cannot be written.
     """
     period = found.arm.period_s
-    windows = np.array([0.5 * (part.start + part.stop) * period for part, _ in found.windows])
     edges = np.linspace(0, found.record.cycles, min(_POINTS, found.record.cycles) + 1).astype(int)
     times: Entry = {
-        "windows": numbers(windows),
         "innovations": numbers(0.5 * (edges[:-1] + edges[1:]) * period),
         "way": [read * period for read, _, _ in found.final.way],
     }
@@ -108,7 +106,8 @@ def _innovations(found: Refinement, edges: NDArray[np.int64]) -> list[Entry]:
             continue
         sums = np.add.reduceat(squares[:, k], edges[:-1]) / (np.diff(edges) * counts[k])
         seen = np.array([means[k] for _, means in found.windows])
-        own = np.array([0.5 * (part.start + part.stop) for part, _ in found.windows]) * found.arm.period_s
+        ends = np.array([part.stop for part, _ in found.windows])
+        windows = seen[np.minimum(np.searchsorted(ends, edges[:-1], side="right"), len(seen) - 1)]
         charts.append(
             {
                 "id": f"channel-{k}",
@@ -120,7 +119,7 @@ def _innovations(found: Refinement, edges: NDArray[np.int64]) -> list[Entry]:
                 "lines": [1.0, float(found.band(widest)[k])],
                 "series": [
                     series("short stretches", joint_colour(k), sums),
-                    series("windows", "ink", seen, x=numbers(own), wide=True),
+                    series("windows", "ink", windows, wide=True),
                 ],
             }
         )
@@ -169,7 +168,7 @@ def _level(found: Refinement, times: Entry) -> list[Entry]:
             "unit": "deviance above the least, and 1",
             "time": "level",
             "domain": "level",
-            "axis": "decimal logarithm of the noise in %",
+            "axis": "log₁₀ of noise in %",
             "height": 190,
             "log": True,
             "lines": [],
