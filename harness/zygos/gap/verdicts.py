@@ -141,6 +141,8 @@ class Unexplained:
     """Share of the excess that the guess takes away."""
     partly: tuple[Finding, ...]
     """What a part of it looks like; empty where the guess explains too little."""
+    untouched: bool = True
+    """Whether an untouched run shows it; else only the measured ones, which were fitted."""
 
 
 @dataclass(frozen=True)

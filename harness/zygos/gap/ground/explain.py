@@ -25,7 +25,7 @@ from zygos.gap.ground.direction import one_sided
 from zygos.gap.ground.explanation import GroundExplanation, GroundGap, JointRest
 from zygos.gap.ground.fit import Fit, jackknife, residual
 from zygos.gap.ground.gravity import missing_gravity
-from zygos.gap.ground.predictions import Prediction, Stage, predict, remainders, run_name
+from zygos.gap.ground.predictions import CLOSED, Prediction, Stage, predict, remainders, run_name
 from zygos.gap.ground.search import Search, is_gain, search
 from zygos.gap.ground.sentences import entry_evidence, gains, offset
 from zygos.gap.ground.timing import lateness, torque_constants
@@ -37,6 +37,7 @@ from zygos.gap.verdicts import (
     NothingMissing,
     NotPredicted,
     PartNamed,
+    Remainder,
     Unexplained,
     ValuesDiffer,
     Verdict,
@@ -55,6 +56,9 @@ SURE = 3.0
 USUAL_GAIN = 0.05
 """Gain by which torque sensors of an arm may differ without a word."""
 COULOMB = "motor_coulomb"
+SMALL = 2.2
+"""What increments of the measured runs may leave over, in units of noise, for nothing to be missing: friction of joints
+that rest leaves up to twice as much, because the sign of a rate at rest is that of its noise."""
 _MUCH = 0.8
 """Share of the squared residual that entries which are searched last may leave of what the usual ones do."""
 _SHORTEST_S = 2.0
@@ -307,24 +311,38 @@ class _Explainer:
         if len(beside) == len(findings) or any(f.instead for f in findings if f not in beside):
             return Inseparable(findings)
         if not closes:
-            return PartNamed(findings, () if gap is None else remainders(gap.predictions))
+            return PartNamed(findings, self._rest(table, found, gap))
         return Lacking(findings)
 
     def _closes(self, table: Table, found: Search, gap: GroundGap | None) -> bool:
-        if gap is not None:
-            return all(one.closes for one in gap.predictions)
-        left = np.sqrt(residual(table, found.after.x))
-        return bool(np.all(left <= 3.0 * table.floor))
+        """Whether noise alone is left: in the predictions of untouched runs, whose floor is known less well, and in the
+        increments of the measured ones, where small effects show."""
+        predicted = gap is None or all(one.closes for one in gap.predictions)
+        return predicted and bool(np.all(_over_noise(table, found) <= SMALL))
+
+    def _rest(self, table: Table, found: Search, gap: GroundGap | None) -> tuple[Remainder, ...]:
+        """What is left over of untouched runs, or else of the measured ones, the largest first."""
+        left = () if gap is None else remainders(gap.predictions)
+        if left:
+            return left
+        over, floor = _over_noise(table, found), table.floor / table.span_s
+        out = []
+        for j, joint in enumerate(self.arm.joints):
+            run = int(np.argmax(over[:, j]))
+            if over[run, j] > SMALL:
+                noise = float(floor[run, j])
+                name = f"the {joint.name} in {run_name(self.measured[run], run + 1)}"
+                out.append(Remainder(name, float(over[run, j]) * noise, "Nm", noise, "", 0.0))
+        return tuple(sorted(out, key=lambda rest: -rest.size))
 
     def _unexplained(self, table: Table, found: Search, gap: GroundGap | None) -> Unexplained:
-        if gap is not None:
-            worst = max(float(one.ratio.max()) for one in gap.predictions)
-        else:
-            worst = float((np.sqrt(residual(table, found.after.x)) / table.floor).max())
+        predicted = max((float(one.ratio.max()) for one in gap.predictions), default=0.0) if gap is not None else 0.0
+        untouched = predicted > CLOSED
+        worst = predicted if untouched else float(_over_noise(table, found).max())
         near = found.nearest
         if near is None or near.explained <= 0.0:
-            return Unexplained(worst, (), 0.0, ())
-        return Unexplained(worst, (near.name,), min(1.0, near.explained), ())
+            return Unexplained(worst, (), 0.0, (), untouched)
+        return Unexplained(worst, (near.name,), min(1.0, near.explained), (), untouched)
 
     def _joints(self, table: Table, found: Search) -> tuple[JointRest, ...]:
         zero = np.zeros_like(found.before.x)
@@ -448,6 +466,11 @@ def predicted_load(motion: Motion, values: Floats) -> Floats:
         np.gradient(columns.rotor_momentum, h, axis=0) - columns.rotor_force,
     )
     return np.asarray(z @ values, dtype=np.float64)
+
+
+def _over_noise(table: Table, found: Search) -> Floats:
+    """(R, N) what the increments of each run leave over at each joint, in units of noise."""
+    return np.asarray(np.sqrt(residual(table, found.after.x)) / table.floor, dtype=np.float64)
 
 
 def _left(predictions: Sequence[Prediction], name: str) -> float:

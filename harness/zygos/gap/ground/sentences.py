@@ -114,8 +114,9 @@ def verdict(arm: Arm, found: Verdict) -> str:  # noqa: PLR0911  (one sentence a 
         case Unexplained():
             guess = ", ".join(title(arm, column) for column in found.guess)
             share = f"; the best guess ({guess}) explains {100 * found.completeness:.0f} % of it" if guess else ""
+            runs = "the untouched run leaves" if found.untouched else "the measured runs leave"
             return (
-                "Something is missing that the catalogue does not hold: the untouched run leaves "
+                f"Something is missing that the catalogue does not hold: {runs} "
                 f"{figure(found.residual)} times the torque that noise does{share}."
             )
         case NotPredicted():
