@@ -4,6 +4,7 @@
 
 #include "zygos/cycle.h"
 #include "zygos/guard.h"
+#include "zygos/refiner.h"
 #include "zygos/snapshot.h"
 #include "zygos/solver.h"
 #include "zygos/wire.h"
@@ -132,6 +133,21 @@ const char *zygos_rows_text(uint32_t rows)
     case ZYGOS_MOMENTUM_ROWS:
         return "momentum";
     case ZYGOS_KINDS_OF_ROWS:
+        break;
+    }
+    return UNKNOWN;
+}
+
+const char *zygos_channel_text(uint32_t channel)
+{
+    switch ((enum zygos_channel)channel) {
+    case ZYGOS_CHANNEL_LINK:
+        return "link encoders";
+    case ZYGOS_CHANNEL_MOTOR:
+        return "motor encoders";
+    case ZYGOS_CHANNEL_GYRO:
+        return "gyro";
+    case ZYGOS_KINDS_OF_CHANNEL:
         break;
     }
     return UNKNOWN;

@@ -26,6 +26,9 @@ const char *zygos_reason_text(uint32_t reason);
 /// Text of a kind of rows, enum zygos_rows.
 const char *zygos_rows_text(uint32_t rows);
 
+/// Text of a kind of readings whose innovations are counted, enum zygos_channel.
+const char *zygos_channel_text(uint32_t channel);
+
 /// Texts of enum zygos_reception, which zygos_frame() returns, of enum zygos_message and of enum zygos_wire_fault.
 const char *zygos_reception_text(uint32_t reception);
 const char *zygos_message_text(uint32_t message);

@@ -18,6 +18,7 @@ COMMANDS = {
     "plan": ("plan", "Plan a motion that excites every parameter, or rank given motions by what they tell."),
     "bound": ("bound", "Compute the smallest standard deviations that any estimator can have from a motion."),
     "estimate": ("estimate", "Estimate the parameters from one or several runs of an arm."),
+    "refine": ("refine", "Refine the parameters of an arm up to what its frames tell at most."),
     "predict": ("predict", "Compare the torques of runs with those that a model predicts, joint by joint."),
     "check": ("check", "Compare the C library with numpy on a run, stage by stage."),
     "check-arm": (

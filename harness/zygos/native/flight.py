@@ -82,6 +82,8 @@ REASONS = ("", *_texts("zygos_reason", lib.zygos_reason_text)[1:])
 """By ``enum zygos_reason``; empty where an estimate has none."""
 ROWS = _texts("zygos_rows", lib.zygos_rows_text)[: lib.ZYGOS_KINDS_OF_ROWS]
 """Kinds of rows, each with arcs of its own, by ``enum zygos_rows``."""
+CHANNELS = _texts("zygos_channel", lib.zygos_channel_text)[: lib.ZYGOS_KINDS_OF_CHANNEL]
+"""Kinds of readings whose innovations are counted apart, by ``enum zygos_channel``."""
 _CONFIG_ERRORS = {
     lib.ZYGOS_E_SMOOTHER: "the smoother's points, order or lag are out of range (lag must be points // 2: end-point "
     "filters are refused)",

@@ -22,13 +22,13 @@ from threadpoolctl import threadpool_limits
 
 from zygos.arm import TORQUE_STEP, Arm
 from zygos.balances.state import State
-from zygos.dynamics.equations import from_model
+from zygos.dynamics.equations import from_parameters
 from zygos.dynamics.replay import substeps
 from zygos.errors import Undecided, ZygosError
 from zygos.model.model import Model
 from zygos.refine.inertia import inertia_errors
 from zygos.refine.motion import FlexibleMotion
-from zygos.simulation.plant import Trajectory, simulate
+from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import Scenario
 
 Floats = NDArray[np.float64]
@@ -107,7 +107,9 @@ def bound(
     motion = FlexibleMotion(arm, np.array(model.base_values(arm), dtype=np.float64))
     half = 0.5 * _SHARE_OF_MOTION
     run = simulate(arm, model, scenario, rtol=1e-10, atol=1e-12, progress=lambda share: progress(half * share))
-    slopes, tau = _slopes(motion, model, run, lambda share: progress(half * (1.0 + share)))
+    base = run.omega0[0] if motion.base_rates else np.zeros((len(run.t), 0))
+    state, tau = State(run.q[0], run.theta[0], run.qd[0], run.thetad[0], base).packed(), run.tau[0]
+    slopes = _slopes(motion, state, tau, steps_of(motion, run.q[0]), lambda share: progress(half * (1.0 + share)))
     found = []
     for k, share in enumerate(relative):
         width = (1.0 - _SHARE_OF_MOTION) / len(relative)
@@ -124,6 +126,40 @@ def bound(
     return found
 
 
+def bound_along(
+    motion: FlexibleMotion,
+    pieces: Sequence[tuple[Floats, Floats]],
+    relative: Floats,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Bound:
+    """The bound of motions that were followed: of each piece the states (n, W + 4N) at its SYNCs, and the torques
+    (n - 1, N) between them, Nm before the gear. relative: (N,) noise of the torques as a share of their size.
+
+    Nobody knows the state at the start of a piece. Errors: Undecided as `bound`.
+    """
+    arm, rows = motion.arm, [np.zeros((0, len(motion.size)))]
+    cycles = sum(len(states) for states, _ in pieces)
+    done = 0
+    for states, tau in pieces:
+        sigma = _torque_sigma(arm, tau, relative)
+        share = len(states) / cycles
+        begin, half = done / cycles, 0.5 * share
+
+        def moved(x: float, begin: float = begin, half: float = half) -> None:
+            progress(begin + half * x)
+
+        steps = steps_of(motion, states[:, motion.base_rates : motion.base_rates + arm.n])
+        slopes = _slopes(motion, states, tau, steps, moved)
+
+        def followed(x: float, begin: float = begin, half: float = half) -> None:
+            progress(begin + half * (1.0 + x))
+
+        with threadpool_limits(1):
+            rows.append(_information(motion, slopes, sigma, motion.size, followed))
+        done += len(states)
+    return _conclude(motion, _triangle(np.concatenate(rows)), relative, cycles)
+
+
 def _torque_sigma(arm: Arm, tau: Floats, relative: Floats) -> Floats:
     """(n, N) standard deviations of the errors of the torques tau (n, N), Nm before the gear."""
     own = np.array([joint.torque_sigma for joint in arm.joints])
@@ -131,31 +167,37 @@ def _torque_sigma(arm: Arm, tau: Floats, relative: Floats) -> Floats:
 
 
 def _slopes(
-    motion: FlexibleMotion, model: Model, run: Trajectory, progress: Callable[[float], None]
-) -> tuple[Floats, Floats]:
+    motion: FlexibleMotion, state: Floats, tau: Floats, steps: int, progress: Callable[[float], None]
+) -> Floats:
     """(n - 1, x, x + p + N) derivatives of the state at each SYNC with respect to that at the SYNC before, to the
-    parameters and to the torques, and the torques (n, N)."""
-    arm = motion.arm
-    base = run.omega0[0] if motion.base_rates else np.zeros((len(run.t), 0))
-    state = State(run.q[0], run.theta[0], run.qd[0], run.thetad[0], base).packed()
-    tau = run.tau[0]
-    # derivatives need a tenth of a per cent, which RK4 has at twice the step of a replay
-    steps = -(-substeps(from_model(arm, model), run.q[0, :: max(1, len(run.t) // 50)], arm.period_s) // 2)
-    steps = max(steps, math.ceil(arm.period_s / LONGEST_STEP_S - 1e-9))
+    parameters and to the torques, along the states (n, x) under the torques (n - 1 or more, N)."""
     last = len(state) - 1
-    slopes = np.empty((last, motion.states, motion.states + len(motion.values) + arm.n))
+    slopes = np.empty((last, motion.states, motion.states + len(motion.values) + motion.arm.n))
     for first in range(0, last, _TOGETHER):
         part = slice(first, min(first + _TOGETHER, last))
-        slopes[part] = motion.step(state[part], tau[part], arm.period_s, steps)[1]
+        slopes[part] = motion.step(state[part], tau[part], motion.arm.period_s, steps)[1]
         progress(part.stop / last)
-    return slopes, tau
+    return slopes
+
+
+def steps_of(motion: FlexibleMotion, q: Floats) -> int:
+    """Runge-Kutta steps in a period with which derivatives at the link angles q (n, N), rad, are good to a tenth of a
+    per cent: twice as long ones as a replay takes."""
+    period = motion.arm.period_s
+    needed = substeps(from_parameters(motion.arm, motion.values), q[:: max(1, len(q) // 50)], period)
+    return max(-(-needed // 2), math.ceil(period / LONGEST_STEP_S - 1e-9))
 
 
 def _bound(
     motion: FlexibleMotion, slopes: Floats, torque: Floats, relative: Floats, progress: Callable[[float], None]
 ) -> Bound:
+    information = _information(motion, slopes, torque, motion.size, progress)
+    return _conclude(motion, information, relative, len(slopes) + 1)
+
+
+def _conclude(motion: FlexibleMotion, information: Floats, relative: Floats, cycles: int) -> Bound:
+    """The bound from the square root of the information in units of `size`."""
     arm, size = motion.arm, motion.size
-    information = _information(motion, slopes, torque, size, progress)
     scale = np.linalg.norm(information, axis=0)
     strength = np.linalg.svd(information / np.where(scale > 0.0, scale, 1.0), full_matrices=False)
     if not scale.all() or strength.S[-1] < _LEAST * strength.S[0]:
@@ -176,7 +218,7 @@ def _bound(
         size,
         root @ root.T,
         inertia,
-        len(slopes) + 1,
+        cycles,
         tuple(relative.tolist()),
     )
 

@@ -1,0 +1,387 @@
+"""Parameters near the information limit from recorded runs, with the filter of the C library (docs/theory.md, "A filter
+near the limit").
+
+The estimate from energy rows is the start. A first pass with very noisy torques brings the parameters into the range in
+which the motion is linear; passes with less and less noise follow, each from the result of the first one, and the noise
+that the readings favour most is found between them. The values are published only if everything that can be checked
+without knowing the truth speaks for the model: see `Rule`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from zygos.arm import TORQUE_STEP, Arm
+from zygos.can.run import Run, joined
+from zygos.effects import Effect
+from zygos.errors import Undecided, ZygosError
+from zygos.estimation.estimate import Estimation, estimate
+from zygos.files.output import number
+from zygos.model.model import Model, Quantity
+from zygos.native.flight import CHANNELS
+from zygos.refine.bound import Bound, bound_along
+from zygos.refine.follow import Pass
+from zygos.refine.motion import FlexibleMotion
+from zygos.refine.record import Record, record_of
+from zygos.refine.rivals import Rival, typical_torque
+from zygos.refine.search import REMEDY, STEPS, Search
+from zygos.refine.start import LEARNED, begin
+
+Floats = NDArray[np.float64]
+Progress = Callable[[float], None]
+
+_WINDOWS = 12
+"""Windows in which the innovations are counted apart."""
+SIGMAS = 3.0
+"""Standard errors that a rule allows."""
+FALSE_ALARM = 1e-3
+"""Probability with which the distance of normally distributed estimates fails."""
+RIVAL_SIGMAS = 4.0
+"""Standard deviations by which the readings may favour a model with one thing more: one of many that are tried."""
+_BIAS = 0.002
+"""Share of the sizes by which the estimate from energy rows may be off beside its intervals, which do not know noise in
+proportion to the torques."""
+_EXCESS = 0.1
+"""By which the mean square of normalised innovations may exceed 1 beside its standard error: the filter is linear, and
+encoder steps are not normally distributed."""
+
+
+@dataclass(frozen=True)
+class Rule:
+    """A condition for publication."""
+
+    key: str
+    title: str
+    """What is checked, in words."""
+    value: float
+    """What was found."""
+    limit: float
+    """The largest value that passes."""
+    holds: bool
+    sentence: str
+    """What it means that the rule failed; empty where it holds."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "key": self.key,
+            "title": self.title,
+            "value": self.value,
+            "limit": self.limit,
+            "holds": self.holds,
+            "sentence": self.sentence or None,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Refinement:
+    """What the filter has found; p parameters, e effects."""
+
+    arm: Arm
+    record: Record
+    energy: Estimation
+    """The estimate from energy rows, with which it began and which it must agree with."""
+    final: Pass
+    """The pass at the level that was found."""
+    level: tuple[float, ...]
+    """(N,) noise of the torques as a share of their size, found."""
+    declared: tuple[float, ...]
+    """(N,) the same, by the arm file."""
+    level_error: float
+    """Standard error of the logarithm of the level; 0 where the level is 0."""
+    tried: tuple[tuple[float, float], ...]
+    """Each level that was tried with its deviance, largest joint."""
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    size: Floats
+    """(p,) as `FlexibleMotion.size`."""
+    effects: tuple[Effect, ...]
+    """(e,) with their values and sigmas."""
+    prior: Model | None
+    limit: Bound | None
+    """The bound of the same motion at the level found; None where the motion does not determine everything."""
+    rivals: tuple[Rival, ...]
+    """Models with one thing more."""
+    rules: tuple[Rule, ...] = ()
+
+    @property
+    def value(self) -> Floats:
+        """(p,) in `units`, whether published or not."""
+        return self.final.value
+
+    @property
+    def sigma(self) -> Floats:
+        """(p,) standard deviations."""
+        return np.sqrt(np.diag(self.final.covariance))
+
+    @property
+    def covariance(self) -> Floats:
+        """(p, p) covariance of the values."""
+        return self.final.covariance
+
+    @property
+    def half95(self) -> Floats:
+        """(p,) half widths of the 95 % intervals."""
+        return 1.959964 * self.sigma
+
+    @property
+    def published(self) -> bool:
+        """Whether all rules hold."""
+        return all(rule.holds for rule in self.rules)
+
+    @property
+    def reason(self) -> str:
+        """Which rules failed and what follows, in a sentence; empty where all hold."""
+        failed = [rule.sentence for rule in self.rules if not rule.holds]
+        return "; ".join(failed)
+
+    @property
+    def squares(self) -> Floats:
+        """(channels,) mean normalised squared innovation of all readings."""
+        return _means(self.final, slice(None))
+
+    @property
+    def windows(self) -> tuple[tuple[slice, Floats], ...]:
+        """Parts of the readings, and (channels,) as `squares` of each."""
+        edges = np.linspace(0, len(self.final.squares), _WINDOWS + 1).astype(int)
+        parts = [slice(int(a), int(b)) for a, b in pairwise(edges)]
+        return tuple((part, _means(self.final, part)) for part in parts)
+
+    def band(self, readings: int) -> Floats:
+        """(channels,) the largest mean of so many readings of the arm that passes."""
+        with np.errstate(divide="ignore"):
+            return np.asarray(1.0 + _EXCESS + SIGMAS * np.sqrt(2.0 / (readings * self.final.counts)))
+
+    @property
+    def times_bound(self) -> Floats | None:
+        """(p,) sigmas divided by the bound; None where there is none."""
+        return None if self.limit is None else self.sigma / self.limit.sigma
+
+    def to_model(self) -> Model:
+        """The model with the refined values. Errors: Undecided where a rule failed."""
+        if not self.published:
+            raise Undecided(f"not published: {self.reason}; remedy: {REMEDY}")
+        quantities = {
+            name: Quantity(float(value), float(sigma), "zygos", unit)
+            for name, unit, value, sigma in zip(self.names, self.units, self.value, self.sigma, strict=True)
+        }
+        return Model(name=self.arm.name, parameters=quantities, effects=self.effects)
+
+
+def refine_runs(
+    runs: Sequence[Run], *, model: Model | None = None, progress: Progress = lambda share: None
+) -> Refinement:
+    """Estimate the parameters from all that the readings of one or several runs of an arm hold.
+
+    model: its Coulomb frictions of motors and offsets of torques are estimated as well, and its values are the start of
+    parameters that energy rows do not determine. progress is called now and then with the share that is done.
+
+    Errors: ZygosError where the arm or the model has what the filter does not know; Undecided where energy rows give no
+    start, or the filter leaves the possible arms.
+    """
+    arm = runs[0].arm
+    effects = () if model is None else model.effects
+    check_supported(arm, effects)
+    record = record_of(arm, runs)
+    energy = estimate(joined(runs), model=model)
+    progress(0.02)
+    start, beside = begin(arm, energy, model, effects, record)
+    search = Search(arm, record, start, beside, lambda share: progress(0.02 + 0.6 * share))
+    level, error = search.run()
+    final = search.final(level)
+    progress(0.7)
+    motion = FlexibleMotion(arm, final.value)
+    found = tuple(
+        replace(one, value=float(value), sigma=float(sigma), source="zygos")
+        for one, value, sigma in _learned(arm, effects, final)
+    )
+    levels = search.levels(level)
+    try:
+        limit = bound_along(
+            motion,
+            [(states, piece.tau) for states, piece in zip(final.states, record.pieces, strict=True)],
+            np.array(levels),
+            lambda share: progress(0.7 + 0.15 * share),
+        )
+    except Undecided:
+        limit = None
+    answer = Refinement(
+        arm,
+        record,
+        energy,
+        final,
+        levels,
+        tuple(joint.torque_relative_sigma for joint in arm.joints),
+        error,
+        tuple((level, one.deviance) for level, one in sorted((search.earlier | search.tried).items(), reverse=True)),
+        arm.parameter_names,
+        arm.parameter_units,
+        motion.size,
+        found,
+        model,
+        limit,
+        search.rivals(level, lambda share: progress(0.85 + 0.15 * share)),
+    )
+    progress(1.0)
+    return replace(answer, rules=_rules(answer))
+
+
+def _rules(answer: Refinement) -> tuple[Rule, ...]:
+    """The rules, in the order in which their sentences are worth reading."""
+    return (_energy_rule(answer.energy), _agreement(answer), _innovations(answer), _level(answer), _rival(answer))
+
+
+def _energy_rule(energy: Estimation) -> Rule:
+    """Whether the estimate from energy rows can vouch for the refined one."""
+    holds = energy.validity in ("valid", "partial")
+    text = f"the estimate from energy rows, which has to vouch for these values, is {energy.validity}: {energy.reason}"
+    return Rule(
+        "energy",
+        "the estimate from energy rows is valid or partial",
+        float(not holds),
+        0.0,
+        holds,
+        "" if holds else text,
+    )
+
+
+def _agreement(answer: Refinement) -> Rule:
+    """Whether both estimates agree where both have values."""
+    p = len(answer.names)
+    value, sigma = answer.energy.value[:p], answer.energy.sigma[:p]
+    known = np.isfinite(value) & np.isfinite(sigma)
+    apart = np.abs(np.where(known, value - answer.value, 0.0))
+    # all values are looked at, and the farthest one decides
+    sigmas = float(norm.isf(0.5 * FALSE_ALARM / max(1, known.sum())))
+    allowed = sigmas * np.hypot(np.where(known, sigma, 0.0), answer.sigma) + _BIAS * answer.size
+    worst = int(np.argmax(apart / allowed))
+    ratio = float(apart[worst] / allowed[worst])
+    text = (
+        f"{answer.names[worst]} is {number(float(answer.value[worst]))} {answer.units[worst]}, but energy rows say "
+        f"{number(float(value[worst]))}, which is {number(ratio, 2)} times farther than both intervals allow"
+    )
+    return Rule(
+        "agreement",
+        "distance from the estimate by energy rows, in what both intervals allow",
+        ratio,
+        1.0,
+        ratio <= 1.0,
+        "" if ratio <= 1.0 else text,
+    )
+
+
+def _innovations(answer: Refinement) -> Rule:
+    """Whether no channel has larger innovations than the model expects, in the whole and in each window."""
+    parts = [(slice(0, len(answer.final.squares)), answer.squares), *answer.windows]
+    ratios = np.array([means / answer.band(part.stop - part.start) for part, means in parts])
+    place, channel = np.unravel_index(int(np.argmax(ratios)), ratios.shape)
+    part, means = parts[int(place)]
+    worst = float(ratios[place, channel])
+    where = "of all readings" if place == 0 else f"of readings {part.start:,} to {part.stop:,}"
+    text = (
+        f"the innovations of the {CHANNELS[channel]} are too large: the mean normalised square {where} is "
+        f"{number(float(means[channel]), 3)}, at most {number(float(answer.band(part.stop - part.start)[channel]), 3)} "
+        "would be noise"
+    )
+    return Rule(
+        "innovations",
+        "normalised squared innovations, largest of the channels and windows, in what passes",
+        worst,
+        1.0,
+        worst <= 1.0,
+        "" if worst <= 1.0 else text,
+    )
+
+
+def _level(answer: Refinement) -> Rule:
+    """Whether the torques are not noisier than declared."""
+    typical = typical_torque(answer.record)
+    own = np.array([math.hypot(joint.torque_sigma, TORQUE_STEP / math.sqrt(12.0)) for joint in answer.arm.joints])
+    declared = np.array(answer.declared) * math.exp(SIGMAS * answer.level_error)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        allowed = np.hypot(declared, np.nan_to_num(STEPS * own / typical))
+    found = np.array(answer.level)
+    worst = int(np.argmax(found - allowed))
+    holds = bool(np.all(found <= allowed))
+    text = (
+        f"the readings need torques with noise of {number(100.0 * float(found[worst]), 2)} % of their size at "
+        f"{answer.arm.joints[worst].name}, and the arm file declares "
+        f"{number(100.0 * float(answer.declared[worst]), 2)} % (torque_relative_sigma)"
+    )
+    return Rule(
+        "level",
+        "noise of the torques as a share of their size, found",
+        float(found[worst]),
+        float(allowed[worst]),
+        holds,
+        "" if holds else text,
+    )
+
+
+def _rival(answer: Refinement) -> Rule:
+    """Whether no model with one thing more follows the readings far better."""
+    worst = max(answer.rivals, key=lambda one: one.sigmas, default=None)
+    sigmas = 0.0 if worst is None else worst.sigmas
+    text = (
+        ""
+        if worst is None
+        else (
+            f"the readings are followed better with {worst.title} ({number(worst.value, 2)} {worst.unit}, "
+            f"{number(worst.sigmas, 2)} σ)"
+        )
+    )
+    return Rule(
+        "rivals",
+        "standard deviations by which the readings favour a model with one thing more",
+        sigmas,
+        RIVAL_SIGMAS,
+        sigmas <= RIVAL_SIGMAS,
+        "" if sigmas <= RIVAL_SIGMAS else text,
+    )
+
+
+def check_supported(arm: Arm, effects: Sequence[Effect]) -> None:
+    """Refuse what the filter does not know. Errors: ZygosError naming it and the remedy."""
+    FlexibleMotion(arm, np.ones(len(arm.parameters)))
+    other = sorted({one.kind.key for one in effects} - set(LEARNED))
+    if other:
+        raise ZygosError(
+            f"the model has effects that the filter does not know ({', '.join(other)}); remedy: estimate them with "
+            f"`zygos estimate --model`, or leave them out of the model of --model; it knows {' and '.join(LEARNED)}"
+        )
+    if arm.torque_law == "sampled":
+        raise ZygosError(
+            f"arm {arm.name}: the filter needs torques that are held from SYNC to SYNC, but these are sampled; remedy: "
+            'record commanded torques, and state torque_law = "applied_from_sync" or "applied_previous_cycle"'
+        )
+    if arm.torque_unit != "Nm":
+        raise ZygosError(
+            f"arm {arm.name}: the torques are motor currents, and the filter needs Nm; remedy: `zygos estimate`"
+        )
+    if arm.free and arm.imu.latch_us:
+        raise ZygosError(
+            f"arm {arm.name}: the gyro latches {arm.imu.latch_us} µs after SYNC, and the filter takes its rates at "
+            "SYNC; remedy: `zygos estimate`, or a gyro that latches at SYNC"
+        )
+
+
+def _learned(arm: Arm, effects: Sequence[Effect], found: Pass) -> list[tuple[Effect, float, float]]:
+    """Each effect with value and sigma."""
+    asked = [key for key in LEARNED if any(one.kind.key == key for one in effects)]
+    places = {key: k * arm.n for k, key in enumerate(asked)}
+    at = [places[one.kind.key] + one.index(arm) for one in effects]
+    return [(one, found.beside[k], found.beside_sigma[k]) for one, k in zip(effects, at, strict=True)]
+
+
+def _means(found: Pass, part: slice) -> Floats:
+    """(channels,) mean normalised squared innovation of some readings; 1 where a channel has none."""
+    counts = np.where(found.counts > 0.0, found.counts, 1.0)
+    return np.where(found.counts > 0.0, found.squares[part].mean(axis=0) / counts, 1.0)

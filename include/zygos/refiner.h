@@ -1,0 +1,117 @@
+/// zygos/refiner.h: a square-root filter for the state of an arm with flexible joints and its parameters.
+///
+/// Rows of the energy balance need no model of how noise passes through the motion, but use a small part of what the
+/// frames hold. This extended Kalman filter uses nearly all of it, if the model is complete. It starts from an
+/// estimate, such as that of zygos_solve(), and improves it with every cycle:
+///
+///     zygos_refiner_start()      state, parameters and their covariance
+///     zygos_refiner_read()       the readings at a SYNC
+///     zygos_refiner_advance()    the torques up to the next SYNC, then again zygos_refiner_read()
+///
+/// The covariance is S S' with a triangular S, which stays positive definite. Its entries are the state of
+/// propagation.h; the bias of the gyro, one entry for each rate of the base; and constants: the parameters in units of
+/// settings.size, and, where configured, Coulomb friction of each rotor, an offset of each torque, and zeros of link
+/// and motor encoders. The torques carry noise, which is the process noise: sigma^2 + (relative sigma * torque)^2.
+///
+/// A filter cannot tell whether its model is complete. The normalised squares of the innovations, 1 on average, grow
+/// with gross errors only: whoever publishes its values must compare them with the estimate from which it started.
+
+#ifndef ZYGOS_REFINER_H
+#define ZYGOS_REFINER_H
+
+#include "propagation.h"
+#include "types.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/// The state, and the bias of the gyro.
+#define ZYGOS_MAX_FAST (ZYGOS_MAX_MOVING + ZYGOS_MAX_BASE_RATES)
+/// All entries of the filter.
+#define ZYGOS_MAX_REFINED (ZYGOS_MAX_FAST + ZYGOS_MAX_MOTION_CONSTANTS + 3 * ZYGOS_MAX_JOINTS)
+/// The length of S.
+#define ZYGOS_MAX_ROOT (ZYGOS_MAX_REFINED * (ZYGOS_MAX_REFINED + 1) / 2)
+
+/// The kinds of readings whose innovations are counted apart.
+enum zygos_channel {
+    ZYGOS_CHANNEL_LINK = 0,    ///< Link encoders.
+    ZYGOS_CHANNEL_MOTOR = 1,   ///< Motor encoders.
+    ZYGOS_CHANNEL_GYRO = 2,    ///< The gyro.
+    ZYGOS_KINDS_OF_CHANNEL = 3 ///< How many there are.
+};
+
+/// What the filter has to know besides the configuration.
+typedef struct {
+    uint32_t steps;    ///< Runge-Kutta steps in a period, 1..1000.
+    uint32_t friction; ///< 1: Coulomb friction of each rotor is estimated, 0: there is none.
+    uint32_t offsets;  ///< 1: an offset of each torque is estimated, 0: there is none.
+    uint32_t zeros;    ///< 1: zeros of link and motor encoders are estimated, 0: those of the configuration are exact.
+    double size[ZYGOS_MAX_BODY + 3 * ZYGOS_MAX_JOINTS]; ///< Of each parameter, > 0; in its unit.
+    double torque_sigma[ZYGOS_MAX_JOINTS];              ///< Noise of a torque, before the gear [Nm], >= 0.
+    double torque_relative_sigma[ZYGOS_MAX_JOINTS];     ///< The same as a share of its size, >= 0.
+    double link_sigma[ZYGOS_MAX_JOINTS];                ///< Noise of the link encoders, steps included [rad], > 0.
+    double motor_sigma[ZYGOS_MAX_JOINTS];               ///< Noise of the motor encoders, likewise.
+    double gyro_sigma;                                  ///< Noise of the gyro [rad/s], > 0.
+    double bias_walk;                                   ///< Random walk of its bias over one period [rad/s], >= 0.
+    double second_order; ///< Factor of the variance of the link rates [s] that the noise of the gyro is increased by:
+                         ///< the filter is linear, and starts with poor rates; 0..1000.
+} zygos_refiner_settings_t;
+
+/// The filter. x and root are the whole of its memory of the past.
+typedef struct {
+    zygos_propagation_t propagation;
+    zygos_refiner_settings_t settings;
+    uint32_t fast;                        ///< Entries that change: the state and the bias.
+    uint32_t entries;                     ///< n, all entries.
+    uint32_t constants;                   ///< n - fast.
+    uint32_t failed;                      ///< 1: the estimate became impossible, and only a new start helps.
+    double x[ZYGOS_MAX_REFINED];          ///< The estimate.
+    double root[ZYGOS_MAX_ROOT];          ///< S, upper triangular: column j has its entries 0..j from j (j + 1) / 2 on.
+    double count[ZYGOS_KINDS_OF_CHANNEL]; ///< Readings since the start, or since the caller set this to 0.
+    double square[ZYGOS_KINDS_OF_CHANNEL]; ///< Sum of their squared innovations divided by the expected variances.
+    double volume;          ///< With the next: the product of the expected variances is volume * 2^exponent.
+    double volume_exponent; ///< Both since the start. They tell which of several settings the readings favour.
+} zygos_refiner_t;
+
+/// Scratch of one call; nothing in it is kept.
+typedef struct {
+    zygos_propagation_work_t propagation;
+    zygos_dynamics_t dynamics;
+    double slope[ZYGOS_MAX_MOVING][ZYGOS_MAX_SLOPES];
+    double table[ZYGOS_MAX_FAST][ZYGOS_MAX_FAST + ZYGOS_MAX_JOINTS + ZYGOS_MAX_BASE_RATES];
+    double moved[ZYGOS_MAX_MOVING];
+    double constant[ZYGOS_MAX_MOTION_CONSTANTS];
+    double gain[ZYGOS_MAX_REFINED];
+} zygos_refiner_work_t;
+
+/// Prepares a filter; zygos_refiner_start() has to follow. Needs a configuration that zygos_init() accepts. Returns 1;
+/// ZYGOS_E_VALUE if a joint is rigid or a setting is out of range, then the filter cannot be used.
+int zygos_refiner_init(zygos_refiner_t *self, const zygos_config_t *config, const zygos_refiner_settings_t *settings);
+
+/// Begins at the SYNC whose readings are used next. x and sigma: n entries in SI units and their standard deviations,
+/// of which those of the p parameters are not read; covariance: p x p of the parameters, in SI units. Returns 1;
+/// ZYGOS_E_VALUE if a sigma is negative or the covariance is not positive definite, then the filter is as before.
+/// Cost: a Cholesky factorisation.
+int zygos_refiner_start(zygos_refiner_t *self, const double *x, const double *sigma, const double *covariance);
+
+/// Uses the readings at a SYNC: angles of links and motors [rad] after sign and zero, and the rate of the base in its
+/// axes [rad/s], which is not read where the base is fixed. Cost: n^2 multiplications for each reading.
+void zygos_refiner_read(zygos_refiner_t *self, const zygos_config_t *config, const double *q, const double *theta,
+                        const double *omega, zygos_refiner_work_t *work);
+
+/// Moves the estimate to the next SYNC, under torques before the gear [Nm] that were held since the last one. lost:
+/// standard deviation that the torques have in addition [Nm], 0 where they were received. Returns true; false where the
+/// estimate is impossible: no inertia resists, or a number is not finite. The filter has then failed. Cost:
+/// zygos_propagate() and a product of the derivatives with S.
+bool zygos_refiner_advance(zygos_refiner_t *self, const zygos_config_t *config, const double *tau, double lost,
+                           zygos_refiner_work_t *work);
+
+/// Writes the p parameters in SI units, and their p x p covariance where covariance is not null. Cost: p^3/6
+/// multiplications for the covariance.
+void zygos_refiner_parameters(const zygos_refiner_t *self, double *value, double *covariance);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,141 @@
+"""Simulated runs over CAN, of plants that have more than the filter knows or not, refined and scored."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conftest import ROOT
+from zygos.arm import Arm, load_arm
+from zygos.can.run import Run
+from zygos.effects import effect
+from zygos.errors import Undecided
+from zygos.model.model import Model, Quantity, load_model
+from zygos.refine.inertia import inertia_errors
+from zygos.refine.refine import Refinement, refine_runs
+from zygos.simulation.plant import Trajectory, simulate
+from zygos.simulation.scenario import load_scenario
+
+Floats = NDArray[np.float64]
+
+SIGMAS, SHARE = 5.0, 0.005
+"""A published value may be off by so many sigmas, or by so much of its size; not by both."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """What a run has, and what its arm file says of it."""
+
+    example: str = "paper"
+    noise: float = 0.005
+    """Of the torques, as a share of their size."""
+    declared: float | None = None
+    """The same by the arm file; None: as it is."""
+    effects: tuple[tuple[str, float], ...] = ()
+    """Effects of all joints of the plant, of which the filter is not told, and their values."""
+    gain: float = 1.0
+    """Of the last joint's torque, reported divided by acting one."""
+    duration_s: float | None = None
+
+    @property
+    def arm(self) -> Arm:
+        """The arm as its file describes it."""
+        return noisy(self.example, self.noise if self.declared is None else self.declared)
+
+
+@dataclass(frozen=True)
+class Score:
+    """A refinement beside the truth; p parameters."""
+
+    found: Refinement | None
+    """None where there was no start."""
+    reason: str
+    """Why nothing was published; empty where it was."""
+    error: Floats
+    """(p,) in units of the sizes; NaN without a result."""
+    sigma: Floats
+    """(p,) likewise."""
+    inertia: tuple[float, float] | None
+    """Worst and median error of the inertia matrix, per cent; of an arm in space."""
+
+    @property
+    def published(self) -> bool:
+        return not self.reason
+
+    @property
+    def harmful(self) -> bool:
+        """Whether a published value is far off, and its interval does not say so."""
+        off = np.abs(self.error)
+        return self.published and bool(np.any((off > SIGMAS * self.sigma) & (off > SHARE)))
+
+
+def noisy(example: str, share: float) -> Arm:
+    """The arm of an example with noise of its torques."""
+    arm = load_arm(ROOT / "examples" / example / "arm.toml")
+    return replace(arm, joints=tuple(replace(joint, torque_relative_sigma=share) for joint in arm.joints))
+
+
+@cache
+def plant(example: str, effects: tuple[tuple[str, float], ...] = ()) -> Model:
+    """The model of an example with effects at all joints."""
+    arm = load_arm(ROOT / "examples" / example / "arm.toml")
+    listed = tuple(effect(key, joint.name, value) for key, value in effects for joint in arm.joints)
+    return replace(load_model(ROOT / "examples" / example / "model.toml"), effects=listed)
+
+
+def drawing(example: str, seed: int, share: float = 0.01) -> Model:
+    """The model of an example as a drawing office may have it: masses, inertias and drives are off by a share."""
+    model, rng = plant(example), np.random.default_rng([seed, 1])
+
+    def off(one: Quantity) -> Quantity:
+        return replace(one, value=one.value * (1.0 + share * float(rng.normal())))
+
+    bodies = tuple(
+        replace(one, mass=off(one.mass), inertia=tuple(replace(part, value=part.value * scale) for part in one.inertia))
+        for one, scale in zip(model.bodies, 1.0 + share * rng.normal(size=len(model.bodies)), strict=True)
+    )
+    joints = tuple(
+        replace(one, rotor_inertia=off(one.rotor_inertia), stiffness=off(one.stiffness), damping=off(one.damping))
+        for one in model.joints
+    )
+    return replace(model, bodies=bodies, joints=joints)
+
+
+@cache
+def moved(
+    example: str, noise: float, effects: tuple[tuple[str, float], ...], seeds: tuple[int, ...], duration_s: float | None
+) -> Trajectory:
+    """Simulated runs of several seeds."""
+    scenario = load_scenario(ROOT / "examples" / example / "scenario.toml")
+    return simulate(
+        noisy(example, noise), plant(example, effects), scenario, seeds=seeds, duration_s=duration_s,
+        rtol=1e-10, atol=1e-12,
+    )  # fmt: skip
+
+
+def runs(case: Case, seeds: Sequence[int]) -> Mapping[int, Run]:
+    """What the sensors of each seed say, as frames of the bus."""
+    trajectory = moved(case.example, case.noise, case.effects, tuple(seeds), case.duration_s)
+    answers = {}
+    for place, seed in enumerate(seeds):
+        cycles = trajectory.cycles(place)
+        gains = np.ones(case.arm.n)
+        gains[-1] = case.gain
+        answers[seed] = Run.of_cycles(case.arm, replace(cycles, tau=cycles.tau * gains))
+    return answers
+
+
+def score(case: Case, run: Run, prior: Model | None = None) -> Score:
+    """Refine a run, and compare with the truth."""
+    arm, truth = case.arm, plant(case.example).base_values(case.arm)
+    try:
+        found = refine_runs([run], model=prior)
+    except Undecided as refused:
+        nothing = np.full(len(truth), np.nan)
+        return Score(None, str(refused), nothing, nothing, None)
+    inertia = inertia_errors(arm, found.value[None], truth) if arm.free and arm.spatial else None
+    return Score(found, found.reason, (found.value - truth) / found.size, found.sigma / found.size, inertia)

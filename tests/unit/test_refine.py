@@ -1,0 +1,387 @@
+"""`zygos refine`: pieces of records, the level of the torque noise, several runs, and what is published or refused.
+
+The simulator that makes the runs shares no code with the filter, and the truth is known to the tests alone.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from arm_support import random_arm
+from refine_support import Case, plant, runs, score
+
+from conftest import ROOT
+from zygos.arm import save_arm
+from zygos.can.run import Run, save_run
+from zygos.cli import main
+from zygos.effects import effect
+from zygos.errors import Undecided, ZygosError
+from zygos.model.model import load_model, save_model
+from zygos.native.refiner import Refiner, Settings
+from zygos.refine import refine
+from zygos.refine.bound import bound, bound_along
+from zygos.refine.motion import FlexibleMotion
+from zygos.refine.record import LONGEST_GAP, record_of, start_of
+from zygos.refine.refine import Refinement, check_supported, refine_runs
+from zygos.runs.cycles import BREAK_BEFORE, INVALID, VOID_BEFORE, VOID_SHIFT, Cycles
+from zygos.simulation.plant import simulate
+from zygos.simulation.scenario import load_scenario
+
+PAPER = ROOT / "examples" / "paper" / "scenario.toml"
+SHORT = Case(duration_s=30.0)
+"""Half of the manoeuvre of examples/paper, with torque noise of 0.5 %, as the arm file declares."""
+
+
+@cache
+def short(seed: int = 0) -> Run:
+    return runs(SHORT, [seed])[seed]
+
+
+@cache
+def found() -> Refinement:
+    return refine_runs([short()])
+
+
+def table(run: Run, keep: Sequence[bool] | np.ndarray | None = None, **changed: object) -> Run:  # type: ignore[type-arg]
+    """A run as a table of cycles, of which some are left out or changed."""
+    cycles = replace(run.cycles, **changed)  # type: ignore[arg-type]
+    if keep is not None:
+        cycles = Cycles(*(getattr(cycles, name)[keep] for name in ("sync", "q", "theta", "tau", "omega", "flags")))
+    return Run(run.arm, table=cycles)
+
+
+def away(answer: Refinement) -> np.ndarray:  # type: ignore[type-arg]
+    """(p,) errors in standard deviations."""
+    return np.asarray((answer.value - plant("paper").base_values(answer.arm)) / answer.sigma)
+
+
+# ------------------------------------------------------------------------------------------ a complete model
+
+
+def test_a_complete_model_is_published_near_the_bound() -> None:
+    answer = found()
+    assert answer.published, answer.reason
+    assert np.abs(away(answer)).max() < 4.0
+    assert np.all(answer.sigma < 0.6 * answer.energy.sigma[: len(answer.names)])
+    assert answer.level[0] == pytest.approx(0.005, rel=4.0 * answer.level_error)
+    assert answer.times_bound is not None
+    np.testing.assert_allclose(answer.times_bound, 1.0, rtol=0.1)
+    assert not answer.effects
+    assert "zygos" in {one.source for one in answer.to_model().parameters.values()}
+
+
+def test_the_bound_of_a_followed_motion_is_that_of_the_true_one() -> None:
+    scenario = replace(load_scenario(PAPER), duration_s=30.0)
+    (best,) = bound(SHORT.arm, plant("paper"), scenario)
+    level = np.array([joint.torque_relative_sigma for joint in SHORT.arm.joints])
+    motion = FlexibleMotion(SHORT.arm, found().value)
+    states = [(one, piece.tau) for one, piece in zip(found().final.states, found().record.pieces, strict=True)]
+    along = bound_along(motion, states, level)
+    np.testing.assert_allclose(along.sigma, best.sigma, rtol=0.05)
+    # two runs of the same motion tell twice as much
+    twice = bound_along(motion, [*states, *states], level)
+    np.testing.assert_allclose(twice.sigma, along.sigma / np.sqrt(2.0), rtol=1e-6)
+
+
+def test_torques_without_noise_are_found_to_have_none() -> None:
+    case = replace(SHORT, noise=0.0)
+    answer = refine_runs([runs(case, [0])[0]])
+    assert answer.published, answer.reason
+    assert max(answer.level) < 3e-5
+    assert np.abs(away(answer)).max() < 5.0
+    assert np.mean(np.abs(away(answer) * answer.sigma) / answer.size) < 1e-5
+
+
+def test_several_runs_give_one_estimate() -> None:
+    answer = refine_runs([short(0), short(1)])
+    assert answer.published, answer.reason
+    assert [piece.run for piece in answer.record.pieces] == [0, 1]
+    assert np.abs(away(answer)).max() < 4.0
+    np.testing.assert_allclose(answer.sigma, found().sigma / np.sqrt(2.0), rtol=0.15)
+
+
+def test_the_torque_law_says_when_a_torque_acted() -> None:
+    """Torques that are reported a cycle later, for the cycle before, give the same estimate."""
+    run = short()
+    arm = replace(run.arm, torque_law="applied_previous_cycle")
+    later = np.vstack([run.tau[:1], run.tau[:-1]])
+    answer = refine_runs([Run(arm, table=replace(run.cycles, tau=later))])
+    assert answer.published, answer.reason
+    np.testing.assert_allclose(answer.value, found().value, rtol=1e-9)
+    wrong = score(SHORT, Run(run.arm, table=replace(run.cycles, tau=later)))
+    assert not wrong.published
+
+
+def test_lost_cycles_are_bridged_and_long_gaps_begin_anew() -> None:
+    run = short()
+    rng = np.random.default_rng(0)
+    keep = rng.random(len(run)) > 0.01
+    keep[300 : 300 + LONGEST_GAP + 5] = False
+    answer = refine_runs([table(run, keep)])
+    assert answer.record.lost == np.sum(~keep) - LONGEST_GAP - 5
+    assert [piece.first for piece in answer.record.pieces] == [0, 300 + LONGEST_GAP + 5]
+    assert answer.published, answer.reason
+    assert np.abs(away(answer)).max() < 4.0
+    assert np.all(answer.sigma > 0.99 * found().sigma)
+    assert np.all(answer.sigma < 1.5 * found().sigma)
+
+
+def test_friction_of_the_model_is_estimated_and_written() -> None:
+    case = replace(SHORT, effects=(("motor_coulomb", 0.3),))
+    run = runs(case, [0])[0]
+    effects = tuple(effect("motor_coulomb", joint.name, 0.0) for joint in case.arm.joints)
+    answer = refine_runs([run], model=replace(plant("paper"), effects=effects))
+    assert answer.published, answer.reason
+    assert np.abs(away(answer)).max() < 4.0
+    for one in answer.to_model().effects:
+        assert abs(one.value - 0.3) < 4.0 * one.sigma < 0.02
+
+
+def test_uncertain_zeros_are_estimated() -> None:
+    run = short()
+    joints = tuple(replace(one, link_encoder=replace(one.link_encoder, zero_sigma_rad=2e-3)) for one in run.arm.joints)
+    arm = replace(run.arm, joints=joints)
+    answer = refine_runs([Run(arm, table=replace(run.cycles, q=run.q + np.array([1e-3, -2e-3])))])
+    assert answer.published, answer.reason
+    assert np.abs(away(answer)).max() < 4.0
+    zeros, sigma = answer.final.beside[:2], answer.final.beside_sigma[:2]
+    assert np.all(np.abs(zeros - np.array([1e-3, -2e-3])) < 4.0 * sigma)
+    assert np.all(sigma < 1e-3)
+
+
+# ------------------------------------------------------------------------------------------ records
+
+
+def cycles(n: int = 200) -> Cycles:
+    still = np.zeros((n, 2))
+    return Cycles(
+        np.arange(n, dtype=np.uint64), still, still, np.arange(2 * n).reshape(n, 2) * 1.0, np.zeros((n, 3)),
+        np.zeros(n, np.uint32),
+    )  # fmt: skip
+
+
+def flagged(at: int, *listed: int) -> np.ndarray:  # type: ignore[type-arg]
+    flags = np.zeros(200, np.uint32)
+    flags[at : at + len(listed)] = listed
+    return flags
+
+
+@pytest.mark.parametrize(
+    ("flags", "firsts", "used"),
+    [
+        (flagged(100, 0), [0], 200),
+        (flagged(100, INVALID), [0], 199),
+        (flagged(100, BREAK_BEFORE), [0, 100], 200),
+        (flagged(100, VOID_BEFORE | 10 << VOID_SHIFT), [0], 191),
+        (flagged(100, VOID_BEFORE), [100], 100),
+        (flagged(10, BREAK_BEFORE), [10], 190),
+        (flagged(99, INVALID, BREAK_BEFORE), [0, 100], 199),
+    ],
+)
+def test_pieces_are_what_can_be_followed(flags: np.ndarray, firsts: list[int], used: int) -> None:  # type: ignore[type-arg]
+    arm = SHORT.arm
+    record = record_of(arm, [Run(arm, table=replace(cycles(), flags=flags))])
+    assert [piece.first for piece in record.pieces] == firsts
+    assert record.cycles == used
+    assert sum(int(piece.read.sum()) for piece in record.pieces) == used
+
+
+def test_torques_nobody_reported_lie_between_those_around_them() -> None:
+    arm = SHORT.arm
+    keep = np.ones(200, bool)
+    keep[50:53] = False
+    piece = record_of(arm, [table(Run(arm, table=cycles()), keep)]).pieces[0]
+    np.testing.assert_allclose(piece.tau, cycles().tau[:-1])  # they rise steadily
+    assert np.flatnonzero(piece.lost).tolist() == [50, 51, 52]
+    assert np.flatnonzero(~piece.read).tolist() == [50, 51, 52]
+    # a torque for the cycle before is missing for the cycle before the gap
+    before = replace(arm, torque_law="applied_previous_cycle")
+    piece = record_of(before, [table(Run(before, table=cycles()), keep)]).pieces[0]
+    assert np.flatnonzero(piece.lost).tolist() == [49, 50, 51, 52]
+    np.testing.assert_allclose(piece.tau[:49], cycles().tau[1:50])
+
+
+def test_the_state_at_the_start_of_a_piece_is_within_its_deviations() -> None:
+    scenario = load_scenario(PAPER)
+    run = simulate(SHORT.arm, plant("paper"), scenario, seeds=[0], duration_s=10.0)
+    whole = Run.of_cycles(SHORT.arm, run.cycles())
+    for first in range(0, 150, 10):
+        keep = np.arange(200) >= first
+        x, sigma = start_of(SHORT.arm, record_of(SHORT.arm, [table(whole, keep)]).pieces[0])
+        angles = [part[0][first] for part in (run.q, run.theta, run.qd, run.thetad)]
+        truth = np.concatenate([[run.omega0[0][first]], *angles, [0.0]])
+        assert np.all(np.abs(x - truth) < 3.0 * sigma)
+        assert np.all(sigma < 1.0)
+
+
+def test_a_filter_that_resumes_keeps_what_does_not_move() -> None:
+    arm, record = SHORT.arm, found().record
+    motion = FlexibleMotion(arm, found().value)
+    refiner = Refiner(arm, Settings(motion.size, 5, [0.005] * arm.n, friction=True))
+    x, sigma = start_of(arm, record.pieces[0])
+    p = len(found().value)
+    more = np.full(arm.n, 0.1)
+    refiner.start(
+        np.concatenate([x, found().value, 0.0 * more]), np.concatenate([sigma, np.zeros(p), more]),
+        np.diag((1e-3 * motion.size) ** 2),
+    )  # fmt: skip
+    for k in range(40):
+        refiner.read(record.pieces[0].q[k], record.pieces[0].theta[k], record.pieces[0].omega[k])
+        refiner.advance(record.pieces[0].tau[k])
+    before = refiner.x, refiner.root @ refiner.root.T
+    refiner.resume(x, sigma)
+    after = refiner.x, refiner.root @ refiner.root.T
+    fast = refiner.fast
+    np.testing.assert_array_equal(after[0][:fast], x)
+    np.testing.assert_array_equal(after[0][fast:], before[0][fast:])
+    np.testing.assert_allclose(after[1][fast:, fast:], before[1][fast:, fast:], rtol=1e-14)
+    np.testing.assert_allclose(after[1][:fast, :fast], np.diag(sigma**2), rtol=1e-14)
+    assert not after[1][:fast, fast:].any()
+
+
+# ------------------------------------------------------------------------------------------ refusals
+
+
+@pytest.mark.parametrize(
+    ("case", "rule"),
+    [
+        (replace(SHORT, effects=(("torque_lag", 5e-3),)), "level"),
+        (replace(SHORT, declared=0.05, gain=1.02), "rivals"),
+        (Case(declared=0.05, effects=(("motor_coulomb", 0.05),)), "rivals"),
+        (replace(SHORT, declared=0.05, effects=(("cubic_stiffness", 3.0),)), "innovations"),
+        (replace(SHORT, noise=0.01, declared=0.005), "level"),
+    ],
+    ids=["delay", "gain of a joint", "friction", "cubic springs", "noisier than declared"],
+)
+def test_a_model_that_lacks_something_is_not_published(case: Case, rule: str) -> None:
+    result = score(case, runs(case, [0])[0])
+    assert not result.published
+    assert result.found is not None
+    failed = {one.key: one.sentence for one in result.found.rules if not one.holds}
+    assert rule in failed
+    assert all(failed.values())
+    with pytest.raises(Undecided, match="zygos explain"):
+        result.found.to_model()
+
+
+def test_a_level_below_the_declared_one_is_found() -> None:
+    case = replace(SHORT, noise=0.001, declared=0.02)
+    answer = refine_runs([runs(case, [0])[0]])
+    assert answer.published, answer.reason
+    assert answer.level[0] == pytest.approx(0.001, rel=0.2)
+
+
+def test_what_disagrees_with_energy_rows_is_not_published() -> None:
+    rule = {one.key: one for one in found().rules}
+    assert rule["agreement"].holds
+    shifted = found().value + 0.05 * found().size
+    again = replace(found(), final=replace(found().final, value=shifted))
+
+    failed = refine._agreement(again)
+    assert not failed.holds
+    assert "energy rows say" in failed.sentence
+
+
+@pytest.mark.parametrize(("part", "times", "holds"), [(slice(100, 150), 2.0, False), (slice(0, 600), 1.05, True)])
+def test_large_innovations_of_a_while_are_noticed(part: slice, times: float, holds: bool) -> None:
+    squares = found().final.squares.copy()
+    squares[:, 1] *= 2 * 600 / squares[:, 1].sum()  # two joints, 1 on average
+    squares[part, 1] *= times
+    again = replace(found(), final=replace(found().final, squares=squares))
+    rule = refine._innovations(again)
+    assert rule.holds is holds
+    assert holds or "motor encoders are too large: the mean normalised square of readings 100 to 150" in rule.sentence
+
+
+def test_what_the_filter_does_not_know_is_refused() -> None:
+    arm = SHORT.arm
+    with pytest.raises(ZygosError, match=r"does not know \(cubic_stiffness\); remedy"):
+        check_supported(arm, [effect("cubic_stiffness", "elbow", 1.0)])
+    with pytest.raises(ZygosError, match=r"held from SYNC to SYNC.*remedy"):
+        check_supported(replace(arm, torque_law="sampled"), [])
+    with pytest.raises(ZygosError, match=r"motor currents.*remedy"):
+        check_supported(replace(arm, torque_unit="A"), [])
+    with pytest.raises(ZygosError, match=r"gyro latches.*remedy"):
+        check_supported(replace(arm, imu=replace(arm.imu, latch_us=100)), [])
+    rigid, _ = random_arm(1, 2, "free", "planar", False)
+    with pytest.raises(ZygosError, match=r"is rigid.*remedy"):
+        check_supported(rigid, [])
+    check_supported(arm, [effect("motor_coulomb", "elbow", 1.0), effect("torque_offset", "elbow", 0.1)])
+
+
+def test_where_energy_rows_give_no_start_nothing_is_refined() -> None:
+    arm = SHORT.arm
+    still = Run(arm, table=cycles())
+    with pytest.raises(Undecided, match="remedy"):
+        refine_runs([still])
+    with pytest.raises(Undecided, match="no unbroken piece"):
+        refine_runs([Run(arm, table=replace(cycles(), flags=np.full(200, BREAK_BEFORE, np.uint32)))])
+
+
+# ------------------------------------------------------------------------------------------ the command
+
+
+def command(*arguments: object) -> int:
+    with pytest.raises(SystemExit) as end:
+        main([str(argument) for argument in arguments])
+    return int(end.value.code or 0)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    save_arm(SHORT.arm, tmp_path / "arm.toml")
+    save_run(short(), tmp_path / "run.blf")
+    return tmp_path
+
+
+def test_the_command_writes_model_page_and_answer(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = folder / "better.toml"
+    assert (
+        command("refine", folder / "run.blf", "-o", out, "--json", folder / "x.json", "--report", folder / "x.html")
+        == 0
+    )
+    model = load_model(out)
+    np.testing.assert_allclose(model.base_values(SHORT.arm), found().value, rtol=1e-9)
+    answer = json.loads((folder / "x.json").read_text())
+    assert answer["published"] and answer["times_bound"] == pytest.approx(1.0, abs=0.1)
+    assert [one["value"] for one in answer["parameters"]] == pytest.approx(found().value.tolist())
+    assert {one["channel"] for one in answer["innovations"]} == {"link encoders", "motor encoders", "gyro"}
+    page = (folder / "x.html").read_text()
+    assert "published" in page and '"parameter-0"' in page and '"channel-2"' in page and '"level"' in page
+    assert "holds" in capsys.readouterr().out
+
+
+def test_a_refusal_writes_no_model(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    case = replace(SHORT, effects=(("torque_lag", 5e-3),))
+    save_run(runs(case, [0])[0], folder / "late.blf")
+    out = folder / "better.toml"
+    code = command("refine", folder / "late.blf", "-o", out, "--json", folder / "x.json", "--report", folder / "x.html")
+    assert code == 3
+    assert not out.exists()
+    said = capsys.readouterr().err
+    assert "torque_relative_sigma" in said and "a delay of the torques" in said
+    assert "zygos explain" in said and "no model written" in said
+    answer = json.loads((folder / "x.json").read_text())
+    assert not answer["published"]
+    assert all(one["value"] is None for one in answer["parameters"])
+    assert "Nothing is published" in (folder / "x.html").read_text()
+
+
+def test_a_model_with_other_effects_is_bad_input(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    save_model(replace(plant("paper"), effects=(effect("cubic_stiffness", "elbow", 1.0),)), folder / "m.toml")
+    assert command("refine", folder / "run.blf", "--model", folder / "m.toml", "-o", folder / "b.toml") == 2
+    assert "does not know (cubic_stiffness); remedy" in capsys.readouterr().err
+    assert not (folder / "b.toml").exists()
+
+
+@pytest.mark.slow
+def test_in_space_what_energy_rows_leave_open_needs_a_model() -> None:
+    case = Case("spatial")
+    with pytest.raises(Undecided, match="--model"):
+        refine_runs([runs(case, [0])[0]])
