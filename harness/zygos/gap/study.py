@@ -434,10 +434,14 @@ def _fitted(
     zeros = [zero_columns(layout, record.readings(), base, every) for record in records]
     made = np.array([coefficient(dynamics, hypothesis, name, sensors) for name in hypothesis.names])
     known = hypothesis.basis() @ np.concatenate([np.zeros(len(layout.zeros)), made, [-1.0]])
+    # those of a record, for a twin that moves a little otherwise, bend all its coefficients
     drawn = tuple(
-        draws(twin, kept, count, layout, uncentred, own, base, count * k, every, known)
-        for k, (twin, kept, own) in enumerate(zip(twins, accepted, zeros, strict=True))
-    )
+        draws(
+            twin, kept, count, layout, uncentred, zero_columns(layout, twin.exact, base, every), base, count * k, every,
+            known,
+        )
+        for k, (twin, kept) in enumerate(zip(twins, accepted, strict=True))
+    )  # fmt: skip
     sums = tuple(
         replace(
             accumulate(balance_rows(layout, record.readings(), base, zeros=own, every=every), kept, uncentred),
