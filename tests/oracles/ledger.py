@@ -342,13 +342,20 @@ def markdown(lines: Sequence[Line]) -> str:
     return "\n".join(out) + "\n"
 
 
-def write_page(path: Path | None = None) -> None:
-    """Put the tables between the markers of docs/gap.md."""
+def counted(lines: Sequence[Line], cells: Iterable[str]) -> list[Line]:
+    """The lines of cells that exist: others were given up, because what they hid cannot be told from errors of sensors,
+    or for the time that they took. The ledger keeps them."""
+    names = set(cells)
+    return [line for line in lines if line["cell"] in names]
+
+
+def write_page(cells: Iterable[str], path: Path | None = None) -> None:
+    """Put the tables of these cells between the markers of docs/gap.md."""
     path = path or PAGE
     text = path.read_text()
     head, rest = text.split(BEGIN, 1)
     tail = rest.split(END, 1)[1]
-    path.write_text(f"{head}{BEGIN}\n{markdown(read())}\n{END}{tail}")
+    path.write_text(f"{head}{BEGIN}\n{markdown(counted(read(), cells))}\n{END}{tail}")
 
 
 def typical_limits(lines: Sequence[Line]) -> dict[str, dict[str, float]]:

@@ -210,8 +210,9 @@ def main(arguments: Sequence[str]) -> int:
         LIMITS.write_text(json.dumps(ledger.typical_limits(ledger.read()), indent=1) + "\n")
         return 0
     if words == ["table"]:
-        ledger.write_page()
-        return show(ledger.newest(ledger.read()))
+        names = [cell.name for cell in wanted([])]
+        ledger.write_page(names)
+        return show(ledger.newest(ledger.counted(ledger.read(), names)))
     draws = int(options["draws"]) if "draws" in options else None
     jobs = spread(words, draws, int(options.get("from", 0)))
     if "again" not in arguments:
