@@ -14,7 +14,7 @@ from zygos.can.run import Run as RecordedRun
 from zygos.can.run import find_arm, joined
 from zygos.cli.answer import finish_estimate
 from zygos.cli.ground import finish_ground, finish_payload
-from zygos.cli.options import ArmFile, Json, Report
+from zygos.cli.options import ArmFile, Json, Report, Runs
 from zygos.cli.shared import check_model_name, not_whole, origin, read_run
 from zygos.effects import CATALOGUE, Effect
 from zygos.errors import ZygosError
@@ -171,12 +171,7 @@ def _friction(run: RecordedRun, text: str) -> tuple[Effect, ...]:
 
 def command(
     context: typer.Context,
-    run: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="RUN...", help="CAN logs (.log .blf .asc .trc .mf4), or tables of cycles (.npz .csv .parquet)."
-        ),
-    ],
+    run: Runs,
     out: Annotated[Path, typer.Option("-o", "--out", metavar="MODEL.toml", help="The model to write.")],
     arm: ArmFile = None,
     model: Annotated[

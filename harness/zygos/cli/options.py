@@ -31,3 +31,9 @@ ChannelOption = Annotated[
 Bitrate = Annotated[
     int | None, typer.Option("-b", "--bitrate", metavar="BIT/S", help="The bit rate, if the interface asks for one.")
 ]
+Runs = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="RUN...", help="CAN logs (.log .blf .asc .trc .mf4), or tables of cycles (.npz .csv .parquet)."
+    ),
+]

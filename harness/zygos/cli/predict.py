@@ -10,7 +10,7 @@ import typer
 from zygos.arm import load_arm
 from zygos.can.run import find_arm
 from zygos.cli.ground import scores_table
-from zygos.cli.options import ArmFile, Json, Report
+from zygos.cli.options import ArmFile, Json, Report, Runs
 from zygos.cli.shared import not_whole, read_run
 from zygos.files.output import check_outputs, quiet, write_json
 from zygos.ground.score import score
@@ -20,12 +20,7 @@ from zygos.report.provenance import provenance
 
 def command(
     context: typer.Context,
-    run: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="RUN...", help="CAN logs (.log .blf .asc .trc .mf4), or tables of cycles (.npz .csv .parquet)."
-        ),
-    ],
+    run: Runs,
     model: Annotated[Path, typer.Option("--model", metavar="MODEL.toml", help="The model that predicts.")],
     arm: ArmFile = None,
     cutoff: Annotated[

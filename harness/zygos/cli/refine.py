@@ -10,7 +10,7 @@ import typer
 
 from zygos.arm import load_arm
 from zygos.can.run import find_arm
-from zygos.cli.options import ArmFile, Json, Report
+from zygos.cli.options import ArmFile, Json, Report, Runs
 from zygos.cli.shared import check_model_name, not_whole, read_run
 from zygos.errors import Undecided
 from zygos.files.output import check_outputs, counted, named, number, quiet, ratio, say, table, write_json
@@ -111,12 +111,7 @@ def _tables(found: Refinement) -> None:
 
 def command(
     context: typer.Context,
-    run: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="RUN...", help="CAN logs (.log .blf .asc .trc .mf4), or tables of cycles (.npz .csv .parquet)."
-        ),
-    ],
+    run: Runs,
     out: Annotated[Path, typer.Option("-o", "--out", metavar="BETTER.toml", help="The model to write.")],
     arm: ArmFile = None,
     model: Annotated[
