@@ -159,7 +159,7 @@ class Estimate:
     """Smallest ratio of sums to noise over all combinations of parameters; infinite where none is declared."""
     left_out: tuple[int, int, int] = (0, 0, 0)
     """Arcs that contradicted the running solution, of the energy, the motor and the momentum rows, the open ones
-    included."""
+    included. Where joint rows alone determine the estimate, the first number is that of their segments."""
     since: int = 0
     """0, or older arcs spoilt the sums and only what came behind this cycle went in."""
     consecutive: int = 0
@@ -458,6 +458,11 @@ class Flight:
             consecutive=int(out.consecutive),
         )
 
+    @property
+    def joints_alone(self) -> bool:
+        """Whether joint rows alone determine the estimate; their segments then have the place of energy arcs."""
+        return bool(lib.zygos_joint_sums_suffice(ffi.addressof(self.native, "config")))
+
     def adopt(self) -> bool:
         """Take what `estimate` answered last as the running solution, if it is valid.
 
@@ -535,7 +540,7 @@ class Flight:
             momentum=[_symmetric(block.rows.gram, momenta.columns) for block in momenta.block[0 : momenta.count]],
             joints=[
                 (group.fade * _symmetric(group.rows.gram, width), group.fade * group.count)
-                for group in self._work.joint_sums.group
+                for group in list(self._work.joint_sums.group)[:-1]  # the last one is not of the estimate
                 if self._work.joint_sums.width > 0
             ],
         )
