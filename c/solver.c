@@ -1257,7 +1257,9 @@ static int solve_from(zygos_work_t *work, zygos_estimate_t *out, uint32_t first)
     const double rows = joints ? work->instants : (double)out->accepted;
     if ((rows < (double)(INSTANTS_PER_PARAMETER * p)) ||
         (out->blocks < (joints ? ZYGOS_MIN_GROUPS : (uint32_t)ZYGOS_MIN_BLOCKS))) {
-        return refuse(out, p, ZYGOS_REASON_NO_DATA);
+        /* A refused instant costs a whole increment, so that no row may be left of a fast motion. */
+        const bool fast = joints && (out->refused > out->accepted);
+        return refuse(out, p, fast ? ZYGOS_REASON_TOO_FAST : ZYGOS_REASON_NO_DATA);
     }
     memset(work->weight, 0, sizeof work->weight);
     work->momentum_weight = 0.0;

@@ -241,6 +241,12 @@ def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
             f"arm {arm.name!r} has {arm.n} joints, this build holds {lib.ZYGOS_MAX_JOINTS_VALUE}; "
             "remedy: rebuild with -DZYGOS_MAX_JOINTS"
         )
+    half, most = arm.smoother.points // 2, lib.ZYGOS_MAX_HALF_WIDTH_VALUE
+    if half > most:
+        raise ZygosError(
+            f"arm {arm.name!r} has a smoother of {arm.smoother.points} points, this build holds {2 * most + 1}; "
+            f"remedy: rebuild with -DZYGOS_MAX_HALF_WIDTH={half}, or a longer period or a higher cut-off"
+        )
     laws = {"applied_from_sync": 0, "applied_previous_cycle": 1, "sampled": 2}
     kinetics = {"planar-symmetric": 0, "planar": 1, "spatial": 2}
     config = ffi.new("zygos_config_t *")
