@@ -100,6 +100,15 @@ def test_on_the_ground_nothing_is_named_in_whole_while_more_than_noise_is_left(
     assert verdict["answer"] == answer, verdict["sentence"]
 
 
+def test_a_drive_that_is_late_by_more_than_a_period_is_named_in_part(tmp_path: Path) -> None:
+    """A low pass at one joint: the torque law of the arm file holds for all joints."""
+    verdict, size = _asked("planar/torque_lag/shoulder/x30", 0, tmp_path)
+    assert verdict["answer"] == "part named", verdict["sentence"]
+    (found,) = verdict["findings"]
+    assert (found["effect"], found["joint"]) == ("torque_lag", "shoulder")
+    assert found["value"] == pytest.approx(size, rel=0.03)
+
+
 @pytest.mark.parametrize("place", ["viscous_asymmetry/elbow", "load_friction/elbow"])
 def test_a_law_of_the_second_round_is_named(place: str, tmp_path: Path) -> None:
     verdict, size = _asked(f"planar/{place}/x30", 0, tmp_path)
