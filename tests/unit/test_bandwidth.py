@@ -1,4 +1,4 @@
-"""The bandwidth test of an arm on the ground at several cut-offs: the flight library, numpy, and the filter's response."""
+"""The bandwidth test of an arm on the ground at several cut-offs, against numpy and the response of the filter."""
 
 from __future__ import annotations
 
