@@ -58,7 +58,8 @@ void zygos_receiver_resume(zygos_receiver_t *self)
 
 static zygos_cycle_t *open_cycle(zygos_receiver_t *self)
 {
-    return &self->queue.slot[self->queue.head];
+    const uint32_t head = self->queue.head; /* zygos_step() reports one that cannot be */
+    return &self->queue.slot[(head <= (uint32_t)ZYGOS_CYCLE_QUEUE) ? head : 0u];
 }
 
 static void push(zygos_receiver_t *self)
@@ -375,6 +376,9 @@ static uint32_t message_of(const zygos_config_t *config, uint32_t id, uint32_t *
     const uint32_t node = id & NODE;
     const uint32_t kind = id - node;
     uint32_t i = 0;
+    if (n > (uint32_t)ZYGOS_MAX_JOINTS) {
+        return ZYGOS_MSG_FOREIGN; /* as above */
+    }
     while ((i < n) && (config->joint[i].node != node)) {
         i++;
     }

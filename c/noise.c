@@ -20,10 +20,29 @@ static double product(const double *a, const double *b, uint32_t n)
     return sum;
 }
 
+_Static_assert(ZYGOS_MAX_COLUMNS < 256, "the index of a column is a byte");
+
 static void put(zygos_column_list_t *list, uint32_t place)
 {
-    list->place[list->count] = place;
+    list->place[list->count] = (uint8_t)place;
     list->count++;
+}
+
+/* Needs a count that is possible. */
+static uint32_t seal_of(const zygos_column_list_t *list)
+{
+    uint32_t seal = list->count;
+    for (uint32_t i = 0; i < list->count; i += 4u) {
+        uint32_t word;
+        memcpy(&word, &list->place[i], sizeof word);
+        seal ^= word;
+    }
+    return seal;
+}
+
+static bool is_sealed(const zygos_column_list_t *list)
+{
+    return (list->count <= (uint32_t)ZYGOS_MAX_COLUMNS + 1u) && (list->seal == seal_of(list));
 }
 
 /* Kinetic columns that are not zero. */
@@ -125,10 +144,12 @@ static void sort(zygos_column_list_t *list)
         for (uint32_t k = count; k > j; k--) {
             list->place[k] = list->place[k - 1u];
         }
-        list->place[j] = place;
+        list->place[j] = (uint8_t)place;
         count++;
     }
+    memset(&list->place[count], 0, sizeof list->place - count);
     list->count = count;
+    list->seal = seal_of(list);
 }
 
 static void find_places(zygos_noise_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map)
@@ -302,7 +323,7 @@ static void add(const zygos_config_t *config, const zygos_column_map_t *column_m
         add_reduced(config, column_map, list, x, packed, sum);
         return;
     }
-    const uint32_t *place = list->place;
+    const uint8_t *place = list->place;
     double total = 0.0;
     for (uint32_t i = 0; i < list->count; i++) {
         total += x[i];
@@ -329,13 +350,16 @@ static void add(const zygos_config_t *config, const zygos_column_map_t *column_m
 
 /* The same of the noise of an angle and of its rate, which are correlated where the signal latches late. Places
    ascend, so what stands there can move to the front of its own array. */
-static void add_signal(const zygos_noise_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+static bool add_signal(const zygos_noise_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
                        uint32_t signal, double weight, double *angle, double *rate, double *packed, double *sum)
 {
     const double *factor = self->factor[signal];
     const zygos_column_list_t *of_angle = &self->angle[signal];
     const zygos_column_list_t *of_rate = &self->rate[signal];
     const bool late = (factor[1] > 0.0) || (factor[1] < 0.0);
+    if (!is_sealed(of_angle) || !is_sealed(of_rate)) {
+        return false;
+    }
     for (uint32_t i = 0; i < of_angle->count; i++) {
         const uint32_t place = of_angle->place[i];
         angle[i] = weight * factor[0] * angle[place];
@@ -348,6 +372,7 @@ static void add_signal(const zygos_noise_t *self, const zygos_config_t *config, 
         rate[i] = weight * factor[2] * rate[of_rate->place[i]];
     }
     add(config, column_map, of_rate, rate, packed, sum);
+    return true;
 }
 
 /* Of a motion about joint i: bodies, and the rotors that they carry. */
@@ -454,13 +479,16 @@ static void gyro_slopes(const zygos_config_t *config, const zygos_column_map_t *
 }
 
 /* The share of the gyro. */
-static void add_gyro(const zygos_noise_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+static bool add_gyro(const zygos_noise_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
                      const zygos_arm_state_t *state, const zygos_motion_t *motion, double weight, double *packed,
                      double *sum)
 {
     const double deviation = weight * root(self->gyro_variance);
     const bool space = (ZYGOS_SPATIAL != 0) && (config->kinetic == ZYGOS_SPATIAL_ARM);
     double rate[ZYGOS_MAX_COLUMNS + 1];
+    if (!is_sealed(&self->gyro)) {
+        return false;
+    }
     for (uint32_t axis = 0; axis < (space ? 3u : 1u); axis++) {
         gyro_slopes(config, column_map, state, motion, axis, rate);
         for (uint32_t k = 0; k < self->gyro.count; k++) {
@@ -468,10 +496,11 @@ static void add_gyro(const zygos_noise_t *self, const zygos_config_t *config, co
         }
         add(config, column_map, &self->gyro, rate, packed, sum);
     }
+    return true;
 }
 
 /* The share of one encoder: those of the links first, then those of the motors. */
-static void add_encoder(const zygos_noise_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+static bool add_encoder(const zygos_noise_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
                         const zygos_geometry_t *geometry, const zygos_arm_state_t *state, const zygos_motion_t *motion,
                         const double *tau, const double *tau_next, uint32_t sensor, double weight, double *packed,
                         double *sum)
@@ -482,7 +511,7 @@ static void add_encoder(const zygos_noise_t *self, const zygos_config_t *config,
     double angle[ZYGOS_MAX_COLUMNS + 1];
     double rate[ZYGOS_MAX_COLUMNS + 1];
     if (rigid && (sensor >= n)) {
-        return; /* it spoke for both sides */
+        return true; /* it spoke for both sides */
     }
     if (sensor < n) {
         link_slopes(config, column_map, geometry, state, motion, i, angle, rate);
@@ -492,26 +521,30 @@ static void add_encoder(const zygos_noise_t *self, const zygos_config_t *config,
     } else {
         motor_slopes(config, column_map, state, motion, tau, tau_next, i, angle, rate);
     }
-    add_signal(self, config, column_map, sensor, weight, angle, rate, packed, sum);
+    return add_signal(self, config, column_map, sensor, weight, angle, rate, packed, sum);
 }
 
-void zygos_noise_add(const zygos_noise_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+bool zygos_noise_add(const zygos_noise_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
                      const zygos_geometry_t *geometry, const zygos_arm_state_t *state, const zygos_motion_t *motion,
                      const double *tau, const double *tau_next, uint32_t turn, double weight, double *packed,
                      double *sum)
 {
     const uint32_t stride = config->compensation;
     if (stride == 0) {
-        return;
+        return true;
     }
+    bool whole = true;
     const bool gyro = (self->gyro_variance > 0.0) && (config->base == ZYGOS_BASE_FREE);
     const uint32_t sensors = 2u * config->joints + (gyro ? 1u : 0u);
     const double share = weight * root((double)stride);
     for (uint32_t sensor = turn % stride; sensor < sensors; sensor += stride) {
         if (sensor == 2u * config->joints) {
-            add_gyro(self, config, column_map, state, motion, share, packed, sum);
+            whole = add_gyro(self, config, column_map, state, motion, share, packed, sum) && whole;
         } else {
-            add_encoder(self, config, column_map, geometry, state, motion, tau, tau_next, sensor, share, packed, sum);
+            whole = add_encoder(self, config, column_map, geometry, state, motion, tau, tau_next, sensor, share, packed,
+                                sum) &&
+                    whole;
         }
     }
+    return whole;
 }
