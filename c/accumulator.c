@@ -48,6 +48,12 @@ static uint64_t checksum_of(const zygos_accumulator_t *self)
     return checksum;
 }
 
+static void reseal(zygos_accumulator_t *self)
+{
+    self->checksum = checksum_of(self);
+    self->twin = ZYGOS_ACCUMULATOR_TWIN(self);
+}
+
 /* Flips a bit back where that explains the checksum. */
 static bool repair(zygos_accumulator_t *self)
 {
@@ -64,7 +70,7 @@ static bool repair(zygos_accumulator_t *self)
     self->newest = (uint32_t)word[5];
     self->window = (uint32_t)word[6];
     self->arcs = (uint32_t)word[7];
-    self->checksum = checksum_of(self);
+    reseal(self);
     return true;
 }
 
@@ -111,7 +117,7 @@ void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint
     self->width = parameters + 2u;
     self->target = (double)(ZYGOS_BUFFER_ROWS * ((steps > MIN_BUFFERS) ? steps : MIN_BUFFERS));
     self->enough = 0.5 * (double)arc_cycles;
-    self->checksum = checksum_of(self);
+    reseal(self);
 }
 
 static void add_share(zygos_noise_sums_t *to, const zygos_noise_sums_t *from, double factor, uint32_t width)
@@ -270,7 +276,7 @@ static void next_segment(zygos_accumulator_t *self)
     if (first) {
         append_block(self);
     }
-    self->checksum = checksum_of(self);
+    reseal(self);
 }
 
 /* Of so many entries, those of a slice: an even number. The last slice reaches beyond the entries, where all is 0. */
@@ -428,7 +434,7 @@ void zygos_accumulator_leave_out(zygos_accumulator_t *self)
     judge(self);
     self->accepted -= self->arc_instants;
     self->count = self->open;
-    self->checksum = checksum_of(self);
+    reseal(self);
     forget_open_arc(self);
 }
 
@@ -467,7 +473,7 @@ void zygos_accumulator_drop_after(zygos_accumulator_t *self, uint64_t cycle)
     }
     self->newest = (self->newest < self->open) ? self->newest : self->open;
     self->window = (self->window < self->open) ? self->window : self->open;
-    self->checksum = checksum_of(self);
+    reseal(self);
     const double kept = closed_instants(self);
     if (kept < before) {
         self->accepted = (uint64_t)((double)self->accepted * kept / before + 0.5);
@@ -500,7 +506,7 @@ uint32_t zygos_accumulator_drop_until(zygos_accumulator_t *self, uint64_t cycle)
         self->accepted = self->arc_instants + (uint64_t)((double)closed * kept / before + 0.5);
         add_share(&self->noise_closed, &self->noise_closed, kept / before - 1.0, self->width - 1u);
     }
-    self->checksum = checksum_of(self);
+    reseal(self);
     return dropped;
 }
 
@@ -589,7 +595,7 @@ void zygos_accumulator_admit(zygos_accumulator_t *self, uint64_t cycle)
         self->window = self->open;
     }
     self->arcs++;
-    self->checksum = checksum_of(self);
+    reseal(self);
     forget_open_arc(self);
 }
 
@@ -621,14 +627,6 @@ bool zygos_accumulator_intact(const zygos_accumulator_t *self, uint32_t paramete
         good = is_count(self->block[b].instants);
     }
     return good;
-}
-
-bool zygos_accumulator_steady(const zygos_accumulator_t *self)
-{
-    /* All of them are powers of 2. */
-    const uint32_t steps = self->filled | self->shared | (self->filling * (ZYGOS_BUFFER_ROWS / 2u));
-    return (self->count <= (uint32_t)ZYGOS_MAX_BLOCKS) && (self->open <= self->count) &&
-           (self->count != self->open + 1u) && (steps < (uint32_t)ZYGOS_BUFFER_ROWS);
 }
 
 /* Whether the sums of the open arc match; of a block that is added to, and of what has yet to be added. */
@@ -690,7 +688,7 @@ static void quarantine(zygos_accumulator_t *self)
     self->count = to;
     self->open = to;
     self->accepted = (uint64_t)after;
-    self->checksum = checksum_of(self);
+    reseal(self);
     add_share(&self->noise_closed, &self->noise_closed, ((before > 0.0) ? after / before : 0.0) - 1.0,
               self->width - 1u);
 }
@@ -705,6 +703,7 @@ bool zygos_accumulator_scrub(zygos_accumulator_t *self, uint32_t parameters)
         return false;
     }
     self->corrupt = 0;
+    self->twin = ZYGOS_ACCUMULATOR_TWIN(self);
     bool whole = true;
     for (uint32_t b = 0; b < self->open; b++) {
         whole = whole && is_block_whole(&self->block[b], self->width);

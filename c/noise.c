@@ -3,6 +3,7 @@
 #include "zygos/gram.h"
 #include "zygos/reduction.h"
 
+#include <stddef.h>
 #include <string.h>
 
 static double root(double x)
@@ -20,7 +21,7 @@ static double product(const double *a, const double *b, uint32_t n)
     return sum;
 }
 
-_Static_assert(ZYGOS_MAX_COLUMNS < 256, "the index of a column is a byte");
+_Static_assert(ZYGOS_MAX_COLUMNS + 1 < 256, "the index of a column is a byte");
 
 static void put(zygos_column_list_t *list, uint32_t place)
 {
@@ -28,21 +29,34 @@ static void put(zygos_column_list_t *list, uint32_t place)
     list->count++;
 }
 
-/* Needs a count that is possible. */
-static uint32_t seal_of(const zygos_column_list_t *list)
+_Static_assert((sizeof(zygos_column_list_t) == 8u * (ZYGOS_LIST_WORDS + 1u)) &&
+                   (offsetof(zygos_column_list_t, place) == 8u),
+               "a list of columns consists of words");
+
+static uint64_t seal_of(const zygos_column_list_t *list)
 {
-    uint32_t seal = list->count;
-    for (uint32_t i = 0; i < list->count; i += 4u) {
-        uint32_t word;
-        memcpy(&word, &list->place[i], sizeof word);
+    uint64_t seal = 0;
+    for (const uint8_t *from = list->place; from != list->place + 8u * ZYGOS_LIST_WORDS; from += 8) {
+        uint64_t word;
+        __builtin_memcpy(&word, from, sizeof word); /* no call, also where the compiler knows no library */
         seal ^= word;
     }
     return seal;
 }
 
-static bool is_sealed(const zygos_column_list_t *list)
+/* Whether both lists are those that were made. */
+static bool are_whole(const zygos_column_list_t *one, const zygos_column_list_t *other)
 {
-    return (list->count <= (uint32_t)ZYGOS_MAX_COLUMNS + 1u) && (list->seal == seal_of(list));
+    uint64_t off = one->seal ^ other->seal;
+    const uint8_t *second = other->place;
+    for (const uint8_t *from = one->place; from != one->place + 8u * ZYGOS_LIST_WORDS; from += 8) {
+        uint64_t word[2];
+        __builtin_memcpy(&word[0], from, sizeof word[0]);
+        __builtin_memcpy(&word[1], second, sizeof word[1]);
+        off ^= word[0] ^ word[1];
+        second += 8;
+    }
+    return off == 0;
 }
 
 /* Kinetic columns that are not zero. */
@@ -148,7 +162,7 @@ static void sort(zygos_column_list_t *list)
         count++;
     }
     memset(&list->place[count], 0, sizeof list->place - count);
-    list->count = count;
+    list->count = (uint8_t)count;
     list->seal = seal_of(list);
 }
 
@@ -357,7 +371,7 @@ static bool add_signal(const zygos_noise_t *self, const zygos_config_t *config, 
     const zygos_column_list_t *of_angle = &self->angle[signal];
     const zygos_column_list_t *of_rate = &self->rate[signal];
     const bool late = (factor[1] > 0.0) || (factor[1] < 0.0);
-    if (!is_sealed(of_angle) || !is_sealed(of_rate)) {
+    if (!are_whole(of_angle, of_rate)) {
         return false;
     }
     for (uint32_t i = 0; i < of_angle->count; i++) {
@@ -486,7 +500,7 @@ static bool add_gyro(const zygos_noise_t *self, const zygos_config_t *config, co
     const double deviation = weight * root(self->gyro_variance);
     const bool space = (ZYGOS_SPATIAL != 0) && (config->kinetic == ZYGOS_SPATIAL_ARM);
     double rate[ZYGOS_MAX_COLUMNS + 1];
-    if (!is_sealed(&self->gyro)) {
+    if (self->gyro.seal != seal_of(&self->gyro)) {
         return false;
     }
     for (uint32_t axis = 0; axis < (space ? 3u : 1u); axis++) {

@@ -198,24 +198,18 @@ static uint32_t least(uint32_t a, uint32_t b)
     return (a < b) ? a : b;
 }
 
-/* Of every count and index that follows from the configuration and with which a cycle addresses memory. */
-static uint32_t places_of(const zygos_t *self)
+/* The part of places_of() that many configurations do not have. */
+static uint32_t further_places_of(const zygos_t *self)
 {
     const zygos_config_t *config = &self->config;
-    const zygos_column_map_t *map = &self->column_map;
-    uint32_t fold = config->joints ^ config->kinetic ^ config->torque_law ^ config->smoother_half_width ^
-                    config->arc_cycles ^ config->compensation ^ config->impulse_arc_cycles ^ config->effects ^
-                    config->base ^ config->momentum_arc_cycles ^ config->joint_row_cycles ^ config->reduced ^
-                    config->reductions ^ map->kinetic ^ map->body ^ map->effects ^ map->count ^ map->reduced ^
-                    map->parameters ^ self->smoother.joints ^ self->smoother.window;
-    for (uint32_t i = 0; i < (uint32_t)ZYGOS_MAX_JOINTS; i++) {
-        fold ^= map->joint[i] ^ map->rotor[i] ^ config->joint[i].rigid ^ self->motor_sums.column_map.count[i];
-    }
+    uint32_t fold = config->effects ^ config->reductions ^ config->reduced ^ self->column_map.reduced ^
+                    config->momentum_arc_cycles ^ config->joint_row_cycles;
     if (config->momentum_arc_cycles > 0) {
         fold ^= self->momentum_sums.columns ^ self->momentum_sums.components ^ self->momentum_sums.signals;
     }
     if (config->joint_row_cycles > 0) {
-        fold ^= self->joint_sums.width ^ self->joint_sums.increments ^ self->joint_sums.slice;
+        fold ^= config->base ^ config->kinetic ^ self->joint_sums.width ^ self->joint_sums.increments ^
+                self->joint_sums.slice;
     }
     for (uint32_t e = 0; e < least(config->effects, (uint32_t)ZYGOS_MAX_EFFECTS); e++) {
         fold ^= config->effect[e].kind ^ config->effect[e].joint;
@@ -229,17 +223,36 @@ static uint32_t places_of(const zygos_t *self)
     return fold;
 }
 
+/* Of every count and index that follows from the configuration and with which a cycle addresses memory. */
+static inline uint32_t places_of(const zygos_t *self)
+{
+    const zygos_config_t *config = &self->config;
+    const zygos_column_map_t *map = &self->column_map;
+    const uint32_t further =
+        config->momentum_arc_cycles | config->joint_row_cycles | config->effects | config->reductions;
+    uint32_t fold = config->joints ^ config->torque_law ^ config->smoother_half_width ^ map->kinetic ^ map->body ^
+                    map->effects ^ map->count ^ map->parameters ^ self->smoother.joints ^ self->smoother.window ^
+                    self->accumulator.width;
+    for (uint32_t i = 0; i < (uint32_t)ZYGOS_MAX_JOINTS; i++) {
+        fold ^= map->joint[i] ^ map->rotor[i] ^ self->motor_sums.column_map.count[i];
+    }
+    return (further != 0) ? fold ^ further_places_of(self) : fold;
+}
+
 /* Whether a cycle accesses nothing outside *self. Those that do not follow from the configuration change; they are
    compared with the configuration, which is verified before. */
 static bool is_steady(const zygos_t *self)
 {
     const zygos_config_t *config = &self->config;
-    return (self->places == places_of(self)) && (self->suspect == 0) &&
-           (self->smoother.position < self->smoother.window) && (self->smoother.filled <= self->smoother.window) &&
+    const zygos_accumulator_t *sums = &self->accumulator;
+    /* The number of rows in a buffer is a power of 2. */
+    const uint32_t steps = sums->filled | sums->shared | (sums->filling * (ZYGOS_BUFFER_ROWS / 2u));
+    const uint32_t off =
+        (self->places ^ places_of(self)) | (sums->twin ^ ZYGOS_ACCUMULATOR_TWIN(sums)) | (steps / ZYGOS_BUFFER_ROWS);
+    return (off == 0) && (self->smoother.position < self->smoother.window) &&
            (self->balance.torque_at <= config->smoother_half_width) &&
-           (self->accumulator.width == self->column_map.parameters + 2u) &&
-           zygos_accumulator_steady(&self->accumulator) && zygos_joint_intact(&self->joint, config) &&
-           ((config->joint_row_cycles == 0) || zygos_joint_sums_steady(&self->joint_sums, config));
+           ((config->joint_row_cycles == 0) ||
+            (zygos_joint_intact(&self->joint, config) && zygos_joint_sums_steady(&self->joint_sums, config)));
 }
 
 /* What follows from the configuration alone. */
@@ -253,10 +266,10 @@ static void make_tables(zygos_t *self)
     zygos_motor_sums_tables(&self->motor_sums, own, &self->smoother);
     zygos_momentum_sums_tables(&self->momentum_sums, own, &self->smoother);
     zygos_joint_sums_tables(&self->joint_sums, own, &self->column_map, &self->smoother);
+    self->accumulator.width = self->column_map.parameters + 2u;
     self->config_checksum = zygos_checksum_memory(0, own, sizeof *own);
     self->tables_checksum = tables_checksum_of(self);
     self->places = places_of(self);
-    self->suspect = 0;
 }
 
 int zygos_init(zygos_t *self, const zygos_config_t *config)
@@ -365,6 +378,12 @@ static void void_arcs(zygos_t *self, const zygos_cycle_t *cycle)
     }
 }
 
+/* No cycle is processed before zygos_scrub(), which computes the number anew. */
+static void suspect(zygos_t *self)
+{
+    self->places = ~places_of(self);
+}
+
 /* The motor impulse rows of the newest instant, which have arcs of their own. */
 static void add_impulses(zygos_t *self)
 {
@@ -388,7 +407,7 @@ static void add_impulses(zygos_t *self)
 static void add_momentum(zygos_t *self)
 {
     const zygos_config_t *config = &self->config;
-    if ((ZYGOS_MOMENTUM == 0) || (config->momentum_arc_cycles == 0) ||
+    if ((ZYGOS_MOMENTUM == 0) || (config->momentum_arc_cycles == 0) || (self->momentum_sums.components == 0) ||
         (zygos_momentum_advance(&self->momentum, config, &self->arm_state) == 0)) {
         return;
     }
@@ -439,7 +458,9 @@ static void add_energy(zygos_t *self)
         zygos_noise_add(&self->noise, config, &self->column_map, &self->geometry, &self->arm_state, &self->motion,
                         zygos_balance_torque_before(&self->balance), zygos_balance_torque_after(&self->balance, config),
                         self->arc, self->arm_state.accepted, self->accumulator.noise.gram, self->accumulator.noise.sum);
-    self->suspect = whole ? 0u : 1u;
+    if (!whole) {
+        suspect(self);
+    }
     self->arc++;
     /* Where the motion is too fast for the smoother, the error of the integrals is a constant of the following arc. A
        factor is used instead of a branch, so that the instructions of a cycle do not depend on its data. */
@@ -456,7 +477,10 @@ static void process_cycle(zygos_t *self, const zygos_cycle_t *cycle)
     const uint32_t broken = (uint32_t)ZYGOS_CYCLE_BREAK | (uint32_t)ZYGOS_CYCLE_VOID;
     const bool follows = (self->cycles > 0) && (cycle->sync == self->cycle + 1u) && !(cycle->flags & broken);
     const bool wrapped = follows && (zygos_cycle_wrapped(&self->previous, &self->config, cycle) == 1);
-    const bool apart = (zygos_cycle_apart(&self->config, cycle) == 1);
+    double signal[ZYGOS_MAX_SIGNALS];
+    double tau[ZYGOS_MAX_JOINTS];
+    zygos_cycle_calibrate(&self->previous, &self->config, cycle, signal, tau);
+    const bool apart = (zygos_cycle_apart(signal, self->config.joints) == 1);
     self->wraps += wrapped ? 1u : 0u;
     self->apart += apart ? 1u : 0u;
     void_arcs(self, cycle);
@@ -467,17 +491,18 @@ static void process_cycle(zygos_t *self, const zygos_cycle_t *cycle)
     self->cycles++;
     self->forgetting *= self->config.forgetting_factor;
     self->motors_forgetting *= self->config.forgetting_factor;
-    self->momentum_forgetting *= self->config.forgetting_factor;
+    self->momentum_forgetting *= (ZYGOS_MOMENTUM != 0) ? self->config.forgetting_factor : 1.0;
     self->joints_forgetting *= self->config.forgetting_factor;
     self->instant = 0;
-    double signal[ZYGOS_MAX_SIGNALS];
-    double tau[ZYGOS_MAX_JOINTS];
-    zygos_cycle_calibrate(&self->previous, &self->config, cycle, signal, tau);
     if (apart) {
         return;
     }
     zygos_balance_torque(&self->balance, &self->config, tau);
-    if (zygos_smoother_push(&self->smoother, signal, &self->arm_state) == 0) {
+    const int smoothed = zygos_smoother_push(&self->smoother, signal, &self->arm_state);
+    if (smoothed < 0) {
+        suspect(self);
+    }
+    if (smoothed != 1) {
         return;
     }
     zygos_kinematics(&self->geometry, &self->config, &self->arm_state, &self->motion);
@@ -547,7 +572,7 @@ int zygos_step(zygos_t *self)
     if (self->magic != MAGIC) {
         return ZYGOS_E_ORDER;
     }
-    if (!zygos_receiver_intact(&self->receiver)) {
+    if (self->receiver.queue.tail > (uint32_t)ZYGOS_CYCLE_QUEUE) {
         return ZYGOS_E_STATE;
     }
     const zygos_cycle_t *cycle = zygos_receiver_front(&self->receiver);
@@ -707,7 +732,7 @@ static uint32_t scrub_places(zygos_t *self)
         zygos_receiver_resume(&self->receiver);
         found = (uint32_t)ZYGOS_SCRUBBED_PLACES;
     }
-    if ((self->accumulator.filling > 1u) || !is_steady(self)) {
+    if (!is_steady(self)) {
         self->accumulator.filling &= 1u;
         drop_open(self);
         found = (uint32_t)ZYGOS_SCRUBBED_PLACES;
@@ -788,8 +813,7 @@ int zygos_scrub(zygos_t *self, const zygos_config_t *config)
     }
     self->magic = MAGIC;
     const bool tables = (self->config_checksum != zygos_checksum_memory(0, config, sizeof *config)) ||
-                        (self->tables_checksum != tables_checksum_of(self)) || (self->places != places_of(self)) ||
-                        (self->suspect != 0);
+                        (self->tables_checksum != tables_checksum_of(self)) || (self->places != places_of(self));
     if (tables) {
         found |= (uint32_t)ZYGOS_SCRUBBED_TABLES;
     }
@@ -797,6 +821,7 @@ int zygos_scrub(zygos_t *self, const zygos_config_t *config)
         make_tables(self);
     }
     const uint32_t rebuilt = found;
+    found |= is_steady(self) ? 0u : (uint32_t)ZYGOS_SCRUBBED_PLACES;
     found |= scrub_sums(self);
     found |= scrub_places(self);
     if (rebuilt & ((uint32_t)ZYGOS_SCRUBBED_CONFIG | (uint32_t)ZYGOS_SCRUBBED_TABLES)) {

@@ -76,15 +76,15 @@ typedef struct {
     uint32_t filling;      ///< Which of the two buffers is being filled; the other is added to the blocks.
     uint32_t shared;       ///< Slices of the other one that have been added.
     uint32_t quarantined;  ///< Arcs and blocks that were dropped since the last zygos_scrub(): memory was changed.
-    uint32_t reserved;
-    double enough;     ///< Instants with which arcs are compared.
-    double target;     ///< Length of a segment in instants.
-    double segment;    ///< Accepted instants of the open segment.
-    uint64_t accepted; ///< Instants in closed arcs and in the open one.
-    uint64_t refused;  ///< Instants that failed the bandwidth test.
-    uint64_t checksum; ///< Of width, count, open, newest, window, arcs, enough and target.
-    double early;      ///< Weight of the older block in the buffer that is added.
-    double late;       ///< Weight of the newer block.
+    uint32_t twin;         ///< count and open again (ZYGOS_ACCUMULATOR_TWIN), with which each cycle compares them.
+    double enough;         ///< Instants with which arcs are compared.
+    double target;         ///< Length of a segment in instants.
+    double segment;        ///< Accepted instants of the open segment.
+    uint64_t accepted;     ///< Instants in closed arcs and in the open one.
+    uint64_t refused;      ///< Instants that failed the bandwidth test.
+    uint64_t checksum;     ///< Of width, count, open, newest, window, arcs, enough and target.
+    double early;          ///< Weight of the older block in the buffer that is added.
+    double late;           ///< Weight of the newer block.
     zygos_row_buffer_t buffer[2];
     zygos_noise_sums_t noise;      ///< Noise of the open segment, not yet subtracted.
     zygos_noise_sums_t noise_open; ///< Noise of the other segments of the open arc, subtracted.
@@ -92,6 +92,9 @@ typedef struct {
         noise_closed; ///< Noise of closed arcs, subtracted; reduced in proportion when an arc is dropped.
     zygos_block_t block[ZYGOS_MAX_BLOCKS];
 } zygos_accumulator_t;
+
+/// count and open in one number. There are at most 256 blocks.
+#define ZYGOS_ACCUMULATOR_TWIN(self) ((self)->count ^ ((self)->open << 16u))
 
 /// Initialises the accumulator for p parameters and arcs of at most arc_cycles cycles.
 void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint64_t arc_cycles, double period_s);
@@ -130,9 +133,6 @@ uint32_t zygos_accumulator_drop_until(zygos_accumulator_t *self, uint64_t cycle)
 /// Returns whether every index, count and length is possible for p parameters. The other functions rely on that and do
 /// not check it. Reads nothing outside the struct, whatever its content is. Cost: a few comparisons for each block.
 bool zygos_accumulator_intact(const zygos_accumulator_t *self, uint32_t parameters);
-
-/// Returns whether the places and counts that each cycle uses are possible. Cost: a few comparisons.
-bool zygos_accumulator_steady(const zygos_accumulator_t *self);
 
 /// Drops each block of closed arcs that does not match its row sums or its checksum, and the open arc where its sums do
 /// not match; repairs a flipped bit of the members that tell which blocks there are. Returns false, and changes only

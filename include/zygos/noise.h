@@ -31,15 +31,15 @@ extern "C" {
 /// A gyro is regarded as exact when its variance is below this share of the variance of every link's rate.
 #define ZYGOS_GYRO_SHARE 1e-4
 
-/// The number of indices in a list of columns, rounded up to whole words of four.
-#define ZYGOS_LIST_PLACES (4 * ((ZYGOS_MAX_COLUMNS + 4) / 4))
+/// The number of indices in a list of columns, rounded up so that a list is a whole number of words of eight bytes.
+#define ZYGOS_LIST_WORDS ((ZYGOS_MAX_COLUMNS + 2 + 7) / 8)
 
 /// The columns that contain the noise of one sensor, in ascending order. They are places in memory that is written to,
 /// and are therefore verified each time before they are used.
 typedef struct {
-    uint32_t count;                   ///< Number of columns.
-    uint32_t seal;                    ///< Exclusive or of count and of the words of place[] that are in use.
-    uint8_t place[ZYGOS_LIST_PLACES]; ///< Their indices, and 0 behind them.
+    uint64_t seal;                           ///< Exclusive or of the words of the other members.
+    uint8_t place[8 * ZYGOS_LIST_WORDS - 1]; ///< Their indices, and 0 behind them.
+    uint8_t count;                           ///< Number of columns.
 } zygos_column_list_t;
 
 /// The covariances of the smoothed signals: of the link encoder and the motor encoder of each joint, and of the gyro.
