@@ -245,10 +245,9 @@ static bool is_steady(const zygos_t *self)
 {
     const zygos_config_t *config = &self->config;
     const zygos_accumulator_t *sums = &self->accumulator;
-    /* The number of rows in a buffer is a power of 2. */
-    const uint32_t steps = sums->filled | sums->shared | (sums->filling * (ZYGOS_BUFFER_ROWS / 2u));
+    const uint32_t steps = (sums->filled | sums->shared) / ZYGOS_BUFFER_ROWS; /* which is a power of 2 */
     const uint32_t off =
-        (self->places ^ places_of(self)) | (sums->twin ^ ZYGOS_ACCUMULATOR_TWIN(sums)) | (steps / ZYGOS_BUFFER_ROWS);
+        (self->places ^ places_of(self)) | (sums->twin ^ ZYGOS_ACCUMULATOR_TWIN(sums)) | steps | (sums->filling / 2u);
     return (off == 0) && (self->smoother.position < self->smoother.window) &&
            (self->balance.torque_at <= config->smoother_half_width) &&
            ((config->joint_row_cycles == 0) ||

@@ -94,7 +94,7 @@ typedef struct {
 } zygos_accumulator_t;
 
 /// count and open in one number. There are at most 256 blocks.
-#define ZYGOS_ACCUMULATOR_TWIN(self) ((self)->count ^ ((self)->open << 16u))
+#define ZYGOS_ACCUMULATOR_TWIN(self) ((self)->count ^ (((self)->open << 16u) | ((self)->open >> 16u)))
 
 /// Initialises the accumulator for p parameters and arcs of at most arc_cycles cycles.
 void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint64_t arc_cycles, double period_s);

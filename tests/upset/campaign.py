@@ -44,7 +44,7 @@ CAMPAIGNS = {
     "planar": Campaign(
         "2 joints in a plane", "paper", ("-DZYGOS_MAX_JOINTS=2", "-DZYGOS_SPATIAL=0", "-DZYGOS_MOMENTUM=0"), 120.0, 1500
     ),
-    "spatial": Campaign("3 joints in space", "spatial", ("-DZYGOS_MAX_JOINTS=3",), 60.0, 2400),
+    "spatial": Campaign("3 joints in space", "spatial", ("-DZYGOS_MAX_JOINTS=3",), 30.0, 12000),
 }
 
 
