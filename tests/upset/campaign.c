@@ -17,7 +17,7 @@
 #include "zygos/zygos.h"
 
 #define APART 50u     /* cycles between two stored states */
-#define PATIENCE_S 20 /* of a trial */
+#define PATIENCE_S 60 /* of a trial */
 #define MOVED 0.5     /* sigmas that a value may move without a notice */
 #define LOOKS_AFTER 2u
 #define PAGE 4096u
@@ -255,6 +255,8 @@ int main(int argc, char **argv)
         }
         if (done < trials) {
             record[done].outcome = (WIFSIGNALED(status) && (WTERMSIG(status) == SIGALRM)) ? HANG : CRASH;
+            fprintf(stderr, "seed %llu, bit %llu, cycle %u: status %d\n", (unsigned long long)(seed + done),
+                    (unsigned long long)record[done].bit, record[done].cycle, status);
             done++;
         }
     }

@@ -76,7 +76,7 @@ def fly(name: str, trials: int, seed: int = 0, folder: Path = FOLDER) -> NDArray
     program = build(one, place)
     last = cycles - 2 * ARC_CYCLES
     command = ["nice", "-n", "15", program, place / "run.bin", one.first, last, trials, seed, place / "records.bin"]
-    subprocess.run([str(part) for part in command], check=True)
+    subprocess.run([str(part) for part in command], check=True, stderr=(place / "said.txt").open("w"))
     return np.fromfile(place / "records.bin", dtype=RECORD)
 
 
