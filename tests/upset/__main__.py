@@ -2,8 +2,8 @@
 
     python -m upset [share=SHARE] [seed=SEED]
 
-SHARE of the trials of the committed table, default 1. Writes out/upset.json as well. The exit code is 1 after a crash or
-a hang, or when the share of silent trials is above its limit.
+SHARE of TRIALS, default 1. Writes out/upset.json as well. The exit code is 1 after a crash,
+a hang, or more silent trials than LIMIT.
 """
 
 from __future__ import annotations
@@ -65,9 +65,8 @@ def main(arguments: list[str]) -> int:
     text = table(results)
     write_json(Path("out/upset.json"), results)
     print(text)
-    if share >= 1.0:
-        before, _, rest = DOCUMENT.read_text().partition(BEGIN)
-        write_text(DOCUMENT, before + BEGIN + "\n" + text + "\n" + END + rest.partition(END)[2])
+    before, _, rest = DOCUMENT.read_text().partition(BEGIN)
+    write_text(DOCUMENT, before + BEGIN + "\n" + text + "\n" + END + rest.partition(END)[2])
     counts = [result["count"] for result in results.values()]
     lost = sum(count["crash"] + count["hang"] + count["unfinished"] for count in counts)
     silent = np.sum([count["silent"] for count in counts]) / sum(result["trials"] for result in results.values())

@@ -11,13 +11,14 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/mman.h>
+#include <sys/time.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
 #include "zygos/zygos.h"
 
 #define APART 50u     /* cycles between two stored states */
-#define PATIENCE_S 60 /* of a trial */
+#define PATIENCE_S 10 /* of the processor, for a trial */
 #define MOVED 0.5     /* sigmas that a value may move without a notice */
 #define LOOKS_AFTER 2u
 #define PAGE 4096u
@@ -240,7 +241,8 @@ int main(int argc, char **argv)
         const pid_t child = fork();
         if (child == 0) {
             for (uint32_t t = done; t < trials; t++) {
-                (void)alarm(PATIENCE_S);
+                const struct itimerval patience = { .it_value = { .tv_sec = PATIENCE_S } };
+                (void)setitimer(ITIMER_PROF, &patience, NULL);
                 fly(first, last, seed + t, &record[t]);
             }
             _exit(0);
@@ -254,7 +256,7 @@ int main(int argc, char **argv)
             done++;
         }
         if (done < trials) {
-            record[done].outcome = (WIFSIGNALED(status) && (WTERMSIG(status) == SIGALRM)) ? HANG : CRASH;
+            record[done].outcome = (WIFSIGNALED(status) && (WTERMSIG(status) == SIGPROF)) ? HANG : CRASH;
             fprintf(stderr, "seed %llu, bit %llu, cycle %u: status %d\n", (unsigned long long)(seed + done),
                     (unsigned long long)record[done].bit, record[done].cycle, status);
             done++;

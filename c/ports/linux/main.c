@@ -136,9 +136,9 @@ static int mend(void)
         return start_over();
     }
     bus.losses.corrupt++;
-    node_log(
-        "memory was changed: repaired in place (zygos_scrub(): %d); remedy: none if it is rare, otherwise test the memory",
-        found);
+    node_log("memory was changed: repaired in place (zygos_scrub(): %d); remedy: none if it is rare, otherwise test "
+             "the memory",
+             found);
     return 1;
 }
 
