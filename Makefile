@@ -5,7 +5,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 NATIVE := harness/zygos/_native/libzygos.so
 SOURCES := $(wildcard c/*.c c/ports/host/*) c/flags.txt $(wildcard include/zygos/*) tools/build_native.py
-C_FILES := $(wildcard c/*.c c/ports/*/*.[ch] include/zygos/*.h tests/fuzz/*.[ch] tests/bench/*.c tests/bench/*.cpp tests/pil/*.c tools/*.c) \
+C_FILES := $(wildcard c/*.c c/ports/*/*.[ch] include/zygos/*.h tests/fuzz/*.[ch] tests/bench/*.c tests/upset/*.c tests/bench/*.cpp tests/pil/*.c tools/*.c) \
            $(filter-out %/arm_config.h,$(wildcard examples/onboard/*.[ch]))
 ifdef CI
 export CFLAGS += -Werror
@@ -31,7 +31,7 @@ $(error CAPACITIES holds $(filter-out -DZYGOS_%,$(CAPACITIES)), which is no capa
 endif
 
 .DEFAULT_GOAL := demo
-.PHONY: lock demo real build library install uninstall FORCE node test test-slow test-all coverage times kernels hil latency pil gap loop bench verify limits accuracy mission soak ground demo-log reference lint format warnings clean help
+.PHONY: lock demo real build library install uninstall FORCE node test test-slow test-all coverage times kernels hil latency pil gap loop bench verify limits accuracy mission soak upset ground demo-log reference lint format warnings clean help
 
 demo: build ## set up, run the paper's example over CAN, show the result (out/demo/report.html)
 	$(BIN)/python -m zygos.demo
@@ -99,7 +99,7 @@ $(NODE): $(LIBRARY) $(wildcard c/ports/linux/*.[ch] c/ports/telemetry/* include/
 	mv $@.partial $@
 
 # Folders of tests that need no bus of the kernel's and no emulator of a board; docs/testing.md has the tiers.
-TESTS := $(addprefix tests/,unit bus fuzz bench builds statistics campaigns soak verify)
+TESTS := $(addprefix tests/,unit bus fuzz bench builds statistics campaigns soak upset verify)
 PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile
 test: build node $(VENV)/.test ## the quick tests, a process for each core (5 minutes on two cores)
 	$(PYTEST) -m "not slow" $(TESTS)
@@ -163,6 +163,9 @@ mission: build $(VENV)/.test ## intervals over missions of up to 30 days of fres
 
 soak: build $(VENV)/.test ## 30 days of 2 joints, 3.6 hours of 7: estimates, intervals, counters (out/soak.json, docs/soak.md; 10 minutes; NAMES= FULL=1)
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tests:tests/support $(BIN)/python -m soak $(NAMES) $(if $(FULL),--full)
+
+upset: build $(VENV)/.test ## flip bits in the state of the library, count what comes of it (out/upset.json, docs/upset.md; SHARE= SEED=)
+	OPENBLAS_NUM_THREADS=1 PYTHONPATH=tests:tests/support $(BIN)/python -m upset $(if $(SHARE),share=$(SHARE)) $(if $(SEED),seed=$(SEED))
 
 ground: build $(VENV)/.test ## simulated laboratory arms: do the intervals hold (docs/ground.md; 40 minutes; ARMS= DRAWS=)
 	$(BIN)/python -m zygos.accuracy.ground $(ARMS) $(if $(DRAWS),--draws $(DRAWS))

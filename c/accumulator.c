@@ -22,21 +22,68 @@ static double rounded(double instants)
     return 1e-9 + 2.220446049250313e-16 * instants;
 }
 
+/* What the checksum protects. */
+#define WORDS 8u
+
+static void gather(const zygos_accumulator_t *self, uint64_t *word)
+{
+    memcpy(&word[0], &self->enough, sizeof word[0]);
+    memcpy(&word[1], &self->target, sizeof word[1]);
+    word[2] = self->width;
+    word[3] = self->count;
+    word[4] = self->open;
+    word[5] = self->newest;
+    word[6] = self->window;
+    word[7] = self->arcs;
+}
+
 static uint64_t checksum_of(const zygos_accumulator_t *self)
 {
-    const double lengths[2] = { self->enough, self->target };
-    const uint32_t places[6] = { self->width, self->count, self->open, self->newest, self->window, self->arcs };
-    uint64_t checksum = zygos_checksum_doubles(1u, lengths, 2);
-    for (uint32_t i = 0; i < 6; i++) {
-        checksum = zygos_checksum_number(checksum, places[i]);
+    uint64_t word[WORDS];
+    uint64_t checksum = 0;
+    gather(self, word);
+    for (uint32_t i = 0; i < WORDS; i++) {
+        checksum = zygos_checksum_number(checksum, word[i]);
     }
     return checksum;
 }
 
-/* Verifies the checksum, before anything that it protects is changed. */
+static void reseal(zygos_accumulator_t *self)
+{
+    self->checksum = checksum_of(self);
+    self->twin = ZYGOS_ACCUMULATOR_TWIN(self);
+}
+
+/* Flips a bit back where that explains the checksum. */
+static bool repair(zygos_accumulator_t *self)
+{
+    uint64_t word[WORDS];
+    gather(self, word);
+    if (!zygos_checksum_repair(word, WORDS, self->checksum)) {
+        return false;
+    }
+    memcpy(&self->enough, &word[0], sizeof word[0]);
+    memcpy(&self->target, &word[1], sizeof word[1]);
+    self->width = (uint32_t)word[2];
+    self->count = (uint32_t)word[3];
+    self->open = (uint32_t)word[4];
+    self->newest = (uint32_t)word[5];
+    self->window = (uint32_t)word[6];
+    self->arcs = (uint32_t)word[7];
+    reseal(self);
+    return true;
+}
+
+/* Verifies the checksum, before anything that it protects is changed. What cannot be repaired must not lead outside. */
 static void judge(zygos_accumulator_t *self)
 {
-    self->corrupt |= (self->checksum == checksum_of(self)) ? 0u : 1u;
+    if ((self->checksum == checksum_of(self)) || repair(self)) {
+        return;
+    }
+    self->corrupt = 1;
+    self->newest = (self->newest <= self->open) ? self->newest : 0u;
+    self->window = (self->window <= self->open) ? self->window : self->open;
+    self->newest = (self->newest <= self->window) ? self->newest : self->window;
 }
 
 static uint64_t checksum_of_block(const zygos_block_t *block, uint32_t width)
@@ -52,6 +99,13 @@ static bool is_whole(const zygos_block_t *block, uint32_t width)
     return (block->checksum == 0) || (block->checksum == checksum_of_block(block, width));
 }
 
+/* Of a block of closed arcs that has changed; what was wrong before remains wrong. */
+static void seal(zygos_block_t *block, uint32_t width, bool whole)
+{
+    const uint64_t checksum = checksum_of_block(block, width);
+    block->checksum = whole ? checksum : ~checksum;
+}
+
 void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint64_t arc_cycles, double period_s)
 {
     const uint64_t most = arc_cycles / FEWEST;
@@ -63,7 +117,7 @@ void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint
     self->width = parameters + 2u;
     self->target = (double)(ZYGOS_BUFFER_ROWS * ((steps > MIN_BUFFERS) ? steps : MIN_BUFFERS));
     self->enough = 0.5 * (double)arc_cycles;
-    self->checksum = checksum_of(self);
+    reseal(self);
 }
 
 static void add_share(zygos_noise_sums_t *to, const zygos_noise_sums_t *from, double factor, uint32_t width)
@@ -85,6 +139,8 @@ static void clear_share(zygos_noise_sums_t *share, uint32_t width)
 
 static void add_block(zygos_block_t *to, const zygos_block_t *from, uint32_t width)
 {
+    const bool closed = (to->checksum != 0);
+    const bool whole = is_whole(to, width) && is_whole(from, width);
     const uint32_t size = zygos_gram_entries(width);
     for (uint32_t k = 0; k < size; k++) {
         to->gram[k] += from->gram[k];
@@ -97,7 +153,9 @@ static void add_block(zygos_block_t *to, const zygos_block_t *from, uint32_t wid
     to->square += from->square + 2.0 * to->overlap;
     to->overlap = from->overlap;
     to->end = from->end;
-    to->checksum = (to->checksum == 0) ? 0u : checksum_of_block(to, width);
+    if (closed) {
+        seal(to, width, whole);
+    }
 }
 
 /* Merges neighbours in [first, end) that fit into one block, as long as blocks are to spare, and puts the results at
@@ -109,8 +167,6 @@ static uint32_t merge(zygos_accumulator_t *self, uint32_t first, uint32_t end, u
     for (uint32_t from = first; from < end; from++) {
         if ((to > begin) && (*spare > 0) && (self->block[to - 1u].instants + self->block[from].instants <= most)) {
             (*spare)--;
-            self->corrupt |= is_whole(&self->block[to - 1u], self->width) ? 0u : 1u;
-            self->corrupt |= is_whole(&self->block[from], self->width) ? 0u : 1u;
             add_block(&self->block[to - 1u], &self->block[from], self->width);
             continue;
         }
@@ -202,17 +258,25 @@ static void end_segment(zygos_accumulator_t *self)
 
 static void next_segment(zygos_accumulator_t *self)
 {
-    const bool first = (self->count == self->open);
     judge(self);
+    bool first = (self->count == self->open);
     end_segment(self);
     if (self->count + 2u > ZYGOS_MAX_BLOCKS) {
         free_blocks(self);
+    }
+    if (self->count + 2u > ZYGOS_MAX_BLOCKS) { /* a changed target or number of instants */
+        self->corrupt = 1;
+        self->count = 0;
+        self->open = 0;
+        self->newest = 0;
+        self->window = 0;
+        first = true;
     }
     append_block(self);
     if (first) {
         append_block(self);
     }
-    self->checksum = checksum_of(self);
+    reseal(self);
 }
 
 /* Of so many entries, those of a slice: an even number. The last slice reaches beyond the entries, where all is 0. */
@@ -370,7 +434,7 @@ void zygos_accumulator_leave_out(zygos_accumulator_t *self)
     judge(self);
     self->accepted -= self->arc_instants;
     self->count = self->open;
-    self->checksum = checksum_of(self);
+    reseal(self);
     forget_open_arc(self);
 }
 
@@ -403,13 +467,13 @@ void zygos_accumulator_drop_after(zygos_accumulator_t *self, uint64_t cycle)
     self->count = self->open;
     if (self->open > 0) {
         zygos_block_t *last = &self->block[self->open - 1u];
-        self->corrupt |= is_whole(last, self->width) ? 0u : 1u;
+        const bool whole = is_whole(last, self->width);
         last->overlap = 0.0; /* the block behind is gone, or another arc's */
-        last->checksum = checksum_of_block(last, self->width);
+        seal(last, self->width, whole);
     }
     self->newest = (self->newest < self->open) ? self->newest : self->open;
     self->window = (self->window < self->open) ? self->window : self->open;
-    self->checksum = checksum_of(self);
+    reseal(self);
     const double kept = closed_instants(self);
     if (kept < before) {
         self->accepted = (uint64_t)((double)self->accepted * kept / before + 0.5);
@@ -442,7 +506,7 @@ uint32_t zygos_accumulator_drop_until(zygos_accumulator_t *self, uint64_t cycle)
         self->accepted = self->arc_instants + (uint64_t)((double)closed * kept / before + 0.5);
         add_share(&self->noise_closed, &self->noise_closed, kept / before - 1.0, self->width - 1u);
     }
-    self->checksum = checksum_of(self);
+    reseal(self);
     return dropped;
 }
 
@@ -452,7 +516,7 @@ void zygos_accumulator_forget(zygos_accumulator_t *self, double factor)
     double left = 0.0;
     for (uint32_t b = 0; b < self->open; b++) {
         zygos_block_t *block = &self->block[b];
-        self->corrupt |= is_whole(block, self->width) ? 0u : 1u;
+        const bool whole = is_whole(block, self->width);
         const double kept = (factor * block->instants >= ZYGOS_NEGLIGIBLE_INSTANTS) ? factor : 0.0;
         for (uint32_t k = 0; k < size; k++) {
             block->gram[k] *= kept;
@@ -464,7 +528,7 @@ void zygos_accumulator_forget(zygos_accumulator_t *self, double factor)
         block->instants *= kept;
         block->square *= kept;
         block->overlap *= kept;
-        block->checksum = checksum_of_block(block, self->width);
+        seal(block, self->width, whole);
         left += block->instants;
     }
     add_share(&self->noise_closed, &self->noise_closed, ((left > 0.0) ? factor : 0.0) - 1.0, self->width - 1u);
@@ -479,7 +543,7 @@ bool zygos_accumulator_close(zygos_accumulator_t *self)
     }
     judge(self);
     zygos_accumulator_flush(self);
-    self->corrupt |= (zygos_gram_check(self->noise.gram, width - 1u, self->noise.sum, self->segment) <= 1.0) ? 0u : 1u;
+    bool whole = (zygos_gram_check(self->noise.gram, width - 1u, self->noise.sum, self->segment) <= 1.0);
     end_segment(self);
     double mean[ZYGOS_MAX_ROW] = { 0.0 };
     const uint32_t last = (width - 1u) * width / 2u;
@@ -494,18 +558,21 @@ bool zygos_accumulator_close(zygos_accumulator_t *self)
     /* The last column counts instants as well. */
     const double counted = mean[width - 1u];
     const double few = rounded((double)self->arc_instants);
-    self->corrupt |= ((counted > 1.0 - few) && (counted < 1.0 + few)) ? 0u : 1u;
+    whole = whole && (counted > 1.0 - few) && (counted < 1.0 + few);
     double before = 0.0; /* what a block shares with the one before it */
     for (uint32_t b = self->open; b < self->count; b++) {
-        self->corrupt |= weighs_what_it_should(&self->block[b], width, before) ? 0u : 1u;
+        whole = whole && weighs_what_it_should(&self->block[b], width, before);
         before = self->block[b].overlap;
         /* Centring cancels: the row sums are judged before, and taken anew after. */
-        self->corrupt |=
-            (zygos_gram_check(self->block[b].gram, width, self->block[b].sum, self->block[b].instants) <= 1.0) ? 0u
-                                                                                                               : 1u;
+        whole =
+            whole && (zygos_gram_check(self->block[b].gram, width, self->block[b].sum, self->block[b].instants) <= 1.0);
         centre(&self->block[b], width, mean);
     }
-    return true;
+    if (!whole) {
+        self->quarantined++;
+        drop_open_arc(self);
+    }
+    return whole;
 }
 
 void zygos_accumulator_admit(zygos_accumulator_t *self, uint64_t cycle)
@@ -528,7 +595,7 @@ void zygos_accumulator_admit(zygos_accumulator_t *self, uint64_t cycle)
         self->window = self->open;
     }
     self->arcs++;
-    self->checksum = checksum_of(self);
+    reseal(self);
     forget_open_arc(self);
 }
 
@@ -560,6 +627,96 @@ bool zygos_accumulator_intact(const zygos_accumulator_t *self, uint32_t paramete
         good = is_count(self->block[b].instants);
     }
     return good;
+}
+
+/* Whether the sums of the open arc match; of a block that is added to, and of what has yet to be added. */
+static bool is_open_arc_whole(const zygos_accumulator_t *self)
+{
+    const uint32_t width = self->width;
+    bool whole = (self->filling <= 1u) && (self->filled < (uint32_t)ZYGOS_BUFFER_ROWS) &&
+                 (self->shared < (uint32_t)ZYGOS_BUFFER_ROWS) && is_count(self->segment);
+    for (uint32_t b = self->open; b < self->count; b++) {
+        whole = whole && (self->block[b].checksum == 0) && is_count(self->block[b].instants);
+    }
+    const double adds = (double)self->accepted;
+    whole = whole && (zygos_gram_check(self->noise.gram, width - 1u, self->noise.sum, adds) <= 1.0) &&
+            (zygos_gram_check(self->noise_open.gram, width - 1u, self->noise_open.sum, adds) <= 1.0);
+    return whole;
+}
+
+static bool is_block_whole(const zygos_block_t *block, uint32_t width)
+{
+    return (block->checksum == checksum_of_block(block, width)) && is_count(block->instants) &&
+           (zygos_gram_check(block->gram, width, block->sum, block->instants) <= 1.0);
+}
+
+/* How many of the first blocks remain. */
+static uint32_t remaining(const bool *kept, uint32_t blocks)
+{
+    uint32_t number = 0;
+    for (uint32_t b = 0; b < blocks; b++) {
+        number += kept[b] ? 1u : 0u;
+    }
+    return number;
+}
+
+static void quarantine(zygos_accumulator_t *self)
+{
+    bool kept[ZYGOS_MAX_BLOCKS];
+    uint32_t to = 0;
+    double before = 0.0;
+    double after = 0.0;
+    for (uint32_t b = 0; b < self->open; b++) {
+        kept[b] = is_block_whole(&self->block[b], self->width);
+        before += kept[b] || is_count(self->block[b].instants) ? self->block[b].instants : 0.0;
+        after += kept[b] ? self->block[b].instants : 0.0;
+        if (!kept[b] && (b > 0) && kept[b - 1u]) { /* the block that it shared with is gone */
+            self->block[to - 1u].overlap = 0.0;
+            seal(&self->block[to - 1u], self->width, true);
+        }
+        if (kept[b] && (to != b)) {
+            self->block[to] = self->block[b];
+        }
+        to += kept[b] ? 1u : 0u;
+    }
+    if (to == self->open) {
+        return;
+    }
+    self->quarantined += self->open - to;
+    self->newest = remaining(kept, self->newest);
+    self->window = remaining(kept, self->window);
+    self->count = to;
+    self->open = to;
+    self->accepted = (uint64_t)after;
+    reseal(self);
+    add_share(&self->noise_closed, &self->noise_closed, ((before > 0.0) ? after / before : 0.0) - 1.0,
+              self->width - 1u);
+}
+
+bool zygos_accumulator_scrub(zygos_accumulator_t *self, uint32_t parameters)
+{
+    if (((self->checksum != checksum_of(self)) && !repair(self)) || (self->corrupt == 1u) ||
+        (self->width != parameters + 2u) || (self->count > (uint32_t)ZYGOS_MAX_BLOCKS) || (self->open > self->count) ||
+        (self->window > self->open) || (self->newest > self->window) || !(self->target >= 1.0) ||
+        !(zygos_gram_check(self->noise_closed.gram, self->width - 1u, self->noise_closed.sum, (double)self->accepted) <=
+          1.0)) {
+        return false;
+    }
+    self->corrupt = 0;
+    self->twin = ZYGOS_ACCUMULATOR_TWIN(self);
+    bool whole = true;
+    for (uint32_t b = 0; b < self->open; b++) {
+        whole = whole && is_block_whole(&self->block[b], self->width);
+    }
+    if (!is_open_arc_whole(self) || !whole) {
+        self->quarantined += is_open_arc_whole(self) ? 0u : 1u;
+        self->filling &= 1u;
+        drop_open_arc(self);
+    }
+    if (!whole) {
+        quarantine(self);
+    }
+    return true;
 }
 
 void zygos_accumulator_total(const zygos_accumulator_t *self, double *gram)

@@ -58,7 +58,8 @@ void zygos_receiver_resume(zygos_receiver_t *self)
 
 static zygos_cycle_t *open_cycle(zygos_receiver_t *self)
 {
-    return &self->queue.slot[self->queue.head];
+    const uint32_t head = self->queue.head; /* as with the number of joints */
+    return &self->queue.slot[(head <= (uint32_t)ZYGOS_CYCLE_QUEUE) ? head : 0u];
 }
 
 static void push(zygos_receiver_t *self)
@@ -371,7 +372,8 @@ static int take_fine_rate(zygos_receiver_t *self, const zygos_config_t *config, 
 /* Which message an identifier stands for, and the joint that it is of: N for the gyro. */
 static uint32_t message_of(const zygos_config_t *config, uint32_t id, uint32_t *joint)
 {
-    const uint32_t n = config->joints;
+    /* zygos_step() reports a number that cannot be. */
+    const uint32_t n = (config->joints <= (uint32_t)ZYGOS_MAX_JOINTS) ? config->joints : 0u;
     const uint32_t node = id & NODE;
     const uint32_t kind = id - node;
     uint32_t i = 0;
@@ -399,16 +401,23 @@ static uint32_t message_of(const zygos_config_t *config, uint32_t id, uint32_t *
     return (kind == ZYGOS_ID_TPDO3) ? ZYGOS_MSG_RATE_Z : ZYGOS_MSG_FOREIGN;
 }
 
+/* A frame that is no classical data frame with a base identifier. */
+static int take_unusual(zygos_receiver_t *self, const zygos_frame_t *frame)
+{
+    if ((frame->flags & ZYGOS_FRAME_ERROR) == 0) {
+        return ZYGOS_FOREIGN;
+    }
+    self->assembly.broken |= (frame->id & BUS_OFF) ? (uint32_t)ZYGOS_CYCLE_BREAK : 0u;
+    self->faults.bus_error++;
+    self->status.last_verdict = ZYGOS_ACCEPTED;
+    return ZYGOS_ACCEPTED;
+}
+
 int zygos_receiver_frame(zygos_receiver_t *self, const zygos_config_t *config, const zygos_frame_t *frame)
 {
-    if (frame->flags & ZYGOS_FRAME_ERROR) {
-        self->assembly.broken |= (frame->id & BUS_OFF) ? (uint32_t)ZYGOS_CYCLE_BREAK : 0u;
-        self->faults.bus_error++;
-        self->status.last_verdict = ZYGOS_ACCEPTED;
-        return ZYGOS_ACCEPTED;
-    }
-    if (frame->flags & (ZYGOS_FRAME_EXTENDED | ZYGOS_FRAME_REMOTE | ZYGOS_FRAME_FD)) {
-        return ZYGOS_FOREIGN;
+    const uint32_t unusual = ZYGOS_FRAME_ERROR | ZYGOS_FRAME_EXTENDED | ZYGOS_FRAME_REMOTE | ZYGOS_FRAME_FD;
+    if (frame->flags & unusual) {
+        return take_unusual(self, frame);
     }
     uint32_t joint;
     const uint32_t message = message_of(config, frame->id, &joint);
@@ -440,14 +449,11 @@ int zygos_cycle_wrapped(const zygos_previous_cycle_t *previous, const zygos_conf
     return (farthest > HALF_RANGE_RAD) ? 1 : 0;
 }
 
-int zygos_cycle_apart(const zygos_config_t *config, const zygos_cycle_t *cycle)
+int zygos_cycle_apart(const double *signal, uint32_t joints)
 {
     double widest = 0.0;
-    for (uint32_t i = 0; i < config->joints; i++) {
-        const zygos_joint_config_t *joint = &config->joint[i];
-        const double link = joint->link_sign * (cycle->q[i] - joint->link_zero_rad);
-        const double motor = joint->motor_sign * (cycle->theta[i] - joint->motor_zero_rad);
-        const double apart = joint->rigid ? 0.0 : __builtin_fabs(motor - link);
+    for (uint32_t i = 0; i < joints; i++) {
+        const double apart = __builtin_fabs(signal[joints + i] - signal[i]);
         widest = (apart > widest) ? apart : widest;
     }
     return (widest > HALF_RANGE_RAD) ? 1 : 0;

@@ -110,3 +110,48 @@ uint64_t zygos_checksum_doubles(uint64_t checksum, const double *x, uint32_t n)
     }
     return checksum;
 }
+
+uint64_t zygos_checksum_memory(uint64_t checksum, const void *memory, uint32_t bytes)
+{
+    const unsigned char *from = (const unsigned char *)memory;
+    for (uint32_t i = 0; i + 8u <= bytes; i += 8u) {
+        uint64_t word;
+        memcpy(&word, from + i, sizeof word);
+        checksum = zygos_checksum_number(checksum, word);
+    }
+    for (uint32_t i = bytes & ~7u; i < bytes; i++) {
+        checksum = zygos_checksum_number(checksum, from[i]);
+    }
+    return checksum;
+}
+
+static uint64_t checksum_of(const uint64_t *word, uint32_t n)
+{
+    uint64_t checksum = 0;
+    for (uint32_t i = 0; i < n; i++) {
+        checksum = zygos_checksum_number(checksum, word[i]);
+    }
+    return checksum;
+}
+
+bool zygos_checksum_repair(uint64_t *word, uint32_t n, uint64_t checksum)
+{
+    const uint64_t top = (uint64_t)1 << 63u;
+    const uint64_t off = checksum ^ checksum_of(word, n);
+    if ((off & (off - 1u)) == 0) { /* it matches, the flipped bit is its own, or it is the top bit of a word */
+        for (uint32_t i = 0; i < n; i++) {
+            word[i] &= ~top;
+        }
+        return true;
+    }
+    for (uint32_t i = 0; i < n; i++) {
+        for (uint32_t bit = 0; bit < 63u; bit++) {
+            word[i] ^= (uint64_t)1 << bit;
+            if (checksum_of(word, n) == checksum) {
+                return true;
+            }
+            word[i] ^= (uint64_t)1 << bit;
+        }
+    }
+    return false;
+}

@@ -85,13 +85,13 @@ static void add_residuals(const zygos_guard_t *self, const double *gram, const u
 {
     for (uint32_t a = 0; a < columns; a++) {
         const uint32_t i = place ? place[a] : a;
-        if (i == ZYGOS_NO_PLACE) {
+        if (i >= (uint32_t)ZYGOS_MAX_PARAMETERS) {
             gram += a + 1u;
             continue;
         }
         for (uint32_t b = 0; b < a; b++) {
             const uint32_t j = place ? place[b] : b;
-            if (j == ZYGOS_NO_PLACE) {
+            if (j >= (uint32_t)ZYGOS_MAX_PARAMETERS) {
                 gram++;
                 continue;
             }
@@ -262,7 +262,8 @@ static uint32_t motor_places(const zygos_column_map_t *column_map, const zygos_i
 {
     for (uint32_t c = 0; c < columns->count[i]; c++) {
         const uint32_t column = (c < 3u) ? column_map->joint[i] + c : column_map->effects + columns->effect[i][c - 3u];
-        place[c] = column_map->place[column];
+        /* Every column has a parameter, and zygos_scrub() reports a place that cannot be. */
+        place[c] = (column_map->place[column] < (uint32_t)ZYGOS_MAX_PARAMETERS) ? column_map->place[column] : 0u;
     }
     return columns->count[i];
 }
@@ -332,7 +333,7 @@ static void add_momentum_residuals(const zygos_guard_t *self, const zygos_column
     uint32_t place[ZYGOS_MAX_MOMENTUM];
     for (uint32_t c = 0; c < sums->columns; c++) {
         place[c] = column_map->place[(c < column_map->kinetic) ? c : column_map->joint[c - column_map->kinetic]];
-        const double x = (place[c] != ZYGOS_NO_PLACE) ? self->solution[place[c]] : 0.0;
+        const double x = (place[c] < (uint32_t)ZYGOS_MAX_PARAMETERS) ? self->solution[place[c]] : 0.0;
         out->spread += x * x * rows->gram[zygos_gram_entries(c + 1u) - 1u];
     }
     add_residuals(self, rows->gram, place, sums->columns, false, out);

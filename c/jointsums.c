@@ -178,6 +178,7 @@ void zygos_joint_sums_clear(zygos_joint_sums_t *self)
     self->doubtful = 0;
     self->apart_count = 0;
     self->target = 0;
+    self->quarantined = 0;
     self->segments = 0;
     self->accepted = 0;
     self->refused = 0;
@@ -344,7 +345,8 @@ static void add_noise(zygos_joint_sums_t *self, const zygos_config_t *config, co
     zygos_gram_add(noise->gram, noise->sum, self->width, z);
     for (uint32_t i = row->joint + 1u; i < config->joints; i++) {
         if (config->joint[i].rigid == 0) {
-            const uint32_t place = column_map->place[column_map->joint[i]];
+            const uint32_t known = column_map->place[column_map->joint[i]];
+            const uint32_t place = (known < self->width) ? known : 0u; /* zygos_scrub() reports one that cannot be */
             const double square = weight * weight * self->rotor_variance[i] * rotor[i] * rotor[i];
             noise->gram[zygos_gram_entries(place + 1u) - 1u] += square;
             noise->sum[place] += square;
@@ -424,4 +426,51 @@ double zygos_joint_sums_check(const zygos_joint_sums_t *self)
     good = good && (zygos_gram_check(self->noise.gram, self->width, self->noise.sum, adds) <= 1.0) &&
            (zygos_gram_check(self->apart.gram, self->width, self->apart.sum, adds) <= 1.0);
     return good ? 0.0 : 2.0;
+}
+
+bool zygos_joint_sums_steady(const zygos_joint_sums_t *self, const zygos_config_t *config)
+{
+    return (self->filling < 2u) && (self->adding <= APART) && (self->cursor <= zygos_gram_entries(self->width)) &&
+           (self->turn < zygos_joint_signals(config)) && (self->apart_count <= config->joints) &&
+           (self->target <= (uint32_t)ZYGOS_SET_ASIDE);
+}
+
+bool zygos_joint_sums_scrub(zygos_joint_sums_t *self, const zygos_config_t *config,
+                            const zygos_column_map_t *column_map)
+{
+    if (self->width == 0) {
+        return true;
+    }
+    if (!zygos_joint_sums_intact(self, config, column_map) || (self->corrupt == 1u) ||
+        (self->checksum != checksum_of(self))) {
+        return false;
+    }
+    self->corrupt = 0;
+    const zygos_joint_segment_t *segment = &self->segment[self->filling];
+    double adds = self->apart_sums;
+    double rows = 0.0;
+    for (uint32_t j = 0; j < config->joints; j++) {
+        rows += segment->count[j];
+    }
+    if (!(zygos_gram_check(segment->rows.gram, self->width, segment->rows.sum, rows) <= 1.0) ||
+        !(zygos_gram_check(segment->noise.gram, self->width, segment->noise.sum, rows) <= 1.0)) {
+        self->quarantined++;
+        clear_segment(&self->segment[self->filling], self->width);
+        self->filled = 0;
+    }
+    if (self->adding != IDLE) {
+        return true; /* a part of the sums is under way: the next call verifies them */
+    }
+    for (uint32_t g = 0; g <= (uint32_t)ZYGOS_SET_ASIDE; g++) {
+        zygos_joint_group_t *group = &self->group[g];
+        adds += (g < (uint32_t)ZYGOS_GROUP_PLACES) ? group->count : 0.0;
+        if (!(zygos_gram_check(group->rows.gram, self->width, group->rows.sum, group->count) <= 1.0)) {
+            self->quarantined++;
+            clear_gram(&group->rows, self->width);
+            group->count = 0.0;
+        }
+    }
+    self->checksum = checksum_of(self);
+    return (zygos_gram_check(self->noise.gram, self->width, self->noise.sum, adds) <= 1.0) &&
+           (zygos_gram_check(self->apart.gram, self->width, self->apart.sum, adds) <= 1.0);
 }

@@ -24,15 +24,39 @@ static uint64_t checksum_of_block(const zygos_momentum_block_t *block)
     return zygos_checksum_number(zygos_checksum_doubles(1u, &block->instants, 1), block->end);
 }
 
-/* Verifies the checksum, before anything that it protects is changed. */
-static void judge(zygos_momentum_sums_t *self)
+/* Flips a bit back where that explains the checksum. */
+static bool repair(zygos_momentum_sums_t *self)
 {
-    self->corrupt |= (self->checksum == checksum_of(self)) ? 0u : 1u;
+    uint64_t word[2] = { 0, self->count };
+    memcpy(&word[0], &self->target, sizeof word[0]);
+    if (!zygos_checksum_repair(word, 2, self->checksum)) {
+        return false;
+    }
+    memcpy(&self->target, &word[0], sizeof word[0]);
+    self->count = (uint32_t)word[1];
+    self->checksum = checksum_of(self);
+    return true;
 }
 
-static void judge_block(zygos_momentum_sums_t *self, const zygos_momentum_block_t *block)
+/* Verifies the checksum, before anything that it protects is changed. What cannot be repaired must not lead outside. */
+static void judge(zygos_momentum_sums_t *self)
 {
-    self->corrupt |= (block->checksum == checksum_of_block(block)) ? 0u : 1u;
+    if ((self->checksum != checksum_of(self)) && !repair(self)) {
+        self->corrupt = 1;
+    }
+    self->count = (self->count <= (uint32_t)ZYGOS_MOMENTUM_PLACES) ? self->count : 0u;
+}
+
+static bool is_whole(const zygos_momentum_block_t *block)
+{
+    return block->checksum == checksum_of_block(block);
+}
+
+/* Of a block that has changed; what was wrong before remains wrong. */
+static void seal(zygos_momentum_block_t *block, bool whole)
+{
+    const uint64_t checksum = checksum_of_block(block);
+    block->checksum = whole ? checksum : ~checksum;
 }
 
 static void clear_gram(zygos_momentum_gram_t *gram, uint32_t width)
@@ -65,6 +89,7 @@ void zygos_momentum_sums_clear(zygos_momentum_sums_t *self, const zygos_config_t
     self->target = 2.0 * (double)config->momentum_arc_cycles;
     self->count = 0;
     self->corrupt = 0;
+    self->quarantined = 0;
     self->checksum = checksum_of(self);
     clear_gram(&self->noise_closed, self->columns);
     zygos_momentum_sums_leave_out(self);
@@ -185,12 +210,11 @@ static void make_room(zygos_momentum_sums_t *self)
             zygos_momentum_block_t *last = &self->block[(to > 0) ? to - 1u : 0u];
             const uint32_t left = to + (self->count - from);
             if ((to > 0) && (left > ZYGOS_MIN_ARCS) && (last->instants + next->instants <= self->target)) {
-                judge_block(self, last);
-                judge_block(self, next);
+                const bool whole = is_whole(last) && is_whole(next);
                 add_gram(&last->rows, &next->rows, 1.0, self->columns);
                 last->instants += next->instants;
                 last->end = next->end;
-                last->checksum = checksum_of_block(last);
+                seal(last, whole);
                 continue;
             }
             if (to != from) {
@@ -203,6 +227,10 @@ static void make_room(zygos_momentum_sums_t *self)
             return;
         }
         self->target *= 2.0;
+    }
+    if (self->count == (uint32_t)ZYGOS_MOMENTUM_PLACES) { /* a changed target or number of instants */
+        self->corrupt = 1;
+        self->count = 0;
     }
 }
 
@@ -219,8 +247,12 @@ bool zygos_momentum_sums_close(zygos_momentum_sums_t *self, const zygos_config_t
         off += self->open.rows.gram[zygos_gram_entries(self->columns + c + 1u) - 1u];
     }
     judge(self);
-    self->corrupt |= ((off > -COUNTED) && (off < COUNTED)) ? 0u : 1u;
-    self->corrupt |= ((worst <= 1.0) && (violation(&self->noise_open, self->columns, instants) <= 1.0)) ? 0u : 1u;
+    if (!((off > -COUNTED) && (off < COUNTED) && (worst <= 1.0) &&
+          (violation(&self->noise_open, self->columns, instants) <= 1.0))) {
+        self->quarantined++;
+        zygos_momentum_sums_leave_out(self);
+        return false;
+    }
     for (uint32_t i = 0; i < config->joints; i++) {
         const uint32_t place = self->columns - config->joints + i;
         const double owed = instants * self->rotor[i] / (double)self->components;
@@ -233,6 +265,7 @@ bool zygos_momentum_sums_close(zygos_momentum_sums_t *self, const zygos_config_t
 
 void zygos_momentum_sums_admit(zygos_momentum_sums_t *self, uint64_t cycle)
 {
+    judge(self);
     add_gram(&self->noise_closed, &self->noise_open, 1.0, self->columns);
     if (self->count == (uint32_t)ZYGOS_MOMENTUM_PLACES) {
         make_room(self);
@@ -255,12 +288,13 @@ void zygos_momentum_sums_end_arc(zygos_momentum_sums_t *self, const zygos_config
 void zygos_momentum_sums_forget(zygos_momentum_sums_t *self, double factor)
 {
     double left = 0.0;
+    judge(self);
     for (uint32_t b = 0; b < self->count; b++) {
-        judge_block(self, &self->block[b]);
+        const bool whole = is_whole(&self->block[b]);
         const double kept = (factor * self->block[b].instants >= ZYGOS_NEGLIGIBLE_INSTANTS) ? factor : 0.0;
         add_gram(&self->block[b].rows, &self->block[b].rows, kept - 1.0, self->columns);
         self->block[b].instants *= kept;
-        self->block[b].checksum = checksum_of_block(&self->block[b]);
+        seal(&self->block[b], whole);
         left += self->block[b].instants;
     }
     add_gram(&self->noise_closed, &self->noise_closed, ((left > 0.0) ? factor : 0.0) - 1.0, self->columns);
@@ -330,4 +364,49 @@ double zygos_momentum_sums_check(const zygos_momentum_sums_t *self)
         worst = (here > worst) ? here : worst;
     }
     return worst;
+}
+
+static bool is_block_whole(const zygos_momentum_sums_t *self, const zygos_momentum_block_t *block)
+{
+    return is_whole(block) && is_count(block->instants) &&
+           (violation(&block->rows, width_of(self), block->instants) <= 1.0);
+}
+
+bool zygos_momentum_sums_scrub(zygos_momentum_sums_t *self)
+{
+    if (((self->checksum != checksum_of(self)) && !repair(self)) || (self->corrupt == 1u) ||
+        (self->count > (uint32_t)ZYGOS_MOMENTUM_PLACES)) {
+        return false;
+    }
+    self->corrupt = 0;
+    double before = 0.0;
+    double after = 0.0;
+    uint32_t to = 0;
+    for (uint32_t b = 0; b < self->count; b++) {
+        before += is_count(self->block[b].instants) ? self->block[b].instants : 0.0;
+        if (!is_block_whole(self, &self->block[b])) {
+            continue;
+        }
+        after += self->block[b].instants;
+        if (to != b) {
+            self->block[to] = self->block[b];
+        }
+        to++;
+    }
+    if (!(violation(&self->noise_closed, self->columns, before) <= 1.0)) {
+        return false;
+    }
+    if (to < self->count) {
+        self->quarantined += self->count - to;
+        add_gram(&self->noise_closed, &self->noise_closed, ((before > 0.0) ? after / before : 0.0) - 1.0,
+                 self->columns);
+    }
+    self->count = to;
+    self->checksum = checksum_of(self);
+    if (!is_count(self->open.instants) || !(violation(&self->open.rows, width_of(self), self->open.instants) <= 1.0) ||
+        !(violation(&self->noise_open, self->columns, self->open.instants) <= 1.0)) {
+        self->quarantined++;
+        zygos_momentum_sums_leave_out(self);
+    }
+    return true;
 }

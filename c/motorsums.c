@@ -19,15 +19,39 @@ static uint64_t checksum_of_block(const zygos_motor_block_t *block)
     return zygos_checksum_number(zygos_checksum_doubles(instants, &block->total, 1), block->end);
 }
 
-/* Verifies the checksum, before anything that it protects is changed. */
-static void judge(zygos_motor_sums_t *self)
+/* Flips a bit back where that explains the checksum. */
+static bool repair(zygos_motor_sums_t *self)
 {
-    self->corrupt |= (self->checksum == checksum_of(self)) ? 0u : 1u;
+    uint64_t word[2] = { 0, self->count };
+    memcpy(&word[0], &self->target, sizeof word[0]);
+    if (!zygos_checksum_repair(word, 2, self->checksum)) {
+        return false;
+    }
+    memcpy(&self->target, &word[0], sizeof word[0]);
+    self->count = (uint32_t)word[1];
+    self->checksum = checksum_of(self);
+    return true;
 }
 
-static void judge_block(zygos_motor_sums_t *self, const zygos_motor_block_t *block)
+/* Verifies the checksum, before anything that it protects is changed. What cannot be repaired must not lead outside. */
+static void judge(zygos_motor_sums_t *self)
 {
-    self->corrupt |= (block->checksum == checksum_of_block(block)) ? 0u : 1u;
+    if ((self->checksum != checksum_of(self)) && !repair(self)) {
+        self->corrupt = 1;
+    }
+    self->count = (self->count <= (uint32_t)ZYGOS_MAX_MOTOR_BLOCKS) ? self->count : 0u;
+}
+
+static bool is_whole(const zygos_motor_block_t *block)
+{
+    return block->checksum == checksum_of_block(block);
+}
+
+/* Of a block that has changed; what was wrong before remains wrong. */
+static void seal(zygos_motor_block_t *block, bool whole)
+{
+    const uint64_t checksum = checksum_of_block(block);
+    block->checksum = whole ? checksum : ~checksum;
 }
 
 void zygos_motor_sums_clear(zygos_motor_sums_t *self, const zygos_config_t *config)
@@ -35,6 +59,7 @@ void zygos_motor_sums_clear(zygos_motor_sums_t *self, const zygos_config_t *conf
     self->target = 2.0 * (double)config->impulse_arc_cycles;
     self->count = 0;
     self->corrupt = 0;
+    self->quarantined = 0;
     self->instants = 0;
     self->cycles = 0;
     memset(&self->open, 0, sizeof self->open);
@@ -121,6 +146,7 @@ static void close_gram(zygos_motor_gram_t *joint, uint32_t p, double n, const do
 
 static void add_block(zygos_motor_block_t *to, const zygos_motor_block_t *from)
 {
+    const bool whole = is_whole(to) && is_whole(from);
     for (uint32_t i = 0; i < ZYGOS_MAX_JOINTS; i++) {
         for (uint32_t k = 0; k < ZYGOS_MAX_PACKED_MOTOR; k++) {
             to->joint[i].gram[k] += from->joint[i].gram[k];
@@ -132,7 +158,7 @@ static void add_block(zygos_motor_block_t *to, const zygos_motor_block_t *from)
     }
     to->total += from->total;
     to->end = from->end;
-    to->checksum = checksum_of_block(to);
+    seal(to, whole);
 }
 
 /* The target doubles only when merging up to it is not enough; once it holds all instants, one block is left. */
@@ -144,8 +170,6 @@ static void make_room(zygos_motor_sums_t *self)
             const uint32_t left = to + (self->count - from);
             if ((to > 0) && (left > ZYGOS_MIN_ARCS) &&
                 (self->block[to - 1u].total + self->block[from].total <= self->target)) {
-                judge_block(self, &self->block[to - 1u]);
-                judge_block(self, &self->block[from]);
                 add_block(&self->block[to - 1u], &self->block[from]);
                 continue;
             }
@@ -159,6 +183,10 @@ static void make_room(zygos_motor_sums_t *self)
             return;
         }
         self->target *= 2.0;
+    }
+    if (self->count == ZYGOS_MAX_MOTOR_BLOCKS) { /* a changed target or number of instants */
+        self->corrupt = 1;
+        self->count = 0;
     }
 }
 
@@ -176,6 +204,7 @@ bool zygos_motor_sums_close(zygos_motor_sums_t *self, const zygos_config_t *conf
         return false;
     }
     double turns = -(double)self->instants;
+    bool whole = true;
     judge(self);
     for (uint32_t i = 0; i < config->joints; i++) {
         const uint32_t p = self->column_map.count[i];
@@ -185,16 +214,21 @@ bool zygos_motor_sums_close(zygos_motor_sums_t *self, const zygos_config_t *conf
             /* The last entry counts instants as well. */
             const double off = n - self->open.joint[i].gram[zygos_gram_entries(p + 2u) - 1u];
             const bool counted = (off > -COUNTED) && (off < COUNTED);
-            self->corrupt |= (counted && matches(&self->open.joint[i], p + 2u, n)) ? 0u : 1u;
+            whole = whole && counted && matches(&self->open.joint[i], p + 2u, n);
             close_gram(&self->open.joint[i], p, n, self->noise[i]);
         }
     }
-    self->corrupt |= ((turns > -COUNTED) && (turns < COUNTED)) ? 0u : 1u;
-    return true;
+    whole = whole && (turns > -COUNTED) && (turns < COUNTED);
+    if (!whole) {
+        self->quarantined++;
+        zygos_motor_sums_leave_out(self);
+    }
+    return whole;
 }
 
 void zygos_motor_sums_admit(zygos_motor_sums_t *self, uint64_t cycle)
 {
+    judge(self);
     if (self->count == ZYGOS_MAX_MOTOR_BLOCKS) {
         make_room(self);
     }
@@ -216,9 +250,10 @@ void zygos_motor_sums_end_arc(zygos_motor_sums_t *self, const zygos_config_t *co
 
 void zygos_motor_sums_forget(zygos_motor_sums_t *self, double factor)
 {
+    judge(self);
     for (uint32_t b = 0; b < self->count; b++) {
         zygos_motor_block_t *block = &self->block[b];
-        judge_block(self, block);
+        const bool whole = is_whole(block);
         const double kept = (factor * block->total >= ZYGOS_NEGLIGIBLE_INSTANTS) ? factor : 0.0;
         for (uint32_t i = 0; i < ZYGOS_MAX_JOINTS; i++) {
             for (uint32_t k = 0; k < ZYGOS_MAX_PACKED_MOTOR; k++) {
@@ -230,7 +265,7 @@ void zygos_motor_sums_forget(zygos_motor_sums_t *self, double factor)
             block->instants[i] *= kept;
         }
         block->total *= kept;
-        block->checksum = checksum_of_block(block);
+        seal(block, whole);
     }
 }
 
@@ -273,4 +308,45 @@ double zygos_motor_sums_check(const zygos_motor_sums_t *self, const zygos_config
         }
     }
     return good ? 0.0 : 2.0;
+}
+
+static bool is_block_whole(const zygos_motor_sums_t *self, const zygos_config_t *config,
+                           const zygos_motor_block_t *block)
+{
+    bool whole = is_whole(block) && (block->total >= 0.0) && (block->total <= ZYGOS_MAX_INSTANTS);
+    for (uint32_t i = 0; i < config->joints; i++) {
+        whole = whole && matches(&block->joint[i], self->column_map.count[i] + 2u, block->instants[i]);
+    }
+    return whole;
+}
+
+bool zygos_motor_sums_scrub(zygos_motor_sums_t *self, const zygos_config_t *config)
+{
+    if (((self->checksum != checksum_of(self)) && !repair(self)) || (self->corrupt == 1u) ||
+        (self->count > (uint32_t)ZYGOS_MAX_MOTOR_BLOCKS)) {
+        return false;
+    }
+    self->corrupt = 0;
+    uint32_t to = 0;
+    for (uint32_t b = 0; b < self->count; b++) {
+        if (!is_block_whole(self, config, &self->block[b])) {
+            continue;
+        }
+        if (to != b) {
+            self->block[to] = self->block[b];
+        }
+        to++;
+    }
+    self->quarantined += self->count - to;
+    self->count = to;
+    self->checksum = checksum_of(self);
+    bool whole = true;
+    for (uint32_t i = 0; i < config->joints; i++) {
+        whole = whole && matches(&self->open.joint[i], self->column_map.count[i] + 2u, self->open.instants[i]);
+    }
+    if (!whole) {
+        self->quarantined++;
+        zygos_motor_sums_leave_out(self);
+    }
+    return true;
 }

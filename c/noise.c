@@ -3,6 +3,7 @@
 #include "zygos/gram.h"
 #include "zygos/reduction.h"
 
+#include <stddef.h>
 #include <string.h>
 
 static double root(double x)
@@ -20,10 +21,42 @@ static double product(const double *a, const double *b, uint32_t n)
     return sum;
 }
 
+_Static_assert(ZYGOS_MAX_COLUMNS + 1 < 256, "the index of a column is a byte");
+
 static void put(zygos_column_list_t *list, uint32_t place)
 {
-    list->place[list->count] = place;
+    list->place[list->count] = (uint8_t)place;
     list->count++;
+}
+
+_Static_assert((sizeof(zygos_column_list_t) == 8u * (ZYGOS_LIST_WORDS + 1u)) &&
+                   (offsetof(zygos_column_list_t, place) == 8u),
+               "a list of columns consists of words");
+
+static uint64_t seal_of(const zygos_column_list_t *list)
+{
+    uint64_t seal = 0;
+    for (const uint8_t *from = list->place; from != list->place + 8u * ZYGOS_LIST_WORDS; from += 8) {
+        uint64_t word;
+        __builtin_memcpy(&word, from, sizeof word); /* no call, also where the compiler knows no library */
+        seal ^= word;
+    }
+    return seal;
+}
+
+/* Whether both lists are those that were made. */
+static bool are_whole(const zygos_column_list_t *one, const zygos_column_list_t *other)
+{
+    uint64_t off = one->seal ^ other->seal;
+    const uint8_t *second = other->place;
+    for (const uint8_t *from = one->place; from != one->place + 8u * ZYGOS_LIST_WORDS; from += 8) {
+        uint64_t word[2];
+        __builtin_memcpy(&word[0], from, sizeof word[0]);
+        __builtin_memcpy(&word[1], second, sizeof word[1]);
+        off ^= word[0] ^ word[1];
+        second += 8;
+    }
+    return off == 0;
 }
 
 /* Kinetic columns that are not zero. */
@@ -125,10 +158,12 @@ static void sort(zygos_column_list_t *list)
         for (uint32_t k = count; k > j; k--) {
             list->place[k] = list->place[k - 1u];
         }
-        list->place[j] = place;
+        list->place[j] = (uint8_t)place;
         count++;
     }
-    list->count = count;
+    memset(&list->place[count], 0, sizeof list->place - count);
+    list->count = (uint8_t)count;
+    list->seal = seal_of(list);
 }
 
 static void find_places(zygos_noise_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map)
@@ -302,7 +337,7 @@ static void add(const zygos_config_t *config, const zygos_column_map_t *column_m
         add_reduced(config, column_map, list, x, packed, sum);
         return;
     }
-    const uint32_t *place = list->place;
+    const uint8_t *place = list->place;
     double total = 0.0;
     for (uint32_t i = 0; i < list->count; i++) {
         total += x[i];
@@ -329,13 +364,16 @@ static void add(const zygos_config_t *config, const zygos_column_map_t *column_m
 
 /* The same of the noise of an angle and of its rate, which are correlated where the signal latches late. Places
    ascend, so what stands there can move to the front of its own array. */
-static void add_signal(const zygos_noise_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+static bool add_signal(const zygos_noise_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
                        uint32_t signal, double weight, double *angle, double *rate, double *packed, double *sum)
 {
     const double *factor = self->factor[signal];
     const zygos_column_list_t *of_angle = &self->angle[signal];
     const zygos_column_list_t *of_rate = &self->rate[signal];
     const bool late = (factor[1] > 0.0) || (factor[1] < 0.0);
+    if (!are_whole(of_angle, of_rate)) {
+        return false;
+    }
     for (uint32_t i = 0; i < of_angle->count; i++) {
         const uint32_t place = of_angle->place[i];
         angle[i] = weight * factor[0] * angle[place];
@@ -348,6 +386,7 @@ static void add_signal(const zygos_noise_t *self, const zygos_config_t *config, 
         rate[i] = weight * factor[2] * rate[of_rate->place[i]];
     }
     add(config, column_map, of_rate, rate, packed, sum);
+    return true;
 }
 
 /* Of a motion about joint i: bodies, and the rotors that they carry. */
@@ -454,13 +493,16 @@ static void gyro_slopes(const zygos_config_t *config, const zygos_column_map_t *
 }
 
 /* The share of the gyro. */
-static void add_gyro(const zygos_noise_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+static bool add_gyro(const zygos_noise_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
                      const zygos_arm_state_t *state, const zygos_motion_t *motion, double weight, double *packed,
                      double *sum)
 {
     const double deviation = weight * root(self->gyro_variance);
     const bool space = (ZYGOS_SPATIAL != 0) && (config->kinetic == ZYGOS_SPATIAL_ARM);
     double rate[ZYGOS_MAX_COLUMNS + 1];
+    if (self->gyro.seal != seal_of(&self->gyro)) {
+        return false;
+    }
     for (uint32_t axis = 0; axis < (space ? 3u : 1u); axis++) {
         gyro_slopes(config, column_map, state, motion, axis, rate);
         for (uint32_t k = 0; k < self->gyro.count; k++) {
@@ -468,10 +510,11 @@ static void add_gyro(const zygos_noise_t *self, const zygos_config_t *config, co
         }
         add(config, column_map, &self->gyro, rate, packed, sum);
     }
+    return true;
 }
 
 /* The share of one encoder: those of the links first, then those of the motors. */
-static void add_encoder(const zygos_noise_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+static bool add_encoder(const zygos_noise_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
                         const zygos_geometry_t *geometry, const zygos_arm_state_t *state, const zygos_motion_t *motion,
                         const double *tau, const double *tau_next, uint32_t sensor, double weight, double *packed,
                         double *sum)
@@ -482,7 +525,7 @@ static void add_encoder(const zygos_noise_t *self, const zygos_config_t *config,
     double angle[ZYGOS_MAX_COLUMNS + 1];
     double rate[ZYGOS_MAX_COLUMNS + 1];
     if (rigid && (sensor >= n)) {
-        return; /* it spoke for both sides */
+        return true; /* it spoke for both sides */
     }
     if (sensor < n) {
         link_slopes(config, column_map, geometry, state, motion, i, angle, rate);
@@ -492,26 +535,30 @@ static void add_encoder(const zygos_noise_t *self, const zygos_config_t *config,
     } else {
         motor_slopes(config, column_map, state, motion, tau, tau_next, i, angle, rate);
     }
-    add_signal(self, config, column_map, sensor, weight, angle, rate, packed, sum);
+    return add_signal(self, config, column_map, sensor, weight, angle, rate, packed, sum);
 }
 
-void zygos_noise_add(const zygos_noise_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+bool zygos_noise_add(const zygos_noise_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
                      const zygos_geometry_t *geometry, const zygos_arm_state_t *state, const zygos_motion_t *motion,
                      const double *tau, const double *tau_next, uint32_t turn, double weight, double *packed,
                      double *sum)
 {
     const uint32_t stride = config->compensation;
     if (stride == 0) {
-        return;
+        return true;
     }
+    bool whole = true;
     const bool gyro = (self->gyro_variance > 0.0) && (config->base == ZYGOS_BASE_FREE);
     const uint32_t sensors = 2u * config->joints + (gyro ? 1u : 0u);
     const double share = weight * root((double)stride);
     for (uint32_t sensor = turn % stride; sensor < sensors; sensor += stride) {
         if (sensor == 2u * config->joints) {
-            add_gyro(self, config, column_map, state, motion, share, packed, sum);
+            whole = add_gyro(self, config, column_map, state, motion, share, packed, sum) && whole;
         } else {
-            add_encoder(self, config, column_map, geometry, state, motion, tau, tau_next, sensor, share, packed, sum);
+            whole = add_encoder(self, config, column_map, geometry, state, motion, tau, tau_next, sensor, share, packed,
+                                sum) &&
+                    whole;
         }
     }
+    return whole;
 }

@@ -111,10 +111,16 @@ void zygos_smoother_variance(const zygos_smoother_t *self, uint32_t signal, doub
     }
 }
 
-static void put_in(zygos_sample_t *restrict sample, zygos_sample_t *restrict twin, uint32_t joints,
+/* Replaces the oldest sample and its twin. Returns whether their angles differed. The square of a difference that is
+   too small for a square is no harm. */
+static bool put_in(zygos_sample_t *restrict sample, zygos_sample_t *restrict twin, uint32_t joints,
                    const double *restrict signal)
 {
+    double off = 0.0;
     for (uint32_t i = 0; i < joints; i++) {
+        const double link = sample->angle[i][0] - twin->angle[i][0];
+        const double motor = sample->angle[i][1] - twin->angle[i][1];
+        off += link * link + motor * motor;
         sample->angle[i][0] = signal[i];
         twin->angle[i][0] = signal[i];
         sample->angle[i][1] = signal[joints + i];
@@ -124,6 +130,7 @@ static void put_in(zygos_sample_t *restrict sample, zygos_sample_t *restrict twi
         sample->omega[k] = signal[2u * joints + k];
         twin->omega[k] = signal[2u * joints + k];
     }
+    return !(off <= 0.0); /* also where it is not a number */
 }
 
 static void smooth_gyro(const zygos_smoother_t *self, const zygos_sample_t *x, double *omega)
@@ -172,11 +179,11 @@ int zygos_smoother_push(zygos_smoother_t *self, const double *signal, zygos_arm_
 {
     const uint32_t w = self->window;
     const uint32_t at = self->position;
-    put_in(&self->sample[at], &self->sample[at + w], self->joints, signal);
+    const bool changed = put_in(&self->sample[at], &self->sample[at + w], self->joints, signal);
     self->position = (at + 1u == w) ? 0u : at + 1u;
     self->filled += (self->filled < w) ? 1u : 0u;
-    if (self->filled < w) {
-        return 0;
+    if (changed || (self->filled < w)) {
+        return changed ? -1 : 0;
     }
     const zygos_sample_t *oldest = &self->sample[at + 1u];
     double smooth[ZYGOS_MAX_JOINTS][6];

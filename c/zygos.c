@@ -166,6 +166,94 @@ static int check_config(const zygos_config_t *config)
     return (effects < 0) ? effects : zygos_reduction_check(config);
 }
 
+/* Of everything that follows from the configuration alone. */
+static uint64_t tables_checksum_of(const zygos_t *self)
+{
+    const zygos_smoother_t *smoother = &self->smoother;
+    const zygos_motor_sums_t *motors = &self->motor_sums;
+    const zygos_momentum_sums_t *momentum = &self->momentum_sums;
+    const zygos_joint_sums_t *joints = &self->joint_sums;
+    uint64_t sum = zygos_checksum_number(smoother->joints, smoother->window);
+    sum = zygos_checksum_memory(sum, &self->column_map, sizeof self->column_map);
+    sum = zygos_checksum_memory(sum, &self->geometry, sizeof self->geometry);
+    sum = zygos_checksum_memory(sum, smoother->taps, sizeof smoother->taps);
+    sum = zygos_checksum_memory(sum, smoother->gyro, sizeof smoother->gyro);
+    sum = zygos_checksum_memory(sum, smoother->limit, sizeof smoother->limit);
+    sum = zygos_checksum_memory(sum, &self->noise, sizeof self->noise);
+    sum = zygos_checksum_memory(sum, &motors->column_map, sizeof motors->column_map);
+    sum = zygos_checksum_memory(sum, motors->noise, sizeof motors->noise);
+    sum = zygos_checksum_number(zygos_checksum_number(sum, momentum->columns), momentum->components);
+    sum = zygos_checksum_number(sum, momentum->signals);
+    sum = zygos_checksum_memory(sum, momentum->deviation, sizeof momentum->deviation);
+    sum = zygos_checksum_memory(sum, momentum->rotor, sizeof momentum->rotor);
+    sum = zygos_checksum_number(zygos_checksum_number(sum, joints->width), joints->increments);
+    sum = zygos_checksum_number(sum, joints->slice);
+    sum = zygos_checksum_memory(sum, joints->weight, sizeof joints->weight);
+    sum = zygos_checksum_memory(sum, joints->deviation, sizeof joints->deviation);
+    return zygos_checksum_memory(sum, joints->rotor_variance, sizeof joints->rotor_variance);
+}
+
+static uint32_t least(uint32_t a, uint32_t b)
+{
+    return (a < b) ? a : b;
+}
+
+/* The part of places_of() that many configurations do not have. */
+static uint32_t further_places_of(const zygos_t *self)
+{
+    const zygos_config_t *config = &self->config;
+    uint32_t fold = config->effects ^ config->reductions ^ config->reduced ^ self->column_map.reduced ^
+                    config->momentum_arc_cycles ^ config->joint_row_cycles;
+    if (config->momentum_arc_cycles > 0) {
+        fold ^= self->momentum_sums.columns ^ self->momentum_sums.components ^ self->momentum_sums.signals;
+    }
+    if (config->joint_row_cycles > 0) {
+        fold ^= config->base ^ config->kinetic ^ self->joint_sums.width ^ self->joint_sums.increments ^
+                self->joint_sums.slice;
+    }
+    for (uint32_t e = 0; e < least(config->effects, (uint32_t)ZYGOS_MAX_EFFECTS); e++) {
+        fold ^= config->effect[e].kind ^ config->effect[e].joint;
+        for (uint32_t i = 0; i < (uint32_t)ZYGOS_MAX_JOINTS; i++) {
+            fold ^= self->motor_sums.column_map.effect[i][e];
+        }
+    }
+    for (uint32_t k = 0; k < least(config->reductions, (uint32_t)ZYGOS_MAX_REDUCTION); k++) {
+        fold ^= config->reduction[k].column ^ config->reduction[k].parameter;
+    }
+    return fold;
+}
+
+/* Of every count and index that follows from the configuration and with which a cycle addresses memory. */
+static inline uint32_t places_of(const zygos_t *self)
+{
+    const zygos_config_t *config = &self->config;
+    const zygos_column_map_t *map = &self->column_map;
+    const uint32_t further =
+        config->momentum_arc_cycles | config->joint_row_cycles | config->effects | config->reductions;
+    uint32_t fold = config->joints ^ config->torque_law ^ config->smoother_half_width ^ map->kinetic ^ map->body ^
+                    map->effects ^ map->count ^ map->parameters ^ self->smoother.joints ^ self->smoother.window ^
+                    self->accumulator.width;
+    for (uint32_t i = 0; i < (uint32_t)ZYGOS_MAX_JOINTS; i++) {
+        fold ^= map->joint[i] ^ map->rotor[i] ^ self->motor_sums.column_map.count[i];
+    }
+    return (further != 0) ? fold ^ further_places_of(self) : fold;
+}
+
+/* Whether a cycle accesses nothing outside *self. Those that do not follow from the configuration change; they are
+   compared with the configuration, which is verified before. */
+static bool is_steady(const zygos_t *self)
+{
+    const zygos_config_t *config = &self->config;
+    const zygos_accumulator_t *sums = &self->accumulator;
+    const uint32_t steps = (sums->filled | sums->shared) / ZYGOS_BUFFER_ROWS; /* which is a power of 2 */
+    const uint32_t off =
+        (self->places ^ places_of(self)) | (sums->twin ^ ZYGOS_ACCUMULATOR_TWIN(sums)) | steps | (sums->filling / 2u);
+    return (off == 0) && (self->smoother.position < self->smoother.window) &&
+           (self->balance.torque_at <= config->smoother_half_width) &&
+           ((config->joint_row_cycles == 0) ||
+            (zygos_joint_intact(&self->joint, config) && zygos_joint_sums_steady(&self->joint_sums, config)));
+}
+
 /* What follows from the configuration alone. */
 static void make_tables(zygos_t *self)
 {
@@ -177,6 +265,10 @@ static void make_tables(zygos_t *self)
     zygos_motor_sums_tables(&self->motor_sums, own, &self->smoother);
     zygos_momentum_sums_tables(&self->momentum_sums, own, &self->smoother);
     zygos_joint_sums_tables(&self->joint_sums, own, &self->column_map, &self->smoother);
+    self->accumulator.width = self->column_map.parameters + 2u;
+    self->config_checksum = zygos_checksum_memory(0, own, sizeof *own);
+    self->tables_checksum = tables_checksum_of(self);
+    self->places = places_of(self);
 }
 
 int zygos_init(zygos_t *self, const zygos_config_t *config)
@@ -222,9 +314,15 @@ int zygos_frame(zygos_t *self, const zygos_frame_t *frame)
     return zygos_receiver_frame(&self->receiver, &self->config, frame);
 }
 
+/* Whether the sums of closed arcs are multiplied by a product of factors; not by one that cannot be. */
+static bool fades(const zygos_t *self, double product)
+{
+    return (self->config.forgetting_factor < 1.0) && (product >= 0.0) && (product < 1.0);
+}
+
 static void end_arc(zygos_t *self)
 {
-    if (self->forgetting < 1.0) {
+    if (fades(self, self->forgetting)) {
         zygos_accumulator_forget(&self->accumulator, self->forgetting);
     }
     self->forgetting = 1.0;
@@ -234,7 +332,7 @@ static void end_arc(zygos_t *self)
 
 static void end_joint_arc(zygos_t *self)
 {
-    if (self->motors_forgetting < 1.0) {
+    if (fades(self, self->motors_forgetting)) {
         zygos_motor_sums_forget(&self->motor_sums, self->motors_forgetting);
     }
     self->motors_forgetting = 1.0;
@@ -243,7 +341,7 @@ static void end_joint_arc(zygos_t *self)
 
 static void end_momentum_arc(zygos_t *self)
 {
-    if (self->momentum_forgetting < 1.0) {
+    if (fades(self, self->momentum_forgetting)) {
         zygos_momentum_sums_forget(&self->momentum_sums, self->momentum_forgetting);
     }
     self->momentum_forgetting = 1.0;
@@ -279,6 +377,12 @@ static void void_arcs(zygos_t *self, const zygos_cycle_t *cycle)
     }
 }
 
+/* No cycle is processed before zygos_scrub(), which computes the number anew. */
+static void suspect(zygos_t *self)
+{
+    self->places = ~places_of(self);
+}
+
 /* The motor impulse rows of the newest instant, which have arcs of their own. */
 static void add_impulses(zygos_t *self)
 {
@@ -302,7 +406,7 @@ static void add_impulses(zygos_t *self)
 static void add_momentum(zygos_t *self)
 {
     const zygos_config_t *config = &self->config;
-    if ((ZYGOS_MOMENTUM == 0) || (config->momentum_arc_cycles == 0) ||
+    if ((ZYGOS_MOMENTUM == 0) || (config->momentum_arc_cycles == 0) || (self->momentum_sums.components == 0) ||
         (zygos_momentum_advance(&self->momentum, config, &self->arm_state) == 0)) {
         return;
     }
@@ -351,9 +455,13 @@ static void add_energy(zygos_t *self)
         self->row.work = columns.work;
     }
     zygos_accumulator_add(&self->accumulator, &self->row, self->arm_state.accepted);
-    zygos_noise_add(&self->noise, config, &self->column_map, &self->geometry, &self->arm_state, &self->motion,
-                    zygos_balance_torque_before(&self->balance), zygos_balance_torque_after(&self->balance, config),
-                    self->arc, self->arm_state.accepted, self->accumulator.noise.gram, self->accumulator.noise.sum);
+    const bool whole =
+        zygos_noise_add(&self->noise, config, &self->column_map, &self->geometry, &self->arm_state, &self->motion,
+                        zygos_balance_torque_before(&self->balance), zygos_balance_torque_after(&self->balance, config),
+                        self->arc, self->arm_state.accepted, self->accumulator.noise.gram, self->accumulator.noise.sum);
+    if (!whole) {
+        suspect(self);
+    }
     self->arc++;
     /* Where the motion is too fast for the smoother, the error of the integrals is a constant of the following arc. A
        factor is used instead of a branch, so that the instructions of a cycle do not depend on its data. */
@@ -370,7 +478,10 @@ static void process_cycle(zygos_t *self, const zygos_cycle_t *cycle)
     const uint32_t broken = (uint32_t)ZYGOS_CYCLE_BREAK | (uint32_t)ZYGOS_CYCLE_VOID;
     const bool follows = (self->cycles > 0) && (cycle->sync == self->cycle + 1u) && !(cycle->flags & broken);
     const bool wrapped = follows && (zygos_cycle_wrapped(&self->previous, &self->config, cycle) == 1);
-    const bool apart = (zygos_cycle_apart(&self->config, cycle) == 1);
+    double signal[ZYGOS_MAX_SIGNALS];
+    double tau[ZYGOS_MAX_JOINTS];
+    zygos_cycle_calibrate(&self->previous, &self->config, cycle, signal, tau);
+    const bool apart = (zygos_cycle_apart(signal, self->config.joints) == 1);
     self->wraps += wrapped ? 1u : 0u;
     self->apart += apart ? 1u : 0u;
     void_arcs(self, cycle);
@@ -381,17 +492,18 @@ static void process_cycle(zygos_t *self, const zygos_cycle_t *cycle)
     self->cycles++;
     self->forgetting *= self->config.forgetting_factor;
     self->motors_forgetting *= self->config.forgetting_factor;
-    self->momentum_forgetting *= self->config.forgetting_factor;
+    self->momentum_forgetting *= (ZYGOS_MOMENTUM != 0) ? self->config.forgetting_factor : 1.0;
     self->joints_forgetting *= self->config.forgetting_factor;
     self->instant = 0;
-    double signal[ZYGOS_MAX_SIGNALS];
-    double tau[ZYGOS_MAX_JOINTS];
-    zygos_cycle_calibrate(&self->previous, &self->config, cycle, signal, tau);
     if (apart) {
         return;
     }
     zygos_balance_torque(&self->balance, &self->config, tau);
-    if (zygos_smoother_push(&self->smoother, signal, &self->arm_state) == 0) {
+    const int smoothed = zygos_smoother_push(&self->smoother, signal, &self->arm_state);
+    if (smoothed < 0) {
+        suspect(self);
+    }
+    if (smoothed != 1) {
         return;
     }
     zygos_kinematics(&self->geometry, &self->config, &self->arm_state, &self->motion);
@@ -446,6 +558,7 @@ int zygos_resume(zygos_t *self, const zygos_config_t *config)
     }
     self->gaps += (self->smoother.filled > 0) ? 1u : 0u; /* before the tables empty the smoother */
     make_tables(self);
+    self->scrubbed = self->cycle;
     gap(self);
     self->instant = 0;
     zygos_receiver_resume(&self->receiver);
@@ -460,9 +573,15 @@ int zygos_step(zygos_t *self)
     if (self->magic != MAGIC) {
         return ZYGOS_E_ORDER;
     }
+    if (self->receiver.queue.tail > (uint32_t)ZYGOS_CYCLE_QUEUE) {
+        return ZYGOS_E_STATE;
+    }
     const zygos_cycle_t *cycle = zygos_receiver_front(&self->receiver);
     if (cycle == NULL) {
         return 0;
+    }
+    if (!is_steady(self)) {
+        return ZYGOS_E_STATE;
     }
     process_cycle(self, cycle);
     zygos_receiver_pop(&self->receiver);
@@ -490,6 +609,9 @@ int zygos_cycle(zygos_t *self, const zygos_cycle_t *cycle)
     }
     if (self->magic != MAGIC) {
         return ZYGOS_E_ORDER;
+    }
+    if (!is_steady(self)) {
+        return ZYGOS_E_STATE;
     }
     if (!usable(&self->config, cycle)) {
         self->invalid++;
@@ -526,6 +648,9 @@ int zygos_adopt(zygos_t *self, const zygos_estimate_t *estimate)
     }
     if (self->magic != MAGIC) {
         return ZYGOS_E_ORDER;
+    }
+    if (!is_steady(self) || !is_intact(self)) {
+        return ZYGOS_E_STATE;
     }
     zygos_guard_t *guard = &self->guard;
     const uint32_t p = self->column_map.parameters;
@@ -578,6 +703,132 @@ int zygos_check(const zygos_t *self, const zygos_config_t *config, zygos_work_t 
     return zygos_work_intact(work) ? 1 : ZYGOS_E_SUMS;
 }
 
+/* Drops what has not ended: windows, integrals and open arcs. */
+static void drop_open(zygos_t *self)
+{
+    zygos_smoother_reset(&self->smoother);
+    self->smoother.position = 0;
+    zygos_balance_reset(&self->balance);
+    zygos_impulse_reset(&self->impulse);
+    zygos_momentum_reset(&self->momentum);
+    zygos_joint_reset(&self->joint, &self->config);
+    zygos_accumulator_drop_after(&self->accumulator, self->cycle);
+    zygos_motor_sums_drop_after(&self->motor_sums, self->cycle);
+    zygos_momentum_sums_drop_after(&self->momentum_sums, self->cycle);
+    zygos_joint_sums_drop_after(&self->joint_sums, self->cycle);
+    self->arc = 0;
+    self->instant = 0;
+}
+
+/* Indices and flags that change. Returns what was found. */
+static uint32_t scrub_places(zygos_t *self)
+{
+    uint32_t found = 0;
+    if (!zygos_receiver_intact(&self->receiver)) {
+        self->receiver.queue.head = 0;
+        self->receiver.queue.tail = 0;
+        zygos_receiver_resume(&self->receiver);
+        found = (uint32_t)ZYGOS_SCRUBBED_PLACES;
+    }
+    if (!is_steady(self)) {
+        self->accumulator.filling &= 1u;
+        drop_open(self);
+        found = (uint32_t)ZYGOS_SCRUBBED_PLACES;
+    }
+    if (!zygos_guard_intact(&self->guard)) {
+        zygos_guard_clear(&self->guard, false, self->cycle);
+        found = (uint32_t)ZYGOS_SCRUBBED_PLACES;
+    }
+    return found;
+}
+
+/* The sums of each kind. Returns what was found. */
+static uint32_t scrub_sums(zygos_t *self)
+{
+    uint32_t found = 0;
+    if (!zygos_accumulator_scrub(&self->accumulator, self->column_map.parameters)) {
+        zygos_accumulator_init(&self->accumulator, self->column_map.parameters, self->config.arc_cycles,
+                               self->config.period_s);
+        found = (uint32_t)ZYGOS_SCRUBBED_SUMS;
+    }
+    if (!zygos_motor_sums_scrub(&self->motor_sums, &self->config)) {
+        zygos_motor_sums_clear(&self->motor_sums, &self->config);
+        found = (uint32_t)ZYGOS_SCRUBBED_SUMS;
+    }
+    if (!zygos_momentum_sums_scrub(&self->momentum_sums)) {
+        zygos_momentum_sums_clear(&self->momentum_sums, &self->config);
+        found = (uint32_t)ZYGOS_SCRUBBED_SUMS;
+    }
+    if (!zygos_joint_sums_scrub(&self->joint_sums, &self->config, &self->column_map)) {
+        zygos_joint_sums_clear(&self->joint_sums);
+        found = (uint32_t)ZYGOS_SCRUBBED_SUMS;
+    }
+    const uint32_t dropped = self->accumulator.quarantined + self->motor_sums.quarantined +
+                             self->momentum_sums.quarantined + self->joint_sums.quarantined;
+    self->accumulator.quarantined = 0;
+    self->motor_sums.quarantined = 0;
+    self->momentum_sums.quarantined = 0;
+    self->joint_sums.quarantined = 0;
+    self->quarantined += dropped;
+    return found | ((dropped > 0) ? (uint32_t)ZYGOS_SCRUBBED_BLOCKS : 0u);
+}
+
+/* Drops every arc with a cycle behind the last call. */
+static void drop_unverified(zygos_t *self)
+{
+    const uint64_t trusted = self->scrubbed;
+    zygos_accumulator_drop_after(&self->accumulator, trusted);
+    zygos_motor_sums_drop_after(&self->motor_sums, trusted);
+    zygos_momentum_sums_drop_after(&self->momentum_sums, trusted);
+    if (self->joint_sums.end > trusted) { /* segments cannot be taken out of a group */
+        zygos_joint_sums_clear(&self->joint_sums);
+    }
+    drop_open(self);
+    zygos_guard_clear(&self->guard, false, self->cycle);
+}
+
+int zygos_scrub(zygos_t *self, const zygos_config_t *config)
+{
+    if ((self == NULL) || (config == NULL)) {
+        return ZYGOS_E_NULL;
+    }
+    const uint32_t off = self->magic ^ MAGIC;
+    if ((off & (off - 1u)) != 0) {
+        return ZYGOS_E_ORDER;
+    }
+    if (config == &self->config) {
+        return ZYGOS_E_CONFIG;
+    }
+    uint32_t found = (off != 0) ? (uint32_t)ZYGOS_SCRUBBED_PLACES : 0u;
+    const uint64_t checksum = zygos_checksum_memory(0, &self->config, sizeof self->config);
+    if (!is_same(&self->config, config)) {
+        if ((self->config_checksum == checksum) ||
+            (self->config_checksum != zygos_checksum_memory(0, config, sizeof *config))) {
+            return ZYGOS_E_CONFIG;
+        }
+        self->config = *config;
+        found |= (uint32_t)ZYGOS_SCRUBBED_CONFIG;
+    }
+    self->magic = MAGIC;
+    const bool tables = (self->config_checksum != zygos_checksum_memory(0, config, sizeof *config)) ||
+                        (self->tables_checksum != tables_checksum_of(self)) || (self->places != places_of(self));
+    if (tables) {
+        found |= (uint32_t)ZYGOS_SCRUBBED_TABLES;
+    }
+    if (found & ((uint32_t)ZYGOS_SCRUBBED_CONFIG | (uint32_t)ZYGOS_SCRUBBED_TABLES)) {
+        make_tables(self);
+    }
+    const uint32_t rebuilt = found;
+    found |= is_steady(self) ? 0u : (uint32_t)ZYGOS_SCRUBBED_PLACES;
+    found |= scrub_sums(self);
+    found |= scrub_places(self);
+    if (rebuilt & ((uint32_t)ZYGOS_SCRUBBED_CONFIG | (uint32_t)ZYGOS_SCRUBBED_TABLES)) {
+        drop_unverified(self);
+    }
+    self->scrubbed = self->cycle;
+    return (int)found;
+}
+
 int zygos_restart(zygos_t *self, uint32_t keep)
 {
     if (self == NULL) {
@@ -606,6 +857,7 @@ int zygos_restart(zygos_t *self, uint32_t keep)
         zygos_receiver_pop(&self->receiver);
     }
     make_tables(self); /* memory may have been changed there */
+    self->scrubbed = self->cycle;
     zygos_balance_reset(&self->balance);
     zygos_impulse_reset(&self->impulse);
     if (joints) {

@@ -115,8 +115,13 @@ void flight_task(void)
         }
         tail++;
         atomic_store_explicit(&ring_tail, tail, memory_order_release);
-        while (zygos_step(&arm) == 1) {
+        int stepped = zygos_step(&arm);
+        while (stepped == 1) {
             take_when_due();
+            stepped = zygos_step(&arm);
+        }
+        if ((stepped < 0) && (zygos_scrub(&arm, &arm_config) < 0)) { /* memory was changed */
+            heal();
         }
     }
 }

@@ -18,7 +18,8 @@
 /// Every block contains its row sums: G 1 = sum holds up to rounding, unless memory was corrupted. The other members of
 /// a block of closed arcs, and the members that tell which blocks there are, have a checksum. In the open arc the
 /// number of instants is also in the sums, and the weights are checked against the overlap with the neighbouring
-/// blocks.
+/// blocks. An arc that fails this test when it closes is dropped. A flipped bit of the members that tell which blocks
+/// there are is found by the checksum, and flipped back. A block that merges or fades keeps a wrong checksum.
 
 #ifndef ZYGOS_ACCUMULATOR_H
 #define ZYGOS_ACCUMULATOR_H
@@ -70,10 +71,12 @@ typedef struct {
     uint32_t arc_instants; ///< Accepted instants of the open arc.
     uint32_t arcs;         ///< Arcs that closed with enough instants. This and the next wrap at 2^32.
     uint32_t arcs_dropped; ///< Arcs that were dropped later, or had fewer than ZYGOS_MIN_ARC_INSTANTS.
-    uint32_t corrupt;      ///< 1: the row sums of an arc did not match when it closed.
+    uint32_t corrupt;      ///< 1: the members under the checksum did not match it, and no single bit explains that.
     uint32_t filled;       ///< Instants in the buffer that is being filled, accepted or not.
     uint32_t filling;      ///< Which of the two buffers is being filled; the other is added to the blocks.
     uint32_t shared;       ///< Slices of the other one that have been added.
+    uint32_t quarantined;  ///< Arcs and blocks that were dropped since the last zygos_scrub(): memory was changed.
+    uint32_t twin;         ///< count and open again (ZYGOS_ACCUMULATOR_TWIN), with which each cycle compares them.
     double enough;         ///< Instants with which arcs are compared.
     double target;         ///< Length of a segment in instants.
     double segment;        ///< Accepted instants of the open segment.
@@ -89,6 +92,9 @@ typedef struct {
         noise_closed; ///< Noise of closed arcs, subtracted; reduced in proportion when an arc is dropped.
     zygos_block_t block[ZYGOS_MAX_BLOCKS];
 } zygos_accumulator_t;
+
+/// count and open in one number. There are at most 256 blocks.
+#define ZYGOS_ACCUMULATOR_TWIN(self) ((self)->count ^ (((self)->open << 16u) | ((self)->open >> 16u)))
 
 /// Initialises the accumulator for p parameters and arcs of at most arc_cycles cycles.
 void zygos_accumulator_init(zygos_accumulator_t *self, uint32_t parameters, uint64_t arc_cycles, double period_s);
@@ -127,6 +133,12 @@ uint32_t zygos_accumulator_drop_until(zygos_accumulator_t *self, uint64_t cycle)
 /// Returns whether every index, count and length is possible for p parameters. The other functions rely on that and do
 /// not check it. Reads nothing outside the struct, whatever its content is. Cost: a few comparisons for each block.
 bool zygos_accumulator_intact(const zygos_accumulator_t *self, uint32_t parameters);
+
+/// Drops each block of closed arcs that does not match its row sums or its checksum, and the open arc where its sums do
+/// not match; repairs a flipped bit of the members that tell which blocks there are. Returns false, and changes only
+/// these, when the rest cannot be repaired: then initialise it. Needs a width that matches the configuration. Cost: one
+/// pass over the sums.
+bool zygos_accumulator_scrub(zygos_accumulator_t *self, uint32_t parameters);
 
 /// Sums the blocks of closed arcs into gram (packed as in a block, width self->width).
 void zygos_accumulator_total(const zygos_accumulator_t *self, double *gram);

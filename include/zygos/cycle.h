@@ -122,16 +122,16 @@ typedef struct {
 int zygos_cycle_wrapped(const zygos_previous_cycle_t *previous, const zygos_config_t *config,
                         const zygos_cycle_t *cycle);
 
-/// Returns 1 when link and motor angle of a flexible joint, after signs and zeros, differ by more than 8 turns: one of
-/// them has passed the end of its multi-turn range and the other has not, which would be a deflection of 16 turns. No
-/// spring deflects by half of that. Cost: 5 operations for each joint.
-int zygos_cycle_apart(const zygos_config_t *config, const zygos_cycle_t *cycle);
-
 /// Applies signs, zeros and mounting. Writes the signals q_1..q_N, theta_1..theta_N, omega_x..omega_z (base axes) into
 /// signal[2N+3], and into tau[N] the torque that acted from the SYNC before this one until this one.
 /// Stores the readings in *previous. Cost: 9 multiplications for the gyro and 6 for each joint.
 void zygos_cycle_calibrate(zygos_previous_cycle_t *previous, const zygos_config_t *config, const zygos_cycle_t *cycle,
                            double *signal, double *tau);
+
+/// Returns 1 when link and motor angle of a joint, as zygos_cycle_calibrate() writes them, differ by more than 8 turns:
+/// one of them has passed the end of its multi-turn range and the other has not, which would be a deflection of 16
+/// turns. No spring deflects by half of that; those of a rigid joint are the same. Cost: 3 operations for each joint.
+int zygos_cycle_apart(const double *signal, uint32_t joints);
 
 #ifdef __cplusplus
 }

@@ -27,10 +27,17 @@ void zygos_gram_row_sums(const double *gram, uint32_t width, double *sum);
 /// width: at most ZYGOS_MAX_ROW.
 double zygos_gram_check(const double *gram, uint32_t width, const double *sum, double adds);
 
-/// Return a checksum that is continued with another number, or with n doubles. It protects data that change seldom and
-/// have no row sums. One flipped bit in any of them always changes it. Cost: one multiplication for each word.
+/// Return a checksum that is continued with another number, with n doubles, or with bytes of memory. It protects data
+/// that change seldom and have no row sums. One flipped bit in any of them always changes it. Cost: one multiplication
+/// for each word of eight bytes.
 uint64_t zygos_checksum_number(uint64_t checksum, uint64_t number);
 uint64_t zygos_checksum_doubles(uint64_t checksum, const double *x, uint32_t n);
+uint64_t zygos_checksum_memory(uint64_t checksum, const void *memory, uint32_t bytes);
+
+/// Repairs a bit that was flipped in n words, each below 2^63, or in their checksum, which began with 0. Returns true
+/// when the words match the checksum, or do so with one bit the other way round, which is then their content; false,
+/// with the words unchanged, when more was changed. Cost: one pass over the words for each of their bits.
+bool zygos_checksum_repair(uint64_t *word, uint32_t n, uint64_t checksum);
 
 #ifdef __cplusplus
 }

@@ -88,16 +88,16 @@ typedef struct {
     uint32_t doubtful;    ///< Number of segments that contain void cycles and could not be dropped.
     uint32_t apart_count; ///< Number of its joints whose sums were added.
     uint32_t target;      ///< The group to which it is added.
-    uint32_t reserved;
-    uint64_t segments;               ///< Number of segments that were complete, without those that were set aside.
-    uint64_t accepted;               ///< Number of accepted instants.
-    uint64_t refused;                ///< Number of instants that the bandwidth test refused.
-    uint64_t end;                    ///< Number of the newest cycle in a complete segment.
-    uint64_t checksum;               ///< Of the counts and factors.
-    double keep;                     ///< Factor by which noise and apart are multiplied when the segment is added.
-    double keep_group;               ///< And its group.
-    double apart_sums;               ///< Number of sums in apart, weighted as they are.
-    double weight[ZYGOS_MAX_JOINTS]; ///< Factor of each joint's rows [1/Nm, or 1].
+    uint32_t quarantined; ///< Groups and segments that were dropped since the last zygos_scrub(): memory was changed.
+    uint64_t segments;    ///< Number of segments that were complete, without those that were set aside.
+    uint64_t accepted;    ///< Number of accepted instants.
+    uint64_t refused;     ///< Number of instants that the bandwidth test refused.
+    uint64_t end;         ///< Number of the newest cycle in a complete segment.
+    uint64_t checksum;    ///< Of the counts and factors.
+    double keep;          ///< Factor by which noise and apart are multiplied when the segment is added.
+    double keep_group;    ///< And its group.
+    double apart_sums;    ///< Number of sums in apart, weighted as they are.
+    double weight[ZYGOS_MAX_JOINTS];         ///< Factor of each joint's rows [1/Nm, or 1].
     double deviation[ZYGOS_MAX_JOINTS + 3];  ///< Of each signal, times the root of 2 and of their number [rad/s].
     double rotor_variance[ZYGOS_MAX_JOINTS]; ///< Of the rate of each rotor with a spring, times 2 [rad^2/s^2].
     zygos_joint_gram_t noise;                ///< Noise that was subtracted.
@@ -158,6 +158,14 @@ void zygos_joint_sums_flush(zygos_joint_sums_t *self, const zygos_config_t *conf
 
 /// Drops the segment that is filled, because it contains cycles after the given one. Cost: one pass over it.
 void zygos_joint_sums_drop_after(zygos_joint_sums_t *self, uint64_t cycle);
+
+/// Returns whether the places and counts that each cycle uses are possible. Cost: a few comparisons.
+bool zygos_joint_sums_steady(const zygos_joint_sums_t *self, const zygos_config_t *config);
+
+/// Drops each group, and the segment that is filled, where the row sums do not match. Returns false when anything else
+/// does not match: then clear the sums. Needs the tables. Cost: one pass over the sums.
+bool zygos_joint_sums_scrub(zygos_joint_sums_t *self, const zygos_config_t *config,
+                            const zygos_column_map_t *column_map);
 
 /// Returns the largest violation of the row sums in units of their tolerance, or 2 when
 /// the checksum does not match. Above 1 means corrupt. Needs zygos_joint_sums_intact() and

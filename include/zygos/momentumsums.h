@@ -43,12 +43,14 @@ typedef struct {
 
 /// The normal equations of the momentum rows.
 typedef struct {
-    uint32_t columns;                       ///< Number of columns; 0 where the configuration has no such rows.
-    uint32_t components;                    ///< Number of components: 3 in space, 1 in a plane.
-    uint32_t count;                         ///< Number of blocks of closed arcs.
-    uint32_t corrupt;                       ///< 1: the row sums of an arc did not match when it closed.
-    uint32_t cycles;                        ///< Instants of the open arc, accepted or not.
-    uint32_t signals;                       ///< Sensors whose noise is subtracted; 0 where none is.
+    uint32_t columns;     ///< Number of columns; 0 where the configuration has no such rows.
+    uint32_t components;  ///< Number of components: 3 in space, 1 in a plane.
+    uint32_t count;       ///< Number of blocks of closed arcs.
+    uint32_t corrupt;     ///< 1: count and target did not match, and no single bit explains that.
+    uint32_t cycles;      ///< Instants of the open arc, accepted or not.
+    uint32_t signals;     ///< Sensors whose noise is subtracted; 0 where none is.
+    uint32_t quarantined; ///< Arcs and blocks that were dropped since the last zygos_scrub().
+    uint32_t reserved;
     double target;                          ///< Instants up to which blocks are merged.
     uint64_t checksum;                      ///< Of count and target.
     double deviation[ZYGOS_MAX_JOINTS + 3]; ///< Of each signal, with the weight of its turn (momentum.h).
@@ -97,6 +99,11 @@ void zygos_momentum_sums_drop_after(zygos_momentum_sums_t *self, uint64_t cycle)
 
 /// Drops the blocks up to the given cycle and their share of the noise, and returns their number.
 uint32_t zygos_momentum_sums_drop_until(zygos_momentum_sums_t *self, uint64_t cycle);
+
+/// Drops each block that does not match its row sums or its checksum, and the open arc where its sums do not match;
+/// repairs a flipped bit of count and target. Returns false when that cannot be repaired: then clear the sums. Needs
+/// the tables. Cost: one pass over the sums.
+bool zygos_momentum_sums_scrub(zygos_momentum_sums_t *self);
 
 /// Returns the largest violation of the row sums in units of their tolerance, or 2 when an arc was corrupt when it
 /// closed or a checksum does not match. Above 1 means corrupt. Needs zygos_momentum_sums_intact().

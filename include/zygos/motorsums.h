@@ -40,9 +40,11 @@ typedef struct {
     zygos_impulse_column_map_t column_map;
     double noise[ZYGOS_MAX_JOINTS][ZYGOS_MAX_PACKED_IMPULSE]; ///< Expected products of noise in one instant.
     uint32_t count;                                           ///< Number of blocks of closed arcs.
-    uint32_t corrupt;  ///< 1: the row sums of an arc did not match when it closed.
-    uint32_t instants; ///< Accepted instants of the open arc.
-    uint32_t cycles;   ///< Instants of the open arc, accepted or not.
+    uint32_t corrupt;     ///< 1: count and target did not match the checksum, and no single bit explains that.
+    uint32_t instants;    ///< Accepted instants of the open arc.
+    uint32_t cycles;      ///< Instants of the open arc, accepted or not.
+    uint32_t quarantined; ///< Arcs and blocks that were dropped since the last zygos_scrub(): memory was changed.
+    uint32_t reserved;
     double target;     ///< Instants up to which blocks are merged.
     uint64_t checksum; ///< Of count and target.
     zygos_motor_block_t open;
@@ -84,6 +86,11 @@ void zygos_motor_sums_drop_after(zygos_motor_sums_t *self, uint64_t cycle);
 
 /// Drops the blocks up to the given cycle, and returns their number.
 uint32_t zygos_motor_sums_drop_until(zygos_motor_sums_t *self, uint64_t cycle);
+
+/// Drops each block that does not match its row sums or its checksum, and the open arc where its sums do not match;
+/// repairs a flipped bit of count and target. Returns false when that cannot be repaired: then clear the sums. Needs
+/// the tables. Cost: one pass over the sums.
+bool zygos_motor_sums_scrub(zygos_motor_sums_t *self, const zygos_config_t *config);
 
 /// Returns 2 when row sums or a checksum do not match, otherwise at most 1. Needs zygos_motor_sums_intact().
 double zygos_motor_sums_check(const zygos_motor_sums_t *self, const zygos_config_t *config);

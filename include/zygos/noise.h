@@ -31,10 +31,15 @@ extern "C" {
 /// A gyro is regarded as exact when its variance is below this share of the variance of every link's rate.
 #define ZYGOS_GYRO_SHARE 1e-4
 
-/// The columns that contain the noise of one sensor, in ascending order.
+/// The number of indices in a list of columns, rounded up so that a list is a whole number of words of eight bytes.
+#define ZYGOS_LIST_WORDS ((ZYGOS_MAX_COLUMNS + 2 + 7) / 8)
+
+/// The columns that contain the noise of one sensor, in ascending order. They are places in memory that is written to,
+/// and are therefore verified each time before they are used.
 typedef struct {
-    uint32_t count;                        ///< Number of columns.
-    uint32_t place[ZYGOS_MAX_COLUMNS + 1]; ///< Their indices.
+    uint64_t seal;                           ///< Exclusive or of the words of the other members.
+    uint8_t place[8 * ZYGOS_LIST_WORDS - 1]; ///< Their indices, and 0 behind them.
+    uint8_t count;                           ///< Number of columns.
 } zygos_column_list_t;
 
 /// The covariances of the smoothed signals: of the link encoder and the motor encoder of each joint, and of the gyro.
@@ -65,8 +70,9 @@ void zygos_noise_means(const zygos_noise_t *self, const zygos_config_t *config, 
 /// row sums to sum. The sensors take turns, with a weight that is larger in proportion: sensor s (link encoders, motor
 /// encoders, gyro) is added where turn - s is a multiple of config->compensation. tau[N] is the torque before the
 /// instant, tau_next[N] the torque after it. Cost: for each sensor that is added, J and one update of its columns
-/// (three updates for the gyro in space); it depends on the sensor and not on the data.
-void zygos_noise_add(const zygos_noise_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+/// (three updates for the gyro in space); it depends on the sensor and not on the data. Returns false, and leaves out
+/// the sensor, where a list of columns does not match its seal: memory was changed.
+bool zygos_noise_add(const zygos_noise_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
                      const zygos_geometry_t *geometry, const zygos_arm_state_t *state, const zygos_motion_t *motion,
                      const double *tau, const double *tau_next, uint32_t turn, double weight, double *packed,
                      double *sum);

@@ -268,9 +268,9 @@ enum zygos_error {
     ZYGOS_E_LENGTH = -21,     ///< The snapshot is cut off, or more bytes follow it.
     ZYGOS_E_CRC = -22,        ///< Bytes of the snapshot were changed.
     ZYGOS_E_CONFIG = -23,     ///< The state was made with another configuration.
-    ZYGOS_E_STATE = -24,    ///< The state contains an impossible index, count or length: memory was changed before the
-                            ///< state was sealed.
-    ZYGOS_E_SUMS = -25,     ///< The sums of the state do not match their row sums: memory was changed, as above.
+    ZYGOS_E_STATE = -24, ///< The state contains an impossible index, count or length: memory was changed. In a stored
+                         ///< state, it was changed before the state was sealed.
+    ZYGOS_E_SUMS = -25,  ///< The sums of the state do not match their row sums: memory was changed, as above.
     ZYGOS_E_REDUCTION = -26 ///< The reduction is out of order or out of range, leaves a parameter without a column, is
                             ///< no selection on a free base, or does not select Im, k and b of a flexible joint.
 };

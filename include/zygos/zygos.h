@@ -53,7 +53,12 @@ extern "C" {
 /// shows that zygos_init() has succeeded on this memory.
 typedef struct {
     uint32_t magic;
-    uint32_t reserved;
+    uint32_t places;          ///< Exclusive or of the counts and indices that follow from the configuration; another
+                              ///< number where a cycle found memory changed: none is processed before zygos_scrub().
+    uint64_t config_checksum; ///< Of config.
+    uint64_t tables_checksum; ///< Of everything that follows from the configuration.
+    uint64_t scrubbed;        ///< Number of the newest cycle when zygos_scrub() was called last, or of the start.
+    uint64_t quarantined;     ///< Number of arcs and blocks that were dropped because memory was changed.
     uint64_t cycle;           ///< SYNC number of the newest cycle that was processed.
     uint64_t cycles;          ///< Number of cycles that were processed.
     uint64_t gaps;            ///< Number of times an arc ended because a cycle did not follow the one before.
@@ -93,7 +98,7 @@ typedef struct {
 /// Digest of the text of all structs in these headers, without comments and without those of the refiner, which no
 /// snapshot holds. It changes when a field is moved, renamed or given another type. A test of
 /// tests/unit/test_snapshot.py computes its value.
-#define ZYGOS_LAYOUT 0xB1A14DA9u
+#define ZYGOS_LAYOUT 0x9887EBA5u
 
 #define ZYGOS_MIX(hash, value) (((uint32_t)(hash) ^ (uint32_t)(value)) * 16777619u)
 
@@ -138,13 +143,15 @@ int zygos_resume(zygos_t *self, const zygos_config_t *config);
 int zygos_frame(zygos_t *self, const zygos_frame_t *frame);
 
 /// Processes at most one complete cycle: smooths the signals, forms the rows and accumulates them. Returns 1, or 0 when
-/// no cycle was waiting. Cost: the same for every valid cycle of a configuration, except where a block or an arc ends.
+/// no cycle was waiting, or an enum zygos_error: with ZYGOS_E_STATE, memory was changed and the cycle still waits; call
+/// zygos_scrub(). Cost: the same for every valid cycle of a configuration, except where a block or an arc ends.
 int zygos_step(zygos_t *self);
 
 /// Processes one cycle in SI units, instead of zygos_frame() and zygos_step(); do not use both for one arm. Call it in
 /// the task in which zygos_step() would run. A cycle that is flagged ZYGOS_CYCLE_INVALID, or has a value that is not
 /// finite, an angle beyond +-1e4 rad or another value beyond +-1e6, is counted and dropped, and the arc ends. Returns 1
-/// when the cycle was used, 0 when it was dropped, or an enum zygos_error.
+/// when the cycle was used, 0 when it was dropped, or an enum zygos_error: with ZYGOS_E_STATE, memory was changed and
+/// the cycle was not used; call zygos_scrub().
 int zygos_cycle(zygos_t *self, const zygos_cycle_t *cycle);
 
 /// Copies everything that zygos_solve() needs into *work. Does nothing when a pointer is null. Call it in the task of
@@ -172,6 +179,30 @@ int zygos_adopt(zygos_t *self, const zygos_estimate_t *estimate);
 /// zygos_take(), and a few passes over the sums; about as much as zygos_snapshot_seal(), and far less than
 /// zygos_solve().
 int zygos_check(const zygos_t *self, const zygos_config_t *config, zygos_work_t *work);
+
+/// What zygos_scrub() found and repaired, as bits.
+enum zygos_scrubbed {
+    ZYGOS_SCRUBBED_CONFIG = 1, ///< The configuration, which is that of the caller again.
+    ZYGOS_SCRUBBED_TABLES = 2, ///< Something that follows from it, which was computed again.
+    ZYGOS_SCRUBBED_PLACES = 4, ///< An impossible index, count or flag; the open arcs were dropped.
+    ZYGOS_SCRUBBED_BLOCKS = 8, ///< Blocks or arcs whose sums do not match; they alone were dropped.
+    ZYGOS_SCRUBBED_SUMS = 16 ///< All sums of a kind of rows, which were cleared: what they have in common was changed.
+};
+
+/// Finds and repairs what memory errors have changed in *self. Call it once in an arc and before each zygos_take(), and
+/// when zygos_frame(), zygos_step() or zygos_cycle() returns ZYGOS_E_ORDER or ZYGOS_E_STATE, in the task of
+/// zygos_step(), while no frame is being received. *config is the caller's own configuration, not that in *self, best
+/// in memory that is protected; of it, config in *self and the checksum in *self, two must agree. What follows from the
+/// configuration has a checksum and is computed again where that does not match; then every arc that may contain a
+/// cycle behind the last call is dropped, and the running solution (guard.h) is discarded. Indices and counts are set
+/// to values that are possible. Blocks that do not match their row sums or their checksum are dropped and counted.
+/// Memory that nothing has changed is left as it is, except for the member scrubbed. Returns 0 when nothing was found;
+/// bits of enum zygos_scrubbed; ZYGOS_E_NULL; ZYGOS_E_ORDER when zygos_init() has not succeeded on *self; or
+/// ZYGOS_E_CONFIG, with *self unchanged, when *config is not the configuration that *self was initialised with. Not
+/// checked are readings, smoothed signals and integrals, which last for a window or an arc, and counters of faults.
+/// Cost: one pass over *self for checksums and row sums, less than zygos_check(); where something has to be repaired,
+/// also that of zygos_restart().
+int zygos_scrub(zygos_t *self, const zygos_config_t *config);
 
 /// Restarts the estimate with the same configuration, for example because the payload changed or the sums are corrupt.
 /// Reception continues; cycles that wait in the queue are discarded. Everything that follows from the configuration is

@@ -65,6 +65,19 @@ static void start_over(void)
     core_unmask();
 }
 
+/* A cycle was not processed, because memory was changed. */
+static void mend(void)
+{
+    core_mask();
+    const int found = zygos_scrub(&arm, &arm_config);
+    core_unmask();
+    if (found < 0) {
+        start_over();
+    } else {
+        corrupt++;
+    }
+}
+
 static void report(void)
 {
     const node_losses_t losses = {
@@ -99,8 +112,12 @@ int main(void)
     uint32_t reported = 0;
     for (;;) {
         const uint32_t closed = syncs; /* read first: when no cycle waits behind it, theirs are worked off */
-        if (zygos_step(&arm) == 1) {
+        const int stepped = zygos_step(&arm);
+        if (stepped == 1) {
             continue;
+        }
+        if (stepped < 0) {
+            mend();
         }
         if (reported != closed) {
             reported++;

@@ -76,7 +76,11 @@ int64_t zygos_batch_frames(zygos_t *self, const zygos_frame_t *frame, uint64_t n
         const zygos_cycle_t *front;
         while ((front = zygos_receiver_front(&self->receiver)) != NULL) {
             const zygos_cycle_t cycle = *front;
-            cycles += zygos_step(self);
+            const int stepped = zygos_step(self);
+            if (stepped < 0) {
+                return stepped;
+            }
+            cycles += stepped;
             record(self, &cycle, trace);
         }
     }

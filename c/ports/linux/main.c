@@ -127,6 +127,21 @@ static int start_over(void)
     return 1;
 }
 
+/* A call found memory changed. What can be repaired in place is; otherwise the estimate starts over. Returns 1, or -1
+   as start_over() does. */
+static int mend(void)
+{
+    const int found = zygos_scrub(&arm, &config);
+    if (found < 0) {
+        return start_over();
+    }
+    bus.losses.corrupt++;
+    node_log("memory was changed: repaired in place (zygos_scrub(): %d); remedy: none if it is rare, otherwise test "
+             "the memory",
+             found);
+    return 1;
+}
+
 /* A corrupt state is not saved. A failure has been logged. Returns 1, or -1. */
 static int save(void)
 {
@@ -154,9 +169,11 @@ static int process_batch(uint64_t *frames, uint64_t *syncs)
     }
     for (uint32_t i = 0; i < count; i++) {
         const int verdict = zygos_frame(&arm, &frame[i]);
-        while (zygos_step(&arm) == 1) {
+        int stepped = zygos_step(&arm);
+        while (stepped == 1) {
+            stepped = zygos_step(&arm);
         }
-        if ((verdict < 0) && (start_over() < 1)) { /* the magic number of a struct that was initialised is gone */
+        if (((verdict < 0) || (stepped < 0)) && (mend() < 1)) {
             return NODE_FAILED;
         }
         if ((verdict == ZYGOS_ACCEPTED) && (frame[i].flags == 0u) && (frame[i].id == ZYGOS_ID_SYNC)) {

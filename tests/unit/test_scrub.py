@@ -1,0 +1,245 @@
+"""zygos_scrub(): what memory errors change is found, and repaired or left out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from flight_support import bytes_of, part
+from soak_support import again, fly, stored, with_all_rows
+
+from zygos.arm import Arm
+from zygos.model.model import Model
+from zygos.native.flight import Flight, ffi, lib
+from zygos.runs.cycles import Cycles
+from zygos.simulation.scenario import Scenario
+
+CONFIG, TABLES, PLACES, BLOCKS = (
+    lib.ZYGOS_SCRUBBED_CONFIG, lib.ZYGOS_SCRUBBED_TABLES, lib.ZYGOS_SCRUBBED_PLACES, lib.ZYGOS_SCRUBBED_BLOCKS
+)  # fmt: skip
+MOTION_ARCS = 3
+"""Before the last call that finds nothing."""
+
+
+@pytest.fixture(scope="module")
+def motion(arm: Arm, model: Model, scenario: Scenario) -> Cycles:
+    """A minute without noise."""
+    return stored(arm, model, scenario)
+
+
+@pytest.fixture(scope="module")
+def flown(arm: Arm, motion: Cycles) -> Flight:
+    """A few arcs, verified, and half of another."""
+    out, rng = Flight(with_all_rows(arm)), np.random.default_rng(0)
+    fly(out, motion, MOTION_ARCS, rng)
+    pristine = ffi.new("zygos_config_t *", out.native.config)
+    assert lib.zygos_scrub(out.native, pristine) == 0
+    out.cycles(part(again(out.arm, motion, int(out.native.cycle) + 1, rng), 0, len(motion) // 2 + 37))
+    return out
+
+
+@pytest.fixture
+def flight(flown: Flight) -> Flight:
+    """A copy that may be damaged."""
+    out = Flight(flown.arm)
+    ffi.memmove(out.native, flown.native, ffi.sizeof("zygos_t"))
+    return out
+
+
+def flip(struct: Any, member: str, bit: int, index: int = 0) -> None:
+    """One bit of a member, or of an element of a member."""
+    struct = struct[0] if ffi.typeof(struct).kind == "pointer" else struct
+    kind = dict(ffi.typeof(struct).fields)[member].type
+    size = ffi.sizeof(kind.item if kind.kind == "array" else kind)
+    memory = ffi.buffer(ffi.addressof(struct, member))
+    at = index * size + bit // 8
+    memory[at] = bytes([memory[at][0] ^ 1 << bit % 8])
+
+
+@pytest.fixture
+def pristine(flown: Flight) -> Any:
+    """The caller's own configuration."""
+    return ffi.new("zygos_config_t *", flown.native.config)
+
+
+def test_memory_that_nothing_has_changed_is_left_as_it_is(flight: Flight, pristine: Any) -> None:
+    before = bytearray(bytes_of(flight.native))
+    assert lib.zygos_scrub(flight.native, pristine) == 0
+    place = next(field.offset for name, field in ffi.typeof("zygos_t").fields if name == "scrubbed")
+    after = bytearray(bytes_of(flight.native))
+    assert flight.native.scrubbed == flight.native.cycle
+    before[place : place + 8] = after[place : place + 8]
+    assert before == after
+
+
+def test_the_configuration_is_that_of_the_caller_again(flight: Flight, pristine: Any) -> None:
+    flip(flight.native.config, "period_s", 40)
+    assert lib.zygos_scrub(flight.native, pristine) & CONFIG
+    assert flight.native.config.period_s == pristine.period_s
+    assert lib.zygos_scrub(flight.native, pristine) == 0
+
+
+def test_a_configuration_of_the_caller_that_is_another_is_refused(flight: Flight, pristine: Any) -> None:
+    before = bytes_of(flight.native)
+    flip(pristine, "period_s", 40)
+    assert lib.zygos_scrub(flight.native, pristine) == lib.ZYGOS_E_CONFIG
+    assert lib.zygos_scrub(flight.native, ffi.addressof(flight.native, "config")) == lib.ZYGOS_E_CONFIG
+    assert bytes_of(flight.native) == before
+
+
+def _layout(native: Any) -> None:
+    flip(native.column_map, "count", 3)
+
+
+def _axes(native: Any) -> None:
+    flip(native.geometry, "handedness", 62)
+
+
+def _taps(native: Any) -> None:
+    flip(native.smoother.taps[1][4], "slope", 50)
+
+
+def _limit(native: Any) -> None:
+    flip(native.smoother, "limit", 55)
+
+
+def _list(native: Any) -> None:
+    flip(native.noise.angle[0], "place", 6)
+
+
+def _variance(native: Any) -> None:
+    flip(native.noise, "rate_variance", 52)
+
+
+def _motors(native: Any) -> None:
+    flip(native.motor_sums, "noise", 51)
+
+
+def _momentum(native: Any) -> None:
+    flip(native.momentum_sums, "deviation", 51)
+
+
+TABLE: tuple[Callable[[Any], None], ...] = (_layout, _axes, _taps, _limit, _list, _variance, _motors, _momentum)
+
+
+@pytest.mark.parametrize("damage", TABLE)
+def test_what_follows_from_the_configuration_is_computed_again(
+    flight: Flight, flown: Flight, pristine: Any, damage: Callable[[Any], None]
+) -> None:
+    """And arcs are dropped that ended behind the last call: here, the open one of the energy."""
+    damage(flight.native)
+    assert lib.zygos_scrub(flight.native, pristine) & TABLES
+    for name in ("column_map", "geometry", "noise"):
+        assert bytes_of(ffi.addressof(flight.native, name)) == bytes_of(ffi.addressof(flown.native, name))
+    for name in ("taps", "limit", "gyro"):
+        ours, theirs = (ffi.buffer(getattr(one.native.smoother, name))[:] for one in (flight, flown))
+        assert ours == theirs
+    sums = flight.native.accumulator
+    assert sums.count == sums.open
+    assert all(block.end <= flown.native.scrubbed for block in sums.block[0 : sums.open])
+    assert lib.zygos_scrub(flight.native, pristine) == 0
+    assert flight.estimate().validity in ("valid", "partial")
+
+
+def test_arcs_that_a_changed_table_may_have_spoiled_are_dropped(flight: Flight, motion: Cycles, pristine: Any) -> None:
+    verified = int(flight.native.scrubbed)
+    _variance(flight.native)
+    fly(flight, motion, 2, np.random.default_rng(1))
+    assert flight.native.accumulator.block[flight.native.accumulator.open - 1].end > verified
+    assert lib.zygos_scrub(flight.native, pristine) & TABLES
+    assert flight.native.accumulator.block[flight.native.accumulator.open - 1].end <= verified
+
+
+PLACE = (
+    ("config", "joints"), ("column_map", "body"), ("smoother", "window"), ("smoother", "position"),
+    ("balance", "torque_at"), ("accumulator", "count"), ("accumulator", "open"), ("accumulator", "width"),
+    ("accumulator", "filling"), ("momentum_sums", "columns"),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("struct", "member"), PLACE)
+@pytest.mark.parametrize("bit", [4, 31])
+def test_no_cycle_is_processed_with_an_impossible_place(
+    flight: Flight, motion: Cycles, pristine: Any, struct: str, member: str, bit: int
+) -> None:
+    flip(getattr(flight.native, struct), member, bit)
+    before = bytes_of(flight.native)
+    cycle = ffi.new("zygos_cycle_t *")
+    assert lib.zygos_cycle(flight.native, cycle) == lib.ZYGOS_E_STATE
+    assert bytes_of(flight.native) == before
+    assert lib.zygos_scrub(flight.native, pristine) > 0
+    assert lib.zygos_scrub(flight.native, pristine) == 0
+    fly(flight, motion, 1, np.random.default_rng(1))
+    assert flight.estimate().validity == "valid"
+
+
+@pytest.mark.parametrize("member", ["count", "open", "newest", "window", "target", "arcs", "checksum"])
+@pytest.mark.parametrize("bit", [0, 2, 30])
+def test_what_tells_which_blocks_there_are_is_flipped_back(
+    flight: Flight, flown: Flight, pristine: Any, member: str, bit: int
+) -> None:
+    """Nothing is lost."""
+    flip(flight.native.accumulator, member, bit)
+    lib.zygos_scrub(flight.native, pristine)
+    assert bytes_of(ffi.addressof(flight.native, "accumulator")) == bytes_of(ffi.addressof(flown.native, "accumulator"))
+
+
+def _energy(native: Any) -> None:
+    flip(native.accumulator.block[2], "gram", 52, 7)
+
+
+def _deviation(native: Any) -> None:
+    flip(native.accumulator.block[2], "deviation", 52, 3)
+
+
+def _motor(native: Any) -> None:
+    flip(native.motor_sums.block[1].joint[0], "gram", 52, 2)
+
+
+def _rows(native: Any) -> None:
+    flip(native.momentum_sums.block[1].rows, "gram", 52, 2)
+
+
+@pytest.mark.parametrize("damage", [_energy, _deviation, _motor, _rows])
+def test_a_block_that_does_not_match_is_dropped_and_no_other(
+    flight: Flight, flown: Flight, pristine: Any, damage: Callable[[Any], None]
+) -> None:
+    def blocks(one: Flight) -> int:
+        native = one.native
+        return int(native.accumulator.open + native.motor_sums.count + native.momentum_sums.count)
+
+    damage(flight.native)
+    assert flight.estimate().validity == "refused"
+    assert lib.zygos_scrub(flight.native, pristine) == BLOCKS
+    assert blocks(flight) == blocks(flown) - 1
+    assert flight.native.quarantined == 1
+    assert lib.zygos_scrub(flight.native, pristine) == 0
+    there, before = flight.estimate(), flown.estimate()
+    assert there.validity == before.validity
+    assert (np.abs(there.value - before.value) < 3.0 * before.sigma).all()
+
+
+def test_a_place_in_the_queue_that_cannot_be(flight: Flight, pristine: Any) -> None:
+    for member in ("head", "tail"):
+        flip(flight.native.receiver.queue, member, 20)
+        assert lib.zygos_scrub(flight.native, pristine) & PLACES
+        assert flight.native.receiver.queue.head == flight.native.receiver.queue.tail == 0
+
+
+def test_the_magic_number_is_repaired_where_one_bit_is_wrong(flight: Flight, pristine: Any) -> None:
+    flip(flight.native, "magic", 5)
+    assert lib.zygos_step(flight.native) == lib.ZYGOS_E_ORDER
+    assert lib.zygos_scrub(flight.native, pristine) == PLACES
+    assert lib.zygos_step(flight.native) == 0
+    assert lib.zygos_scrub(ffi.new("zygos_t *"), pristine) == lib.ZYGOS_E_ORDER
+
+
+def test_a_sample_that_changed_in_the_window_stops_the_cycles(flight: Flight, motion: Cycles, pristine: Any) -> None:
+    assert flight.native.smoother.filled == flight.native.smoother.window
+    flip(flight.native.smoother.sample[1], "angle", 30)
+    rng = np.random.default_rng(1)
+    flight.cycles(part(again(flight.arm, motion, int(flight.native.cycle) + 1, rng), 0, 60))
+    assert lib.zygos_scrub(flight.native, pristine) & TABLES
+    assert flight.native.accumulator.count == flight.native.accumulator.open

@@ -1,0 +1,1 @@
+"""Single-bit upsets in the memory of the flight library: what they do (`make upset`)."""

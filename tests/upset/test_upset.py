@@ -1,0 +1,23 @@
+"""A campaign of few trials."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from upset.campaign import OUTCOMES, fly, members
+
+TRIALS = 500
+
+
+@pytest.mark.slow
+def test_no_flipped_bit_makes_the_library_crash_or_hang(tmp_path: Path) -> None:
+    records = fly("planar", TRIALS, folder=tmp_path)
+    counts = {outcome: int((records["outcome"] == k).sum()) for k, outcome in enumerate(OUTCOMES)}
+    assert counts["crash"] == counts["hang"] == counts["unfinished"] == 0
+    assert counts["silent"] <= 2
+    assert counts["detected"] > TRIALS // 20
+    hit = members("planar", records)
+    assert sum(hit.values()) == TRIALS
+    assert hit.most_common(1)[0][0] == "accumulator.block.gram"
