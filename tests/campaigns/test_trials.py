@@ -37,9 +37,19 @@ def test_a_payload_that_is_taken_up_in_the_second_run_is_found_in_kg(tmp_path: P
     assert size == pytest.approx(0.055, rel=0.02)
 
 
-def test_nothing_changed_where_noise_is_all_that_is_left(tmp_path: Path) -> None:
-    verdict, _ = _asked("pendulum/null", 26, tmp_path)
-    assert verdict["answer"] == "nothing missing"
+@pytest.mark.parametrize(("cell", "draw"), [("pendulum/null", 26), ("six/null", 11)])
+def test_nothing_is_missing_where_the_twin_leaves_as_much(cell: str, draw: int, tmp_path: Path) -> None:
+    """Smoothing and quadrature leave twice as much as noise does at a joint of the second."""
+    verdict, _ = _asked(cell, draw, tmp_path)
+    assert verdict["answer"] == "nothing missing", verdict["sentence"]
+
+
+@pytest.mark.parametrize("joint", ["shoulder", "elbow"])
+def test_friction_that_falls_with_the_rate_is_named_in_part_on_the_ground(joint: str, tmp_path: Path) -> None:
+    """What is hidden falls otherwise than the column, and at the elbow a wrong gain of the torques is beside it."""
+    verdict, _ = _asked(f"pendulum/motor_stribeck/{joint}/x30", 0, tmp_path)
+    assert verdict["answer"] == "part named", verdict["sentence"]
+    assert [(one["effect"], one["joint"]) for one in verdict["findings"]] == [("motor_stribeck", joint)]
 
 
 @pytest.mark.parametrize("cell", ["planar/null", "pendulum/null"])
@@ -88,6 +98,15 @@ def test_on_the_ground_nothing_is_named_in_whole_while_more_than_noise_is_left(
     """Predictions close, because what is hidden is small; increments show it."""
     verdict, _ = _asked(f"pendulum/without/{without}/elbow", 0, tmp_path)
     assert verdict["answer"] == answer, verdict["sentence"]
+
+
+def test_a_drive_that_is_late_by_more_than_a_period_is_named_in_part(tmp_path: Path) -> None:
+    """A low pass at one joint: the torque law of the arm file holds for all joints."""
+    verdict, size = _asked("planar/torque_lag/shoulder/x30", 0, tmp_path)
+    assert verdict["answer"] == "part named", verdict["sentence"]
+    (found,) = verdict["findings"]
+    assert (found["effect"], found["joint"]) == ("torque_lag", "shoulder")
+    assert found["value"] == pytest.approx(size, rel=0.03)
 
 
 @pytest.mark.parametrize("place", ["viscous_asymmetry/elbow", "load_friction/elbow"])

@@ -550,10 +550,10 @@ class _Explainer:
             worst = max(skewed, key=lambda d: d.rms_rad)
             return SkewedEncoders(worst.joint, worst.skew_s)
         lags = [finding.value / h for finding in findings if finding.kind == "torque_lag"]
-        shifted = len(lags) == self.arm.n and any(
-            max(abs(lag / part - 1.0) for lag in lags) < 0.05 for part in (0.5, 1)
-        )
-        if shifted or any(lag > 0.95 for lag in lags):
+        # the arm file has one torque law for all joints: what is late at some of them is a drive
+        if len(lags) == self.arm.n and (
+            min(lags) > 0.95 or any(max(abs(lag / part - 1.0) for lag in lags) < 0.05 for part in (0.5, 1))
+        ):
             return LateTorques(float(np.mean(lags)))
         # a twin that moves by a law of nearly the same form may be harder to follow than the arm itself
         quiet = _too_quiet(after) & _too_quiet(refit)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +12,6 @@ from scipy.stats import t as student
 from threadpoolctl import threadpool_limits
 
 from zygos.arm import Arm
-from zygos.balances.joint import in_order, joint_columns
-from zygos.balances.state import State
 from zygos.can.run import Run
 from zygos.effects import CATALOGUE, Effect
 from zygos.errors import ZygosError
@@ -29,6 +27,7 @@ from zygos.gap.ground.predictions import CLOSED, Prediction, Stage, predict, rem
 from zygos.gap.ground.search import Search, is_gain, search
 from zygos.gap.ground.sentences import entry_evidence, gains, offset
 from zygos.gap.ground.timing import lateness, torque_constants
+from zygos.gap.ground.twin import increments_floor, predicted_load
 from zygos.gap.verdicts import (
     Changed,
     Inseparable,
@@ -56,9 +55,9 @@ SURE = 3.0
 USUAL_GAIN = 0.05
 """Gain by which torque sensors of an arm may differ without a word."""
 COULOMB = "motor_coulomb"
-SMALL = 2.2
-"""What increments of the measured runs may leave over, in units of noise, for nothing to be missing: friction of joints
-that rest leaves up to twice as much, because the sign of a rate at rest is that of its noise."""
+SMALL = 1.5
+"""What increments of the measured runs may leave over, in units of what the model leaves of its own twin, for nothing
+to be missing."""
 _MUCH = 0.8
 """Share of the squared residual that entries which are searched last may leave of what the usual ones do."""
 _SHORTEST_S = 2.0
@@ -130,6 +129,7 @@ class _Explainer:
         findings = self._findings(found, sizes)
         findings = (*findings, *self._directions(table, found, findings, sizes))
         gap = self._gap(table, found)
+        left = _Increments.of(table, found)
         values_found = self._values(table, sizes)
         verdict: Verdict
         late, pull = lateness(table), missing_gravity(table, self.simulation)
@@ -141,7 +141,7 @@ class _Explainer:
         elif changed is not None:
             verdict = Changed(changed[0], tuple(run_name(run, k) for k, run in enumerate(self.measured, 1)))
         else:
-            verdict = self._judge(table, found, findings, values_found, gap)
+            verdict = self._judge(found, findings, values_found, gap, left)
         known = not isinstance(verdict, Unexplained | NotPredicted | LateTorques | WrongGravity)
         adopted = known and not isinstance(verdict, Inseparable)
         self.step(0.95, "verdict")
@@ -154,7 +154,7 @@ class _Explainer:
             findings if known else (),
             values_found,
             found,
-            self._joints(table, found),
+            self._joints(table, found, left),
             gap,
             span,
             likely if adopted else None,
@@ -290,16 +290,16 @@ class _Explainer:
 
     def _judge(
         self,
-        table: Table,
         found: Search,
         findings: tuple[Finding, ...],
         values: tuple[Value, ...],
         gap: GroundGap | None,
+        left: _Increments,
     ) -> Verdict:
-        closes = self._closes(table, found, gap)
+        closes = self._closes(gap, left)
         if not findings:
             if not closes:
-                return self._unexplained(table, found, gap)
+                return self._unexplained(found, gap, left)
             changed = tuple(value for value in values if value.differs)
             return ValuesDiffer(changed) if changed else NothingMissing()
         if gap is not None:
@@ -311,45 +311,41 @@ class _Explainer:
         if len(beside) == len(findings) or any(f.instead for f in findings if f not in beside):
             return Inseparable(findings)
         if not closes:
-            return PartNamed(findings, self._rest(table, found, gap))
+            return PartNamed(findings, self._rest(gap, left))
         return Lacking(findings)
 
-    def _closes(self, table: Table, found: Search, gap: GroundGap | None) -> bool:
+    def _closes(self, gap: GroundGap | None, left: _Increments) -> bool:
         """Whether noise alone is left: in the predictions of untouched runs, whose floor is known less well, and in the
         increments of the measured ones, where small effects show."""
         predicted = gap is None or all(one.closes for one in gap.predictions)
-        return predicted and bool(np.all(_over_noise(table, found) <= SMALL))
+        return predicted and bool(np.all(left.over <= SMALL))
 
-    def _rest(self, table: Table, found: Search, gap: GroundGap | None) -> tuple[Remainder, ...]:
+    def _rest(self, gap: GroundGap | None, left: _Increments) -> tuple[Remainder, ...]:
         """What is left over of untouched runs, or else of the measured ones, the largest first."""
-        left = () if gap is None else remainders(gap.predictions)
-        if left:
-            return left
-        over, floor = _over_noise(table, found), table.floor / table.span_s
+        untouched = () if gap is None else remainders(gap.predictions)
+        if untouched:
+            return untouched
         out = []
         for j, joint in enumerate(self.arm.joints):
-            run = int(np.argmax(over[:, j]))
-            if over[run, j] > SMALL:
-                noise = float(floor[run, j])
+            run = int(np.argmax(left.over[:, j]))
+            if left.over[run, j] > SMALL:
                 name = f"the {joint.name} in {run_name(self.measured[run], run + 1)}"
-                out.append(Remainder(name, float(over[run, j]) * noise, "Nm", noise, "", 0.0))
+                out.append(Remainder(name, float(left.torque[run, j]), "Nm", float(left.floor[run, j]), "", 0.0))
         return tuple(sorted(out, key=lambda rest: -rest.size))
 
-    def _unexplained(self, table: Table, found: Search, gap: GroundGap | None) -> Unexplained:
+    def _unexplained(self, found: Search, gap: GroundGap | None, left: _Increments) -> Unexplained:
         predicted = max((float(one.ratio.max()) for one in gap.predictions), default=0.0) if gap is not None else 0.0
         untouched = predicted > CLOSED
-        worst = predicted if untouched else float(_over_noise(table, found).max())
+        worst = predicted if untouched else float(left.over.max())
         near = found.nearest
         if near is None or near.explained <= 0.0:
             return Unexplained(worst, (), 0.0, (), untouched)
         return Unexplained(worst, (near.name,), min(1.0, near.explained), (), untouched)
 
-    def _joints(self, table: Table, found: Search) -> tuple[JointRest, ...]:
-        zero = np.zeros_like(found.before.x)
-        stages = [np.sqrt(residual(table, x)) / table.span_s for x in (zero, found.before.x, found.after.x)]
-        floor = table.floor / table.span_s
+    def _joints(self, table: Table, found: Search, left: _Increments) -> tuple[JointRest, ...]:
+        stages = [_torque_left(table, x) for x in (np.zeros_like(found.before.x), found.before.x)]
         return tuple(
-            JointRest(joint.name, *(tuple(float(x) for x in one[:, j]) for one in (*stages, floor)))
+            JointRest(joint.name, *(tuple(float(x) for x in one[:, j]) for one in (*stages, left.torque, left.floor)))
             for j, joint in enumerate(self.arm.joints)
         )
 
@@ -456,21 +452,31 @@ def stage_of(layout: Layout, name: str, fitted: Fit) -> Stage:
     return Stage(name, values[:p], tuple(effects))
 
 
-def predicted_load(motion: Motion, values: Floats) -> Floats:
-    """(m, N) torque of bodies and rotors after the gear at the smoothed instants, Nm."""
-    arm, h = motion.arm, motion.arm.period_s
-    columns = joint_columns(arm, State.smoothed(arm, motion.smoothed))
-    z = in_order(
-        arm,
-        np.gradient(columns.momentum, h, axis=0) - columns.force,
-        np.gradient(columns.rotor_momentum, h, axis=0) - columns.rotor_force,
-    )
-    return np.asarray(z @ values, dtype=np.float64)
+@dataclass(frozen=True)
+class _Increments:
+    """What is left over of the increments of R measured runs at N joints, as mean torque, Nm."""
+
+    torque: Floats
+    """(R, N)"""
+    floor: Floats
+    """(R, N) what the model leaves of its own twin, and at least what noise does."""
+
+    @property
+    def over(self) -> Floats:
+        """(R, N)"""
+        return np.asarray(self.torque / self.floor, dtype=np.float64)
+
+    @classmethod
+    def of(cls, table: Table, found: Search) -> _Increments:
+        model = stage_of(table.layout, "closed", found.after)
+        twins = [increments_floor(rows, model.values, model.effects) for rows in table.rows]
+        floor = np.fmax(np.array(twins), table.floor) / table.span_s
+        return cls(_torque_left(table, found.after.x), floor)
 
 
-def _over_noise(table: Table, found: Search) -> Floats:
-    """(R, N) what the increments of each run leave over at each joint, in units of noise."""
-    return np.asarray(np.sqrt(residual(table, found.after.x)) / table.floor, dtype=np.float64)
+def _torque_left(table: Table, x: Floats) -> Floats:
+    """(R, N) mean torque over an increment that the values x leave, as standard deviation, Nm."""
+    return np.asarray(np.sqrt(residual(table, x)) / table.span_s, dtype=np.float64)
 
 
 def _left(predictions: Sequence[Prediction], name: str) -> float:

@@ -17,10 +17,10 @@ from zygos.gap.findings import ASYMMETRY, Finding
 from zygos.gap.ground.candidates import OFFSET_OF_TORQUE, candidates_of
 from zygos.gap.ground.columns import Layout, table_of
 from zygos.gap.ground.direction import PHASES, phases
-from zygos.gap.ground.explain import predicted_load
 from zygos.gap.ground.explanation import GroundExplanation
 from zygos.gap.ground.fit import fit, jackknife
 from zygos.gap.ground.search import LEAST_Z
+from zygos.gap.ground.twin import predicted_load
 from zygos.ground.motion import Motion
 from zygos.plan.limits import Limits
 from zygos.plan.separating import LONGEST_S, Separating, most_separating, servo_of

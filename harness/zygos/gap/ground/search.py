@@ -28,6 +28,10 @@ AGREE_Z, AGREE_SHARE = 4.0, 0.25
 MATERIAL = 0.2
 """Share of what noise does not explain that a candidate must take away. What is left over of another law looks a little
 like every column, and is significant because it repeats."""
+MOSTLY, SEEN_Z, FAR = 0.5, 3.0, 4.0
+"""Share of what noise does not explain from which on a candidate needs fewer deviations, these deviations, and what
+must be left over then on each run, in units of noise. A law that acts in a few instants, as friction that falls with
+the rate does, differs from block to block by more than noise if its form is another one."""
 NOISE = 1.3
 """Mean square of a residual, in units of that of noise, from which on there is something to explain."""
 _KEPT_Z = 3.0
@@ -161,9 +165,11 @@ def try_all(table: Table, fitted: Fit, candidates: Sequence[Candidate]) -> list[
 def _judged(table: Table, scores: Scores, k: int, one: Candidate, needed: float) -> Tried:
     value, sigma, z = float(scores.value[k]), float(scores.sigma[k]), float(scores.z[k])
     each, each_sigma = scores.alone[:, k], scores.alone_sigma[:, k]
-    explained, worst = _explained(table, scores, k, one.joint)
+    # values of bodies give way to a wrong gain, so that other joints show it as well
+    explained, worst = _explained(table, scores, k, range(table.layout.arm.n) if is_gain(one) else (one.joint,))
     against: Against | None = None
-    if not np.isfinite(sigma) or abs(z) < needed:
+    far = bool(np.all(scores.before[:, one.joint] > (FAR * table.floor[:, one.joint]) ** 2))
+    if not np.isfinite(sigma) or abs(z) < (SEEN_Z if far and explained > MOSTLY else needed):
         against = "insignificant"
     elif one.positive and value < 0.0:
         against = "negative"
@@ -203,13 +209,14 @@ def _agrees(table: Table, value: float, sigma: float, each: Floats, each_sigma: 
     return True
 
 
-def _explained(table: Table, scores: Scores, k: int, joint: int) -> tuple[float, float]:
-    """Share of the squared residual beyond noise at the joint that a candidate takes away over all runs, and the least
-    change on a run that shows it, in the same units."""
-    before, after = scores.before[:, joint], scores.after[:, k, joint]
-    rest = np.maximum(before - NOISE * table.floor[:, joint] ** 2, 0.0)
+def _explained(table: Table, scores: Scores, k: int, joints: Sequence[int]) -> tuple[float, float]:
+    """Share of the squared residual beyond noise at joints that a candidate takes away over all runs, each joint in
+    units of its noise, and the least change on a run that shows it."""
+    unit = table.floor[:, joints] ** 2
+    before, after = scores.before[:, joints] / unit, scores.after[:, k][:, joints] / unit
+    rest = np.maximum(before - NOISE, 0.0)
     shows = np.isfinite(scores.alone[:, k]) & (np.abs(scores.value[k]) > 2.0 * scores.alone_sigma[:, k])
-    better = before - after
+    better = np.sum(before - after, axis=1)
     whole = float(rest.sum())
     share = float(better.sum()) / whole if whole > 0.0 else float(np.sign(better.sum()))
     return share, float(np.min(better[shows], initial=0.0))

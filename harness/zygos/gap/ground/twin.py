@@ -18,20 +18,78 @@ from zygos.arm import Arm
 from zygos.balances.joint import in_order, joint_columns
 from zygos.balances.state import State
 from zygos.effects import Effect
-from zygos.ground.motion import Motion, TorqueRows, torque_noise, torque_rows
-from zygos.ground.rows import torque_columns
+from zygos.ground.motion import HIGHEST_CUTOFF_HZ, Motion, TorqueRows, cutoff_hz, torque_noise, torque_rows
+from zygos.ground.rows import RunRows, resting_share, run_rows, torque_columns
 from zygos.ground.score import Score, scored
+from zygos.runs.samples import Samples
+from zygos.runs.smoother import smooth
 
 Floats = NDArray[np.float64]
 
+_AT_REST = ("motor_coulomb", "link_coulomb", "motor_stribeck", "link_stribeck")
 _STEP = 0.1
 """Of the differences in time of the momentum, in periods."""
 
 
 def floor(motion: Motion, rows: TorqueRows, values: Floats, effects: Sequence[Effect], seed: int = 0) -> Score:
     """The score of a model on its own twin. rows: of the measured run."""
+    acting = _acting(effects)
+    twin = torque_rows(motion.arm, _samples(motion, rows, values, acting, seed), rows.cutoff_hz)
+    return scored(motion.run, "floor", twin, values, acting, motion)
+
+
+def increments_floor(measured: RunRows, values: Floats, effects: Sequence[Effect], seed: int = 0) -> Floats:
+    """(N,) what a model leaves of the increments of its own twin, with the best offset of each torque, as standard
+    deviation, Nms. Beside noise these are the errors of smoothing and quadrature, and friction of joints that rest,
+    which may be anything up to that of a joint that moves.
+
+    measured: the rows of the run. NaN at joints without an increment that counts. Errors: ZygosError for a run that is
+    too short for the filter.
+    """
+    motion, acting = measured.motion, _acting(effects)
+    arm = motion.arm
+    rows = torque_rows(arm, motion.samples, min(cutoff_hz(arm), HIGHEST_CUTOFF_HZ))
+    samples = _samples(motion, rows, values, acting, seed)
+    twin = Motion(motion.run, samples, replace(smooth(arm, samples), accepted=motion.smoothed.accepted))
+    own = run_rows(twin, measured.span_s, acting, predicted_load(twin, values))
+    left = own.w - own.z @ np.array([*values, *(effect.value for effect in acting)])
+    used = measured.rows.accepted[:, None] & ~measured.lingers & np.isfinite(left)
+    resting = resting_share(arm, State.smoothed(arm, motion.smoothed), measured.rows) * measured.span_s
+    resting *= _resting_friction(arm, acting)
+    each = [(left[used[:, j], j], resting[used[:, j], j]) for j in range(arm.n)]
+    return np.array([np.hypot(np.std(x), np.sqrt(np.mean(r**2))) if len(x) else np.nan for x, r in each])
+
+
+def _resting_friction(arm: Arm, effects: Sequence[Effect]) -> Floats:
+    """(N,) torque of friction near rest, after the gear, Nm."""
+    out = np.zeros(arm.n)
+    for effect in effects:
+        if effect.kind.key in _AT_REST:
+            joint = effect.index(arm)
+            out[joint] += abs(effect.value) * (arm.gear_ratios[joint] if effect.kind.place == "motor" else 1.0)
+    return out
+
+
+def predicted_load(motion: Motion, values: Floats) -> Floats:
+    """(m, N) torque of bodies and rotors after the gear at the smoothed instants, Nm."""
+    arm, h = motion.arm, motion.arm.period_s
+    columns = joint_columns(arm, State.smoothed(arm, motion.smoothed))
+    z = in_order(
+        arm,
+        np.gradient(columns.momentum, h, axis=0) - columns.force,
+        np.gradient(columns.rotor_momentum, h, axis=0) - columns.rotor_force,
+    )
+    return np.asarray(z @ values, dtype=np.float64)
+
+
+def _acting(effects: Sequence[Effect]) -> list[Effect]:
+    """Those that are torques of the twin, and not errors of its sensors."""
+    return [effect for effect in effects if not (effect.kind.gain or effect.kind.lags)]
+
+
+def _samples(motion: Motion, rows: TorqueRows, values: Floats, effects: Sequence[Effect], seed: int) -> Samples:
+    """What the sensors of the twin read."""
     rng = np.random.default_rng(seed)
-    acting = [effect for effect in effects if not (effect.kind.gain or effect.kind.lags)]
     samples, arm = motion.samples, motion.arm
     theta, tau = samples.theta.copy(), np.full_like(samples.tau, np.nan)
     noise = np.maximum(torque_noise(motion), torque_noise(motion, declared=False))
@@ -42,13 +100,12 @@ def floor(motion: Motion, rows: TorqueRows, values: Floats, effects: Sequence[Ef
         good = np.flatnonzero(np.all(np.isfinite(samples.tau[start:stop]), axis=1))
         of = slice(start + int(good[0]), start + int(good[-1]) + 1)
         angle = rows.state.q[own]
-        made = _torques(arm, angle, rows, values, acting)
+        made = _torques(arm, angle, rows, values, effects)
         white = noise * rng.standard_normal((len(made) + 1, arm.n))
         shaken = 0.5 * (white[1:] + white[:-1]) if arm.torque_law == "sampled" else white[1:]
         tau[of] = made / arm.gear_ratios + shaken
         theta[of] = _read(arm, angle, rng)
-    twin = torque_rows(arm, replace(samples, q=theta, theta=theta, tau=tau), rows.cutoff_hz)
-    return scored(motion.run, "floor", twin, values, acting, motion)
+    return replace(samples, q=theta, theta=theta, tau=tau)
 
 
 def _torques(arm: Arm, angle: Floats, rows: TorqueRows, values: Floats, effects: Sequence[Effect]) -> Floats:
