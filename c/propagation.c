@@ -20,9 +20,9 @@ static void cross(const double *a, const double *b, double *out)
 
 static void add(double *out, double factor, const double *a)
 {
-    for (uint32_t k = 0; k < 3; k++) {
-        out[k] += factor * a[k];
-    }
+    out[0] += factor * a[0];
+    out[1] += factor * a[1];
+    out[2] += factor * a[2];
 }
 
 static void add_cross(double *out, const double *a, const double *b)
@@ -204,11 +204,17 @@ static void weigh(const zygos_propagation_t *self, const zygos_dynamics_t *dynam
 {
     for (uint32_t a = 0; a < self->directions; a++) {
         const double *row = dynamics->matrix[a];
-        double sum[3] = { 0.0, 0.0, 0.0 };
+        double x = 0.0;
+        double y = 0.0;
+        double z = 0.0;
         for (uint32_t b = from; b < self->directions; b++) {
-            add(sum, row[b], in[b]);
+            x += row[b] * in[b][0];
+            y += row[b] * in[b][1];
+            z += row[b] * in[b][2];
         }
-        memcpy(out[a], sum, sizeof sum);
+        out[a][0] = x;
+        out[a][1] = y;
+        out[a][2] = z;
     }
 }
 
@@ -736,26 +742,18 @@ bool zygos_propagation_move(const zygos_propagation_t *self, const zygos_config_
     return true;
 }
 
-void zygos_propagation_column(const zygos_propagation_t *self, const zygos_config_t *config, double time,
+void zygos_propagation_series(const zygos_propagation_t *self, const zygos_config_t *config, double time,
                               uint32_t terms, uint32_t c, const zygos_propagation_work_t *work, double *out)
 {
     const uint32_t n = config->joints;
     const uint32_t w = self->base_rates;
     const uint32_t moving = self->moving;
-    const uint32_t constants = self->parameters + ((self->friction != 0u) ? n : 0u);
-    const bool by_state = (c < moving);
+    const bool pushed = (c >= moving);
+    const uint32_t k0 = pushed ? c - moving : c;
     double term[ZYGOS_MAX_MOVING] = { 0.0 };
-    if (by_state) {
-        term[c] = 1.0;
-    } else {
-        for (uint32_t k = 0; k < w + 2u * n; k++) {
-            const double push = (c < moving + constants) ? work->by_constant[k][c - moving]
-                                                         : work->by_torque[k][c - moving - constants];
-            term[(k < w) ? k : k + 2u * n] = time * push;
-        }
-    }
+    term[(pushed && (k0 >= w)) ? k0 + 2u * n : k0] = pushed ? time : 1.0;
     memcpy(out, term, moving * sizeof out[0]);
-    for (uint32_t m = by_state ? 1u : 2u; m <= terms; m++) {
+    for (uint32_t m = pushed ? 2u : 1u; m <= terms; m++) {
         const double factor = time / (double)m;
         double next[ZYGOS_MAX_ACCELERATIONS];
         for (uint32_t k = 0; k < w + 2u * n; k++) {
@@ -774,6 +772,25 @@ void zygos_propagation_column(const zygos_propagation_t *self, const zygos_confi
         for (uint32_t i = 0; i < moving; i++) {
             out[i] += term[i];
         }
+    }
+}
+
+void zygos_propagation_column(const zygos_propagation_t *self, const zygos_config_t *config, uint32_t c,
+                              const double (*pushed)[ZYGOS_MAX_ACCELERATIONS], const zygos_propagation_work_t *work,
+                              double *out)
+{
+    const uint32_t accelerations = self->base_rates + 2u * config->joints;
+    const uint32_t constants = self->parameters + ((self->friction != 0u) ? config->joints : 0u);
+    double push[ZYGOS_MAX_ACCELERATIONS];
+    for (uint32_t k = 0; k < accelerations; k++) {
+        push[k] = (c < constants) ? work->by_constant[k][c] : work->by_torque[k][c - constants];
+    }
+    for (uint32_t i = 0; i < self->moving; i++) {
+        double sum = 0.0;
+        for (uint32_t k = 0; k < accelerations; k++) {
+            sum += pushed[i][k] * push[k];
+        }
+        out[i] = sum;
     }
 }
 

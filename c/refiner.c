@@ -246,6 +246,12 @@ zygos_innovation_t zygos_refiner_use(zygos_refiner_t *self, const zygos_config_t
     return one;
 }
 
+void zygos_refiner_pin(zygos_refiner_t *self, uint32_t entry, double sigma, double *gain)
+{
+    zygos_innovation_t one = { .terms = 1u, .entry = { entry, 0u, 0u }, .weight = { 1.0, 0.0, 0.0 } };
+    update(self, &one, self->x[entry], sigma * sigma, UNLIMITED, gain);
+}
+
 void zygos_refiner_read(zygos_refiner_t *self, const zygos_config_t *config, const double *q, const double *theta,
                         const double *omega, zygos_refiner_work_t *work)
 {

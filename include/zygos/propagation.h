@@ -117,11 +117,18 @@ bool zygos_propagation_move(const zygos_propagation_t *self, const zygos_config_
                             const zygos_dynamics_t *dynamics, double time, double *state, const double *torque,
                             zygos_propagation_work_t *work);
 
-/// Writes the derivatives of the state after `time` seconds by column c of zygos_propagate() into out[W + 4N], where
-/// the derivatives of the accelerations stay as zygos_propagation_slopes() has left them in work: the exponential
-/// series with `terms` terms. Cost: terms (W + 2N) (W + 4N) multiplications.
-void zygos_propagation_column(const zygos_propagation_t *self, const zygos_config_t *config, double time,
+/// Writes into out[W + 4N] what the state after `time` seconds changes by, where the derivatives of the accelerations
+/// by the state stay as zygos_propagation_slopes() has left them in work: by entry c of the state before, or, for c
+/// from W + 4N on, by a constant addition to acceleration c - W - 4N. The exponential series has `terms` terms. Cost:
+/// terms (W + 2N) (W + 4N) multiplications.
+void zygos_propagation_series(const zygos_propagation_t *self, const zygos_config_t *config, double time,
                               uint32_t terms, uint32_t c, const zygos_propagation_work_t *work, double *out);
+
+/// Writes the derivatives of that state by constant or torque c into out[W + 4N]. pushed: its derivatives by additions
+/// to the accelerations, a column each. Cost: (W + 2N) (W + 4N) multiplications.
+void zygos_propagation_column(const zygos_propagation_t *self, const zygos_config_t *config, uint32_t c,
+                              const double (*pushed)[ZYGOS_MAX_ACCELERATIONS], const zygos_propagation_work_t *work,
+                              double *out);
 
 /// Moves a state over one period under torques that are held. slope becomes its derivatives: W + 4N rows, whose columns
 /// are the state before, the constants and the torques. Returns as zygos_propagation_slopes(); where it is false, state

@@ -132,6 +132,9 @@ typedef struct {
 /// it is used unless its normalised square is above limit. Cost: n^2 multiplications.
 zygos_innovation_t zygos_refiner_use(zygos_refiner_t *self, const zygos_config_t *config, uint32_t k, double value,
                                      double limit, double *gain);
+/// Limits the standard deviation of an entry to less than sigma: a reading of it that is as expected, and that is not
+/// counted. Cost: n^2 multiplications.
+void zygos_refiner_pin(zygos_refiner_t *self, uint32_t entry, double sigma, double *gain);
 /// Writes parameters and friction in SI units into constant[]: the constants of zygos_dynamics_set().
 void zygos_refiner_constants(const zygos_refiner_t *self, double *constant);
 /// Writes the torques without the estimated offsets into drive[N].

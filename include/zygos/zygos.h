@@ -37,6 +37,7 @@
 #include "noise.h"
 #include "propagation.h"
 #include "reduction.h"
+#include "refine.h"
 #include "refiner.h"
 #include "smoother.h"
 #include "snapshot.h"
