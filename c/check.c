@@ -28,7 +28,9 @@ bool zygos_work_intact(zygos_work_t *work)
         return false;
     }
     zygos_accumulator_flush(sums);
-    zygos_joint_sums_flush(&work->joint_sums, &work->config, work->cycle, work->joints_forgetting);
+    zygos_joint_sums_flush(&work->joint_sums, &work->config);
+    zygos_guard_end_joints(&work->guard, &work->config, &work->joint_sums, work->cycle, &work->joints_forgetting);
+    zygos_joint_sums_flush(&work->joint_sums, &work->config);
     if (!(zygos_accumulator_check(sums) <= 1.0) || !(zygos_motor_sums_check(&work->motor_sums, &work->config) <= 1.0) ||
         !(zygos_momentum_sums_check(&work->momentum_sums) <= 1.0) ||
         !(zygos_joint_sums_check(&work->joint_sums) <= 1.0)) {

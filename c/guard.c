@@ -135,7 +135,7 @@ static double limit_of(const finding_t *found, const zygos_mean_squares_t *run, 
 static uint32_t longest(const zygos_config_t *config, uint32_t rows)
 {
     if (rows == (uint32_t)ZYGOS_ENERGY_ROWS) {
-        return config->arc_cycles;
+        return zygos_joint_sums_suffice(config) ? zygos_joint_sums_longest(config) : config->arc_cycles;
     }
     return (rows == (uint32_t)ZYGOS_MOTOR_ROWS) ? config->impulse_arc_cycles : config->momentum_arc_cycles;
 }
@@ -144,6 +144,9 @@ static uint32_t longest(const zygos_config_t *config, uint32_t rows)
 static uint32_t consecutive_limit(const zygos_config_t *config, uint32_t rows)
 {
     const uint32_t own = longest(config, rows);
+    if (rows == (uint32_t)ZYGOS_ENERGY_ROWS) {
+        return ZYGOS_CONSECUTIVE_ARCS;
+    }
     return ZYGOS_CONSECUTIVE_ARCS *
            (((own > 0) && (own < config->arc_cycles)) ? (config->arc_cycles + own - 1u) / own : 1u);
 }
@@ -175,7 +178,7 @@ static void count(zygos_guard_t *self, const zygos_config_t *config, uint32_t ro
         /* The sums hold fewer instants than the arcs that contradict; they are not adopted again before half an arc has
            been admitted. */
         self->known = 0;
-        self->since = cycle + config->arc_cycles / 2u;
+        self->since = cycle + longest(config, (uint32_t)ZYGOS_ENERGY_ROWS) / 2u;
     }
 }
 
@@ -233,7 +236,8 @@ void zygos_guard_end_energy(zygos_guard_t *self, const zygos_config_t *config, z
     if (!zygos_accumulator_close(sums)) {
         return;
     }
-    if (!has_running_solution(self, sums->width - 2u) || !(self->energy.residual > 0.0)) {
+    if (zygos_joint_sums_suffice(config) || !has_running_solution(self, sums->width - 2u) ||
+        !(self->energy.residual > 0.0)) {
         zygos_accumulator_admit(sums, cycle);
         return;
     }
@@ -368,6 +372,41 @@ void zygos_guard_end_momentum(zygos_guard_t *self, const zygos_config_t *config,
     }
 }
 
+void zygos_guard_end_joints(zygos_guard_t *self, const zygos_config_t *config, zygos_joint_sums_t *sums, uint64_t cycle,
+                            double *forgetting)
+{
+    const double rows = zygos_joint_sums_open_rows(sums, config);
+    if (!(rows > 0.0)) {
+        return;
+    }
+    if (!zygos_joint_sums_suffice(config) || !has_running_solution(self, sums->width - 1u) ||
+        !(self->energy.residual > 0.0)) {
+        zygos_joint_sums_admit(sums, config, cycle, forgetting);
+        return;
+    }
+    const zygos_joint_segment_t *segment = &sums->segment[sums->filling];
+    finding_t found = { 0.0, 0.0, 0.0, 0.0 };
+    finding_t noise = { 0.0, 0.0, 0.0, 0.0 };
+    add_residuals(self, segment->noise.gram, NULL, sums->width - 1u, true, &noise);
+    add_residuals(self, segment->rows.gram, NULL, sums->width - 1u, true, &found);
+    found.expected = noise.residual + rows * zygos_joint_sums_torque_noise(sums, config);
+    const double of_one_joint = rows / (double)config->joints;
+    const double limit = limit_of(&found, &self->energy, rows, 0.5 * of_one_joint);
+    const bool contradicts = (limit > 0.0) && (found.residual > limit);
+    const double instants = 0.5 * (double)config->joint_row_cycles / (double)config->joints;
+    self->contradiction[ZYGOS_ENERGY_ROWS] = (limit > 0.0) ? found.residual / limit : 0.0;
+    count(self, config, (uint32_t)ZYGOS_ENERGY_ROWS, contradicts, limit < INFORMATIVE * found.spread, rows * instants,
+          zygos_joint_sums_rows(sums) * instants, cycle, (uint32_t)(rows * instants));
+    if (contradicts) {
+        /* The change is in the first of them, which belongs to neither arm: the group begins anew with the second. */
+        const uint32_t consecutive = self->consecutive[ZYGOS_ENERGY_ROWS];
+        self->agreed = (consecutive == 1u) ? sums->end : self->agreed;
+        zygos_joint_sums_set_aside(sums, config, cycle, forgetting, consecutive <= 2u);
+    } else {
+        zygos_joint_sums_admit(sums, config, cycle, forgetting);
+    }
+}
+
 void zygos_guard_drop(zygos_guard_t *self, zygos_accumulator_t *energy, zygos_motor_sums_t *motors,
                       zygos_momentum_sums_t *momentum, uint64_t cycle)
 {
@@ -387,18 +426,35 @@ static zygos_mean_squares_t mean_squares_of(const finding_t *found, double n)
     return out;
 }
 
-void zygos_guard_begin(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
-                       const zygos_accumulator_t *energy, const zygos_motor_sums_t *motors,
-                       const zygos_momentum_sums_t *momentum)
+/* Mean square of the right side. */
+static double spread_of_energy(const zygos_accumulator_t *sums)
 {
-    const uint32_t p = column_map->parameters;
     double spread = 0.0;
     double n = 0.0;
-    for (uint32_t b = 0; b < energy->open; b++) {
-        spread += energy->block[b].gram[zygos_gram_entries(p + 1u) - 1u];
-        n += energy->block[b].instants;
+    for (uint32_t b = 0; b < sums->open; b++) {
+        spread += sums->block[b].gram[zygos_gram_entries(sums->width - 1u) - 1u];
+        n += sums->block[b].instants;
     }
-    self->energy.spread = (n > 0.0) ? larger(spread, 0.0) / n : 0.0;
+    return (n > 0.0) ? larger(spread, 0.0) / n : 0.0;
+}
+
+static double spread_of_joints(const zygos_joint_sums_t *sums)
+{
+    const double n = zygos_joint_sums_rows(sums);
+    double spread = 0.0;
+    for (uint32_t g = 0; g < (uint32_t)ZYGOS_GROUP_PLACES; g++) {
+        spread += sums->group[g].fade * sums->group[g].rows.gram[zygos_gram_entries(sums->width) - 1u];
+    }
+    return (n > 0.0) ? larger(spread, 0.0) / n : 0.0;
+}
+
+void zygos_guard_begin(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+                       const zygos_accumulator_t *energy, const zygos_motor_sums_t *motors,
+                       const zygos_momentum_sums_t *momentum, const zygos_joint_sums_t *joints)
+{
+    const uint32_t p = column_map->parameters;
+    double n = 0.0;
+    self->energy.spread = zygos_joint_sums_suffice(config) ? spread_of_joints(joints) : spread_of_energy(energy);
     memset(self->motor, 0, sizeof self->motor);
     for (uint32_t i = 0; i < config->joints; i++) {
         finding_t found = { 0.0, 0.0, 0.0, 0.0 };

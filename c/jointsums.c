@@ -22,7 +22,8 @@ static uint64_t checksum_of(const zygos_joint_sums_t *self)
     checksum = zygos_checksum_doubles(checksum, &self->apart_sums, 1);
     checksum = zygos_checksum_doubles(checksum, &self->keep, 1);
     checksum = zygos_checksum_doubles(checksum, &self->keep_group, 1);
-    for (uint32_t g = 0; g < (uint32_t)ZYGOS_GROUP_PLACES; g++) {
+    checksum = zygos_checksum_number(checksum, self->target);
+    for (uint32_t g = 0; g <= (uint32_t)ZYGOS_SET_ASIDE; g++) {
         checksum = zygos_checksum_doubles(checksum, &self->group[g].count, 1);
         checksum = zygos_checksum_doubles(checksum, &self->group[g].fade, 1);
     }
@@ -58,6 +59,21 @@ static uint32_t increments_of(const zygos_config_t *config)
     const double most = 1e6;
     const uint32_t long_enough = (uint32_t)((least < most) ? least : most);
     return (long_enough > ZYGOS_SEGMENT_INCREMENTS) ? long_enough : ZYGOS_SEGMENT_INCREMENTS;
+}
+
+uint32_t zygos_joint_sums_longest(const zygos_config_t *config)
+{
+    return increments_of(config) * (config->joint_row_cycles / 2u);
+}
+
+double zygos_joint_sums_torque_noise(const zygos_joint_sums_t *self, const zygos_config_t *config)
+{
+    double sum = 0.0;
+    for (uint32_t i = 0; i < config->joints; i++) {
+        const double row = self->weight[i] * config->joint[i].torque_sigma * config->period_s;
+        sum += row * row * (double)config->joint_row_cycles;
+    }
+    return sum / (double)config->joints;
 }
 
 /* The cursor has half of the shortest time that a segment takes. The product is twice the length of a segment in
@@ -123,8 +139,9 @@ bool zygos_joint_sums_intact(const zygos_joint_sums_t *self, const zygos_config_
                 (self->increments == increments) && (self->slice == slice_of(config, width, increments)) &&
                 (self->filling < 2u) && (self->adding <= APART) && (self->cursor <= zygos_gram_entries(width)) &&
                 (self->filled <= increments) && (self->turn < zygos_joint_signals(config)) &&
-                (self->apart_count <= config->joints) && is_count(self->apart_sums);
-    for (uint32_t g = 0; g < (uint32_t)ZYGOS_GROUP_PLACES; g++) {
+                (self->apart_count <= config->joints) && (self->target <= (uint32_t)ZYGOS_SET_ASIDE) &&
+                is_count(self->apart_sums);
+    for (uint32_t g = 0; g <= (uint32_t)ZYGOS_SET_ASIDE; g++) {
         good = good && is_count(self->group[g].count) && (self->group[g].fade >= 0.0) && (self->group[g].fade <= 1.0);
     }
     for (uint32_t s = 0; s < 2u; s++) {
@@ -160,6 +177,7 @@ void zygos_joint_sums_clear(zygos_joint_sums_t *self)
     self->dropped = 0;
     self->doubtful = 0;
     self->apart_count = 0;
+    self->target = 0;
     self->segments = 0;
     self->accepted = 0;
     self->refused = 0;
@@ -172,7 +190,7 @@ void zygos_joint_sums_clear(zygos_joint_sums_t *self)
     for (uint32_t s = 0; s < 2u; s++) {
         clear_segment(&self->segment[s], self->width);
     }
-    for (uint32_t g = 0; g < (uint32_t)ZYGOS_GROUP_PLACES; g++) {
+    for (uint32_t g = 0; g <= (uint32_t)ZYGOS_SET_ASIDE; g++) {
         clear_gram(&self->group[g].rows, self->width);
         self->group[g].count = 0.0;
         self->group[g].fade = 1.0;
@@ -180,12 +198,10 @@ void zygos_joint_sums_clear(zygos_joint_sums_t *self)
     self->checksum = checksum_of(self);
 }
 
-/* The group of the newest complete segment. 32 bits of the number suffice: groups may be filled in any order, and their
-   turn is interrupted at most once in 2^32 segments. */
-static uint32_t group_of(const zygos_joint_sums_t *self)
+/* Whether the segment that is added belongs to the estimate. */
+static bool is_admitted(const zygos_joint_sums_t *self)
 {
-    const uint32_t places = (uint32_t)ZYGOS_GROUP_PLACES;
-    return ((uint32_t)self->segments % places + places - 1u) % places;
+    return self->target != (uint32_t)ZYGOS_SET_ASIDE;
 }
 
 /* Adds the sums of one joint's rows in the complete segment to the matrix of such sums. */
@@ -194,7 +210,7 @@ static void add_apart(zygos_joint_sums_t *self, uint32_t joints)
     zygos_joint_segment_t *segment = &self->segment[1u - self->filling];
     const uint32_t j = self->apart_count;
     const double n = segment->count[j];
-    const double share = 1.0 / __builtin_sqrt((n > 0.0) ? 2.0 * n : 1.0);
+    const double share = is_admitted(self) ? 1.0 / __builtin_sqrt((n > 0.0) ? 2.0 * n : 1.0) : 0.0;
     for (uint32_t k = 0; k < self->width; k++) {
         segment->apart[j][k] *= share;
     }
@@ -218,9 +234,10 @@ static void move(const zygos_joint_sums_t *self, entries_t from, uint32_t count)
 {
     const double keep = self->keep;
     const double keep_group = self->keep_group;
+    const double share = is_admitted(self) ? 1.0 : 0.0;
     for (uint32_t k = 0; k < count; k++) {
         from.group[k] = keep_group * from.group[k] + (from.rows[k] - from.noise[k]);
-        from.total[k] = keep * from.total[k] + from.noise[k];
+        from.total[k] = keep * from.total[k] + share * from.noise[k];
         from.apart[k] = keep * from.apart[k];
         from.rows[k] = 0.0;
         from.noise[k] = 0.0;
@@ -231,7 +248,7 @@ static void move(const zygos_joint_sums_t *self, entries_t from, uint32_t count)
 static void add_entries(zygos_joint_sums_t *self, uint32_t most)
 {
     zygos_joint_segment_t *segment = &self->segment[1u - self->filling];
-    zygos_joint_gram_t *group = &self->group[group_of(self)].rows;
+    zygos_joint_gram_t *group = &self->group[self->target].rows;
     const uint32_t entries = zygos_gram_entries(self->width);
     const uint32_t left = entries - self->cursor;
     const uint32_t count = (most < left) ? most : left;
@@ -265,32 +282,49 @@ void zygos_joint_sums_step(zygos_joint_sums_t *self, const zygos_config_t *confi
     advance(self, config->joints, self->slice);
 }
 
-/* Completes the segment that is filled: it is added from here on, and the other one, which is empty, is filled. */
-static void complete(zygos_joint_sums_t *self, const zygos_config_t *config, uint64_t cycle, double forgetting)
+/* Ends the segment that is filled, which is added to the given group from here on. anew: to nothing else. */
+static void end_segment(zygos_joint_sums_t *self, const zygos_config_t *config, uint32_t target, bool anew,
+                        uint64_t cycle, double *forgetting)
 {
     const zygos_joint_segment_t *segment = &self->segment[self->filling];
     judge(self);
-    self->segments++;
+    self->target = target;
+    self->segments += is_admitted(self) ? 1u : 0u;
     self->filling = 1u - self->filling;
     self->filled = 0;
     self->adding = ENTRIES;
     self->cursor = 0;
     self->apart_count = 0;
     self->end = cycle;
-    for (uint32_t g = 0; g < (uint32_t)ZYGOS_GROUP_PLACES; g++) {
-        self->group[g].fade *= forgetting;
+    for (uint32_t g = 0; g <= (uint32_t)ZYGOS_SET_ASIDE; g++) {
+        self->group[g].fade *= *forgetting;
     }
-    zygos_joint_group_t *group = &self->group[group_of(self)];
-    self->keep = forgetting;
-    self->keep_group = group->fade;
+    zygos_joint_group_t *group = &self->group[target];
+    self->keep = *forgetting;
+    self->keep_group = anew ? 0.0 : group->fade;
     group->fade = 1.0;
     group->count *= self->keep_group;
-    self->apart_sums *= forgetting;
+    self->apart_sums *= *forgetting;
     for (uint32_t j = 0; j < config->joints; j++) {
         group->count += segment->count[j];
-        self->apart_sums += (segment->count[j] > 0.0) ? 1.0 : 0.0;
+        self->apart_sums += (is_admitted(self) && (segment->count[j] > 0.0)) ? 1.0 : 0.0;
     }
     self->checksum = checksum_of(self);
+    *forgetting = 1.0;
+}
+
+void zygos_joint_sums_admit(zygos_joint_sums_t *self, const zygos_config_t *config, uint64_t cycle, double *forgetting)
+{
+    /* 32 bits of the number suffice: groups may be filled in any order, and their turn is interrupted at most once in
+       2^32 segments. */
+    const uint32_t target = (uint32_t)self->segments % (uint32_t)ZYGOS_GROUP_PLACES;
+    end_segment(self, config, target, false, cycle, forgetting);
+}
+
+void zygos_joint_sums_set_aside(zygos_joint_sums_t *self, const zygos_config_t *config, uint64_t cycle,
+                                double *forgetting, bool anew)
+{
+    end_segment(self, config, (uint32_t)ZYGOS_SET_ASIDE, anew, cycle, forgetting);
 }
 
 /* The noise of one signal in a row, and of the rotors behind springs. */
@@ -318,8 +352,8 @@ static void add_noise(zygos_joint_sums_t *self, const zygos_config_t *config, co
     }
 }
 
-void zygos_joint_sums_add(zygos_joint_sums_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
-                          const zygos_joint_t *joint, const zygos_joint_row_t *row, uint64_t cycle, double *forgetting)
+bool zygos_joint_sums_add(zygos_joint_sums_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+                          const zygos_joint_t *joint, const zygos_joint_row_t *row)
 {
     zygos_joint_segment_t *segment = &self->segment[self->filling];
     const double weight = row->accepted * self->weight[row->joint];
@@ -340,22 +374,33 @@ void zygos_joint_sums_add(zygos_joint_sums_t *self, const zygos_config_t *config
         self->turn = (self->turn + row->last) % zygos_joint_signals(config);
     }
     self->filled += row->last * (uint32_t)(row->accepted > 0.0);
-    if (self->filled >= self->increments) {
-        complete(self, config, cycle, *forgetting);
-        *forgetting = 1.0;
-    }
+    return self->filled >= self->increments;
 }
 
-void zygos_joint_sums_flush(zygos_joint_sums_t *self, const zygos_config_t *config, uint64_t cycle, double forgetting)
+double zygos_joint_sums_open_rows(const zygos_joint_sums_t *self, const zygos_config_t *config)
+{
+    const zygos_joint_segment_t *segment = &self->segment[self->filling];
+    double rows = 0.0;
+    for (uint32_t j = 0; (j < config->joints) && (self->width > 0); j++) {
+        rows += segment->count[j];
+    }
+    return rows;
+}
+
+double zygos_joint_sums_rows(const zygos_joint_sums_t *self)
+{
+    double rows = 0.0;
+    for (uint32_t g = 0; g < (uint32_t)ZYGOS_GROUP_PLACES; g++) {
+        rows += self->group[g].fade * self->group[g].count;
+    }
+    return rows;
+}
+
+void zygos_joint_sums_flush(zygos_joint_sums_t *self, const zygos_config_t *config)
 {
     const uint32_t entries = zygos_gram_entries(self->width);
-    for (uint32_t round = 0; (round < 2u) && (self->width > 0); round++) {
-        for (uint32_t step = 0; (step <= config->joints) && (self->adding != IDLE); step++) {
-            advance(self, config->joints, entries);
-        }
-        if ((round == 0) && (self->segment[self->filling].count[0] > 0.0)) {
-            complete(self, config, cycle, forgetting);
-        }
+    for (uint32_t step = 0; (step <= config->joints) && (self->adding != IDLE); step++) {
+        advance(self, config->joints, entries);
     }
 }
 
@@ -371,7 +416,7 @@ double zygos_joint_sums_check(const zygos_joint_sums_t *self)
 {
     bool good = (self->corrupt == 0) && ((self->width == 0) || (self->checksum == checksum_of(self)));
     double adds = self->apart_sums;
-    for (uint32_t g = 0; g < (uint32_t)ZYGOS_GROUP_PLACES; g++) {
+    for (uint32_t g = 0; g <= (uint32_t)ZYGOS_SET_ASIDE; g++) {
         const zygos_joint_group_t *group = &self->group[g];
         adds += group->count;
         good = good && (zygos_gram_check(group->rows.gram, self->width, group->rows.sum, group->count) <= 1.0);

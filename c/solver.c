@@ -814,18 +814,6 @@ static double momentum_form(const zygos_work_t *work, const zygos_momentum_gram_
     return form(rows->gram, local, work->momentum_sums.columns);
 }
 
-/* Mean square of the declared noise of torques in a joint row: independent in each period. */
-static double torque_noise(const zygos_work_t *work)
-{
-    const zygos_config_t *config = &work->config;
-    double sum = 0.0;
-    for (uint32_t i = 0; i < config->joints; i++) {
-        const double row = work->joint_sums.weight[i] * config->joint[i].torque_sigma * config->period_s;
-        sum += row * row * (double)config->joint_row_cycles;
-    }
-    return sum / (double)config->joints;
-}
-
 /* The squared residuals of the energy rows for x, including noise, and the part of the declared noise in them [J^2]; or
    of the joint rows where they alone are solved. */
 static double energy_left(const zygos_work_t *work, uint32_t p, const double *x, double *explained)
@@ -834,7 +822,7 @@ static double energy_left(const zygos_work_t *work, uint32_t p, const double *x,
     if (work->joints_alone) {
         *explained = form(work->noise, x, p);
         left += *explained;
-        *explained += work->instants * torque_noise(work);
+        *explained += work->instants * zygos_joint_sums_torque_noise(&work->joint_sums, &work->config);
         return (left > 0.0) ? left : 0.0;
     }
     for (uint32_t g = 0; (g < (uint32_t)ZYGOS_GROUP_PLACES) && (work->joints_weight > 0.0); g++) {
@@ -1085,8 +1073,8 @@ static void choose(zygos_work_t *work, uint32_t p, uint32_t first, uint32_t end)
     }
 }
 
-/* Chooses the joint rows alone. */
-static void choose_joints(zygos_work_t *work, uint32_t p)
+/* Chooses joint rows alone, of the groups from first to before end; the declared noise of all is shared out to them. */
+static void choose_joints(zygos_work_t *work, uint32_t p, uint32_t first, uint32_t end)
 {
     const zygos_joint_sums_t *sums = &work->joint_sums;
     work->blocks.first = 0;
@@ -1101,11 +1089,12 @@ static void choose_joints(zygos_work_t *work, uint32_t p)
     work->joints_alone = 1;
     work->joints_used = 1;
     work->joints_weight = 1.0;
-    for (uint32_t g = 0; g < (uint32_t)ZYGOS_GROUP_PLACES; g++) {
+    for (uint32_t g = first; g < end; g++) {
         embed_joints(sums->group[g].rows.gram, group_factor(work, g), p, work->total);
         work->instants += sums->group[g].fade * sums->group[g].count;
     }
-    embed_joints(sums->noise.gram, 1.0, p, work->noise);
+    const double all = zygos_joint_sums_rows(sums);
+    embed_joints(sums->noise.gram, (all > 0.0) ? work->instants / all : 0.0, p, work->noise);
     work->spread = work->total[at(p, p)];
     work->noise_fraction = 1.0;
 }
@@ -1286,14 +1275,16 @@ static int solve_from(zygos_work_t *work, zygos_estimate_t *out, uint32_t first)
     out->consecutive = work->guard.consecutive[ZYGOS_ENERGY_ROWS];
     const bool joints = zygos_joint_sums_suffice(&work->config);
     if (joints) {
-        choose_joints(work, p);
+        choose_joints(work, p, 0, (uint32_t)ZYGOS_GROUP_PLACES);
     } else {
         choose(work, p, first, sums->open);
     }
     const double rows = joints ? work->instants : (double)out->accepted;
     if ((rows < (double)(INSTANTS_PER_PARAMETER * p)) ||
         (out->blocks < (joints ? ZYGOS_MIN_GROUPS : (uint32_t)ZYGOS_MIN_BLOCKS))) {
-        return refuse(out, p, ZYGOS_REASON_NO_DATA);
+        /* A refused instant costs a whole increment, so that no row may be left of a fast motion. */
+        const bool fast = joints && (out->refused > out->accepted);
+        return refuse(out, p, fast ? ZYGOS_REASON_TOO_FAST : ZYGOS_REASON_NO_DATA);
     }
     memset(work->weight, 0, sizeof work->weight);
     work->momentum_weight = 0.0;
@@ -1501,6 +1492,73 @@ static bool explains(const zygos_work_t *work, uint32_t p, const reference_t *re
     return left <= most + ZYGOS_GUARD_SHARE * ZYGOS_GUARD_SHARE * work->spread;
 }
 
+/* Solves what was chosen, which is before the change, and writes the estimate from it. scaled: its inverse information.
+   Returns false where it does not determine all parameters. */
+static bool solve_before(zygos_work_t *work, uint32_t p, zygos_estimate_t *out, double *scaled)
+{
+    uint32_t rank = 0;
+    memset(work->weight, 0, sizeof work->weight);
+    work->momentum_weight = 0.0;
+    if (!solve_chosen(work, p, out, &rank) || (rank < p)) {
+        return false;
+    }
+    inverse_diagonal(work, p, rank, work->inverse);
+    jackknife(work, p, rank, out->covariance);
+    memcpy(out->value, work->solution, p * sizeof out->value[0]);
+    memcpy(out->solution, work->solution, p * sizeof out->solution[0]);
+    for (uint32_t i = 0; i < p; i++) {
+        out->sigma[i] = root(out->covariance[at(i, i)]);
+        out->half95[i] = student(work->degrees_of_freedom[i]) * out->sigma[i];
+        out->identifiable[i] = 1;
+        scaled[i] = work->inverse[i] * work->scale[i] * work->scale[i];
+    }
+    out->rank = rank;
+    const bool closed = closes(work, p, out);
+    out->validity = closed ? ZYGOS_VALID : ZYGOS_DOUBTFUL;
+    out->reason = closed ? ZYGOS_REASON_NONE : ZYGOS_REASON_UNCLOSED;
+    return true;
+}
+
+/* Compares what was chosen and solved with the estimate from before. */
+static void compare(zygos_work_t *work, uint32_t p, const zygos_estimate_t *out, const double *scaled,
+                    double *deviation)
+{
+    inverse_diagonal(work, p, p, work->inverse);
+    for (uint32_t i = 0; i < p; i++) {
+        /* Noise is alike before and after; what differs is how well the motion tells of a parameter. */
+        const double less = work->inverse[i] * work->scale[i] * work->scale[i] / scaled[i];
+        const double spread = out->half95[i] / TWO_SIGMAS * root(1.0 + less);
+        deviation[i] = (work->solution[i] - out->value[i]) / spread;
+    }
+}
+
+/* Compares the segments of joint rows that were set aside with the groups of the estimate. */
+static int detect_in_joints(zygos_work_t *work, uint32_t p, zygos_estimate_t *out, double *deviation)
+{
+    const uint32_t groups = groups_of(&work->joint_sums);
+    const uint32_t aside = (uint32_t)ZYGOS_SET_ASIDE;
+    double scaled[ZYGOS_MAX_PARAMETERS];
+    out->blocks = groups;
+    if ((groups < ZYGOS_MIN_GROUPS) || (work->guard.known == 0) || (work->guard.changed == 0)) {
+        return refuse(out, p, ZYGOS_REASON_NO_DATA);
+    }
+    out->cycle = work->guard.agreed;
+    choose_joints(work, p, 0, (uint32_t)ZYGOS_GROUP_PLACES);
+    if (!solve_before(work, p, out, scaled)) {
+        return refuse(out, p, ZYGOS_REASON_NOT_IDENTIFIABLE);
+    }
+    const reference_t reference = reference_of(work, p);
+    const double signal_to_noise = out->signal_to_noise;
+    uint32_t rank = 0;
+    choose_joints(work, p, aside, aside + 1u);
+    const bool solved = solve_chosen(work, p, out, &rank) && (rank == p) && explains(work, p, &reference);
+    out->signal_to_noise = signal_to_noise;
+    if (solved) {
+        compare(work, p, out, scaled, deviation);
+    }
+    return solved ? 1 : 0;
+}
+
 int zygos_detect_change(zygos_work_t *work, zygos_estimate_t *out, double *deviation)
 {
     if ((work == NULL) || (out == NULL) || (deviation == NULL)) {
@@ -1513,43 +1571,28 @@ int zygos_detect_change(zygos_work_t *work, zygos_estimate_t *out, double *devia
     }
     /* The newest arc is compared even if it contradicts, unless it is too short to be compared by itself. */
     const bool guarded = (work->guard.known != 0);
-    work->guard.known = (guarded && ((double)sums->arc_instants < sums->enough)) ? 1u : 0u;
+    const bool joints = (work->config.joints <= ZYGOS_MAX_JOINTS) && zygos_joint_sums_suffice(&work->config);
+    work->guard.known = (guarded && (joints || ((double)sums->arc_instants < sums->enough))) ? 1u : 0u;
     if (!zygos_work_intact(work)) {
         return refuse(out, ZYGOS_MAX_PARAMETERS, ZYGOS_REASON_CORRUPT);
     }
     const uint32_t p = work->column_map.parameters;
     out->parameters = p;
-    out->blocks = sums->newest;
-    if (zygos_joint_sums_suffice(&work->config)) {
-        return refuse(out, p, ZYGOS_REASON_NO_DATA);
+    if (joints) {
+        return detect_in_joints(work, p, out, deviation);
     }
+    out->blocks = sums->newest;
     if ((sums->newest < ZYGOS_CHANGE_MIN_BLOCKS) || (sums->newest == sums->open)) {
         return refuse(out, p, ZYGOS_REASON_NO_DATA);
     }
     out->cycle = sums->block[sums->newest - 1u].end;
     uint32_t rank = 0;
+    double scaled[ZYGOS_MAX_PARAMETERS];
     choose(work, p, 0, sums->newest);
-    memset(work->weight, 0, sizeof work->weight);
-    work->momentum_weight = 0.0;
-    if (!solve_chosen(work, p, out, &rank) || (rank < p)) {
+    if (!solve_before(work, p, out, scaled)) {
         return refuse(out, p, ZYGOS_REASON_NOT_IDENTIFIABLE);
     }
-    inverse_diagonal(work, p, rank, work->inverse);
-    jackknife(work, p, rank, out->covariance);
-    memcpy(out->value, work->solution, p * sizeof out->value[0]);
-    memcpy(out->solution, work->solution, p * sizeof out->solution[0]);
     const reference_t reference = reference_of(work, p);
-    double scaled[ZYGOS_MAX_PARAMETERS];
-    for (uint32_t i = 0; i < p; i++) {
-        out->sigma[i] = root(out->covariance[at(i, i)]);
-        out->half95[i] = student(work->degrees_of_freedom[i]) * out->sigma[i];
-        out->identifiable[i] = 1;
-        scaled[i] = work->inverse[i] * work->scale[i] * work->scale[i];
-    }
-    out->rank = rank;
-    const bool before = closes(work, p, out);
-    out->validity = before ? ZYGOS_VALID : ZYGOS_DOUBTFUL;
-    out->reason = before ? ZYGOS_REASON_NONE : ZYGOS_REASON_UNCLOSED;
     choose(work, p, sums->newest, sums->open);
     const double known[4] = { out->signal_to_noise, out->cluster, out->residual, out->noise_ratio };
     const bool solved = solve_chosen(work, p, out, &rank) && (rank == p) && (!guarded || explains(work, p, &reference));
@@ -1565,12 +1608,6 @@ int zygos_detect_change(zygos_work_t *work, zygos_estimate_t *out, double *devia
     if (!solved || (guarded && !explains(work, p, &reference))) {
         return 0;
     }
-    inverse_diagonal(work, p, rank, work->inverse);
-    for (uint32_t i = 0; i < p; i++) {
-        /* Noise is alike before and after; what differs is how well the motion tells of a parameter. */
-        const double less = work->inverse[i] * work->scale[i] * work->scale[i] / scaled[i];
-        const double spread = out->half95[i] / TWO_SIGMAS * root(1.0 + less);
-        deviation[i] = (work->solution[i] - out->value[i]) / spread;
-    }
+    compare(work, p, out, scaled, deviation);
     return 1;
 }

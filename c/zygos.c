@@ -324,9 +324,11 @@ static void add_joints(zygos_t *self)
     zygos_joint_sums_step(&self->joint_sums, config, self->arm_state.accepted);
     if (zygos_joint_row(&self->joint, config, &self->column_map, &self->geometry, &self->arm_state, &self->motion,
                         zygos_balance_torque_before(&self->balance), zygos_balance_torque_after(&self->balance, config),
-                        &self->joint_row) == 1) {
-        zygos_joint_sums_add(&self->joint_sums, config, &self->column_map, &self->joint, &self->joint_row, self->cycle,
-                             &self->joints_forgetting);
+                        &self->joint_row) == 0) {
+        return;
+    }
+    if (zygos_joint_sums_add(&self->joint_sums, config, &self->column_map, &self->joint, &self->joint_row)) {
+        zygos_guard_end_joints(&self->guard, config, &self->joint_sums, self->cycle, &self->joints_forgetting);
     }
 }
 
@@ -525,9 +527,6 @@ int zygos_adopt(zygos_t *self, const zygos_estimate_t *estimate)
     if (self->magic != MAGIC) {
         return ZYGOS_E_ORDER;
     }
-    if (zygos_joint_sums_suffice(&self->config)) {
-        return 0;
-    }
     zygos_guard_t *guard = &self->guard;
     const uint32_t p = self->column_map.parameters;
     const bool after_change = (estimate->validity == (uint32_t)ZYGOS_DOUBTFUL) &&
@@ -557,7 +556,7 @@ int zygos_adopt(zygos_t *self, const zygos_estimate_t *estimate)
         }
     }
     zygos_guard_begin(guard, &self->config, &self->column_map, &self->accumulator, &self->motor_sums,
-                      &self->momentum_sums);
+                      &self->momentum_sums, &self->joint_sums);
     return 1;
 }
 

@@ -14,10 +14,14 @@
 ///                           that a new kind of motion does not contradict what was not determined before
 ///     + numerical errors    of rounding and of the quadrature: ZYGOS_GUARD_SHARE^2 of the spread of the right side
 ///
+/// Where joint rows alone determine the estimate (zygos_joint_sums_suffice()), their segments are compared instead, and
+/// energy rows are not: "arc" then means a segment of joint rows (jointsums.h), whose degrees of freedom are half the
+/// rows of one joint, because increments share halves.
+///
 /// The blocks of energy rows are compared in the same way by the sums of their residuals, in which noise cancels and
 /// systematic errors do not. The energy, motor and momentum rows have arcs of their own, and each kind is compared by
 /// itself. An arc that contradicts is not added to the sums; it is counted, and its place is recorded. Without a
-/// running solution no arc is excluded.
+/// running solution no arc is excluded. Joint rows beside energy rows are not compared.
 ///
 /// When ZYGOS_CONSECUTIVE_ARCS consecutive arcs contradict, the arm has changed. These arcs are excluded, too, and the
 /// estimate, which is still that of the arm before the change, is doubtful (ZYGOS_REASON_CHANGED) until an arc agrees
@@ -28,6 +32,7 @@
 #define ZYGOS_GUARD_H
 
 #include "accumulator.h"
+#include "jointsums.h"
 #include "momentumsums.h"
 #include "motorsums.h"
 #include "types.h"
@@ -36,7 +41,8 @@
 extern "C" {
 #endif
 
-/// Number of consecutive energy arcs; for the other rows, the number of arcs in as many of the longest energy arcs.
+/// Number of consecutive energy arcs, or segments of joint rows alone; for the other rows, the number of arcs in as
+/// many of the longest energy arcs.
 #define ZYGOS_CONSECUTIVE_ARCS 3u
 /// The noise differs between arcs by more than chance, because undeclared noise depends on the motion.
 #define ZYGOS_GUARD_MARGIN 1.25
@@ -47,7 +53,8 @@ extern "C" {
 /// Number of excluded arcs whose places are recorded.
 #define ZYGOS_GUARD_ARCS 16u
 
-/// The kinds of rows, each with arcs of its own.
+/// The kinds of rows, each with arcs of its own. Where joint rows alone determine the estimate, they have the place of
+/// the energy rows.
 enum zygos_rows { ZYGOS_ENERGY_ROWS = 0, ZYGOS_MOTOR_ROWS = 1, ZYGOS_MOMENTUM_ROWS = 2, ZYGOS_KINDS_OF_ROWS = 3 };
 
 /// An arc that was excluded.
@@ -78,6 +85,7 @@ typedef struct {
                                                    ///< longest arc on, consecutive begins at 0 again.
     double contradiction[ZYGOS_KINDS_OF_ROWS];     ///< Residuals of the newest arc over their limit; excluded above 1.
     uint64_t since;                                ///< Estimates up to this cycle belong to another arm.
+    uint64_t agreed;                               ///< The newest cycle before the consecutive segments of joint rows.
     uint64_t dropped;                          ///< Sums up to this cycle were dropped, because they contained bad arcs.
     zygos_left_out_t newest[ZYGOS_GUARD_ARCS]; ///< Excluded arc number k is at k % ZYGOS_GUARD_ARCS.
     uint64_t checksum;                         ///< Of the members after it, which only zygos_adopt() writes.
@@ -107,7 +115,7 @@ void zygos_guard_drop(zygos_guard_t *self, zygos_accumulator_t *energy, zygos_mo
 /// of the motor and momentum rows, and one over the solution.
 void zygos_guard_begin(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
                        const zygos_accumulator_t *energy, const zygos_motor_sums_t *motors,
-                       const zygos_momentum_sums_t *momentum);
+                       const zygos_momentum_sums_t *momentum, const zygos_joint_sums_t *joints);
 
 /// Returns the 6-sigma quantile of chi-square over its degrees of freedom, by the approximation of Wilson and Hilferty,
 /// times ZYGOS_GUARD_MARGIN: the limit of a mean square of so many independent rows in units of its expectation.
@@ -122,6 +130,12 @@ void zygos_guard_end_motors(zygos_guard_t *self, const zygos_config_t *config, c
                             zygos_motor_sums_t *sums, uint64_t cycle);
 void zygos_guard_end_momentum(zygos_guard_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
                               zygos_momentum_sums_t *sums, uint64_t cycle);
+
+/// The same of the segment of joint rows that is filled, if it has rows. Segments that contradict are set aside
+/// (zygos_joint_sums_set_aside()). *forgetting is set to 1. Cost: where joint rows alone determine the estimate, two
+/// passes over the sums of the segment and one over the running solution; otherwise those of the checksum of the sums.
+void zygos_guard_end_joints(zygos_guard_t *self, const zygos_config_t *config, zygos_joint_sums_t *sums, uint64_t cycle,
+                            double *forgetting);
 
 #ifdef __cplusplus
 }

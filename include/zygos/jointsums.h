@@ -18,6 +18,10 @@
 ///
 /// Forgetting multiplies a group when the next segment is added to it, and the solver does the rest. A void cycle
 /// (cycle.h) drops the segments that are not being added yet; those that are, stay and are counted.
+///
+/// Where joint rows alone determine the estimate, a complete segment is compared with the running solution (guard.h).
+/// Segments that contradict it are added to a group of their own, from which no estimate is made:
+/// zygos_detect_change() compares it with the others.
 
 #ifndef ZYGOS_JOINTSUMS_H
 #define ZYGOS_JOINTSUMS_H
@@ -44,6 +48,9 @@ extern "C" {
 #define ZYGOS_GROUP_PLACES 1
 #endif
 #define ZYGOS_MAX_PACKED_JOINT (ZYGOS_MAX_JOINT_ROW * (ZYGOS_MAX_JOINT_ROW + 1) / 2)
+
+/// The group of the segments that contradict, behind those of the estimate.
+#define ZYGOS_SET_ASIDE ZYGOS_GROUP_PLACES
 
 /// Sum of z z^T with z = [columns, impulse], lower triangle by rows, and its row sums.
 typedef struct {
@@ -80,26 +87,35 @@ typedef struct {
     uint32_t dropped;     ///< Number of segments that were dropped because of void cycles.
     uint32_t doubtful;    ///< Number of segments that contain void cycles and could not be dropped.
     uint32_t apart_count; ///< Number of its joints whose sums were added.
-    uint64_t segments;    ///< Number of segments that were complete.
-    uint64_t accepted;    ///< Number of accepted instants.
-    uint64_t refused;     ///< Number of instants that the bandwidth test refused.
-    uint64_t end;         ///< Number of the newest cycle in a complete segment.
-    uint64_t checksum;    ///< Of the counts and factors.
-    double keep;          ///< Factor by which noise and apart are multiplied when the segment is added.
-    double keep_group;    ///< And its group.
-    double apart_sums;    ///< Number of sums in apart, weighted as they are.
-    double weight[ZYGOS_MAX_JOINTS];         ///< Factor of each joint's rows [1/Nm, or 1].
+    uint32_t target;      ///< The group to which it is added.
+    uint32_t reserved;
+    uint64_t segments;               ///< Number of segments that were complete, without those that were set aside.
+    uint64_t accepted;               ///< Number of accepted instants.
+    uint64_t refused;                ///< Number of instants that the bandwidth test refused.
+    uint64_t end;                    ///< Number of the newest cycle in a complete segment.
+    uint64_t checksum;               ///< Of the counts and factors.
+    double keep;                     ///< Factor by which noise and apart are multiplied when the segment is added.
+    double keep_group;               ///< And its group.
+    double apart_sums;               ///< Number of sums in apart, weighted as they are.
+    double weight[ZYGOS_MAX_JOINTS]; ///< Factor of each joint's rows [1/Nm, or 1].
     double deviation[ZYGOS_MAX_JOINTS + 3];  ///< Of each signal, times the root of 2 and of their number [rad/s].
     double rotor_variance[ZYGOS_MAX_JOINTS]; ///< Of the rate of each rotor with a spring, times 2 [rad^2/s^2].
     zygos_joint_gram_t noise;                ///< Noise that was subtracted.
     zygos_joint_gram_t apart;                ///< Sum of s s^T / (2 rows).
     zygos_joint_segment_t segment[2];
-    zygos_joint_group_t group[ZYGOS_GROUP_PLACES];
+    zygos_joint_group_t group[ZYGOS_GROUP_PLACES + 1]; ///< The last one is that of ZYGOS_SET_ASIDE.
 } zygos_joint_sums_t;
 
 /// Returns whether the joint rows alone determine the estimate: the base is fixed and no joint has a spring. The noise
 /// of torques adds up in the work of the motors, so that energy rows would contradict good estimates there.
 bool zygos_joint_sums_suffice(const zygos_config_t *config);
+
+/// Returns the number of instants in a segment whose increments were all accepted.
+uint32_t zygos_joint_sums_longest(const zygos_config_t *config);
+
+/// Returns the mean square that the declared noise of the torques has in a row, which is independent in each period.
+/// Needs the tables.
+double zygos_joint_sums_torque_noise(const zygos_joint_sums_t *self, const zygos_config_t *config);
 
 /// Computes what follows from the configuration: width, segments, weights and noise. The sums are not changed. Needs a
 /// checked configuration.
@@ -119,15 +135,26 @@ void zygos_joint_sums_clear(zygos_joint_sums_t *self);
 /// segment takes.
 void zygos_joint_sums_step(zygos_joint_sums_t *self, const zygos_config_t *config, double accepted);
 
-/// Adds a row and the noise of the signal whose turn it is. cycle: number of the newest cycle. *forgetting: product of
-/// the forgetting factors since the last segment; it is set to 1 when a segment is complete. Cost: the reduction of two
-/// rows and one update of p + 1 columns for each.
-void zygos_joint_sums_add(zygos_joint_sums_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
-                          const zygos_joint_t *joint, const zygos_joint_row_t *row, uint64_t cycle, double *forgetting);
+/// Adds a row and the noise of the signal whose turn it is. Returns whether the segment that is filled is complete;
+/// then zygos_guard_end_joints() must follow. Cost: the reduction of two rows and one update of p + 1 columns for each.
+bool zygos_joint_sums_add(zygos_joint_sums_t *self, const zygos_config_t *config, const zygos_column_map_t *column_map,
+                          const zygos_joint_t *joint, const zygos_joint_row_t *row);
 
-/// Adds both segments to their groups at once. The segment that is filled counts as complete. Cost: two passes over the
-/// sums of a segment.
-void zygos_joint_sums_flush(zygos_joint_sums_t *self, const zygos_config_t *config, uint64_t cycle, double forgetting);
+/// Returns the number of rows in the segment that is filled, or in the groups of the estimate.
+double zygos_joint_sums_open_rows(const zygos_joint_sums_t *self, const zygos_config_t *config);
+double zygos_joint_sums_rows(const zygos_joint_sums_t *self);
+
+/// Ends the segment that is filled: from here on it is added to the group whose turn it is, and the other one, which
+/// must be empty, is filled. cycle: number of the newest cycle. *forgetting: product of the forgetting factors since
+/// the last segment; it is set to 1. Cost: the checksum.
+void zygos_joint_sums_admit(zygos_joint_sums_t *self, const zygos_config_t *config, uint64_t cycle, double *forgetting);
+
+/// The same of a segment that contradicts: it is added to the group of those. anew: it replaces what is there.
+void zygos_joint_sums_set_aside(zygos_joint_sums_t *self, const zygos_config_t *config, uint64_t cycle,
+                                double *forgetting, bool anew);
+
+/// Adds the segment that has ended to its group at once. Cost: one pass over the sums of a segment.
+void zygos_joint_sums_flush(zygos_joint_sums_t *self, const zygos_config_t *config);
 
 /// Drops the segment that is filled, because it contains cycles after the given one. Cost: one pass over it.
 void zygos_joint_sums_drop_after(zygos_joint_sums_t *self, uint64_t cycle);

@@ -211,8 +211,11 @@ bool zygos_work_intact(zygos_work_t *work);
 /// soon as the next arc is compared. The open arc is compared even if it contradicts the running solution (guard.h). If
 /// there is a running solution, a newest arc that its own solution does not explain is not a change.
 ///
-/// Joint rows take no part: the groups belong to the whole run. Where they alone determine the estimate, there is no
-/// comparison (ZYGOS_REASON_NO_DATA).
+/// Joint rows beside energy rows take no part: the groups belong to the whole run. Where joint rows alone determine the
+/// estimate, the guard sees that the arm has changed (guard.h), and this function tells in what: it compares the
+/// consecutive segments that contradict the running solution, but for the first, with those of the estimate. As long as
+/// the guard sees no change there is no comparison (ZYGOS_REASON_NO_DATA), and the deviations are NaN until the
+/// segments determine all parameters.
 ///
 /// The function changes *work, as zygos_solve() does: call zygos_take() before each of them. Returns 1; 0 when all
 /// deviations are NaN, because something is not identifiable or not explained, either before (validity is then

@@ -94,7 +94,7 @@ typedef struct {
 /// Digest of the text of all structs in these headers, without comments and without those of the refiner, which no
 /// snapshot holds. It changes when a field is moved, renamed or given another type. A test of
 /// tests/unit/test_snapshot.py computes its value.
-#define ZYGOS_LAYOUT 0x72A1F83Au
+#define ZYGOS_LAYOUT 0x1809E4F6u
 
 #define ZYGOS_MIX(hash, value) (((uint32_t)(hash) ^ (uint32_t)(value)) * 16777619u)
 
@@ -156,10 +156,11 @@ void zygos_take(const zygos_t *self, zygos_work_t *work);
 /// an arc that contradicts it is excluded from the sums and counted. Sums that the estimate excluded (its member since)
 /// are dropped. Call it once or twice in an arc, with the result of zygos_solve() on the newest zygos_take(). Without
 /// this call no arc is excluded. Call it in the task of zygos_step(). Returns 1 when the estimate was adopted; 0, with
-/// sums and running solution unchanged, when the estimate is not valid or is older than zygos_restart(), or where joint
-/// rows alone determine it (jointsums.h); or an enum zygos_error. After the running solution was given up, an estimate
-/// that is doubtful only because of ZYGOS_REASON_CHANGED is adopted as well. Cost: one pass over the sums of the motor
-/// and momentum rows and two over the covariance; where sums are dropped, the others are moved once.
+/// sums and running solution unchanged, when the estimate is not valid or is older than zygos_restart(); or an enum
+/// zygos_error. After the running solution was given up, an estimate that is doubtful only because of
+/// ZYGOS_REASON_CHANGED is adopted as well. Where joint rows alone determine the estimate (jointsums.h), their segments
+/// are what is called arcs here. Cost: one pass over the sums of the motor and momentum rows and two over the
+/// covariance; where sums are dropped, the others are moved once.
 int zygos_adopt(zygos_t *self, const zygos_estimate_t *estimate);
 
 /// Checks whether memory was changed from outside. Call it before a state is sealed, and after zygos_snapshot_check()

@@ -89,7 +89,7 @@ def test_each_recording_becomes_a_run(name: str, tmp_path: Path) -> None:
     assert convert(name, tmp_path / "run.npz", "--json", tmp_path / "c.json") == 0
     content = json.loads((tmp_path / "c.json").read_text())
     assert content["breaks"] == 0
-    assert ["above the cut-off of 5 Hz" in line for line in content["warnings"]] == [True]
+    assert ["its cut-off of 5 Hz takes more" in line for line in content["warnings"]] == [True]
     arm = load_arm(tmp_path / "arm.toml")
     assert arm.smoother.cutoff_hz == 5.0
     quantum = 25 / 65535

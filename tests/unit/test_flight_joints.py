@@ -225,13 +225,26 @@ def test_memory_that_changes_is_noticed() -> None:
         lib.zygos_take(flight.native, flight._work)
         assert not lib.zygos_work_intact(flight._work)
         gram[k] = kept
-    for owner, name in ((sums.group[2], "count"), (sums, "segments"), (sums, "keep"), (sums, "apart_sums")):
+    for owner, name in (
+        (sums.group[2], "count"),
+        (sums.group[8], "fade"),
+        (sums, "segments"),
+        (sums, "keep"),
+        (sums, "apart_sums"),
+    ):
         kept = getattr(owner, name)
         setattr(owner, name, type(kept)(3))
         lib.zygos_take(flight.native, flight._work)
         assert not lib.zygos_work_intact(flight._work)
         setattr(owner, name, kept)
-    for name, wrong in (("filling", 2), ("adding", 3), ("cursor", 10**6), ("filled", 10**6), ("turn", 99)):
+    for name, wrong in (
+        ("filling", 2),
+        ("adding", 3),
+        ("cursor", 10**6),
+        ("filled", 10**6),
+        ("turn", 99),
+        ("target", 9),
+    ):
         kept = getattr(sums, name)
         setattr(sums, name, wrong)
         assert lib.zygos_resume(flight.native, ffi.addressof(flight.native, "config")) == lib.ZYGOS_E_STATE
@@ -310,7 +323,7 @@ def test_energy_rows_can_be_left_out_where_joint_rows_suffice() -> None:
         lib.zygos_take(state, work)
         assert lib.zygos_solve(work, out) == 1
         answers.append(list(out.value)[: out.parameters] + list(out.sigma)[: out.parameters])
-        assert lib.zygos_adopt(state, out) == 0
+        assert lib.zygos_adopt(state, out) == 1
         lib.zygos_take(state, work)
         deviation = ffi.new("double[]", lib.ZYGOS_MAX_PARAMETERS_VALUE)
         assert lib.zygos_detect_change(work, out, deviation) == 0

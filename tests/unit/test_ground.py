@@ -18,7 +18,7 @@ from zygos.ground.estimate import GroundEstimate, estimate_ground
 from zygos.ground.payload import check_found, payload
 from zygos.ground.rows import friction
 from zygos.ground.score import score
-from zygos.model.model import Model, load_model
+from zygos.model.model import Model, load_model, save_model
 from zygos.simulation.run import simulate
 from zygos.simulation.scenario import load_scenario
 
@@ -134,6 +134,18 @@ def test_currents_give_ratios_only_and_say_so() -> None:
     assert "relative" in " ".join(found.notes)
     gain = found.solution.value[found.names.index("torque_gain2")]
     assert gain == pytest.approx(0.2, rel=0.1)
+
+
+def test_friction_that_comes_out_negative_by_noise_can_be_read_back(tmp_path: Path) -> None:
+    """Of an arm without friction: its model is a file that every command reads."""
+    arm, model = short_arm()
+    bare = replace(model, effects=())
+    found = estimate_ground([recorded(arm, bare, path=0, seed=0)])
+    friction = [value for name, value in zip(found.names, found.solution.value, strict=True) if "coulomb" in name]
+    assert min(friction) < 0.0
+    assert found.validity != "doubtful"
+    save_model(found.to_model(), tmp_path / "model.toml")
+    assert all(effect.value >= 0.0 for effect in load_model(tmp_path / "model.toml").effects)
 
 
 def test_a_payload_is_weighed() -> None:

@@ -131,7 +131,8 @@ class Watch:
             ffi.memmove(self._open.native, self.flight.native, ffi.sizeof("zygos_t"))
             self._open.native.guard.known = 0
             self.plainest = self._settled  # the deviation in arcs that were left out was not a change
-        drift = self._open.drift()
+        # segments of joint rows that contradict are kept, and need no second flight that admits them
+        drift = (self.flight if self.flight.joints_alone else self._open).drift()
         best = (bool(self.plainest.changed), self.plainest.largest) if self.plainest else (False, 0.0)
         # motor rows from the time of an arc that was left out are no evidence about an arc that agrees
         spoilt = not estimate.consecutive and any(arc.last + self._reach > drift.until for arc in self.left_out)

@@ -56,7 +56,10 @@ def about_left_out(result: Estimate, watch: Watch) -> str:
         spans = [f"{arc.first * period:.0f}..{arc.last * period:.0f} s" for arc in watch.left_out if arc.rows == rows]
         opened = ["the newest, still open"] if count > watch.flight.native.guard.left_out[ROWS.index(rows)] else []
         shown = [*spans[:LEFT_OUT_SHOWN], *(["…"] if len(spans) > LEFT_OUT_SHOWN else []), *opened]
-        found += [f"{counted(count, 'arc')} of the {rows} rows ({', '.join(shown)})"] if count else []
+        said = f"{counted(count, 'arc')} of the {rows} rows"
+        if watch.flight.joints_alone:
+            said = f"{counted(count, 'segment')} of the joint rows"
+        found += [f"{said} ({', '.join(shown)})"] if count else []
     return f"arcs left out because they contradict the others: {'; '.join(found)}"
 
 

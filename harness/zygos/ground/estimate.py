@@ -245,8 +245,8 @@ class GroundEstimate:
         return tuple(said)
 
     def to_model(self) -> Model:
-        """The model with what was learned; what the runs do not determine comes from the model that was given. Errors:
-        Undecided where the estimate is refused."""
+        """The model with what was learned; what the runs do not determine comes from the model that was given. What
+        cannot be negative is 0 where its estimate is, by its noise. Errors: Undecided where the estimate is refused."""
         if self.validity == "refused":
             raise Undecided(f"refused: {self.reason}; remedy: {self.remedy}")
         found = {
@@ -260,7 +260,8 @@ class GroundEstimate:
         for effect in self.effects:
             one = found.get(effect.column(self.arm))
             if one is not None:
-                effects.append(replace(effect, value=one.value, sigma=one.sigma, source="zygos"))
+                value = max(one.value, 0.0) if effect.kind.positive else one.value
+                effects.append(replace(effect, value=value, sigma=one.sigma, source="zygos"))
         return Model(name=self.arm.name, parameters=quantities, effects=tuple(effects))
 
     def as_dict(self, heading: Mapping[str, Any] | None = None) -> dict[str, Any]:

@@ -159,7 +159,7 @@ class Estimate:
     """Smallest ratio of sums to noise over all combinations of parameters; infinite where none is declared."""
     left_out: tuple[int, int, int] = (0, 0, 0)
     """Arcs that contradicted the running solution, of the energy, the motor and the momentum rows, the open ones
-    included."""
+    included. Where joint rows alone determine the estimate, the first number is that of their segments."""
     since: int = 0
     """0, or older arcs spoilt the sums and only what came behind this cycle went in."""
     consecutive: int = 0
@@ -240,6 +240,12 @@ def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
         raise ZygosError(
             f"arm {arm.name!r} has {arm.n} joints, this build holds {lib.ZYGOS_MAX_JOINTS_VALUE}; "
             "remedy: rebuild with -DZYGOS_MAX_JOINTS"
+        )
+    half, most = arm.smoother.points // 2, lib.ZYGOS_MAX_HALF_WIDTH_VALUE
+    if half > most:
+        raise ZygosError(
+            f"arm {arm.name!r} has a smoother of {arm.smoother.points} points, this build holds {2 * most + 1}; "
+            f"remedy: rebuild with -DZYGOS_MAX_HALF_WIDTH={half}, or a longer period or a higher cut-off"
         )
     laws = {"applied_from_sync": 0, "applied_previous_cycle": 1, "sampled": 2}
     kinetics = {"planar-symmetric": 0, "planar": 1, "spatial": 2}
@@ -458,6 +464,11 @@ class Flight:
             consecutive=int(out.consecutive),
         )
 
+    @property
+    def joints_alone(self) -> bool:
+        """Whether joint rows alone determine the estimate; their segments then have the place of energy arcs."""
+        return bool(lib.zygos_joint_sums_suffice(ffi.addressof(self.native, "config")))
+
     def adopt(self) -> bool:
         """Take what `estimate` answered last as the running solution, if it is valid.
 
@@ -535,7 +546,7 @@ class Flight:
             momentum=[_symmetric(block.rows.gram, momenta.columns) for block in momenta.block[0 : momenta.count]],
             joints=[
                 (group.fade * _symmetric(group.rows.gram, width), group.fade * group.count)
-                for group in self._work.joint_sums.group
+                for group in list(self._work.joint_sums.group)[:-1]  # the last one is not of the estimate
                 if self._work.joint_sums.width > 0
             ],
         )

@@ -97,7 +97,8 @@ def torque_noise(arm: Arm) -> float:
 
 
 def groups(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Effect] = ()) -> Groups | None:
-    """The joint rows of a whole record; None if the arm switches them off. Errors: as `estimated`."""
+    """The joint rows of a whole record without the segments that the library left out; None if the arm switches them
+    off. Errors: as `estimated`."""
     if arm.joint_row_s == 0.0:
         return None
     rows = joint_rows(arm, samples, smoothed, arm.joint_row_s, effects)
@@ -108,7 +109,8 @@ def groups(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Eff
     # an increment counts for a segment with the row of its last joint
     counts: Places = 1 * (rows.accepted & complete)
     segment: Places = (np.cumsum(counts) - counts) // length
-    used = formed & rows.accepted[:, None]
+    segment, kept = _kept(arm, samples, smoothed, rows, segment)
+    used = formed & (rows.accepted & kept)[:, None]
     factor = weights(arm)
     increment, joint = np.nonzero(used)
     z, w = rows.z[increment, joint] * factor[joint, None], rows.w[increment, joint] * factor[joint]
@@ -132,6 +134,26 @@ def groups(arm: Arm, samples: Samples, smoothed: Smoothed, effects: Sequence[Eff
     noise[:-1, :-1] = shares.sum(axis=0)
     noise[-1, -1] = torque_noise(arm) * len(z)
     return Groups(Rows(z, w, noise), number % GROUPS, number, joint, shares)
+
+
+def _kept(
+    arm: Arm, samples: Samples, smoothed: Smoothed, rows: JointRows, segment: Places
+) -> tuple[Places, NDArray[np.bool_]]:
+    """(m,) number of each increment's segment among those that the library kept, and (m,) whether it kept it.
+
+    A segment ends with the row of the last joint of its last accepted increment, or with the record.
+    """
+    told = samples.left_out.get("energy", frozenset()) if suffice(arm) else frozenset()
+    kept = np.ones(len(segment), dtype=np.bool_)
+    number = segment.copy()
+    for one in np.unique(segment[rows.accepted]) if told else []:
+        last = int(np.flatnonzero((segment == one) & rows.accepted)[-1])
+        formed = min(int(rows.end[last]) + arm.n, len(smoothed.index) - 1)
+        end = int(samples.sync[smoothed.index[formed] + arm.smoother.lag])
+        if end in told or (one == segment[-1] and int(samples.sync[-1]) in told):
+            kept &= segment != one
+            number -= segment > one
+    return number, kept
 
 
 def _formed(arm: Arm, smoothed: Smoothed, rows: JointRows) -> NDArray[np.bool_]:

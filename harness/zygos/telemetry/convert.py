@@ -231,8 +231,8 @@ def warnings_of(
     cutoff = arm.smoother.cutoff_hz
     if cutoff is not None and refused is not None and refused > REFUSED_MAX:
         warnings.append(
-            f"{refused:.0%} of the instants have motion above the cut-off of {cutoff:g} Hz (bandwidth test); what they "
-            "add depends on the cut-off"
+            f"at {refused:.0%} of the instants, the smoother with its cut-off of {cutoff:g} Hz takes more from the "
+            "motion than the noise of the encoders hides (bandwidth test); what they add depends on the cut-off"
         )
     if recording.damaged:
         warnings.append(f"{counted(recording.damaged, 'frame')} could not be decoded by the DBC")

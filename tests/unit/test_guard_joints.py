@@ -1,0 +1,224 @@
+"""Segments of joint rows that contradict the running solution, where joint rows alone determine the estimate."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from flight_support import part
+from ground_support import heavier, motion, short_arm, torques
+from numpy.typing import NDArray
+
+from zygos.arm import Arm
+from zygos.estimation.watch import Watch
+from zygos.estimation.words import about_left_out
+from zygos.model.model import Model
+from zygos.native.flight import Estimate, Flight, config_of, encode, ffi, lib
+from zygos.reference.compare import check_frames
+from zygos.runs.cycles import Cycles
+
+Array = NDArray[np.float64]
+SEGMENT_S = 2.0
+CONSECUTIVE = 3
+"""ZYGOS_CONSECUTIVE_ARCS"""
+
+
+def torque_of(arm: Arm, model: Model, path: int, seconds: float) -> tuple[Array, Array]:
+    """(m, N) angles and torques of a motion with friction, without noise."""
+    q, qd, qdd = motion(arm, seconds, path)
+    tau = torques(arm, model, q, qd, qdd)
+    for effect in model.effects:
+        assert effect.kind.torque is not None
+        tau[:, effect.index(arm)] += effect.value * effect.kind.torque(qd[:, effect.index(arm)])
+    return q, tau
+
+
+def seen(arm: Arm, q: Array, tau: Array, seed: int) -> Cycles:
+    """What the sensors make of it."""
+    sigma = np.array([joint.torque_sigma for joint in arm.joints])
+    quantum = np.array([joint.motor_encoder.quantum_rad for joint in arm.joints])
+    rng = np.random.default_rng(seed)
+    begin = quantum * rng.uniform(size=arm.n)
+    read = quantum * np.round((q + begin) / quantum) - begin
+    noisy = tau + sigma * rng.normal(size=tau.shape)
+    m = len(q)
+    return Cycles(np.arange(m, dtype=np.uint64), read, read, noisy, np.zeros((m, 3)), np.zeros(m, dtype=np.uint32))
+
+
+def doubled(model: Model) -> Model:
+    """With a payload of the last body's own mass, beside its centre."""
+    x, y, z = model.bodies[-1].origin_xyz
+    return heavier(model, model.bodies[-1].mass.value, (x + 0.05, y, z))
+
+
+def flight_of(arm: Arm, model: Model, *, energy_rows: bool = True) -> Flight:
+    flight = Flight(arm, model.effects)
+    if not energy_rows:
+        config = config_of(arm, model.effects)
+        config.arc_cycles = 0
+        assert lib.zygos_init(flight.native, config) == 1
+    return flight
+
+
+def watched(flight: Flight, cycles: Cycles) -> tuple[Estimate, float]:
+    """Adopt every second. Returns the last estimate and the largest contradiction of a segment that was judged."""
+    step, largest = round(1.0 / flight.arm.period_s), 0.0
+    for first in range(0, len(cycles), step):
+        flight.cycles(part(cycles, first, first + step))
+        estimate = flight.estimate()
+        flight.adopt()
+        largest = max(largest, float(flight.native.guard.contradiction[0]))
+    return estimate, largest
+
+
+def true_values(arm: Arm, model: Model, names: tuple[str, ...]) -> Array:
+    values = dict(zip(arm.parameter_names, model.base_values(arm).tolist(), strict=True))
+    values |= {effect.column(arm): effect.value for effect in model.effects}
+    return np.array([values[name] for name in names])
+
+
+def far(estimate: Estimate, arm: Arm, model: Model) -> Array:
+    """(p,) errors in half widths of the 95 % intervals."""
+    return np.asarray(np.abs(estimate.value - true_values(arm, model, estimate.names)) / estimate.half95)
+
+
+@pytest.mark.parametrize(("joints", "energy_rows"), [(2, False), (3, True), (6, False)])
+def test_a_payload_that_doubles_is_a_change(joints: int, energy_rows: bool) -> None:
+    """Within three segments; the values stay those of the arm before, and those that differ are of its bodies."""
+    arm, model = short_arm(joints)
+    load = doubled(model)
+    at = round(45.0 / arm.period_s)
+    q, tau = torque_of(arm, model, 0, 80.0)
+    _, loaded = torque_of(arm, load, 0, 80.0)
+    cycles = seen(arm, q, np.concatenate([tau[:at], loaded[at:]]), 0)
+    flight = flight_of(arm, model, energy_rows=energy_rows)
+    before, _ = watched(flight, part(cycles, 0, at))
+    assert (before.validity, before.left_out[0]) == ("valid", 0)
+    assert flight.drift().largest == 0.0
+
+    soon = at + round((CONSECUTIVE + 1) * 1.1 * SEGMENT_S / arm.period_s)
+    estimate, largest = watched(flight, part(cycles, at, soon))
+    assert estimate.validity == "doubtful" and estimate.reason.startswith("the arm changed")
+    assert estimate.consecutive >= CONSECUTIVE
+    assert largest > 100.0
+
+    estimate, _ = watched(flight, part(cycles, soon, len(cycles)))
+    assert estimate.reason.startswith("the arm changed")
+    assert np.mean(far(estimate, arm, model) > 1.0) <= 0.05 + 3.0 * np.sqrt(0.05 * 0.95 / len(estimate.value))
+    drift = flight.drift()
+    assert 0.0 <= 45.0 - drift.until * arm.period_s <= 1.1 * SEGMENT_S + 1.0
+    last = f"{joints}"
+    assert any(name.endswith(last) for name in drift.changed)
+    moved = np.abs(true_values(arm, load, drift.names) - true_values(arm, model, drift.names)) > 0.0
+    assert all(moved[drift.names.index(name)] for name in drift.changed)
+
+    ended, _ = flight.left_out
+    flight.restart()
+    again = seen(arm, *torque_of(arm, load, 1, 60.0), 1)
+    after, _ = watched(flight, replace(again, sync=again.sync + cycles.sync[-1] + np.uint64(9)))
+    assert flight.native.guard.known == 1
+    assert (after.validity, after.left_out, after.consecutive) == ("valid", (ended, 0, 0), 0)
+    assert np.mean(far(after, arm, load) > 1.0) <= 0.05 + 3.0 * np.sqrt(0.05 * 0.95 / len(after.value))
+
+
+def test_no_segment_of_an_arm_that_stays_the_same_contradicts() -> None:
+    """Over 200 judged segments of two motions: the estimate is that of a flight that adopts nothing."""
+    arm, model = short_arm(6)
+    exact = [torque_of(arm, model, path, 100.0) for path in range(2)]
+    judged, contradictions = 0, []
+    for seed in range(6):
+        cycles = seen(arm, *exact[seed % 2], seed)
+        flight = flight_of(arm, model)
+        flight.cycles(part(cycles, 0, 10000))
+        while not flight.native.guard.known:
+            flight.cycles(part(cycles, flight.native.cycles, flight.native.cycles + 1000))
+            flight.estimate()
+            flight.adopt()
+        before = flight.native.joint_sums.segments
+        estimate, largest = watched(flight, part(cycles, flight.native.cycles, len(cycles)))
+        judged += flight.native.joint_sums.segments - before
+        contradictions.append(largest)
+        assert (estimate.validity, estimate.left_out) == ("valid", (0, 0, 0))
+        deaf = flight_of(arm, model)
+        deaf.cycles(cycles)
+        np.testing.assert_array_equal(estimate.value, deaf.estimate().value)
+    print(f"largest contradiction of {judged} segments: {max(contradictions):.2f} of the limit")
+    assert judged > 200
+    assert max(contradictions) < 0.5
+
+
+@pytest.mark.parametrize("mass", [0.1, None])
+def test_a_small_payload_at_the_wrist(mass: float | None) -> None:
+    """100 g beside a hand of 2 kg are seen, and what six joints know of the bodies tells where."""
+    arm, model = short_arm(6)
+    hand = model.bodies[-1]
+    at = round(45.0 / arm.period_s)
+    q, tau = torque_of(arm, model, 0, 80.0)
+    _, loaded = torque_of(arm, heavier(model, mass or hand.mass.value, hand.origin_xyz), 0, 80.0)
+    flight = flight_of(arm, model)
+    _, largest = watched(flight, seen(arm, q, np.concatenate([tau[:at], loaded[at:]]), 0))
+    print(f"payload of {mass or hand.mass.value:g} kg: {largest:.0f} times the limit")
+    assert largest > 10.0
+    assert "mz6" in flight.drift().changed
+    assert not any(name.startswith("motor") for name in flight.drift().changed)
+
+
+def test_what_a_fault_spoils_is_left_out_and_over_when_a_segment_agrees() -> None:
+    """The torque sensor of one joint is stuck for seven seconds: numpy leaves the same segments out."""
+    arm, model = short_arm(2)
+    arm = replace(arm, arc_max_s=20.0)
+    cycles = seen(arm, *torque_of(arm, model, 0, 60.0), 0)
+    stuck = cycles.tau.copy()
+    first, count = round(45.0 / arm.period_s), round(7.0 / arm.period_s)
+    stuck[first : first + count, 1] = stuck[first, 1]
+    faulty = replace(cycles, tau=stuck)
+    flight = flight_of(arm, model)
+    rooms = check_frames(arm, encode(arm, faulty), flight)
+    assert [room.name for room in rooms if not room.equal] == []
+    assert {"joint rows", "sigmas", "solution"} <= {room.name for room in rooms}
+    estimate = flight.estimate()
+    assert (estimate.validity, estimate.consecutive) == ("valid", 0)
+    assert 3 <= estimate.left_out[0] <= 5
+    assert flight.drift().reason == "too few accepted instants"
+    count, arcs = flight.left_out
+    assert count == estimate.left_out[0]
+    assert arcs[0].last * arm.period_s >= 45.0 and arcs[-1].first * arm.period_s <= 52.0
+    assert np.mean(far(estimate, arm, model) > 1.0) <= 0.05 + 3.0 * np.sqrt(0.05 * 0.95 / len(estimate.value))
+    # without the adoption they spoil the estimate
+    deaf = flight_of(arm, model)
+    deaf.cycles(faulty)
+    spoilt = deaf.estimate()
+    assert spoilt.validity != "valid" or spoilt.noise_ratio > 4.0
+
+
+def test_the_watch_tells_the_change_in_words() -> None:
+    arm, model = short_arm(2)
+    arm = replace(arm, arc_max_s=10.0)
+    q, tau = torque_of(arm, model, 0, 80.0)
+    _, loaded = torque_of(arm, doubled(model), 0, 80.0)
+    at = round(45.0 / arm.period_s)
+    watch = Watch(flight_of(arm, model))
+    watch.cycles(seen(arm, q, np.concatenate([tau[:at], loaded[at:]]), 0))
+    found = watch.look()
+    assert found is not None and found.changed
+    said = about_left_out(watch.flight.estimate(), watch)
+    assert "segments of the joint rows" in said
+
+
+def test_a_state_goes_on_with_its_running_solution_and_what_was_set_aside() -> None:
+    arm, model = short_arm(2)
+    q, tau = torque_of(arm, model, 0, 80.0)
+    _, loaded = torque_of(arm, doubled(model), 0, 80.0)
+    at = round(45.0 / arm.period_s)
+    cycles = seen(arm, q, np.concatenate([tau[:at], loaded[at:]]), 0)
+    flight = flight_of(arm, model)
+    watched(flight, part(cycles, 0, at + round(12.0 / arm.period_s)))
+    aside = flight.native.joint_sums.group[lib.ZYGOS_JOINT_GROUPS_VALUE].count
+    assert aside > 0.0
+    other = Flight(arm, model.effects)
+    ffi.memmove(other.native, flight.native, ffi.sizeof("zygos_t"))
+    assert lib.zygos_resume(other.native, config_of(arm, model.effects)) == 1
+    assert other.estimate().reason.startswith("the arm changed")
+    assert other.native.joint_sums.group[lib.ZYGOS_JOINT_GROUPS_VALUE].count == aside
+    np.testing.assert_array_equal(other.drift().deviation, flight.drift().deviation)
