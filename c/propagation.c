@@ -20,9 +20,9 @@ static void cross(const double *a, const double *b, double *out)
 
 static void add(double *out, double factor, const double *a)
 {
-    for (uint32_t k = 0; k < 3; k++) {
-        out[k] += factor * a[k];
-    }
+    out[0] += factor * a[0];
+    out[1] += factor * a[1];
+    out[2] += factor * a[2];
 }
 
 static void add_cross(double *out, const double *a, const double *b)
@@ -204,11 +204,17 @@ static void weigh(const zygos_propagation_t *self, const zygos_dynamics_t *dynam
 {
     for (uint32_t a = 0; a < self->directions; a++) {
         const double *row = dynamics->matrix[a];
-        double sum[3] = { 0.0, 0.0, 0.0 };
+        double x = 0.0;
+        double y = 0.0;
+        double z = 0.0;
         for (uint32_t b = from; b < self->directions; b++) {
-            add(sum, row[b], in[b]);
+            x += row[b] * in[b][0];
+            y += row[b] * in[b][1];
+            z += row[b] * in[b][2];
         }
-        memcpy(out[a], sum, sizeof sum);
+        out[a][0] = x;
+        out[a][1] = y;
+        out[a][2] = z;
     }
 }
 
@@ -706,9 +712,91 @@ bool zygos_propagation_slopes(const zygos_propagation_t *self, const zygos_confi
     return true;
 }
 
-/* Time derivatives of a state and of its derivatives `slope`, into rate and slope_rate. */
+bool zygos_propagation_move(const zygos_propagation_t *self, const zygos_config_t *config,
+                            const zygos_dynamics_t *dynamics, double time, double *state, const double *torque,
+                            zygos_propagation_work_t *work)
+{
+    static const double share[4] = { 0.0, 0.5, 0.5, 1.0 };
+    static const double weight[4] = { 1.0, 2.0, 2.0, 1.0 };
+    const uint32_t n = config->joints;
+    const uint32_t w = self->base_rates;
+    memset(work->rate, 0, sizeof work->rate);
+    memcpy(work->sum, state, self->moving * sizeof state[0]);
+    for (uint32_t part = 0; part < 4u; part++) {
+        for (uint32_t i = 0; i < self->moving; i++) {
+            work->stage[i] = state[i] + share[part] * time * work->rate[i];
+        }
+        place(self, config, &work->stage[w], work);
+        if (!inertia(self, config, dynamics, work)) {
+            return false;
+        }
+        accelerate(self, config, dynamics, work->stage, torque, work);
+        memcpy(work->rate, work->y, w * sizeof work->rate[0]);
+        memcpy(&work->rate[w], &work->stage[w + 2u * n], 2u * n * sizeof work->rate[0]);
+        memcpy(&work->rate[w + 2u * n], &work->y[w], 2u * n * sizeof work->rate[0]);
+        for (uint32_t i = 0; i < self->moving; i++) {
+            work->sum[i] += time / 6.0 * weight[part] * work->rate[i];
+        }
+    }
+    memcpy(state, work->sum, self->moving * sizeof state[0]);
+    return true;
+}
+
+void zygos_propagation_series(const zygos_propagation_t *self, const zygos_config_t *config, double time,
+                              uint32_t terms, uint32_t c, const zygos_propagation_work_t *work, double *out)
+{
+    const uint32_t n = config->joints;
+    const uint32_t w = self->base_rates;
+    const uint32_t moving = self->moving;
+    const bool pushed = (c >= moving);
+    const uint32_t k0 = pushed ? c - moving : c;
+    double term[ZYGOS_MAX_MOVING] = { 0.0 };
+    term[(pushed && (k0 >= w)) ? k0 + 2u * n : k0] = pushed ? time : 1.0;
+    memcpy(out, term, moving * sizeof out[0]);
+    for (uint32_t m = pushed ? 2u : 1u; m <= terms; m++) {
+        const double factor = time / (double)m;
+        double next[ZYGOS_MAX_ACCELERATIONS];
+        for (uint32_t k = 0; k < w + 2u * n; k++) {
+            double sum = 0.0;
+            for (uint32_t i = 0; i < moving; i++) {
+                sum += work->by_state[k][i] * term[i];
+            }
+            next[k] = sum;
+        }
+        for (uint32_t k = 0; k < 2u * n; k++) {
+            term[w + k] = factor * term[w + 2u * n + k];
+        }
+        for (uint32_t k = 0; k < w + 2u * n; k++) {
+            term[(k < w) ? k : k + 2u * n] = factor * next[k];
+        }
+        for (uint32_t i = 0; i < moving; i++) {
+            out[i] += term[i];
+        }
+    }
+}
+
+void zygos_propagation_column(const zygos_propagation_t *self, const zygos_config_t *config, uint32_t c,
+                              const double (*pushed)[ZYGOS_MAX_ACCELERATIONS], const zygos_propagation_work_t *work,
+                              double *out)
+{
+    const uint32_t accelerations = self->base_rates + 2u * config->joints;
+    const uint32_t constants = self->parameters + ((self->friction != 0u) ? config->joints : 0u);
+    double push[ZYGOS_MAX_ACCELERATIONS];
+    for (uint32_t k = 0; k < accelerations; k++) {
+        push[k] = (c < constants) ? work->by_constant[k][c] : work->by_torque[k][c - constants];
+    }
+    for (uint32_t i = 0; i < self->moving; i++) {
+        double sum = 0.0;
+        for (uint32_t k = 0; k < accelerations; k++) {
+            sum += pushed[i][k] * push[k];
+        }
+        out[i] = sum;
+    }
+}
+
+/* Time derivatives of a state and of its derivatives in stages, into rate of work and of stages. */
 static bool flow(const zygos_propagation_t *self, const zygos_config_t *config, const zygos_dynamics_t *dynamics,
-                 const double *state, const double *torque, const double (*slope)[ZYGOS_MAX_SLOPES],
+                 const double *state, const double *torque, zygos_propagation_stages_t *stages,
                  zygos_propagation_work_t *work)
 {
     const uint32_t n = config->joints;
@@ -721,11 +809,11 @@ static bool flow(const zygos_propagation_t *self, const zygos_config_t *config, 
     }
     for (uint32_t k = 0; k < 2u * n; k++) {
         work->rate[w + k] = state[w + 2u * n + k];
-        memcpy(work->slope_rate[w + k], slope[w + 2u * n + k], columns * sizeof slope[0][0]);
+        memcpy(stages->rate[w + k], stages->stage[w + 2u * n + k], columns * sizeof stages->rate[0][0]);
     }
     for (uint32_t k = 0; k < w + 2u * n; k++) {
         const uint32_t row = (k < w) ? k : k + 2u * n;
-        double *out = work->slope_rate[row];
+        double *out = stages->rate[row];
         work->rate[row] = work->y[k];
         memset(out, 0, moving * sizeof out[0]);
         memcpy(&out[moving], work->by_constant[k], constants * sizeof out[0]);
@@ -733,7 +821,7 @@ static bool flow(const zygos_propagation_t *self, const zygos_config_t *config, 
         for (uint32_t i = 0; i < moving; i++) {
             const double factor = work->by_state[k][i];
             for (uint32_t c = 0; c < columns; c++) {
-                out[c] += factor * slope[i][c];
+                out[c] += factor * stages->stage[i][c];
             }
         }
     }
@@ -742,7 +830,7 @@ static bool flow(const zygos_propagation_t *self, const zygos_config_t *config, 
 
 bool zygos_propagate(const zygos_propagation_t *self, const zygos_config_t *config, const zygos_dynamics_t *dynamics,
                      double *state, const double *torque, double (*slope)[ZYGOS_MAX_SLOPES],
-                     zygos_propagation_work_t *work)
+                     zygos_propagation_stages_t *stages, zygos_propagation_work_t *work)
 {
     static const double share[4] = { 0.0, 0.5, 0.5, 1.0 };
     static const double weight[4] = { 1.0, 2.0, 2.0, 1.0 };
@@ -757,31 +845,30 @@ bool zygos_propagate(const zygos_propagation_t *self, const zygos_config_t *conf
     for (uint32_t step = 0; step < self->steps; step++) {
         for (uint32_t i = 0; i < moving; i++) {
             work->sum[i] = state[i];
-            memcpy(work->slope_sum[i], slope[i], columns * sizeof slope[i][0]);
+            memcpy(stages->sum[i], slope[i], columns * sizeof slope[i][0]);
         }
         for (uint32_t part = 0; part < 4u; part++) {
             for (uint32_t i = 0; i < moving; i++) {
                 const double ahead = share[part] * h;
                 work->stage[i] = state[i] + ((part > 0u) ? ahead * work->rate[i] : 0.0);
                 for (uint32_t c = 0; c < columns; c++) {
-                    work->slope_stage[i][c] = slope[i][c] + ((part > 0u) ? ahead * work->slope_rate[i][c] : 0.0);
+                    stages->stage[i][c] = slope[i][c] + ((part > 0u) ? ahead * stages->rate[i][c] : 0.0);
                 }
             }
-            if (!flow(self, config, dynamics, work->stage, torque, (const double(*)[ZYGOS_MAX_SLOPES])work->slope_stage,
-                      work)) {
+            if (!flow(self, config, dynamics, work->stage, torque, stages, work)) {
                 return false;
             }
             const double factor = h / 6.0 * weight[part];
             for (uint32_t i = 0; i < moving; i++) {
                 work->sum[i] += factor * work->rate[i];
                 for (uint32_t c = 0; c < columns; c++) {
-                    work->slope_sum[i][c] += factor * work->slope_rate[i][c];
+                    stages->sum[i][c] += factor * stages->rate[i][c];
                 }
             }
         }
         for (uint32_t i = 0; i < moving; i++) {
             state[i] = work->sum[i];
-            memcpy(slope[i], work->slope_sum[i], columns * sizeof slope[i][0]);
+            memcpy(slope[i], stages->sum[i], columns * sizeof slope[i][0]);
         }
     }
     return true;

@@ -2,6 +2,9 @@
 
 #include <string.h>
 
+/* No reading is rejected. */
+#define UNLIMITED 1e300
+
 /* Where column j of the root begins. */
 static uint32_t column(uint32_t j)
 {
@@ -36,25 +39,25 @@ int zygos_refiner_init(zygos_refiner_t *self, const zygos_config_t *config, cons
         return ZYGOS_E_VALUE;
     }
     self->settings = *settings;
+    self->joints = n;
     self->fast = propagation->moving + propagation->base_rates;
     self->constants = propagation->parameters + n * (settings->friction + settings->offsets + 2u * settings->zeros);
     self->entries = self->fast + self->constants;
     return 1;
 }
 
-/* The upper triangular U with U U' = covariance / (size size'), into the columns of the parameters. Returns false where
- * the covariance is not positive definite; the root is then unchanged outside of these columns. */
-static bool factorise(const zygos_refiner_t *self, const double *covariance, double *root)
+/* Replaces the covariance in the columns of the parameters by the upper triangular U with U U' = covariance. Returns
+ * false where it is not positive definite. */
+static bool factorise(zygos_refiner_t *self)
 {
     const uint32_t p = self->propagation.parameters;
-    const double *size = self->settings.size;
     for (uint32_t j = p; j > 0u; j--) {
         const uint32_t at = j - 1u;
-        double *own = &root[column(self->fast + at) + self->fast];
+        double *own = &self->root[column(self->fast + at) + self->fast];
         for (uint32_t i = j; i > 0u; i--) {
-            double sum = covariance[(i - 1u) * p + at] / (size[i - 1u] * size[at]);
+            double sum = own[i - 1u];
             for (uint32_t k = j; k < p; k++) {
-                const double *later = &root[column(self->fast + k) + self->fast];
+                const double *later = &self->root[column(self->fast + k) + self->fast];
                 sum -= later[i - 1u] * later[at];
             }
             if (i < j) {
@@ -69,7 +72,7 @@ static bool factorise(const zygos_refiner_t *self, const double *covariance, dou
     return true;
 }
 
-int zygos_refiner_start(zygos_refiner_t *self, const double *x, const double *sigma, const double *covariance)
+int zygos_refiner_begin(zygos_refiner_t *self, const double *x, const double *sigma)
 {
     const uint32_t p = self->propagation.parameters;
     for (uint32_t k = 0; k < self->entries; k++) {
@@ -79,16 +82,17 @@ int zygos_refiner_start(zygos_refiner_t *self, const double *x, const double *si
         }
     }
     self->failed = 1u;
-    memset(self->root, 0, sizeof self->root);
-    if (!factorise(self, covariance, self->root)) {
-        return ZYGOS_E_VALUE;
-    }
     for (uint32_t k = 0; k < self->entries; k++) {
         const bool parameter = (k >= self->fast) && (k < self->fast + p);
+        double *own = &self->root[column(k)];
+        memset(own, 0, (parameter ? self->fast : k + 1u) * sizeof own[0]);
         self->x[k] = parameter ? x[k] / self->settings.size[k - self->fast] : x[k];
         if (!parameter) {
-            self->root[column(k) + k] = sigma[k];
+            own[k] = sigma[k];
         }
+    }
+    if (!factorise(self)) {
+        return ZYGOS_E_VALUE;
     }
     memset(self->count, 0, sizeof self->count);
     memset(self->square, 0, sizeof self->square);
@@ -98,12 +102,30 @@ int zygos_refiner_start(zygos_refiner_t *self, const double *x, const double *si
     return 1;
 }
 
-/* One reading as a sum of entries of the filter. */
-typedef struct {
-    uint32_t terms;
-    uint32_t entry[3]; /* ascending */
-    double weight[3];
-} reading_t;
+int zygos_refiner_start(zygos_refiner_t *self, const double *x, const double *sigma, const double *covariance)
+{
+    const uint32_t p = self->propagation.parameters;
+    const double *size = self->settings.size;
+    for (uint32_t j = 0; j < p; j++) {
+        double *own = &self->root[column(self->fast + j) + self->fast];
+        for (uint32_t i = 0; i <= j; i++) {
+            own[i] = covariance[i * p + j] / (size[i] * size[j]);
+        }
+    }
+    return zygos_refiner_begin(self, x, sigma);
+}
+
+void zygos_refiner_resume(zygos_refiner_t *self, const double *x, const double *sigma)
+{
+    memcpy(self->x, x, self->fast * sizeof x[0]);
+    for (uint32_t k = 0; k < self->entries; k++) {
+        double *own = &self->root[column(k)];
+        memset(own, 0, ((k < self->fast) ? k + 1u : self->fast) * sizeof own[0]);
+        if (k < self->fast) {
+            own[k] = sigma[k];
+        }
+    }
+}
 
 /* Multiplies the volume by a variance, and moves powers of 2 into its exponent. */
 static void scale_volume(zygos_refiner_t *self, double variance)
@@ -116,22 +138,43 @@ static void scale_volume(zygos_refiner_t *self, double variance)
     memcpy(&self->volume, &bits, sizeof bits);
 }
 
-/* Carlson's update of estimate and root by one reading with a variance. */
-static void update(zygos_refiner_t *self, const reading_t *reading, double value, double variance, uint32_t channel,
+/* What a reading sees of column j of the root. */
+static double seen(const zygos_refiner_t *self, const zygos_innovation_t *one, uint32_t j)
+{
+    const double *own = &self->root[column(j)];
+    double sum = 0.0;
+    for (uint32_t t = 0; (t < one->terms) && (one->entry[t] <= j); t++) {
+        sum += one->weight[t] * own[one->entry[t]];
+    }
+    return sum;
+}
+
+/* Carlson's update of estimate and root by one reading with a variance, unless its square is above the limit. */
+static void update(zygos_refiner_t *self, zygos_innovation_t *one, double value, double variance, double limit,
                    double *gain)
 {
     double innovation = value;
     double alpha = variance;
-    for (uint32_t t = 0; t < reading->terms; t++) {
-        innovation -= reading->weight[t] * self->x[reading->entry[t]];
+    for (uint32_t t = 0; t < one->terms; t++) {
+        innovation -= one->weight[t] * self->x[one->entry[t]];
     }
+    /* the first pass tells the expected variance, the second one changes the root */
+    for (uint32_t j = one->entry[0]; j < self->entries; j++) {
+        gain[j] = seen(self, one, j);
+        alpha += gain[j] * gain[j];
+    }
+    const double square = innovation * innovation / alpha;
+    one->variance = alpha;
+    one->rejected = (square <= limit) ? 0u : 1u;
+    one->square = (square <= limit) ? square : limit;
+    if (one->rejected != 0u) {
+        return;
+    }
+    alpha = variance;
     memset(gain, 0, self->entries * sizeof gain[0]);
-    for (uint32_t j = reading->entry[0]; j < self->entries; j++) {
+    for (uint32_t j = one->entry[0]; j < self->entries; j++) {
         double *own = &self->root[column(j)];
-        double f = 0.0;
-        for (uint32_t t = 0; (t < reading->terms) && (reading->entry[t] <= j); t++) {
-            f += reading->weight[t] * own[reading->entry[t]];
-        }
+        const double f = seen(self, one, j);
         const double before = alpha;
         alpha += f * f;
         const double keep = __builtin_sqrt(before / alpha);
@@ -146,9 +189,6 @@ static void update(zygos_refiner_t *self, const reading_t *reading, double value
     for (uint32_t i = 0; i < self->entries; i++) {
         self->x[i] += gain[i] * step;
     }
-    self->count[channel] += 1.0;
-    self->square[channel] += innovation * step;
-    scale_volume(self, alpha);
 }
 
 /* The sum of the variances of the link rates. */
@@ -165,69 +205,103 @@ static double rate_variance(const zygos_refiner_t *self, uint32_t n)
     return sum;
 }
 
+zygos_innovation_t zygos_refiner_use(zygos_refiner_t *self, const zygos_config_t *config, uint32_t k, double value,
+                                     double limit, double *gain)
+{
+    const uint32_t n = config->joints;
+    const uint32_t w = self->propagation.base_rates;
+    zygos_innovation_t one = { 0 };
+    double variance;
+    if (k < 2u * n) {
+        const bool link = (k < n);
+        const uint32_t i = link ? k : k - n;
+        const zygos_joint_config_t *joint = &config->joint[i];
+        const double sigma = link ? self->settings.link_sigma[i] : self->settings.motor_sigma[i];
+        one.channel = link ? (uint32_t)ZYGOS_CHANNEL_LINK : (uint32_t)ZYGOS_CHANNEL_MOTOR;
+        one.terms = (self->settings.zeros != 0u) ? 3u : 2u;
+        one.entry[0] = w + k;
+        one.entry[1] = w + 2u * n + k;
+        one.entry[2] = self->entries - 2u * n + k;
+        one.weight[0] = 1.0;
+        one.weight[1] = 1e-6 * (double)joint->latch_us + (link ? joint->link_latch_s : joint->motor_latch_s);
+        one.weight[2] = 1.0;
+        variance = sigma * sigma;
+    } else {
+        if (k == 2u * n) {
+            const double rough = self->settings.second_order * rate_variance(self, n);
+            self->gyro_variance = self->settings.gyro_sigma * self->settings.gyro_sigma + rough * rough;
+        }
+        one.channel = (uint32_t)ZYGOS_CHANNEL_GYRO;
+        one.terms = 2u;
+        one.entry[0] = k - 2u * n;
+        one.entry[1] = self->propagation.moving + k - 2u * n;
+        one.weight[0] = 1.0;
+        one.weight[1] = 1.0;
+        variance = self->gyro_variance;
+    }
+    update(self, &one, value, variance, limit, gain);
+    self->count[one.channel] += 1.0;
+    self->square[one.channel] += one.square;
+    scale_volume(self, one.variance);
+    return one;
+}
+
+void zygos_refiner_pin(zygos_refiner_t *self, uint32_t entry, double sigma, double *gain)
+{
+    zygos_innovation_t one = { .terms = 1u, .entry = { entry, 0u, 0u }, .weight = { 1.0, 0.0, 0.0 } };
+    update(self, &one, self->x[entry], sigma * sigma, UNLIMITED, gain);
+}
+
 void zygos_refiner_read(zygos_refiner_t *self, const zygos_config_t *config, const double *q, const double *theta,
                         const double *omega, zygos_refiner_work_t *work)
 {
     const uint32_t n = config->joints;
     const uint32_t w = self->propagation.base_rates;
-    const uint32_t zero = self->entries - 2u * n;
-    for (uint32_t side = 0; side < 2u; side++) {
-        for (uint32_t i = 0; i < n; i++) {
-            const zygos_joint_config_t *joint = &config->joint[i];
-            const uint32_t at = side * n + i;
-            const double late =
-                1e-6 * (double)joint->latch_us + ((side == 0u) ? joint->link_latch_s : joint->motor_latch_s);
-            const double sigma = (side == 0u) ? self->settings.link_sigma[i] : self->settings.motor_sigma[i];
-            const reading_t reading = { (self->settings.zeros != 0u) ? 3u : 2u,
-                                        { w + at, w + 2u * n + at, zero + at },
-                                        { 1.0, late, 1.0 } };
-            update(self, &reading, (side == 0u) ? q[i] : theta[i], sigma * sigma, side, work->gain);
+    const double *axis = config->joint[0].axis;
+    for (uint32_t k = 0; k < 2u * n + w; k++) {
+        double value;
+        if (k < 2u * n) {
+            value = (k < n) ? q[k] : theta[k - n];
+        } else if (w == 3u) {
+            value = omega[k - 2u * n];
+        } else {
+            value = axis[0] * omega[0] + axis[1] * omega[1] + axis[2] * omega[2];
         }
-    }
-    const double rough = self->settings.second_order * rate_variance(self, n);
-    const double variance = self->settings.gyro_sigma * self->settings.gyro_sigma + rough * rough;
-    for (uint32_t k = 0; k < w; k++) {
-        const double *axis = config->joint[0].axis;
-        const double rate = (w == 3u) ? omega[k] : axis[0] * omega[0] + axis[1] * omega[1] + axis[2] * omega[2];
-        const reading_t reading = { 2u, { k, self->propagation.moving + k, 0u }, { 1.0, 1.0, 0.0 } };
-        update(self, &reading, rate, variance, ZYGOS_CHANNEL_GYRO, work->gain);
+        (void)zygos_refiner_use(self, config, k, value, UNLIMITED, work->gain);
     }
 }
 
-/* The upper triangular R with R R' = T T' of the table T, by the modified method of Gram and Schmidt from the last row
- * on, into the root. */
-static void triangularise(zygos_refiner_t *self, uint32_t columns, zygos_refiner_work_t *work)
+/* The upper triangular R with R R' = T T' of the table T, by the modified method of Gram and Schmidt. */
+void zygos_refiner_row(zygos_refiner_t *self, uint32_t at, zygos_refiner_work_t *work)
 {
-    for (uint32_t j = self->fast; j > 0u; j--) {
-        const uint32_t at = j - 1u;
-        double *own = &self->root[column(at)];
-        double *row = work->table[at];
-        double square = 0.0;
+    const uint32_t columns = self->propagation.moving + 2u * self->propagation.base_rates + self->joints;
+    double *own = &self->root[column(at)];
+    double *row = work->table[at];
+    double square = 0.0;
+    for (uint32_t c = 0; c < columns; c++) {
+        square += row[c] * row[c];
+    }
+    own[at] = __builtin_sqrt(square);
+    const double scale = (square > 0.0) ? 1.0 / own[at] : 0.0;
+    for (uint32_t c = 0; c < columns; c++) {
+        row[c] *= scale;
+    }
+    for (uint32_t i = 0; i < at; i++) {
+        double *other = work->table[i];
+        double product = 0.0;
         for (uint32_t c = 0; c < columns; c++) {
-            square += row[c] * row[c];
+            product += other[c] * row[c];
         }
-        own[at] = __builtin_sqrt(square);
-        const double scale = (square > 0.0) ? 1.0 / own[at] : 0.0;
+        own[i] = product;
         for (uint32_t c = 0; c < columns; c++) {
-            row[c] *= scale;
-        }
-        for (uint32_t i = 0; i < at; i++) {
-            double *other = work->table[i];
-            double product = 0.0;
-            for (uint32_t c = 0; c < columns; c++) {
-                product += other[c] * row[c];
-            }
-            own[i] = product;
-            for (uint32_t c = 0; c < columns; c++) {
-                other[c] -= product * row[c];
-            }
+            other[c] -= product * row[c];
         }
     }
 }
 
-/* The table whose square is the covariance of state and bias after the period. Returns the number of its columns. */
-static uint32_t tabulate(zygos_refiner_t *self, uint32_t n, const double *noise, zygos_refiner_work_t *work)
+void zygos_refiner_table(const zygos_refiner_t *self, const double *noise, double walk, zygos_refiner_work_t *work)
 {
+    const uint32_t n = self->joints;
     const uint32_t moving = self->propagation.moving;
     const uint32_t w = self->propagation.base_rates;
     const uint32_t columns = self->fast + n + w;
@@ -255,65 +329,79 @@ static uint32_t tabulate(zygos_refiner_t *self, uint32_t n, const double *noise,
         }
     }
     for (uint32_t k = 0; k < w; k++) {
-        work->table[moving + k][self->fast + n + k] = self->settings.bias_walk;
+        work->table[moving + k][self->fast + n + k] = walk;
     }
-    return columns;
 }
 
-/* Moves the columns of the constants in the root: how the state depends on them. */
-static void carry(zygos_refiner_t *self, uint32_t n, zygos_refiner_work_t *work)
+void zygos_refiner_carry(zygos_refiner_t *self, uint32_t c, zygos_refiner_work_t *work)
 {
+    const uint32_t n = self->joints;
     const uint32_t moving = self->propagation.moving;
     const uint32_t p = self->propagation.parameters;
     const uint32_t friction = (self->settings.friction != 0u) ? n : 0u;
-    const uint32_t offsets = (self->settings.offsets != 0u) ? n : 0u;
-    for (uint32_t c = 0; c < self->constants; c++) {
-        double *own = &self->root[column(self->fast + c)];
-        const double *below = &own[self->fast];
-        const uint32_t depends = p + friction + offsets;
-        const uint32_t last = (c < depends) ? c + 1u : depends;
-        for (uint32_t i = 0; i < moving; i++) {
-            const double *slope = work->slope[i];
-            double sum = 0.0;
-            for (uint32_t k = 0; k < moving; k++) {
-                sum += slope[k] * own[k];
-            }
-            for (uint32_t k = 0; k < last; k++) {
-                /* an offset is what a torque is reported too large by */
-                const bool offset = (k >= p + friction);
-                const double factor = (k < p) ? self->settings.size[k] : (offset ? -1.0 : 1.0);
-                sum += factor * slope[moving + k] * below[k];
-            }
-            work->moved[i] = sum;
+    const uint32_t depends = p + friction + ((self->settings.offsets != 0u) ? n : 0u);
+    const uint32_t last = (c < depends) ? c + 1u : depends;
+    double *own = &self->root[column(self->fast + c)];
+    const double *below = &own[self->fast];
+    double scaled[ZYGOS_MAX_MOTION_CONSTANTS + ZYGOS_MAX_JOINTS];
+    double moved[ZYGOS_MAX_MOVING];
+    for (uint32_t k = 0; k < last; k++) {
+        /* an offset is what a torque is reported too large by */
+        const bool offset = (k >= p + friction);
+        scaled[k] = below[k] * ((k < p) ? self->settings.size[k] : (offset ? -1.0 : 1.0));
+    }
+    for (uint32_t i = 0; i < moving; i++) {
+        const double *slope = work->slope[i];
+        double sum = 0.0;
+        for (uint32_t k = 0; k < moving; k++) {
+            sum += slope[k] * own[k];
         }
-        memcpy(own, work->moved, moving * sizeof own[0]);
+        for (uint32_t k = 0; k < last; k++) {
+            sum += slope[moving + k] * scaled[k];
+        }
+        moved[i] = sum;
+    }
+    memcpy(own, moved, moving * sizeof own[0]);
+}
+
+void zygos_refiner_constants(const zygos_refiner_t *self, double *constant)
+{
+    const uint32_t p = self->propagation.parameters;
+    const uint32_t friction = (self->settings.friction != 0u) ? self->joints : 0u;
+    for (uint32_t k = 0; k < p + friction; k++) {
+        constant[k] = self->x[self->fast + k] * ((k < p) ? self->settings.size[k] : 1.0);
+    }
+}
+
+void zygos_refiner_drive(const zygos_refiner_t *self, const double *tau, double *drive)
+{
+    const uint32_t n = self->joints;
+    const uint32_t friction = (self->settings.friction != 0u) ? n : 0u;
+    const double *offset = &self->x[self->fast + self->propagation.parameters + friction];
+    for (uint32_t i = 0; i < n; i++) {
+        drive[i] = tau[i] - ((self->settings.offsets != 0u) ? offset[i] : 0.0);
     }
 }
 
 bool zygos_refiner_advance(zygos_refiner_t *self, const zygos_config_t *config, const double *tau, double lost,
-                           zygos_refiner_work_t *work)
+                           zygos_propagation_stages_t *stages, zygos_refiner_work_t *work)
 {
     const uint32_t n = config->joints;
-    const uint32_t p = self->propagation.parameters;
-    const uint32_t friction = (self->settings.friction != 0u) ? n : 0u;
-    const double *constant = &self->x[self->fast];
     double drive[ZYGOS_MAX_JOINTS];
     double noise[ZYGOS_MAX_JOINTS];
     if (self->failed != 0u) {
         return false;
     }
-    for (uint32_t k = 0; k < p + friction; k++) {
-        work->constant[k] = constant[k] * ((k < p) ? self->settings.size[k] : 1.0);
-    }
     for (uint32_t i = 0; i < n; i++) {
         const double relative = self->settings.torque_relative_sigma[i] * tau[i];
         const double own = self->settings.torque_sigma[i];
-        drive[i] = tau[i] - ((self->settings.offsets != 0u) ? constant[p + friction + i] : 0.0);
         noise[i] = __builtin_sqrt(own * own + relative * relative + lost * lost);
     }
+    zygos_refiner_drive(self, tau, drive);
+    zygos_refiner_constants(self, work->constant);
     zygos_dynamics_set(&work->dynamics, &self->propagation, config, work->constant);
-    bool good =
-        zygos_propagate(&self->propagation, config, &work->dynamics, self->x, drive, work->slope, &work->propagation);
+    bool good = zygos_propagate(&self->propagation, config, &work->dynamics, self->x, drive, work->slope, stages,
+                                &work->propagation);
     for (uint32_t k = 0; k < self->propagation.moving; k++) {
         good = good && within(self->x[k], -1e6, 1e6);
     }
@@ -321,9 +409,13 @@ bool zygos_refiner_advance(zygos_refiner_t *self, const zygos_config_t *config, 
         self->failed = 1u;
         return false;
     }
-    const uint32_t columns = tabulate(self, n, noise, work);
-    carry(self, n, work);
-    triangularise(self, columns, work);
+    zygos_refiner_table(self, noise, self->settings.bias_walk, work);
+    for (uint32_t c = 0; c < self->constants; c++) {
+        zygos_refiner_carry(self, c, work);
+    }
+    for (uint32_t j = self->fast; j > 0u; j--) {
+        zygos_refiner_row(self, j - 1u, work);
+    }
     return true;
 }
 

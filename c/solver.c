@@ -407,9 +407,26 @@ static void score_of_group(const zygos_work_t *work, uint32_t p, uint32_t g, dou
     }
 }
 
+/* By how much the square of a block's own influence is too small, at least 1: the change without the block over its own
+   influence, both along its score, which is in right_side. */
+static double enlargement(const zygos_work_t *work, uint32_t p, const double *change)
+{
+    double whole = 0.0;
+    double own = 0.0;
+    for (uint32_t i = 0; i < p; i++) {
+        const double pull = work->right_side[i] / work->scale[i];
+        whole += pull * change[i];
+        own += pull * work->linearised[i];
+    }
+    return ((own > 0.0) && (whole > own)) ? whole / own : 1.0;
+}
+
 /* Covariance by leaving out one block at a time. Blocks overlap, so the squares of their weights add up to less than
-   their weights. A parameter whose information comes from few blocks has few degrees of freedom. A block without which
-   the equations lose rank leaves all sigmas infinite: the motion was informative once only. */
+   their weights. Each variance is the product of the change without a block and of the block's own influence, which is
+   right on average; but a matrix of such products need not be positive semi-definite. The correlations are therefore
+   those of squares: of the blocks' own influences, each enlarged by what it is too small by in its own direction. A
+   parameter whose information comes from few blocks has few degrees of freedom. A block without which the equations
+   lose rank leaves all sigmas infinite: the motion was informative once only. */
 static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, double *covariance)
 {
     const zygos_block_t *energy_block = &work->accumulator.block[work->blocks.first];
@@ -447,6 +464,7 @@ static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, double *cov
         }
     }
     memset(covariance, 0, at(p, 0) * sizeof covariance[0]);
+    memset(work->product, 0, sizeof work->product);
     memset(work->linearised_variance, 0, sizeof work->linearised_variance);
     scaled_equations(work, p, NULL, work->noise_scale);
     (void)factorise(work, p, rank);
@@ -461,25 +479,32 @@ static void jackknife(zygos_work_t *work, uint32_t p, uint32_t rank, double *cov
         } else {
             score_of_arc(work, p, &arc[b - energy_blocks], work->right_side);
         }
-        const double factor = 0.5 * (energy ? instants / square : 1.0);
+        const double factor = energy ? instants / square : 1.0;
         solve_once(work, p, rank, work->linearised);
+        const double enlarged = factor * enlargement(work, p, work->leave_one_out[b]);
         for (uint32_t i = 0; i < p; i++) {
-            work->linearised_variance[i] += 2.0 * factor * work->linearised[i] * work->linearised[i];
+            work->product[i] += factor * work->leave_one_out[b][i] * work->linearised[i];
+            work->linearised_variance[i] += factor * work->linearised[i] * work->linearised[i];
             for (uint32_t j = 0; j <= i; j++) {
-                covariance[at(i, j)] += factor * (work->leave_one_out[b][i] * work->linearised[j] +
-                                                  work->leave_one_out[b][j] * work->linearised[i]);
+                covariance[at(i, j)] += enlarged * work->linearised[i] * work->linearised[j];
             }
         }
     }
     for (uint32_t i = 0; i < p; i++) {
         const double several = work->information[0][i] * work->information[0][i];
         double degrees_of_freedom = (work->information[1][i] > 0.0) ? several / work->information[1][i] : 1.0;
-        const double variance = covariance[at(i, i)];
-        /* By an accident of few blocks the product may be too small, even negative; the square of the one is not. */
-        covariance[at(i, i)] =
-            once ? infinity() : ((variance > work->linearised_variance[i]) ? variance : work->linearised_variance[i]);
         degrees_of_freedom -= work->joints_alone ? 1.0 : 0.0;
         work->degrees_of_freedom[i] = (degrees_of_freedom > 2.0) ? degrees_of_freedom : 2.0;
+        /* By an accident of few blocks the product may be too small, even negative; the square of the one is not. */
+        const double least = work->linearised_variance[i];
+        const double variance = (work->product[i] > least) ? work->product[i] : least;
+        work->product[i] = (variance > 0.0) ? root(variance / covariance[at(i, i)]) : 1.0;
+    }
+    for (uint32_t i = 0; i < p; i++) {
+        for (uint32_t j = 0; j <= i; j++) {
+            covariance[at(i, j)] *= work->product[i] * work->product[j];
+        }
+        covariance[at(i, i)] = once ? infinity() : covariance[at(i, i)];
     }
 }
 

@@ -4,6 +4,7 @@
 
 #include "zygos/cycle.h"
 #include "zygos/guard.h"
+#include "zygos/refine.h"
 #include "zygos/refiner.h"
 #include "zygos/snapshot.h"
 #include "zygos/solver.h"
@@ -149,6 +150,29 @@ const char *zygos_channel_text(uint32_t channel)
         return "gyro";
     case ZYGOS_KINDS_OF_CHANNEL:
         break;
+    }
+    return UNKNOWN;
+}
+
+const char *zygos_refine_text(uint32_t reason)
+{
+    switch ((enum zygos_refine_reason)reason) {
+    case ZYGOS_REFINE_NONE:
+        return "the refined values are published";
+    case ZYGOS_REFINE_WAITS:
+        return "the refinement has not begun, or has used too few readings";
+    case ZYGOS_REFINE_ENERGY:
+        return "the estimate from energy rows, which has to vouch for the refined values, has none";
+    case ZYGOS_REFINE_FAILED:
+        return "the filter has left the possible arms";
+    case ZYGOS_REFINE_INNOVATIONS:
+        return "the innovations of a sensor are larger than noise";
+    case ZYGOS_REFINE_LEVEL:
+        return "the torques need more noise than is declared";
+    case ZYGOS_REFINE_APART:
+        return "the estimate from energy rows contradicts the refined values";
+    case ZYGOS_REFINE_PHYSICAL:
+        return "a refined stiffness, damping or rotor is not positive";
     }
     return UNKNOWN;
 }

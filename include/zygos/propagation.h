@@ -86,10 +86,14 @@ typedef struct {
     double stage[ZYGOS_MAX_MOVING];
     double rate[ZYGOS_MAX_MOVING];
     double sum[ZYGOS_MAX_MOVING];
-    double slope_stage[ZYGOS_MAX_MOVING][ZYGOS_MAX_SLOPES];
-    double slope_rate[ZYGOS_MAX_MOVING][ZYGOS_MAX_SLOPES];
-    double slope_sum[ZYGOS_MAX_MOVING][ZYGOS_MAX_SLOPES];
 } zygos_propagation_work_t;
+
+/// Scratch of zygos_propagate(), likewise: derivatives within a step.
+typedef struct {
+    double stage[ZYGOS_MAX_MOVING][ZYGOS_MAX_SLOPES];
+    double rate[ZYGOS_MAX_MOVING][ZYGOS_MAX_SLOPES];
+    double sum[ZYGOS_MAX_MOVING][ZYGOS_MAX_SLOPES];
+} zygos_propagation_stages_t;
 
 /// Prepares the constants. steps: Runge-Kutta steps in a period, 1..1000; friction: 0 or 1. Needs a configuration that
 /// zygos_init() accepts. Returns 1; ZYGOS_E_VALUE if a joint is rigid or a setting is out of range.
@@ -106,13 +110,33 @@ bool zygos_propagation_slopes(const zygos_propagation_t *self, const zygos_confi
                               const zygos_dynamics_t *dynamics, const double *state, const double *torque,
                               zygos_propagation_work_t *work);
 
+/// Moves a state under torques that are held, by one Runge-Kutta step of `time` seconds, without derivatives. Returns
+/// as zygos_propagation_slopes(); where it is false, state is undefined. Cost: 4 times the accelerations, each of the
+/// order of N V^2 products of vectors.
+bool zygos_propagation_move(const zygos_propagation_t *self, const zygos_config_t *config,
+                            const zygos_dynamics_t *dynamics, double time, double *state, const double *torque,
+                            zygos_propagation_work_t *work);
+
+/// Writes into out[W + 4N] what the state after `time` seconds changes by, where the derivatives of the accelerations
+/// by the state stay as zygos_propagation_slopes() has left them in work: by entry c of the state before, or, for c
+/// from W + 4N on, by a constant addition to acceleration c - W - 4N. The exponential series has `terms` terms. Cost:
+/// terms (W + 2N) (W + 4N) multiplications.
+void zygos_propagation_series(const zygos_propagation_t *self, const zygos_config_t *config, double time,
+                              uint32_t terms, uint32_t c, const zygos_propagation_work_t *work, double *out);
+
+/// Writes the derivatives of that state by constant or torque c into out[W + 4N]. pushed: its derivatives by additions
+/// to the accelerations, a column each. Cost: (W + 2N) (W + 4N) multiplications.
+void zygos_propagation_column(const zygos_propagation_t *self, const zygos_config_t *config, uint32_t c,
+                              const double (*pushed)[ZYGOS_MAX_ACCELERATIONS], const zygos_propagation_work_t *work,
+                              double *out);
+
 /// Moves a state over one period under torques that are held. slope becomes its derivatives: W + 4N rows, whose columns
 /// are the state before, the constants and the torques. Returns as zygos_propagation_slopes(); where it is false, state
 /// and slope are undefined. Cost: 4 steps times zygos_propagation_slopes(), and as many products of the derivatives of
 /// the accelerations by the state, with slope.
 bool zygos_propagate(const zygos_propagation_t *self, const zygos_config_t *config, const zygos_dynamics_t *dynamics,
                      double *state, const double *torque, double (*slope)[ZYGOS_MAX_SLOPES],
-                     zygos_propagation_work_t *work);
+                     zygos_propagation_stages_t *stages, zygos_propagation_work_t *work);
 
 #ifdef __cplusplus
 }

@@ -65,6 +65,7 @@ typedef struct {
     uint32_t fast;                        ///< Entries that change: the state and the bias.
     uint32_t entries;                     ///< n, all entries.
     uint32_t constants;                   ///< n - fast.
+    uint32_t joints;                      ///< N.
     uint32_t failed;                      ///< 1: the estimate became impossible, and only a new start helps.
     double x[ZYGOS_MAX_REFINED];          ///< The estimate.
     double root[ZYGOS_MAX_ROOT];          ///< S, upper triangular: column j has its entries 0..j from j (j + 1) / 2 on.
@@ -72,6 +73,7 @@ typedef struct {
     double square[ZYGOS_KINDS_OF_CHANNEL]; ///< Sum of their squared innovations divided by the expected variances.
     double volume;          ///< With the next: the product of the expected variances is volume * 2^exponent.
     double volume_exponent; ///< Both since the start. They tell which of several settings the readings favour.
+    double gyro_variance;   ///< That the readings of the gyro at the newest SYNC are expected to have.
 } zygos_refiner_t;
 
 /// Scratch of one call; nothing in it is kept.
@@ -80,7 +82,6 @@ typedef struct {
     zygos_dynamics_t dynamics;
     double slope[ZYGOS_MAX_MOVING][ZYGOS_MAX_SLOPES];
     double table[ZYGOS_MAX_FAST][ZYGOS_MAX_FAST + ZYGOS_MAX_JOINTS + ZYGOS_MAX_BASE_RATES];
-    double moved[ZYGOS_MAX_MOVING];
     double constant[ZYGOS_MAX_MOTION_CONSTANTS];
     double gain[ZYGOS_MAX_REFINED];
 } zygos_refiner_work_t;
@@ -95,6 +96,14 @@ int zygos_refiner_init(zygos_refiner_t *self, const zygos_config_t *config, cons
 /// Cost: a Cholesky factorisation.
 int zygos_refiner_start(zygos_refiner_t *self, const double *x, const double *sigma, const double *covariance);
 
+/// The same where the caller has written the covariance of the parameters, in units of their sizes, into their columns
+/// of root: the entry of parameters i <= j is in the column fast + j, in row fast + i.
+int zygos_refiner_begin(zygos_refiner_t *self, const double *x, const double *sigma);
+
+/// Begins again after an interruption: state and bias, x and sigma: `fast` entries each, are others, and all constants
+/// are kept. Cost: one pass over the root.
+void zygos_refiner_resume(zygos_refiner_t *self, const double *x, const double *sigma);
+
 /// Uses the readings at a SYNC: angles of links and motors [rad] after sign and zero, and the rate of the base in its
 /// axes [rad/s], which is not read where the base is fixed. Cost: n^2 multiplications for each reading.
 void zygos_refiner_read(zygos_refiner_t *self, const zygos_config_t *config, const double *q, const double *theta,
@@ -105,7 +114,39 @@ void zygos_refiner_read(zygos_refiner_t *self, const zygos_config_t *config, con
 /// estimate is impossible: no inertia resists, or a number is not finite. The filter has then failed. Cost:
 /// zygos_propagate() and a product of the derivatives with S.
 bool zygos_refiner_advance(zygos_refiner_t *self, const zygos_config_t *config, const double *tau, double lost,
-                           zygos_refiner_work_t *work);
+                           zygos_propagation_stages_t *stages, zygos_refiner_work_t *work);
+
+/// What one reading told.
+typedef struct {
+    uint32_t channel;  ///< enum zygos_channel.
+    uint32_t rejected; ///< 1: its square was above the limit, and it was not used.
+    uint32_t terms;    ///< The reading is the sum of so many entries with the weights below.
+    uint32_t entry[3]; ///< Ascending.
+    double weight[3];  ///< See entry.
+    double variance;   ///< Expected, of the innovation.
+    double square;     ///< Of the innovation divided by its variance, at most the limit.
+} zygos_innovation_t;
+
+/// The parts of zygos_refiner_read() and zygos_refiner_advance(), for a caller that does them in slices (refine.h).
+/// Reading k of a SYNC, in the order link encoders, motor encoders, base rates (those about the axis of a planar arm):
+/// it is used unless its normalised square is above limit. Cost: n^2 multiplications.
+zygos_innovation_t zygos_refiner_use(zygos_refiner_t *self, const zygos_config_t *config, uint32_t k, double value,
+                                     double limit, double *gain);
+/// Limits the standard deviation of an entry to less than sigma: a reading of it that is as expected, and that is not
+/// counted. Cost: n^2 multiplications.
+void zygos_refiner_pin(zygos_refiner_t *self, uint32_t entry, double sigma, double *gain);
+/// Writes parameters and friction in SI units into constant[]: the constants of zygos_dynamics_set().
+void zygos_refiner_constants(const zygos_refiner_t *self, double *constant);
+/// Writes the torques without the estimated offsets into drive[N].
+void zygos_refiner_drive(const zygos_refiner_t *self, const double *tau, double *drive);
+/// Moves the column of constant c in the root by the derivatives in work->slope. Cost: (W + 4N) n multiplications.
+void zygos_refiner_carry(zygos_refiner_t *self, uint32_t c, zygos_refiner_work_t *work);
+/// Writes work->table, whose square is the covariance of state and bias after the period; noise: standard deviations of
+/// the torques [Nm]; walk: step of the bias [rad/s]. After it, zygos_refiner_row() has to be called for each row, the
+/// last one first. Cost: (W + 4N)^3 / 2 multiplications.
+void zygos_refiner_table(const zygos_refiner_t *self, const double *noise, double walk, zygos_refiner_work_t *work);
+/// Takes row `at` of the table into the root. Cost: 2 (at + 1) (W + 5N) multiplications.
+void zygos_refiner_row(zygos_refiner_t *self, uint32_t at, zygos_refiner_work_t *work);
 
 /// Writes the p parameters in SI units, and their p x p covariance where covariance is not null. Cost: p^3/6
 /// multiplications for the covariance.

@@ -131,7 +131,7 @@ typedef struct {
     double half95[ZYGOS_MAX_PARAMETERS]; ///< Half width of the 95 % interval: sigma times Student's factor for the
                                          ///< effective number of blocks of the parameter.
     double covariance[ZYGOS_MAX_PACKED]; ///< Lower triangle by rows, including the floor; NaN where a parameter has no
-                                         ///< value.
+                                         ///< value. Positive semi-definite among those that have one.
 } zygos_estimate_t;
 
 /// A copy of the sums, and scratch memory of the solver. It is filled by zygos_take() and consumed by zygos_solve(). It
@@ -169,6 +169,7 @@ typedef struct {
     double information[2][ZYGOS_MAX_PARAMETERS];
     double degrees_of_freedom[ZYGOS_MAX_PARAMETERS];
     double linearised_variance[ZYGOS_MAX_PARAMETERS];
+    double product[ZYGOS_MAX_PARAMETERS];
     double linearised[ZYGOS_MAX_PARAMETERS];
     double spread; ///< Sum of the squared work without the constants of the arcs [J^2].
     struct {

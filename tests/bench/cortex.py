@@ -67,6 +67,7 @@ def write_symbols(elf: Path, path: Path) -> list[str]:
         room = _room(file)
         whole = name.removeprefix("zygos_")
         phase = STAGES.index(whole) if name in ("zygos_frame", "zygos_step", "zygos_solve") else -1
+        phase = STAGES.index("step") if name == "zygos_refine_step" else phase
         lines.append(f"{address:x} {end - address} {room} {phase} {int(name == 'driver_mark')}")
         names.append(f"{Path(file).stem or '???'}: {name}")
     path.write_text("\n".join(lines) + "\n")

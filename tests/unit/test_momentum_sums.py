@@ -381,16 +381,32 @@ def test_sigmas_come_from_blocks_of_both_kinds(floating: tuple[Arm, Floats, Cycl
 
     x = solved(whole, whole[p, :p])
     np.testing.assert_allclose(found.solution, x, rtol=1e-9)
-    covariance = np.zeros((p, p))
+    covariance, variances = np.zeros((p, p)), np.zeros((2, p))
     for part_of, factor in zip(parts, factors, strict=True):
         left_out = x - solved(whole - part_of, (whole - part_of)[p, :p])
-        alone = solved(whole, part_of[p, :p] - part_of[:p, :p] @ x)
-        covariance += 0.5 * factor * (np.outer(left_out, alone) + np.outer(alone, left_out))
+        pull = part_of[p, :p] - part_of[:p, :p] @ x
+        alone = solved(whole, pull)
+        covariance += factor * max(1.0, pull @ left_out / (pull @ alone)) * np.outer(alone, alone)
+        variances += factor * np.array([left_out * alone, alone**2])
+    share = np.sqrt(variances.max(axis=0) / np.diag(covariance))
+    covariance *= np.outer(share, share)
     # blocks whose residuals add up are taken to be alike; what undeclared noise may hide is added to the diagonal
     covariance *= 1.0 + (len(blocks) - 1) * max(0.0, 1.0 - 1.0 / found.cluster)
     apart = ~np.eye(p, dtype=bool)
     size = np.outer(found.sigma, found.sigma)
     np.testing.assert_allclose(found.covariance[apart] / size[apart], covariance[apart] / size[apart], atol=1e-6)
+
+
+@pytest.mark.parametrize("momentum_max_s", [0.0, 5.0])
+def test_the_covariance_is_positive_semidefinite(floating: tuple[Arm, Floats, Cycles], momentum_max_s: float) -> None:
+    """There are fewer blocks than parameters, so that the covariance is singular, but no combination of values has a
+    negative variance."""
+    arm, _, clean = floating
+    found = estimated(arm, noisy(clean, 0), momentum_max_s)
+    known = np.isfinite(found.sigma)
+    assert found.blocks < known.sum()
+    correlation = (found.covariance / np.outer(found.sigma, found.sigma))[np.ix_(known, known)]
+    assert np.linalg.eigvalsh(correlation).min() > -1e-12
 
 
 def test_momentum_tells_the_inertias_apart(floating: tuple[Arm, Floats, Cycles]) -> None:

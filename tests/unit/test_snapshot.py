@@ -20,7 +20,7 @@ from zygos.native import snapshot
 from zygos.native.flight import Flight, config_of, encode, ffi, lib
 from zygos.simulation.plant import Trajectory
 
-BESIDE = ("propagation.h", "refiner.h")
+BESIDE = ("propagation.h", "refine.h", "refiner.h")
 """Headers with structs that no snapshot holds."""
 HEADERS = sorted(path for path in (ROOT / "include" / "zygos").glob("*.h") if path.name not in BESIDE)
 SYNC, FTIME = 0x080, 0x3A0

@@ -21,6 +21,7 @@ TEXTS = {
     "zygos_reason": lib.zygos_reason_text,
     "zygos_rows": lib.zygos_rows_text,
     "zygos_channel": lib.zygos_channel_text,
+    "zygos_refine_reason": lib.zygos_refine_text,
     "zygos_reception": lib.zygos_reception_text,
     "zygos_message": lib.zygos_message_text,
     "zygos_wire_fault": lib.zygos_wire_fault_text,

@@ -27,14 +27,14 @@ class Propagation:
     friction: bool = False
 
     @cached_property
-    def _native(self) -> tuple[Any, Any, Any]:
+    def _native(self) -> tuple[Any, Any, Any, Any]:
         config, native = config_of(self.arm), ffi.new("zygos_propagation_t *")
         if lib.zygos_propagation_init(native, config, self.steps, int(self.friction)) != 1:
             raise ZygosError(
                 f"arm {self.arm.name}: a joint is rigid, or {self.steps} steps are not from 1 to 1000; remedy: an arm "
                 "of flexible joints"
             )
-        return config, native, ffi.new("zygos_propagation_work_t *")
+        return config, native, ffi.new("zygos_propagation_stages_t *"), ffi.new("zygos_propagation_work_t *")
 
     def step(self, constants: Floats, state: Floats, tau: Floats) -> tuple[Floats, Floats]:
         """The state (x,) after one period under held torques (N,), Nm before the gear, and its derivatives
@@ -42,11 +42,11 @@ class Propagation:
 
         Errors: ZygosError where no inertia resists.
         """
-        config, native, work = self._native
+        config, native, stages, work = self._native
         dynamics, slope = ffi.new("zygos_dynamics_t *"), ffi.new(f"double[{native.moving}][{_slopes()}]")
         after = np.array(state, dtype=np.float64)
         lib.zygos_dynamics_set(dynamics, native, config, _pointer(constants))
-        if not lib.zygos_propagate(native, config, dynamics, _pointer(after), _pointer(tau), slope, work):
+        if not lib.zygos_propagate(native, config, dynamics, _pointer(after), _pointer(tau), slope, stages, work):
             raise ZygosError(
                 f"arm {self.arm.name}: these parameters give negative kinetic energy; remedy: take them all from one "
                 "set of bodies"
@@ -57,7 +57,7 @@ class Propagation:
 
 
 def _slopes() -> int:
-    return int(ffi.typeof("zygos_propagation_work_t").fields[-1][1].type.item.length)
+    return int(ffi.typeof("zygos_propagation_stages_t").fields[-1][1].type.item.length)
 
 
 def _pointer(values: Floats) -> Any:

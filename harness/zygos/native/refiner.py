@@ -58,7 +58,7 @@ class Refiner:
         native.bias_walk = arm.imu.bias_walk * math.sqrt(arm.period_s)
         native.second_order = settings.second_order
         self._config, self._native = config_of(arm), ffi.new("zygos_refiner_t *")
-        self._work = ffi.new("zygos_refiner_work_t *")
+        self._work, self._stages = ffi.new("zygos_refiner_work_t *"), ffi.new("zygos_propagation_stages_t *")
         if lib.zygos_refiner_init(self._native, self._config, native) != 1:
             raise ZygosError(
                 f"arm {arm.name}: a joint is rigid, or the noise of a sensor is 0; remedy: an arm of flexible joints "
@@ -90,15 +90,7 @@ class Refiner:
     def resume(self, x: Floats, sigma: Floats) -> None:
         """Begin again after an interruption: state and bias x (fast,) are others, with standard deviations (fast,), and
         everything else is kept."""
-        fast = self.fast
-        own = np.frombuffer(ffi.buffer(self._native.x), dtype=np.float64)
-        own[:fast] = x
-        root = np.frombuffer(ffi.buffer(self._native.root), dtype=np.float64)
-        for column in range(self.entries):
-            begin = column * (column + 1) // 2
-            root[begin : begin + min(column + 1, fast)] = 0.0
-            if column < fast:
-                root[begin + column] = sigma[column]
+        lib.zygos_refiner_resume(self._native, _pointer(x), _pointer(sigma))
 
     def read(self, q: Floats, theta: Floats, omega: Floats) -> None:
         """Use the readings at a SYNC: angles (N,), rad, after sign and zero, and the base rate (3,), rad/s."""
@@ -109,7 +101,8 @@ class Refiner:
 
         Errors: ZygosError if the filter has failed.
         """
-        if not lib.zygos_refiner_advance(self._native, self._config, _pointer(tau), lost, self._work):
+        native, stages, work = self._native, self._stages, self._work
+        if not lib.zygos_refiner_advance(native, self._config, _pointer(tau), lost, stages, work):
             raise ZygosError(
                 f"arm {self.arm.name}: the filter has left the possible arms; remedy: begin with a better estimate, or "
                 "explain the run with `zygos explain` first"

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from zygos.reference.solver import LEAST_FREEDOM, SYSTEMATIC, explained
+from zygos.reference.solver import LEAST_FREEDOM, SYSTEMATIC, explained, squares_of_blocks
 
 Floats = NDArray[np.float64]
 
@@ -73,17 +73,17 @@ def intervals(
     x, inverse = solved(total + back)
     ahead = np.append(x, -1.0)
     square_left = float(ahead @ np.sum([block.sums for block in energy], axis=0) @ ahead) + explained(own, x)
-    covariance, plain, gains = np.zeros((p, p)), np.zeros(p), []
+    gains, influences = [], []
     for block in [*energy, *arcs]:
         share = block.instants / instants
         without, rest = solved(total - block.sums + (1.0 - share) * back)
         mine = block.sums + (1.0 - noise_scale) * share * own
-        alone = scale * (inverse @ (scale * (mine[p, :p] - mine[:p, :p] @ x)))
+        pull = mine[p, :p] - mine[:p, :p] @ x
+        alone = scale * (inverse @ (scale * pull))
         factor = instants / square if block.instants > 0.0 else 1.0
-        covariance += 0.5 * factor * (np.outer(x - without, alone) + np.outer(alone, x - without))
-        plain += factor * alone**2
+        influences.append((factor, pull, alone, x - without))
         gains.append(np.maximum(np.diag(rest) - np.diag(inverse), 0.0))
-    np.fill_diagonal(covariance, np.maximum(np.diag(covariance), plain))
+    covariance = squares_of_blocks(influences)
     adds_up = float(np.mean([float(block.deviation @ ahead) ** 2 / block.square for block in energy]))
     alike = max(0.0, 1.0 - square_left / instants / adds_up)
     excess = max(0.0, square_left - noise_scale * explained(own, x))
@@ -118,14 +118,14 @@ def joint_intervals(
 
     x, inverse = solved(total)
     ahead = np.append(x, -1.0)
-    covariance, plain, gains = np.zeros((p, p)), np.zeros(p), []
+    gains, influences = [], []
     for sums in groups:
         without, rest = solved(total - sums)
-        alone = scale * (inverse @ (scale * (sums[p, :p] - sums[:p, :p] @ x)))
-        covariance += 0.5 * (np.outer(x - without, alone) + np.outer(alone, x - without))
-        plain += alone**2
+        pull = sums[p, :p] - sums[:p, :p] @ x
+        alone = scale * (inverse @ (scale * pull))
+        influences.append((1.0, pull, alone, x - without))
         gains.append(np.maximum(np.diag(rest) - np.diag(inverse), 0.0))
-    np.fill_diagonal(covariance, np.maximum(np.diag(covariance), plain))
+    covariance = squares_of_blocks(influences)
     residual = (float(ahead @ total @ ahead) + float(x @ noise[:p, :p] @ x)) / float(np.sum(counts))
     cluster = float(ahead @ apart[0] @ ahead) / apart[1] / residual
     alike = max(0.0, 1.0 - CLUSTER_LIMIT / cluster)

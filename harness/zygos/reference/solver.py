@@ -187,17 +187,33 @@ def scatter(z: Floats, w: Floats, weights: Floats, noise: Floats | None = None, 
     parts = np.zeros((count, p + 1, p + 1)) if noise is None else noise
     whole = _Triangle.of(z, w, parts.sum(axis=0))
     x, inverse = whole.solve(noise_scale), whole.inverse(noise_scale)
-    covariance, plain, gains = np.zeros((p, p)), np.zeros(p), []
+    gains, influences = [], []
     for weight, part in zip(weights, parts, strict=True):
         root = np.sqrt(1.0 - weight)
         rest = _Triangle.of(root[:, None] * z, root * w, parts.sum(axis=0) - part)
         pull = z.T @ (weight * (w - z @ x)) + noise_scale * (part[:p, :p] @ x - part[p, :p])
         left_out, alone = x - rest.solve(noise_scale), inverse @ pull
-        covariance += 0.5 * (np.outer(left_out, alone) + np.outer(alone, left_out))
-        plain += alone**2
+        influences.append((1.0, pull, alone, left_out))
         gains.append(np.diag(rest.inverse(noise_scale)) - np.diag(inverse))
     gain = np.maximum(gains, 0.0)
     freedom = np.maximum(gain.sum(axis=0) ** 2 / (gain**2).sum(axis=0), LEAST_FREEDOM)
+    return Scatter(squares_of_blocks(influences) * np.sum(weights) / np.sum(weights**2), freedom)
+
+
+def squares_of_blocks(influences: Sequence[tuple[float, Floats, Floats, Floats]]) -> Floats:
+    """Covariance (p, p) from the factor of each block, its pull (p,), its own influence (p,) and the change of the
+    solution (p,) without it.
+
+    The variances are the products of influence and change, and at least the squares of the influences. A matrix of
+    products need not be positive semi-definite; the correlations are those of squares of the influences, each enlarged
+    by what it is too small by along the pull.
+    """
+    factors = np.array([factor for factor, *_ in influences])
+    pulls, alone, change = (np.array(part) for part in zip(*((b, c, d) for _, b, c, d in influences), strict=True))
+    own, whole = np.sum(pulls * alone, axis=1), np.sum(pulls * change, axis=1)
+    enlarged = np.where((own > 0.0) & (whole > own), whole / np.where(own > 0.0, own, 1.0), 1.0)
+    covariance = (alone.T * (factors * enlarged)) @ alone
     # with few blocks the product may by chance be too small, even negative; the square of one factor cannot
-    np.fill_diagonal(covariance, np.maximum(np.diag(covariance), plain))
-    return Scatter(covariance * np.sum(weights) / np.sum(weights**2), freedom)
+    variances = np.maximum(factors @ (change * alone), factors @ alone**2)
+    share = np.sqrt(variances / np.diag(covariance))
+    return np.asarray(covariance * np.outer(share, share), dtype=np.float64)

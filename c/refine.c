@@ -1,0 +1,720 @@
+#include "zygos/refine.h"
+
+#include <string.h>
+
+#define TORQUE_STEP 1e-4     /* of a torque frame [Nm] */
+#define VARIANCE_OF_STEP 12. /* a step of 1 has the variance 1/12 */
+#define TWO_SIGMAS 1.959964  /* 95 % of a normal distribution */
+#define WIDER 2.0            /* standard deviations at the start, as a multiple of those of the estimate */
+#define ADDED 0.005          /* what is added to them, and what a value without one has; shares of the sizes */
+#define ASSUMED 0.01
+#define MOST 0.01  /* with more, the first innovations lead the filter out of the range where it is linear */
+#define FRESH 10.0 /* noise of the readings with which the state begins, as a multiple */
+#define FADE 0.8   /* of what is known of the level, from window to window */
+#define UNSURE 2.0 /* what is known of it at the start */
+#define SMALLEST_LEVEL 1e-4
+#define LARGEST_LEVEL 1e4
+#define LARGEST_STATE 1e6
+
+/* The kind of work that is next. */
+enum phase {
+    TAKE = 0,   /* the next cycle of the queue */
+    MOVE = 1,   /* a step of the state */
+    SLOPES = 2, /* the derivatives of the accelerations */
+    SERIES = 3, /* columns of the derivatives of the motion */
+    CARRY = 4,  /* columns of the constants in the root */
+    TABLE = 5,  /* the table of zygos_refiner_table() */
+    ROWS = 6,   /* a row of it */
+    READ = 7,   /* a reading */
+    CLOSE = 8   /* the end of these */
+};
+
+static bool within(double x, double low, double high)
+{
+    return (x >= low) && (x <= high);
+}
+
+static double magnitude(double x)
+{
+    return (x < 0.0) ? -x : x;
+}
+
+static double larger(double a, double b)
+{
+    return (a > b) ? a : b;
+}
+
+static bool is_finite(double x)
+{
+    return within(x, -1e300, 1e300);
+}
+
+void zygos_refine_defaults(zygos_refine_settings_t *settings, const zygos_config_t *config)
+{
+    memset(settings, 0, sizeof *settings);
+    zygos_refiner_settings_t *filter = &settings->filter;
+    filter->steps = 1u + (uint32_t)(config->period_s / 0.0100001);
+    filter->gyro_sigma = config->imu_sigma;
+    filter->second_order = 20.0;
+    for (uint32_t i = 0; i < config->joints; i++) {
+        const zygos_joint_config_t *joint = &config->joint[i];
+        const double own = joint->torque_sigma / joint->gear_ratio;
+        filter->torque_sigma[i] = (own > 0.0) ? own : TORQUE_STEP / __builtin_sqrt(VARIANCE_OF_STEP);
+        filter->link_sigma[i] = joint->link_sigma_rad;
+        filter->motor_sigma[i] = joint->motor_sigma_rad;
+    }
+    settings->every = 1u;
+    settings->terms = 6u;
+    settings->window = 100u;
+    settings->apart = 1u + (uint32_t)(0.0249999 / config->period_s);
+    settings->bias_sigma = 1e-3;
+}
+
+int zygos_refine_init(zygos_refine_t *self, const zygos_config_t *config, const zygos_refine_settings_t *settings)
+{
+    if ((self == NULL) || (config == NULL) || (settings == NULL)) {
+        return ZYGOS_E_NULL;
+    }
+    memset(self, 0, sizeof *self);
+    if (config->torque_law == (uint32_t)ZYGOS_TORQUE_SAMPLED) {
+        return ZYGOS_E_TORQUE_LAW;
+    }
+    self->settings = *settings;
+    zygos_refiner_settings_t *filter = &self->settings.filter;
+    for (uint32_t k = 0; k < (uint32_t)(sizeof filter->size / sizeof filter->size[0]); k++) {
+        filter->size[k] = 1.0;
+    }
+    bool good = within(settings->every, 1.0, 1000.0) && within(settings->terms, 2.0, 20.0) &&
+                within(settings->window, 20.0, 1e5) && within(settings->apart, 1.0, 1000.0) &&
+                within(settings->bias_sigma, 0.0, 1e3) && !(config->imu_latch_s > 0.0);
+    for (uint32_t k = 0; k < 4u * config->joints; k++) {
+        good = good && within(settings->beside_sigma[k], 0.0, 1e6);
+    }
+    return good ? zygos_refiner_init(&self->filter, config, filter) : ZYGOS_E_VALUE;
+}
+
+/* What errors of p values are compared with: the value; of one of the inertia matrix at least the geometric mean of the
+ * two moments of inertia that it couples, and of a first moment the largest one. */
+static void measure(zygos_refine_t *self, const zygos_config_t *config, const double *value)
+{
+    const zygos_propagation_t *propagation = &self->filter.propagation;
+    const uint32_t p = propagation->parameters;
+    const zygos_dynamics_t *dynamics = &self->work.dynamics;
+    double *size = self->filter.settings.size;
+    double moment = 0.0;
+    memset(self->work.constant, 0, sizeof self->work.constant);
+    memcpy(self->work.constant, value, p * sizeof value[0]);
+    zygos_dynamics_set(&self->work.dynamics, propagation, config, self->work.constant);
+    for (uint32_t a = 0; a < propagation->directions; a++) {
+        moment = larger(moment, magnitude(dynamics->moment[a]));
+    }
+    for (uint32_t k = 0; k < p; k++) {
+        size[k] = magnitude(value[k]);
+    }
+    const uint32_t entries = (config->reduced == 0u) ? p : config->reductions;
+    for (uint32_t e = 0; e < entries; e++) {
+        const bool same = (config->reduced == 0u);
+        const uint32_t c = same ? e : config->reduction[e].column;
+        const uint32_t k = same ? e : config->reduction[e].parameter;
+        const double factor = same ? 1.0 : magnitude(config->reduction[e].factor);
+        double least = 0.0;
+        if (c < propagation->pairs) {
+            const uint32_t a = propagation->first[c];
+            const uint32_t b = propagation->second[c];
+            least = __builtin_sqrt(magnitude(dynamics->matrix[a][a] * dynamics->matrix[b][b]));
+        } else if (c < propagation->pairs + propagation->moments) {
+            least = moment;
+        }
+        size[k] = larger(size[k], least / factor);
+    }
+    for (uint32_t k = 0; k < p; k++) {
+        size[k] = (size[k] > 0.0) ? size[k] : 1.0;
+    }
+}
+
+/* Row i and column j of what is packed by rows as a lower triangle. */
+static uint32_t packed(uint32_t i, uint32_t j)
+{
+    return (i >= j) ? i * (i + 1u) / 2u + j : j * (j + 1u) / 2u + i;
+}
+
+/* The largest level that passes, with which the filter also begins: where it is linear only roughly, more noise of the
+ * torques keeps it from believing its first innovations too much. */
+static double largest_level(const zygos_refine_t *self, uint32_t n)
+{
+    bool declared = false;
+    for (uint32_t i = 0; i < n; i++) {
+        declared = declared || (self->filter.settings.torque_relative_sigma[i] > 0.0);
+    }
+    return declared ? 1.0 : ZYGOS_REFINE_STEPS;
+}
+
+int zygos_refine_start(zygos_refine_t *self, const zygos_config_t *config, const zygos_estimate_t *estimate,
+                       const double *prior)
+{
+    if ((self == NULL) || (config == NULL) || (estimate == NULL)) {
+        return ZYGOS_E_NULL;
+    }
+    zygos_refiner_t *filter = &self->filter;
+    const uint32_t p = filter->propagation.parameters;
+    const uint32_t fast = filter->fast;
+    double x[ZYGOS_MAX_REFINED] = { 0.0 };
+    double sigma[ZYGOS_MAX_REFINED] = { 0.0 };
+    double *value = &x[fast];
+    bool good = (estimate->parameters >= p) && (estimate->validity != (uint32_t)ZYGOS_REFUSED);
+    self->started = 0u;
+    filter->failed = 0u;
+    for (uint32_t k = 0; good && (k < p); k++) {
+        const bool known = is_finite(estimate->value[k]) && is_finite(estimate->sigma[k]);
+        value[k] = (known || (prior == NULL)) ? estimate->value[k] : prior[k];
+        good = is_finite(value[k]);
+    }
+    if (!good) {
+        return ZYGOS_E_VALUE;
+    }
+    measure(self, config, value);
+    const double *size = filter->settings.size;
+    for (uint32_t j = 0; j < p; j++) {
+        const uint32_t at = fast + j;
+        double *own = &filter->root[at * (at + 1u) / 2u + fast];
+        const bool known = is_finite(estimate->value[j]) && is_finite(estimate->sigma[j]);
+        for (uint32_t i = 0; i <= j; i++) {
+            const double entry = estimate->covariance[packed(j, i)];
+            own[i] = is_finite(entry) ? WIDER * WIDER * entry / (size[i] * size[j]) : 0.0;
+        }
+        own[j] += ADDED * ADDED + (known ? 0.0 : ASSUMED * ASSUMED);
+    }
+    memcpy(&sigma[fast + p], self->settings.beside_sigma, (filter->constants - p) * sizeof sigma[0]);
+    if (zygos_refiner_begin(filter, x, sigma) != 1) {
+        return ZYGOS_E_VALUE;
+    }
+    for (uint32_t k = 0; k < p; k++) {
+        zygos_refiner_pin(filter, fast + k, MOST, self->work.gain);
+    }
+    self->started = 1u;
+    self->moving = 0u;
+    self->beginning = 0u;
+    self->phase = (uint32_t)TAKE;
+    self->used = 0u;
+    self->windows = 0u;
+    self->calm = 0u;
+    self->level = largest_level(self, config->joints);
+    self->information = UNSURE;
+    self->score = 0.0;
+    self->share = 0.0;
+    self->walk = 0.0;
+    memset(self->count, 0, sizeof self->count);
+    memset(self->square, 0, sizeof self->square);
+    memset(self->largest, 0, sizeof self->largest);
+    return 1;
+}
+
+static uint32_t behind(uint32_t place)
+{
+    return (place >= (uint32_t)ZYGOS_CYCLE_QUEUE) ? 0u : place + 1u;
+}
+
+int zygos_refine_cycle(zygos_refine_t *self, const zygos_cycle_t *cycle)
+{
+    if (self == NULL) {
+        return ZYGOS_E_NULL;
+    }
+    if (cycle == NULL) {
+        return 0;
+    }
+    const uint32_t head = self->queue.head;
+    const uint32_t next = behind(head);
+    if (next == __atomic_load_n(&self->queue.tail, __ATOMIC_ACQUIRE)) {
+        self->overrun++;
+        return 0;
+    }
+    self->queue.slot[head] = *cycle;
+    __atomic_store_n(&self->queue.head, next, __ATOMIC_RELEASE);
+    return 1;
+}
+
+/* The torque of the interval, and what of it nobody reported: of a walk between two known ends. */
+static void enter(zygos_refine_t *self, const zygos_config_t *config)
+{
+    const zygos_refiner_settings_t *settings = &self->filter.settings;
+    const bool previous = (config->torque_law == (uint32_t)ZYGOS_TORQUE_APPLIED_PREVIOUS_CYCLE);
+    const uint32_t at = self->interval + (previous ? 1u : 0u);
+    const uint32_t left = self->intervals - at;
+    const double share = (double)at / (double)self->intervals;
+    const uint32_t distance = (at < left) ? at : left;
+    if (self->group == 0u) {
+        zygos_refiner_constants(&self->filter, self->work.constant);
+        zygos_dynamics_set(&self->work.dynamics, &self->filter.propagation, config, self->work.constant);
+        memset(self->mean, 0, sizeof self->mean);
+        memset(self->variance, 0, sizeof self->variance);
+        memset(self->middle, 0, sizeof self->middle);
+        self->missing = 0.0;
+        self->lost_lately = 0u;
+    }
+    for (uint32_t i = 0; i < config->joints; i++) {
+        self->tau[i] = self->before[i] + (self->after[i] - self->before[i]) * share;
+        const double relative = settings->torque_relative_sigma[i] * self->tau[i];
+        self->mean[i] += self->tau[i];
+        self->variance[i] += settings->torque_sigma[i] * settings->torque_sigma[i] + relative * relative;
+    }
+    self->missing += self->walk * (double)distance;
+    self->lost_lately |= (distance > 0u) ? 1u : 0u;
+    self->cursor = 0u;
+    self->phase = (uint32_t)MOVE;
+}
+
+/* State and bias at the newest of the readings with which the state begins: rates are those of a parabola through
+ * three, and what a fourth one says otherwise widens their deviations. */
+static void begin(zygos_refine_t *self, const zygos_config_t *config)
+{
+    const zygos_refiner_settings_t *settings = &self->filter.settings;
+    const uint32_t n = config->joints;
+    const uint32_t w = self->filter.propagation.base_rates;
+    const double time = (double)self->settings.apart * config->period_s;
+    const double gyro = __builtin_sqrt(FRESH * FRESH * settings->gyro_sigma * settings->gyro_sigma +
+                                       self->settings.bias_sigma * self->settings.bias_sigma);
+    double x[ZYGOS_MAX_FAST] = { 0.0 };
+    double sigma[ZYGOS_MAX_FAST] = { 0.0 };
+    for (uint32_t k = 0; k < 2u * n; k++) {
+        const double a[4] = { self->angle[0][k], self->angle[1][k], self->angle[2][k], self->angle[3][k] };
+        const double noise = (k < n) ? settings->link_sigma[k] : settings->motor_sigma[k - n];
+        const double zero =
+            (settings->zeros != 0u)
+                ? self->settings.beside_sigma[self->filter.constants - self->filter.propagation.parameters - 2u * n + k]
+                : 0.0;
+        const double rate = (3.0 * a[3] - 4.0 * a[2] + a[1]) / (2.0 * time);
+        const double other = (11.0 * a[3] - 18.0 * a[2] + 9.0 * a[1] - 2.0 * a[0]) / (6.0 * time);
+        x[w + k] = a[3];
+        x[w + 2u * n + k] = rate;
+        sigma[w + k] = FRESH * __builtin_sqrt(noise * noise + zero * zero);
+        sigma[w + 2u * n + k] = magnitude(other - rate) + __builtin_sqrt(530.0) / (6.0 * time) * noise;
+    }
+    for (uint32_t k = 0; k < w; k++) {
+        const double *axis = config->joint[0].axis;
+        const double *omega = &self->signal[2u * n];
+        x[k] = (w == 3u) ? omega[k] : axis[0] * omega[0] + axis[1] * omega[1] + axis[2] * omega[2];
+        sigma[k] = gyro;
+        sigma[self->filter.propagation.moving + k] = self->settings.bias_sigma;
+    }
+    zygos_refiner_resume(&self->filter, x, sigma);
+    self->moving = 1u;
+    self->group = 0u;
+    self->lost_lately = 1u; /* no torque has acted yet */
+    self->cursor = 0u;
+    self->phase = (uint32_t)READ;
+}
+
+/* The readings from which the state begins. */
+static void gather(zygos_refine_t *self, const zygos_config_t *config)
+{
+    self->since++;
+    if ((self->beginning == 0u) || (self->since >= self->settings.apart)) {
+        memcpy(self->angle[self->beginning], self->signal, 2u * config->joints * sizeof self->signal[0]);
+        self->beginning++;
+        self->since = 0u;
+    }
+    if (self->beginning == ZYGOS_REFINE_BEGINNING) {
+        begin(self, config);
+    }
+}
+
+static void use(zygos_refine_t *self, const zygos_config_t *config, const zygos_cycle_t *cycle)
+{
+    const uint32_t broken = (uint32_t)ZYGOS_CYCLE_BREAK | (uint32_t)ZYGOS_CYCLE_VOID;
+    const bool known = (self->moving != 0u) || (self->beginning > 0u);
+    const uint64_t step = cycle->sync - self->sync;
+    const uint64_t most = (self->moving != 0u) ? ZYGOS_REFINE_GAP + 1u : 1u;
+    const bool follows = known && (step >= 1u) && (step <= most) && ((cycle->flags & broken) == 0u) &&
+                         (zygos_cycle_wrapped(&self->previous, config, cycle) == 0);
+    double unused[ZYGOS_MAX_JOINTS];
+    double widest = 0.0;
+    memcpy(self->before, self->previous.reported, sizeof self->before);
+    memcpy(self->after, cycle->tau, sizeof self->after);
+    zygos_cycle_calibrate(&self->previous, config, cycle, self->signal, unused);
+    self->sync = cycle->sync;
+    if (!follows) {
+        self->restarts += self->moving;
+        self->moving = 0u;
+        self->beginning = 0u;
+        self->since = 0u;
+    }
+    if (self->moving == 0u) {
+        gather(self, config);
+        return;
+    }
+    for (uint32_t i = 0; i < config->joints; i++) {
+        widest = larger(widest, magnitude(self->after[i] - self->before[i]));
+    }
+    self->walk += (step == 1u) ? (widest * widest - self->walk) / 16.0 : 0.0;
+    self->lost += step - 1u;
+    self->intervals = (uint32_t)step;
+    self->interval = 0u;
+    enter(self, config);
+}
+
+static int take(zygos_refine_t *self, const zygos_config_t *config)
+{
+    const uint32_t tail = self->queue.tail;
+    if (tail == __atomic_load_n(&self->queue.head, __ATOMIC_ACQUIRE)) {
+        return 0;
+    }
+    const zygos_cycle_t *cycle = &self->queue.slot[tail];
+    const bool runs = (self->started != 0u) && (self->filter.failed == 0u);
+    if (runs && ((cycle->flags & (uint32_t)ZYGOS_CYCLE_VOID) != 0u)) {
+        self->filter.failed = 1u; /* what it has used cannot be taken back */
+    } else if (runs && ((cycle->flags & (uint32_t)ZYGOS_CYCLE_INVALID) == 0u) &&
+               (zygos_cycle_apart(config, cycle) == 0)) {
+        use(self, config, cycle);
+    }
+    __atomic_store_n(&self->queue.tail, behind(tail), __ATOMIC_RELEASE);
+    return 1;
+}
+
+static void fail(zygos_refine_t *self)
+{
+    self->filter.failed = 1u;
+    self->moving = 0u;
+    self->beginning = 0u;
+    self->phase = (uint32_t)TAKE;
+}
+
+static void add_middle(zygos_refine_t *self)
+{
+    for (uint32_t k = 0; k < self->filter.propagation.moving; k++) {
+        self->middle[k] += 0.5 * self->filter.x[k];
+    }
+}
+
+static void move(zygos_refine_t *self, const zygos_config_t *config)
+{
+    const uint32_t steps = self->filter.settings.steps;
+    const uint32_t all = self->settings.every * steps;
+    const uint32_t at = self->group * steps + self->cursor;
+    double drive[ZYGOS_MAX_JOINTS];
+    bool good = true;
+    zygos_refiner_drive(&self->filter, self->tau, drive);
+    if (at == all / 2u) {
+        add_middle(self);
+    }
+    if (at == (all + 1u) / 2u) {
+        add_middle(self);
+    }
+    good = zygos_propagation_move(&self->filter.propagation, config, &self->work.dynamics,
+                                  config->period_s / (double)steps, self->filter.x, drive, &self->work.propagation);
+    if (all == 1u) {
+        add_middle(self);
+    }
+    for (uint32_t k = 0; k < self->filter.propagation.moving; k++) {
+        good = good && within(self->filter.x[k], -LARGEST_STATE, LARGEST_STATE);
+    }
+    if (!good) {
+        fail(self);
+        return;
+    }
+    self->cursor++;
+    if (self->cursor < steps) {
+        return;
+    }
+    self->interval++;
+    self->group++;
+    if (self->group >= self->settings.every) {
+        self->phase = (uint32_t)SLOPES;
+    } else if (self->interval < self->intervals) {
+        enter(self, config);
+    } else {
+        self->phase = (uint32_t)TAKE;
+    }
+}
+
+static void linearise(zygos_refine_t *self, const zygos_config_t *config)
+{
+    double drive[ZYGOS_MAX_JOINTS];
+    for (uint32_t i = 0; i < config->joints; i++) {
+        self->mean[i] /= (double)self->settings.every;
+    }
+    zygos_refiner_drive(&self->filter, self->mean, drive);
+    if (!zygos_propagation_slopes(&self->filter.propagation, config, &self->work.dynamics, self->middle, drive,
+                                  &self->work.propagation)) {
+        fail(self);
+        return;
+    }
+    self->cursor = 0u;
+    self->phase = (uint32_t)SERIES;
+}
+
+/* The noise of a torque that is held for all cycles and does to the rates what that of each of them does. */
+static double noise_of(const zygos_refine_t *self, uint32_t i, double missing)
+{
+    const double variance = self->level * self->level * self->variance[i] + missing;
+    return __builtin_sqrt(variance) / (double)self->settings.every;
+}
+
+/* Columns by the state before, then by additions to accelerations, then by constants and torques. */
+static void series(zygos_refine_t *self, const zygos_config_t *config)
+{
+    const zygos_propagation_t *propagation = &self->filter.propagation;
+    const uint32_t n = config->joints;
+    const uint32_t moving = propagation->moving;
+    const uint32_t direct = moving + propagation->base_rates + 2u * n;
+    const uint32_t constants = propagation->parameters + ((self->filter.settings.friction != 0u) ? n : 0u);
+    const double time = (double)self->settings.every * config->period_s;
+    const uint32_t block = (self->cursor < direct) ? 2u : 2u * ZYGOS_REFINE_COLUMNS;
+    for (uint32_t k = 0; (k < block) && (self->cursor < direct + constants + n); k++, self->cursor++) {
+        const uint32_t c = self->cursor;
+        double column[ZYGOS_MAX_MOVING];
+        if (c < direct) {
+            zygos_propagation_series(propagation, config, time, self->settings.terms, c, &self->work.propagation,
+                                     column);
+        } else {
+            zygos_propagation_column(propagation, config, c - direct,
+                                     (const double(*)[ZYGOS_MAX_ACCELERATIONS])self->pushed, &self->work.propagation,
+                                     column);
+        }
+        const uint32_t torque = (c >= direct + constants) ? c - direct - constants : n;
+        for (uint32_t i = 0; i < moving; i++) {
+            if ((c >= moving) && (c < direct)) {
+                self->pushed[i][c - moving] = column[i];
+            } else {
+                self->work.slope[i][(c < moving) ? c : c - direct + moving] = column[i];
+            }
+            if (torque < n) {
+                self->push[i][torque] = column[i] * noise_of(self, torque, 0.0);
+            }
+        }
+    }
+    if (self->cursor >= direct + constants + n) {
+        self->cursor = 0u;
+        self->phase = (uint32_t)CARRY;
+    }
+}
+
+static void carry(zygos_refine_t *self)
+{
+    for (uint32_t k = 0; (k < ZYGOS_REFINE_COLUMNS) && (self->cursor < self->filter.constants); k++, self->cursor++) {
+        zygos_refiner_carry(&self->filter, self->cursor, &self->work);
+    }
+    if (self->cursor >= self->filter.constants) {
+        self->phase = (uint32_t)TABLE;
+    }
+}
+
+static void tabulate(zygos_refine_t *self, const zygos_config_t *config)
+{
+    double noise[ZYGOS_MAX_JOINTS];
+    for (uint32_t i = 0; i < config->joints; i++) {
+        noise[i] = noise_of(self, i, self->missing);
+    }
+    const double walk = self->filter.settings.bias_walk * __builtin_sqrt((double)self->settings.every);
+    zygos_refiner_table(&self->filter, noise, walk, &self->work);
+    self->cursor = self->filter.fast;
+    self->phase = (uint32_t)ROWS;
+}
+
+static void take_row(zygos_refine_t *self, const zygos_config_t *config)
+{
+    self->cursor--;
+    zygos_refiner_row(&self->filter, self->cursor, &self->work);
+    if (self->cursor > 0u) {
+        return;
+    }
+    self->group = 0u;
+    if (self->interval < self->intervals) {
+        enter(self, config);
+    } else {
+        self->phase = (uint32_t)READ;
+    }
+}
+
+static void read_one(zygos_refine_t *self, const zygos_config_t *config)
+{
+    zygos_refiner_t *filter = &self->filter;
+    const uint32_t n = config->joints;
+    const uint32_t w = filter->propagation.base_rates;
+    double value = self->signal[self->cursor];
+    if ((self->cursor >= 2u * n) && (w == 1u)) {
+        const double *axis = config->joint[0].axis;
+        const double *omega = &self->signal[2u * n];
+        value = axis[0] * omega[0] + axis[1] * omega[1] + axis[2] * omega[2];
+    }
+    const zygos_innovation_t one =
+        zygos_refiner_use(filter, config, self->cursor, value, ZYGOS_REFINE_GATE, self->work.gain);
+    self->rejected += one.rejected;
+    self->count[one.channel] += 1.0;
+    self->square[one.channel] += one.square;
+    self->largest[one.channel] = larger(self->largest[one.channel], one.square);
+    if (self->lost_lately == 0u) {
+        double share = 0.0;
+        for (uint32_t i = 0; i < n; i++) {
+            double moved = 0.0;
+            for (uint32_t t = 0; (t < one.terms) && (one.entry[t] < filter->propagation.moving); t++) {
+                moved += one.weight[t] * self->push[one.entry[t]][i];
+            }
+            share += moved * moved;
+        }
+        share /= one.variance;
+        self->score += share * (one.square - 1.0);
+        self->share += share * share;
+    }
+    self->cursor++;
+    if (self->cursor >= 2u * n + w) {
+        self->phase = (uint32_t)CLOSE;
+    }
+}
+
+/* One step of Fisher's scoring by the logarithm of the squared level, with what earlier windows have told. */
+static void adapt(zygos_refine_t *self)
+{
+    self->information = FADE * self->information + 0.5 * self->share;
+    const double step = 0.5 * self->score / self->information;
+    const double factor = (step > 1.0) ? 2.0 : ((step < -0.75) ? 0.25 : 1.0 + step);
+    const double level = self->level * __builtin_sqrt(factor);
+    self->level = (level < SMALLEST_LEVEL) ? SMALLEST_LEVEL : ((level > LARGEST_LEVEL) ? LARGEST_LEVEL : level);
+    self->score = 0.0;
+    self->share = 0.0;
+}
+
+static void conclude(zygos_refine_t *self)
+{
+    bool calm = true;
+    self->phase = (uint32_t)TAKE;
+    self->used++;
+    if (self->used % self->settings.window != 0u) {
+        return;
+    }
+    for (uint32_t c = 0; c < (uint32_t)ZYGOS_KINDS_OF_CHANNEL; c++) {
+        const double count = self->count[c];
+        self->nis[c] = (count > 0.0) ? self->square[c] / count : 1.0;
+        self->ratio[c] = self->largest[c] / ZYGOS_REFINE_GATE;
+        const double error = (count > 0.0) ? __builtin_sqrt(2.0 / count) : 0.0;
+        calm = calm && (self->nis[c] <= 1.0 + ZYGOS_REFINE_EXCESS + ZYGOS_REFINE_SIGMAS * error);
+        self->count[c] = 0.0;
+        self->square[c] = 0.0;
+        self->largest[c] = 0.0;
+    }
+    adapt(self);
+    self->windows++;
+    self->calm = calm ? self->calm + 1u : 0u;
+}
+
+int zygos_refine_step(zygos_refine_t *self, const zygos_config_t *config)
+{
+    if ((self == NULL) || (config == NULL)) {
+        return ZYGOS_E_NULL;
+    }
+    switch ((enum phase)self->phase) {
+    case TAKE:
+        return take(self, config);
+    case MOVE:
+        move(self, config);
+        break;
+    case SLOPES:
+        linearise(self, config);
+        break;
+    case SERIES:
+        series(self, config);
+        break;
+    case CARRY:
+        carry(self);
+        break;
+    case TABLE:
+        tabulate(self, config);
+        break;
+    case ROWS:
+        take_row(self, config);
+        break;
+    case READ:
+        read_one(self, config);
+        break;
+    case CLOSE:
+        conclude(self);
+        break;
+    }
+    return 1;
+}
+
+/* Whether the torques have no more noise than declared. */
+static bool quiet(const zygos_refine_t *self, uint32_t n, double error)
+{
+    const double x = ZYGOS_REFINE_SIGMAS * error;
+    return self->level <= largest_level(self, n) * (1.0 + x + 0.5 * x * x);
+}
+
+static uint32_t reason_of(const zygos_refine_t *self, const zygos_config_t *config, const zygos_estimate_t *energy,
+                          const zygos_refined_t *out)
+{
+    const zygos_refiner_t *filter = &self->filter;
+    const double *value = &filter->x[filter->fast];
+    if (self->started == 0u) {
+        return ZYGOS_REFINE_WAITS;
+    }
+    if (filter->failed != 0u) {
+        return ZYGOS_REFINE_FAILED;
+    }
+    if ((energy->validity != (uint32_t)ZYGOS_VALID) && (energy->validity != (uint32_t)ZYGOS_PARTIAL)) {
+        return ZYGOS_REFINE_ENERGY;
+    }
+    if (self->windows < ZYGOS_REFINE_CALM) {
+        return ZYGOS_REFINE_WAITS;
+    }
+    if (self->calm < ZYGOS_REFINE_CALM) {
+        return ZYGOS_REFINE_INNOVATIONS;
+    }
+    if (!quiet(self, config->joints, out->level_error)) {
+        return ZYGOS_REFINE_LEVEL;
+    }
+    if (!(out->distance <= 1.0)) {
+        return ZYGOS_REFINE_APART;
+    }
+    for (uint32_t i = 0; i < 3u * config->joints; i++) {
+        if (!(value[filter->propagation.parameters - 1u - i] > 0.0)) {
+            return ZYGOS_REFINE_PHYSICAL;
+        }
+    }
+    return ZYGOS_REFINE_NONE;
+}
+
+int zygos_refine_judge(const zygos_refine_t *self, const zygos_config_t *config, const zygos_estimate_t *energy,
+                       zygos_refined_t *out)
+{
+    if ((self == NULL) || (config == NULL) || (energy == NULL) || (out == NULL)) {
+        return ZYGOS_E_NULL;
+    }
+    const zygos_refiner_t *filter = &self->filter;
+    const uint32_t p = filter->propagation.parameters;
+    memset(out, 0, sizeof *out);
+    out->cycle = self->sync;
+    out->used = self->used;
+    out->lost = self->lost;
+    out->restarts = self->restarts;
+    out->rejected = self->rejected;
+    out->parameters = p;
+    out->level = self->level;
+    out->level_error = (self->information > 0.0) ? 0.5 / __builtin_sqrt(self->information) : 0.0;
+    memcpy(out->nis, self->nis, sizeof out->nis);
+    memcpy(out->ratio, self->ratio, sizeof out->ratio);
+    for (uint32_t k = 0; k < p; k++) {
+        const double size = filter->settings.size[k];
+        double square = 0.0;
+        for (uint32_t j = filter->fast + k; j < filter->entries; j++) {
+            const double entry = filter->root[j * (j + 1u) / 2u + filter->fast + k];
+            square += entry * entry;
+        }
+        out->value[k] = filter->x[filter->fast + k] * size;
+        out->sigma[k] = __builtin_sqrt(square) * size;
+        const double other = energy->half95[k] / TWO_SIGMAS;
+        const double allowed = ZYGOS_REFINE_SIGMAS * __builtin_sqrt(other * other + out->sigma[k] * out->sigma[k]) +
+                               ZYGOS_REFINE_BIAS * size;
+        const double distance = magnitude(out->value[k] - energy->value[k]) / allowed;
+        if (distance > out->distance) {
+            out->distance = distance;
+            out->farthest = k;
+        }
+    }
+    out->reason = reason_of(self, config, energy, out);
+    out->published = (out->reason == (uint32_t)ZYGOS_REFINE_NONE) ? 1u : 0u;
+    if (out->published == 0u) {
+        memcpy(out->value, energy->value, p * sizeof out->value[0]);
+        memcpy(out->sigma, energy->sigma, p * sizeof out->sigma[0]);
+    }
+    return (int)out->published;
+}

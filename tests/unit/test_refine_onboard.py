@@ -1,0 +1,291 @@
+"""The refinement as a task on board: against the whole filter, in slices, over gaps, and what it publishes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from refine_support import Case, noisy, plant
+
+from conftest import ROOT
+from zygos.arm import Arm
+from zygos.errors import ZygosError
+from zygos.native.flight import Flight, cycles_to_native, ffi, lib, text_of
+from zygos.native.refine import Onboard, OnboardRefiner, Refined
+from zygos.native.refiner import Refiner, Settings
+from zygos.refine.bound import bound
+from zygos.runs.cycles import Cycles
+from zygos.simulation.plant import simulate
+from zygos.simulation.scenario import load_scenario
+
+Floats = NDArray[np.float64]
+LEARNED_S = 60.0
+"""From so much of a run comes the estimate with which the refinement begins."""
+INNOVATIONS, LEVEL, APART, FAILED, ENERGY, WAITS = 4, 5, 6, 3, 2, 1
+
+
+@cache
+def flown(case: Case, seed: int, duration_s: float = 120.0) -> Cycles:
+    """The cycles of a run; the elbow's torques are reported with the gain of the case."""
+    scenario = load_scenario(ROOT / "examples" / case.example / "scenario.toml")
+    plants = plant(case.example, case.effects)
+    run = simulate(noisy(case.example, case.noise), plants, scenario, seeds=[seed], duration_s=duration_s,
+                   rtol=1e-6, atol=1e-8).cycles()  # fmt: skip
+    gains = np.ones(case.arm.n)
+    gains[-1] = case.gain
+    return replace(run, tau=run.tau * gains)
+
+
+def part(cycles: Cycles, chosen: slice | NDArray[np.bool_]) -> Cycles:
+    """Some of the cycles."""
+    names = ("sync", "q", "theta", "tau", "omega", "flags")
+    return replace(cycles, **{name: getattr(cycles, name)[chosen] for name in names})
+
+
+def learned(arm: Arm, cycles: Cycles) -> tuple[Flight, Cycles]:
+    """A flight that knows the first part of a run, and the rest."""
+    n = round(LEARNED_S / arm.period_s)
+    flight = Flight(arm)
+    flight.cycles(part(cycles, slice(0, n)))
+    return flight, part(cycles, slice(n, None))
+
+
+def refined(case: Case, seed: int) -> tuple[OnboardRefiner, Refined]:
+    """The refinement of the second half of a run, and what it publishes."""
+    flight, rest = learned(case.arm, flown(case, seed))
+    task = OnboardRefiner(case.arm)
+    task.start(flight)
+    task.cycles(rest)
+    flight.cycles(rest)
+    return task, task.judge(flight)
+
+
+def test_it_is_the_whole_filter() -> None:
+    """Derivatives at the middle of a period, by a series, are those of the Runge-Kutta method up to small terms: at the
+    end, the deviations are the same within 1 %, and the values are apart by less than a tenth of them."""
+    case = Case()
+    arm = case.arm
+    flight, rest = learned(arm, flown(case, 0))
+    task = OnboardRefiner(arm, Onboard(window=100_000))  # no window ends, so that the level stays
+    task.start(flight)
+    n = 5
+    task.cycles(part(rest, slice(0, n - 1)))  # the state begins with the fourth
+    entries = task.native.filter.entries
+    x = np.frombuffer(ffi.buffer(task.native.filter.x), dtype=np.float64)[:entries].copy()
+    root = np.zeros((entries, entries))
+    packed = np.frombuffer(ffi.buffer(task.native.filter.root), dtype=np.float64)
+    root.T[np.tril_indices(entries)] = packed[: entries * (entries + 1) // 2]
+    size = np.frombuffer(ffi.buffer(task.native.filter.settings.size), dtype=np.float64)[:12].copy()
+    whole = Refiner(arm, Settings(size, 5))
+    fast = whole.fast
+    value = x[fast:] * size
+    whole.start(np.concatenate([x[:fast], value]), np.ones(entries), np.diag((0.01 * size) ** 2))
+    np.frombuffer(ffi.buffer(whole._native.root), dtype=np.float64)[: len(packed)] = packed
+    for k in range(n - 1, len(rest)):
+        whole.advance(rest.tau[k - 1])
+        whole.read(rest.q[k], rest.theta[k], rest.omega[k])
+    task.cycles(part(rest, slice(n - 1, None)))
+    (ours, deviation), (theirs, covariance) = task.estimate, whole.estimate()
+    expected = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose(deviation, expected, rtol=0.01)
+    assert np.sqrt(np.mean(((ours - theirs) / expected) ** 2)) < 0.1
+
+
+def test_slices_are_the_whole() -> None:
+    """Few slices after each cycle, with cycles that wait, give the same bits as all of them."""
+    arm = Case().arm
+    flight, rest = learned(arm, flown(Case(), 0))
+    images = []
+    for slices in (None, 45, 40):
+        task = OnboardRefiner(arm)
+        task.start(flight)
+        task.cycles(rest, slices)
+        assert task.native.overrun == 0
+        entries = task.native.filter.entries
+        images.append(bytes(ffi.buffer(task.native.filter.root)) + bytes(ffi.buffer(task.native.filter.x)))
+        assert task.native.used == len(rest) - 3 and entries == 22
+    assert images[0] == images[1] == images[2]
+
+
+def test_the_work_of_a_cycle_is_bounded() -> None:
+    """Every cycle takes the same number of slices, whatever its data are."""
+    arm = Case().arm
+    flight, rest = learned(arm, flown(Case(), 0))
+    task = OnboardRefiner(arm)
+    task.start(flight)
+    task.cycles(part(rest, slice(0, 4)))
+    slices = set()
+    for k in range(4, 400):
+        lib.zygos_refine_cycle(task.native, cycles_to_native(part(rest, slice(k, k + 1))))
+        count = 0
+        while lib.zygos_refine_step(task.native, task._config) == 1:
+            count += 1
+        slices.add(count)
+    assert len(slices) == 1
+
+
+def test_a_full_queue_is_counted_and_bridged() -> None:
+    arm = Case().arm
+    flight, rest = learned(arm, flown(Case(), 0))
+    task = OnboardRefiner(arm)
+    task.start(flight)
+    task.cycles(part(rest, slice(0, 100)))
+    task.cycles(part(rest, slice(100, 120)), slices=0)  # nobody works for 20 cycles, and the queue holds 8
+    task.cycles(part(rest, slice(120, 600)))
+    assert task.native.overrun == 12 and task.native.lost == 12
+    assert task.native.restarts == 0 and task.native.filter.failed == 0
+
+
+@pytest.mark.parametrize("lost", [1, 7, 20])
+def test_lost_cycles_are_bridged(lost: int) -> None:
+    """Torques that nobody reported are interpolated; the innovations stay as expected."""
+    case = Case()
+    flight, rest = learned(case.arm, flown(case, 0))
+    kept = np.ones(len(rest), dtype=np.bool_)
+    for k in range(200, 1100, 100):
+        kept[k : k + lost] = False
+    task = OnboardRefiner(case.arm)
+    task.start(flight)
+    task.cycles(part(rest, kept))
+    flight.cycles(part(rest, kept))
+    answer = task.judge(flight)
+    assert (answer.lost, answer.restarts) == (9 * lost, 0)
+    assert answer.published and np.all(answer.nis < 1.5)
+
+
+def test_after_a_long_gap_the_state_begins_anew() -> None:
+    case = Case()
+    flight, rest = learned(case.arm, flown(case, 0))
+    kept = np.ones(len(rest), dtype=np.bool_)
+    kept[400:421] = False
+    task = OnboardRefiner(case.arm)
+    task.start(flight)
+    task.cycles(part(rest, slice(0, 400)))
+    before = task.estimate
+    task.cycles(part(rest, slice(421, 423)))
+    np.testing.assert_array_equal(task.estimate[0], before[0])
+    task.cycles(part(rest, slice(423, None)))
+    flight.cycles(part(rest, kept))
+    answer = task.judge(flight)
+    assert (answer.lost, answer.restarts) == (0, 1)
+    assert answer.published and np.all(task.estimate[1] < before[1])
+
+
+def test_a_glitch_is_rejected() -> None:
+    """One reading that is far off has a ratio above 1, is not used, and does not take the values off the air."""
+    case = Case()
+    flight, rest = learned(case.arm, flown(case, 0))
+    q = rest.q.copy()
+    q[1150, 0] += 0.5
+    task = OnboardRefiner(case.arm)
+    task.start(flight)
+    task.cycles(replace(rest, q=q))
+    flight.cycles(rest)
+    answer = task.judge(flight)
+    assert answer.rejected == 1 and answer.ratio[0] < 1.0 and answer.published
+
+
+def test_published_values_are_better_than_the_estimate() -> None:
+    """By a factor of 10 at least, with innovations as expected."""
+    task, answer = refined(Case(), 0)
+    flight, _ = learned(Case().arm, flown(Case(), 0))
+    truth = plant("paper").base_values(Case().arm)
+    assert answer.published and answer.reason == 0
+    np.testing.assert_array_equal(answer.value, task.estimate[0])
+    assert abs(np.log(answer.level)) < 4.0 * answer.level_error
+    assert np.all(answer.nis < 1.3) and np.all(answer.ratio < 0.6)
+    ours, theirs = (np.sqrt(np.mean((one / truth - 1.0) ** 2)) for one in (answer.value, flight.estimate().value))
+    assert 10.0 * ours < theirs
+
+
+@pytest.mark.slow
+def test_errors_are_within_the_bound_and_what_is_stated() -> None:
+    """12 runs: errors at most 1.3 times the bound, and 95 % intervals that hold."""
+    case = Case()
+    scenario = replace(load_scenario(ROOT / "examples" / "paper" / "scenario.toml"), duration_s=60.0)
+    (best,) = bound(case.arm, plant("paper"), scenario, [case.noise])
+    truth = plant("paper").base_values(case.arm)
+    errors, shares, published = [], [], 0
+    for seed in range(12):
+        task, answer = refined(case, seed)
+        value, sigma = task.estimate
+        published += answer.published
+        errors.append((value - truth) / best.sigma)
+        shares.append(np.mean(np.abs(value - truth) < 1.959964 * sigma))
+    assert published >= 11
+    assert np.sqrt(np.mean(np.square(errors))) < 1.3
+    assert np.mean(shares) > 0.92
+
+
+@pytest.mark.slow
+def test_the_level_follows_the_torques() -> None:
+    """Torques that are twice as noisy as declared are seen, and half as noisy ones; the former are not published."""
+    _, loud = refined(Case(noise=0.01, declared=0.005), 0)
+    assert loud.level == pytest.approx(2.0, abs=0.5)
+    assert not loud.published and loud.reason == LEVEL
+    _, quiet = refined(Case(noise=0.005, declared=0.01), 0)
+    assert quiet.level == pytest.approx(0.5, abs=0.2) and quiet.published
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("case", "reasons"),
+    [
+        (Case(gain=1.02), {LEVEL, APART, INNOVATIONS}),
+        (Case(gain=1.05), {ENERGY, LEVEL, APART, INNOVATIONS}),
+        (Case(effects=(("torque_lag", 0.01),)), {ENERGY, LEVEL, APART, INNOVATIONS}),
+        (Case(effects=(("cubic_stiffness", 3.0),)), {FAILED, LEVEL, APART, INNOVATIONS}),
+    ],
+)
+def test_a_model_that_lacks_something_is_not_published(case: Case, reasons: set[int]) -> None:
+    task, answer = refined(case, 0)
+    assert not answer.published and answer.reason in reasons
+    assert answer.text == text_of(lib.zygos_refine_text, answer.reason) != "unknown code"
+    assert not np.array_equal(answer.value, task.estimate[0])
+
+
+def test_what_is_not_refined_is_the_estimate_from_energy_rows() -> None:
+    case = Case()
+    flight, rest = learned(case.arm, flown(case, 0))
+    task = OnboardRefiner(case.arm)
+    before = task.judge(flight)
+    assert before.reason == WAITS and not before.published
+    np.testing.assert_array_equal(before.value, flight.estimate().value)
+    task.start(flight)
+    task.cycles(part(rest, slice(0, 100)))
+    assert task.judge(flight).reason == WAITS  # fewer than four windows
+    empty = Flight(case.arm)
+    assert task.judge(empty).reason == ENERGY
+    task.cycles(part(rest, slice(100, 101)))
+    flags = np.array([lib.ZYGOS_CYCLE_VOID], dtype=np.uint32)
+    task.cycles(replace(part(rest, slice(101, 102)), flags=flags))
+    assert task.judge(flight).reason == FAILED  # what it has used cannot be taken back
+    task.start(flight)
+    assert task.judge(flight).reason == WAITS
+
+
+def test_what_it_cannot_follow_is_refused() -> None:
+    case = Case()
+    with pytest.raises(ZygosError, match=r"refuses it: .*; remedy"):
+        OnboardRefiner(replace(case.arm, torque_law="sampled"))
+    with pytest.raises(ZygosError, match="refuses it"):
+        OnboardRefiner(case.arm, Onboard(every=1001))
+    with pytest.raises(ZygosError, match="gives no start; remedy"):
+        OnboardRefiner(case.arm).start(Flight(case.arm))
+
+
+def test_sizes_are_those_of_the_solver() -> None:
+    """An inertia that couples two bodies is compared with the geometric mean of theirs, all others with themselves."""
+    arm = Case().arm
+    flight, _ = learned(arm, flown(Case(), 0))
+    task = OnboardRefiner(arm)
+    task.start(flight)
+    size = np.frombuffer(ffi.buffer(task.native.filter.settings.size), dtype=np.float64)[:12]
+    value = flight.estimate().value
+    a00, a01, a02, a11, a12, a22 = value[:6]
+    least = np.sqrt([a00 * a00, a00 * a11, a00 * a22, a11 * a11, a11 * a22, a22 * a22])
+    np.testing.assert_allclose(size[:6], np.maximum(least, np.abs([a00, a01, a02, a11, a12, a22])), rtol=1e-12)
+    np.testing.assert_array_equal(size[6:], value[6:])
