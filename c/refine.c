@@ -352,6 +352,16 @@ static void use(zygos_refine_t *self, const zygos_config_t *config, const zygos_
     enter(self, config);
 }
 
+/* Whether one encoder of a joint has passed the end of its range: the cycle is skipped, and nothing of it is kept. */
+static bool is_apart(const zygos_refine_t *self, const zygos_config_t *config, const zygos_cycle_t *cycle)
+{
+    zygos_previous_cycle_t previous = self->previous;
+    double signal[2 * ZYGOS_MAX_JOINTS + 3];
+    double unused[ZYGOS_MAX_JOINTS];
+    zygos_cycle_calibrate(&previous, config, cycle, signal, unused);
+    return zygos_cycle_apart(signal, config->joints) == 1;
+}
+
 static int take(zygos_refine_t *self, const zygos_config_t *config)
 {
     const uint32_t tail = self->queue.tail;
@@ -362,8 +372,7 @@ static int take(zygos_refine_t *self, const zygos_config_t *config)
     const bool runs = (self->started != 0u) && (self->filter.failed == 0u);
     if (runs && ((cycle->flags & (uint32_t)ZYGOS_CYCLE_VOID) != 0u)) {
         self->filter.failed = 1u; /* what it has used cannot be taken back */
-    } else if (runs && ((cycle->flags & (uint32_t)ZYGOS_CYCLE_INVALID) == 0u) &&
-               (zygos_cycle_apart(config, cycle) == 0)) {
+    } else if (runs && ((cycle->flags & (uint32_t)ZYGOS_CYCLE_INVALID) == 0u) && !is_apart(self, config, cycle)) {
         use(self, config, cycle);
     }
     __atomic_store_n(&self->queue.tail, behind(tail), __ATOMIC_RELEASE);

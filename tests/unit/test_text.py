@@ -31,7 +31,14 @@ TEXTS = {
     "zygos_effect_kind": lib.zygos_effect_text,
     "zygos_snapshot_kind": lib.zygos_snapshot_kind_text,
 }
-BITS = {"zygos_cycle_flag", "zygos_frame_flag", "zygos_joint_status", "zygos_imu_status", "zygos_keep"}
+BITS = {
+    "zygos_cycle_flag",
+    "zygos_frame_flag",
+    "zygos_joint_status",
+    "zygos_imu_status",
+    "zygos_keep",
+    "zygos_scrubbed",
+}
 """Enumerations of bits: their values are combinations, and have no text."""
 UNKNOWN = "unknown code"
 
