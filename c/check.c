@@ -4,6 +4,12 @@
 
 #include <stddef.h>
 
+/* Arcs and blocks that were dropped because memory was changed. */
+static uint32_t quarantined(const zygos_work_t *work)
+{
+    return work->accumulator.quarantined + work->motor_sums.quarantined + work->momentum_sums.quarantined;
+}
+
 /* Whether the work was taken, and from memory that nobody changed; closes the open arcs. Apart from the solver, so that
    who only checks does not link it. */
 bool zygos_work_intact(zygos_work_t *work)
@@ -36,10 +42,12 @@ bool zygos_work_intact(zygos_work_t *work)
         !(zygos_joint_sums_check(&work->joint_sums) <= 1.0)) {
         return false;
     }
+    const uint32_t before = quarantined(work);
     zygos_guard_end_momentum(&work->guard, &work->config, &work->column_map, &work->momentum_sums, work->cycle);
     zygos_guard_end_energy(&work->guard, &work->config, sums, work->cycle, work->arc);
     if (work->config.impulse_arc_cycles > 0) {
         zygos_guard_end_motors(&work->guard, &work->config, &work->column_map, &work->motor_sums, work->cycle);
     }
-    return (sums->corrupt == 0) && (work->motor_sums.corrupt == 0) && (work->momentum_sums.corrupt == 0);
+    return (quarantined(work) == before) && (sums->corrupt == 0) && (work->motor_sums.corrupt == 0) &&
+           (work->momentum_sums.corrupt == 0);
 }

@@ -23,8 +23,9 @@ SIZED = [name for name in CONFIGURATIONS if name.endswith(BARE) or name == "grou
 
 BUDGETS = {("x86-64", "paper, bare"): 3000, ("m7", "paper, bare"): 4500, ("m7", "seven, bare"): 150_000}
 """Most instructions of a full cycle, by target and configuration."""
-HELD = BUDGETS | {("x86-64", "paper, bare"): 4300}
-"""What is held: the budgets that are met, and what stands in for the one that is not."""
+HELD = BUDGETS | {("x86-64", "paper, bare"): 4420, ("m7", "paper, bare"): 4650}
+"""What is held: the budgets that are met, and what stands in for those that are not. Each cycle verifies the places by
+which it addresses memory (docs/upset.md), which takes 2.5 %."""
 QUARTER = 0.25
 """Most that balance and accumulator take of the instructions of Pinocchio, as it comes, and Eigen; paper's arm."""
 CLOCK_MHZ, CYCLES_PER_INSTRUCTION = 216.0, (1.0, 2.0)

@@ -804,7 +804,7 @@ def test_rest_after_motion_is_not_called_corrupt(arm: Arm, rest: int) -> None:
     np.testing.assert_allclose(estimate.value, chosen(arm), rtol=1e-9)
 
 
-def test_a_flipped_bit_is_still_known_after_its_arc_has_ended(arm: Arm) -> None:
+def test_a_flipped_bit_takes_its_arc_away_and_no_other(arm: Arm) -> None:
     """The end of an arc forms the row sums anew; it must not do so over sums that do not match."""
     arm = replace(arm, arc_max_s=10.0)
     run = balanced(arm, sines(arm, 1300), chosen(arm))
@@ -812,9 +812,13 @@ def test_a_flipped_bit_is_still_known_after_its_arc_has_ended(arm: Arm) -> None:
     flight = fed(arm, first)
     gram = flight.native.accumulator.block[0].gram
     flip(ffi.addressof(gram, int(np.argmax(np.abs(np.array(list(gram)))))), 52)
-    flight.cycles(second)
-    assert flight.native.accumulator.arcs == 2
     assert flight.estimate().reason == CORRUPT
+    flight.cycles(second)
+    whole = fed(arm, first)
+    whole.cycles(second)
+    assert whole.native.accumulator.arcs == 2
+    assert (flight.native.accumulator.arcs, flight.native.accumulator.quarantined) == (1, 1)
+    assert flight.estimate().reason != CORRUPT
 
 
 # ---------------------------------------------------------------- restart
