@@ -15,9 +15,12 @@ from bench.simulator import far
 from conftest import ROOT
 from zygos import effects
 from zygos.arm import Arm, load_arm
-from zygos.dynamics.compiled import Multibody
+from zygos.balances.state import State
+from zygos.dynamics.compiled import Multibody, Stepper
 from zygos.dynamics.engines import engine
-from zygos.dynamics.equations import equations
+from zygos.dynamics.equations import equations, from_model
+from zygos.dynamics.joints import Drives
+from zygos.dynamics.replay import replay
 from zygos.dynamics.serial import SpatialDynamics
 from zygos.effects import CATALOGUE, Effect, Kind
 from zygos.errors import ZygosError
@@ -107,6 +110,62 @@ def test_effects_act_as_in_numpy(base: str, kind: str) -> None:
         assert np.abs(ours.accelerations(*sample)[1] - plain.accelerations(*sample)[1]).max() > 1e-3
 
 
+# sizes that bend the motion within the steps below
+SIZES = {"motor_coulomb": 0.02, "motor_viscous": 0.01, "link_viscous": 0.1, "load_friction": 0.2, "torque_gain": 0.1,
+         "cubic_stiffness": 1e7, "backlash": 50.0, "viscous_asymmetry": 0.01, "motor_stribeck": 0.02}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", FLEXIBLE)
+@pytest.mark.parametrize(("base", "kinetic"), [("free", "planar"), ("free", "spatial"), ("fixed", "planar")])
+def test_steps_of_time_are_those_in_python(base: str, kinetic: str, kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With every law that is compiled, one after the other; and with one of our own, which is not."""
+    flexible = [FLEXIBLE[kind][i % 2] for i in range(2)]
+    arm, model = random_arm(2, 2, base, kinetic, flexible)  # type: ignore[arg-type]
+    rng, joint = np.random.default_rng(0), arm.joints[1].name
+    entries = [one for one in CATALOGUE.values() if one.law in effects.COMPILED]
+    acting: list[tuple[Effect, ...]] = [()]
+    for one in entries:
+        shape = one.shapes[-1] if one.shapes else None
+        if arm.joints[1].flexible or one.place != "spring":
+            acting.append((Effect(one, joint, SIZES.get(one.key, 0.2), shape=shape),))
+    acting.append((Effect(OWN, joint, 0.7), Effect(CATALOGUE["motor_viscous"], arm.joints[0].name, 0.01)))
+    samples, width = [random_state(rng, arm) for _ in range(3)], 3 if kinetic == "spatial" else 1
+    ends: list[np.ndarray] = []
+    for laws_of in acting:
+        dynamics = from_model(arm, replace(model, effects=laws_of))
+        packed = []
+        for sample in samples:
+            bent = np.where(dynamics.rigid, 0.0, 1e-3 * (sample.theta - sample.q))
+            motor = np.where(dynamics.rigid, sample.qd, sample.thetad)
+            rate = np.atleast_1d(sample.omega0)[: width if arm.free else 0]
+            packed.append(State(sample.q, sample.q + bent, sample.qd, motor, rate).packed())
+        torque = np.stack([sample.tau for sample in samples])
+
+        def moved(
+            dynamics: Drives = dynamics, packed: list[np.ndarray] = packed, tau: np.ndarray = torque
+        ) -> np.ndarray:
+            return replay(dynamics, 1e-4, np.stack(packed), lambda _k, _now: tau, tau, 20, 2)[0]
+
+        quick = moved()
+        assert Stepper.of(dynamics) is not None
+        with monkeypatch.context() as patch:
+            patch.setattr(Stepper, "of", lambda _dynamics: None)
+            slow = moved()
+        size = np.abs(slow).max(axis=(0, 1))
+        np.testing.assert_allclose(quick, slow, rtol=0, atol=1e-10 * size.max())
+        ends.append(quick[:, -1])
+    for number, end in enumerate(ends[1:]):
+        assert np.abs(end - ends[0]).max() > 1e-8 * np.abs(ends[0]).max(), acting[number + 1]
+
+
+def test_steps_of_what_is_not_compiled_are_left_to_python() -> None:
+    arm, model = random_arm(2, 2, "free", "planar", [True, True])
+    joint = arm.joints[0].name
+    for one in (Effect(CATALOGUE["motor_dahl"], joint, 0.02, shape=0.001), Effect(CATALOGUE["base_torque"], None, 0.1)):
+        assert Stepper.of(from_model(arm, replace(model, effects=(one,)))) is None
+    assert Stepper.of(from_model(arm, model)) is not None
+
+
 def test_a_batch_is_its_members() -> None:
     arm, model, samples = arm_of(3, "free", "spatial", "mixed")
     dynamics = Multibody.from_model(arm, model)
@@ -133,7 +192,7 @@ def test_memory_is_what_it_says(joints: int, base: str) -> None:
     """It fills its scratch memory to the last double and not beyond, and nothing of it is read before it is written."""
     arm, model, samples = arm_of(joints, base, "spatial", "mixed")
     dynamics = Multibody.from_model(arm, model)
-    native, room, _ = dynamics._compiled
+    native, room, _ = dynamics.compiled
     state = np.concatenate([samples[0].omega0, samples[0].q, samples[0].qd, samples[0].thetad, *np.ones((3, joints))])
     results = []
     for filling in (np.nan, 7.0):
@@ -142,9 +201,15 @@ def test_memory_is_what_it_says(joints: int, base: str) -> None:
         lib.zygos_multibody_accelerations(native, 1, *views)
         for array, used in ((scratch, room), (result, 3 + 2 * joints)):
             np.testing.assert_array_equal(array[used:], filling)
+        moved = np.concatenate([state[: 3 + 4 * joints], np.full(50, filling)])
+        spring, torque = (ffi.from_buffer("double[]", np.ones(count)) for count in (2 * joints, joints))
+        place = ffi.from_buffer("double[]", moved)
+        lib.zygos_multibody_advance(native, 1, 3, spring, ffi.NULL, 0, torque, 1e-4, 2, place, views[2])
+        for array, used in ((scratch, room), (moved, 3 + 4 * joints)):
+            np.testing.assert_array_equal(array[used:], filling)
         if base == "free":
             assert scratch[room - 1] != filling
-        results.append(result[: 3 + 2 * joints])
+        results.append(np.concatenate([result[: 3 + 2 * joints], moved[: 3 + 4 * joints]]))
     assert np.isfinite(results[0]).all()
     np.testing.assert_array_equal(*results)
 
@@ -161,7 +226,9 @@ def test_nothing_is_shared_with_the_library_that_estimates() -> None:
     text = (ROOT / "c" / "ports" / "host" / "multibody.c").read_text()
     text += (ROOT / "c" / "ports" / "host" / "multibody.h").read_text()
     assert set(re.findall(r'#include ["<](.*)[">]', text)) == {"multibody.h", "math.h", "string.h", "stdint.h"}
-    assert set(re.findall(r"\b(zygos_\w+)\(", text)) == {"zygos_multibody_scratch", "zygos_multibody_accelerations"}
+    assert set(re.findall(r"\b(zygos_\w+)\(", text)) == {
+        f"zygos_multibody_{name}" for name in ("scratch", "accelerations", "rates", "advance")
+    }
 
 
 # of each scenario in space: SYNC period and seconds beside numpy, which takes 3 and 20 CPU seconds a second

@@ -16,7 +16,9 @@ uint64_t zygos_multibody_scratch(uint32_t joints)
     const uint64_t bodies = joints + 1u;
     const uint64_t directions = 2u * bodies + 1u;
     const uint64_t unknowns = SPACE + joints;
-    return MATRIX * bodies * bodies + SPACE * (directions + 4u * bodies) + MATRIX * bodies + unknowns * (unknowns + 1u);
+    const uint64_t state = SPACE + 4u * (uint64_t)joints;
+    return MATRIX * bodies * bodies + SPACE * (directions + 4u * bodies) + MATRIX * bodies +
+           unknowns * (unknowns + 1u) + 3u * (state + joints);
 }
 
 static double dot(const double a[3], const double b[3])
@@ -324,45 +326,245 @@ static void solve(uint32_t unknowns, double *mass, double *right)
     }
 }
 
+// Accelerations of base, links and motors in one state.
+static void accelerate(const zygos_multibody_t *self, const double *base_rate, const double *q, const double *rate,
+                       const double *motor_rate, const double *spring, const double *drive, const double *link,
+                       const state_t *s, double *base_out, double *link_out, double *motor_out)
+{
+    const uint32_t joints = self->joints;
+    const uint32_t base = self->floating ? SPACE : 0u;
+    place(self, base_rate, q, rate, s);
+    gather(self, s);
+    push_off(self, motor_rate, spring, drive, rate, s);
+    sum_outward(joints + 1u, s);
+    project(self, spring, drive, link, s);
+    solve(base + joints, s->mass, s->right);
+
+    double carrier[3] = { 0.0, 0.0, 0.0 }; // acceleration of the carrying body
+    if (base > 0) {
+        memcpy(carrier, s->right, sizeof carrier);
+    }
+    memcpy(base_out, carrier, sizeof carrier);
+    for (uint32_t i = 0; i < joints; i++) {
+        const double *const axis = &s->axis[SPACE * (i + 1u)];
+        const double ratio = self->ratio[i];
+        link_out[i] = motor_out[i] = s->right[base + i];
+        if (!self->rigid[i]) {
+            const double carried = dot(axis, carrier) + dot(axis, &s->alpha[SPACE * i]);
+            motor_out[i] =
+                (ratio * drive[i] - spring[i]) / (ratio * ratio * self->rotor[i]) - self->coupling[i] * carried / ratio;
+        }
+        add(carrier, link_out[i], axis);
+    }
+}
+
 void zygos_multibody_accelerations(const zygos_multibody_t *self, uint64_t n, const double *in, double *out,
                                    double *scratch)
 {
     const uint32_t joints = self->joints;
-    const uint32_t base = self->floating ? SPACE : 0u;
     const state_t s = carve(joints, scratch);
     for (uint64_t at = 0; at < n; at++) {
         const double *const base_rate = &in[at * (SPACE + 6u * joints)];
         const double *const q = base_rate + SPACE;
-        const double *const rate = q + joints;
-        const double *const motor_rate = rate + joints;
-        const double *const spring = motor_rate + joints;
-        const double *const drive = spring + joints;
-        const double *const link = drive + joints;
-        place(self, base_rate, q, rate, &s);
-        gather(self, &s);
-        push_off(self, motor_rate, spring, drive, rate, &s);
-        sum_outward(joints + 1u, &s);
-        project(self, spring, drive, link, &s);
-        solve(base + joints, s.mass, s.right);
-
         double *const base_out = &out[at * (SPACE + 2u * joints)];
-        double *const link_out = base_out + SPACE;
-        double *const motor_out = link_out + joints;
-        double carrier[3] = { 0.0, 0.0, 0.0 }; // acceleration of the carrying body
-        if (base > 0) {
-            memcpy(carrier, s.right, sizeof carrier);
+        accelerate(self, base_rate, q, q + joints, q + 2u * joints, q + 3u * joints, q + 4u * joints, q + 5u * joints,
+                   &s, base_out, base_out + SPACE, base_out + SPACE + joints);
+    }
+}
+
+// The closed form: Lagrange equations in the absolute angles of bodies whose axes are parallel.
+static void accelerate_in_plane(const zygos_multibody_t *self, double base_rate, const double *q, const double *rate,
+                                const double *spring, const double *drive, const double *link, double *scratch,
+                                double *base_out, double *link_out, double *motor_out)
+{
+    const uint32_t joints = self->joints;
+    const uint32_t bodies = joints + 1u;
+    const double *const a = self->matrix;
+    const double *const b = a + (uint64_t)bodies * bodies;
+    const double *const added = b + (uint64_t)bodies * bodies;
+    double *const cosine = take(&scratch, bodies);
+    double *const sine = take(&scratch, bodies);
+    double *const square = take(&scratch, bodies);
+    double *const right = take(&scratch, bodies);
+    double *const mass = take(&scratch, (uint64_t)bodies * bodies);
+    double angle = 0.0;
+    double turn = base_rate;
+    for (uint32_t i = 0; i < bodies; i++) {
+        cosine[i] = cos(angle);
+        sine[i] = sin(angle);
+        square[i] = turn * turn;
+        right[i] = 0.0;
+        if (i < joints) {
+            angle += q[i];
+            turn += rate[i];
         }
-        memcpy(base_out, carrier, sizeof carrier);
-        for (uint32_t i = 0; i < joints; i++) {
-            const double *const axis = &s.axis[SPACE * (i + 1u)];
-            const double ratio = self->ratio[i];
-            link_out[i] = motor_out[i] = s.right[base + i];
-            if (!self->rigid[i]) {
-                const double carried = dot(axis, carrier) + dot(axis, &s.alpha[SPACE * i]);
-                motor_out[i] = (ratio * drive[i] - spring[i]) / (ratio * ratio * self->rotor[i]) -
-                               self->coupling[i] * carried / ratio;
+    }
+    for (uint32_t i = 0; i < bodies; i++) {
+        for (uint32_t j = 0; j < bodies; j++) {
+            const uint32_t at = i * bodies + j;
+            const double along = cosine[i] * cosine[j] + sine[i] * sine[j];
+            const double across = cosine[i] * sine[j] - sine[i] * cosine[j];
+            mass[at] = a[at] * along + b[at] * across + added[at];
+            right[i] -= (b[at] * along - a[at] * across) * square[j];
+        }
+    }
+    for (uint32_t i = 0; i < joints; i++) {
+        const double through = self->rigid[i] ? self->ratio[i] * drive[i] : spring[i];
+        const double pushed = self->rigid[i] ? 0.0 : self->coupling[i] * (drive[i] - spring[i] / self->ratio[i]);
+        right[i + 1u] += through + link[i];
+        right[i] -= through + link[i] + pushed;
+    }
+    solve(bodies, mass, right);
+    *base_out = right[0];
+    for (uint32_t i = 0; i < joints; i++) {
+        const double ratio = self->ratio[i];
+        link_out[i] = motor_out[i] = right[i + 1u] - right[i];
+        if (!self->rigid[i]) {
+            motor_out[i] = (ratio * drive[i] - spring[i]) / (ratio * ratio * self->rotor[i]) -
+                           self->coupling[i] * right[i] / ratio;
+        }
+    }
+}
+
+// Time derivative of a packed state.
+static void derive(const zygos_multibody_t *self, uint32_t width, const double *state, const double *spring,
+                   const double *drive, const double *link, double *scratch, double *out)
+{
+    const uint32_t joints = self->joints;
+    const double *const q = state + width;
+    const double *const rate = q + 2u * joints;
+    double *const out_rate = out + width + 2u * joints;
+    memcpy(out + width, rate, 2u * joints * sizeof rate[0]);
+    if (self->planar) {
+        accelerate_in_plane(self, state[0], q, rate, spring, drive, link, scratch, out, out_rate, out_rate + joints);
+        return;
+    }
+    const state_t s = carve(joints, scratch);
+    double base_rate[3] = { 0.0, 0.0, 0.0 };
+    double base_out[3];
+    if (self->floating) {
+        memcpy(base_rate, state, width * sizeof base_rate[0]);
+    }
+    accelerate(self, base_rate, q, rate, rate + joints, spring, drive, link, &s, base_out, out_rate, out_rate + joints);
+    memcpy(out, base_out, width * sizeof base_out[0]);
+}
+
+void zygos_multibody_rates(const zygos_multibody_t *self, uint64_t n, uint32_t width, const double *state,
+                           const double *force, double *out, double *scratch)
+{
+    const uint32_t joints = self->joints;
+    const uint32_t size = width + 4u * joints;
+    for (uint64_t at = 0; at < n; at++) {
+        const double *const spring = &force[3u * joints * at];
+        derive(self, width, &state[at * size], spring, spring + joints, spring + 2u * joints, scratch, &out[at * size]);
+    }
+}
+
+static double within(double x, double limit)
+{
+    return fmin(fmax(x, -limit), limit);
+}
+
+// Torque of a law per unit coefficient.
+static double torque_of(const zygos_multibody_law_t *law, double rate, double angle, double bent, double reported,
+                        double load)
+{
+    switch (law->form) {
+    case ZYGOS_LAW_RATE:
+        return rate;
+    case ZYGOS_LAW_SIZE:
+        return fabs(rate);
+    case ZYGOS_LAW_SIGN:
+        return within(rate / law->width, 1.0);
+    case ZYGOS_LAW_STRIBECK:
+        return exp(-(rate / law->shape) * (rate / law->shape)) * within(rate / law->width, 1.0);
+    case ZYGOS_LAW_LOAD:
+        return tanh(rate / law->width) * fabs(load);
+    case ZYGOS_LAW_REPORTED:
+        return reported;
+    case ZYGOS_LAW_CUBE:
+        return bent * bent * bent;
+    case ZYGOS_LAW_GAP:
+        return -within(bent, law->shape);
+    case ZYGOS_LAW_SINE:
+        return sin(law->shape * angle);
+    case ZYGOS_LAW_COSINE:
+        return cos(law->shape * angle);
+    default:
+        return 1.0;
+    }
+}
+
+// Torques of springs on links, on rotors, and on links besides. force: 3N. q: the angles and rates of a packed state.
+static void act(const zygos_multibody_t *self, const double *spring, const zygos_multibody_law_t *laws, uint32_t count,
+                const double *torque, const double *q, double *force)
+{
+    const uint32_t n = self->joints;
+    double *const drive = force + n;
+    double *const link = drive + n;
+    for (uint32_t i = 0; i < n; i++) {
+        force[i] = spring[i] * (q[n + i] - q[i]) + spring[n + i] * (q[3u * n + i] - q[2u * n + i]);
+        drive[i] = torque[i];
+        link[i] = 0.0;
+    }
+    for (uint32_t k = 0; k < count; k++) {
+        const zygos_multibody_law_t *const law = &laws[k];
+        const uint32_t i = law->joint;
+        const double bent = q[n + i] - q[i];
+        const double ratio = self->ratio[i];
+        double rate = q[3u * n + i];
+        double angle = ratio * q[n + i];
+        if (law->site == ZYGOS_SITE_LINK) {
+            rate = q[2u * n + i];
+            angle = ratio * q[i];
+        } else if (law->site == ZYGOS_SITE_SPRING) {
+            rate = q[3u * n + i] - q[2u * n + i];
+            angle = ratio * bent;
+        }
+        const double load = self->rigid[i] ? ratio * drive[i] : force[i];
+        const double acting = law->value * torque_of(law, rate, angle, bent, torque[i], load);
+        if (law->site == ZYGOS_SITE_LINK) {
+            link[i] -= acting;
+        } else if (law->site == ZYGOS_SITE_SPRING) {
+            force[i] += self->rigid[i] ? 0.0 : acting;
+        } else if (law->site == ZYGOS_SITE_LOAD) {
+            drive[i] -= acting / ratio;
+        } else if (law->site == ZYGOS_SITE_TORQUE) {
+            drive[i] += acting;
+        } else {
+            drive[i] -= acting;
+        }
+    }
+}
+
+void zygos_multibody_advance(const zygos_multibody_t *self, uint64_t n, uint32_t width, const double *spring,
+                             const zygos_multibody_law_t *laws, uint32_t count, const double *torque, double step_s,
+                             uint64_t steps, double *state, double *scratch)
+{
+    static const double SHARE[4] = { 0.0, 0.5, 0.5, 1.0 };
+    static const double WEIGHT[4] = { 1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0 };
+    const uint32_t joints = self->joints;
+    const uint32_t size = width + 4u * joints;
+    double *const rate = take(&scratch, size);
+    double *const at = take(&scratch, size);
+    double *const sum = take(&scratch, size);
+    double *const force = take(&scratch, 3u * (uint64_t)joints);
+    for (uint64_t piece = 0; piece < n; piece++) {
+        double *const x = &state[piece * size];
+        for (uint64_t k = 0; k < steps; k++) {
+            memset(rate, 0, size * sizeof rate[0]);
+            memcpy(sum, x, size * sizeof sum[0]);
+            for (uint32_t stage = 0; stage < 4u; stage++) {
+                for (uint32_t i = 0; i < size; i++) {
+                    at[i] = x[i] + SHARE[stage] * step_s * rate[i];
+                }
+                act(self, spring, laws, count, &torque[piece * joints], at + width, force);
+                derive(self, width, at, force, force + joints, force + 2u * joints, scratch, rate);
+                for (uint32_t i = 0; i < size; i++) {
+                    sum[i] += WEIGHT[stage] * step_s * rate[i];
+                }
             }
-            add(carrier, link_out[i], axis);
+            memcpy(x, sum, size * sizeof x[0]);
         }
     }
 }

@@ -1,4 +1,4 @@
-/// Host only: the equations of motion of an arm in space, for the simulator. Written for itself: nothing of the library
+/// Host only: the equations of motion of an arm, for the simulator. Written for itself: nothing of the library
 /// that estimates is in it, so that the simulated arm and the estimator share no code.
 
 #ifndef ZYGOS_MULTIBODY_H
@@ -8,18 +8,57 @@
 #include <stdint.h>
 #endif
 
+/// Forms of a torque law, per unit coefficient, of the rate and the angle x of its side (link, motor after the gear, or
+/// motor less link at a spring), with s = shape and w = width.
+enum {
+    ZYGOS_LAW_ONE,      ///< 1
+    ZYGOS_LAW_RATE,     ///< rate
+    ZYGOS_LAW_SIZE,     ///< |rate|
+    ZYGOS_LAW_SIGN,     ///< rate / w within -1 .. 1
+    ZYGOS_LAW_STRIBECK, ///< exp(-(rate / s)^2) times the sign above
+    ZYGOS_LAW_LOAD,     ///< tanh(rate / w) |torque through the gear, after it|
+    ZYGOS_LAW_REPORTED, ///< reported torque of the motor, before the gear
+    ZYGOS_LAW_CUBE,     ///< (motor angle - link angle)^3
+    ZYGOS_LAW_GAP,      ///< -(motor angle - link angle), within -s .. s
+    ZYGOS_LAW_SINE,     ///< sin(s n x), n the gear ratio
+    ZYGOS_LAW_COSINE,   ///< cos(s n x)
+};
+
+/// Where a law acts.
+enum {
+    ZYGOS_SITE_MOTOR,  ///< against the motor, before the gear
+    ZYGOS_SITE_LINK,   ///< against the link
+    ZYGOS_SITE_SPRING, ///< beside the spring, on the link; not at a rigid joint
+    ZYGOS_SITE_LOAD,   ///< against the motor, as a torque after the gear; behind all others of its joint
+    ZYGOS_SITE_TORQUE, ///< with the motor, before the gear
+};
+
+/// One law at a joint.
+typedef struct {
+    uint32_t joint; ///< From 0.
+    uint32_t site;  ///< ZYGOS_SITE_...
+    uint32_t form;  ///< ZYGOS_LAW_...
+    uint32_t unused;
+    double value; ///< Coefficient.
+    double shape;
+    double width;
+} zygos_multibody_law_t;
+
 /// An arm of N joints as its equations of motion know it. Arrays are row-major and stay the caller's.
 ///
 /// Body i turns with joint i, body 0 is the base; angles and rates of motors are after the gear. Each body has
 /// directions across its joint's axis: V = 2N of a fixed base, 3 more of a floating one, which come first and are the
 /// base's axes.
 typedef struct {
-    uint32_t joints;       ///< N >= 1.
-    uint32_t floating;     ///< 1 where the base floats, 0 where it is fixed.
+    uint32_t joints;   ///< N >= 1.
+    uint32_t floating; ///< 1 where the base floats, 0 where it is fixed.
+    uint32_t planar;   ///< 1: the closed form of a planar arm that floats, for the last two calls below.
+    uint32_t unused;
     const double *turn;    ///< N x 3 x 9: frame of body i in that of body i - 1 is [0] + cos q [1] + sin q [2].
     const double *axis;    ///< N x 3: unit vector of joint i in the frame of body i.
     const double *across;  ///< N x 2 x 3: the two directions of body i in its frame.
-    const double *matrix;  ///< V x V, symmetric: the matrix N_ab of the kinetic energy [kg m^2].
+    const double *matrix;  ///< V x V, symmetric: the matrix N_ab of the kinetic energy [kg m^2]. Closed form: 3 x
+                           ///< (N+1) x (N+1): a_ij symmetric, b_ij antisymmetric, and what rotors add to the inertia.
     const double *moment;  ///< V: first moments that gravity pulls at [kg m].
     const double *gravity; ///< 3: in the base's frame [m/s^2].
     const double *ratio;   ///< N: gear ratios.
@@ -29,7 +68,7 @@ typedef struct {
     const uint8_t *rigid; ///< N: 1 where the motor turns with the link, 0 where a spring is between them.
 } zygos_multibody_t;
 
-/// Doubles of memory that zygos_multibody_accelerations() works in, for an arm of that many joints.
+/// Doubles of memory that each of the calls below works in, for an arm of that many joints.
 uint64_t zygos_multibody_scratch(uint32_t joints);
 
 /// Accelerations in n states, each on its own. in: n x (3 + 6N): base rate in base axes [rad/s], zero where it is
@@ -39,5 +78,20 @@ uint64_t zygos_multibody_scratch(uint32_t joints);
 /// zygos_multibody_scratch() doubles that no other call uses meanwhile. Cost: of the order of N^2 products of vectors.
 void zygos_multibody_accelerations(const zygos_multibody_t *self, uint64_t n, const double *in, double *out,
                                    double *scratch);
+
+/// Time derivatives of n states of width + 4N doubles: base rate [rad/s], q, motor angles [rad], link rates, motor
+/// rates [rad/s]. width: 3 in base axes; 1 of the closed form; 0 for none, of a fixed base only.
+/// force: n x 3N: torque of the springs on the links, torque on the rotors before the gear, torque on the links besides
+/// that of the springs [Nm]. out: as the states. scratch and cost: as zygos_multibody_accelerations().
+void zygos_multibody_rates(const zygos_multibody_t *self, uint64_t n, uint32_t width, const double *state,
+                           const double *force, double *out, double *scratch);
+
+/// Integrates n states, as of zygos_multibody_rates(), by that many RK4 steps of step_s seconds under torques on the
+/// rotors, n x N before the gear [Nm], that stay constant. spring: stiffness [Nm/rad], then damping [Nms/rad] of the N
+/// joints, after the gear; 0 of a rigid one. laws: count laws at joints. Changes state. scratch: as above. Cost: 4 n
+/// steps times that of a state.
+void zygos_multibody_advance(const zygos_multibody_t *self, uint64_t n, uint32_t width, const double *spring,
+                             const zygos_multibody_law_t *laws, uint32_t count, const double *torque, double step_s,
+                             uint64_t steps, double *state, double *scratch);
 
 #endif

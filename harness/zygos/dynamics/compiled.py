@@ -1,25 +1,146 @@
-"""The equations of motion of `zygos.dynamics.serial`, compiled (c/ports/host/multibody.c).
+"""The equations of motion of `zygos.dynamics.serial`, compiled (c/ports/host/multibody.c), and steps of time.
 
-Only the bodies are compiled; springs, friction and other effects follow their laws in Python. The compiled code
-computes the same matrix in a different order, and shares no code with the library that estimates.
+For steps of time the catalogue's laws without a memory are compiled; elsewhere effects follow their laws in Python. The
+compiled code computes the same matrix in a different order, and shares no code with the library that estimates.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from zygos.arm import across
-from zygos.dynamics.joints import START, Moment
+from zygos.dynamics.joints import START, Drives, Moment
+from zygos.dynamics.planar import PlanarDynamics
 from zygos.dynamics.serial import SpatialDynamics
+from zygos.effects import COMPILED
 from zygos.native.flight import ffi, lib
 
 Array = NDArray[np.float64]
+
+
+class Compiled(NamedTuple):
+    """An arm as the compiled code takes it."""
+
+    arm: Any
+    """The struct zygos_multibody_t."""
+    scratch: int
+    """Doubles that a call needs as work space."""
+    kept: list[Any]
+    """Memory that the struct points to."""
+
+
+def _compile(dynamics: Drives, floating: bool, fields: dict[str, Array]) -> Compiled:
+    """The struct from geometry and matrices, and from what all drives have."""
+    fields |= {"ratio": dynamics.gear_ratio, "rotor": dynamics.rotor_inertia, "coupling": dynamics.coupling}
+    native = ffi.new("zygos_multibody_t *", {"joints": dynamics.n, "floating": int(floating)})
+    kept: list[Any] = []
+    for name, values in fields.items():
+        kept.append(ffi.from_buffer("double[]", np.ascontiguousarray(values, dtype=np.float64)))
+        setattr(native, name, kept[-1])
+    kept.append(ffi.from_buffer("uint8_t[]", dynamics.rigid.astype(np.uint8)))
+    native.rigid = kept[-1]
+    return Compiled(native, int(lib.zygos_multibody_scratch(dynamics.n)), kept)
+
+
+def _frames(axes: Array, mounts: Array) -> dict[str, Array]:
+    """Joint axes (N, 3) and orientations of the joints' frames (N, 3, 3), as the struct has them."""
+    along = axes[:, :, None] * axes[:, None, :]
+    # Rodrigues' formula: the constant part of a rotation about the axis, and the parts of its cosine and sine
+    turning = np.stack([along, np.eye(3) - along, np.cross(np.eye(3), axes[:, None, :])], axis=1)
+    sides = np.stack([across(axis).T for axis in axes])
+    return {"turn": mounts[:, None] @ turning, "axis": axes, "across": sides}
+
+
+def _of_planar(dynamics: PlanarDynamics) -> Compiled:
+    """A planar arm that floats, in its closed form."""
+    matrix = np.stack([dynamics.a, dynamics.b, dynamics.rotor_mass])
+    compiled = _compile(dynamics, True, {"matrix": matrix})
+    compiled.arm.planar = 1
+    return compiled
+
+
+def _laws(dynamics: Drives) -> Any:
+    """The laws at joints for the compiled code; None where it does not know one of them."""
+    if not all(law.kind.law in COMPILED for law in dynamics.laws):
+        return None
+    native = ffi.new("zygos_multibody_law_t[]", len(dynamics.laws))
+    for one, (law, _, _) in zip(native, dynamics.acting, strict=True):
+        assert law.kind.law is not None
+        form, width = COMPILED[law.kind.law]
+        site = getattr(lib, f"ZYGOS_SITE_{law.kind.place.upper()}")
+        one.joint, one.site, one.form = law.joint, site, getattr(lib, f"ZYGOS_LAW_{form}")
+        one.value, one.shape, one.width = law.value, law.shape, width
+    return native
+
+
+class Stepper:
+    """RK4 steps of one arm, many states at once."""
+
+    def __init__(self, dynamics: PlanarDynamics | Multibody) -> None:
+        """Steps of an arm that `of` does not refuse."""
+        compiled = dynamics.compiled if isinstance(dynamics, Multibody) else _of_planar(dynamics)
+        self._dynamics, self._arm, self._kept = dynamics, compiled.arm, compiled.kept
+        self._scratch = ffi.from_buffer("double[]", np.empty(compiled.scratch))
+        damping = np.where(dynamics.rigid, 0.0, dynamics.damping)
+        self._spring = ffi.from_buffer("double[]", np.concatenate([dynamics.soft_stiffness, damping]))
+        self._laws = _laws(dynamics)
+
+    @classmethod
+    def of(cls, dynamics: Drives) -> Stepper | None:
+        """None where the compiled code does not know the arm: torques on the base, a change of bodies, laws with a
+        memory, equations by another engine."""
+        known = isinstance(dynamics, PlanarDynamics | Multibody)
+        if not known or dynamics.base_laws or dynamics.later is not None or dynamics.states:
+            return None
+        return cls(dynamics)
+
+    def advance(self, state: Array, torque: Array, step_s: float, steps: int, now: Moment) -> tuple[Array, Moment]:
+        """States (B, 4N+W) after so many steps under torques (B, N), Nm before the gear, that stay constant."""
+        n = self._dynamics.n
+        width = state.shape[1] - 4 * n
+        if self._laws is not None:
+            after = np.array(state, dtype=np.float64, order="C")
+            held = np.ascontiguousarray(np.broadcast_to(torque, (len(state), n)))
+            lib.zygos_multibody_advance(
+                self._arm,
+                len(state),
+                width,
+                self._spring,
+                self._laws,
+                len(self._dynamics.laws),
+                ffi.from_buffer("double[]", held),
+                step_s,
+                steps,
+                ffi.from_buffer("double[]", after),
+                self._scratch,
+            )
+            return after, replace(now, time=now.time + steps * step_s)
+        rate, force = np.empty(state.shape), np.empty((len(state), 3 * n))
+        rate_to, force_from = ffi.from_buffer("double[]", rate), ffi.from_buffer("double[]", force)
+
+        def derive(x: Array, at: Moment) -> Array:
+            q, theta, qd, thetad = (x[:, width + k * n : width + (k + 1) * n] for k in range(4))
+            spring, motor, link = self._dynamics.forces(q, theta, qd, thetad, torque, at)
+            force[:, :n], force[:, n : 2 * n], force[:, 2 * n :] = spring, torque - motor, -link
+            place = ffi.from_buffer("double[]", x)
+            lib.zygos_multibody_rates(self._arm, len(x), width, place, force_from, rate_to, self._scratch)
+            return rate
+
+        x, half = np.array(state, dtype=np.float64, order="C"), 0.5 * step_s
+        for _ in range(steps):
+            middle, end = replace(now, time=now.time + half), replace(now, time=now.time + step_s)
+            total = derive(x, now).copy()
+            total += 2.0 * derive(x + half * rate, middle)
+            total += 2.0 * derive(x + half * rate, middle)
+            total += derive(x + step_s * rate, end)
+            x, now = x + step_s / 6.0 * total, end
+        return x, now
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,37 +148,17 @@ class Multibody(SpatialDynamics):
     """Any arm of `SpatialDynamics`, with the accelerations of all states computed by one call of compiled code."""
 
     @cached_property
-    def _compiled(self) -> tuple[Any, int, list[Any]]:
-        """The arm for the compiled code, the number of doubles it needs as work space, and memory that must stay
-        allocated."""
+    def compiled(self) -> Compiled:
+        """The arm for the compiled code."""
         axes = np.array([joint.axis for joint in self.arm.joints])
         mounts = np.stack([Rotation.from_euler("xyz", joint.frame_rpy).as_matrix() for joint in self.arm.joints])
-        along = axes[:, :, None] * axes[:, None, :]
-        # Rodrigues' formula: the constant part of a rotation about the axis, and the parts of its cosine and sine
-        turning = np.stack([along, np.eye(3) - along, np.cross(np.eye(3), axes[:, None, :])], axis=1)
-        fields: dict[str, Array] = {
-            "turn": mounts[:, None] @ turning,
-            "axis": axes,
-            "across": np.stack([across(axis).T for axis in axes]),
-            "matrix": self.matrix,
-            "moment": self.moments,
-            "gravity": np.array(self.arm.gravity),
-            "ratio": self.gear_ratio,
-            "rotor": self.rotor_inertia,
-            "coupling": self.coupling,
-        }
-        native = ffi.new("zygos_multibody_t *", {"joints": self.n, "floating": int(self.arm.free)})
-        kept: list[Any] = [native]
-        for name, values in fields.items():
-            kept.append(ffi.from_buffer("double[]", np.ascontiguousarray(values, dtype=np.float64)))
-            setattr(native, name, kept[-1])
-        kept.append(ffi.from_buffer("uint8_t[]", self.rigid.astype(np.uint8)))
-        native.rigid = kept[-1]
-        return native, int(lib.zygos_multibody_scratch(self.n)), kept
+        fields = _frames(axes, mounts)
+        fields |= {"matrix": self.matrix, "moment": self.moments, "gravity": np.array(self.arm.gravity)}
+        return _compile(self, self.arm.free, fields)
 
     def __getstate__(self) -> dict[str, Any]:
         """The state without pointers into this process; a copy creates its own."""
-        return {name: value for name, value in self.__dict__.items() if name != "_compiled"}
+        return {name: value for name, value in self.__dict__.items() if name != "compiled"}
 
     def accelerations(
         self,
@@ -72,13 +173,13 @@ class Multibody(SpatialDynamics):
         """As `SpatialDynamics.accelerations`, which computes them where a torque acts on the base."""
         if self.base_laws or self.later is not None:
             return super().accelerations(q, theta, omega0, qd, thetad, tau, moment)
-        spring, motor_loss, link_loss = self._forces(q, theta, qd, thetad, tau, moment)
+        spring, motor_loss, link_loss = self.forces(q, theta, qd, thetad, tau, moment)
         n, batch = self.n, q.shape[:-1]
         state = np.empty((*batch, 3 + 6 * n))
         state[..., :3] = omega0 if self.arm.free else 0.0
         for k, part in enumerate((q, qd, thetad, spring, tau - motor_loss, -link_loss)):
             state[..., 3 + k * n : 3 + (k + 1) * n] = part
-        native, size, _ = self._compiled
+        native, size, _ = self.compiled
         result = np.empty((*batch, 3 + 2 * n))
         lib.zygos_multibody_accelerations(
             native,

@@ -153,9 +153,16 @@ class Drives(ABC):
         return np.isinf(self.stiffness)
 
     @cached_property
-    def _soft(self) -> Array:
+    def soft_stiffness(self) -> Array:
         """(N,) stiffness; 0 at a rigid joint, whose torque is a constraint torque."""
         return np.where(self.rigid, 0.0, self.stiffness)
+
+    @cached_property
+    def acting(self) -> tuple[tuple[Law, float, bool], ...]:
+        """The laws at joints with the gear ratio, and whether the joint is rigid. Friction with the load comes last: it
+        needs what the others make of the torque through the gear."""
+        ordered = sorted(self.laws, key=lambda law: law.kind.place == "load")
+        return tuple((law, float(self.gear_ratio[law.joint]), bool(self.rigid[law.joint])) for law in ordered)
 
     @cached_property
     def _none(self) -> Array:
@@ -270,38 +277,39 @@ class Drives(ABC):
             rate = state.base if state.base.ndim < state.q.ndim else state.base[..., law.component]
             angle, time = (np.broadcast_to(x, rate.shape) for x in (moment.angle, moment.time))
             return Motion(rate=rate, angle=angle, time=time, memory=own)
-        q, theta, qd, thetad = (x[..., i] for x in (state.q, state.theta, state.qd, state.thetad))
+        q, theta, qd, thetad = state.q[..., i], state.theta[..., i], state.qd[..., i], state.thetad[..., i]
         deflection, slip = theta - q, thetad - qd
-        rate, angle = {"motor": (thetad, theta), "link": (qd, q), "spring": (slip, deflection)}[law.kind.side]
-        time = np.broadcast_to(moment.time, q.shape)
+        side = law.kind.side
+        rate, angle = (thetad, theta) if side == "motor" else (qd, q) if side == "link" else (slip, deflection)
+        time = moment.time
+        if not (isinstance(time, np.ndarray) and time.shape == q.shape):
+            time = np.broadcast_to(time, q.shape)
         return Motion(rate, angle, deflection, slip, applied, load, time, float(self.gear_ratio[i]), own)
 
-    def _forces(
+    def forces(
         self, q: Array, theta: Array, qd: Array, thetad: Array, tau: Array | None = None, moment: Moment = START
     ) -> tuple[Array, Array, Array]:
         """Torques (..., N): of the springs on the links, what motors lack of their reported torque (before the gear),
         and of friction at links. Without tau the reported torques are unknown."""
         deflection = theta - q
-        spring = self._soft * deflection + self.damping * (thetad - qd)
+        spring = self.soft_stiffness * deflection + self.damping * (thetad - qd)
         if not self.laws:
             return spring, self._none, self._none
         motor, link = np.zeros_like(q), np.zeros_like(q)
         state = State(q, theta, qd, thetad, q[..., :0])
-        # friction with the load needs what the others make of the torque through the gear
-        for law in sorted(self.laws, key=lambda law: law.kind.place == "load"):
-            kind, i = law.kind, law.joint
-            load = self.gear_ratio[i] * (tau[..., i] - motor[..., i]) if self.rigid[i] and tau is not None else None
-            applied = tau[..., i] if tau is not None else UNKNOWN
-            passed = load if load is not None else UNKNOWN if self.rigid[i] else spring[..., i]
+        for law, ratio, rigid in self.acting:
+            place, i = law.kind.place, law.joint
+            applied = UNKNOWN if tau is None else tau[..., i]
+            passed = ratio * (applied - motor[..., i]) if rigid else spring[..., i]
             torque = law.torque(self._motion(law, state, moment, applied, passed))
-            if kind.place == "spring":
+            if place == "spring":
                 # the torque of a rigid joint is a constraint torque
-                spring[..., i] += 0.0 if self.rigid[i] else torque
-            elif kind.place == "motor":
+                spring[..., i] += 0.0 if rigid else torque
+            elif place == "motor":
                 motor[..., i] += torque
-            elif kind.place == "load":
-                motor[..., i] += torque / self.gear_ratio[i]
-            elif kind.place == "torque":
+            elif place == "load":
+                motor[..., i] += torque / ratio
+            elif place == "torque":
                 motor[..., i] -= torque
             else:
                 link[..., i] += torque
@@ -327,12 +335,12 @@ class Drives(ABC):
 
         Zero for a rigid joint, whose torque is a constraint torque.
         """
-        return self._forces(q, theta, qd, thetad)[0]
+        return self.forces(q, theta, qd, thetad)[0]
 
     def elastic_energy(self, q: Array, theta: Array) -> Array:
         """(...,) energy in the joints' springs, J."""
         deflection = theta - q
-        energy: Array = 0.5 * (self._soft * deflection**2).sum(axis=-1)
+        energy: Array = 0.5 * (self.soft_stiffness * deflection**2).sum(axis=-1)
         for law in self.laws:
             if law.kind.place == "spring" and law.kind.potential is not None:
                 energy = energy + law.value * law.kind.potential(deflection[..., law.joint], law.shape)

@@ -127,7 +127,7 @@ class PlanarDynamics(Drives):
             return self._changing(self.later, q, theta, np.asarray(omega0), qd, thetad, tau, moment)
         f = self.rates(omega0, qd)
         inertia, slope = self.inertia(q)
-        spring, motor_loss, link_loss = self._forces(q, theta, qd, thetad, tau, moment)
+        spring, motor_loss, link_loss = self.forces(q, theta, qd, thetad, tau, moment)
         ratio = self.gear_ratio
         drive = tau - motor_loss
         # a rigid gear transmits the torque that drives the rotor, a spring transmits its own torque

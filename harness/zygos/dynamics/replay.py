@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from zygos.arm import Arm
 from zygos.balances.state import State
+from zygos.dynamics.compiled import Stepper
 from zygos.dynamics.joints import START, Drives, Moment
 
 Array = NDArray[np.float64]
@@ -70,6 +71,7 @@ def replay(
     state, now = start.copy(), begin
     if dynamics.states and begin.memory is None:
         now = replace(begin, memory=dynamics.memory_at_rest(State.unpacked(start)))
+    compiled = Stepper.of(dynamics)
     states = np.empty((len(start), cycles, start.shape[1]))
     torques = np.empty((len(start), cycles, dynamics.n))
     for k in range(cycles):
@@ -81,8 +83,12 @@ def replay(
         for first, stop in pairwise(instants):
             tau = command if lag is None else np.where(first >= lag, command, before)
             parts = max(1, int(np.ceil(steps * (stop - first) / period_s - 1e-9)))
+            step_s = (stop - first) / parts
+            if compiled:
+                state, now = compiled.advance(state, tau, step_s, parts, now)
+                continue
             for _ in range(parts):
-                state, now = _step(dynamics, state, tau, (stop - first) / parts, now)
+                state, now = _step(dynamics, state, tau, step_s, now)
         before = command
     return states, torques
 

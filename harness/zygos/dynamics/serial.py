@@ -200,7 +200,7 @@ class SpatialDynamics(Drives):
             weight = self.moments[:, None] * np.array(self.arm.gravity)
             right += np.einsum("...acu,ac->...u", jacobian, weight)
 
-        spring, motor_loss, link_loss = self._forces(q, theta, qd, thetad, tau, moment)
+        spring, motor_loss, link_loss = self.forces(q, theta, qd, thetad, tau, moment)
         ratio, rotor, coupling = self.gear_ratio, self.rotor_inertia, self.coupling
         drive = tau - motor_loss
         force = np.where(self.rigid, ratio * drive, spring) - link_loss

@@ -1,6 +1,6 @@
 """The catalogue of effects beyond rigid bodies, rotors and linear springs, and effects in a model."""
 
-from zygos.effects.catalogue import CATALOGUE, ENTRIES, OFFSET, Catalogue, laws, load_laws
+from zygos.effects.catalogue import CATALOGUE, COMPILED, ENTRIES, OFFSET, Catalogue, laws, load_laws
 from zygos.effects.effect import (
     Effect,
     EffectColumn,
@@ -19,6 +19,7 @@ from zygos.effects.motion import UNKNOWN, Motion
 
 __all__ = [
     "CATALOGUE",
+    "COMPILED",
     "ENTRIES",
     "OFFSET",
     "PLACES",

@@ -20,7 +20,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from zygos.arm import Arm
-from zygos.effects.kind import Kind, Place, smooth_sign
+from zygos.effects.kind import SLOWEST_RATE, Kind, Place, smooth_sign
 from zygos.effects.memory import Memory
 from zygos.effects.motion import Motion
 from zygos.errors import ZygosError
@@ -130,6 +130,23 @@ def _double_sine(motion: Motion, _shape: float) -> Array:
 
 def _double_cosine(motion: Motion, _shape: float) -> Array:
     return np.asarray(np.cos(2.0 * motion.angle))
+
+
+COMPILED: Mapping[Callable[[Motion, float], Array], tuple[str, float]] = {
+    _one: ("ONE", np.nan),
+    _offset: ("ONE", np.nan),
+    _viscous: ("RATE", np.nan),
+    _viscous_size: ("SIZE", np.nan),
+    _coulomb: ("SIGN", SLOWEST_RATE),
+    _stribeck: ("STRIBECK", SLOWEST_RATE),
+    _with_load: ("LOAD", SLOW_LOAD_RATE),
+    _reported: ("REPORTED", np.nan),
+    _cube: ("CUBE", np.nan),
+    _gap: ("GAP", np.nan),
+    _sine: ("SINE", np.nan),
+    _cosine: ("COSINE", np.nan),
+}
+"""Laws at joints that c/ports/host/multibody.c has as well: its form ZYGOS_LAW_..., and its width."""
 
 
 def _bristle_rates(motion: Motion, distance: float) -> tuple[Array, Array]:

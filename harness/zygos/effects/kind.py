@@ -219,4 +219,4 @@ class Kind:
 
 def smooth_sign(rate: Array) -> Array:
     """Sign of a rate (rad/s), linear within `SLOWEST_RATE`."""
-    return np.clip(rate / SLOWEST_RATE, -1.0, 1.0)
+    return np.asarray(np.minimum(np.maximum(rate / SLOWEST_RATE, -1.0), 1.0), dtype=np.float64)
