@@ -66,11 +66,14 @@ def posture(arm: Arm, q: Floats) -> Posture:
     axes: list[Floats] = []
     directions = [attitude[0]] if arm.free else []
     body = [0, 0, 0] if arm.free else []
+    cosine, sine = (x[..., None, None] for x in (np.cos(q), np.sin(q)))
     for i, joint in enumerate(arm.joints):
         axis = np.array(joint.axis)
-        turn = Rotation.from_rotvec(q[..., i].ravel()[:, None] * axis).as_matrix().reshape(*q.shape[:-1], 3, 3)
         mount = Rotation.from_euler("xyz", joint.frame_rpy).as_matrix()
-        attitude.append(attitude[-1] @ mount @ turn)
+        # Rodrigues' formula: what stays of a rotation about the axis, and the parts of its cosine and sine
+        along = np.outer(axis, axis)
+        still, even, odd = (mount @ part for part in (along, np.eye(3) - along, np.cross(np.eye(3), axis)))
+        attitude.append(attitude[-1] @ (still + cosine[..., i, :, :] * even + sine[..., i, :, :] * odd))
         axes.append(attitude[-1] @ axis)
         directions.append(np.swapaxes(attitude[-1] @ across(axis), -1, -2))
         body += [i + 1, i + 1]
@@ -79,27 +82,37 @@ def posture(arm: Arm, q: Floats) -> Posture:
     )
 
 
+def crossed(a: Floats, b: Floats) -> Floats:
+    """a x b of vectors (..., 3); np.cross takes twice as long."""
+    shape = np.broadcast_shapes(a.shape, b.shape)
+    out = np.empty(shape)
+    for k, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
+        np.subtract(a[..., i] * b[..., j], a[..., j] * b[..., i], out=out[..., k])
+    return out
+
+
 def body_rates(omega0: Floats, axis: Floats, qd: Floats) -> Floats:
     """omega_i of all bodies, shape (..., N+1, 3), from omega0 (..., 3), joint axes (..., N, 3) and rates (..., N)."""
     return np.concatenate([omega0[..., None, :], omega0[..., None, :] + np.cumsum(axis * qd[..., None], -2)], axis=-2)
 
 
-def body_columns(arm: Arm, state: State) -> tuple[Floats, Floats]:
+def body_columns(arm: Arm, state: State, places: Posture | None = None) -> tuple[Floats, Floats]:
     """Columns (..., B) of `arm.full_body_names`, and the rates (..., N) of the carrying bodies about the joint axes.
 
-    A column of a first moment is -g . (R_i P_i), the potential energy it has.
+    A column of a first moment is -g . (R_i P_i), the potential energy it has. places: the posture, where it is known.
     """
     if arm.spatial:
-        places = posture(arm, state.q)
+        places = posture(arm, state.q) if places is None else places
         omega0 = state.base if arm.free else np.zeros((*state.q.shape[:-1], 3))
         omega = body_rates(omega0, places.axis, state.qd)
-        kinetic = spatial_columns(arm, np.cross(omega[..., places.body, :], places.direction))
+        kinetic = spatial_columns(arm, crossed(omega[..., places.body, :], places.direction))
         carried = np.sum(places.axis * omega[..., :-1, :], axis=-1)
     else:
         kinetic = planar_columns(arm, state, np.multiply)
         carried = planar_rates(arm, state)[..., :-1]
     if any(arm.feels_gravity):
-        pull = -(posture(arm, state.q).direction @ np.array(arm.gravity))
+        places = posture(arm, state.q) if places is None else places
+        pull = -(places.direction @ np.array(arm.gravity))
         kinetic = np.concatenate([kinetic, pull[..., np.repeat(arm.feels_gravity, 2)]], axis=-1)
     return kinetic, carried
 

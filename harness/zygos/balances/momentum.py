@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from zygos.arm import Arm
 from zygos.balances.arcs import MIN_ARC_INSTANTS, numbered, unused
-from zygos.balances.kinematics import body_rates, planar_columns, posture
+from zygos.balances.kinematics import Posture, body_rates, crossed, planar_columns, posture
 from zygos.balances.quadrature import step_integrals
 from zygos.balances.state import State
 from zygos.runs.samples import Samples
@@ -50,21 +50,28 @@ class Turns:
     noise: Floats
 
 
-def momentum_columns(arm: Arm, state: State) -> Floats:
+def momentum_columns(arm: Arm, state: State, places: Posture | None = None) -> Floats:
     """Columns (..., r, K + N) of the K kinetic parameters and of Im_1 .. Im_N in base axes; r is 3 in space, else 1.
 
     Of N_ab: rho_a x v_b, and rho_b x v_a where a and b differ; of Im_i: n thetad times the axis. In a plane the first
-    are `planar_columns` of the sums of two rates.
+    are `planar_columns` of the sums of two rates. places: the posture, where it is known.
     """
     spin = arm.gear_ratios * state.thetad
     if not arm.spatial:
         return np.concatenate([planar_columns(arm, state, np.add), spin], axis=-1)[..., None, :]
-    places = posture(arm, state.q)
-    rate = np.cross(body_rates(state.base, places.axis, state.qd)[..., places.body, :], places.direction)
-    products = np.cross(places.direction[..., :, None, :], rate[..., None, :, :])
+    places = posture(arm, state.q) if places is None else places
+    rate = crossed(body_rates(state.base, places.axis, state.qd)[..., places.body, :], places.direction)
+    direction = places.direction
     first, second = np.triu_indices(len(places.body))
-    share = products[..., first, second, :] + products[..., second, first, :] * (first != second)[:, None]
-    return np.swapaxes(np.concatenate([share, spin[..., None] * places.axis], axis=-2), -1, -2)
+    both = (first != second).astype(np.float64)
+    out = np.empty((*state.q.shape[:-1], 3, len(first) + arm.n))
+    for k, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
+        (x, y), (vx, vy) = ((part[..., i], part[..., j]) for part in (direction, rate))
+        own = x[..., first] * vy[..., second] - y[..., first] * vx[..., second]
+        own += both * (x[..., second] * vy[..., first] - y[..., second] * vx[..., first])
+        out[..., k, : len(first)] = own
+    out[..., len(first) :] = np.swapaxes(spin[..., None] * places.axis, -1, -2)
+    return out
 
 
 def base_attitudes(arm: Arm, smoothed: Smoothed, arc: NDArray[np.int64]) -> Floats:

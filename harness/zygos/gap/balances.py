@@ -28,7 +28,7 @@ from scipy.spatial.transform import Rotation
 from zygos.arm import JOINT_ROW_S, Arm
 from zygos.balances import energy, impulse, joint, momentum
 from zygos.balances.effects import BaseSignals, Signals, energy_column, impulse_column, joint_column, momentum_column
-from zygos.balances.kinematics import body_columns
+from zygos.balances.kinematics import Posture, body_columns, posture
 from zygos.balances.quadrature import FromOrigin, from_first, integral, step_integrals
 from zygos.balances.readings import Readings
 from zygos.balances.state import State
@@ -432,6 +432,12 @@ class _Moving:
         return State(s.q[..., step, :], s.theta[..., step, :], s.qd[..., step, :], s.thetad[..., step, :], base)
 
     @cached_property
+    def postures(self) -> Posture | None:
+        """At the instants of the rows; None of an arm in a plane without gravity, where nothing needs it."""
+        needed = self.arm.spatial or any(self.arm.feels_gravity)
+        return posture(self.arm, self.thin.q) if needed else None
+
+    @cached_property
     def carried(self) -> Array:
         """(..., A, m, N) rates of the carrying bodies about the axes at the instants of the rows."""
         return self.bodies[1]
@@ -439,12 +445,12 @@ class _Moving:
     @cached_property
     def bodies(self) -> tuple[Array, Array]:
         """Columns of bodies in the energy, and `carried`."""
-        return body_columns(self.arm, self.thin)
+        return body_columns(self.arm, self.thin, self.postures)
 
     @cached_property
     def momentum(self) -> Array:
         """Columns (..., A, m, r, K + N) as `momentum.momentum_columns`, at the instants of the rows."""
-        return momentum.momentum_columns(self.arm, self.thin)
+        return momentum.momentum_columns(self.arm, self.thin, self.postures)
 
     @cached_property
     def spin(self) -> Array:
