@@ -9,7 +9,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 FLAGS = (
-    "-std=c11 -O2 -g -ffp-contract=off -Wall -Wextra -Wconversion -Wsign-conversion -Wshadow -Werror "
+    "-std=c11 -O1 -g -ffp-contract=off -Wall -Wextra -Wconversion -Wsign-conversion -Wshadow -Werror "
     "-fsanitize=address,undefined,float-cast-overflow -fno-sanitize-recover=all"
 )
 

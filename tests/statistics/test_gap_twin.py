@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 
 from zygos.arm import TORQUE_STEP, Arm, Joint
 from zygos.balances.readings import Readings
-from zygos.dynamics.planar import PlanarDynamics
+from zygos.dynamics.compiled import Planar
 from zygos.effects import Effect
 from zygos.errors import Undecided
 from zygos.gap.balances import Layout, Sums, accumulate, balance_rows, thinning, zero_columns
@@ -99,10 +99,10 @@ def null_model() -> Model:
     return replace(model, effects=(effect(arm, "angular_momentum", -1, 0.0),))
 
 
-def true_dynamics(*effects: Effect) -> PlanarDynamics:
+def true_dynamics(*effects: Effect) -> Planar:
     arm, _, _ = example()
     model = null_model()
-    return PlanarDynamics.from_model(arm, replace(model, effects=(*model.effects, *effects)))
+    return Planar.from_model(arm, replace(model, effects=(*model.effects, *effects)))
 
 
 def records() -> list[MeasuredRun]:
@@ -221,13 +221,13 @@ def test_values_are_right_within_their_spread(noise: EncoderNoise) -> None:
 # ---------------------------------------------------------------- the twin itself
 
 
-def wrong(*changes: tuple[str, float]) -> PlanarDynamics:
+def wrong(*changes: tuple[str, float]) -> Planar:
     """The true model with parameters times factors."""
     arm, model, _ = example()
     base = model.base_values(arm)
     for name, factor in changes:
         base[arm.parameter_names.index(name)] *= factor
-    return PlanarDynamics.from_parameters(arm, base, null_model().effects)
+    return Planar.from_parameters(arm, base, null_model().effects)
 
 
 def effects_of(arm: Arm) -> tuple[Effect, ...]:

@@ -16,10 +16,11 @@ from conftest import ROOT
 from zygos import effects
 from zygos.arm import Arm, load_arm
 from zygos.balances.state import State
-from zygos.dynamics.compiled import Multibody, Stepper
+from zygos.dynamics.compiled import Multibody, Planar, Stepper
 from zygos.dynamics.engines import engine
 from zygos.dynamics.equations import equations, from_model
 from zygos.dynamics.joints import Drives
+from zygos.dynamics.planar import PlanarDynamics
 from zygos.dynamics.replay import replay
 from zygos.dynamics.serial import SpatialDynamics
 from zygos.effects import CATALOGUE, Effect, Kind
@@ -71,6 +72,21 @@ def test_accelerations_are_those_of_engines(name: str, joints: int, base: str, k
     for sample in samples:
         for got, wanted in zip(ours.accelerations(*sample), oracle.accelerations(*sample), strict=True):
             np.testing.assert_allclose(got, wanted, rtol=0, atol=1e-10 * np.abs(wanted).max())
+
+
+@pytest.mark.parametrize("kind", FLEXIBLE)
+@pytest.mark.parametrize("kinetic", ["planar", "planar-symmetric"])
+@pytest.mark.parametrize("joints", [1, 2, 5])
+def test_accelerations_of_a_planar_arm_that_floats_are_numpys(joints: int, kinetic: str, kind: str) -> None:
+    arm, model, samples = arm_of(joints, "free", kinetic, kind)
+    ours, numpys = Planar.from_model(arm, model), PlanarDynamics.from_model(arm, model)
+    assert isinstance(from_model(arm, model), Planar)
+    copied = pickle.loads(pickle.dumps(ours))
+    for sample in samples:
+        state = sample._replace(omega0=sample.omega0[..., 2])
+        for dynamics in (ours, copied):
+            for got, wanted in zip(dynamics.accelerations(*state), numpys.accelerations(*state), strict=True):
+                np.testing.assert_allclose(got, wanted, rtol=0, atol=1e-11 * np.abs(wanted).max())
 
 
 def _stribeck(motion: effects.Motion, _shape: float) -> np.ndarray:

@@ -20,7 +20,7 @@ from zygos.accuracy.cases import Case
 from zygos.accuracy.cell import sensed
 from zygos.accuracy.estimators import ESTIMATORS, Prior
 from zygos.balances.state import State
-from zygos.dynamics.planar import PlanarDynamics
+from zygos.dynamics.compiled import Planar
 from zygos.dynamics.replay import replay, substeps
 from zygos.errors import ZygosError
 from zygos.paper import printed
@@ -75,7 +75,7 @@ class Figure4:
             free, servoed, arcs, missing = {}, {}, {}, {}
             for name, values in sets.items():
                 try:
-                    dynamics = PlanarDynamics.from_parameters(arm, _whole(values))
+                    dynamics = Planar.from_parameters(arm, _whole(values))
                     free[name] = respond(arm, _whole(values), momentum, HAIR_RAD if name == HAIR else 0.0)
                 except ZygosError as error:
                     missing[name] = str(error)
@@ -112,7 +112,7 @@ def _whole(values: Floats | None) -> Floats:
     return values
 
 
-def _servoed(dynamics: PlanarDynamics, scenario: Scenario, exact: Trajectory, start: Floats) -> Floats:
+def _servoed(dynamics: Planar, scenario: Scenario, exact: Trajectory, start: Floats) -> Floats:
     """(n, N) link angles [rad] under the scenario's servo with exact encoders, from a state (1, 4N+1)."""
     arm, servo = exact.arm, scenario.controller
     desired, desired_rate = scenario.desired([joint.name for joint in arm.joints], exact.t)
@@ -130,7 +130,7 @@ def _servoed(dynamics: PlanarDynamics, scenario: Scenario, exact: Trajectory, st
     return State.unpacked(moved[0]).q
 
 
-def _free(dynamics: PlanarDynamics, exact: Trajectory, starts: Floats, at: NDArray[np.int64], cycles: int) -> Floats:
+def _free(dynamics: Planar, exact: Trajectory, starts: Floats, at: NDArray[np.int64], cycles: int) -> Floats:
     """(A, cycles, N) link angles [rad] from the states `starts` (A, 4N+1) at the instants `at` (A,), under the true
     run's torques."""
     arm = exact.arm
@@ -141,7 +141,7 @@ def _free(dynamics: PlanarDynamics, exact: Trajectory, starts: Floats, at: NDArr
     return State.unpacked(moved).q
 
 
-def _apart(dynamics: PlanarDynamics, exact: Trajectory, states: Floats) -> list[float]:
+def _apart(dynamics: Planar, exact: Trajectory, states: Floats) -> list[float]:
     """Errors of short arcs after 1, 2, … cycles: median over the arcs of the joints' rms [rad]."""
     period = exact.arm.period_s
     cycles = round(ARC_S / period) + 1

@@ -11,7 +11,7 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from zygos.arm import across
@@ -57,12 +57,53 @@ def _frames(axes: Array, mounts: Array) -> dict[str, Array]:
     return {"turn": mounts[:, None] @ turning, "axis": axes, "across": sides}
 
 
-def _of_planar(dynamics: PlanarDynamics) -> Compiled:
-    """A planar arm that floats, in its closed form."""
-    matrix = np.stack([dynamics.a, dynamics.b, dynamics.rotor_mass])
-    compiled = _compile(dynamics, True, {"matrix": matrix})
-    compiled.arm.planar = 1
-    return compiled
+@dataclass(frozen=True, kw_only=True)
+class Planar(PlanarDynamics):
+    """A planar arm that floats, with the accelerations of all states computed by one call of compiled code."""
+
+    @cached_property
+    def compiled(self) -> Compiled:
+        """The arm for the compiled code."""
+        compiled = _compile(self, True, {"matrix": np.stack([self.a, self.b, self.rotor_mass])})
+        compiled.arm.planar = 1
+        return compiled
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The state without pointers into this process; a copy creates its own."""
+        return {name: value for name, value in self.__dict__.items() if name != "compiled"}
+
+    def accelerations(
+        self,
+        q: Array,
+        theta: Array,
+        omega0: ArrayLike,
+        qd: Array,
+        thetad: Array,
+        tau: Array,
+        moment: Moment = START,
+    ) -> tuple[Array, Array, Array]:
+        """As `PlanarDynamics.accelerations`, which computes them where a torque acts on the base."""
+        if self.base_laws or self.later is not None:
+            return super().accelerations(q, theta, omega0, qd, thetad, tau, moment)
+        spring, motor_loss, link_loss = self.forces(q, theta, qd, thetad, tau, moment)
+        n, batch = self.n, q.shape[:-1]
+        state, force = np.empty((*batch, 1 + 4 * n)), np.empty((*batch, 3 * n))
+        state[..., 0] = omega0
+        for k, part in enumerate((q, theta, qd, thetad)):
+            state[..., 1 + k * n : 1 + (k + 1) * n] = part
+        for k, part in enumerate((spring, tau - motor_loss, -link_loss)):
+            force[..., k * n : (k + 1) * n] = part
+        result = np.empty(state.shape)
+        lib.zygos_multibody_rates(
+            self.compiled.arm,
+            result.size // (1 + 4 * n),
+            1,
+            ffi.from_buffer("double[]", state),
+            ffi.from_buffer("double[]", force),
+            ffi.from_buffer("double[]", result),
+            ffi.from_buffer("double[]", np.empty(self.compiled.scratch)),
+        )
+        return result[..., 0], result[..., 1 + 2 * n : 1 + 3 * n], result[..., 1 + 3 * n :]
 
 
 def _laws(dynamics: Drives) -> Any:
@@ -82,9 +123,9 @@ def _laws(dynamics: Drives) -> Any:
 class Stepper:
     """RK4 steps of one arm, many states at once."""
 
-    def __init__(self, dynamics: PlanarDynamics | Multibody) -> None:
+    def __init__(self, dynamics: Planar | Multibody) -> None:
         """Steps of an arm that `of` does not refuse."""
-        compiled = dynamics.compiled if isinstance(dynamics, Multibody) else _of_planar(dynamics)
+        compiled = dynamics.compiled
         self._dynamics, self._arm, self._kept = dynamics, compiled.arm, compiled.kept
         self._scratch = ffi.from_buffer("double[]", np.empty(compiled.scratch))
         damping = np.where(dynamics.rigid, 0.0, dynamics.damping)
@@ -95,10 +136,10 @@ class Stepper:
     def of(cls, dynamics: Drives) -> Stepper | None:
         """None where the compiled code does not know the arm: torques on the base, a change of bodies, laws with a
         memory, equations by another engine."""
-        known = isinstance(dynamics, PlanarDynamics | Multibody)
-        if not known or dynamics.base_laws or dynamics.later is not None or dynamics.states:
+        if not isinstance(dynamics, Planar | Multibody):
             return None
-        return cls(dynamics)
+        outside = dynamics.base_laws or dynamics.later is not None or dynamics.states
+        return None if outside else cls(dynamics)
 
     def advance(self, state: Array, torque: Array, step_s: float, steps: int, now: Moment) -> tuple[Array, Moment]:
         """States (B, 4N+W) after so many steps under torques (B, N), Nm before the gear, that stay constant."""

@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from zygos.arm import Arm
-from zygos.dynamics.compiled import Multibody
+from zygos.dynamics.compiled import Multibody, Planar
 from zygos.dynamics.engines import Engine, engine
 from zygos.dynamics.joints import START, Drives, Law, Moment
-from zygos.dynamics.planar import PlanarDynamics
 from zygos.effects import Effect, Motion
 from zygos.errors import ZygosError
 from zygos.model.model import Model
@@ -124,7 +123,7 @@ def from_parameters(arm: Arm, values: ArrayLike, effects: Sequence[Effect] = ())
 
     The closed form of a planar arm that floats is the fast case. Errors: ZygosError where no arm has these values.
     """
-    form: type[Drives] = PlanarDynamics if arm.free and not arm.spatial else Multibody
+    form: type[Drives] = Planar if arm.free and not arm.spatial else Multibody
     changes = [effect for effect in effects if effect.kind.place == "body"]
     lasting = [effect for effect in effects if effect.kind.place != "body"]
     dynamics = form.from_parameters(arm, values, lasting)

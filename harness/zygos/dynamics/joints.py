@@ -281,9 +281,8 @@ class Drives(ABC):
         deflection, slip = theta - q, thetad - qd
         side = law.kind.side
         rate, angle = (thetad, theta) if side == "motor" else (qd, q) if side == "link" else (slip, deflection)
-        time = moment.time
-        if not (isinstance(time, np.ndarray) and time.shape == q.shape):
-            time = np.broadcast_to(time, q.shape)
+        known = isinstance(moment.time, np.ndarray) and moment.time.shape == q.shape
+        time = np.asarray(moment.time if known else np.broadcast_to(moment.time, q.shape))
         return Motion(rate, angle, deflection, slip, applied, load, time, float(self.gear_ratio[i]), own)
 
     def forces(
