@@ -435,7 +435,28 @@ class _Explainer:
     def _size(self, study: Study, name: str) -> tuple[float, float]:
         """A coefficient and its standard deviation: noise, or what the runs disagree by, whichever is more."""
         index = study.hypothesis.names.index(name)
-        return float(study.value[index]), float(self._sigmas(study)[index])
+        sigma = float(self._sigmas(study)[index])
+        return float(study.value[index]), max(sigma, self._with_its_shape(study, name))
+
+    def _with_its_shape(self, study: Study, name: str) -> float:
+        """Standard deviation of a coefficient whose law has a shape that is not known either: that of the sum of the
+        coefficients at two shapes, because c f(s) + d f(s + e) is (c + d) f(s) + d e df/ds. 0 without a shape, or where
+        it is a whole number."""
+        if "@" not in name:
+            return 0.0
+        own = study.layout.find(name)
+        if own.shape is None or not any(x % 1.0 for x in own.kind.shapes):
+            return 0.0
+        shape = own.shape
+        others = [x for x in study.layout.effects if x.plain == own.plain and x.shape not in (None, shape)]
+        if not others:
+            return 0.0
+        near = min(others, key=lambda x: abs(np.log((x.shape or shape) / shape)))
+        wider = replace(study.hypothesis, effects=(*study.hypothesis.effects, near.name))
+        at = [wider.names.index(one) for one in (name, near.name)]
+        spread = float(study.of_twin(wider).value[:, at].sum(axis=1).std(ddof=1))
+        each = [study.of(wider, [k]).value[at].sum() for k in range(len(study.records))]
+        return max(spread, float(np.std(each, ddof=1)) / np.sqrt(len(each)) if len(each) > 1 else 0.0)
 
     def _sigmas(self, study: Study) -> Array:
         each = np.array([study.of(study.hypothesis, [k]).value for k in range(len(study.records))])
