@@ -101,10 +101,18 @@ $(NODE): $(LIBRARY) $(wildcard c/ports/linux/*.[ch] c/ports/telemetry/* include/
 # Folders of tests that need no bus of the kernel's and no emulator of a board; docs/testing.md has the tiers.
 TESTS := $(addprefix tests/,unit bus fuzz bench builds statistics campaigns soak upset verify)
 PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile
+test: build node $(VENV)/.test ## the quick tests, a process for each core (17 minutes on two cores)
+	$(PYTEST) -m "not slow" $(TESTS)
+
+test-slow: build node $(VENV)/.test ## the slow tests alone (25 minutes)
+	$(PYTEST) -m slow $(TESTS)
+
+test-all: build node $(VENV)/.test ## the quick and the slow tests, without hil and pil (40 minutes; out/tests.json)
+	$(PYTEST) --times $${ZYGOS_OUT:-out}/tests.json $(TESTS)
+
 # The package as links to its files, so that the library beside them can be another one.
 COVERED := $(BUILD)/coverage
-test: build node $(VENV)/.test ## the quick tests, a process for each core (12 minutes on two cores; COVERAGE=1 counts lines and branches)
-ifdef COVERAGE
+coverage: build node $(VENV)/.test ## the quick tests, counting lines and branches; fails below the floors in pyproject.toml
 	rm -rf $(COVERED)
 	mkdir -p $(COVERED)/harness
 	cp -rs $(CURDIR)/harness/zygos $(COVERED)/harness
@@ -113,18 +121,6 @@ ifdef COVERAGE
 	PYTHONPATH=$(abspath $(COVERED))/harness $(PYTEST) -m "not slow" -o quick_limit_s=0 --cov --cov-report= $(TESTS)
 	$(BIN)/gcovr --json-summary $(COVERED)/c.json
 	$(BIN)/coverage report
-else
-	$(PYTEST) -m "not slow" $(TESTS)
-endif
-
-coverage: ## the quick tests, counting lines and branches; fails below the floors in pyproject.toml
-	$(MAKE) test COVERAGE=1
-
-test-slow: build node $(VENV)/.test ## the slow tests alone (12 minutes)
-	$(PYTEST) -m slow $(TESTS)
-
-test-all: build node $(VENV)/.test ## the quick and the slow tests, without hil and pil (17 minutes; out/tests.json)
-	$(PYTEST) --times $${ZYGOS_OUT:-out}/tests.json $(TESTS)
 
 times: ## write the table of docs/testing.md from the last `make test-all`
 	$(BIN)/python tools/test_times.py $${ZYGOS_OUT:-out}/tests.json docs/testing.md
