@@ -19,6 +19,7 @@ from zygos.simulation.scenario import Scenario
 CONFIG, TABLES, PLACES, BLOCKS = (
     lib.ZYGOS_SCRUBBED_CONFIG, lib.ZYGOS_SCRUBBED_TABLES, lib.ZYGOS_SCRUBBED_PLACES, lib.ZYGOS_SCRUBBED_BLOCKS
 )  # fmt: skip
+FLIPS = 2000
 MOTION_ARCS = 3
 """Before the last call that finds nothing."""
 
@@ -243,3 +244,26 @@ def test_a_sample_that_changed_in_the_window_stops_the_cycles(flight: Flight, mo
     flight.cycles(part(again(flight.arm, motion, int(flight.native.cycle) + 1, rng), 0, 60))
     assert lib.zygos_scrub(flight.native, pristine) & TABLES
     assert flight.native.accumulator.count == flight.native.accumulator.open
+
+
+def test_after_any_flipped_bit_a_second_call_finds_nothing_more(
+    flight: Flight, flown: Flight, motion: Cycles, pristine: Any
+) -> None:
+    """Bits anywhere in what is used of the state: what the first call repairs or drops is not found again, and the
+    flight goes on."""
+    rng, size = np.random.default_rng(0), ffi.sizeof("zygos_t")
+    memory, found = ffi.buffer(flight.native), 0
+    used = np.flatnonzero(np.frombuffer(bytes(memory), dtype=np.uint8))
+    few = part(again(flown.arm, motion, int(flown.native.cycle) + 1, rng), 0, 40)
+    for k in range(FLIPS):
+        ffi.memmove(flight.native, flown.native, size)
+        at, bit = int(rng.choice(used)), int(rng.integers(8))
+        memory[at] = bytes([memory[at][0] ^ 1 << bit])
+        first = lib.zygos_scrub(flight.native, pristine)
+        assert lib.zygos_scrub(flight.native, pristine) in ((0,) if first >= 0 else (0, first)), (at, bit)
+        found += first != 0
+        if k % 10 == 0:
+            flight.cycles(few)
+            flight.estimate()
+    print(found)
+    assert found > FLIPS // 10
