@@ -47,7 +47,9 @@ int main(void)
     TIMER_CONTROL = TIMER_ON;
     while ((next < head[0]) || (arm.receiver.queue.head != arm.receiver.queue.tail)) {
         working = (arm.receiver.queue.head != arm.receiver.queue.tail) ? 1u : 0u;
-        zygos_step(&arm);
+        if (zygos_step(&arm) == ZYGOS_E_STATE) {
+            break; // a changed place: no cycle is processed any more, and the queue would not become empty
+        }
         working = 0;
     }
     const int32_t out = semihosting_open("storm.out", SEMIHOSTING_WRITE);
