@@ -265,5 +265,4 @@ def test_after_any_flipped_bit_a_second_call_finds_nothing_more(
         if k % 10 == 0:
             flight.cycles(few)
             flight.estimate()
-    print(found)
     assert found > FLIPS // 10

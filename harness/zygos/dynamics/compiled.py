@@ -107,9 +107,7 @@ class Planar(PlanarDynamics):
 
 
 def _laws(dynamics: Drives) -> Any:
-    """The laws at joints for the compiled code; None where it does not know one of them."""
-    if not all(law.kind.law in COMPILED for law in dynamics.laws):
-        return None
+    """The laws at joints, all of which the compiled code has."""
     native = ffi.new("zygos_multibody_law_t[]", len(dynamics.laws))
     for one, (law, _, _) in zip(native, dynamics.acting, strict=True):
         assert law.kind.law is not None
@@ -134,54 +132,32 @@ class Stepper:
 
     @classmethod
     def of(cls, dynamics: Drives) -> Stepper | None:
-        """None where the compiled code does not know the arm: torques on the base, a change of bodies, laws with a
-        memory, equations by another engine."""
-        if not isinstance(dynamics, Planar | Multibody):
+        """None where the compiled code does not know the arm: torques on the base, a change of bodies, laws that it
+        does not have, equations by another engine."""
+        if not isinstance(dynamics, Planar | Multibody) or dynamics.base_laws or dynamics.later is not None:
             return None
-        outside = dynamics.base_laws or dynamics.later is not None or dynamics.states
-        return None if outside else cls(dynamics)
+        return cls(dynamics) if all(law.kind.law in COMPILED for law in dynamics.laws) else None
 
     def advance(self, state: Array, torque: Array, step_s: float, steps: int, now: Moment) -> tuple[Array, Moment]:
         """States (B, 4N+W) after so many steps under torques (B, N), Nm before the gear, that stay constant."""
         n = self._dynamics.n
         width = state.shape[1] - 4 * n
-        if self._laws is not None:
-            after = np.array(state, dtype=np.float64, order="C")
-            held = np.ascontiguousarray(np.broadcast_to(torque, (len(state), n)))
-            lib.zygos_multibody_advance(
-                self._arm,
-                len(state),
-                width,
-                self._spring,
-                self._laws,
-                len(self._dynamics.laws),
-                ffi.from_buffer("double[]", held),
-                step_s,
-                steps,
-                ffi.from_buffer("double[]", after),
-                self._scratch,
-            )
-            return after, replace(now, time=now.time + steps * step_s)
-        rate, force = np.empty(state.shape), np.empty((len(state), 3 * n))
-        rate_to, force_from = ffi.from_buffer("double[]", rate), ffi.from_buffer("double[]", force)
-
-        def derive(x: Array, at: Moment) -> Array:
-            q, theta, qd, thetad = (x[:, width + k * n : width + (k + 1) * n] for k in range(4))
-            spring, motor, link = self._dynamics.forces(q, theta, qd, thetad, torque, at)
-            force[:, :n], force[:, n : 2 * n], force[:, 2 * n :] = spring, torque - motor, -link
-            place = ffi.from_buffer("double[]", x)
-            lib.zygos_multibody_rates(self._arm, len(x), width, place, force_from, rate_to, self._scratch)
-            return rate
-
-        x, half = np.array(state, dtype=np.float64, order="C"), 0.5 * step_s
-        for _ in range(steps):
-            middle, end = replace(now, time=now.time + half), replace(now, time=now.time + step_s)
-            total = derive(x, now).copy()
-            total += 2.0 * derive(x + half * rate, middle)
-            total += 2.0 * derive(x + half * rate, middle)
-            total += derive(x + step_s * rate, end)
-            x, now = x + step_s / 6.0 * total, end
-        return x, now
+        after = np.array(state, dtype=np.float64, order="C")
+        held = np.ascontiguousarray(np.broadcast_to(torque, (len(state), n)))
+        lib.zygos_multibody_advance(
+            self._arm,
+            len(state),
+            width,
+            self._spring,
+            self._laws,
+            len(self._dynamics.laws),
+            ffi.from_buffer("double[]", held),
+            step_s,
+            steps,
+            ffi.from_buffer("double[]", after),
+            self._scratch,
+        )
+        return after, replace(now, time=now.time + steps * step_s)
 
 
 @dataclass(frozen=True, kw_only=True)
