@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import threading
-import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from bus_support import playing
 
 from conftest import EXAMPLE
 from zygos.arm import load_arm
@@ -122,20 +121,10 @@ def test_sensors_that_are_better_than_declared(tmp_path: Path, capsys: pytest.Ca
 
 
 def test_listen_says_it_too(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    messages = bus.to_messages(bus.read_log(folder / "changed.blf").frames, 0.05)
-
-    def play() -> None:
-        time.sleep(1.0)
-        with bus.open_bus("virtual", "test_change") as out:
-            for message in messages:
-                out.send(message)
-
-    player = threading.Thread(target=play)
-    player.start()
     numbers = tmp_path / "live.json"
     options = ["-i", "virtual", "-c", "test_change", "--idle", 1, "--json", numbers]
-    code = run("listen", "--arm", EXAMPLE / "arm.toml", *options, "-o", tmp_path / "live.toml")
-    player.join()
+    with playing("test_change", folder / "changed.blf", 0.05):
+        code = run("listen", "--arm", EXAMPLE / "arm.toml", *options, "-o", tmp_path / "live.toml")
     assert code == 3
     assert "warning: the arm changed after 120 s" in capsys.readouterr().err
     assert run("estimate", folder / "changed.blf", "-o", tmp_path / "m.toml", "--json", tmp_path / "m.json") == 3

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import re
@@ -12,13 +11,14 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import can
 import numpy as np
 import pytest
+from bus_support import playing
 from numpy.typing import NDArray
 from schema_support import hold
 
@@ -235,33 +235,10 @@ def test_check_says_when_c_and_numpy_differ(simulated: Path, monkeypatch: pytest
 
 
 def test_listen(simulated: Path, tmp_path: Path) -> None:
-    arm = load_arm(EXAMPLE / "arm.toml")
-    messages = bus.to_messages(bus.read_log(simulated / "run.blf").frames, arm.period_s)
-
-    def play() -> None:
-        time.sleep(1.0)
-        with bus.open_bus("virtual", "test_listen") as out:
-            for message in messages:
-                out.send(message)
-
-    player = threading.Thread(target=play)
-    player.start()
-    code = run(
-        "listen",
-        "--arm",
-        EXAMPLE / "arm.toml",
-        "-i",
-        "virtual",
-        "-c",
-        "test_listen",
-        "--idle",
-        1,
-        "-o",
-        tmp_path / "live.toml",
-        "--log",
-        tmp_path / "live.blf",
-    )
-    player.join()
+    with playing("test_listen", simulated / "run.blf", 0.05):
+        where = ("-i", "virtual", "-c", "test_listen", "--idle", 1)
+        files = ("-o", tmp_path / "live.toml", "--log", tmp_path / "live.blf")
+        code = run("listen", "--arm", EXAMPLE / "arm.toml", *where, *files)
     assert code == 0
     assert run("estimate", simulated / "run.blf", "-o", tmp_path / "replayed.toml") == 0
     assert (tmp_path / "live.toml").read_bytes() == (tmp_path / "replayed.toml").read_bytes()
@@ -276,7 +253,7 @@ def test_listen_estimates_the_effects_of_a_model(
     entry = '\n[[effect]]\nkind = "motor_viscous"\njoint = "elbow"\nvalue = 0\n'
     prior.write_text((EXAMPLE / "model.toml").read_text() + entry)
     answers = []
-    with playing("test_effects", simulated / "run.blf"):
+    with playing("test_effects", simulated / "run.blf", 0.05):
         options = ("--idle", 1, "--model", prior, "--json", tmp_path / "live.json")
         listen("test_effects", tmp_path, *options)
     run("estimate", simulated / "run.blf", "--model", prior, "-o", tmp_path / "o.toml", "--json", tmp_path / "o.json")
@@ -538,29 +515,6 @@ def test_a_run_at_rest_is_undecided(
     assert "differs" not in said.out
 
 
-class Player:
-    """Frames on a virtual bus, and what comes after them."""
-
-    def __init__(self, channel: str, messages: Sequence[can.Message], after: Callable[[], None]) -> None:
-        self.channel, self.messages, self.after = channel, messages, after
-
-    def __call__(self) -> None:
-        time.sleep(1.0)
-        with bus.open_bus("virtual", self.channel) as out:
-            for message in self.messages:
-                out.send(message)
-            time.sleep(1.0)
-        self.after()
-
-
-@contextlib.contextmanager
-def playing(channel: str, log: Path, after: Callable[[], None] = lambda: None) -> Iterator[None]:
-    player = threading.Thread(target=Player(channel, bus.to_messages(bus.read_log(log).frames, 0.05), after))
-    player.start()
-    yield
-    player.join()
-
-
 def listen(channel: str, folder: Path, *more: object) -> int:
     where = ("-i", "virtual", "-c", channel, "-o", folder / "live.toml", "--log", folder / "live.log")
     return run("listen", "--arm", EXAMPLE / "arm.toml", *where, *more)
@@ -575,7 +529,7 @@ def test_a_signal_ends_listening_and_keeps_what_was_learned(
 
     before = signal.signal(which, unheard)
     try:
-        with playing(f"test_{which}", simulated / "run.blf", lambda: os.kill(os.getpid(), which)):
+        with playing(f"test_{which}", simulated / "run.blf", 0.05, lambda: os.kill(os.getpid(), which)):
             begin = time.monotonic()
             assert listen(f"test_{which}", tmp_path, "--idle", 60) == 0
         assert time.monotonic() - begin < 20
@@ -590,15 +544,17 @@ def test_a_signal_ends_listening_and_keeps_what_was_learned(
 def test_the_heartbeat_of_others_does_not_keep_it_listening(simulated: Path, tmp_path: Path) -> None:
     done = threading.Event()
 
+    other = bus.open_bus("virtual", "test_beat")
+
     def beat() -> None:
-        with can.Bus(interface="virtual", channel="test_beat") as other:
+        with other:
             while not done.wait(0.2):
                 other.send(can.Message(arbitration_id=0x720, data=[5], is_extended_id=False))
 
     beating = threading.Thread(target=beat)
     beating.start()
     try:
-        with playing("test_beat", simulated / "run.blf"):
+        with playing("test_beat", simulated / "run.blf", 0.05):
             assert listen("test_beat", tmp_path, "--idle", 1, "--duration", 40) == 0
         begin = time.monotonic()
         assert listen("test_beat", tmp_path, "--idle", 0.1, "--duration", 40) == 3
@@ -622,7 +578,7 @@ def test_a_bus_that_fails_while_listening(
         return receive(self, timeout)
 
     monkeypatch.setattr(VirtualBus, "_recv_internal", failing)
-    with playing("test_down", simulated / "run.blf", down.set):
+    with playing("test_down", simulated / "run.blf", 0.05, down.set):
         assert listen("test_down", tmp_path, "--idle", 60) == 3
     said = capsys.readouterr()
     assert "Network is down" in said.err
@@ -637,7 +593,7 @@ def test_a_log_that_fails_does_not_lose_the_estimate(
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(can.CanutilsLogWriter, "on_message_received", full)
-    with playing("test_full", simulated / "run.blf"):
+    with playing("test_full", simulated / "run.blf", 0.05):
         assert listen("test_full", tmp_path, "--idle", 2) == 2
     said = capsys.readouterr()
     assert "live.log: cannot be written (No space left" in said.err

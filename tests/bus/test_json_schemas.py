@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import copy
 import json
-import threading
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -16,13 +14,13 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from bus_support import playing
 from jsonschema import Draft202012Validator
 from schema_support import OF_COMMAND, SCHEMAS, hold
 
 from conftest import EXAMPLE, ROOT
 from zygos import testing
 from zygos.arm import load_arm
-from zygos.can import bus
 from zygos.cli import COMMANDS, load, main
 from zygos.effects import CATALOGUE, Effect
 from zygos.model.model import load_model, save_model
@@ -99,19 +97,10 @@ def test_the_output_of_explain(tmp_path: Path) -> None:
 
 
 def test_the_output_of_listen(folder: Path, tmp_path: Path) -> None:
-    messages = bus.to_messages(bus.read_log(folder / "run.blf").frames, load_arm(ARM).period_s)
-
-    def play() -> None:
-        time.sleep(1.0)
-        with bus.open_bus("virtual", "test_schemas") as wire:
-            for message in messages:
-                wire.send(message)
-
-    player, out = threading.Thread(target=play), tmp_path / "live.json"
-    player.start()
+    out = tmp_path / "live.json"
     where = ("-i", "virtual", "-c", "test_schemas", "--idle", 1)
-    assert run("listen", "--arm", ARM, *where, "-o", tmp_path / "live.toml", "--json", out) == 0
-    player.join()
+    with playing("test_schemas", folder / "run.blf", load_arm(ARM).period_s):
+        assert run("listen", "--arm", ARM, *where, "-o", tmp_path / "live.toml", "--json", out) == 0
     hold("estimate", json.loads(out.read_text()))
 
 
