@@ -74,6 +74,28 @@ def torques(arm: Arm, model: Model, q: Array, qd: Array, qdd: Array) -> Array:
     return out
 
 
+def torque_of(arm: Arm, model: Model, path: int, seconds: float) -> tuple[Array, Array]:
+    """(m, N) angles and torques of a motion with friction, without noise."""
+    q, qd, qdd = motion(arm, seconds, path)
+    tau = torques(arm, model, q, qd, qdd)
+    for effect in model.effects:
+        assert effect.kind.torque is not None
+        tau[:, effect.index(arm)] += effect.value * effect.kind.torque(qd[:, effect.index(arm)])
+    return q, tau
+
+
+def seen(arm: Arm, q: Array, tau: Array, seed: int) -> Cycles:
+    """What the sensors make of it."""
+    sigma = np.array([joint.torque_sigma for joint in arm.joints])
+    quantum = np.array([joint.motor_encoder.quantum_rad for joint in arm.joints])
+    rng = np.random.default_rng(seed)
+    begin = quantum * rng.uniform(size=arm.n)
+    read = quantum * np.round((q + begin) / quantum) - begin
+    noisy = tau + sigma * rng.normal(size=tau.shape)
+    m = len(q)
+    return Cycles(np.arange(m, dtype=np.uint64), read, read, noisy, np.zeros((m, 3)), np.zeros(m, dtype=np.uint32))
+
+
 def recorded(
     arm: Arm,
     model: Model,

@@ -13,7 +13,7 @@ from refine_support import Case, noisy, plant
 from conftest import ROOT
 from zygos.arm import Arm
 from zygos.errors import ZygosError
-from zygos.native.flight import Flight, cycles_to_native, ffi, lib, text_of
+from zygos.native.flight import Flight, config_of, cycles_to_native, ffi, lib, text_of
 from zygos.native.refine import Onboard, OnboardRefiner, Refined
 from zygos.native.refiner import Refiner, Settings
 from zygos.refine.bound import bound
@@ -24,6 +24,8 @@ from zygos.simulation.scenario import load_scenario
 Floats = NDArray[np.float64]
 LEARNED_S = 60.0
 """From so much of a run comes the estimate with which the refinement begins."""
+STEPS_LEVEL = 30.0
+"""ZYGOS_REFINE_STEPS"""
 INNOVATIONS, LEVEL, APART, FAILED, ENERGY, WAITS = 4, 5, 6, 3, 2, 1
 
 
@@ -289,3 +291,176 @@ def test_sizes_are_those_of_the_solver() -> None:
     least = np.sqrt([a00 * a00, a00 * a11, a00 * a22, a11 * a11, a11 * a22, a22 * a22])
     np.testing.assert_allclose(size[:6], np.maximum(least, np.abs([a00, a01, a02, a11, a12, a22])), rtol=1e-12)
     np.testing.assert_array_equal(size[6:], value[6:])
+
+
+SETTINGS = (
+    ("every", 0, 1001), ("terms", 1, 21), ("window", 19, 100_001), ("apart", 0, 1001), ("bias_sigma", -1.0, 1e4),
+    ("filter.steps", 0, 1001), ("filter.friction", 2, 7), ("filter.bias_walk", -1.0, 1e4),
+    ("filter.second_order", -1.0, 1e4), ("filter.gyro_sigma", 0.0, 1e4),
+)  # fmt: skip
+OF_JOINTS = (
+    ("beside_sigma", -1.0, 1e7), ("filter.link_sigma", 0.0, 11.0), ("filter.motor_sigma", 0.0, 11.0),
+    ("filter.torque_sigma", -1.0, 1e7), ("filter.torque_relative_sigma", -0.1, 1.1),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("member", "low", "high"), [*SETTINGS, *OF_JOINTS])
+def test_settings_out_of_their_range_are_refused(member: str, low: float, high: float) -> None:
+    """And those between are not."""
+    config, task = config_of(Case().arm), ffi.new("zygos_refine_t *")
+    for value in (low, high, float("nan"), None):
+        settings = ffi.new("zygos_refine_settings_t *")
+        lib.zygos_refine_defaults(settings, config)
+        *way, name = member.split(".")
+        place = settings.filter if way else settings
+        whole = isinstance(getattr(place, name), int)
+        if value is not None and not (whole and value != value):
+            if (member, low, high) in OF_JOINTS:
+                getattr(place, name)[1] = value
+            else:
+                setattr(place, name, value)
+            assert lib.zygos_refine_init(task, config, settings) == lib.ZYGOS_E_VALUE, value
+        elif value is None:
+            assert lib.zygos_refine_init(task, config, settings) == 1
+
+
+def test_a_gyro_that_latches_late_is_refused() -> None:
+    arm = Case().arm
+    with pytest.raises(ZygosError, match="a gyro that latches at SYNC"):
+        OnboardRefiner(replace(arm, imu=replace(arm.imu, latch_us=100)))
+
+
+def test_a_call_without_its_arguments_changes_nothing() -> None:
+    case = Case()
+    flight, rest = learned(case.arm, flown(case, 0))
+    task = OnboardRefiner(case.arm)
+    task.start(flight)
+    task.cycles(part(rest, slice(0, 10)))
+    before = bytes(ffi.buffer(task.native))
+    native, config, estimate, null = task.native, task._config, flight._estimate, ffi.NULL
+    settings, out = ffi.new("zygos_refine_settings_t *"), ffi.new("zygos_refined_t *")
+    for call, arguments in (
+        (lib.zygos_refine_init, (native, config, settings)),
+        (lib.zygos_refine_start, (native, config, estimate)),
+        (lib.zygos_refine_step, (native, config)),
+        (lib.zygos_refine_judge, (native, config, estimate, out)),
+    ):
+        for k in range(len(arguments)):
+            given = [null if i == k else one for i, one in enumerate(arguments)]
+            assert call(*given, *((null,) if call is lib.zygos_refine_start else ())) == lib.ZYGOS_E_NULL
+    assert lib.zygos_refine_cycle(null, ffi.new("zygos_cycle_t *")) == lib.ZYGOS_E_NULL
+    assert lib.zygos_refine_cycle(native, null) == 0  # zygos_cycle_at() has no more
+    assert bytes(ffi.buffer(task.native)) == before
+
+
+def test_values_of_a_model_stand_in_for_what_the_estimate_leaves_open() -> None:
+    """A joint that has not moved: the prior's value, with a deviation of 1 %; a prior without it is refused."""
+    case = Case()
+    flight, rest = learned(case.arm, flown(case, 0))
+    flight.estimate()
+    native, truth = flight._estimate, plant("paper").base_values(case.arm)
+    task = OnboardRefiner(case.arm)
+    values = ffi.new("double[]", truth.tolist())
+
+    def start(prior: object) -> int:
+        return int(lib.zygos_refine_start(task.native, task._config, native, prior))
+
+    native.value[3] = native.sigma[3] = native.half95[3] = float("nan")
+    for k in range(12):
+        native.covariance[max(k, 3) * (max(k, 3) + 1) // 2 + min(k, 3)] = float("nan")
+    assert start(ffi.NULL) == lib.ZYGOS_E_VALUE
+    assert start(values) == 1
+    value, sigma = task.estimate
+    assert value[3] == pytest.approx(truth[3]) and 0.005 < sigma[3] / abs(truth[3]) < 0.012
+    task.cycles(part(rest, slice(0, 200)))
+    assert task.native.filter.failed == 0
+    values[3] = float("inf")
+    assert start(values) == lib.ZYGOS_E_VALUE
+    values[3] = 0.0
+    assert start(values) == 1 and task.native.filter.settings.size[3] > 0.0
+    native.covariance[0] = -1e12
+    assert start(values) == lib.ZYGOS_E_VALUE
+    native.validity = lib.ZYGOS_REFUSED
+    assert start(values) == lib.ZYGOS_E_VALUE
+
+
+def test_torques_without_a_declared_noise_have_the_steps_of_their_frames() -> None:
+    """Then the level may be as large as 30, with which the filter begins."""
+    case = Case(noise=0.0)
+    flight, rest = learned(case.arm, flown(case, 0))
+    settings = ffi.new("zygos_refine_settings_t *")
+    task = OnboardRefiner(case.arm)
+    lib.zygos_refine_defaults(settings, task._config)
+    assert settings.filter.torque_sigma[0] == pytest.approx(1e-4 / np.sqrt(12.0))
+    task.start(flight)
+    assert task.native.level == STEPS_LEVEL
+    task.cycles(rest)
+    flight.cycles(rest)
+    answer = task.judge(flight)
+    assert answer.published and answer.level < 1.2 * STEPS_LEVEL
+
+
+def test_readings_may_be_used_every_second_cycle_also_over_gaps() -> None:
+    case = Case()
+    flight, rest = learned(case.arm, flown(case, 0))
+    kept = np.ones(len(rest), dtype=np.bool_)
+    for k, lost in enumerate((1, 2, 3, 6)):
+        kept[200 + 150 * k : 200 + 150 * k + lost] = False
+    task = OnboardRefiner(case.arm, Onboard(every=2, window=50))
+    task.start(flight)
+    task.cycles(part(rest, kept))
+    flight.cycles(part(rest, kept))
+    answer = task.judge(flight)
+    assert (answer.lost, answer.restarts) == (12, 0)
+    assert answer.published
+
+
+def test_an_arm_in_space_begins_with_its_reduced_parameters() -> None:
+    """Sizes of combinations of entries of the inertia matrix are those of the entries."""
+    case = Case("spatial", noise=0.005)
+    cycles, truth = flown(case, 0, 2.0), plant("spatial").base_values(case.arm)
+    flight, task = Flight(case.arm), OnboardRefiner(case.arm)
+    flight.estimate()
+    flight._estimate.validity = lib.ZYGOS_PARTIAL  # which leaves every value open
+    prior = ffi.new("double[]", truth.tolist())
+    assert lib.zygos_refine_start(task.native, task._config, flight._estimate, prior) == 1
+    p = task.native.filter.propagation.parameters
+    size = np.frombuffer(ffi.buffer(task.native.filter.settings.size), dtype=np.float64)[:p]
+    assert p == len(truth) and (size >= 0.999999 * np.abs(truth)).all() and (size < 1e6).all()
+    task.cycles(cycles)
+    assert task.native.filter.failed == 0 and task.native.used > 50
+
+
+@pytest.mark.parametrize(
+    ("place", "value"), [("rate", 1e7), ("rate", float("nan")), ("inertia", float("nan")), ("inertia", -1e12)]
+)
+def test_a_state_that_cannot_be_ends_the_refinement(place: str, value: float) -> None:
+    """What memory errors and a model that is far off have in common."""
+    case = Case()
+    flight, rest = learned(case.arm, flown(case, 0))
+    task = OnboardRefiner(case.arm)
+    task.start(flight)
+    task.cycles(part(rest, slice(0, 20)))
+    assert task.native.filter.failed == 0
+    task.native.filter.x[6 if place == "rate" else task.native.filter.fast] = value
+    task.cycles(part(rest, slice(20, 24)))
+    assert task.native.filter.failed == 1
+    assert task.judge(flight).reason == FAILED
+    assert lib.zygos_refine_step(task.native, task._config) == 0
+
+
+def test_values_that_no_arm_has_are_not_published() -> None:
+    """A rotor inertia, stiffness or damping below zero, where it is not sooner noticed."""
+    task, answer = refined(Case(), 0)
+    flight, rest = learned(Case().arm, flown(Case(), 0))
+    flight.cycles(rest)
+    assert answer.published
+    task.native.filter.x[task.native.filter.fast + 11] *= -1.0
+    answer = task.judge(flight)
+    assert not answer.published and answer.reason == APART
+    flight.estimate()
+    for k in range(12):
+        flight._estimate.half95[k] = 1e9
+    out = ffi.new("zygos_refined_t *")
+    assert lib.zygos_refine_judge(task.native, task._config, flight._estimate, out) == 0
+    assert out.reason == lib.ZYGOS_REFINE_PHYSICAL

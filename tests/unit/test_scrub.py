@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from flight_support import bytes_of, part
+from ground_support import seen, short_arm, torque_of
 from soak_support import again, fly, stored, with_all_rows
 
 from zygos.arm import Arm
@@ -266,3 +267,99 @@ def test_after_any_flipped_bit_a_second_call_finds_nothing_more(
             flight.cycles(few)
             flight.estimate()
     assert found > FLIPS // 10
+
+
+@pytest.fixture(scope="module")
+def ground() -> tuple[Flight, Cycles]:
+    """Two rigid joints on the ground, with joint rows beside energy rows and an adopted estimate; and what follows."""
+    arm, model = short_arm(2)
+    q, tau = torque_of(arm, model, 0, 40.0)
+    out, cycles = Flight(arm, model.effects), seen(arm, q, tau, 0)
+    config = ffi.new("zygos_config_t *", out.native.config)
+    at, later = (round(seconds / arm.period_s) for seconds in (20.0, 33.0))
+    out.cycles(part(cycles, 0, at))
+    assert lib.zygos_scrub(out.native, config) == 0
+    out.cycles(part(cycles, at, later))
+    out.estimate()
+    out.adopt()
+    assert out.native.joint_sums.segments > 4
+    return out, part(cycles, later, len(cycles))
+
+
+@pytest.fixture
+def grounded(ground: tuple[Flight, Cycles]) -> Flight:
+    """A copy that may be damaged."""
+    out = Flight(ground[0].arm, ground[0].effects)
+    ffi.memmove(out.native, ground[0].native, ffi.sizeof("zygos_t"))
+    return out
+
+
+def scalars(struct: Any) -> list[tuple[str, int]]:
+    """Members that are numbers, and their bits."""
+    fields = ffi.typeof(struct).fields
+    return [(name, 8 * ffi.sizeof(field.type)) for name, field in fields if field.type.kind == "primitive"]
+
+
+PARTS = ("accumulator", "motor_sums", "momentum_sums", "joint_sums", "guard", "smoother", "balance", "impulse",
+         "momentum", "joint")  # fmt: skip
+
+
+@pytest.mark.parametrize("late", [False, True])
+@pytest.mark.parametrize("where", ["space", "ground"])
+def test_after_a_flipped_bit_of_any_member_a_second_call_finds_nothing_more(
+    where: str, late: bool, flight: Flight, flown: Flight, motion: Cycles, ground: tuple[Flight, Cycles], request: Any
+) -> None:
+    """Also where cycles are processed and an estimate is made (late) before the first call."""
+    if where == "ground":
+        flight, (flown, motion) = request.getfixturevalue("grounded"), ground
+        rest = part(motion, 0, 300)
+    else:
+        rest = part(again(flown.arm, motion, int(flown.native.cycle) + 1, np.random.default_rng(1)), 0, 300)
+    pristine = ffi.new("zygos_config_t *", flown.native.config)
+    rng, found = np.random.default_rng(0), 0
+    for name in PARTS:
+        for member, bits in scalars(getattr(flown.native, name)):
+            for bit in {0, bits - 2, *map(int, rng.integers(bits, size=3))}:
+                ffi.memmove(flight.native, flown.native, ffi.sizeof("zygos_t"))
+                flip(getattr(flight.native, name), member, bit)
+                if late:
+                    flight.cycles(rest)
+                    flight.estimate()
+                first = lib.zygos_scrub(flight.native, pristine)
+                assert lib.zygos_scrub(flight.native, pristine) in ((0,) if first >= 0 else (0, first)), (member, bit)
+                found += first != 0
+                flight.cycles(part(rest, 0, 20))
+                assert flight.estimate().validity in ("valid", "partial", "doubtful", "refused"), (member, bit)
+    assert found > 50
+
+
+def _group(native: Any) -> None:
+    flip(native.joint_sums.group[1].rows, "gram", 53, 4)
+
+
+def _segment(native: Any) -> None:
+    flip(native.joint_sums.segment[native.joint_sums.filling].rows, "gram", 61, 4)
+
+
+@pytest.mark.parametrize("damage", [_group, _segment])
+def test_a_group_or_a_segment_of_joint_rows_that_does_not_match_is_dropped(
+    grounded: Flight, ground: tuple[Flight, Cycles], damage: Callable[[Any], None]
+) -> None:
+    flown, _ = ground
+    pristine = ffi.new("zygos_config_t *", flown.native.config)
+    damage(grounded.native)
+    assert lib.zygos_scrub(grounded.native, pristine) == BLOCKS
+    assert grounded.native.quarantined == 1
+    assert lib.zygos_scrub(grounded.native, pristine) == 0
+    there, before = grounded.estimate(), flown.estimate()
+    assert there.validity == before.validity == "valid"
+    assert (np.abs(there.value - before.value) < 3.0 * there.half95).all()
+
+
+def test_joint_rows_behind_a_changed_table_are_dropped_whole(grounded: Flight, ground: tuple[Flight, Cycles]) -> None:
+    """Segments cannot be taken out of a group."""
+    pristine = ffi.new("zygos_config_t *", ground[0].native.config)
+    flip(grounded.native.joint_sums, "slice", 4)
+    assert lib.zygos_scrub(grounded.native, pristine) & TABLES
+    assert grounded.native.joint_sums.segments == 0
+    assert lib.zygos_scrub(grounded.native, pristine) == 0
