@@ -439,6 +439,7 @@ bool zygos_joint_sums_scrub(zygos_joint_sums_t *self, const zygos_config_t *conf
                             const zygos_column_map_t *column_map)
 {
     if (self->width == 0) {
+        zygos_joint_sums_clear(self); /* its places are used where other sums are dropped */
         return true;
     }
     if (!zygos_joint_sums_intact(self, config, column_map) || (self->corrupt == 1u) ||

@@ -464,3 +464,63 @@ def test_values_that_no_arm_has_are_not_published() -> None:
     out = ffi.new("zygos_refined_t *")
     assert lib.zygos_refine_judge(task.native, task._config, flight._estimate, out) == 0
     assert out.reason == lib.ZYGOS_REFINE_PHYSICAL
+
+
+def with_nuisances(arm: Arm, **settings: object) -> OnboardRefiner:
+    """A task that carries rotor friction, torque offsets and zeros of encoders beside the parameters."""
+    task, native = OnboardRefiner(arm), ffi.new("zygos_refine_settings_t *")
+    native[0] = task.native.settings
+    for name in ("friction", "offsets", "zeros"):
+        setattr(native.filter, name, 1)
+    for k in range(4 * arm.n):
+        native.beside_sigma[k] = 1e-3
+    for name, value in settings.items():
+        setattr(native, name, value)
+    assert lib.zygos_refine_init(task.native, task._config, native) == 1
+    return task
+
+
+def test_friction_offsets_and_zeros_may_be_carried_beside_the_parameters() -> None:
+    """They widen what is stated, and a plant without them is published."""
+    case = Case()
+    flight, rest = learned(case.arm, flown(case, 0))
+    flight.cycles(rest)
+    answers = []
+    for task in (OnboardRefiner(case.arm), with_nuisances(case.arm)):
+        start, _ = learned(case.arm, flown(case, 0))
+        task.start(start)
+        task.cycles(rest)
+        answers.append(task.judge(flight))
+    plain, wider = answers
+    assert wider.published and wider.reason == 0
+    assert (wider.sigma >= 0.99 * plain.sigma).all() and (wider.sigma > 1.02 * plain.sigma).any()
+    truth = plant("paper").base_values(case.arm)
+    assert (np.abs(wider.value - truth) < 5.0 * wider.sigma).all()
+
+
+def test_torques_that_act_in_the_cycle_after_their_frame_are_followed() -> None:
+    case = Case()
+    arm = replace(case.arm, torque_law="applied_previous_cycle")
+    cycles = flown(case, 0)
+    delayed = replace(cycles, tau=np.roll(cycles.tau, 1, axis=0))  # a frame tells what acted before
+    flight, rest = learned(arm, part(delayed, slice(1, None)))
+    task = OnboardRefiner(arm)
+    task.start(flight)
+    task.cycles(rest)
+    flight.cycles(rest)
+    assert task.judge(flight).published
+
+
+def test_cycles_that_cannot_be_used_are_skipped() -> None:
+    """Invalid ones, and those in which one encoder of a joint has passed the end of its range and the other has not."""
+    case = Case()
+    flight, rest = learned(case.arm, flown(case, 0))
+    task = OnboardRefiner(case.arm)
+    task.cycles(part(rest, slice(0, 5)))  # not started
+    task.start(flight)
+    task.cycles(part(rest, slice(0, 100)))
+    flags, theta = rest.flags.copy(), rest.theta.copy()
+    flags[100], theta[101, 1] = lib.ZYGOS_CYCLE_INVALID, theta[101, 1] + 1500.0
+    task.cycles(part(replace(rest, flags=flags, theta=theta), slice(100, 200)))
+    assert task.native.filter.failed == 0 and task.native.restarts == 0
+    assert task.native.lost == 2, (task.native.lost, task.native.used)

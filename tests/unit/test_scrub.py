@@ -333,6 +333,33 @@ def test_after_a_flipped_bit_of_any_member_a_second_call_finds_nothing_more(
     assert found > 50
 
 
+@pytest.mark.parametrize("late", [False, True])
+@pytest.mark.parametrize("name", PARTS[:4])
+def test_what_two_flipped_bits_change_is_not_used(
+    name: str, late: bool, flight: Flight, flown: Flight, motion: Cycles, pristine: Any
+) -> None:
+    """They cannot be flipped back: an estimate is refused, or nothing that counts has changed."""
+    rng = np.random.default_rng(0)
+    rest = part(again(flown.arm, motion, int(flown.native.cycle) + 1, rng), 0, 300)
+    members = scalars(getattr(flown.native, name))
+    before, refused = flown.estimate(), 0
+    for _ in range(150):
+        ffi.memmove(flight.native, flown.native, ffi.sizeof("zygos_t"))
+        for member, bits in (members[k] for k in rng.integers(len(members), size=2)):
+            flip(getattr(flight.native, name), member, int(rng.integers(bits)))
+        if late:
+            flight.cycles(rest)
+        there = flight.estimate()
+        refused += there.validity == "refused"
+        if there.validity == "valid":
+            assert (np.abs(there.value - before.value) < 3.0 * before.half95).all()
+        first = lib.zygos_scrub(flight.native, pristine)
+        assert lib.zygos_scrub(flight.native, pristine) in ((0,) if first >= 0 else (0, first))
+        flight.cycles(part(rest, 0, 20))
+        assert flight.estimate().validity in ("valid", "partial", "doubtful", "refused")
+    assert refused > 10 or name == "joint_sums"
+
+
 def _group(native: Any) -> None:
     flip(native.joint_sums.group[1].rows, "gram", 53, 4)
 
