@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from arm_support import random_arm
 from numpy.typing import NDArray
 from refine_support import Case, noisy, plant
 
@@ -524,3 +525,25 @@ def test_cycles_that_cannot_be_used_are_skipped() -> None:
     task.cycles(part(replace(rest, flags=flags, theta=theta), slice(100, 200)))
     assert task.native.filter.failed == 0 and task.native.restarts == 0
     assert task.native.lost == 2, (task.native.lost, task.native.used)
+
+
+def test_an_arm_of_known_lengths_begins_with_its_independent_parameters() -> None:
+    """Their sizes are those of the columns that they stand for."""
+    arm, model = random_arm(2, 2, "fixed", "spatial", True)
+    places = ((0.0, 0.0, 0.3), (0.4, 0.1, 0.2))
+    joints = tuple(replace(joint, position_m=place) for joint, place in zip(arm.joints, places, strict=True))
+    known = replace(arm, joints=joints)
+    assert known.structure.reduces
+    values = np.linalg.lstsq(known.structure.basis, np.array(model.base_values(arm)), rcond=None)[0]
+    flight, task = Flight(known), OnboardRefiner(known)
+    flight.estimate()
+    flight._estimate.validity = lib.ZYGOS_PARTIAL
+    prior = ffi.new("double[]", values.tolist())
+    assert lib.zygos_refine_start(task.native, task._config, flight._estimate, prior) == 1
+    p = task.native.filter.propagation.parameters
+    size = np.frombuffer(ffi.buffer(task.native.filter.settings.size), dtype=np.float64)[:p]
+    assert p == len(values) and (size >= np.abs(values)).all() and (size > 0.0).all()
+    still = np.zeros((100, known.n))
+    sync = np.arange(100, dtype=np.uint64)
+    task.cycles(Cycles(sync, still, still, still, np.zeros((100, 3)), np.zeros(100, dtype=np.uint32)))
+    assert task.native.used > 50

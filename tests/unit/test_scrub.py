@@ -13,7 +13,7 @@ from soak_support import again, fly, stored, with_all_rows
 
 from zygos.arm import Arm
 from zygos.model.model import Model
-from zygos.native.flight import Flight, ffi, lib
+from zygos.native.flight import Flight, encode, ffi, lib
 from zygos.runs.cycles import Cycles
 from zygos.simulation.scenario import Scenario
 
@@ -358,6 +358,50 @@ def test_what_two_flipped_bits_change_is_not_used(
         flight.cycles(part(rest, 0, 20))
         assert flight.estimate().validity in ("valid", "partial", "doubtful", "refused")
     assert refused > 10 or name == "joint_sums"
+
+
+@pytest.mark.parametrize("name", ["accumulator", "motor_sums", "momentum_sums"])
+def test_blocks_that_never_merge_are_bounded(
+    name: str, flight: Flight, flown: Flight, motion: Cycles, pristine: Any
+) -> None:
+    """A target that was changed to next to nothing: room is made, the sums are refused, and a scrub begins anew."""
+    rng, refused = np.random.default_rng(0), 0
+    for _ in range(30):
+        getattr(flight.native, name).target = 1e-300
+        fly(flight, motion, 1, rng)
+        refused += flight.estimate().validity == "refused"
+    assert refused == 30
+    assert lib.zygos_scrub(flight.native, pristine) > 0
+    assert lib.zygos_scrub(flight.native, pristine) == 0
+    fly(flight, motion, 2, rng)
+    assert flight.estimate().validity == "valid"
+
+
+@pytest.mark.parametrize("member", ["angle", "rate", "gyro"])
+def test_a_list_that_changed_stops_the_cycles(member: str, flight: Flight, motion: Cycles, pristine: Any) -> None:
+    rng = np.random.default_rng(1)
+    place = getattr(flight.native.noise, member)
+    place = place if member == "gyro" else place[1]
+    flip(place, "place", 1)
+    flight.cycles(part(again(flight.arm, motion, int(flight.native.cycle) + 1, rng), 0, 100))
+    assert lib.zygos_cycle(flight.native, ffi.new("zygos_cycle_t *")) == lib.ZYGOS_E_STATE
+    assert lib.zygos_scrub(flight.native, pristine) & TABLES
+    assert lib.zygos_scrub(flight.native, pristine) == 0
+
+
+def test_what_is_not_steady_is_neither_stepped_nor_adopted(
+    flight: Flight, flown: Flight, motion: Cycles, pristine: Any
+) -> None:
+    cycles = part(again(flight.arm, motion, int(flight.native.cycle) + 1, np.random.default_rng(0)), 0, 3)
+    flip(flight.native.smoother, "position", 20)
+    for one in encode(flight.arm, cycles):
+        frame = ffi.new("zygos_frame_t *")
+        ffi.memmove(frame, one.tobytes(), ffi.sizeof("zygos_frame_t"))
+        lib.zygos_frame(flight.native, frame)
+    assert lib.zygos_step(flight.native) == lib.ZYGOS_E_STATE
+    assert lib.zygos_adopt(flight.native, flown._estimate) == lib.ZYGOS_E_STATE
+    assert lib.zygos_scrub(ffi.NULL, pristine) == lib.zygos_scrub(flight.native, ffi.NULL) == lib.ZYGOS_E_NULL
+    assert lib.zygos_scrub(flight.native, pristine) & PLACES
 
 
 def _group(native: Any) -> None:
