@@ -377,12 +377,10 @@ def test_blocks_that_never_merge_are_bounded(
     assert flight.estimate().validity == "valid"
 
 
-@pytest.mark.parametrize("member", ["angle", "rate", "gyro"])
+@pytest.mark.parametrize("member", ["angle", "rate"])
 def test_a_list_that_changed_stops_the_cycles(member: str, flight: Flight, motion: Cycles, pristine: Any) -> None:
     rng = np.random.default_rng(1)
-    place = getattr(flight.native.noise, member)
-    place = place if member == "gyro" else place[1]
-    flip(place, "place", 1)
+    flip(getattr(flight.native.noise, member)[1], "place", 1)
     flight.cycles(part(again(flight.arm, motion, int(flight.native.cycle) + 1, rng), 0, 100))
     assert lib.zygos_cycle(flight.native, ffi.new("zygos_cycle_t *")) == lib.ZYGOS_E_STATE
     assert lib.zygos_scrub(flight.native, pristine) & TABLES
