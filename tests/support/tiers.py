@@ -7,8 +7,10 @@ ended: unlike the time of the clock it hardly depends on what else the machine d
 from __future__ import annotations
 
 import json
+import re
 import resource
 import time
+import zlib
 from collections.abc import Generator
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -42,6 +44,7 @@ def processor_s() -> float:
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addini("quick_limit_s", "processor time that a test without the marker `slow` may take; 0: any", default="0")
     parser.addoption("--times", metavar="FILE", help="write the processor time and the wall time of each test as JSON")
+    parser.addoption("--part", metavar="K/N", default="1/1", help="the test modules of one of N parts, 1/N to N/N")
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -51,9 +54,28 @@ def pytest_configure(config: pytest.Config) -> None:
         config.pluginmanager.register(Times(Path(path)))
 
 
+def part_of(text: str) -> tuple[int, int]:
+    """Number of a part, from 0, and the number of parts. Errors: pytest.UsageError for what is no part."""
+    found = re.fullmatch(r"(\d+)/(\d+)", text)
+    if not found or not 1 <= int(found[1]) <= int(found[2]):
+        raise pytest.UsageError(f"--part {text}: not K/N with K from 1 to N; remedy: for example --part 1/3")
+    return int(found[1]) - 1, int(found[2])
+
+
+def in_part(module: str, number: int, parts: int) -> bool:
+    """Whether a test module belongs to a part: by its name, so that a part stays what it is when others are added."""
+    return zlib.crc32(module.encode()) % parts == number
+
+
 @pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests of slow folders, unmark the quick cases of slow tests, and give slow tests their own timeout."""
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Mark the tests of slow folders, unmark the quick cases of slow tests, and give slow tests their own timeout; leave
+    out what belongs to other parts."""
+    number, parts = part_of(config.getoption("--part"))
+    others = [item for item in items if not in_part(item.nodeid.partition("::")[0], number, parts)]
+    if others:
+        config.hook.pytest_deselected(items=others)
+        items[:] = [item for item in items if item not in set(others)]
     for item in items:
         slow = item.get_closest_marker("slow")
         case = getattr(getattr(item, "callspec", None), "id", "")
