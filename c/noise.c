@@ -33,13 +33,20 @@ _Static_assert((sizeof(zygos_column_list_t) == 8u * (ZYGOS_LIST_WORDS + 1u)) &&
                    (offsetof(zygos_column_list_t, place) == 8u),
                "a list of columns consists of words");
 
+/* Word w of a list behind its seal. */
+static inline uint64_t word_of(const zygos_column_list_t *list, uint32_t w)
+{
+    const uint8_t *bytes = (const uint8_t *)list; /* words reach over both members */
+    uint64_t word;
+    __builtin_memcpy(&word, &bytes[8u * (w + 1u)], sizeof word); /* no call, also where the compiler knows no library */
+    return word;
+}
+
 static uint64_t seal_of(const zygos_column_list_t *list)
 {
     uint64_t seal = 0;
-    for (const uint8_t *from = list->place; from != list->place + 8u * ZYGOS_LIST_WORDS; from += 8) {
-        uint64_t word;
-        __builtin_memcpy(&word, from, sizeof word); /* no call, also where the compiler knows no library */
-        seal ^= word;
+    for (uint32_t w = 0; w < (uint32_t)ZYGOS_LIST_WORDS; w++) {
+        seal ^= word_of(list, w);
     }
     return seal;
 }
@@ -48,13 +55,8 @@ static uint64_t seal_of(const zygos_column_list_t *list)
 static bool are_whole(const zygos_column_list_t *one, const zygos_column_list_t *other)
 {
     uint64_t off = one->seal ^ other->seal;
-    const uint8_t *second = other->place;
-    for (const uint8_t *from = one->place; from != one->place + 8u * ZYGOS_LIST_WORDS; from += 8) {
-        uint64_t word[2];
-        __builtin_memcpy(&word[0], from, sizeof word[0]);
-        __builtin_memcpy(&word[1], second, sizeof word[1]);
-        off ^= word[0] ^ word[1];
-        second += 8;
+    for (uint32_t w = 0; w < (uint32_t)ZYGOS_LIST_WORDS; w++) {
+        off ^= word_of(one, w) ^ word_of(other, w);
     }
     return off == 0;
 }
