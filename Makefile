@@ -104,10 +104,10 @@ PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile
 test: build node $(VENV)/.test ## the quick tests, a process for each core (17 minutes on two cores)
 	$(PYTEST) -m "not slow" $(TESTS)
 
-test-slow: build node $(VENV)/.test ## the slow tests alone (25 minutes)
-	$(PYTEST) -m slow $(TESTS)
+test-slow: build node $(VENV)/.test ## the slow tests alone (50 minutes; PART=1/8)
+	$(PYTEST) -m slow $(if $(PART),--part $(PART)) $(TESTS)
 
-test-all: build node $(VENV)/.test ## the quick and the slow tests, without hil and pil (40 minutes; out/tests.json)
+test-all: build node $(VENV)/.test ## the quick and the slow tests, without hil and pil (70 minutes; out/tests.json)
 	$(PYTEST) --times $${ZYGOS_OUT:-out}/tests.json $(TESTS)
 
 # The package as links to its files, so that the library beside them can be another one.
@@ -128,7 +128,7 @@ times: ## write the table of docs/testing.md from the last `make test-all`
 KERNEL_TESTS := tests/unit/test_c_equals_numpy.py tests/unit/test_effects.py tests/unit/test_any_arm.py tests/unit/test_motors.py \
     tests/unit/test_momentum_sums.py tests/statistics/test_noise.py tests/statistics/test_honesty.py tests/bus/test_cli.py
 kernels: build node $(VENV)/.test ## C against numpy under two more sets of BLAS and numpy kernels (other processors' rounding)
-	$(BIN)/python tools/with_kernels.py $(BIN)/python -m pytest -n auto --dist loadfile $(KERNEL_TESTS)
+	$(BIN)/python tools/with_kernels.py $(BIN)/python -m pytest -n auto --dist loadfile -m "not slow" $(KERNEL_TESTS)
 
 DRILLS := tests/hil/test_drills.py tests/hil/test_node.py tests/hil/test_can_utils.py
 hil: build node $(VENV)/.test ## fault drills across a real vcan (the kernel's, or User-Mode Linux); or CHANNEL=can0 DUT=external (docs/hil.md)

@@ -44,7 +44,7 @@ def processor_s() -> float:
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addini("quick_limit_s", "processor time that a test without the marker `slow` may take; 0: any", default="0")
     parser.addoption("--times", metavar="FILE", help="write the processor time and the wall time of each test as JSON")
-    parser.addoption("--part", metavar="K/N", default="1/1", help="the test modules of one of N parts, 1/N to N/N")
+    parser.addoption("--part", metavar="K/N", default="1/1", help="the tests of one of N parts, 1/N to N/N")
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -62,20 +62,20 @@ def part_of(text: str) -> tuple[int, int]:
     return int(found[1]) - 1, int(found[2])
 
 
-def in_part(module: str, number: int, parts: int) -> bool:
-    """Whether a test module belongs to a part: by its name, so that a part stays what it is when others are added."""
-    return zlib.crc32(module.encode()) % parts == number
+def in_part(name: str, number: int, parts: int) -> bool:
+    """Whether a test belongs to a part: by its name, so that a part stays what it is when tests are added."""
+    return zlib.crc32(name.encode()) % parts == number
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark the tests of slow folders, unmark the quick cases of slow tests, and give slow tests their own timeout; leave
-    out what belongs to other parts."""
+    """Leave out what belongs to other parts, mark the tests of slow folders, unmark the quick cases of slow tests, and
+    give slow tests their own timeout."""
     number, parts = part_of(config.getoption("--part"))
-    others = [item for item in items if not in_part(item.nodeid.partition("::")[0], number, parts)]
+    others = {item for item in items if not in_part(item.nodeid, number, parts)}
     if others:
-        config.hook.pytest_deselected(items=others)
-        items[:] = [item for item in items if item not in set(others)]
+        config.hook.pytest_deselected(items=list(others))
+        items[:] = [item for item in items if item not in others]
     for item in items:
         slow = item.get_closest_marker("slow")
         case = getattr(getattr(item, "callspec", None), "id", "")
