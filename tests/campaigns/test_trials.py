@@ -116,3 +116,11 @@ def test_a_law_of_the_second_round_is_named(place: str, tmp_path: Path) -> None:
     first = verdict["findings"][0]
     assert f"{first['effect']}/{first['joint']}" == place
     assert first["value"] == pytest.approx(size, rel=0.05)
+
+
+def test_what_only_the_untouched_run_shows_is_unknown(tmp_path: Path) -> None:
+    """A cable that pulls towards an angle, beside torques whose noise, gains and offsets nobody declared: in two runs
+    they take it up."""
+    verdict, _ = _asked("planar/outside/cable_spring/shoulder", 0, tmp_path)
+    assert verdict["answer"] == "unknown", verdict["sentence"]
+    assert "every balance closes" in verdict["sentence"]

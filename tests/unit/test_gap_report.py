@@ -17,9 +17,10 @@ from zygos.effects import CATALOGUE, Effect
 from zygos.gap.experiment import Experiment
 from zygos.gap.explain import explain
 from zygos.gap.explanation import Explanation
-from zygos.gap.findings import Deflection
+from zygos.gap.findings import Deflection, Gap
 from zygos.gap.page import write_gap_report
 from zygos.gap.record import read_measured_run
+from zygos.gap.remainder import far_off
 from zygos.gap.residuals import as_delivered
 from zygos.gap.sentences import motion
 from zygos.gap.torque import joint_torques
@@ -32,6 +33,7 @@ from zygos.gap.verdicts import (
     NotPredicted,
     SkewedEncoders,
     Unexplained,
+    Unpredicted,
     ValuesDiffer,
 )
 from zygos.model.model import load_model
@@ -222,6 +224,34 @@ def test_unknown_adopts_nothing(tmp_path: Path, friction: Explanation) -> None:
     assert "a remark" in page.text
     assert "None of it is adopted" in page.source
     assert "best guess, not adopted" in page.text
+
+
+def test_a_run_that_is_not_predicted_is_unknown_though_every_balance_closes(
+    tmp_path: Path, friction: Explanation
+) -> None:
+    lost = Unpredicted("run_c.blf", 67.7, 9.25)
+    found = replace(nothing(friction), verdict=lost, model=None)
+    page = Page(tmp_path, found)
+    sound(page)
+    assert found.answer == "unknown"
+    assert "run_c.blf is predicted with a median error of 67.7 σ, where noise" in page.text
+    assert "make at most 9.25 σ" in page.text
+    assert "see which signal is predicted worst, and when" in found.remedy
+
+
+def test_far_off_is_what_the_twin_with_redrawn_values_does_not_reach(friction: Explanation) -> None:
+    gap = friction.gap
+    assert gap is not None and far_off(gap) is None
+    least = max(one.median for one in (gap.floor, *gap.reach))
+
+    def of(ratio: float) -> Gap:
+        return replace(gap, closed=replace(gap.floor, residual=gap.floor.residual * (ratio * least / gap.floor.median)))
+
+    assert far_off(of(4.9)) is None
+    found = far_off(of(5.1))
+    assert found is not None
+    assert found.run == gap.runs[0]
+    assert found.median / found.allowed == pytest.approx(5.1)
 
 
 def test_cannot_tell_names_the_set_and_the_experiment(tmp_path: Path, friction: Explanation) -> None:

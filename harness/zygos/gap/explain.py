@@ -36,7 +36,7 @@ from zygos.gap.fit import fit
 from zygos.gap.forecast import Forecast, Stretches, cut, cut_twin, forecast
 from zygos.gap.payload import SYSTEMATIC, PayloadValue, payload_of
 from zygos.gap.record import MeasuredRun
-from zygos.gap.remainder import CLOSED, closes, remainders, unclosed
+from zygos.gap.remainder import CLOSED, closes, far_off, remainders, unclosed
 from zygos.gap.search import (
     COMPLETE,
     PARTLY,
@@ -589,7 +589,7 @@ class _Explainer:
         share = min(found.completeness)
         if not found.named and not excess(found.before):
             if not findings:
-                return self._same_equations(found.after, values)
+                return self._same_equations(found.after, values, gap)
         elif not found.named or share < PARTLY:
             return Unexplained(
                 float(np.nanmax(found.after.excess)),
@@ -647,10 +647,13 @@ class _Explainer:
         drawn = later[:count] - before[::-1][:count]
         return payload_of(self.arm, self.simulation, change.names, change.new - change.old, drawn)
 
-    def _same_equations(self, study: Study, values: tuple[Value, ...]) -> Verdict:
+    def _same_equations(self, study: Study, values: tuple[Value, ...], gap: Gap | None) -> Verdict:
         apart = self._apart(study)
         if apart:
             return RunsDisagree(apart)
+        lost = None if gap is None else far_off(gap)
+        if lost is not None:
+            return lost
         changed = tuple(value for value in values if value.differs)
         return ValuesDiffer(changed) if changed else NothingMissing()
 

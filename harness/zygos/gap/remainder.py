@@ -13,13 +13,16 @@ from zygos.balances.state import State
 from zygos.gap.findings import Gap
 from zygos.gap.search import allowed
 from zygos.gap.study import Study, residuals
-from zygos.gap.verdicts import Remainder
+from zygos.gap.verdicts import Remainder, Unpredicted
 from zygos.gap.whereabouts import joint_of
 
 Floats = NDArray[np.float64]
 
 CLOSED = 3.0
 """Error of predictions over the floor's from which on an untouched run does not close."""
+FAR = 5.0
+"""The same from which on something is missing that no balance shows: an offset or a gain of the torques that is taken
+from the runs is not exact, and its errors alone have reached three."""
 _WINDOW_S = 0.1
 """Time over which the slope of a residual is taken: the torque or the power that is missing."""
 _BINS = 24
@@ -40,10 +43,25 @@ def unclosed(gap: Gap) -> tuple[int, ...]:
     return tuple(k for k in sorted({*gap.closed.run.tolist()}) if not _closes(gap, k))
 
 
+def far_off(gap: Gap) -> Unpredicted | None:
+    """The untouched run that is predicted worst, where that is beyond all that errors of values and sensors do."""
+    worst: Unpredicted | None = None
+    for k in unclosed(gap):
+        found, (median, _) = gap.closed.of_run(k).median, _allowed(gap, k)
+        if found > FAR * median and (worst is None or found * worst.allowed > worst.median * median):
+            worst = Unpredicted(gap.runs[k], found, median)
+    return worst
+
+
 def _closes(gap: Gap, run: int) -> bool:
-    found, allowed = gap.closed.of_run(run), [one.of_run(run) for one in (gap.floor, *gap.reach)]
-    median, tenth = max(one.median for one in allowed), max(one.tenth for one in allowed)
+    found, (median, tenth) = gap.closed.of_run(run), _allowed(gap, run)
     return bool(found.median <= CLOSED * median and found.tenth <= CLOSED * tenth)
+
+
+def _allowed(gap: Gap, run: int) -> tuple[float, float]:
+    """Median and tenth of the closed model on its own twin, with its values and with redrawn ones."""
+    each = [one.of_run(run) for one in (gap.floor, *gap.reach)]
+    return max(one.median for one in each), max(one.tenth for one in each)
 
 
 def remainders(arm: Arm, study: Study, gap: Gap | None) -> tuple[Remainder, ...]:

@@ -40,6 +40,7 @@ from zygos.gap.verdicts import (
     StillLeft,
     TorquesSampled,
     Unexplained,
+    Unpredicted,
     ValuesDiffer,
     Verdict,
     WrongGravity,
@@ -120,6 +121,12 @@ def verdict(arm: Arm, found: Verdict) -> str:  # noqa: PLR0911, PLR0912  (one se
                 f"{listed(found.findings)} would explain the balances, but the untouched run is predicted better "
                 f"without (median {found.closed_median:.3g} sigma with, {found.struck_median:.3g} without): not "
                 "adopted."
+            )
+        case Unpredicted():
+            return (
+                f"Something is missing that no balance shows: every balance closes, but {found.run} is predicted with "
+                f"a median error of {figure(found.median)} σ, where noise and the errors of the values make at most "
+                f"{figure(found.allowed)} σ."
             )
 
 
@@ -398,6 +405,11 @@ def remedy(
             return "correct the arm file; `zygos check-arm` on one of the runs examines its signals"
         case RunsDisagree():
             return "give two runs of the same arm; `zygos estimate` gives the values for each run"
+        case Unpredicted():
+            return (
+                "see which signal is predicted worst, and when; a declared `torque_sigma` and longer runs make the "
+                "errors of offsets and gains of the torques smaller"
+            )
     said = [look_at(place)] if place.look else []
     if nearest is not None:
         share = 100 * max(0.0, nearest.complete)

@@ -157,6 +157,18 @@ class NotPredicted:
     """The same without them."""
 
 
+@dataclass(frozen=True)
+class Unpredicted:
+    """Every balance closes, but an untouched run is predicted far worse than noise and the errors of values allow."""
+
+    answer: ClassVar[Answer] = "unknown"
+    run: str
+    median: float
+    """Of the errors of predictions, sigma."""
+    allowed: float
+    """The largest median of the same model on its own twin, also with redrawn values, sigma."""
+
+
 ArmFileFirst = SkewedEncoders | LateTorques | WrongGravity | DeclaredTooNoisy
 """The arm file has to be put right before anything can be said."""
 Verdict = (
@@ -170,6 +182,7 @@ Verdict = (
     | RunsDisagree
     | Unexplained
     | NotPredicted
+    | Unpredicted
 )
 
 
