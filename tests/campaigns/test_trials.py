@@ -124,3 +124,10 @@ def test_what_only_the_untouched_run_shows_is_unknown(tmp_path: Path) -> None:
     verdict, _ = _asked("planar/outside/cable_spring/shoulder", 0, tmp_path)
     assert verdict["answer"] == "unknown", verdict["sentence"]
     assert "every balance closes" in verdict["sentence"]
+
+
+def test_a_friction_that_fades_is_not_taken_for_another_one(tmp_path: Path) -> None:
+    """Viscous friction explains most, but is another in each run; Coulomb friction is the same, and explains less."""
+    verdict, _ = _asked("planar/outside/warming_friction/elbow", 0, tmp_path)
+    assert verdict["answer"] == "unknown", verdict["sentence"]
+    assert "viscous friction at the motor (elbow)" in verdict["sentence"]

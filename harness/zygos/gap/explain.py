@@ -113,6 +113,9 @@ _HALF = 0.5
 """Share of the error of predictions that a change may leave."""
 _CLEARLY = 1.5
 """Ratio of errors of predictions that chance does not make."""
+_MOSTLY, _LESS = 0.8, 0.6
+"""Share that what was named explains, from which on nothing else is asked for; and the share of what it leaves over
+that another candidate may leave, to cast doubt on it."""
 _DEFLECTED = 3.0
 """Deviations of the encoders beyond which a joint that is said to be rigid is not."""
 _SKEWED = 0.95
@@ -601,8 +604,17 @@ class _Explainer:
             return NotPredicted(findings, gap.closed.median, gap.struck.median)
         if any(finding.instead for finding in findings):
             return Inseparable(findings)
-        whole = share >= COMPLETE and (closes(gap) if gap is not None else bool(np.nanmax(found.after.excess) <= SMALL))
-        return Lacking(findings) if whole else PartNamed(findings, remainders(self.arm, found.after, gap))
+        return self._how_much(found, findings, gap)
+
+    def _how_much(self, found: Search, findings: tuple[Finding, ...], gap: Gap | None) -> Verdict:
+        """Whether effects are all that is missing, or a part of it, or only look like it."""
+        most = float(np.nanmax(found.after.excess))
+        if min(found.completeness) >= COMPLETE and (closes(gap) if gap is not None else most <= SMALL):
+            return Lacking(findings)
+        apart = _explains_more_apart(found)
+        if apart is not None:
+            return Unexplained(most, (apart.name,), apart.complete, ())
+        return PartNamed(findings, remainders(self.arm, found.after, gap))
 
     def _open(self, found: Search) -> bool:
         """Whether most of what is left over may be explained by other entries of the catalogue."""
@@ -758,6 +770,15 @@ def _explains_more(wider: Search, found: Search) -> bool:
     """Whether a search among more entries leaves less over, by more than a trifle."""
     share, before = (min(one.completeness) if one.named else 0.0 for one in (wider, found))
     return share > before + 0.01 or (share >= before and not excess(wider.after) and excess(found.after))
+
+
+def _explains_more_apart(found: Search) -> Candidate | None:
+    """A candidate that by itself leaves far less over than all that was named, but has another size on each run: then
+    a law that looks like it depends on something else, and what was named is not it. None where there is none."""
+    left = 1.0 - min(found.completeness)
+    listed = [one for one in found.rounds[0] if one.against == "inconsistent"]
+    best = max(listed, key=lambda one: one.complete, default=None)
+    return best if best is not None and left > 1.0 - _MOSTLY and 1.0 - best.complete < _LESS * left else None
 
 
 def _redrawn(study: Study, systematic: float) -> list[Drives]:
