@@ -131,3 +131,9 @@ def test_a_friction_that_fades_is_not_taken_for_another_one(tmp_path: Path) -> N
     verdict, _ = _asked("planar/outside/warming_friction/elbow", 0, tmp_path)
     assert verdict["answer"] == "unknown", verdict["sentence"]
     assert "viscous friction at the motor (elbow)" in verdict["sentence"]
+
+
+def test_a_shape_that_no_run_tells_from_a_parameter_is_no_refusal(tmp_path: Path) -> None:
+    """The gap next to the one that is found is wider than the spring ever bends."""
+    verdict, _ = _asked("planar/backlash/elbow/x3", 0, tmp_path)
+    assert verdict["answer"] in {"named", "part named", "nothing missing", "cannot tell"}, verdict["sentence"]

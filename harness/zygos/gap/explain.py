@@ -454,9 +454,18 @@ class _Explainer:
         others = [x for x in study.layout.effects if x.plain == own.plain and x.shape not in (None, shape)]
         if not others:
             return 0.0
-        near = min(others, key=lambda x: abs(np.log((x.shape or shape) / shape)))
-        wider = replace(study.hypothesis, effects=(*study.hypothesis.effects, near.name))
-        at = [wider.names.index(one) for one in (name, near.name)]
+        for near in sorted(others, key=lambda x: abs(np.log((x.shape or shape) / shape))):
+            # a gap that is wider than the spring ever bends is a stiffness, which the runs do not tell from k
+            with suppress(Undecided):
+                return self._of_a_sum(study, name, near.name)
+        return 0.0
+
+    def _of_a_sum(self, study: Study, name: str, other: str) -> float:
+        """Standard deviation of the sum of a coefficient and of another one that is fitted beside it.
+
+        Errors: Undecided where the runs do not tell them apart."""
+        wider = replace(study.hypothesis, effects=(*study.hypothesis.effects, other))
+        at = [wider.names.index(one) for one in (name, other)]
         spread = float(study.of_twin(wider).value[:, at].sum(axis=1).std(ddof=1))
         each = [study.of(wider, [k]).value[at].sum() for k in range(len(study.records))]
         return max(spread, float(np.std(each, ddof=1)) / np.sqrt(len(each)) if len(each) > 1 else 0.0)
