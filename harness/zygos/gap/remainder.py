@@ -45,12 +45,9 @@ def unclosed(gap: Gap) -> tuple[int, ...]:
 
 def far_off(gap: Gap) -> Unpredicted | None:
     """The untouched run that is predicted worst, where that is beyond all that errors of values and sensors do."""
-    worst: Unpredicted | None = None
-    for k in unclosed(gap):
-        found, (median, _) = gap.closed.of_run(k).median, _allowed(gap, k)
-        if found > FAR * median and (worst is None or found * worst.allowed > worst.median * median):
-            worst = Unpredicted(gap.runs[k], found, median)
-    return worst
+    each = [Unpredicted(gap.runs[k], gap.closed.of_run(k).median, _allowed(gap, k)[0]) for k in unclosed(gap)]
+    far = [one for one in each if one.median > FAR * one.allowed]
+    return max(far, key=lambda one: one.median / one.allowed, default=None)
 
 
 def _closes(gap: Gap, run: int) -> bool:
