@@ -650,41 +650,36 @@ static bool is_block_whole(const zygos_block_t *block, uint32_t width)
            (zygos_gram_check(block->gram, width, block->sum, block->instants) <= 1.0);
 }
 
-/* How many of the first blocks remain. */
-static uint32_t remaining(const bool *kept, uint32_t blocks)
-{
-    uint32_t number = 0;
-    for (uint32_t b = 0; b < blocks; b++) {
-        number += kept[b] ? 1u : 0u;
-    }
-    return number;
-}
-
 static void quarantine(zygos_accumulator_t *self)
 {
-    bool kept[ZYGOS_MAX_BLOCKS];
+    bool previous = false; /* whether the block before was kept */
     uint32_t to = 0;
+    uint32_t newest = 0;
+    uint32_t window = 0;
     double before = 0.0;
     double after = 0.0;
     for (uint32_t b = 0; b < self->open; b++) {
-        kept[b] = is_block_whole(&self->block[b], self->width);
-        before += kept[b] || is_count(self->block[b].instants) ? self->block[b].instants : 0.0;
-        after += kept[b] ? self->block[b].instants : 0.0;
-        if (!kept[b] && (b > 0) && kept[b - 1u]) { /* the block that it shared with is gone */
+        const bool kept = is_block_whole(&self->block[b], self->width);
+        before += kept || is_count(self->block[b].instants) ? self->block[b].instants : 0.0;
+        after += kept ? self->block[b].instants : 0.0;
+        if (!kept && previous) { /* the block that it shared with is gone */
             self->block[to - 1u].overlap = 0.0;
             seal(&self->block[to - 1u], self->width, true);
         }
-        if (kept[b] && (to != b)) {
+        if (kept && (to != b)) {
             self->block[to] = self->block[b];
         }
-        to += kept[b] ? 1u : 0u;
+        to += kept ? 1u : 0u;
+        newest += (kept && (b < self->newest)) ? 1u : 0u;
+        window += (kept && (b < self->window)) ? 1u : 0u;
+        previous = kept;
     }
     if (to == self->open) {
         return;
     }
     self->quarantined += self->open - to;
-    self->newest = remaining(kept, self->newest);
-    self->window = remaining(kept, self->window);
+    self->newest = newest;
+    self->window = window;
     self->count = to;
     self->open = to;
     self->accepted = (uint64_t)after;

@@ -112,12 +112,12 @@ static bool increments_fit(const zygos_config_t *config)
 
 static bool arcs_fit(const zygos_config_t *config)
 {
-    const uint32_t least = ZYGOS_MIN_ARC_INSTANTS;
+    const uint32_t shortest = ZYGOS_MIN_ARC_INSTANTS;
     const uint32_t momentum = config->momentum_arc_cycles;
     const bool none = (config->arc_cycles == 0) && zygos_joint_sums_suffice(config);
-    return increments_fit(config) && (none || (config->arc_cycles >= least)) &&
-           ((config->impulse_arc_cycles == 0) || (config->impulse_arc_cycles >= least)) &&
-           ((momentum == 0) || ((ZYGOS_MOMENTUM != 0) && (momentum >= least)));
+    return increments_fit(config) && (none || (config->arc_cycles >= shortest)) &&
+           ((config->impulse_arc_cycles == 0) || (config->impulse_arc_cycles >= shortest)) &&
+           ((momentum == 0) || ((ZYGOS_MOMENTUM != 0) && (momentum >= shortest)));
 }
 
 static int check_config(const zygos_config_t *config)

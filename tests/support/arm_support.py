@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -154,3 +155,13 @@ def _unit(rng: np.random.Generator, length: float = 1.0) -> tuple[float, float, 
 def _three(vector: Floats) -> tuple[float, float, float]:
     x, y, z = vector.tolist()
     return x, y, z
+
+
+def arm_of_known_lengths() -> tuple[Arm, NDArray[np.float64]]:
+    """Two flexible joints on the ground, and the values (p,) of its independent parameters."""
+    arm, model = random_arm(2, 2, "fixed", "spatial", True)
+    places = ((0.0, 0.0, 0.3), (0.4, 0.1, 0.2))
+    joints = tuple(replace(joint, position_m=place) for joint, place in zip(arm.joints, places, strict=True))
+    known = replace(arm, joints=joints)
+    full = np.array(model.base_values(arm))
+    return known, np.linalg.lstsq(known.structure.basis, full, rcond=None)[0]

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from arm_support import random_arm
+from arm_support import arm_of_known_lengths, random_arm
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
@@ -83,13 +83,8 @@ def test_impossible_parameters_and_rigid_joints_are_refused(planar: tuple[Arm, F
 
 
 def test_an_arm_of_known_lengths_has_the_columns_of_its_independent_parameters() -> None:
-    arm, model = random_arm(2, 2, "fixed", "spatial", True)
-    places = ((0.0, 0.0, 0.3), (0.4, 0.1, 0.2))
-    joints = tuple(replace(joint, position_m=place) for joint, place in zip(arm.joints, places, strict=True))
-    known = replace(arm, joints=joints)
+    known, values = arm_of_known_lengths()
     assert known.structure.reduces
-    full = np.array(model.base_values(arm))
-    values = np.linalg.lstsq(known.structure.basis, full, rcond=None)[0]
     motion = FlexibleMotion(known, values)
     x, tau = state_of(motion, 1)
     after, slope = (part[0] for part in motion.step(x[None], tau[None], known.period_s, 1))

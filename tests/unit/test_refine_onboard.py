@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from arm_support import random_arm
+from arm_support import arm_of_known_lengths
 from numpy.typing import NDArray
 from refine_support import Case, noisy, plant
 
@@ -54,6 +54,22 @@ def learned(arm: Arm, cycles: Cycles) -> tuple[Flight, Cycles]:
     flight = Flight(arm)
     flight.cycles(part(cycles, slice(0, n)))
     return flight, part(cycles, slice(n, None))
+
+
+def begun_with(arm: Arm, values: Floats) -> OnboardRefiner:
+    """A task that begins with the values (p,) of a model alone, because nothing is known from a flight."""
+    flight, task = Flight(arm), OnboardRefiner(arm)
+    flight.estimate()
+    flight._estimate.validity = lib.ZYGOS_PARTIAL  # which leaves every value open
+    prior = ffi.new("double[]", values.tolist())
+    assert lib.zygos_refine_start(task.native, task._config, flight._estimate, prior) == 1
+    return task
+
+
+def sizes_of(task: OnboardRefiner) -> Floats:
+    """(p,) what errors of the parameters are compared with."""
+    count = task.native.filter.propagation.parameters
+    return np.frombuffer(ffi.buffer(task.native.filter.settings.size), dtype=np.float64)[:count]
 
 
 def refined(case: Case, seed: int) -> tuple[OnboardRefiner, Refined]:
@@ -286,7 +302,7 @@ def test_sizes_are_those_of_the_solver() -> None:
     flight, _ = learned(arm, flown(Case(), 0))
     task = OnboardRefiner(arm)
     task.start(flight)
-    size = np.frombuffer(ffi.buffer(task.native.filter.settings.size), dtype=np.float64)[:12]
+    size = sizes_of(task)
     value = flight.estimate().value
     a00, a01, a02, a11, a12, a22 = value[:6]
     least = np.sqrt([a00 * a00, a00 * a11, a00 * a22, a11 * a11, a11 * a22, a22 * a22])
@@ -308,21 +324,19 @@ OF_JOINTS = (
 @pytest.mark.parametrize(("member", "low", "high"), [*SETTINGS, *OF_JOINTS])
 def test_settings_out_of_their_range_are_refused(member: str, low: float, high: float) -> None:
     """And those between are not."""
-    config, task = config_of(Case().arm), ffi.new("zygos_refine_t *")
-    for value in (low, high, float("nan"), None):
-        settings = ffi.new("zygos_refine_settings_t *")
+    config, task, settings = config_of(Case().arm), ffi.new("zygos_refine_t *"), ffi.new("zygos_refine_settings_t *")
+    *way, name = member.split(".")
+    for value in (low, high, float("nan")):
         lib.zygos_refine_defaults(settings, config)
-        *way, name = member.split(".")
+        assert lib.zygos_refine_init(task, config, settings) == 1
         place = settings.filter if way else settings
-        whole = isinstance(getattr(place, name), int)
-        if value is not None and not (whole and value != value):
-            if (member, low, high) in OF_JOINTS:
-                getattr(place, name)[1] = value
-            else:
-                setattr(place, name, value)
-            assert lib.zygos_refine_init(task, config, settings) == lib.ZYGOS_E_VALUE, value
-        elif value is None:
-            assert lib.zygos_refine_init(task, config, settings) == 1
+        if isinstance(getattr(place, name), int) and np.isnan(value):
+            continue
+        if (member, low, high) in OF_JOINTS:
+            getattr(place, name)[1] = value
+        else:
+            setattr(place, name, value)
+        assert lib.zygos_refine_init(task, config, settings) == lib.ZYGOS_E_VALUE, value
 
 
 def test_a_gyro_that_latches_late_is_refused() -> None:
@@ -420,14 +434,9 @@ def test_an_arm_in_space_begins_with_its_reduced_parameters() -> None:
     """Sizes of combinations of entries of the inertia matrix are those of the entries."""
     case = Case("spatial", noise=0.005)
     cycles, truth = flown(case, 0, 2.0), plant("spatial").base_values(case.arm)
-    flight, task = Flight(case.arm), OnboardRefiner(case.arm)
-    flight.estimate()
-    flight._estimate.validity = lib.ZYGOS_PARTIAL  # which leaves every value open
-    prior = ffi.new("double[]", truth.tolist())
-    assert lib.zygos_refine_start(task.native, task._config, flight._estimate, prior) == 1
-    p = task.native.filter.propagation.parameters
-    size = np.frombuffer(ffi.buffer(task.native.filter.settings.size), dtype=np.float64)[:p]
-    assert p == len(truth) and (size >= 0.999999 * np.abs(truth)).all() and (size < 1e6).all()
+    task = begun_with(case.arm, truth)
+    size = sizes_of(task)
+    assert len(size) == len(truth) and (size >= 0.999999 * np.abs(truth)).all() and (size < 1e6).all()
     task.cycles(cycles)
     assert task.native.filter.failed == 0 and task.native.used > 50
 
@@ -524,25 +533,16 @@ def test_cycles_that_cannot_be_used_are_skipped() -> None:
     flags[100], theta[101, 1] = lib.ZYGOS_CYCLE_INVALID, theta[101, 1] + 1500.0
     task.cycles(part(replace(rest, flags=flags, theta=theta), slice(100, 200)))
     assert task.native.filter.failed == 0 and task.native.restarts == 0
-    assert task.native.lost == 2, (task.native.lost, task.native.used)
+    assert task.native.lost == 2
 
 
 def test_an_arm_of_known_lengths_begins_with_its_independent_parameters() -> None:
     """Their sizes are those of the columns that they stand for."""
-    arm, model = random_arm(2, 2, "fixed", "spatial", True)
-    places = ((0.0, 0.0, 0.3), (0.4, 0.1, 0.2))
-    joints = tuple(replace(joint, position_m=place) for joint, place in zip(arm.joints, places, strict=True))
-    known = replace(arm, joints=joints)
+    known, values = arm_of_known_lengths()
     assert known.structure.reduces
-    values = np.linalg.lstsq(known.structure.basis, np.array(model.base_values(arm)), rcond=None)[0]
-    flight, task = Flight(known), OnboardRefiner(known)
-    flight.estimate()
-    flight._estimate.validity = lib.ZYGOS_PARTIAL
-    prior = ffi.new("double[]", values.tolist())
-    assert lib.zygos_refine_start(task.native, task._config, flight._estimate, prior) == 1
-    p = task.native.filter.propagation.parameters
-    size = np.frombuffer(ffi.buffer(task.native.filter.settings.size), dtype=np.float64)[:p]
-    assert p == len(values) and (size >= np.abs(values)).all() and (size > 0.0).all()
+    task = begun_with(known, values)
+    size = sizes_of(task)
+    assert len(size) == len(values) and (size >= np.abs(values)).all() and (size > 0.0).all()
     still = np.zeros((100, known.n))
     sync = np.arange(100, dtype=np.uint64)
     task.cycles(Cycles(sync, still, still, still, np.zeros((100, 3)), np.zeros(100, dtype=np.uint32)))

@@ -32,7 +32,7 @@ from zygos.gap.findings import (
     Significance,
     Value,
 )
-from zygos.gap.fit import fit
+from zygos.gap.fit import Hypothesis, fit
 from zygos.gap.forecast import Forecast, Stretches, cut, cut_twin, forecast
 from zygos.gap.payload import SYSTEMATIC, PayloadValue, payload_of
 from zygos.gap.record import MeasuredRun
@@ -467,14 +467,10 @@ class _Explainer:
         wider = replace(study.hypothesis, effects=(*study.hypothesis.effects, other))
         at = [wider.names.index(one) for one in (name, other)]
         spread = float(study.of_twin(wider).value[:, at].sum(axis=1).std(ddof=1))
-        each = [study.of(wider, [k]).value[at].sum() for k in range(len(study.records))]
-        return max(spread, float(np.std(each, ddof=1)) / np.sqrt(len(each)) if len(each) > 1 else 0.0)
+        return max(spread, float(_between_runs(study, wider, lambda value: value[at].sum())))
 
     def _sigmas(self, study: Study) -> Array:
-        each = np.array([study.of(study.hypothesis, [k]).value for k in range(len(study.records))])
-        if len(each) < 2:
-            return study.spread
-        apart = each.std(axis=0, ddof=1) / np.sqrt(len(each))
+        apart = _between_runs(study, study.hypothesis, lambda value: value)
         return np.asarray(np.maximum(study.spread, apart), dtype=np.float64)
 
     def _values(self, study: Study) -> tuple[Value, ...]:
@@ -779,6 +775,12 @@ def _explains_more(wider: Search, found: Search) -> bool:
     """Whether a search among more entries leaves less over, by more than a trifle."""
     share, before = (min(one.completeness) if one.named else 0.0 for one in (wider, found))
     return share > before + 0.01 or (share >= before and not excess(wider.after) and excess(found.after))
+
+
+def _between_runs(study: Study, hypothesis: Hypothesis, part: Callable[[Array], Array]) -> Array:
+    """Standard error that the disagreement of the runs gives a part of the coefficients; 0 of a single run."""
+    each = np.array([part(study.of(hypothesis, [k]).value) for k in range(len(study.records))])
+    return each.std(axis=0, ddof=1) / np.sqrt(len(each)) if len(each) > 1 else np.zeros(each.shape[1:])
 
 
 def _explains_more_apart(found: Search) -> Candidate | None:
