@@ -133,6 +133,19 @@ def test_a_friction_that_fades_is_not_taken_for_another_one(tmp_path: Path) -> N
     assert "viscous friction at the motor (elbow)" in verdict["sentence"]
 
 
+def test_a_law_that_is_left_out_does_not_come_back_at_the_end_of_a_shape(tmp_path: Path) -> None:
+    """Friction of bristles that slide after 1e-4 rad is Coulomb friction, as is a peak that is wider than all rates."""
+    verdict, _ = _asked("planar/without/motor_coulomb/elbow", 0, tmp_path)
+    assert verdict["answer"] == "unknown", verdict["sentence"]
+
+
+def test_two_laws_of_which_one_would_create_energy_are_no_name(tmp_path: Path) -> None:
+    """A peak of friction below zero beside Coulomb friction looks like the viscous friction that is left out."""
+    verdict, _ = _asked("planar/without/motor_viscous/elbow", 0, tmp_path)
+    assert verdict["answer"] == "part named", verdict["sentence"]
+    assert [found["effect"] for found in verdict["findings"]] == ["motor_coulomb"]
+
+
 def test_a_shape_that_no_run_tells_from_a_parameter_is_no_refusal(tmp_path: Path) -> None:
     """The gap next to the one that is found is wider than the spring ever bends."""
     verdict, _ = _asked("planar/backlash/elbow/x3", 0, tmp_path)

@@ -25,7 +25,7 @@ from conftest import ROOT
 from zygos import reference
 from zygos.arm import NO_IMU, Arm, load_arm
 from zygos.dynamics.equations import equations
-from zygos.effects import CATALOGUE, SLOWEST_RATE, Effect, estimated
+from zygos.effects import CATALOGUE, SLOWEST_RATE, Effect, Motion, estimated
 from zygos.errors import ZygosError
 from zygos.model.model import load_model, save_model
 from zygos.native import flight
@@ -71,11 +71,32 @@ def test_catalogue_and_flight_library_agree_on_what_they_share() -> None:
         assert lib.zygos_effects_positive(config) == int(CATALOGUE[key].positive)
 
 
+@pytest.mark.parametrize("key", [key for key, kind in CATALOGUE.items() if kind.becomes])
+def test_a_law_with_a_shape_becomes_the_one_without(key: str) -> None:
+    """At a speed that is never reached, or a distance that is short beside the motion."""
+    kind, time = CATALOGUE[key], np.linspace(0.0, 10.0, 20001)
+    plain = CATALOGUE[kind.becomes]
+    assert plain.place == kind.place and plain.torque is not None and kind.law is not None
+    motion = Motion(rate=np.cos(time), angle=np.sin(time), time=time)
+    if kind.memory is not None:
+        motion = kind.memory.along(motion, 1e-4, time[1])
+    torque = kind.law(motion, 1e6 if kind.memory is None else 1e-4)
+    rate = motion.rate
+    moving = (np.abs(rate) > 0.1) & (time > 0.0)
+    np.testing.assert_allclose(torque[moving], plain.torque(rate)[moving], atol=1e-3)
+
+
+def test_leaving_a_law_out_leaves_out_what_becomes_it() -> None:
+    left = {key for key, kind in CATALOGUE.items() if kind.left_out(["motor_coulomb"])}
+    assert left == {"motor_coulomb", "motor_dahl", "motor_maxwell", "motor_stribeck"}
+
+
 @pytest.mark.parametrize("key", CATALOGUE)
 def test_entries_make_sense(key: str) -> None:
     kind = CATALOGUE[key]
     assert kind.key == key
     assert set(kind.twins) <= set(CATALOGUE) - {key}
+    assert not kind.becomes or (kind.shapes and kind.becomes in kind.twins)
     if kind.torque is None:
         return
     x = np.linspace(-2.0, 2.0, 4001)

@@ -18,7 +18,7 @@ All angles are after the gear.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal, Protocol, TypeVar, get_args
 
@@ -87,6 +87,8 @@ class Kind:
     """Whether the coefficient must not be negative: a negative one would create energy, so the model would be wrong."""
     twins: tuple[str, ...] = ()
     """Keys of the effects that look the same as this one in some motions."""
+    becomes: str = ""
+    """Key of the effect without a shape that this one is at an end of its shapes; empty: none."""
     searched: bool = True
     """Whether `zygos explain` tries this effect on an arm that floats or has a flexible joint."""
     searched_last: bool = False
@@ -165,6 +167,10 @@ class Kind:
         """Whether only estimates on the ground have a column for it: it needs the predicted torque, or multiplies the
         reported one."""
         return self.place == "load" or self.gain
+
+    def left_out(self, keys: Collection[str]) -> bool:
+        """Whether it is one of these entries, or becomes one of them."""
+        return self.key in keys or self.becomes in keys
 
     @property
     def at_joint(self) -> bool:

@@ -55,7 +55,7 @@ def candidates_of(
             Effect(kind, joint.name, 0.0, shape=shape),
         )
         for kind in CATALOGUE.values()
-        if _is_tried(kind, wide) and kind.key not in without
+        if _is_tried(kind, wide) and not kind.left_out(without)
         for j, joint in enumerate(arm.joints)
         if (kind.key, joint.name) not in had and (kind.key != GAIN or j > 0)
         for shape in (kind.shapes or (None,))
