@@ -165,7 +165,7 @@ def test_an_effect_tells_its_significance(
     with Node("--config", tmp_path / "arm.zyg", "--every", 100) as node:
         node.send(frames)
         node.end()
-        sent = [can.Message(arbitration_id=name, data=data) for name, data in node.answers]
+        sent = [can.Message(arbitration_id=name, data=data, is_extended_id=False) for name, data in node.answers]
     complete = rounds(arm_database(arm, [friction]), sent)
     last, flight = complete[-1], Flight(arm, [friction])
     hear(flight, frames[: starts(frames)[100 * (len(complete) - 1)] + 1])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import signal
 from collections.abc import Callable
@@ -11,16 +12,20 @@ from typing import Any
 
 import numpy as np
 import pytest
-from node_support import Node
+from bus_support import playing
+from node_support import Node, frame_of
 from numpy.typing import NDArray
 from round_support import round_of, told
+from schema_support import hold
 
 from conftest import EXAMPLE
 from zygos.arm import Arm, save_arm
+from zygos.can.bus import write_log
 from zygos.can.dbc import arm_database
+from zygos.can.rounds import refined_of
 from zygos.cli import main
 from zygos.model.model import Model
-from zygos.native.flight import CHANNELS, Flight, encode, ffi, lib
+from zygos.native.flight import CHANNELS, Flight, encode, ffi, lib, text_of
 from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import Scenario
 
@@ -133,6 +138,69 @@ def test_it_tells_what_the_library_judges(share: float, arm: Arm, model: Model, 
         assert np.all(np.abs(values - model.base_values(arm)) < 5.0 * sigmas)
     else:
         assert rounds[-2]["refined_level"] < 0.5  # of a noise that the plant has not
+
+
+@pytest.mark.parametrize("published", [True, False])
+def test_listen_shows_it(
+    published: bool, arm: Arm, config: Path, frames: Log, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The newest complete round, as numbers in the JSON and as tables; damaged telemetry beside it changes nothing."""
+    sent = frames if published else frames[: np.flatnonzero(frames["id"] == SYNC)[730]]
+    twin = Twin(arm, 0.0)
+    twin.hear(sent)
+    with Node("--config", config, "--every", EVERY, "--refine", 0) as node:
+        node.send(sent)
+        node.end()
+        answers = np.array([frame_of(TELEMETRY, data) for data in node.of(TELEMETRY)])
+    damaged = np.concatenate([answers[:1], [frame_of(TELEMETRY, b"short")], answers[:1]])
+    damaged["data"][0, 7] ^= 1
+    damaged[2] = telemetry_of(200, 9)
+    write_log(tmp_path / "run.log", np.concatenate([sent[:-1], answers, damaged, sent[-1:]]), arm.period_s)
+    options = ("-i", "virtual", "-c", f"test_refined_{published}", "--idle", "1", "-o", str(tmp_path / "live.toml"))
+    with playing(f"test_refined_{published}", tmp_path / "run.log", arm.period_s), pytest.raises(SystemExit) as end:
+        main(["listen", "--arm", str(EXAMPLE / "arm.toml"), *options, "--json", str(tmp_path / "live.json")])
+    assert end.value.code in (0, None)
+    content = json.loads((tmp_path / "live.json").read_text())
+    hold("estimate", content)
+    found, told = content["refined"], twin.rounds[-2]
+    assert found["published"] == published == (told["refined_reason"] == 0.0)
+    assert (found["reason"] is None) == published
+    for name in ("cycle", "used", "lost", "restarts", "rejected", "level", "level_error", "distance"):
+        assert found[name] == told[f"refined_{name}"]
+    assert found["farthest"] == twin.flight.names[int(told["refined_farthest"])]
+    channels = ("link", "motor", "gyro")
+    assert [one["channel"] for one in found["innovations"]] == list(CHANNELS)
+    assert [one["mean"] for one in found["innovations"]] == [told[f"refined_nis_{name}"] for name in channels]
+    assert [one["ratio"] for one in found["innovations"]] == [told[f"refined_ratio_{name}"] for name in channels]
+    for one in found["parameters"]:
+        assert one["value"] == told.get(f"{one['name']}_refined")
+        assert one["sigma"] == told.get(f"{one['name']}_refined_sigma")
+    said = capsys.readouterr().out
+    assert ("refined on board" in said) == published
+    assert "innovations on board" in said
+    assert f"on board: {text_of(lib.zygos_refine_text, int(told['refined_reason']))}" in said
+
+
+def telemetry_of(index: int, kind: int) -> Any:
+    """A telemetry frame with an item, sound by its CRC."""
+    frame = ffi.new("zygos_frame_t *")
+    lib.zygos_wire_encode_telemetry(0, index, kind, 1.0, frame)
+    return frame_of(TELEMETRY, bytes(frame.data))
+
+
+def test_a_round_that_lost_frames_tells_nothing_wrong(arm: Arm) -> None:
+    """Without a count, or with an index that no parameter has, there is no result; a lost value is NaN."""
+    names = ("reason", "cycle", "used", "lost", "restarts", "rejected", "farthest")
+    told = {f"refined_{name}": 0.0 for name in names} | {"k1_refined": 2.0}
+    whole = refined_of(told, arm.parameter_names)
+    assert whole is not None and whole.published
+    assert whole.value[arm.parameter_names.index("k1")] == 2.0
+    assert np.isnan(whole.value).sum() == 11 and np.isnan([whole.level, *whole.nis]).all()
+    for name in names:
+        assert refined_of({key: x for key, x in told.items() if key != f"refined_{name}"}, arm.parameter_names) is None
+    assert refined_of(told | {"refined_farthest": 12.0}, arm.parameter_names) is None
+    assert refined_of(told | {"refined_reason": 2.0**32}, arm.parameter_names) is None
+    assert refined_of({}, arm.parameter_names) is None
 
 
 def test_without_the_option_nothing_is_told_of_it(arm: Arm, config: Path, frames: Log) -> None:
