@@ -10,8 +10,8 @@
 
 Files       load_arm save_arm load_model save_model load_run save_run load_scenario example write_example
 Runs        Run make_run simulate simulate_with_truth
-Questions   estimate estimate_ground payload score check check_arm explain predict
-Answers     Estimation GroundEstimate Payload Score Check ArmCheck Explanation Prediction write_report
+Questions   estimate refine estimate_ground payload score check check_arm explain predict
+Answers     Estimation Refinement GroundEstimate Payload Score Check ArmCheck Explanation Prediction write_report
 Errors      ZygosError Undecided
 
 docs/python.md has each of them with an example. Quantities are in SI units; arrays are numpy's. What is listed here is
@@ -37,6 +37,8 @@ if TYPE_CHECKING:
     from zygos.ground.score import Score, score
     from zygos.model.model import Model, Quantity, load_model, save_model
     from zygos.reference.check import Check, check
+    from zygos.refinement.refine import Refinement
+    from zygos.refinement.refine import refine_runs as refine
     from zygos.reports import write_report
     from zygos.runs.cycles import Cycles
     from zygos.simulation.run import Simulation, simulate, simulate_with_truth
@@ -57,6 +59,7 @@ _HOMES = {
     "Payload": "ground.payload",
     "Prediction": "gap.predict",
     "Quantity": "model.model",
+    "Refinement": "refinement.refine",
     "Run": "can.run",
     "Scenario": "simulation.scenario",
     "Score": "ground.score",
@@ -77,6 +80,7 @@ _HOMES = {
     "make_run": "can.run",
     "payload": "ground.payload",
     "predict": "gap.predict",
+    "refine": "refinement.refine:refine_runs",
     "save_arm": "arm",
     "save_model": "model.model",
     "save_run": "can.run",
@@ -101,6 +105,7 @@ __all__ = [
     "Payload",
     "Prediction",
     "Quantity",
+    "Refinement",
     "Run",
     "Scenario",
     "Score",
@@ -122,6 +127,7 @@ __all__ = [
     "make_run",
     "payload",
     "predict",
+    "refine",
     "save_arm",
     "save_model",
     "save_run",

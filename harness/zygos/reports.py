@@ -19,6 +19,8 @@ from zygos.gap.ground.page import write_ground_gap_report
 from zygos.gap.page import write_gap_report
 from zygos.reference.check import Check
 from zygos.reference.page import write_check_report
+from zygos.refinement.page import write_refine_report
+from zygos.refinement.refine import Refinement
 from zygos.report.provenance import Provenance
 
 
@@ -57,22 +59,29 @@ def _arm_check(result: ArmCheck, path: Path) -> None:
     write_audit_report(path, result.run, result.audit, _provenance("check_arm", [result.run.path]))
 
 
+def _refinement(result: Refinement, path: Path) -> None:
+    """Write the page of a refinement."""
+    damage = [text for run in result.runs for text in run.damage]
+    write_refine_report(path, result, _provenance("refine", [run.path for run in result.runs]), damage=damage)
+
+
 WRITERS: dict[type[Any], Callable[[Any, Path], None]] = {
     Explanation: _explanation,
     GroundExplanation: _ground_explanation,
     Estimation: _estimation,
     Check: _check,
     ArmCheck: _arm_check,
+    Refinement: _refinement,
 }
 """The writer of each kind of result that has a page."""
 
-Reported = Explanation | GroundExplanation | Estimation | Check | ArmCheck
+Reported = Explanation | GroundExplanation | Estimation | Check | ArmCheck | Refinement
 """The kinds of results that have a page."""
 
 
 def write_report(result: Reported, path: str | Path) -> None:
-    """Write the page of a result as one HTML file: of an `Explanation`, `GroundExplanation`, `Estimation`, `Check` or
-    `ArmCheck`.
+    """Write the page of a result as one HTML file: of an `Explanation`, `GroundExplanation`, `Estimation`, `Check`,
+    `ArmCheck` or `Refinement`.
 
     Errors: ZygosError if the file cannot be written or an estimate kept no trace, TypeError for results without a page.
     """

@@ -25,7 +25,7 @@ from bench.counting import STAGES
 from bench.rows import FOLDER
 from conftest import ROOT
 from zygos.native import flight
-from zygos.refine.motion import FlexibleMotion
+from zygos.refinement.motion import FlexibleMotion
 from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import load_scenario
 

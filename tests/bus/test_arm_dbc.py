@@ -254,14 +254,17 @@ def test_telemetry_names_each_parameter(
     check_telemetry(path, list(zip(arm.parameter_names, arm.parameter_units, strict=True)))
 
 
-def check_telemetry(path: Path, parameters: list[tuple[str, str]]) -> None:
-    """All that a library with these parameters sends is found by name: parameters as values, sigmas and half95."""
+def check_telemetry(path: Path, parameters: list[tuple[str, str]], effects: int = 0) -> None:
+    """All that a library with these parameters sends is found by name: parameters as values, sigmas and half95, and all
+    but the last of them, effects, also as refined values and their sigmas."""
+    estimated = ((0, ""), (1, "_sigma"), (4, "_half95"))
+    refined = ((5, "_refined"), (6, "_refined_sigma"))
     message, other = database(path).get_message_by_name("TELEMETRY"), matrix(path).frame_by_name("TELEMETRY")
     frame = ffi.new("zygos_frame_t *")
     seen = {"Crc", "Counter", "Status", "Item"}
     for index, (name, unit) in enumerate(parameters):
         plain = "_".join(re.findall("[A-Za-z0-9]+", name))
-        for kind, end in ((0, ""), (1, "_sigma"), (4, "_half95")):
+        for kind, end in (*estimated, *(refined if index < len(parameters) - effects else ())):
             value = 0.5 + index + kind
             lib.zygos_wire_encode_telemetry(3, index, kind, value, frame)
             data = bytes(frame.data)
@@ -282,6 +285,9 @@ def check_telemetry(path: Path, parameters: list[tuple[str, str]]) -> None:
         *(f"node_{name}" for name in "overflow misshapen down unsent corrupt unsaved".split()),
         *(f"verdict_{name}" for name in "validity reason cycle accepted refused arcs blocks rank condition".split()),
         *(f"verdict_{name}" for name in "cluster residual noise_ratio gate left_out".split()),
+        *(f"refined_{name}" for name in "reason cycle used lost restarts rejected farthest distance level".split()),
+        *(f"refined_{name}" for name in "level_error nis_link nis_motor nis_gyro".split()),
+        *(f"refined_ratio_{name}" for name in "link motor gyro".split()),
     }
 
 
@@ -296,7 +302,7 @@ def test_telemetry_names_effects(tmp_path: Path) -> None:
     assert run(*command) == 0
     flight = Flight(load_arm(tmp_path / "arm.toml"), load_model(tmp_path / "model.toml").effects)
     assert flight.names[12:] == ("torque_lag2", "spring_offset1")
-    check_telemetry(tmp_path / "arm.dbc", list(zip(flight.names, flight.units, strict=True)))
+    check_telemetry(tmp_path / "arm.dbc", list(zip(flight.names, flight.units, strict=True)), effects=2)
     dbc = database(tmp_path / "arm.dbc").get_message_by_name("TELEMETRY")
     assert dbc.get_signal_by_name("torque_lag2").comment == "Torque lag, joint 2, elbow."
     sigma = dbc.get_signal_by_name("torque_lag2_sigma").comment or ""
@@ -354,6 +360,7 @@ def test_a_rigid_joint_says_so(written: Callable[[str | Path], tuple[Arm, Path]]
     telemetry = {signal.name for signal in dbc.get_message_by_name("TELEMETRY").signals}
     assert telemetry >= set(arm.parameter_names)
     assert "k1" not in telemetry
+    assert not any("refined" in name for name in telemetry)
 
 
 def test_json_is_all_there_is_on_stdout(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

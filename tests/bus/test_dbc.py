@@ -151,6 +151,10 @@ VERDICTS = (
     *("validity", "reason", "cycle", "accepted", "refused", "arcs", "blocks", "rank", "condition", "cluster"),
     *("residual", "noise_ratio", "gate", "left_out"),
 )
+REFINEMENT = (
+    *("reason", "cycle", "used", "lost", "restarts", "rejected", "farthest", "distance", "level", "level_error"),
+    *("nis_link", "nis_motor", "nis_gyro", "ratio_link", "ratio_motor", "ratio_gyro"),
+)
 ITEMS = {
     **{i: (name, unit) for i, (name, unit) in enumerate(PARAMETERS.items())},
     **{256 + i: (f"{name}_sigma", unit) for i, (name, unit) in enumerate(PARAMETERS.items())},
@@ -160,6 +164,9 @@ ITEMS = {
     548: ("count_apart", ""),
     **{768 + i: (f"verdict_{name}", "J" if name == "residual" else "") for i, name in enumerate(VERDICTS)},
     **{1024 + i: (f"{name}_half95", unit) for i, (name, unit) in enumerate(PARAMETERS.items())},
+    **{1280 + i: (f"{name}_refined", unit) for i, (name, unit) in enumerate(PARAMETERS.items())},
+    **{1536 + i: (f"{name}_refined_sigma", unit) for i, (name, unit) in enumerate(PARAMETERS.items())},
+    **{1792 + i: (f"refined_{name}", "") for i, name in enumerate(REFINEMENT)},
 }
 """What the telemetry sends: index + 256 kind, name and unit."""
 

@@ -165,7 +165,7 @@ def test_an_effect_tells_its_significance(
     with Node("--config", tmp_path / "arm.zyg", "--every", 100) as node:
         node.send(frames)
         node.end()
-        sent = [can.Message(arbitration_id=name, data=data) for name, data in node.answers]
+        sent = [can.Message(arbitration_id=name, data=data, is_extended_id=False) for name, data in node.answers]
     complete = rounds(arm_database(arm, [friction]), sent)
     last, flight = complete[-1], Flight(arm, [friction])
     hear(flight, frames[: starts(frames)[100 * (len(complete) - 1)] + 1])
@@ -392,6 +392,8 @@ def test_a_state_of_another_arm_is_put_aside(config: Path, tmp_path: Path) -> No
         (("--config", "CONFIG", "--fd", "FD", "--every", "0"), "--every 0: no number"),
         (("--config", "CONFIG", "--fd", "FD", "--every", "1.5"), "--every 1.5: no whole number"),
         (("--config", "CONFIG", "--fd", "FD", "--exit-idle", "nan"), "--exit-idle nan: no number"),
+        (("--config", "CONFIG", "--fd", "FD", "--refine", "-0.1"), "--refine -0.1: no number"),
+        (("--config", "CONFIG", "--fd", "FD", "--refine", "2"), "--refine 2: no number"),
         (("--config", "CONFIG", "--fd", "FD", "more"), "more: not an option"),
         (("--config", "CONFIG", "--fd", "FD", "--speed", "9"), "--speed"),
         (("--config", "CONFIG", "--fd", "FD", "--state", "/nowhere/at/all/state"), "could not be saved (No such file"),
@@ -407,7 +409,9 @@ def test_refusals_of_the_command_line(arguments: tuple[object, ...], word: str, 
 
 def test_help() -> None:
     done = subprocess.run([build(), "--help"], capture_output=True, text=True, check=True)
-    assert all(word in done.stdout for word in ("--config", "--fd", "--state", "--every", "--exit-idle", "0x720"))
+    assert all(
+        word in done.stdout for word in ("--config", "--fd", "--state", "--every", "--refine", "--exit-idle", "0x720")
+    )
 
 
 def test_a_state_that_cannot_be_saved_is_no_success(config: Path, tmp_path: Path) -> None:

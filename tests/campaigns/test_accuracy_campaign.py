@@ -35,7 +35,7 @@ from zygos.native.flight import Flight
 from zygos.paper import printed, response
 from zygos.paper.methods import eb
 from zygos.paper.tables import flight_estimates, noisy_record
-from zygos.refine.inertia import inertia
+from zygos.refinement.inertia import inertia
 from zygos.simulation.plant import Trajectory, simulate
 from zygos.simulation.scenario import Scenario
 

@@ -8,7 +8,7 @@ from refine_support import Case, Score, drawing, plant, runs, score
 
 from bench.refinement import CASES
 from conftest import ROOT
-from zygos.refine.bound import bound
+from zygos.refinement.bound import bound
 from zygos.simulation.scenario import load_scenario
 
 SEEDS = range(20)

@@ -15,8 +15,8 @@ from zygos.can.run import Run
 from zygos.effects import effect
 from zygos.errors import Undecided
 from zygos.model.model import Model, Quantity, load_model
-from zygos.refine.inertia import inertia_errors
-from zygos.refine.refine import Refinement, refine_runs
+from zygos.refinement.inertia import inertia_errors
+from zygos.refinement.refine import Refinement, refine_runs
 from zygos.simulation.plant import Trajectory, simulate
 from zygos.simulation.scenario import load_scenario
 

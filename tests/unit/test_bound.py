@@ -18,8 +18,8 @@ from zygos.dynamics.joints import Drives
 from zygos.effects import effect
 from zygos.errors import Undecided, ZygosError
 from zygos.model.model import Model, load_model
-from zygos.refine.bound import bound
-from zygos.refine.motion import FlexibleMotion
+from zygos.refinement.bound import bound
+from zygos.refinement.motion import FlexibleMotion
 from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import Scenario, load_scenario
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from zygos.arm import Arm
 from zygos.errors import ZygosError
 from zygos.native.propagation import Propagation
-from zygos.refine.motion import FlexibleMotion
+from zygos.refinement.motion import FlexibleMotion
 
 Floats = NDArray[np.float64]
 

@@ -113,6 +113,26 @@ def test_arrays_in_and_out(run: zygos.Run) -> None:
     assert zygos.estimate(gappy).watch.flight.counts["gaps"] == 1
 
 
+def test_a_run_is_refined(run: zygos.Run, tmp_path: Path) -> None:
+    """A run alone and a list of it are the same; the name is the function's, also behind modules of the package."""
+    refined, found = zygos.refine(run), zygos.estimate(run)
+    assert zygos.refine is sys.modules["zygos.refinement.refine"].refine_runs
+    assert refined.published and not refined.reason and repr(refined).startswith("published\n")
+    assert refined.names == found.names and refined.value.shape == found.value.shape
+    assert np.all(10.0 * refined.sigma < found.sigma)
+    assert refined.runs == (run,)
+    assert refined.as_dict()["parameters"][7]["value"] == refined.value[7]
+    assert refined.to_model().parameters["k1"].value == refined.value[refined.names.index("k1")]
+    zygos.write_report(refined, tmp_path / "refined.html")
+    assert "<html" in (tmp_path / "refined.html").read_text()
+    doubtful = replace(refined, rules=(replace(refined.rules[0], holds=False, sentence="it is doubtful"),))
+    assert repr(doubtful) == "not published: it is doubtful"
+    with pytest.raises(zygos.Undecided, match="not published: it is doubtful; remedy: "):
+        doubtful.to_model()
+    with pytest.raises(zygos.ZygosError, match="there is no run to refine from; remedy: "):
+        zygos.refine([])
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -331,7 +351,7 @@ def test_the_examples_of_the_page_run(
     blocks = re.findall(r"```python\n(.*?)```", PAGE, re.S)
     used = set(re.findall(r"zygos\.(\w+)", "".join(blocks)))
     named = {"Arm", "ArmCheck", "Check", "Cycles", "Effect", "Estimation", "Explanation", "Model", "Prediction", "Run"}
-    named |= {"GroundEstimate", "Payload", "Score"}
+    named |= {"GroundEstimate", "Payload", "Refinement", "Score"}
     assert set(zygos.__all__) - used == named | {"Scenario", "Simulation", "Undecided"}, "each function has an example"
     names: dict[str, object] = {}
     for k, block in enumerate(blocks):
@@ -341,7 +361,7 @@ def test_the_examples_of_the_page_run(
     assert "named - The simulation lacks Coulomb friction at the motor (elbow)" in said
     assert "nowhere.toml: no such file; remedy: check the path" in said
     assert {path.name for path in tmp_path.iterdir()} == {
-        "my-arm", "slower.toml", "stiffer.toml", "learned.toml", "gap.html", "00", "01", "02", "03",
+        "my-arm", "slower.toml", "stiffer.toml", "learned.toml", "refined.toml", "gap.html", "00", "01", "02", "03",
     }  # fmt: skip
 
 

@@ -24,11 +24,11 @@ from zygos.effects import effect
 from zygos.errors import Undecided, ZygosError
 from zygos.model.model import load_model, save_model
 from zygos.native.refiner import Refiner, Settings
-from zygos.refine import refine
-from zygos.refine.bound import bound, bound_along
-from zygos.refine.motion import FlexibleMotion
-from zygos.refine.record import LONGEST_GAP, record_of, start_of
-from zygos.refine.refine import Refinement, check_supported, refine_runs
+from zygos.refinement import refine
+from zygos.refinement.bound import bound, bound_along
+from zygos.refinement.motion import FlexibleMotion
+from zygos.refinement.record import LONGEST_GAP, record_of, start_of
+from zygos.refinement.refine import Refinement, check_supported, refine_runs
 from zygos.runs.cycles import BREAK_BEFORE, INVALID, VOID_BEFORE, VOID_SHIFT, Cycles
 from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import load_scenario

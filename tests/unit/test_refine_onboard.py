@@ -17,7 +17,7 @@ from zygos.errors import ZygosError
 from zygos.native.flight import Flight, config_of, cycles_to_native, ffi, lib, text_of
 from zygos.native.refine import Onboard, OnboardRefiner, Refined
 from zygos.native.refiner import Refiner, Settings
-from zygos.refine.bound import bound
+from zygos.refinement.bound import bound
 from zygos.runs.cycles import Cycles
 from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import load_scenario

@@ -15,9 +15,9 @@ from zygos.arm import TORQUE_STEP, Arm
 from zygos.errors import ZygosError
 from zygos.model.model import Model
 from zygos.native.refiner import Refiner, Settings
-from zygos.refine.bound import bound
-from zygos.refine.filter import FilterNoise, NumpyFilter
-from zygos.refine.motion import FlexibleMotion
+from zygos.refinement.bound import bound
+from zygos.refinement.filter import FilterNoise, NumpyFilter
+from zygos.refinement.motion import FlexibleMotion
 from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import Controller, Motion, Scenario, Sine
 

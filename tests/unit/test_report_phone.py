@@ -20,7 +20,7 @@ PAGES = (
     "reference/page.html",
     "audit/page.html",
     "ground/page.html",
-    "refine/page.html",
+    "refinement/page.html",
 )
 
 

@@ -11,6 +11,7 @@
 #include "options.h"
 #include "store.h"
 #include "telemetry.h"
+#include "zygos/refine.h"
 
 #define REFUSED 2
 #define HEARTBEAT_S 1.0
@@ -23,6 +24,7 @@ static zygos_t arm;
 static node_bus_t bus;
 static node_telemetry_t telemetry;
 static node_store_t store;
+static zygos_refine_t fine;
 static volatile sig_atomic_t stop_requested;
 
 static void request_stop(int signal_number)
@@ -102,6 +104,50 @@ static int begin(bool initialised)
                           options.config, verdict);
 }
 
+/* Prepares the refinement, which begins with the next valid estimate. Returns 1, also where none was asked for, or -1
+   after logging the reason. */
+static int prepare_refinement(void)
+{
+    zygos_refine_settings_t settings;
+    if (options.refine < 0.0) {
+        return 1;
+    }
+    zygos_refine_defaults(&settings, &config);
+    for (uint32_t i = 0; i < config.joints; i++) {
+        settings.filter.torque_relative_sigma[i] = options.refine;
+    }
+    if ((config.effects == 0u) && (zygos_refine_init(&fine, &config, &settings) == 1)) {
+        return 1;
+    }
+    return node_log("%s: --refine cannot refine this arm; remedy: no effects, flexible joints, torques that are held "
+                    "from SYNC to SYNC, and a gyro that latches at SYNC",
+                    options.config);
+}
+
+/* Takes the next cycle, and does all that the refinement has to do with it: what is sent depends on the frames alone.
+   Returns what zygos_step() does. */
+static int step(void)
+{
+    if (options.refine >= 0.0) {
+        (void)zygos_refine_cycle(&fine, zygos_receiver_front(&arm.receiver));
+        while (zygos_refine_step(&fine, &arm.config) == 1) {
+        }
+    }
+    return zygos_step(&arm);
+}
+
+/* Judges what is refined by a new estimate. It begins with the first valid one, and again after a failure. */
+static void judge(void)
+{
+    static zygos_refined_t refined;
+    (void)zygos_refine_judge(&fine, &arm.config, &telemetry.estimate, &refined);
+    node_telemetry_refined(&telemetry, &refined);
+    if (((fine.started == 0u) || (refined.reason == (uint32_t)ZYGOS_REFINE_FAILED)) &&
+        (telemetry.estimate.validity == (uint32_t)ZYGOS_VALID)) {
+        (void)zygos_refine_start(&fine, &arm.config, &telemetry.estimate, NULL);
+    }
+}
+
 static bool configuration_changed(void)
 {
     return memcmp(&arm.config, &config, sizeof config) != 0;
@@ -119,7 +165,7 @@ static int start_over(void)
     if (!configured && (node_store_config(options.config, &again) == 1)) {
         config = again;
     }
-    if (begin(true) < 1) {
+    if ((begin(true) < 1) || (prepare_refinement() < 1)) {
         return -1;
     }
     node_log("%s cycle %llu", (arm.accumulator.accepted > 0u) ? "goes on behind" : "starts at",
@@ -169,9 +215,9 @@ static int process_batch(uint64_t *frames, uint64_t *syncs)
     }
     for (uint32_t i = 0; i < count; i++) {
         const int verdict = zygos_frame(&arm, &frame[i]);
-        int stepped = zygos_step(&arm);
+        int stepped = step();
         while (stepped == 1) {
-            stepped = zygos_step(&arm);
+            stepped = step();
         }
         if (((verdict < 0) || (stepped < 0)) && (mend() < 1)) {
             return NODE_FAILED;
@@ -179,6 +225,9 @@ static int process_batch(uint64_t *frames, uint64_t *syncs)
         if ((verdict == ZYGOS_ACCEPTED) && (frame[i].flags == 0u) && (frame[i].id == ZYGOS_ID_SYNC)) {
             (*syncs)++;
             const int solved = node_telemetry_sync(&telemetry, &arm, &bus.losses);
+            if ((solved == 2) && (options.refine >= 0.0)) {
+                judge();
+            }
             for (zygos_frame_t out; node_telemetry_next(&telemetry, &arm, &out) == 1;) {
                 node_bus_send(&bus, &out);
             }
@@ -250,7 +299,7 @@ int main(int argc, char **argv)
     ignore_signals();
     if ((node_store_config(options.config, &config) < 1) ||
         (node_store_open(&store, options.state, options.config) < 1) || (node_bus_open(&bus, &options, &config) < 1) ||
-        (begin(false) < 1)) {
+        (begin(false) < 1) || (prepare_refinement() < 1)) {
         return REFUSED;
     }
     node_telemetry_init(&telemetry, options.every);

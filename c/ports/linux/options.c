@@ -12,7 +12,7 @@
 
 static const char help[] =
     "usage: zygos-node --config arm.zyg (-i CAN | --fd N) [--state FILE [--save-every SYNCS]]\n"
-    "                  [--every SYNCS] [--exit-idle SECONDS]\n"
+    "                  [--every SYNCS] [--refine SHARE] [--exit-idle SECONDS]\n"
     "\n"
     "Learns an arm's dynamics from the frames of a CAN interface, and answers on it with estimates, intervals and "
     "fault\n"
@@ -24,6 +24,8 @@ static const char help[] =
     "  --state FILE         go on from this file, or from FILE.previous, if it can be used; save at the end\n"
     "  --save-every SYNCS   also from one save to the next; what came since is lost with the power\n"
     "  --every SYNCS        from one estimate to the next (100); its values are sent in between\n"
+    "  --refine SHARE       also refine the estimate; SHARE: noise of the torques divided by their size, 0: none "
+    "declared\n"
     "  --exit-idle SECONDS  end when no frame came for so long\n"
     "\n"
     "Exit codes: 0 ended as told; 2 an option or the configuration was refused, or the state could not be saved.\n";
@@ -55,16 +57,14 @@ static bool whole(const char *option, const char *text, double low, double high,
 
 int node_options_read(int argc, char **argv, node_options_t *out)
 {
-    static const struct option known[] = { { "config", required_argument, NULL, 'c' },
-                                           { "interface", required_argument, NULL, 'i' },
-                                           { "fd", required_argument, NULL, 'f' },
-                                           { "state", required_argument, NULL, 's' },
-                                           { "every", required_argument, NULL, 'e' },
-                                           { "save-every", required_argument, NULL, 'v' },
-                                           { "exit-idle", required_argument, NULL, 'x' },
-                                           { "help", no_argument, NULL, 'h' },
-                                           { NULL, 0, NULL, 0 } };
-    *out = (node_options_t){ .fd = -1, .every = 100u };
+    static const struct option known[] = {
+        { "config", required_argument, NULL, 'c' }, { "interface", required_argument, NULL, 'i' },
+        { "fd", required_argument, NULL, 'f' },     { "state", required_argument, NULL, 's' },
+        { "every", required_argument, NULL, 'e' },  { "save-every", required_argument, NULL, 'v' },
+        { "refine", required_argument, NULL, 'r' }, { "exit-idle", required_argument, NULL, 'x' },
+        { "help", no_argument, NULL, 'h' },         { NULL, 0, NULL, 0 }
+    };
+    *out = (node_options_t){ .fd = -1, .every = 100u, .refine = -1.0 };
     double value = 0.0;
     for (int letter = 0; letter != -1;) {
         letter = getopt_long(argc, argv, "i:h", known, NULL);
@@ -97,6 +97,11 @@ int node_options_read(int argc, char **argv, node_options_t *out)
                 return -1;
             }
             out->save_every = (uint32_t)value;
+            break;
+        case 'r':
+            if (!number("refine", optarg, 0.0, 1.0, &out->refine)) {
+                return -1;
+            }
             break;
         case 'x':
             if (!number("exit-idle", optarg, 0.1, 1e9, &out->idle_s)) {

@@ -12,6 +12,7 @@ typedef struct {
     const char *state;     ///< File of a sealed state, or null.
     uint32_t every;        ///< SYNCs from one estimate to the next.
     uint32_t save_every;   ///< SYNCs from one save to the next; 0: saved at the end alone.
+    double refine;         ///< Noise of the torques as a share of their size, 0: none declared; -1: no refinement.
     double idle_s;         ///< The end after so many seconds without a frame; 0: never.
 } node_options_t;
 

@@ -97,6 +97,13 @@ static void solve(node_telemetry_t *self, zygos_t *arm, const node_losses_t *los
     }
 }
 
+/* So many values are due now that all are sent by the next estimate. */
+static void allot(node_telemetry_t *self)
+{
+    const uint32_t share = (self->items + self->every - 1u) / self->every;
+    self->due = (self->next + share < self->items) ? self->next + share : self->items;
+}
+
 int node_telemetry_sync(node_telemetry_t *self, zygos_t *arm, const node_losses_t *losses)
 {
     const bool solves = (self->syncs == 0u);
@@ -104,9 +111,41 @@ int node_telemetry_sync(node_telemetry_t *self, zygos_t *arm, const node_losses_
         solve(self, arm, losses);
     }
     self->syncs = (self->syncs + 1u) % self->every;
-    const uint32_t share = (self->items + self->every - 1u) / self->every;
-    self->due = (self->next + share < self->items) ? self->next + share : self->items;
-    return (solves && (self->estimate.reason == ZYGOS_REASON_CORRUPT)) ? ZYGOS_E_SUMS : 1;
+    allot(self);
+    if (!solves) {
+        return 1;
+    }
+    return (self->estimate.reason == ZYGOS_REASON_CORRUPT) ? ZYGOS_E_SUMS : 2;
+}
+
+void node_telemetry_refined(node_telemetry_t *self, const zygos_refined_t *refined)
+{
+    const double refinement[NODE_REFINEMENTS] = {
+        (double)refined->reason,
+        (double)(refined->cycle % MODULUS),
+        (double)(refined->used % MODULUS),
+        (double)(refined->lost % MODULUS),
+        (double)(refined->restarts % MODULUS),
+        (double)(refined->rejected % MODULUS),
+        (double)refined->farthest,
+        refined->distance,
+        refined->level,
+        refined->level_error,
+        refined->nis[ZYGOS_CHANNEL_LINK],
+        refined->nis[ZYGOS_CHANNEL_MOTOR],
+        refined->nis[ZYGOS_CHANNEL_GYRO],
+        refined->ratio[ZYGOS_CHANNEL_LINK],
+        refined->ratio[ZYGOS_CHANNEL_MOTOR],
+        refined->ratio[ZYGOS_CHANNEL_GYRO],
+    };
+    for (uint32_t i = 0; i < NODE_REFINEMENTS; i++) {
+        put(self, NODE_REFINEMENT, i, refinement[i]);
+    }
+    for (uint32_t i = 0; (refined->published == 1u) && (i < refined->parameters); i++) {
+        put(self, NODE_REFINED, i, refined->value[i]);
+        put(self, NODE_REFINED_SIGMA, i, refined->sigma[i]);
+    }
+    allot(self);
 }
 
 int node_telemetry_next(node_telemetry_t *self, const zygos_t *arm, zygos_frame_t *out)

@@ -1,23 +1,28 @@
-/// The messages of a flight computer on the bus: the estimate, its intervals, every counter, and a heartbeat. zygos.dbc
-/// defines them. They are the same for every port.
+/// The messages of a flight computer on the bus: the estimate, its intervals, what a refinement makes of it, every
+/// counter, and a heartbeat. zygos.dbc defines them. They are the same for every port.
 
 #ifndef ZYGOS_NODE_TELEMETRY_H
 #define ZYGOS_NODE_TELEMETRY_H
 
+#include "zygos/refine.h"
 #include "zygos/zygos.h"
 
-/// Kinds of telemetry; the index beside it counts parameters, counters or verdicts.
+/// Kinds of telemetry; the index beside it counts parameters, counters, verdicts or what a refinement tells.
 enum node_kind {
     NODE_ESTIMATE = 0,
     NODE_SIGMA = 1,
     NODE_COUNTER = 2, ///< Modulo 2^24, which a float holds exactly.
     NODE_VERDICT = 3,
-    NODE_HALF95 = 4
+    NODE_HALF95 = 4,
+    NODE_REFINED = 5,       ///< Refined value, only while it is published,
+    NODE_REFINED_SIGMA = 6, ///< and its standard deviation.
+    NODE_REFINEMENT = 7     ///< Why it is or is not published, and the innovations.
 };
 
 #define NODE_COUNTERS 37u
 #define NODE_VERDICTS 14u
-#define NODE_MAX_ITEMS (3u * ZYGOS_MAX_PARAMETERS + NODE_COUNTERS + NODE_VERDICTS)
+#define NODE_REFINEMENTS 16u
+#define NODE_MAX_ITEMS (5u * ZYGOS_MAX_PARAMETERS + NODE_COUNTERS + NODE_VERDICTS + NODE_REFINEMENTS)
 
 /// States of the heartbeat, as in CANopen.
 enum node_heartbeat { NODE_BOOT = 0x00, NODE_STOPPED = 0x04, NODE_OPERATIONAL = 0x05, NODE_WAITING = 0x7F };
@@ -54,10 +59,15 @@ void node_telemetry_init(node_telemetry_t *self, uint32_t every);
 
 /// Call after each accepted SYNC, when the cycle that it closed is worked off: at the first and every so many SYNCs
 /// behind it, solves, and has the arm adopt a valid estimate; after each, as many values are due as it takes to have
-/// sent all by the next estimate. What has no value is passed over. Nothing here depends on a clock. Returns 1, or
-/// ZYGOS_E_SUMS when this was a solution and found the sums corrupt: the port then starts the estimate over, and counts
-/// it.
+/// sent all by the next estimate. What has no value is passed over. Nothing here depends on a clock. Returns 1; 2 when
+/// this was a solution; or ZYGOS_E_SUMS when it was one and found the sums corrupt: the port then starts the estimate
+/// over, and counts it.
 int node_telemetry_sync(node_telemetry_t *self, zygos_t *arm, const node_losses_t *losses);
+
+/// Adds what zygos_refine_judge() has written to the values that are due with this solution. Call it between a
+/// node_telemetry_sync() that returned 2 and node_telemetry_next(). Values and deviations are added where they are
+/// published, the rest always.
+void node_telemetry_refined(node_telemetry_t *self, const zygos_refined_t *refined);
 
 /// Takes the next value that is due. Returns 1 and its frame, or 0 when none is.
 int node_telemetry_next(node_telemetry_t *self, const zygos_t *arm, zygos_frame_t *out);

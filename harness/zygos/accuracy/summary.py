@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from zygos.accuracy.cases import Case
 from zygos.accuracy.estimators import ESTIMATORS, Estimator
 from zygos.arm import Arm
-from zygos.refine.inertia import POSTURES, inertia_errors
+from zygos.refinement.inertia import POSTURES, inertia_errors
 from zygos.simulation.score import score
 
 Floats = NDArray[np.float64]

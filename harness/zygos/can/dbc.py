@@ -40,8 +40,12 @@ _MOST_PARAMETERS = 256
 """Largest number of parameters: their index in the telemetry is a byte."""
 
 
-_OF_PARAMETERS = {"": 0, "_sigma": 1, "_half95": 4}
+_OF_PARAMETERS = {"": 0, "_sigma": 1, "_half95": 4, "_refined": 5, "_refined_sigma": 6}
 """What the telemetry reports of a parameter: suffix of the signal's name, and its kind, the upper byte of Item."""
+
+
+_OF_REFINEMENT = (5, 6, 7)
+"""Kinds of which only an arm with flexible joints alone has signals; an effect has none of the first two."""
 
 
 def joint_names(arm: Arm) -> tuple[str, ...]:
@@ -161,13 +165,18 @@ def _telemetry(shipped: Database, arm: Arm, effects: Sequence[Effect]) -> Messag
     message = deepcopy(shipped.get_message_by_name("TELEMETRY"))
     item = message.get_signal_by_name("Item")
     likes = {signal.name: signal for signal in message.signals}
-    signals = [signal for signal in message.signals if _kind(signal) not in _OF_PARAMETERS.values()]
+    unrefined = () if all(joint.flexible for joint in arm.joints) else _OF_REFINEMENT
+    replaced = {*_OF_PARAMETERS.values(), *unrefined}
+    signals = [signal for signal in message.signals if _kind(signal) not in replaced]
     choices = OrderedDict(item.conversion.choices or {})
-    for place in [place for place in choices if place >> 8 in _OF_PARAMETERS.values()]:
+    for place in [place for place in choices if place >> 8 in replaced]:
         del choices[place]
     columns = {effect.column(arm) for effect in effects}
     for index, (name, unit, comment) in enumerate(_parameters(arm, effects, likes)):
+        left_out = _OF_REFINEMENT if name in columns else unrefined
         for end, kind in _OF_PARAMETERS.items():
+            if kind in left_out:
+                continue
             signal = deepcopy(likes[f"a00{end}"])
             signal.name, signal.unit = f"{ascii_name(name)}{end}", unit
             signal.comment = str(signal.comment).replace("a00", name) if end else comment

@@ -13,7 +13,7 @@ from zygos.cli.options import Json
 from zygos.files.output import check_outputs, counted, number, quiet, say, table, write_json
 from zygos.files.progress import progress
 from zygos.model.model import load_model
-from zygos.refine.bound import Bound, bound
+from zygos.refinement.bound import Bound, bound
 from zygos.simulation.scenario import load_scenario
 
 

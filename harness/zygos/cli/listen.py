@@ -13,7 +13,10 @@ import typer
 
 from zygos.arm import Arm, load_arm
 from zygos.can import bus
+from zygos.can.dbc import arm_database
+from zygos.can.rounds import Telemetry
 from zygos.cli.answer import finish_estimate
+from zygos.cli.onboard import report_refined
 from zygos.cli.options import Bitrate, ChannelOption, Interface, Json
 from zygos.cli.shared import check_model_name
 from zygos.errors import Undecided, ZygosError
@@ -24,6 +27,7 @@ from zygos.files.output import (
     check_outputs,
     counted,
     note,
+    quiet,
 )
 from zygos.files.signals import stop_signals
 from zygos.model.model import Model, load_model
@@ -44,12 +48,10 @@ def listen_bus(
 ) -> None:
     """Estimate while frames arrive; see `zygos listen --help`."""
     arm = load_arm(arm_file)
-    check_model_name(out)
-    if log is not None:
-        bus.check_log_name(log)
-    check_outputs([out, log, json], [arm_file, model_file])
+    _check_files(out, log, json, [arm_file, model_file])
     prior = load_model(model_file) if model_file else None
     flight = (watch := watched(arm, prior)).flight
+    telemetry = Telemetry(arm_database(arm, flight.effects))
     batch: list[can.Message] = []
     failures: list[ZygosError] = []
     where = f"{interface or 'can.conf'} {channel or ''}".strip()
@@ -79,6 +81,7 @@ def listen_bus(
                 source, idle, lambda: stopped() or (duration > 0.0 and time.monotonic() - begin > duration)
             ):
                 batch.append(message)
+                telemetry.take(message)
                 late = time.monotonic() - shown > 2.0
                 if late or len(batch) >= 256:
                     work_off()
@@ -105,9 +108,18 @@ def listen_bus(
             recording.finish()
         except ZygosError as error:
             fail(error)
-    finish_estimate(conclude(watch, prior=prior), out, json, {"bus": where, "door": "frames"})
+    refined = report_refined(telemetry, arm, shown=not quiet(out, json))
+    finish_estimate(conclude(watch, prior=prior), out, json, {"bus": where, "door": "frames", "refined": refined})
     if failures:
         sys.exit(failures[0].exit_code)
+
+
+def _check_files(out: Path, log: Path | None, json: str | None, inputs: list[Path | None]) -> None:
+    """Refuse outputs that have a wrong suffix or would replace an input."""
+    check_model_name(out)
+    if log is not None:
+        bus.check_log_name(log)
+    check_outputs([out, log, json], inputs)
 
 
 def watched(arm: Arm, prior: Model | None) -> Watch:
@@ -150,6 +162,10 @@ def command(
     """Listen to a bus and estimate while the frames arrive. Ctrl-C or SIGTERM ends it and writes the estimate so far.
 
     The table and the JSON give the significance of each effect of --model: its value in standard deviations.
+
+    If a flight computer on the bus refines its estimate (zygos-node --refine), they also give the newest result that it
+    told: the refined values where they are published, otherwise why they are not, and the innovations of each kind of
+    sensor.
 
     Exit code 3 when something is undecided, or the bus failed; the estimate so far is written nevertheless.
 

@@ -17,9 +17,8 @@ from zygos.files.output import check_outputs, counted, named, number, quiet, rat
 from zygos.files.progress import progress
 from zygos.model.model import load_model, save_model
 from zygos.native.flight import CHANNELS
-from zygos.refine.answer import as_dict
-from zygos.refine.refine import Refinement, refine_runs
-from zygos.refine.search import REMEDY
+from zygos.refinement.refine import Refinement, refine_runs
+from zygos.refinement.search import REMEDY
 from zygos.report.provenance import provenance
 
 
@@ -52,7 +51,7 @@ def refine_files(
         if found.published:
             save_model(found.to_model(), out)
         if report is not None:
-            from zygos.refine.page import write_refine_report  # noqa: PLC0415  (only a report needs charts)
+            from zygos.refinement.page import write_refine_report  # noqa: PLC0415  (only a report needs charts)
 
             files = [
                 *(("run", path) for path in runs),
@@ -64,7 +63,7 @@ def refine_files(
     finally:
         if json:
             damage = [text for run in recorded for text in run.damage]
-            write_json(json, as_dict(found, {"runs": [str(path) for path in runs], "damage": damage or None}))
+            write_json(json, found.as_dict({"runs": [str(path) for path in runs], "damage": damage or None}))
     if not found.published:
         raise Undecided(f"not published: {found.reason} ({where}); remedy: {REMEDY}")
     not_whole(*(run.damage for run in recorded))

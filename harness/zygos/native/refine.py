@@ -53,8 +53,12 @@ class Refined:
     """(channels,) mean normalised squared innovation of the newest window."""
     ratio: Floats
     """(channels,) its largest ratio: below 0.5 normal, above 1 rejected."""
+    farthest: int
+    """Index of the value that is farthest from the energy rows,"""
     distance: float
-    """Of the value that is farthest from the energy rows, divided by what passes."""
+    """and its distance, divided by what passes."""
+    cycle: int
+    """SYNC number of the newest cycle that was used."""
     used: int
     """Uses of readings."""
     lost: int
@@ -129,7 +133,9 @@ class OnboardRefiner:
             out.level_error,
             _array(out.nis, len(CHANNELS)),
             _array(out.ratio, len(CHANNELS)),
+            out.farthest,
             out.distance,
+            int(out.cycle),
             int(out.used),
             int(out.lost),
             int(out.restarts),

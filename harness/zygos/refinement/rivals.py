@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.errors import ZygosError
-from zygos.refine.follow import Beside, Pass
-from zygos.refine.record import Piece, Record
+from zygos.refinement.follow import Beside, Pass
+from zygos.refinement.record import Piece, Record
 
 Floats = NDArray[np.float64]
 

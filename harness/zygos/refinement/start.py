@@ -13,10 +13,10 @@ from zygos.effects import Effect
 from zygos.errors import Undecided
 from zygos.estimation.estimate import Estimation
 from zygos.model.model import Model
-from zygos.refine.follow import Beside, Start
-from zygos.refine.motion import FlexibleMotion
-from zygos.refine.record import Record
-from zygos.refine.rivals import EXPECTED, typical_torque
+from zygos.refinement.follow import Beside, Start
+from zygos.refinement.motion import FlexibleMotion
+from zygos.refinement.record import Record
+from zygos.refinement.rivals import EXPECTED, typical_torque
 
 Floats = NDArray[np.float64]
 

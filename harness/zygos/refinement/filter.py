@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from zygos.refine.motion import FlexibleMotion
+from zygos.refinement.motion import FlexibleMotion
 
 Floats = NDArray[np.float64]
 

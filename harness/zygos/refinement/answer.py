@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from zygos.native.flight import CHANNELS
-from zygos.refine.refine import Refinement
+
+if TYPE_CHECKING:
+    from zygos.refinement.refine import Refinement
 
 
-def as_dict(found: Refinement, heading: Mapping[str, Any]) -> dict[str, Any]:
+def report_refinement(found: Refinement, heading: Mapping[str, Any]) -> dict[str, Any]:
     """All of a refinement; without values where it is not published."""
     p, shown = len(found.names), found.published
     times = np.full(p, np.nan) if found.times_bound is None else found.times_bound

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from zygos.native.flight import CHANNELS
 from zygos.native.refiner import Refiner, Settings
-from zygos.refine.record import Record, start_of
+from zygos.refinement.record import Record, start_of
 
 Floats = NDArray[np.float64]
 

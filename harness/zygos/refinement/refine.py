@@ -10,7 +10,7 @@ without knowing the truth speaks for the model: see `Rule`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -27,13 +27,14 @@ from zygos.estimation.estimate import Estimation, estimate
 from zygos.files.output import number
 from zygos.model.model import Model, Quantity
 from zygos.native.flight import CHANNELS
-from zygos.refine.bound import Bound, bound_along
-from zygos.refine.follow import Pass
-from zygos.refine.motion import FlexibleMotion
-from zygos.refine.record import Record, record_of
-from zygos.refine.rivals import Rival, typical_torque
-from zygos.refine.search import REMEDY, STEPS, Search
-from zygos.refine.start import LEARNED, begin
+from zygos.refinement.answer import report_refinement
+from zygos.refinement.bound import Bound, bound_along
+from zygos.refinement.follow import Pass
+from zygos.refinement.motion import FlexibleMotion
+from zygos.refinement.record import Record, record_of
+from zygos.refinement.rivals import Rival, typical_torque
+from zygos.refinement.search import REMEDY, STEPS, Search
+from zygos.refinement.start import LEARNED, begin
 
 Floats = NDArray[np.float64]
 Progress = Callable[[float], None]
@@ -111,6 +112,8 @@ class Refinement:
     rivals: tuple[Rival, ...]
     """Models with one thing more."""
     rules: tuple[Rule, ...] = ()
+    runs: tuple[Run, ...] = ()
+    """What it was made from."""
 
     @property
     def value(self) -> Floats:
@@ -165,6 +168,18 @@ class Refinement:
         """(p,) sigmas divided by the bound; None where there is none."""
         return None if self.limit is None else self.sigma / self.limit.sigma
 
+    def as_dict(self, heading: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """All of it in numbers, texts, lists and dictionaries: what `zygos refine --json` writes behind a heading."""
+        return report_refinement(self, heading or {})
+
+    def __repr__(self) -> str:
+        """Whether it is published, and a line for each parameter where it is."""
+        lines = ["published" if self.published else f"not published: {self.reason}"]
+        for name, unit, value, half in zip(self.names, self.units, self.value, self.half95, strict=True):
+            if self.published:
+                lines.append(f"{name:<18}{value:>14.7g} ± {half:<10.2g} {unit}")
+        return "\n".join(lines)
+
     def to_model(self) -> Model:
         """The model with the refined values. Errors: Undecided where a rule failed."""
         if not self.published:
@@ -177,16 +192,20 @@ class Refinement:
 
 
 def refine_runs(
-    runs: Sequence[Run], *, model: Model | None = None, progress: Progress = lambda share: None
+    runs: Run | Sequence[Run], *, model: Model | None = None, progress: Progress = lambda share: None
 ) -> Refinement:
-    """Estimate the parameters from all that the readings of one or several runs of an arm hold.
+    """Estimate the parameters of an arm with flexible joints from all that the readings of one or several runs hold.
 
+    `Refinement.published` says whether the values can be trusted; where it is false, `reason` says which rules failed.
     model: its Coulomb frictions of motors and offsets of torques are estimated as well, and its values are the start of
     parameters that energy rows do not determine. progress is called now and then with the share that is done.
 
     Errors: ZygosError where the arm or the model has what the filter does not know; Undecided where energy rows give no
     start, or the filter leaves the possible arms.
     """
+    runs = (runs,) if isinstance(runs, Run) else tuple(runs)
+    if not runs:
+        raise ZygosError("there is no run to refine from; remedy: give at least one")
     arm = runs[0].arm
     effects = () if model is None else model.effects
     check_supported(arm, effects)
@@ -231,7 +250,7 @@ def refine_runs(
         search.rivals(level, lambda share: progress(0.85 + 0.15 * share)),
     )
     progress(1.0)
-    return replace(answer, rules=_rules(answer))
+    return replace(answer, rules=_rules(answer), runs=runs)
 
 
 def _rules(answer: Refinement) -> tuple[Rule, ...]:

@@ -26,8 +26,8 @@ from zygos.dynamics.equations import from_parameters
 from zygos.dynamics.replay import substeps
 from zygos.errors import Undecided, ZygosError
 from zygos.model.model import Model
-from zygos.refine.inertia import inertia_errors
-from zygos.refine.motion import FlexibleMotion
+from zygos.refinement.inertia import inertia_errors
+from zygos.refinement.motion import FlexibleMotion
 from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import Scenario
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from zygos.estimation.charts import meaning
 from zygos.files.output import number
 from zygos.native.flight import CHANNELS
-from zygos.refine.refine import Refinement
+from zygos.refinement.refine import Refinement
 from zygos.report.figures import LogScale, down_to, figure, unit_of
 from zygos.report.page import Entry, joint_colour, numbers, render, series
 from zygos.report.provenance import Provenance
@@ -49,7 +49,7 @@ def write_refine_report(
         charts += groups["level"]
     render(
         path,
-        "refine/page.html",
+        "refinement/page.html",
         {"times": times, "refused": [], "charts": {chart["id"]: chart for chart in charts}},
         arm=found.arm,
         published=found.published,

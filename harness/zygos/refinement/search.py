@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from zygos.arm import TORQUE_STEP, Arm
 from zygos.errors import Undecided, ZygosError
 from zygos.native.refiner import Settings
-from zygos.refine.bound import steps_of
-from zygos.refine.follow import Beside, Pass, Start, follow
-from zygos.refine.motion import FlexibleMotion
-from zygos.refine.record import Record
-from zygos.refine.rivals import Rival, rivals, typical_torque
-from zygos.refine.start import MOST, within
+from zygos.refinement.bound import steps_of
+from zygos.refinement.follow import Beside, Pass, Start, follow
+from zygos.refinement.motion import FlexibleMotion
+from zygos.refinement.record import Record
+from zygos.refinement.rivals import Rival, rivals, typical_torque
+from zygos.refinement.start import MOST, within
 
 Floats = NDArray[np.float64]
 Progress = Callable[[float], None]

@@ -1,0 +1,282 @@
+"""zygos-node --refine: what it tells of the refinement is what the library through cffi says."""
+
+from __future__ import annotations
+
+import json
+import math
+import signal
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bus_support import playing
+from node_support import Node, frame_of
+from numpy.typing import NDArray
+from round_support import round_of, told
+from schema_support import hold
+
+from conftest import EXAMPLE
+from zygos.arm import Arm, save_arm
+from zygos.can.bus import write_log
+from zygos.can.dbc import arm_database
+from zygos.can.rounds import refined_of
+from zygos.cli import main
+from zygos.model.model import Model
+from zygos.native.flight import CHANNELS, Flight, encode, ffi, lib, text_of
+from zygos.simulation.plant import simulate
+from zygos.simulation.scenario import Scenario
+
+SYNC, FTIME, TELEMETRY = 0x080, 0x3A0, 0x1A0
+EVERY = 100
+Log = NDArray[Any]
+Round = dict[str, float]
+
+
+def compiled(arm_file: Path, folder: Path, *more: object) -> Path:
+    """The configuration of an arm file."""
+    with pytest.raises(SystemExit) as end:
+        main([str(one) for one in ("compile-model", arm_file, "-o", folder, *more)])
+    assert not end.value.code
+    return folder / "arm.zyg"
+
+
+@pytest.fixture(scope="module")
+def config(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return compiled(EXAMPLE / "arm.toml", tmp_path_factory.mktemp("onboard"))
+
+
+@pytest.fixture(scope="module")
+def frames(arm: Arm, model: Model, scenario: Scenario) -> Log:
+    return encode(arm, simulate(arm, model, scenario, seeds=[0], noise=True, duration_s=75.0).cycles(0))
+
+
+class Twin:
+    """What a node does with frames, by calls of the library: the refinement takes every cycle before the estimator."""
+
+    def __init__(self, arm: Arm, share: float) -> None:
+        self.flight = Flight(arm)
+        self.native = ffi.new("zygos_refine_t *")
+        self.config = ffi.addressof(self.flight.native, "config")
+        settings = ffi.new("zygos_refine_settings_t *")
+        lib.zygos_refine_defaults(settings, self.config)
+        for i in range(arm.n):
+            settings.filter.torque_relative_sigma[i] = share
+        assert lib.zygos_refine_init(self.native, self.config, settings) == 1
+        self.refined = ffi.new("zygos_refined_t *")
+        self.rounds: list[Round] = []
+        self.reasons: list[int] = []
+
+    def hear(self, frames: Log) -> None:
+        """Take frames. Every estimate adds a round."""
+        syncs = 0
+        receiver = ffi.addressof(self.flight.native, "receiver")
+        for frame in frames:
+            lib.zygos_frame(self.flight.native, ffi.from_buffer("zygos_frame_t[]", frame.tobytes()))
+            stepped = 1
+            while stepped == 1:
+                lib.zygos_refine_cycle(self.native, lib.zygos_receiver_front(receiver))
+                while lib.zygos_refine_step(self.native, self.config) == 1:
+                    pass
+                stepped = lib.zygos_step(self.flight.native)
+            if frame["id"] == SYNC:
+                if syncs % EVERY == 0:
+                    self.rounds.append(self.judge())
+                syncs += 1
+
+    def judge(self) -> Round:
+        """What the node tells of the estimate that is due."""
+        told = round_of(self.flight)
+        self.flight.adopt()
+        estimate, out = self.flight._estimate, self.refined
+        lib.zygos_refine_judge(self.native, self.config, estimate, out)
+        self.reasons.append(out.reason)
+        if (self.native.started == 0 or out.reason == lib.ZYGOS_REFINE_FAILED) and estimate.validity == lib.ZYGOS_VALID:
+            lib.zygos_refine_start(self.native, self.config, estimate, ffi.NULL)
+        names = ("reason", "cycle", "used", "lost", "restarts", "rejected", "farthest", "distance", "level")
+        told |= {f"refined_{name}": getattr(out, name) for name in (*names, "level_error")}
+        told |= {f"refined_nis_{name}": out.nis[c] for c, name in enumerate(("link", "motor", "gyro"))}
+        told |= {f"refined_ratio_{name}": out.ratio[c] for c, name in enumerate(("link", "motor", "gyro"))}
+        for k, name in enumerate(self.flight.names) if out.published else ():
+            told |= {f"{name}_refined": out.value[k], f"{name}_refined_sigma": out.sigma[k]}
+        return {name: float(np.float32(value)) for name, value in told.items() if math.isfinite(value)}
+
+
+def heard(node: Node, arm: Arm) -> list[Round]:
+    """The rounds that a node has told, decoded by the arm's DBC and checked by their CRC; the last may be cut off."""
+    dbc, rounds = arm_database(arm), list[Round]()
+    for name, value, _ in (told(dbc, data) for data in node.of(TELEMETRY)):
+        if name == "verdict_validity":
+            rounds.append({})
+        rounds[-1][name] = value
+    return rounds
+
+
+@pytest.mark.parametrize("share", [0.0, 0.005])
+def test_it_tells_what_the_library_judges(share: float, arm: Arm, model: Model, config: Path, frames: Log) -> None:
+    """Every value to the last bit of a float: refined ones and their deviations while they are published, always why,
+    and the innovations. The first valid estimate is the start."""
+    assert len(CHANNELS) == lib.ZYGOS_KINDS_OF_CHANNEL == 3
+    twin = Twin(arm, share)
+    twin.hear(frames)
+    with Node("--config", config, "--every", EVERY, "--refine", share) as node:
+        node.send(frames)
+        node.end()
+        rounds = heard(node, arm)
+    assert len(rounds) == len(twin.rounds) == 16
+    assert rounds[:-1] == twin.rounds[:-1]
+    assert rounds[-1].items() <= twin.rounds[-1].items()
+    published = [one for one in rounds if one.get("refined_reason") == 0.0]
+    assert all(sum(name.endswith("_refined") for name in one) == 12 for one in published)
+    assert not any("k1_refined" in one for one in rounds if one.get("refined_reason", 0.0) > 0.0)
+    if share == 0.0:
+        assert published
+        values = np.array([rounds[-2][f"{name}_refined"] for name in twin.flight.names])
+        sigmas = np.array([rounds[-2][f"{name}_refined_sigma"] for name in twin.flight.names])
+        assert np.all(np.abs(values - model.base_values(arm)) < 5.0 * sigmas)
+    else:
+        assert rounds[-2]["refined_level"] < 0.5  # of a noise that the plant has not
+
+
+@pytest.mark.parametrize("published", [True, False])
+def test_listen_shows_it(
+    published: bool, arm: Arm, config: Path, frames: Log, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The newest complete round, as numbers in the JSON and as tables; damaged telemetry beside it changes nothing."""
+    sent = frames if published else frames[: np.flatnonzero(frames["id"] == SYNC)[730]]
+    twin = Twin(arm, 0.0)
+    twin.hear(sent)
+    with Node("--config", config, "--every", EVERY, "--refine", 0) as node:
+        node.send(sent)
+        node.end()
+        answers = np.array([frame_of(TELEMETRY, data) for data in node.of(TELEMETRY)])
+    damaged = np.concatenate([answers[:1], [frame_of(TELEMETRY, b"short")], answers[:1]])
+    damaged["data"][0, 7] ^= 1
+    damaged[2] = telemetry_of(200, 9)
+    write_log(tmp_path / "run.log", np.concatenate([sent[:-1], answers, damaged, sent[-1:]]), arm.period_s)
+    options = ("-i", "virtual", "-c", f"test_refined_{published}", "--idle", "1", "-o", str(tmp_path / "live.toml"))
+    with playing(f"test_refined_{published}", tmp_path / "run.log", arm.period_s), pytest.raises(SystemExit) as end:
+        main(["listen", "--arm", str(EXAMPLE / "arm.toml"), *options, "--json", str(tmp_path / "live.json")])
+    assert end.value.code in (0, None)
+    content = json.loads((tmp_path / "live.json").read_text())
+    hold("estimate", content)
+    found, told = content["refined"], twin.rounds[-2]
+    assert found["published"] == published == (told["refined_reason"] == 0.0)
+    assert (found["reason"] is None) == published
+    for name in ("cycle", "used", "lost", "restarts", "rejected", "level", "level_error", "distance"):
+        assert found[name] == told[f"refined_{name}"]
+    assert found["farthest"] == twin.flight.names[int(told["refined_farthest"])]
+    channels = ("link", "motor", "gyro")
+    assert [one["channel"] for one in found["innovations"]] == list(CHANNELS)
+    assert [one["mean"] for one in found["innovations"]] == [told[f"refined_nis_{name}"] for name in channels]
+    assert [one["ratio"] for one in found["innovations"]] == [told[f"refined_ratio_{name}"] for name in channels]
+    for one in found["parameters"]:
+        assert one["value"] == told.get(f"{one['name']}_refined")
+        assert one["sigma"] == told.get(f"{one['name']}_refined_sigma")
+    said = capsys.readouterr().out
+    assert ("refined on board" in said) == published
+    assert "innovations on board" in said
+    assert f"on board: {text_of(lib.zygos_refine_text, int(told['refined_reason']))}" in said
+
+
+def telemetry_of(index: int, kind: int) -> Any:
+    """A telemetry frame with an item, sound by its CRC."""
+    frame = ffi.new("zygos_frame_t *")
+    lib.zygos_wire_encode_telemetry(0, index, kind, 1.0, frame)
+    return frame_of(TELEMETRY, bytes(frame.data))
+
+
+def test_a_round_that_lost_frames_tells_nothing_wrong(arm: Arm) -> None:
+    """Without a count, or with an index that no parameter has, there is no result; a lost value is NaN."""
+    names = ("reason", "cycle", "used", "lost", "restarts", "rejected", "farthest")
+    told = {f"refined_{name}": 0.0 for name in names} | {"k1_refined": 2.0}
+    whole = refined_of(told, arm.parameter_names)
+    assert whole is not None and whole.published
+    assert whole.value[arm.parameter_names.index("k1")] == 2.0
+    assert np.isnan(whole.value).sum() == 11 and np.isnan([whole.level, *whole.nis]).all()
+    for name in names:
+        assert refined_of({key: x for key, x in told.items() if key != f"refined_{name}"}, arm.parameter_names) is None
+    assert refined_of(told | {"refined_farthest": 12.0}, arm.parameter_names) is None
+    assert refined_of(told | {"refined_reason": 2.0**32}, arm.parameter_names) is None
+    assert refined_of({}, arm.parameter_names) is None
+
+
+def test_without_the_option_nothing_is_told_of_it(arm: Arm, config: Path, frames: Log) -> None:
+    with Node("--config", config, "--every", EVERY) as node:
+        node.send(frames[:2500])
+        node.end()
+        assert not any("refined" in name for one in heard(node, arm) for name in one)
+
+
+def test_it_begins_again_after_a_failure(arm: Arm, config: Path, frames: Log) -> None:
+    """A clock that has jumped makes cycles void that were used already: the refinement has failed, and begins again
+    with the next valid estimate."""
+    sent = frames.copy()
+    for at in np.flatnonzero((sent["id"] == FTIME) & (np.cumsum(sent["id"] == SYNC) > 560)):
+        data = sent["data"][at]
+        later = int.from_bytes(bytes(data[3:7]), "little") + 100_000
+        data[3:7] = np.frombuffer(later.to_bytes(4, "little"), dtype=np.uint8)
+        data[0] = lib.zygos_wire_crc(ffi.from_buffer("uint8_t[]", data.tobytes()), 7, 2, 32)
+    twin = Twin(arm, 0.0)
+    twin.hear(sent)
+    with Node("--config", config, "--every", EVERY, "--refine", 0) as node:
+        node.send(sent)
+        node.end()
+        rounds = heard(node, arm)
+    assert rounds[:-1] == twin.rounds[:-1]
+    failed = [k for k, reason in enumerate(twin.reasons) if reason == lib.ZYGOS_REFINE_FAILED]
+    assert failed == [7, 8]
+    assert [rounds[k]["verdict_validity"] == 3.0 for k in (7, 8)] == [False, True]
+    assert [rounds[k]["refined_used"] for k in (8, 9)] == [297.0, 97.0]
+    assert rounds[-2]["refined_reason"] == 0.0
+
+
+def test_it_begins_again_where_memory_was_changed(arm: Arm, config: Path, frames: Log) -> None:
+    """A sum of the estimator is corrupt: nothing that was refined beside it is kept."""
+    middle = np.flatnonzero(frames["id"] == SYNC)[420] + 1
+    entry = ffi.offsetof("zygos_t", "accumulator", "block", 0, "gram", 0)
+    with Node("--config", config, "--every", EVERY, "--refine", 0) as node:
+        node.send(frames[:middle])
+        node.worked_off(421)
+        node.flip(entry + 7, 4)
+        node.send(frames[middle:])
+        node.process.send_signal(signal.SIGTERM)
+        code, counters, _ = node.wait()
+        rounds = heard(node, arm)
+    assert (code, counters["node_corrupt"]) == (0, 1)
+    corrupt = [one["verdict_reason"] for one in rounds].index(lib.ZYGOS_REASON_CORRUPT)
+    assert [rounds[corrupt + k].get("refined_used") for k in (-1, 0, 1)] == [97.0, None, 0.0]
+    assert rounds[-2]["refined_used"] > 0.0
+
+
+def sampled(arm: Arm) -> Arm:
+    return replace(arm, torque_law="sampled")
+
+
+def rigid(arm: Arm) -> Arm:
+    first, *others = arm.joints
+    return replace(arm, joints=(replace(first, flexible=False), *others))
+
+
+def late(arm: Arm) -> Arm:
+    return replace(arm, imu=replace(arm.imu, latch_us=100))
+
+
+@pytest.mark.parametrize("change", [sampled, rigid, late, None])
+def test_arms_that_cannot_be_refined_are_refused(change: Callable[[Arm], Arm] | None, arm: Arm, tmp_path: Path) -> None:
+    """None: one with an effect, of which the filter knows nothing. Without the option, each of them is accepted."""
+    more: tuple[object, ...] = ()
+    if change is None:
+        effect = '\n[[effect]]\nkind = "motor_viscous"\njoint = "elbow"\nvalue = 0\n'
+        (tmp_path / "model.toml").write_text((EXAMPLE / "model.toml").read_text() + effect)
+        more = ("--model", tmp_path / "model.toml")
+    save_arm(change(arm) if change else arm, tmp_path / "arm.toml")
+    path = compiled(tmp_path / "arm.toml", tmp_path, *more)
+    with Node("--config", path) as node:
+        node.end()
+    node = Node("--config", path, "--refine", 0)
+    assert node.process.wait(20.0) == 2
+    node.__exit__()
+    assert f"{path}: --refine cannot refine this arm; remedy: no effects, flexible joints" in node.complaints
