@@ -117,7 +117,7 @@ typedef struct {
     double square[ZYGOS_KINDS_OF_CHANNEL];  ///< sum of their normalised squares,
     double largest[ZYGOS_KINDS_OF_CHANNEL]; ///< and the largest of them.
     double nis[ZYGOS_KINDS_OF_CHANNEL];   ///< Of the window before: mean normalised square, 1 where all is as expected,
-    double ratio[ZYGOS_KINDS_OF_CHANNEL]; ///< and the largest ratio: below 0.5 normal, above 1 rejected.
+    double ratio[ZYGOS_KINDS_OF_CHANNEL]; ///< and the largest ratio: below 0.5 normal, 1 where one was rejected.
     uint32_t windows;                     ///< That have ended since the start.
     uint32_t calm;                        ///< The newest of them in succession that are as expected.
     uint32_t reserved;

@@ -52,7 +52,7 @@ class Refined:
     nis: Floats
     """(channels,) mean normalised squared innovation of the newest window."""
     ratio: Floats
-    """(channels,) its largest ratio: below 0.5 normal, above 1 rejected."""
+    """(channels,) its largest ratio: below 0.5 normal, 1 where one was rejected."""
     farthest: int
     """Index of the value that is farthest from the energy rows,"""
     distance: float
