@@ -573,7 +573,7 @@ int zygos_step(zygos_t *self)
     if (self->magic != MAGIC) {
         return ZYGOS_E_ORDER;
     }
-    if (self->receiver.queue.tail > (uint32_t)ZYGOS_CYCLE_QUEUE) {
+    if (!zygos_receiver_intact(&self->receiver)) {
         return ZYGOS_E_STATE;
     }
     const zygos_cycle_t *cycle = zygos_receiver_front(&self->receiver);
