@@ -210,8 +210,11 @@ def test_a_flip_is_remembered_when_the_arcs_behind_it_are_dropped(flight: Flight
 
 
 def _counted(sums: Any, off: float) -> None:
+    """The number of instants in the sums, whose row sums match."""
     width = sums.width
-    sums.block[sums.open].gram[width * (width + 1) // 2 - 1] += off
+    block = sums.block[sums.open]
+    block.gram[width * (width + 1) // 2 - 1] += off
+    block.sum[width - 1] += off
 
 
 def _noise(sums: Any, off: float) -> None:
@@ -221,6 +224,7 @@ def _noise(sums: Any, off: float) -> None:
 def _motors_counted(sums: Any, off: float) -> None:
     width = sums.column_map.count[0] + 2
     sums.open.joint[0].gram[width * (width + 1) // 2 - 1] += off
+    sums.open.joint[0].sum[width - 1] += off
 
 
 def _motor_sum(sums: Any, off: float) -> None:
@@ -234,6 +238,7 @@ def _motor_turns(sums: Any, off: float) -> None:
 def _momentum_counted(sums: Any, off: float) -> None:
     width = sums.columns + 1
     sums.open.rows.gram[width * (width + 1) // 2 - 1] += off
+    sums.open.rows.sum[width - 1] += off
 
 
 def _momentum_sum(sums: Any, off: float) -> None:
