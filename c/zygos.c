@@ -807,6 +807,7 @@ int zygos_scrub(zygos_t *self, const zygos_config_t *config)
             return ZYGOS_E_CONFIG;
         }
         self->config = *config;
+        zygos_receiver_resume(&self->receiver); /* what waits may lack joints that it did not name */
         found |= (uint32_t)ZYGOS_SCRUBBED_CONFIG;
     }
     self->magic = MAGIC;

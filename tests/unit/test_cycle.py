@@ -503,6 +503,22 @@ def test_no_cycle_is_complete_with_an_impossible_number_of_joints(bus: Bus, join
     assert bus.faults() == {"incomplete": 3, "dropped": 3}
 
 
+def test_cycles_that_came_with_a_changed_number_of_joints_are_dropped(bus: Bus) -> None:
+    """They are complete without the joints that are not counted, whose readings are those of an older cycle."""
+    pristine = ffi.new("zygos_config_t *", bus.config)
+    bus.cycles(1, 12)
+    while lib.zygos_step(bus.flight.native) == 1:
+        pass
+    bus.config.joints = 1
+    for counter in (13, 14, 15):
+        bus.send(bus.sync(counter), *bus.data(counter))
+    assert lib.zygos_step(bus.flight.native) == lib.ZYGOS_E_STATE
+    assert lib.zygos_scrub(bus.flight.native, pristine) & lib.ZYGOS_SCRUBBED_CONFIG
+    assert lib.zygos_step(bus.flight.native) == 0
+    bus.cycles(16, 2)
+    assert [number for number, _ in close(bus, 18)] == [15, 16]
+
+
 def test_overrun(bus: Bus) -> None:
     """The queue keeps its oldest cycles; those that did not fit are counted, and the next one is a break."""
     bus.cycles(1, QUEUE + 4)
