@@ -93,10 +93,10 @@ static uint64_t checksum_of_block(const zygos_block_t *block, uint32_t width)
         zygos_checksum_doubles(zygos_checksum_doubles(1u, block->deviation, width), weights, 3), block->end);
 }
 
-/* Whether a block belongs to the open arc, or to a closed arc and has the right checksum. */
+/* Of a block of closed arcs. */
 static bool is_whole(const zygos_block_t *block, uint32_t width)
 {
-    return (block->checksum == 0) || (block->checksum == checksum_of_block(block, width));
+    return block->checksum == checksum_of_block(block, width);
 }
 
 /* Of a block of closed arcs that has changed; what was wrong before remains wrong. */
@@ -140,7 +140,7 @@ static void clear_share(zygos_noise_sums_t *share, uint32_t width)
 static void add_block(zygos_block_t *to, const zygos_block_t *from, uint32_t width)
 {
     const bool closed = (to->checksum != 0);
-    const bool whole = is_whole(to, width) && is_whole(from, width);
+    const bool whole = closed && is_whole(to, width) && is_whole(from, width);
     const uint32_t size = zygos_gram_entries(width);
     for (uint32_t k = 0; k < size; k++) {
         to->gram[k] += from->gram[k];
@@ -646,7 +646,7 @@ static bool is_open_arc_whole(const zygos_accumulator_t *self)
 
 static bool is_block_whole(const zygos_block_t *block, uint32_t width)
 {
-    return (block->checksum == checksum_of_block(block, width)) && is_count(block->instants) &&
+    return is_whole(block, width) && is_count(block->instants) &&
            (zygos_gram_check(block->gram, width, block->sum, block->instants) <= 1.0);
 }
 
@@ -737,8 +737,8 @@ double zygos_accumulator_check(const zygos_accumulator_t *self)
         const double here =
             zygos_gram_check(self->block[b].gram, self->width, self->block[b].sum, self->block[b].instants);
         worst = (here > worst) ? here : worst;
-        const bool closed = (self->block[b].checksum != 0);
-        worst = ((closed == (b < self->open)) && is_whole(&self->block[b], self->width)) ? worst : 2.0;
+        const bool good = (b < self->open) ? is_whole(&self->block[b], self->width) : (self->block[b].checksum == 0);
+        worst = good ? worst : 2.0;
     }
     return worst;
 }

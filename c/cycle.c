@@ -25,7 +25,8 @@ void zygos_receiver_init(zygos_receiver_t *self)
 
 bool zygos_receiver_intact(const zygos_receiver_t *self)
 {
-    return (self->queue.head <= (uint32_t)ZYGOS_CYCLE_QUEUE) && (self->queue.tail <= (uint32_t)ZYGOS_CYCLE_QUEUE);
+    const uint32_t head = __atomic_load_n(&self->queue.head, __ATOMIC_ACQUIRE);
+    return (head <= (uint32_t)ZYGOS_CYCLE_QUEUE) && (self->queue.tail <= (uint32_t)ZYGOS_CYCLE_QUEUE);
 }
 
 static uint32_t behind(uint32_t place)
@@ -54,6 +55,12 @@ void zygos_receiver_resume(zygos_receiver_t *self)
     self->assembly.received = 0;
     self->assembly.timed = (self->assembly.timed != 0) ? RESUMED : 0u;
     self->status.spoiled = 1;
+}
+
+/* zygos_step() reports a number that cannot be. */
+static uint32_t joints_of(const zygos_config_t *config)
+{
+    return (config->joints <= (uint32_t)ZYGOS_MAX_JOINTS) ? config->joints : 0u;
 }
 
 static zygos_cycle_t *open_cycle(zygos_receiver_t *self)
@@ -88,8 +95,9 @@ static void close_cycle(zygos_receiver_t *self, const zygos_config_t *config)
 {
     zygos_assembly_t *a = &self->assembly;
     const uint32_t rates = (config->imu_node == 0) ? 0u : (config->imu_fine ? 2u : 1u);
-    const uint32_t all = (1u << (2u * config->joints + rates)) - 1u;
-    const bool complete = (a->received == all);
+    const uint32_t n = joints_of(config);
+    const uint32_t all = (1u << (2u * n + rates)) - 1u;
+    const bool complete = (n > 0) && (a->received == all);
     if (complete && !self->status.spoiled) {
         zygos_cycle_t *cycle = open_cycle(self);
         cycle->sync = a->sync;
@@ -372,8 +380,7 @@ static int take_fine_rate(zygos_receiver_t *self, const zygos_config_t *config, 
 /* Which message an identifier stands for, and the joint that it is of: N for the gyro. */
 static uint32_t message_of(const zygos_config_t *config, uint32_t id, uint32_t *joint)
 {
-    /* zygos_step() reports a number that cannot be. */
-    const uint32_t n = (config->joints <= (uint32_t)ZYGOS_MAX_JOINTS) ? config->joints : 0u;
+    const uint32_t n = joints_of(config);
     const uint32_t node = id & NODE;
     const uint32_t kind = id - node;
     uint32_t i = 0;

@@ -398,10 +398,7 @@ static void link_slopes(const zygos_config_t *config, const zygos_column_map_t *
 {
     zygos_kinematics_slopes(geometry, config, motion, i, by_angle, by_rate);
     const bool space = (ZYGOS_SPATIAL != 0) && (config->kinetic == ZYGOS_SPATIAL_ARM);
-    for (uint32_t r = i + 1u; r < config->joints; r++) {
-        if (!column_map->rotor[r]) {
-            continue;
-        }
+    for (uint32_t r = i + 1u; r < config->joints; r++) { /* each of which has a rotor column */
         const double rotor = config->joint[r].gear_ratio * state->theta_rate[r];
         double turned = 0.0;
         double along = 1.0;
@@ -486,11 +483,9 @@ static void gyro_slopes(const zygos_config_t *config, const zygos_column_map_t *
         (void)zygos_kinetic_products(config, motion->rate, motion->direction, by_rate);
         (void)zygos_kinetic_products(config, motion->direction, motion->rate, by_rate);
     }
-    for (uint32_t r = 0; r < n; r++) {
-        if (column_map->rotor[r]) {
-            const double rotor = config->joint[r].gear_ratio * state->theta_rate[r];
-            by_rate[column_map->joint[r]] = rotor * (space ? motion->axis[r][axis] : 1.0);
-        }
+    for (uint32_t r = 0; r < n; r++) { /* each of which has a rotor column on a free base */
+        const double rotor = config->joint[r].gear_ratio * state->theta_rate[r];
+        by_rate[column_map->joint[r]] = rotor * (space ? motion->axis[r][axis] : 1.0);
     }
 }
 

@@ -610,6 +610,10 @@ int zygos_refine_step(zygos_refine_t *self, const zygos_config_t *config)
     if ((self == NULL) || (config == NULL)) {
         return ZYGOS_E_NULL;
     }
+    if (self->phase > (uint32_t)CLOSE) { /* memory was changed: nothing would end the caller's loop */
+        fail(self);
+        return 1;
+    }
     switch ((enum phase)self->phase) {
     case TAKE:
         return take(self, config);

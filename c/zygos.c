@@ -573,7 +573,7 @@ int zygos_step(zygos_t *self)
     if (self->magic != MAGIC) {
         return ZYGOS_E_ORDER;
     }
-    if (self->receiver.queue.tail > (uint32_t)ZYGOS_CYCLE_QUEUE) {
+    if (!zygos_receiver_intact(&self->receiver)) {
         return ZYGOS_E_STATE;
     }
     const zygos_cycle_t *cycle = zygos_receiver_front(&self->receiver);
@@ -807,6 +807,7 @@ int zygos_scrub(zygos_t *self, const zygos_config_t *config)
             return ZYGOS_E_CONFIG;
         }
         self->config = *config;
+        zygos_receiver_resume(&self->receiver); /* what waits may lack joints that it did not name */
         found |= (uint32_t)ZYGOS_SCRUBBED_CONFIG;
     }
     self->magic = MAGIC;

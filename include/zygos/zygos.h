@@ -195,14 +195,14 @@ enum zygos_scrubbed {
 /// zygos_step(), while no frame is being received. *config is the caller's own configuration, not that in *self, best
 /// in memory that is protected; of it, config in *self and the checksum in *self, two must agree. What follows from the
 /// configuration has a checksum and is computed again where that does not match; then every arc that may contain a
-/// cycle behind the last call is dropped, and the running solution (guard.h) is discarded. Indices and counts are set
-/// to values that are possible. Blocks that do not match their row sums or their checksum are dropped and counted.
-/// Memory that nothing has changed is left as it is, except for the member scrubbed. Returns 0 when nothing was found;
-/// bits of enum zygos_scrubbed; ZYGOS_E_NULL; ZYGOS_E_ORDER when zygos_init() has not succeeded on *self; or
-/// ZYGOS_E_CONFIG, with *self unchanged, when *config is not the configuration that *self was initialised with. Not
-/// checked are readings, smoothed signals and integrals, which last for a window or an arc, and counters of faults.
-/// Cost: one pass over *self for checksums and row sums, less than zygos_check(); where something has to be repaired,
-/// also that of zygos_restart().
+/// cycle behind the last call is dropped, and the running solution (guard.h) is discarded. Cycles that wait are dropped
+/// with a changed configuration, for they may lack joints. Indices and counts are set to possible values. Blocks that
+/// do not match their row sums or their checksum are dropped and counted. Memory that nothing has changed is left as it
+/// is, except for the member scrubbed. Returns 0 when nothing was found; bits of enum zygos_scrubbed; ZYGOS_E_NULL;
+/// ZYGOS_E_ORDER when zygos_init() has not succeeded on *self; or ZYGOS_E_CONFIG, with *self unchanged, when *config is
+/// not the configuration that *self was initialised with. Not checked are readings, smoothed signals and integrals,
+/// which last for a window or an arc, and counters of faults. Cost: one pass over *self for checksums and row sums,
+/// less than zygos_check(); where something has to be repaired, also that of zygos_restart().
 int zygos_scrub(zygos_t *self, const zygos_config_t *config);
 
 /// Restarts the estimate with the same configuration, for example because the payload changed or the sums are corrupt.

@@ -18,8 +18,10 @@ from zygos.balances.state import State
 from zygos.model.model import load_model
 from zygos.native.flight import Flight, config_of, encode, ffi, lib
 from zygos.reference import chain
-from zygos.reference.compare import check_frames
+from zygos.reference.compare import check_frames, tables
 from zygos.runs.cycles import Cycles
+from zygos.runs.samples import calibrate
+from zygos.runs.smoother import smooth
 from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import load_scenario
 
@@ -58,6 +60,28 @@ def test_every_room_is_numpys(joints: int, base: str, kinetic: str, kind: str) -
         rows[:, :-1].T @ rows / np.outer(size[:-1], size),
         atol=1e-12,
     )
+
+
+@pytest.mark.parametrize(("base", "kinetic"), [("free", "spatial"), ("fixed", "spatial"), ("free", "planar")])
+def test_a_rotor_that_turns_with_its_link_has_no_room_of_its_own(base: str, kinetic: str) -> None:
+    """That of a rigid joint at gear one, behind a flexible joint and before one; in rows and in their noise."""
+    arm, _ = random_arm(3, 3, base, kinetic, [True, False, True])  # type: ignore[arg-type]
+    coarse = Encoder(quantum_rad=1e-4)
+    joints = [replace(joint, link_encoder=coarse, motor_encoder=coarse) for joint in arm.joints]
+    joints[1] = replace(joints[1], gear_ratio=1.0)
+    arm = replace(arm, joints=tuple(joints), imu=replace(arm.imu, rate_sigma=5e-3 * arm.free))
+    assert "Im2" not in arm.parameter_names
+    flight = Flight(arm)
+    rooms = check_frames(arm, encode(arm, sines(arm, 700)), flight)
+    assert [room.name for room in rooms if not room.equal] == []
+    assert "balance" in {room.name for room in rooms}
+    trace = Flight(arm).frames(encode(arm, sines(arm, 700)), trace=True)
+    assert trace is not None
+    samples = calibrate(arm, trace.cycles)
+    expected = tables(arm, samples, smooth(arm, samples), ()).used.noise
+    size = np.sqrt(np.diag(expected))
+    assert (size > 0.0).all()
+    np.testing.assert_allclose(flight.noise() / np.outer(size, size), expected / np.outer(size, size), atol=1e-9)
 
 
 def test_a_rigid_joint_needs_no_link_encoder() -> None:

@@ -326,6 +326,22 @@ def test_with_a_short_memory_the_estimate_follows_and_without_it_does_not(
 # ---------------------------------------------------------------- refusals
 
 
+def test_what_was_changed_or_is_not_there_is_not_compared() -> None:
+    """The refusals are those of zygos_solve()."""
+    arm, model, scenario = lively()
+    flight = Flight(arm)
+    flight.cycles(simulate(arm, model, scenario, duration_s=10.0, seeds=[0], noise=True).cycles(0))
+    work, known, deviation = ffi.new("zygos_work_t *"), ffi.new("zygos_estimate_t *"), ffi.new("double[]", 256)
+    for given in ((ffi.NULL, known, deviation), (work, ffi.NULL, deviation), (work, known, ffi.NULL)):
+        assert lib.zygos_detect_change(*given) == lib.ZYGOS_E_NULL
+    for joints, reason in ((arm.n, lib.ZYGOS_REASON_NO_DATA), (2**20, lib.ZYGOS_REASON_CORRUPT)):
+        lib.zygos_take(flight.native, work)
+        work.config.joints = joints
+        assert lib.zygos_detect_change(work, known, deviation) == 0
+        assert (known.validity, known.reason) == (lib.ZYGOS_REFUSED, reason)
+        assert np.isnan(list(deviation)[: lib.ZYGOS_MAX_PARAMETERS_VALUE]).all()
+
+
 def test_without_motor_rows_there_is_nothing_to_keep() -> None:
     arm = replace(lively()[0], impulse_arc_s=0.0)
     flight = Flight(arm)

@@ -72,6 +72,9 @@ def test_misuse_is_refused(flight: Flight) -> None:
     for arguments in ((ffi.NULL, own, WORK), (flight.native, ffi.NULL, WORK), (flight.native, own, ffi.NULL)):
         assert lib.zygos_check(*arguments) == lib.ZYGOS_E_NULL
     assert lib.zygos_check(ffi.new("zygos_t *"), own, WORK) == lib.ZYGOS_E_ORDER
+    other = ffi.new("zygos_config_t *", own[0])
+    other.period_s += 1e-3
+    assert lib.zygos_check(flight.native, other, WORK) == lib.ZYGOS_E_CONFIG
     assert not lib.zygos_work_intact(ffi.NULL)
     own.joints = 1000
     assert lib.zygos_check(flight.native, own, WORK) == lib.ZYGOS_E_STATE

@@ -467,6 +467,58 @@ def test_other_error_frames_are_counted_only(bus: Bus, error_class: int) -> None
     assert bus.faults() == {"bus_error": 1}
 
 
+@pytest.mark.parametrize("resolution", ["bus", "coarse"])
+def test_frames_stay_inside_the_queue_where_its_place_was_changed(
+    resolution: str, request: pytest.FixtureRequest
+) -> None:
+    """They are stored in the first place, and no step is made before zygos_scrub()."""
+    bus: Bus = request.getfixturevalue(resolution)
+    bus.cycles(1, 2)
+    bus.drain()
+    native = bus.flight.native
+    native.receiver.queue.head = 2**31
+    native.receiver.queue.slot[0].q[1] = native.receiver.queue.slot[0].omega[0] = 99.0
+    behind = bytes(ffi.buffer(native.receiver.queue.slot[1:3]))
+    bus.cycles(3, 2)
+    assert bytes(ffi.buffer(native.receiver.queue.slot[1:3])) == behind
+    first = native.receiver.queue.slot[0]
+    assert 0.0 < first.q[1] < 1.0 and 0.0 < first.omega[0] < 1.0
+    assert lib.zygos_step(native) == lib.ZYGOS_E_STATE
+    pristine = ffi.new("zygos_config_t *", native.config)
+    assert lib.zygos_scrub(native, pristine) & lib.ZYGOS_SCRUBBED_PLACES
+    assert lib.zygos_step(native) == 0
+
+
+@pytest.mark.parametrize("joints", [0, 8, 18, 2**31, 2**31 + 2])
+def test_no_cycle_is_complete_with_an_impossible_number_of_joints(bus: Bus, joints: int) -> None:
+    """Frames of joints are foreign then, and those of the gyro alone make no cycle."""
+    bus.cycles(1)
+    bus.config.joints = joints
+    for counter in (2, 3):
+        expected = [ACCEPTED] + [FOREIGN] * 4 + [ACCEPTED] * 2
+        assert bus.send(bus.sync(counter), *bus.data(counter)) == expected
+    bus.config.joints = bus.arm.n
+    bus.cycles(4)
+    assert close(bus, 5) == [(3, BREAK_BEFORE)]
+    assert bus.faults() == {"incomplete": 3, "dropped": 3}
+
+
+def test_cycles_that_came_with_a_changed_number_of_joints_are_dropped(bus: Bus) -> None:
+    """They are complete without the joints that are not counted, whose readings are those of an older cycle."""
+    pristine = ffi.new("zygos_config_t *", bus.config)
+    bus.cycles(1, 12)
+    while lib.zygos_step(bus.flight.native) == 1:
+        pass
+    bus.config.joints = 1
+    for counter in (13, 14, 15):
+        bus.send(bus.sync(counter), *bus.data(counter))
+    assert lib.zygos_step(bus.flight.native) == lib.ZYGOS_E_STATE
+    assert lib.zygos_scrub(bus.flight.native, pristine) & lib.ZYGOS_SCRUBBED_CONFIG
+    assert lib.zygos_step(bus.flight.native) == 0
+    bus.cycles(16, 2)
+    assert [number for number, _ in close(bus, 18)] == [15, 16]
+
+
 def test_overrun(bus: Bus) -> None:
     """The queue keeps its oldest cycles; those that did not fit are counted, and the next one is a break."""
     bus.cycles(1, QUEUE + 4)

@@ -457,6 +457,20 @@ def test_an_estimate_with_joint_rows_beside_energy_rows(example: str) -> None:
     assert off.max() <= 4.0
 
 
+def test_a_parameter_whose_place_cannot_be_leads_to_no_other_memory() -> None:
+    """Of a rotor behind a spring, whose noise is added to the rows of the joints before it."""
+    arm = sensed_apart("spatial")
+    flight = Flight(arm)
+    cycles = sines(arm, 400)
+    flight.cycles(part(cycles, 0, 200))
+    pristine = ffi.new("zygos_config_t *", flight.native.config)
+    assert lib.zygos_scrub(flight.native, pristine) == 0
+    flight.native.column_map.place[flight.native.column_map.joint[2]] = 2**31
+    flight.cycles(part(cycles, 200, 400))
+    assert lib.zygos_scrub(flight.native, pristine) & lib.ZYGOS_SCRUBBED_TABLES
+    assert lib.zygos_scrub(flight.native, pristine) == 0
+
+
 def test_noise_of_a_rigid_joint_is_that_of_its_motors_encoder() -> None:
     """It has no other, whatever a configuration says of one."""
     arm = sensed_apart("spatial")

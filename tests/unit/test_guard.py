@@ -316,6 +316,30 @@ def test_c_equals_numpy_with_arcs_left_out(motion: Trajectory) -> None:
             assert not all(room.equal for room in check_chain(arm, watch.trace(), flight))
 
 
+@pytest.mark.parametrize("which", [0, 1])
+def test_c_equals_numpy_with_momentum_rows_of_an_arm_that_lacks_a_parameter(which: int) -> None:
+    """The rotor of a rigid joint at gear one turns with its link: it has columns and no parameter of its own."""
+    arm, model = load_arm(EXAMPLE / "arm.toml"), load_model(EXAMPLE / "model.toml")
+    joints, drives = list(arm.joints), list(model.joints)
+    own = joints[which]
+    joints[which] = replace(own, flexible=False, gear_ratio=1.0, link_encoder=own.motor_encoder)
+    drives[which] = replace(drives[which], stiffness=Quantity(np.inf), damping=Quantity(0.0))
+    arm = replace(arm, joints=tuple(joints), momentum_max_s=ARC_S, arc_max_s=ARC_S)
+    assert f"Im{which + 1}" not in arm.parameter_names
+    plant = replace(model, joints=tuple(drives))
+    cycles = simulate(arm, plant, scenario_of(True), noise=True, duration_s=ARC_S * 5).cycles()
+    flight = Flight(arm)
+    rooms = check_cycles(arm, cycles, flight)  # a frame has no room for the torques before such a gear
+    assert [room.name for room in rooms if not room.equal] == []
+    assert {"noise", "sigmas", "solution"} <= {room.name for room in rooms}
+    estimate = flight.estimate()
+    assert (estimate.validity, estimate.left_out) == ("valid", (0, 0, 0))
+    assert flight._work.momentum_weight > 0.0
+    contradiction = list(flight.native.guard.contradiction)
+    assert all(0.0 < one < 0.5 for one in contradiction)
+    assert (np.abs(estimate.value - plant.base_values(arm)) < 2.0 * estimate.half95).all()
+
+
 def test_a_bad_arc_of_momentum_rows_is_left_out(motion: Trajectory) -> None:
     """A gyro that repeats its reading for 15 s: the angular momentum of what it shows is not constant."""
     arm = replace(motion.arm, momentum_max_s=ARC_S)
@@ -357,6 +381,35 @@ def test_only_a_valid_estimate_of_this_arm_is_adopted(motion: Trajectory) -> Non
     assert not flight.adopt(), "an estimate from before the restart"
 
 
+def test_an_estimate_without_residuals_judges_no_arc(motion: Trajectory) -> None:
+    """Nothing says how large those of a good arc may be."""
+    arm, faulty = motion.arm, CASES[0].fault(seen(motion, 0))
+    flight = Flight(arm)
+    flight.cycles(part(faulty, 0, SOON - 100))
+    flight.estimate()
+    flight._estimate.residual = 0.0
+    assert flight.adopt()
+    arcs = flight.native.accumulator.arcs
+    flight.cycles(part(faulty, SOON - 100, len(faulty)))
+    guard = flight.native.guard
+    assert (guard.known, guard.left_out[0]) == (1, 0)
+    assert flight.native.accumulator.arcs > arcs + 2
+
+
+def test_the_open_arc_is_compared_with_those_before_it_once_it_is_long_enough(motion: Trajectory) -> None:
+    """By a flight that leaves arcs out; one that is too short is judged like any other."""
+    arm, cycles = motion.arm, seen(motion, 0)
+    flight, at = Flight(arm), 2000
+    flight.cycles(part(cycles, 0, at))
+    flight.estimate()
+    assert flight.adopt()
+    for behind in (60, 390):
+        flight.cycles(part(cycles, int(flight.native.cycle) + 1, at + behind))
+        drift = flight.drift()
+        assert drift.changed == () and np.isfinite(drift.deviation).all()
+        assert flight.native.guard.known == 1
+
+
 def test_a_flipped_bit_in_the_running_solution_leaves_no_good_arc_out(motion: Trajectory) -> None:
     arm, cycles = motion.arm, seen(motion, 0)
     half = len(cycles) // 2
@@ -384,6 +437,10 @@ def test_a_state_goes_on_with_its_running_solution(motion: Trajectory) -> None:
     flight.cycles(part(faulty, SOON - 100, len(faulty)))
     estimate = flight.estimate()
     assert (estimate.validity, estimate.left_out[0]) == ("valid", 1)
+    target = flight.native.accumulator.target
+    flight.native.accumulator.target = np.nan
+    assert lib.zygos_adopt(flight.native, flight._estimate) == lib.ZYGOS_E_STATE
+    flight.native.accumulator.target = target
     for member, wrong in (("known", 2), ("changed", 2)):
         right = getattr(flight.native.guard, member)
         setattr(flight.native.guard, member, wrong)

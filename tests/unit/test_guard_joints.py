@@ -200,3 +200,22 @@ def test_a_state_goes_on_with_its_running_solution_and_what_was_set_aside() -> N
     assert other.estimate().reason.startswith("the arm changed")
     assert other.native.joint_sums.group[lib.ZYGOS_JOINT_GROUPS_VALUE].count == aside
     np.testing.assert_array_equal(other.drift().deviation, flight.drift().deviation)
+
+
+def test_an_estimate_of_another_flight_judges_the_segments_of_one_that_has_none() -> None:
+    """Where it has residuals; without them every segment is admitted."""
+    arm, model = short_arm(2)
+    cycles = seen(arm, *torque_of(arm, model, 0, 60.0), 0)
+    half = len(cycles) // 2
+    first = flight_of(arm, model, energy_rows=False)
+    first.cycles(part(cycles, 0, half))
+    first.estimate()
+    for residual in (float(first._estimate.residual), 0.0):
+        flight = flight_of(arm, model, energy_rows=False)
+        first._estimate.residual = residual
+        assert lib.zygos_adopt(flight.native, first._estimate) == 1
+        assert (flight.native.guard.known, flight.native.guard.energy.spread) == (1, 0.0)
+        flight.cycles(part(cycles, half, len(cycles)))
+        assert flight.native.joint_sums.segments > 4
+        assert flight.native.guard.left_out[0] == 0
+        assert (flight.native.guard.contradiction[0] > 0.0) == (residual > 0.0)

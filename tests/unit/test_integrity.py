@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from soak_support import again, fly, stored, with_all_rows
 
 from zygos.arm import Arm
 from zygos.model.model import Model
-from zygos.native.flight import REASONS, Estimate, Flight, ffi
+from zygos.native.flight import REASONS, Estimate, Flight, ffi, lib
 from zygos.runs.cycles import Cycles
 from zygos.simulation.scenario import Scenario
 
@@ -176,16 +176,98 @@ def test_a_flip_is_remembered_when_its_block_changes(flight: Flight, motion: Cyc
 
     assert not refused(other())
     for member in ("instants", "square", "overlap", "end"):
-        closed, opened = other(), other()
+        closed, behind, opened = other(), other(), other()
         first = closed.native.accumulator.block[0]
+        second = behind.native.accumulator.block[1]
         last = opened.native.accumulator.block[opened.native.accumulator.count - 1]
-        for block in (first, last):
+        for block in (first, second, last):
             setattr(block, member, getattr(block, member) + 1)
         assert refused(closed)
+        assert refused(behind)
         assert not refused(opened)  # the arc is dropped when it closes, which is when it gets its end
         assert opened.native.accumulator.quarantined == (member != "end")
     for kind, member in (("motor_sums", "total"), ("motor_sums", "end"), ("momentum_sums", "instants")):
-        changed = other()
-        block = getattr(changed.native, kind).block[0]
-        setattr(block, member, getattr(block, member) + 1)
-        assert refused(changed)
+        for place in (0, 1):
+            changed = other()
+            block = getattr(changed.native, kind).block[place]
+            setattr(block, member, getattr(block, member) + 1)
+            assert refused(changed)
+
+
+def test_a_flip_is_remembered_when_the_arcs_behind_it_are_dropped(flight: Flight) -> None:
+    """The block before them shares nothing any more, for which it gets another checksum."""
+    for damaged in (False, True):
+        out = Flight(flight.arm)
+        ffi.memmove(out.native, flight.native, ffi.sizeof("zygos_t"))
+        sums = ffi.addressof(out.native, "accumulator")
+        arcs = sorted({int(sums.block[b].end) for b in range(sums.open)})
+        last = max(b for b in range(sums.open) if sums.block[b].end == arcs[-2])
+        sums.block[last].square += damaged
+        lib.zygos_accumulator_drop_after(sums, arcs[-2])
+        assert (sums.open, sums.block[last].overlap) == (last + 1, 0.0)
+        assert (lib.zygos_accumulator_check(sums) > 1.0) == damaged
+        assert (out.estimate().reason == CORRUPT) == damaged
+
+
+def _counted(sums: Any, off: float) -> None:
+    """The number of instants in the sums, whose row sums match."""
+    width = sums.width
+    block = sums.block[sums.open]
+    block.gram[width * (width + 1) // 2 - 1] += off
+    block.sum[width - 1] += off
+
+
+def _noise(sums: Any, off: float) -> None:
+    sums.noise.gram[4] += off
+
+
+def _motors_counted(sums: Any, off: float) -> None:
+    width = sums.column_map.count[0] + 2
+    sums.open.joint[0].gram[width * (width + 1) // 2 - 1] += off
+    sums.open.joint[0].sum[width - 1] += off
+
+
+def _motor_sum(sums: Any, off: float) -> None:
+    sums.open.joint[1].gram[4] += off
+
+
+def _motor_turns(sums: Any, off: float) -> None:
+    sums.instants += int(off)
+
+
+def _momentum_counted(sums: Any, off: float) -> None:
+    width = sums.columns + 1
+    sums.open.rows.gram[width * (width + 1) // 2 - 1] += off
+    sums.open.rows.sum[width - 1] += off
+
+
+def _momentum_sum(sums: Any, off: float) -> None:
+    sums.open.rows.gram[4] += off
+
+
+DAMAGE = (
+    ("accumulator", _counted), ("accumulator", _noise), ("motor_sums", _motors_counted), ("motor_sums", _motor_sum),
+    ("motor_sums", _motor_turns), ("momentum_sums", _momentum_counted), ("momentum_sums", _momentum_sum),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("kind", "damage"), DAMAGE)
+@pytest.mark.parametrize("off", [-3.0, 3.0])
+def test_an_open_arc_that_does_not_match_is_dropped_when_it_closes(
+    kind: str, damage: Callable[[Any, float], None], off: float, flight: Flight, motion: Cycles
+) -> None:
+    """It is counted; what closed before it and what comes behind it are used."""
+    out = Flight(flight.arm)
+    ffi.memmove(out.native, flight.native, ffi.sizeof("zygos_t"))
+    sums = getattr(out.native, kind)
+    closed = [
+        (block.end, block.checksum) for block in sums.block[0 : sums.open if kind == "accumulator" else sums.count]
+    ]
+    damage(sums, off)
+    out.cycles(part(again(out.arm, motion, int(out.native.cycle) + 1, np.random.default_rng(1)), 0, 1))
+    assert sums.quarantined == 1
+    count = sums.open if kind == "accumulator" else sums.count
+    assert [(block.end, block.checksum) for block in sums.block[0:count]] == closed
+    fly(out, motion, 1, np.random.default_rng(2))
+    assert sums.quarantined == 1
+    assert out.estimate().validity == "valid"

@@ -56,9 +56,9 @@ def learned(arm: Arm, cycles: Cycles) -> tuple[Flight, Cycles]:
     return flight, part(cycles, slice(n, None))
 
 
-def begun_with(arm: Arm, values: Floats) -> OnboardRefiner:
+def begun_with(arm: Arm, values: Floats, settings: Onboard | None = None) -> OnboardRefiner:
     """A task that begins with the values (p,) of a model alone, because nothing is known from a flight."""
-    flight, task = Flight(arm), OnboardRefiner(arm)
+    flight, task = Flight(arm), OnboardRefiner(arm, settings)
     flight.estimate()
     flight._estimate.validity = lib.ZYGOS_PARTIAL  # which leaves every value open
     prior = ffi.new("double[]", values.tolist())
@@ -312,7 +312,8 @@ def test_sizes_are_those_of_the_solver() -> None:
 
 SETTINGS = (
     ("every", 0, 1001), ("terms", 1, 21), ("window", 19, 100_001), ("apart", 0, 1001), ("bias_sigma", -1.0, 1e4),
-    ("filter.steps", 0, 1001), ("filter.friction", 2, 7), ("filter.bias_walk", -1.0, 1e4),
+    ("filter.steps", 0, 1001), ("filter.friction", 2, 7), ("filter.offsets", 2, 7), ("filter.zeros", 2, 7),
+    ("filter.bias_walk", -1.0, 1e4),
     ("filter.second_order", -1.0, 1e4), ("filter.gyro_sigma", 0.0, 1e4),
 )  # fmt: skip
 OF_JOINTS = (
@@ -385,6 +386,8 @@ def test_values_of_a_model_stand_in_for_what_the_estimate_leaves_open() -> None:
         native.covariance[max(k, 3) * (max(k, 3) + 1) // 2 + min(k, 3)] = float("nan")
     assert start(ffi.NULL) == lib.ZYGOS_E_VALUE
     assert start(values) == 1
+    native.value[3] = 2.0 * truth[3]  # without a sigma nobody vouches for it
+    assert start(values) == 1
     value, sigma = task.estimate
     assert value[3] == pytest.approx(truth[3]) and 0.005 < sigma[3] / abs(truth[3]) < 0.012
     task.cycles(part(rest, slice(0, 200)))
@@ -393,8 +396,14 @@ def test_values_of_a_model_stand_in_for_what_the_estimate_leaves_open() -> None:
     assert start(values) == lib.ZYGOS_E_VALUE
     values[3] = 0.0
     assert start(values) == 1 and task.native.filter.settings.size[3] > 0.0
+    right = native.covariance[0]
     native.covariance[0] = -1e12
     assert start(values) == lib.ZYGOS_E_VALUE
+    native.covariance[0] = right
+    native.parameters = 11
+    assert start(values) == lib.ZYGOS_E_VALUE
+    native.parameters = 12
+    assert start(values) == 1
     native.validity = lib.ZYGOS_REFUSED
     assert start(values) == lib.ZYGOS_E_VALUE
 
@@ -407,6 +416,10 @@ def test_torques_without_a_declared_noise_have_the_steps_of_their_frames() -> No
     task = OnboardRefiner(case.arm)
     lib.zygos_refine_defaults(settings, task._config)
     assert settings.filter.torque_sigma[0] == pytest.approx(1e-4 / np.sqrt(12.0))
+    task._config.joint[0].torque_sigma = 0.5
+    lib.zygos_refine_defaults(settings, task._config)
+    assert settings.filter.torque_sigma[0] == pytest.approx(0.5 / case.arm.joints[0].gear_ratio)
+    assert settings.filter.torque_sigma[1] == pytest.approx(1e-4 / np.sqrt(12.0))
     task.start(flight)
     assert task.native.level == STEPS_LEVEL
     task.cycles(rest)
@@ -442,7 +455,8 @@ def test_an_arm_in_space_begins_with_its_reduced_parameters() -> None:
 
 
 @pytest.mark.parametrize(
-    ("place", "value"), [("rate", 1e7), ("rate", float("nan")), ("inertia", float("nan")), ("inertia", -1e12)]
+    ("place", "value"),
+    [("rate", 1e7), ("rate", -1e7), ("rate", float("nan")), ("inertia", float("nan")), ("inertia", -1e12)],
 )
 def test_a_state_that_cannot_be_ends_the_refinement(place: str, value: float) -> None:
     """What memory errors and a model that is far off have in common."""
@@ -457,6 +471,72 @@ def test_a_state_that_cannot_be_ends_the_refinement(place: str, value: float) ->
     assert task.native.filter.failed == 1
     assert task.judge(flight).reason == FAILED
     assert lib.zygos_refine_step(task.native, task._config) == 0
+
+
+@pytest.mark.parametrize("how", ["repeated", "break", "wrapped"])
+def test_what_does_not_follow_from_the_cycle_before_ends_the_state(how: str) -> None:
+    """Nobody knows what moved the arm in between: the state begins with the readings that follow."""
+    case = Case()
+    flight, rest = learned(case.arm, flown(case, 0))
+    task = OnboardRefiner(case.arm)
+    task.start(flight)
+    task.cycles(part(rest, slice(0, 100)))
+    assert (task.native.restarts, task.native.moving) == (0, 1)
+    if how == "repeated":
+        task.cycles(part(rest, slice(99, 100)))
+    elif how == "break":
+        flags = np.array([lib.ZYGOS_CYCLE_BREAK], dtype=np.uint32)
+        task.cycles(replace(part(rest, slice(100, 101)), flags=flags))
+    else:  # both encoders of a joint have passed the end of their range
+        one = part(rest, slice(100, 101))
+        task.cycles(replace(one, q=one.q + np.array([60.0, 0.0]), theta=one.theta + np.array([60.0, 0.0])))
+    assert (task.native.restarts, task.native.moving) == (1, 0)
+    task.cycles(part(rest, slice(101, 200)))
+    assert (task.native.restarts, task.native.moving, task.native.filter.failed) == (1, 1, 0)
+
+
+def test_derivatives_that_do_not_exist_end_the_refinement() -> None:
+    """Memory changes between the slices that move the state and those that linearise."""
+    case, slopes = Case(), 2
+    flight, rest = learned(case.arm, flown(case, 0))
+    task = OnboardRefiner(case.arm)
+    task.start(flight)
+    task.cycles(part(rest, slice(0, 20)))
+    lib.zygos_refine_cycle(task.native, cycles_to_native(part(rest, slice(20, 21))))
+    while task.native.phase != slopes:
+        assert lib.zygos_refine_step(task.native, task._config) == 1
+    for row in task.native.work.dynamics.matrix:
+        for k in range(len(row)):
+            row[k] = -1e12
+    assert lib.zygos_refine_step(task.native, task._config) == 1
+    assert (task.native.filter.failed, task.native.moving) == (1, 0)
+    assert lib.zygos_refine_step(task.native, task._config) == 0
+    assert task.judge(flight).reason == FAILED
+
+
+@pytest.mark.parametrize("phase", [9, 2**31])
+def test_a_phase_that_cannot_be_ends_the_refinement_and_the_loop_of_its_steps(phase: int) -> None:
+    case = Case()
+    flight, rest = learned(case.arm, flown(case, 0))
+    task = OnboardRefiner(case.arm)
+    task.start(flight)
+    task.cycles(part(rest, slice(0, 20)))
+    task.native.phase = phase
+    assert [lib.zygos_refine_step(task.native, task._config) for _ in range(3)] == [1, 0, 0]
+    assert task.judge(flight).reason == FAILED
+
+
+@pytest.mark.parametrize(("level", "bound"), [(1e-6, 1e-4), (1e5, 1e4)])
+def test_the_level_has_bounds(level: float, bound: float) -> None:
+    case = Case()
+    flight, rest = learned(case.arm, flown(case, 0))
+    task = OnboardRefiner(case.arm, Onboard(window=20))
+    task.start(flight)
+    task.cycles(part(rest, slice(0, 10)))
+    task.native.level = level
+    task.cycles(part(rest, slice(10, 25)))
+    assert task.native.windows == 1
+    assert task.native.level == bound
 
 
 def test_values_that_no_arm_has_are_not_published() -> None:
@@ -537,13 +617,15 @@ def test_cycles_that_cannot_be_used_are_skipped() -> None:
 
 
 def test_an_arm_of_known_lengths_begins_with_its_independent_parameters() -> None:
-    """Their sizes are those of the columns that they stand for."""
+    """Their sizes are those of the columns that they stand for. Innovations of the gyro, of which it has none, are as
+    expected."""
     known, values = arm_of_known_lengths()
     assert known.structure.reduces
-    task = begun_with(known, values)
+    task = begun_with(known, values, Onboard(window=20))
     size = sizes_of(task)
     assert len(size) == len(values) and (size >= np.abs(values)).all() and (size > 0.0).all()
     still = np.zeros((100, known.n))
     sync = np.arange(100, dtype=np.uint64)
     task.cycles(Cycles(sync, still, still, still, np.zeros((100, 3)), np.zeros(100, dtype=np.uint32)))
     assert task.native.used > 50
+    assert task.native.windows >= 2 and list(task.native.nis)[2] == 1.0

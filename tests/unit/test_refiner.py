@@ -182,6 +182,22 @@ def test_lost_torques_widen_the_estimate() -> None:
     np.testing.assert_allclose(spreads[1][10:], spreads[0][10:])
 
 
+def test_a_bias_that_is_known_exactly_stays_so() -> None:
+    """It has no noise, so that its row of the root is zero."""
+    arm, model, scenario = lively()
+    arm = replace(arm, imu=replace(arm.imu, bias_walk=0.0))
+    read = readings(arm, model, replace(scenario, duration_s=1.0))
+    motion, x, sigma, covariance = start(arm, model, read, 0)
+    bias = motion.states
+    refiner = native(arm, motion, 5)
+    refiner.start(x, np.where(np.arange(len(x)) == bias, 0.0, sigma), covariance)
+    for k in range(5):
+        refiner.read(read[0][k], read[1][k], read[3][k])
+        refiner.advance(read[2][k])
+    assert np.isfinite(refiner.root).all() and np.isfinite(refiner.x).all()
+    assert not refiner.root[bias].any() and refiner.x[bias] == x[bias]
+
+
 def test_what_the_filter_cannot_use_is_refused() -> None:
     arm, model, scenario = lively()
     read = readings(arm, model, replace(scenario, duration_s=1.0))
@@ -196,8 +212,18 @@ def test_what_the_filter_cannot_use_is_refused() -> None:
     refiner.start(np.where(np.arange(len(x)) == 10, -1.0, x), sigma, covariance)
     with pytest.raises(ZygosError, match="has left the possible arms; remedy"):
         refiner.advance(read[2][0])
+    for rate in (1e7, -1e7):
+        refiner.start(np.where(np.arange(len(x)) == 5, rate, x), sigma, covariance)
+        with pytest.raises(ZygosError, match="has left the possible arms; remedy"):
+            refiner.advance(read[2][0])
+    for wrong in (-1.0, np.nan, np.inf):
+        with pytest.raises(ZygosError, match="not positive definite; remedy"):
+            refiner.start(x, np.where(np.arange(len(x)) == 1, wrong, sigma), covariance)
     with pytest.raises(ZygosError, match="remedy"):
         Refiner(arm, Settings(motion.size, 0))
+    for wrong in (0.0, np.nan, np.inf):
+        with pytest.raises(ZygosError, match="remedy"):
+            Refiner(arm, Settings(np.where(np.arange(len(motion.size)) == 1, wrong, motion.size), 1))
     exact = tuple(replace(one, link_encoder=replace(one.link_encoder, quantum_rad=0.0)) for one in arm.joints)
     with pytest.raises(ZygosError, match="noise of a sensor is 0; remedy"):
         Refiner(replace(arm, joints=exact), Settings(motion.size, 1))

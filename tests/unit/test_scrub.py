@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,12 +14,13 @@ from soak_support import again, fly, stored, with_all_rows
 
 from zygos.arm import Arm
 from zygos.model.model import Model
-from zygos.native.flight import Flight, encode, ffi, lib
+from zygos.native.flight import REASONS, Flight, encode, ffi, lib
 from zygos.runs.cycles import Cycles
 from zygos.simulation.scenario import Scenario
 
-CONFIG, TABLES, PLACES, BLOCKS = (
-    lib.ZYGOS_SCRUBBED_CONFIG, lib.ZYGOS_SCRUBBED_TABLES, lib.ZYGOS_SCRUBBED_PLACES, lib.ZYGOS_SCRUBBED_BLOCKS
+CONFIG, TABLES, PLACES, BLOCKS, SUMS = (
+    lib.ZYGOS_SCRUBBED_CONFIG, lib.ZYGOS_SCRUBBED_TABLES, lib.ZYGOS_SCRUBBED_PLACES, lib.ZYGOS_SCRUBBED_BLOCKS,
+    lib.ZYGOS_SCRUBBED_SUMS,
 )  # fmt: skip
 FLIPS = 2000
 MOTION_ARCS = 3
@@ -89,6 +91,21 @@ def test_a_configuration_of_the_caller_that_is_another_is_refused(flight: Flight
     assert lib.zygos_scrub(flight.native, pristine) == lib.ZYGOS_E_CONFIG
     assert lib.zygos_scrub(flight.native, ffi.addressof(flight.native, "config")) == lib.ZYGOS_E_CONFIG
     assert bytes_of(flight.native) == before
+
+
+def test_where_no_two_configurations_agree_none_is_taken(flight: Flight, pristine: Any) -> None:
+    """The caller's, the one in the state, and the checksum there are all different."""
+    flip(pristine, "period_s", 40)
+    flip(flight.native.config, "period_s", 41)
+    before = bytes_of(flight.native)
+    assert lib.zygos_scrub(flight.native, pristine) == lib.ZYGOS_E_CONFIG
+    assert bytes_of(flight.native) == before
+
+
+def test_a_checksum_that_changed_is_computed_again(flight: Flight, pristine: Any) -> None:
+    flip(flight.native, "config_checksum", 40)
+    assert lib.zygos_scrub(flight.native, pristine) & TABLES
+    assert lib.zygos_scrub(flight.native, pristine) == 0
 
 
 def _layout(native: Any) -> None:
@@ -223,9 +240,220 @@ def test_a_block_that_does_not_match_is_dropped_and_no_other(
     assert (np.abs(there.value - before.value) < 3.0 * before.sigma).all()
 
 
+def resealed(sums: Any) -> int:
+    """The checksum over what tells which blocks there are."""
+    energy, checksum = hasattr(sums, "enough"), 0
+    for name in ("enough", "target") if energy else ("target",):
+        checksum = lib.zygos_checksum_doubles(checksum, ffi.new("double *", getattr(sums, name)), 1)
+    for name in ("width", "count", "open", "newest", "window", "arcs") if energy else ("count",):
+        checksum = lib.zygos_checksum_number(checksum, getattr(sums, name))
+    return int(checksum)
+
+
+IMPOSSIBLE = (
+    ("accumulator", "width", 13), ("accumulator", "count", 65), ("accumulator", "open", 60),
+    ("accumulator", "newest", 60), ("accumulator", "window", 60), ("accumulator", "target", 0.5),
+    ("accumulator", "target", float("nan")), ("motor_sums", "count", 33), ("momentum_sums", "count", 17),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("kind", "member", "value"), IMPOSSIBLE)
+def test_a_count_that_cannot_be_is_found_also_where_its_checksum_matches(
+    kind: str, member: str, value: float, flight: Flight, motion: Cycles, pristine: Any
+) -> None:
+    """Sums of that kind begin anew, those of the other kinds stay."""
+    sums = getattr(flight.native, kind)
+    others = {name: bytes_of(ffi.addressof(flight.native, name)) for name in PARTS[:3] if name != kind}
+    assert resealed(sums) == sums.checksum  # as the library computes it
+    setattr(sums, member, value)
+    sums.checksum = resealed(sums)
+    assert lib.zygos_scrub(flight.native, pristine) & SUMS
+    assert sums.count == 0 and sums.corrupt == 0
+    if member != "width":  # a place, with which the open arcs of all kinds are dropped
+        assert others == {name: bytes_of(ffi.addressof(flight.native, name)) for name in others}
+    assert lib.zygos_scrub(flight.native, pristine) == 0
+    fly(flight, motion, 3, np.random.default_rng(1))
+    assert flight.estimate().validity == "valid"
+
+
+def _energy_instants(native: Any, instants: float) -> None:
+    sums = native.accumulator
+    block = sums.block[2]
+    block.instants = instants
+    checksum = lib.zygos_checksum_doubles(1, block.deviation, sums.width)
+    for number in (block.instants, block.square, block.overlap):
+        checksum = lib.zygos_checksum_doubles(checksum, ffi.new("double *", number), 1)
+    block.checksum = lib.zygos_checksum_number(checksum, block.end)
+
+
+def _motor_total(native: Any, instants: float) -> None:
+    block = native.motor_sums.block[1]
+    block.total = instants
+    checksum = lib.zygos_checksum_doubles(1, block.instants, len(block.instants))
+    checksum = lib.zygos_checksum_doubles(checksum, ffi.new("double *", block.total), 1)
+    block.checksum = lib.zygos_checksum_number(checksum, block.end)
+
+
+def _momentum_instants(native: Any, instants: float) -> None:
+    block = native.momentum_sums.block[1]
+    block.instants = instants
+    checksum = lib.zygos_checksum_doubles(1, ffi.new("double *", instants), 1)
+    block.checksum = lib.zygos_checksum_number(checksum, block.end)
+
+
+@pytest.mark.parametrize("change", [_energy_instants, _motor_total, _momentum_instants])
+@pytest.mark.parametrize("instants", [-1.0, 1e300, float("nan")])
+def test_instants_that_cannot_be_are_found_also_where_their_checksum_matches(
+    change: Callable[[Any, float], None], instants: float, flight: Flight, flown: Flight, pristine: Any
+) -> None:
+    change(flight.native, instants)
+    assert lib.zygos_scrub(flight.native, pristine) == BLOCKS
+    assert flight.native.quarantined == 1
+    assert lib.zygos_scrub(flight.native, pristine) == 0
+    there, before = flight.estimate(), flown.estimate()
+    assert there.validity == before.validity
+    assert (np.abs(there.value - before.value) < 3.0 * before.sigma).all()
+
+
+@pytest.mark.parametrize("kind", ["accumulator", "momentum_sums"])
+def test_where_no_block_is_left_the_noise_of_all_is_left_out(
+    kind: str, flight: Flight, motion: Cycles, pristine: Any
+) -> None:
+    sums = getattr(flight.native, kind)
+    for b in range(sums.open if kind == "accumulator" else sums.count):
+        sums.block[b].instants = float("nan")
+    assert lib.zygos_scrub(flight.native, pristine) > 0
+    assert sums.count == 0
+    assert not any(sums.noise_closed.gram) and not any(sums.noise_closed.sum)
+    assert lib.zygos_scrub(flight.native, pristine) == 0
+    fly(flight, motion, 3, np.random.default_rng(1))
+    assert flight.estimate().validity == "valid"
+
+
+@pytest.mark.parametrize("instants", [-1.0, 1e300, float("nan")])
+def test_an_open_arc_of_momentum_rows_with_impossible_instants_is_dropped(
+    instants: float, flight: Flight, flown: Flight, pristine: Any
+) -> None:
+    flight.native.momentum_sums.open.instants = instants
+    assert lib.zygos_scrub(flight.native, pristine) == BLOCKS
+    assert flight.native.momentum_sums.count == flown.native.momentum_sums.count
+    assert flight.native.momentum_sums.open.instants == 0.0
+    assert lib.zygos_scrub(flight.native, pristine) == 0
+
+
+OPEN = (("segment", -1.0), ("segment", float("nan")), ("segment", 1e300), ("arc", "checksum"), ("arc", -1.0),
+        ("arc", float("nan")), ("arc", 1e300))  # fmt: skip
+
+
+@pytest.mark.parametrize(("member", "value"), OPEN)
+def test_an_open_arc_of_energy_rows_with_impossible_numbers_is_dropped(
+    member: str, value: Any, flight: Flight, flown: Flight, pristine: Any
+) -> None:
+    """Of the instants of its segment, or of a block that has yet to get its checksum."""
+    sums = flight.native.accumulator
+    block = sums.block[sums.open]
+    if value == "checksum":
+        block.checksum = 1
+    else:
+        setattr(*((sums, "segment") if member == "segment" else (block, "instants")), value)
+    assert lib.zygos_scrub(flight.native, pristine) == BLOCKS
+    assert sums.count == sums.open == flown.native.accumulator.open
+    assert flight.native.quarantined == 1
+    assert lib.zygos_scrub(flight.native, pristine) == 0
+
+
+def test_a_block_is_dropped_where_no_arc_is_open(flight: Flight, pristine: Any) -> None:
+    for left in (1, 2):
+        flip(flight.native.accumulator.block[2], "gram", 52, 7)
+        assert lib.zygos_scrub(flight.native, pristine) == BLOCKS
+        assert flight.native.quarantined == left
+        assert flight.native.accumulator.count == flight.native.accumulator.open
+    assert lib.zygos_scrub(flight.native, pristine) == 0
+
+
+@pytest.mark.parametrize("column", ["body", "rotor", "spring"])
+def test_a_parameter_whose_place_cannot_be_leads_to_no_other_memory(
+    column: str, flight: Flight, motion: Cycles, pristine: Any
+) -> None:
+    """With a running solution, whose places it has."""
+    rng = np.random.default_rng(1)
+    flight.estimate()
+    assert flight.adopt()
+    assert lib.zygos_scrub(flight.native, pristine) == 0
+    places = flight.native.column_map
+    places.place[0 if column == "body" else places.joint[1] + (column == "spring")] = 2**31
+    fly(flight, motion, 2, rng)
+    assert lib.zygos_scrub(flight.native, pristine) & TABLES
+    assert lib.zygos_scrub(flight.native, pristine) == 0
+    fly(flight, motion, 2, rng)
+    assert flight.estimate().validity == "valid"
+
+
+@pytest.mark.parametrize("member", ["forgetting", "motors_forgetting", "momentum_forgetting"])
+@pytest.mark.parametrize("product", [-1.0, 1.5, float("nan")])
+def test_sums_fade_by_no_product_of_factors_that_cannot_be(
+    member: str, product: float, arm: Arm, motion: Cycles
+) -> None:
+    """The first block stays as it is where an arc ends, until the product is that of the factors again."""
+    out = Flight(replace(with_all_rows(arm), memory_s=600.0))
+    fly(out, motion, 2, np.random.default_rng(0))
+    kind = {"forgetting": "accumulator", "motors_forgetting": "motor_sums"}.get(member, "momentum_sums")
+    block = ffi.addressof(getattr(out.native, kind).block, 0)
+    first = bytes_of(block)
+    setattr(out.native, member, product)
+    out.cycles(part(again(out.arm, motion, int(out.native.cycle) + 1, np.random.default_rng(1)), 0, 1))
+    assert bytes_of(block) == first
+    assert getattr(out.native, member) == pytest.approx(out.native.config.forgetting_factor)
+    fly(out, motion, 2, np.random.default_rng(2))
+    assert bytes_of(block) != first
+    assert out.estimate().validity == "valid"
+
+
+def test_momentum_rows_without_components_are_not_formed(flight: Flight, motion: Cycles, pristine: Any) -> None:
+    """Where the number of the places was changed so that it matches."""
+    sums = flight.native.momentum_sums
+    flight.native.places ^= sums.components
+    sums.components = 0
+    before = bytes_of(ffi.addressof(sums, "open"))
+    rest = part(again(flight.arm, motion, int(flight.native.cycle) + 1, np.random.default_rng(1)), 0, 100)
+    flight.cycles(replace(rest, flags=np.zeros(len(rest), dtype=np.uint32)))
+    assert flight.native.cycle == rest.sync[-1] and bytes_of(ffi.addressof(sums, "open")) == before
+    assert flight.estimate().validity == "refused"
+    assert lib.zygos_scrub(flight.native, pristine) > 0
+    assert lib.zygos_scrub(flight.native, pristine) == 0
+    fly(flight, motion, 3, np.random.default_rng(1))
+    assert flight.estimate().validity == "valid"
+
+
+def crowded(flight: Flight, kind: str, motion: Cycles) -> Any:
+    """The sums, every block of which is in use; and the arc behind them, still open."""
+    sums, rng, step = getattr(flight.native, kind), np.random.default_rng(0), 10
+    most, shortest = len(sums.block), 50
+    while sums.count < most:
+        rest = again(flight.arm, motion, int(flight.native.cycle) + 1, rng)
+        for first in range(0, len(rest), step):
+            flight.cycles(part(rest, first, first + step))
+            if sums.count == most and sums.cycles > shortest:
+                break
+    return sums
+
+
+@pytest.mark.parametrize("kind", ["motor_sums", "momentum_sums"])
+def test_where_some_blocks_merge_there_is_room(kind: str, flight: Flight, motion: Cycles) -> None:
+    """For the arcs of a minute; an estimate is refused for the sake of the others."""
+    sums = crowded(flight, kind, motion)
+    huge = "total" if kind == "motor_sums" else "instants"
+    for b in range(4, len(sums.block)):
+        setattr(sums.block[b], huge, 1e300)
+    fly(flight, part(motion, 0, 100), 1, np.random.default_rng(1))
+    assert sums.corrupt == 0 and 3 * len(sums.block) // 4 < sums.count < len(sums.block)
+    assert flight.estimate().reason == REASONS[5]
+
+
 def test_a_place_in_the_queue_that_cannot_be(flight: Flight, pristine: Any) -> None:
     for member in ("head", "tail"):
         flip(flight.native.receiver.queue, member, 20)
+        assert lib.zygos_step(flight.native) == lib.ZYGOS_E_STATE
         assert lib.zygos_scrub(flight.native, pristine) & PLACES
         assert flight.native.receiver.queue.head == flight.native.receiver.queue.tail == 0
 
@@ -389,6 +617,27 @@ def test_a_list_that_changed_stops_the_cycles(member: str, flight: Flight, motio
     assert lib.zygos_scrub(flight.native, pristine) == 0
 
 
+@pytest.mark.parametrize("signals", [(), (0,), (0, 1), (3,)])
+def test_changed_lists_of_sensors_that_speak_in_every_cycle_stop_them(
+    signals: tuple[int, ...], arm: Arm, motion: Cycles
+) -> None:
+    """Also that of a gyro whose noise counts (no signal), alone or behind others."""
+    loud = replace(arm, imu=replace(arm.imu, rate_sigma=1e-3), compensate_every=1)
+    out, rng = Flight(loud), np.random.default_rng(0)
+    fly(out, motion, 1, rng)
+    pristine = ffi.new("zygos_config_t *", out.native.config)
+    assert out.native.noise.gyro_variance > 0.0
+    assert lib.zygos_scrub(out.native, pristine) == 0
+    for signal in signals:
+        flip(out.native.noise.angle[signal], "place", 1)
+    if len(signals) != 1:
+        flip(out.native.noise.gyro, "place", 1)
+    out.cycles(part(again(loud, motion, int(out.native.cycle) + 1, rng), 0, 100))
+    assert lib.zygos_cycle(out.native, ffi.new("zygos_cycle_t *")) == lib.ZYGOS_E_STATE
+    assert lib.zygos_scrub(out.native, pristine) & TABLES
+    assert lib.zygos_scrub(out.native, pristine) == 0
+
+
 def test_what_is_not_steady_is_neither_stepped_nor_adopted(
     flight: Flight, flown: Flight, motion: Cycles, pristine: Any
 ) -> None:
@@ -412,7 +661,11 @@ def _segment(native: Any) -> None:
     flip(native.joint_sums.segment[native.joint_sums.filling].rows, "gram", 61, 4)
 
 
-@pytest.mark.parametrize("damage", [_group, _segment])
+def _segment_noise(native: Any) -> None:
+    flip(native.joint_sums.segment[native.joint_sums.filling].noise, "gram", 61, 4)
+
+
+@pytest.mark.parametrize("damage", [_group, _segment, _segment_noise])
 def test_a_group_or_a_segment_of_joint_rows_that_does_not_match_is_dropped(
     grounded: Flight, ground: tuple[Flight, Cycles], damage: Callable[[Any], None]
 ) -> None:
@@ -425,6 +678,21 @@ def test_a_group_or_a_segment_of_joint_rows_that_does_not_match_is_dropped(
     there, before = grounded.estimate(), flown.estimate()
     assert there.validity == before.validity == "valid"
     assert (np.abs(there.value - before.value) < 3.0 * there.half95).all()
+
+
+@pytest.mark.parametrize("member", ["noise", "apart"])
+def test_where_what_all_groups_share_does_not_match_joint_rows_begin_anew(
+    member: str, grounded: Flight, ground: tuple[Flight, Cycles]
+) -> None:
+    """Their noise, and the sums of each joint's rows."""
+    flown, rest = ground
+    pristine = ffi.new("zygos_config_t *", flown.native.config)
+    flip(getattr(grounded.native.joint_sums, member), "gram", 53, 4)
+    assert lib.zygos_scrub(grounded.native, pristine) == SUMS
+    assert grounded.native.joint_sums.segments == 0
+    assert lib.zygos_scrub(grounded.native, pristine) == 0
+    grounded.cycles(rest)
+    assert grounded.native.joint_sums.segments > 0
 
 
 def test_joint_rows_behind_a_changed_table_are_dropped_whole(grounded: Flight, ground: tuple[Flight, Cycles]) -> None:

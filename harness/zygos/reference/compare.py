@@ -376,10 +376,14 @@ def _of_blocks(
     blocks = flight.blocks()
 
     def spread_out(own: Sequence[str], sums: Floats, factor: float) -> Floats:
-        """(p+1, p+1) with the sums of some columns, and of their right-hand side if it has one."""
-        places = [names.index(name) for name in own] + ([len(names)] if len(sums) > len(own) else [])
+        """(p+1, p+1) with the sums of some columns, and of their right-hand side if it has one.
+
+        Columns that no parameter stands for alone are left out, as the library does.
+        """
+        kept = [k for k, name in enumerate(own) if name in names] + list(range(len(own), len(sums)))
+        places = [names.index(own[k]) if k < len(own) else len(names) for k in kept]
         out = np.zeros((len(names) + 1, len(names) + 1))
-        out[np.ix_(places, places)] = factor * sums
+        out[np.ix_(places, places)] = factor * sums[np.ix_(kept, kept)]
         return out
 
     noise = used.noise.copy()
