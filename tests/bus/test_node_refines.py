@@ -31,6 +31,8 @@ from zygos.simulation.scenario import Scenario
 
 SYNC, FTIME, TELEMETRY = 0x080, 0x3A0, 0x1A0
 EVERY = 100
+SENSORS = ("link", "motor", "gyro")
+"""Kinds of sensors in the names of signals, in the order of the innovations."""
 Log = NDArray[Any]
 Round = dict[str, float]
 
@@ -97,8 +99,8 @@ class Twin:
             lib.zygos_refine_start(self.native, self.config, estimate, ffi.NULL)
         names = ("reason", "cycle", "used", "lost", "restarts", "rejected", "farthest", "distance", "level")
         told |= {f"refined_{name}": getattr(out, name) for name in (*names, "level_error")}
-        told |= {f"refined_nis_{name}": out.nis[c] for c, name in enumerate(("link", "motor", "gyro"))}
-        told |= {f"refined_ratio_{name}": out.ratio[c] for c, name in enumerate(("link", "motor", "gyro"))}
+        told |= {f"refined_nis_{name}": out.nis[c] for c, name in enumerate(SENSORS)}
+        told |= {f"refined_ratio_{name}": out.ratio[c] for c, name in enumerate(SENSORS)}
         for k, name in enumerate(self.flight.names) if out.published else ():
             told |= {f"{name}_refined": out.value[k], f"{name}_refined_sigma": out.sigma[k]}
         return {name: float(np.float32(value)) for name, value in told.items() if math.isfinite(value)}
@@ -168,10 +170,9 @@ def test_listen_shows_it(
     for name in ("cycle", "used", "lost", "restarts", "rejected", "level", "level_error", "distance"):
         assert found[name] == told[f"refined_{name}"]
     assert found["farthest"] == twin.flight.names[int(told["refined_farthest"])]
-    channels = ("link", "motor", "gyro")
     assert [one["channel"] for one in found["innovations"]] == list(CHANNELS)
-    assert [one["mean"] for one in found["innovations"]] == [told[f"refined_nis_{name}"] for name in channels]
-    assert [one["ratio"] for one in found["innovations"]] == [told[f"refined_ratio_{name}"] for name in channels]
+    assert [one["mean"] for one in found["innovations"]] == [told[f"refined_nis_{name}"] for name in SENSORS]
+    assert [one["ratio"] for one in found["innovations"]] == [told[f"refined_ratio_{name}"] for name in SENSORS]
     for one in found["parameters"]:
         assert one["value"] == told.get(f"{one['name']}_refined")
         assert one["sigma"] == told.get(f"{one['name']}_refined_sigma")

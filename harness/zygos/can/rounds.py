@@ -64,8 +64,7 @@ def rounds(database: Database, messages: Iterable[can.Message]) -> list[dict[str
 
 
 def refined_of(told: dict[str, float], names: Sequence[str]) -> Refined | None:
-    """What a round tells of the refinement; None where it tells nothing, or a count is missing or
-    impossible.
+    """What a round tells of the refinement; None where it tells nothing, or a count is missing or impossible.
 
     names: those of the p parameters without effects. Values that are not published are NaN, and counts are modulo 2^24.
     """

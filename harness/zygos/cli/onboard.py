@@ -9,9 +9,7 @@ from zygos.can.rounds import Telemetry, refined_of
 from zygos.files.output import counted, number, ratio, say, table
 from zygos.native.flight import CHANNELS
 from zygos.native.refine import Refined
-
-_TWO_SIGMAS = 1.959964
-"""Half the width of an interval that holds 95 % of a normal distribution."""
+from zygos.native.refiner import NORMAL_95
 
 
 def report_refined(telemetry: Telemetry, arm: Arm, shown: bool) -> dict[str, Any] | None:
@@ -25,7 +23,7 @@ def report_refined(telemetry: Telemetry, arm: Arm, shown: bool) -> dict[str, Any
 def _show(found: Refined, arm: Arm) -> None:
     """Print the refined values where they are published, the innovations, and why."""
     if found.published:
-        parameters = zip(arm.parameter_names, arm.parameter_units, found.value, _TWO_SIGMAS * found.sigma, strict=True)
+        parameters = zip(arm.parameter_names, arm.parameter_units, found.value, NORMAL_95 * found.sigma, strict=True)
         rows = [
             (name, unit, number(value, 8), number(half, 2), number(100.0 * ratio(half, abs(value)), 2))
             for name, unit, value, half in parameters

@@ -16,6 +16,9 @@ from zygos.native.flight import CHANNELS, config_of, ffi, lib
 
 Floats = NDArray[np.float64]
 
+NORMAL_95 = 1.959964
+"""Half the width of an interval that holds 95 % of a normal distribution, in standard deviations."""
+
 
 @dataclass(frozen=True)
 class Settings:

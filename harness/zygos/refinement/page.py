@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from zygos.estimation.charts import meaning
 from zygos.files.output import number
 from zygos.native.flight import CHANNELS
+from zygos.native.refiner import NORMAL_95
 from zygos.refinement.refine import Refinement
 from zygos.report.figures import LogScale, down_to, figure, unit_of
 from zygos.report.page import Entry, joint_colour, numbers, render, series
@@ -129,7 +130,7 @@ def _innovations(found: Refinement, edges: NDArray[np.int64]) -> list[Entry]:
 def _way(found: Refinement) -> list[Entry]:
     """Each parameter while readings are used, as deviation from its last value in per cent of its size."""
     value = np.array([one for _, one, _ in found.final.way])
-    spread = 1.959964 * np.array([one for _, _, one in found.final.way])
+    spread = NORMAL_95 * np.array([one for _, _, one in found.final.way])
     deviation, band = 100.0 * (value - found.value) / found.size, 100.0 * spread / found.size
     later = len(value) // 3
     reach = (np.abs(deviation) + band)[later:].max(axis=0)

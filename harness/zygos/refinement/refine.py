@@ -27,6 +27,7 @@ from zygos.estimation.estimate import Estimation, estimate
 from zygos.files.output import number
 from zygos.model.model import Model, Quantity
 from zygos.native.flight import CHANNELS
+from zygos.native.refiner import NORMAL_95
 from zygos.refinement.answer import report_refinement
 from zygos.refinement.bound import Bound, bound_along
 from zygos.refinement.follow import Pass
@@ -133,7 +134,7 @@ class Refinement:
     @property
     def half95(self) -> Floats:
         """(p,) half widths of the 95 % intervals."""
-        return 1.959964 * self.sigma
+        return NORMAL_95 * self.sigma
 
     @property
     def published(self) -> bool:
