@@ -50,7 +50,7 @@ def measured(target: str, one: Configuration, inputs: int, folder: Path) -> Coun
     return cortex.count(target, folder)
 
 
-@pytest.mark.slow(but=["x86-64-paper, bare"])
+@pytest.mark.slow
 @pytest.mark.parametrize(("target", "name"), tables.HELD)
 def test_a_full_cycle_stays_within_what_is_held(counted: Counter, target: str, name: str) -> None:
     """All frames in, the row accumulated; the mean of ordinary cycles, wherever they stand."""
@@ -63,7 +63,7 @@ def test_a_full_cycle_stays_within_what_is_held(counted: Counter, target: str, n
     assert mean > entries
 
 
-@pytest.mark.slow(but=["x86-64-paper"])
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("target", "name"),
     [
@@ -121,6 +121,7 @@ def test_a_run_for_another_build_is_refused(tmp_path: Path) -> None:
         cortex.count("m7", tmp_path)
 
 
+@pytest.mark.slow
 def test_the_driver_and_the_library_agree_on_state(counted: Counter) -> None:
     """zygos_t is the same on both targets, and its rooms fit into it."""
     host, target = counted("x86-64", "paper, bare", 750).sizes, counted("m7", "paper, bare", 750).sizes
@@ -129,7 +130,7 @@ def test_the_driver_and_the_library_agree_on_state(counted: Counter) -> None:
     assert 0.95 < rooms / host["whole"] < 1.0
 
 
-@pytest.mark.slow(but=["x86-64"])
+@pytest.mark.slow
 @pytest.mark.parametrize("target", TARGETS)
 def test_bytes_of_code_add_up(target: str, tmp_path: Path) -> None:
     """What frame, step and solve reach is in the library, which is little more than all rooms together."""

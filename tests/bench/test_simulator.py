@@ -11,6 +11,7 @@ LEAST = 10.0
 ERROR = 1e-9
 
 
+@pytest.mark.slow(only=["seven"])
 @pytest.mark.parametrize("name", ["spatial", "seven"])
 def test_compiled_equations_are_ten_times_as_fast(name: str) -> None:
     cost = measure(name, 0.03)

@@ -122,7 +122,7 @@ def test_every_public_function_is_described() -> None:
     assert [name for name, paragraph in declared().items() if "///" not in paragraph] == []
 
 
-@pytest.mark.slow(but=["-DZYGOS_MAX_JOINTS=2"])
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "flags",
     [
@@ -177,6 +177,7 @@ def test_each_header_stands_alone(header: Path, tmp_path: Path) -> None:
     run([tool("g++"), "-std=c++17", "-x", "c++", *warnings, *INCLUDE, "-fsyntax-only", str(unit)], tmp_path)
 
 
+@pytest.mark.slow
 def test_a_cpp_program_links_and_agrees_on_the_abi(tmp_path: Path) -> None:
     """sizeof of every public struct, and so ZYGOS_ABI, is the same in C++17."""
     objects = compile_all("gcc", tmp_path)
@@ -227,7 +228,7 @@ def results(arm: Arm, cycles: Cycles) -> dict[str, Any]:
     return doors
 
 
-@pytest.mark.slow(but=["paper-2"])
+@pytest.mark.slow
 @pytest.mark.parametrize(("example", "joints"), [("paper", 2), ("spatial", 3)])
 def test_capacity_changes_no_bit(example: str, joints: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An arm in a build for just its joints, without room for effects, and in the largest one; rows of every kind."""

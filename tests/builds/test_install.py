@@ -373,7 +373,7 @@ TARGETS = {
 CALLED = {"memcpy", "memmove", "memset", "memcmp", "sqrt"}
 
 
-@pytest.mark.slow(but=["gcc"])
+@pytest.mark.slow
 @pytest.mark.parametrize("target", TARGETS)
 def test_archive_exports_zygos_and_needs_the_compilers_runtime_only(target: str, tmp_path: Path) -> None:
     compiler, options = TARGETS[target]

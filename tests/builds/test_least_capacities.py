@@ -44,6 +44,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         yield
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small")
 def test_it_answers_at_any_time(arm: Arm, noisy: Trajectory) -> None:
     """Every second, once the first few have told enough, and with rows of all kinds."""

@@ -421,7 +421,7 @@ def qemu() -> Iterator[Callable[[str, Path], Serial]]:
         one.process.wait()
 
 
-@pytest.mark.slow(but=["m7-mps2-an500"])
+@pytest.mark.slow
 @pytest.mark.parametrize(("target", "machine"), [("m7", "mps2-an500"), ("m4f", "mps2-an386")])
 def test_a_cortex_m_sends_what_the_host_sends(
     target: str,

@@ -245,6 +245,7 @@ def test_units_ranges_times_and_tables(written: Callable[[str | Path], tuple[Arm
             assert message.frame_id == (0x180, 0x280, 0x380, 0x180)[attributes["E2EFamily"].value] + node
 
 
+@pytest.mark.slow(only=["spatial-coarse"])
 @pytest.mark.parametrize(("kinetic", "gyro"), [("planar-symmetric", "fine"), ("planar", None), ("spatial", "coarse")])
 def test_telemetry_names_each_parameter(
     written: Callable[[str | Path], tuple[Arm, Path]], kinetic: str, gyro: str | None

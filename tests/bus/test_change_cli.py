@@ -19,6 +19,7 @@ from zygos.native.flight import encode
 from zygos.simulation.plant import simulate
 from zygos.simulation.scenario import load_scenario
 
+pytestmark = pytest.mark.slow
 BODIES = {"a00", "a01", "a02", "a11", "a12", "a22"}
 
 

@@ -424,6 +424,7 @@ def test_a_file_that_cannot_be_written_is_named(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_terminal_without_utf8(simulated: Path, tmp_path: Path) -> None:
     environment = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
     environment.pop("PYTHONIOENCODING", None)
@@ -649,6 +650,7 @@ def test_a_bus_that_takes_no_frames(
     assert log.is_file()
 
 
+@pytest.mark.slow
 def test_the_demo_says_when_frames_were_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
     monkeypatch.setattr(bus, "transferred", lambda frames, *_: np.delete(frames, 500))

@@ -88,6 +88,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out == f"zygos {version('zygos')}\n"
 
 
+@pytest.mark.slow
 def test_bash_completes() -> None:
     """As the function does that bash calls when Tab is pressed, from the script that is installed."""
     cases = {
@@ -130,6 +131,7 @@ def stdin(monkeypatch: pytest.MonkeyPatch) -> Callable[[bytes], None]:
     return put
 
 
+@pytest.mark.slow(only=[".mf4"])
 @pytest.mark.parametrize("kind", [".blf", ".log", ".asc", ".trc", ".mf4", ".npz", ".csv", ".parquet"])
 def test_a_run_comes_on_standard_input(
     kind: str, simulated: Path, tmp_path: Path, stdin: Callable[[bytes], None], monkeypatch: pytest.MonkeyPatch
@@ -236,6 +238,7 @@ def test_standard_output_has_the_file_and_nothing_else(
     assert capfdbinary.readouterr().out == (tmp_path / f"file{suffix}").read_bytes()
 
 
+@pytest.mark.slow
 def test_a_pipe_from_the_plant_to_the_estimate(simulated: Path, tmp_path: Path) -> None:
     """candump's lines on the way; no file is written."""
     zygos, arm = [sys.executable, "-m", "zygos.cli"], str(simulated / "arm.toml")

@@ -187,6 +187,7 @@ def jittered(cycles: Cycles, folder: Path, seed: int = 0, share: float = 0.2) ->
     return foreign.write(folder / "my.log", foreign.messages(cycles, stamp))
 
 
+@pytest.mark.slow
 def test_a_log_without_a_counter(
     arm: Arm, model: Model, scenario: Scenario, twice: Cycles, tmp_path: Path, true: NDArray[np.float64]
 ) -> None:
@@ -288,6 +289,7 @@ def test_lost_messages_break_the_run_and_nothing_else(arm: Arm, cycles: Cycles, 
     assert np.max(np.abs(trace.cycles.q - cycles.q[sorted(set(range(1200)) - away)])) < 1e-5
 
 
+@pytest.mark.slow
 def test_a_recording_that_is_too_slow(
     model: Model,
     scenario: Scenario,

@@ -285,6 +285,7 @@ def test_an_mf4_is_read_up_to_the_damaged_block(arm: Arm, frames: Frames, tmp_pa
     assert run("estimate", path, "--arm", ARM, "-o", tmp_path / "m.toml") in {3, 4}
 
 
+@pytest.mark.slow
 def test_a_crash_of_asammdf_is_a_refusal(arm: Arm, frames: Frames, tmp_path: Path) -> None:
     """A record that is said to begin 2 GB further on, which asammdf 8 believes."""
     path = write(tmp_path, ".mf4", frames[:500], arm.period_s)

@@ -234,6 +234,7 @@ def test_a_single_short_run_is_refused(folder: Path, tmp_path: Path, capsys: pyt
     assert not out.exists()
 
 
+@pytest.mark.slow
 def test_a_single_run_is_halved_beside_two_that_are_kept_apart(folder: Path, tmp_path: Path) -> None:
     verdict, apart = tmp_path / "verdict.json", ["--validate", folder / "f1.blf", folder / "f2.blf"]
     arguments = ["--simulation", EXAMPLE / "model.toml", "--measured", folder / "f0.blf", *apart]

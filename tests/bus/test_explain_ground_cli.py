@@ -232,6 +232,7 @@ def test_entries_and_laws_that_do_not_exist_are_refused(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_a_set_comes_with_a_motion_that_is_ready_to_fly(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -252,6 +253,7 @@ def test_a_set_comes_with_a_motion_that_is_ready_to_fly(
     assert "--next-motion" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_the_simulation_may_be_a_run_of_another_simulator(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

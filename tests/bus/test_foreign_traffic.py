@@ -196,7 +196,7 @@ def estimated(path: Path, folder: Path) -> dict[str, Any]:
     return answer
 
 
-@pytest.mark.slow(but=[".blf", ".log"])
+@pytest.mark.slow(but=[".log"])
 @pytest.mark.parametrize("suffix", bus.LOG_SUFFIXES)
 def test_on_the_command_line(suffix: str, arm: Arm, ours: Log, strangers: Log, tmp_path: Path) -> None:
     """The same from our frames alone, among strangers, and but for the fault counters among impostors."""

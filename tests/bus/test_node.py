@@ -94,6 +94,7 @@ def damaged(frames: Log) -> Log:
     return np.concatenate([np.array(out, dtype=frames.dtype), frames[at[400] :]])
 
 
+@pytest.mark.slow(only=["good"])
 @pytest.mark.parametrize("day", ["good", "bad"])
 def test_what_is_saved_is_the_librarys_own_memory(
     day: str, arm: Arm, config: Path, frames: Log, tmp_path: Path

@@ -297,7 +297,7 @@ def power_cut(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return library
 
 
-@pytest.mark.slow(but=["both good-True"])
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("how", "links"), [("both good", True), ("both good", False), ("gone", True), ("sealed corrupt", True)]
 )

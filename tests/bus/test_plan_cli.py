@@ -75,6 +75,7 @@ def test_a_saved_scenario_is_read_as_it_was(folder: Path) -> None:
     np.testing.assert_allclose(again.desired(names, t), example.desired(names, t), atol=1e-15)
 
 
+@pytest.mark.slow(only=["more1-*"])
 @pytest.mark.parametrize(
     ("more", "words"),
     [

@@ -236,6 +236,7 @@ def test_base_parameters_go_back_into_a_urdf(planar: Path, capsys: pytest.Captur
             assert a[i, j] == pytest.approx(given[f"a{i}{j}"].value, rel=1e-8), (i, j)
 
 
+@pytest.mark.slow
 def test_export_refuses(planar: Path, capsys: pytest.CaptureFixture[str]) -> None:
     learned, cad = planar / "learned.toml", GAP / "cad.toml"
 

@@ -108,6 +108,7 @@ def test_a_limit_is_a_size_from_which_an_effect_is_named(judge: Judge) -> None:
     assert seen[0] in {"nothing missing", "values differ", "unknown"} and seen[1] == "named"
 
 
+@pytest.mark.slow
 def test_says_which_values_differ(judge: Judge) -> None:
     found = judge("lively", "values")
     assert found.answer == "values differ"
@@ -124,6 +125,7 @@ def test_a_detent_of_the_base_is_found_among_the_entries_that_are_searched_last(
     assert {one.kind for one in found.findings} <= {"detent_sin", "detent_cos"}
 
 
+@pytest.mark.slow
 def test_does_not_name_what_is_not_in_the_catalogue(judge: Judge) -> None:
     found = judge("lively", "rate stiffness elbow")
     assert found.answer == "unknown", found.sentence
@@ -254,6 +256,7 @@ def test_names_two_effects_of_different_size() -> None:
     }
 
 
+@pytest.mark.slow
 def test_a_payload_between_the_runs_is_a_change() -> None:
     drawn = plant(Case("", "", exact=True), 0)
     last = replace(drawn.bodies[2], mass=replace(drawn.bodies[2].mass, value=1.2 * drawn.bodies[2].mass.value))
@@ -265,6 +268,7 @@ def test_a_payload_between_the_runs_is_a_change() -> None:
     assert found.model is not None
 
 
+@pytest.mark.slow
 def test_a_law_of_another_form_is_named_in_part() -> None:
     """A friction that reverses within 0.3 rad/s looks like a viscous one below and like a Coulomb friction above that
     rate, 3 Nm or 10 Nms/rad."""
@@ -296,6 +300,7 @@ class _Late(laws.MotorCoulomb):
         return super().torque(now) if self.time >= self.from_s else 0.0
 
 
+@pytest.mark.slow
 def test_a_friction_that_begins_within_a_run_is_a_change() -> None:
     bench, case = lively(), Case("", "changed", exact=True)
     of_run = (None, _Late(ELBOW, 3.0), laws.MotorCoulomb(ELBOW, 3.0))
@@ -352,7 +357,7 @@ def test_an_effect_that_the_arm_does_not_have_leaves_the_model(tmp_path: Path) -
     assert all(effect.kind.key != "motor_coulomb" for effect in load_model(tmp_path / "new.toml").effects)
 
 
-@pytest.mark.slow(but=["change1-Sensors first"])
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "says"),
     [

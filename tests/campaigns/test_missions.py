@@ -94,6 +94,7 @@ def test_what_stays_grows_with_the_arcs_beside_a_scatter_that_falls_with_them() 
     np.testing.assert_allclose(np.sqrt(np.diag(long.covariance)), long.sigma, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_sensor_errors_are_those_declared_and_new_each_time() -> None:
     mission, motions = numbered(HOURS, 3)
     parts = list(sensed_motions(PAPER.arm, motions, round(1300.0 / PAPER.arm.period_s), mission.number))

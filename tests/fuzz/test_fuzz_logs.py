@@ -36,7 +36,7 @@ def forked(source: Path, target: Path) -> str:
     return "" if child.exitcode == 0 else "died"
 
 
-@pytest.mark.slow(but=[".log-cut"])
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", ["cut", "flipped"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_damage_anywhere(

@@ -20,17 +20,17 @@ from zygos.native.flight import Flight, ffi
 from zygos.testing import Dut, Plant
 from zygos.testing.stream import SYNC, Stream
 
-FULL_BUS = 9_009
-"""Frames a second that a classical bus at 1 Mbit/s carries at most: of eight bytes, without stuffing."""
+LEAST_LOAD = 10.0
+"""Frames on the loaded bus, as a multiple of those of the arm: how many more there are depends on the machine."""
 OPERATIONAL = 5
 
 
 def test_real_pace_beside_a_babbling_node(plant: Plant, dut: Dut) -> None:
-    """Twelve seconds as they pass, while cangen loads the bus as no controller could: with extended frames of any
+    """Twelve seconds as they pass, while cangen loads the bus as fast as this machine can: with extended frames of any
     identifier, and with remote ones that bear that of joint 1's angles. The device's heart beats every second."""
     stream = plant.run(240)
     dut.start()
-    before, began = kernel_counts(plant.channel), time.monotonic()
+    before = kernel_counts(plant.channel)
     cangen = ["cangen", plant.channel, "-g", "0", "-i"]
     babblers = [subprocess.Popen([*cangen, "-e", "-I", "r"]), subprocess.Popen([*cangen, "-R", "-I", "181"])]
     try:
@@ -39,8 +39,7 @@ def test_real_pace_beside_a_babbling_node(plant: Plant, dut: Dut) -> None:
         for babbler in babblers:
             babbler.kill()
             babbler.wait()
-    load = (kernel_counts(plant.channel) - before).sent / (time.monotonic() - began)
-    assert dut.external or load > FULL_BUS
+    assert dut.external or (kernel_counts(plant.channel) - before).sent > LEAST_LOAD * len(stream)
     assert 0.0 <= sent.seconds - stream.due_s()[-1] < 5.0
     dut.settle()
     assert [message.data[0] for message in dut.heartbeats()].count(OPERATIONAL) >= 9

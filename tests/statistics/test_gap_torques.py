@@ -53,6 +53,7 @@ def found(*runs: MeasuredRun) -> tuple[np.ndarray, np.ndarray]:
     return likely, most
 
 
+@pytest.mark.slow
 def test_noise_is_found() -> None:
     likely, most = found(changed(clean("a"), 0), changed(clean("b"), 1))
     np.testing.assert_allclose(likely, NOISE, rtol=0.25)
@@ -78,6 +79,7 @@ def test_torques_without_noise_have_none() -> None:
     assert not most.any()
 
 
+@pytest.mark.slow(but=["0.03-*"])
 @pytest.mark.parametrize(("gain", "answer"), [(0.0, ""), (0.03, "remark"), (0.2, "named")])
 def test_a_wrong_gain_is_said(gain: float, answer: str) -> None:
     runs = [changed(clean(name), k, gain=gain) for k, name in enumerate("abc")]

@@ -270,6 +270,7 @@ def test_a_twin_is_an_exact_solution() -> None:
         assert np.all(share <= [5e-6, 3e-5, 3e-5, 1e-5])
 
 
+@pytest.mark.slow
 def test_the_true_models_twin_needs_no_servo() -> None:
     """Its torques are the run's but for what holds it against the noise of its start."""
     for one, twin in zip(records(), twins(), strict=True):

@@ -222,6 +222,7 @@ def test_switched_off() -> None:
     np.testing.assert_array_equal(NoiseRoom(arm).mean(state_of(arm)[0]), 0.0)
 
 
+@pytest.mark.slow(only=["planar", "rigid"])
 @pytest.mark.parametrize("name", ["paper", "planar", "fixed plane", "rigid"])
 def test_sums_of_a_run_are_those_without_noise(name: str) -> None:
     """The whole chain, integrals included: what is summed over noisy runs is on average what a silent run sums.

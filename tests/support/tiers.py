@@ -11,7 +11,7 @@ import re
 import resource
 import time
 import zlib
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -67,6 +67,11 @@ def in_part(name: str, number: int, parts: int) -> bool:
     return zlib.crc32(name.encode()) % parts == number
 
 
+def is_slow(case: str, only: Sequence[str] = ("*",), but: Sequence[str] = ()) -> bool:
+    """Whether a parametrised case of a slow test is slow: its id matches a pattern of `only`, and none of `but`."""
+    return any(fnmatchcase(case, one) for one in only) and not any(fnmatchcase(case, one) for one in but)
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Leave out what belongs to other parts, mark the tests of slow folders, unmark the quick cases of slow tests, and
@@ -79,7 +84,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         slow = item.get_closest_marker("slow")
         case = getattr(getattr(item, "callspec", None), "id", "")
-        if slow and any(fnmatchcase(case, pattern) for pattern in slow.kwargs.get("but", ())):
+        if slow and not is_slow(case, **slow.kwargs):
             item.own_markers[:] = [marker for marker in item.own_markers if marker.name != "slow"]
         if item.path.is_relative_to(TESTS) and item.path.relative_to(TESTS).parts[0] in SLOW_FOLDERS:
             item.add_marker("slow")

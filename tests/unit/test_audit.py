@@ -285,6 +285,7 @@ def test_another_number_of_joints_is_refused(runs: dict[str, tuple[Arm, list[Cyc
         audit(replace(arm, joints=arm.joints[:1]), clean[0])
 
 
+@pytest.mark.slow
 def test_the_sign_of_a_rigid_joints_torque_under_gravity() -> None:
     """A pendulum that SciPy swings; 0.2 Nm of friction."""
     h, n = 0.004, 5000

@@ -95,18 +95,7 @@ def sized(name: str, column: EffectColumn) -> float:
     return value
 
 
-QUICK = (
-    "backlash",
-    "motor_dahl",
-    "base_oscillator",
-    "ripple_sin",
-    "base_torque",
-    "detent_sin",
-    "gyro_bias",
-    "link_late",
-    "body_change",
-    "torque_gain",
-)
+QUICK = ("backlash", "ripple_sin", "gyro_bias", "link_late", "torque_gain")
 
 
 def quick(case: tuple[str, str, EffectColumn]) -> bool:
@@ -177,6 +166,7 @@ def own(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_law_of_ones_own_is_an_entry_within_its_block(own: Path) -> None:
     before = list(CATALOGUE)
     with laws(own) as (kind,):

@@ -146,6 +146,7 @@ def test_a_payload_raises_the_alarm_within_an_arc_and_only_bodies_have_changed(s
         assert now.until == round(CHANGE_S / 0.05) - 1
 
 
+@pytest.mark.slow
 def test_the_watch_keeps_the_plainest_look(stories: list[Story]) -> None:
     """It looks twice an arc through the whole log, at whose end the alarm is over."""
     for story in stories:
@@ -178,7 +179,7 @@ def test_no_alarm_while_nothing_changes() -> None:
     assert np.all(square < 1.0 + 3.0 * math.sqrt(2.0 / 20.0))
 
 
-@pytest.mark.slow(but=["1"])
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_the_deviation_in_closed_form(seed: int) -> None:
     """Two flights that know one part each, and the inverses of their normal matrices by numpy."""
@@ -219,6 +220,7 @@ def test_the_limits_are_those_of_the_library() -> None:
 # ---------------------------------------------------------------- restart
 
 
+@pytest.mark.slow
 def test_two_arcs_after_the_restart_tell_the_new_payload(stories: list[Story], true: tuple[Floats, Floats]) -> None:
     """Every parameter's errors are as large as its intervals say: their mean square is 1, within 3 of its errors."""
     assert {story.kept.validity for story in stories} == {"valid"}
@@ -233,6 +235,7 @@ def test_two_arcs_after_the_restart_tell_the_new_payload(stories: list[Story], t
     assert np.all(np.abs([far(story.kept, true[0])[bodies] for story in stories]) > 50.0)
 
 
+@pytest.mark.slow
 def test_what_is_known_of_the_joints_survives_the_restart(stories: list[Story], true: tuple[Floats, Floats]) -> None:
     """Their errors are no larger than before it, within 3 errors of a ratio, and smaller than without what was kept."""
     joints = [k for k, name in enumerate(stories[0].kept.names) if name not in BODIES]

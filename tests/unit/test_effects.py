@@ -271,7 +271,7 @@ SIZES = {
 }
 
 
-@pytest.mark.slow(but=["motor_coulomb-*"])
+@pytest.mark.slow(but=["motor_coulomb-elbow"])
 @pytest.mark.parametrize("joint", ["shoulder", "elbow"])
 @pytest.mark.parametrize("key", SIZES)
 def test_column_is_what_the_effect_does_to_the_balance(key: str, joint: str) -> None:
@@ -394,7 +394,7 @@ def test_friction_at_the_elbow_is_found() -> None:
         assert np.abs(found.value[:-1] / model.base_values(arm) - 1.0).mean() <= 0.02
 
 
-@pytest.mark.slow(but=["motor_coulomb", "cubic_stiffness"])
+@pytest.mark.slow(but=["motor_coulomb"])
 @pytest.mark.parametrize("key", COLUMNS)
 def test_every_coefficient_is_found_without_noise(key: str) -> None:
     """From a run of 10 ms; the lag is 3 ms, whose square the column leaves out."""
@@ -413,6 +413,7 @@ def test_every_coefficient_is_found_without_noise(key: str) -> None:
     assert np.abs(found.value[:-1] / model.base_values(arm) - 1.0).max() <= 1e-4
 
 
+@pytest.mark.slow(but=["spring_offset-*"])
 @pytest.mark.parametrize(
     ("key", "value"), [("motor_viscous", -0.5), ("cubic_stiffness", -20.0), ("spring_offset", -1.0)]
 )

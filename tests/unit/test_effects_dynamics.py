@@ -159,6 +159,7 @@ EVERY = [
 ]
 
 
+@pytest.mark.slow(only=["planar-each-*"])
 @pytest.mark.parametrize("rigid", [(), (0,), (1,), (0, 1)])
 @pytest.mark.parametrize("case", ["none", "each", "all"])
 @pytest.mark.parametrize("kinetic", ["lively", "planar"])

@@ -107,7 +107,7 @@ def test_rows_balance_for_springs_that_moved(example: str, period_s: float) -> N
     assert (np.abs(left).max(axis=0) <= 2e-3 * size.max(axis=0)).all()
 
 
-@pytest.mark.slow(but=["UR10e"])
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["UR10e", "Panda", "LWR4+"])
 def test_an_arm_on_the_ground_from_frames(name: str) -> None:
     """Every stage is numpy's; every parameter, friction and offset has a value, and those are as right as they say."""
@@ -129,6 +129,7 @@ def test_an_arm_on_the_ground_from_frames(name: str) -> None:
     assert off.max() <= 4.0
 
 
+@pytest.mark.slow
 def test_torque_noise_leaves_the_balance_closed_and_a_constant_torque_does_not() -> None:
     known = random_ground(6, "spatial", 7500)
     rms = np.sqrt((known.tau**2).mean(axis=0))

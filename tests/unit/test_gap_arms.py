@@ -149,6 +149,7 @@ def test_the_largest_score_of_runs_that_lack_nothing() -> None:
     np.testing.assert_allclose(null_sigmas(found, names) / spread, 1.0, atol=0.6)
 
 
+@pytest.mark.slow
 def test_what_pairs_of_columns_take_away() -> None:
     """One solve for all pairs gives what a fit of each pair leaves over, with what it pays for the sensors' zeros."""
     found = study("standing", "motor_coulomb2", SIZE["motor_coulomb2"]["standing"])
@@ -240,6 +241,7 @@ def test_noise_of_torques_is_found_beside_the_jitter_of_a_servo() -> None:
     assert np.all(torque_noise(record) < 0.1 * sigma)
 
 
+@pytest.mark.slow
 def test_a_column_of_every_site_can_be_fitted() -> None:
     """All but those of loads, bodies and hidden masses: on a run without any of them, none stands out."""
     trial = standing()

@@ -70,6 +70,7 @@ def test_coulomb_friction_then_viscous_friction_that_differs_between_the_directi
     assert {effect.kind.key for effect in x.model.effects} == set(_found(x))
 
 
+@pytest.mark.slow
 def test_coulomb_friction_that_differs_between_the_directions_looks_like_an_offset() -> None:
     def law(q: Array, qd: Array) -> Array:
         return np.where(qd > 0.0, 0.12, 0.06) * size() * sign(qd)

@@ -92,6 +92,7 @@ def test_nothing_stands_out_where_nothing_is_hidden() -> None:
         assert min(abs(x) for x in z) < FLOOR
 
 
+@pytest.mark.slow(but=["motor_eccentricity_sin2"])
 @pytest.mark.parametrize("name", [name for name in PLANTS if name != "nothing"])
 def test_what_is_hidden_stands_out_with_its_size(name: str) -> None:
     found = study(name)
@@ -154,6 +155,7 @@ def test_a_finding_with_a_law_of_ones_own_is_spoken_of_anywhere() -> None:
     assert listed([found]) == "quadratic drag (elbow), 0.300 ± 0.020 Nms^2/rad^2"
 
 
+@pytest.mark.slow
 def test_the_shape_of_a_law_is_found_between_those_of_the_search() -> None:
     trial = planar()
     model = replace(trial.drawn, effects=())

@@ -38,6 +38,7 @@ def _free() -> Limits:
     return limits_of(axis()[0], None, None, None)
 
 
+@pytest.mark.slow
 def test_the_planned_motion_tells_an_offset_from_a_friction_that_differs_between_the_directions(tmp_path: Path) -> None:
     arm, model = axis()
     save_arm(arm, tmp_path / "arm.toml")
@@ -124,6 +125,7 @@ def faint(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Measured
     return folder, records, found
 
 
+@pytest.mark.slow
 def test_a_motion_is_planned_where_a_floating_arm_shows_too_little(
     faint: tuple[Path, list[MeasuredRun], Explanation],
 ) -> None:

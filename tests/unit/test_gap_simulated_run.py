@@ -31,6 +31,7 @@ def runs() -> tuple[Run, ...]:
     return tuple(measured(coulomb))
 
 
+@pytest.mark.slow
 def test_the_simulators_model_is_estimated_from_its_run_and_what_it_lacks_is_named() -> None:
     found = explain_runs(simulated(runs()[0]), runs()[:2], validate=runs()[2])
     assert isinstance(found, GroundExplanation)
@@ -47,6 +48,7 @@ def test_the_simulators_model_is_estimated_from_its_run_and_what_it_lacks_is_nam
     assert simulation_json(found.simulated) == {"run": None, "torques_of": None}
 
 
+@pytest.mark.slow
 def test_a_friction_that_the_simulator_has_is_not_missing() -> None:
     c = 0.05 * size()
     found = explain_runs(simulated(measured(lambda q, qd: c * qd)[0], viscous=c), measured(lambda q, qd: c * qd))

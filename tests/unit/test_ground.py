@@ -103,6 +103,7 @@ def test_a_wrong_model_is_seen_at_its_joint() -> None:
     assert score(first, wrong).joints[2].share > 5.0 * score(first, model).joints[2].share
 
 
+@pytest.mark.slow(but=["more2-*"])
 @pytest.mark.parametrize(
     ("more", "key", "place", "size"),
     [
@@ -216,6 +217,7 @@ def test_refusals() -> None:
         score(first, model, cutoff=1e4)
 
 
+@pytest.mark.slow
 def test_a_floating_arm_with_springs_is_scored_by_increments() -> None:
     """Friction that the model lacks is the torque that is left at its joint, and a wrong spring is left at the spring
     alone: the sum of the balances of rotor and link is free of it."""

@@ -203,6 +203,7 @@ def behind(first: Cycles, second: Cycles, gap: int = 37) -> Cycles:
     return joined(first, replace(second, sync=second.sync + first.sync[-1] + np.uint64(gap)))
 
 
+@pytest.mark.slow
 def test_several_in_a_row_are_a_change_of_the_arm(motion: Trajectory) -> None:
     arm, model = motion.arm, heavier(load_model(EXAMPLE / "model.toml"))
     heavy = seen(moved(arm, True, model), 100)
@@ -316,6 +317,7 @@ def test_c_equals_numpy_with_arcs_left_out(motion: Trajectory) -> None:
             assert not all(room.equal for room in check_chain(arm, watch.trace(), flight))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", [0, 1])
 def test_c_equals_numpy_with_momentum_rows_of_an_arm_that_lacks_a_parameter(which: int) -> None:
     """The rotor of a rigid joint at gear one turns with its link: it has columns and no parameter of its own."""
@@ -340,6 +342,7 @@ def test_c_equals_numpy_with_momentum_rows_of_an_arm_that_lacks_a_parameter(whic
     assert (np.abs(estimate.value - plant.base_values(arm)) < 2.0 * estimate.half95).all()
 
 
+@pytest.mark.slow
 def test_a_bad_arc_of_momentum_rows_is_left_out(motion: Trajectory) -> None:
     """A gyro that repeats its reading for 15 s: the angular momentum of what it shows is not constant."""
     arm = replace(motion.arm, momentum_max_s=ARC_S)

@@ -100,6 +100,7 @@ def test_a_payload_that_doubles_is_a_change(joints: int, energy_rows: bool) -> N
     assert np.mean(far(after, arm, load) > 1.0) <= 0.05 + 3.0 * np.sqrt(0.05 * 0.95 / len(after.value))
 
 
+@pytest.mark.slow
 def test_no_segment_of_an_arm_that_stays_the_same_contradicts() -> None:
     """Over 200 judged segments of two motions: the estimate is that of a flight that adopts nothing."""
     arm, model = short_arm(6)
@@ -142,6 +143,7 @@ def test_a_small_payload_at_the_wrist(mass: float | None) -> None:
     assert not any(name.startswith("motor") for name in flight.drift().changed)
 
 
+@pytest.mark.slow
 def test_what_a_fault_spoils_is_left_out_and_over_when_a_segment_agrees() -> None:
     """The torque sensor of one joint is stuck for seven seconds: numpy leaves the same segments out."""
     arm, model = short_arm(2)

@@ -52,6 +52,7 @@ def test_closed_form_of_the_papers_example() -> None:
     np.testing.assert_allclose(model.base_values(arm)[:6], expected, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_covariance_is_that_of_the_bodies() -> None:
     """Against draws of the bodies: correlated, so that no draw within it gives negative kinetic energy."""
     arm, model, _ = lively()

@@ -214,6 +214,7 @@ def test_the_response_is_that_of_pinocchio_and_another_integrator() -> None:
     np.testing.assert_allclose(ours[400], end[1:3], atol=1e-7)
 
 
+@pytest.mark.slow
 def test_copies_of_the_arm_stay_together_under_50() -> None:
     """So the responses differ by their parameters; and the paper's own do not beat a common error of 10 %."""
     arm, true = hardware()

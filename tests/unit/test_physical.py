@@ -87,6 +87,7 @@ def test_chi_squared_and_sigmas_are_what_they_say(
     assert np.mean(squares) == pytest.approx(1.0, abs=3.0 * np.std(squares, ddof=1) / np.sqrt(len(squares)))
 
 
+@pytest.mark.slow
 def test_an_indefinite_estimate_becomes_an_arm(spatial: tuple[Arm, Model]) -> None:
     arm, built = spatial
     report = estimate_of(arm, built.base_values(arm), noise_j=20.0)
@@ -172,7 +173,7 @@ def test_the_nearest_matrix_is_the_clipped_one(spatial: tuple[Arm, Model]) -> No
     assert least == pytest.approx(np.sum(np.minimum(eigen, 0.0) ** 2), rel=1e-3)
 
 
-@pytest.mark.slow(but=["axis"])
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ["frame_rpy", "axis", "length"])
 def test_an_estimate_of_another_arm_is_not_explained(spatial: tuple[Arm, Model], what: str) -> None:
     arm, built = spatial

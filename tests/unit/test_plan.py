@@ -121,6 +121,7 @@ def test_columns_times_the_model_are_the_torques_of_pinocchio(name: str) -> None
     np.testing.assert_allclose(torque, pinocchio, rtol=1e-5, atol=1e-5 * np.abs(pinocchio).max())
 
 
+@pytest.mark.slow
 def test_a_planned_motion_tells_more_than_a_random_one_and_its_run_keeps_the_limits(
     planned: tuple[Arm, Model, Planner, Scenario, Expectation],
 ) -> None:
@@ -143,7 +144,8 @@ def test_a_planned_motion_tells_more_than_a_random_one_and_its_run_keeps_the_lim
     assert np.abs(run.q[0] - run.desired).max() < 5e-3
 
 
-@pytest.mark.parametrize("law", ["applied_from_sync", pytest.param("sampled", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("law", ["applied_from_sync", "sampled"])
 def test_expected_sigmas_are_the_scatter_of_estimates(
     planned: tuple[Arm, Model, Planner, Scenario, Expectation], law: str
 ) -> None:
@@ -166,6 +168,7 @@ def test_expected_sigmas_are_the_scatter_of_estimates(
     assert abs(each.mean() - 1.0) < 3.0 * each.std(ddof=1) / np.sqrt(runs) + 0.1
 
 
+@pytest.mark.slow
 def test_the_feedforward_torque_follows_a_motion_with_both_engines(
     planned: tuple[Arm, Model, Planner, Scenario, Expectation],
 ) -> None:

@@ -248,6 +248,7 @@ def test_a_filter_that_resumes_keeps_what_does_not_move() -> None:
 # ------------------------------------------------------------------------------------------ refusals
 
 
+@pytest.mark.slow(only=["friction"])
 @pytest.mark.parametrize(
     ("case", "rule"),
     [

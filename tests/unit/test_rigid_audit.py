@@ -41,6 +41,7 @@ def test_correct_torques_are_never_accused(seed: int) -> None:
     assert [s.name for s in found.signals if not s.decided] == []
 
 
+@pytest.mark.slow
 def test_slow_motion_of_little_size_is_not_accused() -> None:
     """Less is confirmed then, and nothing is made up."""
     cycles, _ = run(3, amplitude=0.08)
@@ -61,14 +62,14 @@ FAULTS: list[tuple[str, Fault, dict[str, str]]] = [
 ]  # fmt: skip
 
 
-@pytest.mark.slow(but=["inverted 7", "swapped 2 6"])
+@pytest.mark.slow(but=["inverted 7"])
 @pytest.mark.parametrize(("fault", "expected"), [one[1:] for one in FAULTS], ids=[one[0] for one in FAULTS])
 def test_wrong_readings_are_named(fault: Fault, expected: dict[str, str]) -> None:
     cycles, _ = run(4)
     assert faults(audited(fault(cycles))) == expected
 
 
-@pytest.mark.slow(but=["2-1.6"])
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [0.01, 0.625, 1.6, 100.0])
 @pytest.mark.parametrize("joint", [0, 2, 3])
 def test_a_wrong_gear_ratio_is_named_with_its_value(joint: int, factor: float) -> None:
@@ -82,6 +83,7 @@ def test_a_wrong_gear_ratio_is_named_with_its_value(joint: int, factor: float) -
     assert float(said) == pytest.approx(100.0 / factor, rel=0.03)
 
 
+@pytest.mark.slow
 def test_the_noise_of_torques_is_compared_with_the_declared_one() -> None:
     cycles, sigma = run(6)
     assert faults(audited(cycles, sigma)) == {}
@@ -98,6 +100,7 @@ def test_a_short_run_decides_nothing() -> None:
     assert any("too short for the law of the whole arm" in note for note in found.notes)
 
 
+@pytest.mark.slow
 def test_torques_of_another_run_are_not_explained() -> None:
     """They belong to no joint, so that none is accused and none is confirmed."""
     cycles, _ = run(8)

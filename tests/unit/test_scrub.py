@@ -482,6 +482,7 @@ def found_once(flight: Flight, pristine: Any, what: object) -> int:
     return first
 
 
+@pytest.mark.slow
 def test_after_any_flipped_bit_a_second_call_finds_nothing_more(
     flight: Flight, flown: Flight, motion: Cycles, pristine: Any
 ) -> None:
@@ -537,6 +538,7 @@ PARTS = ("accumulator", "motor_sums", "momentum_sums", "joint_sums", "guard", "s
          "momentum", "joint")  # fmt: skip
 
 
+@pytest.mark.slow(only=["*-True"])
 @pytest.mark.parametrize("late", [False, True])
 @pytest.mark.parametrize("where", ["space", "ground"])
 def test_after_a_flipped_bit_of_any_member_a_second_call_finds_nothing_more(

@@ -440,7 +440,7 @@ def refused(arm: Arm, cycles: Cycles, step: int) -> float:
     return flight.counts["refused"] / (flight.counts["accepted"] + flight.counts["refused"])
 
 
-@pytest.mark.slow(but=["40-quick"])
+@pytest.mark.slow
 @pytest.mark.parametrize("which", ["fine", "quick"])
 @pytest.mark.parametrize("step", [8, 16, 20, 40])
 def test_the_rate_that_a_motion_needs(

@@ -92,6 +92,7 @@ def test_an_effect_has_the_same_name_on_board_and_in_the_catalogue() -> None:
         assert text_of(lib.zygos_effect_text, value) == CATALOGUE[name.removeprefix("ZYGOS_").lower()].title
 
 
+@pytest.mark.slow
 def test_a_program_that_asks_for_no_text_links_none(tmp_path: Path) -> None:
     """The library as it is installed: an archive, whose members are linked where something needs them."""
     subprocess.run(["make", "-C", str(ROOT), "library", f"BUILD={tmp_path}"], capture_output=True, check=True)

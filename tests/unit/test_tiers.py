@@ -26,6 +26,23 @@ def test_what_is_no_part_is_refused(text: str) -> None:
         tiers.part_of(text)
 
 
+@pytest.mark.parametrize(
+    ("case", "chosen", "slow"),
+    [
+        ("one", {}, True),
+        ("one", {"but": ["one"]}, False),
+        ("one-2", {"but": ["two-*", "one-*"]}, False),
+        ("one-2", {"but": ["one"]}, True),
+        ("one-2", {"only": ["one-*"]}, True),
+        ("two-2", {"only": ["one-*"]}, False),
+        ("one-2", {"only": ["one-*"], "but": ["*-2"]}, False),
+    ],
+)
+def test_which_cases_are_slow(case: str, chosen: dict[str, list[str]], slow: bool) -> None:
+    assert tiers.is_slow(case, **chosen) == slow
+
+
+@pytest.mark.slow
 def test_pytest_runs_a_part() -> None:
     """The names of both halves are those of all."""
     command = [sys.executable, "-m", "pytest", "--collect-only", "-p", "no:cacheprovider", __file__]
@@ -35,7 +52,7 @@ def test_pytest_runs_a_part() -> None:
         return [line for line in done.stdout.splitlines() if "::" in line]
 
     whole, *halves = listed(), listed("--part", "1/2"), listed("--part", "2/2")
-    assert len(whole) == 12 and sorted(halves[0] + halves[1]) == sorted(whole)
+    assert len(whole) == 19 and sorted(halves[0] + halves[1]) == sorted(whole)
     assert all(halves)
     done = subprocess.run([*command, "--part", "3/2"], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 4 and "remedy: for example --part 1/3" in done.stderr + done.stdout

@@ -95,6 +95,7 @@ def test_a_size_is_that_of_the_column(law: Law) -> None:
         assert abs(projected(law, [motion], 0, power=True) / law.size - 1.0) < 0.3 * abs(found - 1.0)
 
 
+@pytest.mark.slow
 def test_every_law_is_felt_and_declares_how_far_it_may_be_stepped() -> None:
     """Of every cell: the motion differs from that of the null, and stays finite."""
     plain: dict[str, Motion] = {}

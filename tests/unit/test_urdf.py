@@ -269,7 +269,7 @@ def gap() -> tuple[Arm, Model]:
     return replace(load_arm(GAP / "arm.toml"), kinetic="planar"), load_model(GAP / "cad.toml")
 
 
-@pytest.mark.slow(but=["0"])
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(5))
 def test_the_nearest_bodies_have_the_parameters_and_none_are_nearer(seed: int, gap: tuple[Arm, Model]) -> None:
     """Against SLSQP, which shares nothing with Gauss-Newton but the conversion."""
@@ -360,6 +360,7 @@ def test_a_parameter_that_is_missing_constrains_nothing(gap: tuple[Arm, Model]) 
     assert few.known.sum() == pytest.approx(1.0)  # one equation takes away one direction
 
 
+@pytest.mark.slow
 def test_bodies_that_cannot_exist_are_refused(gap: tuple[Arm, Model]) -> None:
     arm, cad = gap
     parameters = cad.base_parameters(arm)

@@ -97,6 +97,7 @@ def test_a_mutant_is_named_by_its_function_and_not_by_its_line(tmp_path: Path) -
     assert before[0].line + 2 == after[0].line
 
 
+@pytest.mark.slow
 def test_the_tests_of_the_library_reach_and_kill(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     found, path = small(tmp_path)
     tests = tmp_path / "test_small.py"
