@@ -10,6 +10,7 @@
 #define ASSUMED 0.01
 #define MOST 0.01  /* with more, the first innovations lead the filter out of the range where it is linear */
 #define FRESH 10.0 /* noise of the readings with which the state begins, as a multiple */
+#define KEPT 0.25  /* information that the level is what it was: windows that tell nothing of it leave it */
 #define FADE 0.8   /* of what is known of the level, from window to window */
 #define UNSURE 2.0 /* what is known of it at the start */
 #define SMALLEST_LEVEL 1e-4
@@ -197,7 +198,7 @@ int zygos_refine_start(zygos_refine_t *self, const zygos_config_t *config, const
     self->phase = (uint32_t)TAKE;
     self->used = 0u;
     self->windows = 0u;
-    self->calm = 0u;
+    self->awaited = 0u;
     self->level = largest_level(self, config->joints);
     self->information = UNSURE;
     self->score = 0.0;
@@ -574,7 +575,7 @@ static void read_one(zygos_refine_t *self, const zygos_config_t *config)
 static void adapt(zygos_refine_t *self)
 {
     self->information = FADE * self->information + 0.5 * self->share;
-    const double step = 0.5 * self->score / self->information;
+    const double step = 0.5 * self->score / (self->information + KEPT);
     const double factor = (step > 1.0) ? 2.0 : ((step < -0.75) ? 0.25 : 1.0 + step);
     const double level = self->level * __builtin_sqrt(factor);
     self->level = (level < SMALLEST_LEVEL) ? SMALLEST_LEVEL : ((level > LARGEST_LEVEL) ? LARGEST_LEVEL : level);
@@ -602,7 +603,13 @@ static void conclude(zygos_refine_t *self)
     }
     adapt(self);
     self->windows++;
-    self->calm = calm ? self->calm + 1u : 0u;
+    const uint32_t most = calm ? ZYGOS_REFINE_LONGEST : ZYGOS_REFINE_LONGEST - ZYGOS_REFINE_CALM;
+    const uint32_t awaited = (self->awaited < most) ? self->awaited : most;
+    if (calm) {
+        self->awaited = (awaited > 0u) ? awaited - 1u : 0u;
+    } else {
+        self->awaited = ZYGOS_REFINE_CALM + ((self->windows > ZYGOS_REFINE_SETTLING) ? awaited : 0u);
+    }
 }
 
 int zygos_refine_step(zygos_refine_t *self, const zygos_config_t *config)
@@ -669,7 +676,7 @@ static uint32_t reason_of(const zygos_refine_t *self, const zygos_config_t *conf
     if (self->windows < ZYGOS_REFINE_CALM) {
         return ZYGOS_REFINE_WAITS;
     }
-    if (self->calm < ZYGOS_REFINE_CALM) {
+    if (self->awaited > 0u) {
         return ZYGOS_REFINE_INNOVATIONS;
     }
     if (!quiet(self, config->joints, out->level_error)) {

@@ -37,8 +37,12 @@ extern "C" {
 #define ZYGOS_REFINE_COLUMNS 4u
 /// The ratio of an innovation is its normalised square divided by this. Above a ratio of 1 the reading is not used.
 #define ZYGOS_REFINE_GATE 25.0
-/// Windows in succession, the newest included, in which the innovations have to be as expected.
+/// Windows that have to end after the start, and windows as expected that have to follow each one that is not,
 #define ZYGOS_REFINE_CALM 4u
+/// but not more than so many. A model that is wrong has windows that look right now and then.
+#define ZYGOS_REFINE_LONGEST 20u
+/// The first windows, of which only the newest that is not as expected counts: the filter has yet to settle.
+#define ZYGOS_REFINE_SETTLING 8u
 /// By which the mean normalised square of a window may exceed 1 beside 3 standard errors.
 #define ZYGOS_REFINE_EXCESS 0.1
 /// Standard errors that the distance of estimates, the level and the innovations are allowed.
@@ -119,7 +123,7 @@ typedef struct {
     double nis[ZYGOS_KINDS_OF_CHANNEL];   ///< Of the window before: mean normalised square, 1 where all is as expected,
     double ratio[ZYGOS_KINDS_OF_CHANNEL]; ///< and the largest ratio: below 0.5 normal, 1 where one was rejected.
     uint32_t windows;                     ///< That have ended since the start.
-    uint32_t calm;                        ///< The newest of them in succession that are as expected.
+    uint32_t awaited;                     ///< Windows as expected without which nothing is published.
     uint32_t reserved;
 } zygos_refine_t;
 

@@ -5,6 +5,7 @@ A MuJoCo plant recorded the frames with a hidden effect (`oracles.demo_log`); th
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import time
@@ -32,7 +33,14 @@ BAND = 2.5
 depends on the motion."""
 
 
-@pytest.mark.timeout(600)
+GUEST = "User Mode Linux" in Path("/proc/cpuinfo").read_text(encoding="ascii")
+
+
+@pytest.mark.skipif(
+    GUEST and not os.environ.get("ZYGOS_HIL_LOOP"),
+    reason="explaining two runs takes ten minutes in a User-Mode Linux guest; remedy: ZYGOS_HIL_LOOP=1 (docs/hil.md)",
+)
+@pytest.mark.timeout(1500)
 def test_what_was_explained_from_the_bus_flies_on_it(
     plant: Plant, dut: Dut, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
