@@ -1,9 +1,10 @@
-"""Compiles the C library for the harness into the package: library, cffi declarations, text of the headers, DBC.
+"""Compiles the C library for the harness into the package: library, declarations for cffi, text of the headers, DBC.
 
 Usage: build_native.py OUTPUT_FOLDER. Environment: CC (default cc), CFLAGS (added).
 
-The declarations are the headers themselves after the C preprocessor, so they cannot drift from them; a digest of their
-text is compiled into the library, and the binding compares the two when it loads.
+The declarations are the headers themselves after the C preprocessor, so they cannot drift from them; cffi parses them
+here, because that takes half a second. A digest of their text is compiled into the library, and the binding compares
+the two when it loads.
 """
 
 import hashlib
@@ -14,6 +15,8 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+
+from cffi import FFI
 
 ROOT = Path(__file__).resolve().parent.parent
 HOST = ROOT / "c" / "ports" / "host"
@@ -42,6 +45,21 @@ def declarations(*defines: str) -> str:
     ).stdout
 
 
+def digest_of(text: str) -> int:
+    """The digest that declarations and library have in common."""
+    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big")
+
+
+def write_binding(text: str, path: Path) -> None:
+    """Write the Python module that declares the library to cffi, with the digest of the text."""
+    binding = FFI()
+    binding.cdef(text)
+    binding.set_source(path.stem, None)
+    binding.emit_python_code(str(path))
+    with path.open("a", encoding="ascii") as stream:
+        stream.write(f"DIGEST = {digest_of(text)}\n")
+
+
 def headers() -> str:
     """The public headers in the order in which they include each other, without comments and includes."""
     listed: list[str] = []
@@ -59,19 +77,18 @@ def headers() -> str:
 
 
 def main(folder: Path) -> None:
-    """Write libzygos.so, zygos.cdef and zygos.headers into the folder."""
+    """Write libzygos.so, declarations.py, zygos.headers and the DBC files into the folder."""
     compiler = shlex.split(os.environ.get("CC", "cc"))
     extra = shlex.split(os.environ.get("CFLAGS", ""))
     folder.mkdir(parents=True, exist_ok=True)
     text = declarations(*(flag for flag in extra if flag.startswith("-D")))
-    digest = int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big")
     sources = sorted(str(path) for path in [*(ROOT / "c").glob("*.c"), *HOST.glob("*.c")])
     # the simulator takes three times as long at -O2; no optimisation changes a result
     command = [*compiler, *FLAGS.split(), "-O3", *extra]
-    command += [f"-DZYGOS_DECLARATIONS_DIGEST={digest}u", *INCLUDES, "-shared", *sources]
+    command += [f"-DZYGOS_DECLARATIONS_DIGEST={digest_of(text)}u", *INCLUDES, "-shared", *sources]
     partial = folder / "libzygos.so.partial"
     subprocess.run([*command, "-o", str(partial)], check=True)
-    (folder / "zygos.cdef").write_text(text)
+    write_binding(text, folder / "declarations.py")
     (folder / "zygos.headers").write_text(headers())
     for database in (ROOT / "include" / "zygos").glob("*.dbc"):
         shutil.copy(database, folder)

@@ -6,7 +6,6 @@ import math
 from functools import cache
 
 import numpy as np
-from scipy.signal import savgol_coeffs
 
 HALF_WIDTH_MAX = 31
 """Largest half width of a window, in cycles."""
@@ -21,7 +20,8 @@ def rate_cutoff(half_width: int, order: int) -> float:
     """Frequency, in cycles per sample, at which the rate of a window of 2 half_width + 1 samples is 3 dB below the true
     one."""
     at = np.arange(-half_width, half_width + 1)
-    weights = savgol_coeffs(2 * half_width + 1, order, deriv=1, use="dot")
+    slope = np.linalg.pinv(np.vander(at / half_width, order + 1, increasing=True))[1]  # of the fitted polynomial at 0
+    weights = slope / half_width
     f = np.linspace(0.0, 0.5, 64 * half_width + 1)[1:]
     gain = np.sin(2.0 * np.pi * np.outer(f, at)) @ weights / (2.0 * np.pi * f)
     below = int(np.argmax(gain < math.sqrt(0.5)))

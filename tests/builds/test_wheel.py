@@ -122,7 +122,9 @@ def test_a_wheel_holds_the_package_with_library_pages_and_examples(wheel: Path) 
     assert re.fullmatch(r"zygos-[\d.]+-py3-none-\w+\.whl", wheel.name)
     names = {re.sub(r"^[^/]*\.data/\w+/", "", name) for name in zipfile.ZipFile(wheel).namelist()}
     wanted = {f"zygos/{path.relative_to(ROOT / 'harness' / 'zygos')}" for path in (ROOT / "harness").rglob("*.html")}
-    wanted |= {f"zygos/_native/{name}" for name in ("libzygos.so", "zygos.cdef", "zygos.dbc", "zygos-coarse-gyro.dbc")}
+    wanted |= {
+        f"zygos/_native/{name}" for name in ("libzygos.so", "declarations.py", "zygos.dbc", "zygos-coarse-gyro.dbc")
+    }
     for example in EXAMPLES:
         tracked = [path for path in (ROOT / "examples" / example).rglob("*") if path.is_file()]
         wanted |= {f"zygos/_examples/{path.relative_to(ROOT / 'examples')}" for path in tracked}

@@ -340,8 +340,7 @@ def library(folder: Path, jobs: int) -> list[Mutant]:
         if path.name != "_native" and not link.is_symlink():
             link.symlink_to(path)
     build.main(native)  # what stands beside the library
-    text = (native / "zygos.cdef").read_text()
-    digest = int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big")
+    digest = build.digest_of(build.declarations())
     command = [
         *shlex.split("cc -shared"),
         *build.FLAGS.split(),

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
 
 from zygos.effects import Kind, is_column
 from zygos.gap.forecast import Forecast, Stretches
+from zygos.quantiles import normal_isf
 
-INTERVAL = float(norm.ppf(0.975))
+INTERVAL = float(normal_isf(0.025))
 """Standard deviations of a 95 % interval."""
 DIFFERS = 3.0
 """Standard deviations by which a value differs from the simulation's."""

@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm, t
 
 from zygos.errors import Undecided
 from zygos.gap.fit import influence
 from zygos.gap.study import Study
+from zygos.quantiles import normal_sf, student_isf, student_sf
 
 Array = NDArray[np.float64]
 
@@ -79,13 +79,13 @@ class Chance:
 
     def rate(self, threshold: float) -> float:
         """Share of searches on runs that lack nothing in which any candidate reaches it on every run."""
-        passing = 2.0 * t.sf(threshold, self.freedom) ** self.runs
+        passing = 2.0 * student_sf(threshold, self.freedom) ** self.runs
         return float(-np.expm1(self.count * np.log1p(-passing)))
 
     def needed(self, rate: float) -> float:
         """The deviations at which this share is `rate`."""
         passing = -0.5 * np.expm1(np.log1p(-rate) / self.count)
-        return float(t.isf(passing ** (1.0 / self.runs), self.freedom))
+        return float(student_isf(passing ** (1.0 / self.runs), self.freedom))
 
     @property
     def false_alarms(self) -> float:
@@ -102,7 +102,7 @@ def chance(study: Study, names: Sequence[str], rate: float = FALSE_ALARMS, *, ot
         known = scores[:, np.isfinite(scores).all(axis=0)]
         if known.shape[1]:
             largest = np.abs(known).max(axis=1)
-            most = max(most, float(-len(largest) / np.sum(np.log1p(-2.0 * norm.sf(largest)))))
+            most = max(most, float(-len(largest) / np.sum(np.log1p(-2.0 * normal_sf(largest)))))
     readings = study.twin_sums[0].gram[0].shape[0]
     found = Chance(len(study.records), len(names) + others, most + others, readings - 1, DRAWS, FLOOR)
     return replace(found, threshold=max(FLOOR, found.needed(rate)))

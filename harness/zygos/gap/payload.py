@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
-from scipy.stats import t as student
 
 from zygos.arm import Arm
 from zygos.errors import ZygosError
 from zygos.gap.findings import INTERVAL
 from zygos.model.model import Model
+from zygos.quantiles import student_factor
 
 Array = NDArray[np.float64]
 
@@ -93,7 +93,7 @@ def payload_of(arm: Arm, model: Model, names: tuple[str, ...], change: Array, dr
         return ()
     inverse = np.linalg.pinv(columns) * weight
     # the deviations come from few draws
-    wide = float(student.ppf(0.975, max(1, len(drawn) - 1))) / INTERVAL
+    wide = float(student_factor(0.95, max(1, len(drawn) - 1))) / INTERVAL
     sigma = wide * scale * np.sqrt(np.diag(inverse @ covariance @ inverse.T))
     body = len(model.bodies) - 1
     return tuple(

@@ -10,7 +10,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2, norm
 
 from zygos.effects import Kind
 from zygos.errors import Undecided
@@ -19,6 +18,7 @@ from zygos.gap.experiment import THRESHOLD
 from zygos.gap.fit import Hypothesis, fit, shares_of_pairs
 from zygos.gap.null import Chance, chance, null_sigmas
 from zygos.gap.study import FEW, Study, again, laid_out
+from zygos.quantiles import chi_square_isf, chi_square_ppf, normal_sf
 
 Array = NDArray[np.float64]
 Against = Literal["", "insignificant", "inconsistent", "negative", "not transferable", "not the rotor"]
@@ -138,8 +138,8 @@ def allowed(study: Study) -> tuple[Array, Array]:
     It varies as a sum of squares does whose deviation is the twin's. Beyond that, `EXCESS` is allowed for.
     """
     freedom = 2.0 / np.maximum(study.wobble, 1e-6) ** 2
-    tail = norm.sf(CERTAIN)
-    least, most = 1.0 - chi2.ppf(tail, freedom) / freedom, chi2.isf(tail, freedom) / freedom - 1.0
+    tail = normal_sf(CERTAIN)
+    least, most = 1.0 - chi_square_ppf(tail, freedom) / freedom, chi_square_isf(tail, freedom) / freedom - 1.0
     trifle = _trifles(study)
     return np.maximum(least, trifle), np.maximum(most, trifle)
 

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
 
 from zygos.arm import Arm, Smoother
 from zygos.balances.joint import in_order, joint_columns
@@ -23,6 +22,7 @@ from zygos.ground.score import Score, score
 from zygos.ground.solution import Solution, solve
 from zygos.ground.sums import MOST_BLOCKS, Sums, sums_of
 from zygos.model.model import Model, Quantity
+from zygos.quantiles import student_factor
 
 Floats = NDArray[np.float64]
 
@@ -112,7 +112,7 @@ class GroundEstimate:
         return np.asarray(sigma, dtype=np.float64)
 
     def _half(self, confidence: float) -> Floats:
-        return np.asarray(student.ppf(0.5 + 0.5 * confidence, self.solution.freedom) * self._sigma, dtype=np.float64)
+        return np.asarray(student_factor(confidence, self.solution.freedom) * self._sigma, dtype=np.float64)
 
     @property
     def sigma(self) -> Floats:

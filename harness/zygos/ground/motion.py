@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import butter, filtfilt
 
 from zygos.arm import TORQUE_STEP, Arm, Smoother
 from zygos.balances.joint import in_order, joint_columns
@@ -137,8 +136,15 @@ class TorqueRows:
         out = np.zeros_like(column)
         for number in np.unique(self.segment):
             of = self.segment == number
-            out[of] = filtfilt(*self.taps, column[of], axis=0)
+            out[of] = both_ways(self.taps, column[of])
         return out
+
+
+def both_ways(taps: tuple[Floats, Floats], signal: Floats) -> Floats:
+    """A signal (m, ...) through a filter in both directions, so that nothing is delayed."""
+    from scipy.signal import filtfilt  # noqa: PLC0415  (takes a second to import)
+
+    return np.asarray(filtfilt(*taps, signal, axis=0), dtype=np.float64)
 
 
 def torque_rows(arm: Arm, samples: Samples, cutoff: float) -> TorqueRows:
@@ -147,6 +153,8 @@ def torque_rows(arm: Arm, samples: Samples, cutoff: float) -> TorqueRows:
     cutoff: Hz, at which both directions together pass 1/sqrt(2), as the smoother does. Errors: ZygosError for a run
     that is too short for the filter.
     """
+    from scipy.signal import butter  # noqa: PLC0415  (takes a second to import)
+
     h = arm.period_s
     cutoff = min(cutoff, 0.4 / h)
     taps = butter(_ORDER, min(cutoff * _TWICE, 0.45 / h), fs=1.0 / h)
@@ -157,7 +165,7 @@ def torque_rows(arm: Arm, samples: Samples, cutoff: float) -> TorqueRows:
         if len(good) < max(_SHORTEST, 3 * settle):
             continue
         of = slice(start + int(good[0]), start + int(good[-1]) + 1)
-        q = filtfilt(*taps, samples.theta[of], axis=0)
+        q = both_ways(taps, samples.theta[of])
         qd = np.gradient(q, h, axis=0)
         columns = joint_columns(arm, _resting_base(arm, q, qd))
         z = in_order(
@@ -168,7 +176,7 @@ def torque_rows(arm: Arm, samples: Samples, cutoff: float) -> TorqueRows:
         # a torque is held for a period, so that the filter sees the mean of those before and after an instant
         tau = samples.tau[of]
         held = 0.5 * (tau + np.vstack([tau[:1], tau[:-1]]))
-        measured = filtfilt(*taps, held * arm.gear_ratios, axis=0)
+        measured = both_ways(taps, held * arm.gear_ratios)
         place = np.arange(len(q))
         kept = (place >= settle) & (place < len(q) - settle)
         parts.append((q, qd, z, measured, np.full(len(q), number), kept))

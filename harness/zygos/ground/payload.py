@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
 
 from zygos.arm import Arm, Parameter
 from zygos.can.run import Run
@@ -19,6 +18,7 @@ from zygos.ground.rows import run_rows
 from zygos.ground.solution import Solution, solve
 from zygos.ground.sums import MOST_BLOCKS, Sums, sums_of
 from zygos.model.model import Model, Quantity
+from zygos.quantiles import student_isf
 from zygos.structure import STANDARD, independent
 
 Floats = NDArray[np.float64]
@@ -73,7 +73,7 @@ class Payload:
     @property
     def found(self) -> bool:
         """Whether the arm carries more or less than in the model: some value differs from 0 beyond chance."""
-        limit = float(student.ppf(1.0 - 0.00135 / len(self.names), max(2.0, float(self.solution.freedom.min()))))
+        limit = float(student_isf(0.00135 / len(self.names), max(2.0, float(self.solution.freedom.min()))))
         return bool(np.any(np.abs(self.value) > limit * self.sigma))
 
     @property

@@ -8,14 +8,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import filtfilt
 
 from zygos.arm import Arm
 from zygos.can.run import Run
 from zygos.effects import Effect
 from zygos.errors import ZygosError
 from zygos.ground.increments import increments
-from zygos.ground.motion import HIGHEST_CUTOFF_HZ, Motion, TorqueRows, cutoff_hz, torque_noise, torque_rows
+from zygos.ground.motion import HIGHEST_CUTOFF_HZ, Motion, TorqueRows, both_ways, cutoff_hz, torque_noise, torque_rows
 from zygos.ground.rows import torque_columns
 from zygos.model.model import Model
 
@@ -247,7 +246,7 @@ def _noise_gain(rows: TorqueRows) -> float:
     """What the filter leaves of the standard deviation of white noise."""
     pulse = np.zeros(4001)
     pulse[2000] = 1.0
-    return float(np.linalg.norm(filtfilt(*rows.taps, pulse)))
+    return float(np.linalg.norm(both_ways(rows.taps, pulse)))
 
 
 def _work(power: Floats, window: int, h: float) -> Floats:

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
 
 from zygos.errors import Undecided
 from zygos.ground.sums import Sums
+from zygos.quantiles import student_factor
 
 Floats = NDArray[np.float64]
 
@@ -53,7 +53,7 @@ class Solution:
 
     def half(self, confidence: float) -> Floats:
         """(p,) half widths of the intervals of that confidence, with as many degrees of freedom as there are."""
-        return np.asarray(student.ppf(0.5 + 0.5 * confidence, self.freedom) * self.sigma, dtype=np.float64)
+        return np.asarray(student_factor(confidence, self.freedom) * self.sigma, dtype=np.float64)
 
     @property
     def share(self) -> Floats:

@@ -20,12 +20,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
-from scipy.stats import f as fisher
 
 from zygos.arm import Arm
 from zygos.errors import Undecided, ZygosError
 from zygos.model import gram
 from zygos.model.model import INERTIA_KEYS, Body, JointModel, Model, Quantity
+from zygos.quantiles import fisher_isf
 
 Array = NDArray[np.float64]
 
@@ -295,7 +295,7 @@ def fit_bodies(
         ),
         chi2=float(missing @ missing + lengths @ lengths),
         dof=dof,
-        limit=float(fisher.isf(CHANCE, dof, observed.blocks - 1)) if dof >= 1.0 else np.inf,
+        limit=fisher_isf(CHANCE, dof, observed.blocks - 1) if dof >= 1.0 else np.inf,
         least=least,
     )
 

@@ -1,20 +1,20 @@
 """The C library from Python: the same code that flies, called through cffi in ABI mode.
 
-A whole recording passes in one call. The declarations come from ``zygos.h`` itself (`tools/build_native.py`); a digest
-of them and the sizes of all public structs guard against a library that was built from other headers.
+A whole recording passes in one call. The declarations are made of ``zygos.h`` itself (`tools/build_native.py`); a
+digest of them and the sizes of all public structs guard against a library that was built from other headers.
 """
 
 from __future__ import annotations
 
 import math
 import re
+import runpy
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from cffi import FFI
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
@@ -40,25 +40,21 @@ OVERDECLARED = 0.6
 def _load() -> tuple[Any, Any]:
     """Load the library and compare its digest and struct sizes with the declarations."""
     try:
-        text = (_FOLDER / "zygos.cdef").read_text()
-        binding = FFI()
-        binding.cdef(text)
+        declared = runpy.run_path(str(_FOLDER / "declarations.py"))
+        binding = declared["ffi"]
         library = binding.dlopen(str(_FOLDER / "libzygos.so"))
     except OSError as error:
         raise ZygosError(
             f"the C library is not built ({error}); remedy: run `make build`, or install the package with pip"
         ) from error
-    import hashlib  # noqa: PLC0415  (only needed once, at load)
-
-    digest = int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big")
     sizes = [binding.sizeof(f"zygos_{name}_t") for name in ("config", "work", "estimate", "cycle", "frame")]
     version = library.ZYGOS_VERSION_MAJOR_VALUE * 256 + library.ZYGOS_VERSION_MINOR_VALUE
     abi = binding.sizeof("zygos_t")
     for part in (*sizes, library.ZYGOS_MAX_JOINTS_VALUE, version, library.ZYGOS_LAYOUT_VALUE):
         abi = (abi ^ part) * 16777619 & 0xFFFFFFFF
-    if library.zygos_declarations_digest() != digest or library.zygos_abi() != abi:
+    if library.zygos_declarations_digest() != declared["DIGEST"] or library.zygos_abi() != abi:
         raise ZygosError(
-            f"{_FOLDER / 'libzygos.so'} was not built from {_FOLDER / 'zygos.cdef'}; remedy: run `make build`"
+            f"{_FOLDER / 'libzygos.so'} was not built from {_FOLDER / 'declarations.py'}; remedy: run `make build`"
         )
     return binding, library
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
 
+from zygos.quantiles import student_factor
 from zygos.reference.solver import LEAST_FREEDOM, SYSTEMATIC, explained, squares_of_blocks
 
 Floats = NDArray[np.float64]
@@ -92,7 +92,7 @@ def intervals(
     hidden, _ = solved(total + back, excess / float(x**2 @ np.diag(total)[:p]))
     covariance += np.diag((hidden - x) ** 2)
     freedom = np.maximum(np.sum(gains, axis=0) ** 2 / np.sum(np.square(gains), axis=0), LEAST_FREEDOM)
-    return Intervals(covariance, np.sqrt(np.diag(covariance)) * student.ppf(0.975, freedom))
+    return Intervals(covariance, np.sqrt(np.diag(covariance)) * student_factor(0.95, freedom))
 
 
 def joint_intervals(
@@ -131,5 +131,5 @@ def joint_intervals(
     alike = max(0.0, 1.0 - CLUSTER_LIMIT / cluster)
     covariance *= 1.0 + max(SYSTEMATIC * elapsed_s / SYSTEMATIC_S, (segments - 1.0) * alike)
     freedom = np.sum(gains, axis=0) ** 2 / np.sum(np.square(gains), axis=0) - 1.0
-    half95 = np.sqrt(np.diag(covariance)) * student.ppf(0.975, np.maximum(freedom, LEAST_FREEDOM))
+    half95 = np.sqrt(np.diag(covariance)) * student_factor(0.95, np.maximum(freedom, LEAST_FREEDOM))
     return Intervals(covariance, half95)

@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
 
 from zygos.arm import TORQUE_STEP, Arm
 from zygos.can.run import Run, joined
@@ -28,6 +27,7 @@ from zygos.files.output import number
 from zygos.model.model import Model, Quantity
 from zygos.native.flight import CHANNELS
 from zygos.native.refiner import NORMAL_95
+from zygos.quantiles import normal_isf
 from zygos.refinement.answer import report_refinement
 from zygos.refinement.bound import Bound, bound_along
 from zygos.refinement.follow import Pass
@@ -280,7 +280,7 @@ def _agreement(answer: Refinement) -> Rule:
     known = np.isfinite(value) & np.isfinite(sigma)
     apart = np.abs(np.where(known, value - answer.value, 0.0))
     # all values are looked at, and the farthest one decides
-    sigmas = float(norm.isf(0.5 * FALSE_ALARM / max(1, known.sum())))
+    sigmas = float(normal_isf(0.5 * FALSE_ALARM / max(1, known.sum())))
     allowed = sigmas * np.hypot(np.where(known, sigma, 0.0), answer.sigma) + _BIAS * answer.size
     worst = int(np.argmax(apart / allowed))
     ratio = float(apart[worst] / allowed[worst])

@@ -11,13 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
-from scipy.stats import t as student
 
 from zygos.gap.changes import BODIES, CERTAIN, Change
 from zygos.gap.ground.columns import Layout, Table
 from zygos.gap.ground.fit import Fit, solve
 from zygos.gap.ground.search import NOISE
+from zygos.quantiles import normal_isf, student_sf
 from zygos.structure import STANDARD, independent
 
 Floats = NDArray[np.float64]
@@ -140,7 +139,7 @@ def _certain(
     freedom = max(2.0, min(cut, blocks - cut) - 1.0)
     # of several coefficients the surest one speaks for all of them
     t = float(np.max(np.abs(delta) / sigma))
-    return sigma, float(norm.isf(max(float(student.sf(t, freedom)) * len(delta), 1e-300)))
+    return sigma, float(normal_isf(max(float(student_sf(t, freedom)) * len(delta), 1e-300)))
 
 
 def _share(table: Table, fitted: Fit, gain: float) -> float:

@@ -12,14 +12,13 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
-from scipy.stats import t as student
 
 from zygos.balances.state import State
 from zygos.gap.ground.columns import Table
 from zygos.gap.ground.fit import Fit
 from zygos.gap.ground.search import AGREE_SHARE, AGREE_Z, LEAST_Z
 from zygos.ground.rows import RunRows, resting_share
+from zygos.quantiles import normal_isf, normal_sf, student_isf, student_sf
 
 Floats = NDArray[np.float64]
 
@@ -60,8 +59,8 @@ def one_sided(
         weight = 1.0 / np.maximum(sigma, 1e-300) ** 2
         value = float(np.sum(weight * each) / np.sum(weight))
         wide = float(1.0 / np.sqrt(np.sum(weight)))
-        z = float(norm.isf(max(float(student.sf(abs(value) / wide, freedom)), 1e-300)))
-        limit = student.isf(norm.sf(AGREE_Z), max(2.0, freedom)) * sigma
+        z = float(normal_isf(max(float(student_sf(abs(value) / wide, freedom)), 1e-300)))
+        limit = student_isf(normal_sf(AGREE_Z), max(2.0, freedom)) * sigma
         same = np.all(np.abs(each - value) <= np.maximum(limit, AGREE_SHARE * abs(value)))
         if z < LEAST_Z or not same or not LEAST_PART * coulomb <= abs(value) <= coulomb:
             continue

@@ -7,8 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
-from scipy.stats import t as student
 from threadpoolctl import threadpool_limits
 
 from zygos.arm import Arm
@@ -46,6 +44,7 @@ from zygos.ground.estimate import DEFAULT_FRICTION, at_best_span
 from zygos.ground.motion import Motion
 from zygos.ground.rows import friction
 from zygos.model.model import Model, Quantity
+from zygos.quantiles import normal_sf, student_factor, student_isf
 from zygos.runs.cycles import Cycles
 
 Floats = NDArray[np.float64]
@@ -431,13 +430,13 @@ class _Sizes:
         k = self.layout.at(name)
         value = float(self.layout.start[k] + self.fitted.x[k])
         freedom = self._freedom.get(k, 2.0)
-        return value, self._sigma.get(k, 0.0) * float(student.ppf(0.975, freedom)) / INTERVAL
+        return value, self._sigma.get(k, 0.0) * float(student_factor(0.95, freedom)) / INTERVAL
 
     def wide(self, name: str) -> float:
         """Factor by which a 99.7 % interval is wider than that of a normal variable with the same 95 % interval."""
         freedom = self._freedom.get(self.layout.at(name), 2.0)
-        own = student.isf(norm.sf(SURE), freedom) / SURE
-        return float(own / (student.ppf(0.975, freedom) / INTERVAL))
+        own = student_isf(normal_sf(SURE), freedom) / SURE
+        return float(own / (student_factor(0.95, freedom) / INTERVAL))
 
 
 def stage_of(layout: Layout, name: str, fitted: Fit) -> Stage:

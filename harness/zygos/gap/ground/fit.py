@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
-from scipy.stats import t as student
 
 from zygos.gap.ground.columns import Table
+from zygos.quantiles import normal_isf, student_sf
 
 Floats = NDArray[np.float64]
 Places = tuple[int, ...]
@@ -59,7 +58,7 @@ class Scores:
         """(C,) deviations from 0 of a normal variable with the same probability."""
         with np.errstate(divide="ignore", invalid="ignore"):
             t = self.value / self.sigma
-        z = norm.isf(np.maximum(student.sf(np.abs(t), self.freedom), 1e-300))
+        z = normal_isf(np.maximum(student_sf(np.abs(t), self.freedom), 1e-300))
         return np.asarray(np.where(np.isfinite(t), np.sign(t) * z, 0.0), dtype=np.float64)
 
 

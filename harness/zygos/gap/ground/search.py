@@ -8,13 +8,12 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
-from scipy.stats import t as student
 
 from zygos.gap.findings import ROTOR_INERTIA
 from zygos.gap.ground.candidates import GAIN, Candidate
 from zygos.gap.ground.columns import Table
 from zygos.gap.ground.fit import Fit, Scores, fit, jackknife, score
+from zygos.quantiles import normal_isf, normal_sf, student_isf
 
 Floats = NDArray[np.float64]
 Against = Literal["insignificant", "inconsistent", "negative", "not transferable", "immaterial"]
@@ -108,13 +107,13 @@ class Search:
 
 def threshold(count: int) -> float:
     """Standard deviations that one of so many candidates needs."""
-    return max(LEAST_Z, float(norm.isf(0.5 * FALSE_ALARMS / max(count, 1))))
+    return max(LEAST_Z, float(normal_isf(0.5 * FALSE_ALARMS / max(count, 1))))
 
 
 def false_alarms(count: int) -> float:
     """Limit of the share of searches on runs that lack nothing in which noise brings one of so many candidates to the
     threshold."""
-    return min(1.0, 2.0 * count * float(norm.sf(threshold(count))))
+    return min(1.0, 2.0 * count * float(normal_sf(threshold(count))))
 
 
 def search(table: Table, step: Callable[[str], None], begun: Search | None = None) -> Search:
@@ -179,7 +178,7 @@ def _judged(table: Table, scores: Scores, k: int, one: Candidate, needed: float)
         against = "not transferable"
     elif explained < MATERIAL:
         against = "immaterial"
-    limit = float(student.isf(norm.sf(needed), scores.freedom[k]) * sigma)
+    limit = float(student_isf(normal_sf(needed), scores.freedom[k]) * sigma)
     return Tried(
         one,
         value,
@@ -201,7 +200,7 @@ def _agrees(table: Table, value: float, sigma: float, each: Floats, each_sigma: 
         if not np.isfinite(own):
             continue
         # a standard deviation from few blocks is not known well itself
-        limit = student.isf(norm.sf(AGREE_Z), max(2.0, 0.5 * count)) * np.hypot(wide, sigma)
+        limit = student_isf(normal_sf(AGREE_Z), max(2.0, 0.5 * count)) * np.hypot(wide, sigma)
         if abs(own - value) > max(limit, AGREE_SHARE * abs(value)):
             return False
         if own * value < 0.0 and abs(own) > 2.0 * wide:
@@ -249,7 +248,7 @@ def _retested(
         place = table.layout.at(name)
         k = fitted.free.index(place)
         value, sigma = float(fitted.x[place]), float(np.sqrt(max(covariance[k, k], 1e-300)))
-        weak = abs(value) < student.isf(norm.sf(_KEPT_Z), freedom[k]) * sigma
+        weak = abs(value) < student_isf(normal_sf(_KEPT_Z), freedom[k]) * sigma
         if weak or (by_name[name].positive and value < 0.0):
             kept.remove(name)
     return kept, [group for group in sets if group[0] in kept]

@@ -7,8 +7,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
-from scipy.stats import t as student
 
 from zygos.effects import CATALOGUE
 from zygos.gap.ground.columns import Table
@@ -18,6 +16,7 @@ from zygos.ground.estimate import DEFAULT_FRICTION
 from zygos.ground.motion import Motion
 from zygos.ground.rows import friction, run_rows
 from zygos.model.model import Model
+from zygos.quantiles import normal_sf, student_isf
 
 Floats = NDArray[np.float64]
 
@@ -42,9 +41,9 @@ def lateness(table: Table) -> float | None:
     value, sigma = fitted.x[lags], np.sqrt(np.maximum(np.diag(covariance)[at], 1e-300))
     weight = 1.0 / sigma**2
     mean = float(np.sum(weight * value) / np.sum(weight))
-    limit = student.isf(norm.sf(AGREE_Z), freedom[at]) * sigma
+    limit = student_isf(normal_sf(AGREE_Z), freedom[at]) * sigma
     same = np.all(np.abs(value - mean) <= np.maximum(limit, AGREE_SHARE * abs(mean)))
-    sure = abs(mean) * np.sqrt(np.sum(weight)) > student.isf(norm.sf(LEAST_Z), float(np.min(freedom[at])))
+    sure = abs(mean) * np.sqrt(np.sum(weight)) > student_isf(normal_sf(LEAST_Z), float(np.min(freedom[at])))
     # a run that hardly shows a lag agrees with any
     shown = np.all(np.abs(value) > 2.0 * sigma)
     periods = mean / layout.arm.period_s
