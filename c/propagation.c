@@ -742,6 +742,27 @@ bool zygos_propagation_move(const zygos_propagation_t *self, const zygos_config_
     return true;
 }
 
+/* The next term of an exponential series: the derivatives by the state times the term before, times factor. */
+static void next_term(const zygos_propagation_t *self, uint32_t n, double factor, const zygos_propagation_work_t *work,
+                      double *term)
+{
+    const uint32_t w = self->base_rates;
+    double next[ZYGOS_MAX_ACCELERATIONS];
+    for (uint32_t k = 0; k < w + 2u * n; k++) {
+        double sum = 0.0;
+        for (uint32_t i = 0; i < self->moving; i++) {
+            sum += work->by_state[k][i] * term[i];
+        }
+        next[k] = sum;
+    }
+    for (uint32_t k = 0; k < 2u * n; k++) {
+        term[w + k] = factor * term[w + 2u * n + k];
+    }
+    for (uint32_t k = 0; k < w + 2u * n; k++) {
+        term[(k < w) ? k : k + 2u * n] = factor * next[k];
+    }
+}
+
 void zygos_propagation_series(const zygos_propagation_t *self, const zygos_config_t *config, double time,
                               uint32_t terms, uint32_t c, const zygos_propagation_work_t *work, double *out)
 {
@@ -754,23 +775,36 @@ void zygos_propagation_series(const zygos_propagation_t *self, const zygos_confi
     term[(pushed && (k0 >= w)) ? k0 + 2u * n : k0] = pushed ? time : 1.0;
     memcpy(out, term, moving * sizeof out[0]);
     for (uint32_t m = pushed ? 2u : 1u; m <= terms; m++) {
-        const double factor = time / (double)m;
-        double next[ZYGOS_MAX_ACCELERATIONS];
-        for (uint32_t k = 0; k < w + 2u * n; k++) {
-            double sum = 0.0;
-            for (uint32_t i = 0; i < moving; i++) {
-                sum += work->by_state[k][i] * term[i];
-            }
-            next[k] = sum;
-        }
-        for (uint32_t k = 0; k < 2u * n; k++) {
-            term[w + k] = factor * term[w + 2u * n + k];
-        }
-        for (uint32_t k = 0; k < w + 2u * n; k++) {
-            term[(k < w) ? k : k + 2u * n] = factor * next[k];
-        }
+        next_term(self, n, time / (double)m, work, term);
         for (uint32_t i = 0; i < moving; i++) {
             out[i] += term[i];
+        }
+    }
+}
+
+void zygos_propagation_shapes(const zygos_propagation_t *self, const zygos_config_t *config, double time,
+                              uint32_t terms, uint32_t torque, uint32_t shapes, const zygos_propagation_work_t *work,
+                              double (*out)[ZYGOS_MAX_MOVING])
+{
+    const uint32_t n = config->joints;
+    const uint32_t w = self->base_rates;
+    double term[ZYGOS_MAX_MOVING] = { 0.0 };
+    for (uint32_t k = 0; k < w + 2u * n; k++) {
+        term[(k < w) ? k : k + 2u * n] = time * work->by_torque[k][torque];
+    }
+    for (uint32_t k = 0; k < shapes; k++) {
+        memset(out[k], 0, self->moving * sizeof out[k][0]);
+    }
+    for (uint32_t m = 1; m <= terms; m++) {
+        if (m > 1u) {
+            next_term(self, n, time / (double)m, work, term);
+        }
+        double share = 1.0; /* m times the integral of u^(m - 1) times polynomial k over 0..1 */
+        for (uint32_t k = 0; (k < shapes) && (k < m); k++) {
+            share *= (k > 0u) ? (double)(m - k) / (double)(m + k) : 1.0;
+            for (uint32_t i = 0; i < self->moving; i++) {
+                out[k][i] += share * term[i];
+            }
         }
     }
 }

@@ -8,11 +8,12 @@
 #define WIDER 2.0            /* standard deviations at the start, as a multiple of those of the estimate */
 #define ADDED 0.005          /* what is added to them, and what a value without one has; shares of the sizes */
 #define ASSUMED 0.01
-#define MOST 0.01  /* with more, the first innovations lead the filter out of the range where it is linear */
-#define FRESH 10.0 /* noise of the readings with which the state begins, as a multiple */
-#define KEPT 0.25  /* information that the level is what it was: windows that tell nothing of it leave it */
-#define FADE 0.8   /* of what is known of the level, from window to window */
-#define UNSURE 2.0 /* what is known of it at the start */
+#define MOST 0.01   /* with more, the first innovations lead the filter out of the range where it is linear */
+#define RARE_S 0.04 /* between uses of readings where there are many parameters */
+#define FRESH 10.0  /* noise of the readings with which the state begins, as a multiple */
+#define KEPT 0.25   /* information that the level is what it was: windows that tell nothing of it leave it */
+#define FADE 0.8    /* of what is known of the level, from window to window */
+#define UNSURE 2.0  /* what is known of it at the start */
 #define SMALLEST_LEVEL 1e-4
 #define LARGEST_LEVEL 1e4
 #define LARGEST_STATE 1e6
@@ -64,8 +65,8 @@ void zygos_refine_defaults(zygos_refine_settings_t *settings, const zygos_config
         filter->link_sigma[i] = joint->link_sigma_rad;
         filter->motor_sigma[i] = joint->motor_sigma_rad;
     }
-    settings->every = 1u;
-    settings->terms = 6u;
+    settings->every = (config->joints > 2u) ? 1u + (uint32_t)(RARE_S / config->period_s - 0.9999) : 1u;
+    settings->terms = (settings->every > 1u) ? 12u : 6u;
     settings->window = 100u;
     settings->apart = 1u + (uint32_t)(0.0249999 / config->period_s);
     settings->bias_sigma = 1e-3;
@@ -448,15 +449,41 @@ static void linearise(zygos_refine_t *self, const zygos_config_t *config)
         fail(self);
         return;
     }
+    const uint32_t every = self->settings.every;
+    self->work.shapes = (every < (uint32_t)ZYGOS_MAX_SHAPES) ? every : (uint32_t)ZYGOS_MAX_SHAPES;
     self->cursor = 0u;
     self->phase = (uint32_t)SERIES;
 }
 
-/* The noise of a torque that is held for all cycles and does to the rates what that of each of them does. */
+/* Noise of a torque that is another one in each cycle has in the mean over all cycles so much, and as much, of other
+ * sizes, in each other shape over them. */
 static double noise_of(const zygos_refine_t *self, uint32_t i, double missing)
 {
     const double variance = self->level * self->level * self->variance[i] + missing;
     return __builtin_sqrt(variance) / (double)self->settings.every;
+}
+
+/* What the noise of a torque does in other shapes than held: Legendre polynomials over the cycles, of which noise that
+ * is held within each of so many cycles has as much as their discrete counterparts are long. */
+static void shape(zygos_refine_t *self, const zygos_config_t *config, double time, uint32_t torque)
+{
+    const double cycles = (double)self->settings.every;
+    const uint32_t shapes = self->work.shapes;
+    double out[ZYGOS_MAX_SHAPES][ZYGOS_MAX_MOVING];
+    double square = 1.0;
+    if (shapes < 2u) {
+        return;
+    }
+    zygos_propagation_shapes(&self->filter.propagation, config, time, self->settings.terms, torque, shapes,
+                             &self->work.propagation, out);
+    for (uint32_t k = 1; k < shapes; k++) {
+        const double degree = (double)k;
+        square *= 1.0 - degree * degree / (cycles * cycles);
+        const double factor = __builtin_sqrt((2.0 * degree + 1.0) * square);
+        for (uint32_t i = 0; i < self->filter.propagation.moving; i++) {
+            self->work.push[i][k * config->joints + torque] = factor * out[k][i];
+        }
+    }
 }
 
 /* Columns by the state before, then by additions to accelerations, then by constants and torques. */
@@ -488,8 +515,11 @@ static void series(zygos_refine_t *self, const zygos_config_t *config)
                 self->work.slope[i][(c < moving) ? c : c - direct + moving] = column[i];
             }
             if (torque < n) {
-                self->push[i][torque] = column[i] * noise_of(self, torque, 0.0);
+                self->work.push[i][torque] = column[i];
             }
+        }
+        if (torque < n) {
+            shape(self, config, time, torque);
         }
     }
     if (self->cursor >= direct + constants + n) {
@@ -554,10 +584,11 @@ static void read_one(zygos_refine_t *self, const zygos_config_t *config)
     self->largest[one.channel] = larger(self->largest[one.channel], one.square);
     if (self->lost_lately == 0u) {
         double share = 0.0;
-        for (uint32_t i = 0; i < n; i++) {
+        for (uint32_t k = 0; k < self->work.shapes * n; k++) {
+            const double noise = noise_of(self, k % n, 0.0);
             double moved = 0.0;
             for (uint32_t t = 0; (t < one.terms) && (one.entry[t] < filter->propagation.moving); t++) {
-                moved += one.weight[t] * self->push[one.entry[t]][i];
+                moved += one.weight[t] * self->work.push[one.entry[t]][k] * noise;
             }
             share += moved * moved;
         }

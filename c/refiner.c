@@ -274,7 +274,7 @@ void zygos_refiner_read(zygos_refiner_t *self, const zygos_config_t *config, con
 /* The upper triangular R with R R' = T T' of the table T, by the modified method of Gram and Schmidt. */
 void zygos_refiner_row(zygos_refiner_t *self, uint32_t at, zygos_refiner_work_t *work)
 {
-    const uint32_t columns = self->propagation.moving + 2u * self->propagation.base_rates + self->joints;
+    const uint32_t columns = self->fast + work->shapes * self->joints + self->propagation.base_rates;
     double *own = &self->root[column(at)];
     double *row = work->table[at];
     double square = 0.0;
@@ -304,8 +304,8 @@ void zygos_refiner_table(const zygos_refiner_t *self, const double *noise, doubl
     const uint32_t n = self->joints;
     const uint32_t moving = self->propagation.moving;
     const uint32_t w = self->propagation.base_rates;
-    const uint32_t columns = self->fast + n + w;
-    const uint32_t torques = moving + self->propagation.parameters + ((self->settings.friction != 0u) ? n : 0u);
+    const uint32_t pushes = work->shapes * n;
+    const uint32_t columns = self->fast + pushes + w;
     for (uint32_t i = 0; i < self->fast; i++) {
         memset(work->table[i], 0, columns * sizeof work->table[i][0]);
     }
@@ -323,13 +323,13 @@ void zygos_refiner_table(const zygos_refiner_t *self, const double *noise, doubl
             work->table[i][j] = own[i];
         }
     }
-    for (uint32_t k = 0; k < n; k++) {
+    for (uint32_t k = 0; k < pushes; k++) {
         for (uint32_t i = 0; i < moving; i++) {
-            work->table[i][self->fast + k] = work->slope[i][torques + k] * noise[k];
+            work->table[i][self->fast + k] = work->push[i][k] * noise[k % n];
         }
     }
     for (uint32_t k = 0; k < w; k++) {
-        work->table[moving + k][self->fast + n + k] = walk;
+        work->table[moving + k][self->fast + pushes + k] = walk;
     }
 }
 
@@ -408,6 +408,12 @@ bool zygos_refiner_advance(zygos_refiner_t *self, const zygos_config_t *config, 
     if (!good) {
         self->failed = 1u;
         return false;
+    }
+    const uint32_t torques =
+        self->propagation.moving + self->propagation.parameters + ((self->settings.friction != 0u) ? n : 0u);
+    work->shapes = 1u;
+    for (uint32_t i = 0; i < self->propagation.moving; i++) {
+        memcpy(work->push[i], &work->slope[i][torques], n * sizeof work->push[i][0]);
     }
     zygos_refiner_table(self, noise, self->settings.bias_walk, work);
     for (uint32_t c = 0; c < self->constants; c++) {

@@ -124,6 +124,13 @@ bool zygos_propagation_move(const zygos_propagation_t *self, const zygos_config_
 void zygos_propagation_series(const zygos_propagation_t *self, const zygos_config_t *config, double time,
                               uint32_t terms, uint32_t c, const zygos_propagation_work_t *work, double *out);
 
+/// Writes into out[shapes] what that state changes by, where the change of a torque before the gear has the shape of a
+/// shifted Legendre polynomial of degree 0 to shapes - 1, as a function of the time that is left divided by `time`: 1,
+/// 2u - 1, .. The series has `terms` terms. Cost: terms (W + 4N) (W + 2N + shapes) multiplications.
+void zygos_propagation_shapes(const zygos_propagation_t *self, const zygos_config_t *config, double time,
+                              uint32_t terms, uint32_t torque, uint32_t shapes, const zygos_propagation_work_t *work,
+                              double (*out)[ZYGOS_MAX_MOVING]);
+
 /// Writes the derivatives of that state by constant or torque c into out[W + 4N]. pushed: its derivatives by additions
 /// to the accelerations, a column each. Cost: (W + 2N) (W + 4N) multiplications.
 void zygos_propagation_column(const zygos_propagation_t *self, const zygos_config_t *config, uint32_t c,

@@ -102,16 +102,15 @@ typedef struct {
     uint64_t overrun;          ///< Cycles since init that found the queue full.
     uint64_t rejected;         ///< Readings since init that were rejected.
     double angle[ZYGOS_REFINE_BEGINNING][2 * ZYGOS_MAX_JOINTS];
-    double signal[ZYGOS_MAX_SIGNALS];                ///< Readings of the newest cycle.
-    double before[ZYGOS_MAX_JOINTS];                 ///< Torque that was reported with the cycle before,
-    double after[ZYGOS_MAX_JOINTS];                  ///< and with the newest.
-    double tau[ZYGOS_MAX_JOINTS];                    ///< That acts in the interval.
-    double walk;                                     ///< Mean square of the steps of the torques [Nm^2].
-    double mean[ZYGOS_MAX_JOINTS];                   ///< Sum of the torques since the covariance was moved,
-    double variance[ZYGOS_MAX_JOINTS];               ///< and of the variances of their declared noise,
-    double missing;                                  ///< and of what was not received.
-    double middle[ZYGOS_MAX_MOVING];                 ///< State at the middle of these cycles.
-    double push[ZYGOS_MAX_MOVING][ZYGOS_MAX_JOINTS]; ///< What one standard deviation of the torques does to the state.
+    double signal[ZYGOS_MAX_SIGNALS];                         ///< Readings of the newest cycle.
+    double before[ZYGOS_MAX_JOINTS];                          ///< Torque that was reported with the cycle before,
+    double after[ZYGOS_MAX_JOINTS];                           ///< and with the newest.
+    double tau[ZYGOS_MAX_JOINTS];                             ///< That acts in the interval.
+    double walk;                                              ///< Mean square of the steps of the torques [Nm^2].
+    double mean[ZYGOS_MAX_JOINTS];                            ///< Sum of the torques since the covariance was moved,
+    double variance[ZYGOS_MAX_JOINTS];                        ///< and of the variances of their declared noise,
+    double missing;                                           ///< and of what was not received.
+    double middle[ZYGOS_MAX_MOVING];                          ///< State at the middle of these cycles.
     double pushed[ZYGOS_MAX_MOVING][ZYGOS_MAX_ACCELERATIONS]; ///< The state by additions to accelerations.
     double level;                                             ///< Factor of the declared noise of the torques.
     double information;                                       ///< About twice its logarithm.
@@ -148,7 +147,8 @@ typedef struct {
 } zygos_refined_t;
 
 /// Writes settings for a configuration: noise of encoders, gyro and torques as it declares them, no friction, offsets
-/// and zeros, readings in every cycle. Set torque_relative_sigma, and every where an arm in space is fast.
+/// and zeros; readings in every cycle up to two joints, and about every 40 ms with more, where a use costs much. Set
+/// torque_relative_sigma.
 void zygos_refine_defaults(zygos_refine_settings_t *settings, const zygos_config_t *config);
 
 /// Prepares the task. Needs a configuration that zygos_init() accepts. Returns 1; ZYGOS_E_NULL; ZYGOS_E_VALUE if a

@@ -33,6 +33,11 @@ extern "C" {
 /// The length of S.
 #define ZYGOS_MAX_ROOT (ZYGOS_MAX_REFINED * (ZYGOS_MAX_REFINED + 1) / 2)
 
+/// Shapes in time that the noise of a torque between two uses of readings is made of.
+#define ZYGOS_MAX_SHAPES 4
+/// Columns by which this noise enters the covariance.
+#define ZYGOS_MAX_PUSHES (ZYGOS_MAX_SHAPES * ZYGOS_MAX_JOINTS)
+
 /// The kinds of readings whose innovations are counted apart.
 enum zygos_channel {
     ZYGOS_CHANNEL_LINK = 0,    ///< Link encoders.
@@ -81,7 +86,11 @@ typedef struct {
     zygos_propagation_work_t propagation;
     zygos_dynamics_t dynamics;
     double slope[ZYGOS_MAX_MOVING][ZYGOS_MAX_SLOPES];
-    double table[ZYGOS_MAX_FAST][ZYGOS_MAX_FAST + ZYGOS_MAX_JOINTS + ZYGOS_MAX_BASE_RATES];
+    uint32_t shapes; ///< Of each torque in push, 1..ZYGOS_MAX_SHAPES.
+    uint32_t reserved;
+    double push[ZYGOS_MAX_MOVING][ZYGOS_MAX_PUSHES]; ///< What 1 Nm of each shape of a torque does to the state: the
+                                                     ///< first shape of all joints, then the next.
+    double table[ZYGOS_MAX_FAST][ZYGOS_MAX_FAST + ZYGOS_MAX_PUSHES + ZYGOS_MAX_BASE_RATES];
     double constant[ZYGOS_MAX_MOTION_CONSTANTS];
     double gain[ZYGOS_MAX_REFINED];
 } zygos_refiner_work_t;
@@ -142,10 +151,10 @@ void zygos_refiner_drive(const zygos_refiner_t *self, const double *tau, double 
 /// Moves the column of constant c in the root by the derivatives in work->slope. Cost: (W + 4N) n multiplications.
 void zygos_refiner_carry(zygos_refiner_t *self, uint32_t c, zygos_refiner_work_t *work);
 /// Writes work->table, whose square is the covariance of state and bias after the period; noise: standard deviations of
-/// the torques [Nm]; walk: step of the bias [rad/s]. After it, zygos_refiner_row() has to be called for each row, the
-/// last one first. Cost: (W + 4N)^3 / 2 multiplications.
+/// the torques [Nm], of all shapes in work->push; walk: step of the bias [rad/s]. After it, zygos_refiner_row() has to
+/// be called for each row, the last one first. Cost: (W + 4N)^3 / 2 multiplications.
 void zygos_refiner_table(const zygos_refiner_t *self, const double *noise, double walk, zygos_refiner_work_t *work);
-/// Takes row `at` of the table into the root. Cost: 2 (at + 1) (W + 5N) multiplications.
+/// Takes row `at` of the table into the root. Cost: 2 (at + 1) (2W + (4 + shapes) N) multiplications.
 void zygos_refiner_row(zygos_refiner_t *self, uint32_t at, zygos_refiner_work_t *work);
 
 /// Writes the p parameters in SI units, and their p x p covariance where covariance is not null. Cost: p^3/6

@@ -49,7 +49,7 @@ class Case:
 
 CASES = {
     "planar, 2 joints, every cycle": Case("paper", ("-DZYGOS_MAX_JOINTS=2", "-DZYGOS_SPATIAL=0"), 1, 6, 60),
-    "space, 3 joints, every 20th cycle": Case("spatial", ("-DZYGOS_MAX_JOINTS=3",), 20, 8, 200),
+    "space, 3 joints, every 20th cycle": Case("spatial", ("-DZYGOS_MAX_JOINTS=3",), 20, 12, 200),
 }
 
 
