@@ -92,6 +92,8 @@ def test_a_saved_scenario_is_read_as_it_was(folder: Path) -> None:
         ),
         (("{in}/planned.toml", "--rate", "0.5"), "beyond its limit of 0.5 rad/s"),
         ((), "there is nothing to do"),
+        (("{in}/planned.toml", "--by", "bound"), "has rigid joints, and the bound is computed for flexible ones"),
+        (("{in}/planned.toml", "--by", "luck"), "motions are ranked by energy or by bound"),
         ((EXAMPLE / "scenario.toml",), "the manoeuvre has joints"),
     ],
 )

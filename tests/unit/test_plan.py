@@ -25,6 +25,7 @@ from zygos.plan.planning import Motion, Planner, ranked
 from zygos.plan.rows import Grounded
 from zygos.plan.search import _Goal
 from zygos.plan.series import Space
+from zygos.refinement.bound import bound
 from zygos.simulation.plant import needed_torque, simulate
 from zygos.simulation.scenario import Controller, Scenario
 
@@ -212,6 +213,40 @@ def test_floating_motions_are_ranked_by_what_the_estimator_says() -> None:
     tight = Planner(arm, model, limits_of(arm, None, "0.5", None), np.zeros(2))
     with pytest.raises(ZygosError, match=r"rate of joint .* beyond its limit of 0.5 rad/s; remedy"):
         ranked([tight.expected(fast)])
+
+
+def test_floating_motions_are_ranked_by_the_bound() -> None:
+    """Its sigmas are those of `bound`, and far below those of energy rows."""
+    arm, model, scenario = lively()
+    motions = [
+        replace(scenario, name=name, duration_s=4.0, manoeuvre={
+            joint: replace(one, sines=tuple(replace(sine, amplitude=scale * sine.amplitude) for sine in one.sines))
+            for joint, one in scenario.manoeuvre.items()
+        })
+        for name, scale in (("small", 0.3), ("large", 1.0))
+    ]  # fmt: skip
+    planner = Planner(arm, model, limits_of(arm, None, None, None), np.zeros(2), "bound")
+    shares: list[float] = []
+    expected = [planner.expected(one, shares.append) for one in motions]
+    assert [one.name for one in ranked(expected)] == ["large", "small"]
+    assert shares[-1] == 1.0 and all(0.0 <= share <= 1.0 for share in shares)
+    exact = replace(arm, joints=tuple(replace(joint, torque_sigma=0.0) for joint in arm.joints))
+    (limit,) = bound(exact, model, motions[1])
+    assert expected[1].sigma == pytest.approx(limit.sigma, rel=1e-6)
+    by_energy = Planner(arm, model, limits_of(arm, None, None, None), np.zeros(2)).expected(motions[1])
+    known = np.isfinite(by_energy.sigma)
+    assert np.all(expected[1].sigma[known] < by_energy.sigma[known])
+    sought = Motion(period_s=4.0, harmonics=3, duration_s=4.0, simulated=3)
+    found, planned = planner.plan("planned", sought, Path("arm.toml"), Path("model.toml"), motions[1])
+    again = planner.expected(found)
+    assert found.name == "planned" and again.measure == pytest.approx(planned.measure, rel=1e-9)
+
+
+def test_the_bound_is_refused_where_it_is_not_computed() -> None:
+    arm, model, _ = lively()
+    with_friction = replace(model, effects=(effect("motor_coulomb", arm.joints[0].name, 0.1),))
+    with pytest.raises(ZygosError, match=r"not for effects \(motor_coulomb\); remedy"):
+        Planner(arm, with_friction, limits_of(arm, None, None, None), np.zeros(2), "bound")
 
 
 def test_a_fixed_base_without_mass_can_be_exported() -> None:

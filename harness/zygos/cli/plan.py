@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import typer
@@ -34,6 +34,7 @@ def plan_motion(
     out: Path | None,
     limits: tuple[str | None, str | None, str | None],
     torque_noise: str | None,
+    by: str,
     sought: Motion,
     json: str | None,
     report: Path | None,
@@ -48,7 +49,10 @@ def plan_motion(
             "there is nothing to do; remedy: name the scenario to write with -o, or scenarios whose motions are ranked"
         )
     arm, model = load_arm(arm_file), load_model(model_file)
-    planner = Planner(arm, model, limits_of(arm, *limits), _torque_sigma(arm, torque_noise))
+    if by not in ("energy", "bound"):
+        raise ZygosError(f"--by {by}: motions are ranked by energy or by bound; remedy: use one of these")
+    chosen: Literal["energy", "bound"] = "bound" if by == "bound" else "energy"
+    planner = Planner(arm, model, limits_of(arm, *limits), _torque_sigma(arm, torque_noise), chosen)
     scenarios = [load_scenario(file) for file in scenario_files]
     expected: list[Expectation] = []
     with progress() as bar:
@@ -67,7 +71,7 @@ def plan_motion(
     if out is not None:
         save_scenario(planned, out)
     if not quiet(out, json, report):
-        _tables(expected)
+        _tables(expected, planner.by)
         if out is not None:
             say(f"{out}: written, {planned.duration_s:g} s; zygos simulate {out} -o RUN")
     if report is not None:
@@ -93,7 +97,7 @@ def _torque_sigma(arm: Arm, given: str | None) -> NDArray[np.float64]:
     )
 
 
-def _tables(expected: Sequence[Expectation]) -> None:
+def _tables(expected: Sequence[Expectation], by: str) -> None:
     rows = [
         (column.name, column.unit, number(column.value, 4), *(number(float(one.percent[k]), 3) for one in expected))
         for k, column in enumerate(expected[0].columns)
@@ -118,7 +122,8 @@ def _tables(expected: Sequence[Expectation]) -> None:
     for one in expected:
         if one.excess:
             say(f"{one.name}: {one.excess}")
-    say("σ: expected after one run, in % of the largest value with the same unit of the same body")
+    whose = "the smallest of any unbiased estimator" if by == "bound" else "expected"
+    say(f"σ: {whose} after one run, in % of the largest value with the same unit of the same body")
     say("mean σ: of the arm's parameters, relative to the best motion")
 
 
@@ -127,7 +132,7 @@ def _answer(arm: str, expected: Sequence[Expectation], out: Path | None, planner
     return {
         "arm": arm,
         "scenario": str(out) if out else None,
-        "rows": "joint" if planner.grounded is not None else "simulated",
+        "rows": "joint" if planner.grounded is not None else "simulated" if planner.by == "energy" else "bound",
         "ranking": [one.name for one in ranked(expected)],
         "limits": {
             "low_rad": limits.low.tolist(),
@@ -201,6 +206,15 @@ def command(
             help="Standard deviation of the torques; with NAME= before it of one joint. Default: torque_sigma.",
         ),
     ] = None,
+    by: Annotated[
+        str,
+        typer.Option(
+            "--by",
+            metavar="energy|bound",
+            help="Whose standard deviations rank the motions of an arm that floats or has springs: those of the "
+            "estimate from energy rows, or the smallest possible ones, which `zygos refine` nearly reaches.",
+        ),
+    ] = "energy",
     period: Annotated[float, typer.Option(metavar="S", min=0.5, help="Period of the motion.")] = 10.0,
     harmonics: Annotated[int, typer.Option(metavar="K", min=3, max=30, help="Harmonics of the motion.")] = 5,
     duration: Annotated[
@@ -224,7 +238,8 @@ def command(
     with the same unit of the same body, for each given scenario and for the planned one. For an arm on the ground with
     rigid joints it follows from the joint rows of the motion and from the noise of the torques, and the planned
     scenario has a drive that follows the motion. An arm that floats or has springs is simulated, and its first scenario
-    gives servo, angular momentum and duration.
+    gives servo, angular momentum and duration; if all its joints are flexible, --by bound computes the bound of
+    `zygos bound` for each motion.
 
     A planned motion keeps all limits. A given one that exceeds a limit is ranked last; if all do, they are refused.
 
@@ -239,6 +254,7 @@ def command(
         out,
         (angle, rate, torque),
         torque_noise,
+        by,
         Motion(period, harmonics, duration, seed, simulations),
         json,
         report,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,8 @@ from zygos.plan.expected import Expectation, expected_on_ground, scenario_of
 from zygos.plan.limits import Limits
 from zygos.plan.rows import Grounded
 from zygos.plan.search import search
-from zygos.plan.simulated import expected_by_simulation, search_by_simulation
+from zygos.plan.simulated import expected_by_bound, expected_by_simulation, search_by_simulation
+from zygos.refinement.bound import check_bounded
 from zygos.simulation.scenario import Scenario
 
 Floats = NDArray[np.float64]
@@ -40,19 +42,36 @@ class Motion:
 class Planner:
     """Expectations and searches for an arm with its model."""
 
-    def __init__(self, arm: Arm, model: Model, limits: Limits, torque_sigma: Floats) -> None:
-        """torque_sigma: (N,) standard deviation of the reported torques, Nm. Errors: as `Grounded`, and ZygosError if
-        the model does not fit the arm."""
+    def __init__(
+        self, arm: Arm, model: Model, limits: Limits, torque_sigma: Floats, by: Literal["energy", "bound"] = "energy"
+    ) -> None:
+        """torque_sigma: (N,) standard deviation of the reported torques, Nm. by: whose sigmas rank the motions of an
+        arm that floats or has springs: those of the estimate from energy rows, or the smallest possible ones.
+
+        Errors: as `Grounded`, and ZygosError if the model does not fit the arm, or the bound is not computed for it.
+        """
+        if by == "bound" and arm.grounded:
+            raise ZygosError(
+                f"arm {arm.name} has rigid joints, and the bound is computed for flexible ones; remedy: leave out "
+                "--by, for the sigmas of such an arm follow from its joint rows and the noise of the torques"
+            )
         self.arm, self.limits = replace(arm, joints=_noisy(arm, torque_sigma)), limits
         self.model = model
         model.base_parameters(arm)
+        self.by = by
+        if by == "bound":
+            check_bounded(arm, model)
         self.grounded = Grounded(arm, model, torque_sigma) if arm.grounded else None
 
     def expected(self, scenario: Scenario, progress: Progress = lambda share: None) -> Expectation:
         """What one run of a scenario tells. Errors: ZygosError if it does not fit the arm."""
         if self.grounded is not None:
             return expected_on_ground(self.grounded, scenario, self.limits, progress)
-        return expected_by_simulation(self.arm, self.model, scenario, self.limits, progress)
+        return self._simulated(scenario, self.limits, progress)
+
+    def _simulated(self, scenario: Scenario, limits: Limits, progress: Progress) -> Expectation:
+        expected = expected_by_bound if self.by == "bound" else expected_by_simulation
+        return expected(self.arm, self.model, scenario, limits, progress)
 
     def plan(
         self,
@@ -95,13 +114,14 @@ class Planner:
         template = replace(template, name=name, arm=arm_file, plant=model_file)
         if sought.duration_s is not None:
             template = replace(template, duration_s=sought.duration_s)
+        limits = self.limits.assumed
         chosen = search_by_simulation(
             self.arm,
-            self.model,
             template,
-            self.limits.assumed,
+            limits,
             sought.period_s,
             sought.harmonics,
+            lambda scenario, moved: self._simulated(scenario, limits, moved),
             seed=sought.seed,
             count=sought.simulated,
             progress=progress,

@@ -6,8 +6,9 @@ all sensors and on the balances that the library uses. A simulated run contains 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,8 @@ from zygos.plan.expected import Expectation
 from zygos.plan.limits import Limits
 from zygos.plan.rows import Column
 from zygos.plan.series import Space
-from zygos.simulation.plant import simulate
+from zygos.refinement.bound import bound_of, check_bounded
+from zygos.simulation.plant import Trajectory, simulate
 from zygos.simulation.scenario import Scenario
 
 Floats = NDArray[np.float64]
@@ -31,6 +33,10 @@ _RTOL, _ATOL = 1e-9, 1e-11
 """Tolerances of the integration: its errors are far below the noise of any sensor."""
 _NARROWER = 0.7
 """Factor on the width of the search after a motion that is not better; its inverse follows a better one twice."""
+
+
+Expected = Callable[[Scenario, Callable[[float], None]], Expectation]
+"""What a motion tells, with a function that is called with the share of the work that is done."""
 
 
 def expected_by_simulation(
@@ -46,20 +52,51 @@ def expected_by_simulation(
     """
     run = simulate(arm, model, scenario, noise=True, rtol=_RTOL, atol=_ATOL, progress=progress)
     found = estimate(Run.of_cycles(arm, run.cycles()), model=model)
+    return _expectation(arm, model, scenario, limits, run, (found.names, found.units, found.sigma))
+
+
+def expected_by_bound(
+    arm: Arm,
+    model: Model,
+    scenario: Scenario,
+    limits: Limits,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Expectation:
+    """The smallest sigmas that any unbiased estimator can have after a simulated run of a scenario.
+
+    Errors: ZygosError as `bound`, or if the motion diverges; Undecided if it does not determine all parameters.
+    """
+    check_bounded(arm, model)
+    half = 0.5
+    run = simulate(arm, model, scenario, rtol=_RTOL, atol=_ATOL, progress=lambda share: progress(half * share))
+    (found,) = bound_of(arm, model, run, progress=lambda share: progress(half + (1.0 - half) * share))
+    return _expectation(arm, model, scenario, limits, run, (found.names, found.units, found.sigma))
+
+
+def _expectation(
+    arm: Arm,
+    model: Model,
+    scenario: Scenario,
+    limits: Limits,
+    run: Trajectory,
+    found: tuple[Sequence[str], Sequence[str], Floats],
+) -> Expectation:
+    """What the first run of a trajectory tells: found are names, units and sigmas of its columns."""
+    names, units, sigma = found
     known = {name: quantity.value for name, quantity in model.base_parameters(arm).items()}
     known |= {one.column(arm): one.value for one in estimated(arm, model.effects)}
     columns = tuple(
         Column(name, unit, known.get(name, 0.0), name in arm.parameter_names)
-        for name, unit in zip(found.names, found.units, strict=True)
+        for name, unit in zip(names, units, strict=True)
     )
     value = np.abs([column.value for column in columns])
-    share = np.where(value > 0.0, found.sigma / np.where(value > 0.0, value, 1.0), 1.0)
+    share = np.where(value > 0.0, sigma / np.where(value > 0.0, value, 1.0), 1.0)
     share = np.where(np.isfinite(share), np.minimum(share, 1.0), 1.0)
     own = [column.structural and column.value != 0.0 for column in columns]
     return Expectation(
         scenario.name,
         columns,
-        np.asarray(found.sigma, dtype=np.float64),
+        np.asarray(sigma, dtype=np.float64),
         float(np.mean(np.log(share[own]))),
         run.q[0],
         run.qd[0],
@@ -83,17 +120,18 @@ class Chosen:
 
 def search_by_simulation(
     arm: Arm,
-    model: Model,
     template: Scenario,
     limits: Limits,
     period_s: float,
     harmonics: int,
+    expected: Expected,
     *,
     seed: int = 0,
     count: int = 24,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Chosen:
-    """The best of `count` simulated motions; all but the desired angles is that of the template.
+    """The best of `count` simulated motions by what is expected of them; all but the desired angles is that of the
+    template.
 
     The first half are random Fourier motions within the limits; each of the others is drawn near the best so far, the
     nearer, the more of them were not better. Errors: ZygosError if none keeps the limits.
@@ -101,6 +139,10 @@ def search_by_simulation(
     space = Space(limits, period_s, harmonics)
     rng = np.random.default_rng(seed)
     names = [joint.name for joint in arm.joints]
+
+    def part_of(done: int, share: float) -> None:
+        progress((done + share) / count)
+
     best: tuple[float, Floats, Scenario, Expectation] | None = None
     reason, excluded, width = "", 0, 1.0
     for k in range(count):
@@ -118,8 +160,8 @@ def search_by_simulation(
         )
         expectation: Expectation | None = None
         try:
-            expectation = expected_by_simulation(arm, model, scenario, limits)
-        except ZygosError as error:  # the motion diverges
+            expectation = expected(scenario, partial(part_of, k))
+        except ZygosError as error:  # the motion diverges, or does not determine all parameters
             reason = str(error)
         if expectation is not None and expectation.excess:
             reason = f"{expectation.excess}; remedy: a wider limit, or a stiffer controller in the given scenario"
