@@ -23,18 +23,21 @@ from zygos.accuracy import __main__ as command
 from zygos.accuracy import campaign
 from zygos.accuracy.cases import Case, all_cases, chosen
 from zygos.accuracy.cell import Cell, cells, sensed
-from zygos.accuracy.estimators import ESTIMATORS
+from zygos.accuracy.estimators import ESTIMATORS, Prior, refined
 from zygos.accuracy.figure4 import PRINTED, Figure4
+from zygos.accuracy.limit import Limit
 from zygos.accuracy.page import write_accuracy_report
 from zygos.accuracy.summary import compare, summarise
 from zygos.arm import Arm
 from zygos.dynamics.engines import engine
+from zygos.effects import effect
 from zygos.errors import ZygosError
 from zygos.model.model import Model
 from zygos.native.flight import Flight
 from zygos.paper import printed, response
 from zygos.paper.methods import eb
 from zygos.paper.tables import flight_estimates, noisy_record
+from zygos.refinement.bound import bound
 from zygos.refinement.inertia import inertia
 from zygos.simulation.plant import Trajectory, simulate
 from zygos.simulation.scenario import Scenario
@@ -434,9 +437,9 @@ def test_the_arm_rests_and_then_moves_along_a_sine() -> None:
 
 
 def test_every_case_of_the_issue_is_there() -> None:
-    assert len(CASES) == 18
+    assert len(CASES) == 21
     assert [name for name, case in CASES.items() if not case.benign] == [
-        *("paper-30", "gain-50", "sigma-half", "sigma-double"),
+        *("paper-30", "gain-50", "sigma-half", "sigma-double", "torque-0.1", "torque-0.5", "torque-1"),
     ]
     assert {name: case.scenario.duration_s for name, case in CASES.items() if name.startswith("paper")} == {
         "paper-30": 30.0,
@@ -447,6 +450,46 @@ def test_every_case_of_the_issue_is_there() -> None:
     assert CASES["modern-500"].plant.period_s == pytest.approx(0.002)
     assert CASES["modern-200"].plant.joints[0].link_encoder.quantum_rad == 2.0 * np.pi / 2**20
     assert chosen(list(CASES.values()), []) == tuple(CASES.values())
+
+
+def test_the_bound_of_a_case_is_what_errors_are_divided_by(arm: Arm, true: Floats) -> None:
+    case = replace(CASES["torque-0.5"], scenario=replace(CASES["torque-0.5"].scenario, duration_s=8.0))
+    line = Limit(case, "").run()
+    (found,) = bound(case.plant, case.model, case.scenario)
+    np.testing.assert_allclose(line["percent"], found.percent, rtol=1e-9)
+    assert found.torque_relative_sigma == (0.005, 0.005)
+    value = (true * (1.0 + 0.03 * np.array(line["percent"]) / 100.0)).tolist()
+    column = {"seed": [0], "draw": [0], "validity": ["valid"], "reason": [""], "value": [value],
+              "half95": [value], "sigma": [value]}  # fmt: skip
+    answers = {one.name: column for one in ESTIMATORS}
+    entries = summarise([case], [{"case": case.name, "answers": answers}, line])
+    assert [entry["times_bound"] for entry in entries] == pytest.approx([0.03] * len(ESTIMATORS))
+    without = summarise([case], [{"case": case.name, "answers": answers}])
+    assert all(entry["times_bound"] is None for entry in without)
+
+
+def test_a_case_with_effects_has_no_bound() -> None:
+    case = CASES["paper-60"]
+    friction = effect("motor_coulomb", case.arm.joints[0].name, 0.1)
+    line = Limit(replace(case, model=replace(case.model, effects=(friction,))), "").run()
+    assert line["percent"] is None and "not for effects" in line["why"]
+
+
+def test_refinement_is_asked_of_the_first_seeds_of_planar_arms() -> None:
+    (one,) = (each for each in ESTIMATORS if each.name == "refined")
+    assert one.fits(CASES["paper-60"].arm) and not one.fits(CASES["spatial"].arm)
+    assert [seed for seed in range(20) if one.takes(seed, 0)] == list(range(10)) and not one.takes(0, 1)
+
+
+@pytest.mark.slow
+def test_what_refinement_does_not_publish_is_refused() -> None:
+    """Torques that are noisier than declared: the rule is named, and nothing is counted."""
+    case = CASES["torque-1"]
+    motion = simulate(case.plant, case.model, case.scenario, seeds=[0], duration_s=20.0, noise=True)
+    _, frames = sensed(case, motion, 0, 0)
+    answer = refined(CASES["paper-60"].arm, frames, Prior(0.0))
+    assert (answer.validity, answer.value) == ("refused", None)
+    assert "level" in answer.reason or "start" in answer.reason
 
 
 def test_a_campaign_has_at_least_so_many_draws() -> None:

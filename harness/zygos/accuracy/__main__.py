@@ -12,6 +12,7 @@ from zygos.accuracy import campaign
 from zygos.accuracy.cases import all_cases, chosen
 from zygos.accuracy.cell import cells, fingerprint
 from zygos.accuracy.figure4 import Figure4
+from zygos.accuracy.limit import Limit
 from zygos.accuracy.page import write_accuracy_report
 from zygos.accuracy.summary import compare, summarise
 from zygos.files.output import check_outputs, counted, errors_end_the_program, number, quiet, say, table, write_json
@@ -43,6 +44,7 @@ def accuracy(
     target = page or Path("out/accuracy.html" if cases else "docs/accuracy.html")
     check_outputs([lines, json, target], [])
     work: list[campaign.Job] = [*cells(wanted, seeds, draws)]
+    work += [Limit(case, fingerprint()) for case in wanted if all(joint.flexible for joint in case.plant.joints)]
     work += [Figure4(case, 0, fingerprint()) for case in wanted if case.name == FIGURE_CASE]
     found = campaign.run(work, lines, lambda: campaign.executor(scheduler, workers))
     summary, compared = summarise(wanted, found), compare(wanted, found)
@@ -59,7 +61,7 @@ def accuracy(
     if quiet(json, target):
         return
     table(
-        ("case", "estimator", "seeds", "refused", "mean %", "max %", "coverage 95 %, %", "wild"),
+        ("case", "estimator", "seeds", "refused", "mean %", "max %", "× bound", "coverage 95 %, %", "wild"),
         [
             (
                 entry["case"],
@@ -68,6 +70,7 @@ def accuracy(
                 str(entry["refused"]),
                 number(entry["mean_rms_percent"], 3),
                 number(entry["max_rms_percent"], 3),
+                number(entry["times_bound"], 3),
                 _span([x for x in (entry["coverage95"] or {}).values() if x is not None]),
                 "–" if entry["wild"] is None else str(entry["wild"]),
             )

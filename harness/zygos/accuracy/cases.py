@@ -98,6 +98,12 @@ def all_cases(folder: Path = Path("examples")) -> tuple[Case, ...]:
         scenario=replace(floating.scenario, duration_s=20.0),
     )
 
+    def noisy(share: float) -> Case:
+        hardware = replace(arm, joints=tuple(replace(joint, torque_relative_sigma=share) for joint in arm.joints))
+        description = f"reported torques with white noise of {100.0 * share:g} % of their size, as declared"
+        name = f"torque-{100.0 * share:g}"
+        return replace(usual, name=name, description=description, arm=hardware, plant=hardware, benign=False)
+
     def with_joint_rows(case: Case) -> Case:
         return replace(
             case,
@@ -160,6 +166,7 @@ def all_cases(folder: Path = Path("examples")) -> tuple[Case, ...]:
             scenario=_from_rest(larger.scenario, [joint.name for joint in moving.joints]),
             rest_s=REST_S,
         ),
+        *(noisy(share) for share in (0.001, 0.005, 0.01)),
         floating,
         with_joint_rows(floating),
         shorter,

@@ -32,7 +32,7 @@ STREAM = 1_000_000
 _SYNC = 0x080
 _FACES = ("cli", "demo", "report", "view")
 """Sub-packages on which no answer depends."""
-_MAKERS = ("cases.py", "cell.py", "estimators.py", "figure4.py", "idim.py", "laboratory.py", "mission.py")
+_MAKERS = ("cases.py", "cell.py", "estimators.py", "figure4.py", "idim.py", "laboratory.py", "limit.py", "mission.py")
 
 
 @cache
@@ -84,7 +84,7 @@ class Cell:
                 for draw in range(self.draws):
                     arm, frames = sensed(case, trajectory, index, seed + draw * STREAM)
                     for estimator in ESTIMATORS:
-                        if estimator.name in answers and (draw == 0 or estimator.redrawn):
+                        if estimator.name in answers and estimator.takes(seed, draw):
                             answers[estimator.name].add(seed, draw, estimator.estimate(arm, frames, prior))
         return {
             "case": case.name,

@@ -13,9 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm
+from zygos.can.run import Run
 from zygos.errors import Undecided, ZygosError
 from zygos.native.flight import Flight
 from zygos.paper.methods import Record, amc, de, eb, record_of
+from zygos.refinement.refine import refine_runs
 from zygos.runs.samples import calibrate
 
 Floats = NDArray[np.float64]
@@ -61,10 +63,18 @@ class Estimator:
     """Whether it works for every arm and gives intervals; the paper's methods are planar and give none."""
     redrawn: bool = False
     """Whether it is applied to every draw of sensor noise, which gives the coverage of its intervals."""
+    planar: bool = False
+    """Whether it is only applied to planar arms, because it costs much."""
+    seeds: int | None = None
+    """It is only applied to so many seeds, the first ones; None: to all."""
 
     def fits(self, arm: Arm) -> bool:
         """Whether it can be applied to this arm."""
-        return self.ours or (arm.free and not arm.spatial)
+        return not (self.planar and arm.spatial) and (self.ours or (arm.free and not arm.spatial))
+
+    def takes(self, seed: int, draw: int) -> bool:
+        """Whether it is applied to these sensor errors."""
+        return (draw == 0 or self.redrawn) and (self.seeds is None or seed < self.seeds)
 
 
 def flight(arm: Arm, frames: NDArray[Any], _: Prior) -> EstimatorResult:
@@ -78,6 +88,20 @@ def flight(arm: Arm, frames: NDArray[Any], _: Prior) -> EstimatorResult:
     return EstimatorResult(
         found.validity, found.reason, found.value[:own], found.half95[:own], found.sigma[:own], found.solution[:own]
     )
+
+
+def refined(arm: Arm, frames: NDArray[Any], _: Prior) -> EstimatorResult:
+    """The filter of `zygos refine`, with its rules: what it does not publish is refused."""
+    trace = Flight(arm).frames(frames, trace=True)
+    assert trace is not None
+    try:
+        found = refine_runs(Run.of_cycles(arm, trace.cycles))
+    except ZygosError as error:
+        return EstimatorResult("refused", str(error).partition(";")[0])
+    if not found.published:
+        names = ", ".join(rule.key for rule in found.rules if not rule.holds)
+        return EstimatorResult("refused", f"rules that failed: {names}")
+    return EstimatorResult("valid", "", found.value, found.half95, found.sigma, found.value)
 
 
 def _with(**settings: Any) -> EstimateFunction:
@@ -127,4 +151,5 @@ ESTIMATORS: tuple[Estimator, ...] = (
         True,
     ),
     Estimator("flight", "the C library, from CAN frames, with default settings", flight, True, True),
+    Estimator("refined", "zygos refine, from CAN frames, where it publishes", refined, True, planar=True, seeds=10),
 )

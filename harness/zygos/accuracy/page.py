@@ -109,6 +109,7 @@ def _row(entry: Mapping[str, Any]) -> Entry:
         "many": entry["benign"] and entry["refused"] > REFUSALS * entry["seeds"],
         "mean": _number(entry["mean_rms_percent"]),
         "max": _number(entry["max_rms_percent"]),
+        "bound": _number(entry["times_bound"]),
         "coverage": f"{100 * min(shares):.1f} … {100 * max(shares):.1f}" if shares else "–",
         "inside": f"{sum(BAND[0] <= share <= BAND[1] for share in shares)} of {len(shares)}" if shares else "–",
         "wild": "–" if entry["wild"] is None else str(entry["wild"]),

@@ -77,9 +77,10 @@ def summarise(cases: Sequence[Case], lines: Sequence[Line]) -> list[dict[str, An
     out = []
     for case in cases:
         true = case.model.base_values(case.arm)
+        limit = next((line["percent"] for line in lines if line.get("limit") == case.name), None)
         for estimator in ESTIMATORS:
             if estimator.fits(case.arm):
-                out.append(_entry(case, estimator, _answers(case.name, estimator, lines, len(true)), true))
+                out.append(_entry(case, estimator, _answers(case.name, estimator, lines, len(true)), true, limit))
     return out
 
 
@@ -125,7 +126,9 @@ def _answers(case: str, estimator: Estimator, lines: Sequence[Line], parameters:
     return EstimatorResults.of(own, parameters)
 
 
-def _entry(case: Case, estimator: Estimator, answers: EstimatorResults, true: Floats) -> dict[str, Any]:
+def _entry(
+    case: Case, estimator: Estimator, answers: EstimatorResults, true: Floats, limit: Sequence[float] | None
+) -> dict[str, Any]:
     names = case.arm.parameter_names
     relied = np.isin(answers.validity, RELIED_ON)
     seeds = answers.first
@@ -143,6 +146,11 @@ def _entry(case: Case, estimator: Estimator, answers: EstimatorResults, true: Fl
             "spread_percent": float(np.std(own, ddof=1)) if len(own) > 1 else None,
             "coverage95": None if coverage is None else coverage[name],
         }
+    both = [
+        (entry["rms_percent"], least)
+        for entry, least in zip(per_parameter.values(), limit or [], strict=False)
+        if entry["rms_percent"] is not None
+    ]
     rms = [entry["rms_percent"] for entry in per_parameter.values() if entry["rms_percent"] is not None]
     entry = {
         "case": case.name,
@@ -158,6 +166,8 @@ def _entry(case: Case, estimator: Estimator, answers: EstimatorResults, true: Fl
         "wild": _wild(answers, true, error) if gives else None,
         "mean_rms_percent": float(np.mean(rms)) if rms else None,
         "max_rms_percent": float(np.max(rms)) if rms else None,
+        # both are means over the parameters that have values
+        "times_bound": float(np.sum([a for a, _ in both]) / np.sum([b for _, b in both])) if both else None,
         "per_parameter": per_parameter,
         "coverage95": coverage,
     }
