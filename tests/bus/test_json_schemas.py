@@ -66,6 +66,7 @@ CASES: dict[str, tuple[object, ...]] = {
     "dbc": ("dbc", "--arm", ARM, "-o", "{out}/arm.dbc"),
     "parameters": ("parameters", ARM),
     "plan": ("plan", ARM, "--model", MODEL, "--candidates", SCENARIO),
+    "plan, bound": ("plan", ARM, "--model", MODEL, SCENARIO, "--by", "bound"),
     "refine": ("refine", "{in}/run.blf", "-o", "{out}/m.toml"),
     "bound": ("bound", SCENARIO, "--torque-noise", 0, "--torque-noise", 0.005),
     "compile-model": ("compile-model", ARM, "-o", "{out}"),

@@ -13,7 +13,8 @@ from arm_support import random_arm
 from conftest import EXAMPLE
 from zygos.arm import load_arm, save_arm
 from zygos.cli import main
-from zygos.model.model import save_model
+from zygos.effects import effect
+from zygos.model.model import load_model, save_model
 from zygos.simulation.scenario import load_scenario, save_scenario
 
 
@@ -75,6 +76,61 @@ def test_a_saved_scenario_is_read_as_it_was(folder: Path) -> None:
     np.testing.assert_allclose(again.desired(names, t), example.desired(names, t), atol=1e-15)
 
 
+@pytest.fixture(scope="module")
+def springs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two motions of examples/lively with 0.5 % noise of the torques, and its model with friction."""
+    folder = tmp_path_factory.mktemp("springs")
+    arm, model = load_arm(EXAMPLE / "arm.toml"), load_model(EXAMPLE / "model.toml")
+    joints = tuple(replace(joint, torque_relative_sigma=0.005) for joint in arm.joints)
+    save_arm(replace(arm, joints=joints), folder / "arm.toml")
+    save_model(model, folder / "model.toml")
+    save_model(replace(model, effects=(effect("motor_coulomb", "elbow", 1.0),)), folder / "rubbing.toml")
+    scenario = load_scenario(EXAMPLE / "scenario.toml")
+    scenario = replace(scenario, arm=folder / "arm.toml", plant=folder / "model.toml")
+    for name, seconds in (("short", 3.0), ("long", 5.0)):
+        save_scenario(replace(scenario, name=name, duration_s=seconds), folder / f"{name}.toml")
+    return folder
+
+
+def test_motions_are_ranked_by_the_bound(springs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = (springs / "arm.toml", "--model", springs / "model.toml", springs / "short.toml", springs / "long.toml")
+    given = ("--json", springs / "plan.json", "--report", springs / "plan.html")
+    assert run("plan", *files, "--by", "bound", *given) == 0
+    table = capsys.readouterr().out
+    content = json.loads((springs / "plan.json").read_text())
+    page = (springs / "plan.html").read_text()
+    assert content["ranking"] == ["long", "short"] and content["rows"] == "bound"
+    assert "the smallest of any unbiased estimate" in table and "Cramér–Rao bound" in page
+    assert "mean σ, %" in page and "not determined" in page
+    for motion in content["motions"]:
+        assert run("bound", springs / f"{motion['name']}.toml", "--json", "-") == 0
+        (least,) = json.loads(capsys.readouterr().out)["bounds"]
+        assert motion["worst"] == least["worst"] and motion["open"] is None
+        assert motion["mean_percent"] == pytest.approx(least["mean_percent"], rel=1e-6)
+        for one, other in zip(motion["parameters"], least["parameters"], strict=True):
+            assert one["sigma"] == pytest.approx(other["sigma"], rel=1e-6) and one["size"] == other["size"]
+        mean = f"{motion['mean_percent']:.3g}"
+        assert mean in table and mean in page
+
+
+def test_a_motion_is_searched_by_the_bound(springs: Path, tmp_path: Path) -> None:
+    files = (springs / "arm.toml", "--model", springs / "model.toml", springs / "short.toml")
+    sought = ("--by", "bound", "--simulations", 2, "--period", 3, "-o", tmp_path / "planned.toml")
+    assert run("plan", *files, *sought, "--json", tmp_path / "plan.json") == 0
+    assert load_scenario(tmp_path / "planned.toml").duration_s == 3.0
+    content = json.loads((tmp_path / "plan.json").read_text())
+    assert sorted(content["ranking"]) == ["planned", "short"] and content["rows"] == "bound"
+
+
+def test_the_bound_of_what_has_none_is_refused(folder: Path, springs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert plan(folder, "--by", "bound", folder / "planned.toml") == 2
+    said = capsys.readouterr().err
+    assert "joint joint1 is rigid" in said and "remedy: " in said and "or leave out --by bound" in said
+    files = (springs / "arm.toml", "--model", springs / "rubbing.toml", springs / "short.toml")
+    assert run("plan", *files, "--by", "bound") == 2
+    assert "(motor_coulomb); remedy: remove them" in capsys.readouterr().err
+
+
 @pytest.mark.slow(only=["more1-*"])
 @pytest.mark.parametrize(
     ("more", "words"),
@@ -92,8 +148,6 @@ def test_a_saved_scenario_is_read_as_it_was(folder: Path) -> None:
         ),
         (("{in}/planned.toml", "--rate", "0.5"), "beyond its limit of 0.5 rad/s"),
         ((), "there is nothing to do"),
-        (("{in}/planned.toml", "--by", "bound"), "has rigid joints, and the bound is computed for flexible ones"),
-        (("{in}/planned.toml", "--by", "luck"), "motions are ranked by energy or by bound"),
         ((EXAMPLE / "scenario.toml",), "the manoeuvre has joints"),
     ],
 )

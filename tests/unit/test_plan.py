@@ -15,7 +15,7 @@ from zygos.arm import Arm, Encoder, Smoother
 from zygos.can.run import Run
 from zygos.dynamics.equations import equations
 from zygos.effects import effect
-from zygos.errors import ZygosError
+from zygos.errors import Undecided, ZygosError
 from zygos.ground.estimate import estimate_ground
 from zygos.model.model import Model, Quantity
 from zygos.model.nearest import nearest_bodies
@@ -215,38 +215,88 @@ def test_floating_motions_are_ranked_by_what_the_estimator_says() -> None:
         ranked([tight.expected(fast)])
 
 
-def test_floating_motions_are_ranked_by_the_bound() -> None:
-    """Its sigmas are those of `bound`, and far below those of energy rows."""
+def _short(relative: float = 0.005) -> tuple[Arm, Model, Scenario]:
+    """Five seconds of examples/lively with noise in proportion to the torques."""
     arm, model, scenario = lively()
-    motions = [
-        replace(scenario, name=name, duration_s=4.0, manoeuvre={
-            joint: replace(one, sines=tuple(replace(sine, amplitude=scale * sine.amplitude) for sine in one.sines))
-            for joint, one in scenario.manoeuvre.items()
-        })
-        for name, scale in (("small", 0.3), ("large", 1.0))
-    ]  # fmt: skip
+    joints = tuple(replace(joint, torque_relative_sigma=relative) for joint in arm.joints)
+    return replace(arm, joints=joints), model, replace(scenario, duration_s=5.0)
+
+
+def test_motions_are_ranked_by_the_bound_of_each() -> None:
+    arm, model, fast = _short()
+    slow = replace(fast, name="slow", manoeuvre={
+        name: replace(motion, sines=tuple(replace(sine, amplitude=0.3 * sine.amplitude) for sine in motion.sines))
+        for name, motion in fast.manoeuvre.items()
+    })  # fmt: skip
+    still = replace(
+        fast,
+        name="still",
+        manoeuvre={name: replace(one, offset=0.0, sines=()) for name, one in fast.manoeuvre.items()},
+        initial_angles_rad=(0.0, 0.0),
+        angular_momentum_nms=0.0,
+        noise=False,
+    )
     planner = Planner(arm, model, limits_of(arm, None, None, None), np.zeros(2), "bound")
-    shares: list[float] = []
-    expected = [planner.expected(one, shares.append) for one in motions]
-    assert [one.name for one in ranked(expected)] == ["large", "small"]
-    assert shares[-1] == 1.0 and all(0.0 <= share <= 1.0 for share in shares)
-    exact = replace(arm, joints=tuple(replace(joint, torque_sigma=0.0) for joint in arm.joints))
-    (limit,) = bound(exact, model, motions[1])
-    assert expected[1].sigma == pytest.approx(limit.sigma, rel=1e-6)
-    by_energy = Planner(arm, model, limits_of(arm, None, None, None), np.zeros(2)).expected(motions[1])
-    known = np.isfinite(by_energy.sigma)
-    assert np.all(expected[1].sigma[known] < by_energy.sigma[known])
-    sought = Motion(period_s=4.0, harmonics=3, duration_s=4.0, simulated=3)
-    found, planned = planner.plan("planned", sought, Path("arm.toml"), Path("model.toml"), motions[1])
-    again = planner.expected(found)
-    assert found.name == "planned" and again.measure == pytest.approx(planned.measure, rel=1e-9)
+    seen: list[float] = []
+    expected = [planner.expected(still), planner.expected(slow), planner.expected(fast, seen.append)]
+    assert [one.name for one in ranked(expected)] == ["lively", "slow", "still"]
+    for one, scenario in zip(expected[1:], (slow, fast), strict=True):
+        (least,) = bound(arm, model, scenario)
+        np.testing.assert_allclose(one.percent, least.percent, rtol=1e-6)
+        assert one.mean_percent == pytest.approx(least.mean_percent, rel=1e-6)
+        assert one.worst == int(least.percent.argmax())
+    assert seen == sorted(seen) and len(seen) > 10 and seen[-1] == pytest.approx(1.0)
+    assert np.isnan(expected[0].sigma).all()
+    with pytest.raises(Undecided, match=r"motion still: .* does not determine .*remedy"):
+        ranked(expected[:1])
+    # a motion that exceeds a limit comes after one that leaves something open
+    tight = Planner(arm, model, limits_of(arm, None, "0.5", None), np.zeros(2), "bound")
+    with pytest.raises(Undecided, match="motion still"):
+        ranked([tight.expected(fast), expected[0]])
 
 
-def test_the_bound_is_refused_where_it_is_not_computed() -> None:
+def test_the_given_noise_of_the_torques_is_that_of_the_bound() -> None:
+    arm, model, scenario = _short()
+    given = Planner(arm, model, limits_of(arm, None, None, None), np.array([0.5, 1.0]), "bound").expected(scenario)
+    joints = tuple(replace(one, torque_sigma=sigma) for one, sigma in zip(arm.joints, (0.5, 1.0), strict=True))
+    (declared,), (without,) = bound(replace(arm, joints=joints), model, scenario), bound(arm, model, scenario)
+    np.testing.assert_allclose(given.sigma, declared.sigma, rtol=1e-6)
+    assert np.all(given.sigma > 1.5 * without.sigma)
+
+
+def test_a_search_by_the_bound_finds_the_best_of_its_motions() -> None:
+    arm, model, template = _short()
+    planner = Planner(arm, model, limits_of(arm, "2", "1.5", None), np.zeros(2), "bound")
+    seen: list[float] = []
+    found = []
+    for count in (1, 4):
+        seen.clear()
+        sought = Motion(period_s=5.0, seed=2, simulated=count)
+        found.append(planner.plan("p", sought, *HERE, template, seen.append))
+        assert seen == sorted(seen) and len(seen) > 10 * count and seen[-1] == pytest.approx(1.0)
+    (_, first), (scenario, best) = found
+    assert best.measure < first.measure
+    again = planner.expected(scenario)
+    assert again.measure == best.measure and best.excess is None
+    assert best.measure == pytest.approx(np.log(0.01 * best.mean_percent))
+    # a motion beyond a limit is left out before its bound is computed, and the last reason is said
+    tight = Planner(arm, model, limits_of(arm, "2", "1.5", "0.001"), np.zeros(2), "bound")
+    with pytest.raises(ZygosError, match=r"none of 1 motions can be used; the last one: the torque of joint .*remedy"):
+        tight.plan("p", Motion(period_s=5.0, simulated=1), *HERE, template)
+
+
+def test_what_has_no_bound_is_not_ranked_by_it() -> None:
     arm, model, _ = lively()
-    with_friction = replace(model, effects=(effect("motor_coulomb", arm.joints[0].name, 0.1),))
-    with pytest.raises(ZygosError, match=r"not for effects \(motor_coulomb\); remedy"):
-        Planner(arm, with_friction, limits_of(arm, None, None, None), np.zeros(2), "bound")
+    free, sigma = limits_of(arm, None, None, None), np.zeros(2)
+    rubbing = replace(model, effects=(effect("motor_coulomb", "elbow", 1.0),))
+    with pytest.raises(ZygosError, match=r"effects \(motor_coulomb\); remedy: .*, or leave out --by bound"):
+        Planner(arm, rubbing, free, sigma, "bound")
+    with pytest.raises(ZygosError, match=r"held from SYNC to SYNC; remedy: .*, or leave out --by bound"):
+        Planner(replace(arm, torque_law="sampled"), model, free, sigma, "bound")
+    for base in ("free", "fixed"):
+        rigid, solid = random_arm(1, 2, base, "planar", False)
+        with pytest.raises(ZygosError, match=r"joint joint1 is rigid.*remedy: .*, or leave out --by bound"):
+            Planner(rigid, solid, limits_of(rigid, None, None, None), np.full(2, SIGMA), "bound")
 
 
 def test_a_fixed_base_without_mass_can_be_exported() -> None:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 import typer
@@ -23,6 +23,7 @@ from zygos.model.model import load_model
 from zygos.plan.expected import Expectation
 from zygos.plan.limits import ANGLE_RAD, RATE_RAD_S, as_number, limits_of, per_joint
 from zygos.plan.planning import Motion, Planner, ranked
+from zygos.plan.simulated import By
 from zygos.report.provenance import provenance
 from zygos.simulation.scenario import load_scenario, save_scenario
 
@@ -34,11 +35,11 @@ def plan_motion(
     out: Path | None,
     limits: tuple[str | None, str | None, str | None],
     torque_noise: str | None,
-    by: str,
     sought: Motion,
     json: str | None,
     report: Path | None,
     called: Sequence[str],
+    by: By = "energy",
 ) -> None:
     """Rank motions and plan one; see `zygos plan --help`."""
     if out is not None:
@@ -49,10 +50,7 @@ def plan_motion(
             "there is nothing to do; remedy: name the scenario to write with -o, or scenarios whose motions are ranked"
         )
     arm, model = load_arm(arm_file), load_model(model_file)
-    if by not in ("energy", "bound"):
-        raise ZygosError(f"--by {by}: motions are ranked by energy or by bound; remedy: use one of these")
-    chosen: Literal["energy", "bound"] = "bound" if by == "bound" else "energy"
-    planner = Planner(arm, model, limits_of(arm, *limits), _torque_sigma(arm, torque_noise), chosen)
+    planner = Planner(arm, model, limits_of(arm, *limits), _torque_sigma(arm, torque_noise), by)
     scenarios = [load_scenario(file) for file in scenario_files]
     expected: list[Expectation] = []
     with progress() as bar:
@@ -71,14 +69,14 @@ def plan_motion(
     if out is not None:
         save_scenario(planned, out)
     if not quiet(out, json, report):
-        _tables(expected, planner.by)
+        _tables(expected, by)
         if out is not None:
             say(f"{out}: written, {planned.duration_s:g} s; zygos simulate {out} -o RUN")
     if report is not None:
         from zygos.plan.page import write_plan_report  # noqa: PLC0415  (only a report needs charts)
 
         files = [("arm", arm_file), ("model", model_file), *(("scenario", file) for file in scenario_files)]
-        write_plan_report(report, arm, expected, planner.limits, provenance(called, files))
+        write_plan_report(report, arm, expected, planner.limits, provenance(called, files), by)
     if json:
         write_json(json, _answer(arm.name, expected, out, planner))
 
@@ -97,7 +95,8 @@ def _torque_sigma(arm: Arm, given: str | None) -> NDArray[np.float64]:
     )
 
 
-def _tables(expected: Sequence[Expectation], by: str) -> None:
+def _tables(expected: Sequence[Expectation], by: By) -> None:
+    bound = by == "bound"
     rows = [
         (column.name, column.unit, number(column.value, 4), *(number(float(one.percent[k]), 3) for one in expected))
         for k, column in enumerate(expected[0].columns)
@@ -105,12 +104,20 @@ def _tables(expected: Sequence[Expectation], by: str) -> None:
     table(("parameter", "unit", "model", *(f"{one.name} σ in %" for one in expected)), rows)
     best = ranked(expected)[0]
     table(
-        ("motion", "mean σ", "worst", "its σ in %", "largest rate, rad/s", "largest torque, Nm", "limits"),
+        (
+            "motion",
+            "mean σ in %" if bound else "mean σ",
+            "worst",
+            "its σ in %",
+            "largest rate, rad/s",
+            "largest torque, Nm",
+            "limits",
+        ),
         [
             (
                 one.name,
-                f"{math.exp(one.measure - best.measure):.2f}",
-                one.columns[one.worst].name,
+                number(one.mean_percent, 3) if bound else f"{math.exp(one.measure - best.measure):.2f}",
+                "–" if one.open else one.columns[one.worst].name,
                 number(float(one.percent[one.worst]), 3),
                 number(float(np.abs(one.rate).max()), 3),
                 number(float(np.abs(one.torque).max()), 3),
@@ -122,9 +129,13 @@ def _tables(expected: Sequence[Expectation], by: str) -> None:
     for one in expected:
         if one.excess:
             say(f"{one.name}: {one.excess}")
-    whose = "the smallest of any unbiased estimator" if by == "bound" else "expected"
-    say(f"σ: {whose} after one run, in % of the largest value with the same unit of the same body")
-    say("mean σ: of the arm's parameters, relative to the best motion")
+        if one.open:
+            say(f"{one.name}: {one.open}")
+    if bound:
+        say("σ: the smallest of any unbiased estimate after one run, in % of the value, or of what it is compared to")
+    else:
+        say("σ: expected after one run, in % of the largest value with the same unit of the same body")
+        say("mean σ: of the arm's parameters, relative to the best motion")
 
 
 def _answer(arm: str, expected: Sequence[Expectation], out: Path | None, planner: Planner) -> dict[str, Any]:
@@ -132,7 +143,7 @@ def _answer(arm: str, expected: Sequence[Expectation], out: Path | None, planner
     return {
         "arm": arm,
         "scenario": str(out) if out else None,
-        "rows": "joint" if planner.grounded is not None else "simulated" if planner.by == "energy" else "bound",
+        "rows": "bound" if planner.by == "bound" else "joint" if planner.grounded is not None else "simulated",
         "ranking": [one.name for one in ranked(expected)],
         "limits": {
             "low_rad": limits.low.tolist(),
@@ -144,8 +155,10 @@ def _answer(arm: str, expected: Sequence[Expectation], out: Path | None, planner
             {
                 "name": one.name,
                 "measure": one.measure,
-                "worst": one.columns[one.worst].name,
+                "mean_percent": one.mean_percent,
+                "worst": None if one.open else one.columns[one.worst].name,
                 "excess": one.excess,
+                "open": one.open,
                 "largest_rate_rad_s": np.abs(one.rate).max(axis=0).tolist(),
                 "largest_torque_nm": np.abs(one.torque).max(axis=0).tolist(),
                 "parameters": [
@@ -153,11 +166,12 @@ def _answer(arm: str, expected: Sequence[Expectation], out: Path | None, planner
                         "name": column.name,
                         "unit": column.unit,
                         "value": column.value,
+                        "size": float(size),
                         "sigma": float(sigma),
                         "percent": float(percent),
                         "of_the_arm": column.structural,
                     }
-                    for column, sigma, percent in zip(one.columns, one.sigma, one.percent, strict=True)
+                    for column, size, sigma, percent in zip(one.columns, one.size, one.sigma, one.percent, strict=True)
                 ],
             }
             for one in expected
@@ -206,15 +220,6 @@ def command(
             help="Standard deviation of the torques; with NAME= before it of one joint. Default: torque_sigma.",
         ),
     ] = None,
-    by: Annotated[
-        str,
-        typer.Option(
-            "--by",
-            metavar="energy|bound",
-            help="Whose standard deviations rank the motions of an arm that floats or has springs: those of the "
-            "estimate from energy rows, or the smallest possible ones, which `zygos refine` nearly reaches.",
-        ),
-    ] = "energy",
     period: Annotated[float, typer.Option(metavar="S", min=0.5, help="Period of the motion.")] = 10.0,
     harmonics: Annotated[int, typer.Option(metavar="K", min=3, max=30, help="Harmonics of the motion.")] = 5,
     duration: Annotated[
@@ -229,6 +234,14 @@ def command(
         int, typer.Option(metavar="N", min=1, help="Motions to simulate, if the arm floats or has springs.")
     ] = 24,
     seed: Annotated[int, typer.Option(metavar="N", min=0, help="Seed of the search.")] = 0,
+    by: Annotated[
+        By,
+        typer.Option(
+            metavar="energy|bound",
+            help="What ranks the motions: what zygos estimate will tell, or the smallest standard deviations of any "
+            "estimate, for zygos refine; the bound needs joints that are all flexible, and a model without effects.",
+        ),
+    ] = "energy",
     json: Json = None,
     report: Report = None,
 ) -> None:
@@ -238,8 +251,10 @@ def command(
     with the same unit of the same body, for each given scenario and for the planned one. For an arm on the ground with
     rigid joints it follows from the joint rows of the motion and from the noise of the torques, and the planned
     scenario has a drive that follows the motion. An arm that floats or has springs is simulated, and its first scenario
-    gives servo, angular momentum and duration; if all its joints are flexible, --by bound computes the bound of
-    `zygos bound` for each motion.
+    gives servo, angular momentum and duration.
+
+    With --by bound, the deviations are the smallest that any unbiased estimate can have (zygos bound), and the motion
+    with the smallest mean is the best one. Values of zygos refine are near this bound.
 
     A planned motion keeps all limits. A given one that exceeds a limit is ranked last; if all do, they are refused.
 
@@ -254,9 +269,9 @@ def command(
         out,
         (angle, rate, torque),
         torque_noise,
-        by,
         Motion(period, harmonics, duration, seed, simulations),
         json,
         report,
         context.obj or ["plan"],
+        by,
     )

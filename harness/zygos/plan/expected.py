@@ -36,8 +36,11 @@ class Expectation:
     columns: tuple[Column, ...]
     sigma: Floats
     """(c,) standard deviations, SI units; NaN where the estimator is not expected to give a value."""
+    size: Floats
+    """(c,) to which sigmas are compared, SI units: `common_sizes`, or `FlexibleMotion.size` where it is the bound."""
     measure: float
-    """Mean logarithm of relative sigmas: motions are ranked by it, the lowest first."""
+    """Mean logarithm of relative sigmas, or logarithm of the mean of them where it is the bound: motions are ranked by
+    it, the lowest first. Infinite where `open` is not None."""
     angle: Floats
     """(m, N) rad, of one run."""
     rate: Floats
@@ -48,17 +51,19 @@ class Expectation:
     """Time between two of the m instants, s."""
     excess: str | None
     """The limit that the motion exceeds most, in words; None if it keeps all."""
+    open: str | None = None
+    """What the motion does not determine, in words, if that leaves no parameter a sigma; None otherwise."""
 
     @property
     def percent(self) -> Floats:
-        """(c,) standard deviations in per cent of the largest value with the same unit of the same body, as an estimate
-        on the ground judges them; infinite where all these values are 0."""
-        size = sizes(
-            [one.name for one in self.columns],
-            [one.unit for one in self.columns],
-            np.array([one.value for one in self.columns]),
-        )
-        return np.where(size > 0.0, 100.0 * self.sigma / np.where(size > 0.0, size, 1.0), math.inf)
+        """(c,) standard deviations in per cent of `size`; infinite where that is 0."""
+        return np.where(self.size > 0.0, 100.0 * self.sigma / np.where(self.size > 0.0, self.size, 1.0), math.inf)
+
+    @property
+    def mean_percent(self) -> float:
+        """Mean of `percent` over the parameters of the arm whose size is not 0; NaN if one of them has no value."""
+        own = np.array([column.structural for column in self.columns]) & (self.size > 0.0)
+        return float(np.mean(self.percent[own]))
 
     @property
     def worst(self) -> int:
@@ -66,6 +71,11 @@ class Expectation:
         own = np.array([column.structural for column in self.columns])
         percent = np.where(np.isnan(self.percent), np.inf, self.percent)
         return int(np.argmax(np.where(own, percent, -1.0)))
+
+
+def common_sizes(columns: Sequence[Column]) -> Floats:
+    """(c,) the largest value with the same unit of the same body, as an estimate on the ground judges sigmas."""
+    return sizes([one.name for one in columns], [one.unit for one in columns], np.array([one.value for one in columns]))
 
 
 def desired_by(arm: Arm, scenario: Scenario, t: Floats) -> tuple[Floats, Floats, Floats]:
@@ -111,6 +121,7 @@ def expected_on_ground(
         scenario.name,
         grounded.columns,
         np.sqrt(np.diag(spread)),
+        common_sizes(grounded.columns),
         float(measure),
         angle,
         rate,

@@ -13,6 +13,7 @@ from zygos.files.output import number
 from zygos.plan.expected import Expectation
 from zygos.plan.limits import Limits
 from zygos.plan.planning import ranked
+from zygos.plan.simulated import By
 from zygos.report.figures import unit_of
 from zygos.report.page import Entry, joint_colour, numbers, render, series, thinned
 from zygos.report.provenance import Provenance
@@ -22,7 +23,12 @@ _POINTS = 6000
 
 
 def write_plan_report(
-    path: Path, arm: Arm, expected: Sequence[Expectation], limits: Limits, provenance: Provenance
+    path: Path,
+    arm: Arm,
+    expected: Sequence[Expectation],
+    limits: Limits,
+    provenance: Provenance,
+    by: By = "energy",
 ) -> None:
     """Write the page of motions and what they tell. Errors: ZygosError if it cannot be written."""
     order = ranked(expected)
@@ -39,17 +45,19 @@ def write_plan_report(
         },
         arm=arm,
         best=best.name,
+        bound=by == "bound",
         worst=best.columns[best.worst].name,
         worst_percent=number(float(best.percent[best.worst]), 3),
         motions=[
             {
                 "name": one.name,
-                "mean": f"{math.exp(one.measure - best.measure):.2f}",
-                "worst": one.columns[one.worst].name,
+                "mean": number(one.mean_percent, 3) if by == "bound" else f"{math.exp(one.measure - best.measure):.2f}",
+                "worst": "–" if one.open else one.columns[one.worst].name,
                 "percent": number(float(one.percent[one.worst]), 3),
                 "rate": number(float(np.abs(one.rate).max()), 3),
                 "torque": number(float(np.abs(one.torque).max()), 3),
                 "excess": one.excess,
+                "open": one.open,
             }
             for one in order
         ],

@@ -5,20 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import Arm, Joint
-from zygos.errors import ZygosError
+from zygos.errors import Undecided, ZygosError
 from zygos.model.model import Model
 from zygos.plan.expected import Expectation, expected_on_ground, scenario_of
 from zygos.plan.limits import Limits
 from zygos.plan.rows import Grounded
 from zygos.plan.search import search
-from zygos.plan.simulated import expected_by_bound, expected_by_simulation, search_by_simulation
-from zygos.refinement.bound import check_bounded
+from zygos.plan.simulated import By, expected_by_simulation, search_by_simulation
+from zygos.refinement.bound import bounded
 from zygos.simulation.scenario import Scenario
 
 Floats = NDArray[np.float64]
@@ -42,36 +41,25 @@ class Motion:
 class Planner:
     """Expectations and searches for an arm with its model."""
 
-    def __init__(
-        self, arm: Arm, model: Model, limits: Limits, torque_sigma: Floats, by: Literal["energy", "bound"] = "energy"
-    ) -> None:
-        """torque_sigma: (N,) standard deviation of the reported torques, Nm. by: whose sigmas rank the motions of an
-        arm that floats or has springs: those of the estimate from energy rows, or the smallest possible ones.
-
-        Errors: as `Grounded`, and ZygosError if the model does not fit the arm, or the bound is not computed for it.
-        """
-        if by == "bound" and arm.grounded:
-            raise ZygosError(
-                f"arm {arm.name} has rigid joints, and the bound is computed for flexible ones; remedy: leave out "
-                "--by, for the sigmas of such an arm follow from its joint rows and the noise of the torques"
-            )
+    def __init__(self, arm: Arm, model: Model, limits: Limits, torque_sigma: Floats, by: By = "energy") -> None:
+        """torque_sigma: (N,) standard deviation of the reported torques, Nm. by: whether motions are ranked by what the
+        estimate will tell, or by what their frames tell at most. Errors: as `Grounded`, and ZygosError if the model
+        does not fit the arm, or if the bound is asked for and arm or model have none."""
         self.arm, self.limits = replace(arm, joints=_noisy(arm, torque_sigma)), limits
-        self.model = model
+        self.model, self.by = model, by
         model.base_parameters(arm)
-        self.by = by
         if by == "bound":
-            check_bounded(arm, model)
+            try:
+                bounded(self.arm, model)
+            except ZygosError as error:
+                raise ZygosError(f"{error}, or leave out --by bound") from error
         self.grounded = Grounded(arm, model, torque_sigma) if arm.grounded else None
 
     def expected(self, scenario: Scenario, progress: Progress = lambda share: None) -> Expectation:
         """What one run of a scenario tells. Errors: ZygosError if it does not fit the arm."""
         if self.grounded is not None:
             return expected_on_ground(self.grounded, scenario, self.limits, progress)
-        return self._simulated(scenario, self.limits, progress)
-
-    def _simulated(self, scenario: Scenario, limits: Limits, progress: Progress) -> Expectation:
-        expected = expected_by_bound if self.by == "bound" else expected_by_simulation
-        return expected(self.arm, self.model, scenario, limits, progress)
+        return expected_by_simulation(self.arm, self.model, scenario, self.limits, progress, by=self.by)
 
     def plan(
         self,
@@ -114,27 +102,31 @@ class Planner:
         template = replace(template, name=name, arm=arm_file, plant=model_file)
         if sought.duration_s is not None:
             template = replace(template, duration_s=sought.duration_s)
-        limits = self.limits.assumed
         chosen = search_by_simulation(
             self.arm,
+            self.model,
             template,
-            limits,
+            self.limits.assumed,
             sought.period_s,
             sought.harmonics,
-            lambda scenario, moved: self._simulated(scenario, limits, moved),
             seed=sought.seed,
             count=sought.simulated,
+            by=self.by,
             progress=progress,
         )
         return chosen.scenario, chosen.expectation
 
 
 def ranked(expectations: Sequence[Expectation]) -> list[Expectation]:
-    """The motion that tells most first; those that exceed a limit last.
+    """The motion that tells most first; then those that leave something open, and those that exceed a limit last.
 
-    Errors: ZygosError if all exceed a limit.
+    Errors: ZygosError if all exceed a limit; Undecided if all others leave something open.
     """
     order = sorted(expectations, key=lambda one: (one.excess is not None, one.measure))
+    if order[0].open and not order[0].excess:
+        raise Undecided(
+            f"motion {order[0].name}: {order[0].open}; remedy: a motion that moves all joints, or a longer duration_s"
+        )
     if order[0].excess:
         raise ZygosError(
             f"motion {order[0].name}: {order[0].excess}; remedy: a smaller motion, or the right limits (--angle, "

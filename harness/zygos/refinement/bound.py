@@ -33,6 +33,8 @@ from zygos.simulation.scenario import Scenario
 
 Floats = NDArray[np.float64]
 
+RTOL, ATOL = 1e-10, 1e-12
+"""Tolerances of the integration of the motion."""
 LONGEST_STEP_S = 0.01
 """Longest Runge-Kutta step of the derivatives of the motion, s."""
 _UNKNOWN_RAD, _UNKNOWN_RAD_S = 1.0, 10.0
@@ -41,9 +43,7 @@ _TOGETHER = 2000
 """Cycles whose derivatives are computed together; more need more memory."""
 _DRAWS = 20
 _SHARE_OF_MOTION = 0.6
-"""Share of the progress that simulation and derivatives of the motion have; the rest is the filter's."""
-_SHARE_OF_SLOPES = 0.4
-"""Share that the derivatives have of both without the simulation."""
+"""Share of the progress that the derivatives of the motion have; the rest is the filter's."""
 _LEAST = 1e-9
 """Singular value of the information, relative to the largest, below which a motion does not determine a combination."""
 
@@ -84,26 +84,12 @@ class Bound:
         return float(np.mean(self.percent[self.size > 0.0]))
 
 
-def bound(
-    arm: Arm,
-    model: Model,
-    scenario: Scenario,
-    relative: Sequence[float | None] = (None,),
-    progress: Callable[[float], None] = lambda share: None,
-) -> list[Bound]:
-    """The bound of each relative torque noise (None: as the arm declares) after the scenario's run of its seed.
+def bounded(arm: Arm, model: Model) -> FlexibleMotion:
+    """The motion of an arm and model that have a bound.
 
-    Errors: ZygosError if the model has effects, a joint is rigid, torques are sampled values of a continuous torque,
-    or the motion does not determine all parameters.
+    Errors: ZygosError if the model has effects or does not fit the arm, a joint is rigid, or torques are sampled values
+    of a continuous torque.
     """
-    check_bounded(arm, model)
-    half = 0.5 * _SHARE_OF_MOTION
-    run = simulate(arm, model, scenario, rtol=1e-10, atol=1e-12, progress=lambda share: progress(half * share))
-    return bound_of(arm, model, run, relative, lambda share: progress(half + (1.0 - half) * share))
-
-
-def check_bounded(arm: Arm, model: Model) -> None:
-    """Errors: ZygosError if the bound is not computed for such an arm or model."""
     if model.effects:
         raise ZygosError(
             f"model {model.name}: the bound is computed for bodies, rotors and linear springs, not for effects "
@@ -114,25 +100,35 @@ def check_bounded(arm: Arm, model: Model) -> None:
             f"arm {arm.name}: the bound is computed for torques that are held from SYNC to SYNC; remedy: "
             'torque_law = "applied_from_sync" in the arm file'
         )
-    FlexibleMotion(arm, np.array(model.base_values(arm), dtype=np.float64))
+    return FlexibleMotion(arm, np.array(model.base_values(arm), dtype=np.float64))
 
 
-def bound_of(
+def states_of(motion: FlexibleMotion, run: Trajectory) -> Floats:
+    """(n, W + 4N) true states at the SYNCs of a simulated run, of its first seed."""
+    base = run.omega0[0] if motion.base_rates else np.zeros((len(run.t), 0))
+    return State(run.q[0], run.theta[0], run.qd[0], run.thetad[0], base).packed()
+
+
+def bound(
     arm: Arm,
     model: Model,
-    run: Trajectory,
+    scenario: Scenario,
     relative: Sequence[float | None] = (None,),
     progress: Callable[[float], None] = lambda share: None,
 ) -> list[Bound]:
-    """As `bound`, after the first run of a trajectory that was simulated without noise."""
-    motion = FlexibleMotion(arm, np.array(model.base_values(arm), dtype=np.float64))
-    base = run.omega0[0] if motion.base_rates else np.zeros((len(run.t), 0))
-    state, tau = State(run.q[0], run.theta[0], run.qd[0], run.thetad[0], base).packed(), run.tau[0]
-    slopes = _slopes(motion, state, tau, steps_of(motion, run.q[0]), lambda share: progress(_SHARE_OF_SLOPES * share))
+    """The bound of each relative torque noise (None: as the arm declares) after the scenario's run of its seed.
+
+    Errors: ZygosError as `bounded`; Undecided if the motion does not determine all parameters.
+    """
+    motion = bounded(arm, model)
+    half = 0.5 * _SHARE_OF_MOTION
+    run = simulate(arm, model, scenario, rtol=RTOL, atol=ATOL, progress=lambda share: progress(half * share))
+    state, tau = states_of(motion, run), run.tau[0]
+    slopes = _slopes(motion, state, tau, steps_of(motion, run.q[0]), lambda share: progress(half * (1.0 + share)))
     found = []
     for k, share in enumerate(relative):
-        width = (1.0 - _SHARE_OF_SLOPES) / len(relative)
-        begin = _SHARE_OF_SLOPES + k * width
+        width = (1.0 - _SHARE_OF_MOTION) / len(relative)
+        begin = _SHARE_OF_MOTION + k * width
 
         def moved(x: float, begin: float = begin, width: float = width) -> None:
             progress(begin + width * x)
