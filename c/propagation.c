@@ -764,18 +764,20 @@ static void next_term(const zygos_propagation_t *self, uint32_t n, double factor
 }
 
 void zygos_propagation_series(const zygos_propagation_t *self, const zygos_config_t *config, double time,
-                              uint32_t terms, uint32_t c, const zygos_propagation_work_t *work, double *out)
+                              uint32_t terms, uint32_t c, const zygos_propagation_work_t *work, double *out,
+                              double *pushed)
 {
-    const uint32_t n = config->joints;
-    const uint32_t w = self->base_rates;
     const uint32_t moving = self->moving;
-    const bool pushed = (c >= moving);
-    const uint32_t k0 = pushed ? c - moving : c;
     double term[ZYGOS_MAX_MOVING] = { 0.0 };
-    term[(pushed && (k0 >= w)) ? k0 + 2u * n : k0] = pushed ? time : 1.0;
+    term[c] = 1.0;
     memcpy(out, term, moving * sizeof out[0]);
-    for (uint32_t m = pushed ? 2u : 1u; m <= terms; m++) {
-        next_term(self, n, time / (double)m, work, term);
+    memset(pushed, 0, moving * sizeof pushed[0]);
+    for (uint32_t m = 1; m <= terms; m++) {
+        const double factor = time / (double)m;
+        for (uint32_t i = 0; i < moving; i++) {
+            pushed[i] += factor * term[i];
+        }
+        next_term(self, config->joints, factor, work, term);
         for (uint32_t i = 0; i < moving; i++) {
             out[i] += term[i];
         }

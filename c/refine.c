@@ -486,43 +486,44 @@ static void shape(zygos_refine_t *self, const zygos_config_t *config, double tim
     }
 }
 
-/* Columns by the state before, then by additions to accelerations, then by constants and torques. */
+/* Columns by the state before, and by additions to accelerations beside those by rates; then by constants and torques.
+ */
 static void series(zygos_refine_t *self, const zygos_config_t *config)
 {
     const zygos_propagation_t *propagation = &self->filter.propagation;
+    const zygos_propagation_work_t *work = &self->work.propagation;
     const uint32_t n = config->joints;
+    const uint32_t w = propagation->base_rates;
     const uint32_t moving = propagation->moving;
-    const uint32_t direct = moving + propagation->base_rates + 2u * n;
     const uint32_t constants = propagation->parameters + ((self->filter.settings.friction != 0u) ? n : 0u);
     const double time = (double)self->settings.every * config->period_s;
-    const uint32_t block = (self->cursor < direct) ? 2u : 2u * ZYGOS_REFINE_COLUMNS;
-    for (uint32_t k = 0; (k < block) && (self->cursor < direct + constants + n); k++, self->cursor++) {
+    const uint32_t block = (self->cursor < moving) ? 2u : 2u * ZYGOS_REFINE_COLUMNS;
+    for (uint32_t k = 0; (k < block) && (self->cursor < moving + constants + n); k++, self->cursor++) {
         const uint32_t c = self->cursor;
         double column[ZYGOS_MAX_MOVING];
-        if (c < direct) {
-            zygos_propagation_series(propagation, config, time, self->settings.terms, c, &self->work.propagation,
-                                     column);
-        } else {
-            zygos_propagation_column(propagation, config, c - direct,
-                                     (const double(*)[ZYGOS_MAX_ACCELERATIONS])self->pushed, &self->work.propagation,
-                                     column);
-        }
-        const uint32_t torque = (c >= direct + constants) ? c - direct - constants : n;
-        for (uint32_t i = 0; i < moving; i++) {
-            if ((c >= moving) && (c < direct)) {
-                self->pushed[i][c - moving] = column[i];
-            } else {
-                self->work.slope[i][(c < moving) ? c : c - direct + moving] = column[i];
+        if (c < moving) {
+            double pushed[ZYGOS_MAX_MOVING];
+            const bool rate = (c < w) || (c >= w + 2u * n);
+            zygos_propagation_series(propagation, config, time, self->settings.terms, c, work, column, pushed);
+            for (uint32_t i = 0; rate && (i < moving); i++) {
+                self->pushed[i][(c < w) ? c : c - 2u * n] = pushed[i];
             }
-            if (torque < n) {
+        } else {
+            zygos_propagation_column(propagation, config, c - moving,
+                                     (const double(*)[ZYGOS_MAX_ACCELERATIONS])self->pushed, work, column);
+        }
+        for (uint32_t i = 0; i < moving; i++) {
+            self->work.slope[i][c] = column[i];
+        }
+        if (c >= moving + constants) {
+            const uint32_t torque = c - moving - constants;
+            for (uint32_t i = 0; i < moving; i++) {
                 self->work.push[i][torque] = column[i];
             }
-        }
-        if (torque < n) {
             shape(self, config, time, torque);
         }
     }
-    if (self->cursor >= direct + constants + n) {
+    if (self->cursor >= moving + constants + n) {
         self->cursor = 0u;
         self->phase = (uint32_t)CARRY;
     }

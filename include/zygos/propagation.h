@@ -118,11 +118,12 @@ bool zygos_propagation_move(const zygos_propagation_t *self, const zygos_config_
                             zygos_propagation_work_t *work);
 
 /// Writes into out[W + 4N] what the state after `time` seconds changes by, where the derivatives of the accelerations
-/// by the state stay as zygos_propagation_slopes() has left them in work: by entry c of the state before, or, for c
-/// from W + 4N on, by a constant addition to acceleration c - W - 4N. The exponential series has `terms` terms. Cost:
-/// terms (W + 2N) (W + 4N) multiplications.
+/// by the state stay as zygos_propagation_slopes() has left them in work, by entry c of the state before; and into
+/// pushed[W + 4N] what it changes by, by a constant addition to the rate of change of that entry, which for a rate is
+/// an acceleration. The exponential series has `terms` terms. Cost: terms (W + 2N) (W + 4N) multiplications.
 void zygos_propagation_series(const zygos_propagation_t *self, const zygos_config_t *config, double time,
-                              uint32_t terms, uint32_t c, const zygos_propagation_work_t *work, double *out);
+                              uint32_t terms, uint32_t c, const zygos_propagation_work_t *work, double *out,
+                              double *pushed);
 
 /// Writes into out[shapes] what that state changes by, where the change of a torque before the gear has the shape of a
 /// shifted Legendre polynomial of degree 0 to shapes - 1, as a function of the time that is left divided by `time`: 1,

@@ -49,7 +49,7 @@ class Case:
 
 CASES = {
     "planar, 2 joints, every cycle": Case("paper", ("-DZYGOS_MAX_JOINTS=2", "-DZYGOS_SPATIAL=0"), 1, 6, 60),
-    "space, 3 joints, every 20th cycle": Case("spatial", ("-DZYGOS_MAX_JOINTS=3",), 20, 12, 200),
+    "space, 3 joints, every 20th cycle": Case("spatial", ("-DZYGOS_MAX_JOINTS=3",), 20, 12, 260),
 }
 
 
@@ -72,8 +72,9 @@ class Cost:
 
     def period(self, every: int) -> dict[str, float]:
         """Instructions from one use of readings to the next, by phase, after the state has begun."""
+        begun = int(self.cycle[self.phase == PHASES.index("move")].min())
         last = int(self.cycle.max())
-        first = last - (last - 10) // every * every
+        first = last - (last - begun) // every * every
         chosen = self.cycle > first
         uses = (last - first) / every
         return {
