@@ -534,13 +534,6 @@ def test_a_csv_with_commas_for_both_says_so(tmp_path: Path) -> None:
         read_columns(tmp_path / "x.csv")
 
 
-@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be"])
-def test_a_csv_of_another_encoding_says_so(encoding: str, tmp_path: Path) -> None:
-    (tmp_path / "x.csv").write_text("t;q\n0.5;1\n1.5;2\n", encoding=encoding)
-    with pytest.raises(ZygosError, match=r"x\.csv: the text is encoded as UTF-16, .*; remedy: export it as UTF-8"):
-        read_columns(tmp_path / "x.csv")
-
-
 @pytest.mark.parametrize("text", ["\ufefft,q\n0.5,1\n1.5,2\n", "t,q;r\n0.5,1\n1.5,2\n", '"t","q"\n0.5,1\n1.5,2\n'])
 def test_a_csv_with_commas_is_read(text: str, tmp_path: Path) -> None:
     """With the mark that spreadsheets put before the first name, and with a name that holds another separator."""

@@ -133,12 +133,6 @@ class _CsvForm:
 def _csv_form(path: Path) -> _CsvForm:
     """How a CSV is written, from its first lines: the separator is the one that divides the first two lines into
     equally many fields, and a first row of numbers alone has no names."""
-    with local(path).open("rb") as raw:
-        if b"\0" in raw.read(_LINE):  # no number or name has one
-            raise ZygosError(
-                f"{path}: the text is encoded as UTF-16, or it is no text; remedy: export it as UTF-8 (in a "
-                "spreadsheet: CSV UTF-8)"
-            )
     with local(path).open(encoding="utf-8-sig", errors="replace", newline="") as stream:
         lines = [line.rstrip("\r\n") for line in islice(iter(lambda: stream.readline(_LINE), ""), _EXAMINED)]
     lines = [line for line in lines if line.strip()]
