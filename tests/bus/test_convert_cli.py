@@ -435,6 +435,35 @@ def test_what_the_wire_cannot_carry_is_counted(arm: Arm, cycles: Cycles, tmp_pat
     assert got.omega[101, 2] == pytest.approx(5.0, abs=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("unit", "samples", "message"),
+    [
+        ("us", 12_000, "no unbroken piece of the run is as long as the smoother's window of"),
+        ("s", 40, "one sample in 1,000 periods of the arm"),
+    ],
+)
+def test_a_wrong_unit_of_the_time_is_suspected(
+    cycles: Cycles, unit: str, samples: int, message: str, tmp_path: Path
+) -> None:
+    """A time in milliseconds that the map calls microseconds, and seconds."""
+    at = np.linspace(0.0, 39.0, samples).astype(int)
+    columns = {"motor": cycles.theta[at], "link": cycles.q[at], "torque": cycles.tau[at], "gyro": cycles.omega[at]}
+    write_columns(tmp_path / "my.npz", {"t": 50.0 * np.arange(samples), **columns})
+    (tmp_path / "map.toml").write_text(
+        f'[time]\nsource = "column"\ncolumn = "t"\nunit = "{unit}"\ninterpolation = "linear"\n'
+        + "".join(
+            f'[[joint]]\nname = "{name}"\nmotor = {{ column = "motor[{k}]", unit = "rad", side = "output" }}\n'
+            f'link = {{ column = "link[{k}]", unit = "rad" }}\ntorque = {{ column = "torque[{k}]", unit = "Nm" }}\n'
+            for k, name in enumerate(("shoulder", "elbow"))
+        )
+        + "[gyro]\n"
+        + "".join(f'{axis} = {{ column = "gyro[{k}]", unit = "rad/s" }}\n' for k, axis in enumerate("xyz"))
+    )
+    convert(tmp_path / "my.npz", tmp_path / "a" / "run.npz", "--json", tmp_path / "c.json",
+            map_file=tmp_path / "map.toml")  # fmt: skip
+    assert any(message in line for line in json.loads((tmp_path / "c.json").read_text())["warnings"])
+
+
 def test_a_wire_that_is_coarser_than_the_sensor_says_so(log: Path, tmp_path: Path) -> None:
     text = (EXAMPLE / "arm.toml").read_text().replace("quantum_rad = 0.003", "quantum_rad = 1e-6")
     (tmp_path / "arm.toml").write_text(text)

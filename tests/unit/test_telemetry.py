@@ -86,16 +86,16 @@ UNIT_CASES = [  # entry, value of the source, SI by a pocket calculator; the gea
     ('motor = { column = "m1", unit = "turn", side = "rotor", sign = -1 }', -25.0, 3.141592653589793),
     ('motor = { column = "m1", unit = "counts", counts_per_turn = 1000, side = "output" }', 250, 1.5707963267948966),
     ('motor = { column = "m1", unit = "rad", side = "output", scale = 2.0, offset = 0.5, sign = -1 }', 1.0, -2.5),
-    ('torque = { column = "m1", unit = "Nm" }', 3.0, 3.0),
-    ('torque = { column = "m1", unit = "mNm", at = "rotor" }', 3000.0, 3.0),
-    ('torque = { column = "m1", unit = "kNm", at = "output" }', 0.15, 3.0),
-    ('torque = { column = "m1", unit = "A", torque_constant = 0.25 }', 12.0, 3.0),
-    ('torque = { column = "m1", unit = "mA", torque_constant = 0.25, at = "output" }', 600e3, 3.0),
-    ('x = { column = "m1", unit = "rpm" }', 30.0, 3.141592653589793),
-    ('x = { column = "m1", unit = "deg/s" }', 180.0, 3.141592653589793),
-    ('x = { column = "m1", unit = "mdeg/s" }', 180e3, 3.141592653589793),
-    ('x = { column = "m1", unit = "mrad/s" }', 2.0, 0.002),
-    ('x = { column = "m1", unit = "turn/s" }', 0.5, 3.141592653589793),
+    ('torque = { column = "t1", unit = "Nm" }', 3.0, 3.0),
+    ('torque = { column = "t1", unit = "mNm", at = "rotor" }', 3000.0, 3.0),
+    ('torque = { column = "t1", unit = "kNm", at = "output" }', 0.15, 3.0),
+    ('torque = { column = "t1", unit = "A", torque_constant = 0.25 }', 12.0, 3.0),
+    ('torque = { column = "t1", unit = "mA", torque_constant = 0.25, at = "output" }', 600e3, 3.0),
+    ('x = { column = "wx", unit = "rpm" }', 30.0, 3.141592653589793),
+    ('x = { column = "wx", unit = "deg/s" }', 180.0, 3.141592653589793),
+    ('x = { column = "wx", unit = "mdeg/s" }', 180e3, 3.141592653589793),
+    ('x = { column = "wx", unit = "mrad/s" }', 2.0, 0.002),
+    ('x = { column = "wx", unit = "turn/s" }', 0.5, 3.141592653589793),
 ]
 
 
@@ -153,6 +153,7 @@ REFUSED_MAPS = [
         r"time.period_s: a count lasts 0.03 s, and 0.05 s, a period of arm lively, is not a multiple",
     ),
     ('column = "l1"', 'colum = "l1"', r"link.column: is missing"),
+    ('column = "t2"', 'column = "t1"', r"joint\[1\].torque: t1 is already that of shoulder.torque; remedy: name"),
     ('unit = "rad/s"', 'unit = "rad/s", sing = -1', r'gyro.x.sing: unknown key; remedy: did you mean "sign"'),
     ('unit = "rad/s"', 'unit = "rad/s", scale = 0', r"gyro.x.scale: is 0"),
     ('unit = "rad/s"', 'unit = "rad/s", sign = 0', r"gyro.x.sign: is 0"),
@@ -240,6 +241,13 @@ def test_columns_that_are_refused(arm: Arm, tmp_path: Path) -> None:
         counted(arm, tmp_path, columns | {"wz": np.full(20, "north")})
     with pytest.raises(ZygosError, match="row 4; remedy: remove rows without time"):
         counted(arm, tmp_path, columns | {"n": np.where(np.arange(20) == 3, np.nan, columns["n"])})
+
+
+def test_a_signal_without_a_value(arm: Arm, tmp_path: Path) -> None:
+    chosen = mapping(tmp_path, arm)
+    write_columns(tmp_path / "x.npz", row(some_cycles(20)) | {"t2": np.full(20, np.nan)})
+    with pytest.raises(ZygosError, match=r"joint\[1\].torque: t2 has 0 samples; remedy"):
+        tracks(read_table(tmp_path / "x.npz", chosen), chosen)
 
 
 # -- the grid -------------------------------------------------------------------------------------------------------
@@ -543,6 +551,71 @@ def test_a_csv_with_commas_is_read(text: str, tmp_path: Path) -> None:
     np.testing.assert_array_equal(columns["t"], [0.5, 1.5])
 
 
+@pytest.mark.parametrize("separator", [", ", " ; ", "\t"])
+@pytest.mark.parametrize("missing", ["nan", "NaN", "NA", " ", "null", "-nan"])
+def test_spaces_and_missing_values_of_a_csv(separator: str, missing: str, tmp_path: Path) -> None:
+    lines = (("t", "n", "q"), ("1714564800000000001", "7", "-1.5e1"), ("1714564800000000003", missing, missing))
+    (tmp_path / "x.csv").write_text("\n".join(separator.join(line) for line in lines))
+    columns = read_columns(tmp_path / "x.csv")
+    assert columns["t"].tolist() == [1714564800000000001, 1714564800000000003]
+    np.testing.assert_array_equal(columns["n"], [7.0, np.nan])
+    np.testing.assert_array_equal(columns["q"], [-15.0, np.nan])
+
+
+def test_missing_values_beside_decimal_commas(tmp_path: Path) -> None:
+    (tmp_path / "x.csv").write_text("t;q\n0,5; nan\n1,5; -2,5e1\n")
+    columns = read_columns(tmp_path / "x.csv")
+    np.testing.assert_array_equal(columns["q"], [np.nan, -25.0])
+    np.testing.assert_array_equal(columns["t"], [0.5, 1.5])
+
+
+@pytest.mark.parametrize("encoding", ["cp1252", "utf-16", "utf-16-be", "utf-8"])
+@pytest.mark.parametrize("separator", [",", ";"])
+def test_a_csv_in_another_encoding(separator: str, encoding: str, tmp_path: Path) -> None:
+    text = f"t{separator}q [°]\n0.5{separator}2\n1.5{separator}3\n"
+    mark = "\ufeff" if encoding == "utf-16-be" else ""
+    (tmp_path / "x.csv").write_bytes((mark + text).encode(encoding))
+    columns = read_columns(tmp_path / "x.csv")
+    assert list(columns) == ["t", "q [°]"]
+    np.testing.assert_array_equal(columns["q [°]"], [2, 3])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("# my arm\nt,q\n0.5,2\n", r"the columns begin below '# my arm', in row 2"),
+        ("my arm\nof May\n\nt;q\n0.5;2\n", r"the columns begin below 'my arm', in row 3"),
+        ("t q\n0.5 2\n", r"columns are separated by spaces; remedy: export it with commas"),
+        ("0.5  2\n0.6  2\n", r"columns are separated by spaces"),
+    ],
+)
+def test_a_csv_whose_columns_are_not_found(text: str, message: str, tmp_path: Path) -> None:
+    (tmp_path / "x.csv").write_text(text)
+    with pytest.raises(ZygosError, match=message):
+        read_columns(tmp_path / "x.csv")
+
+
+def test_the_first_value_that_is_no_number_is_named(arm: Arm, tmp_path: Path) -> None:
+    write_columns(tmp_path / "x.csv", row(some_cycles(20)))
+    lines = (tmp_path / "x.csv").read_text().splitlines()
+    lines.insert(1, ",".join(["s"] * len(lines[0].split(","))))
+    (tmp_path / "x.csv").write_text("\n".join(lines))
+    chosen = mapping(tmp_path, arm)
+    with pytest.raises(ZygosError, match=r'not numbers \(row 1 below the names has "s"\); remedy'):
+        read_table(tmp_path / "x.csv", chosen)
+
+
+def test_single_values_in_an_npz_and_decimals_in_a_parquet(tmp_path: Path) -> None:
+    import polars
+
+    np.savez(tmp_path / "x.npz", t=np.arange(3), rate_hz=500.0, name="arm")
+    assert list(read_columns(tmp_path / "x.npz")) == ["t"]
+    polars.DataFrame({"t": polars.Series(["0.5", "1.25"]).cast(polars.Decimal(18, 6))}).write_parquet(
+        tmp_path / "x.parquet"
+    )
+    np.testing.assert_array_equal(read_columns(tmp_path / "x.parquet")["t"], [0.5, 1.25])
+
+
 BAD_TABLES = [
     ("q2,", "p2,", r"has no column q2; remedy: it needs sync q1 q2"),
     ("flags\n", "flags,tau3\n", r"tau3 is no column of a cycle table of 2 joints"),
@@ -575,7 +648,7 @@ def test_files_that_are_no_tables(tmp_path: Path) -> None:
     with pytest.raises(ZygosError, match=r"not a readable \.npz table"):
         read_columns(tmp_path / "o.npz")
     np.savez(tmp_path / "u.npz", x=np.zeros(3), y=np.zeros(4))
-    with pytest.raises(ZygosError, match=r"columns of \[3, 4\] rows"):
+    with pytest.raises(ZygosError, match=r"different numbers of rows: x has 3, y has 4; remedy: "):
         read_columns(tmp_path / "u.npz")
     (tmp_path / "e.csv").write_text("a,b\n")
     with pytest.raises(ZygosError, match="has no row"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import os
 import re
@@ -26,6 +27,8 @@ _SEPARATORS = (";", "\t", "|", ",")
 """Column separators of a CSV. The comma comes last, because it may also be the decimal mark."""
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 """A number with a decimal comma."""
+_MISSING = ("", "nan", "-nan", "na", "n/a", "#n/a", "null", "none")
+"""How a CSV may say that a value is missing, in lower case."""
 _EXAMINED = 200
 """Number of lines of a CSV from which its format is found."""
 _LINE = 1_000_000
@@ -46,8 +49,10 @@ def check_table(path: Path) -> None:
 def read_columns(path: Path) -> Columns:
     """Read a table whose columns have equal length; a missing value is NaN.
 
-    A column of text remains text. Column k of a two-dimensional member of an NPZ is ``name[k]``. The columns of a CSV
-    may be separated by commas, semicolons, tabs or vertical bars; with the latter three, decimals may have a comma. The
+    A column of text remains text. Column k of a two-dimensional member of an NPZ is ``name[k]``; single values are left
+    out. The columns of a CSV may be separated by commas, semicolons, tabs or vertical bars; with the latter three,
+    decimals may have a comma. Spaces around a number do not count, and a missing value may be empty, or one of
+    `_MISSING`. A CSV that is not UTF-8 is read as UTF-16 if it begins like one, and as Windows-1252 otherwise. The
     columns of a CSV without names are "1", "2", … Raises ZygosError when the file is missing, unreadable, or has no
     row.
     """
@@ -62,10 +67,14 @@ def read_columns(path: Path) -> Columns:
             f"{path}: not a readable {suffix(path)} table ({type(error).__name__}: {first}); remedy: write it again "
             "with equally many fields in each row (CSV), or without objects (NPZ)"
         ) from error
-    lengths = {len(values) for values in columns.values()}
+    lengths = {len(values): name for name, values in columns.items()}
     if len(lengths) > 1:
-        raise ZygosError(f"{path}: columns of {sorted(lengths)} rows; remedy: give every column as many rows")
-    if not columns or lengths == {0}:
+        listed = ", ".join(f"{name} has {count:,}" for count, name in sorted(lengths.items()))
+        raise ZygosError(
+            f"{path}: columns have different numbers of rows: {listed}; remedy: give every column a row for each "
+            "instant, and transpose an array that has one column for each"
+        )
+    if not columns or set(lengths) == {0}:
         raise ZygosError(f"{path}: the table has no row; remedy: export it again")
     return columns
 
@@ -106,37 +115,80 @@ def _polars(path: Path) -> Any:
 
 def _read_polars(path: Path) -> Columns:
     polars = _polars(path)
-    if suffix(path) == ".csv":
-        form = _csv_form(path)
-        frame = polars.read_csv(
-            local(path),
-            separator=form.separator,
-            decimal_comma=form.decimal_comma,
-            has_header=form.names,
-            infer_schema_length=None,
-        )
-        if not form.names:
-            return {str(k): series.to_numpy() for k, series in enumerate(frame.iter_columns(), start=1)}
-    else:
+    if suffix(path) != ".csv":
         frame = polars.read_parquet(local(path))
-    return {series.name.strip(): series.to_numpy() for series in frame.iter_columns()}
+        return {series.name.strip(): _plain(polars, series).to_numpy() for series in frame.iter_columns()}
+    form = _csv_form(path)
+    source: Any = local(path)
+    if form.encoding != "utf-8-sig":
+        source = source.read_bytes().decode(form.encoding, errors="replace").encode()
+    frame = polars.read_csv(
+        source,
+        separator=form.separator,
+        decimal_comma=form.decimal_comma,
+        has_header=form.names,
+        infer_schema_length=None,
+    )
+    return {
+        series.name.strip() if form.names else str(k): _numeric(polars, series, form.decimal_comma).to_numpy()
+        for k, series in enumerate(frame.iter_columns(), start=1)
+    }
+
+
+def _plain(polars: Any, series: Any) -> Any:
+    """Decimals as floats; any other column as it is."""
+    return series.cast(polars.Float64) if series.dtype.is_decimal() else series
+
+
+def _numeric(polars: Any, series: Any, decimal_comma: bool) -> Any:
+    """A column of text as numbers, if that is what it has beside spaces and missing values; otherwise as it is."""
+    if series.dtype != polars.String:
+        return series
+    text = series.str.strip_chars()
+    text = text.set(text.str.to_lowercase().is_in(_MISSING), None)
+    if decimal_comma:
+        text = text.str.replace(",", ".", literal=True)
+    for kind in (polars.Int64, polars.Float64):
+        numbers = text.cast(kind, strict=False)
+        if numbers.null_count() == text.null_count():
+            return numbers.cast(polars.Float64) if numbers.null_count() else numbers
+    return series
 
 
 @dataclass(frozen=True)
 class _CsvForm:
+    encoding: str
     separator: str
     decimal_comma: bool
     names: bool
     """Whether the first row has the names of the columns."""
 
 
+def _encoding(path: Path) -> str:
+    """Of a CSV, from its first bytes."""
+    with local(path).open("rb") as stream:
+        begin = stream.read(_LINE)
+    if begin.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+    try:
+        codecs.getincrementaldecoder("utf-8")().decode(begin)  # a character may be cut at the end
+    except UnicodeDecodeError:
+        return "cp1252"
+    return "utf-8-sig"
+
+
 def _csv_form(path: Path) -> _CsvForm:
     """How a CSV is written, from its first lines: the separator is the one that divides the first two lines into
-    equally many fields, and a first row of numbers alone has no names."""
-    with local(path).open(encoding="utf-8-sig", errors="replace", newline="") as stream:
+    equally many fields, and a first row of numbers alone has no names. Errors: ZygosError where columns are separated
+    by spaces, where they begin further down, and for commas that are both separators and decimal marks."""
+    encoding = _encoding(path)
+    with local(path).open(encoding=encoding, errors="replace", newline="") as stream:
         lines = [line.rstrip("\r\n") for line in islice(iter(lambda: stream.readline(_LINE), ""), _EXAMINED)]
     lines = [line for line in lines if line.strip()]
-    separator = next((one for one in _SEPARATORS if _divides(one, lines)), ",")
+    separator = next((one for one in _SEPARATORS if _divides(one, lines)), "")
+    if not separator:
+        _check_columns(path, lines)
+        separator = ","
     rows = list(csv.reader(lines, delimiter=separator))
     decimal = any(_DECIMAL_COMMA.fullmatch(field.strip()) for row in rows[1:] or rows for field in row)
     if decimal and separator == ",":
@@ -145,7 +197,24 @@ def _csv_form(path: Path) -> _CsvForm:
             "with semicolons or tabs between the columns, or with a decimal point"
         )
     fields = [field.strip().replace(",", ".") if decimal else field.strip() for field in (rows[0] if rows else [])]
-    return _CsvForm(separator, decimal, not (any(fields) and all(not one or _is_number(one) for one in fields)))
+    names = not (any(fields) and all(not one or _is_number(one) for one in fields))
+    return _CsvForm(encoding, separator, decimal, names)
+
+
+def _check_columns(path: Path, lines: Sequence[str]) -> None:
+    """Refuse a CSV whose first two lines have no columns, but others have."""
+    below = next((k for k in range(1, len(lines) - 1) if any(_divides(one, lines[k:]) for one in _SEPARATORS)), 0)
+    if below:
+        raise ZygosError(
+            f"{path}: the columns begin below {lines[0][:40]!r}, in row {below + 1} (empty lines not counted); remedy: "
+            "remove the lines above the names of the columns"
+        )
+    counts = {len(line.split()) for line in lines[:2]}
+    if len(lines) > 1 and len(counts) == 1 and min(counts) > 1:
+        raise ZygosError(
+            f"{path}: columns are separated by spaces; remedy: export it with commas, semicolons or tabs between the "
+            "columns"
+        )
 
 
 def _divides(separator: str, lines: Sequence[str]) -> bool:
@@ -171,6 +240,6 @@ def _read_npz(path: Path) -> Columns:
                 columns |= {f"{name}[{k}]": values[:, k] for k in range(values.shape[1])}
             elif values.ndim == 1:
                 columns[name] = values
-            else:
+            elif values.ndim > 2:
                 raise ValueError(f"{name} has {values.ndim} axes, not 1 or 2")
     return columns

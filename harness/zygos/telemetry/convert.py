@@ -44,6 +44,8 @@ _ANGLE_MAX, _TORQUE_MAX, _RATE_MAX = 16 * math.pi, (2**23 - 1) * TORQUE_STEP, 4.
 """Largest angle, torque and rate that the CAN frames can carry, SI units (docs/wire.md)."""
 
 
+SPARSE = 10.0
+"""Periods of the arm between two samples from which a warning is given."""
 UNLIKE = 5.0
 """Ratio of the motions of motor and link angle of a joint from which a warning is given."""
 
@@ -233,6 +235,17 @@ def warnings_of(
         warnings.append(
             f"at {refused:.0%} of the instants, the smoother with its cut-off of {cutoff:g} Hz takes more from the "
             "motion than the noise of the encoders hides (bandwidth test); what they add depends on the cut-off"
+        )
+    if refused is None:
+        warnings.append(
+            f"no unbroken piece of the run is as long as the smoother's window of {arm.smoother.points} cycles, so "
+            "nothing can be estimated from it: check the unit of the time, period_s of the arm file, and the holes"
+        )
+    slow = max(found, key=lambda track: track.interval_s if len(track.t) > 1 else 0.0)
+    if len(slow.t) > 1 and slow.interval_s > SPARSE * arm.period_s:
+        warnings.append(
+            f"{slow.channel.label}: one sample in {slow.interval_s / arm.period_s:,.0f} periods of the arm; the values "
+            "between them are interpolated: check the unit of the time, or make period_s of the arm file longer"
         )
     if recording.damaged:
         warnings.append(f"{counted(recording.damaged, 'frame')} could not be decoded by the DBC")

@@ -22,6 +22,7 @@ from scipy.interpolate import make_interp_spline
 from zygos.arm import Arm, Encoder
 from zygos.cutoff import periods
 from zygos.errors import ZygosError
+from zygos.files.output import counted
 from zygos.runs.cycles import BREAK_BEFORE, Cycles
 from zygos.runs.samples import calibrate
 from zygos.runs.smoother import smooth
@@ -257,7 +258,7 @@ def tracks(recording: Recording, mapping: Map) -> list[Track]:
         x = channel.gain * samples.value + channel.offset
         t, x = t[np.isfinite(x)], x[np.isfinite(x)]
         _forwards(channel.source, channel.where, np.diff(t) < 0)
-        last = np.append(np.diff(t) > 0, True)
+        last = np.append(np.diff(t) > 0, len(t) > 0)[: len(t)]
         repeated = int(len(t) - last.sum())
         if repeated > MANY_REPEATED * len(t):
             raise ZygosError(
@@ -266,7 +267,8 @@ def tracks(recording: Recording, mapping: Map) -> list[Track]:
             )
         if last.sum() < 8:
             raise ZygosError(
-                f"{channel.where}: {channel.source} has {last.sum()} samples; remedy: a recording with at least 8"
+                f"{channel.where}: {channel.source} has {counted(int(last.sum()), 'sample')}; remedy: a recording "
+                "with at least 8"
             )
         out.append(Track(channel, t[last], x[last], repeated))
     return out

@@ -224,9 +224,22 @@ def read_map(top: Table, arm: Arm, kind: Input) -> Map:
         gyro.finish()
     elif top.has("gyro"):
         raise top.error("gyro", f"the base of arm {arm.name} is fixed and has no gyro", "remove [gyro]")
+    _check_once(channels)
     clock = _clock(top.table("time", "What says when a value was measured."), arm, kind)
     top.finish()
     return Map(clock, tuple(channels))
+
+
+def _check_once(channels: Sequence[Channel]) -> None:
+    """Refuse one source for two readings."""
+    first: dict[str, Channel] = {}
+    for channel in channels:
+        other = first.setdefault(channel.source, channel)
+        if other is not channel:
+            raise ZygosError(
+                f"{channel.where}: {channel.source} is already that of {other.label}; remedy: name the source of "
+                f"{channel.label}, or correct that of {other.label}"
+            )
 
 
 _NAMED: dict[Input, tuple[str, str]] = {
@@ -439,10 +452,22 @@ def _column(path: Path, columns: Columns, name: str, where: str) -> NDArray[Any]
     values = columns[name]
     if values.dtype.kind not in "iuf":
         raise ZygosError(
-            f'{where}: column "{name}" of {path.name} has values that are not numbers ({values.dtype}); '
+            f'{where}: column "{name}" of {path.name} has values that are not numbers ({_first_text(values)}); '
             "remedy: export numbers, and a time in seconds"
         )
     return values
+
+
+def _first_text(values: NDArray[Any]) -> str:
+    """The first value of a column that is no number, with its row, or the type of the column."""
+    for row, value in enumerate(values.tolist(), start=1):
+        try:
+            float(value or "nan")
+        except (TypeError, ValueError):
+            if isinstance(value, str):
+                return f'row {row} below the names has "{value[:40]}"'
+            break
+    return str(values.dtype)
 
 
 @dataclass(frozen=True)
