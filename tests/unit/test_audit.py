@@ -188,6 +188,21 @@ def test_other_steps_than_declared_are_named(runs: dict[str, tuple[Arm, list[Cyc
             assert found.signals[0].step == pytest.approx(2 * np.pi / counts, rel=1e-5)
 
 
+def test_a_declared_quantum_with_the_noise_of_interpolation_is_no_fault(
+    runs: dict[str, tuple[Arm, list[Cycles]]],
+) -> None:
+    """Readings in steps of an encoder, with a declared noise that is larger than that of the steps, as of a conversion.
+    A quantum that is far too large is named."""
+    arm, clean = runs["b"]
+    step = 2.0 * np.pi / 65536
+    for factor, fault in ((1.05, ""), (1.4, ""), (8.0, "moves in steps of 2π/65536")):
+        encoder = replace(arm.joints[0].link_encoder, quantum_rad=factor * step, counts=None)
+        known = replace(arm, joints=(replace(arm.joints[0], link_encoder=encoder), *arm.joints[1:]))
+        for cycles in clean:
+            found = named(audit(known, rounded("q", 0, step)(cycles)))
+            assert found.get(Q1, "").split(",")[0] == fault
+
+
 def test_noise_above_the_declared_is_named(runs: dict[str, tuple[Arm, list[Cycles]]]) -> None:
     arm, clean = runs["b"]
     sigma = arm.joints[0].link_encoder.sigma_rad
