@@ -98,6 +98,25 @@ def test_each_recording_becomes_a_run(name: str, tmp_path: Path) -> None:
         assert joint.torque_sigma == 0.0
 
 
+def test_a_window_that_is_too_long_on_board_is_used_on_the_ground(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """At 250 Hz the cut-off of 5 Hz needs 63 points: the conversion says so, the estimate takes them, and the flight
+    library refuses them with the period that it needs."""
+    text = (FOLDER / "arm.toml").read_text()
+    (tmp_path / "fast.toml").write_text(text.replace("period_s = 0.01 ", "period_s = 0.004 "))
+    for out in ("run.log", "run.npz"):  # a log is read by the receiver of the library
+        folder = tmp_path / out.replace(".", "-")
+        folder.mkdir()
+        assert convert("00", folder / out, "--arm", tmp_path / "fast.toml", "--json", tmp_path / "c.json") == 0
+        warnings = json.loads((tmp_path / "c.json").read_text())["warnings"]
+        assert any("63 points" in line and "a period_s of at least 0.00809" in line for line in warnings)
+        assert run("estimate", folder / out, "-o", tmp_path / "m.toml") == 3  # partial: one run is not enough
+        capsys.readouterr()
+        assert run("estimate", "--flight", folder / out, "-o", tmp_path / "f.toml") == 2
+        assert "a period_s of at least 0.00809" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("name", ["03"])
 def test_the_rates_are_those_that_the_drives_measured(name: str, tmp_path: Path) -> None:
     """Signs, sides and timing, by the velocities of the replies, which the map does not name: integrated and smoothed

@@ -95,5 +95,7 @@ def test_a_motion_that_is_refused_is_still_smoothed_well() -> None:
 
 
 def test_a_window_that_the_build_does_not_hold_is_named() -> None:
-    with pytest.raises(ZygosError, match=r"a smoother of \d+ points, this build holds 31; .*ZYGOS_MAX_HALF_WIDTH"):
+    said = r"a smoother of \d+ points, this build holds 31; remedy: a period_s of at least 0.01925 .*MAX_HALF_WIDTH"
+    with pytest.raises(ZygosError, match=said):
         Flight(arm_at(2.1, 0.01))
+    Flight(arm_at(2.1, 0.01925))

@@ -83,6 +83,28 @@ def test_a_wrong_gear_ratio_is_named_with_its_value(joint: int, factor: float) -
     assert float(said) == pytest.approx(100.0 / factor, rel=0.03)
 
 
+CONSTANTS = (2.0, 3.0, 0.7, 1.4, 0.3, 5.0, 1.0)
+"""Ampere for one Nm of each motor."""
+
+
+@pytest.mark.slow(but=["as recorded"])
+@pytest.mark.parametrize(
+    ("fault", "expected"),
+    [
+        (both(), {}),
+        (inverted("tau", 1), {T[1]: "inverted"}),
+        (swapped("tau", 1, 3), {T[1]: f"swapped with {T[3]}", T[3]: f"swapped with {T[1]}"}),
+    ],
+    ids=["as recorded", "inverted", "swapped"],
+)
+def test_the_scales_of_currents_are_no_fault(fault: Fault, expected: dict[str, str]) -> None:
+    """Nobody knows the constants of the motors; signs and places are decided nevertheless."""
+    cycles, _ = run(4)
+    currents = fault(both(*(scaled("tau", i, by) for i, by in enumerate(CONSTANTS)))(cycles))
+    joints = tuple(replace(joint, torque_sigma=1.0) for joint in ARM.joints)
+    assert faults(audit(replace(ARM, joints=joints, torque_unit="A"), currents)) == expected
+
+
 @pytest.mark.slow
 def test_the_noise_of_torques_is_compared_with_the_declared_one() -> None:
     cycles, sigma = run(6)

@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 from telemetry_support import edited
 
-from conftest import EXAMPLE
+from conftest import EXAMPLE, ROOT
 from zygos.arm import Arm, load_arm
 from zygos.errors import ZygosError
 from zygos.files.tables import read_columns, write_columns
@@ -110,6 +110,64 @@ def test_units_sides_and_signs(arm: Arm, tmp_path: Path, entry: str, value: floa
         lines[second] = JOINT.format(name="elbow", i=2).splitlines()[3 if key == "motor" else 5]
     found = {channel.label: channel for channel in mapping(tmp_path, arm, "\n".join(lines)).channels}[label]
     assert found.gain * value + found.offset == pytest.approx(si, rel=1e-14)
+
+
+def grounded(tmp_path: Path, **top: str) -> Arm:
+    """The pendulum of the examples with other entries at the top of its file."""
+    text = (ROOT / "examples" / "pendulum" / "arm.toml").read_text()
+    for key, value in top.items():
+        kept = [line for line in text.splitlines() if not line.startswith(f"{key} =")]
+        text = "\n".join([f'{key} = "{value}"', *kept])
+    (tmp_path / "arm.toml").write_text(text)
+    return load_arm(tmp_path / "arm.toml")
+
+
+GROUND_JOINT = """
+[[joint]]
+name = "{name}"
+motor = {{ column = "m{i}", unit = "rad", side = "output" }}
+torque = {{ column = "t{i}", {torque} }}
+"""
+
+
+def torque_gain(tmp_path: Path, arm: Arm, torque: str) -> float:
+    text = GRID + "".join(GROUND_JOINT.format(name=joint.name, i=i, torque=torque) for i, joint in enumerate(arm.joints))
+    return next(one.gain for one in mapping(tmp_path, arm, text).channels if one.field == "tau")
+
+
+@pytest.mark.parametrize(
+    ("top", "torque", "gain"),  # the gear is 6
+    [
+        ({}, 'unit = "Nm"', 1.0),
+        ({}, 'unit = "Nm", at = "output"', 1.0 / 6.0),
+        ({"torque_at": "joint"}, 'unit = "Nm"', 1.0),
+        ({"torque_at": "joint"}, 'unit = "mNm", at = "output"', 1e-3),
+        ({"torque_unit": "A"}, 'unit = "A"', 1.0),
+        ({"torque_unit": "A"}, 'unit = "mA"', 1e-3),
+    ],
+)
+def test_a_torque_is_stated_on_the_side_and_in_the_unit_of_the_arm_file(
+    tmp_path: Path, top: dict[str, str], torque: str, gain: float
+) -> None:
+    """A sensor behind the gear reports what the arm file expects: nothing is divided by the gear ratio. Currents stay
+    currents."""
+    assert torque_gain(tmp_path, grounded(tmp_path, **top), torque) == pytest.approx(gain, rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("top", "torque", "said"),
+    [
+        ({"torque_at": "joint"}, 'unit = "Nm", at = "rotor"', r'torque.at: "rotor" is before the gear, .* "joint"'),
+        ({"torque_unit": "A"}, 'unit = "Nm"', r'torque.unit: "Nm" is no current, but arm pendulum .* remedy: write "A"'),
+        ({"torque_unit": "A"}, 'unit = "A", torque_constant = 0.1', r"torque.torque_constant: .* remain currents"),
+        ({}, 'unit = "A"', r"torque.torque_constant: is missing"),
+    ],
+)
+def test_a_torque_that_contradicts_the_arm_file_is_refused(
+    tmp_path: Path, top: dict[str, str], torque: str, said: str
+) -> None:
+    with pytest.raises(ZygosError, match=said):
+        torque_gain(tmp_path, grounded(tmp_path, **top), torque)
 
 
 def test_the_cycles_have_every_channel_in_its_place(arm: Arm, tmp_path: Path) -> None:

@@ -355,9 +355,9 @@ class _Auditor:
             return
         if FOLLOWS < own / whole < ALONE:
             self.notes.append(
-                f"{name}: changes from cycle to cycle by {whole:.2g} Nm, and {100 * (1 - (own / whole) ** 2):.0f} % of "
+                f"{name}: changes from cycle to cycle by {whole:.2g} {self.arm.torque_unit}, and {100 * (1 - (own / whole) ** 2):.0f} % of "
                 "the variance is correlated with the readings of encoders and gyro: either a controller that reads "
-                f"different values applies this torque, or the torque is noisier than declared ({sigma:.2g} Nm)"
+                f"different values applies this torque, or the torque is noisier than declared ({sigma:.2g} {self.arm.torque_unit})"
             )
             return
         self.find(
@@ -365,7 +365,8 @@ class _Auditor:
             f"noisier than declared by a factor of {own / sigma:.1f}"
             if sigma > 0.0
             else "noisy, and no noise is declared",
-            f"{own:.2g} Nm, declared {sigma:.2g} Nm, without the part that follows the noise of encoders and gyro",
+            f"{own:.2g} {self.arm.torque_unit}, declared {sigma:.2g} {self.arm.torque_unit}, without the part that "
+            "follows the noise of encoders and gyro",
             f"torque_sigma = {own:.2g} of the joint; nothing if the drive really applies torques that change so much "
             "from cycle to cycle",
         )
@@ -449,6 +450,8 @@ class _Auditor:
             )
             return self.cycles
         declared = Reading.declared(self.arm.n)
+        if self.currents:
+            declared = law.with_fitted_scales(declared, use)
         best = self._best_reading(law, declared, use)
         self.progress(0.7)
         kept = declared
@@ -457,6 +460,16 @@ class _Auditor:
             kept = best
         self._confirm_readings(law, kept, [i for i in use if i not in declared.differs(kept)])
         return self._reread(kept)
+
+    @property
+    def currents(self) -> bool:
+        """Whether torques are motor currents, so that the scale of each torque is unknown and no fault."""
+        return self.arm.torque_unit == "A"
+
+    def _torque_changes(self, law: RigidLaw, reading: Reading, use: list[int]) -> Iterator[Reading]:
+        """Those of the law; currents have the scales that fit then."""
+        for one in law.torque_changes(reading, use):
+            yield law.with_fitted_scales(one, use) if self.currents else one
 
     def _closes(self, law: RigidLaw, reading: Reading, use: list[int]) -> bool:
         share = law.score(reading).share[[i for i in use if i in law.with_rows]]
@@ -470,7 +483,7 @@ class _Auditor:
 
         now = declared
         for _ in range(3 * len(use)):
-            best = best_of(law.torque_changes(now, use))
+            best = best_of(self._torque_changes(law, now, use))
             if not self._clearly(law, now, best, SURE):
                 break
             now = best
@@ -479,6 +492,8 @@ class _Auditor:
             best = best_of(law.angle_changes(declared, use))
             if self._clearly(law, now, best, SURE) and self._closes(law, best, use):
                 now = best
+        if self.currents:
+            return min(declared, now, key=lambda one: law.score(one).total)
         # a torque of a wrong scale may look inverted, so that scales are also tried on the arm file's own readings
         ends = [self._with_scales(law, start, use) for start in dict.fromkeys((declared, now))]
         return min(ends, key=lambda one: law.score(one).total)
@@ -529,7 +544,7 @@ class _Auditor:
                 )
             elif factor < 0.0:
                 self.find(name, "inverted", evidence, "change its sign where the log is written")
-            if abs(factor) != 1.0:
+            if abs(factor) != 1.0 and not self.currents:
                 self.find(
                     name,
                     f"scaled by {1.0 / abs(factor):.4g}",
@@ -549,7 +564,7 @@ class _Auditor:
                     f"{name}: sign and place are not decided (the law of the whole arm leaves {100 * left:.0f} % of "
                     "the torque unexplained)"
                 )
-        for other in law.torque_changes(kept, use):
+        for other in self._torque_changes(law, kept, use):
             better = now.total - law.score(other).total
             changes = kept.differs(other)
             if -better < len(changes) * math.log(SURE) and not {self.name("tau", i) for i in changes} <= self.undecided:
@@ -843,7 +858,7 @@ class _Auditor:
         decided = name not in self.undecided or bool(faults)
         return Signal(
             name=name,
-            unit={"tau": "Nm", "omega": "rad/s"}.get(kind, "rad"),
+            unit={"tau": self.arm.torque_unit, "omega": "rad/s"}.get(kind, "rad"),
             share=self._share(name),
             low=float(valid.min()),
             high=float(valid.max()),

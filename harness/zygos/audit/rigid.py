@@ -170,6 +170,38 @@ class RigidLaw:
                 break
         return reading.scaled(math.exp(best), joint) if total(best) < total(0.0) else reading
 
+    def with_fitted_scales(self, reading: Reading, joints: Sequence[int]) -> Reading:
+        """The same with the scales of torques that fit best beside each other, relative to the first of these joints: a
+        linear fit in which they are unknowns beside the law's parameters. Signs remain."""
+        halves = self._halves(reading.turned)
+        used = [j for j in joints if j in self.with_rows]
+        if not halves or len(used) < 2:
+            return reading
+        both = _Sums(halves[0].gram + halves[1].gram, halves[0].rows + halves[1].rows)
+        # scales that fitted another hypothesis are no start
+        reading = replace(reading, factor=tuple(math.copysign(1.0, f) for f in reading.factor))
+        targets = {j: self._target(both, reading, j) for j in used}
+        count, first, scale = self.unknown, used[0], dict.fromkeys(used, 1.0)
+        rest = {j: size for j, (_, size) in targets.items()}
+        for _ in range(_ROUNDS):
+            a, right = np.zeros((count + len(used) - 1,) * 2), np.zeros(count + len(used) - 1)
+            for place, j in enumerate(used, count - 1):
+                own = targets[j][0] / rest[j]
+                a[:count, :count] += own[:-1, :-1]
+                if j == first:
+                    right[:count] = own[:-1, -1]
+                    continue
+                a[:count, place] = a[place, :count] = -own[:-1, -1]
+                a[place, place] = own[-1, -1]
+            x = _regular(a, right)
+            found = [1.0, *x[count:].tolist()]
+            scale = {j: math.copysign(max(abs(one), 1.0 / _WIDEST), one) for j, one in zip(used, found, strict=True)}
+            for j, (gram, whole) in targets.items():
+                # a residual in units of the reading, because that of a small scale is small
+                rest[j] = max(_square(gram, x[:count] / scale[j]), _LEAST**2 * whole) * scale[j] ** 2
+        factor = [f * abs(scale.get(j, 1.0)) for j, f in enumerate(reading.factor)]
+        return replace(reading, factor=tuple(factor))
+
     def _predicted_scale(self, reading: Reading, joint: int) -> float:
         """Scale of a joint's torque by which it follows from the parameters that the other joints' torques show."""
         halves = self._halves(reading.turned)

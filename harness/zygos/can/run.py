@@ -17,7 +17,7 @@ from zygos.can import bus
 from zygos.errors import ZygosError
 from zygos.files.inputs import local
 from zygos.files.tables import check_table, is_table
-from zygos.native.flight import Flight, encode
+from zygos.native.flight import Flight, encode, receivable
 from zygos.runs.cycles import Cycles
 from zygos.runs.samples import usable
 from zygos.runs.tables import read_cycles, write_cycles
@@ -56,7 +56,7 @@ class Run:
         """The cycles, and the counters of the receiver's faults."""
         if self.table is not None:
             return self.table, {}
-        flight = Flight(self.arm)
+        flight = Flight(receivable(self.arm))
         trace = flight.frames(self.frames, trace=True) if self.frames is not None else None
         assert trace is not None
         return trace.cycles, flight.faults

@@ -18,7 +18,7 @@ from zygos.files.inputs import local
 from zygos.files.output import check_outputs, counted, is_dash, number, say, table, write_json
 from zygos.files.progress import progress
 from zygos.files.tables import check_table, is_table
-from zygos.native.flight import Flight, encode
+from zygos.native.flight import Flight, encode, receivable
 from zygos.telemetry.convert import (
     check_noise,
     cycles_of,
@@ -53,7 +53,8 @@ def convert_run(
     beside = out.parent / "arm.toml"
     check_outputs([out, json], [source, *dbc, map_file, chosen, beside])
     arm = load_arm(chosen)
-    Flight(arm)  # raises an error for an arm that the library refuses, before anything is read
+    # raises an error for an arm that the library refuses, before anything is read; on the ground any window will do
+    Flight(receivable(arm) if arm.grounded else arm)
     mapping = load_map(map_file, arm, kind)
     with progress() as bar:
         task = bar.add_task(f"reading {source.name}", total=None)

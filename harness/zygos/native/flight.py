@@ -10,14 +10,15 @@ import math
 import re
 import runpy
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from zygos.arm import Arm
+from zygos.arm import Arm, Smoother
+from zygos.cutoff import rate_cutoff
 from zygos.effects import Effect, estimated
 from zygos.errors import ZygosError
 from zygos.runs.cycles import Cycles
@@ -227,6 +228,28 @@ class Drift:
         return tuple(name for name, there in zip(self.names, far, strict=True) if there)
 
 
+WINDOW_MAX = 2 * lib.ZYGOS_MAX_HALF_WIDTH_VALUE + 1
+"""Points of the longest window of the smoother in this build of the C library."""
+
+
+def fits_window(arm: Arm) -> bool:
+    """Whether this build of the C library holds the window of the arm's smoother."""
+    return arm.smoother.points <= WINDOW_MAX
+
+
+def longer_period(arm: Arm) -> str:
+    """The remedy for an arm whose window is too long: the period at which one of the same cut-off fits."""
+    own = arm.smoother
+    cutoff = own.cutoff_hz or rate_cutoff(own.points // 2, own.order) / arm.period_s
+    shortest = rate_cutoff(lib.ZYGOS_MAX_HALF_WIDTH_VALUE, 4) / cutoff
+    return f"a period_s of at least {math.ceil(1e5 * shortest) / 1e5:.5g} for the cut-off of {cutoff:.3g} Hz"
+
+
+def receivable(arm: Arm) -> Arm:
+    """The arm as the receiver and the encoder of frames see it, in which the smoother has no part."""
+    return arm if fits_window(arm) else replace(arm, smoother=Smoother())
+
+
 def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
     """Translate an arm description, and the effects whose coefficients are to be found, into ``zygos_config_t *``.
 
@@ -237,11 +260,11 @@ def config_of(arm: Arm, effects: Sequence[Effect] = ()) -> Any:
             f"arm {arm.name!r} has {arm.n} joints, this build holds {lib.ZYGOS_MAX_JOINTS_VALUE}; "
             "remedy: rebuild with -DZYGOS_MAX_JOINTS"
         )
-    half, most = arm.smoother.points // 2, lib.ZYGOS_MAX_HALF_WIDTH_VALUE
-    if half > most:
+    if not fits_window(arm):
+        half = arm.smoother.points // 2
         raise ZygosError(
-            f"arm {arm.name!r} has a smoother of {arm.smoother.points} points, this build holds {2 * most + 1}; "
-            f"remedy: rebuild with -DZYGOS_MAX_HALF_WIDTH={half}, or a longer period or a higher cut-off"
+            f"arm {arm.name!r} has a smoother of {arm.smoother.points} points, this build holds {WINDOW_MAX}; "
+            f"remedy: {longer_period(arm)}, or rebuild with -DZYGOS_MAX_HALF_WIDTH={half}"
         )
     laws = {"applied_from_sync": 0, "applied_previous_cycle": 1, "sampled": 2}
     kinetics = {"planar-symmetric": 0, "planar": 1, "spatial": 2}
@@ -369,7 +392,7 @@ def encode(arm: Arm, cycles: Cycles) -> NDArray[Any]:
     n = len(cycles)
     frames = np.zeros(n * (4 + 2 * arm.n) + 1, dtype=FRAME)
     out = ffi.cast("zygos_frame_t *", frames.ctypes.data)
-    used = lib.zygos_batch_encode(config_of(arm), cycles_to_native(cycles), n, out)
+    used = lib.zygos_batch_encode(config_of(receivable(arm)), cycles_to_native(cycles), n, out)
     return frames[:used]
 
 

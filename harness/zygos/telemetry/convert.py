@@ -19,7 +19,7 @@ from zygos.errors import ZygosError
 from zygos.files.inputs import local
 from zygos.files.output import cannot_be_written, counted, write_text
 from zygos.files.tables import is_table
-from zygos.native.flight import Flight
+from zygos.native.flight import WINDOW_MAX, Flight, fits_window, longer_period
 from zygos.runs.cycles import INVALID, Cycles
 from zygos.runs.tables import write_cycles
 from zygos.simulation.sensors import encoder_angle
@@ -175,7 +175,10 @@ def with_time(cycles: Cycles) -> Cycles:
 
 
 def refused_share(arm: Arm, cycles: Cycles, frames: NDArray[Any] | None) -> float | None:
-    """Share of the run's instants that the flight library's bandwidth test refuses; None if there is no instant."""
+    """Share of the run's instants that the flight library's bandwidth test refuses; None if there is no instant, or if
+    the library does not hold the smoother's window."""
+    if not fits_window(arm):
+        return None
     flight = Flight(arm)
     if frames is None:
         flight.cycles(cycles)
@@ -208,7 +211,7 @@ def signal_rows(
                 "samples": len(recording.sources[channel.source].value),
                 "rate_hz": 1.0 / track.interval_s if len(track.t) > 1 else math.nan,
                 "holes": int(track.holes.sum()) if len(track.t) > 1 else 0,
-                "unit": SI_UNIT[channel.quantity],
+                "unit": arm.torque_unit if channel.quantity == "torque" else SI_UNIT[channel.quantity],
                 "smallest": float(values.min()),
                 "largest": float(values.max()),
                 "sigma": declared_sigma(arm, channel),
@@ -236,7 +239,12 @@ def warnings_of(
             f"at {refused:.0%} of the instants, the smoother with its cut-off of {cutoff:g} Hz takes more from the "
             "motion than the noise of the encoders hides (bandwidth test); what they add depends on the cut-off"
         )
-    if refused is None:
+    if not fits_window(arm):
+        warnings.append(
+            f"the smoother's window of {arm.smoother.points} points is longer than the flight library's, which holds "
+            f"{WINDOW_MAX} in this build; `zygos estimate` takes it on the ground, and on board: {longer_period(arm)}"
+        )
+    elif refused is None:
         warnings.append(
             f"no unbroken piece of the run is as long as the smoother's window of {arm.smoother.points} cycles, so "
             "nothing can be estimated from it: check the unit of the time, period_s of the arm file, and the holes"

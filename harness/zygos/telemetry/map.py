@@ -212,7 +212,7 @@ def read_map(top: Table, arm: Arm, kind: Input) -> Map:
         for key, meaning, otherwise, field, quantity in kinds:
             entry = table.table(key, meaning, otherwise=otherwise)
             label = f"{joint.name}.{key}"
-            channels.append(_channel(entry, label, field, i, quantity, joint.gear_ratio, kind, joint.name))
+            channels.append(_channel(entry, label, field, i, quantity, arm, kind, joint.name))
         table.finish()
     if arm.free:
         gyro = top.table(
@@ -220,7 +220,7 @@ def read_map(top: Table, arm: Arm, kind: Input) -> Map:
         )
         for i, axis in enumerate("xyz"):
             entry = gyro.table(axis, f"The rate about the {axis} axis of the gyro.")
-            channels.append(_channel(entry, f"gyro.{axis}", "omega", i, "rate", 1.0, kind, axis))
+            channels.append(_channel(entry, f"gyro.{axis}", "omega", i, "rate", arm, kind, axis))
         gyro.finish()
     elif top.has("gyro"):
         raise top.error("gyro", f"the base of arm {arm.name} is fixed and has no gyro", "remove [gyro]")
@@ -305,7 +305,7 @@ def _channel(
     field: Field,
     index: int,
     quantity: Quantity,
-    gear_ratio: float,
+    arm: Arm,
     kind: Input,
     name: str,
 ) -> Channel:
@@ -325,15 +325,8 @@ def _channel(
                 otherwise='required where unit is "counts", refused elsewhere',
             )
         )
-    elif unit in ("A", "mA"):
-        si = table.number(
-            "torque_constant",
-            "Torque of the motor for one ampere.",
-            above=0.0,
-            unit="Nm/A",
-            otherwise='required where unit is "A" or "mA", refused elsewhere',
-        )
-        si *= 1e-3 if unit == "mA" else 1.0
+    elif quantity == "torque":
+        si = _torque_unit(table, unit, arm)
     bare = not (table.has("scale") or table.has("offset"))
     scale = table.number("scale", "Units for one step of the source. Not 0.", 1.0)
     offset = table.number("offset", "Value in units that is added after scaling, before the sign.", 0.0, unit=unit)
@@ -346,19 +339,67 @@ def _channel(
         raise table.error("sign", "is 0", "write 1 or -1")
     # angles and torques may be given on either side of the gear; `Cycles` has angles after it and torques before it
     if quantity == "torque":
-        geared = (
-            table.choice("at", "The side of the gear at which the torque is stated.", ("rotor", "output"), "rotor")
-            == "output"
-        )
+        geared = _beyond_gear(table, arm)
     else:
         sides = ("output", "rotor")
         geared = field == "theta" and (
             table.choice("side", "The side of the gear at which the encoder of the motor sits.", sides) == "rotor"
         )
-    factor = sign * si / (gear_ratio if geared else 1.0)
+    factor = sign * si / (arm.joints[index].gear_ratio if geared else 1.0)
     table.finish()
     where = f"{table.file}: {table.where}"
     return Channel(label, field, index, quantity, source, unit, factor * scale, factor * offset, bare, where, place)
+
+
+def _torque_unit(table: Table, unit: str, arm: Arm) -> float:
+    """One unit in Nm, or in A where the arm file says that torques are currents."""
+    current = unit in ("A", "mA")
+    if arm.torque_unit == "A":
+        if not current:
+            raise table.error(
+                "unit",
+                f'"{unit}" is no current, but arm {arm.name} has torque_unit = "A"',
+                'write "A" or "mA" if the values are currents, else remove torque_unit from the arm file',
+            )
+        if table.has("torque_constant"):
+            raise table.error(
+                "torque_constant",
+                f'arm {arm.name} has torque_unit = "A", so that its torques remain currents',
+                "remove it, or remove torque_unit from the arm file if the constant is known",
+            )
+        return 1e-3 if unit == "mA" else 1.0
+    if not current:
+        return UNITS["torque"][unit]
+    constant = table.number(
+        "torque_constant",
+        "Torque of the motor for one ampere.",
+        above=0.0,
+        unit="Nm/A",
+        otherwise=(
+            'required where unit is "A" or "mA", refused elsewhere, and where the arm file has torque_unit = "A"'
+        ),
+    )
+    return constant * (1e-3 if unit == "mA" else 1.0)
+
+
+def _beyond_gear(table: Table, arm: Arm) -> bool:
+    """Whether a stated torque has to be divided by the gear ratio, to become one of the side that the arm file names.
+    A torque of the motor is not that of a sensor behind the gear, which the rotor and friction do not reach."""
+    behind = arm.torque_at == "joint"
+    stated = table.choice(
+        "at",
+        "The side of the gear at which the torque is stated.",
+        ("rotor", "output"),
+        "output" if behind else "rotor",
+        otherwise='"output" where the arm file has torque_at = "joint", else "rotor"',
+    )
+    if behind and stated == "rotor":
+        raise table.error(
+            "at",
+            f'"rotor" is before the gear, but arm {arm.name} has torque_at = "joint", a sensor behind it',
+            'write "output", or torque_at = "rotor" in the arm file',
+        )
+    return stated == "output" and not behind
 
 
 _CLOCKS: dict[Input, tuple[Source, ...]] = {
