@@ -15,6 +15,7 @@ from zygos.can.run import Run, joined
 from zygos.effects import CATALOGUE, Effect, effect
 from zygos.errors import Undecided, ZygosError
 from zygos.ground.estimate import GroundEstimate, estimate_ground
+from zygos.ground.motion import Motion, torque_noise
 from zygos.ground.payload import check_found, payload
 from zygos.ground.rows import friction
 from zygos.ground.score import score
@@ -163,6 +164,89 @@ def test_a_payload_is_weighed() -> None:
     assert np.all(found.after < 0.3 * found.before[1])
     after = score(run, found.to_model())
     assert all(one.floor < 1.1 for one in after.joints)
+
+
+@pytest.mark.slow
+def test_the_interval_of_a_payload_holds_the_uncertainty_of_the_model() -> None:
+    """Sixteen models, each from a run of its own, and the same payload: what the models have wrong together is part of
+    the intervals."""
+    arm, model, *_ = _setup()
+    place, held, count = (0.05, -0.02, 0.2), 0, 0
+    truth = {"m3": 2.8, "mx3": 2.8 * place[0], "my3": 2.8 * place[1], "mz3": 2.8 * place[2]}
+    for seed in range(16):
+        learned = estimate_ground([recorded(arm, model, path=0, seed=100 + seed, seconds=8.0)]).to_model()
+        loaded = recorded(arm, heavier(model, 2.8, place), path=1, seed=200 + seed, seconds=24.0, offset=0.01)
+        found = payload([loaded], learned)
+        for name, group, value, half in zip(found.names, found.groups, found.value, found.half95, strict=True):
+            if name in truth and "+" not in group:
+                held += abs(value - truth[name]) < half
+                count += 1
+    assert count >= 32
+    assert held / count > 0.95 - 3.0 * np.sqrt(0.05 * 0.95 / 16), (held, count)  # values of one seed are correlated
+
+
+@pytest.mark.parametrize(("key", "value"), [("torque_gain", 0.2), ("load_friction", 0.1)])
+def test_a_payload_beside_a_wrong_gain_or_friction_with_the_load(key: str, value: float) -> None:
+    """What the model says of the torques holds with the payload, too."""
+    arm, model, *_ = _setup()
+    place = (0.05, -0.02, 0.2)
+    more = {"gain" if key == "torque_gain" else "load": value}
+    loaded = recorded(arm, heavier(model, 2.8, place), path=1, seed=5, more=more)
+    kinds = [CATALOGUE["motor_coulomb"], CATALOGUE["motor_viscous"]]
+    effects = (*friction(arm, kinds), *friction(arm, [CATALOGUE[key]])[1 if key == "torque_gain" else 0 :])
+    learned = estimate_ground([recorded(arm, model, path=0, seed=6, more=more)], effects=effects).to_model()
+    found = payload([loaded], learned)
+    for name, truth in (("m3", 2.8), ("mx3", 2.8 * place[0])):
+        k = found.names.index(name)
+        assert abs(found.value[k] - truth) < 4.0 * found.sigma[k], (name, found.value[k], found.sigma[k])
+        assert found.sigma[k] < 0.05 * abs(truth)
+    # the model with the payload knows what it knew, and no more of what the payload took over
+    assert np.linalg.eigvalsh(found.to_model().covariance(arm)).min() > -1e-9
+
+
+def test_correlations_are_read_back(tmp_path: Path) -> None:
+    _, _, first, _ = _setup()
+    learned = estimate_ground([first]).to_model()
+    save_model(learned, tmp_path / "model.toml")
+    again = load_model(tmp_path / "model.toml")
+    assert again == learned
+    covariance = again.covariance(first.arm)
+    off = covariance - np.diag(np.diag(covariance))
+    assert np.abs(off).max() > 0.1 * np.diag(covariance).min()
+    bare = replace(again, correlation=None)
+    np.testing.assert_allclose(np.diag(bare.covariance(first.arm)), np.diag(covariance), rtol=1e-12)
+    assert np.count_nonzero(bare.covariance(first.arm)) == len(covariance)
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("b = [0.5, 0.5]", "is not an array of 1 numbers"),
+        ("b = [1.5]", "1.5"),
+        ("b = [0.9]\nc = [0.9, -0.9]", "the correlations contradict each other"),
+    ],
+)
+def test_correlations_that_cannot_be_are_refused(tmp_path: Path, line: str, said: str) -> None:
+    (tmp_path / "m.toml").write_text(
+        f'name = "x"\n[parameters]\na = 1.0\nb = 1.0\nc = 1.0\n[correlation]\na = []\n{line}\n'
+    )
+    with pytest.raises(ZygosError, match=said):
+        load_model(tmp_path / "m.toml")
+
+
+def test_the_noise_of_a_torque_that_is_not_declared_is_seen() -> None:
+    """In frames it has the error of their steps; a table of exact torques has next to none."""
+    arm, _, first, _ = _setup()
+    silent = replace(arm, joints=tuple(replace(joint, torque_sigma=0.0) for joint in arm.joints))
+    declared = np.array([joint.torque_sigma for joint in arm.joints])
+    table = replace(first.cycles, tau=first.cycles.tau + 3e-6)  # off the steps of the frames
+    seen = torque_noise(Motion.of(Run(silent, table=table)))
+    np.testing.assert_allclose(seen, declared, rtol=0.1)
+    t = np.arange(len(table)) * arm.period_s
+    smooth = replace(table, tau=np.column_stack([np.sin(t + k) for k in range(arm.n)]))
+    assert np.all(torque_noise(Motion.of(Run(silent, table=smooth))) < 1e-5)
+    stepped = replace(table, tau=np.round(smooth.tau, 4))
+    assert np.all(torque_noise(Motion.of(Run(silent, table=stepped))) >= 1e-4 / np.sqrt(12.0))
 
 
 def test_no_payload_is_no_payload() -> None:

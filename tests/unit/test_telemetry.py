@@ -131,7 +131,9 @@ torque = {{ column = "t{i}", {torque} }}
 
 
 def torque_gain(tmp_path: Path, arm: Arm, torque: str) -> float:
-    text = GRID + "".join(GROUND_JOINT.format(name=joint.name, i=i, torque=torque) for i, joint in enumerate(arm.joints))
+    text = GRID + "".join(
+        GROUND_JOINT.format(name=joint.name, i=i, torque=torque) for i, joint in enumerate(arm.joints)
+    )
     return next(one.gain for one in mapping(tmp_path, arm, text).channels if one.field == "tau")
 
 
@@ -158,7 +160,7 @@ def test_a_torque_is_stated_on_the_side_and_in_the_unit_of_the_arm_file(
     ("top", "torque", "said"),
     [
         ({"torque_at": "joint"}, 'unit = "Nm", at = "rotor"', r'torque.at: "rotor" is before the gear, .* "joint"'),
-        ({"torque_unit": "A"}, 'unit = "Nm"', r'torque.unit: "Nm" is no current, but arm pendulum .* remedy: write "A"'),
+        ({"torque_unit": "A"}, 'unit = "Nm"', r'torque.unit: "Nm" is no current, .* remedy: write "A"'),
         ({"torque_unit": "A"}, 'unit = "A", torque_constant = 0.1', r"torque.torque_constant: .* remain currents"),
         ({}, 'unit = "A"', r"torque.torque_constant: is missing"),
     ],

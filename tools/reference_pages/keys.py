@@ -83,8 +83,8 @@ class File:
     read: Callable[[Recorder], object]
     also: str = ""
     """What else the page holds."""
-    named: str = ""
-    """A table whose keys are names of the user's, and so stand in the page as NAME."""
+    named: tuple[str, ...] = ()
+    """Tables whose keys are names of the user's, and so stand in the page as NAME."""
 
     @property
     def samples(self) -> list[Path]:
@@ -97,7 +97,7 @@ class File:
 
     def _renamed(self, one: Read) -> Read:
         first, _, rest = one.table.partition(".")
-        if not self.named or first != self.named:
+        if first not in self.named:
             return one
         if rest:
             return replace(one, table=f"{first}.NAME")
@@ -176,7 +176,7 @@ FILES = (
         "A value whose type is number or table is taken as exact where it is written as a number.",
         read_model,
         also=EFFECTS,
-        named="parameters",
+        named=("parameters", "correlation"),
     ),
     File(
         "scenario.toml",

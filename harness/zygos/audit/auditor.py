@@ -348,16 +348,17 @@ class _Auditor:
 
     def _torque_noise(self, name: str, i: int) -> None:
         sigma, readings = self.arm.joints[i].torque_sigma, self.cycles.tau[:, i]
-        own, whole = self._noise("tau", i), noise_level(readings, self.ranges)
+        own, whole, unit = self._noise("tau", i), noise_level(readings, self.ranges), self.arm.torque_unit
         declared = self.arm.over_the_wire.joints[i].torque_sigma
         valid = np.concatenate([readings[a:b] for a, b in self.ranges] or [np.zeros(1)])
         if not own > max(NOISE_FACTOR * declared, TORQUE_NOISE_SHARE * float(np.std(valid))):
             return
         if FOLLOWS < own / whole < ALONE:
             self.notes.append(
-                f"{name}: changes from cycle to cycle by {whole:.2g} {self.arm.torque_unit}, and {100 * (1 - (own / whole) ** 2):.0f} % of "
-                "the variance is correlated with the readings of encoders and gyro: either a controller that reads "
-                f"different values applies this torque, or the torque is noisier than declared ({sigma:.2g} {self.arm.torque_unit})"
+                f"{name}: changes from cycle to cycle by {whole:.2g} {unit}, and "
+                f"{100 * (1 - (own / whole) ** 2):.0f} % of the variance is correlated with the readings of "
+                "encoders and gyro: either a controller that reads "
+                f"different values applies this torque, or the torque is noisier than declared ({sigma:.2g} {unit})"
             )
             return
         self.find(
@@ -365,8 +366,8 @@ class _Auditor:
             f"noisier than declared by a factor of {own / sigma:.1f}"
             if sigma > 0.0
             else "noisy, and no noise is declared",
-            f"{own:.2g} {self.arm.torque_unit}, declared {sigma:.2g} {self.arm.torque_unit}, without the part that "
-            "follows the noise of encoders and gyro",
+            f"{own:.2g} {unit}, declared {sigma:.2g} {unit}, without the part that follows the noise of encoders and "
+            "gyro",
             f"torque_sigma = {own:.2g} of the joint; nothing if the drive really applies torques that change so much "
             "from cycle to cycle",
         )

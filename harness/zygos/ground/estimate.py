@@ -21,6 +21,7 @@ from zygos.ground.rows import RunRows, columns_of, friction, run_rows
 from zygos.ground.score import Score, score
 from zygos.ground.solution import Solution, solve
 from zygos.ground.sums import MOST_BLOCKS, Sums, sums_of
+from zygos.model.correlation import Correlation
 from zygos.model.model import Model, Quantity
 from zygos.quantiles import student_factor
 
@@ -36,7 +37,10 @@ CLUSTER_LIMIT = 4.0
 """Largest mean square of a block's summed residuals, in units of that of independent ones, that passes as noise."""
 EXCESS_LIMIT = 2.0
 """Largest residual, in units of the noise of torques and angles, that passes as noise."""
-_LOAD_ROUNDS = 3
+CUTOFF_MOVES = 2.0
+"""Half widths by which another cut-off may move a value; on simulated rigid arms the largest of all values moves by up
+to 1.3."""
+LOAD_ROUNDS = 3
 _DOUBTFUL_SHARE = 0.5
 _TOTAL_BLOCKS = 40
 
@@ -203,7 +207,8 @@ class GroundEstimate:
             )
         if self.excess[far] > EXCESS_LIMIT or self.solution.cluster[loud] > CLUSTER_LIMIT:
             remedies.append(
-                "another law of friction (--friction); the intervals contain what is left, if runs are alike"
+                "another law of friction (--friction), or the gravity and the lengths of the arm file; the intervals "
+                "contain what is left, if runs are alike"
             )
         return ("partial", "; ".join(texts), "; ".join(remedies)) if texts else ("valid", "", "")
 
@@ -235,7 +240,7 @@ class GroundEstimate:
         with np.errstate(invalid="ignore", divide="ignore"):
             moved = np.abs(self.smoothing - self.solution.value) / self.solution.half(0.95)
         moved = np.where(self.determined, moved, np.nan)
-        if np.isfinite(moved).any() and np.nanmax(moved) > 1.0:
+        if np.isfinite(moved).any() and np.nanmax(moved) > CUTOFF_MOVES:
             worst = int(np.unravel_index(np.nanargmax(moved), moved.shape)[1])
             said.append(
                 f"the values depend on the smoother's cut-off of {cutoff_hz(self.arm):.1f} Hz: between 0.7 and 1.4 "
@@ -262,7 +267,9 @@ class GroundEstimate:
             if one is not None:
                 value = max(one.value, 0.0) if effect.kind.positive else one.value
                 effects.append(replace(effect, value=value, sigma=one.sigma, source="zygos"))
-        return Model(name=self.arm.name, parameters=quantities, effects=tuple(effects))
+        seen = np.flatnonzero([name in found for name in self.names])
+        correlation = Correlation.of([self.names[k] for k in seen], self.solution.covariance[np.ix_(seen, seen)])
+        return Model(name=self.arm.name, parameters=quantities, effects=tuple(effects), correlation=correlation)
 
     def as_dict(self, heading: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """What `zygos estimate --json` writes of an estimate on the ground."""
@@ -433,19 +440,21 @@ def _solved(
     motions: Sequence[Motion], span: float, effects: Sequence[Effect]
 ) -> tuple[list[Sums], Solution, list[RunRows]]:
     """Sums and solution; friction with the load is found in rounds, with the torque that the round before predicts."""
-    rounds = _LOAD_ROUNDS if any(effect.kind.place == "load" for effect in effects) else 1
+    rounds = LOAD_ROUNDS if any(effect.kind.place == "load" for effect in effects) else 1
     solution: Solution | None = None
     for _ in range(rounds):
-        rows = [run_rows(motion, span, effects, _predicted(motion, solution)) for motion in motions]
+        values = solution.value if solution is not None else None
+        rows = [run_rows(motion, span, effects, predicted_torque(motion, values)) for motion in motions]
         sums = [sums_of(run, max(4, min(MOST_BLOCKS, _TOTAL_BLOCKS // len(motions)))) for run in rows]
         solution = solve(sums, solution.sigma_w if solution is not None else None)
     assert solution is not None
     return sums, solution, rows
 
 
-def _predicted(motion: Motion, solution: Solution | None) -> Floats | None:
-    """(instants, N) torque of bodies and rotors after the gear, from the smoothed motion."""
-    if solution is None:
+def predicted_torque(motion: Motion, values: Floats | None) -> Floats | None:
+    """(instants, N) torque of bodies and rotors after the gear, from the smoothed motion. values: those of the arm's
+    parameters come first; None: nothing is predicted yet."""
+    if values is None:
         return None
     arm, h = motion.arm, motion.arm.period_s
     state = State.smoothed(arm, motion.smoothed)
@@ -455,7 +464,7 @@ def _predicted(motion: Motion, solution: Solution | None) -> Floats | None:
         np.gradient(columns.momentum, h, axis=0) - columns.force,
         np.gradient(columns.rotor_momentum, h, axis=0) - columns.rotor_force,
     )
-    return np.asarray(z @ solution.value[: z.shape[-1]], dtype=np.float64)
+    return np.asarray(z @ values[: z.shape[-1]], dtype=np.float64)
 
 
 def _noise_share(sums: Sequence[Sums], solution: Solution) -> float:

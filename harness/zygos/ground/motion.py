@@ -91,23 +91,37 @@ def cutoff_hz(arm: Arm) -> float:
     return rate_cutoff(smoother.points // 2, smoother.order) / arm.period_s
 
 
+LEAST_NOISE = 1e-6
+"""Noise that a torque has at least, as a share of its root mean square, where none is declared and none is seen."""
+
+
 def torque_noise(motion: Motion, declared: bool = True) -> Floats:
     """(N,) standard deviation of the noise of one torque reading, Nm: the declared one; where none is declared, or
     where the declared one does not count, what neighbouring readings show.
 
-    The motion is slow compared with a period, so that second differences contain little else; their median is taken
-    because a torque that steps would count otherwise.
+    The motion is slow compared with a period, so that fourth differences contain little else; their median is taken
+    because a torque that steps would count otherwise. Readings that lie on the steps of the CAN frame have the error of
+    its rounding; a table need not have it.
     """
     arm, tau = motion.arm, motion.run.cycles.tau
     found = np.zeros(arm.n)
     for j, joint in enumerate(arm.joints):
+        stepped = _on_grid(tau[:, j], TORQUE_STEP)
         if declared and joint.torque_sigma > 0.0:
-            found[j] = joint.over_the_wire.torque_sigma
+            found[j] = joint.over_the_wire.torque_sigma if stepped else joint.torque_sigma
             continue
-        second = [np.diff(tau[start:stop, j], n=2) for start, stop in motion.samples.segments]
-        whole = np.concatenate(second) if second else np.zeros(0)
-        found[j] = np.median(np.abs(whole)) / 0.6745 / np.sqrt(6.0) if len(whole) else 0.0
-    return np.asarray(np.maximum(found, TORQUE_STEP / np.sqrt(12.0)), dtype=np.float64)
+        fourth = [np.diff(tau[start:stop, j], n=4) for start, stop in motion.samples.segments]
+        whole = np.concatenate(fourth) if fourth else np.zeros(0)
+        noise = np.median(np.abs(whole)) / 0.6745 / np.sqrt(70.0) if len(whole) else 0.0
+        typical = float(np.sqrt(np.mean(np.nan_to_num(tau[:, j]) ** 2)))
+        found[j] = max(noise, TORQUE_STEP / np.sqrt(12.0) if stepped else LEAST_NOISE * typical)
+    return np.asarray(found, dtype=np.float64)
+
+
+def _on_grid(readings: Floats, step: float) -> bool:
+    """Whether all readings are multiples of a step, as far as their number format shows it."""
+    multiples = readings[np.isfinite(readings)] / step
+    return bool(np.all(np.abs(multiples - np.rint(multiples)) < 1e-6 + 1e-9 * np.abs(multiples)))
 
 
 @dataclass(frozen=True)

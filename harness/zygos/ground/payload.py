@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 from zygos.arm import Arm, Parameter
 from zygos.can.run import Run
 from zygos.errors import Undecided, ZygosError
-from zygos.ground.estimate import SPANS_S
+from zygos.ground.estimate import LOAD_ROUNDS, SPANS_S, predicted_torque
 from zygos.ground.motion import Motion
 from zygos.ground.rows import run_rows
 from zygos.ground.solution import Solution, solve
 from zygos.ground.sums import MOST_BLOCKS, Sums, sums_of
+from zygos.model.correlation import Correlation
 from zygos.model.model import Model, Quantity
 from zygos.quantiles import student_isf
 from zygos.structure import STANDARD, independent
@@ -40,9 +41,15 @@ class Payload:
     """(r,) what each stands for."""
     solution: Solution
     before: Floats
-    """(N,) share of the torque that the model leaves without a payload."""
+    """(N,) share of the torque that the model leaves without the payload."""
+    after: Floats
+    """(N,) held-out share of the torque that is left with the payload."""
     base: Floats
     """(p, r) change of the arm's base parameters per unit of each."""
+    scatter: Floats
+    """(r, r) covariance by the scatter between blocks of the runs alone."""
+    slope: Floats
+    """(r, p + e) change of each value per unit of an error of the model's base parameters and effects."""
     span_s: float
 
     @property
@@ -66,11 +73,6 @@ class Payload:
         return self.solution.half(0.95)
 
     @property
-    def after(self) -> Floats:
-        """(N,) held-out share of the torque that is left with the payload."""
-        return self.solution.share
-
-    @property
     def found(self) -> bool:
         """Whether the arm carries more or less than in the model: some value differs from 0 beyond chance."""
         limit = float(student_isf(0.00135 / len(self.names), max(2.0, float(self.solution.freedom.min()))))
@@ -83,13 +85,25 @@ class Payload:
 
     def to_model(self) -> Model:
         """The model with the payload in its base parameters."""
-        own = self.since.base_parameters(self.arm)
-        change, spread = self.base @ self.value, np.sqrt(np.diag(self.base @ self.solution.covariance @ self.base.T))
+        own, before = self.since.base_parameters(self.arm), self.since.covariance(self.arm)
+        change = np.zeros((len(before), len(self.names)))
+        change[: len(self.base)] = self.base
+        # what the payload takes back of an error of the model is an error of the sum no more
+        carried = np.eye(len(before)) + change @ self.slope
+        covariance = carried @ before @ carried.T + change @ self.scatter @ change.T
+        sigma = np.sqrt(np.diag(covariance))
         quantities = {
-            name: Quantity(one.value + float(more), float(np.hypot(one.sigma, wide)), "zygos", one.unit)
-            for (name, one), more, wide in zip(own.items(), change, spread, strict=True)
+            name: Quantity(one.value + float(more), float(wide), "zygos", one.unit)
+            for (name, one), more, wide in zip(own.items(), change @ self.value, sigma, strict=False)
         }
-        return Model(name=self.since.name, parameters=quantities, effects=self.since.effects)
+        effects = self.since.effects
+        names = [*own, *(effect.column(self.arm) for effect in effects)]
+        return Model(
+            name=self.since.name,
+            parameters=quantities,
+            effects=effects,
+            correlation=Correlation.of(names, covariance),
+        )
 
     def as_dict(self, heading: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """What `zygos estimate --since --json` writes."""
@@ -124,8 +138,8 @@ class Payload:
 def payload(runs: Sequence[Run], since: Model) -> Payload:
     """Estimate what the last body took on or lost since a model was made, from runs with it.
 
-    Everything else is taken from the model, but for a constant offset of each torque in each run. The reference point
-    is the origin of the last joint's frame.
+    Everything else is taken from the model, but for a constant offset of each torque in each run, and the uncertainty
+    of the model's values is part of that of the payload. The reference point is the origin of the last joint's frame.
 
     Errors: ZygosError where the lengths of the arm are not known, or the model does not fit it.
     """
@@ -142,26 +156,49 @@ def payload(runs: Sequence[Run], since: Model) -> Payload:
     kept = independent(structure.groups, own)
     base = structure.groups[:, kept]
     groups = tuple(_group(structure.groups, kept, k, own, structure.candidates) for k in kept)
-    effects = [effect for effect in since.effects if not effect.kind.on_ground]
-    values = np.concatenate([since.base_values(arm), [effect.value for effect in effects]])
+    values = np.concatenate([since.base_values(arm), [effect.value for effect in since.effects]])
     span = arm.joint_increment_s or SPANS_S[1]
-    sums = []
-    for motion in motions:
-        rows = run_rows(motion, span, effects)
-        blocks = max(4, MOST_BLOCKS // len(motions))
-        sums.append(_changed(sums_of(rows, blocks), values, base))
-    solution = solve(sums)
+    now, solution = values[: len(base)], None
+    for _ in range(LOAD_ROUNDS if any(effect.kind.place == "load" for effect in since.effects) else 1):
+        rows = [run_rows(motion, span, since.effects, predicted_torque(motion, now)) for motion in motions]
+        sums = [sums_of(run, max(4, MOST_BLOCKS // len(motions))) for run in rows]
+        changed = [_changed(one, values, base) for one in sums]
+        solution = solve(changed)
+        now = values[: len(base)] + base @ solution.value
+    assert solution is not None
+    slope = _slope(sums, base, solution.sigma_w)
+    scatter = solution.covariance
+    whole = np.maximum(_beside_offset(sums), 1e-300)
+    counts = np.stack([one.count.sum(axis=0) for one in sums])
     return Payload(
         arm=arm,
         runs=tuple(runs),
         since=since,
         parameters=tuple(structure.candidates[k] for k in kept),
         groups=groups,
-        solution=solution,
-        before=_without(sums, [_scale(run_rows(m, span, effects).w) for m in motions]),
+        solution=replace(solution, covariance=scatter + slope @ since.covariance(arm) @ slope.T),
+        before=np.sqrt(_beside_offset(changed) / whole),
+        after=np.sqrt((solution.held_out**2 * counts).sum(axis=0) / whole),
         base=base,
+        scatter=scatter,
+        slope=slope,
         span_s=span,
     )
+
+
+def _slope(sums: Sequence[Sums], base: Floats, sigma: Floats) -> Floats:
+    """(r, p + e) change of the solution per unit of the model's parameters and effects, whose columns they multiply.
+    sigma: (N,) weights of the joints."""
+    size = sums[0].gram.shape[-1] - 2
+    normal = np.zeros((size, size))
+    for one in sums:
+        gram = one.gram.sum(axis=0)
+        for joint, own in enumerate(gram):
+            offset = np.outer(own[:size, -2], own[-2, :size]) / max(float(own[-2, -2]), 1e-300)
+            normal += (own[:size, :size] - offset) / sigma[joint] ** 2
+    change = np.zeros((size, base.shape[1]))
+    change[: len(base)] = base
+    return np.asarray(-np.linalg.solve(change.T @ normal @ change, change.T @ normal), dtype=np.float64)
 
 
 def _changed(sums: Sums, values: Floats, base: Floats) -> Sums:
@@ -191,18 +228,13 @@ def _group(groups: Floats, kept: Sequence[int], one: int, own: Sequence[int], ca
     return said
 
 
-def _scale(impulse: Floats) -> Floats:
-    """(N,) sums of squares about the mean."""
-    return np.asarray(((impulse - impulse.mean(axis=0)) ** 2).sum(axis=0), dtype=np.float64)
-
-
-def _without(sums: Sequence[Sums], whole: Sequence[Floats]) -> Floats:
-    """(N,) share of the impulse that is left with the offset of each run alone."""
-    left = np.zeros_like(whole[0])
+def _beside_offset(sums: Sequence[Sums]) -> Floats:
+    """(N,) sum of the squares of the impulses, or of what takes their place, without the offset of each run."""
+    left = np.zeros(sums[0].gram.shape[1])
     for one in sums:
         gram = one.gram.sum(axis=0)
-        left += gram[:, -1, -1] - gram[:, -1, -2] ** 2 / gram[:, -2, -2]
-    return np.asarray(np.sqrt(left / np.maximum(np.sum(whole, axis=0), 1e-300)), dtype=np.float64)
+        left += gram[:, -1, -1] - gram[:, -1, -2] ** 2 / np.maximum(gram[:, -2, -2], 1e-300)
+    return left
 
 
 def check_found(found: Payload) -> None:

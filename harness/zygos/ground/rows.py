@@ -71,7 +71,9 @@ class RunRows:
             slope = momentum_of_rates(arm, q, np.broadcast_to(sigma[i] * np.eye(arm.n)[i], q.shape))
             out[:, :own, :own] += np.einsum("mjp,mjq->jpq", slope, slope, optimize=True)
         out *= len(increments) / max(len(every), 1)
-        torque = torque_noise(self.motion) * arm.gear_ratios * np.sqrt(arm.period_s * self.span_s)
+        # a declared noise may be that of other runs or contain what is not white: too much must not be subtracted
+        reading = np.minimum(torque_noise(self.motion), torque_noise(self.motion, declared=False))
+        torque = reading * arm.gear_ratios * np.sqrt(arm.period_s * self.span_s)
         for joint, column in self.gains:
             own = len(increments) * torque[joint] ** 2
             out[joint, column, column] += own

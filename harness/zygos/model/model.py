@@ -20,6 +20,7 @@ from zygos.errors import ZygosError
 from zygos.files.output import write_text
 from zygos.files.toml import Table
 from zygos.model import gram
+from zygos.model.correlation import Correlation, read_correlation
 
 SOURCES = ("CAD", "test", "zygos")
 _LARGEST = 1e12
@@ -87,6 +88,8 @@ class Model:
     joints: tuple[JointModel, ...] = ()
     parameters: Mapping[str, Quantity] = field(default_factory=dict)
     effects: tuple[Effect, ...] = ()
+    correlation: Correlation | None = None
+    """Of the values that were estimated together; None: their errors are independent."""
 
     def base_parameters(self, arm: Arm) -> dict[str, Quantity]:
         """Base parameters by name, in the order of `arm.parameter_names`.
@@ -130,8 +133,11 @@ class Model:
         of the a_ij would allow negative kinetic energy (docs/theory.md). Geometry is taken as exact.
         """
         if not self.bodies:
-            sigma = np.array([quantity.sigma for quantity in self._named_parameters(arm).values()])
-            return np.diag(sigma**2)
+            known = self._named_parameters(arm)
+            sigma = np.array([quantity.sigma for quantity in known.values()])
+            if self.correlation is None:
+                return np.diag(sigma**2)
+            return np.asarray(self.correlation.matrix(list(known)) * np.outer(sigma, sigma), dtype=np.float64)
         self.check_fits(arm)
         # an infinite stiffness is exact; any finite number may stand in its place here
         scalars = np.nan_to_num(self._scalars(), posinf=1.0)
@@ -148,6 +154,18 @@ class Model:
         scaled = columns * sigmas
         covariance: NDArray[np.float64] = scaled @ scaled.T
         return covariance
+
+    def covariance(self, arm: Arm) -> NDArray[np.float64]:
+        """(p + e, p + e) covariance of the base parameters and the values of the effects, in their order."""
+        base, sigma = self.base_covariance(arm), np.array([effect.sigma for effect in self.effects])
+        out = np.zeros((len(base) + len(sigma),) * 2)
+        out[: len(base), : len(base)] = base
+        out[len(base) :, len(base) :] = np.diag(sigma**2)
+        if self.correlation is None or self.bodies:
+            return out
+        names = [*arm.parameter_names, *(effect.column(arm) for effect in self.effects)]
+        every = np.sqrt(np.diag(out))
+        return np.asarray(self.correlation.matrix(names) * np.outer(every, every), dtype=np.float64)
 
     def _named_parameters(self, arm: Arm) -> dict[str, Quantity]:
         missing = [name for name in arm.parameter_names if name not in self.parameters]
@@ -350,8 +368,18 @@ def read_model(top: Table) -> Model:
             for key in table.names()
         }
         effects = _effects(top, source)
+        correlation = None
+        if top.has("correlation"):
+            correlation = read_correlation(
+                top.table(
+                    "correlation",
+                    "Correlations between the errors of the values, as `zygos estimate` writes them for arms on the "
+                    "ground: one key for each value, with its correlations with those before it.",
+                    optional=True,
+                )
+            )
         top.finish()
-        return Model(name, parameters=parameters, effects=effects)
+        return Model(name, parameters=parameters, effects=effects, correlation=correlation)
     tables = top.tables(
         "body",
         "The bodies from the base to the last link, each without the rotor that it carries.",
@@ -412,6 +440,8 @@ def save_model(model: Model, path: str | Path) -> None:
         document["joint"] = joints
     if model.effects:
         document["effect"] = _entries(model.effects)
+    if model.correlation is not None:
+        document["correlation"] = model.correlation.table()
     write_text(Path(path), tomlkit.dumps(document))
 
 

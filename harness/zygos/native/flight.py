@@ -228,7 +228,7 @@ class Drift:
         return tuple(name for name, there in zip(self.names, far, strict=True) if there)
 
 
-WINDOW_MAX = 2 * lib.ZYGOS_MAX_HALF_WIDTH_VALUE + 1
+WINDOW_MAX: int = 2 * lib.ZYGOS_MAX_HALF_WIDTH_VALUE + 1
 """Points of the longest window of the smoother in this build of the C library."""
 
 

@@ -222,16 +222,7 @@ def signal_rows(
     return rows
 
 
-def warnings_of(
-    arm: Arm,
-    cycles: Cycles,
-    described: Arm,
-    recording: Recording,
-    found: Sequence[Track],
-    out: Path,
-    refused: float | None,
-) -> list[str]:
-    """Warnings that a person should check."""
+def _smoother_warnings(arm: Arm, refused: float | None) -> list[str]:
     warnings = []
     cutoff = arm.smoother.cutoff_hz
     if cutoff is not None and refused is not None and refused > REFUSED_MAX:
@@ -249,6 +240,20 @@ def warnings_of(
             f"no unbroken piece of the run is as long as the smoother's window of {arm.smoother.points} cycles, so "
             "nothing can be estimated from it: check the unit of the time, period_s of the arm file, and the holes"
         )
+    return warnings
+
+
+def warnings_of(
+    arm: Arm,
+    cycles: Cycles,
+    described: Arm,
+    recording: Recording,
+    found: Sequence[Track],
+    out: Path,
+    refused: float | None,
+) -> list[str]:
+    """Warnings that a person should check."""
+    warnings = _smoother_warnings(arm, refused)
     slow = max(found, key=lambda track: track.interval_s if len(track.t) > 1 else 0.0)
     if len(slow.t) > 1 and slow.interval_s > SPARSE * arm.period_s:
         warnings.append(
