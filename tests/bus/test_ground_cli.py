@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import re
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from ground_support import heavier, recorded, short_arm
 
-from zygos.arm import save_arm
+from zygos.arm import Arm, save_arm
 from zygos.can.run import save_run
 from zygos.cli import main
 from zygos.model.model import load_model, save_model
@@ -59,6 +62,85 @@ def test_tables_and_logs_give_the_same_answer(folder: Path, capsys: pytest.Captu
         assert run("predict", folder / name, "--model", folder / "true.toml", "--json", folder / "s.json") == 0
         shares.append(json.loads((folder / "s.json").read_text())["runs"][0]["share"])
     assert shares[0] == pytest.approx(shares[1], rel=1e-9)
+
+
+CONTRADICTIONS = [
+    (lambda arm: replace(arm, gravity=(0.0, 0.0, 9.81)), "gravity is"),
+    (lambda arm: replace(arm, period_s=2.0 * arm.period_s), "period_s is"),
+    (lambda arm: replace(arm, joints=arm.joints[:-1]), "number of joints is 2, not 3"),
+    (
+        lambda arm: replace(arm, joints=(replace(arm.joints[0], gear_ratio=7.0), *arm.joints[1:])),
+        r"joints\[0\].gear_ratio is 7.0, not",
+    ),
+    (
+        lambda arm: replace(
+            arm,
+            joints=(
+                *arm.joints[:-1],
+                replace(arm.joints[-1], motor_encoder=replace(arm.joints[-1].motor_encoder, sign=-1)),
+            ),
+        ),
+        r"joints\[2\].motor_encoder.sign is -1, not 1",
+    ),
+]
+
+
+@pytest.mark.parametrize(("change", "said"), CONTRADICTIONS)
+@pytest.mark.parametrize("command", ["estimate", "predict", "explain"])
+def test_arm_files_that_contradict_each_other_are_refused(
+    folder: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    command: str,
+    change: Callable[[Arm], Arm],
+    said: str,
+) -> None:
+    """With --arm, one file is that of all runs."""
+    save_arm(change(short_arm()[0]), tmp_path / "arm.toml")
+    (tmp_path / "b.log").write_bytes((folder / "b.log").read_bytes())
+    model = folder / "true.toml"
+    words = {
+        "estimate": ("estimate", folder / "a.blf", tmp_path / "b.log", "-o", tmp_path / "m.toml"),
+        "predict": ("predict", folder / "a.blf", tmp_path / "b.log", "--model", model),
+        "explain": (
+            "explain",
+            "--simulation",
+            model,
+            "--measured",
+            folder / "a.blf",
+            tmp_path / "b.log",
+            "-o",
+            tmp_path / "m.toml",
+        ),
+    }[command]
+    assert run(*words) == 2
+    error = capsys.readouterr().err
+    assert re.search(f"{re.escape(str(tmp_path / 'arm.toml'))} is of another arm than .*: {said}", error)
+    assert "--arm" in error
+    if command == "predict":
+        assert run(*words, "--arm", folder / "arm.toml", "--json", tmp_path / "p.json") == 0
+
+
+def test_each_run_has_the_noise_that_is_declared_beside_it(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arm, _ = short_arm()
+    louder = replace(arm, name="other", joints=tuple(replace(j, torque_sigma=4.0 * j.torque_sigma) for j in arm.joints))
+    save_arm(louder, tmp_path / "arm.toml")
+    (tmp_path / "b.log").write_bytes((folder / "b.log").read_bytes())
+    assert run("predict", folder / "b.log", "--model", folder / "true.toml", "--json", tmp_path / "1.json") == 0
+    assert run("predict", folder / "a.blf", tmp_path / "b.log", "--model", folder / "true.toml", "--json",
+               tmp_path / "2.json") == 0  # fmt: skip
+    one = json.loads((tmp_path / "1.json").read_text())["runs"][0]
+    other = json.loads((tmp_path / "2.json").read_text())["runs"][1]
+    assert other["joints"][0]["sigmas"] == pytest.approx(one["joints"][0]["sigmas"] / 4.0, rel=0.02)
+    assert other["joints"][0]["error_nm"] == pytest.approx(one["joints"][0]["error_nm"], rel=1e-9)
+
+
+def test_a_recording_is_given_once(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("estimate", folder / "a.blf", "--validate", folder / "a.blf", "-o", tmp_path / "m.toml") == 2
+    assert "are the same recording" in capsys.readouterr().err
+    assert not (tmp_path / "m.toml").exists()
 
 
 def test_a_payload_and_none(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,7 +16,7 @@ from conftest import ROOT, tool_module
 from zygos.errors import ZygosError
 
 HARNESS = ROOT / "harness" / "zygos"
-READERS = ("arm.py", "model/model.py", "simulation/scenario.py", "telemetry/map.py")
+READERS = ("arm.py", "model/correlation.py", "model/model.py", "simulation/scenario.py", "telemetry/map.py")
 METHODS = {"number", "integer", "boolean", "text", "choice", "vector", "table", "tables"}
 
 
@@ -102,6 +102,8 @@ def test_the_pages_say_which_keys_are_required(file: Any, path: Path, leaf: tupl
         refusal = str(error)
     if where == "parameters":
         assert refusal == "", "the names in this table are the user's"
+    elif where == "correlation":
+        assert "is missing" not in refusal, "the names in this table are the user's, and their order counts"
     elif any(words.startswith("required") for words in stated):
         assert refusal
     else:

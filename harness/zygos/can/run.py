@@ -147,6 +147,22 @@ def load_run(path: str | Path, arm: Arm | str | Path | None = None) -> Run:
     return run
 
 
+def same_recording(one: Run, other: Run) -> bool:
+    """Whether two runs have the same cycles, in whatever format."""
+    return np.array_equal(one.cycles.tau, other.cycles.tau) and np.array_equal(one.cycles.theta, other.cycles.theta)
+
+
+def check_distinct(run: Run, others: Sequence[Run]) -> None:
+    """Refuse, with ZygosError, a run that has the same cycles as one of those before it."""
+    for number, other in enumerate(others, start=1):
+        if same_recording(run, other):
+            raise ZygosError(
+                f"{other.path or f'run {number}'} and {run.path or f'run {len(others) + 1}'} are the same recording; "
+                "remedy: give different runs to learn from and to validate, because a result from one run must hold on "
+                "another"
+            )
+
+
 def joined(runs: Sequence[Run]) -> Run:
     """Runs of one arm as one: their cycles one after the other, with a gap between. A single run stays as it is.
 

@@ -15,7 +15,7 @@ from zygos.can.run import find_arm, joined
 from zygos.cli.answer import finish_estimate
 from zygos.cli.ground import finish_ground, finish_payload
 from zygos.cli.options import ArmFile, Json, Report, Runs
-from zygos.cli.shared import check_model_name, not_whole, origin, read_run
+from zygos.cli.shared import check_model_name, not_whole, origin, read_runs
 from zygos.effects import CATALOGUE, Effect
 from zygos.errors import ZygosError
 from zygos.estimation.estimate import estimate
@@ -73,21 +73,18 @@ def estimate_runs(
     """Estimate from recorded runs; see `zygos estimate --help`."""
     chosen = find_arm(runs[0], arm_file)
     check_model_name(out)
-    others = [*runs[1:], *ground.validate]
     inputs = [*runs, chosen, runs[0].parent / "arm.toml", model_file, *ground.validate, ground.since]
     check_outputs([out, json, report], inputs)
     arm = load_arm(chosen)
     prior = load_model(model_file) if model_file else None
-    recorded = [read_run(runs[0], arm)]
-    for path in others:
-        find_arm(path, chosen)
-        recorded.append(read_run(path, arm))
+    on_ground = arm.grounded and not flight
+    recorded = read_runs([*runs, *ground.validate], arm_file, chosen, arm, own_noise=on_ground)
     learned, checked = recorded[: len(runs)], recorded[len(runs) :]
-    if arm.grounded and not flight and ground.since is not None:
+    if on_ground and ground.since is not None:
         _payload(learned, ground, out, model_file, json, report)
         not_whole(*(run.damage for run in learned))
         return
-    if arm.grounded and not flight:
+    if on_ground:
         effects = None if ground.friction is None else _friction(learned[0], ground.friction)
         with progress() as bar:
             task = bar.add_task("learning", total=1.0)

@@ -11,9 +11,9 @@ import numpy as np
 import typer
 
 from zygos.arm import load_arm
-from zygos.can.run import Run, find_arm, read_run
+from zygos.can.run import Run, check_distinct, find_arm, read_run
 from zygos.cli.options import ArmFile, Json
-from zygos.cli.shared import check_model_name, not_whole, warn
+from zygos.cli.shared import arm_beside, check_model_name, not_whole, warn
 from zygos.effects import estimated, laws
 from zygos.errors import Undecided, ZygosError
 from zygos.files.output import check_outputs, named, number, quiet, say, table, write_json
@@ -28,7 +28,7 @@ from zygos.gap.ground.search import false_alarms, threshold
 from zygos.gap.ground.sentences import after_gear
 from zygos.gap.ground.sentences import against as ground_against
 from zygos.gap.record import letter
-from zygos.gap.runs import check_arm_of_gap, check_distinct, check_keys, explain_runs, plan_next
+from zygos.gap.runs import check_arm_of_gap, check_keys, explain_runs, plan_next
 from zygos.gap.sentences import against, asked_of_candidates
 from zygos.model.model import load_model, save_model
 from zygos.native.flight import Flight
@@ -98,8 +98,6 @@ def _explain_run(
 ) -> None:
     inputs = Inputs(simulation, find_arm(measured[0], arm_file), tuple(measured), tuple(validate))
     runs = [run for role, run in inputs.files if role in {"measured", "validate"}]
-    for run in runs:
-        find_arm(run, inputs.arm)
     check_model_name(out)
     if planned is not None:
         check_model_name(planned.file)
@@ -107,6 +105,8 @@ def _explain_run(
         [out, report, json, planned.file if planned is not None else None], [path for _, path in inputs.files]
     )
     arm = load_arm(inputs.arm)
+    for run in runs:
+        arm_beside(run, arm_file, inputs.arm, arm)
     model = load_model(simulation) if simulation.suffix == ".toml" else None
     if model is None and planned is not None:
         raise ZygosError(

@@ -11,7 +11,7 @@ from zygos.arm import load_arm
 from zygos.can.run import find_arm
 from zygos.cli.ground import scores_table
 from zygos.cli.options import ArmFile, Json, Report, Runs
-from zygos.cli.shared import not_whole, read_run
+from zygos.cli.shared import not_whole, read_runs
 from zygos.files.output import check_outputs, quiet, write_json
 from zygos.ground.score import score
 from zygos.model.model import load_model
@@ -47,10 +47,7 @@ def command(
     chosen = find_arm(run[0], arm)
     check_outputs([json, report], [*run, chosen, model])
     hardware, assumed = load_arm(chosen), load_model(model)
-    recorded = []
-    for path in run:
-        find_arm(path, chosen)
-        recorded.append(read_run(path, hardware))
+    recorded = read_runs(run, arm, chosen, hardware, own_noise=True)
     scores = [score(one, assumed, cutoff=cutoff) for one in recorded]
     if report is not None:
         from zygos.ground.page import write_score_report  # noqa: PLC0415  (only a report needs charts)

@@ -11,7 +11,7 @@ import typer
 from zygos.arm import load_arm
 from zygos.can.run import find_arm
 from zygos.cli.options import ArmFile, Json, Report, Runs
-from zygos.cli.shared import check_model_name, not_whole, read_run
+from zygos.cli.shared import check_model_name, not_whole, read_runs
 from zygos.errors import Undecided
 from zygos.files.output import check_outputs, counted, named, number, quiet, ratio, say, table, write_json
 from zygos.files.progress import progress
@@ -37,10 +37,7 @@ def refine_files(
     check_outputs([out, json, report], [*runs, chosen, runs[0].parent / "arm.toml", model_file])
     arm = load_arm(chosen)
     model = load_model(model_file) if model_file else None
-    recorded = [read_run(runs[0], arm)]
-    for path in runs[1:]:
-        find_arm(path, chosen)
-        recorded.append(read_run(path, arm))
+    recorded = read_runs(runs, arm_file, chosen, arm)
     with progress() as bar:
         task = bar.add_task("refining", total=1.0)
         found = refine_runs(recorded, model=model, progress=lambda share: bar.update(task, completed=share))

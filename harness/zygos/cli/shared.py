@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from zygos.arm import Arm
+from zygos.arm import Arm, Encoder, load_arm
 from zygos.can import run as recorded
-from zygos.can.run import Run
+from zygos.can.run import Run, check_distinct, find_arm
 from zygos.errors import Damaged, ZygosError
-from zygos.files.output import (
-    is_dash,
-    note,
-)
+from zygos.files.inputs import local
+from zygos.files.output import is_dash, note
 from zygos.files.progress import progress
 
 
@@ -33,6 +32,82 @@ def read_run(run: Path, arm: Arm) -> Run:
         )
     warn(read.damage)
     return read
+
+
+def read_runs(
+    runs: Sequence[Path], arm_file: Path | None, chosen: Path, arm: Arm, *, own_noise: bool = False
+) -> list[Run]:
+    """Read runs of one arm.
+
+    arm_file: what --arm says, which is that of all runs; chosen: the file of `arm`, beside the first run where --arm
+    says nothing. own_noise: each run has the noise that the file beside it declares. Errors: ZygosError where the arm
+    file beside a run contradicts the chosen one, and for a recording that is given twice.
+    """
+    arms = [arm_beside(path, arm_file, chosen, arm) for path in runs]
+    found: list[Run] = []
+    for path, own in zip(runs, arms, strict=True):
+        found.append(read_run(path, own if own_noise else arm))
+        check_distinct(found[-1], found[:-1])
+    return found
+
+
+def arm_beside(run: Path, arm_file: Path | None, chosen: Path, arm: Arm) -> Arm:
+    """The arm with the noise that the file beside a run declares, if it is another file than the chosen one.
+
+    Errors: ZygosError where it describes other hardware.
+    """
+    beside = run.parent / "arm.toml"
+    find_arm(run, chosen)
+    if arm_file is not None or not beside.is_file() or beside.samefile(local(chosen)):
+        return arm
+    other = load_arm(beside)
+    differing = difference(silent(arm), silent(other))
+    if differing is not None:
+        where, ours, theirs = differing
+        raise ZygosError(
+            f"{beside} is of another arm than {chosen}: {where} is {theirs}, not {ours}; remedy: correct the wrong "
+            "one, or give the arm file of all runs (--arm)"
+        )
+    return replace(arm, joints=other.joints, imu=other.imu)
+
+
+def silent(arm: Arm) -> Arm:
+    """The hardware alone: without the noise of its sensors, the name of the file, and what an estimator chooses."""
+
+    def encoder(one: Encoder) -> Encoder:
+        return replace(one, quantum_rad=0.0, counts=None, zero_sigma_rad=0.0)
+
+    joints = tuple(
+        replace(
+            joint,
+            link_encoder=encoder(joint.link_encoder) if joint.flexible else Encoder(0.0),  # a rigid joint has one
+            motor_encoder=encoder(joint.motor_encoder),
+            torque_sigma=0.0,
+            torque_relative_sigma=0.0,
+        )
+        for joint in arm.joints
+    )
+    hardware = ("base", "kinetic", "period_s", "torque_law", "torque_at", "torque_unit", "gravity")
+    plain = Arm(**{name: getattr(arm, name) for name in hardware}, name="", joints=joints,
+                imu=replace(arm.imu, rate_sigma=0.0, bias_walk=0.0))  # fmt: skip
+    return plain
+
+
+def difference(one: Any, other: Any, where: str = "") -> tuple[str, Any, Any] | None:
+    """The first entry in which two descriptions differ, with both values; None: they are the same."""
+    if is_dataclass(one) and type(one) is type(other):
+        for field in fields(one):
+            name = f"{where}.{field.name}" if where else field.name
+            found = difference(getattr(one, field.name), getattr(other, field.name), name)
+            if found is not None:
+                return found
+        return None
+    if isinstance(one, tuple) and isinstance(other, tuple) and any(map(is_dataclass, one)):
+        if len(one) != len(other):
+            return f"number of {where}", len(one), len(other)
+        pairs = (difference(a, b, f"{where}[{k}]") for k, (a, b) in enumerate(zip(one, other, strict=True)))
+        return next((found for found in pairs if found is not None), None)
+    return None if one == other else (where, one, other)
 
 
 def warn(texts: Sequence[str]) -> None:

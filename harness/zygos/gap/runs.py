@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from zygos.arm import Arm
-from zygos.can.run import Run
+from zygos.can.run import Run, check_distinct
 from zygos.effects import CATALOGUE
 from zygos.errors import ZygosError
 from zygos.gap.explain import explain
@@ -38,11 +38,6 @@ def record_of(run: Run, number: int = 1) -> MeasuredRun:
     """A run cut into arcs. number: which run it is, for messages. Errors: ZygosError where it has no unbroken stretch
     of 2 s."""
     return measured_run(run, run.path or Path(f"run {number}"))
-
-
-def same_recording(one: Run, other: Run) -> bool:
-    """Whether two runs have the same cycles, in whatever format."""
-    return np.array_equal(one.cycles.tau, other.cycles.tau) and np.array_equal(one.cycles.theta, other.cycles.theta)
 
 
 def explain_runs(
@@ -138,17 +133,6 @@ def check_keys(without: Sequence[str]) -> None:
     for key in without:
         if key not in CATALOGUE:
             raise ZygosError(f"there is no effect {key!r}; remedy: one of {', '.join(CATALOGUE)}")
-
-
-def check_distinct(run: Run, others: Sequence[Run]) -> None:
-    """Refuse, with ZygosError, a run that has the same cycles as one of those before it."""
-    for number, other in enumerate(others, start=1):
-        if same_recording(run, other):
-            raise ZygosError(
-                f"{other.path or f'run {number}'} and {run.path or f'run {len(others) + 1}'} are the same recording; "
-                "remedy: give different runs to learn from and to validate, because a result from one run must hold on "
-                "another"
-            )
 
 
 def thirds(record: MeasuredRun, parts: int = 3) -> list[MeasuredRun]:
