@@ -243,6 +243,8 @@ class Arm:
     joint_increment_s: float | None = None
     """Length of the increments of the joint rows, s; 0 switches these rows off. None: `joint_row_s`."""
     torque_unit: TorqueUnit = "Nm"
+    torque_averaged: bool = False
+    """Whether a sampled torque is the mean over the period about its instant."""
     """Unit of the reported torques. "A": they are motor currents, whose torque constants nobody knows."""
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Gravity in the base frame, m/s^2, for a fixed base; a free-floating arm falls with its orbit and feels none."""
@@ -542,6 +544,12 @@ def read_arm(top: Table) -> Arm:
             "are then relative to the first joint.",
             _TORQUE_UNITS,
             "Nm",
+        ),
+        torque_averaged=top.boolean(
+            "torque_averaged",
+            'Whether the torques, with the torque_law "sampled", are means over the period about the SYNC, as `zygos '
+            "convert` makes them of a faster recording. Friction is then averaged likewise in estimates on the ground.",
+            False,
         ),
         joints=joints,
         imu=imu,
@@ -915,6 +923,12 @@ def _check_whole(arm: Arm, top: Table) -> None:
 
 
 def _check_geometry(arm: Arm, top: Table) -> None:
+    if arm.torque_averaged and arm.torque_law != "sampled":
+        raise top.error(
+            "torque_averaged",
+            f'means about an instant are sampled torques, but torque_law is "{arm.torque_law}"',
+            'remove it, or write torque_law = "sampled"',
+        )
     if arm.torque_at == "joint" and any(joint.flexible for joint in arm.joints):
         raise top.error(
             "torque_at",
@@ -960,6 +974,8 @@ def save_arm(arm: Arm, path: str | Path) -> None:
     document.update({"torque_law": arm.torque_law, "torque_at": arm.torque_at})
     if arm.torque_unit != "Nm":
         document["torque_unit"] = arm.torque_unit
+    if arm.torque_averaged:
+        document["torque_averaged"] = True
     if not arm.free:
         document["gravity"] = list(arm.gravity)
     joints = tomlkit.aot()

@@ -92,6 +92,7 @@ def test_each_recording_becomes_a_run(name: str, tmp_path: Path) -> None:
     assert ["its cut-off of 5 Hz takes more" in line for line in content["warnings"]] == [True]
     arm = load_arm(tmp_path / "arm.toml")
     assert arm.smoother.cutoff_hz == 5.0
+    assert arm.torque_averaged  # from 500 Hz to 100 Hz
     quantum = 25 / 65535
     for joint in arm.joints:
         assert math.sqrt(0.15) * quantum < joint.motor_encoder.quantum_rad < 1.3 * quantum

@@ -87,6 +87,7 @@ def test_optional_parts(tmp_path: Path) -> None:
     ("period_s = 0.05", "period_s = 0.05\nperiod = 1", "period: unknown key"),
     ('torque_law = "applied_from_sync"', "torque_law = 1", "torque_law"),
     ('torque_at = "rotor"', 'torque_at = "link"', "torque_at"),
+    ('torque_at = "rotor"', 'torque_at = "rotor"\ntorque_averaged = true', r"torque_averaged: .* sampled torques"),
     ("axis = [0, 0, 1]", "axis = [0, 0, 2]", r"joint\[0\]\.axis: has length 2"),
     ("axis = [0, 0, 1]", "axis = [0, 0, 0]", r"joint\[0\]\.axis"),
     ("axis = [0, 0, 1]", "axis = [0, 1, 0]", "joint: .*not parallel"),

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ground_support import heavier, recorded, short_arm
+from ground_support import heavier, recorded, short_arm, torque_of
 
 from zygos.arm import Arm, load_arm
 from zygos.can.run import Run, joined
@@ -20,6 +20,7 @@ from zygos.ground.payload import check_found, payload
 from zygos.ground.rows import friction
 from zygos.ground.score import score
 from zygos.model.model import Model, load_model, save_model
+from zygos.runs.cycles import Cycles
 from zygos.simulation.run import simulate
 from zygos.simulation.scenario import load_scenario
 
@@ -164,6 +165,28 @@ def test_a_payload_is_weighed() -> None:
     assert np.all(found.after < 0.3 * found.before[1])
     after = score(run, found.to_model())
     assert all(one.floor < 1.1 for one in after.joints)
+
+
+def test_friction_is_averaged_as_the_torques_of_a_faster_recording() -> None:
+    """A reversal falls somewhere into its period: a mean torque has seen it there, and the sign of a rate at the
+    instants has not. Without noise, what the values have wrong becomes a third."""
+    arm, model, *_ = _setup()
+    finer = 10
+    fast = replace(arm, period_s=arm.period_s / finer)
+    q, tau = torque_of(fast, model, path=0, seconds=12.0)
+    at = np.arange(finer, len(q) - finer, finer)
+    weight = np.ones(finer + 1)
+    weight[[0, -1]] = 0.5
+    window = np.arange(finer + 1) - finer // 2
+    mean = np.einsum("w,mwj->mj", weight / finer, tau[at[:, None] + window])
+    m = len(at)
+    cycles = Cycles(np.arange(m, dtype=np.uint64), q[at], q[at], mean, np.zeros((m, 3)), np.zeros(m, dtype=np.uint32))
+    wrong = []
+    for averaged in (False, True):
+        described = replace(arm, torque_law="sampled", torque_averaged=averaged)
+        found = estimate_ground([Run(described, table=cycles)])
+        wrong.append(np.abs(found.solution.value - _truth(found, model))[len(arm.parameter_names) :])
+    assert np.sqrt(np.mean(wrong[1] ** 2)) < np.sqrt(np.mean(wrong[0] ** 2)) / 3.0, wrong
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,6 +21,7 @@ from zygos.files.progress import progress
 from zygos.files.tables import check_table, is_table
 from zygos.native.flight import Flight, encode, receivable
 from zygos.telemetry.convert import (
+    averages_torques,
     check_noise,
     cycles_of,
     noise_of,
@@ -72,10 +74,11 @@ def convert_run(
         bar.update(task, description="converting")
         found, cycles, lost = cycles_of(recording, mapping, arm)
         noise = noise_of(found, mapping, arm)
-        if all(one == Noise() for one in noise):
+        averaged = averages_torques(found, arm)
+        if all(one == Noise() for one in noise) and not averaged:
             described, text = arm, local(chosen).read_text(encoding="utf-8")
         else:
-            described = noisier(arm, mapping.channels, noise)
+            described = replace(noisier(arm, mapping.channels, noise), torque_averaged=averaged or arm.torque_averaged)
             text = noisier_arm_text(chosen, described)
         check_noise(described, mapping, noise)
         rate, needed = needed_rate(found, arm, mapping)

@@ -68,7 +68,7 @@ def arm_beside(run: Path, arm_file: Path | None, chosen: Path, arm: Arm) -> Arm:
             f"{beside} is of another arm than {chosen}: {where} is {theirs}, not {ours}; remedy: correct the wrong "
             "one, or give the arm file of all runs (--arm)"
         )
-    return replace(arm, joints=other.joints, imu=other.imu)
+    return replace(arm, joints=other.joints, imu=other.imu, torque_averaged=other.torque_averaged)
 
 
 def silent(arm: Arm) -> Arm:

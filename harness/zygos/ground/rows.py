@@ -18,6 +18,8 @@ from zygos.ground.motion import Motion, TorqueRows, torque_noise
 
 Floats = NDArray[np.float64]
 
+_WITHIN = 16
+"""Number of parts of half a period in which friction is evaluated."""
 _SIGNED = ("motor_coulomb", "link_coulomb", "load_friction")
 _SLOW_SIGMAS = 4.0
 """Rate, in standard deviations of its noise, below which its sign is not known."""
@@ -104,7 +106,10 @@ def run_rows(motion: Motion, span_s: float, effects: Sequence[Effect], predicted
         if effect.kind.on_ground:
             z.append(_sensed(arm, motion, rows, state, effect, predicted)[..., None])
         else:
-            z.append(rows.z[..., p + place, None])
+            own = rows.z[..., p + place]
+            z.append(
+                (own + _within_periods(arm, motion, rows, state, effect) if arm.torque_averaged else own)[..., None]
+            )
             place += 1
     steps = rows.end[0] - rows.begin[0] if rows.count else 0
     return RunRows(
@@ -130,6 +135,28 @@ def resting_share(arm: Arm, state: State, rows: JointRows) -> Floats:
     slow = np.maximum(_SLOW_SIGMAS * np.sqrt(variances(arm).link), SLOWEST_RATE)
     still = np.vstack([np.zeros(arm.n), np.cumsum(np.abs(state.qd) < slow, axis=0)])
     return np.asarray((still[rows.end] - still[rows.begin]) / np.maximum(rows.end - rows.begin, 1)[:, None])
+
+
+def _within_periods(arm: Arm, motion: Motion, rows: JointRows, state: State, effect: Effect) -> Floats:
+    """(m, N) what the column of friction misses of the periods about the instants, over which torques are means: a
+    reversal is somewhere in its period, and the rate is linear between the instants."""
+    column, joint = np.zeros_like(rows.w), effect.index(arm)
+    law = effect.kind.torque
+    if law is None or effect.kind.place not in ("motor", "link"):
+        return column
+    rate, segment = state.qd[:, joint], motion.smoothed.segment
+    last, after = np.roll(rate, 1), np.roll(rate, -1)
+    last = np.where(np.roll(segment, 1) == segment, last, rate)
+    after = np.where(np.roll(segment, -1) == segment, after, rate)
+    share = (np.arange(_WITHIN) + 0.5) / _WITHIN * 0.5  # of the way to the neighbours' instants
+    mean = np.zeros_like(rate)
+    for part in share.tolist():
+        mean += law(rate + part * (last - rate)) + law(rate + part * (after - rate))
+    missing = mean / (2 * _WITHIN) - law(rate)
+    total = np.concatenate([[0.0], np.cumsum(missing)]) * arm.period_s
+    ratio = float(arm.gear_ratios[joint]) if effect.kind.place == "motor" else 1.0
+    column[:, joint] = ratio * (total[rows.end] - total[rows.begin])
+    return column
 
 
 def _sensed(

@@ -27,6 +27,7 @@ from zygos.telemetry.grid import (
     REFUSED_MAX,
     Noise,
     Track,
+    decimated,
     declared_sigma,
     grid_noise,
     regrid,
@@ -79,8 +80,15 @@ def check_noise(arm: Arm, mapping: Map, noise: Sequence[Noise]) -> None:
             )
 
 
+def averages_torques(found: Sequence[Track], arm: Arm) -> bool:
+    """Whether sampled torques of the run are means over a period, because the recording is faster than the grid."""
+    return arm.torque_law == "sampled" and any(
+        track.channel.field == "tau" and decimated(track, arm.period_s) for track in found
+    )
+
+
 def noisier_arm_text(file: Path, arm: Arm) -> str:
-    """Text of the arm file with the noise of `arm`."""
+    """Text of the arm file with the noise of `arm`, and with what its torques are."""
     document = tomlkit.parse(local(file).read_text(encoding="utf-8"))
     for entry, joint in zip(document["joint"], arm.joints, strict=True):
         for key, encoder in (("link_encoder", joint.link_encoder), ("motor_encoder", joint.motor_encoder)):
@@ -91,6 +99,8 @@ def noisier_arm_text(file: Path, arm: Arm) -> str:
         entry["torque_sigma"] = joint.torque_sigma
     if arm.free:
         document["imu"]["rate_sigma"] = arm.imu.rate_sigma
+    if arm.torque_averaged:
+        document["torque_averaged"] = True
     return tomlkit.dumps(document)
 
 
