@@ -292,6 +292,22 @@ def test_what_is_no_noise_is_named() -> None:
     assert found.remedy
 
 
+@pytest.mark.parametrize("gravity", [(0.0, 0.0, 9.81), (9.81, 0.0, 0.0), (0.0, 0.0, 0.0)])
+def test_gravity_that_points_elsewhere_is_named(gravity: tuple[float, float, float]) -> None:
+    arm, _, first, _ = _setup()
+    assert arm.gravity == (0.0, 0.0, -9.81)
+    found = estimate_ground([replace(first, arm=replace(arm, gravity=gravity))])
+    assert found.validity == "doubtful"
+    assert "with gravity = [0.0, 0.0, -9.81]" in found.reason
+    assert "gravity in the arm file" in found.remedy
+
+
+def test_another_law_of_friction_is_no_other_gravity() -> None:
+    arm, model, *_ = _setup()
+    found = estimate_ground([recorded(arm, model, path=3, seed=0, seconds=16.0, more={"load": 0.3})])
+    assert found.elsewhere is None
+
+
 def test_a_motion_at_rest_determines_little() -> None:
     arm, model, *_ = _setup()
     run = recorded(arm, model, path=0, seed=0, seconds=4.0)

@@ -37,12 +37,24 @@ CLUSTER_LIMIT = 4.0
 """Largest mean square of a block's summed residuals, in units of that of independent ones, that passes as noise."""
 EXCESS_LIMIT = 2.0
 """Largest residual, in units of the noise of torques and angles, that passes as noise."""
+_GRAVITY = 9.81
+"""m/s^2."""
 CUTOFF_MOVES = 2.0
 """Half widths by which another cut-off may move a value; on simulated rigid arms the largest of all values moves by up
 to 1.3."""
 LOAD_ROUNDS = 3
 _DOUBTFUL_SHARE = 0.5
 _TOTAL_BLOCKS = 40
+
+
+@dataclass(frozen=True)
+class Elsewhere:
+    """A direction of gravity that the arm file does not have."""
+
+    gravity: tuple[float, float, float]
+    """m/s^2, in the frame of the base."""
+    share: float
+    """Root mean square over the joints of what is left of their held-out torques with it."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -72,6 +84,8 @@ class GroundEstimate:
     doubtful: bool = False
     """Whether values are given that the runs do not determine."""
     prior: Model | None = None
+    elsewhere: Elsewhere | None = None
+    """Another direction of gravity, with which much less is left."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -168,6 +182,13 @@ class GroundEstimate:
     def _verdict(self) -> tuple[str, str, str]:
         share, joints = self.solution.share, self.arm.joints
         worst = int(np.argmax(share))
+        if self.elsewhere is not None:
+            return (
+                "doubtful",
+                f"gravity in the arm file seems wrong: {100 * _rms(share):.2g} % of the held-out torques are left, and "
+                f"{100 * self.elsewhere.share:.2g} % with gravity = {list(self.elsewhere.gravity)}",
+                "correct gravity in the arm file; it belongs to the frame of the base",
+            )
         if share.min() >= 1.0:
             return (
                 "refused",
@@ -182,7 +203,7 @@ class GroundEstimate:
                 f"not physical: {negative}",
                 "check the arm file with `zygos check-arm`, or estimate another law with --friction",
             )
-        if np.sqrt(np.mean(share**2)) > _DOUBTFUL_SHARE:
+        if _rms(share) > _DOUBTFUL_SHARE:
             return (
                 "doubtful",
                 f"{100 * share[worst]:.0f} % of the held-out torque at {joints[worst].name} are not predicted",
@@ -207,7 +228,7 @@ class GroundEstimate:
             )
         if self.excess[far] > EXCESS_LIMIT or self.solution.cluster[loud] > CLUSTER_LIMIT:
             remedies.append(
-                "another law of friction (--friction), or the gravity and the lengths of the arm file; the intervals "
+                "another law of friction (--friction), or the lengths of the arm file; the intervals "
                 "contain what is left, if runs are alike"
             )
         return ("partial", "; ".join(texts), "; ".join(remedies)) if texts else ("valid", "", "")
@@ -402,11 +423,39 @@ def estimate_ground(
         doubtful=doubtful,
         prior=model,
     )
+    if found.excess.max() > EXCESS_LIMIT:
+        found = replace(found, elsewhere=_gravity_elsewhere(arm, runs, wanted, span, _rms(solution.share)))
     if validate and found.validity != "refused":
         whole = replace(found, doubtful=True).to_model()
         found = replace(found, validated=tuple(score(run, _complete(whole, arm)) for run in validate))
     told(1.0)
     return found
+
+
+def _gravity_elsewhere(
+    arm: Arm, runs: Sequence[Run], effects: Sequence[Effect], span: float, left: float
+) -> Elsewhere | None:
+    """Gravity along another axis of the base, or along none, if it leaves less than a third of what is left."""
+    size = float(np.linalg.norm(arm.gravity)) or _GRAVITY
+    best: Elsewhere | None = None
+    for axis in ((0, 0, 1), (0, 1, 0), (1, 0, 0), (0, 0, -1), (0, -1, 0), (-1, 0, 0), (0, 0, 0)):
+        gravity = (size * axis[0], size * axis[1], size * axis[2])
+        if np.allclose(gravity, arm.gravity, atol=1e-3 * size):
+            continue
+        try:
+            turned = replace(arm, gravity=gravity)
+            motions = [Motion.of(replace(run, arm=replace(run.arm, gravity=gravity)), turned) for run in runs]
+            _, solution, _ = _solved(motions, span, effects)
+        except (ZygosError, Undecided):
+            continue
+        share = _rms(solution.share)
+        if share < min(left / 3.0, best.share if best is not None else 1.0):
+            best = Elsewhere(gravity, share)
+    return best
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def _complete(model: Model, arm: Arm) -> Model:
