@@ -243,9 +243,9 @@ class Arm:
     joint_increment_s: float | None = None
     """Length of the increments of the joint rows, s; 0 switches these rows off. None: `joint_row_s`."""
     torque_unit: TorqueUnit = "Nm"
+    """Unit of the reported torques. "A": they are motor currents, whose torque constants nobody knows."""
     torque_averaged: bool = False
     """Whether a sampled torque is the mean over the period about its instant."""
-    """Unit of the reported torques. "A": they are motor currents, whose torque constants nobody knows."""
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Gravity in the base frame, m/s^2, for a fixed base; a free-floating arm falls with its orbit and feels none."""
 
@@ -903,6 +903,12 @@ def _check_whole(arm: Arm, top: Table) -> None:
         raise top.error(
             "joint", f"node numbers repeat ({nodes}, the last is the IMU's)", "give every node a number of its own"
         )
+    if arm.torque_averaged and arm.torque_law != "sampled":
+        raise top.error(
+            "torque_averaged",
+            f'means about an instant are sampled torques, but torque_law is "{arm.torque_law}"',
+            'remove it, or write torque_law = "sampled"',
+        )
     if arm.memory_s is not None and arm.memory_s < _SHORTEST_MEMORY * arm.arc_max_s:
         raise top.error(
             "arc.memory_min",
@@ -923,12 +929,6 @@ def _check_whole(arm: Arm, top: Table) -> None:
 
 
 def _check_geometry(arm: Arm, top: Table) -> None:
-    if arm.torque_averaged and arm.torque_law != "sampled":
-        raise top.error(
-            "torque_averaged",
-            f'means about an instant are sampled torques, but torque_law is "{arm.torque_law}"',
-            'remove it, or write torque_law = "sampled"',
-        )
     if arm.torque_at == "joint" and any(joint.flexible for joint in arm.joints):
         raise top.error(
             "torque_at",

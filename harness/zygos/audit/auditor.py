@@ -467,11 +467,6 @@ class _Auditor:
         """Whether torques are motor currents, so that the scale of each torque is unknown and no fault."""
         return self.arm.torque_unit == "A"
 
-    def _torque_changes(self, law: RigidLaw, reading: Reading, use: list[int]) -> Iterator[Reading]:
-        """Those of the law; currents have the scales that fit then."""
-        for one in law.torque_changes(reading, use):
-            yield law.with_fitted_scales(one, use) if self.currents else one
-
     def _closes(self, law: RigidLaw, reading: Reading, use: list[int]) -> bool:
         share = law.score(reading).share[[i for i in use if i in law.with_rows]]
         return bool(np.all(share <= CLOSES))
@@ -484,7 +479,7 @@ class _Auditor:
 
         now = declared
         for _ in range(3 * len(use)):
-            best = best_of(self._torque_changes(law, now, use))
+            best = best_of(law.torque_changes(now, use))
             if not self._clearly(law, now, best, SURE):
                 break
             now = best
@@ -565,7 +560,7 @@ class _Auditor:
                     f"{name}: sign and place are not decided (the law of the whole arm leaves {100 * left:.0f} % of "
                     "the torque unexplained)"
                 )
-        for other in self._torque_changes(law, kept, use):
+        for other in law.torque_changes(kept, use):
             better = now.total - law.score(other).total
             changes = kept.differs(other)
             if -better < len(changes) * math.log(SURE) and not {self.name("tau", i) for i in changes} <= self.undecided:

@@ -137,7 +137,12 @@ class RigidLaw:
         return self._scores[reading]
 
     def torque_changes(self, reading: Reading, use: Sequence[int]) -> Iterator[Reading]:
-        """The same with one torque or all torques inverted, two exchanged, or one of the scale that fits best."""
+        """The same with one torque or all torques inverted, or two exchanged; currents have the scales that fit."""
+        for one in self._torque_changes(reading, use):
+            yield self.with_fitted_scales(one, use) if self.arm.torque_unit == "A" else one
+
+    @staticmethod
+    def _torque_changes(reading: Reading, use: Sequence[int]) -> Iterator[Reading]:
         for i in use:
             yield reading.scaled(-1.0, i)
         if len(use) > 1:

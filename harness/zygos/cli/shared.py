@@ -88,9 +88,8 @@ def silent(arm: Arm) -> Arm:
         for joint in arm.joints
     )
     hardware = ("base", "kinetic", "period_s", "torque_law", "torque_at", "torque_unit", "gravity")
-    plain = Arm(**{name: getattr(arm, name) for name in hardware}, name="", joints=joints,
+    return Arm(**{name: getattr(arm, name) for name in hardware}, name="", joints=joints,
                 imu=replace(arm.imu, rate_sigma=0.0, bias_walk=0.0))  # fmt: skip
-    return plain
 
 
 def difference(one: Any, other: Any, where: str = "") -> tuple[str, Any, Any] | None:

@@ -18,7 +18,7 @@ from zygos.effects import CATALOGUE, Effect
 from zygos.errors import Undecided, ZygosError
 from zygos.ground.motion import Motion, cutoff_hz, torque_noise
 from zygos.ground.rows import RunRows, columns_of, friction, run_rows
-from zygos.ground.score import Score, score
+from zygos.ground.score import Score, rms, score
 from zygos.ground.solution import Solution, solve
 from zygos.ground.sums import MOST_BLOCKS, Sums, sums_of
 from zygos.model.correlation import Correlation
@@ -42,7 +42,7 @@ _GRAVITY = 9.81
 CUTOFF_MOVES = 2.0
 """Half widths by which another cut-off may move a value; on simulated rigid arms the largest of all values moves by up
 to 1.3."""
-LOAD_ROUNDS = 3
+_LOAD_ROUNDS = 3
 _DOUBTFUL_SHARE = 0.5
 _TOTAL_BLOCKS = 40
 
@@ -185,7 +185,7 @@ class GroundEstimate:
         if self.elsewhere is not None:
             return (
                 "doubtful",
-                f"gravity in the arm file seems wrong: {100 * _rms(share):.2g} % of the held-out torques are left, and "
+                f"gravity in the arm file seems wrong: {100 * rms(share):.2g} % of the held-out torques are left, and "
                 f"{100 * self.elsewhere.share:.2g} % with gravity = {list(self.elsewhere.gravity)}",
                 "correct gravity in the arm file; it belongs to the frame of the base",
             )
@@ -203,7 +203,7 @@ class GroundEstimate:
                 f"not physical: {negative}",
                 "check the arm file with `zygos check-arm`, or estimate another law with --friction",
             )
-        if _rms(share) > _DOUBTFUL_SHARE:
+        if rms(share) > _DOUBTFUL_SHARE:
             return (
                 "doubtful",
                 f"{100 * share[worst]:.0f} % of the held-out torque at {joints[worst].name} are not predicted",
@@ -424,7 +424,7 @@ def estimate_ground(
         prior=model,
     )
     if found.excess.max() > EXCESS_LIMIT:
-        found = replace(found, elsewhere=_gravity_elsewhere(arm, runs, wanted, span, _rms(solution.share)))
+        found = replace(found, elsewhere=_gravity_elsewhere(arm, runs, wanted, span, rms(solution.share)))
     if validate and found.validity != "refused":
         whole = replace(found, doubtful=True).to_model()
         found = replace(found, validated=tuple(score(run, _complete(whole, arm)) for run in validate))
@@ -443,19 +443,14 @@ def _gravity_elsewhere(
         if np.allclose(gravity, arm.gravity, atol=1e-3 * size):
             continue
         try:
-            turned = replace(arm, gravity=gravity)
-            motions = [Motion.of(replace(run, arm=replace(run.arm, gravity=gravity)), turned) for run in runs]
+            motions = [Motion.of(run, replace(run.arm, gravity=gravity)) for run in runs]
             _, solution, _ = _solved(motions, span, effects)
-        except (ZygosError, Undecided):
+        except ZygosError:
             continue
-        share = _rms(solution.share)
+        share = rms(solution.share)
         if share < min(left / 3.0, best.share if best is not None else 1.0):
             best = Elsewhere(gravity, share)
     return best
-
-
-def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def _complete(model: Model, arm: Arm) -> Model:
@@ -489,15 +484,19 @@ def _solved(
     motions: Sequence[Motion], span: float, effects: Sequence[Effect]
 ) -> tuple[list[Sums], Solution, list[RunRows]]:
     """Sums and solution; friction with the load is found in rounds, with the torque that the round before predicts."""
-    rounds = LOAD_ROUNDS if any(effect.kind.place == "load" for effect in effects) else 1
     solution: Solution | None = None
-    for _ in range(rounds):
+    for _ in range(load_rounds(effects)):
         values = solution.value if solution is not None else None
         rows = [run_rows(motion, span, effects, predicted_torque(motion, values)) for motion in motions]
         sums = [sums_of(run, max(4, min(MOST_BLOCKS, _TOTAL_BLOCKS // len(motions)))) for run in rows]
         solution = solve(sums, solution.sigma_w if solution is not None else None)
     assert solution is not None
     return sums, solution, rows
+
+
+def load_rounds(effects: Sequence[Effect]) -> int:
+    """How often an estimate is repeated with the torque that the one before predicts: for friction with the load."""
+    return _LOAD_ROUNDS if any(effect.kind.place == "load" for effect in effects) else 1
 
 
 def predicted_torque(motion: Motion, values: Floats | None) -> Floats | None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from zygos.arm import Arm, Parameter
 from zygos.can.run import Run
 from zygos.errors import Undecided, ZygosError
-from zygos.ground.estimate import LOAD_ROUNDS, SPANS_S, predicted_torque
+from zygos.ground.estimate import SPANS_S, load_rounds, predicted_torque
 from zygos.ground.motion import Motion
 from zygos.ground.rows import run_rows
 from zygos.ground.solution import Solution, solve
@@ -94,7 +94,7 @@ class Payload:
         sigma = np.sqrt(np.diag(covariance))
         quantities = {
             name: Quantity(one.value + float(more), float(wide), "zygos", one.unit)
-            for (name, one), more, wide in zip(own.items(), change @ self.value, sigma, strict=False)
+            for (name, one), more, wide in zip(own.items(), self.base @ self.value, sigma[: len(own)], strict=True)
         }
         effects = self.since.effects
         names = [*own, *(effect.column(self.arm) for effect in effects)]
@@ -158,9 +158,11 @@ def payload(runs: Sequence[Run], since: Model) -> Payload:
     groups = tuple(_group(structure.groups, kept, k, own, structure.candidates) for k in kept)
     values = np.concatenate([since.base_values(arm), [effect.value for effect in since.effects]])
     span = arm.joint_increment_s or SPANS_S[1]
+    rounds = load_rounds(since.effects)
     now, solution = values[: len(base)], None
-    for _ in range(LOAD_ROUNDS if any(effect.kind.place == "load" for effect in since.effects) else 1):
-        rows = [run_rows(motion, span, since.effects, predicted_torque(motion, now)) for motion in motions]
+    for _ in range(rounds):
+        asked = now if rounds > 1 else None  # only friction with the load needs what the model predicts
+        rows = [run_rows(motion, span, since.effects, predicted_torque(motion, asked)) for motion in motions]
         sums = [sums_of(run, max(4, MOST_BLOCKS // len(motions))) for run in rows]
         changed = [_changed(one, values, base) for one in sums]
         solution = solve(changed)

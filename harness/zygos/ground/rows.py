@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,6 +56,14 @@ class RunRows:
         own = np.broadcast_to(self.offset, self.w.shape)[..., None]
         return np.concatenate([self.z, own, self.w[..., None]], axis=-1)
 
+    @cached_property
+    def _impulse_noise(self) -> Floats:
+        """(N,) standard deviation of an increment's impulse by the noise of the torque, Nms. A declared noise may be
+        that of other runs or contain what is not white; no more must be subtracted than the readings show."""
+        reading = np.minimum(torque_noise(self.motion), torque_noise(self.motion, declared=False))
+        arm = self.motion.arm
+        return np.asarray(reading * arm.gear_ratios * np.sqrt(arm.period_s * self.span_s), dtype=np.float64)
+
     def noise(self, increments: NDArray[np.int64]) -> Floats:
         """(N, c, c) expected products of the sensors' noise in the columns, offset and impulse included, summed over
         increments.
@@ -73,11 +82,8 @@ class RunRows:
             slope = momentum_of_rates(arm, q, np.broadcast_to(sigma[i] * np.eye(arm.n)[i], q.shape))
             out[:, :own, :own] += np.einsum("mjp,mjq->jpq", slope, slope, optimize=True)
         out *= len(increments) / max(len(every), 1)
-        # a declared noise may be that of other runs or contain what is not white: too much must not be subtracted
-        reading = np.minimum(torque_noise(self.motion), torque_noise(self.motion, declared=False))
-        torque = reading * arm.gear_ratios * np.sqrt(arm.period_s * self.span_s)
         for joint, column in self.gains:
-            own = len(increments) * torque[joint] ** 2
+            own = len(increments) * self._impulse_noise[joint] ** 2
             out[joint, column, column] += own
             out[joint, column, -1] -= own
             out[joint, -1, column] -= own
@@ -107,9 +113,9 @@ def run_rows(motion: Motion, span_s: float, effects: Sequence[Effect], predicted
             z.append(_sensed(arm, motion, rows, state, effect, predicted)[..., None])
         else:
             own = rows.z[..., p + place]
-            z.append(
-                (own + _within_periods(arm, motion, rows, state, effect) if arm.torque_averaged else own)[..., None]
-            )
+            if arm.torque_averaged:
+                own = own + _within_periods(arm, motion, rows, state, effect)
+            z.append(own[..., None])
             place += 1
     steps = rows.end[0] - rows.begin[0] if rows.count else 0
     return RunRows(

@@ -153,15 +153,15 @@ def scored(run: Run, name: str, rows: TorqueRows, values: Floats, effects: Seque
         scores.append(
             JointScore(
                 joint=joint.name,
-                measured_nm=_rms(own),
-                error_nm=_rms(left),
-                share=_ratio(_rms(left), _rms(own)),
+                measured_nm=rms(own),
+                error_nm=rms(left),
+                share=_ratio(rms(left), rms(own)),
                 offset_nm=float(offset[j]),
-                raw_share=_ratio(_rms(error[kept, j]), _rms(rows.tau[kept, j])),
-                energy_error_j=_rms(lost),
-                energy_share=_ratio(_rms(lost), _rms(done)),
-                sigmas=_ratio(_rms(left), noise[j] * through),
-                floor=_ratio(_rms((raw - sharp - offset)[kept, j]), noise[j]),
+                raw_share=_ratio(rms(error[kept, j]), rms(rows.tau[kept, j])),
+                energy_error_j=rms(lost),
+                energy_share=_ratio(rms(lost), rms(done)),
+                sigmas=_ratio(rms(left), noise[j] * through),
+                floor=_ratio(rms((raw - sharp - offset)[kept, j]), noise[j]),
             )
         )
     whole = ((rows.tau - offset) * rows.state.qd).sum(axis=1)[kept]
@@ -171,7 +171,7 @@ def scored(run: Run, name: str, rows: TorqueRows, values: Floats, effects: Seque
         model=name,
         cutoff_hz=rows.cutoff_hz,
         increment_s=None,
-        arm_energy_share=_ratio(_rms(_work(lost, window, h)), _rms(_work(whole, window, h))),
+        arm_energy_share=_ratio(rms(_work(lost, window, h)), rms(_work(whole, window, h))),
         joints=tuple(scores),
         t=np.asarray(np.flatnonzero(kept) * h, dtype=np.float64),
         measured=(rows.tau - offset)[kept],
@@ -194,16 +194,16 @@ def _by_increments(run: Run, model: Model) -> Score:
         scores.append(
             JointScore(
                 joint=joint.name,
-                measured_nm=_rms(measured),
-                error_nm=_rms(left),
-                share=_ratio(_rms(left), _rms(measured)),
+                measured_nm=rms(measured),
+                error_nm=rms(left),
+                share=_ratio(rms(left), rms(measured)),
                 offset_nm=float(offset[j]),
-                raw_share=_ratio(_rms(left + offset[j]), _rms(own.measured[:, j])),
-                energy_error_j=_rms(lost),
-                energy_share=_ratio(_rms(lost), _rms(done)),
-                sigmas=_ratio(_rms(left), float(own.noise[j])),
+                raw_share=_ratio(rms(left + offset[j]), rms(own.measured[:, j])),
+                energy_error_j=rms(lost),
+                energy_share=_ratio(rms(lost), rms(done)),
+                sigmas=_ratio(rms(left), float(own.noise[j])),
                 floor=float("nan"),
-                spring_nm=_rms(own.spring[:, j]) if joint.flexible else float("nan"),
+                spring_nm=rms(own.spring[:, j]) if joint.flexible else float("nan"),
             )
         )
     return Score(
@@ -211,7 +211,7 @@ def _by_increments(run: Run, model: Model) -> Score:
         model=model.name,
         cutoff_hz=None,
         increment_s=own.span_s,
-        arm_energy_share=_ratio(_rms(own.work_left), _rms(own.work)) if len(own.work) else float("nan"),
+        arm_energy_share=_ratio(rms(own.work_left), rms(own.work)) if len(own.work) else float("nan"),
         joints=tuple(scores),
         t=np.asarray(own.at * arm.period_s, dtype=np.float64),
         measured=own.measured - offset,
@@ -255,7 +255,8 @@ def _work(power: Floats, window: int, h: float) -> Floats:
     return np.asarray(power[:whole].reshape(-1, window).sum(axis=1) * h) if whole else np.array([power.sum() * h])
 
 
-def _rms(x: Floats) -> float:
+def rms(x: Floats) -> float:
+    """Root mean square of all values."""
     return float(np.sqrt(np.mean(x**2)))
 
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import tomlkit
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from zygos.arm import Arm
 from zygos.effects import CATALOGUE, Effect
@@ -133,11 +134,8 @@ class Model:
         of the a_ij would allow negative kinetic energy (docs/theory.md). Geometry is taken as exact.
         """
         if not self.bodies:
-            known = self._named_parameters(arm)
-            sigma = np.array([quantity.sigma for quantity in known.values()])
-            if self.correlation is None:
-                return np.diag(sigma**2)
-            return np.asarray(self.correlation.matrix(list(known)) * np.outer(sigma, sigma), dtype=np.float64)
+            sigma = np.array([quantity.sigma for quantity in self._named_parameters(arm).values()])
+            return self._correlated(arm.parameter_names, sigma)
         self.check_fits(arm)
         # an infinite stiffness is exact; any finite number may stand in its place here
         scalars = np.nan_to_num(self._scalars(), posinf=1.0)
@@ -158,14 +156,15 @@ class Model:
     def covariance(self, arm: Arm) -> NDArray[np.float64]:
         """(p + e, p + e) covariance of the base parameters and the values of the effects, in their order."""
         base, sigma = self.base_covariance(arm), np.array([effect.sigma for effect in self.effects])
-        out = np.zeros((len(base) + len(sigma),) * 2)
-        out[: len(base), : len(base)] = base
-        out[len(base) :, len(base) :] = np.diag(sigma**2)
-        if self.correlation is None or self.bodies:
-            return out
+        if self.bodies:
+            return block_diag(base, np.diag(sigma**2)) if len(sigma) else base
         names = [*arm.parameter_names, *(effect.column(arm) for effect in self.effects)]
-        every = np.sqrt(np.diag(out))
-        return np.asarray(self.correlation.matrix(names) * np.outer(every, every), dtype=np.float64)
+        return self._correlated(names, np.concatenate([np.sqrt(np.diag(base)), sigma]))
+
+    def _correlated(self, names: Sequence[str], sigma: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(m, m) covariance of values (m,) with these names."""
+        matrix = np.eye(len(names)) if self.correlation is None else self.correlation.matrix(names)
+        return matrix * np.outer(sigma, sigma)
 
     def _named_parameters(self, arm: Arm) -> dict[str, Quantity]:
         missing = [name for name in arm.parameter_names if name not in self.parameters]

@@ -413,10 +413,11 @@ def regrid(found: Sequence[Track], arm: Arm, mapping: Map, *, kind: Interpolatio
     known = np.isfinite(values)
     whole = np.all(known, axis=1)
     if not whole.any():
-        worst = found[int(np.argmin(known.sum(axis=0)))].channel
+        track = found[int(np.argmin(known.sum(axis=0)))]
+        worst = track.channel
         raise ZygosError(
             f"{worst.where}: {worst.source} has holes everywhere, so no instant is known; remedy: check the unit of "
-            f"the time (its samples are {found[int(np.argmin(known.sum(axis=0)))].interval_s:.3g} s apart), or record "
+            f"the time (its samples are {track.interval_s:.3g} s apart), or record "
             "it at even intervals"
         )
     return _cycles(arm, [track.channel for track in found], np.flatnonzero(whole), values[whole])

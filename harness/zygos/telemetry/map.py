@@ -353,9 +353,9 @@ def _channel(
 
 def _torque_unit(table: Table, unit: str, arm: Arm) -> float:
     """One unit in Nm, or in A where the arm file says that torques are currents."""
-    current = unit in ("A", "mA")
+    amperes = {"A": 1.0, "mA": 1e-3}.get(unit)
     if arm.torque_unit == "A":
-        if not current:
+        if amperes is None:
             raise table.error(
                 "unit",
                 f'"{unit}" is no current, but arm {arm.name} has torque_unit = "A"',
@@ -367,8 +367,8 @@ def _torque_unit(table: Table, unit: str, arm: Arm) -> float:
                 f'arm {arm.name} has torque_unit = "A", so that its torques remain currents',
                 "remove it, or remove torque_unit from the arm file if the constant is known",
             )
-        return 1e-3 if unit == "mA" else 1.0
-    if not current:
+        return amperes
+    if amperes is None:
         return UNITS["torque"][unit]
     constant = table.number(
         "torque_constant",
@@ -379,7 +379,7 @@ def _torque_unit(table: Table, unit: str, arm: Arm) -> float:
             'required where unit is "A" or "mA", refused elsewhere, and where the arm file has torque_unit = "A"'
         ),
     )
-    return constant * (1e-3 if unit == "mA" else 1.0)
+    return constant * amperes
 
 
 def _beyond_gear(table: Table, arm: Arm) -> bool:
