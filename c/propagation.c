@@ -763,30 +763,65 @@ static void next_term(const zygos_propagation_t *self, uint32_t n, double factor
     }
 }
 
+/* A torque that has the shape P(s) = sum a_i s^i, with the share s of the time that has passed, changes the state at s
+   by the sum over m of term m times m! times the sum over i of a_i i! / (i + m)! s^(i + m). The coefficients of the
+   shifted Legendre polynomial of degree k, by the time that is left, are a_i = (-1)^i C(k, i) C(k + i, i). */
+void zygos_propagation_means(zygos_propagation_means_t *out, uint32_t cycles)
+{
+    double power[ZYGOS_MAX_TERMS + ZYGOS_MAX_SHAPES] = { 0.0 }; /* mean of s^m */
+    for (uint32_t c = 1; c <= cycles; c++) {
+        const double s = (double)c / (double)cycles;
+        double product = 1.0 / (double)cycles;
+        for (uint32_t m = 0; m < (uint32_t)(ZYGOS_MAX_TERMS + ZYGOS_MAX_SHAPES); m++) {
+            power[m] += product;
+            product *= s;
+        }
+    }
+    memset(out, 0, sizeof *out);
+    for (uint32_t m = 0; m <= (uint32_t)ZYGOS_MAX_TERMS; m++) {
+        for (uint32_t k = 0; k < (uint32_t)ZYGOS_MAX_SHAPES; k++) {
+            double coefficient = 1.0;
+            double ratio = 1.0; /* m! i! / (i + m)! */
+            for (uint32_t i = 0; i <= k; i++) {
+                out->share[m][k] += coefficient * ratio * power[m + i];
+                const double next = (double)(i + 1u);
+                coefficient *= -(double)(k - i) * (double)(k + i + 1u) / (next * next);
+                ratio *= next / (double)(m + i + 1u);
+            }
+        }
+    }
+}
+
 void zygos_propagation_series(const zygos_propagation_t *self, const zygos_config_t *config, double time,
-                              uint32_t terms, uint32_t c, const zygos_propagation_work_t *work, double *out,
-                              double *pushed)
+                              uint32_t terms, const zygos_propagation_means_t *means, uint32_t c,
+                              const zygos_propagation_work_t *work, zygos_propagation_change_t *by,
+                              zygos_propagation_change_t *pushed)
 {
     const uint32_t moving = self->moving;
     double term[ZYGOS_MAX_MOVING] = { 0.0 };
+    memset(by, 0, sizeof *by);
+    memset(pushed, 0, sizeof *pushed);
     term[c] = 1.0;
-    memcpy(out, term, moving * sizeof out[0]);
-    memset(pushed, 0, moving * sizeof pushed[0]);
+    by->end[c] = 1.0;
+    by->mean[c] = 1.0;
     for (uint32_t m = 1; m <= terms; m++) {
         const double factor = time / (double)m;
+        const double share = means->share[m][0];
         for (uint32_t i = 0; i < moving; i++) {
-            pushed[i] += factor * term[i];
+            pushed->end[i] += factor * term[i];
+            pushed->mean[i] += share * factor * term[i];
         }
         next_term(self, config->joints, factor, work, term);
         for (uint32_t i = 0; i < moving; i++) {
-            out[i] += term[i];
+            by->end[i] += term[i];
+            by->mean[i] += share * term[i];
         }
     }
 }
 
 void zygos_propagation_shapes(const zygos_propagation_t *self, const zygos_config_t *config, double time,
-                              uint32_t terms, uint32_t torque, uint32_t shapes, const zygos_propagation_work_t *work,
-                              double (*out)[ZYGOS_MAX_MOVING])
+                              uint32_t terms, const zygos_propagation_means_t *means, uint32_t torque, uint32_t shapes,
+                              const zygos_propagation_work_t *work, zygos_propagation_change_t *out)
 {
     const uint32_t n = config->joints;
     const uint32_t w = self->base_rates;
@@ -794,39 +829,19 @@ void zygos_propagation_shapes(const zygos_propagation_t *self, const zygos_confi
     for (uint32_t k = 0; k < w + 2u * n; k++) {
         term[(k < w) ? k : k + 2u * n] = time * work->by_torque[k][torque];
     }
-    for (uint32_t k = 0; k < shapes; k++) {
-        memset(out[k], 0, self->moving * sizeof out[k][0]);
-    }
+    memset(out, 0, shapes * sizeof out[0]);
     for (uint32_t m = 1; m <= terms; m++) {
         if (m > 1u) {
             next_term(self, n, time / (double)m, work, term);
         }
         double share = 1.0; /* m times the integral of u^(m - 1) times polynomial k over 0..1 */
-        for (uint32_t k = 0; (k < shapes) && (k < m); k++) {
-            share *= (k > 0u) ? (double)(m - k) / (double)(m + k) : 1.0;
+        for (uint32_t k = 0; k < shapes; k++) {
+            share *= (k > 0u) ? ((double)m - (double)k) / (double)(m + k) : 1.0; /* 0 from k = m on */
             for (uint32_t i = 0; i < self->moving; i++) {
-                out[k][i] += share * term[i];
+                out[k].end[i] += share * term[i];
+                out[k].mean[i] += means->share[m][k] * term[i];
             }
         }
-    }
-}
-
-void zygos_propagation_column(const zygos_propagation_t *self, const zygos_config_t *config, uint32_t c,
-                              const double (*pushed)[ZYGOS_MAX_ACCELERATIONS], const zygos_propagation_work_t *work,
-                              double *out)
-{
-    const uint32_t accelerations = self->base_rates + 2u * config->joints;
-    const uint32_t constants = self->parameters + ((self->friction != 0u) ? config->joints : 0u);
-    double push[ZYGOS_MAX_ACCELERATIONS];
-    for (uint32_t k = 0; k < accelerations; k++) {
-        push[k] = (c < constants) ? work->by_constant[k][c] : work->by_torque[k][c - constants];
-    }
-    for (uint32_t i = 0; i < self->moving; i++) {
-        double sum = 0.0;
-        for (uint32_t k = 0; k < accelerations; k++) {
-            sum += pushed[i][k] * push[k];
-        }
-        out[i] = sum;
     }
 }
 

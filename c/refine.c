@@ -92,7 +92,11 @@ int zygos_refine_init(zygos_refine_t *self, const zygos_config_t *config, const 
     for (uint32_t k = 0; k < 4u * config->joints; k++) {
         good = good && within(settings->beside_sigma[k], 0.0, 1e6);
     }
-    return good ? zygos_refiner_init(&self->filter, config, filter) : ZYGOS_E_VALUE;
+    if (!good) {
+        return ZYGOS_E_VALUE;
+    }
+    zygos_propagation_means(&self->means, settings->every);
+    return zygos_refiner_init(&self->filter, config, filter);
 }
 
 /* What errors of p values are compared with: the value; of one of the inertia matrix at least the geometric mean of the
@@ -190,8 +194,9 @@ int zygos_refine_start(zygos_refine_t *self, const zygos_config_t *config, const
     if (zygos_refiner_begin(filter, x, sigma) != 1) {
         return ZYGOS_E_VALUE;
     }
+    self->work.leads = 0u;
     for (uint32_t k = 0; k < p; k++) {
-        zygos_refiner_pin(filter, fast + k, MOST, self->work.gain);
+        zygos_refiner_pin(filter, fast + k, MOST, &self->work);
     }
     self->started = 1u;
     self->moving = 0u;
@@ -250,6 +255,8 @@ static void enter(zygos_refine_t *self, const zygos_config_t *config)
         memset(self->mean, 0, sizeof self->mean);
         memset(self->variance, 0, sizeof self->variance);
         memset(self->middle, 0, sizeof self->middle);
+        memset(self->readings, 0, sizeof self->readings);
+        memset(self->expected, 0, sizeof self->expected);
         self->missing = 0.0;
         self->lost_lately = 0u;
     }
@@ -301,6 +308,7 @@ static void begin(zygos_refine_t *self, const zygos_config_t *config)
     zygos_refiner_resume(&self->filter, x, sigma);
     self->moving = 1u;
     self->group = 0u;
+    self->work.leads = 0u;
     self->lost_lately = 1u; /* no torque has acted yet */
     self->cursor = 0u;
     self->phase = (uint32_t)READ;
@@ -396,6 +404,38 @@ static void add_middle(zygos_refine_t *self)
     }
 }
 
+/* Reading k of the newest cycle. */
+static double reading(const zygos_refine_t *self, const zygos_config_t *config, uint32_t k)
+{
+    const uint32_t n = config->joints;
+    const double *axis = config->joint[0].axis;
+    const double *omega = &self->signal[2u * n];
+    const bool planar = (k >= 2u * n) && (self->filter.propagation.base_rates == 1u);
+    return planar ? axis[0] * omega[0] + axis[1] * omega[1] + axis[2] * omega[2] : self->signal[k];
+}
+
+/* How many readings a cycle has. */
+static uint32_t readings_of(const zygos_refine_t *self, const zygos_config_t *config)
+{
+    return 2u * config->joints + self->filter.propagation.base_rates;
+}
+
+/* What reading k is in a state, or changes by with it, without zeros and bias. */
+static double read_in(const zygos_refine_t *self, const zygos_config_t *config, uint32_t k, const double *state)
+{
+    const uint32_t angles = 2u * config->joints;
+    const double *angle = &state[self->filter.propagation.base_rates];
+    return (k < angles) ? angle[k] + zygos_refiner_latch_s(config, k) * angle[angles + k] : state[k - angles];
+}
+
+static void add_readings(zygos_refine_t *self, const zygos_config_t *config)
+{
+    for (uint32_t k = 0; k < readings_of(self, config); k++) {
+        self->readings[k] += reading(self, config, k);
+        self->expected[k] += read_in(self, config, k, self->filter.x);
+    }
+}
+
 static void move(zygos_refine_t *self, const zygos_config_t *config)
 {
     const uint32_t steps = self->filter.settings.steps;
@@ -428,6 +468,9 @@ static void move(zygos_refine_t *self, const zygos_config_t *config)
     }
     self->interval++;
     self->group++;
+    if (self->interval == self->intervals) {
+        add_readings(self, config);
+    }
     if (self->group >= self->settings.every) {
         self->phase = (uint32_t)SLOPES;
     } else if (self->interval < self->intervals) {
@@ -451,6 +494,11 @@ static void linearise(zygos_refine_t *self, const zygos_config_t *config)
     }
     const uint32_t every = self->settings.every;
     self->work.shapes = (every < (uint32_t)ZYGOS_MAX_SHAPES) ? every : (uint32_t)ZYGOS_MAX_SHAPES;
+    self->work.leads = ((every > 1u) && (self->lost_lately == 0u)) ? readings_of(self, config) : 0u;
+    self->work.cycles = every;
+    for (uint32_t k = 0; k < self->work.leads; k++) {
+        self->work.lead_x[k] = self->expected[k] / (double)every;
+    }
     self->cursor = 0u;
     self->phase = (uint32_t)SERIES;
 }
@@ -463,67 +511,90 @@ static double noise_of(const zygos_refine_t *self, uint32_t i, double missing)
     return __builtin_sqrt(variance) / (double)self->settings.every;
 }
 
+/* Writes a column of state and means, whose rows are so many entries apart. */
+static void put(const zygos_refine_t *self, const zygos_config_t *config, double factor,
+                const zygos_propagation_change_t *by, double *column, uint32_t stride)
+{
+    const uint32_t moving = self->filter.propagation.moving;
+    for (uint32_t i = 0; i < moving; i++) {
+        column[i * stride] = factor * by->end[i];
+    }
+    for (uint32_t i = 0; i < self->work.leads; i++) {
+        column[(moving + i) * stride] = factor * read_in(self, config, i, by->mean);
+    }
+}
+
+/* Adds to such a column what a column of accelerations does. */
+static void add_pushed(zygos_refine_t *self, uint32_t accelerations, const double *by, uint32_t by_stride,
+                       double *column, uint32_t stride)
+{
+    for (uint32_t i = 0; i < self->filter.propagation.moving + self->work.leads; i++) {
+        double sum = column[i * stride];
+        for (uint32_t k = 0; k < accelerations; k++) {
+            sum += self->work.pushed[i][k] * by[k * by_stride];
+        }
+        column[i * stride] = sum;
+    }
+}
+
 /* What the noise of a torque does in other shapes than held: Legendre polynomials over the cycles, of which noise that
  * is held within each of so many cycles has as much as their discrete counterparts are long. */
 static void shape(zygos_refine_t *self, const zygos_config_t *config, double time, uint32_t torque)
 {
     const double cycles = (double)self->settings.every;
     const uint32_t shapes = self->work.shapes;
-    double out[ZYGOS_MAX_SHAPES][ZYGOS_MAX_MOVING];
+    zygos_propagation_change_t out[ZYGOS_MAX_SHAPES];
     double square = 1.0;
     if (shapes < 2u) {
         return;
     }
-    zygos_propagation_shapes(&self->filter.propagation, config, time, self->settings.terms, torque, shapes,
-                             &self->work.propagation, out);
+    zygos_propagation_shapes(&self->filter.propagation, config, time, self->settings.terms, &self->means, torque,
+                             shapes, &self->work.propagation, out);
     for (uint32_t k = 1; k < shapes; k++) {
         const double degree = (double)k;
         square *= 1.0 - degree * degree / (cycles * cycles);
         const double factor = __builtin_sqrt((2.0 * degree + 1.0) * square);
-        for (uint32_t i = 0; i < self->filter.propagation.moving; i++) {
-            self->work.push[i][k * config->joints + torque] = factor * out[k][i];
-        }
+        put(self, config, factor, &out[k], &self->work.push[0][k * config->joints + torque], ZYGOS_MAX_PUSHES);
     }
 }
 
-/* Columns by the state before, and by additions to accelerations beside those by rates; then by constants and torques.
- */
+/* Columns by the rates before, and by additions to accelerations beside them; then by the angles, which stay what they
+   are and add to the accelerations, and by the torques. */
 static void series(zygos_refine_t *self, const zygos_config_t *config)
 {
     const zygos_propagation_t *propagation = &self->filter.propagation;
-    const zygos_propagation_work_t *work = &self->work.propagation;
+    zygos_refiner_work_t *work = &self->work;
     const uint32_t n = config->joints;
     const uint32_t w = propagation->base_rates;
     const uint32_t moving = propagation->moving;
-    const uint32_t constants = propagation->parameters + ((self->filter.settings.friction != 0u) ? n : 0u);
+    const uint32_t rates = w + 2u * n;
     const double time = (double)self->settings.every * config->period_s;
-    const uint32_t block = (self->cursor < moving) ? 2u : 2u * ZYGOS_REFINE_COLUMNS;
-    for (uint32_t k = 0; (k < block) && (self->cursor < moving + constants + n); k++, self->cursor++) {
-        const uint32_t c = self->cursor;
-        double column[ZYGOS_MAX_MOVING];
-        if (c < moving) {
-            double pushed[ZYGOS_MAX_MOVING];
-            const bool rate = (c < w) || (c >= w + 2u * n);
-            zygos_propagation_series(propagation, config, time, self->settings.terms, c, work, column, pushed);
-            for (uint32_t i = 0; rate && (i < moving); i++) {
-                self->pushed[i][(c < w) ? c : c - 2u * n] = pushed[i];
-            }
+    for (uint32_t k = 0; (k < 2u) && (self->cursor < moving + n); k++, self->cursor++) {
+        const uint32_t turn = self->cursor;
+        zygos_propagation_change_t by = { { 0.0 }, { 0.0 } };
+        if (turn < rates) {
+            zygos_propagation_change_t pushed;
+            const uint32_t c = (turn < w) ? turn : turn + 2u * n;
+            zygos_propagation_series(propagation, config, time, self->settings.terms, &self->means, c,
+                                     &work->propagation, &by, &pushed);
+            put(self, config, 1.0, &by, &work->across[0][c], ZYGOS_MAX_MOVING);
+            put(self, config, 1.0, &pushed, &work->pushed[0][turn], ZYGOS_MAX_ACCELERATIONS);
+        } else if (turn < moving) {
+            const uint32_t c = turn - rates + w;
+            by.end[c] = 1.0;
+            by.mean[c] = 1.0;
+            put(self, config, 1.0, &by, &work->across[0][c], ZYGOS_MAX_MOVING);
+            add_pushed(self, rates, &work->propagation.by_state[0][c], ZYGOS_MAX_MOVING, &work->across[0][c],
+                       ZYGOS_MAX_MOVING);
         } else {
-            zygos_propagation_column(propagation, config, c - moving,
-                                     (const double(*)[ZYGOS_MAX_ACCELERATIONS])self->pushed, work, column);
-        }
-        for (uint32_t i = 0; i < moving; i++) {
-            self->work.slope[i][c] = column[i];
-        }
-        if (c >= moving + constants) {
-            const uint32_t torque = c - moving - constants;
-            for (uint32_t i = 0; i < moving; i++) {
-                self->work.push[i][torque] = column[i];
-            }
+            const uint32_t torque = turn - moving;
+            put(self, config, 0.0, &by, &work->push[0][torque], ZYGOS_MAX_PUSHES);
+            add_pushed(self, rates, &work->propagation.by_torque[0][torque], ZYGOS_MAX_JOINTS, &work->push[0][torque],
+                       ZYGOS_MAX_PUSHES);
             shape(self, config, time, torque);
         }
     }
-    if (self->cursor >= moving + constants + n) {
+    if (self->cursor >= moving + n) {
         self->cursor = 0u;
         self->phase = (uint32_t)CARRY;
     }
@@ -532,7 +603,7 @@ static void series(zygos_refine_t *self, const zygos_config_t *config)
 static void carry(zygos_refine_t *self)
 {
     for (uint32_t k = 0; (k < ZYGOS_REFINE_COLUMNS) && (self->cursor < self->filter.constants); k++, self->cursor++) {
-        zygos_refiner_carry(&self->filter, self->cursor, &self->work);
+        zygos_refiner_carry(&self->filter, self->cursor, NULL, &self->work);
     }
     if (self->cursor >= self->filter.constants) {
         self->phase = (uint32_t)TABLE;
@@ -547,14 +618,17 @@ static void tabulate(zygos_refine_t *self, const zygos_config_t *config)
     }
     const double walk = self->filter.settings.bias_walk * __builtin_sqrt((double)self->settings.every);
     zygos_refiner_table(&self->filter, noise, walk, &self->work);
-    self->cursor = self->filter.fast;
+    self->cursor = self->filter.fast + self->work.leads;
     self->phase = (uint32_t)ROWS;
 }
 
 static void take_row(zygos_refine_t *self, const zygos_config_t *config)
 {
+    const uint32_t leads = self->work.leads;
+    const uint32_t fast = self->filter.fast;
     self->cursor--;
-    zygos_refiner_row(&self->filter, self->cursor, &self->work);
+    /* those of state and bias first */
+    zygos_refiner_row(&self->filter, (self->cursor >= leads) ? self->cursor - leads : fast + self->cursor, &self->work);
     if (self->cursor > 0u) {
         return;
     }
@@ -570,15 +644,11 @@ static void read_one(zygos_refine_t *self, const zygos_config_t *config)
 {
     zygos_refiner_t *filter = &self->filter;
     const uint32_t n = config->joints;
-    const uint32_t w = filter->propagation.base_rates;
-    double value = self->signal[self->cursor];
-    if ((self->cursor >= 2u * n) && (w == 1u)) {
-        const double *axis = config->joint[0].axis;
-        const double *omega = &self->signal[2u * n];
-        value = axis[0] * omega[0] + axis[1] * omega[1] + axis[2] * omega[2];
-    }
+    const bool mean = (self->work.leads > 0u);
+    const double value =
+        mean ? self->readings[self->cursor] / (double)self->settings.every : reading(self, config, self->cursor);
     const zygos_innovation_t one =
-        zygos_refiner_use(filter, config, self->cursor, value, ZYGOS_REFINE_GATE, self->work.gain);
+        zygos_refiner_use(filter, config, self->cursor, value, ZYGOS_REFINE_GATE, &self->work);
     self->rejected += one.rejected;
     self->count[one.channel] += 1.0;
     self->square[one.channel] += one.square;
@@ -587,7 +657,7 @@ static void read_one(zygos_refine_t *self, const zygos_config_t *config)
         double share = 0.0;
         for (uint32_t k = 0; k < self->work.shapes * n; k++) {
             const double noise = noise_of(self, k % n, 0.0);
-            double moved = 0.0;
+            double moved = mean ? self->work.push[filter->propagation.moving + self->cursor][k] * noise : 0.0;
             for (uint32_t t = 0; (t < one.terms) && (one.entry[t] < filter->propagation.moving); t++) {
                 moved += one.weight[t] * self->work.push[one.entry[t]][k] * noise;
             }
@@ -598,7 +668,7 @@ static void read_one(zygos_refine_t *self, const zygos_config_t *config)
         self->share += share * share;
     }
     self->cursor++;
-    if (self->cursor >= 2u * n + w) {
+    if (self->cursor >= readings_of(self, config)) {
         self->phase = (uint32_t)CLOSE;
     }
 }
@@ -688,7 +758,7 @@ int zygos_refine_step(zygos_refine_t *self, const zygos_config_t *config)
 static bool quiet(const zygos_refine_t *self, uint32_t n, double error)
 {
     const double x = ZYGOS_REFINE_SIGMAS * error;
-    return self->level <= largest_level(self, n) * (1.0 + x + 0.5 * x * x);
+    return self->level <= largest_level(self, n) * (1.0 + x + 0.5 * x * x + ZYGOS_REFINE_LOUDER);
 }
 
 static uint32_t reason_of(const zygos_refine_t *self, const zygos_config_t *config, const zygos_estimate_t *energy,

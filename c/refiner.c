@@ -11,6 +11,15 @@ static uint32_t column(uint32_t j)
     return j * (j + 1u) / 2u;
 }
 
+static double inner(const double *a, const double *b, uint32_t count)
+{
+    double sum = 0.0;
+    for (const double *end = a + count; a != end; a++, b++) {
+        sum += *a * *b;
+    }
+    return sum;
+}
+
 static bool within(double x, double low, double high)
 {
     return (x >= low) && (x <= high);
@@ -138,30 +147,62 @@ static void scale_volume(zygos_refiner_t *self, double variance)
     memcpy(&self->volume, &bits, sizeof bits);
 }
 
-/* What a reading sees of column j of the root. */
-static double seen(const zygos_refiner_t *self, const zygos_innovation_t *one, uint32_t j)
+/* What a reading sees of column j of the root, beside what it sees as a mean. */
+static double seen(const zygos_refiner_t *self, const zygos_innovation_t *one, double mean, uint32_t j)
 {
     const double *own = &self->root[column(j)];
-    double sum = 0.0;
+    double sum = mean;
     for (uint32_t t = 0; (t < one->terms) && (one->entry[t] <= j); t++) {
         sum += one->weight[t] * own[one->entry[t]];
     }
     return sum;
 }
 
-/* Carlson's update of estimate and root by one reading with a variance, unless its square is above the limit. */
-static void update(zygos_refiner_t *self, zygos_innovation_t *one, double value, double variance, double limit,
-                   double *gain)
+/* A step of Carlson's update: alpha is the variance of the reading up to this column, of which the reading sees f. */
+typedef struct {
+    double keep;
+    double share;
+} step_t;
+
+static step_t step_of(double *alpha, double f)
 {
-    double innovation = value;
+    const double before = *alpha;
+    *alpha += f * f;
+    const step_t out = { __builtin_sqrt(before / *alpha), f / __builtin_sqrt(before * *alpha) };
+    return out;
+}
+
+static void rotate(double *restrict own, double *restrict gain, uint32_t first, uint32_t count, step_t step, double f)
+{
+    for (uint32_t i = first; i < count; i++) {
+        const double entry = own[i];
+        own[i] = entry * step.keep - gain[i] * step.share;
+        gain[i] += entry * f;
+    }
+}
+
+/* Carlson's update of estimate and root by one reading with a variance, unless its square is above the limit. Where
+   there are means, it is mean k, to whose entry those of `one` are added. */
+static void update(zygos_refiner_t *self, zygos_innovation_t *one, uint32_t k, double value, double variance,
+                   double limit, zygos_refiner_work_t *work)
+{
+    const uint32_t leads = work->leads;
+    const uint32_t first = (leads > 0u) ? 0u : one->entry[0];
+    double *lead_gain = work->gain;
+    double *gain = &work->gain[leads];
+    double innovation = value - ((leads > 0u) ? work->lead_x[k] : 0.0);
     double alpha = variance;
     for (uint32_t t = 0; t < one->terms; t++) {
         innovation -= one->weight[t] * self->x[one->entry[t]];
     }
     /* the first pass tells the expected variance, the second one changes the root */
-    for (uint32_t j = one->entry[0]; j < self->entries; j++) {
-        gain[j] = seen(self, one, j);
-        alpha += gain[j] * gain[j];
+    for (uint32_t j = k; j < leads; j++) {
+        const double f = work->crown[column(j) + k];
+        alpha += f * f;
+    }
+    for (uint32_t j = first; j < self->entries; j++) {
+        work->seen[j] = seen(self, one, (leads > 0u) ? work->lead[j][k] : 0.0, j);
+        alpha += work->seen[j] * work->seen[j];
     }
     const double square = innovation * innovation / alpha;
     one->variance = alpha;
@@ -171,23 +212,22 @@ static void update(zygos_refiner_t *self, zygos_innovation_t *one, double value,
         return;
     }
     alpha = variance;
-    memset(gain, 0, self->entries * sizeof gain[0]);
-    for (uint32_t j = one->entry[0]; j < self->entries; j++) {
-        double *own = &self->root[column(j)];
-        const double f = seen(self, one, j);
-        const double before = alpha;
-        alpha += f * f;
-        const double keep = __builtin_sqrt(before / alpha);
-        const double share = f / __builtin_sqrt(before * alpha);
-        for (uint32_t i = 0; i <= j; i++) {
-            const double entry = own[i];
-            own[i] = entry * keep - gain[i] * share;
-            gain[i] += entry * f;
-        }
+    memset(work->gain, 0, (leads + self->entries) * sizeof gain[0]);
+    for (uint32_t j = k; j < leads; j++) {
+        const double f = work->crown[column(j) + k];
+        rotate(&work->crown[column(j)], lead_gain, k + 1u, j + 1u, step_of(&alpha, f), f);
     }
-    const double step = innovation / alpha;
+    for (uint32_t j = first; j < self->entries; j++) {
+        const double f = work->seen[j];
+        const step_t step = step_of(&alpha, f);
+        rotate(work->lead[j], lead_gain, k + 1u, leads, step, f);
+        rotate(&self->root[column(j)], gain, 0u, j + 1u, step, f);
+    }
+    for (uint32_t i = k + 1u; i < leads; i++) { /* means are used in their order, and then no more */
+        work->lead_x[i] += lead_gain[i] * (innovation / alpha);
+    }
     for (uint32_t i = 0; i < self->entries; i++) {
-        self->x[i] += gain[i] * step;
+        self->x[i] += gain[i] * (innovation / alpha);
     }
 }
 
@@ -205,51 +245,64 @@ static double rate_variance(const zygos_refiner_t *self, uint32_t n)
     return sum;
 }
 
+double zygos_refiner_latch_s(const zygos_config_t *config, uint32_t k)
+{
+    const uint32_t n = config->joints;
+    const zygos_joint_config_t *joint = &config->joint[(k < n) ? k : k - n];
+    return 1e-6 * (double)joint->latch_us + ((k < n) ? joint->link_latch_s : joint->motor_latch_s);
+}
+
+/* Adds an entry to those of which a reading is the sum. */
+static void term(zygos_innovation_t *one, uint32_t entry, double weight)
+{
+    one->entry[one->terms] = entry;
+    one->weight[one->terms] = weight;
+    one->terms++;
+}
+
 zygos_innovation_t zygos_refiner_use(zygos_refiner_t *self, const zygos_config_t *config, uint32_t k, double value,
-                                     double limit, double *gain)
+                                     double limit, zygos_refiner_work_t *work)
 {
     const uint32_t n = config->joints;
     const uint32_t w = self->propagation.base_rates;
+    const bool mean = (work->leads > 0u); /* in which the state is already */
+    const double cycles = mean ? (double)work->cycles : 1.0;
     zygos_innovation_t one = { 0 };
     double variance;
     if (k < 2u * n) {
-        const bool link = (k < n);
-        const uint32_t i = link ? k : k - n;
-        const zygos_joint_config_t *joint = &config->joint[i];
-        const double sigma = link ? self->settings.link_sigma[i] : self->settings.motor_sigma[i];
-        one.channel = link ? (uint32_t)ZYGOS_CHANNEL_LINK : (uint32_t)ZYGOS_CHANNEL_MOTOR;
-        one.terms = (self->settings.zeros != 0u) ? 3u : 2u;
-        one.entry[0] = w + k;
-        one.entry[1] = w + 2u * n + k;
-        one.entry[2] = self->entries - 2u * n + k;
-        one.weight[0] = 1.0;
-        one.weight[1] = 1e-6 * (double)joint->latch_us + (link ? joint->link_latch_s : joint->motor_latch_s);
-        one.weight[2] = 1.0;
-        variance = sigma * sigma;
+        const double sigma = (k < n) ? self->settings.link_sigma[k] : self->settings.motor_sigma[k - n];
+        one.channel = (k < n) ? (uint32_t)ZYGOS_CHANNEL_LINK : (uint32_t)ZYGOS_CHANNEL_MOTOR;
+        variance = sigma * sigma / cycles;
+        if (!mean) {
+            term(&one, w + k, 1.0);
+            term(&one, w + 2u * n + k, zygos_refiner_latch_s(config, k));
+        }
+        if (self->settings.zeros != 0u) {
+            term(&one, self->entries - 2u * n + k, 1.0);
+        }
     } else {
         if (k == 2u * n) {
             const double rough = self->settings.second_order * rate_variance(self, n);
-            self->gyro_variance = self->settings.gyro_sigma * self->settings.gyro_sigma + rough * rough;
+            self->gyro_variance = self->settings.gyro_sigma * self->settings.gyro_sigma / cycles + rough * rough;
         }
         one.channel = (uint32_t)ZYGOS_CHANNEL_GYRO;
-        one.terms = 2u;
-        one.entry[0] = k - 2u * n;
-        one.entry[1] = self->propagation.moving + k - 2u * n;
-        one.weight[0] = 1.0;
-        one.weight[1] = 1.0;
         variance = self->gyro_variance;
+        if (!mean) {
+            term(&one, k - 2u * n, 1.0);
+        }
+        term(&one, self->propagation.moving + k - 2u * n, 1.0);
     }
-    update(self, &one, value, variance, limit, gain);
+    update(self, &one, k, value, variance, limit, work);
     self->count[one.channel] += 1.0;
     self->square[one.channel] += one.square;
     scale_volume(self, one.variance);
     return one;
 }
 
-void zygos_refiner_pin(zygos_refiner_t *self, uint32_t entry, double sigma, double *gain)
+void zygos_refiner_pin(zygos_refiner_t *self, uint32_t entry, double sigma, zygos_refiner_work_t *work)
 {
     zygos_innovation_t one = { .terms = 1u, .entry = { entry, 0u, 0u }, .weight = { 1.0, 0.0, 0.0 } };
-    update(self, &one, self->x[entry], sigma * sigma, UNLIMITED, gain);
+    update(self, &one, 0u, self->x[entry], sigma * sigma, UNLIMITED, work);
 }
 
 void zygos_refiner_read(zygos_refiner_t *self, const zygos_config_t *config, const double *q, const double *theta,
@@ -258,6 +311,7 @@ void zygos_refiner_read(zygos_refiner_t *self, const zygos_config_t *config, con
     const uint32_t n = config->joints;
     const uint32_t w = self->propagation.base_rates;
     const double *axis = config->joint[0].axis;
+    work->leads = 0u;
     for (uint32_t k = 0; k < 2u * n + w; k++) {
         double value;
         if (k < 2u * n) {
@@ -267,35 +321,43 @@ void zygos_refiner_read(zygos_refiner_t *self, const zygos_config_t *config, con
         } else {
             value = axis[0] * omega[0] + axis[1] * omega[1] + axis[2] * omega[2];
         }
-        (void)zygos_refiner_use(self, config, k, value, UNLIMITED, work->gain);
+        (void)zygos_refiner_use(self, config, k, value, UNLIMITED, work);
     }
+}
+
+/* Takes the component along a row of length 1 out of another row, and returns it. */
+static double take_out(double *restrict other, const double *restrict row, uint32_t columns)
+{
+    const double along = inner(other, row, columns);
+    for (uint32_t c = 0; c < columns; c++) {
+        other[c] -= along * row[c];
+    }
+    return along;
 }
 
 /* The upper triangular R with R R' = T T' of the table T, by the modified method of Gram and Schmidt. */
 void zygos_refiner_row(zygos_refiner_t *self, uint32_t at, zygos_refiner_work_t *work)
 {
-    const uint32_t columns = self->fast + work->shapes * self->joints + self->propagation.base_rates;
-    double *own = &self->root[column(at)];
-    double *row = work->table[at];
-    double square = 0.0;
-    for (uint32_t c = 0; c < columns; c++) {
-        square += row[c] * row[c];
-    }
-    own[at] = __builtin_sqrt(square);
-    const double scale = (square > 0.0) ? 1.0 / own[at] : 0.0;
+    const uint32_t moving = self->propagation.moving;
+    const uint32_t biases = self->fast + self->propagation.base_rates;
+    const bool of_mean = (at >= self->fast);
+    const bool of_bias = (at >= moving) && !of_mean; /* these have entries in few columns */
+    const uint32_t begin = of_bias ? moving : 0u;
+    const uint32_t columns = (of_bias ? biases : biases + work->shapes * self->joints) - begin;
+    const uint32_t first = of_mean ? self->fast : 0u; /* row of the first entry of the column */
+    double *own = of_mean ? &work->crown[column(at - first)] : &self->root[column(at)];
+    double *row = &work->table[at][begin];
+    const double square = inner(row, row, columns);
+    own[at - first] = __builtin_sqrt(square);
+    const double scale = (square > 0.0) ? 1.0 / own[at - first] : 0.0;
     for (uint32_t c = 0; c < columns; c++) {
         row[c] *= scale;
     }
-    for (uint32_t i = 0; i < at; i++) {
-        double *other = work->table[i];
-        double product = 0.0;
-        for (uint32_t c = 0; c < columns; c++) {
-            product += other[c] * row[c];
-        }
-        own[i] = product;
-        for (uint32_t c = 0; c < columns; c++) {
-            other[c] -= product * row[c];
-        }
+    for (uint32_t i = first; i < at; i++) {
+        own[i - first] = take_out(&work->table[i][begin], row, columns);
+    }
+    for (uint32_t i = 0; (i < work->leads) && !of_mean; i++) {
+        work->lead[at][i] = take_out(&work->table[self->fast + i][begin], row, columns);
     }
 }
 
@@ -306,62 +368,68 @@ void zygos_refiner_table(const zygos_refiner_t *self, const double *noise, doubl
     const uint32_t w = self->propagation.base_rates;
     const uint32_t pushes = work->shapes * n;
     const uint32_t columns = self->fast + pushes + w;
-    for (uint32_t i = 0; i < self->fast; i++) {
+    for (uint32_t i = moving; i < self->fast; i++) {
         memset(work->table[i], 0, columns * sizeof work->table[i][0]);
-    }
-    for (uint32_t j = 0; j < self->fast; j++) {
-        const double *own = &self->root[column(j)];
-        const uint32_t last = (j < moving) ? j + 1u : moving;
-        for (uint32_t i = 0; i < moving; i++) {
-            double sum = 0.0;
-            for (uint32_t k = 0; k < last; k++) {
-                sum += work->slope[i][k] * own[k];
-            }
-            work->table[i][j] = sum;
-        }
-        for (uint32_t i = moving; i <= j; i++) {
-            work->table[i][j] = own[i];
+        work->table[i][self->fast + i - moving] = walk;
+        for (uint32_t j = i; j < self->fast; j++) {
+            work->table[i][j] = self->root[column(j) + i];
         }
     }
-    for (uint32_t k = 0; k < pushes; k++) {
-        for (uint32_t i = 0; i < moving; i++) {
-            work->table[i][self->fast + k] = work->push[i][k] * noise[k % n];
+    for (uint32_t i = 0; i < moving + work->leads; i++) {
+        double *row = work->table[(i < moving) ? i : i - moving + self->fast];
+        for (uint32_t j = 0; j < self->fast; j++) {
+            const double *own = &self->root[column(j)];
+            row[j] = inner(work->across[i], own, (j < moving) ? j + 1u : moving);
         }
-    }
-    for (uint32_t k = 0; k < w; k++) {
-        work->table[moving + k][self->fast + pushes + k] = walk;
+        for (uint32_t k = 0; k < pushes; k++) {
+            row[self->fast + w + k] = work->push[i][k] * noise[k % n];
+        }
+        memset(&row[self->fast], 0, w * sizeof row[0]);
     }
 }
 
-void zygos_refiner_carry(zygos_refiner_t *self, uint32_t c, zygos_refiner_work_t *work)
+/* out[rows] = matrix[rows][count] x, or is added to it. */
+static void product(const double *matrix, uint32_t stride, uint32_t rows, uint32_t count, const double *x, bool add,
+                    double *out)
+{
+    for (uint32_t i = 0; i < rows; i++) {
+        out[i] = (add ? out[i] : 0.0) + inner(&matrix[i * stride], x, count);
+    }
+}
+
+void zygos_refiner_carry(zygos_refiner_t *self, uint32_t c, const double (*slope)[ZYGOS_MAX_SLOPES],
+                         zygos_refiner_work_t *work)
 {
     const uint32_t n = self->joints;
     const uint32_t moving = self->propagation.moving;
+    const uint32_t accelerations = self->propagation.base_rates + 2u * n;
+    const uint32_t rows = moving + work->leads;
     const uint32_t p = self->propagation.parameters;
-    const uint32_t friction = (self->settings.friction != 0u) ? n : 0u;
-    const uint32_t depends = p + friction + ((self->settings.offsets != 0u) ? n : 0u);
+    const uint32_t motion = p + ((self->settings.friction != 0u) ? n : 0u);
+    const uint32_t depends = motion + ((self->settings.offsets != 0u) ? n : 0u);
     const uint32_t last = (c < depends) ? c + 1u : depends;
     double *own = &self->root[column(self->fast + c)];
     const double *below = &own[self->fast];
     double scaled[ZYGOS_MAX_MOTION_CONSTANTS + ZYGOS_MAX_JOINTS];
-    double moved[ZYGOS_MAX_MOVING];
+    double moved[ZYGOS_MAX_MOVED];
     for (uint32_t k = 0; k < last; k++) {
         /* an offset is what a torque is reported too large by */
-        const bool offset = (k >= p + friction);
-        scaled[k] = below[k] * ((k < p) ? self->settings.size[k] : (offset ? -1.0 : 1.0));
+        scaled[k] = below[k] * ((k < p) ? self->settings.size[k] : ((k < motion) ? 1.0 : -1.0));
     }
-    for (uint32_t i = 0; i < moving; i++) {
-        const double *slope = work->slope[i];
-        double sum = 0.0;
-        for (uint32_t k = 0; k < moving; k++) {
-            sum += slope[k] * own[k];
-        }
-        for (uint32_t k = 0; k < last; k++) {
-            sum += slope[moving + k] * scaled[k];
-        }
-        moved[i] = sum;
+    product(work->across[0], ZYGOS_MAX_MOVING, rows, moving, own, false, moved);
+    if (slope != NULL) {
+        product(&slope[0][moving], ZYGOS_MAX_SLOPES, moving, last, scaled, true, moved);
+    } else {
+        double added[ZYGOS_MAX_ACCELERATIONS];
+        const uint32_t by_motion = (last < motion) ? last : motion;
+        product(work->propagation.by_constant[0], ZYGOS_MAX_MOTION_CONSTANTS, accelerations, by_motion, scaled, false,
+                added);
+        product(work->propagation.by_torque[0], ZYGOS_MAX_JOINTS, accelerations, last - by_motion, &scaled[by_motion],
+                true, added);
+        product(work->pushed[0], ZYGOS_MAX_ACCELERATIONS, rows, accelerations, added, true, moved);
     }
     memcpy(own, moved, moving * sizeof own[0]);
+    memcpy(work->lead[self->fast + c], &moved[moving], work->leads * sizeof moved[0]);
 }
 
 void zygos_refiner_constants(const zygos_refiner_t *self, double *constant)
@@ -400,7 +468,7 @@ bool zygos_refiner_advance(zygos_refiner_t *self, const zygos_config_t *config, 
     zygos_refiner_drive(self, tau, drive);
     zygos_refiner_constants(self, work->constant);
     zygos_dynamics_set(&work->dynamics, &self->propagation, config, work->constant);
-    bool good = zygos_propagate(&self->propagation, config, &work->dynamics, self->x, drive, work->slope, stages,
+    bool good = zygos_propagate(&self->propagation, config, &work->dynamics, self->x, drive, stages->slope, stages,
                                 &work->propagation);
     for (uint32_t k = 0; k < self->propagation.moving; k++) {
         good = good && within(self->x[k], -1e6, 1e6);
@@ -412,12 +480,14 @@ bool zygos_refiner_advance(zygos_refiner_t *self, const zygos_config_t *config, 
     const uint32_t torques =
         self->propagation.moving + self->propagation.parameters + ((self->settings.friction != 0u) ? n : 0u);
     work->shapes = 1u;
+    work->leads = 0u;
     for (uint32_t i = 0; i < self->propagation.moving; i++) {
-        memcpy(work->push[i], &work->slope[i][torques], n * sizeof work->push[i][0]);
+        memcpy(work->across[i], stages->slope[i], self->propagation.moving * sizeof work->across[i][0]);
+        memcpy(work->push[i], &stages->slope[i][torques], n * sizeof work->push[i][0]);
     }
     zygos_refiner_table(self, noise, self->settings.bias_walk, work);
     for (uint32_t c = 0; c < self->constants; c++) {
-        zygos_refiner_carry(self, c, work);
+        zygos_refiner_carry(self, c, (const double(*)[ZYGOS_MAX_SLOPES])stages->slope, work);
     }
     for (uint32_t j = self->fast; j > 0u; j--) {
         zygos_refiner_row(self, j - 1u, work);

@@ -34,6 +34,10 @@ extern "C" {
 #define ZYGOS_MAX_MOTION_CONSTANTS (ZYGOS_MAX_BODY + 4 * ZYGOS_MAX_JOINTS)
 /// The columns of the derivatives of a state: by the state before, by the constants, and by the torques.
 #define ZYGOS_MAX_SLOPES (ZYGOS_MAX_MOVING + ZYGOS_MAX_MOTION_CONSTANTS + ZYGOS_MAX_JOINTS)
+/// Shapes in time that the change of a torque between two uses of readings is made of.
+#define ZYGOS_MAX_SHAPES 4
+/// Terms of an exponential series.
+#define ZYGOS_MAX_TERMS 20
 /// The rate [rad/s] below which the sign of Coulomb friction is a straight line through 0.
 #define ZYGOS_SLOWEST_RATE 1e-3
 
@@ -90,6 +94,7 @@ typedef struct {
 
 /// Scratch of zygos_propagate(), likewise: derivatives within a step.
 typedef struct {
+    double slope[ZYGOS_MAX_MOVING][ZYGOS_MAX_SLOPES]; ///< For the caller's result.
     double stage[ZYGOS_MAX_MOVING][ZYGOS_MAX_SLOPES];
     double rate[ZYGOS_MAX_MOVING][ZYGOS_MAX_SLOPES];
     double sum[ZYGOS_MAX_MOVING][ZYGOS_MAX_SLOPES];
@@ -117,26 +122,38 @@ bool zygos_propagation_move(const zygos_propagation_t *self, const zygos_config_
                             const zygos_dynamics_t *dynamics, double time, double *state, const double *torque,
                             zygos_propagation_work_t *work);
 
-/// Writes into out[W + 4N] what the state after `time` seconds changes by, where the derivatives of the accelerations
-/// by the state stay as zygos_propagation_slopes() has left them in work, by entry c of the state before; and into
-/// pushed[W + 4N] what it changes by, by a constant addition to the rate of change of that entry, which for a rate is
-/// an acceleration. The exponential series has `terms` terms. Cost: terms (W + 2N) (W + 4N) multiplications.
+/// Factors by which the terms of an exponential series become those of the mean over the ends of equal cycles.
+typedef struct {
+    double share[ZYGOS_MAX_TERMS + 1][ZYGOS_MAX_SHAPES]; ///< Of term m, where a torque has one of the shapes of
+                                                         ///< zygos_propagation_shapes(). For the first shape, which is
+                                                         ///< held, it is the mean of (k / cycles)^m, k = 1..cycles.
+} zygos_propagation_means_t;
+
+/// Computes these factors for 1..1000 cycles. Cost: cycles ZYGOS_MAX_TERMS multiplications.
+void zygos_propagation_means(zygos_propagation_means_t *out, uint32_t cycles);
+
+/// What the state changes by: after some time, and in the mean over the ends of the cycles of this time; W + 4N entries
+/// each.
+typedef struct {
+    double end[ZYGOS_MAX_MOVING];
+    double mean[ZYGOS_MAX_MOVING];
+} zygos_propagation_change_t;
+
+/// Writes into *by what the state changes by within `time` seconds, where the derivatives of the accelerations by the
+/// state stay as zygos_propagation_slopes() has left them in work, by entry c of the state before; and into *pushed
+/// what it changes by, by a constant addition to the rate of change of that entry, which for a rate is an acceleration.
+/// The exponential series has `terms` terms. Cost: terms (W + 4N) (W + 2N + 4) multiplications.
 void zygos_propagation_series(const zygos_propagation_t *self, const zygos_config_t *config, double time,
-                              uint32_t terms, uint32_t c, const zygos_propagation_work_t *work, double *out,
-                              double *pushed);
+                              uint32_t terms, const zygos_propagation_means_t *means, uint32_t c,
+                              const zygos_propagation_work_t *work, zygos_propagation_change_t *by,
+                              zygos_propagation_change_t *pushed);
 
-/// Writes into out[shapes] what that state changes by, where the change of a torque before the gear has the shape of a
+/// Writes into out[shapes] what the state changes by, where the change of a torque before the gear has the shape of a
 /// shifted Legendre polynomial of degree 0 to shapes - 1, as a function of the time that is left divided by `time`: 1,
-/// 2u - 1, .. The series has `terms` terms. Cost: terms (W + 4N) (W + 2N + shapes) multiplications.
+/// 2u - 1, .. The series has `terms` terms. Cost: terms (W + 4N) (W + 2N + 2 shapes) multiplications.
 void zygos_propagation_shapes(const zygos_propagation_t *self, const zygos_config_t *config, double time,
-                              uint32_t terms, uint32_t torque, uint32_t shapes, const zygos_propagation_work_t *work,
-                              double (*out)[ZYGOS_MAX_MOVING]);
-
-/// Writes the derivatives of that state by constant or torque c into out[W + 4N]. pushed: its derivatives by additions
-/// to the accelerations, a column each. Cost: (W + 2N) (W + 4N) multiplications.
-void zygos_propagation_column(const zygos_propagation_t *self, const zygos_config_t *config, uint32_t c,
-                              const double (*pushed)[ZYGOS_MAX_ACCELERATIONS], const zygos_propagation_work_t *work,
-                              double *out);
+                              uint32_t terms, const zygos_propagation_means_t *means, uint32_t torque, uint32_t shapes,
+                              const zygos_propagation_work_t *work, zygos_propagation_change_t *out);
 
 /// Moves a state over one period under torques that are held. slope becomes its derivatives: W + 4N rows, whose columns
 /// are the state before, the constants and the torques. Returns as zygos_propagation_slopes(); where it is false, state

@@ -10,8 +10,8 @@
 ///     zygos_refine_judge(&fine, &arm.config, &estimate, &refined);  // the same task, with each new estimate
 ///
 /// The state of the arm is followed through every cycle. The covariance is moved, and readings are used, in every cycle
-/// or in every few (settings.every): then torques are averaged over these cycles, and derivatives are taken at their
-/// middle.
+/// or in every few (settings.every): then torques and readings are averaged over these cycles, and derivatives are taken
+/// at their middle. Where one of these cycles was lost, the newest readings are used instead of the means.
 ///
 /// A filter cannot tell whether its model is complete. The estimate from energy rows is therefore the start of the
 /// refined one, and stays what is published unless all conditions of enum zygos_refine_reason hold.
@@ -47,6 +47,9 @@ extern "C" {
 #define ZYGOS_REFINE_EXCESS 0.1
 /// Standard errors that the distance of estimates, the level and the innovations are allowed.
 #define ZYGOS_REFINE_SIGMAS 3.0
+/// Share by which the level may exceed 1 beside these: no deviation is declared exactly, and many readings tell the level
+/// to a thousandth.
+#define ZYGOS_REFINE_LOUDER 0.05
 /// Share of a parameter's size by which the estimate from energy rows may be off beside its interval.
 #define ZYGOS_REFINE_BIAS 0.002
 /// The largest level that passes where no noise in proportion to the torques is declared: so much the filter takes for
@@ -111,7 +114,9 @@ typedef struct {
     double variance[ZYGOS_MAX_JOINTS];                        ///< and of the variances of their declared noise,
     double missing;                                           ///< and of what was not received.
     double middle[ZYGOS_MAX_MOVING];                          ///< State at the middle of these cycles.
-    double pushed[ZYGOS_MAX_MOVING][ZYGOS_MAX_ACCELERATIONS]; ///< The state by additions to accelerations.
+    double readings[ZYGOS_MAX_READINGS];                      ///< Sum of their readings,
+    double expected[ZYGOS_MAX_READINGS];                      ///< and of what the state says of them.
+    zygos_propagation_means_t means;
     double level;                                             ///< Factor of the declared noise of the torques.
     double information;                                       ///< About twice its logarithm.
     double score; ///< Of the window: derivative of the likelihood by twice the logarithm of the level, times 2,

@@ -8,6 +8,10 @@
 ///     zygos_refiner_read()       the readings at a SYNC
 ///     zygos_refiner_advance()    the torques up to the next SYNC, then again zygos_refiner_read()
 ///
+/// Where readings are used in every few cycles only, each is the mean over these cycles (refine.h). The means are
+/// entries of the estimate before its own, from the time when the covariance is moved until they are used; then they
+/// are dropped.
+///
 /// The covariance is S S' with a triangular S, which stays positive definite. Its entries are the state of
 /// propagation.h; the bias of the gyro, one entry for each rate of the base; and constants: the parameters in units of
 /// settings.size, and, where configured, Coulomb friction of each rotor, an offset of each torque, and zeros of link
@@ -33,9 +37,11 @@ extern "C" {
 /// The length of S.
 #define ZYGOS_MAX_ROOT (ZYGOS_MAX_REFINED * (ZYGOS_MAX_REFINED + 1) / 2)
 
-/// Shapes in time that the noise of a torque between two uses of readings is made of.
-#define ZYGOS_MAX_SHAPES 4
-/// Columns by which this noise enters the covariance.
+/// The readings at a SYNC: encoders of links and motors, and rates of the base.
+#define ZYGOS_MAX_READINGS (2 * ZYGOS_MAX_JOINTS + ZYGOS_MAX_BASE_RATES)
+/// The state and the means of readings that follow from it.
+#define ZYGOS_MAX_MOVED (ZYGOS_MAX_MOVING + ZYGOS_MAX_READINGS)
+/// Columns by which the noise of the torques between two uses of readings enters the covariance.
 #define ZYGOS_MAX_PUSHES (ZYGOS_MAX_SHAPES * ZYGOS_MAX_JOINTS)
 
 /// The kinds of readings whose innovations are counted apart.
@@ -83,16 +89,25 @@ typedef struct {
 
 /// Scratch of one call; nothing in it is kept.
 typedef struct {
-    zygos_propagation_work_t propagation;
+    union {
+        zygos_propagation_work_t propagation; ///< Until the last constant was carried; then it is the table.
+        double table[ZYGOS_MAX_FAST + ZYGOS_MAX_READINGS][ZYGOS_MAX_FAST + ZYGOS_MAX_PUSHES + ZYGOS_MAX_BASE_RATES];
+    };
     zygos_dynamics_t dynamics;
-    double slope[ZYGOS_MAX_MOVING][ZYGOS_MAX_SLOPES];
     uint32_t shapes; ///< Of each torque in push, 1..ZYGOS_MAX_SHAPES.
+    uint32_t leads;  ///< Mean readings before the other entries of the estimate: 2N + W, or 0 where there are none.
+    uint32_t cycles; ///< Over which they are means.
     uint32_t reserved;
-    double push[ZYGOS_MAX_MOVING][ZYGOS_MAX_PUSHES]; ///< What 1 Nm of each shape of a torque does to the state: the
-                                                     ///< first shape of all joints, then the next.
-    double table[ZYGOS_MAX_FAST][ZYGOS_MAX_FAST + ZYGOS_MAX_PUSHES + ZYGOS_MAX_BASE_RATES];
+    double across[ZYGOS_MAX_MOVED][ZYGOS_MAX_MOVING]; ///< Derivatives by the state before; rows: the state, the means.
+    double pushed[ZYGOS_MAX_MOVED][ZYGOS_MAX_ACCELERATIONS]; ///< Of the same by additions to the accelerations.
+    double push[ZYGOS_MAX_MOVED][ZYGOS_MAX_PUSHES]; ///< What 1 Nm of each shape of a torque does to them: the first
+                                                    ///< shape of all joints, then the next.
     double constant[ZYGOS_MAX_MOTION_CONSTANTS];
-    double gain[ZYGOS_MAX_REFINED];
+    double gain[ZYGOS_MAX_READINGS + ZYGOS_MAX_REFINED];
+    double seen[ZYGOS_MAX_REFINED];                     ///< What a reading sees of each column of S.
+    double lead_x[ZYGOS_MAX_READINGS];                  ///< What means are expected to be, without zeros and bias.
+    double lead[ZYGOS_MAX_REFINED][ZYGOS_MAX_READINGS]; ///< Their entries in each column of S.
+    double crown[ZYGOS_MAX_READINGS * (ZYGOS_MAX_READINGS + 1) / 2]; ///< Their own columns, packed as in S.
 } zygos_refiner_work_t;
 
 /// Prepares a filter; zygos_refiner_start() has to follow. Needs a configuration that zygos_init() accepts. Returns 1;
@@ -137,24 +152,33 @@ typedef struct {
 } zygos_innovation_t;
 
 /// The parts of zygos_refiner_read() and zygos_refiner_advance(), for a caller that does them in slices (refine.h).
-/// Reading k of a SYNC, in the order link encoders, motor encoders, base rates (those about the axis of a planar arm):
-/// it is used unless its normalised square is above limit. Cost: n^2 multiplications.
+/// Reading k of a SYNC, in the order link encoders, motor encoders, base rates (those about the axis of a planar arm), is
+/// used unless its normalised square is above limit; where work->leads is not 0, it is the mean over the cycles. Cost:
+/// n^2 multiplications, and n (2N + W) where it is a mean.
 zygos_innovation_t zygos_refiner_use(zygos_refiner_t *self, const zygos_config_t *config, uint32_t k, double value,
-                                     double limit, double *gain);
+                                     double limit, zygos_refiner_work_t *work);
+/// Returns the time from SYNC to the instant that reading k of an encoder belongs to [s].
+double zygos_refiner_latch_s(const zygos_config_t *config, uint32_t k);
 /// Limits the standard deviation of an entry to less than sigma: a reading of it that is as expected, and that is not
-/// counted. Cost: n^2 multiplications.
-void zygos_refiner_pin(zygos_refiner_t *self, uint32_t entry, double sigma, double *gain);
+/// counted. Needs work->leads to be 0. Cost: n^2 multiplications.
+void zygos_refiner_pin(zygos_refiner_t *self, uint32_t entry, double sigma, zygos_refiner_work_t *work);
 /// Writes parameters and friction in SI units into constant[]: the constants of zygos_dynamics_set().
 void zygos_refiner_constants(const zygos_refiner_t *self, double *constant);
 /// Writes the torques without the estimated offsets into drive[N].
 void zygos_refiner_drive(const zygos_refiner_t *self, const double *tau, double *drive);
-/// Moves the column of constant c in the root by the derivatives in work->slope. Cost: (W + 4N) n multiplications.
-void zygos_refiner_carry(zygos_refiner_t *self, uint32_t c, zygos_refiner_work_t *work);
-/// Writes work->table, whose square is the covariance of state and bias after the period; noise: standard deviations of
-/// the torques [Nm], of all shapes in work->push; walk: step of the bias [rad/s]. After it, zygos_refiner_row() has to
-/// be called for each row, the last one first. Cost: (W + 4N)^3 / 2 multiplications.
+/// Moves the column of constant c in the root, and makes that of the means, by work->across and by what the constants
+/// do: slope has the derivatives of zygos_propagate(); where it is null, constants add to the accelerations as
+/// zygos_propagation_slopes() has left it in work, and these count by work->pushed. Cost: (W + 4N) n multiplications;
+/// where it is null, (W + 2N) n and for each mean W + 4N + W + 2N.
+void zygos_refiner_carry(zygos_refiner_t *self, uint32_t c, const double (*slope)[ZYGOS_MAX_SLOPES],
+                         zygos_refiner_work_t *work);
+/// Writes work->table, whose square is the covariance of state and bias after the period, and behind them of the means;
+/// noise: standard deviations of the torques [Nm], of all shapes in work->push; walk: step of the bias [rad/s]. After
+/// it, zygos_refiner_row() has to be called for each row: those of state and bias, the last one first, then those of
+/// the means, the last one first. Cost: (W + 4N)^3 / 2 multiplications, and (W + 4N)^2 (2N + W) / 2 for the means.
 void zygos_refiner_table(const zygos_refiner_t *self, const double *noise, double walk, zygos_refiner_work_t *work);
-/// Takes row `at` of the table into the root. Cost: 2 (at + 1) (2W + (4 + shapes) N) multiplications.
+/// Takes row `at` of the table into the root, or into work->crown. Cost: 2 (at + 1) (2W + (4 + shapes) N)
+/// multiplications, and as many for each mean.
 void zygos_refiner_row(zygos_refiner_t *self, uint32_t at, zygos_refiner_work_t *work);
 
 /// Writes the p parameters in SI units, and their p x p covariance where covariance is not null. Cost: p^3/6

@@ -513,11 +513,61 @@ def test_an_arm_in_space_begins_with_its_reduced_parameters() -> None:
 
 
 def with_readings_every(arm: Arm, every: int, cycles: Cycles) -> OnboardRefiner:
-    """A task in space after its first uses of readings."""
-    task = begun_with(arm, plant("spatial").base_values(arm), Onboard(every=every, terms=14, window=20))
-    task.cycles(cycles)
-    assert task.native.filter.failed == 0 and task.native.used > 2
-    return task
+    """A task in space after a few uses of readings, when all is known of the cycles after them and the covariance has
+    yet to be moved."""
+    task, table = begun_with(arm, plant("spatial").base_values(arm), Onboard(every=every, terms=20, window=20)), 5
+    for k in range(len(cycles)):
+        lib.zygos_refine_cycle(task.native, cycles_to_native(part(cycles, slice(k, k + 1))))
+        while lib.zygos_refine_step(task.native, task._config) == 1:
+            if task.native.phase == table and task.native.used > 2:
+                assert task.native.filter.failed == 0
+                return task
+    raise AssertionError("too few cycles")
+
+
+def a_period(arm: Arm, task: OnboardRefiner) -> tuple[Floats, Floats, Floats]:
+    """By the derivatives that were taken last for three joints in space: what a state (15,) becomes in a period, what
+    constants and torques add to it, and what the readings (9,) are of a state, as matrices."""
+    work, n, w, moving = task.native.work.propagation, 3, 3, 15
+    constants = task.native.filter.propagation.parameters
+    rows = [*range(w), *range(w + 2 * n, moving)]
+    rates, pushes = np.zeros((moving, moving)), np.zeros((moving, constants + n))
+    rates[w : w + 2 * n, w + 2 * n :] = np.eye(2 * n)
+    rates[rows] = np.array([list(row)[:moving] for row in work.by_state])[: w + 2 * n]
+    pushes[rows, :constants] = np.array([list(row)[:constants] for row in work.by_constant])[: w + 2 * n]
+    pushes[rows, constants:] = np.array([list(row)[:n] for row in work.by_torque])[: w + 2 * n]
+    below = np.zeros((constants + n, moving + constants + n))
+    both = expm(np.block([[rates, pushes], [below]]) * arm.period_s)
+    readings = np.zeros((2 * n + w, moving))
+    for k, joint in enumerate((*arm.joints, *arm.joints)):
+        encoder = joint.link_encoder if k < n else joint.motor_encoder
+        readings[k, w + k], readings[k, w + 2 * n + k] = 1.0, 1e-6 * (joint.latch_us + encoder.latch_us)
+    readings[2 * n :, :w] = np.eye(w)
+    return both[:moving, :moving], both[:moving, moving:], readings
+
+
+@pytest.mark.parametrize("every", [2, 7, 20])
+def test_readings_between_are_used_as_means(every: int) -> None:
+    """The derivatives of the mean of the readings over the cycles by state, parameters and torques are the means of
+    those at the end of each cycle, by exponentials of the same derivatives of the accelerations."""
+    case = Case("spatial", noise=0.005)
+    task = with_readings_every(case.arm, every, flown(case, 0, 0.6))
+    carried, pushed, readings = a_period(case.arm, task)
+    slope = np.concatenate([np.eye(15), np.zeros_like(pushed)], axis=1)
+    mean = np.zeros((len(readings), slope.shape[1]))
+    for _ in range(every):
+        slope = carried @ slope
+        slope[:, 15:] += pushed
+        mean += readings @ slope / every
+    work, rows = task.native.work, slice(15, 15 + len(readings))
+    by_state = np.array([list(row)[:15] for row in work.across])[rows]
+    by_torque = np.array([list(row)[:3] for row in work.push])[rows]
+    added = np.array([list(row)[:9] for row in work.pushed])[rows]  # by additions to the accelerations
+    by_constant = added @ np.array([list(row)[:54] for row in work.propagation.by_constant])[:9]
+    size = np.max(np.abs(mean), axis=0)
+    assert np.all(size > 0.0)
+    found = np.concatenate([by_state, by_constant, by_torque], axis=1)
+    np.testing.assert_allclose(found / size, mean / size, rtol=0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("every", [1, 2, 3, 7, 20])
@@ -526,22 +576,22 @@ def test_noise_of_torques_is_another_one_in_each_cycle(every: int) -> None:
     cycles, each carried to the end by the exponential of the same derivatives."""
     case = Case("spatial", noise=0.005)
     task = with_readings_every(case.arm, every, flown(case, 0, 0.6))
-    native, n, w = task.native, 3, 3
-    moving, work, shapes = w + 4 * n, native.work.propagation, native.work.shapes
-    by_state = np.array([list(row)[:moving] for row in work.by_state])[: w + 2 * n]
-    by_torque = np.array([list(row)[:n] for row in work.by_torque])[: w + 2 * n]
-    rates, pushes = np.zeros((moving, moving)), np.zeros((moving, n))
-    rates[w : w + 2 * n, w + 2 * n :] = np.eye(2 * n)
-    rows = [*range(w), *range(w + 2 * n, moving)]
-    rates[rows], pushes[rows] = by_state, by_torque
-    period = case.arm.period_s
-    both = expm(np.block([[rates, pushes], [np.zeros((n, moving + n))]]) * period)
-    carried, own = both[:moving, :moving], both[:moving, moving:]
-    expected, end = np.zeros((n, moving, moving)), own
-    for _ in range(every):
-        expected += np.einsum("in,jn->nij", end, end)
-        end = carried @ end
-    push = np.array([list(row)[: shapes * n] for row in native.work.push])[:moving].reshape(moving, shapes, n)
+    native, n, moving, shapes = task.native, 3, 15, task.native.work.shapes
+    carried, pushed, readings = a_period(case.arm, task)
+    own = pushed[:, -n:]
+    # of the noise of each cycle: the mean of the readings at the ends of all cycles, and the state at the last one
+    responses = np.zeros((every, len(readings) + moving, n))
+    for cycle in range(every):
+        state, mean = own, np.zeros((len(readings), n))
+        for _ in range(cycle, every):
+            mean, last = mean + readings @ state / every, state
+            state = carried @ state
+        responses[cycle] = np.concatenate([mean, last])
+    rows = [list(row)[: shapes * n] for row in native.work.push]
+    push = np.array(rows[moving : moving + len(readings)] + rows[:moving]).reshape(-1, shapes, n)
+    if every == 1:  # readings are no means
+        responses, push = responses[:, len(readings) :], push[len(readings) :]
+    expected = np.einsum("cin,cjn->nij", responses, responses)
     size = np.sqrt(np.einsum("nii->ni", expected))
 
     def off(shapes: int) -> float:
@@ -549,19 +599,20 @@ def test_noise_of_torques_is_another_one_in_each_cycle(every: int) -> None:
         found = np.einsum("ikn,jkn->nij", push[:, :shapes], push[:, :shapes]) / every
         return float(np.max(np.abs(found - expected) / (size[:, :, None] * size[:, None, :])))
 
-    assert shapes == min(every, 4)
+    assert shapes == min(every, 4) and native.work.leads == (len(readings) if every > 1 else 0)
     # a polynomial stands for steps of a cycle: where there are two, it is rough for links that have hardly moved
-    assert off(shapes) < {1: 1e-9, 2: 0.15, 3: 0.05}.get(every, 0.01)
-    assert every == 1 or off(1) > 0.5
+    assert off(shapes) < {1: 1e-9, 2: 0.3, 3: 0.08, 7: 0.02, 20: 0.004}[every]
+    assert every == 1 or off(1) > 0.3
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("noise", "worst"), [(0.0, 0.06), (0.005, 0.2)])
-def test_readings_now_and_then_suffice_for_an_arm_in_space(noise: float, worst: float) -> None:
-    """Three joints, readings every 40 ms: refined values are published, their intervals hold, and the inertia matrix
-    is right to so many per cent in the worst of 200 postures, after 60 s with an estimate of 60 s as the start."""
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize(("noise", "worst"), [(0.0, 0.06), (0.005, 0.1)])
+def test_means_of_readings_suffice_for_an_arm_in_space(noise: float, worst: float, seed: int) -> None:
+    """Three joints, means of readings over 40 ms: refined values are published, their intervals hold, and the inertia
+    matrix is right to so many per cent in the worst of 200 postures, after 60 s with an estimate of 60 s as the start."""
     case = Case("spatial", noise=noise)
-    cycles, truth = flown(case, 0), plant("spatial").base_values(case.arm)
+    cycles, truth = flown(case, seed), plant("spatial").base_values(case.arm)
     flight, rest = learned(case.arm, cycles)
     task = OnboardRefiner(case.arm)
     assert (task.native.settings.every, task.native.settings.terms) == (20, 12)
@@ -574,6 +625,22 @@ def test_readings_now_and_then_suffice_for_an_arm_in_space(noise: float, worst: 
     errors = inertia_errors(case.arm, answer.value[None], truth)
     assert errors is not None and errors[0] < worst
     assert np.mean(np.abs(answer.value - truth) < 1.96 * answer.sigma) > 0.85
+
+
+def test_where_a_cycle_was_lost_the_newest_readings_are_used() -> None:
+    """A mean over cycles of which one is unknown has no model; the next one is a mean again."""
+    case = Case("spatial", noise=0.005)
+    cycles = flown(case, 0, 0.6)
+    kept = np.ones(len(cycles), dtype=np.bool_)
+    kept[150] = False
+    task, leads = begun_with(case.arm, plant("spatial").base_values(case.arm), Onboard(every=20, window=20)), []
+    for k in np.flatnonzero(kept):
+        before = task.native.used
+        task.cycles(part(cycles, slice(k, k + 1)))
+        if task.native.used > before:
+            leads.append(task.native.work.leads)
+    assert leads.count(0) == 2 and leads[0] == 0 and set(leads) == {0, 9}  # one of them is the beginning
+    assert task.native.filter.failed == 0
 
 
 @pytest.mark.parametrize(
