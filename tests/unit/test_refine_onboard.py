@@ -610,7 +610,7 @@ def test_noise_of_torques_is_another_one_in_each_cycle(every: int) -> None:
 @pytest.mark.parametrize(("noise", "worst"), [(0.0, 0.06), (0.005, 0.1)])
 def test_means_of_readings_suffice_for_an_arm_in_space(noise: float, worst: float, seed: int) -> None:
     """Three joints, means of readings over 40 ms: refined values are published, their intervals hold, and the inertia
-    matrix is right to so many per cent in the worst of 200 postures, after 60 s with an estimate of 60 s as the start."""
+    matrix is right to so many per cent in the worst of 200 postures, after 60 s with an estimate of 60 s at first."""
     case = Case("spatial", noise=noise)
     cycles, truth = flown(case, seed), plant("spatial").base_values(case.arm)
     flight, rest = learned(case.arm, cycles)
