@@ -10,8 +10,8 @@
 ///     zygos_refine_judge(&fine, &arm.config, &estimate, &refined);  // the same task, with each new estimate
 ///
 /// The state of the arm is followed through every cycle. The covariance is moved, and readings are used, in every cycle
-/// or in every few (settings.every): then torques and readings are averaged over these cycles, and derivatives are taken
-/// at their middle. Where one of these cycles was lost, the newest readings are used instead of the means.
+/// or in every few (settings.every): then torques and readings are averaged over these cycles, and derivatives are
+/// taken at their middle. Where one of these cycles was lost, the newest readings are used instead of the means.
 ///
 /// A filter cannot tell whether its model is complete. The estimate from energy rows is therefore the start of the
 /// refined one, and stays what is published unless all conditions of enum zygos_refine_reason hold.
@@ -47,8 +47,8 @@ extern "C" {
 #define ZYGOS_REFINE_EXCESS 0.1
 /// Standard errors that the distance of estimates, the level and the innovations are allowed.
 #define ZYGOS_REFINE_SIGMAS 3.0
-/// Share by which the level may exceed 1 beside these: no deviation is declared exactly, and many readings tell the level
-/// to a thousandth.
+/// Share by which the level may exceed 1 beside these: no deviation is declared exactly, and many readings tell the
+/// level to a thousandth.
 #define ZYGOS_REFINE_LOUDER 0.05
 /// Share of a parameter's size by which the estimate from energy rows may be off beside its interval.
 #define ZYGOS_REFINE_BIAS 0.002
@@ -105,22 +105,22 @@ typedef struct {
     uint64_t overrun;          ///< Cycles since init that found the queue full.
     uint64_t rejected;         ///< Readings since init that were rejected.
     double angle[ZYGOS_REFINE_BEGINNING][2 * ZYGOS_MAX_JOINTS];
-    double signal[ZYGOS_MAX_SIGNALS];                         ///< Readings of the newest cycle.
-    double before[ZYGOS_MAX_JOINTS];                          ///< Torque that was reported with the cycle before,
-    double after[ZYGOS_MAX_JOINTS];                           ///< and with the newest.
-    double tau[ZYGOS_MAX_JOINTS];                             ///< That acts in the interval.
-    double walk;                                              ///< Mean square of the steps of the torques [Nm^2].
-    double mean[ZYGOS_MAX_JOINTS];                            ///< Sum of the torques since the covariance was moved,
-    double variance[ZYGOS_MAX_JOINTS];                        ///< and of the variances of their declared noise,
-    double missing;                                           ///< and of what was not received.
-    double middle[ZYGOS_MAX_MOVING];                          ///< State at the middle of these cycles.
-    double readings[ZYGOS_MAX_READINGS];                      ///< Sum of their readings,
-    double expected[ZYGOS_MAX_READINGS];                      ///< and of what the state says of them.
+    double signal[ZYGOS_MAX_SIGNALS];    ///< Readings of the newest cycle.
+    double before[ZYGOS_MAX_JOINTS];     ///< Torque that was reported with the cycle before,
+    double after[ZYGOS_MAX_JOINTS];      ///< and with the newest.
+    double tau[ZYGOS_MAX_JOINTS];        ///< That acts in the interval.
+    double walk;                         ///< Mean square of the steps of the torques [Nm^2].
+    double mean[ZYGOS_MAX_JOINTS];       ///< Sum of the torques since the covariance was moved,
+    double variance[ZYGOS_MAX_JOINTS];   ///< and of the variances of their declared noise,
+    double missing;                      ///< and of what was not received.
+    double middle[ZYGOS_MAX_MOVING];     ///< State at the middle of these cycles.
+    double readings[ZYGOS_MAX_READINGS]; ///< Sum of their readings,
+    double expected[ZYGOS_MAX_READINGS]; ///< and of what the state says of them.
     zygos_propagation_means_t means;
-    double level;                                             ///< Factor of the declared noise of the torques.
-    double information;                                       ///< About twice its logarithm.
-    double score; ///< Of the window: derivative of the likelihood by twice the logarithm of the level, times 2,
-    double share; ///< and the sum of the squared shares that the noise of the torques has in the innovations.
+    double level;       ///< Factor of the declared noise of the torques.
+    double information; ///< About twice its logarithm.
+    double score;       ///< Of the window: derivative of the likelihood by twice the logarithm of the level, times 2,
+    double share;       ///< and the sum of the squared shares that the noise of the torques has in the innovations.
     double count[ZYGOS_KINDS_OF_CHANNEL];   ///< Of the window: readings,
     double square[ZYGOS_KINDS_OF_CHANNEL];  ///< sum of their normalised squares,
     double largest[ZYGOS_KINDS_OF_CHANNEL]; ///< and the largest of them.

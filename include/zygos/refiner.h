@@ -152,9 +152,9 @@ typedef struct {
 } zygos_innovation_t;
 
 /// The parts of zygos_refiner_read() and zygos_refiner_advance(), for a caller that does them in slices (refine.h).
-/// Reading k of a SYNC, in the order link encoders, motor encoders, base rates (those about the axis of a planar arm), is
-/// used unless its normalised square is above limit; where work->leads is not 0, it is the mean over the cycles. Cost:
-/// n^2 multiplications, and n (2N + W) where it is a mean.
+/// Reading k of a SYNC, in the order link encoders, motor encoders, base rates (those about the axis of a planar arm),
+/// is used unless its normalised square is above limit; where work->leads is not 0, it is the mean over the cycles.
+/// Cost: n^2 multiplications, and n (2N + W) where it is a mean.
 zygos_innovation_t zygos_refiner_use(zygos_refiner_t *self, const zygos_config_t *config, uint32_t k, double value,
                                      double limit, zygos_refiner_work_t *work);
 /// Returns the time from SYNC to the instant that reading k of an encoder belongs to [s].
