@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from zygos.arm import JOINT_ROW_S, Arm, Smoother, load_arm
+from zygos.arm import JOINT_ROW_S, NO_IMU, Arm, Smoother, load_arm
 from zygos.dynamics.equations import EngineName
+from zygos.effects import Effect, effect
 from zygos.errors import ZygosError
 from zygos.model.model import Model, load_model
 from zygos.simulation.scenario import Motion, Ramp, Scenario, load_scenario
@@ -20,6 +21,7 @@ REST_S = 1.0
 """Time for which the arm of the case "rest" is at rest, s."""
 ZERO_RAD = 1e-3
 LOST = 0.01
+SNAP_S = 2.0
 
 
 @dataclass(frozen=True)
@@ -104,6 +106,21 @@ def all_cases(folder: Path = Path("examples")) -> tuple[Case, ...]:
         name = f"torque-{100.0 * share:g}"
         return replace(usual, name=name, description=description, arm=hardware, plant=hardware, benign=False)
 
+    def lacking(name: str, description: str, *hidden: Effect) -> Case:
+        told = noisy(0.005)
+        return replace(
+            told,
+            name=name,
+            description=f"{description}, of which no estimator is told; torques with noise of 0.5 %",
+            model=replace(model, effects=hidden),
+        )
+
+    def at_joints(key: str, value: float) -> tuple[Effect, ...]:
+        return tuple(effect(key, joint.name, value) for joint in arm.joints)
+
+    grounded = modern(200)
+    bolted = replace(grounded.plant, base="fixed", imu=NO_IMU)
+
     def with_joint_rows(case: Case) -> Case:
         return replace(
             case,
@@ -167,6 +184,25 @@ def all_cases(folder: Path = Path("examples")) -> tuple[Case, ...]:
             rest_s=REST_S,
         ),
         *(noisy(share) for share in (0.001, 0.005, 0.01)),
+        lacking(
+            "scale", "torques of the elbow 2 % larger than reported", effect("torque_gain", arm.joints[-1].name, 0.02)
+        ),
+        lacking("lag", "torques that begin 5 ms late", *at_joints("torque_lag", 0.005)),
+        lacking("cubic", "springs with a cubic part of 3 Nm/rad³", *at_joints("cubic_stiffness", 3.0)),
+        lacking("friction", "Coulomb friction of 0.01 Nm at the motors", *at_joints("motor_coulomb", 0.01)),
+        replace(
+            at("snap", f"moves of {SNAP_S:g} s with as long rests, T = 300 s", 300.0),
+            scenario=_snaps(replace(scenario, duration_s=300.0)),
+            benign=False,
+        ),
+        replace(
+            grounded,
+            name="fixed",
+            description="the arm of modern-200 on a fixed base",
+            arm=bolted,
+            plant=bolted,
+            scenario=replace(grounded.scenario, angular_momentum_nms=0.0),
+        ),
         floating,
         with_joint_rows(floating),
         shorter,
@@ -202,6 +238,18 @@ def _uncertain(arm: Arm) -> Arm:
         replace(joint, motor_encoder=replace(joint.motor_encoder, zero_sigma_rad=ZERO_RAD)) for joint in arm.joints
     )
     return replace(arm, joints=joints)
+
+
+def _snaps(scenario: Scenario) -> Scenario:
+    """Moves of SNAP_S to and fro between the ends of the sines of a scenario, with rests between, which begin later at
+    each joint."""
+    manoeuvre = {}
+    for k, (name, motion) in enumerate(scenario.manoeuvre.items()):
+        (sine,) = motion.sines
+        starts = np.arange((1.0 + 0.5 * k) * SNAP_S, scenario.duration_s - SNAP_S, 2.0 * SNAP_S)
+        ramps = tuple(Ramp(float(at), SNAP_S, sine.amplitude * (-1) ** n) for n, at in enumerate(starts))
+        manoeuvre[name] = Motion(motion.offset, ramps=ramps)
+    return replace(scenario, manoeuvre=manoeuvre)
 
 
 def _from_rest(scenario: Scenario, names: Sequence[str]) -> Scenario:
