@@ -81,9 +81,13 @@ def test_the_bound_of_a_followed_motion_is_that_of_the_true_one() -> None:
     (best,) = bound(SHORT.arm, plant("paper"), scenario)
     level = np.array([joint.torque_relative_sigma for joint in SHORT.arm.joints])
     motion = FlexibleMotion(SHORT.arm, found().value)
-    states = [(one, piece.tau) for one, piece in zip(found().final.states, found().record.pieces, strict=True)]
+    states = [(found().final.states, found().record.pieces[0].tau)]  # a block is a cycle
     along = bound_along(motion, states, level)
     np.testing.assert_allclose(along.sigma, best.sigma, rtol=0.05)
+    # that of the solution is at the level that it has found
+    at_level = bound_along(motion, states, np.array(found().level))
+    assert found().limit is not None
+    np.testing.assert_allclose(found().limit.sigma, at_level.sigma, rtol=0.003)
     # two runs of the same motion tell twice as much
     twice = bound_along(motion, [*states, *states], level)
     np.testing.assert_allclose(twice.sigma, along.sigma / np.sqrt(2.0), rtol=1e-6)
@@ -150,7 +154,7 @@ def test_uncertain_zeros_are_estimated() -> None:
     answer = refine_runs([Run(arm, table=replace(run.cycles, q=run.q + np.array([1e-3, -2e-3])))])
     assert answer.published, answer.reason
     assert np.abs(away(answer)).max() < 4.0
-    zeros, sigma = answer.final.beside[:2], answer.final.beside_sigma[:2]
+    zeros, sigma = answer.final.beside[4:6], answer.final.beside_sigma[4:6]
     assert np.all(np.abs(zeros - np.array([1e-3, -2e-3])) < 4.0 * sigma)
     assert np.all(sigma < 1e-3)
 

@@ -47,13 +47,41 @@ class Propagation:
         after = np.array(state, dtype=np.float64)
         lib.zygos_dynamics_set(dynamics, native, config, _pointer(constants))
         if not lib.zygos_propagate(native, config, dynamics, _pointer(after), _pointer(tau), slope, stages, work):
-            raise ZygosError(
-                f"arm {self.arm.name}: these parameters give negative kinetic energy; remedy: take them all from one "
-                "set of bodies"
-            )
+            raise self._impossible()
         columns = native.moving + len(constants) + self.arm.n
         table = np.frombuffer(ffi.buffer(slope), dtype=np.float64).reshape(native.moving, -1)
         return after, table[:, :columns].copy()
+
+    def path(self, constants: Floats, states: Floats, tau: Floats) -> Floats:
+        """The states (B, m * steps + 1, x) at all steps of m periods, from states (B, x) under torques (B, m, N) that
+        are held in each period, Nm before the gear.
+
+        Errors: ZygosError where no inertia resists.
+        """
+        config, native, _, work = self._native
+        dynamics = ffi.new("zygos_dynamics_t *")
+        lib.zygos_dynamics_set(dynamics, native, config, _pointer(constants))
+        blocks, cycles, joints = tau.shape
+        out = np.empty((blocks, cycles * self.steps + 1, states.shape[1]))
+        out[:, 0] = states
+        held, time = np.ascontiguousarray(tau), self.arm.period_s / self.steps
+        at, torque = ffi.from_buffer("double[]", out), ffi.from_buffer("double[]", held)
+        width, good = states.shape[1], True
+        for block in range(blocks):
+            for step in range(cycles * self.steps):
+                here = at + (block * out.shape[1] + step) * width
+                ffi.memmove(here + width, here, 8 * width)
+                acting = torque + (block * cycles + step // self.steps) * joints
+                good &= lib.zygos_propagation_move(native, config, dynamics, time, here + width, acting, work)
+        if not good or not np.all(np.abs(out) < 1e6):
+            raise self._impossible()
+        return out
+
+    def _impossible(self) -> ZygosError:
+        return ZygosError(
+            f"arm {self.arm.name}: these parameters give negative kinetic energy; remedy: take them all from one "
+            "set of bodies"
+        )
 
 
 def _slopes() -> int:

@@ -210,7 +210,16 @@ def _bound(
     return _conclude(motion, information, relative, len(slopes) + 1)
 
 
-def _conclude(motion: FlexibleMotion, information: Floats, relative: Floats, cycles: int) -> Bound:
+def bound_from(motion: FlexibleMotion, information: Floats, relative: Floats, cycles: int) -> Bound:
+    """The bound without the errors of the inertia matrix, from the square root (p, p) of the information about the
+    parameters in units of their sizes. relative: (N,) noise of the torques as a share of their size.
+
+    Errors: Undecided as `bound`.
+    """
+    return _conclude(motion, information, relative, cycles, draws=0)
+
+
+def _conclude(motion: FlexibleMotion, information: Floats, relative: Floats, cycles: int, draws: int = _DRAWS) -> Bound:
     """The bound from the square root of the information in units of `size`."""
     arm, size = motion.arm, motion.size
     scale = np.linalg.norm(information, axis=0)
@@ -223,8 +232,8 @@ def _conclude(motion: FlexibleMotion, information: Floats, relative: Floats, cyc
         )
     root = size[:, None] * solve_triangular(information, np.eye(len(size)))
     inertia = None
-    if arm.free and arm.spatial:
-        errors = np.random.default_rng(0).normal(size=(_DRAWS, len(size))) @ root.T
+    if draws and arm.free and arm.spatial:
+        errors = np.random.default_rng(0).normal(size=(draws, len(size))) @ root.T
         inertia = inertia_errors(arm, motion.values + errors, motion.values)
     return Bound(
         arm.parameter_names,

@@ -29,12 +29,12 @@ from zygos.native.flight import CHANNELS
 from zygos.native.refiner import NORMAL_95
 from zygos.quantiles import normal_isf
 from zygos.refinement.answer import report_refinement
-from zygos.refinement.bound import Bound, bound_along
-from zygos.refinement.follow import Pass
+from zygos.refinement.bound import Bound, bound_from
+from zygos.refinement.follow import Pass, triangle_of
 from zygos.refinement.motion import FlexibleMotion
 from zygos.refinement.record import Record, record_of
-from zygos.refinement.rivals import Rival, typical_torque
-from zygos.refinement.search import REMEDY, STEPS, Search
+from zygos.refinement.rivals import Rival, rivals, typical_torque
+from zygos.refinement.search import REMEDY, STEPS, Found, Search
 from zygos.refinement.start import LEARNED, begin
 
 Floats = NDArray[np.float64]
@@ -213,26 +213,15 @@ def refine_runs(
     record = record_of(arm, runs)
     energy = estimate(joined(runs), model=model)
     progress(0.02)
-    start, beside = begin(arm, energy, model, effects, record)
-    search = Search(arm, record, start, beside, lambda share: progress(0.02 + 0.6 * share))
-    level, error = search.run()
-    final = search.final(level)
-    progress(0.7)
+    start, around, beside = begin(arm, energy, model, effects, record)
+    search = Search(arm, record, start, around, beside, lambda share: progress(0.02 + 0.96 * share))
+    found = search.run()
+    final, levels = found.final, search.levels(found.level)
     motion = FlexibleMotion(arm, final.value)
-    found = tuple(
+    learned = tuple(
         replace(one, value=float(value), sigma=float(sigma), source="zygos")
         for one, value, sigma in _learned(arm, effects, final)
     )
-    levels = search.levels(level)
-    try:
-        limit = bound_along(
-            motion,
-            [(states, piece.tau) for states, piece in zip(final.states, record.pieces, strict=True)],
-            np.array(levels),
-            lambda share: progress(0.7 + 0.15 * share),
-        )
-    except Undecided:
-        limit = None
     answer = Refinement(
         arm,
         record,
@@ -240,18 +229,31 @@ def refine_runs(
         final,
         levels,
         tuple(joint.torque_relative_sigma for joint in arm.joints),
-        error,
-        tuple((level, one.deviance) for level, one in sorted((search.earlier | search.tried).items(), reverse=True)),
+        found.error,
+        found.tried,
         arm.parameter_names,
         arm.parameter_units,
         motion.size,
-        found,
+        learned,
         model,
-        limit,
-        search.rivals(level, lambda share: progress(0.85 + 0.15 * share)),
+        _limit(motion, record, found, levels),
+        rivals(arm, final, found.prior),
     )
     progress(1.0)
     return replace(answer, rules=_rules(answer), runs=runs)
+
+
+def _limit(motion: FlexibleMotion, record: Record, found: Found, levels: Sequence[float]) -> Bound | None:
+    """The bound of the motion that was followed: what the readings alone tell of the parameters, where nobody knows
+    states, biases and zeros."""
+    p, n = len(motion.size), motion.arm.n
+    zeros = found.prior.solved[found.prior.solved >= p + 2 * n].tolist()
+    known = np.eye(len(zeros), len(zeros) + p)
+    information = triangle_of(np.concatenate([found.final.triangle[:, zeros + list(range(p))], known]))
+    try:
+        return bound_from(motion, information[len(zeros) :, len(zeros) :], np.array(levels), record.cycles)
+    except Undecided:
+        return None
 
 
 def _rules(answer: Refinement) -> tuple[Rule, ...]:
@@ -395,9 +397,7 @@ def check_supported(arm: Arm, effects: Sequence[Effect]) -> None:
 
 def _learned(arm: Arm, effects: Sequence[Effect], found: Pass) -> list[tuple[Effect, float, float]]:
     """Each effect with value and sigma."""
-    asked = [key for key in LEARNED if any(one.kind.key == key for one in effects)]
-    places = {key: k * arm.n for k, key in enumerate(asked)}
-    at = [places[one.kind.key] + one.index(arm) for one in effects]
+    at = [LEARNED.index(one.kind.key) * arm.n + one.index(arm) for one in effects]
     return [(one, found.beside[k], found.beside_sigma[k]) for one, k in zip(effects, at, strict=True)]
 
 

@@ -1,23 +1,24 @@
-"""The noise of the torques that the readings favour: passes over a record at several levels of it."""
+"""The noise of the torques that the readings favour: solutions at several levels of it."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
-from zygos.arm import TORQUE_STEP, Arm
+from zygos.arm import Arm
 from zygos.errors import Undecided, ZygosError
-from zygos.native.refiner import Settings
+from zygos.native.propagation import Propagation
+from zygos.refinement.blocks import Linear, blocks_of, linearise
 from zygos.refinement.bound import steps_of
-from zygos.refinement.follow import Beside, Pass, Start, follow
+from zygos.refinement.follow import Pass, Prior, Start, follow, triangle_of
 from zygos.refinement.motion import FlexibleMotion
 from zygos.refinement.record import Record
-from zygos.refinement.rivals import Rival, rivals, typical_torque
-from zygos.refinement.start import MOST, within
+from zygos.refinement.rivals import EXPECTED, typical_torque
 
 Floats = NDArray[np.float64]
 Progress = Callable[[float], None]
@@ -27,96 +28,133 @@ REMEDY = (
     "complete model"
 )
 FIRST_LEVEL = 0.05
-"""Noise of the torques in the first pass, as a share of their size."""
-_APPROACHES = 8
-"""Largest number of passes at the first level: each begins from the result of the one before, until it moves the values
-by less than their standard deviations."""
+"""Noise of the torques in the first solutions, as a share of their size."""
+_APPROACHES = 10
+"""Largest number of solutions at the first level, and at the level that was found: each is around the result of the one
+before."""
+_NEAR, _SETTLED = 5.0, 1.0
+"""By how many standard deviations (rms) the last of them may move the values. A solution that is so much off is in the
+range in which the motion is linear, so that the next one is off by far less."""
 _FINEST = 1e-5
 """The smallest level above 0 that is tried."""
 _RATIO = 3.0
 """Between the levels that are tried first."""
 _HALVINGS = 2
 """How often the ratio is halved, in powers, around the best level."""
-_AGAIN = 3.0
-"""Standard deviations at the start of the following passes, as a multiple of those that the first one found."""
-_FAR, _NEAR = 100.0, 10.0
-"""Where the standard deviations shrink more than _FAR times from the start of a search, it is repeated from the result
-of its best pass, with deviations _NEAR times as large as that one's."""
 _SIMPLER = 9.0
 """Deviance by which noise in proportion to the torques must be better than none."""
 STEPS = 10.0
 """Noise of the torques that passes though none in proportion is declared, as a multiple of the constant one: so much
-the filter takes for noise that is its own error of linearisation."""
+is taken for noise that is the error of the linear motion."""
+_SHARE = 0.01
+"""Unit of a delay, in periods, and of a gain, both of which are tested only."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a search has found."""
+
+    level: float
+    """Noise of the torques, as a share of their size, of the joint with the most."""
+    error: float
+    """Standard error of its logarithm; 0 where the level is 0."""
+    final: Pass
+    """The solution at this level."""
+    prior: Prior
+    """What was known without the readings when it was computed."""
+    tried: tuple[tuple[float, float], ...]
+    """Levels that were tried around the same motion, and their deviances."""
 
 
 class Search:
-    """Passes over a record at several levels of torque noise. A level is that of the joint with the most."""
+    """Solutions for a record at several levels of torque noise. A level is that of the joint with the most."""
 
-    def __init__(self, arm: Arm, record: Record, start: Start, beside: Beside, progress: Progress) -> None:
-        """Begin at a start; nothing is computed yet."""
-        self.arm, self.record, self.start, self.beside = arm, record, start, beside
-        self.progress, self.tried = progress, dict[float, Pass]()
-        self.earlier = dict[float, Pass]()
+    def __init__(
+        self, arm: Arm, record: Record, start: Start, around: Floats, beside: Floats, progress: Progress
+    ) -> None:
+        """Begin at a start. around: (p, p) covariance within which a solution stays around the parameters it begins
+        with, SI units; beside: (4N,) deviations of the constants beside them. Nothing is computed yet."""
+        self.arm, self.record, self.start, self.around, self.beside = arm, record, start, around, beside
+        self.progress, self.tried = progress, dict[float, float]()
         declared = np.array([joint.torque_relative_sigma for joint in arm.joints])
         self.declared = float(declared.max())
         self.shape = declared / self.declared if self.declared > 0.0 else np.ones(arm.n)
-        motion = FlexibleMotion(arm, start.value)
-        self.size = motion.size
-        self.steps = steps_of(motion, np.concatenate([piece.q[piece.read] for piece in record.pieces]))
+        steps = steps_of(
+            FlexibleMotion(arm, start.value), np.concatenate([piece.q[piece.read] for piece in record.pieces])
+        )
+        self.propagation = Propagation(arm, steps, friction=True)
+        self.blocks = blocks_of(record)
+        self.states = self.blocks.states
+        self.typical = typical_torque(record)
+        self.linear: Linear
 
     def levels(self, level: float) -> tuple[float, ...]:
         """(N,) noise of each joint."""
         return tuple((level * self.shape).tolist())
 
-    def follow(self, level: float, record: Record | None = None, beside: Beside | None = None, **more: Any) -> Pass:
-        """One pass."""
-        settings = Settings(
-            self.size,
-            self.steps,
-            self.levels(level),
-            friction=(beside or self.beside).friction is not None,
-            offsets=(beside or self.beside).offsets is not None,
-            zeros=(beside or self.beside).zeros is not None,
-        )
-        return follow(record or self.record, settings, self.start, beside or self.beside, **more)
-
-    def run(self) -> tuple[float, float]:
-        """The level that the readings favour, and the standard error of its logarithm."""
+    def run(self) -> Found:
+        """The level that the readings favour, and the solution at it. Errors: Undecided where there is none."""
         first = max(FIRST_LEVEL, 4.0 * self.declared)
-        self._approach(first)
-        level, error = self._search(first, 0.2, 0.7)
-        best = self.tried[self._best()]
-        # from the start of the search, torques that are far better lead a linear filter slightly astray
-        if np.trace(best.covariance) < np.trace(self.start.covariance) / _FAR**2:
-            self.start = Start(best.value, _NEAR**2 * best.covariance)
-            self.earlier, self.tried = self.tried, {}
-            level, error = self._search(max(_RATIO * level, _FINEST), 0.7, 1.0)
-        return level, error
-
-    def _approach(self, level: float) -> None:
-        """Move the start into the range in which the motion is linear, with as many passes as that takes."""
-        scale = np.outer(self.size, self.size)
         for k in range(_APPROACHES):
-            try:
-                rough = self.follow(level)
-            except ZygosError as left:
-                raise Undecided(f"the estimate from energy rows is too far off as a start; remedy: {REMEDY}") from left
-            moved = float(np.sqrt(np.mean((rough.value - self.start.value) ** 2 / np.diag(rough.covariance))))
-            covariance = scale * within(_AGAIN**2 * rough.covariance / scale, MOST)
-            self.start = Start(rough.value, covariance)
-            self.progress(0.2 * (k + 1) / _APPROACHES)
-            if moved < 1.0:
-                return
-        raise Undecided(f"the values do not settle from pass to pass; remedy: {REMEDY}")
+            self._linearise()
+            if self._move(self._follow(first, keep=True)) < _NEAR:
+                break
+            self.progress(0.3 * k / _APPROACHES)
+        else:
+            raise Undecided(f"the values do not settle from solution to solution; remedy: {REMEDY}")
+        for k in range(_APPROACHES):
+            self._linearise()
+            self.tried = {}
+            level, error = self._search(first)
+            self.progress(0.3 + 0.7 * (k + 1) / _APPROACHES)
+            final = self._follow(level, keep=True)
+            prior = self._prior()
+            if self._move(final) < _SETTLED:
+                return Found(level, error, final, prior, tuple(sorted(self.tried.items(), reverse=True)))
+            first = max(_RATIO * level, _FINEST)
+        raise Undecided(f"the values do not settle from solution to solution; remedy: {REMEDY}")
 
-    def _search(self, first: float, begin: float, end: float) -> tuple[float, float]:
-        """As `run`, from the level `first` on, which is the largest."""
+    def _linearise(self) -> None:
+        """The motion around the start and the states."""
+        start = self.start
+        try:
+            self.linear = linearise(self.blocks, self.propagation, start.value, start.beside, self.states)
+        except ZygosError as left:
+            raise Undecided(f"the estimate from energy rows is too far off as a start; remedy: {REMEDY}") from left
+
+    def _prior(self) -> Prior:
+        """What is known without the readings."""
+        size, n = self.linear.size, self.arm.n
+        p = len(size)
+        expected = np.concatenate([EXPECTED * self.typical, EXPECTED * self.typical, np.zeros(2 * n)])
+        unit = np.concatenate([size, np.where(self.beside > 0.0, self.beside, expected), np.full(1 + n, _SHARE)])
+        free = np.flatnonzero(self.beside > 0.0)
+        root = np.eye(p + len(free))
+        own = np.linalg.cholesky(self.around / np.outer(size, size))
+        root[:p, :p] = triangle_of(solve_triangular(own, np.eye(p), lower=True))
+        # a value may move from solution to solution, but a zero is known to be near 0
+        pull = np.zeros(len(root))
+        zeros = free >= 2 * n
+        pull[p:][zeros] = self.start.beside[free[zeros]] / self.beside[free[zeros]]
+        return Prior(unit, np.concatenate([np.arange(p), p + free]), root, pull)
+
+    def _follow(self, level: float, *, keep: bool = False) -> Pass:
+        return follow(self.linear, np.array(self.levels(level)), self.start, self._prior(), keep=keep)
+
+    def _move(self, found: Pass) -> float:
+        """Take a solution as the next start. How far it has moved the values, in their deviations, rms."""
+        moved = np.mean((found.value - self.start.value) ** 2 / np.diag(found.covariance))
+        self.start = Start(found.value, found.beside)
+        self.states = found.states
+        return float(np.sqrt(moved))
+
+    def _search(self, first: float) -> tuple[float, float]:
+        """The level with the least deviance, from `first` down, and the standard error of its logarithm."""
         count = math.ceil(math.log(first / _FINEST) / math.log(_RATIO)) + 2
         rises = 0
-        for k, level in enumerate([*(first / _RATIO**k for k in range(count - 1)), 0.0]):
-            before = min((one.deviance for one in self.tried.values()), default=math.inf)
+        for level in [*(first / _RATIO**k for k in range(count - 1)), 0.0]:
+            before = min(self.tried.values(), default=math.inf)
             rises = rises + 1 if not self._try(level) < before else 0
-            self.progress(begin + (end - begin) * (k + 1) / count)
             if rises > 1:
                 break
         ratio = _RATIO
@@ -126,38 +164,16 @@ class Search:
                 if around > 0.0:
                     self._try(level)
         best = self._best()
-        none = self.tried.get(0.0)
-        if best > 0.0 and (none is None or none.deviance > self.tried[best].deviance + _SIMPLER):
+        if best > 0.0 and self.tried.get(0.0, math.inf) > self.tried[best] + _SIMPLER:
             return self._between(best, ratio)
         return 0.0, 0.0
 
-    def final(self, level: float) -> Pass:
-        """The pass at the level that was found, with all that is drawn."""
-        found = self.follow(level, keep=True)
-        self.tried[level] = found
-        return found
-
-    def rivals(self, level: float, progress: Progress) -> tuple[Rival, ...]:
-        """Models with one thing more, at the level that was found."""
-        typical = float(typical_torque(self.record).max())
-        least = STEPS * TORQUE_STEP / math.sqrt(12.0) / typical if typical > 0.0 else _FINEST
-
-        def again(record: Record, beside: Beside) -> Pass:
-            return self.follow(level, record, beside)
-
-        return rivals(self.record, self.beside, self.tried[level], max(level, least), again, progress)
-
     def _try(self, level: float) -> float:
-        try:
-            self.tried[level] = self.follow(level)
-        except ZygosError:  # the torques cannot be as good as that
-            return math.inf
-        return self.tried[level].deviance
+        self.tried[level] = self._follow(level).deviance
+        return self.tried[level]
 
     def _best(self) -> float:
-        if not self.tried:
-            raise Undecided(f"the filter finds no motion that fits the readings; remedy: {REMEDY}")
-        return min(self.tried, key=lambda level: self.tried[level].deviance)
+        return min(self.tried, key=lambda level: self.tried[level])
 
     def _nearest(self, level: float) -> float:
         """The level that was tried nearest to one."""
@@ -167,7 +183,7 @@ class Search:
         """The lowest point of the parabola through three deviances, by the logarithm of the level."""
         near = [best / ratio, best, best * ratio]
         known = [self._nearest(level) for level in near]
-        below, at, above = (self.tried[level].deviance for level in known)
+        below, at, above = (self.tried[level] for level in known)
         bend = 0.5 * (below + above) - at
         if len(set(known)) < len(near) or bend <= 0.0:
             return best, 0.0

@@ -13,7 +13,7 @@ from zygos.effects import Effect
 from zygos.errors import Undecided
 from zygos.estimation.estimate import Estimation
 from zygos.model.model import Model
-from zygos.refinement.follow import Beside, Start
+from zygos.refinement.follow import Start
 from zygos.refinement.motion import FlexibleMotion
 from zygos.refinement.record import Record
 from zygos.refinement.rivals import EXPECTED, typical_torque
@@ -35,8 +35,9 @@ _ASSUMED = 0.01
 
 def begin(
     arm: Arm, energy: Estimation, model: Model | None, effects: Sequence[Effect], record: Record
-) -> tuple[Start, Beside]:
-    """The start of the first pass.
+) -> tuple[Start, Floats, Floats]:
+    """The start, the covariance (p, p) within which a solution stays around the parameters that it begins with, SI
+    units, and the deviations (4N,) of the constants beside them; 0: known.
 
     Errors: Undecided where the record is too short, or energy rows determine too little.
     """
@@ -70,20 +71,21 @@ def begin(
         scaled += np.diag(np.where(missing, np.where(own > 0.0, own, _ASSUMED) ** 2, 0.0))
     typical = typical_torque(record)
     known = [joint.link_encoder for joint in arm.joints] + [joint.motor_encoder for joint in arm.joints]
-    zeros = np.array([one.zero_sigma_rad for one in known])
-    expected: dict[str, Floats] = {}
+    beside, sigma = np.zeros((2, arm.n)), np.zeros((2, arm.n))
     for one in effects:
-        both, joint = expected.setdefault(one.kind.key, np.zeros((2, arm.n))), one.index(arm)
+        kind, joint = LEARNED.index(one.kind.key), one.index(arm)
         place = energy.names.index(one.column(arm))
-        found, sigma = float(energy.value[place]), float(energy.sigma[place])
+        found, own = float(energy.value[place]), float(energy.sigma[place])
         least = EXPECTED * float(typical[joint])
-        both[:, joint] = (found, math.hypot(_WIDER * sigma, least)) if math.isfinite(found + sigma) else (0.0, least)
-    beside = Beside(
-        expected.get("motor_coulomb"),
-        expected.get("torque_offset"),
-        np.stack([np.zeros_like(zeros), zeros]) if zeros.any() else None,
+        known_well = math.isfinite(found + own)
+        beside[kind, joint] = found if known_well else 0.0
+        sigma[kind, joint] = math.hypot(_WIDER * own, least) if known_well else least
+    zeros = np.array([one.zero_sigma_rad for one in known])
+    return (
+        Start(value, np.concatenate([beside.ravel(), np.zeros_like(zeros)])),
+        within(scaled, MOST) * np.outer(size, size),
+        np.concatenate([sigma.ravel(), zeros]),
     )
-    return Start(value, within(scaled, MOST) * np.outer(size, size)), beside
 
 
 def within(covariance: Floats, most: float) -> Floats:
