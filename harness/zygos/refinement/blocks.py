@@ -1,7 +1,8 @@
 """A record in blocks of successive cycles, and the motion in each of them as linear functions of what is unknown.
 
-Over 10 ms the derivatives of the accelerations hardly change, so that an exponential series carries them on. Readings are compressed to their products with a few polynomials of time, and the noise of the torques is made of
-a few others (docs/theory.md, "All readings at once").
+Over 10 ms the derivatives of the accelerations hardly change, so that an exponential series carries them on. Readings
+of a block are compressed to their products with a few polynomials of time, and the noise of the torques is made of a
+few others (docs/theory.md, "All readings at once").
 """
 
 from __future__ import annotations
@@ -30,6 +31,8 @@ _STRETCH_S = 0.01
 """Longest part of a block over which derivatives of the accelerations are taken once, at its middle, s."""
 _TERMS = 10
 """Terms of the exponential series over such a part."""
+_TOGETHER = 250
+"""Blocks whose derivatives are computed together; more need more memory."""
 _APART_S = 0.025
 """Time to both sides of a SYNC over which the first guess takes rates from angles, s."""
 
@@ -55,55 +58,59 @@ class Blocks:
     """(B, m) as `Piece.lost`."""
     kept: Floats
     """(B, m, d) orthonormal polynomials of the SYNCs that were read, 0 at others."""
+    shape: Floats
+    """(m, L) orthonormal polynomials of the cycles, of which the noise of a torque is made."""
     states: Floats
     """(B, W + 4N) first guess of the state at the first SYNC of each block."""
 
     @property
     def cycles(self) -> int:
         """m."""
-        return self.read.shape[1]
+        return int(self.read.shape[1])
+
+
+@dataclass(frozen=True)
+class Slopes:
+    """Derivatives of k numbers of each block.
+
+    Constants are the p parameters, then Coulomb friction of each rotor, the offset of each torque, the zeros of all
+    encoders, and what no model has: a delay of all torques in periods, and a gain of each. All are in SI units.
+    """
+
+    of_state: Floats
+    """(B, k, x) by the state at the first SYNC of the block, x = W + 4N."""
+    of_constant: Floats
+    """(B, k, c)."""
+    of_torque: Floats
+    """(B, k, L, N) by the shapes of the torques."""
 
 
 @dataclass(frozen=True)
 class Linear:
-    """What a small change of state s (x = W + 4N), constants c and torque noise w does in each block.
-
-    Constants are the parameters, then Coulomb friction of each rotor, the offset of each
-    torque, the zeros of all encoders, and what no model has: a delay of all torques in periods, and a gain of each.
-    """
+    """The motion of all blocks, and what small changes do to it."""
 
     blocks: Blocks
     size: Floats
     """(p,) sizes of the parameters."""
-    error: Floats
-    """(B, d, r) compressed readings less what the motion gives."""
-    rest: Floats
-    """(B, r) sum of squares of what the compression leaves."""
-    of_state: Floats
-    """(B, d, r, x) of the compressed readings by s."""
-    of_constant: Floats
-    """(B, d, r, c)."""
-    of_noise: Floats
-    """(B, d, r, L, N)."""
-    across: Floats
-    """(B, x, x) of the state at the end by that at the beginning."""
-    constant_across: Floats
-    """(B, x, c)."""
-    noise_across: Floats
-    """(B, x, L, N)."""
     states: Floats
     """(B, x) states at the first SYNCs of the blocks, around which all of this is."""
+    error: Floats
+    """(B, r d) compressed readings less what the motion gives, those of a sensor one after the other."""
+    rest: Floats
+    """(B, r) sum of squares of what the compression leaves."""
     gap: Floats
     """(B, x) state that the motion gives at the end, less that with which the next block begins."""
-    shape: Floats
-    """(m, L) orthonormal polynomials of the cycles."""
+    reading: Slopes
+    """Of the compressed readings."""
+    end: Slopes
+    """Of the state at the end."""
 
     def noise(self, own: Floats, relative: Floats) -> Floats:
         """(B, N, L, L) roots of the covariance of the shapes of torques with the noise (N,) Nm and (N,) of their
         size."""
         blocks = self.blocks
         variance = own**2 + (relative * blocks.tau) ** 2 + blocks.lost[..., None] ** 2
-        return np.linalg.cholesky(np.einsum("ks,bkn,kt->bnst", self.shape, variance, self.shape))
+        return np.linalg.cholesky(np.einsum("ks,bkn,kt->bnst", blocks.shape, variance, blocks.shape))
 
 
 def torque_steps(arm: Arm) -> Floats:
@@ -147,7 +154,9 @@ def blocks_of(record: Record) -> Blocks:
     seen = read > 0.0
     return Blocks(
         record, first > 0.0, tuple(start_of(arm, piece) for piece in record.pieces), seen, value, tau, around, lost,
-        _kept(seen), states,
+        _kept(seen),
+        _polynomials(m, min(_SHAPES, m)),
+        states,
     )  # fmt: skip
 
 
@@ -156,7 +165,7 @@ def _guess(arm: Arm, width: int, read: NDArray[np.int64], value: Floats, at: NDA
     n = arm.n
     apart = max(1, round(_APART_S / arm.period_s))
 
-    def angles(sync: Floats) -> Floats:
+    def angles(sync: NDArray[np.int64]) -> Floats:
         return np.stack([np.interp(sync, read, value[read, k]) for k in range(value.shape[1])], axis=1)
 
     # a parabola through three angles, at an end of the record through those inside
@@ -190,119 +199,126 @@ def _polynomials(m: int, count: int) -> Floats:
 
 def linearise(blocks: Blocks, propagation: Propagation, values: Floats, beside: Floats, states: Floats) -> Linear:
     """The motion of all blocks, from states (B, W + 4N) at their first SYNCs with parameters (p,), SI units, and
-    constants beside them (4N,) as in `Linear`.
+    constants beside them (4N,) as in `Slopes`.
 
     Errors: ZygosError where no inertia resists.
     """
-    arm = blocks.record.arm
-    n, m, d = arm.n, blocks.cycles, blocks.kept.shape[2]
+    arm, n = blocks.record.arm, blocks.record.arm.n
     motion = FlexibleMotion(arm, values)
-    x, width = motion.states, motion.base_rates
     friction, offset, zero = beside[:n], beside[n : 2 * n], beside[2 * n :]
-    path = propagation.path(np.concatenate([values, friction]), states, blocks.tau - offset)
-    steps, p = propagation.steps, len(values)
-    shape = _polynomials(m, min(_SHAPES, m))
-    shapes = shape.shape[1]
-    look = _look(arm, width)
-    r = len(look)
-    # what each step of the integration has of the polynomials of torques, and of those of readings
-    pushes, listens = np.repeat(shape, steps, axis=0), np.zeros((len(states), m * steps, d))
-    listens[:, ::steps] = blocks.kept
-    rates = np.concatenate([np.arange(width), np.arange(width + 2 * n, x)])
-    # derivatives by the state at the beginning, the parameters, and the shapes of the torques
-    columns = x + p + shapes * n
-    now = np.zeros((len(states), x, columns))
-    now[:, :, :x] = np.eye(x)
-    seen = np.zeros((len(states), d * r, columns))
-    together = max(1, round(_STRETCH_S * steps / arm.period_s))
-    for begin in range(0, m * steps, together):
-        part = slice(begin, min(begin + together, m * steps))
-        length = part.stop - begin
-        middle = 0.5 * (path[:, begin + length // 2] + path[:, begin + (length + 1) // 2])
-        acting = blocks.tau[:, begin // steps : (part.stop - 1) // steps + 1].mean(axis=1) - offset
-        slopes = motion.slopes(middle, acting)
-        flow, push = np.zeros((len(states), x, x)), np.zeros((len(states), x, p + n))
-        flow[:, width : width + 2 * n, width + 2 * n :] = np.eye(2 * n)
-        flow[:, rates] = slopes.of_state
-        push[:, rates, :p] = slopes.of_parameters
-        push[:, rates, p:] = slopes.of_torque
-        powers = np.empty((len(states), _TERMS, x, x))
-        powers[:, 0] = np.eye(x)
-        for t in range(1, _TERMS):
-            powers[:, t] = powers[:, t - 1] @ flow
-        own = np.concatenate([np.ones((length, 1)), pushes[part]], axis=1)
-        of_power, of_shape = _series(arm.period_s / steps, own)
-        every = powers.reshape(len(states), _TERMS, -1)
-        heard = (look @ powers).reshape(len(states), _TERMS, -1)
-        weight = np.swapaxes(listens[:, part], 1, 2)
-        looks = (weight @ of_power[:-1] @ heard).reshape(len(states), d * r, x)
-        seen += looks @ now
-        by_push = np.moveaxis(
-            (np.einsum("bdk,kst->bdst", weight, of_shape[:-1]).reshape(len(states), -1, _TERMS) @ heard).reshape(
-                len(states), d, 1 + shapes, r, x
-            ),
-            2,
-            1,
-        ).reshape(len(states), 1 + shapes, d * r, x)
-        moved = (of_shape[-1] @ every).reshape(len(states), 1 + shapes, x, x)
-        now = (of_power[-1] @ every).reshape(len(states), x, x) @ now
-        for out, by in ((seen, by_push), (now, moved)):
-            out[:, :, x : x + p] += by[:, 0] @ push[:, :, :p]
-            for k in range(shapes):
-                out[:, :, x + p + k * n : x + p + (k + 1) * n] += by[:, 1 + k] @ push[:, :, p:]
-    seen = seen.reshape(len(states), d, r, columns)
-    of_noise = seen[..., x + p :].reshape(len(states), d, r, shapes, n)
-    noise_across = now[..., x + p :].reshape(len(states), x, shapes, n)
-
-    # what a constant adds to the torques
-    added = _added(blocks, path[:, ::steps, width + 3 * n :])
-    parts = np.einsum("ks,bkan->bsna", shape, added)
-    zeros = np.zeros((len(states), d, r, 2 * n))
-    zeros[:, :, : 2 * n] = blocks.kept.sum(axis=1)[:, :, None, None] * np.eye(2 * n)
-    by_added = np.einsum("bdrsn,bsna->bdra", of_noise, parts)
-    added_across = np.einsum("bxsn,bsna->bxa", noise_across, parts)
-    of_constant = np.concatenate([seen[..., x : x + p], by_added[..., : 2 * n], zeros, by_added[..., 2 * n :]], axis=3)
-    constant_across = np.concatenate(
-        [
-            now[..., x : x + p],
-            added_across[..., : 2 * n],
-            np.zeros((len(states), x, 2 * n)),
-            added_across[..., 2 * n :],
-        ],
-        axis=2,
-    )
-    off = blocks.value - path[:, :-1:steps] @ look.T
+    drive = blocks.tau - offset
+    path = propagation.path(np.concatenate([values, friction]), states, drive)
+    look = _look(arm, motion.base_rates)
+    parts = [
+        _stretches(motion, look, blocks.kept[part], blocks.shape, path[part], drive[part])
+        for part in (slice(first, first + _TOGETHER) for first in range(0, len(states), _TOGETHER))
+    ]
+    read, end = (np.concatenate(listed) for listed in zip(*parts, strict=True))
+    added = _added(blocks, path[:, :: propagation.steps, -n:])
+    acting = np.einsum("ks,bkan->bsna", blocks.shape, added)
+    zeros = np.zeros((*read.shape[:2], 2 * n))
+    kept = blocks.kept.sum(axis=1)
+    for row in range(2 * n):
+        zeros[:, row * kept.shape[1] : (row + 1) * kept.shape[1], row] = kept
+    off = blocks.value - path[:, : -1 : propagation.steps] @ look.T
     off[:, :, : 2 * n] -= zero
     off = np.where(blocks.read[..., None], off, 0.0)
-    error = np.einsum("bkd,bkr->bdr", blocks.kept, off)
+    error = np.swapaxes(off, 1, 2) @ blocks.kept
     return Linear(
         blocks,
         motion.size,
-        error,
-        np.maximum(np.sum(off**2, axis=1) - np.sum(error**2, axis=1), 0.0),
-        seen[..., :x],
-        of_constant,
-        of_noise,
-        now[..., :x],
-        constant_across,
-        noise_across,
         states,
+        error.reshape(len(states), -1),
+        np.maximum(np.sum(off**2, axis=1) - np.sum(error**2, axis=2), 0.0),
         path[:, -1] - np.concatenate([states[1:], states[-1:]]),
-        shape,
+        _slopes(read, motion, acting, zeros),
+        _slopes(end, motion, acting, np.zeros((*end.shape[:2], 2 * n))),
     )
+
+
+def _slopes(table: Floats, motion: FlexibleMotion, acting: Floats, zeros: Floats) -> Slopes:
+    """Of a table (B, k, x + p + L N) as `_stretches` gives it. acting: (B, L, N, a) shapes of the torques that a
+    constants stand for, of which the first 2N come before the zeros; zeros: (B, k, 2N) what those of encoders do."""
+    n, x, p = motion.arm.n, motion.states, len(motion.values)
+    of_torque = table[..., x + p :]
+    moved = of_torque @ acting.reshape(len(table), -1, acting.shape[-1])
+    return Slopes(
+        table[..., :x],
+        np.concatenate([table[..., x : x + p], moved[..., : 2 * n], zeros, moved[..., 2 * n :]], axis=2),
+        of_torque.reshape(*table.shape[:2], -1, n),
+    )
+
+
+def _stretches(
+    motion: FlexibleMotion, look: Floats, kept: Floats, shape: Floats, path: Floats, drive: Floats
+) -> tuple[Floats, Floats]:
+    """Derivatives of the compressed readings (B, r d, ..) and of the state at the end (B, x, ..) of some blocks by the
+    state at the beginning (x), the parameters (p) and the shapes of the torques (L N), from one stretch to the next.
+
+    look: (r, x) as `_look`; path: (B, m * steps + 1, x) states; drive: (B, m, N) torques that acted.
+    """
+    n, x, p = motion.arm.n, motion.states, len(motion.values)
+    batch, cycles, d = kept.shape
+    r, shapes = len(look), shape.shape[1]
+    steps = (path.shape[1] - 1) // cycles
+    time = motion.arm.period_s / steps
+    # what each step of the integration has of the polynomials; only at the first of a cycle there are readings
+    pushes = np.concatenate([np.ones((cycles * steps, 1)), np.repeat(shape, steps, axis=0)], axis=1)
+    listens = np.zeros((batch, d, cycles * steps))
+    listens[:, :, ::steps] = np.swapaxes(kept, 1, 2)
+    end = np.zeros((batch, x, x + p + shapes * n))
+    end[:, :, :x] = np.eye(x)
+    read = np.zeros((batch, d * r, x + p + shapes * n))
+    together = max(1, round(_STRETCH_S / time))
+    for first in range(0, cycles * steps, together):
+        last = min(first + together, cycles * steps)
+        middle = 0.5 * (path[:, (first + last) // 2] + path[:, (first + last + 1) // 2])
+        flow, push = _flow(motion, middle, drive[:, first // steps : (last - 1) // steps + 1].mean(axis=1))
+        powers = np.empty((batch, _TERMS, x, x))
+        powers[:, 0] = np.eye(x)
+        for t in range(1, _TERMS):
+            powers[:, t] = powers[:, t - 1] @ flow
+        of_power, of_push = _series(time, pushes[first:last])
+        every, heard = (table.reshape(batch, _TERMS, -1) for table in (powers, look @ powers))
+        weight = listens[:, :, first:last]
+        read += (weight @ of_power[:-1] @ heard).reshape(batch, d * r, x) @ end
+        end = (of_power[-1] @ every).reshape(batch, x, x) @ end
+        by_push = (weight[:, None] @ of_push[:, :-1]).reshape(batch, -1, _TERMS) @ heard
+        for out, by in (
+            (read, by_push.reshape(batch, 1 + shapes, d * r, x)),
+            (end, (of_push[:, -1] @ every).reshape(batch, 1 + shapes, x, x)),
+        ):
+            out[:, :, x : x + p] += by[:, 0] @ push[:, :, :p]
+            for k in range(shapes):
+                out[:, :, x + p + k * n : x + p + (k + 1) * n] += by[:, 1 + k] @ push[:, :, p:]
+    read = np.swapaxes(read.reshape(batch, d, r, -1), 1, 2).reshape(batch, r * d, -1)
+    return read, end
+
+
+def _flow(motion: FlexibleMotion, states: Floats, drive: Floats) -> tuple[Floats, Floats]:
+    """Derivatives of the rates of change of states (B, x): (B, x, x) by themselves, and (B, x, p + N) by parameters and
+    torques."""
+    n, x, width = motion.arm.n, motion.states, motion.base_rates
+    slopes = motion.slopes(states, drive)
+    rates = np.concatenate([np.arange(width), np.arange(width + 2 * n, x)])
+    flow, push = np.zeros((len(states), x, x)), np.zeros((len(states), x, len(motion.values) + n))
+    flow[:, width : width + 2 * n, width + 2 * n :] = np.eye(2 * n)
+    flow[:, rates] = slopes.of_state
+    push[:, rates] = np.concatenate([slopes.of_parameters, slopes.of_torque], axis=2)
+    return flow, push
 
 
 def _series(time: float, shape: Floats) -> tuple[Floats, Floats]:
     """Factors of the powers of the flow after 0 to k steps of `time` s: (k + 1, terms) for a state at the beginning,
-    and (k + 1, L, terms) for an acceleration held in each step that has the shapes (k, L)."""
+    and (L, k + 1, terms) for an acceleration held in each step that has the shapes (k, L)."""
     count = len(shape)
     factorial = np.array([math.factorial(t) for t in range(_TERMS + 1)], dtype=np.float64)
     power = (time * np.arange(count + 1))[:, None] ** np.arange(_TERMS + 1) / factorial
     # an acceleration in one step acts as one from its beginning on, less one from its end on
     held = power[1:, 1:] - power[:-1, 1:]
-    of_shape = np.zeros((count + 1, shape.shape[1], _TERMS))
+    of_shape = np.zeros((shape.shape[1], count + 1, _TERMS))
     for k in range(1, count + 1):
-        of_shape[k] = shape[:k].T @ held[k - 1 :: -1][:k]
+        of_shape[:, k] = shape[:k].T @ held[k - 1 :: -1][:k]
     return power[:, :-1], of_shape
 
 

@@ -19,12 +19,14 @@ from threadpoolctl import threadpool_limits
 
 from zygos.arm import Arm
 from zygos.native.flight import CHANNELS
-from zygos.refinement.blocks import Linear, torque_steps
+from zygos.refinement.blocks import Linear, Slopes, torque_steps
 
 Floats = NDArray[np.float64]
 
 _WAY = 120
 """Blocks, at most, at which the way of the estimate is kept."""
+_ROWS = 8
+"""Innovations that are gathered before they are reduced to a triangle, as a multiple of the constants."""
 
 
 @dataclass(frozen=True)
@@ -136,9 +138,7 @@ def follow(linear: Linear, relative: Floats, start: Start, prior: Prior, *, keep
         _squares(linear, memory, change) if keep else np.zeros((0, len(CHANNELS))),
         np.array([arm.n, arm.n, width], dtype=np.float64),
         _way(linear, memory, start, prior) if keep else (),
-        linear.states + _smoothed(memory, change, blocks.first, linear.of_state.shape[-1])
-        if keep
-        else np.zeros((0, linear.of_state.shape[-1])),
+        linear.states + _smoothed(linear, memory, change) if keep else np.zeros((0, linear.states.shape[1])),
     )
 
 
@@ -152,88 +152,92 @@ def _sensors(arm: Arm) -> Floats:
 
 def _filter(linear: Linear, relative: Floats, unit: Floats, keep: bool) -> tuple[Floats, float, _Memory]:
     """The triangle of `Pass`, the sum of ln s of all innovations, and what was to be kept."""
-    blocks = linear.blocks
-    arm, count = blocks.record.arm, len(linear.error)
-    d, r, x = linear.of_state.shape[1:]
-    c, width = len(unit), r - 2 * arm.n
-    fast = x + width
-    sensors = np.repeat(_sensors(arm), d)
+    blocks, c = linear.blocks, len(unit)
+    arm, count, x = blocks.record.arm, *linear.states.shape
+    width = 0 if not arm.free else 3 if arm.spatial else 1
     walk = arm.imu.bias_walk * math.sqrt(arm.period_s * blocks.cycles)
-
-    def by_sensor(values: Floats) -> Floats:
-        """(B, r d, ..) of (B, d, r, ..)."""
-        return np.swapaxes(values, 1, 2).reshape(count, r * d, *values.shape[3:])
-
     noise = linear.noise(torque_steps(arm), relative)
-    look = np.zeros((count, r * d, fast))
-    look[:, :, :x] = by_sensor(linear.of_state)
+    reading = _Table(linear.reading, unit, noise, -linear.error)
+    end = _Table(linear.end, unit, noise, linear.gap)
+    sensors = np.repeat(_sensors(arm), blocks.kept.shape[2])
+    # of the rates, sensors see the biases too
+    biased = np.zeros((count, len(sensors), width))
     for k in range(width):
-        rows = slice((2 * arm.n + k) * d, (2 * arm.n + k + 1) * d)
-        look[:, rows, x + k] = blocks.kept.sum(axis=1)
-    shapes = linear.noise_across.shape[2]
-    heard = by_sensor(np.einsum("bdrsn,bnst->bdrtn", linear.of_noise, noise)).reshape(count, r * d, -1)
-    pushed = np.einsum("bxsn,bnst->bxtn", linear.noise_across, noise).reshape(count, x, -1)
-    seen = np.concatenate([by_sensor(linear.of_constant) * unit, -by_sensor(linear.error)[..., None]], axis=2)
-    added = np.concatenate([linear.constant_across * unit, linear.gap[..., None]], axis=2)
-
-    m, torques = r * d, shapes * arm.n
-    front = np.zeros((m + fast + torques, m + fast + torques))
-    after = np.zeros((fast + torques + width, fast))
-    after[fast + torques :, x:] = walk * np.eye(width)
-    across = np.eye(fast)
+        at = len(sensors) - (width - k) * blocks.kept.shape[2]
+        biased[:, at : at + blocks.kept.shape[2], k] = blocks.kept.sum(axis=1)
+    across = np.eye(x + width)
+    across_noise = np.zeros((x + width, reading.noise.shape[2]))
     memory = _Memory([], [], [], [], [])
     marks = set(np.linspace(0, count, min(_WAY, count) + 1).astype(int)[1:].tolist()) if keep else {count}
-    rows: list[Floats] = []
-    triangle, volume, piece = np.zeros((c + 1, c + 1)), 0.0, 0
-    moved, root = np.zeros((fast, c + 1)), np.zeros((fast, fast))
-    place, diagonal = np.arange(m), np.arange(fast, fast + torques) + m
+    begins = iter(blocks.begins)
+    shares: list[Floats] = []
+    triangle, volume = np.zeros((c + 1, c + 1)), 0.0
+    moved, root = np.zeros((x + width, c + 1)), np.eye(x + width)
     for k in range(count):
         if blocks.first[k]:
-            begin, sigma = blocks.begins[piece]
-            moved = np.zeros((fast, c + 1))
-            moved[:x, -1] = begin[:x] - linear.states[k]
-            moved[x:, -1] = begin[x:]
-            root, piece = np.diag(sigma), piece + 1
-        # the transpose of [[noise, seen roots], [0, roots]] of readings, state, bias, and shapes of the torques
-        front[:] = 0.0
-        front[place, place] = sensors
-        front[m : m + fast, :m] = (look[k] @ root).T
-        front[m + fast :, :m] = heard[k].T
-        front[m : m + fast, m : m + fast] = root.T
-        front[diagonal, diagonal] = 1.0
-        upper = np.linalg.qr(front, mode="r")
-        share = dtrtrs(upper[:m, :m], seen[k] + look[k] @ moved, trans=1)[0]
+            begin, sigma = next(begins)
+            moved, root = np.zeros_like(moved), np.diag(sigma)
+            moved[:, -1] = begin - np.concatenate([linear.states[k], np.zeros(width)])
+        look = np.concatenate([reading.state[k], biased[k]], axis=1)
+        upper = _read(sensors, look @ root, reading.noise[k], root)
+        m, fast = len(sensors), x + width
+        share = dtrtrs(upper[:m, :m], reading.constant[k] + look @ moved, trans=1)[0]
+        gain, own = upper[:m, m:].T @ share, upper[m:, m:]
         volume += 2.0 * float(np.sum(np.log(np.abs(np.diag(upper)[:m]))))
-        rows.append(share)
-        moved = moved - upper[:m, m : m + fast].T @ share
-        torque = -upper[:m, m + fast :].T @ share
-        across[:x, :x] = linear.across[k]
-        ahead = across @ moved
-        ahead[:x] += pushed[k] @ torque + added[k]
-        own = upper[m:, m:]
-        after[: fast + torques] = own[:, :fast] @ across.T
-        after[: fast + torques, :x] += own[:, fast:] @ pushed[k].T
+        moved = moved - gain[:fast]
+        across[:x, :x], across_noise[:x] = end.state[k], end.noise[k]
+        ahead = across @ moved - across_noise @ gain[fast:]
+        ahead[:x] += end.constant[k]
+        # the roots of state and bias, torques and walks of the bias, transposed
+        after = np.zeros((len(own) + width, fast))
+        after[: len(own)] = own[:, :fast] @ across.T + own[:, fast:] @ across_noise.T
+        after[len(own) :, x:] = walk * np.eye(width)
+        turn, following = np.linalg.qr(after)
         if keep:
-            turn, next_root = np.linalg.qr(after)
-            memory.back.append(own[:, :fast].T @ dtrtrs(next_root, turn[: fast + torques].T)[0].T)
+            memory.back.append(own[:, :fast].T @ dtrtrs(following, turn[: len(own)].T)[0].T)
             memory.moved.append(moved)
             memory.ahead.append(ahead)
             memory.shares.append(share)
-        else:
-            next_root = np.linalg.qr(after, mode="r")
-        root, moved = next_root.T, ahead
-        if len(rows) * m > 8 * c or k + 1 in marks:
-            triangle = triangle_of(np.concatenate([triangle, *rows]))
-            rows = []
-            if keep and k + 1 in marks:
-                memory.way.append((k + 1, triangle))
+        root, moved = following.T, ahead
+        shares.append(share)
+        if len(shares) * m > _ROWS * c or k + 1 in marks:
+            triangle = triangle_of(np.concatenate([triangle, *shares]))
+            shares = []
+        if keep and k + 1 in marks:
+            memory.way.append((k + 1, triangle))
     return triangle, volume, memory
+
+
+class _Table:
+    """Derivatives of k numbers of each block as the filter takes them: by the state (B, k, x), by torques with the
+    standard deviation 1 (B, k, L N), and by the constants in their units with what is left without changes
+    (B, k, c + 1)."""
+
+    def __init__(self, slopes: Slopes, unit: Floats, noise: Floats, left: Floats) -> None:
+        """noise: (B, N, L, L) as `Linear.noise`; left: (B, k)."""
+        self.state = slopes.of_state
+        own = np.moveaxis(slopes.of_torque, 3, 1) @ noise
+        self.noise = np.swapaxes(own, 1, 2).reshape(*left.shape, -1)
+        self.constant = np.concatenate([slopes.of_constant * unit, left[..., None]], axis=2)
+
+
+def _read(sensors: Floats, seen: Floats, heard: Floats, root: Floats) -> Floats:
+    """The upper triangular U with U' U = F F' of F = [[noise, seen, heard], [0, root, 0], [0, 0, 1]]: readings with
+    the noise (m,), state and bias, and torques."""
+    m, fast, torques = len(sensors), len(root), heard.shape[1]
+    front = np.zeros((m + fast + torques, m + fast + torques))
+    front[range(m), range(m)] = sensors
+    front[m : m + fast, :m] = seen.T
+    front[m + fast :, :m] = heard.T
+    front[m : m + fast, m : m + fast] = root.T
+    front[m + fast :, m + fast :] = np.eye(torques)
+    return triangle_of(front)
 
 
 def _squares(linear: Linear, memory: _Memory, change: Floats) -> Floats:
     """As `Pass.squares`."""
     blocks = linear.blocks
-    arm, d = blocks.record.arm, linear.error.shape[1]
+    arm, d = blocks.record.arm, blocks.kept.shape[2]
     left = np.stack(memory.shares) @ change
     own = np.square(left).reshape(len(left), -1, d).sum(axis=2) + linear.rest / _sensors(arm) ** 2
     channel = np.repeat(np.arange(3), [arm.n, arm.n, own.shape[1] - 2 * arm.n])
@@ -242,14 +246,15 @@ def _squares(linear: Linear, memory: _Memory, change: Floats) -> Floats:
     return np.repeat(sums / np.maximum(read, 1)[:, None], read, axis=0)
 
 
-def _smoothed(memory: _Memory, change: Floats, first: NDArray[np.bool_], x: int) -> Floats:
-    """(B, x) changes of the states at the first SYNCs of the blocks, from all readings."""
-    states = np.empty((len(first), len(memory.back[0])))
-    for k in range(len(first) - 1, -1, -1):
-        states[k] = memory.moved[k] @ change
-        if k + 1 < len(first) and not first[k + 1]:
-            states[k] += memory.back[k] @ (states[k + 1] - memory.ahead[k] @ change)
-    return states[:, :x]
+def _smoothed(linear: Linear, memory: _Memory, change: Floats) -> Floats:
+    """(B, W + 4N) changes of the states at the first SYNCs of the blocks, from all readings."""
+    first, x = linear.blocks.first, linear.states.shape[1]
+    changes = [memory.moved[-1] @ change]
+    for k in range(len(first) - 2, -1, -1):
+        own = memory.moved[k] @ change
+        later = changes[-1] - memory.ahead[k] @ change
+        changes.append(own if first[k + 1] else own + memory.back[k] @ later)
+    return np.array(changes[::-1])[:, :x]
 
 
 def _way(linear: Linear, memory: _Memory, start: Start, prior: Prior) -> tuple[tuple[int, Floats, Floats], ...]:

@@ -8,7 +8,6 @@ known, so that the fall of the deviance, which is the square of a number of stan
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,7 +38,7 @@ class Rival:
 
 
 def rivals(arm: Arm, found: Pass, prior: Prior) -> tuple[Rival, ...]:
-    """Each rival of a solution for p parameters and the constants beside them; those that it has solved for are none."""
+    """Each rival of a solution; what it has solved for is none."""
     p, n = len(found.value), arm.n
     delay = p + 4 * n
     listed = [(delay, "a delay of the torques", "ms", 1e3 * arm.period_s)]

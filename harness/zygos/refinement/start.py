@@ -75,11 +75,11 @@ def begin(
     for one in effects:
         kind, joint = LEARNED.index(one.kind.key), one.index(arm)
         place = energy.names.index(one.column(arm))
-        found, own = float(energy.value[place]), float(energy.sigma[place])
+        found, spread = float(energy.value[place]), float(energy.sigma[place])
         least = EXPECTED * float(typical[joint])
-        known_well = math.isfinite(found + own)
+        known_well = math.isfinite(found + spread)
         beside[kind, joint] = found if known_well else 0.0
-        sigma[kind, joint] = math.hypot(_WIDER * own, least) if known_well else least
+        sigma[kind, joint] = math.hypot(_WIDER * spread, least) if known_well else least
     zeros = np.array([one.zero_sigma_rad for one in known])
     return (
         Start(value, np.concatenate([beside.ravel(), np.zeros_like(zeros)])),
