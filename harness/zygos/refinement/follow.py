@@ -160,28 +160,24 @@ def _filter(linear: Linear, relative: Floats, unit: Floats, keep: bool) -> tuple
     reading = _Table(linear.reading, unit, noise, -linear.error)
     end = _Table(linear.end, unit, noise, linear.gap)
     sensors = np.repeat(_sensors(arm), blocks.kept.shape[2])
+    m, fast = len(sensors), x + width
     # of the rates, sensors see the biases too
-    biased = np.zeros((count, len(sensors), width))
-    for k in range(width):
-        at = len(sensors) - (width - k) * blocks.kept.shape[2]
-        biased[:, at : at + blocks.kept.shape[2], k] = blocks.kept.sum(axis=1)
-    across = np.eye(x + width)
-    across_noise = np.zeros((x + width, reading.noise.shape[2]))
+    biased = np.concatenate([np.zeros((2 * arm.n, width)), np.eye(width)])
+    looks = np.concatenate([reading.state, np.kron(biased, blocks.kept.sum(axis=1)[:, :, None])], axis=2)
+    across, across_noise = np.eye(fast), np.zeros((fast, reading.noise.shape[2]))
     memory = _Memory([], [], [], [], [])
     marks = set(np.linspace(0, count, min(_WAY, count) + 1).astype(int)[1:].tolist()) if keep else {count}
     begins = iter(blocks.begins)
     shares: list[Floats] = []
     triangle, volume = np.zeros((c + 1, c + 1)), 0.0
-    moved, root = np.zeros((x + width, c + 1)), np.eye(x + width)
+    moved, root = np.zeros((fast, c + 1)), np.eye(fast)
     for k in range(count):
         if blocks.first[k]:
             begin, sigma = next(begins)
             moved, root = np.zeros_like(moved), np.diag(sigma)
             moved[:, -1] = begin - np.concatenate([linear.states[k], np.zeros(width)])
-        look = np.concatenate([reading.state[k], biased[k]], axis=1)
-        upper = _read(sensors, look @ root, reading.noise[k], root)
-        m, fast = len(sensors), x + width
-        share = dtrtrs(upper[:m, :m], reading.constant[k] + look @ moved, trans=1)[0]
+        upper = _read(sensors, looks[k] @ root, reading.noise[k], root)
+        share = dtrtrs(upper[:m, :m], reading.constant[k] + looks[k] @ moved, trans=1)[0]
         gain, own = upper[:m, m:].T @ share, upper[m:, m:]
         volume += 2.0 * float(np.sum(np.log(np.abs(np.diag(upper)[:m]))))
         moved = moved - gain[:fast]
@@ -192,12 +188,14 @@ def _filter(linear: Linear, relative: Floats, unit: Floats, keep: bool) -> tuple
         after = np.zeros((len(own) + width, fast))
         after[: len(own)] = own[:, :fast] @ across.T + own[:, fast:] @ across_noise.T
         after[len(own) :, x:] = walk * np.eye(width)
-        turn, following = np.linalg.qr(after)
         if keep:
+            turn, following = np.linalg.qr(after)
             memory.back.append(own[:, :fast].T @ dtrtrs(following, turn[: len(own)].T)[0].T)
             memory.moved.append(moved)
             memory.ahead.append(ahead)
             memory.shares.append(share)
+        else:
+            following = triangle_of(after)
         root, moved = following.T, ahead
         shares.append(share)
         if len(shares) * m > _ROWS * c or k + 1 in marks:

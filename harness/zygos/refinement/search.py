@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,17 +29,16 @@ REMEDY = (
 )
 FIRST_LEVEL = 0.05
 """Noise of the torques in the first solutions, as a share of their size."""
-_APPROACHES = 10
-"""Largest number of solutions at the first level, and at the level that was found: each is around the result of the one
-before."""
-_NEAR, _SETTLED = 5.0, 1.0
-"""By how many standard deviations (rms) the last of them may move the values. A solution that is so much off is in the
-range in which the motion is linear, so that the next one is off by far less."""
+_MOST = 10
+"""Largest number of times that the motion is taken anew around the last solution, at the first level and after it."""
+_NEAR, _SETTLED = 5.0, 3.0
+"""By how many standard deviations (rms) the last solution may move the values, at the first level and after it. The
+next one would move them by a few per cent of that."""
 _FINEST = 1e-5
 """The smallest level above 0 that is tried."""
-_RATIO = 3.0
+_RATIO = 10.0
 """Between the levels that are tried first."""
-_HALVINGS = 2
+_HALVINGS = 3
 """How often the ratio is halved, in powers, around the best level."""
 _SIMPLER = 9.0
 """Deviance by which noise in proportion to the torques must be better than none."""
@@ -75,7 +74,7 @@ class Search:
         """Begin at a start. around: (p, p) covariance within which a solution stays around the parameters it begins
         with, SI units; beside: (4N,) deviations of the constants beside them. Nothing is computed yet."""
         self.arm, self.record, self.start, self.around, self.beside = arm, record, start, around, beside
-        self.progress, self.tried = progress, dict[float, float]()
+        self.progress, self.tried = progress, dict[float, Pass]()
         declared = np.array([joint.torque_relative_sigma for joint in arm.joints])
         self.declared = float(declared.max())
         self.shape = declared / self.declared if self.declared > 0.0 else np.ones(arm.n)
@@ -95,28 +94,37 @@ class Search:
     def run(self) -> Found:
         """The level that the readings favour, and the solution at it. Errors: Undecided where there is none."""
         first = max(FIRST_LEVEL, 4.0 * self.declared)
-        for k in range(_APPROACHES):
+        self._approach(first)
+        count = math.ceil(math.log(first / _FINEST) / math.log(_RATIO))
+        levels = [*(first / _RATIO**k for k in range(count)), 0.0]
+        for k in range(_MOST):
+            self.progress(0.3 + 0.6 * k / _MOST)
             self._linearise()
-            if self._move(self._follow(first, keep=True)) < _NEAR:
-                break
-            self.progress(0.3 * k / _APPROACHES)
-        else:
-            raise Undecided(f"the values do not settle from solution to solution; remedy: {REMEDY}")
-        for k in range(_APPROACHES):
+            level = self._best_of(levels)
+            if self._moved(self.tried[level]) < _SETTLED:
+                level, error = self._refined()
+                final = self._follow(level, keep=True)
+                tried = sorted(((one, found.deviance) for one, found in self.tried.items()), reverse=True)
+                return Found(level, error, final, self._prior(), tuple(tried))
+            self._take(self._follow(level, keep=True))
+            levels = [level] if level > 0.0 else [_FINEST, 0.0]
+        raise Undecided(f"the values do not settle from solution to solution; remedy: {REMEDY}")
+
+    def _approach(self, level: float) -> None:
+        """Move the start into the range in which the motion is linear."""
+        for k in range(_MOST):
+            self.progress(0.3 * k / _MOST)
             self._linearise()
-            self.tried = {}
-            level, error = self._search(first)
-            self.progress(0.3 + 0.7 * (k + 1) / _APPROACHES)
-            final = self._follow(level, keep=True)
-            prior = self._prior()
-            if self._move(final) < _SETTLED:
-                return Found(level, error, final, prior, tuple(sorted(self.tried.items(), reverse=True)))
-            first = max(_RATIO * level, _FINEST)
+            found = self._follow(level, keep=True)
+            moved = self._moved(found)
+            self._take(found)
+            if moved < _NEAR:
+                return
         raise Undecided(f"the values do not settle from solution to solution; remedy: {REMEDY}")
 
     def _linearise(self) -> None:
         """The motion around the start and the states."""
-        start = self.start
+        start, self.tried = self.start, {}
         try:
             self.linear = linearise(self.blocks, self.propagation, start.value, start.beside, self.states)
         except ZygosError as left:
@@ -141,52 +149,54 @@ class Search:
     def _follow(self, level: float, *, keep: bool = False) -> Pass:
         return follow(self.linear, np.array(self.levels(level)), self.start, self._prior(), keep=keep)
 
-    def _move(self, found: Pass) -> float:
-        """Take a solution as the next start. How far it has moved the values, in their deviations, rms."""
-        moved = np.mean((found.value - self.start.value) ** 2 / np.diag(found.covariance))
-        self.start = Start(found.value, found.beside)
-        self.states = found.states
-        return float(np.sqrt(moved))
+    def _moved(self, found: Pass) -> float:
+        """How far a solution moves the values, in their deviations, rms."""
+        return float(np.sqrt(np.mean((found.value - self.start.value) ** 2 / np.diag(found.covariance))))
 
-    def _search(self, first: float) -> tuple[float, float]:
-        """The level with the least deviance, from `first` down, and the standard error of its logarithm."""
-        count = math.ceil(math.log(first / _FINEST) / math.log(_RATIO)) + 2
-        rises = 0
-        for level in [*(first / _RATIO**k for k in range(count - 1)), 0.0]:
-            before = min(self.tried.values(), default=math.inf)
-            rises = rises + 1 if not self._try(level) < before else 0
-            if rises > 1:
+    def _take(self, found: Pass) -> None:
+        """Take a solution as the next start."""
+        self.start, self.states = Start(found.value, found.beside), found.states
+
+    def _best_of(self, levels: Sequence[float]) -> float:
+        """The level with the least deviance, of those before the first one that is worse than the one before it."""
+        before = math.inf
+        for level in levels:
+            self.tried[level] = self._follow(level)
+            if self.tried[level].deviance > before:
                 break
+            before = self.tried[level].deviance
+        return self._best()
+
+    def _refined(self) -> tuple[float, float]:
+        """The level with the least deviance around the best one, and the standard error of its logarithm."""
         ratio = _RATIO
         for _ in range(_HALVINGS):
             ratio, around = math.sqrt(ratio), self._best()
             for level in (around * ratio, around / ratio):
                 if around > 0.0:
-                    self._try(level)
+                    self.tried[level] = self._follow(level)
         best = self._best()
-        if best > 0.0 and self.tried.get(0.0, math.inf) > self.tried[best] + _SIMPLER:
+        none = self.tried.get(0.0)
+        if best > 0.0 and (none is None or none.deviance > self.tried[best].deviance + _SIMPLER):
             return self._between(best, ratio)
         return 0.0, 0.0
 
-    def _try(self, level: float) -> float:
-        self.tried[level] = self._follow(level).deviance
-        return self.tried[level]
-
     def _best(self) -> float:
-        return min(self.tried, key=lambda level: self.tried[level])
+        return min(self.tried, key=lambda level: self.tried[level].deviance)
 
     def _nearest(self, level: float) -> float:
         """The level that was tried nearest to one."""
         return min(self.tried, key=lambda one: abs(one - level))
 
     def _between(self, best: float, ratio: float) -> tuple[float, float]:
-        """The lowest point of the parabola through three deviances, by the logarithm of the level."""
+        """The lowest point of the curve through three deviances, by the logarithm u of the level, and its standard
+        error. Of innovations that are due to the torques alone, it is a + b u + c exp(-2u)."""
         near = [best / ratio, best, best * ratio]
         known = [self._nearest(level) for level in near]
-        below, at, above = (self.tried[level] for level in known)
-        bend = 0.5 * (below + above) - at
-        if len(set(known)) < len(near) or bend <= 0.0:
-            return best, 0.0
+        below, at, above = (self.tried[level].deviance for level in known)
         step = math.log(ratio)
-        move = 0.25 * (below - above) / bend
-        return best * math.exp(move * step), step / math.sqrt(bend)
+        fall = (above - 2.0 * at + below) / (2.0 * math.cosh(2.0 * step) - 2.0)
+        rise = (0.5 * (above - below) + fall * math.sinh(2.0 * step)) / step
+        if len(set(known)) < len(near) or fall <= 0.0 or rise <= 0.0:
+            return best, 0.0
+        return best * math.sqrt(2.0 * fall / rise), 1.0 / math.sqrt(rise)
