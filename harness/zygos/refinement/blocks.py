@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zygos.arm import TORQUE_STEP, Arm
+from zygos.effects import SLOWEST_RATE
 from zygos.native.propagation import Propagation
 from zygos.refinement.motion import FlexibleMotion
 from zygos.refinement.record import Record, start_of
@@ -31,6 +32,8 @@ _STRETCH_S = 0.01
 """Longest part of a block over which derivatives of the accelerations are taken once, at its middle, s."""
 _TERMS = 10
 """Terms of the exponential series over such a part."""
+_STEADY = 1e-6
+"""Change of a motor's rate in a cycle below which it is constant, as a share of `SLOWEST_RATE`."""
 _TOGETHER = 250
 """Blocks whose derivatives are computed together; more need more memory."""
 _APART_S = 0.025
@@ -100,6 +103,8 @@ class Linear:
     """(B, r) sum of squares of what the compression leaves."""
     gap: Floats
     """(B, x) state that the motion gives at the end, less that with which the next block begins."""
+    unsure: Floats
+    """(B, m, N) friction of cycles in which a motor turns back or stands still, where it is not linear, Nm."""
     reading: Slopes
     """Of the compressed readings."""
     end: Slopes
@@ -109,7 +114,7 @@ class Linear:
         """(B, N, L, L) roots of the covariance of the shapes of torques with the noise (N,) Nm and (N,) of their
         size."""
         blocks = self.blocks
-        variance = own**2 + (relative * blocks.tau) ** 2 + blocks.lost[..., None] ** 2
+        variance = own**2 + (relative * blocks.tau) ** 2 + blocks.lost[..., None] ** 2 + self.unsure**2
         return np.linalg.cholesky(np.einsum("ks,bkn,kt->bnst", blocks.shape, variance, blocks.shape))
 
 
@@ -214,8 +219,8 @@ def linearise(blocks: Blocks, propagation: Propagation, values: Floats, beside: 
         for part in (slice(first, first + _TOGETHER) for first in range(0, len(states), _TOGETHER))
     ]
     read, end = (np.concatenate(listed) for listed in zip(*parts, strict=True))
-    added = _added(blocks, path[:, :: propagation.steps, -n:])
-    acting = np.einsum("ks,bkan->bsna", blocks.shape, added)
+    signs = _signs(path[:, :: propagation.steps, -n:])
+    acting = np.einsum("ks,bkan->bsna", blocks.shape, _added(blocks, signs))
     zeros = np.zeros((*read.shape[:2], 2 * n))
     kept = blocks.kept.sum(axis=1)
     for row in range(2 * n):
@@ -231,6 +236,7 @@ def linearise(blocks: Blocks, propagation: Propagation, values: Floats, beside: 
         error.reshape(len(states), -1),
         np.maximum(np.sum(off**2, axis=1) - np.sum(error**2, axis=2), 0.0),
         path[:, -1] - np.concatenate([states[1:], states[-1:]]),
+        friction * (1.0 - np.abs(signs)),
         _slopes(read, motion, acting, zeros),
         _slopes(end, motion, acting, np.zeros((*end.shape[:2], 2 * n))),
     )
@@ -333,16 +339,22 @@ def _look(arm: Arm, width: int) -> Floats:
     return look
 
 
-def _added(blocks: Blocks, motor: Floats) -> Floats:
-    """(B, m, 3N + 1, N) what the constants that act like torques add to each of them: friction and offset of each
-    joint, a delay, and the gain of each. motor: (B, m + 1, N) rates at the SYNCs."""
-    n = motor.shape[2]
+def _signs(motor: Floats) -> Floats:
+    """(B, m, N) mean in each cycle of the sign of motor rates (B, m + 1, N) that change steadily, linear within
+    `SLOWEST_RATE`."""
+    size = np.abs(motor)
+    area = np.where(size < SLOWEST_RATE, 0.5 * size**2 / SLOWEST_RATE, size - 0.5 * SLOWEST_RATE)
     change = np.diff(motor, axis=1)
-    own = np.eye(n)
-    # the mean sign of a rate that changes steadily
-    still = np.abs(change) < 1e-12
-    sign = np.where(still, np.sign(motor[:, 1:]), np.diff(np.abs(motor), axis=1) / np.where(still, 1.0, change))
-    offset = np.broadcast_to(-own, (*sign.shape[:2], n, n))
+    steady = np.abs(change) < _STEADY * SLOWEST_RATE
+    mean = np.diff(area, axis=1) / np.where(steady, 1.0, change)
+    return np.where(steady, np.clip(motor[:, 1:] / SLOWEST_RATE, -1.0, 1.0), mean)
+
+
+def _added(blocks: Blocks, signs: Floats) -> Floats:
+    """(B, m, 3N + 1, N) what the constants that act like torques add to each of them: friction and offset of each
+    joint, a delay, and the gain of each. signs: as `_signs`."""
+    own = np.eye(signs.shape[2])
+    offset = np.broadcast_to(-own, (*signs.shape, len(own)))
     return np.concatenate(
-        [-sign[:, :, None] * own, offset, blocks.around[:, :, None], blocks.tau[:, :, None] * own], axis=2
+        [-signs[:, :, None] * own, offset, blocks.around[:, :, None], blocks.tau[:, :, None] * own], axis=2
     )
