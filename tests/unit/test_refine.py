@@ -314,6 +314,9 @@ def test_what_the_filter_does_not_know_is_refused() -> None:
         check_supported(replace(arm, torque_unit="A"), [])
     with pytest.raises(ZygosError, match=r"gyro latches.*remedy"):
         check_supported(replace(arm, imu=replace(arm.imu, latch_us=100)), [])
+    exact = tuple(replace(one, link_encoder=replace(one.link_encoder, quantum_rad=0.0)) for one in arm.joints)
+    with pytest.raises(ZygosError, match=r"noise of a sensor is 0; remedy"):
+        check_supported(replace(arm, joints=exact), [])
     rigid, _ = random_arm(1, 2, "free", "planar", False)
     with pytest.raises(ZygosError, match=r"is rigid.*remedy"):
         check_supported(rigid, [])

@@ -30,7 +30,9 @@ _KEPT = 5
 """Polynomials of time to which the readings of a sensor in a block are compressed."""
 _STRETCH_S = 0.01
 """Longest part of a block over which derivatives of the accelerations are taken once, at its middle, s."""
-_TERMS = 10
+_STEPS = 5
+"""Runge-Kutta steps that such a part may have: more would need more terms."""
+_TERMS = 12
 """Terms of the exponential series over such a part."""
 _STEADY = 1e-6
 """Change of a motor's rate in a cycle below which it is constant, as a share of `SLOWEST_RATE`."""
@@ -275,7 +277,7 @@ def _stretches(
     end = np.zeros((batch, x, x + p + shapes * n))
     end[:, :, :x] = np.eye(x)
     read = np.zeros((batch, d * r, x + p + shapes * n))
-    together = max(1, round(_STRETCH_S / time))
+    together = max(1, min(_STEPS, round(_STRETCH_S / time)))
     for first in range(0, cycles * steps, together):
         last = min(first + together, cycles * steps)
         middle = 0.5 * (path[:, (first + last) // 2] + path[:, (first + last + 1) // 2])

@@ -1,6 +1,6 @@
 """The page of a refinement: what was checked, the innovations, the way of the parameters, and the bound.
 
-It knows what the filter knows, and no true value.
+It knows what the refinement knows, and no true value.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Recorded runs as the filter takes them: pieces of motion over which its state can be followed."""
+"""Recorded runs as a refinement takes them: pieces of motion over which its state can be followed."""
 
 from __future__ import annotations
 

@@ -1,10 +1,9 @@
-"""Parameters near the information limit from recorded runs, with the filter of the C library (docs/theory.md, "A filter
-near the limit").
+"""Parameters near the information limit from recorded runs, by least squares for all readings (docs/theory.md, "All
+readings at once").
 
-The estimate from energy rows is the start. A first pass with very noisy torques brings the parameters into the range in
-which the motion is linear; passes with less and less noise follow, each from the result of the first one, and the noise
-that the readings favour most is found between them. The values are published only if everything that can be checked
-without knowing the truth speaks for the model: see `Rule`.
+The estimate from energy rows is the start. Solutions with very noisy torques bring the parameters into the range in
+which the motion is linear; then the noise that the readings favour most is found. The values are published only if
+everything that can be checked without knowing the truth speaks for the model: see `Rule`.
 """
 
 from __future__ import annotations
@@ -52,7 +51,7 @@ _BIAS = 0.002
 """Share of the sizes by which the estimate from energy rows may be off beside its intervals, which do not know noise in
 proportion to the torques."""
 _EXCESS = 0.1
-"""By which the mean square of normalised innovations may exceed 1 beside its standard error: the filter is linear, and
+"""By which the mean square of normalised innovations may exceed 1 beside its standard error: a solution is linear, and
 encoder steps are not normally distributed."""
 
 
@@ -85,14 +84,14 @@ class Rule:
 
 @dataclass(frozen=True, eq=False)
 class Refinement:
-    """What the filter has found; p parameters, e effects."""
+    """What a refinement has found; p parameters, e effects."""
 
     arm: Arm
     record: Record
     energy: Estimation
     """The estimate from energy rows, with which it began and which it must agree with."""
     final: Pass
-    """The pass at the level that was found."""
+    """The solution at the level that was found."""
     level: tuple[float, ...]
     """(N,) noise of the torques as a share of their size, found."""
     declared: tuple[float, ...]
@@ -201,8 +200,8 @@ def refine_runs(
     model: its Coulomb frictions of motors and offsets of torques are estimated as well, and its values are the start of
     parameters that energy rows do not determine. progress is called now and then with the share that is done.
 
-    Errors: ZygosError where the arm or the model has what the filter does not know; Undecided where energy rows give no
-    start, or the filter leaves the possible arms.
+    Errors: ZygosError where the arm or the model has what a refinement does not know; Undecided where energy rows give
+    no start, or the values do not settle.
     """
     runs = (runs,) if isinstance(runs, Run) else tuple(runs)
     if not runs:
@@ -371,26 +370,30 @@ def _rival(answer: Refinement) -> Rule:
 
 
 def check_supported(arm: Arm, effects: Sequence[Effect]) -> None:
-    """Refuse what the filter does not know. Errors: ZygosError naming it and the remedy."""
+    """Refuse what a refinement does not know. Errors: ZygosError naming it and the remedy."""
     FlexibleMotion(arm, np.ones(len(arm.parameters)))
     other = sorted({one.kind.key for one in effects} - set(LEARNED))
     if other:
         raise ZygosError(
-            f"the model has effects that the filter does not know ({', '.join(other)}); remedy: estimate them with "
+            f"the model has effects that a refinement does not know ({', '.join(other)}); remedy: estimate them with "
             f"`zygos estimate --model`, or leave them out of the model of --model; it knows {' and '.join(LEARNED)}"
         )
     if arm.torque_law == "sampled":
         raise ZygosError(
-            f"arm {arm.name}: the filter needs torques that are held from SYNC to SYNC, but these are sampled; remedy: "
-            'record commanded torques, and state torque_law = "applied_from_sync" or "applied_previous_cycle"'
+            f"arm {arm.name}: a refinement needs torques that are held from SYNC to SYNC, but these are sampled; "
+            'remedy: record commanded torques, and state torque_law = "applied_from_sync" or "applied_previous_cycle"'
         )
     if arm.torque_unit != "Nm":
         raise ZygosError(
-            f"arm {arm.name}: the torques are motor currents, and the filter needs Nm; remedy: `zygos estimate`"
+            f"arm {arm.name}: the torques are motor currents, and a refinement needs Nm; remedy: `zygos estimate`"
         )
+    wire = arm.over_the_wire
+    noise = [one.sigma_rad for joint in wire.joints for one in (joint.link_encoder, joint.motor_encoder)]
+    if min([*noise, wire.imu.rate_sigma] if arm.free else noise) <= 0.0:
+        raise ZygosError(f"arm {arm.name}: the noise of a sensor is 0; remedy: state the steps of all encoders")
     if arm.free and arm.imu.latch_us:
         raise ZygosError(
-            f"arm {arm.name}: the gyro latches {arm.imu.latch_us} µs after SYNC, and the filter takes its rates at "
+            f"arm {arm.name}: the gyro latches {arm.imu.latch_us} µs after SYNC, and a refinement takes its rates at "
             "SYNC; remedy: `zygos estimate`, or a gyro that latches at SYNC"
         )
 

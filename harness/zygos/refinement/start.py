@@ -1,4 +1,4 @@
-"""What the filter begins with: the estimate from energy rows, and a model where these determine nothing."""
+"""What the solutions begin with: the estimate from energy rows, and a model where these determine nothing."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from zygos.refinement.rivals import EXPECTED, typical_torque
 Floats = NDArray[np.float64]
 
 LEARNED = ("motor_coulomb", "torque_offset")
-"""Effects that are estimated as constants of the filter."""
+"""Effects that are estimated as constants beside the parameters, in the order of `Start.beside`."""
 _ADDED = 0.005
 """What is added to the standard deviations of the energy estimate at the start, in units of the sizes."""
 MOST = 0.01
 """Largest standard deviation of any combination of parameters before the first reading, in units of the sizes: more
-leads the filter out of the range in which the motion is linear. A start that is farther off takes several passes."""
+leads a solution out of the range in which the motion is linear. A start that is farther off takes several passes."""
 _WIDER = 2.0
-"""Standard deviations at the start of the first pass, as a multiple of those of the energy estimate."""
+"""Standard deviations at the start, as a multiple of those of the energy estimate."""
 _ASSUMED = 0.01
 """Standard deviation of values that come from a model which states none, in units of the sizes."""
 
@@ -54,7 +54,7 @@ def begin(
     if missing.any() and model is None:
         names = ", ".join(name for name, one in zip(arm.parameter_names, missing, strict=True) if one)
         raise Undecided(
-            f"energy rows determine no value of {names}, from which the filter could start; remedy: give values with "
+            f"energy rows determine no value of {names}, from which a refinement could start; remedy: give values with "
             "--model, or record a motion that moves all joints"
         )
     covariance = np.where(np.isfinite(energy.covariance[:p, :p]), energy.covariance[:p, :p], 0.0)
