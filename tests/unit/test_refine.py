@@ -304,6 +304,19 @@ def test_large_innovations_of_a_while_are_noticed(part: slice, times: float, hol
     assert holds or "motor encoders are too large: the mean normalised square of readings 100 to 150" in rule.sentence
 
 
+def test_innovations_of_a_complete_model_fail_once_in_a_thousand() -> None:
+    """Chi square sums of all channels, in the whole record and its windows, as they would be without _EXCESS."""
+    answer, rng, draws = found(), np.random.default_rng(0), 20_000
+    edges = [0, *(part.stop for part, _ in answer.windows)]
+    sums = np.array([rng.chisquare(np.diff(edges)[:, None] * answer.final.counts) for _ in range(draws)])
+    lengths = np.diff(edges)
+    limits = np.array([(answer.band(int(n)) - 0.1) * n * answer.final.counts for n in lengths])
+    whole = (answer.band(edges[-1]) - 0.1) * edges[-1] * answer.final.counts
+    failed = np.any(sums > limits, axis=(1, 2)) | np.any(sums.sum(axis=1) > whole, axis=1)
+    assert np.mean(failed) < 1e-3 + 3.0 * np.sqrt(1e-3 / draws)
+    assert np.mean(failed) > 0.5e-3 - 3.0 * np.sqrt(0.5e-3 / draws)
+
+
 def test_what_the_filter_does_not_know_is_refused() -> None:
     arm = SHORT.arm
     with pytest.raises(ZygosError, match=r"does not know \(cubic_stiffness\); remedy"):

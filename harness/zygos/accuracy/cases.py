@@ -235,7 +235,12 @@ def _coarser(arm: Arm, factor: float) -> Arm:
 def _uncertain(arm: Arm) -> Arm:
     """The arm with a standard deviation for the encoders' zeros."""
     joints = tuple(
-        replace(joint, motor_encoder=replace(joint.motor_encoder, zero_sigma_rad=ZERO_RAD)) for joint in arm.joints
+        replace(
+            joint,
+            link_encoder=replace(joint.link_encoder, zero_sigma_rad=ZERO_RAD),
+            motor_encoder=replace(joint.motor_encoder, zero_sigma_rad=ZERO_RAD),
+        )
+        for joint in arm.joints
     )
     return replace(arm, joints=joints)
 

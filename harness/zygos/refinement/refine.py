@@ -26,7 +26,7 @@ from zygos.files.output import number
 from zygos.model.model import Model, Quantity
 from zygos.native.flight import CHANNELS
 from zygos.native.refiner import NORMAL_95
-from zygos.quantiles import normal_isf
+from zygos.quantiles import chi_square_isf, normal_isf
 from zygos.refinement.answer import report_refinement
 from zygos.refinement.bound import Bound, bound_from
 from zygos.refinement.follow import Pass, triangle_of
@@ -44,14 +44,14 @@ _WINDOWS = 12
 SIGMAS = 3.0
 """Standard errors that a rule allows."""
 FALSE_ALARM = 1e-3
-"""Probability with which the distance of normally distributed estimates fails."""
+"""Probability with which the distance of normally distributed estimates fails, and that with which innovations do."""
 RIVAL_SIGMAS = 4.0
 """Standard deviations by which the readings may favour a model with one thing more: one of many that are tried."""
 _BIAS = 0.002
 """Share of the sizes by which the estimate from energy rows may be off beside its intervals, which do not know noise in
 proportion to the torques."""
 _EXCESS = 0.1
-"""By which the mean square of normalised innovations may exceed 1 beside its standard error: a solution is linear, and
+"""By which the mean square of normalised innovations may exceed what chance explains: a solution is linear, and
 encoder steps are not normally distributed."""
 
 
@@ -159,9 +159,13 @@ class Refinement:
         return tuple((part, _means(self.final, part)) for part in parts)
 
     def band(self, readings: int) -> Floats:
-        """(channels,) the largest mean of so many readings of the arm that passes."""
-        with np.errstate(divide="ignore"):
-            return np.asarray(1.0 + _EXCESS + SIGMAS * np.sqrt(2.0 / (readings * self.final.counts)))
+        """(channels,) the largest mean of so many readings of the arm that passes: of all channels and windows together,
+        chance exceeds it once in 1 / FALSE_ALARM complete models."""
+        counts = readings * self.final.counts
+        looks = (_WINDOWS + 1) * int(np.count_nonzero(counts))
+        means = np.full(len(counts), np.inf)
+        means[counts > 0.0] = chi_square_isf(FALSE_ALARM / looks, counts[counts > 0.0]) / counts[counts > 0.0]
+        return np.asarray(_EXCESS + means)
 
     @property
     def times_bound(self) -> Floats | None:
