@@ -47,8 +47,10 @@ from zygos.gap.search import (
     limits_beyond,
     polished,
     possible,
+    rivals,
     search,
     widened,
+    with_rivals,
 )
 from zygos.gap.sentences import entry_evidence
 from zygos.gap.study import (
@@ -118,6 +120,8 @@ _MOSTLY, _LESS = 0.8, 0.6
 that another candidate may leave, to cast doubt on it."""
 _DEFLECTED = 3.0
 """Deviations of the encoders beyond which a joint that is said to be rigid is not."""
+_TRIFLE = 0.01
+"""Difference of two searches' completeness that says nothing."""
 _SKEWED = 0.95
 """Share of a deflection that goes with the joint's rate: then it is a matter of the encoders' timing."""
 
@@ -307,7 +311,11 @@ class _Explainer:
             every, wider = self._wider(basis)
             if wider is not None and _explains_more(wider, found):
                 found = wider
-        elif not found.named:
+        elif found.named:
+            self.step(0.5, "every entry of the catalogue in the place of what was named")
+            with suppress(Undecided):
+                found = self._challenged(basis, found)
+        else:
             self.step(0.5, "detection limits of the other entries")
             with suppress(Undecided):
                 found = replace(found, beyond=limits_beyond(found.after, widened(found.after)))
@@ -334,6 +342,15 @@ class _Explainer:
             return every, polished(search(basis, lambda what: self.step(0.6, what), every))
         except Undecided:
             return every, None
+
+    def _challenged(self, basis: Study, found: Search) -> Search:
+        """The search among usual entries, or with those others that may be what was named instead: a name is given
+        against the whole catalogue. Errors: Undecided where the runs do not tell its columns apart."""
+        others = rivals(found, widened(found.after))
+        if not others:
+            return found
+        again = polished(search(with_rivals(basis, others), lambda what: self.step(0.6, what)))
+        return again if min(again.completeness) > min(found.completeness) - _TRIFLE and again.named else found
 
     def _gained(self, basis: Study, after: Study) -> Study:
         """The basis with the gains of torque sensors that are far off after all that was named as effects, the same in
@@ -774,7 +791,7 @@ def _closes_with(study: Study | None, gap: Gap) -> bool:
 def _explains_more(wider: Search, found: Search) -> bool:
     """Whether a search among more entries leaves less over, by more than a trifle."""
     share, before = (min(one.completeness) if one.named else 0.0 for one in (wider, found))
-    return share > before + 0.01 or (share >= before and not excess(wider.after) and excess(found.after))
+    return share > before + _TRIFLE or (share >= before and not excess(wider.after) and excess(found.after))
 
 
 def _between_runs(study: Study, hypothesis: Hypothesis, part: Callable[[Array], Array]) -> Array:

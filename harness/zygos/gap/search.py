@@ -281,6 +281,60 @@ def limits_beyond(study: Study, every: Study) -> tuple[Limit, ...]:
     return tuple(out)
 
 
+def rivals(found: Search, every: Study) -> tuple[Acting, ...]:
+    """Entries of the catalogue that have not been searched, and that may be what was named instead; of a law the best
+    shape. every: the closed study `widened`.
+
+    Each of two laws is tried beside the other (Davidson and MacKinnon's test of hypotheses of which neither contains
+    the other): a right one leaves nothing for a wrong one to explain. So an entry counts that explains as much in the
+    place of what was named and beside which that is not significant, or creates energy; and one that leaves less over
+    and is significant beside it on each run. A law with a shape that becomes the named one is no rival: it contains it.
+    """
+    plain, usual = every.hypothesis, {one.name for one in found.before.layout.effects}
+    listed = [one for one in every.layout.effects if one.name not in usual and possible(plain, one)]
+    left = _total(every.fit.rms, every.noise)
+    kept: dict[str, tuple[float, Acting]] = {}
+    for named in found.named:
+        rest = tuple(name for name in plain.effects if name != named.name)
+        for one in listed:
+            if one.kind.becomes == named.kind.key and one.joint == named.joint:
+                continue
+            with suppress(Undecided):
+                alone = every.of(replace(plain, effects=(*rest, one.name)))
+                creates = one.kind.positive and alone.of(one.name) < 0.0
+                if creates or min(completeness(found.before, alone.rms)) < COMPLETE:
+                    continue
+                own = _total(alone.rms, every.noise)
+                if not (_stands_aside(every, named, one) or (own < left and _stands_out(every, one, found.chance))):
+                    continue
+                if one.plain not in kept or own < kept[one.plain][0]:
+                    kept[one.plain] = own, one
+    return tuple(one for _, one in kept.values())
+
+
+def _stands_aside(every: Study, named: Candidate, one: Acting) -> bool:
+    """Whether what was named is not significant beside another entry, or creates energy beside it."""
+    both = replace(every.hypothesis, effects=(*every.hypothesis.effects, one.name))
+    value = float(every.of(both).of(named.name))
+    sigma = float(null_sigmas(replace(every, hypothesis=both), [named.name])[0])
+    return abs(value) < THRESHOLD * sigma or (named.kind.positive and value < 0.0)
+
+
+def _stands_out(every: Study, one: Acting, luck: Chance) -> bool:
+    """Whether an entry is significant on each run beside all that was named."""
+    both = replace(every.hypothesis, effects=(*every.hypothesis.effects, one.name))
+    for run in range(len(every.records)):
+        value = float(every.of(both, [run]).of(one.name) - every.of_twin(both, [run]).of(one.name).mean())
+        if abs(value) < luck.threshold * float(null_sigmas(every, [one.name], [run])[0]):
+            return False
+    return True
+
+
+def with_rivals(basis: Study, every: Sequence[Acting]) -> Study:
+    """A study whose search tries these entries of the catalogue as well."""
+    return laid_out(basis, replace(basis.layout, own=(*basis.layout.own, *every)))
+
+
 def polished(found: Search) -> Search:
     """The search with the shapes of the named laws between those of the catalogue's grid: the best of finer and finer
     grids, twice, and up to five times while a balance still leaves something over."""
