@@ -49,6 +49,7 @@ from zygos.gap.search import (
     possible,
     rivals,
     search,
+    unsteady,
     widened,
     with_rivals,
 )
@@ -630,13 +631,14 @@ class _Explainer:
 
     def _how_much(self, found: Search, findings: tuple[Finding, ...], gap: Gap | None) -> Verdict:
         """Whether effects are all that is missing, or a part of it, or only look like it."""
-        most = float(np.nanmax(found.after.excess))
-        if min(found.completeness) >= COMPLETE and (closes(gap) if gap is not None else most <= SMALL):
+        most, apart_by = float(np.nanmax(found.after.excess)), unsteady(found)
+        closed = closes(gap) if gap is not None else most <= SMALL
+        if min(found.completeness) >= COMPLETE and closed and not apart_by:
             return Lacking(findings)
         apart = _explains_more_apart(found)
         if apart is not None:
             return Unexplained(most, (apart.name,), apart.complete, ())
-        return PartNamed(findings, remainders(self.arm, found.after, gap))
+        return PartNamed(findings, remainders(self.arm, found.after, gap), apart_by)
 
     def _open(self, found: Search) -> bool:
         """Whether most of what is left over may be explained by other entries of the catalogue."""
@@ -709,7 +711,8 @@ class _Explainer:
         runs = range(len(study.records))
         each = np.stack([study.of(hypothesis, [k]).value for k in runs])
         drawn = np.stack([study.of_twin(hypothesis, [k]).value for k in runs])
-        each, variance = each - drawn.mean(axis=1), drawn.var(axis=1, ddof=1)
+        # what each run's twin makes of the values that it was made with is no difference of the runs
+        each, variance = each - drawn.mean(axis=1) + study.made, drawn.var(axis=1, ddof=1)
         units = dict(zip(self.arm.parameter_names, self.arm.parameter_units, strict=True))
         out = []
         for k, name in enumerate(hypothesis.names):

@@ -15,6 +15,7 @@ from zygos.effects import Kind
 from zygos.errors import Undecided
 from zygos.gap.balances import Acting
 from zygos.gap.experiment import THRESHOLD
+from zygos.gap.findings import Disagreement
 from zygos.gap.fit import Hypothesis, fit, shares_of_pairs
 from zygos.gap.null import Chance, chance, null_sigmas
 from zygos.gap.study import FEW, Study, again, laid_out
@@ -26,7 +27,13 @@ Against = Literal["", "insignificant", "inconsistent", "negative", "not transfer
 no help on the second run, not of the size of the rotor's inertia; empty where nothing does."""
 
 AGREEMENT = 0.25
-"""Share by which the two runs' coefficients may differ: a law that differs in form from its column has no one size."""
+"""Share by which the coefficients of the runs, and that of all runs together, may differ: a law that differs in form
+from its column has no one size."""
+STEADY = 0.05
+"""Share by which they may differ beyond noise for the law to be exactly that of its column: it says that its size is a
+constant of the arm."""
+_SAME = 4.0
+"""Standard deviations by which they may differ in any case."""
 EXCESS = 0.2
 """A balance has something to explain where rho^2 - 1 is above this, and above what the twin itself varies by."""
 MOMENTUM = 0.7
@@ -281,6 +288,23 @@ def limits_beyond(study: Study, every: Study) -> tuple[Limit, ...]:
     return tuple(out)
 
 
+def unsteady(found: Search) -> tuple[Disagreement, ...]:
+    """The named effects whose size is another on each run, by more than noise and than a trifle."""
+    study, out = found.after, []
+    for k, name in enumerate(study.hypothesis.names):
+        if name not in {one.name for one in found.named}:
+            continue
+        null = [study.of_twin(study.hypothesis, [run]).of(name) for run in range(len(study.records))]
+        each = [
+            float(study.of(study.hypothesis, [run]).of(name) - draw.mean() + study.made[k])
+            for run, draw in enumerate(null)
+        ]
+        spread = max(float(draw.std(ddof=1)) for draw in null)
+        if max(each) - min(each) > max(_SAME * spread, STEADY * abs(float(study.value[k]))):
+            out.append(Disagreement(name, each[0], max(each[1:], key=lambda x: abs(x - each[0]))))
+    return tuple(out)
+
+
 def rivals(found: Search, every: Study) -> tuple[Acting, ...]:
     """Entries of the catalogue that have not been searched, and that may be what was named instead; of a law the best
     shape. every: the closed study `widened`.
@@ -519,10 +543,9 @@ def _candidate(now: Study, before: Study, one: Acting, level: float) -> Candidat
     )
     share = completeness(before, whole.rms)
     against: Against = ""
-    spread = max(float(draw.std(ddof=1)) for draw in null)
     if min(abs(one) for one in z) < level:
         against = "insignificant"
-    elif min(found) < 0.0 < max(found) or max(found) - min(found) > max(4.0 * spread, AGREEMENT * abs(value)):
+    elif not _one_size(found, [float(draw.std(ddof=1)) for draw in null], float(whole.of(name))):
         against = "inconsistent"
     elif kind.positive and value < 0.0:
         against = "negative"
@@ -546,6 +569,19 @@ def _candidate(now: Study, before: Study, one: Acting, level: float) -> Candidat
         _limit(now, name, null, level),
         against,
     )
+
+
+def _one_size(each: Sequence[float], sigma: Sequence[float], pooled: float) -> bool:
+    """Whether the coefficients of the runs, with these deviations, and that of all runs together are one.
+
+    Where a law acts elsewhere than its column, the other coefficients of each run make up for it, and may let the runs
+    agree; one set of them for all runs cannot (Hausman's test: of a right model the runs' coefficients scatter about
+    the pooled one by no more than their own deviation).
+    """
+    trifle = AGREEMENT * abs(pooled)
+    if min(each) < 0.0 < max(each) or max(each) - min(each) > max(_SAME * max(sigma), trifle):
+        return False
+    return all(abs(x - pooled) <= max(_SAME * s, trifle) for x, s in zip(each, sigma, strict=True))
 
 
 def _total(rms: Array, noise: Array) -> float:

@@ -77,7 +77,7 @@ def verdict(arm: Arm, found: Verdict) -> str:  # noqa: PLR0911, PLR0912  (one se
         case PartNamed():
             return (
                 f"The simulation lacks {listed(found.findings)}, but the law is not exactly this: "
-                f"{'; '.join(map(left, found.left))}."
+                f"{'; '.join((*map(left, found.left), *(_sizes(arm, one) for one in found.unsteady)))}."
             )
         case Changed():
             return _changed(arm, found)
@@ -136,6 +136,10 @@ def left(rest: Remainder) -> str:
     unit = {"1": "times the floor", "sigma": "σ"}.get(rest.unit, rest.unit)
     goes = f", {100 * rest.share:.0f} % of it as a function of the {rest.over}" if rest.over else ""
     return f"{figure(rest.size)} {unit} are left over at {rest.where}{floor}{goes}"
+
+
+def _sizes(arm: Arm, one: Disagreement) -> str:
+    return f"{spoken(arm, one.name)} is {figure(one.first)} on the first run and {figure(one.second)} on another"
 
 
 def _changed(arm: Arm, found: Changed) -> str:

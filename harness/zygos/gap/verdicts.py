@@ -60,6 +60,8 @@ class PartNamed:
     findings: tuple[Finding, ...]
     left: tuple[Remainder, ...]
     """Largest first."""
+    unsteady: tuple[Disagreement, ...] = ()
+    """Sizes of effects, by column, that differ between the runs by more than noise."""
 
 
 @dataclass(frozen=True)
