@@ -36,8 +36,6 @@ _SAME = 4.0
 """Standard deviations by which they may differ in any case."""
 EXCESS = 0.2
 """A balance has something to explain where rho^2 - 1 is above this, and above what the twin itself varies by."""
-MOMENTUM = 0.7
-"""The same for a component of the momentum in space where the torques have noise."""
 CERTAIN = 4.0
 """Standard deviations of the twin's rho^2 that an excess must exceed."""
 COMPLETE = 0.95
@@ -147,17 +145,7 @@ def allowed(study: Study) -> tuple[Array, Array]:
     freedom = 2.0 / np.maximum(study.wobble, 1e-6) ** 2
     tail = normal_sf(CERTAIN)
     least, most = 1.0 - chi_square_ppf(tail, freedom) / freedom, chi_square_isf(tail, freedom) / freedom - 1.0
-    trifle = _trifles(study)
-    return np.maximum(least, trifle), np.maximum(most, trifle)
-
-
-def _trifles(study: Study) -> Array:
-    """(balances,) what is no excess of the squared ratio in any case."""
-    # with noise in its torques a twin does not move quite as the arm did, which the momentum of an arm in space shows
-    moved = study.layout.of_torque.any()
-    return np.array(
-        [MOMENTUM if moved and len(name) > 1 and name[0] == "H" else EXCESS for name in study.layout.balances]
-    )
+    return np.maximum(least, EXCESS), np.maximum(most, EXCESS)
 
 
 def noisy(study: Study) -> bool:
@@ -171,9 +159,8 @@ def completeness(before: Study, rms: Array) -> tuple[float, ...]:
     there was none. What the twin itself varies by is no excess."""
     out = []
     after = (rms / before.noise) ** 2 - 1.0
-    trifle = _trifles(before)
     for old, kept, wobble in zip(before.excess**2 - 1.0, after, before.wobble, strict=True):
-        counts = np.isfinite(old) & (old > trifle)
+        counts = np.isfinite(old) & (old > EXCESS)
         left = np.maximum(kept - 2.0 * wobble, 0.0)
         out.append(1.0 - float(np.sum(left[counts]) / np.sum(old[counts])) if counts.any() else 1.0)
     return tuple(out)

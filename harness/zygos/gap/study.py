@@ -286,9 +286,9 @@ def again(study: Study, hypothesis: Hypothesis, count: int = DRAWS) -> Study:
     if not np.array_equal(off, applied):
         changed = zip(records, off - applied, strict=True)
         records = tuple(corrected(record, study.layout, change) for record, change in changed)
-    return _study(
-        records, study.accepted, hypothesis, _possible(hypothesis, first.value, study.model), count, off, first.value
-    )
+    misread = np.where(study.layout.of_torque, first.zeros, 0.0)
+    model = _possible(hypothesis, first.value, study.model)
+    return _study(records, study.accepted, hypothesis, model, count, off, first.value, misread)
 
 
 def laid_out(study: Study, layout: Layout, count: int = DRAWS) -> Study:
@@ -411,9 +411,15 @@ def _study(
     count: int,
     applied: Array,
     value: Array | None = None,
+    misread: Array | None = None,
 ) -> Study:
+    """misread: (runs, zeros) offsets and gains of the torques as far as they are known. They act on no arm, and would
+    keep the twin off the path: its readings would have other noise in the balances than those of the arm."""
     sensors = sensor_effects(hypothesis, value)
-    twins = tuple(follow(dynamics, records, sensors))
+    acted = records
+    if misread is not None:
+        acted = tuple(corrected(one, hypothesis.layout, own) for one, own in zip(records, misread, strict=True))
+    twins = tuple(follow(dynamics, acted, sensors))
     return _fitted(records, accepted, hypothesis, dynamics, twins, sensors, count, applied)
 
 
