@@ -24,7 +24,7 @@ from zygos.effects import effect
 from zygos.errors import Undecided, ZygosError
 from zygos.model.model import load_model, save_model
 from zygos.native.refiner import Refiner, Settings
-from zygos.refinement import refine
+from zygos.refinement import blocks, refine
 from zygos.refinement.bound import bound, bound_along
 from zygos.refinement.motion import FlexibleMotion
 from zygos.refinement.record import LONGEST_GAP, record_of, start_of
@@ -392,6 +392,16 @@ def test_a_refusal_writes_no_model(folder: Path, capsys: pytest.CaptureFixture[s
     assert not answer["published"]
     assert all(one["value"] is None for one in answer["parameters"])
     assert "Nothing is published" in (folder / "x.html").read_text()
+
+
+def test_runs_that_are_too_long_for_the_memory_are_bad_input(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(blocks, "MOST_BYTES", 1e6)
+    assert command("refine", folder / "run.blf", "-o", folder / "better.toml") == 2
+    message = " ".join(capsys.readouterr().err.split())
+    assert "too long to be refined together" in message and "remedy: refine from" in message
+    assert not (folder / "better.toml").exists()
 
 
 def test_a_model_with_other_effects_is_bad_input(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -159,7 +159,7 @@ class Refinement:
         return tuple((part, _means(self.final, part)) for part in parts)
 
     def band(self, readings: int) -> Floats:
-        """(channels,) the largest mean of so many readings of the arm that passes: of all channels and windows together,
+        """(channels,) the largest mean of so many readings of the arm that passes: of all channels and windows,
         chance exceeds it once in 1 / FALSE_ALARM complete models."""
         counts = readings * self.final.counts
         looks = (_WINDOWS + 1) * int(np.count_nonzero(counts))

@@ -13,7 +13,7 @@ from scipy.linalg import solve_triangular
 from zygos.arm import Arm
 from zygos.errors import Undecided, ZygosError
 from zygos.native.propagation import Propagation
-from zygos.refinement.blocks import Linear, blocks_of, linearise
+from zygos.refinement.blocks import Linear, blocks_of, check_size, linearise
 from zygos.refinement.bound import steps_of
 from zygos.refinement.follow import Pass, Prior, Start, follow, triangle_of
 from zygos.refinement.motion import FlexibleMotion
@@ -83,6 +83,7 @@ class Search:
         )
         self.propagation = Propagation(arm, steps, friction=True)
         self.blocks = blocks_of(record)
+        check_size(self.blocks, len(start.value))
         self.states = self.blocks.states
         self.typical = typical_torque(record)
         self.linear: Linear
