@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from build_support import ROOT, tool
 
-from zygos.native.flight import ffi
+from zygos.native.flight import ffi, lib
 from zygos.native.header import least_build
 from zygos.native.sizes import memory
 
@@ -102,6 +102,17 @@ def test_the_memory_of_a_build_is_what_its_compiler_says(capacities: dict[str, i
 def test_a_reduced_arm_has_the_least_parameters_that_a_build_can_have() -> None:
     config = ffi.new("zygos_config_t *")
     config.joints, config.reduced, config.reductions, config.effects = 3, 5, 5, 1
-    assert least_build(config)["ZYGOS_MAX_PARAMETERS"] == 9
+    assert least_build(config[0])["ZYGOS_MAX_PARAMETERS"] == 9
     config.reduced = 11
-    assert least_build(config)["ZYGOS_MAX_PARAMETERS"] == 12
+    assert least_build(config[0])["ZYGOS_MAX_PARAMETERS"] == 12
+
+
+def test_rows_that_are_not_used_have_the_fewest_blocks() -> None:
+    """Where rigid joints on a fixed base are estimated by joint rows alone, no energy row is solved."""
+    config = ffi.new("zygos_config_t *")
+    config.joints, config.base, config.impulse_arc_cycles, config.joint_row_cycles = 1, lib.ZYGOS_BASE_FREE, 100, 50
+    assert least_build(config[0])["ZYGOS_MAX_BLOCKS"] == 32
+    assert "ZYGOS_MAX_MOTOR_BLOCKS" not in least_build(config[0])
+    config.base, config.joint[0].rigid, config.impulse_arc_cycles = lib.ZYGOS_BASE_FIXED, 1, 0
+    assert least_build(config[0])["ZYGOS_MAX_BLOCKS"] == 8
+    assert least_build(config[0])["ZYGOS_MAX_MOTOR_BLOCKS"] == 4

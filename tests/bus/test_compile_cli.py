@@ -173,6 +173,7 @@ def test_memory_is_told_before_anything_is_flashed(tmp_path: Path, capsys: pytes
     assert run("compile-model", EXAMPLE / "arm.toml", "-o", tmp_path, "--json", out) == 0
     answer, said = json.loads(out.read_text()), capsys.readouterr().out
     assert set(answer["capacities"]) - set(answer["least_build"]) == {"ZYGOS_MAX_PARAMETERS"}
+    assert answer["least_build"]["ZYGOS_MAX_BLOCKS"] == 32
     flags = [f"-D{name}={value}" for name, value in answer["least_build"].items()]
     program = (
         '#include "zygos/zygos.h"\n#include <stdio.h>\n'

@@ -18,6 +18,10 @@ _ENUMS = {
 """Fields that hold a value of an enumeration."""
 
 
+_BLOCKS = 32
+"""With fewer blocks, `zygos_detect_change()` does not always find enough of them before the newest arc."""
+_FEWEST_BLOCKS, _FEWEST_MOTOR_BLOCKS = 8, 4
+"""The least of a build, where these rows are not used."""
 _COUNTED = {"joint": "joints", "effect": "effects", "reduction": "reductions"}
 """Arrays of which only so many entries are in use."""
 
@@ -37,8 +41,12 @@ def capacities(config: Any) -> dict[str, int]:
 
 
 def least_build(config: Any) -> dict[str, int]:
-    """The capacities of the smallest build that holds a ``zygos_config_t *``, by macro; the others are the defaults."""
+    """The capacities of the smallest build that holds a ``zygos_config_t`` and has every function, by macro; the
+    others are the defaults."""
     needs = capacities(config)
+    needs["ZYGOS_MAX_BLOCKS"] = _FEWEST_BLOCKS if lib.zygos_joint_sums_suffice(ffi.addressof(config)) else _BLOCKS
+    if config.impulse_arc_cycles == 0:
+        needs["ZYGOS_MAX_MOTOR_BLOCKS"] = _FEWEST_MOTOR_BLOCKS
     parameters = needs["ZYGOS_MAX_PARAMETERS"]
     # Without a reduction the parameters are the columns, and a build takes the default; with one, at least 2 N + 3.
     needs["ZYGOS_MAX_PARAMETERS"] = max(parameters, 2 * needs["ZYGOS_MAX_JOINTS"] + 3)
