@@ -437,10 +437,19 @@ def test_the_arm_rests_and_then_moves_along_a_sine() -> None:
 
 
 def test_every_case_of_the_issue_is_there() -> None:
-    assert len(CASES) == 21
+    assert len(CASES) == 27
     assert [name for name, case in CASES.items() if not case.benign] == [
         *("paper-30", "gain-50", "sigma-half", "sigma-double", "torque-0.1", "torque-0.5", "torque-1"),
+        *("scale", "lag", "cubic", "friction", "snap"),
     ]
+    hidden = {name: [one.kind.key for one in case.model.effects] for name, case in CASES.items() if case.model.effects}
+    assert hidden == {
+        "scale": ["torque_gain"],
+        "lag": ["torque_lag"] * 2,
+        "cubic": ["cubic_stiffness"] * 2,
+        "friction": ["motor_coulomb"] * 2,
+    }
+    assert not CASES["fixed"].arm.free and CASES["fixed"].arm.gravity == (0.0, 0.0, 0.0)
     assert {name: case.scenario.duration_s for name, case in CASES.items() if name.startswith("paper")} == {
         "paper-30": 30.0,
         "paper-60": 60.0,
