@@ -389,8 +389,8 @@ void zygos_refiner_table(const zygos_refiner_t *self, const double *noise, doubl
 }
 
 /* out[rows] = matrix[rows][count] x, or is added to it. */
-static void product(const double *matrix, uint32_t stride, uint32_t rows, uint32_t count, const double *x, bool add,
-                    double *out)
+static void multiply(const double *matrix, uint32_t stride, uint32_t rows, uint32_t count, const double *x, bool add,
+                     double *out)
 {
     for (uint32_t i = 0; i < rows; i++) {
         out[i] = (add ? out[i] : 0.0) + inner(&matrix[i * stride], x, count);
@@ -416,17 +416,17 @@ void zygos_refiner_carry(zygos_refiner_t *self, uint32_t c, const double (*slope
         /* an offset is what a torque is reported too large by */
         scaled[k] = below[k] * ((k < p) ? self->settings.size[k] : ((k < motion) ? 1.0 : -1.0));
     }
-    product(work->across[0], ZYGOS_MAX_MOVING, rows, moving, own, false, moved);
+    multiply(work->across[0], ZYGOS_MAX_MOVING, rows, moving, own, false, moved);
     if (slope != NULL) {
-        product(&slope[0][moving], ZYGOS_MAX_SLOPES, moving, last, scaled, true, moved);
+        multiply(&slope[0][moving], ZYGOS_MAX_SLOPES, moving, last, scaled, true, moved);
     } else {
         double added[ZYGOS_MAX_ACCELERATIONS];
         const uint32_t by_motion = (last < motion) ? last : motion;
-        product(work->propagation.by_constant[0], ZYGOS_MAX_MOTION_CONSTANTS, accelerations, by_motion, scaled, false,
-                added);
-        product(work->propagation.by_torque[0], ZYGOS_MAX_JOINTS, accelerations, last - by_motion, &scaled[by_motion],
-                true, added);
-        product(work->pushed[0], ZYGOS_MAX_ACCELERATIONS, rows, accelerations, added, true, moved);
+        multiply(work->propagation.by_constant[0], ZYGOS_MAX_MOTION_CONSTANTS, accelerations, by_motion, scaled, false,
+                 added);
+        multiply(work->propagation.by_torque[0], ZYGOS_MAX_JOINTS, accelerations, last - by_motion, &scaled[by_motion],
+                 true, added);
+        multiply(work->pushed[0], ZYGOS_MAX_ACCELERATIONS, rows, accelerations, added, true, moved);
     }
     memcpy(own, moved, moving * sizeof own[0]);
     memcpy(work->lead[self->fast + c], &moved[moving], work->leads * sizeof moved[0]);
