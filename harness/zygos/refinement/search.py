@@ -96,8 +96,7 @@ class Search:
         """The level that the readings favour, and the solution at it. Errors: Undecided where there is none."""
         first = max(FIRST_LEVEL, 4.0 * self.declared)
         self._approach(first)
-        count = math.ceil(math.log(first / _FINEST) / math.log(_RATIO))
-        levels = [*(first / _RATIO**k for k in range(count)), 0.0]
+        levels = _down_from(first)
         for k in range(_MOST):
             self.progress(0.3 + 0.6 * k / _MOST)
             self._linearise()
@@ -108,7 +107,8 @@ class Search:
                 tried = sorted(((one, found.deviance) for one, found in self.tried.items()), reverse=True)
                 return Found(level, error, final, self._prior(), tuple(tried))
             self._take(self._follow(level, keep=True))
-            levels = [level] if level > 0.0 else [_FINEST, 0.0]
+            # around better values the motion errs less, so that torques may turn out to be better as well
+            levels = _down_from(max(level, _FINEST))
         raise Undecided(f"the values do not settle from solution to solution; remedy: {REMEDY}")
 
     def _approach(self, level: float) -> None:
@@ -201,3 +201,9 @@ class Search:
         if len(set(known)) < len(near) or fall <= 0.0 or rise <= 0.0:
             return best, 0.0
         return best * math.sqrt(2.0 * fall / rise), 1.0 / math.sqrt(rise)
+
+
+def _down_from(level: float) -> list[float]:
+    """The levels that are tried, from the largest to none."""
+    count = max(1, math.ceil(math.log(level / _FINEST) / math.log(_RATIO)))
+    return [*(level / _RATIO**k for k in range(count)), 0.0]
