@@ -404,6 +404,15 @@ def test_runs_that_are_too_long_for_the_memory_are_bad_input(
     assert not (folder / "better.toml").exists()
 
 
+def test_a_stated_angular_momentum_is_kept_and_not_needed() -> None:
+    """A model that `zygos explain` wrote states it; the rates of the base are followed, whatever momentum they have."""
+    model = replace(plant("paper"), effects=(effect("angular_momentum", None, 0.5),))
+    answer = refine_runs(short(), model=model)
+    assert answer.published
+    np.testing.assert_allclose(answer.value, found().value, rtol=1e-9)
+    assert [one.kind.key for one in answer.to_model().effects] == ["angular_momentum"]
+
+
 def test_a_model_with_other_effects_is_bad_input(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     save_model(replace(plant("paper"), effects=(effect("cubic_stiffness", "elbow", 1.0),)), folder / "m.toml")
     assert command("refine", folder / "run.blf", "--model", folder / "m.toml", "-o", folder / "b.toml") == 2

@@ -50,6 +50,8 @@ RIVAL_SIGMAS = 4.0
 _BIAS = 0.002
 """Share of the sizes by which the estimate from energy rows may be off beside its intervals, which do not know noise in
 proportion to the torques."""
+UNNEEDED = ("angular_momentum",)
+"""Effects that stay as they are: the rates of the base are followed, whatever momentum they have."""
 _EXCESS = 0.1
 """By which the mean square of normalised innovations may exceed what chance explains: a solution is linear, and
 encoder steps are not normally distributed."""
@@ -192,7 +194,8 @@ class Refinement:
             name: Quantity(float(value), float(sigma), "zygos", unit)
             for name, unit, value, sigma in zip(self.names, self.units, self.value, self.sigma, strict=True)
         }
-        return Model(name=self.arm.name, parameters=quantities, effects=self.effects)
+        kept = () if self.prior is None else tuple(one for one in self.prior.effects if one.kind.key in UNNEEDED)
+        return Model(name=self.arm.name, parameters=quantities, effects=(*kept, *self.effects))
 
 
 def refine_runs(
@@ -211,8 +214,8 @@ def refine_runs(
     if not runs:
         raise ZygosError("there is no run to refine from; remedy: give at least one")
     arm = runs[0].arm
-    effects = () if model is None else model.effects
-    check_supported(arm, effects)
+    check_supported(arm, () if model is None else model.effects)
+    effects = () if model is None else tuple(one for one in model.effects if one.kind.key in LEARNED)
     record = record_of(arm, runs)
     energy = estimate(joined(runs), model=model)
     progress(0.02)
@@ -376,7 +379,7 @@ def _rival(answer: Refinement) -> Rule:
 def check_supported(arm: Arm, effects: Sequence[Effect]) -> None:
     """Refuse what a refinement does not know. Errors: ZygosError naming it and the remedy."""
     FlexibleMotion(arm, np.ones(len(arm.parameters)))
-    other = sorted({one.kind.key for one in effects} - set(LEARNED))
+    other = sorted({one.kind.key for one in effects} - set(LEARNED) - set(UNNEEDED))
     if other:
         raise ZygosError(
             f"the model has effects that a refinement does not know ({', '.join(other)}); remedy: estimate them with "
