@@ -272,6 +272,16 @@ static void enter(zygos_refine_t *self, const zygos_config_t *config)
     self->phase = (uint32_t)MOVE;
 }
 
+/* Reading k of the newest cycle. */
+static double reading(const zygos_refine_t *self, const zygos_config_t *config, uint32_t k)
+{
+    const uint32_t n = config->joints;
+    const double *axis = config->joint[0].axis;
+    const double *omega = &self->signal[2u * n];
+    const bool planar = (k >= 2u * n) && (self->filter.propagation.base_rates == 1u);
+    return planar ? axis[0] * omega[0] + axis[1] * omega[1] + axis[2] * omega[2] : self->signal[k];
+}
+
 /* State and bias at the newest of the readings with which the state begins: rates are those of a parabola through
  * three, and what a fourth one says otherwise widens their deviations. */
 static void begin(zygos_refine_t *self, const zygos_config_t *config)
@@ -299,9 +309,7 @@ static void begin(zygos_refine_t *self, const zygos_config_t *config)
         sigma[w + 2u * n + k] = magnitude(other - rate) + __builtin_sqrt(530.0) / (6.0 * time) * noise;
     }
     for (uint32_t k = 0; k < w; k++) {
-        const double *axis = config->joint[0].axis;
-        const double *omega = &self->signal[2u * n];
-        x[k] = (w == 3u) ? omega[k] : axis[0] * omega[0] + axis[1] * omega[1] + axis[2] * omega[2];
+        x[k] = reading(self, config, 2u * n + k);
         sigma[k] = gyro;
         sigma[self->filter.propagation.moving + k] = self->settings.bias_sigma;
     }
@@ -402,16 +410,6 @@ static void add_middle(zygos_refine_t *self)
     for (uint32_t k = 0; k < self->filter.propagation.moving; k++) {
         self->middle[k] += 0.5 * self->filter.x[k];
     }
-}
-
-/* Reading k of the newest cycle. */
-static double reading(const zygos_refine_t *self, const zygos_config_t *config, uint32_t k)
-{
-    const uint32_t n = config->joints;
-    const double *axis = config->joint[0].axis;
-    const double *omega = &self->signal[2u * n];
-    const bool planar = (k >= 2u * n) && (self->filter.propagation.base_rates == 1u);
-    return planar ? axis[0] * omega[0] + axis[1] * omega[1] + axis[2] * omega[2] : self->signal[k];
 }
 
 /* How many readings a cycle has. */

@@ -223,11 +223,12 @@ static void update(zygos_refiner_t *self, zygos_innovation_t *one, uint32_t k, d
         rotate(work->lead[j], lead_gain, k + 1u, leads, step, f);
         rotate(&self->root[column(j)], gain, 0u, j + 1u, step, f);
     }
+    const double shift = innovation / alpha;
     for (uint32_t i = k + 1u; i < leads; i++) { /* means are used in their order, and then no more */
-        work->lead_x[i] += lead_gain[i] * (innovation / alpha);
+        work->lead_x[i] += lead_gain[i] * shift;
     }
     for (uint32_t i = 0; i < self->entries; i++) {
-        self->x[i] += gain[i] * (innovation / alpha);
+        self->x[i] += gain[i] * shift;
     }
 }
 

@@ -17,7 +17,7 @@ from zygos.arm import TORQUE_STEP, Arm
 from zygos.effects import SLOWEST_RATE
 from zygos.errors import ZygosError
 from zygos.native.propagation import Propagation
-from zygos.refinement.motion import FlexibleMotion
+from zygos.refinement.motion import FlexibleMotion, base_rates
 from zygos.refinement.record import Record, start_of
 
 Floats = NDArray[np.float64]
@@ -131,7 +131,7 @@ def torque_steps(arm: Arm) -> Floats:
 def blocks_of(record: Record) -> Blocks:
     """The pieces of a record in blocks."""
     arm = record.arm
-    width = 0 if not arm.free else 3 if arm.spatial else 1
+    width = base_rates(arm)
     m = max(1, round(BLOCK_S / arm.period_s))
     parts: list[tuple[Floats, ...]] = []
     for piece in record.pieces:

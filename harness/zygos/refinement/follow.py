@@ -20,6 +20,7 @@ from threadpoolctl import threadpool_limits
 from zygos.arm import Arm
 from zygos.native.flight import CHANNELS
 from zygos.refinement.blocks import Linear, Slopes, torque_steps
+from zygos.refinement.motion import base_rates
 
 Floats = NDArray[np.float64]
 
@@ -127,7 +128,7 @@ def follow(linear: Linear, relative: Floats, start: Start, prior: Prior, *, keep
     moved = prior.unit * change[:-1]
     last = p + len(start.beside)
     deviance = volume + float(posterior[-1, -1] ** 2 + 2.0 * np.sum(np.log(np.abs(np.diag(posterior)[:-1]))))
-    width = 0 if not arm.free else 3 if arm.spatial else 1
+    width = base_rates(arm)
     return Pass(
         start.value + moved[:p],
         root[:p] @ root[:p].T,
@@ -145,7 +146,7 @@ def follow(linear: Linear, relative: Floats, start: Start, prior: Prior, *, keep
 def _sensors(arm: Arm) -> Floats:
     """(r,) noise of link encoders, motor encoders and base rates, rad and rad/s."""
     wire = arm.over_the_wire
-    width = 0 if not arm.free else 3 if arm.spatial else 1
+    width = base_rates(arm)
     encoders = [one.link_encoder for one in wire.joints] + [one.motor_encoder for one in wire.joints]
     return np.array([one.sigma_rad for one in encoders] + [wire.imu.rate_sigma] * width)
 
@@ -154,7 +155,7 @@ def _filter(linear: Linear, relative: Floats, unit: Floats, keep: bool) -> tuple
     """The triangle of `Pass`, the sum of ln s of all innovations, and what was to be kept."""
     blocks, c = linear.blocks, len(unit)
     arm, count, x = blocks.record.arm, *linear.states.shape
-    width = 0 if not arm.free else 3 if arm.spatial else 1
+    width = base_rates(arm)
     walk = arm.imu.bias_walk * math.sqrt(arm.period_s * blocks.cycles)
     noise = linear.noise(torque_steps(arm), relative)
     reading = _Table(linear.reading, unit, noise, -linear.error)

@@ -39,6 +39,11 @@ class Slopes(NamedTuple):
     """(B, g, N) by the torques before the gear."""
 
 
+def base_rates(arm: Arm) -> int:
+    """W: 3 in space, 1 in a plane, 0 where the base is fixed."""
+    return 0 if not arm.free else 3 if arm.spatial else 1
+
+
 @dataclass(frozen=True)
 class FlexibleMotion:
     """An arm whose joints are all flexible; V directions, N joints, W rates of its base (3 in space, 1 in a plane, 0
@@ -60,7 +65,7 @@ class FlexibleMotion:
     @property
     def base_rates(self) -> int:
         """W."""
-        return 0 if not self.arm.free else 3 if self.arm.spatial else 1
+        return base_rates(self.arm)
 
     @property
     def states(self) -> int:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from zygos.arm import Arm
 from zygos.can.run import Run
+from zygos.refinement.motion import base_rates
 from zygos.runs.cycles import BREAK_BEFORE
 from zygos.runs.samples import HALF_RANGE_RAD, Samples, calibrate
 
@@ -156,7 +157,7 @@ def start_of(arm: Arm, piece: Piece) -> tuple[Floats, Floats]:
     Rates are those of a parabola through the first angles; what the next angle says otherwise widens their deviations.
     """
     wire = arm.over_the_wire
-    width = 0 if not arm.free else 3 if arm.spatial else 1
+    width = base_rates(arm)
     part = _apart(arm)
     seen = np.flatnonzero(piece.read)
     at = seen[np.searchsorted(seen, part * np.arange(4))]
