@@ -255,7 +255,7 @@ static bool inertia(const zygos_propagation_t *self, const zygos_config_t *confi
         const uint32_t joint = of_base ? 0u : u - self->base_rates;
         const double *w = of_base ? work->base_axis[u] : work->axis[joint];
         const uint32_t moved = of_base ? 0u : joint + 1u;
-        directions_t change;
+        directions_t change = { { 0.0 } }; /* gcc does not see that each of its used rows is set */
         directions_t force;
         bodies_t torque = { { 0.0 } };
         bodies_t beyond;

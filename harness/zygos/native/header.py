@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from zygos.files.names import ascii_name, printable
-from zygos.native.flight import Flight, ffi, lib
+from zygos.native import flight as library
+from zygos.native.flight import Flight
 from zygos.native.sizes import memory
 
 _ENUMS = {
@@ -34,7 +35,7 @@ def capacities(config: Any) -> dict[str, int]:
         "ZYGOS_MAX_EFFECTS": config.effects,
         "ZYGOS_MAX_REDUCTION": config.reductions,
         "ZYGOS_MAX_PARAMETERS": config.reduced + config.effects if config.reduced > 0 else 0,
-        "ZYGOS_SPATIAL": int(config.kinetic == lib.ZYGOS_SPATIAL_ARM),
+        "ZYGOS_SPATIAL": int(config.kinetic == library.lib.ZYGOS_SPATIAL_ARM),
         "ZYGOS_MOMENTUM": int(config.momentum_arc_cycles > 0),
         "ZYGOS_JOINT_ROWS": int(config.joint_row_cycles > 0),
     }
@@ -44,7 +45,9 @@ def least_build(config: Any) -> dict[str, int]:
     """The capacities of the smallest build that holds a ``zygos_config_t`` and has every function, by macro; the
     others are the defaults."""
     needs = capacities(config)
-    needs["ZYGOS_MAX_BLOCKS"] = _FEWEST_BLOCKS if lib.zygos_joint_sums_suffice(ffi.addressof(config)) else _BLOCKS
+    needs["ZYGOS_MAX_BLOCKS"] = (
+        _FEWEST_BLOCKS if library.lib.zygos_joint_sums_suffice(library.ffi.addressof(config)) else _BLOCKS
+    )
     if config.impulse_arc_cycles == 0:
         needs["ZYGOS_MAX_MOTOR_BLOCKS"] = _FEWEST_MOTOR_BLOCKS
     parameters = needs["ZYGOS_MAX_PARAMETERS"]
@@ -63,14 +66,14 @@ def _initialiser(value: Any, field: str) -> str:
     if isinstance(value, float):
         return repr(value)  # the shortest number that reads back as the same
     if field in _ENUMS:
-        names: dict[int, str] = ffi.typeof(f"enum {_ENUMS[field]}").elements
+        names: dict[int, str] = library.ffi.typeof(f"enum {_ENUMS[field]}").elements
         return names[value]
     return "ZYGOS_ABI" if field == "abi" else f"{value}u"
 
 
 def _fields(struct: Any, indent: str) -> Iterator[str]:
     """Lines that initialise the fields of a struct in their order."""
-    for field, kind in ffi.typeof(struct).fields:
+    for field, kind in library.ffi.typeof(struct).fields:
         value = getattr(struct, field)
         if kind.type.kind != "array":
             yield f"{indent}.{field} = {_initialiser(value, field)},"
@@ -101,7 +104,7 @@ def header(flight: Flight, source: str) -> str:
     ]
     bytes_of = least_memory(config)
     build = " ".join(f"-D{macro}={value}" for macro, value in least_build(config).items())
-    version = lib.ZYGOS_VERSION_MAJOR_VALUE, lib.ZYGOS_VERSION_MINOR_VALUE
+    version = library.lib.ZYGOS_VERSION_MAJOR_VALUE, library.lib.ZYGOS_VERSION_MINOR_VALUE
     return "\n".join(
         [
             f"// Arm {printable(flight.arm.name)}, compiled from {source} by `zygos compile-model`. Do not edit.",
