@@ -70,6 +70,13 @@ void zygos_refine_defaults(zygos_refine_settings_t *settings, const zygos_config
     settings->window = 100u;
     settings->apart = 1u + (uint32_t)(0.0249999 / config->period_s);
     settings->bias_sigma = 1e-3;
+    /* An encoder is mounted to a step at best. */
+    const double step = __builtin_sqrt(VARIANCE_OF_STEP);
+    filter->zeros = 1u;
+    for (uint32_t i = 0; i < config->joints; i++) {
+        settings->beside_sigma[i] = step * filter->link_sigma[i];
+        settings->beside_sigma[config->joints + i] = step * filter->motor_sigma[i];
+    }
 }
 
 int zygos_refine_init(zygos_refine_t *self, const zygos_config_t *config, const zygos_refine_settings_t *settings)
@@ -822,7 +829,7 @@ int zygos_refine_judge(const zygos_refine_t *self, const zygos_config_t *config,
         out->value[k] = filter->x[filter->fast + k] * size;
         out->sigma[k] = __builtin_sqrt(square) * size;
         const double other = energy->half95[k] / TWO_SIGMAS;
-        const double allowed = ZYGOS_REFINE_SIGMAS * __builtin_sqrt(other * other + out->sigma[k] * out->sigma[k]) +
+        const double allowed = ZYGOS_REFINE_APART_SIGMAS * __builtin_sqrt(other * other + out->sigma[k] * out->sigma[k]) +
                                ZYGOS_REFINE_BIAS * size;
         const double distance = magnitude(out->value[k] - energy->value[k]) / allowed;
         if (distance > out->distance) {

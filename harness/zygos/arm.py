@@ -88,6 +88,12 @@ class Encoder:
         return self.quantum_rad / math.sqrt(12.0)
 
     @property
+    def zero_uncertainty_rad(self) -> float:
+        """Standard deviation of `zero_rad` where all readings are used, rad: an encoder is mounted to a step at best,
+        whatever the file states of its zero."""
+        return max(self.zero_sigma_rad, self.quantum_rad)
+
+    @property
     def over_the_wire(self) -> Encoder:
         """The same encoder with the error that its readings have after rounding to the steps of the CAN frame
         (docs/wire.md).

@@ -45,8 +45,10 @@ extern "C" {
 #define ZYGOS_REFINE_SETTLING 8u
 /// By which the mean normalised square of a window may exceed 1 beside 3 standard errors.
 #define ZYGOS_REFINE_EXCESS 0.1
-/// Standard errors that the distance of estimates, the level and the innovations are allowed.
+/// Standard errors that the level and the innovations are allowed.
 #define ZYGOS_REFINE_SIGMAS 3.0
+/// Standard deviations that the distance of estimates is allowed: the largest of many parameters is beyond 3 by chance.
+#define ZYGOS_REFINE_APART_SIGMAS 4.0
 /// Share by which the level may exceed 1 beside these: no deviation is declared exactly, and many readings tell the
 /// level to a thousandth.
 #define ZYGOS_REFINE_LOUDER 0.05
@@ -151,9 +153,9 @@ typedef struct {
     double sigma[ZYGOS_MAX_BODY + 3 * ZYGOS_MAX_JOINTS]; ///< Their standard deviations.
 } zygos_refined_t;
 
-/// Writes settings for a configuration: noise of encoders, gyro and torques as it declares them, no friction, offsets
-/// and zeros; readings in every cycle up to two joints, and about every 40 ms with more, where a use costs much. Set
-/// torque_relative_sigma.
+/// Writes settings for a configuration: noise of encoders, gyro and torques as it declares them, zeros that are known
+/// to a step of the encoder, no friction and no offsets; readings in every cycle up to two joints, and about every 40
+/// ms with more, where a use costs much. Set torque_relative_sigma.
 void zygos_refine_defaults(zygos_refine_settings_t *settings, const zygos_config_t *config);
 
 /// Prepares the task. Needs a configuration that zygos_init() accepts. Returns 1; ZYGOS_E_NULL; ZYGOS_E_VALUE if a

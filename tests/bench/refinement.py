@@ -20,6 +20,8 @@ CASES = {
     "complete, 0.5 %": Case(),
     "complete, 1 %": Case(noise=0.01),
     "complete, 0.5 %, declared 2 %": Case(declared=0.02),
+    "complete, mounted to a step, steps of the frames": Case(noise=0.0, mounted=True),
+    "complete, mounted to a step, 0.5 %": Case(mounted=True),
     **{f"delay of {ms} ms": Case(effects=(("torque_lag", 1e-3 * ms),)) for ms in (1, 2, 5, 10, 20)},
     **{f"gain of the elbow {100 * x:g} % higher": Case(gain=1.0 + x) for x in (0.001, 0.002, 0.005, 0.02, 0.05)},
     **{f"cubic springs, {x:g} Nm/rad³": Case(effects=(("cubic_stiffness", x),)) for x in (0.3, 1.0, 3.0, 10.0, 30.0)},
@@ -39,6 +41,7 @@ CASES = {
     },
     "space, steps of the frames": Case("spatial", 0.0),
     "space, 0.5 %": Case("spatial"),
+    "space, mounted to a step, steps of the frames": Case("spatial", 0.0, mounted=True),
 }
 
 

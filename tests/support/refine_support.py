@@ -40,6 +40,8 @@ class Case:
     gain: float = 1.0
     """Of the last joint's torque, reported divided by acting one."""
     duration_s: float | None = None
+    mounted: bool = False
+    """Whether the zero of each encoder is off by up to half of its step."""
 
     @property
     def arm(self) -> Arm:
@@ -125,8 +127,20 @@ def runs(case: Case, seeds: Sequence[int]) -> Mapping[int, Run]:
         cycles = trajectory.cycles(place)
         gains = np.ones(case.arm.n)
         gains[-1] = case.gain
-        answers[seed] = Run.of_cycles(case.arm, replace(cycles, tau=cycles.tau * gains))
+        q, theta = cycles.q, cycles.theta
+        if case.mounted:
+            q, theta = q + zeros(case.arm, seed)[0], theta + zeros(case.arm, seed)[1]
+        answers[seed] = Run.of_cycles(case.arm, replace(cycles, q=q, theta=theta, tau=cycles.tau * gains))
     return answers
+
+
+def zeros(arm: Arm, seed: int) -> Floats:
+    """(2, N) zeros of link and motor encoders that are mounted to a step, rad."""
+    steps = [
+        [one.link_encoder.quantum_rad for one in arm.joints],
+        [one.motor_encoder.quantum_rad for one in arm.joints],
+    ]
+    return np.asarray(np.array(steps) * np.random.default_rng([seed, 2]).uniform(-0.5, 0.5, (2, arm.n)))
 
 
 def score(case: Case, run: Run, prior: Model | None = None) -> Score:

@@ -147,7 +147,8 @@ def dense(arm: Arm, model: Model, scenario: Scenario, relative: float) -> Floats
     bias = np.zeros((n, read.stop, n))
     bias[:, 0] = np.tri(n)
     bias[:, 0, 1:] *= arm.imu.bias_walk * np.sqrt(arm.period_s)
-    zeros = [j.link_encoder.zero_sigma_rad for j in wire.joints] + [j.motor_encoder.zero_sigma_rad for j in wire.joints]
+    known = [j.link_encoder for j in wire.joints] + [j.motor_encoder for j in wire.joints]
+    zeros = [max(one.zero_sigma_rad, one.quantum_rad) for one in known]  # mounted to a step at best
     offsets = np.tile(np.eye(read.stop)[:, 1:] * zeros, (n, 1))
     columns = np.concatenate([parts[0], offsets, parts[1], bias.reshape(-1, n), *parts[2:]], axis=1)
     size += 2 * joints
@@ -156,8 +157,8 @@ def dense(arm: Arm, model: Model, scenario: Scenario, relative: float) -> Floats
     prior = np.zeros((n * joints + n - 1, columns.shape[1]))
     prior[: n * joints, size : size + n * joints] = np.eye(n * joints)
     prior[n * joints :, size + n * joints + 1 : size + n * joints + n] = np.eye(n - 1)
-    known = np.eye(2 * joints, columns.shape[1], size - 2 * joints)
-    whole = np.concatenate([columns, prior, known])
+    mounted = np.eye(2 * joints, columns.shape[1], size - 2 * joints)
+    whole = np.concatenate([columns, prior, mounted])
     scale = np.linalg.norm(whole, axis=0)
     triangle = np.linalg.qr(whole / scale, mode="r")[-p:, -p:]
     return np.asarray(np.linalg.norm(np.linalg.inv(triangle), axis=1) / scale[-p:] * np.abs(values))

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from arm_support import random_arm
-from refine_support import Case, plant, runs, score
+from refine_support import Case, plant, runs, score, zeros
 
 from conftest import ROOT
 from zygos.arm import save_arm
@@ -157,6 +157,18 @@ def test_uncertain_zeros_are_estimated() -> None:
     zeros, sigma = answer.final.beside[4:6], answer.final.beside_sigma[4:6]
     assert np.all(np.abs(zeros - np.array([1e-3, -2e-3])) < 4.0 * sigma)
     assert np.all(sigma < 1e-3)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.005])
+def test_encoders_that_are_mounted_to_a_step_do_no_harm(noise: float) -> None:
+    """Zeros that are off by up to half of a step, of which the arm file says nothing."""
+    case = replace(SHORT, noise=noise, mounted=True)
+    answer = refine_runs([runs(case, [0])[0]])
+    assert answer.published, answer.reason
+    assert np.abs(away(answer)).max() < 4.0
+    at = 2 * case.arm.n
+    off = (answer.final.beside[at:] - zeros(case.arm, 0).ravel()) / answer.final.beside_sigma[at:]
+    assert np.abs(off).max() < 4.0
 
 
 # ------------------------------------------------------------------------------------------ records

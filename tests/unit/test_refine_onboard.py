@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from arm_support import arm_of_known_lengths
 from numpy.typing import NDArray
-from refine_support import Case, drawing, noisy, plant
+from refine_support import Case, drawing, noisy, plant, zeros
 from scipy.linalg import expm
 
 from conftest import ROOT
@@ -41,7 +41,8 @@ def flown(case: Case, seed: int, duration_s: float = 120.0) -> Cycles:
                    rtol=1e-6, atol=1e-8).cycles()  # fmt: skip
     gains = np.ones(case.arm.n)
     gains[-1] = case.gain
-    return replace(run, tau=run.tau * gains)
+    off = zeros(case.arm, seed) * case.mounted
+    return replace(run, q=run.q + off[0], theta=run.theta + off[1], tau=run.tau * gains)
 
 
 def part(cycles: Cycles, chosen: slice | NDArray[np.bool_]) -> Cycles:
@@ -100,10 +101,9 @@ def test_it_is_the_whole_filter() -> None:
     packed = np.frombuffer(ffi.buffer(task.native.filter.root), dtype=np.float64)
     root.T[np.tril_indices(entries)] = packed[: entries * (entries + 1) // 2]
     size = np.frombuffer(ffi.buffer(task.native.filter.settings.size), dtype=np.float64)[:12].copy()
-    whole = Refiner(arm, Settings(size, 5))
-    fast = whole.fast
-    value = x[fast:] * size
-    whole.start(np.concatenate([x[:fast], value]), np.ones(entries), np.diag((0.01 * size) ** 2))
+    whole = Refiner(arm, Settings(size, 5, zeros=True))
+    fast, end = whole.fast, whole.fast + len(size)
+    whole.start(np.concatenate([x[:fast], x[fast:end] * size, x[end:]]), np.ones(entries), np.diag((0.01 * size) ** 2))
     np.frombuffer(ffi.buffer(whole._native.root), dtype=np.float64)[: len(packed)] = packed
     for k in range(n - 1, len(rest)):
         whole.advance(rest.tau[k - 1])
@@ -127,7 +127,7 @@ def test_slices_are_the_whole() -> None:
         assert task.native.overrun == 0
         entries = task.native.filter.entries
         images.append(bytes(ffi.buffer(task.native.filter.root)) + bytes(ffi.buffer(task.native.filter.x)))
-        assert task.native.used == len(rest) - 3 and entries == 22
+        assert task.native.used == len(rest) - 3 and entries == 26
     assert images[0] == images[1] == images[2]
 
 
@@ -278,6 +278,19 @@ def test_published_values_are_better_than_the_estimate() -> None:
     assert 10.0 * ours < theirs
 
 
+@pytest.mark.parametrize("seed", range(2))
+def test_encoders_that_are_mounted_to_a_step_do_no_harm(seed: int) -> None:
+    """Zeros that are off by up to half of a step, of which the arm file says nothing: the values are published, and
+    better than the estimate by a factor of 10."""
+    case = Case(mounted=True)
+    _, answer = refined(case, seed)
+    flight, _ = learned(case.arm, flown(case, seed))
+    truth = plant("paper").base_values(case.arm)
+    assert answer.published, answer.text
+    ours, theirs = (np.sqrt(np.mean((one / truth - 1.0) ** 2)) for one in (answer.value, flight.estimate().value))
+    assert 10.0 * ours < theirs
+
+
 @pytest.mark.slow
 def test_errors_are_within_the_bound_and_what_is_stated() -> None:
     """12 runs: errors at most 1.3 times the bound, and 95 % intervals that hold."""
@@ -312,7 +325,7 @@ def test_the_level_follows_the_torques() -> None:
     ("case", "reasons"),
     [
         (Case(gain=1.02), {LEVEL, APART, INNOVATIONS}),
-        (Case(gain=1.05), {ENERGY, LEVEL, APART, INNOVATIONS}),
+        (Case(gain=1.05), {ENERGY, FAILED, LEVEL, APART, INNOVATIONS}),
         (Case(effects=(("torque_lag", 0.01),)), {ENERGY, LEVEL, APART, INNOVATIONS}),
         (Case(effects=(("cubic_stiffness", 3.0),)), {FAILED, LEVEL, APART, INNOVATIONS}),
     ],
@@ -606,25 +619,30 @@ def test_noise_of_torques_is_another_one_in_each_cycle(every: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(2))
-@pytest.mark.parametrize(("noise", "worst"), [(0.0, 0.06), (0.005, 0.1)])
-def test_means_of_readings_suffice_for_an_arm_in_space(noise: float, worst: float, seed: int) -> None:
-    """Three joints, means of readings over 40 ms: refined values are published, their intervals hold, and the inertia
-    matrix is right to so many per cent in the worst of 200 postures, after 60 s with an estimate of 60 s at first."""
-    case = Case("spatial", noise=noise)
-    cycles, truth = flown(case, seed), plant("spatial").base_values(case.arm)
-    flight, rest = learned(case.arm, cycles)
-    task = OnboardRefiner(case.arm)
-    assert (task.native.settings.every, task.native.settings.terms) == (20, 12)
-    task.start(flight, drawing("spatial", 0).base_values(case.arm))
-    task.cycles(rest)
-    flight.cycles(rest)
-    answer = task.judge(flight)
-    assert answer.published and answer.reason == 0 and answer.used > 1490
-    assert np.all(answer.nis < 1.3)
-    errors = inertia_errors(case.arm, answer.value[None], truth)
-    assert errors is not None and errors[0] < worst
-    assert np.mean(np.abs(answer.value - truth) < 1.96 * answer.sigma) > 0.85
+@pytest.mark.parametrize(("noise", "worst"), [(0.0, 0.05), (0.005, 0.06)])
+def test_means_of_readings_suffice_for_an_arm_in_space(noise: float, worst: float) -> None:
+    """Three joints, encoders mounted to a step, means of readings over 40 ms: in four runs, refined values are
+    published, their intervals hold, and the inertia matrix is right to so many per cent in the worst of 200 postures
+    (rms of the runs), after 60 s with an estimate of 60 s at first."""
+    case, errors, within = Case("spatial", noise=noise, mounted=True), [], []
+    truth = plant("spatial").base_values(case.arm)
+    for seed in range(4):
+        flight, rest = learned(case.arm, flown(case, seed))
+        task = OnboardRefiner(case.arm)
+        assert (task.native.settings.every, task.native.settings.terms) == (20, 12)
+        task.start(flight, drawing("spatial", 0).base_values(case.arm))
+        task.cycles(rest)
+        flight.cycles(rest)
+        answer = task.judge(flight)
+        assert answer.published and answer.reason == 0 and answer.used > 1490
+        assert np.all(answer.nis < 1.3)
+        of_matrix = inertia_errors(case.arm, answer.value[None], truth)
+        assert of_matrix is not None
+        errors.append(of_matrix[0])
+        within.append(np.mean(np.abs(answer.value - truth) < 1.959964 * answer.sigma))
+    assert np.sqrt(np.mean(np.square(errors))) < worst
+    # the parameters of a run are correlated: shares of single runs scatter by 0.09
+    assert abs(np.mean(within) - 0.95) < 3.0 * 0.09 / np.sqrt(4.0)
 
 
 def test_where_a_cycle_was_lost_the_newest_readings_are_used() -> None:

@@ -120,7 +120,7 @@ def command(
     The scenario is simulated, and around its motion it is computed what the frames tell about each parameter at most
     (Cramér-Rao bound).
     The noise is that which arm.toml declares, with the steps of the CAN frames. Unknown besides the parameters are the
-    state of the arm at the start, the bias of the gyro, and zeros of encoders that have a zero_sigma_rad. An estimate
+    state of the arm at the start, the bias of the gyro, and the zeros of the encoders, to a step at least. An estimate
     whose errors are as small as these uses all that the frames hold.
 
     For an arm in space that floats, "H(q)" is the largest relative error of its inertia matrix, worst and median of

@@ -229,7 +229,7 @@ class Layout:
         gained = {one.joint for one in self.own if one.kind.gain}
         out: dict[str, SensorError] = {}
         for i, one in enumerate(arm.joints):
-            link, motor = (max(e.zero_sigma_rad, e.quantum_rad) for e in (one.link_encoder, one.motor_encoder))
+            link, motor = (e.zero_uncertainty_rad for e in (one.link_encoder, one.motor_encoder))
             if one.flexible:
                 out[f"link_zero{i + 1}"] = SensorError(link, ("q",), unit[i])
             out[f"motor_zero{i + 1}"] = SensorError(motor, ("theta",) if one.flexible else ("q", "theta"), unit[i])

@@ -81,6 +81,9 @@ class OnboardRefiner:
         for i, joint in enumerate(arm.joints):
             native.filter.torque_sigma[i] = math.hypot(joint.torque_sigma, TORQUE_STEP / math.sqrt(12.0))
             native.filter.torque_relative_sigma[i] = joint.torque_relative_sigma
+        encoders = [one.link_encoder for one in arm.joints] + [one.motor_encoder for one in arm.joints]
+        for k, encoder in enumerate(encoders):
+            native.beside_sigma[k] = max(native.beside_sigma[k], encoder.zero_sigma_rad)
         native.filter.bias_walk = arm.imu.bias_walk * math.sqrt(arm.period_s)
         native.filter.steps = settings.steps or native.filter.steps
         native.every, native.terms = settings.every or native.every, settings.terms or native.terms

@@ -294,13 +294,13 @@ def _readings(motion: FlexibleMotion) -> tuple[Floats, Floats, Floats]:
     """What the 2N + W sensors read of state, gyro bias and encoder zeros (m, s), the standard deviations of their noise
     (m,), and those of state, bias and zeros before the first reading (s,).
 
-    An encoder that latches after SYNC reads an angle that its rate has moved on by then. A zero belongs to it only
-    where the arm declares that it is not known.
+    An encoder that latches after SYNC reads an angle that its rate has moved on by then. A zero belongs to it
+    unless it has no steps and the arm declares none.
     """
     arm = motion.arm.over_the_wire
     n, width, x = arm.n, motion.base_rates, motion.states
     encoders = [one.link_encoder for one in arm.joints] + [one.motor_encoder for one in arm.joints]
-    doubtful = [row for row, one in enumerate(encoders) if one.zero_sigma_rad > 0.0]
+    doubtful = [row for row, one in enumerate(encoders) if one.zero_uncertainty_rad > 0.0]
     read = np.zeros((2 * n + width, x + width + len(doubtful)))
     noise = np.empty(len(read))
     for row, encoder in enumerate(encoders):
@@ -313,7 +313,7 @@ def _readings(motion: FlexibleMotion) -> tuple[Floats, Floats, Floats]:
     unknown[width : width + 2 * n] = _UNKNOWN_RAD
     for column, row in enumerate(doubtful, x + width):
         read[row, column] = 1.0
-        unknown[column] = encoders[row].zero_sigma_rad
+        unknown[column] = encoders[row].zero_uncertainty_rad
     return read, noise, unknown
 
 

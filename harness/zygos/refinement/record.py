@@ -171,7 +171,7 @@ def start_of(arm: Arm, piece: Piece) -> tuple[Floats, Floats]:
     ):
         noise = np.array([one.sigma_rad for one in encoders])
         angles.append(values[0])
-        sigmas.append(_SHARE * np.hypot(noise, [one.zero_sigma_rad for one in encoders]))
+        sigmas.append(_SHARE * np.hypot(noise, [one.zero_uncertainty_rad for one in encoders]))
         rates.append(three @ values[at[:3]])
         doubts.append(np.abs(four @ values[at] - rates[-1]) + float(np.linalg.norm(four)) * noise)
     base = piece.omega[0] if width == 3 else np.array([piece.omega[0] @ arm.axis])[:width]

@@ -80,7 +80,7 @@ def begin(
         known_well = math.isfinite(found + spread)
         beside[kind, joint] = found if known_well else 0.0
         sigma[kind, joint] = math.hypot(_WIDER * spread, least) if known_well else least
-    zeros = np.array([one.zero_sigma_rad for one in known])
+    zeros = np.array([one.zero_uncertainty_rad for one in known])
     return (
         Start(value, np.concatenate([beside.ravel(), np.zeros_like(zeros)])),
         within(scaled, MOST) * np.outer(size, size),
