@@ -829,8 +829,9 @@ int zygos_refine_judge(const zygos_refine_t *self, const zygos_config_t *config,
         out->value[k] = filter->x[filter->fast + k] * size;
         out->sigma[k] = __builtin_sqrt(square) * size;
         const double other = energy->half95[k] / TWO_SIGMAS;
-        const double allowed = ZYGOS_REFINE_APART_SIGMAS * __builtin_sqrt(other * other + out->sigma[k] * out->sigma[k]) +
-                               ZYGOS_REFINE_BIAS * size;
+        const double allowed =
+            ZYGOS_REFINE_APART_SIGMAS * __builtin_sqrt(other * other + out->sigma[k] * out->sigma[k]) +
+            ZYGOS_REFINE_BIAS * size;
         const double distance = magnitude(out->value[k] - energy->value[k]) / allowed;
         if (distance > out->distance) {
             out->distance = distance;

@@ -9,7 +9,7 @@ import pytest
 from bench.onboard import CASES, measure, on_host, write_run
 from pil.pil_support import need_tools
 
-BUDGETS = {"paper": (400_000, 16_000), "spatial": (1_000_000, 96_000)}
+BUDGETS = {"paper": (400_000, 16_000), "spatial": (1_100_000, 96_000)}
 """Most instructions of the filter for a use of readings, and bytes."""
 
 
