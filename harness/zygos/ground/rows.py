@@ -148,7 +148,7 @@ def _creeps(arm: Arm, motion: Motion, state: State) -> NDArray[np.bool_]:
         for part in np.split(np.arange(len(slow)), edges):
             if len(part) * arm.period_s < _CREEPING_S:
                 slow[part, j] = False
-    return slow
+    return np.asarray(slow, dtype=np.bool_)
 
 
 def resting_share(arm: Arm, state: State, rows: JointRows) -> Floats:
