@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from ground_gap_support import Array, Law, axis, measured, nothing, sign, size
+from ground_support import motion, short_arm, torques
 
 from zygos.arm import load_arm
 from zygos.can.run import Run
@@ -20,6 +21,7 @@ from zygos.gap.ground.page import write_ground_gap_report
 from zygos.model.model import Model, Quantity
 from zygos.report.provenance import provenance
 from zygos.reports import write_report
+from zygos.runs.cycles import Cycles
 
 ROOT = Path(__file__).parents[2]
 
@@ -109,6 +111,41 @@ def test_a_law_that_is_not_exactly_that_of_the_catalogue_is_named_in_part() -> N
     (rest,) = x.verdict.left  # type: ignore[union-attr]
     assert rest.over == "rate"
     assert rest.size > 3.0 * rest.floor
+
+
+@pytest.mark.parametrize("speed", [0.21, 0.38])
+def test_a_stribeck_velocity_between_those_of_the_catalogue(speed: float) -> None:
+    c, v, s = 0.1 * size(), 0.1 * size(), 0.08 * size()
+    for seed in range(4):
+        x = _explained(measured(lambda q, qd: (c + s * np.exp(-((qd / speed) ** 2))) * sign(qd) + v * qd, seed=seed))
+        assert x.answer == "named", x.sentence
+        found = {finding.kind: finding for finding in x.findings}
+        assert set(found) == {"motor_coulomb", "motor_viscous", "motor_stribeck"}
+        # the grid has 0.158, 0.281 and 0.5 rad/s
+        assert found["motor_stribeck"].shape == pytest.approx(speed, rel=0.06)
+        for kind, size_ in (("motor_coulomb", c), ("motor_viscous", v), ("motor_stribeck", s)):
+            low, high = found[kind].interval
+            assert low < size_ < high, (kind, seed)
+
+
+def test_what_the_twin_shows_as_well_is_no_effect() -> None:
+    arm, model = short_arm(friction=False, torque_noise=0.003)
+    runs = []
+    for path in range(3):
+        q, qd, qdd = motion(arm, 20.0, path)
+        ideal = torques(arm, model, q, qd, qdd)
+        noise = 0.3 * np.array([joint.torque_sigma for joint in arm.joints])
+        tau = ideal + 0.1 * np.abs(ideal) * sign(10.0 * qd) + noise * np.random.default_rng(path).normal(size=q.shape)
+        step = np.array([joint.motor_encoder.quantum_rad for joint in arm.joints])
+        read, count = np.round(q / step) * step, len(q)
+        cycles = Cycles(
+            np.arange(count, dtype=np.uint64), read, read, tau, np.zeros((count, 3)), np.zeros(count, dtype=np.uint32)
+        )
+        runs.append(Run.of_cycles(arm, cycles))
+    x = explain_ground(arm, model, runs[:2], runs[2:])
+    # the smoother's error at reversals is a viscous friction of 5e-4 Nms that differs between the directions
+    assert x.answer == "named", x.sentence
+    assert [f.kind for f in x.findings] == ["load_friction"] * 3
 
 
 def test_a_torque_of_the_angle_is_unknown() -> None:

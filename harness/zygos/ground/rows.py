@@ -26,6 +26,9 @@ _SLOW_SIGMAS = 4.0
 """Rate, in standard deviations of its noise, below which its sign is not known."""
 _LINGERING = 0.3
 """Share of an increment at such rates from which on its row is left out."""
+_CREEP, _CREEPING_S = 0.02, 0.2
+"""Rate, as a share of the joint's root mean square, at which a joint creeps that stays below it for so long, s. No law
+of friction is certain there, and the phases before and after a stop are far longer than a reversal."""
 _NOISE_SAMPLES = 6
 """Increments of a block at which the expected products of noise are computed."""
 
@@ -125,22 +128,39 @@ def run_rows(motion: Motion, span_s: float, effects: Sequence[Effect], predicted
         w=rows.w,
         offset=arm.gear_ratios * float(steps) * arm.period_s,
         span_s=float(steps) * arm.period_s,
-        lingers=_lingers(arm, state, rows, effects),
+        lingers=_lingers(arm, motion, state, rows, effects),
         gains=tuple((one.index(arm), p + k) for k, one in enumerate(effects) if one.kind.gain),
     )
 
 
-def _lingers(arm: Arm, state: State, rows: JointRows, effects: Sequence[Effect]) -> NDArray[np.bool_]:
-    share = resting_share(arm, state, rows)
+def _lingers(arm: Arm, motion: Motion, state: State, rows: JointRows, effects: Sequence[Effect]) -> NDArray[np.bool_]:
+    share = np.maximum(resting_share(arm, state, rows), _share(rows, _creeps(arm, motion, state)))
     signed = {effect.index(arm) for effect in effects if effect.kind.key in _SIGNED}
     return np.asarray((share > _LINGERING) & [j in signed for j in range(arm.n)], dtype=np.bool_)
+
+
+def _creeps(arm: Arm, motion: Motion, state: State) -> NDArray[np.bool_]:
+    """(n, N) whether a joint creeps."""
+    slow = np.abs(state.qd) < _CREEP * np.sqrt(np.mean(state.qd**2, axis=0))
+    breaks = np.diff(motion.smoothed.segment, prepend=-1) != 0
+    for j in range(arm.n):
+        edges = np.flatnonzero(breaks | (np.diff(slow[:, j], prepend=False) != 0))
+        for part in np.split(np.arange(len(slow)), edges):
+            if len(part) * arm.period_s < _CREEPING_S:
+                slow[part, j] = False
+    return np.asarray(slow, dtype=np.bool_)
 
 
 def resting_share(arm: Arm, state: State, rows: JointRows) -> Floats:
     """(m, N) share of each increment in which the rate of a joint does not show its sign."""
     slow = np.maximum(_SLOW_SIGMAS * np.sqrt(variances(arm).link), SLOWEST_RATE)
-    still = np.vstack([np.zeros(arm.n), np.cumsum(np.abs(state.qd) < slow, axis=0)])
-    return np.asarray((still[rows.end] - still[rows.begin]) / np.maximum(rows.end - rows.begin, 1)[:, None])
+    return _share(rows, np.abs(state.qd) < slow)
+
+
+def _share(rows: JointRows, of: NDArray[np.bool_]) -> Floats:
+    """(m, N) share of each increment that consists of some instants."""
+    total = np.vstack([np.zeros(of.shape[1]), np.cumsum(of, axis=0)])
+    return np.asarray((total[rows.end] - total[rows.begin]) / np.maximum(rows.end - rows.begin, 1)[:, None])
 
 
 def _within_periods(arm: Arm, motion: Motion, rows: JointRows, state: State, effect: Effect) -> Floats:

@@ -14,16 +14,18 @@ from zygos.can.run import Run
 from zygos.effects import CATALOGUE, Effect
 from zygos.errors import ZygosError
 from zygos.gap.findings import ASYMMETRY, INTERVAL, Finding, Repeated, Value
+from zygos.gap.ground.bias import confirmed
 from zygos.gap.ground.candidates import OFFSET_OF_TORQUE, candidates_of
 from zygos.gap.ground.changes import find_change
 from zygos.gap.ground.columns import Layout, Table, table_of
 from zygos.gap.ground.direction import one_sided
 from zygos.gap.ground.explanation import GroundExplanation, GroundGap, JointRest
-from zygos.gap.ground.fit import Fit, jackknife, residual
+from zygos.gap.ground.fit import Fit, fit, jackknife, residual
 from zygos.gap.ground.gravity import missing_gravity
 from zygos.gap.ground.predictions import CLOSED, Prediction, Stage, predict, remainders, run_name
 from zygos.gap.ground.search import Search, is_gain, search
 from zygos.gap.ground.sentences import entry_evidence, gains, offset
+from zygos.gap.ground.shapes import open_shapes, with_best_shapes
 from zygos.gap.ground.timing import lateness, torque_constants
 from zygos.gap.ground.twin import increments_floor, predicted_load
 from zygos.gap.verdicts import (
@@ -119,12 +121,19 @@ class _Explainer:
             table, found = wider
         else:
             found = replace(found, last=wider[1].rounds[-1] if wider[1].rounds else ())
+        bodies = self._bodies(table, found)
+        loads = [predicted_load(motion, bodies) for motion in motions]
+        table, found = with_best_shapes(
+            self.simulation, table, found, loads, lambda name: self.step(0.75, f"found {name}")
+        )
+        self.step(0.77, "the twin of what was found")
+        found = confirmed(self.simulation, table, found, stage_of(table.layout, "closed", found.after))
         self.step(0.78, "changes within and between runs")
         changed = find_change(table, found.after)
         if changed is not None:
             found = replace(found, after=changed[1])
         self.step(0.8, "predictions of the untouched runs")
-        sizes = _Sizes.of(table, found.after)
+        sizes = _Sizes.of(table, found)
         findings = self._findings(found, sizes)
         findings = (*findings, *self._directions(table, found, findings, sizes))
         gap = self._gap(table, found)
@@ -421,9 +430,20 @@ class _Sizes:
         return {k: (self._sigma[k], self._freedom[k]) for k in self._sigma}
 
     @classmethod
-    def of(cls, table: Table, fitted: Fit) -> _Sizes:
-        covariance, freedom, spread = jackknife(table, fitted)
-        return cls(table.layout, fitted, np.maximum(np.sqrt(np.diag(covariance)), spread), freedom)
+    def of(cls, table: Table, found: Search) -> _Sizes:
+        """With the shapes of laws open: their coefficients are then those of two neighbouring shapes together."""
+        fitted, pairs = found.after, open_shapes(table, found.named)
+        if not pairs:
+            covariance, freedom, spread = jackknife(table, fitted)
+            return cls(table.layout, fitted, np.maximum(np.sqrt(np.diag(covariance)), spread), freedom)
+        wider = fit(table, [*fitted.free, *(other for _, other in pairs)], fitted.sigma)
+        both = np.eye(len(fitted.free), len(wider.free))
+        for k, (own, _) in enumerate(pairs):
+            both[fitted.free.index(own), len(fitted.free) + k] = 1.0
+        covariance, freedom, _ = jackknife(table, wider)
+        spread = jackknife(table, fitted)[2]
+        sigma = np.sqrt(np.diag(both @ covariance @ both.T))
+        return cls(table.layout, fitted, np.maximum(sigma, spread), freedom[: len(fitted.free)])
 
     def at(self, name: str) -> tuple[float, float]:
         """Value, and the standard deviation of a normal variable with the same 95 % interval."""

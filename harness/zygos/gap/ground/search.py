@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -152,6 +152,14 @@ def search(table: Table, step: Callable[[str], None], begun: Search | None = Non
             fitted = fit(table, free)
     named = tuple(_beside_the_others(table, names))
     return Search(before, fitted, named, tuple(sets), tuple(rounds))
+
+
+def without(table: Table, found: Search, left_out: Sequence[str]) -> Search:
+    """A search without some of what it named."""
+    names = [one.name for one in found.named if one.name not in left_out]
+    fitted = fit(table, [*table.layout.basis, *(table.layout.at(name) for name in names)])
+    sets = tuple(group for group in found.sets if group[0] in names)
+    return replace(found, after=fitted, named=tuple(_beside_the_others(table, names)), sets=sets)
 
 
 def try_all(table: Table, fitted: Fit, candidates: Sequence[Candidate]) -> list[Tried]:

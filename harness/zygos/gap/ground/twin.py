@@ -33,7 +33,7 @@ _STEP = 0.1
 
 def floor(motion: Motion, rows: TorqueRows, values: Floats, effects: Sequence[Effect], seed: int = 0) -> Score:
     """The score of a model on its own twin. rows: of the measured run."""
-    acting = _acting(effects)
+    acting = acting_of(effects)
     twin = torque_rows(motion.arm, _samples(motion, rows, values, acting, seed), rows.cutoff_hz)
     return scored(motion.run, "floor", twin, values, acting, motion)
 
@@ -46,11 +46,9 @@ def increments_floor(measured: RunRows, values: Floats, effects: Sequence[Effect
     measured: the rows of the run. NaN at joints without an increment that counts. Errors: ZygosError for a run that is
     too short for the filter.
     """
-    motion, acting = measured.motion, _acting(effects)
+    motion, acting = measured.motion, acting_of(effects)
     arm = motion.arm
-    rows = torque_rows(arm, motion.samples, min(cutoff_hz(arm), HIGHEST_CUTOFF_HZ))
-    samples = _samples(motion, rows, values, acting, seed)
-    twin = Motion(motion.run, samples, replace(smooth(arm, samples), accepted=motion.smoothed.accepted))
+    twin = twin_of(motion, values, acting, seed)
     own = run_rows(twin, measured.span_s, acting, predicted_load(twin, values))
     left = own.w - own.z @ np.array([*values, *(effect.value for effect in acting)])
     used = measured.rows.accepted[:, None] & ~measured.lingers & np.isfinite(left)
@@ -58,6 +56,14 @@ def increments_floor(measured: RunRows, values: Floats, effects: Sequence[Effect
     resting *= _resting_friction(arm, acting)
     each = [(left[used[:, j], j], resting[used[:, j], j]) for j in range(arm.n)]
     return np.array([np.hypot(np.std(x), np.sqrt(np.mean(r**2))) if len(x) else np.nan for x, r in each])
+
+
+def twin_of(motion: Motion, values: Floats, effects: Sequence[Effect], seed: int = 0) -> Motion:
+    """The motion that the twin's sensors read. Errors: ZygosError for a run that is too short for the filter."""
+    arm = motion.arm
+    rows = torque_rows(arm, motion.samples, min(cutoff_hz(arm), HIGHEST_CUTOFF_HZ))
+    samples = _samples(motion, rows, values, acting_of(effects), seed)
+    return Motion(motion.run, samples, replace(smooth(arm, samples), accepted=motion.smoothed.accepted))
 
 
 def _resting_friction(arm: Arm, effects: Sequence[Effect]) -> Floats:
@@ -82,7 +88,7 @@ def predicted_load(motion: Motion, values: Floats) -> Floats:
     return np.asarray(z @ values, dtype=np.float64)
 
 
-def _acting(effects: Sequence[Effect]) -> list[Effect]:
+def acting_of(effects: Sequence[Effect]) -> list[Effect]:
     """Those that are torques of the twin, and not errors of its sensors."""
     return [effect for effect in effects if not (effect.kind.gain or effect.kind.lags)]
 
