@@ -147,7 +147,11 @@ def test_cannot_tell_motor_from_link_where_they_turn_as_one() -> None:
     found = verdict(bench, simulation(case), seen)
     assert found.answer == "cannot tell", found.sentence
     (finding,) = found.findings
-    assert {_column(finding.kind, finding.joint), *finding.instead} == {"motor_coulomb1", "link_coulomb1"}
+    told = {_column(finding.kind, finding.joint), *finding.instead}
+    assert told >= {"motor_coulomb1", "link_coulomb1"}
+    # hysteresis over a distance that is far shorter than each motion is Coulomb friction, too
+    others = {name.partition("@")[0] for name in told - {"motor_coulomb1", "link_coulomb1"}}
+    assert others <= {f"{side}_{law}1" for side in ("motor", "link") for law in ("dahl", "maxwell")}
     assert found.model is None
     # no motion bends a rigid joint
     assert found.experiments
@@ -271,13 +275,12 @@ def test_a_payload_between_the_runs_is_a_change() -> None:
 @pytest.mark.slow
 def test_a_law_of_another_form_is_named_in_part() -> None:
     """A friction that reverses within 0.3 rad/s looks like a viscous one below and like a Coulomb friction above that
-    rate, 3 Nm or 10 Nms/rad."""
+    rate, 3 Nm. The viscous one would have another size in each run."""
     found = _explained(laws.MotorCoulomb(ELBOW, 3.0, v0=0.3))
     assert found.answer == "part named", found.sentence
     named = _named(found)
-    assert set(named) == {("motor_viscous", "elbow"), ("motor_coulomb", "elbow")}
+    assert set(named) == {("motor_coulomb", "elbow")}
     assert 1.0 < named["motor_coulomb", "elbow"] < 3.0
-    assert 1.0 < named["motor_viscous", "elbow"] < 10.0
     untouched, *balances = found.verdict.left  # type: ignore[union-attr]
     assert (untouched.where, untouched.unit) == ("the untouched run", "sigma")
     assert untouched.size > 3.0 * untouched.floor

@@ -244,14 +244,14 @@ OUTSIDE: dict[str, tuple[tuple[str, Make, int, float], ...]] = {
         ("posture_friction", h.PostureFriction, 1, 0.008),
         ("warming_friction", h.WarmingFriction, 0, 0.02),
         ("cross_damping", h.CrossDamping, 1, 0.02),
-        ("cable_spring", h.CableSpring, 0, 0.15),
+        ("cable_spring", h.HardCable, 0, 0.15),
     ),
     "six": (
         ("concave_friction", h.ConcaveFriction, 4, 0.05),
         ("posture_friction", h.PostureFriction, 1, 8.0),
         ("warming_friction", h.WarmingFriction, 4, 0.05),
         ("cross_damping", h.CrossDamping, 2, 3.0),
-        ("cable_spring", h.CableSpring, 4, 0.05),
+        ("cable_spring", h.HardCable, 4, 0.05),
     ),
 }
 """Laws that no catalogue has: name, law, joint and size."""

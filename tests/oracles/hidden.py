@@ -655,8 +655,19 @@ class CrossDamping(Law):
 
 @dataclass
 class CableSpring(Law):
+    """A cable across the joint that pulls it towards an angle, as the sine of twice the distance."""
+
+    place = "link"
+    near = ("torque_offset", "spring_offset")
+
+    def torque(self, now: Now) -> float:
+        return -self.size * sin(2.0 * (now.q - 0.4))
+
+
+@dataclass
+class HardCable(Law):
     """A cable across the joint that pulls it towards an angle, and the harder the farther it is. A sine of the angle
-    would be the ripple of the catalogue where the gear ratio is 1."""
+    would be the ripple of the catalogue, where a rigid joint has a gear ratio of 1."""
 
     place = "link"
     near = ("torque_offset", "spring_offset")
