@@ -155,7 +155,8 @@ typedef struct {
 
 /// Writes settings for a configuration: noise of encoders, gyro and torques as it declares them, zeros that are known
 /// to a step of the encoder, no friction and no offsets; readings in every cycle up to two joints, and about every 40
-/// ms with more, where a use costs much. Set torque_relative_sigma.
+/// ms with more, where a use costs much. Set torque_relative_sigma; with friction or offsets, set beside_sigma anew,
+/// because those of the zeros come after theirs.
 void zygos_refine_defaults(zygos_refine_settings_t *settings, const zygos_config_t *config);
 
 /// Prepares the task. Needs a configuration that zygos_init() accepts. Returns 1; ZYGOS_E_NULL; ZYGOS_E_VALUE if a
