@@ -17,6 +17,7 @@ from zygos.errors import Undecided
 from zygos.model.model import Model, Quantity, load_model
 from zygos.refinement.inertia import inertia_errors
 from zygos.refinement.refine import Refinement, refine_runs
+from zygos.runs.cycles import Cycles
 from zygos.simulation.plant import Trajectory, simulate
 from zygos.simulation.scenario import load_scenario
 
@@ -124,14 +125,16 @@ def runs(case: Case, seeds: Sequence[int]) -> Mapping[int, Run]:
     trajectory = moved(case.example, case.noise, case.effects, tuple(seeds), case.duration_s)
     answers = {}
     for place, seed in enumerate(seeds):
-        cycles = trajectory.cycles(place)
-        gains = np.ones(case.arm.n)
-        gains[-1] = case.gain
-        q, theta = cycles.q, cycles.theta
-        if case.mounted:
-            q, theta = q + zeros(case.arm, seed)[0], theta + zeros(case.arm, seed)[1]
-        answers[seed] = Run.of_cycles(case.arm, replace(cycles, q=q, theta=theta, tau=cycles.tau * gains))
+        answers[seed] = Run.of_cycles(case.arm, reported(case, seed, trajectory.cycles(place)))
     return answers
+
+
+def reported(case: Case, seed: int, cycles: Cycles) -> Cycles:
+    """Cycles as the sensors of the case report them: with the gain of the last joint's torque, and with their zeros."""
+    gains = np.ones(case.arm.n)
+    gains[-1] = case.gain
+    off = zeros(case.arm, seed) * case.mounted
+    return replace(cycles, q=cycles.q + off[0], theta=cycles.theta + off[1], tau=cycles.tau * gains)
 
 
 def zeros(arm: Arm, seed: int) -> Floats:

@@ -54,9 +54,7 @@ def _axis(stops: bool) -> Trial:
     return Trial(arm, drawn, (runs[0], runs[1], runs[2]), table=True)
 
 
-def _explained(
-    laws: tuple[Law, ...], stops: bool, seed: int, offset: float = 0.0, seconds: float = 25.0
-) -> GroundExplanation:
+def _explained(laws: tuple[Law, ...], stops: bool, seed: int, offset: float = 0.0) -> GroundExplanation:
     trial = _axis(stops)
     dirt = Dirt(noise=np.array([0.002]), gain=np.zeros(1), offset=np.array([offset]))
     plant = Plant(trial, as_built(trial, seed), laws, dirt=dirt)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from arm_support import arm_of_known_lengths
 from numpy.typing import NDArray
-from refine_support import Case, drawing, noisy, plant, zeros
+from refine_support import Case, drawing, noisy, plant, reported
 from scipy.linalg import expm
 
 from conftest import ROOT
@@ -34,15 +34,12 @@ INNOVATIONS, LEVEL, APART, FAILED, ENERGY, WAITS = 4, 5, 6, 3, 2, 1
 
 @cache
 def flown(case: Case, seed: int, duration_s: float = 120.0) -> Cycles:
-    """The cycles of a run; the elbow's torques are reported with the gain of the case."""
+    """The cycles of a run, as the sensors of the case report them."""
     scenario = load_scenario(ROOT / "examples" / case.example / "scenario.toml")
     plants = plant(case.example, case.effects)
     run = simulate(noisy(case.example, case.noise), plants, scenario, seeds=[seed], duration_s=duration_s,
                    rtol=1e-6, atol=1e-8).cycles()  # fmt: skip
-    gains = np.ones(case.arm.n)
-    gains[-1] = case.gain
-    off = zeros(case.arm, seed) * case.mounted
-    return replace(run, q=run.q + off[0], theta=run.theta + off[1], tau=run.tau * gains)
+    return reported(case, seed, run)
 
 
 def part(cycles: Cycles, chosen: slice | NDArray[np.bool_]) -> Cycles:

@@ -158,6 +158,11 @@ class Kind:
         return lambda rate: law(Motion(rate=rate), np.nan)
 
     @property
+    def shape_varies(self) -> bool:
+        """Whether there are shapes between those that are listed: an order is a whole number."""
+        return any(x % 1.0 for x in self.shapes)
+
+    @property
     def shape(self) -> float:
         """A shape in the middle of its grid; NaN where it has none."""
         return self.shapes[len(self.shapes) // 2] if self.shapes else float("nan")

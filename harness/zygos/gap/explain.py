@@ -466,7 +466,7 @@ class _Explainer:
         if "@" not in name:
             return 0.0
         own = study.layout.find(name)
-        if own.shape is None or not any(x % 1.0 for x in own.kind.shapes):
+        if own.shape is None or not own.kind.shape_varies:
             return 0.0
         shape = own.shape
         others = [x for x in study.layout.effects if x.plain == own.plain and x.shape not in (None, shape)]

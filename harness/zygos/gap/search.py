@@ -352,8 +352,7 @@ def polished(found: Search) -> Search:
     for number in range(_POLISHES):
         if number >= _POLISHES_ALWAYS and not excess(found.after):
             break
-        # an order is a whole number
-        shaped = [one for one in found.named if one.shape is not None and any(x % 1.0 for x in one.kind.shapes)]
+        shaped = [one for one in found.named if one.shape is not None and one.kind.shape_varies]
         for one in shaped:
             found = _reshaped(found, one)
     return _needed(found)

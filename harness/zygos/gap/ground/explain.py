@@ -121,10 +121,8 @@ class _Explainer:
             table, found = wider
         else:
             found = replace(found, last=wider[1].rounds[-1] if wider[1].rounds else ())
-        bodies = self._bodies(table, found)
-        loads = [predicted_load(motion, bodies) for motion in motions]
         table, found = with_best_shapes(
-            self.simulation, table, found, loads, lambda name: self.step(0.75, f"found {name}")
+            self.simulation, table, found, self._bodies(table, found), lambda name: self.step(0.75, f"found {name}")
         )
         self.step(0.77, "the twin of what was found")
         found = confirmed(self.simulation, table, found, stage_of(table.layout, "closed", found.after))

@@ -12,6 +12,7 @@ from zygos.gap.ground.candidates import Candidate
 from zygos.gap.ground.columns import Layout, Table, table_of
 from zygos.gap.ground.fit import Fit, fit, residual
 from zygos.gap.ground.search import Search, Tried, search
+from zygos.gap.ground.twin import predicted_load
 from zygos.model.model import Model
 
 Floats = NDArray[np.float64]
@@ -23,17 +24,18 @@ _NEIGHBOUR = 1.1
 
 
 def with_best_shapes(
-    simulation: Model, table: Table, found: Search, loads: Sequence[Floats], step: Callable[[str], None]
+    simulation: Model, table: Table, found: Search, values: Floats, step: Callable[[str], None]
 ) -> tuple[Table, Search]:
     """The sums and the search with the shapes that leave least, each with a neighbour that is held; as they are where
-    no law that was named has a shape. loads: as of `table_of`."""
+    no law that was named has a shape. values: of the parameters, by which the load of the joints is predicted."""
     shaped = [one.candidate for one in found.named if _has_shape(one.candidate)]
-    best = {one.name: one for one in shaped}
-    for distance in _STEPS if shaped else ():
-        for one in shaped:
-            best[one.name] = _best(simulation, table, found, loads, best, one.name, distance)
     if not shaped:
         return table, found
+    loads = [predicted_load(rows.motion, values) for rows in table.rows]
+    best = {one.name: one for one in shaped}
+    for distance in _STEPS:
+        for one in shaped:
+            best[one.name] = _best(simulation, table, found, loads, best, one.name, distance)
     listed = [best.get(one.name, one) for one in table.layout.candidates]
     listed += [_shaped(one, _shape(one) * _NEIGHBOUR) for one in best.values()]
     there = table_of(_layout(simulation, table, listed), [rows.motion for rows in table.rows], table.span_s, loads)
@@ -55,8 +57,7 @@ def open_shapes(table: Table, named: Sequence[Tried]) -> list[tuple[int, int]]:
 
 
 def _has_shape(one: Candidate) -> bool:
-    # an order is a whole number
-    return one.effect is not None and one.effect.shape is not None and any(x % 1.0 for x in one.effect.kind.shapes)
+    return one.effect is not None and one.effect.shape is not None and one.effect.kind.shape_varies
 
 
 def _shape(one: Candidate) -> float:
@@ -85,7 +86,8 @@ def _best(
     name: str,
     distance: float,
 ) -> Candidate:
-    """The candidate with that of a finer grid about its shape which leaves least. best: what stands for each name."""
+    """The candidate with that of a finer grid about its shape which leaves least. loads: as of `table_of`. best: what
+    stands for each name."""
     one = best[name]
     assert one.effect is not None
     grid = one.effect.kind.shapes
